@@ -1,0 +1,1 @@
+//! Multi-view captures: loading, checking and synthesising them

@@ -1,0 +1,2 @@
+//! tcgs
+fn main() {}

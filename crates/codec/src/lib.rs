@@ -1,0 +1,1 @@
+//! Compression of dynamic Gaussians and the .tcgs container

@@ -1,0 +1,163 @@
+//! From stored to drawn: unit quaternions, positive scales, opacities in (0, 1); and back for gradients.
+
+use rayon::prelude::*;
+
+use crate::{Gaussians, Real, normalize, normalize_vjp};
+
+/// What a rasterizer draws. All arrays have length `N`; `colors` has `num_channels` a Gaussian.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Activated {
+    /// `[N, 3]` centres, scene units.
+    pub means: Vec<[f32; 3]>,
+    /// `[N, 4]` unit rotations, `w, x, y, z`.
+    pub quats: Vec<[f32; 4]>,
+    /// `[N, 3]` standard deviations, scene units.
+    pub scales: Vec<[f32; 3]>,
+    /// `[N]` in `[0, 1]`.
+    pub opacities: Vec<f32>,
+    /// `[N, num_channels]`, any channels that blend like colour.
+    pub colors: Vec<f32>,
+    /// Channels of a Gaussian in `colors`.
+    pub num_channels: usize,
+}
+
+impl Activated {
+    /// `N`.
+    pub fn num_gaussians(&self) -> usize {
+        self.means.len()
+    }
+}
+
+/// Gradients with respect to the fields of [`Activated`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ActivatedGrads {
+    /// `[N, 3]`
+    pub v_means: Vec<[f32; 3]>,
+    /// `[N, 4]`, with respect to the unit quaternion, without the constraint of unit length.
+    pub v_quats: Vec<[f32; 4]>,
+    /// `[N, 3]`
+    pub v_scales: Vec<[f32; 3]>,
+    /// `[N]`
+    pub v_opacities: Vec<f32>,
+    /// `[N, num_channels]`
+    pub v_colors: Vec<f32>,
+}
+
+/// Logistic function.
+///
+/// ```
+/// assert_eq!(tcgs_core::sigmoid(0.0_f32), 0.5);
+/// ```
+#[inline(always)]
+pub fn sigmoid<R: Real>(x: R) -> R {
+    R::one() / (R::one() + (-x).exp())
+}
+
+/// VJP of [`sigmoid`].
+///
+/// - `value`: `sigmoid(x)`
+#[inline(always)]
+pub fn sigmoid_vjp<R: Real>(value: R, v_value: R) -> R {
+    v_value * value * (R::one() - value)
+}
+
+/// Activates one timestep for drawing with its three colour channels.
+///
+/// ```
+/// use tcgs_core::{Gaussians, activate};
+/// let mut gaussians = Gaussians::zeros(1);
+/// gaussians.quats[0] = [2.0, 0.0, 0.0, 0.0];
+/// let drawn = activate(&gaussians);
+/// assert_eq!((drawn.quats[0][0], drawn.scales[0][0], drawn.opacities[0]), (1.0, 1.0, 0.5));
+/// ```
+pub fn activate(gaussians: &Gaussians) -> Activated {
+    Activated {
+        means: gaussians.means.clone(),
+        quats: gaussians.quats.par_iter().map(|&q| normalize(q)).collect(),
+        scales: gaussians.log_scales.par_iter().map(|s| s.map(f32::exp)).collect(),
+        opacities: gaussians.logit_opacities.par_iter().map(|&o| sigmoid(o)).collect(),
+        colors: gaussians.colors.as_flattened().to_vec(),
+        num_channels: 3,
+    }
+}
+
+/// Backward of [`activate`]: gradients to the stored values, in the shape of [`Gaussians`].
+///
+/// - `gaussians`, `activated`: as given to and returned by `activate`
+/// - `grads`: with three colour channels
+///
+/// # Panics
+/// If `grads` has another number of Gaussians or channels.
+pub fn activate_bwd(gaussians: &Gaussians, activated: &Activated, grads: &ActivatedGrads) -> Gaussians {
+    let n = gaussians.num_gaussians();
+    assert_eq!(grads.v_colors.len(), 3 * n, "v_colors: [{}] against [{n}, 3]", grads.v_colors.len());
+    Gaussians {
+        means: grads.v_means.clone(),
+        quats: gaussians.quats.par_iter().zip(&grads.v_quats).map(|(&q, &v)| normalize_vjp(q, v)).collect(),
+        log_scales: activated
+            .scales
+            .par_iter()
+            .zip(&grads.v_scales)
+            .map(|(s, v)| [s[0] * v[0], s[1] * v[1], s[2] * v[2]])
+            .collect(),
+        logit_opacities: activated
+            .opacities
+            .par_iter()
+            .zip(&grads.v_opacities)
+            .map(|(&o, &v)| sigmoid_vjp(o, v))
+            .collect(),
+        colors: grads.v_colors.as_chunks::<3>().0.to_vec(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sigmoid_vjp_matches_a_central_difference() {
+        let (x, h) = (0.7_f64, 1e-6);
+        let difference = (sigmoid(x + h) - sigmoid(x - h)) / (2.0 * h);
+        assert!((sigmoid_vjp(sigmoid(x), 1.0) - difference).abs() < 1e-9);
+    }
+
+    #[test]
+    fn activate_bwd_matches_central_differences() {
+        let gaussians = Gaussians {
+            means: vec![[0.1, 0.2, 0.3]],
+            quats: vec![[0.9, -0.2, 0.4, 0.3]],
+            log_scales: vec![[-1.0, -2.0, 0.5]],
+            logit_opacities: vec![0.7],
+            colors: vec![[0.2, 0.4, 0.6]],
+        };
+        let grads = ActivatedGrads {
+            v_means: vec![[1.0, 2.0, 3.0]],
+            v_quats: vec![[0.3, -0.5, 0.2, 0.9]],
+            v_scales: vec![[1.5, -0.5, 0.25]],
+            v_opacities: vec![2.0],
+            v_colors: vec![0.5, 0.25, -1.0],
+        };
+        let loss = |g: &Gaussians| -> f64 {
+            let a = activate(g);
+            let sum = |x: &[f32], v: &[f32]| -> f64 { x.iter().zip(v).map(|(x, v)| f64::from(x * v)).sum() };
+            sum(a.means.as_flattened(), grads.v_means.as_flattened())
+                + sum(a.quats.as_flattened(), grads.v_quats.as_flattened())
+                + sum(a.scales.as_flattened(), grads.v_scales.as_flattened())
+                + sum(&a.opacities, &grads.v_opacities)
+                + sum(&a.colors, &grads.v_colors)
+        };
+        let v = activate_bwd(&gaussians, &activate(&gaussians), &grads);
+        for attribute in crate::Attribute::ALL {
+            for i in 0..attribute.components() {
+                let at = |d: f32| {
+                    let mut moved = gaussians.clone();
+                    moved.values_mut(attribute)[i] += d;
+                    loss(&moved)
+                };
+                let difference = (at(1e-2) - at(-1e-2)) / 2e-2;
+                let gradient = f64::from(v.values(attribute)[i]);
+                assert!((difference - gradient).abs() < 2e-4, "{attribute:?} {i}: {difference} against {gradient}");
+            }
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! Images of any number of channels.
+
+/// An image, one plane after another: `[C, H, W]`, rows from the top.
+///
+/// Planes rather than interleaved pixels, since every kernel here runs along pixels of one channel.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Image {
+    /// Pixels in a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Planes.
+    pub num_channels: usize,
+    /// `[C, H, W]`.
+    pub data: Vec<f32>,
+}
+
+impl Image {
+    /// An image of one value.
+    pub fn filled(width: usize, height: usize, num_channels: usize, value: f32) -> Self {
+        Self { width, height, num_channels, data: vec![value; width * height * num_channels] }
+    }
+
+    /// `W * H`.
+    pub fn num_pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// One channel, `[H, W]`.
+    pub fn plane(&self, channel: usize) -> &[f32] {
+        let n = self.num_pixels();
+        &self.data[channel * n..(channel + 1) * n]
+    }
+
+    /// One channel, `[H, W]`, to change in place.
+    pub fn plane_mut(&mut self, channel: usize) -> &mut [f32] {
+        let n = self.num_pixels();
+        &mut self.data[channel * n..(channel + 1) * n]
+    }
+
+    /// From interleaved 8-bit RGB, `[H, W, 3]`; 255 becomes 1.
+    ///
+    /// # Panics
+    /// If `bytes` has another length than `3 * width * height`.
+    pub fn from_rgb8(width: usize, height: usize, bytes: &[u8]) -> Self {
+        assert_eq!(bytes.len(), 3 * width * height, "{} bytes for {width}x{height} RGB", bytes.len());
+        let mut image = Self::filled(width, height, 3, 0.0);
+        for channel in 0..3 {
+            for (value, pixel) in image.plane_mut(channel).iter_mut().zip(bytes.chunks_exact(3)) {
+                *value = f32::from(pixel[channel]) / 255.0;
+            }
+        }
+        image
+    }
+
+    /// To interleaved 8-bit RGB, `[H, W, 3]`: clamped to `[0, 1]`, rounded. Uses the first three channels.
+    ///
+    /// ```
+    /// let image = tcgs_core::Image::filled(2, 1, 3, 0.5);
+    /// assert_eq!(image.to_rgb8(), [128; 6]);
+    /// ```
+    ///
+    /// # Panics
+    /// If there are fewer than three channels.
+    pub fn to_rgb8(&self) -> Vec<u8> {
+        let planes = [self.plane(0), self.plane(1), self.plane(2)];
+        (0..self.num_pixels())
+            .flat_map(|p| planes.map(|plane| (plane[p].clamp(0.0, 1.0) * 255.0).round() as u8))
+            .collect()
+    }
+
+    /// Area average over `factor` x `factor` pixels; what does not fill a block at the right and
+    /// lower edge is dropped, as [`crate::Camera::downscaled`] does.
+    pub fn downscaled(&self, factor: usize) -> Self {
+        let mut out = Self::filled(self.width / factor, self.height / factor, self.num_channels, 0.0);
+        let weight = 1.0 / (factor * factor) as f32;
+        for channel in 0..self.num_channels {
+            let source = self.plane(channel);
+            let width = out.width;
+            for (i, value) in out.plane_mut(channel).iter_mut().enumerate() {
+                let (x, y) = (i % width * factor, i / width * factor);
+                let sum: f32 =
+                    (y..y + factor).map(|row| source[row * self.width + x..][..factor].iter().sum::<f32>()).sum();
+                *value = sum * weight;
+            }
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_survive_the_round_trip() {
+        let bytes: Vec<u8> = (0..3 * 4 * 2).map(|i| (i * 10) as u8).collect();
+        assert_eq!(Image::from_rgb8(4, 2, &bytes).to_rgb8(), bytes);
+    }
+
+    #[test]
+    fn downscaling_averages_blocks_and_drops_the_rest() {
+        let mut image = Image::filled(5, 4, 1, 0.0);
+        for (i, v) in image.data.iter_mut().enumerate() {
+            *v = i as f32;
+        }
+        let small = image.downscaled(2);
+        assert_eq!((small.width, small.height), (2, 2));
+        assert_eq!(small.data[0], (0.0 + 1.0 + 5.0 + 6.0) / 4.0);
+        assert_eq!(small.data[3], (12.0 + 13.0 + 17.0 + 18.0) / 4.0);
+    }
+}

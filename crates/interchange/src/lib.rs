@@ -1,0 +1,1 @@
+//! Other programs' model files: Dynamic 3D Gaussians params.npz

@@ -1,0 +1,1 @@
+//! Image metrics: PSNR and SSIM, with the gradient of SSIM

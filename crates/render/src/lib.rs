@@ -1,0 +1,1 @@
+//! Differentiable Gaussian rasterization on the CPU

@@ -1,0 +1,1 @@
+//! Training of dynamic Gaussians from multi-view images
