@@ -1,1 +1,13 @@
-//! Differentiable Gaussian rasterization on the CPU
+//! Differentiable Gaussian rasterization.
+//!
+//! What lives here: everything between activated Gaussians and pixels, forward and backward. What
+//! does not: activation, losses, files. The constants that decide what is visible stand once, in
+//! [`settings`]; every implementation and the oracle in the tests read them there.
+
+mod cpu;
+mod rasterizer;
+pub mod settings;
+
+pub use cpu::CpuRasterizer;
+pub use cpu::project::{Pinhole, Projection, project, project_vjp};
+pub use rasterizer::{Rasterizer, RenderGrads, RenderOutput, RenderSettings};

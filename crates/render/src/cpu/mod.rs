@@ -1,0 +1,197 @@
+//! The CPU renderer: tiles over threads, lanes over pixels, the same bits for any number of threads.
+//!
+//! Sums that could depend on the order of threads are taken in a fixed one: a tile writes the
+//! gradients of its pairs, and each Gaussian then adds up its own pairs in tile order.
+
+pub(crate) mod project;
+mod rasterize;
+mod tiles;
+
+use rayon::prelude::*;
+use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
+
+use self::project::{Pinhole, project_vjp};
+use self::rasterize::{PAIR_GRADS, TileImage, rasterize_bwd, rasterize_fwd};
+use self::tiles::{TILE, Tiles};
+use crate::settings::MAX_CHANNELS;
+use crate::{Rasterizer, RenderGrads, RenderOutput, RenderSettings};
+
+/// The renderer that needs nothing but a CPU.
+///
+/// ```
+/// use tcgs_core::{Camera, Gaussians, activate};
+/// use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+///
+/// let mut gaussians = Gaussians::zeros(1);
+/// gaussians.quats[0] = [1.0, 0.0, 0.0, 0.0];
+/// gaussians.colors[0] = [1.0, 0.5, 0.0];
+/// let camera = Camera::look_at([0.0, 0.0, -5.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, 64, 48);
+/// let (output, _) = CpuRasterizer.forward(&activate(&gaussians), &camera, &RenderSettings::default());
+/// let center = 24 * 64 + 32;
+/// assert!((output.image.plane(0)[center] - 0.5).abs() < 1e-2); // opacity ½, colour 1
+/// ```
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CpuRasterizer;
+
+/// What the CPU's forward keeps for its backward.
+#[derive(Debug)]
+pub struct CpuSaved {
+    tiles: Tiles,
+    image: Image,
+}
+
+macro_rules! with_channels {
+    ($channels:expr, $f:ident($($argument:expr),*)) => {
+        match $channels {
+            1 => $f::<1>($($argument),*),
+            2 => $f::<2>($($argument),*),
+            3 => $f::<3>($($argument),*),
+            4 => $f::<4>($($argument),*),
+            5 => $f::<5>($($argument),*),
+            6 => $f::<6>($($argument),*),
+            7 => $f::<7>($($argument),*),
+            8 => $f::<8>($($argument),*),
+            other => panic!("{other} channels, expected 1 to {MAX_CHANNELS}"),
+        }
+    };
+}
+
+impl Rasterizer for CpuRasterizer {
+    type Saved = CpuSaved;
+
+    fn forward(&self, gaussians: &Activated, camera: &Camera, settings: &RenderSettings) -> (RenderOutput, CpuSaved) {
+        let n = gaussians.num_gaussians();
+        let lengths = [gaussians.quats.len(), gaussians.scales.len(), gaussians.opacities.len()];
+        assert_eq!(lengths, [n; 3], "quats, scales and opacities against {n} means");
+        assert_eq!(
+            gaussians.colors.len(),
+            n * gaussians.num_channels,
+            "colors against [{n}, {}]",
+            gaussians.num_channels
+        );
+        let tiles = Tiles::new(gaussians, camera);
+        let output = with_channels!(gaussians.num_channels, draw(&tiles, &gaussians.colors, camera, settings));
+        let image = output.image.clone();
+        (output, CpuSaved { tiles, image })
+    }
+
+    fn backward(
+        &self,
+        gaussians: &Activated,
+        camera: &Camera,
+        settings: &RenderSettings,
+        saved: &CpuSaved,
+        v_image: &Image,
+    ) -> RenderGrads {
+        let shape = |i: &Image| [i.num_channels, i.height, i.width];
+        assert_eq!(shape(v_image), shape(&saved.image), "v_image against the rendered image");
+        let (tiles, colors) = (&saved.tiles, &gaussians.colors);
+        let stride = PAIR_GRADS + gaussians.num_channels;
+        let mut v_pairs = vec![0.0; tiles.pair_splats.len() * stride];
+        let mut rest = v_pairs.as_mut_slice();
+        let mut shares = Vec::with_capacity(tiles.starts.len() - 1);
+        for tile in 0..tiles.starts.len() - 1 {
+            let (share, after) = rest.split_at_mut(tiles.pairs(tile).len() * stride);
+            shares.push(share);
+            rest = after;
+        }
+        shares.into_par_iter().enumerate().with_max_len(1).for_each(|(tile, v_pairs)| {
+            with_channels!(
+                gaussians.num_channels,
+                rasterize_bwd(tiles, tile, colors, settings, &saved.image, v_image, v_pairs)
+            );
+        });
+        gather(gaussians, camera, tiles, &v_pairs)
+    }
+}
+
+fn draw<const C: usize>(tiles: &Tiles, colors: &[f32], camera: &Camera, settings: &RenderSettings) -> RenderOutput {
+    let (width, height) = (camera.width, camera.height);
+    let drawn: Vec<TileImage<C>> = (0..tiles.starts.len() - 1)
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|tile| rasterize_fwd(tiles, tile, colors, width, height, settings))
+        .collect();
+    let mut image = Image::filled(width, height, C, 0.0);
+    let mut transmittance = vec![0.0; width * height];
+    for (tile, drawn) in drawn.iter().enumerate() {
+        let (x, y) = (tile % tiles.grid[0] * TILE, tile / tiles.grid[0] * TILE);
+        let count = TILE.min(width - x);
+        for row in 0..TILE.min(height - y) {
+            let at = (y + row) * width + x;
+            let line = |plane: &'_ [_]| -> [f32; TILE] {
+                let plane: &[[f32; 8]] = plane;
+                plane[row * 2..][..2].as_flattened().try_into().expect("a tile's row")
+            };
+            transmittance[at..at + count].copy_from_slice(&line(&drawn.transmittance)[..count]);
+            for channel in 0..C {
+                image.plane_mut(channel)[at..at + count].copy_from_slice(&line(&drawn.planes[channel])[..count]);
+            }
+        }
+    }
+    RenderOutput { image, transmittance }
+}
+
+/// Adds up the pairs of each Gaussian and takes them back through the projection.
+fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[f32]) -> RenderGrads {
+    let (n, channels) = (gaussians.num_gaussians(), gaussians.num_channels);
+    let stride = PAIR_GRADS + channels;
+    let pinhole = Pinhole::new(camera);
+    let half_size = [0.5 * camera.width as f32, 0.5 * camera.height as f32];
+    let mut splat_of = vec![u32::MAX; n];
+    for (index, splat) in tiles.splats.iter().enumerate() {
+        splat_of[splat.gaussian as usize] = index as u32;
+    }
+    let mut grads = RenderGrads {
+        activated: ActivatedGrads {
+            v_means: vec![[0.0; 3]; n],
+            v_quats: vec![[0.0; 4]; n],
+            v_scales: vec![[0.0; 3]; n],
+            v_opacities: vec![0.0; n],
+            v_colors: vec![0.0; n * channels],
+        },
+        v_means2d_ndc: vec![[0.0; 2]; n],
+        visible: vec![false; n],
+    };
+    let a = &mut grads.activated;
+    splat_of
+        .par_iter()
+        .zip(a.v_means.par_iter_mut())
+        .zip(a.v_quats.par_iter_mut())
+        .zip(a.v_scales.par_iter_mut())
+        .zip(a.v_opacities.par_iter_mut())
+        .zip(a.v_colors.par_chunks_exact_mut(channels))
+        .zip(grads.v_means2d_ndc.par_iter_mut())
+        .zip(grads.visible.par_iter_mut())
+        .enumerate()
+        .with_min_len(256)
+        .for_each(|(i, (((((((&splat, v_mean), v_quat), v_scale), v_opacity), v_color), v_ndc), visible))| {
+            if splat == u32::MAX {
+                return;
+            }
+            *visible = true;
+            let mut v = [0.0; PAIR_GRADS];
+            let entries = tiles.splat_starts[splat as usize] as usize..tiles.splat_starts[splat as usize + 1] as usize;
+            for &pair in &tiles.splat_pairs[entries] {
+                let (v_pair, v_pair_color) = v_pairs[pair as usize * stride..][..stride].split_at(PAIR_GRADS);
+                for (sum, value) in v.iter_mut().zip(v_pair) {
+                    *sum += value;
+                }
+                for (sum, value) in v_color.iter_mut().zip(v_pair_color) {
+                    *sum += value;
+                }
+            }
+            let [x, y, xx, xy, yy, opacity, statistic_x, statistic_y] = v;
+            *v_opacity = opacity;
+            *v_ndc = [statistic_x * half_size[0], statistic_y * half_size[1]];
+            (*v_mean, *v_quat, *v_scale) = project_vjp(
+                gaussians.means[i],
+                gaussians.quats[i],
+                gaussians.scales[i],
+                &pinhole,
+                [x, y],
+                [xx, xy, yy],
+            );
+        });
+    grads
+}

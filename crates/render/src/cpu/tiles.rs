@@ -1,0 +1,155 @@
+//! Which splats each tile draws, in which order.
+//!
+//! Depths are sorted once over all splats; tiles then take their share in that order, so each
+//! tile's list is sorted too. One (tile, splat) combination is a *pair*; pairs lie tile by tile.
+
+use rayon::prelude::*;
+use tcgs_core::{Activated, Camera};
+
+use super::project::{Pinhole, project};
+use crate::settings::MIN_ALPHA;
+
+/// Tile side in pixels: wide enough that a row fills two vectors of eight lanes, small enough
+/// that a tile's state stays in the first-level cache.
+pub(super) const TILE: usize = 16;
+
+/// Extents are widened by this share and this many pixels, so that rounding never drops a pixel
+/// that reaches [`MIN_ALPHA`].
+const EXTENT_MARGIN: (f32, f32) = (1.0 + 1e-3, 0.05);
+
+/// A splat that reaches at least one pixel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Splat {
+    pub mean2d: [f32; 2],
+    pub conic: [f32; 3],
+    pub opacity: f32,
+    depth: f32,
+    /// Half-open pixel ranges outside which alpha is below [`MIN_ALPHA`].
+    pub columns: [u32; 2],
+    pub rows: [u32; 2],
+    /// Index of the Gaussian.
+    pub gaussian: u32,
+}
+
+impl Splat {
+    fn tile_range(range: [u32; 2]) -> std::ops::Range<usize> {
+        range[0] as usize / TILE..(range[1] as usize).div_ceil(TILE)
+    }
+}
+
+/// All splats of a view and the tiles they fall into.
+#[derive(Debug)]
+pub(super) struct Tiles {
+    pub splats: Vec<Splat>,
+    /// Tiles in a row and in a column.
+    pub grid: [usize; 2],
+    /// `[tiles + 1]` first pair of each tile.
+    pub starts: Vec<u32>,
+    /// `[pairs]` index into `splats`, sorted by tile, then depth.
+    pub pair_splats: Vec<u32>,
+    /// `[splats + 1]` first of each splat's entries in `splat_pairs`.
+    pub splat_starts: Vec<u32>,
+    /// `[pairs]` the pairs of each splat.
+    pub splat_pairs: Vec<u32>,
+}
+
+/// Half-open range of pixels whose centre lies within `center ± extent`, inside `0..size`.
+fn pixel_range(center: f32, extent: f32, size: usize) -> [u32; 2] {
+    let first = (center - extent - 0.5).ceil().clamp(0.0, size as f32);
+    let end = ((center + extent - 0.5).floor() + 1.0).clamp(0.0, size as f32);
+    [first as u32, end as u32]
+}
+
+fn splat(gaussians: &Activated, index: usize, camera: &Camera, pinhole: &Pinhole<f32>) -> Option<Splat> {
+    let opacity = gaussians.opacities[index];
+    // Negated so that NaN is culled too.
+    if !(opacity >= MIN_ALPHA as f32) {
+        return None;
+    }
+    let p = project(gaussians.means[index], gaussians.quats[index], gaussians.scales[index], pinhole)?;
+    // alpha >= MIN_ALPHA  <=>  exponent <= ln(opacity / MIN_ALPHA), an ellipse.
+    let reach = 2.0 * (opacity / MIN_ALPHA as f32).ln().max(0.0);
+    let extent = |variance: f32| (reach * variance).sqrt() * EXTENT_MARGIN.0 + EXTENT_MARGIN.1;
+    let columns = pixel_range(p.mean2d[0], extent(p.covariance2d[0]), camera.width);
+    let rows = pixel_range(p.mean2d[1], extent(p.covariance2d[2]), camera.height);
+    (columns[0] < columns[1] && rows[0] < rows[1]).then_some(Splat {
+        mean2d: p.mean2d,
+        conic: p.conic,
+        opacity,
+        depth: p.depth,
+        columns,
+        rows,
+        gaussian: index as u32,
+    })
+}
+
+impl Tiles {
+    pub fn new(gaussians: &Activated, camera: &Camera) -> Self {
+        let pinhole = Pinhole::new(camera);
+        let splats: Vec<Splat> = (0..gaussians.num_gaussians())
+            .into_par_iter()
+            .with_min_len(512)
+            .filter_map(|i| splat(gaussians, i, camera, &pinhole))
+            .collect();
+
+        // Depths are positive, so their bits sort as they do; ties go by index.
+        let mut order: Vec<u64> =
+            splats.par_iter().enumerate().map(|(i, s)| u64::from(s.depth.to_bits()) << 32 | i as u64).collect();
+        order.par_sort_unstable();
+
+        let grid = [camera.width.div_ceil(TILE), camera.height.div_ceil(TILE)];
+        let mut starts = vec![0_u32; grid[0] * grid[1] + 1];
+        let mut splat_starts = Vec::with_capacity(splats.len() + 1);
+        let mut num_pairs = 0;
+        for s in &splats {
+            splat_starts.push(num_pairs);
+            for row in Splat::tile_range(s.rows) {
+                for column in Splat::tile_range(s.columns) {
+                    starts[row * grid[0] + column + 1] += 1;
+                    num_pairs += 1;
+                }
+            }
+        }
+        splat_starts.push(num_pairs);
+        for i in 1..starts.len() {
+            starts[i] += starts[i - 1];
+        }
+
+        let mut next = starts.clone();
+        let mut pair_splats = vec![0; num_pairs as usize];
+        let mut splat_pairs = vec![0; num_pairs as usize];
+        for key in order {
+            let index = key as u32;
+            let s = &splats[index as usize];
+            let mut entry = splat_starts[index as usize] as usize;
+            for row in Splat::tile_range(s.rows) {
+                for column in Splat::tile_range(s.columns) {
+                    let slot = &mut next[row * grid[0] + column];
+                    pair_splats[*slot as usize] = index;
+                    splat_pairs[entry] = *slot;
+                    *slot += 1;
+                    entry += 1;
+                }
+            }
+        }
+        Self { splats, grid, starts, pair_splats, splat_starts, splat_pairs }
+    }
+
+    /// Pairs of one tile.
+    pub fn pairs(&self, tile: usize) -> std::ops::Range<usize> {
+        self.starts[tile] as usize..self.starts[tile + 1] as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pixel_range_holds_the_centres_inside() {
+        assert_eq!(pixel_range(4.0, 1.0, 16), [3, 5]); // centres 3.5 and 4.5
+        assert_eq!(pixel_range(4.5, 1.0, 16), [3, 6]); // 3.5, 4.5, 5.5: bounds included
+        assert_eq!(pixel_range(-3.0, 1.0, 16), [0, 0]);
+        assert_eq!(pixel_range(20.0, 100.0, 16), [0, 16]);
+    }
+}

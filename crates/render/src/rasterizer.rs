@@ -1,0 +1,71 @@
+//! The contract that every renderer keeps.
+
+use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
+
+use crate::settings::MAX_CHANNELS;
+
+/// How to render.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderSettings {
+    /// Colour behind everything, one value a channel. Default: black (reference).
+    pub background: [f32; MAX_CHANNELS],
+    /// The densification statistic counts the gradient of this many leading channels alone.
+    /// Default: 3, the colours, without the segmentation that shares the pass.
+    pub statistic_channels: usize,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        Self { background: [0.0; MAX_CHANNELS], statistic_channels: 3 }
+    }
+}
+
+/// What a forward pass returns.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderOutput {
+    /// `[C, H, W]`, background included, neither clamped nor colour-corrected.
+    pub image: Image,
+    /// `[H, W]` light that passes all splats, `∏(1 − alpha)`.
+    pub transmittance: Vec<f32>,
+}
+
+/// What a backward pass returns.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderGrads {
+    /// Gradients to the activated Gaussians.
+    pub activated: ActivatedGrads,
+    /// `[N, 2]` densification statistic: gradient of the statistic channels alone to the projected
+    /// centre, in NDC units (pixels times half the image size).
+    pub v_means2d_ndc: Vec<[f32; 2]>,
+    /// `[N]` whether the Gaussian reached the image's tiles.
+    pub visible: Vec<bool>,
+}
+
+/// A differentiable renderer of activated Gaussians.
+pub trait Rasterizer {
+    /// What forward keeps for backward.
+    type Saved;
+
+    /// Renders all channels of `gaussians.colors` in one pass.
+    ///
+    /// # Panics
+    /// If arrays of `gaussians` disagree in length, or `num_channels` is not in `1..=MAX_CHANNELS`.
+    fn forward(&self, gaussians: &Activated, camera: &Camera, settings: &RenderSettings)
+    -> (RenderOutput, Self::Saved);
+
+    /// Overwrites: gradients of one forward pass.
+    ///
+    /// - `gaussians`, `camera`, `settings`: as given to `forward`
+    /// - `v_image`: `[C, H, W]`, gradient to the rendered image
+    ///
+    /// # Panics
+    /// If `v_image` has another shape than the rendered image.
+    fn backward(
+        &self,
+        gaussians: &Activated,
+        camera: &Camera,
+        settings: &RenderSettings,
+        saved: &Self::Saved,
+        v_image: &Image,
+    ) -> RenderGrads;
+}

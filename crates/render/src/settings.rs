@@ -1,0 +1,28 @@
+//! What is visible: every cut-off, once, with its reason.
+
+/// Most channels that one pass blends.
+pub const MAX_CHANNELS: usize = 8;
+
+/// Gaussians whose centre is nearer than this (camera z, scene units) or behind are culled: the
+/// projection's linearisation breaks down there.
+pub const NEAR: f64 = 0.2;
+
+/// Variance added to both axes of a splat, px²: the pixel's own extent, so that no splat falls
+/// between pixel centres.
+pub const BLUR_VARIANCE: f64 = 0.3;
+
+/// A splat reaches every pixel where its alpha is at least this, whatever the tiles: below one step
+/// of an 8-bit image it cannot be seen.
+pub const MIN_ALPHA: f64 = 1.0 / 255.0;
+
+/// Alpha is clamped here, so that what lies behind keeps a gradient and `1 − alpha` can be divided by.
+pub const MAX_ALPHA: f64 = 0.99;
+
+/// A pixel is finished before the splat that would bring its transmittance below this:
+/// a maximal-opacity Gaussian must be blended twice to end a pixel, `(1 − MAX_ALPHA)²`.
+pub const MIN_TRANSMITTANCE: f64 = 1e-4;
+
+/// `x/z` and `y/z` are clamped to the image's field of view, widened by this share of half its
+/// (centred) extent, before the Jacobian of the projection is taken: beyond, the linearisation
+/// stretches splats without bound.
+pub const FOV_MARGIN: f64 = 0.3;
