@@ -1,1 +1,29 @@
-//! Compression of dynamic Gaussians and the .tcgs container
+//! Compression of dynamic Gaussians and the `.tcgs` container.
+//!
+//! Three layers, strictly apart: a scene of floats (`tcgs_core::DynamicGaussians`) · its symbols
+//! ([`CompactScene`]: codes at keypoints, bit widths, quantizers) · bytes ([`encode`], [`decode`]).
+//! [`compress`] and [`CompactScene::reconstruct`] join the first two and lose information; the bytes
+//! lose none. This crate reads bytes that nobody vouches for: no unsafe code, every allocation under
+//! [`DecodeLimits`].
+
+#![forbid(unsafe_code)]
+
+mod accounting;
+mod bits;
+mod bitstream;
+mod compact;
+mod compress;
+mod error;
+mod keypoints;
+mod limits;
+mod morton;
+mod quantize;
+
+pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
+pub use bitstream::{Contents, FORMAT_VERSION, FileInfo, SectionInfo, decode, encode, inspect};
+pub use compact::{CompactScene, SceneInfo, Tracks};
+pub use compress::{CompressSettings, compress, compress_ordered};
+pub use error::DecodeError;
+pub use keypoints::{interpolate, select as select_keypoints};
+pub use limits::DecodeLimits;
+pub use quantize::{MAX_BITS, Quantizer, Quantizers, lsq_step};

@@ -1,1 +1,29 @@
-//! Training of dynamic Gaussians from multi-view images
+//! Training of dynamic Gaussians from multi-view images, one timestep after another.
+//!
+//! What lives here: the optimiser's state, losses, schedule, density control, masks, quantisation
+//! inside the optimisation, run folders. What does not: captures (they come as
+//! [`tcgs_core::View`]s), rendering, the file format.
+
+mod checkpoint;
+mod config;
+mod densify;
+pub mod engine;
+mod error;
+mod parameters;
+mod run;
+mod schedule;
+mod sensitivity;
+mod trainer;
+
+pub use checkpoint::Checkpoint;
+pub use config::{
+    BitMapKind, ConfigError, DataConfig, DensifyConfig, MaskConfig, Preset, QuantizeConfig, REFERENCE_ITERATIONS,
+    RateConfig, ScheduleConfig, TrainConfig, WeightConfig,
+};
+pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
+pub use error::TrainError;
+pub use parameters::{Parameters, scene_radius};
+pub use run::{Run, TrainedScene};
+pub use schedule::{Phase, Rates, Schedule};
+pub use sensitivity::sensitivity;
+pub use trainer::{Progress, Trainer, bit_settings, masked_out, mean_masks};

@@ -1,0 +1,72 @@
+//! Image files to pixels.
+
+use std::{io::Cursor, path::Path};
+
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use tcgs_core::{Image, Segmentation};
+
+use crate::CaptureError;
+
+/// Decodes an image of the size that the capture says.
+pub(crate) fn image(path: &Path, size: (usize, usize)) -> Result<Image, CaptureError> {
+    let rgb = decode(path, size)?.into_rgb8();
+    Ok(Image::from_rgb8(size.0, size.1, rgb.as_raw()))
+}
+
+/// Decodes a mask: what is not black is foreground, be it 1 or 255.
+pub(crate) fn mask(path: &Path, size: (usize, usize)) -> Result<Segmentation, CaptureError> {
+    let foreground = match decode(path, size)? {
+        DynamicImage::ImageLuma8(gray) => gray.as_raw().iter().map(|&v| v != 0).collect(),
+        // Palettes arrive as colours. Opacity says nothing.
+        other => other.into_rgb8().pixels().map(|pixel| pixel.0 != [0; 3]).collect(),
+    };
+    Ok(Segmentation { width: size.0, height: size.1, foreground })
+}
+
+fn decode(path: &Path, (width, height): (usize, usize)) -> Result<DynamicImage, CaptureError> {
+    let io = |error| CaptureError::Io { path: path.into(), error };
+    let damaged = |error: image::ImageError| {
+        // Decoders' messages may have several lines.
+        let reason = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        CaptureError::invalid(path, format!("cannot be decoded: {reason}"))
+    };
+    let bytes = std::fs::read(path).map_err(io)?;
+    let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(io)?;
+    let format = reader.format();
+    let decoder = reader.into_decoder().map_err(damaged)?;
+    let (found_width, found_height) = decoder.dimensions();
+    if (found_width as usize, found_height as usize) != (width, height) {
+        let problem = format!("is {found_width}x{found_height} pixels, expected {width}x{height} as the meta says");
+        return Err(CaptureError::invalid(path, problem));
+    }
+    if format == Some(ImageFormat::Jpeg) && !jpeg_is_whole(&bytes) {
+        return Err(CaptureError::invalid(path, "ends before its end-of-image marker, expected a whole JPEG file"));
+    }
+    DynamicImage::from_decoder(decoder).map_err(damaged)
+}
+
+/// Whether a JPEG file reaches its end-of-image marker. The decoder fills what is missing with grey
+/// and says nothing.
+///
+/// ITU-T T.81, B.1.1: segments with a length, and after a start of scan coded data in which 0xFF is
+/// followed by 0 or a restart marker only.
+fn jpeg_is_whole(bytes: &[u8]) -> bool {
+    const END_OF_IMAGE: u8 = 0xd9;
+    const START_OF_SCAN: u8 = 0xda;
+    let mut rest = bytes.get(2..).unwrap_or_default();
+    let mut in_scan = false;
+    loop {
+        match rest {
+            [0xff, 0xff, ..] => rest = &rest[1..], // fill byte
+            [0xff, 0x00 | 0xd0..=0xd7, ..] if in_scan => rest = &rest[2..],
+            [0xff, END_OF_IMAGE, ..] => return true,
+            [0xff, marker, high, low, ..] => {
+                in_scan = *marker == START_OF_SCAN;
+                let length = usize::from(u16::from_be_bytes([*high, *low]));
+                rest = rest.get(2 + length..).unwrap_or_default();
+            }
+            [_, after @ ..] => rest = after, // coded data, or bytes between segments
+            [] => return false,
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! What can be wrong with a capture.
+
+use std::{io, path::PathBuf};
+
+use tcgs_interchange::InterchangeError;
+
+/// Why a capture cannot be used. Every message is one line and begins with the file.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CaptureError {
+    /// The folder is of no kind that is known.
+    #[error(
+        "{}: {problem}, expected the folder of a capture with train_meta.json, init_pt_cld.npz and ims/ \
+         (Panoptic Sports layout)",
+        path.display()
+    )]
+    NotCapture {
+        /// The folder.
+        path: PathBuf,
+        /// What was found.
+        problem: String,
+    },
+    /// The file system refused.
+    #[error("{}: reading failed: {error}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's answer.
+        error: io::Error,
+    },
+    /// A file says what cannot be.
+    #[error("{}: {problem}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// What was found, and what was expected.
+        problem: String,
+    },
+    /// The points cannot be read.
+    #[error(transparent)]
+    Points(#[from] InterchangeError),
+    /// A frame was asked for that the capture does not have.
+    #[error("{}: has {num_frames} frames, expected more than {frame} to show frame {frame}", path.display())]
+    NoFrame {
+        /// The capture.
+        path: PathBuf,
+        /// The frame asked for.
+        frame: usize,
+        /// Frames there are.
+        num_frames: usize,
+    },
+    /// Images cannot be made that small.
+    #[error(
+        "{}: cannot downscale {width}x{height} images by {downscale}, expected 1 to {}",
+        path.display(), width.min(height)
+    )]
+    Downscale {
+        /// The capture.
+        path: PathBuf,
+        /// The factor asked for.
+        downscale: usize,
+        /// Width of the smallest image.
+        width: usize,
+        /// Height of the smallest image.
+        height: usize,
+    },
+}
+
+impl CaptureError {
+    pub(crate) fn invalid(path: impl Into<PathBuf>, problem: impl Into<String>) -> Self {
+        Self::Invalid { path: path.into(), problem: problem.into() }
+    }
+}

@@ -1,0 +1,237 @@
+//! A capture made here: a textured room, three moving objects, exact cameras and masks.
+//!
+//! What lives here: where the cameras stand and what is written. `scene` says what stands and moves in
+//! the room, `texture` what it looks like, `trace` meets rays with it, `points` samples its surfaces.
+//! The scene is soft (low-frequency textures, matt surfaces, weak shadows that move) so that a few
+//! thousand Gaussians can hold it.
+
+mod points;
+mod scene;
+mod texture;
+mod trace;
+
+use std::path::Path;
+
+use rayon::prelude::*;
+use serde::Serialize;
+use tcgs_core::{Camera, Image};
+use tcgs_interchange::NpzWriter;
+
+use crate::CaptureError;
+use scene::Scene;
+pub use scene::ball_at;
+
+/// Frames a second that the motion is made for.
+pub const SYNTHETIC_FRAME_RATE: f64 = 30.0;
+
+/// Distance of the cameras from the room's middle, along the floor, scene units (metres).
+const ARC_RADIUS: f64 = 2.35;
+/// Angle between the first and the last camera, as seen from the room's middle.
+const ARC_ANGLE: f64 = 2.9;
+/// Heights of training cameras, in turn; test cameras stand between.
+const CAMERA_HEIGHTS: [f64; 2] = [0.95, 1.75];
+/// What all cameras look at: near the middle of the objects' paths.
+const TARGET: [f64; 3] = [0.0, -0.82, 0.2];
+/// Focal length over image width: a horizontal field of view of 63 degrees.
+const FOCAL_PER_WIDTH: f64 = 0.82;
+/// Colour samples along each side of a pixel.
+const SUPERSAMPLES: usize = 2;
+
+/// What [`write_synthetic`] makes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SyntheticSettings {
+    /// Image width in pixels; 128.
+    pub width: usize,
+    /// Image height in pixels; 96.
+    pub height: usize,
+    /// Cameras to train on; 12. At least two more than test cameras.
+    pub num_train_cameras: usize,
+    /// Held-out cameras, each between two training cameras; 2.
+    pub num_test_cameras: usize,
+    /// Frames of every camera, at 30 a second; 24. The motion does not depend on it.
+    pub num_timesteps: usize,
+    /// Points of the initial cloud; 8000, a third of them on the moving objects.
+    pub num_points: usize,
+    /// Where the points fall; 0. The images do not depend on it.
+    pub seed: u64,
+}
+
+impl Default for SyntheticSettings {
+    fn default() -> Self {
+        Self {
+            width: 128,
+            height: 96,
+            num_train_cameras: 12,
+            num_test_cameras: 2,
+            num_timesteps: 24,
+            num_points: 8000,
+            seed: 0,
+        }
+    }
+}
+
+/// Renders the synthetic capture into a folder, in Panoptic layout: `train_meta.json`, `test_meta.json`,
+/// `ims/CAMERA/FRAME.png`, `seg/CAMERA/FRAME.png` (1 where a moving object is seen, for test cameras
+/// too) and `init_pt_cld.npz`. Equal settings give equal bytes.
+///
+/// - `dir`: made if it does not exist; files in it of these names are overwritten
+///
+/// # Errors
+/// If a file cannot be written.
+///
+/// # Panics
+/// If the settings ask for no pixels, timesteps or points, or for fewer than two more training than
+/// test cameras.
+pub fn write_synthetic(dir: &Path, settings: &SyntheticSettings) -> Result<(), CaptureError> {
+    let sizes = [settings.width, settings.height, settings.num_timesteps, settings.num_points];
+    assert!(sizes.iter().all(|&size| size > 0), "width, height, timesteps and points of {sizes:?}");
+    let cameras = cameras(settings);
+    for camera in &cameras {
+        for folder in ["ims", "seg"] {
+            let path = dir.join(folder).join(camera.id.to_string());
+            std::fs::create_dir_all(&path).map_err(|error| failed(&path, error))?;
+        }
+    }
+    write_meta(&dir.join("train_meta.json"), settings, cameras.iter().filter(|camera| !camera.test))?;
+    write_meta(&dir.join("test_meta.json"), settings, cameras.iter().filter(|camera| camera.test))?;
+    write_points(&dir.join("init_pt_cld.npz"), settings)?;
+
+    let scenes: Vec<Scene> = (0..settings.num_timesteps).map(Scene::at).collect();
+    let jobs: Vec<(&NumberedCamera, usize)> =
+        cameras.iter().flat_map(|camera| (0..settings.num_timesteps).map(move |timestep| (camera, timestep))).collect();
+    jobs.into_par_iter().try_for_each(|(camera, timestep)| {
+        let (image, mask) = render(&scenes[timestep], &camera.camera);
+        let write = |folder: &str, bytes: &[u8], color| {
+            let path = dir.join(folder).join(file_name(camera.id, timestep));
+            image::save_buffer(&path, bytes, settings.width as u32, settings.height as u32, color)
+                .map_err(|error| failed(&path, error))
+        };
+        write("ims", &image.to_rgb8(), image::ColorType::Rgb8)?;
+        write("seg", &mask.iter().map(|&m| u8::from(m)).collect::<Vec<_>>(), image::ColorType::L8)
+    })
+}
+
+struct NumberedCamera {
+    id: usize,
+    test: bool,
+    camera: Camera,
+}
+
+/// All cameras, evenly along an arc, test cameras among the training cameras and never at the ends.
+fn cameras(settings: &SyntheticSettings) -> Vec<NumberedCamera> {
+    let (num_train, num_test) = (settings.num_train_cameras, settings.num_test_cameras);
+    assert!(num_train >= num_test + 2, "{num_train} training cameras for {num_test} test cameras between them");
+    let num_cameras = num_train + num_test;
+    let test_ids: Vec<usize> = (1..=num_test).map(|i| i * num_cameras / (num_test + 1)).collect();
+    let mut num_placed = 0;
+    (0..num_cameras)
+        .map(|id| {
+            let test = test_ids.contains(&id);
+            let height =
+                if test { (CAMERA_HEIGHTS[0] + CAMERA_HEIGHTS[1]) / 2.0 } else { CAMERA_HEIGHTS[num_placed % 2] };
+            num_placed += usize::from(!test);
+            let angle = ARC_ANGLE * (id as f64 / (num_cameras - 1) as f64 - 0.5);
+            let center = [ARC_RADIUS * angle.sin(), -height, -ARC_RADIUS * angle.cos()];
+            let focal_px = FOCAL_PER_WIDTH * settings.width as f64;
+            let up = [0.0, -1.0, 0.0];
+            let camera = Camera::look_at(center, TARGET, up, focal_px, settings.width, settings.height);
+            NumberedCamera { id, test, camera }
+        })
+        .collect()
+}
+
+/// Colour averaged over samples of each pixel, and whether its centre shows a moving object.
+fn render(scene: &Scene, camera: &Camera) -> (Image, Vec<bool>) {
+    let mut image = Image::filled(camera.width, camera.height, 3, 0.0);
+    let num_pixels = image.num_pixels();
+    let mut mask = vec![false; num_pixels];
+    let center = camera.center();
+    for (pixel, mask) in mask.iter_mut().enumerate() {
+        let corner = [(pixel % camera.width) as f64, (pixel / camera.width) as f64];
+        let hit_at = |dx: f64, dy: f64| scene.hit(center, ray(camera, [corner[0] + dx, corner[1] + dy]));
+        *mask = hit_at(0.5, 0.5).is_moving(scene);
+        let mut sum = [0.0; 3];
+        for sample in 0..SUPERSAMPLES * SUPERSAMPLES {
+            let at = |i: usize| (i as f64 + 0.5) / SUPERSAMPLES as f64;
+            let color = scene.color(&hit_at(at(sample % SUPERSAMPLES), at(sample / SUPERSAMPLES)));
+            sum = std::array::from_fn(|i| sum[i] + color[i]);
+        }
+        for (channel, sum) in sum.into_iter().enumerate() {
+            image.data[channel * num_pixels + pixel] = (sum / (SUPERSAMPLES * SUPERSAMPLES) as f64) as f32;
+        }
+    }
+    (image, mask)
+}
+
+/// Unit direction in the world of the ray through a point of the image.
+///
+/// - `pixel`: `x, y`, pixels; pixel centres at +0.5
+fn ray(camera: &Camera, pixel: [f64; 2]) -> [f64; 3] {
+    let [x, y] = std::array::from_fn(|i| (pixel[i] - camera.principal[i]) / camera.focal[i]);
+    let m = &camera.camera_from_world;
+    tcgs_core::normalize(std::array::from_fn(|j| m[0][j] * x + m[1][j] * y + m[2][j]))
+}
+
+/// `train_meta.json` and `test_meta.json` of Dynamic 3D Gaussians: outer lists are timesteps, inner cameras.
+#[derive(Serialize)]
+struct Meta {
+    w: usize,
+    h: usize,
+    k: Vec<Vec<[[f64; 3]; 3]>>,
+    w2c: Vec<Vec<[[f64; 4]; 4]>>,
+    r#fn: Vec<Vec<String>>,
+    cam_id: Vec<Vec<usize>>,
+}
+
+fn write_meta<'a>(
+    path: &Path,
+    settings: &SyntheticSettings,
+    cameras: impl Iterator<Item = &'a NumberedCamera>,
+) -> Result<(), CaptureError> {
+    let cameras: Vec<_> = cameras.collect();
+    let k = |camera: &Camera| {
+        let ([fx, fy], [cx, cy]) = (camera.focal, camera.principal);
+        [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
+    };
+    let timesteps = 0..settings.num_timesteps;
+    let meta = Meta {
+        w: settings.width,
+        h: settings.height,
+        k: timesteps.clone().map(|_| cameras.iter().map(|c| k(&c.camera)).collect()).collect(),
+        w2c: timesteps.clone().map(|_| cameras.iter().map(|c| c.camera.camera_from_world).collect()).collect(),
+        r#fn: timesteps.clone().map(|t| cameras.iter().map(|c| file_name(c.id, t)).collect()).collect(),
+        cam_id: timesteps.map(|_| cameras.iter().map(|c| c.id).collect()).collect(),
+    };
+    let json = serde_json::to_vec(&meta).map_err(|error| failed(path, error))?;
+    std::fs::write(path, json).map_err(|error| failed(path, error))
+}
+
+/// Image of a camera at a timestep, below `ims` and `seg`.
+fn file_name(camera_id: usize, timestep: usize) -> String {
+    format!("{camera_id}/{timestep:06}.png")
+}
+
+/// Pictures and files alike: the folder is ours to fill, so all that fails is the writing.
+fn failed(path: &Path, error: impl std::fmt::Display) -> CaptureError {
+    CaptureError::invalid(path, format!("writing failed: {error}"))
+}
+
+fn write_points(path: &Path, settings: &SyntheticSettings) -> Result<(), CaptureError> {
+    let cloud = points::sample(settings.num_points, settings.seed);
+    let rows: Vec<f32> = (0..settings.num_points)
+        .flat_map(|i| {
+            let ([x, y, z], [r, g, b]) = (cloud.points[i], cloud.colors[i]);
+            [x, y, z, r, g, b, f32::from(u8::from(cloud.foreground[i]))]
+        })
+        .collect();
+    let write = || -> std::io::Result<()> {
+        let mut npz = NpzWriter::new(std::fs::File::create(path)?);
+        npz.array("data", &[settings.num_points, 7], [&rows[..]])?;
+        npz.finish()?;
+        Ok(())
+    };
+    write().map_err(|error| failed(path, error))
+}
+
+#[cfg(test)]
+mod tests;

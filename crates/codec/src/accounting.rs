@@ -1,0 +1,99 @@
+//! Sizes without entropy coding, as the paper counts them.
+
+use tcgs_core::Attribute;
+
+use crate::compact::CompactScene;
+
+/// Step and offset as 32-bit floats.
+const QUANTIZER_BITS: u64 = 64;
+
+impl CompactScene {
+    /// Bytes in the paper's sparse form, nothing entropy-coded: per track of an attribute that varies
+    /// a count byte, per keypoint `ceil(log2 T)` bits of time and its code; other attributes at their
+    /// bits; per Gaussian and attribute of mixed width `ceil(log2(widths in use))` bits of bit map;
+    /// the quantizers.
+    ///
+    /// A count takes two bytes where one of the scene exceeds 255.
+    pub fn plain_bytes(&self) -> u64 {
+        let longest = self.tracks.iter().flat_map(|t| (0..t.len()).map(|i| t.track(i).0.len())).max();
+        let count_bits = if longest.unwrap_or(0) > 255 { 16 } else { 8 };
+        let time_bits = ceil_log2(self.num_timesteps());
+        self.bytes_with(|attribute| {
+            let varies = attribute.varies();
+            move |keypoints, width| {
+                if varies { count_bits + keypoints as u64 * (time_bits + width) } else { width }
+            }
+        })
+    }
+
+    /// Bytes with every timestep stored at its bits, no keypoints, nothing entropy-coded; bit map and
+    /// quantizers as in [`Self::plain_bytes`].
+    pub fn quantized_bytes(&self) -> u64 {
+        let num_timesteps = self.num_timesteps() as u64;
+        self.bytes_with(|attribute| {
+            let samples = if attribute.varies() { num_timesteps } else { 1 };
+            move |_, width| samples * width
+        })
+    }
+
+    /// - `track_bits`: for an attribute, bits of a track from its keypoints and width
+    fn bytes_with<F: Fn(usize, u64) -> u64>(&self, track_bits: impl Fn(Attribute) -> F) -> u64 {
+        let histogram = self.bit_map.histogram();
+        let bits: u64 = Attribute::ALL
+            .into_iter()
+            .map(|attribute| {
+                let index = attribute.index();
+                let (components, widths) = (attribute.components(), &self.bit_map.widths[index]);
+                let track_bits = track_bits(attribute);
+                let tracks: u64 = (0..self.tracks[index].len())
+                    .map(|i| track_bits(self.tracks[index].track(i).0.len(), u64::from(widths[i / components])))
+                    .sum();
+                let map = widths.len() as u64 * ceil_log2(histogram[index].len());
+                let quantizers: u64 = self.quantizers.attributes[index]
+                    .values()
+                    .map(|channels| channels.len() as u64 * QUANTIZER_BITS)
+                    .sum();
+                tracks + map + quantizers
+            })
+            .sum();
+        bits.div_ceil(8)
+    }
+}
+
+/// Bits that tell `count` things apart.
+fn ceil_log2(count: usize) -> u64 {
+    u64::from(count.max(1).next_power_of_two().trailing_zeros())
+}
+
+#[cfg(test)]
+mod tests {
+    use tcgs_core::{DynamicGaussians, Gaussians};
+
+    use super::*;
+    use crate::{BitMap, CompressSettings, SceneInfo, compress};
+
+    #[test]
+    fn bits_tell_things_apart() {
+        assert_eq!([1, 2, 3, 4, 5, 24, 150, 256, 257].map(ceil_log2), [0, 1, 2, 2, 3, 5, 8, 8, 9]);
+    }
+
+    #[test]
+    fn sizes_are_those_counted_by_hand() {
+        let mut scene = DynamicGaussians::default();
+        for _ in 0..5 {
+            let mut gaussians = Gaussians::zeros(2);
+            gaussians.quats = vec![[1.0, 0.0, 0.0, 0.0]; 2];
+            scene.push(gaussians);
+        }
+        let mut bit_map = BitMap::uniform(2, 16, 4);
+        bit_map.widths[Attribute::Color.index()] = vec![4, 8];
+        let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::paper());
+        // Five timesteps need 3 bits; every track keeps its two ends.
+        let track = |width: u64| 8 + 2 * (3 + width);
+        let tracks = 6 * track(16) + 8 * track(4) + 3 * track(4) + 3 * track(8) + 8 * 4;
+        let quantizers = 64 * (3 + 4 + 3 + 1 + 2 * 3);
+        assert_eq!(compact.plain_bytes(), (tracks + 2 + quantizers as u64).div_ceil(8));
+        let samples = 5 * (6 * 16 + 8 * 4 + 3 * 4 + 3 * 8) + 8 * 4;
+        assert_eq!(compact.quantized_bytes(), (samples + 2 + quantizers as u64).div_ceil(8));
+    }
+}

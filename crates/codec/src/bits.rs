@@ -1,0 +1,316 @@
+//! How many bits each Gaussian's attributes get.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use tcgs_core::{Attribute, Gaussians};
+
+use crate::quantize::MAX_BITS;
+
+/// Bit widths of every Gaussian's attributes.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct BitMap {
+    /// By [`Attribute::index`]: `[N]` widths in bits, 1 to 16. All channels of an attribute share one.
+    pub widths: [Vec<u8>; 5],
+}
+
+impl BitMap {
+    /// The same width for everything but positions.
+    ///
+    /// ```
+    /// let map = tcgs_codec::BitMap::uniform(10, 16, 6);
+    /// assert_eq!((map.num_gaussians(), map.mean_bits()), (10, 6.0));
+    /// ```
+    pub fn uniform(num_gaussians: usize, position_bits: u8, bits: u8) -> Self {
+        Self {
+            widths: Attribute::ALL
+                .map(|a| vec![if a == Attribute::Mean { position_bits } else { bits }; num_gaussians]),
+        }
+    }
+
+    /// `N`.
+    pub fn num_gaussians(&self) -> usize {
+        self.widths[0].len()
+    }
+
+    /// The Gaussians at `indices`, in that order.
+    ///
+    /// # Panics
+    /// If an index is out of range.
+    pub fn select(&self, indices: &[usize]) -> Self {
+        Self { widths: std::array::from_fn(|a| indices.iter().map(|&i| self.widths[a][i]).collect()) }
+    }
+
+    /// By [`Attribute::index`]: how many Gaussians have each width.
+    pub fn histogram(&self) -> [BTreeMap<u8, usize>; 5] {
+        std::array::from_fn(|a| {
+            let mut counts = BTreeMap::new();
+            for &width in &self.widths[a] {
+                *counts.entry(width).or_insert(0) += 1;
+            }
+            counts
+        })
+    }
+
+    /// Mean bits of a scalar, positions excluded; 0 without Gaussians.
+    pub fn mean_bits(&self) -> f64 {
+        let (mut bits, mut scalars) = (0, 0);
+        for attribute in mixed() {
+            let widths = &self.widths[attribute.index()];
+            bits += attribute.components() * widths.iter().map(|&w| usize::from(w)).sum::<usize>();
+            scalars += attribute.components() * widths.len();
+        }
+        if scalars == 0 { 0.0 } else { bits as f64 / scalars as f64 }
+    }
+}
+
+/// From sensitivity to bits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BitMapping {
+    /// Bits follow the logarithm of what an error of one spread would cost; see [`assign_bits`].
+    Log,
+    /// The paper's: bits are linear in the min-max normalised sensitivity.
+    Linear,
+}
+
+/// Settings of [`assign_bits`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct BitSettings {
+    /// Fewest bits. Default 4 (paper).
+    pub min_bits: u8,
+    /// Most bits. Default 8 (paper).
+    pub max_bits: u8,
+    /// Mean bits of a scalar without positions that [`BitMapping::Log`] aims at. Default 5.5, about
+    /// where the paper's [4, 8] ends up.
+    pub mean_bits: f32,
+    /// Bits of a position's coordinate. Default 16 (paper).
+    pub position_bits: u8,
+    /// Default [`BitMapping::Log`].
+    pub mapping: BitMapping,
+}
+
+impl Default for BitSettings {
+    fn default() -> Self {
+        Self { min_bits: 4, max_bits: 8, mean_bits: 5.5, position_bits: 16, mapping: BitMapping::Log }
+    }
+}
+
+fn mixed() -> impl Iterator<Item = Attribute> {
+    Attribute::ALL.into_iter().filter(|&a| a != Attribute::Mean)
+}
+
+/// Bits for every Gaussian and attribute from how much the images depend on it.
+///
+/// - `sensitivity`: `S(θ) >= 0`, in the shape of [`Gaussians`] (paper 4.1.2)
+/// - `stored`: the values themselves, for their spread
+/// - returns: a width per Gaussian and attribute; means always get `position_bits`
+///
+/// [`BitMapping::Linear`] is the paper's: `S` is min-max normalised over all parameters, bits are
+/// `round(min + S (max - min))`; an attribute of a Gaussian takes its largest channel. `S` is
+/// heavy-tailed, so nearly everything gets the fewest bits.
+///
+/// [`BitMapping::Log`] minimises `Σ S² step²`, the expected squared change of the images when each
+/// parameter errs by its step independently. At equal width the step is proportional to the spread of its
+/// channel, `step = spread 2^-b`; with one width for the `C` channels of an attribute, the
+/// minimum at a given total of bits lies where `Σ_c (S_c spread_c)² 4^-b / C` is the same for all
+/// (reverse water-filling), that is at `b = log2 w + c` with `w² = Σ_c (S_c spread_c)² / C`. One `c`
+/// for all attributes is found by bisection so that the mean comes as near as possible to `mean_bits`.
+///
+/// ```
+/// use tcgs_codec::{BitSettings, assign_bits};
+/// use tcgs_core::Gaussians;
+/// let stored = Gaussians { logit_opacities: vec![-1.0, 1.0], ..Gaussians::zeros(2) };
+/// let sensitivity = Gaussians { logit_opacities: vec![0.1, 0.8], ..Gaussians::zeros(2) };
+/// let map = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits: 4.2, ..BitSettings::default() });
+/// assert!(map.widths[3][1] > map.widths[3][0]);
+/// ```
+///
+/// # Panics
+/// If the two disagree in the number of Gaussians, a sensitivity is negative or not finite, or the
+/// settings are out of range (`1 <= min_bits <= max_bits <= 16`).
+pub fn assign_bits(sensitivity: &Gaussians, stored: &Gaussians, settings: &BitSettings) -> BitMap {
+    let n = stored.num_gaussians();
+    let BitSettings { min_bits, max_bits, position_bits, .. } = *settings;
+    assert!(
+        1 <= min_bits && min_bits <= max_bits && max_bits <= MAX_BITS,
+        "bits within [{min_bits}, {max_bits}], expected ascending within [1, {MAX_BITS}]"
+    );
+    assert!((1..=MAX_BITS).contains(&position_bits), "{position_bits} position bits, expected 1 to {MAX_BITS}");
+    for attribute in Attribute::ALL {
+        let (s, v) = (sensitivity.values(attribute), stored.values(attribute));
+        assert_eq!(s.len(), v.len(), "{}: sensitivity [{}] against values [{}]", attribute.name(), s.len(), v.len());
+        if let Some(i) = s.iter().position(|s| !(s.is_finite() && *s >= 0.0)) {
+            panic!("sensitivity {i} of {} is {}, expected finite and not negative", attribute.name(), s[i]);
+        }
+    }
+    let mut map = BitMap::uniform(n, position_bits, min_bits);
+    if min_bits < max_bits {
+        match settings.mapping {
+            BitMapping::Linear => assign_linear(sensitivity, settings, &mut map),
+            BitMapping::Log => assign_log(sensitivity, stored, settings, &mut map),
+        }
+    }
+    map
+}
+
+fn assign_linear(sensitivity: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
+    let all = || mixed().flat_map(|a| sensitivity.values(a).iter().copied());
+    let (lowest, highest) = all().fold((f32::INFINITY, 0.0_f32), |(low, high), s| (low.min(s), high.max(s)));
+    let (min_bits, range) = (f32::from(settings.min_bits), f32::from(settings.max_bits - settings.min_bits));
+    for attribute in mixed() {
+        let channels = sensitivity.values(attribute).chunks_exact(attribute.components());
+        for (width, s) in map.widths[attribute.index()].iter_mut().zip(channels) {
+            let largest = s.iter().fold(0.0_f32, |a, &b| a.max(b));
+            let normalized = if highest > lowest { (largest - lowest) / (highest - lowest) } else { 0.0 };
+            *width = (min_bits + normalized * range).round() as u8;
+        }
+    }
+}
+
+fn assign_log(sensitivity: &Gaussians, stored: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
+    // `[attribute][N]` of log2 w; minus infinity, hence the fewest bits, where nothing depends on the value.
+    let log_weights = Attribute::ALL.map(|attribute| {
+        if attribute == Attribute::Mean {
+            return Vec::new();
+        }
+        let components = attribute.components();
+        let spreads: Vec<f64> = (0..components).map(|c| spread(stored.values(attribute), components, c)).collect();
+        let weight = |s: &[f32]| -> f64 {
+            let sum: f64 = s.iter().zip(&spreads).map(|(&s, spread)| (f64::from(s) * spread).powi(2)).sum();
+            0.5 * (sum / components as f64).log2()
+        };
+        sensitivity.values(attribute).par_chunks_exact(components).map(weight).collect()
+    });
+    let width = |log_weight: f64, c: f64| -> u8 {
+        (log_weight + c).round().clamp(f64::from(settings.min_bits), f64::from(settings.max_bits)) as u8
+    };
+    let scalars = (map.num_gaussians() * mixed().map(Attribute::components).sum::<usize>()).max(1);
+    let mean_bits = |c: f64| -> f64 {
+        let bits: usize = mixed()
+            .map(|a| {
+                let sum: usize = log_weights[a.index()].par_iter().map(|&w| usize::from(width(w, c))).sum();
+                sum * a.components()
+            })
+            .sum();
+        bits as f64 / scalars as f64
+    };
+    // Far enough for any products of two `f32`. The mean rises with c.
+    let target = f64::from(settings.mean_bits);
+    let (mut low, mut high) = (-400.0, 400.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if mean_bits(middle) < target {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    let c = if target - mean_bits(low) < mean_bits(high) - target { low } else { high };
+    for attribute in mixed() {
+        for (bits, &log_weight) in map.widths[attribute.index()].iter_mut().zip(&log_weights[attribute.index()]) {
+            *bits = width(log_weight, c);
+        }
+    }
+}
+
+/// Standard deviation of one channel over Gaussians.
+fn spread(values: &[f32], components: usize, channel: usize) -> f64 {
+    let of_channel = || values.iter().skip(channel).step_by(components).map(|&x| f64::from(x));
+    let count = (values.len() / components).max(1) as f64;
+    let mean = of_channel().sum::<f64>() / count;
+    (of_channel().map(|x| (x - mean).powi(2)).sum::<f64>() / count).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `n` Gaussians whose sensitivities span several orders of magnitude, and values of different spread.
+    fn example(n: usize) -> (Gaussians, Gaussians) {
+        let (mut sensitivity, mut stored) = (Gaussians::zeros(n), Gaussians::zeros(n));
+        for attribute in Attribute::ALL {
+            let scale = 10.0_f32.powi(attribute.index() as i32 - 2);
+            for (i, s) in sensitivity.values_mut(attribute).iter_mut().enumerate() {
+                *s = 10.0_f32.powf((i * 7919 % 1000) as f32 / 200.0 - 4.0);
+            }
+            for (i, v) in stored.values_mut(attribute).iter_mut().enumerate() {
+                *v = scale * ((i * 104_729 % 1000) as f32 / 1000.0);
+            }
+        }
+        (sensitivity, stored)
+    }
+
+    #[test]
+    fn log_mapping_reaches_its_mean() {
+        let (sensitivity, stored) = example(500);
+        for mean_bits in [4.5, 5.5, 7.0] {
+            let map = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits, ..Default::default() });
+            assert!((map.mean_bits() - f64::from(mean_bits)).abs() < 0.01, "{} for {mean_bits}", map.mean_bits());
+            assert!(map.widths[0].iter().all(|&w| w == 16));
+            assert!(map.widths[1..].iter().flatten().all(|w| (4..=8).contains(w)));
+        }
+    }
+
+    #[test]
+    fn log_mapping_beats_linear_and_uniform_at_the_same_bits() {
+        let (sensitivity, stored) = example(500);
+        let cost = |map: &BitMap| -> f64 {
+            mixed()
+                .map(|a| {
+                    let c = a.components();
+                    let spreads: Vec<f64> = (0..c).map(|k| spread(stored.values(a), c, k)).collect();
+                    let terms = sensitivity.values(a).iter().enumerate().map(|(i, &s)| {
+                        let step = spreads[i % c] * 2.0_f64.powi(-i32::from(map.widths[a.index()][i / c]));
+                        (f64::from(s) * step).powi(2)
+                    });
+                    terms.sum::<f64>()
+                })
+                .sum()
+        };
+        let linear = BitSettings { mapping: BitMapping::Linear, ..Default::default() };
+        let linear = assign_bits(&sensitivity, &stored, &linear);
+        let mean_bits = linear.mean_bits() as f32;
+        let log = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits, ..Default::default() });
+        assert!((log.mean_bits() - linear.mean_bits()).abs() < 0.01);
+        assert!(cost(&log) < cost(&linear), "{} against {}", cost(&log), cost(&linear));
+        let log = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits: 6.0, ..Default::default() });
+        assert!(cost(&log) < cost(&BitMap::uniform(500, 16, 6)));
+    }
+
+    #[test]
+    fn bits_rise_with_sensitivity() {
+        let (sensitivity, stored) = example(300);
+        for mapping in [BitMapping::Log, BitMapping::Linear] {
+            let map = assign_bits(&sensitivity, &stored, &BitSettings { mapping, ..Default::default() });
+            let index = Attribute::LogitOpacity.index();
+            let mut pairs: Vec<(f32, u8)> =
+                sensitivity.logit_opacities.iter().copied().zip(map.widths[index].iter().copied()).collect();
+            pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+            assert!(pairs.is_sorted_by_key(|p| p.1) && pairs[0].1 < pairs[pairs.len() - 1].1, "{mapping:?}");
+        }
+    }
+
+    #[test]
+    fn linear_mapping_is_the_papers() {
+        let (mut sensitivity, stored) = (Gaussians::zeros(3), Gaussians::zeros(3));
+        sensitivity.means[0] = [100.0; 3]; // positions take no part
+        sensitivity.colors[0] = [0.0, 8.0, 1.0];
+        sensitivity.colors[1] = [0.0, 3.0, 1.0];
+        let map =
+            assign_bits(&sensitivity, &stored, &BitSettings { mapping: BitMapping::Linear, ..Default::default() });
+        assert_eq!(map.widths[Attribute::Color.index()], [8, 6, 4]); // 4 + round(4 * 3/8 = 1.5) = 6
+        assert_eq!(map.widths[Attribute::Quat.index()], [4, 4, 4]);
+        assert_eq!(map.histogram()[Attribute::Color.index()], BTreeMap::from([(4, 1), (6, 1), (8, 1)]));
+        assert_eq!(map.select(&[1, 0]).widths[Attribute::Color.index()], [6, 8]);
+    }
+
+    #[test]
+    fn equal_bounds_and_no_sensitivity_are_uniform() {
+        let (sensitivity, stored) = example(20);
+        let settings = BitSettings { min_bits: 6, max_bits: 6, ..Default::default() };
+        assert_eq!(assign_bits(&sensitivity, &stored, &settings), BitMap::uniform(20, 16, 6));
+        let nothing = assign_bits(&Gaussians::zeros(20), &stored, &BitSettings::default());
+        assert_eq!(nothing, BitMap::uniform(20, 16, 4));
+        assert_eq!(assign_bits(&Gaussians::zeros(0), &Gaussians::zeros(0), &settings).mean_bits(), 0.0);
+    }
+}

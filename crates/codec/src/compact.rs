@@ -1,0 +1,314 @@
+//! What a file says, before bits: symbols, and the floats they stand for.
+//!
+//! The rules that every scene obeys, whether it was compressed here or read from a file, stand once,
+//! in [`CompactScene::check`]. How symbols become bytes is no matter of this module.
+
+use rayon::prelude::*;
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians, normalize};
+
+use crate::bits::BitMap;
+use crate::keypoints::{lerp, locate};
+use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
+
+/// Most timesteps of a scene: a keypoint's time has 16 bits.
+pub(crate) const MAX_TIMESTEPS: u32 = 1 << 16;
+
+/// What a file says besides symbols.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneInfo {
+    /// `N`.
+    pub num_gaussians: u32,
+    /// `T`, 1 to 65536.
+    pub num_timesteps: u32,
+    /// Frame number in the capture of timestep 0.
+    pub first_frame: u32,
+    /// Frames per second; 0 if unknown.
+    pub frame_rate: f32,
+    /// Factor by which the capture's images were shrunk for training, at least 1.
+    pub downscale: u32,
+    /// Any text, at most 65535 bytes.
+    pub name: String,
+}
+
+impl SceneInfo {
+    /// The counts of a scene; frame 0, 30 frames per second, full size, no name.
+    pub fn of(scene: &DynamicGaussians) -> Self {
+        Self {
+            num_gaussians: scene.num_gaussians() as u32,
+            num_timesteps: scene.num_timesteps() as u32,
+            first_frame: 0,
+            frame_rate: 30.0,
+            downscale: 1,
+            name: String::new(),
+        }
+    }
+
+    /// The rules for what is known before any symbol.
+    pub(crate) fn check(&self) -> Result<(), Violation> {
+        let SceneInfo { num_timesteps, frame_rate, downscale, ref name, .. } = *self;
+        let violation = |field, problem| Err(Violation { attribute: None, field, problem });
+        if !(1..=MAX_TIMESTEPS).contains(&num_timesteps) {
+            violation("num_timesteps", "not within 1 to 65536")
+        } else if !(frame_rate.is_finite() && frame_rate >= 0.0) {
+            violation("frame_rate", "negative or not finite")
+        } else if downscale == 0 {
+            violation("downscale", "zero")
+        } else if name.len() > usize::from(u16::MAX) {
+            violation("name", "longer than 65535 bytes")
+        } else {
+            Ok(())
+        }
+    }
+}
+
+/// Keypoints of many tracks, one track after another.
+///
+/// Those of an attribute have the index `gaussian * components + channel`. A track of one keypoint is
+/// constant over time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tracks<V> {
+    /// `[tracks + 1]`; keypoints of track `i` are `starts[i]..starts[i + 1]`.
+    starts: Vec<usize>,
+    /// `[keypoints]` timesteps.
+    times: Vec<u16>,
+    /// `[keypoints]`
+    values: Vec<V>,
+}
+
+impl<V> Default for Tracks<V> {
+    fn default() -> Self {
+        Self { starts: vec![0], times: Vec::new(), values: Vec::new() }
+    }
+}
+
+impl<V: Copy> Tracks<V> {
+    /// Number of tracks.
+    pub fn len(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Whether there is no track.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Number of keypoints of all tracks.
+    pub fn num_keypoints(&self) -> usize {
+        self.times.len()
+    }
+
+    /// Times and values of one track.
+    ///
+    /// # Panics
+    /// If `index` is out of range.
+    #[inline(always)]
+    pub fn track(&self, index: usize) -> (&[u16], &[V]) {
+        let range = self.starts[index]..self.starts[index + 1];
+        (&self.times[range.clone()], &self.values[range])
+    }
+
+    /// Appends a track.
+    ///
+    /// # Panics
+    /// If the numbers of times and values differ.
+    pub fn push(&mut self, times: &[u16], values: &[V]) {
+        assert_eq!(times.len(), values.len(), "{} times against {} values", times.len(), values.len());
+        self.times.extend_from_slice(times);
+        self.values.extend_from_slice(values);
+        self.starts.push(self.times.len());
+    }
+
+    /// Appends all tracks of another.
+    pub(crate) fn append(&mut self, other: &Self) {
+        let base = self.times.len();
+        self.times.extend_from_slice(&other.times);
+        self.values.extend_from_slice(&other.values);
+        self.starts.extend(other.starts[1..].iter().map(|s| base + s));
+    }
+
+    /// Tracks whose times are known and whose values are to be filled in.
+    pub(crate) fn with_times(starts: Vec<usize>, times: Vec<u16>, value: V) -> Self {
+        debug_assert!(starts.is_sorted() && starts.last() == Some(&times.len()));
+        let values = vec![value; times.len()];
+        Self { starts, times, values }
+    }
+
+    /// Times and values of one track, the values to change in place.
+    #[inline(always)]
+    pub(crate) fn track_mut(&mut self, index: usize) -> (&[u16], &mut [V]) {
+        let range = self.starts[index]..self.starts[index + 1];
+        (&self.times[range.clone()], &mut self.values[range])
+    }
+}
+
+/// A compressed scene as symbols: for every track the times and codes of its keypoints, and what is
+/// needed to read them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CompactScene {
+    /// Counts and provenance.
+    pub info: SceneInfo,
+    /// Width of every code.
+    pub bit_map: BitMap,
+    /// Values of the codes; one for every width in use.
+    pub quantizers: Quantizers,
+    /// By [`Attribute::index`]: codes of `N * components` tracks.
+    pub tracks: [Tracks<i16>; 5],
+}
+
+/// How a scene breaks the rules of [`CompactScene::check`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Violation {
+    /// Where, if in the tracks of an attribute.
+    pub(crate) attribute: Option<Attribute>,
+    pub(crate) field: &'static str,
+    pub(crate) problem: &'static str,
+}
+
+impl CompactScene {
+    /// `N`.
+    pub fn num_gaussians(&self) -> usize {
+        self.info.num_gaussians as usize
+    }
+
+    /// `T`.
+    pub fn num_timesteps(&self) -> usize {
+        self.info.num_timesteps as usize
+    }
+
+    /// All timesteps as floats: codes dequantised, interpolated linearly, quaternions of unit length.
+    pub fn reconstruct(&self) -> DynamicGaussians {
+        let over_time = |attribute| (0..self.num_timesteps()).map(move |t| self.values_at(attribute, t));
+        DynamicGaussians {
+            means: over_time(Attribute::Mean).map(into_rows).collect(),
+            quats: over_time(Attribute::Quat).map(into_rows).collect(),
+            colors: over_time(Attribute::Color).map(into_rows).collect(),
+            log_scales: into_rows(self.values_at(Attribute::LogScale, 0)),
+            logit_opacities: self.values_at(Attribute::LogitOpacity, 0),
+        }
+    }
+
+    /// One timestep as floats.
+    ///
+    /// # Panics
+    /// If `timestep` is not below [`Self::num_timesteps`].
+    pub fn at(&self, timestep: usize) -> Gaussians {
+        assert!(timestep < self.num_timesteps(), "timestep {timestep} of {}", self.num_timesteps());
+        Gaussians {
+            means: into_rows(self.values_at(Attribute::Mean, timestep)),
+            quats: into_rows(self.values_at(Attribute::Quat, timestep)),
+            log_scales: into_rows(self.values_at(Attribute::LogScale, timestep)),
+            logit_opacities: self.values_at(Attribute::LogitOpacity, timestep),
+            colors: into_rows(self.values_at(Attribute::Color, timestep)),
+        }
+    }
+
+    /// `[N * components]` of one attribute at one timestep.
+    fn values_at(&self, attribute: Attribute, timestep: usize) -> Vec<f32> {
+        let components = attribute.components();
+        let quantizers = self.quantizers.by_width(attribute);
+        let widths = &self.bit_map.widths[attribute.index()];
+        let tracks = &self.tracks[attribute.index()];
+        let mut values = vec![0.0; widths.len() * components];
+        values.par_chunks_exact_mut(components).enumerate().with_min_len(1024).for_each(|(gaussian, row)| {
+            let quantizers = quantizers[usize::from(widths[gaussian])];
+            for (channel, value) in row.iter_mut().enumerate() {
+                let (times, codes) = tracks.track(gaussian * components + channel);
+                *value = value_of(times, codes, &quantizers[channel], timestep);
+            }
+            if attribute == Attribute::Quat {
+                row.copy_from_slice(&unit_quat([row[0], row[1], row[2], row[3]]));
+            }
+        });
+        values
+    }
+
+    /// By [`Attribute::index`]: mean number of keypoints of a track; 0 without Gaussians.
+    pub fn keypoints_mean(&self) -> [f64; 5] {
+        std::array::from_fn(|a| self.tracks[a].num_keypoints() as f64 / self.tracks[a].len().max(1) as f64)
+    }
+
+    /// The rules: counts agree, every width has its quantizers, times rise from 0 to the last
+    /// timestep (or are 0 alone: constant), codes fit their widths.
+    pub(crate) fn check(&self) -> Result<(), Violation> {
+        self.info.check()?;
+        Attribute::ALL.into_iter().try_for_each(|attribute| {
+            let violation = |field, problem| Violation { attribute: Some(attribute), field, problem };
+            self.check_quantizers(attribute)?;
+            let components = attribute.components();
+            let quantizers = self.quantizers.by_width(attribute);
+            let widths = &self.bit_map.widths[attribute.index()];
+            let tracks = &self.tracks[attribute.index()];
+            if widths.len() != self.num_gaussians() {
+                return Err(violation("bit widths", "not one for each Gaussian"));
+            }
+            if tracks.len() != self.num_gaussians() * components {
+                return Err(violation("tracks", "not one for each Gaussian and channel"));
+            }
+            widths.par_iter().enumerate().try_for_each(|(gaussian, &width)| {
+                let quantizer = quantizers.get(usize::from(width)).and_then(|of_width| of_width.first());
+                let quantizer = quantizer.ok_or(violation("bit widths", "a width without quantizers"))?;
+                (gaussian * components..(gaussian + 1) * components).try_for_each(|i| {
+                    let (times, codes) = tracks.track(i);
+                    self.check_times(attribute, times).map_err(|problem| violation("keypoint times", problem))?;
+                    let legal = quantizer.min_code()..=quantizer.max_code();
+                    if codes.iter().all(|&c| legal.contains(&i32::from(c))) {
+                        Ok(())
+                    } else {
+                        Err(violation("codes", "a code outside its width"))
+                    }
+                })
+            })
+        })
+    }
+
+    fn check_quantizers(&self, attribute: Attribute) -> Result<(), Violation> {
+        self.quantizers.attributes[attribute.index()].iter().try_for_each(|(&width, channels)| {
+            let problem = if channels.len() != attribute.components() {
+                Some("not one for each channel")
+            } else if !(1..=MAX_BITS).contains(&width) || channels.iter().any(|q| q.bits != width) {
+                Some("another width than its place says, or not within 1 to 16")
+            } else {
+                channels.iter().find_map(Quantizer::problem)
+            };
+            problem
+                .map_or(Ok(()), |problem| Err(Violation { attribute: Some(attribute), field: "quantizers", problem }))
+        })
+    }
+
+    fn check_times(&self, attribute: Attribute, times: &[u16]) -> Result<(), &'static str> {
+        match times {
+            [] => Err("a track without keypoints"),
+            [0] => Ok(()),
+            _ if !attribute.varies() => Err("several keypoints of an attribute that does not vary"),
+            [0, .., last] if usize::from(*last) == self.num_timesteps() - 1 => {
+                if times.is_sorted_by(|a, b| a < b) {
+                    Ok(())
+                } else {
+                    Err("not increasing")
+                }
+            }
+            _ => Err("not from the first to the last timestep"),
+        }
+    }
+}
+
+#[inline(always)]
+fn value_of(times: &[u16], codes: &[i16], quantizer: &Quantizer, timestep: usize) -> f32 {
+    if let [code] = codes {
+        return quantizer.dequantize(i32::from(*code));
+    }
+    let (i, fraction) = locate(times, timestep);
+    let value = quantizer.dequantize(i32::from(codes[i]));
+    if fraction == 0.0 { value } else { lerp(value, quantizer.dequantize(i32::from(codes[i + 1])), fraction) }
+}
+
+/// Unit length; no rotation where there is no length.
+pub(crate) fn unit_quat(quat: [f32; 4]) -> [f32; 4] {
+    let unit = normalize(quat);
+    // Lengths below about 1e-19 vanish when squared: left as they are by `normalize`.
+    if unit.iter().map(|x| x * x).sum::<f32>() > 0.5 { unit } else { [1.0, 0.0, 0.0, 0.0] }
+}
+
+fn into_rows<const C: usize>(values: Vec<f32>) -> Vec<[f32; C]> {
+    values.as_chunks::<C>().0.to_vec()
+}

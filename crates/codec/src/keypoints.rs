@@ -1,0 +1,205 @@
+//! The samples of a track that are kept; between them a track is a straight line.
+//!
+//! Selection works on the float values of one scalar over time, before quantisation, and knows
+//! nothing of what the scalar means.
+
+/// Which samples of a track to keep: Algorithm 1 of the paper.
+///
+/// Starts from the first and the last sample. As long as the mean squared error of linear
+/// interpolation through the kept samples, over all samples, exceeds `max_mse`, and fewer than
+/// `max_keypoints` are kept, adds the sample of highest error (of equal ones the earliest).
+///
+/// - `track`: `[T]`, finite
+/// - `max_keypoints`: below 2 counts as 2
+/// - `max_mse`: squared unit of the track, 0 or more; may be infinite
+/// - returns: strictly increasing indices; none of an empty track, `[0]` of a single sample
+///
+/// The mean may rise after a keypoint is added, so the result need not be the best at its length.
+///
+/// ```
+/// let track = [0.0, 1.0, 2.0, 1.0, 0.0];
+/// assert_eq!(tcgs_codec::select_keypoints(&track, 30, 1e-5), [0, 2, 4]);
+/// assert_eq!(tcgs_codec::select_keypoints(&track, 2, 1e-5), [0, 4]);
+/// ```
+///
+/// # Panics
+/// If a sample is not finite, or `max_mse` is negative or NaN.
+pub fn select(track: &[f32], max_keypoints: usize, max_mse: f32) -> Vec<usize> {
+    Selector::default().select(track, max_keypoints, max_mse).to_vec()
+}
+
+/// [`select`] for many tracks: keeps its buffers.
+///
+/// Simple version: interpolate the whole track after each added keypoint, take the mean and the
+/// worst. Departures: (1) only the segment that was split is interpolated again; the squared errors
+/// of the others are kept. (2) The sum over all samples is taken anew each time, always in the order
+/// of [`sum`], so that the decisions are those of the simple version to the last bit.
+#[derive(Default)]
+pub(crate) struct Selector {
+    squared_errors: Vec<f64>,
+    indices: Vec<usize>,
+}
+
+impl Selector {
+    pub(crate) fn select(&mut self, track: &[f32], max_keypoints: usize, max_mse: f32) -> &[usize] {
+        assert!(max_mse >= 0.0, "max_mse is {max_mse}, expected 0 or more");
+        if let Some(i) = track.iter().position(|x| !x.is_finite()) {
+            panic!("sample {i} of the track is {}, expected a finite number", track[i]);
+        }
+        self.indices.clear();
+        if track.len() < 2 {
+            self.indices.extend(0..track.len());
+            return &self.indices;
+        }
+        let last = track.len() - 1;
+        self.indices.extend([0, last]);
+        self.squared_errors.clear();
+        self.squared_errors.resize(track.len(), 0.0);
+        self.interpolate(track, 0, last);
+        while self.indices.len() < max_keypoints && sum(&self.squared_errors) / track.len() as f64 > f64::from(max_mse)
+        {
+            let worst = index_of_largest(&self.squared_errors);
+            let at = self.indices.partition_point(|&i| i < worst);
+            let (before, after) = (self.indices[at - 1], self.indices[at]);
+            self.indices.insert(at, worst);
+            self.squared_errors[worst] = 0.0;
+            self.interpolate(track, before, worst);
+            self.interpolate(track, worst, after);
+        }
+        &self.indices
+    }
+
+    /// Squared errors strictly between two keypoints; at a keypoint the error is exactly zero.
+    fn interpolate(&mut self, track: &[f32], first: usize, last: usize) {
+        let start = f64::from(track[first]);
+        let slope = (f64::from(track[last]) - start) / (last - first) as f64;
+        let inner = first + 1..last;
+        for ((i, squared_error), &x) in (1_u32..).zip(&mut self.squared_errors[inner.clone()]).zip(&track[inner]) {
+            let error = f64::from(x) - (start + slope * f64::from(i));
+            *squared_error = error * error;
+        }
+    }
+}
+
+/// Sum in eight interleaved partial sums, then the rest: a fixed order that runs in SIMD lanes.
+fn sum(values: &[f64]) -> f64 {
+    let (chunks, rest) = values.as_chunks::<8>();
+    let mut lanes = [0.0; 8];
+    for chunk in chunks {
+        for (lane, value) in lanes.iter_mut().zip(chunk) {
+            *lane += value;
+        }
+    }
+    lanes.iter().chain(rest).sum()
+}
+
+fn index_of_largest(values: &[f64]) -> usize {
+    let (chunks, rest) = values.as_chunks::<8>();
+    let mut lanes = [0.0_f64; 8];
+    for chunk in chunks {
+        for (lane, &value) in lanes.iter_mut().zip(chunk) {
+            *lane = if value > *lane { value } else { *lane };
+        }
+    }
+    let largest = lanes.iter().chain(rest).fold(0.0_f64, |a, &b| a.max(b));
+    values.iter().position(|&v| v == largest).unwrap_or(0)
+}
+
+/// Where a timestep lies among keypoints: the keypoint at or before it, and how far it is towards
+/// the next, in `[0, 1)`.
+///
+/// - `times`: strictly increasing, not empty; `timestep` outside them is held at the nearest
+pub(crate) fn locate(times: &[u16], timestep: usize) -> (usize, f32) {
+    let after = times.partition_point(|&t| usize::from(t) <= timestep);
+    if after == 0 || after == times.len() {
+        return (after.saturating_sub(1), 0.0);
+    }
+    let (start, end) = (usize::from(times[after - 1]), usize::from(times[after]));
+    (after - 1, (timestep - start) as f32 / (end - start) as f32)
+}
+
+/// Value of a track at a timestep: linear between keypoints, held before the first and after the last.
+///
+/// - `times`: `[K]` timesteps, strictly increasing, `K >= 1`
+/// - `values`: `[K]`
+///
+/// ```
+/// assert_eq!(tcgs_codec::interpolate(&[0, 4], &[1.0, 3.0], 1), 1.5);
+/// assert_eq!(tcgs_codec::interpolate(&[0], &[1.0], 7), 1.0);
+/// ```
+///
+/// # Panics
+/// If there are no keypoints or the lengths differ.
+pub fn interpolate(times: &[u16], values: &[f32], timestep: usize) -> f32 {
+    assert!(
+        !times.is_empty() && times.len() == values.len(),
+        "{} times against {} values, expected as many and at least one",
+        times.len(),
+        values.len()
+    );
+    let (i, fraction) = locate(times, timestep);
+    if fraction == 0.0 { values[i] } else { lerp(values[i], values[i + 1], fraction) }
+}
+
+#[inline(always)]
+pub(crate) fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
+    a + (b - a) * fraction
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn short_tracks_are_kept_whole() {
+        assert_eq!(select(&[], 5, 0.0), [0_usize; 0]);
+        assert_eq!(select(&[3.0], 5, 0.0), [0]);
+        assert_eq!(select(&[3.0, 9.0], 0, 0.0), [0, 1]);
+        assert_eq!(select(&[3.0, 9.0, 1.0], 0, 0.0), [0, 2]);
+    }
+
+    #[test]
+    fn of_equal_errors_the_earliest_is_added() {
+        assert_eq!(select(&[0.0, 1.0, 0.0, 1.0, 0.0], 3, 0.0), [0, 1, 4]);
+    }
+
+    #[test]
+    fn the_tolerance_decides() {
+        // The chord from 0 to 0 leaves errors 1, 2, 1: a mean square of 6/5 over all five samples.
+        let track = [0.0, 1.0, 2.0, 1.0, 0.0];
+        assert_eq!(select(&track, 5, 1.2), [0, 4]);
+        assert_eq!(select(&track, 5, 1.199), [0, 2, 4]);
+        assert_eq!(select(&track, 5, f32::INFINITY), [0, 4]);
+        // Noise of known size below and above the tolerance.
+        let noisy: Vec<f32> = (0..100).map(|i| if i % 2 == 0 { 0.01 } else { -0.01 }).collect();
+        assert_eq!(select(&noisy, 100, 4.1e-4), [0, 99]);
+        assert!(select(&noisy, 100, 0.9e-4).len() > 2);
+        assert_eq!(select(&noisy, 100, 0.0).len(), 100);
+    }
+
+    #[test]
+    #[should_panic(expected = "sample 1 of the track is NaN")]
+    fn a_non_finite_track_is_refused() {
+        select(&[0.0, f32::NAN, 1.0], 3, 0.0);
+    }
+
+    #[test]
+    #[should_panic(expected = "max_mse is -1")]
+    fn a_negative_tolerance_is_refused() {
+        select(&[0.0], 3, -1.0);
+    }
+
+    #[test]
+    #[should_panic(expected = "max_mse is NaN")]
+    fn a_nan_tolerance_is_refused() {
+        select(&[], 3, f32::NAN);
+    }
+
+    #[test]
+    fn interpolation_passes_through_its_keypoints() {
+        let (times, values) = ([0, 3, 10], [1.0, -2.0, 5.0]);
+        assert_eq!([0, 3, 10].map(|t| interpolate(&times, &values, t)), values);
+        assert_eq!(interpolate(&times, &values, 2), -1.0);
+        assert_eq!(interpolate(&times, &values, 12), 5.0);
+    }
+}

@@ -1,0 +1,210 @@
+//! Floats to symbols and back.
+
+use tcgs_codec::{
+    BitMap, CompactScene, CompressSettings, Quantizer, Quantizers, SceneInfo, compress, compress_ordered, encode,
+};
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians, dot, normalize};
+
+mod scenes;
+use scenes::Random;
+
+fn compress_all(scene: &DynamicGaussians, bits: u8, settings: &CompressSettings) -> (CompactScene, Vec<usize>) {
+    compress_ordered(scene, &BitMap::uniform(scene.num_gaussians(), 16, bits), None, SceneInfo::of(scene), settings)
+}
+
+/// Mean squared error of an attribute over all timesteps; quaternions as unit ones of either sign.
+fn mse(attribute: Attribute, expected: &DynamicGaussians, found: &DynamicGaussians) -> f64 {
+    let (mut sum, mut count) = (0.0, 0);
+    for timestep in 0..expected.num_timesteps() {
+        let (e, f) = (expected.values(attribute, timestep), found.values(attribute, timestep));
+        assert_eq!(e.len(), f.len());
+        for (e, f) in e.chunks(attribute.components()).zip(f.chunks(attribute.components())) {
+            if attribute == Attribute::Quat {
+                let unit = normalize([e[0], e[1], e[2], e[3]]);
+                let cosine = dot(unit, [f[0], f[1], f[2], f[3]]).abs();
+                sum += f64::from(2.0 - 2.0 * cosine).max(0.0);
+            } else {
+                sum += e.iter().zip(f).map(|(e, f)| f64::from(e - f).powi(2)).sum::<f64>();
+            }
+            count += e.len();
+        }
+    }
+    sum / count as f64
+}
+
+#[test]
+fn reconstruction_stays_within_tolerance() {
+    let scene = scenes::room(1500, 24);
+    let settings = CompressSettings::default();
+    let (compact, order) = compress_all(&scene, 8, &settings);
+    let (expected, found) = (scene.select(&order), compact.reconstruct());
+    for attribute in Attribute::ALL {
+        // Tolerance of the tracks and error of rounding, step²/12, add up at most as lengths.
+        let steps = compact.quantizers.attributes[attribute.index()].values().flatten().map(|q| f64::from(q.step));
+        let step = steps.fold(0.0, f64::max);
+        let tolerance = if attribute.varies() {
+            f64::from(settings.max_mse[attribute.index()]).max((step / 4.0).powi(2))
+        } else {
+            0.0
+        };
+        let bound = (tolerance.sqrt() + step / 12.0_f64.sqrt()).powi(2);
+        let error = mse(attribute, &expected, &found);
+        assert!(error <= bound, "{attribute:?}: {error} against {bound}");
+    }
+    for quat in found.quats.iter().flatten() {
+        assert!((dot(*quat, *quat) - 1.0).abs() < 1e-5);
+    }
+}
+
+#[test]
+fn without_keypoints_only_rounding_is_left() {
+    let scene = scenes::room(200, 9);
+    let settings = CompressSettings { keypoints: false, ..Default::default() };
+    let (compact, order) = compress_all(&scene, 16, &settings);
+    assert_eq!(compact.keypoints_mean(), [9.0, 9.0, 1.0, 1.0, 9.0]);
+    let (expected, found) = (scene.select(&order), compact.reconstruct());
+    for attribute in Attribute::ALL {
+        let range = if attribute == Attribute::LogitOpacity { 20.0 } else { 8.0 };
+        let error = mse(attribute, &expected, &found);
+        assert!(error < (range / 65_536.0_f64).powi(2), "{attribute:?}: {error}");
+    }
+}
+
+#[test]
+fn one_timestep_is_the_scene_of_all() {
+    let (compact, _) = compress_all(&scenes::room(300, 7), 6, &CompressSettings::default());
+    let scene = compact.reconstruct();
+    for timestep in 0..7 {
+        assert_eq!(compact.at(timestep), scene.at(timestep));
+    }
+}
+
+#[test]
+fn a_single_timestep_and_no_gaussians_work() {
+    let scene = scenes::room(50, 1);
+    for settings in [CompressSettings::default(), CompressSettings::paper()] {
+        let (compact, order) = compress_all(&scene, 8, &settings);
+        assert_eq!(compact.keypoints_mean(), [1.0; 5]);
+        assert!(mse(Attribute::Mean, &scene.select(&order), &compact.reconstruct()) < 1e-8);
+        let mut empty = DynamicGaussians::default();
+        empty.push(Gaussians::zeros(0));
+        let (compact, order) = compress_all(&empty, 8, &settings);
+        assert!(order.is_empty() && compact.plain_bytes() == 0);
+        assert_eq!(compact.reconstruct(), empty);
+    }
+}
+
+#[test]
+fn what_stands_still_is_one_value() {
+    let scene = scenes::room(500, 24);
+    let (default, _) = compress_all(&scene, 6, &CompressSettings::default());
+    let mut settings = CompressSettings { constant_tracks: false, ..Default::default() };
+    let (lines, _) = compress_all(&scene, 6, &settings);
+    let means = Attribute::Mean.index();
+    let constant = (0..default.tracks[means].len()).filter(|&i| default.tracks[means].track(i).0.len() == 1).count();
+    assert_eq!(constant, 3 * 400, "the tracks of the four fifths on the walls");
+    assert!((0..lines.tracks[means].len()).all(|i| lines.tracks[means].track(i).0.len() >= 2));
+    // 5 bits of a colour's range are coarser than the noise, so little is added to the two ends.
+    let colors = Attribute::Color.index();
+    settings.noise_floor = false;
+    settings.max_mse = [1e-6; 5];
+    let (restless, _) = compress_all(&scene, 5, &settings);
+    settings.noise_floor = true;
+    let (calm, _) = compress_all(&scene, 5, &settings);
+    let (restless_mean, calm_mean) = (restless.keypoints_mean(), calm.keypoints_mean());
+    assert!(restless_mean[colors] > 15.0 && calm_mean[colors] < 3.0, "{restless_mean:?} {calm_mean:?}");
+    assert_eq!(restless_mean[means], calm_mean[means]);
+}
+
+#[test]
+fn signs_of_quaternions_do_not_matter() {
+    let scene = scenes::room(100, 12);
+    let mut flipped = scene.clone();
+    let random = &mut Random(3);
+    for quat in flipped.quats.iter_mut().flatten() {
+        let factor = if random.uniform() < 0.5 { 2.0 } else { -0.5 };
+        *quat = quat.map(|x| factor * x);
+    }
+    let settings = CompressSettings::default();
+    assert_eq!(compress_all(&scene, 8, &settings), compress_all(&flipped, 8, &settings));
+}
+
+#[test]
+fn a_learned_quantizer_is_kept_where_it_is_best() {
+    let mut scene = scenes::room(400, 1);
+    let learned_quantizer = Quantizer::new(0.071, -3.3, 5);
+    let opacities = Attribute::LogitOpacity;
+    for x in &mut scene.logit_opacities {
+        *x = learned_quantizer.dequantize(learned_quantizer.quantize(*x));
+    }
+    let mut learned = Quantizers::default();
+    learned.attributes[opacities.index()].insert(5, vec![learned_quantizer]);
+    learned.attributes[Attribute::LogScale.index()].insert(5, vec![Quantizer::new(5.0, 0.0, 5); 3]);
+    learned.attributes[Attribute::Mean.index()].insert(16, vec![Quantizer::new(1e-3, 0.0, 16); 3]);
+    let bit_map = BitMap::uniform(400, 16, 5);
+    let compress = |learned| compress(&scene, &bit_map, learned, SceneInfo::of(&scene), &CompressSettings::default());
+    let (with, without) = (compress(Some(&learned)), compress(None));
+    assert_eq!(with.quantizers.get(opacities, 5, 0), Some(&learned_quantizer));
+    for attribute in [Attribute::Mean, Attribute::LogScale] {
+        let index = attribute.index();
+        assert_eq!(with.quantizers.attributes[index], without.quantizers.attributes[index]);
+    }
+}
+
+#[test]
+fn gaussians_follow_a_curve_and_keep_their_values() {
+    let scene = scenes::room(3000, 2);
+    let (compact, order) = compress_all(&scene, 16, &CompressSettings::default());
+    let mut sorted = order.clone();
+    sorted.sort_unstable();
+    assert_eq!(sorted, (0..3000).collect::<Vec<_>>());
+    let step = |means: &[[f32; 3]]| -> f32 {
+        means.windows(2).map(|pair| (0..3).map(|c| (pair[0][c] - pair[1][c]).powi(2)).sum::<f32>().sqrt()).sum()
+    };
+    let after = step(&compact.at(0).means);
+    assert!(after < 0.1 * step(&scene.means[0]), "neighbours in the file are neighbours in space");
+    assert!(mse(Attribute::LogScale, &scene.select(&order), &compact.reconstruct()) < 1e-8);
+}
+
+#[test]
+fn threads_do_not_matter() {
+    let scene = scenes::room(700, 10);
+    let bit_map = scenes::mixed_widths(700);
+    let run = |num_threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().unwrap();
+        pool.install(|| {
+            let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
+            (encode(&compact), compact)
+        })
+    };
+    assert_eq!(run(1), run(5));
+}
+
+#[test]
+fn more_timesteps_than_a_byte_counts_work() {
+    let scene = scenes::room(20, 400);
+    let settings = CompressSettings { keypoints: false, ..Default::default() };
+    let (compact, order) = compress_all(&scene, 12, &settings);
+    let steps = &compact.quantizers.attributes[Attribute::Mean.index()][&16];
+    let step = steps.iter().fold(0.0, |a, q| q.step.max(a));
+    assert!(mse(Attribute::Mean, &scene.select(&order), &compact.reconstruct()) <= f64::from(step / 2.0).powi(2));
+    // Two bytes for a count above 255, nine bits of time.
+    let varying: u64 = [(16, 3), (12, 4), (12, 3)].iter().map(|(bits, c)| c * (16 + 400 * (9 + bits))).sum();
+    let constant = 12 * 4;
+    assert_eq!(compact.plain_bytes(), (20 * (varying + constant) + 14 * 64).div_ceil(8));
+}
+
+#[test]
+#[should_panic(expected = "colors of Gaussian 3 at timestep 1: NaN")]
+fn a_value_that_is_not_finite_is_refused() {
+    let mut scene = scenes::room(10, 2);
+    scene.colors[1][3][2] = f32::NAN;
+    compress_all(&scene, 8, &CompressSettings::default());
+}
+
+#[test]
+#[should_panic(expected = "bit widths of means: [9] against [10]")]
+fn a_bit_map_of_another_length_is_refused() {
+    let scene = scenes::room(10, 2);
+    compress(&scene, &BitMap::uniform(9, 16, 8), None, SceneInfo::of(&scene), &CompressSettings::default());
+}

@@ -1,0 +1,282 @@
+//! One NumPy array: the header of the `.npy` format, and its values in C order.
+//!
+//! Source: NumPy Enhancement Proposal 1, "A Simple File Format for NumPy Arrays", versions 1 to 3.
+//! Only what model files hold: little-endian 32- and 64-bit floats.
+
+use std::io::{self, Read};
+
+/// Longest header that is read. Those of plain arrays have 128 bytes.
+const MAX_HEADER_BYTES: usize = 4096;
+
+/// Bytes read at a time; a multiple of every item size.
+const BUFFER_BYTES: usize = 1 << 16;
+
+/// A dense array of finite numbers, in C order (the last index runs fastest).
+#[derive(Clone, Debug, PartialEq)]
+pub struct NpyArray {
+    /// Size along each axis.
+    pub shape: Vec<usize>,
+    /// As many values as the product of `shape`.
+    pub values: Vec<f32>,
+}
+
+/// What stands before the values.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Header {
+    pub shape: Vec<usize>,
+    pub fortran_order: bool,
+    pub item: Item,
+    /// Product of `shape`.
+    pub num_values: usize,
+    /// Bytes from the start of the array's file to the first value.
+    pub header_bytes: usize,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Item {
+    F32,
+    F64,
+}
+
+impl Item {
+    fn bytes(self) -> usize {
+        match self {
+            Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+}
+
+impl Header {
+    /// Reads up to the first value.
+    pub fn read(from: &mut impl Read) -> Result<Self, String> {
+        let mut start = [0; 8];
+        read_exact(from, &mut start, "header")?;
+        if &start[..6] != b"\x93NUMPY" {
+            return Err("does not begin with \\x93NUMPY, expected a NumPy array".into());
+        }
+        // Version 1 counts the text in two bytes, later versions in four.
+        let (count_bytes, text_bytes) = if start[6] == 1 {
+            let mut count = [0; 2];
+            read_exact(from, &mut count, "header")?;
+            (2, usize::from(u16::from_le_bytes(count)))
+        } else {
+            let mut count = [0; 4];
+            read_exact(from, &mut count, "header")?;
+            (4, u32::from_le_bytes(count) as usize)
+        };
+        if text_bytes > MAX_HEADER_BYTES {
+            return Err(format!("has a header of {text_bytes} bytes, expected at most {MAX_HEADER_BYTES}"));
+        }
+        let mut text = vec![0; text_bytes];
+        read_exact(from, &mut text, "header")?;
+        let text = String::from_utf8_lossy(&text);
+        Self::parse(&text, 8 + count_bytes + text_bytes)
+    }
+
+    fn parse(text: &str, header_bytes: usize) -> Result<Self, String> {
+        let descr = value_of(text, "descr")?;
+        let item = match quoted(descr) {
+            Some("<f4") => Item::F32,
+            Some("<f8") => Item::F64,
+            Some(other) => return Err(format!("has the type {other}, expected float32 or float64 (<f4, <f8)")),
+            None => return Err("has a structured type, expected float32 or float64".into()),
+        };
+        let order = value_of(text, "fortran_order")?;
+        let fortran_order = order.starts_with("True");
+        if !fortran_order && !order.starts_with("False") {
+            return Err("has a damaged header: fortran_order is neither True nor False".into());
+        }
+        let shape = parse_shape(value_of(text, "shape")?).ok_or("has a damaged header: shape is not a tuple")?;
+        let num_values = shape
+            .iter()
+            .try_fold(1_usize, |product, &size| product.checked_mul(size))
+            .filter(|count| count.checked_mul(item.bytes()).is_some())
+            .ok_or_else(|| format!("has the shape {}, more than can be addressed", show_shape(&shape)))?;
+        Ok(Self { shape, fortran_order, item, num_values, header_bytes })
+    }
+
+    /// Bytes of all values.
+    pub fn value_bytes(&self) -> u64 {
+        (self.num_values * self.item.bytes()) as u64
+    }
+
+    /// Reads all values, which must be finite and the last thing in `from`.
+    pub fn read_values(self, from: &mut impl Read) -> Result<NpyArray, String> {
+        let mut values = Vec::with_capacity(self.num_values);
+        let mut buffer = vec![0; BUFFER_BYTES];
+        let mut left = self.num_values * self.item.bytes();
+        while left > 0 {
+            let bytes = &mut buffer[..left.min(BUFFER_BYTES)];
+            read_exact(from, bytes, "values")?;
+            match self.item {
+                Item::F32 => values.extend(bytes.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b))),
+                Item::F64 => values.extend(bytes.as_chunks::<8>().0.iter().map(|&b| f64::from_le_bytes(b) as f32)),
+            }
+            left -= bytes.len();
+        }
+        // Reaching the end is also what makes the archive verify its checksum.
+        match from.read(&mut [0]) {
+            Ok(0) => {}
+            Ok(_) => return Err(format!("goes on after the values of the shape {}", show_shape(&self.shape))),
+            Err(error) => return Err(format!("is damaged: {error}")),
+        }
+        if self.fortran_order {
+            values = c_from_fortran_order(&self.shape, &values);
+        }
+        let array = NpyArray { shape: self.shape, values };
+        match array.values.iter().position(|v| !v.is_finite()) {
+            Some(i) => Err(format!("{} is {}, expected a finite number", array.index(i), array.values[i])),
+            None => Ok(array),
+        }
+    }
+}
+
+impl NpyArray {
+    /// `[i, j, …]` of the value at a position, for messages.
+    fn index(&self, position: usize) -> String {
+        let mut rest = position;
+        let mut index: Vec<String> = self
+            .shape
+            .iter()
+            .rev()
+            .map(|&size| {
+                let i = rest % size;
+                rest /= size;
+                i.to_string()
+            })
+            .collect();
+        index.reverse();
+        format!("[{}]", index.join(", "))
+    }
+}
+
+/// Everything before the values of a C-ordered float32 array, version 1, padded to 64 bytes as NumPy does.
+pub(crate) fn header_bytes(shape: &[usize]) -> Vec<u8> {
+    const BEFORE_TEXT: usize = 10;
+    let mut text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {}, }}", show_shape(shape));
+    let padding = 63 - (BEFORE_TEXT + text.len()) % 64;
+    text.push_str(&" ".repeat(padding));
+    text.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((text.len() as u16).to_le_bytes());
+    bytes.extend(text.as_bytes());
+    bytes
+}
+
+/// A shape as Python writes it: `(2, 3)`, `(2,)`, `()`.
+pub(crate) fn show_shape(shape: &[usize]) -> String {
+    match shape {
+        [single] => format!("({single},)"),
+        _ => format!("({})", shape.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")),
+    }
+}
+
+fn read_exact(from: &mut impl Read, bytes: &mut [u8], what: &str) -> Result<(), String> {
+    from.read_exact(bytes).map_err(|error| match error.kind() {
+        io::ErrorKind::UnexpectedEof => format!("ends inside its {what}"),
+        _ => format!("is damaged: {error}"),
+    })
+}
+
+/// What follows `'key':` in a header's dictionary.
+fn value_of<'a>(text: &'a str, key: &str) -> Result<&'a str, String> {
+    let quoted = format!("'{key}'");
+    let after = text.find(&quoted).map(|at| text[at + quoted.len()..].trim_start());
+    after
+        .and_then(|rest| rest.strip_prefix(':'))
+        .map(str::trim_start)
+        .ok_or_else(|| format!("has a damaged header: no {key}"))
+}
+
+fn quoted(text: &str) -> Option<&str> {
+    text.strip_prefix('\'')?.split_once('\'').map(|(inside, _)| inside)
+}
+
+fn parse_shape(text: &str) -> Option<Vec<usize>> {
+    let (inside, _) = text.strip_prefix('(')?.split_once(')')?;
+    let inside = inside.trim();
+    if inside.is_empty() {
+        return Some(Vec::new());
+    }
+    inside.strip_suffix(',').unwrap_or(inside).split(',').map(|size| size.trim().parse().ok()).collect()
+}
+
+fn c_from_fortran_order(shape: &[usize], values: &[f32]) -> Vec<f32> {
+    let strides: Vec<usize> = shape
+        .iter()
+        .scan(1, |stride, &size| {
+            let own = *stride;
+            *stride *= size;
+            Some(own)
+        })
+        .collect();
+    let mut index = vec![0; shape.len()];
+    let mut out = Vec::with_capacity(values.len());
+    for _ in 0..values.len() {
+        out.push(values[index.iter().zip(&strides).map(|(i, stride)| i * stride).sum::<usize>()]);
+        for axis in (0..shape.len()).rev() {
+            index[axis] += 1;
+            if index[axis] < shape[axis] {
+                break;
+            }
+            index[axis] = 0;
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(text: &str) -> Result<Header, String> {
+        Header::parse(text, 0)
+    }
+
+    #[test]
+    fn written_headers_are_aligned_and_read_back() {
+        for shape in [vec![], vec![7], vec![2, 3], vec![150, 341_877, 4]] {
+            let bytes = header_bytes(&shape);
+            assert_eq!(bytes.len() % 64, 0);
+            let header = Header::read(&mut bytes.as_slice()).unwrap();
+            assert_eq!((header.shape, header.item, header.header_bytes), (shape, Item::F32, bytes.len()));
+        }
+    }
+
+    #[test]
+    fn a_fortran_ordered_f64_array_is_reordered() {
+        let header = header("{'descr': '<f8', 'fortran_order': True, 'shape': (2, 3), }").unwrap();
+        // numpy: np.asfortranarray([[0, 1, 2], [3, 4, 5]]).tobytes('A')
+        let bytes: Vec<u8> = [0.0_f64, 3.0, 1.0, 4.0, 2.0, 5.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let array = header.read_values(&mut bytes.as_slice()).unwrap();
+        assert_eq!((array.shape, array.values), (vec![2, 3], vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0]));
+    }
+
+    #[test]
+    fn values_must_be_whole_and_finite() {
+        let read = |values: &[f32]| {
+            let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+            let header = header("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 2)}").unwrap();
+            header.read_values(&mut bytes.as_slice()).map(|a| a.values)
+        };
+        assert_eq!(read(&[1.0, 2.0, 3.0, 4.0]).unwrap(), [1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(read(&[1.0, 2.0, 3.0]).unwrap_err(), "ends inside its values");
+        assert_eq!(read(&[0.0; 5]).unwrap_err(), "goes on after the values of the shape (2, 2)");
+        assert_eq!(read(&[0.0, 0.0, f32::NAN, 0.0]).unwrap_err(), "[1, 0] is NaN, expected a finite number");
+    }
+
+    #[test]
+    fn bad_headers_are_named() {
+        let problem = |text: &str| header(text).unwrap_err();
+        let dict = |descr: &str, shape: &str| format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}}}");
+        assert!(problem(&dict("'<i8'", "(2,)")).contains("the type <i8, expected float32 or float64"));
+        assert!(problem(&dict("[('a', '<f4')]", "(2,)")).contains("structured"));
+        assert!(problem(&dict("'<f4'", "(-1,)")).contains("shape is not a tuple"));
+        assert!(problem(&dict("'<f4'", "(2")).contains("shape is not a tuple"));
+        assert!(problem(&dict("'<f4'", "(9223372036854775807, 7)")).contains("more than can be addressed"));
+        assert!(problem("{}").contains("no descr"));
+        assert!(Header::read(&mut b"PK\x03\x04    ".as_slice()).unwrap_err().contains("NUMPY"));
+        assert!(Header::read(&mut b"\x93NUMPY\x02\x00\xff\xff\xff\xff".as_slice()).unwrap_err().contains("at most"));
+    }
+}

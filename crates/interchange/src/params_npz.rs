@@ -1,0 +1,364 @@
+//! `params.npz` of Dynamic 3D Gaussians (Luiten et al. 2024): one archive, one array an attribute.
+//!
+//! | key | shape | here |
+//! |---|---|---|
+//! | `means3D` | `(T, N, 3)` | `means` |
+//! | `rgb_colors` | `(T, N, 3)` | `colors` |
+//! | `unnorm_rotations` | `(T, N, 4)`, `w, x, y, z` | `quats` |
+//! | `logit_opacities` | `(N, 1)` | `logit_opacities` |
+//! | `log_scales` | `(N, 3)` | `log_scales` |
+//! | `seg_colors` | `(N, 3)`: foreground, 0, background | [`ParamsExtras::foreground`], written only |
+//! | `cam_m`, `cam_c` | `(50, 3)`: image = exp(cam_m) * render + cam_c | [`ParamsExtras`], written only |
+
+use std::{
+    fs::File,
+    io::{self, BufWriter, Seek, Write},
+    path::Path,
+};
+
+use tcgs_core::DynamicGaussians;
+
+use crate::{InterchangeError, NpzReader, NpzWriter, npy::show_shape};
+
+/// Rows of `cam_m` and `cam_c`: the source always has 50, whatever the number of cameras.
+const MIN_CAMERA_ROWS: usize = 50;
+
+/// What `params.npz` holds beside the Gaussians.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ParamsExtras<'a> {
+    /// `[N]` whether a Gaussian belongs to the foreground; without it all do.
+    pub foreground: Option<&'a [bool]>,
+    /// `[C, 3]` logarithm of the colour gain of each training camera, `cam_m`.
+    pub log_gains: &'a [[f32; 3]],
+    /// `[C, 3]` colour offset of each training camera, `cam_c`.
+    pub offsets: &'a [[f32; 3]],
+}
+
+/// Reads a scene that Dynamic 3D Gaussians trained.
+///
+/// ```
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// use tcgs_interchange::{ParamsExtras, read_params_npz, write_params_npz};
+/// let mut scene = DynamicGaussians::default();
+/// scene.push(Gaussians::zeros(5));
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("params.npz");
+/// write_params_npz(&path, &scene, &ParamsExtras::default())?;
+/// assert_eq!(read_params_npz(&path)?, scene);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// Tolerates float64, Fortran order, `logit_opacities` as `(N,)`, and a leading axis of one on what
+/// does not vary with time.
+///
+/// # Errors
+/// [`InterchangeError`] if an array is missing, shapes disagree, a number is not finite, the file is
+/// cut, or there is no timestep or no Gaussian.
+pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError> {
+    let mut npz = NpzReader::open(path)?;
+    let invalid = |key: &str, problem| InterchangeError::Array { path: path.into(), key: key.into(), problem };
+
+    let means = npz.array("means3D")?;
+    let &[num_timesteps, num_gaussians, 3] = means.shape.as_slice() else {
+        let problem = format!("has the shape {}, expected (timesteps, gaussians, 3)", show_shape(&means.shape));
+        return Err(invalid("means3D", problem));
+    };
+    if num_timesteps == 0 || num_gaussians == 0 {
+        let problem = format!("has {num_timesteps} timesteps of {num_gaussians} gaussians, expected at least one each");
+        return Err(invalid("means3D", problem));
+    }
+
+    let mut varying = |key: &str, components: usize| {
+        let array = npz.array(key)?;
+        let expected = [num_timesteps, num_gaussians, components];
+        if array.shape != expected {
+            let (found, expected) = (show_shape(&array.shape), show_shape(&expected));
+            return Err(invalid(key, format!("has the shape {found}, expected {expected} to agree with means3D")));
+        }
+        Ok(array.values)
+    };
+    let colors = varying("rgb_colors", 3)?;
+    let quats = varying("unnorm_rotations", 4)?;
+
+    let mut constant = |key: &str, components: usize| {
+        let array = npz.array(key)?;
+        let shape = match array.shape.as_slice() {
+            [1, rest @ ..] if rest.first() == Some(&num_gaussians) => rest,
+            whole => whole,
+        };
+        let expected = [num_gaussians, components];
+        if shape != expected && !(components == 1 && shape == [num_gaussians]) {
+            let (found, expected) = (show_shape(&array.shape), show_shape(&expected));
+            return Err(invalid(key, format!("has the shape {found}, expected {expected} to agree with means3D")));
+        }
+        Ok(array.values)
+    };
+    Ok(DynamicGaussians {
+        means: timesteps(&means.values, num_gaussians),
+        quats: timesteps(&quats, num_gaussians),
+        colors: timesteps(&colors, num_gaussians),
+        logit_opacities: constant("logit_opacities", 1)?,
+        log_scales: constant("log_scales", 3)?.as_chunks().0.to_vec(),
+    })
+}
+
+/// `[T * N * D]` to `[T][N, D]`.
+fn timesteps<const D: usize>(values: &[f32], num_gaussians: usize) -> Vec<Vec<[f32; D]>> {
+    values.as_chunks::<D>().0.chunks(num_gaussians).map(<[_]>::to_vec).collect()
+}
+
+/// Writes a scene that Dynamic 3D Gaussians can show; whole or not at all (beside, then renamed).
+/// Replaces what is there.
+///
+/// # Errors
+/// [`InterchangeError::Io`] if the folder cannot be written.
+///
+/// # Panics
+/// As [`write_params_npz_to`].
+pub fn write_params_npz(path: &Path, scene: &DynamicGaussians, extras: &ParamsExtras) -> Result<(), InterchangeError> {
+    let failed = |error| InterchangeError::Io { path: path.into(), action: "writing", error };
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    // A temporary file is private unless told; the one it becomes is as readable as any other.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let file = builder.prefix(".params").suffix(".tmp").tempfile_in(folder).map_err(failed)?;
+    let write = |file: &File| write_params_npz_to(BufWriter::new(file), scene, extras)?.flush();
+    write(file.as_file()).and_then(|()| file.as_file().sync_all()).map_err(failed)?;
+    file.persist(path).map_err(|error| failed(error.error))?;
+    Ok(())
+}
+
+/// Writes the bytes of a `params.npz`: the same for the same scene.
+///
+/// # Errors
+/// What the writer reports.
+///
+/// # Panics
+/// If the scene has no timestep or no Gaussian, or if arrays disagree in their length.
+pub fn write_params_npz_to<W: Write + Seek>(
+    writer: W,
+    scene: &DynamicGaussians,
+    extras: &ParamsExtras,
+) -> io::Result<W> {
+    let (t, n) = (scene.num_timesteps(), scene.num_gaussians());
+    assert!(t > 0 && n > 0, "a scene of {t} timesteps of {n} gaussians");
+    assert_eq!(scene.quats.len(), t, "quats: {} timesteps against {t}", scene.quats.len());
+    assert_eq!(scene.colors.len(), t, "colors: {} timesteps against {t}", scene.colors.len());
+    let seg_colors: Vec<[f32; 3]> = match extras.foreground {
+        Some(foreground) => {
+            assert_eq!(foreground.len(), n, "foreground: [{}] against [{n}]", foreground.len());
+            foreground.iter().map(|&f| if f { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] }).collect()
+        }
+        None => vec![[1.0, 0.0, 0.0]; n],
+    };
+    let camera_rows = MIN_CAMERA_ROWS.max(extras.log_gains.len()).max(extras.offsets.len());
+    let padded = |rows: &[[f32; 3]]| {
+        let mut rows = rows.to_vec();
+        rows.resize(camera_rows, [0.0; 3]);
+        rows
+    };
+
+    let mut npz = NpzWriter::new(writer);
+    npz.array("means3D", &[t, n, 3], scene.means.iter().map(|v| v.as_flattened()))?;
+    npz.array("rgb_colors", &[t, n, 3], scene.colors.iter().map(|v| v.as_flattened()))?;
+    npz.array("unnorm_rotations", &[t, n, 4], scene.quats.iter().map(|v| v.as_flattened()))?;
+    npz.array("logit_opacities", &[n, 1], [scene.logit_opacities.as_slice()])?;
+    npz.array("log_scales", &[n, 3], [scene.log_scales.as_flattened()])?;
+    npz.array("seg_colors", &[n, 3], [seg_colors.as_flattened()])?;
+    npz.array("cam_m", &[camera_rows, 3], [padded(extras.log_gains).as_flattened()])?;
+    npz.array("cam_c", &[camera_rows, 3], [padded(extras.offsets).as_flattened()])?;
+    npz.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two timesteps of three Gaussians, every value different.
+    fn scene() -> DynamicGaussians {
+        let mut counter = 0.0;
+        let mut next = || {
+            counter += 0.25;
+            counter
+        };
+        let mut triples = || std::array::from_fn::<[f32; 3], 3, _>(|_| std::array::from_fn(|_| next())).to_vec();
+        let (means, colors) = (vec![triples(), triples()], vec![triples(), triples()]);
+        let log_scales = triples();
+        let quats = (0..2).map(|_| (0..3).map(|_| std::array::from_fn(|_| next())).collect()).collect();
+        DynamicGaussians { means, quats, colors, log_scales, logit_opacities: vec![-1.0, 0.5, 2.0] }
+    }
+
+    fn bytes(scene: &DynamicGaussians, extras: &ParamsExtras) -> Vec<u8> {
+        write_params_npz_to(io::Cursor::new(Vec::new()), scene, extras).unwrap().into_inner()
+    }
+
+    /// An array to write: key, shape, values.
+    type Array = (&'static str, Vec<usize>, Vec<f32>);
+
+    /// The arrays of [`scene`], for tests to spoil.
+    fn arrays() -> Vec<Array> {
+        let scene = scene();
+        vec![
+            ("means3D", vec![2, 3, 3], scene.means.concat().as_flattened().to_vec()),
+            ("rgb_colors", vec![2, 3, 3], scene.colors.concat().as_flattened().to_vec()),
+            ("unnorm_rotations", vec![2, 3, 4], scene.quats.concat().as_flattened().to_vec()),
+            ("logit_opacities", vec![3, 1], scene.logit_opacities.clone()),
+            ("log_scales", vec![3, 3], scene.log_scales.as_flattened().to_vec()),
+        ]
+    }
+
+    /// What reading gives, and the message without the file's name.
+    fn read(arrays: &[Array]) -> Result<DynamicGaussians, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("params.npz");
+        let mut npz = NpzWriter::new(File::create(&path).unwrap());
+        for (key, shape, values) in arrays {
+            npz.array(key, shape, [values.as_slice()]).unwrap();
+        }
+        npz.finish().unwrap();
+        read_params_npz(&path).map_err(|error| {
+            let message = error.to_string();
+            assert!(!message.contains('\n'), "{message}");
+            message.strip_prefix(&format!("{}: ", path.display())).unwrap().to_owned()
+        })
+    }
+
+    fn read_with(change: impl Fn(&mut Vec<Array>)) -> Result<DynamicGaussians, String> {
+        let mut arrays = arrays();
+        change(&mut arrays);
+        read(&arrays)
+    }
+
+    #[test]
+    fn a_scene_survives_the_round_trip_and_gives_the_same_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("params.npz");
+        write_params_npz(&path, &scene(), &ParamsExtras::default()).unwrap();
+        assert_eq!(read_params_npz(&path).unwrap(), scene());
+        assert_eq!(std::fs::read(&path).unwrap(), bytes(&scene(), &ParamsExtras::default()));
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file was left behind");
+    }
+
+    #[test]
+    fn extras_are_stored_as_the_source_stores_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("params.npz");
+        let extras = ParamsExtras {
+            foreground: Some(&[true, false, true]),
+            log_gains: &[[0.1, 0.2, 0.3]],
+            offsets: &[[0.0; 3], [0.5; 3]],
+        };
+        write_params_npz(&path, &scene(), &extras).unwrap();
+        let mut npz = NpzReader::open(&path).unwrap();
+        assert_eq!(npz.array("seg_colors").unwrap().values, [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]);
+        let (gains, offsets) = (npz.array("cam_m").unwrap(), npz.array("cam_c").unwrap());
+        assert_eq!((gains.shape, &gains.values[..4]), (vec![50, 3], &[0.1, 0.2, 0.3, 0.0][..]));
+        assert_eq!((offsets.shape, &offsets.values[2..7]), (vec![50, 3], &[0.0, 0.5, 0.5, 0.5, 0.0][..]));
+
+        let many = ParamsExtras { log_gains: &[[1.0; 3]; 60], ..extras };
+        write_params_npz(&path, &scene(), &many).unwrap();
+        assert_eq!(NpzReader::open(&path).unwrap().array("cam_c").unwrap().shape, [60, 3]);
+
+        write_params_npz(&path, &scene(), &ParamsExtras::default()).unwrap();
+        let all = NpzReader::open(&path).unwrap().array("seg_colors").unwrap();
+        assert_eq!(all.values, [1.0, 0.0, 0.0].repeat(3));
+    }
+
+    #[test]
+    fn other_shapes_of_the_constant_arrays_are_tolerated() {
+        for shape in [vec![3], vec![1, 3], vec![1, 3, 1]] {
+            assert_eq!(read_with(|a| a[3].1 = shape.clone()).unwrap(), scene(), "{shape:?}");
+        }
+        assert_eq!(read_with(|a| a[4].1 = vec![1, 3, 3]).unwrap(), scene());
+    }
+
+    #[test]
+    fn one_gaussian_at_one_timestep_is_a_scene() {
+        let single = |shape: &[usize], values: &[f32]| (shape.to_vec(), values.to_vec());
+        let arrays = [
+            ("means3D", single(&[1, 1, 3], &[1.0, 2.0, 3.0])),
+            ("rgb_colors", single(&[1, 1, 3], &[0.1, 0.2, 0.3])),
+            ("unnorm_rotations", single(&[1, 1, 4], &[1.0, 0.0, 0.0, 0.0])),
+            ("logit_opacities", single(&[1, 1], &[0.5])),
+            ("log_scales", single(&[1, 3], &[-1.0, -2.0, -3.0])),
+        ]
+        .map(|(key, (shape, values))| (key, shape, values));
+        let scene = read(&arrays).unwrap();
+        assert_eq!((scene.num_timesteps(), scene.log_scales), (1, vec![[-1.0, -2.0, -3.0]]));
+    }
+
+    #[test]
+    fn every_inconsistency_names_its_key() {
+        for key in 0..5 {
+            let name = arrays()[key].0;
+            let missing = read_with(|a| drop(a.remove(key))).unwrap_err();
+            assert!(missing.starts_with(&format!("{name} is missing, found ")), "{missing}");
+            let nan = read_with(|a| a[key].2[1] = f32::NAN).unwrap_err();
+            assert!(nan.starts_with(&format!("{name} [")) && nan.contains("is NaN, expected a finite number"), "{nan}");
+        }
+        let problem = |change: fn(&mut Vec<Array>)| read_with(change).unwrap_err();
+        assert_eq!(
+            problem(|a| a[0].1 = vec![6, 3]),
+            "means3D has the shape (6, 3), expected (timesteps, gaussians, 3)"
+        );
+        assert_eq!(
+            problem(|a| a[0] = ("means3D", vec![0, 3, 3], vec![])),
+            "means3D has 0 timesteps of 3 gaussians, expected at least one each"
+        );
+        assert_eq!(
+            problem(|a| a[0] = ("means3D", vec![2, 0, 3], vec![])),
+            "means3D has 2 timesteps of 0 gaussians, expected at least one each"
+        );
+        assert_eq!(
+            problem(|a| a[1].1 = vec![3, 2, 3]),
+            "rgb_colors has the shape (3, 2, 3), expected (2, 3, 3) to agree with means3D"
+        );
+        assert_eq!(
+            problem(|a| a[2] = ("unnorm_rotations", vec![2, 3, 3], vec![0.0; 18])),
+            "unnorm_rotations has the shape (2, 3, 3), expected (2, 3, 4) to agree with means3D"
+        );
+        assert_eq!(
+            problem(|a| a[3] = ("logit_opacities", vec![4, 1], vec![0.0; 4])),
+            "logit_opacities has the shape (4, 1), expected (3, 1) to agree with means3D"
+        );
+        assert_eq!(
+            problem(|a| a[4].1 = vec![9]),
+            "log_scales has the shape (9,), expected (3, 3) to agree with means3D"
+        );
+    }
+
+    #[test]
+    fn a_cut_or_flipped_file_never_panics_and_never_passes_for_another() {
+        let whole = bytes(&scene(), &ParamsExtras::default());
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("params.npz");
+        // Steps keep the test short; the table of contents at the end is cut at every byte.
+        let table = whole.len() - 600;
+        for length in (0..table).step_by(7).chain(table..whole.len()) {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            let message = read_params_npz(&path).unwrap_err().to_string();
+            assert!(message.starts_with(&path.display().to_string()) && !message.contains('\n'), "{length}: {message}");
+        }
+        for at in (0..whole.len()).step_by(3) {
+            let mut flipped = whole.clone();
+            flipped[at] ^= 0x10;
+            std::fs::write(&path, &flipped).unwrap();
+            if let Ok(found) = read_params_npz(&path) {
+                assert_eq!(found, scene(), "byte {at}");
+            }
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "foreground: [2] against [3]")]
+    fn flags_for_another_number_of_gaussians_are_a_mistake() {
+        bytes(&scene(), &ParamsExtras { foreground: Some(&[true, false]), ..Default::default() });
+    }
+
+    #[test]
+    #[should_panic(expected = "a scene of 0 timesteps")]
+    fn an_empty_scene_is_a_mistake() {
+        bytes(&DynamicGaussians::default(), &ParamsExtras::default());
+    }
+}

@@ -1,0 +1,491 @@
+//! Everything a training run can be told, as one file says it.
+
+use serde::{Deserialize, Serialize};
+
+/// A training run's settings: what `config.toml` holds. Every field can be set by its dotted name.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Which preset the settings started from.
+    pub preset: Preset,
+    /// Seed of every random choice. Default 0.
+    pub seed: u64,
+    /// What is trained on.
+    pub data: DataConfig,
+    /// How long.
+    pub schedule: ScheduleConfig,
+    /// Learning rates of Adam.
+    pub rates: RateConfig,
+    /// Weights of the losses.
+    pub weights: WeightConfig,
+    /// Adaptive density control, first timestep only.
+    pub densify: DensifyConfig,
+    /// Learned masks (paper 4.1.1).
+    pub mask: MaskConfig,
+    /// Mixed-precision quantisation (paper 4.1.2).
+    pub quantize: QuantizeConfig,
+}
+
+/// A named set of settings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Preset {
+    /// Dynamic 3D Gaussians: no masks, no quantisation, the soft colour loss off as in its code.
+    D3dgs,
+    /// The paper to the letter.
+    Paper,
+    /// The paper with what measured better.
+    Default,
+    /// The default in far fewer iterations.
+    Fast,
+}
+
+/// What is trained on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DataConfig {
+    /// The capture's folder, as given.
+    pub capture: String,
+    /// First frame.
+    pub first_frame: usize,
+    /// One past the last frame.
+    pub end_frame: usize,
+    /// Images are averaged over this many pixels in both directions. Default 1.
+    pub downscale: usize,
+    /// Frames a second, for players.
+    pub frame_rate: f64,
+}
+
+/// Iterations the reference's constants are written for: first timestep, each later one.
+pub const REFERENCE_ITERATIONS: [usize; 2] = [10_000, 2_000];
+
+/// How long.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScheduleConfig {
+    /// Iterations of the first timestep. Default 10000 (reference).
+    pub first_iterations: usize,
+    /// Iterations of every later timestep. Default 2000 (reference).
+    pub rest_iterations: usize,
+}
+
+/// Learning rates of Adam.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RateConfig {
+    /// Means, times the scene's radius. Default 1.6e-4 (reference).
+    pub mean: f32,
+    /// Colours. Default 2.5e-3 (reference).
+    pub color: f32,
+    /// Colours after the first timestep. Reference 2.5e-3; default lower, so that colours do not
+    /// wander and their tracks stay simple.
+    pub color_rest: f32,
+    /// Rotations. Default 1e-3 (reference).
+    pub quat: f32,
+    /// Opacities, first timestep only. Default 0.05 (reference).
+    pub logit_opacity: f32,
+    /// Scales, first timestep only. Default 1e-3 (reference).
+    pub log_scale: f32,
+    /// Per-camera gain and offset, first timestep only. Default 1e-4 (reference).
+    pub camera: f32,
+    /// Mask logits, at the reference's number of iterations; multiplied by reference / actual. Default 0.01.
+    pub mask: f32,
+    /// Learned steps, times the step they start from. Default 0.02 (paper).
+    pub step: f32,
+    /// What the means' and rotations' rates are multiplied by after the first timestep; 0: reference
+    /// iterations / actual, so that a short schedule can still follow fast motion. Default 0.
+    pub motion_scale: f32,
+    /// Share of that multiplication left at the end of a timestep, reached along a cosine. 1 keeps
+    /// the rates constant (reference).
+    pub motion_decay: f32,
+    /// Likewise for every rate of the first timestep: share left at its end. 1: constant (reference).
+    pub first_decay: f32,
+    /// What scales, rotations, means and cameras of the first timestep are multiplied by; 0: the square root of
+    /// reference iterations / actual. 1: as they stand (reference).
+    pub first_scale: f32,
+}
+
+/// Weights of the losses.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WeightConfig {
+    /// Colour image, `0.8 L1 + 0.2 (1 − SSIM)`. Default 1 (reference).
+    pub image: f32,
+    /// Segmentation image, likewise. Default 3 (reference).
+    pub segmentation: f32,
+    /// Local rigidity. Default 4 (reference).
+    pub rigid: f32,
+    /// Rotation similarity of neighbours. Default 4 (reference).
+    pub rot: f32,
+    /// Distances of neighbours. Default 2 (reference).
+    pub iso: f32,
+    /// Foreground below the floor `y = 0`. Default 2 (reference).
+    pub floor: f32,
+    /// Background that moves. Default 20 (reference).
+    pub background: f32,
+    /// Colours that change with time. Default 0.01 (reference, where a bug makes it inactive).
+    pub soft_color: f32,
+    /// `L_mask`, a mean. Default 0.01 (paper).
+    pub mask: f32,
+    /// `L_mc`, a mean. Default 0.01 (paper).
+    pub mask_consistency: f32,
+}
+
+/// Adaptive density control of the first timestep. Iterations are those of a 10000-iteration
+/// schedule and scale with it; the interval does not.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DensifyConfig {
+    /// First event. Default 500.
+    pub start: usize,
+    /// Last event. Default 5000.
+    pub end: usize,
+    /// Iterations between events. Default 100.
+    pub interval: usize,
+    /// Mean NDC gradient from which a Gaussian is cloned or split. Default 2e-4.
+    pub gradient_threshold: f32,
+    /// Largest scale, as a share of the scene's radius, up to which it is cloned rather than split. Default 0.01.
+    pub clone_scale: f32,
+    /// Children of a split. Default 2.
+    pub split_children: usize,
+    /// Children's scales are divided by this. Default 1.6.
+    pub split_shrink: f32,
+    /// Opacity below which a Gaussian is removed. Default 0.005.
+    pub prune_opacity: f32,
+    /// The same at the last event. Default 0.25.
+    pub prune_opacity_end: f32,
+    /// From here on, Gaussians of a scale over `prune_scale` are removed, and here once opacities are
+    /// reset. Default 3000.
+    pub reset: usize,
+    /// Share of the scene's radius. Default 0.1.
+    pub prune_scale: f32,
+    /// Opacity after the reset. Default 0.01.
+    pub reset_opacity: f32,
+}
+
+/// Learned masks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MaskConfig {
+    /// Whether masks are learned.
+    pub enabled: bool,
+    /// `ε` of Eq. 1 and of the final pruning. Default 0.01.
+    pub threshold: f32,
+    /// Logit that masks start from. Default 1.
+    pub initial_logit: f32,
+    /// Start every timestep from `initial_logit` (the authors' fork) instead of the timestep before. Default false.
+    pub reset: bool,
+    /// Iterations, of 10000, between prunings in the first timestep; scales with the schedule. Default 1000.
+    pub prune_interval: usize,
+}
+
+/// How sensitivity becomes bits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BitMapKind {
+    /// Logarithmic: an even loss a bit.
+    Log,
+    /// The paper's min-max normalisation.
+    Linear,
+}
+
+/// Quantisation inside the optimisation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct QuantizeConfig {
+    /// Whether attributes are fake-quantised from `start` on.
+    pub enabled: bool,
+    /// Iteration, of 10000, at which sensitivities are measured and quantisation starts. Default 6000 (paper).
+    pub start: usize,
+    /// Fewest bits. Default 4 (paper).
+    pub min_bits: u8,
+    /// Most bits. Default 8 (paper).
+    pub max_bits: u8,
+    /// Mean bits that the logarithmic map aims at. Default 6.
+    pub mean_bits: f32,
+    /// Sensitivity to bits. Default `log`; the paper's is `linear`.
+    pub bit_map: BitMapKind,
+    /// Bits of positions, quantised after training. Default 16 (paper).
+    pub position_bits: u8,
+    /// Whether quantizers learn an offset too (LSQ has none). Default true.
+    pub learned_offset: bool,
+}
+
+/// Why settings were refused.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// No such field.
+    #[error("unknown setting {key}, expected {expected}")]
+    UnknownKey {
+        /// As given.
+        key: String,
+        /// Names that exist there.
+        expected: String,
+    },
+    /// Not a value of that field's type or range.
+    #[error("{key} is {found}, expected {expected}")]
+    Value {
+        /// The field.
+        key: String,
+        /// As given.
+        found: String,
+        /// What would be right.
+        expected: String,
+    },
+    /// Not a configuration file.
+    #[error("not a configuration: {0}")]
+    Syntax(String),
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self::preset(Preset::Default)
+    }
+}
+
+impl TrainConfig {
+    /// The settings of a preset.
+    ///
+    /// ```
+    /// use tcgs_train::{Preset, TrainConfig};
+    /// assert!(!TrainConfig::preset(Preset::D3dgs).mask.enabled);
+    /// ```
+    pub fn preset(preset: Preset) -> Self {
+        let reference = Self {
+            preset,
+            seed: 0,
+            data: DataConfig { capture: String::new(), first_frame: 0, end_frame: 0, downscale: 1, frame_rate: 30.0 },
+            schedule: ScheduleConfig {
+                first_iterations: REFERENCE_ITERATIONS[0],
+                rest_iterations: REFERENCE_ITERATIONS[1],
+            },
+            rates: RateConfig {
+                mean: 1.6e-4,
+                color: 2.5e-3,
+                color_rest: 2.5e-3,
+                quat: 1e-3,
+                logit_opacity: 0.05,
+                log_scale: 1e-3,
+                camera: 1e-4,
+                mask: 0.01,
+                step: 0.02,
+                motion_scale: 0.0,
+                motion_decay: 1.0,
+                first_decay: 1.0,
+                first_scale: 1.0,
+            },
+            weights: WeightConfig {
+                image: 1.0,
+                segmentation: 3.0,
+                rigid: 4.0,
+                rot: 4.0,
+                iso: 2.0,
+                floor: 2.0,
+                background: 20.0,
+                soft_color: 0.01,
+                mask: 0.01,
+                mask_consistency: 0.01,
+            },
+            densify: DensifyConfig {
+                start: 500,
+                end: 5000,
+                interval: 100,
+                gradient_threshold: 2e-4,
+                clone_scale: 0.01,
+                split_children: 2,
+                split_shrink: 1.6,
+                prune_opacity: 0.005,
+                prune_opacity_end: 0.25,
+                reset: 3000,
+                prune_scale: 0.1,
+                reset_opacity: 0.01,
+            },
+            mask: MaskConfig { enabled: true, threshold: 0.01, initial_logit: 1.0, reset: false, prune_interval: 1000 },
+            quantize: QuantizeConfig {
+                enabled: true,
+                start: 6000,
+                min_bits: 4,
+                max_bits: 8,
+                mean_bits: 6.0,
+                bit_map: BitMapKind::Log,
+                position_bits: 16,
+                learned_offset: true,
+            },
+        };
+        let mut config = reference;
+        match preset {
+            Preset::D3dgs => {
+                config.mask.enabled = false;
+                config.quantize.enabled = false;
+                config.weights.soft_color = 0.0;
+            }
+            Preset::Paper => {
+                config.quantize.bit_map = BitMapKind::Linear;
+                config.quantize.learned_offset = false;
+            }
+            Preset::Default | Preset::Fast => {
+                config.rates.first_scale = 0.0;
+                config.rates.first_decay = 0.1;
+                config.rates.motion_decay = 0.1;
+                config.rates.color_rest = 5e-4;
+            }
+        }
+        if preset == Preset::Fast {
+            config.schedule = ScheduleConfig { first_iterations: 2000, rest_iterations: 300 };
+        }
+        config
+    }
+
+    /// Parses a `config.toml`. Fields that it leaves out keep the values of `self`.
+    ///
+    /// # Errors
+    /// [`ConfigError`] for a field that does not exist, or a value of another type or range.
+    pub fn merge(&self, text: &str) -> Result<Self, ConfigError> {
+        let table: toml::Table = text.parse().map_err(|e: toml::de::Error| ConfigError::Syntax(one_line(&e)))?;
+        let mut own = self.table();
+        merge_into(&mut own, table, "")?;
+        Self::from_table(own)
+    }
+
+    /// Sets one field by its dotted name.
+    ///
+    /// ```
+    /// let mut config = tcgs_train::TrainConfig::default();
+    /// config.set("weights.rigid", "2.5").unwrap();
+    /// assert_eq!(config.weights.rigid, 2.5);
+    /// assert!(config.set("weights.rigit", "2.5").unwrap_err().to_string().starts_with("unknown setting weights.rigit"));
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Self::merge`].
+    pub fn set(&mut self, key: &str, value: &str) -> Result<(), ConfigError> {
+        // A bare word is a string: TOML would want quotes.
+        let parsed: toml::Value =
+            value.parse::<toml::Value>().unwrap_or_else(|_| toml::Value::String(value.to_owned()));
+        let mut nested = parsed;
+        for part in key.rsplit('.') {
+            nested = toml::Value::Table(toml::Table::from_iter([(part.to_owned(), nested)]));
+        }
+        let toml::Value::Table(nested) = nested else { unreachable!("wrapped at least once") };
+        let mut own = self.table();
+        merge_into(&mut own, nested, "")?;
+        *self = Self::from_table(own)?;
+        Ok(())
+    }
+
+    /// The text of a `config.toml`.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("plain settings have a TOML form")
+    }
+
+    /// Dotted name of the first field in which two configurations differ.
+    pub fn first_difference(&self, other: &Self) -> Option<String> {
+        fn walk(a: &toml::Table, b: &toml::Table, prefix: &str) -> Option<String> {
+            a.iter().find_map(|(key, value)| match (value, &b[key]) {
+                (toml::Value::Table(a), toml::Value::Table(b)) => walk(a, b, &format!("{prefix}{key}.")),
+                (a, b) => (a != b).then(|| format!("{prefix}{key}")),
+            })
+        }
+        walk(&self.table(), &other.table(), "")
+    }
+
+    fn table(&self) -> toml::Table {
+        toml::Table::try_from(self).expect("plain settings have a TOML form")
+    }
+
+    fn from_table(table: toml::Table) -> Result<Self, ConfigError> {
+        let config: Self = table.try_into().map_err(|e: toml::de::Error| ConfigError::Syntax(one_line(&e)))?;
+        config.check()?;
+        Ok(config)
+    }
+
+    fn check(&self) -> Result<(), ConfigError> {
+        let refuse = |key: &str, found: String, expected: &str| {
+            Err(ConfigError::Value { key: key.into(), found, expected: expected.into() })
+        };
+        let q = &self.quantize;
+        if q.min_bits < 1 || q.min_bits > q.max_bits || q.max_bits > 16 {
+            return refuse(
+                "quantize.min_bits,max_bits",
+                format!("{},{}", q.min_bits, q.max_bits),
+                "1 <= min <= max <= 16",
+            );
+        }
+        if !(1..=16).contains(&q.position_bits) {
+            return refuse("quantize.position_bits", q.position_bits.to_string(), "1 to 16");
+        }
+        if self.schedule.first_iterations == 0 || self.schedule.rest_iterations == 0 {
+            return refuse("schedule", "0 iterations".into(), "at least 1");
+        }
+        if self.data.downscale == 0 {
+            return refuse("data.downscale", "0".into(), "at least 1");
+        }
+        if self.densify.interval == 0 || self.mask.prune_interval == 0 {
+            return refuse("densify.interval or mask.prune_interval", "0".into(), "at least 1");
+        }
+        if !(0.0..1.0).contains(&self.mask.threshold) {
+            return refuse("mask.threshold", self.mask.threshold.to_string(), "0 to 1");
+        }
+        Ok(())
+    }
+}
+
+fn one_line(error: &toml::de::Error) -> String {
+    error.message().replace('\n', " ")
+}
+
+fn merge_into(own: &mut toml::Table, given: toml::Table, prefix: &str) -> Result<(), ConfigError> {
+    for (key, value) in given {
+        let name = format!("{prefix}{key}");
+        let names = own.keys().map(|k| format!("{prefix}{k}")).collect::<Vec<_>>().join(", ");
+        let Some(slot) = own.get_mut(&key) else {
+            return Err(ConfigError::UnknownKey { key: name, expected: format!("one of {names}") });
+        };
+        match (slot, value) {
+            (toml::Value::Table(own), toml::Value::Table(given)) => merge_into(own, given, &format!("{name}."))?,
+            (toml::Value::Float(own), toml::Value::Integer(given)) => *own = given as f64,
+            (slot, value) if slot.same_type(&value) => *slot = value,
+            (slot, value) => {
+                let expected = format!("a value of type {}", slot.type_str());
+                return Err(ConfigError::Value { key: name, found: value.to_string(), expected });
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_survives_its_file() {
+        for preset in [Preset::D3dgs, Preset::Paper, Preset::Default, Preset::Fast] {
+            let config = TrainConfig::preset(preset);
+            assert_eq!(TrainConfig::default().merge(&config.to_toml()).unwrap(), config);
+        }
+    }
+
+    #[test]
+    fn settings_are_set_by_name_or_refused() {
+        let mut config = TrainConfig::default();
+        config.set("schedule.first_iterations", "7").unwrap();
+        config.set("rates.mean", "1").unwrap();
+        config.set("quantize.bit_map", "linear").unwrap();
+        config.set("mask.enabled", "false").unwrap();
+        assert_eq!((config.schedule.first_iterations, config.rates.mean, config.mask.enabled), (7, 1.0, false));
+        assert_eq!(config.quantize.bit_map, BitMapKind::Linear);
+        for (key, value, message) in [
+            ("mask.treshold", "0.1", "unknown setting mask.treshold, expected one of mask.enabled"),
+            ("mask", "0.1", "mask is 0.1, expected a value of type table"),
+            ("mask.threshold", "high", "mask.threshold is \"high\", expected a value of type float"),
+            ("quantize.min_bits", "9", "quantize.min_bits,max_bits is 9,8"),
+            ("quantize.bit_map", "cubic", "not a configuration"),
+        ] {
+            let error = config.clone().set(key, value).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+        assert_eq!(config.first_difference(&TrainConfig::default()).as_deref(), Some("mask.enabled"));
+    }
+}

@@ -1,0 +1,123 @@
+//! Adaptive density control of the first timestep: clone, split, remove, reset. Kerbl et al. 2023,
+//! §5.2, with the rules of the released code of Luiten et al. 2024.
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use tcgs_core::{normalize, rotmat_from_unit_quat, sigmoid};
+
+use crate::config::DensifyConfig;
+use crate::engine::cpu::{CpuEngine, GradientStatistic};
+
+/// What one densification did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Densified {
+    /// Small Gaussians of large gradient, doubled.
+    pub cloned: usize,
+    /// Large ones, replaced by children.
+    pub split: usize,
+    /// Removed: nearly transparent or too large.
+    pub removed: usize,
+}
+
+/// What one densification looks at beside the state.
+#[derive(Clone, Copy, Debug)]
+pub struct DensifyStep<'a> {
+    /// Thresholds.
+    pub config: &'a DensifyConfig,
+    /// Scene units.
+    pub scene_radius: f32,
+    /// Whether it is the last, which removes far more.
+    pub last: bool,
+    /// Whether large Gaussians are removed.
+    pub removes_large: bool,
+    /// Seed of the children's places.
+    pub seed: u64,
+}
+
+fn largest_scale(log_scale: [f32; 3]) -> f32 {
+    log_scale.into_iter().fold(f32::MIN, f32::max).exp()
+}
+
+/// Clones, splits and removes; clears the statistic.
+pub fn densify(engine: &mut CpuEngine, step: &DensifyStep<'_>) -> Densified {
+    let c = step.config;
+    let statistic = &engine.statistic;
+    let gradient = |i: usize| if statistic.count[i] > 0 { statistic.sum[i] / statistic.count[i] as f32 } else { 0.0 };
+    let n = engine.parameters.num_gaussians();
+    let scales: Vec<f32> = engine.parameters.gaussians.log_scales.iter().map(|&s| largest_scale(s)).collect();
+    let steep: Vec<usize> = (0..n).filter(|&i| gradient(i) >= c.gradient_threshold).collect();
+    let (cloned, split): (Vec<usize>, Vec<usize>) =
+        steep.into_iter().partition(|&i| scales[i] <= c.clone_scale * step.scene_radius);
+
+    // Where each new row comes from, and whether it is new. Parents of a split are gone.
+    let mut is_parent = vec![false; n];
+    for &i in &split {
+        is_parent[i] = true;
+    }
+    let mut sources: Vec<(usize, bool)> = (0..n).filter(|&i| !is_parent[i]).map(|i| (i, false)).collect();
+    sources.extend(cloned.iter().map(|&i| (i, true)));
+    let first_child = sources.len();
+    for _ in 0..c.split_children {
+        sources.extend(split.iter().map(|&i| (i, true)));
+    }
+    gather(engine, &sources);
+
+    let gaussians = &mut engine.parameters.gaussians;
+    let mut random = Pcg64Mcg::seed_from_u64(step.seed);
+    for i in first_child..sources.len() {
+        let rotmat = rotmat_from_unit_quat(normalize(gaussians.quats[i]));
+        let local: [f32; 3] = std::array::from_fn(|d| gaussians.log_scales[i][d].exp() * normal(&mut random));
+        for (d, row) in rotmat.iter().enumerate() {
+            gaussians.means[i][d] += row[0] * local[0] + row[1] * local[1] + row[2] * local[2];
+        }
+        gaussians.log_scales[i] = gaussians.log_scales[i].map(|s| s - c.split_shrink.ln());
+    }
+
+    let threshold = if step.last { c.prune_opacity_end } else { c.prune_opacity };
+    let keep: Vec<usize> = (0..sources.len())
+        .filter(|&i| {
+            let large =
+                step.removes_large && largest_scale(gaussians.log_scales[i]) > c.prune_scale * step.scene_radius;
+            sigmoid(gaussians.logit_opacities[i]) >= threshold && !large
+        })
+        .collect();
+    // An empty scene would have nothing left to learn from.
+    let removed = if keep.is_empty() { 0 } else { sources.len() - keep.len() };
+    if removed > 0 {
+        remove_others(engine, &keep);
+    }
+    engine.statistic = GradientStatistic::new(engine.parameters.num_gaussians());
+    Densified { cloned: cloned.len(), split: split.len(), removed }
+}
+
+/// Keeps the Gaussians at `keep`; clears the statistic.
+pub fn remove_others(engine: &mut CpuEngine, keep: &[usize]) {
+    gather(engine, &keep.iter().map(|&i| (i, false)).collect::<Vec<_>>());
+}
+
+/// Lowers every opacity to at most `opacity` and forgets their moments.
+pub fn reset_opacities(engine: &mut CpuEngine, opacity: f32) {
+    let logit = (opacity / (1.0 - opacity)).ln();
+    engine.parameters.gaussians.logit_opacities.fill(logit);
+    engine.optimizer.attributes[tcgs_core::Attribute::LogitOpacity.index()].clear();
+}
+
+fn gather(engine: &mut CpuEngine, sources: &[(usize, bool)]) {
+    let indices: Vec<usize> = sources.iter().map(|s| s.0).collect();
+    engine.parameters = engine.parameters.select(&indices);
+    engine.optimizer.gather(sources);
+    if let Some(quantizers) = &mut engine.quantizers {
+        quantizers.select(&indices);
+    }
+    let old = &engine.statistic;
+    engine.statistic = GradientStatistic {
+        sum: indices.iter().map(|&i| old.sum[i]).collect(),
+        count: indices.iter().map(|&i| old.count[i]).collect(),
+    };
+}
+
+/// A standard normal number (Box and Muller 1958).
+fn normal(random: &mut Pcg64Mcg) -> f32 {
+    let (u, v): (f32, f32) = (random.random(), random.random());
+    (-2.0 * (1.0 - u).ln()).sqrt() * (std::f32::consts::TAU * v).cos()
+}

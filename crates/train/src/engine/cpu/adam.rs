@@ -1,0 +1,107 @@
+//! Adam (Kingma and Ba 2015) on flat arrays.
+
+use rayon::prelude::*;
+
+const BETA1: f32 = 0.9;
+const BETA2: f32 = 0.999;
+/// Reference: far below any gradient, so that the step does not depend on the loss's scale.
+const EPSILON: f32 = 1e-15;
+/// Values that one task updates.
+const CHUNK: usize = 1 << 14;
+
+/// Moments of one group of parameters.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Moments {
+    /// Running mean of the gradient.
+    pub first: Vec<f32>,
+    /// Running mean of its square.
+    pub second: Vec<f32>,
+    /// Updates so far.
+    pub step: u64,
+}
+
+impl Moments {
+    /// Zero moments for `len` values.
+    pub fn new(len: usize) -> Self {
+        Self { first: vec![0.0; len], second: vec![0.0; len], step: 0 }
+    }
+
+    /// Forgets the moments but not the count, as the reference does at every timestep; its first
+    /// step is then about 3.2 times the learning rate.
+    pub fn clear(&mut self) {
+        self.first.fill(0.0);
+        self.second.fill(0.0);
+    }
+
+    /// Moments of rows taken from `sources`; a row marked as fresh starts from zero.
+    ///
+    /// - `components`: values of a row
+    pub fn gather(&mut self, sources: &[(usize, bool)], components: usize) {
+        let take = |values: &[f32]| -> Vec<f32> {
+            sources
+                .iter()
+                .flat_map(|&(i, fresh)| {
+                    (0..components).map(move |c| if fresh { 0.0 } else { values[i * components + c] })
+                })
+                .collect()
+        };
+        self.first = take(&self.first);
+        self.second = take(&self.second);
+    }
+
+    /// One update of `values` along `v_values`.
+    ///
+    /// # Panics
+    /// If lengths differ.
+    pub fn update(&mut self, values: &mut [f32], v_values: &[f32], rate: f32) {
+        assert_eq!([values.len(), v_values.len()], [self.first.len(); 2], "values and gradients against the moments");
+        self.step += 1;
+        if rate == 0.0 {
+            return;
+        }
+        let t = i32::try_from(self.step).unwrap_or(i32::MAX);
+        let step_size = rate / (1.0 - BETA1.powi(t));
+        let correction = 1.0 / (1.0 - BETA2.powi(t)).sqrt();
+        (
+            values.par_chunks_mut(CHUNK),
+            v_values.par_chunks(CHUNK),
+            self.first.par_chunks_mut(CHUNK),
+            self.second.par_chunks_mut(CHUNK),
+        )
+            .into_par_iter()
+            .for_each(|(values, v_values, first, second)| {
+                for (((x, &v), m), s) in values.iter_mut().zip(v_values).zip(first).zip(second) {
+                    *m = BETA1 * *m + (1.0 - BETA1) * v;
+                    *s = BETA2 * *s + (1.0 - BETA2) * v * v;
+                    *x -= step_size * *m / (s.sqrt() * correction + EPSILON);
+                }
+            });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_step_is_the_rate_and_a_cleared_one_larger() {
+        let mut moments = Moments::new(2);
+        let mut x = [1.0, 1.0];
+        moments.update(&mut x, &[1e-6, -3.0], 0.1);
+        assert!((x[0] - 0.9).abs() < 1e-6 && (x[1] - 1.1).abs() < 1e-6);
+        moments.step = 10_000;
+        moments.clear();
+        let before = x[0];
+        moments.update(&mut x, &[1.0, 0.0], 0.1);
+        assert!(((before - x[0]) / 0.1 - (1.0 - BETA1) / (1.0 - BETA2).sqrt()).abs() < 1e-3);
+    }
+
+    #[test]
+    fn gathering_keeps_rows_and_zeroes_fresh_ones() {
+        let mut moments = Moments::new(4);
+        moments.first = vec![1.0, 2.0, 3.0, 4.0];
+        moments.second = vec![5.0, 6.0, 7.0, 8.0];
+        moments.gather(&[(1, false), (0, true)], 2);
+        assert_eq!((moments.first, moments.second), (vec![3.0, 4.0, 0.0, 0.0], vec![7.0, 8.0, 0.0, 0.0]));
+    }
+}

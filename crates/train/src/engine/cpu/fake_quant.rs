@@ -1,0 +1,227 @@
+//! Quantisation inside the optimisation: learned step sizes (LSQ, Esser et al. 2020) and offsets.
+//!
+//! One step and one offset per attribute channel and bit width. Widths differ between Gaussians.
+
+use rayon::prelude::*;
+use tcgs_codec::{BitMap, Quantizer, Quantizers};
+use tcgs_core::{Attribute, Gaussians};
+
+use super::Moments;
+
+/// Gaussians that one task handles; fixed, so that sums over them are.
+const CHUNK: usize = 1 << 12;
+
+/// One value through a quantizer.
+#[inline(always)]
+fn fake_quant(x: f32, q: &Quantizer) -> f32 {
+    q.dequantize(q.quantize(x))
+}
+
+/// VJP of [`fake_quant`]: `(v_x, v_step, v_offset)`.
+///
+/// Straight-through: rounding is differentiated as the identity, clamping as itself. Inside the
+/// range the offset cancels; beyond it the value is `step * end + offset`. Esser et al. 2020, Eq. 3
+/// and 5; the offset as in LSQ+ (Bhalgat et al. 2020, Eq. 7).
+#[inline(always)]
+pub fn fake_quant_vjp(x: f32, q: &Quantizer, v_y: f32) -> (f32, f32, f32) {
+    let scaled = (x - q.offset) / q.step;
+    let (low, high) = (q.min_code() as f32, q.max_code() as f32);
+    if scaled <= low {
+        (if scaled < low { 0.0 } else { v_y }, v_y * low, v_y)
+    } else if scaled >= high {
+        (if scaled > high { 0.0 } else { v_y }, v_y * high, v_y)
+    } else {
+        (v_y, v_y * (scaled.round() - scaled), 0.0)
+    }
+}
+
+/// Scale of a step's gradient: `1 / sqrt(Q_P * numel)`. Esser et al. 2020, §2.2.
+pub fn step_gradient_scale(bits: u8, numel: usize) -> f32 {
+    let high = f64::from((1_u32 << (bits - 1)) - 1).max(1.0);
+    (1.0 / (high * numel.max(1) as f64).sqrt()) as f32
+}
+
+/// Attributes that are quantised while training; positions are quantised afterwards.
+pub fn quantized_attributes() -> impl Iterator<Item = Attribute> {
+    Attribute::ALL.into_iter().filter(|&a| a != Attribute::Mean)
+}
+
+/// The learned quantizers and who uses which.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FakeQuantizers {
+    /// Widths of every Gaussian's attributes.
+    pub bit_map: BitMap,
+    /// Attribute and width that have quantizers, one a channel, in this order.
+    pub groups: Vec<(Attribute, u8)>,
+    /// The quantizers, group by group.
+    pub quantizers: Vec<Quantizer>,
+    /// Steps that learning started from: its rates are relative to them.
+    pub initial_steps: Vec<f32>,
+    /// Whether offsets are learned.
+    pub learned_offset: bool,
+    /// By attribute and width: position of the first channel in `quantizers`.
+    first: [[u16; 17]; 5],
+    /// Scale of each step's gradient.
+    gradient_scales: Vec<f32>,
+}
+
+impl FakeQuantizers {
+    /// Starts learning from what fits `gaussians` best.
+    ///
+    /// - `learned_offset`: without it quantizers are symmetric and start from LSQ's formula
+    pub fn new(bit_map: BitMap, gaussians: &Gaussians, learned_offset: bool) -> Self {
+        let histogram = bit_map.histogram();
+        let groups: Vec<(Attribute, u8)> =
+            quantized_attributes().flat_map(|a| histogram[a.index()].keys().map(move |&width| (a, width))).collect();
+        let mut quantizers = Vec::new();
+        for &(attribute, width) in &groups {
+            let components = attribute.components();
+            let widths = &bit_map.widths[attribute.index()];
+            let values = gaussians.values(attribute);
+            for channel in 0..components {
+                let own: Vec<f32> = (0..widths.len())
+                    .filter(|&i| widths[i] == width)
+                    .map(|i| values[i * components + channel])
+                    .collect();
+                quantizers.push(match (attribute, learned_offset) {
+                    // Rotations are unit length, and what turns later needs the whole range.
+                    (Attribute::Quat, true) => Quantizer::covering(-1.0, 1.0, width),
+                    (_, true) => Quantizer::fit(&own, width),
+                    (_, false) => Quantizer::new(tcgs_codec::lsq_step(&own, width).max(1e-6), 0.0, width),
+                });
+            }
+        }
+        let initial_steps = quantizers.iter().map(|q| q.step).collect();
+        Self::restore(bit_map, groups, quantizers, initial_steps, learned_offset)
+    }
+
+    /// Puts saved state together again.
+    ///
+    /// # Panics
+    /// If `groups` asks for another number of quantizers.
+    pub fn restore(
+        bit_map: BitMap,
+        groups: Vec<(Attribute, u8)>,
+        quantizers: Vec<Quantizer>,
+        initial_steps: Vec<f32>,
+        learned_offset: bool,
+    ) -> Self {
+        let histogram = bit_map.histogram();
+        let mut first = [[u16::MAX; 17]; 5];
+        let mut gradient_scales = Vec::new();
+        for &(attribute, width) in &groups {
+            first[attribute.index()][usize::from(width)] = gradient_scales.len() as u16;
+            let components = attribute.components();
+            let count = histogram[attribute.index()].get(&width).copied().unwrap_or(0);
+            gradient_scales.extend(vec![step_gradient_scale(width, count * components); components]);
+        }
+        assert_eq!([quantizers.len(), initial_steps.len()], [gradient_scales.len(); 2], "quantizers against groups");
+        Self { bit_map, groups, quantizers, initial_steps, learned_offset, first, gradient_scales }
+    }
+
+    /// Keeps the Gaussians at `indices`, in that order.
+    pub fn select(&mut self, indices: &[usize]) {
+        let bit_map = self.bit_map.select(indices);
+        *self = Self::restore(
+            bit_map,
+            std::mem::take(&mut self.groups),
+            std::mem::take(&mut self.quantizers),
+            std::mem::take(&mut self.initial_steps),
+            self.learned_offset,
+        );
+    }
+
+    /// As the codec wants them.
+    pub fn table(&self) -> Quantizers {
+        let mut table = Quantizers::default();
+        for &(attribute, width) in &self.groups {
+            let first = usize::from(self.first[attribute.index()][usize::from(width)]);
+            let channels = self.quantizers[first..first + attribute.components()].to_vec();
+            table.attributes[attribute.index()].insert(width, channels);
+        }
+        table
+    }
+
+    /// Quantised values of every attribute but the positions.
+    pub fn forward(&self, gaussians: &Gaussians) -> Gaussians {
+        let mut out = gaussians.clone();
+        for attribute in quantized_attributes() {
+            let components = attribute.components();
+            let (widths, first) = (&self.bit_map.widths[attribute.index()], &self.first[attribute.index()]);
+            out.values_mut(attribute).par_chunks_mut(components).zip(widths).with_min_len(CHUNK).for_each(
+                |(row, &width)| {
+                    let first = usize::from(first[usize::from(width)]);
+                    for (value, quantizer) in row.iter_mut().zip(&self.quantizers[first..]) {
+                        *value = fake_quant(*value, quantizer);
+                    }
+                },
+            );
+        }
+        out
+    }
+
+    /// Backward of [`Self::forward`]: overwrites `v_gaussians`, gradients to the quantised values, with
+    /// those to the values themselves; returns `(v_steps, v_offsets)`.
+    pub fn backward(&self, gaussians: &Gaussians, v_gaussians: &mut Gaussians) -> (Vec<f32>, Vec<f32>) {
+        let mut v_steps = vec![0.0_f64; self.quantizers.len()];
+        let mut v_offsets = vec![0.0_f64; self.quantizers.len()];
+        for attribute in quantized_attributes() {
+            let components = attribute.components();
+            let (widths, first) = (&self.bit_map.widths[attribute.index()], &self.first[attribute.index()]);
+            let values = gaussians.values(attribute);
+            let sums: Vec<Vec<(f64, f64)>> = v_gaussians
+                .values_mut(attribute)
+                .par_chunks_mut(CHUNK * components)
+                .zip(values.par_chunks(CHUNK * components))
+                .zip(widths.par_chunks(CHUNK))
+                .map(|((v_rows, rows), widths)| {
+                    let mut sums = vec![(0.0, 0.0); self.quantizers.len()];
+                    for ((v_row, row), &width) in v_rows.chunks_mut(components).zip(rows.chunks(components)).zip(widths)
+                    {
+                        let first = usize::from(first[usize::from(width)]);
+                        for (channel, (v, &x)) in v_row.iter_mut().zip(row).enumerate() {
+                            let (v_x, v_step, v_offset) = fake_quant_vjp(x, &self.quantizers[first + channel], *v);
+                            *v = v_x;
+                            sums[first + channel].0 += f64::from(v_step);
+                            sums[first + channel].1 += f64::from(v_offset);
+                        }
+                    }
+                    sums
+                })
+                .collect();
+            for chunk in sums {
+                for (i, (v_step, v_offset)) in chunk.into_iter().enumerate() {
+                    v_steps[i] += v_step;
+                    v_offsets[i] += v_offset;
+                }
+            }
+        }
+        let scaled = |v: Vec<f64>| v.iter().zip(&self.gradient_scales).map(|(&v, &s)| v as f32 * s).collect();
+        (scaled(v_steps), scaled(v_offsets))
+    }
+
+    /// One Adam step on steps and offsets, each at `rate` times its initial step. A step never falls
+    /// below a tenth of where it started.
+    pub fn update(
+        &mut self,
+        v_steps: &[f32],
+        v_offsets: &[f32],
+        steps: &mut Moments,
+        offsets: &mut Moments,
+        rate: f32,
+    ) {
+        // Adam's update does not depend on the gradient's scale, so relative values give relative rates.
+        let mut relative_steps: Vec<f32> =
+            self.quantizers.iter().zip(&self.initial_steps).map(|(q, s)| q.step / s).collect();
+        let mut relative_offsets: Vec<f32> =
+            self.quantizers.iter().zip(&self.initial_steps).map(|(q, s)| q.offset / s).collect();
+        steps.update(&mut relative_steps, v_steps, rate);
+        if self.learned_offset {
+            offsets.update(&mut relative_offsets, v_offsets, rate);
+        }
+        for (i, q) in self.quantizers.iter_mut().enumerate() {
+            q.step = relative_steps[i].max(0.1) * self.initial_steps[i];
+            q.offset = relative_offsets[i] * self.initial_steps[i];
+        }
+    }
+}

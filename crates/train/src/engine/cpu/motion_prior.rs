@@ -1,0 +1,400 @@
+//! Losses that keep motion plausible after the first timestep: `rigid`, `rot`, `iso` among
+//! neighbours of the foreground, `floor`, `bg`, and `soft_col_cons`. Luiten et al. 2024, §3.3 and
+//! the released code.
+//!
+//! Every loss is a mean over its set; an empty set contributes nothing. Gradients that an edge
+//! passes to its far end are written once and gathered by that end, so that sums have one order.
+
+use rayon::prelude::*;
+use tcgs_core::{
+    Real, dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
+};
+
+use crate::parameters::nearest;
+
+/// Neighbours of a foreground Gaussian. Reference: 20.
+pub const NUM_NEIGHBORS: usize = 20;
+/// A neighbour at distance `d` weighs `exp(−NEIGHBOR_FALLOFF d²)`. Reference: 2000.
+pub const NEIGHBOR_FALLOFF: f32 = 2000.0;
+/// Added under square roots so that they have a derivative at zero. Reference.
+const ROOT_EPSILON: f64 = 1e-20;
+/// Foreground Gaussians whose losses are added up by one task; fixed, so that sums are.
+const CHUNK: usize = 128;
+
+/// Who is a neighbour of whom, from the first timestep on.
+#[derive(Clone, Debug)]
+pub struct Neighbors<R> {
+    /// `[F]` indices of the foreground Gaussians.
+    pub foreground: Vec<u32>,
+    /// Edges of each: `min(NUM_NEIGHBORS, F − 1)`.
+    pub per_node: usize,
+    /// `[F, per_node]` positions in `foreground`.
+    pub indices: Vec<u32>,
+    /// `[F, per_node]`
+    pub weights: Vec<R>,
+    /// `[F, per_node]` distance at the first timestep, scene units.
+    pub distances: Vec<R>,
+    /// `[F + 1]` first of each node's entries in `incoming`.
+    incoming_starts: Vec<u32>,
+    /// `[F, per_node]` edges that end at each node.
+    incoming: Vec<u32>,
+}
+
+impl Neighbors<f32> {
+    /// Finds the neighbours among the foreground.
+    pub fn new(means: &[[f32; 3]], is_foreground: &[bool]) -> Self {
+        let foreground: Vec<u32> = (0..means.len() as u32).filter(|&i| is_foreground[i as usize]).collect();
+        let points: Vec<[f32; 3]> = foreground.iter().map(|&i| means[i as usize]).collect();
+        let found = nearest(&points, NUM_NEIGHBORS);
+        let per_node = found.first().map_or(0, Vec::len);
+        let edges = || found.iter().flatten();
+        Self::from_edges(
+            foreground,
+            per_node,
+            edges().map(|&(i, _)| i).collect(),
+            edges().map(|&(_, d)| (-NEIGHBOR_FALLOFF * d).exp()).collect(),
+            edges().map(|&(_, d)| d.sqrt()).collect(),
+        )
+    }
+}
+
+impl<R: Real> Neighbors<R> {
+    /// From edges found elsewhere.
+    pub fn from_edges(
+        foreground: Vec<u32>,
+        per_node: usize,
+        indices: Vec<u32>,
+        weights: Vec<R>,
+        distances: Vec<R>,
+    ) -> Self {
+        assert_eq!(indices.len(), foreground.len() * per_node, "edges against [{}, {per_node}]", foreground.len());
+        let mut incoming_starts = vec![0_u32; foreground.len() + 1];
+        for &end in &indices {
+            incoming_starts[end as usize + 1] += 1;
+        }
+        for i in 1..incoming_starts.len() {
+            incoming_starts[i] += incoming_starts[i - 1];
+        }
+        let mut next = incoming_starts.clone();
+        let mut incoming = vec![0; indices.len()];
+        for (edge, &end) in indices.iter().enumerate() {
+            incoming[next[end as usize] as usize] = edge as u32;
+            next[end as usize] += 1;
+        }
+        Self { foreground, per_node, indices, weights, distances, incoming_starts, incoming }
+    }
+}
+
+/// Weights of the losses; 0 leaves one out.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PriorWeights {
+    /// See [`crate::WeightConfig`].
+    pub rigid: f32,
+    /// See [`crate::WeightConfig`].
+    pub rot: f32,
+    /// See [`crate::WeightConfig`].
+    pub iso: f32,
+    /// See [`crate::WeightConfig`].
+    pub floor: f32,
+    /// See [`crate::WeightConfig`].
+    pub background: f32,
+    /// See [`crate::WeightConfig`].
+    pub soft_color: f32,
+}
+
+/// Values of the losses, before their weights.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PriorLosses {
+    /// `mean sqrt(w ‖Rᵢᵀ(x_k − x_i) − previous offset‖²)`
+    pub rigid: f64,
+    /// `mean sqrt(w ‖relative rotation of k − of i‖²)`
+    pub rot: f64,
+    /// `mean sqrt(w (‖x_k − x_i‖ − first distance)²)`
+    pub iso: f64,
+    /// `mean max(y, 0)` of the foreground: y points down, the floor is `y = 0`
+    pub floor: f64,
+    /// `mean ‖x − first x‖₁ + mean ‖q − first q‖₁` of the background
+    pub background: f64,
+    /// `mean ‖colour − previous colour‖₁` of all
+    pub soft_color: f64,
+}
+
+/// Gradients that the losses add to, in stored form.
+#[derive(Debug)]
+pub struct PriorGrads<'a, R> {
+    /// `[N, 3]`
+    pub v_means: &'a mut [[R; 3]],
+    /// `[N, 4]`
+    pub v_quats: &'a mut [[R; 4]],
+    /// `[N, 3]`
+    pub v_colors: &'a mut [[R; 3]],
+}
+
+/// What the losses of one timestep compare with.
+#[derive(Clone, Debug)]
+pub struct MotionPrior<R> {
+    /// Fixed after the first timestep.
+    pub neighbors: Neighbors<R>,
+    /// `[F, per_node]` `x_k − x_i` at the timestep before.
+    previous_offsets: Vec<[R; 3]>,
+    /// `[F]` inverse rotation at the timestep before.
+    previous_inverse_quats: Vec<[R; 4]>,
+    /// `[B]` indices of the background Gaussians, where they were and how they stood first.
+    background: Vec<(u32, [R; 3], [R; 4])>,
+    /// `[N]` colours at the timestep before.
+    previous_colors: Vec<[R; 3]>,
+}
+
+/// Sums of the three losses along one node's edges, and gradients to the node itself.
+struct Node<R> {
+    losses: [f64; 3],
+    v_mean: [R; 3],
+    v_relative: [R; 4],
+    v_rotmat: [[R; 3]; 3],
+}
+
+impl<R: Real> MotionPrior<R> {
+    /// Prepares a timestep.
+    ///
+    /// - `first_means`, `first_quats`: of all Gaussians at the first timestep
+    /// - `means`, `quats`, `colors`: at the timestep before; rotations in any length
+    pub fn new(
+        neighbors: Neighbors<R>,
+        is_foreground: &[bool],
+        first_means: &[[R; 3]],
+        first_quats: &[[R; 4]],
+        means: &[[R; 3]],
+        quats: &[[R; 4]],
+        colors: &[[R; 3]],
+    ) -> Self {
+        let fg = &neighbors.foreground;
+        let previous_offsets = (0..neighbors.indices.len())
+            .map(|edge| {
+                let (i, k) = (fg[edge / neighbors.per_node], fg[neighbors.indices[edge] as usize]);
+                std::array::from_fn(|d| means[k as usize][d] - means[i as usize][d])
+            })
+            .collect();
+        Self {
+            previous_offsets,
+            previous_inverse_quats: fg.iter().map(|&i| quat_conjugate(normalize(quats[i as usize]))).collect(),
+            background: (0..means.len())
+                .filter(|&i| !is_foreground[i])
+                .map(|i| (i as u32, first_means[i], normalize(first_quats[i])))
+                .collect(),
+            previous_colors: colors.to_vec(),
+            neighbors,
+        }
+    }
+
+    /// Gives the neighbours back for the next timestep.
+    pub fn into_neighbors(self) -> Neighbors<R> {
+        self.neighbors
+    }
+
+    /// Values of all losses; *accumulates* the gradient of their weighted sum.
+    ///
+    /// - `means`, `quats`, `colors`: `[N]`, stored form
+    pub fn losses(
+        &self,
+        means: &[[R; 3]],
+        quats: &[[R; 4]],
+        colors: &[[R; 3]],
+        weights: &PriorWeights,
+        grads: PriorGrads<'_, R>,
+    ) -> PriorLosses {
+        let mut losses = PriorLosses::default();
+        if self.neighbors.per_node > 0 {
+            [losses.rigid, losses.rot, losses.iso] =
+                self.neighbor_losses(means, quats, weights, grads.v_means, grads.v_quats);
+        }
+        let foreground = &self.neighbors.foreground;
+        if !foreground.is_empty() {
+            let share = R::of(f64::from(weights.floor) / foreground.len() as f64);
+            for &i in foreground {
+                let y = means[i as usize][1];
+                if y > R::zero() {
+                    losses.floor += to_f64(y) / foreground.len() as f64;
+                    grads.v_means[i as usize][1] = grads.v_means[i as usize][1] + share;
+                }
+            }
+        }
+        if !self.background.is_empty() {
+            let share = R::of(f64::from(weights.background) / self.background.len() as f64);
+            let mut sum = R::zero();
+            for &(i, first_mean, first_quat) in &self.background {
+                let i = i as usize;
+                sum = sum + l1(means[i], first_mean, share, &mut grads.v_means[i]);
+                let mut v_unit = [R::zero(); 4];
+                sum = sum + l1(normalize(quats[i]), first_quat, share, &mut v_unit);
+                add(&mut grads.v_quats[i], normalize_vjp(quats[i], v_unit));
+            }
+            losses.background = to_f64(sum) / self.background.len() as f64;
+        }
+        if !colors.is_empty() && weights.soft_color != 0.0 {
+            let share = R::of(f64::from(weights.soft_color) / colors.len() as f64);
+            let mut sum = R::zero();
+            for ((&color, &previous), v_color) in colors.iter().zip(&self.previous_colors).zip(grads.v_colors) {
+                sum = sum + l1(color, previous, share, v_color);
+            }
+            losses.soft_color = to_f64(sum) / colors.len() as f64;
+        }
+        losses
+    }
+
+    fn neighbor_losses(
+        &self,
+        means: &[[R; 3]],
+        quats: &[[R; 4]],
+        weights: &PriorWeights,
+        v_means: &mut [[R; 3]],
+        v_quats: &mut [[R; 4]],
+    ) -> [f64; 3] {
+        let Neighbors { foreground, per_node, incoming_starts, incoming, .. } = &self.neighbors;
+        let per_node = *per_node;
+        let num_edges = foreground.len() * per_node;
+        let share = |weight: f32| R::of(f64::from(weight) / num_edges as f64);
+        let shares = [share(weights.rigid), share(weights.rot), share(weights.iso)];
+        let points: Vec<[R; 3]> = foreground.iter().map(|&i| means[i as usize]).collect();
+        let relative: Vec<[R; 4]> = foreground
+            .par_iter()
+            .zip(&self.previous_inverse_quats)
+            .map(|(&i, &inverse)| quat_mul(normalize(quats[i as usize]), inverse))
+            .collect();
+
+        // Along every node's own edges; what belongs to the far end stays with the edge.
+        let mut v_ends: Vec<([R; 3], [R; 4])> = vec![([R::zero(); 3], [R::zero(); 4]); num_edges];
+        let nodes: Vec<Node<R>> = v_ends
+            .par_chunks_mut(per_node)
+            .enumerate()
+            .with_min_len(CHUNK)
+            .map(|(i, v_ends)| self.node(i, &points, &relative, shares, v_ends))
+            .collect();
+
+        // Every node gathers what its incoming edges hold for it.
+        let gathered: Vec<([R; 3], [R; 4])> = nodes
+            .par_iter()
+            .enumerate()
+            .with_min_len(CHUNK)
+            .map(|(i, node)| {
+                let (mut v_mean, mut v_relative) = (node.v_mean, node.v_relative);
+                for &edge in &incoming[incoming_starts[i] as usize..incoming_starts[i + 1] as usize] {
+                    let (v_end_mean, v_end_relative) = v_ends[edge as usize];
+                    add(&mut v_mean, v_end_mean);
+                    add(&mut v_relative, v_end_relative);
+                }
+                add(&mut v_relative, rotmat_from_quat_vjp(relative[i], node.v_rotmat));
+                let stored = quats[foreground[i] as usize];
+                let (v_unit, _) = quat_mul_vjp(normalize(stored), self.previous_inverse_quats[i], v_relative);
+                (v_mean, normalize_vjp(stored, v_unit))
+            })
+            .collect();
+        for (&i, (v_mean, v_quat)) in foreground.iter().zip(gathered) {
+            add(&mut v_means[i as usize], v_mean);
+            add(&mut v_quats[i as usize], v_quat);
+        }
+        let mut sums = [0.0; 3];
+        for node in &nodes {
+            for (sum, loss) in sums.iter_mut().zip(node.losses) {
+                *sum += loss;
+            }
+        }
+        sums.map(|sum| sum / num_edges as f64)
+    }
+
+    fn node(
+        &self,
+        i: usize,
+        points: &[[R; 3]],
+        relative: &[[R; 4]],
+        shares: [R; 3],
+        v_ends: &mut [([R; 3], [R; 4])],
+    ) -> Node<R> {
+        let [rigid_share, rot_share, iso_share] = shares;
+        let epsilon = R::of(ROOT_EPSILON);
+        let rotmat = rotmat_from_quat(relative[i]);
+        let mut node = Node {
+            losses: [0.0; 3],
+            v_mean: [R::zero(); 3],
+            v_relative: [R::zero(); 4],
+            v_rotmat: [[R::zero(); 3]; 3],
+        };
+        let first = i * v_ends.len();
+        for (slot, v_end) in v_ends.iter_mut().enumerate() {
+            let edge = first + slot;
+            let k = self.neighbors.indices[edge] as usize;
+            let weight = self.neighbors.weights[edge];
+            let offset: [R; 3] = std::array::from_fn(|d| points[k][d] - points[i][d]);
+
+            // rigid: the neighbour as it was, seen in the frame that turned with i.
+            let residual: [R; 3] = std::array::from_fn(|j| {
+                rotmat[0][j] * offset[0] + rotmat[1][j] * offset[1] + rotmat[2][j] * offset[2]
+                    - self.previous_offsets[edge][j]
+            });
+            let rigid = (weight * dot(residual, residual) + epsilon).sqrt();
+            let v_residual = residual.map(|r| rigid_share * weight * r / rigid);
+            let mut v_offset: [R; 3] = std::array::from_fn(|d| dot(rotmat[d], v_residual));
+            for d in 0..3 {
+                for j in 0..3 {
+                    node.v_rotmat[d][j] = node.v_rotmat[d][j] + offset[d] * v_residual[j];
+                }
+            }
+
+            // rot: neighbours turn alike.
+            let turn: [R; 4] = std::array::from_fn(|d| relative[k][d] - relative[i][d]);
+            let rot = (weight * dot(turn, turn) + epsilon).sqrt();
+            let v_turn = turn.map(|t| rot_share * weight * t / rot);
+
+            // iso: distances stay.
+            let length = (dot(offset, offset) + epsilon).sqrt();
+            let stretch = length - self.neighbors.distances[edge];
+            let iso = (weight * stretch * stretch + epsilon).sqrt();
+            let v_length = iso_share * weight * stretch / iso;
+            add(&mut v_offset, offset.map(|o| v_length * o / length));
+
+            add(&mut node.v_mean, v_offset.map(|v| -v));
+            add(&mut node.v_relative, v_turn.map(|v| -v));
+            *v_end = (v_offset, v_turn);
+            for (sum, loss) in node.losses.iter_mut().zip([rigid, rot, iso]) {
+                *sum += to_f64(loss);
+            }
+        }
+        node
+    }
+}
+
+fn to_f64<R: Real>(x: R) -> f64 {
+    x.to_f64().unwrap_or(f64::NAN)
+}
+
+#[inline(always)]
+fn add<R: Real, const D: usize>(sum: &mut [R; D], value: [R; D]) {
+    for i in 0..D {
+        sum[i] = sum[i] + value[i];
+    }
+}
+
+/// `‖a − b‖₁`; adds `share * sign(a − b)` to `v_a`.
+#[inline(always)]
+fn l1<R: Real, const D: usize>(a: [R; D], b: [R; D], share: R, v_a: &mut [R; D]) -> R {
+    let mut sum = R::zero();
+    for i in 0..D {
+        let difference = a[i] - b[i];
+        sum = sum + difference.abs();
+        if difference != R::zero() {
+            v_a[i] = v_a[i] + share * difference.signum();
+        }
+    }
+    sum
+}
+
+/// The constant-velocity prediction of the next timestep: `x + (x − x_before)`, and likewise for
+/// rotations, normalised. Luiten et al. 2024, `initialize_per_timestep` of the released code.
+///
+/// - `quat`, `quat_before`: any length; normalised first
+pub fn predict<R: Real>(mean: [R; 3], mean_before: [R; 3], quat: [R; 4], quat_before: [R; 4]) -> ([R; 3], [R; 4]) {
+    let (q, before) = (normalize(quat), normalize(quat_before));
+    (
+        std::array::from_fn(|i| mean[i] + (mean[i] - mean_before[i])),
+        normalize(std::array::from_fn(|i| q[i] + (q[i] - before[i]))),
+    )
+}

@@ -1,0 +1,3 @@
+//! One iteration of the optimisation.
+
+pub mod cpu;

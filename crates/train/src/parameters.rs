@@ -1,0 +1,135 @@
+//! What is optimised, and where it starts.
+
+use std::num::NonZero;
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rayon::prelude::*;
+use tcgs_core::{Camera, Gaussians, PointCloud};
+
+/// Everything that gradients move, in stored form, at the current timestep.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Parameters {
+    /// `[N]`
+    pub gaussians: Gaussians,
+    /// `[N]` `m_{n,t}`; all at their start where masks are off.
+    pub mask_logits: Vec<f32>,
+    /// `[N]` whether the Gaussian belongs to what moves. Not learned.
+    pub foreground: Vec<bool>,
+    /// `[cameras, 3]` logarithms of the gains by which a camera's colours differ.
+    pub camera_gains: Vec<[f32; 3]>,
+    /// `[cameras, 3]` offsets by which a camera's colours differ.
+    pub camera_offsets: Vec<[f32; 3]>,
+}
+
+/// Smallest mean squared distance that an initial scale is taken from.
+const MIN_SQUARED_DISTANCE: f32 = 1e-7;
+
+impl Parameters {
+    /// Gaussians at the points of a cloud: isotropic, as large as the root mean squared distance to
+    /// the three nearest, half opaque. Luiten et al. 2024, `initialize_params` of the released code.
+    ///
+    /// # Panics
+    /// If the cloud is empty.
+    pub fn from_cloud(cloud: &PointCloud, num_cameras: usize, mask_logit: f32) -> Self {
+        let n = cloud.points.len();
+        assert!(n > 0, "an empty point cloud");
+        let log_scales = nearest(&cloud.points, 3)
+            .into_par_iter()
+            .map(|neighbors| {
+                // A cloud of one point has no neighbours.
+                let mean = neighbors.iter().map(|&(_, d)| d).sum::<f32>() / neighbors.len().max(1) as f32;
+                [mean.max(MIN_SQUARED_DISTANCE).sqrt().ln(); 3]
+            })
+            .collect();
+        Self {
+            gaussians: Gaussians {
+                means: cloud.points.clone(),
+                quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
+                log_scales,
+                logit_opacities: vec![0.0; n],
+                colors: cloud.colors.clone(),
+            },
+            mask_logits: vec![mask_logit; n],
+            foreground: cloud.foreground.clone(),
+            camera_gains: vec![[0.0; 3]; num_cameras],
+            camera_offsets: vec![[0.0; 3]; num_cameras],
+        }
+    }
+
+    /// `N`.
+    pub fn num_gaussians(&self) -> usize {
+        self.gaussians.num_gaussians()
+    }
+
+    /// The Gaussians at `indices`, in that order; cameras as they are.
+    pub fn select(&self, indices: &[usize]) -> Self {
+        Self {
+            gaussians: self.gaussians.select(indices),
+            mask_logits: indices.iter().map(|&i| self.mask_logits[i]).collect(),
+            foreground: indices.iter().map(|&i| self.foreground[i]).collect(),
+            camera_gains: self.camera_gains.clone(),
+            camera_offsets: self.camera_offsets.clone(),
+        }
+    }
+}
+
+/// The `count` nearest other points of each point, nearest first, with squared distances.
+pub(crate) fn nearest(points: &[[f32; 3]], count: usize) -> Vec<Vec<(u32, f32)>> {
+    if points.len() < 2 || count == 0 {
+        return vec![Vec::new(); points.len()];
+    }
+    let tree = ImmutableKdTree::new_from_slice(points).expect("finite points make a tree");
+    let wanted = NonZero::new(count.min(points.len() - 1) + 1).expect("at least two");
+    points
+        .par_iter()
+        .enumerate()
+        .map(|(i, point)| {
+            let found = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
+            let mut others: Vec<(u32, f32)> =
+                found.iter().filter(|f| f.item as usize != i).map(|f| (f.item as u32, f.distance)).collect();
+            // Among points at one place the query may not return the point itself.
+            others.truncate(wanted.get() - 1);
+            others
+        })
+        .collect()
+}
+
+/// Extent of a scene: 1.1 times the largest distance of a camera from the mean camera.
+///
+/// Luiten et al. 2024, `initialize_params` of the released code.
+pub fn scene_radius(cameras: &[Camera]) -> f32 {
+    let centers: Vec<[f64; 3]> = cameras.iter().map(Camera::center).collect();
+    let mean: [f64; 3] = std::array::from_fn(|i| centers.iter().map(|c| c[i]).sum::<f64>() / centers.len() as f64);
+    let distance = |c: &[f64; 3]| (0..3).map(|i| (c[i] - mean[i]).powi(2)).sum::<f64>().sqrt();
+    (1.1 * centers.iter().map(distance).fold(0.0, f64::max)) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbours_are_the_nearest_others() {
+        let points: Vec<[f32; 3]> = (0..20).map(|i| [(i * i) as f32, 0.0, 0.0]).collect();
+        let found = nearest(&points, 2);
+        assert_eq!(found[5], [(4, 81.0), (6, 121.0)]);
+        assert_eq!(found[0], [(1, 1.0), (2, 16.0)]);
+        let same = nearest(&[[1.0; 3]; 5], 3);
+        assert!(
+            same.iter().enumerate().all(|(i, n)| n.len() == 3 && n.iter().all(|&(j, d)| j as usize != i && d == 0.0))
+        );
+    }
+
+    #[test]
+    fn a_cloud_becomes_round_half_opaque_gaussians() {
+        let cloud = PointCloud {
+            points: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 2.0]],
+            colors: vec![[0.5; 3]; 4],
+            foreground: vec![true; 4],
+        };
+        let p = Parameters::from_cloud(&cloud, 2, 1.0);
+        let expected = (9.0_f32 / 3.0).sqrt().ln(); // squared distances 1, 4, 4
+        assert!((p.gaussians.log_scales[0][1] - expected).abs() < 1e-6);
+        assert_eq!((p.gaussians.logit_opacities[0], p.mask_logits[0], p.camera_gains.len()), (0.0, 1.0, 2));
+    }
+}

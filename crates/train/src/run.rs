@@ -1,0 +1,212 @@
+//! A run folder: `config.toml`, one checkpoint a timestep, metrics as JSON lines.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+use tcgs_codec::{BitMap, Quantizers};
+use tcgs_core::DynamicGaussians;
+
+use crate::TrainError;
+use crate::checkpoint::Checkpoint;
+use crate::config::TrainConfig;
+use crate::trainer::Trainer;
+
+const CONFIG: &str = "config.toml";
+const METRICS: &str = "metrics.jsonl";
+
+/// A run folder.
+#[derive(Clone, Debug)]
+pub struct Run {
+    folder: PathBuf,
+    config: TrainConfig,
+}
+
+/// What a finished (or unfinished) run holds.
+#[derive(Clone, Debug)]
+pub struct TrainedScene {
+    /// Float parameters of every finished timestep, before pruning.
+    pub scene: DynamicGaussians,
+    /// `[T][N]` mask logits; of no use where masks were off.
+    pub mask_logits: Vec<Vec<f32>>,
+    /// `[N]`
+    pub foreground: Vec<bool>,
+    /// Bits and learned quantizers, where quantisation was on.
+    pub quantization: Option<(BitMap, Quantizers)>,
+    /// `[cameras, 3]` logarithms of the gains.
+    pub camera_gains: Vec<[f32; 3]>,
+    /// `[cameras, 3]`
+    pub camera_offsets: Vec<[f32; 3]>,
+}
+
+impl Run {
+    /// Whether a folder is a run.
+    pub fn is_run(folder: &Path) -> bool {
+        folder.join(CONFIG).is_file()
+    }
+
+    /// Makes a new run folder.
+    ///
+    /// # Errors
+    /// [`TrainError::Io`] if it cannot be written.
+    pub fn create(folder: &Path, config: &TrainConfig) -> Result<Self, TrainError> {
+        fs::create_dir_all(folder.join("checkpoints")).map_err(io("creating", folder))?;
+        let run = Self { folder: folder.into(), config: config.clone() };
+        run.write_whole(CONFIG, config.to_toml().as_bytes())?;
+        Ok(run)
+    }
+
+    /// Opens a run folder.
+    ///
+    /// # Errors
+    /// [`TrainError`] if its configuration cannot be read.
+    pub fn open(folder: &Path) -> Result<Self, TrainError> {
+        let path = folder.join(CONFIG);
+        let text = fs::read_to_string(&path).map_err(io("reading", &path))?;
+        let config =
+            TrainConfig::default().merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
+        Ok(Self { folder: folder.into(), config })
+    }
+
+    /// Its settings.
+    pub fn config(&self) -> &TrainConfig {
+        &self.config
+    }
+
+    /// Replaces the settings, to go on with more frames.
+    ///
+    /// # Errors
+    /// [`TrainError::Io`] if they cannot be written.
+    pub fn set_config(&mut self, config: &TrainConfig) -> Result<(), TrainError> {
+        self.config = config.clone();
+        self.write_whole(CONFIG, config.to_toml().as_bytes())
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    fn checkpoint_path(&self, timestep: usize) -> PathBuf {
+        self.folder.join("checkpoints").join(format!("{timestep:06}.npz"))
+    }
+
+    /// Timesteps finished: checkpoints without a gap from the first.
+    pub fn timesteps(&self) -> usize {
+        (0..).take_while(|&t| self.checkpoint_path(t).is_file()).count()
+    }
+
+    /// Writes the checkpoint of a timestep.
+    ///
+    /// # Errors
+    /// [`TrainError::Io`]; nothing half-written stays.
+    pub fn save(&self, timestep: usize, checkpoint: &Checkpoint) -> Result<(), TrainError> {
+        checkpoint.save(&self.checkpoint_path(timestep), timestep == 0)
+    }
+
+    /// Goes on where the run stopped; `None` if no timestep is finished.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] if a checkpoint is damaged.
+    pub fn resume(&self) -> Result<Option<Trainer>, TrainError> {
+        let finished = self.timesteps();
+        if finished == 0 {
+            return Ok(None);
+        }
+        let first = self.load(0, None)?;
+        let later = |t: usize| if t == 0 { Ok(first.clone()) } else { self.load(t, Some(&first)) };
+        let (before_last, last) = (later(finished.saturating_sub(2))?, later(finished - 1)?);
+        Ok(Some(Trainer::resume(&self.config, &first, &before_last, &last, finished)))
+    }
+
+    fn load(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {
+        Checkpoint::load(&self.checkpoint_path(timestep), first, self.config.quantize.learned_offset)
+    }
+
+    /// Puts all finished timesteps together.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] if there are none, or one is damaged.
+    pub fn trained(&self) -> Result<TrainedScene, TrainError> {
+        let finished = self.timesteps();
+        if finished == 0 {
+            let problem = "no checkpoint, expected a run with at least one finished timestep".into();
+            return Err(TrainError::File { path: self.folder.join("checkpoints"), problem });
+        }
+        let first = self.load(0, None)?;
+        let mut scene = DynamicGaussians::default();
+        let mut mask_logits = Vec::with_capacity(finished);
+        let mut quantizers = first.quantizers.clone();
+        scene.push(first.parameters.gaussians.clone());
+        mask_logits.push(first.parameters.mask_logits.clone());
+        for timestep in 1..finished {
+            let later = self.load(timestep, Some(&first))?;
+            scene.push(later.parameters.gaussians);
+            mask_logits.push(later.parameters.mask_logits);
+            quantizers = later.quantizers;
+        }
+        Ok(TrainedScene {
+            scene,
+            mask_logits,
+            foreground: first.parameters.foreground,
+            quantization: quantizers.map(|q| (q.bit_map.clone(), q.table())),
+            camera_gains: first.parameters.camera_gains,
+            camera_offsets: first.parameters.camera_offsets,
+        })
+    }
+
+    /// Metrics written so far, one object a timestep.
+    ///
+    /// # Errors
+    /// [`TrainError::Io`] if they cannot be read.
+    pub fn metrics(&self) -> Result<Vec<Value>, TrainError> {
+        let path = self.folder.join(METRICS);
+        if !path.exists() {
+            return Ok(Vec::new());
+        }
+        let text = fs::read_to_string(&path).map_err(io("reading", &path))?;
+        // A line cut short by a crash is one of a timestep that has no checkpoint yet.
+        Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+    }
+
+    /// Keeps the metrics of the first `timesteps` and drops what a stopped run wrote after them.
+    ///
+    /// # Errors
+    /// [`TrainError::Io`] if they cannot be written.
+    pub fn truncate_metrics(&self, timesteps: usize) -> Result<(), TrainError> {
+        let kept: Vec<String> = self
+            .metrics()?
+            .iter()
+            .filter(|m| m["timestep"].as_u64().is_some_and(|t| t < timesteps as u64))
+            .map(Value::to_string)
+            .collect();
+        let text = kept.iter().map(|line| format!("{line}\n")).collect::<String>();
+        self.write_whole(METRICS, text.as_bytes())
+    }
+
+    /// Appends the metrics of one timestep.
+    ///
+    /// # Errors
+    /// [`TrainError::Io`] if they cannot be written.
+    pub fn append_metrics(&self, metrics: &Value) -> Result<(), TrainError> {
+        let path = self.folder.join(METRICS);
+        let mut file = fs::OpenOptions::new().create(true).append(true).open(&path).map_err(io("opening", &path))?;
+        file.write_all(format!("{metrics}\n").as_bytes()).map_err(io("writing", &path))
+    }
+
+    fn write_whole(&self, name: &str, bytes: &[u8]) -> Result<(), TrainError> {
+        let path = self.folder.join(name);
+        let mut file =
+            tempfile::Builder::new().prefix(".writing-").tempfile_in(&self.folder).map_err(io("writing", &path))?;
+        file.write_all(bytes).map_err(io("writing", &path))?;
+        file.as_file().sync_all().map_err(io("writing", &path))?;
+        file.persist(&path).map_err(|e| io("writing", &path)(e.error))?;
+        Ok(())
+    }
+}
+
+fn io(action: &'static str, path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
+    let path = path.to_path_buf();
+    move |source| TrainError::Io { action, path: path.clone(), source }
+}

@@ -1,0 +1,193 @@
+//! When things happen and how fast parameters move, as a function of timestep and iteration.
+
+use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
+
+/// Learning rates of one iteration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// Means, scene units.
+    pub mean: f32,
+    /// Rotations.
+    pub quat: f32,
+    /// Colours.
+    pub color: f32,
+    /// Opacities; 0 after the first timestep.
+    pub logit_opacity: f32,
+    /// Scales; 0 after the first timestep.
+    pub log_scale: f32,
+    /// Camera gains and offsets; 0 after the first timestep.
+    pub camera: f32,
+    /// Mask logits.
+    pub mask: f32,
+    /// Steps and offsets, times the step they started from.
+    pub step: f32,
+}
+
+/// The first timestep or a later one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// Everything is learned, and density adapts.
+    First,
+    /// Only what moves is learned.
+    Rest,
+}
+
+impl Phase {
+    /// Of timestep `timestep`, counted from the run's first.
+    pub fn of(timestep: usize) -> Self {
+        if timestep == 0 { Self::First } else { Self::Rest }
+    }
+}
+
+/// A configuration's schedule, scaled to its number of iterations.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    config: TrainConfig,
+    scene_radius: f32,
+}
+
+impl Schedule {
+    /// - `scene_radius`: see [`crate::scene_radius`]
+    pub fn new(config: &TrainConfig, scene_radius: f32) -> Self {
+        Self { config: config.clone(), scene_radius }
+    }
+
+    /// Iterations of a timestep.
+    pub fn iterations(&self, phase: Phase) -> usize {
+        match phase {
+            Phase::First => self.config.schedule.first_iterations,
+            Phase::Rest => self.config.schedule.rest_iterations,
+        }
+    }
+
+    /// Reference iterations / actual iterations.
+    fn shortening(&self, phase: Phase) -> f32 {
+        let reference = REFERENCE_ITERATIONS[usize::from(phase == Phase::Rest)];
+        reference as f32 / self.iterations(phase) as f32
+    }
+
+    /// An iteration of the reference's first timestep, in this schedule.
+    pub fn scaled(&self, reference_iteration: usize) -> usize {
+        (reference_iteration as f64 * self.iterations(Phase::First) as f64 / REFERENCE_ITERATIONS[0] as f64).round()
+            as usize
+    }
+
+    /// Learning rates at an iteration, counted from 0.
+    pub fn rates(&self, phase: Phase, iteration: usize) -> Rates {
+        let r = &self.config.rates;
+        let progress = iteration as f32 / self.iterations(phase) as f32;
+        let cosine = |end: f32| end + (1.0 - end) * 0.5 * (1.0 + (std::f32::consts::PI * progress).cos());
+        let mask = r.mask * self.shortening(phase);
+        let mean = r.mean * self.scene_radius;
+        match phase {
+            Phase::First => {
+                let scale = if r.first_scale == 0.0 { self.shortening(phase).sqrt() } else { r.first_scale };
+                let decay = cosine(r.first_decay);
+                Rates {
+                    mean: mean * scale * decay,
+                    quat: r.quat * scale * decay,
+                    color: r.color * decay,
+                    logit_opacity: r.logit_opacity * decay,
+                    log_scale: r.log_scale * scale * decay,
+                    camera: r.camera * scale * decay,
+                    mask,
+                    step: r.step * decay,
+                }
+            }
+            Phase::Rest => {
+                let scale = if r.motion_scale == 0.0 { self.shortening(phase).max(1.0) } else { r.motion_scale };
+                // Decays towards its share of the rate it starts from.
+                let motion = scale * cosine(r.motion_decay);
+                Rates {
+                    mean: mean * motion,
+                    quat: r.quat * motion,
+                    color: r.color_rest * cosine(r.motion_decay),
+                    logit_opacity: 0.0,
+                    log_scale: 0.0,
+                    camera: 0.0,
+                    mask,
+                    step: r.step * cosine(r.motion_decay),
+                }
+            }
+        }
+    }
+
+    /// Whether gradients are still counted for densification.
+    pub fn counts_gradients(&self, iteration: usize) -> bool {
+        iteration <= self.scaled(self.config.densify.end)
+    }
+
+    /// Whether Gaussians are cloned, split and removed at this iteration.
+    pub fn densifies(&self, iteration: usize) -> bool {
+        let d = &self.config.densify;
+        iteration >= self.scaled(d.start)
+            && self.counts_gradients(iteration)
+            && iteration > 0
+            && iteration.is_multiple_of(d.interval)
+    }
+
+    /// Whether this is the last densification, which removes far more.
+    pub fn is_last_densification(&self, iteration: usize) -> bool {
+        self.densifies(iteration) && iteration + self.config.densify.interval > self.scaled(self.config.densify.end)
+    }
+
+    /// Whether large Gaussians are removed by now.
+    pub fn removes_large(&self, iteration: usize) -> bool {
+        iteration >= self.scaled(self.config.densify.reset)
+    }
+
+    /// Whether opacities are reset at this iteration.
+    pub fn resets_opacities(&self, iteration: usize) -> bool {
+        iteration > 0 && iteration == self.scaled(self.config.densify.reset)
+    }
+
+    /// Whether masked Gaussians are removed at this iteration.
+    pub fn prunes_masked(&self, iteration: usize) -> bool {
+        let interval = self.scaled(self.config.mask.prune_interval).max(1);
+        self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval)
+    }
+
+    /// Whether quantisation starts at this iteration.
+    pub fn starts_quantization(&self, iteration: usize) -> bool {
+        self.config.quantize.enabled
+            && iteration == self.scaled(self.config.quantize.start).min(self.iterations(Phase::First) - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Preset;
+
+    fn schedule(first: usize, rest: usize, preset: Preset) -> Schedule {
+        let mut config = TrainConfig::preset(preset);
+        config.schedule.first_iterations = first;
+        config.schedule.rest_iterations = rest;
+        Schedule::new(&config, 2.0)
+    }
+
+    #[test]
+    fn the_reference_schedule_is_the_reference() {
+        let s = schedule(10_000, 2_000, Preset::D3dgs);
+        let events: Vec<usize> = (0..10_000).filter(|&i| s.densifies(i)).collect();
+        assert_eq!((events[0], events[1], events[events.len() - 1]), (500, 600, 5000));
+        assert_eq!((0..10_000).filter(|&i| s.is_last_densification(i)).collect::<Vec<_>>(), [5000]);
+        assert_eq!((0..10_000).filter(|&i| s.resets_opacities(i)).collect::<Vec<_>>(), [3000]);
+        let rates = s.rates(Phase::First, 9000);
+        assert_eq!((rates.mean, rates.color, rates.quat), (3.2e-4, 2.5e-3, 1e-3));
+        assert_eq!(s.rates(Phase::Rest, 1999).mean, 3.2e-4);
+        assert_eq!((s.rates(Phase::Rest, 0).log_scale, s.rates(Phase::Rest, 0).mask), (0.0, 0.01));
+    }
+
+    #[test]
+    fn a_short_schedule_keeps_the_interval_and_scales_the_rest() {
+        let s = schedule(1500, 300, Preset::Default);
+        let events: Vec<usize> = (0..1500).filter(|&i| s.densifies(i)).collect();
+        assert_eq!(events, [100, 200, 300, 400, 500, 600, 700]);
+        assert!(s.is_last_densification(700) && !s.is_last_densification(600));
+        assert!(s.resets_opacities(450) && s.starts_quantization(900) && s.prunes_masked(150));
+        assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
+        assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
+        assert!(s.rates(Phase::Rest, 299).mean < 0.2 * s.rates(Phase::Rest, 0).mean);
+    }
+}
