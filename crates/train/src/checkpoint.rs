@@ -6,6 +6,8 @@ use std::path::Path;
 
 use npyz::WriterBuilder;
 use npyz::npz::{NpzArchive, NpzWriter};
+use npyz::zip::write::FileOptions;
+use npyz::zip::{CompressionMethod, DateTime};
 use tcgs_codec::{BitMap, Quantizer};
 use tcgs_core::{Attribute, Gaussians};
 
@@ -79,7 +81,8 @@ impl Checkpoint {
                 put(&mut npz, "bit_widths", &[5, n], &q.bit_map.widths.concat())?;
             }
         }
-        npz.zip_writer().flush()
+        // Left to be dropped, the archive would swallow a full disk.
+        npz.zip_writer().finish().map_err(std::io::Error::from)?.flush()
     }
 
     /// Reads an archive.
@@ -187,8 +190,11 @@ fn put<W: Write + std::io::Seek, T: npyz::Serialize + npyz::AutoSerialize + Copy
     shape: &[u64],
     values: &[T],
 ) -> std::io::Result<()> {
-    // No time of writing, so that equal checkpoints are equal files.
-    let options = Default::default();
+    // No time of writing, so that equal checkpoints are equal files; not compressed, as `numpy.savez` does.
+    let options = FileOptions::default()
+        .compression_method(CompressionMethod::Stored)
+        .last_modified_time(DateTime::default())
+        .large_file(size_of_val(values) > u32::MAX as usize / 2);
     let mut array = npz.array::<T>(name, options)?.default_dtype().shape(shape).begin_nd()?;
     array.extend(values.iter().copied())?;
     array.finish()

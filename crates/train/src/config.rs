@@ -95,6 +95,9 @@ pub struct RateConfig {
     /// What the means' and rotations' rates are multiplied by after the first timestep; 0: reference
     /// iterations / actual, so that a short schedule can still follow fast motion. Default 0.
     pub motion_scale: f32,
+    /// Whether Adam's bias correction starts anew at every timestep. Reference false: the first steps
+    /// are then about three times the rate. Default true, which follows motion better and drifts less.
+    pub reset_steps: bool,
     /// Share of that multiplication left at the end of a timestep, reached along a cosine. 1 keeps
     /// the rates constant (reference).
     pub motion_decay: f32,
@@ -125,7 +128,7 @@ pub struct WeightConfig {
     pub background: f32,
     /// Colours that change with time. Default 0.01 (reference, where a bug makes it inactive).
     pub soft_color: f32,
-    /// `L_mask`, a mean. Default 0.01 (paper).
+    /// `L_mask`, a mean. Paper 0.01; default 0.05: half the Gaussians for 0.1 dB.
     pub mask: f32,
     /// `L_mc`, a mean. Default 0.01 (paper).
     pub mask_consistency: f32,
@@ -177,6 +180,9 @@ pub struct MaskConfig {
     pub reset: bool,
     /// Iterations, of 10000, between prunings in the first timestep; scales with the schedule. Default 1000.
     pub prune_interval: usize,
+    /// Last such pruning, of 10000; what is masked later stays until all timesteps have voted. Reference
+    /// 10000; default 6000, where quantisation starts.
+    pub prune_end: usize,
 }
 
 /// How sensitivity becomes bits.
@@ -271,6 +277,7 @@ impl TrainConfig {
                 mask: 0.01,
                 step: 0.02,
                 motion_scale: 0.0,
+                reset_steps: false,
                 motion_decay: 1.0,
                 first_decay: 1.0,
                 first_scale: 1.0,
@@ -301,7 +308,14 @@ impl TrainConfig {
                 prune_scale: 0.1,
                 reset_opacity: 0.01,
             },
-            mask: MaskConfig { enabled: true, threshold: 0.01, initial_logit: 1.0, reset: false, prune_interval: 1000 },
+            mask: MaskConfig {
+                enabled: true,
+                threshold: 0.01,
+                initial_logit: 1.0,
+                reset: false,
+                prune_interval: 1000,
+                prune_end: 10_000,
+            },
             quantize: QuantizeConfig {
                 enabled: true,
                 start: 6000,
@@ -327,8 +341,11 @@ impl TrainConfig {
             Preset::Default | Preset::Fast => {
                 config.rates.first_scale = 0.0;
                 config.rates.first_decay = 0.1;
-                config.rates.motion_decay = 0.1;
+                config.rates.motion_decay = 0.02;
+                config.rates.reset_steps = true;
                 config.rates.color_rest = 5e-4;
+                config.weights.mask = 0.05;
+                config.mask.prune_end = 6000;
             }
         }
         if preset == Preset::Fast {

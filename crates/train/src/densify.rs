@@ -99,7 +99,7 @@ pub fn remove_others(engine: &mut CpuEngine, keep: &[usize]) {
 pub fn reset_opacities(engine: &mut CpuEngine, opacity: f32) {
     let logit = (opacity / (1.0 - opacity)).ln();
     engine.parameters.gaussians.logit_opacities.fill(logit);
-    engine.optimizer.attributes[tcgs_core::Attribute::LogitOpacity.index()].clear();
+    engine.optimizer.attributes[tcgs_core::Attribute::LogitOpacity.index()].clear(false);
 }
 
 fn gather(engine: &mut CpuEngine, sources: &[(usize, bool)]) {

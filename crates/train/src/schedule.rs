@@ -144,7 +144,8 @@ impl Schedule {
     /// Whether masked Gaussians are removed at this iteration.
     pub fn prunes_masked(&self, iteration: usize) -> bool {
         let interval = self.scaled(self.config.mask.prune_interval).max(1);
-        self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval)
+        let ended = iteration > self.scaled(self.config.mask.prune_end);
+        self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval) && !ended
     }
 
     /// Whether quantisation starts at this iteration.
@@ -185,9 +186,11 @@ mod tests {
         let events: Vec<usize> = (0..1500).filter(|&i| s.densifies(i)).collect();
         assert_eq!(events, [100, 200, 300, 400, 500, 600, 700]);
         assert!(s.is_last_densification(700) && !s.is_last_densification(600));
-        assert!(s.resets_opacities(450) && s.starts_quantization(900) && s.prunes_masked(150));
+        assert!(
+            s.resets_opacities(450) && s.starts_quantization(900) && s.prunes_masked(150) && !s.prunes_masked(1050)
+        );
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
-        assert!(s.rates(Phase::Rest, 299).mean < 0.2 * s.rates(Phase::Rest, 0).mean);
+        assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);
     }
 }

@@ -155,6 +155,7 @@ impl Trainer {
             self.begin_timestep();
         }
         let iterations = self.schedule.iterations(phase);
+        let config = self.config.clone();
         let mut order = Vec::new();
         // One stream a timestep, so that resuming needs no saved state.
         let mut random =
@@ -167,7 +168,6 @@ impl Trainer {
                 order = (0..targets.len()).collect();
             }
             let camera = order.swap_remove(random.random_range(0..order.len()));
-            let config = self.config.clone();
             let step = Step {
                 camera,
                 rates: self.schedule.rates(phase, iteration),
@@ -259,9 +259,9 @@ impl Trainer {
         }
         let o = &mut self.engine.optimizer;
         for attribute in [Attribute::Mean, Attribute::Quat] {
-            o.attributes[attribute.index()].clear();
+            o.attributes[attribute.index()].clear(self.config.rates.reset_steps);
         }
-        o.mask.clear();
+        o.mask.clear(self.config.rates.reset_steps);
     }
 
     fn end_timestep(&mut self) {

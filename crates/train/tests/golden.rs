@@ -90,8 +90,7 @@ fn motion_priors_equal_the_reference() {
     close(&predicted_quats, &a.rows::<4>("predicted_quats_t2"), 1e-5);
 
     // Each loss alone.
-    let prior =
-        MotionPrior::new(neighbors, &is_foreground, &means0, &quats0, &means1, &quats1, &colors);
+    let prior = MotionPrior::new(neighbors, &is_foreground, &means0, &quats0, &means1, &quats1, &colors);
     for name in ["rigid", "rot", "iso", "floor", "bg"] {
         let on = |this: &str| f32::from(u8::from(name == this));
         let weights = PriorWeights {
@@ -152,7 +151,11 @@ fn learned_steps_equal_the_authors_quantizer() {
         for channel in 0..3 {
             let column: Vec<f32> = x.iter().map(|row| row[channel]).collect();
             let step = tcgs_codec::lsq_step(&column, bits);
-            assert!((step / step_init[channel] - 1.0).abs() < 1e-5, "{bits} bits: {step} against {}", step_init[channel]);
+            assert!(
+                (step / step_init[channel] - 1.0).abs() < 1e-5,
+                "{bits} bits: {step} against {}",
+                step_init[channel]
+            );
             let quantizer = Quantizer::new(step_init[channel], 0.0, bits);
             let mut sum = 0.0;
             let mut off = 0;
@@ -174,7 +177,9 @@ fn learned_steps_equal_the_authors_quantizer() {
 
 #[test]
 fn sensitivities_equal_the_reference() {
-    let (Some(scene), Some(path)) = (shared("golden/raster_small.npz"), shared("golden/sensitivity.npz")) else { return };
+    let (Some(scene), Some(path)) = (shared("golden/raster_small.npz"), shared("golden/sensitivity.npz")) else {
+        return;
+    };
     let (mut scene, mut a) = (Arrays::open(&scene), Arrays::open(&path));
     let k = scene.get::<f64>("k");
     let size = scene.get::<i64>("size_wh");
@@ -257,10 +262,25 @@ fn the_first_render_of_basketball_equals_the_reference() {
         let (output, _) = CpuRasterizer.forward(&drawn, &view.camera, &RenderSettings::default());
         let l1 = output.image.data.iter().zip(&view.image.data).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>()
             / output.image.data.len() as f64;
-        let found = [l1, tcgs_metrics::ssim(&output.image, &view.image), tcgs_metrics::psnr(&output.image, &view.image)];
-        for (found, key) in found.iter().zip(["l1", "ssim", "psnr_joint_clamped"]) {
+        // PSNR relatively: another JPEG decoder moves the targets by 0.05 of 255 on average, and it by 0.007 dB.
+        let found =
+            [l1, tcgs_metrics::ssim(&output.image, &view.image), tcgs_metrics::psnr(&output.image, &view.image)];
+        for (found, (key, relative)) in found.iter().zip([("l1", false), ("ssim", false), ("psnr_joint_clamped", true)])
+        {
             let expected = expected[key].as_f64().unwrap();
-            assert!((found - expected).abs() < 1e-3, "camera {} {key}: {found} against {expected}", view.camera_id);
+            let scale = if relative { expected } else { 1.0 };
+            assert!(
+                (found - expected).abs() < 1e-3 * scale,
+                "camera {} {key}: {found} against {expected}",
+                view.camera_id
+            );
+        }
+        // The rendered colours themselves do not depend on a decoder.
+        for channel in 0..3 {
+            let mean = output.image.plane(channel).iter().map(|&x| f64::from(x)).sum::<f64>()
+                / output.image.num_pixels() as f64;
+            let expected = expected["mean_rgb"][channel].as_f64().unwrap();
+            assert!((mean - expected).abs() < 2e-5, "camera {} channel {channel}: {mean}", view.camera_id);
         }
     }
 }

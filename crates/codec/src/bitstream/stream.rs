@@ -139,10 +139,9 @@ mod tests {
     fn a_stream_that_expands_without_end_is_cut_off() {
         let bomb = zstd::bulk::compress(&vec![0; 1 << 28], 1).unwrap();
         let stream = [&[Method::Zstd as u8][..], &(bomb.len() as u32).to_le_bytes(), &bomb].concat();
-        let start = std::time::Instant::now();
+        assert_eq!(unzstd(&bomb, 10).unwrap().len(), 11);
         let error = read_back(&stream, 10, 1, 1 << 20).unwrap_err().to_string();
         assert!(error.ends_with("another number of symbols than the counts say"), "{error}");
-        assert!(start.elapsed().as_millis() < 100, "it was unpacked to the end");
         let error = read_back(&stream, 1 << 28, 1, 1 << 20).unwrap_err().to_string();
         assert_eq!(error, "codes needs 268435456 bytes, limit is 1048576");
     }

@@ -26,9 +26,12 @@ impl Moments {
         Self { first: vec![0.0; len], second: vec![0.0; len], step: 0 }
     }
 
-    /// Forgets the moments but not the count, as the reference does at every timestep; its first
-    /// step is then about 3.2 times the learning rate.
-    pub fn clear(&mut self) {
+    /// Forgets the moments, and the count only if asked to. The reference keeps the count at every
+    /// timestep: the bias is then no longer corrected, and the first step is about 3.2 times the rate.
+    pub fn clear(&mut self, count_too: bool) {
+        if count_too {
+            self.step = 0;
+        }
         self.first.fill(0.0);
         self.second.fill(0.0);
     }
@@ -90,7 +93,7 @@ mod tests {
         moments.update(&mut x, &[1e-6, -3.0], 0.1);
         assert!((x[0] - 0.9).abs() < 1e-6 && (x[1] - 1.1).abs() < 1e-6);
         moments.step = 10_000;
-        moments.clear();
+        moments.clear(false);
         let before = x[0];
         moments.update(&mut x, &[1.0, 0.0], 0.1);
         assert!(((before - x[0]) / 0.1 - (1.0 - BETA1) / (1.0 - BETA2).sqrt()).abs() < 1e-3);
