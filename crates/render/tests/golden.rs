@@ -8,9 +8,8 @@ use tcgs_render::{CpuRasterizer, Rasterizer, RenderGrads, RenderSettings};
 
 fn share_within(found: &[f32], expected: &[f32], tolerance: f32, channels: usize) -> f64 {
     let n = found.len() / channels;
-    let good = (0..n)
-        .filter(|&p| (0..channels).all(|c| (found[c * n + p] - expected[c * n + p]).abs() <= tolerance))
-        .count();
+    let good =
+        (0..n).filter(|&p| (0..channels).all(|c| (found[c * n + p] - expected[c * n + p]).abs() <= tolerance)).count();
     good as f64 / n as f64
 }
 

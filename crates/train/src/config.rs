@@ -130,7 +130,8 @@ pub struct WeightConfig {
     pub soft_color: f32,
     /// `L_mask`, a mean. Paper 0.01; default 0.05: half the Gaussians for 0.1 dB.
     pub mask: f32,
-    /// `L_mc`, a mean. Default 0.01 (paper).
+    /// `L_mc`, a mean. Paper 0.01; default 0.5, against the stronger pull of `mask`: what is masked at
+    /// one timestep but not at its mean over time would appear when pruned scenes are drawn unmasked.
     pub mask_consistency: f32,
 }
 
@@ -345,6 +346,7 @@ impl TrainConfig {
                 config.rates.reset_steps = true;
                 config.rates.color_rest = 5e-4;
                 config.weights.mask = 0.05;
+                config.weights.mask_consistency = 0.5;
                 config.mask.prune_end = 6000;
             }
         }

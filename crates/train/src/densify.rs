@@ -95,7 +95,7 @@ pub fn remove_others(engine: &mut CpuEngine, keep: &[usize]) {
     gather(engine, &keep.iter().map(|&i| (i, false)).collect::<Vec<_>>());
 }
 
-/// Lowers every opacity to at most `opacity` and forgets their moments.
+/// Sets every opacity to `opacity` and forgets their moments.
 pub fn reset_opacities(engine: &mut CpuEngine, opacity: f32) {
     let logit = (opacity / (1.0 - opacity)).ln();
     engine.parameters.gaussians.logit_opacities.fill(logit);

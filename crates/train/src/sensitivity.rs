@@ -1,4 +1,4 @@
-//! How much each parameter moves the pictures: `S(θ)`, paper Eq. 6.
+//! How much each parameter moves the pictures: `S(θ)`, paper Eq. 7.
 
 use rayon::prelude::*;
 use tcgs_core::{Attribute, Camera, Gaussians, Image, activate, activate_bwd};
@@ -10,7 +10,7 @@ use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 /// - `gaussians`: stored form; the sensitivities are with respect to it
 /// - returns: in the shape of [`Gaussians`], all values >= 0
 ///
-/// Paper, Eq. 6; the absolute value is taken per view as in Niedermayr et al. 2024.
+/// Paper, Eq. 7; the absolute value is taken per view as in Niedermayr et al. 2024.
 pub fn sensitivity(gaussians: &Gaussians, cameras: &[Camera]) -> Gaussians {
     let activated = activate(gaussians);
     let settings = RenderSettings::default();

@@ -334,7 +334,7 @@ pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
     mask_logits.iter().map(|&m| crate::engine::cpu::mask(m, threshold) == 0.0).collect()
 }
 
-/// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. before 4.1.2.
+/// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. 6.
 ///
 /// - `mask_logits`: `[T][N]`
 pub fn mean_masks(mask_logits: &[Vec<f32>]) -> Vec<f32> {
