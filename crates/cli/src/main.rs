@@ -1,2 +1,95 @@
-//! tcgs
-fn main() {}
+//! The `tcgs` command: one file or folder a command, each of which parses, calls and prints.
+//!
+//! What lives here: arguments, progress, messages, files that appear whole. What does not: the method.
+//! An error is printed once, below, as one line.
+
+mod camera_path;
+mod compress;
+mod demo;
+mod error;
+mod eval;
+mod export;
+mod info;
+mod options;
+mod output;
+mod progress;
+mod render;
+mod report;
+mod scene;
+mod train;
+
+use std::process::ExitCode;
+
+use clap::error::ErrorKind;
+use clap::{Parser, Subcommand};
+
+/// Temporally compressed 3D Gaussian splatting: from synchronized videos to dynamic scenes that are small
+/// enough to stream.
+#[derive(Parser)]
+#[command(name = "tcgs", version, about, after_help = EXAMPLE, max_term_width = 120)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXAMPLE: &str = "\
+Example:
+  tcgs train my_capture --out my_run --preset fast
+  tcgs compress my_run
+  tcgs eval my_run/scene.tcgs --capture my_capture
+
+Exit codes: 0 all that was asked for was done, 2 wrong usage or input, 1 anything else.";
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(demo::Arguments),
+    Train(train::Arguments),
+    Compress(compress::Arguments),
+    Info(info::Arguments),
+    Render(render::Arguments),
+    Eval(eval::Arguments),
+    Export(export::Arguments),
+}
+
+fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return explain(&error),
+    };
+    let done = match arguments.command {
+        Command::Demo(arguments) => demo::run(&arguments),
+        Command::Train(arguments) => train::run(&arguments),
+        Command::Compress(arguments) => compress::run(&arguments),
+        Command::Info(arguments) => info::run(&arguments),
+        Command::Render(arguments) => render::run(&arguments),
+        Command::Eval(arguments) => eval::run(&arguments),
+        Command::Export(arguments) => export::run(&arguments),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            output::note(&format!("tcgs: {}", one_line(&format!("{error:#}"))));
+            ExitCode::from(error::exit_code(&error))
+        }
+    }
+}
+
+/// Help and version as they are; a complaint about the command line as one line.
+fn explain(error: &clap::Error) -> ExitCode {
+    match error.kind() {
+        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
+            // Nobody is left to tell that nobody reads.
+            let _ = error.print();
+        }
+        _ => {
+            let text = error.render().to_string();
+            let paragraphs: Vec<String> = text.split("\n\n").map(one_line).filter(|p| !p.is_empty()).collect();
+            output::note(&format!("tcgs: {}", paragraphs.join("; ").trim_start_matches("error: ")));
+        }
+    }
+    ExitCode::from(error.exit_code() as u8)
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}

@@ -78,7 +78,7 @@ pub fn compress(
 ///
 /// Quaternions are normalised and made sign-continuous over time; keypoints are selected on every
 /// scalar track by itself (paper 4.1.3); positions get quantizers that cover all of them, every other
-/// channel and width the learned quantizer or a fitted one, whichever errs less on the values stored.
+/// channel and width the learned quantizer, or a fitted one where that errs far less on the values stored.
 ///
 /// - `bit_map`: for the Gaussians of `scene`, in its order
 /// - `learned`: quantizers from training; those for positions are not used
@@ -254,6 +254,10 @@ fn tolerances(
     tolerances
 }
 
+/// A learned quantizer is what the optimisation rounded to, and errs where that does not show, so it may
+/// err more than the fitted one; by more than this, values have left its range since it was learned.
+const LEARNED_ERROR_RATIO: f64 = 2.0;
+
 /// Quantizers for every width in use.
 fn quantizers_for(
     attribute: Attribute,
@@ -281,7 +285,12 @@ fn quantizers_for(
                 let fitted = Quantizer::fit(values, width);
                 let learned = learned.and_then(|l| l.get(attribute, width, channel)).filter(|q| q.bits == width);
                 match learned {
-                    Some(q) if q.problem().is_none() && q.squared_error(values) <= fitted.squared_error(values) => *q,
+                    Some(q)
+                        if q.problem().is_none()
+                            && q.squared_error(values) <= LEARNED_ERROR_RATIO * fitted.squared_error(values) =>
+                    {
+                        *q
+                    }
                     _ => fitted,
                 }
             });

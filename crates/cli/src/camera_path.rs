@@ -1,0 +1,85 @@
+//! Cameras around a scene that brings none: a turn around it, or a spiral.
+
+use std::f64::consts::TAU;
+
+use clap::ValueEnum;
+use tcgs_core::{Camera, Gaussians};
+
+use crate::options::Size;
+
+/// Shape of a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CameraPath {
+    /// One turn at one height
+    Orbit,
+    /// Two turns, rising and coming closer
+    Spiral,
+}
+
+/// Horizontal field of view.
+const FIELD_OF_VIEW: f64 = 1.1;
+/// Distance of the cameras from the scene's middle, in its radius: a captured scene is mostly its
+/// surroundings, and the cameras stood within them.
+const DISTANCE: f64 = 0.9;
+/// Height of the cameras above the middle, in their distance.
+const HEIGHT: f64 = 0.25;
+
+impl CameraPath {
+    /// Cameras evenly along the path.
+    ///
+    /// Their middle is the median of the centres, the radius their median distance from it: a few
+    /// Gaussians far away do not matter. Up is `−y`, as in the captures' worlds.
+    pub fn cameras(self, gaussians: &Gaussians, count: usize, size: Size) -> Vec<Camera> {
+        let center: [f64; 3] =
+            std::array::from_fn(|axis| median(gaussians.means.iter().map(|m| f64::from(m[axis])).collect()));
+        let distance = |m: &[f32; 3]| (0..3).map(|i| (f64::from(m[i]) - center[i]).powi(2)).sum::<f64>().sqrt();
+        // A scene of one point still has to be looked at from somewhere.
+        let radius = DISTANCE * median(gaussians.means.iter().map(distance).collect()).max(1e-3);
+        let focal_px = 0.5 * size.width as f64 / (FIELD_OF_VIEW / 2.0).tan();
+        (0..count)
+            .map(|i| {
+                let share = i as f64 / count as f64;
+                let (angle, reach, height) = match self {
+                    Self::Orbit => (TAU * share, 1.0, HEIGHT),
+                    Self::Spiral => (2.0 * TAU * share, 1.2 - 0.5 * share, 0.6 * share),
+                };
+                let offset = [reach * angle.sin(), -height, -reach * angle.cos()];
+                let position = std::array::from_fn(|axis| center[axis] + radius * offset[axis]);
+                Camera::look_at(position, center, [0.0, -1.0, 0.0], focal_px, size.width, size.height)
+            })
+            .collect()
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_look_at_the_middle_from_around_it() {
+        let mut gaussians = Gaussians::zeros(1001);
+        for (i, mean) in gaussians.means.iter_mut().enumerate() {
+            let angle = i as f32;
+            *mean = [5.0 + 2.0 * angle.sin(), 1.0, 2.0 * angle.cos()];
+        }
+        gaussians.means[0] = [1e6; 3];
+        for path in [CameraPath::Orbit, CameraPath::Spiral] {
+            let cameras = path.cameras(&gaussians, 8, Size { width: 64, height: 36 });
+            for camera in &cameras {
+                let (center, forward) = (camera.center(), camera.forward());
+                let to_middle = tcgs_core::normalize([5.0 - center[0], 1.0 - center[1], -center[2]]);
+                assert!(tcgs_core::dot(forward, to_middle) > 0.99, "{camera:?}");
+                assert!(center[1] <= 1.0 + 1e-2, "above, where y is less");
+            }
+            assert_ne!(cameras[0], cameras[4]);
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! Bits of a scene that learned none, from how much its images depend on each parameter.
+
+use std::path::PathBuf;
+
+use tcgs_capture::{Capture, Split};
+use tcgs_codec::{BitMap, BitSettings, assign_bits};
+use tcgs_core::{Camera, Gaussians};
+
+use super::scene::Settings;
+use crate::camera_path::CameraPath;
+use crate::options::Size;
+use crate::scene::{Model, Scene};
+
+/// Cameras around a scene without a capture, and the size of their images.
+const NUM_CAMERAS: usize = 16;
+const IMAGE_SIZE: Size = Size { width: 640, height: 360 };
+
+/// Bits from sensitivities at the first timestep, and how they were measured.
+pub fn measured_bits(scene: &Scene, gaussians: &Gaussians, settings: &Settings) -> anyhow::Result<(BitMap, String)> {
+    let (cameras, of) = cameras(scene, gaussians, settings)?;
+    let sensitivity = tcgs_train::sensitivity(gaussians, &cameras);
+    let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(scene, settings));
+    Ok((bit_map, format!("bits: by sensitivity, measured with {} {of}", cameras.len())))
+}
+
+fn bit_settings(scene: &Scene, settings: &Settings) -> BitSettings {
+    let mut bits = match &scene.model {
+        Model::Run(run) => tcgs_train::bit_settings(run.0.config()),
+        _ => BitSettings::default(),
+    };
+    bits.mapping = settings.mapping;
+    if let Some((min, max)) = settings.bits {
+        (bits.min_bits, bits.max_bits) = (min, max);
+        // A mean outside of the range would give every parameter the same bits.
+        if !(f32::from(min)..=f32::from(max)).contains(&bits.mean_bits) {
+            bits.mean_bits = (f32::from(min) + f32::from(max)) / 2.0;
+        }
+    }
+    bits
+}
+
+fn cameras(scene: &Scene, gaussians: &Gaussians, settings: &Settings) -> anyhow::Result<(Vec<Camera>, String)> {
+    let of_run = match &scene.model {
+        Model::Run(run) => Some(PathBuf::from(&run.0.config().data.capture)),
+        _ => None,
+    };
+    let Some(path) = settings.capture.clone().or(of_run) else {
+        let cameras = CameraPath::Orbit.cameras(gaussians, NUM_CAMERAS, IMAGE_SIZE);
+        return Ok((cameras, "cameras around the scene (--capture would give the real ones)".into()));
+    };
+    let capture = Capture::open(&path)?;
+    let cameras = capture.cameras(Split::Train, scene.first_frame, scene.downscale)?;
+    let cameras = cameras.into_iter().map(|(_, camera)| camera).collect();
+    Ok((cameras, format!("training cameras of {}", path.display())))
+}

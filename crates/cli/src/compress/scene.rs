@@ -1,0 +1,166 @@
+//! The steps from a trained scene to the bytes of a file, and what each leaves.
+
+use std::path::PathBuf;
+
+use tcgs_codec::{
+    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, Quantizers, SceneInfo, compress, encode, inspect,
+};
+use tcgs_core::{Attribute, DynamicGaussians};
+
+use super::bits::measured_bits;
+use crate::error::wrong_input;
+use crate::scene::{Model, Scene};
+
+/// How a scene is compressed.
+pub struct Settings {
+    /// Keypoints and quantizers.
+    pub keypoints: CompressSettings,
+    /// From sensitivity to bits, where bits are not learned.
+    pub mapping: BitMapping,
+    /// Fewest and most bits; none: those learned, else the default.
+    pub bits: Option<(u8, u8)>,
+    /// Of a position's coordinate; none: as learned, else the default.
+    pub position_bits: Option<u8>,
+    /// Mean mask from which on a Gaussian stays; none: the run's threshold.
+    pub prune: Option<f32>,
+    /// Capture for measuring sensitivities; none: the run's, or cameras around the scene.
+    pub capture: Option<PathBuf>,
+    /// Whether the paper's form without entropy coding is a stage of its own.
+    pub plain: bool,
+}
+
+/// A step and what it leaves.
+pub struct Stage {
+    /// What was done.
+    pub name: &'static str,
+    /// What the model then takes.
+    pub bytes: u64,
+}
+
+/// A compressed scene.
+pub struct Compressed {
+    /// Bytes of the `.tcgs` file.
+    pub file: Vec<u8>,
+    /// The same as symbols.
+    pub compact: CompactScene,
+    /// Before pruning.
+    pub num_gaussians_before: usize,
+    /// From the raw floats, in order; the last is the file.
+    pub stages: Vec<Stage>,
+    /// By [`Attribute::index`]: bytes in the file.
+    pub bytes_by_attribute: [u64; 5],
+    /// Where the bits come from, in words.
+    pub bits_from: String,
+}
+
+/// Compresses a run or a `params.npz`.
+pub fn compress_scene(scene: &Scene, settings: &Settings) -> anyhow::Result<Compressed> {
+    let (floats, learned) = match &scene.model {
+        Model::Run(run) => (&run.1.scene, run.1.quantization.as_ref()),
+        Model::Params(floats) => (&**floats, None),
+        Model::Compact(_) => {
+            return Err(wrong_input(format!("{}: is compressed already, expected floats", scene.path.display())));
+        }
+    };
+    check_finite(scene, floats)?;
+    let keep = kept_gaussians(scene, settings.prune)?;
+    let pruned = floats.select(&keep);
+    let (bit_map, bits_from) = bits(scene, &pruned, &keep, settings, learned)?;
+    let compact = compress(&pruned, &bit_map, learned.map(|l| &l.1), info(scene, &pruned), &settings.keypoints);
+    let file = encode(&compact);
+
+    let mut stages = vec![
+        Stage { name: "raw", bytes: floats.raw_bytes() },
+        Stage { name: "pruned", bytes: pruned.raw_bytes() },
+        Stage { name: "quantised", bytes: compact.quantized_bytes() },
+    ];
+    if settings.keypoints.keypoints {
+        stages.push(Stage { name: "keypoints", bytes: compact.plain_bytes() });
+    }
+    if settings.plain {
+        stages.push(Stage { name: "plain", bytes: compact.plain_bytes() });
+    }
+    stages.push(Stage { name: "file", bytes: file.len() as u64 });
+    let limits = DecodeLimits { max_gaussians: u32::MAX, max_timesteps: u32::MAX, max_bytes: u64::MAX };
+    let bytes_by_attribute = inspect(&file, &limits)?.bytes_by_attribute();
+    Ok(Compressed {
+        bytes_by_attribute,
+        file,
+        compact,
+        num_gaussians_before: floats.num_gaussians(),
+        stages,
+        bits_from,
+    })
+}
+
+/// Indices of the Gaussians that stay: all without masks, else those whose mean mask is above the threshold.
+pub fn kept_gaussians(scene: &Scene, threshold: Option<f32>) -> anyhow::Result<Vec<usize>> {
+    let all = || (0..scene.num_gaussians()).collect();
+    let Model::Run(run) = &scene.model else { return Ok(all()) };
+    let mask = &run.0.config().mask;
+    if !mask.enabled {
+        return Ok(all());
+    }
+    let threshold = threshold.unwrap_or(mask.threshold);
+    let means = tcgs_train::mean_masks(&run.1.mask_logits);
+    let keep: Vec<usize> = (0..means.len()).filter(|&i| means[i] > threshold).collect();
+    if keep.is_empty() {
+        let largest = means.iter().fold(0.0_f32, |a, &b| a.max(b));
+        let problem = format!("its largest mean mask is {largest}, expected one above the threshold {threshold}");
+        return Err(wrong_input(format!("{}: {problem}", scene.path.display())));
+    }
+    Ok(keep)
+}
+
+/// Bits of the Gaussians that stay, and where they come from.
+fn bits(
+    scene: &Scene,
+    pruned: &DynamicGaussians,
+    keep: &[usize],
+    settings: &Settings,
+    learned: Option<&(BitMap, Quantizers)>,
+) -> anyhow::Result<(BitMap, String)> {
+    let (mut bit_map, from) = match (settings.bits, learned) {
+        (None, Some((bit_map, _))) => (bit_map.select(keep), "bits: learned by the run".into()),
+        (Some((min, max)), _) if min == max => {
+            let position_bits = settings.position_bits.unwrap_or(tcgs_codec::BitSettings::default().position_bits);
+            (BitMap::uniform(pruned.num_gaussians(), position_bits, min), format!("bits: {min} for every parameter"))
+        }
+        _ => measured_bits(scene, &pruned.at(0), settings)?,
+    };
+    if let Some(position_bits) = settings.position_bits {
+        bit_map.widths[Attribute::Mean.index()].fill(position_bits);
+    }
+    Ok((bit_map, from))
+}
+
+fn info(scene: &Scene, pruned: &DynamicGaussians) -> SceneInfo {
+    let source = match &scene.model {
+        Model::Run(run) => PathBuf::from(&run.0.config().data.capture),
+        _ => scene.path.with_extension(""),
+    };
+    SceneInfo {
+        first_frame: scene.first_frame as u32,
+        downscale: scene.downscale as u32,
+        frame_rate: scene.frame_rate as f32,
+        name: source.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+        ..SceneInfo::of(pruned)
+    }
+}
+
+/// Training may leave a value that nobody saw.
+fn check_finite(scene: &Scene, floats: &DynamicGaussians) -> anyhow::Result<()> {
+    for attribute in Attribute::ALL {
+        for timestep in 0..if attribute.varies() { floats.num_timesteps() } else { 1 } {
+            let values = floats.values(attribute, timestep);
+            if let Some(i) = values.iter().position(|x| !x.is_finite()) {
+                let (path, name, value) = (scene.path.display(), attribute.name(), values[i]);
+                let gaussian = i / attribute.components();
+                return Err(wrong_input(format!(
+                    "{path}: {name} of Gaussian {gaussian} at timestep {timestep} is {value}, expected a finite number"
+                )));
+            }
+        }
+    }
+    Ok(())
+}

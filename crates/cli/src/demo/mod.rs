@@ -1,0 +1,258 @@
+//! `tcgs demo`: the whole pipeline on a capture that it synthesises itself.
+
+mod page;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context;
+use serde_json::json;
+use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
+use tcgs_codec::{BitMapping, CompressSettings};
+use tcgs_train::{Run, TrainConfig};
+
+use crate::compress::{self, Compressed, compress_scene, kept_gaussians};
+use crate::error::wrong_input;
+use crate::eval::{self, Evaluation, evaluate};
+use crate::options::JobOptions;
+use crate::output::{NewFolder, say, show_bytes};
+use crate::scene::{Model, Scene};
+use crate::train;
+
+/// Iterations of the first and of every later timestep: what two cores do in half a minute.
+const ITERATIONS: [usize; 2] = [1200, 110];
+/// Marks a folder as made by this command.
+const MARKER: &str = ".tcgs-demo";
+
+/// Run everything on a small synthetic capture: no data, no GPU, under a minute on two cores
+///
+/// Ray-traces moving objects in a room, trains on the images, compresses, and measures on held-out cameras.
+/// The folder then holds capture/, run/, scene.tcgs, frames/ (ground truth beside render) and report.html.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Example:
+  tcgs demo
+  tcgs info tcgs-demo/scene.tcgs
+  tcgs render tcgs-demo/scene.tcgs --path orbit --out orbit")]
+pub struct Arguments {
+    /// Folder to write; one that demo made is replaced, any other is not
+    #[arg(long, value_name = "DIR", default_value = "tcgs-demo")]
+    out: PathBuf,
+    #[command(flatten)]
+    job: JobOptions,
+}
+
+/// A step of the compression, with its quality on the held-out cameras.
+struct Measured {
+    name: &'static str,
+    bytes: u64,
+    quality: Quality,
+}
+
+#[derive(Clone, Copy)]
+struct Quality {
+    psnr: f64,
+    ssim: f64,
+    psnr_foreground: f64,
+}
+
+impl Quality {
+    fn of(evaluation: &Evaluation) -> Self {
+        let mean = |value: Option<f64>| value.unwrap_or(f64::NAN);
+        Self {
+            psnr: mean(evaluation.mean(|i| Some(i.psnr))),
+            ssim: mean(evaluation.mean(|i| Some(i.ssim))),
+            psnr_foreground: mean(evaluation.mean(|i| i.psnr_foreground)),
+        }
+    }
+}
+
+/// Everything that the table, the page and the JSON tell.
+struct Outcome {
+    stages: Vec<Measured>,
+    compressed: Compressed,
+    uncompressed: Evaluation,
+    final_: Evaluation,
+    frozen: Evaluation,
+    seconds: Vec<(&'static str, f64)>,
+}
+
+impl Outcome {
+    fn uncompressed_quality(&self) -> Quality {
+        Quality::of(&self.uncompressed)
+    }
+
+    fn quality(&self) -> Quality {
+        Quality::of(&self.final_)
+    }
+
+    fn ratio(&self) -> f64 {
+        self.stages[0].bytes as f64 / self.compressed.file.len() as f64
+    }
+
+    fn seconds_total(&self) -> f64 {
+        self.seconds.iter().map(|s| s.1).sum()
+    }
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    arguments.job.begin()?;
+    check_place(&arguments.out)?;
+    let folder = NewFolder::begin(&arguments.out, true, |_| true)?;
+    let begun = folder.path().join(MARKER);
+    fs::write(&begun, "made by tcgs demo\n").with_context(|| format!("writing {}", begun.display()))?;
+    let outcome = pipeline(arguments, folder.path())?;
+    folder.finish()?;
+    print_table(arguments, &outcome)?;
+    write_json(arguments, &outcome)
+}
+
+/// A folder that someone else made is not replaced.
+fn check_place(out: &Path) -> anyhow::Result<()> {
+    let is_empty = out.is_dir() && fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_none());
+    if !out.exists() || is_empty || out.join(MARKER).is_file() {
+        return Ok(());
+    }
+    let problem = "exists and was not made by demo, expected a new name or a folder of an earlier demo";
+    Err(wrong_input(format!("{}: {problem}", out.display())))
+}
+
+fn pipeline(arguments: &Arguments, folder: &Path) -> anyhow::Result<Outcome> {
+    let mut seconds = Vec::new();
+    let mut clock = Instant::now();
+    let mut lap = |name: &'static str| {
+        seconds.push((name, clock.elapsed().as_secs_f64()));
+        clock = Instant::now();
+    };
+
+    say("1/4  ray-tracing a capture: moving objects in a room")?;
+    let settings = SyntheticSettings { seed: arguments.job.seed.unwrap_or(0), ..SyntheticSettings::default() };
+    write_synthetic(&folder.join("capture"), &settings)?;
+    let capture = Capture::open(&folder.join("capture"))?;
+    lap("synthesise");
+
+    say("2/4  training, one timestep after another")?;
+    let run = Run::create(&folder.join("run"), &config(arguments, &capture)?)?;
+    train::fit(&capture, &run, train::new_trainer(run.config(), &capture)?)?;
+    lap("train");
+
+    say("3/4  compressing")?;
+    let scene = Scene::load(run.folder())?;
+    let compressed = compress_scene(&scene, &compress_settings(true))?;
+    let quantized = compress_scene(&scene, &compress_settings(false))?;
+    let file = folder.join("scene.tcgs");
+    fs::write(&file, &compressed.file).with_context(|| format!("writing {}", file.display()))?;
+    let decoded = Scene::decode(&file, &compressed.file)?;
+    lap("compress");
+
+    say("4/4  measuring on the held-out cameras")?;
+    let score = |scene: &Scene, frozen: bool| {
+        let settings = eval::Settings { split: Split::Test, frames: scene.frames(), downscale: 1, frozen };
+        evaluate(scene, &capture, &settings)
+    };
+    let uncompressed = score(&scene, false)?;
+    let final_ = score(&decoded, false)?;
+    let frozen = score(&scene, true)?;
+    let stages = measure_stages(&scene, &compressed, quantized, &uncompressed, &final_, |s| score(s, false))?;
+    lap("evaluate");
+
+    let frames = page::write_frames(&decoded, &capture, &folder.join("frames"))?;
+    let mut outcome = Outcome { stages, compressed, uncompressed, final_, frozen, seconds: Vec::new() };
+    lap("pictures");
+    outcome.seconds = seconds;
+    let html = page::html(&outcome, &run, frames)?;
+    let path = folder.join("report.html");
+    fs::write(&path, html).with_context(|| format!("writing {}", path.display()))?;
+    Ok(outcome)
+}
+
+fn config(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfig> {
+    let mut config = TrainConfig::default();
+    config.seed = arguments.job.seed.unwrap_or(0);
+    [config.schedule.first_iterations, config.schedule.rest_iterations] = ITERATIONS;
+    config.data.end_frame = capture.num_frames();
+    config.data.frame_rate = capture.frame_rate();
+    // Where the capture will be once the folder has its name.
+    let out = std::path::absolute(&arguments.out).with_context(|| format!("{}", arguments.out.display()))?;
+    config.data.capture = out.join("capture").display().to_string();
+    Ok(config)
+}
+
+fn compress_settings(keypoints: bool) -> compress::Settings {
+    compress::Settings {
+        keypoints: CompressSettings { keypoints, ..CompressSettings::default() },
+        mapping: BitMapping::Log,
+        bits: None,
+        position_bits: None,
+        prune: None,
+        capture: None,
+        plain: false,
+    }
+}
+
+/// Quality after every stage. Keypoints and file differ in bytes alone: the last step loses nothing.
+fn measure_stages(
+    scene: &Scene,
+    compressed: &Compressed,
+    quantized: Compressed,
+    uncompressed: &Evaluation,
+    final_: &Evaluation,
+    score: impl Fn(&Scene) -> anyhow::Result<Evaluation>,
+) -> anyhow::Result<Vec<Measured>> {
+    let Model::Run(run) = &scene.model else { unreachable!("the demo's scene is a run") };
+    let pruned = run.1.scene.select(&kept_gaussians(scene, None)?);
+    let with = |model| Scene { path: scene.path.clone(), model, ..*scene };
+    let pruned = score(&with(Model::Params(Box::new(pruned))))?;
+    let quantized = score(&with(Model::Compact(Box::new(quantized.compact))))?;
+    let stages = &compressed.stages;
+    let of_stage = [uncompressed, &pruned, &quantized, final_, final_];
+    Ok(stages
+        .iter()
+        .zip(of_stage)
+        .map(|(stage, evaluation)| Measured { name: stage.name, bytes: stage.bytes, quality: Quality::of(evaluation) })
+        .collect())
+}
+
+fn print_table(arguments: &Arguments, outcome: &Outcome) -> anyhow::Result<()> {
+    say("")?;
+    say("stage            size   ratio     PSNR    SSIM   (held-out cameras)")?;
+    let raw = outcome.stages[0].bytes as f64;
+    for Measured { name, bytes, quality } in &outcome.stages {
+        let (size, ratio) = (show_bytes(*bytes), raw / *bytes as f64);
+        say(&format!("{name:<10} {size:>10}  {ratio:>6.1}  {:>7.2}  {:>6.4}", quality.psnr, quality.ssim))?;
+    }
+    let (moving, frozen) = (outcome.quality().psnr_foreground, Quality::of(&outcome.frozen).psnr_foreground);
+    say(&format!("foreground {moving:.2} dB; with the first timestep frozen {frozen:.2} dB"))?;
+    let seconds: Vec<String> = outcome.seconds.iter().map(|(name, s)| format!("{name} {s:.1} s")).collect();
+    say(&format!("{}; {:.1} s in all", seconds.join(", "), outcome.seconds_total()))?;
+    say(&format!("open {}", arguments.out.join("report.html").display()))
+}
+
+fn write_json(arguments: &Arguments, outcome: &Outcome) -> anyhow::Result<()> {
+    let at = |name: &str| arguments.out.join(name).display().to_string();
+    let quality = outcome.quality();
+    let stages: Vec<_> = outcome
+        .stages
+        .iter()
+        .map(|s| json!({ "name": s.name, "bytes": s.bytes, "psnr": s.quality.psnr, "ssim": s.quality.ssim }))
+        .collect();
+    let seconds: serde_json::Map<_, _> =
+        outcome.seconds.iter().map(|(name, s)| ((*name).to_owned(), json!(s))).collect();
+    arguments.job.write_json(&json!({
+        "capture": at("capture"),
+        "run": at("run"),
+        "scene": at("scene.tcgs"),
+        "report": at("report.html"),
+        "psnr_uncompressed": outcome.uncompressed_quality().psnr,
+        "psnr": quality.psnr,
+        "psnr_foreground": quality.psnr_foreground,
+        "psnr_frozen_foreground": Quality::of(&outcome.frozen).psnr_foreground,
+        "ssim": quality.ssim,
+        "stages": stages,
+        "ratio": outcome.ratio(),
+        "seconds": seconds,
+        "seconds_total": outcome.seconds_total(),
+    }))
+}

@@ -1,0 +1,198 @@
+//! The demo's pictures and its report.
+
+use std::fs;
+use std::io::Cursor;
+use std::path::Path;
+
+use anyhow::Context;
+use image::{ImageFormat, RgbImage};
+use rayon::prelude::*;
+use tcgs_capture::{Capture, Split};
+use tcgs_core::{Attribute, Image};
+use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+use tcgs_train::Run;
+
+use super::Outcome;
+use crate::eval::Evaluation;
+use crate::output::show_bytes;
+use crate::report::{self, Picture, Report, Series, Stage};
+use crate::scene::Scene;
+
+/// Timesteps that the report shows, spread over the clip.
+const SHOWN: usize = 4;
+/// Pixels of the report's pictures are enlarged by this, to show what is sharp and what is not.
+const ENLARGED: usize = 3;
+/// Bins of the masks' histogram.
+const MASK_BINS: usize = 20;
+
+/// Writes ground truth beside render of every held-out image; returns the report's pictures.
+pub fn write_frames(scene: &Scene, capture: &Capture, folder: &Path) -> anyhow::Result<Vec<Picture>> {
+    let frames = scene.frames();
+    let last = frames.len().saturating_sub(1);
+    let shown: Vec<usize> = (0..SHOWN).map(|i| frames.start + i * last / (SHOWN - 1)).collect();
+    let mut pictures = Vec::new();
+    for frame in frames {
+        let drawn = scene.drawn(frame - scene.first_frame);
+        let views = capture.views(Split::Test, frame, 1)?;
+        let pairs: Vec<(usize, RgbImage)> = views
+            .par_iter()
+            .map(|view| {
+                let (output, _) = CpuRasterizer.forward(&drawn, &view.camera, &RenderSettings::default());
+                (view.camera_id, side_by_side(&view.image, &output.image))
+            })
+            .collect();
+        for (i, (camera, pair)) in pairs.into_iter().enumerate() {
+            let of_camera = folder.join(camera.to_string());
+            let path = of_camera.join(format!("{frame:06}.png"));
+            fs::create_dir_all(&of_camera)
+                .map_err(anyhow::Error::new)
+                .and_then(|()| Ok(fs::write(&path, png(&pair)?)?))
+                .with_context(|| format!("writing {}", path.display()))?;
+            if i == 0 && shown.contains(&frame) {
+                let caption = format!("Camera {camera}, frame {frame}: ground truth, and scene.tcgs rendered");
+                pictures.push(Picture { caption, png: png(&enlarged(&pair))? });
+            }
+        }
+    }
+    Ok(pictures)
+}
+
+/// Left and right with a white line between.
+fn side_by_side(left: &Image, right: &Image) -> RgbImage {
+    let (width, height) = (left.width, left.height);
+    let (left, right) = (left.to_rgb8(), right.to_rgb8());
+    RgbImage::from_fn(2 * width as u32 + 2, height as u32, |x, y| {
+        let (x, y) = (x as usize, y as usize);
+        let (source, x) = match x {
+            x if x < width => (&left, x),
+            x if x < width + 2 => return image::Rgb([255; 3]),
+            x => (&right, x - width - 2),
+        };
+        let at = 3 * (y * width + x);
+        image::Rgb([source[at], source[at + 1], source[at + 2]])
+    })
+}
+
+fn enlarged(image: &RgbImage) -> RgbImage {
+    let factor = ENLARGED as u32;
+    RgbImage::from_fn(image.width() * factor, image.height() * factor, |x, y| *image.get_pixel(x / factor, y / factor))
+}
+
+fn png(image: &RgbImage) -> anyhow::Result<Vec<u8>> {
+    let mut bytes = Cursor::new(Vec::new());
+    image.write_to(&mut bytes, ImageFormat::Png)?;
+    Ok(bytes.into_inner())
+}
+
+/// The report.
+pub fn html(outcome: &Outcome, run: &Run, pictures: Vec<Picture>) -> anyhow::Result<String> {
+    let quality = outcome.quality();
+    let raw = outcome.stages[0].bytes;
+    let frozen = super::Quality::of(&outcome.frozen);
+    let summary = [
+        ("PSNR, held-out cameras", format!("{:.2} dB", quality.psnr)),
+        ("lost by compression", format!("{:.2} dB", outcome.uncompressed_quality().psnr - quality.psnr)),
+        ("size", show_bytes(outcome.compressed.file.len() as u64)),
+        ("smaller than raw", format!("{:.0} times", outcome.ratio())),
+        ("raw", show_bytes(raw)),
+        ("moving objects", format!("{:.2} dB (frozen {:.2})", quality.psnr_foreground, frozen.psnr_foreground)),
+        ("SSIM", format!("{:.4}", quality.ssim)),
+        (
+            "Gaussians",
+            format!("{} of {}", outcome.compressed.compact.num_gaussians(), outcome.compressed.num_gaussians_before),
+        ),
+        ("time", format!("{:.0} s", outcome.seconds_total())),
+    ];
+    let stages = outcome
+        .stages
+        .iter()
+        .map(|s| Stage { name: s.name.into(), bytes: s.bytes, psnr: Some(s.quality.psnr), ssim: Some(s.quality.ssim) })
+        .collect();
+    Ok(report::html(&Report {
+        title: "tcgs demo".into(),
+        summary: summary.into_iter().map(|(name, value)| (name.into(), value)).collect(),
+        stages,
+        seconds: outcome.seconds.iter().map(|(name, s)| ((*name).into(), *s)).collect(),
+        loss: loss_curve(run)?,
+        psnr_over_time: vec![
+            series("uncompressed", &outcome.uncompressed, |i| Some(i.psnr)),
+            series("scene.tcgs", &outcome.final_, |i| Some(i.psnr)),
+            series("scene.tcgs, foreground", &outcome.final_, |i| i.psnr_foreground),
+            series("first timestep frozen, foreground", &outcome.frozen, |i| i.psnr_foreground),
+        ],
+        keypoints_histogram: keypoints_histogram(outcome),
+        mask_histogram: mask_histogram(run)?,
+        bits_histogram: bits_histogram(outcome),
+        pictures,
+    }))
+}
+
+/// Mean of a metric at each timestep.
+fn series(name: &str, evaluation: &Evaluation, metric: impl Fn(&crate::eval::ImageScore) -> Option<f64>) -> Series {
+    let timesteps = evaluation.images.iter().map(|i| i.timestep + 1).max().unwrap_or(0);
+    let at = |t| crate::eval::mean(evaluation.images.iter().filter(|i| i.timestep == t).filter_map(&metric));
+    Series { name: name.into(), values: (0..timesteps).map(|t| at(t).unwrap_or(f64::NAN)).collect() }
+}
+
+/// Iterations counted over the whole run, and losses, from the run's metrics.
+fn loss_curve(run: &Run) -> anyhow::Result<Vec<(u64, f32)>> {
+    let mut curve = Vec::new();
+    let mut done = 0;
+    for metrics in run.metrics()? {
+        for point in metrics["loss_curve"].as_array().into_iter().flatten() {
+            if let (Some(iteration), Some(loss)) = (point[0].as_u64(), point[1].as_f64()) {
+                curve.push((done + iteration, loss as f32));
+            }
+        }
+        let schedule = &run.config().schedule;
+        done += if done == 0 { schedule.first_iterations } else { schedule.rest_iterations } as u64;
+    }
+    Ok(curve)
+}
+
+fn keypoints_histogram(outcome: &Outcome) -> Vec<Series> {
+    let compact = &outcome.compressed.compact;
+    Attribute::ALL
+        .into_iter()
+        .filter(|a| a.varies())
+        .map(|attribute| {
+            let tracks = &compact.tracks[attribute.index()];
+            let mut counts = vec![0.0; compact.num_timesteps() + 1];
+            for track in 0..tracks.len() {
+                counts[tracks.track(track).0.len()] += 1.0;
+            }
+            Series { name: attribute.name().into(), values: trimmed(counts) }
+        })
+        .collect()
+}
+
+fn bits_histogram(outcome: &Outcome) -> Vec<Series> {
+    let histogram = outcome.compressed.compact.bit_map.histogram();
+    Attribute::ALL
+        .into_iter()
+        .filter(|&a| a != Attribute::Mean)
+        .map(|attribute| {
+            let mut counts = vec![0.0; 17];
+            for (&width, &count) in &histogram[attribute.index()] {
+                counts[usize::from(width)] = (count * attribute.components()) as f64;
+            }
+            Series { name: attribute.name().into(), values: trimmed(counts) }
+        })
+        .collect()
+}
+
+/// Without the empty end.
+fn trimmed(mut counts: Vec<f64>) -> Vec<f64> {
+    let used = counts.iter().rposition(|&c| c > 0.0).map_or(0, |i| i + 1);
+    counts.truncate(used);
+    counts
+}
+
+fn mask_histogram(run: &Run) -> anyhow::Result<Vec<(f32, u64)>> {
+    let mut counts = [0; MASK_BINS];
+    for &logit in run.trained()?.mask_logits.iter().flatten() {
+        let bin = (tcgs_core::sigmoid(logit) * MASK_BINS as f32) as usize;
+        counts[bin.min(MASK_BINS - 1)] += 1;
+    }
+    Ok((0..MASK_BINS).map(|i| (i as f32 / MASK_BINS as f32, counts[i])).collect())
+}

@@ -1,0 +1,124 @@
+//! Rendering and comparing, image by image.
+
+use std::ops::Range;
+use std::time::Instant;
+
+use tcgs_capture::{Capture, Split};
+use tcgs_core::{Activated, Camera, Image};
+use tcgs_metrics::{psnr, psnr_masked, psnr_per_channel, ssim};
+use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+
+use crate::error::wrong_input;
+use crate::progress::Progress;
+use crate::scene::Scene;
+
+/// Fewest renders that a median time is taken of.
+const MIN_TIMED_RENDERS: usize = 9;
+
+/// What is evaluated.
+pub struct Settings {
+    /// Which cameras.
+    pub split: Split,
+    /// Frames of the capture; the scene has them.
+    pub frames: Range<usize>,
+    /// Factor by which the capture's images are shrunk.
+    pub downscale: usize,
+    /// Whether the first of the frames stands for all: what a scene without motion would reach.
+    pub frozen: bool,
+}
+
+/// Metrics of one image.
+pub struct ImageScore {
+    /// Of the scene.
+    pub timestep: usize,
+    /// The capture's name of it.
+    pub camera: usize,
+    /// All channels together, clamped, dB.
+    pub psnr: f64,
+    /// Mean over channels, not clamped, dB.
+    pub psnr_per_channel: f64,
+    /// Of the clamped image.
+    pub ssim: f64,
+    /// [`Self::psnr`] over the foreground alone; none without a mask or foreground.
+    pub psnr_foreground: Option<f64>,
+}
+
+/// What [`evaluate`] finds.
+pub struct Evaluation {
+    /// By time, then in the capture's order; at least one.
+    pub images: Vec<ImageScore>,
+    /// Of one forward render, decoded and warm, at the evaluation size.
+    pub median_render_ms: f64,
+    /// What rendered.
+    pub device: String,
+}
+
+impl Evaluation {
+    /// Mean of a metric over the images that have it; none if none has.
+    pub fn mean(&self, metric: impl Fn(&ImageScore) -> Option<f64>) -> Option<f64> {
+        mean(self.images.iter().filter_map(metric))
+    }
+}
+
+/// Mean; none of nothing.
+pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
+}
+
+/// Renders and compares.
+pub fn evaluate(scene: &Scene, capture: &Capture, settings: &Settings) -> anyhow::Result<Evaluation> {
+    let Settings { split, ref frames, downscale, frozen } = *settings;
+    // The last frame is looked for before the first is rendered.
+    capture.cameras(split, frames.end - 1, downscale)?;
+    let cameras = capture.cameras(split, frames.start, downscale)?;
+    let mut progress = Progress::new("evaluating", cameras.len() * frames.len());
+    let (mut images, mut times_ms) = (Vec::new(), Vec::new());
+    let mut drawn = scene.drawn(frames.start - scene.first_frame);
+    let mut last_camera = None;
+    for frame in frames.clone() {
+        let timestep = frame - scene.first_frame;
+        if !frozen && frame > frames.start {
+            drawn = scene.drawn(timestep);
+        }
+        for view in capture.views(split, frame, downscale)? {
+            let (rendered, ms) = timed_render(&drawn, &view.camera);
+            times_ms.push(ms);
+            let clamped = clamped(&rendered);
+            let foreground = view.segmentation.as_ref();
+            images.push(ImageScore {
+                timestep,
+                camera: view.camera_id,
+                psnr: psnr(&clamped, &view.image),
+                psnr_per_channel: psnr_per_channel(&rendered, &view.image),
+                ssim: ssim(&clamped, &view.image),
+                psnr_foreground: foreground.and_then(|s| psnr_masked(&clamped, &view.image, &s.foreground)),
+            });
+            progress.step(|| format!("frame {frame}"));
+            last_camera = Some(view.camera);
+        }
+    }
+    let Some(camera) = last_camera else {
+        let problem = format!("has no such cameras in the frames {}..{}", frames.start, frames.end);
+        return Err(wrong_input(format!("{}: {problem}, expected at least one", capture.name())));
+    };
+    while times_ms.len() < MIN_TIMED_RENDERS {
+        times_ms.push(timed_render(&drawn, &camera).1);
+    }
+    times_ms.sort_by(f64::total_cmp);
+    Ok(Evaluation {
+        images,
+        median_render_ms: times_ms[times_ms.len() / 2],
+        device: format!("cpu, {} threads", rayon::current_num_threads()),
+    })
+}
+
+fn timed_render(drawn: &Activated, camera: &Camera) -> (Image, f64) {
+    let begin = Instant::now();
+    let (output, _) = CpuRasterizer.forward(drawn, camera, &RenderSettings::default());
+    (output.image, begin.elapsed().as_secs_f64() * 1e3)
+}
+
+fn clamped(image: &Image) -> Image {
+    Image { data: image.data.iter().map(|x| x.clamp(0.0, 1.0)).collect(), ..*image }
+}

@@ -1,0 +1,125 @@
+//! `tcgs info`: what is in a `.tcgs` file.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::PathBuf;
+
+use serde_json::{Map, Value, json};
+use tcgs_codec::{Contents, DecodeLimits, FileInfo, inspect};
+use tcgs_core::Attribute;
+
+use crate::error::wrong_input;
+use crate::options::JobOptions;
+use crate::output::{say, show_bytes};
+use crate::scene::unreadable;
+
+/// Show what is in a .tcgs file, and whether it is whole
+///
+/// Every checksum is verified; a damaged file exits with 2.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Example:
+  tcgs info scene.tcgs --json info.json")]
+pub struct Arguments {
+    /// .tcgs file
+    file: PathBuf,
+    #[command(flatten)]
+    job: JobOptions,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    arguments.job.begin()?;
+    let path = arguments.file.display();
+    if arguments.file.is_dir() {
+        return Err(wrong_input(format!("{path}: is a folder, expected a .tcgs file")));
+    }
+    let bytes = fs::read(&arguments.file).map_err(|error| unreadable(&arguments.file, error))?;
+    let info = inspect(&bytes, &DecodeLimits::default())
+        .map_err(|error| wrong_input(format!("{path}: {error}, expected a whole .tcgs file")))?;
+    say(&format!("{path}: version {}, {} ({} bytes)", info.version, show_bytes(info.bytes), info.bytes))?;
+    if let Some(contents) = &info.contents {
+        print_contents(&info, contents)?;
+    }
+    print_sections(&info)?;
+    arguments.job.write_json(&machine_readable(&info))?;
+    let damaged: Vec<&str> = info.sections.iter().filter(|s| !s.checksum_ok).map(|s| s.name).collect();
+    if !damaged.is_empty() {
+        let problem = format!("the checksum of {} is wrong, expected a whole file", damaged.join(", "));
+        return Err(wrong_input(format!("{path}: {problem}")));
+    }
+    Ok(())
+}
+
+fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
+    let scene = &contents.info;
+    let name = if scene.name.is_empty() { "-" } else { &scene.name };
+    let (first, last) = (scene.first_frame, scene.first_frame + (scene.num_timesteps - 1));
+    say(&format!("name          {name}"))?;
+    say(&format!("Gaussians     {}", scene.num_gaussians))?;
+    say(&format!("timesteps     {} (frames {first} to {last})", scene.num_timesteps))?;
+    say(&match scene.frame_rate {
+        0.0 => "frame rate    unknown".into(),
+        rate => format!("frame rate    {rate} a second"),
+    })?;
+    say(&format!("downscale     {}", scene.downscale))?;
+    let raw = u64::from(scene.num_gaussians) * (40 * u64::from(scene.num_timesteps) + 16);
+    let plain = contents.plain_bytes;
+    say(&format!("as floats     {} ({:.1} times as much)", show_bytes(raw), raw as f64 / info.bytes as f64))?;
+    say(&format!("not packed    {} ({:.1} times as much)", show_bytes(plain), plain as f64 / info.bytes as f64))?;
+
+    say("\nattribute            bytes  keypoints a track  bits: share of the Gaussians")?;
+    for (attribute, bytes) in Attribute::ALL.into_iter().zip(info.bytes_by_attribute()) {
+        let index = attribute.index();
+        say(&format!(
+            "{:<15}  {:>9}  {:>17.2}  {}",
+            attribute.name(),
+            show_bytes(bytes),
+            contents.keypoints_mean[index],
+            shares(&contents.bits_histogram[index])
+        ))?;
+    }
+    say("")
+}
+
+/// Such as `4: 81.2%  5: 18.8%`.
+fn shares(histogram: &BTreeMap<u8, usize>) -> String {
+    let all = histogram.values().sum::<usize>() as f64;
+    let share = |(bits, count): (&u8, &usize)| format!("{bits}: {:.1}%", 100.0 * *count as f64 / all);
+    histogram.iter().map(share).collect::<Vec<_>>().join("  ")
+}
+
+fn print_sections(info: &FileInfo) -> anyhow::Result<()> {
+    say("section              bytes  checksum")?;
+    for section in &info.sections {
+        let verdict = if section.checksum_ok { "right" } else { "WRONG" };
+        say(&format!("{:<15}  {:>9}  {verdict}", section.name, show_bytes(section.bytes)))?;
+    }
+    Ok(())
+}
+
+fn machine_readable(info: &FileInfo) -> Value {
+    let by_attribute = |value: &dyn Fn(usize) -> Value| -> Value {
+        Attribute::ALL.iter().map(|a| (a.name().to_owned(), value(a.index()))).collect::<Map<_, _>>().into()
+    };
+    let bytes = info.bytes_by_attribute();
+    let contents = info.contents.as_ref();
+    let scene = contents.map(|c| &c.info);
+    let histogram = |c: &Contents, a: usize| -> Value {
+        c.bits_histogram[a].iter().map(|(bits, &count)| (bits.to_string(), json!(count))).collect::<Map<_, _>>().into()
+    };
+    json!({
+        "version": info.version,
+        "num_gaussians": scene.map(|s| s.num_gaussians),
+        "num_timesteps": scene.map(|s| s.num_timesteps),
+        "first_frame": scene.map(|s| s.first_frame),
+        "frame_rate": scene.map(|s| s.frame_rate),
+        "bytes": info.bytes,
+        "bytes_by_attribute": by_attribute(&|a| json!(bytes[a])),
+        // This version of the format decodes as a whole.
+        "segments": [],
+        "bits_histogram": contents.map(|c| by_attribute(&|a| histogram(c, a))),
+        "keypoints_mean": contents.map(|c| by_attribute(&|a| json!(c.keypoints_mean[a]))),
+        "checksums_ok": info.checksums_ok(),
+    })
+}

@@ -1,0 +1,120 @@
+//! Options that several commands share, and how their values are read.
+
+use std::ops::Range;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use anyhow::Context;
+use clap::Args;
+
+use crate::output;
+
+/// What every long command takes.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "Every command")]
+pub struct JobOptions {
+    /// Also write the result to this file, for machines
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Replace outputs that exist
+    #[arg(long)]
+    pub force: bool,
+    /// Seed of random choices; results depend on it and on nothing that changes from run to run [default: 0]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Threads to compute with; results do not depend on it [default: as many as cores]
+    #[arg(long, value_name = "N", value_parser = positive)]
+    pub threads: Option<usize>,
+}
+
+impl JobOptions {
+    /// Sets the number of threads, and refuses early what could not be written at the end.
+    pub fn begin(&self) -> anyhow::Result<()> {
+        let threads = rayon::ThreadPoolBuilder::new().num_threads(self.threads.unwrap_or(0));
+        threads.build_global().context("starting threads")?;
+        self.json.as_ref().map_or(Ok(()), |path| output::check_file(path, self.force))
+    }
+
+    /// Writes the result for machines, if wanted.
+    pub fn write_json(&self, value: &serde_json::Value) -> anyhow::Result<()> {
+        self.json.as_ref().map_or(Ok(()), |path| output::write_json(path, value, self.force))
+    }
+}
+
+/// A whole number, 1 or more.
+pub fn positive(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|&n| n > 0).ok_or_else(|| "expected a whole number of 1 or more".into())
+}
+
+/// Frames `A..B`, half-open.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Frames(pub Range<usize>);
+
+impl FromStr for Frames {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let range = text.split_once("..").and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
+        let range = range.filter(|range: &Range<usize>| range.start < range.end);
+        range.map(Self).ok_or_else(|| "expected A..B with A below B, such as 0..20; B is the first left out".into())
+    }
+}
+
+/// Two values with a comma between.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pair<T>(pub T, pub T);
+
+/// Iterations of the first and of every later timestep.
+pub fn iterations(text: &str) -> Result<Pair<usize>, String> {
+    let pair = text.split_once(',').and_then(|(a, b)| Some(Pair(positive(a).ok()?, positive(b).ok()?)));
+    pair.ok_or_else(|| "expected FIRST,REST, such as 2000,300".into())
+}
+
+/// Fewest and most bits.
+pub fn bits(text: &str) -> Result<Pair<u8>, String> {
+    let pair = text.split_once(',').and_then(|(a, b)| Some(Pair(a.parse().ok()?, b.parse().ok()?)));
+    pair.filter(|&Pair(min, max)| 1 <= min && min <= max && max <= tcgs_codec::MAX_BITS)
+        .ok_or_else(|| "expected MIN,MAX with 1 <= MIN <= MAX <= 16, such as 4,8".into())
+}
+
+/// Pixels `WxH`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Size {
+    /// Pixels in a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        // Larger images are a slip of the keyboard.
+        let side = |text: &str| text.parse().ok().filter(|side| (1..=16384).contains(side));
+        let size = text.split_once('x').and_then(|(w, h)| Some(Self { width: side(w)?, height: side(h)? }));
+        size.ok_or_else(|| "expected WIDTHxHEIGHT of 1 to 16384 pixels each, such as 640x360".into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_read_or_refused() {
+        assert_eq!("3..10".parse(), Ok(Frames(3..10)));
+        for text in ["", "3", "3..", "..3", "5..5", "9..3", "-1..3", "a..b", "0..1..2"] {
+            assert!(text.parse::<Frames>().is_err(), "{text}");
+        }
+        assert_eq!(bits("4,8"), Ok(Pair(4, 8)));
+        assert_eq!(bits("6,6"), Ok(Pair(6, 6)));
+        for text in ["4", "8,4", "0,4", "4,17", "4,8,9"] {
+            assert!(bits(text).is_err(), "{text}");
+        }
+        assert_eq!(iterations("30,10"), Ok(Pair(30, 10)));
+        assert!(["0,10", "10", "10,x"].iter().all(|text| iterations(text).is_err()));
+        assert_eq!("640x360".parse(), Ok(Size { width: 640, height: 360 }));
+        assert!(["640", "0x4", "4x-4", "99999x4"].iter().all(|text| text.parse::<Size>().is_err()));
+    }
+}

@@ -1,0 +1,250 @@
+//! What commands leave behind: whole or not at all, and never over something else unless told to.
+
+use std::fs::{self, File};
+use std::io::{self, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::error::wrong_input;
+
+/// Prints a line on standard output. A reader that has gone away has read enough.
+pub fn say(text: &str) -> anyhow::Result<()> {
+    match writeln!(io::stdout().lock(), "{text}") {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("writing to standard output"),
+        _ => Ok(()),
+    }
+}
+
+/// Prints a remark on standard error; nothing depends on its being read.
+pub fn note(text: &str) {
+    let _ = writeln!(io::stderr().lock(), "{text}");
+}
+
+/// Refuses early what [`write_file`] would refuse after all the work.
+pub fn check_file(path: &Path, force: bool) -> anyhow::Result<()> {
+    let parent = parent(path);
+    if !parent.is_dir() {
+        return Err(wrong_input(format!("{}: no such folder, expected one to write into", parent.display())));
+    }
+    match fs::metadata(path) {
+        Ok(found) if found.is_dir() => {
+            Err(wrong_input(format!("{}: is a folder, expected the name of a file", path.display())))
+        }
+        Ok(found) if found.is_file() && !force => Err(exists(path)),
+        _ => Ok(()),
+    }
+}
+
+/// Writes a file beside its place and renames it. Devices and pipes are written to as they are.
+///
+/// - `force`: whether an existing file is replaced
+pub fn write_file(path: &Path, bytes: &[u8], force: bool) -> anyhow::Result<()> {
+    write_file_with(path, force, |mut file| file.write_all(bytes))
+}
+
+/// [`write_file`] for what should not be in memory twice.
+pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io::Result<()>) -> anyhow::Result<()> {
+    check_file(path, force)?;
+    let context = || format!("writing {}", path.display());
+    if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+        let device = fs::OpenOptions::new().write(true).open(path).with_context(context)?;
+        return write(&device).with_context(context);
+    }
+    // A link is kept; what it points to is replaced.
+    let path = path.canonicalize().unwrap_or_else(|_| path.into());
+    let file = visible(".writing-").tempfile_in(parent(&path)).with_context(context)?;
+    write(file.as_file()).and_then(|()| file.as_file().sync_all()).with_context(context)?;
+    let renamed = if force { file.persist(&path) } else { file.persist_noclobber(&path) };
+    match renamed {
+        Err(failed) if failed.error.kind() == ErrorKind::AlreadyExists => Err(exists(&path)),
+        other => other.map(drop).with_context(context),
+    }
+}
+
+/// Writes a result for machines.
+pub fn write_json(path: &Path, value: &Value, force: bool) -> anyhow::Result<()> {
+    write_file(path, format!("{value:#}\n").as_bytes(), force)
+}
+
+/// A folder in the making, beside its place until [`NewFolder::finish`] renames it.
+pub struct NewFolder {
+    place: PathBuf,
+    beside: TempDir,
+    force: bool,
+}
+
+impl NewFolder {
+    /// Begins a folder.
+    ///
+    /// - `force`: whether an existing folder is replaced, and only if all its files are called what
+    ///   `is_ours` knows: a slip must not cost a home directory
+    pub fn begin(place: &Path, force: bool, is_ours: fn(&Path) -> bool) -> anyhow::Result<Self> {
+        if place.exists() {
+            let foreign = foreign_file(place, is_ours).with_context(|| format!("reading {}", place.display()))?;
+            let empty = place.is_dir() && fs::read_dir(place).is_ok_and(|mut entries| entries.next().is_none());
+            match foreign {
+                _ if empty => {}
+                _ if !force => return Err(exists(place)),
+                Some(foreign) => {
+                    let problem = "not written by this command, expected a new name or a folder of its files alone";
+                    return Err(wrong_input(format!("{}: {problem}", foreign.display())));
+                }
+                None => {}
+            }
+        }
+        let parent = parent(place);
+        if !parent.is_dir() {
+            return Err(wrong_input(format!("{}: no such folder, expected one to write into", parent.display())));
+        }
+        let beside = visible_folder(parent).with_context(|| format!("writing {}", place.display()))?;
+        Ok(Self { place: place.into(), beside, force })
+    }
+
+    /// Where its files go meanwhile.
+    pub fn path(&self) -> &Path {
+        self.beside.path()
+    }
+
+    /// Puts it in its place.
+    pub fn finish(self) -> anyhow::Result<()> {
+        let context = || format!("writing {}", self.place.display());
+        if self.force && self.place.exists() {
+            let before = visible_folder(parent(&self.place)).with_context(context)?;
+            let replaced = before.path().join("replaced");
+            fs::rename(&self.place, &replaced).with_context(context)?;
+            let renamed = fs::rename(self.beside.path(), &self.place);
+            if renamed.is_err() {
+                fs::rename(&replaced, &self.place).with_context(context)?;
+            }
+            renamed.with_context(context)
+        } else {
+            // Over an empty folder, too; fails over any other.
+            fs::rename(self.beside.path(), &self.place).with_context(context)
+        }
+    }
+}
+
+/// A file below `folder` that is not ours; the folder itself if it is none.
+fn foreign_file(folder: &Path, is_ours: fn(&Path) -> bool) -> io::Result<Option<PathBuf>> {
+    if !folder.is_dir() {
+        return Ok(Some(folder.into()));
+    }
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let foreign = match path.symlink_metadata()?.is_dir() {
+            true => foreign_file(&path, is_ours)?,
+            false => (!is_ours(&path)).then_some(path),
+        };
+        if foreign.is_some() {
+            return Ok(foreign);
+        }
+    }
+    Ok(None)
+}
+
+fn exists(path: &Path) -> anyhow::Error {
+    wrong_input(format!("{}: exists already, expected a new name or --force to replace it", path.display()))
+}
+
+fn parent(path: &Path) -> &Path {
+    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// A temporary file is private unless told; the one it becomes is as readable as any other.
+fn visible(prefix: &'static str) -> tempfile::Builder<'static, 'static> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(prefix);
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder
+}
+
+fn visible_folder(parent: &Path) -> io::Result<TempDir> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".writing-");
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+    builder.tempdir_in(parent)
+}
+
+/// A size for people: three digits and a unit of powers of 1000.
+pub fn show_bytes(bytes: u64) -> String {
+    let mut value = bytes as f64;
+    for unit in ["B", "kB", "MB", "GB"] {
+        if value < 999.5 || unit == "GB" {
+            let decimals = if unit == "B" || value >= 99.95 { 0 } else { 1 + usize::from(value < 9.995) };
+            return format!("{value:.decimals$} {unit}");
+        }
+        value /= 1000.0;
+    }
+    unreachable!("the last unit takes everything")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn is_png(path: &Path) -> bool {
+        path.extension().is_some_and(|e| e == "png")
+    }
+
+    #[test]
+    fn files_are_replaced_only_when_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        write_file(&path, b"one", false).unwrap();
+        let error = write_file(&path, b"two", false).unwrap_err().to_string();
+        assert!(error.contains("exists already") && error.contains("--force"), "{error}");
+        assert_eq!(fs::read(&path).unwrap(), b"one");
+        write_file(&path, b"two", true).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file was left behind");
+        assert!(write_file(folder.path(), b"", true).unwrap_err().to_string().contains("is a folder"));
+        assert!(write_file(&folder.path().join("no/b"), b"", true).unwrap_err().to_string().contains("no such folder"));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_and_devices_stay_what_they_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let (target, link) = (folder.path().join("target"), folder.path().join("link"));
+        fs::write(&target, b"one").unwrap();
+        std::os::unix::fs::symlink(&target, &link).unwrap();
+        write_file(&link, b"two", true).unwrap();
+        assert!(link.symlink_metadata().unwrap().is_symlink());
+        assert_eq!(fs::read(&target).unwrap(), b"two");
+        write_file(Path::new("/dev/null"), b"three", false).unwrap();
+        assert!(!fs::metadata("/dev/null").unwrap().is_file());
+    }
+
+    #[test]
+    fn folders_appear_whole_and_spare_what_is_not_theirs() {
+        let parent = tempfile::tempdir().unwrap();
+        let place = parent.path().join("frames");
+        let fill = |force, name: &str| -> anyhow::Result<()> {
+            let folder = NewFolder::begin(&place, force, is_png)?;
+            fs::write(folder.path().join(name), b"x")?;
+            assert!(!place.join(name).exists(), "not before it is finished");
+            folder.finish()
+        };
+        fill(false, "1.png").unwrap();
+        assert!(fill(false, "2.png").unwrap_err().to_string().contains("exists already"));
+        fill(true, "2.png").unwrap();
+        assert!(!place.join("1.png").exists() && place.join("2.png").exists());
+        fs::write(place.join("diary.txt"), b"x").unwrap();
+        assert!(fill(true, "3.png").unwrap_err().to_string().contains("diary.txt: not written by this command"));
+        fs::remove_dir_all(&place).unwrap();
+        fs::create_dir(&place).unwrap();
+        fill(false, "4.png").unwrap();
+        assert_eq!(fs::read_dir(parent.path()).unwrap().count(), 1, "a temporary folder was left behind");
+    }
+
+    #[test]
+    fn sizes_have_three_digits() {
+        let sizes = [0, 999, 1000, 99_960, 142_300, 999_600, 46_000_000, 2_161_000_000].map(show_bytes);
+        assert_eq!(sizes, ["0 B", "999 B", "1.00 kB", "100 kB", "142 kB", "1.00 MB", "46.0 MB", "2.16 GB"]);
+    }
+}

@@ -1,0 +1,60 @@
+//! How far a long command is: a bar on a terminal, now and then a line elsewhere; on standard error.
+
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use crate::output::{note, say};
+
+/// Where there is no terminal, at most a line in this time.
+const LINE_INTERVAL: Duration = Duration::from_secs(10);
+
+/// Work being done.
+pub struct Progress {
+    bar: ProgressBar,
+    name: &'static str,
+    total: u64,
+    /// Of the last plain line.
+    last: Instant,
+}
+
+impl Progress {
+    /// Begins.
+    ///
+    /// - `name`: what is done, such as `rendering`
+    /// - `total`: how many steps of it
+    pub fn new(name: &'static str, total: usize) -> Self {
+        let bar = ProgressBar::with_draw_target(Some(total as u64), ProgressDrawTarget::stderr_with_hz(8));
+        let style = ProgressStyle::with_template("{prefix} {bar:30} {pos}/{len}  {eta} left  {msg}");
+        bar.set_style(style.expect("a template that is right").progress_chars("━╸─"));
+        bar.set_prefix(name);
+        Self { bar, name, total: total as u64, last: Instant::now() }
+    }
+
+    /// One step more.
+    ///
+    /// - `detail`: behind the bar
+    pub fn step(&mut self, detail: impl FnOnce() -> String) {
+        self.bar.inc(1);
+        if self.bar.is_hidden() {
+            if self.last.elapsed() >= LINE_INTERVAL {
+                self.last = Instant::now();
+                note(&format!("{} {}/{}  {}", self.name, self.bar.position(), self.total, detail()));
+            }
+        } else if self.last.elapsed() >= Duration::from_millis(100) {
+            self.last = Instant::now();
+            self.bar.set_message(detail());
+        }
+    }
+
+    /// Prints a line on standard output without tearing the bar.
+    pub fn say(&self, text: &str) -> anyhow::Result<()> {
+        self.bar.suspend(|| say(text))
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}

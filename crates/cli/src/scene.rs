@@ -1,0 +1,208 @@
+//! What commands call a SCENE: a `.tcgs` file, a run folder, or a `params.npz`.
+
+use std::fs;
+use std::io::Read;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use tcgs_codec::{CompactScene, DecodeLimits};
+use tcgs_core::{Activated, DynamicGaussians, Gaussians, activate};
+use tcgs_train::{Run, TrainedScene};
+
+use crate::error::{is_wrong_path, wrong_input};
+
+/// What a SCENE may be, for messages.
+const EXPECTED: &str = "a .tcgs file, a run folder or a params.npz";
+
+/// A scene, wherever it comes from.
+pub struct Scene {
+    /// As given.
+    pub path: PathBuf,
+    /// What it holds.
+    pub model: Model,
+    /// Frame of the capture that timestep 0 shows.
+    pub first_frame: usize,
+    /// Factor by which the capture's images were shrunk for training.
+    pub downscale: usize,
+    /// Frames a second; 0 if unknown.
+    pub frame_rate: f64,
+    /// Length of the file; of floats, their raw size.
+    pub bytes: u64,
+}
+
+/// What a scene is made of.
+pub enum Model {
+    /// A `.tcgs` file.
+    Compact(Box<CompactScene>),
+    /// A run, with its masks.
+    Run(Box<(Run, TrainedScene)>),
+    /// A `params.npz`.
+    Params(Box<DynamicGaussians>),
+}
+
+impl Scene {
+    /// Loads a scene.
+    pub fn load(path: &Path) -> anyhow::Result<Self> {
+        if path.is_dir() {
+            return Self::load_run(path);
+        }
+        match kind_of_file(path)? {
+            Kind::Tcgs => {
+                let bytes = fs::read(path).map_err(|error| unreadable(path, error))?;
+                Self::decode(path, &bytes)
+            }
+            Kind::Npz => {
+                let scene = tcgs_interchange::read_params_npz(path)?;
+                let bytes = scene.raw_bytes();
+                let model = Model::Params(Box::new(scene));
+                Ok(Self { path: path.into(), model, first_frame: 0, downscale: 1, frame_rate: 30.0, bytes })
+            }
+        }
+    }
+
+    /// The scene in the bytes of a `.tcgs` file.
+    pub fn decode(path: &Path, bytes: &[u8]) -> anyhow::Result<Self> {
+        let compact = tcgs_codec::decode(bytes, &DecodeLimits::default())
+            .map_err(|error| wrong_input(format!("{}: {error}, expected a whole .tcgs file", path.display())))?;
+        let info = &compact.info;
+        Ok(Self {
+            path: path.into(),
+            first_frame: info.first_frame as usize,
+            downscale: info.downscale as usize,
+            frame_rate: f64::from(info.frame_rate),
+            bytes: bytes.len() as u64,
+            model: Model::Compact(Box::new(compact)),
+        })
+    }
+
+    fn load_run(path: &Path) -> anyhow::Result<Self> {
+        if !Run::is_run(path) {
+            let problem = if is_ply_folder(path) {
+                format!("a folder of PLY files, which this version does not read yet, expected {EXPECTED}")
+            } else {
+                format!("a folder without config.toml, expected {EXPECTED}")
+            };
+            return Err(wrong_input(format!("{}: {problem}", path.display())));
+        }
+        let run = Run::open(path)?;
+        let trained = run.trained()?;
+        let data = &run.config().data;
+        Ok(Self {
+            path: path.into(),
+            first_frame: data.first_frame,
+            downscale: data.downscale,
+            frame_rate: data.frame_rate,
+            bytes: trained.scene.raw_bytes(),
+            model: Model::Run(Box::new((run, trained))),
+        })
+    }
+
+    /// `N`.
+    pub fn num_gaussians(&self) -> usize {
+        match &self.model {
+            Model::Compact(compact) => compact.num_gaussians(),
+            Model::Run(run) => run.1.scene.num_gaussians(),
+            Model::Params(scene) => scene.num_gaussians(),
+        }
+    }
+
+    /// `T`.
+    pub fn num_timesteps(&self) -> usize {
+        match &self.model {
+            Model::Compact(compact) => compact.num_timesteps(),
+            Model::Run(run) => run.1.scene.num_timesteps(),
+            Model::Params(scene) => scene.num_timesteps(),
+        }
+    }
+
+    /// Frames of the capture that it shows.
+    pub fn frames(&self) -> Range<usize> {
+        self.first_frame..self.first_frame + self.num_timesteps()
+    }
+
+    /// The frames asked for, or all.
+    pub fn choose_frames(&self, wanted: Option<&Range<usize>>) -> anyhow::Result<Range<usize>> {
+        let has = self.frames();
+        match wanted {
+            None => Ok(has),
+            Some(wanted) if has.start <= wanted.start && wanted.end <= has.end => Ok(wanted.clone()),
+            Some(wanted) => Err(wrong_input(format!(
+                "--frames {}..{}: {} has the frames {}..{}, expected some of these",
+                wanted.start,
+                wanted.end,
+                self.path.display(),
+                has.start,
+                has.end
+            ))),
+        }
+    }
+
+    /// All Gaussians of one timestep, in stored form; of a run also those that its masks leave out.
+    pub fn at(&self, timestep: usize) -> Gaussians {
+        match &self.model {
+            Model::Compact(compact) => compact.at(timestep),
+            Model::Run(run) => run.1.scene.at(timestep),
+            Model::Params(scene) => scene.at(timestep),
+        }
+    }
+
+    /// One timestep as it is drawn: of a run, the floats before pruning without what is masked.
+    pub fn drawn(&self, timestep: usize) -> Activated {
+        let gaussians = self.at(timestep);
+        match &self.model {
+            Model::Run(run) if run.0.config().mask.enabled => {
+                let masked = tcgs_train::masked_out(&run.1.mask_logits[timestep], run.0.config().mask.threshold);
+                let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
+                activate(&gaussians.select(&shown))
+            }
+            _ => activate(&gaussians),
+        }
+    }
+
+    /// What it is, in words.
+    pub fn describe(&self) -> String {
+        let kind = match &self.model {
+            Model::Compact(_) => "compressed file",
+            Model::Run(_) => "run folder",
+            Model::Params(_) => "Dynamic 3D Gaussians parameters",
+        };
+        format!(
+            "{} ({kind}): {} Gaussians, {} timesteps, {}",
+            self.path.display(),
+            self.num_gaussians(),
+            self.num_timesteps(),
+            crate::output::show_bytes(self.bytes)
+        )
+    }
+}
+
+enum Kind {
+    Tcgs,
+    Npz,
+}
+
+/// By its name, so that a damaged file is judged as what it was meant to be; else by its first bytes.
+fn kind_of_file(path: &Path) -> anyhow::Result<Kind> {
+    let mut start = Vec::new();
+    let read = fs::File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
+    read.map_err(|error| unreadable(path, error))?;
+    match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
+        "tcgs" => Ok(Kind::Tcgs),
+        "npz" => Ok(Kind::Npz),
+        _ if start == b"TCGS" => Ok(Kind::Tcgs),
+        _ if start == b"PK\x03\x04" => Ok(Kind::Npz),
+        _ => Err(wrong_input(format!("{}: a file of another kind, expected {EXPECTED}", path.display()))),
+    }
+}
+
+/// A file given by the user that cannot be read.
+pub fn unreadable(path: &Path, error: std::io::Error) -> anyhow::Error {
+    let message = format!("{}: {error}, expected {EXPECTED}", path.display());
+    if is_wrong_path(&error) { wrong_input(message) } else { anyhow::Error::new(error).context(message) }
+}
+
+/// Whether a folder holds PLY files.
+fn is_ply_folder(path: &Path) -> bool {
+    let Ok(entries) = fs::read_dir(path) else { return false };
+    entries.flatten().any(|entry| entry.path().extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")))
+}

@@ -1,0 +1,205 @@
+//! `tcgs train`: a capture becomes a run folder.
+
+mod fit;
+mod folder;
+mod settings;
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use serde_json::{Value, json};
+use tcgs_capture::{Capture, Split};
+use tcgs_train::{Preset, Run, TrainConfig, Trainer};
+
+use crate::error::wrong_input;
+use crate::options::{self, Frames, JobOptions, Pair};
+use crate::output::{note, say};
+
+pub use fit::fit;
+
+/// Train a dynamic scene on a multi-view capture, one timestep after another
+///
+/// Writes a run folder: config.toml with everything needed to repeat it, a checkpoint a timestep, and
+/// metrics.jsonl. Settings come from the preset, then --config, then --set and the other options.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Example:
+  tcgs train my_capture --out my_run --preset fast --frames 0..20
+  tcgs train my_capture --out my_run --preset fast --frames 0..40 --resume")]
+pub struct Arguments {
+    /// Folder of the capture: images, cameras, initial points (Panoptic Sports layout)
+    capture: PathBuf,
+    /// Folder of the run
+    #[arg(long, value_name = "RUN")]
+    out: PathBuf,
+    /// Settings to start from [default: default]
+    #[arg(long)]
+    preset: Option<PresetName>,
+    /// Settings that differ from the preset's, as in a run's config.toml
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// One setting by its name in config.toml, such as weights.rigid=2; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Learn no masks
+    #[arg(long)]
+    no_mask: bool,
+    /// Learn no quantisation
+    #[arg(long, conflicts_with = "bits")]
+    no_quantize: bool,
+    /// Fewest and most bits of a parameter; equal ones give all the same
+    #[arg(long, value_name = "MIN,MAX", value_parser = options::bits)]
+    bits: Option<Pair<u8>>,
+    /// Frames of the capture, from A up to but not including B [default: all]
+    #[arg(long, value_name = "A..B")]
+    frames: Option<Frames>,
+    /// Average images over N x N pixels [default: 1]
+    #[arg(long, value_name = "N", value_parser = options::positive)]
+    downscale: Option<usize>,
+    /// Iterations of the first and of every later timestep
+    #[arg(long, value_name = "FIRST,REST", value_parser = options::iterations)]
+    iterations: Option<Pair<usize>>,
+    /// What computes
+    #[arg(long, default_value = "auto")]
+    backend: Backend,
+    /// GPU to compute on, by name
+    #[arg(long, value_name = "NAME")]
+    device: Option<String>,
+    /// Go on with RUN after its last whole checkpoint; begin it if there is none. Options that are not
+    /// given keep the run's settings; only the end of --frames may change
+    #[arg(long)]
+    resume: bool,
+    #[command(flatten)]
+    job: JobOptions,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum PresetName {
+    /// Dynamic 3D Gaussians: no masks, no quantisation
+    D3dgs,
+    /// The paper to the letter
+    Paper,
+    /// The paper with what measured better
+    Default,
+    /// The default in far fewer iterations
+    Fast,
+}
+
+impl From<PresetName> for Preset {
+    fn from(name: PresetName) -> Self {
+        match name {
+            PresetName::D3dgs => Self::D3dgs,
+            PresetName::Paper => Self::Paper,
+            PresetName::Default => Self::Default,
+            PresetName::Fast => Self::Fast,
+        }
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Backend {
+    /// The GPU if there is one, else the CPU
+    Auto,
+    /// A GPU
+    Gpu,
+    /// The CPU
+    Cpu,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    arguments.job.begin()?;
+    choose_backend(arguments)?;
+    let capture = Capture::open(&arguments.capture)?;
+    let found = folder::look(&arguments.out)?;
+    let goes_on = match found {
+        folder::Found::Nothing => false,
+        folder::Found::Run if arguments.resume => true,
+        folder::Found::Run if arguments.job.force => false,
+        folder::Found::Run => {
+            let problem = "holds a run, expected --resume to go on with it or --force to replace it";
+            return Err(wrong_input(format!("{}: {problem}", arguments.out.display())));
+        }
+    };
+
+    // Everything that can be wrong with the input is found before a run is begun or replaced.
+    let (run, trainer, lock);
+    if goes_on {
+        lock = folder::lock(&arguments.out)?;
+        let mut stored = Run::open(&arguments.out)?;
+        let config = settings::resumed(arguments, &capture, stored.config())?;
+        folder::remove_leftovers(&arguments.out)?;
+        let resumed = folder::resume(&stored)?;
+        stored.truncate_metrics(resumed.as_ref().map_or(0, Trainer::timesteps))?;
+        if &config != stored.config() {
+            stored.set_config(&config)?;
+        }
+        trainer = resumed.map_or_else(|| new_trainer(&config, &capture), Ok)?;
+        run = stored;
+        report_resumption(&run, &trainer)?;
+    } else {
+        let config = settings::fresh(arguments, &capture)?;
+        trainer = new_trainer(&config, &capture)?;
+        lock = folder::lock_new(&arguments.out)?;
+        folder::clear(&arguments.out)?;
+        run = Run::create(&arguments.out, &config)?;
+    }
+    let trainer = fit(&capture, &run, trainer)?;
+    drop(lock);
+    report(arguments, &run, &trainer)
+}
+
+/// A trainer before the first timestep.
+pub fn new_trainer(config: &TrainConfig, capture: &Capture) -> anyhow::Result<Trainer> {
+    let cameras = capture.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
+    let cameras: Vec<_> = cameras.into_iter().map(|(_, camera)| camera).collect();
+    Ok(Trainer::new(config, &capture.point_cloud()?, &cameras)?)
+}
+
+fn choose_backend(arguments: &Arguments) -> anyhow::Result<()> {
+    if arguments.backend == Backend::Gpu {
+        anyhow::bail!("--backend gpu: this build has no GPU backend, expected --backend cpu");
+    }
+    if let Some(device) = &arguments.device {
+        anyhow::bail!("--device {device}: this build has no GPU backend, expected no --device");
+    }
+    note(&format!("computing on the CPU, {} threads", rayon::current_num_threads()));
+    Ok(())
+}
+
+fn report_resumption(run: &Run, trainer: &Trainer) -> anyhow::Result<()> {
+    let data = &run.config().data;
+    let (finished, wanted) = (trainer.timesteps(), data.end_frame - data.first_frame);
+    say(&match finished {
+        _ if finished >= wanted => format!("the run is complete: {finished} timesteps are trained"),
+        _ => format!("going on after {finished} of {wanted} timesteps"),
+    })
+}
+
+fn report(arguments: &Arguments, run: &Run, trainer: &Trainer) -> anyhow::Result<()> {
+    let metrics = run.metrics()?;
+    let num_gaussians = trainer.engine().parameters.num_gaussians();
+    // A line may be missing after a power cut: it is written before its checkpoint, but less carefully.
+    let of_timestep = |t: usize| metrics.iter().find(|m| m["timestep"].as_u64() == Some(t as u64));
+    let timesteps: Vec<Value> = (0..trainer.timesteps())
+        .map(|t| {
+            let value = |key| of_timestep(t).map_or(Value::Null, |m| m[key].clone());
+            json!({ "timestep": t, "psnr": value("psnr"), "seconds": value("seconds") })
+        })
+        .collect();
+    let of_all = |key: &str| timesteps.iter().filter_map(|t| t[key].as_f64()).collect::<Vec<_>>();
+    let (psnr, seconds) = (of_all("psnr"), of_all("seconds"));
+    say(&format!(
+        "{} timesteps, {num_gaussians} Gaussians, mean PSNR {:.2} dB, {:.1} s of training",
+        timesteps.len(),
+        psnr.iter().sum::<f64>() / psnr.len() as f64,
+        seconds.iter().sum::<f64>()
+    ))?;
+    let (run, capture) = (arguments.out.display(), arguments.capture.display());
+    say(&format!("next: tcgs compress {run}; tcgs eval {run} --capture {capture}"))?;
+    arguments.job.write_json(&json!({
+        "run": arguments.out.display().to_string(),
+        "num_gaussians": num_gaussians,
+        "timesteps": timesteps,
+    }))
+}

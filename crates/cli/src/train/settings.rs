@@ -1,0 +1,108 @@
+//! From the command line to a run's settings.
+
+use std::fs;
+
+use tcgs_capture::Capture;
+use tcgs_train::{Preset, TrainConfig};
+
+use super::Arguments;
+use crate::error::{is_wrong_path, wrong_input};
+use crate::options::{Frames, Pair};
+
+/// Settings of a new run.
+pub fn fresh(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfig> {
+    let mut config = TrainConfig::preset(arguments.preset.map_or(Preset::Default, Preset::from));
+    config.data.end_frame = capture.num_frames();
+    config.data.frame_rate = capture.frame_rate();
+    let config = apply(arguments, config)?;
+    check_frames(capture, &config)?;
+    Ok(config)
+}
+
+/// Settings of a run to go on with: those stored, with another end if asked for.
+///
+/// What the command line says of anything else must be what is stored.
+pub fn resumed(arguments: &Arguments, capture: &Capture, stored: &TrainConfig) -> anyhow::Result<TrainConfig> {
+    let mut base = stored.clone();
+    if let Some(preset) = arguments.preset {
+        base.preset = preset.into();
+    }
+    let mut config = apply(arguments, base)?;
+    let end_frame = std::mem::replace(&mut config.data.end_frame, stored.data.end_frame);
+    if let Some(key) = config.first_difference(stored) {
+        let run = arguments.out.display();
+        let problem = format!("{key} differs from the run's, expected only the end of --frames to change");
+        return Err(wrong_input(format!("{run}: {problem}; or --force instead of --resume to begin anew")));
+    }
+    config.data.end_frame = end_frame;
+    check_frames(capture, &config)?;
+    Ok(config)
+}
+
+/// What the command line says, over `base`.
+fn apply(arguments: &Arguments, mut base: TrainConfig) -> anyhow::Result<TrainConfig> {
+    if let Some(path) = &arguments.config {
+        let text = fs::read_to_string(path).map_err(|error| {
+            let message = format!("{}: {error}, expected settings as in a run's config.toml", path.display());
+            if is_wrong_path(&error) { wrong_input(message) } else { anyhow::anyhow!(message) }
+        })?;
+        base = base.merge(&text).map_err(|error| wrong_input(format!("{}: {error}", path.display())))?;
+    }
+    // A file may be another run's; the capture is the one that was named.
+    let capture = absolute(arguments)?;
+    base.data.capture.clone_from(&capture);
+    for setting in &arguments.set {
+        let Some((key, value)) = setting.split_once('=') else {
+            return Err(wrong_input(format!("--set {setting}: no =, expected KEY=VALUE such as weights.rigid=2")));
+        };
+        base.set(key.trim(), value.trim()).map_err(|error| wrong_input(format!("--set {setting}: {error}")))?;
+    }
+    if base.data.capture != capture {
+        return Err(wrong_input("--set data.capture: is what CAPTURE says, expected no other"));
+    }
+    if arguments.no_mask {
+        base.mask.enabled = false;
+    }
+    if arguments.no_quantize {
+        base.quantize.enabled = false;
+    }
+    if let Some(Pair(min, max)) = arguments.bits {
+        let q = &mut base.quantize;
+        (q.min_bits, q.max_bits) = (min, max);
+        // A mean outside of the range would give every parameter the same bits.
+        if !(f32::from(min)..=f32::from(max)).contains(&q.mean_bits) {
+            q.mean_bits = (f32::from(min) + f32::from(max)) / 2.0;
+        }
+    }
+    if let Some(Frames(frames)) = &arguments.frames {
+        (base.data.first_frame, base.data.end_frame) = (frames.start, frames.end);
+    }
+    if let Some(downscale) = arguments.downscale {
+        base.data.downscale = downscale;
+    }
+    if let Some(Pair(first, rest)) = arguments.iterations {
+        (base.schedule.first_iterations, base.schedule.rest_iterations) = (first, rest);
+    }
+    if let Some(seed) = arguments.job.seed {
+        base.seed = seed;
+    }
+    Ok(base)
+}
+
+/// So that a run finds its capture from any folder.
+fn absolute(arguments: &Arguments) -> anyhow::Result<String> {
+    let path = arguments.capture.canonicalize();
+    let path = path.map_err(|error| wrong_input(format!("{}: {error}", arguments.capture.display())))?;
+    path.into_os_string().into_string().map_err(|path| {
+        wrong_input(format!("{}: not a name in UTF-8, expected one that config.toml can hold", path.display()))
+    })
+}
+
+fn check_frames(capture: &Capture, config: &TrainConfig) -> anyhow::Result<()> {
+    let (first, end, has) = (config.data.first_frame, config.data.end_frame, capture.num_frames());
+    if first >= end || end > has {
+        let path = &config.data.capture;
+        return Err(wrong_input(format!("{path}: has the frames 0..{has}, found --frames {first}..{end}")));
+    }
+    Ok(())
+}
