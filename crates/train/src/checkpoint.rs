@@ -40,7 +40,7 @@ impl Checkpoint {
     pub fn save(&self, path: &Path, first: bool) -> Result<(), TrainError> {
         let failed = |source| TrainError::Io { action: "writing", path: path.into(), source };
         let folder = path.parent().unwrap_or(Path::new("."));
-        let mut file = tempfile::Builder::new().prefix(".writing-").tempfile_in(folder).map_err(failed)?;
+        let mut file = temporary_file(folder).map_err(failed)?;
         self.write(BufWriter::new(file.as_file_mut()), first).map_err(failed)?;
         file.as_file().sync_all().map_err(failed)?;
         file.persist(path).map_err(|e| failed(e.error))?;
@@ -97,6 +97,15 @@ impl Checkpoint {
         let mut npz = NpzArchive::open(path).map_err(|e| failed(format!("not a checkpoint: {e}")))?;
         read(&mut npz, first, learned_offset).map_err(failed)
     }
+}
+
+/// A file to be renamed within `folder`. Temporary files are private unless told; the one it becomes is as
+/// readable as any other.
+pub(crate) fn temporary_file(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.prefix(".writing-").tempfile_in(folder)
 }
 
 type Archive = NpzArchive<std::io::BufReader<std::fs::File>>;

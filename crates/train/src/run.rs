@@ -9,7 +9,7 @@ use tcgs_codec::{BitMap, Quantizers};
 use tcgs_core::DynamicGaussians;
 
 use crate::TrainError;
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Checkpoint, temporary_file};
 use crate::config::TrainConfig;
 use crate::trainer::Trainer;
 
@@ -197,8 +197,7 @@ impl Run {
 
     fn write_whole(&self, name: &str, bytes: &[u8]) -> Result<(), TrainError> {
         let path = self.folder.join(name);
-        let mut file =
-            tempfile::Builder::new().prefix(".writing-").tempfile_in(&self.folder).map_err(io("writing", &path))?;
+        let mut file = temporary_file(&self.folder).map_err(io("writing", &path))?;
         file.write_all(bytes).map_err(io("writing", &path))?;
         file.as_file().sync_all().map_err(io("writing", &path))?;
         file.persist(&path).map_err(|e| io("writing", &path)(e.error))?;

@@ -136,9 +136,12 @@ impl Schedule {
         iteration >= self.scaled(self.config.densify.reset)
     }
 
-    /// Whether opacities are reset at this iteration.
+    /// Whether opacities are reset at this iteration. A schedule that leaves fewer iterations than one
+    /// interval before the last event does without: what has not recovered by then would be removed.
     pub fn resets_opacities(&self, iteration: usize) -> bool {
-        iteration > 0 && iteration == self.scaled(self.config.densify.reset)
+        let d = &self.config.densify;
+        let recovers = self.scaled(d.end) >= self.scaled(d.reset) + d.interval;
+        iteration > 0 && iteration == self.scaled(d.reset) && recovers
     }
 
     /// Whether masked Gaussians are removed at this iteration.
@@ -189,6 +192,8 @@ mod tests {
         assert!(
             s.resets_opacities(450) && s.starts_quantization(900) && s.prunes_masked(150) && !s.prunes_masked(1050)
         );
+        let short = schedule(250, 50, Preset::Default);
+        assert!((0..250).all(|i| !short.resets_opacities(i)));
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
         assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);

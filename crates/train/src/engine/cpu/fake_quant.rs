@@ -84,8 +84,6 @@ impl FakeQuantizers {
                     .map(|i| values[i * components + channel])
                     .collect();
                 quantizers.push(match (attribute, learned_offset) {
-                    // Rotations are unit length, and what turns later needs the whole range.
-                    (Attribute::Quat, true) => Quantizer::covering(-1.0, 1.0, width),
                     (_, true) => Quantizer::fit(&own, width),
                     (_, false) => Quantizer::new(tcgs_codec::lsq_step(&own, width).max(1e-6), 0.0, width),
                 });

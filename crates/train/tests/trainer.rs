@@ -1,0 +1,182 @@
+//! Whole trainings of a tiny synthetic capture.
+
+use std::sync::OnceLock;
+
+use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
+use tcgs_core::{Camera, View};
+use tcgs_train::engine::cpu::{CpuEngine, GradientStatistic};
+use tcgs_train::{DensifyStep, Parameters, Run, TrainConfig, TrainError, Trainer, densify, reset_opacities};
+
+fn capture() -> &'static Capture {
+    static CAPTURE: OnceLock<(tempfile::TempDir, Capture)> = OnceLock::new();
+    &CAPTURE
+        .get_or_init(|| {
+            let folder = tempfile::tempdir().unwrap();
+            let settings = SyntheticSettings {
+                width: 64,
+                height: 48,
+                num_train_cameras: 5,
+                num_test_cameras: 1,
+                num_timesteps: 4,
+                num_points: 3000,
+                ..SyntheticSettings::default()
+            };
+            write_synthetic(folder.path(), &settings).unwrap();
+            let capture = Capture::open(folder.path()).unwrap();
+            (folder, capture)
+        })
+        .1
+}
+
+fn config() -> TrainConfig {
+    let mut config = TrainConfig::default();
+    config.schedule.first_iterations = 600;
+    config.schedule.rest_iterations = 80;
+    config
+}
+
+fn views(frame: usize) -> Vec<View> {
+    capture().views(Split::Train, frame, 1).unwrap()
+}
+
+fn trainer(config: &TrainConfig) -> Trainer {
+    let cameras: Vec<Camera> = views(0).into_iter().map(|v| v.camera).collect();
+    Trainer::new(config, &capture().point_cloud().unwrap(), &cameras).unwrap()
+}
+
+#[test]
+fn training_learns_the_scene_and_follows_it() {
+    let mut trainer = trainer(&config());
+    let before = trainer.mean_psnr(&views(0));
+    let mut losses = Vec::new();
+    trainer.fit(&views(0), &mut |p| losses.push(p.loss)).unwrap();
+    let after = trainer.mean_psnr(&views(0));
+    assert!(after > before + 8.0 && after > 25.0, "{before:.2} dB became {after:.2}");
+    assert!(losses[losses.len() - 1] < 0.3 * losses[0]);
+    let engine = trainer.engine();
+    let first = engine.parameters.clone();
+    assert!(engine.quantizers.is_some(), "quantisation has not started");
+    assert_ne!(first.num_gaussians(), 3000, "density did not adapt");
+
+    for frame in 1..4 {
+        trainer.fit(&views(frame), &mut |_| ()).unwrap();
+    }
+    let follows = trainer.mean_psnr(&views(3));
+    let frozen = {
+        let mut still = self::trainer(&config());
+        still.fit(&views(0), &mut |_| ()).unwrap();
+        still.mean_psnr(&views(3))
+    };
+    assert!(follows > frozen + 3.0, "{follows:.2} dB while following, {frozen:.2} standing still");
+    // What is frozen after the first timestep has not moved; what varies has.
+    let last = &trainer.engine().parameters;
+    assert_eq!(last.gaussians.log_scales, first.gaussians.log_scales);
+    assert_eq!(last.gaussians.logit_opacities, first.gaussians.logit_opacities);
+    assert_eq!(last.camera_gains, first.camera_gains);
+    assert_ne!(last.gaussians.means, first.gaussians.means);
+    assert_ne!(last.gaussians.colors, first.gaussians.colors);
+}
+
+#[test]
+fn a_capture_without_masks_trains_and_stays_finite() {
+    let mut cloud = capture().point_cloud().unwrap();
+    cloud.foreground.fill(true);
+    let without =
+        |frame| -> Vec<View> { views(frame).into_iter().map(|view| View { segmentation: None, ..view }).collect() };
+    let cameras: Vec<Camera> = views(0).into_iter().map(|v| v.camera).collect();
+    let mut config = config();
+    config.schedule.rest_iterations = 20;
+    let mut trainer = Trainer::new(&config, &cloud, &cameras).unwrap();
+    for frame in 0..2 {
+        trainer
+            .fit(&without(frame), &mut |p| {
+                assert!(p.loss.is_finite());
+                assert_eq!((p.terms.segmentation, p.terms.prior.background), (0.0, 0.0));
+            })
+            .unwrap();
+    }
+    assert!(trainer.mean_psnr(&without(1)) > 18.0);
+    assert!(trainer.engine().parameters.gaussians.means.as_flattened().iter().all(|x| x.is_finite()));
+}
+
+#[test]
+fn threads_and_resuming_do_not_change_a_bit() {
+    let mut config = config();
+    (config.schedule.first_iterations, config.schedule.rest_iterations) = (120, 15);
+    let on = |threads: usize| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
+            let mut trainer = trainer(&config);
+            let checkpoints = (0..4)
+                .map(|frame| {
+                    trainer.fit(&views(frame), &mut |_| ()).unwrap();
+                    trainer.checkpoint()
+                })
+                .collect::<Vec<_>>();
+            checkpoints
+        })
+    };
+    let whole = on(1);
+    assert!(on(3) == whole, "three threads differ from one");
+
+    let folder = tempfile::tempdir().unwrap();
+    let run = Run::create(folder.path(), &config).unwrap();
+    for finished in 1..4 {
+        run.save(finished - 1, &whole[finished - 1]).unwrap();
+        let mut resumed = run.resume().unwrap().expect("a timestep is finished");
+        assert_eq!(resumed.timesteps(), finished);
+        resumed.fit(&views(finished), &mut |_| ()).unwrap();
+        assert!(resumed.checkpoint() == whole[finished], "resuming after {finished} timesteps differs");
+    }
+    run.save(3, &whole[3]).unwrap();
+    assert_eq!(run.trained().unwrap().scene.num_timesteps(), 4);
+}
+
+#[test]
+fn what_cannot_be_trained_on_is_refused() {
+    let mut trainer = trainer(&config());
+    let mut broken = views(0);
+    for view in &mut broken {
+        view.image.data[7] = f32::NAN;
+    }
+    let error = trainer.fit(&broken, &mut |_| ()).unwrap_err();
+    assert!(matches!(error, TrainError::NotFinite { term: "image", timestep: 0, iteration: 0, .. }), "{error}");
+    let error = trainer.fit(&views(0)[..3], &mut |_| ()).unwrap_err().to_string();
+    assert_eq!(error, "training views of timestep 0: found 3, expected 5, as at the first");
+    let nothing = tcgs_core::PointCloud::default();
+    assert!(Trainer::new(&config(), &nothing, &[views(0)[0].camera.clone()]).is_err());
+}
+
+#[test]
+fn density_adapts_by_the_rules() {
+    let config = TrainConfig::default().densify;
+    let cloud = tcgs_core::PointCloud {
+        points: vec![[0.0; 3], [1.0; 3], [2.0; 3], [3.0; 3], [4.0; 3]],
+        colors: vec![[0.1; 3], [0.2; 3], [0.3; 3], [0.4; 3], [0.5; 3]],
+        foreground: vec![true, false, true, false, true],
+    };
+    let mut engine = CpuEngine::new(Parameters::from_cloud(&cloud, 1, 1.0));
+    let g = &mut engine.parameters.gaussians;
+    // With a radius of 10: cloned up to a scale of 0.1, split above, removed above 1.
+    g.log_scales = [0.05_f32, 0.5, 0.05, 0.05, 2.0].map(|s| [s.ln(); 3]).to_vec();
+    g.logit_opacities = vec![0.0, 0.0, 0.0, -9.0, 0.0];
+    engine.statistic = GradientStatistic { sum: vec![3e-3, 3e-3, 1e-4, 0.0, 0.0], count: vec![10, 10, 10, 0, 3] };
+    let step = DensifyStep { config: &config, scene_radius: 10.0, last: false, removes_large: true, seed: 1 };
+    let done = densify(&mut engine, &step);
+    assert_eq!((done.cloned, done.split, done.removed), (1, 1, 2));
+    let p = &engine.parameters;
+    // Kept 0 and 2, the clone of 0, two children of 1; the transparent and the large one are gone.
+    let colors: Vec<f32> = p.gaussians.colors.iter().map(|c| c[0]).collect();
+    assert_eq!(colors, [0.1, 0.3, 0.1, 0.2, 0.2]);
+    assert_eq!(p.foreground, [true, true, true, false, false]);
+    assert_eq!(p.gaussians.means[2], p.gaussians.means[0]);
+    for child in [3, 4] {
+        assert!((p.gaussians.log_scales[child][0].exp() - 0.5 / 1.6).abs() < 1e-6);
+        let moved = p.gaussians.means[child].map(|x| x - 1.0);
+        assert!(moved != [0.0; 3] && moved.iter().all(|m| m.abs() < 2.5), "{moved:?}");
+    }
+    assert_eq!(engine.statistic, GradientStatistic::new(5));
+    assert_eq!(engine.optimizer.mask.first.len(), 5);
+    reset_opacities(&mut engine, 0.01);
+    let opacity = tcgs_core::sigmoid(engine.parameters.gaussians.logit_opacities[0]);
+    assert!((opacity - 0.01).abs() < 1e-6);
+}
