@@ -19,22 +19,24 @@ pub enum CameraPath {
 /// Horizontal field of view.
 const FIELD_OF_VIEW: f64 = 1.1;
 /// Distance of the cameras from the scene's middle, in its radius: a captured scene is mostly its
-/// surroundings, and the cameras stood within them.
-const DISTANCE: f64 = 0.9;
+/// surroundings, and the cameras stood just within them.
+const DISTANCE: f64 = 0.85;
+/// Share of the Gaussians within the radius: a few far away do not matter.
+const WITHIN: f64 = 0.75;
 /// Height of the cameras above the middle, in their distance.
 const HEIGHT: f64 = 0.25;
 
 impl CameraPath {
     /// Cameras evenly along the path.
     ///
-    /// Their middle is the median of the centres, the radius their median distance from it: a few
-    /// Gaussians far away do not matter. Up is `−y`, as in the captures' worlds.
+    /// They look at the median of the Gaussians' centres. Up is `−y`, as in the captures' worlds.
     pub fn cameras(self, gaussians: &Gaussians, count: usize, size: Size) -> Vec<Camera> {
         let center: [f64; 3] =
-            std::array::from_fn(|axis| median(gaussians.means.iter().map(|m| f64::from(m[axis])).collect()));
+            std::array::from_fn(|axis| quantile(gaussians.means.iter().map(|m| f64::from(m[axis])).collect(), 0.5));
         let distance = |m: &[f32; 3]| (0..3).map(|i| (f64::from(m[i]) - center[i]).powi(2)).sum::<f64>().sqrt();
         // A scene of one point still has to be looked at from somewhere.
-        let radius = DISTANCE * median(gaussians.means.iter().map(distance).collect()).max(1e-3);
+        let radius = quantile(gaussians.means.iter().map(distance).collect(), WITHIN).max(1e-3);
+        let radius = DISTANCE * radius;
         let focal_px = 0.5 * size.width as f64 / (FIELD_OF_VIEW / 2.0).tan();
         (0..count)
             .map(|i| {
@@ -51,12 +53,13 @@ impl CameraPath {
     }
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+/// The value that a share of the values lies below; 0 of none.
+fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     if values.is_empty() {
         return 0.0;
     }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    let index = (share * (values.len() - 1) as f64) as usize;
+    *values.select_nth_unstable_by(index, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -25,7 +25,7 @@ impl Progress {
     /// - `total`: how many steps of it
     pub fn new(name: &'static str, total: usize) -> Self {
         let bar = ProgressBar::with_draw_target(Some(total as u64), ProgressDrawTarget::stderr_with_hz(8));
-        let style = ProgressStyle::with_template("{prefix} {bar:30} {pos}/{len}  {eta} left  {msg}");
+        let style = ProgressStyle::with_template("{prefix} {bar:30} {pos}/{len}  {eta} left  {wide_msg}");
         bar.set_style(style.expect("a template that is right").progress_chars("━╸─"));
         bar.set_prefix(name);
         Self { bar, name, total: total as u64, last: Instant::now() }

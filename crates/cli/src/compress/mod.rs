@@ -162,17 +162,17 @@ fn settings(arguments: &Arguments) -> Settings {
 fn report(arguments: &Arguments, compressed: &Compressed, out: &Path) -> anyhow::Result<()> {
     let raw = compressed.stages[0].bytes;
     let ratio = |bytes: u64| raw as f64 / bytes as f64;
-    say("stage             bytes              ratio")?;
+    say(&format!("{:<15} {:>11}  {:>9}  {:>8}", "stage", "bytes", "", "ratio"))?;
     for stage in &compressed.stages {
         let (name, bytes) = (stage.name, stage.bytes);
-        say(&format!("{name:<10} {bytes:>12}  {:>9}  {:>7.1}", show_bytes(bytes), ratio(bytes)))?;
+        say(&format!("{name:<15} {bytes:>11}  {:>9}  {:>8.1}", show_bytes(bytes), ratio(bytes)))?;
     }
     let compact = &compressed.compact;
     let keypoints = compact.keypoints_mean();
-    say("attribute         bytes             keypoints a track")?;
+    say(&format!("{:<15} {:>11}  {:>9}  {:>18}", "attribute", "bytes", "", "keypoints a track"))?;
     for (attribute, bytes) in Attribute::ALL.into_iter().zip(compressed.bytes_by_attribute) {
         let (name, keypoints) = (attribute.name(), keypoints[attribute.index()]);
-        say(&format!("{name:<15} {bytes:>7}  {:>9}  {keypoints:>7.2}", show_bytes(bytes)))?;
+        say(&format!("{name:<15} {bytes:>11}  {:>9}  {keypoints:>18.2}", show_bytes(bytes)))?;
     }
     let (before, after) = (compressed.num_gaussians_before, compact.num_gaussians());
     let size = compressed.file.len() as u64;

@@ -1,0 +1,206 @@
+//! What the command refuses: exit code 2 and one line that names the culprit, and nothing is touched.
+
+#![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
+
+mod support;
+
+use std::fs;
+use std::path::Path;
+
+use support::*;
+use tempfile::tempdir;
+
+/// Runs what must exit with 2 and say all of `expected`.
+fn refuse(arguments: &[&str], expected: &[&str]) {
+    let message = fail(2, arguments);
+    for part in expected {
+        assert!(message.contains(part), "{arguments:?}: {message}\nexpected: {part}");
+    }
+}
+
+#[test]
+fn wrong_usage_is_one_line() {
+    let capture = text(capture());
+    refuse(&["fly"], &["unrecognized subcommand 'fly'", "try '--help'"]);
+    refuse(&["train", capture], &["--out <RUN>", "Usage: tcgs train"]);
+    refuse(&["train", capture, "--out", "r", "--frames", "3..1"], &["'3..1'", "expected A..B with A below B"]);
+    refuse(&["train", capture, "--out", "r", "--bits", "8,4"], &["'8,4'", "1 <= MIN <= MAX <= 16"]);
+    refuse(&["train", capture, "--out", "r", "--iterations", "0,1"], &["FIRST,REST"]);
+    refuse(&["train", capture, "--out", "r", "--threads", "0"], &["'0'", "1 or more"]);
+    refuse(&["train", capture, "--out", "r", "--preset", "best"], &["'best'", "d3dgs, paper, default, fast"]);
+    refuse(&["compress", "x", "--prune", "2"], &["'2'", "0 to 1"]);
+    refuse(&["compress", "x", "--max-keypoints", "1"], &["2..=65536"]);
+    refuse(&["compress", "x", "--max-mse", "nan"], &["0 or more"]);
+    refuse(&["compress", "x", "--no-keypoints", "--max-mse", "1"], &["cannot be used with"]);
+    refuse(&["render", "x", "--out", "d", "--size", "0x4"], &["WIDTHxHEIGHT"]);
+    assert!(!Path::new("r").exists());
+    let help = succeed(&["train", "--help"]);
+    assert!(help.contains("Example:") && help.contains("--resume"), "{help}");
+}
+
+#[test]
+fn what_does_not_exist_yet_says_so() {
+    let folder = tempdir().unwrap();
+    let capture = text(capture());
+    let run = train(&folder, "run", &[]);
+    let out = folder.path().join("out");
+    let message = fail(1, &["train", capture, "--out", text(&out), "--backend", "gpu"]);
+    assert!(message.contains("no GPU backend") && message.contains("cpu"), "{message}");
+    assert!(fail(1, &["train", capture, "--out", text(&out), "--device", "H200"]).contains("--device H200"));
+    for protocol in ["4dgs", "stg"] {
+        refuse(&["eval", text(&run), "--capture", capture, "--protocol", protocol], &[protocol, "expected tc3dgs"]);
+    }
+    refuse(&["compress", text(&run), "--target-bytes", "1000"], &["--target-bytes 1000", "not in this version"]);
+    refuse(&["compress", text(&run), "--target-psnr", "30"], &["--target-psnr 30", "not in this version"]);
+    refuse(&["render", text(&run), "--out", "clip.mp4"], &["clip.mp4", "no video"]);
+    refuse(&["render", text(&run), "--out", text(&out), "--cameras", "t/transforms.json"], &["transforms.json"]);
+    refuse(&["export", text(&run), "--to", text(&out)], &["expected NAME.npz"]);
+    refuse(&["export", text(&run), "--to", "a.ply"], &["a.ply", "expected NAME.npz"]);
+    let plys = folder.path().join("plys");
+    fs::create_dir(&plys).unwrap();
+    fs::write(plys.join("000000.ply"), b"ply").unwrap();
+    refuse(&["compress", text(&plys)], &["plys", "PLY", "expected a .tcgs file, a run folder or a params.npz"]);
+    assert!(!out.exists());
+}
+
+#[test]
+fn settings_and_frames_that_do_not_fit_are_named() {
+    let folder = tempdir().unwrap();
+    let (capture, out) = (text(capture()), folder.path().join("run"));
+    let train = |more: &[&str], expected: &[&str]| {
+        refuse(&[&["train", capture, "--out", text(&out)], more].concat(), expected);
+        assert!(!out.exists(), "{more:?}");
+    };
+    train(&["--set", "weights.rigit=1"], &["unknown setting weights.rigit", "weights.rigid"]);
+    train(&["--set", "seed=many"], &["seed", "many", "integer"]);
+    train(&["--set", "seed"], &["KEY=VALUE"]);
+    train(&["--set", "data.capture=/x"], &["data.capture", "CAPTURE"]);
+    train(&["--frames", "2..9"], &["has the frames 0..4", "2..9"]);
+    train(&["--downscale", "100"], &["48x36", "100", "expected 1 to 36"]);
+    train(&["--config", "nowhere.toml"], &["nowhere.toml", "config.toml"]);
+    let file = folder.path().join("settings.toml");
+    fs::write(&file, "[densify]\nstop = 3\n").unwrap();
+    train(&["--config", text(&file)], &["settings.toml", "unknown setting densify.stop", "densify.start"]);
+    refuse(&["train", "nowhere", "--out", text(&out)], &["nowhere", "no such folder", "train_meta.json"]);
+    refuse(&["train", capture, "--out", text(&file)], &["settings.toml", "is a file"]);
+    refuse(&["train", capture, "--out", text(folder.path())], &["other things in it"]);
+    refuse(&["train", capture, "--out", text(&out), "--json", "no/where.json"], &["no: no such folder"]);
+    assert!(!out.exists());
+}
+
+#[test]
+fn scenes_and_captures_that_do_not_fit_are_named() {
+    let folder = tempdir().unwrap();
+    let (capture, run) = (text(capture()), train(&folder, "run", &["--frames", "1..3"]));
+    let path = |name: &str| folder.path().join(name);
+    refuse(&["eval", text(&run), "--capture", "nowhere"], &["nowhere", "no such folder"]);
+    refuse(&["eval", text(&run), "--capture", capture, "--frames", "1..4"], &["--frames 1..4", "1..3"]);
+    refuse(&["render", text(&run), "--out", text(&path("f")), "--frames", "0..2"], &["--frames 0..2", "1..3"]);
+    refuse(&["eval", "nowhere.tcgs", "--capture", capture], &["nowhere.tcgs", "expected a .tcgs file"]);
+    refuse(&["eval", capture, "--capture", capture], &["without config.toml", "expected a .tcgs file"]);
+    fs::write(path("a.txt"), "hello").unwrap();
+    refuse(&["render", text(&path("a.txt")), "--out", text(&path("f"))], &["a.txt", "another kind"]);
+    refuse(&["info", text(&path("a.txt"))], &["a.txt", "not a .tcgs file"]);
+    refuse(&["info", text(&run)], &["is a folder", "expected a .tcgs file"]);
+
+    let params = path("params.npz");
+    succeed(&["export", text(&run), "--to", text(&params)]);
+    refuse(&["compress", text(&params), "--prune", "0.1"], &["params.npz", "no masks"]);
+    let whole = fs::read(&params).unwrap();
+    for share in [0, 1, 3, 9] {
+        fs::write(&params, &whole[..whole.len() * share / 10]).unwrap();
+        refuse(&["compress", text(&params)], &["params.npz", "expected"]);
+        refuse(&["eval", text(&params), "--capture", capture], &["params.npz", "expected"]);
+    }
+    assert!(!path("params.tcgs").exists() && !path("f").exists());
+    succeed(&["compress", text(&run)]);
+    refuse(&["compress", text(&run.join("scene.tcgs")), "--out", text(&path("b.tcgs"))], &["compressed already"]);
+
+    let empty = path("empty");
+    fs::create_dir(&empty).unwrap();
+    fs::copy(run.join("config.toml"), empty.join("config.toml")).unwrap();
+    refuse(&["compress", text(&empty)], &["empty", "no checkpoint"]);
+    let maskless = train(&folder, "maskless", &["--no-mask"]);
+    refuse(&["compress", text(&maskless), "--prune", "0.1"], &["maskless", "without masks"]);
+}
+
+#[test]
+fn a_capture_without_test_cameras_is_judged_by_its_training_cameras() {
+    let folder = tempdir().unwrap();
+    let capture = folder.path().join("capture");
+    let settings = tcgs_capture::SyntheticSettings { num_test_cameras: 0, num_timesteps: 1, ..SETTINGS };
+    tcgs_capture::write_synthetic(&capture, &settings).unwrap();
+    let run = folder.path().join("run");
+    let said = succeed(&["train", text(&capture), "--out", text(&run), "--iterations", "20,10"]);
+    assert!(said.contains("train PSNR"), "{said}");
+    refuse(&["eval", text(&run), "--capture", text(&capture)], &["capture", "no test cameras", "--cameras train"]);
+    succeed(&["eval", text(&run), "--capture", text(&capture), "--cameras", "train"]);
+    let frames = folder.path().join("frames");
+    succeed(&["render", text(&run), "--out", text(&frames), "--cameras", text(&capture)]);
+    assert_eq!(fs::read_dir(&frames).unwrap().count(), 4);
+}
+
+#[test]
+fn damaged_files_are_refused_by_section() {
+    let folder = tempdir().unwrap();
+    let run = train(&folder, "run", &["--frames", "0..2"]);
+    succeed(&["compress", text(&run)]);
+    let file = run.join("scene.tcgs");
+    let whole = fs::read(&file).unwrap();
+    let result = folder.path().join("info.json");
+    for at in (0..whole.len()).step_by(whole.len() / 20) {
+        let mut damaged = whole.clone();
+        damaged[at] ^= 0x20;
+        fs::write(&file, damaged).unwrap();
+        refuse(&["info", text(&file), "--json", text(&result), "--force"], &["scene.tcgs", "expected a whole"]);
+        refuse(&["eval", text(&file), "--capture", text(capture())], &["scene.tcgs", "expected a whole .tcgs file"]);
+    }
+    let info = json(&result);
+    assert_eq!((&info["checksums_ok"], info["num_gaussians"].is_null()), (&false.into(), true));
+    refuse(&["info", text(&file)], &["the checksum of colors is wrong"]);
+    for length in (0..whole.len()).step_by(whole.len() / 20) {
+        fs::write(&file, &whole[..length]).unwrap();
+        refuse(&["info", text(&file)], &["scene.tcgs", "expected a whole .tcgs file"]);
+    }
+}
+
+#[test]
+fn nothing_is_overwritten_without_force() {
+    let folder = tempdir().unwrap();
+    let capture = text(capture());
+    let run = train(&folder, "run", &["--frames", "0..2"]);
+    let keep = |path: &Path, arguments: &[&str]| {
+        fs::write(path, b"precious").unwrap();
+        refuse(arguments, &[path.file_name().unwrap().to_str().unwrap(), "exists already", "--force"]);
+        assert_eq!(fs::read(path).unwrap(), b"precious");
+        succeed(&[arguments, &["--force"]].concat());
+        assert_ne!(fs::read(path).unwrap(), b"precious");
+    };
+    let path = |name: &str| folder.path().join(name);
+    keep(&run.join("scene.tcgs"), &["compress", text(&run)]);
+    keep(&path("a.tcgs"), &["compress", text(&run), "--out", text(&path("a.tcgs"))]);
+    keep(&path("b.json"), &["eval", text(&run), "--capture", capture, "--json", text(&path("b.json"))]);
+    keep(&path("c.csv"), &["eval", text(&run), "--capture", capture, "--csv", text(&path("c.csv"))]);
+    keep(&path("d.json"), &["info", text(&path("a.tcgs")), "--json", text(&path("d.json"))]);
+    keep(&path("e.npz"), &["export", text(&run), "--to", text(&path("e.npz"))]);
+
+    let frames = path("frames");
+    let render = ["render", text(&run), "--out", text(&frames), "--size", "16x9"];
+    succeed(&render);
+    refuse(&render, &["frames", "exists already", "--force"]);
+    succeed(&[&render[..], &["--force"]].concat());
+    fs::write(frames.join("diary.txt"), b"precious").unwrap();
+    refuse(&[&render[..], &["--force"]].concat(), &["diary.txt", "not written by this command"]);
+
+    let again = ["train", capture, "--out", text(&run), "--iterations", "30,10", "--frames", "0..1"];
+    let before = checkpoints(&run);
+    refuse(&again, &["run", "--resume", "--force"]);
+    assert!(before == checkpoints(&run));
+    fs::write(run.join("notes.txt"), b"precious").unwrap();
+    // A wrong input is found before anything is replaced.
+    refuse(&["train", "nowhere", "--out", text(&run), "--force"], &["nowhere"]);
+    assert!(before == checkpoints(&run));
+    succeed(&[&again[..], &["--force"]].concat());
+    assert!(before[..1] == checkpoints(&run)[..], "the same settings, one timestep");
+    assert!(run.join("notes.txt").exists() && !run.join("scene.tcgs").exists());
+}
