@@ -86,7 +86,7 @@ pub(crate) fn nearest(points: &[[f32; 3]], count: usize) -> Vec<Vec<(u32, f32)>>
         .map(|(i, point)| {
             let found = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
             let mut others: Vec<(u32, f32)> =
-                found.iter().filter(|f| f.item as usize != i).map(|f| (f.item as u32, f.distance)).collect();
+                found.iter().filter(|f| f.item as usize != i).map(|f| (f.item, f.distance)).collect();
             // Among points at one place the query may not return the point itself.
             others.truncate(wanted.get() - 1);
             others

@@ -35,6 +35,9 @@ pub struct Progress {
     pub num_gaussians: usize,
 }
 
+/// Means and rotations of one timestep.
+type Pose = (Vec<[f32; 3]>, Vec<[f32; 4]>);
+
 /// A run in progress: the state after some timesteps.
 #[derive(Debug)]
 pub struct Trainer {
@@ -45,9 +48,9 @@ pub struct Trainer {
     /// Timesteps finished.
     timestep: usize,
     /// Of the first timestep.
-    first: Option<(Vec<[f32; 3]>, Vec<[f32; 4]>)>,
+    first: Option<Pose>,
     /// Of the timestep before the last.
-    before: Option<(Vec<[f32; 3]>, Vec<[f32; 4]>)>,
+    before: Option<Pose>,
     neighbors: Option<Neighbors<f32>>,
     camera_ids: Vec<usize>,
 }

@@ -1,5 +1,7 @@
 //! Losses, quantizer gradients, sensitivities and the very first render against other programs' vectors.
 
+#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
+
 use std::path::{Path, PathBuf};
 
 use npyz::npz::NpzArchive;

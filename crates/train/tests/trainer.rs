@@ -1,5 +1,7 @@
 //! Whole trainings of a tiny synthetic capture.
 
+#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
+
 use std::sync::OnceLock;
 
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
@@ -106,13 +108,12 @@ fn threads_and_resuming_do_not_change_a_bit() {
     let on = |threads: usize| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
             let mut trainer = trainer(&config);
-            let checkpoints = (0..4)
+            (0..4)
                 .map(|frame| {
                     trainer.fit(&views(frame), &mut |_| ()).unwrap();
                     trainer.checkpoint()
                 })
-                .collect::<Vec<_>>();
-            checkpoints
+                .collect::<Vec<_>>()
         })
     };
     let whole = on(1);

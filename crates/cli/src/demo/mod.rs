@@ -129,7 +129,8 @@ fn pipeline(arguments: &Arguments, folder: &Path) -> anyhow::Result<Outcome> {
 
     say("1/4  ray-tracing a capture: moving objects in a room")?;
     let settings = SyntheticSettings { seed: arguments.job.seed.unwrap_or(0), ..SyntheticSettings::default() };
-    write_synthetic(&folder.join("capture"), &settings)?;
+    // What fails here is the disk, not an input.
+    write_synthetic(&folder.join("capture"), &settings).map_err(|error| anyhow::anyhow!("{error}"))?;
     let capture = Capture::open(&folder.join("capture"))?;
     lap("synthesise");
 
@@ -169,8 +170,7 @@ fn pipeline(arguments: &Arguments, folder: &Path) -> anyhow::Result<Outcome> {
 }
 
 fn config(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfig> {
-    let mut config = TrainConfig::default();
-    config.seed = arguments.job.seed.unwrap_or(0);
+    let mut config = TrainConfig { seed: arguments.job.seed.unwrap_or(0), ..TrainConfig::default() };
     [config.schedule.first_iterations, config.schedule.rest_iterations] = ITERATIONS;
     config.data.end_frame = capture.num_frames();
     config.data.frame_rate = capture.frame_rate();

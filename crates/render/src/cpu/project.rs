@@ -66,8 +66,7 @@ struct Chain<R> {
 fn chain<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], pinhole: &Pinhole<R>) -> Option<Chain<R>> {
     let point = pinhole.camera_from_world(mean);
     let depth = point[2];
-    // Negated so that NaN is culled too.
-    if !(depth > R::of(NEAR)) {
+    if depth <= R::of(NEAR) || depth.is_nan() {
         return None;
     }
     let rotmat = rotmat_from_unit_quat(quat);

@@ -62,8 +62,7 @@ fn pixel_range(center: f32, extent: f32, size: usize) -> [u32; 2] {
 
 fn splat(gaussians: &Activated, index: usize, camera: &Camera, pinhole: &Pinhole<f32>) -> Option<Splat> {
     let opacity = gaussians.opacities[index];
-    // Negated so that NaN is culled too.
-    if !(opacity >= MIN_ALPHA as f32) {
+    if opacity < MIN_ALPHA as f32 || opacity.is_nan() {
         return None;
     }
     let p = project(gaussians.means[index], gaussians.quats[index], gaussians.scales[index], pinhole)?;
