@@ -11,9 +11,9 @@ use super::Moments;
 /// Gaussians that one task handles; fixed, so that sums over them are.
 const CHUNK: usize = 1 << 12;
 
-/// One value through a quantizer.
+/// One value through its quantizer: what the file will say.
 #[inline(always)]
-fn fake_quant(x: f32, q: &Quantizer) -> f32 {
+pub fn fake_quant(x: f32, q: &Quantizer) -> f32 {
     q.dequantize(q.quantize(x))
 }
 

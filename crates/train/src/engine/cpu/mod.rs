@@ -7,7 +7,7 @@ mod mask;
 mod motion_prior;
 
 pub use adam::Moments;
-pub use fake_quant::{FakeQuantizers, fake_quant_vjp, step_gradient_scale};
+pub use fake_quant::{FakeQuantizers, fake_quant, fake_quant_vjp, step_gradient_scale};
 pub use image_loss::{ImageLoss, Target, image_loss};
 pub use mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 pub use motion_prior::{MotionPrior, Neighbors, PriorGrads, PriorLosses, PriorWeights, predict};
