@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use serde_json::json;
 use tcgs_interchange::{ParamsExtras, write_params_npz_to};
 
+use crate::compress::kept_gaussians;
 use crate::error::wrong_input;
 use crate::options::JobOptions;
 use crate::output::{check_file, say, show_bytes, write_file_with};
@@ -13,8 +14,8 @@ use crate::scene::{Model, Scene};
 
 /// Export a scene for other programs
 ///
-/// A params.npz is what Dynamic 3D Gaussians writes and its viewer reads. A run is exported as it was
-/// trained: floats, before pruning.
+/// A params.npz is what Dynamic 3D Gaussians writes and its viewer reads. A run is exported in floats,
+/// without the Gaussians that its masks leave out over time: such a file has no place for masks.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -39,15 +40,21 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     check_file(&arguments.to, arguments.job.force)?;
     let scene = Scene::load(&arguments.scene)?;
     say(&scene.describe())?;
+    let foreground: Vec<bool>;
     let (floats, extras) = match &scene.model {
         Model::Run(run) => {
             let trained = &run.1;
+            let keep = kept_gaussians(&scene, None)?;
+            foreground = keep.iter().map(|&i| trained.foreground[i]).collect();
+            if keep.len() < scene.num_gaussians() {
+                say(&format!("{} of {} Gaussians are not masked out", keep.len(), scene.num_gaussians()))?;
+            }
             let extras = ParamsExtras {
-                foreground: Some(&trained.foreground),
+                foreground: Some(&foreground),
                 log_gains: &trained.camera_gains,
                 offsets: &trained.camera_offsets,
             };
-            (&trained.scene, extras)
+            (&trained.scene.select(&keep), extras)
         }
         Model::Params(floats) => (&**floats, ParamsExtras::default()),
         Model::Compact(compact) => (&compact.reconstruct(), ParamsExtras::default()),

@@ -34,7 +34,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.file.is_dir() {
         return Err(wrong_input(format!("{path}: is a folder, expected a .tcgs file")));
     }
-    let bytes = fs::read(&arguments.file).map_err(|error| unreadable(&arguments.file, error))?;
+    let bytes = fs::read(&arguments.file).map_err(|error| unreadable(&arguments.file, error, "a .tcgs file"))?;
     let info = inspect(&bytes, &DecodeLimits::default())
         .map_err(|error| wrong_input(format!("{path}: {error}, expected a whole .tcgs file")))?;
     say(&format!("{path}: version {}, {} ({} bytes)", info.version, show_bytes(info.bytes), info.bytes))?;

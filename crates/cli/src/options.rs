@@ -20,7 +20,7 @@ pub struct JobOptions {
     #[arg(long)]
     pub force: bool,
     /// Seed of random choices; results depend on it and on nothing that changes from run to run [default: 0]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// Threads to compute with; results do not depend on it [default: as many as cores]
     #[arg(long, value_name = "N", value_parser = positive)]

@@ -1,5 +1,6 @@
 //! What commands leave behind: whole or not at all, and never over something else unless told to.
 
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -110,6 +111,13 @@ impl NewFolder {
 
     /// Puts it in its place.
     pub fn finish(self) -> anyhow::Result<()> {
+        self.finish_around(|_| false)
+    }
+
+    /// Puts it in its place; of the folder that it replaces, it takes over some entries.
+    ///
+    /// - `stays`: whether an entry of that name is taken over
+    pub fn finish_around(self, stays: fn(&OsStr) -> bool) -> anyhow::Result<()> {
         let context = || format!("writing {}", self.place.display());
         if self.force && self.place.exists() {
             let before = visible_folder(parent(&self.place)).with_context(context)?;
@@ -119,12 +127,27 @@ impl NewFolder {
             if renamed.is_err() {
                 fs::rename(&replaced, &self.place).with_context(context)?;
             }
-            renamed.with_context(context)
+            renamed.with_context(context)?;
+            take_over(&replaced, &self.place, stays).with_context(|| {
+                // What could not be moved must not be lost.
+                format!("moving what is left in {}", before.keep().join("replaced").display())
+            })
         } else {
             // Over an empty folder, too; fails over any other.
             fs::rename(self.beside.path(), &self.place).with_context(context)
         }
     }
+}
+
+/// Moves some entries of a folder to another one that has none of these names.
+fn take_over(from: &Path, to: &Path, stays: fn(&OsStr) -> bool) -> io::Result<()> {
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        if stays(&entry.file_name()) {
+            fs::rename(entry.path(), to.join(entry.file_name()))?;
+        }
+    }
+    Ok(())
 }
 
 /// A file below `folder` that is not ours; the folder itself if it is none.
@@ -239,6 +262,21 @@ mod tests {
         fs::remove_dir_all(&place).unwrap();
         fs::create_dir(&place).unwrap();
         fill(false, "4.png").unwrap();
+        assert_eq!(fs::read_dir(parent.path()).unwrap().count(), 1, "a temporary folder was left behind");
+    }
+
+    #[test]
+    fn a_replaced_folder_hands_over_what_stays() {
+        let parent = tempfile::tempdir().unwrap();
+        let place = parent.path().join("demo");
+        fs::create_dir_all(place.join("notes")).unwrap();
+        fs::write(place.join("notes/one.txt"), b"precious").unwrap();
+        fs::write(place.join("old.png"), b"x").unwrap();
+        let folder = NewFolder::begin(&place, true, |_| true).unwrap();
+        fs::write(folder.path().join("new.png"), b"x").unwrap();
+        folder.finish_around(|name| name == "notes").unwrap();
+        assert_eq!(fs::read(place.join("notes/one.txt")).unwrap(), b"precious");
+        assert!(place.join("new.png").exists() && !place.join("old.png").exists());
         assert_eq!(fs::read_dir(parent.path()).unwrap().count(), 1, "a temporary folder was left behind");
     }
 

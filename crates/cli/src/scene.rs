@@ -48,7 +48,7 @@ impl Scene {
         }
         match kind_of_file(path)? {
             Kind::Tcgs => {
-                let bytes = fs::read(path).map_err(|error| unreadable(path, error))?;
+                let bytes = fs::read(path).map_err(|error| unreadable(path, error, EXPECTED))?;
                 Self::decode(path, &bytes)
             }
             Kind::Npz => {
@@ -185,7 +185,7 @@ enum Kind {
 fn kind_of_file(path: &Path) -> anyhow::Result<Kind> {
     let mut start = Vec::new();
     let read = fs::File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
-    read.map_err(|error| unreadable(path, error))?;
+    read.map_err(|error| unreadable(path, error, EXPECTED))?;
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
         "tcgs" => Ok(Kind::Tcgs),
         "npz" => Ok(Kind::Npz),
@@ -196,8 +196,10 @@ fn kind_of_file(path: &Path) -> anyhow::Result<Kind> {
 }
 
 /// A file given by the user that cannot be read.
-pub fn unreadable(path: &Path, error: std::io::Error) -> anyhow::Error {
-    let message = format!("{}: {error}, expected {EXPECTED}", path.display());
+///
+/// - `expected`: what it should have been
+pub fn unreadable(path: &Path, error: std::io::Error, expected: &str) -> anyhow::Error {
+    let message = format!("{}: {error}, expected {expected}", path.display());
     if is_wrong_path(&error) { wrong_input(message) } else { anyhow::Error::new(error).context(message) }
 }
 

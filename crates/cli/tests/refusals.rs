@@ -29,6 +29,7 @@ fn wrong_usage_is_one_line() {
     refuse(&["train", capture, "--out", "r", "--threads", "0"], &["'0'", "1 or more"]);
     refuse(&["train", capture, "--out", "r", "--preset", "best"], &["'best'", "d3dgs, paper, default, fast"]);
     refuse(&["compress", "x", "--prune", "2"], &["'2'", "0 to 1"]);
+    refuse(&["compress", "x", "--prune", "-1"], &["'-1'", "0 to 1"]);
     refuse(&["compress", "x", "--max-keypoints", "1"], &["2..=65536"]);
     refuse(&["compress", "x", "--max-mse", "nan"], &["0 or more"]);
     refuse(&["compress", "x", "--no-keypoints", "--max-mse", "1"], &["cannot be used with"]);
@@ -101,6 +102,8 @@ fn scenes_and_captures_that_do_not_fit_are_named() {
     fs::write(path("a.txt"), "hello").unwrap();
     refuse(&["render", text(&path("a.txt")), "--out", text(&path("f"))], &["a.txt", "another kind"]);
     refuse(&["info", text(&path("a.txt"))], &["a.txt", "not a .tcgs file"]);
+    let message = fail(2, &["info", "nowhere.tcgs"]);
+    assert!(message.contains("nowhere.tcgs") && message.ends_with("expected a .tcgs file"), "{message}");
     refuse(&["info", text(&run)], &["is a folder", "expected a .tcgs file"]);
 
     let params = path("params.npz");
@@ -196,6 +199,10 @@ fn nothing_is_overwritten_without_force() {
     let before = checkpoints(&run);
     refuse(&again, &["run", "--resume", "--force"]);
     assert!(before == checkpoints(&run));
+    let shorter = ["train", capture, "--out", text(&run), "--resume", "--frames", "0..1"];
+    let config = fs::read(run.join("config.toml")).unwrap();
+    refuse(&shorter, &["run: has trained the frames 0..2", "--frames 0..1", "no earlier end"]);
+    assert!(before == checkpoints(&run) && config == fs::read(run.join("config.toml")).unwrap());
     fs::write(run.join("notes.txt"), b"precious").unwrap();
     // A wrong input is found before anything is replaced.
     refuse(&["train", "nowhere", "--out", text(&run), "--force"], &["nowhere"]);

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 pub struct TrainConfig {
     /// Which preset the settings started from.
     pub preset: Preset,
-    /// Seed of every random choice. Default 0.
+    /// Seed of every random choice. Default 0. TOML's integers are signed: from 2^63 on a file holds it less 2^64.
+    #[serde(with = "signed")]
     pub seed: u64,
     /// What is trained on.
     pub data: DataConfig,
@@ -24,6 +25,19 @@ pub struct TrainConfig {
     pub mask: MaskConfig,
     /// Mixed-precision quantisation (paper 4.1.2).
     pub quantize: QuantizeConfig,
+}
+
+/// 64 bits as the signed integers that TOML has.
+mod signed {
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub fn serialize<S: Serializer>(value: &u64, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_i64(value.cast_signed())
+    }
+
+    pub fn deserialize<'a, D: Deserializer<'a>>(deserializer: D) -> Result<u64, D::Error> {
+        i64::deserialize(deserializer).map(i64::cast_unsigned)
+    }
 }
 
 /// A named set of settings.
@@ -77,7 +91,7 @@ pub struct RateConfig {
     pub mean: f32,
     /// Colours. Default 2.5e-3 (reference).
     pub color: f32,
-    /// Colours after the first timestep. Reference 2.5e-3; default lower, so that colours do not
+    /// Colours after the first timestep. Reference 2.5e-3; default 5e-4, so that colours do not
     /// wander and their tracks stay simple.
     pub color_rest: f32,
     /// Rotations. Default 1e-3 (reference).
@@ -99,13 +113,13 @@ pub struct RateConfig {
     /// Whether Adam's bias correction starts anew at every timestep. Reference false: the first steps
     /// are then about three times the rate. Default true, which follows motion better and drifts less.
     pub reset_steps: bool,
-    /// Share of that multiplication left at the end of a timestep, reached along a cosine. 1 keeps
-    /// the rates constant (reference).
+    /// Share of the rates of means, rotations, colours and steps left at the end of every timestep after
+    /// the first, reached along a cosine. Reference 1: constant; default 0.02.
     pub motion_decay: f32,
-    /// Likewise for every rate of the first timestep: share left at its end. 1: constant (reference).
+    /// Likewise for every rate of the first timestep but the mask's. Reference 1; default 0.1.
     pub first_decay: f32,
-    /// What scales, rotations, means and cameras of the first timestep are multiplied by; 0: the square root of
-    /// reference iterations / actual. 1: as they stand (reference).
+    /// What the rates of scales, rotations, means and cameras of the first timestep are multiplied by; 0: the
+    /// square root of reference iterations / actual. Reference 1; default 0.
     pub first_scale: f32,
 }
 
@@ -159,8 +173,8 @@ pub struct DensifyConfig {
     pub prune_opacity: f32,
     /// The same at the last event. Default 0.25.
     pub prune_opacity_end: f32,
-    /// From here on, Gaussians of a scale over `prune_scale` are removed, and here once opacities are
-    /// reset. Default 3000.
+    /// At this iteration opacities are reset, once; from it on Gaussians of a scale over `prune_scale` are
+    /// removed. Default 3000.
     pub reset: usize,
     /// Share of the scene's radius. Default 0.1.
     pub prune_scale: f32,
@@ -191,7 +205,7 @@ pub struct MaskConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BitMapKind {
-    /// Logarithmic: an even loss a bit.
+    /// Least expected change of the images for `mean_bits` (`tcgs_codec::BitMapping::Log`).
     Log,
     /// The paper's min-max normalisation.
     Linear,
@@ -209,7 +223,7 @@ pub struct QuantizeConfig {
     pub min_bits: u8,
     /// Most bits. Default 8 (paper).
     pub max_bits: u8,
-    /// Mean bits that the logarithmic map aims at. Default 5, about where the paper's [4, 8] ends up.
+    /// Mean bits of each attribute that the logarithmic map aims at. Default 5, about where the paper's [4, 8] ends up.
     pub mean_bits: f32,
     /// Sensitivity to bits. Default `log`; the paper's is `linear`.
     pub bit_map: BitMapKind,
@@ -425,6 +439,19 @@ impl TrainConfig {
         let refuse = |key: &str, found: String, expected: &str| {
             Err(ConfigError::Value { key: key.into(), found, expected: expected.into() })
         };
+        for (section, values) in self.table() {
+            for (name, value) in values.as_table().into_iter().flatten() {
+                let key = format!("{section}.{name}");
+                if let Some(x) = value.as_float()
+                    && !(x.is_finite() && (x >= 0.0 || key == "mask.initial_logit"))
+                {
+                    return refuse(&key, x.to_string(), "a finite number, 0 or more");
+                }
+            }
+        }
+        if self.densify.split_children == 0 || self.densify.split_shrink == 0.0 {
+            return refuse("densify.split_children or split_shrink", "0".into(), "more than 0");
+        }
         let q = &self.quantize;
         if q.min_bits < 1 || q.min_bits > q.max_bits || q.max_bits > 16 {
             return refuse(
@@ -485,6 +512,8 @@ mod tests {
         for preset in [Preset::D3dgs, Preset::Paper, Preset::Default, Preset::Fast] {
             let config = TrainConfig::preset(preset);
             assert_eq!(TrainConfig::default().merge(&config.to_toml()).unwrap(), config);
+            let config = TrainConfig { seed: u64::MAX, ..config };
+            assert_eq!(TrainConfig::default().merge(&config.to_toml()).unwrap(), config);
         }
     }
 
@@ -503,6 +532,8 @@ mod tests {
             ("mask.threshold", "high", "mask.threshold is \"high\", expected a value of type float"),
             ("quantize.min_bits", "9", "quantize.min_bits,max_bits is 9,8"),
             ("quantize.bit_map", "cubic", "not a configuration"),
+            ("weights.rigid", "nan", "weights.rigid is NaN, expected a finite number"),
+            ("rates.mean", "-1.0", "rates.mean is -1, expected"),
         ] {
             let error = config.clone().set(key, value).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");

@@ -90,12 +90,14 @@ pub fn densify(engine: &mut CpuEngine, step: &DensifyStep<'_>) -> Densified {
     Densified { cloned: cloned.len(), split: split.len(), removed }
 }
 
-/// Keeps the Gaussians at `keep`; clears the statistic.
+/// Keeps the Gaussians at `keep`, with their moments, their share of the statistic and their bit widths.
+///
+/// - `keep`: indices, in the order wanted
 pub fn remove_others(engine: &mut CpuEngine, keep: &[usize]) {
     gather(engine, &keep.iter().map(|&i| (i, false)).collect::<Vec<_>>());
 }
 
-/// Sets every opacity to `opacity` and forgets their moments.
+/// Sets every opacity to `opacity`, within (0, 1), and forgets their moments.
 pub fn reset_opacities(engine: &mut CpuEngine, opacity: f32) {
     let logit = (opacity / (1.0 - opacity)).ln();
     engine.parameters.gaussians.logit_opacities.fill(logit);

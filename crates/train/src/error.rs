@@ -11,12 +11,10 @@ pub enum TrainError {
     /// Settings.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// A loss became NaN or infinite.
-    #[error(
-        "the {term} loss is {value} at timestep {timestep}, iteration {iteration}; the checkpoints before it are whole"
-    )]
+    /// A loss or a parameter became NaN or infinite.
+    #[error("{term} became {value} at timestep {timestep}, iteration {iteration}; the checkpoints before it are whole")]
     NotFinite {
-        /// Which loss.
+        /// Which loss or attribute.
         term: &'static str,
         /// Its value.
         value: f64,

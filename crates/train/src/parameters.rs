@@ -28,6 +28,8 @@ impl Parameters {
     /// Gaussians at the points of a cloud: isotropic, as large as the root mean squared distance to
     /// the three nearest, half opaque. Luiten et al. 2024, `initialize_params` of the released code.
     ///
+    /// - `mask_logit`: where every mask starts
+    ///
     /// # Panics
     /// If the cloud is empty.
     pub fn from_cloud(cloud: &PointCloud, num_cameras: usize, mask_logit: f32) -> Self {
@@ -61,7 +63,7 @@ impl Parameters {
         self.gaussians.num_gaussians()
     }
 
-    /// The Gaussians at `indices`, in that order; cameras as they are.
+    /// The Gaussians at `indices`, in that order, repeated where an index is; cameras as they are.
     pub fn select(&self, indices: &[usize]) -> Self {
         Self {
             gaussians: self.gaussians.select(indices),
@@ -94,7 +96,10 @@ pub(crate) fn nearest(points: &[[f32; 3]], count: usize) -> Vec<Vec<(u32, f32)>>
         .collect()
 }
 
-/// Extent of a scene: 1.1 times the largest distance of a camera from the mean camera.
+/// Extent of a scene: 1.1 times the largest distance of a camera's centre from the mean of all centres.
+///
+/// - `cameras`: of the first timestep, used for training
+/// - returns: scene units; 0 of a single camera
 ///
 /// Luiten et al. 2024, `initialize_params` of the released code.
 pub fn scene_radius(cameras: &[Camera]) -> f32 {

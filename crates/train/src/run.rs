@@ -161,13 +161,16 @@ impl Run {
     /// # Errors
     /// [`TrainError::Io`] if they cannot be read.
     pub fn metrics(&self) -> Result<Vec<Value>, TrainError> {
+        // A line cut short by a crash is one of a timestep that has no checkpoint yet.
+        Ok(self.metrics_text()?.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+    }
+
+    fn metrics_text(&self) -> Result<String, TrainError> {
         let path = self.folder.join(METRICS);
         if !path.exists() {
-            return Ok(Vec::new());
+            return Ok(String::new());
         }
-        let text = fs::read_to_string(&path).map_err(io("reading", &path))?;
-        // A line cut short by a crash is one of a timestep that has no checkpoint yet.
-        Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+        fs::read_to_string(&path).map_err(io("reading", &path))
     }
 
     /// Keeps the metrics of the first `timesteps` and drops what a stopped run wrote after them.
@@ -175,13 +178,12 @@ impl Run {
     /// # Errors
     /// [`TrainError::Io`] if they cannot be written.
     pub fn truncate_metrics(&self, timesteps: usize) -> Result<(), TrainError> {
-        let kept: Vec<String> = self
-            .metrics()?
-            .iter()
-            .filter(|m| m["timestep"].as_u64().is_some_and(|t| t < timesteps as u64))
-            .map(Value::to_string)
-            .collect();
-        let text = kept.iter().map(|line| format!("{line}\n")).collect::<String>();
+        let kept = |line: &&str| {
+            let metrics: Option<Value> = serde_json::from_str(line).ok();
+            metrics.is_some_and(|m| m["timestep"].as_u64().is_some_and(|t| t < timesteps as u64))
+        };
+        // The lines as they are: printing what was parsed could change the last digit of a number.
+        let text: String = self.metrics_text()?.lines().filter(kept).map(|line| format!("{line}\n")).collect();
         self.write_whole(METRICS, text.as_bytes())
     }
 

@@ -7,8 +7,9 @@ use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 /// `S(θ) = Σ_k |∂Q_k/∂θ| / Σ_k N_k`: `Q_k` the sum of all colour values of image `k` over black,
 /// unclamped, `N_k` its number of pixels.
 ///
-/// - `gaussians`: stored form; the sensitivities are with respect to it
-/// - returns: in the shape of [`Gaussians`], all values >= 0
+/// - `gaussians`: `[N]`, stored form; the sensitivities are with respect to it
+/// - `cameras`: of the training views, one rendering each
+/// - returns: in the shape of [`Gaussians`], all values >= 0, colour per unit of the parameter
 ///
 /// Paper, Eq. 7; the absolute value is taken per view as in Niedermayr et al. 2024.
 pub fn sensitivity(gaussians: &Gaussians, cameras: &[Camera]) -> Gaussians {

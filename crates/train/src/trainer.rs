@@ -74,7 +74,11 @@ impl Trainer {
         if cameras.is_empty() {
             return Err(input("training cameras", "at least 1"));
         }
-        let radius = scene_radius(cameras);
+        let radius = match scene_radius(cameras) {
+            // Cameras at one place say nothing of the scene's extent.
+            0.0 => distance_to_points(&cameras[0], cloud),
+            radius => radius,
+        };
         let parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
         Ok(Self {
             config: config.clone(),
@@ -193,6 +197,7 @@ impl Trainer {
                 num_gaussians: self.engine.parameters.num_gaussians(),
             });
         }
+        self.check_finite(iterations)?;
         self.end_timestep();
         Ok(())
     }
@@ -233,6 +238,7 @@ impl Trainer {
 
     fn start_quantization(&mut self, targets: &[Target]) {
         let cameras: Vec<Camera> = targets.iter().map(|t| t.camera.clone()).collect();
+        self.engine.canonicalize_quats();
         let gaussians = &self.engine.parameters.gaussians;
         let bit_map = assign_bits(&sensitivity(gaussians, &cameras), gaussians, &bit_settings(&self.config));
         let quantizers = FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset);
@@ -265,6 +271,18 @@ impl Trainer {
             o.attributes[attribute.index()].clear(self.config.rates.reset_steps);
         }
         o.mask.clear(self.config.rates.reset_steps);
+    }
+
+    /// A Gaussian that is not finite is culled by the renderer, so that no loss tells.
+    fn check_finite(&self, iteration: usize) -> Result<(), TrainError> {
+        for attribute in Attribute::ALL {
+            let values = self.engine.parameters.gaussians.values(attribute);
+            if let Some(value) = values.iter().find(|x| !x.is_finite()) {
+                let (term, value) = (attribute.name(), f64::from(*value));
+                return Err(TrainError::NotFinite { term, value, timestep: self.timestep, iteration });
+            }
+        }
+        Ok(())
     }
 
     fn end_timestep(&mut self) {
@@ -317,6 +335,13 @@ impl Trainer {
     }
 }
 
+/// Root mean squared distance of a camera to the points, scene units.
+fn distance_to_points(camera: &Camera, cloud: &PointCloud) -> f32 {
+    let center = camera.center();
+    let squared = |p: &[f32; 3]| (0..3).map(|i| (f64::from(p[i]) - center[i]).powi(2)).sum::<f64>();
+    (cloud.points.iter().map(squared).sum::<f64>() / cloud.points.len() as f64).sqrt() as f32
+}
+
 /// A run's settings in the codec's words.
 pub fn bit_settings(config: &TrainConfig) -> BitSettings {
     let q = &config.quantize;
@@ -332,7 +357,11 @@ pub fn bit_settings(config: &TrainConfig) -> BitSettings {
     }
 }
 
-/// The Gaussians of a checkpoint as they are drawn: masked ones, by index, are not.
+/// Which Gaussians of a checkpoint are not drawn: those whose mask (paper Eq. 1) is 0.
+///
+/// - `mask_logits`: `[N]`
+/// - `threshold`: `ε`, in `[0, 1)`
+/// - returns: `[N]`
 pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
     mask_logits.iter().map(|&m| crate::engine::cpu::mask(m, threshold) == 0.0).collect()
 }
@@ -340,6 +369,11 @@ pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
 /// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. 6.
 ///
 /// - `mask_logits`: `[T][N]`
+/// - returns: `[N]`, in (0, 1)
+///
+/// ```
+/// assert_eq!(tcgs_train::mean_masks(&[vec![0.0, 40.0], vec![0.0, 40.0]]), [0.5, 1.0]);
+/// ```
 pub fn mean_masks(mask_logits: &[Vec<f32>]) -> Vec<f32> {
     let n = mask_logits.first().map_or(0, Vec::len);
     (0..n)

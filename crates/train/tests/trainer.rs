@@ -105,6 +105,8 @@ fn a_capture_without_masks_trains_and_stays_finite() {
 fn threads_and_resuming_do_not_change_a_bit() {
     let mut config = config();
     (config.schedule.first_iterations, config.schedule.rest_iterations) = (120, 15);
+    // Often enough that density adapts within them.
+    config.densify.interval = 20;
     let on = |threads: usize| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
             let mut trainer = trainer(&config);
@@ -145,6 +147,16 @@ fn what_cannot_be_trained_on_is_refused() {
     assert_eq!(error, "training views of timestep 0: found 3, expected 5, as at the first");
     let nothing = tcgs_core::PointCloud::default();
     assert!(Trainer::new(&config(), &nothing, &[views(0)[0].camera.clone()]).is_err());
+}
+
+#[test]
+fn rotations_take_the_form_of_files_before_they_are_quantised() {
+    let cloud =
+        tcgs_core::PointCloud { points: vec![[0.0; 3]; 2], colors: vec![[0.5; 3]; 2], foreground: vec![true; 2] };
+    let mut engine = CpuEngine::new(Parameters::from_cloud(&cloud, 1, 1.0));
+    engine.parameters.gaussians.quats = vec![[-3.0, 0.0, 4.0, 0.0], [0.0, 0.0, 0.0, 2.0]];
+    engine.canonicalize_quats();
+    assert_eq!(engine.parameters.gaussians.quats, [[0.6, 0.0, -0.8, 0.0], [0.0, 0.0, 0.0, 1.0]]);
 }
 
 #[test]

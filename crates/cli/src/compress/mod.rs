@@ -40,7 +40,7 @@ pub struct Arguments {
     max_keypoints: Option<u32>,
     /// Mean squared error of a track at which no more keypoints are added
     /// [default: 1e-5, colours 5e-5; paper: 1e-5]
-    #[arg(long, value_name = "MSE", value_parser = not_negative)]
+    #[arg(long, value_name = "MSE", value_parser = not_negative, allow_negative_numbers = true)]
     max_mse: Option<f32>,
     /// Store every timestep
     #[arg(long, conflicts_with_all = ["max_keypoints", "max_mse"])]
@@ -53,7 +53,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=16))]
     position_bits: Option<u8>,
     /// Leave out Gaussians whose mean mask is not above this [default: the run's mask.threshold]
-    #[arg(long, value_name = "EPS", value_parser = share)]
+    #[arg(long, value_name = "EPS", value_parser = share, allow_negative_numbers = true)]
     prune: Option<f32>,
     /// Capture whose training cameras tell how much each parameter matters [default: the run's]
     #[arg(long, value_name = "CAPTURE")]

@@ -106,7 +106,7 @@ pub fn kept_gaussians(scene: &Scene, threshold: Option<f32>) -> anyhow::Result<V
     let keep: Vec<usize> = (0..means.len()).filter(|&i| means[i] > threshold).collect();
     if keep.is_empty() {
         let largest = means.iter().fold(0.0_f32, |a, &b| a.max(b));
-        let problem = format!("its largest mean mask is {largest}, expected one above the threshold {threshold}");
+        let problem = format!("its largest mean mask is {largest:.1e}, expected one above the threshold {threshold}");
         return Err(wrong_input(format!("{}: {problem}", scene.path.display())));
     }
     Ok(keep)

@@ -130,6 +130,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let config = settings::resumed(arguments, &capture, stored.config())?;
         folder::remove_leftovers(&arguments.out)?;
         let resumed = folder::resume(&stored)?;
+        settings::check_end(arguments, &config, resumed.as_ref().map_or(0, Trainer::timesteps))?;
         stored.truncate_metrics(resumed.as_ref().map_or(0, Trainer::timesteps))?;
         if &config != stored.config() {
             stored.set_config(&config)?;

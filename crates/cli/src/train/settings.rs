@@ -39,6 +39,18 @@ pub fn resumed(arguments: &Arguments, capture: &Capture, stored: &TrainConfig) -
     Ok(config)
 }
 
+/// A run is not made shorter.
+pub fn check_end(arguments: &Arguments, config: &TrainConfig, num_timesteps: usize) -> anyhow::Result<()> {
+    let (first, end) = (config.data.first_frame, config.data.end_frame);
+    let trained = first + num_timesteps;
+    if end < trained {
+        let run = arguments.out.display();
+        let problem = format!("has trained the frames {first}..{trained}, found --frames {first}..{end}");
+        return Err(wrong_input(format!("{run}: {problem}, expected no earlier end")));
+    }
+    Ok(())
+}
+
 /// What the command line says, over `base`.
 fn apply(arguments: &Arguments, mut base: TrainConfig) -> anyhow::Result<TrainConfig> {
     if let Some(path) = &arguments.config {

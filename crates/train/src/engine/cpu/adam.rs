@@ -12,9 +12,9 @@ const CHUNK: usize = 1 << 14;
 /// Moments of one group of parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Moments {
-    /// Running mean of the gradient.
+    /// `[values]` running mean of the gradient.
     pub first: Vec<f32>,
-    /// Running mean of its square.
+    /// `[values]` running mean of its square.
     pub second: Vec<f32>,
     /// Updates so far.
     pub step: u64,
@@ -52,7 +52,11 @@ impl Moments {
         self.second = take(&self.second);
     }
 
-    /// One update of `values` along `v_values`.
+    /// One update of `values` along `v_values`: Kingma and Ba 2015, Algorithm 1, in the form in which `ε` is
+    /// added after the bias correction. A rate of 0 only counts.
+    ///
+    /// - `values`: `[values]`, updated in place
+    /// - `v_values`: `[values]`, their gradient
     ///
     /// # Panics
     /// If lengths differ.

@@ -11,6 +11,10 @@ use super::Moments;
 /// Gaussians that one task handles; fixed, so that sums over them are.
 const CHUNK: usize = 1 << 12;
 
+/// A group of fewer Gaussians takes its first quantizers from the values of all: its own say too little
+/// of where they will move, and the range of a single value would hold that value for good.
+const MIN_FITTED: usize = 32;
+
 /// One value through its quantizer: what the file will say.
 #[inline(always)]
 pub fn fake_quant(x: f32, q: &Quantizer) -> f32 {
@@ -22,6 +26,10 @@ pub fn fake_quant(x: f32, q: &Quantizer) -> f32 {
 /// Straight-through: rounding is differentiated as the identity, clamping as itself. Inside the
 /// range the offset cancels; beyond it the value is `step * end + offset`. Esser et al. 2020, Eq. 3
 /// and 5; the offset as in LSQ+ (Bhalgat et al. 2020, Eq. 7).
+///
+/// - `x`: stored value
+/// - `v_y`: gradient to the quantised value
+/// - returns: none of them scaled; see [`step_gradient_scale`]
 #[inline(always)]
 pub fn fake_quant_vjp(x: f32, q: &Quantizer, v_y: f32) -> (f32, f32, f32) {
     let scaled = (x - q.offset) / q.step;
@@ -35,7 +43,10 @@ pub fn fake_quant_vjp(x: f32, q: &Quantizer, v_y: f32) -> (f32, f32, f32) {
     }
 }
 
-/// Scale of a step's gradient: `1 / sqrt(Q_P * numel)`. Esser et al. 2020, §2.2.
+/// Scale of a step's gradient: `1 / sqrt(Q_P * numel)`, `Q_P = 2^(bits-1) - 1`. Esser et al. 2020, §2.2.
+///
+/// - `bits`: 1 to 16; one bit has `Q_P = 0`, which counts as 1
+/// - `numel`: values of the whole tensor, all channels
 pub fn step_gradient_scale(bits: u8, numel: usize) -> f32 {
     let high = f64::from((1_u32 << (bits - 1)) - 1).max(1.0);
     (1.0 / (high * numel.max(1) as f64).sqrt()) as f32
@@ -53,9 +64,9 @@ pub struct FakeQuantizers {
     pub bit_map: BitMap,
     /// Attribute and width that have quantizers, one a channel, in this order.
     pub groups: Vec<(Attribute, u8)>,
-    /// The quantizers, group by group.
+    /// `[quantizers]` group by group, then by channel.
     pub quantizers: Vec<Quantizer>,
-    /// Steps that learning started from: its rates are relative to them.
+    /// `[quantizers]` steps that learning started from: its rates are relative to them.
     pub initial_steps: Vec<f32>,
     /// Whether offsets are learned.
     pub learned_offset: bool,
@@ -68,6 +79,7 @@ pub struct FakeQuantizers {
 impl FakeQuantizers {
     /// Starts learning from what fits `gaussians` best.
     ///
+    /// - `gaussians`: `[N]`, stored form, as many as `bit_map` has
     /// - `learned_offset`: without it quantizers are symmetric and start from LSQ's formula
     pub fn new(bit_map: BitMap, gaussians: &Gaussians, learned_offset: bool) -> Self {
         let histogram = bit_map.histogram();
@@ -77,10 +89,11 @@ impl FakeQuantizers {
         for &(attribute, width) in &groups {
             let components = attribute.components();
             let widths = &bit_map.widths[attribute.index()];
+            let few = histogram[attribute.index()][&width] < MIN_FITTED;
             let values = gaussians.values(attribute);
             for channel in 0..components {
                 let own: Vec<f32> = (0..widths.len())
-                    .filter(|&i| widths[i] == width)
+                    .filter(|&i| few || widths[i] == width)
                     .map(|i| values[i * components + channel])
                     .collect();
                 quantizers.push(match (attribute, learned_offset) {
@@ -159,7 +172,10 @@ impl FakeQuantizers {
     }
 
     /// Backward of [`Self::forward`]: overwrites `v_gaussians`, gradients to the quantised values, with
-    /// those to the values themselves; returns `(v_steps, v_offsets)`.
+    /// those to the values themselves.
+    ///
+    /// - `gaussians`: as given to `forward`
+    /// - returns: `(v_steps, v_offsets)`, each `[quantizers]`, scaled by [`step_gradient_scale`]
     pub fn backward(&self, gaussians: &Gaussians, v_gaussians: &mut Gaussians) -> (Vec<f32>, Vec<f32>) {
         let mut v_steps = vec![0.0_f64; self.quantizers.len()];
         let mut v_offsets = vec![0.0_f64; self.quantizers.len()];
@@ -200,6 +216,8 @@ impl FakeQuantizers {
 
     /// One Adam step on steps and offsets, each at `rate` times its initial step. A step never falls
     /// below a tenth of where it started.
+    ///
+    /// - `v_steps`, `v_offsets`: `[quantizers]`, as [`Self::backward`] returns them
     pub fn update(
         &mut self,
         v_steps: &[f32],
@@ -221,5 +239,21 @@ impl FakeQuantizers {
             q.step = relative_steps[i].max(0.1) * self.initial_steps[i];
             q.offset = relative_offsets[i] * self.initial_steps[i];
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_range_of_a_lone_gaussian_is_that_of_all() {
+        let mut gaussians = Gaussians::zeros(100);
+        gaussians.colors = (0..100).map(|i| [i as f32 / 100.0; 3]).collect();
+        let mut bit_map = BitMap::uniform(100, 16, 4);
+        bit_map.widths[Attribute::Color.index()][50] = 8;
+        let table = FakeQuantizers::new(bit_map, &gaussians, true).table();
+        let quantizer = table.get(Attribute::Color, 8, 0).expect("a width in use");
+        assert!((fake_quant(0.1, quantizer) - 0.1).abs() < 0.01 && (fake_quant(0.9, quantizer) - 0.9).abs() < 0.01);
     }
 }

@@ -51,7 +51,7 @@ pub struct ImageLoss {
 
 /// Compares a rendered image with its target.
 ///
-/// - `rendered`: `[C, H, W]`, of the target's shape
+/// - `rendered`: `[C, H, W]`, of the target's shape, `C` 3 or 5
 /// - `gain`, `offset`: the camera's; its image is `exp(gain) * rendered + offset`
 /// - `image_weight`, `segmentation_weight`: of the two losses, in the gradients
 pub fn image_loss(

@@ -5,7 +5,13 @@ use tcgs_core::{Real, sigmoid, sigmoid_vjp};
 /// Binary mask of one Gaussian, paper Eq. 1.
 ///
 /// - `logit`: `m_{n,t}`, unbounded
+/// - `threshold`: `ε`, in `[0, 1)`
 /// - returns: `M_n`, exactly 0 or 1
+///
+/// ```
+/// use tcgs_train::engine::cpu::mask;
+/// assert_eq!((mask(-4.0, 0.01), mask(-5.0, 0.01)), (1.0, 0.0)); // σ(−4) = 0.018, σ(−5) = 0.0067
+/// ```
 pub fn mask<R: Real>(logit: R, threshold: R) -> R {
     if sigmoid(logit) > threshold { R::one() } else { R::zero() }
 }
@@ -19,7 +25,9 @@ pub fn mask_vjp<R: Real>(logit: R, v_mask: R) -> R {
 
 /// `L_mask`, paper Eq. 4, and its gradient.
 ///
-/// - returns: `(mean of σ(m_n), ∂/∂m_n of that mean for each n)` through `accumulate(n, v)`
+/// - `logits`: `[N]`
+/// - `accumulate(n, v)`: is told `v = ∂L_mask/∂m_n` of every Gaussian, in order
+/// - returns: the mean of `σ(m_n)`; 0 of none
 ///
 /// # Departure
 /// A mean where the paper prints a sum: its authors' code takes the mean, and with the printed
@@ -37,8 +45,15 @@ pub fn mask_loss<R: Real>(logits: &[R], mut accumulate: impl FnMut(usize, R)) ->
 
 /// `L_mc`, paper Eq. 5, and its gradient; the timestep before has no gradient (stop-gradient).
 ///
+/// - `logits`, `previous`: `[N]`, at this timestep and the one before
+/// - `accumulate(n, v)`: is told `v = ∂L_mc/∂m_n` where it is not zero, in order
+/// - returns: the mean of `|m_n − previous m_n|`; 0 of none
+///
 /// # Departure
 /// A mean where the paper prints a sum, for the reason of [`mask_loss`].
+///
+/// # Panics
+/// If the two differ in length.
 pub fn mask_consistency_loss<R: Real>(logits: &[R], previous: &[R], mut accumulate: impl FnMut(usize, R)) -> f64 {
     assert_eq!(logits.len(), previous.len(), "mask logits of two timesteps");
     let share = R::one() / R::of(logits.len().max(1) as f64);

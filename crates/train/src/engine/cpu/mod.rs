@@ -20,6 +20,9 @@ use crate::config::{MaskConfig, WeightConfig};
 use crate::parameters::Parameters;
 use crate::schedule::Rates;
 
+/// Fewest Gaussians that one task copies.
+const CHUNK: usize = 1 << 12;
+
 /// Values of every loss of one iteration, before their weights; 0 where a loss is off.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LossTerms {
@@ -139,6 +142,14 @@ pub struct StepGrads {
     quantizers: Option<(Vec<f32>, Vec<f32>)>,
 }
 
+/// What one forward chain leaves for the backward one.
+struct Chain {
+    quantized: Option<Gaussians>,
+    drawn: Activated,
+    /// Scales and opacities before the mask, if there is one.
+    unmasked: Option<(Vec<[f32; 3]>, Vec<f32>)>,
+}
+
 /// State of the optimisation on the CPU.
 #[derive(Clone, Debug)]
 pub struct CpuEngine {
@@ -172,15 +183,14 @@ impl CpuEngine {
     /// What the model draws now: stored, fake-quantised, activated, masked; with two channels of
     /// segmentation beside the colours if asked for.
     pub fn drawn(&self, mask: &MaskConfig, with_segmentation: bool) -> Activated {
-        let (_, _, drawn) = self.chain(mask, with_segmentation);
-        drawn
+        self.chain(mask, with_segmentation).drawn
     }
 
     /// The forward chain: quantised (if on), activated, and what is drawn.
-    fn chain(&self, mask_config: &MaskConfig, with_segmentation: bool) -> (Option<Gaussians>, Activated, Activated) {
+    fn chain(&self, mask_config: &MaskConfig, with_segmentation: bool) -> Chain {
         let quantized = self.quantizers.as_ref().map(|q| q.forward(&self.parameters.gaussians));
-        let activated = activate(quantized.as_ref().unwrap_or(&self.parameters.gaussians));
-        let mut drawn = activated.clone();
+        let mut drawn = activate(quantized.as_ref().unwrap_or(&self.parameters.gaussians));
+        let unmasked = mask_config.enabled.then(|| (drawn.scales.clone(), drawn.opacities.clone()));
         if mask_config.enabled {
             (&mut drawn.scales, &mut drawn.opacities, &self.parameters.mask_logits).into_par_iter().for_each(
                 |(scale, opacity, &logit)| {
@@ -191,23 +201,25 @@ impl CpuEngine {
             );
         }
         if with_segmentation {
-            drawn.num_channels = 5;
-            drawn.colors = activated
-                .colors
-                .as_chunks::<3>()
-                .0
-                .par_iter()
+            let mut colors = vec![0.0; 5 * drawn.num_gaussians()];
+            colors
+                .par_chunks_exact_mut(5)
+                .zip(drawn.colors.par_chunks_exact(3))
                 .zip(&self.parameters.foreground)
-                .flat_map_iter(|(&[r, g, b], &f)| [r, g, b, f32::from(u8::from(f)), f32::from(u8::from(!f))])
-                .collect();
+                .with_min_len(CHUNK)
+                .for_each(|((five, color), &f)| {
+                    five[..3].copy_from_slice(color);
+                    five[3..].copy_from_slice(&[f32::from(u8::from(f)), f32::from(u8::from(!f))]);
+                });
+            (drawn.colors, drawn.num_channels) = (colors, 5);
         }
-        (quantized, activated, drawn)
+        Chain { quantized, drawn, unmasked }
     }
 
     /// Losses and gradients on one image; counts the densification statistic.
     pub fn forward_backward(&mut self, target: &Target, step: &Step<'_>) -> (LossTerms, StepGrads) {
         let with_segmentation = target.image.num_channels == 5;
-        let (quantized, activated, drawn) = self.chain(step.mask, with_segmentation);
+        let Chain { quantized, drawn, unmasked } = self.chain(step.mask, with_segmentation);
         let settings = RenderSettings::default();
         let (output, saved) = CpuRasterizer.forward(&drawn, &target.camera, &settings);
         let loss = image_loss(
@@ -232,6 +244,11 @@ impl CpuEngine {
 
         let mut terms = LossTerms { image: loss.image, segmentation: loss.segmentation, ..LossTerms::default() };
         let mut v_activated = colors_alone(render.activated, drawn.num_channels);
+        // Drawing is over: from here on scales and opacities are those before the mask.
+        let activated = match unmasked {
+            Some((scales, opacities)) => Activated { scales, opacities, ..drawn },
+            None => drawn,
+        };
         let mut v_mask_logits = vec![0.0; self.parameters.num_gaussians()];
         if step.mask.enabled {
             self.mask_bwd(step, &activated, &mut v_activated, &mut v_mask_logits, &mut terms);
@@ -342,9 +359,19 @@ impl CpuEngine {
         }
     }
 
+    /// Brings rotations into the form that files hold: unit length, `w >= 0`. To be done before anything
+    /// is measured for quantisation, so that quantizers are fitted to what they will round.
+    pub fn canonicalize_quats(&mut self) {
+        self.parameters.gaussians.quats.par_iter_mut().for_each(|quat| {
+            let unit = normalize(*quat);
+            *quat = if unit[0] < 0.0 { unit.map(|x| -x) } else { unit };
+        });
+    }
+
     /// Starts quantising: Adam begins anew at that moment, as in the authors' fork.
+    ///
+    /// - `quantizers`: for the Gaussians as they are now, after [`Self::canonicalize_quats`]
     pub fn start_quantization(&mut self, quantizers: FakeQuantizers) {
-        self.parameters.gaussians.quats.par_iter_mut().for_each(|quat| *quat = normalize(*quat));
         self.optimizer = Optimizer::new(&self.parameters, quantizers.quantizers.len());
         self.quantizers = Some(quantizers);
     }
@@ -353,7 +380,13 @@ impl CpuEngine {
 /// Drops the gradients of channels beyond the colours: segmentation is not learned.
 fn colors_alone(mut grads: ActivatedGrads, num_channels: usize) -> ActivatedGrads {
     if num_channels > 3 {
-        grads.v_colors = grads.v_colors.par_chunks_exact(num_channels).flat_map_iter(|c| [c[0], c[1], c[2]]).collect();
+        let mut v_colors = vec![0.0; grads.v_colors.len() / num_channels * 3];
+        v_colors
+            .par_chunks_exact_mut(3)
+            .zip(grads.v_colors.par_chunks_exact(num_channels))
+            .with_min_len(CHUNK)
+            .for_each(|(three, all)| three.copy_from_slice(&all[..3]));
+        grads.v_colors = v_colors;
     }
     grads
 }

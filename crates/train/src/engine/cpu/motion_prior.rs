@@ -18,7 +18,8 @@ pub const NUM_NEIGHBORS: usize = 20;
 pub const NEIGHBOR_FALLOFF: f32 = 2000.0;
 /// Added under square roots so that they have a derivative at zero. Reference.
 const ROOT_EPSILON: f64 = 1e-20;
-/// Foreground Gaussians whose losses are added up by one task; fixed, so that sums are.
+/// Fewest foreground Gaussians that one task handles. Sums are taken per Gaussian and then in order, so
+/// that this does not show in them.
 const CHUNK: usize = 128;
 
 /// Who is a neighbour of whom, from the first timestep on.
@@ -42,6 +43,9 @@ pub struct Neighbors<R> {
 
 impl Neighbors<f32> {
     /// Finds the neighbours among the foreground.
+    ///
+    /// - `means`: `[N, 3]` at the first timestep, finite, scene units
+    /// - `is_foreground`: `[N]`
     pub fn new(means: &[[f32; 3]], is_foreground: &[bool]) -> Self {
         let foreground: Vec<u32> = (0..means.len() as u32).filter(|&i| is_foreground[i as usize]).collect();
         let points: Vec<[f32; 3]> = foreground.iter().map(|&i| means[i as usize]).collect();
@@ -59,7 +63,10 @@ impl Neighbors<f32> {
 }
 
 impl<R: Real> Neighbors<R> {
-    /// From edges found elsewhere.
+    /// From edges found elsewhere; the fields say what each argument is.
+    ///
+    /// # Panics
+    /// If `indices` is not `[foreground, per_node]`, or one of them is no position in `foreground`.
     pub fn from_edges(
         foreground: Vec<u32>,
         per_node: usize,
@@ -85,7 +92,7 @@ impl<R: Real> Neighbors<R> {
     }
 }
 
-/// Weights of the losses; 0 leaves one out.
+/// Weights of the losses; 0 leaves one out (its value is then 0 too, `rigid`, `rot` and `iso` only together).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PriorWeights {
     /// See [`crate::WeightConfig`].
@@ -156,8 +163,9 @@ struct Node<R> {
 impl<R: Real> MotionPrior<R> {
     /// Prepares a timestep.
     ///
-    /// - `first_means`, `first_quats`: of all Gaussians at the first timestep
-    /// - `means`, `quats`, `colors`: at the timestep before; rotations in any length
+    /// - `is_foreground`: `[N]`
+    /// - `first_means`, `first_quats`: `[N]`, at the first timestep
+    /// - `means`, `quats`, `colors`: `[N]`, at the timestep before; rotations in any length
     pub fn new(
         neighbors: Neighbors<R>,
         is_foreground: &[bool],
@@ -203,12 +211,13 @@ impl<R: Real> MotionPrior<R> {
         grads: PriorGrads<'_, R>,
     ) -> PriorLosses {
         let mut losses = PriorLosses::default();
-        if self.neighbors.per_node > 0 {
+        let among_neighbors = [weights.rigid, weights.rot, weights.iso];
+        if self.neighbors.per_node > 0 && among_neighbors != [0.0; 3] {
             [losses.rigid, losses.rot, losses.iso] =
                 self.neighbor_losses(means, quats, weights, grads.v_means, grads.v_quats);
         }
         let foreground = &self.neighbors.foreground;
-        if !foreground.is_empty() {
+        if !foreground.is_empty() && weights.floor != 0.0 {
             let share = R::of(f64::from(weights.floor) / foreground.len() as f64);
             for &i in foreground {
                 let y = means[i as usize][1];
@@ -218,7 +227,7 @@ impl<R: Real> MotionPrior<R> {
                 }
             }
         }
-        if !self.background.is_empty() {
+        if !self.background.is_empty() && weights.background != 0.0 {
             let share = R::of(f64::from(weights.background) / self.background.len() as f64);
             let mut sum = R::zero();
             for &(i, first_mean, first_quat) in &self.background {
@@ -390,7 +399,9 @@ fn l1<R: Real, const D: usize>(a: [R; D], b: [R; D], share: R, v_a: &mut [R; D])
 /// The constant-velocity prediction of the next timestep: `x + (x − x_before)`, and likewise for
 /// rotations, normalised. Luiten et al. 2024, `initialize_per_timestep` of the released code.
 ///
-/// - `quat`, `quat_before`: any length; normalised first
+/// - `mean`, `mean_before`: scene units
+/// - `quat`, `quat_before`: `w, x, y, z`, any length; normalised first
+/// - returns: mean and unit rotation
 pub fn predict<R: Real>(mean: [R; 3], mean_before: [R; 3], quat: [R; 4], quat_before: [R; 4]) -> ([R; 3], [R; 4]) {
     let (q, before) = (normalize(quat), normalize(quat_before));
     (
