@@ -132,6 +132,10 @@ fn draw<const C: usize>(tiles: &Tiles, colors: &[f32], camera: &Camera, settings
     RenderOutput { image, transmittance }
 }
 
+/// Gaussians whose pairs are added up before any is taken through the projection: their rows lie far apart,
+/// and a loop that only adds waits for many of them at once.
+const GATHERED: usize = 256;
+
 /// Adds up the pairs of each Gaussian and takes them back through the projection.
 fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[f32]) -> RenderGrads {
     let (n, channels) = (gaussians.num_gaussians(), gaussians.num_channels);
@@ -154,44 +158,48 @@ fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[f32]
         visible: vec![false; n],
     };
     let a = &mut grads.activated;
-    splat_of
-        .par_iter()
-        .zip(a.v_means.par_iter_mut())
-        .zip(a.v_quats.par_iter_mut())
-        .zip(a.v_scales.par_iter_mut())
-        .zip(a.v_opacities.par_iter_mut())
-        .zip(a.v_colors.par_chunks_exact_mut(channels))
-        .zip(grads.v_means2d_ndc.par_iter_mut())
-        .zip(grads.visible.par_iter_mut())
+    (
+        splat_of.par_chunks(GATHERED),
+        a.v_means.par_chunks_mut(GATHERED),
+        a.v_quats.par_chunks_mut(GATHERED),
+        a.v_scales.par_chunks_mut(GATHERED),
+        a.v_opacities.par_chunks_mut(GATHERED),
+        a.v_colors.par_chunks_mut(GATHERED * channels),
+        grads.v_means2d_ndc.par_chunks_mut(GATHERED),
+        grads.visible.par_chunks_mut(GATHERED),
+    )
+        .into_par_iter()
         .enumerate()
-        .with_min_len(256)
-        .for_each(|(i, (((((((&splat, v_mean), v_quat), v_scale), v_opacity), v_color), v_ndc), visible))| {
-            if splat == u32::MAX {
-                return;
-            }
-            *visible = true;
-            let mut v = [0.0; PAIR_GRADS];
-            let entries = tiles.splat_starts[splat as usize] as usize..tiles.splat_starts[splat as usize + 1] as usize;
-            for &pair in &tiles.splat_pairs[entries] {
-                let (v_pair, v_pair_color) = v_pairs[pair as usize * stride..][..stride].split_at(PAIR_GRADS);
-                for (sum, value) in v.iter_mut().zip(v_pair) {
-                    *sum += value;
-                }
-                for (sum, value) in v_color.iter_mut().zip(v_pair_color) {
-                    *sum += value;
+        .for_each(|(chunk, (splats, v_means, v_quats, v_scales, v_opacities, v_colors, v_ndc, visible))| {
+            let mut sums = [[0.0; PAIR_GRADS]; GATHERED];
+            for (i, &splat) in splats.iter().enumerate().filter(|(_, splat)| **splat != u32::MAX) {
+                let first = tiles.splat_starts[splat as usize] as usize;
+                let end = tiles.splat_starts[splat as usize + 1] as usize;
+                for &pair in &tiles.splat_pairs[first..end] {
+                    let (v_pair, v_pair_color) = v_pairs[pair as usize * stride..][..stride].split_at(PAIR_GRADS);
+                    for (sum, value) in sums[i].iter_mut().zip(v_pair) {
+                        *sum += value;
+                    }
+                    for (sum, value) in v_colors[i * channels..][..channels].iter_mut().zip(v_pair_color) {
+                        *sum += value;
+                    }
                 }
             }
-            let [x, y, xx, xy, yy, opacity, statistic_x, statistic_y] = v;
-            *v_opacity = opacity;
-            *v_ndc = [statistic_x * half_size[0], statistic_y * half_size[1]];
-            (*v_mean, *v_quat, *v_scale) = project_vjp(
-                gaussians.means[i],
-                gaussians.quats[i],
-                gaussians.scales[i],
-                &pinhole,
-                [x, y],
-                [xx, xy, yy],
-            );
+            for (i, _) in splats.iter().enumerate().filter(|(_, splat)| **splat != u32::MAX) {
+                let gaussian = chunk * GATHERED + i;
+                let [x, y, xx, xy, yy, opacity, statistic_x, statistic_y] = sums[i];
+                visible[i] = true;
+                v_opacities[i] = opacity;
+                v_ndc[i] = [statistic_x * half_size[0], statistic_y * half_size[1]];
+                (v_means[i], v_quats[i], v_scales[i]) = project_vjp(
+                    gaussians.means[gaussian],
+                    gaussians.quats[gaussian],
+                    gaussians.scales[gaussian],
+                    &pinhole,
+                    [x, y],
+                    [xx, xy, yy],
+                );
+            }
         });
     grads
 }

@@ -33,8 +33,10 @@ const ZERO: Lanes = [0.0; LANES];
 /// State of one tile, a row of blocks after another.
 type Plane = [Lanes; TILE * BLOCKS];
 
-/// How often a tile is asked whether all its pixels are finished, in splats.
-const FINISHED_CHECK: usize = 32;
+/// Splats that a tile takes at a time. Copying them first lets the processor wait for many cache misses
+/// at once, where blending would wait for one after another; and after each batch the tile is asked
+/// whether all its pixels are finished.
+const BATCH: usize = 32;
 
 /// Gradient of one pair before its colours: `mean2d`, `conic`, opacity, and the statistic's `mean2d`.
 pub(super) const PAIR_GRADS: usize = 8;
@@ -114,6 +116,18 @@ fn finished(transmittance: &Plane) -> bool {
     transmittance.iter().all(|lanes| lanes.iter().all(|&t| t <= 0.0))
 }
 
+/// Overwrites: the splats of some pairs, with their colours.
+///
+/// - `colors`: `[N, C]`
+#[inline(always)]
+fn take_batch<const C: usize>(tiles: &Tiles, pairs: &[u32], colors: &[f32], batch: &mut Vec<(Splat, [f32; C])>) {
+    batch.clear();
+    batch.extend(pairs.iter().map(|&pair_splat| {
+        let splat = tiles.splats[pair_splat as usize];
+        (splat, *colors[splat.gaussian as usize * C..].first_chunk().expect("colors hold [N, C]"))
+    }));
+}
+
 /// A finished tile: `C` planes and the transmittance.
 pub(super) struct TileImage<const C: usize> {
     pub planes: [Plane; C],
@@ -150,22 +164,24 @@ pub(super) fn rasterize_fwd<const C: usize>(
     let origin = origin(tiles, tile);
     let mut transmittance = start_transmittance(origin, width, height);
     let mut planes = [[ZERO; TILE * BLOCKS]; C];
-    for (count, pair) in tiles.pairs(tile).enumerate() {
-        if count % FINISHED_CHECK == FINISHED_CHECK - 1 && finished(&transmittance) {
+    let mut batch: Vec<(Splat, [f32; C])> = Vec::with_capacity(BATCH);
+    for pairs in tiles.pair_splats[tiles.pairs(tile)].chunks(BATCH) {
+        if finished(&transmittance) {
             break;
         }
-        let splat = &tiles.splats[tiles.pair_splats[pair] as usize];
-        let color: &[f32; C] = colors[splat.gaussian as usize * C..].first_chunk().expect("colors hold [N, C]");
-        let (rows, blocks) = reach(splat, origin);
-        for row in rows {
-            let dy = (origin[1] + row) as f32 + 0.5 - splat.mean2d[1];
-            for block in blocks.clone() {
-                let i = row * BLOCKS + block;
-                let x = (origin[0] + block * LANES) as f32 + 0.5;
-                let blended = blend(splat, x, dy, &mut transmittance[i]);
-                for (plane, color) in planes.iter_mut().zip(color) {
-                    for l in 0..LANES {
-                        plane[i][l] += blended.blend_weight[l] * color;
+        take_batch::<C>(tiles, pairs, colors, &mut batch);
+        for (splat, color) in &batch {
+            let (rows, blocks) = reach(splat, origin);
+            for row in rows {
+                let dy = (origin[1] + row) as f32 + 0.5 - splat.mean2d[1];
+                for block in blocks.clone() {
+                    let i = row * BLOCKS + block;
+                    let x = (origin[0] + block * LANES) as f32 + 0.5;
+                    let blended = blend(splat, x, dy, &mut transmittance[i]);
+                    for (plane, color) in planes.iter_mut().zip(color) {
+                        for l in 0..LANES {
+                            plane[i][l] += blended.blend_weight[l] * color;
+                        }
                     }
                 }
             }
@@ -235,74 +251,73 @@ pub(super) fn rasterize_bwd<const C: usize>(
     }
     let statistic: [f32; C] = std::array::from_fn(|c| f32::from(u8::from(c < settings.statistic_channels)));
 
-    let mut all_finished = false;
-    for ((count, pair), v_pair) in tiles.pairs(tile).enumerate().zip(v_pairs.chunks_exact_mut(PAIR_GRADS + C)) {
-        if count % FINISHED_CHECK == FINISHED_CHECK - 1 && finished(&transmittance) {
-            all_finished = true;
-        }
-        if all_finished {
-            v_pair.fill(0.0);
+    let mut batch: Vec<(Splat, [f32; C])> = Vec::with_capacity(BATCH);
+    let pairs = tiles.pair_splats[tiles.pairs(tile)].chunks(BATCH);
+    for (pairs, v_pairs) in pairs.zip(v_pairs.chunks_mut(BATCH * (PAIR_GRADS + C))) {
+        if finished(&transmittance) {
+            v_pairs.fill(0.0);
             continue;
         }
-        let splat = &tiles.splats[tiles.pair_splats[pair] as usize];
-        let color: &[f32; C] = colors[splat.gaussian as usize * C..].first_chunk().expect("colors hold [N, C]");
-        let statistic_color: [f32; C] = std::array::from_fn(|c| color[c] * statistic[c]);
-        let (rows, blocks) = reach(splat, origin);
-        // Moments of g = −∂L/∂exponent about the splat's centre.
-        let (mut g_sum, mut g_x, mut g_y, mut g_xx, mut g_xy, mut g_yy) = (ZERO, ZERO, ZERO, ZERO, ZERO, ZERO);
-        let (mut s_x, mut s_y) = (ZERO, ZERO);
-        let mut v_color = [ZERO; C];
-        for row in rows {
-            let dy = (origin[1] + row) as f32 + 0.5 - splat.mean2d[1];
-            for block in blocks.clone() {
-                let i = row * BLOCKS + block;
-                let x = (origin[0] + block * LANES) as f32 + 0.5;
-                let blended = blend(splat, x, dy, &mut transmittance[i]);
-                let mut own = ZERO;
-                let mut own_statistic = ZERO;
-                for c in 0..C {
+        take_batch::<C>(tiles, pairs, colors, &mut batch);
+        for ((splat, color), v_pair) in batch.iter().zip(v_pairs.chunks_exact_mut(PAIR_GRADS + C)) {
+            let statistic_color: [f32; C] = std::array::from_fn(|c| color[c] * statistic[c]);
+            let (rows, blocks) = reach(splat, origin);
+            // Moments of g = −∂L/∂exponent about the splat's centre.
+            let (mut g_sum, mut g_x, mut g_y, mut g_xx, mut g_xy, mut g_yy) = (ZERO, ZERO, ZERO, ZERO, ZERO, ZERO);
+            let (mut s_x, mut s_y) = (ZERO, ZERO);
+            let mut v_color = [ZERO; C];
+            for row in rows {
+                let dy = (origin[1] + row) as f32 + 0.5 - splat.mean2d[1];
+                for block in blocks.clone() {
+                    let i = row * BLOCKS + block;
+                    let x = (origin[0] + block * LANES) as f32 + 0.5;
+                    let blended = blend(splat, x, dy, &mut transmittance[i]);
+                    let mut own = ZERO;
+                    let mut own_statistic = ZERO;
+                    for c in 0..C {
+                        for l in 0..LANES {
+                            let v = v_planes[c][i][l];
+                            own[l] += color[c] * v;
+                            own_statistic[l] += statistic_color[c] * v;
+                            v_color[c][l] += blended.blend_weight[l] * v;
+                        }
+                    }
                     for l in 0..LANES {
-                        let v = v_planes[c][i][l];
-                        own[l] += color[c] * v;
-                        own_statistic[l] += statistic_color[c] * v;
-                        v_color[c][l] += blended.blend_weight[l] * v;
+                        let (weight, alpha) = (blended.blend_weight[l], blended.alpha[l]);
+                        behind[i][l] -= weight * own[l];
+                        behind_statistic[i][l] -= weight * own_statistic[l];
+                        let moves = (weight > 0.0) & !blended.clamped[l];
+                        let ratio = alpha / (1.0 - alpha);
+                        let g = if moves { weight * own[l] - behind[i][l] * ratio } else { 0.0 };
+                        let s = if moves { weight * own_statistic[l] - behind_statistic[i][l] * ratio } else { 0.0 };
+                        let dx = blended.dx[l];
+                        let g_dx = g * dx;
+                        g_sum[l] += g;
+                        g_x[l] += g_dx;
+                        g_y[l] += g * dy;
+                        g_xx[l] += g_dx * dx;
+                        g_xy[l] += g_dx * dy;
+                        g_yy[l] += g * dy * dy;
+                        s_x[l] += s * dx;
+                        s_y[l] += s * dy;
                     }
                 }
-                for l in 0..LANES {
-                    let (weight, alpha) = (blended.blend_weight[l], blended.alpha[l]);
-                    behind[i][l] -= weight * own[l];
-                    behind_statistic[i][l] -= weight * own_statistic[l];
-                    let moves = (weight > 0.0) & !blended.clamped[l];
-                    let ratio = alpha / (1.0 - alpha);
-                    let g = if moves { weight * own[l] - behind[i][l] * ratio } else { 0.0 };
-                    let s = if moves { weight * own_statistic[l] - behind_statistic[i][l] * ratio } else { 0.0 };
-                    let dx = blended.dx[l];
-                    let g_dx = g * dx;
-                    g_sum[l] += g;
-                    g_x[l] += g_dx;
-                    g_y[l] += g * dy;
-                    g_xx[l] += g_dx * dx;
-                    g_xy[l] += g_dx * dy;
-                    g_yy[l] += g * dy * dy;
-                    s_x[l] += s * dx;
-                    s_y[l] += s * dy;
-                }
             }
-        }
-        let [a, b, c] = splat.conic;
-        let (x, y, sx, sy) = (sum(g_x), sum(g_y), sum(s_x), sum(s_y));
-        v_pair[..PAIR_GRADS].copy_from_slice(&[
-            a * x + b * y,
-            b * x + c * y,
-            -0.5 * sum(g_xx),
-            -sum(g_xy),
-            -0.5 * sum(g_yy),
-            sum(g_sum) / splat.opacity,
-            a * sx + b * sy,
-            b * sx + c * sy,
-        ]);
-        for (v, lanes) in v_pair[PAIR_GRADS..].iter_mut().zip(v_color) {
-            *v = sum(lanes);
+            let [a, b, c] = splat.conic;
+            let (x, y, sx, sy) = (sum(g_x), sum(g_y), sum(s_x), sum(s_y));
+            v_pair[..PAIR_GRADS].copy_from_slice(&[
+                a * x + b * y,
+                b * x + c * y,
+                -0.5 * sum(g_xx),
+                -sum(g_xy),
+                -0.5 * sum(g_yy),
+                sum(g_sum) / splat.opacity,
+                a * sx + b * sy,
+                b * sx + c * sy,
+            ]);
+            for (v, lanes) in v_pair[PAIR_GRADS..].iter_mut().zip(v_color) {
+                *v = sum(lanes);
+            }
         }
     }
 }
