@@ -1,6 +1,7 @@
 //! Keypoint selection against the authors' own results, and what holds for every track.
 
 use proptest::prelude::*;
+use std::io::Write;
 use tcgs_codec::{interpolate, select_keypoints};
 
 /// Algorithm 1 as it is printed: the whole track is interpolated again for every keypoint.
@@ -128,7 +129,8 @@ fn the_authors_keypoints_are_reproduced() {
         let path = format!("{folder}/max_keypoints_{max_keypoints}.json");
         let Ok(text) = std::fs::read_to_string(&path) else {
             assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{path} is missing");
-            eprintln!("skipped: {path} is missing");
+            // Past the capture of passing tests: a skip is to be seen.
+            let _ = writeln!(std::io::stderr(), "skipped: {path} is missing");
             return;
         };
         let golden: serde_json::Value = serde_json::from_str(&text).unwrap();
