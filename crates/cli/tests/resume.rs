@@ -139,7 +139,7 @@ fn a_run_can_be_lengthened_and_nothing_else() {
     assert!(checkpoints(&short) == checkpoints(&long));
     assert_eq!(without_times(&short), without_times(&long));
     let timesteps = json(&result)["timesteps"].as_array().unwrap().clone();
-    assert_eq!(timesteps.len(), 4, "those of the first session too");
+    assert_eq!(timesteps.len(), 4, "those from before the stop too");
     assert!(timesteps.iter().all(|t| t["psnr"].is_f64() && t["seconds"].is_f64()));
 }
 
