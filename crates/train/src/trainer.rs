@@ -214,8 +214,7 @@ impl Trainer {
                 removes_large: self.schedule.removes_large(iteration),
                 seed,
             };
-            let done = densify(&mut self.engine, &step);
-            tracing::debug!(iteration, ?done, "densified");
+            densify(&mut self.engine, &step);
             reshaped = true;
         }
         if self.schedule.resets_opacities(iteration) {
@@ -228,7 +227,6 @@ impl Trainer {
             let keep: Vec<usize> =
                 (0..logits.len()).filter(|&i| crate::engine::cpu::mask(logits[i], threshold) > 0.0).collect();
             if !keep.is_empty() && keep.len() < logits.len() {
-                tracing::debug!(iteration, removed = logits.len() - keep.len(), "pruned by mask");
                 remove_others(&mut self.engine, &keep);
                 reshaped = true;
             }

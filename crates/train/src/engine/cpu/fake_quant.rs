@@ -96,9 +96,10 @@ impl FakeQuantizers {
                     .filter(|&i| few || widths[i] == width)
                     .map(|i| values[i * components + channel])
                     .collect();
-                quantizers.push(match (attribute, learned_offset) {
-                    (_, true) => Quantizer::fit(&own, width),
-                    (_, false) => Quantizer::new(tcgs_codec::lsq_step(&own, width).max(1e-6), 0.0, width),
+                quantizers.push(if learned_offset {
+                    Quantizer::fit(&own, width)
+                } else {
+                    Quantizer::new(tcgs_codec::lsq_step(&own, width).max(1e-6), 0.0, width)
                 });
             }
         }
