@@ -21,7 +21,7 @@ use crate::scene::{Model, Scene};
 use crate::train;
 
 /// Iterations of the first and of every later timestep: what two cores do in half a minute.
-const ITERATIONS: [usize; 2] = [1000, 100];
+const ITERATIONS: [usize; 2] = [1000, 80];
 /// Marks a folder as made by this command.
 const MARKER: &str = ".tcgs-demo";
 /// What the folder holds; anything else in it is somebody's, and stays when the demo runs again.
