@@ -5,6 +5,7 @@
 //! [`settings`]; every implementation and the oracle in the tests read them there.
 
 mod cpu;
+pub mod gpu;
 mod rasterizer;
 pub mod settings;
 

@@ -1,0 +1,417 @@
+//! The GPU itself: which one, what it can do, its memory, and what goes wrong with it.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use wgpu::util::DeviceExt;
+
+use super::kernel::Kernel;
+
+/// Which adapter is wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GpuChoice<'a> {
+    /// The first hardware GPU, discrete ones before integrated ones.
+    Hardware,
+    /// The first one whose name contains this, in any case; software adapters too.
+    Named(&'a str),
+}
+
+/// Why a GPU cannot be used, or no longer.
+#[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum GpuError {
+    /// No adapter as wanted.
+    #[error("no GPU {wanted}, found {found}")]
+    NotFound {
+        /// As asked for.
+        wanted: String,
+        /// All adapters there are.
+        found: String,
+    },
+    /// The adapter cannot do what the shaders need.
+    #[error("the GPU {name} {problem}")]
+    Unfit {
+        /// The adapter's name.
+        name: String,
+        /// What it lacks.
+        problem: String,
+    },
+    /// A buffer is larger than the adapter allows, or than the memory left.
+    #[error("{what} needs {bytes} bytes on the GPU, {problem}")]
+    Memory {
+        /// Which buffer.
+        what: String,
+        /// Its size.
+        bytes: u64,
+        /// The limit it meets.
+        problem: String,
+    },
+    /// The driver gave up, or the device was removed.
+    #[error("the GPU was lost: {0}")]
+    Lost(String),
+    /// A call was refused.
+    #[error("the GPU refused a call: {0}")]
+    Refused(String),
+}
+
+/// What an adapter says of itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GpuInfo {
+    /// The adapter's name.
+    pub name: String,
+    /// Driver and its version.
+    pub driver: String,
+    /// Vulkan, Metal, …
+    pub backend: String,
+    /// Whether it is a program on the CPU.
+    pub is_software: bool,
+    /// Optional features in use, by name.
+    pub features: Vec<&'static str>,
+}
+
+/// An open GPU; clones share it.
+#[derive(Clone, Debug)]
+pub struct Gpu(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    info: GpuInfo,
+    /// The first thing that went wrong.
+    problem: Arc<Mutex<Option<GpuError>>>,
+    /// By source and entry point: nothing is compiled twice.
+    kernels: Mutex<HashMap<(String, &'static str), Kernel>>,
+    submissions: AtomicUsize,
+    reads: AtomicUsize,
+    compiled: AtomicUsize,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn instance() -> wgpu::Instance {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    // Indirect arguments are ours, and within limits; checking them would cost a dispatch each.
+    descriptor.flags =
+        if cfg!(debug_assertions) { wgpu::InstanceFlags::VALIDATION } else { wgpu::InstanceFlags::empty() };
+    wgpu::Instance::new(descriptor)
+}
+
+fn adapters() -> Vec<wgpu::Adapter> {
+    let mut adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::PRIMARY));
+    adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    });
+    adapters
+}
+
+impl Gpu {
+    /// Opens an adapter.
+    ///
+    /// # Errors
+    /// [`GpuError::NotFound`] if there is none as wanted, [`GpuError::Unfit`] if it cannot run the shaders.
+    pub fn open(choice: GpuChoice<'_>) -> Result<Self, GpuError> {
+        let adapters = adapters();
+        let fits = |adapter: &wgpu::Adapter| {
+            let info = adapter.get_info();
+            match choice {
+                GpuChoice::Hardware => info.device_type != wgpu::DeviceType::Cpu,
+                GpuChoice::Named(name) => info.name.to_lowercase().contains(&name.to_lowercase()),
+            }
+        };
+        let Some(adapter) = adapters.iter().find(|adapter| fits(adapter)) else {
+            let names: Vec<String> = adapters.iter().map(|adapter| describe(&adapter.get_info())).collect();
+            return Err(GpuError::NotFound {
+                wanted: match choice {
+                    GpuChoice::Hardware => "in hardware".into(),
+                    GpuChoice::Named(name) => format!("named {name}"),
+                },
+                found: if names.is_empty() { "none".into() } else { names.join(", ") },
+            });
+        };
+        Self::of_adapter(adapter)
+    }
+
+    fn of_adapter(adapter: &wgpu::Adapter) -> Result<Self, GpuError> {
+        let about = adapter.get_info();
+        let unfit = |problem: String| GpuError::Unfit { name: about.name.clone(), problem };
+        if !adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS) {
+            return Err(unfit("has no compute shaders".into()));
+        }
+        let wanted = wgpu::Features::TIMESTAMP_QUERY;
+        let features = adapter.features() & wanted;
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("tcgs"),
+            required_features: features,
+            required_limits: adapter.limits(),
+            ..Default::default()
+        }))
+        .map_err(|e| unfit(format!("cannot be opened: {e}")))?;
+
+        let problem = Arc::new(Mutex::new(None));
+        let keep = |problem: &Arc<Mutex<Option<GpuError>>>, error| {
+            lock(problem).get_or_insert(error);
+        };
+        let of_errors = Arc::clone(&problem);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            keep(
+                &of_errors,
+                match error {
+                    wgpu::Error::OutOfMemory { .. } => {
+                        GpuError::Memory { what: "an operation".into(), bytes: 0, problem: "no memory is left".into() }
+                    }
+                    other => GpuError::Refused(other.to_string()),
+                },
+            );
+        }));
+        let of_loss = Arc::clone(&problem);
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                keep(&of_loss, GpuError::Lost(message));
+            }
+        });
+        let names = [(wgpu::Features::TIMESTAMP_QUERY, "timestamps")];
+        let info = GpuInfo {
+            name: about.name.clone(),
+            driver: format!("{} {}", about.driver, about.driver_info).trim().into(),
+            backend: about.backend.to_string(),
+            is_software: about.device_type == wgpu::DeviceType::Cpu,
+            features: names.iter().filter(|(f, _)| features.contains(*f)).map(|&(_, name)| name).collect(),
+        };
+        Ok(Self(Arc::new(Inner {
+            device,
+            queue,
+            info,
+            problem,
+            kernels: Mutex::default(),
+            submissions: AtomicUsize::new(0),
+            reads: AtomicUsize::new(0),
+            compiled: AtomicUsize::new(0),
+        })))
+    }
+
+    /// What it is.
+    pub fn info(&self) -> &GpuInfo {
+        &self.0.info
+    }
+
+    /// The device, for what this type does not cover.
+    pub fn device(&self) -> &wgpu::Device {
+        &self.0.device
+    }
+
+    /// The queue, for what this type does not cover.
+    pub fn queue(&self) -> &wgpu::Queue {
+        &self.0.queue
+    }
+
+    /// How often work was submitted so far.
+    pub fn num_submissions(&self) -> usize {
+        self.0.submissions.load(Ordering::Relaxed)
+    }
+
+    /// How often results were read back so far.
+    pub fn num_reads(&self) -> usize {
+        self.0.reads.load(Ordering::Relaxed)
+    }
+
+    /// How many shaders were compiled so far.
+    pub fn num_compiled(&self) -> usize {
+        self.0.compiled.load(Ordering::Relaxed)
+    }
+
+    /// A compute shader, compiled at the first request.
+    ///
+    /// - `source`: WGSL with everything it needs
+    pub fn kernel(&self, source: &str, entry: &'static str) -> Kernel {
+        let mut kernels = lock(&self.0.kernels);
+        let key = (source.to_owned(), entry);
+        if let Some(kernel) = kernels.get(&key) {
+            return kernel.clone();
+        }
+        self.0.compiled.fetch_add(1, Ordering::Relaxed);
+        let kernel = Kernel::compile(&self.0.device, source, entry);
+        kernels.insert(key, kernel.clone());
+        kernel
+    }
+
+    /// A storage buffer of 32-bit values, filled with zeros.
+    ///
+    /// - `len`: values; at least one is allocated
+    ///
+    /// # Errors
+    /// [`GpuError::Memory`] if the adapter allows no buffer of that size or has no memory for it.
+    pub fn storage(&self, what: &str, len: usize) -> Result<wgpu::Buffer, GpuError> {
+        self.allocate(what, len.max(1) as u64 * 4, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT)
+    }
+
+    /// A uniform buffer.
+    ///
+    /// # Errors
+    /// As [`Self::storage`].
+    pub fn uniform(&self, what: &str, bytes: usize) -> Result<wgpu::Buffer, GpuError> {
+        self.allocate(what, bytes as u64, wgpu::BufferUsages::UNIFORM)
+    }
+
+    /// A storage buffer that holds `values`.
+    ///
+    /// # Errors
+    /// As [`Self::storage`].
+    pub fn upload<T: bytemuck::NoUninit>(&self, what: &str, values: &[T]) -> Result<wgpu::Buffer, GpuError> {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        if bytes.is_empty() {
+            return self.storage(what, 1);
+        }
+        self.check_size(what, bytes.len() as u64)?;
+        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
+        let buffer = self.0.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some(what),
+            contents: bytes,
+            usage,
+        });
+        self.allocated(what, bytes.len() as u64)?;
+        Ok(buffer)
+    }
+
+    fn allocate(&self, what: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, GpuError> {
+        self.check_size(what, bytes)?;
+        let buffer = self.0.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(what),
+            size: bytes,
+            usage: usage | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        self.allocated(what, bytes)?;
+        Ok(buffer)
+    }
+
+    fn check_size(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
+        let limits = self.0.device.limits();
+        let limit = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        if bytes > limit {
+            let problem = format!("more than the {limit} that {} allows a buffer", self.0.info.name);
+            return Err(GpuError::Memory { what: what.into(), bytes, problem });
+        }
+        Ok(())
+    }
+
+    /// Names the buffer in an error of its allocation.
+    fn allocated(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
+        self.check().map_err(|error| match error {
+            GpuError::Memory { bytes: 0, problem, .. } => GpuError::Memory { what: what.into(), bytes, problem },
+            other => other,
+        })
+    }
+
+    /// Whether anything has gone wrong so far.
+    ///
+    /// # Errors
+    /// The first thing that has.
+    pub fn check(&self) -> Result<(), GpuError> {
+        lock(&self.0.problem).clone().map_or(Ok(()), Err)
+    }
+
+    /// Starts recording.
+    pub fn encoder(&self) -> wgpu::CommandEncoder {
+        self.0.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
+    /// Hands recorded work to the GPU; does not wait.
+    pub fn submit(&self, encoder: wgpu::CommandEncoder) -> wgpu::SubmissionIndex {
+        self.0.submissions.fetch_add(1, Ordering::Relaxed);
+        self.0.queue.submit([encoder.finish()])
+    }
+
+    /// Waits until all submitted work is done.
+    ///
+    /// # Errors
+    /// What has gone wrong meanwhile.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        let waited = self.0.device.poll(wgpu::PollType::wait_indefinitely());
+        self.check()?;
+        waited.map(|_| ()).map_err(|e| GpuError::Lost(e.to_string()))
+    }
+
+    /// Records a copy of the first `len` 32-bit values of `buffer` to memory that can be mapped.
+    ///
+    /// # Errors
+    /// As [`Self::storage`].
+    pub fn stage(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        buffer: &wgpu::Buffer,
+        len: usize,
+    ) -> Result<Staged, GpuError> {
+        let bytes = len.max(1) as u64 * 4;
+        let staging = self.0.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("read back"),
+            size: bytes,
+            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+            mapped_at_creation: false,
+        });
+        self.allocated("memory to read back", bytes)?;
+        encoder.copy_buffer_to_buffer(buffer, 0, &staging, 0, bytes);
+        Ok(Staged { staging, len, mapped: Arc::default() })
+    }
+
+    /// Reads the first `len` 32-bit values of `buffer`; waits for the GPU.
+    ///
+    /// # Errors
+    /// What has gone wrong meanwhile.
+    pub fn read<T: bytemuck::Pod>(&self, buffer: &wgpu::Buffer, len: usize) -> Result<Vec<T>, GpuError> {
+        let mut encoder = self.encoder();
+        let staged = self.stage(&mut encoder, buffer, len)?;
+        self.submit(encoder);
+        staged.map(self);
+        self.wait()?;
+        staged.take(self)
+    }
+}
+
+fn describe(info: &wgpu::AdapterInfo) -> String {
+    let kind = if info.device_type == wgpu::DeviceType::Cpu { "software, only by name" } else { "hardware" };
+    format!("{} ({}, {kind})", info.name, info.backend)
+}
+
+/// Values on their way back from the GPU.
+#[derive(Debug)]
+pub struct Staged {
+    staging: wgpu::Buffer,
+    len: usize,
+    mapped: Arc<Mutex<Option<bool>>>,
+}
+
+impl Staged {
+    /// Asks for the values, after the work that copies them was submitted; does not wait.
+    pub fn map(&self, gpu: &Gpu) {
+        gpu.0.reads.fetch_add(1, Ordering::Relaxed);
+        let mapped = Arc::clone(&self.mapped);
+        self.staging.map_async(wgpu::MapMode::Read, .., move |result| *lock(&mapped) = Some(result.is_ok()));
+    }
+
+    /// Whether the values have arrived, as of the last poll or wait.
+    pub fn is_ready(&self) -> bool {
+        lock(&self.mapped).is_some()
+    }
+
+    /// Takes the values.
+    ///
+    /// # Errors
+    /// [`GpuError::Lost`] if they never arrived.
+    pub fn take<T: bytemuck::Pod>(&self, gpu: &Gpu) -> Result<Vec<T>, GpuError> {
+        gpu.check()?;
+        let lost = |problem: &str| GpuError::Lost(format!("its results cannot be read: {problem}"));
+        if *lock(&self.mapped) != Some(true) {
+            return Err(lost("not mapped"));
+        }
+        let view = self.staging.get_mapped_range(..).map_err(|e| lost(&e.to_string()))?;
+        Ok(bytemuck::pod_collect_to_vec(&view[..self.len * 4]))
+    }
+}
