@@ -19,14 +19,18 @@ fn rasterize(criterion: &mut Criterion) {
     for (width, height) in [(160, 90), (640, 360)] {
         let camera = test_camera(width, height);
         let v_image = Image::filled(width, height, 5, 1.0);
-        let (output, saved) = CpuRasterizer.forward(&gaussians, &camera, &settings);
+        let (output, saved) = CpuRasterizer.forward(&gaussians, &camera, &settings).expect("the CPU never fails");
         let covered = output.transmittance.iter().filter(|&&t| t < 0.5).count();
         assert!(2 * covered > output.transmittance.len(), "the scene must fill the image");
         let mut group = criterion.benchmark_group(format!("{width}x{height}"));
         group.sample_size(20);
-        group.bench_function("forward", |b| b.iter(|| CpuRasterizer.forward(&gaussians, &camera, &settings)));
+        group.bench_function("forward", |b| {
+            b.iter(|| CpuRasterizer.forward(&gaussians, &camera, &settings).expect("the CPU never fails"))
+        });
         group.bench_function("backward", |b| {
-            b.iter(|| CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v_image));
+            b.iter(|| {
+                CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v_image).expect("the CPU never fails")
+            });
         });
         group.finish();
     }

@@ -11,4 +11,4 @@ pub mod settings;
 
 pub use cpu::CpuRasterizer;
 pub use cpu::project::{Pinhole, Projection, project, project_vjp};
-pub use rasterizer::{Rasterizer, RenderGrads, RenderOutput, RenderSettings};
+pub use rasterizer::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};

@@ -2,6 +2,7 @@
 
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
+use crate::gpu::GpuError;
 use crate::settings::MAX_CHANNELS;
 
 /// How to render.
@@ -41,22 +42,32 @@ pub struct RenderGrads {
     pub visible: Vec<bool>,
 }
 
-/// A differentiable renderer of activated Gaussians.
+/// A differentiable renderer of activated Gaussians. The one on the CPU never fails.
 pub trait Rasterizer {
     /// What forward keeps for backward.
     type Saved;
 
     /// Renders all channels of `gaussians.colors` in one pass.
     ///
+    /// # Errors
+    /// [`GpuError`] if the GPU lacks the memory, or fails.
+    ///
     /// # Panics
     /// If arrays of `gaussians` disagree in length, or `num_channels` is not in `1..=MAX_CHANNELS`.
-    fn forward(&self, gaussians: &Activated, camera: &Camera, settings: &RenderSettings)
-    -> (RenderOutput, Self::Saved);
+    fn forward(
+        &self,
+        gaussians: &Activated,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(RenderOutput, Self::Saved), GpuError>;
 
     /// Overwrites: gradients of one forward pass.
     ///
     /// - `gaussians`, `camera`, `settings`: as given to `forward`
     /// - `v_image`: `[C, H, W]`, gradient to the rendered image
+    ///
+    /// # Errors
+    /// As [`Self::forward`].
     ///
     /// # Panics
     /// If `v_image` has another shape than the rendered image.
@@ -67,5 +78,18 @@ pub trait Rasterizer {
         settings: &RenderSettings,
         saved: &Self::Saved,
         v_image: &Image,
-    ) -> RenderGrads;
+    ) -> Result<RenderGrads, GpuError>;
+}
+
+/// A renderer for those who want pictures alone, and no matter whose.
+pub trait Draw: Send + Sync {
+    /// What draws, for reports: `cpu, 2 threads`.
+    fn name(&self) -> String;
+
+    /// Renders all channels of `gaussians.colors` in one pass; as [`Rasterizer::forward`].
+    ///
+    /// # Errors
+    /// As [`Rasterizer::forward`].
+    fn draw(&self, gaussians: &Activated, camera: &Camera, settings: &RenderSettings)
+    -> Result<RenderOutput, GpuError>;
 }

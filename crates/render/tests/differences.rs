@@ -25,7 +25,7 @@ fn forward_equals_the_oracle_for_every_number_of_channels() {
     let camera = test_camera(37, 29);
     for channels in 1..=8 {
         let gaussians = random_scene(60, channels, channels as u64);
-        let (output, _) = CpuRasterizer.forward(&gaussians, &camera, &background());
+        let (output, _) = CpuRasterizer.forward(&gaussians, &camera, &background()).unwrap();
         let expected = oracle::render(&Scene::new(&gaussians), &camera, &background().background);
         let off = output.image.data.iter().zip(&expected.image).filter(|(a, b)| (f64::from(**a) - **b).abs() > 2e-5);
         // A cut-off may fall on either side of a rounding in a few pixels.
@@ -39,9 +39,9 @@ fn backward_equals_central_differences_of_the_oracle() {
     let channels = 5;
     let settings = background();
     let gaussians = random_scene(30, channels, 77);
-    let (_, saved) = CpuRasterizer.forward(&gaussians, &camera, &settings);
+    let (_, saved) = CpuRasterizer.forward(&gaussians, &camera, &settings).unwrap();
     let v = v_image(37, 29, channels);
-    let grads = CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v);
+    let grads = CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v).unwrap();
     let scene = Scene::new(&gaussians);
 
     let g = &grads.activated;
@@ -92,8 +92,8 @@ fn the_statistic_counts_the_colours_alone() {
     three.colors = five.colors.chunks_exact(5).flat_map(|c| c[..3].to_vec()).collect();
     let settings = RenderSettings::default();
     let run = |gaussians| {
-        let (_, saved) = CpuRasterizer.forward(gaussians, &camera, &settings);
-        CpuRasterizer.backward(gaussians, &camera, &settings, &saved, &v_image(64, 48, gaussians.num_channels))
+        let (_, saved) = CpuRasterizer.forward(gaussians, &camera, &settings).unwrap();
+        CpuRasterizer.backward(gaussians, &camera, &settings, &saved, &v_image(64, 48, gaussians.num_channels)).unwrap()
     };
     let (five, three) = (run(&five), run(&three));
     let norm = |v: &[[f32; 2]]| v.as_flattened().iter().map(|x| x * x).sum::<f32>().sqrt();
@@ -111,8 +111,8 @@ fn any_number_of_threads_gives_the_same_bits() {
     let run = |threads| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
             let settings = RenderSettings::default();
-            let (output, saved) = CpuRasterizer.forward(&gaussians, &camera, &settings);
-            (CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v_image(100, 75, 5)), output)
+            let (output, saved) = CpuRasterizer.forward(&gaussians, &camera, &settings).unwrap();
+            (CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v_image(100, 75, 5)).unwrap(), output)
         })
     };
     let one = run(1);
@@ -126,17 +126,17 @@ fn any_number_of_threads_gives_the_same_bits() {
 fn nothing_to_draw_leaves_the_background() {
     let camera = test_camera(20, 20);
     let mut empty = random_scene(0, 3, 0);
-    let (output, saved) = CpuRasterizer.forward(&empty, &camera, &background());
+    let (output, saved) = CpuRasterizer.forward(&empty, &camera, &background()).unwrap();
     assert!(output.transmittance.iter().all(|&t| t == 1.0));
     assert!((0..3).all(|c| output.image.plane(c).iter().all(|&x| x == background().background[c])));
-    let grads = CpuRasterizer.backward(&empty, &camera, &background(), &saved, &v_image(20, 20, 3));
+    let grads = CpuRasterizer.backward(&empty, &camera, &background(), &saved, &v_image(20, 20, 3)).unwrap();
     assert!(grads.visible.is_empty());
 
     // What is not finite is culled, not smeared over the image.
     empty = random_scene(2, 3, 1);
     empty.means[0] = [f32::NAN; 3];
     empty.scales[1] = [f32::INFINITY; 3];
-    let (output, _) = CpuRasterizer.forward(&empty, &camera, &background());
+    let (output, _) = CpuRasterizer.forward(&empty, &camera, &background()).unwrap();
     assert!(output.transmittance.iter().all(|&t| t == 1.0));
 }
 
@@ -150,6 +150,6 @@ fn order_of_gaussians_does_not_matter() {
     reversed.scales.reverse();
     reversed.opacities.reverse();
     reversed.colors = gaussians.colors.chunks_exact(3).rev().flatten().copied().collect();
-    let render = |g| CpuRasterizer.forward(g, &camera, &background()).0;
+    let render = |g| CpuRasterizer.forward(g, &camera, &background()).unwrap().0;
     assert!(render(&gaussians) == render(&reversed));
 }

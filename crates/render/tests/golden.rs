@@ -2,8 +2,9 @@
 
 mod support;
 
-use support::{Arrays, golden, relative_l2, rows};
+use support::{Arrays, golden, gpu, relative_l2, rows};
 use tcgs_core::{Activated, ActivatedGrads, Image, normalize_vjp};
+use tcgs_render::gpu::GpuRasterizer;
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderGrads, RenderSettings};
 
 fn share_within(found: &[f32], expected: &[f32], tolerance: f32, channels: usize) -> f64 {
@@ -17,19 +18,27 @@ fn planes_from_interleaved(hwc: &[f32]) -> Vec<f32> {
     (0..3).flat_map(|c| hwc.iter().skip(c).step_by(3).copied()).collect()
 }
 
-fn render(arrays: &mut Arrays) -> (Activated, Image, RenderGrads) {
+fn render<R: Rasterizer>(rasterizer: &R, arrays: &mut Arrays) -> (Activated, Image, RenderGrads) {
     let (gaussians, camera) = arrays.scene();
     let settings = RenderSettings::default();
-    let (output, saved) = CpuRasterizer.forward(&gaussians, &camera, &settings);
+    let (output, saved) = rasterizer.forward(&gaussians, &camera, &settings).unwrap();
     let v_image = Image { data: arrays.f32("v_image_chw"), ..output.image.clone() };
-    let grads = CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v_image);
+    let grads = rasterizer.backward(&gaussians, &camera, &settings, &saved, &v_image).unwrap();
     (gaussians, output.image, grads)
 }
 
+/// Compares both renderers.
 fn compare(name: &str, gradient_tolerance: f64, second_opinion: bool) {
+    compare_one(name, &CpuRasterizer, gradient_tolerance, second_opinion);
+    if let Some(gpu) = gpu() {
+        compare_one(name, &GpuRasterizer::new(&gpu), gradient_tolerance, second_opinion);
+    }
+}
+
+fn compare_one<R: Rasterizer>(name: &str, rasterizer: &R, gradient_tolerance: f64, second_opinion: bool) {
     let Some(path) = golden(&format!("raster_{name}.npz")) else { return };
     let mut arrays = Arrays::open(&path);
-    let (gaussians, image, grads) = render(&mut arrays);
+    let (gaussians, image, grads) = render(rasterizer, &mut arrays);
 
     let expected = planes_from_interleaved(&arrays.f32("gsplat_image_hwc"));
     let close = share_within(&image.data, &expected, 1e-4, 3);

@@ -13,8 +13,9 @@ use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 use self::project::{Pinhole, project_vjp};
 use self::rasterize::{PAIR_GRADS, TileImage, rasterize_bwd, rasterize_fwd};
 use self::tiles::{TILE, Tiles};
+use crate::gpu::GpuError;
 use crate::settings::MAX_CHANNELS;
-use crate::{Rasterizer, RenderGrads, RenderOutput, RenderSettings};
+use crate::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
 /// The renderer that needs nothing but a CPU.
 ///
@@ -26,9 +27,10 @@ use crate::{Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 /// gaussians.quats[0] = [1.0, 0.0, 0.0, 0.0];
 /// gaussians.colors[0] = [1.0, 0.5, 0.0];
 /// let camera = Camera::look_at([0.0, 0.0, -5.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, 64, 48);
-/// let (output, _) = CpuRasterizer.forward(&activate(&gaussians), &camera, &RenderSettings::default());
+/// let (output, _) = CpuRasterizer.forward(&activate(&gaussians), &camera, &RenderSettings::default())?;
 /// let center = 24 * 64 + 32;
 /// assert!((output.image.plane(0)[center] - 0.5).abs() < 1e-2); // opacity ½, colour 1
+/// # Ok::<(), tcgs_render::gpu::GpuError>(())
 /// ```
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CpuRasterizer;
@@ -59,7 +61,12 @@ macro_rules! with_channels {
 impl Rasterizer for CpuRasterizer {
     type Saved = CpuSaved;
 
-    fn forward(&self, gaussians: &Activated, camera: &Camera, settings: &RenderSettings) -> (RenderOutput, CpuSaved) {
+    fn forward(
+        &self,
+        gaussians: &Activated,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(RenderOutput, CpuSaved), GpuError> {
         let n = gaussians.num_gaussians();
         let lengths = [gaussians.quats.len(), gaussians.scales.len(), gaussians.opacities.len()];
         assert_eq!(lengths, [n; 3], "quats, scales and opacities against {n} means");
@@ -72,7 +79,7 @@ impl Rasterizer for CpuRasterizer {
         let tiles = Tiles::new(gaussians, camera);
         let output = with_channels!(gaussians.num_channels, draw(&tiles, &gaussians.colors, camera, settings));
         let image = output.image.clone();
-        (output, CpuSaved { tiles, image })
+        Ok((output, CpuSaved { tiles, image }))
     }
 
     fn backward(
@@ -82,7 +89,7 @@ impl Rasterizer for CpuRasterizer {
         settings: &RenderSettings,
         saved: &CpuSaved,
         v_image: &Image,
-    ) -> RenderGrads {
+    ) -> Result<RenderGrads, GpuError> {
         let shape = |i: &Image| [i.num_channels, i.height, i.width];
         assert_eq!(shape(v_image), shape(&saved.image), "v_image against the rendered image");
         let (tiles, colors) = (&saved.tiles, &gaussians.colors);
@@ -101,7 +108,22 @@ impl Rasterizer for CpuRasterizer {
                 rasterize_bwd(tiles, tile, colors, settings, &saved.image, v_image, v_pairs)
             );
         });
-        gather(gaussians, camera, tiles, &v_pairs)
+        Ok(gather(gaussians, camera, tiles, &v_pairs))
+    }
+}
+
+impl Draw for CpuRasterizer {
+    fn name(&self) -> String {
+        format!("cpu, {} threads", rayon::current_num_threads())
+    }
+
+    fn draw(
+        &self,
+        gaussians: &Activated,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<RenderOutput, GpuError> {
+        self.forward(gaussians, camera, settings).map(|(output, _)| output)
     }
 }
 

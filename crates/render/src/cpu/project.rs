@@ -7,13 +7,13 @@ use crate::settings::{BLUR_VARIANCE, FOV_MARGIN, NEAR};
 /// A camera in the numbers that projection runs on.
 #[derive(Clone, Debug)]
 pub struct Pinhole<R> {
-    rotation: [[R; 3]; 3],
-    translation: [R; 3],
-    focal: [R; 2],
-    principal: [R; 2],
+    pub(crate) rotation: [[R; 3]; 3],
+    pub(crate) translation: [R; 3],
+    pub(crate) focal: [R; 2],
+    pub(crate) principal: [R; 2],
     /// Range of `x/z` and of `y/z` in which the projection is linearised.
-    slope_min: [R; 2],
-    slope_max: [R; 2],
+    pub(crate) slope_min: [R; 2],
+    pub(crate) slope_max: [R; 2],
 }
 
 impl<R: Real> Pinhole<R> {

@@ -244,12 +244,12 @@ impl Gpu {
 
     /// A storage buffer of 32-bit values, filled with zeros.
     ///
-    /// - `len`: values; at least one is allocated
+    /// - `len`: values; at least four are allocated, as much as a binding of vectors asks for
     ///
     /// # Errors
     /// [`GpuError::Memory`] if the adapter allows no buffer of that size or has no memory for it.
     pub fn storage(&self, what: &str, len: usize) -> Result<wgpu::Buffer, GpuError> {
-        self.allocate(what, len.max(1) as u64 * 4, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT)
+        self.allocate(what, len.max(4) as u64 * 4, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT)
     }
 
     /// A uniform buffer.
@@ -266,8 +266,11 @@ impl Gpu {
     /// As [`Self::storage`].
     pub fn upload<T: bytemuck::NoUninit>(&self, what: &str, values: &[T]) -> Result<wgpu::Buffer, GpuError> {
         let bytes: &[u8] = bytemuck::cast_slice(values);
-        if bytes.is_empty() {
-            return self.storage(what, 1);
+        if bytes.len() < 16 {
+            let buffer = self.storage(what, 1)?;
+            let padded = [bytes, &[0; 16]].concat();
+            self.0.queue.write_buffer(&buffer, 0, &padded[..16]);
+            return Ok(buffer);
         }
         self.check_size(what, bytes.len() as u64)?;
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;

@@ -2,8 +2,14 @@
 
 mod device;
 mod kernel;
+mod radix;
+mod rasterizer;
+mod renderer;
 mod source;
 
 pub use device::{Gpu, GpuChoice, GpuError, GpuInfo, Staged};
 pub use kernel::{Bound, Kernel, MAX_GROUPS_X, WORKGROUP};
-pub use source::{BUCKET, TILE, source};
+pub use radix::{Dispatch, Radix, SORT_BLOCK};
+pub use rasterizer::{GpuRasterizer, GpuSaved};
+pub use renderer::{Capacity, GpuRenderer, RenderBuffers};
+pub use source::{BUCKET, TILE, source, sources};

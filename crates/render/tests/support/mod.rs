@@ -10,6 +10,7 @@ use std::path::PathBuf;
 
 use npyz::npz::NpzArchive;
 use tcgs_core::{Activated, Camera, normalize};
+use tcgs_render::gpu::{Gpu, GpuChoice};
 
 /// Path of a test vector, or `None` with a message where the vectors are absent.
 pub fn golden(name: &str) -> Option<PathBuf> {
@@ -21,6 +22,17 @@ pub fn golden(name: &str) -> Option<PathBuf> {
     // Past the capture of passing tests: a skip is to be seen.
     let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
     None
+}
+
+/// The GPU that tests run on, or `None` with a message where there is none: `TCGS_TEST_GPU`, by default Mesa's software.
+pub fn gpu() -> Option<Gpu> {
+    let name = std::env::var("TCGS_TEST_GPU").unwrap_or_else(|_| "llvmpipe".into());
+    Gpu::open(GpuChoice::Named(&name))
+        .map_err(|error| {
+            assert!(std::env::var("REQUIRE_GPU").is_err(), "a GPU is required: {error}");
+            let _ = writeln!(std::io::stderr(), "skipped: {error}");
+        })
+        .ok()
 }
 
 /// Arrays of one `.npz` file.
