@@ -6,6 +6,7 @@ mod radix;
 mod rasterizer;
 mod renderer;
 mod source;
+mod timing;
 
 pub use device::{Gpu, GpuChoice, GpuError, GpuInfo, Staged};
 pub use kernel::{Bound, Kernel, MAX_GROUPS_X, WORKGROUP};
@@ -13,3 +14,4 @@ pub use radix::{Dispatch, Radix, SORT_BLOCK};
 pub use rasterizer::{GpuRasterizer, GpuSaved};
 pub use renderer::{Capacity, GpuRenderer, RenderBuffers};
 pub use source::{BUCKET, TILE, source, sources};
+pub use timing::StageTimer;

@@ -1,0 +1,69 @@
+// Asks Dawn, with Chrome's shader compiler Tint, about a .wgsl file. Its null backend needs no GPU, grants what every
+// browser grants, and has no optional features. One file a process: with more, Dawn has been seen to crash.
+//
+//   node validate.mjs FILE
+
+import { readFileSync } from 'node:fs';
+import { basename } from 'node:path';
+import { create, globals } from 'webgpu';
+
+Object.assign(globalThis, globals);
+
+const path = process.argv[2];
+let numErrors = 0;
+
+function report(kind, place, message) {
+  numErrors += kind === 'error';
+  console.log(`${place}: ${kind}: ${message}`);
+}
+
+function entryPoints(code) {
+  const withoutComments = code.replace(/\/\/.*|\/\*[^]*?\*\//g, '');
+  return [...withoutComments.matchAll(/@compute\b[^{};]*\bfn\s+(\w+)/g)].map(([, name]) => name);
+}
+
+async function validate(device) {
+  const file = basename(path);
+  const code = readFileSync(path, 'utf8');
+  const before = numErrors;
+  // Otherwise the error would be printed a second time.
+  device.pushErrorScope('validation');
+  const module = device.createShaderModule({ label: file, code });
+  const { messages } = await module.getCompilationInfo();
+  const scope = await device.popErrorScope();
+  const lines = code.split('\n');
+  for (const { type, lineNum, linePos, message } of messages) {
+    report(type, `${path}:${lineNum}:${linePos}`, `${message}\n    ${lines[lineNum - 1]?.trim() ?? ''}`);
+  }
+  if (numErrors > before) {
+    return;
+  }
+  if (scope !== null) {
+    report('error', path, scope.message);
+    return;
+  }
+  const entries = entryPoints(code);
+  if (entries.length === 0) {
+    report('error', path, 'no entry point');
+  }
+  // Some limits are those of a pipeline: storage buffers, threads, workgroup memory. Backward kernels never run in a
+  // browser, and may pass them.
+  const forward = entries.filter((entryPoint) => !entryPoint.endsWith('_bwd'));
+  for (const entryPoint of forward) {
+    device.pushErrorScope('validation');
+    device.createComputePipeline({ layout: 'auto', compute: { module, entryPoint } });
+    const error = await device.popErrorScope();
+    if (error !== null) {
+      report('error', `${path}, ${entryPoint}`, error.message);
+    }
+  }
+  if (numErrors === before) {
+    console.log(`${file}: ${entries.length} entry points, ${forward.length} pipelines`);
+  }
+}
+
+const adapter = await create(['backend=null']).requestAdapter();
+const device = await adapter.requestDevice();
+await validate(device);
+device.destroy();
+process.exitCode = numErrors > 0 ? 1 : 0;
