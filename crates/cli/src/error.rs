@@ -28,7 +28,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         }
         || match error.downcast_ref::<TrainError>() {
             Some(TrainError::Io { action, source, .. }) => *action == "reading" && is_wrong_path(source),
-            Some(TrainError::NotFinite { .. }) => false,
+            Some(TrainError::NotFinite { .. } | TrainError::Gpu(_)) => false,
             other => other.is_some(),
         }
         || error.downcast_ref::<InterchangeError>().is_some_and(is_wrong_archive)
@@ -61,6 +61,8 @@ pub fn is_wrong_path(error: &std::io::Error) -> bool {
 mod tests {
     use std::io::Error;
 
+    use tcgs_render::gpu::GpuError;
+
     use super::*;
 
     #[test]
@@ -69,7 +71,8 @@ mod tests {
         let full = || Error::from(ErrorKind::StorageFull);
         let train = |action| TrainError::Io { action, path: path(), source: full() };
         let missing = Error::from(ErrorKind::NotFound);
-        let cases: [(anyhow::Error, u8); 7] = [
+        let lost = GpuError::Lost("x".into());
+        let cases: [(anyhow::Error, u8); 9] = [
             (wrong_input("x"), 2),
             (anyhow::anyhow!("x"), 1),
             (train("writing").into(), 1),
@@ -77,6 +80,8 @@ mod tests {
             (CaptureError::Io { path: path(), error: missing }.into(), 2),
             (InterchangeError::Io { path: path(), action: "writing", error: full() }.into(), 1),
             (full().into(), 1),
+            (TrainError::from(lost.clone()).into(), 1),
+            (lost.into(), 1),
         ];
         for (error, code) in cases {
             assert_eq!(exit_code(&error), code, "{error:#}");

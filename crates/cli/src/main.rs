@@ -3,6 +3,7 @@
 //! What lives here: arguments, progress, messages, files that appear whole. What does not: the method.
 //! An error is printed once, below, as one line.
 
+mod backend;
 mod camera_path;
 mod compress;
 mod demo;

@@ -7,8 +7,9 @@ use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Activated, Camera};
-use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+use tcgs_render::{Draw, RenderSettings};
 
+use crate::backend::{BackendName, BackendOptions};
 use crate::camera_path::CameraPath;
 use crate::error::wrong_input;
 use crate::options::{Frames, JobOptions, Size};
@@ -47,6 +48,8 @@ pub struct Arguments {
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     #[command(flatten)]
+    backend: BackendOptions,
+    #[command(flatten)]
     job: JobOptions,
 }
 
@@ -54,6 +57,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     check_kinds(arguments)?;
+    let renderer = arguments.backend.open(BackendName::Auto)?.renderer()?;
     let folder = NewFolder::begin(&arguments.out, arguments.job.force, is_png)?;
     let capture = arguments.cameras.as_ref().map(|path| Capture::open(path)).transpose()?;
     let scene = Scene::load(&arguments.scene)?;
@@ -75,14 +79,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let name = format!("{frame:06}.png");
         match &capture {
             None => {
-                write_png(&drawn, &path[frame - frames.start], &folder.path().join(name))?;
+                write_png(&*renderer, &drawn, &path[frame - frames.start], &folder.path().join(name))?;
                 count += 1;
             }
             Some(capture) => {
                 for (id, camera) in cameras(capture, &scene, frame, arguments.size)? {
                     let of_camera = folder.path().join(id.to_string());
                     fs::create_dir_all(&of_camera).with_context(|| format!("creating {}", of_camera.display()))?;
-                    write_png(&drawn, &camera, &of_camera.join(&name))?;
+                    write_png(&*renderer, &drawn, &camera, &of_camera.join(&name))?;
                     count += 1;
                 }
             }
@@ -130,8 +134,8 @@ fn cameras(capture: &Capture, scene: &Scene, frame: usize, size: Option<Size>) -
     Ok(cameras)
 }
 
-fn write_png(drawn: &Activated, camera: &Camera, path: &Path) -> anyhow::Result<()> {
-    let (output, _) = CpuRasterizer.forward(drawn, camera, &RenderSettings::default());
+fn write_png(renderer: &dyn Draw, drawn: &Activated, camera: &Camera, path: &Path) -> anyhow::Result<()> {
+    let output = renderer.draw(drawn, camera, &RenderSettings::default())?;
     let (width, height) = (camera.width as u32, camera.height as u32);
     image::save_buffer(path, &output.image.to_rgb8(), width, height, image::ColorType::Rgb8)
         .with_context(|| format!("writing {}", path.display()))

@@ -5,9 +5,11 @@
 mod support;
 
 use std::fs;
+use std::io::Write;
 use std::path::Path;
 
 use support::*;
+use tcgs_render::gpu::{Gpu, GpuChoice};
 use tempfile::tempdir;
 
 /// Runs what must exit with 2 and say all of `expected`.
@@ -45,9 +47,6 @@ fn what_does_not_exist_yet_says_so() {
     let capture = text(capture());
     let run = train(&folder, "run", &[]);
     let out = folder.path().join("out");
-    let message = fail(1, &["train", capture, "--out", text(&out), "--backend", "gpu"]);
-    assert!(message.contains("no GPU backend") && message.contains("cpu"), "{message}");
-    assert!(fail(1, &["train", capture, "--out", text(&out), "--device", "H200"]).contains("--device H200"));
     for protocol in ["4dgs", "stg"] {
         refuse(&["eval", text(&run), "--capture", capture, "--protocol", protocol], &[protocol, "expected tc3dgs"]);
     }
@@ -62,6 +61,40 @@ fn what_does_not_exist_yet_says_so() {
     fs::write(plys.join("000000.ply"), b"ply").unwrap();
     refuse(&["compress", text(&plys)], &["plys", "PLY", "expected a .tcgs file, a run folder or a params.npz"]);
     assert!(!out.exists());
+}
+
+#[test]
+fn what_cannot_compute_is_named() {
+    let folder = tempdir().unwrap();
+    let (capture, out) = (text(capture()), folder.path().join("out"));
+    let train = ["train", capture, "--out", text(&out), "--iterations", "30,10"];
+    let render = ["render", "x.tcgs", "--out", text(&out)];
+    let eval = ["eval", "x.tcgs", "--capture", capture];
+    let demo = ["demo", "--out", text(&out)];
+    for command in [&train[..], &render, &eval, &demo] {
+        let with = |more: &[&'static str]| [command, more].concat();
+        refuse(&with(&["--device", "Voodoo 2"]), &["--device Voodoo 2: no GPU named Voodoo 2, found "]);
+        refuse(&with(&["--backend", "cpu", "--device", "Voodoo 2"]), &["--device Voodoo 2", "found --backend cpu"]);
+        refuse(&with(&["--backend", "abacus"]), &["'abacus'", "auto, gpu, cpu"]);
+    }
+    assert!(!out.exists());
+
+    let Err(missing) = Gpu::open(GpuChoice::Hardware) else {
+        // Past the capture of passing tests: a skip is to be seen.
+        let _ = writeln!(std::io::stderr(), "skipped: how a computer without a GPU is told of, this one has one");
+        return;
+    };
+    let message = fail(1, &[&train[..], &["--backend", "gpu"]].concat());
+    let expected = format!("tcgs: --backend gpu: {missing}, expected --device NAME or --backend cpu");
+    assert_eq!(message, expected);
+    assert!(!out.exists());
+    let note = |more: &[&str]| {
+        let output = run(&[&train[..], &["--threads", "2", "--force"], more].concat());
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert_eq!(note(&["--backend", "cpu"]), "computing on the CPU, 2 threads\n");
+    assert_eq!(note(&[]), format!("computing on the CPU, 2 threads: {missing}\n"));
 }
 
 #[test]

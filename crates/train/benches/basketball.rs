@@ -9,8 +9,9 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Image, PointCloud};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
-use tcgs_train::engine::cpu::{CpuEngine, Step, Target};
-use tcgs_train::{Parameters, Phase, Schedule, TrainConfig};
+use tcgs_train::engine::cpu::{CpuEngine, drawn};
+use tcgs_train::engine::{Engine, Step, Target};
+use tcgs_train::{Parameters, Phase, Schedule, State, TrainConfig};
 
 const NUM_GAUSSIANS: usize = 100_000;
 
@@ -36,11 +37,13 @@ fn basketball(criterion: &mut Criterion) {
     let config = TrainConfig::default();
     for downscale in [4, 1] {
         let views = capture.views(Split::Train, 0, downscale).expect("the images are read");
-        let mut engine = CpuEngine::new(Parameters::from_cloud(&cloud, views.len(), config.mask.initial_logit));
+        let parameters = Parameters::from_cloud(&cloud, views.len(), config.mask.initial_logit);
+        let mut engine = CpuEngine::new(State::new(parameters));
         let target = Target::new(&views[0], true);
-        let drawn = engine.drawn(&config.mask, true);
+        engine.begin(vec![target.clone()]).expect("the CPU never fails");
+        let drawn = drawn(engine.state().expect("the CPU does not fail"), &config.mask, true);
         let settings = RenderSettings::default();
-        let (output, saved) = CpuRasterizer.forward(&drawn, &target.camera, &settings);
+        let (output, saved) = CpuRasterizer.forward(&drawn, &target.camera, &settings).expect("the CPU never fails");
         let seen = output.transmittance.iter().filter(|&&t| t < 0.1).count();
         assert!(2 * seen > output.transmittance.len(), "the cloud fills most of the image");
         let v_image = Image::filled(target.image.width, target.image.height, 5, 1.0);
@@ -48,16 +51,25 @@ fn basketball(criterion: &mut Criterion) {
         let mut group = criterion.benchmark_group(format!("{}x{}", target.image.width, target.image.height));
         group.sample_size(20);
         group.bench_function("forward", |b| {
-            b.iter(|| CpuRasterizer.forward(black_box(&drawn), &target.camera, &settings));
+            b.iter(|| {
+                CpuRasterizer.forward(black_box(&drawn), &target.camera, &settings).expect("the CPU never fails")
+            });
         });
         group.bench_function("forward + backward", |b| {
             b.iter(|| {
-                let (_, saved) = CpuRasterizer.forward(black_box(&drawn), &target.camera, &settings);
-                CpuRasterizer.backward(&drawn, &target.camera, &settings, &saved, &v_image)
+                let (_, saved) =
+                    CpuRasterizer.forward(black_box(&drawn), &target.camera, &settings).expect("the CPU never fails");
+                CpuRasterizer
+                    .backward(&drawn, &target.camera, &settings, &saved, &v_image)
+                    .expect("the CPU never fails")
             });
         });
         group.bench_function("backward", |b| {
-            b.iter(|| CpuRasterizer.backward(black_box(&drawn), &target.camera, &settings, &saved, &v_image));
+            b.iter(|| {
+                CpuRasterizer
+                    .backward(black_box(&drawn), &target.camera, &settings, &saved, &v_image)
+                    .expect("the CPU never fails")
+            });
         });
         let schedule = Schedule::new(&config, 3.37);
         let step = Step {
@@ -67,9 +79,10 @@ fn basketball(criterion: &mut Criterion) {
             weights: &config.weights,
             mask: &config.mask,
             counts_gradients: true,
+            moves_gaussians: true,
         };
         group.bench_function("losses and gradients of an iteration", |b| {
-            b.iter(|| engine.forward_backward(black_box(&target), &step));
+            b.iter(|| engine.forward_backward(black_box(&step)));
         });
         group.finish();
     }

@@ -6,7 +6,7 @@ use rand_pcg::Pcg64Mcg;
 use tcgs_core::{normalize, rotmat_from_unit_quat, sigmoid};
 
 use crate::config::DensifyConfig;
-use crate::engine::cpu::{CpuEngine, GradientStatistic};
+use crate::state::{GradientStatistic, State};
 
 /// What one densification did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -39,12 +39,12 @@ fn largest_scale(log_scale: [f32; 3]) -> f32 {
 }
 
 /// Clones, splits and removes; clears the statistic.
-pub fn densify(engine: &mut CpuEngine, step: &DensifyStep<'_>) -> Densified {
+pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let c = step.config;
-    let statistic = &engine.statistic;
+    let statistic = &state.statistic;
     let gradient = |i: usize| if statistic.count[i] > 0 { statistic.sum[i] / statistic.count[i] as f32 } else { 0.0 };
-    let n = engine.parameters.num_gaussians();
-    let scales: Vec<f32> = engine.parameters.gaussians.log_scales.iter().map(|&s| largest_scale(s)).collect();
+    let n = state.parameters.num_gaussians();
+    let scales: Vec<f32> = state.parameters.gaussians.log_scales.iter().map(|&s| largest_scale(s)).collect();
     let steep: Vec<usize> = (0..n).filter(|&i| gradient(i) >= c.gradient_threshold).collect();
     let (cloned, split): (Vec<usize>, Vec<usize>) =
         steep.into_iter().partition(|&i| scales[i] <= c.clone_scale * step.scene_radius);
@@ -60,12 +60,14 @@ pub fn densify(engine: &mut CpuEngine, step: &DensifyStep<'_>) -> Densified {
     for _ in 0..c.split_children {
         sources.extend(split.iter().map(|&i| (i, true)));
     }
-    gather(engine, &sources);
+    state.gather(&sources);
 
-    let gaussians = &mut engine.parameters.gaussians;
+    let gaussians = &mut state.parameters.gaussians;
     let mut random = Pcg64Mcg::seed_from_u64(step.seed);
     for i in first_child..sources.len() {
-        let rotmat = rotmat_from_unit_quat(normalize(gaussians.quats[i]));
+        let quat = gaussians.quats[i];
+        // Quantised rotations are of unit length already; to normalise them again would change their last bits.
+        let rotmat = rotmat_from_unit_quat(if state.quantizers.is_some() { quat } else { normalize(quat) });
         let local: [f32; 3] = std::array::from_fn(|d| gaussians.log_scales[i][d].exp() * normal(&mut random));
         for (d, row) in rotmat.iter().enumerate() {
             gaussians.means[i][d] += row[0] * local[0] + row[1] * local[1] + row[2] * local[2];
@@ -84,38 +86,24 @@ pub fn densify(engine: &mut CpuEngine, step: &DensifyStep<'_>) -> Densified {
     // An empty scene would have nothing left to learn from.
     let removed = if keep.is_empty() { 0 } else { sources.len() - keep.len() };
     if removed > 0 {
-        remove_others(engine, &keep);
+        remove_others(state, &keep);
     }
-    engine.statistic = GradientStatistic::new(engine.parameters.num_gaussians());
+    state.statistic = GradientStatistic::new(state.parameters.num_gaussians());
     Densified { cloned: cloned.len(), split: split.len(), removed }
 }
 
 /// Keeps the Gaussians at `keep`, with their moments, their share of the statistic and their bit widths.
 ///
 /// - `keep`: indices, in the order wanted
-pub fn remove_others(engine: &mut CpuEngine, keep: &[usize]) {
-    gather(engine, &keep.iter().map(|&i| (i, false)).collect::<Vec<_>>());
+pub fn remove_others(state: &mut State, keep: &[usize]) {
+    state.gather(&keep.iter().map(|&i| (i, false)).collect::<Vec<_>>());
 }
 
 /// Sets every opacity to `opacity`, within (0, 1), and forgets their moments.
-pub fn reset_opacities(engine: &mut CpuEngine, opacity: f32) {
+pub fn reset_opacities(state: &mut State, opacity: f32) {
     let logit = (opacity / (1.0 - opacity)).ln();
-    engine.parameters.gaussians.logit_opacities.fill(logit);
-    engine.optimizer.attributes[tcgs_core::Attribute::LogitOpacity.index()].clear(false);
-}
-
-fn gather(engine: &mut CpuEngine, sources: &[(usize, bool)]) {
-    let indices: Vec<usize> = sources.iter().map(|s| s.0).collect();
-    engine.parameters = engine.parameters.select(&indices);
-    engine.optimizer.gather(sources);
-    if let Some(quantizers) = &mut engine.quantizers {
-        quantizers.select(&indices);
-    }
-    let old = &engine.statistic;
-    engine.statistic = GradientStatistic {
-        sum: indices.iter().map(|&i| old.sum[i]).collect(),
-        count: indices.iter().map(|&i| old.count[i]).collect(),
-    };
+    state.parameters.gaussians.logit_opacities.fill(logit);
+    state.optimizer.attributes[tcgs_core::Attribute::LogitOpacity.index()].clear(false);
 }
 
 /// A standard normal number (Box and Muller 1958).

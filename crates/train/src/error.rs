@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use tcgs_render::gpu::GpuError;
+
 use crate::config::ConfigError;
 
 /// Why training stopped.
@@ -33,6 +35,9 @@ pub enum TrainError {
         /// As it should be.
         expected: String,
     },
+    /// The GPU.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
     /// A file of a run folder.
     #[error("{path}: {problem}")]
     File {

@@ -13,6 +13,7 @@ mod parameters;
 mod run;
 mod schedule;
 mod sensitivity;
+mod state;
 mod trainer;
 
 pub use checkpoint::Checkpoint;
@@ -26,4 +27,5 @@ pub use parameters::{Parameters, scene_radius};
 pub use run::{Run, TrainedScene};
 pub use schedule::{Phase, Rates, Schedule};
 pub use sensitivity::sensitivity;
+pub use state::{GradientStatistic, Optimizer, Past, Pose, State};
 pub use trainer::{Progress, Trainer, bit_settings, masked_out, mean_masks};

@@ -11,6 +11,9 @@ use tcgs_core::DynamicGaussians;
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, temporary_file};
 use crate::config::TrainConfig;
+use crate::engine::Engine;
+use crate::engine::cpu::CpuEngine;
+use crate::state::State;
 use crate::trainer::Trainer;
 
 const CONFIG: &str = "config.toml";
@@ -105,11 +108,24 @@ impl Run {
         checkpoint.save(&self.checkpoint_path(timestep), timestep == 0)
     }
 
-    /// Goes on where the run stopped; `None` if no timestep is finished.
+    /// Goes on where the run stopped, on the CPU; `None` if no timestep is finished.
     ///
     /// # Errors
     /// [`TrainError::File`] if a checkpoint is damaged.
     pub fn resume(&self) -> Result<Option<Trainer>, TrainError> {
+        self.resume_with(|state| Ok(Box::new(CpuEngine::new(state))))
+    }
+
+    /// Goes on where the run stopped; `None` if no timestep is finished.
+    ///
+    /// - `make`: what computes, from the state that it starts from
+    ///
+    /// # Errors
+    /// As [`Self::resume`], and what `make` returns.
+    pub fn resume_with(
+        &self,
+        make: impl FnOnce(State) -> Result<Box<dyn Engine>, TrainError>,
+    ) -> Result<Option<Trainer>, TrainError> {
         let finished = self.timesteps();
         if finished == 0 {
             return Ok(None);
@@ -117,7 +133,7 @@ impl Run {
         let first = self.load(0, None)?;
         let later = |t: usize| if t == 0 { Ok(first.clone()) } else { self.load(t, Some(&first)) };
         let (before_last, last) = (later(finished.saturating_sub(2))?, later(finished - 1)?);
-        Ok(Some(Trainer::resume(&self.config, &first, &before_last, &last, finished)))
+        Trainer::resume(&self.config, &first, &before_last, &last, finished, make).map(Some)
     }
 
     fn load(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {

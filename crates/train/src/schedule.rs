@@ -151,6 +151,11 @@ impl Schedule {
         self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval) && !ended
     }
 
+    /// Whether Gaussians are replaced, removed or reset after this iteration, so that its gradients are not theirs.
+    pub fn reshapes(&self, iteration: usize) -> bool {
+        self.densifies(iteration) || self.resets_opacities(iteration) || self.prunes_masked(iteration)
+    }
+
     /// Whether quantisation starts at this iteration.
     pub fn starts_quantization(&self, iteration: usize) -> bool {
         self.config.quantize.enabled
@@ -194,6 +199,7 @@ mod tests {
         );
         let short = schedule(250, 50, Preset::Default);
         assert!((0..250).all(|i| !short.resets_opacities(i)));
+        assert!(s.reshapes(100) && s.reshapes(450) && s.reshapes(900) && !s.reshapes(901) && !s.reshapes(1050));
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
         assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);

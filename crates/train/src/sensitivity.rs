@@ -2,24 +2,33 @@
 
 use rayon::prelude::*;
 use tcgs_core::{Attribute, Camera, Gaussians, Image, activate, activate_bwd};
-use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+use tcgs_render::gpu::GpuError;
+use tcgs_render::{Rasterizer, RenderSettings};
 
 /// `S(θ) = Σ_k |∂Q_k/∂θ| / Σ_k N_k`: `Q_k` the sum of all colour values of image `k` over black,
 /// unclamped, `N_k` its number of pixels.
 ///
+/// - `rasterizer`: renders, and takes gradients back
 /// - `gaussians`: `[N]`, stored form; the sensitivities are with respect to it
 /// - `cameras`: of the training views, one rendering each
 /// - returns: in the shape of [`Gaussians`], all values >= 0, colour per unit of the parameter
 ///
 /// Paper, Eq. 7; the absolute value is taken per view as in Niedermayr et al. 2024.
-pub fn sensitivity(gaussians: &Gaussians, cameras: &[Camera]) -> Gaussians {
+///
+/// # Errors
+/// What the renderer fails with; the one on the CPU never does.
+pub fn sensitivity<R: Rasterizer>(
+    rasterizer: &R,
+    gaussians: &Gaussians,
+    cameras: &[Camera],
+) -> Result<Gaussians, GpuError> {
     let activated = activate(gaussians);
     let settings = RenderSettings::default();
     let mut sum = Gaussians::zeros(gaussians.num_gaussians());
     for camera in cameras {
-        let (_, saved) = CpuRasterizer.forward(&activated, camera, &settings);
+        let (_, saved) = rasterizer.forward(&activated, camera, &settings)?;
         let ones = Image::filled(camera.width, camera.height, 3, 1.0);
-        let render = CpuRasterizer.backward(&activated, camera, &settings, &saved, &ones);
+        let render = rasterizer.backward(&activated, camera, &settings, &saved, &ones)?;
         let v = activate_bwd(gaussians, &activated, &render.activated);
         for attribute in Attribute::ALL {
             sum.values_mut(attribute).par_iter_mut().zip(v.values(attribute)).for_each(|(s, v)| *s += v.abs());
@@ -29,5 +38,5 @@ pub fn sensitivity(gaussians: &Gaussians, cameras: &[Camera]) -> Gaussians {
     for attribute in Attribute::ALL {
         sum.values_mut(attribute).par_iter_mut().for_each(|s| *s /= num_pixels.max(1) as f32);
     }
-    sum
+    Ok(sum)
 }

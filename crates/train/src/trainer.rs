@@ -1,22 +1,22 @@
 //! The loop: timesteps, iterations, and what happens between them.
 
+use std::sync::Arc;
+
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_codec::{BitMapping, BitSettings, assign_bits};
 use tcgs_core::{Attribute, Camera, PointCloud, View};
 use tcgs_metrics::psnr;
-use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 
 use crate::TrainError;
 use crate::checkpoint::Checkpoint;
 use crate::config::{BitMapKind, TrainConfig};
 use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
-use crate::engine::cpu::{
-    CpuEngine, FakeQuantizers, LossTerms, MotionPrior, Neighbors, Optimizer, Step, Target, predict,
-};
+use crate::engine::cpu::{CpuEngine, FakeQuantizers, Neighbors, mask, predict};
+use crate::engine::{Engine, LossTerms, Step, Target};
 use crate::parameters::{Parameters, scene_radius};
 use crate::schedule::{Phase, Schedule};
-use crate::sensitivity::sensitivity;
+use crate::state::{Past, Pose, State};
 
 /// What a caller hears of every iteration.
 #[derive(Clone, Copy, Debug)]
@@ -31,12 +31,9 @@ pub struct Progress {
     pub terms: LossTerms,
     /// Weighted sum of the losses.
     pub loss: f64,
-    /// Gaussians now.
+    /// Gaussians that it was computed with.
     pub num_gaussians: usize,
 }
-
-/// Means and rotations of one timestep.
-type Pose = (Vec<[f32; 3]>, Vec<[f32; 4]>);
 
 /// A run in progress: the state after some timesteps.
 #[derive(Debug)]
@@ -44,25 +41,41 @@ pub struct Trainer {
     config: TrainConfig,
     schedule: Schedule,
     scene_radius: f32,
-    engine: CpuEngine,
+    engine: Box<dyn Engine>,
+    /// As in the engine's state, which may be far away.
+    num_gaussians: usize,
     /// Timesteps finished.
     timestep: usize,
     /// Of the first timestep.
-    first: Option<Pose>,
+    first: Option<Arc<Pose>>,
     /// Of the timestep before the last.
-    before: Option<Pose>,
-    neighbors: Option<Neighbors<f32>>,
+    before: Option<Arc<Pose>>,
     camera_ids: Vec<usize>,
 }
 
 impl Trainer {
-    /// Starts a run.
+    /// Starts a run on the CPU.
     ///
     /// - `cameras`: of the first timestep's training views, in their order
     ///
     /// # Errors
     /// [`TrainError::Input`] if there are no points or cameras.
     pub fn new(config: &TrainConfig, cloud: &PointCloud, cameras: &[Camera]) -> Result<Self, TrainError> {
+        Self::with_engine(config, cloud, cameras, |state| Ok(Box::new(CpuEngine::new(state))))
+    }
+
+    /// Starts a run; the rest as [`Self::new`].
+    ///
+    /// - `make`: what computes, from the state that it starts from
+    ///
+    /// # Errors
+    /// As [`Self::new`], and what `make` returns.
+    pub fn with_engine(
+        config: &TrainConfig,
+        cloud: &PointCloud,
+        cameras: &[Camera],
+        make: impl FnOnce(State) -> Result<Box<dyn Engine>, TrainError>,
+    ) -> Result<Self, TrainError> {
         let input = |what: &str, expected: &str| TrainError::Input {
             what: what.into(),
             found: "none".into(),
@@ -84,11 +97,11 @@ impl Trainer {
             config: config.clone(),
             schedule: Schedule::new(config, radius),
             scene_radius: radius,
-            engine: CpuEngine::new(parameters),
+            num_gaussians: parameters.num_gaussians(),
+            engine: make(State::new(parameters))?,
             timestep: 0,
             first: None,
             before: None,
-            neighbors: None,
             camera_ids: Vec::new(),
         })
     }
@@ -98,36 +111,41 @@ impl Trainer {
     /// - `first`, `before_last`, `last`: of the first timestep, and of the last two finished; with one
     ///   timestep finished all three are the same
     /// - `timesteps`: finished, at least 1
+    /// - `make`: what computes, from the state that it starts from
+    ///
+    /// # Errors
+    /// What `make` returns.
     pub fn resume(
         config: &TrainConfig,
         first: &Checkpoint,
         before_last: &Checkpoint,
         last: &Checkpoint,
         timesteps: usize,
-    ) -> Self {
+        make: impl FnOnce(State) -> Result<Box<dyn Engine>, TrainError>,
+    ) -> Result<Self, TrainError> {
         let place = |c: &Checkpoint| (c.parameters.gaussians.means.clone(), c.parameters.gaussians.quats.clone());
-        let mut engine = CpuEngine::new(last.parameters.clone());
-        engine.quantizers = last.quantizers.clone();
-        engine.optimizer = Optimizer::new(&engine.parameters, 0);
-        let [mean, quat, mask] = last.steps;
+        let mut state = State::new(last.parameters.clone());
+        state.quantizers = last.quantizers.clone();
+        let [mean, quat, masks] = last.steps;
         let [color, steps, offsets] = last.kept_moments.clone();
-        engine.optimizer.attributes[Attribute::Mean.index()].step = mean;
-        engine.optimizer.attributes[Attribute::Quat.index()].step = quat;
-        engine.optimizer.mask.step = mask;
-        engine.optimizer.attributes[Attribute::Color.index()] = color;
-        engine.optimizer.quantizer_steps = steps;
-        engine.optimizer.quantizer_offsets = offsets;
-        Self {
+        let o = &mut state.optimizer;
+        o.attributes[Attribute::Mean.index()].step = mean;
+        o.attributes[Attribute::Quat.index()].step = quat;
+        o.mask.step = masks;
+        o.attributes[Attribute::Color.index()] = color;
+        o.quantizer_steps = steps;
+        o.quantizer_offsets = offsets;
+        Ok(Self {
             config: config.clone(),
             schedule: Schedule::new(config, first.scene_radius),
             scene_radius: first.scene_radius,
-            engine,
+            num_gaussians: state.parameters.num_gaussians(),
+            engine: make(state)?,
             timestep: timesteps,
-            first: Some(place(first)),
-            before: Some(place(before_last)),
-            neighbors: None,
+            first: Some(Arc::new(place(first))),
+            before: Some(Arc::new(place(before_last))),
             camera_ids: Vec::new(),
-        }
+        })
     }
 
     /// Timesteps finished.
@@ -135,18 +153,26 @@ impl Trainer {
         self.timestep
     }
 
+    /// Gaussians now.
+    pub fn num_gaussians(&self) -> usize {
+        self.num_gaussians
+    }
+
     /// The optimisation's state.
-    pub fn engine(&self) -> &CpuEngine {
-        &self.engine
+    ///
+    /// # Errors
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn state(&mut self) -> Result<&State, TrainError> {
+        self.engine.state()
     }
 
     /// Trains the next timestep on its views.
     ///
     /// # Errors
     /// [`TrainError::NotFinite`] if a loss is; [`TrainError::Input`] if there are no views, or another
-    /// number of cameras than at the first timestep.
+    /// number of cameras than at the first timestep; [`TrainError::Gpu`] if the engine failed.
     pub fn fit(&mut self, views: &[View], progress: &mut dyn FnMut(&Progress)) -> Result<(), TrainError> {
-        let num_cameras = self.engine.parameters.camera_gains.len();
+        let num_cameras = self.engine.state()?.parameters.camera_gains.len();
         if views.len() != num_cameras {
             return Err(TrainError::Input {
                 what: format!("training views of timestep {}", self.timestep),
@@ -156,56 +182,80 @@ impl Trainer {
         }
         self.camera_ids = views.iter().map(|v| v.camera_id).collect();
         let with_segmentation = views.iter().all(|v| v.segmentation.is_some());
-        let targets: Vec<Target> = views.iter().map(|v| Target::new(v, with_segmentation)).collect();
         let phase = Phase::of(self.timestep);
         if phase == Phase::Rest {
-            self.begin_timestep();
+            self.begin_timestep()?;
         }
+        self.engine.begin(views.iter().map(|v| Target::new(v, with_segmentation)).collect())?;
         let iterations = self.schedule.iterations(phase);
         let config = self.config.clone();
+        let mut reported = 0;
         let mut order = Vec::new();
         // One stream a timestep, so that resuming needs no saved state.
         let mut random =
             Pcg64Mcg::seed_from_u64(self.config.seed ^ (self.timestep as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
         for iteration in 0..iterations {
             if phase == Phase::First && self.schedule.starts_quantization(iteration) {
-                self.start_quantization(&targets);
+                self.start_quantization(views)?;
             }
             if order.is_empty() {
-                order = (0..targets.len()).collect();
+                order = (0..views.len()).collect();
             }
             let camera = order.swap_remove(random.random_range(0..order.len()));
+            let reshapes = phase == Phase::First && self.schedule.reshapes(iteration);
             let step = Step {
                 camera,
                 rates: self.schedule.rates(phase, iteration),
                 weights: &config.weights,
                 mask: &config.mask,
                 counts_gradients: phase == Phase::First && self.schedule.counts_gradients(iteration),
+                moves_gaussians: !reshapes,
             };
-            let (terms, grads) = self.engine.forward_backward(&targets[camera], &step);
-            if let Some(&(term, value, _)) = terms.terms(&config.weights).iter().find(|t| !t.1.is_finite()) {
-                return Err(TrainError::NotFinite { term, value, timestep: self.timestep, iteration });
+            self.engine.step(&step)?;
+            if reshapes {
+                self.engine.wait()?;
             }
-            let reshaped = phase == Phase::First && self.reshape(iteration, random.random());
-            self.engine.update(&grads, &step, !reshaped);
-            progress(&Progress {
-                timestep: self.timestep,
-                iteration,
-                iterations,
-                terms,
-                loss: terms.total(&config.weights),
-                num_gaussians: self.engine.parameters.num_gaussians(),
-            });
+            self.report(&mut reported, iterations, progress)?;
+            if phase == Phase::First {
+                let seed = random.random();
+                if reshapes {
+                    self.reshape(iteration, seed)?;
+                }
+            }
         }
+        self.engine.wait()?;
+        self.report(&mut reported, iterations, progress)?;
+        assert_eq!(reported, iterations, "iterations that the engine reported");
         self.check_finite(iterations)?;
-        self.end_timestep();
+        self.end_timestep()
+    }
+
+    /// Checks and passes on the losses that have become known.
+    ///
+    /// - `reported`: iterations of the timestep whose losses were known before
+    fn report(
+        &mut self,
+        reported: &mut usize,
+        iterations: usize,
+        progress: &mut dyn FnMut(&Progress),
+    ) -> Result<(), TrainError> {
+        let weights = &self.config.weights;
+        let (timestep, num_gaussians) = (self.timestep, self.num_gaussians);
+        for terms in self.engine.losses()? {
+            let iteration = *reported;
+            if let Some(&(term, value, _)) = terms.terms(weights).iter().find(|t| !t.1.is_finite()) {
+                return Err(TrainError::NotFinite { term, value, timestep, iteration });
+            }
+            let loss = terms.total(weights);
+            progress(&Progress { timestep, iteration, iterations, terms, loss, num_gaussians });
+            *reported += 1;
+        }
         Ok(())
     }
 
-    /// Densifies, removes and resets where the schedule says so; returns whether the Gaussians changed
-    /// shape, so that this iteration's gradients no longer fit.
-    fn reshape(&mut self, iteration: usize, seed: u64) -> bool {
-        let mut reshaped = false;
+    /// Densifies, removes and resets where the schedule says so.
+    fn reshape(&mut self, iteration: usize, seed: u64) -> Result<(), TrainError> {
+        let state = self.engine.state_mut()?;
         if self.schedule.densifies(iteration) {
             let step = DensifyStep {
                 config: &self.config.densify,
@@ -214,68 +264,71 @@ impl Trainer {
                 removes_large: self.schedule.removes_large(iteration),
                 seed,
             };
-            densify(&mut self.engine, &step);
-            reshaped = true;
+            densify(state, &step);
         }
         if self.schedule.resets_opacities(iteration) {
-            reset_opacities(&mut self.engine, self.config.densify.reset_opacity);
-            reshaped = true;
+            reset_opacities(state, self.config.densify.reset_opacity);
         }
         if self.schedule.prunes_masked(iteration) {
             let threshold = self.config.mask.threshold;
-            let logits = &self.engine.parameters.mask_logits;
-            let keep: Vec<usize> =
-                (0..logits.len()).filter(|&i| crate::engine::cpu::mask(logits[i], threshold) > 0.0).collect();
+            let logits = &state.parameters.mask_logits;
+            let keep: Vec<usize> = (0..logits.len()).filter(|&i| mask(logits[i], threshold) > 0.0).collect();
             if !keep.is_empty() && keep.len() < logits.len() {
-                remove_others(&mut self.engine, &keep);
-                reshaped = true;
+                remove_others(state, &keep);
             }
         }
-        reshaped
+        self.num_gaussians = state.parameters.num_gaussians();
+        Ok(())
     }
 
-    fn start_quantization(&mut self, targets: &[Target]) {
-        let cameras: Vec<Camera> = targets.iter().map(|t| t.camera.clone()).collect();
-        self.engine.canonicalize_quats();
-        let gaussians = &self.engine.parameters.gaussians;
-        let bit_map = assign_bits(&sensitivity(gaussians, &cameras), gaussians, &bit_settings(&self.config));
-        let quantizers = FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset);
-        self.engine.start_quantization(quantizers);
+    fn start_quantization(&mut self, views: &[View]) -> Result<(), TrainError> {
+        let cameras: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
+        self.engine.state_mut()?.canonicalize_quats();
+        let sensitivity = self.engine.sensitivity(&cameras)?;
+        let state = self.engine.state_mut()?;
+        let gaussians = &state.parameters.gaussians;
+        let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(&self.config));
+        state.start_quantization(FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset));
+        Ok(())
     }
 
     /// Predicts where everything goes, and prepares what the losses compare with.
-    fn begin_timestep(&mut self) {
-        let (first_means, first_quats) = self.first.clone().expect("a first timestep is finished");
-        let p = &mut self.engine.parameters;
-        let neighbors = self.neighbors.take().unwrap_or_else(|| Neighbors::new(&first_means, &p.foreground));
+    fn begin_timestep(&mut self) -> Result<(), TrainError> {
+        let first = self.first.clone().expect("a first timestep is finished");
+        let state = self.engine.state_mut()?;
+        let p = &mut state.parameters;
+        let neighbors = match state.past.take() {
+            Some(past) => past.neighbors,
+            None => Arc::new(Neighbors::new(&first.0, &p.foreground)),
+        };
+        state.past = Some(Past { first, neighbors, previous: p.gaussians.clone() });
         let g = &mut p.gaussians;
-        self.engine.prior =
-            Some(MotionPrior::new(neighbors, &p.foreground, &first_means, &first_quats, &g.means, &g.quats, &g.colors));
-        let now = (g.means.clone(), g.quats.clone());
-        let (means_before, quats_before) = self.before.take().unwrap_or_else(|| now.clone());
+        let now = Arc::new((g.means.clone(), g.quats.clone()));
+        let before = self.before.take().unwrap_or_else(|| Arc::clone(&now));
         for i in 0..g.means.len() {
-            (g.means[i], g.quats[i]) = predict(g.means[i], means_before[i], g.quats[i], quats_before[i]);
+            (g.means[i], g.quats[i]) = predict(g.means[i], before.0[i], g.quats[i], before.1[i]);
         }
         self.before = Some(now);
         if self.config.mask.enabled {
             // Paper Eq. 5 compares with the timestep before.
-            self.engine.previous_mask_logits = Some(p.mask_logits.clone());
+            state.previous_mask_logits = Some(p.mask_logits.clone());
             if self.config.mask.reset {
                 p.mask_logits.fill(self.config.mask.initial_logit);
             }
         }
-        let o = &mut self.engine.optimizer;
+        let o = &mut state.optimizer;
         for attribute in [Attribute::Mean, Attribute::Quat] {
             o.attributes[attribute.index()].clear(self.config.rates.reset_steps);
         }
         o.mask.clear(self.config.rates.reset_steps);
+        Ok(())
     }
 
     /// A Gaussian that is not finite is culled by the renderer, so that no loss tells.
-    fn check_finite(&self, iteration: usize) -> Result<(), TrainError> {
+    fn check_finite(&mut self, iteration: usize) -> Result<(), TrainError> {
+        let gaussians = &self.engine.state()?.parameters.gaussians;
         for attribute in Attribute::ALL {
-            let values = self.engine.parameters.gaussians.values(attribute);
-            if let Some(value) = values.iter().find(|x| !x.is_finite()) {
+            if let Some(value) = gaussians.values(attribute).iter().find(|x| !x.is_finite()) {
                 let (term, value) = (attribute.name(), f64::from(*value));
                 return Err(TrainError::NotFinite { term, value, timestep: self.timestep, iteration });
             }
@@ -283,53 +336,55 @@ impl Trainer {
         Ok(())
     }
 
-    fn end_timestep(&mut self) {
-        if let Some(prior) = self.engine.prior.take() {
-            self.neighbors = Some(prior.into_neighbors());
-        }
-        let g = &self.engine.parameters.gaussians;
+    fn end_timestep(&mut self) -> Result<(), TrainError> {
         if self.timestep == 0 {
-            self.first = Some((g.means.clone(), g.quats.clone()));
+            let g = &self.engine.state()?.parameters.gaussians;
+            self.first = Some(Arc::new((g.means.clone(), g.quats.clone())));
             // No motion is known yet.
-            self.before = Some((g.means.clone(), g.quats.clone()));
+            self.before = self.first.clone();
         }
         self.timestep += 1;
+        Ok(())
     }
 
     /// What is to be remembered of the timestep just finished.
-    pub fn checkpoint(&self) -> Checkpoint {
-        let o = &self.engine.optimizer;
+    ///
+    /// # Errors
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
+        let state = self.engine.state()?;
+        let o = &state.optimizer;
         let [mean, quat, _, _, color] = &o.attributes;
-        Checkpoint {
-            parameters: self.engine.parameters.clone(),
-            quantizers: self.engine.quantizers.clone(),
+        Ok(Checkpoint {
+            parameters: state.parameters.clone(),
+            quantizers: state.quantizers.clone(),
             kept_moments: [color.clone(), o.quantizer_steps.clone(), o.quantizer_offsets.clone()],
             steps: [mean.step, quat.step, o.mask.step],
             scene_radius: self.scene_radius,
-        }
+        })
     }
 
     /// Mean PSNR over views of the timestep just finished, masks and quantisation applied, in dB. A
     /// training camera's own gain and offset apply to it.
-    pub fn mean_psnr(&self, views: &[View]) -> f64 {
-        let drawn = self.engine.drawn(&self.config.mask, false);
-        let sum: f64 = views
-            .iter()
-            .map(|view| {
-                let (mut output, _) = CpuRasterizer.forward(&drawn, &view.camera, &RenderSettings::default());
-                if let Some(camera) = self.camera_ids.iter().position(|&id| id == view.camera_id) {
-                    let (gain, offset) =
-                        (self.engine.parameters.camera_gains[camera], self.engine.parameters.camera_offsets[camera]);
-                    for channel in 0..3 {
-                        for value in output.image.plane_mut(channel) {
-                            *value = gain[channel].exp() * *value + offset[channel];
-                        }
+    ///
+    /// # Errors
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn mean_psnr(&mut self, views: &[View]) -> Result<f64, TrainError> {
+        let mut sum = 0.0;
+        for view in views {
+            let mut image = self.engine.draw(&self.config.mask, &view.camera)?;
+            if let Some(camera) = self.camera_ids.iter().position(|&id| id == view.camera_id) {
+                let p = &self.engine.state()?.parameters;
+                let (gain, offset) = (p.camera_gains[camera], p.camera_offsets[camera]);
+                for channel in 0..3 {
+                    for value in image.plane_mut(channel) {
+                        *value = gain[channel].exp() * *value + offset[channel];
                     }
                 }
-                psnr(&output.image, &view.image)
-            })
-            .sum();
-        sum / views.len().max(1) as f64
+            }
+            sum += psnr(&image, &view.image);
+        }
+        Ok(sum / views.len().max(1) as f64)
     }
 }
 
@@ -361,7 +416,7 @@ pub fn bit_settings(config: &TrainConfig) -> BitSettings {
 /// - `threshold`: `ε`, in `[0, 1)`
 /// - returns: `[N]`
 pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
-    mask_logits.iter().map(|&m| crate::engine::cpu::mask(m, threshold) == 0.0).collect()
+    mask_logits.iter().map(|&m| mask(m, threshold) == 0.0).collect()
 }
 
 /// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. 6.

@@ -208,9 +208,9 @@ fn sensitivities_equal_the_reference() {
         )
         .unwrap();
         let settings = RenderSettings::default();
-        let (output, saved) = CpuRasterizer.forward(&gaussians, &camera, &settings);
+        let (output, saved) = CpuRasterizer.forward(&gaussians, &camera, &settings).unwrap();
         let ones = Image::filled(output.image.width, output.image.height, 3, 1.0);
-        let v = CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &ones).activated;
+        let v = CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &ones).unwrap().activated;
         let add = |sum: &mut Vec<f32>, v: &[f32]| {
             sum.resize(v.len(), 0.0);
             sum.iter_mut().zip(v).for_each(|(s, v)| *s += v.abs());
@@ -263,7 +263,7 @@ fn the_first_render_of_basketball_equals_the_reference() {
 
     let drawn = tcgs_core::activate(&parameters.gaussians);
     for (view, expected) in views.iter().zip(golden["per_camera"].as_array().unwrap()) {
-        let (output, _) = CpuRasterizer.forward(&drawn, &view.camera, &RenderSettings::default());
+        let (output, _) = CpuRasterizer.forward(&drawn, &view.camera, &RenderSettings::default()).unwrap();
         let l1 = output.image.data.iter().zip(&view.image.data).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>()
             / output.image.data.len() as f64;
         // PSNR relatively: another JPEG decoder moves the targets by 0.05 of 255 on average, and it by 0.007 dB.

@@ -12,6 +12,7 @@ use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_codec::{BitMapping, CompressSettings};
 use tcgs_train::{Run, TrainConfig};
 
+use crate::backend::{Backend, BackendName, BackendOptions};
 use crate::compress::{self, Compressed, compress_scene, kept_gaussians};
 use crate::error::wrong_input;
 use crate::eval::{self, Evaluation, evaluate};
@@ -32,6 +33,7 @@ const OURS: [&str; 6] = [MARKER, "capture", "run", "scene.tcgs", "frames", "repo
 /// Ray-traces moving objects in a room, trains on the images, compresses, and measures on held-out cameras.
 /// The folder then holds capture/, run/, scene.tcgs, frames/ (ground truth beside render) and report.html.
 #[derive(clap::Args)]
+#[command(mut_arg("backend", |backend| backend.help("What computes [default: cpu; with --device: gpu]")))]
 #[command(after_help = "\
 Example:
   tcgs demo
@@ -41,6 +43,8 @@ pub struct Arguments {
     /// Folder to write; one that demo made is replaced, any other is not
     #[arg(long, value_name = "DIR", default_value = "tcgs-demo")]
     out: PathBuf,
+    #[command(flatten)]
+    backend: BackendOptions,
     #[command(flatten)]
     job: JobOptions,
 }
@@ -102,10 +106,12 @@ impl Outcome {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     check_place(&arguments.out)?;
+    // The demo says what two cores do.
+    let backend = arguments.backend.open(BackendName::Cpu)?;
     let folder = NewFolder::begin(&arguments.out, true, |_| true)?;
     let begun = folder.path().join(MARKER);
     fs::write(&begun, "made by tcgs demo\n").with_context(|| format!("writing {}", begun.display()))?;
-    let outcome = pipeline(arguments, folder.path())?;
+    let outcome = pipeline(arguments, &backend, folder.path())?;
     folder.finish_around(|name| OURS.iter().all(|ours| name != *ours))?;
     print_table(arguments, &outcome)?;
     write_json(arguments, &outcome)
@@ -121,7 +127,8 @@ fn check_place(out: &Path) -> anyhow::Result<()> {
     Err(wrong_input(format!("{}: {problem}", out.display())))
 }
 
-fn pipeline(arguments: &Arguments, folder: &Path) -> anyhow::Result<Outcome> {
+fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::Result<Outcome> {
+    let renderer = backend.renderer()?;
     let mut seconds = Vec::new();
     let mut clock = Instant::now();
     let mut lap = |name: &'static str| {
@@ -138,7 +145,7 @@ fn pipeline(arguments: &Arguments, folder: &Path) -> anyhow::Result<Outcome> {
 
     say("2/4  training, one timestep after another")?;
     let run = Run::create(&folder.join("run"), &config(arguments, &capture)?)?;
-    train::fit(&capture, &run, train::new_trainer(run.config(), &capture)?)?;
+    train::fit(&capture, &run, train::new_trainer(run.config(), &capture, backend)?)?;
     lap("train");
 
     say("3/4  compressing")?;
@@ -153,7 +160,7 @@ fn pipeline(arguments: &Arguments, folder: &Path) -> anyhow::Result<Outcome> {
     say("4/4  measuring on the held-out cameras")?;
     let score = |scene: &Scene, frozen: bool| {
         let settings = eval::Settings { split: Split::Test, frames: scene.frames(), downscale: 1, frozen };
-        evaluate(scene, &capture, &settings)
+        evaluate(scene, &capture, &settings, &*renderer)
     };
     let uncompressed = score(&scene, false)?;
     let final_ = score(&decoded, false)?;
@@ -161,7 +168,7 @@ fn pipeline(arguments: &Arguments, folder: &Path) -> anyhow::Result<Outcome> {
     let stages = measure_stages(&scene, &compressed, quantized, &uncompressed, &final_, |s| score(s, false))?;
     lap("evaluate");
 
-    let frames = page::write_frames(&decoded, &capture, &folder.join("frames"))?;
+    let frames = page::write_frames(&decoded, &capture, &*renderer, &folder.join("frames"))?;
     let mut outcome = Outcome { stages, compressed, uncompressed, final_, frozen, seconds: Vec::new() };
     lap("pictures");
     outcome.seconds = seconds;

@@ -9,7 +9,8 @@ use image::{ImageFormat, RgbImage};
 use rayon::prelude::*;
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Attribute, Image};
-use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+use tcgs_render::gpu::GpuError;
+use tcgs_render::{Draw, RenderSettings};
 use tcgs_train::Run;
 
 use super::Outcome;
@@ -26,7 +27,12 @@ const ENLARGED: usize = 3;
 const MASK_BINS: usize = 20;
 
 /// Writes ground truth beside render of every held-out image; returns the report's pictures.
-pub fn write_frames(scene: &Scene, capture: &Capture, folder: &Path) -> anyhow::Result<Vec<Picture>> {
+pub fn write_frames(
+    scene: &Scene,
+    capture: &Capture,
+    renderer: &dyn Draw,
+    folder: &Path,
+) -> anyhow::Result<Vec<Picture>> {
     let frames = scene.frames();
     let last = frames.len().saturating_sub(1);
     let shown: Vec<usize> = (0..SHOWN).map(|i| frames.start + i * last / (SHOWN - 1)).collect();
@@ -34,13 +40,11 @@ pub fn write_frames(scene: &Scene, capture: &Capture, folder: &Path) -> anyhow::
     for frame in frames {
         let drawn = scene.drawn(frame - scene.first_frame);
         let views = capture.views(Split::Test, frame, 1)?;
-        let pairs: Vec<(usize, RgbImage)> = views
-            .par_iter()
-            .map(|view| {
-                let (output, _) = CpuRasterizer.forward(&drawn, &view.camera, &RenderSettings::default());
-                (view.camera_id, side_by_side(&view.image, &output.image))
-            })
-            .collect();
+        let pairs = views.par_iter().map(|view| {
+            let output = renderer.draw(&drawn, &view.camera, &RenderSettings::default())?;
+            Ok((view.camera_id, side_by_side(&view.image, &output.image)))
+        });
+        let pairs: Vec<(usize, RgbImage)> = pairs.collect::<Result<_, GpuError>>()?;
         for (i, (camera, pair)) in pairs.into_iter().enumerate() {
             let of_camera = folder.join(camera.to_string());
             let path = of_camera.join(format!("{frame:06}.png"));

@@ -6,7 +6,8 @@ use std::time::Instant;
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Activated, Camera, Image};
 use tcgs_metrics::{psnr, psnr_masked, psnr_per_channel, ssim};
-use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+use tcgs_render::gpu::GpuError;
+use tcgs_render::{Draw, RenderSettings};
 
 use crate::error::wrong_input;
 use crate::progress::Progress;
@@ -67,7 +68,12 @@ pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 /// Renders and compares.
-pub fn evaluate(scene: &Scene, capture: &Capture, settings: &Settings) -> anyhow::Result<Evaluation> {
+pub fn evaluate(
+    scene: &Scene,
+    capture: &Capture,
+    settings: &Settings,
+    renderer: &dyn Draw,
+) -> anyhow::Result<Evaluation> {
     let Settings { split, ref frames, downscale, frozen } = *settings;
     // The last frame is looked for before the first is rendered.
     capture.cameras(split, frames.end - 1, downscale)?;
@@ -82,7 +88,7 @@ pub fn evaluate(scene: &Scene, capture: &Capture, settings: &Settings) -> anyhow
             drawn = scene.drawn(timestep);
         }
         for view in capture.views(split, frame, downscale)? {
-            let (rendered, ms) = timed_render(&drawn, &view.camera);
+            let (rendered, ms) = timed_render(renderer, &drawn, &view.camera)?;
             times_ms.push(ms);
             let clamped = clamped(&rendered);
             let foreground = view.segmentation.as_ref();
@@ -103,20 +109,16 @@ pub fn evaluate(scene: &Scene, capture: &Capture, settings: &Settings) -> anyhow
         return Err(wrong_input(format!("{}: {problem}, expected at least one", capture.name())));
     };
     while times_ms.len() < MIN_TIMED_RENDERS {
-        times_ms.push(timed_render(&drawn, &camera).1);
+        times_ms.push(timed_render(renderer, &drawn, &camera)?.1);
     }
     times_ms.sort_by(f64::total_cmp);
-    Ok(Evaluation {
-        images,
-        median_render_ms: times_ms[times_ms.len() / 2],
-        device: format!("cpu, {} threads", rayon::current_num_threads()),
-    })
+    Ok(Evaluation { images, median_render_ms: times_ms[times_ms.len() / 2], device: renderer.name() })
 }
 
-fn timed_render(drawn: &Activated, camera: &Camera) -> (Image, f64) {
+fn timed_render(renderer: &dyn Draw, drawn: &Activated, camera: &Camera) -> Result<(Image, f64), GpuError> {
     let begin = Instant::now();
-    let (output, _) = CpuRasterizer.forward(drawn, camera, &RenderSettings::default());
-    (output.image, begin.elapsed().as_secs_f64() * 1e3)
+    let output = renderer.draw(drawn, camera, &RenderSettings::default())?;
+    Ok((output.image, begin.elapsed().as_secs_f64() * 1e3))
 }
 
 fn clamped(image: &Image) -> Image {

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use tcgs_capture::{Capture, Split};
 
+use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::options::{self, Frames, JobOptions};
 use crate::output::{check_file, say, write_file};
@@ -45,6 +46,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
     #[command(flatten)]
+    backend: BackendOptions,
+    #[command(flatten)]
     job: JobOptions,
 }
 
@@ -80,6 +83,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(csv) = &arguments.csv {
         check_file(csv, arguments.job.force)?;
     }
+    let renderer = arguments.backend.open(BackendName::Auto)?.renderer()?;
     let capture = Capture::open(&arguments.capture)?;
     let scene = Scene::load(&arguments.scene)?;
     let settings = Settings {
@@ -96,7 +100,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let problem = "has no test cameras, expected one that has, or --cameras train";
         return Err(wrong_input(format!("{}: {problem}", arguments.capture.display())));
     }
-    let evaluation = evaluate(&scene, &capture, &settings)?;
+    let evaluation = evaluate(&scene, &capture, &settings, &*renderer)?;
     say(&scene.describe())?;
     say(&table::text(&evaluation))?;
     if arguments.protocol.is_some() {

@@ -54,10 +54,10 @@ pub fn fit(capture: &Capture, run: &Run, mut trainer: Trainer) -> anyhow::Result
             let seconds = begin.elapsed().as_secs_f64();
             let (views, name) =
                 if loaded.test.is_empty() { (&loaded.train, "train PSNR") } else { (&loaded.test, "test PSNR") };
-            let psnr = trainer.mean_psnr(views);
-            let num_gaussians = trainer.engine().parameters.num_gaussians();
+            let psnr = trainer.mean_psnr(views)?;
+            let num_gaussians = trainer.num_gaussians();
             run.append_metrics(&record.metrics(timestep, frame, psnr, seconds, num_gaussians))?;
-            run.save(timestep, &trainer.checkpoint())?;
+            run.save(timestep, &trainer.checkpoint()?)?;
             if i == 0 {
                 progress.say(&format!("timestep   frame  Gaussians  {name}  seconds"))?;
             }

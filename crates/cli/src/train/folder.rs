@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::Context;
 use tcgs_train::{Run, TrainError, Trainer};
 
+use crate::backend::Backend;
 use crate::error::wrong_input;
 use crate::output::note;
 
@@ -123,9 +124,9 @@ pub fn remove_leftovers(folder: &Path) -> anyhow::Result<()> {
 const DAMAGED: &str = ".damaged";
 
 /// The state after the last whole checkpoint. Damaged ones at the end are set aside.
-pub fn resume(run: &Run) -> anyhow::Result<Option<Trainer>> {
+pub fn resume(run: &Run, backend: &Backend) -> anyhow::Result<Option<Trainer>> {
     loop {
-        let error = match run.resume() {
+        let error = match run.resume_with(|state| backend.engine(state)) {
             Ok(trainer) => return Ok(trainer),
             Err(error) => error,
         };

@@ -11,9 +11,10 @@ use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
 use tcgs_train::{Preset, Run, TrainConfig, Trainer};
 
+use crate::backend::{Backend, BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::options::{self, Frames, JobOptions, Pair};
-use crate::output::{note, say};
+use crate::output::say;
 
 pub use fit::fit;
 
@@ -59,16 +60,12 @@ pub struct Arguments {
     /// Iterations of the first and of every later timestep [default: the preset's; 10000,2000, fast: 2000,300]
     #[arg(long, value_name = "FIRST,REST", value_parser = options::iterations)]
     iterations: Option<Pair<usize>>,
-    /// What computes
-    #[arg(long, default_value = "auto")]
-    backend: Backend,
-    /// GPU to compute on, by name
-    #[arg(long, value_name = "NAME")]
-    device: Option<String>,
     /// Go on with RUN after its last whole checkpoint; begin it if there is none. Options that are not
     /// given keep the run's settings; only the end of --frames may change
     #[arg(long)]
     resume: bool,
+    #[command(flatten)]
+    backend: BackendOptions,
     #[command(flatten)]
     job: JobOptions,
 }
@@ -96,20 +93,10 @@ impl From<PresetName> for Preset {
     }
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Backend {
-    /// The GPU if there is one, else the CPU
-    Auto,
-    /// A GPU
-    Gpu,
-    /// The CPU
-    Cpu,
-}
-
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
-    choose_backend(arguments)?;
+    let backend = arguments.backend.open(BackendName::Auto)?;
     let capture = Capture::open(&arguments.capture)?;
     let found = folder::look(&arguments.out)?;
     let goes_on = match found {
@@ -129,18 +116,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let mut stored = Run::open(&arguments.out)?;
         let config = settings::resumed(arguments, &capture, stored.config())?;
         folder::remove_leftovers(&arguments.out)?;
-        let resumed = folder::resume(&stored)?;
+        let resumed = folder::resume(&stored, &backend)?;
         settings::check_end(arguments, &config, resumed.as_ref().map_or(0, Trainer::timesteps))?;
         stored.truncate_metrics(resumed.as_ref().map_or(0, Trainer::timesteps))?;
         if &config != stored.config() {
             stored.set_config(&config)?;
         }
-        trainer = resumed.map_or_else(|| new_trainer(&config, &capture), Ok)?;
+        trainer = resumed.map_or_else(|| new_trainer(&config, &capture, &backend), Ok)?;
         run = stored;
         report_resumption(&run, &trainer)?;
     } else {
         let config = settings::fresh(arguments, &capture)?;
-        trainer = new_trainer(&config, &capture)?;
+        trainer = new_trainer(&config, &capture, &backend)?;
         lock = folder::lock_new(&arguments.out)?;
         folder::clear(&arguments.out)?;
         run = Run::create(&arguments.out, &config)?;
@@ -151,21 +138,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// A trainer before the first timestep.
-pub fn new_trainer(config: &TrainConfig, capture: &Capture) -> anyhow::Result<Trainer> {
+pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -> anyhow::Result<Trainer> {
     let cameras = capture.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
     let cameras: Vec<_> = cameras.into_iter().map(|(_, camera)| camera).collect();
-    Ok(Trainer::new(config, &capture.point_cloud()?, &cameras)?)
-}
-
-fn choose_backend(arguments: &Arguments) -> anyhow::Result<()> {
-    if arguments.backend == Backend::Gpu {
-        anyhow::bail!("--backend gpu: this build has no GPU backend, expected --backend cpu");
-    }
-    if let Some(device) = &arguments.device {
-        anyhow::bail!("--device {device}: this build has no GPU backend, expected no --device");
-    }
-    note(&format!("computing on the CPU, {} threads", rayon::current_num_threads()));
-    Ok(())
+    Ok(Trainer::with_engine(config, &capture.point_cloud()?, &cameras, |state| backend.engine(state))?)
 }
 
 fn report_resumption(run: &Run, trainer: &Trainer) -> anyhow::Result<()> {
@@ -179,7 +155,7 @@ fn report_resumption(run: &Run, trainer: &Trainer) -> anyhow::Result<()> {
 
 fn report(arguments: &Arguments, run: &Run, trainer: &Trainer) -> anyhow::Result<()> {
     let metrics = run.metrics()?;
-    let num_gaussians = trainer.engine().parameters.num_gaussians();
+    let num_gaussians = trainer.num_gaussians();
     // A line may be missing after a power cut: it is written before its checkpoint, but less carefully.
     let of_timestep = |t: usize| metrics.iter().find(|m| m["timestep"].as_u64() == Some(t as u64));
     let timesteps: Vec<Value> = (0..trainer.timesteps())

@@ -66,7 +66,8 @@ impl StageTimer {
         staged.map(gpu);
         gpu.wait()?;
         let words: Vec<u32> = staged.take(gpu)?;
-        let ticks: Vec<u64> = words.as_chunks::<2>().0.iter().map(|w| u64::from(w[1]) << 32 | u64::from(w[0])).collect();
+        let ticks: Vec<u64> =
+            words.as_chunks::<2>().0.iter().map(|w| u64::from(w[1]) << 32 | u64::from(w[0])).collect();
         let ms = |ticks: u64| ticks as f64 * f64::from(gpu.queue().get_timestamp_period()) * 1e-6;
         let stages = ticks.as_chunks::<2>().0.iter().map(|[begin, end]| ms(end.saturating_sub(*begin))).collect();
         let total = ticks[ticks.len() - 1].saturating_sub(ticks[0]);

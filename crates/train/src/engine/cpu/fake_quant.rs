@@ -73,7 +73,7 @@ pub struct FakeQuantizers {
     /// By attribute and width: position of the first channel in `quantizers`.
     first: [[u16; 17]; 5],
     /// Scale of each step's gradient.
-    gradient_scales: Vec<f32>,
+    pub(crate) gradient_scales: Vec<f32>,
 }
 
 impl FakeQuantizers {

@@ -2,7 +2,7 @@
 //! gain and offset on the colours.
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, Image, View};
+use tcgs_core::Image;
 use tcgs_metrics::{ssim_bwd, ssim_fwd};
 
 /// Share of L1; the rest is SSIM's. Kerbl et al. 2023, Eq. 7.
@@ -10,29 +10,6 @@ const L1_SHARE: f32 = 0.8;
 /// Channels of the images that the losses are means over. The segmentation image's middle one is
 /// always zero, is not rendered, and still counts.
 const COUNTED: f32 = 3.0;
-
-/// What one image is compared with: three colour channels and, where the capture has masks, two of
-/// segmentation (foreground, background).
-#[derive(Clone, Debug)]
-pub struct Target {
-    /// Where it was taken from.
-    pub camera: Camera,
-    /// `[3 or 5, H, W]`
-    pub image: Image,
-}
-
-impl Target {
-    /// - `with_segmentation`: whether to compare the segmentation as well; the view must have one
-    pub fn new(view: &View, with_segmentation: bool) -> Self {
-        let mut image = view.image.clone();
-        if let Some(segmentation) = view.segmentation.as_ref().filter(|_| with_segmentation) {
-            image.num_channels = 5;
-            image.data.extend(segmentation.foreground.iter().map(|&f| f32::from(u8::from(f))));
-            image.data.extend(segmentation.foreground.iter().map(|&f| f32::from(u8::from(!f))));
-        }
-        Self { camera: view.camera.clone(), image }
-    }
-}
 
 /// Values and gradients of the two image losses.
 #[derive(Clone, Debug)]

@@ -5,6 +5,8 @@
 //! Every loss is a mean over its set; an empty set contributes nothing. Gradients that an edge
 //! passes to its far end are written once and gathered by that end, so that sums have one order.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 use tcgs_core::{
     Real, dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
@@ -90,6 +92,11 @@ impl<R: Real> Neighbors<R> {
         }
         Self { foreground, per_node, indices, weights, distances, incoming_starts, incoming }
     }
+
+    /// Edges that end at the node at position `i`.
+    pub(crate) fn incoming(&self, i: usize) -> &[u32] {
+        &self.incoming[self.incoming_starts[i] as usize..self.incoming_starts[i + 1] as usize]
+    }
 }
 
 /// Weights of the losses; 0 leaves one out (its value is then 0 too, `rigid`, `rot` and `iso` only together).
@@ -141,7 +148,7 @@ pub struct PriorGrads<'a, R> {
 #[derive(Clone, Debug)]
 pub struct MotionPrior<R> {
     /// Fixed after the first timestep.
-    pub neighbors: Neighbors<R>,
+    pub neighbors: Arc<Neighbors<R>>,
     /// `[F, per_node]` `x_k − x_i` at the timestep before.
     previous_offsets: Vec<[R; 3]>,
     /// `[F]` inverse rotation at the timestep before.
@@ -167,7 +174,7 @@ impl<R: Real> MotionPrior<R> {
     /// - `first_means`, `first_quats`: `[N]`, at the first timestep
     /// - `means`, `quats`, `colors`: `[N]`, at the timestep before; rotations in any length
     pub fn new(
-        neighbors: Neighbors<R>,
+        neighbors: Arc<Neighbors<R>>,
         is_foreground: &[bool],
         first_means: &[[R; 3]],
         first_quats: &[[R; 4]],
@@ -192,11 +199,6 @@ impl<R: Real> MotionPrior<R> {
             previous_colors: colors.to_vec(),
             neighbors,
         }
-    }
-
-    /// Gives the neighbours back for the next timestep.
-    pub fn into_neighbors(self) -> Neighbors<R> {
-        self.neighbors
     }
 
     /// Values of all losses; *accumulates* the gradient of their weighted sum.
@@ -258,7 +260,7 @@ impl<R: Real> MotionPrior<R> {
         v_means: &mut [[R; 3]],
         v_quats: &mut [[R; 4]],
     ) -> [f64; 3] {
-        let Neighbors { foreground, per_node, incoming_starts, incoming, .. } = &self.neighbors;
+        let Neighbors { foreground, per_node, .. } = &*self.neighbors;
         let per_node = *per_node;
         let num_edges = foreground.len() * per_node;
         let share = |weight: f32| R::of(f64::from(weight) / num_edges as f64);
@@ -286,7 +288,7 @@ impl<R: Real> MotionPrior<R> {
             .with_min_len(CHUNK)
             .map(|(i, node)| {
                 let (mut v_mean, mut v_relative) = (node.v_mean, node.v_relative);
-                for &edge in &incoming[incoming_starts[i] as usize..incoming_starts[i + 1] as usize] {
+                for &edge in self.neighbors.incoming(i) {
                     let (v_end_mean, v_end_relative) = v_ends[edge as usize];
                     add(&mut v_mean, v_end_mean);
                     add(&mut v_relative, v_end_relative);

@@ -1,0 +1,216 @@
+
+// From stored values to what is drawn, and back.
+//
+// params, grads [15 N]: means 3N, quats 4N, log_scales 3N, logit_opacities N, colors 3N, mask_logits N
+// activated, v_activated [(11 + C) N]: means 3N, unit quats 4N, scales 3N, opacities N, colors [N, C];
+//     C = 5 with segmentation (foreground, background after the colours), else 3
+// flags [N]: bit 0 is foreground
+// quantizer_groups [N]: bytes are groups of the quat, log_scale, logit_opacity and color
+// group_starts [256]: a group's first quantizer, that of its first component
+// quantizers [Q]: step, offset, lowest code, highest code
+// mask_partials [groups, 2]: sums of sigmoid(mask logit) and of |mask logit - previous one|
+// v_means2d_ndc [N, 3]: x, y, visible; statistic [2 N]: sums of norms, then counts
+//
+// A thread has a Gaussian where components of a row meet, and a value where they do not: neighbouring
+// threads then write neighbouring values.
+
+@group(0) @binding(0) var<uniform> step: Step;
+@group(0) @binding(1) var<storage, read> params: array<f32>;
+@group(0) @binding(2) var<storage, read> flags: array<u32>;
+@group(0) @binding(3) var<storage, read> quantizer_groups: array<u32>;
+@group(0) @binding(4) var<storage, read> group_starts: array<u32>;
+@group(0) @binding(5) var<storage, read> quantizers: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> activated: array<f32>;
+@group(0) @binding(7) var<storage, read> v_activated: array<f32>;
+@group(0) @binding(8) var<storage, read> previous_mask_logits: array<f32>;
+@group(0) @binding(9) var<storage, read_write> grads: array<f32>;
+@group(0) @binding(10) var<storage, read_write> mask_partials: array<vec2<f32>>;
+@group(0) @binding(11) var<storage, read> v_means2d_ndc: array<f32>;
+@group(0) @binding(12) var<storage, read_write> statistic: array<f32>;
+@group(0) @binding(13) var<storage, read> status: array<u32>;
+
+const QUAT: u32 = 0u;
+const LOG_SCALE: u32 = 1u;
+const LOGIT_OPACITY: u32 = 2u;
+const COLOR: u32 = 3u;
+
+var<workgroup> quats: array<vec4<f32>, 256>;
+var<workgroup> masks: array<f32, 256>;
+var<workgroup> v_log_scales: array<f32, 768>;
+var<workgroup> sums: array<vec2<f32>, 256>;
+
+fn has(flag: u32) -> bool {
+    return (step.flags & flag) != 0u;
+}
+
+// A stored value of Gaussian `n`, quantised if that is on.
+fn stored(index: u32, n: u32, which: u32, component: u32) -> f32 {
+    let x = params[index];
+    if (!has(QUANTIZED)) {
+        return x;
+    }
+    let group = (quantizer_groups[n] >> (8u * which)) & 255u;
+    return fake_quant(x, quantizers[group_starts[group] + component]);
+}
+
+fn stored_quat(n: u32) -> vec4<f32> {
+    let first = 3u * step.num_gaussians + 4u * n;
+    return vec4(
+        stored(first, n, QUAT, 0u),
+        stored(first + 1u, n, QUAT, 1u),
+        stored(first + 2u, n, QUAT, 2u),
+        stored(first + 3u, n, QUAT, 3u),
+    );
+}
+
+// Beyond 80 the result is 0 or 1 to the last bit, and exp would leave its range.
+fn sigmoid(x: f32) -> f32 {
+    return 1.0 / (1.0 + exp(-clamp(x, -80.0, 80.0)));
+}
+
+fn num_channels() -> u32 {
+    return select(3u, 5u, has(SEGMENTED));
+}
+
+// Overwrites `activated`.
+@compute @workgroup_size(256)
+fn activate_fwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let num = step.num_gaussians;
+    let first = block.x * 256u;
+    let n = first + local;
+    if (n < num) {
+        let quat = stored_quat(n);
+        let length = sqrt(dot(quat, quat));
+        quats[local] = select(quat, quat / length, length > 0.0);
+        var mask = 1.0;
+        if (has(MASKED)) {
+            mask = select(0.0, 1.0, sigmoid(params[14u * num + n]) > step.mask_threshold);
+        }
+        masks[local] = mask;
+        activated[10u * num + n] = mask * sigmoid(stored(10u * num + n, n, LOGIT_OPACITY, 0u));
+    }
+    workgroupBarrier();
+    for (var j = local; j < 768u; j += 256u) {
+        let i = 3u * first + j;
+        let row = j / 3u;
+        if (i < 3u * num) {
+            activated[i] = params[i];
+            let index = 7u * num + i;
+            activated[index] = masks[row] * exp(stored(index, first + row, LOG_SCALE, j % 3u));
+        }
+    }
+    for (var j = local; j < 1024u; j += 256u) {
+        let i = 4u * first + j;
+        if (i < 4u * num) {
+            activated[3u * num + i] = quats[j / 4u][j % 4u];
+        }
+    }
+    let channels = num_channels();
+    for (var j = local; j < 256u * channels; j += 256u) {
+        let i = channels * first + j;
+        if (i < channels * num) {
+            let row = first + j / channels;
+            let channel = j % channels;
+            var value = 0.0;
+            if (channel < 3u) {
+                value = stored(11u * num + 3u * row + channel, row, COLOR, channel);
+            } else {
+                value = select(0.0, 1.0, (flags[row] & 1u) == 4u - channel);
+            }
+            activated[11u * num + i] = value;
+        }
+    }
+}
+
+// Gradient to a mask's logit of the losses on masks alone, and their values. Paper Eq. 4 and 5, as means.
+fn mask_losses(logit: f32, mask: f32, n: u32, values: ptr<function, vec2<f32>>) -> f32 {
+    let share = 1.0 / f32(step.num_gaussians);
+    (*values).x = mask;
+    var v = step.mask_weight * share * mask * (1.0 - mask);
+    if (has(COMPARES_MASKS)) {
+        let difference = logit - previous_mask_logits[n];
+        (*values).y = abs(difference);
+        v += step.mask_consistency_weight * share * sign(difference);
+    }
+    return v;
+}
+
+// Overwrites `grads` with gradients to the quantised stored values, and `mask_partials`.
+@compute @workgroup_size(256)
+fn activate_bwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let num = step.num_gaussians;
+    let first = block.x * 256u;
+    let n = first + local;
+    var losses = vec2(0.0);
+    if (n < num) {
+        let quat = stored_quat(n);
+        let at = 3u * num + 4u * n;
+        let v_unit = vec4(v_activated[at], v_activated[at + 1u], v_activated[at + 2u], v_activated[at + 3u]);
+        let length = sqrt(dot(quat, quat));
+        let unit = quat / length;
+        quats[local] = select(vec4(0.0), (v_unit - unit * dot(unit, v_unit)) / length, length > 0.0);
+
+        // Scale and opacity as they were before the mask.
+        let opacity = sigmoid(stored(10u * num + n, n, LOGIT_OPACITY, 0u));
+        let v_opacity = v_activated[10u * num + n];
+        let row = 7u * num + 3u * n;
+        let v_log_scale = vec3(
+            exp(stored(row, n, LOG_SCALE, 0u)) * v_activated[row],
+            exp(stored(row + 1u, n, LOG_SCALE, 1u)) * v_activated[row + 1u],
+            exp(stored(row + 2u, n, LOG_SCALE, 2u)) * v_activated[row + 2u],
+        );
+        var drawn = 1.0;
+        var v_mask_logit = 0.0;
+        if (has(MASKED)) {
+            let logit = params[14u * num + n];
+            let mask = sigmoid(logit);
+            drawn = select(0.0, 1.0, mask > step.mask_threshold);
+            // Straight through the threshold: the gradient is the sigmoid's.
+            let v_mask = v_log_scale.x + v_log_scale.y + v_log_scale.z + opacity * v_opacity;
+            v_mask_logit = v_mask * mask * (1.0 - mask) + mask_losses(logit, mask, n, &losses);
+        }
+        grads[14u * num + n] = v_mask_logit;
+        grads[10u * num + n] = drawn * v_opacity * opacity * (1.0 - opacity);
+        v_log_scales[3u * local] = drawn * v_log_scale.x;
+        v_log_scales[3u * local + 1u] = drawn * v_log_scale.y;
+        v_log_scales[3u * local + 2u] = drawn * v_log_scale.z;
+    }
+    sums[local] = losses;
+    workgroupBarrier();
+    let channels = num_channels();
+    for (var j = local; j < 768u; j += 256u) {
+        let i = 3u * first + j;
+        if (i < 3u * num) {
+            grads[i] = v_activated[i];
+            grads[7u * num + i] = v_log_scales[j];
+            grads[11u * num + i] = v_activated[11u * num + channels * (first + j / 3u) + j % 3u];
+        }
+    }
+    for (var j = local; j < 1024u; j += 256u) {
+        let i = 4u * first + j;
+        if (i < 4u * num) {
+            grads[3u * num + i] = quats[j / 4u][j % 4u];
+        }
+    }
+    for (var half = 128u; half > 0u; half /= 2u) {
+        if (local < half) {
+            sums[local] += sums[local + half];
+        }
+        workgroupBarrier();
+    }
+    if (local == 0u) {
+        mask_partials[block.x] = sums[0];
+    }
+}
+
+// Accumulates `statistic`, unless the iteration is to be repeated.
+@compute @workgroup_size(256)
+fn count_gradients(@builtin(global_invocation_id) id: vec3<u32>) {
+    let n = id.x;
+    let num = step.num_gaussians;
+    if (n >= num || !has(COUNTS) || status[0] != 0u || v_means2d_ndc[3u * n + 2u] == 0.0) {
+        return;
+    }
+    statistic[n] += length(vec2(v_means2d_ndc[3u * n], v_means2d_ndc[3u * n + 1u]));
+    statistic[num + n] += 1.0;
+}

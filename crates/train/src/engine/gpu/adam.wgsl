@@ -1,0 +1,68 @@
+
+// Adam of all values of the Gaussians, in place.
+//
+// params, first_moments, second_moments, grads [15 N]: means 3N, quats 4N, log_scales 3N,
+//     logit_opacities N, colors 3N, mask_logits N
+//
+// A thread has four values and a workgroup 1024 neighbouring ones of one attribute: neighbouring threads
+// read and write neighbouring values, and a group whose step size is 0 is left at once.
+
+@group(0) @binding(0) var<uniform> step: Step;
+@group(0) @binding(1) var<storage, read_write> params: array<f32>;
+@group(0) @binding(2) var<storage, read> grads: array<f32>;
+@group(0) @binding(3) var<storage, read_write> first_moments: array<f32>;
+@group(0) @binding(4) var<storage, read_write> second_moments: array<f32>;
+@group(0) @binding(5) var<storage, read> status: array<u32>;
+
+const COMPONENTS = array<u32, 6>(3u, 4u, 3u, 1u, 3u, 1u);
+const QUAT: u32 = 1u;
+const MASK: u32 = 5u;
+
+var<workgroup> squares: array<f32, 256>;
+
+@compute @workgroup_size(256)
+fn adam(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    var which = 0u;
+    var before = 0u;
+    var block = id.x;
+    var len = COMPONENTS[0] * step.num_gaussians;
+    while (which < MASK && block >= (len + 1023u) / 1024u) {
+        block -= (len + 1023u) / 1024u;
+        before += len;
+        which += 1u;
+        len = COMPONENTS[which] * step.num_gaussians;
+    }
+    let rates = step.adam[which].xy;
+    let needed = select(MOVES, MOVES | MASKED, which == MASK);
+    let moves = (step.flags & needed) == needed && rates.x != 0.0;
+    // Codes are those of unit quaternions.
+    let normalizes = which == QUAT && (step.flags & QUANTIZED) != 0u;
+    if (status[0] != 0u || !(moves || normalizes)) {
+        return;
+    }
+    for (var turn = 0u; turn < 4u; turn += 1u) {
+        let j = block * 1024u + turn * 256u + local;
+        let i = before + j;
+        var x = 0.0;
+        if (j < len) {
+            x = params[i];
+            if (moves) {
+                let moved = adam_moved(vec3(x, first_moments[i], second_moments[i]), grads[i], rates);
+                x = moved.x;
+                first_moments[i] = moved.y;
+                second_moments[i] = moved.z;
+            }
+        }
+        if (normalizes) {
+            squares[local] = x * x;
+            workgroupBarrier();
+            let row = local / 4u * 4u;
+            let length = sqrt(squares[row] + squares[row + 1u] + squares[row + 2u] + squares[row + 3u]);
+            x = select(x, x / length, length > 0.0);
+            workgroupBarrier();
+        }
+        if (j < len) {
+            params[i] = x;
+        }
+    }
+}

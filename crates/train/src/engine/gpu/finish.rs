@@ -1,0 +1,344 @@
+//! The end of an iteration: values of all losses, and Adam of cameras and quantizers.
+//!
+//! A workgroup for each sum that depends on no other, all in one dispatch. What it moves is small (some
+//! hundred kilobytes of partial sums); its time is that of a few rounds trip to memory in a row.
+
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
+
+use super::image_loss::constants;
+use super::step::source;
+
+/// Values of a slot in the ring of losses: image, segmentation, rigid, rot, iso, floor, background,
+/// soft_color, mask, mask_consistency, before their weights; the status; zeros.
+pub const LOSS_VALUES: usize = 16;
+/// Workgroups beside those of the quantizers.
+const SUMS: usize = 3;
+
+/// What the kernel reads and writes. Arrays of rows have room for one at least, also where there is none.
+#[derive(Clone, Copy, Debug)]
+pub struct FinishBuffers<'a> {
+    /// [`super::StepUniform`]
+    pub step: &'a wgpu::Buffer,
+    /// [`super::ImageLossKernels::partials`]
+    pub image_partials: &'a wgpu::Buffer,
+    /// [`super::ActivateKernels::mask_partials`]
+    pub mask_partials: &'a wgpu::Buffer,
+    /// `[ceil(F / 256) + ceil(N / 256), 8]` raw sums: rigid, rot, iso, floor, background, soft_color, 0, 0.
+    pub prior_partials: &'a wgpu::Buffer,
+    /// `[rows, 2]` sums of the gradients to steps and offsets, not yet scaled.
+    pub quantizer_partials: &'a wgpu::Buffer,
+    /// `[Q + 1]` first row of each quantizer, and the end.
+    pub quantizer_rows: &'a wgpu::Buffer,
+    /// `[Q, 4]` step, offset, lowest code, highest code; moved.
+    pub quantizers: &'a wgpu::Buffer,
+    /// `[6, Q]` initial steps, scales of the steps' gradients, then moments: steps' first and second, offsets'
+    /// first and second.
+    pub quantizer_state: &'a wgpu::Buffer,
+    /// `[3, 2, K, 3]` values, first and second moments, each of gains, then of offsets; moved.
+    pub cameras: &'a wgpu::Buffer,
+    /// `[slots, LOSS_VALUES]` one slot overwritten.
+    pub losses: &'a wgpu::Buffer,
+    /// `[1]` not 0: nothing moves.
+    pub status: &'a wgpu::Buffer,
+}
+
+/// The kernel.
+#[derive(Clone, Debug)]
+pub struct FinishKernel {
+    finish: Bound,
+    num_groups: usize,
+}
+
+impl FinishKernel {
+    /// - `num_quantizers`: `Q`, 0 before quantisation starts
+    ///
+    /// # Errors
+    /// What has gone wrong with the GPU.
+    pub fn new(gpu: &Gpu, buffers: FinishBuffers<'_>, num_quantizers: usize) -> Result<Self, GpuError> {
+        let finish = gpu.kernel(&shader(), "finish").bind(
+            gpu.device(),
+            &[
+                (0, buffers.step),
+                (1, buffers.image_partials),
+                (2, buffers.mask_partials),
+                (3, buffers.prior_partials),
+                (4, buffers.quantizer_partials),
+                (5, buffers.quantizer_rows),
+                (6, buffers.quantizers),
+                (7, buffers.quantizer_state),
+                (8, buffers.cameras),
+                (9, buffers.losses),
+                (10, buffers.status),
+            ],
+        );
+        gpu.check()?;
+        Ok(Self { finish, num_groups: SUMS + num_quantizers })
+    }
+
+    /// Records the sums and the updates.
+    pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
+        self.finish.dispatch(pass, [self.num_groups as u32, 1, 1]);
+    }
+}
+
+pub(super) fn shader() -> String {
+    source(&[&constants(), include_str!("moments.wgsl"), include_str!("finish.wgsl")])
+}
+
+#[cfg(test)]
+mod tests {
+    use tcgs_codec::BitMap;
+
+    use super::*;
+    use crate::engine::cpu::{FakeQuantizers, Moments};
+    use crate::engine::gpu::testing::{QuantizerTables, assert_close, gpu, random, random_gaussians, run, uniform};
+    use crate::engine::gpu::{StepUniform, adam_rates};
+
+    const CAMERAS: usize = 3;
+    const SLOTS: usize = 4;
+
+    /// Everything that the kernel touches, on the host.
+    struct State {
+        image_partials: Vec<f32>,
+        mask_partials: Vec<f32>,
+        prior_partials: Vec<f32>,
+        quantizer_partials: Vec<f32>,
+        quantizer_rows: Vec<u32>,
+        quantizers: Vec<[f32; 4]>,
+        quantizer_state: Vec<f32>,
+        cameras: Vec<f32>,
+    }
+
+    /// 70 x 33 pixels in 15 blocks, 1000 Gaussians, 300 of them in front.
+    fn step(flags: u32) -> StepUniform {
+        StepUniform {
+            num_gaussians: 1000,
+            num_foreground: 300,
+            per_node: 20,
+            num_background: 700,
+            num_cameras: CAMERAS as u32,
+            camera: 1,
+            slot: 2,
+            flags,
+            width: 70,
+            height: 33,
+            rigid_weight: 0.0,
+            rot_weight: 4.0,
+            floor_weight: 2.0,
+            background_weight: 20.0,
+            soft_color_weight: 0.01,
+            step_min_share: 0.1,
+            ..StepUniform::default()
+        }
+    }
+
+    fn state(quantizers: &FakeQuantizers) -> State {
+        let tables = QuantizerTables::new(quantizers);
+        let num = tables.quantizers.len();
+        // Ranges of none, a few and many rows.
+        let mut quantizer_rows = vec![0];
+        let mut end = 0_u32;
+        for q in 0..num as u32 {
+            end += [0, 3, 17, 300, 2500][q as usize % 5];
+            quantizer_rows.push(end);
+        }
+        let mut quantizer_state = [&quantizers.initial_steps[..], &tables.gradient_scales].concat();
+        quantizer_state.resize(6 * num, 0.0);
+        let mut cameras = random(5, 6 * CAMERAS, -0.5, 0.5);
+        cameras.resize(18 * CAMERAS, 0.0);
+        State {
+            image_partials: random(1, 4 * 5 * 15, -1.0, 2.0),
+            mask_partials: random(2, 2 * 4, 0.0, 100.0),
+            prior_partials: random(3, 8 * (2 + 4), 0.0, 10.0),
+            quantizer_partials: random(4, 2 * end as usize, -1.0, 1.2),
+            quantizer_rows,
+            quantizers: tables.quantizers,
+            quantizer_state,
+            cameras,
+        }
+    }
+
+    struct OnGpu {
+        kernel: FinishKernel,
+        step: wgpu::Buffer,
+        quantizers: wgpu::Buffer,
+        quantizer_state: wgpu::Buffer,
+        cameras: wgpu::Buffer,
+        losses: wgpu::Buffer,
+    }
+
+    impl OnGpu {
+        fn new(gpu: &Gpu, state: &State, status: u32) -> Self {
+            let upload = |values: &[f32]| gpu.upload("values", values).unwrap();
+            let (step, quantizers) = (uniform(gpu, &StepUniform::default()), upload(state.quantizers.as_flattened()));
+            let (quantizer_state, cameras) = (upload(&state.quantizer_state), upload(&state.cameras));
+            let losses = upload(&[-1.0; SLOTS * LOSS_VALUES]);
+            let buffers = FinishBuffers {
+                step: &step,
+                image_partials: &upload(&state.image_partials),
+                mask_partials: &upload(&state.mask_partials),
+                prior_partials: &upload(&state.prior_partials),
+                quantizer_partials: &upload(&state.quantizer_partials),
+                quantizer_rows: &gpu.upload("rows", &state.quantizer_rows).unwrap(),
+                quantizers: &quantizers,
+                quantizer_state: &quantizer_state,
+                cameras: &cameras,
+                losses: &losses,
+                status: &gpu.upload("status", &[status]).unwrap(),
+            };
+            let kernel = FinishKernel::new(gpu, buffers, state.quantizers.len()).unwrap();
+            Self { kernel, step, quantizers, quantizer_state, cameras, losses }
+        }
+
+        fn run(&self, gpu: &Gpu, step: &StepUniform) {
+            gpu.queue().write_buffer(&self.step, 0, bytemuck::bytes_of(step));
+            run(gpu, |pass| self.kernel.record(pass));
+        }
+    }
+
+    fn quantizers() -> FakeQuantizers {
+        let mut bit_map = BitMap::uniform(200, 16, 6);
+        bit_map.widths[1][..50].fill(9);
+        FakeQuantizers::new(bit_map, &random_gaussians(7, 200), true)
+    }
+
+    /// Sum of every `stride`th value.
+    fn sum(values: &[f32], start: usize, stride: usize) -> f64 {
+        values.iter().skip(start).step_by(stride).map(|&v| f64::from(v)).sum()
+    }
+
+    #[test]
+    fn losses_are_means_and_zero_where_they_are_off() {
+        let Some(gpu) = gpu() else { return };
+        let state = state(&quantizers());
+        let (masked, compares) = (StepUniform::MASKED, StepUniform::COMPARES_MASKS);
+        let (segmented, prior) = (StepUniform::SEGMENTED, StepUniform::HAS_PRIOR);
+        for flags in [0, masked, masked | compares | segmented | prior, compares | prior] {
+            let on_gpu = OnGpu::new(&gpu, &state, 1);
+            on_gpu.run(&gpu, &step(flags));
+            let on = |flag: u32, value: f64| if flags & flag == flag { value } else { 0.0 };
+            let image = |channels: std::ops::Range<usize>| {
+                let partials = &state.image_partials[60 * channels.start..60 * channels.end];
+                (0.8 * sum(partials, 1, 4) + 0.2 * sum(partials, 0, 4)) / (3.0 * 70.0 * 33.0)
+            };
+            let prior_mean = |i: usize, count: f64| on(prior, sum(&state.prior_partials, i, 8) / count);
+            let mut expected = [
+                image(0..3),
+                on(segmented, image(3..5)),
+                prior_mean(0, 6000.0),
+                prior_mean(1, 6000.0),
+                prior_mean(2, 6000.0),
+                prior_mean(3, 300.0),
+                prior_mean(4, 700.0),
+                prior_mean(5, 1000.0),
+                on(masked, sum(&state.mask_partials, 0, 2) / 1000.0),
+                on(masked | compares, sum(&state.mask_partials, 1, 2) / 1000.0),
+                1.0,
+            ]
+            .map(|v| v as f32)
+            .to_vec();
+            let check = |expected: &[f32]| {
+                let losses: Vec<f32> = gpu.read(&on_gpu.losses, SLOTS * LOSS_VALUES).unwrap();
+                for (i, (found, expected)) in losses[2 * LOSS_VALUES..].iter().zip(expected).enumerate() {
+                    assert!((found - expected).abs() <= 1e-6 * expected.abs(), "{i}: {found} against {expected}");
+                }
+                assert!(losses[2 * LOSS_VALUES + 11..3 * LOSS_VALUES].iter().all(|&v| v == 0.0));
+                assert!(losses[..2 * LOSS_VALUES].iter().chain(&losses[3 * LOSS_VALUES..]).all(|&v| v == -1.0));
+            };
+            check(&expected);
+            // A weight of zero, and a set of none.
+            let off = StepUniform { rot_weight: 0.0, floor_weight: 0.0, num_background: 0, ..step(flags) };
+            on_gpu.run(&gpu, &off);
+            expected[2..7].fill(0.0);
+            check(&expected);
+        }
+    }
+
+    #[test]
+    fn cameras_move_as_on_the_cpu() {
+        let Some(gpu) = gpu() else { return };
+        let state = state(&quantizers());
+        let on_gpu = OnGpu::new(&gpu, &state, 0);
+        let (mut values, mut moments) = (state.cameras[..18].to_vec(), [Moments::new(9), Moments::new(9)]);
+        for turn in 0..5 {
+            let camera = turn % CAMERAS;
+            let mut now = StepUniform { camera: camera as u32, ..step(0) };
+            for kind in 0..2 {
+                let mut v = vec![0.0; 9];
+                for c in 0..3 {
+                    v[3 * camera + c] = sum(&state.image_partials[60 * c..][..60], 2 + kind, 4) as f32;
+                }
+                // No rate in one update: it only counts.
+                let rate = if turn == 2 { 0.0 } else { 1e-3 };
+                now.adam[6 + kind] = adam_rates(rate, moments[kind].step + 1);
+                moments[kind].update(&mut values[9 * kind..][..9], &v, rate);
+            }
+            on_gpu.run(&gpu, &now);
+        }
+        let found: Vec<f32> = gpu.read(&on_gpu.cameras, 18 * CAMERAS).unwrap();
+        let [gains, offsets] = &moments;
+        assert_close("cameras", &found[..18], &values, 1e-6);
+        assert_close("first moments", &found[18..36], &[&gains.first[..], &offsets.first].concat(), 1e-5);
+        assert_close("second moments", &found[36..], &[&gains.second[..], &offsets.second].concat(), 1e-5);
+    }
+
+    #[test]
+    fn quantizers_move_as_on_the_cpu() {
+        let Some(gpu) = gpu() else { return };
+        for learned_offset in [true, false] {
+            let mut expected = quantizers();
+            expected.learned_offset = learned_offset;
+            let state = state(&expected);
+            let num = expected.quantizers.len();
+            let [mut steps, mut offsets] = [Moments::new(num), Moments::new(num)];
+            let on_gpu = OnGpu::new(&gpu, &state, 0);
+            let gradient = |kind: usize| -> Vec<f32> {
+                (0..num)
+                    .map(|q| {
+                        let [first, end] = [q, q + 1].map(|i| state.quantizer_rows[i] as usize);
+                        let sum = sum(&state.quantizer_partials[2 * first..2 * end], kind, 2);
+                        sum as f32 * state.quantizer_state[num + q]
+                    })
+                    .collect()
+            };
+            let flags = StepUniform::QUANTIZED | if learned_offset { StepUniform::LEARNED_OFFSET } else { 0 };
+            for _ in 0..5 {
+                // Far enough that some steps meet the floor.
+                let rate = 0.25;
+                let mut now = StepUniform { num_quantizers: num as u32, ..step(flags) };
+                now.adam[8] = adam_rates(rate, steps.step + 1);
+                now.adam[9] = adam_rates(rate, offsets.step + 1);
+                expected.update(&gradient(0), &gradient(1), &mut steps, &mut offsets, rate);
+                on_gpu.run(&gpu, &now);
+            }
+            let found: Vec<f32> = gpu.read(&on_gpu.quantizers, 4 * num).unwrap();
+            let expected = QuantizerTables::new(&expected).quantizers;
+            assert!(expected.iter().zip(&state.quantizer_state).any(|(q, initial)| q[0] == 0.1 * initial));
+            for i in 0..4 {
+                let found: Vec<f32> = found.iter().skip(i).step_by(4).copied().collect();
+                let expected: Vec<f32> = expected.iter().map(|q| q[i]).collect();
+                assert_close(["steps", "offsets", "lowest", "highest"][i], &found, &expected, 1e-5);
+            }
+            let found: Vec<f32> = gpu.read(&on_gpu.quantizer_state, 6 * num).unwrap();
+            for (i, moments) in [&steps.first, &steps.second, &offsets.first, &offsets.second].iter().enumerate() {
+                let found = &found[(2 + i) * num..][..num];
+                assert_close(["m of steps", "s of steps", "m of offsets", "s of offsets"][i], found, moments, 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn a_halted_iteration_moves_nothing() {
+        let Some(gpu) = gpu() else { return };
+        let state = state(&quantizers());
+        let on_gpu = OnGpu::new(&gpu, &state, 1);
+        let num = state.quantizers.len();
+        let mut now =
+            StepUniform { num_quantizers: num as u32, ..step(StepUniform::QUANTIZED | StepUniform::LEARNED_OFFSET) };
+        now.adam = [adam_rates(0.1, 1); 10];
+        on_gpu.run(&gpu, &now);
+        assert_eq!(gpu.read::<f32>(&on_gpu.cameras, 18 * CAMERAS).unwrap(), state.cameras);
+        assert_eq!(gpu.read::<f32>(&on_gpu.quantizers, 4 * num).unwrap(), state.quantizers.as_flattened());
+        assert_eq!(gpu.read::<f32>(&on_gpu.quantizer_state, 6 * num).unwrap(), state.quantizer_state);
+    }
+}

@@ -1,0 +1,265 @@
+// Losses that keep motion plausible, value and gradient. N Gaussians, F foreground ones (nodes, in the order
+// of `nodes`), B background ones.
+//
+// prior_begin, once a timestep, before anything moves: reads params; writes what the losses compare with.
+// prior_gaussians, a thread a Gaussian: floor, background, soft_color; packs where nodes are for prior_edges.
+// prior_edges, a thread a node: rigid, rot, iso along every edge that leaves or arrives.
+// The last two accumulate into grads and write partials [ceil(F / 256) + ceil(N / 256), 8]:
+// rigid, rot, iso, floor, background, soft_color, 0, 0, sums before any share or weight; rows of prior_edges first.
+
+@group(0) @binding(0) var<uniform> step: Step;
+@group(0) @binding(1) var<storage, read> params: array<f32>; // [15 N]
+@group(0) @binding(2) var<storage, read_write> grads: array<f32>; // [15 N]
+@group(0) @binding(3) var<storage, read_write> partials: array<vec4<f32>>; // [rows, 2]
+@group(0) @binding(4) var<storage, read> places: array<u32>; // [N] node, or BACKGROUND + position among them
+@group(0) @binding(5) var<storage, read> first: array<vec4<f32>>; // [B, 2] mean and 0; unit rotation
+@group(0) @binding(6) var<storage, read> previous_means: array<vec4<f32>>; // [F] mean and 0
+@group(0) @binding(7) var<storage, read> previous_inverse_quats: array<vec4<f32>>; // [F] unit
+@group(0) @binding(8) var<storage, read> previous_colors: array<f32>; // [N, 3]
+@group(0) @binding(9) var<storage, read> moving: array<vec4<f32>>; // [F, 2] mean and 1 / |quat|; relative rotation
+@group(0) @binding(10) var<storage, read> nodes: array<vec4<u32>>; // [F] Gaussian, first link, number of links, 0
+@group(0) @binding(11) var<storage, read> links: array<u32>; // see neighbor_lists.rs
+
+// The same buffers where they are written: only then may what reads them be cached as constant.
+@group(0) @binding(16) var<storage, read_write> previous_means_out: array<vec4<f32>>;
+@group(0) @binding(17) var<storage, read_write> previous_inverse_quats_out: array<vec4<f32>>;
+@group(0) @binding(18) var<storage, read_write> previous_colors_out: array<f32>;
+@group(0) @binding(19) var<storage, read_write> moving_out: array<vec4<f32>>;
+
+const BACKGROUND: u32 = 0x80000000u;
+const LEAVES: u32 = 0x80000000u;
+const ARRIVES: u32 = 0x40000000u;
+const NODE: u32 = 0x3fffffffu;
+const SLICE: u32 = 32u;
+const LINK_STRIDE: u32 = 96u; // 3 words of SLICE nodes
+
+// Added under square roots so that they have a derivative at zero. ROOT_EPSILON of the CPU's losses.
+const ROOT_EPSILON: f32 = 1e-20;
+
+var<workgroup> sums: array<vec4<f32>, 256>;
+
+// The sum of `value` over the workgroup, in the thread `local` = 0. Every thread must call it.
+fn workgroup_sum(local: u32, value: vec4<f32>) -> vec4<f32> {
+    sums[local] = value;
+    for (var half = 128u; half > 0u; half = half / 2u) {
+        workgroupBarrier();
+        if (local < half) {
+            sums[local] = sums[local] + sums[local + half];
+        }
+    }
+    return sums[local];
+}
+
+// Quaternions are w, x, y, z, in this order, in x, y, z, w of a vector.
+fn quat_mul(a: vec4<f32>, b: vec4<f32>) -> vec4<f32> {
+    return vec4<f32>(a.x * b.x - dot(a.yzw, b.yzw), a.x * b.yzw + b.x * a.yzw + cross(a.yzw, b.yzw));
+}
+
+fn quat_conjugate(q: vec4<f32>) -> vec4<f32> {
+    return vec4<f32>(q.x, -q.yzw);
+}
+
+// `v` turned by a unit quaternion.
+fn rotate(q: vec4<f32>, v: vec3<f32>) -> vec3<f32> {
+    return v + 2.0 * cross(q.yzw, cross(q.yzw, v) + q.x * v);
+}
+
+// 1 / |v|; 0 for no length, so that products with it are what the CPU's normalize and its VJP give.
+fn inverse_length(v: vec4<f32>) -> f32 {
+    let length = sqrt(dot(v, v));
+    if (length > 0.0) {
+        return 1.0 / length;
+    }
+    return 0.0;
+}
+
+fn mean_of(gaussian: u32) -> vec3<f32> {
+    let at = 3u * gaussian;
+    return vec3<f32>(params[at], params[at + 1u], params[at + 2u]);
+}
+
+fn quat_of(gaussian: u32) -> vec4<f32> {
+    let at = 3u * step.num_gaussians + 4u * gaussian;
+    return vec4<f32>(params[at], params[at + 1u], params[at + 2u], params[at + 3u]);
+}
+
+fn add_to_mean(gaussian: u32, v: vec3<f32>) {
+    let at = 3u * gaussian;
+    grads[at] = grads[at] + v.x;
+    grads[at + 1u] = grads[at + 1u] + v.y;
+    grads[at + 2u] = grads[at + 2u] + v.z;
+}
+
+fn add_to_quat(gaussian: u32, v: vec4<f32>) {
+    let at = 3u * step.num_gaussians + 4u * gaussian;
+    grads[at] = grads[at] + v.x;
+    grads[at + 1u] = grads[at + 1u] + v.y;
+    grads[at + 2u] = grads[at + 2u] + v.z;
+    grads[at + 3u] = grads[at + 3u] + v.w;
+}
+
+@compute @workgroup_size(256)
+fn prior_begin(@builtin(global_invocation_id) id: vec3<u32>) {
+    let gaussian = id.x;
+    if (gaussian >= step.num_gaussians) {
+        return;
+    }
+    let place = places[gaussian];
+    if ((place & BACKGROUND) == 0u) {
+        let quat = quat_of(gaussian);
+        previous_means_out[place] = vec4<f32>(mean_of(gaussian), 0.0);
+        previous_inverse_quats_out[place] = quat_conjugate(quat * inverse_length(quat));
+    }
+    for (var channel = 0u; channel < 3u; channel++) {
+        let at = 3u * gaussian + channel;
+        previous_colors_out[at] = params[11u * step.num_gaussians + at];
+    }
+}
+
+@compute @workgroup_size(256)
+fn prior_gaussians(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let gaussian = id.x;
+    var losses = vec4<f32>(0.0); // floor, background, soft_color
+    if (gaussian < step.num_gaussians) {
+        let place = places[gaussian];
+        let mean = mean_of(gaussian);
+        let quat = quat_of(gaussian);
+        let inverse = inverse_length(quat);
+        let unit = quat * inverse;
+        if ((place & BACKGROUND) == 0u) {
+            // Unit but for rounding; an offset is turned by what is unit.
+            let relative = quat_mul(unit, previous_inverse_quats[place]);
+            moving_out[2u * place] = vec4<f32>(mean, inverse);
+            moving_out[2u * place + 1u] = relative * inverse_length(relative);
+            if (step.floor_weight != 0.0 && mean.y > 0.0) {
+                losses.x = mean.y;
+                let at = 3u * gaussian + 1u;
+                grads[at] = grads[at] + step.floor_weight / f32(step.num_foreground);
+            }
+        } else if (step.background_weight != 0.0) {
+            let position = place & ~BACKGROUND;
+            let share = step.background_weight / f32(step.num_background);
+            let moved = mean - first[2u * position].xyz;
+            let turned = unit - first[2u * position + 1u];
+            losses.y = dot(abs(moved), vec3<f32>(1.0)) + dot(abs(turned), vec4<f32>(1.0));
+            add_to_mean(gaussian, share * sign(moved));
+            let v_unit = share * sign(turned);
+            add_to_quat(gaussian, (v_unit - unit * dot(unit, v_unit)) * inverse);
+        }
+        if (step.soft_color_weight != 0.0) {
+            let share = step.soft_color_weight / f32(step.num_gaussians);
+            for (var channel = 0u; channel < 3u; channel++) {
+                let at = 3u * gaussian + channel;
+                let stored = 11u * step.num_gaussians + at;
+                let changed = params[stored] - previous_colors[at];
+                losses.z += abs(changed);
+                grads[stored] = grads[stored] + share * sign(changed);
+            }
+        }
+    }
+    let total = workgroup_sum(local, losses);
+    if (local == 0u) {
+        let row = (step.num_foreground + 255u) / 256u + group.x;
+        partials[2u * row] = vec4<f32>(0.0, 0.0, 0.0, total.x);
+        partials[2u * row + 1u] = vec4<f32>(total.yz, 0.0, 0.0);
+    }
+}
+
+// Along the edges of node i; returns sums of rigid, rot, iso over those that leave it.
+//
+// With the offset o of a neighbour, the offset P of the timestep before and the relative rotation R,
+// the residual of rigid is taken as o - R P instead of Rᵀo - P: as long, and its derivative by the angle
+// (R turns by a small rotation vector d to R + [d]R) is a cross product, -d · (R P × residual).
+fn node_edges(i: u32) -> vec4<f32> {
+    let node = nodes[i];
+    let num_edges = f32(step.num_foreground * step.per_node);
+    let rigid_share = step.rigid_weight / num_edges;
+    let rot_share = step.rot_weight / num_edges;
+    let iso_share = step.iso_weight / num_edges;
+    let here = moving[2u * i];
+    let relative = moving[2u * i + 1u];
+    let previous_mean = previous_means[i].xyz;
+    let rotmat = mat3x3<f32>(
+        rotate(relative, vec3<f32>(1.0, 0.0, 0.0)),
+        rotate(relative, vec3<f32>(0.0, 1.0, 0.0)),
+        rotate(relative, vec3<f32>(0.0, 0.0, 1.0)),
+    );
+
+    var losses = vec4<f32>(0.0);
+    var v_mean = vec3<f32>(0.0);
+    var v_angle = vec3<f32>(0.0);
+    var v_relative = vec4<f32>(0.0);
+    for (var position = 0u; position < node.z; position++) {
+        let at = node.y + position * LINK_STRIDE;
+        let link = links[at];
+        let weight = bitcast<f32>(links[at + SLICE]);
+        let distance_before = bitcast<f32>(links[at + 2u * SLICE]);
+        let neighbor = link & NODE;
+        let leaves = select(0.0, 1.0, (link & LEAVES) != 0u);
+        let arrives = select(0.0, 1.0, (link & ARRIVES) != 0u);
+        let offset = moving[2u * neighbor].xyz - here.xyz;
+        let neighbor_relative = moving[2u * neighbor + 1u];
+        let previous_offset = previous_means[neighbor].xyz - previous_mean;
+
+        // rigid, the edge that leaves: the neighbour turned with i; it moves i and turns it.
+        let carried = rotmat * previous_offset;
+        let residual = offset - carried;
+        let square = weight * dot(residual, residual) + ROOT_EPSILON;
+        let inverse_root = inverseSqrt(square);
+        let v_residual = (leaves * rigid_share * weight * inverse_root) * residual;
+        v_angle += cross(v_residual, carried);
+        losses.x += leaves * square * inverse_root;
+
+        // rigid, the edge that arrives: i turned with the neighbour. Both ends of it see o and P with the
+        // other sign, so the residual as well; it only moves i.
+        let back_residual = offset - rotate(neighbor_relative, previous_offset);
+        let back_inverse_root = inverseSqrt(weight * dot(back_residual, back_residual) + ROOT_EPSILON);
+        v_mean -= v_residual + (arrives * rigid_share * weight * back_inverse_root) * back_residual;
+
+        // rot and iso look the same from both ends.
+        let both = leaves + arrives;
+        let turn = neighbor_relative - relative;
+        let turn_square = weight * dot(turn, turn) + ROOT_EPSILON;
+        let turn_inverse_root = inverseSqrt(turn_square);
+        v_relative -= (both * rot_share * weight * turn_inverse_root) * turn;
+        losses.y += leaves * turn_square * turn_inverse_root;
+
+        let length_square = dot(offset, offset) + ROOT_EPSILON;
+        let inverse_distance = inverseSqrt(length_square);
+        let stretch = length_square * inverse_distance - distance_before;
+        let stretch_square = weight * stretch * stretch + ROOT_EPSILON;
+        let stretch_inverse_root = inverseSqrt(stretch_square);
+        v_mean -= (both * iso_share * weight * stretch * stretch_inverse_root * inverse_distance) * offset;
+        losses.z += leaves * stretch_square * stretch_inverse_root;
+    }
+
+    // The tangent of q at the angle d is (0, d) q / 2, so the gradient along that tangent is 2 (0, v_angle) q.
+    v_relative += 2.0 * quat_mul(vec4<f32>(0.0, v_angle), relative);
+    // normalize_vjp; the product with a unit quaternion changes no angle, so it may as well come after.
+    let v_across = v_relative - relative * dot(relative, v_relative);
+    add_to_mean(node.x, v_mean);
+    add_to_quat(node.x, quat_mul(v_across, quat_conjugate(previous_inverse_quats[i])) * here.w);
+    return losses;
+}
+
+@compute @workgroup_size(256)
+fn prior_edges(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let is_on = step.rigid_weight != 0.0 || step.rot_weight != 0.0 || step.iso_weight != 0.0;
+    var losses = vec4<f32>(0.0);
+    if (is_on && id.x < step.num_foreground) {
+        losses = node_edges(id.x);
+    }
+    let total = workgroup_sum(local, losses);
+    if (local == 0u) {
+        partials[2u * group.x] = vec4<f32>(total.xyz, 0.0);
+        partials[2u * group.x + 1u] = vec4<f32>(0.0);
+    }
+}

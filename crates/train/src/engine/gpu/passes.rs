@@ -1,0 +1,170 @@
+//! The kernels of one iteration, bound to their buffers, in their order.
+
+use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRenderer, StageTimer};
+
+use super::model::Model;
+use super::targets::Targets;
+use super::{
+    ActivateBuffers, ActivateKernels, AdamBuffers, AdamKernel, FakeQuantKernels, FinishBuffers, FinishKernel,
+    ImageLossBuffers, ImageLossKernels, MotionPriorKernels,
+};
+
+/// Stages of an iteration, in the order in which they run.
+pub(super) const STAGES: [&str; 11] = [
+    "activate",
+    "project",
+    "sort",
+    "rasterize",
+    "image losses",
+    "rasterize backward",
+    "project backward",
+    "activate backward",
+    "motion losses",
+    "sums, small Adam",
+    "Adam",
+];
+
+/// Everything that depends on the number of Gaussians, channels, and the images' size.
+#[derive(Debug)]
+pub(super) struct Passes {
+    pub renderer: GpuRenderer,
+    activate: ActivateKernels,
+    image_loss: ImageLossKernels,
+    fake_quant: FakeQuantKernels,
+    finish: FinishKernel,
+    adam: AdamKernel,
+}
+
+impl Passes {
+    /// - `prior_partials`: of the losses on motion; any buffer where there are none
+    pub fn new(
+        gpu: &Gpu,
+        model: &Model,
+        targets: &Targets,
+        capacity: Capacity,
+        prior_partials: &wgpu::Buffer,
+    ) -> Result<Self, GpuError> {
+        let renderer = GpuRenderer::new(gpu, capacity)?;
+        let render = renderer.buffers();
+        let (step, status) = (&model.step, &render.status);
+        let q = &model.quantizers;
+        let activate = ActivateKernels::new(
+            gpu,
+            ActivateBuffers {
+                step,
+                params: &model.params,
+                flags: &model.flags,
+                quantizer_groups: &q.quantizer_groups,
+                group_starts: &q.group_starts,
+                quantizers: &q.quantizers,
+                activated: &render.activated,
+                v_activated: &render.v_activated,
+                previous_mask_logits: &model.previous_mask_logits,
+                grads: &model.grads,
+                v_means2d_ndc: &render.v_means2d_ndc,
+                statistic: &model.statistic,
+                status,
+            },
+            model.num_gaussians,
+        )?;
+        let [height, width] = targets.max_size();
+        let image_loss = ImageLossKernels::new(
+            gpu,
+            ImageLossBuffers {
+                step,
+                rendered: &render.image,
+                targets: &targets.buffer,
+                cameras: &model.cameras,
+                v_image: &render.v_image,
+            },
+            [targets.num_channels(), height, width],
+        )?;
+        let finish = FinishKernel::new(
+            gpu,
+            FinishBuffers {
+                step,
+                image_partials: &image_loss.partials,
+                mask_partials: &activate.mask_partials,
+                prior_partials,
+                quantizer_partials: &q.quantizer_partials,
+                quantizer_rows: &q.quantizer_rows,
+                quantizers: &q.quantizers,
+                quantizer_state: &model.quantizer_state,
+                cameras: &model.cameras,
+                losses: &model.losses,
+                status,
+            },
+            model.num_quantizers,
+        )?;
+        let adam = AdamKernel::new(
+            gpu,
+            AdamBuffers {
+                step,
+                params: &model.params,
+                grads: &model.grads,
+                first_moments: &model.first_moments,
+                second_moments: &model.second_moments,
+                status,
+            },
+            model.num_gaussians,
+        )?;
+        let fake_quant = FakeQuantKernels::new(gpu, q, &model.params, &model.grads, step);
+        gpu.check()?;
+        Ok(Self { renderer, activate, image_loss, fake_quant, finish, adam })
+    }
+
+    /// Records one iteration; with a timer each stage is a pass of its own.
+    ///
+    /// - `shape`: `[C, H, W]` of the image
+    pub fn record(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        shape: [usize; 3],
+        prior: Option<&MotionPriorKernels>,
+        timer: Option<&StageTimer>,
+    ) {
+        match timer {
+            Some(timer) => {
+                for stage in 0..STAGES.len() {
+                    self.stage(stage, &mut timer.pass(encoder, stage), shape, prior);
+                }
+            }
+            None => {
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                for stage in 0..STAGES.len() {
+                    self.stage(stage, &mut pass, shape, prior);
+                }
+            }
+        }
+    }
+
+    fn stage(
+        &self,
+        stage: usize,
+        pass: &mut wgpu::ComputePass<'_>,
+        shape: [usize; 3],
+        prior: Option<&MotionPriorKernels>,
+    ) {
+        match stage {
+            0 => self.activate.record_fwd(pass),
+            1 => self.renderer.project(pass),
+            2 => self.renderer.sort(pass),
+            3 => self.renderer.rasterize(pass),
+            4 => self.image_loss.record(pass, shape),
+            5 => self.renderer.rasterize_bwd(pass),
+            6 => self.renderer.project_bwd(pass),
+            7 => {
+                self.activate.record_bwd(pass);
+                self.activate.record_count(pass);
+                self.fake_quant.record(pass);
+            }
+            8 => {
+                if let Some(prior) = prior {
+                    prior.record(pass);
+                }
+            }
+            9 => self.finish.record(pass),
+            _ => self.adam.record(pass),
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! Trainings on the GPU against the same on the CPU, and what the GPU promises of its own.
+
+#![allow(clippy::unwrap_used)]
+
+mod support;
+
+use std::sync::OnceLock;
+
+use support::gpu;
+use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
+use tcgs_core::{Camera, View};
+use tcgs_render::gpu::Gpu;
+use tcgs_train::engine::Engine;
+use tcgs_train::engine::cpu::CpuEngine;
+use tcgs_train::engine::gpu::GpuEngine;
+use tcgs_train::{State, TrainConfig, TrainError, Trainer};
+
+fn capture() -> &'static Capture {
+    static CAPTURE: OnceLock<(tempfile::TempDir, Capture)> = OnceLock::new();
+    &CAPTURE
+        .get_or_init(|| {
+            let folder = tempfile::tempdir().unwrap();
+            let settings = SyntheticSettings {
+                width: 64,
+                height: 48,
+                num_train_cameras: 5,
+                num_test_cameras: 1,
+                num_timesteps: 3,
+                num_points: 1500,
+                ..SyntheticSettings::default()
+            };
+            write_synthetic(folder.path(), &settings).unwrap();
+            let capture = Capture::open(folder.path()).unwrap();
+            (folder, capture)
+        })
+        .1
+}
+
+fn views(frame: usize) -> Vec<View> {
+    capture().views(Split::Train, frame, 1).unwrap()
+}
+
+fn config(first: usize, rest: usize) -> TrainConfig {
+    let mut config = TrainConfig::default();
+    (config.schedule.first_iterations, config.schedule.rest_iterations) = (first, rest);
+    config
+}
+
+type Made = Result<Box<dyn Engine>, TrainError>;
+
+fn on_cpu(state: State) -> Made {
+    Ok(Box::new(CpuEngine::new(state)))
+}
+
+fn on_gpu(gpu: &Gpu) -> impl Fn(State) -> Made + Copy {
+    move |state| Ok(Box::new(GpuEngine::new(gpu, state)))
+}
+
+fn trainer(config: &TrainConfig, make: impl FnOnce(State) -> Made) -> Trainer {
+    let cameras: Vec<Camera> = views(0).into_iter().map(|v| v.camera).collect();
+    Trainer::with_engine(config, &capture().point_cloud().unwrap(), &cameras, make).unwrap()
+}
+
+/// Trains some frames; losses of every iteration.
+fn fit(trainer: &mut Trainer, frames: std::ops::Range<usize>) -> Vec<f64> {
+    let mut losses = Vec::new();
+    for frame in frames {
+        trainer.fit(&views(frame), &mut |p| losses.push(p.loss)).unwrap();
+    }
+    losses
+}
+
+#[test]
+fn a_training_follows_that_on_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let config = config(200, 40);
+    let mut cpu = trainer(&config, on_cpu);
+    let mut gpu = trainer(&config, on_gpu(&gpu));
+    let expected = fit(&mut cpu, 0..3);
+    let found = fit(&mut gpu, 0..3);
+    assert_eq!(found.len(), expected.len());
+    let error = |range: std::ops::Range<usize>| {
+        range.map(|i| (found[i] - expected[i]).abs() / expected[i]).fold(0.0, f64::max)
+    };
+    eprintln!("worst relative difference of the loss: {:.1e} {:.1e} {:.1e}", error(0..10), error(0..60), error(0..280));
+    // Before density adapts the two are one computation; afterwards single Gaussians may fall to either side
+    // of a threshold, and the losses of single images drift.
+    assert!(error(0..10) < 1e-4, "first losses: {}", error(0..10));
+    let mean = |losses: &[f64], range: std::ops::Range<usize>| {
+        losses[range.clone()].iter().sum::<f64>() / range.len() as f64
+    };
+    for range in [100..200, 200..240, 240..280] {
+        let (found, expected) = (mean(&found, range.clone()), mean(&expected, range.clone()));
+        eprintln!("mean loss {range:?}: {found:.5} against {expected:.5}");
+        assert!((found / expected - 1.0).abs() < 0.03, "{range:?}: {found} against {expected}");
+    }
+    let psnr = [&mut gpu, &mut cpu].map(|trainer| trainer.mean_psnr(&views(2)).unwrap());
+    eprintln!("PSNR {psnr:?}, Gaussians {} against {}", gpu.num_gaussians(), cpu.num_gaussians());
+    assert!((psnr[0] - psnr[1]).abs() < 0.2, "{psnr:?}");
+    let ratio = gpu.num_gaussians() as f64 / cpu.num_gaussians() as f64;
+    assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+}

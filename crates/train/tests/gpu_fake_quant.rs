@@ -1,0 +1,151 @@
+//! Fake quantisation on the GPU against that on the CPU.
+
+#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
+
+mod support;
+
+use support::{Random, gpu, packed, relative_l2};
+use tcgs_codec::BitMap;
+use tcgs_core::{Attribute, Gaussians};
+use tcgs_render::gpu::Gpu;
+use tcgs_train::engine::cpu::FakeQuantizers;
+use tcgs_train::engine::gpu::{FakeQuantKernels, QuantizerBuffers, StepUniform};
+
+/// Gradients and the sums for steps and offsets.
+fn backward(
+    gpu: &Gpu,
+    quantizers: &FakeQuantizers,
+    gaussians: &Gaussians,
+    v: &[f32],
+    flags: u32,
+) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
+    let n = gaussians.num_gaussians();
+    let buffers = QuantizerBuffers::new(gpu, quantizers).unwrap();
+    let params = gpu.upload("params", &packed(gaussians)).unwrap();
+    let grads = gpu.upload("grads", v).unwrap();
+    let step = gpu.uniform("step", size_of::<StepUniform>()).unwrap();
+    let settings = StepUniform { num_gaussians: n as u32, flags, ..Default::default() };
+    gpu.queue().write_buffer(&step, 0, bytemuck::bytes_of(&settings));
+    let kernels = FakeQuantKernels::new(gpu, &buffers, &params, &grads, &step);
+    let mut encoder = gpu.encoder();
+    kernels.record(&mut encoder.begin_compute_pass(&Default::default()));
+    gpu.submit(encoder);
+
+    let num_quantizers = quantizers.quantizers.len();
+    let rows: Vec<u32> = gpu.read(&buffers.quantizer_rows, num_quantizers + 1).unwrap();
+    let partials: Vec<[f32; 2]> = gpu
+        .read::<f32>(&buffers.quantizer_partials, 2 * rows[num_quantizers] as usize)
+        .unwrap()
+        .as_chunks::<2>()
+        .0
+        .to_vec();
+    let scales: Vec<f32> = gpu.read(&buffers.gradient_scales, num_quantizers).unwrap();
+    let sum = |q: usize, which: usize| {
+        let own = &partials[rows[q] as usize..rows[q + 1] as usize];
+        own.iter().map(|row| f64::from(row[which])).sum::<f64>() as f32 * scales[q]
+    };
+    (
+        gpu.read(&grads, v.len()).unwrap(),
+        (0..num_quantizers).map(|q| sum(q, 0)).collect(),
+        (0..num_quantizers).map(|q| sum(q, 1)).collect(),
+    )
+}
+
+fn scene(n: usize, random: &mut Random) -> (BitMap, Gaussians) {
+    let mut bit_map = BitMap::uniform(n, 16, 8);
+    let mut gaussians = Gaussians::zeros(n);
+    for attribute in Attribute::ALL {
+        let size = 1.0 + attribute.index() as f32;
+        gaussians.values_mut(attribute).fill_with(|| random.within(size) + 0.3);
+        if attribute != Attribute::Mean {
+            // A width of many chunks, a few of one, and one of a lone Gaussian.
+            bit_map.widths[attribute.index()].fill_with(|| [6, 6, 6, 4, 5, 7, 9, 12][random.below(8)]);
+            bit_map.widths[attribute.index()][n / 2] = 1 + attribute.index() as u8 % 3;
+        }
+    }
+    (bit_map, gaussians)
+}
+
+#[test]
+fn gradients_are_those_of_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let mut random = Random::new(7);
+    for (n, learned_offset) in [(9_001, true), (9_001, false), (300, true)] {
+        let (bit_map, mut gaussians) = scene(n, &mut random);
+        let quantizers = FakeQuantizers::new(bit_map, &gaussians, learned_offset);
+        // Values have moved since: some are beyond the range, some exactly at its end or between two codes.
+        for attribute in Attribute::ALL {
+            gaussians.values_mut(attribute).iter_mut().for_each(|x| *x = 1.1 * *x + random.within(0.02));
+        }
+        for (i, &(attribute, width)) in quantizers.groups.iter().enumerate() {
+            let first: usize = quantizers.groups[..i].iter().map(|(a, _)| a.components()).sum();
+            let widths = &quantizers.bit_map.widths[attribute.index()];
+            let members = (0..n).filter(|&i| widths[i] == width);
+            for (code, member) in [-8.0, 7.0, -0.5, 0.5, 1.5, -2.5].into_iter().zip(members) {
+                for component in 0..attribute.components() {
+                    let q = &quantizers.quantizers[first + component];
+                    gaussians.values_mut(attribute)[member * attribute.components() + component] =
+                        code * q.step + q.offset;
+                }
+            }
+        }
+        let v: Vec<f32> = (0..15 * n).map(|_| random.within(1.0)).collect();
+        let mut expected = Gaussians::zeros(n);
+        let mut first = 0;
+        for attribute in Attribute::ALL {
+            let values = expected.values_mut(attribute);
+            values.copy_from_slice(&v[first..first + values.len()]);
+            first += values.len();
+        }
+        let (v_steps, v_offsets) = quantizers.backward(&gaussians, &mut expected);
+
+        let (found, found_steps, found_offsets) = backward(&gpu, &quantizers, &gaussians, &v, StepUniform::QUANTIZED);
+        let mut expected = packed(&expected);
+        expected[14 * n..].copy_from_slice(&v[14 * n..]);
+        // A quotient may round differently, so that a value goes to the other side of a range's end.
+        let different = found.iter().zip(&expected).filter(|(a, b)| a != b).count();
+        assert!(different <= n / 1000, "{different} gradients of {n} Gaussians differ");
+        let errors = [relative_l2(&found_steps, &v_steps), relative_l2(&found_offsets, &v_offsets)];
+        eprintln!("{n}: {different} differ, {errors:?}");
+        assert!(errors.iter().all(|&e| e < 1e-5), "relative L2 {errors:?}");
+    }
+}
+
+#[test]
+fn nothing_happens_before_quantisation() {
+    let Some(gpu) = gpu() else { return };
+    let (bit_map, gaussians) = scene(100, &mut Random::new(3));
+    let quantizers = FakeQuantizers::new(bit_map, &gaussians, true);
+    let v = vec![1.5; 1500];
+    let (found, v_steps, _) = backward(&gpu, &quantizers, &gaussians, &v, 0);
+    assert_eq!(found, v);
+    assert!(v_steps.iter().all(|&v| v == 0.0));
+
+    let none = FakeQuantizers::restore(BitMap::uniform(0, 16, 8), vec![], vec![], vec![], true);
+    let (_, v_steps, _) = backward(&gpu, &none, &Gaussians::zeros(0), &[], StepUniform::QUANTIZED);
+    assert!(v_steps.is_empty());
+    gpu.check().unwrap();
+}
+
+#[test]
+fn every_gaussian_finds_its_quantizers() {
+    let Some(gpu) = gpu() else { return };
+    let (bit_map, gaussians) = scene(500, &mut Random::new(5));
+    let quantizers = FakeQuantizers::new(bit_map, &gaussians, true);
+    let buffers = QuantizerBuffers::new(&gpu, &quantizers).unwrap();
+    let groups: Vec<u32> = gpu.read(&buffers.quantizer_groups, 500).unwrap();
+    let starts: Vec<u32> = gpu.read(&buffers.group_starts, 256).unwrap();
+    let table: Vec<f32> = gpu.read(&buffers.quantizers, 4 * quantizers.quantizers.len()).unwrap();
+    let wanted = quantizers.table();
+    for (byte, &attribute) in Attribute::ALL[1..].iter().enumerate() {
+        for i in 0..500 {
+            let first = starts[(groups[i] >> (8 * byte) & 255) as usize] as usize;
+            for channel in 0..attribute.components() {
+                let width = quantizers.bit_map.widths[attribute.index()][i];
+                let q = wanted.get(attribute, width, channel).unwrap();
+                let expected = [q.step, q.offset, q.min_code() as f32, q.max_code() as f32];
+                assert_eq!(table[4 * (first + channel)..][..4], expected);
+            }
+        }
+    }
+}
