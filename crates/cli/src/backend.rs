@@ -1,12 +1,13 @@
 //! What computes: the CPU or a GPU, as `--backend` and `--device` say.
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use clap::{Args, ValueEnum};
-use tcgs_render::gpu::{Gpu, GpuChoice, GpuError};
+use tcgs_render::gpu::{Gpu, GpuChoice, GpuError, GpuRasterizer};
 use tcgs_render::{CpuRasterizer, Draw};
+use tcgs_train::State;
 use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::{State, TrainError};
+use tcgs_train::engine::gpu::GpuEngine;
 
 use crate::error::wrong_input;
 use crate::output::note;
@@ -48,55 +49,51 @@ impl BackendOptions {
     ///
     /// - `default`: where the command line says nothing
     pub fn open(&self, default: BackendName) -> anyhow::Result<Backend> {
-        let found = match (&self.device, self.backend.unwrap_or(default)) {
-            (Some(device), _) if self.backend == Some(BackendName::Cpu) => {
+        if let Some(device) = &self.device {
+            if self.backend == Some(BackendName::Cpu) {
                 let problem = "is a GPU's name, found --backend cpu, expected one without the other";
                 return Err(wrong_input(format!("--device {device}: {problem}")));
             }
-            (Some(device), _) => match Gpu::open(GpuChoice::Named(device)) {
-                Err(error @ GpuError::NotFound { .. }) => {
-                    return Err(wrong_input(format!("--device {device}: {error}")));
-                }
-                other => Ok(other.with_context(|| format!("--device {device}"))?),
-            },
-            (None, BackendName::Cpu) => Err(None),
-            (None, BackendName::Gpu) => Ok(Gpu::open(GpuChoice::Hardware)
-                .map_err(|error| anyhow!("--backend gpu: {error}, expected --device NAME or --backend cpu"))?),
-            (None, BackendName::Auto) => Gpu::open(GpuChoice::Hardware).map_err(Some),
-        };
-        Ok(match found {
-            Ok(gpu) => {
-                note(&format!("computing on {} ({})", gpu.info().name, gpu.info().backend));
-                Backend::Gpu(gpu)
-            }
-            Err(why) => {
-                let why = why.map(|error| format!(": {error}")).unwrap_or_default();
-                note(&format!("computing on the CPU, {} threads{why}", rayon::current_num_threads()));
-                Backend::Cpu
-            }
-        })
+            return Gpu::open(GpuChoice::Named(device)).map(Backend::on_gpu).map_err(|error| {
+                let message = format!("--device {device}: {error}");
+                if matches!(error, GpuError::NotFound { .. }) { wrong_input(message) } else { anyhow!(message) }
+            });
+        }
+        match self.backend.unwrap_or(default) {
+            BackendName::Cpu => Ok(Backend::on_cpu("")),
+            BackendName::Gpu => Gpu::open(GpuChoice::Hardware)
+                .map(Backend::on_gpu)
+                .map_err(|error| anyhow!("--backend gpu: {error}, expected --device NAME or --backend cpu")),
+            BackendName::Auto => Ok(Gpu::open(GpuChoice::Hardware)
+                .map_or_else(|error| Backend::on_cpu(&format!(": {error}")), Backend::on_gpu)),
+        }
     }
 }
 
 impl Backend {
+    fn on_cpu(why: &str) -> Self {
+        note(&format!("computing on the CPU, {} threads{why}", rayon::current_num_threads()));
+        Self::Cpu
+    }
+
+    fn on_gpu(gpu: Gpu) -> Self {
+        note(&format!("computing on {} ({})", gpu.info().name, gpu.info().backend));
+        Self::Gpu(gpu)
+    }
+
     /// What trains from `state` on.
-    pub fn engine(&self, state: State) -> Result<Box<dyn Engine>, TrainError> {
+    pub fn engine(&self, state: State) -> Box<dyn Engine> {
         match self {
-            Self::Cpu => Ok(Box::new(CpuEngine::new(state))),
-            Self::Gpu(gpu) => Err(no_engine(gpu).into()),
+            Self::Cpu => Box::new(CpuEngine::new(state)),
+            Self::Gpu(gpu) => Box::new(GpuEngine::new(gpu, state)),
         }
     }
 
     /// What draws pictures.
-    pub fn renderer(&self) -> Result<Box<dyn Draw>, GpuError> {
+    pub fn renderer(&self) -> Box<dyn Draw> {
         match self {
-            Self::Cpu => Ok(Box::new(CpuRasterizer)),
-            Self::Gpu(gpu) => Err(no_engine(gpu)),
+            Self::Cpu => Box::new(CpuRasterizer),
+            Self::Gpu(gpu) => Box::new(GpuRasterizer::new(gpu)),
         }
     }
-}
-
-fn no_engine(gpu: &Gpu) -> GpuError {
-    let problem = "cannot be used: this build has no GPU engine yet, expected --backend cpu";
-    GpuError::Unfit { name: gpu.info().name.clone(), problem: problem.into() }
 }

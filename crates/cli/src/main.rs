@@ -53,6 +53,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    quiet_device_layer();
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => return explain(&error),
@@ -71,6 +72,18 @@ fn main() -> ExitCode {
         Err(error) => {
             output::note(&format!("tcgs: {}", one_line(&format!("{error:#}"))));
             ExitCode::from(error::exit_code(&error))
+        }
+    }
+}
+
+/// Without a desktop session Mesa's Vulkan layer that sorts devices complains on standard error, and there is nothing
+/// for it to sort by; devices are sorted here anyway.
+fn quiet_device_layer() {
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // SAFETY: no other thread runs yet.
+        #[allow(unsafe_code)]
+        unsafe {
+            std::env::set_var("NODEVICE_SELECT", "1");
         }
     }
 }

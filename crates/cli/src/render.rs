@@ -57,7 +57,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     check_kinds(arguments)?;
-    let renderer = arguments.backend.open(BackendName::Auto)?.renderer()?;
+    let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
     let folder = NewFolder::begin(&arguments.out, arguments.job.force, is_png)?;
     let capture = arguments.cameras.as_ref().map(|path| Capture::open(path)).transpose()?;
     let scene = Scene::load(&arguments.scene)?;

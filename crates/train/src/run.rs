@@ -113,7 +113,7 @@ impl Run {
     /// # Errors
     /// [`TrainError::File`] if a checkpoint is damaged.
     pub fn resume(&self) -> Result<Option<Trainer>, TrainError> {
-        self.resume_with(|state| Ok(Box::new(CpuEngine::new(state))))
+        self.resume_with(|state| Box::new(CpuEngine::new(state)))
     }
 
     /// Goes on where the run stopped; `None` if no timestep is finished.
@@ -121,11 +121,8 @@ impl Run {
     /// - `make`: what computes, from the state that it starts from
     ///
     /// # Errors
-    /// As [`Self::resume`], and what `make` returns.
-    pub fn resume_with(
-        &self,
-        make: impl FnOnce(State) -> Result<Box<dyn Engine>, TrainError>,
-    ) -> Result<Option<Trainer>, TrainError> {
+    /// As [`Self::resume`].
+    pub fn resume_with(&self, make: impl FnOnce(State) -> Box<dyn Engine>) -> Result<Option<Trainer>, TrainError> {
         let finished = self.timesteps();
         if finished == 0 {
             return Ok(None);
@@ -133,7 +130,7 @@ impl Run {
         let first = self.load(0, None)?;
         let later = |t: usize| if t == 0 { Ok(first.clone()) } else { self.load(t, Some(&first)) };
         let (before_last, last) = (later(finished.saturating_sub(2))?, later(finished - 1)?);
-        Trainer::resume(&self.config, &first, &before_last, &last, finished, make).map(Some)
+        Ok(Some(Trainer::resume(&self.config, &first, &before_last, &last, finished, make)))
     }
 
     fn load(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {

@@ -61,7 +61,7 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Input`] if there are no points or cameras.
     pub fn new(config: &TrainConfig, cloud: &PointCloud, cameras: &[Camera]) -> Result<Self, TrainError> {
-        Self::with_engine(config, cloud, cameras, |state| Ok(Box::new(CpuEngine::new(state))))
+        Self::with_engine(config, cloud, cameras, |state| Box::new(CpuEngine::new(state)))
     }
 
     /// Starts a run; the rest as [`Self::new`].
@@ -69,12 +69,12 @@ impl Trainer {
     /// - `make`: what computes, from the state that it starts from
     ///
     /// # Errors
-    /// As [`Self::new`], and what `make` returns.
+    /// As [`Self::new`].
     pub fn with_engine(
         config: &TrainConfig,
         cloud: &PointCloud,
         cameras: &[Camera],
-        make: impl FnOnce(State) -> Result<Box<dyn Engine>, TrainError>,
+        make: impl FnOnce(State) -> Box<dyn Engine>,
     ) -> Result<Self, TrainError> {
         let input = |what: &str, expected: &str| TrainError::Input {
             what: what.into(),
@@ -98,7 +98,7 @@ impl Trainer {
             schedule: Schedule::new(config, radius),
             scene_radius: radius,
             num_gaussians: parameters.num_gaussians(),
-            engine: make(State::new(parameters))?,
+            engine: make(State::new(parameters)),
             timestep: 0,
             first: None,
             before: None,
@@ -112,17 +112,14 @@ impl Trainer {
     ///   timestep finished all three are the same
     /// - `timesteps`: finished, at least 1
     /// - `make`: what computes, from the state that it starts from
-    ///
-    /// # Errors
-    /// What `make` returns.
     pub fn resume(
         config: &TrainConfig,
         first: &Checkpoint,
         before_last: &Checkpoint,
         last: &Checkpoint,
         timesteps: usize,
-        make: impl FnOnce(State) -> Result<Box<dyn Engine>, TrainError>,
-    ) -> Result<Self, TrainError> {
+        make: impl FnOnce(State) -> Box<dyn Engine>,
+    ) -> Self {
         let place = |c: &Checkpoint| (c.parameters.gaussians.means.clone(), c.parameters.gaussians.quats.clone());
         let mut state = State::new(last.parameters.clone());
         state.quantizers = last.quantizers.clone();
@@ -135,17 +132,17 @@ impl Trainer {
         o.attributes[Attribute::Color.index()] = color;
         o.quantizer_steps = steps;
         o.quantizer_offsets = offsets;
-        Ok(Self {
+        Self {
             config: config.clone(),
             schedule: Schedule::new(config, first.scene_radius),
             scene_radius: first.scene_radius,
             num_gaussians: state.parameters.num_gaussians(),
-            engine: make(state)?,
+            engine: make(state),
             timestep: timesteps,
             first: Some(Arc::new(place(first))),
             before: Some(Arc::new(place(before_last))),
             camera_ids: Vec::new(),
-        })
+        }
     }
 
     /// Timesteps finished.

@@ -42,7 +42,7 @@ fn every_prior_matches_central_differences() {
     let distances = (0..f * per_node).map(|e| 0.1 + 0.01 * (e % 5) as f64).collect();
     let neighbors = Neighbors::from_edges(members, per_node, indices, weights, distances);
     let (first, before, now) = (state(1), state(2), state(3));
-    let prior = MotionPrior::new(neighbors, &foreground, &first.0, &first.1, &before.0, &before.1, &before.2);
+    let prior = MotionPrior::new(neighbors.into(), &foreground, &first.0, &first.1, &before.0, &before.1, &before.2);
 
     let all = PriorWeights { rigid: 4.0, rot: 4.0, iso: 2.0, floor: 2.0, background: 20.0, soft_color: 0.5 };
     let one = |field: usize| {
@@ -107,7 +107,7 @@ fn empty_sets_contribute_nothing() {
         let quats: Vec<[f32; 4]> = s.1.iter().map(|q| normalize(q.map(|x| x as f32))).collect();
         let colors: Vec<[f32; 3]> = s.2.iter().map(|c| c.map(|x| x as f32)).collect();
         let neighbors = Neighbors::new(&means, &foreground);
-        let prior = MotionPrior::new(neighbors, &foreground, &means, &quats, &means, &quats, &colors);
+        let prior = MotionPrior::new(neighbors.into(), &foreground, &means, &quats, &means, &quats, &colors);
         let weights = PriorWeights { rigid: 4.0, rot: 4.0, iso: 2.0, floor: 2.0, background: 20.0, soft_color: 0.5 };
         let (mut v_means, mut v_quats, mut v_colors) = (vec![[0.0; 3]; 14], vec![[0.0; 4]; 14], vec![[0.0; 3]; 14]);
         let grads = PriorGrads { v_means: &mut v_means, v_quats: &mut v_quats, v_colors: &mut v_colors };

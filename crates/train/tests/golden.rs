@@ -94,7 +94,7 @@ fn motion_priors_equal_the_reference() {
     close(&predicted_quats, &a.rows::<4>("predicted_quats_t2"), 1e-5);
 
     // Each loss alone.
-    let prior = MotionPrior::new(neighbors, &is_foreground, &means0, &quats0, &means1, &quats1, &colors);
+    let prior = MotionPrior::new(neighbors.into(), &is_foreground, &means0, &quats0, &means1, &quats1, &colors);
     for name in ["rigid", "rot", "iso", "floor", "bg"] {
         let on = |this: &str| f32::from(u8::from(name == this));
         let weights = PriorWeights {

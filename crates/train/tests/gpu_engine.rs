@@ -13,7 +13,7 @@ use tcgs_render::gpu::Gpu;
 use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::gpu::GpuEngine;
-use tcgs_train::{State, TrainConfig, TrainError, Trainer};
+use tcgs_train::{State, TrainConfig, Trainer};
 
 fn capture() -> &'static Capture {
     static CAPTURE: OnceLock<(tempfile::TempDir, Capture)> = OnceLock::new();
@@ -46,14 +46,14 @@ fn config(first: usize, rest: usize) -> TrainConfig {
     config
 }
 
-type Made = Result<Box<dyn Engine>, TrainError>;
+type Made = Box<dyn Engine>;
 
 fn on_cpu(state: State) -> Made {
-    Ok(Box::new(CpuEngine::new(state)))
+    Box::new(CpuEngine::new(state))
 }
 
 fn on_gpu(gpu: &Gpu) -> impl Fn(State) -> Made + Copy {
-    move |state| Ok(Box::new(GpuEngine::new(gpu, state)))
+    move |state| Box::new(GpuEngine::new(gpu, state))
 }
 
 fn trainer(config: &TrainConfig, make: impl FnOnce(State) -> Made) -> Trainer {
@@ -79,16 +79,14 @@ fn a_training_follows_that_on_the_cpu() {
     let expected = fit(&mut cpu, 0..3);
     let found = fit(&mut gpu, 0..3);
     assert_eq!(found.len(), expected.len());
-    let error = |range: std::ops::Range<usize>| {
-        range.map(|i| (found[i] - expected[i]).abs() / expected[i]).fold(0.0, f64::max)
-    };
+    let error =
+        |range: std::ops::Range<usize>| range.map(|i| (found[i] - expected[i]).abs() / expected[i]).fold(0.0, f64::max);
     eprintln!("worst relative difference of the loss: {:.1e} {:.1e} {:.1e}", error(0..10), error(0..60), error(0..280));
     // Before density adapts the two are one computation; afterwards single Gaussians may fall to either side
     // of a threshold, and the losses of single images drift.
     assert!(error(0..10) < 1e-4, "first losses: {}", error(0..10));
-    let mean = |losses: &[f64], range: std::ops::Range<usize>| {
-        losses[range.clone()].iter().sum::<f64>() / range.len() as f64
-    };
+    let mean =
+        |losses: &[f64], range: std::ops::Range<usize>| losses[range.clone()].iter().sum::<f64>() / range.len() as f64;
     for range in [100..200, 200..240, 240..280] {
         let (found, expected) = (mean(&found, range.clone()), mean(&expected, range.clone()));
         eprintln!("mean loss {range:?}: {found:.5} against {expected:.5}");

@@ -18,7 +18,7 @@ const IMAGE_SIZE: Size = Size { width: 640, height: 360 };
 /// Bits from sensitivities at the first timestep, and how they were measured.
 pub fn measured_bits(scene: &Scene, gaussians: &Gaussians, settings: &Settings) -> anyhow::Result<(BitMap, String)> {
     let (cameras, of) = cameras(scene, gaussians, settings)?;
-    let sensitivity = tcgs_train::sensitivity(gaussians, &cameras)?;
+    let sensitivity = tcgs_train::sensitivity(&tcgs_render::CpuRasterizer, gaussians, &cameras)?;
     let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(scene, settings));
     Ok((bit_map, format!("bits: by sensitivity, measured with {} {of}", cameras.len())))
 }

@@ -128,7 +128,7 @@ fn check_place(out: &Path) -> anyhow::Result<()> {
 }
 
 fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::Result<Outcome> {
-    let renderer = backend.renderer()?;
+    let renderer = backend.renderer();
     let mut seconds = Vec::new();
     let mut clock = Instant::now();
     let mut lap = |name: &'static str| {

@@ -83,7 +83,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(csv) = &arguments.csv {
         check_file(csv, arguments.job.force)?;
     }
-    let renderer = arguments.backend.open(BackendName::Auto)?.renderer()?;
+    let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
     let capture = Capture::open(&arguments.capture)?;
     let scene = Scene::load(&arguments.scene)?;
     let settings = Settings {
