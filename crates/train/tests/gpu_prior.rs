@@ -55,7 +55,7 @@ impl Motion {
 fn cpu_losses(motion: &Motion, weights: &PriorWeights) -> (PriorLosses, Gaussians) {
     let Motion { is_foreground, first, previous, now } = motion;
     let prior = MotionPrior::new(
-        motion.neighbors(),
+        motion.neighbors().into(),
         is_foreground,
         &first.means,
         &first.quats,
@@ -179,7 +179,7 @@ fn exact_gradients(motion: &Motion, weights: &PriorWeights) -> Vec<f32> {
     let Neighbors { foreground, per_node, indices, weights: falloffs, distances, .. } = motion.neighbors();
     let [falloffs, distances] = [falloffs, distances].map(|values| values.into_iter().map(f64::from).collect());
     let prior = MotionPrior::new(
-        Neighbors::from_edges(foreground, per_node, indices, falloffs, distances),
+        Neighbors::from_edges(foreground, per_node, indices, falloffs, distances).into(),
         is_foreground,
         &wide(&first.means),
         &wide(&first.quats),
