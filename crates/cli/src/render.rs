@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::Context;
 use serde_json::json;
@@ -134,8 +135,8 @@ fn cameras(capture: &Capture, scene: &Scene, frame: usize, size: Option<Size>) -
     Ok(cameras)
 }
 
-fn write_png(renderer: &dyn Draw, drawn: &Activated, camera: &Camera, path: &Path) -> anyhow::Result<()> {
-    let output = renderer.draw(drawn, camera, &RenderSettings::default())?;
+fn write_png(renderer: &dyn Draw, drawn: &Arc<Activated>, camera: &Camera, path: &Path) -> anyhow::Result<()> {
+    let (output, _) = renderer.draw(drawn, camera, &RenderSettings::default())?;
     let (width, height) = (camera.width as u32, camera.height as u32);
     image::save_buffer(path, &output.image.to_rgb8(), width, height, image::ColorType::Rgb8)
         .with_context(|| format!("writing {}", path.display()))

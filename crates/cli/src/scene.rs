@@ -4,6 +4,7 @@ use std::fs;
 use std::io::Read;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use tcgs_codec::{CompactScene, DecodeLimits};
 use tcgs_core::{Activated, DynamicGaussians, Gaussians, activate};
@@ -147,15 +148,15 @@ impl Scene {
     }
 
     /// One timestep as it is drawn: of a run, the floats before pruning without what is masked.
-    pub fn drawn(&self, timestep: usize) -> Activated {
+    pub fn drawn(&self, timestep: usize) -> Arc<Activated> {
         let gaussians = self.at(timestep);
         match &self.model {
             Model::Run(run) if run.0.config().mask.enabled => {
                 let masked = tcgs_train::masked_out(&run.1.mask_logits[timestep], run.0.config().mask.threshold);
                 let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
-                activate(&gaussians.select(&shown))
+                Arc::new(activate(&gaussians.select(&shown)))
             }
-            _ => activate(&gaussians),
+            _ => Arc::new(activate(&gaussians)),
         }
     }
 

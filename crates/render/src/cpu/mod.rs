@@ -7,6 +7,9 @@ pub(crate) mod project;
 mod rasterize;
 mod tiles;
 
+use std::sync::Arc;
+use std::time::Instant;
+
 use rayon::prelude::*;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
@@ -119,11 +122,13 @@ impl Draw for CpuRasterizer {
 
     fn draw(
         &self,
-        gaussians: &Activated,
+        gaussians: &Arc<Activated>,
         camera: &Camera,
         settings: &RenderSettings,
-    ) -> Result<RenderOutput, GpuError> {
-        self.forward(gaussians, camera, settings).map(|(output, _)| output)
+    ) -> Result<(RenderOutput, f64), GpuError> {
+        let begin = Instant::now();
+        let (output, _) = self.forward(gaussians, camera, settings)?;
+        Ok((output, begin.elapsed().as_secs_f64() * 1e3))
     }
 }
 

@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, ActivatedGrads, Attribute, Camera, Gaussians, Image, activate, activate_bwd, normalize};
-use tcgs_render::{CpuRasterizer, Draw, Rasterizer, RenderSettings};
+use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 
 use super::{Engine, LossTerms, Step, Target};
 use crate::TrainError;
@@ -290,7 +290,7 @@ impl Engine for CpuEngine {
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
         let drawn = drawn(&self.state, mask, false);
-        Ok(CpuRasterizer.draw(&drawn, camera, &RenderSettings::default())?.image)
+        Ok(CpuRasterizer.forward(&drawn, camera, &RenderSettings::default())?.0.image)
     }
 }
 

@@ -26,7 +26,7 @@ use std::sync::Arc;
 
 use tcgs_core::{Activated, Attribute, Camera, Gaussians, Image};
 use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
-use tcgs_render::{Rasterizer, RenderSettings};
+use tcgs_render::{Draw, RenderSettings};
 
 pub use activate::{ActivateBuffers, ActivateKernels};
 pub use adam::{AdamBuffers, AdamKernel};
@@ -98,7 +98,7 @@ pub struct GpuEngine {
     losses: Vec<LossTerms>,
     /// Draws what is not trained on.
     rasterizer: GpuRasterizer,
-    drawn: Option<Activated>,
+    drawn: Option<Arc<Activated>>,
 }
 
 impl GpuEngine {
@@ -346,7 +346,7 @@ impl GpuEngine {
     fn prepare_drawn(&mut self, mask: &MaskConfig) -> Result<(), TrainError> {
         if self.drawn.is_none() {
             self.state()?;
-            self.drawn = Some(drawn(&self.state, mask, false));
+            self.drawn = Some(Arc::new(drawn(&self.state, mask, false)));
         }
         Ok(())
     }
@@ -440,6 +440,6 @@ impl Engine for GpuEngine {
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
         self.prepare_drawn(mask)?;
         let drawn = self.drawn.as_ref().expect("made above");
-        Ok(self.rasterizer.forward(drawn, camera, &RenderSettings::default())?.0.image)
+        Ok(self.rasterizer.draw(drawn, camera, &RenderSettings::default())?.0.image)
     }
 }
