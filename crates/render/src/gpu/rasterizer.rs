@@ -97,7 +97,7 @@ fn serves(capacity: &Capacity, wanted: &Capacity) -> bool {
 }
 
 /// Array after array, as the shaders read them.
-fn pack(gaussians: &Activated) -> Vec<f32> {
+pub(super) fn pack(gaussians: &Activated) -> Vec<f32> {
     let n = gaussians.num_gaussians();
     let arrays: [(&str, &[f32], usize); 5] = [
         ("means", gaussians.means.as_flattened(), 3),
