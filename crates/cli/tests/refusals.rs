@@ -36,6 +36,12 @@ fn wrong_usage_is_one_line() {
     refuse(&["compress", "x", "--max-mse", "nan"], &["0 or more"]);
     refuse(&["compress", "x", "--no-keypoints", "--max-mse", "1"], &["cannot be used with"]);
     refuse(&["render", "x", "--out", "d", "--size", "0x4"], &["WIDTHxHEIGHT"]);
+    refuse(&["bench", "--size", "64x48,4"], &["'4'", "WIDTHxHEIGHT"]);
+    refuse(&["bench", "--gaussians", "0"], &["'0'", "1 or more"]);
+    refuse(&["bench", "--capture", capture, "--gaussians", "9"], &["cannot be used with"]);
+    refuse(&["bench", "--downscale", "2"], &["--capture <CAPTURE>"]);
+    refuse(&["bench", "--capture", "nowhere"], &["nowhere", "no such folder", "train_meta.json"]);
+    refuse(&["bench", "--backend", "cpu", "--capture", capture, "--downscale", "99"], &["48x36", "99"]);
     assert!(!Path::new("r").exists());
     let help = succeed(&["train", "--help"]);
     assert!(help.contains("Example:") && help.contains("--resume"), "{help}");
@@ -71,7 +77,7 @@ fn what_cannot_compute_is_named() {
     let render = ["render", "x.tcgs", "--out", text(&out)];
     let eval = ["eval", "x.tcgs", "--capture", capture];
     let demo = ["demo", "--out", text(&out)];
-    for command in [&train[..], &render, &eval, &demo] {
+    for command in [&train[..], &render, &eval, &demo, &["bench"]] {
         let with = |more: &[&'static str]| [command, more].concat();
         refuse(&with(&["--device", "Voodoo 2"]), &["--device Voodoo 2: no GPU named Voodoo 2, found "]);
         refuse(&with(&["--backend", "cpu", "--device", "Voodoo 2"]), &["--device Voodoo 2", "found --backend cpu"]);

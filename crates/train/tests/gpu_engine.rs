@@ -10,10 +10,10 @@ use support::gpu;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_core::{Camera, View};
 use tcgs_render::gpu::Gpu;
-use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::gpu::GpuEngine;
-use tcgs_train::{State, TrainConfig, Trainer};
+use tcgs_train::engine::{Engine, Step, Target};
+use tcgs_train::{Parameters, Phase, Schedule, State, TrainConfig, Trainer};
 
 fn capture() -> &'static Capture {
     static CAPTURE: OnceLock<(tempfile::TempDir, Capture)> = OnceLock::new();
@@ -97,4 +97,47 @@ fn a_training_follows_that_on_the_cpu() {
     assert!((psnr[0] - psnr[1]).abs() < 0.2, "{psnr:?}");
     let ratio = gpu.num_gaussians() as f64 / cpu.num_gaussians() as f64;
     assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+}
+
+#[test]
+fn an_iteration_with_a_clock_is_an_iteration() {
+    let Some(gpu) = gpu() else { return };
+    let config = config(200, 40);
+    let schedule = Schedule::new(&config, 1.0);
+    let views = views(0);
+    let state = State::new(Parameters::from_cloud(&capture().point_cloud().unwrap(), views.len(), 1.0));
+    let targets: Vec<Target> = views.iter().map(|view| Target::new(view, true)).collect();
+    let step = |i: usize| Step {
+        camera: i % views.len(),
+        rates: schedule.rates(Phase::First, i),
+        weights: &config.weights,
+        mask: &config.mask,
+        counts_gradients: true,
+        moves_gaussians: true,
+    };
+    let run = |mut engine: Made, is_timed: fn(usize) -> bool| {
+        engine.begin(targets.clone()).unwrap();
+        for i in 0..6 {
+            if is_timed(i) {
+                let times = engine.profile(&step(i)).unwrap();
+                let sum: f64 = times.stages.iter().map(|stage| stage.1).sum();
+                assert!(times.stages.iter().all(|stage| stage.1 >= 0.0) && 0.0 < sum, "{times:?}");
+                assert!(sum <= times.total * (1.0 + 1e-6), "{times:?}");
+            } else {
+                engine.step(&step(i)).unwrap();
+            }
+        }
+        engine.wait().unwrap();
+        let losses = engine.losses().unwrap();
+        assert!(losses.iter().all(|terms| terms.total(&config.weights).is_finite()));
+        (engine.state().unwrap().parameters.clone(), losses)
+    };
+    for make in [&on_cpu as &dyn Fn(State) -> Made, &on_gpu(&gpu)] {
+        let plain = run(make(state.clone()), |_| false);
+        assert!(run(make(state.clone()), |i| i % 2 == 1) == plain);
+        assert_eq!(plain.1.len(), 6);
+    }
+    // An iteration that halts for want of room is none that tells the time: it is repeated, and another one timed.
+    let small = GpuEngine::new(&gpu, state.clone()).with_room_for(100);
+    assert_eq!(run(Box::new(small), |i| i == 0).1.len(), 7);
 }

@@ -2,6 +2,7 @@
 
 mod device;
 mod kernel;
+mod profiler;
 mod radix;
 mod rasterizer;
 mod renderer;
@@ -10,6 +11,7 @@ mod timing;
 
 pub use device::{Gpu, GpuChoice, GpuError, GpuInfo, Staged};
 pub use kernel::{Bound, Kernel, MAX_GROUPS_X, WORKGROUP};
+pub use profiler::RenderProfiler;
 pub use radix::{Dispatch, Radix, SORT_BLOCK};
 pub use rasterizer::{GpuRasterizer, GpuSaved};
 pub use renderer::{Capacity, GpuRenderer, RenderBuffers};

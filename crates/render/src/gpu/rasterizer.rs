@@ -69,7 +69,7 @@ impl GpuRasterizer {
                 capacity.num_pairs = capacity.num_pairs.max(before.num_pairs);
             }
         }
-        let timer = StageTimer::new(&self.gpu, 1)?;
+        let timer = StageTimer::new(&self.gpu, &["draw"])?;
         loop {
             let mut renderer = match kept.renderer.take() {
                 Some(renderer) if serves(renderer.capacity(), &capacity) => renderer,
@@ -114,7 +114,7 @@ impl GpuRasterizer {
             self.gpu.submit(encoder);
             staged.iter().chain([&status]).for_each(|staged| staged.map(&self.gpu));
             let ms = match (&timer, &times) {
-                (Some(timer), Some(times)) => timer.read(&self.gpu, times)?.1,
+                (Some(timer), Some(times)) => timer.read(&self.gpu, times)?.total,
                 _ => {
                     self.gpu.wait()?;
                     begin.elapsed().as_secs_f64() * 1e3
@@ -153,7 +153,7 @@ fn serves(capacity: &Capacity, wanted: &Capacity) -> bool {
 }
 
 /// Array after array, as the shaders read them.
-fn pack(gaussians: &Activated) -> Vec<f32> {
+pub(super) fn pack(gaussians: &Activated) -> Vec<f32> {
     let n = gaussians.num_gaussians();
     let arrays: [(&str, &[f32], usize); 5] = [
         ("means", gaussians.means.as_flattened(), 3),

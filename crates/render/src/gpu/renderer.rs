@@ -23,7 +23,7 @@ use super::radix::{Dispatch, Radix, SORT_BLOCK};
 use super::source::{BUCKET, TILE, source};
 use super::{Bound, Gpu, GpuError};
 use crate::settings::MAX_CHANNELS;
-use crate::{Pinhole, RenderSettings};
+use crate::{PairCounts, Pinhole, RenderSettings};
 
 /// Sources of the renderer's shaders, by name.
 ///
@@ -39,6 +39,9 @@ pub(super) fn sources(num_channels: usize, keeps: bool) -> [(&'static str, Strin
         ("rasterize_bwd", source(num_channels, &[view, include_str!("rasterize_bwd.wgsl")])),
     ]
 }
+
+/// Marks a tile count of a splat whose bounds hold a pixel, as in `reach.wgsl`.
+const VISIBLE: u32 = 0x8000_0000;
 
 /// What a [`GpuRenderer`]'s buffers hold at most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,6 +125,7 @@ pub struct GpuRenderer {
     buffers: RenderBuffers,
     view: wgpu::Buffer,
     arguments: wgpu::Buffer,
+    tile_counts: wgpu::Buffer,
     grid: [usize; 2],
     project: Bound,
     sort_depths: Radix,
@@ -269,6 +273,7 @@ impl GpuRenderer {
             gpu: gpu.clone(),
             view,
             arguments,
+            tile_counts,
             grid: [0; 2],
             buffers,
         };
@@ -284,6 +289,16 @@ impl GpuRenderer {
     /// The buffers that others fill or read.
     pub fn buffers(&self) -> &RenderBuffers {
         &self.buffers
+    }
+
+    /// What the last image had to blend; reads back, and waits for the GPU.
+    ///
+    /// # Errors
+    /// What has gone wrong meanwhile.
+    pub fn read_counts(&self) -> Result<PairCounts, GpuError> {
+        let counts: Vec<u32> = self.gpu.read(&self.tile_counts, self.capacity.num_gaussians)?;
+        let tiles = counts.iter().map(|count| (count & !VISIBLE) as usize);
+        Ok(PairCounts { pairs: tiles.clone().sum(), splats: tiles.filter(|&tiles| tiles > 0).count() })
     }
 
     /// Chooses the camera of the passes submitted from now on.

@@ -23,10 +23,11 @@ mod testing;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Instant;
 
 use tcgs_core::{Activated, Attribute, Camera, Gaussians, Image};
 use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::{Draw, RenderSettings, StageTimes};
 
 pub use activate::{ActivateBuffers, ActivateKernels};
 pub use adam::{AdamBuffers, AdamKernel};
@@ -37,7 +38,7 @@ pub use motion_prior::{MotionPriorKernels, PriorBuffers, prior_rows};
 pub use step::{StepUniform, adam_rates};
 
 use self::model::{Model, REPORT};
-use self::passes::Passes;
+use self::passes::{Passes, STAGES};
 use self::targets::Targets;
 use super::cpu::{Moments, Neighbors, PriorLosses, drawn};
 use super::{Engine, LossTerms, Step, Target};
@@ -96,6 +97,8 @@ pub struct GpuEngine {
     /// Submitted since the last report was asked for.
     unreported: usize,
     losses: Vec<LossTerms>,
+    /// Once it was asked for.
+    timer: Option<StageTimer>,
     /// Draws what is not trained on.
     rasterizer: GpuRasterizer,
     drawn: Option<Arc<Activated>>,
@@ -119,6 +122,7 @@ impl GpuEngine {
             reports: VecDeque::new(),
             unreported: 0,
             losses: Vec::new(),
+            timer: None,
             rasterizer: GpuRasterizer::new(gpu),
             drawn: None,
         }
@@ -397,6 +401,37 @@ impl Engine for GpuEngine {
             self.collect()?;
         }
         self.collect()
+    }
+
+    fn profile(&mut self, step: &Step<'_>) -> Result<StageTimes, TrainError> {
+        self.wait()?;
+        self.prepare()?;
+        if self.timer.is_none() {
+            self.timer = StageTimer::new(&self.gpu, &STAGES)?;
+        }
+        loop {
+            let room = self.num_pairs;
+            (self.gpu_is_ahead, self.drawn) = (true, None);
+            let uniform = self.uniform(step);
+            self.pending.push_back(Pending { uniform, camera: step.camera });
+            let timer = self.timer.take();
+            let begin = Instant::now();
+            let staged = self.submit(0, timer.as_ref())?;
+            let times = match timer.as_ref().zip(staged) {
+                Some((timer, staged)) => timer.read(&self.gpu, &staged)?,
+                None => {
+                    self.gpu.wait()?;
+                    let total = begin.elapsed().as_secs_f64() * 1e3;
+                    StageTimes { stages: vec![("iteration", total)], total }
+                }
+            };
+            self.timer = timer;
+            self.wait()?;
+            if self.num_pairs == room {
+                return Ok(times);
+            }
+            // It was repeated with more room, without a clock. Another one tells the time.
+        }
     }
 
     fn losses(&mut self) -> Result<Vec<LossTerms>, TrainError> {
