@@ -7,12 +7,13 @@ mod support;
 use std::sync::Arc;
 
 use support::{Random, gpu, relative_l2};
+use tcgs_codec::BitMap;
 use tcgs_core::{Attribute, Camera, Image, PointCloud};
 use tcgs_render::gpu::{Gpu, GpuError};
-use tcgs_train::engine::cpu::{CpuEngine, Neighbors};
+use tcgs_train::engine::cpu::{CpuEngine, FakeQuantizers, Neighbors};
 use tcgs_train::engine::gpu::GpuEngine;
 use tcgs_train::engine::{Engine, LossTerms, Step, Target};
-use tcgs_train::{Parameters, Past, Phase, Schedule, State, TrainConfig, TrainError};
+use tcgs_train::{Parameters, Past, Phase, Rates, Schedule, State, TrainConfig, TrainError};
 
 fn config() -> TrainConfig {
     TrainConfig::default()
@@ -67,6 +68,11 @@ fn with_past(mut state: State) -> State {
     state
 }
 
+fn step(camera: usize, rates: Rates, config: &TrainConfig) -> Step<'_> {
+    let (weights, mask) = (&config.weights, &config.mask);
+    Step { camera, rates, weights, mask, counts_gradients: true, moves_gaussians: true }
+}
+
 /// One iteration on each of `cameras`.
 fn run(
     engine: &mut dyn Engine,
@@ -79,15 +85,7 @@ fn run(
     let schedule = Schedule::new(config, 2.0);
     for (iteration, &camera) in cameras.iter().enumerate() {
         let rates = schedule.rates(phase, iteration);
-        let step = Step {
-            camera,
-            rates,
-            weights: &config.weights,
-            mask: &config.mask,
-            counts_gradients: true,
-            moves_gaussians: true,
-        };
-        engine.step(&step)?;
+        engine.step(&step(camera, rates, config))?;
     }
     engine.wait()?;
     engine.losses()
@@ -197,14 +195,7 @@ fn a_lost_gpu_is_an_error() {
                     gpu.device().destroy();
                 }
                 let rates = schedule.rates(Phase::First, i);
-                engine.step(&Step {
-                    camera: 0,
-                    rates,
-                    weights: &config.weights,
-                    mask: &config.mask,
-                    counts_gradients: true,
-                    moves_gaussians: true,
-                })?;
+                engine.step(&step(0, rates, &config))?;
             }
             engine.wait()
         };
@@ -218,4 +209,133 @@ fn a_lost_gpu_is_an_error() {
             assert!(matches!(error, TrainError::Gpu(GpuError::Lost(_))), "{error:?}");
         }
     }
+}
+
+/// Everything that outlives an iteration, bit for bit.
+fn bits(state: &State) -> Vec<u32> {
+    let (p, o) = (&state.parameters, &state.optimizer);
+    let mut values: Vec<f32> = Attribute::ALL.iter().flat_map(|&a| p.gaussians.values(a).to_vec()).collect();
+    values.extend(p.camera_gains.iter().chain(&p.camera_offsets).flatten());
+    values.extend(p.mask_logits.iter().chain(&state.statistic.sum));
+    let others = [&o.mask, &o.gains, &o.offsets, &o.quantizer_steps, &o.quantizer_offsets];
+    for moments in o.attributes.iter().chain(others) {
+        values.extend(moments.first.iter().chain(&moments.second));
+        values.push(moments.step as f32);
+    }
+    values.extend(state.quantizers.iter().flat_map(|q| &q.quantizers).flat_map(|q| [q.step, q.offset]));
+    values.iter().map(|v| v.to_bits()).chain(state.statistic.count.iter().copied()).collect()
+}
+
+fn quantized(mut state: State) -> State {
+    state.canonicalize_quats();
+    let gaussians = &state.parameters.gaussians;
+    let mut bit_map = BitMap::uniform(gaussians.num_gaussians(), 16, 6);
+    bit_map.widths[1].iter_mut().step_by(3).for_each(|width| *width = 8);
+    let quantizers = FakeQuantizers::new(bit_map, gaussians, true);
+    state.start_quantization(quantizers);
+    state
+}
+
+/// A camera from which the splats of [`state`] are the larger the nearer it is.
+fn target_at(distance: f64) -> Target {
+    let mut target = target([64, 48], 5, 7);
+    target.camera = Camera::look_at([0.0, 0.2, -distance], [0.0; 3], [0.0, -1.0, 0.0], 70.0, 64, 48);
+    target
+}
+
+#[test]
+fn iterations_beyond_the_room_are_repeated_bit_for_bit() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let targets = [100.0, 8.5, 5.0, 2.2].map(target_at);
+    // The first one halts, then one in the middle of a report, and the last.
+    let mut cameras = vec![0; 140];
+    for (from, camera) in [(70, 1), (127, 2), (139, 3)] {
+        cameras[from] = camera;
+    }
+    let mut start = state(60, 4, |i| i % 2 == 0);
+    start.parameters.gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s += 0.7);
+    let start = quantized(with_past(start));
+    let mut runs = [100_000, 1].map(|room| {
+        let mut engine = GpuEngine::new(&gpu, start.clone()).with_room_for(room);
+        let submissions = gpu.num_submissions();
+        let losses = run(&mut engine, &targets, &cameras, &config, Phase::Rest).unwrap();
+        assert!(engine.losses().unwrap().is_empty());
+        (losses, bits(engine.state().unwrap()), gpu.num_submissions() - submissions)
+    });
+    let [(ample, ample_state, few), (tight, tight_state, many)] = runs.each_mut();
+    eprintln!("{few} submissions with ample room, {many} without");
+    assert!(*many > *few + 64 + 58 + 1, "nothing was repeated");
+    assert_eq!((ample.len(), &*ample), (140, &*tight));
+    assert!(ample_state == tight_state, "states differ");
+}
+
+#[test]
+fn the_steady_loop_submits_once_an_iteration_and_reads_hardly_ever() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let targets = [target_at(4.0), target_at(5.0)];
+    let mut engine = GpuEngine::new(&gpu, state(50, 2, |i| i < 30)).with_room_for(10_000);
+    run(&mut engine, &targets, &[0], &config, Phase::First).unwrap();
+    let compiled = gpu.num_compiled();
+    let before = [gpu.num_submissions(), gpu.num_reads()];
+    let rates = Schedule::new(&config, 2.0).rates(Phase::First, 0);
+    for i in 0..100 {
+        engine.step(&step(i % 2, rates, &config)).unwrap();
+    }
+    assert_eq!(gpu.num_submissions() - before[0], 100);
+    assert!(gpu.num_reads() - before[1] <= 2, "{} reads", gpu.num_reads() - before[1]);
+    engine.wait().unwrap();
+    assert_eq!(engine.losses().unwrap().len(), 100);
+    assert_eq!(gpu.num_compiled(), compiled);
+}
+
+#[test]
+fn without_rates_nothing_moves_and_the_statistic_is_that_of_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let mut config = config();
+    let r = &mut config.rates;
+    for rate in [&mut r.mean, &mut r.quat, &mut r.log_scale, &mut r.logit_opacity, &mut r.color, &mut r.mask] {
+        *rate = 0.0;
+    }
+    (r.camera, r.step) = (0.0, 0.0);
+    let targets = [3.0, 4.0, 5.0].map(target_at);
+    let start = quantized(state(400, 3, |i| i % 2 == 0));
+    let cameras: Vec<usize> = (0..30).map(|i| i % 3).collect();
+    let (mut cpu, mut on_gpu) = (CpuEngine::new(start.clone()), GpuEngine::new(&gpu, start.clone()));
+    run(&mut cpu, &targets, &cameras, &config, Phase::First).unwrap();
+    run(&mut on_gpu, &targets, &cameras, &config, Phase::First).unwrap();
+    let [expected, found] = [cpu.state().unwrap(), on_gpu.state().unwrap()];
+    let counts = [expected, found].map(|s| &s.statistic.count);
+    let differing = counts[0].iter().zip(counts[1]).filter(|(a, b)| a != b).count();
+    let means = [expected, found].map(|s| -> Vec<f32> {
+        s.statistic.sum.iter().zip(&s.statistic.count).map(|(sum, &n)| sum / n.max(1) as f32).collect()
+    });
+    let error = relative_l2(&means[1], &means[0]);
+    eprintln!("statistic: relative error {error:.1e}, {differing} counts differ");
+    assert!(error < 1e-4 && differing <= 4, "{error}, {differing} counts");
+    let steps = |s: &State| {
+        let o = &s.optimizer;
+        let others = [&o.mask, &o.gains, &o.offsets, &o.quantizer_steps, &o.quantizer_offsets];
+        o.attributes.iter().chain(others).map(|m| m.step).collect::<Vec<_>>()
+    };
+    assert_eq!(steps(found), steps(expected));
+    for attribute in Attribute::ALL {
+        let (f, s) = (found.parameters.gaussians.values(attribute), start.parameters.gaussians.values(attribute));
+        assert!(relative_l2(f, s) < 1e-6, "{} moved", attribute.name());
+    }
+    assert_eq!(found.parameters.mask_logits, start.parameters.mask_logits);
+    assert_eq!(found.quantizers, start.quantizers);
+}
+
+#[test]
+fn what_does_not_fit_is_named() {
+    let Some(gpu) = gpu() else { return };
+    let mut engine = GpuEngine::new(&gpu, state(50, 1, |i| i < 30)).with_room_for(3_000_000_000);
+    let error = run(&mut engine, &[target_at(4.0)], &[0], &config(), Phase::First).unwrap_err();
+    eprintln!("{error}");
+    assert!(matches!(error, TrainError::Gpu(GpuError::Memory { .. })), "{error:?}");
+    // The GPU is still of use.
+    let mut engine = GpuEngine::new(&gpu, state(50, 1, |i| i < 30));
+    run(&mut engine, &[target_at(4.0)], &[0], &config(), Phase::First).unwrap();
 }
