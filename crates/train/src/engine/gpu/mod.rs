@@ -101,7 +101,7 @@ pub struct GpuEngine {
     timer: Option<StageTimer>,
     /// Draws what is not trained on.
     rasterizer: GpuRasterizer,
-    drawn: Option<Arc<Activated>>,
+    drawn: Option<(MaskConfig, Arc<Activated>)>,
 }
 
 impl GpuEngine {
@@ -141,11 +141,10 @@ impl GpuEngine {
 
     /// Brings memory and kernels up to `state` and the images.
     fn prepare(&mut self) -> Result<(), TrainError> {
-        if self.model.as_ref().is_none_or(|model| !model.fits(&self.state)) {
+        if self.host_is_ahead && self.model.as_ref().is_none_or(|model| !model.fits(&self.state)) {
             // The old memory is given back before new is asked for.
             (self.passes, self.prior, self.model) = (None, None, None);
             self.model = Some(Model::new(&self.gpu, &self.state)?);
-            self.host_is_ahead = true;
         }
         if self.host_is_ahead {
             self.prepare_prior()?;
@@ -314,6 +313,15 @@ impl GpuEngine {
         self.unreported = 0;
     }
 
+    /// Waits for all reports that are on their way, and takes them.
+    fn collect_all(&mut self) -> Result<(), TrainError> {
+        self.gpu.wait()?;
+        if self.reports.front().is_some_and(|report| !report.staged.is_ready()) {
+            return Err(GpuError::Lost("it is done but has reported nothing".into()).into());
+        }
+        self.collect()
+    }
+
     /// Takes the reports that have arrived.
     fn collect(&mut self) -> Result<(), TrainError> {
         while self.reports.front().is_some_and(|report| report.staged.is_ready()) {
@@ -348,9 +356,9 @@ impl GpuEngine {
 
     /// What the state draws, kept until it changes.
     fn prepare_drawn(&mut self, mask: &MaskConfig) -> Result<(), TrainError> {
-        if self.drawn.is_none() {
+        if self.drawn.as_ref().is_none_or(|(of, _)| of != mask) {
             self.state()?;
-            self.drawn = Some(Arc::new(drawn(&self.state, mask, false)));
+            self.drawn = Some((mask.clone(), Arc::new(drawn(&self.state, mask, false))));
         }
         Ok(())
     }
@@ -394,11 +402,9 @@ impl Engine for GpuEngine {
         let uniform = self.uniform(step);
         self.pending.push_back(Pending { uniform, camera: step.camera });
         self.submit(self.pending.len() - 1, None)?;
-        // Not to wait, but to hear of what has arrived.
-        let _ = self.gpu.device().poll(wgpu::PollType::Poll);
+        self.gpu.poll()?;
         while self.reports.len() > MAX_REPORTS {
-            self.gpu.wait()?;
-            self.collect()?;
+            self.collect_all()?;
         }
         self.collect()
     }
@@ -446,8 +452,7 @@ impl Engine for GpuEngine {
                 self.gpu.submit(encoder);
                 self.expect(report);
             }
-            self.gpu.wait()?;
-            self.collect()?;
+            self.collect_all()?;
         }
         Ok(())
     }
@@ -474,7 +479,7 @@ impl Engine for GpuEngine {
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
         self.prepare_drawn(mask)?;
-        let drawn = self.drawn.as_ref().expect("made above");
+        let (_, drawn) = self.drawn.as_ref().expect("made above");
         Ok(self.rasterizer.draw(drawn, camera, &RenderSettings::default())?.0.image)
     }
 }
