@@ -13,7 +13,7 @@ use tcgs_render::gpu::{Gpu, GpuError};
 use tcgs_train::engine::cpu::{CpuEngine, FakeQuantizers, Neighbors};
 use tcgs_train::engine::gpu::GpuEngine;
 use tcgs_train::engine::{Engine, LossTerms, Step, Target};
-use tcgs_train::{Parameters, Past, Phase, Rates, Schedule, State, TrainConfig, TrainError};
+use tcgs_train::{Optimizer, Parameters, Past, Phase, Rates, Schedule, State, TrainConfig, TrainError};
 
 fn config() -> TrainConfig {
     TrainConfig::default()
@@ -121,7 +121,13 @@ fn compare(
         let error = relative_l2(n, m);
         assert!(error < 1e-3, "{name}: {}: {error}", attribute.name());
     }
+    let quantizers = [f, e].map(|s| -> Vec<f32> {
+        s.quantizers.iter().flat_map(|q| &q.quantizers).flat_map(|q| [q.step, q.offset]).collect()
+    });
+    assert!(relative_l2(&quantizers[0], &quantizers[1]) < 1e-3, "{name}: quantizers");
     let [m, n] = [e, f].map(|s| &s.optimizer);
+    let counts = |o: &Optimizer| [&o.quantizer_steps, &o.quantizer_offsets].map(|m| m.step);
+    assert_eq!(counts(n), counts(m), "{name}");
     assert_eq!([m.mask.step, m.gains.step, m.offsets.step], [n.mask.step, n.gains.step, n.offsets.step], "{name}");
     assert!(relative_l2(&n.mask.first, &m.mask.first) < 2e-2, "{name}: masks");
     assert!(relative_l2(&n.gains.first, &m.gains.first) < 2e-3, "{name}: gains");
@@ -153,6 +159,20 @@ fn without_masks_and_with_one_camera() {
     let start = state(200, 1, |i| i % 2 == 0);
     compare("d3dgs", &gpu, &start, &targets, &[0; 4], &config, Phase::First);
     compare("d3dgs later", &gpu, &with_past(start), &targets, &[0; 4], &config, Phase::Rest);
+}
+
+#[test]
+fn quantised_with_and_without_offsets() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let targets = [target([40, 30], 5, 4), target([33, 20], 5, 5)];
+    for learned_offset in [true, false] {
+        let start = quantized(state(150, 2, |i| i % 2 == 0), learned_offset);
+        let name = format!("learned offsets: {learned_offset}");
+        // One iteration: in the next a code may be rounded the other way.
+        compare(&name, &gpu, &start, &targets, &[1], &config, Phase::First);
+        compare(&format!("{name}, later"), &gpu, &with_past(start), &targets, &[1], &config, Phase::Rest);
+    }
 }
 
 #[test]
@@ -226,12 +246,12 @@ fn bits(state: &State) -> Vec<u32> {
     values.iter().map(|v| v.to_bits()).chain(state.statistic.count.iter().copied()).collect()
 }
 
-fn quantized(mut state: State) -> State {
+fn quantized(mut state: State, learned_offset: bool) -> State {
     state.canonicalize_quats();
     let gaussians = &state.parameters.gaussians;
     let mut bit_map = BitMap::uniform(gaussians.num_gaussians(), 16, 6);
     bit_map.widths[1].iter_mut().step_by(3).for_each(|width| *width = 8);
-    let quantizers = FakeQuantizers::new(bit_map, gaussians, true);
+    let quantizers = FakeQuantizers::new(bit_map, gaussians, learned_offset);
     state.start_quantization(quantizers);
     state
 }
@@ -255,7 +275,7 @@ fn iterations_beyond_the_room_are_repeated_bit_for_bit() {
     }
     let mut start = state(60, 4, |i| i % 2 == 0);
     start.parameters.gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s += 0.7);
-    let start = quantized(with_past(start));
+    let start = quantized(with_past(start), true);
     let mut runs = [100_000, 1].map(|room| {
         let mut engine = GpuEngine::new(&gpu, start.clone()).with_room_for(room);
         let submissions = gpu.num_submissions();
@@ -300,7 +320,7 @@ fn without_rates_nothing_moves_and_the_statistic_is_that_of_the_cpu() {
     }
     (r.camera, r.step) = (0.0, 0.0);
     let targets = [3.0, 4.0, 5.0].map(target_at);
-    let start = quantized(state(400, 3, |i| i % 2 == 0));
+    let start = quantized(state(400, 3, |i| i % 2 == 0), true);
     let cameras: Vec<usize> = (0..30).map(|i| i % 3).collect();
     let (mut cpu, mut on_gpu) = (CpuEngine::new(start.clone()), GpuEngine::new(&gpu, start.clone()));
     run(&mut cpu, &targets, &cameras, &config, Phase::First).unwrap();
@@ -338,4 +358,32 @@ fn what_does_not_fit_is_named() {
     // The GPU is still of use.
     let mut engine = GpuEngine::new(&gpu, state(50, 1, |i| i < 30));
     run(&mut engine, &[target_at(4.0)], &[0], &config(), Phase::First).unwrap();
+}
+
+#[test]
+fn timesteps_of_other_sizes_and_channels_follow_each_other() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let start = with_past(state(80, 2, |i| i % 2 == 0));
+    let (mut cpu, mut on_gpu) = (CpuEngine::new(start.clone()), GpuEngine::new(&gpu, start));
+    for (timestep, (size, channels)) in
+        [([40, 30], 5), ([40, 30], 3), ([23, 50], 5), ([90, 20], 5)].into_iter().enumerate()
+    {
+        let targets = [0, 1].map(|i| target([size[0] + 3 * i, size[1]], channels, (10 * timestep + i) as u64));
+        let mut losses = Vec::new();
+        for engine in [&mut cpu as &mut dyn Engine, &mut on_gpu] {
+            let state = engine.state_mut().unwrap();
+            // Not what was learned: two engines are to start from the same.
+            state.parameters = with_past(self::state(80, 2, |i| i % 2 == 0)).parameters;
+            state.parameters.mask_logits[timestep] = -6.0;
+            let past = state.past.as_mut().unwrap();
+            past.previous.colors.iter_mut().for_each(|color| color[timestep % 3] += 0.1);
+            losses.push(run(engine, &targets, &[0, 1, 0], &config, Phase::Rest).unwrap());
+        }
+        for (f, e) in losses[1].iter().zip(&losses[0]) {
+            for ((term, f, _), (_, e, _)) in f.terms(&config.weights).into_iter().zip(e.terms(&config.weights)) {
+                assert!((f - e).abs() <= 2e-3 * e.abs() + 1e-5, "timestep {timestep}: {term}: {f} against {e}");
+            }
+        }
+    }
 }
