@@ -1,7 +1,7 @@
 //! The optimisation on the GPU: WGSL compute shaders, each operation a `.rs` beside its `.wgsl`.
 //!
 //! In a steady iteration the host writes two small uniforms and makes one submission; nothing is read back.
-//! Every [`REPORT`](model::REPORT) iterations the losses are copied out and arrive while later iterations run.
+//! Every 64 iterations (`REPORT`) the losses are copied out and arrive while later iterations run.
 //!
 //! An iteration that needs more pairs of tiles and splats than there is room for halts the GPU: from it on no kernel
 //! changes anything that outlives an iteration. The report says so; the host then enlarges the buffers
