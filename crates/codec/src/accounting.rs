@@ -8,6 +8,13 @@ use crate::compact::CompactScene;
 const QUANTIZER_BITS: u64 = 64;
 
 impl CompactScene {
+    /// Bytes as plain 32-bit floats: [`tcgs_core::DynamicGaussians::raw_bytes`] of what it stands for.
+    pub fn raw_bytes(&self) -> u64 {
+        let samples = |a: Attribute| if self.varies[a.index()] { self.num_timesteps() } else { 1 };
+        let per_gaussian: usize = Attribute::ALL.into_iter().map(|a| 4 * a.components() * samples(a)).sum();
+        self.num_gaussians() as u64 * per_gaussian as u64
+    }
+
     /// Bytes in the paper's sparse form, nothing entropy-coded: per track of an attribute that varies
     /// a count byte, per keypoint `ceil(log2 T)` bits of time and its code; other attributes at their
     /// bits; per Gaussian and attribute of mixed width `ceil(log2(widths in use))` bits of bit map;
@@ -19,7 +26,7 @@ impl CompactScene {
         let count_bits = if longest.unwrap_or(0) > 255 { 16 } else { 8 };
         let time_bits = ceil_log2(self.num_timesteps());
         self.bytes_with(|attribute| {
-            let varies = attribute.varies();
+            let varies = self.varies[attribute.index()];
             move |keypoints, width| {
                 if varies { count_bits + keypoints as u64 * (time_bits + width) } else { width }
             }
@@ -31,7 +38,7 @@ impl CompactScene {
     pub fn quantized_bytes(&self) -> u64 {
         let num_timesteps = self.num_timesteps() as u64;
         self.bytes_with(|attribute| {
-            let samples = if attribute.varies() { num_timesteps } else { 1 };
+            let samples = if self.varies[attribute.index()] { num_timesteps } else { 1 };
             move |_, width| samples * width
         })
     }
@@ -95,5 +102,6 @@ mod tests {
         assert_eq!(compact.plain_bytes(), (tracks + 2 + quantizers as u64).div_ceil(8));
         let samples = 5 * (6 * 16 + 8 * 4 + 3 * 4 + 3 * 8) + 8 * 4;
         assert_eq!(compact.quantized_bytes(), (samples + 2 + quantizers as u64).div_ceil(8));
+        assert_eq!(compact.raw_bytes(), scene.raw_bytes());
     }
 }

@@ -151,6 +151,8 @@ pub struct CompactScene {
     pub bit_map: BitMap,
     /// Values of the codes; one for every width in use.
     pub quantizers: Quantizers,
+    /// By [`Attribute::index`]: whether its tracks may have several keypoints.
+    pub varies: [bool; 5],
     /// By [`Attribute::index`]: codes of `N * components` tracks.
     pub tracks: [Tracks<i16>; 5],
 }
@@ -178,12 +180,14 @@ impl CompactScene {
     /// All timesteps as floats: codes dequantised, interpolated linearly, quaternions of unit length.
     pub fn reconstruct(&self) -> DynamicGaussians {
         let over_time = |attribute| (0..self.num_timesteps()).map(move |t| self.values_at(attribute, t));
+        // Scales and opacities that do not vary are held once.
+        let once = |attribute: Attribute| if self.varies[attribute.index()] { self.num_timesteps() } else { 1 };
         DynamicGaussians {
             means: over_time(Attribute::Mean).map(into_rows).collect(),
             quats: over_time(Attribute::Quat).map(into_rows).collect(),
             colors: over_time(Attribute::Color).map(into_rows).collect(),
-            log_scales: into_rows(self.values_at(Attribute::LogScale, 0)),
-            logit_opacities: self.values_at(Attribute::LogitOpacity, 0),
+            log_scales: over_time(Attribute::LogScale).take(once(Attribute::LogScale)).map(into_rows).collect(),
+            logit_opacities: over_time(Attribute::LogitOpacity).take(once(Attribute::LogitOpacity)).collect(),
         }
     }
 
@@ -279,7 +283,7 @@ impl CompactScene {
         match times {
             [] => Err("a track without keypoints"),
             [0] => Ok(()),
-            _ if !attribute.varies() => Err("several keypoints of an attribute that does not vary"),
+            _ if !self.varies[attribute.index()] => Err("several keypoints of an attribute that does not vary"),
             [0, .., last] if usize::from(*last) == self.num_timesteps() - 1 => {
                 if times.is_sorted_by(|a, b| a < b) {
                     Ok(())

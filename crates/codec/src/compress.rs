@@ -24,7 +24,8 @@ pub struct CompressSettings {
     /// By [`Attribute::index`]: mean squared error of a track at which selection stops, in the squared
     /// unit of the attribute. Default 1e-5 for positions and rotations (the paper's for scenes in metres:
     /// 3 mm, 0.4 degrees) and 5e-5 for colours (1.8 of 255): what is followed below that is noise of
-    /// the optimisation. Those of attributes that do not vary are unused.
+    /// the optimisation; 1e-4 for scales (1 percent) and 1e-3 for opacities (at most 0.008 of 1). Those of
+    /// attributes that do not vary are unused.
     pub max_mse: [f32; 5],
     /// Whether a track within `max_mse` of its mean is stored as that one value rather than as a line
     /// from first to last. Default true; most of a scene stands still. The paper keeps two keypoints.
@@ -38,6 +39,8 @@ impl Default for CompressSettings {
     fn default() -> Self {
         let mut max_mse = [1e-5; 5];
         max_mse[Attribute::Color.index()] = 5e-5;
+        max_mse[Attribute::LogScale.index()] = 1e-4;
+        max_mse[Attribute::LogitOpacity.index()] = 1e-3;
         Self { keypoints: true, max_keypoints: 60, max_mse, constant_tracks: true, noise_floor: true }
     }
 }
@@ -123,7 +126,8 @@ pub fn compress_ordered(
         }
         codes
     });
-    (CompactScene { info, bit_map, quantizers, tracks: codes }, order)
+    let varies = Attribute::ALL.map(|attribute| scene.varies(attribute));
+    (CompactScene { info, bit_map, quantizers, varies, tracks: codes }, order)
 }
 
 fn check_arguments(scene: &DynamicGaussians, bit_map: &BitMap, info: &SceneInfo) {
@@ -139,7 +143,7 @@ fn check_arguments(scene: &DynamicGaussians, bit_map: &BitMap, info: &SceneInfo)
         assert_eq!(widths.len(), n, "bit widths of {name}: [{}] against [{n}] Gaussians", widths.len());
         let illegal = widths.iter().find(|w| !(1..=MAX_BITS).contains(*w));
         assert!(illegal.is_none(), "a width of {illegal:?} bits in {name}, expected 1 to {MAX_BITS}");
-        for timestep in 0..if attribute.varies() { t } else { 1 } {
+        for timestep in 0..scene.num_samples(attribute) {
             let values = scene.values(attribute, timestep);
             assert_eq!(values.len(), n * attribute.components(), "{name} at timestep {timestep}");
             if let Some(i) = values.iter().position(|x| !x.is_finite()) {
@@ -160,7 +164,7 @@ fn float_tracks(
     reduce: impl Fn(&[f32], usize, usize, &mut Selector) -> (Vec<u16>, Vec<f32>) + Sync,
 ) -> Tracks<f32> {
     let (n, components) = (scene.num_gaussians(), attribute.components());
-    let samples = if attribute.varies() { scene.num_timesteps() } else { 1 };
+    let samples = scene.num_samples(attribute);
     let blocks: Vec<Tracks<f32>> = (0..n.div_ceil(BLOCK))
         .into_par_iter()
         .map_init(Selector::default, |selector, block| {
@@ -186,7 +190,7 @@ fn float_tracks(
 /// hemisphere, the first with `w >= 0`.
 fn gather(scene: &DynamicGaussians, attribute: Attribute, gaussians: Range<usize>) -> Vec<f32> {
     let components = attribute.components();
-    let samples = if attribute.varies() { scene.num_timesteps() } else { 1 };
+    let samples = scene.num_samples(attribute);
     let mut tracks = vec![0.0; gaussians.len() * components * samples];
     for timestep in 0..samples {
         let values = &scene.values(attribute, timestep)[gaussians.start * components..gaussians.end * components];
@@ -240,7 +244,7 @@ fn tolerances(
 ) -> Vec<Vec<f32>> {
     let max_mse = settings.max_mse[attribute.index()];
     let mut tolerances = vec![vec![max_mse; attribute.components()]; usize::from(MAX_BITS) + 1];
-    if settings.keypoints && settings.noise_floor && attribute.varies() {
+    if settings.keypoints && settings.noise_floor && scene.varies(attribute) {
         // The quantizers proper need the keypoints, which need the steps: those of three timesteps serve.
         let last = scene.num_timesteps() - 1;
         let samples = [0, last / 2, last];

@@ -26,6 +26,7 @@ fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> CompactSc
         },
         bit_map: BitMap::default(),
         quantizers: Quantizers::default(),
+        varies: Attribute::ALL.map(|_| random.next() % 2 == 0),
         tracks: Default::default(),
     };
     for attribute in Attribute::ALL {
@@ -39,7 +40,7 @@ fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> CompactSc
             .collect();
         for width in widths.iter().flat_map(|w| vec![*w; attribute.components()]) {
             let restless = random.next() % 4;
-            let times: Vec<u16> = if !attribute.varies() || num_timesteps == 1 || restless == 0 {
+            let times: Vec<u16> = if !scene.varies[index] || num_timesteps == 1 || restless == 0 {
                 vec![0]
             } else {
                 let inner = (1..num_timesteps - 1).filter(|_| restless == 3 || random.next() % 3 < restless);
@@ -222,7 +223,7 @@ fn small_scene() -> CompactScene {
     let mut quantizers = Quantizers::default();
     for attribute in Attribute::ALL {
         for _ in 0..attribute.components() {
-            if attribute.varies() {
+            if attribute.varies_in_training() {
                 tracks[attribute.index()].push(&[0, 2, 4], &[0, 0, 0]);
             } else {
                 tracks[attribute.index()].push(&[0], &[0]);
@@ -239,7 +240,8 @@ fn small_scene() -> CompactScene {
         downscale: 1,
         name: String::new(),
     };
-    CompactScene { info, bit_map: BitMap::uniform(1, 4, 4), quantizers, tracks }
+    let varies = Attribute::ALL.map(Attribute::varies_in_training);
+    CompactScene { info, bit_map: BitMap::uniform(1, 4, 4), quantizers, varies, tracks }
 }
 
 #[test]
@@ -253,6 +255,7 @@ fn values_out_of_range_are_refused_with_their_place() {
     ends(0, 12, &0_u32.to_le_bytes(), "zero");
     ends(0, 16, &f32::NAN.to_le_bytes(), "negative or not finite");
     ends(0, 20, &9_u16.to_le_bytes(), "reaches past the end");
+    ends(0, 22, &[0x20], "more attributes than there are");
     ends(1, 0, &[17], "not within 1 to 16");
     ends(1, 0, &[5], "a width without quantizers");
     // Quantizers: number of widths, width, step, offset.

@@ -1,7 +1,8 @@
 //! Floats to symbols and back.
 
 use tcgs_codec::{
-    BitMap, CompactScene, CompressSettings, Quantizer, Quantizers, SceneInfo, compress, compress_ordered, encode,
+    BitMap, CompactScene, CompressSettings, DecodeLimits, Quantizer, Quantizers, SceneInfo, compress, compress_ordered,
+    decode, encode,
 };
 use tcgs_core::{Attribute, DynamicGaussians, Gaussians, dot, normalize};
 
@@ -42,7 +43,7 @@ fn reconstruction_stays_within_tolerance() {
         // Tolerance of the tracks and error of rounding, step²/12, add up at most as lengths.
         let steps = compact.quantizers.attributes[attribute.index()].values().flatten().map(|q| f64::from(q.step));
         let step = steps.fold(0.0, f64::max);
-        let tolerance = if attribute.varies() {
+        let tolerance = if scene.varies(attribute) {
             f64::from(settings.max_mse[attribute.index()]).max((step / 4.0).powi(2))
         } else {
             0.0
@@ -77,6 +78,40 @@ fn one_timestep_is_the_scene_of_all() {
     for timestep in 0..7 {
         assert_eq!(compact.at(timestep), scene.at(timestep));
     }
+}
+
+#[test]
+fn scales_and_opacities_may_vary() {
+    let mut scene = scenes::room(200, 1);
+    for timestep in 1..12 {
+        let mut now = scene.at(0);
+        for opacity in &mut now.logit_opacities[..50] {
+            *opacity -= 0.5 * timestep as f32;
+        }
+        for scales in &mut now.log_scales[50..80] {
+            *scales = scales.map(|s| s + 0.3 * (timestep as f32).sin());
+        }
+        scene.push(now);
+    }
+    let (compact, order) = compress_all(&scene, 8, &CompressSettings::default());
+    assert_eq!(compact.varies, [true; 5]);
+    assert_eq!(compact.raw_bytes(), scene.raw_bytes());
+    let decoded = decode(&encode(&compact), &DecodeLimits::default()).unwrap();
+    assert_eq!(decoded, compact);
+    let (expected, found) = (scene.select(&order), decoded.reconstruct());
+    assert_eq!(found.at(7), decoded.at(7));
+    for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
+        assert_eq!(found.num_samples(attribute), 12);
+        let error = mse(attribute, &expected, &found);
+        assert!(error < 2e-3, "{attribute:?}: {error}");
+    }
+    // A line of 12 samples is two keypoints; three quarters of the opacities are constant.
+    let opacities = Attribute::LogitOpacity.index();
+    assert!((compact.keypoints_mean()[opacities] - 1.25).abs() < 0.05, "{:?}", compact.keypoints_mean());
+    // Their samples count: by hand, in floats and quantised.
+    assert_eq!(scene.raw_bytes(), 200 * 56 * 12);
+    let quantizers: u64 = 64 * 14;
+    assert_eq!(compact.quantized_bytes(), (200 * 12 * (3 * 16 + 11 * 8) + quantizers).div_ceil(8));
 }
 
 #[test]
@@ -134,7 +169,7 @@ fn a_learned_quantizer_is_kept_where_it_is_best() {
     let mut scene = scenes::room(400, 1);
     let learned_quantizer = Quantizer::new(0.071, -3.3, 5);
     let opacities = Attribute::LogitOpacity;
-    for x in &mut scene.logit_opacities {
+    for x in &mut scene.logit_opacities[0] {
         *x = learned_quantizer.dequantize(learned_quantizer.quantize(*x));
     }
     let mut learned = Quantizers::default();

@@ -40,8 +40,9 @@ impl Attribute {
         }
     }
 
-    /// Whether every timestep has its own value; the others are stored once.
-    pub fn varies(self) -> bool {
+    /// Whether training gives every timestep a value of its own; the others are trained once. Scenes of
+    /// other programs may differ: [`crate::DynamicGaussians::varies`].
+    pub fn varies_in_training(self) -> bool {
         matches!(self, Self::Mean | Self::Quat | Self::Color)
     }
 
@@ -58,7 +59,7 @@ mod tests {
     #[test]
     fn raw_size_counts_forty_bytes_a_timestep_and_sixteen_once() {
         let bytes = |varies| -> usize {
-            Attribute::ALL.iter().filter(|a| a.varies() == varies).map(|a| 4 * a.components()).sum()
+            Attribute::ALL.iter().filter(|a| a.varies_in_training() == varies).map(|a| 4 * a.components()).sum()
         };
         assert_eq!((bytes(true), bytes(false)), (40, 16));
         assert!(Attribute::ALL.iter().enumerate().all(|(i, a)| a.index() == i));

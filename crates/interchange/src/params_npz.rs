@@ -16,7 +16,7 @@ use std::{
     path::Path,
 };
 
-use tcgs_core::DynamicGaussians;
+use tcgs_core::{Attribute, DynamicGaussians};
 
 use crate::{InterchangeError, NpzReader, NpzWriter, npy::show_shape};
 
@@ -97,8 +97,8 @@ pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError
         means: timesteps(&means.values, num_gaussians),
         quats: timesteps(&quats, num_gaussians),
         colors: timesteps(&colors, num_gaussians),
-        logit_opacities: constant("logit_opacities", 1)?,
-        log_scales: constant("log_scales", 3)?.as_chunks().0.to_vec(),
+        logit_opacities: vec![constant("logit_opacities", 1)?],
+        log_scales: timesteps(&constant("log_scales", 3)?, num_gaussians),
     })
 }
 
@@ -135,7 +135,8 @@ pub fn write_params_npz(path: &Path, scene: &DynamicGaussians, extras: &ParamsEx
 /// What the writer reports.
 ///
 /// # Panics
-/// If the scene has no timestep or no Gaussian, or if arrays disagree in their length.
+/// If the scene has no timestep or no Gaussian, scales or opacities vary (the format holds them once), or
+/// arrays disagree in their length.
 pub fn write_params_npz_to<W: Write + Seek>(
     writer: W,
     scene: &DynamicGaussians,
@@ -145,6 +146,9 @@ pub fn write_params_npz_to<W: Write + Seek>(
     assert!(t > 0 && n > 0, "a scene of {t} timesteps of {n} gaussians");
     assert_eq!(scene.quats.len(), t, "quats: {} timesteps against {t}", scene.quats.len());
     assert_eq!(scene.colors.len(), t, "colors: {} timesteps against {t}", scene.colors.len());
+    for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
+        assert!(!scene.varies(attribute), "{} vary over {t} timesteps, params.npz holds one", attribute.name());
+    }
     let seg_colors: Vec<[f32; 3]> = match extras.foreground {
         Some(foreground) => {
             assert_eq!(foreground.len(), n, "foreground: [{}] against [{n}]", foreground.len());
@@ -163,8 +167,8 @@ pub fn write_params_npz_to<W: Write + Seek>(
     npz.array("means3D", &[t, n, 3], scene.means.iter().map(|v| v.as_flattened()))?;
     npz.array("rgb_colors", &[t, n, 3], scene.colors.iter().map(|v| v.as_flattened()))?;
     npz.array("unnorm_rotations", &[t, n, 4], scene.quats.iter().map(|v| v.as_flattened()))?;
-    npz.array("logit_opacities", &[n, 1], [scene.logit_opacities.as_slice()])?;
-    npz.array("log_scales", &[n, 3], [scene.log_scales.as_flattened()])?;
+    npz.array("logit_opacities", &[n, 1], [scene.values(Attribute::LogitOpacity, 0)])?;
+    npz.array("log_scales", &[n, 3], [scene.values(Attribute::LogScale, 0)])?;
     npz.array("seg_colors", &[n, 3], [seg_colors.as_flattened()])?;
     npz.array("cam_m", &[camera_rows, 3], [padded(extras.log_gains).as_flattened()])?;
     npz.array("cam_c", &[camera_rows, 3], [padded(extras.offsets).as_flattened()])?;
@@ -184,9 +188,9 @@ mod tests {
         };
         let mut triples = || std::array::from_fn::<[f32; 3], 3, _>(|_| std::array::from_fn(|_| next())).to_vec();
         let (means, colors) = (vec![triples(), triples()], vec![triples(), triples()]);
-        let log_scales = triples();
+        let log_scales = vec![triples()];
         let quats = (0..2).map(|_| (0..3).map(|_| std::array::from_fn(|_| next())).collect()).collect();
-        DynamicGaussians { means, quats, colors, log_scales, logit_opacities: vec![-1.0, 0.5, 2.0] }
+        DynamicGaussians { means, quats, colors, log_scales, logit_opacities: vec![vec![-1.0, 0.5, 2.0]] }
     }
 
     fn bytes(scene: &DynamicGaussians, extras: &ParamsExtras) -> Vec<u8> {
@@ -203,8 +207,8 @@ mod tests {
             ("means3D", vec![2, 3, 3], scene.means.concat().as_flattened().to_vec()),
             ("rgb_colors", vec![2, 3, 3], scene.colors.concat().as_flattened().to_vec()),
             ("unnorm_rotations", vec![2, 3, 4], scene.quats.concat().as_flattened().to_vec()),
-            ("logit_opacities", vec![3, 1], scene.logit_opacities.clone()),
-            ("log_scales", vec![3, 3], scene.log_scales.as_flattened().to_vec()),
+            ("logit_opacities", vec![3, 1], scene.logit_opacities.concat()),
+            ("log_scales", vec![3, 3], scene.log_scales.concat().as_flattened().to_vec()),
         ]
     }
 
@@ -285,7 +289,7 @@ mod tests {
         ]
         .map(|(key, (shape, values))| (key, shape, values));
         let scene = read(&arrays).unwrap();
-        assert_eq!((scene.num_timesteps(), scene.log_scales), (1, vec![[-1.0, -2.0, -3.0]]));
+        assert_eq!((scene.num_timesteps(), scene.log_scales), (1, vec![vec![[-1.0, -2.0, -3.0]]]));
     }
 
     #[test]

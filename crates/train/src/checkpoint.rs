@@ -52,7 +52,7 @@ impl Checkpoint {
         let mut npz = NpzWriter::new(writer);
         let p = &self.parameters;
         let n = p.num_gaussians() as u64;
-        for attribute in Attribute::ALL.into_iter().filter(|a| first || a.varies()) {
+        for attribute in Attribute::ALL.into_iter().filter(|a| first || a.varies_in_training()) {
             let shape = [n, attribute.components() as u64];
             let shape = if attribute.components() == 1 { &shape[..1] } else { &shape };
             put(&mut npz, attribute.name(), shape, p.gaussians.values(attribute))?;
@@ -116,7 +116,7 @@ fn read(npz: &mut Archive, first: Option<&Checkpoint>, learned_offset: bool) -> 
     let mut gaussians = Gaussians::zeros(n);
     for attribute in Attribute::ALL {
         let values = match first {
-            Some(first) if !attribute.varies() => first.parameters.gaussians.values(attribute).to_vec(),
+            Some(first) if !attribute.varies_in_training() => first.parameters.gaussians.values(attribute).to_vec(),
             _ => get(npz, attribute.name())?,
         };
         fill(attribute.name(), gaussians.values_mut(attribute), &values)?;

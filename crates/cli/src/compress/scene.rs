@@ -151,7 +151,7 @@ fn info(scene: &Scene, pruned: &DynamicGaussians) -> SceneInfo {
 /// Training may leave a value that nobody saw.
 fn check_finite(scene: &Scene, floats: &DynamicGaussians) -> anyhow::Result<()> {
     for attribute in Attribute::ALL {
-        for timestep in 0..if attribute.varies() { floats.num_timesteps() } else { 1 } {
+        for timestep in 0..floats.num_samples(attribute) {
             let values = floats.values(attribute, timestep);
             if let Some(i) = values.iter().position(|x| !x.is_finite()) {
                 let (path, name, value) = (scene.path.display(), attribute.name(), values[i]);

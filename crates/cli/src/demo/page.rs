@@ -158,7 +158,7 @@ fn keypoints_histogram(outcome: &Outcome) -> Vec<Series> {
     let compact = &outcome.compressed.compact;
     Attribute::ALL
         .into_iter()
-        .filter(|a| a.varies())
+        .filter(|a| compact.varies[a.index()])
         .map(|attribute| {
             let tracks = &compact.tracks[attribute.index()];
             let mut counts = vec![0.0; compact.num_timesteps() + 1];

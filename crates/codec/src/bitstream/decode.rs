@@ -42,16 +42,17 @@ pub(super) fn read_scene(parts: &[Part<'_>], limits: &DecodeLimits) -> Result<Co
         // The container holds every section.
         parts.iter().find(|p| p.section == section).map_or_else(|| Cursor::new(section.name, 0, &[]), Part::cursor)
     };
-    let info = read_info(cursor(section::INFO), limits)?;
+    let (info, varies) = read_info(cursor(section::INFO), limits)?;
     let bit_map = read_bit_map(cursor(section::BITS), &mut budget, &info)?;
     let quantizers = read_quantizers(cursor(section::QNTZ))?;
     let mut tracks: [Tracks<i16>; 5] = Default::default();
     for attribute in Attribute::ALL {
         let widths = &bit_map.widths[attribute.index()];
         let cursor = cursor(section::of_attribute(attribute));
-        tracks[attribute.index()] = read_tracks(cursor, &mut budget, attribute, widths, info.num_timesteps as usize)?;
+        let num_timesteps = varies[attribute.index()].then_some(info.num_timesteps as usize);
+        tracks[attribute.index()] = read_tracks(cursor, &mut budget, attribute, widths, num_timesteps)?;
     }
-    let scene = CompactScene { info, bit_map, quantizers, tracks };
+    let scene = CompactScene { info, bit_map, quantizers, varies, tracks };
     match scene.check() {
         Ok(()) => Ok(scene),
         Err(violation) => {
@@ -61,7 +62,8 @@ pub(super) fn read_scene(parts: &[Part<'_>], limits: &DecodeLimits) -> Result<Co
     }
 }
 
-fn read_info(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result<SceneInfo, DecodeError> {
+/// Counts and provenance, and which attributes vary.
+fn read_info(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result<(SceneInfo, [bool; 5]), DecodeError> {
     let num_gaussians = cursor.u32("num_gaussians")?;
     let num_timesteps = cursor.u32("num_timesteps")?;
     let counts =
@@ -77,10 +79,14 @@ fn read_info(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result<SceneInfo,
     let length = cursor.u16("name")?;
     let name = std::str::from_utf8(cursor.take("name", length.into())?);
     let name = name.map_err(|_| cursor.invalid("name", "not UTF-8"))?.to_owned();
+    let varies = cursor.u8("varying attributes")?;
+    if varies >> Attribute::ALL.len() > 0 {
+        return Err(cursor.invalid("varying attributes", "more attributes than there are"));
+    }
     let info = SceneInfo { num_gaussians, num_timesteps, first_frame, frame_rate, downscale, name };
     info.check().map_err(|violation| cursor.invalid(violation.field, violation.problem))?;
     cursor.finish()?;
-    Ok(info)
+    Ok((info, Attribute::ALL.map(|attribute| varies >> attribute.index() & 1 > 0)))
 }
 
 fn read_bit_map(mut cursor: Cursor<'_>, budget: &mut Budget, info: &SceneInfo) -> Result<BitMap, DecodeError> {
@@ -125,16 +131,17 @@ fn read_quantizers(mut cursor: Cursor<'_>) -> Result<Quantizers, DecodeError> {
 /// Keypoints of one attribute.
 ///
 /// - `widths`: `[N]`, each within 1 to 16
+/// - `num_timesteps`: none if the attribute does not vary
 fn read_tracks(
     mut cursor: Cursor<'_>,
     budget: &mut Budget,
     attribute: Attribute,
     widths: &[u8],
-    num_timesteps: usize,
+    num_timesteps: Option<usize>,
 ) -> Result<Tracks<i16>, DecodeError> {
     let components = attribute.components();
     let num_tracks = budget.reserve("tracks", (widths.len() * components) as u64 + 1, size_of::<usize>())? - 1;
-    let (starts, times) = if attribute.varies() {
+    let (starts, times) = if let Some(num_timesteps) = num_timesteps {
         read_times(&mut cursor, budget, num_tracks, num_timesteps)?
     } else {
         budget.reserve("keypoint times", num_tracks as u64, size_of::<u16>())?;
@@ -159,7 +166,7 @@ fn read_tracks(
                     tracks.track_mut(g * components + channel).1[0] = before;
                 }
             }
-            if attribute.varies() {
+            if num_timesteps.is_some() {
                 let count = gaussians.iter().map(|g| tracks.track(g * components + channel).0.len() - 1).sum();
                 let (transform, symbols) =
                     stream::read(&mut cursor, budget, "later codes", &LATER_CODES, count, symbol_bytes)?;

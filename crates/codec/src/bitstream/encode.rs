@@ -51,6 +51,7 @@ fn info_section(scene: &CompactScene) -> Vec<u8> {
     bytes.extend(info.frame_rate.to_le_bytes());
     bytes.extend((info.name.len() as u16).to_le_bytes());
     bytes.extend(info.name.as_bytes());
+    bytes.push(scene.varies.iter().enumerate().map(|(index, &varies)| u8::from(varies) << index).sum());
     bytes
 }
 
@@ -90,7 +91,7 @@ fn tracks_section(scene: &CompactScene, attribute: Attribute) -> Vec<u8> {
     let tracks = &scene.tracks[attribute.index()];
     let components = attribute.components();
     let mut streams: Vec<Vec<(Transform, Planes)>> = Vec::new();
-    if attribute.varies() {
+    if scene.varies[attribute.index()] {
         let symbol_bytes = bytes_of_time(scene.num_timesteps());
         streams.push(vec![(Transform::Plain, counts(tracks, symbol_bytes))]);
         streams.push(vec![(Transform::Plain, gaps(tracks, symbol_bytes))]);
@@ -110,7 +111,7 @@ fn tracks_section(scene: &CompactScene, attribute: Attribute) -> Vec<u8> {
                     })
                 }));
             }
-            if attribute.varies() {
+            if scene.varies[attribute.index()] {
                 let count = of_channel().map(|(_, codes)| codes.len() - 1).sum();
                 streams.push(candidates(&LATER_CODES, count, symbol_bytes, |transform| {
                     let mut neighbor = Neighbor::default();

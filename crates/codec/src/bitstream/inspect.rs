@@ -42,6 +42,8 @@ pub struct Contents {
     pub bits_histogram: [BTreeMap<u8, usize>; 5],
     /// By [`Attribute::index`]: mean number of keypoints of a track.
     pub keypoints_mean: [f64; 5],
+    /// Size as plain 32-bit floats: [`crate::CompactScene::raw_bytes`].
+    pub raw_bytes: u64,
     /// Size in the paper's sparse form: [`crate::CompactScene::plain_bytes`].
     pub plain_bytes: u64,
 }
@@ -90,6 +92,7 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
         file_info.contents = Some(Contents {
             bits_histogram: scene.bit_map.histogram(),
             keypoints_mean: scene.keypoints_mean(),
+            raw_bytes: scene.raw_bytes(),
             plain_bytes: scene.plain_bytes(),
             info: scene.info,
         });
