@@ -26,7 +26,7 @@ fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> CompactSc
         },
         bit_map: BitMap::default(),
         quantizers: Quantizers::default(),
-        varies: Attribute::ALL.map(|_| random.next() % 2 == 0),
+        varies: Attribute::ALL.map(|_| random.next().is_multiple_of(2)),
         tracks: Default::default(),
     };
     for attribute in Attribute::ALL {
