@@ -14,7 +14,7 @@ use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
 pub(crate) const MAX_TIMESTEPS: u32 = 1 << 16;
 
 /// What a file says besides symbols.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneInfo {
     /// `N`.
     pub num_gaussians: u32,
@@ -26,12 +26,55 @@ pub struct SceneInfo {
     pub frame_rate: f32,
     /// Factor by which the capture's images were shrunk for training, at least 1.
     pub downscale: u32,
-    /// Any text, at most 65535 bytes.
+    /// Of the capture: any text, at most 65535 bytes.
     pub name: String,
+    /// What wrote the file: any text, at most 65535 bytes.
+    pub generator: String,
+    /// What the colours mean.
+    pub color_space: ColorSpace,
+    /// Which way is up.
+    pub up: UpAxis,
+}
+
+/// What the numbers of a colour mean.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ColorSpace {
+    /// Display-referred sRGB, blended as stored.
+    #[default]
+    Srgb = 0,
+    /// Linear light with the primaries of sRGB.
+    LinearSrgb = 1,
+}
+
+impl ColorSpace {
+    /// All, by their number in a file.
+    pub(crate) const ALL: [Self; 2] = [Self::Srgb, Self::LinearSrgb];
+}
+
+/// The axis that points up. The coordinate system is right-handed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+#[allow(missing_docs)]
+pub enum UpAxis {
+    #[default]
+    Unknown = 0,
+    PlusX = 1,
+    PlusY = 2,
+    PlusZ = 3,
+    MinusX = 4,
+    MinusY = 5,
+    MinusZ = 6,
+}
+
+impl UpAxis {
+    /// All, by their number in a file.
+    pub(crate) const ALL: [Self; 7] =
+        [Self::Unknown, Self::PlusX, Self::PlusY, Self::PlusZ, Self::MinusX, Self::MinusY, Self::MinusZ];
 }
 
 impl SceneInfo {
-    /// The counts of a scene; frame 0, 30 frames per second, full size, no name.
+    /// The counts of a scene; frame 0, 30 frames per second, full size, no name, this crate as generator.
     pub fn of(scene: &DynamicGaussians) -> Self {
         Self {
             num_gaussians: scene.num_gaussians() as u32,
@@ -40,12 +83,15 @@ impl SceneInfo {
             frame_rate: 30.0,
             downscale: 1,
             name: String::new(),
+            generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
+            color_space: ColorSpace::default(),
+            up: UpAxis::default(),
         }
     }
 
     /// The rules for what is known before any symbol.
     pub(crate) fn check(&self) -> Result<(), Violation> {
-        let SceneInfo { num_timesteps, frame_rate, downscale, ref name, .. } = *self;
+        let SceneInfo { num_timesteps, frame_rate, downscale, ref name, ref generator, .. } = *self;
         let violation = |field, problem| Err(Violation { attribute: None, field, problem });
         if !(1..=MAX_TIMESTEPS).contains(&num_timesteps) {
             violation("num_timesteps", "not within 1 to 65536")
@@ -55,6 +101,8 @@ impl SceneInfo {
             violation("downscale", "zero")
         } else if name.len() > usize::from(u16::MAX) {
             violation("name", "longer than 65535 bytes")
+        } else if generator.len() > usize::from(u16::MAX) {
+            violation("generator", "longer than 65535 bytes")
         } else {
             Ok(())
         }
@@ -153,6 +201,11 @@ pub struct CompactScene {
     pub quantizers: Quantizers,
     /// By [`Attribute::index`]: whether its tracks may have several keypoints.
     pub varies: [bool; 5],
+    /// How many Gaussians each layer has, the most important layer first: a scene of the first layers
+    /// alone is coarser. At most 65535 layers, none empty.
+    pub layers: Vec<u32>,
+    /// Timesteps of a segment, which decodes alone; the last may be shorter. 1 to 65536.
+    pub segment_length: u32,
     /// By [`Attribute::index`]: codes of `N * components` tracks.
     pub tracks: [Tracks<i16>; 5],
 }
@@ -235,6 +288,7 @@ impl CompactScene {
     /// timestep (or are 0 alone: constant), codes fit their widths.
     pub(crate) fn check(&self) -> Result<(), Violation> {
         self.info.check()?;
+        check_division(self.info.num_gaussians, &self.layers, self.segment_length)?;
         Attribute::ALL.into_iter().try_for_each(|attribute| {
             let violation = |field, problem| Violation { attribute: Some(attribute), field, problem };
             self.check_quantizers(attribute)?;
@@ -293,6 +347,21 @@ impl CompactScene {
             }
             _ => Err("not from the first to the last timestep"),
         }
+    }
+}
+
+/// The rules for layers and segments.
+pub(crate) fn check_division(num_gaussians: u32, layers: &[u32], segment_length: u32) -> Result<(), Violation> {
+    let violation = |field, problem| Err(Violation { attribute: None, field, problem });
+    let sum: u64 = layers.iter().map(|&n| u64::from(n)).sum();
+    if sum != u64::from(num_gaussians) {
+        violation("layers", "not as many Gaussians as the scene")
+    } else if layers.contains(&0) || layers.len() > usize::from(u16::MAX) {
+        violation("layers", "an empty one or more than 65535")
+    } else if !(1..=MAX_TIMESTEPS).contains(&segment_length) {
+        violation("segment_length", "not within 1 to 65536")
+    } else {
+        Ok(())
     }
 }
 

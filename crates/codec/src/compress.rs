@@ -33,6 +33,8 @@ pub struct CompressSettings {
     /// Whether the tolerance is at least `(step/4)²`: an error below that of rounding to the
     /// quantizer, `step²/12`, is not worth a keypoint. Default true; not in the paper.
     pub noise_floor: bool,
+    /// Timesteps of a segment, 1 to 65536.
+    pub segment_length: u32,
 }
 
 impl Default for CompressSettings {
@@ -41,14 +43,14 @@ impl Default for CompressSettings {
         max_mse[Attribute::Color.index()] = 5e-5;
         max_mse[Attribute::LogScale.index()] = 1e-4;
         max_mse[Attribute::LogitOpacity.index()] = 1e-3;
-        Self { keypoints: true, max_keypoints: 60, max_mse, constant_tracks: true, noise_floor: true }
+        Self { keypoints: true, max_keypoints: 60, max_mse, constant_tracks: true, noise_floor: true, segment_length: 50 }
     }
 }
 
 impl CompressSettings {
     /// The paper's for Panoptic Sports: 30 keypoints, 1e-5 for everything.
     pub fn paper() -> Self {
-        Self { keypoints: true, max_keypoints: 30, max_mse: [1e-5; 5], constant_tracks: false, noise_floor: false }
+        Self { keypoints: true, max_keypoints: 30, max_mse: [1e-5; 5], constant_tracks: false, noise_floor: false, segment_length: 50 }
     }
 }
 
@@ -127,7 +129,9 @@ pub fn compress_ordered(
         codes
     });
     let varies = Attribute::ALL.map(|attribute| scene.varies(attribute));
-    (CompactScene { info, bit_map, quantizers, varies, tracks: codes }, order)
+    let layers = if order.is_empty() { Vec::new() } else { vec![order.len() as u32] };
+    let segment_length = settings.segment_length;
+    (CompactScene { info, bit_map, quantizers, varies, layers, segment_length, tracks: codes }, order)
 }
 
 fn check_arguments(scene: &DynamicGaussians, bit_map: &BitMap, info: &SceneInfo) {
