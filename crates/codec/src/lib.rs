@@ -21,9 +21,9 @@ mod morton;
 mod parallel;
 mod quantize;
 
-pub use bits::{BitMap, BitMapping, BitSettings};
 #[cfg(feature = "encode")]
 pub use bits::assign_bits;
+pub use bits::{BitMap, BitMapping, BitSettings};
 #[cfg(feature = "encode")]
 pub use bitstream::encode;
 pub use bitstream::{

@@ -39,7 +39,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65536))]
     max_keypoints: Option<u32>,
     /// Mean squared error of a track at which no more keypoints are added
-    /// [default: 1e-5, colours 5e-5; paper: 1e-5]
+    /// [default: positions 2.5e-6, rotations 4e-5, colours 2e-4; paper: 1e-5]
     #[arg(long, value_name = "MSE", value_parser = not_negative, allow_negative_numbers = true)]
     max_mse: Option<f32>,
     /// Store every timestep
@@ -49,7 +49,7 @@ pub struct Arguments {
     /// [default: those learned, else 4,8]
     #[arg(long, value_name = "MIN,MAX", value_parser = options::bits)]
     bits: Option<Pair<u8>>,
-    /// Bits of a position's coordinate [default: 16]
+    /// Bits of a position's coordinate [default: by the sizes of the scene and its Gaussians; paper: 16]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=16))]
     position_bits: Option<u8>,
     /// Leave out Gaussians whose mean mask is not above this [default: the run's mask.threshold]
@@ -142,6 +142,12 @@ fn settings(arguments: &Arguments) -> Settings {
         PresetName::Default => (CompressSettings::default(), BitMapping::Log),
     };
     keypoints.keypoints = !arguments.no_keypoints;
+    if arguments.bits.is_some() {
+        keypoints.coarser = [0; 5];
+    }
+    if arguments.position_bits.is_some() {
+        keypoints.position_fineness = 0.0;
+    }
     if let Some(max_keypoints) = arguments.max_keypoints {
         keypoints.max_keypoints = max_keypoints as usize;
     }

@@ -90,9 +90,7 @@ impl Archive {
                 container::FIXED_BYTES + index * container::ENTRY_BYTES
             });
             found
-                .filter(|(_, e)| {
-                    (e.tag, usize::from(e.segment), usize::from(e.layer)) == (tag, segment, layer)
-                })
+                .filter(|(_, e)| (e.tag, usize::from(e.segment), usize::from(e.layer)) == (tag, segment, layer))
                 .ok_or_else(|| Cursor::new("header", place as u64, &[]).invalid("tag", "not the section that is due"))
         };
         let shared = usize::from(SHARED);
@@ -210,7 +208,10 @@ impl Archive {
     /// If there are not so many.
     pub fn segment_range(&self, segment: usize, layers: usize) -> Range<u64> {
         let (num_layers, num_segments) = (self.num_layers(), self.num_segments());
-        assert!(layers <= num_layers && segment < num_segments, "{layers} of {num_layers}, {segment} of {num_segments}");
+        assert!(
+            layers <= num_layers && segment < num_segments,
+            "{layers} of {num_layers}, {segment} of {num_segments}"
+        );
         let first = num_layers * (1 + segment);
         self.range_of(first..first + layers)
     }
@@ -232,7 +233,8 @@ impl Archive {
                 let range = (entry.range.start - offset) as usize..(entry.range.end - offset) as usize;
                 let section = bytes.get(range);
                 let early = || {
-                    Cursor::new(section::name(entry.tag), entry.range.start, &[]).invalid("length", "the file ends early")
+                    Cursor::new(section::name(entry.tag), entry.range.start, &[])
+                        .invalid("length", "the file ends early")
                 };
                 entry.open(section.ok_or_else(early)?)
             })

@@ -26,11 +26,8 @@ const TARGETS: [[i32; NUM_SYMBOLS]; NUM_SYMBOLS] = {
     while symbol < NUM_SYMBOLS {
         let mut i = 1;
         while i < NUM_SYMBOLS {
-            targets[symbol][i] = if i <= symbol {
-                i as i32 * MIN_FREQUENCY
-            } else {
-                ONE - (NUM_SYMBOLS - i) as i32 * MIN_FREQUENCY
-            };
+            targets[symbol][i] =
+                if i <= symbol { i as i32 * MIN_FREQUENCY } else { ONE - (NUM_SYMBOLS - i) as i32 * MIN_FREQUENCY };
             i += 1;
         }
         symbol += 1;
@@ -56,11 +53,8 @@ impl Model {
         let each = (ONE - rest) / num_symbols as i32;
         let mut i = 1;
         while i < NUM_SYMBOLS {
-            cumulative[i] = if i < num_symbols {
-                i as i32 * each
-            } else {
-                ONE - (NUM_SYMBOLS - i) as i32 * MIN_FREQUENCY
-            };
+            cumulative[i] =
+                if i < num_symbols { i as i32 * each } else { ONE - (NUM_SYMBOLS - i) as i32 * MIN_FREQUENCY };
             i += 1;
         }
         Self { cumulative, age: 1 }
@@ -165,7 +159,12 @@ impl<'a> Decoder<'a> {
         let (words, rest) = words.as_chunks();
         let state = u64::from_le_bytes(*state);
         let legal = (LOWEST..LOWEST << 32).contains(&state);
-        Self { state: if legal { state } else { LOWEST }, words: words.iter(), whole: rest.is_empty(), exhausted: !legal }
+        Self {
+            state: if legal { state } else { LOWEST },
+            words: words.iter(),
+            whole: rest.is_empty(),
+            exhausted: !legal,
+        }
     }
 
     #[inline(always)]

@@ -61,7 +61,8 @@ pub(super) fn join(archive: &Archive, segments: &[Segment]) -> Result<CompactSce
         tracks: tracks.try_into().expect("five attributes"),
     };
     scene.check().map(|()| scene).map_err(|violation| {
-        Cursor::new(violation.attribute.map_or("info", Attribute::name), 0, &[]).invalid(violation.field, violation.problem)
+        Cursor::new(violation.attribute.map_or("info", Attribute::name), 0, &[])
+            .invalid(violation.field, violation.problem)
     })
 }
 

@@ -130,10 +130,7 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
 ///
 /// # Errors
 /// [`DecodeError`] if the header or one of these sections is damaged.
-pub fn application_data<'a>(
-    file: &'a [u8],
-    limits: &DecodeLimits,
-) -> Result<Vec<(String, &'a [u8])>, DecodeError> {
+pub fn application_data<'a>(file: &'a [u8], limits: &DecodeLimits) -> Result<Vec<(String, &'a [u8])>, DecodeError> {
     let archive = decode::open_whole(file, limits)?;
     let of_section = |entry: &section::Entry| {
         let mut cursor: Cursor<'a> = entry.open(&file[entry.range.start as usize..entry.range.end as usize])?;

@@ -23,7 +23,8 @@ pub(super) struct Neighbors {
 
 impl Neighbors {
     /// Memory that a Gaussian takes.
-    pub(super) const BYTES_PER_GAUSSIAN: usize = size_of::<[u32; 2]>() + size_of::<[u16; 3]>() + size_of::<(u64, u32)>();
+    pub(super) const BYTES_PER_GAUSSIAN: usize =
+        size_of::<[u32; 2]>() + size_of::<[u16; 3]>() + size_of::<(u64, u32)>();
 
     pub(super) fn of(&self, gaussian: usize) -> [u32; 2] {
         self.nearest[gaussian]
@@ -34,8 +35,7 @@ impl Neighbors {
         let start = self.points.len();
         self.points.extend(points);
         let layer: Range<usize> = start..self.points.len();
-        let keys: Vec<(u64, u32)> =
-            layer.clone().map(|g| (morton::interleave(self.points[g]), g as u32)).collect();
+        let keys: Vec<(u64, u32)> = layer.clone().map(|g| (morton::interleave(self.points[g]), g as u32)).collect();
         for (gaussian, &(key, _)) in layer.clone().zip(&keys) {
             let place = self.along_curve.partition_point(|&(k, _)| k < key);
             let around = place.saturating_sub(REACH)..(place + REACH).min(self.along_curve.len());
