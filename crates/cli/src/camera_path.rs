@@ -31,12 +31,9 @@ impl CameraPath {
     ///
     /// They look at the median of the Gaussians' centres. Up is `−y`, as in the captures' worlds.
     pub fn cameras(self, gaussians: &Gaussians, count: usize, size: Size) -> Vec<Camera> {
-        let center: [f64; 3] =
-            std::array::from_fn(|axis| quantile(gaussians.means.iter().map(|m| f64::from(m[axis])).collect(), 0.5));
-        let distance = |m: &[f32; 3]| (0..3).map(|i| (f64::from(m[i]) - center[i]).powi(2)).sum::<f64>().sqrt();
+        let (center, radius) = extent(gaussians);
         // A scene of one point still has to be looked at from somewhere.
-        let radius = quantile(gaussians.means.iter().map(distance).collect(), WITHIN).max(1e-3);
-        let radius = DISTANCE * radius;
+        let radius = DISTANCE * radius.max(1e-3);
         let focal_px = 0.5 * size.width as f64 / (FIELD_OF_VIEW / 2.0).tan();
         (0..count)
             .map(|i| {
@@ -51,6 +48,14 @@ impl CameraPath {
             })
             .collect()
     }
+}
+
+/// Middle of a scene, the median of its Gaussians' centres, and its radius, within which most of them lie.
+pub fn extent(gaussians: &Gaussians) -> ([f64; 3], f64) {
+    let center: [f64; 3] =
+        std::array::from_fn(|axis| quantile(gaussians.means.iter().map(|m| f64::from(m[axis])).collect(), 0.5));
+    let distance = |m: &[f32; 3]| (0..3).map(|i| (f64::from(m[i]) - center[i]).powi(2)).sum::<f64>().sqrt();
+    (center, quantile(gaussians.means.iter().map(distance).collect(), WITHIN))
 }
 
 /// The value that a share of the values lies below; 0 of none.

@@ -4,6 +4,7 @@
 //! An error is printed once, below, as one line.
 
 mod backend;
+mod bench;
 mod camera_path;
 mod compress;
 mod demo;
@@ -50,6 +51,7 @@ enum Command {
     Render(render::Arguments),
     Eval(eval::Arguments),
     Export(export::Arguments),
+    Bench(bench::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -66,6 +68,7 @@ fn main() -> ExitCode {
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
+        Command::Bench(arguments) => bench::run(&arguments),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

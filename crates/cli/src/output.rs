@@ -168,6 +168,12 @@ fn foreign_file(folder: &Path, is_ours: fn(&Path) -> bool) -> io::Result<Option<
     Ok(None)
 }
 
+/// Whether a file is named by a number and `ending`.
+pub fn is_numbered(path: &Path, ending: &str) -> bool {
+    let name = path.file_name().and_then(OsStr::to_str).unwrap_or_default();
+    name.strip_suffix(ending).is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
 fn exists(path: &Path) -> anyhow::Error {
     wrong_input(format!("{}: exists already, expected a new name or --force to replace it", path.display()))
 }

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::Context;
 use serde_json::json;
@@ -13,9 +14,9 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::camera_path::CameraPath;
 use crate::error::wrong_input;
 use crate::options::{Frames, JobOptions, Size};
-use crate::output::{NewFolder, say};
+use crate::output::{NewFolder, is_numbered, say};
 use crate::progress::Progress;
-use crate::scene::Scene;
+use crate::scene::{Scene, SceneOptions};
 
 /// Size of pictures along a path.
 const PATH_SIZE: Size = Size { width: 640, height: 360 };
@@ -30,8 +31,10 @@ Example:
   tcgs render scene.tcgs --out frames --path spiral --size 1280x720
   tcgs render my_run --out frames --cameras my_capture --frames 0..10")]
 pub struct Arguments {
-    /// .tcgs file, run folder or params.npz
+    /// .tcgs file, run folder, params.npz or folder of PLY files
     scene: PathBuf,
+    #[command(flatten)]
+    reading: SceneOptions,
     /// Folder for the PNG files
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -60,7 +63,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
     let folder = NewFolder::begin(&arguments.out, arguments.job.force, is_png)?;
     let capture = arguments.cameras.as_ref().map(|path| Capture::open(path)).transpose()?;
-    let scene = Scene::load(&arguments.scene)?;
+    let scene = Scene::load(&arguments.scene, arguments.reading)?;
     let frames = scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?;
     say(&scene.describe())?;
 
@@ -117,8 +120,7 @@ fn check_kinds(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// What rendering writes, and so may replace: `000123.png`.
 fn is_png(path: &Path) -> bool {
-    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-    name.strip_suffix(".png").is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_digit()))
+    is_numbered(path, ".png")
 }
 
 fn cameras(capture: &Capture, scene: &Scene, frame: usize, size: Option<Size>) -> anyhow::Result<Vec<(usize, Camera)>> {
@@ -134,8 +136,8 @@ fn cameras(capture: &Capture, scene: &Scene, frame: usize, size: Option<Size>) -
     Ok(cameras)
 }
 
-fn write_png(renderer: &dyn Draw, drawn: &Activated, camera: &Camera, path: &Path) -> anyhow::Result<()> {
-    let output = renderer.draw(drawn, camera, &RenderSettings::default())?;
+fn write_png(renderer: &dyn Draw, drawn: &Arc<Activated>, camera: &Camera, path: &Path) -> anyhow::Result<()> {
+    let (output, _) = renderer.draw(drawn, camera, &RenderSettings::default())?;
     let (width, height) = (camera.width as u32, camera.height as u32);
     image::save_buffer(path, &output.image.to_rgb8(), width, height, image::ColorType::Rgb8)
         .with_context(|| format!("writing {}", path.display()))

@@ -1,18 +1,29 @@
-//! What commands call a SCENE: a `.tcgs` file, a run folder, or a `params.npz`.
+//! What commands call a SCENE: a `.tcgs` file, a run folder, a `params.npz`, or PLY files.
 
 use std::fs;
 use std::io::Read;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use clap::Args;
 use tcgs_codec::{CompactScene, DecodeLimits};
 use tcgs_core::{Activated, DynamicGaussians, Gaussians, activate};
+use tcgs_interchange::{HigherHarmonics, InterchangeError, ParamsOrigin};
 use tcgs_train::{Run, TrainedScene};
 
 use crate::error::{is_wrong_path, wrong_input};
 
 /// What a SCENE may be, for messages.
-const EXPECTED: &str = "a .tcgs file, a run folder or a params.npz";
+const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz or PLY files";
+
+/// How a SCENE is read.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub struct SceneOptions {
+    /// Of PLY files, leave out spherical harmonics above degree 0: colours stop depending on the view
+    #[arg(long)]
+    pub drop_sh: bool,
+}
 
 /// A scene, wherever it comes from.
 pub struct Scene {
@@ -36,15 +47,24 @@ pub enum Model {
     Compact(Box<CompactScene>),
     /// A run, with its masks.
     Run(Box<(Run, TrainedScene)>),
-    /// A `params.npz`.
-    Params(Box<DynamicGaussians>),
+    /// Nothing but floats.
+    Floats {
+        /// All of them.
+        scene: Box<DynamicGaussians>,
+        /// What other program's files they are from, in words.
+        kind: &'static str,
+    },
 }
 
 impl Scene {
     /// Loads a scene.
-    pub fn load(path: &Path) -> anyhow::Result<Self> {
+    pub fn load(path: &Path, options: SceneOptions) -> anyhow::Result<Self> {
         if path.is_dir() {
-            return Self::load_run(path);
+            return if !Run::is_run(path) && is_ply_folder(path) {
+                Self::load_ply(path, options)
+            } else {
+                Self::load_run(path)
+            };
         }
         match kind_of_file(path)? {
             Kind::Tcgs => {
@@ -53,10 +73,35 @@ impl Scene {
             }
             Kind::Npz => {
                 let scene = tcgs_interchange::read_params_npz(path)?;
-                let bytes = scene.raw_bytes();
-                let model = Model::Params(Box::new(scene));
-                Ok(Self { path: path.into(), model, first_frame: 0, downscale: 1, frame_rate: 30.0, bytes })
+                let unknown = ParamsOrigin { first_frame: 0, downscale: 1, frame_rate: 30.0 };
+                let origin = tcgs_interchange::read_params_origin(path)?.unwrap_or(unknown);
+                Ok(Self::of_floats(path, scene, "Dynamic 3D Gaussians parameters", origin))
             }
+            Kind::Ply => Self::load_ply(path, options),
+        }
+    }
+
+    fn load_ply(path: &Path, options: SceneOptions) -> anyhow::Result<Self> {
+        let harmonics = if options.drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Refuse };
+        let sequence = tcgs_interchange::read_ply_sequence(path, harmonics).map_err(|error| match error {
+            InterchangeError::HigherHarmonics { .. } => {
+                wrong_input(format!("{error}, or --drop-sh to do without the others"))
+            }
+            other => other.into(),
+        })?;
+        let first_frame = sequence.first_frame.unwrap_or(0);
+        let origin = ParamsOrigin { first_frame, downscale: 1, frame_rate: 30.0 };
+        Ok(Self::of_floats(path, sequence.scene, "PLY files", origin))
+    }
+
+    fn of_floats(path: &Path, scene: DynamicGaussians, kind: &'static str, origin: ParamsOrigin) -> Self {
+        Self {
+            path: path.into(),
+            bytes: scene.raw_bytes(),
+            model: Model::Floats { scene: Box::new(scene), kind },
+            first_frame: origin.first_frame as usize,
+            downscale: origin.downscale as usize,
+            frame_rate: f64::from(origin.frame_rate),
         }
     }
 
@@ -77,12 +122,8 @@ impl Scene {
 
     fn load_run(path: &Path) -> anyhow::Result<Self> {
         if !Run::is_run(path) {
-            let problem = if is_ply_folder(path) {
-                format!("a folder of PLY files, which this version does not read yet, expected {EXPECTED}")
-            } else {
-                format!("a folder without config.toml, expected {EXPECTED}")
-            };
-            return Err(wrong_input(format!("{}: {problem}", path.display())));
+            let problem = "a folder without config.toml and without PLY files";
+            return Err(wrong_input(format!("{}: {problem}, expected {EXPECTED}", path.display())));
         }
         let run = Run::open(path)?;
         let trained = run.trained()?;
@@ -102,7 +143,7 @@ impl Scene {
         match &self.model {
             Model::Compact(compact) => compact.num_gaussians(),
             Model::Run(run) => run.1.scene.num_gaussians(),
-            Model::Params(scene) => scene.num_gaussians(),
+            Model::Floats { scene, .. } => scene.num_gaussians(),
         }
     }
 
@@ -111,7 +152,7 @@ impl Scene {
         match &self.model {
             Model::Compact(compact) => compact.num_timesteps(),
             Model::Run(run) => run.1.scene.num_timesteps(),
-            Model::Params(scene) => scene.num_timesteps(),
+            Model::Floats { scene, .. } => scene.num_timesteps(),
         }
     }
 
@@ -142,20 +183,20 @@ impl Scene {
         match &self.model {
             Model::Compact(compact) => compact.at(timestep),
             Model::Run(run) => run.1.scene.at(timestep),
-            Model::Params(scene) => scene.at(timestep),
+            Model::Floats { scene, .. } => scene.at(timestep),
         }
     }
 
     /// One timestep as it is drawn: of a run, the floats before pruning without what is masked.
-    pub fn drawn(&self, timestep: usize) -> Activated {
+    pub fn drawn(&self, timestep: usize) -> Arc<Activated> {
         let gaussians = self.at(timestep);
         match &self.model {
             Model::Run(run) if run.0.config().mask.enabled => {
                 let masked = tcgs_train::masked_out(&run.1.mask_logits[timestep], run.0.config().mask.threshold);
                 let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
-                activate(&gaussians.select(&shown))
+                Arc::new(activate(&gaussians.select(&shown)))
             }
-            _ => activate(&gaussians),
+            _ => Arc::new(activate(&gaussians)),
         }
     }
 
@@ -164,7 +205,7 @@ impl Scene {
         let kind = match &self.model {
             Model::Compact(_) => "compressed file",
             Model::Run(_) => "run folder",
-            Model::Params(_) => "Dynamic 3D Gaussians parameters",
+            Model::Floats { kind, .. } => kind,
         };
         format!(
             "{} ({kind}): {} Gaussians, {} timesteps, {}",
@@ -179,6 +220,7 @@ impl Scene {
 enum Kind {
     Tcgs,
     Npz,
+    Ply,
 }
 
 /// By its name, so that a damaged file is judged as what it was meant to be; else by its first bytes.
@@ -189,8 +231,10 @@ fn kind_of_file(path: &Path) -> anyhow::Result<Kind> {
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
         "tcgs" => Ok(Kind::Tcgs),
         "npz" => Ok(Kind::Npz),
+        "ply" => Ok(Kind::Ply),
         _ if start == b"TCGS" => Ok(Kind::Tcgs),
         _ if start == b"PK\x03\x04" => Ok(Kind::Npz),
+        _ if start.starts_with(b"ply") => Ok(Kind::Ply),
         _ => Err(wrong_input(format!("{}: a file of another kind, expected {EXPECTED}", path.display()))),
     }
 }

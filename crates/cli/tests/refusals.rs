@@ -36,6 +36,12 @@ fn wrong_usage_is_one_line() {
     refuse(&["compress", "x", "--max-mse", "nan"], &["0 or more"]);
     refuse(&["compress", "x", "--no-keypoints", "--max-mse", "1"], &["cannot be used with"]);
     refuse(&["render", "x", "--out", "d", "--size", "0x4"], &["WIDTHxHEIGHT"]);
+    refuse(&["bench", "--size", "64x48,4"], &["'4'", "WIDTHxHEIGHT"]);
+    refuse(&["bench", "--gaussians", "0"], &["'0'", "1 or more"]);
+    refuse(&["bench", "--capture", capture, "--gaussians", "9"], &["cannot be used with"]);
+    refuse(&["bench", "--downscale", "2"], &["--capture <CAPTURE>"]);
+    refuse(&["bench", "--capture", "nowhere"], &["nowhere", "no such folder", "train_meta.json"]);
+    refuse(&["bench", "--backend", "cpu", "--capture", capture, "--downscale", "99"], &["48x36", "99"]);
     assert!(!Path::new("r").exists());
     let help = succeed(&["train", "--help"]);
     assert!(help.contains("Example:") && help.contains("--resume"), "{help}");
@@ -54,12 +60,7 @@ fn what_does_not_exist_yet_says_so() {
     refuse(&["compress", text(&run), "--target-psnr", "30"], &["--target-psnr 30", "not in this version"]);
     refuse(&["render", text(&run), "--out", "clip.mp4"], &["clip.mp4", "no video"]);
     refuse(&["render", text(&run), "--out", text(&out), "--cameras", "t/transforms.json"], &["transforms.json"]);
-    refuse(&["export", text(&run), "--to", text(&out)], &["expected NAME.npz"]);
-    refuse(&["export", text(&run), "--to", "a.ply"], &["a.ply", "expected NAME.npz"]);
-    let plys = folder.path().join("plys");
-    fs::create_dir(&plys).unwrap();
-    fs::write(plys.join("000000.ply"), b"ply").unwrap();
-    refuse(&["compress", text(&plys)], &["plys", "PLY", "expected a .tcgs file, a run folder or a params.npz"]);
+    refuse(&["export", text(&run), "--to", "a.gltf"], &["a.gltf", "expected NAME.npz, NAME.ply"]);
     assert!(!out.exists());
 }
 
@@ -71,7 +72,7 @@ fn what_cannot_compute_is_named() {
     let render = ["render", "x.tcgs", "--out", text(&out)];
     let eval = ["eval", "x.tcgs", "--capture", capture];
     let demo = ["demo", "--out", text(&out)];
-    for command in [&train[..], &render, &eval, &demo] {
+    for command in [&train[..], &render, &eval, &demo, &["bench"]] {
         let with = |more: &[&'static str]| [command, more].concat();
         refuse(&with(&["--device", "Voodoo 2"]), &["--device Voodoo 2: no GPU named Voodoo 2, found "]);
         refuse(&with(&["--backend", "cpu", "--device", "Voodoo 2"]), &["--device Voodoo 2", "found --backend cpu"]);
@@ -131,7 +132,10 @@ fn scenes_and_captures_that_do_not_fit_are_named() {
     refuse(&["eval", text(&run), "--capture", capture, "--frames", "1..4"], &["--frames 1..4", "1..3"]);
     refuse(&["render", text(&run), "--out", text(&path("f")), "--frames", "0..2"], &["--frames 0..2", "1..3"]);
     refuse(&["eval", "nowhere.tcgs", "--capture", capture], &["nowhere.tcgs", "expected a .tcgs file"]);
-    refuse(&["eval", capture, "--capture", capture], &["without config.toml", "expected a .tcgs file"]);
+    refuse(
+        &["eval", capture, "--capture", capture],
+        &["without config.toml and without PLY files", "expected a .tcgs file"],
+    );
     fs::write(path("a.txt"), "hello").unwrap();
     refuse(&["render", text(&path("a.txt")), "--out", text(&path("f"))], &["a.txt", "another kind"]);
     refuse(&["info", text(&path("a.txt"))], &["a.txt", "not a .tcgs file"]);
@@ -219,6 +223,7 @@ fn nothing_is_overwritten_without_force() {
     keep(&path("c.csv"), &["eval", text(&run), "--capture", capture, "--csv", text(&path("c.csv"))]);
     keep(&path("d.json"), &["info", text(&path("a.tcgs")), "--json", text(&path("d.json"))]);
     keep(&path("e.npz"), &["export", text(&run), "--to", text(&path("e.npz"))]);
+    keep(&path("f.ply"), &["export", text(&run), "--frames", "1..2", "--to", text(&path("f.ply"))]);
 
     let frames = path("frames");
     let render = ["render", text(&run), "--out", text(&frames), "--size", "16x9"];

@@ -173,20 +173,6 @@ impl<V: Copy> Tracks<V> {
         self.values.extend_from_slice(&other.values);
         self.starts.extend(other.starts[1..].iter().map(|s| base + s));
     }
-
-    /// Tracks whose times are known and whose values are to be filled in.
-    pub(crate) fn with_times(starts: Vec<usize>, times: Vec<u16>, value: V) -> Self {
-        debug_assert!(starts.is_sorted() && starts.last() == Some(&times.len()));
-        let values = vec![value; times.len()];
-        Self { starts, times, values }
-    }
-
-    /// Times and values of one track, the values to change in place.
-    #[inline(always)]
-    pub(crate) fn track_mut(&mut self, index: usize) -> (&[u16], &mut [V]) {
-        let range = self.starts[index]..self.starts[index + 1];
-        (&self.times[range.clone()], &mut self.values[range])
-    }
 }
 
 /// A compressed scene as symbols: for every track the times and codes of its keypoints, and what is

@@ -24,6 +24,25 @@ pub enum InterchangeError {
         /// What the archive reader found.
         problem: String,
     },
+    /// A PLY file, or a folder of them, is not as expected.
+    #[error("{}: {problem}", path.display())]
+    Ply {
+        /// The first file that does not fit.
+        path: PathBuf,
+        /// What was found, and what was expected.
+        problem: String,
+    },
+    /// A PLY file has colours that depend on the direction of view, which were not to be dropped.
+    #[error(
+        "{}: has spherical harmonics above degree 0 ({num_rest} properties f_rest), expected colours of degree 0 alone",
+        path.display()
+    )]
+    HigherHarmonics {
+        /// The file.
+        path: PathBuf,
+        /// Coefficients above degree 0, of all three channels.
+        num_rest: usize,
+    },
     /// One array of the archive is missing or not as expected.
     #[error("{}: {key} {problem}", path.display())]
     Array {

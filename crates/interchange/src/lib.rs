@@ -1,14 +1,21 @@
 //! Other programs' model files, both ways.
 //!
-//! What lives here: `params.npz` of Dynamic 3D Gaussians, and the npz archives it is one of. What
-//! does not: our own format (the codec), images and cameras (the capture).
+//! What lives here: `params.npz` of Dynamic 3D Gaussians, and the npz archives it is one of; PLY files of 3D
+//! Gaussian splatting, one a timestep. What does not: our own format (the codec), images and cameras (the
+//! capture).
 
 mod error;
 mod npy;
 mod npz;
 mod params_npz;
+mod ply;
+mod ply_sequence;
 
 pub use error::InterchangeError;
 pub use npy::NpyArray;
 pub use npz::{NpzReader, NpzWriter};
-pub use params_npz::{ParamsExtras, read_params_npz, write_params_npz, write_params_npz_to};
+pub use params_npz::{
+    ParamsExtras, ParamsOrigin, read_params_npz, read_params_origin, write_params_npz, write_params_npz_to,
+};
+pub use ply::{HigherHarmonics, read_ply, write_ply_to};
+pub use ply_sequence::{PlySequence, read_ply_sequence};

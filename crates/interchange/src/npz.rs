@@ -49,6 +49,11 @@ impl NpzReader {
         found.map_err(|problem| InterchangeError::Array { path: self.path.clone(), key: key.into(), problem })
     }
 
+    /// Whether there is an array of that name.
+    pub fn contains(&self, key: &str) -> bool {
+        self.archive.index_for_name(&format!("{key}.npy")).is_some()
+    }
+
     fn read(&mut self, key: &str) -> Result<NpyArray, String> {
         let keys: Vec<String> =
             self.archive.file_names().flatten().map(|name| name.trim_end_matches(".npy").to_owned()).collect();

@@ -9,6 +9,7 @@
 //! | `log_scales` | `(N, 3)` | `log_scales` |
 //! | `seg_colors` | `(N, 3)`: foreground, 0, background | [`ParamsExtras::foreground`], written only |
 //! | `cam_m`, `cam_c` | `(50, 3)`: image = exp(cam_m) * render + cam_c | [`ParamsExtras`], written only |
+//! | `tcgs_first_frame`, `tcgs_downscale`, `tcgs_frame_rate` | `(1,)` each, ours alone, optional | [`ParamsOrigin`] |
 
 use std::{
     fs::File,
@@ -19,6 +20,11 @@ use std::{
 use tcgs_core::{Attribute, DynamicGaussians};
 
 use crate::{InterchangeError, NpzReader, NpzWriter, npy::show_shape};
+
+/// Keys of [`ParamsOrigin`].
+const FIRST_FRAME: &str = "tcgs_first_frame";
+const DOWNSCALE: &str = "tcgs_downscale";
+const FRAME_RATE: &str = "tcgs_frame_rate";
 
 /// Rows of `cam_m` and `cam_c`: the source always has 50, whatever the number of cameras.
 const MIN_CAMERA_ROWS: usize = 50;
@@ -32,6 +38,19 @@ pub struct ParamsExtras<'a> {
     pub log_gains: &'a [[f32; 3]],
     /// `[C, 3]` colour offset of each training camera, `cam_c`.
     pub offsets: &'a [[f32; 3]],
+    /// Where the scene comes from, for those who know to read it.
+    pub origin: Option<ParamsOrigin>,
+}
+
+/// What the format itself does not say, in arrays that other readers pass over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ParamsOrigin {
+    /// Frame number in the capture of timestep 0, below 16,777,216: the format's numbers are float32.
+    pub first_frame: u32,
+    /// Factor by which the capture's images were shrunk for training, 1 to 65536.
+    pub downscale: u32,
+    /// Frames per second; 0 if unknown.
+    pub frame_rate: f32,
 }
 
 /// Reads a scene that Dynamic 3D Gaussians trained.
@@ -100,6 +119,36 @@ pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError
         logit_opacities: vec![constant("logit_opacities", 1)?],
         log_scales: timesteps(&constant("log_scales", 3)?, num_gaussians),
     })
+}
+
+/// Where the scene in a file comes from; none if another program wrote it.
+///
+/// # Errors
+/// [`InterchangeError`] if the arrays are incomplete, or a number is out of its range.
+pub fn read_params_origin(path: &Path) -> Result<Option<ParamsOrigin>, InterchangeError> {
+    let mut npz = NpzReader::open(path)?;
+    if !npz.contains(FIRST_FRAME) {
+        return Ok(None);
+    }
+    let mut number = |key: &str, expected: &str, legal: fn(f32) -> bool| {
+        let array = npz.array(key)?;
+        match array.values.as_slice() {
+            &[value] if legal(value) => Ok(value),
+            values => {
+                let problem = format!("is {values:?}, expected {expected}");
+                Err(InterchangeError::Array { path: path.into(), key: key.into(), problem })
+            }
+        }
+    };
+    Ok(Some(ParamsOrigin {
+        first_frame: number(FIRST_FRAME, "a whole number from 0", |x| {
+            x.fract() == 0.0 && (0.0..16_777_216.0).contains(&x)
+        })? as u32,
+        downscale: number(DOWNSCALE, "a whole number of 1 to 65536", |x| {
+            x.fract() == 0.0 && (1.0..=65_536.0).contains(&x)
+        })? as u32,
+        frame_rate: number(FRAME_RATE, "a number, 0 or more", |x| x >= 0.0)?,
+    }))
 }
 
 /// `[T * N * D]` to `[T][N, D]`.
@@ -172,6 +221,12 @@ pub fn write_params_npz_to<W: Write + Seek>(
     npz.array("seg_colors", &[n, 3], [seg_colors.as_flattened()])?;
     npz.array("cam_m", &[camera_rows, 3], [padded(extras.log_gains).as_flattened()])?;
     npz.array("cam_c", &[camera_rows, 3], [padded(extras.offsets).as_flattened()])?;
+    if let Some(origin) = &extras.origin {
+        let values = [origin.first_frame as f32, origin.downscale as f32, origin.frame_rate];
+        for (key, value) in [FIRST_FRAME, DOWNSCALE, FRAME_RATE].into_iter().zip(values) {
+            npz.array(key, &[1], [[value].as_slice()])?;
+        }
+    }
     npz.finish()
 }
 
@@ -252,6 +307,7 @@ mod tests {
             foreground: Some(&[true, false, true]),
             log_gains: &[[0.1, 0.2, 0.3]],
             offsets: &[[0.0; 3], [0.5; 3]],
+            origin: Some(ParamsOrigin { first_frame: 40, downscale: 2, frame_rate: 29.97 }),
         };
         write_params_npz(&path, &scene(), &extras).unwrap();
         let mut npz = NpzReader::open(&path).unwrap();
@@ -260,13 +316,51 @@ mod tests {
         assert_eq!((gains.shape, &gains.values[..4]), (vec![50, 3], &[0.1, 0.2, 0.3, 0.0][..]));
         assert_eq!((offsets.shape, &offsets.values[2..7]), (vec![50, 3], &[0.0, 0.5, 0.5, 0.5, 0.0][..]));
 
+        assert_eq!(read_params_origin(&path).unwrap(), extras.origin);
+        assert_eq!(read_params_npz(&path).unwrap(), scene());
+
         let many = ParamsExtras { log_gains: &[[1.0; 3]; 60], ..extras };
         write_params_npz(&path, &scene(), &many).unwrap();
         assert_eq!(NpzReader::open(&path).unwrap().array("cam_c").unwrap().shape, [60, 3]);
 
         write_params_npz(&path, &scene(), &ParamsExtras::default()).unwrap();
+        assert_eq!(read_params_origin(&path).unwrap(), None);
         let all = NpzReader::open(&path).unwrap().array("seg_colors").unwrap();
         assert_eq!(all.values, [1.0, 0.0, 0.0].repeat(3));
+    }
+
+    #[test]
+    fn an_origin_out_of_range_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("params.npz");
+        let problem = |arrays: &[(&str, &[f32])]| {
+            let mut npz = NpzWriter::new(File::create(&path).unwrap());
+            for (key, values) in arrays {
+                npz.array(key, &[values.len()], [*values]).unwrap();
+            }
+            npz.finish().unwrap();
+            let message = read_params_origin(&path).unwrap_err().to_string();
+            message.strip_prefix(&format!("{}: ", path.display())).unwrap().to_owned()
+        };
+        let origin = |first_frame, downscale, frame_rate| {
+            problem(&[(FIRST_FRAME, &[first_frame]), (DOWNSCALE, &[downscale]), (FRAME_RATE, &[frame_rate])])
+        };
+        assert_eq!(origin(1.5, 1.0, 30.0), "tcgs_first_frame is [1.5], expected a whole number from 0");
+        assert_eq!(origin(-1.0, 1.0, 30.0), "tcgs_first_frame is [-1.0], expected a whole number from 0");
+        assert_eq!(origin(0.0, 0.0, 30.0), "tcgs_downscale is [0.0], expected a whole number of 1 to 65536");
+        assert_eq!(origin(0.0, 1.0, -30.0), "tcgs_frame_rate is [-30.0], expected a number, 0 or more");
+        assert_eq!(problem(&[(FIRST_FRAME, &[])]), "tcgs_first_frame is [], expected a whole number from 0");
+        assert!(problem(&[(FIRST_FRAME, &[0.0])]).starts_with("tcgs_downscale is missing, found "));
+    }
+
+    #[test]
+    #[should_panic(expected = "logit_opacities vary over 3 timesteps, params.npz holds one")]
+    fn opacities_that_vary_are_a_mistake() {
+        let mut scene = scene();
+        let mut next = scene.at(1);
+        next.logit_opacities[2] += 1.0;
+        scene.push(next);
+        bytes(&scene, &ParamsExtras::default());
     }
 
     #[test]

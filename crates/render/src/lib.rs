@@ -8,7 +8,9 @@ mod cpu;
 pub mod gpu;
 mod rasterizer;
 pub mod settings;
+mod stage_times;
 
-pub use cpu::CpuRasterizer;
 pub use cpu::project::{Pinhole, Projection, project, project_vjp};
+pub use cpu::{CpuRasterizer, CpuSaved};
 pub use rasterizer::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
+pub use stage_times::{Laps, PairCounts, RENDER_STAGES, StageTimes};

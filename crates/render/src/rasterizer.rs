@@ -1,5 +1,7 @@
 //! The contract that every renderer keeps.
 
+use std::sync::Arc;
+
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
 use crate::gpu::GpuError;
@@ -88,8 +90,15 @@ pub trait Draw: Send + Sync {
 
     /// Renders all channels of `gaussians.colors` in one pass; as [`Rasterizer::forward`].
     ///
+    /// - `gaussians`: shared, so that a renderer far away can tell that it has them already
+    /// - returns: the image, and the milliseconds that drawing took, without moving anything to or from the GPU
+    ///
     /// # Errors
     /// As [`Rasterizer::forward`].
-    fn draw(&self, gaussians: &Activated, camera: &Camera, settings: &RenderSettings)
-    -> Result<RenderOutput, GpuError>;
+    fn draw(
+        &self,
+        gaussians: &Arc<Activated>,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(RenderOutput, f64), GpuError>;
 }

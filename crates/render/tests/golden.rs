@@ -1,5 +1,7 @@
 //! Renders and gradients of other programs (gsplat 1.5.3; the rasterizer of Dynamic 3D Gaussians).
 
+#![allow(clippy::unwrap_used)]
+
 mod support;
 
 use support::{Arrays, golden, gpu, relative_l2, rows};

@@ -10,10 +10,10 @@ use support::gpu;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_core::{Camera, View};
 use tcgs_render::gpu::Gpu;
-use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::gpu::GpuEngine;
-use tcgs_train::{State, TrainConfig, Trainer};
+use tcgs_train::engine::{Engine, Step, Target};
+use tcgs_train::{Checkpoint, Parameters, Phase, Preset, Schedule, State, TrainConfig, Trainer};
 
 fn capture() -> &'static Capture {
     static CAPTURE: OnceLock<(tempfile::TempDir, Capture)> = OnceLock::new();
@@ -97,4 +97,114 @@ fn a_training_follows_that_on_the_cpu() {
     assert!((psnr[0] - psnr[1]).abs() < 0.2, "{psnr:?}");
     let ratio = gpu.num_gaussians() as f64 / cpu.num_gaussians() as f64;
     assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+}
+
+#[test]
+fn an_iteration_with_a_clock_is_an_iteration() {
+    let Some(gpu) = gpu() else { return };
+    let config = config(200, 40);
+    let schedule = Schedule::new(&config, 1.0);
+    let views = views(0);
+    let state = State::new(Parameters::from_cloud(&capture().point_cloud().unwrap(), views.len(), 1.0));
+    let targets: Vec<Target> = views.iter().map(|view| Target::new(view, true)).collect();
+    let step = |i: usize| Step {
+        camera: i % views.len(),
+        rates: schedule.rates(Phase::First, i),
+        weights: &config.weights,
+        mask: &config.mask,
+        counts_gradients: true,
+        moves_gaussians: true,
+    };
+    let run = |mut engine: Made, is_timed: fn(usize) -> bool| {
+        engine.begin(targets.clone()).unwrap();
+        for i in 0..6 {
+            if is_timed(i) {
+                let times = engine.profile(&step(i)).unwrap();
+                let sum: f64 = times.stages.iter().map(|stage| stage.1).sum();
+                assert!(times.stages.iter().all(|stage| stage.1 >= 0.0) && 0.0 < sum, "{times:?}");
+                assert!(sum <= times.total * (1.0 + 1e-6), "{times:?}");
+            } else {
+                engine.step(&step(i)).unwrap();
+            }
+        }
+        engine.wait().unwrap();
+        let losses = engine.losses().unwrap();
+        assert!(losses.iter().all(|terms| terms.total(&config.weights).is_finite()));
+        (engine.state().unwrap().parameters.clone(), losses)
+    };
+    for make in [&on_cpu as &dyn Fn(State) -> Made, &on_gpu(&gpu)] {
+        let plain = run(make(state.clone()), |_| false);
+        assert!(run(make(state.clone()), |i| i % 2 == 1) == plain);
+        assert_eq!(plain.1.len(), 6);
+    }
+    // An iteration that halts for want of room is none that tells the time: it is repeated, and another one timed.
+    let small = GpuEngine::new(&gpu, state.clone()).with_room_for(100);
+    assert_eq!(run(Box::new(small), |i| i == 0).1.len(), 7);
+}
+
+fn resumed(config: &TrainConfig, checkpoints: &[Checkpoint], make: impl FnOnce(State) -> Made) -> Trainer {
+    let last = checkpoints.len() - 1;
+    let before_last = last.saturating_sub(1);
+    Trainer::resume(config, &checkpoints[0], &checkpoints[before_last], &checkpoints[last], checkpoints.len(), make)
+}
+
+fn mean(losses: &[f64]) -> f64 {
+    losses.iter().sum::<f64>() / losses.len() as f64
+}
+
+fn test_psnr(trainer: &mut Trainer, frame: usize) -> f64 {
+    trainer.mean_psnr(&capture().views(Split::Test, frame, 1).unwrap()).unwrap()
+}
+
+#[test]
+fn a_run_resumes_on_either_engine() {
+    let Some(gpu) = gpu() else { return };
+    let config = config(100, 40);
+    let mut whole = trainer(&config, on_gpu(&gpu));
+    let mut checkpoints = Vec::new();
+    for frame in 0..2 {
+        fit(&mut whole, frame..frame + 1);
+        checkpoints.push(whole.checkpoint().unwrap());
+    }
+    let expected_losses = mean(&fit(&mut whole, 2..3));
+    let expected = test_psnr(&mut whole, 2);
+
+    let mut again = resumed(&config, &checkpoints, on_gpu(&gpu));
+    let (losses, found) = (mean(&fit(&mut again, 2..3)), test_psnr(&mut again, 2));
+    eprintln!("resumed: loss {losses:.5} against {expected_losses:.5}, test PSNR {found:.3} against {expected:.3}");
+    assert!((found - expected).abs() < 0.1, "{found} against {expected}");
+
+    // What a GPU has begun goes on on the CPU, and back.
+    let mut on_cpu = resumed(&config, &checkpoints[..1], on_cpu);
+    let mut on_gpu_again = resumed(&config, &checkpoints[..1], on_gpu(&gpu));
+    let [expected_losses, losses] = [&mut on_cpu, &mut on_gpu_again].map(|trainer| mean(&fit(trainer, 1..2)));
+    let [expected, found] = [&mut on_cpu, &mut on_gpu_again].map(|trainer| test_psnr(trainer, 1));
+    eprintln!(
+        "other engine: loss {losses:.5} against {expected_losses:.5}, test PSNR {found:.3} against {expected:.3}"
+    );
+    assert!((losses / expected_losses - 1.0).abs() < 0.01 && (found - expected).abs() < 0.1);
+    let from_cpu = [checkpoints[0].clone(), on_cpu.checkpoint().unwrap()];
+    let mut back = resumed(&config, &from_cpu, on_gpu(&gpu));
+    let losses = mean(&fit(&mut back, 2..3));
+    let expected_losses = mean(&fit(&mut on_cpu, 2..3));
+    let [expected, found] = [&mut on_cpu, &mut back].map(|trainer| test_psnr(trainer, 2));
+    eprintln!("and back: loss {losses:.5} against {expected_losses:.5}, test PSNR {found:.3} against {expected:.3}");
+    assert!((losses / expected_losses - 1.0).abs() < 0.01 && (found - expected).abs() < 0.1);
+}
+
+#[test]
+fn a_training_that_starts_with_too_little_room_is_the_same() {
+    let Some(gpu) = gpu() else { return };
+    for preset in [Preset::Default, Preset::D3dgs] {
+        let mut config = TrainConfig::preset(preset);
+        (config.schedule.first_iterations, config.schedule.rest_iterations) = (50, 15);
+        config.densify.interval = 10;
+        let runs = [300_000, 1].map(|room| {
+            let make = |state| -> Made { Box::new(GpuEngine::new(&gpu, state).with_room_for(room)) };
+            let mut trainer = trainer(&config, make);
+            (fit(&mut trainer, 0..2), trainer.checkpoint().unwrap())
+        });
+        assert_eq!(runs[0].0, runs[1].0, "{preset:?}");
+        assert!(runs[0].1 == runs[1].1, "{preset:?}: checkpoints differ");
+    }
 }

@@ -6,6 +6,7 @@ use std::sync::OnceLock;
 
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_core::{Camera, Gaussians, Image, View};
+use tcgs_render::StageTimes;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::{Engine, LossTerms, Step, Target};
 use tcgs_train::{
@@ -157,6 +158,10 @@ impl Engine for Late {
 
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError> {
         self.cpu.step(step)
+    }
+
+    fn profile(&mut self, step: &Step<'_>) -> Result<StageTimes, TrainError> {
+        self.cpu.profile(step)
     }
 
     fn losses(&mut self) -> Result<Vec<LossTerms>, TrainError> {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::{BitMap, BitSettings, assign_bits};
-use tcgs_core::{Camera, Gaussians};
+use tcgs_core::{Attribute, Camera, DynamicGaussians, Gaussians};
 
 use super::scene::Settings;
 use crate::camera_path::CameraPath;
@@ -15,11 +15,39 @@ use crate::scene::{Model, Scene};
 const NUM_CAMERAS: usize = 16;
 const IMAGE_SIZE: Size = Size { width: 640, height: 360 };
 
-/// Bits from sensitivities at the first timestep, and how they were measured.
-pub fn measured_bits(scene: &Scene, gaussians: &Gaussians, settings: &Settings) -> anyhow::Result<(BitMap, String)> {
-    let (cameras, of) = cameras(scene, gaussians, settings)?;
-    let sensitivity = tcgs_train::sensitivity(&tcgs_render::CpuRasterizer, gaussians, &cameras)?;
-    let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(scene, settings));
+/// Timesteps at which sensitivities are measured. A Gaussian that is hidden at one, or transparent, may be
+/// in full view at another.
+const NUM_TIMESTEPS: usize = 4;
+
+/// Bits from sensitivities, and how they were measured.
+///
+/// - `floats`: the Gaussians that stay
+///
+/// The cameras take turns at the timesteps, so that more timesteps take no longer.
+pub fn measured_bits(
+    scene: &Scene,
+    floats: &DynamicGaussians,
+    settings: &Settings,
+) -> anyhow::Result<(BitMap, String)> {
+    let (cameras, of) = cameras(scene, &floats.at(0), settings)?;
+    let last = floats.num_timesteps() - 1;
+    let count = NUM_TIMESTEPS.min(last + 1).min(cameras.len().max(1));
+    let mut sum = Gaussians::zeros(floats.num_gaussians());
+    // Every Gaussian as it is at one of the timesteps: for the spread of values over the scene.
+    let mut stored = floats.at(0);
+    for turn in 0..count {
+        let gaussians = floats.at(turn * last / (count - 1).max(1));
+        let of_turn: Vec<Camera> = cameras.iter().skip(turn).step_by(count).cloned().collect();
+        let sensitivity = tcgs_train::sensitivity(&tcgs_render::CpuRasterizer, &gaussians, &of_turn)?;
+        for attribute in Attribute::ALL {
+            let (row, rows) = (attribute.components(), sum.values_mut(attribute));
+            rows.iter_mut().zip(sensitivity.values(attribute)).for_each(|(sum, s)| *sum += s / count as f32);
+            let rows =
+                stored.values_mut(attribute).chunks_exact_mut(row).zip(gaussians.values(attribute).chunks_exact(row));
+            rows.skip(turn).step_by(count).for_each(|(to, from)| to.copy_from_slice(from));
+        }
+    }
+    let bit_map = assign_bits(&sum, &stored, &bit_settings(scene, settings));
     Ok((bit_map, format!("bits: by sensitivity, measured with {} {of}", cameras.len())))
 }
 

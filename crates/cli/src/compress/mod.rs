@@ -9,11 +9,13 @@ use clap::ValueEnum;
 use serde_json::json;
 use tcgs_codec::{BitMapping, CompressSettings};
 use tcgs_core::Attribute;
+use tcgs_train::Run;
 
+use crate::camera_path::extent;
 use crate::error::wrong_input;
 use crate::options::{self, JobOptions, Pair};
 use crate::output::{check_file, say, show_bytes, write_file};
-use crate::scene::{Model, Scene};
+use crate::scene::{Model, Scene, SceneOptions};
 
 pub use scene::{Compressed, Settings, compress_scene, kept_gaussians};
 
@@ -21,25 +23,34 @@ pub use scene::{Compressed, Settings, compress_scene, kept_gaussians};
 ///
 /// A run is pruned by its masks and quantised with its learned bits. Of a scene without them, how much the
 /// images depend on each parameter is measured with the capture's cameras, or with cameras around it.
+///
+/// PLY files are those of 3D Gaussian splatting, one a timestep, in the natural order of their names; their
+/// Gaussians keep their number and order. Names that are numbers and count up, such as 000012.ply, are frames.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
   tcgs compress my_run
-  tcgs compress params.npz --capture my_capture --bits 4,8 --out small.tcgs")]
+  tcgs compress params.npz --capture my_capture --bits 4,8 --out small.tcgs
+  tcgs compress my_plys --drop-sh --frame-rate 24 --out scene.tcgs")]
 pub struct Arguments {
-    /// Run folder, or params.npz of Dynamic 3D Gaussians
+    /// Run folder, params.npz of Dynamic 3D Gaussians, or folder of PLY files
     source: PathBuf,
     /// File to write [default: RUN/scene.tcgs, or the name of SOURCE with .tcgs]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    reading: SceneOptions,
+    /// Frames a second that the file tells players [default: the source's, else 30]
+    #[arg(long, value_name = "F", value_parser = not_negative, allow_negative_numbers = true)]
+    frame_rate: Option<f32>,
     /// Settings to start from
     #[arg(long, default_value = "default")]
     preset: PresetName,
     /// Most keypoints of a track, 2 or more [default: 60; paper: 30]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65536))]
     max_keypoints: Option<u32>,
-    /// Mean squared error of a track at which no more keypoints are added
-    /// [default: positions 2.5e-6, rotations 4e-5, colours 2e-4; paper: 1e-5]
+    /// Mean squared error of a track at which no more keypoints are added [default: a run's positions 2.5e-6,
+    /// others' by their extent, rotations 4e-5, scales 1e-4, opacities 1e-3, colours 2e-4; paper: 1e-5]
     #[arg(long, value_name = "MSE", value_parser = not_negative, allow_negative_numbers = true)]
     max_mse: Option<f32>,
     /// Store every timestep
@@ -70,6 +81,13 @@ pub struct Arguments {
     #[command(flatten)]
     job: JobOptions,
 }
+
+/// Error of positions between keypoints, in the scene's radius, where the unit of lengths is not known: in the
+/// 2.8 m of Panoptic Sports nearly the 1.6 mm of a run.
+const POSITION_TOLERANCE: f32 = 5e-4;
+/// Step of positions, in the scene's radius, from which on it is worth a remark: rounding errs as much as the
+/// tolerance allows.
+const MAX_POSITION_STEP: f32 = 3e-3;
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum PresetName {
@@ -106,27 +124,45 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let out = arguments.out.clone().unwrap_or_else(|| default_out(&arguments.source));
     check_file(&out, arguments.job.force)?;
-    let scene = Scene::load(&arguments.source)?;
+    let mut scene = Scene::load(&arguments.source, arguments.reading)?;
+    if let Some(frame_rate) = arguments.frame_rate {
+        scene.frame_rate = f64::from(frame_rate);
+    }
     check_source(arguments, &scene)?;
     say(&scene.describe())?;
 
-    let compressed = compress_scene(&scene, &settings(arguments))?;
+    let mut settings = settings(arguments);
+    let radius = extent(&scene.at(0)).1 as f32;
+    let of_unknown_unit = matches!(scene.model, Model::Floats { .. });
+    if of_unknown_unit && arguments.preset == PresetName::Default && arguments.max_mse.is_none() {
+        settings.keypoints.max_mse[Attribute::Mean.index()] = (POSITION_TOLERANCE * radius).powi(2);
+    }
+    let compressed = compress_scene(&scene, &settings)?;
     say(&compressed.bits_from)?;
+    let steps = compressed.compact.quantizers.attributes[Attribute::Mean.index()].values().flatten().map(|q| q.step);
+    let step = steps.fold(0.0, f32::max);
+    if step > MAX_POSITION_STEP * radius {
+        say(&format!(
+            "positions are rounded to {step:.2e}, and most of the scene lies within {radius:.2e} of its middle: \
+             some Gaussians are far away"
+        ))?;
+    }
     write_file(&out, &compressed.file, arguments.job.force)?;
     report(arguments, &compressed, &out)
 }
 
 fn default_out(source: &Path) -> PathBuf {
-    if source.is_dir() { source.join("scene.tcgs") } else { source.with_extension("tcgs") }
+    // A folder of PLY files holds nothing else.
+    if Run::is_run(source) { source.join("scene.tcgs") } else { source.with_extension("tcgs") }
 }
 
 fn check_source(arguments: &Arguments, scene: &Scene) -> anyhow::Result<()> {
     let source = scene.path.display();
     match &scene.model {
-        Model::Compact(_) => {
-            Err(wrong_input(format!("{source}: is compressed already, expected a run folder or a params.npz")))
-        }
-        Model::Params(_) if arguments.prune.is_some() => {
+        Model::Compact(_) => Err(wrong_input(format!(
+            "{source}: is compressed already, expected a run folder, a params.npz or PLY files"
+        ))),
+        Model::Floats { .. } if arguments.prune.is_some() => {
             Err(wrong_input(format!("{source}: has no masks to prune by, expected a run folder with --prune")))
         }
         Model::Run(run) if arguments.prune.is_some() && !run.0.config().mask.enabled => {

@@ -53,11 +53,11 @@ pub struct Compressed {
     pub bits_from: String,
 }
 
-/// Compresses a run or a `params.npz`.
+/// Compresses a scene of floats.
 pub fn compress_scene(scene: &Scene, settings: &Settings) -> anyhow::Result<Compressed> {
     let (floats, learned) = match &scene.model {
         Model::Run(run) => (&run.1.scene, run.1.quantization.as_ref()),
-        Model::Params(floats) => (&**floats, None),
+        Model::Floats { scene: floats, .. } => (&**floats, None),
         Model::Compact(_) => {
             return Err(wrong_input(format!("{}: is compressed already, expected floats", scene.path.display())));
         }
@@ -126,7 +126,7 @@ fn bits(
             let position_bits = settings.position_bits.unwrap_or(tcgs_codec::BitSettings::default().position_bits);
             (BitMap::uniform(pruned.num_gaussians(), position_bits, min), format!("bits: {min} for every parameter"))
         }
-        _ => measured_bits(scene, &pruned.at(0), settings)?,
+        _ => measured_bits(scene, pruned, settings)?,
     };
     if let Some(position_bits) = settings.position_bits {
         bit_map.widths[Attribute::Mean.index()].fill(position_bits);

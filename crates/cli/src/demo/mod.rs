@@ -18,7 +18,7 @@ use crate::error::wrong_input;
 use crate::eval::{self, Evaluation, evaluate};
 use crate::options::JobOptions;
 use crate::output::{NewFolder, say, show_bytes};
-use crate::scene::{Model, Scene};
+use crate::scene::{Model, Scene, SceneOptions};
 use crate::train;
 
 /// Iterations of the first and of every later timestep: what two cores do in half a minute.
@@ -149,7 +149,7 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
     lap("train");
 
     say("3/4  compressing")?;
-    let scene = Scene::load(run.folder())?;
+    let scene = Scene::load(run.folder(), SceneOptions::default())?;
     let compressed = compress_scene(&scene, &compress_settings(true))?;
     let quantized = compress_scene(&scene, &compress_settings(false))?;
     let file = folder.join("scene.tcgs");
@@ -213,7 +213,7 @@ fn measure_stages(
     let Model::Run(run) = &scene.model else { unreachable!("the demo's scene is a run") };
     let pruned = run.1.scene.select(&kept_gaussians(scene, None)?);
     let with = |model| Scene { path: scene.path.clone(), model, ..*scene };
-    let pruned = score(&with(Model::Params(Box::new(pruned))))?;
+    let pruned = score(&with(Model::Floats { scene: Box::new(pruned), kind: "pruned" }))?;
     let quantized = score(&with(Model::Compact(Box::new(quantized.compact))))?;
     let stages = &compressed.stages;
     let of_stage = [uncompressed, &pruned, &quantized, final_, final_];

@@ -41,7 +41,7 @@ pub fn write_frames(
         let drawn = scene.drawn(frame - scene.first_frame);
         let views = capture.views(Split::Test, frame, 1)?;
         let pairs = views.par_iter().map(|view| {
-            let output = renderer.draw(&drawn, &view.camera, &RenderSettings::default())?;
+            let (output, _) = renderer.draw(&drawn, &view.camera, &RenderSettings::default())?;
             Ok((view.camera_id, side_by_side(&view.image, &output.image)))
         });
         let pairs: Vec<(usize, RgbImage)> = pairs.collect::<Result<_, GpuError>>()?;

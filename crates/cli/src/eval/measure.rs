@@ -1,12 +1,10 @@
 //! Rendering and comparing, image by image.
 
 use std::ops::Range;
-use std::time::Instant;
 
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Activated, Camera, Image};
+use tcgs_core::Image;
 use tcgs_metrics::{psnr, psnr_masked, psnr_per_channel, ssim};
-use tcgs_render::gpu::GpuError;
 use tcgs_render::{Draw, RenderSettings};
 
 use crate::error::wrong_input;
@@ -88,7 +86,8 @@ pub fn evaluate(
             drawn = scene.drawn(timestep);
         }
         for view in capture.views(split, frame, downscale)? {
-            let (rendered, ms) = timed_render(renderer, &drawn, &view.camera)?;
+            let (output, ms) = renderer.draw(&drawn, &view.camera, &RenderSettings::default())?;
+            let rendered = output.image;
             times_ms.push(ms);
             let clamped = clamped(&rendered);
             let foreground = view.segmentation.as_ref();
@@ -109,16 +108,10 @@ pub fn evaluate(
         return Err(wrong_input(format!("{}: {problem}, expected at least one", capture.name())));
     };
     while times_ms.len() < MIN_TIMED_RENDERS {
-        times_ms.push(timed_render(renderer, &drawn, &camera)?.1);
+        times_ms.push(renderer.draw(&drawn, &camera, &RenderSettings::default())?.1);
     }
     times_ms.sort_by(f64::total_cmp);
     Ok(Evaluation { images, median_render_ms: times_ms[times_ms.len() / 2], device: renderer.name() })
-}
-
-fn timed_render(renderer: &dyn Draw, drawn: &Activated, camera: &Camera) -> Result<(Image, f64), GpuError> {
-    let begin = Instant::now();
-    let output = renderer.draw(drawn, camera, &RenderSettings::default())?;
-    Ok((output.image, begin.elapsed().as_secs_f64() * 1e3))
 }
 
 fn clamped(image: &Image) -> Image {

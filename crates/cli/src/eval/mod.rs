@@ -12,7 +12,7 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::options::{self, Frames, JobOptions};
 use crate::output::{check_file, say, write_file};
-use crate::scene::Scene;
+use crate::scene::{Scene, SceneOptions};
 
 pub use measure::{Evaluation, ImageScore, Settings, evaluate, mean};
 
@@ -25,8 +25,10 @@ pub use measure::{Evaluation, ImageScore, Settings, evaluate, mean};
 Example:
   tcgs eval my_run/scene.tcgs --capture my_capture --json quality.json --csv images.csv")]
 pub struct Arguments {
-    /// .tcgs file, run folder or params.npz
+    /// .tcgs file, run folder, params.npz or folder of PLY files
     scene: PathBuf,
+    #[command(flatten)]
+    reading: SceneOptions,
     /// Folder of the capture to compare with
     #[arg(long, value_name = "CAPTURE")]
     capture: PathBuf,
@@ -85,7 +87,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
     let capture = Capture::open(&arguments.capture)?;
-    let scene = Scene::load(&arguments.scene)?;
+    let scene = Scene::load(&arguments.scene, arguments.reading)?;
     let settings = Settings {
         split: match arguments.cameras {
             Cameras::Test => Split::Test,

@@ -385,7 +385,7 @@ impl SegmentReader {
     pub(super) fn new(archive: &Archive, segment: usize) -> Self {
         let plan = &archive.head.plan;
         let varying = Attribute::ALL.into_iter().filter(|a| plan.varies[a.index()]);
-        let attributes = varying.map(|a| (a, KeypointModels::new(), UnitTracks::new(plan.channels(a)))).collect();
+        let attributes = varying.map(|a| (a, KeypointModels::new(a), UnitTracks::new(plan.channels(a)))).collect();
         Self { segment, layers: 0, attributes }
     }
 
@@ -423,17 +423,28 @@ impl SegmentReader {
 
     /// What was read so far.
     pub(super) fn finish(self, archive: &Archive) -> Segment {
-        let mut tracks: [UnitTracks; 5] = Attribute::ALL.map(|a| UnitTracks::new(archive.head.plan.channels(a)));
-        for (attribute, _, units) in self.attributes {
-            tracks[attribute.index()] = units;
-        }
-        Segment::new(archive.head.clone(), archive.shared.clone(), self.segment, self.layers, tracks)
+        let (segment, layers) = (self.segment, self.layers);
+        let units = self.attributes.into_iter().map(|(attribute, _, units)| (attribute, units));
+        segment_of(archive, segment, layers, units)
     }
 
     /// A copy of what was read so far.
     pub(super) fn snapshot(&self, archive: &Archive) -> Segment {
-        let attributes = self.attributes.iter();
-        let attributes = attributes.map(|(a, _, units)| (*a, KeypointModels::new(), units.clone())).collect();
-        Self { segment: self.segment, layers: self.layers, attributes }.finish(archive)
+        let units = self.attributes.iter().map(|(attribute, _, units)| (*attribute, units.clone()));
+        segment_of(archive, self.segment, self.layers, units)
     }
+}
+
+/// - `units`: of the attributes that vary
+fn segment_of(
+    archive: &Archive,
+    segment: usize,
+    layers: usize,
+    units: impl Iterator<Item = (Attribute, UnitTracks)>,
+) -> Segment {
+    let mut tracks: [UnitTracks; 5] = Attribute::ALL.map(|a| UnitTracks::new(archive.head.plan.channels(a)));
+    for (attribute, units) in units {
+        tracks[attribute.index()] = units;
+    }
+    Segment::new(archive.head.clone(), archive.shared.clone(), segment, layers, tracks)
 }

@@ -5,8 +5,9 @@ use std::ops::Range;
 
 use tcgs_core::Attribute;
 
+use super::FORMAT_VERSION;
+use super::decode::{decode, open_whole};
 use super::section::{self, Cursor, SHARED};
-use super::{FORMAT_VERSION, decode};
 use crate::compact::SceneInfo;
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
@@ -90,7 +91,7 @@ impl FileInfo {
 /// [`DecodeError`] if the header or one of the first two sections is damaged or of another version, the
 /// length is wrong, or an undamaged file breaks a rule of the format or asks for more than `limits` allow.
 pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeError> {
-    let archive = decode::open_whole(file, limits)?;
+    let archive = open_whole(file, limits)?;
     let sections = archive.entries().iter().map(|entry| {
         let bytes = &file[entry.range.start as usize..entry.range.end as usize];
         SectionInfo {
@@ -114,7 +115,7 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
         contents: None,
     };
     if file_info.checksums_ok() {
-        let scene = decode::decode(file, limits)?;
+        let scene = decode(file, limits)?;
         file_info.contents = Some(Contents {
             bits_histogram: scene.bit_map.histogram(),
             keypoints_mean: scene.keypoints_mean(),
@@ -131,7 +132,7 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
 /// # Errors
 /// [`DecodeError`] if the header or one of these sections is damaged.
 pub fn application_data<'a>(file: &'a [u8], limits: &DecodeLimits) -> Result<Vec<(String, &'a [u8])>, DecodeError> {
-    let archive = decode::open_whole(file, limits)?;
+    let archive = open_whole(file, limits)?;
     let of_section = |entry: &section::Entry| {
         let mut cursor: Cursor<'a> = entry.open(&file[entry.range.start as usize..entry.range.end as usize])?;
         Ok((cursor.text("name")?, cursor.rest()))

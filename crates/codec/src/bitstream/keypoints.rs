@@ -135,15 +135,16 @@ pub(super) struct KeypointModels {
 }
 
 impl KeypointModels {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(attribute: Attribute) -> Self {
+        let components = attribute.components();
         Self {
-            counts: vec![Model::new(16); MAX_COMPONENTS * NUM_COUNTS * NUM_COUNTS],
+            counts: vec![Model::new(16); components * NUM_COUNTS * NUM_COUNTS],
             more: Numbers::new(1),
             before: Numbers::new(1),
             after: Numbers::new(1),
             gaps: Numbers::new(NUM_DENSITIES),
-            first: Numbers::new(MAX_COMPONENTS * 17 * NUM_SIZES),
-            later: Numbers::new(MAX_COMPONENTS * 17 * NUM_SIZES * NUM_GAPS * 2),
+            first: Numbers::new(components * 17 * NUM_SIZES),
+            later: Numbers::new(components * 17 * NUM_SIZES * NUM_GAPS * 2),
         }
     }
 

@@ -1,6 +1,7 @@
 //! Bytes as they arrive.
 
 use super::archive::{Archive, Opening, SegmentReader};
+use super::container;
 use super::section::Cursor;
 use super::segment::Segment;
 use crate::error::DecodeError;
@@ -82,6 +83,10 @@ impl Decoder {
     pub fn push(&mut self, bytes: &[u8]) -> Result<Vec<Event>, DecodeError> {
         let mut events = Vec::new();
         self.bytes.extend_from_slice(bytes);
+        if self.archive.is_none() {
+            // What is no such file is refused as soon as it can be told.
+            container::length_of_header(&self.bytes)?;
+        }
         while !self.finished && self.offset + self.bytes.len() as u64 >= self.needed {
             if !self.step(&mut events)? {
                 return Ok(events);

@@ -7,6 +7,9 @@ pub(crate) mod project;
 mod rasterize;
 mod tiles;
 
+use std::sync::Arc;
+use std::time::Instant;
+
 use rayon::prelude::*;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
@@ -15,7 +18,7 @@ use self::rasterize::{PAIR_GRADS, TileImage, rasterize_bwd, rasterize_fwd};
 use self::tiles::{TILE, Tiles};
 use crate::gpu::GpuError;
 use crate::settings::MAX_CHANNELS;
-use crate::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
+use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
 /// The renderer that needs nothing but a CPU.
 ///
@@ -42,6 +45,13 @@ pub struct CpuSaved {
     image: Image,
 }
 
+impl CpuSaved {
+    /// What there was to blend.
+    pub fn counts(&self) -> PairCounts {
+        PairCounts { pairs: self.tiles.pair_splats.len(), splats: self.tiles.splats.len() }
+    }
+}
+
 macro_rules! with_channels {
     ($channels:expr, $f:ident($($argument:expr),*)) => {
         match $channels {
@@ -58,15 +68,15 @@ macro_rules! with_channels {
     };
 }
 
-impl Rasterizer for CpuRasterizer {
-    type Saved = CpuSaved;
-
-    fn forward(
+impl CpuRasterizer {
+    /// [`Rasterizer::forward`] with a clock.
+    pub fn timed_forward(
         &self,
         gaussians: &Activated,
         camera: &Camera,
         settings: &RenderSettings,
-    ) -> Result<(RenderOutput, CpuSaved), GpuError> {
+        laps: &mut Laps,
+    ) -> (RenderOutput, CpuSaved) {
         let n = gaussians.num_gaussians();
         let lengths = [gaussians.quats.len(), gaussians.scales.len(), gaussians.opacities.len()];
         assert_eq!(lengths, [n; 3], "quats, scales and opacities against {n} means");
@@ -76,20 +86,23 @@ impl Rasterizer for CpuRasterizer {
             "colors against [{n}, {}]",
             gaussians.num_channels
         );
-        let tiles = Tiles::new(gaussians, camera);
+        let tiles = Tiles::new(gaussians, camera, laps);
         let output = with_channels!(gaussians.num_channels, draw(&tiles, &gaussians.colors, camera, settings));
         let image = output.image.clone();
-        Ok((output, CpuSaved { tiles, image }))
+        laps.lap("rasterize");
+        (output, CpuSaved { tiles, image })
     }
 
-    fn backward(
+    /// [`Rasterizer::backward`] with a clock.
+    pub fn timed_backward(
         &self,
         gaussians: &Activated,
         camera: &Camera,
         settings: &RenderSettings,
         saved: &CpuSaved,
         v_image: &Image,
-    ) -> Result<RenderGrads, GpuError> {
+        laps: &mut Laps,
+    ) -> RenderGrads {
         let shape = |i: &Image| [i.num_channels, i.height, i.width];
         assert_eq!(shape(v_image), shape(&saved.image), "v_image against the rendered image");
         let (tiles, colors) = (&saved.tiles, &gaussians.colors);
@@ -108,7 +121,34 @@ impl Rasterizer for CpuRasterizer {
                 rasterize_bwd(tiles, tile, colors, settings, &saved.image, v_image, v_pairs)
             );
         });
-        Ok(gather(gaussians, camera, tiles, &v_pairs))
+        laps.lap("rasterize backward");
+        let grads = gather(gaussians, camera, tiles, &v_pairs);
+        laps.lap("project backward");
+        grads
+    }
+}
+
+impl Rasterizer for CpuRasterizer {
+    type Saved = CpuSaved;
+
+    fn forward(
+        &self,
+        gaussians: &Activated,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(RenderOutput, CpuSaved), GpuError> {
+        Ok(self.timed_forward(gaussians, camera, settings, &mut Laps::begin()))
+    }
+
+    fn backward(
+        &self,
+        gaussians: &Activated,
+        camera: &Camera,
+        settings: &RenderSettings,
+        saved: &CpuSaved,
+        v_image: &Image,
+    ) -> Result<RenderGrads, GpuError> {
+        Ok(self.timed_backward(gaussians, camera, settings, saved, v_image, &mut Laps::begin()))
     }
 }
 
@@ -119,11 +159,13 @@ impl Draw for CpuRasterizer {
 
     fn draw(
         &self,
-        gaussians: &Activated,
+        gaussians: &Arc<Activated>,
         camera: &Camera,
         settings: &RenderSettings,
-    ) -> Result<RenderOutput, GpuError> {
-        self.forward(gaussians, camera, settings).map(|(output, _)| output)
+    ) -> Result<(RenderOutput, f64), GpuError> {
+        let begin = Instant::now();
+        let (output, _) = self.forward(gaussians, camera, settings)?;
+        Ok((output, begin.elapsed().as_secs_f64() * 1e3))
     }
 }
 

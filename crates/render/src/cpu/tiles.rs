@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use tcgs_core::{Activated, Camera};
 
 use super::project::{Pinhole, project};
+use crate::Laps;
 use crate::settings::MIN_ALPHA;
 
 /// Tile side in pixels: wide enough that a row fills two vectors of eight lanes, small enough
@@ -83,13 +84,14 @@ fn splat(gaussians: &Activated, index: usize, camera: &Camera, pinhole: &Pinhole
 }
 
 impl Tiles {
-    pub fn new(gaussians: &Activated, camera: &Camera) -> Self {
+    pub fn new(gaussians: &Activated, camera: &Camera, laps: &mut Laps) -> Self {
         let pinhole = Pinhole::new(camera);
         let splats: Vec<Splat> = (0..gaussians.num_gaussians())
             .into_par_iter()
             .with_min_len(512)
             .filter_map(|i| splat(gaussians, i, camera, &pinhole))
             .collect();
+        laps.lap("project");
 
         // Depths are positive, so their bits sort as they do; ties go by index.
         let mut order: Vec<u64> =
@@ -131,6 +133,7 @@ impl Tiles {
                 }
             }
         }
+        laps.lap("sort");
         Self { splats, grid, starts, pair_splats, splat_starts, splat_pairs }
     }
 

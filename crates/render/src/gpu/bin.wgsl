@@ -26,7 +26,12 @@
 
 var<workgroup> sums: array<u32, 256>;
 
-// Exclusive sum over the workgroup; the total is left in sums[255].
+// So that too many pairs to count are still too many.
+fn saturating_add(a: u32, b: u32) -> u32 {
+    return a + min(b, ~a);
+}
+
+// Exclusive sum over the workgroup; the total is left in sums[255]. Once that is the largest number, the others say nothing.
 fn scan(lane: u32, value: u32) -> u32 {
     workgroupBarrier();
     sums[lane] = value;
@@ -37,7 +42,7 @@ fn scan(lane: u32, value: u32) -> u32 {
             before = sums[lane - distance];
         }
         workgroupBarrier();
-        sums[lane] += before;
+        sums[lane] = saturating_add(sums[lane], before);
         workgroupBarrier();
     }
     return sums[lane] - value;
@@ -76,7 +81,7 @@ fn bin_scan(@builtin(local_invocation_index) lane: u32) {
         if block < blocks {
             block_sums[block] = total + before;
         }
-        total += sums[255];
+        total = saturating_add(total, sums[255]);
     }
     if lane == 0u {
         if total > view.pair_capacity {
@@ -113,23 +118,22 @@ fn bin_emit(
     let rest = splats[2u * i + 1u];
     let conic = vec3<f32>(shape.zw, bitcast<f32>(rest.x));
     let limit = reach(bitcast<f32>(rest.y));
-    // As many as were counted, even if two compilations of reaches_tile round differently.
+    // As many as were counted, even if two compilations of reaches_tile round differently: what is then missing is made
+    // up for by the last tiles, in which nothing will be seen of it.
     var pair = first;
     let end = first + count;
+    var left = ((rest.w >> 16u) - (rest.w & 0xffffu)) * ((rest.z >> 16u) - (rest.z & 0xffffu));
     for (var row = rest.w & 0xffffu; row < (rest.w >> 16u); row++) {
         for (var column = rest.z & 0xffffu; column < (rest.z >> 16u); column++) {
-            if pair < end && reaches_tile(shape.xy, conic, limit, vec2<u32>(column, row)) {
+            let is_needed = left <= end - pair;
+            left--;
+            if pair < end && (is_needed || reaches_tile(shape.xy, conic, limit, vec2<u32>(column, row))) {
                 pair_keys[pair] = row * view.grid.x + column;
                 pair_values[pair] = pair;
                 pair_gaussian[pair] = i;
                 pair++;
             }
         }
-    }
-    for (; pair < end; pair++) {
-        pair_keys[pair] = num_tiles(); // after all tiles
-        pair_values[pair] = pair;
-        pair_gaussian[pair] = i;
     }
 }
 

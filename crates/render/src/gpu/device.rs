@@ -1,10 +1,9 @@
 //! The GPU itself: which one, what it can do, its memory, and what goes wrong with it.
 
 use std::collections::HashMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-
-use wgpu::util::DeviceExt;
 
 use super::kernel::Kernel;
 
@@ -119,24 +118,31 @@ impl Gpu {
     /// [`GpuError::NotFound`] if there is none as wanted, [`GpuError::Unfit`] if it cannot run the shaders.
     pub fn open(choice: GpuChoice<'_>) -> Result<Self, GpuError> {
         let adapters = adapters();
-        let fits = |adapter: &wgpu::Adapter| {
+        let is_wanted = |adapter: &&wgpu::Adapter| {
             let info = adapter.get_info();
             match choice {
                 GpuChoice::Hardware => info.device_type != wgpu::DeviceType::Cpu,
                 GpuChoice::Named(name) => info.name.to_lowercase().contains(&name.to_lowercase()),
             }
         };
-        let Some(adapter) = adapters.iter().find(|adapter| fits(adapter)) else {
+        let mut problem = None;
+        for adapter in adapters.iter().filter(is_wanted) {
+            match Self::of_adapter(adapter) {
+                Ok(gpu) => return Ok(gpu),
+                // The next one may fit; if none does, the best one's problem is told.
+                Err(error) => problem = problem.or(Some(error)),
+            }
+        }
+        Err(problem.unwrap_or_else(|| {
             let names: Vec<String> = adapters.iter().map(|adapter| describe(&adapter.get_info())).collect();
-            return Err(GpuError::NotFound {
+            GpuError::NotFound {
                 wanted: match choice {
                     GpuChoice::Hardware => "in hardware".into(),
                     GpuChoice::Named(name) => format!("named {name}"),
                 },
                 found: if names.is_empty() { "none".into() } else { names.join(", ") },
-            });
-        };
-        Self::of_adapter(adapter)
+            }
+        }))
     }
 
     fn of_adapter(adapter: &wgpu::Adapter) -> Result<Self, GpuError> {
@@ -144,6 +150,9 @@ impl Gpu {
         let unfit = |problem: String| GpuError::Unfit { name: about.name.clone(), problem };
         if !adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS) {
             return Err(unfit("has no compute shaders".into()));
+        }
+        if let Some(problem) = lacking(&adapter.limits()) {
+            return Err(unfit(problem));
         }
         let wanted = wgpu::Features::TIMESTAMP_QUERY;
         let features = adapter.features() & wanted;
@@ -156,8 +165,12 @@ impl Gpu {
         .map_err(|e| unfit(format!("cannot be opened: {e}")))?;
 
         let problem = Arc::new(Mutex::new(None));
-        let keep = |problem: &Arc<Mutex<Option<GpuError>>>, error| {
-            lock(problem).get_or_insert(error);
+        let keep = |problem: &Mutex<Option<GpuError>>, error: GpuError| {
+            let mut kept = lock(problem);
+            // What is refused after a loss is refused because of it.
+            if kept.is_none() || matches!(error, GpuError::Lost(_)) {
+                *kept = Some(error);
+            }
         };
         let of_errors = Arc::clone(&problem);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
@@ -173,9 +186,8 @@ impl Gpu {
         }));
         let of_loss = Arc::clone(&problem);
         device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                keep(&of_loss, GpuError::Lost(message));
-            }
+            let destroyed = reason == wgpu::DeviceLostReason::Destroyed;
+            keep(&of_loss, GpuError::Lost(if destroyed { "it was closed".into() } else { message }));
         });
         let names = [(wgpu::Features::TIMESTAMP_QUERY, "timestamps")];
         let info = GpuInfo {
@@ -260,7 +272,7 @@ impl Gpu {
         self.allocate(what, bytes as u64, wgpu::BufferUsages::UNIFORM)
     }
 
-    /// A storage buffer that holds `values`.
+    /// A storage buffer that holds `values`, of 32 bits or rows of such.
     ///
     /// # Errors
     /// As [`Self::storage`].
@@ -272,14 +284,9 @@ impl Gpu {
             self.0.queue.write_buffer(&buffer, 0, &padded[..16]);
             return Ok(buffer);
         }
-        self.check_size(what, bytes.len() as u64)?;
-        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
-        let buffer = self.0.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some(what),
-            contents: bytes,
-            usage,
-        });
-        self.allocated(what, bytes.len() as u64)?;
+        // Not create_buffer_init, which panics where there is no memory.
+        let buffer = self.allocate(what, bytes.len() as u64, wgpu::BufferUsages::STORAGE)?;
+        self.0.queue.write_buffer(&buffer, 0, bytes);
         Ok(buffer)
     }
 
@@ -307,6 +314,8 @@ impl Gpu {
 
     /// Names the buffer in an error of its allocation.
     fn allocated(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
+        // A device that was lost says so only when asked.
+        self.poll()?;
         self.check().map_err(|error| match error {
             GpuError::Memory { bytes: 0, problem, .. } => GpuError::Memory { what: what.into(), bytes, problem },
             other => other,
@@ -318,7 +327,14 @@ impl Gpu {
     /// # Errors
     /// The first thing that has.
     pub fn check(&self) -> Result<(), GpuError> {
-        lock(&self.0.problem).clone().map_or(Ok(()), Err)
+        let problem = || lock(&self.0.problem).clone().map_or(Ok(()), Err);
+        problem().or_else(|error| {
+            if matches!(error, GpuError::Refused(_)) {
+                // It may be refused because the device is lost, which may be told only once it is idle.
+                let _ = self.poll_device(wgpu::PollType::wait_indefinitely());
+            }
+            problem()
+        })
     }
 
     /// Starts recording.
@@ -337,9 +353,30 @@ impl Gpu {
     /// # Errors
     /// What has gone wrong meanwhile.
     pub fn wait(&self) -> Result<(), GpuError> {
-        let waited = self.0.device.poll(wgpu::PollType::wait_indefinitely());
+        self.poll_until(wgpu::PollType::wait_indefinitely())
+    }
+
+    /// Hears of what has arrived or gone wrong; does not wait.
+    ///
+    /// # Errors
+    /// What has gone wrong meanwhile.
+    pub fn poll(&self) -> Result<(), GpuError> {
+        self.poll_until(wgpu::PollType::Poll)
+    }
+
+    fn poll_until(&self, until: wgpu::PollType) -> Result<(), GpuError> {
+        let polled = self.poll_device(until);
         self.check()?;
-        waited.map(|_| ()).map_err(|e| GpuError::Lost(e.to_string()))
+        polled
+    }
+
+    fn poll_device(&self, until: wgpu::PollType) -> Result<(), GpuError> {
+        // wgpu panics if the device is lost meanwhile, after it has told the callback.
+        match catch_unwind(AssertUnwindSafe(|| self.0.device.poll(until))) {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(error)) => Err(GpuError::Lost(error.to_string())),
+            Err(_) => Err(GpuError::Lost("waiting for it failed".into())),
+        }
     }
 
     /// Records a copy of the first `len` 32-bit values of `buffer` to memory that can be mapped.
@@ -376,6 +413,24 @@ impl Gpu {
         self.wait()?;
         staged.take(self)
     }
+}
+
+/// What the shaders ask of an adapter that it does not offer.
+fn lacking(limits: &wgpu::Limits) -> Option<String> {
+    let needed = [
+        ("storage buffers in a shader", limits.max_storage_buffers_per_shader_stage, 10),
+        ("bindings in a group", limits.max_bindings_per_bind_group, 20),
+        ("bytes of memory in a workgroup", limits.max_compute_workgroup_storage_size, 16_384),
+        ("threads in a workgroup", limits.max_compute_invocations_per_workgroup, 256),
+        ("threads along a workgroup", limits.max_compute_workgroup_size_x, 256),
+        ("workgroups along a dispatch", limits.max_compute_workgroups_per_dimension, 65_535),
+    ];
+    let lacking: Vec<String> = needed
+        .into_iter()
+        .filter(|(_, found, expected)| found < expected)
+        .map(|(what, found, expected)| format!("allows {found} {what}, expected at least {expected}"))
+        .collect();
+    (!lacking.is_empty()).then(|| lacking.join("; "))
 }
 
 fn describe(info: &wgpu::AdapterInfo) -> String {
@@ -416,5 +471,20 @@ impl Staged {
         }
         let view = self.staging.get_mapped_range(..).map_err(|e| lost(&e.to_string()))?;
         Ok(bytemuck::pod_collect_to_vec(&view[..self.len * 4]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_an_adapter_lacks_is_named() {
+        let enough = wgpu::Limits { max_storage_buffers_per_shader_stage: 10, ..wgpu::Limits::default() };
+        assert_eq!(lacking(&enough), None);
+        let few = wgpu::Limits { max_compute_workgroup_size_x: 128, ..wgpu::Limits::default() };
+        let expected = "allows 8 storage buffers in a shader, expected at least 10; \
+                        allows 128 threads along a workgroup, expected at least 256";
+        assert_eq!(lacking(&few).as_deref(), Some(expected));
     }
 }

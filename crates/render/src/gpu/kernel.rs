@@ -6,6 +6,9 @@ pub const WORKGROUP: u32 = 256;
 /// Most workgroups along x where a count of them may pass the limit of one dimension; the rest go along y.
 pub const MAX_GROUPS_X: u32 = 32_768;
 
+/// Most elements that have a thread each in one dispatch.
+pub const MAX_THREADS: usize = 65_535 * WORKGROUP as usize;
+
 /// A compiled compute shader.
 #[derive(Clone, Debug)]
 pub struct Kernel {
@@ -67,7 +70,15 @@ impl Bound {
         pass.dispatch_workgroups(x, y, z);
     }
 
-    /// Records one dispatch with a thread for each of `len` elements, in workgroups of [`WORKGROUP`].
+    /// Records one dispatch of `len` workgroups, of which each takes the number
+    /// `workgroup_id.y * MAX_GROUPS_X + workgroup_id.x` and does nothing if that is not below `len`.
+    pub fn dispatch_groups(&self, pass: &mut wgpu::ComputePass<'_>, len: usize) {
+        let len = len as u32;
+        self.dispatch(pass, [len.min(MAX_GROUPS_X), len.div_ceil(MAX_GROUPS_X), 1]);
+    }
+
+    /// Records one dispatch with a thread for each of `len` elements, in workgroups of [`WORKGROUP`]; at most
+    /// [`MAX_THREADS`].
     pub fn dispatch_over(&self, pass: &mut wgpu::ComputePass<'_>, len: usize) {
         self.dispatch(pass, [(len as u32).div_ceil(WORKGROUP), 1, 1]);
     }

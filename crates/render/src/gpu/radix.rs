@@ -49,10 +49,11 @@ impl Radix {
     /// - `count`: its first value is how many there are; more than `capacity` count as `capacity`
     ///
     /// # Errors
-    /// [`GpuError::Memory`] if there is no room for the counts.
+    /// [`GpuError::Memory`] if there is no room for the counts; [`GpuError::Unfit`] if `capacity` exceeds the 67 million
+    /// keys that can be sorted.
     ///
     /// # Panics
-    /// If `capacity` exceeds the 67 million keys, or `bits` the 32, that can be sorted.
+    /// If `bits` exceeds the 32 of a key.
     pub fn new(
         gpu: &Gpu,
         keys: [&wgpu::Buffer; 2],
@@ -62,7 +63,10 @@ impl Radix {
         bits: u32,
     ) -> Result<Self, GpuError> {
         let num_blocks = capacity.div_ceil(SORT_BLOCK);
-        assert!(num_blocks <= MAX_BLOCKS, "{capacity} keys, at most {} can be sorted", MAX_BLOCKS * SORT_BLOCK);
+        if num_blocks > MAX_BLOCKS {
+            let problem = format!("would have to sort {capacity} keys, expected at most {}", MAX_BLOCKS * SORT_BLOCK);
+            return Err(GpuError::Unfit { name: gpu.info().name.clone(), problem });
+        }
         assert!(bits <= u32::BITS, "keys of {bits} bits");
         let device = gpu.device();
         let source = composed();

@@ -21,7 +21,10 @@ var<workgroup> any_live: u32;
 
 @compute @workgroup_size(256)
 fn rasterize_fwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3<u32>) {
-    let tile = group.x;
+    let tile = group.y * MAX_GROUPS_X + group.x;
+    if tile >= num_tiles() {
+        return;
+    }
     let pixel = vec2<u32>(tile % view.grid.x, tile / view.grid.x) * TILE + vec2<u32>(lane % TILE, lane / TILE);
     let inside = all(pixel < view.size);
     let center = vec2<f32>(pixel) + 0.5;

@@ -1,17 +1,34 @@
 //! The GPU renderer behind the contract that every renderer keeps: arrays in, arrays out.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
-use super::{Capacity, Gpu, GpuError, GpuRenderer};
+use super::{Capacity, Gpu, GpuError, GpuRenderer, RenderBuffers, StageTimer};
 use crate::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
 /// Draws on a GPU. Buffers are kept from one image to the next.
 #[derive(Debug)]
 pub struct GpuRasterizer {
     gpu: Gpu,
-    renderer: Mutex<Option<GpuRenderer>>,
+    kept: Mutex<Kept>,
+}
+
+/// What is kept from one image to the next.
+#[derive(Debug, Default)]
+struct Kept {
+    renderer: Option<GpuRenderer>,
+    /// What lies in the renderer's buffers, if it may lie there still when it is next drawn.
+    loaded: Option<Arc<Activated>>,
+}
+
+/// One image that is asked for.
+struct Job<'a> {
+    gaussians: &'a Activated,
+    camera: &'a Camera,
+    settings: &'a RenderSettings,
+    v_image: Option<&'a Image>,
 }
 
 /// What the GPU's forward keeps for its backward: nothing, since its buffers serve the next image too. Backward draws
@@ -22,7 +39,7 @@ pub struct GpuSaved;
 impl GpuRasterizer {
     /// A renderer on `gpu`.
     pub fn new(gpu: &Gpu) -> Self {
-        Self { gpu: gpu.clone(), renderer: Mutex::new(None) }
+        Self { gpu: gpu.clone(), kept: Mutex::default() }
     }
 
     /// The GPU it draws on.
@@ -31,40 +48,55 @@ impl GpuRasterizer {
     }
 
     /// Draws, and takes the gradient back if there is one; repeats with larger buffers where they were too small.
-    fn run<T>(
+    ///
+    /// - `shared`: the job's Gaussians, if they will not change until drawn again
+    /// - `wanted`: buffers to read, and how many values of each
+    /// - returns: their values, and the milliseconds on the GPU
+    fn run<const K: usize>(
         &self,
-        gaussians: &Activated,
-        camera: &Camera,
-        settings: &RenderSettings,
-        v_image: Option<&Image>,
-        take: impl Fn(&GpuRenderer) -> Result<T, GpuError>,
-    ) -> Result<T, GpuError> {
-        let mut slot = self.renderer.lock().unwrap_or_else(PoisonError::into_inner);
+        job: &Job<'_>,
+        shared: Option<&Arc<Activated>>,
+        wanted: impl Fn(&RenderBuffers) -> [(&wgpu::Buffer, usize); K],
+    ) -> Result<([Vec<f32>; K], f64), GpuError> {
+        let Job { gaussians, camera, settings, v_image } = *job;
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         let backward = v_image.is_some();
-        let mut wanted = Capacity::new(gaussians.num_gaussians(), gaussians.num_channels, [camera], backward);
-        if let Some(renderer) = slot.as_ref() {
+        let mut capacity = Capacity::new(gaussians.num_gaussians(), gaussians.num_channels, [camera], backward);
+        if let Some(renderer) = &kept.renderer {
             // Room found to be needed for these Gaussians stays.
-            let kept = renderer.capacity();
-            if kept.num_gaussians == wanted.num_gaussians {
-                wanted.num_pairs = wanted.num_pairs.max(kept.num_pairs);
+            let before = renderer.capacity();
+            if before.num_gaussians == capacity.num_gaussians {
+                capacity.num_pairs = capacity.num_pairs.max(before.num_pairs);
             }
         }
-        let packed = pack(gaussians);
+        let timer = StageTimer::new(&self.gpu, &["draw"])?;
         loop {
-            let mut renderer = match slot.take() {
-                Some(renderer) if serves(renderer.capacity(), &wanted) => renderer,
-                _ => GpuRenderer::new(&self.gpu, wanted)?,
+            let mut renderer = match kept.renderer.take() {
+                Some(renderer) if serves(renderer.capacity(), &capacity) => renderer,
+                _ => {
+                    kept.loaded = None;
+                    GpuRenderer::new(&self.gpu, capacity)?
+                }
             };
             let queue = self.gpu.queue();
-            queue.write_buffer(&renderer.buffers().activated, 0, bytemuck::cast_slice(&packed));
+            let is_loaded =
+                shared.is_some_and(|shared| kept.loaded.as_ref().is_some_and(|loaded| Arc::ptr_eq(loaded, shared)));
+            if !is_loaded {
+                queue.write_buffer(&renderer.buffers().activated, 0, bytemuck::cast_slice(&pack(gaussians)));
+                kept.loaded = shared.cloned();
+            }
             queue.write_buffer(&renderer.buffers().status, 0, &[0; 16]);
             if let Some(v_image) = v_image {
                 queue.write_buffer(&renderer.buffers().v_image, 0, bytemuck::cast_slice(&v_image.data));
             }
             renderer.set_view(camera, settings);
             let mut encoder = self.gpu.encoder();
+            let begin = Instant::now();
             {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                let mut pass = match &timer {
+                    Some(timer) => timer.pass(&mut encoder, 0),
+                    None => encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()),
+                };
                 renderer.project(&mut pass);
                 renderer.sort(&mut pass);
                 renderer.rasterize(&mut pass);
@@ -73,17 +105,41 @@ impl GpuRasterizer {
                     renderer.project_bwd(&mut pass);
                 }
             }
-            self.gpu.submit(encoder);
-            let [halted, needed, ..] = *self.gpu.read::<u32>(&renderer.buffers().status, 4)? else {
-                unreachable!("four values were asked for")
-            };
-            if halted == 0 {
-                let taken = take(&renderer);
-                *slot = Some(renderer);
-                return taken;
+            let times = timer.as_ref().map(|timer| timer.stage(&self.gpu, &mut encoder)).transpose()?;
+            let status = self.gpu.stage(&mut encoder, &renderer.buffers().status, 2)?;
+            let mut staged = Vec::with_capacity(K);
+            for (buffer, len) in wanted(renderer.buffers()) {
+                staged.push(self.gpu.stage(&mut encoder, buffer, len)?);
             }
-            wanted.num_pairs = needed as usize + needed as usize / 4;
+            self.gpu.submit(encoder);
+            staged.iter().chain([&status]).for_each(|staged| staged.map(&self.gpu));
+            let ms = match (&timer, &times) {
+                (Some(timer), Some(times)) => timer.read(&self.gpu, times)?.total,
+                _ => {
+                    self.gpu.wait()?;
+                    begin.elapsed().as_secs_f64() * 1e3
+                }
+            };
+            let status: Vec<u32> = status.take(&self.gpu)?;
+            if status[0] == 0 {
+                kept.renderer = Some(renderer);
+                let mut arrays = std::array::from_fn(|_| Vec::new());
+                for (array, staged) in arrays.iter_mut().zip(staged) {
+                    *array = staged.take(&self.gpu)?;
+                }
+                return Ok((arrays, ms));
+            }
+            capacity.num_pairs = status[1] as usize + status[1] as usize / 4;
         }
+    }
+
+    fn image(&self, job: &Job<'_>, shared: Option<&Arc<Activated>>) -> Result<(RenderOutput, f64), GpuError> {
+        let (channels, camera) = (job.gaussians.num_channels, job.camera);
+        let pixels = camera.width * camera.height;
+        let ([mut data], ms) = self.run(job, shared, |buffers| [(&buffers.image, (channels + 1) * pixels)])?;
+        let transmittance = data.split_off(channels * pixels);
+        let image = Image { data, ..Image::filled(camera.width, camera.height, channels, 0.0) };
+        Ok((RenderOutput { image, transmittance }, ms))
     }
 }
 
@@ -97,7 +153,7 @@ fn serves(capacity: &Capacity, wanted: &Capacity) -> bool {
 }
 
 /// Array after array, as the shaders read them.
-fn pack(gaussians: &Activated) -> Vec<f32> {
+pub(super) fn pack(gaussians: &Activated) -> Vec<f32> {
     let n = gaussians.num_gaussians();
     let arrays: [(&str, &[f32], usize); 5] = [
         ("means", gaussians.means.as_flattened(), 3),
@@ -123,13 +179,7 @@ impl Rasterizer for GpuRasterizer {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<(RenderOutput, GpuSaved), GpuError> {
-        let (channels, pixels) = (gaussians.num_channels, camera.width * camera.height);
-        self.run(gaussians, camera, settings, None, |renderer| {
-            let mut data: Vec<f32> = self.gpu.read(&renderer.buffers().image, (channels + 1) * pixels)?;
-            let transmittance = data.split_off(channels * pixels);
-            let image = Image { data, ..Image::filled(camera.width, camera.height, channels, 0.0) };
-            Ok((RenderOutput { image, transmittance }, GpuSaved))
-        })
+        Ok((self.image(&Job { gaussians, camera, settings, v_image: None }, None)?.0, GpuSaved))
     }
 
     fn backward(
@@ -143,21 +193,20 @@ impl Rasterizer for GpuRasterizer {
         let (n, c) = (gaussians.num_gaussians(), gaussians.num_channels);
         let shape = [v_image.num_channels, v_image.height, v_image.width];
         assert_eq!(shape, [c, camera.height, camera.width], "v_image against the rendered image");
-        self.run(gaussians, camera, settings, Some(v_image), |renderer| {
-            let v: Vec<f32> = self.gpu.read(&renderer.buffers().v_activated, (11 + c) * n)?;
-            let statistic: Vec<f32> = self.gpu.read(&renderer.buffers().v_means2d_ndc, 3 * n)?;
-            let rows = statistic.as_chunks::<3>().0;
-            Ok(RenderGrads {
-                activated: ActivatedGrads {
-                    v_means: v[..3 * n].as_chunks().0.to_vec(),
-                    v_quats: v[3 * n..7 * n].as_chunks().0.to_vec(),
-                    v_scales: v[7 * n..10 * n].as_chunks().0.to_vec(),
-                    v_opacities: v[10 * n..11 * n].to_vec(),
-                    v_colors: v[11 * n..].to_vec(),
-                },
-                v_means2d_ndc: rows.iter().map(|&[x, y, _]| [x, y]).collect(),
-                visible: rows.iter().map(|row| row[2] != 0.0).collect(),
-            })
+        let job = Job { gaussians, camera, settings, v_image: Some(v_image) };
+        let ([v, statistic], _) =
+            self.run(&job, None, |buffers| [(&buffers.v_activated, (11 + c) * n), (&buffers.v_means2d_ndc, 3 * n)])?;
+        let rows = statistic.as_chunks::<3>().0;
+        Ok(RenderGrads {
+            activated: ActivatedGrads {
+                v_means: v[..3 * n].as_chunks().0.to_vec(),
+                v_quats: v[3 * n..7 * n].as_chunks().0.to_vec(),
+                v_scales: v[7 * n..10 * n].as_chunks().0.to_vec(),
+                v_opacities: v[10 * n..11 * n].to_vec(),
+                v_colors: v[11 * n..].to_vec(),
+            },
+            v_means2d_ndc: rows.iter().map(|&[x, y, _]| [x, y]).collect(),
+            visible: rows.iter().map(|row| row[2] != 0.0).collect(),
         })
     }
 }
@@ -169,10 +218,10 @@ impl Draw for GpuRasterizer {
 
     fn draw(
         &self,
-        gaussians: &Activated,
+        gaussians: &Arc<Activated>,
         camera: &Camera,
         settings: &RenderSettings,
-    ) -> Result<RenderOutput, GpuError> {
-        self.forward(gaussians, camera, settings).map(|(output, _)| output)
+    ) -> Result<(RenderOutput, f64), GpuError> {
+        self.image(&Job { gaussians, camera, settings, v_image: None }, Some(gaussians))
     }
 }

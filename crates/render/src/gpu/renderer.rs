@@ -21,9 +21,9 @@ use tcgs_core::Camera;
 
 use super::radix::{Dispatch, Radix, SORT_BLOCK};
 use super::source::{BUCKET, TILE, source};
-use super::{Bound, Gpu, GpuError};
+use super::{Bound, Gpu, GpuError, MAX_THREADS};
 use crate::settings::MAX_CHANNELS;
-use crate::{Pinhole, RenderSettings};
+use crate::{PairCounts, Pinhole, RenderSettings};
 
 /// Sources of the renderer's shaders, by name.
 ///
@@ -39,6 +39,9 @@ pub(super) fn sources(num_channels: usize, keeps: bool) -> [(&'static str, Strin
         ("rasterize_bwd", source(num_channels, &[view, include_str!("rasterize_bwd.wgsl")])),
     ]
 }
+
+/// Marks a tile count of a splat whose bounds hold a pixel, as in `reach.wgsl`.
+const VISIBLE: u32 = 0x8000_0000;
 
 /// What a [`GpuRenderer`]'s buffers hold at most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,6 +125,7 @@ pub struct GpuRenderer {
     buffers: RenderBuffers,
     view: wgpu::Buffer,
     arguments: wgpu::Buffer,
+    tile_counts: wgpu::Buffer,
     grid: [usize; 2],
     project: Bound,
     sort_depths: Radix,
@@ -139,13 +143,18 @@ impl GpuRenderer {
     /// Allocates everything.
     ///
     /// # Errors
-    /// [`GpuError::Memory`] if something does not fit.
+    /// [`GpuError::Memory`] if something does not fit; [`GpuError::Unfit`] if there are more Gaussians or pairs than one
+    /// dispatch takes.
     ///
     /// # Panics
     /// If the number of channels is not in `1..=MAX_CHANNELS`.
     pub fn new(gpu: &Gpu, capacity: Capacity) -> Result<Self, GpuError> {
         let Capacity { num_gaussians: n, num_channels: c, num_pixels, num_tiles, num_pairs: p, backward } = capacity;
         assert!((1..=MAX_CHANNELS).contains(&c), "{c} channels, expected 1 to {MAX_CHANNELS}");
+        if n > MAX_THREADS {
+            let problem = format!("would have to draw {n} Gaussians, expected at most {MAX_THREADS}");
+            return Err(GpuError::Unfit { name: gpu.info().name.clone(), problem });
+        }
         let if_backward = |len: usize| if backward { len } else { 1 };
         let view = gpu.uniform("the view", size_of::<ViewUniform>())?;
         let buffers = RenderBuffers {
@@ -174,7 +183,7 @@ impl GpuRenderer {
         let count = gpu.upload("number of Gaussians", &[n as u32])?;
         let sort_depths = Radix::new(gpu, [&keys[0], &keys[1]], [&values[0], &values[1]], &count, n, 32)?;
         let order = &values[sort_depths.result_index()];
-        let tile_bits = usize::BITS - num_tiles.leading_zeros();
+        let tile_bits = (usize::BITS - num_tiles.saturating_sub(1).leading_zeros()).max(1);
         let sort_tiles = Radix::new(
             gpu,
             [&pair_keys[0], &pair_keys[1]],
@@ -269,6 +278,7 @@ impl GpuRenderer {
             gpu: gpu.clone(),
             view,
             arguments,
+            tile_counts,
             grid: [0; 2],
             buffers,
         };
@@ -284,6 +294,16 @@ impl GpuRenderer {
     /// The buffers that others fill or read.
     pub fn buffers(&self) -> &RenderBuffers {
         &self.buffers
+    }
+
+    /// What the last image had to blend; reads back, and waits for the GPU.
+    ///
+    /// # Errors
+    /// What has gone wrong meanwhile.
+    pub fn read_counts(&self) -> Result<PairCounts, GpuError> {
+        let counts: Vec<u32> = self.gpu.read(&self.tile_counts, self.capacity.num_gaussians)?;
+        let tiles = counts.iter().map(|count| (count & !VISIBLE) as usize);
+        Ok(PairCounts { pairs: tiles.clone().sum(), splats: tiles.filter(|&tiles| tiles > 0).count() })
     }
 
     /// Chooses the camera of the passes submitted from now on.
@@ -341,7 +361,7 @@ impl GpuRenderer {
 
     /// Blends the tiles' splats to `image`.
     pub fn rasterize(&self, pass: &mut wgpu::ComputePass<'_>) {
-        self.rasterize.dispatch(pass, [(self.grid[0] * self.grid[1]) as u32, 1, 1]);
+        self.rasterize.dispatch_groups(pass, self.grid[0] * self.grid[1]);
     }
 
     /// From `v_image` to gradients of the splats, after the forward stages.

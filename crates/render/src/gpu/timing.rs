@@ -1,25 +1,26 @@
 //! Time that stages take on the GPU, by its own clock.
 
 use super::{Gpu, GpuError, Staged};
+use crate::StageTimes;
 
 /// A pair of timestamps around each of a few stages.
 #[derive(Debug)]
 pub struct StageTimer {
     queries: wgpu::QuerySet,
     resolved: wgpu::Buffer,
-    num_stages: usize,
+    stages: &'static [&'static str],
 }
 
 impl StageTimer {
-    /// For `num_stages` stages; none where the adapter has no timestamps.
+    /// For stages of these names; none where the adapter has no timestamps.
     ///
     /// # Errors
     /// As [`Gpu::storage`].
-    pub fn new(gpu: &Gpu, num_stages: usize) -> Result<Option<Self>, GpuError> {
+    pub fn new(gpu: &Gpu, stages: &'static [&'static str]) -> Result<Option<Self>, GpuError> {
         if !gpu.device().features().contains(wgpu::Features::TIMESTAMP_QUERY) {
             return Ok(None);
         }
-        let count = 2 * num_stages as u32;
+        let count = 2 * stages.len() as u32;
         let queries = gpu.device().create_query_set(&wgpu::QuerySetDescriptor {
             label: Some("stages"),
             ty: wgpu::QueryType::Timestamp,
@@ -32,10 +33,10 @@ impl StageTimer {
             mapped_at_creation: false,
         });
         gpu.check()?;
-        Ok(Some(Self { queries, resolved, num_stages }))
+        Ok(Some(Self { queries, resolved, stages }))
     }
 
-    /// Begins the pass of one stage.
+    /// Begins the pass of one stage, by its position.
     pub fn pass<'a>(&self, encoder: &'a mut wgpu::CommandEncoder, stage: usize) -> wgpu::ComputePass<'a> {
         encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: None,
@@ -52,25 +53,27 @@ impl StageTimer {
     /// # Errors
     /// As [`Gpu::storage`].
     pub fn stage(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder) -> Result<Staged, GpuError> {
-        encoder.resolve_query_set(&self.queries, 0..2 * self.num_stages as u32, &self.resolved, 0);
-        gpu.stage(encoder, &self.resolved, 4 * self.num_stages)
+        encoder.resolve_query_set(&self.queries, 0..2 * self.stages.len() as u32, &self.resolved, 0);
+        gpu.stage(encoder, &self.resolved, 4 * self.stages.len())
     }
 
-    /// Milliseconds of each stage, and from the first's begin to the last's end; waits for the GPU.
+    /// The times; waits for the GPU.
     ///
     /// - `staged`: as [`Self::stage`] returned it, submitted
     ///
     /// # Errors
     /// What has gone wrong meanwhile.
-    pub fn read(&self, gpu: &Gpu, staged: &Staged) -> Result<(Vec<f64>, f64), GpuError> {
+    pub fn read(&self, gpu: &Gpu, staged: &Staged) -> Result<StageTimes, GpuError> {
         staged.map(gpu);
         gpu.wait()?;
         let words: Vec<u32> = staged.take(gpu)?;
         let ticks: Vec<u64> =
             words.as_chunks::<2>().0.iter().map(|w| u64::from(w[1]) << 32 | u64::from(w[0])).collect();
         let ms = |ticks: u64| ticks as f64 * f64::from(gpu.queue().get_timestamp_period()) * 1e-6;
-        let stages = ticks.as_chunks::<2>().0.iter().map(|[begin, end]| ms(end.saturating_sub(*begin))).collect();
-        let total = ticks[ticks.len() - 1].saturating_sub(ticks[0]);
-        Ok((stages, ms(total)))
+        let stages = self.stages.iter().zip(ticks.as_chunks::<2>().0);
+        Ok(StageTimes {
+            stages: stages.map(|(&name, [begin, end])| (name, ms(end.saturating_sub(*begin)))).collect(),
+            total: ms(ticks[ticks.len() - 1].saturating_sub(ticks[0])),
+        })
     }
 }

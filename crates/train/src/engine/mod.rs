@@ -9,6 +9,7 @@ pub mod gpu;
 use std::fmt::Debug;
 
 use tcgs_core::{Camera, Gaussians, Image, View};
+use tcgs_render::StageTimes;
 
 use self::cpu::PriorLosses;
 use crate::TrainError;
@@ -112,6 +113,13 @@ pub trait Engine: Send + Debug {
     /// One iteration: losses and gradients on one image, then the parameters move. It may return before
     /// it is computed.
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError>;
+
+    /// One iteration with a clock: what [`Self::step`] does, with the times of its stages. Waits for it and for all
+    /// before it.
+    ///
+    /// Engines name the same work by the same names, but may run some of it together or in another order. Where a GPU
+    /// has no timestamps there is one stage, `iteration`, by the clock of the CPU.
+    fn profile(&mut self, step: &Step<'_>) -> Result<StageTimes, TrainError>;
 
     /// Losses of the iterations that have become known since this was last asked, in order.
     fn losses(&mut self) -> Result<Vec<LossTerms>, TrainError>;

@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, ActivatedGrads, Attribute, Camera, Gaussians, Image, activate, activate_bwd, normalize};
-use tcgs_render::{CpuRasterizer, Draw, Rasterizer, RenderSettings};
+use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderSettings, StageTimes};
 
 use super::{Engine, LossTerms, Step, Target};
 use crate::TrainError;
@@ -104,12 +104,17 @@ impl CpuEngine {
     /// # Errors
     /// None; see [`Engine`].
     pub fn forward_backward(&mut self, step: &Step<'_>) -> Result<(LossTerms, StepGrads), TrainError> {
+        Ok(self.timed_forward_backward(step, &mut Laps::begin()))
+    }
+
+    fn timed_forward_backward(&mut self, step: &Step<'_>, laps: &mut Laps) -> (LossTerms, StepGrads) {
         let target = &self.targets[step.camera];
         let with_segmentation = target.image.num_channels == 5;
         let Chain { quantized, drawn, unmasked } = chain(&self.state, step.mask, with_segmentation);
         let p = &self.state.parameters;
         let settings = RenderSettings::default();
-        let (output, saved) = CpuRasterizer.forward(&drawn, &target.camera, &settings)?;
+        laps.lap("activate");
+        let (output, saved) = CpuRasterizer.timed_forward(&drawn, &target.camera, &settings, laps);
         let loss = image_loss(
             &output.image,
             &target.image,
@@ -118,7 +123,8 @@ impl CpuEngine {
             step.weights.image,
             step.weights.segmentation,
         );
-        let render = CpuRasterizer.backward(&drawn, &target.camera, &settings, &saved, &loss.v_image)?;
+        laps.lap("image losses");
+        let render = CpuRasterizer.timed_backward(&drawn, &target.camera, &settings, &saved, &loss.v_image, laps);
         if step.counts_gradients {
             let statistic = &mut self.state.statistic;
             (&mut statistic.sum, &mut statistic.count, &render.v_means2d_ndc, &render.visible)
@@ -144,6 +150,7 @@ impl CpuEngine {
         }
         let mut v_gaussians = activate_bwd(quantized.as_ref().unwrap_or(&p.gaussians), &activated, &v_activated);
         let quantizers = self.state.quantizers.as_ref().map(|q| q.backward(&p.gaussians, &mut v_gaussians));
+        laps.lap("activate backward");
         if let Some(prior) = &self.prior {
             let Gaussians { means, quats, colors, .. } = &p.gaussians;
             let w = step.weights;
@@ -162,6 +169,7 @@ impl CpuEngine {
             };
             terms.prior = prior.losses(means, quats, colors, &weights, grads);
         }
+        laps.lap("motion losses");
         let grads = StepGrads {
             gaussians: v_gaussians,
             mask_logits: v_mask_logits,
@@ -169,7 +177,7 @@ impl CpuEngine {
             v_offset: loss.v_offset,
             quantizers,
         };
-        Ok((terms, grads))
+        (terms, grads)
     }
 
     /// Backward of the mask, and its own losses. `v_activated` comes in as the gradient to masked
@@ -268,6 +276,15 @@ impl Engine for CpuEngine {
         Ok(())
     }
 
+    fn profile(&mut self, step: &Step<'_>) -> Result<StageTimes, TrainError> {
+        let mut laps = Laps::begin();
+        let (terms, grads) = self.timed_forward_backward(step, &mut laps);
+        self.update(&grads, step);
+        laps.lap("Adam");
+        self.losses.push(terms);
+        Ok(laps.finish())
+    }
+
     fn losses(&mut self) -> Result<Vec<LossTerms>, TrainError> {
         Ok(std::mem::take(&mut self.losses))
     }
@@ -290,7 +307,7 @@ impl Engine for CpuEngine {
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
         let drawn = drawn(&self.state, mask, false);
-        Ok(CpuRasterizer.draw(&drawn, camera, &RenderSettings::default())?.image)
+        Ok(CpuRasterizer.forward(&drawn, camera, &RenderSettings::default())?.0.image)
     }
 }
 

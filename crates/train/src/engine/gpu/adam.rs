@@ -3,7 +3,7 @@
 //! The floor is memory: 28 bytes a value that moves (value, gradient and two moments in, all but the
 //! gradient out), nothing for a group that does not; a Gaussian has 15 values, 11 after the first timestep.
 
-use tcgs_render::gpu::{Bound, Gpu, GpuError};
+use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X};
 
 use super::step::source;
 
@@ -37,8 +37,6 @@ pub struct AdamKernel {
 }
 
 impl AdamKernel {
-    /// - `num_gaussians`: at most 4 million: a dispatch has 65,535 workgroups of 1024 values
-    ///
     /// # Errors
     /// What has gone wrong with the GPU.
     pub fn new(gpu: &Gpu, buffers: AdamBuffers<'_>, num_gaussians: usize) -> Result<Self, GpuError> {
@@ -59,12 +57,13 @@ impl AdamKernel {
 
     /// Records one update, then the normalisation of quaternions if quantisation is on.
     pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
-        self.adam.dispatch(pass, [self.num_groups as u32, 1, 1]);
+        self.adam.dispatch_groups(pass, self.num_groups);
     }
 }
 
 pub(super) fn shader() -> String {
-    source(&[include_str!("moments.wgsl"), include_str!("adam.wgsl")])
+    let groups = format!("const MAX_GROUPS_X: u32 = {MAX_GROUPS_X}u;\n");
+    source(&[&groups, include_str!("moments.wgsl"), include_str!("adam.wgsl")])
 }
 
 #[cfg(test)]

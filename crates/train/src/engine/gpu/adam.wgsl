@@ -24,7 +24,7 @@ var<workgroup> squares: array<f32, 256>;
 fn adam(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) local: u32) {
     var which = 0u;
     var before = 0u;
-    var block = id.x;
+    var block = id.y * MAX_GROUPS_X + id.x;
     var len = COMPONENTS[0] * step.num_gaussians;
     while (which < MASK && block >= (len + 1023u) / 1024u) {
         block -= (len + 1023u) / 1024u;

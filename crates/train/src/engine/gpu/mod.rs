@@ -1,7 +1,7 @@
 //! The optimisation on the GPU: WGSL compute shaders, each operation a `.rs` beside its `.wgsl`.
 //!
 //! In a steady iteration the host writes two small uniforms and makes one submission; nothing is read back.
-//! Every [`REPORT`](model::REPORT) iterations the losses are copied out and arrive while later iterations run.
+//! Every 64 iterations (`REPORT`) the losses are copied out and arrive while later iterations run.
 //!
 //! An iteration that needs more pairs of tiles and splats than there is room for halts the GPU: from it on no kernel
 //! changes anything that outlives an iteration. The report says so; the host then enlarges the buffers
@@ -23,10 +23,11 @@ mod testing;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Instant;
 
 use tcgs_core::{Activated, Attribute, Camera, Gaussians, Image};
 use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
-use tcgs_render::{Rasterizer, RenderSettings};
+use tcgs_render::{Draw, RenderSettings, StageTimes};
 
 pub use activate::{ActivateBuffers, ActivateKernels};
 pub use adam::{AdamBuffers, AdamKernel};
@@ -37,7 +38,7 @@ pub use motion_prior::{MotionPriorKernels, PriorBuffers, prior_rows};
 pub use step::{StepUniform, adam_rates};
 
 use self::model::{Model, REPORT};
-use self::passes::Passes;
+use self::passes::{Passes, STAGES};
 use self::targets::Targets;
 use super::cpu::{Moments, Neighbors, PriorLosses, drawn};
 use super::{Engine, LossTerms, Step, Target};
@@ -96,9 +97,11 @@ pub struct GpuEngine {
     /// Submitted since the last report was asked for.
     unreported: usize,
     losses: Vec<LossTerms>,
+    /// Once it was asked for.
+    timer: Option<StageTimer>,
     /// Draws what is not trained on.
     rasterizer: GpuRasterizer,
-    drawn: Option<Activated>,
+    drawn: Option<(MaskConfig, Arc<Activated>)>,
 }
 
 impl GpuEngine {
@@ -119,6 +122,7 @@ impl GpuEngine {
             reports: VecDeque::new(),
             unreported: 0,
             losses: Vec::new(),
+            timer: None,
             rasterizer: GpuRasterizer::new(gpu),
             drawn: None,
         }
@@ -137,11 +141,10 @@ impl GpuEngine {
 
     /// Brings memory and kernels up to `state` and the images.
     fn prepare(&mut self) -> Result<(), TrainError> {
-        if self.model.as_ref().is_none_or(|model| !model.fits(&self.state)) {
+        if self.host_is_ahead && self.model.as_ref().is_none_or(|model| !model.fits(&self.state)) {
             // The old memory is given back before new is asked for.
             (self.passes, self.prior, self.model) = (None, None, None);
             self.model = Some(Model::new(&self.gpu, &self.state)?);
-            self.host_is_ahead = true;
         }
         if self.host_is_ahead {
             self.prepare_prior()?;
@@ -310,6 +313,15 @@ impl GpuEngine {
         self.unreported = 0;
     }
 
+    /// Waits for all reports that are on their way, and takes them.
+    fn collect_all(&mut self) -> Result<(), TrainError> {
+        self.gpu.wait()?;
+        if self.reports.front().is_some_and(|report| !report.staged.is_ready()) {
+            return Err(GpuError::Lost("it is done but has reported nothing".into()).into());
+        }
+        self.collect()
+    }
+
     /// Takes the reports that have arrived.
     fn collect(&mut self) -> Result<(), TrainError> {
         while self.reports.front().is_some_and(|report| report.staged.is_ready()) {
@@ -344,9 +356,9 @@ impl GpuEngine {
 
     /// What the state draws, kept until it changes.
     fn prepare_drawn(&mut self, mask: &MaskConfig) -> Result<(), TrainError> {
-        if self.drawn.is_none() {
+        if self.drawn.as_ref().is_none_or(|(of, _)| of != mask) {
             self.state()?;
-            self.drawn = Some(drawn(&self.state, mask, false));
+            self.drawn = Some((mask.clone(), Arc::new(drawn(&self.state, mask, false))));
         }
         Ok(())
     }
@@ -390,13 +402,42 @@ impl Engine for GpuEngine {
         let uniform = self.uniform(step);
         self.pending.push_back(Pending { uniform, camera: step.camera });
         self.submit(self.pending.len() - 1, None)?;
-        // Not to wait, but to hear of what has arrived.
-        let _ = self.gpu.device().poll(wgpu::PollType::Poll);
+        self.gpu.poll()?;
         while self.reports.len() > MAX_REPORTS {
-            self.gpu.wait()?;
-            self.collect()?;
+            self.collect_all()?;
         }
         self.collect()
+    }
+
+    fn profile(&mut self, step: &Step<'_>) -> Result<StageTimes, TrainError> {
+        self.wait()?;
+        self.prepare()?;
+        if self.timer.is_none() {
+            self.timer = StageTimer::new(&self.gpu, &STAGES)?;
+        }
+        loop {
+            let room = self.num_pairs;
+            (self.gpu_is_ahead, self.drawn) = (true, None);
+            let uniform = self.uniform(step);
+            self.pending.push_back(Pending { uniform, camera: step.camera });
+            let timer = self.timer.take();
+            let begin = Instant::now();
+            let staged = self.submit(0, timer.as_ref())?;
+            let times = match timer.as_ref().zip(staged) {
+                Some((timer, staged)) => timer.read(&self.gpu, &staged)?,
+                None => {
+                    self.gpu.wait()?;
+                    let total = begin.elapsed().as_secs_f64() * 1e3;
+                    StageTimes { stages: vec![("iteration", total)], total }
+                }
+            };
+            self.timer = timer;
+            self.wait()?;
+            if self.num_pairs == room {
+                return Ok(times);
+            }
+            // It was repeated with more room, without a clock. Another one tells the time.
+        }
     }
 
     fn losses(&mut self) -> Result<Vec<LossTerms>, TrainError> {
@@ -411,8 +452,7 @@ impl Engine for GpuEngine {
                 self.gpu.submit(encoder);
                 self.expect(report);
             }
-            self.gpu.wait()?;
-            self.collect()?;
+            self.collect_all()?;
         }
         Ok(())
     }
@@ -439,7 +479,7 @@ impl Engine for GpuEngine {
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
         self.prepare_drawn(mask)?;
-        let drawn = self.drawn.as_ref().expect("made above");
-        Ok(self.rasterizer.forward(drawn, camera, &RenderSettings::default())?.0.image)
+        let (_, drawn) = self.drawn.as_ref().expect("made above");
+        Ok(self.rasterizer.draw(drawn, camera, &RenderSettings::default())?.0.image)
     }
 }

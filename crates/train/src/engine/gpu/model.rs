@@ -30,6 +30,9 @@ pub(super) struct Model {
     pub quantizers: QuantizerBuffers,
     pub quantizer_state: wgpu::Buffer,
     pub num_quantizers: usize,
+    /// What `flags` and `quantizers` were made for.
+    foreground: Vec<bool>,
+    bit_map: Option<BitMap>,
     pub step: wgpu::Buffer,
     pub losses: wgpu::Buffer,
 }
@@ -57,16 +60,21 @@ impl Model {
             quantizers: QuantizerBuffers::new(gpu, quantizers)?,
             quantizer_state: gpu.storage("quantizers' state", 6 * num_quantizers)?,
             num_quantizers,
+            foreground: state.parameters.foreground.clone(),
+            bit_map: state.quantizers.as_ref().map(|q| q.bit_map.clone()),
             step: gpu.uniform("the step", size_of::<StepUniform>())?,
             losses: gpu.storage("losses", REPORT * LOSS_VALUES)?,
         })
     }
 
-    /// Whether a state has the shape that this memory is for.
+    /// Whether this memory is for states like this one: of its shape, and the same in what [`Self::write`] leaves as
+    /// it is. As many Gaussians may be others.
     pub fn fits(&self, state: &State) -> bool {
         self.num_gaussians == state.parameters.num_gaussians()
             && self.num_cameras == state.parameters.camera_gains.len()
             && self.num_quantizers == state.quantizers.as_ref().map_or(0, |q| q.quantizers.len())
+            && self.foreground == state.parameters.foreground
+            && self.bit_map.as_ref() == state.quantizers.as_ref().map(|q| &q.bit_map)
     }
 
     /// Overwrites everything with `state`, which fits.

@@ -36,6 +36,9 @@ const LINK_STRIDE: u32 = 96u; // 3 words of SLICE nodes
 // Added under square roots so that they have a derivative at zero. ROOT_EPSILON of the CPU's losses.
 const ROOT_EPSILON: f32 = 1e-20;
 
+// Of unit rotations that differ by less only their rounding differs.
+const ROUNDING: f32 = 5e-7;
+
 var<workgroup> sums: array<vec4<f32>, 256>;
 
 // The sum of `value` over the workgroup, in the thread `local` = 0. Every thread must call it.
@@ -147,7 +150,7 @@ fn prior_gaussians(
             let turned = unit - first[2u * position + 1u];
             losses.y = dot(abs(moved), vec3<f32>(1.0)) + dot(abs(turned), vec4<f32>(1.0));
             add_to_mean(gaussian, share * sign(moved));
-            let v_unit = share * sign(turned);
+            let v_unit = select(vec4<f32>(0.0), share * sign(turned), abs(turned) > vec4<f32>(ROUNDING));
             add_to_quat(gaussian, (v_unit - unit * dot(unit, v_unit)) * inverse);
         }
         if (step.soft_color_weight != 0.0) {

@@ -1,0 +1,203 @@
+//! Taking the times.
+
+use std::time::Instant;
+
+use anyhow::bail;
+use tcgs_core::{Activated, Camera, Image, activate};
+use tcgs_render::gpu::RenderProfiler;
+use tcgs_render::{CpuRasterizer, Laps, PairCounts, RenderSettings, StageTimes};
+use tcgs_train::engine::Step;
+use tcgs_train::{Phase, Rates, Schedule, TrainConfig};
+
+use super::scene::Scene;
+use crate::backend::Backend;
+
+/// How often things are done.
+#[derive(Clone, Copy)]
+pub struct Counts {
+    /// Before the first that counts.
+    pub warm_up: usize,
+    /// Samples of stages.
+    pub samples: usize,
+    /// Iterations in a row without a clock.
+    pub in_a_row: usize,
+}
+
+/// Learning rates are those of a training times this: work is the same at every sample because nothing moves far.
+const RATE_SHARE: f32 = 1e-4;
+
+/// What is found of one scene.
+pub struct Measured {
+    /// Drawing three channels; nothing is kept for a gradient.
+    pub forward: Samples,
+    /// Drawing three channels and taking the gradient back.
+    pub forward_backward: Samples,
+    /// One iteration of training.
+    pub iteration: Samples,
+    /// Of one iteration among many, milliseconds by the clock on the wall.
+    pub wall_ms: f64,
+    /// Means over the samples of `forward`.
+    pub pairs: f64,
+    /// Likewise: splats that reach a tile.
+    pub splats: f64,
+}
+
+/// Times of the same work done several times; at least once.
+pub struct Samples(Vec<StageTimes>);
+
+/// What is said of a few times, milliseconds.
+#[derive(Clone, Copy)]
+pub struct Spread {
+    pub median: f64,
+    pub p10: f64,
+    pub p90: f64,
+}
+
+impl Spread {
+    fn of(times: impl Iterator<Item = f64>) -> Self {
+        let mut sorted: Vec<f64> = times.collect();
+        sorted.sort_by(f64::total_cmp);
+        let at = |share: f64| {
+            let place = share * (sorted.len() - 1) as f64;
+            let (low, high) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
+            low + (high - low) * place.fract()
+        };
+        Self { median: at(0.5), p10: at(0.1), p90: at(0.9) }
+    }
+}
+
+impl Samples {
+    /// From the first stage's begin to the last one's end.
+    pub fn total(&self) -> Spread {
+        Spread::of(self.0.iter().map(|times| times.total))
+    }
+
+    /// Of every stage, in the order in which they run.
+    pub fn stages(&self) -> Vec<(&'static str, Spread)> {
+        let of_stage = |i: usize| Spread::of(self.0.iter().map(move |times| times.stages[i].1));
+        self.0[0].stages.iter().enumerate().map(|(i, &(name, _))| (name, of_stage(i))).collect()
+    }
+}
+
+/// Measures everything of one scene.
+///
+/// - `step`: called after each of [`STEPS`] parts
+pub fn measure(
+    backend: &Backend,
+    scene: &Scene,
+    counts: Counts,
+    step: &mut dyn FnMut(&'static str),
+) -> anyhow::Result<Measured> {
+    let drawn = activate(&scene.state.parameters.gaussians);
+    let cameras = scene.cameras();
+    let (forward, found) = render(backend, &drawn, &cameras, false, counts)?;
+    step("forward");
+    let (forward_backward, _) = render(backend, &drawn, &cameras, true, counts)?;
+    step("forward and backward");
+    let (iteration, wall_ms) = iterate(backend, scene, counts)?;
+    step("iterations");
+    let mean = |of: fn(&PairCounts) -> usize| found.iter().map(|c| of(c) as f64).sum::<f64>() / found.len() as f64;
+    Ok(Measured {
+        forward: Samples(forward),
+        forward_backward: Samples(forward_backward),
+        iteration: Samples(iteration),
+        wall_ms,
+        pairs: mean(|c| c.pairs),
+        splats: mean(|c| c.splats),
+    })
+}
+
+/// Parts of [`measure`].
+pub const STEPS: usize = 3;
+
+/// Draws, with one camera after another.
+fn render(
+    backend: &Backend,
+    drawn: &Activated,
+    cameras: &[Camera],
+    backward: bool,
+    counts: Counts,
+) -> anyhow::Result<(Vec<StageTimes>, Vec<PairCounts>)> {
+    let mut profiler = match backend {
+        Backend::Cpu => None,
+        Backend::Gpu(gpu) => Some(RenderProfiler::new(gpu, drawn, cameras, backward)?),
+    };
+    let mut sample = |i: usize| -> anyhow::Result<(StageTimes, PairCounts)> {
+        let camera = &cameras[i % cameras.len()];
+        Ok(match &mut profiler {
+            Some(profiler) => (profiler.sample(camera)?, profiler.counts()?),
+            None => render_on_cpu(drawn, camera, backward),
+        })
+    };
+    for i in 0..counts.warm_up {
+        sample(i)?;
+    }
+    let samples: Vec<_> = (0..counts.samples).map(sample).collect::<anyhow::Result<_>>()?;
+    Ok(samples.into_iter().unzip())
+}
+
+fn render_on_cpu(drawn: &Activated, camera: &Camera, backward: bool) -> (StageTimes, PairCounts) {
+    let ones = Image::filled(camera.width, camera.height, drawn.num_channels, 1.0);
+    let settings = RenderSettings::default();
+    let mut laps = Laps::begin();
+    let (_, saved) = CpuRasterizer.timed_forward(drawn, camera, &settings, &mut laps);
+    if backward {
+        CpuRasterizer.timed_backward(drawn, camera, &settings, &saved, &ones, &mut laps);
+    }
+    (laps.finish(), saved.counts())
+}
+
+/// Trains, one camera after another; also returns the mean of many iterations by the clock on the wall.
+fn iterate(backend: &Backend, scene: &Scene, counts: Counts) -> anyhow::Result<(Vec<StageTimes>, f64)> {
+    let config = TrainConfig::default();
+    let rates = Schedule::new(&config, 1.0).rates(Phase::Rest, 0);
+    let step = |i: usize| Step {
+        camera: i % scene.targets.len(),
+        rates: Rates {
+            mean: rates.mean * RATE_SHARE,
+            quat: rates.quat * RATE_SHARE,
+            color: rates.color * RATE_SHARE,
+            mask: rates.mask * RATE_SHARE,
+            step: rates.step * RATE_SHARE,
+            ..rates
+        },
+        weights: &config.weights,
+        mask: &config.mask,
+        counts_gradients: false,
+        moves_gaussians: true,
+    };
+    let mut engine = backend.engine(scene.state.clone());
+    engine.begin(scene.targets.clone())?;
+    for i in 0..counts.warm_up {
+        engine.step(&step(i))?;
+    }
+    engine.wait()?;
+    let begin = Instant::now();
+    for i in 0..counts.in_a_row {
+        engine.step(&step(i))?;
+    }
+    engine.wait()?;
+    let wall_ms = begin.elapsed().as_secs_f64() * 1e3 / counts.in_a_row as f64;
+    let times = (0..counts.samples).map(|i| engine.profile(&step(i))).collect::<Result<Vec<_>, _>>()?;
+    // What computes nonsense may do so at any speed.
+    for terms in engine.losses()? {
+        if let Some((name, value, _)) = terms.terms(&config.weights).iter().find(|term| !term.1.is_finite()) {
+            bail!("{}: the loss {name} became {value}, expected a number; its times mean nothing", scene.name);
+        }
+    }
+    Ok((times, wall_ms))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_interpolated() {
+        let spread = Spread::of((0..=10).rev().map(f64::from));
+        assert_eq!((spread.median, spread.p10, spread.p90), (5.0, 1.0, 9.0));
+        let spread = Spread::of([3.0, 1.0].into_iter());
+        assert_eq!((spread.median, spread.p10), (2.0, 1.2));
+        assert_eq!(Spread::of([7.0].into_iter()).p90, 7.0);
+    }
+}

@@ -1,0 +1,99 @@
+//! `tcgs bench`: how fast this computer draws and trains, stage by stage.
+
+mod measure;
+mod scene;
+mod table;
+
+use std::path::PathBuf;
+
+use tcgs_capture::Capture;
+
+use self::measure::{Counts, STEPS, measure};
+use crate::backend::{Backend, BackendName, BackendOptions};
+use crate::options::{self, JobOptions, Size};
+use crate::output::say;
+use crate::progress::Progress;
+
+/// Gaussians of the built-in scene.
+const NUM_GAUSSIANS: usize = 300_000;
+/// The same on software that acts as a GPU: there more take minutes, and Mesa allows no buffer that holds them.
+const NUM_GAUSSIANS_SOFTWARE: usize = 30_000;
+/// Sizes that the built-in scene is drawn at.
+const SIZES: [Size; 2] = [Size { width: 640, height: 360 }, Size { width: 1352, height: 1014 }];
+/// What every mask starts from, so that all Gaussians are drawn.
+const START_LOGIT: f32 = 1.0;
+
+/// Measure the speed of drawing and training, stage by stage
+///
+/// Draws a built-in scene of random Gaussians that fill the view, the same on every computer, and measures: drawing
+/// three channels (forward); drawing and taking the gradient back (forward + backward); one iteration of training as
+/// in every timestep after the first, colours and segmentation, with masks, quantisation and the losses on motion.
+/// Stages are timed by the GPU's own clock where it has one. The last line is the time of an iteration when many
+/// follow each other without a clock, as in a training.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Example:
+  tcgs bench --json bench.json
+  tcgs bench --backend cpu --gaussians 50000 --size 320x180
+  tcgs bench --capture my_capture --downscale 2")]
+pub struct Arguments {
+    /// Gaussians of the built-in scene [default: 300000; 30000 on software that acts as a GPU]
+    #[arg(long, value_name = "N", value_parser = options::positive, conflicts_with = "capture")]
+    gaussians: Option<usize>,
+    /// Sizes of its image, one or several with commas between [default: 640x360,1352x1014]
+    #[arg(long, value_name = "WxH", value_delimiter = ',', conflicts_with = "capture")]
+    size: Vec<Size>,
+    /// Measure on this capture's points, training cameras and images of the first frame instead
+    #[arg(long, value_name = "CAPTURE")]
+    capture: Option<PathBuf>,
+    /// Average the capture's images over N x N pixels [default: 1]
+    #[arg(long, value_name = "N", requires = "capture", value_parser = options::positive)]
+    downscale: Option<usize>,
+    /// Times that each thing is measured, after a warm-up [default: 20; 5 on the CPU, 3 on software that acts as a GPU]
+    #[arg(long, value_name = "N", value_parser = options::positive)]
+    iterations: Option<usize>,
+    #[command(flatten)]
+    backend: BackendOptions,
+    #[command(flatten)]
+    job: JobOptions,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    arguments.job.begin()?;
+    let capture = arguments.capture.as_deref().map(Capture::open).transpose()?;
+    let backend = arguments.backend.open(BackendName::Auto)?;
+    say(&table::device_line(&backend))?;
+    let seed = arguments.job.seed.unwrap_or(0);
+    let scenes = match &capture {
+        Some(capture) => vec![scene::of_capture(capture, arguments.downscale.unwrap_or(1), seed)?],
+        None => {
+            let sizes = if arguments.size.is_empty() { &SIZES[..] } else { &arguments.size };
+            let default = if is_software(&backend) { NUM_GAUSSIANS_SOFTWARE } else { NUM_GAUSSIANS };
+            scene::built_in(arguments.gaussians.unwrap_or(default), sizes, seed)
+        }
+    };
+    let counts = counts(&backend, arguments.iterations);
+    let mut progress = Progress::new("measuring", STEPS * scenes.len());
+    let mut results = Vec::with_capacity(scenes.len());
+    for scene in &scenes {
+        let measured = measure(&backend, scene, counts, &mut |part| progress.step(|| part.into()))?;
+        progress.say(&table::text(scene, &measured, counts))?;
+        results.push(table::scene_json(scene, &measured, counts));
+    }
+    drop(progress);
+    arguments.job.write_json(&table::json(&backend, results))
+}
+
+fn is_software(backend: &Backend) -> bool {
+    matches!(backend, Backend::Gpu(gpu) if gpu.info().is_software)
+}
+
+/// As many as asked for. By default as many as two cores do in two minutes where no GPU does it.
+fn counts(backend: &Backend, samples: Option<usize>) -> Counts {
+    if matches!(backend, Backend::Gpu(_)) && !is_software(backend) {
+        return Counts { warm_up: 10, samples: samples.unwrap_or(20), in_a_row: 100 };
+    }
+    let samples = samples.unwrap_or(if is_software(backend) { 3 } else { 5 });
+    Counts { warm_up: 1, samples, in_a_row: samples }
+}

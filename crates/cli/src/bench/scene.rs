@@ -1,0 +1,134 @@
+//! What is measured: Gaussians as they are in the middle of a training, cameras and images.
+
+use std::sync::Arc;
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use tcgs_capture::{Capture, Split};
+use tcgs_codec::BitMap;
+use tcgs_core::{Attribute, Camera, Gaussians, Image};
+use tcgs_train::engine::Target;
+use tcgs_train::engine::cpu::{FakeQuantizers, Neighbors};
+use tcgs_train::{Parameters, Past, State, TrainConfig};
+
+use super::START_LOGIT;
+use crate::options::Size;
+
+/// One case of the bench.
+pub struct Scene {
+    /// For people and machines.
+    pub name: String,
+    /// Of a later timestep: every loss has something to do.
+    pub state: State,
+    /// Images, and where they were taken from; at least one.
+    pub targets: Vec<Target>,
+}
+
+impl Scene {
+    /// Where the images were taken from.
+    pub fn cameras(&self) -> Vec<Camera> {
+        self.targets.iter().map(|target| target.camera.clone()).collect()
+    }
+
+    /// Pixels of the first image.
+    pub fn size(&self) -> Size {
+        let camera = &self.targets[0].camera;
+        Size { width: camera.width, height: camera.height }
+    }
+}
+
+/// Focal length of the built-in scene's camera, in widths of its image: 64 degrees from side to side.
+const FOCAL: f64 = 0.8;
+/// Largest `|x/z|` and `|y/z|` of the built-in scene: what an image of 4:3 shows. Wider images see less of it.
+const SLOPE: [f32; 2] = [0.625, 0.469];
+/// Nearest and farthest, scene units.
+const DEPTH: [f32; 2] = [2.0, 6.0];
+/// Logarithms of the scales: 0.003 to 0.03 scene units, half a pixel to four at 640 pixels a row.
+const LOG_SCALE: [f32; 2] = [-5.8, -3.5];
+/// Logits of the opacities: 0.12 to 0.98.
+const LOGIT_OPACITY: [f32; 2] = [-2.0, 4.0];
+
+/// The built-in Gaussians: all over a camera's view, in no order, the left half foreground. No function is used that
+/// machines compute differently.
+fn random_gaussians(num_gaussians: usize, random: &mut Pcg64Mcg) -> Parameters {
+    let mut g = Gaussians::default();
+    for _ in 0..num_gaussians {
+        let z = random.random_range(DEPTH[0]..DEPTH[1]);
+        let [x, y] = SLOPE.map(|slope| z * random.random_range(-slope..slope));
+        g.means.push([x, y, z]);
+        g.quats.push(std::array::from_fn(|_| random.random_range(-1.0..1.0)));
+        g.log_scales.push(std::array::from_fn(|_| random.random_range(LOG_SCALE[0]..LOG_SCALE[1])));
+        g.logit_opacities.push(random.random_range(LOGIT_OPACITY[0]..LOGIT_OPACITY[1]));
+        g.colors.push(std::array::from_fn(|_| random.random_range(0.0..1.0)));
+    }
+    Parameters {
+        foreground: g.means.iter().map(|mean| mean[0] < 0.0).collect(),
+        gaussians: g,
+        mask_logits: vec![START_LOGIT; num_gaussians],
+        camera_gains: vec![[0.0; 3]],
+        camera_offsets: vec![[0.0; 3]],
+    }
+}
+
+/// The built-in scene at every size.
+pub fn built_in(num_gaussians: usize, sizes: &[Size], seed: u64) -> Vec<Scene> {
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    let parameters = random_gaussians(num_gaussians, &mut random);
+    let state = later_timestep(parameters, &mut random);
+    sizes
+        .iter()
+        .map(|&Size { width, height }| {
+            let (ahead, up) = ([0.0, 0.0, 1.0], [0.0, -1.0, 0.0]);
+            let camera = Camera::look_at([0.0; 3], ahead, up, FOCAL * width as f64, width, height);
+            let mut image = Image::filled(width, height, 5, 0.0);
+            for value in &mut image.data[..3 * width * height] {
+                *value = f32::from(random.random::<u8>()) / 255.0;
+            }
+            for pixel in 0..width * height {
+                let foreground = f32::from(u8::from(pixel % width < width / 2));
+                image.plane_mut(3)[pixel] = foreground;
+                image.plane_mut(4)[pixel] = 1.0 - foreground;
+            }
+            Scene { name: "random".into(), state: state.clone(), targets: vec![Target { camera, image }] }
+        })
+        .collect()
+}
+
+/// A capture's initial cloud and the training images of its first frame.
+pub fn of_capture(capture: &Capture, downscale: usize, seed: u64) -> anyhow::Result<Scene> {
+    let views = capture.views(Split::Train, 0, downscale)?;
+    let parameters = Parameters::from_cloud(&capture.point_cloud()?, views.len(), START_LOGIT);
+    let with_segmentation = views.iter().all(|view| view.segmentation.is_some());
+    Ok(Scene {
+        name: capture.name(),
+        state: later_timestep(parameters, &mut Pcg64Mcg::seed_from_u64(seed)),
+        targets: views.iter().map(|view| Target::new(view, with_segmentation)).collect(),
+    })
+}
+
+/// A state between whose timesteps everything has moved a little, quantised to mixed bit widths.
+fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> State {
+    let q = TrainConfig::default().quantize;
+    let mut state = State::new(parameters);
+    state.canonicalize_quats();
+    let p = &state.parameters;
+    let mut bit_map = BitMap::uniform(p.num_gaussians(), q.position_bits, q.min_bits);
+    for attribute in Attribute::ALL.into_iter().filter(|&attribute| attribute != Attribute::Mean) {
+        bit_map.widths[attribute.index()].fill_with(|| random.random_range(q.min_bits..=q.max_bits));
+    }
+    let quantizers = FakeQuantizers::new(bit_map, &p.gaussians, q.learned_offset);
+    state.start_quantization(quantizers);
+    let mut moved = |by: f32| -> Vec<[f32; 3]> {
+        let means = &state.parameters.gaussians.means;
+        means.iter().map(|mean| mean.map(|x| x + random.random_range(-by..by))).collect()
+    };
+    let (first, before) = (moved(1e-2), moved(1e-3));
+    let p = &state.parameters;
+    state.past = Some(Past {
+        neighbors: Arc::new(Neighbors::new(&first, &p.foreground)),
+        first: Arc::new((first, p.gaussians.quats.clone())),
+        previous: Gaussians { means: before, ..p.gaussians.clone() },
+    });
+    state.previous_mask_logits = Some(p.mask_logits.clone());
+    state
+}

@@ -1,0 +1,254 @@
+//! A folder of PLY files, one a timestep, whose Gaussians keep their number and their order.
+//!
+//! Files do not say that they belong together. What can be seen is checked: their number of Gaussians, and
+//! that Gaussian `i` of one file is near Gaussian `i` of the next ([`MAX_JUMP`]).
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use tcgs_core::DynamicGaussians;
+
+use crate::{HigherHarmonics, InterchangeError, read_ply};
+
+/// How far the median Gaussian may move from one file to the next, as a share of the median Gaussian's
+/// distance from the scene's middle; motion that all have in common is not counted.
+///
+/// Gaussians in random order come to 1.4. A rigid body comes to this if it turns by 30 degrees within one
+/// frame, and no codec gains anything from tracks that jump like that.
+const MAX_JUMP: f32 = 0.5;
+
+/// A sequence of files as one scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlySequence {
+    /// A timestep a file.
+    pub scene: DynamicGaussians,
+    /// Number of the first file, if the names are numbers that count up by one, such as `000012.ply`.
+    pub first_frame: Option<u32>,
+}
+
+/// Reads the PLY files of a folder in their natural order: numbers in names count as numbers. A path that is
+/// a file is a sequence of one.
+///
+/// Scales and opacities vary in the scene if a bit of them differs between the files.
+///
+/// # Errors
+/// [`InterchangeError`] that names the first file that cannot be read or does not continue the sequence; as
+/// [`read_ply`], and if there is none.
+pub fn read_ply_sequence(path: &Path, harmonics: HigherHarmonics) -> Result<PlySequence, InterchangeError> {
+    let files = if path.is_dir() { ply_files(path)? } else { vec![path.into()] };
+    let mut scene = DynamicGaussians::default();
+    for file in &files {
+        let gaussians = read_ply(file, harmonics)?;
+        let invalid = |problem| Err(InterchangeError::Ply { path: file.clone(), problem });
+        if let Some(before) = scene.means.last() {
+            if before.len() != gaussians.num_gaussians() {
+                let (found, first) = (gaussians.num_gaussians(), files[0].display());
+                return invalid(format!("has {found} Gaussians, expected {} as in {first}", before.len()));
+            }
+            let jump = jump(before, &gaussians.means);
+            if jump > MAX_JUMP {
+                return invalid(format!(
+                    "the median Gaussian moves by {jump:.2} of the scene's size since the file before, expected at \
+                     most {MAX_JUMP}: Gaussians in the same order in every file"
+                ));
+            }
+        }
+        scene.push(gaussians);
+    }
+    Ok(PlySequence { scene, first_frame: first_frame(&files) })
+}
+
+/// Whether a name is that of a file to read. Hidden ones are other programs' notes.
+fn is_ply(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) && !name(path).starts_with('.')
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// The files of a folder in their natural order.
+fn ply_files(folder: &Path) -> Result<Vec<PathBuf>, InterchangeError> {
+    let failed = |error| InterchangeError::Io { path: folder.into(), action: "reading", error };
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if is_ply(&path) {
+            files.push(path);
+        }
+    }
+    if files.is_empty() {
+        let problem = "holds no PLY file, expected one a timestep".into();
+        return Err(InterchangeError::Ply { path: folder.into(), problem });
+    }
+    files.sort_by_cached_key(|path| (natural_key(&name(path)), name(path)));
+    Ok(files)
+}
+
+/// Runs of digits and of other characters. Digits come first and compare by their number, of which the longer
+/// is the larger.
+fn natural_key(name: &str) -> Vec<(usize, String)> {
+    let mut runs: Vec<(bool, String)> = Vec::new();
+    for c in name.chars() {
+        match runs.last_mut() {
+            Some((digits, run)) if *digits == c.is_ascii_digit() => run.push(c),
+            _ => runs.push((c.is_ascii_digit(), c.into())),
+        }
+    }
+    let key = |(digits, run): (bool, String)| match digits {
+        true => {
+            let number = run.trim_start_matches('0');
+            (number.len(), number.to_owned())
+        }
+        false => (usize::MAX, run),
+    };
+    runs.into_iter().map(key).collect()
+}
+
+/// The number of the first file, if each is named by the number after the one before.
+fn first_frame(files: &[PathBuf]) -> Option<u32> {
+    let number = |path: &PathBuf| -> Option<u32> {
+        let stem = path.file_stem()?.to_str()?;
+        stem.parse().ok().filter(|_| stem.bytes().all(|byte| byte.is_ascii_digit()))
+    };
+    let first = number(files.first()?)?;
+    let counts_up = files.iter().zip(first..).all(|(file, expected)| number(file) == Some(expected));
+    counts_up.then_some(first)
+}
+
+/// How far the median Gaussian moves, less what all have in common, in the median distance from the middle.
+///
+/// - `before`, `after`: `[N, 3]`, `N >= 1`
+fn jump(before: &[[f32; 3]], after: &[[f32; 3]]) -> f32 {
+    let axis = |points: &[[f32; 3]], axis: usize| median(points.iter().map(|p| p[axis]).collect());
+    let distance = |p: &[f32; 3], from: [f32; 3]| (0..3).map(|c| (p[c] - from[c]).powi(2)).sum::<f32>().sqrt();
+    let steps: Vec<[f32; 3]> = before.iter().zip(after).map(|(a, b)| std::array::from_fn(|c| b[c] - a[c])).collect();
+    let (middle, common) = ([0, 1, 2].map(|c| axis(before, c)), [0, 1, 2].map(|c| axis(&steps, c)));
+    let size = median(before.iter().map(|p| distance(p, middle)).collect());
+    let step = median(steps.iter().map(|step| distance(step, common)).collect());
+    // A scene without extent has no order to lose.
+    if size > 0.0 { step / size } else { 0.0 }
+}
+
+fn median(mut values: Vec<f32>) -> f32 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use tcgs_core::{Attribute, Gaussians};
+    use tempfile::TempDir;
+
+    use super::*;
+    use crate::write_ply_to;
+
+    /// A hundred Gaussians on a crumpled sheet, and where they are at a timestep.
+    fn at(timestep: usize) -> Gaussians {
+        let mut gaussians = Gaussians::zeros(100);
+        for i in 0..100 {
+            let (x, y) = ((i % 10) as f32, (i / 10) as f32);
+            gaussians.means[i] = [x + 20.0 * timestep as f32, y, (0.7 * x + y).sin() + 0.1 * timestep as f32];
+            gaussians.quats[i] = [1.0, 0.1 * x, 0.0, 0.0];
+            gaussians.colors[i] = [0.1 * x, 0.1 * y, 0.5];
+            gaussians.log_scales[i] = [-2.0, -3.0, -0.5 * x];
+            gaussians.logit_opacities[i] = y - timestep as f32;
+        }
+        gaussians
+    }
+
+    fn write(folder: &TempDir, name: &str, gaussians: &Gaussians) -> PathBuf {
+        let path = folder.path().join(name);
+        write_ply_to(fs::File::create(&path).unwrap(), gaussians).unwrap();
+        path
+    }
+
+    /// What reading gives, and the file and the problem of an error.
+    fn read(folder: &TempDir) -> Result<PlySequence, (String, String)> {
+        read_ply_sequence(folder.path(), HigherHarmonics::Refuse).map_err(|error| {
+            let message = error.to_string();
+            let (file, problem) = message.split_once(": ").unwrap();
+            (name(Path::new(file)), problem.to_owned())
+        })
+    }
+
+    #[test]
+    fn files_are_timesteps_in_natural_order() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, timestep) in [("frame_10.ply", 2), ("frame_9.PLY", 1), ("frame_1.ply", 0)] {
+            write(&folder, name, &at(timestep));
+        }
+        fs::write(folder.path().join("._frame_2.ply"), "a note").unwrap();
+        fs::write(folder.path().join("readme.txt"), "").unwrap();
+        let PlySequence { scene, first_frame } = read(&folder).unwrap();
+        assert_eq!((scene.num_timesteps(), first_frame), (3, None));
+        assert!(scene.varies(Attribute::LogitOpacity) && !scene.varies(Attribute::LogScale));
+        for timestep in 0..3 {
+            let (found, expected) = (scene.at(timestep), at(timestep));
+            assert_eq!((&found.means, &found.quats), (&expected.means, &expected.quats));
+            assert_eq!((&found.log_scales, &found.logit_opacities), (&expected.log_scales, &expected.logit_opacities));
+        }
+        let one = read_ply_sequence(&folder.path().join("frame_10.ply"), HigherHarmonics::Refuse).unwrap();
+        assert_eq!(one.scene.at(0), scene.at(2));
+    }
+
+    #[test]
+    fn numbers_that_count_up_are_frames() {
+        let frames = |names: &[&str]| first_frame(&names.iter().map(PathBuf::from).collect::<Vec<_>>());
+        assert_eq!(frames(&["a/000007.ply", "a/000008.ply", "a/9.ply"]), Some(7));
+        assert_eq!(frames(&["0.ply"]), Some(0));
+        for names in [&["1.ply", "3.ply"][..], &["f1.ply", "f2.ply"], &["+1.ply"], &["1.5.ply"], &["4294967295.ply"; 2]]
+        {
+            assert_eq!(frames(names), None, "{names:?}");
+        }
+        let mut names = ["10.ply", "a2b10.ply", "a02b9.ply", "9.ply", "a2b9.ply", "a.ply", "010.ply"];
+        names.sort_by_cached_key(|name| (natural_key(name), *name));
+        assert_eq!(names, ["9.ply", "010.ply", "10.ply", "a02b9.ply", "a2b9.ply", "a2b10.ply", "a.ply"]);
+    }
+
+    #[test]
+    fn the_first_file_that_does_not_fit_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(read(&folder).unwrap_err().1, "holds no PLY file, expected one a timestep");
+        for timestep in 0..4 {
+            write(&folder, &format!("{timestep}.ply"), &at(timestep));
+        }
+        assert_eq!(read(&folder).unwrap().first_frame, Some(0));
+
+        let fewer = write(&folder, "2.ply", &at(2).select(&(0..99).collect::<Vec<_>>()));
+        write(&folder, "3.ply", &Gaussians::zeros(3));
+        let (file, problem) = read(&folder).unwrap_err();
+        let first = folder.path().join("0.ply");
+        assert_eq!(problem, format!("has 99 Gaussians, expected 100 as in {}", first.display()));
+        assert_eq!(file, name(&fewer));
+
+        let mut shuffled: Vec<usize> = (0..100).map(|i| i * 37 % 100).collect();
+        write(&folder, "2.ply", &at(2).select(&shuffled));
+        let (file, problem) = read(&folder).unwrap_err();
+        assert!(file == "2.ply" && problem.starts_with("the median Gaussian moves by 1."), "{problem}");
+        // Up to now the rows were mixed; neighbours that changed places are near enough.
+        shuffled = (0..100).map(|i| i ^ 1).collect();
+        write(&folder, "2.ply", &at(2).select(&shuffled));
+        assert_eq!(read(&folder).unwrap_err().0, "3.ply");
+
+        let mut infinite = at(1);
+        infinite.log_scales[4][1] = f32::NEG_INFINITY;
+        write(&folder, "1.ply", &infinite);
+        let (file, problem) = read(&folder).unwrap_err();
+        assert_eq!((&*file, &*problem), ("1.ply", "log_scales of Gaussian 4: -inf, expected a finite number"));
+    }
+
+    #[test]
+    fn what_all_have_in_common_is_no_jump() {
+        let turned = |degrees: f32| -> Vec<[f32; 3]> {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            at(0).means.iter().map(|&[x, y, z]| [cos * x - sin * y + 500.0, sin * x + cos * y, z - 70.0]).collect()
+        };
+        assert_eq!(jump(&turned(0.0), &turned(0.0)), 0.0);
+        assert!(jump(&at(0).means, &turned(0.0)) < 1e-3);
+        let (little, much) = (jump(&turned(0.0), &turned(20.0)), jump(&turned(0.0), &turned(40.0)));
+        assert!(little < MAX_JUMP && MAX_JUMP < much, "{little} {much}");
+        assert_eq!(jump(&[[1.0; 3]], &[[9.0; 3]]), 0.0);
+        assert_eq!(jump(&[[1.0; 3]; 3], &[[9.0; 3], [1.0; 3], [-4.0; 3]]), 0.0);
+    }
+}

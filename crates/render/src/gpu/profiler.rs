@@ -1,0 +1,115 @@
+//! Drawing the same Gaussians again and again with a clock, for those who measure.
+
+use std::time::Instant;
+
+use tcgs_core::{Activated, Camera, Image};
+
+use super::rasterizer::pack;
+use super::{Capacity, Gpu, GpuError, GpuRenderer, StageTimer};
+use crate::{PairCounts, RENDER_STAGES, RenderSettings, StageTimes};
+
+/// How many of [`RENDER_STAGES`] draw; the others take the gradient back.
+const FORWARD_STAGES: usize = 3;
+
+/// Draws Gaussians that stay on the GPU, stage by stage.
+#[derive(Debug)]
+pub struct RenderProfiler {
+    gpu: Gpu,
+    renderer: GpuRenderer,
+    packed: Vec<f32>,
+    timer: Option<StageTimer>,
+    backward: bool,
+}
+
+impl RenderProfiler {
+    /// Copies the Gaussians to the GPU.
+    ///
+    /// - `cameras`: all that [`Self::sample`] will be called with
+    /// - `backward`: whether the gradient is taken back too, from 1 at every value of the image. Without it nothing is
+    ///   kept for it.
+    ///
+    /// # Errors
+    /// [`GpuError`] if the GPU lacks the memory, or fails.
+    ///
+    /// # Panics
+    /// As [`crate::Rasterizer::forward`].
+    pub fn new(gpu: &Gpu, gaussians: &Activated, cameras: &[Camera], backward: bool) -> Result<Self, GpuError> {
+        let capacity = Capacity::new(gaussians.num_gaussians(), gaussians.num_channels, cameras, backward);
+        let packed = pack(gaussians);
+        let stages = if backward { &RENDER_STAGES } else { &RENDER_STAGES[..FORWARD_STAGES] };
+        Ok(Self {
+            renderer: renderer(gpu, capacity, &packed)?,
+            timer: StageTimer::new(gpu, stages)?,
+            gpu: gpu.clone(),
+            packed,
+            backward,
+        })
+    }
+
+    /// Draws once. Where the GPU has no timestamps there is one stage, `render`, by the clock of the CPU.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn sample(&mut self, camera: &Camera) -> Result<StageTimes, GpuError> {
+        loop {
+            let times = self.attempt(camera)?;
+            let status = self.gpu.read::<u32>(&self.renderer.buffers().status, 2)?;
+            if status[0] == 0 {
+                return Ok(times);
+            }
+            // Most of it was skipped for want of room; the next attempt has it.
+            let needed = status[1] as usize;
+            let capacity = Capacity { num_pairs: needed + needed / 4, ..*self.renderer.capacity() };
+            self.renderer = renderer(&self.gpu, capacity, &self.packed)?;
+        }
+    }
+
+    fn attempt(&mut self, camera: &Camera) -> Result<StageTimes, GpuError> {
+        self.renderer.set_view(camera, &RenderSettings::default());
+        let renderer = &self.renderer;
+        let stages: [fn(&GpuRenderer, &mut wgpu::ComputePass<'_>); RENDER_STAGES.len()] = [
+            GpuRenderer::project,
+            GpuRenderer::sort,
+            GpuRenderer::rasterize,
+            GpuRenderer::rasterize_bwd,
+            GpuRenderer::project_bwd,
+        ];
+        let stages = if self.backward { &stages[..] } else { &stages[..FORWARD_STAGES] };
+        let mut encoder = self.gpu.encoder();
+        if let Some(timer) = &self.timer {
+            for (number, stage) in stages.iter().enumerate() {
+                stage(renderer, &mut timer.pass(&mut encoder, number));
+            }
+            let staged = timer.stage(&self.gpu, &mut encoder)?;
+            self.gpu.submit(encoder);
+            return timer.read(&self.gpu, &staged);
+        }
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            stages.iter().for_each(|stage| stage(renderer, &mut pass));
+        }
+        let begin = Instant::now();
+        self.gpu.submit(encoder);
+        self.gpu.wait()?;
+        let total = begin.elapsed().as_secs_f64() * 1e3;
+        Ok(StageTimes { stages: vec![("render", total)], total })
+    }
+
+    /// What the last sample had to blend.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn counts(&self) -> Result<PairCounts, GpuError> {
+        self.renderer.read_counts()
+    }
+}
+
+fn renderer(gpu: &Gpu, capacity: Capacity, packed: &[f32]) -> Result<GpuRenderer, GpuError> {
+    let renderer = GpuRenderer::new(gpu, capacity)?;
+    gpu.queue().write_buffer(&renderer.buffers().activated, 0, bytemuck::cast_slice(packed));
+    if capacity.backward {
+        let ones = Image::filled(capacity.num_pixels, 1, capacity.num_channels, 1.0);
+        gpu.queue().write_buffer(&renderer.buffers().v_image, 0, bytemuck::cast_slice(&ones.data));
+    }
+    Ok(renderer)
+}

@@ -1,0 +1,389 @@
+//! The two engines side by side where sizes and numbers are odd, and what the one on the GPU does when it fails.
+
+#![allow(clippy::unwrap_used)]
+
+mod support;
+
+use std::sync::Arc;
+
+use support::{Random, gpu, relative_l2};
+use tcgs_codec::BitMap;
+use tcgs_core::{Attribute, Camera, Image, PointCloud};
+use tcgs_render::gpu::{Gpu, GpuError};
+use tcgs_train::engine::cpu::{CpuEngine, FakeQuantizers, Neighbors};
+use tcgs_train::engine::gpu::GpuEngine;
+use tcgs_train::engine::{Engine, LossTerms, Step, Target};
+use tcgs_train::{Optimizer, Parameters, Past, Phase, Rates, Schedule, State, TrainConfig, TrainError};
+
+fn config() -> TrainConfig {
+    TrainConfig::default()
+}
+
+fn state(n: usize, cameras: usize, is_foreground: impl Fn(usize) -> bool) -> State {
+    let mut random = Random::new(n as u64);
+    let cloud = PointCloud {
+        points: (0..n).map(|_| random.row(1.0)).collect(),
+        colors: (0..n).map(|_| random.row::<3>(0.5).map(|c| c + 0.5)).collect(),
+        foreground: (0..n).map(is_foreground).collect(),
+    };
+    let mut state = State::new(Parameters::from_cloud(&cloud, cameras, 1.0));
+    for i in 0..n {
+        let g = &mut state.parameters.gaussians;
+        g.log_scales[i] = random.row::<3>(1.0).map(|s| s - 2.0);
+        g.quats[i] = random.row(1.0);
+        g.logit_opacities[i] = random.within(3.0);
+    }
+    state
+}
+
+fn target([width, height]: [usize; 2], channels: usize, seed: u64) -> Target {
+    let mut random = Random::new(seed);
+    let x = random.within(1.0).into();
+    let camera =
+        Camera::look_at([x, 0.2, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 1.2 * width.max(height) as f64, width, height);
+    let mut image = Image::filled(width, height, channels, 0.0);
+    for value in &mut image.data {
+        *value = random.below(256) as f32 / 255.0;
+    }
+    if channels == 5 {
+        for i in 0..width * height {
+            let f = f32::from(u8::from(random.below(2) == 0));
+            image.plane_mut(3)[i] = f;
+            image.plane_mut(4)[i] = 1.0 - f;
+        }
+    }
+    Target { camera, image }
+}
+
+/// Adds a past to `state`: everything was a little elsewhere.
+fn with_past(mut state: State) -> State {
+    let mut random = Random::new(99);
+    let g = &state.parameters.gaussians;
+    let first = (g.means.clone(), g.quats.clone());
+    let mut previous = g.clone();
+    previous.means.iter_mut().for_each(|mean| *mean = mean.map(|x| x + random.within(0.01)));
+    let neighbors = Arc::new(Neighbors::new(&first.0, &state.parameters.foreground));
+    state.past = Some(Past { first: Arc::new(first), neighbors, previous });
+    state.previous_mask_logits = Some(vec![0.5; g.num_gaussians()]);
+    state
+}
+
+fn step(camera: usize, rates: Rates, config: &TrainConfig) -> Step<'_> {
+    let (weights, mask) = (&config.weights, &config.mask);
+    Step { camera, rates, weights, mask, counts_gradients: true, moves_gaussians: true }
+}
+
+/// One iteration on each of `cameras`.
+fn run(
+    engine: &mut dyn Engine,
+    targets: &[Target],
+    cameras: &[usize],
+    config: &TrainConfig,
+    phase: Phase,
+) -> Result<Vec<LossTerms>, TrainError> {
+    engine.begin(targets.to_vec())?;
+    let schedule = Schedule::new(config, 2.0);
+    for (iteration, &camera) in cameras.iter().enumerate() {
+        let rates = schedule.rates(phase, iteration);
+        engine.step(&step(camera, rates, config))?;
+    }
+    engine.wait()?;
+    engine.losses()
+}
+
+fn compare(
+    name: &str,
+    gpu: &Gpu,
+    start: &State,
+    targets: &[Target],
+    cameras: &[usize],
+    config: &TrainConfig,
+    phase: Phase,
+) {
+    let (mut a, mut b) = (CpuEngine::new(start.clone()), GpuEngine::new(gpu, start.clone()));
+    let expected = run(&mut a, targets, cameras, config, phase).unwrap();
+    let found = run(&mut b, targets, cameras, config, phase).unwrap();
+    assert_eq!(found.len(), expected.len(), "{name}");
+    for (i, (f, e)) in found.iter().zip(&expected).enumerate() {
+        for ((term, f, _), (_, e, _)) in f.terms(&config.weights).into_iter().zip(e.terms(&config.weights)) {
+            assert!((f - e).abs() <= 2e-3 * e.abs() + 1e-5, "{name}: {term} of iteration {i}: {f} against {e}");
+        }
+    }
+    let (e, f) = (a.state().unwrap(), b.state().unwrap());
+    let counts = e.statistic.count.iter().zip(&f.statistic.count).filter(|(a, b)| a != b).count();
+    assert!(counts * 100 <= e.statistic.count.len(), "{name}: {counts} counts differ");
+    for attribute in Attribute::ALL {
+        let [m, n] = [e, f].map(|s| &s.optimizer.attributes[attribute.index()]);
+        assert_eq!(m.step, n.step);
+        let error = relative_l2(&n.first, &m.first);
+        assert!(error < 2e-2, "{name}: first moments of {}: {error}", attribute.name());
+        let (m, n) = (e.parameters.gaussians.values(attribute), f.parameters.gaussians.values(attribute));
+        let error = relative_l2(n, m);
+        assert!(error < 1e-3, "{name}: {}: {error}", attribute.name());
+    }
+    let quantizers = [f, e].map(|s| -> Vec<f32> {
+        s.quantizers.iter().flat_map(|q| &q.quantizers).flat_map(|q| [q.step, q.offset]).collect()
+    });
+    assert!(relative_l2(&quantizers[0], &quantizers[1]) < 1e-3, "{name}: quantizers");
+    let [m, n] = [e, f].map(|s| &s.optimizer);
+    let counts = |o: &Optimizer| [&o.quantizer_steps, &o.quantizer_offsets].map(|m| m.step);
+    assert_eq!(counts(n), counts(m), "{name}");
+    assert_eq!([m.mask.step, m.gains.step, m.offsets.step], [n.mask.step, n.gains.step, n.offsets.step], "{name}");
+    assert!(relative_l2(&n.mask.first, &m.mask.first) < 2e-2, "{name}: masks");
+    assert!(relative_l2(&n.gains.first, &m.gains.first) < 2e-3, "{name}: gains");
+}
+
+#[test]
+fn odd_sizes() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let sizes = [[1, 1], [17, 33], [48, 5]];
+    for channels in [3, 5] {
+        for (name, n, foreground) in
+            [("one", 1, 0), ("two", 2, 0), ("mixed", 300, 3), ("front", 40, 1), ("back", 30, 0)]
+        {
+            let targets: Vec<Target> = sizes.iter().enumerate().map(|(i, &s)| target(s, channels, i as u64)).collect();
+            let start = state(n, 3, |i| foreground > 0 && i % foreground == 0);
+            let name = format!("{name}, {channels} channels");
+            compare(&name, &gpu, &start, &targets, &[1, 0, 2, 1], &config, Phase::First);
+            compare(&format!("{name}, later"), &gpu, &with_past(start), &targets, &[1, 0, 2, 1], &config, Phase::Rest);
+        }
+    }
+}
+
+#[test]
+fn without_masks_and_with_one_camera() {
+    let Some(gpu) = gpu() else { return };
+    let config = TrainConfig::preset(tcgs_train::Preset::D3dgs);
+    let targets = [target([40, 30], 5, 4)];
+    let start = state(200, 1, |i| i % 2 == 0);
+    compare("d3dgs", &gpu, &start, &targets, &[0; 4], &config, Phase::First);
+    compare("d3dgs later", &gpu, &with_past(start), &targets, &[0; 4], &config, Phase::Rest);
+}
+
+#[test]
+fn quantised_with_and_without_offsets() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let targets = [target([40, 30], 5, 4), target([33, 20], 5, 5)];
+    for learned_offset in [true, false] {
+        let start = quantized(state(150, 2, |i| i % 2 == 0), learned_offset);
+        let name = format!("learned offsets: {learned_offset}");
+        // One iteration: in the next a code may be rounded the other way.
+        compare(&name, &gpu, &start, &targets, &[1], &config, Phase::First);
+        compare(&format!("{name}, later"), &gpu, &with_past(start), &targets, &[1], &config, Phase::Rest);
+    }
+}
+
+#[test]
+fn as_many_gaussians_in_another_order_are_others() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let targets = [target([40, 30], 5, 4)];
+    let start = state(60, 1, |i| i < 30);
+    let reversed: Vec<(usize, bool)> = (0..60).rev().map(|i| (i, false)).collect();
+    let mut engine = GpuEngine::new(&gpu, start.clone());
+    let before = run(&mut engine, &targets, &[0], &config, Phase::First).unwrap();
+    assert!(before[0].segmentation > 0.0);
+    *engine.state_mut().unwrap() = start.clone();
+    engine.state_mut().unwrap().gather(&reversed);
+    let found = run(&mut engine, &targets, &[0], &config, Phase::First).unwrap();
+    assert!((found[0].segmentation - before[0].segmentation).abs() < 1e-5, "{found:?} against {before:?}");
+}
+
+#[test]
+fn a_lost_gpu_is_an_error() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let targets = [target([40, 30], 5, 4)];
+    for when in ["before", "between", "in flight"] {
+        let gpu = Gpu::open(tcgs_render::gpu::GpuChoice::Named(&gpu.info().name)).unwrap();
+        let mut engine = GpuEngine::new(&gpu, state(60, 1, |i| i < 30));
+        if when == "before" {
+            gpu.device().destroy();
+        } else {
+            run(&mut engine, &targets, &[0; 3], &config, Phase::First).unwrap();
+        }
+        if when == "between" {
+            gpu.device().destroy();
+        }
+        let schedule = Schedule::new(&config, 2.0);
+        let mut steps = || {
+            engine.begin(targets.to_vec())?;
+            for i in 0..200 {
+                if i == 70 && when == "in flight" {
+                    gpu.device().destroy();
+                }
+                let rates = schedule.rates(Phase::First, i);
+                engine.step(&step(0, rates, &config))?;
+            }
+            engine.wait()
+        };
+        let error = steps().unwrap_err();
+        eprintln!("{when}: {error}");
+        assert!(matches!(error, TrainError::Gpu(GpuError::Lost(_))), "{error:?}");
+        // And again and again.
+        for error in
+            [engine.wait().err(), engine.state().err(), engine.begin(targets.to_vec()).err()].into_iter().flatten()
+        {
+            assert!(matches!(error, TrainError::Gpu(GpuError::Lost(_))), "{error:?}");
+        }
+    }
+}
+
+/// Everything that outlives an iteration, bit for bit.
+fn bits(state: &State) -> Vec<u32> {
+    let (p, o) = (&state.parameters, &state.optimizer);
+    let mut values: Vec<f32> = Attribute::ALL.iter().flat_map(|&a| p.gaussians.values(a).to_vec()).collect();
+    values.extend(p.camera_gains.iter().chain(&p.camera_offsets).flatten());
+    values.extend(p.mask_logits.iter().chain(&state.statistic.sum));
+    let others = [&o.mask, &o.gains, &o.offsets, &o.quantizer_steps, &o.quantizer_offsets];
+    for moments in o.attributes.iter().chain(others) {
+        values.extend(moments.first.iter().chain(&moments.second));
+        values.push(moments.step as f32);
+    }
+    values.extend(state.quantizers.iter().flat_map(|q| &q.quantizers).flat_map(|q| [q.step, q.offset]));
+    values.iter().map(|v| v.to_bits()).chain(state.statistic.count.iter().copied()).collect()
+}
+
+fn quantized(mut state: State, learned_offset: bool) -> State {
+    state.canonicalize_quats();
+    let gaussians = &state.parameters.gaussians;
+    let mut bit_map = BitMap::uniform(gaussians.num_gaussians(), 16, 6);
+    bit_map.widths[1].iter_mut().step_by(3).for_each(|width| *width = 8);
+    let quantizers = FakeQuantizers::new(bit_map, gaussians, learned_offset);
+    state.start_quantization(quantizers);
+    state
+}
+
+/// A camera from which the splats of [`state`] are the larger the nearer it is.
+fn target_at(distance: f64) -> Target {
+    let mut target = target([64, 48], 5, 7);
+    target.camera = Camera::look_at([0.0, 0.2, -distance], [0.0; 3], [0.0, -1.0, 0.0], 70.0, 64, 48);
+    target
+}
+
+#[test]
+fn iterations_beyond_the_room_are_repeated_bit_for_bit() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let targets = [100.0, 8.5, 5.0, 2.2].map(target_at);
+    // The first one halts, then one in the middle of a report, and the last.
+    let mut cameras = vec![0; 140];
+    for (from, camera) in [(70, 1), (127, 2), (139, 3)] {
+        cameras[from] = camera;
+    }
+    let mut start = state(60, 4, |i| i % 2 == 0);
+    start.parameters.gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s += 0.7);
+    let start = quantized(with_past(start), true);
+    let mut runs = [100_000, 1].map(|room| {
+        let mut engine = GpuEngine::new(&gpu, start.clone()).with_room_for(room);
+        let submissions = gpu.num_submissions();
+        let losses = run(&mut engine, &targets, &cameras, &config, Phase::Rest).unwrap();
+        assert!(engine.losses().unwrap().is_empty());
+        (losses, bits(engine.state().unwrap()), gpu.num_submissions() - submissions)
+    });
+    let [(ample, ample_state, few), (tight, tight_state, many)] = runs.each_mut();
+    eprintln!("{few} submissions with ample room, {many} without");
+    assert!(*many > *few + 64 + 58 + 1, "nothing was repeated");
+    assert_eq!((ample.len(), &*ample), (140, &*tight));
+    assert!(ample_state == tight_state, "states differ");
+}
+
+#[test]
+fn the_steady_loop_submits_once_an_iteration_and_reads_hardly_ever() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let targets = [target_at(4.0), target_at(5.0)];
+    let mut engine = GpuEngine::new(&gpu, state(50, 2, |i| i < 30)).with_room_for(10_000);
+    run(&mut engine, &targets, &[0], &config, Phase::First).unwrap();
+    let compiled = gpu.num_compiled();
+    let before = [gpu.num_submissions(), gpu.num_reads()];
+    let rates = Schedule::new(&config, 2.0).rates(Phase::First, 0);
+    for i in 0..100 {
+        engine.step(&step(i % 2, rates, &config)).unwrap();
+    }
+    assert_eq!(gpu.num_submissions() - before[0], 100);
+    assert!(gpu.num_reads() - before[1] <= 2, "{} reads", gpu.num_reads() - before[1]);
+    engine.wait().unwrap();
+    assert_eq!(engine.losses().unwrap().len(), 100);
+    assert_eq!(gpu.num_compiled(), compiled);
+}
+
+#[test]
+fn without_rates_nothing_moves_and_the_statistic_is_that_of_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let mut config = config();
+    let r = &mut config.rates;
+    for rate in [&mut r.mean, &mut r.quat, &mut r.log_scale, &mut r.logit_opacity, &mut r.color, &mut r.mask] {
+        *rate = 0.0;
+    }
+    (r.camera, r.step) = (0.0, 0.0);
+    let targets = [3.0, 4.0, 5.0].map(target_at);
+    let start = quantized(state(400, 3, |i| i % 2 == 0), true);
+    let cameras: Vec<usize> = (0..30).map(|i| i % 3).collect();
+    let (mut cpu, mut on_gpu) = (CpuEngine::new(start.clone()), GpuEngine::new(&gpu, start.clone()));
+    run(&mut cpu, &targets, &cameras, &config, Phase::First).unwrap();
+    run(&mut on_gpu, &targets, &cameras, &config, Phase::First).unwrap();
+    let [expected, found] = [cpu.state().unwrap(), on_gpu.state().unwrap()];
+    let counts = [expected, found].map(|s| &s.statistic.count);
+    let differing = counts[0].iter().zip(counts[1]).filter(|(a, b)| a != b).count();
+    let means = [expected, found].map(|s| -> Vec<f32> {
+        s.statistic.sum.iter().zip(&s.statistic.count).map(|(sum, &n)| sum / n.max(1) as f32).collect()
+    });
+    let error = relative_l2(&means[1], &means[0]);
+    eprintln!("statistic: relative error {error:.1e}, {differing} counts differ");
+    assert!(error < 1e-4 && differing <= 4, "{error}, {differing} counts");
+    let steps = |s: &State| {
+        let o = &s.optimizer;
+        let others = [&o.mask, &o.gains, &o.offsets, &o.quantizer_steps, &o.quantizer_offsets];
+        o.attributes.iter().chain(others).map(|m| m.step).collect::<Vec<_>>()
+    };
+    assert_eq!(steps(found), steps(expected));
+    for attribute in Attribute::ALL {
+        let (f, s) = (found.parameters.gaussians.values(attribute), start.parameters.gaussians.values(attribute));
+        assert!(relative_l2(f, s) < 1e-6, "{} moved", attribute.name());
+    }
+    assert_eq!(found.parameters.mask_logits, start.parameters.mask_logits);
+    assert_eq!(found.quantizers, start.quantizers);
+}
+
+#[test]
+fn what_does_not_fit_is_named() {
+    let Some(gpu) = gpu() else { return };
+    let mut engine = GpuEngine::new(&gpu, state(50, 1, |i| i < 30)).with_room_for(3_000_000_000);
+    let error = run(&mut engine, &[target_at(4.0)], &[0], &config(), Phase::First).unwrap_err();
+    eprintln!("{error}");
+    assert!(matches!(error, TrainError::Gpu(GpuError::Memory { .. })), "{error:?}");
+    // The GPU is still of use.
+    let mut engine = GpuEngine::new(&gpu, state(50, 1, |i| i < 30));
+    run(&mut engine, &[target_at(4.0)], &[0], &config(), Phase::First).unwrap();
+}
+
+#[test]
+fn timesteps_of_other_sizes_and_channels_follow_each_other() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let start = with_past(state(80, 2, |i| i % 2 == 0));
+    let (mut cpu, mut on_gpu) = (CpuEngine::new(start.clone()), GpuEngine::new(&gpu, start));
+    for (timestep, (size, channels)) in
+        [([40, 30], 5), ([40, 30], 3), ([23, 50], 5), ([90, 20], 5)].into_iter().enumerate()
+    {
+        let targets = [0, 1].map(|i| target([size[0] + 3 * i, size[1]], channels, (10 * timestep + i) as u64));
+        let mut losses = Vec::new();
+        for engine in [&mut cpu as &mut dyn Engine, &mut on_gpu] {
+            let state = engine.state_mut().unwrap();
+            // Not what was learned: two engines are to start from the same.
+            state.parameters = with_past(self::state(80, 2, |i| i % 2 == 0)).parameters;
+            state.parameters.mask_logits[timestep] = -6.0;
+            let past = state.past.as_mut().unwrap();
+            past.previous.colors.iter_mut().for_each(|color| color[timestep % 3] += 0.1);
+            losses.push(run(engine, &targets, &[0, 1, 0], &config, Phase::Rest).unwrap());
+        }
+        for (f, e) in losses[1].iter().zip(&losses[0]) {
+            for ((term, f, _), (_, e, _)) in f.terms(&config.weights).into_iter().zip(e.terms(&config.weights)) {
+                assert!((f - e).abs() <= 2e-3 * e.abs() + 1e-5, "timestep {timestep}: {term}: {f} against {e}");
+            }
+        }
+    }
+}

@@ -1,0 +1,35 @@
+#!/usr/bin/env bash
+# Everything worth knowing of a GPU in one call: what it is, the time of each stage, and a training with its quality.
+#
+#   scripts/measure_gpu.sh CAPTURE OUT [FRAMES]
+#
+# CAPTURE is Panoptic's basketball for figures that compare with docs/PERFORMANCE.md; FRAMES default to 0..3. TCGS names
+# the program (default: tcgs on the PATH), DEVICE an adapter. OUT collects what each step printed and its JSON; a training
+# that is there already goes on, so that a long one can be cut into several calls.
+set -euo pipefail
+
+capture=${1:?the folder of a capture}
+out=${2:?a folder for results}
+frames=${3:-0..3}
+tcgs=${TCGS:-tcgs}
+device=(--backend gpu)
+[[ -z ${DEVICE:-} ]] || device=(--device "$DEVICE")
+mkdir -p "$out"
+
+# Runs a step, and keeps going where one fails: the others are worth having.
+step() {
+    local name=$1
+    shift
+    echo "== $name: $*"
+    local start=$SECONDS
+    "$@" 2>&1 | tee "$out/$name.txt" || echo "== $name failed"
+    echo "== $name: $((SECONDS - start)) s"
+}
+
+step bench "$tcgs" bench "${device[@]}" --json "$out/bench.json" --force
+step bench_capture "$tcgs" bench "${device[@]}" --capture "$capture" --json "$out/bench_capture.json" --force
+step train "$tcgs" train "$capture" --out "$out/run" --frames "$frames" --resume "${device[@]}" \
+    --json "$out/train.json" --force
+step eval_run "$tcgs" eval "$out/run" --capture "$capture" "${device[@]}" --json "$out/eval_run.json" --force
+step compress "$tcgs" compress "$out/run" --out "$out/scene.tcgs" --json "$out/compress.json" --force
+step eval_scene "$tcgs" eval "$out/scene.tcgs" --capture "$capture" "${device[@]}" --json "$out/eval_scene.json" --force
