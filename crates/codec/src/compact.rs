@@ -3,11 +3,11 @@
 //! The rules that every scene obeys, whether it was compressed here or read from a file, stand once,
 //! in [`CompactScene::check`]. How symbols become bytes is no matter of this module.
 
-use rayon::prelude::*;
 use tcgs_core::{Attribute, DynamicGaussians, Gaussians, normalize};
 
 use crate::bits::BitMap;
 use crate::keypoints::{lerp, locate};
+use crate::parallel;
 use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
 
 /// Most timesteps of a scene: a keypoint's time has 16 bits.
@@ -252,7 +252,7 @@ impl CompactScene {
         let widths = &self.bit_map.widths[attribute.index()];
         let tracks = &self.tracks[attribute.index()];
         let mut values = vec![0.0; widths.len() * components];
-        values.par_chunks_exact_mut(components).enumerate().with_min_len(1024).for_each(|(gaussian, row)| {
+        parallel::for_each_row(&mut values, components, |gaussian, row| {
             let quantizers = quantizers[usize::from(widths[gaussian])];
             for (channel, value) in row.iter_mut().enumerate() {
                 let (times, codes) = tracks.track(gaussian * components + channel);
@@ -288,7 +288,7 @@ impl CompactScene {
             if tracks.len() != self.num_gaussians() * components {
                 return Err(violation("tracks", "not one for each Gaussian and channel"));
             }
-            widths.par_iter().enumerate().try_for_each(|(gaussian, &width)| {
+            parallel::try_for_each(widths, |gaussian, &width| {
                 let quantizer = quantizers.get(usize::from(width)).and_then(|of_width| of_width.first());
                 let quantizer = quantizer.ok_or(violation("bit widths", "a width without quantizers"))?;
                 (gaussian * components..(gaussian + 1) * components).try_for_each(|i| {

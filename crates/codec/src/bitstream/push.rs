@@ -18,7 +18,7 @@ pub enum Event {
         layers: usize,
     },
     /// A segment of the layers that arrived so far: comes once for each of its layers.
-    Segment(Segment),
+    Segment(Box<Segment>),
     /// The file is complete.
     End,
 }
@@ -133,7 +133,7 @@ impl Decoder {
             // A scene without Gaussians has no layers to send its segments with.
             if num_layers == 0 {
                 for segment in 0..archive.num_segments() {
-                    events.push(Event::Segment(archive.read_segment(segment, &[])?));
+                    events.push(Event::Segment(Box::new(archive.read_segment(segment, &[])?)));
                 }
             }
             events.push(Event::End);
@@ -150,10 +150,10 @@ impl Decoder {
             let mut reader = reader.take().unwrap_or_else(|| SegmentReader::new(archive, segment));
             reader.read(archive, self.offset, &self.bytes)?;
             if layer + 1 < num_layers {
-                events.push(Event::Segment(reader.snapshot(archive)));
+                events.push(Event::Segment(Box::new(reader.snapshot(archive))));
                 self.reader = Some(reader);
             } else {
-                events.push(Event::Segment(reader.finish(archive)));
+                events.push(Event::Segment(Box::new(reader.finish(archive))));
             }
         }
         self.groups += 1;

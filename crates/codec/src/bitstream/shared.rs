@@ -183,7 +183,7 @@ impl MapModels {
                     let before = |n: usize| usize::from(g >= n && moves[at - n * components]);
                     let context = ((a * MAX_COMPONENTS + channel) * 2 + before(1)) * 2 + before(2);
                     let model = &mut self.moves[context * 2 + usize::from(other)];
-                    moves[at] = coder.symbol(model, u32::from(moves[at])) == 1;
+                    moves[at] = coder.symbol(model, u32::from(moves[at])) & 1 == 1;
                     other = moves[at];
                 }
             }
