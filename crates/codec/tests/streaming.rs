@@ -147,6 +147,23 @@ fn the_first_bytes_of_another_file_are_refused_at_once() {
     assert!(decoder.push(b"XX").is_err());
 }
 
+/// Found by fuzzing: a segment for each of 65,536 timesteps in which there is nothing.
+#[test]
+fn segments_of_nothing_cost_nothing() {
+    let empty = CompactScene { segment_length: 1, ..any_scene(0, 65_536, 1) };
+    let mut still = any_scene(40, 1, 2);
+    still.info.num_timesteps = 65_536;
+    still.varies = [false; 5];
+    still.segment_length = 1;
+    still.layers = vec![1; 40];
+    for scene in [empty, still] {
+        let file = encode(&scene);
+        assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
+        assert_eq!(open(&file).num_segments(), 1);
+        assert!(events(&[&file]).len() < 100);
+    }
+}
+
 #[test]
 fn threads_do_not_matter_when_decoding() {
     let scene = scenes::room(900, 30);

@@ -190,7 +190,7 @@ impl Archive {
     /// If there is no such timestep.
     pub fn segment_at(&self, timestep: usize) -> usize {
         assert!(timestep < self.head.num_timesteps(), "timestep {timestep} of {}", self.head.num_timesteps());
-        timestep / self.head.segment_length as usize
+        timestep / self.head.segment_length()
     }
 
     /// Bytes of the file that [`Self::read_shared`] needs to know the first `layers` layers.
@@ -429,9 +429,11 @@ impl SegmentReader {
     }
 
     /// A copy of what was read so far.
-    pub(super) fn snapshot(&self, archive: &Archive) -> Segment {
+    pub(super) fn snapshot(&self, archive: &Archive) -> Result<Segment, DecodeError> {
+        let bytes: usize = self.attributes.iter().map(|(_, _, units)| units.bytes()).sum();
+        archive.budget.reserve("segment", bytes as u64, 1)?;
         let units = self.attributes.iter().map(|(attribute, _, units)| (*attribute, units.clone()));
-        segment_of(archive, self.segment, self.layers, units)
+        Ok(segment_of(archive, self.segment, self.layers, units))
     }
 }
 

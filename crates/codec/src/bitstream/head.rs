@@ -18,6 +18,7 @@ pub(super) struct Head {
     pub(super) plan: Plan,
     /// How many Gaussians each has.
     pub(super) layers: Vec<u32>,
+    /// As the file says; see [`Self::segment_length`].
     pub(super) segment_length: u32,
     /// Smallest and largest coordinates of means.
     pub(super) bounds: [[f32; 3]; 2],
@@ -28,13 +29,19 @@ impl Head {
         self.info.num_timesteps as usize
     }
 
+    /// Where nothing moves there is one segment: a file must not claim what it spends no byte on.
+    pub(super) fn segment_length(&self) -> usize {
+        let moves = self.info.num_gaussians > 0 && self.plan.varies.contains(&true);
+        if moves { self.segment_length as usize } else { self.num_timesteps() }
+    }
+
     pub(super) fn num_segments(&self) -> usize {
-        self.num_timesteps().div_ceil(self.segment_length as usize)
+        self.num_timesteps().div_ceil(self.segment_length())
     }
 
     /// Timesteps of a segment.
     pub(super) fn span(&self, segment: usize) -> Range<usize> {
-        let length = self.segment_length as usize;
+        let length = self.segment_length();
         segment * length..((segment + 1) * length).min(self.num_timesteps())
     }
 

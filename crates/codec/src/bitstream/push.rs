@@ -150,7 +150,7 @@ impl Decoder {
             let mut reader = reader.take().unwrap_or_else(|| SegmentReader::new(archive, segment));
             reader.read(archive, self.offset, &self.bytes)?;
             if layer + 1 < num_layers {
-                events.push(Event::Segment(Box::new(reader.snapshot(archive))));
+                events.push(Event::Segment(Box::new(reader.snapshot(archive)?)));
                 self.reader = Some(reader);
             } else {
                 events.push(Event::Segment(Box::new(reader.finish(archive))));
