@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::ops::Range;
 use std::path::PathBuf;
 
 use serde_json::{Map, Value, json};
@@ -89,10 +90,23 @@ fn shares(histogram: &BTreeMap<u8, usize>) -> String {
 }
 
 fn print_sections(info: &FileInfo) -> anyhow::Result<()> {
-    say("section              bytes  checksum")?;
-    for section in &info.sections {
-        let verdict = if section.checksum_ok { "right" } else { "WRONG" };
-        say(&format!("{:<15}  {:>9}  {verdict}", section.name, show_bytes(section.bytes)))?;
+    let layers: Vec<String> = info.layers.iter().map(u32::to_string).collect();
+    say(&format!("layers        {} Gaussians", layers.join(" + ")))?;
+    let first = info.contents.as_ref().map_or(0, |c| c.info.first_frame as usize);
+    say("\npart                       bytes  checksums")?;
+    let sum = |segment: Option<usize>| {
+        let sections = info.sections.iter().filter(|s| s.segment == segment);
+        sections.fold((0, true), |(bytes, ok), s| (bytes + s.bytes, ok && s.checksum_ok))
+    };
+    let parts = std::iter::once((None, "shared".to_owned())).chain(
+        info.segments
+            .iter()
+            .enumerate()
+            .map(|(i, (t, _))| (Some(i), format!("frames {} to {}", first + t.start, first + t.end - 1))),
+    );
+    for (segment, name) in parts {
+        let (bytes, ok) = sum(segment);
+        say(&format!("{name:<21}  {:>9}  {}", show_bytes(bytes), if ok { "right" } else { "WRONG" }))?;
     }
     Ok(())
 }
@@ -107,6 +121,8 @@ fn machine_readable(info: &FileInfo) -> Value {
     let histogram = |c: &Contents, a: usize| -> Value {
         c.bits_histogram[a].iter().map(|(bits, &count)| (bits.to_string(), json!(count))).collect::<Map<_, _>>().into()
     };
+    let segment = |(timesteps, bytes): &(Range<usize>, Range<u64>)| json!({ "first_timestep": timesteps.start, "num_timesteps": timesteps.len(), "offset": bytes.start, "bytes": bytes.end - bytes.start });
+    let segments: Vec<Value> = info.segments.iter().map(segment).collect();
     json!({
         "version": info.version,
         "num_gaussians": scene.map(|s| s.num_gaussians),
@@ -115,8 +131,9 @@ fn machine_readable(info: &FileInfo) -> Value {
         "frame_rate": scene.map(|s| s.frame_rate),
         "bytes": info.bytes,
         "bytes_by_attribute": by_attribute(&|a| json!(bytes[a])),
-        // This version of the format decodes as a whole.
-        "segments": [],
+        "segments": segments,
+        "layers": info.layers,
+        "bounds": info.bounds,
         "bits_histogram": contents.map(|c| by_attribute(&|a| histogram(c, a))),
         "keypoints_mean": contents.map(|c| by_attribute(&|a| json!(c.keypoints_mean[a]))),
         "checksums_ok": info.checksums_ok(),

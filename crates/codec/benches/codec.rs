@@ -3,7 +3,10 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use tcgs_codec::{CompressSettings, DecodeLimits, SceneInfo, compress, decode, encode, select_keypoints};
+use tcgs_codec::{
+    Archive, CompressSettings, DecodeLimits, Opening, Sampler, SceneInfo, Segment, compress, decode, encode,
+    select_keypoints,
+};
 
 #[path = "../tests/scenes/mod.rs"]
 mod scenes;
@@ -30,21 +33,56 @@ fn keypoints(criterion: &mut Criterion) {
     group.finish();
 }
 
+/// Gaussians and timesteps of the scene: two segments.
+const NUM_GAUSSIANS: usize = 20_000;
+const NUM_TIMESTEPS: usize = 100;
+
+/// On one thread, and both parts apart: bytes to keypoints, keypoints to floats. A rate of 60 million
+/// Gaussian-timesteps a second in both together is 300 timesteps of 200,000 Gaussians, ten times 30 a second.
 fn scene(criterion: &mut Criterion) {
-    let num_gaussians = 20_000;
-    let scene = scenes::room(num_gaussians, 30);
-    let bit_map = scenes::mixed_widths(num_gaussians);
+    let scene = scenes::room(NUM_GAUSSIANS, NUM_TIMESTEPS);
+    let bit_map = scenes::mixed_widths(NUM_GAUSSIANS);
     let run = || compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
     let compact = run();
     let file = encode(&compact);
-    assert_eq!(decode(&file, &DecodeLimits::default()).expect("a file just written"), compact);
-    let mut group = criterion.benchmark_group("20000 Gaussians, 30 timesteps");
+    let limits = DecodeLimits::default();
+    assert_eq!(decode(&file, &limits).expect("a file just written"), compact);
+    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+    let segments = || -> Vec<Segment> {
+        let Ok(Opening::Ready(mut archive)) = Archive::open(&file, &limits) else { panic!("a file just written") };
+        let layers = archive.num_layers();
+        let bytes = |range: std::ops::Range<u64>| &file[range.start as usize..range.end as usize];
+        archive.read_shared(bytes(archive.shared_range(layers))).expect("whole");
+        let segment = |i| archive.read_segment(i, bytes(archive.segment_range(i, layers))).expect("whole");
+        (0..archive.num_segments()).map(segment).collect()
+    };
+    let floats = |segments: &[Segment]| -> f32 {
+        let all = |segment: &Segment| -> f32 {
+            let mut sampler = Sampler::new(segment);
+            segment.timesteps().map(|t| black_box(sampler.at(t)).means[0][0]).sum()
+        };
+        segments.iter().map(all).sum()
+    };
+    let decoded = segments();
+    let expected: f32 = decoded.iter().flat_map(Segment::timesteps).map(|t| compact.at(t).means[0][0]).sum();
+    assert!((floats(&decoded) - expected).abs() < 1e-3 * expected.abs());
+    println!(
+        "{} bytes; a segment holds {} bytes of keypoints, {} of floats",
+        file.len(),
+        decoded[0].bytes(),
+        decoded[0].timesteps().len() * NUM_GAUSSIANS * 14 * 4
+    );
+
+    let mut group = criterion.benchmark_group(format!("{NUM_GAUSSIANS} Gaussians, {NUM_TIMESTEPS} timesteps"));
     group.sample_size(10);
-    group.throughput(Throughput::Elements(num_gaussians as u64));
+    group.throughput(Throughput::Elements((NUM_GAUSSIANS * NUM_TIMESTEPS) as u64));
     group.bench_function("compress", |b| b.iter(run));
     group.bench_function("encode", |b| b.iter(|| encode(black_box(&compact))));
-    group.bench_function("decode", |b| b.iter(|| decode(black_box(&file), &DecodeLimits::default())));
-    group.bench_function("one timestep", |b| b.iter(|| compact.at(black_box(15))));
+    group.bench_function("decode whole", |b| b.iter(|| decode(black_box(&file), &limits)));
+    group.bench_function("bytes to keypoints, one thread", |b| b.iter(|| one_thread.install(segments)));
+    group.bench_function("keypoints to floats, one thread", |b| b.iter(|| floats(black_box(&decoded))));
+    group.throughput(Throughput::Elements(NUM_GAUSSIANS as u64));
+    group.bench_function("one timestep alone", |b| b.iter(|| compact.at(black_box(15))));
     group.finish();
 }
 

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use rayon::prelude::*;
 use tcgs_core::{Attribute, Gaussians};
 
 use crate::quantize::MAX_BITS;
@@ -181,7 +180,7 @@ fn assign_log(sensitivity: &Gaussians, stored: &Gaussians, settings: &BitSetting
             let sum: f64 = s.iter().zip(&spreads).map(|(&s, spread)| (f64::from(s) * spread).powi(2)).sum();
             0.5 * sum.log2()
         };
-        sensitivity.values(attribute).par_chunks_exact(components).map(weight).collect()
+        sensitivity.values(attribute).chunks_exact(components).map(weight).collect()
     });
     let width = |log_weight: f64, c: f64| -> u8 {
         (log_weight + c).round().clamp(f64::from(settings.min_bits), f64::from(settings.max_bits)) as u8
@@ -190,7 +189,7 @@ fn assign_log(sensitivity: &Gaussians, stored: &Gaussians, settings: &BitSetting
     for attribute in mixed() {
         let weights = &log_weights[attribute.index()];
         let mean_bits = |c: f64| -> f64 {
-            weights.par_iter().map(|&w| usize::from(width(w, c))).sum::<usize>() as f64 / weights.len().max(1) as f64
+            weights.iter().map(|&w| usize::from(width(w, c))).sum::<usize>() as f64 / weights.len().max(1) as f64
         };
         // Far enough for any products of two `f32`. The mean rises with c.
         let (mut low, mut high) = (-400.0, 400.0);

@@ -3,18 +3,18 @@
 //! The rules that every scene obeys, whether it was compressed here or read from a file, stand once,
 //! in [`CompactScene::check`]. How symbols become bytes is no matter of this module.
 
-use rayon::prelude::*;
 use tcgs_core::{Attribute, DynamicGaussians, Gaussians, normalize};
 
 use crate::bits::BitMap;
 use crate::keypoints::{lerp, locate};
+use crate::parallel;
 use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
 
 /// Most timesteps of a scene: a keypoint's time has 16 bits.
 pub(crate) const MAX_TIMESTEPS: u32 = 1 << 16;
 
 /// What a file says besides symbols.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneInfo {
     /// `N`.
     pub num_gaussians: u32,
@@ -26,12 +26,55 @@ pub struct SceneInfo {
     pub frame_rate: f32,
     /// Factor by which the capture's images were shrunk for training, at least 1.
     pub downscale: u32,
-    /// Any text, at most 65535 bytes.
+    /// Of the capture: any text, at most 65535 bytes.
     pub name: String,
+    /// What wrote the file: any text, at most 65535 bytes.
+    pub generator: String,
+    /// What the colours mean.
+    pub color_space: ColorSpace,
+    /// Which way is up.
+    pub up: UpAxis,
+}
+
+/// What the numbers of a colour mean.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ColorSpace {
+    /// Display-referred sRGB, blended as stored.
+    #[default]
+    Srgb = 0,
+    /// Linear light with the primaries of sRGB.
+    LinearSrgb = 1,
+}
+
+impl ColorSpace {
+    /// All, by their number in a file.
+    pub(crate) const ALL: [Self; 2] = [Self::Srgb, Self::LinearSrgb];
+}
+
+/// The axis that points up. The coordinate system is right-handed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+#[allow(missing_docs)]
+pub enum UpAxis {
+    #[default]
+    Unknown = 0,
+    PlusX = 1,
+    PlusY = 2,
+    PlusZ = 3,
+    MinusX = 4,
+    MinusY = 5,
+    MinusZ = 6,
+}
+
+impl UpAxis {
+    /// All, by their number in a file.
+    pub(crate) const ALL: [Self; 7] =
+        [Self::Unknown, Self::PlusX, Self::PlusY, Self::PlusZ, Self::MinusX, Self::MinusY, Self::MinusZ];
 }
 
 impl SceneInfo {
-    /// The counts of a scene; frame 0, 30 frames per second, full size, no name.
+    /// The counts of a scene; frame 0, 30 frames per second, full size, no name, this crate as generator.
     pub fn of(scene: &DynamicGaussians) -> Self {
         Self {
             num_gaussians: scene.num_gaussians() as u32,
@@ -40,12 +83,15 @@ impl SceneInfo {
             frame_rate: 30.0,
             downscale: 1,
             name: String::new(),
+            generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
+            color_space: ColorSpace::default(),
+            up: UpAxis::default(),
         }
     }
 
     /// The rules for what is known before any symbol.
     pub(crate) fn check(&self) -> Result<(), Violation> {
-        let SceneInfo { num_timesteps, frame_rate, downscale, ref name, .. } = *self;
+        let SceneInfo { num_timesteps, frame_rate, downscale, ref name, ref generator, .. } = *self;
         let violation = |field, problem| Err(Violation { attribute: None, field, problem });
         if !(1..=MAX_TIMESTEPS).contains(&num_timesteps) {
             violation("num_timesteps", "not within 1 to 65536")
@@ -55,6 +101,8 @@ impl SceneInfo {
             violation("downscale", "zero")
         } else if name.len() > usize::from(u16::MAX) {
             violation("name", "longer than 65535 bytes")
+        } else if generator.len() > usize::from(u16::MAX) {
+            violation("generator", "longer than 65535 bytes")
         } else {
             Ok(())
         }
@@ -125,20 +173,6 @@ impl<V: Copy> Tracks<V> {
         self.values.extend_from_slice(&other.values);
         self.starts.extend(other.starts[1..].iter().map(|s| base + s));
     }
-
-    /// Tracks whose times are known and whose values are to be filled in.
-    pub(crate) fn with_times(starts: Vec<usize>, times: Vec<u16>, value: V) -> Self {
-        debug_assert!(starts.is_sorted() && starts.last() == Some(&times.len()));
-        let values = vec![value; times.len()];
-        Self { starts, times, values }
-    }
-
-    /// Times and values of one track, the values to change in place.
-    #[inline(always)]
-    pub(crate) fn track_mut(&mut self, index: usize) -> (&[u16], &mut [V]) {
-        let range = self.starts[index]..self.starts[index + 1];
-        (&self.times[range.clone()], &mut self.values[range])
-    }
 }
 
 /// A compressed scene as symbols: for every track the times and codes of its keypoints, and what is
@@ -153,6 +187,11 @@ pub struct CompactScene {
     pub quantizers: Quantizers,
     /// By [`Attribute::index`]: whether its tracks may have several keypoints.
     pub varies: [bool; 5],
+    /// How many Gaussians each layer has, the most important layer first: a scene of the first layers
+    /// alone is coarser. At most 65535 layers, none empty.
+    pub layers: Vec<u32>,
+    /// Timesteps of a segment, which decodes alone; the last may be shorter. 1 to 65536.
+    pub segment_length: u32,
     /// By [`Attribute::index`]: codes of `N * components` tracks.
     pub tracks: [Tracks<i16>; 5],
 }
@@ -213,7 +252,7 @@ impl CompactScene {
         let widths = &self.bit_map.widths[attribute.index()];
         let tracks = &self.tracks[attribute.index()];
         let mut values = vec![0.0; widths.len() * components];
-        values.par_chunks_exact_mut(components).enumerate().with_min_len(1024).for_each(|(gaussian, row)| {
+        parallel::for_each_row(&mut values, components, |gaussian, row| {
             let quantizers = quantizers[usize::from(widths[gaussian])];
             for (channel, value) in row.iter_mut().enumerate() {
                 let (times, codes) = tracks.track(gaussian * components + channel);
@@ -235,6 +274,7 @@ impl CompactScene {
     /// timestep (or are 0 alone: constant), codes fit their widths.
     pub(crate) fn check(&self) -> Result<(), Violation> {
         self.info.check()?;
+        check_division(self.info.num_gaussians, &self.layers, self.segment_length)?;
         Attribute::ALL.into_iter().try_for_each(|attribute| {
             let violation = |field, problem| Violation { attribute: Some(attribute), field, problem };
             self.check_quantizers(attribute)?;
@@ -248,7 +288,7 @@ impl CompactScene {
             if tracks.len() != self.num_gaussians() * components {
                 return Err(violation("tracks", "not one for each Gaussian and channel"));
             }
-            widths.par_iter().enumerate().try_for_each(|(gaussian, &width)| {
+            parallel::try_for_each(widths, |gaussian, &width| {
                 let quantizer = quantizers.get(usize::from(width)).and_then(|of_width| of_width.first());
                 let quantizer = quantizer.ok_or(violation("bit widths", "a width without quantizers"))?;
                 (gaussian * components..(gaussian + 1) * components).try_for_each(|i| {
@@ -293,6 +333,21 @@ impl CompactScene {
             }
             _ => Err("not from the first to the last timestep"),
         }
+    }
+}
+
+/// The rules for layers and segments.
+pub(crate) fn check_division(num_gaussians: u32, layers: &[u32], segment_length: u32) -> Result<(), Violation> {
+    let violation = |field, problem| Err(Violation { attribute: None, field, problem });
+    let sum: u64 = layers.iter().map(|&n| u64::from(n)).sum();
+    if sum != u64::from(num_gaussians) {
+        violation("layers", "not as many Gaussians as the scene")
+    } else if layers.contains(&0) || layers.len() > usize::from(u16::MAX) {
+        violation("layers", "an empty one or more than 65535")
+    } else if !(1..=MAX_TIMESTEPS).contains(&segment_length) {
+        violation("segment_length", "not within 1 to 65536")
+    } else {
+        Ok(())
     }
 }
 

@@ -46,39 +46,98 @@ impl Selector {
         if let Some(i) = track.iter().position(|x| !x.is_finite()) {
             panic!("sample {i} of the track is {}, expected a finite number", track[i]);
         }
+        self.select_joint(&[track], &[1.0], max_keypoints, f64::from(max_mse))
+    }
+
+    /// The same for several tracks that share their keypoints.
+    ///
+    /// - `tracks`: `[C][T]`, finite, not empty
+    /// - `weights`: `[C]`, of the squared error of each
+    /// - `max_error`: of the mean over time of the weighted sum of squared errors
+    pub(crate) fn select_joint(
+        &mut self,
+        tracks: &[&[f32]],
+        weights: &[f64],
+        max_keypoints: usize,
+        max_error: f64,
+    ) -> &[usize] {
+        let count = tracks[0].len();
         self.indices.clear();
-        if track.len() < 2 {
-            self.indices.extend(0..track.len());
+        if count < 2 {
+            self.indices.extend(0..count);
             return &self.indices;
         }
-        let last = track.len() - 1;
-        self.indices.extend([0, last]);
+        self.indices.extend([0, count - 1]);
         self.squared_errors.clear();
-        self.squared_errors.resize(track.len(), 0.0);
-        self.interpolate(track, 0, last);
-        while self.indices.len() < max_keypoints && sum(&self.squared_errors) / track.len() as f64 > f64::from(max_mse)
-        {
+        self.squared_errors.resize(count, 0.0);
+        self.interpolate(tracks, weights, 0, count - 1);
+        while self.indices.len() < max_keypoints && sum(&self.squared_errors) / count as f64 > max_error {
             let worst = index_of_largest(&self.squared_errors);
             let at = self.indices.partition_point(|&i| i < worst);
+            if self.indices[at] == worst {
+                // No error is left.
+                break;
+            }
             let (before, after) = (self.indices[at - 1], self.indices[at]);
             self.indices.insert(at, worst);
             self.squared_errors[worst] = 0.0;
-            self.interpolate(track, before, worst);
-            self.interpolate(track, worst, after);
+            self.interpolate(tracks, weights, before, worst);
+            self.interpolate(tracks, weights, worst, after);
         }
         &self.indices
     }
 
     /// Squared errors strictly between two keypoints; at a keypoint the error is exactly zero.
-    fn interpolate(&mut self, track: &[f32], first: usize, last: usize) {
-        let start = f64::from(track[first]);
-        let slope = (f64::from(track[last]) - start) / (last - first) as f64;
+    fn interpolate(&mut self, tracks: &[&[f32]], weights: &[f64], first: usize, last: usize) {
         let inner = first + 1..last;
-        for ((i, squared_error), &x) in (1_u32..).zip(&mut self.squared_errors[inner.clone()]).zip(&track[inner]) {
-            let error = f64::from(x) - (start + slope * f64::from(i));
-            *squared_error = error * error;
+        self.squared_errors[inner.clone()].fill(0.0);
+        for (track, weight) in tracks.iter().zip(weights) {
+            let start = f64::from(track[first]);
+            let slope = (f64::from(track[last]) - start) / (last - first) as f64;
+            let errors = &mut self.squared_errors[inner.clone()];
+            for ((i, squared_error), &x) in (1_u32..).zip(errors).zip(&track[inner.clone()]) {
+                let error = f64::from(x) - (start + slope * f64::from(i));
+                *squared_error += weight * (error * error);
+            }
         }
     }
+}
+
+/// Values at keypoints for which the line through them has the least squared error over all samples.
+///
+/// - `track`: `[T]`
+/// - `indices`: `[K]`, ascending from 0 to `T - 1`
+/// - returns: `[K]`
+pub(crate) fn fit_values(track: &[f32], indices: &[usize]) -> Vec<f32> {
+    let count = indices.len();
+    if count < 2 {
+        return indices.iter().map(|&i| track[i]).collect();
+    }
+    // Normal equations: each sample lies between two keypoints, so only neighbours meet.
+    let (mut diagonal, mut beside, mut right) = (vec![0.0_f64; count], vec![0.0_f64; count - 1], vec![0.0_f64; count]);
+    for (k, pair) in indices.windows(2).enumerate() {
+        let length = (pair[1] - pair[0]) as f64;
+        let end = if k + 2 == count { pair[1] + 1 } else { pair[1] };
+        for i in pair[0]..end {
+            let b = (i - pair[0]) as f64 / length;
+            let (a, x) = (1.0 - b, f64::from(track[i]));
+            diagonal[k] += a * a;
+            diagonal[k + 1] += b * b;
+            beside[k] += a * b;
+            right[k] += a * x;
+            right[k + 1] += b * x;
+        }
+    }
+    for k in 1..count {
+        let factor = beside[k - 1] / diagonal[k - 1];
+        diagonal[k] -= factor * beside[k - 1];
+        right[k] -= factor * right[k - 1];
+    }
+    for k in (0..count).rev() {
+        let known = if k + 1 < count { beside[k] * right[k + 1] } else { 0.0 };
+        right[k] = (right[k] - known) / diagonal[k];
+    }
+    right.into_iter().map(|x| x as f32).collect()
 }
 
 /// Sum in eight interleaved partial sums, then the rest: a fixed order that runs in SIMD lanes.

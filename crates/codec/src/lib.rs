@@ -7,21 +7,31 @@
 //! [`DecodeLimits`].
 
 #![forbid(unsafe_code)]
+// Both directions are written side by side; for decoding alone one of them is idle.
+#![cfg_attr(not(feature = "encode"), allow(dead_code))]
 
 mod accounting;
 mod bits;
 mod bitstream;
 mod compact;
+#[cfg(feature = "encode")]
 mod compress;
 mod error;
 mod keypoints;
 mod limits;
 mod morton;
+mod parallel;
 mod quantize;
 
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
-pub use bitstream::{Contents, FORMAT_VERSION, FileInfo, SectionInfo, decode, encode, inspect};
-pub use compact::{CompactScene, SceneInfo, Tracks};
+#[cfg(feature = "encode")]
+pub use bitstream::encode;
+pub use bitstream::{
+    Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Opening, Sampler, SectionInfo, Segment,
+    application_data, decode, inspect,
+};
+pub use compact::{ColorSpace, CompactScene, SceneInfo, Tracks, UpAxis};
+#[cfg(feature = "encode")]
 pub use compress::{CompressSettings, compress, compress_ordered};
 pub use error::DecodeError;
 pub use keypoints::{interpolate, select as select_keypoints};

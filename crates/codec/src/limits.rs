@@ -1,5 +1,7 @@
 //! How much a file may ask for.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use crate::error::DecodeError;
 
 /// What a decoder is willing to spend on a file.
@@ -11,36 +13,53 @@ pub struct DecodeLimits {
     pub max_timesteps: u32,
     /// Memory for the decoded scene and what is needed on the way, in bytes. Default 4 GiB.
     pub max_bytes: u64,
+    /// How many bytes of memory a byte of the file may take, beyond [`Self::FREE_BYTES`]: a small file
+    /// that unfolds into something huge was made for that. Default 1024; real scenes take some ten.
+    pub max_expansion: u32,
+}
+
+impl DecodeLimits {
+    /// Memory that every file may take, however small: 16 MiB.
+    pub const FREE_BYTES: u64 = 1 << 24;
+
+    /// No limits, for files that one wrote oneself.
+    pub fn none() -> Self {
+        Self { max_gaussians: u32::MAX, max_timesteps: u32::MAX, max_bytes: u64::MAX, max_expansion: u32::MAX }
+    }
 }
 
 impl Default for DecodeLimits {
     fn default() -> Self {
-        Self { max_gaussians: 1 << 24, max_timesteps: 1 << 16, max_bytes: 1 << 32 }
+        Self { max_gaussians: 1 << 24, max_timesteps: 1 << 16, max_bytes: 1 << 32, max_expansion: 1024 }
     }
 }
 
-/// What is left of [`DecodeLimits::max_bytes`] while decoding one file. Never given back: the sum of all
-/// allocations bounds their peak.
+/// What is left of the memory that [`DecodeLimits`] allow while decoding one file. Never given back: the sum
+/// of all allocations bounds their peak.
+#[derive(Debug)]
 pub(crate) struct Budget {
     limit: u64,
-    used: u64,
+    used: AtomicU64,
 }
 
 impl Budget {
-    pub(crate) fn new(limits: &DecodeLimits) -> Self {
-        Self { limit: limits.max_bytes, used: 0 }
+    /// - `file_bytes`: length of the file
+    pub(crate) fn new(limits: &DecodeLimits, file_bytes: u64) -> Self {
+        let expanded = file_bytes.saturating_mul(limits.max_expansion.into()).saturating_add(DecodeLimits::FREE_BYTES);
+        Self { limit: limits.max_bytes.min(expanded), used: AtomicU64::new(0) }
     }
 
-    /// To be asked before `count` things of `size` bytes are allocated. Returns `count`.
-    pub(crate) fn reserve(&mut self, what: &'static str, count: u64, size: usize) -> Result<usize, DecodeError> {
-        let bytes = count.checked_mul(size as u64);
-        let needed = bytes.and_then(|b| b.checked_add(self.used)).unwrap_or(u64::MAX);
-        let too_large = DecodeError::Limit { what, unit: "bytes", needed, limit: self.limit };
-        if needed > self.limit {
-            return Err(too_large);
+    /// To be asked before `count` things of `size` bytes are allocated.
+    pub(crate) fn reserve(&self, what: &'static str, count: u64, size: usize) -> Result<(), DecodeError> {
+        let bytes = count.saturating_mul(size as u64).min(1 << 62);
+        let used = self.used.fetch_add(bytes, Ordering::Relaxed);
+        let needed = used.saturating_add(bytes);
+        if needed > self.limit || used > self.limit {
+            // Nothing is allocated any more, and the sum must not wrap around.
+            self.used.fetch_sub(bytes, Ordering::Relaxed);
+            return Err(DecodeError::Limit { what, unit: "bytes", needed, limit: self.limit });
         }
-        self.used = needed;
-        usize::try_from(count).map_err(|_| too_large)
+        Ok(())
     }
 }
 
@@ -50,11 +69,18 @@ mod tests {
 
     #[test]
     fn reservations_add_up_and_do_not_overflow() {
-        let mut budget = Budget::new(&DecodeLimits { max_bytes: 100, ..Default::default() });
-        assert_eq!(budget.reserve("codes", 10, 6).unwrap(), 10);
+        let budget = Budget::new(&DecodeLimits { max_bytes: 100, ..Default::default() }, 1);
+        budget.reserve("codes", 10, 6).unwrap();
         let error = budget.reserve("codes", 11, 4).unwrap_err();
         assert_eq!(error.to_string(), "codes needs 104 bytes, limit is 100");
         assert!(budget.reserve("codes", u64::MAX, 16).is_err());
-        assert_eq!(budget.reserve("codes", 10, 4).unwrap(), 10);
+        budget.reserve("codes", 10, 4).unwrap();
+    }
+
+    #[test]
+    fn a_small_file_may_not_take_much() {
+        let budget = Budget::new(&DecodeLimits::default(), 100);
+        assert!(budget.reserve("layer", 17 << 20, 1).is_err());
+        budget.reserve("layer", 16 << 20, 1).unwrap();
     }
 }

@@ -1,68 +1,28 @@
 //! Symbols survive as bytes, and bytes that are no file are refused.
+#![allow(clippy::unwrap_used)]
 
-use std::collections::BTreeMap;
+use std::ops::Range;
 
 use proptest::prelude::*;
 use tcgs_codec::{
-    BitMap, CompactScene, CompressSettings, DecodeError, DecodeLimits, Quantizer, Quantizers, SceneInfo, Tracks,
-    compress, decode, encode, inspect,
+    BitMap, CompactScene, CompressSettings, DecodeError, DecodeLimits, SceneInfo, Tracks, compress, decode, encode,
+    inspect,
 };
 use tcgs_core::Attribute;
 
+mod any_scene;
 mod scenes;
-use scenes::Random;
+use any_scene::any_scene;
 
-/// Any scene that the format can say: widths, times and codes at random.
-fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> CompactScene {
-    let random = &mut Random(seed);
-    let mut scene = CompactScene {
-        info: SceneInfo {
-            num_gaussians: num_gaussians as u32,
-            num_timesteps: num_timesteps as u32,
-            first_frame: random.next() as u32,
-            frame_rate: random.uniform() * 60.0,
-            downscale: 1 + random.next() as u32 % 8,
-            name: ["", "basketball", "Küche"][random.next() as usize % 3].to_owned(),
-        },
-        bit_map: BitMap::default(),
-        quantizers: Quantizers::default(),
-        varies: Attribute::ALL.map(|_| random.next().is_multiple_of(2)),
-        tracks: Default::default(),
-    };
-    for attribute in Attribute::ALL {
-        let index = attribute.index();
-        let highest = 1 + random.next() % 16;
-        let widths: Vec<u8> = (0..num_gaussians).map(|_| (1 + random.next() % highest) as u8).collect();
-        let quantizer = |bits: u8, random: &mut Random| Quantizer::new(random.uniform() + 0.01, random.normal(), bits);
-        scene.quantizers.attributes[index] = widths
-            .iter()
-            .map(|&bits| (bits, (0..attribute.components()).map(|_| quantizer(bits, random)).collect()))
-            .collect();
-        for width in widths.iter().flat_map(|w| vec![*w; attribute.components()]) {
-            let restless = random.next() % 4;
-            let times: Vec<u16> = if !scene.varies[index] || num_timesteps == 1 || restless == 0 {
-                vec![0]
-            } else {
-                let inner = (1..num_timesteps - 1).filter(|_| restless == 3 || random.next() % 3 < restless);
-                let inner: Vec<u16> = inner.map(|t| t as u16).collect();
-                [&[0], &inner[..], &[(num_timesteps - 1) as u16]].concat()
-            };
-            let half = 1_i32 << (width - 1);
-            let codes: Vec<i16> =
-                times.iter().map(|_| ((random.next() % (2 * half) as u64) as i32 - half) as i16).collect();
-            scene.tracks[index].push(&times, &codes);
-        }
-        scene.bit_map.widths[index] = widths;
-    }
-    scene
-}
+/// Bytes before the table of contents, and of each of its entries.
+const HEADER_BYTES: usize = 16;
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
+    #![proptest_config(ProptestConfig::with_cases(120))]
 
     #[test]
     fn every_scene_comes_back_field_by_field(
-        num_gaussians in 0_usize..12,
+        num_gaussians in 0_usize..30,
         num_timesteps in prop::sample::select(vec![1_usize, 2, 3, 24, 255, 256, 257, 300]),
         seed: u64,
     ) {
@@ -76,22 +36,31 @@ proptest! {
         for attribute in Attribute::ALL {
             prop_assert_eq!(&decoded.tracks[attribute.index()], &scene.tracks[attribute.index()], "{:?}", attribute);
         }
+        prop_assert_eq!(&decoded, &scene);
         let info = inspect(&file, &DecodeLimits::default()).unwrap();
         prop_assert!(info.checksums_ok());
         let contents = info.contents.unwrap();
         prop_assert_eq!(contents.keypoints_mean, scene.keypoints_mean());
         prop_assert_eq!(contents.bits_histogram, scene.bit_map.histogram());
+        for mean in (0..num_timesteps).step_by(29).flat_map(|t| scene.at(t).means) {
+            for i in 0..3 {
+                let slack = 1e-6 * mean[i].abs();
+                prop_assert!(info.bounds[0][i] - slack <= mean[i] && mean[i] <= info.bounds[1][i] + slack);
+            }
+        }
     }
 
     /// Damage with checksums that are right: whatever passes as a scene can be used.
     #[test]
     fn resealed_damage_never_panics(
         seed: u64,
+        num_timesteps in 1_usize..40,
         damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
     ) {
-        let mut file = encode(&any_scene(5, 6, seed));
+        let mut file = encode(&any_scene(5, num_timesteps, seed));
+        let start = sections(&file)[0].1.start;
         for (at, value) in damage {
-            let at = HEADER_BYTES + at.index(file.len() - HEADER_BYTES);
+            let at = start + at.index(file.len() - start);
             file[at] = value;
         }
         reseal(&mut file);
@@ -102,32 +71,36 @@ proptest! {
     }
 }
 
-const NUM_SECTIONS: usize = 8;
-const HEADER_BYTES: usize = 8 + 16 * NUM_SECTIONS + 4;
-
-/// Where section `index` lies in a file.
-fn section(file: &[u8], index: usize) -> std::ops::Range<usize> {
-    let length =
-        |i: usize| u64::from_le_bytes(file[12 + 16 * i..20 + 16 * i].try_into().expect("eight bytes")) as usize;
-    let start = HEADER_BYTES + (0..index).map(length).sum::<usize>();
-    start..start + length(index)
+/// Tag, place, segment and layer of every section.
+fn sections(file: &[u8]) -> Vec<([u8; 4], Range<usize>)> {
+    let number = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
+    let count = number(8);
+    let mut start = HEADER_BYTES + 16 * count;
+    (0..count)
+        .map(|i| {
+            let entry = HEADER_BYTES + 16 * i;
+            let end = start + number(entry + 8);
+            (file[entry..entry + 4].try_into().unwrap(), std::mem::replace(&mut start, end)..end)
+        })
+        .collect()
 }
 
 /// Makes all checksums right.
 fn reseal(file: &mut [u8]) {
-    for index in 0..NUM_SECTIONS {
-        let checksum = crc32fast::hash(&file[section(file, index)]);
-        file[20 + 16 * index..24 + 16 * index].copy_from_slice(&checksum.to_le_bytes());
+    let sections = sections(file);
+    for (i, (_, range)) in sections.iter().enumerate() {
+        let checksum = crc32fast::hash(&file[range.clone()]);
+        file[HEADER_BYTES + 16 * i + 12..][..4].copy_from_slice(&checksum.to_le_bytes());
     }
-    let checksum = crc32fast::hash(&file[..HEADER_BYTES - 4]);
-    file[HEADER_BYTES - 4..HEADER_BYTES].copy_from_slice(&checksum.to_le_bytes());
+    let header = [&file[..12], &file[HEADER_BYTES..HEADER_BYTES + 16 * sections.len()]].concat();
+    file[12..16].copy_from_slice(&crc32fast::hash(&header).to_le_bytes());
 }
 
 /// Changes bytes of a section, seals the file again and says why it is refused.
-fn refusal(scene: &CompactScene, index: usize, offset: usize, bytes: &[u8]) -> String {
+fn refusal(scene: &CompactScene, tag: &[u8; 4], offset: usize, bytes: &[u8]) -> String {
     let mut file = encode(scene);
-    let at = section(&file, index).start + offset;
-    file[at..at + bytes.len()].copy_from_slice(bytes);
+    let (_, range) = sections(&file).into_iter().find(|(t, _)| t == tag).unwrap();
+    file[range.start + offset..][..bytes.len()].copy_from_slice(bytes);
     reseal(&mut file);
     decode(&file, &DecodeLimits::default()).expect_err("it was damaged").to_string()
 }
@@ -157,14 +130,14 @@ fn a_file_with_any_byte_changed_is_refused() {
 #[test]
 fn a_damaged_section_is_reported_by_name() {
     let mut file = encode(&any_scene(4, 24, 3));
-    let at = section(&file, 4).start;
-    file[at] ^= 1;
+    let (_, range) = sections(&file).into_iter().find(|(tag, _)| tag == b"QUAT").unwrap();
+    file[range.start] ^= 1;
     let info = inspect(&file, &DecodeLimits::default()).unwrap();
     assert!(!info.checksums_ok() && info.contents.is_none());
     let damaged: Vec<&str> = info.sections.iter().filter(|s| !s.checksum_ok).map(|s| s.name).collect();
     assert_eq!(damaged, ["quats"]);
     let error = decode(&file, &DecodeLimits::default()).unwrap_err().to_string();
-    assert_eq!(error, format!("invalid checksum in quats at byte {at}: the section is damaged"));
+    assert_eq!(error, format!("invalid checksum in quats at byte {}: the section is damaged", range.start));
 }
 
 #[test]
@@ -172,10 +145,13 @@ fn sections_and_header_make_up_the_file() {
     let file = encode(&any_scene(50, 24, 4));
     let info = inspect(&file, &DecodeLimits::default()).unwrap();
     assert_eq!(info.bytes, file.len() as u64);
-    assert_eq!(info.sections.iter().map(|s| s.bytes).sum::<u64>() + HEADER_BYTES as u64, info.bytes);
-    let by_attribute: u64 = info.bytes_by_attribute().iter().sum();
-    assert_eq!(by_attribute, info.sections[3..].iter().map(|s| s.bytes).sum::<u64>());
+    let header = (HEADER_BYTES + 16 * info.sections.len()) as u64;
+    assert_eq!(info.sections.iter().map(|s| s.bytes).sum::<u64>() + header, info.bytes);
     assert!(info.bytes_by_attribute().iter().all(|&b| b > 0));
+    // Segments follow each other and end the file.
+    let ends: Vec<u64> = info.segments.iter().map(|(_, bytes)| bytes.end).collect();
+    assert_eq!(ends.last(), Some(&info.bytes));
+    assert!(info.segments.windows(2).all(|pair| pair[0].1.end == pair[1].1.start && pair[0].0.end == pair[1].0.start));
 }
 
 #[test]
@@ -187,89 +163,122 @@ fn another_version_trailing_bytes_and_other_files_are_refused() {
     assert!(matches!(refused(&newer), DecodeError::Version { found: 2, expected: 1 }));
     let mut longer = file.clone();
     longer.push(0);
-    let error = refused(&longer).to_string();
-    assert_eq!(error, format!("invalid end in file at byte {}: bytes are left over", file.len()));
+    assert_eq!(
+        refused(&longer).to_string(),
+        format!("invalid end in file at byte {}: bytes are left over", longer.len())
+    );
     assert_eq!(refused(b"PK\x03\x04").to_string(), "invalid magic in header at byte 0: this is not a .tcgs file");
-    assert_eq!(refused(&[]).to_string(), "invalid magic in header at byte 0: this is not a .tcgs file");
+    assert_eq!(refused(&[]).to_string(), "invalid end in file at byte 0: the file ends early");
+}
+
+/// Adds a section at the end of the table of contents and of the file.
+fn with_section(file: &[u8], tag: &[u8; 4], bytes: &[u8]) -> Vec<u8> {
+    let count = sections(file).len();
+    let (header, body) = file.split_at(HEADER_BYTES + 16 * count);
+    let entry = [&tag[..], &[0xff, 0xff, 0, 0], &(bytes.len() as u32).to_le_bytes(), &[0; 4]].concat();
+    let mut longer = [header, &entry, body, bytes].concat();
+    longer[8..12].copy_from_slice(&(count as u32 + 1).to_le_bytes());
+    reseal(&mut longer);
+    longer
+}
+
+#[test]
+fn unknown_sections_are_skipped_if_they_may_be() {
+    let scene = any_scene(9, 24, 6);
+    let file = encode(&scene);
+    let limits = DecodeLimits::default();
+    let optional = with_section(&file, b"new1", b"something");
+    assert_eq!(decode(&optional, &limits).unwrap(), scene);
+    let application = with_section(&optional, b"appl", b"\x05\0notesabc");
+    assert_eq!(decode(&application, &limits).unwrap(), scene);
+    let data = tcgs_codec::application_data(&application, &limits).unwrap();
+    assert_eq!(data, [("notes".to_owned(), &b"abc"[..])]);
+    let error = decode(&with_section(&file, b"NEW1", b""), &limits).unwrap_err().to_string();
+    assert!(error.ends_with("a section that this decoder does not know and may not skip"), "{error}");
+    let error = decode(&with_section(&file, b"MEAN", b""), &limits).unwrap_err().to_string();
+    assert!(error.ends_with("a section too many"), "{error}");
 }
 
 #[test]
 fn huge_counts_are_refused_before_anything_is_allocated() {
     let scene = any_scene(4, 24, 6);
-    let gaussians = refusal(&scene, 0, 0, &u32::MAX.to_le_bytes());
+    let gaussians = refusal(&scene, b"INFO", 0, &u32::MAX.to_le_bytes());
     assert_eq!(gaussians, "scene needs 4294967295 Gaussians, limit is 16777216");
-    let timesteps = refusal(&scene, 0, 4, &u32::MAX.to_le_bytes());
+    let timesteps = refusal(&scene, b"INFO", 4, &u32::MAX.to_le_bytes());
     assert_eq!(timesteps, "scene needs 4294967295 timesteps, limit is 65536");
-    // Within the counts' limits, but not within that of memory.
-    let mut file = encode(&scene);
-    let info = section(&file, 0).start;
-    file[info..info + 4].copy_from_slice(&16_000_000_u32.to_le_bytes());
+    // Within the counts' limits, but more than so small a file may take.
+    let mut file = encode(&CompactScene { layers: vec![4], ..scene });
+    let info = sections(&file)[0].1.clone();
+    file[info.start..info.start + 4].copy_from_slice(&16_000_000_u32.to_le_bytes());
+    file[info.end - 4..info.end].copy_from_slice(&16_000_000_u32.to_le_bytes());
     reseal(&mut file);
-    let limits = DecodeLimits { max_bytes: 1 << 20, ..Default::default() };
-    let error = decode(&file, &limits).unwrap_err();
-    assert!(matches!(error, DecodeError::Limit { unit: "bytes", limit: 1_048_576, .. }), "{error}");
-    // A length beyond any address.
-    let mut file = encode(&scene);
-    file[12..20].copy_from_slice(&u64::MAX.to_le_bytes());
-    let checksum = crc32fast::hash(&file[..HEADER_BYTES - 4]);
-    file[HEADER_BYTES - 4..HEADER_BYTES].copy_from_slice(&checksum.to_le_bytes());
+    let error = decode(&file, &DecodeLimits::default()).unwrap_err();
+    assert!(matches!(error, DecodeError::Limit { what: "layer", unit: "bytes", .. }), "{error}");
+    // A length beyond the file.
+    file[HEADER_BYTES + 8..HEADER_BYTES + 12].copy_from_slice(&u32::MAX.to_le_bytes());
+    let header = [&file[..12], &file[HEADER_BYTES..info.start]].concat();
+    file[12..16].copy_from_slice(&crc32fast::hash(&header).to_le_bytes());
     let error = decode(&file, &DecodeLimits::default()).unwrap_err().to_string();
     assert!(error.ends_with("the file ends early"), "{error}");
 }
 
-/// One Gaussian, T = 5, every track of three keypoints at 0, 2, 4 and codes 0; uniform widths of 4 bits.
-fn small_scene() -> CompactScene {
-    let mut tracks: [Tracks<i16>; 5] = Default::default();
-    let mut quantizers = Quantizers::default();
-    for attribute in Attribute::ALL {
-        for _ in 0..attribute.components() {
-            if attribute.varies_in_training() {
-                tracks[attribute.index()].push(&[0, 2, 4], &[0, 0, 0]);
-            } else {
-                tracks[attribute.index()].push(&[0], &[0]);
-            }
-        }
-        let channels = vec![Quantizer::new(1.0, 0.0, 4); attribute.components()];
-        quantizers.attributes[attribute.index()] = BTreeMap::from([(4, channels)]);
+#[test]
+fn memory_stays_within_its_limit() {
+    let scene = scenes::room(3000, 24);
+    let bit_map = scenes::mixed_widths(3000);
+    let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
+    let file = encode(&compact);
+    let limited = |max_bytes| decode(&file, &DecodeLimits { max_bytes, ..Default::default() });
+    for max_bytes in [0, 1000, 100_000, 300_000] {
+        assert!(matches!(limited(max_bytes).unwrap_err(), DecodeError::Limit { unit: "bytes", .. }), "{max_bytes}");
     }
-    let info = SceneInfo {
-        num_gaussians: 1,
-        num_timesteps: 5,
-        first_frame: 0,
-        frame_rate: 30.0,
-        downscale: 1,
-        name: String::new(),
-    };
-    let varies = Attribute::ALL.map(Attribute::varies_in_training);
-    CompactScene { info, bit_map: BitMap::uniform(1, 4, 4), quantizers, varies, tracks }
+    assert_eq!(limited(2_000_000).unwrap(), compact);
+}
+
+/// Codes of 4 bits that are all 0, at 0, 2 and 4 of five timesteps.
+fn small_scene() -> CompactScene {
+    let mut scene = any_scene(1, 5, 0);
+    scene.varies = [true, true, false, false, true];
+    scene.layers = vec![1];
+    scene.segment_length = 5;
+    scene.info.name.clear();
+    scene.bit_map = BitMap::uniform(1, 4, 4);
+    for attribute in Attribute::ALL {
+        let a = attribute.index();
+        scene.tracks[a] = Tracks::default();
+        let times: &[u16] = if scene.varies[a] { &[0, 2, 4] } else { &[0] };
+        (0..attribute.components()).for_each(|_| scene.tracks[a].push(times, &vec![0; times.len()]));
+        let channels = vec![tcgs_codec::Quantizer::new(1.0, 0.0, 4); attribute.components()];
+        scene.quantizers.attributes[a] = [(4, channels)].into();
+    }
+    scene
 }
 
 #[test]
 fn values_out_of_range_are_refused_with_their_place() {
     let scene = small_scene();
-    let ends = |index, offset, bytes: &[u8], problem: &str| {
-        let error = refusal(&scene, index, offset, bytes);
+    let ends = |tag: &[u8; 4], offset, bytes: &[u8], problem: &str| {
+        let error = refusal(&scene, tag, offset, bytes);
         assert!(error.ends_with(problem), "{error}, expected {problem}");
     };
-    ends(0, 4, &0_u32.to_le_bytes(), "not within 1 to 65536");
-    ends(0, 12, &0_u32.to_le_bytes(), "zero");
-    ends(0, 16, &f32::NAN.to_le_bytes(), "negative or not finite");
-    ends(0, 20, &9_u16.to_le_bytes(), "reaches past the end");
-    ends(0, 22, &[0x20], "more attributes than there are");
-    ends(1, 0, &[17], "not within 1 to 16");
-    ends(1, 0, &[5], "a width without quantizers");
-    // Quantizers: number of widths, width, step, offset.
-    ends(2, 2, &0.0_f32.to_le_bytes(), "the step is not a positive finite number");
-    ends(2, 2, &f32::INFINITY.to_le_bytes(), "the step is not a positive finite number");
-    ends(2, 6, &f32::NAN.to_le_bytes(), "the offset is not finite");
-    ends(2, 1, &[0], "not within 1 to 16");
-    // Colours: three counts less one, then three gaps, each after five bytes of stream head.
-    ends(7, 5, &[5, 2, 2], "exceeds the number of timesteps");
-    ends(7, 13, &[4, 1, 1], "past the last timestep");
-    ends(7, 13, &[3, 1, 1], "not increasing"); // the inner keypoint at the last timestep
-    ends(7, 21, &[0x10], "a code outside its width");
-    ends(7, 16, &[0x30], "an unknown transform");
-    ends(7, 16, &[0x02], "an unknown method");
+    ends(b"INFO", 4, &0_u32.to_le_bytes(), "not within 1 to 65536");
+    ends(b"INFO", 12, &0_u32.to_le_bytes(), "zero");
+    ends(b"INFO", 16, &f32::NAN.to_le_bytes(), "negative or not finite");
+    ends(b"INFO", 20, &f32::INFINITY.to_le_bytes(), "not finite or not ascending");
+    ends(b"INFO", 20, &1e9_f32.to_le_bytes(), "not finite or not ascending");
+    ends(b"INFO", 44, &[2], "unknown");
+    ends(b"INFO", 45, &[7], "unknown");
+    ends(b"INFO", 46, &9999_u16.to_le_bytes(), "reaches past the end");
+    // Flags, then for means: interpolation, number of widths, width, step, offset.
+    ends(b"PLAN", 0, &[0x20], "more attributes than there are");
+    ends(b"PLAN", 1, &[0x80], "more attributes than there are");
+    ends(b"PLAN", 2, &[1], "unknown");
+    ends(b"PLAN", 4, &[0], "the width is not within 1 to 16 bits");
+    ends(b"PLAN", 4, &[5], "a width without quantizers");
+    ends(b"PLAN", 5, &0.0_f32.to_le_bytes(), "the step is not a positive finite number");
+    ends(b"PLAN", 9, &f32::NAN.to_le_bytes(), "the offset is not finite");
+    // A decoder's state is never below 2^31.
+    ends(b"MAPS", 0, &[0; 8], "not exactly as many as there should be");
 }
 
 #[test]

@@ -9,6 +9,11 @@ use tcgs_core::{Attribute, DynamicGaussians, Gaussians, dot, normalize};
 mod scenes;
 use scenes::Random;
 
+/// The default, with the widths of the bit map and the same tolerance for all.
+fn as_told() -> CompressSettings {
+    CompressSettings { coarser: [0; 5], position_fineness: 0.0, importance: 0.0, ..CompressSettings::default() }
+}
+
 fn compress_all(scene: &DynamicGaussians, bits: u8, settings: &CompressSettings) -> (CompactScene, Vec<usize>) {
     compress_ordered(scene, &BitMap::uniform(scene.num_gaussians(), 16, bits), None, SceneInfo::of(scene), settings)
 }
@@ -36,7 +41,7 @@ fn mse(attribute: Attribute, expected: &DynamicGaussians, found: &DynamicGaussia
 #[test]
 fn reconstruction_stays_within_tolerance() {
     let scene = scenes::room(1500, 24);
-    let settings = CompressSettings::default();
+    let settings = as_told();
     let (compact, order) = compress_all(&scene, 8, &settings);
     let (expected, found) = (scene.select(&order), compact.reconstruct());
     for attribute in Attribute::ALL {
@@ -60,7 +65,7 @@ fn reconstruction_stays_within_tolerance() {
 #[test]
 fn without_keypoints_only_rounding_is_left() {
     let scene = scenes::room(200, 9);
-    let settings = CompressSettings { keypoints: false, ..Default::default() };
+    let settings = CompressSettings { keypoints: false, ..as_told() };
     let (compact, order) = compress_all(&scene, 16, &settings);
     assert_eq!(compact.keypoints_mean(), [9.0, 9.0, 1.0, 1.0, 9.0]);
     let (expected, found) = (scene.select(&order), compact.reconstruct());
@@ -73,7 +78,7 @@ fn without_keypoints_only_rounding_is_left() {
 
 #[test]
 fn one_timestep_is_the_scene_of_all() {
-    let (compact, _) = compress_all(&scenes::room(300, 7), 6, &CompressSettings::default());
+    let (compact, _) = compress_all(&scenes::room(300, 7), 6, &as_told());
     let scene = compact.reconstruct();
     for timestep in 0..7 {
         assert_eq!(compact.at(timestep), scene.at(timestep));
@@ -93,7 +98,7 @@ fn scales_and_opacities_may_vary() {
         }
         scene.push(now);
     }
-    let (compact, order) = compress_all(&scene, 8, &CompressSettings::default());
+    let (compact, order) = compress_all(&scene, 8, &as_told());
     assert_eq!(compact.varies, [true; 5]);
     assert_eq!(compact.raw_bytes(), scene.raw_bytes());
     let decoded = decode(&encode(&compact), &DecodeLimits::default()).unwrap();
@@ -117,7 +122,7 @@ fn scales_and_opacities_may_vary() {
 #[test]
 fn a_single_timestep_and_no_gaussians_work() {
     let scene = scenes::room(50, 1);
-    for settings in [CompressSettings::default(), CompressSettings::paper()] {
+    for settings in [as_told(), CompressSettings::paper()] {
         let (compact, order) = compress_all(&scene, 8, &settings);
         assert_eq!(compact.keypoints_mean(), [1.0; 5]);
         assert!(mse(Attribute::Mean, &scene.select(&order), &compact.reconstruct()) < 1e-8);
@@ -132,8 +137,8 @@ fn a_single_timestep_and_no_gaussians_work() {
 #[test]
 fn what_stands_still_is_one_value() {
     let scene = scenes::room(500, 24);
-    let (default, _) = compress_all(&scene, 6, &CompressSettings::default());
-    let mut settings = CompressSettings { constant_tracks: false, ..Default::default() };
+    let (default, _) = compress_all(&scene, 6, &as_told());
+    let mut settings = CompressSettings { constant_tracks: false, ..as_told() };
     let (lines, _) = compress_all(&scene, 6, &settings);
     let means = Attribute::Mean.index();
     let constant = (0..default.tracks[means].len()).filter(|&i| default.tracks[means].track(i).0.len() == 1).count();
@@ -160,7 +165,7 @@ fn signs_of_quaternions_do_not_matter() {
         let factor = if random.uniform() < 0.5 { 2.0 } else { -0.5 };
         *quat = quat.map(|x| factor * x);
     }
-    let settings = CompressSettings::default();
+    let settings = as_told();
     assert_eq!(compress_all(&scene, 8, &settings), compress_all(&flipped, 8, &settings));
 }
 
@@ -177,7 +182,7 @@ fn a_learned_quantizer_is_kept_where_it_is_best() {
     learned.attributes[Attribute::LogScale.index()].insert(5, vec![Quantizer::new(5.0, 0.0, 5); 3]);
     learned.attributes[Attribute::Mean.index()].insert(16, vec![Quantizer::new(1e-3, 0.0, 16); 3]);
     let bit_map = BitMap::uniform(400, 16, 5);
-    let compress = |learned| compress(&scene, &bit_map, learned, SceneInfo::of(&scene), &CompressSettings::default());
+    let compress = |learned| compress(&scene, &bit_map, learned, SceneInfo::of(&scene), &as_told());
     let (with, without) = (compress(Some(&learned)), compress(None));
     assert_eq!(with.quantizers.get(opacities, 5, 0), Some(&learned_quantizer));
     for attribute in [Attribute::Mean, Attribute::LogScale] {
@@ -189,7 +194,7 @@ fn a_learned_quantizer_is_kept_where_it_is_best() {
 #[test]
 fn gaussians_follow_a_curve_and_keep_their_values() {
     let scene = scenes::room(3000, 2);
-    let (compact, order) = compress_all(&scene, 16, &CompressSettings::default());
+    let (compact, order) = compress_all(&scene, 16, &CompressSettings { layers: Vec::new(), ..as_told() });
     let mut sorted = order.clone();
     sorted.sort_unstable();
     assert_eq!(sorted, (0..3000).collect::<Vec<_>>());
@@ -202,13 +207,88 @@ fn gaussians_follow_a_curve_and_keep_their_values() {
 }
 
 #[test]
+fn layers_hold_the_most_important_first() {
+    let scene = scenes::room(1000, 3);
+    let settings = CompressSettings { layers: vec![0.1, 0.2], ..as_told() };
+    let (compact, order) = compress_all(&scene, 8, &settings);
+    assert_eq!(compact.layers, [100, 200, 700]);
+    let area = |g: usize| {
+        let mut axes = scene.log_scales[0][g];
+        axes.sort_by(f32::total_cmp);
+        2.0 * tcgs_core::sigmoid(scene.logit_opacities[0][g]).ln() + axes[1] + axes[2]
+    };
+    let lowest = |range: std::ops::Range<usize>| order[range].iter().map(|&g| area(g)).fold(f32::MAX, f32::min);
+    let highest = |range: std::ops::Range<usize>| order[range].iter().map(|&g| area(g)).fold(f32::MIN, f32::max);
+    assert!(lowest(0..100) >= highest(100..300) && lowest(100..300) >= highest(300..1000));
+    // More layers than Gaussians, or shares that leave nothing.
+    for layers in [vec![0.0, 1.0, 0.5], vec![1e-9; 9]] {
+        let (compact, _) = compress_all(&scene.select(&[0, 1]), 8, &CompressSettings { layers, ..as_told() });
+        assert_eq!(compact.layers, [2]);
+    }
+}
+
+#[test]
+fn components_share_their_times_and_segments_begin_anew() {
+    let scene = scenes::room(300, 30);
+    let settings = CompressSettings { segment_length: 12, ..as_told() };
+    let (compact, _) = compress_all(&scene, 8, &settings);
+    for attribute in [Attribute::Mean, Attribute::Quat, Attribute::Color] {
+        let tracks = &compact.tracks[attribute.index()];
+        for gaussian in 0..300 {
+            let times = |c| tracks.track(gaussian * attribute.components() + c).0;
+            assert!((1..attribute.components()).all(|c| times(c) == times(0)));
+            if times(0).len() > 1 {
+                assert!([0, 11, 12, 23, 24, 29].iter().all(|t| times(0).contains(t)), "{:?}", times(0));
+            }
+        }
+    }
+    let (apart, _) = compress_all(&scene, 8, &CompressSettings { joint: false, ..settings.clone() });
+    assert!(encode(&compact).len() < encode(&apart).len());
+}
+
+#[test]
+fn widths_are_lowered_and_positions_follow_the_splats() {
+    let scene = scenes::room(500, 2);
+    let settings = CompressSettings { coarser: [0, 2, 1, 9, 0], position_fineness: 4.0, ..as_told() };
+    let (compact, _) = compress_all(&scene, 6, &settings);
+    let width = |a: Attribute| *compact.bit_map.widths[a.index()].first().unwrap();
+    assert_eq!(
+        [Attribute::Quat, Attribute::LogScale, Attribute::LogitOpacity, Attribute::Color].map(width),
+        [4, 5, 2, 6]
+    );
+    // About 6 m, a median axis of about 22 mm, a quarter of that: 1100 steps.
+    assert_eq!(width(Attribute::Mean), 11);
+    let steps = &compact.quantizers.attributes[Attribute::Mean.index()][&11];
+    assert!(steps.iter().all(|q| q.step < 0.022 / 4.0));
+    let finer = CompressSettings { position_fineness: 8.0, ..settings };
+    assert_eq!(compress_all(&scene, 6, &finer).0.bit_map.widths[0][0], 12);
+}
+
+#[test]
+fn what_shows_is_followed_more_closely() {
+    let mut scene = scenes::room(400, 24);
+    for (i, opacity) in scene.logit_opacities[0].iter_mut().enumerate() {
+        *opacity = if i % 2 == 0 { 4.0 } else { -3.0 };
+    }
+    scene.log_scales[0].fill([-3.8; 3]);
+    let settings = CompressSettings { importance: 1.0, noise_floor: false, layers: Vec::new(), ..as_told() };
+    let (compact, order) = compress_all(&scene, 16, &settings);
+    let keypoints = |even: bool| -> usize {
+        let tracks = &compact.tracks[Attribute::Mean.index()];
+        let chosen = (0..400).filter(|&i| (order[i] % 2 == 0) == even);
+        chosen.map(|i| tracks.track(3 * i).0.len()).sum()
+    };
+    assert!(keypoints(true) > keypoints(false), "{} {}", keypoints(true), keypoints(false));
+}
+
+#[test]
 fn threads_do_not_matter() {
     let scene = scenes::room(700, 10);
     let bit_map = scenes::mixed_widths(700);
     let run = |num_threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().unwrap();
         pool.install(|| {
-            let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
+            let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &as_told());
             (encode(&compact), compact)
         })
     };
@@ -218,7 +298,7 @@ fn threads_do_not_matter() {
 #[test]
 fn more_timesteps_than_a_byte_counts_work() {
     let scene = scenes::room(20, 400);
-    let settings = CompressSettings { keypoints: false, ..Default::default() };
+    let settings = CompressSettings { keypoints: false, ..as_told() };
     let (compact, order) = compress_all(&scene, 12, &settings);
     let steps = &compact.quantizers.attributes[Attribute::Mean.index()][&16];
     let step = steps.iter().fold(0.0, |a, q| q.step.max(a));
@@ -234,12 +314,12 @@ fn more_timesteps_than_a_byte_counts_work() {
 fn a_value_that_is_not_finite_is_refused() {
     let mut scene = scenes::room(10, 2);
     scene.colors[1][3][2] = f32::NAN;
-    compress_all(&scene, 8, &CompressSettings::default());
+    compress_all(&scene, 8, &as_told());
 }
 
 #[test]
 #[should_panic(expected = "bit widths of means: [9] against [10]")]
 fn a_bit_map_of_another_length_is_refused() {
     let scene = scenes::room(10, 2);
-    compress(&scene, &BitMap::uniform(9, 16, 8), None, SceneInfo::of(&scene), &CompressSettings::default());
+    compress(&scene, &BitMap::uniform(9, 16, 8), None, SceneInfo::of(&scene), &as_told());
 }

@@ -49,8 +49,8 @@ pub struct Arguments {
     /// Most keypoints of a track, 2 or more [default: 60; paper: 30]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65536))]
     max_keypoints: Option<u32>,
-    /// Mean squared error of a track at which no more keypoints are added [default: 1e-5 for rotations and a
-    /// run's positions, others' positions by their extent, scales 1e-4, opacities 1e-3, colours 5e-5; paper: 1e-5]
+    /// Mean squared error of a track at which no more keypoints are added [default: a run's positions 2.5e-6,
+    /// others' by their extent, rotations 4e-5, scales 1e-4, opacities 1e-3, colours 2e-4; paper: 1e-5]
     #[arg(long, value_name = "MSE", value_parser = not_negative, allow_negative_numbers = true)]
     max_mse: Option<f32>,
     /// Store every timestep
@@ -60,7 +60,7 @@ pub struct Arguments {
     /// [default: those learned, else 4,8]
     #[arg(long, value_name = "MIN,MAX", value_parser = options::bits)]
     bits: Option<Pair<u8>>,
-    /// Bits of a position's coordinate [default: 16]
+    /// Bits of a position's coordinate [default: by the sizes of the scene and its Gaussians; paper: 16]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=16))]
     position_bits: Option<u8>,
     /// Leave out Gaussians whose mean mask is not above this [default: the run's mask.threshold]
@@ -83,8 +83,8 @@ pub struct Arguments {
 }
 
 /// Error of positions between keypoints, in the scene's radius, where the unit of lengths is not known: in the
-/// 2.8 m of Panoptic Sports nearly the paper's 3 mm.
-const POSITION_TOLERANCE: f32 = 1e-3;
+/// 2.8 m of Panoptic Sports nearly the 1.6 mm of a run.
+const POSITION_TOLERANCE: f32 = 5e-4;
 /// Step of positions, in the scene's radius, from which on it is worth a remark: rounding errs as much as the
 /// tolerance allows.
 const MAX_POSITION_STEP: f32 = 3e-3;
@@ -178,6 +178,12 @@ fn settings(arguments: &Arguments) -> Settings {
         PresetName::Default => (CompressSettings::default(), BitMapping::Log),
     };
     keypoints.keypoints = !arguments.no_keypoints;
+    if arguments.bits.is_some() {
+        keypoints.coarser = [0; 5];
+    }
+    if arguments.position_bits.is_some() {
+        keypoints.position_fineness = 0.0;
+    }
     if let Some(max_keypoints) = arguments.max_keypoints {
         keypoints.max_keypoints = max_keypoints as usize;
     }

@@ -81,7 +81,7 @@ pub fn compress_scene(scene: &Scene, settings: &Settings) -> anyhow::Result<Comp
         stages.push(Stage { name: "plain", bytes: compact.plain_bytes() });
     }
     stages.push(Stage { name: "file", bytes: file.len() as u64 });
-    let limits = DecodeLimits { max_gaussians: u32::MAX, max_timesteps: u32::MAX, max_bytes: u64::MAX };
+    let limits = DecodeLimits::none();
     let bytes_by_attribute = inspect(&file, &limits)?.bytes_by_attribute();
     Ok(Compressed {
         bytes_by_attribute,

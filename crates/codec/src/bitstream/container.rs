@@ -1,91 +1,130 @@
 //! Magic, version, table of contents and checksums around sections of bytes.
 
 use super::FORMAT_VERSION;
-use super::section::{Cursor, Section, all};
+use super::section::{self, Cursor, Entry, SHARED, Tag};
 use crate::error::DecodeError;
 
-const MAGIC: [u8; 4] = *b"TCGS";
-/// Magic, version, number of sections.
-const FIXED_BYTES: usize = 8;
-/// Tag, length, checksum.
-const ENTRY_BYTES: usize = 16;
-const CHECKSUM_BYTES: usize = 4;
+const MAGIC: Tag = *b"TCGS";
+/// Magic, version, reserved, number of sections, checksum.
+pub(super) const FIXED_BYTES: usize = 16;
+/// Tag, segment, layer, length, checksum.
+pub(super) const ENTRY_BYTES: usize = 16;
+/// Where the checksum of the header lies.
+const CHECKSUM_AT: usize = 12;
+/// Most sections: all attributes of 65,535 segments are more than anyone needs.
+const MAX_SECTIONS: u32 = 1 << 20;
 
-/// One section of a file as it lies there.
-pub(super) struct Part<'a> {
-    pub(super) section: Section,
-    /// In the file.
-    pub(super) offset: usize,
-    pub(super) bytes: &'a [u8],
-    pub(super) checksum_ok: bool,
+/// A section to be written.
+pub(super) struct Part {
+    pub(super) tag: Tag,
+    pub(super) segment: u16,
+    pub(super) layer: u16,
+    pub(super) bytes: Vec<u8>,
 }
 
-impl<'a> Part<'a> {
-    pub(super) fn cursor(&self) -> Cursor<'a> {
-        Cursor::new(self.section.name, self.offset, self.bytes)
+impl Part {
+    /// Stands where a section was taken from.
+    pub(super) fn empty() -> Self {
+        Self::shared([0; 4], 0, Vec::new())
+    }
+
+    /// A section that belongs to no segment.
+    pub(super) fn shared(tag: Tag, layer: usize, bytes: Vec<u8>) -> Self {
+        Self { tag, segment: SHARED, layer: layer as u16, bytes }
     }
 }
 
-/// A file of the sections of [`all`], in that order.
-pub(super) fn write(sections: &[Vec<u8>; 8]) -> Vec<u8> {
-    let mut file = Vec::with_capacity(header_bytes() + sections.iter().map(Vec::len).sum::<usize>());
+/// A file of these sections in this order.
+///
+/// # Panics
+/// If a section is of 4 GiB or more, or there are more than 2^20.
+pub(super) fn write(parts: &[Part]) -> Vec<u8> {
+    assert!(parts.len() <= MAX_SECTIONS as usize, "{} sections, expected at most {MAX_SECTIONS}", parts.len());
+    let mut file = Vec::with_capacity(header_bytes(parts.len()) + parts.iter().map(|p| p.bytes.len()).sum::<usize>());
     file.extend(MAGIC);
     file.extend(FORMAT_VERSION.to_le_bytes());
-    file.extend((sections.len() as u16).to_le_bytes());
-    for (section, bytes) in all().iter().zip(sections) {
-        file.extend(section.tag);
-        file.extend((bytes.len() as u64).to_le_bytes());
-        file.extend(crc32fast::hash(bytes).to_le_bytes());
+    file.extend(0_u16.to_le_bytes());
+    file.extend((parts.len() as u32).to_le_bytes());
+    file.extend(0_u32.to_le_bytes());
+    for part in parts {
+        let length = u32::try_from(part.bytes.len()).expect("a section of less than 4 GiB");
+        file.extend(part.tag);
+        file.extend(part.segment.to_le_bytes());
+        file.extend(part.layer.to_le_bytes());
+        file.extend(length.to_le_bytes());
+        file.extend(crc32fast::hash(&part.bytes).to_le_bytes());
     }
-    let checksum = crc32fast::hash(&file);
-    file.extend(checksum.to_le_bytes());
-    for bytes in sections {
-        file.extend(bytes);
+    let checksum = header_checksum(&file);
+    file[CHECKSUM_AT..FIXED_BYTES].copy_from_slice(&checksum.to_le_bytes());
+    for part in parts {
+        file.extend(&part.bytes);
     }
     file
 }
 
 /// Bytes before the first section.
-pub(super) fn header_bytes() -> usize {
-    FIXED_BYTES + all().len() * ENTRY_BYTES + CHECKSUM_BYTES
+fn header_bytes(num_sections: usize) -> usize {
+    FIXED_BYTES + num_sections * ENTRY_BYTES
 }
 
-/// The sections of a file. Their checksums are compared but not insisted on.
-pub(super) fn read(file: &[u8]) -> Result<Vec<Part<'_>>, DecodeError> {
-    let mut cursor = Cursor::new("header", 0, file);
-    if file.get(..4).is_none_or(|magic| magic != MAGIC) {
+/// Of the header without its checksum.
+fn header_checksum(header: &[u8]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&header[..CHECKSUM_AT]);
+    hasher.update(&header[FIXED_BYTES..]);
+    hasher.finalize()
+}
+
+/// Length of the header, if the bytes reach far enough to tell.
+///
+/// # Errors
+/// If this is no file of the one version known.
+pub(super) fn length_of_header(start: &[u8]) -> Result<Option<usize>, DecodeError> {
+    let known = start.len().min(MAGIC.len());
+    let mut cursor = Cursor::new("header", 0, start);
+    if start[..known] != MAGIC[..known] {
         return Err(cursor.invalid("magic", "this is not a .tcgs file"));
+    }
+    if start.len() < FIXED_BYTES {
+        return Ok(None);
     }
     cursor.tag("magic")?;
     let found = cursor.u16("version")?;
     if found != FORMAT_VERSION {
         return Err(DecodeError::Version { found, expected: FORMAT_VERSION });
     }
-    if usize::from(cursor.u16("number of sections")?) != all().len() {
-        return Err(cursor.invalid("number of sections", "version 1 has 8"));
+    if cursor.u16("reserved")? != 0 {
+        return Err(cursor.invalid("reserved", "not zero"));
     }
-    let mut entries = Vec::with_capacity(all().len());
-    for section in all() {
-        entries.push((section, cursor.tag("tag")?, cursor.u64("length")?, cursor.u32("checksum")?));
+    let num_sections = cursor.u32("number of sections")?;
+    if num_sections > MAX_SECTIONS {
+        return Err(cursor.invalid("number of sections", "more than 1048576"));
     }
-    let checksum = crc32fast::hash(&file[..header_bytes() - CHECKSUM_BYTES]);
-    if cursor.u32("checksum")? != checksum {
+    Ok(Some(header_bytes(num_sections as usize)))
+}
+
+/// The table of contents.
+///
+/// - `header`: of the length that [`length_of_header`] gives
+pub(super) fn read_header(header: &[u8]) -> Result<Vec<Entry>, DecodeError> {
+    let mut cursor = Cursor::new("header", 0, header);
+    cursor.take("header", CHECKSUM_AT)?;
+    let checksum = cursor.u32("checksum")?;
+    if !cfg!(fuzzing) && checksum != header_checksum(header) {
         return Err(cursor.invalid("checksum", "the header is damaged"));
     }
-    let mut offset = header_bytes();
-    let mut parts = Vec::with_capacity(entries.len());
-    for (section, tag, length, checksum) in entries {
-        if tag != section.tag {
-            return Err(cursor.invalid("tag", "not the sections of version 1 in their order"));
+    let mut offset = header.len() as u64;
+    let mut entries = Vec::with_capacity((header.len() - FIXED_BYTES) / ENTRY_BYTES);
+    for _ in 0..entries.capacity() {
+        let tag = cursor.tag("tag")?;
+        let (segment, layer) = (cursor.u16("segment")?, cursor.u16("layer")?);
+        let end = offset + u64::from(cursor.u32("length")?);
+        let entry = Entry { tag, segment, layer, range: offset..end, checksum: cursor.u32("checksum")? };
+        if section::name(tag) == "unknown section" && !entry.is_optional() {
+            return Err(cursor.invalid("tag", "a section that this decoder does not know and may not skip"));
         }
-        let Some(bytes) = usize::try_from(length).ok().and_then(|length| file[offset..].get(..length)) else {
-            return Err(Cursor::new(section.name, offset, &[]).invalid("length", "the file ends early"));
-        };
-        parts.push(Part { section, offset, bytes, checksum_ok: crc32fast::hash(bytes) == checksum });
-        offset += bytes.len();
+        offset = end;
+        entries.push(entry);
     }
-    if offset < file.len() {
-        return Err(Cursor::new("file", offset, &[]).invalid("end", "bytes are left over"));
-    }
-    Ok(parts)
+    Ok(entries)
 }

@@ -3,11 +3,15 @@
 use rayon::prelude::*;
 use tcgs_core::Attribute;
 
-use super::residual::{Neighbor, Transform};
-use super::stream::{self, Planes};
-use super::{FIRST_CODES, LATER_CODES, along_curve, bytes_of_bits, bytes_of_time, container, groups_by_width};
+use super::coder::Encoder;
+use super::container::{self, Part};
+use super::fit;
+use super::head::{Head, write_info, write_plan};
+use super::keypoints::{KeypointModels, Motion, Place, UnitTracks};
+use super::section::{self, INFO, MAPS, PLAN};
+use super::shared::{CurveModels, FirstModels, MapModels, Plan, Shared};
 use crate::compact::{CompactScene, Tracks};
-use crate::morton;
+use crate::limits::{Budget, DecodeLimits};
 
 /// The `.tcgs` file of a scene. The same scene gives the same bytes.
 ///
@@ -29,142 +33,140 @@ pub fn encode(scene: &CompactScene) -> Vec<u8> {
     if let Err(violation) = scene.check() {
         panic!("a scene that cannot be encoded: {violation:?}");
     }
-    let [means, quats, log_scales, logit_opacities, colors] = Attribute::ALL.map(|a| tracks_section(scene, a));
-    container::write(&[
-        info_section(scene),
-        bit_map_section(scene),
-        quantizers_section(scene),
-        means,
-        quats,
-        log_scales,
-        logit_opacities,
-        colors,
-    ])
-}
+    let mut head = Head {
+        info: scene.info.clone(),
+        plan: Plan {
+            varies: scene.varies,
+            joint: Attribute::ALL.map(|a| share_times(&scene.tracks[a.index()], a.components())),
+            quantizers: scene.quantizers.clone(),
+            predictors: Default::default(),
+        },
+        layers: scene.layers.clone(),
+        segment_length: scene.segment_length,
+        bounds: bounds(scene),
+    };
+    let mut shared = shared_of(scene, &head);
+    let predictors = |a: Attribute| if a == Attribute::Mean { vec![] } else { fit::predictors(a, &head.plan, &shared) };
+    let predictors: Vec<_> = Attribute::ALL.into_par_iter().map(predictors).collect();
+    head.plan.predictors = predictors.try_into().expect("five attributes");
 
-fn info_section(scene: &CompactScene) -> Vec<u8> {
-    let info = &scene.info;
-    let mut bytes = Vec::new();
-    for count in [info.num_gaussians, info.num_timesteps, info.first_frame, info.downscale] {
-        bytes.extend(count.to_le_bytes());
-    }
-    bytes.extend(info.frame_rate.to_le_bytes());
-    bytes.extend((info.name.len() as u16).to_le_bytes());
-    bytes.extend(info.name.as_bytes());
-    bytes.push(scene.varies.iter().enumerate().map(|(index, &varies)| u8::from(varies) << index).sum());
-    bytes
-}
-
-fn bit_map_section(scene: &CompactScene) -> Vec<u8> {
-    let mut section = Vec::new();
-    for widths in &scene.bit_map.widths {
-        match widths.first() {
-            // A leading 0: one for each Gaussian follows.
-            Some(first) if widths.iter().any(|w| w != first) => {
-                section.push(0);
-                let planes = Planes::new(widths.iter().map(|&w| u64::from(w)), widths.len(), 1);
-                section.extend(stream::write(&[(Transform::Plain, planes)]));
-            }
-            first => section.push(first.copied().unwrap_or(1)),
+    let mut parts = vec![Part::shared(INFO, 0, write_info(&head)), Part::shared(PLAN, 0, write_plan(&head.plan))];
+    parts.extend(shared_sections(&head, &mut shared));
+    let spans = 0..head.num_segments();
+    let varying = || Attribute::ALL.into_iter().filter(|a| scene.varies[a.index()]);
+    let jobs: Vec<_> = spans.flat_map(|segment| varying().map(move |attribute| (segment, attribute))).collect();
+    let mut by_layer: Vec<_> =
+        jobs.into_par_iter().map(|(segment, a)| segment_sections(scene, &head, &shared, segment, a)).collect();
+    for of_segment in by_layer.chunks_mut(varying().count().max(1)) {
+        for layer in 0..head.layers.len() {
+            parts.extend(of_segment.iter_mut().map(|layers| std::mem::replace(&mut layers[layer], Part::empty())));
         }
     }
-    section
+    container::write(&parts)
 }
 
-fn quantizers_section(scene: &CompactScene) -> Vec<u8> {
-    let mut section = Vec::new();
-    for by_width in &scene.quantizers.attributes {
-        section.push(by_width.len() as u8);
-        for (&width, channels) in by_width {
-            section.push(width);
-            for quantizer in channels {
-                section.extend(quantizer.step.to_le_bytes());
-                section.extend(quantizer.offset.to_le_bytes());
+/// Whether the components of each Gaussian have keypoints at the same times.
+fn share_times(tracks: &Tracks<i16>, components: usize) -> bool {
+    (0..tracks.len()).all(|i| i % components == 0 || tracks.track(i).0 == tracks.track(i - 1).0)
+}
+
+/// Of all means at all times: between keypoints they lie between these.
+fn bounds(scene: &CompactScene) -> [[f32; 3]; 2] {
+    let mut bounds = [[f32::MAX; 3], [f32::MIN; 3]];
+    let mean = Attribute::Mean.index();
+    let table = scene.quantizers.by_width(Attribute::Mean);
+    for (g, &width) in scene.bit_map.widths[mean].iter().enumerate() {
+        for channel in 0..3 {
+            for &code in scene.tracks[mean].track(3 * g + channel).1 {
+                let x = table[usize::from(width)][channel].dequantize(code.into());
+                bounds[0][channel] = bounds[0][channel].min(x);
+                bounds[1][channel] = bounds[1][channel].max(x);
             }
         }
     }
-    section
+    if scene.num_gaussians() == 0 { [[0.0; 3]; 2] } else { bounds }
 }
 
-/// Counts, times, then by width the first code of every track and the codes after it.
-fn tracks_section(scene: &CompactScene, attribute: Attribute) -> Vec<u8> {
-    let tracks = &scene.tracks[attribute.index()];
-    let components = attribute.components();
-    let mut streams: Vec<Vec<(Transform, Planes)>> = Vec::new();
-    if scene.varies[attribute.index()] {
-        let symbol_bytes = bytes_of_time(scene.num_timesteps());
-        streams.push(vec![(Transform::Plain, counts(tracks, symbol_bytes))]);
-        streams.push(vec![(Transform::Plain, gaps(tracks, symbol_bytes))]);
-    }
-    for (width, gaussians) in groups_by_width(&scene.bit_map.widths[attribute.index()]) {
-        if along_curve(attribute) {
-            streams.push(vec![(Transform::Plain, curve_gaps(tracks, &gaussians, width))]);
-        }
-        for channel in 0..components {
-            let of_channel = || gaussians.iter().map(|g| tracks.track(g * components + channel));
-            let symbol_bytes = bytes_of_bits(width.into());
-            if !along_curve(attribute) {
-                streams.push(candidates(&FIRST_CODES, gaussians.len(), symbol_bytes, |transform| {
-                    let mut before = 0;
-                    of_channel().map(move |(_, codes)| {
-                        transform.symbol(codes[0], std::mem::replace(&mut before, codes[0].into()), width)
-                    })
-                }));
-            }
-            if scene.varies[attribute.index()] {
-                let count = of_channel().map(|(_, codes)| codes.len() - 1).sum();
-                streams.push(candidates(&LATER_CODES, count, symbol_bytes, |transform| {
-                    let mut neighbor = Neighbor::default();
-                    of_channel().flat_map(move |(times, codes)| {
-                        let symbols: Vec<u16> = (1..codes.len())
-                            .map(|k| {
-                                let prediction = neighbor.predict(transform, codes[k - 1], times[k - 1], times[k]);
-                                transform.symbol(codes[k], prediction, width)
-                            })
-                            .collect();
-                        neighbor.replace(times, codes);
-                        symbols
-                    })
-                }));
-            }
+/// What all segments of a scene share, as a decoder finds it.
+fn shared_of(scene: &CompactScene, head: &Head) -> Shared {
+    let mut shared = Shared { bit_map: scene.bit_map.clone(), ..Shared::default() };
+    for attribute in Attribute::ALL {
+        let a = attribute.index();
+        let tracks = &scene.tracks[a];
+        shared.first_codes[a] = (0..tracks.len()).map(|i| tracks.track(i).1[0]).collect();
+        if scene.varies[a] {
+            shared.moves[a] = (0..tracks.len()).map(|i| tracks.track(i).0.len() > 1).collect();
         }
     }
-    streams.par_iter().map(|candidates| stream::write(candidates)).collect::<Vec<_>>().concat()
+    for layer in 0..head.layers.len() {
+        let layer = head.layer(layer);
+        shared.count_units(&head.plan, &layer);
+        let points: Vec<_> = shared.points(layer).collect();
+        shared.neighbors.extend(points.into_iter());
+    }
+    shared
 }
 
-/// The same symbols by every transform.
-fn candidates<S: Iterator<Item = u16>>(
-    transforms: &[Transform],
-    count: usize,
-    symbol_bytes: usize,
-    symbols: impl Fn(Transform) -> S,
-) -> Vec<(Transform, Planes)> {
-    transforms.iter().map(|&t| (t, Planes::new(symbols(t).map(u64::from), count, symbol_bytes))).collect()
+fn shared_sections(head: &Head, shared: &mut Shared) -> Vec<Part> {
+    let mut maps = MapModels::new();
+    let mut curve = CurveModels::new();
+    let mut others: Vec<FirstModels> = Attribute::ALL[1..].iter().map(|&a| FirstModels::new(a)).collect();
+    let mut parts = Vec::new();
+    for index in 0..head.layers.len() {
+        let layer = head.layer(index);
+        let mut encoder = Encoder::default();
+        maps.code(&mut encoder, &head.plan, layer.clone(), shared);
+        parts.push(Part::shared(MAPS, index, encoder.finish()));
+        let mut encoder = Encoder::default();
+        curve.code(&mut encoder, &head.plan, layer.clone(), shared);
+        parts.push(Part::shared(section::of_attribute(Attribute::Mean), index, encoder.finish()));
+        let Shared { bit_map, neighbors, first_codes, .. } = shared;
+        for (models, &attribute) in others.iter_mut().zip(&Attribute::ALL[1..]) {
+            let a = attribute.index();
+            let mut encoder = Encoder::default();
+            let (widths, codes) = (&bit_map.widths[a], &mut first_codes[a]);
+            models.code(&mut encoder, &head.plan, layer.clone(), neighbors, widths, codes);
+            parts.push(Part::shared(section::of_attribute(attribute), index, encoder.finish()));
+        }
+    }
+    parts
 }
 
-/// Number of keypoints less one of every track.
-fn counts(tracks: &Tracks<i16>, symbol_bytes: usize) -> Planes {
-    let symbols = (0..tracks.len()).map(|i| tracks.track(i).0.len() as u64 - 1);
-    Planes::new(symbols, tracks.len(), symbol_bytes)
-}
-
-/// Timesteps skipped before every keypoint but the first and the last of a track, which are known.
-fn gaps(tracks: &Tracks<i16>, symbol_bytes: usize) -> Planes {
-    let inner = || (0..tracks.len()).map(|i| tracks.track(i).0).filter(|times| times.len() > 2);
-    let count = inner().map(|times| times.len() - 2).sum();
-    let symbols = inner()
-        .flat_map(|times| times[..times.len() - 1].windows(2).map(|pair| u64::from(pair[1]) - u64::from(pair[0]) - 1));
-    Planes::new(symbols, count, symbol_bytes)
-}
-
-/// Steps along the Morton curve from Gaussian to Gaussian, modulo its length.
-fn curve_gaps(tracks: &Tracks<i16>, gaussians: &[usize], width: u8) -> Planes {
-    let mut before = 0;
-    let bits = 3 * u32::from(width);
-    let symbols = gaussians.iter().map(|g| {
-        let coordinate = |channel| Transform::Plain.symbol(tracks.track(3 * g + channel).1[0], 0, width);
-        let key = morton::interleave([coordinate(0), coordinate(1), coordinate(2)]);
-        key.wrapping_sub(std::mem::replace(&mut before, key)) & ((1 << bits) - 1)
-    });
-    Planes::new(symbols, gaussians.len(), bytes_of_bits(bits))
+/// The keypoints of an attribute in a segment, layer by layer.
+fn segment_sections(
+    scene: &CompactScene,
+    head: &Head,
+    shared: &Shared,
+    segment: usize,
+    attribute: Attribute,
+) -> Vec<Part> {
+    let a = attribute.index();
+    let mut models = KeypointModels::new(attribute);
+    let mut units = UnitTracks::new(head.plan.channels(attribute));
+    let unlimited = Budget::new(&DecodeLimits::none(), u64::MAX);
+    let mut parts = Vec::new();
+    for layer in 0..head.layers.len() {
+        let place = Place {
+            plan: &head.plan,
+            shared,
+            attribute,
+            layer: head.layer(layer),
+            span: head.span(segment),
+            num_timesteps: head.num_timesteps(),
+            budget: &unlimited,
+        };
+        let tried = Motion::ALL.map(|motion| {
+            let (mut models, mut units, mut encoder) = (models.clone(), units.clone(), Encoder::default());
+            let coded = models.code(&mut encoder, &place, motion, Some(&scene.tracks[a]), &mut units);
+            coded.expect("a scene that was checked");
+            (motion, encoder.finish(), models, units)
+        });
+        let [first, others @ ..] = tried;
+        let (motion, bytes, best_models, best_units) =
+            others.into_iter().fold(first, |best, next| if next.1.len() < best.1.len() { next } else { best });
+        (models, units) = (best_models, best_units);
+        let bytes = [&[motion as u8][..], &bytes].concat();
+        parts.push(Part { tag: section::of_attribute(attribute), segment: segment as u16, layer: layer as u16, bytes });
+    }
+    parts
 }

@@ -1,58 +1,89 @@
 //! Which sections a file has, and reading one field after another.
 
+use std::ops::Range;
+
 use tcgs_core::Attribute;
 
 use crate::error::DecodeError;
 
-/// A section: its tag and its name in messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Section {
-    pub(super) tag: [u8; 4],
-    pub(super) name: &'static str,
-}
+/// Kind of a section.
+pub(super) type Tag = [u8; 4];
 
 /// Counts and provenance.
-pub(super) const INFO: Section = Section { tag: *b"INFO", name: "info" };
-/// Bit widths.
-pub(super) const BITS: Section = Section { tag: *b"BITS", name: "bit map" };
-/// Quantizers.
-pub(super) const QNTZ: Section = Section { tag: *b"QNTZ", name: "quantizers" };
+pub(super) const INFO: Tag = *b"INFO";
+/// How tracks are described: quantizers, predictors.
+pub(super) const PLAN: Tag = *b"PLAN";
+/// Bit widths, and which tracks move.
+pub(super) const MAPS: Tag = *b"MAPS";
+/// Data of an application.
+pub(super) const APPLICATION: Tag = *b"appl";
+/// Segment of a section that belongs to none.
+pub(super) const SHARED: u16 = u16::MAX;
 
-/// Keypoints of an attribute.
-pub(super) fn of_attribute(attribute: Attribute) -> Section {
-    let tag = match attribute {
+/// Codes of an attribute: in a layer that all segments share the first ones, in a segment its keypoints.
+pub(super) fn of_attribute(attribute: Attribute) -> Tag {
+    match attribute {
         Attribute::Mean => *b"MEAN",
         Attribute::Quat => *b"QUAT",
         Attribute::LogScale => *b"SCAL",
         Attribute::LogitOpacity => *b"OPAC",
         Attribute::Color => *b"COLR",
-    };
-    Section { tag, name: attribute.name() }
+    }
 }
 
-/// All sections, in the order of a file.
-pub(super) fn all() -> [Section; 8] {
-    let [means, quats, log_scales, logit_opacities, colors] = Attribute::ALL.map(of_attribute);
-    [INFO, BITS, QNTZ, means, quats, log_scales, logit_opacities, colors]
+/// Name of a section in messages.
+pub(super) fn name(tag: Tag) -> &'static str {
+    match &tag {
+        b"INFO" => "info",
+        b"PLAN" => "plan",
+        b"MAPS" => "maps",
+        b"appl" => "application data",
+        _ => Attribute::ALL.into_iter().find(|&a| of_attribute(a) == tag).map_or("unknown section", Attribute::name),
+    }
+}
+
+/// A section in the table of contents.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Entry {
+    pub(super) tag: Tag,
+    pub(super) segment: u16,
+    pub(super) layer: u16,
+    /// In the file.
+    pub(super) range: Range<u64>,
+    pub(super) checksum: u32,
+}
+
+impl Entry {
+    /// Whether a reader that does not know it may go on without it.
+    pub(super) fn is_optional(&self) -> bool {
+        self.tag[0] & 0x20 != 0
+    }
+
+    /// The fields of the section, if it is undamaged.
+    pub(super) fn open<'a>(&self, bytes: &'a [u8]) -> Result<Cursor<'a>, DecodeError> {
+        let cursor = Cursor::new(name(self.tag), self.range.start, bytes);
+        let undamaged = cfg!(fuzzing) || crc32fast::hash(bytes) == self.checksum;
+        if undamaged { Ok(cursor) } else { Err(cursor.invalid("checksum", "the section is damaged")) }
+    }
 }
 
 /// Reads fields from the bytes of one section; never past its end.
 pub(super) struct Cursor<'a> {
     section: &'static str,
     /// Of the section in the file.
-    offset: usize,
+    offset: u64,
     bytes: &'a [u8],
     position: usize,
 }
 
 impl<'a> Cursor<'a> {
-    pub(super) fn new(section: &'static str, offset: usize, bytes: &'a [u8]) -> Self {
+    pub(super) fn new(section: &'static str, offset: u64, bytes: &'a [u8]) -> Self {
         Self { section, offset, bytes, position: 0 }
     }
 
     /// An error at the current position.
     pub(super) fn invalid(&self, field: &'static str, problem: &'static str) -> DecodeError {
-        DecodeError::Format { section: self.section, field, offset: (self.offset + self.position) as u64, problem }
+        DecodeError::Format { section: self.section, field, offset: self.offset + self.position as u64, problem }
     }
 
     pub(super) fn take(&mut self, field: &'static str, length: usize) -> Result<&'a [u8], DecodeError> {
@@ -60,6 +91,13 @@ impl<'a> Cursor<'a> {
         let taken = rest.get(..length).ok_or_else(|| self.invalid(field, "reaches past the end"))?;
         self.position += length;
         Ok(taken)
+    }
+
+    /// All that is left.
+    pub(super) fn rest(&mut self) -> &'a [u8] {
+        let rest = &self.bytes[self.position..];
+        self.position = self.bytes.len();
+        rest
     }
 
     fn array<const L: usize>(&mut self, field: &'static str) -> Result<[u8; L], DecodeError> {
@@ -80,16 +118,28 @@ impl<'a> Cursor<'a> {
         self.array(field).map(u32::from_le_bytes)
     }
 
-    pub(super) fn u64(&mut self, field: &'static str) -> Result<u64, DecodeError> {
-        self.array(field).map(u64::from_le_bytes)
-    }
-
     pub(super) fn f32(&mut self, field: &'static str) -> Result<f32, DecodeError> {
         self.array(field).map(f32::from_le_bytes)
     }
 
-    pub(super) fn tag(&mut self, field: &'static str) -> Result<[u8; 4], DecodeError> {
+    pub(super) fn tag(&mut self, field: &'static str) -> Result<Tag, DecodeError> {
         self.array(field)
+    }
+
+    /// A length in two bytes and so much text.
+    pub(super) fn text(&mut self, field: &'static str) -> Result<String, DecodeError> {
+        let length = self.u16(field)?;
+        let text = std::str::from_utf8(self.take(field, length.into())?);
+        text.map(str::to_owned).map_err(|_| self.invalid(field, "not UTF-8"))
+    }
+
+    /// One bit for each attribute.
+    pub(super) fn attributes(&mut self, field: &'static str) -> Result<[bool; 5], DecodeError> {
+        let bits = self.u8(field)?;
+        if bits >> Attribute::ALL.len() > 0 {
+            return Err(self.invalid(field, "more attributes than there are"));
+        }
+        Ok(Attribute::ALL.map(|attribute| bits >> attribute.index() & 1 > 0))
     }
 
     /// Nothing may be left.

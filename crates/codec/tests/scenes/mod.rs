@@ -1,5 +1,7 @@
 //! Synthetic scenes for tests and benches, the same on every machine.
 
+#![allow(dead_code)] // Not every test needs all of it.
+
 use tcgs_codec::BitMap;
 use tcgs_core::{Attribute, DynamicGaussians, Gaussians};
 

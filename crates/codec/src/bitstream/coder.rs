@@ -1,0 +1,291 @@
+//! Symbols to bits and back: adaptive models of up to sixteen symbols, and an asymmetric numeral system
+//! (rANS) that spends on each symbol what its model says.
+//!
+//! Everything is exact integer arithmetic, so that all machines agree. What is coded is written once, for
+//! both directions: code is generic over [`Coder`], gives it the symbol and goes on with the symbol that
+//! it returns, which a [`Decoder`] takes from the bytes.
+
+/// Symbols of a model.
+pub(super) const NUM_SYMBOLS: usize = 16;
+/// Frequencies that the coder sees add up to 2 to the power of this.
+const FREQUENCY_BITS: u32 = 15;
+/// Bits of a cumulative frequency below those that the coder sees.
+const FRACTION_BITS: u32 = 15;
+const ONE: i32 = 1 << (FREQUENCY_BITS + FRACTION_BITS);
+/// What no symbol falls below: two units of the coder, of which rounding takes less than one.
+const MIN_FREQUENCY: i32 = 2 << FRACTION_BITS;
+/// A symbol moves its model by a half, then by less and less, in the end by 2 to the power of minus this.
+const SLOWEST: u32 = 7;
+/// Lowest state of the coder between symbols.
+const LOWEST: u64 = 1 << 31;
+
+/// Where the cumulative frequencies move after each symbol.
+const TARGETS: [[i32; NUM_SYMBOLS]; NUM_SYMBOLS] = {
+    let mut targets = [[0; NUM_SYMBOLS]; NUM_SYMBOLS];
+    let mut symbol = 0;
+    while symbol < NUM_SYMBOLS {
+        let mut i = 1;
+        while i < NUM_SYMBOLS {
+            targets[symbol][i] =
+                if i <= symbol { i as i32 * MIN_FREQUENCY } else { ONE - (NUM_SYMBOLS - i) as i32 * MIN_FREQUENCY };
+            i += 1;
+        }
+        symbol += 1;
+    }
+    targets
+};
+
+/// How likely each symbol is, learned from those before.
+#[derive(Clone, Debug)]
+#[repr(align(64))]
+pub(super) struct Model {
+    /// Of the symbols before each, ascending from 0; the last symbol ends at [`ONE`].
+    cumulative: [i32; NUM_SYMBOLS],
+    /// Symbols seen, and one.
+    age: u32,
+}
+
+impl Model {
+    /// The first `num_symbols` are equally likely, the others next to impossible.
+    pub(super) const fn new(num_symbols: usize) -> Self {
+        let mut cumulative = [0; NUM_SYMBOLS];
+        let rest = (NUM_SYMBOLS - num_symbols) as i32 * MIN_FREQUENCY;
+        let each = (ONE - rest) / num_symbols as i32;
+        let mut i = 1;
+        while i < NUM_SYMBOLS {
+            cumulative[i] =
+                if i < num_symbols { i as i32 * each } else { ONE - (NUM_SYMBOLS - i) as i32 * MIN_FREQUENCY };
+            i += 1;
+        }
+        Self { cumulative, age: 1 }
+    }
+
+    /// Start and length of a symbol's interval within `2^FREQUENCY_BITS`.
+    #[inline(always)]
+    fn interval(&self, symbol: usize) -> (u32, u32) {
+        let at = |i: usize| if i < NUM_SYMBOLS { self.cumulative[i] >> FRACTION_BITS } else { 1 << FREQUENCY_BITS };
+        (at(symbol) as u32, (at(symbol + 1) - at(symbol)) as u32)
+    }
+
+    /// The symbol whose interval holds `slot`.
+    #[inline(always)]
+    fn symbol_at(&self, slot: u32) -> usize {
+        let bound = ((slot + 1) << FRACTION_BITS) as i32;
+        let below: i32 = self.cumulative.iter().map(|&c| i32::from(c < bound)).sum();
+        (below - 1) as usize & (NUM_SYMBOLS - 1)
+    }
+
+    #[inline(always)]
+    fn update(&mut self, symbol: usize) {
+        self.age += 1;
+        let shift = self.age.ilog2().min(SLOWEST);
+        for (cumulative, target) in self.cumulative.iter_mut().zip(&TARGETS[symbol]) {
+            *cumulative += (target - *cumulative) >> shift;
+        }
+    }
+}
+
+/// One direction of coding.
+pub(super) trait Coder {
+    /// Codes a symbol below 16.
+    fn symbol(&mut self, model: &mut Model, symbol: u32) -> u32;
+    /// Codes `count` bits, at most 15, as they are.
+    fn bits(&mut self, count: u32, value: u32) -> u32;
+    /// Whether there was nothing left to decode: what was returned since is worthless.
+    fn exhausted(&self) -> bool;
+}
+
+/// Collects symbols; the last is coded first.
+#[derive(Default)]
+pub(super) struct Encoder {
+    /// Start and length.
+    intervals: Vec<(u16, u16)>,
+}
+
+impl Coder for Encoder {
+    #[inline(always)]
+    fn symbol(&mut self, model: &mut Model, symbol: u32) -> u32 {
+        let (start, length) = model.interval(symbol as usize);
+        self.intervals.push((start as u16, length as u16));
+        model.update(symbol as usize);
+        symbol
+    }
+
+    #[inline(always)]
+    fn bits(&mut self, count: u32, value: u32) -> u32 {
+        debug_assert!(value >> count == 0);
+        if count > 0 {
+            let rest = FREQUENCY_BITS - count;
+            self.intervals.push(((value << rest) as u16, (1 << rest) as u16));
+        }
+        value
+    }
+
+    fn exhausted(&self) -> bool {
+        false
+    }
+}
+
+impl Encoder {
+    /// State, then 32-bit words in the order of decoding.
+    pub(super) fn finish(self) -> Vec<u8> {
+        let mut state = LOWEST;
+        let mut words = Vec::new();
+        for &(start, length) in self.intervals.iter().rev() {
+            let length = u64::from(length);
+            if state >= length << (63 - FREQUENCY_BITS) {
+                words.push(state as u32);
+                state >>= 32;
+            }
+            state = ((state / length) << FREQUENCY_BITS) + state % length + u64::from(start);
+        }
+        let mut bytes = state.to_le_bytes().to_vec();
+        bytes.extend(words.iter().rev().flat_map(|w| w.to_le_bytes()));
+        bytes
+    }
+}
+
+/// Reads what an [`Encoder`] wrote. Bytes that no encoder wrote give some symbols.
+pub(super) struct Decoder<'a> {
+    state: u64,
+    words: std::slice::Iter<'a, [u8; 4]>,
+    whole: bool,
+    exhausted: bool,
+}
+
+impl<'a> Decoder<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Self {
+        let (state, words) = bytes.split_first_chunk().unwrap_or((&[0; 8], &[]));
+        let (words, rest) = words.as_chunks();
+        let state = u64::from_le_bytes(*state);
+        let legal = (LOWEST..LOWEST << 32).contains(&state);
+        Self {
+            state: if legal { state } else { LOWEST },
+            words: words.iter(),
+            whole: rest.is_empty(),
+            exhausted: !legal,
+        }
+    }
+
+    #[inline(always)]
+    fn advance(&mut self, start: u32, length: u32) {
+        let slot = self.state & ((1 << FREQUENCY_BITS) - 1);
+        self.state = u64::from(length) * (self.state >> FREQUENCY_BITS) + slot - u64::from(start);
+        if self.state < LOWEST {
+            match self.words.next() {
+                Some(word) => self.state = self.state << 32 | u64::from(u32::from_le_bytes(*word)),
+                None => self.exhausted = true,
+            }
+        }
+    }
+
+    /// Whether exactly what an encoder wrote was read: no more and no less. When fuzzing, any symbols will do:
+    /// chance would not get beyond the first section.
+    pub(super) fn finished(&self) -> bool {
+        if cfg!(fuzzing) {
+            return !self.exhausted;
+        }
+        self.whole && !self.exhausted && self.state == LOWEST && self.words.len() == 0
+    }
+}
+
+impl Coder for Decoder<'_> {
+    #[inline(always)]
+    fn symbol(&mut self, model: &mut Model, _: u32) -> u32 {
+        let symbol = model.symbol_at(self.state as u32 & ((1 << FREQUENCY_BITS) - 1));
+        let (start, length) = model.interval(symbol);
+        self.advance(start, length);
+        model.update(symbol);
+        symbol as u32
+    }
+
+    #[inline(always)]
+    fn bits(&mut self, count: u32, _: u32) -> u32 {
+        if count == 0 {
+            return 0;
+        }
+        let rest = FREQUENCY_BITS - count;
+        let value = (self.state as u32 & ((1 << FREQUENCY_BITS) - 1)) >> rest;
+        self.advance(value << rest, 1 << rest);
+        value
+    }
+
+    fn exhausted(&self) -> bool {
+        self.exhausted
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbers(seed: u64) -> impl Iterator<Item = u32> {
+        let mut state = seed;
+        std::iter::repeat_with(move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as u32
+        })
+    }
+
+    #[test]
+    fn models_stay_whole_whatever_they_see() {
+        for symbols in [[0, 0], [15, 15], [0, 15], [7, 8]] {
+            let mut model = Model::new(16);
+            for i in 0..5000 {
+                model.update(symbols[i % 2]);
+                let lengths: u32 = (0..NUM_SYMBOLS).map(|s| model.interval(s).1).sum();
+                assert_eq!(lengths, 1 << FREQUENCY_BITS);
+                assert!((0..NUM_SYMBOLS).all(|s| model.interval(s).1 > 0), "{symbols:?} after {i}");
+            }
+        }
+        for num_symbols in 1..=16 {
+            let model = Model::new(num_symbols);
+            assert!((0..NUM_SYMBOLS).all(|s| model.interval(s).1 > 0));
+            let all: u32 = (0..num_symbols).map(|s| model.interval(s).1).sum();
+            assert!(all > (1 << FREQUENCY_BITS) - 40);
+        }
+    }
+
+    #[test]
+    fn symbols_and_bits_come_back() {
+        type Step<'a> = &'a mut dyn FnMut(&mut Model, u32, u32, u32) -> (u32, u32);
+        let code = |coder: Step<'_>| -> Vec<(u32, u32)> {
+            let mut models = vec![Model::new(16); 3];
+            numbers(5)
+                .take(20_000)
+                .enumerate()
+                .map(|(i, x)| {
+                    let symbol = (x & 15).min(x >> 4 & 15).min(x >> 8 & 15);
+                    let count = x >> 12 & 15;
+                    coder(&mut models[i % 3], symbol, count, x >> 16 & ((1 << count) - 1))
+                })
+                .collect()
+        };
+        let mut encoder = Encoder::default();
+        let written =
+            code(&mut |model, symbol, count, bits| (encoder.symbol(model, symbol), encoder.bits(count, bits)));
+        let bytes = encoder.finish();
+        let mut decoder = Decoder::new(&bytes);
+        let read = code(&mut |model, _, count, _| (decoder.symbol(model, 0), decoder.bits(count, 0)));
+        assert_eq!(read, written);
+        assert!(decoder.finished());
+        // A word too many or too few is seen.
+        let mut decoder = Decoder::new(&bytes[..bytes.len() - 4]);
+        code(&mut |model, _, count, _| (decoder.symbol(model, 0), decoder.bits(count, 0)));
+        assert!(decoder.exhausted() && !decoder.finished());
+        let longer = [&bytes[..], &[0; 4]].concat();
+        let mut decoder = Decoder::new(&longer);
+        code(&mut |model, _, count, _| (decoder.symbol(model, 0), decoder.bits(count, 0)));
+        assert!(!decoder.exhausted() && !decoder.finished());
+    }
+
+    #[test]
+    fn what_repeats_costs_next_to_nothing() {
+        let mut encoder = Encoder::default();
+        let mut model = Model::new(16);
+        (0..100_000).for_each(|_| {
+            encoder.symbol(&mut model, 3);
+        });
+        assert!(encoder.finish().len() < 60);
+    }
+}

@@ -1,0 +1,101 @@
+//! What an encoder chooses: weights of predictors and how codes are coded. A decoder reads the result.
+
+use tcgs_core::Attribute;
+
+use super::coder::Encoder;
+use super::neighbors::NONE;
+use super::shared::{Features, FirstModels, MAX_COMPONENTS, Mode, Plan, Predictor, Shared, num_weights, value};
+
+/// Most features of a predictor.
+const MAX_FEATURES: usize = 3 * MAX_COMPONENTS + 1;
+/// Keeps weights small where features say nothing; relative to the squares of the features.
+const RIDGE: f64 = 1e-4;
+/// Gaussians that weights are fitted to, at most, evenly taken.
+const SAMPLE: usize = 1 << 16;
+
+/// Predictors of an attribute: weights of least squared error, and the modes that take the fewest bytes.
+pub(super) fn predictors(attribute: Attribute, plan: &Plan, shared: &Shared) -> Vec<Predictor> {
+    let components = attribute.components();
+    let mut plan = plan.clone();
+    let a = attribute.index();
+    plan.predictors[a] = (0..components)
+        .map(|channel| Predictor { mode: Mode::Code, weights: weights(attribute, channel, &plan, shared) })
+        .collect();
+    let bytes = |plan: &Plan| {
+        let mut encoder = Encoder::default();
+        let mut codes = shared.first_codes[a].clone();
+        let layer = 0..shared.num_gaussians();
+        let widths = &shared.bit_map.widths[a];
+        FirstModels::new(attribute).code(&mut encoder, plan, layer, &shared.neighbors, widths, &mut codes);
+        encoder.finish().len()
+    };
+    let mut best = bytes(&plan);
+    for channel in 0..components {
+        for mode in Mode::ALL {
+            let before = std::mem::replace(&mut plan.predictors[a][channel].mode, mode);
+            let tried = bytes(&plan);
+            if tried < best {
+                best = tried;
+            } else {
+                plan.predictors[a][channel].mode = before;
+            }
+        }
+    }
+    std::mem::take(&mut plan.predictors[a])
+}
+
+fn weights(attribute: Attribute, channel: usize, plan: &Plan, shared: &Shared) -> Vec<f32> {
+    let (a, components) = (attribute.index(), attribute.components());
+    let (table, codes) = (plan.quantizers.by_width(attribute), &shared.first_codes[a]);
+    let widths = &shared.bit_map.widths[a];
+    let of = |g: usize, c: usize| value(&table[usize::from(widths[g])][c], codes[g * components + c]);
+    let count = num_weights(components, channel);
+    let mut squares = [[0.0; MAX_FEATURES]; MAX_FEATURES];
+    let mut products = [0.0; MAX_FEATURES];
+    let n = shared.num_gaussians();
+    for g in (0..n).step_by(n.div_ceil(SAMPLE).max(1)) {
+        let [first, second] = shared.neighbors(g);
+        if first == NONE {
+            continue;
+        }
+        let second = if second == NONE { first } else { second };
+        let mut features = Features::new(components);
+        for (place, neighbor) in [first, second].into_iter().enumerate() {
+            for c in 0..components {
+                features.set_neighbor(place, c, of(neighbor as usize, c));
+            }
+        }
+        for c in 0..channel {
+            features.push(of(g, c));
+        }
+        let target = of(g, channel);
+        for (i, x) in features.values().iter().enumerate() {
+            products[i] += x * target;
+            for (j, y) in features.values().iter().enumerate() {
+                squares[i][j] += x * y;
+            }
+        }
+    }
+    for i in 0..count {
+        squares[i][i] += RIDGE * squares[i][i] + f64::MIN_POSITIVE;
+    }
+    solve(&mut squares, &mut products, count);
+    products[..count].iter().map(|&w| if w.is_finite() { (w as f32).clamp(-1e3, 1e3) } else { 0.0 }).collect()
+}
+
+/// Gaussian elimination of a symmetric positive definite system, in place.
+fn solve(matrix: &mut [[f64; MAX_FEATURES]; MAX_FEATURES], right: &mut [f64; MAX_FEATURES], count: usize) {
+    for i in 0..count {
+        for j in i + 1..count {
+            let factor = matrix[j][i] / matrix[i][i];
+            for k in i..count {
+                matrix[j][k] -= factor * matrix[i][k];
+            }
+            right[j] -= factor * right[i];
+        }
+    }
+    for i in (0..count).rev() {
+        let known: f64 = (i + 1..count).map(|j| matrix[i][j] * right[j]).sum();
+        right[i] = (right[i] - known) / matrix[i][i];
+    }
+}

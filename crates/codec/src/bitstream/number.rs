@@ -1,0 +1,162 @@
+//! Numbers of up to 16 bits as symbols.
+
+use super::coder::{Coder, Model};
+
+/// Below this a number is its own symbol.
+const DIRECT: u32 = 8;
+/// First symbol of numbers from 64, which has a second one: the exponent.
+const LARGE: u32 = 14;
+
+/// Numbers in `[0, 2^16)` of which small ones are likely: a symbol for the number or its magnitude, then
+/// bits within the magnitude, of which the leading ones are modelled.
+#[derive(Clone, Debug)]
+pub(super) struct Numbers {
+    /// By context.
+    symbols: Vec<Model>,
+    /// Exponents of large numbers, less 6.
+    exponents: Model,
+    /// By number of bits: the highest three or fewer.
+    leading: Vec<Model>,
+}
+
+impl Numbers {
+    pub(super) fn new(num_contexts: usize) -> Self {
+        let leading = (0..16_u32).map(|bits| Model::new(1 << bits.min(3))).collect();
+        Self { symbols: vec![Model::new(16); num_contexts], exponents: Model::new(10), leading }
+    }
+
+    #[inline(always)]
+    pub(super) fn code<C: Coder>(&mut self, coder: &mut C, context: usize, number: u32) -> u32 {
+        // What decodes has no number yet; the symbol says which.
+        let symbol = coder.symbol(&mut self.symbols[context], symbol_of(number));
+        if symbol < DIRECT {
+            return symbol;
+        }
+        let (base, bits) = if symbol < LARGE {
+            // Two symbols for each power of two.
+            let exponent = symbol / 2 - 1;
+            ((2 + symbol % 2) << (exponent - 1), exponent - 1)
+        } else {
+            let exponent = 6 + coder.symbol(&mut self.exponents, number.max(64).ilog2() - 6).min(9);
+            (1 << exponent, exponent)
+        };
+        let high = bits.min(3);
+        let rest = number.wrapping_sub(base);
+        let leading = coder.symbol(&mut self.leading[bits as usize], rest >> (bits - high) & 7) & ((1 << high) - 1);
+        let trailing = coder.bits(bits - high, rest & ((1 << (bits - high)) - 1));
+        base + (leading << (bits - high)) + trailing
+    }
+}
+
+fn symbol_of(number: u32) -> u32 {
+    match number {
+        0..8 => number,
+        8..64 => {
+            let exponent = number.ilog2();
+            2 * exponent + 2 + (number >> (exponent - 1) & 1)
+        }
+        _ => LARGE,
+    }
+}
+
+/// Signed numbers: 0, -1, 1, -2, 2, ... as 0, 1, 2, 3, 4, ...
+#[inline(always)]
+pub(super) fn zigzag(x: i32) -> u32 {
+    ((x << 1) ^ (x >> 31)) as u32
+}
+
+/// Inverse of [`zigzag`].
+#[inline(always)]
+pub(super) fn unzigzag(z: u32) -> i32 {
+    (z >> 1) as i32 ^ -((z & 1) as i32)
+}
+
+/// The number in `[-2^(width-1), 2^(width-1))` that is equal modulo `2^width`.
+#[inline(always)]
+pub(super) fn wrap(x: i32, width: u8) -> i32 {
+    let unused = 32 - u32::from(width);
+    (x << unused) >> unused
+}
+
+/// Codes of 1 to 16 bits that have no reason to be near their prediction: the four highest bits, then four
+/// more, then the rest.
+#[derive(Clone, Debug)]
+pub(super) struct Codes {
+    /// By context.
+    high: Vec<Model>,
+    /// By context's class and highest bits.
+    middle: Vec<Model>,
+    contexts_per_class: usize,
+}
+
+impl Codes {
+    /// - `contexts_per_class`: so many contexts that follow each other share the models of lower bits
+    pub(super) fn new(num_contexts: usize, contexts_per_class: usize) -> Self {
+        Self {
+            high: vec![Model::new(16); num_contexts],
+            middle: vec![Model::new(16); num_contexts / contexts_per_class * 16],
+            contexts_per_class,
+        }
+    }
+
+    /// - `code`: plus `2^(width-1)`
+    #[inline(always)]
+    pub(super) fn code<C: Coder>(&mut self, coder: &mut C, context: usize, width: u8, code: u32) -> u32 {
+        let width = u32::from(width);
+        let high_bits = width.min(4);
+        let middle_bits = (width - high_bits).min(4);
+        let low_bits = width - high_bits - middle_bits;
+        let high = coder.symbol(&mut self.high[context], code >> (width - high_bits)) & ((1 << high_bits) - 1);
+        let mut value = high;
+        if middle_bits > 0 {
+            let class = context / self.contexts_per_class;
+            let model = &mut self.middle[16 * class + high as usize];
+            let mask = (1 << middle_bits) - 1;
+            value = value << middle_bits | coder.symbol(model, code >> low_bits & mask) & mask;
+        }
+        value << low_bits | coder.bits(low_bits, code & ((1 << low_bits) - 1))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::coder::{Decoder, Encoder};
+    use super::*;
+
+    #[test]
+    fn every_number_comes_back() {
+        let (mut encoder, mut numbers) = (Encoder::default(), Numbers::new(1));
+        for n in 0..1 << 16 {
+            numbers.code(&mut encoder, 0, n);
+        }
+        let bytes = encoder.finish();
+        let (mut decoder, mut numbers) = (Decoder::new(&bytes), Numbers::new(1));
+        for n in 0..1 << 16 {
+            assert_eq!(numbers.code(&mut decoder, 0, 0), n);
+        }
+        assert!(decoder.finished());
+    }
+
+    #[test]
+    fn every_code_comes_back() {
+        for width in 1..=16 {
+            let (mut encoder, mut codes) = (Encoder::default(), Codes::new(2, 1));
+            for n in 0..1_u32 << width {
+                codes.code(&mut encoder, n as usize & 1, width, n);
+            }
+            let bytes = encoder.finish();
+            let (mut decoder, mut codes) = (Decoder::new(&bytes), Codes::new(2, 1));
+            for n in 0..1_u32 << width {
+                assert_eq!(codes.code(&mut decoder, n as usize & 1, width, 0), n);
+            }
+            assert!(decoder.finished());
+        }
+    }
+
+    #[test]
+    fn signs_alternate() {
+        for (z, x) in [0, -1, 1, -2, 2].into_iter().enumerate() {
+            assert_eq!((zigzag(x), unzigzag(z as u32)), (z as u32, x));
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! A span of timesteps that was decoded alone, and its floats.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use tcgs_core::{Attribute, Gaussians};
+
+use super::head::Head;
+use super::keypoints::UnitTracks;
+use super::neighbors::NONE;
+use super::shared::Shared;
+use crate::compact::{SceneInfo, unit_quat};
+use crate::keypoints::lerp;
+
+/// Some timesteps of a scene, all of its Gaussians or those of the first layers.
+///
+/// Holds codes; [`Self::at`] and [`Sampler`] make floats of them.
+#[derive(Clone, Debug)]
+pub struct Segment {
+    head: Arc<Head>,
+    shared: Arc<Shared>,
+    index: usize,
+    num_layers: usize,
+    num_gaussians: usize,
+    /// By attribute.
+    tracks: [UnitTracks; 5],
+}
+
+impl Segment {
+    pub(super) fn new(
+        head: Arc<Head>,
+        shared: Arc<Shared>,
+        index: usize,
+        num_layers: usize,
+        tracks: [UnitTracks; 5],
+    ) -> Self {
+        let num_gaussians = head.layers[..num_layers].iter().map(|&n| n as usize).sum();
+        Self { head, shared, index, num_layers, num_gaussians, tracks }
+    }
+
+    /// What the file says besides symbols.
+    pub fn info(&self) -> &SceneInfo {
+        &self.head.info
+    }
+
+    /// Which segment of the file it is.
+    pub fn index(&self) -> usize {
+        self.index
+    }
+
+    /// How many layers it has.
+    pub fn num_layers(&self) -> usize {
+        self.num_layers
+    }
+
+    /// How many Gaussians these have: the first of the scene.
+    pub fn num_gaussians(&self) -> usize {
+        self.num_gaussians
+    }
+
+    /// Timesteps that it can say.
+    pub fn timesteps(&self) -> Range<usize> {
+        self.head.span(self.index)
+    }
+
+    pub(super) fn tracks(&self, attribute: Attribute) -> &UnitTracks {
+        &self.tracks[attribute.index()]
+    }
+
+    /// One timestep as floats, in stored form; the same as [`crate::CompactScene::at`] gives of the whole.
+    ///
+    /// # Panics
+    /// If `timestep` is not within [`Self::timesteps`].
+    pub fn at(&self, timestep: usize) -> Gaussians {
+        let mut sampler = Sampler::new(self);
+        sampler.at(timestep).clone()
+    }
+
+    /// Memory that it holds beyond what all segments share, in bytes.
+    pub fn bytes(&self) -> usize {
+        self.tracks.iter().map(UnitTracks::bytes).sum()
+    }
+}
+
+/// Units of an attribute as floats.
+struct Moving {
+    attribute: Attribute,
+    channels: usize,
+    /// `[units]` index of the first value in [`Gaussians::values`].
+    places: Vec<u32>,
+    /// `[units]` keypoint at or before the last timestep asked for.
+    cursors: Vec<u32>,
+    /// `[units + 1]`
+    starts: Vec<u32>,
+    times: Vec<u16>,
+    /// `[keypoints, channels]`
+    values: Vec<f32>,
+}
+
+/// A segment as floats, one timestep after another: only what moves is computed anew.
+pub struct Sampler {
+    timesteps: Range<usize>,
+    now: Gaussians,
+    moving: Vec<Moving>,
+    /// Where the components of a rotation move apart: which Gaussians rotate.
+    rotating: Vec<u32>,
+    /// And all rotations before they are normalised.
+    raw_quats: Vec<[f32; 4]>,
+}
+
+impl Sampler {
+    /// Dequantises a segment.
+    pub fn new(segment: &Segment) -> Self {
+        let mut now = Gaussians::zeros(segment.num_gaussians);
+        let mut moving = Vec::new();
+        for attribute in Attribute::ALL {
+            let (a, components) = (attribute.index(), attribute.components());
+            let table = segment.head.plan.quantizers.by_width(attribute);
+            let widths = &segment.shared.bit_map.widths[a];
+            let codes = &segment.shared.first_codes[a];
+            for (g, row) in now.values_mut(attribute).chunks_exact_mut(components).enumerate() {
+                for (channel, value) in row.iter_mut().enumerate() {
+                    let quantizer = &table[usize::from(widths[g])][channel];
+                    *value = quantizer.dequantize(codes[g * components + channel].into());
+                }
+            }
+            if segment.head.plan.varies[a] {
+                moving.push(Moving::new(segment, attribute));
+            }
+        }
+        let (mut rotating, mut raw_quats) = (Vec::new(), Vec::new());
+        if let Some(quats) = moving.iter().find(|m| m.attribute == Attribute::Quat && m.channels == 1) {
+            rotating = quats.places.iter().map(|place| place / 4).collect();
+            rotating.dedup();
+            raw_quats.clone_from(&now.quats);
+        }
+        for quat in &mut now.quats {
+            *quat = unit_quat(*quat);
+        }
+        Self { timesteps: segment.timesteps(), now, moving, rotating, raw_quats }
+    }
+
+    /// One timestep; the same as [`Segment::at`]. Fastest where timesteps follow each other.
+    ///
+    /// # Panics
+    /// If `timestep` is not one of the segment.
+    pub fn at(&mut self, timestep: usize) -> &Gaussians {
+        assert!(self.timesteps.contains(&timestep), "timestep {timestep} of {:?}", self.timesteps);
+        for moving in &mut self.moving {
+            let attribute = moving.attribute;
+            match (attribute, moving.channels) {
+                (Attribute::Quat, 1) => moving.write::<1>(timestep, self.raw_quats.as_flattened_mut(), |x| x),
+                (Attribute::Quat, _) => moving.write::<4>(timestep, self.now.values_mut(attribute), unit_quat),
+                (_, 3) => moving.write::<3>(timestep, self.now.values_mut(attribute), |x| x),
+                _ => moving.write::<1>(timestep, self.now.values_mut(attribute), |x| x),
+            }
+        }
+        for &gaussian in &self.rotating {
+            self.now.quats[gaussian as usize] = unit_quat(self.raw_quats[gaussian as usize]);
+        }
+        &self.now
+    }
+}
+
+impl Moving {
+    fn new(segment: &Segment, attribute: Attribute) -> Self {
+        let (a, components) = (attribute.index(), attribute.components());
+        let tracks = &segment.tracks[a];
+        let channels = tracks.channels;
+        let table = segment.head.plan.quantizers.by_width(attribute);
+        let units = segment.shared.units[a][..segment.num_gaussians * components / channels].iter();
+        let places = units.enumerate().filter(|(_, u)| **u != NONE).map(|(i, _)| (i * channels) as u32);
+        let mut of = Self {
+            attribute,
+            channels,
+            places: places.collect(),
+            cursors: vec![0; tracks.num_units()],
+            starts: vec![0],
+            times: Vec::with_capacity(tracks.num_keypoints()),
+            values: Vec::with_capacity(tracks.num_keypoints() * channels),
+        };
+        for (unit, &place) in of.places.iter().enumerate() {
+            let (times, codes) = tracks.unit(unit);
+            let (g, channel) = (place as usize / components, place as usize % components);
+            let width = segment.shared.bit_map.widths[a][g];
+            let quantizers = &table[usize::from(width)][channel..channel + channels];
+            of.times.extend(times);
+            for codes in codes.chunks_exact(channels) {
+                of.values.extend(codes.iter().zip(quantizers).map(|(&c, q)| q.dequantize(c.into())));
+            }
+            of.starts.push(of.times.len() as u32);
+        }
+        of
+    }
+
+    /// Writes what moves at a timestep.
+    ///
+    /// - `values`: of all Gaussians
+    fn write<const C: usize>(&mut self, timestep: usize, values: &mut [f32], finish: impl Fn([f32; C]) -> [f32; C]) {
+        let keypoints = self.values.as_chunks::<C>().0;
+        for (unit, (cursor, &place)) in self.cursors.iter_mut().zip(&self.places).enumerate() {
+            let range = self.starts[unit] as usize..self.starts[unit + 1] as usize;
+            let (times, keypoints) = (&self.times[range.clone()], &keypoints[range]);
+            let mut k = *cursor as usize;
+            while k + 1 < times.len() && usize::from(times[k + 1]) <= timestep {
+                k += 1;
+            }
+            while k > 0 && usize::from(times[k]) > timestep {
+                k -= 1;
+            }
+            *cursor = k as u32;
+            let before = keypoints[k];
+            let value = if k + 1 < times.len() && usize::from(times[k]) < timestep {
+                let (start, end) = (usize::from(times[k]), usize::from(times[k + 1]));
+                let fraction = (timestep - start) as f32 / (end - start) as f32;
+                std::array::from_fn(|c| lerp(before[c], keypoints[k + 1][c], fraction))
+            } else {
+                before
+            };
+            values[place as usize..place as usize + C].copy_from_slice(&finish(value));
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! Parts of a file: segments, layers, bytes as they arrive.
+#![allow(clippy::unwrap_used)]
+
+use std::ops::Range;
+
+use proptest::prelude::*;
+use tcgs_codec::{
+    Archive, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Opening, Sampler, SceneInfo, compress,
+    decode, encode,
+};
+use tcgs_core::Gaussians;
+
+mod any_scene;
+mod scenes;
+use any_scene::any_scene;
+
+fn bytes(file: &[u8], range: Range<u64>) -> &[u8] {
+    &file[range.start as usize..range.end as usize]
+}
+
+/// Opens with as few bytes as it takes.
+fn open(file: &[u8]) -> Archive {
+    let mut length = 0;
+    loop {
+        match Archive::open(&file[..length], &DecodeLimits::default()).unwrap() {
+            Opening::Ready(archive) => return *archive,
+            Opening::More(more) => {
+                assert!(more > length as u64);
+                length = more as usize;
+            }
+        }
+    }
+}
+
+/// The Gaussians of the first layers of a scene.
+fn first(scene: &CompactScene, timestep: usize, layers: usize) -> Gaussians {
+    let count: u32 = scene.layers[..layers].iter().sum();
+    scene.at(timestep).select(&(0..count as usize).collect::<Vec<_>>())
+}
+
+/// What an event says, for comparison.
+fn describe(event: &Event) -> String {
+    match event {
+        Event::Segment(segment) => {
+            let last = segment.timesteps().end - 1;
+            format!("{} {} {:?}", segment.index(), segment.num_layers(), segment.at(last))
+        }
+        other => format!("{other:?}"),
+    }
+}
+
+fn events(pieces: &[&[u8]]) -> Vec<String> {
+    let mut decoder = Decoder::new(DecodeLimits::default());
+    let events: Vec<String> =
+        pieces.iter().flat_map(|piece| decoder.push(piece).unwrap()).map(|event| describe(&event)).collect();
+    assert!(decoder.is_finished());
+    events
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(50))]
+
+    #[test]
+    fn every_timestep_of_a_segment_equals_the_whole(
+        num_gaussians in 0_usize..20,
+        num_timesteps in 1_usize..90,
+        seed: u64,
+        layers: prop::sample::Index,
+    ) {
+        let scene = any_scene(num_gaussians, num_timesteps, seed);
+        let file = encode(&scene);
+        let mut archive = open(&file);
+        let layers = layers.index(archive.num_layers() + 1);
+        archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();
+        prop_assert_eq!(archive.layers_read(), layers);
+        // Some later segment first: the order does not matter.
+        for segment in (0..archive.num_segments()).rev() {
+            let decoded = archive.read_segment(segment, bytes(&file, archive.segment_range(segment, layers))).unwrap();
+            prop_assert_eq!(decoded.num_layers(), layers);
+            let mut sampler = Sampler::new(&decoded);
+            for timestep in decoded.timesteps() {
+                prop_assert_eq!(archive.segment_at(timestep), segment);
+                let expected = first(&scene, timestep, layers);
+                prop_assert_eq!(&decoded.at(timestep), &expected);
+                prop_assert_eq!(sampler.at(timestep), &expected);
+            }
+            // Backwards, too.
+            for timestep in decoded.timesteps().rev() {
+                prop_assert_eq!(sampler.at(timestep), &first(&scene, timestep, layers));
+            }
+        }
+    }
+
+    #[test]
+    fn where_the_input_is_cut_does_not_matter(
+        num_gaussians in 0_usize..12,
+        num_timesteps in 1_usize..40,
+        seed: u64,
+        cuts in prop::collection::vec(any::<prop::sample::Index>(), 0..6),
+    ) {
+        let file = encode(&any_scene(num_gaussians, num_timesteps, seed));
+        let mut cuts: Vec<usize> = cuts.into_iter().map(|cut| cut.index(file.len() + 1)).collect();
+        cuts.extend([0, file.len()]);
+        cuts.sort_unstable();
+        let pieces: Vec<&[u8]> = cuts.windows(2).map(|pair| &file[pair[0]..pair[1]]).collect();
+        prop_assert_eq!(events(&pieces), events(&[&file]));
+    }
+}
+
+#[test]
+fn events_come_in_order_and_say_what_the_whole_says() {
+    let mut scene = any_scene(12, 20, 7);
+    scene.layers = vec![2, 4, 6];
+    scene.segment_length = 8;
+    let file = encode(&scene);
+    let mut decoder = Decoder::new(DecodeLimits::default());
+    let mut seen = Vec::new();
+    for byte in &file {
+        for event in decoder.push(std::slice::from_ref(byte)).unwrap() {
+            seen.push(match &event {
+                Event::Header => "header".to_owned(),
+                Event::Layer { layers } => format!("layer {layers}"),
+                Event::Segment(segment) => {
+                    for timestep in segment.timesteps() {
+                        assert_eq!(segment.at(timestep), first(&scene, timestep, segment.num_layers()));
+                    }
+                    format!("segment {} of {} layers", segment.index(), segment.num_layers())
+                }
+                Event::End => "end".to_owned(),
+            });
+        }
+    }
+    let segments = (0..3).flat_map(|s| (1..=3).map(move |l| format!("segment {s} of {l} layers")));
+    let layers = (1..=3).map(|l| format!("layer {l}"));
+    let expected: Vec<String> =
+        std::iter::once("header".to_owned()).chain(layers).chain(segments).chain(["end".to_owned()]).collect();
+    assert_eq!(seen, expected);
+    assert!(decoder.push(&[]).unwrap().is_empty());
+    let error = decoder.push(&[0]).unwrap_err().to_string();
+    assert!(error.ends_with("bytes are left over"), "{error}");
+}
+
+#[test]
+fn the_first_bytes_of_another_file_are_refused_at_once() {
+    let mut decoder = Decoder::new(DecodeLimits::default());
+    assert!(decoder.push(b"TC").unwrap().is_empty());
+    assert!(decoder.push(b"XX").is_err());
+}
+
+/// Found by fuzzing: a segment for each of 65,536 timesteps in which there is nothing.
+#[test]
+fn segments_of_nothing_cost_nothing() {
+    let empty = CompactScene { segment_length: 1, ..any_scene(0, 65_536, 1) };
+    let mut still = any_scene(40, 1, 2);
+    still.info.num_timesteps = 65_536;
+    still.varies = [false; 5];
+    still.segment_length = 1;
+    still.layers = vec![1; 40];
+    for scene in [empty, still] {
+        let file = encode(&scene);
+        assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
+        assert_eq!(open(&file).num_segments(), 1);
+        assert!(events(&[&file]).len() < 100);
+    }
+}
+
+#[test]
+fn threads_do_not_matter_when_decoding() {
+    let scene = scenes::room(900, 30);
+    let settings = CompressSettings { segment_length: 7, ..Default::default() };
+    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings);
+    let run = |num_threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().unwrap();
+        pool.install(|| {
+            let file = encode(&compact);
+            let decoded = decode(&file, &DecodeLimits::default()).unwrap();
+            assert_eq!(decoded, compact);
+            (file, decoded.at(12))
+        })
+    };
+    assert_eq!(run(1), run(5));
+}
+
+#[test]
+fn a_segment_needs_few_of_the_bytes() {
+    let scene = scenes::room(3000, 60);
+    let settings = CompressSettings { segment_length: 10, ..Default::default() };
+    let compact = compress(&scene, &scenes::mixed_widths(3000), None, SceneInfo::of(&scene), &settings);
+    let file = encode(&compact);
+    let archive = open(&file);
+    let all = archive.num_layers();
+    let segments: u64 = (0..6).map(|s| archive.segment_range(s, all)).map(|r| r.end - r.start).sum();
+    let shared = archive.shared_range(all);
+    assert_eq!(shared.end + segments, file.len() as u64);
+    let coarse = archive.shared_range(1);
+    assert!(coarse.end - coarse.start < (shared.end - shared.start) / 5);
+}
