@@ -132,8 +132,6 @@ fn machine_readable(info: &FileInfo) -> Value {
         "bytes": info.bytes,
         "bytes_by_attribute": by_attribute(&|a| json!(bytes[a])),
         "segments": segments,
-        "layers": info.layers,
-        "bounds": info.bounds,
         "bits_histogram": contents.map(|c| by_attribute(&|a| histogram(c, a))),
         "keypoints_mean": contents.map(|c| by_attribute(&|a| json!(c.keypoints_mean[a]))),
         "checksums_ok": info.checksums_ok(),

@@ -221,7 +221,9 @@ fn a_run_goes_to_params_npz_and_from_there_to_a_file() {
 
     // With 16 bits and every timestep, what comes back is what was exported, in another order.
     let precise = path("precise.tcgs");
-    let said = succeed(&["compress", text(&params), "--bits", "16,16", "--no-keypoints", "--out", text(&precise)]);
+    let bits = ["--bits", "16,16", "--position-bits", "16"];
+    let given = ["compress", text(&params), "--no-keypoints", "--out", text(&precise)];
+    let said = succeed(&[&given[..], &bits].concat());
     assert!(said.contains("bits: 16 for every parameter") && !said.contains("keypoints  "), "{said}");
     let back = path("back.npz");
     succeed(&["export", text(&precise), "--to", text(&back)]);
