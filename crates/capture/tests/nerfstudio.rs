@@ -128,7 +128,8 @@ fn lenses_and_sizes_may_differ() {
             frame["camera_model"] = json!("OPENCV");
         }
     }
-    let capture = Capture::open(write(&mixed).path()).unwrap();
+    let folder = write(&mixed);
+    let capture = Capture::open(folder.path()).unwrap();
     let views = capture.views(Split::Train, 1, 1).unwrap();
     let [bent, straight] = [3, 4].map(|id| views.iter().find(|view| view.camera_id == id).unwrap());
     assert_eq!((straight.camera.width, straight.image.width), (32, 32));

@@ -160,7 +160,8 @@ fn beercan_opens() {
     assert_eq!((capture.kind(), capture.num_frames()), (CaptureKind::Colmap, 1));
     let views = capture.views(Split::All, 0, 1).unwrap();
     assert_eq!((views.len(), capture.cameras(Split::Test, 0, 1).unwrap().len()), (71, 9));
-    assert_in_place(&views[..6], &capture.point_cloud().unwrap(), 0.05);
+    // Points that others hide count as well.
+    assert_in_place(&views[..6], &capture.point_cloud().unwrap(), 0.08);
 
     // The same poses as LLFF writes them.
     let llff = tempfile::tempdir().unwrap();
