@@ -20,20 +20,18 @@ export class CameraPath {
     const after = keys.filter((key) => key.timestep <= timestep).length;
     const key = keys[Math.max(0, after - 1)];
     if (after === 0 || after === keys.length || key.timestep === timestep) return resized(key.camera, width, height);
-    const [t0, t1] = [key.timestep, keys[after].timestep];
     const numbers = keys.map((k) => numbersOf(k.camera));
-    const slopes = (index) => {
-      const [a, b] = [Math.max(0, index - 1), Math.min(keys.length - 1, index + 1)];
-      return numbers[a].map((from, i) => (numbers[b][i] - from) / (keys[b].timestep - keys[a].timestep));
-    };
+    const times = keys.map((k) => k.timestep);
+    const slopes = (index) => numbers[index].map((_, i) => slope(times, numbers.map((n) => n[i]), index));
     const [from, to, fromSlope, toSlope] = [numbers[after - 1], numbers[after], slopes(after - 1), slopes(after)];
-    const [span, s] = [t1 - t0, (timestep - t0) / (t1 - t0)];
+    const h = times[after] - times[after - 1];
+    const s = (timestep - key.timestep) / h;
     const mixed = from.map(
       (x, i) =>
         (2 * s ** 3 - 3 * s ** 2 + 1) * x +
-        (s ** 3 - 2 * s ** 2 + s) * span * fromSlope[i] +
+        (s ** 3 - 2 * s ** 2 + s) * h * fromSlope[i] +
         (3 * s ** 2 - 2 * s ** 3) * to[i] +
-        (s ** 3 - s ** 2) * span * toSlope[i],
+        (s ** 3 - s ** 2) * h * toSlope[i],
     );
     return cameraOf(mixed, width, height);
   }
@@ -106,6 +104,22 @@ function cameraOf(numbers, width, height) {
     cy: cy * height,
     cameraFromWorld: [...row(x), ...row(y), ...row(z), 0, 0, 0, 1],
   };
+}
+
+/**
+ * Of values at times, at one of these times: of the parabola through it and its neighbours, at an end the two nearest;
+ * of two values, of the line.
+ */
+function slope(times, values, index) {
+  if (times.length === 2) return (values[1] - values[0]) / (times[1] - times[0]);
+  const first = Math.min(Math.max(0, index - 1), times.length - 3);
+  const [[t0, t1, t2], [x0, x1, x2]] = [times, values].map((list) => list.slice(first, first + 3));
+  const t = times[index];
+  return (
+    (x0 * (2 * t - t1 - t2)) / ((t0 - t1) * (t0 - t2)) +
+    (x1 * (2 * t - t0 - t2)) / ((t1 - t0) * (t1 - t2)) +
+    (x2 * (2 * t - t0 - t1)) / ((t2 - t0) * (t2 - t1))
+  );
 }
 
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];

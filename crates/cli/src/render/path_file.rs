@@ -72,8 +72,8 @@ impl PathFile {
 
     /// The camera at a timestep, in pictures of a size; before the first view and after the last it stands still.
     ///
-    /// Position, axes and intrinsics follow cubic Hermite splines whose slope at a view is that of the line from the
-    /// view before to the one after; the axes are made orthonormal again. The player's page computes the same.
+    /// Position, axes and intrinsics follow cubic Hermite splines whose slope at a view is that of a parabola
+    /// through it and its neighbours; the axes are made orthonormal again. The player's page computes the same.
     ///
     /// - `size`: the first view's where none is given; the vertical field of view stays, pixels are square
     pub fn camera(&self, timestep: f64, size: Option<Size>) -> Camera {
@@ -102,11 +102,23 @@ impl PathFile {
         numbers_of(&self.keys[key].1)
     }
 
+    /// Of the parabola through the view and its neighbours, at an end the two nearest; of two views, of the line.
     fn slopes(&self, key: usize) -> [f64; NUMBERS] {
-        let (before, after) = (key.saturating_sub(1), (key + 1).min(self.keys.len() - 1));
-        let (from, to) = (self.numbers(before), self.numbers(after));
-        let span = self.keys[after].0 - self.keys[before].0;
-        std::array::from_fn(|i| if span > 0.0 { (to[i] - from[i]) / span } else { 0.0 })
+        let count = self.keys.len();
+        if count == 2 {
+            let (from, to, span) = (self.numbers(0), self.numbers(1), self.keys[1].0 - self.keys[0].0);
+            return std::array::from_fn(|i| (to[i] - from[i]) / span);
+        }
+        let first = key.saturating_sub(1).min(count - 3);
+        let [t0, t1, t2] = [0, 1, 2].map(|i| self.keys[first + i].0);
+        let at = self.keys[key].0;
+        let weights = [
+            (2.0 * at - t1 - t2) / ((t0 - t1) * (t0 - t2)),
+            (2.0 * at - t0 - t2) / ((t1 - t0) * (t1 - t2)),
+            (2.0 * at - t0 - t1) / ((t2 - t0) * (t2 - t1)),
+        ];
+        let points = [0, 1, 2].map(|i| self.numbers(first + i));
+        std::array::from_fn(|i| (0..3).map(|k| weights[k] * points[k][i]).sum())
     }
 }
 
