@@ -19,8 +19,8 @@ export class CameraPath {
     const keys = this.keys;
     const after = keys.filter((key) => key.timestep <= timestep).length;
     const key = keys[Math.max(0, after - 1)];
-    if (after === 0 || after === keys.length || key.timestep === timestep) return resized(key.camera, width, height);
-    const numbers = keys.map((k) => numbersOf(k.camera));
+    if (after === 0 || after === keys.length || key.timestep === timestep) return fitted(key.camera, width, height);
+    const numbers = keys.map((k) => numbersOf(fitted(k.camera, width, height)));
     const times = keys.map((k) => k.timestep);
     const slopes = (index) => numbers[index].map((_, i) => slope(times, numbers.map((n) => n[i]), index));
     const [from, to, fromSlope, toSlope] = [numbers[after - 1], numbers[after], slopes(after - 1), slopes(after)];
@@ -76,16 +76,25 @@ export function checkCamera(camera) {
   }
 }
 
-/** The same view in a picture of another size: the vertical field of view stays, pixels are square. */
-export function resized(camera, width, height) {
+/** The same view in a picture of another size: square pixels, and all that it shows is shown. */
+export function fitted(camera, width, height) {
   if (camera.width === width && camera.height === height) return camera;
-  return { ...cameraOf(numbersOf(camera), width, height), cameraFromWorld: camera.cameraFromWorld };
+  const scale = Math.min(width / camera.width, height / camera.height);
+  return {
+    width,
+    height,
+    fx: scale * camera.fx,
+    fy: scale * camera.fy,
+    cx: width / 2 + scale * (camera.cx - camera.width / 2),
+    cy: height / 2 + scale * (camera.cy - camera.height / 2),
+    cameraFromWorld: camera.cameraFromWorld,
+  };
 }
 
-/** Centre, forward and down axis; focal lengths in image heights, principal point in image sizes. */
-function numbersOf({ width, height, fx, fy, cx, cy, cameraFromWorld: m }) {
+/** Centre, forward and down axis, focal lengths, principal point. */
+function numbersOf({ fx, fy, cx, cy, cameraFromWorld: m }) {
   const center = [0, 1, 2].map((j) => -(m[j] * m[3] + m[4 + j] * m[7] + m[8 + j] * m[11]));
-  return [...center, ...m.slice(8, 11), ...m.slice(4, 7), fx / height, fy / height, cx / width, cy / height];
+  return [...center, ...m.slice(8, 11), ...m.slice(4, 7), fx, fy, cx, cy];
 }
 
 function cameraOf(numbers, width, height) {
@@ -95,15 +104,7 @@ function cameraOf(numbers, width, height) {
   const y = cross(z, x);
   const row = (axis) => [...axis, -(axis[0] * center[0] + axis[1] * center[1] + axis[2] * center[2])];
   const [fx, fy, cx, cy] = numbers.slice(9);
-  return {
-    width,
-    height,
-    fx: fx * height,
-    fy: fy * height,
-    cx: cx * width,
-    cy: cy * height,
-    cameraFromWorld: [...row(x), ...row(y), ...row(z), 0, 0, 0, 1],
-  };
+  return { width, height, fx, fy, cx, cy, cameraFromWorld: [...row(x), ...row(y), ...row(z), 0, 0, 0, 1] };
 }
 
 /**

@@ -4,7 +4,7 @@
 const TURN = Math.PI;
 /** A key held turns by so many radians a second. */
 const KEY_TURN = 1.2;
-/** A key held moves by so many canvas heights, or flies by so many of the engine's units, a second. */
+/** A key held moves by so many canvas heights, or flies by so many distances of the start view, a second. */
 const KEY_MOVE = 0.6;
 const KEY_ZOOM = 1.8;
 
@@ -16,10 +16,10 @@ const HELD = {
   KeyD: ["fly", KEY_MOVE, 0, 0],
   KeyQ: ["fly", 0, KEY_MOVE, 0],
   KeyE: ["fly", 0, -KEY_MOVE, 0],
-  ArrowLeft: ["orbit", KEY_TURN, 0],
-  ArrowRight: ["orbit", -KEY_TURN, 0],
-  ArrowUp: ["orbit", 0, KEY_TURN],
-  ArrowDown: ["orbit", 0, -KEY_TURN],
+  ArrowLeft: ["orbit", -KEY_TURN, 0],
+  ArrowRight: ["orbit", KEY_TURN, 0],
+  ArrowUp: ["orbit", 0, -KEY_TURN],
+  ArrowDown: ["orbit", 0, KEY_TURN],
 };
 
 /** @param {import("./player.js").Player} player */

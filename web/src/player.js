@@ -2,7 +2,7 @@
 
 import init, { Viewer } from "./engine/tcgs_play.js";
 import { AdaptiveResolution } from "./resolution.js";
-import { CameraPath, checkCamera, resized } from "./camera_path.js";
+import { CameraPath, checkCamera } from "./camera_path.js";
 
 /** So long after the last change all pixels are drawn. */
 const SETTLE_MS = 200;
@@ -99,11 +99,7 @@ export class Player extends EventTarget {
   }
 
   play() {
-    this.#do((viewer) => {
-      const last = this.info.numTimesteps - 1;
-      if (!this.loop && this.state?.timestep >= last) viewer.seek(0);
-      viewer.play();
-    });
+    this.#do((viewer) => viewer.play());
   }
 
   pause() {
@@ -120,10 +116,7 @@ export class Player extends EventTarget {
   }
 
   step(count) {
-    this.#do((viewer) => {
-      viewer.pause();
-      viewer.step(count);
-    });
+    this.#do((viewer) => viewer.step(count));
   }
 
   setSpeed(speed) {
@@ -148,11 +141,11 @@ export class Player extends EventTarget {
     return this.info && this.#viewer.camera();
   }
 
-  /** Shows what a camera sees; in a window of another shape its vertical field of view. */
+  /** Shows what a camera sees; in a window of another shape, more. */
   setCamera(camera) {
     checkCamera(camera);
     this.following = false;
-    this.#do((viewer) => viewer.setCamera(this.#fitted(camera)));
+    this.#do((viewer) => viewer.setCamera(camera));
     this.#tell("change");
   }
 
@@ -263,9 +256,5 @@ export class Player extends EventTarget {
     this.#canvas.width = width;
     this.#canvas.height = height;
     this.#viewer.resize(width, height);
-  }
-
-  #fitted(camera) {
-    return resized(camera, this.#canvas.width, this.#canvas.height);
   }
 }

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { CameraPath, checkCamera, resized } from "../src/camera_path.js";
+import { CameraPath, checkCamera, fitted } from "../src/camera_path.js";
 import { explain } from "../src/failures.js";
 import { readParams } from "../src/params.js";
 import { AdaptiveResolution } from "../src/resolution.js";
@@ -108,9 +108,11 @@ test("a path comes back from its file, and nothing else does", () => {
   }
 });
 
-test("a view keeps its vertical field in another window", () => {
-  const wide = resized(camera(0), 400, 120);
+test("a view shows all that it shows in another window, too", () => {
+  const wide = fitted(camera(0), 400, 120);
   assert.deepEqual([wide.fx, wide.fy, wide.cx, wide.cy], [160, 160, 200, 60]);
+  const tall = fitted(camera(0), 50, 120);
+  assert.deepEqual([tall.fx, tall.fy, tall.cx, tall.cy], [40, 40, 25, 60]);
   assert.throws(() => checkCamera({ ...camera(0), cameraFromWorld: [1] }), /16 numbers/);
   assert.throws(() => checkCamera({ ...camera(0), fx: -1 }), /camera needs/);
 });

@@ -72,22 +72,22 @@ impl PathFile {
 
     /// The camera at a timestep, in pictures of a size; before the first view and after the last it stands still.
     ///
-    /// Position, axes and intrinsics follow cubic Hermite splines whose slope at a view is that of a parabola
-    /// through it and its neighbours; the axes are made orthonormal again. The player's page computes the same.
+    /// Position, axes and intrinsics follow cubic Hermite splines whose slope at a view is that of a parabola through it
+    /// and its neighbours; the axes are made orthonormal again. The player's page computes the same.
     ///
-    /// - `size`: the first view's where none is given; the vertical field of view stays, pixels are square
+    /// - `size`: the first view's where none is given; of another shape, all that a view shows is shown
     pub fn camera(&self, timestep: f64, size: Option<Size>) -> Camera {
         let (_, first) = &self.keys[0];
         let size = size.unwrap_or(Size { width: first.width, height: first.height });
         let after = self.keys.partition_point(|(t, _)| *t <= timestep);
         let key = &self.keys[after.saturating_sub(1)];
         if after == 0 || after == self.keys.len() || key.0 == timestep {
-            return sized(&key.1, size);
+            return fitted(&key.1, size);
         }
-        let (t0, t1) = (key.0, self.keys[after].0);
-        let (from, to) = (self.numbers(after - 1), self.numbers(after));
-        let (from_slope, to_slope) = (self.slopes(after - 1), self.slopes(after));
-        let (span, s) = (t1 - t0, (timestep - t0) / (t1 - t0));
+        let (from, to) = (self.numbers(after - 1, size), self.numbers(after, size));
+        let (from_slope, to_slope) = (self.slopes(after - 1, size), self.slopes(after, size));
+        let span = self.keys[after].0 - key.0;
+        let s = (timestep - key.0) / span;
         let (s2, s3) = (s * s, s * s * s);
         let mixed: [f64; NUMBERS] = std::array::from_fn(|i| {
             (2.0 * s3 - 3.0 * s2 + 1.0) * from[i]
@@ -98,15 +98,15 @@ impl PathFile {
         camera_of(&mixed, size)
     }
 
-    fn numbers(&self, key: usize) -> [f64; NUMBERS] {
-        numbers_of(&self.keys[key].1)
+    fn numbers(&self, key: usize, size: Size) -> [f64; NUMBERS] {
+        numbers_of(&fitted(&self.keys[key].1, size))
     }
 
     /// Of the parabola through the view and its neighbours, at an end the two nearest; of two views, of the line.
-    fn slopes(&self, key: usize) -> [f64; NUMBERS] {
+    fn slopes(&self, key: usize, size: Size) -> [f64; NUMBERS] {
         let count = self.keys.len();
         if count == 2 {
-            let (from, to, span) = (self.numbers(0), self.numbers(1), self.keys[1].0 - self.keys[0].0);
+            let (from, to, span) = (self.numbers(0, size), self.numbers(1, size), self.keys[1].0 - self.keys[0].0);
             return std::array::from_fn(|i| (to[i] - from[i]) / span);
         }
         let first = key.saturating_sub(1).min(count - 3);
@@ -117,24 +117,19 @@ impl PathFile {
             (2.0 * at - t0 - t2) / ((t1 - t0) * (t1 - t2)),
             (2.0 * at - t0 - t1) / ((t2 - t0) * (t2 - t1)),
         ];
-        let points = [0, 1, 2].map(|i| self.numbers(first + i));
+        let points = [0, 1, 2].map(|i| self.numbers(first + i, size));
         std::array::from_fn(|i| (0..3).map(|k| weights[k] * points[k][i]).sum())
     }
 }
 
-/// What is interpolated of a camera: centre, forward and down axis; focal lengths in image heights; principal point
-/// in image sizes.
+/// What is interpolated of a camera: centre, forward and down axis, focal lengths, principal point.
 const NUMBERS: usize = 13;
 
 fn numbers_of(camera: &Camera) -> [f64; NUMBERS] {
-    let [cx, cy, cz] = camera.center();
+    let [x, y, z] = camera.center();
     let [_, down, forward, _] = camera.camera_from_world;
-    let (width, height) = (camera.width as f64, camera.height as f64);
-    let [fx, fy] = camera.focal.map(|focal| focal / height);
-    let principal = [camera.principal[0] / width, camera.principal[1] / height];
-    [
-        cx, cy, cz, forward[0], forward[1], forward[2], down[0], down[1], down[2], fx, fy, principal[0], principal[1],
-    ]
+    let ([fx, fy], [cx, cy]) = (camera.focal, camera.principal);
+    [x, y, z, forward[0], forward[1], forward[2], down[0], down[1], down[2], fx, fy, cx, cy]
 }
 
 fn camera_of(numbers: &[f64; NUMBERS], size: Size) -> Camera {
@@ -146,21 +141,31 @@ fn camera_of(numbers: &[f64; NUMBERS], size: Size) -> Camera {
     let x = normalize(cross(vector(6), z));
     let y = cross(z, x);
     let row = |axis: [f64; 3]| [axis[0], axis[1], axis[2], -dot(axis, center)];
-    let (width, height) = (size.width as f64, size.height as f64);
+    let &[.., fx, fy, cx, cy] = numbers;
     Camera {
         width: size.width,
         height: size.height,
-        focal: [numbers[9] * height, numbers[10] * height],
-        principal: [numbers[11] * width, numbers[12] * height],
+        focal: [fx, fy],
+        principal: [cx, cy],
         camera_from_world: [row(x), row(y), row(z), [0.0, 0.0, 0.0, 1.0]],
     }
 }
 
-fn sized(camera: &Camera, size: Size) -> Camera {
-    if (camera.width, camera.height) == (size.width, size.height) {
+/// The same view in a picture of another size: square pixels, and all that it shows is shown.
+fn fitted(camera: &Camera, size: Size) -> Camera {
+    let (from, to) = ([camera.width, camera.height], [size.width, size.height]);
+    if from == to {
         return camera.clone();
     }
-    Camera { camera_from_world: camera.camera_from_world, ..camera_of(&numbers_of(camera), size) }
+    let scale = (0..2).map(|i| to[i] as f64 / from[i] as f64).fold(f64::INFINITY, f64::min);
+    let principal = |i: usize| to[i] as f64 / 2.0 + scale * (camera.principal[i] - from[i] as f64 / 2.0);
+    Camera {
+        width: size.width,
+        height: size.height,
+        focal: camera.focal.map(|focal| scale * focal),
+        principal: [principal(0), principal(1)],
+        camera_from_world: camera.camera_from_world,
+    }
 }
 
 #[cfg(test)]
@@ -212,9 +217,11 @@ mod tests {
     }
 
     #[test]
-    fn another_size_keeps_the_vertical_field_of_view() {
+    fn another_size_shows_all_that_a_view_shows() {
         let wide = path().camera(2.0, Some(Size { width: 400, height: 120 }));
         assert_eq!((wide.focal, wide.principal), ([160.0; 2], [200.0, 60.0]));
+        let tall = path().camera(2.0, Some(Size { width: 50, height: 120 }));
+        assert_eq!((tall.focal, tall.principal), ([40.0; 2], [25.0, 60.0]));
         assert_eq!(wide.camera_from_world, path().keys[0].1.camera_from_world);
     }
 
