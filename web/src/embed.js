@@ -57,7 +57,7 @@ export function listenToEmbedder(player) {
   player.addEventListener("frame", () => {
     const { state } = player;
     if (state.playing !== playing) tell({ event: state.playing ? "play" : "pause" });
-    if (state.timestep !== timestep) tell({ event: "timestep", detail: { timestep: state.timestep, time: state.time } });
+    if (state.timestep !== timestep) tell({ event: "timestep", detail: { timestep: state.timestep } });
     ({ playing, timestep } = state);
   });
   tell({ event: "ready" });

@@ -209,7 +209,8 @@ export class Player extends EventTarget {
   #tick = (now) => {
     requestAnimationFrame(this.#tick);
     if (!this.info || this.#stopped) return;
-    const moving = this.state === null || this.playing || this.state.buffering || now - this.#changed < SETTLE_MS;
+    const incomplete = this.state === null || this.state.buffering || !this.state.drawn;
+    const moving = incomplete || this.playing || now - this.#changed < SETTLE_MS;
     if (!moving && this.#settled) return this.#rest();
     const fixed = this.#options.quality === "fixed";
     if (!fixed && moving && this.#last !== null) this.#resolution.frame(now - this.#last);

@@ -85,7 +85,7 @@ export class TcgsPlayer extends EventTarget {
     return this.#ask("camera");
   }
 
-  /** Of the last frame: `{time, timestep, playing, buffering, …}`. */
+  /** Of the last frame: `{timestep, playing, buffering, gaussians, bytesLoaded, width, height, …}`. */
   state() {
     return this.#ask("state");
   }

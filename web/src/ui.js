@@ -168,10 +168,9 @@ export function statistics(player) {
     const now = performance.now();
     if (element("stats").hidden || (player.rate !== null && now - last < 250)) return;
     last = now;
-    const { drawn, gaussians, bytesLoaded, width, height } = player.state;
-    const count = (n) => n.toLocaleString("en").replaceAll(",", "\u202f");
+    const { gaussians, bytesLoaded, width, height } = player.state;
     element("stat-rate").textContent = player.rate === null ? "resting" : player.rate.toFixed(0);
-    element("stat-drawn").textContent = drawn === undefined ? count(gaussians) : `${count(drawn)} of ${count(gaussians)}`;
+    element("stat-drawn").textContent = gaussians.toLocaleString("en").replaceAll(",", "\u202f"); // thin spaces
     element("stat-bytes").textContent = `${showBytes(bytesLoaded)} of ${showBytes(player.info.bytes)}`;
     element("stat-size").textContent = `${width} × ${height}`;
   });
