@@ -34,13 +34,10 @@ shortcuts(player, {
 });
 listenToEmbedder(player);
 
-/** Of the first scene alone: where the address says to start. */
+/** The first scene alone starts where the address says. */
 let starting = true;
 player.addEventListener("load", () => {
-  if (starting) {
-    if (params.view !== null && params.view < player.info.cameras.length) player.useCamera(params.view);
-    player.seek(params.timestep);
-  }
+  if (starting && params.view !== null && params.view < player.info.cameras.length) player.useCamera(params.view);
   if (params.autoplay && player.info.numTimesteps > 1) player.play();
   starting = false;
 });
@@ -82,5 +79,5 @@ window.addEventListener("drop", (event) => {
 });
 
 const source = params.src ?? document.querySelector("meta[name=tcgs-src]").content;
-if (source) player.open(source);
+if (source) player.open(source, params.timestep);
 else showCard("welcome");

@@ -8,7 +8,7 @@ import { CameraPath, checkCamera } from "./camera_path.js";
 const SETTLE_MS = 200;
 
 /**
- * Events: `opening`, `load` (a scene is there), `frame` (one was drawn; its state is `player.state`), `change`
+ * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (a scene is there), `frame` (one was drawn; its state is `player.state`), `change`
  * (settings, playing, or the path), `failure` (`detail`: the error).
  */
 export class Player extends EventTarget {
@@ -28,14 +28,19 @@ export class Player extends EventTarget {
   #options;
   #viewer = null;
   #starting = null;
-  #opening = 0;
+  #opening = false;
+  /** Counts scenes: one that was replaced while it was opened is forgotten. */
+  #turn = 0;
   #source = null;
   #resolution = new AdaptiveResolution();
   #changed = 0;
   #settled = false;
   #last = null;
+  /** Asked of the engine, which sets the canvas to that, or to the most that the device can. */
+  #size = [0, 0];
   #times = [];
   #stopped = false;
+  #capturing = false;
 
   /** @param {{quality: "auto" | "fixed", dpr: number | null}} options */
   constructor(canvas, options) {
@@ -55,11 +60,15 @@ export class Player extends EventTarget {
     return this.#source;
   }
 
-  /** Opens a scene: an address or a file. Resolves with the first picture; failures are told, not thrown. */
-  async open(given) {
+  /**
+   * Opens a scene, an address or a file, at a timestep. Resolves with the first picture to whether there is one; failures
+   * are told, not thrown.
+   */
+  async open(given, timestep = 0) {
     const source = typeof given === "string" ? new URL(given, location.href).href : given;
-    const turn = ++this.#opening;
+    const turn = ++this.#turn;
     this.#source = source;
+    this.#opening = true;
     this.info = null;
     this.state = null;
     this.path = new CameraPath();
@@ -67,8 +76,9 @@ export class Player extends EventTarget {
     this.#tell("opening");
     try {
       const viewer = await this.#start();
-      await viewer.open(source);
-      if (turn !== this.#opening) return false;
+      await viewer.open(source, timestep);
+      if (turn !== this.#turn) return false;
+      this.#opening = false;
       this.info = viewer.info();
       viewer.setLoop(this.loop);
       viewer.setSpeed(this.speed);
@@ -77,7 +87,7 @@ export class Player extends EventTarget {
       this.#tell("load");
       return true;
     } catch (error) {
-      if (turn === this.#opening) this.#fail(error);
+      if (turn === this.#turn) this.#fail(error);
       return false;
     }
   }
@@ -173,15 +183,18 @@ export class Player extends EventTarget {
     this.#tell("change");
   }
 
-  /** The next frame at all pixels: `{width, height, data}`, RGBA. */
+  /** What shows, at all pixels: `{width, height, data}`, RGBA. */
   async capture() {
-    this.#resize(1);
-    const taken = this.#viewer.capture();
-    this.#draw(performance.now());
-    const { width, height } = this.#canvas;
-    const data = await taken;
-    this.touch();
-    return { width, height, data };
+    this.#capturing = true;
+    try {
+      this.#resize(1);
+      const { width, height } = this.#canvas;
+      const data = await this.#viewer.capture();
+      return { width, height, data };
+    } finally {
+      this.#capturing = false;
+      this.touch();
+    }
   }
 
   /** Something will look different. */
@@ -202,23 +215,35 @@ export class Player extends EventTarget {
 
   #fail(error) {
     this.info = null;
+    this.#opening = false;
     if (error?.code === "device-lost") this.#stopped = true;
     this.#tell("failure", error);
   }
 
   #tick = (now) => {
     requestAnimationFrame(this.#tick);
-    if (!this.info || this.#stopped) return;
+    if (this.#stopped) return;
+    if (this.#opening && this.#viewer) return this.#watch(now);
+    if (!this.info) return;
     const incomplete = this.state === null || this.state.buffering || !this.state.drawn;
     const moving = incomplete || this.playing || now - this.#changed < SETTLE_MS;
     if (!moving && this.#settled) return this.#rest();
-    const fixed = this.#options.quality === "fixed";
+    const fixed = this.#options.quality === "fixed" || this.#capturing;
     if (!fixed && moving && this.#last !== null) this.#resolution.frame(now - this.#last);
     this.#resize(fixed || !moving ? 1 : this.#resolution.scale);
     this.#settled = !moving;
     this.#last = now;
     this.#draw(now);
   };
+
+  /** Frames bring a scene in, too, and tell how far it is. */
+  #watch(now) {
+    try {
+      this.#tell("progress", this.#viewer.frame(now).bytesLoaded);
+    } catch (error) {
+      this.#fail(error);
+    }
+  }
 
   /** Nothing moves, and the picture is complete: no power is spent. */
   #rest() {
@@ -253,9 +278,8 @@ export class Player extends EventTarget {
     const ratio = this.#options.dpr ?? window.devicePixelRatio;
     const side = (css) => Math.max(1, Math.round(css * ratio * scale));
     const [width, height] = [side(this.#canvas.clientWidth), side(this.#canvas.clientHeight)];
-    if (this.#canvas.width === width && this.#canvas.height === height && this.state) return;
-    this.#canvas.width = width;
-    this.#canvas.height = height;
+    if (this.#size[0] === width && this.#size[1] === height) return;
+    this.#size = [width, height];
     this.#viewer.resize(width, height);
   }
 }

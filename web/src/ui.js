@@ -46,14 +46,14 @@ export function save(name, blob) {
 
 /** @param {import("./player.js").Player} player */
 export function cards(player, { choose }) {
-  const opened = (source, name) => {
-    element("loading-text").textContent = `Opening ${name}`;
-    showCard("loading");
-  };
   player.addEventListener("opening", () => {
     document.body.classList.remove("has-scene");
     for (const id of ["dock", "name", "stats"]) element(id).hidden = true;
-    opened(player.source, nameOf(player.source));
+    element("loading-text").textContent = `Opening ${nameOf(player.source)}`;
+    showCard("loading");
+  });
+  player.addEventListener("progress", ({ detail }) => {
+    if (detail > 0) element("loading-text").textContent = `Opening ${nameOf(player.source)}: ${showBytes(detail)}`;
   });
   player.addEventListener("load", () => {
     const { info } = player;
@@ -76,7 +76,7 @@ export function cards(player, { choose }) {
     element("failure-retry").hidden = !again;
     element("failure-open").hidden = ["no-webgpu", "insecure", "device-lost"].includes(failure.code);
     document.body.classList.remove("has-scene", "idle");
-    for (const id of ["dock", "name", "stats", "progress"]) element(id).hidden = true;
+    for (const id of ["dock", "name", "stats"]) element(id).hidden = true;
     showCard("failure");
     element("failure").querySelector("button:not([hidden])")?.focus();
   });
