@@ -2,6 +2,7 @@
 
 mod device;
 mod kernel;
+mod open;
 mod profiler;
 mod radix;
 mod rasterizer;
@@ -9,8 +10,9 @@ mod renderer;
 mod source;
 mod timing;
 
-pub use device::{Gpu, GpuChoice, GpuError, GpuInfo, Staged};
+pub use device::{Gpu, GpuError, GpuInfo, Staged};
 pub use kernel::{Bound, Kernel, MAX_GROUPS_X, MAX_THREADS, WORKGROUP};
+pub use open::GpuChoice;
 pub use profiler::RenderProfiler;
 pub use radix::{Dispatch, Radix, SORT_BLOCK};
 pub use rasterizer::{GpuRasterizer, GpuSaved};

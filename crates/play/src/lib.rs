@@ -1,0 +1,4 @@
+//! The player of `.tcgs` scenes.
+
+#[cfg(target_family = "wasm")]
+mod web;
