@@ -15,7 +15,7 @@ pub use kernel::{Bound, Kernel, MAX_GROUPS_X, MAX_THREADS, WORKGROUP};
 pub use open::GpuChoice;
 pub use profiler::RenderProfiler;
 pub use radix::{Dispatch, Radix, SORT_BLOCK};
-pub use rasterizer::{GpuRasterizer, GpuSaved};
+pub use rasterizer::{GpuRasterizer, GpuSaved, pack};
 pub use renderer::{Capacity, GpuRenderer, RenderBuffers};
 pub use source::{BUCKET, TILE, source, sources};
 pub use timing::StageTimer;

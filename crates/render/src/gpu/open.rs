@@ -92,14 +92,14 @@ impl Gpu {
 
     /// Opens the browser's GPU for a canvas; with larger buffers than every browser allows where it has them.
     ///
-    /// - returns: the GPU, and the canvas' surface, not configured yet
+    /// - returns: the GPU, the canvas' surface, not configured yet, and the format that suits it best
     ///
     /// # Errors
     /// [`GpuError::NotFound`] if there is no WebGPU, [`GpuError::Unfit`] if it cannot run the shaders.
     #[cfg(target_family = "wasm")]
     pub async fn of_canvas(
         canvas: wgpu::web_sys::HtmlCanvasElement,
-    ) -> Result<(Self, wgpu::Surface<'static>), GpuError> {
+    ) -> Result<(Self, wgpu::Surface<'static>, wgpu::TextureFormat), GpuError> {
         let missing = |found: String| GpuError::NotFound { wanted: "through WebGPU".into(), found };
         let instance = instance();
         let surface = instance
@@ -111,8 +111,11 @@ impl Gpu {
             ..Default::default()
         };
         let adapter = instance.request_adapter(&options).await.map_err(|_| missing("none".into()))?;
+        // Colours are stored as displayed: nothing is to encode them.
+        let formats = surface.get_capabilities(&adapter).formats;
+        let format = formats.into_iter().find(|format| !format.is_srgb()).unwrap_or(wgpu::TextureFormat::Bgra8Unorm);
         let limits = adapter.limits();
-        Ok((Self::of_adapter(&adapter, Purpose::Viewing, limits).await?, surface))
+        Ok((Self::of_adapter(&adapter, Purpose::Viewing, limits).await?, surface, format))
     }
 
     async fn of_adapter(
