@@ -281,12 +281,14 @@ impl Archive {
     pub fn read_segment(&self, segment: usize, bytes: &[u8]) -> Result<Segment, DecodeError> {
         assert!(segment < self.num_segments(), "segment {segment} of {}", self.num_segments());
         let mut reader = SegmentReader::new(self, segment);
+        // Segments come and go: each may take what is left beside the shared layers.
+        let budget = self.budget.fork();
         let start = self.segment_range(segment, 0).start;
         for layer in 0..self.layers_read {
             if self.segment_range(segment, layer + 1).end - start > bytes.len() as u64 {
                 break;
             }
-            reader.read(self, start, bytes)?;
+            reader.read(self, start, bytes, &budget)?;
         }
         Ok(reader.finish(self))
     }
@@ -397,7 +399,13 @@ impl SegmentReader {
     /// Reads the next layer.
     ///
     /// - `bytes`: from `offset` of the file
-    pub(super) fn read(&mut self, archive: &Archive, offset: u64, bytes: &[u8]) -> Result<(), DecodeError> {
+    pub(super) fn read(
+        &mut self,
+        archive: &Archive,
+        offset: u64,
+        bytes: &[u8],
+        budget: &Budget,
+    ) -> Result<(), DecodeError> {
         let sections = archive.sections(archive.num_layers() * (1 + self.segment) + self.layers, offset, bytes)?;
         let jobs = self.attributes.iter_mut().zip(sections).collect();
         let results = parallel::map(jobs, |((attribute, models, units), mut cursor)| {
@@ -410,7 +418,7 @@ impl SegmentReader {
                 layer: archive.head.layer(self.layers),
                 span: archive.head.span(self.segment),
                 num_timesteps: archive.head.num_timesteps(),
-                budget: &archive.budget,
+                budget,
             };
             let mut decoder = SymbolDecoder::new(cursor.rest());
             match models.code(&mut decoder, &place, motion, None, units) {
