@@ -64,7 +64,6 @@ fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
         rate => format!("frame rate    {rate} a second"),
     })?;
     say(&format!("downscale     {}", scene.downscale))?;
-    say(&format!("cameras       {}", scene.cameras.len()))?;
     let (raw, plain) = (contents.raw_bytes, contents.plain_bytes);
     say(&format!("as floats     {} ({:.1} times as much)", show_bytes(raw), raw as f64 / info.bytes as f64))?;
     say(&format!("not packed    {} ({:.1} times as much)", show_bytes(plain), plain as f64 / info.bytes as f64))?;

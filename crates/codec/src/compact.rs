@@ -9,7 +9,6 @@ use crate::bits::BitMap;
 use crate::keypoints::{lerp, locate};
 use crate::parallel;
 use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
-use crate::scene_camera::SceneCamera;
 
 /// Most timesteps of a scene: a keypoint's time has 16 bits.
 pub(crate) const MAX_TIMESTEPS: u32 = 1 << 16;
@@ -35,8 +34,6 @@ pub struct SceneInfo {
     pub color_space: ColorSpace,
     /// Which way is up.
     pub up: UpAxis,
-    /// Views to start from, at most 65535.
-    pub cameras: Vec<SceneCamera>,
 }
 
 /// What the numbers of a colour mean.
@@ -89,13 +86,12 @@ impl SceneInfo {
             generator: concat!("tcgs ", env!("CARGO_PKG_VERSION")).to_owned(),
             color_space: ColorSpace::default(),
             up: UpAxis::default(),
-            cameras: Vec::new(),
         }
     }
 
     /// The rules for what is known before any symbol.
     pub(crate) fn check(&self) -> Result<(), Violation> {
-        let SceneInfo { num_timesteps, frame_rate, downscale, ref name, ref generator, ref cameras, .. } = *self;
+        let SceneInfo { num_timesteps, frame_rate, downscale, ref name, ref generator, .. } = *self;
         let violation = |field, problem| Err(Violation { attribute: None, field, problem });
         if !(1..=MAX_TIMESTEPS).contains(&num_timesteps) {
             violation("num_timesteps", "not within 1 to 65536")
@@ -107,10 +103,6 @@ impl SceneInfo {
             violation("name", "longer than 65535 bytes")
         } else if generator.len() > usize::from(u16::MAX) {
             violation("generator", "longer than 65535 bytes")
-        } else if cameras.len() > usize::from(u16::MAX) {
-            violation("cameras", "more than 65535")
-        } else if cameras.iter().any(|camera| camera.name.len() > usize::from(u16::MAX) || camera.camera().is_err()) {
-            violation("cameras", "numbers that are no camera, or a name longer than 65535 bytes")
         } else {
             Ok(())
         }

@@ -22,7 +22,6 @@ mod limits;
 mod morton;
 mod parallel;
 mod quantize;
-mod scene_camera;
 
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 #[cfg(feature = "encode")]
@@ -38,4 +37,3 @@ pub use error::DecodeError;
 pub use keypoints::{interpolate, select as select_keypoints};
 pub use limits::DecodeLimits;
 pub use quantize::{MAX_BITS, Quantizer, Quantizers, lsq_step};
-pub use scene_camera::SceneCamera;

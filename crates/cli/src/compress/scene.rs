@@ -1,20 +1,15 @@
 //! The steps from a trained scene to the bytes of a file, and what each leaves.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use tcgs_capture::{Capture, Split};
 use tcgs_codec::{
-    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, Quantizers, SceneCamera, SceneInfo, compress,
-    encode, inspect,
+    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, Quantizers, SceneInfo, compress, encode, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians};
 
 use super::bits::measured_bits;
 use crate::error::wrong_input;
 use crate::scene::{Model, Scene};
-
-/// Views for a player to start from; each takes 76 bytes and its name.
-const MAX_CAMERAS: usize = 32;
 
 /// How a scene is compressed.
 pub struct Settings {
@@ -71,8 +66,7 @@ pub fn compress_scene(scene: &Scene, settings: &Settings) -> anyhow::Result<Comp
     let keep = kept_gaussians(scene, settings.prune)?;
     let pruned = floats.select(&keep);
     let (bit_map, bits_from) = bits(scene, &pruned, &keep, settings, learned)?;
-    let compact =
-        compress(&pruned, &bit_map, learned.map(|l| &l.1), info(scene, &pruned, settings), &settings.keypoints);
+    let compact = compress(&pruned, &bit_map, learned.map(|l| &l.1), info(scene, &pruned), &settings.keypoints);
     let file = encode(&compact);
 
     let mut stages = vec![
@@ -140,29 +134,18 @@ fn bits(
     Ok((bit_map, from))
 }
 
-fn info(scene: &Scene, pruned: &DynamicGaussians, settings: &Settings) -> SceneInfo {
+fn info(scene: &Scene, pruned: &DynamicGaussians) -> SceneInfo {
     let source = match &scene.model {
         Model::Run(run) => PathBuf::from(&run.0.config().data.capture),
         _ => scene.path.with_extension(""),
     };
-    let cameras = cameras(scene, settings.capture.as_deref().unwrap_or(&source));
     SceneInfo {
         first_frame: scene.first_frame as u32,
         downscale: scene.downscale as u32,
         frame_rate: scene.frame_rate as f32,
         name: source.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
-        cameras,
         ..SceneInfo::of(pruned)
     }
-}
-
-/// Training cameras of the first frame, as many as a player needs; none where the capture is no longer there.
-fn cameras(scene: &Scene, capture: &Path) -> Vec<SceneCamera> {
-    let capture = Capture::open(capture).ok();
-    let cameras = capture.and_then(|c| c.cameras(Split::Train, scene.first_frame, scene.downscale).ok());
-    let cameras = cameras.unwrap_or_default();
-    let step = cameras.len().div_ceil(MAX_CAMERAS).max(1);
-    cameras.iter().step_by(step).map(|(id, camera)| SceneCamera::new(id.to_string(), camera)).collect()
 }
 
 /// Training may leave a value that nobody saw.

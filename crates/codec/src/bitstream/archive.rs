@@ -5,12 +5,11 @@ use std::sync::Arc;
 
 use tcgs_core::Attribute;
 
-use super::cameras::read_cameras;
 use super::coder::{Coder, Decoder as SymbolDecoder};
 use super::container;
 use super::head::{Head, read_info, read_plan};
 use super::keypoints::{KeypointModels, Motion, Place, Problem, UnitTracks};
-use super::section::{self, APPLICATION, CAMERAS, Cursor, Entry, INFO, MAPS, PLAN, SHARED, Tag};
+use super::section::{self, APPLICATION, Cursor, Entry, INFO, MAPS, PLAN, SHARED, Tag};
 use super::segment::Segment;
 use super::shared::{CurveModels, FirstModels, MapModels, Shared};
 use crate::compact::SceneInfo;
@@ -100,10 +99,6 @@ impl Archive {
         let mut head = read_info(info.open(bytes(info))?, limits)?;
         let (_, plan) = next(PLAN, shared, 0)?;
         head.plan = read_plan(plan.open(bytes(plan))?)?;
-        // Elsewhere it would be one section more to wait for.
-        if let Some(cameras) = entries.iter().take_while(|e| e.tag != INFO).find(|e| e.tag == CAMERAS) {
-            head.info.cameras = read_cameras(cameras.open(bytes(cameras))?)?;
-        }
 
         let mut groups = Vec::new();
         for layer in 0..head.layers.len() {

@@ -3,13 +3,12 @@
 use rayon::prelude::*;
 use tcgs_core::Attribute;
 
-use super::cameras::write_cameras;
 use super::coder::Encoder;
 use super::container::{self, Part};
 use super::fit;
 use super::head::{Head, write_info, write_plan};
 use super::keypoints::{KeypointModels, Motion, Place, UnitTracks};
-use super::section::{self, CAMERAS, INFO, MAPS, PLAN};
+use super::section::{self, INFO, MAPS, PLAN};
 use super::shared::{CurveModels, FirstModels, MapModels, Plan, Shared};
 use crate::compact::{CompactScene, Tracks};
 use crate::limits::{Budget, DecodeLimits};
@@ -51,12 +50,7 @@ pub fn encode(scene: &CompactScene) -> Vec<u8> {
     let predictors: Vec<_> = Attribute::ALL.into_par_iter().map(predictors).collect();
     head.plan.predictors = predictors.try_into().expect("five attributes");
 
-    let mut parts = Vec::new();
-    if !head.info.cameras.is_empty() {
-        parts.push(Part::shared(CAMERAS, 0, write_cameras(&head.info.cameras)));
-    }
-    parts.push(Part::shared(INFO, 0, write_info(&head)));
-    parts.push(Part::shared(PLAN, 0, write_plan(&head.plan)));
+    let mut parts = vec![Part::shared(INFO, 0, write_info(&head)), Part::shared(PLAN, 0, write_plan(&head.plan))];
     parts.extend(shared_sections(&head, &mut shared));
     let spans = 0..head.num_segments();
     let varying = || Attribute::ALL.into_iter().filter(|a| scene.varies[a.index()]);

@@ -112,7 +112,6 @@ pub(super) fn read_info(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result
         generator,
         color_space,
         up,
-        cameras: Vec::new(),
     };
     let legal = info.check().and_then(|()| check_division(num_gaussians, &layers, segment_length));
     legal.map_err(|violation| cursor.invalid(violation.field, violation.problem))?;

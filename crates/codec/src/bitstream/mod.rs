@@ -1,7 +1,7 @@
 //! Between symbols and bytes: the `.tcgs` container, version 1 (`docs/FORMAT.md`).
 //!
 //! - `container`, `section`: magic, version, table of contents, checksums; reading one field after another
-//! - `head`, `cameras`: what is known before any symbol
+//! - `head`: what is known before any symbol
 //! - `coder`, `number`: adaptive entropy coding of symbols and numbers
 //! - `neighbors`, `shared`: layers: widths, first codes, predicted from Gaussians nearby
 //! - `keypoints`: segments: times and codes of keypoints, predicted from motion before and nearby
@@ -12,7 +12,6 @@
 //! this folder knows bytes.
 
 mod archive;
-mod cameras;
 mod coder;
 mod container;
 mod decode;

@@ -15,8 +15,6 @@ pub(super) const INFO: Tag = *b"INFO";
 pub(super) const PLAN: Tag = *b"PLAN";
 /// Bit widths, and which tracks move.
 pub(super) const MAPS: Tag = *b"MAPS";
-/// Cameras to start from.
-pub(super) const CAMERAS: Tag = *b"cams";
 /// Data of an application.
 pub(super) const APPLICATION: Tag = *b"appl";
 /// Segment of a section that belongs to none.
@@ -39,7 +37,6 @@ pub(super) fn name(tag: Tag) -> &'static str {
         b"INFO" => "info",
         b"PLAN" => "plan",
         b"MAPS" => "maps",
-        b"cams" => "cameras",
         b"appl" => "application data",
         _ => Attribute::ALL.into_iter().find(|&a| of_attribute(a) == tag).map_or("unknown section", Attribute::name),
     }

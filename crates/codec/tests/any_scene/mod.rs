@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use tcgs_codec::{BitMap, ColorSpace, CompactScene, Quantizer, Quantizers, SceneCamera, SceneInfo, UpAxis};
-use tcgs_core::{Attribute, Camera};
+use tcgs_codec::{BitMap, ColorSpace, CompactScene, Quantizer, Quantizers, SceneInfo, UpAxis};
+use tcgs_core::Attribute;
 
 /// splitmix64 (Steele et al. 2014).
 pub struct Numbers(pub u64);
@@ -27,12 +27,6 @@ impl Numbers {
     }
 }
 
-fn any_camera(index: u64) -> SceneCamera {
-    let angle = index as f64;
-    let camera = Camera::look_at([angle.sin(), -1.0, -angle.cos()], [0.0; 3], [0.0, -1.0, 0.0], 40.0 + angle, 64, 48);
-    SceneCamera::new(["", "Küche"][index as usize % 2].to_owned(), &camera)
-}
-
 /// Widths, layers, segments, times and codes at random; codes are sometimes steady, as real ones are.
 pub fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> CompactScene {
     let random = &mut Numbers(seed);
@@ -51,7 +45,6 @@ pub fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> Compa
             generator: ["", "a test"][random.below(2) as usize].to_owned(),
             color_space: [ColorSpace::Srgb, ColorSpace::LinearSrgb][random.below(2) as usize],
             up: [UpAxis::Unknown, UpAxis::MinusY, UpAxis::PlusZ][random.below(3) as usize],
-            cameras: (0..seed % 3).map(any_camera).collect(),
         },
         bit_map: BitMap::default(),
         quantizers: Quantizers::default(),
