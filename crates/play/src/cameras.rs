@@ -1,6 +1,6 @@
 //! Cameras that a file brings along, as views to start from.
 
-use tcgs_codec::{Archive, SceneCamera};
+use tcgs_codec::Archive;
 use tcgs_core::Camera;
 
 /// A camera of the capture that the scene was made of.
@@ -13,7 +13,6 @@ pub struct FileCamera {
 }
 
 /// The cameras of a file; none if it has none.
-pub fn read_cameras(archive: &Archive) -> Vec<FileCamera> {
-    let named = |camera: &SceneCamera| Some(FileCamera { name: camera.name.clone(), camera: camera.camera().ok()? });
-    archive.info().cameras.iter().filter_map(named).collect()
+pub fn read_cameras(_archive: &Archive) -> Vec<FileCamera> {
+    Vec::new()
 }
