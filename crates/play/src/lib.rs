@@ -2,7 +2,7 @@
 //!
 //! - `source`: where bytes come from · `player`: which of them are needed, decoded segments (`buffer`), the `clock`
 //! - `reconstruct`, `blit`, `stage`: a timestep of a segment to a picture, with the renderer that training uses
-//! - `start_view`, `controls`: from where it is seen
+//! - `start_view`, `cameras`, `controls`: from where it is seen
 //! - `viewer`: all of these together; `web`: the same as a page sees it
 //!
 //! No training, no captures, no encoder: what a browser has to load.
@@ -26,7 +26,7 @@ mod viewer;
 mod web;
 
 pub use buffer::{Buffer, Order};
-pub use cameras::{FileCamera, read_cameras};
+pub use cameras::{FileCamera, VIEWS, read_cameras};
 pub use clock::Clock;
 pub use controls::{Controls, Lens};
 pub use error::PlayError;

@@ -41,6 +41,9 @@ const MAX_RETRIES: u32 = 4;
 /// Milliseconds before the first of these; each next one waits twice as long.
 const RETRY_MS: f64 = 250.0;
 
+/// What applications put before the shared part is fetched with it if it is no longer than this.
+const MAX_APPLICATION_BYTES: u64 = 1 << 18;
+
 /// A part of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
@@ -86,6 +89,7 @@ struct Opened {
     archive: Archive,
     buffer: Buffer,
     clock: Clock,
+    application_data: Vec<(String, Vec<u8>)>,
 }
 
 impl Opened {
@@ -95,6 +99,20 @@ impl Opened {
             is_backwards: self.clock.is_backwards(),
             is_looping: self.clock.is_looping(),
         }
+    }
+
+    /// - `range`: of `bytes` in the file; to the end of what all segments share
+    fn read_shared(&mut self, range: &Range<u64>, bytes: &[u8]) -> Result<(), PlayError> {
+        let at = |position: u64| (position - range.start) as usize;
+        let shared = self.archive.shared_range(self.archive.num_layers());
+        for data in self.archive.application_ranges() {
+            if range.start <= data.start && data.end <= shared.start {
+                let (name, bytes) = self.archive.read_application(&data, &bytes[at(data.start)..at(data.end)])?;
+                self.application_data.push((name, bytes.to_vec()));
+            }
+        }
+        self.archive.read_shared(&bytes[at(shared.start)..])?;
+        Ok(())
     }
 
     fn current(&self) -> Option<(&Arc<Segment>, usize)> {
@@ -123,6 +141,11 @@ impl<S: Source> Player<S> {
     /// The file, once its tables are known.
     pub fn archive(&self) -> Option<&Archive> {
         self.opened.as_ref().map(|opened| &opened.archive)
+    }
+
+    /// Names and bytes that applications put between the tables and the shared part, once the latter is known.
+    pub fn application_data(&self) -> &[(String, Vec<u8>)] {
+        self.opened.as_ref().map_or(&[], |opened| &opened.application_data)
     }
 
     /// The clock, once the tables are known.
@@ -215,7 +238,7 @@ impl<S: Source> Player<S> {
                 Part::Start => self.read_start(&fetch.bytes, is_short, now_ms)?,
                 Part::Shared => {
                     if let Some(opened) = &mut self.opened {
-                        opened.archive.read_shared(&fetch.bytes)?;
+                        opened.read_shared(&fetch.range, &fetch.bytes)?;
                     }
                 }
                 Part::Segment(segment) => {
@@ -240,7 +263,7 @@ impl<S: Source> Player<S> {
         clock.seek(self.first_timestep);
         clock.hold(now_ms);
         let buffer = Buffer::new(archive.num_segments(), self.settings.max_segment_bytes);
-        self.opened = Some(Opened { archive: *archive, buffer, clock });
+        self.opened = Some(Opened { archive: *archive, buffer, clock, application_data: Vec::new() });
         Ok(())
     }
 
@@ -293,7 +316,15 @@ impl<S: Source> Player<S> {
         };
         let layers = archive.num_layers();
         if archive.layers_read() < layers {
-            return Ok(Some((Part::Shared, archive.shared_range(layers))));
+            let mut range = archive.shared_range(layers);
+            // What lies between the tables and it comes along.
+            let before = archive.application_ranges().map(|data| data.start).min();
+            if let Some(before) =
+                before.filter(|before| (1..=MAX_APPLICATION_BYTES).contains(&(range.start.saturating_sub(*before))))
+            {
+                range.start = before;
+            }
+            return Ok(Some((Part::Shared, range)));
         }
         let order = self.opened.as_ref().map(Opened::order);
         let segment = order.and_then(|order| buffer.wanted(order));

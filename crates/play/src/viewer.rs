@@ -4,6 +4,7 @@ use tcgs_codec::{Archive, SceneInfo};
 use tcgs_core::Camera;
 use tcgs_render::gpu::Gpu;
 
+use crate::cameras::{FileCamera, read_cameras};
 use crate::clock::Clock;
 use crate::controls::Controls;
 use crate::error::PlayError;
@@ -165,6 +166,11 @@ impl<S: Source> Viewer<S> {
     /// The file, once its tables are known.
     pub fn archive(&self) -> Option<&Archive> {
         self.scene.as_ref()?.player.archive()
+    }
+
+    /// Cameras that the file brings along, once its first segment is here.
+    pub fn cameras(&self) -> Vec<FileCamera> {
+        self.scene.as_ref().map_or_else(Vec::new, |scene| read_cameras(scene.player.application_data()))
     }
 
     /// Bytes that arrived so far.

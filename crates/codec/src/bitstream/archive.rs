@@ -222,6 +222,26 @@ impl Archive {
         if groups.is_empty() { at(groups.start)..at(groups.start) } else { at(groups.start)..at(groups.end) }
     }
 
+    /// Bytes of the file that hold data of applications, each by itself; usually close to its start.
+    pub fn application_ranges(&self) -> impl Iterator<Item = Range<u64>> {
+        self.application().map(|entry| entry.range.clone())
+    }
+
+    /// The name of an application's data, and the data.
+    ///
+    /// - `range`: one of [`Self::application_ranges`], and `bytes` what lies there
+    ///
+    /// # Errors
+    /// [`DecodeError`] if the section is damaged.
+    ///
+    /// # Panics
+    /// If there is no such range.
+    pub fn read_application<'a>(&self, range: &Range<u64>, bytes: &'a [u8]) -> Result<(String, &'a [u8]), DecodeError> {
+        let entry = self.application().find(|entry| entry.range == *range);
+        let mut cursor = entry.expect("a range of application data").open(bytes)?;
+        Ok((cursor.text("name")?, cursor.rest()))
+    }
+
     /// Sections of a group with their bytes.
     ///
     /// - `bytes`: from `offset` of the file

@@ -16,7 +16,7 @@ use wasm_bindgen::prelude::*;
 use wasm_bindgen_futures::{JsFuture, future_to_promise};
 
 use crate::PlayError;
-use crate::cameras::{FileCamera, read_cameras};
+use crate::cameras::FileCamera;
 use crate::player::PlayerSettings;
 use crate::viewer::Viewer;
 use object::{camera_object, camera_of, error, object};
@@ -109,7 +109,7 @@ impl WebViewer {
             match state.viewer.update(now_ms()) {
                 Ok(true) => {
                     state.is_open = true;
-                    state.cameras = state.viewer.archive().map(read_cameras).unwrap_or_default();
+                    state.cameras = state.viewer.cameras();
                     Poll::Ready(Ok(JsValue::UNDEFINED))
                 }
                 Ok(false) => {
