@@ -19,6 +19,7 @@ mod render;
 mod report;
 mod scene;
 mod train;
+mod view;
 
 use std::process::ExitCode;
 
@@ -51,6 +52,7 @@ enum Command {
     Render(render::Arguments),
     Eval(eval::Arguments),
     Export(export::Arguments),
+    View(view::Arguments),
     Bench(bench::Arguments),
 }
 
@@ -68,6 +70,7 @@ fn main() -> ExitCode {
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
+        Command::View(arguments) => view::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
     };
     match done {

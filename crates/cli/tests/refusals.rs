@@ -58,7 +58,7 @@ fn what_does_not_exist_yet_says_so() {
     }
     refuse(&["compress", text(&run), "--target-bytes", "1000"], &["--target-bytes 1000", "not in this version"]);
     refuse(&["compress", text(&run), "--target-psnr", "30"], &["--target-psnr 30", "not in this version"]);
-    refuse(&["render", text(&run), "--out", "clip.mp4"], &["clip.mp4", "no video"]);
+    refuse(&["render", text(&run), "--out", "clip.mov"], &["clip.mov", "expected .mp4, .webm"]);
     refuse(&["render", text(&run), "--out", text(&out), "--cameras", "t/transforms.json"], &["transforms.json"]);
     refuse(&["export", text(&run), "--to", "a.gltf"], &["a.gltf", "expected NAME.npz, NAME.ply"]);
     assert!(!out.exists());

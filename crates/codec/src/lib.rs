@@ -27,7 +27,7 @@ pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 #[cfg(feature = "encode")]
 pub use bitstream::encode;
 pub use bitstream::{
-    Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Opening, Sampler, SectionInfo, Segment,
+    Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Keypoints, Opening, Sampler, SectionInfo, Segment,
     application_data, decode, inspect,
 };
 pub use compact::{ColorSpace, CompactScene, SceneInfo, Tracks, UpAxis};

@@ -222,6 +222,26 @@ impl Archive {
         if groups.is_empty() { at(groups.start)..at(groups.start) } else { at(groups.start)..at(groups.end) }
     }
 
+    /// Bytes of the file that hold data of applications, each by itself; usually close to its start.
+    pub fn application_ranges(&self) -> impl Iterator<Item = Range<u64>> {
+        self.application().map(|entry| entry.range.clone())
+    }
+
+    /// The name of an application's data, and the data.
+    ///
+    /// - `range`: one of [`Self::application_ranges`], and `bytes` what lies there
+    ///
+    /// # Errors
+    /// [`DecodeError`] if the section is damaged.
+    ///
+    /// # Panics
+    /// If there is no such range.
+    pub fn read_application<'a>(&self, range: &Range<u64>, bytes: &'a [u8]) -> Result<(String, &'a [u8]), DecodeError> {
+        let entry = self.application().find(|entry| entry.range == *range);
+        let mut cursor = entry.expect("a range of application data").open(bytes)?;
+        Ok((cursor.text("name")?, cursor.rest()))
+    }
+
     /// Sections of a group with their bytes.
     ///
     /// - `bytes`: from `offset` of the file
@@ -276,12 +296,14 @@ impl Archive {
     pub fn read_segment(&self, segment: usize, bytes: &[u8]) -> Result<Segment, DecodeError> {
         assert!(segment < self.num_segments(), "segment {segment} of {}", self.num_segments());
         let mut reader = SegmentReader::new(self, segment);
+        // Segments come and go: each may take what is left beside the shared layers.
+        let budget = self.budget.fork();
         let start = self.segment_range(segment, 0).start;
         for layer in 0..self.layers_read {
             if self.segment_range(segment, layer + 1).end - start > bytes.len() as u64 {
                 break;
             }
-            reader.read(self, start, bytes)?;
+            reader.read(self, start, bytes, &budget)?;
         }
         Ok(reader.finish(self))
     }
@@ -392,7 +414,13 @@ impl SegmentReader {
     /// Reads the next layer.
     ///
     /// - `bytes`: from `offset` of the file
-    pub(super) fn read(&mut self, archive: &Archive, offset: u64, bytes: &[u8]) -> Result<(), DecodeError> {
+    pub(super) fn read(
+        &mut self,
+        archive: &Archive,
+        offset: u64,
+        bytes: &[u8],
+        budget: &Budget,
+    ) -> Result<(), DecodeError> {
         let sections = archive.sections(archive.num_layers() * (1 + self.segment) + self.layers, offset, bytes)?;
         let jobs = self.attributes.iter_mut().zip(sections).collect();
         let results = parallel::map(jobs, |((attribute, models, units), mut cursor)| {
@@ -405,7 +433,7 @@ impl SegmentReader {
                 layer: archive.head.layer(self.layers),
                 span: archive.head.span(self.segment),
                 num_timesteps: archive.head.num_timesteps(),
-                budget: &archive.budget,
+                budget,
             };
             let mut decoder = SymbolDecoder::new(cursor.rest());
             match models.code(&mut decoder, &place, motion, None, units) {

@@ -7,6 +7,7 @@ use tcgs_core::Attribute;
 use super::coder::{Coder, Model};
 use super::neighbors::NONE;
 use super::number::{Numbers, unzigzag, wrap, zigzag};
+use super::segment::Keypoints;
 use super::shared::{MAX_COMPONENTS, Plan, Shared};
 use crate::compact::Tracks;
 use crate::error::DecodeError;
@@ -51,6 +52,11 @@ impl UnitTracks {
     pub(super) fn unit(&self, unit: usize) -> (&[u16], &[i16]) {
         let range = self.starts[unit] as usize..self.starts[unit + 1] as usize;
         (&self.times[range.clone()], &self.codes[range.start * self.channels..range.end * self.channels])
+    }
+
+    /// For others.
+    pub(super) fn as_keypoints(&self) -> Keypoints<'_> {
+        Keypoints { channels: self.channels, starts: &self.starts, times: &self.times, codes: &self.codes }
     }
 
     /// Code of a channel at a time, linear between keypoints, held beyond them.

@@ -35,7 +35,7 @@ pub use decode::decode;
 pub use encode::encode;
 pub use inspect::{Contents, FileInfo, SectionInfo, application_data, inspect};
 pub use push::{Decoder, Event};
-pub use segment::{Sampler, Segment};
+pub use segment::{Keypoints, Sampler, Segment};
 
 /// Version that is written, and the only one read.
 pub const FORMAT_VERSION: u16 = 1;

@@ -148,7 +148,7 @@ impl Decoder {
             let (segment, layer) = (self.groups / num_layers - 1, self.groups % num_layers);
             let mut reader = self.reader.take().filter(|_| layer > 0);
             let mut reader = reader.take().unwrap_or_else(|| SegmentReader::new(archive, segment));
-            reader.read(archive, self.offset, &self.bytes)?;
+            reader.read(archive, self.offset, &self.bytes, archive.budget())?;
             if layer + 1 < num_layers {
                 events.push(Event::Segment(Box::new(reader.snapshot(archive)?)));
                 self.reader = Some(reader);
