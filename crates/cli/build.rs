@@ -1,0 +1,23 @@
+//! Tells the program which commit it is built from, for results that name what made them.
+
+use std::path::Path;
+use std::process::Command;
+
+fn main() {
+    let git = |arguments: &[&str]| {
+        let output = Command::new("git").args(arguments).output().ok().filter(|output| output.status.success())?;
+        let text = String::from_utf8(output.stdout).ok()?.trim().to_owned();
+        (!text.is_empty()).then_some(text)
+    };
+    let commit = git(&["describe", "--always", "--dirty", "--abbrev=10"]).unwrap_or_else(|| "unknown".into());
+    println!("cargo::rustc-env=TCGS_COMMIT={commit}");
+    // Whether anything changed since the commit is told again where sources or the commit did.
+    println!("cargo::rerun-if-changed=..");
+    let folder = git(&["rev-parse", "--absolute-git-dir"]);
+    for name in ["HEAD", "index"] {
+        let path = folder.as_deref().map(|folder| Path::new(folder).join(name));
+        if let Some(path) = path.filter(|path| path.exists()) {
+            println!("cargo::rerun-if-changed={}", path.display());
+        }
+    }
+}
