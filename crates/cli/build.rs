@@ -11,8 +11,10 @@ fn main() {
     };
     let commit = git(&["describe", "--always", "--dirty", "--abbrev=10"]).unwrap_or_else(|| "unknown".into());
     println!("cargo::rustc-env=TCGS_COMMIT={commit}");
-    // Whether anything changed since the commit is told again where sources or the commit did.
-    println!("cargo::rerun-if-changed=..");
+    // Whether anything changed since the commit is asked again where sources did, or the commit.
+    for entry in std::fs::read_dir("..").into_iter().flatten().flatten() {
+        println!("cargo::rerun-if-changed={}", entry.path().join("src").display());
+    }
     let folder = git(&["rev-parse", "--absolute-git-dir"]);
     for name in ["HEAD", "index"] {
         let path = folder.as_deref().map(|folder| Path::new(folder).join(name));

@@ -101,7 +101,8 @@ fn tables_are_made_once_and_only_of_what_was_asked_for() {
     assert_eq!(changed, [&lost]);
 
     // Other arguments are another experiment.
-    let others: Vec<&str> = ablation.iter().map(|&a| if a == TRAINING { "--train-args=--frames 0..3" } else { a }).collect();
+    let others: Vec<&str> =
+        ablation.iter().map(|&a| if a == TRAINING { "--train-args=--frames 0..3" } else { a }).collect();
     let message = fail(2, &others);
     for part in ["result.json: was made by the arguments", "0..4", "0..3", "choose another --out", "--force"] {
         assert!(message.contains(part), "{message}");
@@ -145,7 +146,8 @@ fn what_is_missing_or_wrong_is_named() {
         }
     };
     let (data_text, out_text) = (text(data.path()), text(&out));
-    let of = |more: &[&'static str]| [&["reproduce", "ablation", "--data", data_text, "--out", out_text], more].concat();
+    let of =
+        |more: &[&'static str]| [&["reproduce", "ablation", "--data", data_text, "--out", out_text], more].concat();
     refuse(&of(&[]), &["has no captures named cook_spinach", "--scenes basketball"]);
     refuse(&of(&["--scenes", "juggle"]), &["has no captures named juggle", "a folder for each"]);
     refuse(&of(&["--scenes", "garden"]), &["--scenes garden: no scene of the paper", "sear_steak"]);

@@ -62,7 +62,7 @@ struct Frame {
 
 /// Of [`Frame`], user units.
 const WIDTH: f64 = 720.0;
-const RIGHT: f64 = 16.0;
+const RIGHT: f64 = 24.0;
 const PLOT_HEIGHT: f64 = 228.0;
 
 impl Frame {
@@ -178,7 +178,9 @@ pub fn lines(label: &str, axes: &Axes, all: &[Line]) -> String {
 pub fn points(label: &str, axes: &Axes, marks: &[Mark]) -> String {
     let all: Vec<(f64, f64)> = marks.iter().map(|mark| mark.at).collect();
     let Some(mut frame) = Frame::new(label, axes, &all, 20.0) else { return String::new() };
-    let mut names: Vec<[f64; 4]> = Vec::new();
+    // What a name must not cover: marks, and other names.
+    let mut taken: Vec<[f64; 4]> =
+        frame.places(&all).into_iter().map(|(x, y)| [x - 5.0, y - 5.0, x + 5.0, y + 5.0]).collect();
     for mark in marks {
         let places = frame.places(&[mark.at]);
         let [(x, y)] = places[..] else { continue };
@@ -190,7 +192,7 @@ pub fn points(label: &str, axes: &Axes, marks: &[Mark]) -> String {
             mark.at.0,
             mark.at.1
         );
-        let [x, y, anchor] = name_place((x, y), &mark.name, &mut names);
+        let [x, y, anchor] = name_place((x, y), &mark.name, &mut taken);
         write_text(&mut frame.svg, [x, y], if anchor > 0.0 { "start" } else { "end" }, &mark.name);
     }
     frame.svg + "</svg>\n"
@@ -355,15 +357,19 @@ fn linear_ticks((low, high): (f64, f64), count: usize) -> Vec<(f64, String)> {
     (first..=last).map(|i| (i as f64 * step, text(i as f64 * step).trim().to_owned())).collect()
 }
 
-/// Decades that cover a range of logarithms, and 2 and 5 between them where the range is short.
+/// Decades that cover a range of logarithms, some of them where the range is long, and 2 and 5 between them where it
+/// is short.
 fn log_ticks((low, high): (f64, f64)) -> Vec<(f64, String)> {
     let steps: &[f64] = if high - low > 2.0 { &[1.0] } else { &[1.0, 2.0, 5.0] };
-    let all: Vec<f64> = (low.floor() as i32..=high.ceil() as i32)
+    let every = ((high - low) / 7.0).ceil().max(1.0) as usize;
+    let all: Vec<f64> = (low.floor() as i32..=high.ceil() as i32 + every as i32)
+        .step_by(every)
         .flat_map(|decade| steps.iter().map(move |step| step * 10f64.powi(decade)))
         .collect();
     let first = all.iter().rposition(|v| v.log10() <= low).unwrap_or(0);
     let last = all.iter().position(|v| v.log10() >= high).unwrap_or(all.len() - 1);
-    all[first..=last].iter().map(|v| (v.log10(), format!("{v}"))).collect()
+    let text = |v: f64| if (1e-3..1e5).contains(&v) { format!("{v}") } else { format!("{v:.0e}") };
+    all[first..=last].iter().map(|&v| (v.log10(), text(v))).collect()
 }
 
 fn open(label: &str, width: f64, height: f64) -> String {

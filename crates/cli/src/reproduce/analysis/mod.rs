@@ -5,17 +5,18 @@ mod polynomials;
 mod selection;
 mod tracks;
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::collections::BTreeMap;
 use tcgs_core::{Attribute, DynamicGaussians};
 use tcgs_train::{Run, TrainedScene, mean_masks};
 
 use super::figure::Figure;
 use super::table::Sheet;
+use crate::report::plot::Line;
 
 /// What an analysis finds.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -97,6 +98,15 @@ fn squared_error(track: &[f32], indices: &[usize]) -> f64 {
         }
     }
     sum
+}
+
+/// Of falling curves, what is within some decades of the highest point: below that there is but rounding.
+fn above_rounding(mut lines: Vec<Line>) -> Vec<Line> {
+    let highest = lines.iter().flat_map(|line| &line.points).map(|point| point.1).fold(0.0, f64::max);
+    for line in &mut lines {
+        line.points.retain(|point| point.1 >= 1e-6 * highest);
+    }
+    lines
 }
 
 /// The ordinate at an abscissa of a falling curve, between its points along the logarithm; none outside of it.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use tcgs_codec::select_keypoints;
 
-use super::{Findings, along, squared_error};
+use super::{Findings, above_rounding, along, squared_error};
 use crate::report::plot::{Axes, Line};
 use crate::reproduce::figure::Figure;
 use crate::reproduce::table::{self, Cell, Sheet};
@@ -48,7 +48,7 @@ pub fn analyse(tracks: &[[Vec<f32>; 3]]) -> Findings {
         let line = |name: &str, points| Line { name: name.into(), points };
         let axes =
             Axes { x: "numbers stored a coordinate".into(), y: "distance, RMS".into(), log_x: false, log_y: true };
-        let lines = vec![line("polynomials", polynomials), line("keypoints", keypoints)];
+        let lines = above_rounding(vec![line("polynomials", polynomials), line("keypoints", keypoints)]);
         figures.push(Figure::Lines { title: format!("Positions of the {name}"), axes, lines });
     }
     Findings { sheets: vec![sheet], figures, ..Findings::default() }
@@ -111,7 +111,8 @@ fn polynomial_curve(tracks: &[&[Vec<f32>; 3]], basis: &[Vec<f64>]) -> Vec<(f64, 
 /// The same for keypoints, by tolerance: a value each, and a time where it is not an end.
 fn keypoint_curve(tracks: &[&[Vec<f32>; 3]]) -> Vec<(f64, f64)> {
     let t = tracks[0][0].len();
-    (-36..=0)
+    // From what no track exceeds on: there all have but their ends.
+    (-36..=16)
         .map(|i| {
             let tolerance = 10f32.powf(i as f32 / 4.0);
             let of_track = |track: &&[Vec<f32>; 3]| {

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use tcgs_codec::select_keypoints;
 
-use super::{Findings, along, squared_error};
+use super::{Findings, above_rounding, along, squared_error};
 use crate::report::plot::{Axes, Line};
 use crate::reproduce::figure::Figure;
 use crate::reproduce::table::{self, Cell, Sheet};
@@ -35,7 +35,7 @@ pub fn analyse(tracks: &[[Vec<f32>; 3]]) -> Findings {
     }
     let lines = methods.into_iter().map(|(name, points)| Line { name: name.into(), points }).collect();
     let axes = Axes { x: "keypoints a track, mean".into(), y: "mean squared error".into(), log_x: false, log_y: true };
-    let figure = Figure::Lines { title: "Error over keypoints".into(), axes, lines };
+    let figure = Figure::Lines { title: "Error over keypoints".into(), axes, lines: above_rounding(lines) };
     Findings { sheets: vec![sheet], figures: vec![figure], ..Findings::default() }
 }
 
