@@ -1,11 +1,19 @@
-//! Puts the built page of the player, `web/dist`, into the program where there is one. Where there is none the program
-//! builds all the same, and `tcgs view` says how to make it.
+//! Puts into the program the built page of the player, `web/dist`, where there is one (where there is none the program
+//! builds all the same, and `tcgs view` says how to make it), and the commit that it is built from, for results that
+//! name what made them.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::{env, fs, io};
 
 fn main() -> io::Result<()> {
+    embed_page()?;
+    name_commit();
+    Ok(())
+}
+
+fn embed_page() -> io::Result<()> {
     let web = Path::new(&env::var("CARGO_MANIFEST_DIR").expect("set by cargo")).join("../../web");
     let page = web.join("dist");
     // A path that does not exist would count as changed at every build.
@@ -38,4 +46,29 @@ fn collect(folder: &Path, paths: &mut Vec<PathBuf>) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+fn name_commit() {
+    let commit = git(&["describe", "--always", "--dirty", "--abbrev=10"]).unwrap_or_else(|| "unknown".into());
+    println!("cargo::rustc-env=TCGS_COMMIT={commit}");
+    // Whether anything changed since the commit is asked again where sources did, or the commit.
+    for entry in fs::read_dir("..").into_iter().flatten().flatten() {
+        let sources = entry.path().join("src");
+        if sources.is_dir() {
+            println!("cargo::rerun-if-changed={}", sources.display());
+        }
+    }
+    let folder = git(&["rev-parse", "--absolute-git-dir"]);
+    for name in ["HEAD", "index"] {
+        let path = folder.as_deref().map(|folder| Path::new(folder).join(name));
+        if let Some(path) = path.filter(|path| path.exists()) {
+            println!("cargo::rerun-if-changed={}", path.display());
+        }
+    }
+}
+
+fn git(arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").args(arguments).output().ok().filter(|output| output.status.success())?;
+    let text = String::from_utf8(output.stdout).ok()?.trim().to_owned();
+    (!text.is_empty()).then_some(text)
 }

@@ -17,6 +17,7 @@ mod output;
 mod progress;
 mod render;
 mod report;
+mod reproduce;
 mod scene;
 mod train;
 mod view;
@@ -52,6 +53,7 @@ enum Command {
     Render(render::Arguments),
     Eval(eval::Arguments),
     Export(export::Arguments),
+    Reproduce(reproduce::Arguments),
     View(view::Arguments),
     Bench(bench::Arguments),
 }
@@ -70,6 +72,7 @@ fn main() -> ExitCode {
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
+        Command::Reproduce(arguments) => reproduce::run(&arguments),
         Command::View(arguments) => view::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
     };
