@@ -11,7 +11,7 @@ use scenes::Random;
 
 /// The default, with the widths of the bit map and the same tolerance for all.
 fn as_told() -> CompressSettings {
-    CompressSettings { coarser: [0; 5], position_fineness: 0.0, importance: 0.0, ..CompressSettings::default() }
+    CompressSettings { coarser: [0.0; 5], position_fineness: 0.0, importance: 0.0, ..CompressSettings::default() }
 }
 
 fn compress_all(scene: &DynamicGaussians, bits: u8, settings: &CompressSettings) -> (CompactScene, Vec<usize>) {
@@ -249,7 +249,7 @@ fn components_share_their_times_and_segments_begin_anew() {
 #[test]
 fn widths_are_lowered_and_positions_follow_the_splats() {
     let scene = scenes::room(500, 2);
-    let settings = CompressSettings { coarser: [0, 2, 1, 9, 0], position_fineness: 4.0, ..as_told() };
+    let settings = CompressSettings { coarser: [0.0, 2.0, 1.0, 9.0, 0.0], position_fineness: 4.0, ..as_told() };
     let (compact, _) = compress_all(&scene, 6, &settings);
     let width = |a: Attribute| *compact.bit_map.widths[a.index()].first().unwrap();
     assert_eq!(

@@ -32,7 +32,7 @@ mod shared;
 pub use archive::{Archive, Opening};
 pub use decode::decode;
 #[cfg(feature = "encode")]
-pub use encode::encode;
+pub use encode::{encode, encode_with};
 pub use inspect::{Contents, FileInfo, SectionInfo, application_data, inspect};
 pub use push::{Decoder, Event};
 pub use segment::{Sampler, Segment};
