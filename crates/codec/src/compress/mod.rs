@@ -72,10 +72,11 @@ pub fn compress_ordered(
 ) -> (CompactScene, Vec<usize>) {
     check_arguments(scene, bit_map, &info);
     let bit_map = &settings.adjusted(bit_map, scene);
+    let position_step = settings.position_step(scene);
     let mut quantizers = Quantizers::default();
     let tracks: [Tracks<f32>; 5] = Attribute::ALL.map(|attribute| {
         let widths = &bit_map.widths[attribute.index()];
-        let tolerances = tolerances(scene, attribute, widths, learned, settings);
+        let tolerances = tolerances(scene, attribute, widths, learned, position_step, settings);
         let slack = tolerance_factors(scene, attribute, settings);
         let tracks = float_tracks(scene, attribute, |values, gaussian, selector, out| {
             let tolerances: Vec<f32> = tolerances[usize::from(widths[gaussian])]
@@ -91,7 +92,7 @@ pub fn compress_ordered(
                 }
             }
         });
-        quantizers.attributes[attribute.index()] = quantizers_for(attribute, &tracks, widths, learned);
+        quantizers.attributes[attribute.index()] = quantizers_for(attribute, &tracks, widths, learned, position_step);
         tracks
     });
     let order = morton_order(&tracks[Attribute::Mean.index()], &bit_map.widths[Attribute::Mean.index()], &quantizers);
@@ -145,6 +146,7 @@ fn tolerances(
     attribute: Attribute,
     widths: &[u8],
     learned: Option<&Quantizers>,
+    position_step: Option<f64>,
     settings: &CompressSettings,
 ) -> Vec<Vec<(f32, f32)>> {
     let max_mse = settings.max_mse[attribute.index()];
@@ -158,7 +160,7 @@ fn tolerances(
                 out.push(&samples.map(|t| t as u16), &samples.map(|t| track[t]));
             }
         });
-        for (width, quantizers) in quantizers_for(attribute, &tracks, widths, learned) {
+        for (width, quantizers) in quantizers_for(attribute, &tracks, widths, learned, position_step) {
             tolerances[usize::from(width)] = quantizers.iter().map(|q| (max_mse, (q.step / 4.0).powi(2))).collect();
         }
     }
@@ -175,6 +177,7 @@ fn quantizers_for(
     tracks: &Tracks<f32>,
     widths: &[u8],
     learned: Option<&Quantizers>,
+    position_step: Option<f64>,
 ) -> BTreeMap<u8, Vec<Quantizer>> {
     let components = attribute.components();
     let mut groups: BTreeMap<u8, Vec<Vec<f32>>> = BTreeMap::new();
@@ -191,7 +194,9 @@ fn quantizers_for(
             let quantizers = channels.par_iter().enumerate().map(|(channel, values)| {
                 if attribute == Attribute::Mean {
                     let (min, max) = values.iter().fold((f32::MAX, f32::MIN), |(a, b), &x| (a.min(x), b.max(x)));
-                    return Quantizer::covering(min, max, width);
+                    let covering = Quantizer::covering(min, max, width);
+                    let step = position_step.filter(|&step| step > f64::from(covering.step));
+                    return step.map_or(covering, |step| Quantizer::from_lowest(min, step, width));
                 }
                 let fitted = Quantizer::fit(values, width);
                 let learned = learned.and_then(|l| l.get(attribute, width, channel)).filter(|q| q.bits == width);

@@ -43,8 +43,9 @@ pub struct CompressSettings {
     /// rotations and 1 for opacities, which training gives as many as colours: on basketball that took 6 percent
     /// off the file and 0.01 dB.
     pub coarser: [f32; 5],
-    /// If positive, positions get the fewest bits whose steps are the median Gaussian's middle axis (one
-    /// standard deviation) divided by this, or finer. Default 8; if 0, what the bit map says.
+    /// If positive, positions get steps along all axes of the median Gaussian's middle axis (one standard deviation)
+    /// divided by this, and as many bits as that takes. Default 11; if 0, the bits that the bit map says, over the
+    /// range along each axis.
     pub position_fineness: f32,
 }
 
@@ -61,7 +62,7 @@ impl Default for CompressSettings {
             importance: 0.5,
             layers: vec![0.1, 0.3],
             coarser: [0.0, 2.0, 0.0, 1.0, 0.0],
-            position_fineness: 8.0,
+            position_fineness: 11.0,
         }
     }
 }
@@ -133,25 +134,33 @@ impl CompressSettings {
                 *width = shifted.clamp(f32::from(2.min(*width)), f32::from(MAX_BITS)) as u8;
             }
         }
-        if self.position_fineness > 0.0 && scene.num_gaussians() > 0 {
-            bit_map.widths[Attribute::Mean.index()].fill(position_bits(scene, self.position_fineness.into()));
+        if let Some(step) = self.position_step(scene) {
+            bit_map.widths[Attribute::Mean.index()].fill(position_bits(scene, step));
         }
         bit_map
     }
+
+    /// Step of positions along all axes, if the settings choose it.
+    pub(super) fn position_step(&self, scene: &DynamicGaussians) -> Option<f64> {
+        if self.position_fineness <= 0.0 || scene.num_gaussians() == 0 {
+            return None;
+        }
+        let mut axes: Vec<f32> = scene.values(Attribute::LogScale, 0).as_chunks::<3>().0.iter().map(middle).collect();
+        let half = axes.len() / 2;
+        let axis = f64::from(*axes.select_nth_unstable_by(half, f32::total_cmp).1).exp();
+        Some(axis / f64::from(self.position_fineness))
+    }
 }
 
-/// The fewest bits whose steps are the median Gaussian's middle axis divided by `fineness`, or finer.
-fn position_bits(scene: &DynamicGaussians, fineness: f64) -> u8 {
-    let mut axes: Vec<f32> = scene.values(Attribute::LogScale, 0).as_chunks::<3>().0.iter().map(middle).collect();
-    let half = axes.len() / 2;
-    let axis = f64::from(*axes.select_nth_unstable_by(half, f32::total_cmp).1).exp();
+/// The fewest bits of positions in steps of `step`.
+fn position_bits(scene: &DynamicGaussians, step: f64) -> u8 {
     let (mut min, mut max) = ([f32::MAX; 3], [f32::MIN; 3]);
     for mean in scene.means.iter().flatten() {
         min = std::array::from_fn(|i| min[i].min(mean[i]));
         max = std::array::from_fn(|i| max[i].max(mean[i]));
     }
     let extent = (0..3).map(|i| f64::from(max[i]) - f64::from(min[i])).fold(0.0, f64::max);
-    let levels = extent * fineness / axis + 1.0;
+    let levels = extent / step + 1.0;
     (levels.log2().ceil() as u8).clamp(1, MAX_BITS)
 }
 
