@@ -105,9 +105,9 @@ impl Opened {
     fn read_shared(&mut self, range: &Range<u64>, bytes: &[u8]) -> Result<(), PlayError> {
         let at = |position: u64| (position - range.start) as usize;
         let shared = self.archive.shared_range(self.archive.num_layers());
-        for data in self.archive.application_ranges() {
+        for (index, data) in self.archive.application_ranges().into_iter().enumerate() {
             if range.start <= data.start && data.end <= shared.start {
-                let (name, bytes) = self.archive.read_application(&data, &bytes[at(data.start)..at(data.end)])?;
+                let (name, bytes) = self.archive.read_application(index, &bytes[at(data.start)..at(data.end)])?;
                 self.application_data.push((name, bytes.to_vec()));
             }
         }
@@ -318,7 +318,7 @@ impl<S: Source> Player<S> {
         if archive.layers_read() < layers {
             let mut range = archive.shared_range(layers);
             // What lies between the tables and it comes along.
-            let before = archive.application_ranges().map(|data| data.start).min();
+            let before = archive.application_ranges().into_iter().map(|data| data.start).min();
             if let Some(before) =
                 before.filter(|before| (1..=MAX_APPLICATION_BYTES).contains(&(range.start.saturating_sub(*before))))
             {

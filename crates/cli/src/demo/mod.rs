@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
-use tcgs_codec::{BitMapping, CompressSettings};
+use tcgs_codec::{BitMapping, CompressSettings, UpAxis};
 use tcgs_train::{Run, TrainConfig};
 
 use crate::backend::{Backend, BackendName, BackendOptions};
@@ -198,6 +198,8 @@ fn compress_settings(keypoints: bool) -> compress::Settings {
         prune: None,
         capture: None,
         plain: false,
+        up: UpAxis::MinusY,
+        views: 8,
     }
 }
 

@@ -53,14 +53,26 @@ pub struct Arguments {
     job: JobOptions,
 }
 
+/// Cameras of a capture.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Cameras {
+pub enum Cameras {
     /// Those held out from training
     Test,
     /// Those trained on
     Train,
     /// Both
     All,
+}
+
+impl Cameras {
+    /// The same for a capture.
+    pub fn split(self) -> Split {
+        match self {
+            Self::Test => Split::Test,
+            Self::Train => Split::Train,
+            Self::All => Split::All,
+        }
+    }
 }
 
 /// A named way to evaluate.
@@ -89,11 +101,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let capture = Capture::open(&arguments.capture)?;
     let scene = Scene::load(&arguments.scene, arguments.reading)?;
     let settings = Settings {
-        split: match arguments.cameras {
-            Cameras::Test => Split::Test,
-            Cameras::Train => Split::Train,
-            Cameras::All => Split::All,
-        },
+        split: arguments.cameras.split(),
         frames: scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?,
         downscale: arguments.downscale.unwrap_or(scene.downscale),
         frozen: false,

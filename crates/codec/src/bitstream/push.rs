@@ -1,7 +1,8 @@
 //! Bytes as they arrive.
 
-use super::archive::{Archive, Opening, SegmentReader};
+use super::archive::{Archive, Opening};
 use super::container;
+use super::reader::SegmentReader;
 use super::section::Cursor;
 use super::segment::Segment;
 use crate::error::DecodeError;
