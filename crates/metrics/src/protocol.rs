@@ -96,9 +96,9 @@ const TC3DGS: Rules = Rules {
         metric("ssim", "SSIM", Measure::Ssim),
         metric("lpips", "LPIPS", Measure::LpipsUnit(Backbone::Vgg)),
     ],
-    split: "cameras 0, 10, 15, 30 of Panoptic Sports; cam00 of Neural 3D Video; cam10 of Technicolor",
+    split: "0, 10, 15, 30 of Panoptic Sports; cam00 of Neural 3D Video; cam10 of Technicolor",
     frames: "all 150 of Panoptic Sports, the first 300 of Neural 3D Video, 50 of Technicolor",
-    resizing: "none, 640x360, of Panoptic Sports; Neural 3D Video halved to 1352x1014; Technicolor none, 2048x1088",
+    resizing: "Panoptic Sports as it is, 640x360; Neural 3D Video halved to 1352x1014; Technicolor as it is, 2048x1088",
 };
 
 const FOUR_DGS: Rules = Rules {
@@ -131,7 +131,7 @@ const STG: Rules = Rules {
     ],
     split: "cam00 of Neural 3D Video, cam10 of Technicolor",
     frames: "50 a model: six models for the 300 of Neural 3D Video, one for Technicolor",
-    resizing: "Neural 3D Video halved to 1352x1014; Technicolor none, 2048x1088",
+    resizing: "Neural 3D Video halved to 1352x1014; Technicolor as it is, 2048x1088",
 };
 
 impl Protocol {
@@ -212,14 +212,16 @@ impl Measure {
     /// In words.
     pub const fn describe(self) -> &'static str {
         match self {
-            Self::Psnr => "PSNR of all channels together",
+            Self::Psnr => "all channels together",
             Self::PsnrPerChannel => "mean of the channels' PSNRs",
-            Self::Ssim => "SSIM, Gaussian window 11x11, sigma 1.5, zeros beyond the edge",
-            Self::UniformSsim => "SSIM, uniform window 7x7, inside the image, data range 2 (skimage, floats)",
-            Self::MsSsim => "MS-SSIM, five scales, windows inside the image (pytorch_msssim)",
+            Self::Ssim => "Gaussian window 11x11, sigma 1.5, zeros beyond the edge",
+            Self::UniformSsim => "SSIM again: uniform window 7x7 inside the image, data range 2 (scikit-image, floats)",
+            Self::MsSsim => "five scales, windows inside the image (pytorch_msssim)",
             Self::Dssim => "(1 - MS-SSIM) / 2",
-            Self::LpipsUnit(Backbone::Vgg) => "LPIPS 0.1, VGG, given [0, 1] where [-1, 1] is meant (lpipsPyTorch)",
-            Self::LpipsUnit(Backbone::Alex) => "LPIPS 0.1, AlexNet, given [0, 1] where [-1, 1] is meant (lpipsPyTorch)",
+            Self::LpipsUnit(Backbone::Vgg) => "version 0.1, VGG, given [0, 1] where [-1, 1] is meant (lpipsPyTorch)",
+            Self::LpipsUnit(Backbone::Alex) => {
+                "version 0.1, AlexNet, given [0, 1] where [-1, 1] is meant (lpipsPyTorch)"
+            }
         }
     }
 

@@ -9,7 +9,7 @@ use super::layers::{Convolution, Features, max_pool, num_windows};
 pub enum Backbone {
     /// VGG-16: close to what optimisation with perceptual losses uses; the usual choice for rendering.
     Vgg,
-    /// AlexNet: the metric's authors' choice for comparing, and 40 times less work.
+    /// AlexNet: the metric's authors' choice for comparing, and a twentieth of the work.
     Alex,
 }
 
