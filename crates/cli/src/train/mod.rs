@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_train::{Preset, Run, TrainConfig, Trainer};
+use tcgs_train::{Preset, Run, TrainConfig, TrainError, Trainer};
 
 use crate::backend::{Backend, BackendName, BackendOptions};
 use crate::error::wrong_input;
@@ -137,7 +137,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         folder::clear(&arguments.out)?;
         run = Run::create(&arguments.out, &config)?;
     }
-    let trainer = fit(&capture, &run, trainer)?;
+    let trainer = fit(&capture, &run, trainer).map_err(with_advice)?;
     drop(lock);
     report(arguments, &run, &trainer)
 }
@@ -158,6 +158,21 @@ fn describe(capture: &Capture, config: &TrainConfig) -> anyhow::Result<String> {
     let (first, end) = (data.first_frame, data.end_frame);
     let (count, layout) = (train.len(), capture.kind().name());
     Ok(format!("{layout} capture: {count} cameras ({held_out}), frames {first}..{end}, {}x{} pixels", size.0, size.1))
+}
+
+/// What to do about a run that stopped half-way. Timesteps that are finished have whole checkpoints, whatever it was.
+fn with_advice(error: anyhow::Error) -> anyhow::Error {
+    let advice = match error.downcast_ref::<TrainError>() {
+        Some(TrainError::NotFinite { .. }) => "begin anew with lower rates, such as --set rates.mean=8e-5",
+        Some(TrainError::Io { action: "writing" | "creating" | "opening", .. }) => {
+            "make room, then --resume goes on after the last whole checkpoint"
+        }
+        Some(TrainError::Gpu(_)) => {
+            "--resume goes on after the last whole checkpoint, with --backend cpu on any computer"
+        }
+        _ => return error,
+    };
+    error.context(format!("training stopped; {advice}"))
 }
 
 /// A trainer before the first timestep.
