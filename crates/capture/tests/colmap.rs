@@ -54,7 +54,8 @@ fn binary() -> TempDir {
     fs::create_dir_all(&sparse).unwrap();
     write_images(folder.path());
     let floats = |values: &[f64]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
-    let mut cameras = [1_u64.to_le_bytes().to_vec(), 1_u32.to_le_bytes().to_vec(), 1_u32.to_le_bytes().to_vec()].concat();
+    let mut cameras =
+        [1_u64.to_le_bytes().to_vec(), 1_u32.to_le_bytes().to_vec(), 1_u32.to_le_bytes().to_vec()].concat();
     cameras.extend([32_u64, 24].iter().flat_map(|x| x.to_le_bytes()));
     cameras.extend(floats(&[28.0, 28.0, 16.0, 12.0]));
     fs::write(sparse.join("cameras.bin"), cameras).unwrap();
@@ -95,7 +96,10 @@ fn text_and_binary_models_are_captures() {
             assert_eq!(view.image.to_rgb8()[0], view.camera_id as u8);
         }
         let cloud = capture.point_cloud().unwrap();
-        assert_eq!((cloud.points.len(), cloud.points[0], cloud.colors[0]), (num_points, [0.1, 0.0, 0.0], [1.0, 0.0, 0.0]));
+        assert_eq!(
+            (cloud.points.len(), cloud.points[0], cloud.colors[0]),
+            (num_points, [0.1, 0.0, 0.0], [1.0, 0.0, 0.0])
+        );
     }
 }
 
@@ -128,7 +132,9 @@ fn what_a_lens_bends_is_straightened() {
 #[test]
 fn what_is_wrong_is_named() {
     let message = problem(text("1 FOV 32 24 28 28 16 12 0.1").path());
-    assert!(message.starts_with("sparse/0/cameras.txt: line 2: has the camera model FOV, expected one of SIMPLE_PINHOLE"));
+    assert!(
+        message.starts_with("sparse/0/cameras.txt: line 2: has the camera model FOV, expected one of SIMPLE_PINHOLE")
+    );
     let folder = text(PINHOLE);
     let remove = |name: &str| fs::remove_file(folder.path().join(name)).unwrap();
     remove("images/img04.png");
@@ -147,7 +153,9 @@ fn what_is_wrong_is_named() {
     fs::remove_dir_all(folder.path().join("images")).unwrap();
     assert!(problem(folder.path()).starts_with(": has a COLMAP model, but no folder images/"));
     let folder = text("2 PINHOLE 32 24 28 28 16 12");
-    assert!(problem(folder.path()).starts_with("sparse/0/images.txt: image img00.png: has the camera 1, expected one of"));
+    assert!(
+        problem(folder.path()).starts_with("sparse/0/images.txt: image img00.png: has the camera 1, expected one of")
+    );
 }
 
 #[test]

@@ -86,7 +86,10 @@ fn without_times_all_is_one_timestep() {
         frame.as_object_mut().unwrap().remove("time");
     }
     let capture = Capture::open(write(&still).path()).unwrap();
-    assert_eq!((capture.num_frames(), ids(&capture, Split::Train).len(), ids(&capture, Split::Test)), (1, 21, vec![0, 8, 16]));
+    assert_eq!(
+        (capture.num_frames(), ids(&capture, Split::Train).len(), ids(&capture, Split::Test)),
+        (1, 21, vec![0, 8, 16])
+    );
 }
 
 #[test]

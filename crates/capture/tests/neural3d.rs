@@ -83,7 +83,8 @@ fn videos_and_poses_are_a_capture() {
 /// Brightness says which frame of `frames.mp4` an image is.
 fn brightness(capture: &Capture, frame: usize) -> f64 {
     let views = capture.views(Split::Train, frame, 1).unwrap();
-    let of = |i: usize| views[i].image.data.iter().map(|&x| f64::from(x)).sum::<f64>() / views[i].image.data.len() as f64;
+    let of =
+        |i: usize| views[i].image.data.iter().map(|&x| f64::from(x)).sum::<f64>() / views[i].image.data.len() as f64;
     assert!((of(0) - of(2)).abs() < 1e-9);
     of(0) * 255.0
 }
@@ -197,7 +198,9 @@ fn videos_that_cannot_be_decoded_are_named() {
     let spoilt = folder.path().join("cam01.mp4");
     fs::copy(video("hevc.mp4"), &spoilt).unwrap();
     let message = problem(folder.path());
-    assert!(message.starts_with("cam01.mp4: has the codec hvc1") || message.starts_with("cam01.mp4: has the codec hev1"));
+    assert!(
+        message.starts_with("cam01.mp4: has the codec hvc1") || message.starts_with("cam01.mp4: has the codec hev1")
+    );
     assert!(message.contains("expected H.264 of 8 bits, 4:2:0, such as `ffmpeg -i"), "{message}");
     fs::copy(video("halves.mp4"), &spoilt).unwrap();
     assert!(problem(folder.path()).starts_with("cam01.mp4: does not have colours of half width and height (4:2:0)"));
@@ -222,6 +225,24 @@ fn a_spoilt_video_gives_an_error_and_never_a_wrong_frame() {
     let capture = Capture::open(folder.path()).unwrap();
     let message = shorten(folder.path(), &capture.views(Split::Train, 0, 1).unwrap_err());
     assert!(message.starts_with("cam01.mp4: "), "{message}");
+}
+
+#[test]
+fn no_byte_of_a_video_does_harm() {
+    let folder = small();
+    let spoilt = folder.path().join("cam01.mp4");
+    let whole = fs::read(video("frames.mp4")).unwrap();
+    for at in 0..whole.len() {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 0xff;
+        fs::write(&spoilt, &bytes).unwrap();
+        // It opens or it does not, and so for its frames; what is wrong with it is said of it.
+        let result = Capture::open(folder.path()).and_then(|capture| capture.views(Split::Train, 7, 1));
+        if let Err(error) = result {
+            let message = shorten(folder.path(), &error);
+            assert!(message.contains("cam01.mp4"), "byte {at}: {message}");
+        }
+    }
 }
 
 #[test]

@@ -124,8 +124,7 @@ fn kitchen_opens() {
     let Some(path) = folder("kitchen") else { return };
     let capture = Capture::open(&path).unwrap();
     assert_eq!((capture.kind(), capture.num_frames(), capture.frame_rate()), (CaptureKind::Neural3d, 100, 30.0));
-    let exact: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(path.join("cameras.json")).unwrap()).unwrap();
+    let exact: serde_json::Value = serde_json::from_slice(&std::fs::read(path.join("cameras.json")).unwrap()).unwrap();
     let number = |value: &serde_json::Value| value.as_f64().unwrap();
     let views = capture.views(Split::All, 0, 1).unwrap();
     assert_eq!(views.iter().map(|view| view.camera_id).collect::<Vec<_>>(), (1..19).chain([0]).collect::<Vec<_>>());

@@ -83,7 +83,8 @@ fn as_technicolor(capture: &Capture, folder: &Path) {
                 assert!(w > 0.1, "{w}");
                 let [x, y, z] = [[2, 1], [0, 2], [1, 0]].map(|[i, j]| (m[i][j] - m[j][i]) / (4.0 * w));
                 let [tx, ty, tz] = [0, 1, 2].map(|i| m[i][3]);
-                lines += &format!("{} {} {} 1 0 {w} {x} {y} {z} {tx} {ty} {tz}\n", focal[0], principal[0], principal[1]);
+                lines +=
+                    &format!("{} {} {} 1 0 {w} {x} {y} {z} {tx} {ty} {tz}\n", focal[0], principal[0], principal[1]);
             }
         }
     }
@@ -106,7 +107,10 @@ fn the_layout_does_not_matter() {
         let points = source.path().join("init_pt_cld.npz");
         let more = [&iterations[..], &["--points", text(&points)]].concat();
         let (said, found) = train_and_judge(folder.path(), &more);
-        assert!(said.contains(&format!("{name} capture: 15 cameras (held out: 10), frames 0..2, 48x36 pixels")), "{said}");
+        assert!(
+            said.contains(&format!("{name} capture: 15 cameras (held out: 10), frames 0..2, 48x36 pixels")),
+            "{said}"
+        );
         // Cameras differ in their last bits.
         assert!((found - psnr).abs() < 0.2, "{name}: {found} dB, as Panoptic Sports {psnr} dB");
     }
@@ -123,7 +127,10 @@ fn the_papers_settings_follow_the_layout() {
     let train = |preset: &str| {
         let run = folder.path().join(preset);
         let iterations = ["--iterations", "10,5", "--frames", "0..1", "--preset", preset];
-        succeed(&[&["train", text(folder.path()), "--out", text(&run), "--points", text(&points)], &iterations[..]].concat());
+        succeed(
+            &[&["train", text(folder.path()), "--out", text(&run), "--points", text(&points)], &iterations[..]]
+                .concat(),
+        );
         run
     };
     let run = train("paper");
@@ -153,20 +160,29 @@ fn shared(name: &str) -> Option<PathBuf> {
     None
 }
 
+/// Nothing is removed, so that so few iterations leave something to look at.
+const KEEP: [&str; 5] = ["--no-mask", "--set", "densify.prune_opacity_end=0.005", "--set", "densify.reset=1000000"];
+
 #[test]
 fn kitchen_trains() {
     let Some(path) = shared("kitchen") else { return };
-    let (said, psnr) = train_and_judge(&path, &["--downscale", "8", "--frames", "0..2", "--iterations", "60,20"]);
+    let (said, psnr) = train_and_judge(
+        &path,
+        &[&["--downscale", "8", "--frames", "0..2", "--iterations", "60,20"], &KEEP[..]].concat(),
+    );
     assert!(said.contains("neural3d capture: 18 cameras (held out: 0), frames 0..2, 84x63 pixels"), "{said}");
-    assert!(psnr > KITCHEN, "{psnr} dB");
+    assert!(psnr > 27.0, "{psnr} dB");
 }
 
 #[test]
 fn beercan_trains() {
     let Some(path) = shared("beercan_colmap") else { return };
-    let (said, psnr) = train_and_judge(&path, &["--downscale", "8", "--iterations", "150,1"]);
-    assert!(said.contains("colmap capture: 62 cameras (held out: 0, 8, 16, 24, 32, 40, 48, 56, 64), frames 0..1"), "{said}");
-    assert!(psnr > BEERCAN, "{psnr} dB");
+    let (said, psnr) = train_and_judge(&path, &[&["--downscale", "8", "--iterations", "150,1"], &KEEP[..]].concat());
+    assert!(
+        said.contains("colmap capture: 62 cameras (held out: 0, 8, 16, 24, 32, 40, 48, 56, 64), frames 0..1"),
+        "{said}"
+    );
+    assert!(psnr > 20.5, "{psnr} dB");
 }
 
 #[test]
@@ -176,9 +192,9 @@ fn temple_trains() {
     let points = folder.path().join("points.ply");
     write_box(&points);
     let more = ["--points", text(&points), "--downscale", "8", "--iterations", "150,1"];
-    let (said, psnr) = train_and_judge(&path, &more);
+    let (said, psnr) = train_and_judge(&path, &[&more[..], &KEEP].concat());
     assert!(said.contains("middlebury capture: 14 cameras (held out: 0, 8), frames 0..1, 80x60 pixels"), "{said}");
-    assert!(psnr > TEMPLE, "{psnr} dB");
+    assert!(psnr > 18.5, "{psnr} dB");
 }
 
 /// Grey points all over the box that the temple's README gives.
