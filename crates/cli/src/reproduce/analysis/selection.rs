@@ -20,9 +20,9 @@ pub fn analyse(tracks: &[[Vec<f32>; 3]]) -> Findings {
     let methods = [
         (
             "Algorithm 1",
-            sweep(-9, 0).into_iter().map(|tau| curve_point(&tracks, |x| select_keypoints(x, t, tau))).collect(),
+            sweep(-9, 4).into_iter().map(|tau| curve_point(&tracks, |x| select_keypoints(x, t, tau))).collect(),
         ),
-        ("Ramer-Douglas-Peucker", sweep(-5, 0).into_iter().map(|xi| curve_point(&tracks, |x| ramer(x, xi))).collect()),
+        ("Ramer-Douglas-Peucker", sweep(-5, 2).into_iter().map(|xi| curve_point(&tracks, |x| ramer(x, xi))).collect()),
         ("uniform", (2..=t).map(|count| curve_point(&tracks, |_| uniform(t, count))).collect::<Vec<_>>()),
     ];
     let mut sheet = Sheet { title: "mean squared error by keypoints a track".into(), ..Sheet::default() };
