@@ -26,8 +26,12 @@ fn embed_page() -> io::Result<()> {
     }
     let mut list = String::from("&[\n");
     for path in &paths {
-        let name: Vec<&str> =
-            path.strip_prefix(page.canonicalize()?).expect("below it").iter().filter_map(|part| part.to_str()).collect();
+        let name: Vec<&str> = path
+            .strip_prefix(page.canonicalize()?)
+            .expect("below it")
+            .iter()
+            .filter_map(|part| part.to_str())
+            .collect();
         writeln!(list, "    PageFile {{ name: {:?}, bytes: include_bytes!({path:?}) }},", name.join("/"))
             .expect("a text takes everything");
     }

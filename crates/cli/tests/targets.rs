@@ -81,7 +81,9 @@ fn a_file_says_which_way_is_up_and_where_cameras_stood() {
         succeed(&[&["compress", text(&run), "--out", text(&out), "--force"], more].concat());
         let bytes = fs::read(&out).unwrap();
         let data = tcgs_codec::application_data(&bytes, &tcgs_codec::DecodeLimits::default()).unwrap();
-        data.iter().map(|(name, data)| (name.clone(), serde_json::from_slice::<Value>(data).unwrap())).collect::<Vec<_>>()
+        data.iter()
+            .map(|(name, data)| (name.clone(), serde_json::from_slice::<Value>(data).unwrap()))
+            .collect::<Vec<_>>()
     };
     let found = data(&["--up", "-y", "--views", "3"]);
     let said = succeed(&["info", text(&out)]);

@@ -69,7 +69,10 @@ fn pictures_go_to_ffmpeg_and_errors_come_back() {
     assert!(output.status.code() == Some(2) && message.contains("clip.mp4: exists already"), "{message}");
     assert!(run_with_path(&bin, &[&render[..], &["--force"]].concat()).status.success());
 
-    for (script, dies) in [("echo 'no such encoder' >&2; exit 3", "at once"), ("/bin/cat >/dev/null; echo 'no such encoder' >&2; exit 3", "at the end")] {
+    for (script, dies) in [
+        ("echo 'no such encoder' >&2; exit 3", "at once"),
+        ("/bin/cat >/dev/null; echo 'no such encoder' >&2; exit 3", "at the end"),
+    ] {
         stand_in(&bin, script);
         let output = run_with_path(&bin, &[&render[..], &["--force"]].concat());
         let message = String::from_utf8(output.stderr).unwrap();

@@ -45,7 +45,10 @@ fn what_is_no_tcgs_file_is_refused_by_name() {
     ];
     for (scene, problem) in cases {
         let message = fail(2, &["view", scene, "--no-open"]);
-        assert!(message.contains(problem) && message.contains("expected a .tcgs file, which `tcgs compress`"), "{message}");
+        assert!(
+            message.contains(problem) && message.contains("expected a .tcgs file, which `tcgs compress`"),
+            "{message}"
+        );
     }
     succeed(&["compress", text(&run)]);
     let newer = run.join("scene.tcgs");
@@ -78,7 +81,8 @@ fn one_line_names_the_address_and_the_scene_lies_there() {
 
     let ask = |path: &str, range: &str| {
         let mut connection = TcpStream::connect(("127.0.0.1", port)).unwrap();
-        write!(connection, "GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n{range}\r\n").unwrap();
+        write!(connection, "GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n{range}\r\n")
+            .unwrap();
         let mut answer = Vec::new();
         connection.read_to_end(&mut answer).unwrap();
         let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n").unwrap();

@@ -134,9 +134,8 @@ fn numbers_of(camera: &Camera) -> [f64; NUMBERS] {
 
 fn camera_of(numbers: &[f64; NUMBERS], size: Size) -> Camera {
     let vector = |first: usize| [numbers[first], numbers[first + 1], numbers[first + 2]];
-    let cross = |a: [f64; 3], b: [f64; 3]| {
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    };
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let (center, z) = (vector(0), normalize(vector(3)));
     let x = normalize(cross(vector(6), z));
     let y = cross(z, x);
@@ -175,9 +174,8 @@ mod tests {
     const UP: [f64; 3] = [0.0, -1.0, 0.0];
 
     fn path() -> PathFile {
-        let at = |angle: f64| {
-            Camera::look_at([3.0 * angle.sin(), -1.0, -3.0 * angle.cos()], [0.0; 3], UP, 80.0, 100, 60)
-        };
+        let at =
+            |angle: f64| Camera::look_at([3.0 * angle.sin(), -1.0, -3.0 * angle.cos()], [0.0; 3], UP, 80.0, 100, 60);
         PathFile { keys: vec![(2.0, at(0.0)), (4.0, at(0.5)), (7.0, at(1.25)), (8.0, at(1.5))] }
     }
 

@@ -110,7 +110,14 @@ impl Video {
         let log = File::create(self.log()).context("making a file for what ffmpeg says")?;
         Command::new("ffmpeg")
             .args(["-loglevel", "error", "-nostdin", "-f", "rawvideo", "-pix_fmt", "rgb24"])
-            .args(["-s", &format!("{}x{}", size.width, size.height), "-r", &self.frame_rate.to_string(), "-i", "pipe:0"])
+            .args([
+                "-s",
+                &format!("{}x{}", size.width, size.height),
+                "-r",
+                &self.frame_rate.to_string(),
+                "-i",
+                "pipe:0",
+            ])
             .args(SHOWN_ANYWHERE)
             .args(self.encoder)
             .arg(self.made())

@@ -223,7 +223,12 @@ impl Archive {
     /// Sections of a group with their bytes.
     ///
     /// - `bytes`: from `offset` of the file
-    pub(super) fn sections<'a>(&self, group: usize, offset: u64, bytes: &'a [u8]) -> Result<Vec<Cursor<'a>>, DecodeError> {
+    pub(super) fn sections<'a>(
+        &self,
+        group: usize,
+        offset: u64,
+        bytes: &'a [u8],
+    ) -> Result<Vec<Cursor<'a>>, DecodeError> {
         let entries = &self.entries[self.groups[group]..self.groups[group + 1]];
         let needed = entries.iter().filter(|e| !e.is_optional());
         needed
