@@ -6,6 +6,10 @@ import { CameraPath, checkCamera } from "./camera_path.js";
 
 /** So long after the last change all pixels are drawn. */
 const SETTLE_MS = 200;
+/** The engine learns some frames later whether it had room for all of a picture: so many are drawn before it rests. */
+const STILL_FRAMES = 3;
+/** While things move the GPU may be so many frames behind. */
+const MAX_PENDING = 1;
 
 /**
  * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (a scene is there), `frame` (one was drawn; its state is `player.state`), `change`
@@ -34,7 +38,8 @@ export class Player extends EventTarget {
   #source = null;
   #resolution = new AdaptiveResolution();
   #changed = 0;
-  #settled = false;
+  /** Frames at all pixels since the last change. */
+  #still = 0;
   #last = null;
   /** Asked of the engine, which sets the canvas to that, or to the most that the device can. */
   #size = [0, 0];
@@ -200,7 +205,7 @@ export class Player extends EventTarget {
   /** Something will look different. */
   touch() {
     this.#changed = performance.now();
-    this.#settled = false;
+    this.#still = 0;
   }
 
   #do(action) {
@@ -227,17 +232,19 @@ export class Player extends EventTarget {
     if (!this.info) return;
     const incomplete = this.state === null || this.state.buffering || !this.state.drawn;
     const moving = incomplete || this.playing || now - this.#changed < SETTLE_MS;
-    if (!moving && this.#settled) return this.#rest();
+    if (!moving && this.#still >= STILL_FRAMES) return this.#rest();
+    if (this.#viewer.pending() > (moving ? MAX_PENDING : 0)) return;
     const fixed = this.#options.quality === "fixed" || this.#capturing;
     if (!fixed && moving && this.#last !== null) this.#resolution.frame(now - this.#last);
     this.#resize(fixed || !moving ? 1 : this.#resolution.scale);
-    this.#settled = !moving;
+    this.#still = moving ? 0 : this.#still + 1;
     this.#last = now;
     this.#draw(now);
   };
 
   /** Frames bring a scene in, too, and tell how far it is. */
   #watch(now) {
+    if (this.#viewer.pending() > 0) return;
     try {
       this.#tell("progress", this.#viewer.frame(now).bytesLoaded);
     } catch (error) {

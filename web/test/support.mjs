@@ -6,14 +6,24 @@ import { createInterface } from "node:readline";
 
 import { chromium } from "playwright-core";
 
-/** Debian's. Its graphics card is software; it reaches nothing but this machine. */
+/**
+ * Debian's. Its graphics card is software, that of the window, too, or WebGPU's pictures would not come through to it; for
+ * the same reason there is a window, on whatever display there is. It reaches nothing but this machine.
+ */
 export function launch() {
   return chromium.launch({
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+    headless: false,
     args: [
       "--no-sandbox",
       "--enable-unsafe-webgpu",
       "--use-webgpu-adapter=swiftshader",
+      "--enable-gpu",
+      "--ignore-gpu-blocklist",
+      "--enable-features=Vulkan",
+      "--use-vulkan=swiftshader",
+      "--disable-vulkan-surface",
+      "--disable-gpu-watchdog",
       "--disable-background-networking",
       "--disable-component-update",
       "--disable-sync",

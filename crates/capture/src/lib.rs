@@ -4,14 +4,27 @@
 //! [`tcgs_core::View`]. What does not: what is made of the views.
 
 mod capture;
+mod colmap;
 mod decode;
 mod error;
+mod files;
+mod kind;
+mod lanczos;
+mod lens;
 mod meta;
+mod middlebury;
+mod nerfstudio;
+mod neural3d;
 mod panoptic;
 mod points;
+mod shot;
 mod sight;
+mod split;
 mod synthetic;
+mod technicolor;
+mod video;
 
-pub use capture::{Capture, CaptureKind, Split};
+pub use capture::{Capture, Split};
 pub use error::CaptureError;
+pub use kind::CaptureKind;
 pub use synthetic::{SYNTHETIC_FRAME_RATE, SyntheticSettings, ball_at, write_synthetic};

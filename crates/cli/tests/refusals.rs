@@ -59,12 +59,8 @@ fn wrong_usage_is_one_line() {
 #[test]
 fn what_does_not_exist_yet_says_so() {
     let folder = tempdir().unwrap();
-    let capture = text(capture());
     let run = train(&folder, "run", &[]);
     let out = folder.path().join("out");
-    for protocol in ["4dgs", "stg"] {
-        refuse(&["eval", text(&run), "--capture", capture, "--protocol", protocol], &[protocol, "expected tc3dgs"]);
-    }
     refuse(&["render", text(&run), "--out", "clip.mov"], &["clip.mov", "expected .mp4, .webm"]);
     refuse(&["render", text(&run), "--out", text(&out), "--cameras", "t/transforms.json"], &["transforms.json"]);
     refuse(&["export", text(&run), "--to", "a.gltf"], &["a.gltf", "expected NAME.npz, NAME.ply"]);
@@ -137,6 +133,11 @@ fn scenes_and_captures_that_do_not_fit_are_named() {
     let path = |name: &str| folder.path().join(name);
     refuse(&["eval", text(&run), "--capture", "nowhere"], &["nowhere", "no such folder"]);
     refuse(&["eval", text(&run), "--capture", capture, "--frames", "1..4"], &["--frames 1..4", "1..3"]);
+    refuse(&["eval", text(&run), "--capture", capture, "--protocol", "psnr"], &["'psnr'", "tc3dgs, 4dgs, stg"]);
+    let weights = ["eval", text(&run), "--capture", capture, "--lpips-weights"];
+    refuse(&[&weights[..], &["nowhere"]].concat(), &["nowhere", "expected LPIPS weights"]);
+    let config = run.join("config.toml");
+    refuse(&[&weights[..], &[text(&config)]].concat(), &["config.toml: not safetensors", "expected LPIPS weights"]);
     refuse(&["render", text(&run), "--out", text(&path("f")), "--frames", "0..2"], &["--frames 0..2", "1..3"]);
     refuse(&["eval", "nowhere.tcgs", "--capture", capture], &["nowhere.tcgs", "expected a .tcgs file"]);
     refuse(

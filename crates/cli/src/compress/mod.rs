@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
+use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::{BitMapping, CompressSettings, UpAxis};
 use tcgs_core::Attribute;
 use tcgs_train::Run;
@@ -56,11 +57,12 @@ pub struct Arguments {
     /// Settings to start from
     #[arg(long, default_value = "default")]
     preset: PresetName,
-    /// Most keypoints of a track, 2 or more [default: 60; paper: 30]
+    /// Most keypoints of a track, 2 or more [default: 60; paper: 30 for Panoptic Sports, 15 for Technicolor, else 60]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65536))]
     max_keypoints: Option<u32>,
     /// Mean squared error of a track at which no more keypoints are added [default: a run's positions 2.5e-6,
-    /// others' by their extent, rotations 4e-5, scales 1e-4, opacities 1e-3, colours 2e-4; paper: 1e-5]
+    /// others' by their extent, rotations 4e-5, scales 1e-4, opacities 1e-3, colours 2e-4; paper: 1e-5 for Panoptic Sports, else
+    /// 1e-7]
     #[arg(long, value_name = "MSE", value_parser = not_negative, allow_negative_numbers = true)]
     max_mse: Option<f32>,
     /// Store every timestep
@@ -177,9 +179,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     check_source(arguments, &scene)?;
     say(&scene.describe())?;
 
-    let mut settings = settings(arguments);
+    let kind = kind(arguments, &scene)?;
+    let mut settings = settings(arguments, kind);
     let radius = extent(&scene.at(0)).1 as f32;
-    let of_unknown_unit = matches!(scene.model, Model::Floats { .. });
+    let of_unknown_unit = matches!(scene.model, Model::Floats { .. }) || kind != CaptureKind::Panoptic;
     if of_unknown_unit && arguments.preset == PresetName::Default && arguments.max_mse.is_none() {
         settings.keypoints.max_mse[Attribute::Mean.index()] = (POSITION_TOLERANCE * radius).powi(2);
     }
@@ -242,9 +245,31 @@ fn check_source(arguments: &Arguments, scene: &Scene) -> anyhow::Result<()> {
     }
 }
 
-fn settings(arguments: &Arguments) -> Settings {
+/// The layout of what the scene was trained on; where nothing is known, the paper's main one.
+fn kind(arguments: &Arguments, scene: &Scene) -> anyhow::Result<CaptureKind> {
+    if let Some(capture) = &arguments.capture {
+        return Ok(Capture::open(capture)?.kind());
+    }
+    let of_run = match &scene.model {
+        Model::Run(run) => CaptureKind::named(&run.0.config().data.layout),
+        _ => None,
+    };
+    Ok(of_run.unwrap_or(CaptureKind::Panoptic))
+}
+
+/// The paper's settings, which differ between its data sets.
+fn paper(kind: CaptureKind) -> CompressSettings {
+    let (max_keypoints, max_mse) = match kind {
+        CaptureKind::Panoptic => (30, 1e-5),
+        CaptureKind::Technicolor => (15, 1e-7),
+        _ => (60, 1e-7),
+    };
+    CompressSettings { max_keypoints, max_mse: [max_mse; 5], ..CompressSettings::paper() }
+}
+
+fn settings(arguments: &Arguments, kind: CaptureKind) -> Settings {
     let (mut keypoints, mapping) = match arguments.preset {
-        PresetName::Paper => (CompressSettings::paper(), BitMapping::Linear),
+        PresetName::Paper => (paper(kind), BitMapping::Linear),
         PresetName::Default => (CompressSettings::default(), BitMapping::Log),
     };
     keypoints.keypoints = !arguments.no_keypoints;

@@ -159,7 +159,8 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
 
     say("4/4  measuring on the held-out cameras")?;
     let score = |scene: &Scene, frozen: bool| {
-        let settings = eval::Settings { split: Split::Test, frames: scene.frames(), downscale: 1, frozen };
+        let (split, frames) = (Split::Test, scene.frames());
+        let settings = eval::Settings { split, frames, downscale: 1, frozen, lpips: None, protocol: None };
         evaluate(scene, &capture, &settings, &*renderer)
     };
     let uncompressed = score(&scene, false)?;

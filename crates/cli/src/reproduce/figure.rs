@@ -205,7 +205,7 @@ pub fn page(plan: &Plan, shown: &Shown, results: &Results) -> String {
         };
         let (commits, commands) = (list("commits", ", "), list("commands", "\n"));
         let _ =
-            write!(all, "<details><summary>{} at {commits}</summary><pre>{commands}</pre></details>\n", escape(key));
+            writeln!(all, "<details><summary>{} at {commits}</summary><pre>{commands}</pre></details>", escape(key));
         all
     });
     section(&mut page, "Commands", "What made each number, and the commit of the program.", &commands);

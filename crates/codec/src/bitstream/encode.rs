@@ -168,7 +168,7 @@ fn segment_sections(
     attribute: Attribute,
 ) -> Vec<Part> {
     let a = attribute.index();
-    let mut models = KeypointModels::new(attribute);
+    let mut models = KeypointModels::new(&head.plan, attribute);
     let mut units = UnitTracks::new(head.plan.channels(attribute));
     let unlimited = Budget::new(&DecodeLimits::none(), u64::MAX);
     let mut parts = Vec::new();

@@ -92,7 +92,8 @@ impl SegmentReader {
     pub(super) fn new(archive: &Archive, segment: usize) -> Self {
         let plan = &archive.head().plan;
         let varying = Attribute::ALL.into_iter().filter(|a| plan.varies[a.index()]);
-        let attributes = varying.map(|a| (a, KeypointModels::new(a), UnitTracks::new(plan.channels(a)))).collect();
+        let attributes =
+            varying.map(|a| (a, KeypointModels::new(plan, a), UnitTracks::new(plan.channels(a)))).collect();
         Self { segment, layers: 0, attributes }
     }
 
@@ -158,7 +159,8 @@ fn segment_of(
     units: impl Iterator<Item = (Attribute, UnitTracks)>,
 ) -> Segment {
     let mut tracks: [UnitTracks; 5] = Attribute::ALL.map(|a| UnitTracks::new(archive.head().plan.channels(a)));
-    for (attribute, units) in units {
+    for (attribute, mut units) in units {
+        units.shrink();
         tracks[attribute.index()] = units;
     }
     Segment::new(archive.head().clone(), archive.shared().clone(), segment, layers, tracks)

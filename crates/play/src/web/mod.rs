@@ -8,6 +8,8 @@ mod source;
 
 use std::cell::RefCell;
 use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::task::{Poll, Waker};
 
 use js_sys::{Promise, Uint8ClampedArray};
@@ -38,6 +40,9 @@ struct State {
     waker: Option<Waker>,
     is_open: bool,
     cameras: Vec<FileCamera>,
+    num_drawn: u32,
+    /// How many of them the GPU has finished.
+    num_finished: Arc<AtomicU32>,
 }
 
 /// A scene on a canvas.
@@ -72,8 +77,19 @@ impl WebViewer {
         let size = [canvas.width().max(1) as usize, canvas.height().max(1) as usize];
         let (gpu, surface, format) = Gpu::of_canvas(canvas).await.map_err(PlayError::from)?;
         let viewer = Viewer::new(gpu.clone(), format);
-        let state =
-            State { viewer, gpu, surface, format, size, opening: 0, waker: None, is_open: false, cameras: Vec::new() };
+        let state = State {
+            viewer,
+            gpu,
+            surface,
+            format,
+            size,
+            opening: 0,
+            waker: None,
+            is_open: false,
+            cameras: Vec::new(),
+            num_drawn: 0,
+            num_finished: Arc::default(),
+        };
         state.configure();
         Ok(Self { state: Rc::new(RefCell::new(state)) })
     }
@@ -172,6 +188,13 @@ impl WebViewer {
             ("width", (state.size[0] as u32).into()),
             ("height", (state.size[1] as u32).into()),
         ]))
+    }
+
+    /// How many frames the GPU has not finished yet. A page that draws on regardless makes it fall behind more and more:
+    /// browsers do not wait.
+    pub fn pending(&self) -> u32 {
+        let state = self.state.borrow();
+        state.num_drawn.wrapping_sub(state.num_finished.load(Ordering::Relaxed))
     }
 
     /// Lets time pass.
@@ -355,6 +378,11 @@ impl State {
         };
         let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
         let frame = self.viewer.draw(self.size, &view)?;
+        self.num_drawn = self.num_drawn.wrapping_add(1);
+        let finished = self.num_finished.clone();
+        self.gpu.queue().on_submitted_work_done(move || {
+            finished.fetch_add(1, Ordering::Relaxed);
+        });
         self.gpu.queue().present(texture);
         Ok(frame)
     }
