@@ -70,6 +70,15 @@ impl Capture {
         panoptic::open(path)
     }
 
+    /// [`Self::open`] for a capture that may lack initial points, and of which nobody checks whether cameras
+    /// look at them.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_without_points(path: &Path) -> Result<Self, CaptureError> {
+        panoptic::open_without_points(path)
+    }
+
     /// How it lies on disk.
     pub fn kind(&self) -> CaptureKind {
         self.kind
@@ -120,6 +129,11 @@ impl Capture {
         // Collected before the first error is looked for, so that it is always the same one.
         let views: Vec<_> = shots.par_iter().map(|shot| shot.view(frame, downscale)).collect();
         views.into_iter().collect()
+    }
+
+    /// Whether there are points to start from.
+    pub fn has_points(&self) -> bool {
+        self.path.join(panoptic::POINTS).exists()
     }
 
     /// The points that training starts from.

@@ -16,7 +16,7 @@ use crate::{
     CaptureError,
     capture::{Capture, CaptureKind, Shot},
     meta::Meta,
-    points, sight,
+    sight,
 };
 
 const TRAIN_META: &str = "train_meta.json";
@@ -29,16 +29,27 @@ const MASKS: &str = "seg";
 const DEFAULT_FRAME_RATE: f64 = 30.0;
 
 pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
+    check_folder(path, &[TRAIN_META, POINTS, IMAGES])?;
+    let capture = open_without_points(path)?;
+    let cloud = capture.point_cloud()?;
+    check_sight(&path.join(TRAIN_META), &capture.train[0], &cloud)?;
+    check_sight(&path.join(TEST_META), &capture.test[0], &cloud)?;
+    Ok(capture)
+}
+
+fn check_folder(path: &Path, names: &[&str]) -> Result<(), CaptureError> {
     let not_capture = |problem: String| CaptureError::NotCapture { path: path.into(), problem };
     if !path.is_dir() {
         return Err(not_capture(if path.exists() { "is a file".into() } else { "no such folder".into() }));
     }
-    for name in [TRAIN_META, POINTS, IMAGES] {
-        if !path.join(name).exists() {
-            return Err(not_capture(format!("has no {name}")));
-        }
+    match names.iter().find(|name| !path.join(name).exists()) {
+        Some(name) => Err(not_capture(format!("has no {name}"))),
+        None => Ok(()),
     }
+}
 
+pub(crate) fn open_without_points(path: &Path) -> Result<Capture, CaptureError> {
+    check_folder(path, &[TRAIN_META, IMAGES])?;
     let train_meta = path.join(TRAIN_META);
     let meta = Meta::read(&train_meta)?;
     let frame_rate = meta.fps.unwrap_or(DEFAULT_FRAME_RATE);
@@ -68,9 +79,6 @@ pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
     let has_segmentation = find_train_masks(&mut train)?;
     drop_missing_masks(&mut test);
 
-    let cloud = points::read(&path.join(POINTS))?;
-    check_sight(&train_meta, &train[0], &cloud)?;
-    check_sight(&test_meta, &test[0], &cloud)?;
     Ok(Capture { path: path.into(), kind: CaptureKind::Panoptic, frame_rate, train, test, has_segmentation })
 }
 
