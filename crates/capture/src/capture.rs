@@ -1,19 +1,12 @@
 //! A capture, whatever its layout on disk.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use tcgs_core::{Camera, PointCloud, View};
 
-use crate::{CaptureError, decode, panoptic, points};
-
-/// How a capture lies on disk.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum CaptureKind {
-    /// Panoptic Sports as prepared for Dynamic 3D Gaussians: a file an image.
-    Panoptic,
-}
+use crate::{CaptureError, CaptureKind, kind, points, shot::Shot, sight};
 
 /// Which cameras.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,38 +38,59 @@ pub struct Capture {
     pub(crate) kind: CaptureKind,
     /// Frames a second.
     pub(crate) frame_rate: f64,
+    /// Those that publications use.
+    pub(crate) usual_frames: Range<usize>,
     /// `[T][C]`, `C` may change with time.
     pub(crate) train: Vec<Vec<Shot>>,
     /// `[T][C]`, `C` may be 0.
     pub(crate) test: Vec<Vec<Shot>>,
     pub(crate) has_segmentation: bool,
-}
-
-/// One image still on disk.
-#[derive(Clone, Debug)]
-pub(crate) struct Shot {
-    pub camera_id: usize,
-    pub camera: Camera,
-    pub image: PathBuf,
-    pub mask: Option<PathBuf>,
+    /// What says where the cameras of `train` and `test` stand.
+    pub(crate) cameras_files: [PathBuf; 2],
+    pub(crate) points: Option<PathBuf>,
 }
 
 impl Capture {
-    /// Opens the capture in a folder: reads and checks all but the images, and that those exist.
+    /// Opens the capture in a folder: recognises its layout, reads and checks all but the images, and that
+    /// those exist. Initial points may be missing, since not all that is done with a capture needs them.
     ///
     /// # Errors
-    /// [`CaptureError`] names the first file that is missing or wrong.
+    /// [`CaptureError`] names the first file that is missing or wrong; if no layout fits, what was looked for.
     pub fn open(path: &Path) -> Result<Self, CaptureError> {
-        panoptic::open(path)
+        let capture = kind::open(path)?;
+        capture.check_sight()?;
+        Ok(capture)
     }
 
-    /// [`Self::open`] for a capture that may lack initial points, and of which nobody checks whether cameras
-    /// look at them.
+    /// [`Self::open`] that does not ask whether the cameras see the points: to make new points, or to find out
+    /// what is wrong with the cameras.
     ///
     /// # Errors
     /// As [`Self::open`].
-    pub fn open_without_points(path: &Path) -> Result<Self, CaptureError> {
-        panoptic::open_without_points(path)
+    pub fn open_unseen(path: &Path) -> Result<Self, CaptureError> {
+        kind::open(path)
+    }
+
+    /// The same capture with the points of another file: `.npz` as Dynamic 3D Gaussians has it, `.ply`, or
+    /// `points3D.bin` or `.txt` of a COLMAP model, or that model's folder.
+    ///
+    /// # Errors
+    /// If they cannot be read, or most cameras do not see them.
+    pub fn with_points(mut self, path: &Path) -> Result<Self, CaptureError> {
+        self.points = Some(path.into());
+        self.check_sight()?;
+        Ok(self)
+    }
+
+    /// Do the cameras see the points?
+    fn check_sight(&self) -> Result<(), CaptureError> {
+        let Some(points) = &self.points else { return Ok(()) };
+        let cloud = points::read(points)?;
+        for (shots, file) in [&self.train[0], &self.test[0]].into_iter().zip(&self.cameras_files) {
+            let cameras: Vec<&Camera> = shots.iter().map(|shot| &shot.camera).collect();
+            sight::check(&cameras, &cloud).map_err(|problem| CaptureError::invalid(file, problem))?;
+        }
+        Ok(())
     }
 
     /// How it lies on disk.
@@ -94,6 +108,11 @@ impl Capture {
     /// Frames, numbered from 0.
     pub fn num_frames(&self) -> usize {
         self.train.len()
+    }
+
+    /// The frames that publications use; all, where they have not agreed on fewer.
+    pub fn usual_frames(&self) -> Range<usize> {
+        self.usual_frames.clone()
     }
 
     /// Frames a second.
@@ -131,17 +150,20 @@ impl Capture {
         views.into_iter().collect()
     }
 
-    /// Whether there are points to start from.
-    pub fn has_points(&self) -> bool {
-        self.path.join(panoptic::POINTS).exists()
-    }
-
     /// The points that training starts from.
     ///
     /// # Errors
-    /// If the file cannot be read or has no or broken points.
+    /// If there are none, or the file cannot be read or has no or broken points.
     pub fn point_cloud(&self) -> Result<PointCloud, CaptureError> {
-        points::read(&self.path.join(panoptic::POINTS))
+        match &self.points {
+            Some(points) => points::read(points),
+            None => Err(CaptureError::NoPoints { path: self.path.clone() }),
+        }
+    }
+
+    /// Whether there are points to start from.
+    pub fn has_points(&self) -> bool {
+        self.points.is_some()
     }
 
     fn shots(&self, split: Split, frame: usize, downscale: usize) -> Result<Vec<&Shot>, CaptureError> {
@@ -162,24 +184,5 @@ impl Capture {
             }
             None => Ok(shots),
         }
-    }
-}
-
-impl Shot {
-    fn view(&self, frame: usize, downscale: usize) -> Result<View, CaptureError> {
-        let size = (self.camera.width, self.camera.height);
-        let image = decode::image(&self.image, size)?;
-        let segmentation = self.mask.as_ref().map(|mask| decode::mask(mask, size)).transpose()?;
-        let (camera, camera_id) = (self.camera.clone(), self.camera_id);
-        let view = View { camera, image, segmentation, frame, camera_id };
-        if downscale == 1 {
-            return Ok(view);
-        }
-        Ok(View {
-            camera: view.camera.downscaled(downscale),
-            image: view.image.downscaled(downscale),
-            segmentation: view.segmentation.map(|mask| mask.downscaled(downscale)),
-            ..view
-        })
     }
 }

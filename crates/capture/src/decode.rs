@@ -2,15 +2,37 @@
 
 use std::{io::Cursor, path::Path};
 
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
-use tcgs_core::{Image, Segmentation};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
+use tcgs_core::Segmentation;
 
 use crate::CaptureError;
 
-/// Decodes an image of the size that the capture says.
-pub(crate) fn image(path: &Path, size: (usize, usize)) -> Result<Image, CaptureError> {
-    let rgb = decode(path, size)?.into_rgb8();
-    Ok(Image::from_rgb8(size.0, size.1, rgb.as_raw()))
+/// Decodes an image of the size that the capture says. What is transparent is black.
+pub(crate) fn image(path: &Path, size: (usize, usize)) -> Result<RgbImage, CaptureError> {
+    let decoded = decode(path, size)?;
+    if !decoded.color().has_alpha() {
+        return Ok(decoded.into_rgb8());
+    }
+    let rgba = decoded.into_rgba8();
+    Ok(RgbImage::from_fn(rgba.width(), rgba.height(), |x, y| {
+        let [r, g, b, alpha] = rgba.get_pixel(x, y).0;
+        image::Rgb([r, g, b].map(|c| ((u16::from(c) * u16::from(alpha) + 127) / 255) as u8))
+    }))
+}
+
+/// Width and height, without decoding more.
+pub(crate) fn size(path: &Path) -> Result<(usize, usize), CaptureError> {
+    let (width, height) = image::image_dimensions(path).map_err(|error| match error {
+        image::ImageError::IoError(error) => CaptureError::Io { path: path.into(), error },
+        other => damaged(path, &other),
+    })?;
+    Ok((width as usize, height as usize))
+}
+
+fn damaged(path: &Path, error: &image::ImageError) -> CaptureError {
+    // Decoders' messages may have several lines.
+    let reason = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    CaptureError::invalid(path, format!("cannot be decoded: {reason}"))
 }
 
 /// Decodes a mask: what is not black is foreground, be it 1 or 255.
@@ -25,18 +47,14 @@ pub(crate) fn mask(path: &Path, size: (usize, usize)) -> Result<Segmentation, Ca
 
 fn decode(path: &Path, (width, height): (usize, usize)) -> Result<DynamicImage, CaptureError> {
     let io = |error| CaptureError::Io { path: path.into(), error };
-    let damaged = |error: image::ImageError| {
-        // Decoders' messages may have several lines.
-        let reason = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-        CaptureError::invalid(path, format!("cannot be decoded: {reason}"))
-    };
+    let damaged = |error: image::ImageError| damaged(path, &error);
     let bytes = std::fs::read(path).map_err(io)?;
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(io)?;
     let format = reader.format();
     let decoder = reader.into_decoder().map_err(damaged)?;
     let (found_width, found_height) = decoder.dimensions();
     if (found_width as usize, found_height as usize) != (width, height) {
-        let problem = format!("is {found_width}x{found_height} pixels, expected {width}x{height} as the meta says");
+        let problem = format!("is {found_width}x{found_height} pixels, expected {width}x{height} as its camera has");
         return Err(CaptureError::invalid(path, problem));
     }
     if format == Some(ImageFormat::Jpeg) && !jpeg_is_whole(&bytes) {

@@ -4,15 +4,16 @@ use std::{io, path::PathBuf};
 
 use tcgs_interchange::InterchangeError;
 
+use crate::kind;
+
 /// Why a capture cannot be used. Every message is one line and begins with the file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CaptureError {
     /// The folder is of no kind that is known.
     #[error(
-        "{}: {problem}, expected the folder of a capture with train_meta.json, init_pt_cld.npz and ims/ \
-         (Panoptic Sports layout)",
-        path.display()
+        "{}: {problem}, expected the folder of a capture with one of {}",
+        path.display(), kind::marks()
     )]
     NotCapture {
         /// The folder.
@@ -36,7 +37,17 @@ pub enum CaptureError {
         /// What was found, and what was expected.
         problem: String,
     },
-    /// The points cannot be read.
+    /// There are no points to start from.
+    #[error(
+        "{}: has no initial points, expected init_pt_cld.npz, points3D.ply or a COLMAP model in it; `tcgs prepare` \
+         makes them, and `tcgs train --points FILE` takes others",
+        path.display()
+    )]
+    NoPoints {
+        /// The capture.
+        path: PathBuf,
+    },
+    /// Points or poses cannot be read.
     #[error(transparent)]
     Points(#[from] InterchangeError),
     /// A frame was asked for that the capture does not have.

@@ -10,18 +10,12 @@
 use std::path::{Component, Path, PathBuf};
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, PointCloud};
+use tcgs_core::Camera;
 
-use crate::{
-    CaptureError,
-    capture::{Capture, CaptureKind, Shot},
-    meta::Meta,
-    sight,
-};
+use crate::{Capture, CaptureError, CaptureKind, meta::Meta, points, shot::Shot};
 
-const TRAIN_META: &str = "train_meta.json";
+pub(crate) const TRAIN_META: &str = "train_meta.json";
 const TEST_META: &str = "test_meta.json";
-pub(crate) const POINTS: &str = "init_pt_cld.npz";
 const IMAGES: &str = "ims";
 const MASKS: &str = "seg";
 
@@ -29,27 +23,10 @@ const MASKS: &str = "seg";
 const DEFAULT_FRAME_RATE: f64 = 30.0;
 
 pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
-    check_folder(path, &[TRAIN_META, POINTS, IMAGES])?;
-    let capture = open_without_points(path)?;
-    let cloud = capture.point_cloud()?;
-    check_sight(&path.join(TRAIN_META), &capture.train[0], &cloud)?;
-    check_sight(&path.join(TEST_META), &capture.test[0], &cloud)?;
-    Ok(capture)
-}
-
-fn check_folder(path: &Path, names: &[&str]) -> Result<(), CaptureError> {
-    let not_capture = |problem: String| CaptureError::NotCapture { path: path.into(), problem };
-    if !path.is_dir() {
-        return Err(not_capture(if path.exists() { "is a file".into() } else { "no such folder".into() }));
+    let images = path.join(IMAGES);
+    if !images.is_dir() {
+        return Err(CaptureError::invalid(images, "no such folder, expected the images that train_meta.json names"));
     }
-    match names.iter().find(|name| !path.join(name).exists()) {
-        Some(name) => Err(not_capture(format!("has no {name}"))),
-        None => Ok(()),
-    }
-}
-
-pub(crate) fn open_without_points(path: &Path) -> Result<Capture, CaptureError> {
-    check_folder(path, &[TRAIN_META, IMAGES])?;
     let train_meta = path.join(TRAIN_META);
     let meta = Meta::read(&train_meta)?;
     let frame_rate = meta.fps.unwrap_or(DEFAULT_FRAME_RATE);
@@ -79,7 +56,17 @@ pub(crate) fn open_without_points(path: &Path) -> Result<Capture, CaptureError> 
     let has_segmentation = find_train_masks(&mut train)?;
     drop_missing_masks(&mut test);
 
-    Ok(Capture { path: path.into(), kind: CaptureKind::Panoptic, frame_rate, train, test, has_segmentation })
+    Ok(Capture {
+        path: path.into(),
+        kind: CaptureKind::Panoptic,
+        frame_rate,
+        usual_frames: 0..train.len(),
+        train,
+        test,
+        has_segmentation,
+        cameras_files: [train_meta, test_meta],
+        points: points::find(path, None),
+    })
 }
 
 /// Cameras and file names of one meta file, `[T][C]`, each with the place where its mask would be.
@@ -112,7 +99,8 @@ fn shots(path: &Path, meta_name: &str, meta: &Meta) -> Result<Vec<Vec<Shot>>, Ca
                 return Err(invalid(problem));
             }
             let mask = path.join(MASKS).join(file_name).with_extension("png");
-            at_t.push(Shot { camera_id, camera, image: path.join(IMAGES).join(file_name), mask: Some(mask) });
+            let shot = Shot::of_file(camera_id, camera, path.join(IMAGES).join(file_name));
+            at_t.push(Shot { mask: Some(mask), ..shot });
         }
         shots.push(at_t);
     }
@@ -125,9 +113,9 @@ fn check_images(shots: &[Vec<Shot>], meta_name: &str) -> Result<(), CaptureError
         .enumerate()
         .flat_map(|(t, at_t)| at_t.iter().enumerate().map(move |(c, shot)| (t, c, shot)))
         .collect();
-    match all.par_iter().find_first(|(_, _, shot)| !shot.image.is_file()) {
+    match all.par_iter().find_first(|(_, _, shot)| !shot.path().is_file()) {
         Some((t, c, shot)) => {
-            Err(CaptureError::invalid(&shot.image, format!("no such file, expected it as fn[{t}][{c}] of {meta_name}")))
+            Err(CaptureError::invalid(shot.path(), format!("no such file, expected it as fn[{t}][{c}] of {meta_name}")))
         }
         None => Ok(()),
     }
@@ -159,9 +147,4 @@ fn find_train_masks(train: &mut [Vec<Shot>]) -> Result<bool, CaptureError> {
             Err(CaptureError::invalid(missing, problem))
         }
     }
-}
-
-fn check_sight(meta_path: &Path, shots: &[Shot], cloud: &PointCloud) -> Result<(), CaptureError> {
-    let cameras: Vec<&Camera> = shots.iter().map(|shot| &shot.camera).collect();
-    sight::check(&cameras, cloud).map_err(|problem| CaptureError::invalid(meta_path, problem))
 }

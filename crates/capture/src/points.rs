@@ -1,11 +1,19 @@
-//! The initial points: `init_pt_cld.npz` of Dynamic 3D Gaussians.
+//! The initial points, wherever they are: `init_pt_cld.npz` of Dynamic 3D Gaussians, a PLY file, a COLMAP model.
 
-use std::path::Path;
+use std::io::{self, Seek, Write};
+use std::path::{Path, PathBuf};
 
 use tcgs_core::PointCloud;
-use tcgs_interchange::NpzReader;
+use tcgs_interchange::{NpzReader, NpzWriter, read_ply_points};
 
-use crate::CaptureError;
+use crate::{CaptureError, colmap, files};
+
+/// The points of Dynamic 3D Gaussians, in a capture of any layout.
+pub const POINTS_FILE: &str = "init_pt_cld.npz";
+
+/// Files that a capture of any layout may have beside its own, the first that exists counts. The last is what the
+/// preparation of Neural 3D Video for 4D Gaussian Splatting leaves.
+const FILES: [&str; 3] = [POINTS_FILE, "points3D.ply", "points3D_downsample2.ply"];
 
 /// Columns of a row: position, colour, foreground.
 const COLUMNS: usize = 7;
@@ -13,8 +21,48 @@ const COLUMNS: usize = 7;
 /// How far beyond `[0, 1]` a colour may lie before it is taken for another scale than for rounding.
 const COLOR_TOLERANCE: f32 = 0.01;
 
-/// Reads the array `data` `[P, 7]`: `x, y, z` in scene units, `r, g, b` in `[0, 1]`, foreground 0 or 1.
+/// Finds the points of a capture.
+///
+/// - `own`: those of this layout; what every layout may have comes before
+pub(crate) fn find(capture: &Path, own: Option<PathBuf>) -> Option<PathBuf> {
+    FILES.iter().map(|name| capture.join(name)).find(|path| path.is_file()).or(own)
+}
+
+/// Reads points, by the kind of the file.
 pub(crate) fn read(path: &Path) -> Result<PointCloud, CaptureError> {
+    if path.is_dir() {
+        let file = colmap::points_in(path).ok_or_else(|| {
+            CaptureError::invalid(path, "has no points3D.bin or points3D.txt, expected the folder of a COLMAP model")
+        })?;
+        return colmap::read_points(&file);
+    }
+    match files::name(path).rsplit('.').next().unwrap_or_default() {
+        "npz" => read_npz(path),
+        "ply" => Ok(read_ply_points(path)?),
+        "bin" | "txt" => colmap::read_points(path),
+        _ => Err(CaptureError::invalid(
+            path,
+            "is of no known kind, expected points as .npz, .ply, or points3D.bin or .txt of COLMAP",
+        )),
+    }
+}
+
+/// Writes what [`read`] reads from an `.npz`.
+pub fn write_points(writer: impl Write + Seek, cloud: &PointCloud) -> io::Result<()> {
+    let num_points = cloud.points.len();
+    let rows: Vec<f32> = (0..num_points)
+        .flat_map(|i| {
+            let ([x, y, z], [r, g, b]) = (cloud.points[i], cloud.colors[i]);
+            [x, y, z, r, g, b, f32::from(u8::from(cloud.foreground[i]))]
+        })
+        .collect();
+    let mut npz = NpzWriter::new(writer);
+    npz.array("data", &[num_points, COLUMNS], [&rows[..]])?;
+    npz.finish()?.flush()
+}
+
+/// Reads the array `data` `[P, 7]`: `x, y, z` in scene units, `r, g, b` in `[0, 1]`, foreground 0 or 1.
+fn read_npz(path: &Path) -> Result<PointCloud, CaptureError> {
     let data = NpzReader::open(path)?.array("data")?;
     let invalid = |problem: String| CaptureError::invalid(path, format!("data {problem}"));
     let &[num_points, COLUMNS] = data.shape.as_slice() else {

@@ -43,6 +43,14 @@ pub enum InterchangeError {
         /// Coefficients above degree 0, of all three channels.
         num_rest: usize,
     },
+    /// A file of one array is not as expected.
+    #[error("{}: {problem}", path.display())]
+    Npy {
+        /// The file.
+        path: PathBuf,
+        /// What was found, and what was expected.
+        problem: String,
+    },
     /// One array of the archive is missing or not as expected.
     #[error("{}: {key} {problem}", path.display())]
     Array {

@@ -3,7 +3,11 @@
 //! Source: NumPy Enhancement Proposal 1, "A Simple File Format for NumPy Arrays", versions 1 to 3.
 //! Only what model files hold: little-endian 32- and 64-bit floats.
 
-use std::io::{self, Read};
+use std::fs::File;
+use std::io::{self, BufReader, Read};
+use std::path::Path;
+
+use crate::InterchangeError;
 
 /// Longest header that is read. Those of plain arrays have 128 bytes.
 const MAX_HEADER_BYTES: usize = 4096;
@@ -18,6 +22,26 @@ pub struct NpyArray {
     pub shape: Vec<usize>,
     /// As many values as the product of `shape`.
     pub values: Vec<f32>,
+}
+
+/// Reads a `.npy` file of float32 or float64, in C or Fortran order.
+///
+/// # Errors
+/// [`InterchangeError`] if it cannot be read, is of another type, damaged, or holds a number that is not finite.
+pub fn read_npy(path: &Path) -> Result<NpyArray, InterchangeError> {
+    let failed = |error| InterchangeError::Io { path: path.into(), action: "opening", error };
+    let file = File::open(path).map_err(failed)?;
+    let held = file.metadata().map_err(failed)?.len();
+    let mut reader = BufReader::new(file);
+    let read = |reader: &mut BufReader<File>| {
+        let header = Header::read(reader)?;
+        let (held, promised) = (held.saturating_sub(header.header_bytes as u64), header.value_bytes());
+        if held != promised {
+            return Err(format!("holds {held} bytes of values, its header promises {promised}"));
+        }
+        header.read_values(reader)
+    };
+    read(&mut reader).map_err(|problem| InterchangeError::Npy { path: path.into(), problem })
 }
 
 /// What stands before the values.
@@ -251,6 +275,18 @@ mod tests {
         let bytes: Vec<u8> = [0.0_f64, 3.0, 1.0, 4.0, 2.0, 5.0].iter().flat_map(|v| v.to_le_bytes()).collect();
         let array = header.read_values(&mut bytes.as_slice()).unwrap();
         assert_eq!((array.shape, array.values), (vec![2, 3], vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0]));
+    }
+
+    #[test]
+    fn a_file_holds_what_its_header_promises() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let mut bytes = header_bytes(&[2, 2]);
+        bytes.extend([1.0_f32, 2.0, 3.0, 4.0].iter().flat_map(|v| v.to_le_bytes()));
+        std::fs::write(file.path(), &bytes).unwrap();
+        assert_eq!(read_npy(file.path()).unwrap().values, [1.0, 2.0, 3.0, 4.0]);
+        std::fs::write(file.path(), &bytes[..bytes.len() - 1]).unwrap();
+        let message = read_npy(file.path()).unwrap_err().to_string();
+        assert!(message.ends_with(": holds 15 bytes of values, its header promises 16"), "{message}");
     }
 
     #[test]

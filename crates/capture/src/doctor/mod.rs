@@ -12,7 +12,6 @@ mod sheet;
 mod splat;
 mod sync;
 
-use rayon::prelude::*;
 use tcgs_core::{Camera, Image, View};
 
 use crate::{Capture, CaptureError, PrepareSettings, Split, prepare, sight};

@@ -104,7 +104,7 @@ const MAX_HIDDEN_FROM: usize = 1;
 /// write_synthetic(folder.path(), &SyntheticSettings { num_timesteps: 1, ..Default::default() })?;
 /// std::fs::remove_file(folder.path().join("init_pt_cld.npz"))?;
 ///
-/// let capture = Capture::open_without_points(folder.path())?;
+/// let capture = Capture::open(folder.path())?;
 /// let settings = PrepareSettings { num_points: 5000, ..Default::default() };
 /// let prepared = prepare(&capture, &settings, &mut |step| println!("{step}"))?;
 /// assert!(prepared.cloud.points.len() > 2500 && prepared.cloud.foreground.contains(&true));

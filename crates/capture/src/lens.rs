@@ -1,0 +1,195 @@
+//! Lenses that bend straight lines, and taking that out of an image.
+
+use image::RgbImage;
+use tcgs_core::Image;
+
+/// A lens as OpenCV and COLMAP describe it: where on the image a ray falls.
+///
+/// With `x, y` on the plane at depth 1 and `r² = x² + y²`, the ray falls on `focal * (x', y') + principal`, where
+/// `x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) + 2 p1 x y + p2 (r² + 2 x²)`, and `y'` likewise.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Lens {
+    /// Image size, pixels.
+    pub width: usize,
+    pub height: usize,
+    /// Pixels.
+    pub focal: [f64; 2],
+    /// Pixels; pixel centres at +0.5.
+    pub principal: [f64; 2],
+    /// `k1` to `k6`
+    pub radial: [f64; 6],
+    /// `p1`, `p2`
+    pub tangential: [f64; 2],
+    /// The part of the image plane that is given out, once [`Self::find_crop`] has found it.
+    pub crop: Crop,
+}
+
+/// A rectangle of pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Crop {
+    pub left: usize,
+    pub top: usize,
+    pub width: usize,
+    pub height: usize,
+}
+
+/// Less of the width or height must not remain.
+const MIN_SHARE: f64 = 0.25;
+
+impl Lens {
+    /// Whether lines stay straight.
+    pub fn is_straight(&self) -> bool {
+        self.radial == [0.0; 6] && self.tangential == [0.0; 2]
+    }
+
+    /// Of the image with its bends.
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// Intrinsics of a straightened image.
+    pub fn straight_intrinsics(&self) -> [[f64; 3]; 3] {
+        let ([fx, fy], [cx, cy]) = (self.focal, self.principal);
+        [[fx, 0.0, cx - self.crop.left as f64], [0.0, fy, cy - self.crop.top as f64], [0.0, 0.0, 1.0]]
+    }
+
+    /// Where in the image lies what a straight one of equal focal length would show at `pixel`.
+    pub fn bend(&self, pixel: [f64; 2]) -> [f64; 2] {
+        let [x, y] = std::array::from_fn(|i| (pixel[i] - self.principal[i]) / self.focal[i]);
+        let r2 = x * x + y * y;
+        let [k1, k2, k3, k4, k5, k6] = self.radial;
+        let [p1, p2] = self.tangential;
+        let radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+        let bent = [
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        ];
+        std::array::from_fn(|i| self.focal[i] * bent[i] + self.principal[i])
+    }
+
+    /// Sets the crop to what is left when rows and columns at the edges are dropped until every pixel lies within the
+    /// image: no pixel of a straightened image is made up.
+    ///
+    /// - returns: what is wrong, if less than a quarter of a side remains
+    pub fn find_crop(&mut self) -> Result<(), String> {
+        let [mut left, mut top, mut right, mut bottom] = [0, 0, self.width, self.height];
+        let min = |size: usize| (size as f64 * MIN_SHARE).ceil() as usize;
+        loop {
+            let outside = |x: usize, y: usize| {
+                let [u, v] = self.bend([x as f64 + 0.5, y as f64 + 0.5]);
+                // Half a pixel beyond the outermost centres the edge's colour still holds.
+                !((0.0..=self.width as f64).contains(&u) && (0.0..=self.height as f64).contains(&v))
+            };
+            let in_column = |x: usize| (top..bottom).filter(|&y| outside(x, y)).count() as f64 / (bottom - top) as f64;
+            let in_row = |y: usize| (left..right).filter(|&x| outside(x, y)).count() as f64 / (right - left) as f64;
+            let shares = [in_column(left), in_row(top), in_column(right - 1), in_row(bottom - 1)];
+            let worst = (0..4).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).expect("four sides");
+            if shares[worst] == 0.0 {
+                self.crop = Crop { left, top, width: right - left, height: bottom - top };
+                return Ok(());
+            }
+            match worst {
+                0 => left += 1,
+                1 => top += 1,
+                2 => right -= 1,
+                _ => bottom -= 1,
+            }
+            if right - left < min(self.width) || bottom - top < min(self.height) {
+                let (radial, tangential) = (self.radial, self.tangential);
+                return Err(format!(
+                    "its distortion (k {radial:?}, p {tangential:?}) leaves less than a quarter of the image, expected \
+                     a lens that sees straight lines nearly straight"
+                ));
+            }
+        }
+    }
+
+    /// The image of a camera without bends, by bilinear interpolation.
+    ///
+    /// - `image`: of [`Self::size`]
+    pub fn straighten(&self, image: &RgbImage) -> Image {
+        let crop = self.crop;
+        let mut out = Image::filled(crop.width, crop.height, 3, 0.0);
+        let num_pixels = out.num_pixels();
+        for i in 0..num_pixels {
+            let (x, y) = (crop.left + i % crop.width, crop.top + i / crop.width);
+            let [u, v] = self.bend([x as f64 + 0.5, y as f64 + 0.5]);
+            let color = interpolate(image, u - 0.5, v - 0.5);
+            for (channel, value) in color.into_iter().enumerate() {
+                out.data[channel * num_pixels + i] = value / 255.0;
+            }
+        }
+        out
+    }
+}
+
+/// - `x`, `y`: in pixels from the centre of the first; beyond the outermost centres their colour holds
+fn interpolate(image: &RgbImage, x: f64, y: f64) -> [f32; 3] {
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let (x, y) = (x.clamp(0.0, (width - 1) as f64), y.clamp(0.0, (height - 1) as f64));
+    let (x0, y0) = (x as usize, y as usize);
+    let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
+    let (fx, fy) = ((x - x0 as f64) as f32, (y - y0 as f64) as f32);
+    let at = |x: usize, y: usize| image.get_pixel(x as u32, y as u32).0.map(f32::from);
+    let [a, b, c, d] = [at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1)];
+    std::array::from_fn(|i| {
+        let (top, bottom) = (a[i] + fx * (b[i] - a[i]), c[i] + fx * (d[i] - c[i]));
+        top + fy * (bottom - top)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lens(radial: [f64; 6], tangential: [f64; 2]) -> Lens {
+        let (focal, principal) = ([60.0, 62.0], [41.0, 29.0]);
+        Lens { width: 80, height: 60, focal, principal, radial, tangential, crop: Crop::default() }
+    }
+
+    #[test]
+    fn rays_fall_where_opencv_says() {
+        // cv2.projectPoints([[0.3, -0.2, 1]], 0, 0, K, [k1, k2, p1, p2, k3, k4, k5, k6]), OpenCV 4.
+        let lens = lens([0.1, -0.05, 0.02, 0.03, 0.01, -0.004], [0.002, -0.003]);
+        let [x, y] = lens.bend([41.0 + 60.0 * 0.3, 29.0 - 62.0 * 0.2]);
+        let [expected_x, expected_y] = [59.07570469998626, 16.547847873342803];
+        assert!((x - expected_x).abs() < 1e-9 && (y - expected_y).abs() < 1e-9, "{x} {y}");
+    }
+
+    #[test]
+    fn a_straightened_grid_is_straight_and_whole() {
+        for (k1, p1) in [(0.2, 0.0), (-0.2, 0.0), (-0.1, 0.01)] {
+            let mut lens = lens([k1, 0.01, 0.0, 0.0, 0.0, 0.0], [p1, -p1]);
+            lens.find_crop().unwrap();
+            let crop = lens.crop;
+            assert!(crop.width > 60 && crop.height > 45, "{crop:?}");
+            // A smooth picture whose values are a function of the ray: what the bent camera sees is found by undoing
+            // the bend of each of its pixels.
+            let value = |x: f64, y: f64| 120.0 + 60.0 * (2.0 * x).sin() + 50.0 * (3.0 * y).cos();
+            let picture = RgbImage::from_fn(80, 60, |x, y| {
+                let pixel = [f64::from(x) + 0.5, f64::from(y) + 0.5];
+                let mut straight = pixel;
+                for _ in 0..100 {
+                    let bent = lens.bend(straight);
+                    straight = [straight[0] + pixel[0] - bent[0], straight[1] + pixel[1] - bent[1]];
+                }
+                let v = value((straight[0] - 41.0) / 60.0, (straight[1] - 29.0) / 62.0).round();
+                image::Rgb([v as u8; 3])
+            });
+            let image = lens.straighten(&picture);
+            let [[fx, _, cx], [_, fy, cy], _] = lens.straight_intrinsics();
+            let mut worst: f64 = 0.0;
+            for (i, &found) in image.plane(1).iter().enumerate() {
+                let (x, y) = ((i % crop.width) as f64 + 0.5, (i / crop.width) as f64 + 0.5);
+                worst = worst.max((f64::from(found) * 255.0 - value((x - cx) / fx, (y - cy) / fy)).abs());
+            }
+            assert!(worst < 1.2, "off by {worst} of 255 with k1 {k1}");
+        }
+    }
+
+    #[test]
+    fn a_lens_that_bends_too_much_is_refused() {
+        let problem = lens([30.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]).find_crop().unwrap_err();
+        assert!(problem.contains("leaves less than a quarter"), "{problem}");
+    }
+}

@@ -1,0 +1,64 @@
+//! Multi-view stereo sets of Middlebury (Seitz et al. 2006): a static object, one timestep.
+//!
+//! ```text
+//! templeSR_par.txt        how many, then a line an image: name, k11 … k33, r11 … r33, t1 t2 t3
+//! templeSR0001.png …      images
+//! ```
+
+use std::path::{Path, PathBuf};
+
+use tcgs_core::Camera;
+
+use crate::{Capture, CaptureError, CaptureKind, decode, files, points, shot::Shot, split};
+
+/// Numbers of a line after the name.
+const NUMBERS: usize = 21;
+
+/// The file of cameras.
+pub(crate) fn cameras_file(path: &Path) -> Result<Option<PathBuf>, CaptureError> {
+    Ok(files::list(path)?.into_iter().find(|file| files::name(file).ends_with("_par.txt")))
+}
+
+pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
+    let file = cameras_file(path)?.ok_or_else(|| CaptureError::invalid(path, "has no *_par.txt"))?;
+    let text = std::fs::read_to_string(&file).map_err(|error| CaptureError::Io { path: file.clone(), error })?;
+    let invalid = |problem: String| CaptureError::invalid(&file, problem);
+    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let count = lines.next().and_then(|(_, line)| line.trim().parse::<usize>().ok());
+    let count = count.ok_or_else(|| invalid("line 1: expected the number of images".into()))?;
+    let mut shots = Vec::new();
+    for (i, line) in lines {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let numbers: Vec<f64> = words[1..].iter().filter_map(|word| word.parse().ok()).collect();
+        let Some(n) = numbers.first_chunk::<NUMBERS>().filter(|_| words.len() == NUMBERS + 1) else {
+            let problem = format!("line {}: expected a name and {NUMBERS} numbers: k11 … k33, r11 … r33, t1 t2 t3", i + 1);
+            return Err(invalid(problem));
+        };
+        let image = path.join(words[0]);
+        if !image.is_file() {
+            let problem = format!("no such file, expected it as line {} of {} names it", i + 1, files::name(&file));
+            return Err(CaptureError::invalid(image, problem));
+        }
+        let (width, height) = decode::size(&image)?;
+        let k = std::array::from_fn(|r| std::array::from_fn(|c| n[3 * r + c]));
+        let row = |r: usize| [n[9 + 3 * r], n[10 + 3 * r], n[11 + 3 * r], n[18 + r]];
+        let camera = Camera::new(width, height, k, [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
+            .map_err(|error| invalid(format!("line {}: {error}", i + 1)))?;
+        shots.push(Shot::of_file(shots.len(), camera, image));
+    }
+    if shots.len() != count || count == 0 {
+        return Err(invalid(format!("has {} images, expected {count} as its first line says", shots.len())));
+    }
+    let (train, test) = split::every_eighth(shots);
+    Ok(Capture {
+        path: path.into(),
+        kind: CaptureKind::Middlebury,
+        frame_rate: split::STATIC_FRAME_RATE,
+        usual_frames: 0..1,
+        train: vec![train],
+        test: vec![test],
+        has_segmentation: false,
+        cameras_files: [file.clone(), file],
+        points: points::find(path, None),
+    })
+}

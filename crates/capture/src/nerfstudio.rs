@@ -1,0 +1,256 @@
+//! `transforms.json` of nerfstudio (Tancik et al. 2023), with a `time` for each image where the scene moves.
+//!
+//! ```text
+//! transforms.json    frames[]: file_path, transform_matrix, time; for all or each: w h fl_x fl_y cx cy k1 k2 k3 k4 p1 p2
+//! images/…           as file_path says
+//! sparse_pc.ply      points, as ply_file_path says; or points3D.ply …
+//! ```
+//!
+//! A matrix is `world_from_camera` with the camera's axes right, up, backward. Images of one time are a timestep; every
+//! timestep has the same cameras. Images in `val_filenames` and `test_filenames` are for judging; where these are not
+//! given, every eighth camera of the first timestep.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
+
+use serde::Deserialize;
+use tcgs_core::Camera;
+
+use crate::lens::{Crop, Lens};
+use crate::shot::{self, Shot};
+use crate::{Capture, CaptureError, CaptureKind, decode, files, points, split};
+
+pub(crate) const TRANSFORMS: &str = "transforms.json";
+
+/// Frames a second, where they are not given.
+const FRAME_RATE: f64 = 30.0;
+/// Times this close are one.
+const TIME_STEP: f64 = 1e-6;
+
+#[derive(Debug, Deserialize)]
+struct Transforms {
+    frames: Vec<Frame>,
+    #[serde(flatten)]
+    intrinsics: Intrinsics,
+    ply_file_path: Option<PathBuf>,
+    val_filenames: Option<BTreeSet<String>>,
+    test_filenames: Option<BTreeSet<String>>,
+    /// Frames a second; an addition of ours.
+    fps: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Frame {
+    file_path: String,
+    /// `[3 or 4][4]`
+    transform_matrix: Vec<[f64; 4]>,
+    time: Option<f64>,
+    #[serde(flatten)]
+    intrinsics: Intrinsics,
+}
+
+/// Of one image, or of all.
+#[derive(Clone, Debug, Default, Deserialize)]
+struct Intrinsics {
+    camera_model: Option<String>,
+    camera_angle_x: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
+    let file = path.join(TRANSFORMS);
+    let invalid = |problem: String| CaptureError::invalid(&file, problem);
+    let text = std::fs::read(&file).map_err(|error| CaptureError::Io { path: file.clone(), error })?;
+    let mut json = serde_json::Deserializer::from_slice(&text);
+    let transforms: Transforms =
+        serde_path_to_error::deserialize(&mut json).map_err(|error| invalid(error.to_string()))?;
+    let frame_rate = transforms.fps.unwrap_or(FRAME_RATE);
+    if !(frame_rate.is_finite() && frame_rate > 0.0) {
+        return Err(invalid(format!("fps is {frame_rate}, expected more than 0")));
+    }
+    let timesteps = timesteps(&transforms.frames).map_err(invalid)?;
+    let for_test = test_cameras(&transforms, &timesteps).map_err(invalid)?;
+
+    let mut lenses = Lenses { capture: path, all: &transforms.intrinsics, known: BTreeMap::new() };
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for frames in &timesteps {
+        let (mut train_now, mut test_now) = (Vec::new(), Vec::new());
+        for (camera_id, frame) in frames.iter().enumerate() {
+            let shot = lenses.shot(camera_id, frame, &file)?;
+            if for_test.contains(&camera_id) { test_now.push(shot) } else { train_now.push(shot) }
+        }
+        shot::check_files(&train_now, &file)?;
+        shot::check_files(&test_now, &file)?;
+        train.push(train_now);
+        test.push(test_now);
+    }
+    Ok(Capture {
+        path: path.into(),
+        kind: CaptureKind::Nerfstudio,
+        frame_rate,
+        usual_frames: 0..train.len(),
+        train,
+        test,
+        has_segmentation: false,
+        cameras_files: [file.clone(), file],
+        points: points::find(path, transforms.ply_file_path.map(|ply| path.join(ply)).filter(|ply| ply.is_file())),
+    })
+}
+
+/// Images by time, each timestep's cameras in the same order.
+fn timesteps(frames: &[Frame]) -> Result<Vec<Vec<&Frame>>, String> {
+    let mut by_time: BTreeMap<i64, Vec<&Frame>> = BTreeMap::new();
+    let with_time = frames.iter().filter(|frame| frame.time.is_some()).count();
+    if with_time != 0 && with_time != frames.len() {
+        return Err(format!("{with_time} of {} frames have a time, expected all or none", frames.len()));
+    }
+    for frame in frames {
+        let time = frame.time.unwrap_or(0.0);
+        if !time.is_finite() {
+            return Err(format!("{}: time is {time}, expected a finite number", frame.file_path));
+        }
+        by_time.entry((time / TIME_STEP).round() as i64).or_default().push(frame);
+    }
+    let mut timesteps: Vec<Vec<&Frame>> = by_time.into_values().collect();
+    for frames in &mut timesteps {
+        frames.sort_by_cached_key(|frame| files::natural_key(&frame.file_path));
+    }
+    let Some(first) = timesteps.first().cloned() else {
+        return Err("has no frames, expected at least one".into());
+    };
+    for frames in &mut timesteps {
+        if frames.len() != first.len() {
+            let (found, time) = (frames.len(), frames[0].time.unwrap_or(0.0));
+            return Err(format!("time {time} has {found} frames, expected {} as the first has", first.len()));
+        }
+        // Names may be in another order; cameras that stand still are known by where they stand.
+        let at = |place: &Frame| frames.iter().copied().find(|frame| frame.transform_matrix == place.transform_matrix);
+        let matched: Option<Vec<&Frame>> = first.iter().map(|place| at(place)).collect();
+        let all_differ = |frames: &[&Frame]| {
+            frames.iter().map(|frame| &frame.file_path).collect::<BTreeSet<_>>().len() == frames.len()
+        };
+        if let Some(matched) = matched.filter(|matched| all_differ(matched)) {
+            *frames = matched;
+        }
+    }
+    Ok(timesteps)
+}
+
+/// Which cameras are for judging.
+fn test_cameras(transforms: &Transforms, timesteps: &[Vec<&Frame>]) -> Result<BTreeSet<usize>, String> {
+    let num_cameras = timesteps[0].len();
+    let (val, test) = (&transforms.val_filenames, &transforms.test_filenames);
+    if val.is_none() && test.is_none() {
+        let stride = if num_cameras < split::TEST_STRIDE { usize::MAX } else { split::TEST_STRIDE };
+        return Ok((0..num_cameras).filter(|i| stride != usize::MAX && i % stride == 0).collect());
+    }
+    let named = |frame: &Frame| [val, test].into_iter().flatten().any(|names| names.contains(&frame.file_path));
+    let of = |frames: &[&Frame]| (0..num_cameras).filter(|&i| named(frames[i])).collect::<BTreeSet<_>>();
+    let cameras = of(&timesteps[0]);
+    if let Some(frames) = timesteps.iter().find(|frames| of(frames) != cameras) {
+        let time = frames[0].time.unwrap_or(0.0);
+        return Err(format!("val_filenames and test_filenames name other cameras at time {time} than at the first"));
+    }
+    if cameras.len() == num_cameras {
+        return Err("val_filenames and test_filenames name all images, expected some for training".into());
+    }
+    Ok(cameras)
+}
+
+/// The lenses found so far: cropping one takes a while.
+struct Lenses<'a> {
+    capture: &'a Path,
+    all: &'a Intrinsics,
+    known: BTreeMap<Vec<u64>, Arc<Lens>>,
+}
+
+impl Lenses<'_> {
+    fn shot(&mut self, camera_id: usize, frame: &Frame, file: &Path) -> Result<Shot, CaptureError> {
+        let invalid = |problem: String| CaptureError::invalid(file, format!("{}: {problem}", frame.file_path));
+        let relative = Path::new(&frame.file_path);
+        if !relative.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
+            return Err(invalid("expected a path inside the capture".into()));
+        }
+        let mut image = self.capture.join(relative);
+        if image.extension().is_none() {
+            image.set_extension("png");
+        }
+        let lens = self.lens(&frame.intrinsics, &image, invalid)?;
+        let camera_from_world = camera_from_world(&frame.transform_matrix).map_err(invalid)?;
+        let camera = Camera::new(lens.crop.width, lens.crop.height, lens.straight_intrinsics(), camera_from_world)
+            .map_err(|error| invalid(error.to_string()))?;
+        Ok(Shot::of_file(camera_id, camera, image).through(lens))
+    }
+
+    fn lens(
+        &mut self,
+        own: &Intrinsics,
+        image: &Path,
+        invalid: impl Fn(String) -> CaptureError,
+    ) -> Result<Arc<Lens>, CaptureError> {
+        let model = own.camera_model.as_ref().or(self.all.camera_model.as_ref());
+        if let Some(model) = model.filter(|model| !["OPENCV", "PINHOLE", "SIMPLE_PINHOLE"].contains(&model.as_str())) {
+            return Err(invalid(format!("has the camera model {model}, expected OPENCV or PINHOLE")));
+        }
+        let all = self.all;
+        let get = |of: fn(&Intrinsics) -> Option<f64>| of(own).or(of(all));
+        let (width, height) = match (get(|i| i.w), get(|i| i.h)) {
+            (Some(width), Some(height)) => (width as usize, height as usize),
+            _ => decode::size(image)?,
+        };
+        let angle = get(|i| i.camera_angle_x);
+        let fl_x = get(|i| i.fl_x).or(angle.map(|angle| 0.5 * width as f64 / (0.5 * angle).tan()));
+        let Some(fl_x) = fl_x else {
+            return Err(invalid("has neither fl_x nor camera_angle_x, expected a focal length in pixels".into()));
+        };
+        let or_zero = |of: fn(&Intrinsics) -> Option<f64>| get(of).unwrap_or(0.0);
+        let mut lens = Lens {
+            width,
+            height,
+            focal: [fl_x, get(|i| i.fl_y).unwrap_or(fl_x)],
+            principal: [get(|i| i.cx).unwrap_or(width as f64 / 2.0), get(|i| i.cy).unwrap_or(height as f64 / 2.0)],
+            radial: [or_zero(|i| i.k1), or_zero(|i| i.k2), or_zero(|i| i.k3), or_zero(|i| i.k4), 0.0, 0.0],
+            tangential: [or_zero(|i| i.p1), or_zero(|i| i.p2)],
+            crop: Crop::default(),
+        };
+        let numbers = [lens.focal, lens.principal, lens.tangential].into_iter().flatten().chain(lens.radial);
+        let mut key: Vec<u64> = numbers.clone().map(f64::to_bits).collect();
+        key.extend([width as u64, height as u64]);
+        if let Some(number) = numbers.into_iter().find(|x| !x.is_finite()) {
+            return Err(invalid(format!("holds {number} among its intrinsics, expected finite numbers")));
+        }
+        if width == 0 || height == 0 || lens.focal.iter().any(|f| *f <= 0.0) {
+            let problem = format!("is for {width}x{height} pixels with the focal lengths {:?}", lens.focal);
+            return Err(invalid(format!("{problem}, expected more than 0")));
+        }
+        if let Some(known) = self.known.get(&key) {
+            return Ok(Arc::clone(known));
+        }
+        lens.find_crop().map_err(invalid)?;
+        let lens = Arc::new(lens);
+        self.known.insert(key, Arc::clone(&lens));
+        Ok(lens)
+    }
+}
+
+/// - `matrix`: `world_from_camera`, camera axes right, up, backward
+fn camera_from_world(matrix: &[[f64; 4]]) -> Result<[[f64; 4]; 4], String> {
+    let rows = matrix.first_chunk::<3>().filter(|_| matrix.len() <= 4);
+    let rows = rows.ok_or_else(|| format!("transform_matrix has {} rows, expected 3 or 4", matrix.len()))?;
+    let axis = |column: usize, sign: f64| rows.map(|row| sign * row[column]);
+    let center = rows.map(|row| row[3]);
+    let line = |axis: [f64; 3]| [axis[0], axis[1], axis[2], -tcgs_core::dot(axis, center)];
+    Ok([line(axis(0, 1.0)), line(axis(1, -1.0)), line(axis(2, -1.0)), [0.0, 0.0, 0.0, 1.0]])
+}

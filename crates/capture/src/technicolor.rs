@@ -1,0 +1,212 @@
+//! The light-field videos of Technicolor (Sabater et al. 2017): 16 cameras in a grid, a file an image.
+//!
+//! ```text
+//! cameras_parameters.txt                    a title, then a line a camera: f cu cv ar sk qw qx qy qz tx ty tz
+//! <Scene>_undist_<frame>_<camera>.png       2048x1088 pixels
+//! points3D.ply, sparse/0 …                  points
+//! ```
+//!
+//! The quaternion and the vector make `camera_from_world`, as in COLMAP. Publications judge by camera 10 and use 50
+//! frames of each of five scenes. One published file, `Birthday_undist_00173_09.png`, is damaged: rows that it lacks
+//! are taken from the frame before, as the preparation for Spacetime Gaussians does.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use image::RgbImage;
+use tcgs_core::{Camera, rotmat_from_quat};
+
+use crate::shot::{Change, Shot, Source};
+use crate::{Capture, CaptureError, CaptureKind, colmap, decode, files, points};
+
+pub(crate) const CAMERAS: &str = "cameras_parameters.txt";
+
+/// Camera for judging.
+const TEST_CAMERA: usize = 10;
+/// The cameras' speed.
+const FRAME_RATE: f64 = 30.0;
+/// Numbers of the files that publications use.
+const USUAL_FRAMES: [(&str, Range<usize>); 5] = [
+    ("Birthday", 151..201),
+    ("Fabien", 51..101),
+    ("Painter", 100..150),
+    ("Theater", 51..101),
+    ("Train", 151..201),
+];
+/// Scene, frame and camera of the damaged file.
+const DAMAGED: (&str, usize, usize) = ("Birthday", 173, 9);
+
+/// Numbers of a line of undistorted and of original images.
+const COLUMNS: usize = 12;
+const ORIGINAL_COLUMNS: usize = 14;
+
+pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
+    let cameras_file = path.join(CAMERAS);
+    let lines = read_lines(&cameras_file)?;
+    let (scene, images) = images(path)?;
+    let frames: Vec<usize> = images.keys().map(|&(frame, _)| frame).collect::<std::collections::BTreeSet<_>>().into_iter().collect();
+    let image = |frame: usize, camera: usize| -> Result<&PathBuf, CaptureError> {
+        images.get(&(frame, camera)).ok_or_else(|| {
+            let missing = path.join(format!("{scene}_undist_{frame:05}_{camera:02}.png"));
+            let problem = format!("no such file, expected an image for each of the {} cameras in {CAMERAS}", lines.len());
+            CaptureError::invalid(missing, problem)
+        })
+    };
+    if let Some((frame, camera)) = images.keys().find(|(_, camera)| *camera >= lines.len()) {
+        let problem =
+            format!("has {} cameras, expected more: {} is of camera {camera}", lines.len(), files::name(image(*frame, *camera)?));
+        return Err(CaptureError::invalid(&cameras_file, problem));
+    }
+    let mut cameras = Vec::new();
+    for (id, line) in lines.iter().enumerate() {
+        let size = decode::size(image(frames[0], id)?)?;
+        let camera = camera(line, size).map_err(|problem| {
+            CaptureError::invalid(&cameras_file, format!("line {}, camera {id}: {problem}", id + 2))
+        })?;
+        cameras.push(camera);
+    }
+
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for &frame in &frames {
+        let (mut train_now, mut test_now) = (Vec::new(), Vec::new());
+        for (id, camera) in cameras.iter().enumerate() {
+            let file = image(frame, id)?.clone();
+            let before = images.get(&(frame.wrapping_sub(1), id));
+            let source = match before {
+                Some(before) if (scene.as_str(), frame, id) == DAMAGED => Source::Cut { file, before: before.clone() },
+                _ => Source::File(file),
+            };
+            let shot = Shot { camera_id: id, camera: camera.clone(), source, change: Change::Nothing, mask: None };
+            if id == TEST_CAMERA { test_now.push(shot) } else { train_now.push(shot) }
+        }
+        train.push(train_now);
+        test.push(test_now);
+    }
+    Ok(Capture {
+        path: path.into(),
+        kind: CaptureKind::Technicolor,
+        frame_rate: FRAME_RATE,
+        usual_frames: usual_frames(&scene, &frames),
+        train,
+        test,
+        has_segmentation: false,
+        cameras_files: [cameras_file.clone(), cameras_file],
+        points: points::find(path, colmap::points_file(path)),
+    })
+}
+
+/// Numbers of every line after the title.
+fn read_lines(path: &Path) -> Result<Vec<[f64; COLUMNS]>, CaptureError> {
+    let invalid = |problem: String| CaptureError::invalid(path, problem);
+    let text = std::fs::read_to_string(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+    let mut lines = Vec::new();
+    for (i, line) in text.lines().enumerate().skip(1).filter(|(_, line)| !line.trim().is_empty()) {
+        let expected = "expected 12 numbers: f cu cv ar sk qw qx qy qz tx ty tz";
+        let mut numbers = Vec::new();
+        for word in line.split_whitespace() {
+            let number = word.parse::<f64>().ok().filter(|number| number.is_finite());
+            numbers.push(number.ok_or_else(|| invalid(format!("line {}: found {word}, {expected}", i + 1)))?);
+        }
+        let numbers = <[f64; COLUMNS]>::try_from(numbers).map_err(|numbers| match numbers.len() {
+            ORIGINAL_COLUMNS => invalid(format!(
+                "line {}: has {ORIGINAL_COLUMNS} numbers, those of the original images, expected the {COLUMNS} of the \
+                 undistorted ones",
+                i + 1
+            )),
+            count => invalid(format!("line {}: has {count} numbers, {expected}", i + 1)),
+        })?;
+        lines.push(numbers);
+    }
+    if lines.len() < 2 {
+        return Err(invalid(format!("has {} cameras, expected at least 2 below its title", lines.len())));
+    }
+    Ok(lines)
+}
+
+fn camera(line: &[f64; COLUMNS], (width, height): (usize, usize)) -> Result<Camera, String> {
+    let &[focal, cx, cy, aspect, skew, qw, qx, qy, qz, tx, ty, tz] = line;
+    let norm = [qw, qx, qy, qz].iter().map(|q| q * q).sum::<f64>().sqrt();
+    if (norm - 1.0).abs() > 1e-2 {
+        return Err(format!("the quaternion has the length {norm}, expected 1"));
+    }
+    let [x, y, z] = rotmat_from_quat([qw, qx, qy, qz]);
+    let row = |r: [f64; 3], t: f64| [r[0], r[1], r[2], t];
+    let intrinsics = [[focal, skew, cx], [0.0, focal * aspect, cy], [0.0, 0.0, 1.0]];
+    Camera::new(width, height, intrinsics, [row(x, tx), row(y, ty), row(z, tz), [0.0, 0.0, 0.0, 1.0]])
+        .map_err(|error| error.to_string())
+}
+
+/// Name of the scene, and the images by frame and camera.
+fn images(path: &Path) -> Result<(String, BTreeMap<(usize, usize), PathBuf>), CaptureError> {
+    let mut images = BTreeMap::new();
+    let mut scene = None;
+    for file in files::images(path)? {
+        let stem = files::stem(&file);
+        let parts: Vec<&str> = stem.rsplitn(3, '_').collect();
+        let &[camera, frame, before] = parts.as_slice() else { continue };
+        let (Ok(camera), Ok(frame), Some(name)) = (camera.parse(), frame.parse(), before.strip_suffix("_undist")) else {
+            continue;
+        };
+        scene.get_or_insert_with(|| name.to_owned());
+        images.insert((frame, camera), file);
+    }
+    match scene {
+        Some(scene) => Ok((scene, images)),
+        None => {
+            let problem = format!("has {CAMERAS}, but no images, expected <Scene>_undist_<frame>_<camera>.png");
+            Err(CaptureError::invalid(path, problem))
+        }
+    }
+}
+
+/// Positions of the frames that publications use; all of an unknown scene, or where none of them is there.
+fn usual_frames(scene: &str, frames: &[usize]) -> Range<usize> {
+    let position = |number: usize| frames.partition_point(|&frame| frame < number);
+    let usual = USUAL_FRAMES.iter().find(|(name, _)| *name == scene);
+    let usual = usual.map(|(_, numbers)| position(numbers.start)..position(numbers.end));
+    usual.filter(|usual| !usual.is_empty()).unwrap_or(0..frames.len())
+}
+
+/// An image whose file is cut short; rows that cannot be read come from another.
+pub(crate) fn mend(path: &Path, before: &Path, size: (usize, usize)) -> Result<RgbImage, CaptureError> {
+    if let Ok(whole) = decode::image(path, size) {
+        return Ok(whole);
+    }
+    let mut mended = decode::image(before, size)?;
+    let damaged = |error: png::DecodingError| CaptureError::invalid(path, format!("cannot be decoded: {error}"));
+    let file = File::open(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+    let mut decoder = png::Decoder::new(BufReader::new(file));
+    decoder.set_transformations(png::Transformations::normalize_to_color8());
+    let mut reader = decoder.read_info().map_err(damaged)?;
+    let (found, color) = ((reader.info().width as usize, reader.info().height as usize), reader.output_color_type());
+    let channels = color.0.samples();
+    if found != size || channels < 3 || reader.info().interlaced {
+        let problem = format!("is {}x{} pixels, {:?}, expected {}x{} in RGB", found.0, found.1, color.0, size.0, size.1);
+        return Err(CaptureError::invalid(path, problem));
+    }
+    for out in mended.rows_mut() {
+        let Ok(Some(row)) = reader.next_row() else { break };
+        for (out, pixel) in out.zip(row.data().chunks_exact(channels)) {
+            out.0.copy_from_slice(&pixel[..3]);
+        }
+    }
+    Ok(mended)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn publications_use_fifty_frames() {
+        let all: Vec<usize> = (1..=300).collect();
+        assert_eq!(usual_frames("Birthday", &all), 150..200);
+        assert_eq!(usual_frames("Painter", &(0..200).collect::<Vec<_>>()), 100..150);
+        assert_eq!(usual_frames("Train", &(151..=200).collect::<Vec<_>>()), 0..50);
+        assert_eq!(usual_frames("Rugby", &all), 0..300);
+        assert_eq!(usual_frames("Train", &[1, 2, 3]), 0..3);
+    }
+}
