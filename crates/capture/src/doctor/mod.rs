@@ -105,7 +105,8 @@ pub struct CameraFit {
     /// By the capture's names.
     pub camera_id: usize,
     /// Correlation of its image with the points drawn from its place, -1 to 1; healthy cameras are above a half.
-    pub fit: f64,
+    /// Nothing where all cameras are wrong in the same way and were not compared one by one.
+    pub fit: Option<f64>,
 }
 
 /// What the doctor says.
@@ -159,7 +160,7 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
 
     report("drawing the picture");
     let cameras = (0..views.len())
-        .map(|i| CameraFit { camera_id: views[i].camera_id, fit: judged.get(i).map_or(0.0, |judged: &Judged| judged.fit) })
+        .map(|i| CameraFit { camera_id: views[i].camera_id, fit: judged.get(i).map(|judged: &Judged| judged.fit) })
         .collect();
     let sheet = sheet::draw(&views, &splats, &findings);
     Ok(Diagnosis { findings, cameras, made_points, sheet })

@@ -46,37 +46,46 @@ pub(super) fn findings(capture: &Capture, suspects: &[usize]) -> Result<Vec<Find
     let room = num_frames - 2 * reach;
     let num_times = MAX_TIMES.min(room);
     let times: Vec<usize> = (0..num_times).map(|i| reach + (2 * i + 1) * room / (2 * num_times)).collect();
-    let witnesses: Vec<Witness> = witnesses(capture, &times, reach)?
+    let mut witnesses: Vec<Witness> = witnesses(capture, &times, reach)?
         .into_iter()
         .filter(|witness| !suspects.contains(&witness.camera_id))
         .collect();
-    if witnesses.len() < MIN_CAMERAS {
-        return Ok(Vec::new());
+    // The worst first; the others are asked again without it, for its silhouettes spoil what they are compared with.
+    let mut found = Vec::new();
+    while witnesses.len() >= MIN_CAMERAS {
+        let shifts: Vec<Option<Shift>> =
+            (0..witnesses.len()).into_par_iter().map(|i| best_shift(&witnesses, i, &times, reach as i32)).collect();
+        let gain = |i: usize| shifts[i].as_ref().map_or(0.0, |shift| shift.gain);
+        let Some(worst) = (0..shifts.len()).max_by(|&a, &b| gain(a).total_cmp(&gain(b)).then(b.cmp(&a))) else { break };
+        let Some(Shift { frames, .. }) = shifts[worst] else { break };
+        found.push((witnesses.remove(worst).camera_id, frames));
     }
-    let shifts: Vec<Option<i32>> = (0..witnesses.len())
-        .into_par_iter()
-        .map(|i| best_shift(&witnesses, i, &times, reach as i32))
-        .collect();
-    Ok(witnesses
-        .iter()
-        .zip(&shifts)
-        .filter_map(|(witness, shift)| shift.map(|shift| (witness.camera_id, shift)))
-        .map(|(camera_id, shift)| {
-            let count = shift.unsigned_abs();
-            let frames = if count == 1 { "frame" } else { "frames" };
-            let (problem, fix) = if shift > 0 {
-                (format!("{count} {frames} late: it shows in frame t+{count} what the others show in frame t"), "drop")
-            } else {
-                (format!("{count} {frames} early: it shows in frame t what the others show in frame t+{count}"), "repeat")
-            };
-            let fix = format!("{fix} {count} {frames} at its beginning");
-            Finding::new(FindingKind::Unsynchronised, vec![camera_id], problem, fix)
-        })
-        .collect())
+    found.sort_unstable();
+    Ok(found.into_iter().map(|(camera_id, frames)| finding(camera_id, frames)).collect())
+}
+
+fn finding(camera_id: usize, shift: i32) -> Finding {
+    let count = shift.unsigned_abs();
+    let frames = if count == 1 { "frame" } else { "frames" };
+    let (problem, fix) = if shift > 0 {
+        (format!("{count} {frames} late: it shows in frame t+{count} what the others show in frame t"), "drop")
+    } else {
+        (format!("{count} {frames} early: it shows in frame t what the others show in frame t+{count}"), "repeat")
+    };
+    let fix = format!("{fix} {count} {frames} at its beginning");
+    Finding::new(FindingKind::Unsynchronised, vec![camera_id], problem, fix)
+}
+
+/// Another time that fits better.
+struct Shift {
+    /// Frames later.
+    frames: i32,
+    /// Of the overlap.
+    gain: f64,
 }
 
 /// How many frames later a camera shows what the others do; nothing if it is in time.
-fn best_shift(witnesses: &[Witness], of: usize, times: &[usize], reach: i32) -> Option<i32> {
+fn best_shift(witnesses: &[Witness], of: usize, times: &[usize], reach: i32) -> Option<Shift> {
     let num_shifts = (2 * reach + 1) as usize;
     // `[T][S]`
     let mut overlaps: Vec<Vec<f64>> = Vec::new();
@@ -109,8 +118,9 @@ fn best_shift(witnesses: &[Witness], of: usize, times: &[usize], reach: i32) -> 
     let in_time = reach as usize;
     let best = (0..num_shifts).max_by(|&a, &b| mean(a).total_cmp(&mean(b)).then(b.cmp(&a)))?;
     let better = overlaps.iter().filter(|overlap| overlap[best] > overlap[in_time]).count();
-    let clearly = mean(best) > mean(in_time) + CLEARLY && 3 * better > 2 * overlaps.len();
-    (best != in_time && clearly).then_some(best as i32 - reach)
+    let gain = mean(best) - mean(in_time);
+    let clearly = gain > CLEARLY && 3 * better > 2 * overlaps.len();
+    (best != in_time && clearly).then_some(Shift { frames: best as i32 - reach, gain })
 }
 
 /// All cameras' silhouettes around some times: their masks, or where images differ from what stands still.

@@ -220,5 +220,11 @@ fn failed(path: &Path, error: impl std::fmt::Display) -> CaptureError {
     CaptureError::invalid(path, format!("writing failed: {error}"))
 }
 
+/// Distance of a point from the nearest surface at the first timestep, of what moves or of what does not.
+#[cfg(test)]
+pub(crate) fn distance_from_surface(point: [f32; 3], moving: bool) -> f64 {
+    Scene::at(0).distance(point.map(f64::from), moving)
+}
+
 #[cfg(test)]
 mod tests;
