@@ -31,7 +31,8 @@ pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
         let words: Vec<&str> = line.split_whitespace().collect();
         let numbers: Vec<f64> = words[1..].iter().filter_map(|word| word.parse().ok()).collect();
         let Some(n) = numbers.first_chunk::<NUMBERS>().filter(|_| words.len() == NUMBERS + 1) else {
-            let problem = format!("line {}: expected a name and {NUMBERS} numbers: k11 … k33, r11 … r33, t1 t2 t3", i + 1);
+            let problem =
+                format!("line {}: expected a name and {NUMBERS} numbers: k11 … k33, r11 … r33, t1 t2 t3", i + 1);
             return Err(invalid(problem));
         };
         let image = path.join(words[0]);

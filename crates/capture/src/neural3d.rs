@@ -132,11 +132,8 @@ fn camera(row: &[f32; COLUMNS], (width, height): (usize, usize)) -> Result<Camer
     }
     let focal = pose_focal * by_width;
     // Columns down, right, backward; ours are right, down, forward.
-    let axes: [[f64; 3]; 3] = [
-        std::array::from_fn(|i| at(i, 1)),
-        std::array::from_fn(|i| at(i, 0)),
-        std::array::from_fn(|i| -at(i, 2)),
-    ];
+    let axes: [[f64; 3]; 3] =
+        [std::array::from_fn(|i| at(i, 1)), std::array::from_fn(|i| at(i, 0)), std::array::from_fn(|i| -at(i, 2))];
     let center = std::array::from_fn(|i| at(i, 3));
     let line = |axis: [f64; 3]| [axis[0], axis[1], axis[2], -tcgs_core::dot(axis, center)];
     let [right, down, forward] = axes.map(line);

@@ -29,13 +29,8 @@ const TEST_CAMERA: usize = 10;
 /// The cameras' speed.
 const FRAME_RATE: f64 = 30.0;
 /// Numbers of the files that publications use.
-const USUAL_FRAMES: [(&str, Range<usize>); 5] = [
-    ("Birthday", 151..201),
-    ("Fabien", 51..101),
-    ("Painter", 100..150),
-    ("Theater", 51..101),
-    ("Train", 151..201),
-];
+const USUAL_FRAMES: [(&str, Range<usize>); 5] =
+    [("Birthday", 151..201), ("Fabien", 51..101), ("Painter", 100..150), ("Theater", 51..101), ("Train", 151..201)];
 /// Scene, frame and camera of the damaged file.
 const DAMAGED: (&str, usize, usize) = ("Birthday", 173, 9);
 
@@ -47,17 +42,22 @@ pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
     let cameras_file = path.join(CAMERAS);
     let lines = read_lines(&cameras_file)?;
     let (scene, images) = images(path)?;
-    let frames: Vec<usize> = images.keys().map(|&(frame, _)| frame).collect::<std::collections::BTreeSet<_>>().into_iter().collect();
+    let frames: Vec<usize> =
+        images.keys().map(|&(frame, _)| frame).collect::<std::collections::BTreeSet<_>>().into_iter().collect();
     let image = |frame: usize, camera: usize| -> Result<&PathBuf, CaptureError> {
         images.get(&(frame, camera)).ok_or_else(|| {
             let missing = path.join(format!("{scene}_undist_{frame:05}_{camera:02}.png"));
-            let problem = format!("no such file, expected an image for each of the {} cameras in {CAMERAS}", lines.len());
+            let problem =
+                format!("no such file, expected an image for each of the {} cameras in {CAMERAS}", lines.len());
             CaptureError::invalid(missing, problem)
         })
     };
     if let Some((frame, camera)) = images.keys().find(|(_, camera)| *camera >= lines.len()) {
-        let problem =
-            format!("has {} cameras, expected more: {} is of camera {camera}", lines.len(), files::name(image(*frame, *camera)?));
+        let problem = format!(
+            "has {} cameras, expected more: {} is of camera {camera}",
+            lines.len(),
+            files::name(image(*frame, *camera)?)
+        );
         return Err(CaptureError::invalid(&cameras_file, problem));
     }
     let mut cameras = Vec::new();
@@ -147,7 +147,8 @@ fn images(path: &Path) -> Result<(String, BTreeMap<(usize, usize), PathBuf>), Ca
         let stem = files::stem(&file);
         let parts: Vec<&str> = stem.rsplitn(3, '_').collect();
         let &[camera, frame, before] = parts.as_slice() else { continue };
-        let (Ok(camera), Ok(frame), Some(name)) = (camera.parse(), frame.parse(), before.strip_suffix("_undist")) else {
+        let (Ok(camera), Ok(frame), Some(name)) = (camera.parse(), frame.parse(), before.strip_suffix("_undist"))
+        else {
             continue;
         };
         scene.get_or_insert_with(|| name.to_owned());
@@ -184,7 +185,8 @@ pub(crate) fn mend(path: &Path, before: &Path, size: (usize, usize)) -> Result<R
     let (found, color) = ((reader.info().width as usize, reader.info().height as usize), reader.output_color_type());
     let channels = color.0.samples();
     if found != size || channels < 3 || reader.info().interlaced {
-        let problem = format!("is {}x{} pixels, {:?}, expected {}x{} in RGB", found.0, found.1, color.0, size.0, size.1);
+        let problem =
+            format!("is {}x{} pixels, {:?}, expected {}x{} in RGB", found.0, found.1, color.0, size.0, size.1);
         return Err(CaptureError::invalid(path, problem));
     }
     for out in mended.rows_mut() {

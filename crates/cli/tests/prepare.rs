@@ -33,14 +33,14 @@ fn footage_becomes_a_capture_that_trains() {
     assert!(said.contains("triangulated") && said.contains("next: tcgs train"), "{said}");
 
     let result = json(&result);
-    assert_keys(
-        &result,
-        &["source", "out", "num_points", "num_foreground", "origins", "agreement", "seconds"],
-    );
+    assert_keys(&result, &["source", "out", "num_points", "num_foreground", "origins", "agreement", "seconds"]);
     assert_keys(&result["origins"], &["triangulated", "hull", "filled", "shell"]);
     let cloud = Capture::open(&out).unwrap().point_cloud().unwrap();
     let foreground = cloud.foreground.iter().filter(|&&foreground| foreground).count();
-    assert_eq!((result["num_points"].as_u64(), result["num_foreground"].as_u64()), (Some(cloud.points.len() as u64), Some(foreground as u64)));
+    assert_eq!(
+        (result["num_points"].as_u64(), result["num_foreground"].as_u64()),
+        (Some(cloud.points.len() as u64), Some(foreground as u64))
+    );
     assert!((2000..5000).contains(&cloud.points.len()) && foreground > 300, "{result}");
     assert!(!points(&source).exists(), "the source is not touched");
 

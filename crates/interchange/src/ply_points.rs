@@ -100,7 +100,8 @@ mod tests {
         let cloud = read(&bytes).unwrap();
         assert_eq!(cloud.points, [[1.0, 2.0, 3.0], [-4.0, 5.0, 0.5]]);
         assert_eq!((cloud.colors[1], cloud.foreground[1]), ([0.0, 51.0 / 255.0, 1.0], true));
-        let text = header("ascii", &with(["float red", "float green", "float blue"])) + "1 2 3 0 0.25 0.5 1\n-4 5 0.5 0 0 1 0\n";
+        let text = header("ascii", &with(["float red", "float green", "float blue"]))
+            + "1 2 3 0 0.25 0.5 1\n-4 5 0.5 0 0 1 0\n";
         let cloud = read(text.as_bytes()).unwrap();
         assert_eq!((cloud.points[1], cloud.colors[0]), ([-4.0, 5.0, 0.5], [0.25, 0.5, 1.0]));
         let text = header("ascii", &PLACE) + "1 2 3\n4 5 6\n";

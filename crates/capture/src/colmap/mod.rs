@@ -57,8 +57,8 @@ pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
         let row = |r: [f64; 3], t: f64| [r[0], r[1], r[2], t];
         let camera_from_world = [row(x, tx), row(y, ty), row(z, tz), [0.0, 0.0, 0.0, 1.0]];
         let (size, intrinsics) = ((lens.crop.width, lens.crop.height), lens.straight_intrinsics());
-        let camera = Camera::new(size.0, size.1, intrinsics, camera_from_world)
-            .map_err(|error| invalid(error.to_string()))?;
+        let camera =
+            Camera::new(size.0, size.1, intrinsics, camera_from_world).map_err(|error| invalid(error.to_string()))?;
         let shot = Shot::of_file(shots.len(), camera, images_folder.join(&image.name));
         shots.push(shot.through(Arc::clone(lens)));
     }

@@ -235,8 +235,14 @@ mod tests {
         let problem = |text: &str| text_cameras(text).unwrap_err();
         let fisheye = problem("1 OPENCV_FISHEYE 64 48 50 50 32 24 0 0 0 0");
         assert!(fisheye.starts_with("line 1: has the camera model OPENCV_FISHEYE, expected one of SIMPLE_PINHOLE, "));
-        assert_eq!(problem("# c\n1 PINHOLE 64 48 50 32 24"), "line 2: has 3 parameters, expected 4 finite ones of PINHOLE");
-        assert_eq!(problem("1 SIMPLE_PINHOLE 64 48 -1 32 24"), "line 1: has the focal lengths -1 and -1, expected more than 0");
+        assert_eq!(
+            problem("# c\n1 PINHOLE 64 48 50 32 24"),
+            "line 2: has 3 parameters, expected 4 finite ones of PINHOLE"
+        );
+        assert_eq!(
+            problem("1 SIMPLE_PINHOLE 64 48 -1 32 24"),
+            "line 1: has the focal lengths -1 and -1, expected more than 0"
+        );
         assert_eq!(problem("1 PINHOLE w 48"), "line 1: found w, expected a width and a height");
     }
 

@@ -22,8 +22,8 @@ pub(crate) struct Splats {
     points: Vec<[f32; 3]>,
     colors: Vec<[f32; 3]>,
     foreground: Vec<bool>,
-    /// Side of a square, scene units.
-    size: f32,
+    /// Side of a square, scene units: of background and of foreground, which may be denser.
+    sizes: [f32; 2],
 }
 
 /// A picture with holes.
@@ -41,20 +41,21 @@ impl Splats {
     pub fn new(cloud: &PointCloud) -> Self {
         let step = cloud.points.len().div_ceil(MAX_POINTS).max(1);
         let points: Vec<[f32; 3]> = cloud.points.iter().step_by(step).copied().collect();
-        let stride = points.len().div_ceil(NUM_PROBES).max(1);
-        let nearest = |i: usize| {
-            let distances = points.iter().enumerate().filter(|&(j, _)| j != i).map(|(_, &p)| length(sub(p, points[i])));
-            distances.fold(f32::INFINITY, f32::min)
+        let foreground: Vec<bool> = cloud.foreground.iter().step_by(step).copied().collect();
+        let gap = |label: bool| {
+            let alike: Vec<[f32; 3]> =
+                points.iter().zip(&foreground).filter(|(_, f)| **f == label).map(|(p, _)| *p).collect();
+            let nearest = |i: usize| {
+                let others = alike.iter().enumerate().filter(|&(j, _)| j != i);
+                others.map(|(_, &p)| length(sub(p, alike[i]))).fold(f32::INFINITY, f32::min)
+            };
+            let mut gaps: Vec<f32> =
+                (0..alike.len()).step_by(alike.len().div_ceil(NUM_PROBES).max(1)).map(nearest).collect();
+            gaps.sort_by(f32::total_cmp);
+            gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
         };
-        let mut gaps: Vec<f32> = (0..points.len()).step_by(stride).map(nearest).collect();
-        gaps.sort_by(f32::total_cmp);
-        let gap = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
-        Self {
-            colors: cloud.colors.iter().step_by(step).copied().collect(),
-            foreground: cloud.foreground.iter().step_by(step).copied().collect(),
-            size: OVERLAP * gap,
-            points,
-        }
+        let sizes = [OVERLAP * gap(false), OVERLAP * gap(true)];
+        Self { colors: cloud.colors.iter().step_by(step).copied().collect(), foreground, sizes, points }
     }
 
     /// Whether some points are foreground and some are not.
@@ -72,7 +73,8 @@ impl Splats {
         };
         for (i, &point) in self.points.iter().enumerate() {
             let Some((pixel, depth)) = eye.pixel(point) else { continue };
-            let reach = ((0.5 * self.size * eye.focal[0] / depth).round() as i32).min(MAX_REACH_PX);
+            let reach = ((0.5 * self.sizes[usize::from(self.foreground[i])] * eye.focal[0] / depth).round() as i32)
+                .min(MAX_REACH_PX);
             let (x, y) = ((pixel % eye.width) as i32, (pixel / eye.width) as i32);
             for row in (y - reach).max(0)..=(y + reach).min(eye.height as i32 - 1) {
                 for column in (x - reach).max(0)..=(x + reach).min(eye.width as i32 - 1) {

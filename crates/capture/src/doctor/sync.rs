@@ -139,7 +139,8 @@ fn witnesses(capture: &Capture, times: &[usize], reach: usize) -> Result<Vec<Wit
         for view in capture.views(Split::All, frame, downscale)? {
             let Some(mask) = silhouette(&view, &stills) else { continue };
             let camera_id = view.camera_id;
-            let witness = witnesses.entry(camera_id).or_insert_with(|| Witness { camera_id, silhouettes: BTreeMap::new() });
+            let witness =
+                witnesses.entry(camera_id).or_insert_with(|| Witness { camera_id, silhouettes: BTreeMap::new() });
             witness.silhouettes.insert(frame, (Eye::new(&view.camera), mask));
         }
     }
@@ -169,7 +170,8 @@ fn stills(capture: &Capture, downscale: usize) -> Result<BTreeMap<usize, Vec<[f3
     let median = |images: &Vec<Vec<[f32; 3]>>| {
         let pixel = |pixel: usize| {
             std::array::from_fn(|channel| {
-                let mut values: Vec<f32> = images.iter().filter_map(|image| image.get(pixel)).map(|c| c[channel]).collect();
+                let mut values: Vec<f32> =
+                    images.iter().filter_map(|image| image.get(pixel)).map(|c| c[channel]).collect();
                 values.sort_by(f32::total_cmp);
                 values[values.len() / 2]
             })

@@ -33,7 +33,8 @@ pub(super) struct Belief<'a> {
 impl<'a> Belief<'a> {
     /// Where the images match.
     pub fn of(map: &'a DepthMap) -> Self {
-        let known = map.costs.iter().zip(&map.planes).map(|(&cost, plane)| cost < MAX_COST && plane.inverse_depth > 0.0);
+        let known =
+            map.costs.iter().zip(&map.planes).map(|(&cost, plane)| cost < MAX_COST && plane.inverse_depth > 0.0);
         Self { planes: Cow::Borrowed(&map.planes), known: known.collect() }
     }
 }
@@ -83,10 +84,8 @@ pub(super) fn agreed(
         }
         if count > rule.min_agreeing as f32 {
             let mean = |sum: [f32; 3]| sum.map(|x| x / count);
-            points.push((
-                pixel,
-                Point { position: mean(sum), color: mean(color), foreground: me.is_foreground(pixel) },
-            ));
+            points
+                .push((pixel, Point { position: mean(sum), color: mean(color), foreground: me.is_foreground(pixel) }));
         }
     }
     points

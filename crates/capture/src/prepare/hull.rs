@@ -52,9 +52,8 @@ impl Hull {
         let pixel = eyes.iter().map(|eye| length(sub(eye.center, focus)) / eye.focal[0]).fold(f32::INFINITY, f32::min);
         while !hull.cubes.is_empty() && hull.cubes.len() < ENOUGH_CUBES && hull.edge > finest_px * pixel {
             hull.edge /= 2.0;
-            let halves = |&[x, y, z]: &[i32; 3]| {
-                (0..8).map(move |i| [2 * x + (i & 1), 2 * y + (i >> 1 & 1), 2 * z + (i >> 2)])
-            };
+            let halves =
+                |&[x, y, z]: &[i32; 3]| (0..8).map(move |i| [2 * x + (i & 1), 2 * y + (i >> 1 & 1), 2 * z + (i >> 2)]);
             hull.cubes = hull.cubes.iter().flat_map(halves).collect();
             hull.keep(&counts);
         }
@@ -93,8 +92,12 @@ impl Hull {
     pub fn surface(&self) -> Vec<[f32; 3]> {
         let has = |cube: [i32; 3]| self.cubes.binary_search(&cube).is_ok();
         let inside = |&[x, y, z]: &[i32; 3]| {
-            has([x - 1, y, z]) && has([x + 1, y, z]) && has([x, y - 1, z]) && has([x, y + 1, z])
-                && has([x, y, z - 1]) && has([x, y, z + 1])
+            has([x - 1, y, z])
+                && has([x + 1, y, z])
+                && has([x, y - 1, z])
+                && has([x, y + 1, z])
+                && has([x, y, z - 1])
+                && has([x, y, z + 1])
         };
         self.cubes.iter().filter(|cube| !inside(cube)).map(|&cube| self.center(cube)).collect()
     }

@@ -299,7 +299,8 @@ impl Stereo {
 
         let masks = self.vantages.iter().any(|v| v.mask.is_some());
         let mut prepared = Prepared { agreement: fused.agreement, ..Prepared::default() };
-        let origins = [&[Origin::Triangulated, Origin::Hull][..], &[Origin::Triangulated, Origin::Filled, Origin::Shell]];
+        let origins =
+            [&[Origin::Triangulated, Origin::Hull][..], &[Origin::Triangulated, Origin::Filled, Origin::Shell]];
         for (points, origins) in [foreground, background].iter().zip(origins) {
             for &(list, Point { position, color, foreground }) in points {
                 prepared.cloud.points.push(position);

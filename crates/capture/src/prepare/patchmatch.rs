@@ -269,10 +269,8 @@ impl Source<'_> {
         let (width, height) = (self.vantage.eye.width, self.vantage.eye.height);
         let middle: [f32; 3] =
             std::array::from_fn(|i| m[i][0] * x + m[i][1] * y + m[i][2] + plane.inverse_depth * e[i]);
-        let step_x: [f32; 3] =
-            std::array::from_fn(|i| WINDOW_SPACING as f32 * (m[i][0] + plane.gradient[0] * e[i]));
-        let step_y: [f32; 3] =
-            std::array::from_fn(|i| WINDOW_SPACING as f32 * (m[i][1] + plane.gradient[1] * e[i]));
+        let step_x: [f32; 3] = std::array::from_fn(|i| WINDOW_SPACING as f32 * (m[i][0] + plane.gradient[0] * e[i]));
+        let step_y: [f32; 3] = std::array::from_fn(|i| WINDOW_SPACING as f32 * (m[i][1] + plane.gradient[1] * e[i]));
         let (u, v) = (middle[0] / middle[2], middle[1] / middle[2]);
         let inside = middle[2] > 0.0 && u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32;
         if !inside {

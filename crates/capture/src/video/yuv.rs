@@ -38,11 +38,7 @@ impl Matrix {
 /// comes 1.4 dB closer to what was filmed than repeating them.
 ///
 /// - `size`: that the picture must have
-pub(super) fn to_rgb(
-    picture: &impl YUVSource,
-    size: (usize, usize),
-    color: ColorSpace,
-) -> Result<RgbImage, String> {
+pub(super) fn to_rgb(picture: &impl YUVSource, size: (usize, usize), color: ColorSpace) -> Result<RgbImage, String> {
     let (width, height) = picture.dimensions();
     if (width, height) != size {
         return Err(format!("is {width}x{height} pixels, expected {}x{} as the file says", size.0, size.1));
