@@ -1,6 +1,6 @@
 """A decoder of .tcgs version 1 written from docs/FORMAT.md alone. Slow, complete, of no use but to check the text.
 
-Usage: decode.py FILE.tcgs [FILE.json]: compares with the values that the vector means.
+Usage: decode.py FILE.tcgs...: compares each with the values that it means, in the FILE.json beside it.
 """
 import json, math, struct, sys, zlib
 f32 = lambda x: struct.unpack('<f', struct.pack('<f', x))[0]

@@ -40,7 +40,7 @@ pub(crate) fn stem(path: &Path) -> String {
 }
 
 /// Orders names so that numbers in them count as numbers: `cam2` before `cam10`.
-pub(crate) fn natural_key(name: &str) -> Vec<(String, u64)> {
+pub(crate) fn natural_key(name: &str) -> (Vec<(String, u64)>, String) {
     let mut key = Vec::new();
     let mut rest = name;
     while !rest.is_empty() {
@@ -49,9 +49,8 @@ pub(crate) fn natural_key(name: &str) -> Vec<(String, u64)> {
         key.push((rest[..text].to_owned(), rest[text..digits].parse().unwrap_or(0)));
         rest = &rest[digits..];
     }
-    // Equal but for leading zeros.
-    key.push((name.to_owned(), 0));
-    key
+    // Names that are equal but for leading zeros.
+    (key, name.to_owned())
 }
 
 #[cfg(test)]

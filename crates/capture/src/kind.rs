@@ -45,6 +45,16 @@ impl CaptureKind {
         }
     }
 
+    /// The kind of a short name.
+    ///
+    /// ```
+    /// use tcgs_capture::CaptureKind;
+    /// assert_eq!(CaptureKind::named("neural3d"), Some(CaptureKind::Neural3d));
+    /// ```
+    pub fn named(name: &str) -> Option<Self> {
+        KINDS.into_iter().find(|kind| kind.name() == name)
+    }
+
     /// Whether the world's `y` points down and its floor is `y = 0`.
     pub fn has_floor(self) -> bool {
         self == Self::Panoptic

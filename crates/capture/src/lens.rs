@@ -189,7 +189,7 @@ mod tests {
 
     #[test]
     fn a_lens_that_bends_too_much_is_refused() {
-        let problem = lens([30.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]).find_crop().unwrap_err();
+        let problem = lens([300.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]).find_crop().unwrap_err();
         assert!(problem.contains("leaves less than a quarter"), "{problem}");
     }
 }

@@ -135,14 +135,32 @@ fn a_frame_rate_may_be_given() {
 fn what_is_no_capture_is_told_what_one_is() {
     let small = Small::new();
     let problem = small.problem();
-    assert!(problem.starts_with(": has no train_meta.json, expected the folder of a capture with"), "{problem}");
+    let expected = ": has no cameras, expected the folder of a capture with one of train_meta.json (Panoptic Sports), ";
+    assert!(problem.starts_with(expected), "{problem}");
+    for mark in ["cam*.mp4 (Neural", "(Technicolor)", "transforms.json", "cameras.bin or .txt (COLMAP)", "*_par.txt"] {
+        assert!(problem.contains(mark), "{problem}");
+    }
     small.write();
     std::fs::remove_dir_all(small.path().join("ims")).unwrap();
-    assert!(small.problem().starts_with(": has no ims, expected"));
+    assert!(small.problem().starts_with("ims: no such folder, expected"));
     let nowhere = Capture::open(&small.path().join("nowhere")).unwrap_err();
     assert!(small.shorten(nowhere).starts_with("nowhere: no such folder, expected the folder of a capture"));
     let file = Capture::open(&small.path().join("train_meta.json")).unwrap_err();
     assert!(small.shorten(file).starts_with("train_meta.json: is a file, expected the folder of a capture"));
+}
+
+#[test]
+fn points_may_be_missing_or_in_another_file() {
+    let small = small();
+    std::fs::rename(small.path().join("init_pt_cld.npz"), small.path().join("other.npz")).unwrap();
+    let capture = small.open().unwrap();
+    assert!(!capture.has_points() && capture.views(Split::Train, 0, 1).is_ok());
+    let problem = small.shorten(capture.point_cloud().unwrap_err());
+    assert!(problem.starts_with(": has no initial points, expected init_pt_cld.npz, points3D.ply"), "{problem}");
+    let with = capture.clone().with_points(&small.path().join("other.npz")).unwrap();
+    assert_eq!(with.point_cloud().unwrap().points.len(), small.points.len());
+    let text = small.shorten(capture.with_points(&small.path().join("points.obj")).unwrap_err());
+    assert!(text.starts_with("points.obj: is of no known kind, expected points as .npz, .ply"), "{text}");
 }
 
 #[test]
@@ -194,10 +212,10 @@ fn images_of_another_size_are_named() {
     let capture = small.open().unwrap();
     let problem = || small.shorten(capture.views(Split::Train, 0, 1).unwrap_err());
     image::GrayImage::new(WIDTH, HEIGHT / 2).save(small.mask(5, 0)).unwrap();
-    assert_eq!(problem(), "seg/5/000000.png: is 16x6 pixels, expected 16x12 as the meta says");
+    assert_eq!(problem(), "seg/5/000000.png: is 16x6 pixels, expected 16x12 as its camera has");
     // The first in order is named, whichever is decoded first.
     image::RgbImage::new(WIDTH + 1, HEIGHT).save(small.image(2, 0)).unwrap();
-    assert_eq!(problem(), "ims/2/000000.png: is 17x12 pixels, expected 16x12 as the meta says");
+    assert_eq!(problem(), "ims/2/000000.png: is 17x12 pixels, expected 16x12 as its camera has");
 }
 
 #[test]

@@ -44,6 +44,13 @@ pub enum Backend {
 }
 
 impl BackendOptions {
+    /// The same for another command.
+    pub fn arguments(&self) -> Vec<String> {
+        let backend = self.backend.and_then(|backend| Some(backend.to_possible_value()?.get_name().to_owned()));
+        let options = [("--backend", backend), ("--device", self.device.clone())];
+        options.into_iter().filter_map(|(name, value)| Some([name.to_owned(), value?])).flatten().collect()
+    }
+
     /// Finds what is asked for, and says on standard error what it is. To be called once the number of
     /// threads is set.
     ///

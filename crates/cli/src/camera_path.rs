@@ -2,13 +2,12 @@
 
 use std::f64::consts::TAU;
 
-use clap::ValueEnum;
 use tcgs_core::{Camera, Gaussians};
 
 use crate::options::Size;
 
 /// Shape of a path.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraPath {
     /// One turn at one height
     Orbit,

@@ -5,6 +5,7 @@ use std::io::ErrorKind;
 use tcgs_capture::CaptureError;
 use tcgs_codec::DecodeError;
 use tcgs_interchange::InterchangeError;
+use tcgs_metrics::MetricsError;
 use tcgs_train::TrainError;
 
 /// Wrong usage or input, as against a computer that fails: one line that names the culprit, what was
@@ -29,6 +30,10 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         || match error.downcast_ref::<TrainError>() {
             Some(TrainError::Io { action, source, .. }) => *action == "reading" && is_wrong_path(source),
             Some(TrainError::NotFinite { .. } | TrainError::Gpu(_)) => false,
+            other => other.is_some(),
+        }
+        || match error.downcast_ref::<MetricsError>() {
+            Some(MetricsError::Io { error, .. }) => is_wrong_path(error),
             other => other.is_some(),
         }
         || error.downcast_ref::<InterchangeError>().is_some_and(is_wrong_archive)
@@ -72,12 +77,14 @@ mod tests {
         let train = |action| TrainError::Io { action, path: path(), source: full() };
         let missing = Error::from(ErrorKind::NotFound);
         let lost = GpuError::Lost("x".into());
-        let cases: [(anyhow::Error, u8); 9] = [
+        let cases: [(anyhow::Error, u8); 11] = [
             (wrong_input("x"), 2),
             (anyhow::anyhow!("x"), 1),
             (train("writing").into(), 1),
             (TrainError::File { path: path(), problem: "x".into() }.into(), 2),
             (CaptureError::Io { path: path(), error: missing }.into(), 2),
+            (MetricsError::Weights { path: path(), problem: "x".into() }.into(), 2),
+            (MetricsError::Io { path: path(), error: Error::other("x") }.into(), 1),
             (InterchangeError::Io { path: path(), action: "writing", error: full() }.into(), 1),
             (full().into(), 1),
             (TrainError::from(lost.clone()).into(), 1),

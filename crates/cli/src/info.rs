@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use serde_json::{Map, Value, json};
-use tcgs_codec::{Contents, DecodeLimits, FileInfo, inspect};
+use tcgs_codec::{Contents, DecodeLimits, FileInfo, application_data, inspect};
 use tcgs_core::Attribute;
 
 use crate::error::wrong_input;
@@ -43,6 +43,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         print_contents(&info, contents)?;
     }
     print_sections(&info)?;
+    if info.checksums_ok() {
+        for (name, data) in application_data(&bytes, &DecodeLimits::default())? {
+            say(&format!("application data: {name}, {}", show_bytes(data.len() as u64)))?;
+        }
+    }
     arguments.job.write_json(&machine_readable(&info))?;
     let damaged: Vec<&str> = info.sections.iter().filter(|s| !s.checksum_ok).map(|s| s.name).collect();
     if !damaged.is_empty() {
@@ -64,6 +69,7 @@ fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
         rate => format!("frame rate    {rate} a second"),
     })?;
     say(&format!("downscale     {}", scene.downscale))?;
+    say(&format!("up            {}", scene.up.name()))?;
     let (raw, plain) = (contents.raw_bytes, contents.plain_bytes);
     say(&format!("as floats     {} ({:.1} times as much)", show_bytes(raw), raw as f64 / info.bytes as f64))?;
     say(&format!("not packed    {} ({:.1} times as much)", show_bytes(plain), plain as f64 / info.bytes as f64))?;

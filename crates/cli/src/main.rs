@@ -18,8 +18,10 @@ mod prepare;
 mod progress;
 mod render;
 mod report;
+mod reproduce;
 mod scene;
 mod train;
+mod view;
 
 use std::process::ExitCode;
 
@@ -53,6 +55,8 @@ enum Command {
     Render(render::Arguments),
     Eval(eval::Arguments),
     Export(export::Arguments),
+    Reproduce(reproduce::Arguments),
+    View(view::Arguments),
     Bench(bench::Arguments),
 }
 
@@ -71,6 +75,8 @@ fn main() -> ExitCode {
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
+        Command::Reproduce(arguments) => reproduce::run(&arguments),
+        Command::View(arguments) => view::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
     };
     match done {

@@ -46,6 +46,27 @@ pub fn positive(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|&n| n > 0).ok_or_else(|| "expected a whole number of 1 or more".into())
 }
 
+/// Bytes: a number, or one with a unit.
+pub fn size(text: &str) -> Result<u64, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit = text[digits.len()..].to_ascii_lowercase();
+    let factor: Option<f64> = match &*unit {
+        "" | "b" => Some(1.0),
+        "k" | "kb" => Some(1e3),
+        "m" | "mb" => Some(1e6),
+        "g" | "gb" => Some(1e9),
+        "kib" => Some(1024.0),
+        "mib" => Some(f64::from(1 << 20)),
+        "gib" => Some(f64::from(1 << 30)),
+        _ => None,
+    };
+    let bytes = digits.parse().ok().zip(factor).map(|(number, factor): (f64, f64)| (number * factor).floor());
+    bytes
+        .filter(|bytes| (1.0..1e18).contains(bytes))
+        .map(|bytes| bytes as u64)
+        .ok_or_else(|| "expected bytes, such as 500000, 500k, 2MB (units of 1000) or 2MiB (units of 1024)".into())
+}
+
 /// Frames `A..B`, half-open.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frames(pub Range<usize>);
@@ -114,6 +135,11 @@ mod tests {
         }
         assert_eq!(iterations("30,10"), Ok(Pair(30, 10)));
         assert!(["0,10", "10", "10,x"].iter().all(|text| iterations(text).is_err()));
+        let sizes = [("500000", 500_000), ("500k", 500_000), ("2MB", 2_000_000), ("1.5kib", 1536), ("0.5 G", 0)];
+        for (text, bytes) in sizes {
+            assert_eq!(size(text).ok(), (bytes > 0).then_some(bytes), "{text}");
+        }
+        assert!(["", "0", "-3", "MB", "2TB", "nan", "inf", "1e300", "2 MB"].iter().all(|text| size(text).is_err()));
         assert_eq!("640x360".parse(), Ok(Size { width: 640, height: 360 }));
         assert!(["640", "0x4", "4x-4", "99999x4"].iter().all(|text| text.parse::<Size>().is_err()));
     }

@@ -5,6 +5,7 @@
 mod support;
 
 use std::fs;
+use std::io::Write;
 
 use serde_json::Value;
 use support::*;
@@ -112,7 +113,11 @@ fn a_capture_becomes_a_small_file_that_renders() {
         assert!((mean_of_images(&floats, metric) - number(&floats[metric])).abs() < 1e-9, "{metric}");
     }
     let csv = fs::read_to_string(csv).unwrap();
-    assert_eq!((csv.lines().count(), csv.lines().next()), (16, Some("timestep,camera,psnr,psnr_per_channel,ssim")));
+    let header = "timestep,camera,psnr,psnr_per_channel,ssim,ms_ssim,dssim,lpips_vgg,lpips_alex";
+    assert_eq!((csv.lines().count(), csv.lines().next()), (16, Some(header)));
+    assert!(csv.lines().skip(1).all(|line| line.ends_with(",,,,")), "what is not measured is empty: {csv}");
+    assert!(table.contains("LPIPS: not measured without weights") && table.contains("MS-SSIM, D-SSIM: not"), "{table}");
+    assert!(number(&floats["flicker"]) > 0.0);
 
     let result = path("compress.json");
     let said = succeed(&["compress", text(&run), "--json", text(&result)]);
@@ -160,7 +165,8 @@ fn a_capture_becomes_a_small_file_that_renders() {
     let result = path("file.json");
     let arguments = ["eval", text(&file), "--capture", capture, "--cameras", "all", "--json", text(&result)];
     let said = succeed(&[&arguments[..], &["--protocol", "tc3dgs", "--threads", "1"]].concat());
-    assert!(said.contains("protocol tc3dgs: PSNR"), "{said}");
+    assert!(said.contains("protocol tc3dgs: PSNR") && said.contains("LPIPS -"), "{said}");
+    assert!(said.contains("NOT held out: all); frames 1..4 of 4; 48x36 as captured"), "{said}");
     let decoded = json(&result);
     assert_eq!((&decoded["bytes"], &decoded["num_gaussians"]), (&bytes.into(), &kept.into()));
     assert_eq!((&decoded["protocol"], &decoded["fps_device"]), (&"tc3dgs".into(), &"cpu, 1 threads".into()));
@@ -308,4 +314,40 @@ fn settings_come_from_preset_file_and_options_in_this_order() {
     succeed(&["compress", text(&run)]);
     succeed(&["info", text(&run.join("scene.tcgs")), "--json", text(&result), "--force"]);
     assert_eq!(json(&result)["first_frame"], 2);
+}
+
+#[test]
+fn every_protocol_has_its_names_and_lpips_where_there_are_weights() {
+    let folder = tempdir().unwrap();
+    let run = train(&folder, "run", &["--frames", "0..1"]);
+    let weights = std::env::var("TCGS_LPIPS_WEIGHTS").unwrap_or_default();
+    if weights.is_empty() {
+        assert!(std::env::var("REQUIRE_GOLDEN").is_err(), "TCGS_LPIPS_WEIGHTS names no file");
+        let _ = writeln!(std::io::stderr(), "without LPIPS: TCGS_LPIPS_WEIGHTS names no file");
+    }
+    let names: [(&str, &[&str]); 3] = [
+        ("tc3dgs", &["psnr", "ssim", "lpips"]),
+        ("4dgs", &["psnr", "ssim", "lpips_vgg", "lpips_alex", "ms_ssim", "dssim"]),
+        ("stg", &["psnr", "ssim", "ssimsv2", "lpips", "lpips_vgg"]),
+    ];
+    for (protocol, names) in names {
+        let (result, csv) = (folder.path().join(format!("{protocol}.json")), folder.path().join(protocol));
+        let common = ["eval", text(&run), "--capture", text(capture()), "--protocol", protocol];
+        let more = ["--json", text(&result), "--csv", text(&csv), "--lpips-weights", &weights];
+        let more = if weights.is_empty() { &more[..4] } else { &more[..] };
+        let said = succeed(&[&common[..], more].concat());
+        assert!(said.contains(&format!("\nprotocol {protocol} (")) && said.contains("\n  cameras "), "{said}");
+        assert_eq!(said.contains("LPIPS: not measured"), weights.is_empty(), "{said}");
+        let result = json(&result);
+        assert_keys(&result["protocol_metrics"], names);
+        assert!(result["flicker"].is_null(), "one frame does not flicker");
+        for (name, value) in result["protocol_metrics"].as_object().unwrap() {
+            let small = ["ms_ssim", "dssim"].contains(&name.as_str());
+            let blind = small || name.starts_with("lpips") && weights.is_empty();
+            assert_eq!(value.is_null(), blind, "{protocol} {name}: {value}");
+        }
+        assert_eq!(result["lpips_vgg"].is_null(), weights.is_empty());
+        let header = fs::read_to_string(csv).unwrap().lines().next().unwrap().to_owned();
+        assert!(names.iter().all(|name| header.contains(&format!(",{protocol}_{name}"))), "{header}");
+    }
 }

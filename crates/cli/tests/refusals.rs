@@ -35,6 +35,15 @@ fn wrong_usage_is_one_line() {
     refuse(&["compress", "x", "--max-keypoints", "1"], &["2..=65536"]);
     refuse(&["compress", "x", "--max-mse", "nan"], &["0 or more"]);
     refuse(&["compress", "x", "--no-keypoints", "--max-mse", "1"], &["cannot be used with"]);
+    refuse(&["compress", "x", "--target-bytes", "2TB"], &["'2TB'", "500000, 500k, 2MB"]);
+    refuse(&["compress", "x", "--target-psnr", "nan"], &["'nan'", "0 to 100"]);
+    refuse(&["compress", "x", "--target-psnr", "30", "--target-bytes", "9k"], &["cannot be used with"]);
+    refuse(&["compress", "x", "--target-psnr", "30", "--bits", "4,8"], &["cannot be used with"]);
+    refuse(&["compress", "x", "--target-psnr", "30", "--cameras", "all"], &["--capture"]);
+    refuse(&["compress", "x", "--frames", "0..2"], &["--target-bytes", "--target-psnr"]);
+    refuse(&["compress", "x", "--quality", "9"], &["'9'", "-6 to 8"]);
+    refuse(&["compress", "x", "--quality", "1", "--preset", "paper"], &["--preset paper", "expected --preset default"]);
+    refuse(&["compress", "x", "--up", "w"], &["'w'", "-x, -y or -z"]);
     refuse(&["render", "x", "--out", "d", "--size", "0x4"], &["WIDTHxHEIGHT"]);
     refuse(&["bench", "--size", "64x48,4"], &["'4'", "WIDTHxHEIGHT"]);
     refuse(&["bench", "--gaussians", "0"], &["'0'", "1 or more"]);
@@ -50,15 +59,9 @@ fn wrong_usage_is_one_line() {
 #[test]
 fn what_does_not_exist_yet_says_so() {
     let folder = tempdir().unwrap();
-    let capture = text(capture());
     let run = train(&folder, "run", &[]);
     let out = folder.path().join("out");
-    for protocol in ["4dgs", "stg"] {
-        refuse(&["eval", text(&run), "--capture", capture, "--protocol", protocol], &[protocol, "expected tc3dgs"]);
-    }
-    refuse(&["compress", text(&run), "--target-bytes", "1000"], &["--target-bytes 1000", "not in this version"]);
-    refuse(&["compress", text(&run), "--target-psnr", "30"], &["--target-psnr 30", "not in this version"]);
-    refuse(&["render", text(&run), "--out", "clip.mp4"], &["clip.mp4", "no video"]);
+    refuse(&["render", text(&run), "--out", "clip.mov"], &["clip.mov", "expected .mp4, .webm"]);
     refuse(&["render", text(&run), "--out", text(&out), "--cameras", "t/transforms.json"], &["transforms.json"]);
     refuse(&["export", text(&run), "--to", "a.gltf"], &["a.gltf", "expected NAME.npz, NAME.ply"]);
     assert!(!out.exists());
@@ -130,6 +133,11 @@ fn scenes_and_captures_that_do_not_fit_are_named() {
     let path = |name: &str| folder.path().join(name);
     refuse(&["eval", text(&run), "--capture", "nowhere"], &["nowhere", "no such folder"]);
     refuse(&["eval", text(&run), "--capture", capture, "--frames", "1..4"], &["--frames 1..4", "1..3"]);
+    refuse(&["eval", text(&run), "--capture", capture, "--protocol", "psnr"], &["'psnr'", "tc3dgs, 4dgs, stg"]);
+    let weights = ["eval", text(&run), "--capture", capture, "--lpips-weights"];
+    refuse(&[&weights[..], &["nowhere"]].concat(), &["nowhere", "expected LPIPS weights"]);
+    let config = run.join("config.toml");
+    refuse(&[&weights[..], &[text(&config)]].concat(), &["config.toml: not safetensors", "expected LPIPS weights"]);
     refuse(&["render", text(&run), "--out", text(&path("f")), "--frames", "0..2"], &["--frames 0..2", "1..3"]);
     refuse(&["eval", "nowhere.tcgs", "--capture", capture], &["nowhere.tcgs", "expected a .tcgs file"]);
     refuse(

@@ -217,7 +217,7 @@ fn a_full_disk_ends_a_run_whose_checkpoints_stay_right() {
     let output = tcgs().args(arguments(&run)).output().unwrap();
     let message = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{message}");
-    assert!(message.contains("No space left"), "{message}");
+    assert!(message.contains("No space left") && message.contains("make room, then --resume goes on"), "{message}");
     let found = checkpoints(&run);
     assert!(!found.is_empty() && found.len() < 4 && found[..] == expected[..found.len()], "{} found", found.len());
     let compressed = tcgs().args(["compress", text(&run)]).output().unwrap();
@@ -233,6 +233,7 @@ fn a_run_that_diverges_stops_with_its_checkpoints() {
     let run = folder.path().join("run");
     let message = fail(1, &[&arguments(&run)[..], &["--set", "rates.color_rest=1e38"]].concat());
     assert!(message.contains("timestep 1") && message.contains("iteration"), "{message}");
+    assert!(message.contains("begin anew with lower rates"), "{message}");
     assert_eq!(checkpoints(&run).len(), 1);
     tcgs_train::Run::open(&run).unwrap().trained().unwrap();
 }

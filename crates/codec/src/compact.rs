@@ -71,6 +71,11 @@ impl UpAxis {
     /// All, by their number in a file.
     pub(crate) const ALL: [Self; 7] =
         [Self::Unknown, Self::PlusX, Self::PlusY, Self::PlusZ, Self::MinusX, Self::MinusY, Self::MinusZ];
+
+    /// Such as `-y`; `unknown`.
+    pub fn name(self) -> &'static str {
+        ["unknown", "x", "y", "z", "-x", "-y", "-z"][self as usize]
+    }
 }
 
 impl SceneInfo {

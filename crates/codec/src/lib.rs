@@ -24,12 +24,12 @@ mod parallel;
 mod quantize;
 
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
-#[cfg(feature = "encode")]
-pub use bitstream::encode;
 pub use bitstream::{
-    Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Opening, Sampler, SectionInfo, Segment,
+    Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Keypoints, Opening, Sampler, SectionInfo, Segment,
     application_data, decode, inspect,
 };
+#[cfg(feature = "encode")]
+pub use bitstream::{encode, encode_with};
 pub use compact::{ColorSpace, CompactScene, SceneInfo, Tracks, UpAxis};
 #[cfg(feature = "encode")]
 pub use compress::{CompressSettings, compress, compress_ordered};

@@ -49,6 +49,11 @@ impl Budget {
         Self { limit: limits.max_bytes.min(expanded), used: AtomicU64::new(0) }
     }
 
+    /// As much as is left now, for something that will be dropped again.
+    pub(crate) fn fork(&self) -> Self {
+        Self { limit: self.limit, used: AtomicU64::new(self.used.load(Ordering::Relaxed)) }
+    }
+
     /// To be asked before `count` things of `size` bytes are allocated.
     pub(crate) fn reserve(&self, what: &'static str, count: u64, size: usize) -> Result<(), DecodeError> {
         let bytes = count.saturating_mul(size as u64).min(1 << 62);

@@ -128,6 +128,15 @@ impl Quantizer {
         Self::new(step as f32, offset as f32, bits)
     }
 
+    /// The quantizer of a given step whose lowest code is `min`.
+    ///
+    /// # Panics
+    /// If that makes no quantizer.
+    pub(crate) fn from_lowest(min: f32, step: f64, bits: u8) -> Self {
+        let offset = f64::from(min) + step * f64::from(1_u32 << (bits - 1));
+        Self::new(step as f32, offset as f32, bits)
+    }
+
     /// The quantizer of lowest squared error found: ranges shrunk from either side (an outlier is
     /// cut off where that makes the step finer for the rest), then least squares for step and offset.
     ///

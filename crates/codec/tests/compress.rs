@@ -11,7 +11,7 @@ use scenes::Random;
 
 /// The default, with the widths of the bit map and the same tolerance for all.
 fn as_told() -> CompressSettings {
-    CompressSettings { coarser: [0; 5], position_fineness: 0.0, importance: 0.0, ..CompressSettings::default() }
+    CompressSettings { coarser: [0.0; 5], position_fineness: 0.0, importance: 0.0, ..CompressSettings::default() }
 }
 
 fn compress_all(scene: &DynamicGaussians, bits: u8, settings: &CompressSettings) -> (CompactScene, Vec<usize>) {
@@ -249,19 +249,64 @@ fn components_share_their_times_and_segments_begin_anew() {
 #[test]
 fn widths_are_lowered_and_positions_follow_the_splats() {
     let scene = scenes::room(500, 2);
-    let settings = CompressSettings { coarser: [0, 2, 1, 9, 0], position_fineness: 4.0, ..as_told() };
-    let (compact, _) = compress_all(&scene, 6, &settings);
+    let settings = CompressSettings { coarser: [0.0, 2.0, 1.0, 9.0, 0.0], position_fineness: 4.0, ..as_told() };
+    let (compact, order) = compress_all(&scene, 6, &settings);
     let width = |a: Attribute| *compact.bit_map.widths[a.index()].first().unwrap();
     assert_eq!(
         [Attribute::Quat, Attribute::LogScale, Attribute::LogitOpacity, Attribute::Color].map(width),
         [4, 5, 2, 6]
     );
-    // About 6 m, a median axis of about 22 mm, a quarter of that: 1100 steps.
+    // About 6 m, a median axis of about 23 mm, a quarter of that along all axes: 1100 steps.
     assert_eq!(width(Attribute::Mean), 11);
     let steps = &compact.quantizers.attributes[Attribute::Mean.index()][&11];
-    assert!(steps.iter().all(|q| q.step < 0.022 / 4.0));
+    assert!(steps.iter().all(|q| (q.step - 0.0234 / 4.0).abs() < 1e-4 && q.step == steps[0].step), "{steps:?}");
+    let error = mse(Attribute::Mean, &scene.select(&order), &compact.reconstruct());
+    assert!(error < 1.1 * f64::from(steps[0].step).powi(2) / 12.0 + f64::from(settings.max_mse[0]), "{error}");
     let finer = CompressSettings { position_fineness: 8.0, ..settings };
     assert_eq!(compress_all(&scene, 6, &finer).0.bit_map.widths[0][0], 12);
+}
+
+#[test]
+fn a_fraction_of_a_bit_goes_to_those_that_cover_most() {
+    let scene = scenes::room(500, 2);
+    let settings = CompressSettings { coarser: [0.0, 0.0, 0.0, 0.0, 0.75], ..as_told() };
+    let (compact, order) = compress_all(&scene, 6, &settings);
+    let widths = &compact.bit_map.widths[Attribute::Color.index()];
+    assert_eq!(widths.iter().filter(|&&w| w == 6).count(), 125);
+    assert!(widths.iter().all(|&w| w == 5 || w == 6));
+    let area = |g: usize| {
+        let mut scales = scene.log_scales[0][order[g]];
+        scales.sort_by(f32::total_cmp);
+        2.0 * tcgs_core::sigmoid(scene.logit_opacities[0][order[g]]).ln() + scales[1] + scales[2]
+    };
+    let least = (0..500).filter(|&g| widths[g] == 6).map(area).fold(f32::MAX, f32::min);
+    assert!((0..500).filter(|&g| widths[g] == 5).all(|g| area(g) <= least));
+}
+
+#[test]
+fn quality_orders_files_by_size_and_error() {
+    let scene = scenes::room(1500, 24);
+    let bit_map = scenes::mixed_widths(1500);
+    let default = CompressSettings::default();
+    assert_eq!(default.clone().with_quality(0.0), default);
+    let outcome = |quality: f32| {
+        let settings = default.clone().with_quality(quality);
+        let (compact, order) = compress_ordered(&scene, &bit_map, None, SceneInfo::of(&scene), &settings);
+        let (expected, found) = (scene.select(&order), compact.reconstruct());
+        (encode(&compact).len(), Attribute::ALL.map(|a| mse(a, &expected, &found)))
+    };
+    let curve: Vec<_> = (-12..=16).map(|half| outcome(half as f32 / 2.0)).collect();
+    for (i, pair) in curve.windows(2).enumerate() {
+        let (bytes, better) = (pair[0].0, pair[1].0);
+        assert!(bytes < better && better < 2 * bytes, "quality {}: {bytes} and {better} bytes", i as f32 / 2.0 - 6.0);
+    }
+    // Over two steps of quality every attribute errs less.
+    for (i, (worse, better)) in curve.iter().zip(&curve[4..]).enumerate() {
+        for a in Attribute::ALL {
+            let (worse, better) = (worse.1[a.index()], better.1[a.index()]);
+            assert!(better <= worse, "{a:?} from quality {}: {worse} and {better}", i as f32 / 2.0 - 6.0);
+        }
+    }
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::ops::Range;
 use proptest::prelude::*;
 use tcgs_codec::{
     Archive, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Opening, Sampler, SceneInfo, compress,
-    decode, encode,
+    decode, encode, encode_with,
 };
 use tcgs_core::Gaussians;
 
@@ -194,4 +194,26 @@ fn a_segment_needs_few_of_the_bytes() {
     assert_eq!(shared.end + segments, file.len() as u64);
     let coarse = archive.shared_range(1);
     assert!(coarse.end - coarse.start < (shared.end - shared.start) / 5);
+}
+
+#[test]
+fn data_of_applications_are_known_from_the_start() {
+    let scene = any_scene(9, 24, 6);
+    let (plain, data) = (encode(&scene), [("a", &b"one"[..]), ("", &b""[..]), ("b", &[0xff; 300][..])]);
+    let file = encode_with(&scene, &data);
+    let lengths: usize = data.iter().map(|(name, bytes)| 16 + 2 + name.len() + bytes.len()).sum();
+    assert_eq!(file.len(), plain.len() + lengths);
+    let archive = open(&file);
+    let ranges = archive.application_ranges();
+    assert!(ranges.iter().all(|range| range.end <= archive.shared_range(1).start), "{ranges:?}");
+    let read = |(index, range): (usize, &Range<u64>)| {
+        let (name, found) = archive.read_application(index, bytes(&file, range.clone())).unwrap();
+        (name, found.to_vec())
+    };
+    let found: Vec<_> = ranges.iter().enumerate().map(read).collect();
+    assert_eq!(found, data.map(|(name, bytes)| (name.to_owned(), bytes.to_vec())));
+    assert!(archive.read_application(0, b"other").is_err());
+    // They change nothing else.
+    assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
+    assert_eq!(events(&[&file[..]]), events(&[&plain[..]]));
 }

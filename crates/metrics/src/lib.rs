@@ -1,13 +1,25 @@
-//! Image metrics: PSNR and SSIM, with the gradient of SSIM.
+//! Image metrics: PSNR, SSIM with its gradient, MS-SSIM, LPIPS, flicker, and the named protocols of publications.
 //!
-//! A judge that knows no model: images in, numbers out. Both metrics take images of any number of
-//! channels whose values nominally lie in `[0, 1]`.
+//! A judge that knows no model: images in, numbers out. Values nominally lie in `[0, 1]`; LPIPS needs three channels, the
+//! others take any number.
 
+mod error;
+mod flicker;
+mod lpips;
+mod ms_ssim;
+mod protocol;
 mod psnr;
 mod ssim;
+mod uniform_ssim;
 
+pub use error::MetricsError;
+pub use flicker::{STATIC_CHANGE, flicker};
+pub use lpips::{Backbone, InputRange, Lpips};
+pub use ms_ssim::{MIN_MS_SSIM_SIDE, dssim, ms_ssim};
+pub use protocol::{Measure, PixelRange, Protocol, ProtocolMetric, Rules};
 pub use psnr::{psnr, psnr_masked, psnr_per_channel};
 pub use ssim::{SsimSaved, ssim, ssim_bwd, ssim_fwd};
+pub use uniform_ssim::uniform_ssim;
 
 /// Both images must have one shape.
 fn assert_same_shape(rendered: &tcgs_core::Image, target: &tcgs_core::Image) {

@@ -30,6 +30,9 @@ const C2: f32 = 0.03 * 0.03;
 /// Pixels on each side of the window's centre.
 const RADIUS: usize = 5;
 
+/// Pixels on a side of the window.
+pub(crate) const WINDOW_SIZE: usize = 2 * RADIUS + 1;
+
 /// `exp(-d² / (2 * 1.5²))` over the window's sum, for d = 0..=5: the centre and one side.
 const WINDOW: [f32; RADIUS + 1] =
     [0.266_011_72, 0.213_005_54, 0.109_360_69, 0.036_000_773, 0.007_598_758, 0.001_028_380_1];
@@ -105,6 +108,30 @@ pub fn ssim_bwd(rendered: &Image, target: &Image, saved: &SsimSaved, v_ssim: &[f
     });
 }
 
+/// The map and its second factor, `(2 covariance + C2) / (variance_x + variance_y + C2)`, averaged over the pixels whose
+/// window lies inside the image; for each channel.
+///
+/// # Panics
+/// If the images differ in shape or have no such pixels.
+pub(crate) fn inner_means(rendered: &Image, target: &Image) -> Vec<(f64, f64)> {
+    assert_same_shape(rendered, target);
+    let (width, height) = (rendered.width, rendered.height);
+    assert!(width.min(height) >= WINDOW_SIZE, "a window inside of {width}x{height} pixels");
+    let inner_rows = RADIUS..height - RADIUS;
+    let num_pixels = (inner_rows.len() * (width - 2 * RADIUS)) as f64;
+    let means = (0..rendered.num_channels).map(|channel| {
+        let strips: Vec<(f64, f64)> = (inner_rows.clone().into_par_iter().step_by(STRIP_ROWS))
+            .map(|first_row| {
+                let num_rows = STRIP_ROWS.min(inner_rows.end - first_row);
+                inner_sums(width, first_row, num_rows, rendered.plane(channel), target.plane(channel))
+            })
+            .collect();
+        let sum = strips.into_iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        (sum.0 / num_pixels, sum.1 / num_pixels)
+    });
+    means.collect()
+}
+
 /// Cuts `[C, H, row_len]` into strips: channel, first row, values.
 fn strips(data: &mut [f32], channel_len: usize, row_len: usize) -> Vec<(usize, usize, &mut [f32])> {
     let channels = data.chunks_mut(channel_len).enumerate();
@@ -122,15 +149,7 @@ fn strips(data: &mut [f32], channel_len: usize, row_len: usize) -> Vec<(usize, u
 /// - `partials`: `[rows, 3, W]`
 #[multiversion(targets("x86_64+avx2"))]
 fn strip_fwd(width: usize, first_row: usize, x: &[f32], y: &[f32], partials: &mut [f32]) -> f64 {
-    let num_rows = partials.len() / (3 * width);
-    let filtered = filter_rows::<5>(width, first_row, num_rows, x.len() / width, |row, padded| {
-        let (x, y) = (&x[row * width..][..width], &y[row * width..][..width]);
-        let [px, py, pxx, pyy, pxy] = padded;
-        for i in 0..width {
-            (px[i], py[i]) = (x[i], y[i]);
-            (pxx[i], pyy[i], pxy[i]) = (x[i] * x[i], y[i] * y[i], x[i] * y[i]);
-        }
-    });
+    let filtered = filter_moments(width, first_row, partials.len() / (3 * width), x, y);
     let mut stats = vec![0.0; 5 * width];
     let mut sum = 0.0;
     for (row, out) in partials.chunks_exact_mut(3 * width).enumerate() {
@@ -138,6 +157,41 @@ fn strip_fwd(width: usize, first_row: usize, x: &[f32], y: &[f32], partials: &mu
         sum += row_fwd(width, &stats, out);
     }
     sum
+}
+
+/// Sums of the map and of its second factor over the inner pixels of some rows.
+///
+/// - `x`, `y`: `[H, W]`, rendered and target
+#[multiversion(targets("x86_64+avx2"))]
+fn inner_sums(width: usize, first_row: usize, num_rows: usize, x: &[f32], y: &[f32]) -> (f64, f64) {
+    let filtered = filter_moments(width, first_row, num_rows, x, y);
+    let mut stats = vec![0.0; 5 * width];
+    let (mut whole, mut structure) = (0.0, 0.0);
+    for row in 0..num_rows {
+        filter_columns::<5>(width, row, &filtered, &mut stats);
+        let [mean_x, mean_y, square_x, square_y, product] = split::<5>(width, &stats);
+        for i in RADIUS..width - RADIUS {
+            let (x, y) = (mean_x[i], mean_y[i]);
+            let variances = (square_x[i] - x * x) + (square_y[i] - y * y);
+            let similarity = (2.0 * (product[i] - x * y) + C2) / (variances + C2);
+            whole += f64::from((2.0 * x * y + C1) / (x * x + y * y + C1) * similarity);
+            structure += f64::from(similarity);
+        }
+    }
+    (whole, structure)
+}
+
+/// Both images, their squares and their product, filtered along the rows that a strip needs: [`filter_rows`].
+#[inline(always)]
+fn filter_moments(width: usize, first_row: usize, num_rows: usize, x: &[f32], y: &[f32]) -> Vec<f32> {
+    filter_rows::<5>(width, first_row, num_rows, x.len() / width, |row, padded| {
+        let (x, y) = (&x[row * width..][..width], &y[row * width..][..width]);
+        let [px, py, pxx, pyy, pxy] = padded;
+        for i in 0..width {
+            (px[i], py[i]) = (x[i], y[i]);
+            (pxx[i], pyy[i], pxy[i]) = (x[i] * x[i], y[i] * y[i], x[i] * y[i]);
+        }
+    })
 }
 
 /// The formula, from filtered statistics, over one row.

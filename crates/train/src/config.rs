@@ -60,6 +60,10 @@ pub enum Preset {
 pub struct DataConfig {
     /// The capture's folder, as given.
     pub capture: String,
+    /// Its layout, as it was recognised: what publications agree on goes by it. Default `panoptic`.
+    pub layout: String,
+    /// File of the initial points; empty: the capture's own. Default empty.
+    pub points: String,
     /// First frame.
     pub first_frame: usize,
     /// One past the last frame.
@@ -277,7 +281,15 @@ impl TrainConfig {
         let reference = Self {
             preset,
             seed: 0,
-            data: DataConfig { capture: String::new(), first_frame: 0, end_frame: 0, downscale: 1, frame_rate: 30.0 },
+            data: DataConfig {
+                capture: String::new(),
+                layout: "panoptic".into(),
+                points: String::new(),
+                first_frame: 0,
+                end_frame: 0,
+                downscale: 1,
+                frame_rate: 30.0,
+            },
             schedule: ScheduleConfig {
                 first_iterations: REFERENCE_ITERATIONS[0],
                 rest_iterations: REFERENCE_ITERATIONS[1],

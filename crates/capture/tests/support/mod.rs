@@ -1,5 +1,8 @@
 //! A small capture written to a temporary folder, for tests to spoil.
 
+// Every test file uses its own part of this.
+#![allow(dead_code)]
+
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
@@ -84,11 +87,80 @@ impl Small {
 
     /// A message without the folder's name.
     pub fn shorten(&self, error: CaptureError) -> String {
-        let message = error.to_string();
-        assert!(!message.contains('\n'), "{message}");
-        let short = message.strip_prefix(&self.path().display().to_string()).unwrap();
-        short.trim_start_matches('/').to_owned()
+        shorten(self.path(), &error)
     }
+}
+
+/// A message of one line without a folder's name.
+pub fn shorten(folder: &Path, error: &CaptureError) -> String {
+    let message = error.to_string();
+    assert!(!message.contains('\n'), "{message}");
+    let short = message.strip_prefix(&folder.display().to_string());
+    short.unwrap_or_else(|| panic!("{message}")).trim_start_matches('/').to_owned()
+}
+
+/// Why a folder cannot be opened.
+pub fn problem(folder: &Path) -> String {
+    shorten(folder, &Capture::open(folder).unwrap_err())
+}
+
+/// The camera of another size and number on the circle of [`camera`].
+pub fn camera_of(id: usize, of: usize, width: usize, height: usize) -> Camera {
+    let angle = id as f64 * std::f64::consts::TAU / of as f64;
+    let center = [2.0 * angle.cos(), -0.5, 2.0 * angle.sin()];
+    Camera::look_at(center, [0.0; 3], [0.0, -1.0, 0.0], 0.875 * width as f64, width, height)
+}
+
+/// Whether two cameras are the same but for rounding.
+pub fn assert_close(found: &Camera, expected: &Camera) {
+    let numbers = |camera: &Camera| -> Vec<f64> {
+        let sizes = [camera.width as f64, camera.height as f64];
+        [&sizes[..], &camera.focal, &camera.principal, camera.camera_from_world.as_flattened()].concat()
+    };
+    for (a, b) in numbers(found).iter().zip(numbers(expected)) {
+        assert!((a - b).abs() < 2e-6 * (1.0 + b.abs()), "{found:?}, expected {expected:?}");
+    }
+}
+
+/// A few red points around the origin, which the cameras see.
+pub fn write_ply(path: &Path) {
+    let mut text = String::from("ply\nformat ascii 1.0\nelement vertex 50\n");
+    for (kind, name) in [("float", "x"), ("float", "y"), ("float", "z")] {
+        text += &format!("property {kind} {name}\n");
+    }
+    text += "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n";
+    for i in 0..50 {
+        let angle = f64::from(i);
+        text += &format!("{} {} {} 255 0 0\n", 0.3 * angle.cos(), 0.01 * f64::from(i % 20), 0.3 * angle.sin());
+    }
+    std::fs::write(path, text).unwrap();
+}
+
+/// `[w, x, y, z]` of a camera's rotation.
+pub fn quat(camera: &Camera) -> [f64; 4] {
+    let m = &camera.camera_from_world;
+    // The largest component first (Shepperd 1978).
+    let squares = [
+        1.0 + m[0][0] + m[1][1] + m[2][2],
+        1.0 + m[0][0] - m[1][1] - m[2][2],
+        1.0 - m[0][0] + m[1][1] - m[2][2],
+        1.0 - m[0][0] - m[1][1] + m[2][2],
+    ];
+    let largest = (0..4).max_by(|&a, &b| squares[a].total_cmp(&squares[b])).unwrap();
+    let s = squares[largest].sqrt() * 2.0;
+    let q = match largest {
+        0 => [s * s / 4.0, m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]],
+        1 => [m[2][1] - m[1][2], s * s / 4.0, m[0][1] + m[1][0], m[0][2] + m[2][0]],
+        2 => [m[0][2] - m[2][0], m[0][1] + m[1][0], s * s / 4.0, m[1][2] + m[2][1]],
+        _ => [m[1][0] - m[0][1], m[0][2] + m[2][0], m[1][2] + m[2][1], s * s / 4.0],
+    };
+    q.map(|x| x / s)
+}
+
+/// A picture of one colour.
+pub fn write_image(path: &Path, width: u32, height: u32, color: [u8; 3]) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image::RgbImage::from_pixel(width, height, image::Rgb(color)).save(path).unwrap();
 }
 
 /// Every image has one colour.

@@ -1,19 +1,28 @@
 //! `tcgs compress`: floats become a `.tcgs` file.
 
 mod bits;
+mod judge;
 mod scene;
+mod target;
+mod views;
 
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use serde_json::json;
-use tcgs_codec::{BitMapping, CompressSettings};
+use serde_json::{Value, json};
+use tcgs_capture::{Capture, CaptureKind};
+use tcgs_codec::{BitMapping, CompressSettings, UpAxis};
 use tcgs_core::Attribute;
 use tcgs_train::Run;
 
+use self::judge::{Images, Judge};
+use self::scene::Prepared;
+use self::target::Target;
+use crate::backend::{BackendName, BackendOptions};
 use crate::camera_path::extent;
 use crate::error::wrong_input;
-use crate::options::{self, JobOptions, Pair};
+use crate::eval::Cameras;
+use crate::options::{self, Frames, JobOptions, Pair};
 use crate::output::{check_file, say, show_bytes, write_file};
 use crate::scene::{Model, Scene, SceneOptions};
 
@@ -27,9 +36,11 @@ pub use scene::{Compressed, Settings, compress_scene, kept_gaussians};
 /// PLY files are those of 3D Gaussian splatting, one a timestep, in the natural order of their names; their
 /// Gaussians keep their number and order. Names that are numbers and count up, such as 000012.ply, are frames.
 #[derive(clap::Args)]
+#[command(group = clap::ArgGroup::new("target").args(["target_bytes", "target_psnr"]))]
 #[command(after_help = "\
 Example:
   tcgs compress my_run
+  tcgs compress my_run --target-bytes 2MB --capture my_capture
   tcgs compress params.npz --capture my_capture --bits 4,8 --out small.tcgs
   tcgs compress my_plys --drop-sh --frame-rate 24 --out scene.tcgs")]
 pub struct Arguments {
@@ -46,11 +57,12 @@ pub struct Arguments {
     /// Settings to start from
     #[arg(long, default_value = "default")]
     preset: PresetName,
-    /// Most keypoints of a track, 2 or more [default: 60; paper: 30]
+    /// Most keypoints of a track, 2 or more [default: 60; paper: 30 for Panoptic Sports, 15 for Technicolor, else 60]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65536))]
     max_keypoints: Option<u32>,
     /// Mean squared error of a track at which no more keypoints are added [default: a run's positions 2.5e-6,
-    /// others' by their extent, rotations 4e-5, scales 1e-4, opacities 1e-3, colours 2e-4; paper: 1e-5]
+    /// others' by their extent, rotations 4e-5, scales 1e-4, opacities 1e-3, colours 2e-4; paper: 1e-5 for Panoptic Sports, else
+    /// 1e-7]
     #[arg(long, value_name = "MSE", value_parser = not_negative, allow_negative_numbers = true)]
     max_mse: Option<f32>,
     /// Store every timestep
@@ -66,21 +78,47 @@ pub struct Arguments {
     /// Leave out Gaussians whose mean mask is not above this [default: the run's mask.threshold]
     #[arg(long, value_name = "EPS", value_parser = share, allow_negative_numbers = true)]
     prune: Option<f32>,
-    /// Capture whose training cameras tell how much each parameter matters [default: the run's]
+    /// Capture whose training cameras tell how much each parameter matters [default: the run's], and on whose
+    /// images a target is measured
     #[arg(long, value_name = "CAPTURE")]
     capture: Option<PathBuf>,
     /// `plain`: also report the size in the paper's form, without entropy coding; the file is the same
     #[arg(long, default_value = "packed")]
     storage: Storage,
-    /// Aim at a size (not in this version)
-    #[arg(long, value_name = "BYTES", hide = true)]
-    target_bytes: Option<String>,
-    /// Aim at a quality (not in this version)
-    #[arg(long, value_name = "DB", hide = true)]
-    target_psnr: Option<String>,
+    /// Quality along one curve of settings, -6 to 8, instead of the settings themselves: 1 more about halves the
+    /// errors and takes a fourth to a third more bytes [default: 0]
+    #[arg(long, value_name = "Q", value_parser = target::quality, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = SINGLE_SETTINGS)]
+    quality: Option<f32>,
+    /// Find the best quality whose file has at most so many bytes: 500000, 500k, 2MB (units of 1000), 2MiB (of 1024)
+    #[arg(long, value_name = "SIZE", value_parser = options::size)]
+    #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "quality")]
+    target_bytes: Option<u64>,
+    /// Find the smallest file of at least this mean PSNR in dB: on test images of --capture, else on renders of
+    /// SOURCE
+    #[arg(long, value_name = "DB", value_parser = decibels, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "quality")]
+    target_psnr: Option<f64>,
+    /// With a target: cameras of --capture to measure on [default: test]
+    #[arg(long, requires = "capture", requires = "target")]
+    cameras: Option<Cameras>,
+    /// With a target: frames to measure on, from A up to but not including B [default: evenly some of the scene]
+    #[arg(long, value_name = "A..B", requires = "target")]
+    frames: Option<Frames>,
+    /// Axis of the scene that points up, for players: x, y, z, -x, -y or -z [default: unknown]
+    #[arg(long, value_name = "AXIS", value_parser = up_axis, allow_hyphen_values = true)]
+    up: Option<UpAxis>,
+    /// Most cameras of --capture or of the run's capture that the file gives players to start from
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    views: usize,
+    #[command(flatten)]
+    backend: BackendOptions,
     #[command(flatten)]
     job: JobOptions,
 }
+
+/// Options that a quality stands for.
+const SINGLE_SETTINGS: [&str; 5] = ["max_keypoints", "max_mse", "no_keypoints", "bits", "position_bits"];
 
 /// Error of positions between keypoints, in the scene's radius, where the unit of lengths is not known: in the
 /// 2.8 m of Panoptic Sports nearly the 1.6 mm of a run.
@@ -109,6 +147,17 @@ fn not_negative(text: &str) -> Result<f32, String> {
     text.parse().ok().filter(|x: &f32| x.is_finite() && *x >= 0.0).ok_or_else(|| "expected a number, 0 or more".into())
 }
 
+fn decibels(text: &str) -> Result<f64, String> {
+    // Images that are the same have 100 dB.
+    let number = text.parse().ok().filter(|x: &f64| (0.0..=100.0).contains(x));
+    number.ok_or_else(|| "expected a number from 0 to 100".into())
+}
+
+fn up_axis(text: &str) -> Result<UpAxis, String> {
+    let axes = [UpAxis::PlusX, UpAxis::PlusY, UpAxis::PlusZ, UpAxis::MinusX, UpAxis::MinusY, UpAxis::MinusZ];
+    axes.into_iter().find(|axis| axis.name() == text).ok_or_else(|| "expected x, y, z, -x, -y or -z".into())
+}
+
 fn share(text: &str) -> Result<f32, String> {
     not_negative(text).ok().filter(|&x| x < 1.0).ok_or_else(|| "expected a number from 0 to 1".into())
 }
@@ -116,11 +165,10 @@ fn share(text: &str) -> Result<f32, String> {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
-    for (name, value) in [("--target-bytes", &arguments.target_bytes), ("--target-psnr", &arguments.target_psnr)] {
-        if let Some(value) = value {
-            let problem = "not in this version, expected --bits, --max-mse or --max-keypoints";
-            return Err(wrong_input(format!("{name} {value}: {problem}")));
-        }
+    let target = arguments.target_bytes.map(Target::Bytes).or(arguments.target_psnr.map(Target::Psnr));
+    if arguments.preset == PresetName::Paper && (target.is_some() || arguments.quality.is_some()) {
+        let problem = "has its own settings, expected --preset default with --quality, --target-bytes or --target-psnr";
+        return Err(wrong_input(format!("--preset paper: {problem}")));
     }
     let out = arguments.out.clone().unwrap_or_else(|| default_out(&arguments.source));
     check_file(&out, arguments.job.force)?;
@@ -131,14 +179,30 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     check_source(arguments, &scene)?;
     say(&scene.describe())?;
 
-    let mut settings = settings(arguments);
+    let kind = kind(arguments, &scene)?;
+    let mut settings = settings(arguments, kind);
     let radius = extent(&scene.at(0)).1 as f32;
-    let of_unknown_unit = matches!(scene.model, Model::Floats { .. });
+    let of_unknown_unit = matches!(scene.model, Model::Floats { .. }) || kind != CaptureKind::Panoptic;
     if of_unknown_unit && arguments.preset == PresetName::Default && arguments.max_mse.is_none() {
         settings.keypoints.max_mse[Attribute::Mean.index()] = (POSITION_TOLERANCE * radius).powi(2);
     }
-    let compressed = compress_scene(&scene, &settings)?;
-    say(&compressed.bits_from)?;
+    if let Some(quality) = arguments.quality {
+        settings.keypoints = settings.keypoints.with_quality(quality);
+    }
+    let prepared = Prepared::new(&scene, &settings)?;
+    say(&prepared.bits_from)?;
+    let (compressed, result) = match target {
+        None => {
+            let (compact, file) = prepared.compress(&settings.keypoints);
+            (prepared.account(&settings, compact, file)?, None)
+        }
+        Some(target) => {
+            let judge = judge(arguments, &scene)?;
+            let found = target::search(&prepared, &settings.keypoints, target, &judge)?;
+            let result = found.describe(target, &judge);
+            (prepared.account(&settings, found.compact, found.file)?, Some(result))
+        }
+    };
     let steps = compressed.compact.quantizers.attributes[Attribute::Mean.index()].values().flatten().map(|q| q.step);
     let step = steps.fold(0.0, f32::max);
     if step > MAX_POSITION_STEP * radius {
@@ -148,7 +212,16 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         ))?;
     }
     write_file(&out, &compressed.file, arguments.job.force)?;
-    report(arguments, &compressed, &out)
+    report(arguments, &compressed, result, &out)
+}
+
+fn judge(arguments: &Arguments, scene: &Scene) -> anyhow::Result<Judge> {
+    let images = Images {
+        capture: arguments.capture.clone(),
+        split: arguments.cameras.unwrap_or(Cameras::Test).split(),
+        frames: arguments.frames.as_ref().map(|frames| frames.0.clone()),
+    };
+    Judge::new(scene, &images, arguments.backend.open(BackendName::Auto)?.renderer())
 }
 
 fn default_out(source: &Path) -> PathBuf {
@@ -172,14 +245,36 @@ fn check_source(arguments: &Arguments, scene: &Scene) -> anyhow::Result<()> {
     }
 }
 
-fn settings(arguments: &Arguments) -> Settings {
+/// The layout of what the scene was trained on; where nothing is known, the paper's main one.
+fn kind(arguments: &Arguments, scene: &Scene) -> anyhow::Result<CaptureKind> {
+    if let Some(capture) = &arguments.capture {
+        return Ok(Capture::open(capture)?.kind());
+    }
+    let of_run = match &scene.model {
+        Model::Run(run) => CaptureKind::named(&run.0.config().data.layout),
+        _ => None,
+    };
+    Ok(of_run.unwrap_or(CaptureKind::Panoptic))
+}
+
+/// The paper's settings, which differ between its data sets.
+fn paper(kind: CaptureKind) -> CompressSettings {
+    let (max_keypoints, max_mse) = match kind {
+        CaptureKind::Panoptic => (30, 1e-5),
+        CaptureKind::Technicolor => (15, 1e-7),
+        _ => (60, 1e-7),
+    };
+    CompressSettings { max_keypoints, max_mse: [max_mse; 5], ..CompressSettings::paper() }
+}
+
+fn settings(arguments: &Arguments, kind: CaptureKind) -> Settings {
     let (mut keypoints, mapping) = match arguments.preset {
-        PresetName::Paper => (CompressSettings::paper(), BitMapping::Linear),
+        PresetName::Paper => (paper(kind), BitMapping::Linear),
         PresetName::Default => (CompressSettings::default(), BitMapping::Log),
     };
     keypoints.keypoints = !arguments.no_keypoints;
     if arguments.bits.is_some() {
-        keypoints.coarser = [0; 5];
+        keypoints.coarser = [0.0; 5];
     }
     if arguments.position_bits.is_some() {
         keypoints.position_fineness = 0.0;
@@ -198,10 +293,17 @@ fn settings(arguments: &Arguments) -> Settings {
         prune: arguments.prune,
         capture: arguments.capture.clone(),
         plain: arguments.storage == Storage::Plain,
+        up: arguments.up.unwrap_or_default(),
+        views: arguments.views,
     }
 }
 
-fn report(arguments: &Arguments, compressed: &Compressed, out: &Path) -> anyhow::Result<()> {
+fn report(
+    arguments: &Arguments,
+    compressed: &Compressed,
+    target: Option<(String, Value)>,
+    out: &Path,
+) -> anyhow::Result<()> {
     let raw = compressed.stages[0].bytes;
     let ratio = |bytes: u64| raw as f64 / bytes as f64;
     say(&format!("{:<15} {:>11}  {:>9}  {:>8}", "stage", "bytes", "", "ratio"))?;
@@ -225,11 +327,16 @@ fn report(arguments: &Arguments, compressed: &Compressed, out: &Path) -> anyhow:
         show_bytes(size),
         ratio(size)
     ))?;
-    arguments.job.write_json(&json!({
+    let mut result = json!({
         "out": out.display().to_string(),
         "num_gaussians_before": before,
         "num_gaussians": after,
         "stages": compressed.stages.iter().map(|s| json!({ "name": s.name, "bytes": s.bytes })).collect::<Vec<_>>(),
         "ratio": ratio(size),
-    }))
+    });
+    if let Some((text, target)) = target {
+        say(&text)?;
+        result["target"] = target;
+    }
+    arguments.job.write_json(&result)
 }

@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 
 use tcgs_codec::{
-    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, Quantizers, SceneInfo, compress, encode, inspect,
+    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, Quantizers, SceneInfo, UpAxis, compress,
+    encode_with, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians};
 
 use super::bits::measured_bits;
+use super::views::{VIEWS, views};
 use crate::error::wrong_input;
 use crate::scene::{Model, Scene};
 
@@ -27,6 +29,10 @@ pub struct Settings {
     pub capture: Option<PathBuf>,
     /// Whether the paper's form without entropy coding is a stage of its own.
     pub plain: bool,
+    /// What points up.
+    pub up: UpAxis,
+    /// Most cameras that the file gives players to start from.
+    pub views: usize,
 }
 
 /// A step and what it leaves.
@@ -49,48 +55,83 @@ pub struct Compressed {
     pub stages: Vec<Stage>,
     /// By [`Attribute::index`]: bytes in the file.
     pub bytes_by_attribute: [u64; 5],
+}
+
+/// A scene of floats of which all is known but the settings of keypoints and quantizers: compressing it again
+/// with others does not measure its bits again.
+pub struct Prepared {
+    pruned: DynamicGaussians,
+    bit_map: BitMap,
+    learned: Option<Quantizers>,
+    info: SceneInfo,
+    num_gaussians_before: usize,
+    raw_bytes: u64,
+    /// For players.
+    views: Option<Vec<u8>>,
     /// Where the bits come from, in words.
     pub bits_from: String,
 }
 
+impl Prepared {
+    /// Prunes a scene and gives it bits.
+    pub fn new(scene: &Scene, settings: &Settings) -> anyhow::Result<Self> {
+        let (floats, learned) = match &scene.model {
+            Model::Run(run) => (&run.1.scene, run.1.quantization.as_ref()),
+            Model::Floats { scene: floats, .. } => (&**floats, None),
+            Model::Compact(_) => {
+                return Err(wrong_input(format!("{}: is compressed already, expected floats", scene.path.display())));
+            }
+        };
+        check_finite(scene, floats)?;
+        let keep = kept_gaussians(scene, settings.prune)?;
+        let pruned = floats.select(&keep);
+        let (bit_map, bits_from) = bits(scene, &pruned, &keep, settings, learned)?;
+        Ok(Self {
+            info: info(scene, &pruned, settings),
+            views: views(scene, settings)?,
+            pruned,
+            bit_map,
+            learned: learned.map(|(_, quantizers)| quantizers.clone()),
+            num_gaussians_before: floats.num_gaussians(),
+            raw_bytes: floats.raw_bytes(),
+            bits_from,
+        })
+    }
+
+    /// Symbols and file.
+    pub fn compress(&self, settings: &CompressSettings) -> (CompactScene, Vec<u8>) {
+        let compact = compress(&self.pruned, &self.bit_map, self.learned.as_ref(), self.info.clone(), settings);
+        let views = self.views.iter().map(|json| (VIEWS, &json[..]));
+        let file = encode_with(&compact, &views.collect::<Vec<_>>());
+        (compact, file)
+    }
+
+    /// All that is to be known of a file.
+    ///
+    /// - `settings`: with which [`Self::compress`] gave the others
+    pub fn account(self, settings: &Settings, compact: CompactScene, file: Vec<u8>) -> anyhow::Result<Compressed> {
+        let mut stages = vec![
+            Stage { name: "raw", bytes: self.raw_bytes },
+            Stage { name: "pruned", bytes: self.pruned.raw_bytes() },
+            Stage { name: "quantised", bytes: compact.quantized_bytes() },
+        ];
+        if settings.keypoints.keypoints {
+            stages.push(Stage { name: "keypoints", bytes: compact.plain_bytes() });
+        }
+        if settings.plain {
+            stages.push(Stage { name: "plain", bytes: compact.plain_bytes() });
+        }
+        stages.push(Stage { name: "file", bytes: file.len() as u64 });
+        let bytes_by_attribute = inspect(&file, &DecodeLimits::none())?.bytes_by_attribute();
+        Ok(Compressed { bytes_by_attribute, file, compact, num_gaussians_before: self.num_gaussians_before, stages })
+    }
+}
+
 /// Compresses a scene of floats.
 pub fn compress_scene(scene: &Scene, settings: &Settings) -> anyhow::Result<Compressed> {
-    let (floats, learned) = match &scene.model {
-        Model::Run(run) => (&run.1.scene, run.1.quantization.as_ref()),
-        Model::Floats { scene: floats, .. } => (&**floats, None),
-        Model::Compact(_) => {
-            return Err(wrong_input(format!("{}: is compressed already, expected floats", scene.path.display())));
-        }
-    };
-    check_finite(scene, floats)?;
-    let keep = kept_gaussians(scene, settings.prune)?;
-    let pruned = floats.select(&keep);
-    let (bit_map, bits_from) = bits(scene, &pruned, &keep, settings, learned)?;
-    let compact = compress(&pruned, &bit_map, learned.map(|l| &l.1), info(scene, &pruned), &settings.keypoints);
-    let file = encode(&compact);
-
-    let mut stages = vec![
-        Stage { name: "raw", bytes: floats.raw_bytes() },
-        Stage { name: "pruned", bytes: pruned.raw_bytes() },
-        Stage { name: "quantised", bytes: compact.quantized_bytes() },
-    ];
-    if settings.keypoints.keypoints {
-        stages.push(Stage { name: "keypoints", bytes: compact.plain_bytes() });
-    }
-    if settings.plain {
-        stages.push(Stage { name: "plain", bytes: compact.plain_bytes() });
-    }
-    stages.push(Stage { name: "file", bytes: file.len() as u64 });
-    let limits = DecodeLimits::none();
-    let bytes_by_attribute = inspect(&file, &limits)?.bytes_by_attribute();
-    Ok(Compressed {
-        bytes_by_attribute,
-        file,
-        compact,
-        num_gaussians_before: floats.num_gaussians(),
-        stages,
-        bits_from,
-    })
+    let prepared = Prepared::new(scene, settings)?;
+    let (compact, file) = prepared.compress(&settings.keypoints);
+    prepared.account(settings, compact, file)
 }
 
 /// Indices of the Gaussians that stay: all without masks, else those whose mean mask is above the threshold.
@@ -134,7 +175,7 @@ fn bits(
     Ok((bit_map, from))
 }
 
-fn info(scene: &Scene, pruned: &DynamicGaussians) -> SceneInfo {
+fn info(scene: &Scene, pruned: &DynamicGaussians, settings: &Settings) -> SceneInfo {
     let source = match &scene.model {
         Model::Run(run) => PathBuf::from(&run.0.config().data.capture),
         _ => scene.path.with_extension(""),
@@ -144,6 +185,7 @@ fn info(scene: &Scene, pruned: &DynamicGaussians) -> SceneInfo {
         downscale: scene.downscale as u32,
         frame_rate: scene.frame_rate as f32,
         name: source.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+        up: settings.up,
         ..SceneInfo::of(pruned)
     }
 }

@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
-use tcgs_codec::{BitMapping, CompressSettings};
+use tcgs_codec::{BitMapping, CompressSettings, UpAxis};
 use tcgs_train::{Run, TrainConfig};
 
 use crate::backend::{Backend, BackendName, BackendOptions};
@@ -159,7 +159,8 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
 
     say("4/4  measuring on the held-out cameras")?;
     let score = |scene: &Scene, frozen: bool| {
-        let settings = eval::Settings { split: Split::Test, frames: scene.frames(), downscale: 1, frozen };
+        let (split, frames) = (Split::Test, scene.frames());
+        let settings = eval::Settings { split, frames, downscale: 1, frozen, lpips: None, protocol: None };
         evaluate(scene, &capture, &settings, &*renderer)
     };
     let uncompressed = score(&scene, false)?;
@@ -198,6 +199,8 @@ fn compress_settings(keypoints: bool) -> compress::Settings {
         prune: None,
         capture: None,
         plain: false,
+        up: UpAxis::MinusY,
+        views: 8,
     }
 }
 

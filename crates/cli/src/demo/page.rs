@@ -1,11 +1,10 @@
 //! The demo's pictures and its report.
 
 use std::fs;
-use std::io::Cursor;
 use std::path::Path;
 
 use anyhow::Context;
-use image::{ImageFormat, RgbImage};
+use image::RgbImage;
 use rayon::prelude::*;
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Attribute, Image};
@@ -16,7 +15,7 @@ use tcgs_train::Run;
 use super::Outcome;
 use crate::eval::Evaluation;
 use crate::output::show_bytes;
-use crate::report::{self, Picture, Report, Series, Stage};
+use crate::report::{self, Picture, Report, Series, Stage, png};
 use crate::scene::Scene;
 
 /// Timesteps that the report shows, spread over the clip.
@@ -80,12 +79,6 @@ fn side_by_side(left: &Image, right: &Image) -> RgbImage {
 fn enlarged(image: &RgbImage) -> RgbImage {
     let factor = ENLARGED as u32;
     RgbImage::from_fn(image.width() * factor, image.height() * factor, |x, y| *image.get_pixel(x / factor, y / factor))
-}
-
-fn png(image: &RgbImage) -> anyhow::Result<Vec<u8>> {
-    let mut bytes = Cursor::new(Vec::new());
-    image.write_to(&mut bytes, ImageFormat::Png)?;
-    Ok(bytes.into_inner())
 }
 
 /// The report.

@@ -1,10 +1,13 @@
 //! Rendering and comparing, image by image.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use tcgs_capture::{Capture, Split};
-use tcgs_core::Image;
-use tcgs_metrics::{psnr, psnr_masked, psnr_per_channel, ssim};
+use tcgs_core::{Image, View};
+use tcgs_metrics::{
+    Backbone, InputRange, Lpips, Protocol, dssim, flicker, ms_ssim, psnr, psnr_masked, psnr_per_channel, ssim,
+};
 use tcgs_render::{Draw, RenderSettings};
 
 use crate::error::wrong_input;
@@ -15,7 +18,7 @@ use crate::scene::Scene;
 const MIN_TIMED_RENDERS: usize = 9;
 
 /// What is evaluated.
-pub struct Settings {
+pub struct Settings<'a> {
     /// Which cameras.
     pub split: Split,
     /// Frames of the capture; the scene has them.
@@ -24,6 +27,10 @@ pub struct Settings {
     pub downscale: usize,
     /// Whether the first of the frames stands for all: what a scene without motion would reach.
     pub frozen: bool,
+    /// What measures LPIPS; none leaves it out.
+    pub lpips: Option<&'a Lpips>,
+    /// Whose metrics are taken besides.
+    pub protocol: Option<Protocol>,
 }
 
 /// Metrics of one image.
@@ -36,16 +43,30 @@ pub struct ImageScore {
     pub psnr: f64,
     /// Mean over channels, not clamped, dB.
     pub psnr_per_channel: f64,
-    /// Of the clamped image.
+    /// Of the clamped image, as all that follow.
     pub ssim: f64,
+    /// None of an image that is too small.
+    pub ms_ssim: Option<f64>,
+    /// Of [`Self::ms_ssim`].
+    pub dssim: Option<f64>,
+    /// None without weights, and of an image that is too small.
+    pub lpips_vgg: Option<f64>,
+    /// Likewise.
+    pub lpips_alex: Option<f64>,
     /// [`Self::psnr`] over the foreground alone; none without a mask or foreground.
     pub psnr_foreground: Option<f64>,
+    /// The protocol's metrics, in its order; of the image as rendered.
+    pub protocol: Vec<Option<f64>>,
 }
 
 /// What [`evaluate`] finds.
 pub struct Evaluation {
     /// By time, then in the capture's order; at least one.
     pub images: Vec<ImageScore>,
+    /// Mean over cameras and neighbouring frames; none of a single frame, or where nothing is static.
+    pub flicker: Option<f64>,
+    /// Width and height of the last image.
+    pub size: [usize; 2],
     /// Of one forward render, decoded and warm, at the evaluation size.
     pub median_render_ms: f64,
     /// What rendered.
@@ -72,12 +93,14 @@ pub fn evaluate(
     settings: &Settings,
     renderer: &dyn Draw,
 ) -> anyhow::Result<Evaluation> {
-    let Settings { split, ref frames, downscale, frozen } = *settings;
+    let Settings { split, ref frames, downscale, frozen, .. } = *settings;
     // The last frame is looked for before the first is rendered.
     capture.cameras(split, frames.end - 1, downscale)?;
     let cameras = capture.cameras(split, frames.start, downscale)?;
     let mut progress = Progress::new("evaluating", cameras.len() * frames.len());
-    let (mut images, mut times_ms) = (Vec::new(), Vec::new());
+    let (mut images, mut flickers, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
+    // Of the frame before, by camera: as rendered, and as it should be.
+    let mut before: BTreeMap<usize, [Image; 2]> = BTreeMap::new();
     let mut drawn = scene.drawn(frames.start - scene.first_frame);
     let mut last_camera = None;
     for frame in frames.clone() {
@@ -85,23 +108,20 @@ pub fn evaluate(
         if !frozen && frame > frames.start {
             drawn = scene.drawn(timestep);
         }
+        let mut now = BTreeMap::new();
         for view in capture.views(split, frame, downscale)? {
             let (output, ms) = renderer.draw(&drawn, &view.camera, &RenderSettings::default())?;
-            let rendered = output.image;
             times_ms.push(ms);
-            let clamped = clamped(&rendered);
-            let foreground = view.segmentation.as_ref();
-            images.push(ImageScore {
-                timestep,
-                camera: view.camera_id,
-                psnr: psnr(&clamped, &view.image),
-                psnr_per_channel: psnr_per_channel(&rendered, &view.image),
-                ssim: ssim(&clamped, &view.image),
-                psnr_foreground: foreground.and_then(|s| psnr_masked(&clamped, &view.image, &s.foreground)),
-            });
+            let clamped = clamped(&output.image);
+            images.push(score(timestep, &output.image, &clamped, &view, settings));
             progress.step(|| format!("frame {frame}"));
+            if let Some([rendered, image]) = before.get(&view.camera_id) {
+                flickers.push(flicker([rendered, &clamped], [image, &view.image]));
+            }
             last_camera = Some(view.camera);
+            now.insert(view.camera_id, [clamped, view.image]);
         }
+        before = now;
     }
     let Some(camera) = last_camera else {
         let problem = format!("has no such cameras in the frames {}..{}", frames.start, frames.end);
@@ -111,7 +131,33 @@ pub fn evaluate(
         times_ms.push(renderer.draw(&drawn, &camera, &RenderSettings::default())?.1);
     }
     times_ms.sort_by(f64::total_cmp);
-    Ok(Evaluation { images, median_render_ms: times_ms[times_ms.len() / 2], device: renderer.name() })
+    Ok(Evaluation {
+        images,
+        flicker: mean(flickers.into_iter().flatten()),
+        size: [camera.width, camera.height],
+        median_render_ms: times_ms[times_ms.len() / 2],
+        device: renderer.name(),
+    })
+}
+
+/// One image against the camera's.
+fn score(timestep: usize, rendered: &Image, clamped: &Image, view: &View, settings: &Settings) -> ImageScore {
+    let image = &view.image;
+    let lpips = |backbone| settings.lpips?.distance(backbone, InputRange::Signed, clamped, image);
+    let ms_ssim = ms_ssim(clamped, image);
+    ImageScore {
+        timestep,
+        camera: view.camera_id,
+        psnr: psnr(clamped, image),
+        psnr_per_channel: psnr_per_channel(rendered, image),
+        ssim: ssim(clamped, image),
+        ms_ssim,
+        dssim: ms_ssim.map(dssim),
+        lpips_vgg: lpips(Backbone::Vgg),
+        lpips_alex: lpips(Backbone::Alex),
+        psnr_foreground: view.segmentation.as_ref().and_then(|s| psnr_masked(clamped, image, &s.foreground)),
+        protocol: settings.protocol.map_or_else(Vec::new, |p| p.measure(rendered, image, settings.lpips)),
+    }
 }
 
 fn clamped(image: &Image) -> Image {

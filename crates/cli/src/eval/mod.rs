@@ -1,12 +1,14 @@
 //! `tcgs eval`: how close a scene comes to the images of a capture.
 
 mod measure;
+mod result;
 mod table;
 
 use std::path::PathBuf;
 
 use clap::ValueEnum;
 use tcgs_capture::{Capture, Split};
+use tcgs_metrics::{Lpips, Protocol};
 
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
@@ -15,6 +17,9 @@ use crate::output::{check_file, say, write_file};
 use crate::scene::{Scene, SceneOptions};
 
 pub use measure::{Evaluation, ImageScore, Settings, evaluate, mean};
+
+/// Names the weights of LPIPS where no option does; none if it is empty.
+const WEIGHTS_VARIABLE: &str = "TCGS_LPIPS_WEIGHTS";
 
 /// Measure the quality of a scene on a capture's images
 ///
@@ -41,9 +46,13 @@ pub struct Arguments {
     /// Average images over N x N pixels [default: as the scene was trained]
     #[arg(long, value_name = "N", value_parser = options::positive)]
     downscale: Option<usize>,
-    /// Also report what publications that evaluate this way call their metrics
+    /// Also measure as publications do that evaluate this way, under their names
     #[arg(long)]
-    protocol: Option<Protocol>,
+    protocol: Option<ProtocolName>,
+    /// Weights of LPIPS, as scripts/fetch_lpips_weights.py makes them [default: the file that TCGS_LPIPS_WEIGHTS names;
+    /// without either LPIPS is left out]
+    #[arg(long, value_name = "FILE")]
+    lpips_weights: Option<PathBuf>,
     /// Also write the metrics of every image to this file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -53,8 +62,9 @@ pub struct Arguments {
     job: JobOptions,
 }
 
+/// Cameras of a capture.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Cameras {
+pub enum Cameras {
     /// Those held out from training
     Test,
     /// Those trained on
@@ -63,40 +73,59 @@ enum Cameras {
     All,
 }
 
-/// A named way to evaluate.
+impl Cameras {
+    /// The same for a capture.
+    pub fn split(self) -> Split {
+        match self {
+            Self::Test => Split::Test,
+            Self::Train => Split::Train,
+            Self::All => Split::All,
+        }
+    }
+}
+
+/// Each is described in full where its table is printed.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Protocol {
-    /// Temporally Compressed 3D Gaussian Splatting: PSNR of each channel alone, not clamped
+enum ProtocolName {
+    /// Temporally Compressed 3D Gaussian Splatting: PSNR of each channel alone, not clamped; LPIPS by VGG
     Tc3dgs,
-    /// 4D Gaussian Splatting (not in this version)
+    /// 4D Gaussian Splatting: 8 bits; MS-SSIM, D-SSIM, LPIPS by both networks
     #[value(name = "4dgs")]
     FourDgs,
-    /// Spacetime Gaussians (not in this version)
+    /// Spacetime Gaussians: clamped; LPIPS by AlexNet, a second SSIM
     Stg,
+}
+
+impl From<ProtocolName> for Protocol {
+    fn from(name: ProtocolName) -> Self {
+        match name {
+            ProtocolName::Tc3dgs => Self::Tc3dgs,
+            ProtocolName::FourDgs => Self::FourDgs,
+            ProtocolName::Stg => Self::Stg,
+        }
+    }
 }
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
-    if let Some(protocol) = arguments.protocol.filter(|&p| p != Protocol::Tc3dgs) {
-        let name = protocol.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default();
-        return Err(wrong_input(format!("--protocol {name}: not in this version, expected tc3dgs")));
-    }
     if let Some(csv) = &arguments.csv {
         check_file(csv, arguments.job.force)?;
     }
+    let weights = arguments.lpips_weights.clone();
+    let weights =
+        weights.or_else(|| std::env::var_os(WEIGHTS_VARIABLE).filter(|name| !name.is_empty()).map(Into::into));
+    let lpips = weights.map(|path| Lpips::read(&path)).transpose()?;
     let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
     let capture = Capture::open(&arguments.capture)?;
     let scene = Scene::load(&arguments.scene, arguments.reading)?;
     let settings = Settings {
-        split: match arguments.cameras {
-            Cameras::Test => Split::Test,
-            Cameras::Train => Split::Train,
-            Cameras::All => Split::All,
-        },
+        split: arguments.cameras.split(),
         frames: scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?,
         downscale: arguments.downscale.unwrap_or(scene.downscale),
         frozen: false,
+        lpips: lpips.as_ref(),
+        protocol: arguments.protocol.map(Protocol::from),
     };
     if capture.cameras(settings.split, settings.frames.start, settings.downscale)?.is_empty() {
         let problem = "has no test cameras, expected one that has, or --cameras train";
@@ -104,12 +133,34 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let evaluation = evaluate(&scene, &capture, &settings, &*renderer)?;
     say(&scene.describe())?;
-    say(&table::text(&evaluation))?;
-    if arguments.protocol.is_some() {
-        say(&table::protocol_line(&evaluation))?;
+    say(&table::text(&evaluation, lpips.is_some()))?;
+    if let Some(protocol) = settings.protocol {
+        say(&protocol.describe())?;
+        say(&format!("  {:<10}  {}", "here", here(&capture, &settings, &evaluation)))?;
+        say(&table::protocol_line(protocol, &evaluation))?;
     }
     if let Some(csv) = &arguments.csv {
-        write_file(csv, table::csv(&evaluation).as_bytes(), arguments.job.force)?;
+        write_file(csv, table::csv(&evaluation, settings.protocol).as_bytes(), arguments.job.force)?;
     }
-    arguments.job.write_json(&table::json(&scene, &evaluation, arguments.protocol.map(|_| "tc3dgs")))
+    arguments.job.write_json(&result::json(&scene, &evaluation, settings.protocol))
+}
+
+/// What was evaluated, to be held against what a protocol prescribes.
+fn here(capture: &Capture, settings: &Settings, evaluation: &Evaluation) -> String {
+    let mut cameras: Vec<usize> = evaluation.images.iter().map(|image| image.camera).collect();
+    cameras.sort_unstable();
+    cameras.dedup();
+    let cameras: Vec<String> = cameras.iter().map(usize::to_string).collect();
+    let held_out = match settings.split {
+        Split::Test => "held out",
+        Split::Train => "NOT held out: trained on",
+        Split::All => "NOT held out: all",
+    };
+    let (frames, [width, height]) = (&settings.frames, evaluation.size);
+    let size = match settings.downscale {
+        1 => format!("{width}x{height} as captured"),
+        factor => format!("{width}x{height}, averaged over {factor}x{factor} pixels"),
+    };
+    let of = capture.num_frames();
+    format!("cameras {} ({held_out}); frames {}..{} of {of}; {size}", cameras.join(", "), frames.start, frames.end)
 }

@@ -1,98 +1,107 @@
-//! An evaluation for people, for machines, and for spreadsheets.
+//! An evaluation for people and for spreadsheets.
 
 use std::fmt::Write;
 
-use serde_json::{Value, json};
+use tcgs_metrics::{Backbone, MIN_MS_SSIM_SIDE, Protocol};
 
 use super::measure::{Evaluation, ImageScore, mean};
-use crate::scene::Scene;
 
-/// Means of every timestep and of all images.
-pub fn text(evaluation: &Evaluation) -> String {
-    let mut table = String::from("timestep    PSNR  PSNR/channel    SSIM  PSNR of foreground\n");
+/// A metric that every evaluation has.
+pub struct Column {
+    /// Its name in JSON and CSV.
+    pub key: &'static str,
+    /// Its name in the table.
+    title: &'static str,
+    decimals: usize,
+    /// Of an image.
+    pub of: fn(&ImageScore) -> Option<f64>,
+}
+
+/// What the table, the CSV and the JSON have in common.
+pub const COLUMNS: [Column; 7] = [
+    Column { key: "psnr", title: "PSNR", decimals: 2, of: |i| Some(i.psnr) },
+    Column { key: "psnr_per_channel", title: "PSNR/channel", decimals: 2, of: |i| Some(i.psnr_per_channel) },
+    Column { key: "ssim", title: "SSIM", decimals: 4, of: |i| Some(i.ssim) },
+    Column { key: "ms_ssim", title: "MS-SSIM", decimals: 4, of: |i| i.ms_ssim },
+    Column { key: "dssim", title: "D-SSIM", decimals: 4, of: |i| i.dssim },
+    Column { key: "lpips_vgg", title: "LPIPS-VGG", decimals: 4, of: |i| i.lpips_vgg },
+    Column { key: "lpips_alex", title: "LPIPS-Alex", decimals: 4, of: |i| i.lpips_alex },
+];
+
+/// In the table alone: few captures have what it needs.
+const FOREGROUND: Column =
+    Column { key: "psnr_foreground", title: "PSNR of foreground", decimals: 2, of: |i| i.psnr_foreground };
+
+/// Means of every timestep and of all images, and why a column is empty.
+pub fn text(evaluation: &Evaluation, has_weights: bool) -> String {
+    let columns = || COLUMNS.iter().chain([&FOREGROUND]);
+    let width = |column: &Column| column.title.len().max(6);
+    let mut table = String::from("timestep");
+    columns().for_each(|column| table += &format!("  {:>1$}", column.title, width(column)));
     let mut row = |name: &str, images: &[ImageScore]| {
-        let of = |metric: fn(&ImageScore) -> Option<f64>| mean(images.iter().filter_map(metric));
-        let _ = writeln!(
-            table,
-            "{name:>8}  {:>6}  {:>12}  {:>6}  {:>18}",
-            decimal(of(|i| Some(i.psnr)), 2),
-            decimal(of(|i| Some(i.psnr_per_channel)), 2),
-            decimal(of(|i| Some(i.ssim)), 4),
-            decimal(of(|i| i.psnr_foreground), 2)
-        );
+        let _ = write!(table, "\n{name:>8}");
+        for column in columns() {
+            let value = decimal(mean(images.iter().filter_map(column.of)), column.decimals);
+            let _ = write!(table, "  {value:>0$}", width(column));
+        }
     };
     for images in evaluation.images.chunk_by(|a, b| a.timestep == b.timestep) {
         row(&images[0].timestep.to_string(), images);
     }
     row("mean", &evaluation.images);
+    let [image_width, image_height] = evaluation.size;
+    if !has_weights {
+        table += "\nLPIPS: not measured without weights: --lpips-weights FILE or TCGS_LPIPS_WEIGHTS names the file that \
+                  scripts/fetch_lpips_weights.py makes";
+    } else if let Some(blind) = Backbone::ALL.iter().find(|b| !b.sees(image_width, image_height)) {
+        let _ = write!(table, "\nLPIPS: {} sees nothing in images of {image_width}x{image_height}", blind.name());
+    }
+    if image_width.min(image_height) < MIN_MS_SSIM_SIDE {
+        let found = format!("images are {image_width}x{image_height}");
+        let _ = write!(table, "\nMS-SSIM, D-SSIM: not measured, {found}, expected {MIN_MS_SSIM_SIDE} pixels a side");
+    }
+    let _ = match evaluation.flicker {
+        Some(flicker) => write!(table, "\nflicker {flicker:.5}: mean error of changes where the scene stands still"),
+        None => write!(table, "\nflicker: not measured, expected two frames of a camera with parts that stand still"),
+    };
     let ms = evaluation.median_render_ms;
-    table + &format!("{:.1} frames a second ({ms:.2} ms an image, {})", 1000.0 / ms, evaluation.device)
+    table + &format!("\n{:.1} frames a second ({ms:.2} ms an image, {})", 1000.0 / ms, evaluation.device)
 }
 
-/// What the TC3DGS protocol calls its metrics.
-pub fn protocol_line(evaluation: &Evaluation) -> String {
-    let (psnr, ssim) = protocol(evaluation);
-    format!("protocol tc3dgs: PSNR {}, SSIM {}", decimal(psnr, 2), decimal(ssim, 4))
+/// Mean of a protocol's metric over the images that have it.
+pub fn protocol_mean(evaluation: &Evaluation, index: usize) -> Option<f64> {
+    evaluation.mean(|image| image.protocol[index])
 }
 
-fn protocol(evaluation: &Evaluation) -> (Option<f64>, Option<f64>) {
-    (evaluation.mean(|i| Some(i.psnr_per_channel)), evaluation.mean(|i| Some(i.ssim)))
+/// What a protocol calls its metrics.
+pub fn protocol_line(protocol: Protocol, evaluation: &Evaluation) -> String {
+    let rules = protocol.rules();
+    let metrics = rules.metrics.iter().enumerate().map(|(index, metric)| {
+        let decimals = if metric.key == "psnr" { 2 } else { 4 };
+        format!("{} {}", metric.title, decimal(protocol_mean(evaluation, index), decimals))
+    });
+    format!("protocol {}: {}", rules.name, metrics.collect::<Vec<_>>().join(", "))
 }
 
 fn decimal(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".into(), |value| format!("{value:.digits$}"))
 }
 
-/// One line an image.
-pub fn csv(evaluation: &Evaluation) -> String {
-    let mut text = String::from("timestep,camera,psnr,psnr_per_channel,ssim\n");
-    for i in &evaluation.images {
-        let _ = writeln!(text, "{},{},{},{},{}", i.timestep, i.camera, i.psnr, i.psnr_per_channel, i.ssim);
+/// One line an image; what is not measured is empty. A protocol's metrics come last.
+pub fn csv(evaluation: &Evaluation, protocol: Option<Protocol>) -> String {
+    let rules = protocol.map(Protocol::rules);
+    let mut text = String::from("timestep,camera");
+    COLUMNS.iter().for_each(|column| text += &format!(",{}", column.key));
+    if let Some(rules) = rules {
+        rules.metrics.iter().for_each(|metric| text += &format!(",{}_{}", rules.name, metric.key));
+    }
+    text.push('\n');
+    for image in &evaluation.images {
+        let _ = write!(text, "{},{}", image.timestep, image.camera);
+        for value in COLUMNS.iter().map(|column| (column.of)(image)).chain(image.protocol.iter().copied()) {
+            let _ = write!(text, ",{}", value.map_or_else(String::new, |value| value.to_string()));
+        }
+        text.push('\n');
     }
     text
-}
-
-/// The result for machines; what is not measured is null.
-pub fn json(scene: &Scene, evaluation: &Evaluation, protocol_name: Option<&str>) -> Value {
-    let images: Vec<Value> = evaluation
-        .images
-        .iter()
-        .map(|i| {
-            json!({
-                "timestep": i.timestep,
-                "camera": i.camera,
-                "psnr": i.psnr,
-                "psnr_per_channel": i.psnr_per_channel,
-                "ssim": i.ssim,
-                "ms_ssim": null,
-                "dssim": null,
-                "lpips_vgg": null,
-                "lpips_alex": null,
-            })
-        })
-        .collect();
-    let (psnr, ssim) = protocol(evaluation);
-    let protocol_metrics = match protocol_name {
-        Some(_) => json!({ "psnr": psnr, "ssim": ssim }),
-        None => json!({}),
-    };
-    json!({
-        "scene": scene.path.display().to_string(),
-        "protocol": protocol_name,
-        "num_gaussians": scene.num_gaussians(),
-        "num_timesteps": scene.num_timesteps(),
-        "bytes": scene.bytes,
-        "psnr": evaluation.mean(|i| Some(i.psnr)),
-        "psnr_per_channel": psnr,
-        "ssim": ssim,
-        "ms_ssim": null,
-        "dssim": null,
-        "lpips_vgg": null,
-        "lpips_alex": null,
-        "flicker": null,
-        "fps": 1000.0 / evaluation.median_render_ms,
-        "fps_device": evaluation.device,
-        "protocol_metrics": protocol_metrics,
-        "images": images,
-    })
 }

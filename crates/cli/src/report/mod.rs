@@ -2,11 +2,14 @@
 //!
 //! What lives here: which figures the page shows and in what order. `plot` draws them.
 
-mod plot;
+pub mod plot;
 
 use std::fmt::Write;
+use std::io::Cursor;
 
-use plot::{Line, Row, columns, escape, lines, rows, short};
+use image::{ImageFormat, RgbImage};
+
+use plot::{Axes, Line, Row, columns, escape, lines, rows, short};
 
 /// What the page tells. Plots without values say so instead of vanishing.
 #[derive(Clone, Debug, Default)]
@@ -69,15 +72,7 @@ const MAX_LOSS_POINTS: usize = 300;
 
 /// The page as HTML.
 pub fn html(report: &Report) -> String {
-    let title = escape(&report.title);
-    let mut page = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <meta name=\"color-scheme\" content=\"light dark\">\n<title>{title}</title>\n<style>{}</style>\n</head>\n\
-         <body>\n<main>\n<h1>{title}</h1>\n",
-        include_str!("style.css")
-    );
-    page += &summary(&report.summary);
+    let mut page = summary(&report.summary);
     section(&mut page, "Pictures", "", &pictures(&report.pictures));
     section(&mut page, "Size", "What each step leaves of the model.", &sizes(&report.stages));
     section(&mut page, "Quality over time", "On the test cameras, which training never saw.", &quality(report));
@@ -88,11 +83,25 @@ pub fn html(report: &Report) -> String {
     let note = "How many bits each parameter is stored with, by how much the images depend on it.";
     section(&mut page, "Bits", note, &histograms(&report.bits_histogram, "bits", "parameters"));
     section(&mut page, "Masks", "Gaussians near 0 have been switched off.", &masks(&report.mask_histogram));
-    page += "</main>\n</body>\n</html>\n";
-    page
+    document(&report.title, &page)
 }
 
-fn section(page: &mut String, name: &str, note: &str, body: &str) {
+/// A page of its own.
+///
+/// - `body`: below the heading
+pub fn document(title: &str, body: &str) -> String {
+    let title = escape(title);
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <meta name=\"color-scheme\" content=\"light dark\">\n<title>{title}</title>\n<style>{}</style>\n</head>\n\
+         <body>\n<main>\n<h1>{title}</h1>\n{body}</main>\n</body>\n</html>\n",
+        include_str!("style.css")
+    )
+}
+
+/// Adds a part with a heading.
+pub fn section(page: &mut String, name: &str, note: &str, body: &str) {
     let id = name.to_lowercase().replace(' ', "-");
     let note = if note.is_empty() { String::new() } else { format!("<p class=\"note\">{note}</p>\n") };
     let body = if body.is_empty() { "<p class=\"note\">Not measured.</p>\n" } else { body };
@@ -142,7 +151,8 @@ fn quality(report: &Report) -> String {
             points: series.values.iter().enumerate().map(|(i, &value)| (i as f64, value)).collect(),
         })
         .collect();
-    lines("PSNR of each timestep", "timestep", "PSNR, dB", &series, false)
+    let axes = Axes { x: "timestep".into(), y: "PSNR, dB".into(), ..Axes::default() };
+    lines("PSNR of each timestep", &axes, &series)
 }
 
 fn loss(loss: &[(u64, f32)]) -> String {
@@ -155,7 +165,8 @@ fn loss(loss: &[(u64, f32)]) -> String {
         })
         .collect();
     let line = Line { name: "loss".into(), points };
-    lines("Training loss over iterations, logarithmic scale", "iteration", "loss", &[line], true)
+    let axes = Axes { x: "iteration".into(), y: "loss".into(), log_x: false, log_y: true };
+    lines("Training loss over iterations, logarithmic scale", &axes, &[line])
 }
 
 fn seconds(seconds: &[(String, f64)]) -> String {
@@ -189,7 +200,8 @@ fn masks(histogram: &[(f32, u64)]) -> String {
     if plot.is_empty() { plot } else { format!("<div class=\"grid\"><figure>{plot}</figure></div>\n") }
 }
 
-fn pictures(pictures: &[Picture]) -> String {
+/// Pictures with their captions.
+pub fn pictures(pictures: &[Picture]) -> String {
     if pictures.is_empty() {
         return String::new();
     }
@@ -204,6 +216,13 @@ fn pictures(pictures: &[Picture]) -> String {
         );
     }
     grid + "</div>\n"
+}
+
+/// A picture as a PNG file.
+pub fn png(image: &RgbImage) -> anyhow::Result<Vec<u8>> {
+    let mut bytes = Cursor::new(Vec::new());
+    image.write_to(&mut bytes, ImageFormat::Png)?;
+    Ok(bytes.into_inner())
 }
 
 /// Whether a PNG is more than twice as wide as high, such as pictures side by side: they get a row of their own.

@@ -3,16 +3,9 @@ use super::*;
 fn png(width: u32, height: u32) -> Vec<u8> {
     let pixels: Vec<u8> =
         (0..width * height).flat_map(|i| [(i % width * 2) as u8, (i / width * 2) as u8, 120]).collect();
-    let mut bytes = std::io::Cursor::new(Vec::new());
-    image::write_buffer_with_format(
-        &mut bytes,
-        &pixels,
-        width,
-        height,
-        image::ColorType::Rgb8,
-        image::ImageFormat::Png,
-    )
-    .unwrap();
+    let mut bytes = Cursor::new(Vec::new());
+    image::write_buffer_with_format(&mut bytes, &pixels, width, height, image::ColorType::Rgb8, ImageFormat::Png)
+        .unwrap();
     bytes.into_inner()
 }
 

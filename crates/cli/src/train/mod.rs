@@ -4,12 +4,12 @@ mod fit;
 mod folder;
 mod settings;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_train::{Preset, Run, TrainConfig, Trainer};
+use tcgs_train::{Preset, Run, TrainConfig, TrainError, Trainer};
 
 use crate::backend::{Backend, BackendName, BackendOptions};
 use crate::error::wrong_input;
@@ -28,7 +28,7 @@ Example:
   tcgs train my_capture --out my_run --preset fast --frames 0..20
   tcgs train my_capture --out my_run --preset fast --frames 0..40 --resume")]
 pub struct Arguments {
-    /// Folder of the capture: images, cameras, initial points (Panoptic Sports layout)
+    /// Folder of the capture: Panoptic Sports, Neural 3D Video, Technicolor, nerfstudio, COLMAP or Middlebury
     capture: PathBuf,
     /// Folder of the run
     #[arg(long, value_name = "RUN")]
@@ -42,6 +42,9 @@ pub struct Arguments {
     /// One setting by its name in config.toml, such as weights.rigid=2; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Initial points, .npz, .ply or points3D.bin of COLMAP, instead of the capture's own
+    #[arg(long, value_name = "FILE")]
+    points: Option<PathBuf>,
     /// Learn no masks
     #[arg(long)]
     no_mask: bool,
@@ -51,7 +54,8 @@ pub struct Arguments {
     /// Fewest and most bits of a parameter; equal ones give all the same
     #[arg(long, value_name = "MIN,MAX", value_parser = options::bits)]
     bits: Option<Pair<u8>>,
-    /// Frames of the capture, from A up to but not including B [default: all]
+    /// Frames of the capture, from A up to but not including B [default: those that
+    /// publications use, else all]
     #[arg(long, value_name = "A..B")]
     frames: Option<Frames>,
     /// Average images over N x N pixels [default: 1]
@@ -127,21 +131,59 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         report_resumption(&run, &trainer)?;
     } else {
         let config = settings::fresh(arguments, &capture)?;
+        say(&describe(&capture, &config)?)?;
         trainer = new_trainer(&config, &capture, &backend)?;
         lock = folder::lock_new(&arguments.out)?;
         folder::clear(&arguments.out)?;
         run = Run::create(&arguments.out, &config)?;
     }
-    let trainer = fit(&capture, &run, trainer)?;
+    let trainer = fit(&capture, &run, trainer).map_err(with_advice)?;
     drop(lock);
     report(arguments, &run, &trainer)
+}
+
+/// What is trained on, in words.
+fn describe(capture: &Capture, config: &TrainConfig) -> anyhow::Result<String> {
+    let data = &config.data;
+    let cameras = |split| capture.cameras(split, data.first_frame, data.downscale);
+    let (train, test) = (cameras(Split::Train)?, cameras(Split::Test)?);
+    let size = train.first().map_or((0, 0), |(_, camera)| (camera.width, camera.height));
+    let held_out = match test.as_slice() {
+        [] => "none held out".into(),
+        test => {
+            let ids: Vec<String> = test.iter().map(|(id, _)| id.to_string()).collect();
+            format!("held out: {}", ids.join(", "))
+        }
+    };
+    let (first, end) = (data.first_frame, data.end_frame);
+    let (count, layout) = (train.len(), capture.kind().name());
+    Ok(format!("{layout} capture: {count} cameras ({held_out}), frames {first}..{end}, {}x{} pixels", size.0, size.1))
+}
+
+/// What to do about a run that stopped half-way. Timesteps that are finished have whole checkpoints, whatever it was.
+fn with_advice(error: anyhow::Error) -> anyhow::Error {
+    let advice = match error.downcast_ref::<TrainError>() {
+        Some(TrainError::NotFinite { .. }) => "begin anew with lower rates, such as --set rates.mean=8e-5",
+        Some(TrainError::Io { action: "writing" | "creating" | "opening", .. }) => {
+            "make room, then --resume goes on after the last whole checkpoint"
+        }
+        Some(TrainError::Gpu(_)) => {
+            "--resume goes on after the last whole checkpoint, with --backend cpu on any computer"
+        }
+        _ => return error,
+    };
+    error.context(format!("training stopped; {advice}"))
 }
 
 /// A trainer before the first timestep.
 pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -> anyhow::Result<Trainer> {
     let cameras = capture.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
     let cameras: Vec<_> = cameras.into_iter().map(|(_, camera)| camera).collect();
-    Ok(Trainer::with_engine(config, &capture.point_cloud()?, &cameras, |state| backend.engine(state))?)
+    let cloud = match config.data.points.as_str() {
+        "" => capture.point_cloud()?,
+        points => capture.clone().with_points(Path::new(points))?.point_cloud()?,
+    };
+    Ok(Trainer::with_engine(config, &cloud, &cameras, |state| backend.engine(state))?)
 }
 
 fn report_resumption(run: &Run, trainer: &Trainer) -> anyhow::Result<()> {

@@ -1,8 +1,9 @@
 //! From the command line to a run's settings.
 
 use std::fs;
+use std::path::Path;
 
-use tcgs_capture::Capture;
+use tcgs_capture::{Capture, CaptureKind};
 use tcgs_train::{Preset, TrainConfig};
 
 use super::Arguments;
@@ -12,11 +13,33 @@ use crate::options::{Frames, Pair};
 /// Settings of a new run.
 pub fn fresh(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfig> {
     let mut config = TrainConfig::preset(arguments.preset.map_or(Preset::Default, Preset::from));
-    config.data.end_frame = capture.num_frames();
-    config.data.frame_rate = capture.frame_rate();
-    let config = apply(arguments, config)?;
+    suit(&mut config, capture);
+    let config = apply(arguments, capture, config)?;
     check_frames(capture, &config)?;
     Ok(config)
+}
+
+/// Learning rate of scales in which Dynamic 3D Gaussians, and the paper after it, were compared on scenes without
+/// depth cameras; see `docs/PAPER.md`.
+const LOG_SCALE_RATE: f32 = 0.005;
+
+/// What a capture's layout asks of the settings.
+fn suit(config: &mut TrainConfig, capture: &Capture) {
+    let (kind, frames) = (capture.kind(), capture.usual_frames());
+    config.data.layout = kind.name().into();
+    (config.data.first_frame, config.data.end_frame) = (frames.start, frames.end);
+    config.data.frame_rate = capture.frame_rate();
+    if !kind.has_floor() {
+        config.weights.floor = 0.0;
+    }
+    if kind != CaptureKind::Panoptic {
+        // Nothing says what moves.
+        config.weights.segmentation = 0.0;
+        config.weights.background = 0.0;
+        if matches!(config.preset, Preset::D3dgs | Preset::Paper) {
+            config.rates.log_scale = LOG_SCALE_RATE;
+        }
+    }
 }
 
 /// Settings of a run to go on with: those stored, with another end if asked for.
@@ -27,7 +50,7 @@ pub fn resumed(arguments: &Arguments, capture: &Capture, stored: &TrainConfig) -
     if let Some(preset) = arguments.preset {
         base.preset = preset.into();
     }
-    let mut config = apply(arguments, base)?;
+    let mut config = apply(arguments, capture, base)?;
     let end_frame = std::mem::replace(&mut config.data.end_frame, stored.data.end_frame);
     if let Some(key) = config.first_difference(stored) {
         let run = arguments.out.display();
@@ -52,7 +75,7 @@ pub fn check_end(arguments: &Arguments, config: &TrainConfig, num_timesteps: usi
 }
 
 /// What the command line says, over `base`.
-fn apply(arguments: &Arguments, mut base: TrainConfig) -> anyhow::Result<TrainConfig> {
+fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> anyhow::Result<TrainConfig> {
     if let Some(path) = &arguments.config {
         let text = fs::read_to_string(path).map_err(|error| {
             let message = format!("{}: {error}, expected settings as in a run's config.toml", path.display());
@@ -61,16 +84,20 @@ fn apply(arguments: &Arguments, mut base: TrainConfig) -> anyhow::Result<TrainCo
         base = base.merge(&text).map_err(|error| wrong_input(format!("{}: {error}", path.display())))?;
     }
     // A file may be another run's; the capture is the one that was named.
-    let capture = absolute(arguments)?;
-    base.data.capture.clone_from(&capture);
+    let folder = absolute(&arguments.capture)?;
+    base.data.capture.clone_from(&folder);
+    base.data.layout = capture.kind().name().into();
+    if let Some(points) = &arguments.points {
+        base.data.points = absolute(points)?;
+    }
     for setting in &arguments.set {
         let Some((key, value)) = setting.split_once('=') else {
             return Err(wrong_input(format!("--set {setting}: no =, expected KEY=VALUE such as weights.rigid=2")));
         };
         base.set(key.trim(), value.trim()).map_err(|error| wrong_input(format!("--set {setting}: {error}")))?;
     }
-    if base.data.capture != capture {
-        return Err(wrong_input("--set data.capture: is what CAPTURE says, expected no other"));
+    if (&base.data.capture, base.data.layout.as_str()) != (&folder, capture.kind().name()) {
+        return Err(wrong_input("--set data.capture or data.layout: is what CAPTURE says, expected no other"));
     }
     if arguments.no_mask {
         base.mask.enabled = false;
@@ -101,10 +128,9 @@ fn apply(arguments: &Arguments, mut base: TrainConfig) -> anyhow::Result<TrainCo
     Ok(base)
 }
 
-/// So that a run finds its capture from any folder.
-fn absolute(arguments: &Arguments) -> anyhow::Result<String> {
-    let path = arguments.capture.canonicalize();
-    let path = path.map_err(|error| wrong_input(format!("{}: {error}", arguments.capture.display())))?;
+/// So that a run finds its capture and points from any folder.
+fn absolute(path: &Path) -> anyhow::Result<String> {
+    let path = path.canonicalize().map_err(|error| wrong_input(format!("{}: {error}", path.display())))?;
     path.into_os_string().into_string().map_err(|path| {
         wrong_input(format!("{}: not a name in UTF-8, expected one that config.toml can hold", path.display()))
     })

@@ -5,17 +5,15 @@ use std::sync::Arc;
 
 use tcgs_core::Attribute;
 
-use super::coder::{Coder, Decoder as SymbolDecoder};
 use super::container;
 use super::head::{Head, read_info, read_plan};
-use super::keypoints::{KeypointModels, Motion, Place, Problem, UnitTracks};
+use super::reader::{SegmentReader, SharedModels};
 use super::section::{self, APPLICATION, Cursor, Entry, INFO, MAPS, PLAN, SHARED, Tag};
 use super::segment::Segment;
-use super::shared::{CurveModels, FirstModels, MapModels, Shared};
+use super::shared::Shared;
 use crate::compact::SceneInfo;
 use crate::error::DecodeError;
 use crate::limits::{Budget, DecodeLimits};
-use crate::parallel;
 
 /// What the start of a file gives.
 #[derive(Debug)]
@@ -225,7 +223,12 @@ impl Archive {
     /// Sections of a group with their bytes.
     ///
     /// - `bytes`: from `offset` of the file
-    fn sections<'a>(&self, group: usize, offset: u64, bytes: &'a [u8]) -> Result<Vec<Cursor<'a>>, DecodeError> {
+    pub(super) fn sections<'a>(
+        &self,
+        group: usize,
+        offset: u64,
+        bytes: &'a [u8],
+    ) -> Result<Vec<Cursor<'a>>, DecodeError> {
         let entries = &self.entries[self.groups[group]..self.groups[group + 1]];
         let needed = entries.iter().filter(|e| !e.is_optional());
         needed
@@ -276,12 +279,14 @@ impl Archive {
     pub fn read_segment(&self, segment: usize, bytes: &[u8]) -> Result<Segment, DecodeError> {
         assert!(segment < self.num_segments(), "segment {segment} of {}", self.num_segments());
         let mut reader = SegmentReader::new(self, segment);
+        // Segments come and go: each may take what is left beside the shared layers.
+        let budget = self.budget.fork();
         let start = self.segment_range(segment, 0).start;
         for layer in 0..self.layers_read {
             if self.segment_range(segment, layer + 1).end - start > bytes.len() as u64 {
                 break;
             }
-            reader.read(self, start, bytes)?;
+            reader.read(self, start, bytes, &budget)?;
         }
         Ok(reader.finish(self))
     }
@@ -302,151 +307,30 @@ impl Archive {
         &self.entries
     }
 
+    /// Where data of applications lie in the file; [`Self::read_application`] says what they are.
+    pub fn application_ranges(&self) -> Vec<Range<u64>> {
+        self.application().map(|entry| entry.range.clone()).collect()
+    }
+
+    /// Name and bytes of data of an application.
+    ///
+    /// - `index`: in [`Self::application_ranges`]
+    /// - `bytes`: those of its range
+    ///
+    /// # Errors
+    /// [`DecodeError`] if they are damaged.
+    ///
+    /// # Panics
+    /// If there are no such data.
+    pub fn read_application<'a>(&self, index: usize, bytes: &'a [u8]) -> Result<(String, &'a [u8]), DecodeError> {
+        let mut entries = self.application();
+        let entry = entries.nth(index).unwrap_or_else(|| panic!("data {index} of {}", self.application().count()));
+        let mut cursor = entry.open(bytes)?;
+        Ok((cursor.text("name")?, cursor.rest()))
+    }
+
     /// Where data of applications lie, with their checksums.
-    pub(super) fn application(&self) -> impl Iterator<Item = &Entry> {
+    fn application(&self) -> impl Iterator<Item = &Entry> {
         self.entries.iter().filter(|e| e.tag == APPLICATION)
     }
-}
-
-/// Models that go on from layer to layer.
-#[derive(Debug)]
-struct SharedModels {
-    maps: MapModels,
-    curve: CurveModels,
-    /// Of all attributes but means.
-    others: Vec<FirstModels>,
-}
-
-impl SharedModels {
-    fn new() -> Self {
-        let others = Attribute::ALL[1..].iter().map(|&a| FirstModels::new(a)).collect();
-        Self { maps: MapModels::new(), curve: CurveModels::new(), others }
-    }
-
-    /// - `sections`: maps, then every attribute
-    fn read(
-        &mut self,
-        head: &Head,
-        layer: Range<usize>,
-        sections: Vec<Cursor<'_>>,
-        shared: &mut Shared,
-        budget: &Budget,
-    ) -> Result<(), DecodeError> {
-        let plan = &head.plan;
-        budget.reserve("layer", layer.len() as u64, plan.bytes_per_gaussian())?;
-        shared.extend(plan, &layer);
-        let mut sections = sections.into_iter();
-        let mut next = || sections.next().expect("a section for every attribute");
-
-        let mut cursor = next();
-        let mut decoder = SymbolDecoder::new(cursor.rest());
-        self.maps.code(&mut decoder, plan, layer.clone(), shared);
-        complete(&decoder, &cursor)?;
-        for attribute in Attribute::ALL {
-            let (a, known) = (attribute.index(), plan.quantizers.by_width(attribute));
-            if shared.bit_map.widths[a][layer.clone()].iter().any(|&w| known[usize::from(w)].is_empty()) {
-                return Err(cursor.invalid("bit widths", "a width without quantizers"));
-            }
-        }
-        shared.count_units(plan, &layer);
-
-        let mut cursor = next();
-        let mut decoder = SymbolDecoder::new(cursor.rest());
-        self.curve.code(&mut decoder, plan, layer.clone(), shared);
-        complete(&decoder, &cursor)?;
-        let points: Vec<_> = shared.points(layer.clone()).collect();
-        shared.neighbors.extend(points.into_iter());
-
-        let Shared { bit_map, neighbors, first_codes, .. } = shared;
-        let jobs: Vec<_> = self.others.iter_mut().zip(&mut first_codes[1..]).map(|job| (job, next())).collect();
-        let results = parallel::map(jobs, |((models, codes), mut cursor)| {
-            let widths = &bit_map.widths[models.attribute().index()];
-            let mut decoder = SymbolDecoder::new(cursor.rest());
-            models.code(&mut decoder, plan, layer.clone(), neighbors, widths, codes);
-            complete(&decoder, &cursor)
-        });
-        results.into_iter().collect()
-    }
-}
-
-fn complete(decoder: &SymbolDecoder<'_>, cursor: &Cursor<'_>) -> Result<(), DecodeError> {
-    if decoder.finished() { Ok(()) } else { Err(cursor.invalid("symbols", "not exactly as many as there should be")) }
-}
-
-/// Reads a segment layer by layer.
-pub(super) struct SegmentReader {
-    segment: usize,
-    layers: usize,
-    /// By attribute; those of attributes that do not vary stay empty.
-    attributes: Vec<(Attribute, KeypointModels, UnitTracks)>,
-}
-
-impl SegmentReader {
-    pub(super) fn new(archive: &Archive, segment: usize) -> Self {
-        let plan = &archive.head.plan;
-        let varying = Attribute::ALL.into_iter().filter(|a| plan.varies[a.index()]);
-        let attributes = varying.map(|a| (a, KeypointModels::new(a), UnitTracks::new(plan.channels(a)))).collect();
-        Self { segment, layers: 0, attributes }
-    }
-
-    /// Reads the next layer.
-    ///
-    /// - `bytes`: from `offset` of the file
-    pub(super) fn read(&mut self, archive: &Archive, offset: u64, bytes: &[u8]) -> Result<(), DecodeError> {
-        let sections = archive.sections(archive.num_layers() * (1 + self.segment) + self.layers, offset, bytes)?;
-        let jobs = self.attributes.iter_mut().zip(sections).collect();
-        let results = parallel::map(jobs, |((attribute, models, units), mut cursor)| {
-            let motion = Motion::ALL.get(usize::from(cursor.u8("motion")?)).copied();
-            let motion = motion.ok_or_else(|| cursor.invalid("motion", "unknown"))?;
-            let place = Place {
-                plan: &archive.head.plan,
-                shared: &archive.shared,
-                attribute: *attribute,
-                layer: archive.head.layer(self.layers),
-                span: archive.head.span(self.segment),
-                num_timesteps: archive.head.num_timesteps(),
-                budget: &archive.budget,
-            };
-            let mut decoder = SymbolDecoder::new(cursor.rest());
-            match models.code(&mut decoder, &place, motion, None, units) {
-                Ok(()) if decoder.finished() => Ok(()),
-                Err(Problem::TooMany(error)) => Err(error),
-                Err(Problem::Damaged) if !decoder.exhausted() => {
-                    Err(cursor.invalid("keypoint times", "not within the timesteps that are left"))
-                }
-                _ => Err(cursor.invalid("symbols", "not exactly as many as there should be")),
-            }
-        });
-        self.layers += 1;
-        results.into_iter().collect()
-    }
-
-    /// What was read so far.
-    pub(super) fn finish(self, archive: &Archive) -> Segment {
-        let (segment, layers) = (self.segment, self.layers);
-        let units = self.attributes.into_iter().map(|(attribute, _, units)| (attribute, units));
-        segment_of(archive, segment, layers, units)
-    }
-
-    /// A copy of what was read so far.
-    pub(super) fn snapshot(&self, archive: &Archive) -> Result<Segment, DecodeError> {
-        let bytes: usize = self.attributes.iter().map(|(_, _, units)| units.bytes()).sum();
-        archive.budget.reserve("segment", bytes as u64, 1)?;
-        let units = self.attributes.iter().map(|(attribute, _, units)| (*attribute, units.clone()));
-        Ok(segment_of(archive, self.segment, self.layers, units))
-    }
-}
-
-/// - `units`: of the attributes that vary
-fn segment_of(
-    archive: &Archive,
-    segment: usize,
-    layers: usize,
-    units: impl Iterator<Item = (Attribute, UnitTracks)>,
-) -> Segment {
-    let mut tracks: [UnitTracks; 5] = Attribute::ALL.map(|a| UnitTracks::new(archive.head.plan.channels(a)));
-    for (attribute, units) in units {
-        tracks[attribute.index()] = units;
-    }
-    Segment::new(archive.head.clone(), archive.shared.clone(), segment, layers, tracks)
 }

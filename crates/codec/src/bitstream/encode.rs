@@ -8,7 +8,7 @@ use super::container::{self, Part};
 use super::fit;
 use super::head::{Head, write_info, write_plan};
 use super::keypoints::{KeypointModels, Motion, Place, UnitTracks};
-use super::section::{self, INFO, MAPS, PLAN};
+use super::section::{self, APPLICATION, INFO, MAPS, PLAN};
 use super::shared::{CurveModels, FirstModels, MapModels, Plan, Shared};
 use crate::compact::{CompactScene, Tracks};
 use crate::limits::{Budget, DecodeLimits};
@@ -30,6 +30,29 @@ use crate::limits::{Budget, DecodeLimits};
 /// If the scene breaks a rule of the format, such as a code outside its width; what [`crate::compress`]
 /// or [`crate::decode`] returned never does.
 pub fn encode(scene: &CompactScene) -> Vec<u8> {
+    encode_with(scene, &[])
+}
+
+/// [`encode`] with data of applications, which decoders that do not know them pass over.
+///
+/// - `data`: for each the name of the application and any bytes; they lie near the start of the file
+///
+/// ```
+/// # use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, compress, decode, encode_with};
+/// # use tcgs_core::{DynamicGaussians, Gaussians};
+/// # let mut scene = DynamicGaussians::default();
+/// # scene.push(Gaussians::zeros(3));
+/// # let bit_map = BitMap::uniform(3, 16, 6);
+/// # let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
+/// let (file, limits) = (encode_with(&compact, &[("notes", b"a red ball")]), DecodeLimits::default());
+/// assert_eq!(tcgs_codec::application_data(&file, &limits)?, [("notes".to_owned(), &b"a red ball"[..])]);
+/// assert_eq!(decode(&file, &limits)?, compact);
+/// # Ok::<(), tcgs_codec::DecodeError>(())
+/// ```
+///
+/// # Panics
+/// As [`encode`]; if a name is longer than 65535 bytes or data are of 4 GiB.
+pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Vec<u8> {
     if let Err(violation) = scene.check() {
         panic!("a scene that cannot be encoded: {violation:?}");
     }
@@ -51,6 +74,10 @@ pub fn encode(scene: &CompactScene) -> Vec<u8> {
     head.plan.predictors = predictors.try_into().expect("five attributes");
 
     let mut parts = vec![Part::shared(INFO, 0, write_info(&head)), Part::shared(PLAN, 0, write_plan(&head.plan))];
+    parts.extend(data.iter().map(|(name, bytes)| {
+        let length = u16::try_from(name.len()).expect("a name of at most 65535 bytes");
+        Part::shared(APPLICATION, 0, [&length.to_le_bytes(), name.as_bytes(), bytes].concat())
+    }));
     parts.extend(shared_sections(&head, &mut shared));
     let spans = 0..head.num_segments();
     let varying = || Attribute::ALL.into_iter().filter(|a| scene.varies[a.index()]);
@@ -141,7 +168,7 @@ fn segment_sections(
     attribute: Attribute,
 ) -> Vec<Part> {
     let a = attribute.index();
-    let mut models = KeypointModels::new(attribute);
+    let mut models = KeypointModels::new(&head.plan, attribute);
     let mut units = UnitTracks::new(head.plan.channels(attribute));
     let unlimited = Budget::new(&DecodeLimits::none(), u64::MAX);
     let mut parts = Vec::new();

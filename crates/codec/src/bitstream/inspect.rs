@@ -7,7 +7,7 @@ use tcgs_core::Attribute;
 
 use super::FORMAT_VERSION;
 use super::decode::{decode, open_whole};
-use super::section::{self, Cursor, SHARED};
+use super::section::{SHARED, name};
 use crate::compact::SceneInfo;
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
@@ -95,7 +95,7 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
     let sections = archive.entries().iter().map(|entry| {
         let bytes = &file[entry.range.start as usize..entry.range.end as usize];
         SectionInfo {
-            name: section::name(entry.tag),
+            name: name(entry.tag),
             segment: (entry.segment != SHARED).then_some(entry.segment.into()),
             layer: entry.layer.into(),
             bytes: bytes.len() as u64,
@@ -133,9 +133,8 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
 /// [`DecodeError`] if the header or one of these sections is damaged.
 pub fn application_data<'a>(file: &'a [u8], limits: &DecodeLimits) -> Result<Vec<(String, &'a [u8])>, DecodeError> {
     let archive = open_whole(file, limits)?;
-    let of_section = |entry: &section::Entry| {
-        let mut cursor: Cursor<'a> = entry.open(&file[entry.range.start as usize..entry.range.end as usize])?;
-        Ok((cursor.text("name")?, cursor.rest()))
+    let of_range = |(index, range): (usize, Range<u64>)| {
+        archive.read_application(index, &file[range.start as usize..range.end as usize])
     };
-    archive.application().map(of_section).collect()
+    archive.application_ranges().into_iter().enumerate().map(of_range).collect()
 }

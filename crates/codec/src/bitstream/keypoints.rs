@@ -7,6 +7,7 @@ use tcgs_core::Attribute;
 use super::coder::{Coder, Model};
 use super::neighbors::NONE;
 use super::number::{Numbers, unzigzag, wrap, zigzag};
+use super::segment::Keypoints;
 use super::shared::{MAX_COMPONENTS, Plan, Shared};
 use crate::compact::Tracks;
 use crate::error::DecodeError;
@@ -38,6 +39,26 @@ impl UnitTracks {
         self.times.len()
     }
 
+    /// Makes room for one unit more of so many keypoints. By a fourth rather than the double, so that what is
+    /// decoded and what it grows into together stay small.
+    fn reserve(&mut self, num_keypoints: usize) {
+        fn reserve<V>(values: &mut Vec<V>, more: usize) {
+            if values.capacity() - values.len() < more {
+                values.reserve_exact(more.max(values.len() / 4).max(64));
+            }
+        }
+        reserve(&mut self.starts, 1);
+        reserve(&mut self.times, num_keypoints);
+        reserve(&mut self.codes, num_keypoints * self.channels);
+    }
+
+    /// Gives back what was reserved and not used.
+    pub(super) fn shrink(&mut self) {
+        self.starts.shrink_to_fit();
+        self.times.shrink_to_fit();
+        self.codes.shrink_to_fit();
+    }
+
     fn bytes_per_keypoint(&self) -> usize {
         size_of::<u16>() + self.channels * size_of::<i16>()
     }
@@ -51,6 +72,11 @@ impl UnitTracks {
     pub(super) fn unit(&self, unit: usize) -> (&[u16], &[i16]) {
         let range = self.starts[unit] as usize..self.starts[unit + 1] as usize;
         (&self.times[range.clone()], &self.codes[range.start * self.channels..range.end * self.channels])
+    }
+
+    /// For others.
+    pub(super) fn as_keypoints(&self) -> Keypoints<'_> {
+        Keypoints { channels: self.channels, starts: &self.starts, times: &self.times, codes: &self.codes }
     }
 
     /// Code of a channel at a time, linear between keypoints, held beyond them.
@@ -124,6 +150,9 @@ const MANY: u32 = 15;
 /// Models of an attribute's keypoints.
 #[derive(Clone)]
 pub(super) struct KeypointModels {
+    /// Contexts are for the widths that have quantizers: which of them a width is.
+    place_of_width: [usize; 17],
+    num_widths: usize,
     /// Number of inner keypoints and one, or [`HELD`].
     counts: Vec<Model>,
     more: Numbers,
@@ -135,17 +164,29 @@ pub(super) struct KeypointModels {
 }
 
 impl KeypointModels {
-    pub(super) fn new(attribute: Attribute) -> Self {
+    pub(super) fn new(plan: &Plan, attribute: Attribute) -> Self {
         let components = attribute.components();
+        let widths = &plan.quantizers.attributes[attribute.index()];
+        let num_widths = widths.len();
+        let mut place_of_width = [0; 17];
+        for (place, &width) in widths.keys().enumerate() {
+            place_of_width[usize::from(width)] = place;
+        }
         Self {
+            place_of_width,
+            num_widths,
             counts: vec![Model::new(16); components * NUM_COUNTS * NUM_COUNTS],
             more: Numbers::new(1),
             before: Numbers::new(1),
             after: Numbers::new(1),
             gaps: Numbers::new(NUM_DENSITIES),
-            first: Numbers::new(components * 17 * NUM_SIZES),
-            later: Numbers::new(components * 17 * NUM_SIZES * NUM_GAPS * 2),
+            first: Numbers::new(components * num_widths * NUM_SIZES),
+            later: Numbers::new(components * num_widths * NUM_SIZES * NUM_GAPS * 2),
         }
+    }
+
+    fn context(&self, channel: usize, width: u8) -> usize {
+        channel * self.num_widths + self.place_of_width[usize::from(width)]
     }
 
     /// Codes the keypoints of all units of a layer that move.
@@ -207,6 +248,7 @@ impl KeypointModels {
 
         let bytes = out.bytes_per_keypoint() + size_of::<u32>();
         place.budget.reserve("keypoints", 1, bytes).map_err(Problem::TooMany)?;
+        out.reserve(2);
         let mut time = first;
         if first > 0 {
             let before = self.before.code(coder, 0, first.wrapping_sub(time_of(0)) as u32) as usize;
@@ -236,6 +278,7 @@ impl KeypointModels {
             }
             let bytes = out.bytes_per_keypoint();
             place.budget.reserve("keypoints", inner as u64 + 1, bytes).map_err(Problem::TooMany)?;
+            out.reserve(inner + 1);
             let mut inner_time = first;
             for k in 0..inner {
                 let rest = inner - k;
@@ -289,7 +332,7 @@ impl KeypointModels {
                 });
                 let near = i32::from(anchor) + rounded(shift);
                 let source = unit.source.as_ref().map_or(0, |s| i32::from(s.code(0, c)));
-                let context = (channel * 17 + usize::from(width)) * NUM_SIZES + size;
+                let context = self.context(channel, width) * NUM_SIZES + size;
                 let coded = self.first.code(coder, context, zigzag(wrap(source.wrapping_sub(near), width)));
                 size = size_of_difference(coded);
                 code = wrap(near.wrapping_add(unzigzag(coded)), width) as i16;
@@ -328,7 +371,7 @@ impl KeypointModels {
                 let near = i32::from(before) + rounded(shift);
                 let source = unit.source.as_ref().map_or(0, |s| i32::from(s.code(at - start, c)));
                 let size = if c > 0 { sizes[c - 1] } else { sizes[0] };
-                let context = ((channel * 17 + usize::from(width)) * NUM_SIZES + size) * NUM_GAPS + gap;
+                let context = (self.context(channel, width) * NUM_SIZES + size) * NUM_GAPS + gap;
                 let context = 2 * context + usize::from(neighbor.is_some());
                 let coded = self.later.code(coder, context, zigzag(wrap(source.wrapping_sub(near), width)));
                 sizes[c] = size_of_difference(coded);

@@ -6,7 +6,7 @@
 //! - `neighbors`, `shared`: layers: widths, first codes, predicted from Gaussians nearby
 //! - `keypoints`: segments: times and codes of keypoints, predicted from motion before and nearby
 //! - `encode`, `fit`: a scene to bytes
-//! - `archive`, `segment`: parts of a file to codes and floats; `decode`, `push`: the whole
+//! - `archive`, `reader`, `segment`: parts of a file to codes and floats; `decode`, `push`: the whole
 //!
 //! What `shared` and `keypoints` code is written once for both directions (see `coder`). Nothing outside
 //! this folder knows bytes.
@@ -25,6 +25,7 @@ mod keypoints;
 mod neighbors;
 mod number;
 mod push;
+mod reader;
 mod section;
 mod segment;
 mod shared;
@@ -32,10 +33,10 @@ mod shared;
 pub use archive::{Archive, Opening};
 pub use decode::decode;
 #[cfg(feature = "encode")]
-pub use encode::encode;
+pub use encode::{encode, encode_with};
 pub use inspect::{Contents, FileInfo, SectionInfo, application_data, inspect};
 pub use push::{Decoder, Event};
-pub use segment::{Sampler, Segment};
+pub use segment::{Keypoints, Sampler, Segment};
 
 /// Version that is written, and the only one read.
 pub const FORMAT_VERSION: u16 = 1;

@@ -1,7 +1,8 @@
 //! Bytes as they arrive.
 
-use super::archive::{Archive, Opening, SegmentReader};
+use super::archive::{Archive, Opening};
 use super::container;
+use super::reader::SegmentReader;
 use super::section::Cursor;
 use super::segment::Segment;
 use crate::error::DecodeError;
@@ -148,7 +149,7 @@ impl Decoder {
             let (segment, layer) = (self.groups / num_layers - 1, self.groups % num_layers);
             let mut reader = self.reader.take().filter(|_| layer > 0);
             let mut reader = reader.take().unwrap_or_else(|| SegmentReader::new(archive, segment));
-            reader.read(archive, self.offset, &self.bytes)?;
+            reader.read(archive, self.offset, &self.bytes, archive.budget())?;
             if layer + 1 < num_layers {
                 events.push(Event::Segment(Box::new(reader.snapshot(archive)?)));
                 self.reader = Some(reader);

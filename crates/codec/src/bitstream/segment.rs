@@ -11,6 +11,7 @@ use super::neighbors::NONE;
 use super::shared::Shared;
 use crate::compact::{SceneInfo, unit_quat};
 use crate::keypoints::lerp;
+use crate::quantize::Quantizers;
 
 /// Some timesteps of a scene, all of its Gaussians or those of the first layers.
 ///
@@ -67,6 +68,51 @@ impl Segment {
         &self.tracks[attribute.index()]
     }
 
+    /// What the codes stand for.
+    pub fn quantizers(&self) -> &Quantizers {
+        &self.head.plan.quantizers
+    }
+
+    /// Keypoints of an attribute, of the units that move: for those who make floats of them elsewhere. None if the
+    /// attribute does not vary.
+    pub fn keypoints(&self, attribute: Attribute) -> Option<Keypoints<'_>> {
+        let tracks = &self.tracks[attribute.index()];
+        self.head.plan.varies[attribute.index()].then(|| tracks.as_keypoints())
+    }
+
+    /// The units of an attribute that move, in the order of [`Self::keypoints`]; the same in every segment of as many
+    /// layers.
+    ///
+    /// - returns: index of the unit's first value in `[N * components]`, and the width of its codes
+    pub fn moving_units(&self, attribute: Attribute) -> impl Iterator<Item = (u32, u8)> {
+        let (a, components) = (attribute.index(), attribute.components());
+        let channels = self.tracks[a].channels;
+        let count = if self.head.plan.varies[a] { self.num_gaussians * components / channels } else { 0 };
+        let units = self.shared.units[a][..count].iter().enumerate().filter(|(_, unit)| **unit != NONE);
+        units.map(move |(i, _)| {
+            let place = i * channels;
+            (place as u32, self.shared.bit_map.widths[a][place / components])
+        })
+    }
+
+    /// Every track at its first keypoint in the file, in stored form; quaternions as they are, of any length.
+    pub fn first(&self) -> Gaussians {
+        let mut first = Gaussians::zeros(self.num_gaussians);
+        for attribute in Attribute::ALL {
+            let (a, components) = (attribute.index(), attribute.components());
+            let table = self.quantizers().by_width(attribute);
+            let widths = &self.shared.bit_map.widths[a];
+            let codes = &self.shared.first_codes[a];
+            for (g, row) in first.values_mut(attribute).chunks_exact_mut(components).enumerate() {
+                for (channel, value) in row.iter_mut().enumerate() {
+                    let quantizer = &table[usize::from(widths[g])][channel];
+                    *value = quantizer.dequantize(codes[g * components + channel].into());
+                }
+            }
+        }
+        first
+    }
+
     /// One timestep as floats, in stored form; the same as [`crate::CompactScene::at`] gives of the whole.
     ///
     /// # Panics
@@ -80,6 +126,21 @@ impl Segment {
     pub fn bytes(&self) -> usize {
         self.tracks.iter().map(UnitTracks::bytes).sum()
     }
+}
+
+/// Keypoints of the units of an attribute that move. A unit is what has keypoint times of its own: all components of
+/// the attribute of a Gaussian where they share their times, else one component.
+#[derive(Clone, Copy, Debug)]
+pub struct Keypoints<'a> {
+    /// Components of a unit.
+    pub channels: usize,
+    /// `[units + 1]`; keypoints of unit `i` are `starts[i]..starts[i + 1]`.
+    pub starts: &'a [u32],
+    /// `[keypoints]` timesteps; of a unit strictly increasing, the first at or before the segment's first one, the
+    /// last at or after its last one.
+    pub times: &'a [u16],
+    /// `[keypoints, channels]`
+    pub codes: &'a [i16],
 }
 
 /// Units of an attribute as floats.
@@ -111,23 +172,9 @@ pub struct Sampler {
 impl Sampler {
     /// Dequantises a segment.
     pub fn new(segment: &Segment) -> Self {
-        let mut now = Gaussians::zeros(segment.num_gaussians);
-        let mut moving = Vec::new();
-        for attribute in Attribute::ALL {
-            let (a, components) = (attribute.index(), attribute.components());
-            let table = segment.head.plan.quantizers.by_width(attribute);
-            let widths = &segment.shared.bit_map.widths[a];
-            let codes = &segment.shared.first_codes[a];
-            for (g, row) in now.values_mut(attribute).chunks_exact_mut(components).enumerate() {
-                for (channel, value) in row.iter_mut().enumerate() {
-                    let quantizer = &table[usize::from(widths[g])][channel];
-                    *value = quantizer.dequantize(codes[g * components + channel].into());
-                }
-            }
-            if segment.head.plan.varies[a] {
-                moving.push(Moving::new(segment, attribute));
-            }
-        }
+        let mut now = segment.first();
+        let varying = Attribute::ALL.into_iter().filter(|a| segment.head.plan.varies[a.index()]);
+        let moving: Vec<Moving> = varying.map(|attribute| Moving::new(segment, attribute)).collect();
         let (mut rotating, mut raw_quats) = (Vec::new(), Vec::new());
         if let Some(quats) = moving.iter().find(|m| m.attribute == Attribute::Quat && m.channels == 1) {
             rotating = quats.places.iter().map(|place| place / 4).collect();
@@ -167,13 +214,12 @@ impl Moving {
         let (a, components) = (attribute.index(), attribute.components());
         let tracks = &segment.tracks[a];
         let channels = tracks.channels;
-        let table = segment.head.plan.quantizers.by_width(attribute);
-        let units = segment.shared.units[a][..segment.num_gaussians * components / channels].iter();
-        let places = units.enumerate().filter(|(_, u)| **u != NONE).map(|(i, _)| (i * channels) as u32);
+        let table = segment.quantizers().by_width(attribute);
+        let (places, widths): (Vec<u32>, Vec<u8>) = segment.moving_units(attribute).unzip();
         let mut of = Self {
             attribute,
             channels,
-            places: places.collect(),
+            places,
             cursors: vec![0; tracks.num_units()],
             starts: vec![0],
             times: Vec::with_capacity(tracks.num_keypoints()),
@@ -181,9 +227,8 @@ impl Moving {
         };
         for (unit, &place) in of.places.iter().enumerate() {
             let (times, codes) = tracks.unit(unit);
-            let (g, channel) = (place as usize / components, place as usize % components);
-            let width = segment.shared.bit_map.widths[a][g];
-            let quantizers = &table[usize::from(width)][channel..channel + channels];
+            let channel = place as usize % components;
+            let quantizers = &table[usize::from(widths[unit])][channel..channel + channels];
             of.times.extend(times);
             for codes in codes.chunks_exact(channels) {
                 of.values.extend(codes.iter().zip(quantizers).map(|(&c, q)| q.dequantize(c.into())));

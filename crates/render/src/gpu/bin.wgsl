@@ -9,7 +9,7 @@
 //   bin_buckets  one workgroup: where its buckets begin
 //
 // tiles [2 (T + 1) + buckets]: first pair of each tile | first bucket of each tile | tile of each bucket, DEAD where
-// forward ended before it. status: (halted, pairs needed at most, 0, 0). arguments: of dispatches, three each: sort, buckets.
+// forward ended before it. status: (halted, most pairs needed when too many, pairs needed last, 0). arguments: of dispatches, three each: sort, buckets.
 
 @group(0) @binding(1) var<storage, read> splats: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;
@@ -84,6 +84,7 @@ fn bin_scan(@builtin(local_invocation_index) lane: u32) {
         total = saturating_add(total, sums[255]);
     }
     if lane == 0u {
+        status[2] = total;
         if total > view.pair_capacity {
             status[0] = 1u;
             status[1] = max(status[1], total);

@@ -1,4 +1,4 @@
-//! The GPU itself: which one, what it can do, its memory, and what goes wrong with it.
+//! The GPU itself: its memory, its shaders, and what goes wrong with it.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -6,15 +6,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::kernel::Kernel;
-
-/// Which adapter is wanted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum GpuChoice<'a> {
-    /// The first hardware GPU, discrete ones before integrated ones.
-    Hardware,
-    /// The first one whose name contains this, in any case; software adapters too.
-    Named(&'a str),
-}
 
 /// Why a GPU cannot be used, or no longer.
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
@@ -91,79 +82,14 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn instance() -> wgpu::Instance {
-    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-    // Indirect arguments are ours, and within limits; checking them would cost a dispatch each.
-    descriptor.flags =
-        if cfg!(debug_assertions) { wgpu::InstanceFlags::VALIDATION } else { wgpu::InstanceFlags::empty() };
-    wgpu::Instance::new(descriptor)
-}
-
-fn adapters() -> Vec<wgpu::Adapter> {
-    let mut adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::PRIMARY));
-    adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
-        wgpu::DeviceType::DiscreteGpu => 0,
-        wgpu::DeviceType::IntegratedGpu => 1,
-        wgpu::DeviceType::VirtualGpu => 2,
-        wgpu::DeviceType::Other => 3,
-        wgpu::DeviceType::Cpu => 4,
-    });
-    adapters
-}
-
 impl Gpu {
-    /// Opens an adapter.
-    ///
-    /// # Errors
-    /// [`GpuError::NotFound`] if there is none as wanted, [`GpuError::Unfit`] if it cannot run the shaders.
-    pub fn open(choice: GpuChoice<'_>) -> Result<Self, GpuError> {
-        let adapters = adapters();
-        let is_wanted = |adapter: &&wgpu::Adapter| {
-            let info = adapter.get_info();
-            match choice {
-                GpuChoice::Hardware => info.device_type != wgpu::DeviceType::Cpu,
-                GpuChoice::Named(name) => info.name.to_lowercase().contains(&name.to_lowercase()),
-            }
-        };
-        let mut problem = None;
-        for adapter in adapters.iter().filter(is_wanted) {
-            match Self::of_adapter(adapter) {
-                Ok(gpu) => return Ok(gpu),
-                // The next one may fit; if none does, the best one's problem is told.
-                Err(error) => problem = problem.or(Some(error)),
-            }
-        }
-        Err(problem.unwrap_or_else(|| {
-            let names: Vec<String> = adapters.iter().map(|adapter| describe(&adapter.get_info())).collect();
-            GpuError::NotFound {
-                wanted: match choice {
-                    GpuChoice::Hardware => "in hardware".into(),
-                    GpuChoice::Named(name) => format!("named {name}"),
-                },
-                found: if names.is_empty() { "none".into() } else { names.join(", ") },
-            }
-        }))
-    }
-
-    fn of_adapter(adapter: &wgpu::Adapter) -> Result<Self, GpuError> {
-        let about = adapter.get_info();
-        let unfit = |problem: String| GpuError::Unfit { name: about.name.clone(), problem };
-        if !adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS) {
-            return Err(unfit("has no compute shaders".into()));
-        }
-        if let Some(problem) = lacking(&adapter.limits()) {
-            return Err(unfit(problem));
-        }
-        let wanted = wgpu::Features::TIMESTAMP_QUERY;
-        let features = adapter.features() & wanted;
-        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
-            label: Some("tcgs"),
-            required_features: features,
-            required_limits: adapter.limits(),
-            ..Default::default()
-        }))
-        .map_err(|e| unfit(format!("cannot be opened: {e}")))?;
-
+    /// An open device; what goes wrong with it is kept from now on.
+    pub(super) fn of_device(
+        about: &wgpu::AdapterInfo,
+        features: wgpu::Features,
+        device: wgpu::Device,
+        queue: wgpu::Queue,
+    ) -> Self {
         let problem = Arc::new(Mutex::new(None));
         let keep = |problem: &Mutex<Option<GpuError>>, error: GpuError| {
             let mut kept = lock(problem);
@@ -197,7 +123,7 @@ impl Gpu {
             is_software: about.device_type == wgpu::DeviceType::Cpu,
             features: names.iter().filter(|(f, _)| features.contains(*f)).map(|&(_, name)| name).collect(),
         };
-        Ok(Self(Arc::new(Inner {
+        Self(Arc::new(Inner {
             device,
             queue,
             info,
@@ -206,7 +132,7 @@ impl Gpu {
             submissions: AtomicUsize::new(0),
             reads: AtomicUsize::new(0),
             compiled: AtomicUsize::new(0),
-        })))
+        }))
     }
 
     /// What it is.
@@ -415,29 +341,6 @@ impl Gpu {
     }
 }
 
-/// What the shaders ask of an adapter that it does not offer.
-fn lacking(limits: &wgpu::Limits) -> Option<String> {
-    let needed = [
-        ("storage buffers in a shader", limits.max_storage_buffers_per_shader_stage, 10),
-        ("bindings in a group", limits.max_bindings_per_bind_group, 20),
-        ("bytes of memory in a workgroup", limits.max_compute_workgroup_storage_size, 16_384),
-        ("threads in a workgroup", limits.max_compute_invocations_per_workgroup, 256),
-        ("threads along a workgroup", limits.max_compute_workgroup_size_x, 256),
-        ("workgroups along a dispatch", limits.max_compute_workgroups_per_dimension, 65_535),
-    ];
-    let lacking: Vec<String> = needed
-        .into_iter()
-        .filter(|(_, found, expected)| found < expected)
-        .map(|(what, found, expected)| format!("allows {found} {what}, expected at least {expected}"))
-        .collect();
-    (!lacking.is_empty()).then(|| lacking.join("; "))
-}
-
-fn describe(info: &wgpu::AdapterInfo) -> String {
-    let kind = if info.device_type == wgpu::DeviceType::Cpu { "software, only by name" } else { "hardware" };
-    format!("{} ({}, {kind})", info.name, info.backend)
-}
-
 /// Values on their way back from the GPU.
 #[derive(Debug)]
 pub struct Staged {
@@ -471,20 +374,5 @@ impl Staged {
         }
         let view = self.staging.get_mapped_range(..).map_err(|e| lost(&e.to_string()))?;
         Ok(bytemuck::pod_collect_to_vec(&view[..self.len * 4]))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_an_adapter_lacks_is_named() {
-        let enough = wgpu::Limits { max_storage_buffers_per_shader_stage: 10, ..wgpu::Limits::default() };
-        assert_eq!(lacking(&enough), None);
-        let few = wgpu::Limits { max_compute_workgroup_size_x: 128, ..wgpu::Limits::default() };
-        let expected = "allows 8 storage buffers in a shader, expected at least 10; \
-                        allows 128 threads along a workgroup, expected at least 256";
-        assert_eq!(lacking(&few).as_deref(), Some(expected));
     }
 }

@@ -2,6 +2,7 @@
 
 mod device;
 mod kernel;
+mod open;
 mod profiler;
 mod radix;
 mod rasterizer;
@@ -9,11 +10,12 @@ mod renderer;
 mod source;
 mod timing;
 
-pub use device::{Gpu, GpuChoice, GpuError, GpuInfo, Staged};
+pub use device::{Gpu, GpuError, GpuInfo, Staged};
 pub use kernel::{Bound, Kernel, MAX_GROUPS_X, MAX_THREADS, WORKGROUP};
+pub use open::GpuChoice;
 pub use profiler::RenderProfiler;
 pub use radix::{Dispatch, Radix, SORT_BLOCK};
-pub use rasterizer::{GpuRasterizer, GpuSaved};
+pub use rasterizer::{GpuRasterizer, GpuSaved, pack};
 pub use renderer::{Capacity, GpuRenderer, RenderBuffers};
 pub use source::{BUCKET, TILE, source, sources};
 pub use timing::StageTimer;

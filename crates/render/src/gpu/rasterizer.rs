@@ -152,8 +152,11 @@ fn serves(capacity: &Capacity, wanted: &Capacity) -> bool {
         && capacity.backward >= wanted.backward
 }
 
-/// Array after array, as the shaders read them.
-pub(super) fn pack(gaussians: &Activated) -> Vec<f32> {
+/// `[(11 + C) N]` array after array, as the shaders read them: [`RenderBuffers::activated`].
+///
+/// # Panics
+/// If arrays disagree in length.
+pub fn pack(gaussians: &Activated) -> Vec<f32> {
     let n = gaussians.num_gaussians();
     let arrays: [(&str, &[f32], usize); 5] = [
         ("means", gaussians.means.as_flattened(), 3),

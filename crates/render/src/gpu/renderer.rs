@@ -112,8 +112,8 @@ pub struct RenderBuffers {
     pub v_activated: wgpu::Buffer,
     /// `[N, 3]` the densification statistic's x and y, and 1 where the Gaussian is visible.
     pub v_means2d_ndc: wgpu::Buffer,
-    /// `u32 [4]`: not 0 once an iteration needed more pairs than there is room for; most pairs needed. It
-    /// stays set until the host clears it: nothing that was computed since is valid.
+    /// `u32 [4]`: not 0 once an iteration needed more pairs than there is room for; most pairs needed then; pairs that
+    /// the last one needed. It stays set until the host clears it: nothing that was computed since is valid.
     pub status: wgpu::Buffer,
 }
 
@@ -149,6 +149,20 @@ impl GpuRenderer {
     /// # Panics
     /// If the number of channels is not in `1..=MAX_CHANNELS`.
     pub fn new(gpu: &Gpu, capacity: Capacity) -> Result<Self, GpuError> {
+        let values = (11 + capacity.num_channels) * capacity.num_gaussians;
+        Self::of_gaussians(gpu, capacity, &gpu.storage("activated Gaussians", values)?)
+    }
+
+    /// Allocates everything but the Gaussians, which outlive the renderer.
+    ///
+    /// - `activated`: [`RenderBuffers::activated`]
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    ///
+    /// # Panics
+    /// As [`Self::new`].
+    pub fn of_gaussians(gpu: &Gpu, capacity: Capacity, activated: &wgpu::Buffer) -> Result<Self, GpuError> {
         let Capacity { num_gaussians: n, num_channels: c, num_pixels, num_tiles, num_pairs: p, backward } = capacity;
         assert!((1..=MAX_CHANNELS).contains(&c), "{c} channels, expected 1 to {MAX_CHANNELS}");
         if n > MAX_THREADS {
@@ -158,7 +172,7 @@ impl GpuRenderer {
         let if_backward = |len: usize| if backward { len } else { 1 };
         let view = gpu.uniform("the view", size_of::<ViewUniform>())?;
         let buffers = RenderBuffers {
-            activated: gpu.storage("activated Gaussians", (11 + c) * n)?,
+            activated: activated.clone(),
             image: gpu.storage("the image", (c + 1) * num_pixels)?,
             v_image: gpu.storage("the image's gradient", if_backward(c * num_pixels))?,
             v_activated: gpu.storage("gradients of activated Gaussians", if_backward((11 + c) * n))?,

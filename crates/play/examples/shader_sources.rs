@@ -1,6 +1,7 @@
-//! Writes every shader, as the GPU gets it, to `FOLDER/NAME.wgsl`, for other compilers to judge.
+//! Writes every shader of the renderer and the player, as the GPU gets it, to `FOLDER/NAME.wgsl`, for other compilers to
+//! judge.
 //!
-//! `cargo run -p tcgs-render --example shader_sources -- FOLDER`
+//! `cargo run -p tcgs-play --example shader_sources -- FOLDER`
 
 use std::io::{Error, Write};
 use std::path::Path;
@@ -10,7 +11,8 @@ fn main() -> io::Result<()> {
     let folder = env::args_os().nth(1).ok_or_else(|| Error::other("which folder?"))?;
     let folder = Path::new(&folder);
     fs::create_dir_all(folder)?;
-    let sources = tcgs_render::gpu::sources();
+    let mut sources = tcgs_render::gpu::sources();
+    sources.extend(tcgs_play::sources());
     for (name, source) in &sources {
         fs::write(folder.join(format!("{name}.wgsl")), source)?;
     }

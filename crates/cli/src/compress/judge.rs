@@ -1,0 +1,137 @@
+//! What a compressed scene is compared with: images of a capture, or renders of the source.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use tcgs_capture::{Capture, Split};
+use tcgs_codec::CompactScene;
+use tcgs_core::{Camera, Image, activate};
+use tcgs_metrics::psnr;
+use tcgs_render::{Draw, RenderSettings};
+
+use crate::camera_path::CameraPath;
+use crate::error::wrong_input;
+use crate::options::Size;
+use crate::scene::{Model, Scene};
+
+/// Images of a capture that are compared at most, as far as whole frames allow: a frame is drawn anew for each
+/// setting tried.
+const MAX_IMAGES: usize = 100;
+/// Cameras and timesteps of renders of the source.
+const NUM_CAMERAS: usize = 6;
+const NUM_TIMESTEPS: usize = 5;
+/// Size of these where the source has no capture.
+const IMAGE_SIZE: Size = Size { width: 640, height: 360 };
+
+/// Which images.
+pub struct Images {
+    /// Whose images; none: renders of the source.
+    pub capture: Option<PathBuf>,
+    /// Which cameras of the capture.
+    pub split: Split,
+    /// Frames; none: of the scene, evenly, as many as [`MAX_IMAGES`] allow.
+    pub frames: Option<std::ops::Range<usize>>,
+}
+
+/// One image to come close to.
+struct Goal {
+    timestep: usize,
+    camera: Camera,
+    image: Image,
+}
+
+/// Measures compressed scenes.
+pub struct Judge {
+    /// By time.
+    goals: Vec<Goal>,
+    /// What the images are, in words.
+    pub of: String,
+    /// Whether they are a capture's.
+    pub of_capture: bool,
+    renderer: Box<dyn Draw>,
+}
+
+impl Judge {
+    /// Decodes or renders the images.
+    pub fn new(scene: &Scene, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+        match &images.capture {
+            Some(path) => Self::of_capture(scene, path, images, renderer),
+            None => Self::of_source(scene, images, renderer),
+        }
+    }
+
+    fn of_capture(scene: &Scene, path: &Path, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+        let capture = Capture::open(path)?;
+        let frames = scene.choose_frames(images.frames.as_ref())?;
+        // The last frame is looked for before the first is decoded.
+        capture.cameras(images.split, frames.end - 1, scene.downscale)?;
+        let num_cameras = capture.cameras(images.split, frames.start, scene.downscale)?.len();
+        if num_cameras == 0 {
+            let problem = "has no test cameras, expected one that has, or --cameras train";
+            return Err(wrong_input(format!("{}: {problem}", path.display())));
+        }
+        let count = if images.frames.is_some() { frames.len() } else { (MAX_IMAGES / num_cameras).max(1) };
+        let mut goals = Vec::new();
+        for timestep in spread(frames.len(), count).map(|i| frames.start - scene.first_frame + i) {
+            let views = capture.views(images.split, scene.first_frame + timestep, scene.downscale)?;
+            goals.extend(views.into_iter().map(|view| Goal { timestep, camera: view.camera, image: view.image }));
+        }
+        let of = format!("{} images of {}, {} frames", goals.len(), path.display(), count.min(frames.len()));
+        Ok(Self { goals, of, of_capture: true, renderer })
+    }
+
+    fn of_source(scene: &Scene, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+        let frames = scene.choose_frames(images.frames.as_ref())?;
+        let cameras = cameras(scene);
+        let mut goals = Vec::new();
+        for timestep in spread(frames.len(), NUM_TIMESTEPS).map(|i| frames.start - scene.first_frame + i) {
+            let drawn = scene.drawn(timestep);
+            for camera in &cameras {
+                let image = clamped(renderer.draw(&drawn, camera, &RenderSettings::default())?.0.image);
+                goals.push(Goal { timestep, camera: camera.clone(), image });
+            }
+        }
+        let of = format!("{} renders of {}", goals.len(), scene.path.display());
+        Ok(Self { goals, of, of_capture: false, renderer })
+    }
+
+    /// How many images.
+    pub fn num_images(&self) -> usize {
+        self.goals.len()
+    }
+
+    /// Mean PSNR of a compressed scene, as `eval` measures it.
+    pub fn psnr(&self, compact: &CompactScene) -> anyhow::Result<f64> {
+        let mut sum = 0.0;
+        for of_timestep in self.goals.chunk_by(|a, b| a.timestep == b.timestep) {
+            let drawn = Arc::new(activate(&compact.at(of_timestep[0].timestep)));
+            for goal in of_timestep {
+                let (output, _) = self.renderer.draw(&drawn, &goal.camera, &RenderSettings::default())?;
+                sum += psnr(&clamped(output.image), &goal.image);
+            }
+        }
+        Ok(sum / self.goals.len() as f64)
+    }
+}
+
+/// The training cameras of a run, evenly; cameras around any other scene, or where the run's capture is gone.
+fn cameras(scene: &Scene) -> Vec<Camera> {
+    if let Model::Run(run) = &scene.model
+        && let Ok(capture) = Capture::open(run.0.config().data.capture.as_ref())
+        && let Ok(cameras) = capture.cameras(Split::Train, scene.first_frame, scene.downscale)
+        && !cameras.is_empty()
+    {
+        return spread(cameras.len(), NUM_CAMERAS).map(|i| cameras[i].1.clone()).collect();
+    }
+    CameraPath::Orbit.cameras(&scene.at(0), NUM_CAMERAS, IMAGE_SIZE)
+}
+
+/// At most `count` numbers below `length`, evenly from 0 to the last.
+pub fn spread(length: usize, count: usize) -> impl Iterator<Item = usize> {
+    let count = count.min(length);
+    (0..count).map(move |i| i * (length - 1) / (count - 1).max(1))
+}
+
+fn clamped(image: Image) -> Image {
+    Image { data: image.data.iter().map(|x| x.clamp(0.0, 1.0)).collect(), ..image }
+}

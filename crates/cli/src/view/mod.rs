@@ -1,0 +1,101 @@
+//! `tcgs view`: the player in a browser, showing a scene of this machine.
+
+mod http;
+mod server;
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, anyhow};
+use tcgs_codec::{Archive, DecodeLimits, Opening};
+
+use crate::error::wrong_input;
+use crate::output::{note, say};
+use crate::scene::unreadable;
+use server::{PageFile, Server};
+
+/// The built page; nothing where it was not built before this program was.
+const PAGE: &[PageFile] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
+
+/// Show a scene in a browser
+///
+/// Serves the player on this machine alone (127.0.0.1), prints its address, opens the browser where there is
+/// one, and goes on until it is stopped (Ctrl-C).
+#[derive(clap::Args)]
+#[command(after_help = "\
+Example:
+  tcgs view scene.tcgs
+  tcgs view scene.tcgs --no-open --port 8000")]
+pub struct Arguments {
+    /// .tcgs file
+    scene: PathBuf,
+    /// Port to serve at; 0: any that is free
+    #[arg(long, value_name = "PORT", default_value_t = 0)]
+    port: u16,
+    /// Open no browser
+    #[arg(long)]
+    no_open: bool,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    check_scene(&arguments.scene)?;
+    if PAGE.is_empty() {
+        return Err(anyhow!("this program was built without the player: run web/build.sh, then build tcgs again"));
+    }
+    let server = Server::bind(arguments.port, &arguments.scene, PAGE)
+        .with_context(|| format!("serving at port {} of 127.0.0.1", arguments.port))?;
+    let address = server.address()?;
+    say(&address)?;
+    if !arguments.no_open {
+        open_browser(&address);
+    }
+    server.run()
+}
+
+/// Whether a scene is worth a server. Damage further inside is the player's to tell.
+fn check_scene(path: &Path) -> anyhow::Result<()> {
+    let expected = "a .tcgs file, which `tcgs compress` makes of other scenes";
+    let refuse = |found: String| Err(wrong_input(format!("{}: {found}, expected {expected}", path.display())));
+    if path.is_dir() {
+        return refuse("is a folder".into());
+    }
+    let mut file = File::open(path).map_err(|error| unreadable(path, error, expected))?;
+    let (mut start, mut needed) = (Vec::new(), 4);
+    loop {
+        let missing = needed - start.len() as u64;
+        let read = (&mut file).take(missing).read_to_end(&mut start);
+        read.map_err(|error| unreadable(path, error, expected))?;
+        if !start.starts_with(b"TCGS") {
+            return refuse("a file of another kind".into());
+        }
+        if (start.len() as u64) < needed {
+            return refuse(format!("ends after {} bytes, within its header", start.len()));
+        }
+        match Archive::open(&start, &DecodeLimits::default()) {
+            Ok(Opening::Ready(_)) => return Ok(()),
+            Ok(Opening::More(more)) => needed = more,
+            Err(error) => return Err(wrong_input(format!("{}: {error}, expected a whole .tcgs file", path.display()))),
+        }
+    }
+}
+
+/// Asks the desktop, where there is one, to show an address. Who sees no window has the address printed.
+fn open_browser(address: &str) {
+    let program = if cfg!(target_os = "macos") {
+        "open"
+    } else if cfg!(windows) {
+        "explorer"
+    } else if ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some()) {
+        "xdg-open"
+    } else {
+        return;
+    };
+    let mut command = Command::new(program);
+    command.arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    if let Err(error) = command.spawn() {
+        note(&format!("{program}: {error}; open the address yourself"));
+    }
+}

@@ -1,0 +1,298 @@
+//! A web server for one page and one scene, on this machine alone.
+
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, UNIX_EPOCH};
+
+use anyhow::Context;
+
+use super::http::{Part, Request};
+
+/// Where the page finds the scene.
+const SCENE: &str = "/scene.tcgs";
+/// In the page: where it learns which scene to open by itself. As built, none.
+const NO_SCENE: &str = r#"<meta name="tcgs-src" content="">"#;
+/// A connection that says nothing for so long is closed.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A file of the built page.
+#[derive(Debug)]
+pub struct PageFile {
+    /// Path below the page's folder, with slashes.
+    pub name: &'static str,
+    /// What it holds.
+    pub bytes: &'static [u8],
+}
+
+/// A server that has a port.
+pub struct Server {
+    listener: TcpListener,
+    site: Arc<Site>,
+}
+
+/// What is served.
+struct Site {
+    scene: PathBuf,
+    page: &'static [PageFile],
+}
+
+impl Server {
+    /// Takes a port of 127.0.0.1; of port 0, any that is free.
+    pub fn bind(port: u16, scene: &Path, page: &'static [PageFile]) -> io::Result<Self> {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
+        Ok(Self { listener, site: Arc::new(Site { scene: scene.into(), page }) })
+    }
+
+    /// What to type into a browser.
+    pub fn address(&self) -> io::Result<String> {
+        Ok(format!("http://{}/", self.listener.local_addr()?))
+    }
+
+    /// Serves for ever.
+    pub fn run(self) -> anyhow::Result<()> {
+        loop {
+            let (connection, _) = self.listener.accept().context("waiting for a browser")?;
+            let site = Arc::clone(&self.site);
+            // A browser that went away or talks nonsense ends its connection and nothing else.
+            thread::spawn(move || site.talk(&connection));
+        }
+    }
+}
+
+impl Site {
+    fn talk(&self, connection: &TcpStream) -> io::Result<()> {
+        connection.set_read_timeout(Some(PATIENCE))?;
+        connection.set_write_timeout(Some(PATIENCE))?;
+        connection.set_nodelay(true)?;
+        let mut incoming = BufReader::new(connection);
+        while let Some(request) = Request::read(&mut incoming)? {
+            let with_body = request.method != "HEAD";
+            self.answer(&request)?.send(&mut &*connection, with_body)?;
+            if request.header("connection").is_some_and(|value| value.eq_ignore_ascii_case("close")) {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    fn answer(&self, request: &Request) -> io::Result<Answer> {
+        // Elsewhere a name may be made to lead here, so that a foreign page reads what this one may.
+        let host = request.header("host").unwrap_or_default();
+        let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
+        if !["127.0.0.1", "localhost"].contains(&name) {
+            return Ok(Answer::plain("403 Forbidden", "this server answers to 127.0.0.1 alone"));
+        }
+        if !["GET", "HEAD"].contains(&request.method.as_str()) {
+            return Ok(Answer::plain("405 Method Not Allowed", "expected GET or HEAD").with("Allow", "GET, HEAD"));
+        }
+        if request.path == SCENE {
+            return self.scene(request);
+        }
+        let name = match request.path.trim_start_matches('/') {
+            "" => "index.html",
+            name => name,
+        };
+        let Some(file) = self.page.iter().find(|file| file.name == name) else {
+            return Ok(Answer::plain("404 Not Found", "no such file"));
+        };
+        let bytes = if name == "index.html" { with_scene(file.bytes) } else { file.bytes.into() };
+        Ok(Answer::new("200 OK", mime(name), Body::Bytes(bytes)))
+    }
+
+    /// Opened anew for every request: a scene that was compressed again shows after a reload.
+    fn scene(&self, request: &Request) -> io::Result<Answer> {
+        let Ok(mut file) = File::open(&self.scene) else {
+            return Ok(Answer::plain("404 Not Found", "the scene is no longer there"));
+        };
+        let metadata = file.metadata()?;
+        let length = metadata.len();
+        let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+        let tag = format!("\"{length:x}-{:x}\"", changed.unwrap_or_default().as_nanos());
+        // A part of a file that has changed since fits nothing that was read before.
+        let unchanged = request.header("if-range").is_none_or(|known| known == tag);
+        let wanted = request.header("range").filter(|_| unchanged);
+        let kind = "application/octet-stream";
+        let answer = match Part::of(wanted, length) {
+            Part::Whole => Answer::new("200 OK", kind, Body::File(file, length)),
+            Part::Bytes(range) => {
+                file.seek(SeekFrom::Start(range.start))?;
+                let place = format!("bytes {}-{}/{length}", range.start, range.end - 1);
+                Answer::new("206 Partial Content", kind, Body::File(file, range.end - range.start))
+                    .with("Content-Range", &place)
+            }
+            Part::Beyond => Answer::plain("416 Range Not Satisfiable", "no such bytes")
+                .with("Content-Range", &format!("bytes */{length}")),
+        };
+        Ok(answer.with("Accept-Ranges", "bytes").with("ETag", &tag))
+    }
+}
+
+/// The page, told which scene to open.
+fn with_scene(page: &[u8]) -> Vec<u8> {
+    let told = NO_SCENE.replace(r#"content="""#, &format!("content=\"{SCENE}\""));
+    String::from_utf8_lossy(page).replace(NO_SCENE, &told).into_bytes()
+}
+
+fn mime(name: &str) -> &'static str {
+    match name.rsplit_once('.').map_or("", |(_, ending)| ending) {
+        "html" => "text/html; charset=utf-8",
+        "js" => "text/javascript; charset=utf-8",
+        "css" => "text/css; charset=utf-8",
+        "svg" => "image/svg+xml",
+        "wasm" => "application/wasm",
+        _ => "application/octet-stream",
+    }
+}
+
+enum Body {
+    Bytes(Vec<u8>),
+    /// So many bytes from where it stands.
+    File(File, u64),
+}
+
+struct Answer {
+    head: String,
+    body: Body,
+}
+
+impl Answer {
+    fn new(status: &str, kind: &str, body: Body) -> Self {
+        let length = match &body {
+            Body::Bytes(bytes) => bytes.len() as u64,
+            Body::File(_, length) => *length,
+        };
+        let head = format!("HTTP/1.1 {status}\r\n");
+        Self { head, body }
+            .with("Content-Type", kind)
+            .with("Content-Length", &length.to_string())
+            .with("Cache-Control", "no-cache")
+            .with("X-Content-Type-Options", "nosniff")
+            .with("Content-Security-Policy", "frame-ancestors 'self'")
+    }
+
+    fn plain(status: &str, text: &str) -> Self {
+        Self::new(status, "text/plain; charset=utf-8", Body::Bytes(format!("{text}\n").into_bytes()))
+    }
+
+    fn with(mut self, name: &str, value: &str) -> Self {
+        self.head.push_str(&format!("{name}: {value}\r\n"));
+        self
+    }
+
+    fn send(self, connection: &mut impl Write, with_body: bool) -> io::Result<()> {
+        connection.write_all(self.head.as_bytes())?;
+        connection.write_all(b"\r\n")?;
+        match self.body {
+            _ if !with_body => {}
+            Body::Bytes(bytes) => connection.write_all(&bytes)?,
+            Body::File(file, length) => {
+                let sent = io::copy(&mut file.take(length), connection)?;
+                if sent < length {
+                    // The file was cut meanwhile: only the connection's end can say so now.
+                    return Err(io::ErrorKind::UnexpectedEof.into());
+                }
+            }
+        }
+        connection.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PAGE: &[PageFile] = &[
+        PageFile { name: "index.html", bytes: br#"<head><meta name="tcgs-src" content=""></head>"# },
+        PageFile { name: "engine/a.wasm", bytes: b"\0asm" },
+    ];
+
+    /// A server of ten bytes, and the folder that holds them.
+    fn serve() -> (u16, tempfile::TempDir) {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = folder.path().join("scene.tcgs");
+        std::fs::write(&scene, b"0123456789").unwrap();
+        let server = Server::bind(0, &scene, PAGE).unwrap();
+        let port = server.listener.local_addr().unwrap().port();
+        thread::spawn(move || server.run());
+        (port, folder)
+    }
+
+    /// Head and body of an answer.
+    fn ask(port: u16, method: &str, path: &str, headers: &[&str]) -> (String, String) {
+        let mut connection = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).unwrap();
+        let host = format!("Host: 127.0.0.1:{port}");
+        let host = if headers.iter().any(|h| h.starts_with("Host")) { None } else { Some(host.as_str()) };
+        let lines: Vec<&str> = host.into_iter().chain(headers.iter().copied()).collect();
+        write!(connection, "{method} {path} HTTP/1.1\r\nConnection: close\r\n{}\r\n\r\n", lines.join("\r\n")).unwrap();
+        let mut answer = String::new();
+        connection.read_to_string(&mut answer).unwrap();
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        (head.into(), body.into())
+    }
+
+    #[test]
+    fn scenes_are_served_whole_and_in_parts() {
+        let (port, folder) = serve();
+        let (head, body) = ask(port, "GET", SCENE, &[]);
+        assert!(head.starts_with("HTTP/1.1 200 ") && head.contains("\r\nAccept-Ranges: bytes"), "{head}");
+        assert_eq!(body, "0123456789");
+        let tag = head.lines().find_map(|line| line.strip_prefix("ETag: ")).unwrap().to_owned();
+
+        let (head, body) = ask(port, "HEAD", SCENE, &[]);
+        assert!(head.starts_with("HTTP/1.1 200 ") && head.contains("\r\nContent-Length: 10"), "{head}");
+        assert_eq!(body, "");
+
+        let (head, body) = ask(port, "GET", SCENE, &["Range: bytes=2-4", &format!("If-Range: {tag}")]);
+        assert!(head.starts_with("HTTP/1.1 206 ") && head.contains("\r\nContent-Range: bytes 2-4/10\r\n"), "{head}");
+        assert_eq!(body, "234");
+
+        let (head, _) = ask(port, "GET", SCENE, &["Range: bytes=10-"]);
+        assert!(head.starts_with("HTTP/1.1 416 ") && head.contains("\r\nContent-Range: bytes */10\r\n"), "{head}");
+
+        std::fs::write(folder.path().join("scene.tcgs"), b"another").unwrap();
+        let (head, body) = ask(port, "GET", SCENE, &["Range: bytes=2-4", &format!("If-Range: {tag}")]);
+        assert!(head.starts_with("HTTP/1.1 200 "), "{head}");
+        assert_eq!(body, "another");
+        std::fs::remove_file(folder.path().join("scene.tcgs")).unwrap();
+        assert!(ask(port, "GET", SCENE, &[]).0.starts_with("HTTP/1.1 404 "));
+    }
+
+    #[test]
+    fn the_page_is_told_its_scene() {
+        let (port, _folder) = serve();
+        let (head, body) = ask(port, "GET", "/", &[]);
+        assert!(head.starts_with("HTTP/1.1 200 ") && head.contains("text/html"), "{head}");
+        assert!(body.contains(r#"<meta name="tcgs-src" content="/scene.tcgs">"#), "{body}");
+        assert_eq!(ask(port, "GET", "/index.html?theme=dark", &[]).1, body);
+        assert!(ask(port, "GET", "/engine/a.wasm", &[]).0.contains("Content-Type: application/wasm"));
+        for path in ["/missing", "/../Cargo.toml", "//etc/passwd", "/engine"] {
+            assert!(ask(port, "GET", path, &[]).0.starts_with("HTTP/1.1 404 "), "{path}");
+        }
+    }
+
+    #[test]
+    fn a_connection_is_used_again() {
+        let (port, _folder) = serve();
+        let mut connection = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).unwrap();
+        for last in [false, true] {
+            let close = if last { "Connection: close\r\n" } else { "" };
+            write!(connection, "GET {SCENE} HTTP/1.1\r\nHost: localhost:{port}\r\nRange: bytes=0-0\r\n{close}\r\n")
+                .unwrap();
+        }
+        let mut answers = String::new();
+        connection.read_to_string(&mut answers).unwrap();
+        assert_eq!(answers.matches("HTTP/1.1 206 ").count(), 2, "{answers}");
+    }
+
+    #[test]
+    fn others_are_turned_away() {
+        let (port, _folder) = serve();
+        assert!(ask(port, "GET", SCENE, &["Host: evil.example"]).0.starts_with("HTTP/1.1 403 "));
+        assert!(ask(port, "GET", SCENE, &["Host: evil.example:80"]).0.starts_with("HTTP/1.1 403 "));
+        assert!(ask(port, "DELETE", SCENE, &[]).0.starts_with("HTTP/1.1 405 "));
+    }
+}

@@ -1,0 +1,62 @@
+//! Training takes no more memory the longer a capture is.
+
+#![cfg(target_os = "linux")]
+#![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
+
+mod support;
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use support::*;
+use tcgs_capture::{SyntheticSettings, write_synthetic};
+use tempfile::tempdir;
+
+/// Few pixels, hundreds of timesteps.
+const LONG: SyntheticSettings =
+    SyntheticSettings { width: 24, height: 18, num_train_cameras: 2, num_timesteps: 400, num_points: 3000, ..SETTINGS };
+
+fn arguments<'a>(capture: &'a Path, run: &'a Path, frames: &'a str) -> Vec<&'a str> {
+    let fixed = ["--iterations", "8,2", "--threads", "2", "--backend", "cpu", "--frames", frames];
+    [&["train", text(capture), "--out", text(run)], &fixed[..]].concat()
+}
+
+/// Most address space that a command ever had, kilobytes.
+fn peak(arguments: &[&str]) -> u64 {
+    let mut child = tcgs().args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let mut peak = 0;
+    while child.try_wait().unwrap().is_none() {
+        let status = fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmPeak:"));
+        peak = line.and_then(|line| line.trim().trim_end_matches(" kB").parse().ok()).unwrap_or(peak);
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    peak
+}
+
+fn limited(kilobytes: u64, arguments: &[&str]) -> Output {
+    let script = format!("ulimit -v {kilobytes}; exec \"$@\"");
+    Command::new("bash").args(["-c", &script, "bash", env!("CARGO_BIN_EXE_tcgs")]).args(arguments).output().unwrap()
+}
+
+#[test]
+fn hundreds_of_timesteps_fit_where_ten_do() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    write_synthetic(&path("capture"), &LONG).unwrap();
+    let (capture, short, long, tight) = (path("capture"), path("short"), path("long"), path("tight"));
+    let most = peak(&arguments(&capture, &short, "0..10"));
+    assert!(most > 0);
+
+    // Were the floats of all timesteps kept, 390 more of them would be 47 MB.
+    let slack = 16 * 1024;
+    let output = limited(most + slack, &arguments(&capture, &long, "0..400"));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let found = checkpoints(&long);
+    assert_eq!(found.len(), 400);
+
+    // The limit is one: half of it does not do.
+    let output = limited(most / 8, &arguments(&capture, &tight, "0..10"));
+    assert!(!output.status.success(), "a limit of {} kB limits nothing", most / 8);
+}

@@ -1,0 +1,108 @@
+//! Files of a size or a quality that was asked for, and what else is put into them.
+
+#![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
+
+mod support;
+
+use std::fs;
+
+use serde_json::Value;
+use support::*;
+use tempfile::tempdir;
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value}, expected a number"))
+}
+
+#[test]
+fn a_target_is_kept_and_its_setting_gives_the_same_file() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let capture = text(capture());
+    let run = train(&folder, "run", &[]);
+    let (file, result) = (path("a.tcgs"), path("a.json"));
+    let compress = |more: &[&str]| {
+        let given = ["compress", text(&run), "--out", text(&file), "--json", text(&result), "--force"];
+        let said = succeed(&[&given[..], more].concat());
+        (said, json(&result), fs::metadata(&file).unwrap().len())
+    };
+    let (_, plain, default) = compress(&[]);
+    assert!(plain.get("target").is_none());
+
+    let wanted = default * 7 / 10;
+    let (said, found, bytes) = compress(&["--target-bytes", &wanted.to_string(), "--capture", capture]);
+    assert!(bytes <= wanted && bytes as f64 > 0.97 * wanted as f64, "{bytes} of {wanted}: {said}");
+    let target = &found["target"];
+    assert_eq!((&target["target_bytes"], &target["bytes"]), (&wanted.into(), &bytes.into()));
+    assert_eq!((&target["measured_against"], &target["images"]), (&"capture".into(), &4.into()));
+    assert!(said.contains(&format!("against 4 images of {capture}, 4 frames")), "{said}");
+    let steps = target["steps"].as_array().unwrap();
+    assert!(steps.len() >= 2 && said.lines().filter(|line| line.contains("kB") && line.contains("  -")).count() > 0);
+    // What it says is what eval measures.
+    let measured = path("eval.json");
+    succeed(&["eval", text(&file), "--capture", capture, "--json", text(&measured)]);
+    assert!((number(&json(&measured)["psnr"]) - number(&target["psnr"])).abs() < 1e-6);
+    // And the quality alone gives the same bytes.
+    let before = fs::read(&file).unwrap();
+    compress(&["--quality", &target["quality"].to_string(), "--capture", capture]);
+    assert!(fs::read(&file).unwrap() == before, "other bytes for quality {}", target["quality"]);
+
+    let (said, coarse, small) = compress(&["--target-psnr", "24"]);
+    assert_eq!(coarse["target"]["measured_against"], "source");
+    assert!(said.contains("renders of"), "{said}");
+    assert!(number(&coarse["target"]["psnr"]) >= 24.0);
+    let (_, fine, large) = compress(&["--target-psnr", "31", "--frames", "1..3"]);
+    assert!(number(&fine["target"]["psnr"]) >= 31.0 && large > small, "{small} and {large}");
+}
+
+#[test]
+fn what_is_out_of_reach_leaves_nothing() {
+    let folder = tempdir().unwrap();
+    let run = train(&folder, "run", &[]);
+    let out = folder.path().join("a.tcgs");
+    let compress = |more: &[&str]| fail(2, &[&["compress", text(&run), "--out", text(&out)], more].concat());
+    let message = compress(&["--target-bytes", "300"]);
+    let least: u64 = message.split_whitespace().find_map(|word| word.parse().ok().filter(|&n| n > 300)).unwrap();
+    assert!(message.contains("--target-bytes 300: the smallest file is"), "{message}");
+    let message = compress(&["--target-psnr", "99", "--capture", text(capture())]);
+    assert!(message.contains("--target-psnr 99: the best against 4 images of"), "{message}");
+    assert!(!out.exists() && fs::read_dir(folder.path()).unwrap().count() == 1);
+    // What it named can be reached.
+    succeed(&["compress", text(&run), "--out", text(&out), "--target-bytes", &least.to_string()]);
+    assert!(fs::metadata(&out).unwrap().len() <= least);
+}
+
+#[test]
+fn a_file_says_which_way_is_up_and_where_cameras_stood() {
+    let folder = tempdir().unwrap();
+    let run = train(&folder, "run", &[]);
+    let out = folder.path().join("a.tcgs");
+    let data = |more: &[&str]| {
+        succeed(&[&["compress", text(&run), "--out", text(&out), "--force"], more].concat());
+        let bytes = fs::read(&out).unwrap();
+        let data = tcgs_codec::application_data(&bytes, &tcgs_codec::DecodeLimits::default()).unwrap();
+        data.iter()
+            .map(|(name, data)| (name.clone(), serde_json::from_slice::<Value>(data).unwrap()))
+            .collect::<Vec<_>>()
+    };
+    let found = data(&["--up", "-y", "--views", "3"]);
+    let said = succeed(&["info", text(&out)]);
+    assert!(said.contains("\nup            -y\n") && said.contains("application data: tcgs.views, "), "{said}");
+    let [(name, views)] = &found[..] else { panic!("{found:?}") };
+    let views = views["views"].as_array().unwrap();
+    assert_eq!((&name[..], views.len()), ("tcgs.views", 3));
+    let capture = tcgs_capture::Capture::open(capture()).unwrap();
+    let cameras = capture.cameras(tcgs_capture::Split::Train, 0, 1).unwrap();
+    for (view, (id, camera)) in views.iter().zip([0, 1, 3].map(|i| &cameras[i])) {
+        assert_keys(view, &["name", "width", "height", "focal", "principal", "position", "rotation"]);
+        assert_eq!((&view["name"], &view["width"]), (&id.to_string().into(), &48.into()));
+        let numbers = |field: &str| view[field].as_array().unwrap().iter().map(number).collect::<Vec<f64>>();
+        let (position, rotation) = (numbers("position"), numbers("rotation"));
+        assert!(position.iter().zip(camera.center()).all(|(a, b)| (a - b).abs() < 1e-4), "{view}");
+        let matrix = tcgs_core::rotmat_from_quat([rotation[0], rotation[1], rotation[2], rotation[3]]);
+        let forward = [0, 1, 2].map(|axis| matrix[axis][2]);
+        assert!(tcgs_core::dot(forward, camera.forward()) > 1.0 - 1e-6, "{view}");
+    }
+    assert_eq!(data(&["--views", "0"]), []);
+    assert!(succeed(&["info", text(&out)]).contains("\nup            unknown\n"));
+}

@@ -1,0 +1,115 @@
+//! Which Gaussians matter more, and in which order all are stored.
+
+use rayon::prelude::*;
+use tcgs_core::{Attribute, DynamicGaussians};
+
+use super::CompressSettings;
+use crate::compact::Tracks;
+use crate::morton;
+use crate::quantize::{MAX_BITS, Quantizers};
+
+/// What the tolerance of every Gaussian is multiplied by; empty if all are 1.
+///
+/// An error moves a splat's image by about as much as the error's size times the slope of the splat. Squared
+/// and summed over its pixels that is, up to a constant, opacity squared, times the area for a colour, times
+/// the ratio of the axes for a position, and for a rotation also times how far it is from round. Tolerances
+/// are divided by a power of that, relative to the median.
+pub(super) fn tolerance_factors(
+    scene: &DynamicGaussians,
+    attribute: Attribute,
+    settings: &CompressSettings,
+) -> Vec<f32> {
+    if settings.importance == 0.0 || !scene.varies(attribute) {
+        return Vec::new();
+    }
+    let weights: Vec<f64> = (0..scene.num_gaussians()).map(|g| weight(scene, attribute, g)).collect();
+    let mut sorted = weights.clone();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
+    let factor = |w: f64| (median / w).powf(settings.importance.into()).clamp(1.0 / MAX_FACTOR, MAX_FACTOR) as f32;
+    weights.into_iter().map(factor).collect()
+}
+
+/// Tolerances change at most by this.
+const MAX_FACTOR: f64 = 16.0;
+
+fn weight(scene: &DynamicGaussians, attribute: Attribute, gaussian: usize) -> f64 {
+    let opacity = f64::from(tcgs_core::sigmoid(scene.values(Attribute::LogitOpacity, 0)[gaussian]));
+    let scales = &scene.values(Attribute::LogScale, 0)[3 * gaussian..3 * gaussian + 3];
+    let mut scales = [0, 1, 2].map(|i| f64::from(scales[i]).exp());
+    scales.sort_unstable_by(f64::total_cmp);
+    let [thin, middle, long] = scales;
+    let seen = opacity * opacity;
+    let round = (long / thin.max(0.1 * long)).min(10.0);
+    let weight = match attribute {
+        Attribute::Color | Attribute::LogitOpacity | Attribute::LogScale => seen * middle * long,
+        Attribute::Mean => seen * (long / middle.max(0.1 * long)).min(10.0),
+        Attribute::Quat => seen * middle * long * (round - 1.0 / round).powi(2).max(1e-3),
+    };
+    weight.max(1e-30)
+}
+
+/// All Gaussians by how much of an image each covers, the most first.
+fn by_weight(scene: &DynamicGaussians) -> Vec<usize> {
+    let mut by_weight: Vec<usize> = (0..scene.num_gaussians()).collect();
+    let weights: Vec<f64> = by_weight.iter().map(|&g| weight(scene, Attribute::Color, g)).collect();
+    by_weight.sort_by(|&a, &b| weights[b].total_cmp(&weights[a]));
+    by_weight
+}
+
+/// For each Gaussian the share of those that cover more of an image.
+pub(super) fn ranks(scene: &DynamicGaussians) -> Vec<f32> {
+    let by_weight = by_weight(scene);
+    let mut ranks = vec![0.0; by_weight.len()];
+    for (rank, &gaussian) in by_weight.iter().enumerate() {
+        ranks[gaussian] = rank as f32 / by_weight.len() as f32;
+    }
+    ranks
+}
+
+/// Splits an order into layers by how much of an image each Gaussian covers, the most first; the order holds
+/// within each. Returns the number of Gaussians of each layer, too.
+pub(super) fn by_layer(
+    order: Vec<usize>,
+    scene: &DynamicGaussians,
+    settings: &CompressSettings,
+) -> (Vec<usize>, Vec<u32>) {
+    let n = order.len();
+    let by_weight = by_weight(scene);
+    let mut ends: Vec<usize> = Vec::new();
+    for share in &settings.layers {
+        let start = ends.last().copied().unwrap_or(0);
+        ends.push((start + (f64::from(*share) * n as f64) as usize).min(n));
+    }
+    ends.push(n);
+    ends.dedup();
+    ends.retain(|&end| end > 0);
+    let mut layer_of = vec![0; n];
+    for (rank, &gaussian) in by_weight.iter().enumerate() {
+        layer_of[gaussian] = ends.partition_point(|&end| end <= rank);
+    }
+    let mut layered = order;
+    layered.sort_by_key(|&gaussian| layer_of[gaussian]);
+    let sizes = ends.iter().scan(0, |start, &end| Some((end - std::mem::replace(start, end)) as u32)).collect();
+    (layered, sizes)
+}
+
+/// Gaussians along a Morton curve of the codes of their first positions; equal ones in their order.
+pub(super) fn morton_order(means: &Tracks<f32>, widths: &[u8], quantizers: &Quantizers) -> Vec<usize> {
+    let table = quantizers.by_width(Attribute::Mean);
+    let mut keys: Vec<(u64, usize)> = widths
+        .iter()
+        .enumerate()
+        .map(|(gaussian, &width)| {
+            let code = |channel: usize| {
+                let quantizer = &table[usize::from(width)][channel];
+                let code = quantizer.quantize(means.track(3 * gaussian + channel).1[0]) - quantizer.min_code();
+                // Coarser codes fill the range of the finest, so that all lie on one curve.
+                (code << (MAX_BITS - width)) as u16
+            };
+            (morton::interleave([code(0), code(1), code(2)]), gaussian)
+        })
+        .collect();
+    keys.par_sort_unstable();
+    keys.into_iter().map(|(_, gaussian)| gaussian).collect()
+}

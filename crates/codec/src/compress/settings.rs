@@ -1,0 +1,172 @@
+//! What a user may choose, and what it makes of the bit map.
+
+use tcgs_core::{Attribute, DynamicGaussians};
+
+use super::order::ranks;
+use crate::bits::BitMap;
+use crate::quantize::MAX_BITS;
+
+/// Settings of [`compress`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct CompressSettings {
+    /// Whether tracks are reduced to keypoints at all; if not, every timestep is stored and the other
+    /// settings do not matter. Default true.
+    pub keypoints: bool,
+    /// Most keypoints of a track, at least 2. Default 60: the tolerance should decide, and the most
+    /// restless colours of a long scene need more than the paper's 30.
+    pub max_keypoints: usize,
+    /// By [`Attribute::index`]: mean squared error of a track at which selection stops, in the squared
+    /// unit of the attribute. Default 2.5e-6 for positions (1.6 mm in scenes in metres), 4e-5 for rotations
+    /// (0.7 degrees), 2e-4 for colours (3.6 of 255), 1e-4 for scales (1 percent) and 1e-3 for opacities (at
+    /// most 0.008 of 1): measured on basketball, finer ones cost bytes that do not show. The paper's is
+    /// 1e-5 for all. Those of attributes that do not vary are unused.
+    pub max_mse: [f32; 5],
+    /// Whether a track within `max_mse` of its mean is stored as that one value rather than as a line
+    /// from first to last. Default true; most of a scene stands still. The paper keeps two keypoints.
+    pub constant_tracks: bool,
+    /// Whether the tolerance is at least `(step/4)²`: an error below that of rounding to the
+    /// quantizer, `step²/12`, is not worth a keypoint. Default true; not in the paper.
+    pub noise_floor: bool,
+    /// Timesteps of a segment, 1 to 65536.
+    pub segment_length: u32,
+    /// Whether the components of an attribute of a Gaussian share their keypoint times, every segment has
+    /// keypoints of its own at its ends, and values at keypoints are those of least squared error rather
+    /// than samples. Default true; not in the paper.
+    pub joint: bool,
+    /// How the tolerance follows what a Gaussian's error does to images: the power of its weight by
+    /// opacity and size that the tolerance is divided by. Default 0.5; 0 in the paper.
+    pub importance: f32,
+    /// Gaussians of each layer but the last, as shares of all. Default a tenth and three tenths.
+    pub layers: Vec<f32>,
+    /// By [`Attribute::index`]: bits by which widths of the bit map are lowered, to 2 at least; negative: raised,
+    /// to 16 at most. Of a fraction, those Gaussians that cover most of an image get the bit more. Default 2 for
+    /// rotations and 1 for opacities, which training gives as many as colours: on basketball that took 6 percent
+    /// off the file and 0.01 dB.
+    pub coarser: [f32; 5],
+    /// If positive, positions get steps along all axes of the median Gaussian's middle axis (one standard deviation)
+    /// divided by this, and as many bits as that takes. Default 11; if 0, the bits that the bit map says, over the
+    /// range along each axis.
+    pub position_fineness: f32,
+}
+
+impl Default for CompressSettings {
+    fn default() -> Self {
+        Self {
+            keypoints: true,
+            max_keypoints: 60,
+            max_mse: [2.5e-6, 4e-5, 1e-4, 1e-3, 2e-4],
+            constant_tracks: true,
+            noise_floor: true,
+            segment_length: 50,
+            joint: true,
+            importance: 0.5,
+            layers: vec![0.1, 0.3],
+            coarser: [0.0, 2.0, 0.0, 1.0, 0.0],
+            position_fineness: 11.0,
+        }
+    }
+}
+
+impl CompressSettings {
+    /// The paper's for Panoptic Sports: 30 keypoints, 1e-5 for everything.
+    pub fn paper() -> Self {
+        Self {
+            keypoints: true,
+            max_keypoints: 30,
+            max_mse: [1e-5; 5],
+            constant_tracks: false,
+            noise_floor: false,
+            segment_length: 50,
+            joint: false,
+            importance: 0.0,
+            layers: Vec::new(),
+            coarser: [0.0; 5],
+            position_fineness: 0.0,
+        }
+    }
+
+    /// The same along one curve from small to good: quality 0 changes nothing, 1 about halves the errors, -1
+    /// doubles them. Files grow with it, by a fourth to a third for each 1.
+    ///
+    /// ```
+    /// let finer = tcgs_codec::CompressSettings::default().with_quality(1.0);
+    /// assert!(finer.max_mse[0] < tcgs_codec::CompressSettings::default().max_mse[0]);
+    /// ```
+    pub fn with_quality(mut self, quality: f32) -> Self {
+        let pace = if quality < 0.0 { &COARSER } else { &FINER };
+        for (a, pace) in pace.iter().enumerate() {
+            self.max_mse[a] *= 4.0_f32.powf(-quality * pace.tolerance);
+            self.coarser[a] -= quality * pace.bits;
+        }
+        self.position_fineness *= 2.0_f32.powf(quality * pace[Attribute::Mean.index()].bits);
+        self.coarser[Attribute::Mean.index()] = 0.0;
+        self
+    }
+}
+
+/// How fast an attribute moves along [`CompressSettings::with_quality`]: halvings of its tolerance, as a length, and
+/// bits.
+struct Pace {
+    tolerance: f32,
+    bits: f32,
+}
+
+const fn pace(tolerance: f32, bits: f32) -> Pace {
+    Pace { tolerance, bits }
+}
+
+/// Below quality 0, by [`Attribute::index`]. Set so that a byte buys about as many decibels wherever it is spent, on
+/// basketball and on a ray-traced room: at half the bytes 0.5 dB more than at one pace for all, since colours are what
+/// one sees.
+const COARSER: [Pace; 5] = [pace(0.75, 1.0), pace(1.0, 1.4), pace(1.0, 1.4), pace(1.0, 1.2), pace(0.25, 0.4)];
+/// Above it: rotations and scales are soon exact enough.
+const FINER: [Pace; 5] = [pace(1.2, 0.85), pace(1.0, 0.75), pace(1.0, 0.75), pace(1.0, 1.0), pace(1.0, 1.05)];
+
+impl CompressSettings {
+    /// The bit map with what the settings change in it.
+    pub(super) fn adjusted(&self, bit_map: &BitMap, scene: &DynamicGaussians) -> BitMap {
+        let mut bit_map = bit_map.clone();
+        let ranks = ranks(scene);
+        for (widths, &coarser) in bit_map.widths.iter_mut().zip(&self.coarser) {
+            for (width, &rank) in widths.iter_mut().zip(&ranks) {
+                let one_more = rank < -coarser - (-coarser).floor();
+                let shifted = f32::from(*width) + (-coarser).floor() + f32::from(u8::from(one_more));
+                *width = shifted.clamp(f32::from(2.min(*width)), f32::from(MAX_BITS)) as u8;
+            }
+        }
+        if let Some(step) = self.position_step(scene) {
+            bit_map.widths[Attribute::Mean.index()].fill(position_bits(scene, step));
+        }
+        bit_map
+    }
+
+    /// Step of positions along all axes, if the settings choose it.
+    pub(super) fn position_step(&self, scene: &DynamicGaussians) -> Option<f64> {
+        if self.position_fineness <= 0.0 || scene.num_gaussians() == 0 {
+            return None;
+        }
+        let mut axes: Vec<f32> = scene.values(Attribute::LogScale, 0).as_chunks::<3>().0.iter().map(middle).collect();
+        let half = axes.len() / 2;
+        let axis = f64::from(*axes.select_nth_unstable_by(half, f32::total_cmp).1).exp();
+        Some(axis / f64::from(self.position_fineness))
+    }
+}
+
+/// The fewest bits of positions in steps of `step`.
+fn position_bits(scene: &DynamicGaussians, step: f64) -> u8 {
+    let (mut min, mut max) = ([f32::MAX; 3], [f32::MIN; 3]);
+    for mean in scene.means.iter().flatten() {
+        min = std::array::from_fn(|i| min[i].min(mean[i]));
+        max = std::array::from_fn(|i| max[i].max(mean[i]));
+    }
+    let extent = (0..3).map(|i| f64::from(max[i]) - f64::from(min[i])).fold(0.0, f64::max);
+    let levels = extent / step + 1.0;
+    (levels.log2().ceil() as u8).clamp(1, MAX_BITS)
+}
+
+/// The middle one of three.
+fn middle(values: &[f32; 3]) -> f32 {
+    let mut values = *values;
+    values.sort_unstable_by(f32::total_cmp);
+    values[1]
+}

@@ -1,0 +1,25 @@
+//! What can go wrong: only files can.
+
+use std::path::PathBuf;
+
+/// A file of weights that cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MetricsError {
+    /// It could not be read.
+    #[error("{}: {error}, expected LPIPS weights", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        error: std::io::Error,
+    },
+    /// It holds something else.
+    #[error("{}: {problem}, expected LPIPS weights as scripts/fetch_lpips_weights.py makes them", path.display())]
+    Weights {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        problem: String,
+    },
+}

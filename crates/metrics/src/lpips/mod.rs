@@ -1,0 +1,92 @@
+//! LPIPS: how different two images look to a network that was trained on images (Zhang et al. 2018), version 0.1.
+//!
+//! With `a` and `b` the features of the two images after a rectified layer `l`, of unit length over the channels at
+//! every pixel, and `w_l` the learned weights of its channels:
+//!
+//! ```text
+//! lpips = Σ_l mean over pixels of Σ_c w_lc (a_lc - b_lc)²
+//! ```
+//!
+//! Compared are the five layers `relu1_2 relu2_2 relu3_3 relu4_3 relu5_3` of VGG-16 or the five rectified ones of
+//! AlexNet. Pixels enter as `(x - shift) / scale` with shift (-0.030, -0.088, -0.188) and scale (0.458, 0.448, 0.450) for
+//! `x` in `[-1, 1]`; programs that forget to stretch `[0, 1]` to that are common, hence [`InputRange`].
+//!
+//! What lives here: the networks, run forward. What does not: their numbers, which come from a file.
+
+mod gemm;
+mod layers;
+mod network;
+mod weights;
+
+use std::path::Path;
+
+use tcgs_core::Image;
+
+use self::network::Network;
+use crate::{MetricsError, assert_same_shape};
+
+pub use self::network::Backbone;
+
+/// Of `[-1, 1]`, by channel.
+const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
+const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
+
+/// What a network is given for pixels in `[0, 1]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum InputRange {
+    /// `2 x - 1`, which the metric was trained for.
+    Signed,
+    /// `x` itself, as if it were in `[-1, 1]`: what `lpipsPyTorch`, and every evaluation built on it, measures. Half the
+    /// contrast around a brighter mean, so another metric.
+    Unit,
+}
+
+/// The metric, with the numbers of its two networks.
+pub struct Lpips {
+    vgg: Network,
+    alex: Network,
+}
+
+impl Lpips {
+    /// Reads the networks from the safetensors file that `scripts/fetch_lpips_weights.py` makes.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or does not hold the tensors of both networks in their shapes.
+    pub fn read(path: &Path) -> Result<Self, MetricsError> {
+        let [vgg, alex] = weights::read(path)?;
+        Ok(Self { vgg, alex })
+    }
+
+    /// The distance of two images: 0 for the same image, rarely above 1. The same bits for any number of threads.
+    ///
+    /// - `rendered`, `target`: `[3, H, W]`, values nominally in `[0, 1]`; not clamped
+    /// - returns: `None` where [`Backbone::sees`] nothing
+    ///
+    /// # Panics
+    /// If the images differ in shape or have not three channels.
+    pub fn distance(&self, backbone: Backbone, range: InputRange, rendered: &Image, target: &Image) -> Option<f64> {
+        assert_same_shape(rendered, target);
+        assert_eq!(rendered.num_channels, 3, "channels of the images");
+        let network = match backbone {
+            Backbone::Vgg => &self.vgg,
+            Backbone::Alex => &self.alex,
+        };
+        let [a, b] = [rendered, target].map(|image| normalized(image, range));
+        backbone.sees(rendered.width, rendered.height).then(|| network.distance([&a, &b]))
+    }
+}
+
+fn normalized(image: &Image, range: InputRange) -> Image {
+    let mut image = image.clone();
+    for channel in 0..3 {
+        let (shift, inverse) = (SHIFT[channel], 1.0 / SCALE[channel]);
+        for value in image.plane_mut(channel) {
+            let x = match range {
+                InputRange::Signed => 2.0 * *value - 1.0,
+                InputRange::Unit => *value,
+            };
+            *value = (x - shift) * inverse;
+        }
+    }
+    image
+}

@@ -1,0 +1,24 @@
+// The renderer's image to a texture: colours as stored, one pixel a pixel.
+
+struct Size {
+    width: u32,
+    height: u32,
+}
+
+@group(0) @binding(0) var<uniform> size: Size;
+// [C + 1, H, W]
+@group(0) @binding(1) var<storage, read> image: array<f32>;
+
+// A triangle that covers everything.
+@vertex
+fn cover(@builtin(vertex_index) i: u32) -> @builtin(position) vec4<f32> {
+    return vec4<f32>(f32(i & 1u) * 4.0 - 1.0, f32(i >> 1u) * 4.0 - 1.0, 0.0, 1.0);
+}
+
+@fragment
+fn show(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
+    let pixel = min(vec2<u32>(position.xy), vec2<u32>(size.width - 1u, size.height - 1u));
+    let at = pixel.y * size.width + pixel.x;
+    let plane = size.width * size.height;
+    return vec4<f32>(image[at], image[plane + at], image[2u * plane + at], 1.0);
+}

@@ -1,0 +1,388 @@
+//! The camera in a person's hands: around a point, sideways, nearer, through the scene.
+//!
+//! Lengths are in scene units, angles in radians. What is dragged follows the pointer: a drag to the right takes the
+//! camera to the left.
+
+use tcgs_core::{Camera, CameraError, dot, normalize};
+
+/// The axis that points up and the line of sight stay at least this far apart, so that the picture never flips.
+const MIN_POLE_ANGLE: f64 = 0.05;
+/// The camera comes no nearer to its pivot than this share of the distance that it started from.
+const MIN_DISTANCE: f64 = 1e-3;
+/// And goes no farther.
+const MAX_DISTANCE: f64 = 1e3;
+
+type Vector = [f64; 3];
+
+/// What a picture shows of the world in front of it: intrinsics of some size, to be drawn at any.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    /// Width and height of the picture that the numbers are for, pixels.
+    pub size: [usize; 2],
+    /// `fx, fy`, pixels.
+    pub focal: [f64; 2],
+    /// `cx, cy`, pixels.
+    pub principal: [f64; 2],
+}
+
+impl Lens {
+    /// Of a camera.
+    pub fn of(camera: &Camera) -> Self {
+        Self { size: [camera.width, camera.height], focal: camera.focal, principal: camera.principal }
+    }
+
+    /// Intrinsics for a picture of another size, which shows all that this one shows: the same numbers for the same
+    /// size.
+    fn at(&self, size: [usize; 2]) -> ([f64; 2], [f64; 2]) {
+        let ratio = [0, 1].map(|i| size[i] as f64 / self.size[i] as f64);
+        let scale = ratio[0].min(ratio[1]);
+        let middle = |size: [usize; 2], i: usize| size[i] as f64 / 2.0;
+        let principal = [0, 1].map(|i| middle(size, i) + scale * (self.principal[i] - middle(self.size, i)));
+        (self.focal.map(|f| scale * f), principal)
+    }
+}
+
+/// Where a camera stands and what it turns around.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Pose {
+    /// Right, down, forward in the world: rows of the rotation of `camera_from_world`.
+    axes: [Vector; 3],
+    position: Vector,
+    /// Distance of the pivot, straight ahead.
+    distance: f64,
+    lens: Lens,
+    /// The transform as it was given, until it is moved: bits of it must not depend on arithmetic.
+    exact: Option<[[f64; 4]; 4]>,
+}
+
+impl Pose {
+    fn of(camera: &Camera, distance: f64) -> Self {
+        let m = &camera.camera_from_world;
+        Self {
+            axes: [0, 1, 2].map(|i| [m[i][0], m[i][1], m[i][2]]),
+            position: camera.center(),
+            distance,
+            lens: Lens::of(camera),
+            exact: Some(*m),
+        }
+    }
+
+    fn pivot(&self) -> Vector {
+        add(self.position, self.axes[2], self.distance)
+    }
+}
+
+/// A camera that a person moves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Controls {
+    start: Pose,
+    pose: Pose,
+    up: Vector,
+}
+
+impl Controls {
+    /// Starts at a camera, and comes back to it at [`Self::reset`].
+    ///
+    /// - `up`: direction in the world that stays up in the picture
+    /// - `pivot`: what the camera looks at and turns around
+    pub fn new(start: &Camera, up: Vector, pivot: Vector) -> Self {
+        let pose = Pose::of(start, ahead(start, pivot));
+        Self { start: pose, pose, up: normalize(up) }
+    }
+
+    /// The camera for a picture of some size.
+    pub fn camera(&self, [width, height]: [usize; 2]) -> Camera {
+        let Pose { axes, position, lens, exact, .. } = &self.pose;
+        let (focal, principal) = lens.at([width, height]);
+        let row = |axis: Vector| [axis[0], axis[1], axis[2], -dot(axis, *position)];
+        let camera_from_world =
+            exact.unwrap_or_else(|| [row(axes[0]), row(axes[1]), row(axes[2]), [0.0, 0.0, 0.0, 1.0]]);
+        Camera { width, height, focal, principal, camera_from_world }
+    }
+
+    /// Takes another camera's place. The pivot becomes the point straight ahead that is as far away as the old pivot.
+    ///
+    /// # Errors
+    /// [`CameraError`] if it is none.
+    pub fn set_camera(&mut self, camera: &Camera) -> Result<(), CameraError> {
+        let Camera { width, height, focal: [fx, fy], principal: [cx, cy], camera_from_world } = *camera;
+        let intrinsics = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]];
+        let camera = Camera::new(width, height, intrinsics, camera_from_world)?;
+        self.pose = Pose::of(&camera, ahead(&camera, self.pose.pivot()));
+        Ok(())
+    }
+
+    /// Back to the start.
+    pub fn reset(&mut self) {
+        self.pose = self.start;
+    }
+
+    /// Around the pivot.
+    ///
+    /// - `dx`, `dy`: radians to the right and down
+    pub fn orbit(&mut self, dx: f64, dy: f64) {
+        let pivot = self.pose.pivot();
+        if self.turn(dx, -dy) {
+            self.pose.position = add(pivot, self.pose.axes[2], -self.pose.distance);
+        }
+    }
+
+    /// On the spot.
+    ///
+    /// - `dx`, `dy`: radians to the right and down
+    pub fn look(&mut self, dx: f64, dy: f64) {
+        self.turn(-dx, dy);
+    }
+
+    /// Sideways, together with the pivot.
+    ///
+    /// - `dx`, `dy`: to the right and down, in heights of the picture, at the pivot's depth
+    pub fn pan(&mut self, dx: f64, dy: f64) {
+        let height = self.pose.distance * self.pose.lens.size[1] as f64 / self.pose.lens.focal[1];
+        self.shift([-dx * height, -dy * height, 0.0]);
+    }
+
+    /// Towards the pivot.
+    ///
+    /// - `factor`: above 1 nearer; what is not a positive number changes nothing
+    pub fn zoom(&mut self, factor: f64) {
+        if !(factor.is_finite() && factor > 0.0) {
+            return;
+        }
+        let range = MIN_DISTANCE * self.start.distance..=MAX_DISTANCE * self.start.distance;
+        let distance = (self.pose.distance / factor).clamp(*range.start(), *range.end());
+        let pivot = self.pose.pivot();
+        self.pose.distance = distance;
+        self.pose.position = add(pivot, self.pose.axes[2], -distance);
+        self.pose.exact = None;
+    }
+
+    /// Through the scene, together with the pivot.
+    ///
+    /// - `dx`, `dy`, `dz`: to the right, down, forward, in distances of the start view from its pivot
+    pub fn fly(&mut self, dx: f64, dy: f64, dz: f64) {
+        self.shift([dx, dy, dz].map(|d| d * self.start.distance));
+    }
+
+    fn shift(&mut self, along: Vector) {
+        if along.iter().all(|d| d.is_finite()) {
+            for (axis, d) in self.pose.axes.into_iter().zip(along) {
+                self.pose.position = add(self.pose.position, axis, d);
+            }
+            self.pose.exact = None;
+        }
+    }
+
+    /// Turns the axes: about what is up, then about what is right.
+    ///
+    /// - returns: whether the angles are any
+    fn turn(&mut self, yaw: f64, pitch: f64) -> bool {
+        if !(yaw.is_finite() && pitch.is_finite()) {
+            return false;
+        }
+        let axes = &mut self.pose.axes;
+        *axes = axes.map(|axis| rotated(axis, self.up, yaw));
+        // From straight up to the line of sight. A camera that was put nearer to a pole may stay, or leave it.
+        let angle = dot(self.up, axes[2]).clamp(-1.0, 1.0).acos();
+        let (low, high) = (MIN_POLE_ANGLE.min(angle), (std::f64::consts::PI - MIN_POLE_ANGLE).max(angle));
+        // A camera that lies on its side leaves the poles alone.
+        let upright = -dot(self.up, axes[1]) / angle.sin().max(1e-9);
+        let pitch = if upright > 0.5 { pitch.clamp(low - angle, high - angle) } else { pitch };
+        let right = axes[0];
+        *axes = axes.map(|axis| rotated(axis, right, -pitch));
+        *axes = orthonormal(*axes);
+        self.pose.exact = None;
+        true
+    }
+}
+
+/// How far ahead of a camera a point is; a positive number in any case.
+fn ahead(camera: &Camera, point: Vector) -> f64 {
+    let center = camera.center();
+    let offset: Vector = std::array::from_fn(|i| point[i] - center[i]);
+    let distance = dot(offset, offset).sqrt();
+    let depth = dot(offset, camera.forward());
+    // Of a point beside or behind the camera the distance must do.
+    let found = if depth > 0.2 * distance { depth } else { distance };
+    if found.is_finite() && found > 0.0 { found } else { 1.0 }
+}
+
+fn add(a: Vector, b: Vector, factor: f64) -> Vector {
+    std::array::from_fn(|i| a[i] + factor * b[i])
+}
+
+fn cross(a: Vector, b: Vector) -> Vector {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// Rodrigues' formula.
+///
+/// - `axis`: of unit length
+fn rotated(v: Vector, axis: Vector, angle: f64) -> Vector {
+    let (sin, cos) = angle.sin_cos();
+    let (across, along) = (cross(axis, v), (1.0 - cos) * dot(axis, v));
+    std::array::from_fn(|i| cos * v[i] + sin * across[i] + along * axis[i])
+}
+
+/// Many small turns would add their rounding up.
+fn orthonormal([right, _, forward]: [Vector; 3]) -> [Vector; 3] {
+    let forward = normalize(forward);
+    let right = normalize(add(right, forward, -dot(right, forward)));
+    [right, cross(forward, right), forward]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const UP: Vector = [0.0, -1.0, 0.0];
+    const PIVOT: Vector = [1.0, 2.0, 3.0];
+    const SIZE: [usize; 2] = [64, 48];
+
+    fn start() -> Camera {
+        Camera::look_at([1.0, 1.0, -2.0], PIVOT, UP, 50.0, 64, 48)
+    }
+
+    fn controls() -> Controls {
+        Controls::new(&start(), UP, PIVOT)
+    }
+
+    fn length(v: Vector) -> f64 {
+        dot(v, v).sqrt()
+    }
+
+    fn to_pivot(camera: &Camera) -> Vector {
+        let center = camera.center();
+        std::array::from_fn(|i| PIVOT[i] - center[i])
+    }
+
+    /// Where a point is seen, pixels.
+    fn seen(camera: &Camera, point: Vector) -> [f64; 2] {
+        let m = &camera.camera_from_world;
+        let p = [0, 1, 2].map(|i| dot([m[i][0], m[i][1], m[i][2]], point) + m[i][3]);
+        [0, 1].map(|i| camera.focal[i] * p[i] / p[2] + camera.principal[i])
+    }
+
+    fn is_rotation(camera: &Camera) -> bool {
+        let k = [[50.0, 0.0, 32.0], [0.0, 50.0, 24.0], [0.0, 0.0, 1.0]];
+        Camera::new(64, 48, k, camera.camera_from_world).is_ok()
+    }
+
+    #[test]
+    fn nothing_moved_is_the_camera_given_to_the_bit() {
+        let mut controls = controls();
+        assert_eq!(controls.camera(SIZE), start());
+        let mut other = Camera::look_at([0.3, -0.2, 0.1], [5.0, 0.0, 1.0], UP, 77.0, 30, 20);
+        other.principal = [14.3, 10.9];
+        controls.set_camera(&other).unwrap();
+        assert_eq!(controls.camera([30, 20]), other);
+        controls.reset();
+        assert_eq!(controls.camera(SIZE), start());
+        let mut broken = other;
+        broken.camera_from_world[0][0] = f64::NAN;
+        assert!(controls.set_camera(&broken).is_err());
+    }
+
+    #[test]
+    fn orbiting_keeps_the_pivot_in_the_middle_and_as_far() {
+        let mut controls = controls();
+        let distance = length(to_pivot(&start()));
+        for (dx, dy) in [(0.3, 0.1), (-2.0, 0.4), (9.0, -0.7)] {
+            controls.orbit(dx, dy);
+            let camera = controls.camera(SIZE);
+            assert!((length(to_pivot(&camera)) - distance).abs() < 1e-9);
+            assert!(dot(normalize(to_pivot(&camera)), camera.forward()) > 1.0 - 1e-9);
+            assert!(is_rotation(&camera));
+        }
+    }
+
+    #[test]
+    fn what_is_dragged_follows_the_pointer() {
+        // A point in front of the pivot is dragged to the right and down.
+        let near = add(PIVOT, start().forward(), -0.5);
+        for (x, y) in [(0.01, 0.0), (0.0, 0.01)] {
+            for motion in [Controls::orbit, Controls::look, Controls::pan] {
+                let mut controls = controls();
+                let before = seen(&controls.camera(SIZE), near);
+                motion(&mut controls, x, y);
+                let after = seen(&controls.camera(SIZE), near);
+                let moved = [after[0] - before[0], after[1] - before[1]];
+                assert!(moved[0] * x + moved[1] * y > 0.0, "{moved:?} by {x}, {y}");
+            }
+        }
+        // And by just as much as the pointer, at the pivot.
+        let mut controls = controls();
+        controls.pan(0.25, -0.5);
+        let at = seen(&controls.camera(SIZE), PIVOT);
+        assert!((at[0] - (32.0 + 12.0)).abs() < 1e-9 && (at[1] - (24.0 - 24.0)).abs() < 1e-9, "{at:?}");
+    }
+
+    #[test]
+    fn the_picture_never_flips_over_a_pole() {
+        let mut controls = controls();
+        for dy in [0.4; 100].into_iter().chain([-0.4; 100]) {
+            controls.orbit(0.1, dy);
+            let camera = controls.camera(SIZE);
+            let down = [camera.camera_from_world[1][0], camera.camera_from_world[1][1], camera.camera_from_world[1][2]];
+            assert!(dot(down, UP) < 0.0, "up is up");
+            assert!(is_rotation(&camera));
+        }
+    }
+
+    #[test]
+    fn a_camera_on_its_side_keeps_its_roll() {
+        let mut controls = controls();
+        controls.set_camera(&Camera::look_at([0.0, 0.0, -3.0], [0.0; 3], [1.0, 0.0, 0.0], 50.0, 64, 48)).unwrap();
+        let before = controls.camera(SIZE);
+        controls.orbit(0.0, 1e-6);
+        let after = controls.camera(SIZE);
+        for (a, b) in before.camera_from_world.as_flattened().iter().zip(after.camera_from_world.as_flattened()) {
+            assert!((a - b).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn zooming_comes_nearer_and_stops_before_the_pivot() {
+        let mut controls = controls();
+        controls.zoom(2.0);
+        let half = length(to_pivot(&start())) / 2.0;
+        assert!((length(to_pivot(&controls.camera(SIZE))) - half).abs() < 1e-9);
+        for factor in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let before = controls.clone();
+            controls.zoom(factor);
+            assert_eq!(controls, before);
+        }
+        (0..1000).for_each(|_| controls.zoom(3.0));
+        let camera = controls.camera(SIZE);
+        assert!(length(to_pivot(&camera)) > 0.0 && dot(to_pivot(&camera), camera.forward()) > 0.0);
+    }
+
+    #[test]
+    fn flying_goes_along_the_cameras_axes() {
+        let mut controls = controls();
+        let distance = length(to_pivot(&start()));
+        controls.fly(0.1, -0.2, 0.5);
+        let camera = controls.camera(SIZE);
+        let m = start().camera_from_world;
+        let center = camera.center();
+        let at = [0, 1, 2].map(|i| (dot([m[i][0], m[i][1], m[i][2]], center) + m[i][3]) / distance);
+        for (found, expected) in at.iter().zip([0.1, -0.2, 0.5]) {
+            assert!((found - expected).abs() < 1e-9, "{at:?}");
+        }
+        controls.fly(f64::NAN, 0.0, 0.0);
+        controls.orbit(f64::INFINITY, 0.0);
+        assert_eq!(controls.camera(SIZE), camera);
+    }
+
+    #[test]
+    fn another_size_shows_at_least_as_much() {
+        let controls = controls();
+        for size in [[640, 480], [480, 480], [1000, 300], [33, 17]] {
+            let camera = controls.camera(size);
+            let share = [0, 1].map(|i| size[i] as f64 / camera.focal[i]);
+            assert!(share[0] >= 64.0 / 50.0 - 1e-9 && share[1] >= 48.0 / 50.0 - 1e-9, "{share:?}");
+            assert_eq!(camera.focal[0], camera.focal[1]);
+            assert_eq!(camera.principal, size.map(|s| s as f64 / 2.0));
+        }
+    }
+}

@@ -1,0 +1,249 @@
+//! Any timestep of a segment, on the GPU: keypoints are uploaded once, a frame uploads the timestep's number.
+//!
+//! What `codec::Sampler` does on the CPU: codes to values, straight lines between keypoints, rotations of unit length,
+//! then `core::activate`. The arithmetic is f32 throughout, where the codec dequantises in f64: values differ in their
+//! last bits.
+
+use bytemuck::{Pod, Zeroable};
+use tcgs_codec::{Keypoints, Segment};
+use tcgs_core::{Attribute, activate, normalize};
+use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X, WORKGROUP, pack};
+
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+struct Layout {
+    count: u32,
+    base: u32,
+    times_at: u32,
+    codes_at: u32,
+}
+
+/// What becomes of an interpolated value; as in the shader.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Finish {
+    AsIs = 0,
+    Exp = 1,
+    Sigmoid = 2,
+    UnitLength = 3,
+}
+
+/// A scene on the GPU, of which one segment's timesteps can be had.
+#[derive(Debug)]
+pub struct Reconstruction {
+    gpu: Gpu,
+    num_gaussians: usize,
+    /// `[14 N]` as the renderer takes it.
+    activated: wgpu::Buffer,
+    /// `[4 N]` quaternions as they are stored, if their components move apart.
+    raw_quats: Option<wgpu::Buffer>,
+    frame: wgpu::Buffer,
+    /// Of the attributes that move.
+    moving: Vec<Moving>,
+    normalize_quats: Option<Bound>,
+    /// Which segment's keypoints lie here.
+    segment: Option<usize>,
+}
+
+/// An attribute that moves.
+#[derive(Debug)]
+struct Moving {
+    attribute: Attribute,
+    finish: Finish,
+    num_units: usize,
+    units: wgpu::Buffer,
+    quantizers: wgpu::Buffer,
+    layout: wgpu::Buffer,
+    /// Of the segment that lies here.
+    interpolate: Option<Bound>,
+}
+
+/// WGSL for units of so many components.
+fn source(unit: usize, finish: Finish) -> String {
+    let constants = format!("const UNIT: u32 = {unit}u;\nconst FINISH: u32 = {}u;\n", finish as u32);
+    format!("{constants}const MAX_GROUPS_X: u32 = {MAX_GROUPS_X}u;\n{}", include_str!("reconstruct.wgsl"))
+}
+
+/// Every shader of the reconstruction with its name, as the GPU gets it.
+pub(crate) fn sources() -> Vec<(String, String)> {
+    let kinds = [(1, Finish::AsIs), (1, Finish::Exp), (1, Finish::Sigmoid), (3, Finish::AsIs), (3, Finish::Exp)];
+    let all = kinds.into_iter().chain([(4, Finish::UnitLength)]);
+    all.map(|(unit, finish)| (format!("reconstruct_{unit}_{finish:?}").to_lowercase(), source(unit, finish))).collect()
+}
+
+impl Reconstruction {
+    /// Takes what all segments share: what does not move, and which units move.
+    ///
+    /// - `segment`: any of the scene
+    ///
+    /// # Errors
+    /// [`GpuError::Memory`] if the scene does not fit.
+    pub fn new(gpu: &Gpu, segment: &Segment) -> Result<Self, GpuError> {
+        let n = segment.num_gaussians();
+        let mut first = segment.first();
+        let apart = segment.keypoints(Attribute::Quat).is_some_and(|keypoints| keypoints.channels == 1);
+        let raw_quats = apart.then(|| gpu.upload("rotations as stored", &first.quats)).transpose()?;
+        for quat in &mut first.quats {
+            *quat = if quat.iter().any(|x| *x != 0.0) { normalize(*quat) } else { [1.0, 0.0, 0.0, 0.0] };
+        }
+        let activated = gpu.upload("activated Gaussians", &pack(&activate(&first)))?;
+        let frame = gpu.uniform("timestep", 16)?;
+        let mut moving = Vec::new();
+        for attribute in Attribute::ALL {
+            if let Some(keypoints) = segment.keypoints(attribute) {
+                moving.push(Moving::new(gpu, segment, attribute, keypoints.channels)?);
+            }
+        }
+        let normalize_quats = match &raw_quats {
+            None => None,
+            Some(raw_quats) => {
+                let layout = gpu.uniform("rotations", size_of::<Layout>())?;
+                let base = base_of(Attribute::Quat, n);
+                let settings = Layout { count: n as u32, base, times_at: 0, codes_at: 0 };
+                gpu.queue().write_buffer(&layout, 0, bytemuck::bytes_of(&settings));
+                let kernel = gpu.kernel(&source(1, Finish::AsIs), "normalize_quats");
+                Some(kernel.bind(gpu.device(), &[(1, &layout), (5, &activated), (6, raw_quats)]))
+            }
+        };
+        Ok(Self {
+            gpu: gpu.clone(),
+            num_gaussians: n,
+            activated,
+            raw_quats,
+            frame,
+            moving,
+            normalize_quats,
+            segment: None,
+        })
+    }
+
+    /// `N`.
+    pub fn num_gaussians(&self) -> usize {
+        self.num_gaussians
+    }
+
+    /// `[14 N]` what [`Self::record`] leaves to be drawn.
+    pub fn activated(&self) -> &wgpu::Buffer {
+        &self.activated
+    }
+
+    /// Uploads a segment's keypoints, unless they lie here already.
+    ///
+    /// - `segment`: of the same scene and as many layers
+    ///
+    /// # Errors
+    /// [`GpuError::Memory`] if they do not fit.
+    ///
+    /// # Panics
+    /// If it has another number of Gaussians.
+    pub fn load(&mut self, segment: &Segment) -> Result<(), GpuError> {
+        assert_eq!(segment.num_gaussians(), self.num_gaussians, "Gaussians of the segment, and of the scene");
+        if self.segment == Some(segment.index()) {
+            return Ok(());
+        }
+        self.segment = None;
+        for moving in &mut self.moving {
+            // The one before goes first: there need not be room for both.
+            moving.interpolate = None;
+            let Some(keypoints) = segment.keypoints(moving.attribute) else { continue };
+            let values = match &self.raw_quats {
+                Some(raw_quats) if moving.attribute == Attribute::Quat => raw_quats,
+                _ => &self.activated,
+            };
+            moving.load(&self.gpu, &keypoints, values, &self.frame, self.num_gaussians)?;
+        }
+        self.segment = Some(segment.index());
+        Ok(())
+    }
+
+    /// Chooses the timestep of the passes submitted from now on.
+    pub fn set_timestep(&self, timestep: usize) {
+        self.gpu.queue().write_buffer(&self.frame, 0, bytemuck::cast_slice(&[timestep as u32, 0, 0, 0]));
+    }
+
+    /// Records what makes [`Self::activated`] that timestep, which must be one of the segment loaded.
+    pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
+        for moving in &self.moving {
+            if let Some(interpolate) = &moving.interpolate {
+                interpolate.dispatch_groups(pass, moving.num_units.div_ceil(WORKGROUP as usize));
+            }
+        }
+        if let Some(normalize_quats) = &self.normalize_quats {
+            normalize_quats.dispatch_over(pass, self.num_gaussians);
+        }
+    }
+}
+
+impl Moving {
+    fn new(gpu: &Gpu, segment: &Segment, attribute: Attribute, channels: usize) -> Result<Self, GpuError> {
+        // Widths and their channels in a row, so that a unit needs one number to find its quantizers.
+        let components = attribute.components();
+        let mut rows = [0_u32; 17];
+        let mut quantizers = Vec::new();
+        for (&width, channels) in &segment.quantizers().attributes[attribute.index()] {
+            rows[usize::from(width)] = quantizers.len() as u32;
+            quantizers.extend(channels.iter().map(|quantizer| [quantizer.step, quantizer.offset]));
+        }
+        let units: Vec<[u32; 2]> = segment
+            .moving_units(attribute)
+            .map(|(place, width)| [place, rows[usize::from(width)] + place % components as u32])
+            .collect();
+        Ok(Self {
+            attribute,
+            finish: finish_of(attribute, channels),
+            num_units: units.len(),
+            units: gpu.upload("moving tracks", &units)?,
+            quantizers: gpu.upload("quantizers", &quantizers)?,
+            layout: gpu.uniform("layout of keypoints", size_of::<Layout>())?,
+            interpolate: None,
+        })
+    }
+
+    fn load(
+        &mut self,
+        gpu: &Gpu,
+        keypoints: &Keypoints<'_>,
+        values: &wgpu::Buffer,
+        frame: &wgpu::Buffer,
+        num_gaussians: usize,
+    ) -> Result<(), GpuError> {
+        if self.num_units == 0 {
+            return Ok(());
+        }
+        let Keypoints { channels, starts, times, codes } = *keypoints;
+        // 16 bits each, as they lie: this side and WebGPU are little-endian.
+        let mut halves: Vec<u16> = Vec::with_capacity(2 * starts.len() + times.len() + codes.len() + 1);
+        halves.extend_from_slice(bytemuck::cast_slice(starts));
+        let times_at = halves.len() as u32;
+        halves.extend_from_slice(times);
+        let codes_at = halves.len() as u32;
+        halves.extend_from_slice(bytemuck::cast_slice(codes));
+        halves.resize(halves.len().next_multiple_of(2), 0);
+        let words = gpu.upload("keypoints", &halves)?;
+        // Rotations whose components move apart lie in a buffer of their own.
+        let is_raw = self.attribute == Attribute::Quat && channels == 1;
+        let base = if is_raw { 0 } else { base_of(self.attribute, num_gaussians) };
+        let layout = Layout { count: self.num_units as u32, base, times_at, codes_at };
+        gpu.queue().write_buffer(&self.layout, 0, bytemuck::bytes_of(&layout));
+        let buffers =
+            [(0, frame), (1, &self.layout), (2, &self.units), (3, &self.quantizers), (4, &words), (5, values)];
+        let kernel = gpu.kernel(&source(channels, self.finish), "interpolate");
+        self.interpolate = Some(kernel.bind(gpu.device(), &buffers));
+        Ok(())
+    }
+}
+
+fn finish_of(attribute: Attribute, channels: usize) -> Finish {
+    match attribute {
+        Attribute::Mean | Attribute::Color => Finish::AsIs,
+        Attribute::Quat if channels == 1 => Finish::AsIs,
+        Attribute::Quat => Finish::UnitLength,
+        Attribute::LogScale => Finish::Exp,
+        Attribute::LogitOpacity => Finish::Sigmoid,
+    }
+}
+
+/// Where an attribute's values begin in what the renderer takes.
+fn base_of(attribute: Attribute, num_gaussians: usize) -> u32 {
+    let before = Attribute::ALL[..attribute.index()].iter().map(|attribute| attribute.components()).sum::<usize>();
+    (before * num_gaussians) as u32
+}

@@ -1,0 +1,118 @@
+// Keypoints to what is drawn, at one timestep. What does not move lies in its place already.
+//
+//   interpolate       one thread a unit that moves: its value at the timestep, activated
+//   normalize_quats   one thread a Gaussian: rotations whose components move apart, of unit length
+//
+// A unit is UNIT components that share their times: all of an attribute, or one. Put before: UNIT; FINISH, what makes a
+// stored value a drawn one.
+
+const AS_IS: u32 = 0u;
+const EXP: u32 = 1u;
+const SIGMOID: u32 = 2u;
+const UNIT_LENGTH: u32 = 3u;
+
+struct Frame {
+    timestep: u32,
+}
+
+struct Layout {
+    // Units that move, or Gaussians.
+    count: u32,
+    // Where the attribute's first value lies in values.
+    base: u32,
+    // Where times and codes begin in keypoints, in halves of its words.
+    times_at: u32,
+    codes_at: u32,
+}
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<uniform> place: Layout;
+// [units]: first value within the attribute, quantizer of the first component
+@group(0) @binding(2) var<storage, read> units: array<vec2<u32>>;
+// step, offset
+@group(0) @binding(3) var<storage, read> quantizers: array<vec2<f32>>;
+// starts [units + 1] | times [keypoints], 16 bits | codes [keypoints, UNIT], 16 bits
+@group(0) @binding(4) var<storage, read> keypoints: array<u32>;
+@group(0) @binding(5) var<storage, read_write> values: array<f32>;
+// [N, 4] not of unit length
+@group(0) @binding(6) var<storage, read_write> raw_quats: array<vec4<f32>>;
+
+fn time_of(keypoint: u32) -> u32 {
+    let at = place.times_at + keypoint;
+    return extractBits(keypoints[at / 2u], 16u * (at % 2u), 16u);
+}
+
+fn code_of(keypoint: u32, component: u32) -> f32 {
+    let at = place.codes_at + keypoint * UNIT + component;
+    return f32(extractBits(bitcast<i32>(keypoints[at / 2u]), 16u * (at % 2u), 16u));
+}
+
+fn finished(value: f32) -> f32 {
+    switch FINISH {
+        case EXP: { return exp(value); }
+        case SIGMOID: { return 1.0 / (1.0 + exp(-value)); }
+        default: { return value; }
+    }
+}
+
+@compute @workgroup_size(256)
+fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let i = (group.y * MAX_GROUPS_X + group.x) * 256u + lane;
+    if i >= place.count {
+        return;
+    }
+    // The last keypoint that is not after the timestep.
+    var before = keypoints[i];
+    var end = keypoints[i + 1u];
+    while end - before > 1u {
+        let middle = (before + end) / 2u;
+        if time_of(middle) <= frame.timestep {
+            before = middle;
+        } else {
+            end = middle;
+        }
+    }
+    let last = keypoints[i + 1u] - 1u;
+    let after = min(before + 1u, last);
+    let start = time_of(before);
+    var fraction = 0.0;
+    if after > before && start < frame.timestep {
+        fraction = f32(frame.timestep - start) / f32(time_of(after) - start);
+    }
+    let unit = units[i];
+    var value: array<f32, UNIT>;
+    for (var c = 0u; c < UNIT; c++) {
+        let quantizer = quantizers[unit.y + c];
+        let a = code_of(before, c) * quantizer.x + quantizer.y;
+        let b = code_of(after, c) * quantizer.x + quantizer.y;
+        value[c] = a + (b - a) * fraction;
+    }
+    if FINISH == UNIT_LENGTH {
+        var squares = 0.0;
+        for (var c = 0u; c < UNIT; c++) {
+            squares += value[c] * value[c];
+        }
+        let scale = inverseSqrt(max(squares, 1e-37));
+        for (var c = 0u; c < UNIT; c++) {
+            // No rotation where there is no length.
+            value[c] = select(select(0.0, 1.0, c == 0u), value[c] * scale, squares > 1e-37);
+        }
+    }
+    for (var c = 0u; c < UNIT; c++) {
+        values[place.base + unit.x + c] = finished(value[c]);
+    }
+}
+
+@compute @workgroup_size(256)
+fn normalize_quats(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x >= place.count {
+        return;
+    }
+    let quat = raw_quats[id.x];
+    let squares = dot(quat, quat);
+    let unit = select(vec4<f32>(1.0, 0.0, 0.0, 0.0), quat * inverseSqrt(max(squares, 1e-37)), squares > 1e-37);
+    let at = place.base + 4u * id.x;
+    for (var c = 0u; c < 4u; c++) {
+        values[at + c] = unit[c];
+    }
+}

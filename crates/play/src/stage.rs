@@ -1,0 +1,276 @@
+//! One scene on the GPU, drawn to textures: reconstruction, the renderer that training uses (forward alone), blit.
+//!
+//! Nothing waits for the GPU. How many pairs of tile and splat there were is read back some frames later; buffers grow
+//! before they are full. Where a picture needs more at once, it stays empty for the few frames until
+//! that is known ([`Stage::is_whole`]); a [`Still`] is drawn again until it is whole.
+
+use tcgs_codec::Segment;
+use tcgs_core::Camera;
+use tcgs_render::RenderSettings;
+use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRenderer, Staged};
+
+use crate::blit::{self, Blit};
+use crate::reconstruct::Reconstruction;
+
+/// Pairs that there is room for at first, per Gaussian: a picture of full size has two to seven.
+const FIRST_PAIRS: usize = 6;
+/// Of stills.
+const STILL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+/// Bytes that rows of a texture are copied in multiples of.
+const ROW_BYTES: usize = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize;
+
+/// What is drawn.
+#[derive(Clone, Copy, Debug)]
+pub struct Shot<'a> {
+    /// Of the stage's scene.
+    pub segment: &'a Segment,
+    /// One of the segment's.
+    pub timestep: usize,
+    /// From where.
+    pub camera: &'a Camera,
+    /// Behind everything, sRGB.
+    pub background: [f32; 3],
+}
+
+/// One scene on the GPU.
+#[derive(Debug)]
+pub struct Stage {
+    gpu: Gpu,
+    reconstruction: Reconstruction,
+    renderer: Option<GpuRenderer>,
+    /// Pairs that the next renderer has room for.
+    num_pairs: usize,
+    /// Counts of an earlier frame, on their way.
+    counts: Option<Staged>,
+    is_whole: bool,
+    blit: Blit,
+    blit_still: Option<Blit>,
+}
+
+/// A picture on its way back from the GPU.
+#[derive(Debug)]
+pub struct Still {
+    size: [usize; 2],
+    pixels: Staged,
+    counts: Staged,
+}
+
+impl Still {
+    /// Whether it has arrived, as of the last poll or wait.
+    pub fn is_ready(&self) -> bool {
+        self.pixels.is_ready() && self.counts.is_ready()
+    }
+}
+
+impl Stage {
+    /// Uploads a scene.
+    ///
+    /// - `format`: of the textures drawn to, but for stills
+    /// - `segment`: any of the scene
+    ///
+    /// # Errors
+    /// [`GpuError::Memory`] if it does not fit.
+    pub fn new(gpu: &Gpu, format: wgpu::TextureFormat, segment: &Segment) -> Result<Self, GpuError> {
+        Ok(Self {
+            gpu: gpu.clone(),
+            reconstruction: Reconstruction::new(gpu, segment)?,
+            renderer: None,
+            num_pairs: 0,
+            counts: None,
+            is_whole: true,
+            blit: Blit::new(gpu, format)?,
+            blit_still: None,
+        })
+    }
+
+    /// Whether the last frame of which it is known had room for all its pairs.
+    pub fn is_whole(&self) -> bool {
+        self.is_whole
+    }
+
+    /// Draws to a texture of the camera's size; does not wait.
+    ///
+    /// # Errors
+    /// What has gone wrong by now.
+    pub fn draw(&mut self, shot: &Shot<'_>, target: &wgpu::TextureView) -> Result<(), GpuError> {
+        self.hear()?;
+        let mut encoder = self.gpu.encoder();
+        self.render(shot, &mut encoder)?;
+        let Some(renderer) = &self.renderer else { return Ok(()) };
+        let size = [shot.camera.width, shot.camera.height];
+        self.blit.record(&self.gpu, &mut encoder, &renderer.buffers().image, size, target);
+        let counts = match &self.counts {
+            None => Some(self.gpu.stage(&mut encoder, &renderer.buffers().status, 4)?),
+            Some(_) => None,
+        };
+        self.gpu.submit(encoder);
+        if let Some(counts) = counts {
+            counts.map(&self.gpu);
+            self.counts = Some(counts);
+        }
+        self.gpu.poll()
+    }
+
+    /// Draws a picture that is to be read; does not wait.
+    ///
+    /// # Errors
+    /// What has gone wrong by now.
+    pub fn begin_still(&mut self, shot: &Shot<'_>) -> Result<Still, GpuError> {
+        self.hear()?;
+        let size @ [width, height] = [shot.camera.width, shot.camera.height];
+        let texture = self.gpu.device().create_texture(&wgpu::TextureDescriptor {
+            label: Some("still"),
+            size: extent(size),
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: STILL_FORMAT,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        let row_bytes = (4 * width).next_multiple_of(ROW_BYTES);
+        let words = row_bytes / 4 * height;
+        let buffer = self.gpu.storage("a still", words)?;
+        if self.blit_still.is_none() {
+            self.blit_still = Some(Blit::new(&self.gpu, STILL_FORMAT)?);
+        }
+        let mut encoder = self.gpu.encoder();
+        self.render(shot, &mut encoder)?;
+        let (Some(renderer), Some(blit)) = (&self.renderer, &self.blit_still) else {
+            return Err(GpuError::Lost("there is no renderer".into()));
+        };
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        blit.record(&self.gpu, &mut encoder, &renderer.buffers().image, size, &view);
+        let layout = wgpu::TexelCopyBufferLayout {
+            offset: 0,
+            bytes_per_row: Some(row_bytes as u32),
+            rows_per_image: Some(height as u32),
+        };
+        encoder.copy_texture_to_buffer(
+            texture.as_image_copy(),
+            wgpu::TexelCopyBufferInfo { buffer: &buffer, layout },
+            extent(size),
+        );
+        let pixels = self.gpu.stage(&mut encoder, &buffer, words)?;
+        let counts = self.gpu.stage(&mut encoder, &renderer.buffers().status, 4)?;
+        self.gpu.submit(encoder);
+        for staged in [&pixels, &counts] {
+            staged.map(&self.gpu);
+        }
+        self.gpu.poll()?;
+        Ok(Still { size, pixels, counts })
+    }
+
+    /// The pixels of a still that has arrived, RGBA in rows from the top; none if it has to be drawn again.
+    ///
+    /// # Errors
+    /// What has gone wrong by now.
+    pub fn finish_still(&mut self, still: &Still) -> Result<Option<Vec<u8>>, GpuError> {
+        let counts = still.counts.take(&self.gpu)?;
+        if !self.learn(&counts) {
+            return self.check_room().map(|()| None);
+        }
+        let [width, height] = still.size;
+        let bytes: Vec<u8> = still.pixels.take(&self.gpu)?.into_iter().flat_map(u32::to_le_bytes).collect();
+        let rows = bytes.chunks_exact((4 * width).next_multiple_of(ROW_BYTES)).take(height);
+        Ok(Some(rows.flat_map(|row| &row[..4 * width]).copied().collect()))
+    }
+
+    /// Records everything up to the renderer's image.
+    fn render(&mut self, shot: &Shot<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<(), GpuError> {
+        self.reconstruction.load(shot.segment)?;
+        self.reconstruction.set_timestep(shot.timestep);
+        self.fit(shot.camera)?;
+        let Some(renderer) = &mut self.renderer else { return Ok(()) };
+        let mut settings = RenderSettings::default();
+        settings.background[..3].copy_from_slice(&shot.background);
+        renderer.set_view(shot.camera, &settings);
+        self.gpu.queue().write_buffer(&renderer.buffers().status, 0, &[0; 16]);
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        self.reconstruction.record(&mut pass);
+        renderer.project(&mut pass);
+        renderer.sort(&mut pass);
+        renderer.rasterize(&mut pass);
+        Ok(())
+    }
+
+    /// Sees to it that the renderer's buffers are large enough.
+    fn fit(&mut self, camera: &Camera) -> Result<(), GpuError> {
+        let n = self.reconstruction.num_gaussians();
+        let mut capacity = Capacity::new(n, 3, [camera], false);
+        capacity.num_pairs = self.num_pairs.max(FIRST_PAIRS * n + 16 * capacity.num_tiles);
+        if let Some(renderer) = &self.renderer {
+            let held = renderer.capacity();
+            if held.num_pixels >= capacity.num_pixels
+                && held.num_tiles >= capacity.num_tiles
+                && held.num_pairs >= capacity.num_pairs
+            {
+                return Ok(());
+            }
+            // A window that is drawn larger should not need new buffers with every pixel.
+            if held.num_pixels < capacity.num_pixels {
+                capacity.num_pixels += capacity.num_pixels / 8;
+            }
+            capacity.num_pixels = capacity.num_pixels.max(held.num_pixels);
+            capacity.num_tiles = capacity.num_tiles.max(held.num_tiles);
+            capacity.num_pairs = capacity.num_pairs.max(held.num_pairs);
+        }
+        // There need not be room for both.
+        self.renderer = None;
+        self.counts = None;
+        self.renderer = Some(GpuRenderer::of_gaussians(&self.gpu, capacity, self.reconstruction.activated())?);
+        Ok(())
+    }
+
+    /// Takes the counts of an earlier frame, if they are here.
+    fn hear(&mut self) -> Result<(), GpuError> {
+        self.gpu.poll()?;
+        if let Some(counts) = self.counts.take_if(|counts| counts.is_ready()) {
+            self.is_whole = self.learn(&counts.take(&self.gpu)?);
+        }
+        Ok(())
+    }
+
+    /// - `counts`: the renderer's status after a frame
+    /// - returns: whether there was room
+    fn learn(&mut self, counts: &[u32]) -> bool {
+        let [halted, _, needed, _] = *counts else { return false };
+        let needed = needed as usize;
+        let held = self.renderer.as_ref().map_or(0, |renderer| renderer.capacity().num_pairs);
+        if needed > held - held / 4 {
+            self.num_pairs = needed.max(held).saturating_add(needed.max(held) / 2).min(self.most_pairs());
+        }
+        halted == 0
+    }
+
+    /// Whether larger buffers can be had.
+    fn check_room(&self) -> Result<(), GpuError> {
+        match &self.renderer {
+            Some(renderer) if renderer.capacity().num_pairs >= self.most_pairs() => Err(GpuError::Memory {
+                what: "a picture of so many splats in so many tiles".into(),
+                bytes: 4 * renderer.capacity().num_pairs as u64 + 4,
+                problem: "more than a buffer may have".into(),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// What one buffer of pairs can hold here.
+    fn most_pairs(&self) -> usize {
+        let limits = self.gpu.device().limits();
+        let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        (bytes / 4) as usize
+    }
+}
+
+/// Fills a texture with one colour, for as long as there is no scene.
+pub fn clear(gpu: &Gpu, target: &wgpu::TextureView, [r, g, b]: [f32; 3]) {
+    let mut encoder = gpu.encoder();
+    let color = wgpu::Color { r: r.into(), g: g.into(), b: b.into(), a: 1.0 };
+    drop(blit::begin(&mut encoder, target, color));
+    gpu.submit(encoder);
+}
+
+fn extent([width, height]: [usize; 2]) -> wgpu::Extent3d {
+    wgpu::Extent3d { width: width as u32, height: height as u32, depth_or_array_layers: 1 }
+}

@@ -1,0 +1,398 @@
+//! What a page sees of the player: the class `Viewer`.
+//!
+//! Everything lies behind one `RefCell`, which is never borrowed across an `await`, so that the page may call anything
+//! while something else is under way.
+
+mod object;
+mod source;
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::task::{Poll, Waker};
+
+use js_sys::{Promise, Uint8ClampedArray};
+use tcgs_render::gpu::Gpu;
+use wasm_bindgen::prelude::*;
+use wasm_bindgen_futures::{JsFuture, future_to_promise};
+
+use crate::PlayError;
+use crate::cameras::FileCamera;
+use crate::player::PlayerSettings;
+use crate::viewer::Viewer;
+use object::{camera_object, camera_of, error, object};
+use source::WebSource;
+
+/// Milliseconds between looks at whether a picture has come back from the GPU.
+const LOOK_MS: i32 = 2;
+
+struct State {
+    viewer: Viewer<WebSource>,
+    gpu: Gpu,
+    surface: wgpu::Surface<'static>,
+    format: wgpu::TextureFormat,
+    /// Width and height of the canvas, device pixels.
+    size: [usize; 2],
+    /// Counts calls of `open`: an earlier one gives up.
+    opening: u64,
+    /// Who waits for the scene to be there.
+    waker: Option<Waker>,
+    is_open: bool,
+    cameras: Vec<FileCamera>,
+    num_drawn: u32,
+    /// How many of them the GPU has finished.
+    num_finished: Arc<AtomicU32>,
+}
+
+/// A scene on a canvas.
+#[wasm_bindgen(js_name = Viewer)]
+pub struct WebViewer {
+    state: Rc<RefCell<State>>,
+}
+
+#[wasm_bindgen(start)]
+fn start() {
+    std::panic::set_hook(Box::new(|info| web_sys::console::error_1(&info.to_string().into())));
+}
+
+fn now_ms() -> f64 {
+    web_sys::window().and_then(|window| window.performance()).map_or(0.0, |performance| performance.now())
+}
+
+/// Resolves some time later.
+async fn sleep(ms: i32) {
+    let promise = Promise::new(&mut |resolve, _| {
+        if let Some(window) = web_sys::window() {
+            let _ = window.set_timeout_with_callback_and_timeout_and_arguments_0(&resolve, ms);
+        }
+    });
+    let _ = JsFuture::from(promise).await;
+}
+
+#[wasm_bindgen(js_class = Viewer)]
+impl WebViewer {
+    /// Opens the browser's GPU for a canvas. Fails with the code `no-webgpu` where there is none that fits.
+    pub async fn create(canvas: web_sys::HtmlCanvasElement) -> Result<WebViewer, JsValue> {
+        let size = [canvas.width().max(1) as usize, canvas.height().max(1) as usize];
+        let (gpu, surface, format) = Gpu::of_canvas(canvas).await.map_err(PlayError::from)?;
+        let viewer = Viewer::new(gpu.clone(), format);
+        let state = State {
+            viewer,
+            gpu,
+            surface,
+            format,
+            size,
+            opening: 0,
+            waker: None,
+            is_open: false,
+            cameras: Vec::new(),
+            num_drawn: 0,
+            num_finished: Arc::default(),
+        };
+        state.configure();
+        Ok(Self { state: Rc::new(RefCell::new(state)) })
+    }
+
+    /// Opens a scene; what was open is closed. Resolves when the first picture can be drawn: `frame` draws it.
+    ///
+    /// - `source`: an address, or a `Blob` such as a file that was dropped
+    /// - `timestep`: shown first; 0 if not given
+    #[wasm_bindgen(unchecked_return_type = "Promise<void>")]
+    pub fn open(&self, source: JsValue, timestep: Option<u32>) -> Promise {
+        let state = self.state.clone();
+        let Some(source) = WebSource::new(&source) else {
+            return Promise::reject(&error("network", "this cannot be opened, expected an address or a Blob"));
+        };
+        let wake_by = source.wakes();
+        let turn = {
+            let mut state = state.borrow_mut();
+            state.opening += 1;
+            state.is_open = false;
+            state.cameras.clear();
+            state.viewer.open(source, PlayerSettings::default(), timestep.unwrap_or(0) as usize);
+            // Whoever waited for another scene hears that it will not come.
+            if let Some(waker) = state.waker.take() {
+                waker.wake();
+            }
+            state.opening
+        };
+        future_to_promise(std::future::poll_fn(move |context| {
+            let mut state = state.borrow_mut();
+            if state.opening != turn {
+                return Poll::Ready(Err(error("aborted", "another scene was opened")));
+            }
+            match state.viewer.update(now_ms()) {
+                Ok(true) => {
+                    state.is_open = true;
+                    state.cameras = state.viewer.cameras();
+                    Poll::Ready(Ok(JsValue::UNDEFINED))
+                }
+                Ok(false) => {
+                    // The next bytes, or a frame that was faster.
+                    wake_by(context.waker().clone());
+                    state.waker = Some(context.waker().clone());
+                    Poll::Pending
+                }
+                Err(problem) => Poll::Ready(Err(problem.into())),
+            }
+        }))
+    }
+
+    /// `{name, numGaussians, numTimesteps, frameRate, bytes, cameras: [{name, position, ...}]}`, or null while no scene is
+    /// open.
+    pub fn info(&self) -> JsValue {
+        let state = self.state.borrow();
+        let Some(archive) = state.viewer.archive().filter(|_| state.is_open) else { return JsValue::NULL };
+        let info = archive.info();
+        let cameras: js_sys::Array = state.cameras.iter().map(camera_entry).collect();
+        object([
+            ("name", info.name.as_str().into()),
+            ("generator", info.generator.as_str().into()),
+            ("numGaussians", info.num_gaussians.into()),
+            ("numTimesteps", info.num_timesteps.into()),
+            ("firstFrame", info.first_frame.into()),
+            ("frameRate", f64::from(info.frame_rate).into()),
+            ("bytes", (archive.file_bytes() as f64).into()),
+            ("cameras", cameras.into()),
+        ])
+    }
+
+    /// Lets time pass and draws once. Called for every frame that the browser shows.
+    ///
+    /// - `now_ms`: as `requestAnimationFrame` gives it
+    /// - returns: `{time, timestep, playing, buffering, drawn, gaussians, bytesLoaded, width, height}`; `time` is in
+    ///   timesteps, `drawn` whether the picture is that of the timestep
+    ///
+    /// Throws errors with a `code`; those of a scene that is being opened are `open`'s.
+    pub fn frame(&self, now_ms: f64) -> Result<JsValue, JsValue> {
+        let mut guard = self.state.borrow_mut();
+        let state = &mut *guard;
+        let updated = state.viewer.update(now_ms);
+        if state.is_open {
+            updated?;
+        } else if let Some(waker) = state.waker.take() {
+            waker.wake();
+        }
+        let drawn = state.draw()?;
+        let gaussians = state.viewer.info().map_or(0, |info| info.num_gaussians);
+        let frame = drawn.as_ref();
+        Ok(object([
+            ("time", frame.map_or(0.0, |frame| frame.time).into()),
+            ("timestep", frame.map_or(0, |frame| frame.timestep as u32).into()),
+            ("playing", frame.is_some_and(|frame| frame.is_playing).into()),
+            ("buffering", frame.is_none_or(|frame| frame.is_buffering).into()),
+            ("drawn", frame.is_some_and(|frame| frame.is_drawn).into()),
+            ("gaussians", gaussians.into()),
+            ("bytesLoaded", (state.viewer.bytes_loaded() as f64).into()),
+            ("width", (state.size[0] as u32).into()),
+            ("height", (state.size[1] as u32).into()),
+        ]))
+    }
+
+    /// How many frames the GPU has not finished yet. A page that draws on regardless makes it fall behind more and more:
+    /// browsers do not wait.
+    pub fn pending(&self) -> u32 {
+        let state = self.state.borrow();
+        state.num_drawn.wrapping_sub(state.num_finished.load(Ordering::Relaxed))
+    }
+
+    /// Lets time pass.
+    pub fn play(&self) {
+        self.with_clock(|clock| clock.play());
+    }
+
+    /// Stops time.
+    pub fn pause(&self) {
+        self.with_clock(|clock| clock.pause());
+    }
+
+    /// Goes to a timestep.
+    pub fn seek(&self, timestep: f64) {
+        // Nonsense becomes 0, and what is too large the last one.
+        self.with_clock(|clock| clock.seek(timestep as usize));
+    }
+
+    /// Stops, and goes so many timesteps on or back.
+    pub fn step(&self, count: f64) {
+        self.with_clock(|clock| clock.step(count as i64));
+    }
+
+    /// 1 is the scene's own speed, negative ones go backwards.
+    #[wasm_bindgen(js_name = setSpeed)]
+    pub fn set_speed(&self, speed: f64) {
+        self.with_clock(|clock| clock.set_speed(speed));
+    }
+
+    /// Whether the start follows the end.
+    #[wasm_bindgen(js_name = setLoop)]
+    pub fn set_loop(&self, is_looping: bool) {
+        self.with_clock(|clock| clock.set_looping(is_looping));
+    }
+
+    /// What is behind everything, sRGB in [0, 1]. Black at first.
+    #[wasm_bindgen(js_name = setBackground)]
+    pub fn set_background(&self, r: f32, g: f32, b: f32) {
+        self.state.borrow_mut().viewer.set_background([r, g, b]);
+    }
+
+    /// The canvas' size in device pixels; at most what the GPU allows.
+    pub fn resize(&self, width: u32, height: u32) {
+        let mut state = self.state.borrow_mut();
+        let most = state.gpu.device().limits().max_texture_dimension_2d;
+        let size = [width, height].map(|side| side.clamp(1, most) as usize);
+        if state.size != size {
+            state.size = size;
+            state.configure();
+        }
+    }
+
+    /// Around the pivot, by radians to the right and down; what is seen follows.
+    pub fn orbit(&self, dx: f64, dy: f64) {
+        self.with_controls(|controls| controls.orbit(dx, dy));
+    }
+
+    /// Sideways, by heights of the picture to the right and down; what is seen follows.
+    pub fn pan(&self, dx: f64, dy: f64) {
+        self.with_controls(|controls| controls.pan(dx, dy));
+    }
+
+    /// Nearer by a factor above 1, farther by one below.
+    pub fn zoom(&self, factor: f64) {
+        self.with_controls(|controls| controls.zoom(factor));
+    }
+
+    /// To the right, down and forward, in distances of the first view from its pivot.
+    pub fn fly(&self, dx: f64, dy: f64, dz: f64) {
+        self.with_controls(|controls| controls.fly(dx, dy, dz));
+    }
+
+    /// On the spot, by radians to the right and down; what is seen follows.
+    pub fn look(&self, dx: f64, dy: f64) {
+        self.with_controls(|controls| controls.look(dx, dy));
+    }
+
+    /// Back to the first view.
+    pub fn reset(&self) {
+        self.with_controls(|controls| controls.reset());
+    }
+
+    /// `{width, height, fx, fy, cx, cy, cameraFromWorld}` of what the canvas shows, the matrix 16 numbers in rows; null
+    /// while no scene is open.
+    pub fn camera(&self) -> JsValue {
+        let state = self.state.borrow();
+        state.viewer.camera(state.size).map_or(JsValue::NULL, |camera| camera_object(&camera))
+    }
+
+    /// Takes a camera's place, in the form of `camera()`. On a canvas of its size the picture is exactly the camera's; on
+    /// any other it shows at least as much.
+    #[wasm_bindgen(js_name = setCamera)]
+    pub fn set_camera(&self, camera: JsValue) -> Result<(), JsValue> {
+        let camera = camera_of(&camera)?;
+        match self.state.borrow_mut().viewer.controls_mut() {
+            Some(controls) => controls.set_camera(&camera).map_err(|e| error("bad-camera", &e.to_string())),
+            None => Ok(()),
+        }
+    }
+
+    /// Takes the place of a camera of the file.
+    #[wasm_bindgen(js_name = useCamera)]
+    pub fn use_camera(&self, index: usize) -> Result<(), JsValue> {
+        let mut state = self.state.borrow_mut();
+        let Some(camera) = state.cameras.get(index).map(|entry| entry.camera.clone()) else {
+            let count = state.cameras.len();
+            return Err(error("bad-camera", &format!("camera {index} of {count}")));
+        };
+        match state.viewer.controls_mut() {
+            Some(controls) => controls.set_camera(&camera).map_err(|e| error("bad-camera", &e.to_string())),
+            None => Ok(()),
+        }
+    }
+
+    /// The picture at the canvas' size, RGBA in rows from the top, once the timestep that is due is there.
+    #[wasm_bindgen(unchecked_return_type = "Promise<Uint8ClampedArray>")]
+    pub fn capture(&self) -> Promise {
+        let state = self.state.clone();
+        future_to_promise(async move {
+            loop {
+                let still = {
+                    let mut state = state.borrow_mut();
+                    state.viewer.update(now_ms())?;
+                    let size = state.size;
+                    state.viewer.begin_still(size)?
+                };
+                sleep(LOOK_MS).await;
+                let Some(still) = still else { continue };
+                while !still.is_ready() {
+                    state.borrow().gpu.check().map_err(PlayError::from)?;
+                    sleep(LOOK_MS).await;
+                }
+                let pixels = state.borrow_mut().viewer.finish_still(&still)?;
+                if let Some(pixels) = pixels {
+                    return Ok(Uint8ClampedArray::from(&pixels[..]).into());
+                }
+            }
+        })
+    }
+}
+
+impl WebViewer {
+    fn with_clock(&self, action: impl FnOnce(&mut crate::Clock)) {
+        if let Some(clock) = self.state.borrow_mut().viewer.clock_mut() {
+            action(clock);
+        }
+    }
+
+    fn with_controls(&self, action: impl FnOnce(&mut crate::Controls)) {
+        if let Some(controls) = self.state.borrow_mut().viewer.controls_mut() {
+            action(controls);
+        }
+    }
+}
+
+impl State {
+    fn configure(&self) {
+        self.surface.configure(
+            self.gpu.device(),
+            &wgpu::SurfaceConfiguration {
+                usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
+                format: self.format,
+                color_space: wgpu::SurfaceColorSpace::Auto,
+                width: self.size[0] as u32,
+                height: self.size[1] as u32,
+                present_mode: wgpu::PresentMode::Fifo,
+                desired_maximum_frame_latency: 2,
+                alpha_mode: wgpu::CompositeAlphaMode::Opaque,
+                view_formats: Vec::new(),
+            },
+        );
+    }
+
+    fn draw(&mut self) -> Result<Option<crate::Frame>, PlayError> {
+        let texture = match self.surface.get_current_texture() {
+            wgpu::CurrentSurfaceTexture::Success(texture) | wgpu::CurrentSurfaceTexture::Suboptimal(texture) => texture,
+            _ => {
+                self.gpu.check()?;
+                return Ok(None);
+            }
+        };
+        let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let frame = self.viewer.draw(self.size, &view)?;
+        self.num_drawn = self.num_drawn.wrapping_add(1);
+        let finished = self.num_finished.clone();
+        self.gpu.queue().on_submitted_work_done(move || {
+            finished.fetch_add(1, Ordering::Relaxed);
+        });
+        self.gpu.queue().present(texture);
+        Ok(frame)
+    }
+}
+
+fn camera_entry(entry: &FileCamera) -> JsValue {
+    let camera = camera_object(&entry.camera);
+    let position: js_sys::Array = entry.camera.center().into_iter().map(JsValue::from_f64).collect();
+    let fields = js_sys::Object::from(camera);
+    object::set(&fields, "name", &entry.name.as_str().into());
+    object::set(&fields, "position", &position.into());
+    fields.into()
+}

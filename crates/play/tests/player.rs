@@ -1,0 +1,341 @@
+//! The player's logic: what is fetched, in which order, what stays, what goes wrong.
+
+#![allow(clippy::unwrap_used)]
+
+mod support;
+
+use support::{Behaviour, Network, room_file, settings, small_file, wait};
+use tcgs_codec::{Archive, CompressSettings, DecodeLimits, Opening, decode};
+use tcgs_core::Gaussians;
+use tcgs_play::{BytesSource, FileSource, PlayError, Player, PlayerSettings, Source, SourceError};
+
+fn archive(file: &[u8]) -> Archive {
+    match Archive::open(file, &DecodeLimits::default()).unwrap() {
+        Opening::Ready(archive) => *archive,
+        Opening::More(more) => panic!("{more} of {} bytes", file.len()),
+    }
+}
+
+/// What is shown now, as floats.
+fn shown<S: Source>(player: &Player<S>) -> (usize, Gaussians) {
+    let (segment, timestep) = player.current().unwrap();
+    (timestep, segment.at(timestep))
+}
+
+fn seek<S: Source>(player: &mut Player<S>, timestep: usize) {
+    player.clock_mut().unwrap().seek(timestep);
+}
+
+#[test]
+fn seeking_in_random_order_shows_what_playing_shows() {
+    let file = small_file();
+    let expected = decode(&file, &DecodeLimits::default()).unwrap();
+    let num_timesteps = expected.num_timesteps();
+    // Room for all, for about two, and for none but the one on show.
+    for bound in [1 << 30, 40_000, 1] {
+        let mut now = 0.0;
+        let mut player = Player::new(BytesSource::new(&file[..]), settings(bound), 0);
+        wait(&mut player, &mut now);
+        player.clock_mut().unwrap().play();
+        let mut played: Vec<Option<Gaussians>> = vec![None; num_timesteps];
+        // Twice around, a third of a timestep each time.
+        for _ in 0..6 * num_timesteps {
+            now += 1000.0 / 90.0;
+            wait(&mut player, &mut now);
+            let (timestep, gaussians) = shown(&player);
+            assert!(played[timestep].as_ref().is_none_or(|before| *before == gaussians));
+            played[timestep] = Some(gaussians);
+        }
+        let mut order: Vec<usize> = (0..num_timesteps).collect();
+        let random = &mut support::scenes::Random(3);
+        for i in (1..order.len()).rev() {
+            order.swap(i, random.next() as usize % (i + 1));
+        }
+        let mut other = Player::new(BytesSource::new(&file[..]), settings(bound), 0);
+        wait(&mut other, &mut now);
+        for &timestep in &order {
+            seek(&mut other, timestep);
+            wait(&mut other, &mut now);
+            let sought = shown(&other);
+            assert_eq!(sought, (timestep, expected.at(timestep)));
+            assert_eq!(Some(&sought.1), played[timestep].as_ref(), "timestep {timestep} was played");
+        }
+    }
+}
+
+#[test]
+fn playing_shows_every_timestep_in_order_and_the_next_segment_is_there_in_time() {
+    let file = small_file();
+    let mut now = 0.0;
+    let mut player = Player::new(BytesSource::new(&file[..]), settings(1 << 30), 0);
+    wait(&mut player, &mut now);
+    // Updates between frames bring the rest in.
+    player.update(now).unwrap();
+    player.clock_mut().unwrap().play();
+    let mut seen = vec![0];
+    for _ in 0..400 {
+        now += 10.0;
+        player.update(now).unwrap();
+        let (timestep, _) = shown(&player);
+        if seen.last() != Some(&timestep) {
+            seen.push(timestep);
+        }
+    }
+    let expected: Vec<usize> = (0..seen.len()).map(|i| i % 40).collect();
+    assert_eq!(seen, expected);
+    assert!(seen.len() > 110, "{} timesteps in four seconds of 30 each", seen.len());
+}
+
+#[test]
+fn how_the_bytes_arrive_does_not_matter() {
+    let file = small_file();
+    let expected = decode(&file, &DecodeLimits::default()).unwrap();
+    let behaviours = [
+        Behaviour { piece: 1, ..Default::default() },
+        Behaviour { piece: 1000, stalls: 50, ..Default::default() },
+        Behaviour { piece: 7, stalls: 1, hides_length: true, ..Default::default() },
+    ];
+    for behaviour in behaviours {
+        let mut now = 0.0;
+        let mut player = Player::new(Network::new(&file, behaviour.clone()), settings(1 << 30), 0);
+        wait(&mut player, &mut now);
+        for timestep in [0, 39, 17] {
+            seek(&mut player, timestep);
+            wait(&mut player, &mut now);
+            assert_eq!(shown(&player), (timestep, expected.at(timestep)), "{behaviour:?}");
+        }
+    }
+}
+
+#[test]
+fn a_stall_holds_the_clock_and_nothing_else() {
+    let file = small_file();
+    let mut player = Player::new(Network::new(&file, Behaviour { stalls: 1000, ..Default::default() }), settings(1), 0);
+    let mut now = 0.0;
+    wait(&mut player, &mut now);
+    player.clock_mut().unwrap().play();
+    // Into the next segment, which there was no room to fetch ahead.
+    while player.current().is_some() {
+        now += 5.0;
+        player.update(now).unwrap();
+    }
+    let stalled_at = player.clock().unwrap().position();
+    for _ in 0..100 {
+        now += 1.0;
+        player.update(now).unwrap();
+        assert!(player.current().is_none());
+        assert_eq!(player.clock().unwrap().position(), stalled_at);
+    }
+    // Going back during the stall shows what is there, or comes.
+    seek(&mut player, 0);
+    wait(&mut player, &mut now);
+    assert_eq!(shown(&player).0, 0);
+}
+
+#[test]
+fn opening_at_the_last_timestep_fetches_tables_shared_part_and_one_segment() {
+    // Larger than the first request.
+    let file = room_file(4000, 60, &CompressSettings { segment_length: 6, ..Default::default() });
+    let archive = archive(&file);
+    let (layers, last) = (archive.num_layers(), archive.num_segments() - 1);
+    let (shared, segment) = (archive.shared_range(layers), archive.segment_range(last, layers));
+    let opening = PlayerSettings::default().opening_bytes;
+    assert!(opening < shared.end && shared.end < segment.start && last == 9);
+
+    let network = Network::new(&file, Behaviour { piece: 1000, stalls: 1, ..Default::default() });
+    let log = network.log.clone();
+    let mut now = 0.0;
+    // No room for another segment, so that nothing is fetched ahead.
+    let mut player = Player::new(network, PlayerSettings { max_segment_bytes: 1, ..Default::default() }, 59);
+    wait(&mut player, &mut now);
+    assert_eq!(shown(&player).0, 59);
+    for _ in 0..1000 {
+        player.update(now).unwrap();
+    }
+    assert_eq!(log.ranges(), [0..opening, opening..shared.end, segment.clone()]);
+    assert_eq!(player.bytes_loaded(), shared.end + segment.end - segment.start);
+    // With room the others follow, each once: as the clock would meet them, around the end first.
+    let network = Network::new(&file, Behaviour::default());
+    let log = network.log.clone();
+    let mut player = Player::new(network, PlayerSettings::default(), 59);
+    wait(&mut player, &mut now);
+    let until_shown = log.ranges().len();
+    assert!(until_shown <= 4, "{:?}", log.ranges());
+    for _ in 0..100 {
+        player.update(now).unwrap();
+    }
+    let rest: Vec<_> = (0..last).map(|s| archive.segment_range(s, layers)).collect();
+    assert_eq!(log.ranges()[3..], rest);
+    assert_eq!(player.bytes_loaded(), file.len() as u64);
+}
+
+#[test]
+fn a_small_file_takes_one_request() {
+    let file = room_file(20, 4, &CompressSettings::default());
+    let settings = PlayerSettings::default();
+    let opening = settings.opening_bytes;
+    assert!((file.len() as u64) < opening);
+    let network = Network::new(&file, Behaviour::default());
+    let log = network.log.clone();
+    let mut player = Player::new(network, settings, 0);
+    wait(&mut player, &mut 0.0);
+    assert_eq!(log.ranges(), std::iter::once(0..opening).collect::<Vec<_>>());
+}
+
+#[test]
+fn the_memory_bound_holds_over_a_long_loop() {
+    let file = small_file();
+    let archive = archive(&file);
+    let largest = {
+        let mut player = Player::new(BytesSource::new(&file[..]), settings(1 << 30), 0);
+        let mut now = 0.0;
+        (0..8)
+            .map(|s| {
+                seek(wait_in(&mut player, &mut now), 5 * s);
+                wait(&mut player, &mut now);
+                player.current().unwrap().0.bytes()
+            })
+            .max()
+            .unwrap()
+    };
+    assert_eq!(archive.num_segments(), 8);
+    for (segments, speed) in [(2, 1.0), (3, -1.0), (5, 4.0)] {
+        let bound = segments * largest;
+        let mut now = 0.0;
+        let mut player = Player::new(BytesSource::new(&file[..]), settings(bound), 0);
+        wait(&mut player, &mut now);
+        player.clock_mut().unwrap().play();
+        player.clock_mut().unwrap().set_speed(speed);
+        let (mut most, mut missing) = (0, 0);
+        for _ in 0..20_000 {
+            now += 8.0;
+            player.update(now).unwrap();
+            missing += usize::from(player.current().is_none());
+            most = most.max(player.segment_bytes());
+        }
+        assert!(most <= bound, "{most} bytes, bound {bound}");
+        assert!(most > bound - largest - largest / 2, "{most} bytes: the room of {bound} is used");
+        // Two segments are enough to have the next one in time.
+        assert!(missing <= 4, "{missing} of 20000 updates without a picture");
+    }
+}
+
+fn wait_in<'a, S: Source>(player: &'a mut Player<S>, now: &mut f64) -> &'a mut Player<S> {
+    wait(player, now);
+    player
+}
+
+fn failure(source: impl Source) -> PlayError {
+    let mut player = Player::new(source, settings(1 << 30), 0);
+    for step in 0..100_000 {
+        if let Err(error) = player.update(f64::from(step)) {
+            assert_eq!(player.update(f64::from(step)).unwrap_err(), error, "told again");
+            return error;
+        }
+    }
+    panic!("nothing went wrong");
+}
+
+#[test]
+fn an_early_end_is_told_with_both_lengths() {
+    let file = small_file();
+    let archive = archive(&file);
+    let shared = archive.shared_range(archive.num_layers());
+    let len = file.len() as u64;
+    for ends_at in [0, 10, 40, shared.start, shared.end - 1, shared.end + 5, len - 1] {
+        for hides_length in [false, true] {
+            let behaviour = Behaviour { ends_at: Some(ends_at), hides_length, piece: 100, ..Default::default() };
+            let error = failure(Network::new(&file, behaviour));
+            let PlayError::Truncated { found, expected } = error else { panic!("{ends_at}: {error:?}") };
+            assert_eq!(error.code(), "truncated");
+            assert_eq!(found, ends_at);
+            assert!(expected > found && expected <= len, "{ends_at}: {expected}");
+        }
+    }
+}
+
+#[test]
+fn what_is_no_scene_is_told_apart() {
+    let file = small_file();
+    let failure_of = |bytes: &[u8]| failure(BytesSource::new(bytes));
+    assert_eq!(failure_of(b"<!DOCTYPE html><html>").code(), "not-tcgs");
+    assert_eq!(failure_of(b"PK\x03\x04").code(), "not-tcgs");
+    let mut newer = file.clone();
+    newer[4] = 9;
+    assert_eq!(failure_of(&newer), PlayError::NewerVersion { found: 9, expected: 1 });
+    assert_eq!(failure_of(&newer).code(), "newer-version");
+    // A flipped bit in the tables, the shared part, the first segment.
+    let archive = archive(&file);
+    let layers = archive.num_layers();
+    for at in [20, archive.shared_range(layers).start + 3, archive.segment_range(0, layers).start + 3] {
+        let mut damaged = file.clone();
+        damaged[at as usize] ^= 4;
+        let error = failure_of(&damaged);
+        assert_eq!(error.code(), "damaged", "{at}: {error}");
+    }
+    let mut limits = settings(1 << 30);
+    limits.limits.max_gaussians = 100;
+    let mut player = Player::new(BytesSource::new(&file[..]), limits, 0);
+    assert_eq!(player.update(0.0).unwrap_err().code(), "out-of-memory");
+    let absent = FileSource::open(std::path::Path::new("/no/such/scene.tcgs")).unwrap_err();
+    assert!(absent.to_string().starts_with("/no/such/scene.tcgs cannot be read: "), "{absent}");
+}
+
+#[test]
+fn a_connection_that_breaks_is_tried_again_but_not_for_ever() {
+    let file = small_file();
+    // While opening somebody waits for an answer.
+    let error = failure(Network::new(&file, Behaviour { piece: 100, breaks: 1, ..Default::default() }));
+    assert_eq!((error.code(), error.to_string().as_str()), ("network", "the connection to a network failed: it broke"));
+
+    let expected = decode(&file, &DecodeLimits::default()).unwrap();
+    let mut player = Player::new(Breaks::new(&file, 3), settings(1), 0);
+    let mut now = 0.0;
+    wait(&mut player, &mut now);
+    let begin = now;
+    seek(&mut player, 39);
+    wait(&mut player, &mut now);
+    assert_eq!(shown(&player), (39, expected.at(39)));
+    assert!(now - begin >= 250.0 + 500.0 + 1000.0, "{} ms", now - begin);
+
+    let mut player = Player::new(Breaks::new(&file, usize::MAX), settings(1), 0);
+    wait(&mut player, &mut now);
+    seek(&mut player, 39);
+    let error = (0..100_000).find_map(|step| player.update(now + f64::from(step)).err()).unwrap();
+    assert_eq!(error.code(), "network");
+}
+
+/// A network that fails so often before the last segment.
+struct Breaks {
+    inner: BytesSource,
+    breaks: usize,
+    last: u64,
+    is_last: bool,
+}
+
+impl Breaks {
+    fn new(file: &[u8], breaks: usize) -> Self {
+        let archive = archive(file);
+        let last = archive.segment_range(archive.num_segments() - 1, 0).start;
+        Self { inner: BytesSource::new(file), breaks, last, is_last: false }
+    }
+}
+
+impl Source for Breaks {
+    fn request(&mut self, range: std::ops::Range<u64>) {
+        self.is_last = range.start >= self.last;
+        self.inner.request(range);
+    }
+
+    fn poll(&mut self) -> Result<tcgs_play::Piece, SourceError> {
+        if self.is_last && self.breaks > 0 {
+            self.breaks -= 1;
+            return Err(SourceError::Interrupted { what: "a network".into(), problem: "no answer".into() });
+        }
+        self.inner.poll()
+    }
+
+    fn length(&self) -> Option<u64> {
+        self.inner.length()
+    }
+}

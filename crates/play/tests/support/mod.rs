@@ -1,0 +1,121 @@
+//! Files to play, and sources that behave as networks do.
+
+#![allow(dead_code)] // each test binary uses a part
+#![allow(clippy::unwrap_used)] // a bench uses it too, which clippy does not count as a test
+
+use std::cell::RefCell;
+use std::ops::Range;
+use std::rc::Rc;
+
+use tcgs_codec::{CompressSettings, SceneInfo, compress, encode};
+use tcgs_play::{BytesSource, Piece, Player, PlayerSettings, Source, SourceError};
+
+#[path = "../../../codec/tests/scenes/mod.rs"]
+pub mod scenes;
+
+/// The file of a room in which a part moves.
+pub fn room_file(num_gaussians: usize, num_timesteps: usize, settings: &CompressSettings) -> Vec<u8> {
+    let scene = scenes::room(num_gaussians, num_timesteps);
+    encode(&compress(&scene, &scenes::mixed_widths(num_gaussians), None, SceneInfo::of(&scene), settings))
+}
+
+/// A file of many small segments.
+pub fn small_file() -> Vec<u8> {
+    room_file(400, 40, &CompressSettings { segment_length: 5, ..Default::default() })
+}
+
+/// How a network behaves.
+#[derive(Clone, Debug, Default)]
+pub struct Behaviour {
+    /// Bytes that arrive at once; 0: all.
+    pub piece: usize,
+    /// Between two pieces so often nothing.
+    pub stalls: usize,
+    /// The file seems to end here.
+    pub ends_at: Option<u64>,
+    /// The length is not told.
+    pub hides_length: bool,
+    /// The connection breaks so often, each time after a piece.
+    pub breaks: usize,
+}
+
+/// What was asked of a network.
+#[derive(Clone, Debug, Default)]
+pub struct Log(Rc<RefCell<Vec<Range<u64>>>>);
+
+impl Log {
+    pub fn ranges(&self) -> Vec<Range<u64>> {
+        self.0.borrow().clone()
+    }
+}
+
+/// A server with ranges, as strange as wanted.
+pub struct Network {
+    inner: BytesSource,
+    behaviour: Behaviour,
+    rest: Range<u64>,
+    stalled: usize,
+    arrived: bool,
+    pub log: Log,
+}
+
+impl Network {
+    pub fn new(file: &[u8], behaviour: Behaviour) -> Self {
+        let end = behaviour.ends_at.map_or(file.len(), |end| end as usize);
+        let inner = BytesSource::new(&file[..end]);
+        Self { inner, behaviour, rest: 0..0, stalled: 0, arrived: false, log: Log::default() }
+    }
+}
+
+impl Source for Network {
+    fn request(&mut self, range: Range<u64>) {
+        assert!(!range.is_empty(), "a request for nothing");
+        self.log.0.borrow_mut().push(range.clone());
+        self.rest = range;
+        self.stalled = 0;
+        self.arrived = false;
+    }
+
+    fn poll(&mut self) -> Result<Piece, SourceError> {
+        if self.stalled < self.behaviour.stalls {
+            self.stalled += 1;
+            return Ok(Piece::Waiting);
+        }
+        self.stalled = 0;
+        if self.arrived && self.behaviour.breaks > 0 {
+            self.behaviour.breaks -= 1;
+            self.rest = 0..0;
+            return Err(SourceError::Interrupted { what: "a network".into(), problem: "it broke".into() });
+        }
+        let piece = if self.behaviour.piece == 0 { u64::MAX } else { self.behaviour.piece as u64 };
+        let end = self.rest.end.min(self.rest.start.saturating_add(piece));
+        if self.rest.start == end {
+            return Ok(Piece::End);
+        }
+        self.inner.request(self.rest.start..end);
+        self.rest.start = end;
+        self.arrived = true;
+        self.inner.poll()
+    }
+
+    fn length(&self) -> Option<u64> {
+        if self.behaviour.hides_length { None } else { self.inner.length() }
+    }
+}
+
+/// Updates until the timestep that is due is there; asserts that this ends.
+pub fn wait<S: Source>(player: &mut Player<S>, now_ms: &mut f64) {
+    for _ in 0..10_000_000 {
+        player.update(*now_ms).unwrap();
+        if player.current().is_some() {
+            return;
+        }
+        *now_ms += 1.0;
+    }
+    panic!("nothing came");
+}
+
+/// With a first request that brings less than the tables, so that small files too take several.
+pub fn settings(max_segment_bytes: usize) -> PlayerSettings {
+    PlayerSettings { max_segment_bytes, opening_bytes: 100, ..Default::default() }
+}

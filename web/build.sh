@@ -1,0 +1,28 @@
+#!/usr/bin/env bash
+# Builds the player's page: static files in web/dist, which any host can serve and which a later build of `tcgs` carries
+# for `tcgs view`. Needs Rust alone; scripts/build_wasm.sh gets what else it takes.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")"
+
+# Everything that a browser loads, compressed.
+MAX_BYTES=3000000
+
+made=$(mktemp -d)
+trap 'rm -rf "$made"' EXIT
+chmod 755 "$made"
+cp src/* "$made"
+../scripts/build_wasm.sh "$made/engine"
+# For programmers alone.
+rm -f "$made"/engine/*.d.ts
+
+total=0
+while IFS= read -r -d '' file; do
+    total=$((total + $(gzip -9c "$file" | wc -c)))
+done < <(find "$made" -type f -print0)
+echo "web/dist: $total bytes compressed, at most $MAX_BYTES"
+if ((total > MAX_BYTES)); then
+    echo "web/build.sh: the page is too large" >&2
+    exit 1
+fi
+rm -rf dist
+cp -r "$made" dist

@@ -1,0 +1,53 @@
+// What went wrong, for people: a title, what it means and what helps.
+
+const FAILURES = {
+  "no-webgpu": {
+    title: "This browser cannot draw the scene",
+    text: "The player needs WebGPU. Chrome and Edge have it from version 113 on, Safari from 26, Firefox from 141 on Windows and 145 on Macs with Apple silicon. On Linux it may have to be switched on (chrome://flags, “Unsafe WebGPU Support”).",
+  },
+  insecure: {
+    title: "This address cannot draw the scene",
+    text: "Browsers offer WebGPU on secure pages alone: open this page by https, or from your own machine as localhost.",
+  },
+  "not-tcgs": {
+    title: "This is not a .tcgs scene",
+    text: "The file is of another kind. Other scenes become one by the command “tcgs compress”.",
+  },
+  truncated: {
+    title: "The scene is incomplete",
+    text: "The file ends too early: a download or a copy of it was cut off. Fetch it again.",
+  },
+  "newer-version": {
+    title: "The scene is newer than this player",
+    text: "It was written by a later version of tcgs. Reload this page to get the newest player, or update tcgs.",
+  },
+  damaged: {
+    title: "The scene is damaged",
+    text: "Some of its bytes are not what was written. Fetch or copy the file again.",
+  },
+  network: {
+    title: "The scene could not be loaded",
+    text: "The address does not answer, does not exist, or does not allow other pages to read it (CORS).",
+  },
+  "out-of-memory": {
+    title: "The scene is too large for this device",
+    text: "There is not enough memory for it on the graphics card. Close other pages, or use a device with more.",
+  },
+  "device-lost": {
+    title: "The graphics card stopped answering",
+    text: "The system took it away from this page, as happens after sleep or a driver update. Reload the page.",
+  },
+};
+
+const UNKNOWN = { title: "Something went wrong", text: "The player met an error that it does not know." };
+
+/**
+ * @param {unknown} error with the engine's `code`, if it is the engine's
+ * @returns {{code: string, title: string, text: string, detail: string}}
+ */
+export function explain(error) {
+  let code = error?.code ?? "unknown";
+  if (code === "no-webgpu" && !globalThis.isSecureContext) code = "insecure";
+  const known = Object.hasOwn(FAILURES, code) ? FAILURES[code] : UNKNOWN;
+  return { code, ...known, detail: String(error?.message ?? error) };
+}

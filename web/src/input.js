@@ -1,0 +1,127 @@
+// Mouse, touch and keys to moves of the camera. What is not about the camera is in ui.js.
+
+/** A drag across the canvas' height turns by so much, radians. */
+const TURN = Math.PI;
+/** A key held turns by so many radians a second. */
+const KEY_TURN = 1.2;
+/** A key held moves by so many canvas heights, or flies by so many distances of the start view, a second. */
+const KEY_MOVE = 0.6;
+const KEY_ZOOM = 1.8;
+
+/** Keys that act as long as they are held: `[move, x, y, z]` a second. */
+const HELD = {
+  KeyW: ["fly", 0, 0, KEY_MOVE],
+  KeyS: ["fly", 0, 0, -KEY_MOVE],
+  KeyA: ["fly", -KEY_MOVE, 0, 0],
+  KeyD: ["fly", KEY_MOVE, 0, 0],
+  KeyQ: ["fly", 0, KEY_MOVE, 0],
+  KeyE: ["fly", 0, -KEY_MOVE, 0],
+  ArrowLeft: ["orbit", -KEY_TURN, 0],
+  ArrowRight: ["orbit", KEY_TURN, 0],
+  ArrowUp: ["orbit", 0, -KEY_TURN],
+  ArrowDown: ["orbit", 0, KEY_TURN],
+};
+
+/** @param {import("./player.js").Player} player */
+export function listenForMoves(canvas, player) {
+  dragging(canvas, player);
+  canvas.addEventListener(
+    "wheel",
+    (event) => {
+      event.preventDefault();
+      // Lines and pages of a wheel, pixels of a touchpad; pinches on one arrive with the control key.
+      const unit = [1, 16, 100][event.deltaMode] * (event.ctrlKey ? 6 : 1);
+      player.move("zoom", Math.exp(-0.0015 * Math.max(-240, Math.min(240, unit * event.deltaY))));
+    },
+    { passive: false },
+  );
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  holding(player);
+}
+
+function dragging(canvas, player) {
+  /** Where each finger or button is. */
+  const pointers = new Map();
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, button: event.button });
+  });
+  for (const end of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(end, (event) => pointers.delete(event.pointerId));
+  }
+  canvas.addEventListener("pointermove", (event) => {
+    const pointer = pointers.get(event.pointerId);
+    if (!pointer) return;
+    const [dx, dy] = [event.clientX - pointer.x, event.clientY - pointer.y].map((d) => d / canvas.clientHeight);
+    const before = spread(pointers);
+    pointer.x = event.clientX;
+    pointer.y = event.clientY;
+    if (pointers.size > 1) {
+      // Each finger moves the middle by its share.
+      player.move("pan", dx / pointers.size, dy / pointers.size);
+      if (before > 0) player.move("zoom", spread(pointers) / before);
+    } else if (pointer.button !== 0 || event.shiftKey) {
+      player.move("pan", dx, dy);
+    } else if (event.altKey) {
+      player.move("look", dx * TURN, dy * TURN);
+    } else {
+      player.move("orbit", dx * TURN, dy * TURN);
+    }
+  });
+}
+
+/** How far two fingers are apart, pixels; 0 of one. */
+function spread(pointers) {
+  const [a, b] = [...pointers.values()];
+  return b ? Math.hypot(a.x - b.x, a.y - b.y) : 0;
+}
+
+function holding(player) {
+  const held = new Set();
+  let last = null;
+  const tick = (now) => {
+    if (held.size === 0) {
+      last = null;
+      return;
+    }
+    const seconds = Math.min(0.1, (now - (last ?? now - 16)) / 1000);
+    last = now;
+    for (const key of held) {
+      const [code, shift] = key.split(" ");
+      if (code === "Plus" || code === "Minus") {
+        player.move("zoom", KEY_ZOOM ** (code === "Plus" ? seconds : -seconds));
+        continue;
+      }
+      const [how, ...amounts] = HELD[code];
+      const sideways = shift && how === "orbit";
+      player.move(sideways ? "pan" : how, ...amounts.map((amount) => amount * seconds * (sideways ? 0.5 : 1)));
+    }
+    requestAnimationFrame(tick);
+  };
+  const nameOf = (event) => {
+    if (event.key === "+" || event.key === "=") return "Plus";
+    if (event.key === "-") return "Minus";
+    return Object.hasOwn(HELD, event.code) ? event.code + (event.shiftKey ? " shift" : "") : null;
+  };
+  window.addEventListener("keydown", (event) => {
+    const name = nameOf(event);
+    if (!name || isTyping(event)) return;
+    event.preventDefault();
+    if (held.size === 0) requestAnimationFrame(tick);
+    held.add(name);
+  });
+  // Which keys are down is not told while another window has them.
+  window.addEventListener("blur", () => held.clear());
+  window.addEventListener("keyup", (event) => {
+    const code = nameOf(event)?.split(" ")[0];
+    for (const name of [...held]) if (!code || name.split(" ")[0] === code) held.delete(name);
+  });
+}
+
+/** Whether a key belongs to what has the focus, or to the browser. */
+export function isTyping(event) {
+  if (event.ctrlKey || event.metaKey || event.altKey) return true;
+  const element = event.target instanceof Element ? event.target : document.body;
+  if (element.closest("dialog[open], input[type=url], select, [popover]")) return true;
+  return element.matches("input[type=range]") && /^(Arrow|Home|End|Page)/.test(event.key);
+}

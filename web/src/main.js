@@ -1,0 +1,83 @@
+// Puts the page together and opens what its address asks for.
+
+import { CameraPath } from "./camera_path.js";
+import { listenToEmbedder } from "./embed.js";
+import { listenForMoves } from "./input.js";
+import { addToPath, moreMenu, saveStill, showHelp, viewsMenu } from "./menus.js";
+import { readParams } from "./params.js";
+import { Player } from "./player.js";
+import { cards, element, idling, playback, shortcuts, showCard, statistics, toast } from "./ui.js";
+
+const params = readParams(location.search);
+const player = new Player(element("canvas"), params);
+const file = element("file");
+const choose = () => file.click();
+
+document.body.classList.toggle("bare", !params.controls);
+player.setLoop(params.loop);
+player.setSpeed(params.speed);
+cards(player, { choose });
+playback(player);
+statistics(player);
+viewsMenu(player);
+const { toggleStatistics } = moreMenu(player, { choose, stats: params.stats, theme: params.theme });
+listenForMoves(element("canvas"), player);
+idling(player);
+shortcuts(player, {
+  camera: (index) => index < player.info.cameras.length && player.useCamera(index),
+  h: showHelp,
+  "?": showHelp,
+  i: toggleStatistics,
+  k: () => addToPath(player),
+  o: choose,
+  p: () => saveStill(player),
+});
+listenToEmbedder(player);
+
+/** The first scene alone starts where the address says. */
+let starting = true;
+player.addEventListener("load", () => {
+  if (starting && params.view !== null && params.view < player.info.cameras.length) player.useCamera(params.view);
+  if (params.autoplay && player.info.numTimesteps > 1) player.play();
+  starting = false;
+});
+
+/** A scene or a camera path from this machine. */
+async function take(chosen) {
+  if (!chosen) return;
+  if (!chosen.name.endsWith(".json")) {
+    player.open(chosen);
+    return;
+  }
+  if (!player.info) {
+    toast("Open a scene first, then its camera path");
+    return;
+  }
+  try {
+    player.setPath(CameraPath.fromJson(await chosen.text()));
+    toast(`Following ${chosen.name}`);
+  } catch (error) {
+    toast(error instanceof SyntaxError ? "This file is no JSON" : error.message);
+  }
+}
+
+file.addEventListener("change", () => {
+  take(file.files[0]);
+  file.value = "";
+});
+window.addEventListener("dragover", (event) => {
+  event.preventDefault();
+  document.body.classList.add("dropping");
+});
+window.addEventListener("dragleave", (event) => {
+  if (event.relatedTarget === null) document.body.classList.remove("dropping");
+});
+window.addEventListener("drop", (event) => {
+  event.preventDefault();
+  document.body.classList.remove("dropping");
+  take(event.dataTransfer.files[0]);
+});
+
+const source = params.src ?? document.querySelector("meta[name=tcgs-src]").content;
+if (source) player.open(source, params.timestep);
+else showCard("welcome");

@@ -1,0 +1,30 @@
+// What the page's address asks for: ?src=…&view=2&speed=0.5 and so on (docs/PLAYER.md has the table).
+
+const flag = (text, otherwise) => (text === null ? otherwise : !["0", "false", "no", "off"].includes(text));
+
+const number = (text, least, most, otherwise) => {
+  const value = text === null || text.trim() === "" ? NaN : Number(text);
+  return value >= least && value <= most ? value : otherwise;
+};
+
+/** @param {string} query of the address, with its question mark */
+export function readParams(query) {
+  const given = new URLSearchParams(query);
+  const theme = given.get("theme");
+  return {
+    src: given.get("src"),
+    autoplay: flag(given.get("autoplay"), true),
+    loop: flag(given.get("loop"), true),
+    controls: flag(given.get("controls"), true),
+    stats: flag(given.get("stats"), false),
+    speed: number(given.get("speed"), 0.05, 16, 1),
+    timestep: number(given.get("timestep"), 0, 1e9, 0),
+    /** Camera of the file to start from; null: the start view. */
+    view: number(given.get("view"), 0, 1e6, null),
+    theme: ["light", "dark"].includes(theme) ? theme : null,
+    /** "fixed": every pixel is drawn, however long it takes. */
+    quality: given.get("quality") === "fixed" ? "fixed" : "auto",
+    /** Device pixels a CSS pixel; null: the screen's. */
+    dpr: number(given.get("dpr"), 0.1, 8, null),
+  };
+}

@@ -1,0 +1,292 @@
+// The engine on a canvas: when a frame is drawn, at how many pixels, and what others are told about it.
+
+import init, { Viewer } from "./engine/tcgs_play.js";
+import { AdaptiveResolution } from "./resolution.js";
+import { CameraPath, checkCamera } from "./camera_path.js";
+
+/** So long after the last change all pixels are drawn. */
+const SETTLE_MS = 200;
+/** The engine learns some frames later whether it had room for all of a picture: so many are drawn before it rests. */
+const STILL_FRAMES = 3;
+/** While things move the GPU may be so many frames behind. */
+const MAX_PENDING = 1;
+
+/**
+ * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (a scene is there), `frame` (one was drawn; its state is `player.state`), `change`
+ * (settings, playing, or the path), `failure` (`detail`: the error).
+ */
+export class Player extends EventTarget {
+  /** A drag on the scene or a key ends what moves the camera by itself. */
+  following = false;
+  path = new CameraPath();
+  speed = 1;
+  loop = true;
+  /** Of the scene, by the engine; null: no scene. */
+  info = null;
+  /** Of the last frame, by the engine. */
+  state = null;
+  /** Frames drawn in the last second; null while nothing moves. */
+  rate = null;
+
+  #canvas;
+  #options;
+  #viewer = null;
+  #starting = null;
+  #opening = false;
+  /** Counts scenes: one that was replaced while it was opened is forgotten. */
+  #turn = 0;
+  #source = null;
+  #resolution = new AdaptiveResolution();
+  #changed = 0;
+  /** Frames at all pixels since the last change. */
+  #still = 0;
+  #last = null;
+  /** Asked of the engine, which sets the canvas to that, or to the most that the device can. */
+  #size = [0, 0];
+  #times = [];
+  #stopped = false;
+  #capturing = false;
+
+  /** @param {{quality: "auto" | "fixed", dpr: number | null}} options */
+  constructor(canvas, options) {
+    super();
+    this.#canvas = canvas;
+    this.#options = options;
+    const observer = new ResizeObserver(() => {
+      this.#resolution.forget();
+      this.touch();
+    });
+    observer.observe(canvas);
+    requestAnimationFrame(this.#tick);
+  }
+
+  /** What `open` was last given. */
+  get source() {
+    return this.#source;
+  }
+
+  /**
+   * Opens a scene, an address or a file, at a timestep. Resolves with the first picture to whether there is one; failures
+   * are told, not thrown.
+   */
+  async open(given, timestep = 0) {
+    const source = typeof given === "string" ? new URL(given, location.href).href : given;
+    const turn = ++this.#turn;
+    this.#source = source;
+    this.#opening = true;
+    this.info = null;
+    this.state = null;
+    this.path = new CameraPath();
+    this.following = false;
+    this.#tell("opening");
+    try {
+      const viewer = await this.#start();
+      await viewer.open(source, timestep);
+      if (turn !== this.#turn) return false;
+      this.#opening = false;
+      this.info = viewer.info();
+      viewer.setLoop(this.loop);
+      viewer.setSpeed(this.speed);
+      this.#resolution.forget();
+      this.touch();
+      this.#tell("load");
+      return true;
+    } catch (error) {
+      if (turn === this.#turn) this.#fail(error);
+      return false;
+    }
+  }
+
+  /** The engine, started once; a device that was lost is not started again without a reload. */
+  #start() {
+    this.#starting ??= (async () => {
+      if (!navigator.gpu) throw Object.assign(new Error("navigator.gpu is missing"), { code: "no-webgpu" });
+      await init();
+      this.#viewer = await Viewer.create(this.#canvas);
+      return this.#viewer;
+    })();
+    this.#starting.catch(() => (this.#starting = null));
+    return this.#starting;
+  }
+
+  get playing() {
+    return this.state?.playing ?? false;
+  }
+
+  play() {
+    this.#do((viewer) => viewer.play());
+  }
+
+  pause() {
+    this.#do((viewer) => viewer.pause());
+  }
+
+  toggle() {
+    if (this.playing) this.pause();
+    else this.play();
+  }
+
+  seek(timestep) {
+    this.#do((viewer) => viewer.seek(Math.min(Math.max(0, timestep), this.info.numTimesteps - 1)));
+  }
+
+  step(count) {
+    this.#do((viewer) => viewer.step(count));
+  }
+
+  setSpeed(speed) {
+    this.speed = speed;
+    this.#do((viewer) => viewer.setSpeed(speed));
+    this.#tell("change");
+  }
+
+  setLoop(loop) {
+    this.loop = loop;
+    this.#do((viewer) => viewer.setLoop(loop));
+    this.#tell("change");
+  }
+
+  /** Moves the camera by the engine's methods: `move("orbit", dx, dy)`. */
+  move(how, ...amounts) {
+    if (this.following) this.follow(false);
+    this.#do((viewer) => viewer[how](...amounts));
+  }
+
+  camera() {
+    return this.info && this.#viewer.camera();
+  }
+
+  /** Shows what a camera sees; in a window of another shape, more. */
+  setCamera(camera) {
+    checkCamera(camera);
+    this.following = false;
+    this.#do((viewer) => viewer.setCamera(camera));
+    this.#tell("change");
+  }
+
+  useCamera(index) {
+    this.following = false;
+    this.#do((viewer) => viewer.useCamera(index));
+    this.#tell("change");
+  }
+
+  /** Adds the view of now to the path. */
+  addToPath() {
+    if (!this.state) return;
+    this.path.add(this.state.timestep, this.camera());
+    this.#tell("change");
+  }
+
+  setPath(path) {
+    this.path = path;
+    this.follow(path.keys.length > 0);
+  }
+
+  follow(on) {
+    this.following = on && this.path.keys.length > 0;
+    this.touch();
+    this.#tell("change");
+  }
+
+  /** What shows, at all pixels: `{width, height, data}`, RGBA. */
+  async capture() {
+    this.#capturing = true;
+    try {
+      this.#resize(1);
+      const { width, height } = this.#canvas;
+      const data = await this.#viewer.capture();
+      return { width, height, data };
+    } finally {
+      this.#capturing = false;
+      this.touch();
+    }
+  }
+
+  /** Something will look different. */
+  touch() {
+    this.#changed = performance.now();
+    this.#still = 0;
+  }
+
+  #do(action) {
+    if (!this.info) return;
+    action(this.#viewer);
+    this.touch();
+  }
+
+  #tell(type, detail) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+
+  #fail(error) {
+    this.info = null;
+    this.#opening = false;
+    if (error?.code === "device-lost") this.#stopped = true;
+    this.#tell("failure", error);
+  }
+
+  #tick = (now) => {
+    requestAnimationFrame(this.#tick);
+    if (this.#stopped) return;
+    if (this.#opening && this.#viewer) return this.#watch(now);
+    if (!this.info) return;
+    const incomplete = this.state === null || this.state.buffering || !this.state.drawn;
+    const moving = incomplete || this.playing || now - this.#changed < SETTLE_MS;
+    if (!moving && this.#still >= STILL_FRAMES) return this.#rest();
+    if (this.#viewer.pending() > (moving ? MAX_PENDING : 0)) return;
+    const fixed = this.#options.quality === "fixed" || this.#capturing;
+    if (!fixed && moving && this.#last !== null) this.#resolution.frame(now - this.#last);
+    this.#resize(fixed || !moving ? 1 : this.#resolution.scale);
+    this.#still = moving ? 0 : this.#still + 1;
+    this.#last = now;
+    this.#draw(now);
+  };
+
+  /** Frames bring a scene in, too, and tell how far it is. */
+  #watch(now) {
+    if (this.#viewer.pending() > 0) return;
+    try {
+      this.#tell("progress", this.#viewer.frame(now).bytesLoaded);
+    } catch (error) {
+      this.#fail(error);
+    }
+  }
+
+  /** Nothing moves, and the picture is complete: no power is spent. */
+  #rest() {
+    if (this.#last === null) return;
+    this.#last = null;
+    this.#times = [];
+    this.rate = null;
+    this.#resolution.forget();
+    this.#tell("frame");
+  }
+
+  #draw(now) {
+    try {
+      if (this.following && this.state) {
+        const { width, height } = this.#canvas;
+        this.#viewer.setCamera(this.path.camera(this.state.timestep, width, height));
+      }
+      const before = this.state;
+      this.state = this.#viewer.frame(now);
+      if (this.following && before?.timestep !== this.state.timestep) this.touch();
+    } catch (error) {
+      return this.#fail(error);
+    }
+    this.#times = [...this.#times.filter((time) => time > now - 1000), now];
+    const span = now - this.#times[0];
+    this.rate = span > 300 ? (1000 * (this.#times.length - 1)) / span : null;
+    this.#tell("frame");
+  }
+
+  /** Gives the canvas its pixels. */
+  #resize(scale) {
+    const ratio = this.#options.dpr ?? window.devicePixelRatio;
+    const side = (css) => Math.max(1, Math.round(css * ratio * scale));
+    const [width, height] = [side(this.#canvas.clientWidth), side(this.#canvas.clientHeight)];
+    if (this.#size[0] === width && this.#size[1] === height) return;
+    this.#size = [width, height];
+    this.#viewer.resize(width, height);
+  }
+}

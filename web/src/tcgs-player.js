@@ -1,0 +1,124 @@
+// The player in a page of your own, as an <iframe> that this module speaks with. docs/PLAYER.md describes it.
+
+const PAGE = new URL("./index.html", import.meta.url);
+
+/**
+ * Events: `ready`, `load`, `error`, `play`, `pause`, `timestep`; `detail` says more.
+ *
+ * ```js
+ * import { TcgsPlayer } from "https://example.org/player/tcgs-player.js";
+ * const player = new TcgsPlayer(document.querySelector("#here"), { controls: false });
+ * await player.load("https://example.org/scene.tcgs");
+ * await player.seek(12);
+ * ```
+ */
+export class TcgsPlayer extends EventTarget {
+  #waiting = new Map();
+  #next = 1;
+  #ready;
+  #stop = new AbortController();
+
+  /**
+   * @param {Element} container gets the <iframe> as its child
+   * @param {Record<string, string | number | boolean>} [params] of the page's address: src, autoplay, controls, …
+   */
+  constructor(container, params = {}) {
+    super();
+    const address = new URL(PAGE);
+    for (const [name, value] of Object.entries(params)) {
+      // The player's own address is another base than this page's.
+      address.searchParams.set(name, name === "src" ? new URL(value, document.baseURI).href : String(value));
+    }
+    this.frame = document.createElement("iframe");
+    this.frame.src = address.href;
+    this.frame.title = "3D scene";
+    this.frame.allow = "fullscreen";
+    this.#ready = new Promise((resolve) => this.addEventListener("ready", resolve, { once: true }));
+    window.addEventListener("message", (event) => this.#hear(event), { signal: this.#stop.signal });
+    container.append(this.frame);
+  }
+
+  /** Opens a scene, an address or a file; resolves with what it is when its first picture shows. */
+  load(source) {
+    return this.#ask("load", source instanceof Blob ? source : new URL(source, document.baseURI).href);
+  }
+
+  play() {
+    return this.#ask("play");
+  }
+
+  pause() {
+    return this.#ask("pause");
+  }
+
+  /** @param {number} timestep from 0 */
+  seek(timestep) {
+    return this.#ask("seek", timestep);
+  }
+
+  /** @param {number} speed 1: as it was filmed */
+  setSpeed(speed) {
+    return this.#ask("setSpeed", speed);
+  }
+
+  /** @param {boolean} loop */
+  setLoop(loop) {
+    return this.#ask("setLoop", loop);
+  }
+
+  /** @param {{width, height, fx, fy, cx, cy, cameraFromWorld: number[]}} camera the matrix row by row */
+  setCamera(camera) {
+    return this.#ask("setCamera", camera);
+  }
+
+  /** @param {number} index of a camera that the file names */
+  useCamera(index) {
+    return this.#ask("useCamera", index);
+  }
+
+  resetCamera() {
+    return this.#ask("resetCamera");
+  }
+
+  /** The camera of now, as `setCamera` takes it. */
+  camera() {
+    return this.#ask("camera");
+  }
+
+  /** Of the last frame: `{timestep, playing, buffering, gaussians, bytesLoaded, width, height, …}`. */
+  state() {
+    return this.#ask("state");
+  }
+
+  /** Of the scene: `{name, numGaussians, numTimesteps, frameRate, bytes, cameras}`. */
+  info() {
+    return this.#ask("info");
+  }
+
+  /** Takes the player out of the page. */
+  remove() {
+    this.#stop.abort();
+    this.frame.remove();
+  }
+
+  async #ask(method, ...args) {
+    await this.#ready;
+    const id = this.#next++;
+    return new Promise((resolve, reject) => {
+      this.#waiting.set(id, { resolve, reject });
+      this.frame.contentWindow.postMessage({ tcgs: 1, id, method, args }, PAGE.origin);
+    });
+  }
+
+  #hear({ source, origin, data }) {
+    if (source !== this.frame.contentWindow || origin !== PAGE.origin || data?.tcgs !== 1) return;
+    if (data.event) {
+      this.dispatchEvent(new CustomEvent(data.event, { detail: data.detail }));
+      return;
+    }
+    const { resolve, reject } = this.#waiting.get(data.id) ?? {};
+    this.#waiting.delete(data.id);
+    if (data.error) reject?.(Object.assign(new Error(data.error.title), data.error));
+    else resolve?.(data.result);
+  }
+}

@@ -1,0 +1,365 @@
+// The player in a browser, as a person uses it, on a scene that `tcgs demo` made. Run:
+//   npm ci --prefix web && TCGS=target/release/tcgs SCENE=tcgs-demo/scene.tcgs node --test web/test/browser.mjs
+// SHOTS=FOLDER keeps pictures of the window. Debian's chromium is needed, and a tcgs that carries the page.
+
+import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
+import { mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+
+import { compare, drop, launch, serve, settled } from "./support.mjs";
+
+const { TCGS = "target/release/tcgs", SCENE = "tcgs-demo/scene.tcgs", SHOTS } = process.env;
+const bytes = readFileSync(SCENE);
+const EXACT = "quality=fixed&dpr=1&autoplay=0";
+
+let browser, server, scratch;
+
+before(async () => {
+  scratch = mkdtempSync(join(tmpdir(), "tcgs-web-"));
+  if (SHOTS) mkdirSync(SHOTS, { recursive: true });
+  [browser, server] = await Promise.all([launch(), serve(TCGS, SCENE)]);
+});
+
+after(async () => {
+  await browser?.close();
+  server?.stop();
+  rmSync(scratch, { recursive: true, force: true });
+});
+
+/** Opens the page; what goes wrong in its scripts fails the test. */
+async function open(t, query = EXACT, options = {}, script = undefined) {
+  const context = await browser.newContext({ viewport: { width: 640, height: 400 }, colorScheme: "dark", ...options });
+  const page = await context.newPage();
+  const errors = [];
+  page.on("pageerror", (error) => errors.push(error.stack ?? String(error)));
+  page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
+  t.after(async () => {
+    await context.close();
+    assert.deepEqual(errors.filter((error) => !error.includes("404 (Not Found)")), []);
+  });
+  if (script) await page.addInitScript(script);
+  await page.goto(`${server.address}${query.includes("html") ? query : `?${query}`}`);
+  return page;
+}
+
+async function loaded(page) {
+  await page.waitForSelector("body.has-scene", { timeout: 60_000 });
+  await settled(page);
+  return page;
+}
+
+async function shot(page, name) {
+  if (SHOTS) writeFileSync(join(SHOTS, `${name}.png`), await page.screenshot());
+}
+
+const frameNumber = (page) => page.textContent("#frame-number");
+
+async function goTo(page, timestep) {
+  await page.keyboard.press("Home");
+  for (let i = 0; i < timestep; i++) await page.keyboard.press(".");
+  await page.waitForFunction((t) => document.querySelector("#timeline").value === String(t), timestep);
+  return settled(page);
+}
+
+/** Pictures of `tcgs render`, one a frame, along a path in a file. */
+function rendered(path, size) {
+  const out = mkdtempSync(join(scratch, "frames-"));
+  const options = ["--path", path, "--size", size, "--out", out, "--backend", "cpu"];
+  execFileSync(TCGS, ["render", SCENE, ...options], { stdio: ["ignore", "ignore", "inherit"] });
+  return (timestep) => readFileSync(join(out, `${String(timestep).padStart(6, "0")}.png`));
+}
+
+test("the scene shows, plays, and holds still when told", async (t) => {
+  const page = await loaded(await open(t, "quality=fixed&dpr=1&stats=1"));
+  assert.equal(await page.getAttribute("#play", "aria-label"), "Pause", "it plays by itself");
+  const first = await frameNumber(page);
+  await page.waitForFunction((n) => document.querySelector("#frame-number").textContent !== n, first);
+  await page.keyboard.press("Space");
+  const still = await settled(page);
+  await shot(page, "playing");
+  assert.match(await page.textContent("#stat-drawn"), /^\d{1,3}(\u202f\d{3})*$/);
+  assert.match(await page.textContent("#stat-bytes"), /^\d.* of \d/);
+  assert.equal(await page.textContent("#stat-size"), "640 × 400");
+  assert.match(await page.title(), /scene/);
+  await page.waitForTimeout(400);
+  assert.ok(still.equals(await page.screenshot()), "paused is paused");
+});
+
+test("the timeline scrubs", async (t) => {
+  const page = await loaded(await open(t));
+  const frames = (await frameNumber(page)).match(/^1 \/ (\d+)$/);
+  assert.ok(frames, await frameNumber(page));
+  const count = Number(frames[1]);
+  const start = await settled(page);
+  const { x, y, width, height } = await page.locator("#timeline").boundingBox();
+  await page.mouse.move(x + 8, y + height / 2);
+  await page.mouse.down();
+  for (const share of [0.2, 0.5, 0.8]) await page.mouse.move(x + share * width, y + height / 2, { steps: 3 });
+  await page.mouse.up();
+  const late = await settled(page);
+  const reached = Number((await frameNumber(page)).split(" ")[0]);
+  assert.ok(reached > 0.7 * count && reached < 0.9 * count, `${reached} of ${count}`);
+  assert.ok(!late.equals(start));
+  await page.keyboard.press("Home");
+  await page.keyboard.press(".");
+  await page.keyboard.press(".");
+  await page.keyboard.press(",");
+  await settled(page);
+  assert.equal(await frameNumber(page), `2 / ${count}`);
+  await page.keyboard.press("End");
+  await settled(page);
+  assert.equal(await frameNumber(page), `${count} / ${count}`);
+});
+
+test("mouse, keys and touch move the camera, and R brings it back", async (t) => {
+  const page = await loaded(await open(t));
+  const canvas = page.locator("#canvas");
+  const home = await settled(page);
+  const drag = async (options = {}) => {
+    for (const key of options.keys ?? []) await page.keyboard.down(key);
+    await page.mouse.move(300, 150);
+    await page.mouse.down({ button: options.button });
+    await page.mouse.move(360, 170, { steps: 4 });
+    await page.mouse.up({ button: options.button });
+    for (const key of options.keys ?? []) await page.keyboard.up(key);
+  };
+  const hold = async (key) => {
+    await page.keyboard.down(key);
+    await page.waitForTimeout(300);
+    await page.keyboard.up(key);
+  };
+  const moves = {
+    orbit: () => drag(),
+    pan: () => drag({ button: "right" }),
+    "pan by shift": () => drag({ keys: ["Shift"] }),
+    look: () => drag({ keys: ["Alt"] }),
+    zoom: () => page.mouse.wheel(0, -300),
+    fly: () => hold("w"),
+    "orbit by keys": () => hold("ArrowLeft"),
+    "pan by keys": async () => {
+      await page.keyboard.down("Shift");
+      await hold("ArrowLeft");
+      await page.keyboard.up("Shift");
+    },
+    "zoom by keys": () => hold("+"),
+  };
+  for (const [name, move] of Object.entries(moves)) {
+    await canvas.focus();
+    await move();
+    const moved = await settled(page);
+    if (name === "orbit") await shot(page, "orbited");
+    const { near } = await compare(page, moved, home);
+    assert.ok(near < 0.9, `${name} changes the picture: ${near}`);
+    await page.keyboard.press("r");
+    const back = await compare(page, await settled(page), home);
+    assert.ok(back.near > 0.999, `back from ${name}: ${back.near}`);
+  }
+});
+
+test("a finger turns, two fingers zoom, on a phone on which everything fits", async (t) => {
+  const phone = { viewport: { width: 360, height: 700 }, deviceScaleFactor: 2, hasTouch: true, isMobile: true };
+  const page = await loaded(await open(t, "quality=fixed&autoplay=0", phone));
+  await shot(page, "phone");
+  const outside = await page.evaluate(() =>
+    [...document.querySelectorAll("#dock button, #dock select")]
+      .filter((control) => control.checkVisibility())
+      .filter((control) => {
+        const { left, right, top, bottom } = control.getBoundingClientRect();
+        return left < 0 || right > innerWidth || top < 0 || bottom > innerHeight;
+      })
+      .map((control) => control.id),
+  );
+  assert.deepEqual(outside, []);
+  const home = await settled(page);
+  const session = await page.context().newCDPSession(page);
+  const touch = async (...positions) => {
+    const send = (type, touchPoints) => session.send("Input.dispatchTouchEvent", { type, touchPoints });
+    await send("touchStart", positions[0]);
+    for (const points of positions.slice(1)) await send("touchMove", points);
+    await send("touchEnd", []);
+  };
+  await touch([{ x: 100, y: 300 }], [{ x: 130, y: 300 }], [{ x: 180, y: 310 }]);
+  const turned = await settled(page);
+  assert.ok((await compare(page, turned, home)).near < 0.9);
+  const fingers = (apart) => [{ x: 180 - apart, y: 300, id: 1 }, { x: 180 + apart, y: 300, id: 2 }];
+  await touch(fingers(30), fingers(45), fingers(70));
+  assert.ok((await compare(page, await settled(page), turned)).near < 0.9);
+  await page.tap("#views");
+  await settled(page);
+  await shot(page, "phone-views");
+});
+
+test("what shows is what tcgs renders, at views and between them", async (t) => {
+  const page = await loaded(await open(t, `${EXACT}&controls=0`, { viewport: { width: 480, height: 320 } }));
+  // A path as a person makes it: views from three sides at three times, saved to a file.
+  const turn = async (dx, dy) => {
+    await page.mouse.move(200, 150);
+    await page.mouse.down();
+    await page.mouse.move(200 + dx, 150 + dy, { steps: 3 });
+    await page.mouse.up();
+  };
+  await page.keyboard.press("k");
+  await goTo(page, 6);
+  await turn(50, 10);
+  await page.keyboard.press("k");
+  await goTo(page, 14);
+  await turn(40, -25);
+  await page.mouse.wheel(0, -120);
+  await page.keyboard.press("k");
+  const file = join(scratch, "camera-path.json");
+  const download = page.waitForEvent("download");
+  await page.evaluate(() => document.querySelector("#path-save").click());
+  await (await download).saveAs(file);
+  const path = JSON.parse(readFileSync(file, "utf8"));
+  assert.deepEqual(path.cameras.map((camera) => camera.timestep), [0, 6, 14]);
+  assert.deepEqual([path.cameras[0].width, path.cameras[0].height], [480, 320]);
+
+  // Dropped on the page it is followed.
+  await drop(page, "camera-path.json", readFileSync(file));
+  await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
+  const expected = rendered(file, "480x320");
+  for (const timestep of [0, 3, 6, 11, 14, 20]) {
+    const found = await goTo(page, timestep);
+    if (SHOTS) writeFileSync(join(SHOTS, `path-${timestep}.png`), found);
+    const { near, covered } = await compare(page, found, expected(timestep));
+    assert.ok(covered >= 0.5, `timestep ${timestep}: the scene covers ${covered}`);
+    assert.ok(near >= 0.99, `timestep ${timestep}: ${near} of the pixels within 3`);
+    t.diagnostic(`timestep ${timestep}: ${(100 * near).toFixed(2)} % of the pixels within 3, ${(100 * covered).toFixed(0)} % covered`);
+  }
+
+  // A still is what shows.
+  const still = page.waitForEvent("download");
+  await page.keyboard.press("p");
+  const saved = await still;
+  assert.match(saved.suggestedFilename(), /-0021\.png$/);
+  await saved.saveAs(join(scratch, "still.png"));
+  const { near } = await compare(page, readFileSync(join(scratch, "still.png")), expected(20));
+  assert.ok(near >= 0.99, `the still: ${near}`);
+});
+
+test("bad files are told apart, and a good one opens after them", async (t) => {
+  const page = await open(t, `${EXACT}&src=missing.tcgs`);
+  const failure = async (title) => {
+    await page.waitForFunction(
+      (text) => document.querySelector("#failure:not([hidden]) #failure-title")?.textContent === text,
+      title,
+      { timeout: 30_000 },
+    );
+  };
+  await failure("The scene could not be loaded");
+  assert.ok(await page.isVisible("#failure-retry"));
+
+  await drop(page, "holiday.tcgs", Buffer.from("not a scene at all, but some text"));
+  await failure("This is not a .tcgs scene");
+  await drop(page, "half.tcgs", bytes.subarray(0, bytes.length / 2));
+  await failure("The scene is incomplete");
+  const newer = Buffer.from(bytes);
+  newer.writeUInt16LE(77, 4);
+  await drop(page, "newer.tcgs", newer);
+  await failure("The scene is newer than this player");
+  const damaged = Buffer.from(bytes);
+  for (let at = 4000; at < damaged.length; at += 1000) damaged[at] ^= 0x5a;
+  await drop(page, "damaged.tcgs", damaged);
+  await failure("The scene is damaged");
+  await settled(page);
+  await shot(page, "damaged");
+
+  await drop(page, "scene.tcgs", bytes);
+  await loaded(page);
+  assert.ok(!(await page.isVisible("#failure")) && (await page.isVisible("#dock")));
+});
+
+test("a browser without WebGPU is told which ones have it", async (t) => {
+  const page = await open(t, EXACT, {}, () => Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined }));
+  await page.waitForSelector("#failure:not([hidden])");
+  assert.match(await page.textContent("#failure"), /cannot draw[\s\S]*WebGPU[\s\S]*Chrome[\s\S]*Safari[\s\S]*Firefox/);
+});
+
+test("a slow device draws fewer pixels while things move, all of them at rest", async (t) => {
+  const page = await loaded(await open(t, "stats=1&dpr=1", { viewport: { width: 1600, height: 1000 } }));
+  await page.waitForFunction(() => parseInt(document.querySelector("#stat-size").textContent) < 1500, null, { timeout: 60_000 });
+  await page.keyboard.press("Space");
+  await page.waitForFunction(() => document.querySelector("#stat-size").textContent === "1600 × 1000");
+  await settled(page);
+});
+
+test("another page embeds the player and speaks with it", async (t) => {
+  const page = await open(t, "example.html", { viewport: { width: 800, height: 700 } });
+  await page.waitForFunction(() => /^frame /.test(document.querySelector("#said").textContent), null, { timeout: 60_000 });
+  const result = await page.evaluate(async () => {
+    const { player } = window;
+    const events = [];
+    for (const name of ["pause", "timestep", "error"]) player.addEventListener(name, ({ detail }) => events.push([name, detail]));
+    const until = async (check) => {
+      for (let i = 0; i < 300; i++) {
+        if (check(await player.state())) return true;
+        await new Promise((resolve) => setTimeout(resolve, 50));
+      }
+      return false;
+    };
+    await player.pause();
+    const paused = await until((state) => !state.playing);
+    await player.seek(5);
+    const sought = await until((state) => state.timestep === 5);
+    const info = await player.info();
+    const camera = await player.camera();
+    camera.cameraFromWorld[3] += 0.125;
+    await player.setCamera(camera);
+    const moved = await player.camera();
+    const wrong = await player.setCamera({ fx: 1 }).then(() => "accepted", (error) => error.message);
+    const missing = await player.load("missing.tcgs").then(() => "loaded", (error) => error.code);
+    return { events, paused, sought, info, shift: moved.cameraFromWorld[3] - camera.cameraFromWorld[3], wrong, missing };
+  });
+  assert.ok(result.paused && result.sought);
+  assert.ok(result.events.some(([name]) => name === "pause"));
+  assert.ok(result.events.some(([name, detail]) => name === "timestep" && detail.timestep === 5));
+  assert.ok(result.events.some(([name, detail]) => name === "error" && detail.code === "network"));
+  assert.ok(result.info.numGaussians > 0 && result.info.numTimesteps > 5);
+  assert.ok(Math.abs(result.shift) < 1e-9);
+  assert.match(result.wrong, /camera needs width/);
+  assert.equal(result.missing, "network");
+});
+
+test("help opens and closes, menus and themes work, everything has a name", async (t) => {
+  const page = await loaded(await open(t, EXACT, { viewport: { width: 1000, height: 640 } }));
+  const nameless = await page.evaluate(() =>
+    [...document.querySelectorAll("button, input, select")]
+      .filter((control) => !control.getAttribute("aria-label") && !control.textContent.trim() && !control.labels?.length)
+      .map((control) => control.outerHTML),
+  );
+  assert.deepEqual(nameless, []);
+  await page.keyboard.press("h");
+  assert.ok(await page.isVisible("#help"));
+  await settled(page);
+  await shot(page, "help");
+  await page.keyboard.press("Escape");
+  assert.ok(!(await page.isVisible("#help")));
+  await page.click("#more");
+  await page.click("text=Light");
+  await settled(page);
+  await shot(page, "light");
+  assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "light");
+  await page.click("#toggle-stats");
+  assert.ok(await page.isVisible("#stats"));
+  await page.reload();
+  await loaded(page);
+  assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "light", "a choice is remembered");
+});
+
+test("without a scene the page says what to do", async (t) => {
+  const page = await open(t);
+  // As on a host that names no scene.
+  await page.route(`${server.address}?bare`, async (route) => {
+    const response = await route.fetch();
+    await route.fulfill({ response, body: (await response.text()).replace('content="/scene.tcgs"', 'content=""') });
+  });
+  await page.goto(`${server.address}?bare`);
+  await page.waitForSelector("#welcome:not([hidden])");
+  await shot(page, "welcome");
+  await page.fill("#link", `${server.address}scene.tcgs`);
+  await page.click("#link-form button");
+  await loaded(page);
+});

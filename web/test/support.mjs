@@ -1,0 +1,102 @@
+// A browser, the server under test, and pictures to compare.
+
+import { spawn } from "node:child_process";
+import { once } from "node:events";
+import { createInterface } from "node:readline";
+
+import { chromium } from "playwright-core";
+
+/**
+ * Debian's. Its graphics card is software, that of the window, too, or WebGPU's pictures would not come through to it; for
+ * the same reason there is a window, on whatever display there is. It reaches nothing but this machine.
+ */
+export function launch() {
+  return chromium.launch({
+    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+    headless: false,
+    args: [
+      "--no-sandbox",
+      "--enable-unsafe-webgpu",
+      "--use-webgpu-adapter=swiftshader",
+      "--enable-gpu",
+      "--ignore-gpu-blocklist",
+      "--enable-features=Vulkan",
+      "--use-vulkan=swiftshader",
+      "--disable-vulkan-surface",
+      "--disable-gpu-watchdog",
+      "--disable-background-networking",
+      "--disable-component-update",
+      "--disable-sync",
+      "--no-first-run",
+      "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+      "--force-color-profile=srgb",
+    ],
+  });
+}
+
+/** `tcgs view`: its address, and how to end it. */
+export async function serve(tcgs, scene) {
+  const child = spawn(tcgs, ["view", scene, "--no-open", "--port", "0"], { stdio: ["ignore", "pipe", "inherit"] });
+  const lines = createInterface({ input: child.stdout });
+  const [address] = await once(lines, "line", { signal: AbortSignal.timeout(30_000) });
+  return { address, stop: () => child.kill() };
+}
+
+/**
+ * How two PNG files differ, told by the browser that decodes them: the share of the pixels of which all channels agree
+ * within 3, and the share of the second one's pixels that show anything.
+ * @param {Buffer} found
+ * @param {Buffer} expected
+ */
+export function compare(page, found, expected) {
+  return page.evaluate(
+    async (files) => {
+      const pixels = async (text) => {
+        const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+        const bitmap = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
+        const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+        context.drawImage(bitmap, 0, 0);
+        return context.getImageData(0, 0, bitmap.width, bitmap.height);
+      };
+      const [a, b] = await Promise.all(files.map(pixels));
+      if (a.width !== b.width || a.height !== b.height) {
+        throw new Error(`${a.width}x${a.height}, expected ${b.width}x${b.height}`);
+      }
+      let [near, covered] = [0, 0];
+      for (let i = 0; i < a.data.length; i += 4) {
+        const channels = [0, 1, 2].map((c) => [a.data[i + c], b.data[i + c]]);
+        if (channels.every(([x, y]) => Math.abs(x - y) <= 3)) near += 1;
+        if (channels.some(([, y]) => y > 8)) covered += 1;
+      }
+      const count = a.data.length / 4;
+      return { near: near / count, covered: covered / count };
+    },
+    [found, expected].map((file) => file.toString("base64")),
+  );
+}
+
+/** A picture of the window once nothing changes any more. */
+export async function settled(page) {
+  let before = await page.screenshot();
+  for (let i = 0; i < 60; i++) {
+    await page.waitForTimeout(250);
+    const now = await page.screenshot();
+    if (now.equals(before)) return now;
+    before = now;
+  }
+  throw new Error("the picture does not come to rest");
+}
+
+/** Drops a file on the page, as a hand does. */
+export async function drop(page, name, bytes) {
+  await page.evaluate(
+    ({ name, text }) => {
+      const transfer = new DataTransfer();
+      transfer.items.add(new File([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))], name));
+      const event = (type) => new DragEvent(type, { dataTransfer: transfer, bubbles: true, cancelable: true });
+      document.body.dispatchEvent(event("dragover"));
+      document.body.dispatchEvent(event("drop"));
+    },
+    { name, text: bytes.toString("base64") },
+  );
+}

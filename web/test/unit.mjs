@@ -1,0 +1,128 @@
+// What of the page needs no browser. Run: node --test web/test/unit.mjs
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { CameraPath, checkCamera, fitted } from "../src/camera_path.js";
+import { explain } from "../src/failures.js";
+import { readParams } from "../src/params.js";
+import { AdaptiveResolution } from "../src/resolution.js";
+
+test("addresses say what to show, and nonsense says nothing", () => {
+  const nothing = readParams("");
+  assert.deepEqual(
+    [nothing.src, nothing.autoplay, nothing.loop, nothing.controls, nothing.speed, nothing.timestep, nothing.view],
+    [null, true, true, true, 1, 0, null],
+  );
+  const all = readParams("?src=a%20b.tcgs&autoplay=0&loop=false&controls=off&speed=0.5&timestep=7&view=0&theme=dark&quality=fixed&dpr=1");
+  assert.deepEqual(all, {
+    src: "a b.tcgs",
+    autoplay: false,
+    loop: false,
+    controls: false,
+    stats: false,
+    speed: 0.5,
+    timestep: 7,
+    view: 0,
+    theme: "dark",
+    quality: "fixed",
+    dpr: 1,
+  });
+  const odd = readParams("?speed=fast&timestep=-3&view=&dpr=0&theme=pink&quality=best");
+  assert.deepEqual([odd.speed, odd.timestep, odd.view, odd.dpr, odd.theme, odd.quality], [1, 0, null, null, null, "auto"]);
+});
+
+/** Draws frames that take so long at a scale, and returns every scale that was used. */
+function drawn(resolution, count, milliseconds) {
+  return Array.from({ length: count }, () => {
+    const { scale } = resolution;
+    resolution.frame(Math.max(1000 / 60, milliseconds(scale)));
+    return scale;
+  });
+}
+
+test("a fast device draws all pixels", () => {
+  assert.ok(drawn(new AdaptiveResolution(), 500, () => 4).every((scale) => scale === 1));
+});
+
+test("a slow device draws as many as it can in time, and does not flicker", () => {
+  const cost = (scale) => 60 * scale * scale;
+  const scales = drawn(new AdaptiveResolution(), 2000, cost);
+  const late = scales.slice(1000);
+  assert.ok(late.every((scale) => cost(scale) < 1.4 * 1.25 * (1000 / 60)), `${Math.max(...late)}`);
+  assert.ok(Math.min(...late) > 0.35, "no fewer than needed");
+  const changes = late.filter((scale, i) => i > 0 && scale !== late[i - 1]).length;
+  assert.ok(changes <= 6, `${changes} changes in 1000 frames`);
+});
+
+test("a device that becomes fast again draws all pixels again", () => {
+  const resolution = new AdaptiveResolution();
+  drawn(resolution, 200, (scale) => 60 * scale * scale);
+  assert.ok(resolution.scale < 0.7);
+  drawn(resolution, 3000, () => 5);
+  assert.equal(resolution.scale, 1);
+});
+
+test("pixels do not pay for time that goes elsewhere", () => {
+  const scales = drawn(new AdaptiveResolution(), 1500, () => 45);
+  assert.ok(scales.filter((scale) => scale === 1).length > 1300, "fewer pixels did not help");
+});
+
+const camera = (angle) => {
+  // On a circle of radius 3 around the origin, looking at it.
+  const [s, c] = [Math.sin(angle), Math.cos(angle)];
+  return {
+    width: 100,
+    height: 60,
+    fx: 80,
+    fy: 80,
+    cx: 50,
+    cy: 30,
+    cameraFromWorld: [c, 0, s, 0, 0, 1, 0, 0, -s, 0, c, 3, 0, 0, 0, 1],
+  };
+};
+
+test("a path meets its views and turns between them", () => {
+  const path = new CameraPath();
+  for (const timestep of [8, 2, 4, 6]) path.add(timestep, camera(0.1 * timestep));
+  assert.deepEqual(path.keys.map((key) => key.timestep), [2, 4, 6, 8]);
+  assert.deepEqual(path.camera(4, 100, 60), camera(0.4));
+  assert.deepEqual(path.camera(0, 100, 60), camera(0.2));
+  assert.deepEqual(path.camera(99, 100, 60), camera(0.8));
+  const between = path.camera(5, 100, 60).cameraFromWorld;
+  for (const [i, expected] of camera(0.5).cameraFromWorld.entries()) {
+    assert.ok(Math.abs(between[i] - expected) < 0.01, `${i}: ${between[i]}, expected ${expected}`);
+  }
+  path.add(4, camera(1));
+  assert.equal(path.keys.length, 4, "a view at the same timestep makes room");
+});
+
+test("a path comes back from its file, and nothing else does", () => {
+  const path = new CameraPath();
+  path.add(3, camera(3 / 10));
+  path.add(1, { ...camera(1 / 10), cameraFromWorld: new Float64Array(camera(1 / 10).cameraFromWorld) });
+  const back = CameraPath.fromJson(path.toJson());
+  assert.deepEqual(back.keys, [1, 3].map((timestep) => ({ timestep, camera: camera(timestep / 10) })));
+  for (const text of ["{}", "null", '{"format":"tcgs-camera-path","version":1,"cameras":[]}', path.toJson().replace('"fx"', '"f"')]) {
+    assert.throws(() => CameraPath.fromJson(text), Error, text);
+  }
+});
+
+test("a view shows all that it shows in another window, too", () => {
+  const wide = fitted(camera(0), 400, 120);
+  assert.deepEqual([wide.fx, wide.fy, wide.cx, wide.cy], [160, 160, 200, 60]);
+  const tall = fitted(camera(0), 50, 120);
+  assert.deepEqual([tall.fx, tall.fy, tall.cx, tall.cy], [40, 40, 25, 60]);
+  assert.throws(() => checkCamera({ ...camera(0), cameraFromWorld: [1] }), /16 numbers/);
+  assert.throws(() => checkCamera({ ...camera(0), fx: -1 }), /camera needs/);
+});
+
+test("failures are told to people", () => {
+  globalThis.isSecureContext = true;
+  for (const code of ["no-webgpu", "not-tcgs", "truncated", "newer-version", "damaged", "network", "out-of-memory", "device-lost"]) {
+    const { title, text, detail } = explain(Object.assign(new Error("why"), { code }));
+    assert.ok(title.length > 10 && text.length > 30 && detail === "why", code);
+  }
+  assert.equal(explain("odd").code, "unknown");
+  assert.equal(explain(Object.assign(new Error("x"), { code: "toString" })).title, "Something went wrong");
+});
