@@ -87,8 +87,7 @@ impl Patient {
         let path = self.folder.path().join("train_meta.json");
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, self.meta.to_string()).unwrap();
-        let diagnosis = check(&Capture::open_unseen(self.folder.path()).unwrap(), &mut |_| ()).unwrap();
-        diagnosis
+        check(&Capture::open_unseen(self.folder.path()).unwrap(), &mut |_| ()).unwrap()
     }
 
     /// The only finding there is.

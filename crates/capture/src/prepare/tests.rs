@@ -144,7 +144,7 @@ fn the_hull_of_a_ball_is_the_ball() {
 
 #[test]
 fn filling_continues_a_plane() {
-    let view = |camera: tcgs_core::Camera| tcgs_core::View {
+    let view = |camera: tcgs_core::Camera| View {
         image: tcgs_core::Image::filled(camera.width, camera.height, 3, 0.5),
         camera,
         segmentation: None,
