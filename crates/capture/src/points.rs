@@ -47,7 +47,7 @@ pub(crate) fn read(path: &Path) -> Result<PointCloud, CaptureError> {
     }
 }
 
-/// Writes what [`read`] reads from an `.npz`.
+/// Writes a cloud as the `.npz` that captures have.
 pub fn write_points(writer: impl Write + Seek, cloud: &PointCloud) -> io::Result<()> {
     let num_points = cloud.points.len();
     let rows: Vec<f32> = (0..num_points)
