@@ -160,7 +160,10 @@ pub(super) fn findings(views: &[View], judged: &[Judged]) -> Vec<Finding> {
     for factor in FOCAL_FACTORS {
         let cameras = of(&|h| *h == Hypothesis::Focal(factor));
         if !cameras.is_empty() {
-            let problem = format!("the focal lengths are about {} times too large", shown(1.0 / factor));
+            let problem = match factor < 1.0 {
+                true => format!("the focal lengths are about {} times too large", shown(1.0 / factor)),
+                false => format!("the focal lengths are about {} times too small", shown(factor)),
+            };
             let fix = format!("multiply fx and fy by about {}, or calibrate again", shown(factor));
             findings.push(Finding::new(FindingKind::Focal, cameras, problem, fix));
         }

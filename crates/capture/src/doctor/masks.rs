@@ -15,11 +15,12 @@ const MOST: f64 = 0.5;
 /// Change of a pixel over time from which on something moved there.
 const MOVED: f32 = 0.1;
 
+/// - `maker`: the capture that the points were made from, and by how much `views` are downscaled; nothing if the
+///   points are independent of the masks
 pub(super) fn findings(
-    capture: &Capture,
     views: &[View],
     splats: &Splats,
-    made_points: bool,
+    maker: Option<(&Capture, usize)>,
 ) -> Result<Vec<Finding>, CaptureError> {
     let masked: Vec<&View> = views.iter().filter(|view| view.segmentation.is_some()).collect();
     let (mut empty, mut inverted) = (Vec::new(), Vec::new());
@@ -41,8 +42,12 @@ pub(super) fn findings(
     }
     // Points made from inverted masks are labelled by them: ask what moves.
     let mean_share = masked.iter().map(|view| share(view)).sum::<f64>() / masked.len().max(1) as f64;
-    if inverted.is_empty() && mean_share > MOST && made_points && capture.num_frames() > 1 {
-        inverted = moving_outside(capture, views)?;
+    if inverted.is_empty()
+        && mean_share > MOST
+        && let Some((capture, downscale)) = maker
+        && capture.num_frames() > 1
+    {
+        inverted = moving_outside(views, &capture.views(Split::All, capture.num_frames() / 2, downscale)?);
     }
     let mut findings = Vec::new();
     if !empty.is_empty() {
@@ -97,10 +102,9 @@ impl Shares {
 }
 
 /// Cameras outside of whose masks more moves than inside.
-fn moving_outside(capture: &Capture, views: &[View]) -> Result<Vec<usize>, CaptureError> {
-    let width = capture.cameras(Split::All, 0, 1)?.first().map_or(1, |(_, camera)| camera.width);
-    let downscale = width / views.first().map_or(1, |view| view.camera.width).max(1);
-    let later = capture.views(Split::All, capture.num_frames() / 2, downscale)?;
+///
+/// - `later`: the same at another time
+fn moving_outside(views: &[View], later: &[View]) -> Vec<usize> {
     let moved = |a: &Image, b: &Image, pixel: usize| {
         (0..3).any(|channel| (a.plane(channel)[pixel] - b.plane(channel)[pixel]).abs() > MOVED)
     };
@@ -113,6 +117,6 @@ fn moving_outside(capture: &Capture, views: &[View]) -> Result<Vec<usize>, Captu
         }
         moving[0] / pixels[0].max(1.0) > moving[1] / pixels[1].max(1.0)
     };
-    let pairs = views.iter().zip(&later).filter(|(a, b)| a.camera_id == b.camera_id);
-    Ok(pairs.filter(outside).map(|(view, _)| view.camera_id).collect())
+    let pairs = views.iter().zip(later).filter(|(a, b)| a.camera_id == b.camera_id);
+    pairs.filter(outside).map(|(view, _)| view.camera_id).collect()
 }

@@ -139,6 +139,7 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     let mut findings = Vec::new();
     let made_points = !capture.has_points();
     let cloud = if made_points {
+        prepare::check_enough(capture, &views[..num_train])?;
         let (views, finding) = consistent(&views[..num_train], report);
         findings.extend(finding);
         let settings = PrepareSettings { num_points: NUM_POINTS, image_width: WIDTH, ..PrepareSettings::default() };
@@ -152,7 +153,7 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     let judged = if findings.is_empty() { geometry::judge(&splats, &views, downscale) } else { Vec::new() };
     findings.extend(geometry::findings(&views[..judged.len()], &judged));
     report("comparing masks with points");
-    findings.extend(masks::findings(capture, &views, &splats, made_points)?);
+    findings.extend(masks::findings(&views, &splats, made_points.then_some((capture, downscale)))?);
 
     let suspects: Vec<usize> = findings.iter().flat_map(|finding| finding.cameras.iter().copied()).collect();
     report("comparing clocks");

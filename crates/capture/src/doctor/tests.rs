@@ -170,24 +170,29 @@ fn images_in_another_order_are_found() {
 
 #[test]
 fn a_wrong_principal_point_is_found() {
-    let mut patient = Patient::new();
-    patient.change("k", 5, |k| k[0][2] = json!(k[0][2].as_f64().unwrap() + 12.0));
-    let finding = patient.finding();
-    assert_eq!((finding.kind, &finding.cameras), (FindingKind::PrincipalPoint, &patient.ids(&[5])));
-    assert!(finding.problem.contains("12 px left") && finding.fix.contains("add about -12 to cx"), "{finding}");
+    for (axis, change, said, fix) in [(0, 12.0, "12 px left", "add about -12 to cx"), (1, -4.0, "4 px down", "4 to cy")]
+    {
+        let mut patient = Patient::new();
+        patient.change("k", 5, |k| k[axis][2] = json!(k[axis][2].as_f64().unwrap() + change));
+        let finding = patient.finding();
+        assert_eq!((finding.kind, &finding.cameras), (FindingKind::PrincipalPoint, &patient.ids(&[5])));
+        assert!(finding.problem.contains(said) && finding.fix.contains(fix), "{finding}");
+    }
 }
 
 #[test]
 fn a_wrong_focal_length_is_found() {
-    let mut patient = Patient::new();
-    patient.change("k", 4, |k| {
-        for i in 0..2 {
-            k[i][i] = json!(k[i][i].as_f64().unwrap() * 1.5);
-        }
-    });
-    let finding = patient.finding();
-    assert_eq!((finding.kind, &finding.cameras), (FindingKind::Focal, &patient.ids(&[4])));
-    assert!(finding.problem.contains("1.5 times too large"), "{finding}");
+    for (factor, said) in [(1.5, "1.5 times too large"), (0.9, "1.1 times too small")] {
+        let mut patient = Patient::new();
+        patient.change("k", 4, |k| {
+            for i in 0..2 {
+                k[i][i] = json!(k[i][i].as_f64().unwrap() * factor);
+            }
+        });
+        let finding = patient.finding();
+        assert_eq!((finding.kind, &finding.cameras), (FindingKind::Focal, &patient.ids(&[4])));
+        assert!(finding.problem.contains(said), "{finding}");
+    }
 }
 
 #[test]
@@ -222,6 +227,18 @@ fn a_late_camera_is_found_by_masks_and_without() {
         assert_eq!((finding.kind, &finding.cameras), (FindingKind::Unsynchronised, &patient.ids(&[6])));
         assert!(finding.problem.starts_with("3 frames late"), "{finding}");
     }
+}
+
+#[test]
+fn an_early_camera_is_found() {
+    let mut patient = Patient::new();
+    let names: Vec<Value> = patient.meta["fn"].as_array().unwrap().clone();
+    for (t, entries) in patient.meta["fn"].as_array_mut().unwrap().iter_mut().enumerate() {
+        entries[3] = names[(t + 2).min(names.len() - 1)][3].clone();
+    }
+    let finding = patient.finding();
+    assert_eq!((finding.kind, &finding.cameras), (FindingKind::Unsynchronised, &patient.ids(&[3])));
+    assert!(finding.problem.starts_with("2 frames early") && finding.fix.starts_with("repeat 2 frames"), "{finding}");
 }
 
 #[test]

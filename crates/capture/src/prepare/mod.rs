@@ -77,6 +77,8 @@ impl Prepared {
 
 /// Cameras that it takes: two must agree with a third.
 const MIN_CAMERAS: usize = 3;
+/// Smallest images, pixels.
+const MIN_SIDE: usize = 16;
 /// Images are halved while they stay at least that wide, to begin with.
 const COARSEST_WIDTH: usize = 60;
 /// Levels of image sizes, at most.
@@ -123,10 +125,7 @@ pub fn prepare(
 ) -> Result<Prepared, CaptureError> {
     report("reading images");
     let views = capture.views(Split::Train, 0, 1)?;
-    if views.len() < MIN_CAMERAS {
-        let problem = format!("has {} training cameras, expected at least {MIN_CAMERAS}", views.len());
-        return Err(CaptureError::invalid(&capture.path, problem));
-    }
+    check_enough(capture, &views)?;
     let prepared = cloud_of(&views, settings, report);
     if prepared.count(Origin::Triangulated) == 0 {
         let problem = "no three views agree on any depth, expected cameras that fit the images; tcgs prepare --check \
@@ -134,6 +133,21 @@ pub fn prepare(
         return Err(CaptureError::invalid(&capture.path, problem));
     }
     Ok(prepared)
+}
+
+/// Whether there is enough to see depth in.
+pub(crate) fn check_enough(capture: &Capture, views: &[View]) -> Result<(), CaptureError> {
+    let small = views.iter().map(|view| &view.camera).find(|camera| camera.width.min(camera.height) < MIN_SIDE);
+    let problem = match small {
+        _ if views.len() < MIN_CAMERAS => {
+            format!("has {} training cameras, expected at least {MIN_CAMERAS}", views.len())
+        }
+        Some(camera) => {
+            format!("has images of {}x{}, expected at least {MIN_SIDE} pixels each way", camera.width, camera.height)
+        }
+        None => return Ok(()),
+    };
+    Err(CaptureError::invalid(&capture.path, problem))
 }
 
 /// [`prepare`] once images are there.
@@ -174,7 +188,7 @@ struct Fused {
 impl Stereo {
     fn search(views: &[View], finest: usize, seed: u64, report: &mut dyn FnMut(&str)) -> Self {
         let narrowest = views.iter().map(|view| view.camera.width.min(view.camera.height)).min().unwrap_or(1);
-        let mut factors = vec![finest];
+        let mut factors = vec![finest.min(narrowest / 2).max(1)];
         while factors.len() < MAX_LEVELS
             && views.iter().all(|view| view.camera.width / (2 * factors[0]) >= COARSEST_WIDTH)
             && narrowest / (2 * factors[0]) >= 2
@@ -183,7 +197,7 @@ impl Stereo {
         }
         let all_at = |factor: usize| -> Vec<Vantage> { views.par_iter().map(|v| Vantage::new(v, factor)).collect() };
         let mut stereo = Self {
-            vantages: all_at(finest),
+            vantages: all_at(factors[factors.len() - 1]),
             maps: Vec::new(),
             witnesses: Vec::new(),
             hull: Hull::default(),

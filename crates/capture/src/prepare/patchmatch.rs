@@ -8,6 +8,8 @@ use tcgs_core::dot;
 
 use super::eye::{Vantage, length, sub};
 
+/// Views that one is compared with, at most.
+pub(super) const MAX_SOURCES: usize = 6;
 /// Half of a window's side over its sample spacing: 5 x 5 samples.
 const WINDOW_STEPS: i32 = 2;
 /// Pixels between two samples of a window.
@@ -247,7 +249,6 @@ impl Search<'_> {
     /// Mean over the better half of the other views: the rest may have something in between.
     fn cost(&self, window: &Window, pixel: usize, plane: Plane) -> f32 {
         let place = self.vantage.eye.place(pixel);
-        // Two least, in order.
         let mut costs = [OUTSIDE_COST; MAX_SOURCES];
         let count = self.sources.len();
         for (cost, source) in costs.iter_mut().zip(&self.sources) {
@@ -259,9 +260,6 @@ impl Search<'_> {
         costs[..used].iter().sum::<f32>() / used.max(1) as f32
     }
 }
-
-/// Views that one is compared with, at most.
-pub(super) const MAX_SOURCES: usize = 6;
 
 impl Source<'_> {
     fn cost(&self, window: &Window, [x, y]: [f32; 2], plane: Plane) -> f32 {
