@@ -22,7 +22,7 @@ fn train_and_judge(capture: &Path, more: &[&str]) -> (String, f64) {
     let (run, result) = (folder.path().join("run"), folder.path().join("eval.json"));
     let said = succeed(&[&["train", text(capture), "--out", text(&run), "--backend", "cpu"], more].concat());
     succeed(&["eval", text(&run), "--capture", text(capture), "--json", text(&result)]);
-    (said, support::json(&result)["psnr"].as_f64().unwrap())
+    (said, json(&result)["psnr"].as_f64().unwrap())
 }
 
 /// The synthetic capture with 16 cameras, 10 of them for judging, without masks.
@@ -143,8 +143,8 @@ fn the_papers_settings_follow_the_layout() {
     // A run is gone on with on its own points.
     let more = ["--resume", "--frames", "0..2"];
     succeed(&[&["train", text(folder.path()), "--out", text(&run)], &more[..]].concat());
-    let other = ["--resume", "--points", text(&folder.path().join("cameras_parameters.txt"))];
-    let message = fail(2, &[&["train", text(folder.path()), "--out", text(&run)], &other[..]].concat());
+    let other = folder.path().join("cameras_parameters.txt");
+    let message = fail(2, &["train", text(folder.path()), "--out", text(&run), "--resume", "--points", text(&other)]);
     assert!(message.contains("data.points differs from the run's"), "{message}");
 }
 
