@@ -26,7 +26,7 @@ if [[ $("$bindgen" --version 2>/dev/null) != "wasm-bindgen $version" ]]; then
 fi
 
 cargo build --locked -p tcgs-play --lib --target wasm32-unknown-unknown --profile web
-"$bindgen" --target web --out-dir "$out" "$target/wasm32-unknown-unknown/web/tcgs_play.wasm"
+"$bindgen" --target web --remove-name-section --remove-producers-section --out-dir "$out" "$target/wasm32-unknown-unknown/web/tcgs_play.wasm"
 if command -v wasm-opt >/dev/null; then
     wasm-opt -O --all-features "$out/tcgs_play_bg.wasm" -o "$out/tcgs_play_bg.wasm.smaller"
     mv "$out/tcgs_play_bg.wasm.smaller" "$out/tcgs_play_bg.wasm"

@@ -139,8 +139,11 @@ fn camera(line: &[f64; COLUMNS], (width, height): (usize, usize)) -> Result<Came
         .map_err(|error| error.to_string())
 }
 
-/// Name of the scene, and the images by frame and camera.
-fn images(path: &Path) -> Result<(String, BTreeMap<(usize, usize), PathBuf>), CaptureError> {
+/// Images by frame and camera.
+type Images = BTreeMap<(usize, usize), PathBuf>;
+
+/// Name of the scene, and its images.
+fn images(path: &Path) -> Result<(String, Images), CaptureError> {
     let mut images = BTreeMap::new();
     let mut scene = None;
     for file in files::images(path)? {

@@ -143,8 +143,9 @@ fn the_papers_settings_follow_the_layout() {
     // A run is gone on with on its own points.
     let more = ["--resume", "--frames", "0..2"];
     succeed(&[&["train", text(folder.path()), "--out", text(&run)], &more[..]].concat());
-    let other = folder.path().join("cameras_parameters.txt");
-    let message = fail(2, &["train", text(folder.path()), "--out", text(&run), "--resume", "--points", text(&other)]);
+    let wrong = folder.path().join("cameras_parameters.txt");
+    let other = ["--resume", "--points", text(&wrong)];
+    let message = fail(2, &[&["train", text(folder.path()), "--out", text(&run)], &other[..]].concat());
     assert!(message.contains("data.points differs from the run's"), "{message}");
 }
 

@@ -15,7 +15,7 @@ use tempfile::tempdir;
 
 /// Few pixels, hundreds of timesteps.
 const LONG: SyntheticSettings =
-    SyntheticSettings { width: 24, height: 18, num_train_cameras: 2, num_timesteps: 400, num_points: 3000, ..SETTINGS };
+    SyntheticSettings { width: 24, height: 18, num_timesteps: 400, num_points: 3000, ..SETTINGS };
 
 fn arguments<'a>(capture: &'a Path, run: &'a Path, frames: &'a str) -> Vec<&'a str> {
     let fixed = ["--iterations", "8,2", "--threads", "2", "--backend", "cpu", "--frames", frames];

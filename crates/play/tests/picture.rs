@@ -158,7 +158,7 @@ fn pictures_equal_the_cpu_renderers() {
             let of_background = share_alike(&vec![[26, 102, 64, 255]; width * height].concat(), &expected);
             eprintln!("{name}, timestep {timestep}, {width}x{height}: {share}; {of_background} of background");
             assert!(share >= 0.999, "{name}, timestep {timestep}, {width}x{height}: {share} of the pixels alike");
-            assert!(of_background < 0.5, "the scene covers the picture");
+            assert!(of_background < 0.8, "there is something to see");
         }
     }
 }

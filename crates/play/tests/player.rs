@@ -7,7 +7,7 @@ mod support;
 use support::{Behaviour, Network, room_file, settings, small_file, wait};
 use tcgs_codec::{Archive, CompressSettings, DecodeLimits, Opening, decode};
 use tcgs_core::Gaussians;
-use tcgs_play::{BytesSource, FileSource, PlayError, Player, Source, SourceError};
+use tcgs_play::{BytesSource, FileSource, PlayError, Player, PlayerSettings, Source, SourceError};
 
 fn archive(file: &[u8]) -> Archive {
     match Archive::open(file, &DecodeLimits::default()).unwrap() {
@@ -139,14 +139,14 @@ fn opening_at_the_last_timestep_fetches_tables_shared_part_and_one_segment() {
     let archive = archive(&file);
     let (layers, last) = (archive.num_layers(), archive.num_segments() - 1);
     let (shared, segment) = (archive.shared_range(layers), archive.segment_range(last, layers));
-    let opening = settings(0).opening_bytes;
+    let opening = PlayerSettings::default().opening_bytes;
     assert!(opening < shared.end && shared.end < segment.start && last == 9);
 
     let network = Network::new(&file, Behaviour { piece: 1000, stalls: 1, ..Default::default() });
     let log = network.log.clone();
     let mut now = 0.0;
     // No room for another segment, so that nothing is fetched ahead.
-    let mut player = Player::new(network, settings(1), 59);
+    let mut player = Player::new(network, PlayerSettings { max_segment_bytes: 1, ..Default::default() }, 59);
     wait(&mut player, &mut now);
     assert_eq!(shown(&player).0, 59);
     for _ in 0..1000 {
@@ -157,7 +157,7 @@ fn opening_at_the_last_timestep_fetches_tables_shared_part_and_one_segment() {
     // With room the others follow, each once: as the clock would meet them, around the end first.
     let network = Network::new(&file, Behaviour::default());
     let log = network.log.clone();
-    let mut player = Player::new(network, settings(1 << 30), 59);
+    let mut player = Player::new(network, PlayerSettings::default(), 59);
     wait(&mut player, &mut now);
     let until_shown = log.ranges().len();
     assert!(until_shown <= 4, "{:?}", log.ranges());
@@ -172,12 +172,14 @@ fn opening_at_the_last_timestep_fetches_tables_shared_part_and_one_segment() {
 #[test]
 fn a_small_file_takes_one_request() {
     let file = room_file(20, 4, &CompressSettings::default());
-    assert!((file.len() as u64) < settings(0).opening_bytes);
+    let settings = PlayerSettings::default();
+    let opening = settings.opening_bytes;
+    assert!((file.len() as u64) < opening);
     let network = Network::new(&file, Behaviour::default());
     let log = network.log.clone();
-    let mut player = Player::new(network, settings(1 << 20), 0);
+    let mut player = Player::new(network, settings, 0);
     wait(&mut player, &mut 0.0);
-    assert_eq!(log.ranges(), [0..settings(0).opening_bytes]);
+    assert_eq!(log.ranges(), std::iter::once(0..opening).collect::<Vec<_>>());
 }
 
 #[test]

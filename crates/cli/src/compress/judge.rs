@@ -1,6 +1,6 @@
 //! What a compressed scene is compared with: images of a capture, or renders of the source.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tcgs_capture::{Capture, Split};
@@ -60,7 +60,7 @@ impl Judge {
         }
     }
 
-    fn of_capture(scene: &Scene, path: &PathBuf, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+    fn of_capture(scene: &Scene, path: &Path, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
         let capture = Capture::open(path)?;
         let frames = scene.choose_frames(images.frames.as_ref())?;
         // The last frame is looked for before the first is decoded.

@@ -141,11 +141,14 @@ pub fn search(
 }
 
 /// All trials, and the best that meets the target, if any does, with what it gave.
+type Tried<T> = (Vec<Trial>, Option<(Trial, T)>);
+
+/// Tries until nothing better is to be expected.
 fn search_with<T>(
     target: Target,
     mut try_out: impl FnMut(i32) -> anyhow::Result<(Trial, T)>,
-) -> anyhow::Result<(Vec<Trial>, Option<(Trial, T)>)> {
-    let (mut trials, mut best): (Vec<Trial>, Option<(Trial, T)>) = (Vec::new(), None);
+) -> anyhow::Result<Tried<T>> {
+    let (mut trials, mut best): Tried<T> = (Vec::new(), None);
     let mut bracket = Bracket::new();
     while let Some(steps) = bracket.next().filter(|_| trials.len() < MAX_TRIALS) {
         let (trial, gave) = try_out(steps)?;

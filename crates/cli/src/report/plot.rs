@@ -166,7 +166,11 @@ pub fn lines(label: &str, axes: &Axes, all: &[Line]) -> String {
         if all.len() > 1 {
             let (x, y) = places[i];
             let end = x + 14.0;
-            let _ = write!(svg, "<polyline{dashes} points=\"{x:.1},{0:.1} {end:.1},{0:.1}\"/>", y + 2.0);
+            let _ = write!(
+                svg,
+                "<line class=\"sample\"{dashes} x1=\"{x:.1}\" y1=\"{0:.1}\" x2=\"{end:.1}\" y2=\"{0:.1}\"/>",
+                y + 2.0
+            );
             write_text(svg, [x + 20.0, y + 6.0], "start", &line.name);
         }
         *svg += "</g>";
@@ -228,7 +232,7 @@ pub fn standalone(svg: &str) -> String {
         text { fill: #5f6570; font-size: 12px; } text.value { fill: #1d1f23; }\
         .rule { stroke: #dfe1e5; stroke-width: 1; }\
         polyline { fill: none; stroke: currentColor; stroke-width: 2; stroke-linejoin: round; stroke-linecap: round; }\
-        .mark { fill: currentColor; } .ring { fill: #ffffff; stroke: currentColor; stroke-width: 2; }\
+        .sample { stroke: currentColor; stroke-width: 3; } .mark { fill: currentColor; } .ring { fill: #ffffff; stroke: currentColor; stroke-width: 2; }\
         .c0 { color: #2467c9; } .c1 { color: #d9601a; } .c2 { color: #12875f; }\
         .c3 { color: #8d3fb5; } .c4 { color: #a87700; } .c5 { color: #c22e5d; }\
         </style><rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>";

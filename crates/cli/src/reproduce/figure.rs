@@ -130,8 +130,15 @@ fn figures(plan: &Plan, plot: &Plot, results: &Results) -> anyhow::Result<Vec<Fi
             PlotKind::Sweep => {
                 let Some((_, y)) = y else { continue };
                 let point = |row: &Row| Some((row.x?, number(y, result(scene, row)?)?));
-                let line = Line { name: y.label.clone(), points: plan.table.rows.iter().filter_map(point).collect() };
-                figures.push(Figure::Lines { title, axes: axes(&plot.x_label), lines: vec![line] });
+                let mut lines: Vec<Line> = Vec::new();
+                for row in &plan.table.rows {
+                    let (Some(name), Some(point)) = (&row.run, point(row)) else { continue };
+                    match lines.iter_mut().find(|line| line.name == *name) {
+                        Some(line) => line.points.push(point),
+                        None => lines.push(Line { name: name.clone(), points: vec![point] }),
+                    }
+                }
+                figures.push(Figure::Lines { title, axes: axes(&plot.x_label), lines });
             }
             PlotKind::Points | PlotKind::Pictures => {}
         }
@@ -198,7 +205,7 @@ pub fn page(plan: &Plan, shown: &Shown, results: &Results) -> String {
         };
         let (commits, commands) = (list("commits", ", "), list("commands", "\n"));
         let _ =
-            write!(all, "<details><summary>{} at {commits}</summary><pre>{commands}</pre></details>\n", escape(key));
+            writeln!(all, "<details><summary>{} at {commits}</summary><pre>{commands}</pre></details>", escape(key));
         all
     });
     section(&mut page, "Commands", "What made each number, and the commit of the program.", &commands);

@@ -59,8 +59,11 @@ pub struct Arguments {
     /// Do this run alone, and write no table
     #[arg(long, value_name = "SCENE/RUN")]
     only: Option<String>,
-    /// Print a command for each missing run, and do nothing
+    /// Run nothing: write the table from what is done
     #[arg(long, conflicts_with = "only")]
+    no_run: bool,
+    /// Print a command for each missing run, and do nothing
+    #[arg(long, conflicts_with_all = ["only", "no_run"])]
     print_commands: bool,
     #[command(flatten)]
     backend: BackendOptions,
@@ -103,7 +106,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         return execute(&place, &chosen);
     }
-    execute(&place, &plan.jobs)?;
+    if !arguments.no_run {
+        execute(&place, &plan.jobs)?;
+    }
     write(arguments, &plan, &place)
 }
 

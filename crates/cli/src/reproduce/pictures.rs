@@ -33,6 +33,9 @@ pub fn grids(plan: &Plan, place: &Place, renderer: &dyn Draw) -> anyhow::Result<
         for row in &plan.table.rows {
             let (Some(run), Some(measure)) = (&row.run, &row.measure) else { continue };
             let job = plan.jobs.iter().find(|job| job.scene == *scene && job.run == *run).context("a row's run")?;
+            if place.result(job, measure)?.is_none() {
+                continue;
+            }
             let model = Scene::load(&place.drawable(job, measure), SceneOptions::default())?;
             let frames = model.frames();
             let shown = (0..SHOWN).map(|i| frames.start + i * (frames.len() - 1) / (SHOWN - 1));
@@ -61,6 +64,9 @@ pub fn grids(plan: &Plan, place: &Place, renderer: &dyn Draw) -> anyhow::Result<
             }
             columns.push(column);
             names.push(row.label.clone());
+        }
+        if columns.is_empty() {
+            continue;
         }
         let caption = format!("{scene}, {of}; from left to right: {}", names.join(", "));
         let picture = Picture { caption, png: png(&grid(&columns))? };

@@ -115,6 +115,7 @@ pub fn wait<S: Source>(player: &mut Player<S>, now_ms: &mut f64) {
     panic!("nothing came");
 }
 
+/// With a first request that brings less than the tables, so that small files too take several.
 pub fn settings(max_segment_bytes: usize) -> PlayerSettings {
-    PlayerSettings { max_segment_bytes, ..Default::default() }
+    PlayerSettings { max_segment_bytes, opening_bytes: 100, ..Default::default() }
 }

@@ -1,5 +1,6 @@
 //! What a result says that neither `compress` nor `eval` measures: how tracks and masks behave.
 
+mod cubic;
 mod masks;
 mod polynomials;
 mod selection;

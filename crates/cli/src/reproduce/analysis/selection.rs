@@ -1,9 +1,9 @@
-//! Three ways to pick keypoints of the same tracks: which errs least at as many of them.
+//! Ways to pick keypoints of the same tracks, and cubic curves through them: which errs least at as many.
 
 use rayon::prelude::*;
 use tcgs_codec::select_keypoints;
 
-use super::{Findings, above_rounding, along, squared_error};
+use super::{Findings, above_rounding, along, cubic, squared_error};
 use crate::report::plot::{Axes, Line};
 use crate::reproduce::figure::Figure;
 use crate::reproduce::table::{self, Cell, Sheet};
@@ -17,13 +17,27 @@ pub fn analyse(tracks: &[[Vec<f32>; 3]]) -> Findings {
     let Some(t) = tracks.first().map(|track| track.len()).filter(|&t| t > 2) else { return Findings::default() };
     // A third of a decade a step.
     let sweep = |from: i32, to: i32| (3 * from..=3 * to).map(|i| 10f32.powf(i as f32 / 3.0)).collect::<Vec<_>>();
+    let chords = |track: &[f32], indices: Vec<usize>| {
+        let error = squared_error(track, &indices);
+        (indices, error)
+    };
     let methods = [
         (
             "Algorithm 1",
-            sweep(-9, 0).into_iter().map(|tau| curve_point(&tracks, |x| select_keypoints(x, t, tau))).collect(),
+            sweep(-9, 4)
+                .into_iter()
+                .map(|tau| curve_point(&tracks, |x| chords(x, select_keypoints(x, t, tau))))
+                .collect(),
         ),
-        ("Ramer-Douglas-Peucker", sweep(-5, 0).into_iter().map(|xi| curve_point(&tracks, |x| ramer(x, xi))).collect()),
-        ("uniform", (2..=t).map(|count| curve_point(&tracks, |_| uniform(t, count))).collect::<Vec<_>>()),
+        (
+            "Ramer-Douglas-Peucker",
+            sweep(-5, 2).into_iter().map(|xi| curve_point(&tracks, |x| chords(x, ramer(x, xi)))).collect(),
+        ),
+        ("uniform", (2..=t).map(|count| curve_point(&tracks, |x| chords(x, uniform(t, count)))).collect::<Vec<_>>()),
+        (
+            "Algorithm 1, cubic",
+            sweep(-9, 4).into_iter().map(|tau| curve_point(&tracks, |x| cubic::select(x, tau))).collect(),
+        ),
     ];
     let mut sheet = Sheet { title: "mean squared error by keypoints a track".into(), ..Sheet::default() };
     sheet.head = methods.iter().map(|(name, _)| (*name).into()).collect();
@@ -40,10 +54,12 @@ pub fn analyse(tracks: &[[Vec<f32>; 3]]) -> Findings {
 }
 
 /// Mean keypoints and mean squared error of a way to select.
-fn curve_point(tracks: &[&[f32]], select: impl Fn(&[f32]) -> Vec<usize> + Sync) -> (f64, f64) {
+///
+/// - `select`: from a track to its keypoints and the squared error summed over time
+fn curve_point(tracks: &[&[f32]], select: impl Fn(&[f32]) -> (Vec<usize>, f64) + Sync) -> (f64, f64) {
     let of_track = |track: &&[f32]| {
-        let indices = select(track);
-        (indices.len() as f64, squared_error(track, &indices) / track.len() as f64)
+        let (indices, error) = select(track);
+        (indices.len() as f64, error / track.len() as f64)
     };
     let all: Vec<(f64, f64)> = tracks.par_iter().map(of_track).collect();
     let sum = all.iter().fold((0.0, 0.0), |sum, x| (sum.0 + x.0, sum.1 + x.1));
