@@ -95,7 +95,7 @@ fn tables_are_made_once_and_only_of_what_was_asked_for() {
     let commands = succeed(&[&ablation[..], &["--print-commands"]].concat());
     assert_eq!(commands.lines().count(), 1);
     assert!(commands.contains("--only basketball/tc3dgs"), "{commands}");
-    assert_eq!(succeed(&ablation), said);
+    assert_eq!(first_cells(&succeed(&ablation)), first_cells(&said));
     let after = results(&out);
     let changed: Vec<&PathBuf> = after.iter().zip(&before).filter(|(a, b)| a != b).map(|(a, _)| &a.0).collect();
     assert_eq!(changed, [&lost]);

@@ -54,7 +54,6 @@ struct Dataset {
     scenes: Vec<String>,
     full: Vec<String>,
     small: Vec<String>,
-    keypoints: Vec<String>,
 }
 
 /// What is done with a trained run.
@@ -266,8 +265,7 @@ impl Plan {
                 let own = self.table.runs.get(run).or(self.shared.runs.get(run)).with_context(|| missing(run))?;
                 let arguments = [of_data.as_slice(), own, &of_table, over].into_iter().fold(Vec::new(), merged);
                 let found = self.table.measures.get(measure).or(self.shared.measures.get(measure));
-                let mut found = found.with_context(|| missing(measure))?.clone();
-                found.compress = found.compress.map(|arguments| with_keypoints(&arguments, &dataset.keypoints));
+                let found = found.with_context(|| missing(measure))?.clone();
                 let same = jobs.iter().position(|job| job.scene == *scene && job.run == *run);
                 let at = same.unwrap_or_else(|| {
                     let measures = BTreeMap::new();
@@ -290,13 +288,6 @@ impl Plan {
             wrong_input(format!("--scenes {scene}: no scene of the paper, expected some of {}", all.join(", ")))
         })
     }
-}
-
-fn with_keypoints(arguments: &[String], keypoints: &[String]) -> Vec<String> {
-    arguments
-        .iter()
-        .flat_map(|argument| if argument == "{keypoints}" { keypoints.to_vec() } else { vec![argument.clone()] })
-        .collect()
 }
 
 /// Options of a command line, with those of `over` in the place of the same ones of `base`. `--set` may be repeated;
@@ -403,14 +394,11 @@ mod tests {
     }
 
     #[test]
-    fn a_dataset_has_its_own_keypoints_and_a_table_its_own_frames() {
+    fn a_dataset_and_a_table_have_their_own_frames() {
         let plan = plan("ablation", None, Size::Full, &[]).unwrap();
-        let of = |scene: &str| {
-            let job = plan.jobs.iter().find(|job| job.scene == scene && job.run == "tc3dgs").unwrap();
-            job.measures["final"].compress.clone().unwrap().join(" ")
-        };
-        assert!(of("basketball").ends_with("--max-keypoints 30 --max-mse 1e-5"), "{}", of("basketball"));
-        assert!(of("cook_spinach").ends_with("--max-keypoints 60 --max-mse 1e-7"));
+        let of = |scene: &str| plan.jobs.iter().find(|job| job.scene == scene).unwrap().arguments.join(" ");
+        assert_eq!(of("basketball"), "--frames 0..150 --preset d3dgs");
+        assert_eq!(of("cook_spinach"), "--frames 0..300 --preset d3dgs");
         let grid = super::plan("mask-grid", None, Size::Full, &words("--iterations 9,8")).unwrap();
         assert_eq!(grid.jobs.len(), 16);
         let arguments = grid.jobs[0].arguments.join(" ");
