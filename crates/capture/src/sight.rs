@@ -57,7 +57,7 @@ fn thinned(points: impl Iterator<Item = [f32; 3]> + Clone) -> Vec<[f32; 3]> {
 }
 
 /// The camera with its matrix inverted: `Rᵀ`, `−Rᵀ t`.
-fn inverse(camera: &Camera) -> Camera {
+pub(crate) fn inverse(camera: &Camera) -> Camera {
     let (m, center) = (&camera.camera_from_world, camera.center());
     let row = |i: usize| [m[0][i], m[1][i], m[2][i], center[i]];
     Camera { camera_from_world: [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]], ..camera.clone() }

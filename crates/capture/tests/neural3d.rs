@@ -228,11 +228,12 @@ fn a_spoilt_video_gives_an_error_and_never_a_wrong_frame() {
 }
 
 #[test]
-fn no_byte_of_a_video_does_harm() {
+fn spoilt_bytes_of_a_video_do_no_harm() {
     let folder = small();
     let spoilt = folder.path().join("cam01.mp4");
     let whole = fs::read(video("frames.mp4")).unwrap();
-    for at in 0..whole.len() {
+    // Every byte would take minutes: a decoder is made for each.
+    for at in (0..whole.len()).step_by(13) {
         let mut bytes = whole.clone();
         bytes[at] ^= 0xff;
         fs::write(&spoilt, &bytes).unwrap();

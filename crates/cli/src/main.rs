@@ -14,6 +14,7 @@ mod export;
 mod info;
 mod options;
 mod output;
+mod prepare;
 mod progress;
 mod render;
 mod report;
@@ -47,6 +48,7 @@ Exit codes: 0 all that was asked for was done, 2 wrong usage or input, 1 anythin
 #[derive(Subcommand)]
 enum Command {
     Demo(demo::Arguments),
+    Prepare(prepare::Arguments),
     Train(train::Arguments),
     Compress(compress::Arguments),
     Info(info::Arguments),
@@ -66,6 +68,7 @@ fn main() -> ExitCode {
     };
     let done = match arguments.command {
         Command::Demo(arguments) => demo::run(&arguments),
+        Command::Prepare(arguments) => prepare::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
         Command::Compress(arguments) => compress::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),

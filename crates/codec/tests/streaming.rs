@@ -217,3 +217,64 @@ fn data_of_applications_are_known_from_the_start() {
     assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
     assert_eq!(events(&[&file[..]]), events(&[&plain[..]]));
 }
+
+/// A player in a loop decodes the same segments for ever.
+#[test]
+fn a_segment_may_be_decoded_any_number_of_times() {
+    let scene = scenes::room(900, 30);
+    let settings = CompressSettings { segment_length: 10, ..Default::default() };
+    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings);
+    let file = encode(&compact);
+    // As little as it takes to read each segment once.
+    let limits = DecodeLimits { max_bytes: 1 << 19, ..Default::default() };
+    let Opening::Ready(mut archive) = Archive::open(&file, &limits).unwrap() else { panic!("more bytes are needed") };
+    let layers = archive.num_layers();
+    archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();
+    for turn in 0..100 {
+        let segment = archive.read_segment(turn % 3, bytes(&file, archive.segment_range(turn % 3, layers))).unwrap();
+        assert_eq!(segment.num_layers(), layers);
+    }
+    // The limit still holds for one.
+    let limits = DecodeLimits { max_bytes: 1 << 16, ..Default::default() };
+    let Opening::Ready(mut archive) = Archive::open(&file, &limits).unwrap() else { panic!("more bytes are needed") };
+    let read = archive.read_shared(bytes(&file, archive.shared_range(layers)));
+    let read = read.and_then(|()| archive.read_segment(0, bytes(&file, archive.segment_range(0, layers))).map(|_| ()));
+    assert!(matches!(read, Err(tcgs_codec::DecodeError::Limit { .. })), "{read:?}");
+}
+
+/// Codes and the places of their units say what the floats say.
+#[test]
+fn keypoints_are_those_of_the_floats() {
+    let compact = any_scene(9, 17, 3);
+    let file = encode(&compact);
+    let mut archive = open(&file);
+    let layers = archive.num_layers();
+    archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();
+    for index in 0..archive.num_segments() {
+        let segment = archive.read_segment(index, bytes(&file, archive.segment_range(index, layers))).unwrap();
+        for attribute in tcgs_core::Attribute::ALL {
+            let Some(keypoints) = segment.keypoints(attribute) else { continue };
+            let units: Vec<_> = segment.moving_units(attribute).collect();
+            assert_eq!(keypoints.starts.len(), units.len() + 1);
+            for (i, (place, width)) in units.into_iter().enumerate() {
+                let range = keypoints.starts[i] as usize..keypoints.starts[i + 1] as usize;
+                let times = &keypoints.times[range.clone()];
+                assert!(usize::from(times[0]) <= segment.timesteps().start, "{times:?}");
+                assert!(usize::from(times[times.len() - 1]) + 1 >= segment.timesteps().end, "{times:?}");
+                for (k, &time) in range.zip(times).filter(|(_, t)| segment.timesteps().contains(&usize::from(**t))) {
+                    let now = segment.at(time.into());
+                    for channel in 0..keypoints.channels {
+                        if attribute == tcgs_core::Attribute::Quat {
+                            continue; // normalised
+                        }
+                        let quantizers = &segment.quantizers().attributes[attribute.index()][&width];
+                        let quantizer = quantizers[place as usize % attribute.components() + channel];
+                        let code = keypoints.codes[k * keypoints.channels + channel];
+                        let value = now.values(attribute)[place as usize + channel];
+                        assert_eq!(value, quantizer.dequantize(code.into()));
+                    }
+                }
+            }
+        }
+    }
+}

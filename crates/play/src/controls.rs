@@ -122,7 +122,7 @@ impl Controls {
     /// - `dx`, `dy`: radians to the right and down
     pub fn orbit(&mut self, dx: f64, dy: f64) {
         let pivot = self.pose.pivot();
-        if self.turn(dx, -dy) {
+        if self.turn(-dx, dy) {
             self.pose.position = add(pivot, self.pose.axes[2], -self.pose.distance);
         }
     }
@@ -131,7 +131,7 @@ impl Controls {
     ///
     /// - `dx`, `dy`: radians to the right and down
     pub fn look(&mut self, dx: f64, dy: f64) {
-        self.turn(-dx, dy);
+        self.turn(dx, -dy);
     }
 
     /// Sideways, together with the pivot.
@@ -175,6 +175,7 @@ impl Controls {
 
     /// Turns the axes: about what is up, then about what is right.
     ///
+    /// - `yaw`, `pitch`: radians to the left and down
     /// - returns: whether the angles are any
     fn turn(&mut self, yaw: f64, pitch: f64) -> bool {
         if !(yaw.is_finite() && pitch.is_finite()) {

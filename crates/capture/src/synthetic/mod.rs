@@ -15,9 +15,11 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::Serialize;
 use tcgs_core::{Camera, Image};
-use tcgs_interchange::NpzWriter;
 
-use crate::CaptureError;
+use crate::{
+    CaptureError,
+    points::{POINTS_FILE, write_points},
+};
 use scene::Scene;
 pub use scene::ball_at;
 
@@ -94,7 +96,9 @@ pub fn write_synthetic(dir: &Path, settings: &SyntheticSettings) -> Result<(), C
     }
     write_meta(&dir.join("train_meta.json"), settings, cameras.iter().filter(|camera| !camera.test))?;
     write_meta(&dir.join("test_meta.json"), settings, cameras.iter().filter(|camera| camera.test))?;
-    write_points(&dir.join("init_pt_cld.npz"), settings)?;
+    let (path, cloud) = (dir.join(POINTS_FILE), points::sample(settings.num_points, settings.seed));
+    let written = std::fs::File::create(&path).and_then(|file| write_points(file, &cloud));
+    written.map_err(|error| failed(&path, error))?;
 
     let scenes: Vec<Scene> = (0..settings.num_timesteps).map(Scene::at).collect();
     let jobs: Vec<(&NumberedCamera, usize)> =
@@ -216,21 +220,10 @@ fn failed(path: &Path, error: impl std::fmt::Display) -> CaptureError {
     CaptureError::invalid(path, format!("writing failed: {error}"))
 }
 
-fn write_points(path: &Path, settings: &SyntheticSettings) -> Result<(), CaptureError> {
-    let cloud = points::sample(settings.num_points, settings.seed);
-    let rows: Vec<f32> = (0..settings.num_points)
-        .flat_map(|i| {
-            let ([x, y, z], [r, g, b]) = (cloud.points[i], cloud.colors[i]);
-            [x, y, z, r, g, b, f32::from(u8::from(cloud.foreground[i]))]
-        })
-        .collect();
-    let write = || -> std::io::Result<()> {
-        let mut npz = NpzWriter::new(std::fs::File::create(path)?);
-        npz.array("data", &[settings.num_points, 7], [&rows[..]])?;
-        npz.finish()?;
-        Ok(())
-    };
-    write().map_err(|error| failed(path, error))
+/// Distance of a point from the nearest surface at the first timestep, of what moves or of what does not.
+#[cfg(test)]
+pub(crate) fn distance_from_surface(point: [f32; 3], moving: bool) -> f64 {
+    Scene::at(0).distance(point.map(f64::from), moving)
 }
 
 #[cfg(test)]

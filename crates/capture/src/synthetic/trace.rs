@@ -159,6 +159,36 @@ impl Body {
     }
 }
 
+#[cfg(test)]
+impl Scene {
+    /// Distance of a point from the nearest surface of what moves, or of what does not; of ellipsoids nearly.
+    pub fn distance(&self, point: [f64; 3], moving: bool) -> f64 {
+        let walls = (0..3).flat_map(|i| [(point[i] - ROOM[0][i]).abs(), (point[i] - ROOM[1][i]).abs()]);
+        let wall = if moving { f64::INFINITY } else { walls.fold(f64::INFINITY, f64::min) };
+        self.bodies.iter().filter(|body| body.moving == moving).map(|body| body.distance(point)).fold(wall, f64::min)
+    }
+}
+
+#[cfg(test)]
+impl Body {
+    fn distance(&self, point: [f64; 3]) -> f64 {
+        let unit = self.unit_from_world(std::array::from_fn(|i| point[i] - self.center[i]));
+        match self.shape {
+            Shape::Ellipsoid => {
+                let reach = dot(unit, unit).sqrt();
+                let slope: [f64; 3] = std::array::from_fn(|i| unit[i] / self.half[i]);
+                (reach * (reach - 1.0) / dot(slope, slope).sqrt()).abs()
+            }
+            Shape::Box => {
+                let over: [f64; 3] = std::array::from_fn(|i| (unit[i].abs() - 1.0) * self.half[i]);
+                let outside = over.map(|x| x.max(0.0));
+                let inside = over.iter().cloned().fold(f64::NEG_INFINITY, f64::max).min(0.0);
+                dot(outside, outside).sqrt() - inside
+            }
+        }
+    }
+}
+
 fn hit_room(origin: [f64; 3], direction: [f64; 3]) -> (f64, [f64; 3]) {
     let mut nearest = (f64::INFINITY, [0.0; 3]);
     for i in 0..3 {

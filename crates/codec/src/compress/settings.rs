@@ -6,7 +6,7 @@ use super::order::ranks;
 use crate::bits::BitMap;
 use crate::quantize::MAX_BITS;
 
-/// Settings of [`compress`].
+/// Settings of [`compress`](super::compress()).
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompressSettings {
     /// Whether tracks are reduced to keypoints at all; if not, every timestep is stored and the other

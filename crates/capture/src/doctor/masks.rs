@@ -1,0 +1,122 @@
+//! Masks that are empty, or the wrong way round.
+
+use rayon::prelude::*;
+use tcgs_core::{Image, View};
+
+use super::{Finding, FindingKind, splat::Splats};
+use crate::{Capture, CaptureError, Split, prepare::eye::Eye};
+
+/// Foreground that covers less of the image is not missed, share of the pixels.
+const MIN_IN_SIGHT: f64 = 0.003;
+/// By how much more often a mask must cover background than foreground to be the wrong way round.
+const CLEARLY: f64 = 0.3;
+/// Masks that cover more than this share on average are suspicious.
+const MOST: f64 = 0.5;
+/// Change of a pixel over time from which on something moved there.
+const MOVED: f32 = 0.1;
+
+/// - `maker`: the capture that the points were made from, and by how much `views` are downscaled; nothing if the
+///   points are independent of the masks
+pub(super) fn findings(
+    views: &[View],
+    splats: &Splats,
+    maker: Option<(&Capture, usize)>,
+) -> Result<Vec<Finding>, CaptureError> {
+    let masked: Vec<&View> = views.iter().filter(|view| view.segmentation.is_some()).collect();
+    let (mut empty, mut inverted) = (Vec::new(), Vec::new());
+    if splats.has_both_labels() {
+        let shares: Vec<Shares> = masked.par_iter().map(|view| Shares::new(view, splats)).collect();
+        for (view, shares) in masked.iter().zip(&shares) {
+            if shares.in_sight < MIN_IN_SIGHT {
+                continue;
+            }
+            if shares.all == 0.0 {
+                empty.push(view.camera_id);
+            } else if shares.of_background > shares.of_foreground + CLEARLY {
+                inverted.push(view.camera_id);
+            }
+        }
+    }
+    if empty.is_empty() && !masked.is_empty() && masked.iter().all(|view| share(view) == 0.0) {
+        empty = masked.iter().map(|view| view.camera_id).collect();
+    }
+    // Points made from inverted masks are labelled by them: ask what moves.
+    let mean_share = masked.iter().map(|view| share(view)).sum::<f64>() / masked.len().max(1) as f64;
+    if inverted.is_empty()
+        && mean_share > MOST
+        && let Some((capture, downscale)) = maker
+        && capture.num_frames() > 1
+    {
+        inverted = moving_outside(views, &capture.views(Split::All, capture.num_frames() / 2, downscale)?);
+    }
+    let mut findings = Vec::new();
+    if !empty.is_empty() {
+        let problem = "the mask of the first frame is empty, though foreground is in sight";
+        let fix = "segment these images again, or remove all masks";
+        findings.push(Finding::new(FindingKind::EmptyMask, empty, problem, fix));
+    }
+    if !inverted.is_empty() {
+        let problem = "the mask is the wrong way round: the background is marked";
+        let fix = "swap black and white; foreground is what is not black";
+        findings.push(Finding::new(FindingKind::InvertedMask, inverted, problem, fix));
+    }
+    Ok(findings)
+}
+
+fn share(view: &View) -> f64 {
+    let mask = view.segmentation.as_ref().map_or(&[][..], |mask| &mask.foreground);
+    mask.iter().filter(|&&m| m).count() as f64 / mask.len().max(1) as f64
+}
+
+/// What of the image a mask marks.
+struct Shares {
+    /// Of the image.
+    all: f64,
+    /// Of what the points say is foreground.
+    of_foreground: f64,
+    /// Of what the points say is background.
+    of_background: f64,
+    /// How much of the image the points say is foreground.
+    in_sight: f64,
+}
+
+impl Shares {
+    fn new(view: &View, splats: &Splats) -> Self {
+        let drawing = splats.draw(&Eye::new(&view.camera));
+        let mask = view.segmentation.as_ref().map_or(&[][..], |mask| &mask.foreground);
+        // Drawn and marked, by label.
+        let (mut drawn, mut marked) = ([0.0_f64; 2], [0.0_f64; 2]);
+        for pixel in (0..mask.len()).filter(|&pixel| drawing.is_drawn(pixel)) {
+            let label = usize::from(drawing.foreground[pixel]);
+            drawn[label] += 1.0;
+            marked[label] += f64::from(u8::from(mask[pixel]));
+        }
+        let of = |label: usize| if drawn[label] > 0.0 { marked[label] / drawn[label] } else { 0.0 };
+        Self {
+            all: share(view),
+            of_foreground: of(1),
+            of_background: of(0),
+            in_sight: drawn[1] / mask.len().max(1) as f64,
+        }
+    }
+}
+
+/// Cameras outside of whose masks more moves than inside.
+///
+/// - `later`: the same at another time
+fn moving_outside(views: &[View], later: &[View]) -> Vec<usize> {
+    let moved = |a: &Image, b: &Image, pixel: usize| {
+        (0..3).any(|channel| (a.plane(channel)[pixel] - b.plane(channel)[pixel]).abs() > MOVED)
+    };
+    let outside = |(view, later): &(&View, &View)| {
+        let Some(mask) = &view.segmentation else { return false };
+        let (mut pixels, mut moving) = ([0.0_f64; 2], [0.0_f64; 2]);
+        for (pixel, &marked) in mask.foreground.iter().enumerate() {
+            pixels[usize::from(marked)] += 1.0;
+            moving[usize::from(marked)] += f64::from(u8::from(moved(&view.image, &later.image, pixel)));
+        }
+        moving[0] / pixels[0].max(1.0) > moving[1] / pixels[1].max(1.0)
+    };
+    let pairs = views.iter().zip(later).filter(|(a, b)| a.camera_id == b.camera_id);
+    pairs.filter(outside).map(|(view, _)| view.camera_id).collect()
+}

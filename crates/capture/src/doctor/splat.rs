@@ -1,0 +1,143 @@
+//! Points as a camera would see them, and how well that fits an image.
+
+use tcgs_core::PointCloud;
+
+use crate::prepare::eye::{Eye, length, sub};
+
+/// Points that are drawn, at most.
+const MAX_POINTS: usize = 40_000;
+/// Points that the distance between neighbours is measured at.
+const NUM_PROBES: usize = 100;
+/// Points are drawn as squares this much wider than the distance to the next one.
+const OVERLAP: f32 = 1.5;
+/// Squares reach at most that many pixels from their middle.
+const MAX_REACH_PX: i32 = 4;
+/// A comparison over fewer pixels of the image than this share says nothing.
+const MIN_COVERAGE: f64 = 0.1;
+/// Variance of colours below which there is nothing to compare.
+const MIN_VARIANCE: f64 = 1e-5;
+
+/// Points to draw.
+pub(crate) struct Splats {
+    points: Vec<[f32; 3]>,
+    colors: Vec<[f32; 3]>,
+    foreground: Vec<bool>,
+    /// Side of a square, scene units: of background and of foreground, which may be denser.
+    sizes: [f32; 2],
+}
+
+/// A picture with holes.
+pub(crate) struct Drawing {
+    pub width: usize,
+    /// `[H, W]`; 0 is a hole.
+    pub depths: Vec<f32>,
+    /// `[H, W]`
+    pub colors: Vec<[f32; 3]>,
+    /// `[H, W]`
+    pub foreground: Vec<bool>,
+}
+
+impl Splats {
+    pub fn new(cloud: &PointCloud) -> Self {
+        let step = cloud.points.len().div_ceil(MAX_POINTS).max(1);
+        let points: Vec<[f32; 3]> = cloud.points.iter().step_by(step).copied().collect();
+        let foreground: Vec<bool> = cloud.foreground.iter().step_by(step).copied().collect();
+        let gap = |label: bool| {
+            let alike: Vec<[f32; 3]> =
+                points.iter().zip(&foreground).filter(|(_, f)| **f == label).map(|(p, _)| *p).collect();
+            let nearest = |i: usize| {
+                let others = alike.iter().enumerate().filter(|&(j, _)| j != i);
+                others.map(|(_, &p)| length(sub(p, alike[i]))).fold(f32::INFINITY, f32::min)
+            };
+            let mut gaps: Vec<f32> =
+                (0..alike.len()).step_by(alike.len().div_ceil(NUM_PROBES).max(1)).map(nearest).collect();
+            gaps.sort_by(f32::total_cmp);
+            gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
+        };
+        let sizes = [OVERLAP * gap(false), OVERLAP * gap(true)];
+        Self { colors: cloud.colors.iter().step_by(step).copied().collect(), foreground, sizes, points }
+    }
+
+    /// Whether some points are foreground and some are not.
+    pub fn has_both_labels(&self) -> bool {
+        self.foreground.contains(&true) && self.foreground.contains(&false)
+    }
+
+    pub fn draw(&self, eye: &Eye) -> Drawing {
+        let num_pixels = eye.width * eye.height;
+        let mut drawing = Drawing {
+            width: eye.width,
+            depths: vec![0.0; num_pixels],
+            colors: vec![[0.0; 3]; num_pixels],
+            foreground: vec![false; num_pixels],
+        };
+        for (i, &point) in self.points.iter().enumerate() {
+            let Some((pixel, depth)) = eye.pixel(point) else { continue };
+            let reach = ((0.5 * self.sizes[usize::from(self.foreground[i])] * eye.focal[0] / depth).round() as i32)
+                .min(MAX_REACH_PX);
+            let (x, y) = ((pixel % eye.width) as i32, (pixel / eye.width) as i32);
+            for row in (y - reach).max(0)..=(y + reach).min(eye.height as i32 - 1) {
+                for column in (x - reach).max(0)..=(x + reach).min(eye.width as i32 - 1) {
+                    let at = row as usize * eye.width + column as usize;
+                    if drawing.depths[at] == 0.0 || depth < drawing.depths[at] {
+                        drawing.depths[at] = depth;
+                        drawing.colors[at] = self.colors[i];
+                        drawing.foreground[at] = self.foreground[i];
+                    }
+                }
+            }
+        }
+        drawing
+    }
+}
+
+impl Drawing {
+    /// Correlation with the colours of an image of the same size, moved by some pixels; -1 to 1, and 0
+    /// where there is too little to compare.
+    ///
+    /// - `shift`: what is drawn at `x, y` is compared with the image at `x + shift`
+    /// - `step`: every so many pixels along both axes
+    pub fn fit(&self, colors: &[[f32; 3]], shift: [i32; 2], step: usize) -> f64 {
+        let (width, height) = (self.width as i32, (self.depths.len() / self.width) as i32);
+        // Of both: sum, sum of squares; of the product; channel by channel.
+        let (mut count, mut sums) = (0.0, [[0.0_f64; 5]; 3]);
+        let mut compared = 0;
+        for y in (0..height).step_by(step) {
+            for x in (0..width).step_by(step) {
+                let (at_x, at_y) = (x + shift[0], y + shift[1]);
+                if !(0..width).contains(&at_x) || !(0..height).contains(&at_y) {
+                    continue;
+                }
+                compared += 1;
+                let at = (y * width + x) as usize;
+                if self.depths[at] == 0.0 {
+                    continue;
+                }
+                let other = colors[(at_y * width + at_x) as usize];
+                count += 1.0;
+                for (sums, (a, b)) in sums.iter_mut().zip(self.colors[at].iter().zip(other)) {
+                    let (a, b) = (f64::from(*a), f64::from(b));
+                    for (sum, value) in sums.iter_mut().zip([a, b, a * a, b * b, a * b]) {
+                        *sum += value;
+                    }
+                }
+            }
+        }
+        let all = (self.depths.len() / (step * step)) as f64;
+        if count < MIN_COVERAGE * all || f64::from(compared) < 0.25 * all {
+            return 0.0;
+        }
+        let (mut product, mut square_a, mut square_b) = (0.0, 0.0, 0.0);
+        for [a, b, aa, bb, ab] in sums.map(|sums| sums.map(|sum| sum / count)) {
+            product += ab - a * b;
+            square_a += aa - a * a;
+            square_b += bb - b * b;
+        }
+        if square_a < MIN_VARIANCE || square_b < MIN_VARIANCE { 0.0 } else { product / (square_a * square_b).sqrt() }
+    }
+
+    /// Whether a pixel was drawn.
+    pub fn is_drawn(&self, pixel: usize) -> bool {
+        self.depths[pixel] > 0.0
+    }
+}

@@ -1,0 +1,123 @@
+//! From the depths of single views to points that several views agree on.
+
+use std::borrow::Cow;
+
+use super::{
+    eye::{Eye, Vantage},
+    patchmatch::{DepthMap, Plane},
+};
+
+/// Matching cost from which a depth is a guess.
+pub(super) const MAX_COST: f32 = 0.6;
+/// A place this much nearer than what a view is sure of hides it, relative.
+const HIDING: f32 = 0.06;
+
+/// When views agree.
+pub(super) struct Rule {
+    /// Relative difference of depth up to which two views mean the same surface.
+    pub same_depth: f32,
+    /// Pixels by which a place may miss itself, there and back again.
+    pub same_place_px: f32,
+    /// Other views that must agree.
+    pub min_agreeing: usize,
+}
+
+/// What a view believes.
+pub(super) struct Belief<'a> {
+    /// `[H, W]`
+    pub planes: Cow<'a, [Plane]>,
+    /// `[H, W]` whether there is anything to believe.
+    pub known: Vec<bool>,
+}
+
+impl<'a> Belief<'a> {
+    /// Where the images match.
+    pub fn of(map: &'a DepthMap) -> Self {
+        let known =
+            map.costs.iter().zip(&map.planes).map(|(&cost, plane)| cost < MAX_COST && plane.inverse_depth > 0.0);
+        Self { planes: Cow::Borrowed(&map.planes), known: known.collect() }
+    }
+}
+
+/// Depths of a view that others agree with; 0 where there are none.
+pub(super) struct SureDepths {
+    /// `[H, W]`
+    pub depths: Vec<f32>,
+}
+
+/// A place on a surface.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Point {
+    pub position: [f32; 3],
+    pub color: [f32; 3],
+    pub foreground: bool,
+}
+
+/// What others agree on with one view: pixels of it, and the mean of what all of them say.
+///
+/// - `others`: views to ask
+/// - `wanted`: which pixels
+pub(super) fn agreed(
+    vantages: &[Vantage],
+    beliefs: &[Belief],
+    rule: &Rule,
+    of: usize,
+    others: &[usize],
+    wanted: impl Fn(usize) -> bool,
+) -> Vec<(usize, Point)> {
+    let (me, belief) = (&vantages[of], &beliefs[of]);
+    let mut points = Vec::new();
+    for pixel in (0..belief.known.len()).filter(|&pixel| belief.known[pixel] && wanted(pixel)) {
+        let place = me.eye.place(pixel);
+        let position = me.eye.world(place, 1.0 / belief.planes[pixel].inverse_depth);
+        let (mut sum, mut color, mut count) = (position, me.colors[pixel], 1.0);
+        for &other in others {
+            if let Some((theirs, at)) = seen_by(&vantages[other], &beliefs[other], rule, position, &me.eye, place)
+                && vantages[other].is_foreground(at) == me.is_foreground(pixel)
+            {
+                for i in 0..3 {
+                    sum[i] += theirs[i];
+                    color[i] += vantages[other].colors[at][i];
+                }
+                count += 1.0;
+            }
+        }
+        if count > rule.min_agreeing as f32 {
+            let mean = |sum: [f32; 3]| sum.map(|x| x / count);
+            points
+                .push((pixel, Point { position: mean(sum), color: mean(color), foreground: me.is_foreground(pixel) }));
+        }
+    }
+    points
+}
+
+/// What another view has where a point falls, if it is the same point.
+fn seen_by(
+    other: &Vantage,
+    belief: &Belief,
+    rule: &Rule,
+    point: [f32; 3],
+    eye: &Eye,
+    place: [f32; 2],
+) -> Option<([f32; 3], usize)> {
+    let ([x, y], depth) = other.eye.project(point)?;
+    let (at, _) = other.eye.pixel(point)?;
+    let plane = belief.planes[at];
+    let [cx, cy] = other.eye.place(at);
+    let inverse_depth = plane.inverse_depth + plane.gradient[0] * (x - cx) + plane.gradient[1] * (y - cy);
+    if !belief.known[at] || (inverse_depth * depth - 1.0).abs() > rule.same_depth {
+        return None;
+    }
+    let theirs = other.eye.world([x, y], 1.0 / inverse_depth);
+    let (back, _) = eye.project(theirs)?;
+    let miss = (back[0] - place[0]).hypot(back[1] - place[1]);
+    (miss <= rule.same_place_px).then_some((theirs, at))
+}
+
+/// Views that a point would hide something from that they are sure of.
+pub(super) fn num_hidden_from(vantages: &[Vantage], sure: &[SureDepths], point: [f32; 3]) -> usize {
+    let hides = |(vantage, sure): &(&Vantage, &SureDepths)| {
+        vantage.eye.pixel(point).is_some_and(|(at, depth)| sure.depths[at] > depth * (1.0 + HIDING))
+    };
+    vantages.iter().zip(sure).filter(hides).count()
+}

@@ -1,0 +1,194 @@
+//! The visual hull: where all masks allow something to be (Laurentini 1994), as small cubes.
+//!
+//! A few masks may disagree: segmentations lose hands and shoes.
+
+use rayon::prelude::*;
+
+use super::eye::{Eye, length, sub};
+
+/// A mask and where it was taken from.
+pub(crate) struct Silhouette<'a> {
+    pub eye: &'a Eye,
+    /// `[H, W]`
+    pub mask: &'a [bool],
+}
+
+/// Cubes along each side of the space that is searched first.
+const FIRST_GRID: i32 = 24;
+/// Cubes are halved no more once there are so many.
+const ENOUGH_CUBES: usize = 60_000;
+/// Share of the masks with a place in view that may call it empty.
+const MISS_SHARE: f32 = 0.08;
+/// Share of all masks that must have a place in view.
+const MIN_SEEN_SHARE: f32 = 0.3;
+
+/// A set of equal cubes.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Hull {
+    /// Side of a cube, scene units.
+    pub edge: f32,
+    origin: [f32; 3],
+    /// Position in the grid, sorted.
+    cubes: Vec<[i32; 3]>,
+}
+
+impl Hull {
+    /// Carves the hull of some silhouettes; empty if they have nothing in common.
+    ///
+    /// - `finest_px`: cubes are halved until they are about that many pixels wide, or there are enough
+    pub fn carve(silhouettes: &[Silhouette], finest_px: f32) -> Self {
+        let eyes: Vec<&Eye> = silhouettes.iter().map(|silhouette| silhouette.eye).collect();
+        let Some((focus, reach)) = focus(&eyes) else { return Self::default() };
+        let counts: Vec<Counts> = silhouettes.iter().map(Counts::new).collect();
+        let mut hull = Self {
+            edge: 2.0 * reach / FIRST_GRID as f32,
+            origin: focus.map(|x| x - reach),
+            cubes: (0..FIRST_GRID.pow(3))
+                .map(|i| [i / (FIRST_GRID * FIRST_GRID), i / FIRST_GRID % FIRST_GRID, i % FIRST_GRID])
+                .collect(),
+        };
+        hull.keep(&counts);
+        // A pixel's width at the middle of things.
+        let pixel = eyes.iter().map(|eye| length(sub(eye.center, focus)) / eye.focal[0]).fold(f32::INFINITY, f32::min);
+        while !hull.cubes.is_empty() && hull.cubes.len() < ENOUGH_CUBES && hull.edge > finest_px * pixel {
+            hull.edge /= 2.0;
+            let halves =
+                |&[x, y, z]: &[i32; 3]| (0..8).map(move |i| [2 * x + (i & 1), 2 * y + (i >> 1 & 1), 2 * z + (i >> 2)]);
+            hull.cubes = hull.cubes.iter().flat_map(halves).collect();
+            hull.keep(&counts);
+        }
+        hull.cubes.sort_unstable();
+        hull
+    }
+
+    /// Drops cubes that too many masks call empty, or too few see.
+    fn keep(&mut self, counts: &[Counts]) {
+        let kept: Vec<bool> = self.cubes.par_iter().map(|&cube| self.allowed(cube, counts)).collect();
+        let mut kept = kept.into_iter();
+        self.cubes.retain(|_| kept.next().unwrap_or_default());
+    }
+
+    fn allowed(&self, cube: [i32; 3], counts: &[Counts]) -> bool {
+        let center = self.center(cube);
+        let reach = 0.75_f32.sqrt() * self.edge;
+        let (mut seen, mut missed) = (0, 0);
+        for count in counts {
+            match count.meets(center, reach) {
+                Some(true) => seen += 1,
+                Some(false) => (seen, missed) = (seen + 1, missed + 1),
+                None => {}
+            }
+        }
+        let enough = ((MIN_SEEN_SHARE * counts.len() as f32).ceil() as usize).max(2);
+        seen >= enough && missed <= (MISS_SHARE * seen as f32) as usize
+    }
+
+    /// Middle of a cube.
+    fn center(&self, cube: [i32; 3]) -> [f32; 3] {
+        std::array::from_fn(|i| self.origin[i] + (cube[i] as f32 + 0.5) * self.edge)
+    }
+
+    /// Middles of the cubes with a free side.
+    pub fn surface(&self) -> Vec<[f32; 3]> {
+        let has = |cube: [i32; 3]| self.cubes.binary_search(&cube).is_ok();
+        let inside = |&[x, y, z]: &[i32; 3]| {
+            has([x - 1, y, z])
+                && has([x + 1, y, z])
+                && has([x, y - 1, z])
+                && has([x, y + 1, z])
+                && has([x, y, z - 1])
+                && has([x, y, z + 1])
+        };
+        self.cubes.iter().filter(|cube| !inside(cube)).map(|&cube| self.center(cube)).collect()
+    }
+
+    /// Nearest and farthest depth of the hull in every pixel; infinity and 0 where it is not.
+    pub fn depths(&self, surface: &[[f32; 3]], eye: &Eye) -> Vec<[f32; 2]> {
+        let mut depths = vec![[f32::INFINITY, 0.0_f32]; eye.width * eye.height];
+        for &point in surface {
+            let Some(([x, y], z)) = eye.project(point) else { continue };
+            let half = 0.75_f32.sqrt() * self.edge / z;
+            let span = |at: f32, focal: f32, size: usize| {
+                let (from, to) = (at - half * focal, at + half * focal);
+                (from.max(0.0) as usize)..((to.ceil().max(0.0) as usize).min(size))
+            };
+            for row in span(y, eye.focal[1], eye.height) {
+                for column in span(x, eye.focal[0], eye.width) {
+                    let [near, far] = &mut depths[row * eye.width + column];
+                    (*near, *far) = (near.min(z - self.edge), far.max(z + self.edge));
+                }
+            }
+        }
+        depths
+    }
+}
+
+/// The place that is nearest to all lines of sight, and how far around it to look.
+///
+/// - returns: nothing for fewer than two cameras
+fn focus(eyes: &[&Eye]) -> Option<([f32; 3], f32)> {
+    if eyes.len() < 2 {
+        return None;
+    }
+    // Least squares: Σ (I − d dᵀ) (p − c) = 0. A little of the cameras' mean, for lines that are parallel.
+    let mean: [f64; 3] =
+        std::array::from_fn(|i| eyes.iter().map(|eye| f64::from(eye.center[i])).sum::<f64>() / eyes.len() as f64);
+    let mut rows = [[0.0; 4]; 3];
+    for eye in eyes {
+        let (d, c) = (eye.forward().map(f64::from), eye.center.map(f64::from));
+        for i in 0..3 {
+            for j in 0..3 {
+                let entry = f64::from(u8::from(i == j)) * 1.001 - d[i] * d[j];
+                rows[i][j] += entry;
+                rows[i][3] += entry * c[j];
+            }
+            rows[i][3] += 0.001 * (mean[i] - c[i]);
+        }
+    }
+    let focus = super::solve(rows)?.map(|x| x as f32);
+    let mut distances: Vec<f32> = eyes.iter().map(|eye| length(sub(eye.center, focus))).collect();
+    distances.sort_by(f32::total_cmp);
+    Some((focus, 1.2 * distances[distances.len() / 2]))
+}
+
+/// A mask, ready to count foreground in rectangles.
+struct Counts<'a> {
+    eye: &'a Eye,
+    /// `[H + 1, W + 1]`: foreground pixels above and to the left.
+    sums: Vec<u32>,
+}
+
+impl<'a> Counts<'a> {
+    fn new(silhouette: &Silhouette<'a>) -> Self {
+        let (width, height) = (silhouette.eye.width, silhouette.eye.height);
+        let mut sums = vec![0; (width + 1) * (height + 1)];
+        for y in 0..height {
+            let mut row = 0;
+            for x in 0..width {
+                row += u32::from(silhouette.mask[y * width + x]);
+                sums[(y + 1) * (width + 1) + x + 1] = sums[y * (width + 1) + x + 1] + row;
+            }
+        }
+        Self { eye: silhouette.eye, sums }
+    }
+
+    /// Whether a ball touches foreground; nothing if its middle is not in the image.
+    fn meets(&self, center: [f32; 3], radius: f32) -> Option<bool> {
+        let ([x, y], z) = self.eye.project(center)?;
+        let (width, height) = (self.eye.width, self.eye.height);
+        if !(x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32) {
+            return None;
+        }
+        if z <= radius {
+            return Some(true);
+        }
+        let span = |at: f32, focal: f32, size: usize| {
+            // Small cubes are judged by their middle's pixel.
+            let half = (radius * focal / z - 0.5).max(0.0);
+            ((at - half).max(0.0) as usize, ((at + half) as usize + 1).min(size))
+        };
+        let ((left, right), (top, bottom)) = (span(x, self.eye.focal[0], width), span(y, self.eye.focal[1], height));
+        let at = |x: usize, y: usize| self.sums[y * (width + 1) + x];
+        Some(at(right, bottom) + at(left, top) > at(left, bottom) + at(right, top))
+    }
+}

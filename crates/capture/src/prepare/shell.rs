@@ -1,0 +1,130 @@
+//! What lies behind everything that was measured: a sphere around the scene, and its floor.
+
+use tcgs_core::dot;
+
+use super::{
+    eye::{Vantage, length, sub},
+    patchmatch::Random,
+};
+
+/// Planes tried for the floor.
+const NUM_TRIALS: u64 = 300;
+/// Points that judge a plane.
+const NUM_JUDGES: usize = 2000;
+/// A plane's thickness, of the scene's size.
+const THICKNESS: f32 = 0.01;
+/// Share of the points that a floor has at least.
+const MIN_FLOOR_SHARE: f32 = 0.08;
+/// Points whose distances from the sphere have a larger mean than this, relative, lie on none.
+const MAX_MISS: f32 = 0.1;
+/// Where nothing says how far the background is: so many times the distance between the farthest cameras.
+const UNKNOWN_DISTANCE: f32 = 3.0;
+
+/// Where rays end.
+#[derive(Clone, Debug)]
+pub(super) struct Shell {
+    center: [f32; 3],
+    radius: f32,
+    /// Unit normal towards the cameras, and its product with the points of the plane.
+    floor: Option<([f32; 3], f32)>,
+}
+
+impl Shell {
+    /// Fits a shell to points of the background.
+    pub fn fit(vantages: &[Vantage], points: &[[f32; 3]]) -> Self {
+        let middle = mean(vantages.iter().map(|vantage| vantage.eye.center));
+        let spread = vantages.iter().map(|v| length(sub(v.eye.center, middle))).fold(0.0, f32::max);
+        let step = points.len().div_ceil(NUM_JUDGES).max(1);
+        let judges: Vec<[f32; 3]> = points.iter().step_by(step).copied().collect();
+        let mut distances: Vec<f32> = judges.iter().map(|&point| length(sub(point, middle))).collect();
+        distances.sort_by(f32::total_cmp);
+        let Some(&far) = distances.get(distances.len() * 95 / 100) else {
+            return Self { center: middle, radius: UNKNOWN_DISTANCE * 2.0 * spread, floor: None };
+        };
+        let floor = find_floor(vantages, &judges, far);
+        let off_floor = |point: &[f32; 3]| {
+            floor.is_none_or(|(normal, offset)| (dot(normal, *point) - offset).abs() > 3.0 * THICKNESS * far)
+        };
+        let rest: Vec<[f32; 3]> = judges.iter().copied().filter(off_floor).collect();
+        // Every camera must be inside, and a sphere only where there is one; else all around at the far end.
+        let inside = |&(center, radius): &([f32; 3], f32)| {
+            vantages.iter().all(|vantage| length(sub(vantage.eye.center, center)) < 1.1 * radius)
+        };
+        let (center, radius) = find_sphere(&rest).filter(inside).unwrap_or((middle, far));
+        Self { center, radius, floor }
+    }
+
+    /// Depth at which a ray ends.
+    ///
+    /// - `ray`: direction; its length is the unit of depth
+    pub fn depth(&self, from: [f32; 3], ray: [f32; 3]) -> Option<f32> {
+        let offset = sub(from, self.center);
+        let (a, b, c) = (dot(ray, ray), dot(offset, ray), dot(offset, offset) - self.radius * self.radius);
+        let discriminant = b * b - a * c;
+        let sphere = (discriminant > 0.0).then(|| (discriminant.sqrt() - b) / a).filter(|&depth| depth > 0.0);
+        let floor = self.floor.and_then(|(normal, offset)| {
+            let depth = (offset - dot(normal, from)) / dot(normal, ray);
+            (depth > 0.0).then_some(depth)
+        });
+        match (sphere, floor) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (sphere, _) => sphere,
+        }
+    }
+}
+
+fn mean(points: impl Iterator<Item = [f32; 3]>) -> [f32; 3] {
+    let (mut sum, mut count) = ([0.0; 3], 0.0_f32);
+    for point in points {
+        sum = std::array::from_fn(|i| sum[i] + point[i]);
+        count += 1.0;
+    }
+    sum.map(|x| x / count.max(1.0))
+}
+
+/// The plane with most points on it and all cameras on one side (Fischler and Bolles 1981).
+fn find_floor(vantages: &[Vantage], points: &[[f32; 3]], size: f32) -> Option<([f32; 3], f32)> {
+    let mut best = (MIN_FLOOR_SHARE * points.len() as f32, None);
+    for trial in 0..NUM_TRIALS {
+        let mut random = Random::new(1, trial);
+        let mut pick = || points[((random.unit() * points.len() as f32) as usize).min(points.len() - 1)];
+        let (a, b, c) = (pick(), pick(), pick());
+        let (u, v) = (sub(b, a), sub(c, a));
+        let cross = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+        if length(cross) < 1e-3 * size * size {
+            continue;
+        }
+        let mut normal: [f32; 3] = tcgs_core::normalize(cross);
+        if dot(normal, vantages[0].eye.center) < dot(normal, a) {
+            normal = normal.map(|x| -x);
+        }
+        let offset = dot(normal, a);
+        let above = |vantage: &Vantage| dot(normal, vantage.eye.center) > offset + THICKNESS * size;
+        let count = points.iter().filter(|&&p| (dot(normal, p) - offset).abs() < THICKNESS * size).count() as f32;
+        if count > best.0 && vantages.iter().all(above) {
+            best = (count, Some((normal, offset)));
+        }
+    }
+    best.1
+}
+
+/// The sphere through points, by least squares of `|p|² = 2 c·p + (r² − |c|²)`; nothing if they are on none.
+fn find_sphere(points: &[[f32; 3]]) -> Option<([f32; 3], f32)> {
+    let middle = mean(points.iter().copied());
+    let mut rows = [[0.0_f64; 5]; 4];
+    for &point in points {
+        let [x, y, z] = sub(point, middle).map(f64::from);
+        let row = [2.0 * x, 2.0 * y, 2.0 * z, 1.0, x * x + y * y + z * z];
+        for i in 0..4 {
+            for j in 0..5 {
+                rows[i][j] += row[i] * row[j];
+            }
+        }
+    }
+    let [x, y, z, rest] = super::solve(rows)?;
+    let radius = (rest + x * x + y * y + z * z).max(0.0).sqrt() as f32;
+    let center: [f32; 3] = std::array::from_fn(|i| middle[i] + [x, y, z][i] as f32);
+    let misses = points.iter().map(|&point| (length(sub(point, center)) - radius).abs());
+    let miss = misses.sum::<f32>() / points.len() as f32;
+    (points.len() >= 100 && miss < MAX_MISS * radius).then_some((center, radius))
+}

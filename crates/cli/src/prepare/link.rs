@@ -1,0 +1,62 @@
+//! A folder's files in another folder, without using their space twice.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::Context;
+
+/// Links, or where that cannot be copies, all visible files of a folder and its folders.
+///
+/// - `without`: names in the folder itself that are left out
+pub fn link_tree(from: &Path, to: &Path, without: &[&str]) -> anyhow::Result<()> {
+    for entry in fs::read_dir(from).with_context(|| format!("reading {}", from.display()))? {
+        let entry = entry.with_context(|| format!("reading {}", from.display()))?;
+        let (source, name) = (entry.path(), entry.file_name());
+        let shown = name.to_string_lossy();
+        if shown.starts_with('.') || without.contains(&&*shown) {
+            continue;
+        }
+        let target = to.join(&name);
+        let context = || format!("writing {}", target.display());
+        if source.is_dir() {
+            fs::create_dir(&target).with_context(context)?;
+            link_tree(&source, &target, &[])?;
+        } else {
+            // A symbolic link is followed: the capture must not break when its source moves.
+            let file = source.canonicalize().with_context(|| format!("reading {}", source.display()))?;
+            if fs::hard_link(&file, &target).is_err() {
+                fs::copy(&file, &target).with_context(context)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_linked_with_their_folders() {
+        let folder = tempfile::tempdir().unwrap();
+        let (from, to) = (folder.path().join("from"), folder.path().join("to"));
+        fs::create_dir_all(from.join("ims/3")).unwrap();
+        fs::create_dir(&to).unwrap();
+        for (name, text) in [("ims/3/0.png", "image"), ("points", "old"), (".hidden", "x"), ("ims/points", "kept")] {
+            fs::write(from.join(name), text).unwrap();
+        }
+        #[cfg(unix)]
+        std::os::unix::fs::symlink(from.join("ims/3/0.png"), from.join("same.png")).unwrap();
+        link_tree(&from, &to, &["points"]).unwrap();
+        assert_eq!(fs::read(to.join("ims/3/0.png")).unwrap(), b"image");
+        assert_eq!(fs::read(to.join("ims/points")).unwrap(), b"kept");
+        assert!(!to.join("points").exists() && !to.join(".hidden").exists());
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::MetadataExt;
+            let inode = |path: &Path| path.symlink_metadata().unwrap().ino();
+            assert_eq!(inode(&to.join("ims/3/0.png")), inode(&from.join("ims/3/0.png")));
+            assert_eq!(inode(&to.join("same.png")), inode(&from.join("ims/3/0.png")), "not a symbolic link");
+        }
+    }
+}

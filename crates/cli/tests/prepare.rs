@@ -1,0 +1,122 @@
+//! `tcgs prepare`: a capture without points becomes one with points, and the doctor has its exit codes.
+
+#![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
+
+mod support;
+
+use std::path::{Path, PathBuf};
+
+use support::*;
+use tcgs_capture::{Capture, SyntheticSettings, write_synthetic};
+use tempfile::{TempDir, tempdir};
+
+/// A capture that the doctor can see something in; with points.
+fn footage(folder: &TempDir) -> PathBuf {
+    let path = folder.path().join("footage");
+    let settings = SyntheticSettings { num_timesteps: 2, ..SyntheticSettings::default() };
+    write_synthetic(&path, &settings).unwrap();
+    path
+}
+
+fn points(path: &Path) -> PathBuf {
+    path.join("init_pt_cld.npz")
+}
+
+#[test]
+fn footage_becomes_a_capture_that_trains() {
+    let folder = tempdir().unwrap();
+    let source = footage(&folder);
+    std::fs::remove_file(points(&source)).unwrap();
+    let (out, result) = (folder.path().join("capture"), folder.path().join("result.json"));
+    let prepare = ["prepare", text(&source), "--out", text(&out), "--points", "4000"];
+    let said = succeed(&[&prepare[..], &["--json", text(&result), "--threads", "2"]].concat());
+    assert!(said.contains("triangulated") && said.contains("next: tcgs train"), "{said}");
+
+    let result = json(&result);
+    assert_keys(&result, &["source", "out", "num_points", "num_foreground", "origins", "agreement", "seconds"]);
+    assert_keys(&result["origins"], &["triangulated", "hull", "filled", "shell"]);
+    let cloud = Capture::open(&out).unwrap().point_cloud().unwrap();
+    let foreground = cloud.foreground.iter().filter(|&&foreground| foreground).count();
+    assert_eq!(
+        (result["num_points"].as_u64(), result["num_foreground"].as_u64()),
+        (Some(cloud.points.len() as u64), Some(foreground as u64))
+    );
+    assert!((2000..5000).contains(&cloud.points.len()) && foreground > 300, "{result}");
+    assert!(!points(&source).exists(), "the source is not touched");
+
+    // Not over something else; over itself when told, with the same bytes whatever the threads.
+    let before = std::fs::read(points(&out)).unwrap();
+    fail(2, &prepare);
+    succeed(&[&prepare[..], &["--force", "--threads", "1"]].concat());
+    assert_eq!(std::fs::read(points(&out)).unwrap(), before);
+    let other = folder.path().join("other");
+    std::fs::create_dir(&other).unwrap();
+    std::fs::write(other.join("diary.txt"), "x").unwrap();
+    let message = fail(2, &["prepare", text(&source), "--out", text(&other), "--force"]);
+    assert!(message.contains("was not made by prepare"), "{message}");
+
+    let run = folder.path().join("run");
+    succeed(&["train", text(&out), "--out", text(&run), "--iterations", "30,10", "--backend", "cpu"]);
+}
+
+#[test]
+fn points_may_be_written_alone() {
+    let folder = tempdir().unwrap();
+    let (source, file) = (footage(&folder), folder.path().join("points.npz"));
+    let said = succeed(&["prepare", text(&source), "--points-only", text(&file), "--points", "3000"]);
+    assert!(said.contains("the points that the source has are not used"), "{said}");
+    std::fs::rename(&file, points(&source)).unwrap();
+    assert!(Capture::open(&source).unwrap().point_cloud().unwrap().points.len() > 1500);
+}
+
+#[test]
+fn what_cannot_be_prepared_is_named() {
+    let folder = tempdir().unwrap();
+    let source = footage(&folder);
+    let inside = source.join("capture");
+    let refuse = |arguments: &[&str], expected: &[&str]| {
+        let message = fail(2, &[&["prepare"], arguments].concat());
+        assert!(expected.iter().all(|part| message.contains(part)), "{arguments:?}: {message}");
+    };
+    refuse(&[text(&source)], &["--out <CAPTURE>", "--points-only <FILE>", "--check"]);
+    refuse(&[text(&source), "--check", "--out", "x"], &["cannot be used with"]);
+    refuse(&[text(&source), "--out", "x", "--sheet", "y.png"], &["--check"]);
+    refuse(&[text(&source), "--out", text(&inside)], &["lies in", "expected a place outside the source"]);
+    refuse(&[text(&source), "--points-only", "points.xyz"], &["points.xyz", "expected NAME.npz"]);
+    refuse(&["nowhere", "--check"], &["nowhere", "no such folder"]);
+    assert!(!inside.exists() && !Path::new("x").exists());
+
+    let mut meta = json(&source.join("train_meta.json"));
+    for key in ["k", "w2c", "fn", "cam_id"] {
+        meta[key].as_array_mut().unwrap().iter_mut().for_each(|cameras| cameras.as_array_mut().unwrap().truncate(2));
+    }
+    std::fs::write(source.join("train_meta.json"), meta.to_string()).unwrap();
+    let out = folder.path().join("capture");
+    refuse(&[text(&source), "--out", text(&out)], &["has 2 training cameras, expected at least 3"]);
+    assert!(!out.exists());
+}
+
+#[test]
+fn the_doctor_says_healthy_or_what_is_wrong() {
+    let folder = tempdir().unwrap();
+    let (source, sheet) = (footage(&folder), folder.path().join("check.png"));
+    let said = succeed(&["prepare", "--check", text(&source)]);
+    assert!(said.contains("healthy, 14 cameras fit"), "{said}");
+
+    let mut meta = json(&source.join("train_meta.json"));
+    meta["fn"].as_array_mut().unwrap().iter_mut().for_each(|names| names.as_array_mut().unwrap().swap(1, 9));
+    std::fs::write(source.join("train_meta.json"), meta.to_string()).unwrap();
+    let result = folder.path().join("result.json");
+    let output = run(&["prepare", text(&source), "--check", "--sheet", text(&sheet), "--json", text(&result)]);
+    let (said, complaint) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
+    assert_eq!(output.status.code(), Some(1), "{complaint}");
+    assert!(said.contains("the image is what is seen from another camera's place"), "{said}");
+    assert!(complaint.contains("1 finding, expected a healthy capture"), "{complaint}");
+    let result = json(&result);
+    assert_keys(&result, &["capture", "healthy", "made_points", "findings", "cameras"]);
+    assert_eq!(result["healthy"], false);
+    assert_eq!(result["findings"][0]["kind"], "exchanged_cameras");
+    assert_keys(&result["findings"][0], &["kind", "cameras", "problem", "fix"]);
+    assert_eq!(result["cameras"].as_array().unwrap().len(), 14);
+    assert!(image::open(&sheet).unwrap().width() > 500);
+}
