@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// Colours there are; a seventh series takes the first again.
 const NUM_COLORS: usize = 6;
 /// Room beside a plot for the names of its rows or the numbers of its axis, user units.
-const LEFT: f64 = 56.0;
+const LEFT: f64 = 64.0;
 
 /// A line of a plot.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -190,7 +190,11 @@ pub fn page(plan: &Plan, shown: &Shown, results: &Results) -> String {
         section(&mut page, "Pictures", "", &pictures(&shown.pictures));
     }
     for figure in &shown.figures {
-        section(&mut page, figure.title(), "", &figure.svg());
+        let svg = figure.svg();
+        // Bars are drawn small.
+        let small = matches!(figure, Figure::Columns { .. });
+        let body = if small { format!("<div class=\"grid\"><figure>{svg}</figure></div>\n") } else { svg };
+        section(&mut page, figure.title(), "", &body);
     }
     let notes = plan
         .table

@@ -390,7 +390,10 @@ mod tests {
         assert!(error.starts_with("abblation: no table of this name, expected one of main, panoptic"), "{error}");
         let scenes = ["garden".to_owned()];
         let error = plan("ablation", Some(&scenes), Size::Full, &[]).unwrap_err().to_string();
-        assert!(error.starts_with("--scenes garden: no scene of the paper, expected some of basketball"), "{error}");
+        assert!(
+            error.starts_with("--scenes garden: no scene of the paper, expected some of Birthday, Fabien"),
+            "{error}"
+        );
     }
 
     #[test]
