@@ -15,13 +15,8 @@ const MOST: f64 = 0.5;
 /// Change of a pixel over time from which on something moved there.
 const MOVED: f32 = 0.1;
 
-/// - `maker`: the capture that the points were made from, and by how much `views` are downscaled; nothing if the
-///   points are independent of the masks
-pub(super) fn findings(
-    views: &[View],
-    splats: &Splats,
-    maker: Option<(&Capture, usize)>,
-) -> Result<Vec<Finding>, CaptureError> {
+/// Masks against what the points say is foreground.
+pub(super) fn findings(views: &[View], splats: &Splats) -> Vec<Finding> {
     let masked: Vec<&View> = views.iter().filter(|view| view.segmentation.is_some()).collect();
     let (mut empty, mut inverted) = (Vec::new(), Vec::new());
     if splats.has_both_labels() {
@@ -40,15 +35,6 @@ pub(super) fn findings(
     if empty.is_empty() && !masked.is_empty() && masked.iter().all(|view| share(view) == 0.0) {
         empty = masked.iter().map(|view| view.camera_id).collect();
     }
-    // Points made from inverted masks are labelled by them: ask what moves.
-    let mean_share = masked.iter().map(|view| share(view)).sum::<f64>() / masked.len().max(1) as f64;
-    if inverted.is_empty()
-        && mean_share > MOST
-        && let Some((capture, downscale)) = maker
-        && capture.num_frames() > 1
-    {
-        inverted = moving_outside(views, &capture.views(Split::All, capture.num_frames() / 2, downscale)?);
-    }
     let mut findings = Vec::new();
     if !empty.is_empty() {
         let problem = "the mask of the first frame is empty, though foreground is in sight";
@@ -56,11 +42,38 @@ pub(super) fn findings(
         findings.push(Finding::new(FindingKind::EmptyMask, empty, problem, fix));
     }
     if !inverted.is_empty() {
-        let problem = "the mask is the wrong way round: the background is marked";
-        let fix = "swap black and white; foreground is what is not black";
-        findings.push(Finding::new(FindingKind::InvertedMask, inverted, problem, fix));
+        findings.push(wrong_way_round(inverted));
     }
-    Ok(findings)
+    findings
+}
+
+/// Turns masks over that are the wrong way round in most images, before points are made that they would label. What
+/// moves tells, where the capture is long enough.
+pub(super) fn turn_over(
+    capture: &Capture,
+    views: &mut [View],
+    downscale: usize,
+) -> Result<Option<Finding>, CaptureError> {
+    let masked: Vec<f64> = views.iter().filter(|view| view.segmentation.is_some()).map(share).collect();
+    if masked.iter().sum::<f64>() <= MOST * masked.len() as f64 || capture.num_frames() < 2 {
+        return Ok(None);
+    }
+    let later = capture.views(Split::All, capture.num_frames() / 2, downscale)?;
+    let inverted = moving_outside(views, &later);
+    if 2 * inverted.len() <= masked.len() {
+        return Ok(None);
+    }
+    for view in views.iter_mut().filter(|view| inverted.contains(&view.camera_id)) {
+        let mask = view.segmentation.as_mut().map_or(&mut [][..], |mask| &mut mask.foreground);
+        mask.iter_mut().for_each(|marked| *marked = !*marked);
+    }
+    Ok(Some(wrong_way_round(inverted)))
+}
+
+fn wrong_way_round(cameras: Vec<usize>) -> Finding {
+    let problem = "the mask is the wrong way round: the background is marked";
+    let fix = "swap black and white; foreground is what is not black";
+    Finding::new(FindingKind::InvertedMask, cameras, problem, fix)
 }
 
 fn share(view: &View) -> f64 {

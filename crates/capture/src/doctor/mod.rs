@@ -133,13 +133,14 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     let size = capture.cameras(Split::All, 0, 1)?;
     let widest = size.iter().map(|(_, camera)| camera.width).max().unwrap_or(1);
     let downscale = widest.div_ceil(WIDTH).max(1);
-    let views = capture.views(Split::All, 0, downscale)?;
+    let mut views = capture.views(Split::All, 0, downscale)?;
     let num_train = capture.cameras(Split::Train, 0, 1)?.len();
 
     let mut findings = Vec::new();
     let made_points = !capture.has_points();
     let cloud = if made_points {
         prepare::check_enough(capture, &views[..num_train])?;
+        findings.extend(masks::turn_over(capture, &mut views, downscale)?);
         let (views, finding) = consistent(&views[..num_train], report);
         findings.extend(finding);
         let settings = PrepareSettings { num_points: NUM_POINTS, image_width: WIDTH, ..PrepareSettings::default() };
@@ -153,7 +154,7 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     let judged = if findings.is_empty() { geometry::judge(&splats, &views, downscale) } else { Vec::new() };
     findings.extend(geometry::findings(&views[..judged.len()], &judged));
     report("comparing masks with points");
-    findings.extend(masks::findings(&views, &splats, made_points.then_some((capture, downscale)))?);
+    findings.extend(masks::findings(&views, &splats));
 
     let suspects: Vec<usize> = findings.iter().flat_map(|finding| finding.cameras.iter().copied()).collect();
     report("comparing clocks");
