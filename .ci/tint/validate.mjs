@@ -17,9 +17,10 @@ function report(kind, place, message) {
   console.log(`${place}: ${kind}: ${message}`);
 }
 
-function entryPoints(code) {
+function entryPoints(code, stage) {
   const withoutComments = code.replace(/\/\/.*|\/\*[^]*?\*\//g, '');
-  return [...withoutComments.matchAll(/@compute\b[^{};]*\bfn\s+(\w+)/g)].map(([, name]) => name);
+  const functions = new RegExp(`@${stage}\\b[^{};]*\\bfn\\s+(\\w+)`, 'g');
+  return [...withoutComments.matchAll(functions)].map(([, name]) => name);
 }
 
 async function validate(device) {
@@ -42,23 +43,42 @@ async function validate(device) {
     report('error', path, scope.message);
     return;
   }
-  const entries = entryPoints(code);
-  if (entries.length === 0) {
+  const entries = entryPoints(code, 'compute');
+  const [vertex] = entryPoints(code, 'vertex');
+  const [fragment] = entryPoints(code, 'fragment');
+  const draws = vertex !== undefined && fragment !== undefined;
+  if (entries.length === 0 && !draws) {
     report('error', path, 'no entry point');
   }
   // Some limits are those of a pipeline: storage buffers, threads, workgroup memory. Backward kernels never run in a
   // browser, and may pass them.
   const forward = entries.filter((entryPoint) => !entryPoint.endsWith('_bwd'));
-  for (const entryPoint of forward) {
+  const pipelines = forward.map((entryPoint) => ({
+    name: entryPoint,
+    make: () => device.createComputePipeline({ layout: 'auto', compute: { module, entryPoint } }),
+  }));
+  if (draws) {
+    pipelines.push({
+      name: `${vertex} and ${fragment}`,
+      make: () =>
+        device.createRenderPipeline({
+          layout: 'auto',
+          vertex: { module, entryPoint: vertex },
+          fragment: { module, entryPoint: fragment, targets: [{ format: 'bgra8unorm' }] },
+        }),
+    });
+  }
+  for (const { name, make } of pipelines) {
     device.pushErrorScope('validation');
-    device.createComputePipeline({ layout: 'auto', compute: { module, entryPoint } });
+    make();
     const error = await device.popErrorScope();
     if (error !== null) {
-      report('error', `${path}, ${entryPoint}`, error.message);
+      report('error', `${path}, ${name}`, error.message);
     }
   }
   if (numErrors === before) {
-    console.log(`${file}: ${entries.length} entry points, ${forward.length} pipelines`);
+    const count = entries.length + (draws ? 2 : 0);
+    console.log(`${file}: ${count} entry points, ${pipelines.length} pipelines`);
   }
 }
 
