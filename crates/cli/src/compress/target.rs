@@ -283,7 +283,7 @@ mod tests {
         for target in [60_000, 100_000, 150_000, 151_000, 400_000, 1_000_000] {
             let (count, best) = run(smooth, target);
             let bytes = best.expect("a file that is small enough").bytes;
-            assert!(count <= 9, "{count} for {target}");
+            assert!(count <= MAX_TRIALS, "{count} for {target}");
             assert!(bytes <= target && bytes as f64 >= (1.0 - CLOSE_BYTES) * target as f64, "{bytes} for {target}");
             let (count, best) = run(stairs, target);
             let best = best.expect("a file that is small enough");
@@ -295,9 +295,10 @@ mod tests {
     #[test]
     fn what_is_out_of_reach_is_not_found() {
         let bytes = |q: f64| 1000.0 + 150_000.0 * (0.3 * q).exp();
-        assert_eq!(run(bytes, 30_000).1, None);
+        assert_eq!(run(bytes, 1_000).1, None);
         let (count, best) = run(bytes, 100_000_000);
-        assert_eq!((count, best.map(|b| b.steps)), (5, Some(RANGE.1)));
+        assert!(count <= MAX_TRIALS);
+        assert_eq!(best.map(|b| b.steps), Some(RANGE.1));
     }
 
     #[test]
