@@ -80,7 +80,7 @@ fn what_cannot_be_prepared_is_named() {
     };
     refuse(&[text(&source)], &["--out <CAPTURE>", "--points-only <FILE>", "--check"]);
     refuse(&[text(&source), "--check", "--out", "x"], &["cannot be used with"]);
-    refuse(&[text(&source), "--out", "x", "--sheet", "y.png"], &["--check"]);
+    refuse(&[text(&source), "--out", "x", "--sheet", "y.png"], &["cannot be used with"]);
     refuse(&[text(&source), "--out", text(&inside)], &["lies in", "expected a place outside the source"]);
     refuse(&[text(&source), "--points-only", "points.xyz"], &["points.xyz", "expected NAME.npz"]);
     refuse(&["nowhere", "--check"], &["nowhere", "no such folder"]);

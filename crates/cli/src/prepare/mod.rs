@@ -51,7 +51,7 @@ pub struct Arguments {
     check: bool,
     /// Write a picture (PNG) of what was checked: every camera's image with the points that fall on it, and below what
     /// the points look like from there
-    #[arg(long, value_name = "FILE", requires = "check")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["out", "points_only"])]
     sheet: Option<PathBuf>,
     /// Points at most, about [default: 80000]
     #[arg(long, value_name = "N", value_parser = options::positive, conflicts_with = "check")]
