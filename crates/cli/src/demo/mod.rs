@@ -150,8 +150,8 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
 
     say("3/4  compressing")?;
     let scene = Scene::load(run.folder(), SceneOptions::default())?;
-    let compressed = compress_scene(&scene, &compress_settings(true))?;
-    let quantized = compress_scene(&scene, &compress_settings(false))?;
+    let compressed = compress_scene(&scene, &compress_settings(folder, true))?;
+    let quantized = compress_scene(&scene, &compress_settings(folder, false))?;
     let file = folder.join("scene.tcgs");
     fs::write(&file, &compressed.file).with_context(|| format!("writing {}", file.display()))?;
     let decoded = Scene::decode(&file, &compressed.file)?;
@@ -190,14 +190,15 @@ fn config(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfi
     Ok(config)
 }
 
-fn compress_settings(keypoints: bool) -> compress::Settings {
+fn compress_settings(folder: &Path, keypoints: bool) -> compress::Settings {
     compress::Settings {
         keypoints: CompressSettings { keypoints, ..CompressSettings::default() },
         mapping: BitMapping::Log,
         bits: None,
         position_bits: None,
         prune: None,
-        capture: None,
+        // The run names the place that the capture will have only when all is done.
+        capture: Some(folder.join("capture")),
         plain: false,
         up: UpAxis::MinusY,
         views: 8,
