@@ -230,7 +230,7 @@ fn layers_hold_the_most_important_first() {
 #[test]
 fn components_share_their_times_and_segments_begin_anew() {
     let scene = scenes::room(300, 30);
-    let settings = CompressSettings { segment_length: 12, ..as_told() };
+    let settings = CompressSettings { segment_length: Some(12), ..as_told() };
     let (compact, _) = compress_all(&scene, 8, &settings);
     for attribute in [Attribute::Mean, Attribute::Quat, Attribute::Color] {
         let tracks = &compact.tracks[attribute.index()];

@@ -167,7 +167,7 @@ fn segments_of_nothing_cost_nothing() {
 #[test]
 fn threads_do_not_matter_when_decoding() {
     let scene = scenes::room(900, 30);
-    let settings = CompressSettings { segment_length: 7, ..Default::default() };
+    let settings = CompressSettings { segment_length: Some(7), ..Default::default() };
     let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings);
     let run = |num_threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().unwrap();
@@ -184,7 +184,7 @@ fn threads_do_not_matter_when_decoding() {
 #[test]
 fn a_segment_needs_few_of_the_bytes() {
     let scene = scenes::room(3000, 60);
-    let settings = CompressSettings { segment_length: 10, ..Default::default() };
+    let settings = CompressSettings { segment_length: Some(10), ..Default::default() };
     let compact = compress(&scene, &scenes::mixed_widths(3000), None, SceneInfo::of(&scene), &settings);
     let file = encode(&compact);
     let archive = open(&file);
@@ -222,7 +222,7 @@ fn data_of_applications_are_known_from_the_start() {
 #[test]
 fn a_segment_may_be_decoded_any_number_of_times() {
     let scene = scenes::room(900, 30);
-    let settings = CompressSettings { segment_length: 10, ..Default::default() };
+    let settings = CompressSettings { segment_length: Some(10), ..Default::default() };
     let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings);
     let file = encode(&compact);
     // As little as it takes to read each segment once.

@@ -29,8 +29,8 @@ fn vectors() -> Vec<(&'static str, CompactScene)> {
         ("layers_and_segments", layered),
         ("one_timestep_segments", CompactScene { segment_length: 1, ..any_scene(3, 6, 4) }),
         ("long", CompactScene { segment_length: 120, ..any_scene(2, 300, 5) }),
-        ("room_default", compressed(CompressSettings { segment_length: 4, ..Default::default() })),
-        ("room_paper", compressed(CompressSettings { segment_length: 4, ..CompressSettings::paper() })),
+        ("room_default", compressed(CompressSettings { segment_length: Some(4), ..Default::default() })),
+        ("room_paper", compressed(CompressSettings { segment_length: Some(4), ..CompressSettings::paper() })),
     ]
 }
 

@@ -73,8 +73,8 @@ fn files() -> Vec<(&'static str, Vec<u8>)> {
     let file = |scene: &DynamicGaussians, settings: &CompressSettings| {
         encode(&compress(scene, &scenes::mixed_widths(n), None, SceneInfo::of(scene), settings))
     };
-    let default = CompressSettings { segment_length: 5, ..Default::default() };
-    let paper = CompressSettings { segment_length: 5, ..CompressSettings::paper() };
+    let default = CompressSettings { segment_length: Some(5), ..Default::default() };
+    let paper = CompressSettings { segment_length: Some(5), ..CompressSettings::paper() };
     let mut still = scenes::room(n, 1);
     still.push(still.at(0));
     vec![
@@ -139,7 +139,7 @@ fn a_frame_uploads_no_gaussians() {
 #[test]
 fn pictures_equal_the_cpu_renderers() {
     let Some(gpu) = gpu() else { return };
-    let room = room_file(6000, 12, &CompressSettings { segment_length: 5, ..Default::default() });
+    let room = room_file(6000, 12, &CompressSettings { segment_length: Some(5), ..Default::default() });
     let mut files = files();
     files.push(("room", room));
     for (name, file) in &files {
@@ -207,7 +207,7 @@ fn texture(gpu: &Gpu, width: u32, height: u32) -> wgpu::TextureView {
 #[test]
 fn a_viewer_plays_pauses_and_takes_stills() {
     let Some(gpu) = gpu() else { return };
-    let file = room_file(500, 12, &CompressSettings { segment_length: 5, ..Default::default() });
+    let file = room_file(500, 12, &CompressSettings { segment_length: Some(5), ..Default::default() });
     let mut viewer = Viewer::new(gpu.clone(), FORMAT);
     let target = texture(&gpu, 96, 64);
     assert_eq!(viewer.draw([96, 64], &target).unwrap(), None);

@@ -135,7 +135,7 @@ fn a_stall_holds_the_clock_and_nothing_else() {
 #[test]
 fn opening_at_the_last_timestep_fetches_tables_shared_part_and_one_segment() {
     // Larger than the first request.
-    let file = room_file(4000, 60, &CompressSettings { segment_length: 6, ..Default::default() });
+    let file = room_file(4000, 60, &CompressSettings { segment_length: Some(6), ..Default::default() });
     let archive = archive(&file);
     let (layers, last) = (archive.num_layers(), archive.num_segments() - 1);
     let (shared, segment) = (archive.shared_range(layers), archive.segment_range(last, layers));

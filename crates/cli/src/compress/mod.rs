@@ -68,6 +68,10 @@ pub struct Arguments {
     /// Store every timestep
     #[arg(long, conflicts_with_all = ["max_keypoints", "max_mse"])]
     no_keypoints: bool,
+    /// Timesteps of a segment, which decodes alone: fewer make seeking faster and the file larger [default: 50; of more
+    /// than 60,000 Gaussians as many as decode in a twentieth of a second]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65536))]
+    segment_length: Option<u32>,
     /// Fewest and most bits of a parameter, instead of those learned; equal ones give all the same
     /// [default: those learned, else 4,8]
     #[arg(long, value_name = "MIN,MAX", value_parser = options::bits)]
@@ -105,7 +109,8 @@ pub struct Arguments {
     /// With a target: frames to measure on, from A up to but not including B [default: evenly some of the scene]
     #[arg(long, value_name = "A..B", requires = "target")]
     frames: Option<Frames>,
-    /// Axis of the scene that points up, for players: x, y, z, -x, -y or -z [default: unknown]
+    /// Axis of the scene that points up, for players: x, y, z, -x, -y or -z [default: the one along
+    /// which the capture's cameras stand upright, without a capture unknown]
     #[arg(long, value_name = "AXIS", value_parser = up_axis, allow_hyphen_values = true)]
     up: Option<UpAxis>,
     /// Most cameras of --capture or of the run's capture that the file gives players to start from
@@ -273,6 +278,7 @@ fn settings(arguments: &Arguments, kind: CaptureKind) -> Settings {
         PresetName::Default => (CompressSettings::default(), BitMapping::Log),
     };
     keypoints.keypoints = !arguments.no_keypoints;
+    keypoints.segment_length = arguments.segment_length;
     if arguments.bits.is_some() {
         keypoints.coarser = [0.0; 5];
     }
@@ -293,7 +299,7 @@ fn settings(arguments: &Arguments, kind: CaptureKind) -> Settings {
         prune: arguments.prune,
         capture: arguments.capture.clone(),
         plain: arguments.storage == Storage::Plain,
-        up: arguments.up.unwrap_or_default(),
+        up: arguments.up,
         views: arguments.views,
     }
 }

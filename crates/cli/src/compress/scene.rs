@@ -9,7 +9,7 @@ use tcgs_codec::{
 use tcgs_core::{Attribute, DynamicGaussians};
 
 use super::bits::measured_bits;
-use super::views::{VIEWS, views};
+use super::views::{self, VIEWS};
 use crate::error::wrong_input;
 use crate::scene::{Model, Scene};
 
@@ -29,8 +29,8 @@ pub struct Settings {
     pub capture: Option<PathBuf>,
     /// Whether the paper's form without entropy coding is a stage of its own.
     pub plain: bool,
-    /// What points up.
-    pub up: UpAxis,
+    /// What points up; none: found by the capture's cameras.
+    pub up: Option<UpAxis>,
     /// Most cameras that the file gives players to start from.
     pub views: usize,
 }
@@ -86,9 +86,11 @@ impl Prepared {
         let keep = kept_gaussians(scene, settings.prune)?;
         let pruned = floats.select(&keep);
         let (bit_map, bits_from) = bits(scene, &pruned, &keep, settings, learned)?;
+        let cameras = views::cameras(scene, settings)?;
+        let up = settings.up.unwrap_or_else(|| views::up_axis(&cameras));
         Ok(Self {
-            info: info(scene, &pruned, settings),
-            views: views(scene, settings)?,
+            info: info(scene, &pruned, up),
+            views: views::views(&cameras, settings),
             pruned,
             bit_map,
             learned: learned.map(|(_, quantizers)| quantizers.clone()),
@@ -175,7 +177,7 @@ fn bits(
     Ok((bit_map, from))
 }
 
-fn info(scene: &Scene, pruned: &DynamicGaussians, settings: &Settings) -> SceneInfo {
+fn info(scene: &Scene, pruned: &DynamicGaussians, up: UpAxis) -> SceneInfo {
     let source = match &scene.model {
         Model::Run(run) => PathBuf::from(&run.0.config().data.capture),
         _ => scene.path.with_extension(""),
@@ -185,7 +187,7 @@ fn info(scene: &Scene, pruned: &DynamicGaussians, settings: &Settings) -> SceneI
         downscale: scene.downscale as u32,
         frame_rate: scene.frame_rate as f32,
         name: source.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
-        up: settings.up,
+        up,
         ..SceneInfo::of(pruned)
     }
 }

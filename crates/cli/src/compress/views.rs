@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
+use tcgs_codec::UpAxis;
 use tcgs_core::Camera;
 
 use super::judge::spread;
@@ -13,22 +14,37 @@ use crate::scene::{Model, Scene};
 /// Name of the data.
 pub const VIEWS: &str = "tcgs.views";
 
-/// Some training cameras of the capture given, or of the run's if it is still there; none without.
-pub fn views(scene: &Scene, settings: &Settings) -> anyhow::Result<Option<Vec<u8>>> {
-    let capture = match (&settings.capture, &scene.model) {
-        _ if settings.views == 0 => None,
-        (Some(path), _) => Some(Capture::open(path)?),
-        (None, Model::Run(run)) => Capture::open(Path::new(&run.0.config().data.capture)).ok(),
-        _ => None,
-    };
-    let Some(capture) = capture else { return Ok(None) };
-    let cameras = match &settings.capture {
-        Some(_) => capture.cameras(Split::Train, scene.first_frame, 1)?,
-        None => capture.cameras(Split::Train, scene.first_frame, 1).unwrap_or_default(),
-    };
-    let views: Vec<Value> = spread(cameras.len(), settings.views).map(|i| view(&cameras[i])).collect();
-    Ok((!views.is_empty()).then(|| json!({ "views": views }).to_string().into_bytes()))
+/// The training cameras of the capture given, or of the run's if it is still there; none without.
+pub fn cameras(scene: &Scene, settings: &Settings) -> anyhow::Result<Vec<(usize, Camera)>> {
+    let of = |path: &Path| Capture::open(path)?.cameras(Split::Train, scene.first_frame, 1);
+    Ok(match (&settings.capture, &scene.model) {
+        (Some(path), _) => of(path)?,
+        (None, Model::Run(run)) => of(Path::new(&run.0.config().data.capture)).unwrap_or_default(),
+        _ => Vec::new(),
+    })
 }
+
+/// Some of the cameras as the file says them; none without.
+pub fn views(cameras: &[(usize, Camera)], settings: &Settings) -> Option<Vec<u8>> {
+    let views: Vec<Value> = spread(cameras.len(), settings.views).map(|i| view(&cameras[i])).collect();
+    (!views.is_empty()).then(|| json!({ "views": views }).to_string().into_bytes())
+}
+
+/// The axis along which the cameras stand upright; unknown where none is near.
+pub fn up_axis(cameras: &[(usize, Camera)]) -> UpAxis {
+    // The rows of a rotation from the world are the camera's axes in it; the second points down.
+    let sum = |axis: usize| -> f64 { cameras.iter().map(|(_, camera)| -camera.camera_from_world[1][axis]).sum() };
+    let mean = [0, 1, 2].map(|axis| sum(axis) / cameras.len().max(1) as f64);
+    let length = mean.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let axes = [[UpAxis::PlusX, UpAxis::MinusX], [UpAxis::PlusY, UpAxis::MinusY], [UpAxis::PlusZ, UpAxis::MinusZ]];
+    let along = (0..3).find(|&axis| length > MIN_AGREEMENT && mean[axis].abs() > MIN_COSINE * length);
+    along.map_or(UpAxis::Unknown, |axis| axes[axis][usize::from(mean[axis] < 0.0)])
+}
+
+/// Length of the mean of the cameras' upright directions below which they stand anyhow.
+const MIN_AGREEMENT: f64 = 0.4;
+/// Of the angle between that mean and an axis: 30 degrees.
+const MIN_COSINE: f64 = 0.866;
 
 fn view((id, camera): &(usize, Camera)) -> Value {
     json!({
@@ -64,6 +80,19 @@ fn world_from_camera(camera_from_world: &[[f64; 4]; 4]) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn up_is_where_cameras_stand_upright() {
+        let ring = |up: [f64; 3], sideways: [f64; 3]| -> Vec<(usize, Camera)> {
+            let eyes = [1.0, -1.0].map(|s| [0, 1, 2].map(|i| 3.0 * s * sideways[i] + 1.5 * up[i]));
+            eyes.map(|eye| (0, Camera::look_at(eye, [0.0; 3], up, 50.0, 64, 48))).to_vec()
+        };
+        assert_eq!(up_axis(&ring([0.0, -1.0, 0.0], [0.0, 0.0, 1.0])), UpAxis::MinusY);
+        assert_eq!(up_axis(&ring([0.0, 0.0, 1.0], [1.0, 0.0, 0.0])), UpAxis::PlusZ);
+        assert_eq!(up_axis(&ring([0.1, 0.0, 1.0], [0.0, 1.0, 0.0])), UpAxis::PlusZ);
+        assert_eq!(up_axis(&ring([0.0, 0.7, 0.7], [1.0, 0.0, 0.0])), UpAxis::Unknown);
+        assert_eq!(up_axis(&[]), UpAxis::Unknown);
+    }
 
     #[test]
     fn rotations_are_those_of_the_cameras() {

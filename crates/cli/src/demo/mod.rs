@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
-use tcgs_codec::{BitMapping, CompressSettings, UpAxis};
+use tcgs_codec::{BitMapping, CompressSettings};
 use tcgs_train::{Run, TrainConfig};
 
 use crate::backend::{Backend, BackendName, BackendOptions};
@@ -200,7 +200,7 @@ fn compress_settings(folder: &Path, keypoints: bool) -> compress::Settings {
         // The run names the place that the capture will have only when all is done.
         capture: Some(folder.join("capture")),
         plain: false,
-        up: UpAxis::MinusY,
+        up: None,
         views: 8,
     }
 }

@@ -6,7 +6,7 @@ use tcgs_core::Attribute;
 
 use super::coder::{Coder, Model};
 use super::neighbors::NONE;
-use super::number::{Numbers, unzigzag, wrap, zigzag};
+use super::number::{Numbers, floor, unzigzag, wrap, zigzag};
 use super::segment::Keypoints;
 use super::shared::{MAX_COMPONENTS, Plan, Shared};
 use crate::compact::Tracks;
@@ -391,7 +391,7 @@ fn size_of_difference(zigzag: u32) -> usize {
 
 /// Nearest integer, halves upwards; far less than 31 bits.
 fn rounded(shift: f64) -> i32 {
-    (shift + 0.5).floor().clamp(-1e6, 1e6) as i32
+    floor((shift + 0.5).clamp(-1e6, 1e6))
 }
 
 /// One unit on its way.

@@ -6,7 +6,7 @@ use tcgs_core::Attribute;
 
 use super::coder::{Coder, Model};
 use super::neighbors::{NONE, Neighbors};
-use super::number::{Codes, Numbers, unzigzag, wrap, zigzag};
+use super::number::{Codes, Numbers, floor, unzigzag, wrap, zigzag};
 use crate::bits::BitMap;
 use crate::morton;
 use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
@@ -402,6 +402,6 @@ pub(super) fn value(quantizer: &Quantizer, code: i16) -> f64 {
 
 /// Nearest code to a value; halves upwards.
 fn nearest_code(quantizer: &Quantizer, value: f64) -> i32 {
-    let code = ((value - f64::from(quantizer.offset)) / f64::from(quantizer.step) + 0.5).floor();
-    code.clamp(f64::from(quantizer.min_code()), f64::from(quantizer.max_code())) as i32
+    let code = (value - f64::from(quantizer.offset)) / f64::from(quantizer.step) + 0.5;
+    floor(code.clamp(f64::from(quantizer.min_code()), f64::from(quantizer.max_code())))
 }

@@ -73,6 +73,7 @@ pub fn compress_ordered(
     check_arguments(scene, bit_map, &info);
     let bit_map = &settings.adjusted(bit_map, scene);
     let position_step = settings.position_step(scene);
+    let segment_length = settings.segment_length_of(scene.num_gaussians(), scene.num_timesteps());
     let mut quantizers = Quantizers::default();
     let tracks: [Tracks<f32>; 5] = Attribute::ALL.map(|attribute| {
         let widths = &bit_map.widths[attribute.index()];
@@ -84,7 +85,7 @@ pub fn compress_ordered(
                 .map(|&(max_mse, floor)| f32::max(max_mse * slack.get(gaussian).unwrap_or(&1.0), floor))
                 .collect();
             if settings.joint && settings.keypoints && scene.varies(attribute) {
-                reduce_jointly(values, &tolerances, settings, selector, out);
+                reduce_jointly(values, &tolerances, segment_length as usize, settings, selector, out);
             } else {
                 for (track, &max_mse) in values.chunks_exact(values.len() / tolerances.len()).zip(&tolerances) {
                     let (times, values) = reduce(track, max_mse, settings, selector);
@@ -112,7 +113,6 @@ pub fn compress_ordered(
         codes
     });
     let varies = Attribute::ALL.map(|attribute| scene.varies(attribute));
-    let segment_length = settings.segment_length;
     (CompactScene { info, bit_map, quantizers, varies, layers, segment_length, tracks: codes }, order)
 }
 

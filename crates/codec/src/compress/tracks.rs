@@ -100,6 +100,7 @@ pub(super) fn reduce(
 pub(super) fn reduce_jointly(
     values: &[f32],
     tolerances: &[f32],
+    segment_length: usize,
     settings: &CompressSettings,
     selector: &mut Selector,
     out: &mut Tracks<f32>,
@@ -113,9 +114,8 @@ pub(super) fn reduce_jointly(
     }
     let mut times: Vec<u16> = Vec::new();
     let mut at_keypoints: Vec<Vec<f32>> = vec![Vec::new(); tracks.len()];
-    let length = settings.segment_length as usize;
-    for start in (0..num_timesteps).step_by(length) {
-        let span = start..(start + length).min(num_timesteps);
+    for start in (0..num_timesteps).step_by(segment_length) {
+        let span = start..(start + segment_length).min(num_timesteps);
         let tracks: Vec<&[f32]> = tracks.iter().map(|track| &track[span.clone()]).collect();
         let still = settings.constant_tracks && mean_error(&tracks, &weights) <= tracks.len() as f64;
         let limit = FIT_GAIN * tracks.len() as f64;

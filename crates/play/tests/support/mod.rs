@@ -21,7 +21,7 @@ pub fn room_file(num_gaussians: usize, num_timesteps: usize, settings: &Compress
 
 /// A file of many small segments.
 pub fn small_file() -> Vec<u8> {
-    room_file(400, 40, &CompressSettings { segment_length: 5, ..Default::default() })
+    room_file(400, 40, &CompressSettings { segment_length: Some(5), ..Default::default() })
 }
 
 /// How a network behaves.
