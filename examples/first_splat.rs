@@ -27,6 +27,7 @@ fn main() -> anyhow::Result<()> {
     let mut v_image = Image::filled(640, 480, 3, 0.0);
     v_image.plane_mut(0)[240 * 640 + 320] = 1.0;
     let grads = rasterizer.backward(&activated, &camera, &settings, &saved, &v_image)?;
+    // By convention `v_x` is the gradient of the result with respect to `x`.
     let v_scene = activate_bwd(&scene, &activated, &grads.activated);
     println!("first_splat.png; moving each centre changes the red of the middle pixel by {:.3?}", v_scene.means);
     Ok(())

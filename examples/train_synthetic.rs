@@ -28,7 +28,7 @@ fn main() -> anyhow::Result<()> {
         scene.push(trainer.state()?.parameters.gaussians.clone());
     }
 
-    // Bits as training learned them would come from the run's folder; here all parameters have the same.
+    // A run's folder has the bits that training gave each Gaussian; here all have the same.
     let bits = tcgs_codec::BitMap::uniform(scene.num_gaussians(), 14, 8);
     let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default());
     let file = encode(&compact);

@@ -60,16 +60,16 @@ pub struct Arguments {
     /// Most keypoints of a track, 2 or more [default: 60; paper: 30 for Panoptic Sports, 15 for Technicolor, else 60]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65536))]
     max_keypoints: Option<u32>,
-    /// Mean squared error of a track at which no more keypoints are added [default: a run's positions 2.5e-6,
-    /// others' by their extent, rotations 4e-5, scales 1e-4, opacities 1e-3, colours 2e-4; paper: 1e-5 for Panoptic Sports, else
-    /// 1e-7]
+    /// Mean squared error of a track at which no more keypoints are added [default: positions 2.5e-6 on
+    /// Panoptic Sports, else by the scene's extent, rotations 4e-5, scales 1e-4, opacities 1e-3, colours 2e-4; paper:
+    /// 1e-5 for Panoptic Sports, else 1e-7]
     #[arg(long, value_name = "MSE", value_parser = not_negative, allow_negative_numbers = true)]
     max_mse: Option<f32>,
     /// Store every timestep
     #[arg(long, conflicts_with_all = ["max_keypoints", "max_mse"])]
     no_keypoints: bool,
     /// Timesteps of a segment, which decodes alone: fewer make seeking faster and the file larger [default: 50; of more
-    /// than 60,000 Gaussians as many as decode in a twentieth of a second]
+    /// than 60,000 Gaussians as many as decode in a twentieth of a second, at least 8]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65536))]
     segment_length: Option<u32>,
     /// Fewest and most bits of a parameter, instead of those learned; equal ones give all the same
@@ -86,7 +86,7 @@ pub struct Arguments {
     /// images a target is measured
     #[arg(long, value_name = "CAPTURE")]
     capture: Option<PathBuf>,
-    /// `plain`: also report the size in the paper's form, without entropy coding; the file is the same
+    /// `plain`: print the size in the paper's form, without entropy coding, as a stage of its own; the file is the same
     #[arg(long, default_value = "packed")]
     storage: Storage,
     /// Quality along one curve of settings, -6 to 8, instead of the settings themselves: 1 more about halves the
