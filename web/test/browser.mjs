@@ -92,7 +92,7 @@ test("the scene shows, plays, and holds still when told", async (t) => {
   assert.match(await page.textContent("#stat-drawn"), /^\d{1,3}(\u202f\d{3})*$/);
   assert.match(await page.textContent("#stat-bytes"), /^\d.* of \d/);
   assert.equal(await page.textContent("#stat-size"), "640 × 400");
-  assert.match(await page.title(), /scene/);
+  assert.match(await page.title(), /^capture /);
   await page.waitForTimeout(400);
   assert.ok((await compare(page, still, await settled(page))).near === 1, "paused is paused");
 });

@@ -2,7 +2,9 @@
 
 use std::f64::consts::TAU;
 
+use tcgs_codec::UpAxis;
 use tcgs_core::{Camera, Gaussians};
+use tcgs_play::start_view::{self, FIELD_OF_VIEW, HEIGHT};
 
 use crate::options::Size;
 
@@ -15,24 +17,14 @@ pub enum CameraPath {
     Spiral,
 }
 
-/// Horizontal field of view.
-const FIELD_OF_VIEW: f64 = 1.1;
-/// Distance of the cameras from the scene's middle, in its radius: a captured scene is mostly its
-/// surroundings, and the cameras stood just within them.
-const DISTANCE: f64 = 0.85;
-/// Share of the Gaussians within the radius: a few far away do not matter.
-const WITHIN: f64 = 0.75;
-/// Height of the cameras above the middle, in their distance.
-const HEIGHT: f64 = 0.25;
-
 impl CameraPath {
-    /// Cameras evenly along the path.
+    /// Cameras evenly along the path, which look at the median of the Gaussians' centres.
     ///
-    /// They look at the median of the Gaussians' centres. Up is `−y`, as in the captures' worlds.
-    pub fn cameras(self, gaussians: &Gaussians, count: usize, size: Size) -> Vec<Camera> {
-        let (center, radius) = extent(gaussians);
-        // A scene of one point still has to be looked at from somewhere.
-        let radius = DISTANCE * radius.max(1e-3);
+    /// - `up`: what points up; in captures' worlds, if it is unknown, where y is less
+    pub fn cameras(self, gaussians: &Gaussians, up: UpAxis, count: usize, size: Size) -> Vec<Camera> {
+        let (center, radius) = start_view::extent(&gaussians.means);
+        let radius = start_view::distance(radius);
+        let [right, up, forward] = start_view::axes(up);
         let focal_px = 0.5 * size.width as f64 / (FIELD_OF_VIEW / 2.0).tan();
         (0..count)
             .map(|i| {
@@ -41,29 +33,13 @@ impl CameraPath {
                     Self::Orbit => (TAU * share, 1.0, HEIGHT),
                     Self::Spiral => (2.0 * TAU * share, 1.2 - 0.5 * share, 0.6 * share),
                 };
-                let offset = [reach * angle.sin(), -height, -reach * angle.cos()];
-                let position = std::array::from_fn(|axis| center[axis] + radius * offset[axis]);
-                Camera::look_at(position, center, [0.0, -1.0, 0.0], focal_px, size.width, size.height)
+                let (across, ahead) = (reach * angle.sin(), -reach * angle.cos());
+                let offset = |axis: usize| across * right[axis] + height * up[axis] + ahead * forward[axis];
+                let position = std::array::from_fn(|axis| center[axis] + radius * offset(axis));
+                Camera::look_at(position, center, up, focal_px, size.width, size.height)
             })
             .collect()
     }
-}
-
-/// Middle of a scene, the median of its Gaussians' centres, and its radius, within which most of them lie.
-pub fn extent(gaussians: &Gaussians) -> ([f64; 3], f64) {
-    let center: [f64; 3] =
-        std::array::from_fn(|axis| quantile(gaussians.means.iter().map(|m| f64::from(m[axis])).collect(), 0.5));
-    let distance = |m: &[f32; 3]| (0..3).map(|i| (f64::from(m[i]) - center[i]).powi(2)).sum::<f64>().sqrt();
-    (center, quantile(gaussians.means.iter().map(distance).collect(), WITHIN))
-}
-
-/// The value that a share of the values lies below; 0 of none.
-fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let index = (share * (values.len() - 1) as f64) as usize;
-    *values.select_nth_unstable_by(index, f64::total_cmp).1
 }
 
 #[cfg(test)]
@@ -79,7 +55,7 @@ mod tests {
         }
         gaussians.means[0] = [1e6; 3];
         for path in [CameraPath::Orbit, CameraPath::Spiral] {
-            let cameras = path.cameras(&gaussians, 8, Size { width: 64, height: 36 });
+            let cameras = path.cameras(&gaussians, UpAxis::Unknown, 8, Size { width: 64, height: 36 });
             for camera in &cameras {
                 let (center, forward) = (camera.center(), camera.forward());
                 let to_middle = tcgs_core::normalize([5.0 - center[0], 1.0 - center[1], -center[2]]);
@@ -87,6 +63,8 @@ mod tests {
                 assert!(center[1] <= 1.0 + 1e-2, "above, where y is less");
             }
             assert_ne!(cameras[0], cameras[4]);
+            let upright = path.cameras(&gaussians, UpAxis::PlusZ, 8, Size { width: 64, height: 36 });
+            assert!(upright.iter().all(|camera| camera.center()[2] >= -1e-2), "above, where z is more");
         }
     }
 }

@@ -106,6 +106,9 @@ fn kept(scene: &Scene, keep: &[usize], frame: usize) -> Gaussians {
     if keep.len() < gaussians.num_gaussians() { gaussians.select(keep) } else { gaussians }
 }
 
+/// It holds floats, of which the whole numbers end here.
+const MAX_FRAME_OF_PARAMS: usize = 1 << 24;
+
 fn write_params(arguments: &Arguments, scene: &Scene, keep: &[usize], frames: &Range<usize>) -> anyhow::Result<u64> {
     let to = &arguments.to;
     let mut floats = DynamicGaussians::default();
@@ -118,6 +121,12 @@ fn write_params(arguments: &Arguments, scene: &Scene, keep: &[usize], frames: &R
             let expected = format!("a folder to export PLY files to, not {}", to.display());
             return Err(wrong_input(format!("{}: {problem}, expected {expected}", scene.path.display())));
         }
+    }
+    // A number of 32 bits, where frames are counted by dates or clocks, would be another one.
+    if frames.start >= MAX_FRAME_OF_PARAMS {
+        let problem = format!("begins at frame {}, which a params.npz cannot hold", frames.start);
+        let expected = format!("a frame below {MAX_FRAME_OF_PARAMS}, or a folder to export PLY files to");
+        return Err(wrong_input(format!("{}: {problem}, expected {expected}", scene.path.display())));
     }
     let foreground: Vec<bool>;
     let origin = ParamsOrigin {

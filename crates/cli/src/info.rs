@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use serde_json::{Map, Value, json};
-use tcgs_codec::{Contents, DecodeLimits, FileInfo, application_data, inspect};
+use tcgs_codec::{Contents, DecodeError, DecodeLimits, FileInfo, application_data, inspect};
 use tcgs_core::Attribute;
 
 use crate::error::wrong_input;
@@ -36,15 +36,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return Err(wrong_input(format!("{path}: is a folder, expected a .tcgs file")));
     }
     let bytes = fs::read(&arguments.file).map_err(|error| unreadable(&arguments.file, error, "a .tcgs file"))?;
-    let info = inspect(&bytes, &DecodeLimits::default())
-        .map_err(|error| wrong_input(format!("{path}: {error}, expected a whole .tcgs file")))?;
+    let damaged = |error: DecodeError| wrong_input(format!("{path}: {error}, expected a whole .tcgs file"));
+    let info = inspect(&bytes, &DecodeLimits::default()).map_err(damaged)?;
     say(&format!("{path}: version {}, {} ({} bytes)", info.version, show_bytes(info.bytes), info.bytes))?;
     if let Some(contents) = &info.contents {
         print_contents(&info, contents)?;
     }
     print_sections(&info)?;
     if info.checksums_ok() {
-        for (name, data) in application_data(&bytes, &DecodeLimits::default())? {
+        for (name, data) in application_data(&bytes, &DecodeLimits::default()).map_err(damaged)? {
             say(&format!("application data: {name}, {}", show_bytes(data.len() as u64)))?;
         }
     }
@@ -60,7 +60,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
     let scene = &contents.info;
     let name = if scene.name.is_empty() { "-" } else { &scene.name };
-    let (first, last) = (scene.first_frame, scene.first_frame + (scene.num_timesteps - 1));
+    let (first, last) = (u64::from(scene.first_frame), u64::from(scene.first_frame) + u64::from(scene.num_timesteps - 1));
     say(&format!("name          {name}"))?;
     say(&format!("Gaussians     {}", scene.num_gaussians))?;
     say(&format!("timesteps     {} (frames {first} to {last})", scene.num_timesteps))?;

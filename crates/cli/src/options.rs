@@ -107,14 +107,21 @@ pub struct Size {
     pub height: usize,
 }
 
+impl Size {
+    /// Whether it is an image's. Larger ones are a slip of the keyboard.
+    pub fn is_legal(self) -> bool {
+        [self.width, self.height].iter().all(|side| (1..=16384).contains(side))
+    }
+}
+
 impl FromStr for Size {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        // Larger images are a slip of the keyboard.
-        let side = |text: &str| text.parse().ok().filter(|side| (1..=16384).contains(side));
+        let side = |text: &str| text.parse().ok();
         let size = text.split_once('x').and_then(|(w, h)| Some(Self { width: side(w)?, height: side(h)? }));
-        size.ok_or_else(|| "expected WIDTHxHEIGHT of 1 to 16384 pixels each, such as 640x360".into())
+        size.filter(|size| size.is_legal())
+            .ok_or_else(|| "expected WIDTHxHEIGHT of 1 to 16384 pixels each, such as 640x360".into())
     }
 }
 

@@ -11,6 +11,9 @@ use tempfile::TempDir;
 
 use crate::error::wrong_input;
 
+/// How the names of what is unfinished begin.
+const UNFINISHED: &str = ".writing-";
+
 /// Prints a line on standard output. A reader that has gone away has read enough.
 pub fn say(text: &str) -> anyhow::Result<()> {
     match writeln!(io::stdout().lock(), "{text}") {
@@ -56,7 +59,7 @@ pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io
     }
     // A link is kept; what it points to is replaced.
     let path = path.canonicalize().unwrap_or_else(|_| path.into());
-    let file = visible(".writing-").tempfile_in(parent(&path)).with_context(context)?;
+    let file = visible(UNFINISHED).tempfile_in(parent(&path)).with_context(context)?;
     write(file.as_file()).and_then(|()| file.as_file().sync_all()).with_context(context)?;
     let renamed = if force { file.persist(&path) } else { file.persist_noclobber(&path) };
     match renamed {
@@ -70,11 +73,12 @@ pub fn write_json(path: &Path, value: &Value, force: bool) -> anyhow::Result<()>
     write_file(path, format!("{value:#}\n").as_bytes(), force)
 }
 
-/// A folder in the making, beside its place until [`NewFolder::finish`] renames it.
+/// A folder in the making, until [`NewFolder::finish`] puts it in its place: beside a place that does not exist yet, to be
+/// renamed; inside one that exists, which may be where a shell stands or a disk is mounted.
 pub struct NewFolder {
     place: PathBuf,
-    beside: TempDir,
-    force: bool,
+    making: TempDir,
+    inside: bool,
 }
 
 impl NewFolder {
@@ -83,30 +87,29 @@ impl NewFolder {
     /// - `force`: whether an existing folder is replaced, and only if all its files are called what
     ///   `is_ours` knows: a slip must not cost a home directory
     pub fn begin(place: &Path, force: bool, is_ours: fn(&Path) -> bool) -> anyhow::Result<Self> {
-        if place.exists() {
+        let inside = place.exists();
+        if inside && !is_empty_folder(place) {
+            if !force {
+                return Err(exists(place));
+            }
             let foreign = foreign_file(place, is_ours).with_context(|| format!("reading {}", place.display()))?;
-            let empty = place.is_dir() && fs::read_dir(place).is_ok_and(|mut entries| entries.next().is_none());
-            match foreign {
-                _ if empty => {}
-                _ if !force => return Err(exists(place)),
-                Some(foreign) => {
-                    let problem = "not written by this command, expected a new name or a folder of its files alone";
-                    return Err(wrong_input(format!("{}: {problem}", foreign.display())));
-                }
-                None => {}
+            if let Some(foreign) = foreign {
+                let problem = "not written by this command, expected a new name or a folder of its files alone";
+                return Err(wrong_input(format!("{}: {problem}", foreign.display())));
             }
         }
         let parent = parent(place);
         if !parent.is_dir() {
             return Err(wrong_input(format!("{}: no such folder, expected one to write into", parent.display())));
         }
-        let beside = visible_folder(parent).with_context(|| format!("writing {}", place.display()))?;
-        Ok(Self { place: place.into(), beside, force })
+        let making = visible_folder(if inside { place } else { parent });
+        let making = making.with_context(|| format!("writing {}", place.display()))?;
+        Ok(Self { place: place.into(), making, inside })
     }
 
     /// Where its files go meanwhile.
     pub fn path(&self) -> &Path {
-        self.beside.path()
+        self.making.path()
     }
 
     /// Puts it in its place.
@@ -114,40 +117,50 @@ impl NewFolder {
         self.finish_around(|_| false)
     }
 
-    /// Puts it in its place; of the folder that it replaces, it takes over some entries.
+    /// Puts it in its place, where some entries stay. What cannot be moved is not lost: the error says where it is.
     ///
-    /// - `stays`: whether an entry of that name is taken over
+    /// - `stays`: whether an entry of that name, of which there is none among the new ones, is left where it is
     pub fn finish_around(self, stays: fn(&OsStr) -> bool) -> anyhow::Result<()> {
-        let context = || format!("writing {}", self.place.display());
-        if self.force && self.place.exists() {
-            let before = visible_folder(parent(&self.place)).with_context(context)?;
-            let replaced = before.path().join("replaced");
-            fs::rename(&self.place, &replaced).with_context(context)?;
-            let renamed = fs::rename(self.beside.path(), &self.place);
-            if renamed.is_err() {
-                fs::rename(&replaced, &self.place).with_context(context)?;
-            }
-            renamed.with_context(context)?;
-            take_over(&replaced, &self.place, stays).with_context(|| {
-                // What could not be moved must not be lost.
-                format!("moving what is left in {}", before.keep().join("replaced").display())
-            })
-        } else {
-            // Over an empty folder, too; fails over any other.
-            fs::rename(self.beside.path(), &self.place).with_context(context)
+        let Self { place, making, inside } = self;
+        let context = format!("writing {}", place.display());
+        if !inside {
+            let moved = fs::rename(making.path(), &place);
+            return moved.with_context(|| format!("{context}; all of it is in {}", making.keep().display()));
         }
+        let before = match visible_folder(&place) {
+            Ok(before) => before,
+            Err(error) => return Err(error).context(format!("{context}; all of it is in {}", making.keep().display())),
+        };
+        exchange(&place, making.path(), before.path(), stays).with_context(|| {
+            let (new, old) = (making.keep(), before.keep());
+            format!("{context}; what is new is in {}, what was there in {}", new.display(), old.display())
+        })
     }
 }
 
-/// Moves some entries of a folder to another one that has none of these names.
-fn take_over(from: &Path, to: &Path, stays: fn(&OsStr) -> bool) -> io::Result<()> {
-    for entry in fs::read_dir(from)? {
-        let entry = entry?;
-        if stays(&entry.file_name()) {
-            fs::rename(entry.path(), to.join(entry.file_name()))?;
+/// Moves what is in `place` to `before`, and all of `new` to `place`; both lie in `place`.
+fn exchange(place: &Path, new: &Path, before: &Path, stays: fn(&OsStr) -> bool) -> io::Result<()> {
+    for entry in fs::read_dir(place)?.collect::<io::Result<Vec<_>>>()? {
+        let path = entry.path();
+        if path != new && path != before && !stays(&entry.file_name()) {
+            fs::rename(path, before.join(entry.file_name()))?;
         }
     }
+    for entry in fs::read_dir(new)?.collect::<io::Result<Vec<_>>>()? {
+        fs::rename(entry.path(), place.join(entry.file_name()))?;
+    }
     Ok(())
+}
+
+/// Whether a folder exists and has nothing in it but what a stopped process left.
+pub fn is_empty_folder(path: &Path) -> bool {
+    let Ok(mut entries) = fs::read_dir(path) else { return false };
+    entries.all(|entry| entry.is_ok_and(|entry| is_leftover(&entry.file_name())))
+}
+
+/// Whether a name is that of something unfinished.
+pub fn is_leftover(name: &OsStr) -> bool {
+    name.to_string_lossy().starts_with(UNFINISHED)
 }
 
 /// A file below `folder` that is not ours; the folder itself if it is none.
@@ -157,6 +170,9 @@ fn foreign_file(folder: &Path, is_ours: fn(&Path) -> bool) -> io::Result<Option<
     }
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
+        if path.file_name().is_some_and(is_leftover) {
+            continue;
+        }
         let foreign = match path.symlink_metadata()?.is_dir() {
             true => foreign_file(&path, is_ours)?,
             false => (!is_ours(&path)).then_some(path),
@@ -178,7 +194,8 @@ fn exists(path: &Path) -> anyhow::Error {
     wrong_input(format!("{}: exists already, expected a new name or --force to replace it", path.display()))
 }
 
-fn parent(path: &Path) -> &Path {
+/// The folder that a path lies in.
+pub fn parent(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
@@ -193,7 +210,7 @@ fn visible(prefix: &'static str) -> tempfile::Builder<'static, 'static> {
 
 fn visible_folder(parent: &Path) -> io::Result<TempDir> {
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".writing-");
+    builder.prefix(UNFINISHED);
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
     builder.tempdir_in(parent)
@@ -269,6 +286,36 @@ mod tests {
         fs::create_dir(&place).unwrap();
         fill(false, "4.png").unwrap();
         assert_eq!(fs::read_dir(parent.path()).unwrap().count(), 1, "a temporary folder was left behind");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_that_exists_stays_the_same_one() {
+        use std::os::unix::fs::MetadataExt;
+        let place = tempfile::tempdir().unwrap();
+        let before = fs::metadata(place.path()).unwrap().ino();
+        for name in ["1.png", "2.png"] {
+            let folder = NewFolder::begin(&place.path().join("."), true, is_png).unwrap();
+            fs::write(folder.path().join(name), b"x").unwrap();
+            folder.finish().unwrap();
+            let names: Vec<_> = fs::read_dir(place.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+            assert_eq!(names, [name]);
+        }
+        assert_eq!(fs::metadata(place.path()).unwrap().ino(), before);
+    }
+
+    #[test]
+    fn what_cannot_be_put_in_its_place_is_kept() {
+        let parent = tempfile::tempdir().unwrap();
+        let place = parent.path().join("frames");
+        let folder = NewFolder::begin(&place, false, is_png).unwrap();
+        fs::write(folder.path().join("1.png"), b"x").unwrap();
+        fs::create_dir(&place).unwrap();
+        fs::write(place.join("another.png"), b"x").unwrap();
+        let making = folder.path().to_owned();
+        let error = folder.finish().unwrap_err().to_string();
+        assert!(error.contains(making.to_str().unwrap()), "{error}");
+        assert!(making.join("1.png").exists() && place.join("another.png").exists());
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
-use tcgs_codec::{CompactScene, DecodeLimits};
+use tcgs_codec::{CompactScene, DecodeLimits, UpAxis};
 use tcgs_core::{Activated, DynamicGaussians, Gaussians, activate};
 use tcgs_interchange::{HigherHarmonics, InterchangeError, ParamsOrigin};
 use tcgs_train::{Run, TrainedScene};
@@ -57,6 +57,14 @@ pub enum Model {
 }
 
 impl Scene {
+    /// What points up, as a file says it.
+    pub fn up(&self) -> UpAxis {
+        match &self.model {
+            Model::Compact(compact) => compact.info.up,
+            _ => UpAxis::Unknown,
+        }
+    }
+
     /// Loads a scene.
     pub fn load(path: &Path, options: SceneOptions) -> anyhow::Result<Self> {
         if path.is_dir() {

@@ -33,7 +33,7 @@ impl Lens {
 
     /// Intrinsics for a picture of another size, which shows all that this one shows: the same numbers for the same
     /// size.
-    fn at(&self, size: [usize; 2]) -> ([f64; 2], [f64; 2]) {
+    pub fn at(&self, size: [usize; 2]) -> ([f64; 2], [f64; 2]) {
         let ratio = [0, 1].map(|i| size[i] as f64 / self.size[i] as f64);
         let scale = ratio[0].min(ratio[1]);
         let middle = |size: [usize; 2], i: usize| size[i] as f64 / 2.0;

@@ -20,7 +20,7 @@ mod player;
 mod reconstruct;
 mod source;
 mod stage;
-mod start_view;
+pub mod start_view;
 mod viewer;
 #[cfg(target_family = "wasm")]
 mod web;
@@ -34,7 +34,7 @@ pub use player::{Player, PlayerSettings};
 pub use reconstruct::Reconstruction;
 pub use source::{BytesSource, FileSource, Piece, Source, SourceError};
 pub use stage::{Shot, Stage, Still};
-pub use start_view::{start_view, up_direction};
+pub use start_view::start_view;
 pub use viewer::{Frame, Viewer};
 
 /// Every shader of this crate with its name, as the GPU gets it; see [`tcgs_render::gpu::sources`] for the others.

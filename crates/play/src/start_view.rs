@@ -1,10 +1,11 @@
-//! From where a scene is seen first, if its file does not say.
+//! From where a scene is seen, if its file does not say.
 
 use tcgs_codec::UpAxis;
 use tcgs_core::Camera;
 
-/// Horizontal field of view, and the picture that it is for.
-const FIELD_OF_VIEW: f64 = 1.1;
+/// Horizontal field of view, radians.
+pub const FIELD_OF_VIEW: f64 = 1.1;
+/// The picture that it is for.
 const SIZE: [usize; 2] = [640, 360];
 /// Distance of the camera from the scene's middle, in its radius: a captured scene is mostly its surroundings, and the
 /// cameras stood just within them.
@@ -12,22 +13,45 @@ const DISTANCE: f64 = 0.85;
 /// Share of the Gaussians within the radius: a few far away do not matter.
 const WITHIN: f64 = 0.75;
 /// Height of the camera above the middle, in its distance.
-const HEIGHT: f64 = 0.25;
+pub const HEIGHT: f64 = 0.25;
 
 /// A camera that looks at the median of the centres, from among the surroundings and a little above, and that median.
 ///
 /// - `means`: `[N, 3]`, not empty
 pub fn start_view(means: &[[f32; 3]], up: UpAxis) -> (Camera, [f64; 3]) {
-    let center: [f64; 3] = std::array::from_fn(|axis| quantile(means.iter().map(|m| f64::from(m[axis])), 0.5));
-    let distance = |m: &[f32; 3]| (0..3).map(|i| (f64::from(m[i]) - center[i]).powi(2)).sum::<f64>().sqrt();
-    // A scene of one point still has to be looked at from somewhere.
-    let radius = DISTANCE * quantile(means.iter().map(distance), WITHIN).max(1e-3);
-    let up = up_direction(up);
-    // Any direction across will do; this one is forward where down is y, as in captures.
-    let forward = if up[2] == 0.0 { [0.0, 0.0, 1.0] } else { [0.0, 1.0, 0.0] };
-    let position = std::array::from_fn(|i| center[i] + radius * (HEIGHT * up[i] - forward[i]));
+    let (center, radius) = extent(means);
+    let reach = distance(radius);
+    let [_, up, forward] = axes(up);
+    let position = std::array::from_fn(|i| center[i] + reach * (HEIGHT * up[i] - forward[i]));
     let focal = 0.5 * SIZE[0] as f64 / (FIELD_OF_VIEW / 2.0).tan();
     (Camera::look_at(position, center, up, focal, SIZE[0], SIZE[1]), center)
+}
+
+/// Middle of a scene, the median of its Gaussians' centres, and its radius, within which most of them lie.
+///
+/// - `means`: `[N, 3]`
+pub fn extent(means: &[[f32; 3]]) -> ([f64; 3], f64) {
+    let center: [f64; 3] = std::array::from_fn(|axis| quantile(means.iter().map(|m| f64::from(m[axis])), 0.5));
+    let distance = |m: &[f32; 3]| (0..3).map(|i| (f64::from(m[i]) - center[i]).powi(2)).sum::<f64>().sqrt();
+    (center, quantile(means.iter().map(distance), WITHIN))
+}
+
+/// Distance from the middle of a scene of some radius to see it from. A scene of one point still has to be looked at
+/// from somewhere.
+pub fn distance(radius: f64) -> f64 {
+    DISTANCE * radius.max(1e-3)
+}
+
+/// Right, up and forward in the world for someone upright. Any direction across will do; this one is forward where down
+/// is y, as in captures.
+pub fn axes(up: UpAxis) -> [[f64; 3]; 3] {
+    let up = up_direction(up);
+    let forward = if up[2] == 0.0 { [0.0, 0.0, 1.0] } else { [0.0, 1.0, 0.0] };
+    let right = std::array::from_fn(|i| {
+        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        forward[j] * up[k] - forward[k] * up[j]
+    });
+    [right, up, forward]
 }
 
 /// Where up is in the world: in captures' worlds, if the file does not say, where y is less.

@@ -73,7 +73,7 @@ fn cameras(scene: &Scene, gaussians: &Gaussians, settings: &Settings) -> anyhow:
         _ => None,
     };
     let Some(path) = settings.capture.clone().or(of_run) else {
-        let cameras = CameraPath::Orbit.cameras(gaussians, NUM_CAMERAS, IMAGE_SIZE);
+        let cameras = CameraPath::Orbit.cameras(gaussians, scene.up(), NUM_CAMERAS, IMAGE_SIZE);
         return Ok((cameras, "cameras around the scene (--capture would give the real ones)".into()));
     };
     let capture = Capture::open(&path)?;

@@ -123,7 +123,7 @@ fn cameras(scene: &Scene) -> Vec<Camera> {
     {
         return spread(cameras.len(), NUM_CAMERAS).map(|i| cameras[i].1.clone()).collect();
     }
-    CameraPath::Orbit.cameras(&scene.at(0), NUM_CAMERAS, IMAGE_SIZE)
+    CameraPath::Orbit.cameras(&scene.at(0), scene.up(), NUM_CAMERAS, IMAGE_SIZE)
 }
 
 /// At most `count` numbers below `length`, evenly from 0 to the last.

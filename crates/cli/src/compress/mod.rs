@@ -13,13 +13,13 @@ use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::{BitMapping, CompressSettings, UpAxis};
 use tcgs_core::Attribute;
+use tcgs_play::start_view;
 use tcgs_train::Run;
 
 use self::judge::{Images, Judge};
 use self::scene::Prepared;
 use self::target::Target;
 use crate::backend::{BackendName, BackendOptions};
-use crate::camera_path::extent;
 use crate::error::wrong_input;
 use crate::eval::Cameras;
 use crate::options::{self, Frames, JobOptions, Pair};
@@ -186,7 +186,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
     let kind = kind(arguments, &scene)?;
     let mut settings = settings(arguments, kind);
-    let radius = extent(&scene.at(0)).1 as f32;
+    let radius = start_view::extent(&scene.at(0).means).1 as f32;
     let of_unknown_unit = matches!(scene.model, Model::Floats { .. }) || kind != CaptureKind::Panoptic;
     if of_unknown_unit && arguments.preset == PresetName::Default && arguments.max_mse.is_none() {
         settings.keypoints.max_mse[Attribute::Mean.index()] = (POSITION_TOLERANCE * radius).powi(2);

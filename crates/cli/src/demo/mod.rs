@@ -17,7 +17,7 @@ use crate::compress::{self, Compressed, compress_scene, kept_gaussians};
 use crate::error::wrong_input;
 use crate::eval::{self, Evaluation, evaluate};
 use crate::options::JobOptions;
-use crate::output::{NewFolder, say, show_bytes};
+use crate::output::{NewFolder, is_empty_folder, say, show_bytes};
 use crate::scene::{Model, Scene, SceneOptions};
 use crate::train;
 
@@ -119,8 +119,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// A folder that someone else made is not replaced.
 fn check_place(out: &Path) -> anyhow::Result<()> {
-    let is_empty = out.is_dir() && fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_none());
-    if !out.exists() || is_empty || out.join(MARKER).is_file() {
+    if !out.exists() || is_empty_folder(out) || out.join(MARKER).is_file() {
         return Ok(());
     }
     let problem = "exists and was not made by demo, expected a new name or a folder of an earlier demo";

@@ -7,12 +7,15 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::{Capture, Origin, POINTS_FILE, PrepareSettings, Prepared, write_points};
 
 use crate::error::wrong_input;
 use crate::options::{self, JobOptions};
-use crate::output::{NewFolder, check_file, say, write_file_with, write_json};
+use crate::output::{
+    NewFolder, check_file, is_empty_folder, is_leftover, parent, say, write_file_with, write_json,
+};
 use crate::progress::Progress;
 
 /// Written into every capture that this command makes: how it was made, and that it may be replaced.
@@ -136,17 +139,25 @@ fn check_points_file(file: &Path, force: bool) -> anyhow::Result<()> {
 
 /// A folder in the making, outside its source; one that exists is replaced only if this command made it.
 fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFolder> {
-    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if let (Ok(parent), Ok(source)) = (parent.canonicalize(), source.canonicalize())
+    if let (Ok(parent), Ok(source)) = (parent(out).canonicalize(), source.canonicalize())
         && parent.starts_with(&source)
     {
         let problem = format!("lies in {}, expected a place outside the source", source.display());
         return Err(wrong_input(format!("{}: {problem}", out.display())));
     }
-    let is_empty = out.is_dir() && std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_none());
-    if force && out.exists() && !is_empty && !out.join(RECORD).is_file() {
-        let problem = "was not made by prepare, expected a new name or a folder of an earlier prepare";
-        return Err(wrong_input(format!("{}: {problem}", out.display())));
+    if force && out.exists() && !is_empty_folder(out) {
+        if !out.join(RECORD).is_file() {
+            let problem = "was not made by prepare, expected a new name or a folder of an earlier prepare";
+            return Err(wrong_input(format!("{}: {problem}", out.display())));
+        }
+        for entry in std::fs::read_dir(out).with_context(|| format!("reading {}", out.display()))? {
+            let name = entry?.file_name();
+            let ours = [POINTS_FILE, RECORD].iter().any(|ours| name == *ours);
+            if !ours && !is_leftover(&name) && source.join(&name).symlink_metadata().is_err() {
+                let problem = "is neither of the source nor of prepare, expected it to be moved away first";
+                return Err(wrong_input(format!("{}: {problem}", out.join(name).display())));
+            }
+        }
     }
     NewFolder::begin(out, force, |_| true)
 }

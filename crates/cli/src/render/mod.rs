@@ -151,7 +151,7 @@ fn shots(arguments: &Arguments, scene: &Scene, by_camera: bool) -> anyhow::Resul
     match arguments.path.as_ref().unwrap_or(&PathOption::Around(CameraPath::Orbit)) {
         PathOption::Around(path) => {
             let gaussians = scene.at(frames.start - scene.first_frame);
-            let cameras = path.cameras(&gaussians, frames.len(), arguments.size.unwrap_or(PATH_SIZE));
+            let cameras = path.cameras(&gaussians, scene.up(), frames.len(), arguments.size.unwrap_or(PATH_SIZE));
             Ok(frames.zip(cameras).map(|(frame, camera)| shot(frame, camera)).collect())
         }
         PathOption::Saved(file) => {

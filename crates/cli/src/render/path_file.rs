@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 use tcgs_core::{Camera, dot, normalize};
+use tcgs_play::Lens;
 
 use crate::error::wrong_input;
 use crate::options::Size;
@@ -59,6 +60,9 @@ impl PathFile {
         for (index, key) in document.cameras.into_iter().enumerate() {
             if keys.last().is_some_and(|(before, _)| *before >= key.timestep) {
                 return Err(format!("camera {index} has timestep {}, not later than the one before", key.timestep));
+            }
+            if !(Size { width: key.width, height: key.height }).is_legal() {
+                return Err(format!("camera {index} has {}x{} pixels, more than 16384", key.width, key.height));
             }
             let intrinsics = [[key.fx, 0.0, key.cx], [0.0, key.fy, key.cy], [0.0, 0.0, 1.0]];
             let m = key.camera_from_world;
@@ -152,19 +156,9 @@ fn camera_of(numbers: &[f64; NUMBERS], size: Size) -> Camera {
 
 /// The same view in a picture of another size: square pixels, and all that it shows is shown.
 fn fitted(camera: &Camera, size: Size) -> Camera {
-    let (from, to) = ([camera.width, camera.height], [size.width, size.height]);
-    if from == to {
-        return camera.clone();
-    }
-    let scale = (0..2).map(|i| to[i] as f64 / from[i] as f64).fold(f64::INFINITY, f64::min);
-    let principal = |i: usize| to[i] as f64 / 2.0 + scale * (camera.principal[i] - from[i] as f64 / 2.0);
-    Camera {
-        width: size.width,
-        height: size.height,
-        focal: camera.focal.map(|focal| scale * focal),
-        principal: [principal(0), principal(1)],
-        camera_from_world: camera.camera_from_world,
-    }
+    let Size { width, height } = size;
+    let (focal, principal) = Lens::of(camera).at([width, height]);
+    Camera { width, height, focal, principal, camera_from_world: camera.camera_from_world }
 }
 
 #[cfg(test)]

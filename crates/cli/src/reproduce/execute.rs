@@ -188,10 +188,13 @@ fn train(place: &Place, job: &Job, folder: &Path) -> anyhow::Result<Trained> {
     {
         return Err(other_arguments(&log, &other["arguments"], &json!(job.arguments)));
     }
-    let anew = other.is_some();
-    if anew {
+    if other.is_some() {
         steps.clear();
-        for path in [&log, &json_path] {
+        // The run first: stopped between, what is left still says by which arguments it was made.
+        if run.exists() {
+            fs::remove_dir_all(&run).with_context(|| format!("removing {}", run.display()))?;
+        }
+        for path in [&json_path, &log] {
             remove(path)?;
         }
     }
@@ -203,11 +206,15 @@ fn train(place: &Place, job: &Job, folder: &Path) -> anyhow::Result<Trained> {
         let step = json!({ "command": command, "arguments": job.arguments, "commit": COMMIT });
         append_line(&log, &step)?;
         steps.push(step);
-        let again = if anew { "--force" } else { "--resume" };
-        arguments.extend([again.into(), "--json".into(), text(&json_path)?]);
+        arguments.extend(["--resume".into(), "--json".into(), text(&json_path)?]);
         arguments.extend_from_slice(&place.backend);
         let advice = "its whole checkpoints are kept, and the same command goes on after them";
-        step_of(place, arguments, &command, advice)?;
+        let outcome = step_of(place, arguments, &command, advice);
+        if outcome.is_err() && !run.join("config.toml").is_file() {
+            // What was refused made nothing by these arguments.
+            remove(&log)?;
+        }
+        outcome?;
     }
     Ok(Trained { result: read_json(&json_path)?, steps })
 }

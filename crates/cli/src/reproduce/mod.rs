@@ -39,7 +39,7 @@ pub struct Arguments {
     #[arg(required_unless_present = "list")]
     table: Option<String>,
     /// Show the tables that there are
-    #[arg(long)]
+    #[arg(long, conflicts_with = "json")]
     list: bool,
     /// Folder of the captures
     #[arg(long, value_name = "DIR", required_unless_present = "list")]
@@ -57,13 +57,13 @@ pub struct Arguments {
     #[arg(long, value_name = "OPTIONS", allow_hyphen_values = true)]
     train_args: Option<String>,
     /// Do this run alone, and write no table
-    #[arg(long, value_name = "SCENE/RUN")]
+    #[arg(long, value_name = "SCENE/RUN", conflicts_with = "json")]
     only: Option<String>,
     /// Run nothing: write the table from what is done
     #[arg(long, conflicts_with = "only")]
     no_run: bool,
     /// Print a command for each missing run, and do nothing
-    #[arg(long, conflicts_with_all = ["only", "no_run"])]
+    #[arg(long, conflicts_with_all = ["only", "no_run", "json"])]
     print_commands: bool,
     #[command(flatten)]
     backend: BackendOptions,
@@ -175,6 +175,9 @@ fn print_commands(plan: &Plan, place: &Place) -> anyhow::Result<()> {
             arguments.extend_from_slice(&place.backend);
             if let Some(threads) = place.threads {
                 arguments.extend(["--threads".into(), threads.to_string()]);
+            }
+            if place.force {
+                arguments.push("--force".into());
             }
             arguments.extend(["--only".into(), name_of(job)]);
             let line = command_line(&arguments);

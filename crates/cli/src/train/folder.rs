@@ -8,10 +8,8 @@ use tcgs_train::{Run, TrainError, Trainer};
 
 use crate::backend::Backend;
 use crate::error::wrong_input;
-use crate::output::note;
+use crate::output::{is_leftover, note};
 
-/// Files that a stopped run may leave behind.
-const LEFTOVER: &str = ".writing-";
 /// What commands write into a run folder.
 const OURS: [&str; 3] = ["scene.tcgs", "metrics.jsonl", "config.toml"];
 
@@ -25,7 +23,8 @@ pub enum Found {
 
 /// Looks at the place of a run.
 pub fn look(folder: &Path) -> anyhow::Result<Found> {
-    if Run::is_run(folder) {
+    // Other programs have a config.toml, too.
+    if Run::is_run(folder) && (folder.join("checkpoints").is_dir() || Run::open(folder).is_ok()) {
         return Ok(Found::Run);
     }
     if !folder.exists() {
@@ -37,7 +36,7 @@ pub fn look(folder: &Path) -> anyhow::Result<Found> {
     // A run stopped before its first file is no more than an empty folder or two.
     let is_empty = |entry: &fs::DirEntry| {
         let name = entry.file_name();
-        name.to_string_lossy().starts_with(LEFTOVER)
+        is_leftover(&name)
             || name == "checkpoints" && fs::read_dir(entry.path()).is_ok_and(|mut inside| inside.next().is_none())
     };
     for entry in fs::read_dir(folder).with_context(|| format!("reading {}", folder.display()))? {
@@ -113,7 +112,7 @@ pub fn remove_leftovers(folder: &Path) -> anyhow::Result<()> {
     for folder in [folder.into(), folder.join("checkpoints")] {
         let Ok(entries) = fs::read_dir(&folder) else { continue };
         for entry in entries.flatten() {
-            if entry.file_name().to_string_lossy().starts_with(LEFTOVER) && entry.path().is_file() {
+            if is_leftover(&entry.file_name()) && entry.path().is_file() {
                 fs::remove_file(entry.path()).with_context(|| format!("removing {}", entry.path().display()))?;
             }
         }
@@ -157,6 +156,9 @@ mod tests {
         assert!(matches!(look(&folder), Ok(Found::Nothing)));
         fs::write(folder.join("config.toml"), b"").unwrap();
         assert!(matches!(look(&folder), Ok(Found::Run)));
+        fs::write(folder.join("config.toml"), b"baseURL = 'https://example.org'").unwrap();
+        fs::remove_dir(folder.join("checkpoints")).unwrap();
+        assert!(look(&folder).err().unwrap().to_string().contains("other things"));
         fs::rename(folder.join("config.toml"), folder.join("thesis.txt")).unwrap();
         assert!(look(&folder).err().unwrap().to_string().contains("other things"));
         assert!(look(&folder.join("thesis.txt")).err().unwrap().to_string().contains("is a file"));

@@ -8,9 +8,8 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, UNIX_EPOCH};
 
-use anyhow::Context;
-
 use super::http::{Part, Request};
+use crate::output::note;
 
 /// Where the page finds the scene.
 const SCENE: &str = "/scene.tcgs";
@@ -52,13 +51,17 @@ impl Server {
         Ok(format!("http://{}/", self.listener.local_addr()?))
     }
 
-    /// Serves for ever.
-    pub fn run(self) -> anyhow::Result<()> {
+    /// Serves for ever. A browser that went away or talks nonsense ends its connection and nothing else.
+    pub fn run(self) -> ! {
         loop {
-            let (connection, _) = self.listener.accept().context("waiting for a browser")?;
-            let site = Arc::clone(&self.site);
-            // A browser that went away or talks nonsense ends its connection and nothing else.
-            thread::spawn(move || site.talk(&connection));
+            let begun = self.listener.accept().and_then(|(connection, _)| {
+                let site = Arc::clone(&self.site);
+                thread::Builder::new().spawn(move || site.talk(&connection))
+            });
+            if let Err(error) = begun {
+                note(&format!("a connection failed: {error}"));
+                thread::sleep(Duration::from_millis(100));
+            }
         }
     }
 }
