@@ -60,7 +60,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
     let scene = &contents.info;
     let name = if scene.name.is_empty() { "-" } else { &scene.name };
-    let (first, last) = (u64::from(scene.first_frame), u64::from(scene.first_frame) + u64::from(scene.num_timesteps - 1));
+    let (first, last) =
+        (u64::from(scene.first_frame), u64::from(scene.first_frame) + u64::from(scene.num_timesteps - 1));
     say(&format!("name          {name}"))?;
     say(&format!("Gaussians     {}", scene.num_gaussians))?;
     say(&format!("timesteps     {} (frames {first} to {last})", scene.num_timesteps))?;

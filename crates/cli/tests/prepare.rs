@@ -49,6 +49,10 @@ fn footage_becomes_a_capture_that_trains() {
     fail(2, &prepare);
     succeed(&[&prepare[..], &["--force", "--threads", "1"]].concat());
     assert_eq!(std::fs::read(points(&out)).unwrap(), before);
+    std::fs::create_dir(out.join("run")).unwrap();
+    let message = fail(2, &[&prepare[..], &["--force"]].concat());
+    assert!(message.contains("run: is neither of the source nor of prepare"), "{message}");
+    std::fs::remove_dir(out.join("run")).unwrap();
     let other = folder.path().join("other");
     std::fs::create_dir(&other).unwrap();
     std::fs::write(other.join("diary.txt"), "x").unwrap();

@@ -166,6 +166,10 @@ fn what_is_missing_or_wrong_is_named() {
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("has the frames 0..4, found --frames 0..99"), "{said}");
     assert!(said.lines().last().unwrap().contains("wrong input, see the line above"), "{said}");
+    // And it left nothing that stands in the way of the right one.
+    let runs: Vec<_> = fs::read_dir(out.join("runs/basketball")).unwrap().map(|run| run.unwrap().path()).collect();
+    assert!(!runs.is_empty() && runs.iter().all(|run| !run.join("steps.jsonl").exists()), "{runs:?}");
+    refuse(&of(&["--list", "--json", "x.json"]), &["cannot be used with"]);
 }
 
 #[test]

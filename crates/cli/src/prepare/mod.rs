@@ -13,9 +13,7 @@ use tcgs_capture::{Capture, Origin, POINTS_FILE, PrepareSettings, Prepared, writ
 
 use crate::error::wrong_input;
 use crate::options::{self, JobOptions};
-use crate::output::{
-    NewFolder, check_file, is_empty_folder, is_leftover, parent, say, write_file_with, write_json,
-};
+use crate::output::{NewFolder, check_file, is_empty_folder, is_leftover, parent, say, write_file_with, write_json};
 use crate::progress::Progress;
 
 /// Written into every capture that this command makes: how it was made, and that it may be replaced.
