@@ -266,7 +266,6 @@ test("bad files are told apart, and a good one opens after them", async (t) => {
   for (let at = 4000; at < damaged.length; at += 1000) damaged[at] ^= 0x5a;
   await drop(page, "damaged.tcgs", damaged);
   await failure("The scene is damaged");
-  await settled(page);
   await shot(page, "damaged");
 
   await drop(page, "scene.tcgs", bytes);
@@ -355,11 +354,11 @@ test("help opens and closes, menus and themes work, everything has a name", asyn
 test("without a scene the page says what to do", async (t) => {
   const page = await open(t);
   // As on a host that names no scene.
-  await page.route(`${tiny.address}?bare`, async (route) => {
+  await page.route(`${tiny.address}?bare&${EXACT}`, async (route) => {
     const response = await route.fetch();
     await route.fulfill({ response, body: (await response.text()).replace('content="/scene.tcgs"', 'content=""') });
   });
-  await page.goto(`${tiny.address}?bare`);
+  await page.goto(`${tiny.address}?bare&${EXACT}`);
   await page.waitForSelector("#welcome:not([hidden])");
   await shot(page, "welcome");
   await page.fill("#link", `${tiny.address}scene.tcgs`);
