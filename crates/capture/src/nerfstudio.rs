@@ -16,10 +16,11 @@ use std::sync::Arc;
 
 use serde::Deserialize;
 use tcgs_core::Camera;
+use tcgs_interchange::natural_key;
 
 use crate::lens::{Crop, Lens};
 use crate::shot::{self, Shot};
-use crate::{Capture, CaptureError, CaptureKind, decode, files, points, split};
+use crate::{Capture, CaptureError, CaptureKind, decode, points, split};
 
 pub(crate) const TRANSFORMS: &str = "transforms.json";
 
@@ -125,7 +126,7 @@ fn timesteps(frames: &[Frame]) -> Result<Vec<Vec<&Frame>>, String> {
     }
     let mut timesteps: Vec<Vec<&Frame>> = by_time.into_values().collect();
     for frames in &mut timesteps {
-        frames.sort_by_cached_key(|frame| files::natural_key(&frame.file_path));
+        frames.sort_by_cached_key(|frame| natural_key(&frame.file_path));
     }
     let Some(first) = timesteps.first().cloned() else {
         return Err("has no frames, expected at least one".into());
