@@ -112,7 +112,6 @@ pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
 
 /// Images by time, each timestep's cameras in the same order.
 fn timesteps(frames: &[Frame]) -> Result<Vec<Vec<&Frame>>, String> {
-    let mut by_time: BTreeMap<i64, Vec<&Frame>> = BTreeMap::new();
     let with_time = frames.iter().filter(|frame| frame.time.is_some()).count();
     if with_time != 0 && with_time != frames.len() {
         return Err(format!("{with_time} of {} frames have a time, expected all or none", frames.len()));
@@ -122,9 +121,12 @@ fn timesteps(frames: &[Frame]) -> Result<Vec<Vec<&Frame>>, String> {
         if !time.is_finite() {
             return Err(format!("{}: time is {time}, expected a finite number", frame.file_path));
         }
-        by_time.entry((time / TIME_STEP).round() as i64).or_default().push(frame);
     }
-    let mut timesteps: Vec<Vec<&Frame>> = by_time.into_values().collect();
+    let time = |frame: &Frame| frame.time.unwrap_or(0.0);
+    let mut by_time: Vec<&Frame> = frames.iter().collect();
+    by_time.sort_by(|a, b| time(a).total_cmp(&time(b)));
+    let mut timesteps: Vec<Vec<&Frame>> =
+        by_time.chunk_by(|a, b| time(b) - time(a) <= TIME_STEP).map(<[_]>::to_vec).collect();
     for frames in &mut timesteps {
         frames.sort_by_cached_key(|frame| natural_key(&frame.file_path));
     }
