@@ -18,7 +18,7 @@ use serde::Deserialize;
 use tcgs_core::Camera;
 use tcgs_interchange::natural_key;
 
-use crate::lens::{Crop, Lens};
+use crate::lens::{Crop, Lens, MAX_SIDE};
 use crate::shot::{self, Shot};
 use crate::{Capture, CaptureError, CaptureKind, decode, points, split};
 
@@ -210,9 +210,16 @@ impl Lenses<'_> {
         let all = self.all;
         let get = |of: fn(&Intrinsics) -> Option<f64>| of(own).or(of(all));
         let (width, height) = match (get(|i| i.w), get(|i| i.h)) {
-            (Some(width), Some(height)) => (width as usize, height as usize),
-            _ => decode::size(image)?,
+            (Some(width), Some(height)) => (width, height),
+            _ => {
+                let (width, height) = decode::size(image)?;
+                (width as f64, height as f64)
+            }
         };
+        if [width, height].iter().any(|side| !(1.0..=MAX_SIDE as f64).contains(side)) {
+            return Err(invalid(format!("is for {width}x{height} pixels, expected 1 to {MAX_SIDE} a side")));
+        }
+        let (width, height) = (width as usize, height as usize);
         let angle = get(|i| i.camera_angle_x);
         let fl_x = get(|i| i.fl_x).or(angle.map(|angle| 0.5 * width as f64 / (0.5 * angle).tan()));
         let Some(fl_x) = fl_x else {
@@ -234,9 +241,10 @@ impl Lenses<'_> {
         if let Some(number) = numbers.into_iter().find(|x| !x.is_finite()) {
             return Err(invalid(format!("holds {number} among its intrinsics, expected finite numbers")));
         }
-        if width == 0 || height == 0 || lens.focal.iter().any(|f| *f <= 0.0) {
-            let problem = format!("is for {width}x{height} pixels with the focal lengths {:?}", lens.focal);
-            return Err(invalid(format!("{problem}, expected more than 0")));
+        if let [fx, fy] = lens.focal
+            && (fx <= 0.0 || fy <= 0.0)
+        {
+            return Err(invalid(format!("has the focal lengths {fx} and {fy}, expected more than 0")));
         }
         if let Some(known) = self.known.get(&key) {
             return Ok(Arc::clone(known));
