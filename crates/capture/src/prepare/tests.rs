@@ -184,6 +184,9 @@ fn thinning_keeps_the_best_and_the_count() {
         assert_eq!(point.position[2] > 25.0, *list == 1, "{point:?}");
     }
     assert_eq!(thin::thin(&[grid(0.0)], 20_000).len(), 10_000);
+    // Far out, as in millimetres.
+    let far = grid(0.0).into_iter().map(|p| Point { position: p.position.map(|x| 5000.0 + x), ..p }).collect();
+    assert_eq!(thin::thin(&[far], 20_000).len(), 10_000);
 }
 
 #[test]
