@@ -39,8 +39,8 @@ fn damaged(path: &Path, error: &image::ImageError) -> CaptureError {
 pub(crate) fn mask(path: &Path, size: (usize, usize)) -> Result<Segmentation, CaptureError> {
     let foreground = match decode(path, size)? {
         DynamicImage::ImageLuma8(gray) => gray.as_raw().iter().map(|&v| v != 0).collect(),
-        // Palettes arrive as colours. Opacity says nothing.
-        other => other.into_rgb8().pixels().map(|pixel| pixel.0 != [0; 3]).collect(),
+        // Palettes arrive as colours. Opacity says nothing. Eight bits would lose the smallest of sixteen.
+        other => other.into_rgb16().pixels().map(|pixel| pixel.0 != [0; 3]).collect(),
     };
     Ok(Segmentation { width: size.0, height: size.1, foreground })
 }

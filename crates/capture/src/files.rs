@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use tcgs_interchange::natural_key;
+
 use crate::CaptureError;
 
 /// The visible files and folders of a folder, in the natural order of their names.
@@ -37,30 +39,4 @@ pub(crate) fn name(path: &Path) -> String {
 /// The last part of a path without its extension.
 pub(crate) fn stem(path: &Path) -> String {
     path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
-}
-
-/// Orders names so that numbers in them count as numbers: `cam2` before `cam10`.
-pub(crate) fn natural_key(name: &str) -> (Vec<(String, u64)>, String) {
-    let mut key = Vec::new();
-    let mut rest = name;
-    while !rest.is_empty() {
-        let text = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
-        let digits = rest[text..].find(|c: char| !c.is_ascii_digit()).map_or(rest.len(), |end| text + end);
-        key.push((rest[..text].to_owned(), rest[text..digits].parse().unwrap_or(0)));
-        rest = &rest[digits..];
-    }
-    // Names that are equal but for leading zeros.
-    (key, name.to_owned())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_in_names_count_as_numbers() {
-        let mut names = ["cam10", "cam2", "b3_2", "cam02", "b3_10", "b", "cam2.x"];
-        names.sort_by_cached_key(|name| natural_key(name));
-        assert_eq!(names, ["b", "b3_2", "b3_10", "cam02", "cam2", "cam2.x", "cam10"]);
-    }
 }

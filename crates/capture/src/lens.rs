@@ -33,6 +33,8 @@ pub(crate) struct Crop {
     pub height: usize,
 }
 
+/// Largest width and height, pixels: what a file says may be anything, and crops are searched line by line.
+pub(crate) const MAX_SIDE: usize = 1 << 16;
 /// Less of the width or height must not remain.
 const MIN_SHARE: f64 = 0.25;
 

@@ -16,10 +16,11 @@ use std::sync::Arc;
 
 use serde::Deserialize;
 use tcgs_core::Camera;
+use tcgs_interchange::natural_key;
 
-use crate::lens::{Crop, Lens};
+use crate::lens::{Crop, Lens, MAX_SIDE};
 use crate::shot::{self, Shot};
-use crate::{Capture, CaptureError, CaptureKind, decode, files, points, split};
+use crate::{Capture, CaptureError, CaptureKind, decode, points, split};
 
 pub(crate) const TRANSFORMS: &str = "transforms.json";
 
@@ -111,7 +112,6 @@ pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
 
 /// Images by time, each timestep's cameras in the same order.
 fn timesteps(frames: &[Frame]) -> Result<Vec<Vec<&Frame>>, String> {
-    let mut by_time: BTreeMap<i64, Vec<&Frame>> = BTreeMap::new();
     let with_time = frames.iter().filter(|frame| frame.time.is_some()).count();
     if with_time != 0 && with_time != frames.len() {
         return Err(format!("{with_time} of {} frames have a time, expected all or none", frames.len()));
@@ -121,11 +121,14 @@ fn timesteps(frames: &[Frame]) -> Result<Vec<Vec<&Frame>>, String> {
         if !time.is_finite() {
             return Err(format!("{}: time is {time}, expected a finite number", frame.file_path));
         }
-        by_time.entry((time / TIME_STEP).round() as i64).or_default().push(frame);
     }
-    let mut timesteps: Vec<Vec<&Frame>> = by_time.into_values().collect();
+    let time = |frame: &Frame| frame.time.unwrap_or(0.0);
+    let mut by_time: Vec<&Frame> = frames.iter().collect();
+    by_time.sort_by(|a, b| time(a).total_cmp(&time(b)));
+    let mut timesteps: Vec<Vec<&Frame>> =
+        by_time.chunk_by(|a, b| time(b) - time(a) <= TIME_STEP).map(<[_]>::to_vec).collect();
     for frames in &mut timesteps {
-        frames.sort_by_cached_key(|frame| files::natural_key(&frame.file_path));
+        frames.sort_by_cached_key(|frame| natural_key(&frame.file_path));
     }
     let Some(first) = timesteps.first().cloned() else {
         return Err("has no frames, expected at least one".into());
@@ -207,9 +210,16 @@ impl Lenses<'_> {
         let all = self.all;
         let get = |of: fn(&Intrinsics) -> Option<f64>| of(own).or(of(all));
         let (width, height) = match (get(|i| i.w), get(|i| i.h)) {
-            (Some(width), Some(height)) => (width as usize, height as usize),
-            _ => decode::size(image)?,
+            (Some(width), Some(height)) => (width, height),
+            _ => {
+                let (width, height) = decode::size(image)?;
+                (width as f64, height as f64)
+            }
         };
+        if [width, height].iter().any(|side| !(1.0..=MAX_SIDE as f64).contains(side)) {
+            return Err(invalid(format!("is for {width}x{height} pixels, expected 1 to {MAX_SIDE} a side")));
+        }
+        let (width, height) = (width as usize, height as usize);
         let angle = get(|i| i.camera_angle_x);
         let fl_x = get(|i| i.fl_x).or(angle.map(|angle| 0.5 * width as f64 / (0.5 * angle).tan()));
         let Some(fl_x) = fl_x else {
@@ -231,9 +241,10 @@ impl Lenses<'_> {
         if let Some(number) = numbers.into_iter().find(|x| !x.is_finite()) {
             return Err(invalid(format!("holds {number} among its intrinsics, expected finite numbers")));
         }
-        if width == 0 || height == 0 || lens.focal.iter().any(|f| *f <= 0.0) {
-            let problem = format!("is for {width}x{height} pixels with the focal lengths {:?}", lens.focal);
-            return Err(invalid(format!("{problem}, expected more than 0")));
+        if let [fx, fy] = lens.focal
+            && (fx <= 0.0 || fy <= 0.0)
+        {
+            return Err(invalid(format!("has the focal lengths {fx} and {fy}, expected more than 0")));
         }
         if let Some(known) = self.known.get(&key) {
             return Ok(Arc::clone(known));

@@ -154,7 +154,11 @@ fn images(path: &Path) -> Result<(String, Images), CaptureError> {
         else {
             continue;
         };
-        scene.get_or_insert_with(|| name.to_owned());
+        let scene = scene.get_or_insert_with(|| name.to_owned());
+        if scene != name {
+            let problem = format!("is of the scene {name}, expected {scene} as the files before it");
+            return Err(CaptureError::invalid(file, problem));
+        }
         images.insert((frame, camera), file);
     }
     match scene {

@@ -79,6 +79,26 @@ fn images_of_a_time_are_a_timestep() {
 }
 
 #[test]
+fn times_may_be_in_any_unit() {
+    // Since 1970: seconds, microseconds and nanoseconds; and seconds that were rounded on the way.
+    for (first, step) in [(1.7e9, 0.04), (1.7e15, 4e4), (1.7e18, 4e7), (0.000_000_5, 0.04)] {
+        let mut timed = transforms();
+        for (i, frame) in timed["frames"].as_array_mut().unwrap().iter_mut().enumerate() {
+            let t = 2.0 * frame["time"].as_f64().unwrap();
+            let rounding = if first < 1.0 && i % 2 == 0 { 1e-9 } else { 0.0 };
+            frame["time"] = json!(first + t * step - rounding);
+        }
+        let folder = write(&timed);
+        let capture = Capture::open(folder.path()).unwrap();
+        assert_eq!(capture.num_frames(), NUM_FRAMES, "from {first}");
+        for frame in 0..NUM_FRAMES {
+            let views = capture.views(Split::All, frame, 1).unwrap();
+            assert!(views.iter().all(|view| view.image.to_rgb8()[1] == 10 * frame as u8), "from {first}");
+        }
+    }
+}
+
+#[test]
 fn without_times_all_is_one_timestep() {
     let mut still = transforms();
     let frames = still["frames"].as_array_mut().unwrap();
@@ -171,6 +191,13 @@ fn what_is_wrong_is_named() {
     assert!(message.contains("has the camera model OPENCV_FISHEYE, expected OPENCV or PINHOLE"), "{message}");
     let message = of(&|t| drop(t.as_object_mut().unwrap().remove("fl_x")));
     assert!(message.contains("has neither fl_x nor camera_angle_x"), "{message}");
+    let message = of(&|t| t["w"] = json!(1e12));
+    assert!(message.starts_with("transforms.json: images/cam"), "{message}");
+    assert!(message.ends_with(".png: is for 1000000000000x24 pixels, expected 1 to 65536 a side"), "{message}");
+    let message = of(&|t| t["h"] = json!(-3));
+    assert!(message.ends_with("is for 32x-3 pixels, expected 1 to 65536 a side"), "{message}");
+    let message = of(&|t| t["fl_x"] = json!(0));
+    assert!(message.ends_with("has the focal lengths 0 and 28, expected more than 0"), "{message}");
     let message = of(&|t| t["frames"] = json!([]));
     assert_eq!(message, "transforms.json: has no frames, expected at least one");
     let message = of(&|t| t["frames"][0]["file_path"] = json!("../secret.png"));

@@ -192,10 +192,11 @@ fn masks_are_there_for_all_or_for_none() {
 fn masks_of_every_encoding_read_alike() {
     let small = small();
     let foreground = |x: u32| x < WIDTH / 2;
-    let images: [image::DynamicImage; 3] = [
+    let images: [image::DynamicImage; 4] = [
         image::GrayImage::from_fn(WIDTH, HEIGHT, |x, _| image::Luma([if foreground(x) { 255 } else { 0 }])).into(),
         image::RgbImage::from_fn(WIDTH, HEIGHT, |x, _| image::Rgb([u8::from(foreground(x)), 0, 0])).into(),
         image::RgbaImage::from_fn(WIDTH, HEIGHT, |x, _| image::Rgba([0, u8::from(foreground(x)), 0, 255])).into(),
+        image::ImageBuffer::from_fn(WIDTH, HEIGHT, |x, _| image::Luma([u16::from(foreground(x))])).into(),
     ];
     let capture = small.open().unwrap();
     let expected = capture.views(Split::Train, 0, 1).unwrap()[0].segmentation.clone();

@@ -117,6 +117,14 @@ fn what_is_missing_is_named() {
 }
 
 #[test]
+fn two_scenes_in_one_folder_are_refused() {
+    let folder = small();
+    write_image(&folder.path().join("Train_undist_00151_00.png"), 16, 12, [0; 3]);
+    let found = "Train_undist_00151_00.png: is of the scene Train, expected Birthday as the files before it";
+    assert_eq!(problem(folder.path()), found);
+}
+
+#[test]
 fn wrong_parameters_are_named() {
     let folder = small();
     let spoilt = |change: &dyn Fn(&mut String)| {

@@ -224,11 +224,6 @@ impl Measure {
             }
         }
     }
-
-    /// Whether it needs weights.
-    pub const fn is_lpips(self) -> bool {
-        matches!(self, Self::LpipsUnit(_))
-    }
 }
 
 impl PixelRange {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::bytes::{Bytes, lines, number, numbers};
 use crate::CaptureError;
-use crate::lens::{Crop, Lens};
+use crate::lens::{Crop, Lens, MAX_SIDE};
 
 /// Cameras and images.
 pub(super) struct Model {
@@ -77,9 +77,9 @@ impl CameraModel {
         if self.places[0] == F {
             (all[FX], all[FY]) = (all[F], all[F]);
         }
-        let side = |size: u64| usize::try_from(size).ok().filter(|size| (1..=1 << 16).contains(size));
+        let side = |size: u64| usize::try_from(size).ok().filter(|size| (1..=MAX_SIDE).contains(size));
         let (Some(width), Some(height)) = (side(size[0]), side(size[1])) else {
-            return Err(format!("is for {}x{} pixels, expected 1 to 65536 a side", size[0], size[1]));
+            return Err(format!("is for {}x{} pixels, expected 1 to {MAX_SIDE} a side", size[0], size[1]));
         };
         if all[FX] <= 0.0 || all[FY] <= 0.0 {
             return Err(format!("has the focal lengths {} and {}, expected more than 0", all[FX], all[FY]));

@@ -127,7 +127,7 @@ pub struct Diagnosis {
 /// - `report`: told what is done next
 ///
 /// # Errors
-/// If images or points cannot be read.
+/// If images or points cannot be read, or there are no points and cameras too far apart to make some.
 pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosis, CaptureError> {
     report("reading images");
     let size = capture.cameras(Split::All, 0, 1)?;
@@ -143,6 +143,7 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
         findings.extend(masks::turn_over(capture, &mut views, downscale)?);
         let (views, finding) = consistent(&views[..num_train], report);
         findings.extend(finding);
+        prepare::check_comparable(capture, &views)?;
         let settings = PrepareSettings { num_points: NUM_POINTS, image_width: WIDTH, ..PrepareSettings::default() };
         prepare::cloud_of(&views, &settings, report).cloud
     } else {

@@ -21,7 +21,7 @@ use rayon::prelude::*;
 use tcgs_core::{PointCloud, View};
 
 use crate::{Capture, CaptureError, Split};
-use eye::Vantage;
+use eye::{Eye, Vantage};
 use fuse::{Belief, Point, Rule, SureDepths, agreed, num_hidden_from};
 use hull::{Hull, Silhouette};
 use patchmatch::{DepthMap, MAX_SOURCES, Plane, Range, Search, Source};
@@ -117,7 +117,7 @@ const MAX_HIDDEN_FROM: usize = 1;
 ///
 /// # Errors
 /// If there are fewer than three training cameras, an image cannot be decoded, or no three views agree on
-/// anything, as when cameras are wrong.
+/// anything, as when cameras are wrong. If no three cameras see the same, and no masks give a visual hull.
 pub fn prepare(
     capture: &Capture,
     settings: &PrepareSettings,
@@ -126,7 +126,13 @@ pub fn prepare(
     report("reading images");
     let views = capture.views(Split::Train, 0, 1)?;
     check_enough(capture, &views)?;
+    let comparable = check_comparable(capture, &views);
     let prepared = cloud_of(&views, settings, report);
+    if prepared.count(Origin::Hull) == 0 {
+        comparable?;
+    } else if comparable.is_err() {
+        return Ok(prepared);
+    }
     if prepared.count(Origin::Triangulated) == 0 {
         let problem = "no three views agree on any depth, expected cameras that fit the images; tcgs prepare --check \
                        looks for the reason";
@@ -148,6 +154,24 @@ pub(crate) fn check_enough(capture: &Capture, views: &[View]) -> Result<(), Capt
         None => return Ok(()),
     };
     Err(CaptureError::invalid(&capture.path, problem))
+}
+
+/// Whether any camera has the two others that must agree with it.
+pub(crate) fn check_comparable(capture: &Capture, views: &[View]) -> Result<(), CaptureError> {
+    let eyes = eyes(views);
+    if (0..eyes.len()).any(|i| patchmatch::neighbors(&eyes, i, MIN_CAMERAS - 1).len() == MIN_CAMERAS - 1) {
+        return Ok(());
+    }
+    let degrees = patchmatch::MIN_DIRECTION_COSINE.acos().to_degrees();
+    let problem = format!(
+        "has no training camera with two others within {degrees:.0} degrees of its direction and away from its place, \
+         expected cameras closer together, or points from elsewhere"
+    );
+    Err(CaptureError::invalid(&capture.path, problem))
+}
+
+fn eyes(views: &[View]) -> Vec<Eye> {
+    views.iter().map(|view| Eye::new(&view.camera)).collect()
 }
 
 /// [`prepare`] once images are there.
@@ -211,15 +235,14 @@ impl Stereo {
             .collect();
         stereo.hull = Hull::carve(&silhouettes, 1.5);
         stereo.hull_surface = stereo.hull.surface();
+        let eyes = eyes(views);
         let of_all = |count: usize| -> Vec<Vec<usize>> {
-            (0..views.len()).map(|i| patchmatch::neighbors(&stereo.vantages, i, count)).collect()
+            (0..eyes.len()).map(|i| patchmatch::neighbors(&eyes, i, count)).collect()
         };
         let neighbors = of_all(MAX_SOURCES);
         stereo.witnesses = of_all(NUM_WITNESSES);
-        let mut background: Vec<Range> = (0..views.len())
-            .map(|i| [1e-6, patchmatch::nearest_inverse_depth(&stereo.vantages, i, &neighbors[i])])
-            .map(|[from, to]| [from, if to.is_finite() { to } else { 1.0 }])
-            .collect();
+        let mut background: Vec<Range> =
+            (0..views.len()).map(|i| patchmatch::widest_range(&stereo.vantages, i, &neighbors[i])).collect();
 
         for (level, &factor) in factors.iter().enumerate() {
             let vantages = all_at(factor);

@@ -6,7 +6,7 @@
 
 use tcgs_core::dot;
 
-use super::eye::{Vantage, length, sub};
+use super::eye::{Eye, Vantage, length, sub};
 
 /// Views that one is compared with, at most.
 pub(super) const MAX_SOURCES: usize = 6;
@@ -27,7 +27,11 @@ const MAX_SLOPE: f32 = 5.0;
 /// Disparities beyond that many image widths: objects that close are in nobody else's sight.
 const MAX_DISPARITY_WIDTHS: f32 = 1.5;
 /// Angle between two views' directions up to which they are compared; cosine.
-const MIN_DIRECTION_COSINE: f32 = 0.4;
+pub(super) const MIN_DIRECTION_COSINE: f32 = 0.4;
+/// Depths are looked for up to this far, scene units, ...
+const FARTHEST: f32 = 1e6;
+/// ... and at least up to so many times the nearest depth.
+const FARTHEST_OF_NEAREST: f32 = 1e3;
 
 /// Inverse depth over the image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -61,11 +65,11 @@ pub(super) type Range = [f32; 2];
 /// The other views that one is compared with, nearest first.
 ///
 /// - `count`: at most so many
-pub(super) fn neighbors(vantages: &[Vantage], of: usize, count: usize) -> Vec<usize> {
-    let me = &vantages[of].eye;
-    let mut others: Vec<(f32, usize)> = (0..vantages.len())
-        .filter(|&i| i != of && dot(me.forward(), vantages[i].eye.forward()) >= MIN_DIRECTION_COSINE)
-        .map(|i| (length(sub(me.center, vantages[i].eye.center)), i))
+pub(super) fn neighbors(eyes: &[Eye], of: usize, count: usize) -> Vec<usize> {
+    let me = &eyes[of];
+    let mut others: Vec<(f32, usize)> = (0..eyes.len())
+        .filter(|&i| i != of && dot(me.forward(), eyes[i].forward()) >= MIN_DIRECTION_COSINE)
+        .map(|i| (length(sub(me.center, eyes[i].center)), i))
         // Two cameras in one place have no depth between them.
         .filter(|&(distance, _)| distance > 0.0)
         .collect();
@@ -73,12 +77,16 @@ pub(super) fn neighbors(vantages: &[Vantage], of: usize, count: usize) -> Vec<us
     others.into_iter().take(count).map(|(_, i)| i).collect()
 }
 
-/// The inverse depth at which the nearest other view would see things [`MAX_DISPARITY_WIDTHS`] away.
-pub(super) fn nearest_inverse_depth(vantages: &[Vantage], of: usize, neighbors: &[usize]) -> f32 {
+/// Inverse depths at which a view may see anything, up to where the nearest other view would see it
+/// [`MAX_DISPARITY_WIDTHS`] away.
+pub(super) fn widest_range(vantages: &[Vantage], of: usize, neighbors: &[usize]) -> Range {
     let me = &vantages[of].eye;
     let baselines = neighbors.iter().map(|&i| length(sub(me.center, vantages[i].eye.center)));
     let baseline = baselines.fold(f32::INFINITY, f32::min);
-    MAX_DISPARITY_WIDTHS * me.width as f32 / (me.focal[0] * baseline)
+    let to = MAX_DISPARITY_WIDTHS * me.width as f32 / (me.focal[0] * baseline);
+    // Where nothing is compared any range will do.
+    let to = if to.is_finite() && to > 0.0 { to } else { 1.0 };
+    [(1.0 / FARTHEST).min(to / FARTHEST_OF_NEAREST), to]
 }
 
 /// One view's search.
@@ -248,6 +256,9 @@ impl Search<'_> {
 
     /// Mean over the better half of the other views: the rest may have something in between.
     fn cost(&self, window: &Window, pixel: usize, plane: Plane) -> f32 {
+        if self.sources.is_empty() {
+            return OUTSIDE_COST;
+        }
         let place = self.vantage.eye.place(pixel);
         let mut costs = [OUTSIDE_COST; MAX_SOURCES];
         let count = self.sources.len();
@@ -257,7 +268,7 @@ impl Search<'_> {
         let costs = &mut costs[..count];
         costs.sort_unstable_by(f32::total_cmp);
         let used = count.div_ceil(2);
-        costs[..used].iter().sum::<f32>() / used.max(1) as f32
+        costs[..used].iter().sum::<f32>() / used as f32
     }
 }
 

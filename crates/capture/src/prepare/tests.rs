@@ -106,6 +106,77 @@ fn cameras_that_fit_nothing_are_refused() {
     assert!(problem.contains("no three views agree on any depth") && problem.contains("prepare --check"), "{problem}");
 }
 
+/// Rewrites the matrices of all training cameras.
+fn change_matrices(folder: &tempfile::TempDir, change: impl Fn(usize, &mut [[f64; 4]; 4])) {
+    let path = folder.path().join("train_meta.json");
+    let mut meta: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    for (i, matrix) in meta["w2c"][0].as_array_mut().unwrap().iter_mut().enumerate() {
+        let mut changed = serde_json::from_value(matrix.clone()).unwrap();
+        change(i, &mut changed);
+        *matrix = serde_json::json!(changed);
+    }
+    std::fs::write(path, meta.to_string()).unwrap();
+}
+
+#[test]
+fn cameras_too_far_apart_are_refused_unless_masks_give_a_hull() {
+    let small = SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() };
+    // 83 degrees from camera to camera.
+    let (folder, capture) =
+        synthetic(&SyntheticSettings { num_train_cameras: 3, num_test_cameras: 0, ..small.clone() });
+    let masked = prepared(&capture, &PrepareSettings { num_points: 2000, ..PrepareSettings::default() });
+    assert!(masked.origins.iter().all(|origin| [Origin::Hull, Origin::Shell].contains(origin)));
+    let distances = distances(&masked, true, Origin::Hull);
+    assert!(distances.len() > 50 && distances[distances.len() / 2] < 0.1, "{} points", distances.len());
+
+    let expect_refusal = |folder: &tempfile::TempDir| {
+        std::fs::remove_dir_all(folder.path().join("seg")).unwrap();
+        let capture = Capture::open_unseen(folder.path()).unwrap();
+        let refused = prepare(&capture, &PrepareSettings::default(), &mut |_| ()).unwrap_err().to_string();
+        assert!(refused.contains("has no training camera with two others within 66 degrees"), "{refused}");
+        assert_eq!(crate::check(&capture, &mut |_| ()).unwrap_err().to_string(), refused);
+    };
+    expect_refusal(&folder);
+    // All in one place.
+    let (folder, _) = synthetic(&small);
+    change_matrices(&folder, |_, matrix| (0..3).for_each(|row| matrix[row][3] = 0.0));
+    expect_refusal(&folder);
+}
+
+#[test]
+fn a_camera_that_looks_away_does_no_harm() {
+    let (folder, _) = synthetic(&SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() });
+    std::fs::remove_dir_all(folder.path().join("seg")).unwrap();
+    // Turned by half a turn about its own vertical.
+    change_matrices(&folder, |i, matrix| {
+        if i == 4 {
+            [0, 2].into_iter().for_each(|row| matrix[row] = matrix[row].map(|x| -x));
+        }
+    });
+    let capture = Capture::open(folder.path()).unwrap();
+    let prepared = prepared(&capture, &PrepareSettings { num_points: 2000, ..PrepareSettings::default() });
+    assert!(prepared.count(Origin::Triangulated) > 200, "{}", prepared.count(Origin::Triangulated));
+}
+
+#[test]
+fn the_unit_of_length_may_be_tiny() {
+    let (folder, _) = synthetic(&SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() });
+    std::fs::remove_dir_all(folder.path().join("seg")).unwrap();
+    change_matrices(&folder, |_, matrix| (0..3).for_each(|row| matrix[row][3] *= 1e7));
+    let capture = Capture::open(folder.path()).unwrap();
+    let prepared = prepared(&capture, &PrepareSettings { num_points: 2000, ..PrepareSettings::default() });
+    assert!(prepared.count(Origin::Triangulated) > 200, "{}", prepared.count(Origin::Triangulated));
+}
+
+#[test]
+fn a_search_without_other_views_believes_nothing() {
+    let (_folder, capture) = synthetic(&SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() });
+    let vantage = Vantage::new(&capture.views(Split::Train, 0, 1).unwrap()[0], 1);
+    let ranges = vec![[0.1, 1.0]; vantage.gray.len()];
+    let map = Search { vantage: &vantage, sources: Vec::new(), ranges: &ranges, seed: 0 }.begin(None);
+    assert!(Belief::of(&map).known.iter().all(|known| !known));
+}
+
 #[test]
 fn the_hull_of_a_ball_is_the_ball() {
     let (radius, center) = (0.3, [0.1, -0.2, 0.05]);
@@ -116,7 +187,7 @@ fn the_hull_of_a_ball_is_the_ball() {
             tcgs_core::Camera::look_at(from, [0.0; 3], [0.0, -1.0, 0.0], 100.0, 96, 96)
         })
         .collect();
-    let eyes: Vec<eye::Eye> = cameras.iter().map(eye::Eye::new).collect();
+    let eyes: Vec<Eye> = cameras.iter().map(Eye::new).collect();
     let masks: Vec<Vec<bool>> = eyes
         .iter()
         .map(|eye| {
@@ -184,6 +255,9 @@ fn thinning_keeps_the_best_and_the_count() {
         assert_eq!(point.position[2] > 25.0, *list == 1, "{point:?}");
     }
     assert_eq!(thin::thin(&[grid(0.0)], 20_000).len(), 10_000);
+    // Far out, as in millimetres.
+    let far = grid(0.0).into_iter().map(|p| Point { position: p.position.map(|x| 5000.0 + x), ..p }).collect();
+    assert_eq!(thin::thin(&[far], 20_000).len(), 10_000);
 }
 
 #[test]

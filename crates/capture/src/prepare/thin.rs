@@ -32,14 +32,14 @@ pub(super) fn thin(lists: &[Vec<Point>], count: usize) -> Vec<(usize, Point)> {
 }
 
 fn cubes(lists: &[Vec<Point>], edge: f32) -> Vec<(usize, Point)> {
-    let key = |point: &Point| point.position.map(|x| (x / edge).floor() as i32);
-    let mut keyed: Vec<([i32; 3], usize, usize)> = lists
+    let key = |point: &Point| point.position.map(|x| (x / edge).floor() as i64);
+    let mut keyed: Vec<([i64; 3], usize, usize)> = lists
         .par_iter()
         .enumerate()
         .flat_map(|(list, points)| points.par_iter().enumerate().map(move |(i, point)| (key(point), list, i)))
         .collect();
     keyed.par_sort_unstable();
-    let merged: Vec<([i32; 3], usize, Point)> = keyed
+    let merged: Vec<([i64; 3], usize, Point)> = keyed
         .chunk_by(|a, b| a.0 == b.0)
         .map(|cube| {
             let list = cube[0].1;
@@ -57,7 +57,7 @@ fn cubes(lists: &[Vec<Point>], edge: f32) -> Vec<(usize, Point)> {
             (cube[0].0, list, Point { position: mean(sum), color: mean(color), foreground: 2.0 * foreground > count })
         })
         .collect();
-    let better_beside = |cube: [i32; 3], list: usize| {
+    let better_beside = |cube: [i64; 3], list: usize| {
         (0..6).any(|side| {
             let mut beside = cube;
             beside[side / 2] += if side % 2 == 0 { 1 } else { -1 };
