@@ -13,7 +13,8 @@ const MAX_PENDING = 1;
 
 /**
  * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (a scene is there), `frame` (one was drawn; its state is `player.state`), `change`
- * (settings, playing, or the path), `failure` (`detail`: the error).
+ * (settings, playing, or the path), `lost` (no camera of the path fits the timestep; it is followed no longer), `failure`
+ * (`detail`: the error).
  */
 export class Player extends EventTarget {
   /** A drag on the scene or a key ends what moves the camera by itself. */
@@ -70,9 +71,8 @@ export class Player extends EventTarget {
    * are told, not thrown.
    */
   async open(given, timestep = 0) {
-    const source = typeof given === "string" ? new URL(given, location.href).href : given;
     const turn = ++this.#turn;
-    this.#source = source;
+    this.#source = given;
     this.#opening = true;
     this.info = null;
     this.state = null;
@@ -80,6 +80,7 @@ export class Player extends EventTarget {
     this.following = false;
     this.#tell("opening");
     try {
+      const source = typeof given === "string" ? addressOf(given) : given;
       const viewer = await this.#start();
       await viewer.open(source, timestep);
       if (turn !== this.#turn) return false;
@@ -188,14 +189,12 @@ export class Player extends EventTarget {
     this.#tell("change");
   }
 
-  /** What shows, at all pixels: `{width, height, data}`, RGBA. */
+  /** What shows, at all pixels: `{width, height, timestep, data}`, RGBA. */
   async capture() {
     this.#capturing = true;
     try {
       this.#resize(1);
-      const { width, height } = this.#canvas;
-      const data = await this.#viewer.capture();
-      return { width, height, data };
+      return await this.#viewer.capture();
     } finally {
       this.#capturing = false;
       this.touch();
@@ -265,11 +264,16 @@ export class Player extends EventTarget {
   }
 
   #draw(now) {
-    try {
-      if (this.following && this.state) {
-        const { width, height } = this.#canvas;
+    if (this.following && this.state) {
+      const { width, height } = this.#canvas;
+      try {
         this.#viewer.setCamera(this.path.camera(this.state.timestep, width, height));
+      } catch {
+        this.follow(false);
+        this.#tell("lost");
       }
+    }
+    try {
       const before = this.state;
       this.state = this.#viewer.frame(now);
       if (this.following && before?.timestep !== this.state.timestep) this.touch();
@@ -290,5 +294,14 @@ export class Player extends EventTarget {
     if (this.#size[0] === width && this.#size[1] === height) return;
     this.#size = [width, height];
     this.#viewer.resize(width, height);
+  }
+}
+
+/** The whole address of a scene. */
+function addressOf(text) {
+  try {
+    return new URL(text, location.href).href;
+  } catch {
+    throw Object.assign(new Error(`${text} is no address`), { code: "network" });
   }
 }

@@ -7,6 +7,7 @@ import { CameraPath, checkCamera, fitted } from "../src/camera_path.js";
 import { explain } from "../src/failures.js";
 import { readParams } from "../src/params.js";
 import { AdaptiveResolution } from "../src/resolution.js";
+import { nameOf, nextSpeed } from "../src/ui.js";
 
 test("addresses say what to show, and nonsense says nothing", () => {
   const nothing = readParams("");
@@ -115,6 +116,39 @@ test("a view shows all that it shows in another window, too", () => {
   assert.deepEqual([tall.fx, tall.fy, tall.cx, tall.cy], [40, 40, 25, 60]);
   assert.throws(() => checkCamera({ ...camera(0), cameraFromWorld: [1] }), /16 numbers/);
   assert.throws(() => checkCamera({ ...camera(0), fx: -1 }), /camera needs/);
+});
+
+test("a camera is turned and shifted, and nothing else", () => {
+  const { cameraFromWorld } = camera(0.3);
+  const changed = (action) => ({ ...camera(0), cameraFromWorld: cameraFromWorld.map(action) });
+  checkCamera(changed((x) => x + 1e-5 * (x !== 0 && x !== 1)));
+  const wrong = {
+    "larger": changed((x, i) => (i < 12 ? 2 * x : x)),
+    "mirrored": changed((x, i) => (i < 4 ? -x : x)),
+    "flat": changed((x, i) => (i < 12 ? 0 : x)),
+    "sheared": changed((x, i) => (i === 1 ? 0.1 : x)),
+    "with another last row": changed((x, i) => (i === 12 ? 1 : x)),
+    "by columns": { ...camera(0), cameraFromWorld: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 3, 1] },
+  };
+  for (const [name, given] of Object.entries(wrong)) assert.throws(() => checkCamera(given), /rotation/, name);
+});
+
+test("speeds are next to any speed, those that the address alone can ask for included", () => {
+  for (const [speed, slower, faster] of [[1, 0.5, 2], [0.3, 0.25, 0.5], [8, 4, 8], [0.05, 0.05, 0.1], [4, 2, 4], [0.1, 0.1, 0.25]]) {
+    assert.deepEqual([nextSpeed(speed, -1), nextSpeed(speed, 1)], [slower, faster], `${speed}`);
+  }
+});
+
+test("a scene is called as its file, however that is written", () => {
+  globalThis.location = { href: "http://host/player/" };
+  const names = {
+    "a%20b.tcgs?x=/y": "a b.tcgs",
+    "http://host/x/100%.tcgs": "100%.tcgs",
+    "http://host/": "scene",
+    "http://[": "http://[",
+  };
+  for (const [source, name] of Object.entries(names)) assert.equal(nameOf(source), name);
+  assert.equal(nameOf(new File([], "a%20b.tcgs")), "a%20b.tcgs");
 });
 
 test("failures are told to people", () => {
