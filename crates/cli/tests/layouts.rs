@@ -117,6 +117,25 @@ fn the_layout_does_not_matter() {
 }
 
 #[test]
+fn a_cameras_images_may_change_their_size() {
+    let source = synthetic();
+    let folder = tempdir().unwrap();
+    as_nerfstudio(&Capture::open(source.path()).unwrap(), folder.path());
+    let (file, run) = (folder.path().join("transforms.json"), folder.path().join("run"));
+    let mut transforms = json(&file);
+    for frame in transforms["frames"].as_array_mut().unwrap().iter_mut().filter(|frame| frame["time"] == 1) {
+        // Pincushion distortion: straightened images are smaller.
+        frame["k1"] = json!(0.2);
+    }
+    fs::write(&file, transforms.to_string()).unwrap();
+    succeed(&["train", text(source.path()), "--out", text(&run), "--iterations", "10,5", "--backend", "cpu"]);
+    let result = folder.path().join("eval.json");
+    succeed(&["eval", text(&run), "--capture", text(folder.path()), "--json", text(&result)]);
+    let found = json(&result);
+    assert!(found["psnr"].is_f64() && found["flicker"].is_null(), "{found}");
+}
+
+#[test]
 fn the_papers_settings_follow_the_layout() {
     let source = synthetic();
     let folder = tempdir().unwrap();

@@ -115,7 +115,11 @@ pub fn evaluate(
             let clamped = clamped(&output.image);
             images.push(score(timestep, &output.image, &clamped, &view, settings));
             progress.step(|| format!("frame {frame}"));
-            if let Some([rendered, image]) = before.get(&view.camera_id) {
+            // Sizes may change with time; nothing says which pixels belong together then.
+            let size = |image: &Image| (image.width, image.height);
+            if let Some([rendered, image]) = before.get(&view.camera_id)
+                && size(image) == size(&view.image)
+            {
                 flickers.push(flicker([rendered, &clamped], [image, &view.image]));
             }
             last_camera = Some(view.camera);
