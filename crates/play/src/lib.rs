@@ -1,6 +1,7 @@
 //! The player of `.tcgs` scenes, natively and in a browser.
 //!
-//! - `source`: where bytes come from · `player`: which of them are needed, decoded segments (`buffer`), the `clock`
+//! - `source`: where bytes come from; `download`: what servers send
+//! - `player`: which bytes are needed, decoded segments (`buffer`), the `clock`
 //! - `reconstruct`, `blit`, `stage`: a timestep of a segment to a picture, with the renderer that training uses
 //! - `start_view`, `cameras`, `controls`: from where it is seen
 //! - `viewer`: all of these together; `web`: the same as a page sees it
@@ -15,6 +16,9 @@ mod buffer;
 mod cameras;
 mod clock;
 mod controls;
+// Only browsers download; tests need none.
+#[cfg(any(target_family = "wasm", test))]
+mod download;
 mod error;
 mod player;
 mod reconstruct;

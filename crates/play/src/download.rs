@@ -1,0 +1,297 @@
+//! What a server sends of a file. The requests themselves are in `web`.
+//!
+//! A server is asked for ranges. One that sends the whole file instead is heard out once; ranges are then taken from
+//! what it sent.
+
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::task::Waker;
+
+use crate::source::{Piece, SourceError};
+
+/// What an answer says before its bytes.
+#[derive(Clone, Debug, Default)]
+pub struct Head {
+    /// Such as 206.
+    pub status: u16,
+    /// Such as `Partial Content`.
+    pub status_text: String,
+    /// Of the whole file.
+    pub length: Option<u64>,
+    /// Another one stands for other bytes.
+    pub etag: Option<String>,
+}
+
+/// What requests leave for whoever polls.
+#[derive(Debug, Default)]
+pub struct Inbox {
+    /// Counts requests: what belongs to an earlier one is dropped.
+    request: u64,
+    /// What is left of the range when a whole download serves it.
+    rest: Range<u64>,
+    pieces: VecDeque<Result<Piece, SourceError>>,
+    length: Option<u64>,
+    etag: Option<String>,
+    whole: Option<Whole>,
+    /// Who waits for the next piece.
+    waker: Option<Waker>,
+}
+
+/// A download of the whole file.
+#[derive(Debug, Default)]
+struct Whole {
+    bytes: Vec<u8>,
+    is_complete: bool,
+}
+
+impl Inbox {
+    /// - `length`: of the file, where that is known before anything arrives
+    pub fn new(length: Option<u64>) -> Self {
+        Self { length, ..Self::default() }
+    }
+
+    /// What hears of the next piece.
+    pub fn wake_by(&mut self, waker: Waker) {
+        self.waker = Some(waker);
+    }
+
+    /// Of the whole file, as soon as it is known.
+    pub fn length(&self) -> Option<u64> {
+        self.length
+    }
+
+    /// Asks for bytes; whatever was asked for before is forgotten.
+    ///
+    /// - returns: the number of the request to be sent; none where the whole file is here or under way
+    pub fn ask(&mut self, range: Range<u64>) -> Option<u64> {
+        self.rest = range;
+        self.whole.is_none().then(|| self.forget())
+    }
+
+    /// Ends the request that is under way.
+    ///
+    /// - returns: the number of the next one
+    pub fn forget(&mut self) -> u64 {
+        self.pieces.clear();
+        self.request += 1;
+        self.request
+    }
+
+    /// Whether anybody waits for a request's bytes.
+    pub fn is_current(&self, request: u64) -> bool {
+        self.request == request
+    }
+
+    /// Takes the head of the answer to the current request.
+    ///
+    /// - `what`: the file's address
+    /// - returns: whether bytes follow
+    ///
+    /// # Errors
+    /// [`SourceError`] if the answer is no part of the file.
+    pub fn begin(&mut self, what: &str, head: Head) -> Result<bool, SourceError> {
+        let Head { status, status_text, length, etag } = head;
+        if ![200, 206, 416].contains(&status) {
+            let (what, problem) = (what.to_owned(), format!("the server answers {status} {status_text}"));
+            // Too slow, too many requests, or a server in trouble: that passes.
+            let passes = matches!(status, 408 | 429 | 500..);
+            return Err(if passes {
+                SourceError::Interrupted { what, problem }
+            } else {
+                SourceError::Refused { what, problem }
+            });
+        }
+        if differs(self.length, length) || differs(self.etag.as_ref(), etag.as_ref()) {
+            let problem = "it has changed meanwhile; open it again".into();
+            return Err(SourceError::Refused { what: what.into(), problem });
+        }
+        self.length = self.length.or(length);
+        self.etag = self.etag.take().or(etag);
+        if status == 200 {
+            self.whole = Some(Whole::default());
+        }
+        // The third status: the range starts past the end.
+        Ok(status != 416)
+    }
+
+    /// Takes bytes.
+    pub fn add(&mut self, request: u64, bytes: Vec<u8>) {
+        if !self.is_current(request) || bytes.is_empty() {
+            return;
+        }
+        match &mut self.whole {
+            Some(whole) => whole.bytes.extend_from_slice(&bytes),
+            None => self.pieces.push_back(Ok(Piece::Bytes(bytes))),
+        }
+        self.wake();
+    }
+
+    /// Takes the end of an answer.
+    pub fn end(&mut self, request: u64, result: Result<(), SourceError>) {
+        if !self.is_current(request) {
+            return;
+        }
+        match (result, &mut self.whole) {
+            (Ok(()), Some(whole)) => {
+                whole.is_complete = true;
+                self.length = Some(whole.bytes.len() as u64);
+            }
+            (Ok(()), None) => self.pieces.push_back(Ok(Piece::End)),
+            (Err(error), _) => {
+                // The rest of it will not come by itself.
+                self.whole = None;
+                self.pieces.push_back(Err(error));
+            }
+        }
+        self.wake();
+    }
+
+    /// As [`Source::poll`](crate::Source::poll).
+    pub fn poll(&mut self) -> Result<Piece, SourceError> {
+        if let Some(whole) = &self.whole {
+            let end = self.rest.end.min(whole.bytes.len() as u64);
+            if self.rest.start < end {
+                let bytes = whole.bytes[self.rest.start as usize..end as usize].to_vec();
+                self.rest.start = end;
+                return Ok(Piece::Bytes(bytes));
+            }
+            if whole.is_complete || self.rest.is_empty() {
+                return Ok(Piece::End);
+            }
+        }
+        self.pieces.pop_front().unwrap_or(Ok(Piece::Waiting))
+    }
+
+    fn wake(&mut self) {
+        if let Some(waker) = self.waker.take() {
+            waker.wake();
+        }
+    }
+}
+
+/// Whether two things are known, and not the same.
+fn differs<T: PartialEq>(before: Option<T>, now: Option<T>) -> bool {
+    before.zip(now).is_some_and(|(before, now)| before != now)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::task::Wake;
+
+    use super::*;
+
+    /// Counts how often it was woken.
+    #[derive(Default)]
+    struct Sleeper(AtomicUsize);
+
+    impl Wake for Sleeper {
+        fn wake(self: Arc<Self>) {
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    const WHAT: &str = "http://host/a.tcgs";
+
+    fn head(status: u16) -> Head {
+        Head { status, status_text: "why".into(), length: Some(10), etag: Some("\"a\"".into()) }
+    }
+
+    fn broken() -> SourceError {
+        SourceError::Interrupted { what: WHAT.into(), problem: "it broke".into() }
+    }
+
+    #[test]
+    fn ranges_arrive_piece_by_piece() {
+        let mut inbox = Inbox::new(None);
+        let first = inbox.ask(0..4).unwrap();
+        assert_eq!(inbox.poll(), Ok(Piece::Waiting));
+        assert_eq!(inbox.begin(WHAT, head(206)), Ok(true));
+        inbox.add(first, vec![1, 2]);
+        let second = inbox.ask(2..12).unwrap();
+        inbox.add(first, vec![3]);
+        inbox.end(first, Err(broken()));
+        assert_eq!((inbox.poll(), inbox.length()), (Ok(Piece::Waiting), Some(10)), "the first is forgotten");
+        inbox.add(second, vec![3, 4]);
+        inbox.end(second, Ok(()));
+        assert_eq!(inbox.poll(), Ok(Piece::Bytes(vec![3, 4])));
+        assert_eq!(inbox.poll(), Ok(Piece::End));
+        assert!(inbox.ask(10..12).is_some());
+        assert_eq!(inbox.begin(WHAT, head(416)), Ok(false));
+    }
+
+    #[test]
+    fn who_waits_hears_of_the_next_piece_once() {
+        for status in [200, 206] {
+            let (mut inbox, sleeper) = (Inbox::new(None), Arc::new(Sleeper::default()));
+            let request = inbox.ask(0..4).unwrap();
+            assert_eq!(inbox.begin(WHAT, head(status)), Ok(true));
+            inbox.wake_by(sleeper.clone().into());
+            assert_eq!(sleeper.0.load(Ordering::Relaxed), 0);
+            inbox.add(request, vec![1]);
+            inbox.add(request, vec![2]);
+            assert_eq!(sleeper.0.load(Ordering::Relaxed), 1);
+            inbox.wake_by(sleeper.clone().into());
+            inbox.end(request, Err(broken()));
+            assert_eq!(sleeper.0.load(Ordering::Relaxed), 2);
+        }
+    }
+
+    #[test]
+    fn a_whole_file_serves_every_range() {
+        let mut inbox = Inbox::new(None);
+        let request = inbox.ask(0..2).unwrap();
+        assert_eq!(inbox.begin(WHAT, head(200)), Ok(true));
+        inbox.add(request, vec![0, 1, 2]);
+        assert_eq!([inbox.poll(), inbox.poll()], [Ok(Piece::Bytes(vec![0, 1])), Ok(Piece::End)]);
+        assert_eq!(inbox.ask(2..12), None);
+        assert_eq!([inbox.poll(), inbox.poll()], [Ok(Piece::Bytes(vec![2])), Ok(Piece::Waiting)]);
+        inbox.add(request, (3..10).collect());
+        inbox.end(request, Ok(()));
+        assert_eq!([inbox.poll(), inbox.poll()], [Ok(Piece::Bytes((3..10).collect())), Ok(Piece::End)]);
+        assert_eq!(inbox.ask(0..1), None);
+        assert_eq!(inbox.poll(), Ok(Piece::Bytes(vec![0])));
+    }
+
+    #[test]
+    fn a_whole_file_that_breaks_off_is_asked_for_again() {
+        let mut inbox = Inbox::new(None);
+        let request = inbox.ask(0..10).unwrap();
+        assert_eq!(inbox.begin(WHAT, head(200)), Ok(true));
+        inbox.add(request, vec![0, 1, 2]);
+        assert_eq!(inbox.poll(), Ok(Piece::Bytes(vec![0, 1, 2])));
+        inbox.end(request, Err(broken()));
+        assert_eq!(inbox.poll(), Err(broken()));
+        let again = inbox.ask(3..10).expect("another request");
+        assert_eq!(inbox.begin(WHAT, head(200)), Ok(true));
+        inbox.add(again, (0..10).collect());
+        inbox.end(again, Ok(()));
+        assert_eq!([inbox.poll(), inbox.poll()], [Ok(Piece::Bytes((3..10).collect())), Ok(Piece::End)]);
+    }
+
+    #[test]
+    fn servers_in_trouble_may_be_asked_again_and_others_not() {
+        for (status, passes) in [(408, true), (429, true), (500, true), (503, true), (404, false), (403, false)] {
+            let error = Inbox::new(None).begin(WHAT, head(status)).unwrap_err();
+            assert!(error.to_string().ends_with(&format!("the server answers {status} why")), "{error}");
+            assert_eq!(matches!(error, SourceError::Interrupted { .. }), passes, "{status}");
+        }
+    }
+
+    #[test]
+    fn a_file_that_changes_meanwhile_is_told() {
+        let longer = Head { length: Some(11), ..head(206) };
+        let other = Head { etag: Some("\"b\"".into()), ..head(200) };
+        let silent = Head { length: None, etag: None, ..head(206) };
+        for changed in [longer, other] {
+            let mut inbox = Inbox::new(None);
+            for same in [&silent, &head(206), &silent] {
+                assert_eq!(inbox.begin(WHAT, same.clone()), Ok(true), "{same:?}");
+            }
+            let error = inbox.begin(WHAT, changed).unwrap_err();
+            assert_eq!(error.to_string(), "http://host/a.tcgs cannot be read: it has changed meanwhile; open it again");
+            assert!(matches!(error, SourceError::Refused { .. }), "asking again would not help");
+        }
+    }
+}
