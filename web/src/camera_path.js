@@ -2,6 +2,8 @@
 // (crates/cli/src/render/path_file.rs).
 
 const FORMAT = "tcgs-camera-path";
+/** How far products of a rotation's rows may be from 0 and 1. */
+const ROTATION_TOLERANCE = 1e-3;
 
 export class CameraPath {
   /** `{timestep, camera}` by increasing timestep. */
@@ -74,6 +76,21 @@ export function checkCamera(camera) {
   if (!right || numbers.slice(0, 4).some((x) => x <= 0)) {
     throw new Error("A camera needs width, height, fx, fy, cx, cy and cameraFromWorld, 16 numbers row by row.");
   }
+  if (!isRotation(matrix)) {
+    throw new Error("A camera's cameraFromWorld needs to be a rotation and a shift: no scale, no mirror.");
+  }
+}
+
+/** Whether the engine takes a matrix, 16 numbers row by row (crates/core/src/camera.rs). */
+function isRotation(m) {
+  const [x, y, z, last] = [0, 4, 8, 12].map((i) => m.slice(i, i + 3));
+  const near = (a, b, expected) => Math.abs(dot(a, b) - expected) <= ROTATION_TOLERANCE;
+  return (
+    [x, y, z].every((axis) => near(axis, axis, 1)) &&
+    near(x, y, 0) && near(y, z, 0) && near(z, x, 0) &&
+    dot(cross(x, y), z) > 0 &&
+    last.every((number) => number === 0) && m[15] === 1
+  );
 }
 
 /** The same view in a picture of another size: square pixels, and all that it shows is shown. */
@@ -124,5 +141,7 @@ function slope(times, values, index) {
 }
 
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 const unit = (v) => v.map((x) => x / Math.hypot(...v));

@@ -34,6 +34,8 @@ shortcuts(player, {
 });
 listenToEmbedder(player);
 
+player.addEventListener("lost", () => toast("The camera path breaks off here"));
+
 /** The first scene alone starts where the address says. */
 let starting = true;
 player.addEventListener("load", () => {

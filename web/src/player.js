@@ -13,7 +13,8 @@ const MAX_PENDING = 1;
 
 /**
  * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (a scene is there), `frame` (one was drawn; its state is `player.state`), `change`
- * (settings, playing, or the path), `failure` (`detail`: the error).
+ * (settings, playing, or the path), `lost` (no camera of the path fits the timestep; it is followed no longer), `failure`
+ * (`detail`: the error).
  */
 export class Player extends EventTarget {
   /** A drag on the scene or a key ends what moves the camera by itself. */
@@ -265,11 +266,16 @@ export class Player extends EventTarget {
   }
 
   #draw(now) {
-    try {
-      if (this.following && this.state) {
-        const { width, height } = this.#canvas;
+    if (this.following && this.state) {
+      const { width, height } = this.#canvas;
+      try {
         this.#viewer.setCamera(this.path.camera(this.state.timestep, width, height));
+      } catch {
+        this.follow(false);
+        this.#tell("lost");
       }
+    }
+    try {
       const before = this.state;
       this.state = this.#viewer.frame(now);
       if (this.following && before?.timestep !== this.state.timestep) this.touch();

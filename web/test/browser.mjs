@@ -16,6 +16,7 @@ import { compare, drop, launch, serve, settled } from "./support.mjs";
 const { TCGS = "target/release/tcgs", SCENE = "tcgs-demo/scene.tcgs", SHOTS } = process.env;
 const bytes = readFileSync(SCENE);
 const TINY = new URL("../../testdata/bitstream/v1/room_default.tcgs", import.meta.url).pathname;
+const ENGINE = new URL("engine.mjs", import.meta.url).pathname;
 const EXACT = "quality=fixed&dpr=1&autoplay=0";
 /** For anything that waits: machines that test are slow, and busy. */
 const PATIENCE_MS = 240_000;
@@ -35,8 +36,8 @@ after(async () => {
   rmSync(scratch, { recursive: true, force: true });
 });
 
-/** Opens the page; what goes wrong in its scripts fails the test. */
-async function open(t, query = EXACT, { from = tiny, script, ...options } = {}) {
+/** Opens the page; what goes wrong in its scripts fails the test. `standIn`: with that for the engine, which is quick. */
+async function open(t, query = EXACT, { from = tiny, script, standIn = false, ...options } = {}) {
   const viewport = { width: 480, height: 300 };
   const context = await browser.newContext({ viewport, colorScheme: "dark", reducedMotion: "reduce", ...options });
   context.setDefaultTimeout(PATIENCE_MS);
@@ -49,6 +50,7 @@ async function open(t, query = EXACT, { from = tiny, script, ...options } = {}) 
     assert.deepEqual(errors.filter((error) => !error.includes("404 (Not Found)")), []);
   });
   if (script) await page.addInitScript(script);
+  if (standIn) await page.route("**/engine/tcgs_play.js", (route) => route.fulfill({ path: ENGINE, contentType: "text/javascript" }));
   await page.goto(`${from.address}${query.includes("html") ? query : `?${query}`}`);
   return page;
 }
@@ -365,4 +367,28 @@ test("without a scene the page says what to do", async (t) => {
   await page.fill("#link", `${tiny.address}scene.tcgs`);
   await page.click("#link-form button");
   await loaded(page);
+});
+
+test("a path that no camera can follow is left, and the scene stays", async (t) => {
+  const page = await loaded(await open(t, EXACT, { standIn: true }));
+  const said = (text) => page.waitForFunction((t) => document.querySelector("#toast").textContent.includes(t), text);
+  const dropPath = (...matrices) => {
+    const numbers = { width: 480, height: 300, fx: 300, fy: 300, cx: 240, cy: 150 };
+    const cameras = matrices.map((cameraFromWorld, i) => ({ timestep: 8 * i, ...numbers, cameraFromWorld }));
+    return drop(page, "path.json", Buffer.from(JSON.stringify({ format: "tcgs-camera-path", version: 1, cameras })));
+  };
+  await dropPath([2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 3, 0, 0, 0, 1]);
+  await said("rotation");
+  // Halfway between two opposite directions there is none.
+  await dropPath([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 3, 0, 0, 0, 1], [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, -1, 3, 0, 0, 0, 1]);
+  await said("Following");
+  await page.evaluate(() => {
+    const timeline = document.querySelector("#timeline");
+    timeline.value = "4";
+    timeline.dispatchEvent(new Event("input"));
+  });
+  await said("breaks off");
+  await settled(page);
+  assert.ok(await page.isVisible("#dock"));
+  assert.equal(await page.getAttribute("#path-follow", "aria-pressed"), "false");
 });

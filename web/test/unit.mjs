@@ -117,6 +117,21 @@ test("a view shows all that it shows in another window, too", () => {
   assert.throws(() => checkCamera({ ...camera(0), fx: -1 }), /camera needs/);
 });
 
+test("a camera is turned and shifted, and nothing else", () => {
+  const { cameraFromWorld } = camera(0.3);
+  const changed = (action) => ({ ...camera(0), cameraFromWorld: cameraFromWorld.map(action) });
+  checkCamera(changed((x) => x + 1e-5 * (x !== 0 && x !== 1)));
+  const wrong = {
+    "larger": changed((x, i) => (i < 12 ? 2 * x : x)),
+    "mirrored": changed((x, i) => (i < 4 ? -x : x)),
+    "flat": changed((x, i) => (i < 12 ? 0 : x)),
+    "sheared": changed((x, i) => (i === 1 ? 0.1 : x)),
+    "with another last row": changed((x, i) => (i === 12 ? 1 : x)),
+    "by columns": { ...camera(0), cameraFromWorld: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 3, 1] },
+  };
+  for (const [name, given] of Object.entries(wrong)) assert.throws(() => checkCamera(given), /rotation/, name);
+});
+
 test("failures are told to people", () => {
   globalThis.isSecureContext = true;
   for (const code of ["no-webgpu", "not-tcgs", "truncated", "newer-version", "damaged", "network", "out-of-memory", "device-lost"]) {

@@ -1,0 +1,64 @@
+// A stand-in for the engine: a scene of any file at once, no GPU. A test may say, as `window.given`, how many timesteps
+// scenes have (`timesteps`) and what a picture waits for (`picture`, a promise).
+
+const given = (window.given ??= {});
+
+export default async function init() {}
+
+export class Viewer {
+  #timestep = 0;
+  #playing = false;
+  #size = [1, 1];
+
+  static async create() {
+    return new Viewer();
+  }
+
+  async open(source, timestep) {
+    [this.#timestep, this.#playing] = [timestep, false];
+  }
+
+  info() {
+    return { name: "", numGaussians: 1, numTimesteps: given.timesteps ?? 24, frameRate: 30, bytes: 1, cameras: [] };
+  }
+
+  frame() {
+    const [width, height] = this.#size;
+    const [timestep, playing] = [this.#timestep, this.#playing];
+    return { time: timestep, timestep, playing, buffering: false, drawn: true, gaussians: 1, bytesLoaded: 1, width, height };
+  }
+
+  async capture() {
+    const [[width, height], timestep] = [this.#size, this.#timestep];
+    await given.picture;
+    return { width, height, timestep, data: new Uint8ClampedArray(4 * width * height) };
+  }
+
+  setCamera({ cameraFromWorld }) {
+    if (!cameraFromWorld.every(Number.isFinite)) throw new Error("this is no camera");
+  }
+
+  resize(...size) {
+    this.#size = size;
+  }
+
+  play() {
+    this.#playing = true;
+  }
+
+  pause() {
+    this.#playing = false;
+  }
+
+  seek(timestep) {
+    this.#timestep = timestep;
+  }
+
+  pending() {
+    return 0;
+  }
+
+  setSpeed() {}
+
+  setLoop() {}
+}
