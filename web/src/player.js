@@ -71,9 +71,8 @@ export class Player extends EventTarget {
    * are told, not thrown.
    */
   async open(given, timestep = 0) {
-    const source = typeof given === "string" ? new URL(given, location.href).href : given;
     const turn = ++this.#turn;
-    this.#source = source;
+    this.#source = given;
     this.#opening = true;
     this.info = null;
     this.state = null;
@@ -81,6 +80,7 @@ export class Player extends EventTarget {
     this.following = false;
     this.#tell("opening");
     try {
+      const source = typeof given === "string" ? addressOf(given) : given;
       const viewer = await this.#start();
       await viewer.open(source, timestep);
       if (turn !== this.#turn) return false;
@@ -296,5 +296,14 @@ export class Player extends EventTarget {
     if (this.#size[0] === width && this.#size[1] === height) return;
     this.#size = [width, height];
     this.#viewer.resize(width, height);
+  }
+}
+
+/** The whole address of a scene. */
+function addressOf(text) {
+  try {
+    return new URL(text, location.href).href;
+  } catch {
+    throw Object.assign(new Error(`${text} is no address`), { code: "network" });
   }
 }

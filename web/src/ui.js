@@ -59,11 +59,11 @@ export function cards(player, { choose }) {
     const { info } = player;
     document.body.classList.add("has-scene");
     showCard(null);
+    element("dock").hidden = false;
     const name = info.name || nameOf(player.source);
     element("name").textContent = name;
     document.title = `${name} – tcgs player`;
     element("canvas").setAttribute("aria-label", `${name}: ${info.numGaussians} Gaussians, ${info.numTimesteps} frames`);
-    element("dock").hidden = false;
     element("name").hidden = false;
   });
   player.addEventListener("failure", ({ detail }) => {
@@ -95,8 +95,15 @@ export function cards(player, { choose }) {
 /** What a scene is called that has no name of its own. */
 export function nameOf(source) {
   if (source instanceof Blob) return source.name ?? "scene";
-  const path = new URL(source, location.href).pathname;
-  return decodeURIComponent(path.slice(path.lastIndexOf("/") + 1)) || "scene";
+  let name = source;
+  try {
+    const { pathname } = new URL(source, location.href);
+    name = pathname.slice(pathname.lastIndexOf("/") + 1);
+    name = decodeURIComponent(name);
+  } catch {
+    // What is no address, or is oddly written, is called as it is written.
+  }
+  return name || "scene";
 }
 
 /** @param {import("./player.js").Player} player */

@@ -369,6 +369,16 @@ test("without a scene the page says what to do", async (t) => {
   await loaded(page);
 });
 
+test("addresses that are none, or are oddly written, leave a page that works", async (t) => {
+  const page = await open(t, `${EXACT}&src=http://[`, { standIn: true });
+  await page.waitForSelector("#failure:not([hidden])");
+  assert.equal(await page.textContent("#failure-title"), "The scene could not be loaded");
+  await page.goto(`${tiny.address}?${EXACT}&src=x/100%25.tcgs`);
+  await loaded(page);
+  assert.ok(await page.isVisible("#dock"));
+  assert.equal(await page.textContent("#name"), "100%.tcgs");
+});
+
 test("a path that no camera can follow is left, and the scene stays", async (t) => {
   const page = await loaded(await open(t, EXACT, { standIn: true }));
   const said = (text) => page.waitForFunction((t) => document.querySelector("#toast").textContent.includes(t), text);

@@ -7,6 +7,7 @@ import { CameraPath, checkCamera, fitted } from "../src/camera_path.js";
 import { explain } from "../src/failures.js";
 import { readParams } from "../src/params.js";
 import { AdaptiveResolution } from "../src/resolution.js";
+import { nameOf } from "../src/ui.js";
 
 test("addresses say what to show, and nonsense says nothing", () => {
   const nothing = readParams("");
@@ -130,6 +131,18 @@ test("a camera is turned and shifted, and nothing else", () => {
     "by columns": { ...camera(0), cameraFromWorld: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 3, 1] },
   };
   for (const [name, given] of Object.entries(wrong)) assert.throws(() => checkCamera(given), /rotation/, name);
+});
+
+test("a scene is called as its file, however that is written", () => {
+  globalThis.location = { href: "http://host/player/" };
+  const names = {
+    "a%20b.tcgs?x=/y": "a b.tcgs",
+    "http://host/x/100%.tcgs": "100%.tcgs",
+    "http://host/": "scene",
+    "http://[": "http://[",
+  };
+  for (const [source, name] of Object.entries(names)) assert.equal(nameOf(source), name);
+  assert.equal(nameOf(new File([], "a%20b.tcgs")), "a%20b.tcgs");
 });
 
 test("failures are told to people", () => {
