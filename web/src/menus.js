@@ -53,13 +53,19 @@ export function addToPath(player) {
 
 /** @param {import("./player.js").Player} player */
 export async function saveStill(player) {
-  const { width, height, data } = await player.capture();
-  const canvas = new OffscreenCanvas(width, height);
-  canvas.getContext("2d").putImageData(new ImageData(data, width, height), 0, 0);
+  if (!player.info) return;
+  // Another scene may be there before the picture is.
   const name = (player.info.name || nameOf(player.source)).replace(/\.tcgs$/, "");
-  const frame = String(player.state.timestep + 1).padStart(4, "0");
-  save(`${name}-${frame}.png`, await canvas.convertToBlob({ type: "image/png" }));
-  toast(`Picture saved, ${width} × ${height}`);
+  try {
+    const { width, height, timestep, data } = await player.capture();
+    const canvas = new OffscreenCanvas(width, height);
+    canvas.getContext("2d").putImageData(new ImageData(data, width, height), 0, 0);
+    const frame = String(timestep + 1).padStart(4, "0");
+    save(`${name}-${frame}.png`, await canvas.convertToBlob({ type: "image/png" }));
+    toast(`Picture saved, ${width} × ${height}`);
+  } catch (error) {
+    toast(`No picture was saved: ${error.message ?? error}`);
+  }
 }
 
 /** @param {import("./player.js").Player} player */

@@ -189,14 +189,12 @@ export class Player extends EventTarget {
     this.#tell("change");
   }
 
-  /** What shows, at all pixels: `{width, height, data}`, RGBA. */
+  /** What shows, at all pixels: `{width, height, timestep, data}`, RGBA. */
   async capture() {
     this.#capturing = true;
     try {
       this.#resize(1);
-      const { width, height } = this.#canvas;
-      const data = await this.#viewer.capture();
-      return { width, height, data };
+      return await this.#viewer.capture();
     } finally {
       this.#capturing = false;
       this.touch();

@@ -402,3 +402,23 @@ test("a path that no camera can follow is left, and the scene stays", async (t) 
   assert.ok(await page.isVisible("#dock"));
   assert.equal(await page.getAttribute("#path-follow", "aria-pressed"), "false");
 });
+
+test("a picture has the size that it had when it was taken, and one that fails is told", async (t) => {
+  const page = await loaded(await open(t, EXACT, { standIn: true }));
+  const start = async () => {
+    await page.evaluate(() => {
+      window.given.picture = new Promise((...ends) => ([window.given.finish, window.given.fail] = ends));
+    });
+    await page.keyboard.press("p");
+  };
+  await start();
+  await page.setViewportSize({ width: 500, height: 320 });
+  await settled(page);
+  const download = page.waitForEvent("download");
+  await page.evaluate(() => window.given.finish());
+  assert.equal((await download).suggestedFilename(), "scene-0001.png");
+  assert.match(await page.textContent("#toast"), /480 × 300/);
+  await start();
+  await page.evaluate(() => window.given.fail(new Error("another scene was opened")));
+  await page.waitForFunction(() => /^No picture.*another scene/.test(document.querySelector("#toast").textContent));
+});

@@ -309,17 +309,24 @@ impl WebViewer {
         }
     }
 
-    /// The picture at the canvas' size, RGBA in rows from the top, once the timestep that is due is there.
-    #[wasm_bindgen(unchecked_return_type = "Promise<Uint8ClampedArray>")]
+    /// `{width, height, timestep, data}`: the picture at the canvas' size, RGBA in rows from the top, once the timestep
+    /// that is due is there. Fails with the code `aborted` if another scene is opened meanwhile.
+    #[wasm_bindgen(unchecked_return_type = "Promise<object>")]
     pub fn capture(&self) -> Promise {
         let state = self.state.clone();
+        let turn = state.borrow().opening;
+        let still_open = move |state: &State| {
+            if state.opening == turn { Ok(()) } else { Err(error("aborted", "another scene was opened")) }
+        };
         future_to_promise(async move {
             loop {
-                let still = {
+                let (still, size, timestep) = {
                     let mut state = state.borrow_mut();
+                    still_open(&state)?;
                     state.viewer.update(now_ms())?;
                     let size = state.size;
-                    state.viewer.begin_still(size)?
+                    let timestep = state.viewer.clock_mut().map_or(0, |clock| clock.timestep());
+                    (state.viewer.begin_still(size)?, size, timestep)
                 };
                 sleep(LOOK_MS).await;
                 let Some(still) = still else { continue };
@@ -327,9 +334,15 @@ impl WebViewer {
                     state.borrow().gpu.check().map_err(PlayError::from)?;
                     sleep(LOOK_MS).await;
                 }
-                let pixels = state.borrow_mut().viewer.finish_still(&still)?;
-                if let Some(pixels) = pixels {
-                    return Ok(Uint8ClampedArray::from(&pixels[..]).into());
+                let mut state = state.borrow_mut();
+                still_open(&state)?;
+                if let Some(pixels) = state.viewer.finish_still(&still)? {
+                    return Ok(object([
+                        ("width", (size[0] as u32).into()),
+                        ("height", (size[1] as u32).into()),
+                        ("timestep", (timestep as u32).into()),
+                        ("data", Uint8ClampedArray::from(&pixels[..]).into()),
+                    ]));
                 }
             }
         })
