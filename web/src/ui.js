@@ -115,10 +115,13 @@ export function playback(player) {
     player.pause();
   });
   timeline.addEventListener("input", () => player.seek(Number(timeline.value)));
-  timeline.addEventListener("change", () => {
-    if (resume) player.play();
-    resume = false;
-  });
+  // One that is let go where it was taken does not change; and it may be let go elsewhere.
+  for (const end of ["change", "pointerup", "pointercancel"]) {
+    window.addEventListener(end, () => {
+      if (resume) player.play();
+      resume = false;
+    });
+  }
   element("play").addEventListener("click", () => player.toggle());
   element("back").addEventListener("click", () => player.step(-1));
   element("forth").addEventListener("click", () => player.step(1));
@@ -130,7 +133,9 @@ export function playback(player) {
   });
   element("full").hidden = !document.fullscreenEnabled;
 
+  let shown = "";
   player.addEventListener("load", () => {
+    shown = "";
     timeline.max = String(player.info.numTimesteps - 1);
     element("track").hidden = player.info.numTimesteps < 2;
   });
@@ -140,7 +145,6 @@ export function playback(player) {
     if (known) element("speed").value = String(player.speed);
     else element("speed").selectedIndex = -1;
   });
-  let shown = "";
   player.addEventListener("frame", () => {
     const { timestep, playing, buffering } = player.state;
     const now = `${timestep} ${playing} ${buffering}`;
@@ -183,11 +187,16 @@ export function statistics(player) {
   });
 }
 
+/** The next of the speeds on offer. @param {number} by above 0: faster, below: slower */
+export function nextSpeed(speed, by) {
+  const next = by > 0 ? SPEEDS.find((s) => s > speed) : SPEEDS.findLast((s) => s < speed);
+  return next ?? speed;
+}
+
 /** Keys that are not about the camera. @param {Record<string, () => void>} actions by key */
 export function shortcuts(player, actions) {
   const speed = (by) => () => {
-    const index = SPEEDS.findIndex((s) => s >= player.speed);
-    player.setSpeed(SPEEDS[Math.min(SPEEDS.length - 1, Math.max(0, index + by))]);
+    player.setSpeed(nextSpeed(player.speed, by));
     toast(`Speed ${player.speed}×`);
   };
   const keys = {

@@ -422,3 +422,22 @@ test("a picture has the size that it had when it was taken, and one that fails i
   await page.evaluate(() => window.given.fail(new Error("another scene was opened")));
   await page.waitForFunction(() => /^No picture.*another scene/.test(document.querySelector("#toast").textContent));
 });
+
+test("the timeline plays on when it is let go, and tells of each scene anew", async (t) => {
+  const page = await loaded(await open(t, EXACT, { standIn: true }));
+  assert.equal(await frameNumber(page), "1 / 24");
+  await page.keyboard.press("Space");
+  await page.waitForSelector("#play[aria-label=Pause]");
+  const { x, y, height } = await page.locator("#timeline").boundingBox();
+  // Where the thumb is: nothing changes.
+  await page.mouse.move(x + height / 2, y + height / 2);
+  await page.mouse.down();
+  await page.waitForSelector("#play[aria-label=Play]");
+  await page.mouse.up();
+  await page.waitForSelector("#play[aria-label=Pause]");
+  await page.keyboard.press("Space");
+  await page.waitForSelector("#play[aria-label=Play]");
+  await page.evaluate(() => (window.given.timesteps = 7));
+  await drop(page, "other.tcgs", Buffer.from("another scene"));
+  await page.waitForFunction(() => document.querySelector("#frame-number").textContent === "1 / 7");
+});

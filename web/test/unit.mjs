@@ -7,7 +7,7 @@ import { CameraPath, checkCamera, fitted } from "../src/camera_path.js";
 import { explain } from "../src/failures.js";
 import { readParams } from "../src/params.js";
 import { AdaptiveResolution } from "../src/resolution.js";
-import { nameOf } from "../src/ui.js";
+import { nameOf, nextSpeed } from "../src/ui.js";
 
 test("addresses say what to show, and nonsense says nothing", () => {
   const nothing = readParams("");
@@ -131,6 +131,12 @@ test("a camera is turned and shifted, and nothing else", () => {
     "by columns": { ...camera(0), cameraFromWorld: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 3, 1] },
   };
   for (const [name, given] of Object.entries(wrong)) assert.throws(() => checkCamera(given), /rotation/, name);
+});
+
+test("speeds are next to any speed, those that the address alone can ask for included", () => {
+  for (const [speed, slower, faster] of [[1, 0.5, 2], [0.3, 0.25, 0.5], [8, 4, 8], [0.05, 0.05, 0.1], [4, 2, 4], [0.1, 0.1, 0.25]]) {
+    assert.deepEqual([nextSpeed(speed, -1), nextSpeed(speed, 1)], [slower, faster], `${speed}`);
+  }
 });
 
 test("a scene is called as its file, however that is written", () => {
