@@ -18,8 +18,8 @@ pub struct Head {
     pub status_text: String,
     /// Of the whole file.
     pub length: Option<u64>,
-    /// Another one stands for other bytes.
-    pub etag: Option<String>,
+    /// When the file was last changed, else its tag: another one stands for other bytes.
+    pub version: Option<String>,
 }
 
 /// What requests leave for whoever polls.
@@ -31,7 +31,7 @@ pub struct Inbox {
     rest: Range<u64>,
     pieces: VecDeque<Result<Piece, SourceError>>,
     length: Option<u64>,
-    etag: Option<String>,
+    version: Option<String>,
     whole: Option<Whole>,
     /// Who waits for the next piece.
     waker: Option<Waker>,
@@ -90,7 +90,7 @@ impl Inbox {
     /// # Errors
     /// [`SourceError`] if the answer is no part of the file.
     pub fn begin(&mut self, what: &str, head: Head) -> Result<bool, SourceError> {
-        let Head { status, status_text, length, etag } = head;
+        let Head { status, status_text, length, version } = head;
         if ![200, 206, 416].contains(&status) {
             let (what, problem) = (what.to_owned(), format!("the server answers {status} {status_text}"));
             // Too slow, too many requests, or a server in trouble: that passes.
@@ -101,12 +101,12 @@ impl Inbox {
                 SourceError::Refused { what, problem }
             });
         }
-        if differs(self.length, length) || differs(self.etag.as_ref(), etag.as_ref()) {
+        if differs(self.length, length) || differs(self.version.as_ref(), version.as_ref()) {
             let problem = "it has changed meanwhile; open it again".into();
             return Err(SourceError::Refused { what: what.into(), problem });
         }
         self.length = self.length.or(length);
-        self.etag = self.etag.take().or(etag);
+        self.version = self.version.take().or(version);
         if status == 200 {
             self.whole = Some(Whole::default());
         }
@@ -176,12 +176,26 @@ fn differs<T: PartialEq>(before: Option<T>, now: Option<T>) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::task::Wake;
+
     use super::*;
+
+    /// Counts how often it was woken.
+    #[derive(Default)]
+    struct Sleeper(AtomicUsize);
+
+    impl Wake for Sleeper {
+        fn wake(self: Arc<Self>) {
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
+    }
 
     const WHAT: &str = "http://host/a.tcgs";
 
     fn head(status: u16) -> Head {
-        Head { status, status_text: "why".into(), length: Some(10), etag: Some("\"a\"".into()) }
+        Head { status, status_text: "why".into(), length: Some(10), version: Some("\"a\"".into()) }
     }
 
     fn broken() -> SourceError {
@@ -205,6 +219,23 @@ mod tests {
         assert_eq!(inbox.poll(), Ok(Piece::End));
         assert!(inbox.ask(10..12).is_some());
         assert_eq!(inbox.begin(WHAT, head(416)), Ok(false));
+    }
+
+    #[test]
+    fn who_waits_hears_of_the_next_piece_once() {
+        for status in [200, 206] {
+            let (mut inbox, sleeper) = (Inbox::new(None), Arc::new(Sleeper::default()));
+            let request = inbox.ask(0..4).unwrap();
+            assert_eq!(inbox.begin(WHAT, head(status)), Ok(true));
+            inbox.wake_by(sleeper.clone().into());
+            assert_eq!(sleeper.0.load(Ordering::Relaxed), 0);
+            inbox.add(request, vec![1]);
+            inbox.add(request, vec![2]);
+            assert_eq!(sleeper.0.load(Ordering::Relaxed), 1);
+            inbox.wake_by(sleeper.clone().into());
+            inbox.end(request, Err(broken()));
+            assert_eq!(sleeper.0.load(Ordering::Relaxed), 2);
+        }
     }
 
     #[test]
@@ -251,8 +282,8 @@ mod tests {
     #[test]
     fn a_file_that_changes_meanwhile_is_told() {
         let longer = Head { length: Some(11), ..head(206) };
-        let other = Head { etag: Some("\"b\"".into()), ..head(200) };
-        let silent = Head { length: None, etag: None, ..head(206) };
+        let other = Head { version: Some("\"b\"".into()), ..head(200) };
+        let silent = Head { length: None, version: None, ..head(206) };
         for changed in [longer, other] {
             let mut inbox = Inbox::new(None);
             for same in [&silent, &head(206), &silent] {

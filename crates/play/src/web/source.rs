@@ -157,12 +157,14 @@ fn head(answer: &web_sys::Response) -> Head {
         // Of the file, of which the answer is a part.
         header("content-range").and_then(|range| Some(range.rsplit_once('/')?.1.to_owned()))
     };
+    // Machines of one host may tag the same file apart, and other hosts' tags are not told; some servers call a tag weak in
+    // some answers alone.
+    let tag = || header("etag").filter(|_| !is_encoded).map(|etag| etag.trim_start_matches("W/").to_owned());
     Head {
         status: answer.status(),
         status_text: answer.status_text(),
         length: length.and_then(|length| length.trim().parse().ok()),
-        // Some servers call one and the same tag weak in some answers alone.
-        etag: header("etag").filter(|_| !is_encoded).map(|etag| etag.trim_start_matches("W/").to_owned()),
+        version: header("last-modified").or_else(tag),
     }
 }
 
