@@ -86,5 +86,32 @@ fn scene(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, keypoints, scene);
+/// The steps of decoding a file that `TCGS_FILE` names, on one thread.
+fn named_file(criterion: &mut Criterion) {
+    let Some(path) = std::env::var_os("TCGS_FILE") else { return };
+    let file = std::fs::read(path).expect("TCGS_FILE names a file");
+    let limits = DecodeLimits::default();
+    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+    let bytes = |range: std::ops::Range<u64>| &file[range.start as usize..range.end as usize];
+    let open = || {
+        let Ok(Opening::Ready(mut archive)) = Archive::open(&file, &limits) else { panic!("not a whole file") };
+        archive.read_shared(bytes(archive.shared_range(archive.num_layers()))).expect("whole");
+        archive
+    };
+    let archive = one_thread.install(open);
+    let first = bytes(archive.segment_range(0, archive.num_layers()));
+    let read = || archive.read_segment(0, first).expect("whole");
+    let segment = one_thread.install(read);
+    let mut sampler = Sampler::new(&segment);
+    let mut group = criterion.benchmark_group("file");
+    group.bench_function("the shared part", |b| b.iter(|| one_thread.install(open)));
+    group.bench_function(format!("first segment, {:?}", segment.timesteps()), |b| b.iter(|| one_thread.install(read)));
+    group.bench_function("its keypoints to floats", |b| b.iter(|| Sampler::new(black_box(&segment))));
+    group.bench_function("all its timesteps", |b| {
+        b.iter(|| segment.timesteps().map(|t| sampler.at(black_box(t)).means[0][0]).sum::<f32>());
+    });
+    group.finish();
+}
+
+criterion_group!(benches, keypoints, scene, named_file);
 criterion_main!(benches);
