@@ -19,7 +19,7 @@ mod view;
 
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
 pub use attribute::Attribute;
-pub use camera::{Camera, CameraError};
+pub use camera::{Camera, CameraError, Pinhole};
 pub use dynamic::DynamicGaussians;
 pub use gaussians::{Gaussians, PointCloud};
 pub use image::Image;
