@@ -10,17 +10,22 @@
 mod activation;
 mod attribute;
 mod camera;
+mod camera_path;
 mod dynamic;
+mod extent;
 mod gaussians;
 mod image;
 mod quat;
 mod real;
+mod tour;
 mod view;
 
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
 pub use attribute::Attribute;
 pub use camera::{Camera, CameraError};
+pub use camera_path::{CameraKeyframe, CameraPath, CameraPathError};
 pub use dynamic::DynamicGaussians;
+pub use extent::Extent;
 pub use gaussians::{Gaussians, PointCloud};
 pub use image::Image;
 pub use quat::{
@@ -28,4 +33,5 @@ pub use quat::{
     rotmat_from_unit_quat, rotmat_from_unit_quat_vjp,
 };
 pub use real::Real;
+pub use tour::{Tour, upright_axes};
 pub use view::{Segmentation, View};

@@ -5,13 +5,11 @@ use std::sync::Arc;
 
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::CompactScene;
-use tcgs_core::{Camera, Image, activate};
+use tcgs_core::{Camera, Image, Tour, activate};
 use tcgs_metrics::psnr;
 use tcgs_render::{Draw, RenderSettings};
 
-use crate::camera_path::CameraPath;
 use crate::error::wrong_input;
-use crate::options::Size;
 use crate::scene::{Model, Scene};
 
 /// Images of a capture that are compared at most, as far as whole frames allow: a frame is drawn anew for each
@@ -21,7 +19,7 @@ const MAX_IMAGES: usize = 100;
 const NUM_CAMERAS: usize = 6;
 const NUM_TIMESTEPS: usize = 5;
 /// Size of these where the source has no capture.
-const IMAGE_SIZE: Size = Size { width: 640, height: 360 };
+const IMAGE_SIZE: [usize; 2] = [640, 360];
 
 /// Which images.
 pub struct Images {
@@ -123,7 +121,7 @@ fn cameras(scene: &Scene) -> Vec<Camera> {
     {
         return spread(cameras.len(), NUM_CAMERAS).map(|i| cameras[i].1.clone()).collect();
     }
-    CameraPath::Orbit.cameras(&scene.at(0), scene.up(), NUM_CAMERAS, IMAGE_SIZE)
+    Tour::Orbit.cameras(&scene.at(0).means, scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE)
 }
 
 /// At most `count` numbers below `length`, evenly from 0 to the last.
