@@ -187,7 +187,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let kind = kind(arguments, &scene)?;
     let mut settings = settings(arguments, kind);
     let radius = Extent::of(&scene.at(0)?.means).radius as f32;
-    let of_unknown_unit = matches!(scene.content, SceneContent::Floats { .. }) || kind != CaptureKind::Panoptic;
+    let of_unknown_unit = matches!(scene.content, SceneContent::Floats { .. }) || !kind.facts.in_metres;
     if of_unknown_unit && arguments.preset == PresetName::Default && arguments.max_mse.is_none() {
         settings.keypoints.max_mse[Attribute::Mean.index()] = (POSITION_TOLERANCE * radius).powi(2);
     }
@@ -259,14 +259,14 @@ fn kind(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CaptureKind>
         SceneContent::Run(run) => CaptureKind::named(&run.0.config().data.layout),
         _ => None,
     };
-    Ok(of_run.unwrap_or(CaptureKind::Panoptic))
+    Ok(of_run.unwrap_or(CaptureKind::PANOPTIC))
 }
 
 /// The paper's settings, which differ between its data sets.
 fn paper(kind: CaptureKind) -> CompressSettings {
-    let (max_keypoints, max_mse) = match kind {
-        CaptureKind::Panoptic => (30, 1e-5),
-        CaptureKind::Technicolor => (15, 1e-7),
+    let (max_keypoints, max_mse) = match kind.name {
+        "panoptic" => (30, 1e-5),
+        "technicolor" => (15, 1e-7),
         _ => (60, 1e-7),
     };
     CompressSettings { max_keypoints, max_mse: [max_mse; 5], ..CompressSettings::paper() }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use tcgs_capture::{Capture, CaptureKind};
+use tcgs_capture::Capture;
 use tcgs_train::{Preset, TrainConfig};
 
 use super::Arguments;
@@ -26,14 +26,14 @@ const LOG_SCALE_RATE: f32 = 0.005;
 
 /// What a capture's layout asks of the settings.
 fn suit(config: &mut TrainConfig, capture: &Capture) {
-    let (kind, frames) = (capture.kind(), capture.usual_frames());
-    config.data.layout = kind.name().into();
+    let (facts, frames) = (capture.facts(), capture.usual_frames());
+    config.data.layout = capture.kind().name.into();
     (config.data.first_frame, config.data.end_frame) = (frames.start, frames.end);
     config.data.frame_rate = capture.frame_rate();
-    if !kind.has_floor() {
+    if !facts.has_floor {
         config.weights.floor = 0.0;
     }
-    if kind != CaptureKind::Panoptic {
+    if !facts.labels_motion {
         // Nothing says what moves.
         config.weights.segmentation = 0.0;
         config.weights.background = 0.0;
@@ -85,7 +85,7 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
     // A file may be another run's; the capture is the one that was named.
     let folder = absolute(&arguments.capture)?;
     base.data.capture.clone_from(&folder);
-    base.data.layout = capture.kind().name().into();
+    base.data.layout = capture.kind().name.into();
     if let Some(points) = &arguments.points {
         base.data.points = absolute(points)?;
     }
@@ -95,7 +95,7 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
         };
         base.set(key.trim(), value.trim()).map_err(|error| wrong_input(format!("--set {setting}: {error}")))?;
     }
-    if (&base.data.capture, base.data.layout.as_str()) != (&folder, capture.kind().name()) {
+    if (&base.data.capture, base.data.layout.as_str()) != (&folder, capture.kind().name) {
         return Err(wrong_input("--set data.capture or data.layout: is what CAPTURE says, expected no other"));
     }
     if arguments.no_mask {
