@@ -10,22 +10,26 @@
 mod activation;
 mod attribute;
 mod camera;
+mod columns;
 mod dynamic;
-mod gaussians;
 mod image;
+mod layout;
 mod quat;
+mod reader;
 mod real;
 mod view;
 
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
 pub use attribute::Attribute;
 pub use camera::{Camera, CameraError};
+pub use columns::{BaseColumns, Columns, GaussianGrads, Gaussians, PointCloud, Sensitivity, role};
 pub use dynamic::DynamicGaussians;
-pub use gaussians::{Gaussians, PointCloud};
 pub use image::Image;
+pub use layout::{Activation, Column, Layout, RateGroup};
 pub use quat::{
     dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
     rotmat_from_unit_quat, rotmat_from_unit_quat_vjp,
 };
+pub use reader::SceneReader;
 pub use real::Real;
 pub use view::{Segmentation, View};
