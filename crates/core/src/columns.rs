@@ -67,6 +67,21 @@ pub struct BaseColumns {
     pub colors: Vec<[f32; 3]>,
 }
 
+/// The five columns of [`Attribute::BASE`] of some [`Columns`], to change in place. All have length `N`.
+#[derive(Debug)]
+pub struct BaseViewsMut<'a> {
+    /// `[N, 3]`
+    pub means: &'a mut [[f32; 3]],
+    /// `[N, 4]`
+    pub quats: &'a mut [[f32; 4]],
+    /// `[N, 3]`
+    pub log_scales: &'a mut [[f32; 3]],
+    /// `[N]`
+    pub logit_opacities: &'a mut [f32],
+    /// `[N, 3]`
+    pub colors: &'a mut [[f32; 3]],
+}
+
 impl<Role> From<BaseColumns> for Columns<Role> {
     /// # Panics
     /// If the lengths differ.
@@ -153,6 +168,20 @@ impl<Role> Columns<Role> {
             num_gaussians: indices.len(),
             values: self.layout.attributes().map(select).collect(),
             role: PhantomData,
+        }
+    }
+
+    /// The five columns of [`Attribute::BASE`], to change in place together.
+    pub fn views_mut(&mut self) -> BaseViewsMut<'_> {
+        let [means, quats, log_scales, logit_opacities, colors, ..] = self.values.as_mut_slice() else {
+            unreachable!("every layout starts with the five of Attribute::BASE");
+        };
+        BaseViewsMut {
+            means: means.as_chunks_mut().0,
+            quats: quats.as_chunks_mut().0,
+            log_scales: log_scales.as_chunks_mut().0,
+            logit_opacities,
+            colors: colors.as_chunks_mut().0,
         }
     }
 

@@ -154,20 +154,59 @@ impl DynamicGaussians {
         &mut self.samples[attribute.index()][sample]
     }
 
-    /// `[N, 3]` centres at one timestep, scene units.
-    ///
-    /// # Panics
-    /// If `timestep` is not below [`Self::num_timesteps`].
+    /// What is held of one attribute: `[T][N * components]`, or `[1][…]` if it does not vary.
+    pub fn samples(&self, attribute: Attribute) -> &[Vec<f32>] {
+        &self.samples[attribute.index()]
+    }
+
+    /// `[N, 3]` centres at one timestep, scene units; see [`Self::values`].
     pub fn means(&self, timestep: usize) -> &[[f32; 3]] {
         self.values(Attribute::Mean, timestep).as_chunks().0
     }
 
-    /// `[N, 4]` rotations at one timestep, `w, x, y, z`, unnormalised.
-    ///
-    /// # Panics
-    /// If `timestep` is not below [`Self::num_timesteps`].
+    /// [`Self::means`], to change in place; see [`Self::values_mut`].
+    pub fn means_mut(&mut self, timestep: usize) -> &mut [[f32; 3]] {
+        self.values_mut(Attribute::Mean, timestep).as_chunks_mut().0
+    }
+
+    /// `[N, 4]` rotations at one timestep, `w, x, y, z`, unnormalised; see [`Self::values`].
     pub fn quats(&self, timestep: usize) -> &[[f32; 4]] {
         self.values(Attribute::Quat, timestep).as_chunks().0
+    }
+
+    /// [`Self::quats`], to change in place; see [`Self::values_mut`].
+    pub fn quats_mut(&mut self, timestep: usize) -> &mut [[f32; 4]] {
+        self.values_mut(Attribute::Quat, timestep).as_chunks_mut().0
+    }
+
+    /// `[N, 3]` logarithms of the standard deviations at one timestep; see [`Self::values`].
+    pub fn log_scales(&self, timestep: usize) -> &[[f32; 3]] {
+        self.values(Attribute::LogScale, timestep).as_chunks().0
+    }
+
+    /// [`Self::log_scales`], to change in place; see [`Self::values_mut`].
+    pub fn log_scales_mut(&mut self, timestep: usize) -> &mut [[f32; 3]] {
+        self.values_mut(Attribute::LogScale, timestep).as_chunks_mut().0
+    }
+
+    /// `[N]` inverse logistic of the opacities at one timestep; see [`Self::values`].
+    pub fn logit_opacities(&self, timestep: usize) -> &[f32] {
+        self.values(Attribute::LogitOpacity, timestep)
+    }
+
+    /// [`Self::logit_opacities`], to change in place; see [`Self::values_mut`].
+    pub fn logit_opacities_mut(&mut self, timestep: usize) -> &mut [f32] {
+        self.values_mut(Attribute::LogitOpacity, timestep)
+    }
+
+    /// `[N, 3]` raw sRGB at one timestep; see [`Self::values`].
+    pub fn colors(&self, timestep: usize) -> &[[f32; 3]] {
+        self.values(Attribute::Color, timestep).as_chunks().0
+    }
+
+    /// [`Self::colors`], to change in place; see [`Self::values_mut`].
+    pub fn colors_mut(&mut self, timestep: usize) -> &mut [[f32; 3]] {
+        self.values_mut(Attribute::Color, timestep).as_chunks_mut().0
     }
 
     /// Size as plain 32-bit floats: `N * (40 * T + 16)`, if scales and opacities do not vary.

@@ -22,7 +22,7 @@ mod view;
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
 pub use attribute::Attribute;
 pub use camera::{Camera, CameraError};
-pub use columns::{BaseColumns, Columns, GaussianGrads, Gaussians, PointCloud, Sensitivity, role};
+pub use columns::{BaseColumns, BaseViewsMut, Columns, GaussianGrads, Gaussians, PointCloud, Sensitivity, role};
 pub use dynamic::DynamicGaussians;
 pub use image::Image;
 pub use layout::{Activation, Column, Layout, RateGroup};

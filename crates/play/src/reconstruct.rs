@@ -88,7 +88,7 @@ impl Reconstruction {
         let activated = gpu.upload("activated Gaussians", &pack(&activate(&first)))?;
         let frame = gpu.uniform("timestep", 16)?;
         let mut moving = Vec::new();
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             if let Some(keypoints) = segment.keypoints(attribute) {
                 moving.push(Moving::new(gpu, segment, attribute, keypoints.channels)?);
             }
@@ -244,6 +244,6 @@ fn finish_of(attribute: Attribute, channels: usize) -> Finish {
 
 /// Where an attribute's values begin in what the renderer takes.
 fn base_of(attribute: Attribute, num_gaussians: usize) -> u32 {
-    let before = Attribute::ALL[..attribute.index()].iter().map(|attribute| attribute.components()).sum::<usize>();
+    let before = Attribute::BASE[..attribute.index()].iter().map(|attribute| attribute.components()).sum::<usize>();
     (before * num_gaussians) as u32
 }

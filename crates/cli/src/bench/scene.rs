@@ -113,7 +113,7 @@ fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> State {
     state.canonicalize_quats();
     let p = &state.parameters;
     let mut bit_map = BitMap::uniform(p.num_gaussians(), q.position_bits, q.min_bits);
-    for attribute in Attribute::ALL.into_iter().filter(|&attribute| attribute != Attribute::Mean) {
+    for attribute in Attribute::BASE.into_iter().filter(|&attribute| attribute != Attribute::Mean) {
         bit_map.widths[attribute.index()].fill_with(|| random.random_range(q.min_bits..=q.max_bits));
     }
     let quantizers = FakeQuantizers::new(bit_map, &p.gaussians, q.learned_offset);

@@ -75,7 +75,7 @@ pub fn compress_ordered(
     let position_step = settings.position_step(scene);
     let segment_length = settings.segment_length_of(scene.num_gaussians(), scene.num_timesteps());
     let mut quantizers = Quantizers::default();
-    let tracks: [Tracks<f32>; 5] = Attribute::ALL.map(|attribute| {
+    let tracks: [Tracks<f32>; 5] = Attribute::BASE.map(|attribute| {
         let widths = &bit_map.widths[attribute.index()];
         let tolerances = tolerances(scene, attribute, widths, learned, position_step, settings);
         let slack = tolerance_factors(scene, attribute, settings);
@@ -99,7 +99,7 @@ pub fn compress_ordered(
     let order = morton_order(&tracks[Attribute::Mean.index()], &bit_map.widths[Attribute::Mean.index()], &quantizers);
     let (order, layers) = by_layer(order, scene, settings);
     let bit_map = bit_map.select(&order);
-    let codes = Attribute::ALL.map(|attribute| {
+    let codes = Attribute::BASE.map(|attribute| {
         let (components, table) = (attribute.components(), quantizers.by_width(attribute));
         let (mut codes, mut of_track) = (Tracks::default(), Vec::new());
         for (&gaussian, &width) in order.iter().zip(&bit_map.widths[attribute.index()]) {
@@ -112,7 +112,7 @@ pub fn compress_ordered(
         }
         codes
     });
-    let varies = Attribute::ALL.map(|attribute| scene.varies(attribute));
+    let varies = Attribute::BASE.map(|attribute| scene.varies(attribute));
     (CompactScene { info, bit_map, quantizers, varies, layers, segment_length, tracks: codes }, order)
 }
 
@@ -124,7 +124,7 @@ fn check_arguments(scene: &DynamicGaussians, bit_map: &BitMap, info: &SceneInfo)
         (n, t),
         "Gaussians and timesteps of the info against those of the scene"
     );
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let (name, widths) = (attribute.name(), &bit_map.widths[attribute.index()]);
         assert_eq!(widths.len(), n, "bit widths of {name}: [{}] against [{n}] Gaussians", widths.len());
         let illegal = widths.iter().find(|w| !(1..=MAX_BITS).contains(*w));

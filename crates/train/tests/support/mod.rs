@@ -47,7 +47,7 @@ impl Random {
 
 /// `[15 N]` as the GPU holds them; mask logits are zero.
 pub fn packed(gaussians: &Gaussians) -> Vec<f32> {
-    let mut all: Vec<f32> = Attribute::ALL.iter().flat_map(|&a| gaussians.values(a).iter().copied()).collect();
+    let mut all: Vec<f32> = Attribute::BASE.iter().flat_map(|&a| gaussians.values(a).iter().copied()).collect();
     all.resize(15 * gaussians.num_gaussians(), 0.0);
     all
 }
