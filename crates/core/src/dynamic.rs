@@ -54,7 +54,11 @@ impl DynamicGaussians {
         for (column, samples) in layout.columns().iter().zip(&samples) {
             let (name, components) = (&column.name, column.components());
             let is_once = samples.len() == 1 && !column.varies;
-            assert!(samples.len() == num_timesteps || is_once, "{} samples of {name} at {num_timesteps} timesteps", samples.len());
+            assert!(
+                samples.len() == num_timesteps || is_once,
+                "{} samples of {name} at {num_timesteps} timesteps",
+                samples.len()
+            );
             for values in samples {
                 assert_eq!(values.len(), num_gaussians * components, "{name} against [{num_gaussians}, {components}]");
             }
@@ -106,7 +110,9 @@ impl DynamicGaussians {
         assert!(t == 0 || n == self.num_gaussians, "a timestep of {n} Gaussians after {}", self.num_gaussians);
         assert_eq!(*gaussians.layout(), self.layout, "columns of a timestep against those before");
         let layout = Arc::clone(&self.layout);
-        for (column, (samples, values)) in layout.columns().iter().zip(self.samples.iter_mut().zip(gaussians.into_values())) {
+        for (column, (samples, values)) in
+            layout.columns().iter().zip(self.samples.iter_mut().zip(gaussians.into_values()))
+        {
             if column.varies {
                 samples.push(values);
             } else {

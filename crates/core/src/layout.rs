@@ -212,10 +212,7 @@ mod tests {
         let harmonics = layout.push("harmonics", 45, Column { varies: false, ..Column::like(Attribute::Color) });
         assert_eq!(layout.find("harmonics"), Some(harmonics));
         assert_eq!((layout.offset(Attribute::Color), layout.offset(harmonics)), (11, 14));
-        assert_eq!(
-            layout.to_string(),
-            "means[3] quats[4] log_scales[3] logit_opacities[1] colors[3] harmonics[45]"
-        );
+        assert_eq!(layout.to_string(), "means[3] quats[4] log_scales[3] logit_opacities[1] colors[3] harmonics[45]");
         assert!(!layout.is_base() && layout.column(Attribute::Color).varies && !layout.column(harmonics).varies);
     }
 }

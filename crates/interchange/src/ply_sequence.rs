@@ -6,9 +6,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use tcgs_core::DynamicGaussians;
+use tcgs_core::{DynamicGaussians, natural_key};
 
-use crate::{HigherHarmonics, InterchangeError, natural_key, read_ply};
+use crate::{HigherHarmonics, InterchangeError, read_ply};
 
 /// How far the median Gaussian may move from one file to the next, as a share of the median Gaussian's
 /// distance from the scene's middle; motion that all have in common is not counted.
@@ -167,7 +167,10 @@ mod tests {
         for timestep in 0..3 {
             let (found, expected) = (scene.at(timestep), at(timestep));
             assert_eq!((&found.means(), &found.quats()), (&expected.means(), &expected.quats()));
-            assert_eq!((&found.log_scales(), &found.logit_opacities()), (&expected.log_scales(), &expected.logit_opacities()));
+            assert_eq!(
+                (&found.log_scales(), &found.logit_opacities()),
+                (&expected.log_scales(), &expected.logit_opacities())
+            );
         }
         let one = read_ply_sequence(&folder.path().join("frame_10.ply"), HigherHarmonics::Refuse).unwrap();
         assert_eq!(one.scene.at(0), scene.at(2));
@@ -223,7 +226,7 @@ mod tests {
             at(0).means().iter().map(|&[x, y, z]| [cos * x - sin * y + 500.0, sin * x + cos * y, z - 70.0]).collect()
         };
         assert_eq!(jump(&turned(0.0), &turned(0.0)), 0.0);
-        assert!(jump(&at(0).means(), &turned(0.0)) < 1e-3);
+        assert!(jump(at(0).means(), &turned(0.0)) < 1e-3);
         let (little, much) = (jump(&turned(0.0), &turned(20.0)), jump(&turned(0.0), &turned(40.0)));
         assert!(little < MAX_JUMP && MAX_JUMP < much, "{little} {much}");
         assert_eq!(jump(&[[1.0; 3]], &[[9.0; 3]]), 0.0);

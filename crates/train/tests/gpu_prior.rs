@@ -48,7 +48,7 @@ impl Motion {
     }
 
     fn neighbors(&self) -> Neighbors<f32> {
-        Neighbors::new(&self.first.means(), &self.is_foreground)
+        Neighbors::new(self.first.means(), &self.is_foreground)
     }
 }
 
@@ -57,16 +57,16 @@ fn cpu_losses(motion: &Motion, weights: &PriorWeights) -> (PriorLosses, Gaussian
     let prior = MotionPrior::new(
         motion.neighbors().into(),
         is_foreground,
-        &first.means(),
-        &first.quats(),
-        &previous.means(),
-        &previous.quats(),
-        &previous.colors(),
+        first.means(),
+        first.quats(),
+        previous.means(),
+        previous.quats(),
+        previous.colors(),
     );
     let mut v = GaussianGrads::zeros(now.num_gaussians());
     let views = v.views_mut();
     let grads = PriorGrads { v_means: views.means, v_quats: views.quats, v_colors: views.colors };
-    let losses = prior.losses(&now.means(), &now.quats(), &now.colors(), weights, grads);
+    let losses = prior.losses(now.means(), now.quats(), now.colors(), weights, grads);
     (losses, v)
 }
 
@@ -97,7 +97,7 @@ fn gpu_losses(gpu: &Gpu, motion: &Motion, weights: &PriorWeights, start: f32, ti
     gpu.queue().write_buffer(&step, 0, bytemuck::bytes_of(&settings));
     let buffers = PriorBuffers { params: &params, grads: &grads, step: &step, partials: &partials };
     let first = &motion.first;
-    let kernels = MotionPriorKernels::new(gpu, &neighbors, &first.means(), &first.quats(), &buffers).unwrap();
+    let kernels = MotionPriorKernels::new(gpu, &neighbors, first.means(), first.quats(), &buffers).unwrap();
     let mut encoder = gpu.encoder();
     kernels.record_begin(&mut encoder.begin_compute_pass(&Default::default()));
     gpu.submit(encoder);
@@ -182,16 +182,16 @@ fn exact_gradients(motion: &Motion, weights: &PriorWeights) -> Vec<f32> {
     let prior = MotionPrior::new(
         Neighbors::from_edges(foreground, per_node, indices, falloffs, distances).into(),
         is_foreground,
-        &wide(&first.means()),
-        &wide(&first.quats()),
-        &wide(&previous.means()),
-        &wide(&previous.quats()),
-        &wide(&previous.colors()),
+        &wide(first.means()),
+        &wide(first.quats()),
+        &wide(previous.means()),
+        &wide(previous.quats()),
+        &wide(previous.colors()),
     );
     let n = now.num_gaussians();
     let (mut v_means, mut v_quats, mut v_colors) = (vec![[0.0; 3]; n], vec![[0.0; 4]; n], vec![[0.0; 3]; n]);
     let grads = PriorGrads { v_means: &mut v_means, v_quats: &mut v_quats, v_colors: &mut v_colors };
-    prior.losses(&wide(&now.means()), &wide(&now.quats()), &wide(&now.colors()), weights, grads);
+    prior.losses(&wide(now.means()), &wide(now.quats()), &wide(now.colors()), weights, grads);
     v_means.as_flattened().iter().chain(v_quats.as_flattened()).map(|&v| v as f32).collect()
 }
 

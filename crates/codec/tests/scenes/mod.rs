@@ -72,7 +72,8 @@ pub fn room(num_gaussians: usize, num_timesteps: usize) -> DynamicGaussians {
                 now.means_mut()[i][1] -= 1.5 * secs * (1.6 - secs);
                 now.means_mut()[i][2] += 0.4 * side * secs;
                 let (sin, cos) = (side * 0.75 * secs).sin_cos();
-                now.quats_mut()[i] = tcgs_core::quat_mul([cos, 0.0, sin, 0.0], tcgs_core::normalize(base.quats_mut()[i]));
+                now.quats_mut()[i] =
+                    tcgs_core::quat_mul([cos, 0.0, sin, 0.0], tcgs_core::normalize(base.quats_mut()[i]));
             }
             now.means_mut()[i] = now.means_mut()[i].map(|x| x + 0.001 * random.normal());
             now.quats_mut()[i] = now.quats_mut()[i].map(|x| x + 0.003 * random.normal());
