@@ -33,7 +33,7 @@ pub use self::settings::CompressSettings;
 /// scene.push(Gaussians::zeros(3));
 /// let bit_map = BitMap::uniform(3, 16, 6);
 /// let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
-/// assert_eq!(compact.at(1).means, scene.means[1]);
+/// assert_eq!(compact.at(1).means(), scene.means(1));
 /// ```
 ///
 /// # Panics
