@@ -16,7 +16,7 @@ fn as_told() -> CompressSettings {
 
 fn compress_all(scene: &DynamicGaussians, bits: u8, settings: &CompressSettings) -> (CompactScene, Vec<usize>) {
     compress_ordered(scene, &BitMap::uniform(scene.num_gaussians(), 16, bits), None, SceneInfo::of(scene), settings)
-        .unwrap()
+        .expect("a legal scene")
 }
 
 /// Mean squared error of an attribute over all timesteps; quaternions as unit ones of either sign.
