@@ -4,16 +4,14 @@ use std::path::PathBuf;
 
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::{BitMap, BitSettings, assign_bits};
-use tcgs_core::{Attribute, Camera, DynamicGaussians, Gaussians};
+use tcgs_core::{Attribute, Camera, DynamicGaussians, Gaussians, Tour};
 use tcgs_pipeline::{OpenScene, SceneContent};
 
 use super::scene::Settings;
-use crate::camera_path::CameraPath;
-use crate::options::Size;
 
 /// Cameras around a scene without a capture, and the size of their images.
 const NUM_CAMERAS: usize = 16;
-const IMAGE_SIZE: Size = Size { width: 640, height: 360 };
+const IMAGE_SIZE: [usize; 2] = [640, 360];
 
 /// Timesteps at which sensitivities are measured. A Gaussian that is hidden at one, or transparent, may be
 /// in full view at another.
@@ -73,7 +71,7 @@ fn cameras(scene: &OpenScene, gaussians: &Gaussians, settings: &Settings) -> any
         _ => None,
     };
     let Some(path) = settings.capture.clone().or(of_run) else {
-        let cameras = CameraPath::Orbit.cameras(gaussians, scene.up(), NUM_CAMERAS, IMAGE_SIZE);
+        let cameras = Tour::Orbit.cameras(&gaussians.means, scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE);
         return Ok((cameras, "cameras around the scene (--capture would give the real ones)".into()));
     };
     let capture = Capture::open(&path)?;

@@ -5,14 +5,12 @@ use std::sync::Arc;
 
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::CompactScene;
-use tcgs_core::{Camera, Image, activate};
+use tcgs_core::{Camera, Image, Tour, activate};
 use tcgs_metrics::psnr;
 use tcgs_pipeline::{OpenScene, SceneContent};
 use tcgs_render::{Draw, RenderSettings};
 
-use crate::camera_path::CameraPath;
 use crate::error::wrong_input;
-use crate::options::Size;
 
 /// Images of a capture that are compared at most, as far as whole frames allow: a frame is drawn anew for each
 /// setting tried.
@@ -21,7 +19,7 @@ const MAX_IMAGES: usize = 100;
 const NUM_CAMERAS: usize = 6;
 const NUM_TIMESTEPS: usize = 5;
 /// Size of these where the source has no capture.
-const IMAGE_SIZE: Size = Size { width: 640, height: 360 };
+const IMAGE_SIZE: [usize; 2] = [640, 360];
 
 /// Which images.
 pub struct Images {
@@ -123,7 +121,7 @@ fn cameras(scene: &OpenScene) -> anyhow::Result<Vec<Camera>> {
     {
         return Ok(spread(cameras.len(), NUM_CAMERAS).map(|i| cameras[i].1.clone()).collect());
     }
-    Ok(CameraPath::Orbit.cameras(&scene.at(0)?, scene.up(), NUM_CAMERAS, IMAGE_SIZE))
+    Ok(Tour::Orbit.cameras(&scene.at(0)?.means, scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE))
 }
 
 /// At most `count` numbers below `length`, evenly from 0 to the last.

@@ -12,9 +12,8 @@ use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::{BitMapping, CompressSettings, UpAxis};
-use tcgs_core::Attribute;
+use tcgs_core::{Attribute, Extent};
 use tcgs_pipeline::{OpenScene, SceneContent};
-use tcgs_play::start_view;
 use tcgs_train::Run;
 
 use self::judge::{Images, Judge};
@@ -187,7 +186,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
     let kind = kind(arguments, &scene)?;
     let mut settings = settings(arguments, kind);
-    let radius = start_view::extent(&scene.at(0)?.means).1 as f32;
+    let radius = Extent::of(&scene.at(0)?.means).radius as f32;
     let of_unknown_unit = matches!(scene.content, SceneContent::Floats { .. }) || kind != CaptureKind::Panoptic;
     if of_unknown_unit && arguments.preset == PresetName::Default && arguments.max_mse.is_none() {
         settings.keypoints.max_mse[Attribute::Mean.index()] = (POSITION_TOLERANCE * radius).powi(2);
