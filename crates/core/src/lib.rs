@@ -25,7 +25,7 @@ mod view;
 
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
 pub use attribute::Attribute;
-pub use camera::{Camera, CameraError};
+pub use camera::{Camera, CameraError, Pinhole};
 pub use camera_path::{CameraKeyframe, CameraPath, CameraPathError};
 pub use columns::{BaseColumns, BaseViewsMut, Columns, GaussianGrads, Gaussians, PointCloud, Sensitivity, role};
 pub use dynamic::DynamicGaussians;
