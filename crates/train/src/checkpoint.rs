@@ -193,26 +193,28 @@ fn read_bits(npz: &mut Archive, n: usize) -> Result<Option<Bits>, String> {
     Ok(Some((BitMap { widths }, groups, get(npz, "quantizer_initial_steps")?)))
 }
 
-fn put<W: Write + std::io::Seek, T: npyz::Serialize + npyz::AutoSerialize + Copy>(
+/// - `parts`: slices that make up the values
+fn put<'a, W: Write + Seek, T: NpyValue + 'a>(
     npz: &mut NpzWriter<W>,
     name: &str,
-    shape: &[u64],
-    values: &[T],
+    shape: &[usize],
+    parts: impl IntoIterator<Item = &'a [T]>,
 ) -> std::io::Result<()> {
-    // No time of writing, so that equal checkpoints are equal files; not compressed, as `numpy.savez` does.
-    let options = FileOptions::default()
-        .compression_method(CompressionMethod::Stored)
-        .last_modified_time(DateTime::default())
-        .large_file(size_of_val(values) > u32::MAX as usize / 2);
-    let mut array = npz.array::<T>(name, options)?.default_dtype().shape(shape).begin_nd()?;
-    array.extend(values.iter().copied())?;
-    array.finish()
+    npz.array(name, shape, parts)
 }
 
-fn get<T: npyz::Deserialize>(npz: &mut Archive, name: &str) -> Result<Vec<T>, String> {
-    let array = npz.by_name(name).map_err(|e| format!("{name} cannot be read: {e}"))?;
-    let array = array.ok_or_else(|| format!("{name} is missing"))?;
-    array.into_vec().map_err(|e| format!("{name} cannot be read: {e}"))
+fn get<T: NpyValue>(npz: &mut NpzReader, name: &str) -> Result<Vec<T>, String> {
+    Ok(npz.array_of(name).map_err(problem_of)?.values)
+}
+
+/// What is wrong with a checkpoint, without its path.
+fn problem_of(error: InterchangeError) -> String {
+    match error {
+        InterchangeError::Io { error, .. } => error.to_string(),
+        InterchangeError::Archive { problem, .. } => problem,
+        InterchangeError::Array { key, problem, .. } => format!("{key} {problem}"),
+        other => other.to_string(),
+    }
 }
 
 fn fill(name: &str, into: &mut [f32], values: &[f32]) -> Result<(), String> {
