@@ -10,18 +10,23 @@
 mod activation;
 mod attribute;
 mod camera;
+mod camera_path;
 mod dynamic;
+mod extent;
 mod gaussians;
 mod image;
 mod natural_key;
 mod quat;
 mod real;
+mod tour;
 mod view;
 
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
 pub use attribute::Attribute;
 pub use camera::{Camera, CameraError};
+pub use camera_path::{CameraKeyframe, CameraPath, CameraPathError};
 pub use dynamic::DynamicGaussians;
+pub use extent::Extent;
 pub use gaussians::{Gaussians, PointCloud};
 pub use image::Image;
 pub use natural_key::natural_key;
@@ -30,4 +35,5 @@ pub use quat::{
     rotmat_from_unit_quat, rotmat_from_unit_quat_vjp,
 };
 pub use real::Real;
+pub use tour::{Tour, upright_axes};
 pub use view::{Segmentation, View};
