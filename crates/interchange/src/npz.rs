@@ -63,6 +63,11 @@ impl NpzReader {
         self.archive.index_for_name(&format!("{key}.npy")).is_some()
     }
 
+    /// Names of the arrays, in the order of the archive.
+    pub fn array_names(&self) -> impl Iterator<Item = String> {
+        self.archive.file_names().flatten().filter_map(|name| name.strip_suffix(".npy").map(str::to_owned))
+    }
+
     fn read<T>(
         &mut self,
         key: &str,
@@ -77,8 +82,7 @@ impl NpzReader {
         key: &str,
         read: impl FnOnce(Header, &mut ZipFile<'_, BufReader<File>>) -> Result<T, String>,
     ) -> Result<T, String> {
-        let keys: Vec<String> =
-            self.archive.file_names().flatten().map(|name| name.trim_end_matches(".npy").to_owned()).collect();
+        let keys: Vec<String> = self.array_names().collect();
         let mut entry = self.archive.by_name(&format!("{key}.npy")).map_err(|error| match error {
             ZipError::FileNotFound => format!("is missing, found {}", keys.join(", ")),
             other => format!("is damaged: {}", lowercase(&other.to_string())),
