@@ -233,9 +233,7 @@ mod tests {
 
     /// Where a point is seen, pixels.
     fn seen(camera: &Camera, point: Vector) -> [f64; 2] {
-        let m = &camera.camera_from_world;
-        let p = [0, 1, 2].map(|i| dot([m[i][0], m[i][1], m[i][2]], point) + m[i][3]);
-        [0, 1].map(|i| camera.focal[i] * p[i] / p[2] + camera.principal[i])
+        camera.project(point).unwrap().0
     }
 
     fn is_rotation(camera: &Camera) -> bool {

@@ -83,7 +83,11 @@ impl Found {
         };
         let trial = |t: &Trial| json!({ "quality": rounded(t), "bytes": t.bytes, "psnr": t.psnr });
         let by_attribute = |values: &[f32; 5]| -> Value {
-            Attribute::ALL.iter().map(|a| (a.name().to_owned(), json!(values[a.index()]))).collect::<Map<_, _>>().into()
+            Attribute::BASE
+                .iter()
+                .map(|a| (a.name().to_owned(), json!(values[a.index()])))
+                .collect::<Map<_, _>>()
+                .into()
         };
         let value = json!({
             wanted.0: wanted.1,
@@ -121,7 +125,7 @@ pub fn search(
     say("quality         size      PSNR")?;
     let (trials, best) = search_with(target, |steps| {
         let of_trial = settings.clone().with_quality(steps as f32 / STEPS as f32);
-        let (compact, file) = prepared.compress(&of_trial);
+        let (compact, file) = prepared.compress(&of_trial)?;
         let psnr = match target {
             Target::Bytes(_) => None,
             Target::Psnr(_) => Some(judge.psnr(&compact)?),
