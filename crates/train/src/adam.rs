@@ -64,7 +64,11 @@ impl Moments {
 /// # Panics
 /// If lengths differ.
 pub fn adam(values: &mut [f32], v_values: &[f32], first: &mut [f32], second: &mut [f32], step: &mut u64, rate: f32) {
-    assert_eq!([values.len(), v_values.len(), second.len()], [first.len(); 3], "values and gradients against the moments");
+    assert_eq!(
+        [values.len(), v_values.len(), second.len()],
+        [first.len(); 3],
+        "values and gradients against the moments"
+    );
     *step += 1;
     if rate == 0.0 {
         return;

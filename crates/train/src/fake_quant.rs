@@ -83,8 +83,9 @@ impl FakeQuantizers {
     /// - `learned_offset`: without it quantizers are symmetric and start from LSQ's formula
     pub fn new(bit_map: BitMap, gaussians: &Gaussians, learned_offset: bool) -> Self {
         let histogram = bit_map.histogram();
-        let groups: Vec<(Attribute, u8)> =
-            quantized(gaussians.layout()).flat_map(|a| histogram[a.index()].keys().map(move |&width| (a, width))).collect();
+        let groups: Vec<(Attribute, u8)> = quantized(gaussians.layout())
+            .flat_map(|a| histogram[a.index()].keys().map(move |&width| (a, width)))
+            .collect();
         let mut quantizers = Vec::new();
         for &(attribute, width) in &groups {
             let components = attribute.components();

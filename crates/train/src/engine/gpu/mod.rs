@@ -44,10 +44,10 @@ use super::cpu::drawn;
 use super::{Engine, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
-use crate::sensitivity::sensitivity;
 use crate::losses::{LossTerms, PriorLosses};
 use crate::motion::Pose;
 use crate::neighbors::Neighbors;
+use crate::sensitivity::sensitivity;
 use crate::state::State;
 
 /// Reports that may be on their way before the host waits for the first of them.
