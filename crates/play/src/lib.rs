@@ -1,7 +1,7 @@
 //! The player of `.tcgs` scenes, natively and in a browser.
 //!
 //! - `source`: where bytes come from; `download`: what servers send
-//! - `player`: which bytes are needed, decoded segments (`buffer`), the `clock`
+//! - `player`: which bytes are needed, what to prefetch, the `clock`
 //! - `reconstruct`, `blit`, `stage`: a timestep of a segment to a picture, with the renderer that training uses
 //! - `start_view`, `cameras`, `controls`: from where it is seen
 //! - `viewer`: all of these together; `web`: the same as a page sees it
@@ -12,7 +12,6 @@
 #![cfg_attr(not(target_family = "wasm"), forbid(unsafe_code))]
 
 mod blit;
-mod buffer;
 mod cameras;
 mod clock;
 mod controls;
@@ -29,7 +28,6 @@ mod viewer;
 #[cfg(target_family = "wasm")]
 mod web;
 
-pub use buffer::{Buffer, Order};
 pub use cameras::{FileCamera, VIEWS, read_cameras};
 pub use clock::Clock;
 pub use controls::Controls;

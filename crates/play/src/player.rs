@@ -7,9 +7,8 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use tcgs_codec::{Archive, DecodeLimits, Opening, Segment};
+use tcgs_codec::{Archive, DecodeLimits, Eviction, Opening, Playback, Segment, SegmentCache};
 
-use crate::buffer::{Buffer, Order};
 use crate::clock::Clock;
 use crate::error::PlayError;
 use crate::source::{Piece, Source, SourceError};
@@ -29,7 +28,7 @@ pub struct PlayerSettings {
 impl Default for PlayerSettings {
     fn default() -> Self {
         Self {
-            max_segment_bytes: 256 << 20,
+            max_segment_bytes: SegmentCache::DEFAULT_BYTES,
             limits: DecodeLimits { max_bytes: 1 << 30, ..DecodeLimits::default() },
             opening_bytes: 1 << 14,
         }
@@ -87,14 +86,14 @@ pub struct Player<S> {
 #[derive(Debug)]
 struct Opened {
     archive: Archive,
-    buffer: Buffer,
+    cache: SegmentCache,
     clock: Clock,
     application_data: Vec<(String, Vec<u8>)>,
 }
 
 impl Opened {
-    fn order(&self) -> Order {
-        Order {
+    fn playback(&self) -> Playback {
+        Playback {
             now: self.archive.segment_at(self.clock.timestep()),
             is_backwards: self.clock.is_backwards(),
             is_looping: self.clock.is_looping(),
@@ -117,7 +116,7 @@ impl Opened {
 
     fn current(&self) -> Option<(&Arc<Segment>, usize)> {
         let timestep = self.clock.timestep();
-        self.buffer.get(self.archive.segment_at(timestep)).map(|segment| (segment, timestep))
+        self.cache.get(self.archive.segment_at(timestep)).map(|segment| (segment, timestep))
     }
 }
 
@@ -170,7 +169,7 @@ impl<S: Source> Player<S> {
 
     /// Memory of decoded segments.
     pub fn segment_bytes(&self) -> usize {
-        self.opened.as_ref().map_or(0, |opened| opened.buffer.bytes())
+        self.opened.as_ref().map_or(0, |opened| opened.cache.bytes())
     }
 
     /// Lets time pass, takes what has arrived, decodes, and asks for what is needed next.
@@ -262,17 +261,17 @@ impl<S: Source> Player<S> {
         let mut clock = Clock::new(info.num_timesteps as usize, info.frame_rate.into());
         clock.seek(self.first_timestep);
         clock.hold(now_ms);
-        let buffer = Buffer::new(archive.num_segments(), self.settings.max_segment_bytes);
-        self.opened = Some(Opened { archive: *archive, buffer, clock, application_data: Vec::new() });
+        let cache = SegmentCache::new(archive.num_segments(), self.settings.max_segment_bytes);
+        self.opened = Some(Opened { archive: *archive, cache, clock, application_data: Vec::new() });
         Ok(())
     }
 
     fn read_segment(&mut self, segment: usize, bytes: &[u8]) -> Result<(), PlayError> {
         let Some(opened) = &mut self.opened else { return Ok(()) };
-        let order = opened.order();
-        opened.buffer.make_room(segment, order);
+        let eviction = Eviction::FarthestAhead(opened.playback());
+        opened.cache.make_room(segment, eviction);
         let segment = opened.archive.read_segment(segment, bytes)?;
-        opened.buffer.insert(Arc::new(segment), order);
+        opened.cache.insert(Arc::new(segment), eviction);
         Ok(())
     }
 
@@ -284,7 +283,7 @@ impl<S: Source> Player<S> {
         };
         if let Some(fetch) = &self.fetch {
             // A segment that is needed later goes on, unless another one is needed now.
-            let is_needed_now = self.opened.as_ref().is_some_and(|opened| part == Part::Segment(opened.order().now));
+            let is_needed_now = self.opened.as_ref().is_some_and(|opened| part == Part::Segment(opened.playback().now));
             if fetch.part == part || !is_needed_now {
                 return Ok(());
             }
@@ -302,7 +301,7 @@ impl<S: Source> Player<S> {
 
     /// The part that is needed most, if any is, and where it lies.
     fn next_part(&self) -> Result<Option<(Part, Range<u64>)>, PlayError> {
-        let Some(Opened { archive, buffer, .. }) = &self.opened else {
+        let Some(Opened { archive, cache, .. }) = &self.opened else {
             let known = self.start.len() as u64;
             let needed = match Archive::open(&self.start, &self.settings.limits)? {
                 Opening::More(needed) => needed,
@@ -326,8 +325,8 @@ impl<S: Source> Player<S> {
             }
             return Ok(Some((Part::Shared, range)));
         }
-        let order = self.opened.as_ref().map(Opened::order);
-        let segment = order.and_then(|order| buffer.wanted(order));
+        let playback = self.opened.as_ref().map(Opened::playback);
+        let segment = playback.and_then(|playback| cache.prefetch(playback));
         Ok(segment.map(|segment| (Part::Segment(segment), archive.segment_range(segment, layers))))
     }
 }
