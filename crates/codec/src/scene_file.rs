@@ -4,7 +4,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::sync::Arc;
 
-use tcgs_core::Gaussians;
+use tcgs_core::{Gaussians, Layout, SceneReader};
 
 use crate::bitstream::{Archive, Opening, Sampler, Segment, end_of_file};
 use crate::cache::{Eviction, SegmentCache};
@@ -37,6 +37,7 @@ const OPENING_BYTES: u64 = 1 << 14;
 /// ```
 pub struct SceneFile<R> {
     source: R,
+    layout: Arc<Layout>,
     archive: Archive,
     cache: SegmentCache,
     /// Index of a segment and its keypoints as floats.
@@ -89,7 +90,7 @@ impl<R: Read + Seek> SceneFile<R> {
         let shared = read(&mut source, archive.shared_range(archive.num_layers()))?;
         archive.read_shared(&shared)?;
         let cache = SegmentCache::new(archive.num_segments(), max_segment_bytes);
-        Ok(Self { source, archive, cache, sampler: None })
+        Ok(Self { source, layout: Layout::base(), archive, cache, sampler: None })
     }
 
     /// A segment, decoded now if it is not held.
@@ -127,6 +128,30 @@ impl<R: Read + Seek> SceneFile<R> {
         }
         let (_, sampler) = self.sampler.as_mut().expect("a sampler that was just made");
         Ok(sampler.at(timestep).clone())
+    }
+}
+
+impl<R: Read + Seek> SceneReader for SceneFile<R> {
+    type Error = DecodeError;
+
+    fn layout(&self) -> &Arc<Layout> {
+        &self.layout
+    }
+
+    fn num_gaussians(&self) -> usize {
+        self.info().num_gaussians as usize
+    }
+
+    fn num_timesteps(&self) -> usize {
+        self.info().num_timesteps as usize
+    }
+
+    fn span(&self, timestep: usize) -> Range<usize> {
+        self.archive.timesteps(self.archive.segment_at(timestep))
+    }
+
+    fn at(&mut self, timestep: usize) -> Result<Gaussians, DecodeError> {
+        SceneFile::at(self, timestep)
     }
 }
 

@@ -350,7 +350,7 @@ fn a_file_is_decoded_where_it_is_read() {
     refuses(&file[..end], &format!("invalid end in file at byte {end}: the file ends early"));
     refuses(&file[..100], "invalid end in file at byte 100: the file ends early");
     let longer = [&file[..], &[0]].concat();
-    refuses(&longer, &format!("invalid end in file at byte {}: bytes are left over", file.len()));
+    refuses(&longer, &format!("invalid end in file at byte {}: bytes are left over", longer.len()));
     // A damaged segment is an error when it is read; the others can be read.
     let mut damaged = file.clone();
     damaged[end] ^= 1;
