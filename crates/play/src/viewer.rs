@@ -94,9 +94,9 @@ impl<S: RangeSource> Viewer<S> {
                     }
                 }
                 None => {
-                    let means = segment.first().means;
+                    let first = segment.first();
                     let up = segment.info().up.direction();
-                    let (camera, pivot) = start_view(&means, up);
+                    let (camera, pivot) = start_view(first.means(), up);
                     session.picture = Some(Picture {
                         renderer: SegmentRenderer::new(&self.gpu, self.format, segment)?,
                         controls: Controls::new(&camera, up, pivot),

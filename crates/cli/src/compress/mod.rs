@@ -186,7 +186,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
     let kind = kind(arguments, &scene)?;
     let mut settings = settings(arguments, kind);
-    let radius = Extent::of(&scene.at(0)?.means).radius as f32;
+    let radius = Extent::of(scene.at(0)?.means()).radius as f32;
     let of_unknown_unit = matches!(scene.content, SceneContent::Floats { .. }) || kind != CaptureKind::Panoptic;
     if of_unknown_unit && arguments.preset == PresetName::Default && arguments.max_mse.is_none() {
         settings.keypoints.max_mse[Attribute::Mean.index()] = (POSITION_TOLERANCE * radius).powi(2);
@@ -320,7 +320,7 @@ fn report(
     let compact = &compressed.compact;
     let keypoints = compact.keypoints_mean();
     say(&format!("{:<15} {:>11}  {:>9}  {:>18}", "attribute", "bytes", "", "keypoints a track"))?;
-    for (attribute, bytes) in Attribute::ALL.into_iter().zip(compressed.bytes_by_attribute) {
+    for (attribute, bytes) in Attribute::BASE.into_iter().zip(compressed.bytes_by_attribute) {
         let (name, keypoints) = (attribute.name(), keypoints[attribute.index()]);
         say(&format!("{name:<15} {bytes:>11}  {:>9}  {keypoints:>18.2}", show_bytes(bytes)))?;
     }

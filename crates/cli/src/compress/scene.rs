@@ -194,7 +194,7 @@ fn info(scene: &OpenScene, pruned: &DynamicGaussians, up: UpAxis) -> SceneInfo {
 
 /// Training may leave a value that nobody saw.
 fn check_finite(scene: &OpenScene, floats: &DynamicGaussians) -> anyhow::Result<()> {
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         for timestep in 0..floats.num_samples(attribute) {
             let values = floats.values(attribute, timestep);
             if let Some(i) = values.iter().position(|x| !x.is_finite()) {

@@ -83,7 +83,11 @@ impl Found {
         };
         let trial = |t: &Trial| json!({ "quality": rounded(t), "bytes": t.bytes, "psnr": t.psnr });
         let by_attribute = |values: &[f32; 5]| -> Value {
-            Attribute::ALL.iter().map(|a| (a.name().to_owned(), json!(values[a.index()]))).collect::<Map<_, _>>().into()
+            Attribute::BASE
+                .iter()
+                .map(|a| (a.name().to_owned(), json!(values[a.index()])))
+                .collect::<Map<_, _>>()
+                .into()
         };
         let value = json!({
             wanted.0: wanted.1,

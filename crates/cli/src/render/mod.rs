@@ -152,7 +152,7 @@ fn shots(arguments: &Arguments, scene: &OpenScene, by_camera: bool) -> anyhow::R
         PathOption::Around(tour) => {
             let gaussians = scene.at(frames.start - scene.first_frame)?;
             let Size { width, height } = arguments.size.unwrap_or(PATH_SIZE);
-            let cameras = tour.cameras(&gaussians.means, scene.up().direction(), frames.len(), [width, height]);
+            let cameras = tour.cameras(gaussians.means(), scene.up().direction(), frames.len(), [width, height]);
             Ok(frames.zip(cameras).map(|(frame, camera)| shot(frame, camera)).collect())
         }
         PathOption::Saved(file) => {
