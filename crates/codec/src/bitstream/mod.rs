@@ -31,6 +31,7 @@ mod segment;
 mod shared;
 
 pub use archive::{Archive, Opening};
+pub use container::MAGIC;
 pub use decode::decode;
 pub(crate) use decode::end_of_file;
 #[cfg(feature = "encode")]
