@@ -35,8 +35,8 @@ fn main() -> anyhow::Result<()> {
 
     // A run's folder has the bits that training gave each Gaussian; here all have the same.
     let bits = tcgs_codec::BitMap::uniform(scene.num_gaussians(), 14, 8);
-    let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default());
-    let file = encode(&compact);
+    let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default())?;
+    let file = encode(&compact)?;
     println!("{} bytes of floats, {} in train_synthetic.tcgs", scene.raw_bytes(), file.len());
     std::fs::write("train_synthetic.tcgs", file)?;
     Ok(())

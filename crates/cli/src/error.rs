@@ -1,7 +1,7 @@
 //! Which exit code an error has. `main` prints it.
 
 use tcgs_capture::CaptureError;
-use tcgs_codec::DecodeError;
+use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_pipeline::{Fault, HasFault, PipelineError};
@@ -46,6 +46,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         .or_else(|| fault::<TrainError>(error))
         .or_else(|| fault::<MetricsError>(error))
         .or_else(|| fault::<InterchangeError>(error))
+        .or_else(|| fault::<CompressError>(error))
         .or_else(|| fault::<DecodeError>(error));
     match fault {
         Some(Fault::Input) => 2,

@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use tcgs_capture::{CaptureError, Split};
-use tcgs_codec::DecodeError;
+use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_render::gpu::GpuError;
@@ -51,6 +51,9 @@ pub enum PipelineError {
         /// What the decoder found.
         error: DecodeError,
     },
+    /// A scene cannot be compressed.
+    #[error(transparent)]
+    Compress(#[from] CompressError),
     /// A frame was asked for that the scene does not have.
     #[error("{}: has the frames {}..{}, found {}..{}, expected some of these",
         path.display(), has.start, has.end, wanted.start, wanted.end)]
@@ -176,6 +179,7 @@ impl HasFault for PipelineError {
             Self::Stopped => Fault::Stopped,
             Self::Unreadable { error, .. } => error.fault(),
             Self::Decode { error, .. } => error.fault(),
+            Self::Compress(error) => error.fault(),
             Self::Capture(error) => error.fault(),
             Self::Train(error) => error.fault(),
             Self::Interchange(error) => error.fault(),
@@ -216,7 +220,7 @@ impl HasFault for TrainError {
     fn fault(&self) -> Fault {
         match self {
             Self::Read { error, .. } => error.fault(),
-            Self::Write { .. } | Self::NotFinite { .. } | Self::Gpu(_) => Fault::Machine,
+            Self::Write { .. } | Self::NotFinite { .. } | Self::Bits(_) | Self::Gpu(_) => Fault::Machine,
             Self::Stopped { .. } => Fault::Stopped,
             _ => Fault::Input,
         }
@@ -243,6 +247,12 @@ impl HasFault for MetricsError {
 }
 
 impl HasFault for DecodeError {
+    fn fault(&self) -> Fault {
+        if matches!(self, Self::Io(_)) { Fault::Machine } else { Fault::Input }
+    }
+}
+
+impl HasFault for CompressError {
     fn fault(&self) -> Fault {
         if matches!(self, Self::Io(_)) { Fault::Machine } else { Fault::Input }
     }

@@ -62,7 +62,7 @@ impl CameraAt {
     ) -> Result<Vec<Self>, PipelineError> {
         let frames = scene.choose_frames(Some(&frames))?;
         let gaussians = scene.at(frames.start - scene.first_frame)?;
-        let cameras = tour.cameras(&gaussians.means, scene.up().direction(), frames.len(), size);
+        let cameras = tour.cameras(gaussians.means(), scene.up().direction(), frames.len(), size);
         Ok(frames.zip(cameras).map(|(frame, camera)| Self { frame, camera, camera_id: None }).collect())
     }
 

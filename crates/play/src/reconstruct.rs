@@ -81,14 +81,14 @@ impl Reconstruction {
         let n = segment.num_gaussians();
         let mut first = segment.first();
         let apart = segment.keypoints(Attribute::Quat).is_some_and(|keypoints| keypoints.channels == 1);
-        let raw_quats = apart.then(|| gpu.upload("rotations as stored", &first.quats)).transpose()?;
-        for quat in &mut first.quats {
+        let raw_quats = apart.then(|| gpu.upload("rotations as stored", first.quats())).transpose()?;
+        for quat in first.quats_mut() {
             *quat = if quat.iter().any(|x| *x != 0.0) { normalize(*quat) } else { [1.0, 0.0, 0.0, 0.0] };
         }
         let activated = gpu.upload("activated Gaussians", &pack(&activate(&first)))?;
         let frame = gpu.uniform("timestep", 16)?;
         let mut moving = Vec::new();
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             if let Some(keypoints) = segment.keypoints(attribute) {
                 moving.push(Moving::new(gpu, segment, attribute, keypoints.channels)?);
             }
@@ -234,7 +234,7 @@ impl Moving {
 
 fn finish_of(attribute: Attribute, channels: usize) -> Finish {
     match attribute {
-        Attribute::Mean | Attribute::Color => Finish::AsIs,
+        Attribute::Mean | Attribute::Color | Attribute::Extra { .. } => Finish::AsIs,
         Attribute::Quat if channels == 1 => Finish::AsIs,
         Attribute::Quat => Finish::UnitLength,
         Attribute::LogScale => Finish::Exp,
@@ -244,6 +244,6 @@ fn finish_of(attribute: Attribute, channels: usize) -> Finish {
 
 /// Where an attribute's values begin in what the renderer takes.
 fn base_of(attribute: Attribute, num_gaussians: usize) -> u32 {
-    let before = Attribute::ALL[..attribute.index()].iter().map(|attribute| attribute.components()).sum::<usize>();
+    let before = Attribute::BASE[..attribute.index()].iter().map(|attribute| attribute.components()).sum::<usize>();
     (before * num_gaussians) as u32
 }

@@ -87,9 +87,9 @@ impl<S: Source> Viewer<S> {
                     }
                 }
                 None => {
-                    let means = segment.first().means;
+                    let first = segment.first();
                     let up = segment.info().up.direction();
-                    let (camera, pivot) = start_view(&means, up);
+                    let (camera, pivot) = start_view(first.means(), up);
                     scene.shown = Some(Shown {
                         stage: Stage::new(&self.gpu, self.format, segment)?,
                         controls: Controls::new(&camera, up, pivot),

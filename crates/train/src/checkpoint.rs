@@ -9,7 +9,7 @@ use npyz::npz::{NpzArchive, NpzWriter};
 use npyz::zip::write::FileOptions;
 use npyz::zip::{CompressionMethod, DateTime};
 use tcgs_codec::{BitMap, Quantizer};
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Attribute, Gaussians, Layout};
 
 use crate::TrainError;
 use crate::engine::cpu::{FakeQuantizers, Moments};
@@ -52,10 +52,11 @@ impl Checkpoint {
         let mut npz = NpzWriter::new(writer);
         let p = &self.parameters;
         let n = p.num_gaussians() as u64;
-        for attribute in Attribute::ALL.into_iter().filter(|a| first || a.varies_in_training()) {
+        for column in p.gaussians.layout().columns().iter().filter(|column| first || column.varies) {
+            let attribute = column.attribute;
             let shape = [n, attribute.components() as u64];
             let shape = if attribute.components() == 1 { &shape[..1] } else { &shape };
-            put(&mut npz, attribute.name(), shape, p.gaussians.values(attribute))?;
+            put(&mut npz, &column.name, shape, p.gaussians.values(attribute))?;
         }
         put(&mut npz, "mask_logits", &[n], &p.mask_logits)?;
         let flat = |q: &FakeQuantizers, f: fn(&Quantizer) -> f32| q.quantizers.iter().map(f).collect::<Vec<_>>();
@@ -114,12 +115,12 @@ fn read(npz: &mut Archive, first: Option<&Checkpoint>, learned_offset: bool) -> 
     let means = get::<f32>(npz, "means")?;
     let n = first.map_or(means.len() / 3, |f| f.parameters.num_gaussians());
     let mut gaussians = Gaussians::zeros(n);
-    for attribute in Attribute::ALL {
+    for column in Layout::base().columns() {
         let values = match first {
-            Some(first) if !attribute.varies_in_training() => first.parameters.gaussians.values(attribute).to_vec(),
-            _ => get(npz, attribute.name())?,
+            Some(first) if !column.varies => first.parameters.gaussians.values(column.attribute).to_vec(),
+            _ => get(npz, &column.name)?,
         };
-        fill(attribute.name(), gaussians.values_mut(attribute), &values)?;
+        fill(&column.name, gaussians.values_mut(column.attribute), &values)?;
     }
     let mut mask_logits = vec![0.0; n];
     fill("mask_logits", &mut mask_logits, &get::<f32>(npz, "mask_logits")?)?;
@@ -186,7 +187,7 @@ fn read_bits(npz: &mut Archive, n: usize) -> Result<Option<Bits>, String> {
     }
     let groups: Vec<(Attribute, u8)> = get::<u8>(npz, "quantizer_groups")?
         .chunks_exact(2)
-        .map(|g| Attribute::ALL.get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|&a| (a, g[1])))
+        .map(|g| Attribute::BASE.get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|&a| (a, g[1])))
         .collect::<Option<_>>()
         .ok_or("quantizer_groups names an attribute or a width that does not exist")?;
     let widths = std::array::from_fn(|a| widths[a * n..(a + 1) * n].to_vec());

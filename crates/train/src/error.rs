@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+use tcgs_codec::CompressError;
 use tcgs_render::gpu::GpuError;
 
 use crate::config::ConfigError;
@@ -39,6 +40,9 @@ pub enum TrainError {
     /// The GPU.
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// Parameters or sensitivities from which no bits can be assigned.
+    #[error(transparent)]
+    Bits(#[from] CompressError),
     /// A file of a run folder.
     #[error("{}: {problem}", path.display())]
     File {

@@ -317,7 +317,7 @@ fn report(
     let compact = &compressed.compact;
     let keypoints = compact.keypoints_mean();
     say(&format!("{:<15} {:>11}  {:>9}  {:>18}", "attribute", "bytes", "", "keypoints a track"))?;
-    for (attribute, bytes) in Attribute::ALL.into_iter().zip(compressed.bytes_by_attribute) {
+    for (attribute, bytes) in Attribute::BASE.into_iter().zip(compressed.bytes_by_attribute) {
         let (name, keypoints) = (attribute.name(), keypoints[attribute.index()]);
         say(&format!("{name:<15} {bytes:>11}  {:>9}  {keypoints:>18.2}", show_bytes(bytes)))?;
     }

@@ -29,7 +29,7 @@ pub fn describe(found: &SearchResult, target: Target, judge: &Judge) -> (String,
     };
     let trial = |t: &Trial| json!({ "quality": t.quality(), "bytes": t.bytes, "psnr": t.psnr });
     let by_attribute = |values: &[f32; 5]| -> Value {
-        Attribute::ALL.iter().map(|a| (a.name().to_owned(), json!(values[a.index()]))).collect::<Map<_, _>>().into()
+        Attribute::BASE.iter().map(|a| (a.name().to_owned(), json!(values[a.index()]))).collect::<Map<_, _>>().into()
     };
     let value = json!({
         wanted.0: wanted.1,

@@ -148,7 +148,7 @@ fn loss_curve(run: &Run) -> anyhow::Result<Vec<(u64, f32)>> {
 
 fn keypoints_histogram(outcome: &Outcome) -> Vec<Series> {
     let compact = &outcome.compressed.compact;
-    Attribute::ALL
+    Attribute::BASE
         .into_iter()
         .filter(|a| compact.varies[a.index()])
         .map(|attribute| {
@@ -164,7 +164,7 @@ fn keypoints_histogram(outcome: &Outcome) -> Vec<Series> {
 
 fn bits_histogram(outcome: &Outcome) -> Vec<Series> {
     let histogram = outcome.compressed.compact.bit_map.histogram();
-    Attribute::ALL
+    Attribute::BASE
         .into_iter()
         .filter(|&a| a != Attribute::Mean)
         .map(|attribute| {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::{BitMap, BitSettings, assign_bits};
-use tcgs_core::{Attribute, Camera, DynamicGaussians, Gaussians, Tour};
+use tcgs_core::{Camera, DynamicGaussians, Gaussians, Sensitivity, Tour};
 
 use super::CompressOptions;
 use crate::{OpenScene, PipelineError};
@@ -30,14 +30,14 @@ pub fn measured_bits(
     let (cameras, of) = cameras(scene, &floats.at(0), options)?;
     let last = floats.num_timesteps() - 1;
     let count = NUM_TIMESTEPS.min(last + 1).min(cameras.len().max(1));
-    let mut sum = Gaussians::zeros(floats.num_gaussians());
+    let mut sum = Sensitivity::zeros_of(floats.layout(), floats.num_gaussians());
     // Every Gaussian as it is at one of the timesteps: for the spread of values over the scene.
     let mut stored = floats.at(0);
     for turn in 0..count {
         let gaussians = floats.at(turn * last / (count - 1).max(1));
         let of_turn: Vec<Camera> = cameras.iter().skip(turn).step_by(count).cloned().collect();
         let sensitivity = tcgs_train::sensitivity(&tcgs_render::CpuRasterizer, &gaussians, &of_turn)?;
-        for attribute in Attribute::ALL {
+        for attribute in floats.layout().attributes() {
             let (row, rows) = (attribute.components(), sum.values_mut(attribute));
             rows.iter_mut().zip(sensitivity.values(attribute)).for_each(|(sum, s)| *sum += s / count as f32);
             let rows =
@@ -45,7 +45,7 @@ pub fn measured_bits(
             rows.skip(turn).step_by(count).for_each(|(to, from)| to.copy_from_slice(from));
         }
     }
-    let bit_map = assign_bits(&sum, &stored, &bit_settings(scene, options));
+    let bit_map = assign_bits(&sum, &stored, &bit_settings(scene, options))?;
     Ok((bit_map, format!("bits: by sensitivity, measured with {} {of}", cameras.len())))
 }
 
@@ -72,7 +72,7 @@ fn cameras(
 ) -> Result<(Vec<Camera>, String), PipelineError> {
     let of_run = scene.run().map(|run| PathBuf::from(&run.config().data.capture));
     let Some(path) = options.capture.clone().or(of_run) else {
-        let cameras = Tour::Orbit.cameras(&gaussians.means, scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE);
+        let cameras = Tour::Orbit.cameras(gaussians.means(), scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE);
         return Ok((cameras, "cameras around the scene (--capture would give the real ones)".into()));
     };
     let capture = Capture::open(&path)?;

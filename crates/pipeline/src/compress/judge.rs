@@ -125,7 +125,7 @@ fn cameras(scene: &OpenScene) -> Result<Vec<Camera>, PipelineError> {
     {
         return Ok(spread(cameras.len(), NUM_CAMERAS).map(|i| cameras[i].1.clone()).collect());
     }
-    Ok(Tour::Orbit.cameras(&scene.at(0)?.means, scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE))
+    Ok(Tour::Orbit.cameras(scene.at(0)?.means(), scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE))
 }
 
 /// At most `count` numbers below `length`, evenly from 0 to the last.

@@ -140,9 +140,9 @@ impl PrunedScene {
     /// # Errors
     /// [`PipelineError`] if the codec refuses the scene or the settings.
     pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactScene, Vec<u8>), PipelineError> {
-        let compact = compress(&self.pruned, &self.bit_map, self.learned.as_ref(), self.info.clone(), settings);
+        let compact = compress(&self.pruned, &self.bit_map, self.learned.as_ref(), self.info.clone(), settings)?;
         let views = self.views.iter().map(|json| (VIEWS, &json[..]));
-        let file = encode_with(&compact, &views.collect::<Vec<_>>());
+        let file = encode_with(&compact, &views.collect::<Vec<_>>())?;
         Ok((compact, file))
     }
 
@@ -246,7 +246,7 @@ fn info(scene: &OpenScene, pruned: &DynamicGaussians, up: UpAxis) -> SceneInfo {
 
 /// Training may leave a value that nobody saw.
 fn check_finite(scene: &OpenScene, floats: &DynamicGaussians) -> Result<(), PipelineError> {
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         for timestep in 0..floats.num_samples(attribute) {
             let values = floats.values(attribute, timestep);
             if let Some(i) = values.iter().position(|x| !x.is_finite()) {

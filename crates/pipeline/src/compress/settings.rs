@@ -68,5 +68,5 @@ pub fn position_step_remark(scene: &OpenScene, compact: &CompactScene) -> Result
 
 /// Of the first timestep, before pruning.
 fn radius(scene: &OpenScene) -> Result<f32, PipelineError> {
-    Ok(Extent::of(&scene.at(0)?.means).radius as f32)
+    Ok(Extent::of(scene.at(0)?.means()).radius as f32)
 }
