@@ -10,7 +10,7 @@ use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::UpAxis;
 use tcgs_core::Attribute;
 use tcgs_pipeline::{
-    CompressOptions, CompressPreset, Compressed, Judge, JudgeImages, OpenScene, PipelineError, PrunedScene, Target,
+    CompressOptions, CompressPreset, Compressed, Judge, JudgeImages, OpenScene, PrunedScene, Target,
     position_step_remark, search, settings_of,
 };
 use tcgs_train::Run;
@@ -195,9 +195,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let judge = judge(arguments, &scene)?;
             say(&format!("measuring against {}", judge.of))?;
             say("quality         size      PSNR")?;
-            let found = Teller::default()
-                .watch(|teller| search(&pruned, &options.keypoints, target, &judge, teller))
-                .map_err(with_options)?;
+            let found =
+                Teller::default().watch(|teller| search(&pruned, &options.keypoints, target, &judge, teller))?;
             let result = target::describe(&found, target, &judge);
             (pruned.account(&options, found.compact, found.file)?, Some(result))
         }
@@ -211,21 +210,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     interrupt::check()?;
     write_file(&out, &compressed.file, arguments.job.force)?;
     report(arguments, &compressed, result, &out)
-}
-
-/// An error in the words of the command line.
-fn with_options(error: anyhow::Error) -> anyhow::Error {
-    match error.downcast_ref::<PipelineError>() {
-        Some(PipelineError::TargetBytes { target, smallest }) => {
-            let problem = format!("the smallest file is {smallest} bytes, expected that or more");
-            wrong_input(format!("--target-bytes {target}: {problem}"))
-        }
-        Some(PipelineError::TargetPsnr { target, best, of }) => {
-            let problem = format!("the best against {of} is {best:.2} dB, expected that or less");
-            wrong_input(format!("--target-psnr {target}: {problem}"))
-        }
-        _ => error,
-    }
 }
 
 fn judge(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Judge> {

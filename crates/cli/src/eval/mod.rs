@@ -7,10 +7,9 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use tcgs_capture::{Capture, Split};
 use tcgs_metrics::{Lpips, Protocol};
-use tcgs_pipeline::{EvaluateSettings, Evaluation, evaluate, evaluation_json};
+use tcgs_pipeline::{EvaluateSettings, Evaluation, PipelineError, evaluate, evaluation_json};
 
 use crate::backend::{BackendName, BackendOptions};
-use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{self, Frames, JobOptions};
 use crate::output::{check_file, say, write_file};
@@ -128,8 +127,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         protocol: arguments.protocol.map(Protocol::from),
     };
     if capture.cameras(settings.split, settings.frames.start, settings.downscale)?.is_empty() {
-        let problem = "has no test cameras, expected one that has, or --cameras train";
-        return Err(wrong_input(format!("{}: {problem}", arguments.capture.display())));
+        return Err(PipelineError::NoCameras { path: arguments.capture.clone(), split: settings.split }.into());
     }
     let evaluation = Teller::default().watch(|teller| evaluate(&scene, &capture, &settings, &*renderer, teller))?;
     say(&describe(&scene))?;
