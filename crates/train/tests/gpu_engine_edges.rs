@@ -4,7 +4,6 @@
 
 mod support;
 
-
 use support::{Random, gpu, relative_l2};
 use tcgs_codec::BitMap;
 use tcgs_core::{Attribute, Camera, Image, PointCloud};
