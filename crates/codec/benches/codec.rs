@@ -25,7 +25,7 @@ fn keypoints(criterion: &mut Criterion) {
                 .collect()
         })
         .collect();
-    let run = || tracks.iter().map(|t| select_keypoints(black_box(t), 30, 1e-5).len()).sum::<usize>();
+    let run = || tracks.iter().map(|t| select_keypoints(black_box(t), 30, 1e-5).expect("finite").len()).sum::<usize>();
     assert!((20_000..=30_000).contains(&run()), "{} keypoints", run());
     let mut group = criterion.benchmark_group("keypoints");
     group.throughput(Throughput::Elements(tracks.len() as u64));
@@ -42,9 +42,11 @@ const NUM_TIMESTEPS: usize = 100;
 fn scene(criterion: &mut Criterion) {
     let scene = scenes::room(NUM_GAUSSIANS, NUM_TIMESTEPS);
     let bit_map = scenes::mixed_widths(NUM_GAUSSIANS);
-    let run = || compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
+    let run = || {
+        compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default()).expect("a legal scene")
+    };
     let compact = run();
-    let file = encode(&compact);
+    let file = encode(&compact).expect("a legal scene");
     let limits = DecodeLimits::default();
     assert_eq!(decode(&file, &limits).expect("a file just written"), compact);
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
@@ -59,12 +61,12 @@ fn scene(criterion: &mut Criterion) {
     let floats = |segments: &[Segment]| -> f32 {
         let all = |segment: &Segment| -> f32 {
             let mut sampler = Sampler::new(segment);
-            segment.timesteps().map(|t| black_box(sampler.at(t)).means[0][0]).sum()
+            segment.timesteps().map(|t| black_box(sampler.at(t)).means()[0][0]).sum()
         };
         segments.iter().map(all).sum()
     };
     let decoded = segments();
-    let expected: f32 = decoded.iter().flat_map(Segment::timesteps).map(|t| compact.at(t).means[0][0]).sum();
+    let expected: f32 = decoded.iter().flat_map(Segment::timesteps).map(|t| compact.at(t).means()[0][0]).sum();
     assert!((floats(&decoded) - expected).abs() < 1e-3 * expected.abs());
     println!(
         "{} bytes; a segment holds {} bytes of keypoints, {} of floats",
@@ -108,7 +110,7 @@ fn named_file(criterion: &mut Criterion) {
     group.bench_function(format!("first segment, {:?}", segment.timesteps()), |b| b.iter(|| one_thread.install(read)));
     group.bench_function("its keypoints to floats", |b| b.iter(|| Sampler::new(black_box(&segment))));
     group.bench_function("all its timesteps", |b| {
-        b.iter(|| segment.timesteps().map(|t| sampler.at(black_box(t)).means[0][0]).sum::<f32>());
+        b.iter(|| segment.timesteps().map(|t| sampler.at(black_box(t)).means()[0][0]).sum::<f32>());
     });
     group.finish();
 }

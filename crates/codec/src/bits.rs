@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Attribute, Gaussians, Sensitivity};
 
+use crate::error::CompressError;
 use crate::quantize::MAX_BITS;
 
 /// Bit widths of every Gaussian's attributes.
@@ -22,7 +23,7 @@ impl BitMap {
     /// ```
     pub fn uniform(num_gaussians: usize, position_bits: u8, bits: u8) -> Self {
         Self {
-            widths: Attribute::ALL
+            widths: Attribute::BASE
                 .map(|a| vec![if a == Attribute::Mean { position_bits } else { bits }; num_gaussians]),
         }
     }
@@ -95,12 +96,12 @@ impl Default for BitSettings {
 }
 
 fn mixed() -> impl Iterator<Item = Attribute> {
-    Attribute::ALL.into_iter().filter(|&a| a != Attribute::Mean)
+    Attribute::BASE.into_iter().filter(|&a| a != Attribute::Mean)
 }
 
 /// Bits for every Gaussian and attribute from how much the images depend on it.
 ///
-/// - `sensitivity`: `S(θ) >= 0`, in the shape of [`Gaussians`] (paper 4.1.2)
+/// - `sensitivity`: `S(θ) >= 0`, of the same Gaussians (paper 4.1.2)
 /// - `stored`: the values themselves, for their spread
 /// - returns: a width per Gaussian and attribute; means always get `position_bits`
 ///
@@ -119,29 +120,54 @@ fn mixed() -> impl Iterator<Item = Attribute> {
 ///
 /// ```
 /// use tcgs_codec::{BitSettings, assign_bits};
-/// use tcgs_core::Gaussians;
-/// let stored = Gaussians { logit_opacities: vec![-1.0, 1.0], ..Gaussians::zeros(2) };
-/// let sensitivity = Gaussians { logit_opacities: vec![0.1, 0.8], ..Gaussians::zeros(2) };
-/// let map = assign_bits(&sensitivity, &stored, &BitSettings::default());
+/// use tcgs_core::{Gaussians, Sensitivity};
+/// let (mut stored, mut sensitivity) = (Gaussians::zeros(2), Sensitivity::zeros(2));
+/// stored.logit_opacities_mut().copy_from_slice(&[-1.0, 1.0]);
+/// sensitivity.logit_opacities_mut().copy_from_slice(&[0.1, 0.8]);
+/// let map = assign_bits(&sensitivity, &stored, &BitSettings::default())?;
 /// assert!(map.widths[3][1] > map.widths[3][0]);
+/// # Ok::<(), tcgs_codec::CompressError>(())
 /// ```
 ///
-/// # Panics
-/// If the two disagree in the number of Gaussians, a sensitivity is negative or not finite, or the
-/// settings are out of range (`1 <= min_bits <= max_bits <= 16`).
-pub fn assign_bits(sensitivity: &Gaussians, stored: &Gaussians, settings: &BitSettings) -> BitMap {
+/// # Errors
+/// [`CompressError`] if the two disagree in the number of Gaussians, a sensitivity is negative or not finite, a
+/// stored value is not finite, or the settings are out of range (`1 <= min_bits <= max_bits <= 16`).
+pub fn assign_bits(
+    sensitivity: &Sensitivity,
+    stored: &Gaussians,
+    settings: &BitSettings,
+) -> Result<BitMap, CompressError> {
     let n = stored.num_gaussians();
-    let BitSettings { min_bits, max_bits, position_bits, .. } = *settings;
-    assert!(
-        1 <= min_bits && min_bits <= max_bits && max_bits <= MAX_BITS,
-        "bits within [{min_bits}, {max_bits}], expected ascending within [1, {MAX_BITS}]"
-    );
-    assert!((1..=MAX_BITS).contains(&position_bits), "{position_bits} position bits, expected 1 to {MAX_BITS}");
-    for attribute in Attribute::ALL {
+    let BitSettings { min_bits, max_bits, position_bits, mean_bits, .. } = *settings;
+    let invalid = |what, found, expected| Err(CompressError::Value { what, found, expected });
+    if !(1..=MAX_BITS).contains(&min_bits) {
+        return invalid("min_bits", min_bits.into(), "1 to 16");
+    }
+    if !(min_bits..=MAX_BITS).contains(&max_bits) {
+        return invalid("max_bits", max_bits.into(), "min_bits to 16");
+    }
+    if !(1..=MAX_BITS).contains(&position_bits) {
+        return invalid("position_bits", position_bits.into(), "1 to 16");
+    }
+    if !mean_bits.is_finite() {
+        return invalid("mean_bits", mean_bits.into(), "a finite number");
+    }
+    for attribute in Attribute::BASE {
+        let (name, components) = (attribute.name(), attribute.components());
         let (s, v) = (sensitivity.values(attribute), stored.values(attribute));
-        assert_eq!(s.len(), v.len(), "{}: sensitivity [{}] against values [{}]", attribute.name(), s.len(), v.len());
+        if s.len() != v.len() {
+            let what = format!("sensitivities of {name}");
+            return Err(CompressError::Count { what, found: s.len(), expected: v.len() });
+        }
+        let illegal = |i: usize, what: String, found: f32, expected| {
+            let (gaussian, found) = (i / components, found.into());
+            Err(CompressError::Gaussian { what, gaussian, timestep: None, found, expected })
+        };
         if let Some(i) = s.iter().position(|s| !(s.is_finite() && *s >= 0.0)) {
-            panic!("sensitivity {i} of {} is {}, expected finite and not negative", attribute.name(), s[i]);
+            return illegal(i, format!("sensitivity of {name}"), s[i], "a finite number, 0 or more");
+        }
+        if let Some(i) = v.iter().position(|x| !x.is_finite()) {
+            return illegal(i, name.to_owned(), v[i], "a finite number");
         }
     }
     let mut map = BitMap::uniform(n, position_bits, min_bits);
@@ -151,10 +177,10 @@ pub fn assign_bits(sensitivity: &Gaussians, stored: &Gaussians, settings: &BitSe
             BitMapping::Log => assign_log(sensitivity, stored, settings, &mut map),
         }
     }
-    map
+    Ok(map)
 }
 
-fn assign_linear(sensitivity: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
+fn assign_linear(sensitivity: &Sensitivity, settings: &BitSettings, map: &mut BitMap) {
     let all = || mixed().flat_map(|a| sensitivity.values(a).iter().copied());
     let (lowest, highest) = all().fold((f32::INFINITY, 0.0_f32), |(low, high), s| (low.min(s), high.max(s)));
     let (min_bits, range) = (f32::from(settings.min_bits), f32::from(settings.max_bits - settings.min_bits));
@@ -168,9 +194,9 @@ fn assign_linear(sensitivity: &Gaussians, settings: &BitSettings, map: &mut BitM
     }
 }
 
-fn assign_log(sensitivity: &Gaussians, stored: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
+fn assign_log(sensitivity: &Sensitivity, stored: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
     // `[attribute][N]` of log2 w; minus infinity, hence the fewest bits, where nothing depends on the value.
-    let log_weights = Attribute::ALL.map(|attribute| {
+    let log_weights = Attribute::BASE.map(|attribute| {
         if attribute == Attribute::Mean {
             return Vec::new();
         }
@@ -221,9 +247,9 @@ mod tests {
     use super::*;
 
     /// `n` Gaussians whose sensitivities span several orders of magnitude, and values of different spread.
-    fn example(n: usize) -> (Gaussians, Gaussians) {
-        let (mut sensitivity, mut stored) = (Gaussians::zeros(n), Gaussians::zeros(n));
-        for attribute in Attribute::ALL {
+    fn example(n: usize) -> (Sensitivity, Gaussians) {
+        let (mut sensitivity, mut stored) = (Sensitivity::zeros(n), Gaussians::zeros(n));
+        for attribute in Attribute::BASE {
             let scale = 10.0_f32.powi(attribute.index() as i32 - 2);
             for (i, s) in sensitivity.values_mut(attribute).iter_mut().enumerate() {
                 *s = 10.0_f32.powf((i * 7919 % 1000) as f32 / 200.0 - 4.0);
@@ -239,7 +265,7 @@ mod tests {
     fn log_mapping_reaches_its_mean() {
         let (sensitivity, stored) = example(500);
         for mean_bits in [4.5, 5.5, 7.0] {
-            let map = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits, ..Default::default() });
+            let map = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits, ..Default::default() }).unwrap();
             assert!((map.mean_bits() - f64::from(mean_bits)).abs() < 0.01, "{} for {mean_bits}", map.mean_bits());
             assert!(map.widths[0].iter().all(|&w| w == 16));
             assert!(map.widths[1..].iter().flatten().all(|w| (4..=8).contains(w)));
@@ -258,7 +284,7 @@ mod tests {
             });
             terms.sum()
         };
-        let log = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits: 6.0, ..Default::default() });
+        let log = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits: 6.0, ..Default::default() }).unwrap();
         let uniform = BitMap::uniform(500, 16, 6);
         // The same widths, given to others.
         let mut shifted = log.clone();
@@ -272,7 +298,7 @@ mod tests {
     #[test]
     fn every_attribute_gets_several_widths() {
         let (sensitivity, stored) = example(500);
-        let map = assign_bits(&sensitivity, &stored, &BitSettings::default());
+        let map = assign_bits(&sensitivity, &stored, &BitSettings::default()).unwrap();
         for a in mixed() {
             let common = map.histogram()[a.index()].values().filter(|&&count| count >= 25).count();
             assert!(common >= 3, "{a:?}: {:?}", map.histogram()[a.index()]);
@@ -283,10 +309,10 @@ mod tests {
     fn bits_rise_with_sensitivity() {
         let (sensitivity, stored) = example(300);
         for mapping in [BitMapping::Log, BitMapping::Linear] {
-            let map = assign_bits(&sensitivity, &stored, &BitSettings { mapping, ..Default::default() });
+            let map = assign_bits(&sensitivity, &stored, &BitSettings { mapping, ..Default::default() }).unwrap();
             let index = Attribute::LogitOpacity.index();
             let mut pairs: Vec<(f32, u8)> =
-                sensitivity.logit_opacities.iter().copied().zip(map.widths[index].iter().copied()).collect();
+                sensitivity.logit_opacities().iter().copied().zip(map.widths[index].iter().copied()).collect();
             pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
             assert!(pairs.is_sorted_by_key(|p| p.1) && pairs[0].1 < pairs[pairs.len() - 1].1, "{mapping:?}");
         }
@@ -294,12 +320,13 @@ mod tests {
 
     #[test]
     fn linear_mapping_is_the_papers() {
-        let (mut sensitivity, stored) = (Gaussians::zeros(3), Gaussians::zeros(3));
-        sensitivity.means[0] = [100.0; 3]; // positions take no part
-        sensitivity.colors[0] = [0.0, 8.0, 1.0];
-        sensitivity.colors[1] = [0.0, 3.0, 1.0];
+        let (mut sensitivity, stored) = (Sensitivity::zeros(3), Gaussians::zeros(3));
+        sensitivity.means_mut()[0] = [100.0; 3]; // positions take no part
+        sensitivity.colors_mut()[0] = [0.0, 8.0, 1.0];
+        sensitivity.colors_mut()[1] = [0.0, 3.0, 1.0];
         let map =
-            assign_bits(&sensitivity, &stored, &BitSettings { mapping: BitMapping::Linear, ..Default::default() });
+            assign_bits(&sensitivity, &stored, &BitSettings { mapping: BitMapping::Linear, ..Default::default() })
+                .unwrap();
         assert_eq!(map.widths[Attribute::Color.index()], [8, 6, 4]); // 4 + round(4 * 3/8 = 1.5) = 6
         assert_eq!(map.widths[Attribute::Quat.index()], [4, 4, 4]);
         assert_eq!(map.histogram()[Attribute::Color.index()], BTreeMap::from([(4, 1), (6, 1), (8, 1)]));
@@ -310,9 +337,31 @@ mod tests {
     fn equal_bounds_and_no_sensitivity_are_uniform() {
         let (sensitivity, stored) = example(20);
         let settings = BitSettings { min_bits: 6, max_bits: 6, ..Default::default() };
-        assert_eq!(assign_bits(&sensitivity, &stored, &settings), BitMap::uniform(20, 16, 6));
-        let nothing = assign_bits(&Gaussians::zeros(20), &stored, &BitSettings::default());
+        assert_eq!(assign_bits(&sensitivity, &stored, &settings).unwrap(), BitMap::uniform(20, 16, 6));
+        let nothing = assign_bits(&Sensitivity::zeros(20), &stored, &BitSettings::default()).unwrap();
         assert_eq!(nothing, BitMap::uniform(20, 16, 4));
-        assert_eq!(assign_bits(&Gaussians::zeros(0), &Gaussians::zeros(0), &settings).mean_bits(), 0.0);
+        assert_eq!(assign_bits(&Sensitivity::zeros(0), &Gaussians::zeros(0), &settings).unwrap().mean_bits(), 0.0);
+    }
+
+    #[test]
+    fn what_is_out_of_range_is_refused() {
+        let (sensitivity, stored) = example(20);
+        let says = |sensitivity: &Sensitivity, settings: BitSettings, message: &str| {
+            assert_eq!(assign_bits(sensitivity, &stored, &settings).unwrap_err().to_string(), message);
+        };
+        let default = BitSettings::default;
+        says(&Sensitivity::zeros(19), default(), "invalid number of sensitivities of means: found 57, expected 60");
+        let mut negative = sensitivity.clone();
+        negative.values_mut(Attribute::Color)[7] = -1.0;
+        let message = "invalid sensitivity of colors of Gaussian 2: found -1, expected a finite number, 0 or more";
+        says(&negative, default(), message);
+        let settings = BitSettings { min_bits: 9, ..default() };
+        says(&sensitivity, settings, "invalid max_bits: found 8, expected min_bits to 16");
+        let settings = BitSettings { min_bits: 0, ..default() };
+        says(&sensitivity, settings, "invalid min_bits: found 0, expected 1 to 16");
+        let settings = BitSettings { position_bits: 17, ..default() };
+        says(&sensitivity, settings, "invalid position_bits: found 17, expected 1 to 16");
+        let settings = BitSettings { mean_bits: f32::NAN, ..default() };
+        says(&sensitivity, settings, "invalid mean_bits: found NaN, expected a finite number");
     }
 }

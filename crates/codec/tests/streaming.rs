@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use proptest::prelude::*;
 use tcgs_codec::{
-    Archive, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Opening, Sampler, SceneInfo, compress,
-    decode, encode, encode_with,
+    Archive, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Eviction, Opening, Playback, Sampler,
+    SceneFile, SceneInfo, SegmentCache, compress, decode, encode, encode_with,
 };
 use tcgs_core::Gaussians;
 
@@ -68,7 +68,7 @@ proptest! {
         layers: prop::sample::Index,
     ) {
         let scene = any_scene(num_gaussians, num_timesteps, seed);
-        let file = encode(&scene);
+        let file = encode(&scene).unwrap();
         let mut archive = open(&file);
         let layers = layers.index(archive.num_layers() + 1);
         archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();
@@ -98,7 +98,7 @@ proptest! {
         seed: u64,
         cuts in prop::collection::vec(any::<prop::sample::Index>(), 0..6),
     ) {
-        let file = encode(&any_scene(num_gaussians, num_timesteps, seed));
+        let file = encode(&any_scene(num_gaussians, num_timesteps, seed)).unwrap();
         let mut cuts: Vec<usize> = cuts.into_iter().map(|cut| cut.index(file.len() + 1)).collect();
         cuts.extend([0, file.len()]);
         cuts.sort_unstable();
@@ -112,7 +112,7 @@ fn events_come_in_order_and_say_what_the_whole_says() {
     let mut scene = any_scene(12, 20, 7);
     scene.layers = vec![2, 4, 6];
     scene.segment_length = 8;
-    let file = encode(&scene);
+    let file = encode(&scene).unwrap();
     let mut decoder = Decoder::new(DecodeLimits::default());
     let mut seen = Vec::new();
     for byte in &file {
@@ -157,7 +157,7 @@ fn segments_of_nothing_cost_nothing() {
     still.segment_length = 1;
     still.layers = vec![1; 40];
     for scene in [empty, still] {
-        let file = encode(&scene);
+        let file = encode(&scene).unwrap();
         assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
         assert_eq!(open(&file).num_segments(), 1);
         assert!(events(&[&file]).len() < 100);
@@ -168,11 +168,11 @@ fn segments_of_nothing_cost_nothing() {
 fn threads_do_not_matter_when_decoding() {
     let scene = scenes::room(900, 30);
     let settings = CompressSettings { segment_length: Some(7), ..Default::default() };
-    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings);
+    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings).unwrap();
     let run = |num_threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().unwrap();
         pool.install(|| {
-            let file = encode(&compact);
+            let file = encode(&compact).unwrap();
             let decoded = decode(&file, &DecodeLimits::default()).unwrap();
             assert_eq!(decoded, compact);
             (file, decoded.at(12))
@@ -185,8 +185,8 @@ fn threads_do_not_matter_when_decoding() {
 fn a_segment_needs_few_of_the_bytes() {
     let scene = scenes::room(3000, 60);
     let settings = CompressSettings { segment_length: Some(10), ..Default::default() };
-    let compact = compress(&scene, &scenes::mixed_widths(3000), None, SceneInfo::of(&scene), &settings);
-    let file = encode(&compact);
+    let compact = compress(&scene, &scenes::mixed_widths(3000), None, SceneInfo::of(&scene), &settings).unwrap();
+    let file = encode(&compact).unwrap();
     let archive = open(&file);
     let all = archive.num_layers();
     let segments: u64 = (0..6).map(|s| archive.segment_range(s, all)).map(|r| r.end - r.start).sum();
@@ -199,8 +199,8 @@ fn a_segment_needs_few_of_the_bytes() {
 #[test]
 fn data_of_applications_are_known_from_the_start() {
     let scene = any_scene(9, 24, 6);
-    let (plain, data) = (encode(&scene), [("a", &b"one"[..]), ("", &b""[..]), ("b", &[0xff; 300][..])]);
-    let file = encode_with(&scene, &data);
+    let (plain, data) = (encode(&scene).unwrap(), [("a", &b"one"[..]), ("", &b""[..]), ("b", &[0xff; 300][..])]);
+    let file = encode_with(&scene, &data).unwrap();
     let lengths: usize = data.iter().map(|(name, bytes)| 16 + 2 + name.len() + bytes.len()).sum();
     assert_eq!(file.len(), plain.len() + lengths);
     let archive = open(&file);
@@ -223,8 +223,8 @@ fn data_of_applications_are_known_from_the_start() {
 fn a_segment_may_be_decoded_any_number_of_times() {
     let scene = scenes::room(900, 30);
     let settings = CompressSettings { segment_length: Some(10), ..Default::default() };
-    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings);
-    let file = encode(&compact);
+    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings).unwrap();
+    let file = encode(&compact).unwrap();
     // As little as it takes to read each segment once.
     let limits = DecodeLimits { max_bytes: 1 << 19, ..Default::default() };
     let Opening::Ready(mut archive) = Archive::open(&file, &limits).unwrap() else { panic!("more bytes are needed") };
@@ -246,13 +246,13 @@ fn a_segment_may_be_decoded_any_number_of_times() {
 #[test]
 fn keypoints_are_those_of_the_floats() {
     let compact = any_scene(9, 17, 3);
-    let file = encode(&compact);
+    let file = encode(&compact).unwrap();
     let mut archive = open(&file);
     let layers = archive.num_layers();
     archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();
     for index in 0..archive.num_segments() {
         let segment = archive.read_segment(index, bytes(&file, archive.segment_range(index, layers))).unwrap();
-        for attribute in tcgs_core::Attribute::ALL {
+        for attribute in tcgs_core::Attribute::BASE {
             let Some(keypoints) = segment.keypoints(attribute) else { continue };
             let units: Vec<_> = segment.moving_units(attribute).collect();
             assert_eq!(keypoints.starts.len(), units.len() + 1);
@@ -277,4 +277,109 @@ fn keypoints_are_those_of_the_floats() {
             }
         }
     }
+}
+
+/// Counts the bytes that are read.
+struct Counted<'a> {
+    file: std::io::Cursor<&'a [u8]>,
+    bytes: &'a std::cell::Cell<usize>,
+}
+
+impl std::io::Read for Counted<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.file.read(buffer)?;
+        self.bytes.set(self.bytes.get() + count);
+        Ok(count)
+    }
+}
+
+impl std::io::Seek for Counted<'_> {
+    fn seek(&mut self, to: std::io::SeekFrom) -> std::io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
+#[test]
+fn a_file_is_decoded_where_it_is_read() {
+    let scene = scenes::room(900, 60);
+    let settings = CompressSettings { segment_length: Some(10), ..CompressSettings::default() };
+    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings).unwrap();
+    let file = encode(&compact).unwrap();
+    let bytes = std::cell::Cell::new(0);
+    let open = |file, max_segment_bytes| {
+        bytes.set(0);
+        let source = Counted { file: std::io::Cursor::new(file), bytes: &bytes };
+        SceneFile::open(source, &DecodeLimits::default(), max_segment_bytes)
+    };
+    let mut reader = open(&file[..], usize::MAX).unwrap();
+    let length = |segment| {
+        let range = reader.archive().segment_range(segment, reader.archive().num_layers());
+        (range.end - range.start) as usize
+    };
+    let (third, fourth) = (length(2), length(3));
+    let opened = bytes.get();
+    assert_eq!(reader.at(25).unwrap(), compact.at(25));
+    assert_eq!(reader.at(29).unwrap(), compact.at(29));
+    assert_eq!(bytes.get() - opened, third, "one segment is read once");
+    assert_eq!(reader.at(30).unwrap(), compact.at(30));
+    assert_eq!(reader.at(21).unwrap(), compact.at(21));
+    assert_eq!(bytes.get() - opened, third + fourth);
+
+    // Room for two segments: of three the one that was used longest ago is read again.
+    let two = 2 * (0..6).map(|i| reader.segment(i).unwrap().bytes()).max().unwrap();
+    let mut reader = open(&file[..], two).unwrap();
+    for timestep in [0, 10, 0, 20] {
+        assert_eq!(reader.at(timestep).unwrap(), compact.at(timestep));
+    }
+    assert!(reader.cached_bytes() <= two);
+    let before = bytes.get();
+    reader.at(0).unwrap();
+    assert_eq!(bytes.get(), before);
+    reader.at(10).unwrap();
+    assert!(bytes.get() > before);
+    // Without room for any, the segment in use is held.
+    let mut reader = open(&file[..], 0).unwrap();
+    assert!((0..60).rev().all(|t| reader.at(t).unwrap() == compact.at(t)));
+
+    let refuses = |file: &[u8], message: &str| {
+        let source = std::io::Cursor::new(file);
+        let error = SceneFile::open(source, &DecodeLimits::default(), 0).err().unwrap();
+        assert_eq!(error.to_string(), message);
+    };
+    let end = file.len() - 1;
+    refuses(&file[..end], &format!("invalid end in file at byte {end}: the file ends early"));
+    refuses(&file[..100], "invalid end in file at byte 100: the file ends early");
+    let longer = [&file[..], &[0]].concat();
+    refuses(&longer, &format!("invalid end in file at byte {}: bytes are left over", longer.len()));
+    // A damaged segment is an error when it is read; the others can be read.
+    let mut damaged = file.clone();
+    damaged[end] ^= 1;
+    let mut reader = open(&damaged, usize::MAX).unwrap();
+    assert_eq!(reader.at(49).unwrap(), compact.at(49));
+    assert!(reader.at(50).is_err());
+    assert_eq!(reader.at(49).unwrap(), compact.at(49));
+}
+
+#[test]
+fn playback_keeps_and_prefetches_what_comes_next() {
+    let scene = scenes::room(200, 40);
+    let settings = CompressSettings { segment_length: Some(10), ..CompressSettings::default() };
+    let compact = compress(&scene, &scenes::mixed_widths(200), None, SceneInfo::of(&scene), &settings).unwrap();
+    let file = std::io::Cursor::new(encode(&compact).unwrap());
+    let mut reader = SceneFile::open(file, &DecodeLimits::default(), 0).unwrap();
+    let segments: Vec<_> = (0..4).map(|i| reader.segment(i).unwrap()).collect();
+    let largest = segments.iter().map(|s| s.bytes()).max().unwrap();
+    let playback = |now| Playback { now, is_backwards: false, is_looping: true };
+    let mut cache = SegmentCache::new(4, 2 * largest);
+    assert_eq!(cache.prefetch(playback(2)), Some(2));
+    for i in [2, 3, 0] {
+        cache.insert(segments[i].clone(), Eviction::FarthestAhead(playback(2)));
+    }
+    // Segment 0 comes after both that are held.
+    assert!(cache.get(2).is_some() && cache.get(3).is_some() && cache.get(0).is_none());
+    assert_eq!(cache.prefetch(playback(2)), None);
+    assert_eq!(cache.prefetch(Playback { is_backwards: true, ..playback(2) }), Some(1));
+    assert_eq!(cache.prefetch(Playback { is_looping: false, ..playback(3) }), None);
+    cache.insert(segments[0].clone(), Eviction::FarthestAhead(playback(3)));
+    assert!(cache.get(2).is_none() && cache.get(0).is_some());
 }

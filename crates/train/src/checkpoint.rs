@@ -1,88 +1,123 @@
 //! What a run remembers of a timestep: its result, and the rest of what the next one starts from.
 //! One NumPy archive a timestep, written whole or not at all.
 
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
+use std::sync::Arc;
 
-use npyz::WriterBuilder;
-use npyz::npz::{NpzArchive, NpzWriter};
-use npyz::zip::write::FileOptions;
-use npyz::zip::{CompressionMethod, DateTime};
 use tcgs_codec::{BitMap, Quantizer};
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Activation, Attribute, Column, Gaussians, Layout, RateGroup};
+use tcgs_interchange::{Existing, InterchangeError, NpyValue, NpzReader, NpzWriter, write_whole};
 
 use crate::TrainError;
-use crate::engine::cpu::{FakeQuantizers, Moments};
+use crate::fake_quant::FakeQuantizers;
 use crate::parameters::Parameters;
+use crate::state::{Lifetimes, Optimizer, goes_on};
 
 /// State at the end of one timestep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
     /// Everything optimised. After the first timestep a file holds only what varies with time.
     pub parameters: Parameters,
+    /// Who each Gaussian is, and when it lives.
+    pub lifetimes: Lifetimes,
     /// Quantisation, once it has started.
     pub quantizers: Option<FakeQuantizers>,
-    /// Adam's moments that the next timestep goes on with: colours, quantizers' steps and offsets.
-    pub kept_moments: [Moments; 3],
-    /// Updates of the means, rotations and mask logits so far; their moments start anew.
-    pub steps: [u64; 3],
+    /// Of Adam what the next timestep goes on with; the rest is zero.
+    pub optimizer: Optimizer,
     /// Scene units; see [`crate::scene_radius`].
     pub scene_radius: f32,
 }
 
-const MOMENT_NAMES: [&str; 3] = ["color_moments", "quantizer_step_moments", "quantizer_offset_moments"];
+/// Name of the array with the moments of a column.
+fn moments_name(column: &Column) -> String {
+    // Files had it before a layout could have further columns.
+    if column.attribute == Attribute::Color { "color_moments".into() } else { format!("{}_moments", column.name) }
+}
+
+/// Name of the array with the values of a column. Further columns have a prefix, since their names are free.
+fn values_name(column: &Column) -> String {
+    match column.attribute {
+        Attribute::Extra { .. } => format!("column_{}", column.name),
+        _ => column.name.clone(),
+    }
+}
+
+/// The columns whose moments go on to the next timestep.
+fn with_moments(layout: &Layout) -> impl Iterator<Item = &Column> {
+    layout.columns().iter().filter(|column| column.varies && goes_on(column))
+}
+
+/// The columns that vary and of whose Adam nothing but the number of updates goes on.
+fn with_steps_alone(layout: &Layout) -> impl Iterator<Item = &Column> {
+    layout.columns().iter().filter(|column| column.varies && !goes_on(column))
+}
 
 impl Checkpoint {
-    /// Writes the archive beside `path`, makes it durable, then renames it.
+    /// Writes the archive, whole or not at all. Equal checkpoints are equal files.
     ///
     /// # Errors
-    /// [`TrainError::Io`]; `path` is then as it was.
+    /// [`TrainError::Write`]; `path` is then as it was.
     pub fn save(&self, path: &Path, first: bool) -> Result<(), TrainError> {
-        let failed = |source| TrainError::Io { action: "writing", path: path.into(), source };
-        let folder = path.parent().unwrap_or(Path::new("."));
-        let mut file = temporary_file(folder).map_err(failed)?;
-        self.write(BufWriter::new(file.as_file_mut()), first).map_err(failed)?;
-        file.as_file().sync_all().map_err(failed)?;
-        file.persist(path).map_err(|e| failed(e.error))?;
-        // The rename itself must survive a power cut too.
-        std::fs::File::open(folder).and_then(|f| f.sync_all()).map_err(failed)
+        let written = write_whole(path, Existing::Replace, |file| self.write(BufWriter::new(file), first));
+        written.map_err(|error| TrainError::Write { path: path.into(), error })
     }
 
-    fn write<W: Write + std::io::Seek>(&self, writer: W, first: bool) -> std::io::Result<()> {
+    fn write<W: Write + Seek>(&self, writer: W, first: bool) -> std::io::Result<()> {
         let mut npz = NpzWriter::new(writer);
         let p = &self.parameters;
-        let n = p.num_gaussians() as u64;
-        for attribute in Attribute::ALL.into_iter().filter(|a| first || a.varies_in_training()) {
-            let shape = [n, attribute.components() as u64];
-            let shape = if attribute.components() == 1 { &shape[..1] } else { &shape };
-            put(&mut npz, attribute.name(), shape, p.gaussians.values(attribute))?;
+        let n = p.num_gaussians();
+        let layout = p.gaussians.layout();
+        if first && !layout.is_base() {
+            let table = table_of(layout);
+            npz.array("columns", &[table.len()], [table.as_bytes()])?;
         }
-        put(&mut npz, "mask_logits", &[n], &p.mask_logits)?;
+        for column in layout.columns().iter().filter(|column| first || column.varies) {
+            let shape = [n, column.components()];
+            let shape = if column.components() == 1 { &shape[..1] } else { &shape };
+            npz.array(&values_name(column), shape, [p.gaussians.values(column.attribute)])?;
+        }
+        if !self.lifetimes.are_whole() {
+            let l = &self.lifetimes;
+            for (name, values) in LIFETIME_NAMES.into_iter().zip([&l.ids, &l.births, &l.deaths]) {
+                let wide: Vec<u64> = values.iter().map(|&value| value.into()).collect();
+                npz.array(name, &[n], [&wide[..]])?;
+            }
+        }
+        npz.array("mask_logits", &[n], [p.mask_logits.as_slice()])?;
         let flat = |q: &FakeQuantizers, f: fn(&Quantizer) -> f32| q.quantizers.iter().map(f).collect::<Vec<_>>();
         if let Some(q) = &self.quantizers {
-            put(&mut npz, "quantizer_steps", &[q.quantizers.len() as u64], &flat(q, |q| q.step))?;
-            put(&mut npz, "quantizer_offsets", &[q.quantizers.len() as u64], &flat(q, |q| q.offset))?;
+            npz.array("quantizer_steps", &[q.quantizers.len()], [&flat(q, |q| q.step)[..]])?;
+            npz.array("quantizer_offsets", &[q.quantizers.len()], [&flat(q, |q| q.offset)[..]])?;
         }
-        for (name, m) in MOMENT_NAMES.iter().zip(&self.kept_moments) {
-            put(&mut npz, name, &[2, m.first.len() as u64], &[m.first.as_slice(), &m.second].concat())?;
+        let o = &self.optimizer;
+        for column in with_moments(layout) {
+            let (m, v) = (o.first.values(column.attribute), o.second.values(column.attribute));
+            npz.array(&moments_name(column), &[2, m.len()], [m, v])?;
         }
-        let steps = [self.steps.as_slice(), &self.kept_moments.each_ref().map(|m| m.step)].concat();
-        put(&mut npz, "steps", &[steps.len() as u64], &steps)?;
+        for (name, m) in QUANTIZER_MOMENT_NAMES.into_iter().zip([&o.quantizer_steps, &o.quantizer_offsets]) {
+            npz.array(name, &[2, m.first.len()], [m.first.as_slice(), &m.second])?;
+        }
+        let mut steps: Vec<u64> = with_steps_alone(layout).map(|column| o.steps[column.attribute.index()]).collect();
+        steps.push(o.mask.step);
+        steps.extend(with_moments(layout).map(|column| o.steps[column.attribute.index()]));
+        steps.extend([o.quantizer_steps.step, o.quantizer_offsets.step]);
+        npz.array("steps", &[steps.len()], [&steps[..]])?;
         if first {
-            let cameras = p.camera_gains.len() as u64;
-            put(&mut npz, "camera_gains", &[cameras, 3], p.camera_gains.as_flattened())?;
-            put(&mut npz, "camera_offsets", &[cameras, 3], p.camera_offsets.as_flattened())?;
-            put(&mut npz, "foreground", &[n], &p.foreground.iter().map(|&f| u8::from(f)).collect::<Vec<_>>())?;
-            put(&mut npz, "scene_radius", &[1], &[self.scene_radius])?;
+            let cameras = p.camera_gains.len();
+            npz.array("camera_gains", &[cameras, 3], [p.camera_gains.as_flattened()])?;
+            npz.array("camera_offsets", &[cameras, 3], [p.camera_offsets.as_flattened()])?;
+            npz.array("foreground", &[n], [&p.foreground.iter().map(|&f| u8::from(f)).collect::<Vec<_>>()[..]])?;
+            npz.array("scene_radius", &[1], [[self.scene_radius].as_slice()])?;
             if let Some(q) = &self.quantizers {
                 let groups: Vec<u8> = q.groups.iter().flat_map(|&(a, width)| [a.index() as u8, width]).collect();
-                put(&mut npz, "quantizer_groups", &[q.groups.len() as u64, 2], &groups)?;
-                put(&mut npz, "quantizer_initial_steps", &[q.initial_steps.len() as u64], &q.initial_steps)?;
-                put(&mut npz, "bit_widths", &[5, n], &q.bit_map.widths.concat())?;
+                npz.array("quantizer_groups", &[q.groups.len(), 2], [&groups[..]])?;
+                npz.array("quantizer_initial_steps", &[q.initial_steps.len()], [&q.initial_steps[..]])?;
+                npz.array("bit_widths", &[layout.columns().len(), n], q.bit_map.widths.iter().map(Vec::as_slice))?;
             }
         }
         // Left to be dropped, the archive would swallow a full disk.
-        npz.zip_writer().finish().map_err(std::io::Error::from)?.flush()
+        npz.finish()?.flush()
     }
 
     /// Reads an archive.
@@ -94,45 +129,81 @@ impl Checkpoint {
     /// [`TrainError::File`] if it is not a whole checkpoint of this run.
     pub fn load(path: &Path, first: Option<&Self>, learned_offset: bool) -> Result<Self, TrainError> {
         let failed = |problem: String| TrainError::File { path: path.into(), problem };
-        let mut npz = NpzArchive::open(path).map_err(|e| failed(format!("not a checkpoint: {e}")))?;
+        let npz = NpzReader::open(path);
+        let mut npz = npz.map_err(|error| failed(format!("not a checkpoint: {}", problem_of(error))))?;
         read(&mut npz, first, learned_offset).map_err(failed)
     }
 }
 
-/// A file to be renamed within `folder`. Temporary files are private unless told; the one it becomes is as
-/// readable as any other.
-pub(crate) fn temporary_file(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.prefix(".writing-").tempfile_in(folder)
+const LIFETIME_NAMES: [&str; 3] = ["ids", "births", "deaths"];
+const QUANTIZER_MOMENT_NAMES: [&str; 2] = ["quantizer_step_moments", "quantizer_offset_moments"];
+
+/// The columns after the first five, a line each: how a checkpoint says its layout.
+fn table_of(layout: &Layout) -> String {
+    let line = |c: &Column| {
+        let Column { name, activation, varies, quantized, rate, unit, .. } = c;
+        format!("{name}\t{}\t{activation:?}\t{varies}\t{quantized}\t{rate:?}\t{unit}\n", c.components())
+    };
+    layout.columns()[Attribute::BASE.len()..].iter().map(line).collect()
 }
 
-type Archive = NpzArchive<std::io::BufReader<std::fs::File>>;
+/// The layout that [`table_of`] says; none if a line is not one of its.
+fn layout_of(table: &str) -> Option<Layout> {
+    let named = |word: &str| -> Option<Activation> {
+        let all = [Activation::Identity, Activation::Normalize, Activation::Exp, Activation::Sigmoid];
+        all.into_iter().find(|activation| format!("{activation:?}") == word)
+    };
+    let rate = |word: &str| -> Option<RateGroup> {
+        let all = [RateGroup::Mean, RateGroup::Quat, RateGroup::LogScale, RateGroup::LogitOpacity, RateGroup::Color];
+        all.into_iter().find(|rate| format!("{rate:?}") == word)
+    };
+    let mut layout = Layout::default();
+    for line in table.lines() {
+        let words: Vec<&str> = line.split('\t').collect();
+        let &[name, components, activation, varies, quantized, group, unit] = words.as_slice() else { return None };
+        let components = components.parse().ok().filter(|c| (1..=255).contains(c))?;
+        if layout.find(name).is_some() || layout.columns().len() > 255 {
+            return None;
+        }
+        let column = Column {
+            activation: named(activation)?,
+            varies: varies.parse().ok()?,
+            quantized: quantized.parse().ok()?,
+            rate: rate(group)?,
+            unit: unit.to_owned(),
+            ..Column::like(Attribute::Color)
+        };
+        layout.push(name, components, column);
+    }
+    Some(layout)
+}
 
-fn read(npz: &mut Archive, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
+fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
     let means = get::<f32>(npz, "means")?;
     let n = first.map_or(means.len() / 3, |f| f.parameters.num_gaussians());
-    let mut gaussians = Gaussians::zeros(n);
-    for attribute in Attribute::ALL {
-        let values = match first {
-            Some(first) if !attribute.varies_in_training() => first.parameters.gaussians.values(attribute).to_vec(),
-            _ => get(npz, attribute.name())?,
-        };
-        fill(attribute.name(), gaussians.values_mut(attribute), &values)?;
+    let layout = match first {
+        Some(first) => Arc::clone(first.parameters.gaussians.layout()),
+        None if npz.contains("columns") => {
+            let table = String::from_utf8(get::<u8>(npz, "columns")?).ok();
+            let layout = table.and_then(|table| layout_of(&table));
+            Arc::new(layout.ok_or("columns is no table of columns")?)
+        }
+        None => Layout::base(),
+    };
+    let mut gaussians = Gaussians::zeros_of(&layout, n);
+    for column in layout.columns() {
+        let (name, values) = (values_name(column), gaussians.values_mut(column.attribute));
+        match first {
+            Some(first) if !column.varies => {
+                values.copy_from_slice(first.parameters.gaussians.values(column.attribute))
+            }
+            _ => fill(&name, values, &get::<f32>(npz, &name)?)?,
+        }
     }
+    let lifetimes =
+        if LIFETIME_NAMES.iter().any(|name| npz.contains(name)) { read_lifetimes(npz, n)? } else { Lifetimes::new(n) };
     let mut mask_logits = vec![0.0; n];
     fill("mask_logits", &mut mask_logits, &get::<f32>(npz, "mask_logits")?)?;
-    let moments: Vec<Vec<f32>> = MOMENT_NAMES.iter().map(|name| get(npz, name)).collect::<Result<_, _>>()?;
-    let steps = get::<u64>(npz, "steps")?;
-    if steps.len() != 6 {
-        return Err(format!("steps holds {} values, expected 6", steps.len()));
-    }
-    let kept_moments = std::array::from_fn(|i| {
-        let (a, b) = moments[i].split_at(moments[i].len() / 2);
-        Moments { first: a.to_vec(), second: b.to_vec(), step: steps[3 + i] }
-    });
-
     let mut parameters = Parameters { gaussians, mask_logits, ..Parameters::default() };
     let (scene_radius, bits) = match first {
         Some(first) => {
@@ -148,7 +219,7 @@ fn read(npz: &mut Archive, first: Option<&Checkpoint>, learned_offset: bool) -> 
             parameters.camera_gains = get::<f32>(npz, "camera_gains")?.as_chunks().0.to_vec();
             parameters.camera_offsets = get::<f32>(npz, "camera_offsets")?.as_chunks().0.to_vec();
             let radius = get::<f32>(npz, "scene_radius")?.first().copied().ok_or("scene_radius is empty")?;
-            (radius, read_bits(npz, n)?)
+            (radius, read_bits(npz, &layout, n)?)
         }
     };
     if parameters.foreground.len() != n {
@@ -171,48 +242,91 @@ fn read(npz: &mut Archive, first: Option<&Checkpoint>, learned_offset: bool) -> 
             Some(FakeQuantizers::restore(bit_map, groups, quantizers, initial_steps, learned_offset))
         }
     };
-    Ok(Checkpoint { parameters, quantizers, kept_moments, steps: [steps[0], steps[1], steps[2]], scene_radius })
+    let optimizer = read_optimizer(npz, &parameters, quantizers.as_ref().map_or(0, |q| q.quantizers.len()))?;
+    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius })
+}
+
+fn read_lifetimes(npz: &mut NpzReader, n: usize) -> Result<Lifetimes, String> {
+    let mut column = |name: &str| -> Result<Vec<u32>, String> {
+        let values = get::<u64>(npz, name)?;
+        let narrow: Option<Vec<u32>> = values.iter().map(|&value| u32::try_from(value).ok()).collect();
+        narrow.filter(|values| values.len() == n).ok_or_else(|| format!("{name} is not {n} values below 2^32"))
+    };
+    let [ids, births, deaths] = LIFETIME_NAMES;
+    Ok(Lifetimes::from_columns(column(ids)?, column(births)?, column(deaths)?))
+}
+
+fn read_optimizer(npz: &mut NpzReader, parameters: &Parameters, num_quantizers: usize) -> Result<Optimizer, String> {
+    let layout = parameters.gaussians.layout();
+    let mut o = Optimizer::new(parameters, num_quantizers);
+    for column in with_moments(layout) {
+        let name = moments_name(column);
+        let both = get::<f32>(npz, &name)?;
+        let (m, v) = both.split_at(both.len() / 2);
+        fill(&name, o.first.values_mut(column.attribute), m)?;
+        fill(&name, o.second.values_mut(column.attribute), v)?;
+    }
+    for (name, moments) in QUANTIZER_MOMENT_NAMES.into_iter().zip([&mut o.quantizer_steps, &mut o.quantizer_offsets]) {
+        let both = get::<f32>(npz, name)?;
+        let (m, v) = both.split_at(both.len() / 2);
+        fill(name, &mut moments.first, m)?;
+        fill(name, &mut moments.second, v)?;
+    }
+    let steps = get::<u64>(npz, "steps")?;
+    let (alone, with): (Vec<_>, Vec<_>) = (with_steps_alone(layout).collect(), with_moments(layout).collect());
+    let expected = alone.len() + 1 + with.len() + 2;
+    if steps.len() != expected {
+        return Err(format!("steps holds {} values, expected {expected}", steps.len()));
+    }
+    let mut steps = steps.into_iter();
+    let mut next = || steps.next().expect("counted above");
+    for column in alone {
+        o.steps[column.attribute.index()] = next();
+    }
+    o.mask.step = next();
+    for column in with {
+        o.steps[column.attribute.index()] = next();
+    }
+    (o.quantizer_steps.step, o.quantizer_offsets.step) = (next(), next());
+    Ok(o)
 }
 
 type Bits = (BitMap, Vec<(Attribute, u8)>, Vec<f32>);
 
-fn read_bits(npz: &mut Archive, n: usize) -> Result<Option<Bits>, String> {
-    if !npz.array_names().any(|name| name == "bit_widths") {
+fn read_bits(npz: &mut NpzReader, layout: &Layout, n: usize) -> Result<Option<Bits>, String> {
+    // All of them or none: an archive's list of names has no checksum.
+    if !["quantizer_groups", "quantizer_initial_steps", "quantizer_steps", "bit_widths"].iter().any(|a| npz.contains(a))
+    {
         return Ok(None);
     }
     let widths = get::<u8>(npz, "bit_widths")?;
-    if widths.len() != 5 * n || widths.iter().any(|w| !(1..=16).contains(w)) {
-        return Err(format!("bit_widths holds {} values, expected {} of 1 to 16", widths.len(), 5 * n));
+    let expected = layout.columns().len() * n;
+    if widths.len() != expected || widths.iter().any(|w| !(1..=16).contains(w)) {
+        return Err(format!("bit_widths holds {} values, expected {expected} of 1 to 16", widths.len()));
     }
     let groups: Vec<(Attribute, u8)> = get::<u8>(npz, "quantizer_groups")?
         .chunks_exact(2)
-        .map(|g| Attribute::ALL.get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|&a| (a, g[1])))
+        .map(|g| {
+            layout.columns().get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|c| (c.attribute, g[1]))
+        })
         .collect::<Option<_>>()
         .ok_or("quantizer_groups names an attribute or a width that does not exist")?;
     let widths = std::array::from_fn(|a| widths[a * n..(a + 1) * n].to_vec());
     Ok(Some((BitMap { widths }, groups, get(npz, "quantizer_initial_steps")?)))
 }
 
-fn put<W: Write + std::io::Seek, T: npyz::Serialize + npyz::AutoSerialize + Copy>(
-    npz: &mut NpzWriter<W>,
-    name: &str,
-    shape: &[u64],
-    values: &[T],
-) -> std::io::Result<()> {
-    // No time of writing, so that equal checkpoints are equal files; not compressed, as `numpy.savez` does.
-    let options = FileOptions::default()
-        .compression_method(CompressionMethod::Stored)
-        .last_modified_time(DateTime::default())
-        .large_file(size_of_val(values) > u32::MAX as usize / 2);
-    let mut array = npz.array::<T>(name, options)?.default_dtype().shape(shape).begin_nd()?;
-    array.extend(values.iter().copied())?;
-    array.finish()
+fn get<T: NpyValue>(npz: &mut NpzReader, name: &str) -> Result<Vec<T>, String> {
+    Ok(npz.array_of(name).map_err(problem_of)?.values)
 }
 
-fn get<T: npyz::Deserialize>(npz: &mut Archive, name: &str) -> Result<Vec<T>, String> {
-    let array = npz.by_name(name).map_err(|e| format!("{name} cannot be read: {e}"))?;
-    let array = array.ok_or_else(|| format!("{name} is missing"))?;
-    array.into_vec().map_err(|e| format!("{name} cannot be read: {e}"))
+/// What is wrong with a checkpoint, without its path.
+fn problem_of(error: InterchangeError) -> String {
+    match error {
+        InterchangeError::Io { error, .. } => error.to_string(),
+        InterchangeError::Archive { problem, .. } => problem,
+        InterchangeError::Array { key, problem, .. } => format!("{key} {problem}"),
+        other => other.to_string(),
+    }
 }
 
 fn fill(name: &str, into: &mut [f32], values: &[f32]) -> Result<(), String> {

@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
 use tcgs_core::DynamicGaussians;
+use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
-use crate::checkpoint::{Checkpoint, temporary_file};
+use crate::checkpoint::Checkpoint;
 use crate::config::TrainConfig;
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
@@ -52,9 +53,9 @@ impl Run {
     /// Makes a new run folder.
     ///
     /// # Errors
-    /// [`TrainError::Io`] if it cannot be written.
+    /// [`TrainError::Write`] if it cannot be written.
     pub fn create(folder: &Path, config: &TrainConfig) -> Result<Self, TrainError> {
-        fs::create_dir_all(folder.join("checkpoints")).map_err(io("creating", folder))?;
+        fs::create_dir_all(folder.join("checkpoints")).map_err(write(folder))?;
         let run = Self { folder: folder.into(), config: config.clone() };
         run.write_whole(CONFIG, config.to_toml().as_bytes())?;
         Ok(run)
@@ -66,7 +67,7 @@ impl Run {
     /// [`TrainError`] if its configuration cannot be read.
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
-        let text = fs::read_to_string(&path).map_err(io("reading", &path))?;
+        let text = fs::read_to_string(&path).map_err(read(&path))?;
         let config =
             TrainConfig::default().merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         Ok(Self { folder: folder.into(), config })
@@ -80,7 +81,7 @@ impl Run {
     /// Replaces the settings, to go on with more frames.
     ///
     /// # Errors
-    /// [`TrainError::Io`] if they cannot be written.
+    /// [`TrainError::Write`] if they cannot be written.
     pub fn set_config(&mut self, config: &TrainConfig) -> Result<(), TrainError> {
         self.config = config.clone();
         self.write_whole(CONFIG, config.to_toml().as_bytes())
@@ -103,7 +104,7 @@ impl Run {
     /// Writes the checkpoint of a timestep.
     ///
     /// # Errors
-    /// [`TrainError::Io`]; nothing half-written stays.
+    /// [`TrainError::Write`]; nothing half-written stays.
     pub fn save(&self, timestep: usize, checkpoint: &Checkpoint) -> Result<(), TrainError> {
         checkpoint.save(&self.checkpoint_path(timestep), timestep == 0)
     }
@@ -127,13 +128,19 @@ impl Run {
         if finished == 0 {
             return Ok(None);
         }
-        let first = self.load(0, None)?;
-        let later = |t: usize| if t == 0 { Ok(first.clone()) } else { self.load(t, Some(&first)) };
+        let first = self.checkpoint(0, None)?;
+        let later = |t: usize| if t == 0 { Ok(first.clone()) } else { self.checkpoint(t, Some(&first)) };
         let (before_last, last) = (later(finished.saturating_sub(2))?, later(finished - 1)?);
         Ok(Some(Trainer::resume(&self.config, &first, &before_last, &last, finished, make)))
     }
 
-    fn load(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {
+    /// Reads the checkpoint of one finished timestep.
+    ///
+    /// - `first`: the checkpoint of timestep 0, which holds what does not vary; none to read that one itself
+    ///
+    /// # Errors
+    /// [`TrainError::File`] if there is no such checkpoint, or it is damaged.
+    pub fn checkpoint(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {
         Checkpoint::load(&self.checkpoint_path(timestep), first, self.config.quantize.learned_offset)
     }
 
@@ -147,14 +154,14 @@ impl Run {
             let problem = "no checkpoint, expected a run with at least one finished timestep".into();
             return Err(TrainError::File { path: self.folder.join("checkpoints"), problem });
         }
-        let first = self.load(0, None)?;
+        let first = self.checkpoint(0, None)?;
         let mut scene = DynamicGaussians::default();
         let mut mask_logits = Vec::with_capacity(finished);
         let mut quantizers = first.quantizers.clone();
         scene.push(first.parameters.gaussians.clone());
         mask_logits.push(first.parameters.mask_logits.clone());
         for timestep in 1..finished {
-            let later = self.load(timestep, Some(&first))?;
+            let later = self.checkpoint(timestep, Some(&first))?;
             scene.push(later.parameters.gaussians);
             mask_logits.push(later.parameters.mask_logits);
             quantizers = later.quantizers;
@@ -172,7 +179,7 @@ impl Run {
     /// Metrics written so far, one object a timestep.
     ///
     /// # Errors
-    /// [`TrainError::Io`] if they cannot be read.
+    /// [`TrainError::Read`] if they cannot be read.
     pub fn metrics(&self) -> Result<Vec<Value>, TrainError> {
         // A line cut short by a crash is one of a timestep that has no checkpoint yet.
         Ok(self.metrics_text()?.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
@@ -183,13 +190,13 @@ impl Run {
         if !path.exists() {
             return Ok(String::new());
         }
-        fs::read_to_string(&path).map_err(io("reading", &path))
+        fs::read_to_string(&path).map_err(read(&path))
     }
 
     /// Keeps the metrics of the first `timesteps` and drops what a stopped run wrote after them.
     ///
     /// # Errors
-    /// [`TrainError::Io`] if they cannot be written.
+    /// [`TrainError::Read`] or [`TrainError::Write`] if they cannot be read or written.
     pub fn truncate_metrics(&self, timesteps: usize) -> Result<(), TrainError> {
         let kept = |line: &&str| {
             let metrics: Option<Value> = serde_json::from_str(line).ok();
@@ -203,24 +210,25 @@ impl Run {
     /// Appends the metrics of one timestep.
     ///
     /// # Errors
-    /// [`TrainError::Io`] if they cannot be written.
+    /// [`TrainError::Write`] if they cannot be written.
     pub fn append_metrics(&self, metrics: &Value) -> Result<(), TrainError> {
         let path = self.folder.join(METRICS);
-        let mut file = fs::OpenOptions::new().create(true).append(true).open(&path).map_err(io("opening", &path))?;
-        file.write_all(format!("{metrics}\n").as_bytes()).map_err(io("writing", &path))
+        let mut file = fs::OpenOptions::new().create(true).append(true).open(&path).map_err(write(&path))?;
+        file.write_all(format!("{metrics}\n").as_bytes()).map_err(write(&path))
     }
 
     fn write_whole(&self, name: &str, bytes: &[u8]) -> Result<(), TrainError> {
         let path = self.folder.join(name);
-        let mut file = temporary_file(&self.folder).map_err(io("writing", &path))?;
-        file.write_all(bytes).map_err(io("writing", &path))?;
-        file.as_file().sync_all().map_err(io("writing", &path))?;
-        file.persist(&path).map_err(|e| io("writing", &path)(e.error))?;
-        Ok(())
+        write_whole(&path, Existing::Replace, |file| file.write_all(bytes)).map_err(write(&path))
     }
 }
 
-fn io(action: &'static str, path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
+fn read(path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
     let path = path.to_path_buf();
-    move |source| TrainError::Io { action, path: path.clone(), source }
+    move |error| TrainError::Read { path: path.clone(), error }
+}
+
+fn write(path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
+    let path = path.to_path_buf();
+    move |error| TrainError::Write { path: path.clone(), error }
 }

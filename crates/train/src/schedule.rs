@@ -1,5 +1,7 @@
 //! When things happen and how fast parameters move, as a function of timestep and iteration.
 
+use tcgs_core::{Column, RateGroup};
+
 use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 
 /// Learning rates of one iteration.
@@ -21,6 +23,24 @@ pub struct Rates {
     pub mask: f32,
     /// Steps and offsets, times the step they started from.
     pub step: f32,
+    /// Whether columns that do not vary over time move: in the first timestep alone.
+    pub moves_constants: bool,
+}
+
+impl Rates {
+    /// The learning rate of a column; 0 of one that is constant over time and has been learned.
+    pub fn of(&self, column: &Column) -> f32 {
+        if !column.varies && !self.moves_constants {
+            return 0.0;
+        }
+        match column.rate {
+            RateGroup::Mean => self.mean,
+            RateGroup::Quat => self.quat,
+            RateGroup::LogScale => self.log_scale,
+            RateGroup::LogitOpacity => self.logit_opacity,
+            RateGroup::Color => self.color,
+        }
+    }
 }
 
 /// The first timestep or a later one.
@@ -92,6 +112,7 @@ impl Schedule {
                     camera: r.camera * scale * decay,
                     mask,
                     step: r.step * decay,
+                    moves_constants: true,
                 }
             }
             Phase::Rest => {
@@ -107,6 +128,7 @@ impl Schedule {
                     camera: 0.0,
                     mask,
                     step: r.step * cosine(r.motion_decay),
+                    moves_constants: false,
                 }
             }
         }

@@ -1,22 +1,26 @@
 //! The loop: timesteps, iterations, and what happens between them.
 
-use std::sync::Arc;
+use std::ops::ControlFlow;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_codec::{BitMapping, BitSettings, assign_bits};
-use tcgs_core::{Attribute, Camera, PointCloud, View};
+use tcgs_core::{Camera, PointCloud, View};
 use tcgs_metrics::psnr;
 
 use crate::TrainError;
 use crate::checkpoint::Checkpoint;
 use crate::config::{BitMapKind, TrainConfig};
 use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
-use crate::engine::cpu::{CpuEngine, FakeQuantizers, Neighbors, mask, predict};
-use crate::engine::{Engine, LossTerms, Step, Target};
+use crate::engine::cpu::CpuEngine;
+use crate::engine::{Engine, Step, Target};
+use crate::fake_quant::FakeQuantizers;
+use crate::losses::LossTerms;
+use crate::mask::mask;
+use crate::motion::{Past, Pose, predict};
 use crate::parameters::{Parameters, scene_radius};
 use crate::schedule::{Phase, Schedule};
-use crate::state::{Past, Pose, State};
+use crate::state::State;
 
 /// What a caller hears of every iteration.
 #[derive(Clone, Copy, Debug)]
@@ -46,11 +50,9 @@ pub struct Trainer {
     num_gaussians: usize,
     /// Timesteps finished.
     timestep: usize,
-    /// Of the first timestep.
-    first: Option<Arc<Pose>>,
-    /// Of the timestep before the last.
-    before: Option<Arc<Pose>>,
     camera_ids: Vec<usize>,
+    /// Whether [`Self::fit`] ended within a timestep.
+    is_unfinished: bool,
 }
 
 impl Trainer {
@@ -100,9 +102,8 @@ impl Trainer {
             num_gaussians: parameters.num_gaussians(),
             engine: make(State::new(parameters)),
             timestep: 0,
-            first: None,
-            before: None,
             camera_ids: Vec::new(),
+            is_unfinished: false,
         })
     }
 
@@ -120,18 +121,16 @@ impl Trainer {
         timesteps: usize,
         make: impl FnOnce(State) -> Box<dyn Engine>,
     ) -> Self {
-        let place = |c: &Checkpoint| (c.parameters.gaussians.means.clone(), c.parameters.gaussians.quats.clone());
         let mut state = State::new(last.parameters.clone());
         state.quantizers = last.quantizers.clone();
-        let [mean, quat, masks] = last.steps;
-        let [color, steps, offsets] = last.kept_moments.clone();
-        let o = &mut state.optimizer;
-        o.attributes[Attribute::Mean.index()].step = mean;
-        o.attributes[Attribute::Quat.index()].step = quat;
-        o.mask.step = masks;
-        o.attributes[Attribute::Color.index()] = color;
-        o.quantizer_steps = steps;
-        o.quantizer_offsets = offsets;
+        state.lifetimes = last.lifetimes.clone();
+        state.optimizer = last.optimizer.clone();
+        state.timestep = timesteps - 1;
+        if timesteps > 1 {
+            let before_last = before_last.parameters.gaussians.clone();
+            let first = Pose::of(&first.parameters.gaussians);
+            state.past = Some(Past::new(first, before_last, &state.parameters.foreground));
+        }
         Self {
             config: config.clone(),
             schedule: Schedule::new(config, first.scene_radius),
@@ -139,9 +138,8 @@ impl Trainer {
             num_gaussians: state.parameters.num_gaussians(),
             engine: make(state),
             timestep: timesteps,
-            first: Some(Arc::new(place(first))),
-            before: Some(Arc::new(place(before_last))),
             camera_ids: Vec::new(),
+            is_unfinished: false,
         }
     }
 
@@ -165,10 +163,23 @@ impl Trainer {
 
     /// Trains the next timestep on its views.
     ///
+    /// - `observe`: hears of every iteration, and ends the training by [`ControlFlow::Break`]. The CPU engine reports an
+    ///   iteration before the next one begins; the GPU engine reports up to 64 iterations later.
+    ///
+    /// A timestep is the unit of a run: a checkpoint holds the state between two timesteps, not the moments of Adam and
+    /// the order of views that only matter within one. So a trainer that ended within a timestep, by
+    /// `ControlFlow::Break` or by an error, gives no checkpoint and trains no further; [`Run::resume`](crate::Run::resume)
+    /// goes on after the last finished timestep, with the same bytes as a run that was never stopped.
+    ///
     /// # Errors
-    /// [`TrainError::NotFinite`] if a loss is; [`TrainError::Input`] if there are no views, or another
-    /// number of cameras than at the first timestep; [`TrainError::Gpu`] if the engine failed.
-    pub fn fit(&mut self, views: &[View], progress: &mut dyn FnMut(&Progress)) -> Result<(), TrainError> {
+    /// [`TrainError::Stopped`] if `observe` broke off; [`TrainError::NotFinite`] if a loss is; [`TrainError::Input`] if
+    /// there are no views, another number of cameras than at the first timestep, or an unfinished timestep before;
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn fit(
+        &mut self,
+        views: &[View],
+        observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+    ) -> Result<(), TrainError> {
         let num_cameras = self.engine.state()?.parameters.camera_gains.len();
         if views.len() != num_cameras {
             return Err(TrainError::Input {
@@ -177,6 +188,8 @@ impl Trainer {
                 expected: format!("{num_cameras}, as at the first"),
             });
         }
+        self.check_finished()?;
+        self.is_unfinished = true;
         self.camera_ids = views.iter().map(|v| v.camera_id).collect();
         let with_segmentation = views.iter().all(|v| v.segmentation.is_some());
         let phase = Phase::of(self.timestep);
@@ -212,7 +225,7 @@ impl Trainer {
             if reshapes {
                 self.engine.wait()?;
             }
-            self.report(&mut reported, iterations, progress)?;
+            self.report(&mut reported, iterations, observe)?;
             if phase == Phase::First {
                 let seed = random.random();
                 if reshapes {
@@ -221,7 +234,7 @@ impl Trainer {
             }
         }
         self.engine.wait()?;
-        self.report(&mut reported, iterations, progress)?;
+        self.report(&mut reported, iterations, observe)?;
         assert_eq!(reported, iterations, "iterations that the engine reported");
         self.check_finite(iterations)?;
         self.end_timestep()
@@ -234,18 +247,20 @@ impl Trainer {
         &mut self,
         reported: &mut usize,
         iterations: usize,
-        progress: &mut dyn FnMut(&Progress),
+        observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<(), TrainError> {
         let weights = &self.config.weights;
         let (timestep, num_gaussians) = (self.timestep, self.num_gaussians);
         for terms in self.engine.losses()? {
             let iteration = *reported;
             if let Some(&(term, value, _)) = terms.terms(weights).iter().find(|t| !t.1.is_finite()) {
-                return Err(TrainError::NotFinite { term, value, timestep, iteration });
+                return Err(TrainError::NotFinite { term: term.into(), value, timestep, iteration });
             }
             let loss = terms.total(weights);
-            progress(&Progress { timestep, iteration, iterations, terms, loss, num_gaussians });
             *reported += 1;
+            if observe(&Progress { timestep, iteration, iterations, terms, loss, num_gaussians }).is_break() {
+                return Err(TrainError::Stopped { timestep, iteration });
+            }
         }
         Ok(())
     }
@@ -274,6 +289,8 @@ impl Trainer {
                 remove_others(state, &keep);
             }
         }
+        // Until the first timestep is finished nobody is told apart.
+        state.number_anew();
         self.num_gaussians = state.parameters.num_gaussians();
         Ok(())
     }
@@ -284,49 +301,43 @@ impl Trainer {
         let sensitivity = self.engine.sensitivity(&cameras)?;
         let state = self.engine.state_mut()?;
         let gaussians = &state.parameters.gaussians;
-        let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(&self.config));
+        let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(&self.config))?;
         state.start_quantization(FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset));
         Ok(())
     }
 
     /// Predicts where everything goes, and prepares what the losses compare with.
     fn begin_timestep(&mut self) -> Result<(), TrainError> {
-        let first = self.first.clone().expect("a first timestep is finished");
+        let timestep = self.timestep;
         let state = self.engine.state_mut()?;
+        state.timestep = timestep;
         let p = &mut state.parameters;
-        let neighbors = match state.past.take() {
-            Some(past) => past.neighbors,
-            None => Arc::new(Neighbors::new(&first.0, &p.foreground)),
-        };
-        state.past = Some(Past { first, neighbors, previous: p.gaussians.clone() });
-        let g = &mut p.gaussians;
-        let now = Arc::new((g.means.clone(), g.quats.clone()));
-        let before = self.before.take().unwrap_or_else(|| Arc::clone(&now));
-        for i in 0..g.means.len() {
-            (g.means[i], g.quats[i]) = predict(g.means[i], before.0[i], g.quats[i], before.1[i]);
+        // After the first timestep no motion is known yet.
+        let past =
+            state.past.get_or_insert_with(|| Past::new(Pose::of(&p.gaussians), p.gaussians.clone(), &p.foreground));
+        let before = std::mem::replace(&mut past.previous, p.gaussians.clone());
+        let (before_means, before_quats) = (before.means(), before.quats());
+        let v = p.gaussians.views_mut();
+        for i in 0..v.means.len() {
+            (v.means[i], v.quats[i]) = predict(v.means[i], before_means[i], v.quats[i], before_quats[i]);
         }
-        self.before = Some(now);
         if self.config.mask.enabled {
             // Paper Eq. 5 compares with the timestep before.
-            state.previous_mask_logits = Some(p.mask_logits.clone());
+            past.previous_mask_logits = Some(p.mask_logits.clone());
             if self.config.mask.reset {
                 p.mask_logits.fill(self.config.mask.initial_logit);
             }
         }
-        let o = &mut state.optimizer;
-        for attribute in [Attribute::Mean, Attribute::Quat] {
-            o.attributes[attribute.index()].clear(self.config.rates.reset_steps);
-        }
-        o.mask.clear(self.config.rates.reset_steps);
+        state.optimizer.begin_timestep(self.config.rates.reset_steps);
         Ok(())
     }
 
     /// A Gaussian that is not finite is culled by the renderer, so that no loss tells.
     fn check_finite(&mut self, iteration: usize) -> Result<(), TrainError> {
         let gaussians = &self.engine.state()?.parameters.gaussians;
-        for attribute in Attribute::ALL {
-            if let Some(value) = gaussians.values(attribute).iter().find(|x| !x.is_finite()) {
-                let (term, value) = (attribute.name(), f64::from(*value));
+        for column in gaussians.layout().columns() {
+            if let Some(value) = gaussians.values(column.attribute).iter().find(|x| !x.is_finite()) {
+                let (term, value) = (column.name.clone().into(), f64::from(*value));
                 return Err(TrainError::NotFinite { term, value, timestep: self.timestep, iteration });
             }
         }
@@ -334,29 +345,34 @@ impl Trainer {
     }
 
     fn end_timestep(&mut self) -> Result<(), TrainError> {
-        if self.timestep == 0 {
-            let g = &self.engine.state()?.parameters.gaussians;
-            self.first = Some(Arc::new((g.means.clone(), g.quats.clone())));
-            // No motion is known yet.
-            self.before = self.first.clone();
-        }
         self.timestep += 1;
+        self.is_unfinished = false;
+        Ok(())
+    }
+
+    fn check_finished(&self) -> Result<(), TrainError> {
+        if self.is_unfinished {
+            return Err(TrainError::Input {
+                what: format!("timestep {} of the trainer", self.timestep),
+                found: "a timestep that ended half-way".into(),
+                expected: "a trainer resumed from the last checkpoint".into(),
+            });
+        }
         Ok(())
     }
 
     /// What is to be remembered of the timestep just finished.
     ///
     /// # Errors
-    /// [`TrainError::Gpu`] if the engine failed.
+    /// [`TrainError::Input`] if the last timestep ended half-way; [`TrainError::Gpu`] if the engine failed.
     pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
+        self.check_finished()?;
         let state = self.engine.state()?;
-        let o = &state.optimizer;
-        let [mean, quat, _, _, color] = &o.attributes;
         Ok(Checkpoint {
             parameters: state.parameters.clone(),
+            lifetimes: state.lifetimes.clone(),
             quantizers: state.quantizers.clone(),
-            kept_moments: [color.clone(), o.quantizer_steps.clone(), o.quantizer_offsets.clone()],
-            steps: [mean.step, quat.step, o.mask.step],
+            optimizer: state.optimizer.carried_over(),
             scene_radius: self.scene_radius,
         })
     }

@@ -2,16 +2,17 @@
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 
+use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
-use tcgs_core::{Camera, Gaussians, Image, View};
+use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::engine::{Engine, LossTerms, Step, Target};
+use tcgs_train::engine::{Engine, Step, Target};
 use tcgs_train::{
-    DensifyStep, GradientStatistic, MaskConfig, Parameters, Run, State, TrainConfig, TrainError, Trainer, densify,
-    reset_opacities,
+    DensifyStep, GradientStatistic, LossTerms, MaskConfig, Parameters, Run, State, TrainConfig, TrainError, Trainer,
+    densify, reset_opacities,
 };
 
 fn capture() -> &'static Capture {
@@ -56,7 +57,12 @@ fn training_learns_the_scene_and_follows_it() {
     let mut trainer = trainer(&config());
     let before = trainer.mean_psnr(&views(0)).unwrap();
     let mut losses = Vec::new();
-    trainer.fit(&views(0), &mut |p| losses.push(p.loss)).unwrap();
+    trainer
+        .fit(&views(0), &mut |p| {
+            losses.push(p.loss);
+            ControlFlow::Continue(())
+        })
+        .unwrap();
     let after = trainer.mean_psnr(&views(0)).unwrap();
     assert!(after > before + 8.0 && after > 25.0, "{before:.2} dB became {after:.2}");
     assert!(losses[losses.len() - 1] < 0.3 * losses[0]);
@@ -67,22 +73,22 @@ fn training_learns_the_scene_and_follows_it() {
     assert_eq!(trainer.num_gaussians(), first.num_gaussians());
 
     for frame in 1..4 {
-        trainer.fit(&views(frame), &mut |_| ()).unwrap();
+        trainer.fit(&views(frame), &mut |_| ControlFlow::Continue(())).unwrap();
     }
     let follows = trainer.mean_psnr(&views(3)).unwrap();
     let frozen = {
         let mut still = self::trainer(&config());
-        still.fit(&views(0), &mut |_| ()).unwrap();
+        still.fit(&views(0), &mut |_| ControlFlow::Continue(())).unwrap();
         still.mean_psnr(&views(3)).unwrap()
     };
     assert!(follows > frozen + 3.0, "{follows:.2} dB while following, {frozen:.2} standing still");
     // What is frozen after the first timestep has not moved; what varies has.
     let last = &trainer.state().unwrap().parameters;
-    assert_eq!(last.gaussians.log_scales, first.gaussians.log_scales);
-    assert_eq!(last.gaussians.logit_opacities, first.gaussians.logit_opacities);
+    assert_eq!(last.gaussians.log_scales(), first.gaussians.log_scales());
+    assert_eq!(last.gaussians.logit_opacities(), first.gaussians.logit_opacities());
     assert_eq!(last.camera_gains, first.camera_gains);
-    assert_ne!(last.gaussians.means, first.gaussians.means);
-    assert_ne!(last.gaussians.colors, first.gaussians.colors);
+    assert_ne!(last.gaussians.means(), first.gaussians.means());
+    assert_ne!(last.gaussians.colors(), first.gaussians.colors());
 }
 
 #[test]
@@ -100,11 +106,12 @@ fn a_capture_without_masks_trains_and_stays_finite() {
             .fit(&without(frame), &mut |p| {
                 assert!(p.loss.is_finite());
                 assert_eq!((p.terms.segmentation, p.terms.prior.background), (0.0, 0.0));
+                ControlFlow::Continue(())
             })
             .unwrap();
     }
     assert!(trainer.mean_psnr(&without(1)).unwrap() > 18.0);
-    assert!(trainer.state().unwrap().parameters.gaussians.means.as_flattened().iter().all(|x| x.is_finite()));
+    assert!(trainer.state().unwrap().parameters.gaussians.means().as_flattened().iter().all(|x| x.is_finite()));
 }
 
 #[test]
@@ -118,7 +125,7 @@ fn threads_and_resuming_do_not_change_a_bit() {
             let mut trainer = trainer(&config);
             (0..4)
                 .map(|frame| {
-                    trainer.fit(&views(frame), &mut |_| ()).unwrap();
+                    trainer.fit(&views(frame), &mut |_| ControlFlow::Continue(())).unwrap();
                     trainer.checkpoint().unwrap()
                 })
                 .collect::<Vec<_>>()
@@ -133,7 +140,7 @@ fn threads_and_resuming_do_not_change_a_bit() {
         run.save(finished - 1, &whole[finished - 1]).unwrap();
         let mut resumed = run.resume().unwrap().expect("a timestep is finished");
         assert_eq!(resumed.timesteps(), finished);
-        resumed.fit(&views(finished), &mut |_| ()).unwrap();
+        resumed.fit(&views(finished), &mut |_| ControlFlow::Continue(())).unwrap();
         assert!(resumed.checkpoint().unwrap() == whole[finished], "resuming after {finished} timesteps differs");
     }
     run.save(3, &whole[3]).unwrap();
@@ -181,7 +188,7 @@ impl Engine for Late {
         self.cpu.state_mut()
     }
 
-    fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Gaussians, TrainError> {
+    fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
         self.cpu.sensitivity(cameras)
     }
 
@@ -200,7 +207,10 @@ fn an_engine_may_run_behind() {
     let fit = |mut trainer: Trainer| {
         let mut told = Vec::new();
         for frame in 0..2 {
-            let tell = &mut |p: &tcgs_train::Progress| told.push((p.timestep, p.iteration, p.loss, p.num_gaussians));
+            let tell = &mut |p: &tcgs_train::Progress| {
+                told.push((p.timestep, p.iteration, p.loss, p.num_gaussians));
+                ControlFlow::Continue(())
+            };
             trainer.fit(&views(frame), tell).unwrap();
         }
         (told, trainer.checkpoint().unwrap())
@@ -213,15 +223,38 @@ fn an_engine_may_run_behind() {
 }
 
 #[test]
+fn a_trainer_that_is_stopped_gives_no_checkpoint_of_an_unfinished_timestep() {
+    let mut config = config();
+    (config.schedule.first_iterations, config.schedule.rest_iterations) = (20, 10);
+    let mut trainer = trainer(&config);
+    let mut told = 0;
+    let error = trainer
+        .fit(&views(0), &mut |_| {
+            told += 1;
+            if told == 7 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        })
+        .unwrap_err();
+    assert!(matches!(error, TrainError::Stopped { timestep: 0, iteration: 6 }), "{error}");
+    assert_eq!(told, 7, "the observer is not asked again");
+    assert_eq!(trainer.timesteps(), 0);
+    assert!(matches!(trainer.checkpoint(), Err(TrainError::Input { .. })));
+    let error = trainer.fit(&views(0), &mut |_| ControlFlow::Continue(())).unwrap_err().to_string();
+    assert!(error.contains("ended half-way"), "{error}");
+}
+
+#[test]
 fn what_cannot_be_trained_on_is_refused() {
     let mut trainer = trainer(&config());
     let mut broken = views(0);
     for view in &mut broken {
         view.image.data[7] = f32::NAN;
     }
-    let error = trainer.fit(&broken, &mut |_| ()).unwrap_err();
-    assert!(matches!(error, TrainError::NotFinite { term: "image", timestep: 0, iteration: 0, .. }), "{error}");
-    let error = trainer.fit(&views(0)[..3], &mut |_| ()).unwrap_err().to_string();
+    let error = trainer.fit(&broken, &mut |_| ControlFlow::Continue(())).unwrap_err();
+    assert!(
+        matches!(&error, TrainError::NotFinite { term, timestep: 0, iteration: 0, .. } if term == "image"),
+        "{error}"
+    );
+    let error = trainer.fit(&views(0)[..3], &mut |_| ControlFlow::Continue(())).unwrap_err().to_string();
     assert_eq!(error, "training views of timestep 0: found 3, expected 5, as at the first");
     let nothing = tcgs_core::PointCloud::default();
     assert!(Trainer::new(&config(), &nothing, &[views(0)[0].camera.clone()]).is_err());
@@ -232,9 +265,9 @@ fn rotations_take_the_form_of_files_before_they_are_quantised() {
     let cloud =
         tcgs_core::PointCloud { points: vec![[0.0; 3]; 2], colors: vec![[0.5; 3]; 2], foreground: vec![true; 2] };
     let mut state = State::new(Parameters::from_cloud(&cloud, 1, 1.0));
-    state.parameters.gaussians.quats = vec![[-3.0, 0.0, 4.0, 0.0], [0.0, 0.0, 0.0, 2.0]];
+    state.parameters.gaussians.quats_mut().copy_from_slice(&[[-3.0, 0.0, 4.0, 0.0], [0.0, 0.0, 0.0, 2.0]]);
     state.canonicalize_quats();
-    assert_eq!(state.parameters.gaussians.quats, [[0.6, 0.0, -0.8, 0.0], [0.0, 0.0, 0.0, 1.0]]);
+    assert_eq!(state.parameters.gaussians.quats(), [[0.6, 0.0, -0.8, 0.0], [0.0, 0.0, 0.0, 1.0]]);
 }
 
 #[test]
@@ -248,26 +281,26 @@ fn density_adapts_by_the_rules() {
     let mut state = State::new(Parameters::from_cloud(&cloud, 1, 1.0));
     let g = &mut state.parameters.gaussians;
     // With a radius of 10: cloned up to a scale of 0.1, split above, removed above 1.
-    g.log_scales = [0.05_f32, 0.5, 0.05, 0.05, 2.0].map(|s| [s.ln(); 3]).to_vec();
-    g.logit_opacities = vec![0.0, 0.0, 0.0, -9.0, 0.0];
+    g.log_scales_mut().copy_from_slice(&[0.05_f32, 0.5, 0.05, 0.05, 2.0].map(|s| [s.ln(); 3]));
+    g.logit_opacities_mut().copy_from_slice(&[0.0, 0.0, 0.0, -9.0, 0.0]);
     state.statistic = GradientStatistic { sum: vec![3e-3, 3e-3, 1e-4, 0.0, 0.0], count: vec![10, 10, 10, 0, 3] };
     let step = DensifyStep { config: &config, scene_radius: 10.0, last: false, removes_large: true, seed: 1 };
     let done = densify(&mut state, &step);
     assert_eq!((done.cloned, done.split, done.removed), (1, 1, 2));
     let p = &state.parameters;
     // Kept 0 and 2, the clone of 0, two children of 1; the transparent and the large one are gone.
-    let colors: Vec<f32> = p.gaussians.colors.iter().map(|c| c[0]).collect();
+    let colors: Vec<f32> = p.gaussians.colors().iter().map(|c| c[0]).collect();
     assert_eq!(colors, [0.1, 0.3, 0.1, 0.2, 0.2]);
     assert_eq!(p.foreground, [true, true, true, false, false]);
-    assert_eq!(p.gaussians.means[2], p.gaussians.means[0]);
+    assert_eq!(p.gaussians.means()[2], p.gaussians.means()[0]);
     for child in [3, 4] {
-        assert!((p.gaussians.log_scales[child][0].exp() - 0.5 / 1.6).abs() < 1e-6);
-        let moved = p.gaussians.means[child].map(|x| x - 1.0);
+        assert!((p.gaussians.log_scales()[child][0].exp() - 0.5 / 1.6).abs() < 1e-6);
+        let moved = p.gaussians.means()[child].map(|x| x - 1.0);
         assert!(moved != [0.0; 3] && moved.iter().all(|m| m.abs() < 2.5), "{moved:?}");
     }
     assert_eq!(state.statistic, GradientStatistic::new(5));
     assert_eq!(state.optimizer.mask.first.len(), 5);
     reset_opacities(&mut state, 0.01);
-    let opacity = tcgs_core::sigmoid(state.parameters.gaussians.logit_opacities[0]);
+    let opacity = tcgs_core::sigmoid(state.parameters.gaussians.logit_opacities()[0]);
     assert!((opacity - 0.01).abs() < 1e-6);
 }

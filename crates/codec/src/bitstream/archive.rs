@@ -36,8 +36,8 @@ pub enum Opening {
 /// scene.push(Gaussians::zeros(3));
 /// scene.push(Gaussians::zeros(3));
 /// let settings = CompressSettings::default();
-/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings);
-/// let file = encode(&compact);
+/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
+/// let file = encode(&compact)?;
 /// let range = |r: std::ops::Range<u64>| &file[r.start as usize..r.end as usize]; // an HTTP request
 ///
 /// let Opening::Ready(mut archive) = Archive::open(&file[..1000.min(file.len())], &DecodeLimits::default())? else {
@@ -47,7 +47,7 @@ pub enum Opening {
 /// let index = archive.segment_at(1);
 /// let segment = archive.read_segment(index, range(archive.segment_range(index, archive.num_layers())))?;
 /// assert_eq!(segment.at(1), compact.at(1));
-/// # Ok::<(), tcgs_codec::DecodeError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
 pub struct Archive {
@@ -101,11 +101,11 @@ impl Archive {
         let mut groups = Vec::new();
         for layer in 0..head.layers.len() {
             groups.push(next(MAPS, shared, layer)?.0);
-            for attribute in Attribute::ALL {
+            for attribute in Attribute::BASE {
                 next(section::of_attribute(attribute), shared, layer)?;
             }
         }
-        let varying: Vec<Attribute> = Attribute::ALL.into_iter().filter(|a| head.plan.varies[a.index()]).collect();
+        let varying: Vec<Attribute> = Attribute::BASE.into_iter().filter(|a| head.plan.varies[a.index()]).collect();
         for segment in 0..head.num_segments() {
             for layer in 0..head.layers.len() {
                 let mut first = None;

@@ -69,7 +69,7 @@ impl FileInfo {
 
     /// By [`Attribute::index`]: bytes of the attribute's codes; bit widths and all else are shared.
     pub fn bytes_by_attribute(&self) -> [u64; 5] {
-        Attribute::ALL.map(|a| self.sections.iter().filter(|s| s.name == a.name()).map(|s| s.bytes).sum())
+        Attribute::BASE.map(|a| self.sections.iter().filter(|s| s.name == a.name()).map(|s| s.bytes).sum())
     }
 }
 
@@ -81,10 +81,10 @@ impl FileInfo {
 /// let mut scene = DynamicGaussians::default();
 /// scene.push(Gaussians::zeros(3));
 /// let settings = CompressSettings::default();
-/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings);
-/// let info = inspect(&encode(&compact), &DecodeLimits::default())?;
+/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
+/// let info = inspect(&encode(&compact)?, &DecodeLimits::default())?;
 /// assert!(info.checksums_ok() && info.segments.len() == 1);
-/// # Ok::<(), tcgs_codec::DecodeError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors

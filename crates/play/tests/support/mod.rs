@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::rc::Rc;
 
 use tcgs_codec::{CompressSettings, SceneInfo, compress, encode};
-use tcgs_play::{BytesSource, Piece, Player, PlayerSettings, Source, SourceError};
+use tcgs_play::{BytesSource, Piece, Player, PlayerSettings, RangeSource, SourceError};
 
 #[path = "../../../codec/tests/scenes/mod.rs"]
 pub mod scenes;
@@ -16,7 +16,8 @@ pub mod scenes;
 /// The file of a room in which a part moves.
 pub fn room_file(num_gaussians: usize, num_timesteps: usize, settings: &CompressSettings) -> Vec<u8> {
     let scene = scenes::room(num_gaussians, num_timesteps);
-    encode(&compress(&scene, &scenes::mixed_widths(num_gaussians), None, SceneInfo::of(&scene), settings))
+    let compact = compress(&scene, &scenes::mixed_widths(num_gaussians), None, SceneInfo::of(&scene), settings);
+    encode(&compact.unwrap()).unwrap()
 }
 
 /// A file of many small segments.
@@ -67,7 +68,7 @@ impl Network {
     }
 }
 
-impl Source for Network {
+impl RangeSource for Network {
     fn request(&mut self, range: Range<u64>) {
         assert!(!range.is_empty(), "a request for nothing");
         self.log.0.borrow_mut().push(range.clone());
@@ -104,7 +105,7 @@ impl Source for Network {
 }
 
 /// Updates until the timestep that is due is there; asserts that this ends.
-pub fn wait<S: Source>(player: &mut Player<S>, now_ms: &mut f64) {
+pub fn wait<S: RangeSource>(player: &mut Player<S>, now_ms: &mut f64) {
     for _ in 0..10_000_000 {
         player.update(*now_ms).unwrap();
         if player.current().is_some() {

@@ -101,11 +101,12 @@ mod tests {
     use tcgs_core::{ActivatedGrads, Attribute, Gaussians, activate, activate_bwd};
 
     use super::*;
-    use crate::engine::cpu::{FakeQuantizers, mask, mask_consistency_loss, mask_loss, mask_vjp};
     use crate::engine::gpu::StepUniform;
     use crate::engine::gpu::testing::{
         QuantizerTables, assert_close, gpu, random, random_gaussians, random_rows, run, uniform,
     };
+    use crate::fake_quant::FakeQuantizers;
+    use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 
     const THRESHOLD: f32 = 0.3;
 
@@ -137,7 +138,7 @@ mod tests {
         }
 
         fn params(&self) -> Vec<f32> {
-            let attributes = Attribute::ALL.map(|a| self.gaussians.values(a));
+            let attributes = Attribute::BASE.map(|a| self.gaussians.values(a));
             [&attributes.concat()[..], &self.mask_logits].concat()
         }
 
@@ -208,7 +209,7 @@ mod tests {
                 }
             }
             let grads = activate_bwd(&stored, &activated, &v_activated);
-            let [means, quats, scales, opacities, colors] = Attribute::ALL.map(|a| grads.values(a).to_vec());
+            let [means, quats, scales, opacities, colors] = Attribute::BASE.map(|a| grads.values(a).to_vec());
             ([means, quats, scales, opacities, colors, v_masks], losses)
         }
     }
@@ -309,10 +310,10 @@ mod tests {
             // zero, whose neighbours are so small that f64 loses them beside the offset.
             let step = 2.0_f32.powi(-i32::from(q.bits));
             let (step, offset) = [(step, 0.25 + 2.0_f32.powi(-20)), (step * 1.1, 0.0), (step * 0.7, -3.1)][i % 3];
-            *q = Quantizer::new(step, offset, q.bits);
+            *q = Quantizer::new(step, offset, q.bits).unwrap();
         }
         let picks: Vec<f32> = random(8, 3 * n, 0.0, 1.0);
-        for (i, color) in scene.gaussians.colors.iter_mut().enumerate() {
+        for (i, color) in scene.gaussians.colors_mut().iter_mut().enumerate() {
             for (channel, x) in color.iter_mut().enumerate() {
                 let q = quantizers.quantizers[first + 3 * (i % 16) + channel];
                 let span = f64::from(q.max_code()) - f64::from(q.min_code()) + 2.0;
@@ -345,7 +346,7 @@ mod tests {
         for (i, color) in activated[11 * n..].chunks(3).enumerate() {
             for (channel, &value) in color.iter().enumerate() {
                 let q = scene.quantizers.quantizers[first + 3 * (i % 16) + channel];
-                let x = scene.gaussians.colors[i][channel];
+                let x = scene.gaussians.colors()[i][channel];
                 let code = (f64::from(value) - f64::from(q.offset)) / f64::from(q.step);
                 assert_eq!(code.round() as i32, q.quantize(x), "{x} by {q:?}");
                 assert!((value - q.dequantize(q.quantize(x))).abs() <= value.abs().max(q.offset.abs()) * 1.2e-7);
