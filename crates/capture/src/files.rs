@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use tcgs_interchange::natural_key;
+use tcgs_core::natural_key;
 
 use crate::CaptureError;
 

@@ -15,8 +15,7 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use serde::Deserialize;
-use tcgs_core::Camera;
-use tcgs_interchange::natural_key;
+use tcgs_core::{Camera, natural_key};
 
 use crate::lens::{Crop, Lens, MAX_SIDE};
 use crate::shot::{self, Shot};

@@ -1,7 +1,7 @@
 //! Do the cameras see the points? The commonest mistake in a new capture is a matrix the wrong way
 //! round, and it shows here rather than as a black image after an hour of training.
 
-use tcgs_core::{Camera, PointCloud};
+use tcgs_core::{Camera, Pinhole, PointCloud};
 
 /// A camera is blind below this share of the points in its image.
 ///
@@ -64,14 +64,8 @@ pub(crate) fn inverse(camera: &Camera) -> Camera {
 }
 
 fn share_seen(camera: &Camera, points: &[[f32; 3]]) -> f64 {
-    let m = &camera.camera_from_world;
-    let seen = points.iter().filter(|point| {
-        let [x, y, z] = point.map(f64::from);
-        let along = |i: usize| m[i][0] * x + m[i][1] * y + m[i][2] * z + m[i][3];
-        let depth = along(2);
-        let pixel = |i: usize| camera.focal[i] * along(i) / depth + camera.principal[i];
-        depth > 0.0 && (0.0..camera.width as f64).contains(&pixel(0)) && (0.0..camera.height as f64).contains(&pixel(1))
-    });
+    let pinhole = Pinhole::<f64>::new(camera);
+    let seen = points.iter().filter(|point| pinhole.pixel(point.map(f64::from)).is_some());
     seen.count() as f64 / points.len() as f64
 }
 

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::{ops::Range, path::PathBuf};
 
 use tcgs_capture::{Capture, CaptureKind, Split};
-use tcgs_core::{Camera, Image, PointCloud, View};
+use tcgs_core::{Camera, Image, Pinhole, PointCloud, View};
 
 const TEST_CAMERAS: [usize; 4] = [0, 10, 15, 30];
 
@@ -71,12 +71,8 @@ fn toss_opens() {
 
 /// Where a camera shows a point: column and row; nothing behind it or outside of the image.
 fn pixel(camera: &Camera, point: [f32; 3]) -> Option<(usize, usize)> {
-    let m = &camera.camera_from_world;
-    let along = |i: usize| (0..3).map(|j| m[i][j] * f64::from(point[j])).sum::<f64>() + m[i][3];
-    let depth = along(2);
-    let [x, y] = [0, 1].map(|i| camera.focal[i] * along(i) / depth + camera.principal[i]);
-    let inside = depth > 0.0 && x >= 0.0 && y >= 0.0 && x < camera.width as f64 && y < camera.height as f64;
-    inside.then_some((x as usize, y as usize))
+    let (pixel, _) = Pinhole::new(camera).pixel(point.map(f64::from))?;
+    Some((pixel % camera.width, pixel / camera.width))
 }
 
 /// Median difference between the colours of points and of the pixels that show them, and how many points are in sight.

@@ -2,12 +2,8 @@
 
 use anyhow::anyhow;
 use clap::{Args, ValueEnum};
-use tcgs_render::gpu::{Gpu, GpuChoice, GpuError, GpuRasterizer};
-use tcgs_render::{CpuRasterizer, Draw};
-use tcgs_train::State;
-use tcgs_train::engine::Engine;
-use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::engine::gpu::GpuEngine;
+use tcgs_pipeline::Backend;
+use tcgs_render::gpu::{Gpu, GpuChoice, GpuError};
 
 use crate::error::wrong_input;
 use crate::output::note;
@@ -34,15 +30,6 @@ pub enum BackendName {
     Cpu,
 }
 
-/// What computes.
-#[derive(Debug)]
-pub enum Backend {
-    /// All threads of the pool.
-    Cpu,
-    /// An open GPU.
-    Gpu(Gpu),
-}
-
 impl BackendOptions {
     /// The same for another command.
     pub fn arguments(&self) -> Vec<String> {
@@ -61,46 +48,29 @@ impl BackendOptions {
                 let problem = "is a GPU's name, found --backend cpu, expected one without the other";
                 return Err(wrong_input(format!("--device {device}: {problem}")));
             }
-            return Gpu::open(GpuChoice::Named(device)).map(Backend::on_gpu).map_err(|error| {
+            return Gpu::open(GpuChoice::Named(device)).map(on_gpu).map_err(|error| {
                 let message = format!("--device {device}: {error}");
                 if matches!(error, GpuError::NotFound { .. }) { wrong_input(message) } else { anyhow!(message) }
             });
         }
         match self.backend.unwrap_or(default) {
-            BackendName::Cpu => Ok(Backend::on_cpu("")),
+            BackendName::Cpu => Ok(on_cpu("")),
             BackendName::Gpu => Gpu::open(GpuChoice::Hardware)
-                .map(Backend::on_gpu)
+                .map(on_gpu)
                 .map_err(|error| anyhow!("--backend gpu: {error}, expected --device NAME or --backend cpu")),
-            BackendName::Auto => Ok(Gpu::open(GpuChoice::Hardware)
-                .map_or_else(|error| Backend::on_cpu(&format!(": {error}")), Backend::on_gpu)),
+            BackendName::Auto => {
+                Ok(Gpu::open(GpuChoice::Hardware).map_or_else(|error| on_cpu(&format!(": {error}")), on_gpu))
+            }
         }
     }
 }
 
-impl Backend {
-    fn on_cpu(why: &str) -> Self {
-        note(&format!("computing on the CPU, {} threads{why}", rayon::current_num_threads()));
-        Self::Cpu
-    }
+fn on_cpu(why: &str) -> Backend {
+    note(&format!("computing on the CPU, {} threads{why}", rayon::current_num_threads()));
+    Backend::Cpu
+}
 
-    fn on_gpu(gpu: Gpu) -> Self {
-        note(&format!("computing on {} ({})", gpu.info().name, gpu.info().backend));
-        Self::Gpu(gpu)
-    }
-
-    /// What trains from `state` on.
-    pub fn engine(&self, state: State) -> Box<dyn Engine> {
-        match self {
-            Self::Cpu => Box::new(CpuEngine::new(state)),
-            Self::Gpu(gpu) => Box::new(GpuEngine::new(gpu, state)),
-        }
-    }
-
-    /// What draws pictures.
-    pub fn renderer(&self) -> Box<dyn Draw> {
-        match self {
-            Self::Cpu => Box::new(CpuRasterizer),
-            Self::Gpu(gpu) => Box::new(GpuRasterizer::new(gpu)),
-        }
-    }
+fn on_gpu(gpu: Gpu) -> Backend {
+    note(&format!("computing on {} ({})", gpu.info().name, gpu.info().backend));
+    Backend::Gpu(gpu)
 }

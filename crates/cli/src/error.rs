@@ -1,11 +1,10 @@
-//! Which exit code an error has. Nothing else looks at an error's type; `main` prints it.
-
-use std::io::ErrorKind;
+//! Which exit code an error has. `main` prints it.
 
 use tcgs_capture::CaptureError;
 use tcgs_codec::DecodeError;
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
+use tcgs_pipeline::{Fault, HasFault, PipelineError};
 use tcgs_train::TrainError;
 
 /// Wrong usage or input, as against a computer that fails: one line that names the culprit, what was
@@ -21,50 +20,24 @@ pub fn wrong_input(message: impl Into<String>) -> anyhow::Error {
 
 /// 2 for wrong usage or input, 1 for the rest.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
-    let wrong = error.is::<WrongInput>()
-        || match error.downcast_ref::<CaptureError>() {
-            Some(CaptureError::Io { error, .. }) => is_wrong_path(error),
-            Some(CaptureError::Points(error)) => is_wrong_archive(error),
-            other => other.is_some(),
-        }
-        || match error.downcast_ref::<TrainError>() {
-            Some(TrainError::Io { action, source, .. }) => *action == "reading" && is_wrong_path(source),
-            Some(TrainError::NotFinite { .. } | TrainError::Gpu(_)) => false,
-            other => other.is_some(),
-        }
-        || match error.downcast_ref::<MetricsError>() {
-            Some(MetricsError::Io { error, .. }) => is_wrong_path(error),
-            other => other.is_some(),
-        }
-        || error.downcast_ref::<InterchangeError>().is_some_and(is_wrong_archive)
-        || error.downcast_ref::<DecodeError>().is_some_and(|error| !matches!(error, DecodeError::Io(_)));
-    if wrong { 2 } else { 1 }
-}
-
-fn is_wrong_archive(error: &InterchangeError) -> bool {
-    match error {
-        InterchangeError::Io { action, error, .. } => *action != "writing" && is_wrong_path(error),
-        _ => true,
+    fn fault<E: HasFault + std::error::Error + Send + Sync + 'static>(error: &anyhow::Error) -> Option<Fault> {
+        error.downcast_ref::<E>().map(HasFault::fault)
     }
-}
-
-/// Whether a file could not be read because of how it was named or what it holds.
-pub fn is_wrong_path(error: &std::io::Error) -> bool {
-    matches!(
-        error.kind(),
-        ErrorKind::NotFound
-            | ErrorKind::PermissionDenied
-            | ErrorKind::IsADirectory
-            | ErrorKind::NotADirectory
-            | ErrorKind::InvalidData
-            | ErrorKind::InvalidInput
-            | ErrorKind::UnexpectedEof
-    )
+    let fault = error
+        .is::<WrongInput>()
+        .then_some(Fault::Input)
+        .or_else(|| fault::<PipelineError>(error))
+        .or_else(|| fault::<CaptureError>(error))
+        .or_else(|| fault::<TrainError>(error))
+        .or_else(|| fault::<MetricsError>(error))
+        .or_else(|| fault::<InterchangeError>(error))
+        .or_else(|| fault::<DecodeError>(error));
+    if fault == Some(Fault::Input) { 2 } else { 1 }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::io::Error;
+    use std::io::{Error, ErrorKind};
 
     use tcgs_render::gpu::GpuError;
 

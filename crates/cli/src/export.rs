@@ -9,13 +9,14 @@ use anyhow::Context;
 use serde_json::json;
 use tcgs_core::{Attribute, DynamicGaussians, Gaussians};
 use tcgs_interchange::{ParamsExtras, ParamsOrigin, write_params_npz_to, write_ply_to};
+use tcgs_pipeline::{OpenScene, PipelineError, SceneContent};
 
 use crate::compress::kept_gaussians;
 use crate::error::wrong_input;
 use crate::options::{Frames, JobOptions};
 use crate::output::{NewFolder, check_file, is_numbered, say, show_bytes, write_file_with};
 use crate::progress::Progress;
-use crate::scene::{Model, Scene, SceneOptions};
+use crate::scene::{SceneOptions, describe};
 
 /// Export a scene for other programs
 ///
@@ -56,9 +57,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     let (to, force) = (&arguments.to, arguments.job.force);
     let target = target(to, force)?;
-    let scene = Scene::load(&arguments.scene, arguments.reading)?;
+    let scene = arguments.reading.open(&arguments.scene)?;
     let frames = scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?;
-    say(&scene.describe())?;
+    say(&describe(&scene))?;
     let keep = kept_gaussians(&scene, None)?;
     if keep.is_empty() {
         return Err(wrong_input(format!("{}: has no Gaussians, expected at least one", scene.path.display())));
@@ -74,7 +75,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             return Err(wrong_input(format!("{}: a file for {count} timesteps, expected {expected}", to.display())));
         }
         Target::Ply => {
-            let gaussians = kept(&scene, &keep, frames.start);
+            let gaussians = kept(&scene, &keep, frames.start)?;
             write_file_with(to, force, |file| write_ply(file, &gaussians))?;
             std::fs::metadata(to).map_or(0, |written| written.len())
         }
@@ -101,19 +102,24 @@ fn target(to: &Path, force: bool) -> anyhow::Result<Target> {
 }
 
 /// The Gaussians that are not masked out, at one frame.
-fn kept(scene: &Scene, keep: &[usize], frame: usize) -> Gaussians {
-    let gaussians = scene.at(frame - scene.first_frame);
-    if keep.len() < gaussians.num_gaussians() { gaussians.select(keep) } else { gaussians }
+fn kept(scene: &OpenScene, keep: &[usize], frame: usize) -> Result<Gaussians, PipelineError> {
+    let gaussians = scene.at(frame - scene.first_frame)?;
+    Ok(if keep.len() < gaussians.num_gaussians() { gaussians.select(keep) } else { gaussians })
 }
 
 /// It holds floats, of which the whole numbers end here.
 const MAX_FRAME_OF_PARAMS: usize = 1 << 24;
 
-fn write_params(arguments: &Arguments, scene: &Scene, keep: &[usize], frames: &Range<usize>) -> anyhow::Result<u64> {
+fn write_params(
+    arguments: &Arguments,
+    scene: &OpenScene,
+    keep: &[usize],
+    frames: &Range<usize>,
+) -> anyhow::Result<u64> {
     let to = &arguments.to;
     let mut floats = DynamicGaussians::default();
     for frame in frames.clone() {
-        floats.push(kept(scene, keep, frame));
+        floats.push(kept(scene, keep, frame)?);
     }
     for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
         if floats.varies(attribute) {
@@ -135,7 +141,7 @@ fn write_params(arguments: &Arguments, scene: &Scene, keep: &[usize], frames: &R
         frame_rate: scene.frame_rate as f32,
     };
     let mut extras = ParamsExtras { origin: Some(origin), ..ParamsExtras::default() };
-    if let Model::Run(run) = &scene.model {
+    if let SceneContent::Run(run) = &scene.content {
         foreground = keep.iter().map(|&i| run.1.foreground[i]).collect();
         extras.foreground = Some(&foreground);
         (extras.log_gains, extras.offsets) = (&run.1.camera_gains, &run.1.camera_offsets);
@@ -146,14 +152,19 @@ fn write_params(arguments: &Arguments, scene: &Scene, keep: &[usize], frames: &R
     Ok(std::fs::metadata(to).map_or(0, |written| written.len()))
 }
 
-fn write_ply_folder(folder: NewFolder, scene: &Scene, keep: &[usize], frames: &Range<usize>) -> anyhow::Result<u64> {
+fn write_ply_folder(
+    folder: NewFolder,
+    scene: &OpenScene,
+    keep: &[usize],
+    frames: &Range<usize>,
+) -> anyhow::Result<u64> {
     let mut progress = Progress::new("exporting", frames.len());
     let mut bytes = 0;
     for frame in frames.clone() {
         let path = folder.path().join(format!("{frame:06}.ply"));
         let context = || format!("writing {}", path.display());
         let file = File::create(&path).with_context(context)?;
-        write_ply(&file, &kept(scene, keep, frame)).with_context(context)?;
+        write_ply(&file, &kept(scene, keep, frame)?).with_context(context)?;
         bytes += file.metadata().with_context(context)?.len();
         progress.step(|| format!("frame {frame}"));
     }

@@ -5,7 +5,6 @@
 
 mod backend;
 mod bench;
-mod camera_path;
 mod compress;
 mod demo;
 mod error;

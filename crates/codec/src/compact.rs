@@ -76,6 +76,24 @@ impl UpAxis {
     pub fn name(self) -> &'static str {
         ["unknown", "x", "y", "z", "-x", "-y", "-z"][self as usize]
     }
+
+    /// Unit direction in the world that points up; that of `MinusY`, as in captures, if it is unknown.
+    ///
+    /// ```
+    /// use tcgs_codec::UpAxis;
+    /// assert_eq!(UpAxis::PlusZ.direction(), [0.0, 0.0, 1.0]);
+    /// assert_eq!(UpAxis::Unknown.direction(), UpAxis::MinusY.direction());
+    /// ```
+    pub fn direction(self) -> [f64; 3] {
+        match self {
+            Self::Unknown | Self::MinusY => [0.0, -1.0, 0.0],
+            Self::PlusX => [1.0, 0.0, 0.0],
+            Self::PlusY => [0.0, 1.0, 0.0],
+            Self::PlusZ => [0.0, 0.0, 1.0],
+            Self::MinusX => [-1.0, 0.0, 0.0],
+            Self::MinusZ => [0.0, 0.0, -1.0],
+        }
+    }
 }
 
 impl SceneInfo {

@@ -1,4 +1,10 @@
-//! Pinhole cameras.
+//! Pinhole cameras, and the one formula of where a point of the world is seen.
+//!
+//! What lives here: [`Camera`], as captures and files have it, and [`Pinhole`], the same numbers in one precision for
+//! loops over many points. What does not: the projection of Gaussians with its gradient, which is `tcgs-render`'s, and
+//! lenses that bend lines, which are `tcgs-capture`'s.
+
+use crate::{Real, dot};
 
 /// A pinhole camera without distortion. Camera space: x right, y down, z forward; pixel centres at +0.5.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,6 +96,24 @@ impl Camera {
         [x, y, z]
     }
 
+    /// Where a point of the world is seen, and its depth.
+    ///
+    /// - `point`: `[3]`, world, scene units
+    /// - returns: the place `x, y` in pixels, pixel centres at +0.5, possibly outside the image, and the depth in scene
+    ///   units; `None` for a point that is not before the camera
+    ///
+    /// For many points make a [`Pinhole`] once.
+    ///
+    /// ```
+    /// use tcgs_core::Camera;
+    /// let camera = Camera::look_at([0.0, 0.0, -2.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, 64, 48);
+    /// assert_eq!(camera.project([0.4, 0.0, 0.0]), Some(([42.0, 24.0], 2.0)));
+    /// assert_eq!(camera.project([0.0, 0.0, -3.0]), None);
+    /// ```
+    pub fn project(&self, point: [f64; 3]) -> Option<([f64; 2], f64)> {
+        Pinhole::new(self).project(point)
+    }
+
     /// The camera of an image averaged over `factor` x `factor` pixels: intrinsics divided, rest of
     /// the pixels at the right and lower edge dropped.
     ///
@@ -148,7 +172,7 @@ impl Camera {
         let z = crate::normalize(std::array::from_fn(|i| target[i] - center[i]));
         let x = crate::normalize(cross(z, up));
         let y = cross(z, x);
-        let row = |axis: [f64; 3]| [axis[0], axis[1], axis[2], -crate::dot(axis, center)];
+        let row = |axis: [f64; 3]| [axis[0], axis[1], axis[2], -dot(axis, center)];
         Self {
             width,
             height,
@@ -156,6 +180,111 @@ impl Camera {
             principal: [width as f64 / 2.0, height as f64 / 2.0],
             camera_from_world: [row(x), row(y), row(z), [0.0, 0.0, 0.0, 1.0]],
         }
+    }
+}
+
+/// A [`Camera`] in one precision, ready for loops over many points: `f32` where images are searched, `f64` where a
+/// result is compared with numbers of a file.
+///
+/// ```
+/// use tcgs_core::{Camera, Pinhole};
+/// let camera = Camera::look_at([0.0, 0.0, -2.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, 64, 48);
+/// let pinhole = Pinhole::<f32>::new(&camera);
+/// let (pixel, depth) = pinhole.pixel([0.0, 0.0, 0.0]).expect("the camera looks at it");
+/// assert_eq!((pixel, depth), (24 * 64 + 32, 2.0));
+/// assert_eq!(pinhole.unproject([32.0, 24.0], depth), [0.0, 0.0, 0.0]);
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pinhole<R> {
+    /// Image width in pixels.
+    pub width: usize,
+    /// Image height in pixels.
+    pub height: usize,
+    /// Focal lengths `fx, fy`, pixels.
+    pub focal: [R; 2],
+    /// Principal point `cx, cy`, pixels.
+    pub principal: [R; 2],
+    /// The rotation of `camera_from_world`, `[3][3]` row-major.
+    pub rotation: [[R; 3]; 3],
+    /// The translation of `camera_from_world`, `[3]`, scene units.
+    pub translation: [R; 3],
+    /// Position of the camera in the world, `[3]`, scene units.
+    pub center: [R; 3],
+}
+
+impl<R: Real> Pinhole<R> {
+    /// Rounds every number of a camera to this precision; the centre is computed in `f64` before.
+    pub fn new(camera: &Camera) -> Self {
+        let m = &camera.camera_from_world;
+        Self {
+            width: camera.width,
+            height: camera.height,
+            focal: camera.focal.map(R::of),
+            principal: camera.principal.map(R::of),
+            rotation: std::array::from_fn(|i| std::array::from_fn(|j| R::of(m[i][j]))),
+            translation: std::array::from_fn(|i| R::of(m[i][3])),
+            center: camera.center().map(R::of),
+        }
+    }
+
+    /// Unit direction in the world in which the camera looks, `[3]`.
+    pub fn forward(&self) -> [R; 3] {
+        self.rotation[2]
+    }
+
+    /// A point of the world in camera space, `[3]`, scene units: x right, y down, z forward.
+    pub fn camera_point(&self, point: [R; 3]) -> [R; 3] {
+        std::array::from_fn(|i| dot(self.rotation[i], point) + self.translation[i])
+    }
+
+    /// Where a point of the world is seen, and its depth: [`Camera::project`] in this precision.
+    ///
+    /// - `point`: `[3]`, world, scene units
+    /// - returns: the place `x, y` in pixels, possibly outside the image, and the depth in scene units; `None` for a
+    ///   point that is not before the camera
+    pub fn project(&self, point: [R; 3]) -> Option<([R; 2], R)> {
+        let [x, y, z] = self.camera_point(point);
+        let at = |value: R, i: usize| self.focal[i] * value / z + self.principal[i];
+        (z > R::zero()).then(|| ([at(x, 0), at(y, 1)], z))
+    }
+
+    /// The pixel on which a point of the world falls, and its depth.
+    ///
+    /// - `point`: `[3]`, world, scene units
+    /// - returns: the index `row * width + column` and the depth in scene units; `None` outside the image and behind
+    ///   the camera
+    pub fn pixel(&self, point: [R; 3]) -> Option<(usize, R)> {
+        let ([x, y], z) = self.project(point)?;
+        // NaN compares false.
+        let inside = x >= R::zero() && y >= R::zero() && x < R::of(self.width as f64) && y < R::of(self.height as f64);
+        let (column, row) = inside.then(|| (x.to_usize(), y.to_usize()))?;
+        Some((row? * self.width + column?, z))
+    }
+
+    /// The direction in the world of the ray through a place in the image, `[3]`; its component along
+    /// [`forward`](Self::forward) is 1, so that a multiple of it is a depth.
+    ///
+    /// - `place`: `x, y`, pixels; pixel centres at +0.5
+    pub fn ray(&self, place: [R; 2]) -> [R; 3] {
+        let [x, y] = std::array::from_fn(|i| (place[i] - self.principal[i]) / self.focal[i]);
+        let r = &self.rotation;
+        std::array::from_fn(|j| r[0][j] * x + r[1][j] * y + r[2][j])
+    }
+
+    /// The point of the world that is seen at a place and a depth, `[3]`, scene units: undoes [`project`](Self::project).
+    ///
+    /// - `place`: `x, y`, pixels; pixel centres at +0.5
+    /// - `depth`: along [`forward`](Self::forward), scene units
+    pub fn unproject(&self, place: [R; 2], depth: R) -> [R; 3] {
+        let ray = self.ray(place);
+        std::array::from_fn(|i| self.center[i] + depth * ray[i])
+    }
+
+    /// The centre `x, y` of a pixel.
+    ///
+    /// - `pixel`: the index `row * width + column`
+    pub fn pixel_center(&self, pixel: usize) -> [R; 2] {
+        [(pixel % self.width) as f64, (pixel / self.width) as f64].map(|at| R::of(at) + R::of(0.5))
     }
 }
 
@@ -173,7 +302,7 @@ fn check_rotation(m: &[[f64; 4]; 4]) -> Result<(), CameraError> {
     let row = |i: usize| [m[i][0], m[i][1], m[i][2]];
     for i in 0..3 {
         for j in i..3 {
-            let found = crate::dot(row(i), row(j));
+            let found = dot(row(i), row(j));
             let expected = f64::from(u8::from(i == j));
             if (found - expected).abs() > ROTATION_TOLERANCE {
                 return Err(CameraError::NotRotation(format!(
@@ -232,6 +361,26 @@ mod tests {
         k[0][0] = -1.0;
         assert!(matches!(Camera::new(64, 48, k, identity()), Err(CameraError::NotPinhole(_))));
         assert!(matches!(Camera::new(0, 48, K, identity()), Err(CameraError::NoPixels(0, 48))));
+    }
+
+    #[test]
+    fn a_point_is_projected_and_brought_back_in_both_precisions() {
+        let camera = Camera::look_at([1.0, -2.0, 3.0], [0.2, 0.1, -0.5], [0.0, -1.0, 0.0], 60.0, 64, 48);
+        let point = [0.5, -0.25, 0.125];
+        let (place, depth) = camera.project(point).unwrap();
+        for (found, expected) in Pinhole::new(&camera).unproject(place, depth).iter().zip(point) {
+            assert!((found - expected).abs() < 1e-12, "{found}, expected {expected}");
+        }
+        let single = Pinhole::<f32>::new(&camera);
+        let (near, _) = single.project(point.map(|x| x as f32)).unwrap();
+        assert!((0..2).all(|i| (f64::from(near[i]) - place[i]).abs() < 1e-3), "{near:?}, expected {place:?}");
+        let (pixel, _) = single.pixel(point.map(|x| x as f32)).unwrap();
+        assert_eq!(pixel, place[1] as usize * 64 + place[0] as usize);
+        assert_eq!(single.pixel_center(pixel), [place[0].floor() as f32 + 0.5, place[1].floor() as f32 + 0.5]);
+        // Behind, outside, and nowhere.
+        assert_eq!(camera.project([2.0, -4.0, 7.0]), None);
+        assert_eq!(single.pixel([0.2, 3.0, -0.5]), None);
+        assert_eq!(single.pixel([f32::NAN; 3]), None);
     }
 
     #[test]

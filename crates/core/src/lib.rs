@@ -2,7 +2,7 @@
 //!
 //! What lives here: the data types that pass between crates, and maths on single elements
 //! (quaternions, activations), generic over [`Real`] so that one source is both run in `f32` and
-//! differentiated in `f64`. What does not: files, rendering, optimisation, compression.
+//! differentiated in `f64`; the order of numbered names. What does not: files, rendering, optimisation, compression.
 //!
 //! Conventions: camera space is x right, y down, z forward; pixel centres lie at +0.5; quaternions
 //! are `w, x, y, z`; colours are display-referred sRGB in `[0, 1]`, blended as stored.
@@ -10,22 +10,30 @@
 mod activation;
 mod attribute;
 mod camera;
+mod camera_path;
 mod dynamic;
+mod extent;
 mod gaussians;
 mod image;
+mod natural_key;
 mod quat;
 mod real;
+mod tour;
 mod view;
 
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
 pub use attribute::Attribute;
-pub use camera::{Camera, CameraError};
+pub use camera::{Camera, CameraError, Pinhole};
+pub use camera_path::{CameraKeyframe, CameraPath, CameraPathError};
 pub use dynamic::DynamicGaussians;
+pub use extent::Extent;
 pub use gaussians::{Gaussians, PointCloud};
 pub use image::Image;
+pub use natural_key::natural_key;
 pub use quat::{
     dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
     rotmat_from_unit_quat, rotmat_from_unit_quat_vjp,
 };
 pub use real::Real;
+pub use tour::{Tour, upright_axes};
 pub use view::{Segmentation, View};

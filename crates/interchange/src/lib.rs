@@ -1,11 +1,10 @@
 //! Other programs' model files, both ways.
 //!
 //! What lives here: `params.npz` of Dynamic 3D Gaussians, and the npz archives it is one of; PLY files of 3D
-//! Gaussian splatting, one a timestep, and of points; the order of numbered files. What does not: our own format (the codec),
+//! Gaussian splatting, one a timestep, and of points. What does not: our own format (the codec),
 //! images and cameras (the capture).
 
 mod error;
-mod natural_key;
 mod npy;
 mod npz;
 mod params_npz;
@@ -14,7 +13,6 @@ mod ply_points;
 mod ply_sequence;
 
 pub use error::InterchangeError;
-pub use natural_key::natural_key;
 pub use npy::{NpyArray, read_npy};
 pub use npz::{NpzReader, NpzWriter};
 pub use params_npz::{

@@ -6,9 +6,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use tcgs_core::DynamicGaussians;
+use tcgs_core::{DynamicGaussians, natural_key};
 
-use crate::{HigherHarmonics, InterchangeError, natural_key, read_ply};
+use crate::{HigherHarmonics, InterchangeError, read_ply};
 
 /// How far the median Gaussian may move from one file to the next, as a share of the median Gaussian's
 /// distance from the scene's middle; motion that all have in common is not counted.

@@ -14,45 +14,18 @@ const MAX_DISTANCE: f64 = 1e3;
 
 type Vector = [f64; 3];
 
-/// What a picture shows of the world in front of it: intrinsics of some size, to be drawn at any.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lens {
-    /// Width and height of the picture that the numbers are for, pixels.
-    pub size: [usize; 2],
-    /// `fx, fy`, pixels.
-    pub focal: [f64; 2],
-    /// `cx, cy`, pixels.
-    pub principal: [f64; 2],
-}
-
-impl Lens {
-    /// Of a camera.
-    pub fn of(camera: &Camera) -> Self {
-        Self { size: [camera.width, camera.height], focal: camera.focal, principal: camera.principal }
-    }
-
-    /// Intrinsics for a picture of another size, which shows all that this one shows: the same numbers for the same
-    /// size.
-    pub fn at(&self, size: [usize; 2]) -> ([f64; 2], [f64; 2]) {
-        let ratio = [0, 1].map(|i| size[i] as f64 / self.size[i] as f64);
-        let scale = ratio[0].min(ratio[1]);
-        let middle = |size: [usize; 2], i: usize| size[i] as f64 / 2.0;
-        let principal = [0, 1].map(|i| middle(size, i) + scale * (self.principal[i] - middle(self.size, i)));
-        (self.focal.map(|f| scale * f), principal)
-    }
-}
-
 /// Where a camera stands and what it turns around.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 struct Pose {
     /// Right, down, forward in the world: rows of the rotation of `camera_from_world`.
     axes: [Vector; 3],
     position: Vector,
     /// Distance of the pivot, straight ahead.
     distance: f64,
-    lens: Lens,
-    /// The transform as it was given, until it is moved: bits of it must not depend on arithmetic.
-    exact: Option<[[f64; 4]; 4]>,
+    /// As it was given: its intrinsics hold for good, its transform until the pose is moved.
+    given: Camera,
+    /// Until then the transform is the given one to the bit, which arithmetic on the axes would not be.
+    is_moved: bool,
 }
 
 impl Pose {
@@ -62,8 +35,8 @@ impl Pose {
             axes: [0, 1, 2].map(|i| [m[i][0], m[i][1], m[i][2]]),
             position: camera.center(),
             distance,
-            lens: Lens::of(camera),
-            exact: Some(*m),
+            given: camera.clone(),
+            is_moved: false,
         }
     }
 
@@ -87,17 +60,18 @@ impl Controls {
     /// - `pivot`: what the camera looks at and turns around
     pub fn new(start: &Camera, up: Vector, pivot: Vector) -> Self {
         let pose = Pose::of(start, ahead(start, pivot));
-        Self { start: pose, pose, up: normalize(up) }
+        Self { start: pose.clone(), pose, up: normalize(up) }
     }
 
     /// The camera for a picture of some size.
     pub fn camera(&self, [width, height]: [usize; 2]) -> Camera {
-        let Pose { axes, position, lens, exact, .. } = &self.pose;
-        let (focal, principal) = lens.at([width, height]);
+        let Pose { axes, position, given, is_moved, .. } = &self.pose;
+        let camera = given.fitted(width, height);
+        if !is_moved {
+            return camera;
+        }
         let row = |axis: Vector| [axis[0], axis[1], axis[2], -dot(axis, *position)];
-        let camera_from_world =
-            exact.unwrap_or_else(|| [row(axes[0]), row(axes[1]), row(axes[2]), [0.0, 0.0, 0.0, 1.0]]);
-        Camera { width, height, focal, principal, camera_from_world }
+        Camera { camera_from_world: [row(axes[0]), row(axes[1]), row(axes[2]), [0.0, 0.0, 0.0, 1.0]], ..camera }
     }
 
     /// Takes another camera's place. The pivot becomes the point straight ahead that is as far away as the old pivot.
@@ -114,7 +88,7 @@ impl Controls {
 
     /// Back to the start.
     pub fn reset(&mut self) {
-        self.pose = self.start;
+        self.pose = self.start.clone();
     }
 
     /// Around the pivot.
@@ -138,7 +112,7 @@ impl Controls {
     ///
     /// - `dx`, `dy`: to the right and down, in heights of the picture, at the pivot's depth
     pub fn pan(&mut self, dx: f64, dy: f64) {
-        let height = self.pose.distance * self.pose.lens.size[1] as f64 / self.pose.lens.focal[1];
+        let height = self.pose.distance * self.pose.given.height as f64 / self.pose.given.focal[1];
         self.shift([-dx * height, -dy * height, 0.0]);
     }
 
@@ -154,7 +128,7 @@ impl Controls {
         let pivot = self.pose.pivot();
         self.pose.distance = distance;
         self.pose.position = add(pivot, self.pose.axes[2], -distance);
-        self.pose.exact = None;
+        self.pose.is_moved = true;
     }
 
     /// Through the scene, together with the pivot.
@@ -169,7 +143,7 @@ impl Controls {
             for (axis, d) in self.pose.axes.into_iter().zip(along) {
                 self.pose.position = add(self.pose.position, axis, d);
             }
-            self.pose.exact = None;
+            self.pose.is_moved = true;
         }
     }
 
@@ -192,7 +166,7 @@ impl Controls {
         let right = axes[0];
         *axes = axes.map(|axis| rotated(axis, right, -pitch));
         *axes = orthonormal(*axes);
-        self.pose.exact = None;
+        self.pose.is_moved = true;
         true
     }
 }
@@ -259,9 +233,7 @@ mod tests {
 
     /// Where a point is seen, pixels.
     fn seen(camera: &Camera, point: Vector) -> [f64; 2] {
-        let m = &camera.camera_from_world;
-        let p = [0, 1, 2].map(|i| dot([m[i][0], m[i][1], m[i][2]], point) + m[i][3]);
-        [0, 1].map(|i| camera.focal[i] * p[i] / p[2] + camera.principal[i])
+        camera.project(point).unwrap().0
     }
 
     fn is_rotation(camera: &Camera) -> bool {

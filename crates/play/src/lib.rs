@@ -24,7 +24,7 @@ mod player;
 mod reconstruct;
 mod source;
 mod stage;
-pub mod start_view;
+mod start_view;
 mod viewer;
 #[cfg(target_family = "wasm")]
 mod web;
@@ -32,7 +32,7 @@ mod web;
 pub use buffer::{Buffer, Order};
 pub use cameras::{FileCamera, VIEWS, read_cameras};
 pub use clock::Clock;
-pub use controls::{Controls, Lens};
+pub use controls::Controls;
 pub use error::PlayError;
 pub use player::{Player, PlayerSettings};
 pub use reconstruct::Reconstruction;

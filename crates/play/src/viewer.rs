@@ -11,7 +11,7 @@ use crate::error::PlayError;
 use crate::player::{Player, PlayerSettings};
 use crate::source::Source;
 use crate::stage::{self, Shot, Stage, Still};
-use crate::start_view::{start_view, up_direction};
+use crate::start_view::start_view;
 
 /// What a frame showed.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,11 +88,11 @@ impl<S: Source> Viewer<S> {
                 }
                 None => {
                     let means = segment.first().means;
-                    let up = segment.info().up;
+                    let up = segment.info().up.direction();
                     let (camera, pivot) = start_view(&means, up);
                     scene.shown = Some(Shown {
                         stage: Stage::new(&self.gpu, self.format, segment)?,
-                        controls: Controls::new(&camera, up_direction(up), pivot),
+                        controls: Controls::new(&camera, up, pivot),
                         last: (segment.clone(), timestep),
                     });
                 }

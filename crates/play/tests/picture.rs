@@ -8,7 +8,7 @@ mod support;
 use std::io::Write;
 
 use support::{room_file, scenes, settings, wait};
-use tcgs_codec::{BitMap, CompressSettings, Sampler, SceneInfo, Segment, compress, encode};
+use tcgs_codec::{BitMap, CompressSettings, Sampler, SceneInfo, Segment, UpAxis, compress, encode};
 use tcgs_core::{Attribute, Camera, DynamicGaussians, activate};
 use tcgs_play::{BytesSource, Player, Reconstruction, Shot, Stage, Viewer, start_view};
 use tcgs_render::device::pack;
@@ -146,7 +146,7 @@ fn pictures_equal_the_cpu_renderers() {
     for (name, file) in &files {
         let mut stage = Stage::new(&gpu, FORMAT, &segment(file, 0)).unwrap();
         let num_timesteps = segment(file, 0).info().num_timesteps as usize;
-        let (start, _) = start_view(&segment(file, 0).first().means, Default::default());
+        let (start, _) = start_view(&segment(file, 0).first().means, UpAxis::default().direction());
         // Rows of a texture are copied in multiples of 256 bytes: sizes that are and are not.
         for (timestep, width, height) in [(0, 128, 72), (num_timesteps - 1, 101, 67), (num_timesteps / 2, 320, 180)] {
             let segment = segment(file, timestep);
@@ -174,7 +174,7 @@ fn more_pairs_than_expected_are_drawn_again() {
     let bits = BitMap::uniform(300, 16, 8);
     let file = encode(&compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default()));
     let segment = segment(&file, 1);
-    let (start, _) = start_view(&segment.first().means, Default::default());
+    let (start, _) = start_view(&segment.first().means, UpAxis::default().direction());
     let camera = start.resized(400, 300);
     let shot = Shot { segment: &segment, timestep: 1, camera: &camera, background: [0.0; 3] };
     let mut stage = Stage::new(&gpu, FORMAT, &segment).unwrap();

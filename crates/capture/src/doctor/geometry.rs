@@ -2,13 +2,10 @@
 //! which the points would fall on pixels of their colours. One that fits clearly better is the finding.
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, View};
+use tcgs_core::{Camera, Pinhole, View};
 
 use super::{Finding, FindingKind, list, splat::Splats};
-use crate::{
-    prepare::eye::{Eye, Vantage},
-    sight,
-};
+use crate::{prepare::vantage::Vantage, sight};
 
 /// By how much a hypothesis must fit better than what the capture says.
 const CLEARLY: f64 = 0.12;
@@ -52,7 +49,7 @@ pub(super) enum Hypothesis {
 /// - `pixels_per`: pixels of the capture's images for one of those
 pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<Judged> {
     let vantages: Vec<Vantage> = views.par_iter().map(|view| Vantage::new(view, 1)).collect();
-    let drawings: Vec<_> = vantages.par_iter().map(|vantage| splats.draw(&vantage.eye)).collect();
+    let drawings: Vec<_> = vantages.par_iter().map(|vantage| splats.draw(&vantage.pinhole)).collect();
     (0..views.len())
         .into_par_iter()
         .map(|i| {
@@ -60,7 +57,7 @@ pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<J
             let camera = &views[i].camera;
             let same_size = |j: usize| views[j].camera.width == camera.width && views[j].camera.height == camera.height;
             let fit = drawings[i].fit(colors, [0; 2], 1);
-            let with = |camera: &Camera| splats.draw(&Eye::new(camera)).fit(colors, [0; 2], 1);
+            let with = |camera: &Camera| splats.draw(&Pinhole::new(camera)).fit(colors, [0; 2], 1);
             let mut best = (fit + CLEARLY, None);
             let mut consider = |fit: f64, hypothesis: Hypothesis| {
                 if fit > best.0 && fit > MIN_FIT {

@@ -1,10 +1,10 @@
 //! Masks that are empty, or the wrong way round.
 
 use rayon::prelude::*;
-use tcgs_core::{Image, View};
+use tcgs_core::{Image, Pinhole, View};
 
 use super::{Finding, FindingKind, splat::Splats};
-use crate::{Capture, CaptureError, Split, prepare::eye::Eye};
+use crate::{Capture, CaptureError, Split};
 
 /// Foreground that covers less of the image is not missed, share of the pixels.
 const MIN_IN_SIGHT: f64 = 0.003;
@@ -95,7 +95,7 @@ struct Shares {
 
 impl Shares {
     fn new(view: &View, splats: &Splats) -> Self {
-        let drawing = splats.draw(&Eye::new(&view.camera));
+        let drawing = splats.draw(&Pinhole::new(&view.camera));
         let mask = view.segmentation.as_ref().map_or(&[][..], |mask| &mask.foreground);
         // Drawn and marked, by label.
         let (mut drawn, mut marked) = ([0.0_f64; 2], [0.0_f64; 2]);

@@ -1,13 +1,12 @@
 //! The doctor's picture: every camera's image with the points that fall on it, and below what the points
 //! look like from there. Where cameras are right the two look alike.
 
-use tcgs_core::{Image, View};
+use tcgs_core::{Image, Pinhole, View};
 
 use super::{
     Finding,
     splat::{Drawing, Splats},
 };
-use crate::prepare::eye::Eye;
 
 /// Tiles beside each other.
 const COLUMNS: usize = 6;
@@ -47,7 +46,7 @@ pub(super) fn draw(views: &[View], splats: &Splats, findings: &[Finding]) -> Ima
         let suspect = findings.iter().any(|finding| finding.cameras.contains(&view.camera_id));
         let frame = if suspect { SUSPECT } else { HEALTHY };
         rectangle(&mut sheet, [left, top], [tile_width, tile_height], frame);
-        let drawing = splats.draw(&Eye::new(&view.camera));
+        let drawing = splats.draw(&Pinhole::new(&view.camera));
         let (width, below) = (view.camera.width, top + 2 * FRAME + highest);
         for pixel in 0..view.image.num_pixels() {
             let (x, y) = (left + FRAME + pixel % width, pixel / width);

@@ -1,8 +1,8 @@
 //! Points as a camera would see them, and how well that fits an image.
 
-use tcgs_core::PointCloud;
+use tcgs_core::{Pinhole, PointCloud};
 
-use crate::prepare::eye::{Eye, length, sub};
+use crate::prepare::vantage::{length, sub};
 
 /// Points that are drawn, at most.
 const MAX_POINTS: usize = 40_000;
@@ -63,22 +63,22 @@ impl Splats {
         self.foreground.contains(&true) && self.foreground.contains(&false)
     }
 
-    pub fn draw(&self, eye: &Eye) -> Drawing {
-        let num_pixels = eye.width * eye.height;
+    pub fn draw(&self, pinhole: &Pinhole<f32>) -> Drawing {
+        let num_pixels = pinhole.width * pinhole.height;
         let mut drawing = Drawing {
-            width: eye.width,
+            width: pinhole.width,
             depths: vec![0.0; num_pixels],
             colors: vec![[0.0; 3]; num_pixels],
             foreground: vec![false; num_pixels],
         };
         for (i, &point) in self.points.iter().enumerate() {
-            let Some((pixel, depth)) = eye.pixel(point) else { continue };
-            let reach = ((0.5 * self.sizes[usize::from(self.foreground[i])] * eye.focal[0] / depth).round() as i32)
+            let Some((pixel, depth)) = pinhole.pixel(point) else { continue };
+            let reach = ((0.5 * self.sizes[usize::from(self.foreground[i])] * pinhole.focal[0] / depth).round() as i32)
                 .min(MAX_REACH_PX);
-            let (x, y) = ((pixel % eye.width) as i32, (pixel / eye.width) as i32);
-            for row in (y - reach).max(0)..=(y + reach).min(eye.height as i32 - 1) {
-                for column in (x - reach).max(0)..=(x + reach).min(eye.width as i32 - 1) {
-                    let at = row as usize * eye.width + column as usize;
+            let (x, y) = ((pixel % pinhole.width) as i32, (pixel / pinhole.width) as i32);
+            for row in (y - reach).max(0)..=(y + reach).min(pinhole.height as i32 - 1) {
+                for column in (x - reach).max(0)..=(x + reach).min(pinhole.width as i32 - 1) {
+                    let at = row as usize * pinhole.width + column as usize;
                     if drawing.depths[at] == 0.0 || depth < drawing.depths[at] {
                         drawing.depths[at] = depth;
                         drawing.colors[at] = self.colors[i];

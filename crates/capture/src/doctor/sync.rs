@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
-use tcgs_core::View;
+use tcgs_core::{Pinhole, View};
 
 use super::{Finding, FindingKind};
 use crate::{
     Capture, CaptureError, Split,
     prepare::{
-        eye::{Eye, Vantage},
         hull::{Hull, Silhouette},
+        vantage::Vantage,
     },
 };
 
@@ -33,7 +33,7 @@ const MIN_CAMERAS: usize = 4;
 /// A camera's silhouettes by frame.
 struct Witness {
     camera_id: usize,
-    silhouettes: BTreeMap<usize, (Eye, Vec<bool>)>,
+    silhouettes: BTreeMap<usize, (Pinhole<f32>, Vec<bool>)>,
 }
 
 /// - `suspects`: cameras that are wrong in another way, and say nothing here
@@ -96,12 +96,12 @@ fn best_shift(witnesses: &[Witness], of: usize, times: &[usize], reach: i32) -> 
             .enumerate()
             .filter(|&(i, _)| i != of)
             .filter_map(|(_, witness)| witness.silhouettes.get(&time))
-            .map(|(eye, mask)| Silhouette { eye, mask })
+            .map(|(pinhole, mask)| Silhouette { pinhole, mask })
             .collect();
         let hull = Hull::carve(&others, 1.5);
         let surface = hull.surface();
-        let Some((eye, _)) = witnesses[of].silhouettes.get(&time) else { continue };
-        let expected = hull.depths(&surface, eye);
+        let Some((pinhole, _)) = witnesses[of].silhouettes.get(&time) else { continue };
+        let expected = hull.depths(&surface, pinhole);
         let overlap = |shift: i32| {
             let frame = (time as i32 + shift) as usize;
             let Some((_, mask)) = witnesses[of].silhouettes.get(&frame) else { return 0.0 };
@@ -142,7 +142,7 @@ fn witnesses(capture: &Capture, times: &[usize], reach: usize) -> Result<Vec<Wit
             let camera_id = view.camera_id;
             let witness =
                 witnesses.entry(camera_id).or_insert_with(|| Witness { camera_id, silhouettes: BTreeMap::new() });
-            witness.silhouettes.insert(frame, (Eye::new(&view.camera), mask));
+            witness.silhouettes.insert(frame, (Pinhole::new(&view.camera), mask));
         }
     }
     Ok(witnesses.into_values().collect())

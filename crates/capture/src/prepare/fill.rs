@@ -1,6 +1,6 @@
 //! Depths of surfaces without texture, from what surrounds them.
 
-use super::{eye::Vantage, fuse::SureDepths};
+use super::{fuse::SureDepths, vantage::Vantage};
 
 /// Inverse depth where a view is not sure of it; 0 where nothing sure is near.
 ///
@@ -13,7 +13,7 @@ use super::{eye::Vantage, fuse::SureDepths};
 /// - `levels`: blocks grow to `2^levels` pixels
 /// - returns: `[H, W]`, 0 where the view is sure, or shows foreground
 pub(super) fn fill(vantage: &Vantage, sure: &SureDepths, levels: usize) -> Vec<f32> {
-    let (width, height) = (vantage.eye.width, vantage.eye.height);
+    let (width, height) = (vantage.pinhole.width, vantage.pinhole.height);
     let known = |pixel: usize| sure.depths[pixel] > 0.0 && !vantage.is_foreground(pixel);
     let finest = Level {
         width,

@@ -2,9 +2,11 @@
 
 use std::borrow::Cow;
 
+use tcgs_core::Pinhole;
+
 use super::{
-    eye::{Eye, Vantage},
     patchmatch::{DepthMap, Plane},
+    vantage::Vantage,
 };
 
 /// Matching cost from which a depth is a guess.
@@ -68,11 +70,11 @@ pub(super) fn agreed(
     let (me, belief) = (&vantages[of], &beliefs[of]);
     let mut points = Vec::new();
     for pixel in (0..belief.known.len()).filter(|&pixel| belief.known[pixel] && wanted(pixel)) {
-        let place = me.eye.place(pixel);
-        let position = me.eye.world(place, 1.0 / belief.planes[pixel].inverse_depth);
+        let place = me.pinhole.pixel_center(pixel);
+        let position = me.pinhole.unproject(place, 1.0 / belief.planes[pixel].inverse_depth);
         let (mut sum, mut color, mut count) = (position, me.colors[pixel], 1.0);
         for &other in others {
-            if let Some((theirs, at)) = seen_by(&vantages[other], &beliefs[other], rule, position, &me.eye, place)
+            if let Some((theirs, at)) = seen_by(&vantages[other], &beliefs[other], rule, position, &me.pinhole, place)
                 && vantages[other].is_foreground(at) == me.is_foreground(pixel)
             {
                 for i in 0..3 {
@@ -97,19 +99,19 @@ fn seen_by(
     belief: &Belief,
     rule: &Rule,
     point: [f32; 3],
-    eye: &Eye,
+    pinhole: &Pinhole<f32>,
     place: [f32; 2],
 ) -> Option<([f32; 3], usize)> {
-    let ([x, y], depth) = other.eye.project(point)?;
-    let (at, _) = other.eye.pixel(point)?;
+    let ([x, y], depth) = other.pinhole.project(point)?;
+    let (at, _) = other.pinhole.pixel(point)?;
     let plane = belief.planes[at];
-    let [cx, cy] = other.eye.place(at);
+    let [cx, cy] = other.pinhole.pixel_center(at);
     let inverse_depth = plane.inverse_depth + plane.gradient[0] * (x - cx) + plane.gradient[1] * (y - cy);
     if !belief.known[at] || (inverse_depth * depth - 1.0).abs() > rule.same_depth {
         return None;
     }
-    let theirs = other.eye.world([x, y], 1.0 / inverse_depth);
-    let (back, _) = eye.project(theirs)?;
+    let theirs = other.pinhole.unproject([x, y], 1.0 / inverse_depth);
+    let (back, _) = pinhole.project(theirs)?;
     let miss = (back[0] - place[0]).hypot(back[1] - place[1]);
     (miss <= rule.same_place_px).then_some((theirs, at))
 }
@@ -117,7 +119,7 @@ fn seen_by(
 /// Views that a point would hide something from that they are sure of.
 pub(super) fn num_hidden_from(vantages: &[Vantage], sure: &[SureDepths], point: [f32; 3]) -> usize {
     let hides = |(vantage, sure): &(&Vantage, &SureDepths)| {
-        vantage.eye.pixel(point).is_some_and(|(at, depth)| sure.depths[at] > depth * (1.0 + HIDING))
+        vantage.pinhole.pixel(point).is_some_and(|(at, depth)| sure.depths[at] > depth * (1.0 + HIDING))
     };
     vantages.iter().zip(sure).filter(hides).count()
 }

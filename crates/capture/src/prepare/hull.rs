@@ -3,12 +3,13 @@
 //! A few masks may disagree: segmentations lose hands and shoes.
 
 use rayon::prelude::*;
+use tcgs_core::Pinhole;
 
-use super::eye::{Eye, length, sub};
+use super::vantage::{length, sub};
 
 /// A mask and where it was taken from.
 pub(crate) struct Silhouette<'a> {
-    pub eye: &'a Eye,
+    pub pinhole: &'a Pinhole<f32>,
     /// `[H, W]`
     pub mask: &'a [bool],
 }
@@ -37,8 +38,8 @@ impl Hull {
     ///
     /// - `finest_px`: cubes are halved until they are about that many pixels wide, or there are enough
     pub fn carve(silhouettes: &[Silhouette], finest_px: f32) -> Self {
-        let eyes: Vec<&Eye> = silhouettes.iter().map(|silhouette| silhouette.eye).collect();
-        let Some((focus, reach)) = focus(&eyes) else { return Self::default() };
+        let pinholes: Vec<&Pinhole<f32>> = silhouettes.iter().map(|silhouette| silhouette.pinhole).collect();
+        let Some((focus, reach)) = focus(&pinholes) else { return Self::default() };
         let counts: Vec<Counts> = silhouettes.iter().map(Counts::new).collect();
         let mut hull = Self {
             edge: 2.0 * reach / FIRST_GRID as f32,
@@ -49,7 +50,10 @@ impl Hull {
         };
         hull.keep(&counts);
         // A pixel's width at the middle of things.
-        let pixel = eyes.iter().map(|eye| length(sub(eye.center, focus)) / eye.focal[0]).fold(f32::INFINITY, f32::min);
+        let pixel = pinholes
+            .iter()
+            .map(|pinhole| length(sub(pinhole.center, focus)) / pinhole.focal[0])
+            .fold(f32::INFINITY, f32::min);
         while !hull.cubes.is_empty() && hull.cubes.len() < ENOUGH_CUBES && hull.edge > finest_px * pixel {
             hull.edge /= 2.0;
             let halves =
@@ -103,18 +107,18 @@ impl Hull {
     }
 
     /// Nearest and farthest depth of the hull in every pixel; infinity and 0 where it is not.
-    pub fn depths(&self, surface: &[[f32; 3]], eye: &Eye) -> Vec<[f32; 2]> {
-        let mut depths = vec![[f32::INFINITY, 0.0_f32]; eye.width * eye.height];
+    pub fn depths(&self, surface: &[[f32; 3]], pinhole: &Pinhole<f32>) -> Vec<[f32; 2]> {
+        let mut depths = vec![[f32::INFINITY, 0.0_f32]; pinhole.width * pinhole.height];
         for &point in surface {
-            let Some(([x, y], z)) = eye.project(point) else { continue };
+            let Some(([x, y], z)) = pinhole.project(point) else { continue };
             let half = 0.75_f32.sqrt() * self.edge / z;
             let span = |at: f32, focal: f32, size: usize| {
                 let (from, to) = (at - half * focal, at + half * focal);
                 (from.max(0.0) as usize)..((to.ceil().max(0.0) as usize).min(size))
             };
-            for row in span(y, eye.focal[1], eye.height) {
-                for column in span(x, eye.focal[0], eye.width) {
-                    let [near, far] = &mut depths[row * eye.width + column];
+            for row in span(y, pinhole.focal[1], pinhole.height) {
+                for column in span(x, pinhole.focal[0], pinhole.width) {
+                    let [near, far] = &mut depths[row * pinhole.width + column];
                     (*near, *far) = (near.min(z - self.edge), far.max(z + self.edge));
                 }
             }
@@ -126,16 +130,17 @@ impl Hull {
 /// The place that is nearest to all lines of sight, and how far around it to look.
 ///
 /// - returns: nothing for fewer than two cameras
-fn focus(eyes: &[&Eye]) -> Option<([f32; 3], f32)> {
-    if eyes.len() < 2 {
+fn focus(pinholes: &[&Pinhole<f32>]) -> Option<([f32; 3], f32)> {
+    if pinholes.len() < 2 {
         return None;
     }
     // Least squares: Σ (I − d dᵀ) (p − c) = 0. A little of the cameras' mean, for lines that are parallel.
-    let mean: [f64; 3] =
-        std::array::from_fn(|i| eyes.iter().map(|eye| f64::from(eye.center[i])).sum::<f64>() / eyes.len() as f64);
+    let mean: [f64; 3] = std::array::from_fn(|i| {
+        pinholes.iter().map(|pinhole| f64::from(pinhole.center[i])).sum::<f64>() / pinholes.len() as f64
+    });
     let mut rows = [[0.0; 4]; 3];
-    for eye in eyes {
-        let (d, c) = (eye.forward().map(f64::from), eye.center.map(f64::from));
+    for pinhole in pinholes {
+        let (d, c) = (pinhole.forward().map(f64::from), pinhole.center.map(f64::from));
         for i in 0..3 {
             for j in 0..3 {
                 let entry = f64::from(u8::from(i == j)) * 1.001 - d[i] * d[j];
@@ -146,21 +151,21 @@ fn focus(eyes: &[&Eye]) -> Option<([f32; 3], f32)> {
         }
     }
     let focus = super::solve(rows)?.map(|x| x as f32);
-    let mut distances: Vec<f32> = eyes.iter().map(|eye| length(sub(eye.center, focus))).collect();
+    let mut distances: Vec<f32> = pinholes.iter().map(|pinhole| length(sub(pinhole.center, focus))).collect();
     distances.sort_by(f32::total_cmp);
     Some((focus, 1.2 * distances[distances.len() / 2]))
 }
 
 /// A mask, ready to count foreground in rectangles.
 struct Counts<'a> {
-    eye: &'a Eye,
+    pinhole: &'a Pinhole<f32>,
     /// `[H + 1, W + 1]`: foreground pixels above and to the left.
     sums: Vec<u32>,
 }
 
 impl<'a> Counts<'a> {
     fn new(silhouette: &Silhouette<'a>) -> Self {
-        let (width, height) = (silhouette.eye.width, silhouette.eye.height);
+        let (width, height) = (silhouette.pinhole.width, silhouette.pinhole.height);
         let mut sums = vec![0; (width + 1) * (height + 1)];
         for y in 0..height {
             let mut row = 0;
@@ -169,13 +174,13 @@ impl<'a> Counts<'a> {
                 sums[(y + 1) * (width + 1) + x + 1] = sums[y * (width + 1) + x + 1] + row;
             }
         }
-        Self { eye: silhouette.eye, sums }
+        Self { pinhole: silhouette.pinhole, sums }
     }
 
     /// Whether a ball touches foreground; nothing if its middle is not in the image.
     fn meets(&self, center: [f32; 3], radius: f32) -> Option<bool> {
-        let ([x, y], z) = self.eye.project(center)?;
-        let (width, height) = (self.eye.width, self.eye.height);
+        let ([x, y], z) = self.pinhole.project(center)?;
+        let (width, height) = (self.pinhole.width, self.pinhole.height);
         if !(x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32) {
             return None;
         }
@@ -187,7 +192,8 @@ impl<'a> Counts<'a> {
             let half = (radius * focal / z - 0.5).max(0.0);
             ((at - half).max(0.0) as usize, ((at + half) as usize + 1).min(size))
         };
-        let ((left, right), (top, bottom)) = (span(x, self.eye.focal[0], width), span(y, self.eye.focal[1], height));
+        let ((left, right), (top, bottom)) =
+            (span(x, self.pinhole.focal[0], width), span(y, self.pinhole.focal[1], height));
         let at = |x: usize, y: usize| self.sums[y * (width + 1) + x];
         Some(at(right, bottom) + at(left, top) > at(left, bottom) + at(right, top))
     }

@@ -9,23 +9,24 @@
 //! Every view is worked on by one thread, and random numbers depend on view and pixel alone: the same bytes
 //! whatever the number of threads.
 
-pub(crate) mod eye;
 mod fill;
 mod fuse;
 pub(crate) mod hull;
 mod patchmatch;
 mod shell;
 mod thin;
+pub(crate) mod vantage;
 
 use rayon::prelude::*;
-use tcgs_core::{PointCloud, View};
+use tcgs_core::{Pinhole, PointCloud, View};
 
 use crate::{Capture, CaptureError, Split};
-use eye::{Eye, Vantage};
+
 use fuse::{Belief, Point, Rule, SureDepths, agreed, num_hidden_from};
 use hull::{Hull, Silhouette};
 use patchmatch::{DepthMap, MAX_SOURCES, Plane, Range, Search, Source};
 use shell::Shell;
+use vantage::Vantage;
 
 /// How a cloud is made.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -158,8 +159,8 @@ pub(crate) fn check_enough(capture: &Capture, views: &[View]) -> Result<(), Capt
 
 /// Whether any camera has the two others that must agree with it.
 pub(crate) fn check_comparable(capture: &Capture, views: &[View]) -> Result<(), CaptureError> {
-    let eyes = eyes(views);
-    if (0..eyes.len()).any(|i| patchmatch::neighbors(&eyes, i, MIN_CAMERAS - 1).len() == MIN_CAMERAS - 1) {
+    let pinholes = pinholes(views);
+    if (0..pinholes.len()).any(|i| patchmatch::neighbors(&pinholes, i, MIN_CAMERAS - 1).len() == MIN_CAMERAS - 1) {
         return Ok(());
     }
     let degrees = patchmatch::MIN_DIRECTION_COSINE.acos().to_degrees();
@@ -170,8 +171,8 @@ pub(crate) fn check_comparable(capture: &Capture, views: &[View]) -> Result<(), 
     Err(CaptureError::invalid(&capture.path, problem))
 }
 
-fn eyes(views: &[View]) -> Vec<Eye> {
-    views.iter().map(|view| Eye::new(&view.camera)).collect()
+fn pinholes(views: &[View]) -> Vec<Pinhole<f32>> {
+    views.iter().map(|view| Pinhole::new(&view.camera)).collect()
 }
 
 /// [`prepare`] once images are there.
@@ -231,13 +232,13 @@ impl Stereo {
         let silhouettes: Vec<Silhouette> = stereo
             .vantages
             .iter()
-            .filter_map(|v| v.mask.as_ref().map(|mask| Silhouette { eye: &v.eye, mask }))
+            .filter_map(|v| v.mask.as_ref().map(|mask| Silhouette { pinhole: &v.pinhole, mask }))
             .collect();
         stereo.hull = Hull::carve(&silhouettes, 1.5);
         stereo.hull_surface = stereo.hull.surface();
-        let eyes = eyes(views);
+        let pinholes = pinholes(views);
         let of_all = |count: usize| -> Vec<Vec<usize>> {
-            (0..eyes.len()).map(|i| patchmatch::neighbors(&eyes, i, count)).collect()
+            (0..pinholes.len()).map(|i| patchmatch::neighbors(&pinholes, i, count)).collect()
         };
         let neighbors = of_all(MAX_SOURCES);
         stereo.witnesses = of_all(NUM_WITNESSES);
@@ -246,10 +247,10 @@ impl Stereo {
 
         for (level, &factor) in factors.iter().enumerate() {
             let vantages = all_at(factor);
-            let eye = &vantages[0].eye;
-            report(&format!("searching depths at {}x{}", eye.width, eye.height));
+            let pinhole = &vantages[0].pinhole;
+            report(&format!("searching depths at {}x{}", pinhole.width, pinhole.height));
             let coarse = std::mem::take(&mut stereo.maps);
-            let coarse_widths: Vec<usize> = stereo.vantages.iter().map(|v| v.eye.width).collect();
+            let coarse_widths: Vec<usize> = stereo.vantages.iter().map(|v| v.pinhole.width).collect();
             stereo.maps = (0..views.len())
                 .into_par_iter()
                 .map(|i| {
@@ -274,7 +275,7 @@ impl Stereo {
     fn ranges(&self, vantage: &Vantage, background: Range) -> Vec<Range> {
         let mut ranges = vec![background; vantage.gray.len()];
         if !self.hull_surface.is_empty() {
-            let depths = self.hull.depths(&self.hull_surface, &vantage.eye);
+            let depths = self.hull.depths(&self.hull_surface, &vantage.pinhole);
             for (pixel, range) in ranges.iter_mut().enumerate() {
                 let [near, far] = depths[pixel];
                 if near < far && vantage.is_foreground(pixel) {
@@ -305,11 +306,11 @@ impl Stereo {
             let witnesses = &self.witnesses[of];
             let min_agreeing = if witnesses.len() < 6 { 2 } else { 3 };
             let rule = Rule { same_depth: 0.02, same_place_px: 1.5, min_agreeing };
-            let eye = &self.vantages[of].eye;
-            let mut sure = SureDepths { depths: vec![0.0; eye.width * eye.height] };
+            let pinhole = &self.vantages[of].pinhole;
+            let mut sure = SureDepths { depths: vec![0.0; pinhole.width * pinhole.height] };
             let found = agreed(&self.vantages, &beliefs, &rule, of, witnesses, |_| true);
             for &(pixel, point) in &found {
-                sure.depths[pixel] = eye.camera_point(point.position)[2];
+                sure.depths[pixel] = pinhole.camera_point(point.position)[2];
             }
             (sure, found.into_iter().map(|(_, point)| point).collect())
         };
@@ -356,7 +357,7 @@ impl Stereo {
             .into_par_iter()
             .map(|i| {
                 let vantage = &self.vantages[i];
-                let levels = (FILL_SHARE * vantage.eye.width as f64).log2().round().max(0.0) as usize;
+                let levels = (FILL_SHARE * vantage.pinhole.width as f64).log2().round().max(0.0) as usize;
                 let filled = fill::fill(vantage, &sure[i], levels);
                 let planes = filled.iter().zip(&sure[i].depths).map(|(&filled, &depth)| {
                     let inverse_depth = if depth > 0.0 { 1.0 / depth } else { filled };
@@ -379,20 +380,24 @@ impl Stereo {
     /// The ends of rays of background that meet no point.
     fn ended(&self, points: &[Vec<Point>], shell: &Shell) -> Vec<Point> {
         let of = |vantage: &Vantage| {
-            let eye = &vantage.eye;
-            let across = eye.width.div_ceil(BLOCK_PX);
-            let block = |pixel: usize| pixel / eye.width / BLOCK_PX * across + pixel % eye.width / BLOCK_PX;
-            let mut met = vec![false; across * eye.height.div_ceil(BLOCK_PX)];
+            let pinhole = &vantage.pinhole;
+            let across = pinhole.width.div_ceil(BLOCK_PX);
+            let block = |pixel: usize| pixel / pinhole.width / BLOCK_PX * across + pixel % pinhole.width / BLOCK_PX;
+            let mut met = vec![false; across * pinhole.height.div_ceil(BLOCK_PX)];
             for point in points.iter().flatten() {
-                if let Some((pixel, _)) = eye.pixel(point.position) {
+                if let Some((pixel, _)) = pinhole.pixel(point.position) {
                     met[block(pixel)] = true;
                 }
             }
             let free = (0..vantage.gray.len()).filter(|&pixel| !met[block(pixel)] && !vantage.is_foreground(pixel));
             let end = |pixel: usize| {
-                let place = eye.place(pixel);
-                let depth = shell.depth(eye.center, eye.ray(place))?;
-                Some(Point { position: eye.world(place, depth), color: vantage.colors[pixel], foreground: false })
+                let place = pinhole.pixel_center(pixel);
+                let depth = shell.depth(pinhole.center, pinhole.ray(place))?;
+                Some(Point {
+                    position: pinhole.unproject(place, depth),
+                    color: vantage.colors[pixel],
+                    foreground: false,
+                })
             };
             free.filter_map(end).collect()
         };
@@ -402,11 +407,11 @@ impl Stereo {
     /// The hull's surface, in the colours of the views that see it.
     fn hull_points(&self) -> Vec<Point> {
         let nearest: Vec<Vec<[f32; 2]>> =
-            self.vantages.par_iter().map(|v| self.hull.depths(&self.hull_surface, &v.eye)).collect();
+            self.vantages.par_iter().map(|v| self.hull.depths(&self.hull_surface, &v.pinhole)).collect();
         let point = |&position: &[f32; 3]| {
             let mut colors: Vec<[f32; 3]> = Vec::new();
             for (vantage, depths) in self.vantages.iter().zip(&nearest) {
-                if let Some((at, depth)) = vantage.eye.pixel(position)
+                if let Some((at, depth)) = vantage.pinhole.pixel(position)
                     && vantage.is_foreground(at)
                     && depth < depths[at][0] + 3.0 * self.hull.edge
                 {

@@ -6,7 +6,9 @@
 
 use tcgs_core::dot;
 
-use super::eye::{Eye, Vantage, length, sub};
+use tcgs_core::Pinhole;
+
+use super::vantage::{Vantage, length, sub};
 
 /// Views that one is compared with, at most.
 pub(super) const MAX_SOURCES: usize = 6;
@@ -65,11 +67,11 @@ pub(super) type Range = [f32; 2];
 /// The other views that one is compared with, nearest first.
 ///
 /// - `count`: at most so many
-pub(super) fn neighbors(eyes: &[Eye], of: usize, count: usize) -> Vec<usize> {
-    let me = &eyes[of];
-    let mut others: Vec<(f32, usize)> = (0..eyes.len())
-        .filter(|&i| i != of && dot(me.forward(), eyes[i].forward()) >= MIN_DIRECTION_COSINE)
-        .map(|i| (length(sub(me.center, eyes[i].center)), i))
+pub(super) fn neighbors(pinholes: &[Pinhole<f32>], of: usize, count: usize) -> Vec<usize> {
+    let me = &pinholes[of];
+    let mut others: Vec<(f32, usize)> = (0..pinholes.len())
+        .filter(|&i| i != of && dot(me.forward(), pinholes[i].forward()) >= MIN_DIRECTION_COSINE)
+        .map(|i| (length(sub(me.center, pinholes[i].center)), i))
         // Two cameras in one place have no depth between them.
         .filter(|&(distance, _)| distance > 0.0)
         .collect();
@@ -80,8 +82,8 @@ pub(super) fn neighbors(eyes: &[Eye], of: usize, count: usize) -> Vec<usize> {
 /// Inverse depths at which a view may see anything, up to where the nearest other view would see it
 /// [`MAX_DISPARITY_WIDTHS`] away.
 pub(super) fn widest_range(vantages: &[Vantage], of: usize, neighbors: &[usize]) -> Range {
-    let me = &vantages[of].eye;
-    let baselines = neighbors.iter().map(|&i| length(sub(me.center, vantages[i].eye.center)));
+    let me = &vantages[of].pinhole;
+    let baselines = neighbors.iter().map(|&i| length(sub(me.center, vantages[i].pinhole.center)));
     let baseline = baselines.fold(f32::INFINITY, f32::min);
     let to = MAX_DISPARITY_WIDTHS * me.width as f32 / (me.focal[0] * baseline);
     // Where nothing is compared any range will do.
@@ -107,7 +109,7 @@ pub(super) struct Source<'a> {
 
 impl<'a> Source<'a> {
     pub fn new(from: &Vantage, to: &'a Vantage) -> Self {
-        let (a, b) = (&from.eye, &to.eye);
+        let (a, b) = (&from.pinhole, &to.pinhole);
         // K_b R_b R_aᵀ K_a⁻¹ and K_b (t_b − R_b R_aᵀ t_a)
         let relative: [[f32; 3]; 3] =
             std::array::from_fn(|i| std::array::from_fn(|j| dot(b.rotation[i], a.rotation[j])));
@@ -140,13 +142,13 @@ struct Window {
 impl Search<'_> {
     /// Begins with random planes, or those of a coarser map.
     pub fn begin(&self, coarse: Option<(&DepthMap, usize)>) -> DepthMap {
-        let eye = &self.vantage.eye;
-        let num_pixels = eye.width * eye.height;
+        let pinhole = &self.vantage.pinhole;
+        let num_pixels = pinhole.width * pinhole.height;
         let planes: Vec<Plane> = (0..num_pixels)
             .map(|pixel| match coarse {
                 Some((map, width)) => {
                     let height = map.planes.len() / width;
-                    let (x, y) = (pixel % eye.width, pixel / eye.width);
+                    let (x, y) = (pixel % pinhole.width, pixel / pinhole.width);
                     let (cx, cy) = ((x / 2).min(width - 1), (y / 2).min(height - 1));
                     let plane = map.planes[cy * width + cx];
                     let half = Plane { gradient: plane.gradient.map(|g| g / 2.0), ..plane };
@@ -158,7 +160,7 @@ impl Search<'_> {
                     let [from, to] = self.ranges[pixel];
                     let inverse_depth = from + (to - from) * random.unit();
                     let slope = |focal: f32, random: &mut Random| inverse_depth * random.signed() / focal;
-                    let gradient = [slope(eye.focal[0], &mut random), slope(eye.focal[1], &mut random)];
+                    let gradient = [slope(pinhole.focal[0], &mut random), slope(pinhole.focal[1], &mut random)];
                     Plane { inverse_depth, gradient }
                 }
             })
@@ -169,7 +171,7 @@ impl Search<'_> {
 
     /// Walks over all pixels `sweeps` times, there and back again.
     pub fn refine(&self, map: &mut DepthMap, sweeps: usize) {
-        let (width, height) = (self.vantage.eye.width, self.vantage.eye.height);
+        let (width, height) = (self.vantage.pinhole.width, self.vantage.pinhole.height);
         let num_pixels = width * height;
         for sweep in 0..sweeps {
             let back = sweep % 2 == 1;
@@ -201,7 +203,7 @@ impl Search<'_> {
                 for _ in 0..3 {
                     let slope = |i: usize, random: &mut Random| {
                         current.gradient[i]
-                            + reach * random.signed() * current.inverse_depth / self.vantage.eye.focal[i]
+                            + reach * random.signed() * current.inverse_depth / self.vantage.pinhole.focal[i]
                     };
                     let gradient = [slope(0, &mut random), slope(1, &mut random)];
                     let inverse_depth = current.inverse_depth + reach * (to - from) * random.signed();
@@ -217,24 +219,24 @@ impl Search<'_> {
     fn limited(&self, pixel: usize, plane: Plane) -> Plane {
         let [from, to] = self.ranges[pixel];
         let inverse_depth = plane.inverse_depth.clamp(from, to);
-        let focal = self.vantage.eye.focal;
+        let focal = self.vantage.pinhole.focal;
         let most = |i: usize| MAX_SLOPE * inverse_depth / focal[i];
         let gradient = std::array::from_fn(|i| plane.gradient[i].clamp(-most(i), most(i)));
         Plane { inverse_depth, gradient }
     }
 
     fn window(&self, pixel: usize) -> Window {
-        let Vantage { eye, gray, mask, .. } = self.vantage;
-        let (x, y) = ((pixel % eye.width) as i32, (pixel / eye.width) as i32);
+        let Vantage { pinhole, gray, mask, .. } = self.vantage;
+        let (x, y) = ((pixel % pinhole.width) as i32, (pixel / pinhole.width) as i32);
         let middle = gray[pixel];
         let (mut weights, mut values) = ([0.0; WINDOW_SAMPLES], [0.0; WINDOW_SAMPLES]);
         let (mut sum, mut mean) = (0.0, 0.0);
         let mut i = 0;
         for dy in -WINDOW_STEPS..=WINDOW_STEPS {
             for dx in -WINDOW_STEPS..=WINDOW_STEPS {
-                let at_x = (x + dx * WINDOW_SPACING).clamp(0, eye.width as i32 - 1);
-                let at_y = (y + dy * WINDOW_SPACING).clamp(0, eye.height as i32 - 1);
-                let at = (at_y * eye.width as i32 + at_x) as usize;
+                let at_x = (x + dx * WINDOW_SPACING).clamp(0, pinhole.width as i32 - 1);
+                let at_y = (y + dy * WINDOW_SPACING).clamp(0, pinhole.height as i32 - 1);
+                let at = (at_y * pinhole.width as i32 + at_x) as usize;
                 let other_side = mask.as_ref().is_some_and(|mask| mask[at] != mask[pixel]);
                 let contrast = (gray[at] - middle).abs() / EDGE_CONTRAST;
                 let weight = if other_side { 0.0 } else { 1.0 / (1.0 + contrast * contrast) };
@@ -259,7 +261,7 @@ impl Search<'_> {
         if self.sources.is_empty() {
             return OUTSIDE_COST;
         }
-        let place = self.vantage.eye.place(pixel);
+        let place = self.vantage.pinhole.pixel_center(pixel);
         let mut costs = [OUTSIDE_COST; MAX_SOURCES];
         let count = self.sources.len();
         for (cost, source) in costs.iter_mut().zip(&self.sources) {
@@ -275,7 +277,7 @@ impl Search<'_> {
 impl Source<'_> {
     fn cost(&self, window: &Window, [x, y]: [f32; 2], plane: Plane) -> f32 {
         let (m, e) = (&self.image_from_image, self.epipole);
-        let (width, height) = (self.vantage.eye.width, self.vantage.eye.height);
+        let (width, height) = (self.vantage.pinhole.width, self.vantage.pinhole.height);
         let middle: [f32; 3] =
             std::array::from_fn(|i| m[i][0] * x + m[i][1] * y + m[i][2] + plane.inverse_depth * e[i]);
         let step_x: [f32; 3] = std::array::from_fn(|i| WINDOW_SPACING as f32 * (m[i][0] + plane.gradient[0] * e[i]));

@@ -3,8 +3,8 @@
 use tcgs_core::dot;
 
 use super::{
-    eye::{Vantage, length, sub},
     patchmatch::Random,
+    vantage::{Vantage, length, sub},
 };
 
 /// Planes tried for the floor.
@@ -32,8 +32,8 @@ pub(super) struct Shell {
 impl Shell {
     /// Fits a shell to points of the background.
     pub fn fit(vantages: &[Vantage], points: &[[f32; 3]]) -> Self {
-        let middle = mean(vantages.iter().map(|vantage| vantage.eye.center));
-        let spread = vantages.iter().map(|v| length(sub(v.eye.center, middle))).fold(0.0, f32::max);
+        let middle = mean(vantages.iter().map(|vantage| vantage.pinhole.center));
+        let spread = vantages.iter().map(|v| length(sub(v.pinhole.center, middle))).fold(0.0, f32::max);
         let step = points.len().div_ceil(NUM_JUDGES).max(1);
         let judges: Vec<[f32; 3]> = points.iter().step_by(step).copied().collect();
         let mut distances: Vec<f32> = judges.iter().map(|&point| length(sub(point, middle))).collect();
@@ -48,7 +48,7 @@ impl Shell {
         let rest: Vec<[f32; 3]> = judges.iter().copied().filter(off_floor).collect();
         // Every camera must be inside, and a sphere only where there is one; else all around at the far end.
         let inside = |&(center, radius): &([f32; 3], f32)| {
-            vantages.iter().all(|vantage| length(sub(vantage.eye.center, center)) < 1.1 * radius)
+            vantages.iter().all(|vantage| length(sub(vantage.pinhole.center, center)) < 1.1 * radius)
         };
         let (center, radius) = find_sphere(&rest).filter(inside).unwrap_or((middle, far));
         Self { center, radius, floor }
@@ -95,11 +95,11 @@ fn find_floor(vantages: &[Vantage], points: &[[f32; 3]], size: f32) -> Option<([
             continue;
         }
         let mut normal: [f32; 3] = tcgs_core::normalize(cross);
-        if dot(normal, vantages[0].eye.center) < dot(normal, a) {
+        if dot(normal, vantages[0].pinhole.center) < dot(normal, a) {
             normal = normal.map(|x| -x);
         }
         let offset = dot(normal, a);
-        let above = |vantage: &Vantage| dot(normal, vantage.eye.center) > offset + THICKNESS * size;
+        let above = |vantage: &Vantage| dot(normal, vantage.pinhole.center) > offset + THICKNESS * size;
         let count = points.iter().filter(|&&p| (dot(normal, p) - offset).abs() < THICKNESS * size).count() as f32;
         if count > best.0 && vantages.iter().all(above) {
             best = (count, Some((normal, offset)));

@@ -54,7 +54,7 @@ fn points_have_the_colours_that_cameras_see() {
     let view = &capture.views(Split::Test, 0, 1).unwrap()[0];
     let (vantage, mut differences) = (Vantage::new(view, 1), Vec::new());
     for i in (0..prepared.cloud.points.len()).filter(|&i| prepared.cloud.foreground[i]) {
-        if let Some((pixel, depth)) = vantage.eye.pixel(prepared.cloud.points[i])
+        if let Some((pixel, depth)) = vantage.pinhole.pixel(prepared.cloud.points[i])
             && vantage.is_foreground(pixel)
             && depth < 2.2
         {
@@ -187,26 +187,27 @@ fn the_hull_of_a_ball_is_the_ball() {
             tcgs_core::Camera::look_at(from, [0.0; 3], [0.0, -1.0, 0.0], 100.0, 96, 96)
         })
         .collect();
-    let eyes: Vec<Eye> = cameras.iter().map(Eye::new).collect();
-    let masks: Vec<Vec<bool>> = eyes
+    let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
+    let masks: Vec<Vec<bool>> = pinholes
         .iter()
-        .map(|eye| {
+        .map(|pinhole| {
             let sees = |pixel: usize| {
-                let ray = tcgs_core::normalize(eye.ray(eye.place(pixel)));
-                let to = eye::sub(center, eye.center);
+                let ray = tcgs_core::normalize(pinhole.ray(pinhole.pixel_center(pixel)));
+                let to = vantage::sub(center, pinhole.center);
                 let along = tcgs_core::dot(to, ray);
                 tcgs_core::dot(to, to) - along * along < radius * radius
             };
             (0..96 * 96).map(sees).collect()
         })
         .collect();
-    let silhouettes: Vec<Silhouette> = eyes.iter().zip(&masks).map(|(eye, mask)| Silhouette { eye, mask }).collect();
+    let silhouettes: Vec<Silhouette> =
+        pinholes.iter().zip(&masks).map(|(pinhole, mask)| Silhouette { pinhole, mask }).collect();
     let hull = Hull::carve(&silhouettes, 1.5);
-    let distances: Vec<f32> = hull.surface().iter().map(|&p| eye::length(eye::sub(p, center))).collect();
+    let distances: Vec<f32> = hull.surface().iter().map(|&p| vantage::length(vantage::sub(p, center))).collect();
     let mean = distances.iter().sum::<f32>() / distances.len() as f32;
     assert!(distances.len() > 300 && (mean - radius).abs() < 0.04, "{} cubes, {mean}", distances.len());
     assert!(distances.iter().all(|&d| d < radius + 0.15), "a hull of 12 views reaches little beyond");
-    let [near, far] = hull.depths(&hull.surface(), &eyes[0])[48 * 96 + 48];
+    let [near, far] = hull.depths(&hull.surface(), &pinholes[0])[48 * 96 + 48];
     assert!(near < far && near > 1.0 && far < 3.5, "{near} to {far}");
 
     // One mask in twelve that lost everything is one too many here; two views alone say nothing.

@@ -14,7 +14,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use serde::Serialize;
-use tcgs_core::{Camera, Image};
+use tcgs_core::{Camera, Image, Pinhole};
 
 use crate::{
     CaptureError,
@@ -149,10 +149,11 @@ fn render(scene: &Scene, camera: &Camera) -> (Image, Vec<bool>) {
     let mut image = Image::filled(camera.width, camera.height, 3, 0.0);
     let num_pixels = image.num_pixels();
     let mut mask = vec![false; num_pixels];
-    let center = camera.center();
+    let (center, pinhole) = (camera.center(), Pinhole::new(camera));
     for (pixel, mask) in mask.iter_mut().enumerate() {
         let corner = [(pixel % camera.width) as f64, (pixel / camera.width) as f64];
-        let hit_at = |dx: f64, dy: f64| scene.hit(center, ray(camera, [corner[0] + dx, corner[1] + dy]));
+        let ray = |dx: f64, dy: f64| tcgs_core::normalize(pinhole.ray([corner[0] + dx, corner[1] + dy]));
+        let hit_at = |dx: f64, dy: f64| scene.hit(center, ray(dx, dy));
         *mask = hit_at(0.5, 0.5).is_moving(scene);
         let mut sum = [0.0; 3];
         for sample in 0..SUPERSAMPLES * SUPERSAMPLES {
@@ -165,15 +166,6 @@ fn render(scene: &Scene, camera: &Camera) -> (Image, Vec<bool>) {
         }
     }
     (image, mask)
-}
-
-/// Unit direction in the world of the ray through a point of the image.
-///
-/// - `pixel`: `x, y`, pixels; pixel centres at +0.5
-fn ray(camera: &Camera, pixel: [f64; 2]) -> [f64; 3] {
-    let [x, y] = std::array::from_fn(|i| (pixel[i] - camera.principal[i]) / camera.focal[i]);
-    let m = &camera.camera_from_world;
-    tcgs_core::normalize(std::array::from_fn(|j| m[0][j] * x + m[1][j] * y + m[2][j]))
 }
 
 /// `train_meta.json` and `test_meta.json` of Dynamic 3D Gaussians: outer lists are timesteps, inner cameras.

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use tcgs_core::View;
+use tcgs_core::{Pinhole, View};
 
 use super::*;
 use crate::{Capture, Split};
@@ -100,23 +100,16 @@ fn color_differences(capture: &Capture, mirror: bool) -> Vec<f32> {
     for View { camera, image, .. } in capture.views(Split::All, 0, 1).unwrap() {
         for (point, color) in cloud.points.iter().zip(&cloud.colors) {
             let world = point.map(f64::from);
-            let m = camera.camera_from_world;
-            let [x, y, z]: [f64; 3] =
-                std::array::from_fn(|i| m[i][3] + (0..3).map(|j| m[i][j] * world[j]).sum::<f64>());
-            let u = (camera.focal[0] * x / z + camera.principal[0]).floor();
-            let v = (camera.focal[1] * y / z + camera.principal[1]).floor();
-            let inside = |at: f64, size: usize| (0.0..size as f64).contains(&at);
-            if z <= 0.0 || !inside(u, camera.width) || !inside(v, camera.height) {
-                continue;
-            }
+            let Some((pixel, _)) = Pinhole::new(&camera).pixel(world) else { continue };
+            let (u, v) = (pixel % camera.width, pixel / camera.width);
             let center = camera.center();
             let away: [f64; 3] = std::array::from_fn(|i| world[i] - center[i]);
             let first = scene.hit(center, tcgs_core::normalize(away)).position();
             if (0..3).any(|i| (first[i] - world[i]).abs() > 0.03) {
                 continue; // hidden
             }
-            let column = if mirror { camera.width - 1 - u as usize } else { u as usize };
-            let pixel = v as usize * camera.width + column;
+            let column = if mirror { camera.width - 1 - u } else { u };
+            let pixel = v * camera.width + column;
             differences.extend((0..3).map(|channel| (image.plane(channel)[pixel] - color[channel]).abs()));
         }
     }
@@ -142,12 +135,8 @@ fn foreground_points_are_seen_in_the_mask() {
     let (mask, camera) = (&view.segmentation.as_ref().unwrap().foreground, &view.camera);
     let mut covered = vec![false; mask.len()];
     for (point, _) in cloud.points.iter().zip(&cloud.foreground).filter(|(_, foreground)| **foreground) {
-        let m = camera.camera_from_world;
-        let [x, y, z]: [f64; 3] =
-            std::array::from_fn(|i| m[i][3] + (0..3).map(|j| m[i][j] * f64::from(point[j])).sum::<f64>());
-        let (u, v) = (camera.focal[0] * x / z + camera.principal[0], camera.focal[1] * y / z + camera.principal[1]);
-        if (0.0..camera.width as f64).contains(&u) && (0.0..camera.height as f64).contains(&v) {
-            covered[v as usize * camera.width + u as usize] = true;
+        if let Some((pixel, _)) = Pinhole::new(camera).pixel(point.map(f64::from)) {
+            covered[pixel] = true;
         }
     }
     // Nothing static stands before the objects: their points fall on the mask, or, near an outline, on a

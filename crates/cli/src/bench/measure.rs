@@ -4,13 +4,13 @@ use std::time::Instant;
 
 use anyhow::bail;
 use tcgs_core::{Activated, Camera, Image, activate};
+use tcgs_pipeline::Backend;
 use tcgs_render::gpu::RenderProfiler;
 use tcgs_render::{CpuRasterizer, Laps, PairCounts, RenderSettings, StageTimes};
 use tcgs_train::engine::Step;
 use tcgs_train::{Phase, Rates, Schedule, TrainConfig};
 
 use super::scene::Scene;
-use crate::backend::Backend;
 
 /// How often things are done.
 #[derive(Clone, Copy)]

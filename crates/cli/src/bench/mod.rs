@@ -7,9 +7,10 @@ mod table;
 use std::path::PathBuf;
 
 use tcgs_capture::Capture;
+use tcgs_pipeline::Backend;
 
 use self::measure::{Counts, STEPS, measure};
-use crate::backend::{Backend, BackendName, BackendOptions};
+use crate::backend::{BackendName, BackendOptions};
 use crate::options::{self, JobOptions, Size};
 use crate::output::say;
 use crate::progress::Progress;

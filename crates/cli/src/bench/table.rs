@@ -3,10 +3,10 @@
 use std::fmt::Write;
 
 use serde_json::{Value, json};
+use tcgs_pipeline::Backend;
 
 use super::measure::{Counts, Measured, Samples, Spread};
 use super::scene::Scene;
-use crate::backend::Backend;
 
 /// What computes, in one line.
 pub fn device_line(backend: &Backend) -> String {

@@ -4,16 +4,14 @@ use std::path::PathBuf;
 
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::{BitMap, BitSettings, assign_bits};
-use tcgs_core::{Attribute, Camera, DynamicGaussians, Gaussians};
+use tcgs_core::{Attribute, Camera, DynamicGaussians, Gaussians, Tour};
+use tcgs_pipeline::{OpenScene, SceneContent};
 
 use super::scene::Settings;
-use crate::camera_path::CameraPath;
-use crate::options::Size;
-use crate::scene::{Model, Scene};
 
 /// Cameras around a scene without a capture, and the size of their images.
 const NUM_CAMERAS: usize = 16;
-const IMAGE_SIZE: Size = Size { width: 640, height: 360 };
+const IMAGE_SIZE: [usize; 2] = [640, 360];
 
 /// Timesteps at which sensitivities are measured. A Gaussian that is hidden at one, or transparent, may be
 /// in full view at another.
@@ -25,7 +23,7 @@ const NUM_TIMESTEPS: usize = 4;
 ///
 /// The cameras take turns at the timesteps, so that more timesteps take no longer.
 pub fn measured_bits(
-    scene: &Scene,
+    scene: &OpenScene,
     floats: &DynamicGaussians,
     settings: &Settings,
 ) -> anyhow::Result<(BitMap, String)> {
@@ -51,9 +49,9 @@ pub fn measured_bits(
     Ok((bit_map, format!("bits: by sensitivity, measured with {} {of}", cameras.len())))
 }
 
-fn bit_settings(scene: &Scene, settings: &Settings) -> BitSettings {
-    let mut bits = match &scene.model {
-        Model::Run(run) => tcgs_train::bit_settings(run.0.config()),
+fn bit_settings(scene: &OpenScene, settings: &Settings) -> BitSettings {
+    let mut bits = match &scene.content {
+        SceneContent::Run(run) => tcgs_train::bit_settings(run.0.config()),
         _ => BitSettings::default(),
     };
     bits.mapping = settings.mapping;
@@ -67,13 +65,13 @@ fn bit_settings(scene: &Scene, settings: &Settings) -> BitSettings {
     bits
 }
 
-fn cameras(scene: &Scene, gaussians: &Gaussians, settings: &Settings) -> anyhow::Result<(Vec<Camera>, String)> {
-    let of_run = match &scene.model {
-        Model::Run(run) => Some(PathBuf::from(&run.0.config().data.capture)),
+fn cameras(scene: &OpenScene, gaussians: &Gaussians, settings: &Settings) -> anyhow::Result<(Vec<Camera>, String)> {
+    let of_run = match &scene.content {
+        SceneContent::Run(run) => Some(PathBuf::from(&run.0.config().data.capture)),
         _ => None,
     };
     let Some(path) = settings.capture.clone().or(of_run) else {
-        let cameras = CameraPath::Orbit.cameras(gaussians, scene.up(), NUM_CAMERAS, IMAGE_SIZE);
+        let cameras = Tour::Orbit.cameras(&gaussians.means, scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE);
         return Ok((cameras, "cameras around the scene (--capture would give the real ones)".into()));
     };
     let capture = Capture::open(&path)?;

@@ -5,14 +5,12 @@ use std::sync::Arc;
 
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::CompactScene;
-use tcgs_core::{Camera, Image, activate};
+use tcgs_core::{Camera, Image, Tour, activate};
 use tcgs_metrics::psnr;
+use tcgs_pipeline::{OpenScene, SceneContent};
 use tcgs_render::{Draw, RenderSettings};
 
-use crate::camera_path::CameraPath;
 use crate::error::wrong_input;
-use crate::options::Size;
-use crate::scene::{Model, Scene};
 
 /// Images of a capture that are compared at most, as far as whole frames allow: a frame is drawn anew for each
 /// setting tried.
@@ -21,7 +19,7 @@ const MAX_IMAGES: usize = 100;
 const NUM_CAMERAS: usize = 6;
 const NUM_TIMESTEPS: usize = 5;
 /// Size of these where the source has no capture.
-const IMAGE_SIZE: Size = Size { width: 640, height: 360 };
+const IMAGE_SIZE: [usize; 2] = [640, 360];
 
 /// Which images.
 pub struct Images {
@@ -53,14 +51,14 @@ pub struct Judge {
 
 impl Judge {
     /// Decodes or renders the images.
-    pub fn new(scene: &Scene, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+    pub fn new(scene: &OpenScene, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
         match &images.capture {
             Some(path) => Self::of_capture(scene, path, images, renderer),
             None => Self::of_source(scene, images, renderer),
         }
     }
 
-    fn of_capture(scene: &Scene, path: &Path, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+    fn of_capture(scene: &OpenScene, path: &Path, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
         let capture = Capture::open(path)?;
         let frames = scene.choose_frames(images.frames.as_ref())?;
         // The last frame is looked for before the first is decoded.
@@ -80,12 +78,12 @@ impl Judge {
         Ok(Self { goals, of, of_capture: true, renderer })
     }
 
-    fn of_source(scene: &Scene, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+    fn of_source(scene: &OpenScene, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
         let frames = scene.choose_frames(images.frames.as_ref())?;
-        let cameras = cameras(scene);
+        let cameras = cameras(scene)?;
         let mut goals = Vec::new();
         for timestep in spread(frames.len(), NUM_TIMESTEPS).map(|i| frames.start - scene.first_frame + i) {
-            let drawn = scene.drawn(timestep);
+            let drawn = scene.drawn(timestep)?;
             for camera in &cameras {
                 let image = clamped(renderer.draw(&drawn, camera, &RenderSettings::default())?.0.image);
                 goals.push(Goal { timestep, camera: camera.clone(), image });
@@ -115,15 +113,15 @@ impl Judge {
 }
 
 /// The training cameras of a run, evenly; cameras around any other scene, or where the run's capture is gone.
-fn cameras(scene: &Scene) -> Vec<Camera> {
-    if let Model::Run(run) = &scene.model
+fn cameras(scene: &OpenScene) -> anyhow::Result<Vec<Camera>> {
+    if let SceneContent::Run(run) = &scene.content
         && let Ok(capture) = Capture::open(run.0.config().data.capture.as_ref())
         && let Ok(cameras) = capture.cameras(Split::Train, scene.first_frame, scene.downscale)
         && !cameras.is_empty()
     {
-        return spread(cameras.len(), NUM_CAMERAS).map(|i| cameras[i].1.clone()).collect();
+        return Ok(spread(cameras.len(), NUM_CAMERAS).map(|i| cameras[i].1.clone()).collect());
     }
-    CameraPath::Orbit.cameras(&scene.at(0), scene.up(), NUM_CAMERAS, IMAGE_SIZE)
+    Ok(Tour::Orbit.cameras(&scene.at(0)?.means, scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE))
 }
 
 /// At most `count` numbers below `length`, evenly from 0 to the last.

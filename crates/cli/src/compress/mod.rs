@@ -12,8 +12,8 @@ use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::{BitMapping, CompressSettings, UpAxis};
-use tcgs_core::Attribute;
-use tcgs_play::start_view;
+use tcgs_core::{Attribute, Extent};
+use tcgs_pipeline::{OpenScene, SceneContent};
 use tcgs_train::Run;
 
 use self::judge::{Images, Judge};
@@ -24,7 +24,7 @@ use crate::error::wrong_input;
 use crate::eval::Cameras;
 use crate::options::{self, Frames, JobOptions, Pair};
 use crate::output::{check_file, say, show_bytes, write_file};
-use crate::scene::{Model, Scene, SceneOptions};
+use crate::scene::{SceneOptions, describe};
 
 pub use scene::{Compressed, Settings, compress_scene, kept_gaussians};
 
@@ -177,17 +177,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let out = arguments.out.clone().unwrap_or_else(|| default_out(&arguments.source));
     check_file(&out, arguments.job.force)?;
-    let mut scene = Scene::load(&arguments.source, arguments.reading)?;
+    let mut scene = arguments.reading.open(&arguments.source)?;
     if let Some(frame_rate) = arguments.frame_rate {
         scene.frame_rate = f64::from(frame_rate);
     }
     check_source(arguments, &scene)?;
-    say(&scene.describe())?;
+    say(&describe(&scene))?;
 
     let kind = kind(arguments, &scene)?;
     let mut settings = settings(arguments, kind);
-    let radius = start_view::extent(&scene.at(0).means).1 as f32;
-    let of_unknown_unit = matches!(scene.model, Model::Floats { .. }) || kind != CaptureKind::Panoptic;
+    let radius = Extent::of(&scene.at(0)?.means).radius as f32;
+    let of_unknown_unit = matches!(scene.content, SceneContent::Floats { .. }) || kind != CaptureKind::Panoptic;
     if of_unknown_unit && arguments.preset == PresetName::Default && arguments.max_mse.is_none() {
         settings.keypoints.max_mse[Attribute::Mean.index()] = (POSITION_TOLERANCE * radius).powi(2);
     }
@@ -220,7 +220,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     report(arguments, &compressed, result, &out)
 }
 
-fn judge(arguments: &Arguments, scene: &Scene) -> anyhow::Result<Judge> {
+fn judge(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Judge> {
     let images = Images {
         capture: arguments.capture.clone(),
         split: arguments.cameras.unwrap_or(Cameras::Test).split(),
@@ -234,16 +234,16 @@ fn default_out(source: &Path) -> PathBuf {
     if Run::is_run(source) { source.join("scene.tcgs") } else { source.with_extension("tcgs") }
 }
 
-fn check_source(arguments: &Arguments, scene: &Scene) -> anyhow::Result<()> {
+fn check_source(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<()> {
     let source = scene.path.display();
-    match &scene.model {
-        Model::Compact(_) => Err(wrong_input(format!(
+    match &scene.content {
+        SceneContent::Compact(_) => Err(wrong_input(format!(
             "{source}: is compressed already, expected a run folder, a params.npz or PLY files"
         ))),
-        Model::Floats { .. } if arguments.prune.is_some() => {
+        SceneContent::Floats { .. } if arguments.prune.is_some() => {
             Err(wrong_input(format!("{source}: has no masks to prune by, expected a run folder with --prune")))
         }
-        Model::Run(run) if arguments.prune.is_some() && !run.0.config().mask.enabled => {
+        SceneContent::Run(run) if arguments.prune.is_some() && !run.0.config().mask.enabled => {
             Err(wrong_input(format!("{source}: was trained without masks, expected a run with masks with --prune")))
         }
         _ => Ok(()),
@@ -251,12 +251,12 @@ fn check_source(arguments: &Arguments, scene: &Scene) -> anyhow::Result<()> {
 }
 
 /// The layout of what the scene was trained on; where nothing is known, the paper's main one.
-fn kind(arguments: &Arguments, scene: &Scene) -> anyhow::Result<CaptureKind> {
+fn kind(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CaptureKind> {
     if let Some(capture) = &arguments.capture {
         return Ok(Capture::open(capture)?.kind());
     }
-    let of_run = match &scene.model {
-        Model::Run(run) => CaptureKind::named(&run.0.config().data.layout),
+    let of_run = match &scene.content {
+        SceneContent::Run(run) => CaptureKind::named(&run.0.config().data.layout),
         _ => None,
     };
     Ok(of_run.unwrap_or(CaptureKind::Panoptic))

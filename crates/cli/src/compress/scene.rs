@@ -7,11 +7,11 @@ use tcgs_codec::{
     encode_with, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians};
+use tcgs_pipeline::{OpenScene, SceneContent};
 
 use super::bits::measured_bits;
 use super::views::{self, VIEWS};
 use crate::error::wrong_input;
-use crate::scene::{Model, Scene};
 
 /// How a scene is compressed.
 pub struct Settings {
@@ -74,11 +74,11 @@ pub struct Prepared {
 
 impl Prepared {
     /// Prunes a scene and gives it bits.
-    pub fn new(scene: &Scene, settings: &Settings) -> anyhow::Result<Self> {
-        let (floats, learned) = match &scene.model {
-            Model::Run(run) => (&run.1.scene, run.1.quantization.as_ref()),
-            Model::Floats { scene: floats, .. } => (&**floats, None),
-            Model::Compact(_) => {
+    pub fn new(scene: &OpenScene, settings: &Settings) -> anyhow::Result<Self> {
+        let (floats, learned) = match &scene.content {
+            SceneContent::Run(run) => (&run.1.scene, run.1.quantization.as_ref()),
+            SceneContent::Floats { scene: floats, .. } => (&**floats, None),
+            SceneContent::Compact(_) => {
                 return Err(wrong_input(format!("{}: is compressed already, expected floats", scene.path.display())));
             }
         };
@@ -130,16 +130,16 @@ impl Prepared {
 }
 
 /// Compresses a scene of floats.
-pub fn compress_scene(scene: &Scene, settings: &Settings) -> anyhow::Result<Compressed> {
+pub fn compress_scene(scene: &OpenScene, settings: &Settings) -> anyhow::Result<Compressed> {
     let prepared = Prepared::new(scene, settings)?;
     let (compact, file) = prepared.compress(&settings.keypoints);
     prepared.account(settings, compact, file)
 }
 
 /// Indices of the Gaussians that stay: all without masks, else those whose mean mask is above the threshold.
-pub fn kept_gaussians(scene: &Scene, threshold: Option<f32>) -> anyhow::Result<Vec<usize>> {
+pub fn kept_gaussians(scene: &OpenScene, threshold: Option<f32>) -> anyhow::Result<Vec<usize>> {
     let all = || (0..scene.num_gaussians()).collect();
-    let Model::Run(run) = &scene.model else { return Ok(all()) };
+    let SceneContent::Run(run) = &scene.content else { return Ok(all()) };
     let mask = &run.0.config().mask;
     if !mask.enabled {
         return Ok(all());
@@ -157,7 +157,7 @@ pub fn kept_gaussians(scene: &Scene, threshold: Option<f32>) -> anyhow::Result<V
 
 /// Bits of the Gaussians that stay, and where they come from.
 fn bits(
-    scene: &Scene,
+    scene: &OpenScene,
     pruned: &DynamicGaussians,
     keep: &[usize],
     settings: &Settings,
@@ -177,9 +177,9 @@ fn bits(
     Ok((bit_map, from))
 }
 
-fn info(scene: &Scene, pruned: &DynamicGaussians, up: UpAxis) -> SceneInfo {
-    let source = match &scene.model {
-        Model::Run(run) => PathBuf::from(&run.0.config().data.capture),
+fn info(scene: &OpenScene, pruned: &DynamicGaussians, up: UpAxis) -> SceneInfo {
+    let source = match &scene.content {
+        SceneContent::Run(run) => PathBuf::from(&run.0.config().data.capture),
         _ => scene.path.with_extension(""),
     };
     SceneInfo {
@@ -193,7 +193,7 @@ fn info(scene: &Scene, pruned: &DynamicGaussians, up: UpAxis) -> SceneInfo {
 }
 
 /// Training may leave a value that nobody saw.
-fn check_finite(scene: &Scene, floats: &DynamicGaussians) -> anyhow::Result<()> {
+fn check_finite(scene: &OpenScene, floats: &DynamicGaussians) -> anyhow::Result<()> {
     for attribute in Attribute::ALL {
         for timestep in 0..floats.num_samples(attribute) {
             let values = floats.values(attribute, timestep);

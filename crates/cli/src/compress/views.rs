@@ -6,20 +6,20 @@ use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::UpAxis;
 use tcgs_core::Camera;
+use tcgs_pipeline::{OpenScene, SceneContent};
 
 use super::judge::spread;
 use super::scene::Settings;
-use crate::scene::{Model, Scene};
 
 /// Name of the data.
 pub const VIEWS: &str = "tcgs.views";
 
 /// The training cameras of the capture given, or of the run's if it is still there; none without.
-pub fn cameras(scene: &Scene, settings: &Settings) -> anyhow::Result<Vec<(usize, Camera)>> {
+pub fn cameras(scene: &OpenScene, settings: &Settings) -> anyhow::Result<Vec<(usize, Camera)>> {
     let of = |path: &Path| Capture::open(path)?.cameras(Split::Train, scene.first_frame, 1);
-    Ok(match (&settings.capture, &scene.model) {
+    Ok(match (&settings.capture, &scene.content) {
         (Some(path), _) => of(path)?,
-        (None, Model::Run(run)) => of(Path::new(&run.0.config().data.capture)).unwrap_or_default(),
+        (None, SceneContent::Run(run)) => of(Path::new(&run.0.config().data.capture)).unwrap_or_default(),
         _ => Vec::new(),
     })
 }

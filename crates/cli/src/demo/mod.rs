@@ -10,15 +10,15 @@ use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_codec::{BitMapping, CompressSettings};
+use tcgs_pipeline::{Backend, OpenScene, OpenSettings, SceneContent};
 use tcgs_train::{Run, TrainConfig};
 
-use crate::backend::{Backend, BackendName, BackendOptions};
+use crate::backend::{BackendName, BackendOptions};
 use crate::compress::{self, Compressed, compress_scene, kept_gaussians};
 use crate::error::wrong_input;
 use crate::eval::{self, Evaluation, evaluate};
 use crate::options::JobOptions;
 use crate::output::{NewFolder, is_empty_folder, say, show_bytes};
-use crate::scene::{Model, Scene, SceneOptions};
 use crate::train;
 
 /// Iterations of the first and of every later timestep: what two cores do in half a minute.
@@ -148,16 +148,16 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
     lap("train");
 
     say("3/4  compressing")?;
-    let scene = Scene::load(run.folder(), SceneOptions::default())?;
+    let scene = OpenScene::open(run.folder(), OpenSettings::default())?;
     let compressed = compress_scene(&scene, &compress_settings(folder, true))?;
     let quantized = compress_scene(&scene, &compress_settings(folder, false))?;
     let file = folder.join("scene.tcgs");
     fs::write(&file, &compressed.file).with_context(|| format!("writing {}", file.display()))?;
-    let decoded = Scene::decode(&file, &compressed.file)?;
+    let decoded = OpenScene::decode(&file, &compressed.file)?;
     lap("compress");
 
     say("4/4  measuring on the held-out cameras")?;
-    let score = |scene: &Scene, frozen: bool| {
+    let score = |scene: &OpenScene, frozen: bool| {
         let (split, frames) = (Split::Test, scene.frames());
         let settings = eval::Settings { split, frames, downscale: 1, frozen, lpips: None, protocol: None };
         evaluate(scene, &capture, &settings, &*renderer)
@@ -206,18 +206,18 @@ fn compress_settings(folder: &Path, keypoints: bool) -> compress::Settings {
 
 /// Quality after every stage. Keypoints and file differ in bytes alone: the last step loses nothing.
 fn measure_stages(
-    scene: &Scene,
+    scene: &OpenScene,
     compressed: &Compressed,
     quantized: Compressed,
     uncompressed: &Evaluation,
     final_: &Evaluation,
-    score: impl Fn(&Scene) -> anyhow::Result<Evaluation>,
+    score: impl Fn(&OpenScene) -> anyhow::Result<Evaluation>,
 ) -> anyhow::Result<Vec<Measured>> {
-    let Model::Run(run) = &scene.model else { unreachable!("the demo's scene is a run") };
+    let SceneContent::Run(run) = &scene.content else { unreachable!("the demo's scene is a run") };
     let pruned = run.1.scene.select(&kept_gaussians(scene, None)?);
-    let with = |model| Scene { path: scene.path.clone(), model, ..*scene };
-    let pruned = score(&with(Model::Floats { scene: Box::new(pruned), kind: "pruned" }))?;
-    let quantized = score(&with(Model::Compact(Box::new(quantized.compact))))?;
+    let with = |content| OpenScene { path: scene.path.clone(), content, ..*scene };
+    let pruned = score(&with(SceneContent::Floats { scene: Box::new(pruned), kind: "pruned" }))?;
+    let quantized = score(&with(SceneContent::Compact(Box::new(quantized.compact))))?;
     let stages = &compressed.stages;
     let of_stage = [uncompressed, &pruned, &quantized, final_, final_];
     Ok(stages

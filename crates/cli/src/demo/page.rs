@@ -8,6 +8,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Attribute, Image};
+use tcgs_pipeline::OpenScene;
 use tcgs_render::gpu::GpuError;
 use tcgs_render::{Draw, RenderSettings};
 use tcgs_train::Run;
@@ -16,7 +17,6 @@ use super::Outcome;
 use crate::eval::Evaluation;
 use crate::output::show_bytes;
 use crate::report::{self, Picture, Report, Series, Stage, png};
-use crate::scene::Scene;
 
 /// Timesteps that the report shows, spread over the clip.
 const SHOWN: usize = 4;
@@ -27,7 +27,7 @@ const MASK_BINS: usize = 20;
 
 /// Writes ground truth beside render of every held-out image; returns the report's pictures.
 pub fn write_frames(
-    scene: &Scene,
+    scene: &OpenScene,
     capture: &Capture,
     renderer: &dyn Draw,
     folder: &Path,
@@ -37,7 +37,7 @@ pub fn write_frames(
     let shown: Vec<usize> = (0..SHOWN).map(|i| frames.start + i * last / (SHOWN - 1)).collect();
     let mut pictures = Vec::new();
     for frame in frames {
-        let drawn = scene.drawn(frame - scene.first_frame);
+        let drawn = scene.drawn(frame - scene.first_frame)?;
         let views = capture.views(Split::Test, frame, 1)?;
         let pairs = views.par_iter().map(|view| {
             let (output, _) = renderer.draw(&drawn, &view.camera, &RenderSettings::default())?;

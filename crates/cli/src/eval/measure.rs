@@ -8,11 +8,11 @@ use tcgs_core::{Image, View};
 use tcgs_metrics::{
     Backbone, InputRange, Lpips, Protocol, dssim, flicker, ms_ssim, psnr, psnr_masked, psnr_per_channel, ssim,
 };
+use tcgs_pipeline::OpenScene;
 use tcgs_render::{Draw, RenderSettings};
 
 use crate::error::wrong_input;
 use crate::progress::Progress;
-use crate::scene::Scene;
 
 /// Fewest renders that a median time is taken of.
 const MIN_TIMED_RENDERS: usize = 9;
@@ -88,7 +88,7 @@ pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 
 /// Renders and compares.
 pub fn evaluate(
-    scene: &Scene,
+    scene: &OpenScene,
     capture: &Capture,
     settings: &Settings,
     renderer: &dyn Draw,
@@ -101,12 +101,12 @@ pub fn evaluate(
     let (mut images, mut flickers, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
     // Of the frame before, by camera: as rendered, and as it should be.
     let mut before: BTreeMap<usize, [Image; 2]> = BTreeMap::new();
-    let mut drawn = scene.drawn(frames.start - scene.first_frame);
+    let mut drawn = scene.drawn(frames.start - scene.first_frame)?;
     let mut last_camera = None;
     for frame in frames.clone() {
         let timestep = frame - scene.first_frame;
         if !frozen && frame > frames.start {
-            drawn = scene.drawn(timestep);
+            drawn = scene.drawn(timestep)?;
         }
         let mut now = BTreeMap::new();
         for view in capture.views(split, frame, downscale)? {

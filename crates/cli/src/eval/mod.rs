@@ -14,7 +14,7 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::options::{self, Frames, JobOptions};
 use crate::output::{check_file, say, write_file};
-use crate::scene::{Scene, SceneOptions};
+use crate::scene::{SceneOptions, describe};
 
 pub use measure::{Evaluation, ImageScore, Settings, evaluate, mean};
 
@@ -118,7 +118,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let lpips = weights.map(|path| Lpips::read(&path)).transpose()?;
     let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
     let capture = Capture::open(&arguments.capture)?;
-    let scene = Scene::load(&arguments.scene, arguments.reading)?;
+    let scene = arguments.reading.open(&arguments.scene)?;
     let settings = Settings {
         split: arguments.cameras.split(),
         frames: scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?,
@@ -132,7 +132,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return Err(wrong_input(format!("{}: {problem}", arguments.capture.display())));
     }
     let evaluation = evaluate(&scene, &capture, &settings, &*renderer)?;
-    say(&scene.describe())?;
+    say(&describe(&scene))?;
     say(&table::text(&evaluation, lpips.is_some()))?;
     if let Some(protocol) = settings.protocol {
         say(&protocol.describe())?;

@@ -2,13 +2,13 @@
 
 use serde_json::{Map, Value, json};
 use tcgs_metrics::Protocol;
+use tcgs_pipeline::OpenScene;
 
 use super::measure::Evaluation;
 use super::table::{COLUMNS, protocol_mean};
-use crate::scene::Scene;
 
 /// The result of `tcgs eval --json`.
-pub fn json(scene: &Scene, evaluation: &Evaluation, protocol: Option<Protocol>) -> Value {
+pub fn json(scene: &OpenScene, evaluation: &Evaluation, protocol: Option<Protocol>) -> Value {
     let images = evaluation.images.iter().map(|image| {
         let mut object = Map::new();
         object.insert("timestep".into(), image.timestep.into());

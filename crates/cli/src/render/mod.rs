@@ -11,17 +11,17 @@ use std::sync::Arc;
 use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Activated, Camera};
+use tcgs_core::{Activated, Camera, CameraPathError, Tour};
+use tcgs_pipeline::OpenScene;
 use tcgs_render::RenderSettings;
 
 use crate::backend::{BackendName, BackendOptions};
-use crate::camera_path::CameraPath;
 use crate::error::wrong_input;
 use crate::options::{Frames, JobOptions, Size};
 use crate::output::{NewFolder, is_numbered, say};
 use crate::progress::Progress;
-use crate::scene::{Scene, SceneOptions};
-use path_file::PathFile;
+use crate::scene::{SceneOptions, describe};
+use path_file::read_camera_path;
 use video::Video;
 
 /// Size of pictures along a path around the scene.
@@ -67,7 +67,7 @@ pub struct Arguments {
 /// What `--path` takes.
 #[derive(Clone, Debug)]
 enum PathOption {
-    Around(CameraPath),
+    Around(Tour),
     Saved(PathBuf),
 }
 
@@ -76,8 +76,8 @@ impl FromStr for PathOption {
 
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
-            "orbit" => Ok(Self::Around(CameraPath::Orbit)),
-            "spiral" => Ok(Self::Around(CameraPath::Spiral)),
+            "orbit" => Ok(Self::Around(Tour::Orbit)),
+            "spiral" => Ok(Self::Around(Tour::Spiral)),
             _ if text.ends_with(".json") => Ok(Self::Saved(text.into())),
             _ => Err("expected orbit, spiral, or a .json file that the player saved".into()),
         }
@@ -101,19 +101,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let mut output = Output::begin(&arguments.out, arguments.job.force)?;
     let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
-    let scene = Scene::load(&arguments.scene, arguments.reading)?;
+    let scene = arguments.reading.open(&arguments.scene)?;
     let shots = shots(arguments, &scene, matches!(output, Output::Video(_)))?;
     if let Output::Video(video) = &mut output {
         video.set_frame_rate(scene.frame_rate);
     }
-    say(&scene.describe())?;
+    say(&describe(&scene))?;
 
     let mut progress = Progress::new("rendering", shots.len());
     let mut drawn: Option<(usize, Arc<Activated>)> = None;
     for shot in &shots {
         let gaussians = match &drawn {
             Some((frame, gaussians)) if *frame == shot.frame => Arc::clone(gaussians),
-            _ => scene.drawn(shot.frame - scene.first_frame),
+            _ => scene.drawn(shot.frame - scene.first_frame)?,
         };
         let (picture, _) = renderer.draw(&gaussians, &shot.camera, &RenderSettings::default())?;
         output.add(&shot.name, &picture.image.to_rgb8(), &shot.camera)?;
@@ -130,7 +130,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// All pictures, in the order in which they are taken.
 ///
 /// - `by_camera`: of a capture, one camera after the other; else one frame after the other
-fn shots(arguments: &Arguments, scene: &Scene, by_camera: bool) -> anyhow::Result<Vec<Shot>> {
+fn shots(arguments: &Arguments, scene: &OpenScene, by_camera: bool) -> anyhow::Result<Vec<Shot>> {
     let frames = scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?;
     let png = |frame| PathBuf::from(format!("{frame:06}.png"));
     let shot = |frame, camera| Shot { frame, camera, name: png(frame) };
@@ -148,21 +148,31 @@ fn shots(arguments: &Arguments, scene: &Scene, by_camera: bool) -> anyhow::Resul
         }
         return Ok(shots.into_iter().map(|(_, shot)| shot).collect());
     }
-    match arguments.path.as_ref().unwrap_or(&PathOption::Around(CameraPath::Orbit)) {
-        PathOption::Around(path) => {
-            let gaussians = scene.at(frames.start - scene.first_frame);
-            let cameras = path.cameras(&gaussians, scene.up(), frames.len(), arguments.size.unwrap_or(PATH_SIZE));
+    match arguments.path.as_ref().unwrap_or(&PathOption::Around(Tour::Orbit)) {
+        PathOption::Around(tour) => {
+            let gaussians = scene.at(frames.start - scene.first_frame)?;
+            let Size { width, height } = arguments.size.unwrap_or(PATH_SIZE);
+            let cameras = tour.cameras(&gaussians.means, scene.up().direction(), frames.len(), [width, height]);
             Ok(frames.zip(cameras).map(|(frame, camera)| shot(frame, camera)).collect())
         }
         PathOption::Saved(file) => {
-            let path = PathFile::read(file)?;
-            let camera = |frame| path.camera((frame - scene.first_frame) as f64, arguments.size);
-            Ok(frames.map(|frame| shot(frame, camera(frame))).collect())
+            let path = read_camera_path(file)?;
+            let first = path.keyframes().first().map(|first| [first.camera.width, first.camera.height]);
+            let size = arguments.size.map(|size| [size.width, size.height]).or(first).unwrap_or_default();
+            let camera_at = |frame| path.camera_at((frame - scene.first_frame) as f64, size);
+            let shots = frames.map(|frame| Ok(shot(frame, camera_at(frame)?)));
+            let shots: Result<_, CameraPathError> = shots.collect();
+            shots.map_err(|problem| wrong_input(format!("{}: {problem}", file.display())))
         }
     }
 }
 
-fn cameras(capture: &Capture, scene: &Scene, frame: usize, size: Option<Size>) -> anyhow::Result<Vec<(usize, Camera)>> {
+fn cameras(
+    capture: &Capture,
+    scene: &OpenScene,
+    frame: usize,
+    size: Option<Size>,
+) -> anyhow::Result<Vec<(usize, Camera)>> {
     let mut cameras = capture.cameras(Split::Test, frame, scene.downscale)?;
     if cameras.is_empty() {
         cameras = capture.cameras(Split::Train, frame, scene.downscale)?;

@@ -6,6 +6,7 @@ use anyhow::Context;
 use image::{Rgb, RgbImage};
 use tcgs_capture::{Capture, Split};
 use tcgs_core::Image;
+use tcgs_pipeline::{OpenScene, OpenSettings};
 use tcgs_render::{Draw, RenderSettings};
 
 use super::execute::Place;
@@ -13,7 +14,6 @@ use super::plan::Plan;
 use crate::error::wrong_input;
 use crate::report::Picture;
 use crate::report::png;
-use crate::scene::{Scene, SceneOptions};
 
 /// Timesteps shown: the first, the middle and the last.
 const SHOWN: usize = 3;
@@ -36,7 +36,7 @@ pub fn grids(plan: &Plan, place: &Place, renderer: &dyn Draw) -> anyhow::Result<
             if place.result(job, measure)?.is_none() {
                 continue;
             }
-            let model = Scene::load(&place.drawable(job, measure), SceneOptions::default())?;
+            let model = OpenScene::open(&place.drawable(job, measure), OpenSettings::default())?;
             let frames = model.frames();
             let shown = (0..SHOWN).map(|i| frames.start + i * (frames.len() - 1) / (SHOWN - 1));
             let mut shown: Vec<usize> = shown.collect();
@@ -50,7 +50,7 @@ pub fn grids(plan: &Plan, place: &Place, renderer: &dyn Draw) -> anyhow::Result<
                         place.capture(scene).display()
                     ))
                 })?;
-                let drawn = model.drawn(frame - model.first_frame);
+                let drawn = model.drawn(frame - model.first_frame)?;
                 let (output, _) = renderer.draw(&drawn, &view.camera, &RenderSettings::default())?;
                 if names.len() == 1 {
                     let truths = columns.first_mut();

@@ -4,9 +4,9 @@ use std::fs::{self, File};
 use std::path::Path;
 
 use anyhow::Context;
+use tcgs_pipeline::Backend;
 use tcgs_train::{Run, TrainError, Trainer};
 
-use crate::backend::Backend;
 use crate::error::wrong_input;
 use crate::output::{is_leftover, note};
 

@@ -9,9 +9,10 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
+use tcgs_pipeline::Backend;
 use tcgs_train::{Preset, Run, TrainConfig, TrainError, Trainer};
 
-use crate::backend::{Backend, BackendName, BackendOptions};
+use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::options::{self, Frames, JobOptions, Pair};
 use crate::output::say;

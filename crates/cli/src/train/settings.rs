@@ -7,8 +7,9 @@ use tcgs_capture::{Capture, CaptureKind};
 use tcgs_train::{Preset, TrainConfig};
 
 use super::Arguments;
-use crate::error::{is_wrong_path, wrong_input};
+use crate::error::wrong_input;
 use crate::options::{Frames, Pair};
+use crate::scene::unreadable;
 
 /// Settings of a new run.
 pub fn fresh(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfig> {
@@ -77,10 +78,8 @@ pub fn check_end(arguments: &Arguments, config: &TrainConfig, num_timesteps: usi
 /// What the command line says, over `base`.
 fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> anyhow::Result<TrainConfig> {
     if let Some(path) = &arguments.config {
-        let text = fs::read_to_string(path).map_err(|error| {
-            let message = format!("{}: {error}, expected settings as in a run's config.toml", path.display());
-            if is_wrong_path(&error) { wrong_input(message) } else { anyhow::anyhow!(message) }
-        })?;
+        let text =
+            fs::read_to_string(path).map_err(|error| unreadable(path, error, "settings as in a run's config.toml"))?;
         base = base.merge(&text).map_err(|error| wrong_input(format!("{}: {error}", path.display())))?;
     }
     // A file may be another run's; the capture is the one that was named.

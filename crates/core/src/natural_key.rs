@@ -1,11 +1,13 @@
-//! The order of numbered files.
+//! The natural order of names: numbers inside them count as numbers.
 
-/// Orders names so that numbers in them count as numbers, however long: `cam2` before `cam10`. Names that are equal
-/// but for leading zeros are ordered as text.
+/// Sort key of a name for the natural order: `cam2` before `cam10`, however long the numbers are. Names that differ
+/// only in leading zeros are in the order of their text.
+///
+/// - `name`: of a file, a camera or a timestep
 ///
 /// ```
 /// let mut names = ["cam10", "cam2", "cam02"];
-/// names.sort_by_cached_key(|name| tcgs_interchange::natural_key(name));
+/// names.sort_by_cached_key(|name| tcgs_core::natural_key(name));
 /// assert_eq!(names, ["cam02", "cam2", "cam10"]);
 /// ```
 pub fn natural_key(name: &str) -> impl Ord + use<> {

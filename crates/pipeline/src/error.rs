@@ -1,0 +1,226 @@
+//! What can go wrong, and who is at fault: the input or the machine.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use tcgs_capture::CaptureError;
+use tcgs_codec::DecodeError;
+use tcgs_interchange::InterchangeError;
+use tcgs_metrics::MetricsError;
+use tcgs_render::gpu::GpuError;
+use tcgs_train::TrainError;
+
+/// Why a call of this crate ended early. Every message is one line that names the culprit; a cause is part of the
+/// message and not a source beside it, so that printing the chain of sources prints it once.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PipelineError {
+    /// Something that the caller gave is wrong.
+    #[error("{culprit}: {found}, expected {expected}")]
+    Input {
+        /// The file or the argument.
+        culprit: String,
+        /// What was found.
+        found: String,
+        /// What would be right.
+        expected: String,
+    },
+    /// A file that the caller named cannot be read.
+    #[error("{}: {error}, expected {expected}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The system's answer.
+        error: io::Error,
+        /// What the file should be.
+        expected: &'static str,
+    },
+    /// A `.tcgs` file cannot be decoded.
+    #[error("{}: {error}, expected a whole .tcgs file", path.display())]
+    Decode {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder found.
+        error: DecodeError,
+    },
+    /// A frame was asked for that the scene does not have.
+    #[error("{}: has the frames {}..{}, found {}..{}, expected some of these",
+        path.display(), has.start, has.end, wanted.start, wanted.end)]
+    Frames {
+        /// The scene.
+        path: PathBuf,
+        /// The frames asked for.
+        wanted: std::ops::Range<usize>,
+        /// The frames there are.
+        has: std::ops::Range<usize>,
+    },
+    /// A capture.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// Training, or a run folder.
+    #[error(transparent)]
+    Train(#[from] TrainError),
+    /// Another program's file.
+    #[error(transparent)]
+    Interchange(#[from] InterchangeError),
+    /// Weights of a metric.
+    #[error(transparent)]
+    Metrics(#[from] MetricsError),
+    /// The GPU.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+}
+
+impl PipelineError {
+    /// Wrong input.
+    ///
+    /// - `culprit`: the file or the argument
+    pub(crate) fn input(
+        culprit: impl std::fmt::Display,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> Self {
+        Self::Input { culprit: culprit.to_string(), found: found.into(), expected: expected.into() }
+    }
+
+    pub(crate) fn unreadable(path: &Path, error: io::Error, expected: &'static str) -> Self {
+        Self::Unreadable { path: path.into(), error, expected }
+    }
+}
+
+/// Who is at fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Fault {
+    /// The input or the way it was named: the same call fails on any machine.
+    Input,
+    /// The machine: no space left, a lost GPU, a parameter that became infinite.
+    Machine,
+}
+
+/// Errors that know who is at fault.
+///
+/// ```
+/// use std::path::Path;
+/// use tcgs_pipeline::{Fault, HasFault, OpenScene, OpenSettings};
+/// let error = OpenScene::open(Path::new("/no/such.tcgs"), OpenSettings::default()).err().unwrap();
+/// assert_eq!(error.fault(), Fault::Input);
+/// ```
+pub trait HasFault {
+    /// Who is at fault.
+    fn fault(&self) -> Fault;
+}
+
+impl HasFault for PipelineError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Input { .. } | Self::Frames { .. } => Fault::Input,
+            Self::Unreadable { error, .. } => error.fault(),
+            Self::Decode { error, .. } => error.fault(),
+            Self::Capture(error) => error.fault(),
+            Self::Train(error) => error.fault(),
+            Self::Interchange(error) => error.fault(),
+            Self::Metrics(error) => error.fault(),
+            Self::Gpu(error) => error.fault(),
+        }
+    }
+}
+
+/// Of an error while reading a file that was named: whether the name or the content is wrong.
+impl HasFault for io::Error {
+    fn fault(&self) -> Fault {
+        use io::ErrorKind as Kind;
+        match self.kind() {
+            Kind::NotFound
+            | Kind::PermissionDenied
+            | Kind::IsADirectory
+            | Kind::NotADirectory
+            | Kind::InvalidData
+            | Kind::InvalidInput
+            | Kind::UnexpectedEof => Fault::Input,
+            _ => Fault::Machine,
+        }
+    }
+}
+
+impl HasFault for CaptureError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Io { error, .. } => error.fault(),
+            Self::Points(error) => error.fault(),
+            _ => Fault::Input,
+        }
+    }
+}
+
+impl HasFault for TrainError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Io { action: "reading", source, .. } => source.fault(),
+            Self::Io { .. } | Self::NotFinite { .. } | Self::Gpu(_) => Fault::Machine,
+            _ => Fault::Input,
+        }
+    }
+}
+
+impl HasFault for InterchangeError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Io { action: "writing", .. } => Fault::Machine,
+            Self::Io { error, .. } => error.fault(),
+            _ => Fault::Input,
+        }
+    }
+}
+
+impl HasFault for MetricsError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Io { error, .. } => error.fault(),
+            _ => Fault::Input,
+        }
+    }
+}
+
+impl HasFault for DecodeError {
+    fn fault(&self) -> Fault {
+        if matches!(self, Self::Io(_)) { Fault::Machine } else { Fault::Input }
+    }
+}
+
+impl HasFault for GpuError {
+    fn fault(&self) -> Fault {
+        Fault::Machine
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Error, ErrorKind};
+
+    use super::*;
+
+    #[test]
+    fn the_type_says_who_is_at_fault() {
+        let path = || "x".into();
+        let full = || Error::from(ErrorKind::StorageFull);
+        let missing = || Error::from(ErrorKind::NotFound);
+        let train = |action, source| TrainError::Io { action, path: path(), source };
+        let cases: [(PipelineError, Fault); 11] = [
+            (PipelineError::input("x", "y", "z"), Fault::Input),
+            (PipelineError::unreadable(Path::new("x"), missing(), "z"), Fault::Input),
+            (PipelineError::unreadable(Path::new("x"), Error::other("x"), "z"), Fault::Machine),
+            (train("writing", full()).into(), Fault::Machine),
+            (train("reading", missing()).into(), Fault::Input),
+            (TrainError::File { path: path(), problem: "x".into() }.into(), Fault::Input),
+            (CaptureError::Io { path: path(), error: missing() }.into(), Fault::Input),
+            (MetricsError::Weights { path: path(), problem: "x".into() }.into(), Fault::Input),
+            (MetricsError::Io { path: path(), error: Error::other("x") }.into(), Fault::Machine),
+            (InterchangeError::Io { path: path(), action: "writing", error: full() }.into(), Fault::Machine),
+            (TrainError::from(GpuError::Lost("x".into())).into(), Fault::Machine),
+        ];
+        for (error, fault) in cases {
+            assert_eq!(error.fault(), fault, "{error}");
+        }
+    }
+}
