@@ -3,6 +3,8 @@
 //! `cargo run --release --example train_synthetic` takes a quarter of a minute on two cores and writes
 //! `train_synthetic.tcgs`.
 
+use std::ops::ControlFlow;
+
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_codec::{CompressSettings, SceneInfo, compress, encode};
 use tcgs_core::DynamicGaussians;
@@ -22,7 +24,10 @@ fn main() -> anyhow::Result<()> {
     let mut scene = DynamicGaussians::default();
     for frame in 0..3 {
         let mut loss = 0.0;
-        trainer.fit(&capture.views(Split::Train, frame, 1)?, &mut |progress| loss = progress.loss)?;
+        trainer.fit(&capture.views(Split::Train, frame, 1)?, &mut |progress| {
+            loss = progress.loss;
+            ControlFlow::Continue(())
+        })?;
         let psnr = trainer.mean_psnr(&capture.views(Split::Test, frame, 1)?)?;
         println!("frame {frame}: loss {loss:.3}, {psnr:.2} dB on the held-out cameras");
         scene.push(trainer.state()?.parameters.gaussians.clone());
@@ -30,8 +35,8 @@ fn main() -> anyhow::Result<()> {
 
     // A run's folder has the bits that training gave each Gaussian; here all have the same.
     let bits = tcgs_codec::BitMap::uniform(scene.num_gaussians(), 14, 8);
-    let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default());
-    let file = encode(&compact);
+    let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default())?;
+    let file = encode(&compact)?;
     println!("{} bytes of floats, {} in train_synthetic.tcgs", scene.raw_bytes(), file.len());
     std::fs::write("train_synthetic.tcgs", file)?;
     Ok(())

@@ -11,7 +11,10 @@ fuzz_target!(|bytes: &[u8]| {
         scene.at(scene.num_timesteps() - 1);
         // Small ones only: encoding tries much.
         if scene.num_gaussians() <= 64 && scene.num_timesteps() <= 64 {
-            assert_eq!(decode(&encode(&scene), &DecodeLimits::none()).expect("a file just written"), scene);
+            // Codes may stand for positions beyond all floats, which no file states the bounds of.
+            if let Ok(file) = encode(&scene) {
+                assert_eq!(decode(&file, &DecodeLimits::none()).expect("a file just written"), scene);
+            }
         }
     }
     if let Ok(Opening::Ready(mut archive)) = Archive::open(bytes, &limits) {

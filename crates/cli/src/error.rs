@@ -1,11 +1,13 @@
 //! Which exit code an error has. `main` prints it.
 
 use tcgs_capture::CaptureError;
-use tcgs_codec::DecodeError;
+use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_pipeline::{Fault, HasFault, PipelineError};
 use tcgs_train::TrainError;
+
+use crate::interrupt;
 
 /// Wrong usage or input, as against a computer that fails: one line that names the culprit, what was
 /// found and what was expected.
@@ -18,7 +20,19 @@ pub fn wrong_input(message: impl Into<String>) -> anyhow::Error {
     WrongInput(message.into()).into()
 }
 
-/// 2 for wrong usage or input, 1 for the rest.
+/// Ctrl-C ended a command that can tell what is left.
+#[derive(Debug, thiserror::Error)]
+#[error("stopped: {0}")]
+struct Stopped(String);
+
+/// An error for which the exit code is 130.
+///
+/// - `left`: what there is, and how to go on
+pub fn stopped(left: String) -> anyhow::Error {
+    Stopped(left).into()
+}
+
+/// 2 for wrong usage or input, 130 after Ctrl-C, 1 for the rest.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     fn fault<E: HasFault + std::error::Error + Send + Sync + 'static>(error: &anyhow::Error) -> Option<Fault> {
         error.downcast_ref::<E>().map(HasFault::fault)
@@ -26,13 +40,19 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     let fault = error
         .is::<WrongInput>()
         .then_some(Fault::Input)
+        .or_else(|| error.is::<Stopped>().then_some(Fault::Stopped))
         .or_else(|| fault::<PipelineError>(error))
         .or_else(|| fault::<CaptureError>(error))
         .or_else(|| fault::<TrainError>(error))
         .or_else(|| fault::<MetricsError>(error))
         .or_else(|| fault::<InterchangeError>(error))
+        .or_else(|| fault::<CompressError>(error))
         .or_else(|| fault::<DecodeError>(error));
-    if fault == Some(Fault::Input) { 2 } else { 1 }
+    match fault {
+        Some(Fault::Input) => 2,
+        Some(Fault::Stopped) => interrupt::EXIT_CODE,
+        _ => 1,
+    }
 }
 
 #[cfg(test)]
@@ -47,13 +67,15 @@ mod tests {
     fn whose_fault_it_is_decides_the_exit_code() {
         let path = || "x".into();
         let full = || Error::from(ErrorKind::StorageFull);
-        let train = |action| TrainError::Io { action, path: path(), source: full() };
+        let train = TrainError::Write { path: path(), error: full() };
         let missing = Error::from(ErrorKind::NotFound);
         let lost = GpuError::Lost("x".into());
-        let cases: [(anyhow::Error, u8); 11] = [
+        let cases: [(anyhow::Error, u8); 13] = [
             (wrong_input("x"), 2),
             (anyhow::anyhow!("x"), 1),
-            (train("writing").into(), 1),
+            (train.into(), 1),
+            (PipelineError::Stopped.into(), 130),
+            (stopped("x".into()), 130),
             (TrainError::File { path: path(), problem: "x".into() }.into(), 2),
             (CaptureError::Io { path: path(), error: missing }.into(), 2),
             (MetricsError::Weights { path: path(), problem: "x".into() }.into(), 2),

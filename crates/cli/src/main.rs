@@ -11,6 +11,7 @@ mod error;
 mod eval;
 mod export;
 mod info;
+mod interrupt;
 mod options;
 mod output;
 mod prepare;
@@ -19,6 +20,7 @@ mod render;
 mod report;
 mod reproduce;
 mod scene;
+mod teller;
 mod train;
 mod view;
 
@@ -42,7 +44,7 @@ Example:
   tcgs compress my_run
   tcgs eval my_run/scene.tcgs --capture my_capture
 
-Exit codes: 0 all that was asked for was done, 2 wrong usage or input, 1 anything else.";
+Exit codes: 0 all that was asked for was done, 2 wrong usage or input, 130 stopped by Ctrl-C, 1 anything else.";
 
 #[derive(Subcommand)]
 enum Command {

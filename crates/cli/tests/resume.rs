@@ -92,6 +92,49 @@ fn a_run_killed_at_any_moment_ends_as_if_it_had_not_been() {
     assert!(kills >= 5, "only {kills} kills came in time");
 }
 
+/// Sends Ctrl-C to a process.
+#[cfg(unix)]
+fn interrupt(child: &std::process::Child) {
+    let status = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(status.success());
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_a_run_cleanly_and_it_resumes_to_the_same_bytes() {
+    let folder = tempdir().unwrap();
+    let (calm, run) = (folder.path().join("calm"), folder.path().join("run"));
+    let arguments = |out| ["train", text(capture()), "--out", out, "--iterations", "60,60", "--resume"];
+    succeed(&arguments(text(&calm)));
+    let expected = checkpoints(&calm);
+    let mut stops = 0;
+    // Within the first timestep, then within the timesteps after 1, 2 and 3 checkpoints.
+    for before in 0..expected.len() {
+        let child = tcgs().args(arguments(text(&run))).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        while !run.join("config.toml").exists() || checkpoints(&run).len() < before {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        interrupt(&child);
+        let output = child.wait_with_output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        let found = checkpoints(&run);
+        assert!(found[..] == expected[..found.len()], "a checkpoint is not what it should be");
+        if output.status.success() {
+            continue;
+        }
+        stops += 1;
+        assert_eq!(output.status.code(), Some(130), "{message}");
+        let said = format!("tcgs: stopped: {} of 4 timesteps are trained; --resume goes on", found.len());
+        assert!(message.contains("ending cleanly") && message.contains(&said), "{message}");
+        assert!(!is_writing(&run));
+    }
+    assert!(stops >= 2, "only {stops} interruptions came in time");
+    succeed(&arguments(text(&run)));
+    assert!(checkpoints(&run) == expected);
+    assert_eq!(without_times(&run), without_times(&calm));
+}
+
 #[test]
 fn a_damaged_last_checkpoint_is_set_aside() {
     let folder = tempdir().unwrap();

@@ -25,7 +25,7 @@ fn keypoints(criterion: &mut Criterion) {
                 .collect()
         })
         .collect();
-    let run = || tracks.iter().map(|t| select_keypoints(black_box(t), 30, 1e-5).len()).sum::<usize>();
+    let run = || tracks.iter().map(|t| select_keypoints(black_box(t), 30, 1e-5).expect("finite").len()).sum::<usize>();
     assert!((20_000..=30_000).contains(&run()), "{} keypoints", run());
     let mut group = criterion.benchmark_group("keypoints");
     group.throughput(Throughput::Elements(tracks.len() as u64));
@@ -42,9 +42,11 @@ const NUM_TIMESTEPS: usize = 100;
 fn scene(criterion: &mut Criterion) {
     let scene = scenes::room(NUM_GAUSSIANS, NUM_TIMESTEPS);
     let bit_map = scenes::mixed_widths(NUM_GAUSSIANS);
-    let run = || compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
+    let run = || {
+        compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default()).expect("a legal scene")
+    };
     let compact = run();
-    let file = encode(&compact);
+    let file = encode(&compact).expect("a legal scene");
     let limits = DecodeLimits::default();
     assert_eq!(decode(&file, &limits).expect("a file just written"), compact);
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");

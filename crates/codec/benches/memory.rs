@@ -63,8 +63,9 @@ fn main() {
         let scene = scenes::room(num_gaussians, num_timesteps);
         let bit_map = scenes::mixed_widths(num_gaussians);
         let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
+        let compact = compact.expect("a legal scene");
         let expected = compact.at(0);
-        let file = encode(&compact);
+        let file = encode(&compact).expect("a legal scene");
         drop((scene, bit_map, compact));
         let bytes = |range: Range<u64>| &file[range.start as usize..range.end as usize];
         let Ok(Opening::Ready(mut archive)) = Archive::open(&file, &DecodeLimits::default()) else {

@@ -94,7 +94,7 @@ mod tests {
         }
         let mut bit_map = BitMap::uniform(2, 16, 4);
         bit_map.widths[Attribute::Color.index()] = vec![4, 8];
-        let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::paper());
+        let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::paper()).unwrap();
         // Five timesteps need 3 bits; every track keeps its two ends.
         let track = |width: u64| 8 + 2 * (3 + width);
         let tracks = 6 * track(16) + 8 * track(4) + 3 * track(4) + 3 * track(8) + 8 * 4;

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use tcgs_core::{Attribute, Gaussians};
 
+use crate::error::CompressError;
 use crate::quantize::MAX_BITS;
 
 /// Bit widths of every Gaussian's attributes.
@@ -122,26 +123,50 @@ fn mixed() -> impl Iterator<Item = Attribute> {
 /// use tcgs_core::Gaussians;
 /// let stored = Gaussians { logit_opacities: vec![-1.0, 1.0], ..Gaussians::zeros(2) };
 /// let sensitivity = Gaussians { logit_opacities: vec![0.1, 0.8], ..Gaussians::zeros(2) };
-/// let map = assign_bits(&sensitivity, &stored, &BitSettings::default());
+/// let map = assign_bits(&sensitivity, &stored, &BitSettings::default())?;
 /// assert!(map.widths[3][1] > map.widths[3][0]);
+/// # Ok::<(), tcgs_codec::CompressError>(())
 /// ```
 ///
-/// # Panics
-/// If the two disagree in the number of Gaussians, a sensitivity is negative or not finite, or the
-/// settings are out of range (`1 <= min_bits <= max_bits <= 16`).
-pub fn assign_bits(sensitivity: &Gaussians, stored: &Gaussians, settings: &BitSettings) -> BitMap {
+/// # Errors
+/// [`CompressError`] if the two disagree in the number of Gaussians, a sensitivity is negative or not finite, a
+/// stored value is not finite, or the settings are out of range (`1 <= min_bits <= max_bits <= 16`).
+pub fn assign_bits(
+    sensitivity: &Gaussians,
+    stored: &Gaussians,
+    settings: &BitSettings,
+) -> Result<BitMap, CompressError> {
     let n = stored.num_gaussians();
-    let BitSettings { min_bits, max_bits, position_bits, .. } = *settings;
-    assert!(
-        1 <= min_bits && min_bits <= max_bits && max_bits <= MAX_BITS,
-        "bits within [{min_bits}, {max_bits}], expected ascending within [1, {MAX_BITS}]"
-    );
-    assert!((1..=MAX_BITS).contains(&position_bits), "{position_bits} position bits, expected 1 to {MAX_BITS}");
+    let BitSettings { min_bits, max_bits, position_bits, mean_bits, .. } = *settings;
+    let invalid = |what, found, expected| Err(CompressError::Value { what, found, expected });
+    if !(1..=MAX_BITS).contains(&min_bits) {
+        return invalid("min_bits", min_bits.into(), "1 to 16");
+    }
+    if !(min_bits..=MAX_BITS).contains(&max_bits) {
+        return invalid("max_bits", max_bits.into(), "min_bits to 16");
+    }
+    if !(1..=MAX_BITS).contains(&position_bits) {
+        return invalid("position_bits", position_bits.into(), "1 to 16");
+    }
+    if !mean_bits.is_finite() {
+        return invalid("mean_bits", mean_bits.into(), "a finite number");
+    }
     for attribute in Attribute::ALL {
+        let (name, components) = (attribute.name(), attribute.components());
         let (s, v) = (sensitivity.values(attribute), stored.values(attribute));
-        assert_eq!(s.len(), v.len(), "{}: sensitivity [{}] against values [{}]", attribute.name(), s.len(), v.len());
+        if s.len() != v.len() {
+            let what = format!("sensitivities of {name}");
+            return Err(CompressError::Count { what, found: s.len(), expected: v.len() });
+        }
+        let illegal = |i: usize, what: String, found: f32, expected| {
+            let (gaussian, found) = (i / components, found.into());
+            Err(CompressError::Gaussian { what, gaussian, timestep: None, found, expected })
+        };
         if let Some(i) = s.iter().position(|s| !(s.is_finite() && *s >= 0.0)) {
-            panic!("sensitivity {i} of {} is {}, expected finite and not negative", attribute.name(), s[i]);
+            return illegal(i, format!("sensitivity of {name}"), s[i], "a finite number, 0 or more");
+        }
+        if let Some(i) = v.iter().position(|x| !x.is_finite()) {
+            return illegal(i, name.to_owned(), v[i], "a finite number");
         }
     }
     let mut map = BitMap::uniform(n, position_bits, min_bits);
@@ -151,7 +176,7 @@ pub fn assign_bits(sensitivity: &Gaussians, stored: &Gaussians, settings: &BitSe
             BitMapping::Log => assign_log(sensitivity, stored, settings, &mut map),
         }
     }
-    map
+    Ok(map)
 }
 
 fn assign_linear(sensitivity: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
@@ -239,7 +264,7 @@ mod tests {
     fn log_mapping_reaches_its_mean() {
         let (sensitivity, stored) = example(500);
         for mean_bits in [4.5, 5.5, 7.0] {
-            let map = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits, ..Default::default() });
+            let map = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits, ..Default::default() }).unwrap();
             assert!((map.mean_bits() - f64::from(mean_bits)).abs() < 0.01, "{} for {mean_bits}", map.mean_bits());
             assert!(map.widths[0].iter().all(|&w| w == 16));
             assert!(map.widths[1..].iter().flatten().all(|w| (4..=8).contains(w)));
@@ -258,7 +283,7 @@ mod tests {
             });
             terms.sum()
         };
-        let log = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits: 6.0, ..Default::default() });
+        let log = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits: 6.0, ..Default::default() }).unwrap();
         let uniform = BitMap::uniform(500, 16, 6);
         // The same widths, given to others.
         let mut shifted = log.clone();
@@ -272,7 +297,7 @@ mod tests {
     #[test]
     fn every_attribute_gets_several_widths() {
         let (sensitivity, stored) = example(500);
-        let map = assign_bits(&sensitivity, &stored, &BitSettings::default());
+        let map = assign_bits(&sensitivity, &stored, &BitSettings::default()).unwrap();
         for a in mixed() {
             let common = map.histogram()[a.index()].values().filter(|&&count| count >= 25).count();
             assert!(common >= 3, "{a:?}: {:?}", map.histogram()[a.index()]);
@@ -283,7 +308,7 @@ mod tests {
     fn bits_rise_with_sensitivity() {
         let (sensitivity, stored) = example(300);
         for mapping in [BitMapping::Log, BitMapping::Linear] {
-            let map = assign_bits(&sensitivity, &stored, &BitSettings { mapping, ..Default::default() });
+            let map = assign_bits(&sensitivity, &stored, &BitSettings { mapping, ..Default::default() }).unwrap();
             let index = Attribute::LogitOpacity.index();
             let mut pairs: Vec<(f32, u8)> =
                 sensitivity.logit_opacities.iter().copied().zip(map.widths[index].iter().copied()).collect();
@@ -299,7 +324,8 @@ mod tests {
         sensitivity.colors[0] = [0.0, 8.0, 1.0];
         sensitivity.colors[1] = [0.0, 3.0, 1.0];
         let map =
-            assign_bits(&sensitivity, &stored, &BitSettings { mapping: BitMapping::Linear, ..Default::default() });
+            assign_bits(&sensitivity, &stored, &BitSettings { mapping: BitMapping::Linear, ..Default::default() })
+                .unwrap();
         assert_eq!(map.widths[Attribute::Color.index()], [8, 6, 4]); // 4 + round(4 * 3/8 = 1.5) = 6
         assert_eq!(map.widths[Attribute::Quat.index()], [4, 4, 4]);
         assert_eq!(map.histogram()[Attribute::Color.index()], BTreeMap::from([(4, 1), (6, 1), (8, 1)]));
@@ -310,9 +336,31 @@ mod tests {
     fn equal_bounds_and_no_sensitivity_are_uniform() {
         let (sensitivity, stored) = example(20);
         let settings = BitSettings { min_bits: 6, max_bits: 6, ..Default::default() };
-        assert_eq!(assign_bits(&sensitivity, &stored, &settings), BitMap::uniform(20, 16, 6));
-        let nothing = assign_bits(&Gaussians::zeros(20), &stored, &BitSettings::default());
+        assert_eq!(assign_bits(&sensitivity, &stored, &settings).unwrap(), BitMap::uniform(20, 16, 6));
+        let nothing = assign_bits(&Gaussians::zeros(20), &stored, &BitSettings::default()).unwrap();
         assert_eq!(nothing, BitMap::uniform(20, 16, 4));
-        assert_eq!(assign_bits(&Gaussians::zeros(0), &Gaussians::zeros(0), &settings).mean_bits(), 0.0);
+        assert_eq!(assign_bits(&Gaussians::zeros(0), &Gaussians::zeros(0), &settings).unwrap().mean_bits(), 0.0);
+    }
+
+    #[test]
+    fn what_is_out_of_range_is_refused() {
+        let (sensitivity, stored) = example(20);
+        let says = |sensitivity: &Gaussians, settings: BitSettings, message: &str| {
+            assert_eq!(assign_bits(sensitivity, &stored, &settings).unwrap_err().to_string(), message);
+        };
+        let default = BitSettings::default;
+        says(&Gaussians::zeros(19), default(), "invalid number of sensitivities of means: found 57, expected 60");
+        let mut negative = sensitivity.clone();
+        negative.values_mut(Attribute::Color)[7] = -1.0;
+        let message = "invalid sensitivity of colors of Gaussian 2: found -1, expected a finite number, 0 or more";
+        says(&negative, default(), message);
+        let settings = BitSettings { min_bits: 9, ..default() };
+        says(&sensitivity, settings, "invalid max_bits: found 8, expected min_bits to 16");
+        let settings = BitSettings { min_bits: 0, ..default() };
+        says(&sensitivity, settings, "invalid min_bits: found 0, expected 1 to 16");
+        let settings = BitSettings { position_bits: 17, ..default() };
+        says(&sensitivity, settings, "invalid position_bits: found 17, expected 1 to 16");
+        let settings = BitSettings { mean_bits: f32::NAN, ..default() };
+        says(&sensitivity, settings, "invalid mean_bits: found NaN, expected a finite number");
     }
 }

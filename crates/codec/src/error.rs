@@ -1,4 +1,9 @@
-//! Why bytes are no scene.
+//! Why bytes are no scene, and why floats cannot become one.
+
+use tcgs_core::Attribute;
+
+use crate::compact::Violation;
+use crate::quantize::Quantizer;
 
 /// Why decoding failed, by who is at fault.
 #[derive(Debug, thiserror::Error)]
@@ -39,4 +44,75 @@ pub enum DecodeError {
         /// By [`crate::DecodeLimits`].
         limit: u64,
     },
+}
+
+/// Why a scene cannot be compressed or written, by which argument is at fault.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CompressError {
+    /// A number is outside what is legal for it, or not finite.
+    #[error("invalid {what}: found {found}, expected {expected}")]
+    Value {
+        /// Which number.
+        what: &'static str,
+        /// The number.
+        found: f64,
+        /// What is legal.
+        expected: &'static str,
+    },
+    /// A value of a Gaussian is not finite, or negative where it must not be.
+    #[error("invalid {what} of Gaussian {gaussian}{}: found {found}, expected {expected}", at(*.timestep))]
+    Gaussian {
+        /// Which values: the name of an attribute, or what belongs to each Gaussian of it.
+        what: String,
+        /// Index of the Gaussian.
+        gaussian: usize,
+        /// At which timestep, where the values belong to one.
+        timestep: Option<usize>,
+        /// The value.
+        found: f64,
+        /// What is legal.
+        expected: &'static str,
+    },
+    /// Two arguments disagree in a count.
+    #[error("invalid number of {what}: found {found}, expected {expected}")]
+    Count {
+        /// What is counted.
+        what: String,
+        /// In the one argument.
+        found: usize,
+        /// By the other, or by what the format holds at most.
+        expected: usize,
+    },
+    /// A step, an offset and a width that make no quantizer.
+    #[error("invalid quantizer of step {}, offset {} and {} bits: {problem}", .quantizer.step, .quantizer.offset, .quantizer.bits)]
+    Quantizer {
+        /// The numbers.
+        quantizer: Quantizer,
+        /// What is wrong with them.
+        problem: &'static str,
+    },
+    /// A [`CompactScene`](crate::CompactScene) breaks a rule of the format.
+    #[error("invalid {field} in {section}: {problem}")]
+    Scene {
+        /// The name of an attribute, or `info`.
+        section: &'static str,
+        /// What in it.
+        field: &'static str,
+        /// What was found against what was expected.
+        problem: &'static str,
+    },
+    /// The file cannot be written.
+    #[error("write failed")]
+    Io(#[from] std::io::Error),
+}
+
+fn at(timestep: Option<usize>) -> String {
+    timestep.map_or(String::new(), |timestep| format!(" at timestep {timestep}"))
+}
+
+impl From<Violation> for CompressError {
+    fn from(Violation { attribute, field, problem }: Violation) -> Self {
+        Self::Scene { section: attribute.map_or("info", Attribute::name), field, problem }
+    }
 }

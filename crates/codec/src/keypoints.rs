@@ -3,6 +3,8 @@
 //! Selection works on the float values of one scalar over time, before quantisation, and knows
 //! nothing of what the scalar means.
 
+use crate::error::CompressError;
+
 /// Which samples of a track to keep: Algorithm 1 of the paper.
 ///
 /// Starts from the first and the last sample. As long as the mean squared error of linear
@@ -18,14 +20,22 @@
 ///
 /// ```
 /// let track = [0.0, 1.0, 2.0, 1.0, 0.0];
-/// assert_eq!(tcgs_codec::select_keypoints(&track, 30, 1e-5), [0, 2, 4]);
-/// assert_eq!(tcgs_codec::select_keypoints(&track, 2, 1e-5), [0, 4]);
+/// assert_eq!(tcgs_codec::select_keypoints(&track, 30, 1e-5)?, [0, 2, 4]);
+/// assert_eq!(tcgs_codec::select_keypoints(&track, 2, 1e-5)?, [0, 4]);
+/// # Ok::<(), tcgs_codec::CompressError>(())
 /// ```
 ///
-/// # Panics
-/// If a sample is not finite, or `max_mse` is negative or NaN.
-pub fn select(track: &[f32], max_keypoints: usize, max_mse: f32) -> Vec<usize> {
-    Selector::default().select(track, max_keypoints, max_mse).to_vec()
+/// # Errors
+/// [`CompressError::Value`] if a sample is not finite, or `max_mse` is negative or NaN.
+pub fn select(track: &[f32], max_keypoints: usize, max_mse: f32) -> Result<Vec<usize>, CompressError> {
+    if max_mse.is_nan() || max_mse < 0.0 {
+        return Err(CompressError::Value { what: "max_mse", found: max_mse.into(), expected: "0 or more" });
+    }
+    if let Some(&found) = track.iter().find(|x| !x.is_finite()) {
+        let (what, found) = ("sample of a track", found.into());
+        return Err(CompressError::Value { what, found, expected: "a finite number" });
+    }
+    Ok(Selector::default().select(track, max_keypoints, max_mse).to_vec())
 }
 
 /// [`select`] for many tracks: keeps its buffers.
@@ -41,11 +51,9 @@ pub(crate) struct Selector {
 }
 
 impl Selector {
+    /// - `track`: `[T]`, finite
+    /// - `max_mse`: 0 or more
     pub(crate) fn select(&mut self, track: &[f32], max_keypoints: usize, max_mse: f32) -> &[usize] {
-        assert!(max_mse >= 0.0, "max_mse is {max_mse}, expected 0 or more");
-        if let Some(i) = track.iter().position(|x| !x.is_finite()) {
-            panic!("sample {i} of the track is {}, expected a finite number", track[i]);
-        }
         self.select_joint(&[track], &[1.0], max_keypoints, f64::from(max_mse))
     }
 
@@ -211,47 +219,39 @@ mod tests {
 
     #[test]
     fn short_tracks_are_kept_whole() {
-        assert_eq!(select(&[], 5, 0.0), [0_usize; 0]);
-        assert_eq!(select(&[3.0], 5, 0.0), [0]);
-        assert_eq!(select(&[3.0, 9.0], 0, 0.0), [0, 1]);
-        assert_eq!(select(&[3.0, 9.0, 1.0], 0, 0.0), [0, 2]);
+        assert_eq!(select(&[], 5, 0.0).unwrap(), [0_usize; 0]);
+        assert_eq!(select(&[3.0], 5, 0.0).unwrap(), [0]);
+        assert_eq!(select(&[3.0, 9.0], 0, 0.0).unwrap(), [0, 1]);
+        assert_eq!(select(&[3.0, 9.0, 1.0], 0, 0.0).unwrap(), [0, 2]);
     }
 
     #[test]
     fn of_equal_errors_the_earliest_is_added() {
-        assert_eq!(select(&[0.0, 1.0, 0.0, 1.0, 0.0], 3, 0.0), [0, 1, 4]);
+        assert_eq!(select(&[0.0, 1.0, 0.0, 1.0, 0.0], 3, 0.0).unwrap(), [0, 1, 4]);
     }
 
     #[test]
     fn the_tolerance_decides() {
         // The chord from 0 to 0 leaves errors 1, 2, 1: a mean square of 6/5 over all five samples.
         let track = [0.0, 1.0, 2.0, 1.0, 0.0];
-        assert_eq!(select(&track, 5, 1.2), [0, 4]);
-        assert_eq!(select(&track, 5, 1.199), [0, 2, 4]);
-        assert_eq!(select(&track, 5, f32::INFINITY), [0, 4]);
+        assert_eq!(select(&track, 5, 1.2).unwrap(), [0, 4]);
+        assert_eq!(select(&track, 5, 1.199).unwrap(), [0, 2, 4]);
+        assert_eq!(select(&track, 5, f32::INFINITY).unwrap(), [0, 4]);
         // Noise of known size below and above the tolerance.
         let noisy: Vec<f32> = (0..100).map(|i| if i % 2 == 0 { 0.01 } else { -0.01 }).collect();
-        assert_eq!(select(&noisy, 100, 4.1e-4), [0, 99]);
-        assert!(select(&noisy, 100, 0.9e-4).len() > 2);
-        assert_eq!(select(&noisy, 100, 0.0).len(), 100);
+        assert_eq!(select(&noisy, 100, 4.1e-4).unwrap(), [0, 99]);
+        assert!(select(&noisy, 100, 0.9e-4).unwrap().len() > 2);
+        assert_eq!(select(&noisy, 100, 0.0).unwrap().len(), 100);
     }
 
     #[test]
-    #[should_panic(expected = "sample 1 of the track is NaN")]
-    fn a_non_finite_track_is_refused() {
-        select(&[0.0, f32::NAN, 1.0], 3, 0.0);
-    }
-
-    #[test]
-    #[should_panic(expected = "max_mse is -1")]
-    fn a_negative_tolerance_is_refused() {
-        select(&[0.0], 3, -1.0);
-    }
-
-    #[test]
-    #[should_panic(expected = "max_mse is NaN")]
-    fn a_nan_tolerance_is_refused() {
-        select(&[], 3, f32::NAN);
+    fn what_is_not_finite_or_negative_is_refused() {
+        let says = |track: &[f32], max_mse, message: &str| {
+            assert_eq!(select(track, 3, max_mse).unwrap_err().to_string(), message);
+        };
+        says(&[0.0, f32::NAN, 1.0], 0.0, "invalid sample of a track: found NaN, expected a finite number");
+        says(&[0.0], -1.0, "invalid max_mse: found -1, expected 0 or more");
+        says(&[], f32::NAN, "invalid max_mse: found NaN, expected 0 or more");
     }
 
     #[test]

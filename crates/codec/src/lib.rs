@@ -33,7 +33,7 @@ pub use bitstream::{encode, encode_with};
 pub use compact::{ColorSpace, CompactScene, SceneInfo, Tracks, UpAxis};
 #[cfg(feature = "encode")]
 pub use compress::{CompressSettings, compress, compress_ordered};
-pub use error::DecodeError;
+pub use error::{CompressError, DecodeError};
 pub use keypoints::{interpolate, select as select_keypoints};
 pub use limits::DecodeLimits;
 pub use quantize::{MAX_BITS, Quantizer, Quantizers, lsq_step};

@@ -8,6 +8,8 @@ use std::collections::BTreeMap;
 
 use tcgs_core::Attribute;
 
+use crate::error::CompressError;
+
 /// Widest code.
 pub const MAX_BITS: u8 = 16;
 
@@ -40,14 +42,14 @@ const NUM_REFITS: usize = 8;
 impl Quantizer {
     /// A quantizer of given step and offset.
     ///
-    /// # Panics
-    /// If [`Self::problem`] finds one.
-    pub fn new(step: f32, offset: f32, bits: u8) -> Self {
+    /// # Errors
+    /// [`CompressError::Quantizer`] if [`Self::problem`] finds a problem.
+    pub fn new(step: f32, offset: f32, bits: u8) -> Result<Self, CompressError> {
         let quantizer = Self { step, offset, bits };
-        if let Some(problem) = quantizer.problem() {
-            panic!("{quantizer:?}: {problem}");
+        match quantizer.problem() {
+            Some(problem) => Err(CompressError::Quantizer { quantizer, problem }),
+            None => Ok(quantizer),
         }
-        quantizer
     }
 
     /// What makes these numbers no quantizer, if anything.
@@ -78,9 +80,10 @@ impl Quantizer {
     /// Nearest code; values beyond the range get the code at its end.
     ///
     /// ```
-    /// let quantizer = tcgs_codec::Quantizer::new(0.5, 1.0, 4);
+    /// let quantizer = tcgs_codec::Quantizer::new(0.5, 1.0, 4)?;
     /// assert_eq!((quantizer.quantize(2.1), quantizer.quantize(100.0)), (2, 7));
     /// assert_eq!(quantizer.dequantize(2), 2.0);
+    /// # Ok::<(), tcgs_codec::CompressError>(())
     /// ```
     #[inline(always)]
     pub fn quantize(&self, x: f32) -> i32 {
@@ -109,18 +112,22 @@ impl Quantizer {
     /// is exactly that value.
     ///
     /// ```
-    /// let quantizer = tcgs_codec::Quantizer::covering(0.0, 15.0, 4);
+    /// let quantizer = tcgs_codec::Quantizer::covering(0.0, 15.0, 4)?;
     /// assert_eq!((quantizer.quantize(0.0), quantizer.quantize(15.0), quantizer.step), (-8, 7, 1.0));
+    /// # Ok::<(), tcgs_codec::CompressError>(())
     /// ```
     ///
-    /// # Panics
-    /// If a bound is not finite, `min > max`, or `bits` is not within 1 to 16.
-    pub fn covering(min: f32, max: f32, bits: u8) -> Self {
-        assert!(
-            min.is_finite() && max.is_finite() && min <= max,
-            "range [{min}, {max}], expected finite and ascending"
-        );
-        assert!((1..=MAX_BITS).contains(&bits), "{bits} bits, expected 1 to {MAX_BITS}");
+    /// # Errors
+    /// [`CompressError`] if a bound is not finite, `min > max`, `bits` is not within 1 to 16, or the step from one end
+    /// to the other exceeds what 32 bits hold.
+    pub fn covering(min: f32, max: f32, bits: u8) -> Result<Self, CompressError> {
+        check_finite("lower bound of a quantizer", min)?;
+        check_finite("upper bound of a quantizer", max)?;
+        if min > max {
+            let (what, expected) = ("upper bound of a quantizer", "at least the lower bound");
+            return Err(CompressError::Value { what, found: max.into(), expected });
+        }
+        check_bits(bits)?;
         let smallest = (f64::from(min.abs().max(max.abs())) * MIN_RELATIVE_STEP).max(MIN_STEP);
         let levels = f64::from((1_u32 << bits) - 1);
         let step = ((f64::from(max) - f64::from(min)) / levels).max(smallest);
@@ -130,9 +137,9 @@ impl Quantizer {
 
     /// The quantizer of a given step whose lowest code is `min`.
     ///
-    /// # Panics
-    /// If that makes no quantizer.
-    pub(crate) fn from_lowest(min: f32, step: f64, bits: u8) -> Self {
+    /// # Errors
+    /// [`CompressError::Quantizer`] if these numbers make no quantizer.
+    pub(crate) fn from_lowest(min: f32, step: f64, bits: u8) -> Result<Self, CompressError> {
         let offset = f64::from(min) + step * f64::from(1_u32 << (bits - 1));
         Self::new(step as f32, offset as f32, bits)
     }
@@ -143,13 +150,14 @@ impl Quantizer {
     /// A constant set of values gets an exact quantizer. Its error over `values`, or over the even
     /// sample that it looks at when there are very many, is at most that of [`Self::covering`].
     ///
-    /// # Panics
-    /// If there are no values, one is not finite, or `bits` is not within 1 to 16.
-    pub fn fit(values: &[f32], bits: u8) -> Self {
-        let (min, max) = bounds(values);
-        let covering = Self::covering(min, max, bits);
+    /// # Errors
+    /// [`CompressError`] if there are no values, a value is not finite, `bits` is not within 1 to 16, or the values
+    /// lie further apart than 32 bits hold.
+    pub fn fit(values: &[f32], bits: u8) -> Result<Self, CompressError> {
+        let (min, max) = bounds(values)?;
+        let covering = Self::covering(min, max, bits)?;
         if min == max {
-            return covering;
+            return Ok(covering);
         }
         let mut sample: Vec<f32> = values.iter().step_by(values.len().div_ceil(FIT_SAMPLE)).copied().collect();
         let middle = sample.len() / 2;
@@ -169,7 +177,7 @@ impl Quantizer {
                 };
                 let (low_bound, high_bound) = (bound(min, low), bound(max, high));
                 if low_bound < high_bound {
-                    let candidate = Self::covering(low_bound, high_bound, bits);
+                    let candidate = Self::covering(low_bound, high_bound, bits)?;
                     let error = candidate.squared_error(&sample);
                     if error < best.0 {
                         best = (error, candidate);
@@ -186,7 +194,7 @@ impl Quantizer {
             }
             best = (error, refitted);
         }
-        best.1
+        Ok(best.1)
     }
 
     /// Step and offset of least squared error for the codes that `self` gives to `values`.
@@ -209,15 +217,33 @@ impl Quantizer {
     }
 }
 
-fn bounds(values: &[f32]) -> (f32, f32) {
-    assert!(!values.is_empty(), "no values to fit a quantizer to");
-    let (mut min, mut max) = (values[0], values[0]);
-    for (i, &x) in values.iter().enumerate() {
-        assert!(x.is_finite(), "value {i} is {x}, expected a finite number");
-        min = min.min(x);
-        max = max.max(x);
+/// Smallest and largest of some values.
+fn bounds(values: &[f32]) -> Result<(f32, f32), CompressError> {
+    let first = *values.first().ok_or_else(no_values)?;
+    values.iter().try_fold((first, first), |(min, max), &x| {
+        check_finite("value to fit a quantizer to", x).map(|()| (min.min(x), max.max(x)))
+    })
+}
+
+fn no_values() -> CompressError {
+    CompressError::Count { what: "values to fit a quantizer to".into(), found: 0, expected: 1 }
+}
+
+fn check_finite(what: &'static str, x: f32) -> Result<(), CompressError> {
+    if x.is_finite() {
+        Ok(())
+    } else {
+        Err(CompressError::Value { what, found: x.into(), expected: "a finite number" })
     }
-    (min, max)
+}
+
+/// Refuses a width of codes that is not within 1 to [`MAX_BITS`].
+pub(crate) fn check_bits(bits: u8) -> Result<(), CompressError> {
+    if (1..=MAX_BITS).contains(&bits) {
+        Ok(())
+    } else {
+        Err(CompressError::Value { what: "width of codes in bits", found: bits.into(), expected: "1 to 16" })
+    }
 }
 
 /// First step of a learned quantizer: `2 mean|x| / sqrt(Q_p)`, `Q_p = 2^(bits-1) - 1`.
@@ -225,17 +251,20 @@ fn bounds(values: &[f32]) -> (f32, f32) {
 /// Esser et al. 2020, §2.1. One bit has `Q_p = 0`; it counts as 1.
 ///
 /// ```
-/// assert_eq!(tcgs_codec::lsq_step(&[1.0, -3.0], 3), 4.0 / 3.0_f32.sqrt());
+/// assert_eq!(tcgs_codec::lsq_step(&[1.0, -3.0], 3)?, 4.0 / 3.0_f32.sqrt());
+/// # Ok::<(), tcgs_codec::CompressError>(())
 /// ```
 ///
-/// # Panics
-/// If there are no values or `bits` is not within 1 to 16.
-pub fn lsq_step(values: &[f32], bits: u8) -> f32 {
-    assert!(!values.is_empty(), "no values to take a step from");
-    assert!((1..=MAX_BITS).contains(&bits), "{bits} bits, expected 1 to {MAX_BITS}");
+/// # Errors
+/// [`CompressError`] if there are no values or `bits` is not within 1 to 16.
+pub fn lsq_step(values: &[f32], bits: u8) -> Result<f32, CompressError> {
+    check_bits(bits)?;
+    if values.is_empty() {
+        return Err(no_values());
+    }
     let mean = values.iter().map(|&x| f64::from(x.abs())).sum::<f64>() / values.len() as f64;
     let max_code = f64::from((1_u32 << (bits - 1)) - 1).max(1.0);
-    (2.0 * mean / max_code.sqrt()) as f32
+    Ok((2.0 * mean / max_code.sqrt()) as f32)
 }
 
 /// All quantizers of a scene.
@@ -266,7 +295,7 @@ mod tests {
     #[test]
     fn covering_reaches_both_ends() {
         for bits in 1..=16 {
-            let q = Quantizer::covering(-3.0, 5.0, bits);
+            let q = Quantizer::covering(-3.0, 5.0, bits).unwrap();
             assert_eq!((q.quantize(-3.0), q.quantize(5.0)), (q.min_code(), q.max_code()), "{bits} bits");
             assert!((q.dequantize(q.min_code()) + 3.0).abs() < 1e-6);
             assert!((q.dequantize(q.max_code()) - 5.0).abs() < 1e-6 * 5.0);
@@ -276,7 +305,7 @@ mod tests {
     #[test]
     fn constant_values_are_exact() {
         for value in [0.0, 0.1, -7.3e4, 1e-20] {
-            for q in [Quantizer::fit(&[value; 9], 4), Quantizer::covering(value, value, 16)] {
+            for q in [Quantizer::fit(&[value; 9], 4), Quantizer::covering(value, value, 16)].map(Result::unwrap) {
                 assert_eq!((q.quantize(value), q.dequantize(0)), (0, value));
             }
         }
@@ -286,26 +315,42 @@ mod tests {
     fn fitting_cuts_an_outlier_off() {
         let mut values: Vec<f32> = (0..10_000).map(|i| i as f32 / 10_000.0).collect();
         values.push(4.0);
-        let (fitted, covering) = (Quantizer::fit(&values, 4), Quantizer::covering(0.0, 4.0, 4));
+        let (fitted, covering) = (Quantizer::fit(&values, 4).unwrap(), Quantizer::covering(0.0, 4.0, 4).unwrap());
         assert!(fitted.squared_error(&values) < 0.5 * covering.squared_error(&values));
     }
 
     #[test]
     fn fitting_finds_a_lattice() {
-        let lattice = Quantizer::new(0.37, 2.0, 4);
+        let lattice = Quantizer::new(0.37, 2.0, 4).unwrap();
         let values: Vec<f32> = (0..160).map(|i| lattice.dequantize(i % 16 - 8)).collect();
-        assert!(Quantizer::fit(&values, 4).squared_error(&values) < 1e-9);
+        assert!(Quantizer::fit(&values, 4).unwrap().squared_error(&values) < 1e-9);
     }
 
     #[test]
     fn the_first_learned_step_is_that_of_the_formula() {
-        assert_eq!(lsq_step(&[-2.0, 2.0, 4.0, 0.0], 8), (4.0 / 127.0_f64.sqrt()) as f32);
-        assert_eq!(lsq_step(&[1.0], 1), 2.0);
+        assert_eq!(lsq_step(&[-2.0, 2.0, 4.0, 0.0], 8).unwrap(), (4.0 / 127.0_f64.sqrt()) as f32);
+        assert_eq!(lsq_step(&[1.0], 1).unwrap(), 2.0);
     }
 
     #[test]
-    #[should_panic(expected = "the step is not a positive finite number")]
-    fn a_step_of_zero_is_refused() {
-        Quantizer::new(0.0, 0.0, 4);
+    fn what_makes_no_quantizer_is_refused() {
+        let says = |result: Result<Quantizer, CompressError>, message: &str| {
+            assert_eq!(result.unwrap_err().to_string(), message);
+        };
+        let message = "invalid quantizer of step 0, offset 1 and 4 bits: the step is not a positive finite number";
+        says(Quantizer::new(0.0, 1.0, 4), message);
+        let message = "invalid upper bound of a quantizer: found -1, expected at least the lower bound";
+        says(Quantizer::covering(0.0, -1.0, 4), message);
+        says(
+            Quantizer::covering(f32::NAN, 0.0, 4),
+            "invalid lower bound of a quantizer: found NaN, expected a finite number",
+        );
+        says(Quantizer::covering(0.0, 1.0, 17), "invalid width of codes in bits: found 17, expected 1 to 16");
+        says(Quantizer::fit(&[], 4), "invalid number of values to fit a quantizer to: found 0, expected 1");
+        let message = "invalid value to fit a quantizer to: found inf, expected a finite number";
+        says(Quantizer::fit(&[0.0, f32::INFINITY], 4), message);
+        // Finite, but further apart than a float says.
+        assert!(Quantizer::covering(f32::MIN, f32::MAX, 1).is_err());
+        assert!(lsq_step(&[], 4).is_err() && lsq_step(&[1.0], 0).is_err());
     }
 }

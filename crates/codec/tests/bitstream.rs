@@ -27,8 +27,8 @@ proptest! {
         seed: u64,
     ) {
         let scene = any_scene(num_gaussians, num_timesteps, seed);
-        let file = encode(&scene);
-        prop_assert_eq!(&encode(&scene), &file);
+        let file = encode(&scene).unwrap();
+        prop_assert_eq!(&encode(&scene).unwrap(), &file);
         let decoded = decode(&file, &DecodeLimits::default()).unwrap();
         prop_assert_eq!(&decoded.info, &scene.info);
         prop_assert_eq!(&decoded.bit_map, &scene.bit_map);
@@ -57,7 +57,7 @@ proptest! {
         num_timesteps in 1_usize..40,
         damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
     ) {
-        let mut file = encode(&any_scene(5, num_timesteps, seed));
+        let mut file = encode(&any_scene(5, num_timesteps, seed)).unwrap();
         let start = sections(&file)[0].1.start;
         for (at, value) in damage {
             let at = start + at.index(file.len() - start);
@@ -66,7 +66,7 @@ proptest! {
         reseal(&mut file);
         if let Ok(scene) = decode(&file, &DecodeLimits { max_bytes: 1 << 24, ..Default::default() }) {
             scene.at(scene.num_timesteps() - 1);
-            prop_assert_eq!(decode(&encode(&scene), &DecodeLimits::default()).unwrap().tracks, scene.tracks);
+            prop_assert_eq!(decode(&encode(&scene).unwrap(), &DecodeLimits::default()).unwrap().tracks, scene.tracks);
         }
     }
 }
@@ -98,7 +98,7 @@ fn reseal(file: &mut [u8]) {
 
 /// Changes bytes of a section, seals the file again and says why it is refused.
 fn refusal(scene: &CompactScene, tag: &[u8; 4], offset: usize, bytes: &[u8]) -> String {
-    let mut file = encode(scene);
+    let mut file = encode(scene).unwrap();
     let (_, range) = sections(&file).into_iter().find(|(t, _)| t == tag).unwrap();
     file[range.start + offset..][..bytes.len()].copy_from_slice(bytes);
     reseal(&mut file);
@@ -107,7 +107,7 @@ fn refusal(scene: &CompactScene, tag: &[u8; 4], offset: usize, bytes: &[u8]) -> 
 
 #[test]
 fn a_file_cut_anywhere_is_refused() {
-    let file = encode(&any_scene(4, 24, 1));
+    let file = encode(&any_scene(4, 24, 1)).unwrap();
     assert!(decode(&file, &DecodeLimits::default()).is_ok());
     for length in 0..file.len() {
         assert!(decode(&file[..length], &DecodeLimits::default()).is_err(), "cut to {length} of {}", file.len());
@@ -117,7 +117,7 @@ fn a_file_cut_anywhere_is_refused() {
 
 #[test]
 fn a_file_with_any_byte_changed_is_refused() {
-    let file = encode(&any_scene(4, 24, 2));
+    let file = encode(&any_scene(4, 24, 2)).unwrap();
     for at in 0..file.len() {
         for mask in [0x01, 0x80, 0xff] {
             let mut changed = file.clone();
@@ -129,7 +129,7 @@ fn a_file_with_any_byte_changed_is_refused() {
 
 #[test]
 fn a_damaged_section_is_reported_by_name() {
-    let mut file = encode(&any_scene(4, 24, 3));
+    let mut file = encode(&any_scene(4, 24, 3)).unwrap();
     let (_, range) = sections(&file).into_iter().find(|(tag, _)| tag == b"QUAT").unwrap();
     file[range.start] ^= 1;
     let info = inspect(&file, &DecodeLimits::default()).unwrap();
@@ -142,7 +142,7 @@ fn a_damaged_section_is_reported_by_name() {
 
 #[test]
 fn sections_and_header_make_up_the_file() {
-    let file = encode(&any_scene(50, 24, 4));
+    let file = encode(&any_scene(50, 24, 4)).unwrap();
     let info = inspect(&file, &DecodeLimits::default()).unwrap();
     assert_eq!(info.bytes, file.len() as u64);
     let header = (HEADER_BYTES + 16 * info.sections.len()) as u64;
@@ -156,7 +156,7 @@ fn sections_and_header_make_up_the_file() {
 
 #[test]
 fn another_version_trailing_bytes_and_other_files_are_refused() {
-    let file = encode(&any_scene(1, 1, 5));
+    let file = encode(&any_scene(1, 1, 5)).unwrap();
     let refused = |file: &[u8]| decode(file, &DecodeLimits::default()).unwrap_err();
     let mut newer = file.clone();
     newer[4] = 2;
@@ -185,7 +185,7 @@ fn with_section(file: &[u8], tag: &[u8; 4], bytes: &[u8]) -> Vec<u8> {
 #[test]
 fn unknown_sections_are_skipped_if_they_may_be() {
     let scene = any_scene(9, 24, 6);
-    let file = encode(&scene);
+    let file = encode(&scene).unwrap();
     let limits = DecodeLimits::default();
     let optional = with_section(&file, b"new1", b"something");
     assert_eq!(decode(&optional, &limits).unwrap(), scene);
@@ -207,7 +207,7 @@ fn huge_counts_are_refused_before_anything_is_allocated() {
     let timesteps = refusal(&scene, b"INFO", 4, &u32::MAX.to_le_bytes());
     assert_eq!(timesteps, "scene needs 4294967295 timesteps, limit is 65536");
     // Within the counts' limits, but more than so small a file may take.
-    let mut file = encode(&CompactScene { layers: vec![4], ..scene });
+    let mut file = encode(&CompactScene { layers: vec![4], ..scene }).unwrap();
     let info = sections(&file)[0].1.clone();
     file[info.start..info.start + 4].copy_from_slice(&16_000_000_u32.to_le_bytes());
     file[info.end - 4..info.end].copy_from_slice(&16_000_000_u32.to_le_bytes());
@@ -226,8 +226,8 @@ fn huge_counts_are_refused_before_anything_is_allocated() {
 fn memory_stays_within_its_limit() {
     let scene = scenes::room(3000, 24);
     let bit_map = scenes::mixed_widths(3000);
-    let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
-    let file = encode(&compact);
+    let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default()).unwrap();
+    let file = encode(&compact).unwrap();
     let limited = |max_bytes| decode(&file, &DecodeLimits { max_bytes, ..Default::default() });
     for max_bytes in [0, 1000, 100_000, 300_000] {
         assert!(matches!(limited(max_bytes).unwrap_err(), DecodeError::Limit { unit: "bytes", .. }), "{max_bytes}");
@@ -248,7 +248,7 @@ fn small_scene() -> CompactScene {
         scene.tracks[a] = Tracks::default();
         let times: &[u16] = if scene.varies[a] { &[0, 2, 4] } else { &[0] };
         (0..attribute.components()).for_each(|_| scene.tracks[a].push(times, &vec![0; times.len()]));
-        let channels = vec![tcgs_codec::Quantizer::new(1.0, 0.0, 4); attribute.components()];
+        let channels = vec![tcgs_codec::Quantizer::new(1.0, 0.0, 4).unwrap(); attribute.components()];
         scene.quantizers.attributes[a] = [(4, channels)].into();
     }
     scene
@@ -288,18 +288,28 @@ fn a_constant_track_is_no_line() {
     for _ in 0..3 {
         scene.tracks[Attribute::Color.index()].push(&[0], &[-8]);
     }
-    let decoded = decode(&encode(&scene), &DecodeLimits::default()).unwrap();
+    let decoded = decode(&encode(&scene).unwrap(), &DecodeLimits::default()).unwrap();
     assert_eq!(decoded, scene);
     assert_eq!(decoded.at(4).colors, [[-8.0; 3]]);
 }
 
 #[test]
-#[should_panic(expected = "a code outside its width")]
 fn a_scene_with_a_code_outside_its_width_is_not_encoded() {
     let mut scene = small_scene();
     scene.tracks[Attribute::LogitOpacity.index()] = Tracks::default();
     scene.tracks[Attribute::LogitOpacity.index()].push(&[0], &[8]);
-    encode(&scene);
+    let message = "invalid codes in logit_opacities: a code outside its width";
+    assert_eq!(encode(&scene).unwrap_err().to_string(), message);
+}
+
+#[test]
+fn a_position_beyond_what_floats_say_is_not_encoded() {
+    let mut scene = small_scene();
+    scene.quantizers.attributes[Attribute::Mean.index()].values_mut().flatten().for_each(|q| q.step = f32::MAX);
+    scene.tracks[Attribute::Mean.index()] = Tracks::default();
+    (0..3).for_each(|_| scene.tracks[Attribute::Mean.index()].push(&[0], &[-8]));
+    let message = "invalid codes in means: a code that stands for no finite number";
+    assert_eq!(encode(&scene).unwrap_err().to_string(), message);
 }
 
 /// What a realistic scene takes. A ceiling 2 % above what was measured: bytes that grow want a reason.
@@ -311,8 +321,8 @@ fn a_room_stays_small() {
         ("4 to 8 bits", scenes::mixed_widths(num_gaussians), 18.0),
         ("6 bits", BitMap::uniform(num_gaussians, 16, 6), 16.7),
     ] {
-        let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
-        let file = encode(&compact);
+        let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default()).unwrap();
+        let file = encode(&compact).unwrap();
         let per_gaussian = |bytes: u64| bytes as f64 / num_gaussians as f64;
         let info = inspect(&file, &DecodeLimits::default()).unwrap();
         for section in &info.sections {

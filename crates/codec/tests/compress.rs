@@ -16,6 +16,7 @@ fn as_told() -> CompressSettings {
 
 fn compress_all(scene: &DynamicGaussians, bits: u8, settings: &CompressSettings) -> (CompactScene, Vec<usize>) {
     compress_ordered(scene, &BitMap::uniform(scene.num_gaussians(), 16, bits), None, SceneInfo::of(scene), settings)
+        .expect("a legal scene")
 }
 
 /// Mean squared error of an attribute over all timesteps; quaternions as unit ones of either sign.
@@ -101,7 +102,7 @@ fn scales_and_opacities_may_vary() {
     let (compact, order) = compress_all(&scene, 8, &as_told());
     assert_eq!(compact.varies, [true; 5]);
     assert_eq!(compact.raw_bytes(), scene.raw_bytes());
-    let decoded = decode(&encode(&compact), &DecodeLimits::default()).unwrap();
+    let decoded = decode(&encode(&compact).unwrap(), &DecodeLimits::default()).unwrap();
     assert_eq!(decoded, compact);
     let (expected, found) = (scene.select(&order), decoded.reconstruct());
     assert_eq!(found.at(7), decoded.at(7));
@@ -172,17 +173,17 @@ fn signs_of_quaternions_do_not_matter() {
 #[test]
 fn a_learned_quantizer_is_kept_where_it_is_best() {
     let mut scene = scenes::room(400, 1);
-    let learned_quantizer = Quantizer::new(0.071, -3.3, 5);
+    let learned_quantizer = Quantizer::new(0.071, -3.3, 5).unwrap();
     let opacities = Attribute::LogitOpacity;
     for x in &mut scene.logit_opacities[0] {
         *x = learned_quantizer.dequantize(learned_quantizer.quantize(*x));
     }
     let mut learned = Quantizers::default();
     learned.attributes[opacities.index()].insert(5, vec![learned_quantizer]);
-    learned.attributes[Attribute::LogScale.index()].insert(5, vec![Quantizer::new(5.0, 0.0, 5); 3]);
-    learned.attributes[Attribute::Mean.index()].insert(16, vec![Quantizer::new(1e-3, 0.0, 16); 3]);
+    learned.attributes[Attribute::LogScale.index()].insert(5, vec![Quantizer::new(5.0, 0.0, 5).unwrap(); 3]);
+    learned.attributes[Attribute::Mean.index()].insert(16, vec![Quantizer::new(1e-3, 0.0, 16).unwrap(); 3]);
     let bit_map = BitMap::uniform(400, 16, 5);
-    let compress = |learned| compress(&scene, &bit_map, learned, SceneInfo::of(&scene), &as_told());
+    let compress = |learned| compress(&scene, &bit_map, learned, SceneInfo::of(&scene), &as_told()).unwrap();
     let (with, without) = (compress(Some(&learned)), compress(None));
     assert_eq!(with.quantizers.get(opacities, 5, 0), Some(&learned_quantizer));
     for attribute in [Attribute::Mean, Attribute::LogScale] {
@@ -243,7 +244,7 @@ fn components_share_their_times_and_segments_begin_anew() {
         }
     }
     let (apart, _) = compress_all(&scene, 8, &CompressSettings { joint: false, ..settings.clone() });
-    assert!(encode(&compact).len() < encode(&apart).len());
+    assert!(encode(&compact).unwrap().len() < encode(&apart).unwrap().len());
 }
 
 #[test]
@@ -291,9 +292,9 @@ fn quality_orders_files_by_size_and_error() {
     assert_eq!(default.clone().with_quality(0.0), default);
     let outcome = |quality: f32| {
         let settings = default.clone().with_quality(quality);
-        let (compact, order) = compress_ordered(&scene, &bit_map, None, SceneInfo::of(&scene), &settings);
+        let (compact, order) = compress_ordered(&scene, &bit_map, None, SceneInfo::of(&scene), &settings).unwrap();
         let (expected, found) = (scene.select(&order), compact.reconstruct());
-        (encode(&compact).len(), Attribute::ALL.map(|a| mse(a, &expected, &found)))
+        (encode(&compact).unwrap().len(), Attribute::ALL.map(|a| mse(a, &expected, &found)))
     };
     let curve: Vec<_> = (-12..=16).map(|half| outcome(half as f32 / 2.0)).collect();
     for (i, pair) in curve.windows(2).enumerate() {
@@ -333,8 +334,8 @@ fn threads_do_not_matter() {
     let run = |num_threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().unwrap();
         pool.install(|| {
-            let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &as_told());
-            (encode(&compact), compact)
+            let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &as_told()).unwrap();
+            (encode(&compact).unwrap(), compact)
         })
     };
     assert_eq!(run(1), run(5));
@@ -355,16 +356,41 @@ fn more_timesteps_than_a_byte_counts_work() {
 }
 
 #[test]
-#[should_panic(expected = "colors of Gaussian 3 at timestep 1: NaN")]
-fn a_value_that_is_not_finite_is_refused() {
-    let mut scene = scenes::room(10, 2);
-    scene.colors[1][3][2] = f32::NAN;
-    compress_all(&scene, 8, &as_told());
-}
+fn what_cannot_be_compressed_is_refused() {
+    let says = |scene: &DynamicGaussians, map: &BitMap, settings: &CompressSettings, message: &str| {
+        let error = compress(scene, map, None, SceneInfo::of(scene), settings).unwrap_err();
+        assert_eq!(error.to_string(), message);
+    };
+    let (scene, map) = (scenes::room(10, 2), BitMap::uniform(10, 16, 8));
+    let mut broken = scene.clone();
+    broken.colors[1][3][2] = f32::NAN;
+    let message = "invalid colors of Gaussian 3 at timestep 1: found NaN, expected a finite number";
+    says(&broken, &map, &as_told(), message);
+    broken.colors[1][3][2] = f32::MAX;
+    broken.colors[0][3][2] = f32::MIN;
+    let error = compress(&broken, &BitMap::uniform(10, 16, 1), None, SceneInfo::of(&broken), &as_told()).unwrap_err();
+    assert!(error.to_string().ends_with("the step is not a positive finite number"), "{error}");
+    let message = "invalid number of bit widths of means: found 9, expected 10";
+    says(&scene, &BitMap::uniform(9, 16, 8), &as_told(), message);
+    let message = "invalid width of codes in bits: found 0, expected 1 to 16";
+    says(&scene, &BitMap::uniform(10, 16, 0), &as_told(), message);
+    let message = "invalid number of timesteps: found 0, expected 1 to 65536";
+    says(&DynamicGaussians::default(), &BitMap::default(), &as_told(), message);
+    let info = SceneInfo { num_timesteps: 3, ..SceneInfo::of(&scene) };
+    let error = compress(&scene, &map, None, info, &as_told()).unwrap_err();
+    assert_eq!(error.to_string(), "invalid number of timesteps in info: found 3, expected 2");
 
-#[test]
-#[should_panic(expected = "bit widths of means: [9] against [10]")]
-fn a_bit_map_of_another_length_is_refused() {
-    let scene = scenes::room(10, 2);
-    compress(&scene, &BitMap::uniform(9, 16, 8), None, SceneInfo::of(&scene), &as_told());
+    let refuses = |settings: CompressSettings, message: &str| says(&scene, &map, &settings, message);
+    let max_mse = [1e-5, 1e-5, -1.0, 1e-5, 1e-5];
+    refuses(CompressSettings { max_mse, ..as_told() }, "invalid max_mse: found -1, expected 0 or more");
+    let settings = CompressSettings { segment_length: Some(0), ..as_told() };
+    refuses(settings, "invalid segment_length: found 0, expected 1 to 65536");
+    let settings = CompressSettings { coarser: [f32::NAN; 5], ..as_told() };
+    refuses(settings, "invalid coarser: found NaN, expected a finite number");
+    let settings = CompressSettings { importance: f32::INFINITY, ..as_told() };
+    refuses(settings, "invalid importance: found inf, expected a finite number");
+    let settings = CompressSettings { position_fineness: f32::NAN, ..as_told() };
+    refuses(settings, "invalid position_fineness: found NaN, expected a finite number");
+    let settings = CompressSettings { layers: vec![0.5, 1.5], ..as_told() };
+    refuses(settings, "invalid share of a layer: found 1.5, expected 0 to 1");
 }

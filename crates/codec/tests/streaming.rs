@@ -68,7 +68,7 @@ proptest! {
         layers: prop::sample::Index,
     ) {
         let scene = any_scene(num_gaussians, num_timesteps, seed);
-        let file = encode(&scene);
+        let file = encode(&scene).unwrap();
         let mut archive = open(&file);
         let layers = layers.index(archive.num_layers() + 1);
         archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();
@@ -98,7 +98,7 @@ proptest! {
         seed: u64,
         cuts in prop::collection::vec(any::<prop::sample::Index>(), 0..6),
     ) {
-        let file = encode(&any_scene(num_gaussians, num_timesteps, seed));
+        let file = encode(&any_scene(num_gaussians, num_timesteps, seed)).unwrap();
         let mut cuts: Vec<usize> = cuts.into_iter().map(|cut| cut.index(file.len() + 1)).collect();
         cuts.extend([0, file.len()]);
         cuts.sort_unstable();
@@ -112,7 +112,7 @@ fn events_come_in_order_and_say_what_the_whole_says() {
     let mut scene = any_scene(12, 20, 7);
     scene.layers = vec![2, 4, 6];
     scene.segment_length = 8;
-    let file = encode(&scene);
+    let file = encode(&scene).unwrap();
     let mut decoder = Decoder::new(DecodeLimits::default());
     let mut seen = Vec::new();
     for byte in &file {
@@ -157,7 +157,7 @@ fn segments_of_nothing_cost_nothing() {
     still.segment_length = 1;
     still.layers = vec![1; 40];
     for scene in [empty, still] {
-        let file = encode(&scene);
+        let file = encode(&scene).unwrap();
         assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
         assert_eq!(open(&file).num_segments(), 1);
         assert!(events(&[&file]).len() < 100);
@@ -168,11 +168,11 @@ fn segments_of_nothing_cost_nothing() {
 fn threads_do_not_matter_when_decoding() {
     let scene = scenes::room(900, 30);
     let settings = CompressSettings { segment_length: Some(7), ..Default::default() };
-    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings);
+    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings).unwrap();
     let run = |num_threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().unwrap();
         pool.install(|| {
-            let file = encode(&compact);
+            let file = encode(&compact).unwrap();
             let decoded = decode(&file, &DecodeLimits::default()).unwrap();
             assert_eq!(decoded, compact);
             (file, decoded.at(12))
@@ -185,8 +185,8 @@ fn threads_do_not_matter_when_decoding() {
 fn a_segment_needs_few_of_the_bytes() {
     let scene = scenes::room(3000, 60);
     let settings = CompressSettings { segment_length: Some(10), ..Default::default() };
-    let compact = compress(&scene, &scenes::mixed_widths(3000), None, SceneInfo::of(&scene), &settings);
-    let file = encode(&compact);
+    let compact = compress(&scene, &scenes::mixed_widths(3000), None, SceneInfo::of(&scene), &settings).unwrap();
+    let file = encode(&compact).unwrap();
     let archive = open(&file);
     let all = archive.num_layers();
     let segments: u64 = (0..6).map(|s| archive.segment_range(s, all)).map(|r| r.end - r.start).sum();
@@ -199,8 +199,8 @@ fn a_segment_needs_few_of_the_bytes() {
 #[test]
 fn data_of_applications_are_known_from_the_start() {
     let scene = any_scene(9, 24, 6);
-    let (plain, data) = (encode(&scene), [("a", &b"one"[..]), ("", &b""[..]), ("b", &[0xff; 300][..])]);
-    let file = encode_with(&scene, &data);
+    let (plain, data) = (encode(&scene).unwrap(), [("a", &b"one"[..]), ("", &b""[..]), ("b", &[0xff; 300][..])]);
+    let file = encode_with(&scene, &data).unwrap();
     let lengths: usize = data.iter().map(|(name, bytes)| 16 + 2 + name.len() + bytes.len()).sum();
     assert_eq!(file.len(), plain.len() + lengths);
     let archive = open(&file);
@@ -223,8 +223,8 @@ fn data_of_applications_are_known_from_the_start() {
 fn a_segment_may_be_decoded_any_number_of_times() {
     let scene = scenes::room(900, 30);
     let settings = CompressSettings { segment_length: Some(10), ..Default::default() };
-    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings);
-    let file = encode(&compact);
+    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings).unwrap();
+    let file = encode(&compact).unwrap();
     // As little as it takes to read each segment once.
     let limits = DecodeLimits { max_bytes: 1 << 19, ..Default::default() };
     let Opening::Ready(mut archive) = Archive::open(&file, &limits).unwrap() else { panic!("more bytes are needed") };
@@ -246,7 +246,7 @@ fn a_segment_may_be_decoded_any_number_of_times() {
 #[test]
 fn keypoints_are_those_of_the_floats() {
     let compact = any_scene(9, 17, 3);
-    let file = encode(&compact);
+    let file = encode(&compact).unwrap();
     let mut archive = open(&file);
     let layers = archive.num_layers();
     archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();

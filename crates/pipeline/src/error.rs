@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use tcgs_capture::CaptureError;
-use tcgs_codec::DecodeError;
+use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_render::gpu::GpuError;
@@ -43,6 +43,9 @@ pub enum PipelineError {
         /// What the decoder found.
         error: DecodeError,
     },
+    /// A scene cannot be compressed.
+    #[error(transparent)]
+    Compress(#[from] CompressError),
     /// A frame was asked for that the scene does not have.
     #[error("{}: has the frames {}..{}, found {}..{}, expected some of these",
         path.display(), has.start, has.end, wanted.start, wanted.end)]
@@ -57,15 +60,18 @@ pub enum PipelineError {
     /// A capture.
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    /// Training, or a run folder.
+    /// Training, or a run folder. [`TrainError::Stopped`] becomes [`PipelineError::Stopped`].
     #[error(transparent)]
-    Train(#[from] TrainError),
+    Train(TrainError),
     /// Another program's file.
     #[error(transparent)]
     Interchange(#[from] InterchangeError),
     /// Weights of a metric.
     #[error(transparent)]
     Metrics(#[from] MetricsError),
+    /// The observer broke off. Nothing half-written stays.
+    #[error("stopped as asked")]
+    Stopped,
     /// The GPU.
     #[error(transparent)]
     Gpu(#[from] GpuError),
@@ -88,6 +94,12 @@ impl PipelineError {
     }
 }
 
+impl From<TrainError> for PipelineError {
+    fn from(error: TrainError) -> Self {
+        if matches!(error, TrainError::Stopped { .. }) { Self::Stopped } else { Self::Train(error) }
+    }
+}
+
 /// Who is at fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -96,6 +108,8 @@ pub enum Fault {
     Input,
     /// The machine: no space left, a lost GPU, a parameter that became infinite.
     Machine,
+    /// Nobody: the observer stopped the call.
+    Stopped,
 }
 
 /// Errors that know who is at fault.
@@ -115,8 +129,10 @@ impl HasFault for PipelineError {
     fn fault(&self) -> Fault {
         match self {
             Self::Input { .. } | Self::Frames { .. } => Fault::Input,
+            Self::Stopped => Fault::Stopped,
             Self::Unreadable { error, .. } => error.fault(),
             Self::Decode { error, .. } => error.fault(),
+            Self::Compress(error) => error.fault(),
             Self::Capture(error) => error.fault(),
             Self::Train(error) => error.fault(),
             Self::Interchange(error) => error.fault(),
@@ -156,8 +172,9 @@ impl HasFault for CaptureError {
 impl HasFault for TrainError {
     fn fault(&self) -> Fault {
         match self {
-            Self::Io { action: "reading", source, .. } => source.fault(),
-            Self::Io { .. } | Self::NotFinite { .. } | Self::Gpu(_) => Fault::Machine,
+            Self::Read { error, .. } => error.fault(),
+            Self::Write { .. } | Self::NotFinite { .. } | Self::Bits(_) | Self::Gpu(_) => Fault::Machine,
+            Self::Stopped { .. } => Fault::Stopped,
             _ => Fault::Input,
         }
     }
@@ -188,6 +205,12 @@ impl HasFault for DecodeError {
     }
 }
 
+impl HasFault for CompressError {
+    fn fault(&self) -> Fault {
+        if matches!(self, Self::Io(_)) { Fault::Machine } else { Fault::Input }
+    }
+}
+
 impl HasFault for GpuError {
     fn fault(&self) -> Fault {
         Fault::Machine
@@ -205,13 +228,12 @@ mod tests {
         let path = || "x".into();
         let full = || Error::from(ErrorKind::StorageFull);
         let missing = || Error::from(ErrorKind::NotFound);
-        let train = |action, source| TrainError::Io { action, path: path(), source };
         let cases: [(PipelineError, Fault); 11] = [
             (PipelineError::input("x", "y", "z"), Fault::Input),
             (PipelineError::unreadable(Path::new("x"), missing(), "z"), Fault::Input),
             (PipelineError::unreadable(Path::new("x"), Error::other("x"), "z"), Fault::Machine),
-            (train("writing", full()).into(), Fault::Machine),
-            (train("reading", missing()).into(), Fault::Input),
+            (TrainError::Write { path: path(), error: full() }.into(), Fault::Machine),
+            (TrainError::Read { path: path(), error: missing() }.into(), Fault::Input),
             (TrainError::File { path: path(), problem: "x".into() }.into(), Fault::Input),
             (CaptureError::Io { path: path(), error: missing() }.into(), Fault::Input),
             (MetricsError::Weights { path: path(), problem: "x".into() }.into(), Fault::Input),

@@ -8,8 +8,12 @@
 
 mod backend;
 mod error;
+mod observe;
 mod scene;
+mod train;
 
 pub use backend::Backend;
 pub use error::{Fault, HasFault, PipelineError};
+pub use observe::{Event, Observer, Unobserved, Work};
 pub use scene::{OpenScene, OpenSettings, SceneContent};
+pub use train::{TimestepSummary, fit, new_trainer, settings_for};

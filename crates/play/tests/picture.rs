@@ -72,7 +72,7 @@ fn files() -> Vec<(&'static str, Vec<u8>)> {
     all_vary.logit_opacities =
         (0..t).map(|i| all_vary.logit_opacities[0].iter().map(|o| o - 0.1 * i as f32).collect()).collect();
     let file = |scene: &DynamicGaussians, settings: &CompressSettings| {
-        encode(&compress(scene, &scenes::mixed_widths(n), None, SceneInfo::of(scene), settings))
+        encode(&compress(scene, &scenes::mixed_widths(n), None, SceneInfo::of(scene), settings).unwrap()).unwrap()
     };
     let default = CompressSettings { segment_length: Some(5), ..Default::default() };
     let paper = CompressSettings { segment_length: Some(5), ..CompressSettings::paper() };
@@ -172,7 +172,8 @@ fn more_pairs_than_expected_are_drawn_again() {
     scene.log_scales = vec![vec![[1.0; 3]; 300]];
     scene.logit_opacities = vec![vec![-3.0; 300]];
     let bits = BitMap::uniform(300, 16, 8);
-    let file = encode(&compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default()));
+    let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default());
+    let file = encode(&compact.unwrap()).unwrap();
     let segment = segment(&file, 1);
     let (start, _) = start_view(&segment.first().means, UpAxis::default().direction());
     let camera = start.resized(400, 300);

@@ -36,9 +36,9 @@ impl Checkpoint {
     /// Writes the archive beside `path`, makes it durable, then renames it.
     ///
     /// # Errors
-    /// [`TrainError::Io`]; `path` is then as it was.
+    /// [`TrainError::Write`]; `path` is then as it was.
     pub fn save(&self, path: &Path, first: bool) -> Result<(), TrainError> {
-        let failed = |source| TrainError::Io { action: "writing", path: path.into(), source };
+        let failed = |error| TrainError::Write { path: path.into(), error };
         let folder = path.parent().unwrap_or(Path::new("."));
         let mut file = temporary_file(folder).map_err(failed)?;
         self.write(BufWriter::new(file.as_file_mut()), first).map_err(failed)?;

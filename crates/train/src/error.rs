@@ -1,7 +1,9 @@
 //! What can go wrong while training.
 
+use std::io;
 use std::path::PathBuf;
 
+use tcgs_codec::CompressError;
 use tcgs_render::gpu::GpuError;
 
 use crate::config::ConfigError;
@@ -38,22 +40,41 @@ pub enum TrainError {
     /// The GPU.
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// Parameters or sensitivities from which no bits can be assigned.
+    #[error(transparent)]
+    Bits(#[from] CompressError),
     /// A file of a run folder.
-    #[error("{path}: {problem}")]
+    #[error("{}: {problem}", path.display())]
     File {
         /// Which.
         path: PathBuf,
         /// What is wrong with it and what was expected.
         problem: String,
     },
-    /// Reading or writing a run folder.
-    #[error("{action} {path}: {source}")]
-    Io {
-        /// What was tried.
-        action: &'static str,
-        /// On which file.
+    /// A file of a run folder cannot be read. The cause is part of the message, not a source beside it.
+    #[error("reading {}: {error}", path.display())]
+    Read {
+        /// The file.
         path: PathBuf,
-        /// How it failed.
-        source: std::io::Error,
+        /// The system's answer.
+        error: io::Error,
+    },
+    /// A file of a run folder cannot be written. The cause is part of the message, not a source beside it.
+    #[error("writing {}: {error}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's answer.
+        error: io::Error,
+    },
+    /// The observer of [`Trainer::fit`](crate::Trainer::fit) asked to stop.
+    #[error(
+        "training stopped in timestep {timestep} after iteration {iteration}, as asked; the checkpoints before it are whole"
+    )]
+    Stopped {
+        /// The timestep that stays unfinished, counted from the run's first.
+        timestep: usize,
+        /// The last iteration whose losses were reported, within the timestep.
+        iteration: usize,
     },
 }

@@ -52,9 +52,9 @@ impl Run {
     /// Makes a new run folder.
     ///
     /// # Errors
-    /// [`TrainError::Io`] if it cannot be written.
+    /// [`TrainError::Write`] if it cannot be written.
     pub fn create(folder: &Path, config: &TrainConfig) -> Result<Self, TrainError> {
-        fs::create_dir_all(folder.join("checkpoints")).map_err(io("creating", folder))?;
+        fs::create_dir_all(folder.join("checkpoints")).map_err(write(folder))?;
         let run = Self { folder: folder.into(), config: config.clone() };
         run.write_whole(CONFIG, config.to_toml().as_bytes())?;
         Ok(run)
@@ -66,7 +66,7 @@ impl Run {
     /// [`TrainError`] if its configuration cannot be read.
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
-        let text = fs::read_to_string(&path).map_err(io("reading", &path))?;
+        let text = fs::read_to_string(&path).map_err(read(&path))?;
         let config =
             TrainConfig::default().merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         Ok(Self { folder: folder.into(), config })
@@ -80,7 +80,7 @@ impl Run {
     /// Replaces the settings, to go on with more frames.
     ///
     /// # Errors
-    /// [`TrainError::Io`] if they cannot be written.
+    /// [`TrainError::Write`] if they cannot be written.
     pub fn set_config(&mut self, config: &TrainConfig) -> Result<(), TrainError> {
         self.config = config.clone();
         self.write_whole(CONFIG, config.to_toml().as_bytes())
@@ -103,7 +103,7 @@ impl Run {
     /// Writes the checkpoint of a timestep.
     ///
     /// # Errors
-    /// [`TrainError::Io`]; nothing half-written stays.
+    /// [`TrainError::Write`]; nothing half-written stays.
     pub fn save(&self, timestep: usize, checkpoint: &Checkpoint) -> Result<(), TrainError> {
         checkpoint.save(&self.checkpoint_path(timestep), timestep == 0)
     }
@@ -172,7 +172,7 @@ impl Run {
     /// Metrics written so far, one object a timestep.
     ///
     /// # Errors
-    /// [`TrainError::Io`] if they cannot be read.
+    /// [`TrainError::Read`] if they cannot be read.
     pub fn metrics(&self) -> Result<Vec<Value>, TrainError> {
         // A line cut short by a crash is one of a timestep that has no checkpoint yet.
         Ok(self.metrics_text()?.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
@@ -183,13 +183,13 @@ impl Run {
         if !path.exists() {
             return Ok(String::new());
         }
-        fs::read_to_string(&path).map_err(io("reading", &path))
+        fs::read_to_string(&path).map_err(read(&path))
     }
 
     /// Keeps the metrics of the first `timesteps` and drops what a stopped run wrote after them.
     ///
     /// # Errors
-    /// [`TrainError::Io`] if they cannot be written.
+    /// [`TrainError::Read`] or [`TrainError::Write`] if they cannot be read or written.
     pub fn truncate_metrics(&self, timesteps: usize) -> Result<(), TrainError> {
         let kept = |line: &&str| {
             let metrics: Option<Value> = serde_json::from_str(line).ok();
@@ -203,24 +203,29 @@ impl Run {
     /// Appends the metrics of one timestep.
     ///
     /// # Errors
-    /// [`TrainError::Io`] if they cannot be written.
+    /// [`TrainError::Write`] if they cannot be written.
     pub fn append_metrics(&self, metrics: &Value) -> Result<(), TrainError> {
         let path = self.folder.join(METRICS);
-        let mut file = fs::OpenOptions::new().create(true).append(true).open(&path).map_err(io("opening", &path))?;
-        file.write_all(format!("{metrics}\n").as_bytes()).map_err(io("writing", &path))
+        let mut file = fs::OpenOptions::new().create(true).append(true).open(&path).map_err(write(&path))?;
+        file.write_all(format!("{metrics}\n").as_bytes()).map_err(write(&path))
     }
 
     fn write_whole(&self, name: &str, bytes: &[u8]) -> Result<(), TrainError> {
         let path = self.folder.join(name);
-        let mut file = temporary_file(&self.folder).map_err(io("writing", &path))?;
-        file.write_all(bytes).map_err(io("writing", &path))?;
-        file.as_file().sync_all().map_err(io("writing", &path))?;
-        file.persist(&path).map_err(|e| io("writing", &path)(e.error))?;
+        let mut file = temporary_file(&self.folder).map_err(write(&path))?;
+        file.write_all(bytes).map_err(write(&path))?;
+        file.as_file().sync_all().map_err(write(&path))?;
+        file.persist(&path).map_err(|e| write(&path)(e.error))?;
         Ok(())
     }
 }
 
-fn io(action: &'static str, path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
+fn read(path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
     let path = path.to_path_buf();
-    move |source| TrainError::Io { action, path: path.clone(), source }
+    move |error| TrainError::Read { path: path.clone(), error }
+}
+
+fn write(path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
+    let path = path.to_path_buf();
+    move |error| TrainError::Write { path: path.clone(), error }
 }

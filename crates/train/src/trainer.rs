@@ -1,5 +1,6 @@
 //! The loop: timesteps, iterations, and what happens between them.
 
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use rand::{RngExt, SeedableRng};
@@ -51,6 +52,8 @@ pub struct Trainer {
     /// Of the timestep before the last.
     before: Option<Arc<Pose>>,
     camera_ids: Vec<usize>,
+    /// Whether [`Self::fit`] ended within a timestep.
+    is_unfinished: bool,
 }
 
 impl Trainer {
@@ -103,6 +106,7 @@ impl Trainer {
             first: None,
             before: None,
             camera_ids: Vec::new(),
+            is_unfinished: false,
         })
     }
 
@@ -142,6 +146,7 @@ impl Trainer {
             first: Some(Arc::new(place(first))),
             before: Some(Arc::new(place(before_last))),
             camera_ids: Vec::new(),
+            is_unfinished: false,
         }
     }
 
@@ -165,10 +170,23 @@ impl Trainer {
 
     /// Trains the next timestep on its views.
     ///
+    /// - `observe`: hears of every iteration, and ends the training by [`ControlFlow::Break`]. The CPU engine reports an
+    ///   iteration before the next one begins; the GPU engine reports up to 64 iterations later.
+    ///
+    /// A timestep is the unit of a run: a checkpoint holds the state between two timesteps, not the moments of Adam and
+    /// the order of views that only matter within one. So a trainer that ended within a timestep, by
+    /// `ControlFlow::Break` or by an error, gives no checkpoint and trains no further; [`Run::resume`](crate::Run::resume)
+    /// goes on after the last finished timestep, with the same bytes as a run that was never stopped.
+    ///
     /// # Errors
-    /// [`TrainError::NotFinite`] if a loss is; [`TrainError::Input`] if there are no views, or another
-    /// number of cameras than at the first timestep; [`TrainError::Gpu`] if the engine failed.
-    pub fn fit(&mut self, views: &[View], progress: &mut dyn FnMut(&Progress)) -> Result<(), TrainError> {
+    /// [`TrainError::Stopped`] if `observe` broke off; [`TrainError::NotFinite`] if a loss is; [`TrainError::Input`] if
+    /// there are no views, another number of cameras than at the first timestep, or an unfinished timestep before;
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn fit(
+        &mut self,
+        views: &[View],
+        observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+    ) -> Result<(), TrainError> {
         let num_cameras = self.engine.state()?.parameters.camera_gains.len();
         if views.len() != num_cameras {
             return Err(TrainError::Input {
@@ -177,6 +195,8 @@ impl Trainer {
                 expected: format!("{num_cameras}, as at the first"),
             });
         }
+        self.check_finished()?;
+        self.is_unfinished = true;
         self.camera_ids = views.iter().map(|v| v.camera_id).collect();
         let with_segmentation = views.iter().all(|v| v.segmentation.is_some());
         let phase = Phase::of(self.timestep);
@@ -212,7 +232,7 @@ impl Trainer {
             if reshapes {
                 self.engine.wait()?;
             }
-            self.report(&mut reported, iterations, progress)?;
+            self.report(&mut reported, iterations, observe)?;
             if phase == Phase::First {
                 let seed = random.random();
                 if reshapes {
@@ -221,7 +241,7 @@ impl Trainer {
             }
         }
         self.engine.wait()?;
-        self.report(&mut reported, iterations, progress)?;
+        self.report(&mut reported, iterations, observe)?;
         assert_eq!(reported, iterations, "iterations that the engine reported");
         self.check_finite(iterations)?;
         self.end_timestep()
@@ -234,7 +254,7 @@ impl Trainer {
         &mut self,
         reported: &mut usize,
         iterations: usize,
-        progress: &mut dyn FnMut(&Progress),
+        observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<(), TrainError> {
         let weights = &self.config.weights;
         let (timestep, num_gaussians) = (self.timestep, self.num_gaussians);
@@ -244,8 +264,10 @@ impl Trainer {
                 return Err(TrainError::NotFinite { term, value, timestep, iteration });
             }
             let loss = terms.total(weights);
-            progress(&Progress { timestep, iteration, iterations, terms, loss, num_gaussians });
             *reported += 1;
+            if observe(&Progress { timestep, iteration, iterations, terms, loss, num_gaussians }).is_break() {
+                return Err(TrainError::Stopped { timestep, iteration });
+            }
         }
         Ok(())
     }
@@ -284,7 +306,7 @@ impl Trainer {
         let sensitivity = self.engine.sensitivity(&cameras)?;
         let state = self.engine.state_mut()?;
         let gaussians = &state.parameters.gaussians;
-        let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(&self.config));
+        let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(&self.config))?;
         state.start_quantization(FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset));
         Ok(())
     }
@@ -341,14 +363,27 @@ impl Trainer {
             self.before = self.first.clone();
         }
         self.timestep += 1;
+        self.is_unfinished = false;
+        Ok(())
+    }
+
+    fn check_finished(&self) -> Result<(), TrainError> {
+        if self.is_unfinished {
+            return Err(TrainError::Input {
+                what: format!("timestep {} of the trainer", self.timestep),
+                found: "a timestep that ended half-way".into(),
+                expected: "a trainer resumed from the last checkpoint".into(),
+            });
+        }
         Ok(())
     }
 
     /// What is to be remembered of the timestep just finished.
     ///
     /// # Errors
-    /// [`TrainError::Gpu`] if the engine failed.
+    /// [`TrainError::Input`] if the last timestep ended half-way; [`TrainError::Gpu`] if the engine failed.
     pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
+        self.check_finished()?;
         let state = self.engine.state()?;
         let o = &state.optimizer;
         let [mean, quat, _, _, color] = &o.attributes;

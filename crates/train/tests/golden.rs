@@ -154,13 +154,13 @@ fn learned_steps_equal_the_authors_quantizer() {
         let (step_init, v_step) = (a.get::<f32>("step_init"), a.get::<f32>("v_step"));
         for channel in 0..3 {
             let column: Vec<f32> = x.iter().map(|row| row[channel]).collect();
-            let step = tcgs_codec::lsq_step(&column, bits);
+            let step = tcgs_codec::lsq_step(&column, bits).unwrap();
             assert!(
                 (step / step_init[channel] - 1.0).abs() < 1e-5,
                 "{bits} bits: {step} against {}",
                 step_init[channel]
             );
-            let quantizer = Quantizer::new(step_init[channel], 0.0, bits);
+            let quantizer = Quantizer::new(step_init[channel], 0.0, bits).unwrap();
             let mut sum = 0.0;
             let mut off = 0;
             for (i, &value) in column.iter().enumerate() {

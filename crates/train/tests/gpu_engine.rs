@@ -4,6 +4,7 @@
 
 mod support;
 
+use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
 use support::gpu;
@@ -65,7 +66,12 @@ fn trainer(config: &TrainConfig, make: impl FnOnce(State) -> Made) -> Trainer {
 fn fit(trainer: &mut Trainer, frames: std::ops::Range<usize>) -> Vec<f64> {
     let mut losses = Vec::new();
     for frame in frames {
-        trainer.fit(&views(frame), &mut |p| losses.push(p.loss)).unwrap();
+        trainer
+            .fit(&views(frame), &mut |p| {
+                losses.push(p.loss);
+                ControlFlow::Continue(())
+            })
+            .unwrap();
     }
     losses
 }

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 
+use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
@@ -56,7 +57,12 @@ fn training_learns_the_scene_and_follows_it() {
     let mut trainer = trainer(&config());
     let before = trainer.mean_psnr(&views(0)).unwrap();
     let mut losses = Vec::new();
-    trainer.fit(&views(0), &mut |p| losses.push(p.loss)).unwrap();
+    trainer
+        .fit(&views(0), &mut |p| {
+            losses.push(p.loss);
+            ControlFlow::Continue(())
+        })
+        .unwrap();
     let after = trainer.mean_psnr(&views(0)).unwrap();
     assert!(after > before + 8.0 && after > 25.0, "{before:.2} dB became {after:.2}");
     assert!(losses[losses.len() - 1] < 0.3 * losses[0]);
@@ -67,12 +73,12 @@ fn training_learns_the_scene_and_follows_it() {
     assert_eq!(trainer.num_gaussians(), first.num_gaussians());
 
     for frame in 1..4 {
-        trainer.fit(&views(frame), &mut |_| ()).unwrap();
+        trainer.fit(&views(frame), &mut |_| ControlFlow::Continue(())).unwrap();
     }
     let follows = trainer.mean_psnr(&views(3)).unwrap();
     let frozen = {
         let mut still = self::trainer(&config());
-        still.fit(&views(0), &mut |_| ()).unwrap();
+        still.fit(&views(0), &mut |_| ControlFlow::Continue(())).unwrap();
         still.mean_psnr(&views(3)).unwrap()
     };
     assert!(follows > frozen + 3.0, "{follows:.2} dB while following, {frozen:.2} standing still");
@@ -100,6 +106,7 @@ fn a_capture_without_masks_trains_and_stays_finite() {
             .fit(&without(frame), &mut |p| {
                 assert!(p.loss.is_finite());
                 assert_eq!((p.terms.segmentation, p.terms.prior.background), (0.0, 0.0));
+                ControlFlow::Continue(())
             })
             .unwrap();
     }
@@ -118,7 +125,7 @@ fn threads_and_resuming_do_not_change_a_bit() {
             let mut trainer = trainer(&config);
             (0..4)
                 .map(|frame| {
-                    trainer.fit(&views(frame), &mut |_| ()).unwrap();
+                    trainer.fit(&views(frame), &mut |_| ControlFlow::Continue(())).unwrap();
                     trainer.checkpoint().unwrap()
                 })
                 .collect::<Vec<_>>()
@@ -133,7 +140,7 @@ fn threads_and_resuming_do_not_change_a_bit() {
         run.save(finished - 1, &whole[finished - 1]).unwrap();
         let mut resumed = run.resume().unwrap().expect("a timestep is finished");
         assert_eq!(resumed.timesteps(), finished);
-        resumed.fit(&views(finished), &mut |_| ()).unwrap();
+        resumed.fit(&views(finished), &mut |_| ControlFlow::Continue(())).unwrap();
         assert!(resumed.checkpoint().unwrap() == whole[finished], "resuming after {finished} timesteps differs");
     }
     run.save(3, &whole[3]).unwrap();
@@ -200,7 +207,10 @@ fn an_engine_may_run_behind() {
     let fit = |mut trainer: Trainer| {
         let mut told = Vec::new();
         for frame in 0..2 {
-            let tell = &mut |p: &tcgs_train::Progress| told.push((p.timestep, p.iteration, p.loss, p.num_gaussians));
+            let tell = &mut |p: &tcgs_train::Progress| {
+                told.push((p.timestep, p.iteration, p.loss, p.num_gaussians));
+                ControlFlow::Continue(())
+            };
             trainer.fit(&views(frame), tell).unwrap();
         }
         (told, trainer.checkpoint().unwrap())
@@ -213,15 +223,35 @@ fn an_engine_may_run_behind() {
 }
 
 #[test]
+fn a_trainer_that_is_stopped_gives_no_checkpoint_of_an_unfinished_timestep() {
+    let mut config = config();
+    (config.schedule.first_iterations, config.schedule.rest_iterations) = (20, 10);
+    let mut trainer = trainer(&config);
+    let mut told = 0;
+    let error = trainer
+        .fit(&views(0), &mut |_| {
+            told += 1;
+            if told == 7 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        })
+        .unwrap_err();
+    assert!(matches!(error, TrainError::Stopped { timestep: 0, iteration: 6 }), "{error}");
+    assert_eq!(told, 7, "the observer is not asked again");
+    assert_eq!(trainer.timesteps(), 0);
+    assert!(matches!(trainer.checkpoint(), Err(TrainError::Input { .. })));
+    let error = trainer.fit(&views(0), &mut |_| ControlFlow::Continue(())).unwrap_err().to_string();
+    assert!(error.contains("ended half-way"), "{error}");
+}
+
+#[test]
 fn what_cannot_be_trained_on_is_refused() {
     let mut trainer = trainer(&config());
     let mut broken = views(0);
     for view in &mut broken {
         view.image.data[7] = f32::NAN;
     }
-    let error = trainer.fit(&broken, &mut |_| ()).unwrap_err();
+    let error = trainer.fit(&broken, &mut |_| ControlFlow::Continue(())).unwrap_err();
     assert!(matches!(error, TrainError::NotFinite { term: "image", timestep: 0, iteration: 0, .. }), "{error}");
-    let error = trainer.fit(&views(0)[..3], &mut |_| ()).unwrap_err().to_string();
+    let error = trainer.fit(&views(0)[..3], &mut |_| ControlFlow::Continue(())).unwrap_err().to_string();
     assert_eq!(error, "training views of timestep 0: found 3, expected 5, as at the first");
     let nothing = tcgs_core::PointCloud::default();
     assert!(Trainer::new(&config(), &nothing, &[views(0)[0].camera.clone()]).is_err());

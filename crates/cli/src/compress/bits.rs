@@ -45,7 +45,7 @@ pub fn measured_bits(
             rows.skip(turn).step_by(count).for_each(|(to, from)| to.copy_from_slice(from));
         }
     }
-    let bit_map = assign_bits(&sum, &stored, &bit_settings(scene, settings));
+    let bit_map = assign_bits(&sum, &stored, &bit_settings(scene, settings))?;
     Ok((bit_map, format!("bits: by sensitivity, measured with {} {of}", cameras.len())))
 }
 

@@ -198,7 +198,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     say(&prepared.bits_from)?;
     let (compressed, result) = match target {
         None => {
-            let (compact, file) = prepared.compress(&settings.keypoints);
+            let (compact, file) = prepared.compress(&settings.keypoints)?;
             (prepared.account(&settings, compact, file)?, None)
         }
         Some(target) => {

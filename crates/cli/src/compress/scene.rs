@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use tcgs_codec::{
-    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, Quantizers, SceneInfo, UpAxis, compress,
-    encode_with, inspect,
+    BitMap, BitMapping, CompactScene, CompressError, CompressSettings, DecodeLimits, Quantizers, SceneInfo, UpAxis,
+    compress, encode_with, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians};
 use tcgs_pipeline::{OpenScene, SceneContent};
@@ -101,11 +101,11 @@ impl Prepared {
     }
 
     /// Symbols and file.
-    pub fn compress(&self, settings: &CompressSettings) -> (CompactScene, Vec<u8>) {
-        let compact = compress(&self.pruned, &self.bit_map, self.learned.as_ref(), self.info.clone(), settings);
+    pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactScene, Vec<u8>), CompressError> {
+        let compact = compress(&self.pruned, &self.bit_map, self.learned.as_ref(), self.info.clone(), settings)?;
         let views = self.views.iter().map(|json| (VIEWS, &json[..]));
-        let file = encode_with(&compact, &views.collect::<Vec<_>>());
-        (compact, file)
+        let file = encode_with(&compact, &views.collect::<Vec<_>>())?;
+        Ok((compact, file))
     }
 
     /// All that is to be known of a file.
@@ -132,7 +132,7 @@ impl Prepared {
 /// Compresses a scene of floats.
 pub fn compress_scene(scene: &OpenScene, settings: &Settings) -> anyhow::Result<Compressed> {
     let prepared = Prepared::new(scene, settings)?;
-    let (compact, file) = prepared.compress(&settings.keypoints);
+    let (compact, file) = prepared.compress(&settings.keypoints)?;
     prepared.account(settings, compact, file)
 }
 

@@ -121,7 +121,7 @@ pub fn search(
     say("quality         size      PSNR")?;
     let (trials, best) = search_with(target, |steps| {
         let of_trial = settings.clone().with_quality(steps as f32 / STEPS as f32);
-        let (compact, file) = prepared.compress(&of_trial);
+        let (compact, file) = prepared.compress(&of_trial)?;
         let psnr = match target {
             Target::Bytes(_) => None,
             Target::Psnr(_) => Some(judge.psnr(&compact)?),

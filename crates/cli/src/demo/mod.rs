@@ -10,16 +10,17 @@ use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_codec::{BitMapping, CompressSettings};
-use tcgs_pipeline::{Backend, OpenScene, OpenSettings, SceneContent};
+use tcgs_pipeline::{Backend, OpenScene, OpenSettings, SceneContent, fit, new_trainer};
 use tcgs_train::{Run, TrainConfig};
 
 use crate::backend::{BackendName, BackendOptions};
 use crate::compress::{self, Compressed, compress_scene, kept_gaussians};
 use crate::error::wrong_input;
 use crate::eval::{self, Evaluation, evaluate};
+use crate::interrupt;
 use crate::options::JobOptions;
 use crate::output::{NewFolder, is_empty_folder, say, show_bytes};
-use crate::train;
+use crate::teller::Teller;
 
 /// Iterations of the first and of every later timestep: what two cores do in half a minute.
 const ITERATIONS: [usize; 2] = [1000, 80];
@@ -105,6 +106,7 @@ impl Outcome {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
+    interrupt::catch()?;
     check_place(&arguments.out)?;
     // The demo says what two cores do.
     let backend = arguments.backend.open(BackendName::Cpu)?;
@@ -144,7 +146,8 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
 
     say("2/4  training, one timestep after another")?;
     let run = Run::create(&folder.join("run"), &config(arguments, &capture)?)?;
-    train::fit(&capture, &run, train::new_trainer(run.config(), &capture, backend)?)?;
+    let trainer = new_trainer(run.config(), &capture, backend)?;
+    Teller::default().watch(|teller| fit(&capture, &run, trainer, teller))?;
     lap("train");
 
     say("3/4  compressing")?;

@@ -1,23 +1,22 @@
 //! `tcgs train`: a capture becomes a run folder.
 
-mod fit;
 mod folder;
 mod settings;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_pipeline::Backend;
+use tcgs_pipeline::{PipelineError, fit, new_trainer};
 use tcgs_train::{Preset, Run, TrainConfig, TrainError, Trainer};
 
 use crate::backend::{BackendName, BackendOptions};
-use crate::error::wrong_input;
+use crate::error::{stopped, wrong_input};
+use crate::interrupt;
 use crate::options::{self, Frames, JobOptions, Pair};
 use crate::output::say;
-
-pub use fit::fit;
+use crate::teller::Teller;
 
 /// Train a dynamic scene on a multi-view capture, one timestep after another
 ///
@@ -101,6 +100,7 @@ impl From<PresetName> for Preset {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
+    interrupt::catch()?;
     let backend = arguments.backend.open(BackendName::Auto)?;
     let capture = Capture::open(&arguments.capture)?;
     let found = folder::look(&arguments.out)?;
@@ -127,7 +127,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         if &config != stored.config() {
             stored.set_config(&config)?;
         }
-        trainer = resumed.map_or_else(|| new_trainer(&config, &capture, &backend), Ok)?;
+        trainer = match resumed {
+            Some(trainer) => trainer,
+            None => new_trainer(&config, &capture, &backend)?,
+        };
         run = stored;
         report_resumption(&run, &trainer)?;
     } else {
@@ -138,7 +141,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         folder::clear(&arguments.out)?;
         run = Run::create(&arguments.out, &config)?;
     }
-    let trainer = fit(&capture, &run, trainer).map_err(with_advice)?;
+    let trainer =
+        Teller::default().watch(|teller| fit(&capture, &run, trainer, teller)).map_err(|e| with_advice(e, &run))?;
     drop(lock);
     report(arguments, &run, &trainer)
 }
@@ -162,29 +166,25 @@ fn describe(capture: &Capture, config: &TrainConfig) -> anyhow::Result<String> {
 }
 
 /// What to do about a run that stopped half-way. Timesteps that are finished have whole checkpoints, whatever it was.
-fn with_advice(error: anyhow::Error) -> anyhow::Error {
-    let advice = match error.downcast_ref::<TrainError>() {
-        Some(TrainError::NotFinite { .. }) => "begin anew with lower rates, such as --set rates.mean=8e-5",
-        Some(TrainError::Io { action: "writing" | "creating" | "opening", .. }) => {
+fn with_advice(error: anyhow::Error, run: &Run) -> anyhow::Error {
+    let advice = match error.downcast_ref::<PipelineError>() {
+        Some(PipelineError::Stopped) => {
+            let (data, finished) = (&run.config().data, run.timesteps());
+            let wanted = data.end_frame - data.first_frame;
+            return stopped(format!("{finished} of {wanted} timesteps are trained; --resume goes on after them"));
+        }
+        Some(PipelineError::Train(TrainError::NotFinite { .. })) => {
+            "begin anew with lower rates, such as --set rates.mean=8e-5"
+        }
+        Some(PipelineError::Train(TrainError::Write { .. })) => {
             "make room, then --resume goes on after the last whole checkpoint"
         }
-        Some(TrainError::Gpu(_)) => {
+        Some(PipelineError::Train(TrainError::Gpu(_))) => {
             "--resume goes on after the last whole checkpoint, with --backend cpu on any computer"
         }
         _ => return error,
     };
     error.context(format!("training stopped; {advice}"))
-}
-
-/// A trainer before the first timestep.
-pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -> anyhow::Result<Trainer> {
-    let cameras = capture.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
-    let cameras: Vec<_> = cameras.into_iter().map(|(_, camera)| camera).collect();
-    let cloud = match config.data.points.as_str() {
-        "" => capture.point_cloud()?,
-        points => capture.clone().with_points(Path::new(points))?.point_cloud()?,
-    };
-    Ok(Trainer::with_engine(config, &cloud, &cameras, |state| backend.engine(state))?)
 }
 
 fn report_resumption(run: &Run, trainer: &Trainer) -> anyhow::Result<()> {

@@ -3,7 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use tcgs_capture::{Capture, CaptureKind};
+use tcgs_capture::Capture;
+use tcgs_pipeline::settings_for;
 use tcgs_train::{Preset, TrainConfig};
 
 use super::Arguments;
@@ -13,34 +14,10 @@ use crate::scene::unreadable;
 
 /// Settings of a new run.
 pub fn fresh(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfig> {
-    let mut config = TrainConfig::preset(arguments.preset.map_or(Preset::Default, Preset::from));
-    suit(&mut config, capture);
+    let config = settings_for(arguments.preset.map_or(Preset::Default, Preset::from), capture);
     let config = apply(arguments, capture, config)?;
     check_frames(capture, &config)?;
     Ok(config)
-}
-
-/// Learning rate of scales in which Dynamic 3D Gaussians, and the paper after it, were compared on scenes without
-/// depth cameras; see `docs/PAPER.md`.
-const LOG_SCALE_RATE: f32 = 0.005;
-
-/// What a capture's layout asks of the settings.
-fn suit(config: &mut TrainConfig, capture: &Capture) {
-    let (kind, frames) = (capture.kind(), capture.usual_frames());
-    config.data.layout = kind.name().into();
-    (config.data.first_frame, config.data.end_frame) = (frames.start, frames.end);
-    config.data.frame_rate = capture.frame_rate();
-    if !kind.has_floor() {
-        config.weights.floor = 0.0;
-    }
-    if kind != CaptureKind::Panoptic {
-        // Nothing says what moves.
-        config.weights.segmentation = 0.0;
-        config.weights.background = 0.0;
-        if matches!(config.preset, Preset::D3dgs | Preset::Paper) {
-            config.rates.log_scale = LOG_SCALE_RATE;
-        }
-    }
 }
 
 /// Settings of a run to go on with: those stored, with another end if asked for.

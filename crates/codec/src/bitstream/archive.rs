@@ -36,8 +36,8 @@ pub enum Opening {
 /// scene.push(Gaussians::zeros(3));
 /// scene.push(Gaussians::zeros(3));
 /// let settings = CompressSettings::default();
-/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings);
-/// let file = encode(&compact);
+/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
+/// let file = encode(&compact)?;
 /// let range = |r: std::ops::Range<u64>| &file[r.start as usize..r.end as usize]; // an HTTP request
 ///
 /// let Opening::Ready(mut archive) = Archive::open(&file[..1000.min(file.len())], &DecodeLimits::default())? else {
@@ -47,7 +47,7 @@ pub enum Opening {
 /// let index = archive.segment_at(1);
 /// let segment = archive.read_segment(index, range(archive.segment_range(index, archive.num_layers())))?;
 /// assert_eq!(segment.at(1), compact.at(1));
-/// # Ok::<(), tcgs_codec::DecodeError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
 pub struct Archive {

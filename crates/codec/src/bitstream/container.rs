@@ -2,7 +2,7 @@
 
 use super::FORMAT_VERSION;
 use super::section::{self, Cursor, Entry, SHARED, Tag};
-use crate::error::DecodeError;
+use crate::error::{CompressError, DecodeError};
 
 const MAGIC: Tag = *b"TCGS";
 /// Magic, version, reserved, number of sections, checksum.
@@ -36,10 +36,13 @@ impl Part {
 
 /// A file of these sections in this order.
 ///
-/// # Panics
-/// If a section is of 4 GiB or more, or there are more than 2^20.
-pub(super) fn write(parts: &[Part]) -> Vec<u8> {
-    assert!(parts.len() <= MAX_SECTIONS as usize, "{} sections, expected at most {MAX_SECTIONS}", parts.len());
+/// # Errors
+/// [`CompressError::Count`] if a section is of 4 GiB or more, or there are more than 2^20.
+pub(super) fn write(parts: &[Part]) -> Result<Vec<u8>, CompressError> {
+    if parts.len() > MAX_SECTIONS as usize {
+        let expected = MAX_SECTIONS as usize;
+        return Err(CompressError::Count { what: "sections".into(), found: parts.len(), expected });
+    }
     let mut file = Vec::with_capacity(header_bytes(parts.len()) + parts.iter().map(|p| p.bytes.len()).sum::<usize>());
     file.extend(MAGIC);
     file.extend(FORMAT_VERSION.to_le_bytes());
@@ -47,7 +50,9 @@ pub(super) fn write(parts: &[Part]) -> Vec<u8> {
     file.extend((parts.len() as u32).to_le_bytes());
     file.extend(0_u32.to_le_bytes());
     for part in parts {
-        let length = u32::try_from(part.bytes.len()).expect("a section of less than 4 GiB");
+        let (found, expected) = (part.bytes.len(), u32::MAX as usize);
+        let too_long = |_| CompressError::Count { what: "bytes of a section".into(), found, expected };
+        let length = u32::try_from(found).map_err(too_long)?;
         file.extend(part.tag);
         file.extend(part.segment.to_le_bytes());
         file.extend(part.layer.to_le_bytes());
@@ -59,7 +64,7 @@ pub(super) fn write(parts: &[Part]) -> Vec<u8> {
     for part in parts {
         file.extend(&part.bytes);
     }
-    file
+    Ok(file)
 }
 
 /// Bytes before the first section.

@@ -11,6 +11,7 @@ use super::keypoints::{KeypointModels, Motion, Place, UnitTracks};
 use super::section::{self, APPLICATION, INFO, MAPS, PLAN};
 use super::shared::{CurveModels, FirstModels, MapModels, Plan, Shared};
 use crate::compact::{CompactScene, Tracks};
+use crate::error::CompressError;
 use crate::limits::{Budget, DecodeLimits};
 
 /// The `.tcgs` file of a scene. The same scene gives the same bytes.
@@ -21,15 +22,15 @@ use crate::limits::{Budget, DecodeLimits};
 /// let mut scene = DynamicGaussians::default();
 /// scene.push(Gaussians::zeros(3));
 /// let bit_map = BitMap::uniform(3, 16, 6);
-/// let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
-/// assert_eq!(decode(&encode(&compact), &DecodeLimits::default())?, compact);
-/// # Ok::<(), tcgs_codec::DecodeError>(())
+/// let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default())?;
+/// assert_eq!(decode(&encode(&compact)?, &DecodeLimits::default())?, compact);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
-/// # Panics
-/// If the scene breaks a rule of the format, such as a code outside its width; what [`crate::compress`]
-/// or [`crate::decode`] returned never does.
-pub fn encode(scene: &CompactScene) -> Vec<u8> {
+/// # Errors
+/// [`CompressError`] if the scene breaks a rule of the format, such as a code outside its width, or is larger than the
+/// format can say.
+pub fn encode(scene: &CompactScene) -> Result<Vec<u8>, CompressError> {
     encode_with(scene, &[])
 }
 
@@ -43,19 +44,17 @@ pub fn encode(scene: &CompactScene) -> Vec<u8> {
 /// # let mut scene = DynamicGaussians::default();
 /// # scene.push(Gaussians::zeros(3));
 /// # let bit_map = BitMap::uniform(3, 16, 6);
-/// # let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
-/// let (file, limits) = (encode_with(&compact, &[("notes", b"a red ball")]), DecodeLimits::default());
+/// # let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default())?;
+/// let (file, limits) = (encode_with(&compact, &[("notes", b"a red ball")])?, DecodeLimits::default());
 /// assert_eq!(tcgs_codec::application_data(&file, &limits)?, [("notes".to_owned(), &b"a red ball"[..])]);
 /// assert_eq!(decode(&file, &limits)?, compact);
-/// # Ok::<(), tcgs_codec::DecodeError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
-/// # Panics
-/// As [`encode`]; if a name is longer than 65535 bytes or data are of 4 GiB.
-pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Vec<u8> {
-    if let Err(violation) = scene.check() {
-        panic!("a scene that cannot be encoded: {violation:?}");
-    }
+/// # Errors
+/// As [`encode`]; also if a name is longer than 65535 bytes or data are of 4 GiB.
+pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Result<Vec<u8>, CompressError> {
+    scene.check()?;
     let mut head = Head {
         info: scene.info.clone(),
         plan: Plan {
@@ -68,16 +67,22 @@ pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Vec<u8> {
         segment_length: scene.segment_length,
         bounds: bounds(scene),
     };
+    if !head.bounds.as_flattened().iter().all(|x| x.is_finite()) {
+        let (section, field) = (Attribute::Mean.name(), "codes");
+        return Err(CompressError::Scene { section, field, problem: "a code that stands for no finite number" });
+    }
     let mut shared = shared_of(scene, &head);
     let predictors = |a: Attribute| if a == Attribute::Mean { vec![] } else { fit::predictors(a, &head.plan, &shared) };
     let predictors: Vec<_> = Attribute::ALL.into_par_iter().map(predictors).collect();
     head.plan.predictors = predictors.try_into().expect("five attributes");
 
     let mut parts = vec![Part::shared(INFO, 0, write_info(&head)), Part::shared(PLAN, 0, write_plan(&head.plan))];
-    parts.extend(data.iter().map(|(name, bytes)| {
-        let length = u16::try_from(name.len()).expect("a name of at most 65535 bytes");
-        Part::shared(APPLICATION, 0, [&length.to_le_bytes(), name.as_bytes(), bytes].concat())
-    }));
+    for (name, bytes) in data {
+        let expected = usize::from(u16::MAX);
+        let too_long = |_| CompressError::Count { what: "bytes of a name".into(), found: name.len(), expected };
+        let length = u16::try_from(name.len()).map_err(too_long)?;
+        parts.push(Part::shared(APPLICATION, 0, [&length.to_le_bytes(), name.as_bytes(), bytes].concat()));
+    }
     parts.extend(shared_sections(&head, &mut shared));
     let spans = 0..head.num_segments();
     let varying = || Attribute::ALL.into_iter().filter(|a| scene.varies[a.index()]);

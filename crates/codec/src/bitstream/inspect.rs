@@ -81,10 +81,10 @@ impl FileInfo {
 /// let mut scene = DynamicGaussians::default();
 /// scene.push(Gaussians::zeros(3));
 /// let settings = CompressSettings::default();
-/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings);
-/// let info = inspect(&encode(&compact), &DecodeLimits::default())?;
+/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
+/// let info = inspect(&encode(&compact)?, &DecodeLimits::default())?;
 /// assert!(info.checksums_ok() && info.segments.len() == 1);
-/// # Ok::<(), tcgs_codec::DecodeError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors

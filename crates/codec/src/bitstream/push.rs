@@ -32,10 +32,10 @@ pub enum Event {
 /// let mut scene = DynamicGaussians::default();
 /// scene.push(Gaussians::zeros(3));
 /// let settings = CompressSettings::default();
-/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings);
+/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
 /// let mut decoder = Decoder::new(DecodeLimits::default());
 /// let mut last = None;
-/// for bytes in encode(&compact).chunks(7) {
+/// for bytes in encode(&compact)?.chunks(7) {
 ///     for event in decoder.push(bytes)? {
 ///         if let Event::Segment(segment) = event {
 ///             last = Some(segment);
@@ -44,7 +44,7 @@ pub enum Event {
 /// }
 /// assert!(decoder.is_finished());
 /// assert_eq!(last.expect("a segment").at(0), compact.at(0));
-/// # Ok::<(), tcgs_codec::DecodeError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Decoder {
     limits: DecodeLimits,

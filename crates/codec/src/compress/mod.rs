@@ -19,7 +19,8 @@ use self::order::{by_layer, morton_order, tolerance_factors};
 use self::tracks::{float_tracks, reduce, reduce_jointly};
 use crate::bits::BitMap;
 use crate::compact::{CompactScene, MAX_TIMESTEPS, SceneInfo, Tracks};
-use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
+use crate::error::CompressError;
+use crate::quantize::{MAX_BITS, Quantizer, Quantizers, check_bits};
 
 pub use self::settings::CompressSettings;
 
@@ -32,11 +33,12 @@ pub use self::settings::CompressSettings;
 /// scene.push(Gaussians::zeros(3));
 /// scene.push(Gaussians::zeros(3));
 /// let bit_map = BitMap::uniform(3, 16, 6);
-/// let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default());
+/// let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default())?;
 /// assert_eq!(compact.at(1).means, scene.means[1]);
+/// # Ok::<(), tcgs_codec::CompressError>(())
 /// ```
 ///
-/// # Panics
+/// # Errors
 /// As [`compress_ordered`].
 pub fn compress(
     scene: &DynamicGaussians,
@@ -44,8 +46,8 @@ pub fn compress(
     learned: Option<&Quantizers>,
     info: SceneInfo,
     settings: &CompressSettings,
-) -> CompactScene {
-    compress_ordered(scene, bit_map, learned, info, settings).0
+) -> Result<CompactScene, CompressError> {
+    Ok(compress_ordered(scene, bit_map, learned, info, settings)?.0)
 }
 
 /// Turns a scene into symbols.
@@ -60,26 +62,29 @@ pub fn compress(
 /// - returns: the compact scene, whose Gaussians lie in layers, in each along a Morton curve of their first
 ///   positions; and that order: Gaussian `i` of the compact scene is `order[i]` of `scene`
 ///
-/// # Panics
-/// If `scene`, `bit_map` and `info` disagree in a count, there is no timestep or more than 65536, a value
-/// is not finite, or a width is not within 1 to 16.
+/// # Errors
+/// [`CompressError`] if `scene`, `bit_map` and `info` disagree in a count, there is no timestep or more than 65536, a
+/// value is not finite, a width is not within 1 to 16, a setting is out of range, or values lie further apart than a
+/// quantizer can say.
 pub fn compress_ordered(
     scene: &DynamicGaussians,
     bit_map: &BitMap,
     learned: Option<&Quantizers>,
     info: SceneInfo,
     settings: &CompressSettings,
-) -> (CompactScene, Vec<usize>) {
-    check_arguments(scene, bit_map, &info);
+) -> Result<(CompactScene, Vec<usize>), CompressError> {
+    settings.check()?;
+    check_arguments(scene, bit_map, &info)?;
     let bit_map = &settings.adjusted(bit_map, scene);
     let position_step = settings.position_step(scene);
     let segment_length = settings.segment_length_of(scene.num_gaussians(), scene.num_timesteps());
     let mut quantizers = Quantizers::default();
-    let tracks: [Tracks<f32>; 5] = Attribute::ALL.map(|attribute| {
+    let mut tracks: [Tracks<f32>; 5] = Default::default();
+    for attribute in Attribute::ALL {
         let widths = &bit_map.widths[attribute.index()];
-        let tolerances = tolerances(scene, attribute, widths, learned, position_step, settings);
+        let tolerances = tolerances(scene, attribute, widths, learned, position_step, settings)?;
         let slack = tolerance_factors(scene, attribute, settings);
-        let tracks = float_tracks(scene, attribute, |values, gaussian, selector, out| {
+        let of_attribute = float_tracks(scene, attribute, |values, gaussian, selector, out| {
             let tolerances: Vec<f32> = tolerances[usize::from(widths[gaussian])]
                 .iter()
                 .map(|&(max_mse, floor)| f32::max(max_mse * slack.get(gaussian).unwrap_or(&1.0), floor))
@@ -93,9 +98,10 @@ pub fn compress_ordered(
                 }
             }
         });
-        quantizers.attributes[attribute.index()] = quantizers_for(attribute, &tracks, widths, learned, position_step);
-        tracks
-    });
+        quantizers.attributes[attribute.index()] =
+            quantizers_for(attribute, &of_attribute, widths, learned, position_step)?;
+        tracks[attribute.index()] = of_attribute;
+    }
     let order = morton_order(&tracks[Attribute::Mean.index()], &bit_map.widths[Attribute::Mean.index()], &quantizers);
     let (order, layers) = by_layer(order, scene, settings);
     let bit_map = bit_map.select(&order);
@@ -113,31 +119,38 @@ pub fn compress_ordered(
         codes
     });
     let varies = Attribute::ALL.map(|attribute| scene.varies(attribute));
-    (CompactScene { info, bit_map, quantizers, varies, layers, segment_length, tracks: codes }, order)
+    Ok((CompactScene { info, bit_map, quantizers, varies, layers, segment_length, tracks: codes }, order))
 }
 
-fn check_arguments(scene: &DynamicGaussians, bit_map: &BitMap, info: &SceneInfo) {
+fn check_arguments(scene: &DynamicGaussians, bit_map: &BitMap, info: &SceneInfo) -> Result<(), CompressError> {
     let (n, t) = (scene.num_gaussians(), scene.num_timesteps());
-    assert!(t > 0 && t <= MAX_TIMESTEPS as usize, "{t} timesteps, expected 1 to {MAX_TIMESTEPS}");
-    assert_eq!(
-        (info.num_gaussians as usize, info.num_timesteps as usize),
-        (n, t),
-        "Gaussians and timesteps of the info against those of the scene"
-    );
+    if !(1..=MAX_TIMESTEPS as usize).contains(&t) {
+        return Err(CompressError::Value { what: "number of timesteps", found: t as f64, expected: "1 to 65536" });
+    }
+    let counts = |what: String, found: usize, expected: usize| {
+        if found == expected { Ok(()) } else { Err(CompressError::Count { what, found, expected }) }
+    };
+    counts("Gaussians in info".into(), info.num_gaussians as usize, n)?;
+    counts("timesteps in info".into(), info.num_timesteps as usize, t)?;
     for attribute in Attribute::ALL {
         let (name, widths) = (attribute.name(), &bit_map.widths[attribute.index()]);
-        assert_eq!(widths.len(), n, "bit widths of {name}: [{}] against [{n}] Gaussians", widths.len());
-        let illegal = widths.iter().find(|w| !(1..=MAX_BITS).contains(*w));
-        assert!(illegal.is_none(), "a width of {illegal:?} bits in {name}, expected 1 to {MAX_BITS}");
+        counts(format!("bit widths of {name}"), widths.len(), n)?;
+        widths.iter().try_for_each(|&width| check_bits(width))?;
         for timestep in 0..scene.num_samples(attribute) {
             let values = scene.values(attribute, timestep);
-            assert_eq!(values.len(), n * attribute.components(), "{name} at timestep {timestep}");
+            counts(format!("values of {name} at timestep {timestep}"), values.len(), n * attribute.components())?;
             if let Some(i) = values.iter().position(|x| !x.is_finite()) {
-                let gaussian = i / attribute.components();
-                panic!("{name} of Gaussian {gaussian} at timestep {timestep}: {}, expected a finite number", values[i]);
+                return Err(CompressError::Gaussian {
+                    what: name.to_owned(),
+                    gaussian: i / attribute.components(),
+                    timestep: Some(timestep),
+                    found: values[i].into(),
+                    expected: "a finite number",
+                });
             }
         }
     }
+    Ok(())
 }
 
 /// Tolerance of a track by width and channel, and the noise floor below which it never falls.
@@ -148,7 +161,7 @@ fn tolerances(
     learned: Option<&Quantizers>,
     position_step: Option<f64>,
     settings: &CompressSettings,
-) -> Vec<Vec<(f32, f32)>> {
+) -> Result<Vec<Vec<(f32, f32)>>, CompressError> {
     let max_mse = settings.max_mse[attribute.index()];
     let mut tolerances = vec![vec![(max_mse, 0.0); attribute.components()]; usize::from(MAX_BITS) + 1];
     if settings.keypoints && settings.noise_floor && scene.varies(attribute) {
@@ -160,11 +173,11 @@ fn tolerances(
                 out.push(&samples.map(|t| t as u16), &samples.map(|t| track[t]));
             }
         });
-        for (width, quantizers) in quantizers_for(attribute, &tracks, widths, learned, position_step) {
+        for (width, quantizers) in quantizers_for(attribute, &tracks, widths, learned, position_step)? {
             tolerances[usize::from(width)] = quantizers.iter().map(|q| (max_mse, (q.step / 4.0).powi(2))).collect();
         }
     }
-    tolerances
+    Ok(tolerances)
 }
 
 /// A learned quantizer is what the optimisation rounded to, and errs where that does not show, so it may
@@ -178,7 +191,7 @@ fn quantizers_for(
     widths: &[u8],
     learned: Option<&Quantizers>,
     position_step: Option<f64>,
-) -> BTreeMap<u8, Vec<Quantizer>> {
+) -> Result<BTreeMap<u8, Vec<Quantizer>>, CompressError> {
     let components = attribute.components();
     let mut groups: BTreeMap<u8, Vec<Vec<f32>>> = BTreeMap::new();
     for (gaussian, &width) in widths.iter().enumerate() {
@@ -194,13 +207,13 @@ fn quantizers_for(
             let quantizers = channels.par_iter().enumerate().map(|(channel, values)| {
                 if attribute == Attribute::Mean {
                     let (min, max) = values.iter().fold((f32::MAX, f32::MIN), |(a, b), &x| (a.min(x), b.max(x)));
-                    let covering = Quantizer::covering(min, max, width);
+                    let covering = Quantizer::covering(min, max, width)?;
                     let step = position_step.filter(|&step| step > f64::from(covering.step));
-                    return step.map_or(covering, |step| Quantizer::from_lowest(min, step, width));
+                    return step.map_or(Ok(covering), |step| Quantizer::from_lowest(min, step, width));
                 }
-                let fitted = Quantizer::fit(values, width);
+                let fitted = Quantizer::fit(values, width)?;
                 let learned = learned.and_then(|l| l.get(attribute, width, channel)).filter(|q| q.bits == width);
-                match learned {
+                Ok(match learned {
                     Some(q)
                         if q.problem().is_none()
                             && q.squared_error(values) <= LEARNED_ERROR_RATIO * fitted.squared_error(values) =>
@@ -208,9 +221,9 @@ fn quantizers_for(
                         *q
                     }
                     _ => fitted,
-                }
+                })
             });
-            (width, quantizers.collect())
+            Ok((width, quantizers.collect::<Result<_, CompressError>>()?))
         })
         .collect()
 }

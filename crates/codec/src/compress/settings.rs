@@ -4,6 +4,8 @@ use tcgs_core::{Attribute, DynamicGaussians};
 
 use super::order::ranks;
 use crate::bits::BitMap;
+use crate::compact::MAX_TIMESTEPS;
+use crate::error::CompressError;
 use crate::quantize::MAX_BITS;
 
 /// Settings of [`compress`](super::compress()).
@@ -84,6 +86,30 @@ impl CompressSettings {
             coarser: [0.0; 5],
             position_fineness: 0.0,
         }
+    }
+
+    /// Refuses settings that are out of range.
+    pub(super) fn check(&self) -> Result<(), CompressError> {
+        let invalid = |what, found: f32, expected| Err(CompressError::Value { what, found: found.into(), expected });
+        if let Some(&found) = self.max_mse.iter().find(|x| x.is_nan() || **x < 0.0) {
+            return invalid("max_mse", found, "0 or more");
+        }
+        if let Some(found) = self.segment_length.filter(|length| !(1..=MAX_TIMESTEPS).contains(length)) {
+            return invalid("segment_length", found as f32, "1 to 65536");
+        }
+        if !self.importance.is_finite() {
+            return invalid("importance", self.importance, "a finite number");
+        }
+        if let Some(&found) = self.layers.iter().find(|x| !(0.0..=1.0).contains(*x)) {
+            return invalid("share of a layer", found, "0 to 1");
+        }
+        if let Some(&found) = self.coarser.iter().find(|x| !x.is_finite()) {
+            return invalid("coarser", found, "a finite number");
+        }
+        if !self.position_fineness.is_finite() {
+            return invalid("position_fineness", self.position_fineness, "a finite number");
+        }
+        Ok(())
     }
 
     /// Timesteps of a segment of a scene of so many Gaussians and timesteps, all but the last of equal length.

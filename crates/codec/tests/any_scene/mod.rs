@@ -64,8 +64,9 @@ pub fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> Compa
         let (index, components) = (attribute.index(), attribute.components());
         let highest = 1 + random.below(16);
         let widths: Vec<u8> = (0..num_gaussians).map(|_| (1 + random.below(highest)) as u8).collect();
-        let quantizer =
-            |bits: u8, random: &mut Numbers| Quantizer::new(random.float().abs() + 0.01, random.float(), bits);
+        let quantizer = |bits: u8, random: &mut Numbers| {
+            Quantizer::new(random.float().abs() + 0.01, random.float(), bits).expect("a legal quantizer")
+        };
         scene.quantizers.attributes[index] =
             widths.iter().map(|&bits| (bits, (0..components).map(|_| quantizer(bits, random)).collect())).collect();
         let joint = random.below(2) == 0;

@@ -16,7 +16,8 @@ pub mod scenes;
 /// The file of a room in which a part moves.
 pub fn room_file(num_gaussians: usize, num_timesteps: usize, settings: &CompressSettings) -> Vec<u8> {
     let scene = scenes::room(num_gaussians, num_timesteps);
-    encode(&compress(&scene, &scenes::mixed_widths(num_gaussians), None, SceneInfo::of(&scene), settings))
+    let compact = compress(&scene, &scenes::mixed_widths(num_gaussians), None, SceneInfo::of(&scene), settings);
+    encode(&compact.unwrap()).unwrap()
 }
 
 /// A file of many small segments.

@@ -60,6 +60,6 @@ mod tests {
         let wave: Vec<f32> = (0..60).map(|i| (i as f32 * 0.1).sin()).collect();
         let (indices, error) = select(&wave, 1e-5);
         assert!(error <= 1e-5 * 60.0);
-        assert!(indices.len() < tcgs_codec::select_keypoints(&wave, 60, 1e-5).len());
+        assert!(indices.len() < tcgs_codec::select_keypoints(&wave, 60, 1e-5).unwrap().len());
     }
 }

@@ -117,7 +117,7 @@ fn keypoint_curve(tracks: &[&[Vec<f32>; 3]]) -> Vec<(f64, f64)> {
             let tolerance = 10f32.powf(i as f32 / 4.0);
             let of_track = |track: &&[Vec<f32>; 3]| {
                 track.iter().fold((0.0, 0.0), |(numbers, error), coordinate| {
-                    let indices = select_keypoints(coordinate, t, tolerance);
+                    let indices = select_keypoints(coordinate, t, tolerance).expect("a finite track");
                     (numbers + (2 * indices.len() - 2) as f64, error + squared_error(coordinate, &indices))
                 })
             };

@@ -26,7 +26,7 @@ pub fn analyse(tracks: &[[Vec<f32>; 3]]) -> Findings {
             "Algorithm 1",
             sweep(-9, 4)
                 .into_iter()
-                .map(|tau| curve_point(&tracks, |x| chords(x, select_keypoints(x, t, tau))))
+                .map(|tau| curve_point(&tracks, |x| chords(x, select_keypoints(x, t, tau).expect("a finite track"))))
                 .collect(),
         ),
         (

@@ -84,7 +84,7 @@ fn sums(scene: &DynamicGaussians, attribute: Attribute, limit: usize) -> Sums {
     let empty = || Sums { squared_error: 0.0, keypoints: 0.0, histogram: vec![0.0; limit + 1] };
     let of_gaussian = |gaussian: usize| {
         tracks_of(scene, attribute, gaussian).into_iter().fold(empty(), |mut sums, track| {
-            let indices = select_keypoints(&track, limit, MAX_MSE);
+            let indices = select_keypoints(&track, limit, MAX_MSE).expect("a finite track");
             sums.squared_error += squared_error(&track, &indices);
             sums.keypoints += indices.len() as f64;
             sums.histogram[indices.len().min(limit)] += 1.0;

@@ -97,11 +97,13 @@ impl FakeQuantizers {
                     .filter(|&i| few || widths[i] == width)
                     .map(|i| values[i * components + channel])
                     .collect();
-                quantizers.push(if learned_offset {
+                let quantizer = if learned_offset {
                     Quantizer::fit(&own, width)
                 } else {
-                    Quantizer::new(tcgs_codec::lsq_step(&own, width).max(1e-6), 0.0, width)
-                });
+                    let step = tcgs_codec::lsq_step(&own, width);
+                    step.and_then(|step| Quantizer::new(step.max(1e-6), 0.0, width))
+                };
+                quantizers.push(quantizer.expect("finite values, since their bits were assigned"));
             }
         }
         let initial_steps = quantizers.iter().map(|q| q.step).collect();

@@ -310,7 +310,7 @@ mod tests {
             // zero, whose neighbours are so small that f64 loses them beside the offset.
             let step = 2.0_f32.powi(-i32::from(q.bits));
             let (step, offset) = [(step, 0.25 + 2.0_f32.powi(-20)), (step * 1.1, 0.0), (step * 0.7, -3.1)][i % 3];
-            *q = Quantizer::new(step, offset, q.bits);
+            *q = Quantizer::new(step, offset, q.bits).unwrap();
         }
         let picks: Vec<f32> = random(8, 3 * n, 0.0, 1.0);
         for (i, color) in scene.gaussians.colors.iter_mut().enumerate() {

@@ -1,5 +1,6 @@
 //! The timesteps of a run, one after another, each with its metrics and its checkpoint.
 
+use std::ops::ControlFlow;
 use std::sync::mpsc::sync_channel;
 use std::time::Instant;
 
@@ -8,26 +9,66 @@ use tcgs_capture::{Capture, CaptureError, Split};
 use tcgs_core::View;
 use tcgs_train::{Run, Trainer};
 
-use crate::progress::Progress;
+use crate::observe::tell;
+use crate::{Event, Observer, PipelineError, Work};
 
 /// Most points of a timestep's loss curve.
 const MAX_CURVE_POINTS: usize = 100;
 /// Iterations that the losses of a timestep are averaged over: single ones depend on their camera.
 const AVERAGED_ITERATIONS: usize = 50;
+/// Fewer points to start from are worth a warning: density control splits what is there, and does not reach what lies
+/// far from every point.
+const FEW_POINTS: usize = 200;
 
-/// Trains the timesteps that the run still lacks. Metrics are written before the checkpoint, so that
-/// a timestep with a checkpoint has its metrics.
-pub fn fit(capture: &Capture, run: &Run, mut trainer: Trainer) -> anyhow::Result<Trainer> {
+/// A timestep that is trained and saved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimestepSummary {
+    /// Counted from the run's first.
+    pub timestep: usize,
+    /// Of the capture.
+    pub frame: usize,
+    /// Gaussians after it.
+    pub num_gaussians: usize,
+    /// Mean over the views, in dB.
+    pub psnr: f64,
+    /// Whether the views were held out from training; without such they are the training views.
+    pub held_out: bool,
+    /// Of training, without loading and measuring.
+    pub seconds: f64,
+}
+
+/// Trains the timesteps that a run still lacks, and writes metrics and checkpoint of each. The images of the next
+/// timestep are prefetched in a thread of their own.
+///
+/// Metrics are written before the checkpoint, so that a timestep with a checkpoint has its metrics.
+///
+/// A call that is stopped leaves a whole run of the timesteps finished before: the unfinished one has no checkpoint,
+/// its iterations are lost, and [`Run::resume_with`] goes on with the same bytes as a run that was never stopped.
+///
+/// - `trainer`: after the timesteps that the run has
+///
+/// # Errors
+/// [`PipelineError::Stopped`] if the observer broke off; [`PipelineError`] if a frame cannot be read, the training fails
+/// or the disk is full.
+pub fn fit(
+    capture: &Capture,
+    run: &Run,
+    mut trainer: Trainer,
+    observer: &mut dyn Observer,
+) -> Result<Trainer, PipelineError> {
     let config = run.config();
     let frames = config.data.first_frame + trainer.timesteps()..config.data.end_frame;
     if frames.is_empty() {
         return Ok(trainer);
     }
+    if trainer.timesteps() == 0 && trainer.num_gaussians() < FEW_POINTS {
+        tell(observer, Event::FewPoints { found: trainer.num_gaussians(), expected: FEW_POINTS })?;
+    }
     let schedule = &config.schedule;
     let iterations_of = |t: usize| if t == 0 { schedule.first_iterations } else { schedule.rest_iterations };
     let first = trainer.timesteps();
-    let total = (0..frames.len()).map(|i| iterations_of(first + i)).sum();
-    let mut progress = Progress::new("training", total);
+    let num_steps = (0..frames.len()).map(|i| iterations_of(first + i)).sum();
+    tell(observer, Event::Begun { work: Work::Training, num_steps })?;
     std::thread::scope(|scope| {
         // Holds nothing: the loader is one frame ahead, waiting to hand it over.
         let (send, receive) = sync_channel(0);
@@ -42,32 +83,31 @@ pub fn fit(capture: &Capture, run: &Run, mut trainer: Trainer) -> anyhow::Result
                 }
             }
         });
-        for (i, frame) in frames.clone().enumerate() {
-            let loaded = receive.recv()??;
+        for frame in frames {
+            let loaded = receive.recv().map_err(|_| loader_ended(capture, frame))??;
             let timestep = trainer.timesteps();
             let begin = Instant::now();
             let mut record = Record::new(iterations_of(timestep));
-            trainer.fit(&loaded.train, &mut |p| {
+            trainer.fit(&loaded.train, &mut |p| -> ControlFlow<()> {
                 record.add(p.iteration, p.loss, &p.terms.terms(&config.weights));
-                progress.step(|| format!("timestep {timestep}, {} Gaussians, loss {:.4}", p.num_gaussians, p.loss));
+                observer.hear(&Event::Iteration(p))
             })?;
             let seconds = begin.elapsed().as_secs_f64();
-            let (views, name) =
-                if loaded.test.is_empty() { (&loaded.train, "train PSNR") } else { (&loaded.test, "test PSNR") };
-            let psnr = trainer.mean_psnr(views)?;
+            let held_out = !loaded.test.is_empty();
+            let psnr = trainer.mean_psnr(if held_out { &loaded.test } else { &loaded.train })?;
             let num_gaussians = trainer.num_gaussians();
-            run.append_metrics(&record.metrics(timestep, frame, psnr, seconds, num_gaussians))?;
+            let summary = TimestepSummary { timestep, frame, num_gaussians, psnr, held_out, seconds };
+            run.append_metrics(&record.metrics(&summary))?;
             run.save(timestep, &trainer.checkpoint()?)?;
-            if i == 0 {
-                progress.say(&format!("timestep   frame  Gaussians  {name}  seconds"))?;
-            }
-            let width = name.len();
-            progress
-                .say(&format!("{timestep:>8}  {frame:>6}  {num_gaussians:>9}  {psnr:>width$.2}  {seconds:>7.1}"))?;
+            tell(observer, Event::Timestep(&summary))?;
         }
-        anyhow::Ok(())
-    })?;
-    Ok(trainer)
+        Ok(trainer)
+    })
+}
+
+/// The loader hands over every frame or an error, so this tells of a panic there.
+fn loader_ended(capture: &Capture, frame: usize) -> PipelineError {
+    PipelineError::input(capture.name(), format!("no images of frame {frame}"), "a frame that can be decoded")
 }
 
 /// What one timestep is trained on, and judged by.
@@ -117,16 +157,16 @@ impl Record {
         }
     }
 
-    fn metrics(&self, timestep: usize, frame: usize, psnr: f64, seconds: f64, num_gaussians: usize) -> Value {
+    fn metrics(&self, summary: &TimestepSummary) -> Value {
         let averaged = self.iterations.min(AVERAGED_ITERATIONS) as f64;
         let losses: serde_json::Map<String, Value> =
             self.terms.iter().map(|&(name, sum)| (name.into(), json!(sum / averaged))).collect();
         json!({
-            "timestep": timestep,
-            "frame": frame,
-            "psnr": psnr,
-            "seconds": seconds,
-            "num_gaussians": num_gaussians,
+            "timestep": summary.timestep,
+            "frame": summary.frame,
+            "psnr": summary.psnr,
+            "seconds": summary.seconds,
+            "num_gaussians": summary.num_gaussians,
             "loss": self.loss / averaged,
             "losses": losses,
             "loss_curve": self.curve,

@@ -1,0 +1,30 @@
+//! Ctrl-C: the first asks the work to end cleanly, the second ends the process at once.
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Context;
+
+use crate::output::note;
+
+/// As a shell reports a process that SIGINT ended: 128 + 2.
+pub const EXIT_CODE: u8 = 130;
+
+static ASKED: AtomicBool = AtomicBool::new(false);
+
+/// Catches Ctrl-C (SIGINT) from now on. For commands that ask [`asked`] between steps; elsewhere Ctrl-C ends the process
+/// at once.
+pub fn catch() -> anyhow::Result<()> {
+    let handler = || {
+        if ASKED.swap(true, Ordering::SeqCst) {
+            std::process::exit(i32::from(EXIT_CODE));
+        }
+        note("ending cleanly; Ctrl-C again ends at once");
+    };
+    ctrlc::set_handler(handler).context("catching Ctrl-C")
+}
+
+/// Whether to go on.
+pub fn asked() -> ControlFlow<()> {
+    if ASKED.load(Ordering::SeqCst) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+}

@@ -1,0 +1,72 @@
+//! Tells people what happens in a long call: progress, a line a timestep, warnings; and stops it after Ctrl-C.
+
+use std::ops::ControlFlow;
+
+use tcgs_pipeline::{Event, Observer, PipelineError, TimestepSummary};
+
+use crate::interrupt;
+use crate::output::note;
+use crate::progress::Progress;
+
+/// The observer of every long call of the command line.
+#[derive(Default)]
+pub struct Teller {
+    progress: Option<Progress>,
+    /// Whether the table of timesteps has its head.
+    has_head: bool,
+    /// Standard output cannot be written.
+    failed: Option<anyhow::Error>,
+}
+
+impl Teller {
+    /// Makes a call with this observer. Where nobody can be told any more, that is the error.
+    pub fn watch<T>(mut self, call: impl FnOnce(&mut Self) -> Result<T, PipelineError>) -> anyhow::Result<T> {
+        let result = call(&mut self);
+        match self.failed {
+            Some(error) => Err(error),
+            None => Ok(result?),
+        }
+    }
+
+    fn step(&mut self, detail: impl FnOnce() -> String) {
+        if let Some(progress) = &mut self.progress {
+            progress.step(detail);
+        }
+    }
+
+    fn timestep(&mut self, summary: &TimestepSummary) -> anyhow::Result<()> {
+        let Some(progress) = &self.progress else { return Ok(()) };
+        let name = if summary.held_out { "test PSNR" } else { "train PSNR" };
+        if !self.has_head {
+            progress.say(&format!("timestep   frame  Gaussians  {name}  seconds"))?;
+            self.has_head = true;
+        }
+        let TimestepSummary { timestep, frame, num_gaussians, psnr, seconds, .. } = summary;
+        let width = name.len();
+        progress.say(&format!("{timestep:>8}  {frame:>6}  {num_gaussians:>9}  {psnr:>width$.2}  {seconds:>7.1}"))
+    }
+}
+
+impl Observer for Teller {
+    fn hear(&mut self, event: &Event) -> ControlFlow<()> {
+        match event {
+            Event::Begun { work, num_steps } => self.progress = Some(Progress::new(work.name(), *num_steps)),
+            Event::FewPoints { found, expected } => note(&format!(
+                "warning: {found} points to start from, expected {expected} or more: what lies far from all of them \
+                 stays empty; `tcgs prepare` makes points from the images, `--points FILE` takes others"
+            )),
+            Event::Iteration(p) => {
+                self.step(|| format!("timestep {}, {} Gaussians, loss {:.4}", p.timestep, p.num_gaussians, p.loss))
+            }
+            Event::Timestep(summary) => {
+                if let Err(error) = self.timestep(summary) {
+                    self.failed = Some(error);
+                    return ControlFlow::Break(());
+                }
+            }
+            Event::Frame(frame) => self.step(|| format!("frame {frame}")),
+            _ => {}
+        }
+        interrupt::asked()
+    }
+}

@@ -1,0 +1,97 @@
+//! What a long call tells while it runs, and how it is stopped.
+
+use std::ops::ControlFlow;
+
+use tcgs_train::Progress;
+
+use crate::PipelineError;
+use crate::train::TimestepSummary;
+
+/// Something that happened in a long call.
+#[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
+pub enum Event<'a> {
+    /// A part of the work begins; it has `num_steps` steps, each of which is told when it is done.
+    Begun {
+        /// Which part.
+        work: Work,
+        /// How many steps it has.
+        num_steps: usize,
+    },
+    /// A training starts from fewer points than a scene needs to become dense.
+    FewPoints {
+        /// Points there are.
+        found: usize,
+        /// Points from which on nothing would be said.
+        expected: usize,
+    },
+    /// A step of [`Work::Training`]: an iteration.
+    Iteration(&'a Progress),
+    /// A timestep is trained: its metrics and its checkpoint are on the disk.
+    Timestep(&'a TimestepSummary),
+    /// A step of any other work: an image of this frame is done.
+    Frame(usize),
+}
+
+/// A part of a long call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Work {
+    /// Iterations of all timesteps.
+    Training,
+    /// Images that are rendered and compared.
+    Evaluating,
+}
+
+impl Work {
+    /// In a word: `training`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Training => "training",
+            Self::Evaluating => "evaluating",
+        }
+    }
+}
+
+/// Hears of what happens in a long call, and may stop it. Every `FnMut(&Event) -> ControlFlow<()>` is one.
+///
+/// A call that is stopped returns [`PipelineError::Stopped`] and leaves nothing half-written.
+///
+/// ```
+/// use std::ops::ControlFlow;
+/// use tcgs_pipeline::{Event, Observer, Work};
+/// let mut steps = 0;
+/// let mut first_three = |event: &Event| {
+///     steps += usize::from(matches!(event, Event::Frame(_)));
+///     if steps < 3 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+/// };
+/// assert!(first_three.hear(&Event::Begun { work: Work::Evaluating, num_steps: 9 }).is_continue());
+/// ```
+pub trait Observer {
+    /// Called in the thread of the call, between two steps. [`ControlFlow::Break`] stops the call.
+    fn hear(&mut self, event: &Event) -> ControlFlow<()>;
+}
+
+impl<F: FnMut(&Event) -> ControlFlow<()>> Observer for F {
+    fn hear(&mut self, event: &Event) -> ControlFlow<()> {
+        self(event)
+    }
+}
+
+/// An observer that hears nothing and stops nothing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Unobserved;
+
+impl Observer for Unobserved {
+    fn hear(&mut self, _: &Event) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+}
+
+/// Tells an event; an observer that breaks off ends the call.
+pub(crate) fn tell(observer: &mut dyn Observer, event: Event) -> Result<(), PipelineError> {
+    match observer.hear(&event) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(PipelineError::Stopped),
+    }
+}

@@ -1,0 +1,28 @@
+//! From a capture to a run folder.
+
+mod fit;
+mod settings;
+
+use std::path::Path;
+
+use tcgs_capture::{Capture, Split};
+use tcgs_train::{TrainConfig, Trainer};
+
+use crate::{Backend, PipelineError};
+
+pub use fit::{TimestepSummary, fit};
+pub use settings::settings_for;
+
+/// A trainer before the first timestep of the frames that the settings name.
+///
+/// # Errors
+/// [`PipelineError`] if the capture lacks the first frame or training cameras, or there are no points to start from.
+pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -> Result<Trainer, PipelineError> {
+    let cameras = capture.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
+    let cameras: Vec<_> = cameras.into_iter().map(|(_, camera)| camera).collect();
+    let cloud = match config.data.points.as_str() {
+        "" => capture.point_cloud()?,
+        points => capture.clone().with_points(Path::new(points))?.point_cloud()?,
+    };
+    Ok(Trainer::with_engine(config, &cloud, &cameras, |state| backend.engine(state))?)
+}
