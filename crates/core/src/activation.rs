@@ -1,7 +1,6 @@
 //! From stored to drawn: unit quaternions, positive scales, opacities in (0, 1); and back for gradients.
 
-use rayon::prelude::*;
-
+use crate::parallel::{map, map_pairs};
 use crate::{Gaussians, Real, normalize, normalize_vjp};
 
 /// What a rasterizer draws. All arrays have length `N`; `colors` has `num_channels` a Gaussian.
@@ -73,9 +72,9 @@ pub fn sigmoid_vjp<R: Real>(value: R, v_value: R) -> R {
 pub fn activate(gaussians: &Gaussians) -> Activated {
     Activated {
         means: gaussians.means.clone(),
-        quats: gaussians.quats.par_iter().map(|&q| normalize(q)).collect(),
-        scales: gaussians.log_scales.par_iter().map(|s| s.map(f32::exp)).collect(),
-        opacities: gaussians.logit_opacities.par_iter().map(|&o| sigmoid(o)).collect(),
+        quats: map(&gaussians.quats, |&q| normalize(q)),
+        scales: map(&gaussians.log_scales, |s| s.map(f32::exp)),
+        opacities: map(&gaussians.logit_opacities, |&o| sigmoid(o)),
         colors: gaussians.colors.as_flattened().to_vec(),
         num_channels: 3,
     }
@@ -93,19 +92,9 @@ pub fn activate_bwd(gaussians: &Gaussians, activated: &Activated, grads: &Activa
     assert_eq!(grads.v_colors.len(), 3 * n, "v_colors: [{}] against [{n}, 3]", grads.v_colors.len());
     Gaussians {
         means: grads.v_means.clone(),
-        quats: gaussians.quats.par_iter().zip(&grads.v_quats).map(|(&q, &v)| normalize_vjp(q, v)).collect(),
-        log_scales: activated
-            .scales
-            .par_iter()
-            .zip(&grads.v_scales)
-            .map(|(s, v)| [s[0] * v[0], s[1] * v[1], s[2] * v[2]])
-            .collect(),
-        logit_opacities: activated
-            .opacities
-            .par_iter()
-            .zip(&grads.v_opacities)
-            .map(|(&o, &v)| sigmoid_vjp(o, v))
-            .collect(),
+        quats: map_pairs(&gaussians.quats, &grads.v_quats, |&q, &v| normalize_vjp(q, v)),
+        log_scales: map_pairs(&activated.scales, &grads.v_scales, |s, v| [s[0] * v[0], s[1] * v[1], s[2] * v[2]]),
+        logit_opacities: map_pairs(&activated.opacities, &grads.v_opacities, |&o, &v| sigmoid_vjp(o, v)),
         colors: grads.v_colors.as_chunks::<3>().0.to_vec(),
     }
 }

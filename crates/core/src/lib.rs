@@ -16,6 +16,7 @@ mod extent;
 mod gaussians;
 mod image;
 mod natural_key;
+mod parallel;
 mod quat;
 mod real;
 mod tour;

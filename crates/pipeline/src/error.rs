@@ -7,7 +7,7 @@ use tcgs_capture::CaptureError;
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
-use tcgs_render::gpu::GpuError;
+use tcgs_render::device::GpuError;
 use tcgs_train::TrainError;
 
 /// Why a call of this crate ended early. Every message is one line that names the culprit; a cause is part of the
@@ -75,6 +75,14 @@ pub enum PipelineError {
     /// The GPU.
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// This build lacks what was asked for.
+    #[error("this build has no {what}, expected one with feature {feature}")]
+    NotBuilt {
+        /// What it lacks.
+        what: &'static str,
+        /// The feature of cargo that brings it.
+        feature: &'static str,
+    },
 }
 
 impl PipelineError {
@@ -128,7 +136,7 @@ pub trait HasFault {
 impl HasFault for PipelineError {
     fn fault(&self) -> Fault {
         match self {
-            Self::Input { .. } | Self::Frames { .. } => Fault::Input,
+            Self::Input { .. } | Self::Frames { .. } | Self::NotBuilt { .. } => Fault::Input,
             Self::Stopped => Fault::Stopped,
             Self::Unreadable { error, .. } => error.fault(),
             Self::Decode { error, .. } => error.fault(),

@@ -41,7 +41,7 @@ pub use stage::{Shot, Stage, Still};
 pub use start_view::start_view;
 pub use viewer::{Frame, Viewer};
 
-/// Every shader of this crate with its name, as the GPU gets it; see [`tcgs_render::gpu::sources`] for the others.
+/// Every shader of this crate with its name, as the GPU gets it; see [`tcgs_render::device::sources`] for the others.
 pub fn sources() -> Vec<(String, String)> {
     let mut sources = reconstruct::sources();
     sources.push(("blit".into(), blit::SOURCE.into()));

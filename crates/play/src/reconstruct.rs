@@ -7,8 +7,8 @@
 use bytemuck::{Pod, Zeroable};
 use tcgs_codec::{Keypoints, Segment};
 use tcgs_core::{Attribute, activate, normalize};
-use tcgs_render::device::{Wgsl, pack};
-use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X, WORKGROUP};
+use tcgs_render::device::{MAX_GROUPS_X, WORKGROUP, Wgsl, pack};
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]

@@ -6,6 +6,7 @@ use tcgs_capture::{Capture, Split};
 use tcgs_codec::{BitMap, BitSettings, assign_bits};
 use tcgs_core::{Attribute, Camera, DynamicGaussians, Gaussians, Tour};
 use tcgs_pipeline::{OpenScene, SceneContent};
+use tcgs_render::CpuRasterizer;
 
 use super::scene::Settings;
 
@@ -36,7 +37,7 @@ pub fn measured_bits(
     for turn in 0..count {
         let gaussians = floats.at(turn * last / (count - 1).max(1));
         let of_turn: Vec<Camera> = cameras.iter().skip(turn).step_by(count).cloned().collect();
-        let sensitivity = tcgs_train::sensitivity(&tcgs_render::CpuRasterizer, &gaussians, &of_turn)?;
+        let Ok(sensitivity) = tcgs_train::sensitivity(&CpuRasterizer, &gaussians, &of_turn);
         for attribute in Attribute::ALL {
             let (row, rows) = (attribute.components(), sum.values_mut(attribute));
             rows.iter_mut().zip(sensitivity.values(attribute)).for_each(|(sum, s)| *sum += s / count as f32);

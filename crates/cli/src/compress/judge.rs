@@ -8,7 +8,7 @@ use tcgs_codec::CompactScene;
 use tcgs_core::{Camera, Image, Tour, activate};
 use tcgs_metrics::psnr;
 use tcgs_pipeline::{OpenScene, SceneContent};
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::{DrawAny, RenderSettings};
 
 use crate::error::wrong_input;
 
@@ -46,19 +46,19 @@ pub struct Judge {
     pub of: String,
     /// Whether they are a capture's.
     pub of_capture: bool,
-    renderer: Box<dyn Draw>,
+    renderer: Box<DrawAny>,
 }
 
 impl Judge {
     /// Decodes or renders the images.
-    pub fn new(scene: &OpenScene, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+    pub fn new(scene: &OpenScene, images: &Images, renderer: Box<DrawAny>) -> anyhow::Result<Self> {
         match &images.capture {
             Some(path) => Self::of_capture(scene, path, images, renderer),
             None => Self::of_source(scene, images, renderer),
         }
     }
 
-    fn of_capture(scene: &OpenScene, path: &Path, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+    fn of_capture(scene: &OpenScene, path: &Path, images: &Images, renderer: Box<DrawAny>) -> anyhow::Result<Self> {
         let capture = Capture::open(path)?;
         let frames = scene.choose_frames(images.frames.as_ref())?;
         // The last frame is looked for before the first is decoded.
@@ -78,7 +78,7 @@ impl Judge {
         Ok(Self { goals, of, of_capture: true, renderer })
     }
 
-    fn of_source(scene: &OpenScene, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+    fn of_source(scene: &OpenScene, images: &Images, renderer: Box<DrawAny>) -> anyhow::Result<Self> {
         let frames = scene.choose_frames(images.frames.as_ref())?;
         let cameras = cameras(scene)?;
         let mut goals = Vec::new();

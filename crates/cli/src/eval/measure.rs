@@ -9,7 +9,7 @@ use tcgs_metrics::{
     Backbone, InputRange, Lpips, Protocol, dssim, flicker, ms_ssim, psnr, psnr_masked, psnr_per_channel, ssim,
 };
 use tcgs_pipeline::OpenScene;
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::{DrawAny, RenderSettings};
 
 use crate::error::wrong_input;
 use crate::progress::Progress;
@@ -91,7 +91,7 @@ pub fn evaluate(
     scene: &OpenScene,
     capture: &Capture,
     settings: &Settings,
-    renderer: &dyn Draw,
+    renderer: &DrawAny,
 ) -> anyhow::Result<Evaluation> {
     let Settings { split, ref frames, downscale, frozen, .. } = *settings;
     // The last frame is looked for before the first is rendered.

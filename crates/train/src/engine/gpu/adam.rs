@@ -3,8 +3,8 @@
 //! The floor is memory: 28 bytes a value that moves (value, gradient and two moments in, all but the
 //! gradient out), nothing for a group that does not; a Gaussian has 15 values, 11 after the first timestep.
 
-use tcgs_render::device::Wgsl;
-use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X};
+use tcgs_render::device::{MAX_GROUPS_X, Wgsl};
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::step::source;
 

@@ -26,7 +26,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use tcgs_core::{Activated, Attribute, Camera, Gaussians, Image};
-use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
+use tcgs_render::device::Capacity;
+use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
 
 pub use activate::{ActivateBuffers, ActivateKernels};

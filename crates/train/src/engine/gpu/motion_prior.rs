@@ -27,7 +27,8 @@
 //! `prior_gaussians` moves 80 bytes a Gaussian, 48 more of the foreground and 88 more of the background: 51 MB.
 
 use tcgs_core::normalize;
-use tcgs_render::gpu::{Bound, Gpu, GpuError, WORKGROUP};
+use tcgs_render::device::WORKGROUP;
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::neighbor_lists::{self, NeighborLists};
 use super::step::source;

@@ -10,8 +10,7 @@
 //! together.
 
 use rayon::prelude::*;
-use tcgs_render::device::Wgsl;
-use tcgs_render::gpu::WORKGROUP;
+use tcgs_render::device::{WORKGROUP, Wgsl};
 
 use crate::engine::cpu::Neighbors;
 
