@@ -2,18 +2,18 @@
 //!
 //! `cargo run --release --example first_splat` writes `first_splat.png`.
 
-use tcgs_core::{Camera, Gaussians, Image, activate, activate_bwd};
+use tcgs_core::{BaseColumns, Camera, Gaussians, Image, activate, activate_bwd};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 
 fn main() -> anyhow::Result<()> {
     // As stored: logarithms of the standard deviations, the opacities before the logistic function.
-    let scene = Gaussians {
+    let scene = Gaussians::from(BaseColumns {
         means: vec![[-0.5, 0.1, 0.0], [0.5, 0.0, 0.2], [0.0, -0.4, -0.2]],
         quats: vec![[1.0, 0.0, 0.0, 0.0], [0.9, 0.0, 0.0, 0.4], [1.0, 0.0, 0.0, 0.0]],
         log_scales: vec![[-1.5, -1.5, -1.5], [-1.0, -2.0, -2.0], [-2.0, -1.2, -2.0]],
         logit_opacities: vec![3.0, 3.0, 1.0],
         colors: vec![[0.9, 0.3, 0.2], [0.2, 0.5, 0.9], [0.95, 0.8, 0.3]],
-    };
+    });
     // Axes: x right, y down, z forward. What is up has a negative y.
     let camera = Camera::look_at([0.0, 0.0, -2.5], [0.0; 3], [0.0, -1.0, 0.0], 500.0, 640, 480);
 
@@ -29,6 +29,6 @@ fn main() -> anyhow::Result<()> {
     let grads = rasterizer.backward(&activated, &camera, &settings, &saved, &v_image)?;
     // By convention `v_x` is the gradient of the result with respect to `x`.
     let v_scene = activate_bwd(&scene, &activated, &grads.activated);
-    println!("first_splat.png; moving each centre changes the red of the middle pixel by {:.3?}", v_scene.means);
+    println!("first_splat.png; moving each centre changes the red of the middle pixel by {:.3?}", v_scene.means());
     Ok(())
 }

@@ -31,7 +31,7 @@ fn main() -> anyhow::Result<()> {
                     let (timesteps, shown) = (segment.timesteps(), segment.num_gaussians());
                     // Any timestep of a segment can be had, in any order; one after another is cheapest.
                     let mut sampler = Sampler::new(&segment);
-                    let mean = sampler.at(timesteps.start).means.first();
+                    let mean = sampler.at(timesteps.start).means().first();
                     println!(
                         "{received:>9} bytes: timesteps {timesteps:?} with {shown} Gaussians, the first at {mean:?}"
                     );

@@ -76,7 +76,7 @@ fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
     say(&format!("not packed    {} ({:.1} times as much)", show_bytes(plain), plain as f64 / info.bytes as f64))?;
 
     say("\nattribute            bytes  keypoints a track  bits: share of the Gaussians")?;
-    for (attribute, bytes) in Attribute::ALL.into_iter().zip(info.bytes_by_attribute()) {
+    for (attribute, bytes) in Attribute::BASE.into_iter().zip(info.bytes_by_attribute()) {
         let index = attribute.index();
         say(&format!(
             "{:<15}  {:>9}  {:>17.2}  {}",
@@ -120,7 +120,7 @@ fn print_sections(info: &FileInfo) -> anyhow::Result<()> {
 
 fn machine_readable(info: &FileInfo) -> Value {
     let by_attribute = |value: &dyn Fn(usize) -> Value| -> Value {
-        Attribute::ALL.iter().map(|a| (a.name().to_owned(), value(a.index()))).collect::<Map<_, _>>().into()
+        Attribute::BASE.iter().map(|a| (a.name().to_owned(), value(a.index()))).collect::<Map<_, _>>().into()
     };
     let bytes = info.bytes_by_attribute();
     let contents = info.contents.as_ref();

@@ -235,7 +235,7 @@ fn a_run_goes_to_params_npz_and_from_there_to_a_file() {
     succeed(&["export", text(&precise), "--to", text(&back)]);
     let back = read_params_npz(&back).unwrap();
     let sorted = |scene: &tcgs_core::DynamicGaussians| {
-        let mut x: Vec<f32> = scene.means[3].iter().map(|mean| mean[0]).collect();
+        let mut x: Vec<f32> = scene.means(3).iter().map(|mean| mean[0]).collect();
         x.sort_by(f32::total_cmp);
         x
     };

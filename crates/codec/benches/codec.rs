@@ -61,12 +61,12 @@ fn scene(criterion: &mut Criterion) {
     let floats = |segments: &[Segment]| -> f32 {
         let all = |segment: &Segment| -> f32 {
             let mut sampler = Sampler::new(segment);
-            segment.timesteps().map(|t| black_box(sampler.at(t)).means[0][0]).sum()
+            segment.timesteps().map(|t| black_box(sampler.at(t)).means()[0][0]).sum()
         };
         segments.iter().map(all).sum()
     };
     let decoded = segments();
-    let expected: f32 = decoded.iter().flat_map(Segment::timesteps).map(|t| compact.at(t).means[0][0]).sum();
+    let expected: f32 = decoded.iter().flat_map(Segment::timesteps).map(|t| compact.at(t).means()[0][0]).sum();
     assert!((floats(&decoded) - expected).abs() < 1e-3 * expected.abs());
     println!(
         "{} bytes; a segment holds {} bytes of keypoints, {} of floats",
@@ -110,7 +110,7 @@ fn named_file(criterion: &mut Criterion) {
     group.bench_function(format!("first segment, {:?}", segment.timesteps()), |b| b.iter(|| one_thread.install(read)));
     group.bench_function("its keypoints to floats", |b| b.iter(|| Sampler::new(black_box(&segment))));
     group.bench_function("all its timesteps", |b| {
-        b.iter(|| segment.timesteps().map(|t| sampler.at(black_box(t)).means[0][0]).sum::<f32>());
+        b.iter(|| segment.timesteps().map(|t| sampler.at(black_box(t)).means()[0][0]).sum::<f32>());
     });
     group.finish();
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Attribute, Gaussians, Sensitivity};
 
 use crate::error::CompressError;
 use crate::quantize::MAX_BITS;
@@ -23,7 +23,7 @@ impl BitMap {
     /// ```
     pub fn uniform(num_gaussians: usize, position_bits: u8, bits: u8) -> Self {
         Self {
-            widths: Attribute::ALL
+            widths: Attribute::BASE
                 .map(|a| vec![if a == Attribute::Mean { position_bits } else { bits }; num_gaussians]),
         }
     }
@@ -96,12 +96,12 @@ impl Default for BitSettings {
 }
 
 fn mixed() -> impl Iterator<Item = Attribute> {
-    Attribute::ALL.into_iter().filter(|&a| a != Attribute::Mean)
+    Attribute::BASE.into_iter().filter(|&a| a != Attribute::Mean)
 }
 
 /// Bits for every Gaussian and attribute from how much the images depend on it.
 ///
-/// - `sensitivity`: `S(θ) >= 0`, in the shape of [`Gaussians`] (paper 4.1.2)
+/// - `sensitivity`: `S(θ) >= 0`, of the same Gaussians (paper 4.1.2)
 /// - `stored`: the values themselves, for their spread
 /// - returns: a width per Gaussian and attribute; means always get `position_bits`
 ///
@@ -120,9 +120,10 @@ fn mixed() -> impl Iterator<Item = Attribute> {
 ///
 /// ```
 /// use tcgs_codec::{BitSettings, assign_bits};
-/// use tcgs_core::Gaussians;
-/// let stored = Gaussians { logit_opacities: vec![-1.0, 1.0], ..Gaussians::zeros(2) };
-/// let sensitivity = Gaussians { logit_opacities: vec![0.1, 0.8], ..Gaussians::zeros(2) };
+/// use tcgs_core::{Gaussians, Sensitivity};
+/// let (mut stored, mut sensitivity) = (Gaussians::zeros(2), Sensitivity::zeros(2));
+/// stored.logit_opacities_mut().copy_from_slice(&[-1.0, 1.0]);
+/// sensitivity.logit_opacities_mut().copy_from_slice(&[0.1, 0.8]);
 /// let map = assign_bits(&sensitivity, &stored, &BitSettings::default())?;
 /// assert!(map.widths[3][1] > map.widths[3][0]);
 /// # Ok::<(), tcgs_codec::CompressError>(())
@@ -132,7 +133,7 @@ fn mixed() -> impl Iterator<Item = Attribute> {
 /// [`CompressError`] if the two disagree in the number of Gaussians, a sensitivity is negative or not finite, a
 /// stored value is not finite, or the settings are out of range (`1 <= min_bits <= max_bits <= 16`).
 pub fn assign_bits(
-    sensitivity: &Gaussians,
+    sensitivity: &Sensitivity,
     stored: &Gaussians,
     settings: &BitSettings,
 ) -> Result<BitMap, CompressError> {
@@ -151,7 +152,7 @@ pub fn assign_bits(
     if !mean_bits.is_finite() {
         return invalid("mean_bits", mean_bits.into(), "a finite number");
     }
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let (name, components) = (attribute.name(), attribute.components());
         let (s, v) = (sensitivity.values(attribute), stored.values(attribute));
         if s.len() != v.len() {
@@ -179,7 +180,7 @@ pub fn assign_bits(
     Ok(map)
 }
 
-fn assign_linear(sensitivity: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
+fn assign_linear(sensitivity: &Sensitivity, settings: &BitSettings, map: &mut BitMap) {
     let all = || mixed().flat_map(|a| sensitivity.values(a).iter().copied());
     let (lowest, highest) = all().fold((f32::INFINITY, 0.0_f32), |(low, high), s| (low.min(s), high.max(s)));
     let (min_bits, range) = (f32::from(settings.min_bits), f32::from(settings.max_bits - settings.min_bits));
@@ -193,9 +194,9 @@ fn assign_linear(sensitivity: &Gaussians, settings: &BitSettings, map: &mut BitM
     }
 }
 
-fn assign_log(sensitivity: &Gaussians, stored: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
+fn assign_log(sensitivity: &Sensitivity, stored: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
     // `[attribute][N]` of log2 w; minus infinity, hence the fewest bits, where nothing depends on the value.
-    let log_weights = Attribute::ALL.map(|attribute| {
+    let log_weights = Attribute::BASE.map(|attribute| {
         if attribute == Attribute::Mean {
             return Vec::new();
         }
@@ -246,9 +247,9 @@ mod tests {
     use super::*;
 
     /// `n` Gaussians whose sensitivities span several orders of magnitude, and values of different spread.
-    fn example(n: usize) -> (Gaussians, Gaussians) {
-        let (mut sensitivity, mut stored) = (Gaussians::zeros(n), Gaussians::zeros(n));
-        for attribute in Attribute::ALL {
+    fn example(n: usize) -> (Sensitivity, Gaussians) {
+        let (mut sensitivity, mut stored) = (Sensitivity::zeros(n), Gaussians::zeros(n));
+        for attribute in Attribute::BASE {
             let scale = 10.0_f32.powi(attribute.index() as i32 - 2);
             for (i, s) in sensitivity.values_mut(attribute).iter_mut().enumerate() {
                 *s = 10.0_f32.powf((i * 7919 % 1000) as f32 / 200.0 - 4.0);
@@ -311,7 +312,7 @@ mod tests {
             let map = assign_bits(&sensitivity, &stored, &BitSettings { mapping, ..Default::default() }).unwrap();
             let index = Attribute::LogitOpacity.index();
             let mut pairs: Vec<(f32, u8)> =
-                sensitivity.logit_opacities.iter().copied().zip(map.widths[index].iter().copied()).collect();
+                sensitivity.logit_opacities().iter().copied().zip(map.widths[index].iter().copied()).collect();
             pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
             assert!(pairs.is_sorted_by_key(|p| p.1) && pairs[0].1 < pairs[pairs.len() - 1].1, "{mapping:?}");
         }
@@ -319,10 +320,10 @@ mod tests {
 
     #[test]
     fn linear_mapping_is_the_papers() {
-        let (mut sensitivity, stored) = (Gaussians::zeros(3), Gaussians::zeros(3));
-        sensitivity.means[0] = [100.0; 3]; // positions take no part
-        sensitivity.colors[0] = [0.0, 8.0, 1.0];
-        sensitivity.colors[1] = [0.0, 3.0, 1.0];
+        let (mut sensitivity, stored) = (Sensitivity::zeros(3), Gaussians::zeros(3));
+        sensitivity.means_mut()[0] = [100.0; 3]; // positions take no part
+        sensitivity.colors_mut()[0] = [0.0, 8.0, 1.0];
+        sensitivity.colors_mut()[1] = [0.0, 3.0, 1.0];
         let map =
             assign_bits(&sensitivity, &stored, &BitSettings { mapping: BitMapping::Linear, ..Default::default() })
                 .unwrap();
@@ -337,19 +338,19 @@ mod tests {
         let (sensitivity, stored) = example(20);
         let settings = BitSettings { min_bits: 6, max_bits: 6, ..Default::default() };
         assert_eq!(assign_bits(&sensitivity, &stored, &settings).unwrap(), BitMap::uniform(20, 16, 6));
-        let nothing = assign_bits(&Gaussians::zeros(20), &stored, &BitSettings::default()).unwrap();
+        let nothing = assign_bits(&Sensitivity::zeros(20), &stored, &BitSettings::default()).unwrap();
         assert_eq!(nothing, BitMap::uniform(20, 16, 4));
-        assert_eq!(assign_bits(&Gaussians::zeros(0), &Gaussians::zeros(0), &settings).unwrap().mean_bits(), 0.0);
+        assert_eq!(assign_bits(&Sensitivity::zeros(0), &Gaussians::zeros(0), &settings).unwrap().mean_bits(), 0.0);
     }
 
     #[test]
     fn what_is_out_of_range_is_refused() {
         let (sensitivity, stored) = example(20);
-        let says = |sensitivity: &Gaussians, settings: BitSettings, message: &str| {
+        let says = |sensitivity: &Sensitivity, settings: BitSettings, message: &str| {
             assert_eq!(assign_bits(sensitivity, &stored, &settings).unwrap_err().to_string(), message);
         };
         let default = BitSettings::default;
-        says(&Gaussians::zeros(19), default(), "invalid number of sensitivities of means: found 57, expected 60");
+        says(&Sensitivity::zeros(19), default(), "invalid number of sensitivities of means: found 57, expected 60");
         let mut negative = sensitivity.clone();
         negative.values_mut(Attribute::Color)[7] = -1.0;
         let message = "invalid sensitivity of colors of Gaussian 2: found -1, expected a finite number, 0 or more";

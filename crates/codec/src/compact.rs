@@ -3,7 +3,7 @@
 //! The rules that every scene obeys, whether it was compressed here or read from a file, stand once,
 //! in [`CompactScene::check`]. How symbols become bytes is no matter of this module.
 
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians, normalize};
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout, normalize};
 
 use crate::bits::BitMap;
 use crate::keypoints::{lerp, locate};
@@ -243,14 +243,13 @@ impl CompactScene {
     pub fn reconstruct(&self) -> DynamicGaussians {
         let over_time = |attribute| (0..self.num_timesteps()).map(move |t| self.values_at(attribute, t));
         // Scales and opacities that do not vary are held once.
-        let once = |attribute: Attribute| if self.varies[attribute.index()] { self.num_timesteps() } else { 1 };
-        DynamicGaussians {
-            means: over_time(Attribute::Mean).map(into_rows).collect(),
-            quats: over_time(Attribute::Quat).map(into_rows).collect(),
-            colors: over_time(Attribute::Color).map(into_rows).collect(),
-            log_scales: over_time(Attribute::LogScale).take(once(Attribute::LogScale)).map(into_rows).collect(),
-            logit_opacities: over_time(Attribute::LogitOpacity).take(once(Attribute::LogitOpacity)).collect(),
-        }
+        let layout = Layout::base();
+        let once = |attribute: Attribute| {
+            let varies = self.varies[attribute.index()] || layout.column(attribute).varies;
+            if varies { self.num_timesteps() } else { 1 }
+        };
+        let samples = Attribute::BASE.map(|attribute| over_time(attribute).take(once(attribute)).collect()).into();
+        DynamicGaussians::from_samples(Layout::base(), self.num_timesteps(), samples)
     }
 
     /// One timestep as floats.
@@ -259,13 +258,8 @@ impl CompactScene {
     /// If `timestep` is not below [`Self::num_timesteps`].
     pub fn at(&self, timestep: usize) -> Gaussians {
         assert!(timestep < self.num_timesteps(), "timestep {timestep} of {}", self.num_timesteps());
-        Gaussians {
-            means: into_rows(self.values_at(Attribute::Mean, timestep)),
-            quats: into_rows(self.values_at(Attribute::Quat, timestep)),
-            log_scales: into_rows(self.values_at(Attribute::LogScale, timestep)),
-            logit_opacities: self.values_at(Attribute::LogitOpacity, timestep),
-            colors: into_rows(self.values_at(Attribute::Color, timestep)),
-        }
+        let values = Attribute::BASE.map(|attribute| self.values_at(attribute, timestep)).into();
+        Gaussians::new(Layout::base(), self.num_gaussians(), values)
     }
 
     /// `[N * components]` of one attribute at one timestep.
@@ -298,7 +292,7 @@ impl CompactScene {
     pub(crate) fn check(&self) -> Result<(), Violation> {
         self.info.check()?;
         check_division(self.info.num_gaussians, &self.layers, self.segment_length)?;
-        Attribute::ALL.into_iter().try_for_each(|attribute| {
+        Attribute::BASE.into_iter().try_for_each(|attribute| {
             let violation = |field, problem| Violation { attribute: Some(attribute), field, problem };
             self.check_quantizers(attribute)?;
             let components = attribute.components();
@@ -389,8 +383,4 @@ pub(crate) fn unit_quat(quat: [f32; 4]) -> [f32; 4] {
     let unit = normalize(quat);
     // Lengths below about 1e-19 vanish when squared: left as they are by `normalize`.
     if unit.iter().map(|x| x * x).sum::<f32>() > 0.5 { unit } else { [1.0, 0.0, 0.0, 0.0] }
-}
-
-fn into_rows<const C: usize>(values: Vec<f32>) -> Vec<[f32; C]> {
-    values.as_chunks::<C>().0.to_vec()
 }

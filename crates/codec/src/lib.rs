@@ -25,8 +25,8 @@ mod quantize;
 
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 pub use bitstream::{
-    Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Keypoints, Opening, Sampler, SectionInfo, Segment,
-    application_data, decode, inspect,
+    Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Keypoints, MAGIC, Opening, Sampler, SectionInfo,
+    Segment, application_data, decode, inspect,
 };
 #[cfg(feature = "encode")]
 pub use bitstream::{encode, encode_with};

@@ -45,7 +45,7 @@ fn reconstruction_stays_within_tolerance() {
     let settings = as_told();
     let (compact, order) = compress_all(&scene, 8, &settings);
     let (expected, found) = (scene.select(&order), compact.reconstruct());
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         // Tolerance of the tracks and error of rounding, step²/12, add up at most as lengths.
         let steps = compact.quantizers.attributes[attribute.index()].values().flatten().map(|q| f64::from(q.step));
         let step = steps.fold(0.0, f64::max);
@@ -58,7 +58,7 @@ fn reconstruction_stays_within_tolerance() {
         let error = mse(attribute, &expected, &found);
         assert!(error <= bound, "{attribute:?}: {error} against {bound}");
     }
-    for quat in found.quats.iter().flatten() {
+    for quat in (0..found.num_timesteps()).flat_map(|timestep| found.quats(timestep)) {
         assert!((dot(*quat, *quat) - 1.0).abs() < 1e-5);
     }
 }
@@ -70,7 +70,7 @@ fn without_keypoints_only_rounding_is_left() {
     let (compact, order) = compress_all(&scene, 16, &settings);
     assert_eq!(compact.keypoints_mean(), [9.0, 9.0, 1.0, 1.0, 9.0]);
     let (expected, found) = (scene.select(&order), compact.reconstruct());
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let range = if attribute == Attribute::LogitOpacity { 20.0 } else { 8.0 };
         let error = mse(attribute, &expected, &found);
         assert!(error < (range / 65_536.0_f64).powi(2), "{attribute:?}: {error}");
@@ -91,10 +91,10 @@ fn scales_and_opacities_may_vary() {
     let mut scene = scenes::room(200, 1);
     for timestep in 1..12 {
         let mut now = scene.at(0);
-        for opacity in &mut now.logit_opacities[..50] {
+        for opacity in &mut now.logit_opacities_mut()[..50] {
             *opacity -= 0.5 * timestep as f32;
         }
-        for scales in &mut now.log_scales[50..80] {
+        for scales in &mut now.log_scales_mut()[50..80] {
             *scales = scales.map(|s| s + 0.3 * (timestep as f32).sin());
         }
         scene.push(now);
@@ -162,9 +162,11 @@ fn signs_of_quaternions_do_not_matter() {
     let scene = scenes::room(100, 12);
     let mut flipped = scene.clone();
     let random = &mut Random(3);
-    for quat in flipped.quats.iter_mut().flatten() {
-        let factor = if random.uniform() < 0.5 { 2.0 } else { -0.5 };
-        *quat = quat.map(|x| factor * x);
+    for timestep in 0..flipped.num_timesteps() {
+        for quat in flipped.quats_mut(timestep) {
+            let factor = if random.uniform() < 0.5 { 2.0 } else { -0.5 };
+            *quat = quat.map(|x| factor * x);
+        }
     }
     let settings = as_told();
     assert_eq!(compress_all(&scene, 8, &settings), compress_all(&flipped, 8, &settings));
@@ -175,7 +177,7 @@ fn a_learned_quantizer_is_kept_where_it_is_best() {
     let mut scene = scenes::room(400, 1);
     let learned_quantizer = Quantizer::new(0.071, -3.3, 5).unwrap();
     let opacities = Attribute::LogitOpacity;
-    for x in &mut scene.logit_opacities[0] {
+    for x in scene.logit_opacities_mut(0) {
         *x = learned_quantizer.dequantize(learned_quantizer.quantize(*x));
     }
     let mut learned = Quantizers::default();
@@ -202,8 +204,8 @@ fn gaussians_follow_a_curve_and_keep_their_values() {
     let step = |means: &[[f32; 3]]| -> f32 {
         means.windows(2).map(|pair| (0..3).map(|c| (pair[0][c] - pair[1][c]).powi(2)).sum::<f32>().sqrt()).sum()
     };
-    let after = step(&compact.at(0).means);
-    assert!(after < 0.1 * step(&scene.means[0]), "neighbours in the file are neighbours in space");
+    let after = step(compact.at(0).means());
+    assert!(after < 0.1 * step(scene.means(0)), "neighbours in the file are neighbours in space");
     assert!(mse(Attribute::LogScale, &scene.select(&order), &compact.reconstruct()) < 1e-8);
 }
 
@@ -214,9 +216,9 @@ fn layers_hold_the_most_important_first() {
     let (compact, order) = compress_all(&scene, 8, &settings);
     assert_eq!(compact.layers, [100, 200, 700]);
     let area = |g: usize| {
-        let mut axes = scene.log_scales[0][g];
+        let mut axes = scene.log_scales(0)[g];
         axes.sort_by(f32::total_cmp);
-        2.0 * tcgs_core::sigmoid(scene.logit_opacities[0][g]).ln() + axes[1] + axes[2]
+        2.0 * tcgs_core::sigmoid(scene.logit_opacities(0)[g]).ln() + axes[1] + axes[2]
     };
     let lowest = |range: std::ops::Range<usize>| order[range].iter().map(|&g| area(g)).fold(f32::MAX, f32::min);
     let highest = |range: std::ops::Range<usize>| order[range].iter().map(|&g| area(g)).fold(f32::MIN, f32::max);
@@ -276,9 +278,9 @@ fn a_fraction_of_a_bit_goes_to_those_that_cover_most() {
     assert_eq!(widths.iter().filter(|&&w| w == 6).count(), 125);
     assert!(widths.iter().all(|&w| w == 5 || w == 6));
     let area = |g: usize| {
-        let mut scales = scene.log_scales[0][order[g]];
+        let mut scales = scene.log_scales(0)[order[g]];
         scales.sort_by(f32::total_cmp);
-        2.0 * tcgs_core::sigmoid(scene.logit_opacities[0][order[g]]).ln() + scales[1] + scales[2]
+        2.0 * tcgs_core::sigmoid(scene.logit_opacities(0)[order[g]]).ln() + scales[1] + scales[2]
     };
     let least = (0..500).filter(|&g| widths[g] == 6).map(area).fold(f32::MAX, f32::min);
     assert!((0..500).filter(|&g| widths[g] == 5).all(|g| area(g) <= least));
@@ -294,7 +296,7 @@ fn quality_orders_files_by_size_and_error() {
         let settings = default.clone().with_quality(quality);
         let (compact, order) = compress_ordered(&scene, &bit_map, None, SceneInfo::of(&scene), &settings).unwrap();
         let (expected, found) = (scene.select(&order), compact.reconstruct());
-        (encode(&compact).unwrap().len(), Attribute::ALL.map(|a| mse(a, &expected, &found)))
+        (encode(&compact).unwrap().len(), Attribute::BASE.map(|a| mse(a, &expected, &found)))
     };
     let curve: Vec<_> = (-12..=16).map(|half| outcome(half as f32 / 2.0)).collect();
     for (i, pair) in curve.windows(2).enumerate() {
@@ -303,7 +305,7 @@ fn quality_orders_files_by_size_and_error() {
     }
     // Over two steps of quality every attribute errs less.
     for (i, (worse, better)) in curve.iter().zip(&curve[4..]).enumerate() {
-        for a in Attribute::ALL {
+        for a in Attribute::BASE {
             let (worse, better) = (worse.1[a.index()], better.1[a.index()]);
             assert!(better <= worse, "{a:?} from quality {}: {worse} and {better}", i as f32 / 2.0 - 6.0);
         }
@@ -313,10 +315,10 @@ fn quality_orders_files_by_size_and_error() {
 #[test]
 fn what_shows_is_followed_more_closely() {
     let mut scene = scenes::room(400, 24);
-    for (i, opacity) in scene.logit_opacities[0].iter_mut().enumerate() {
+    for (i, opacity) in scene.logit_opacities_mut(0).iter_mut().enumerate() {
         *opacity = if i % 2 == 0 { 4.0 } else { -3.0 };
     }
-    scene.log_scales[0].fill([-3.8; 3]);
+    scene.log_scales_mut(0).fill([-3.8; 3]);
     let settings = CompressSettings { importance: 1.0, noise_floor: false, layers: Vec::new(), ..as_told() };
     let (compact, order) = compress_all(&scene, 16, &settings);
     let keypoints = |even: bool| -> usize {
@@ -363,11 +365,11 @@ fn what_cannot_be_compressed_is_refused() {
     };
     let (scene, map) = (scenes::room(10, 2), BitMap::uniform(10, 16, 8));
     let mut broken = scene.clone();
-    broken.colors[1][3][2] = f32::NAN;
+    broken.colors_mut(1)[3][2] = f32::NAN;
     let message = "invalid colors of Gaussian 3 at timestep 1: found NaN, expected a finite number";
     says(&broken, &map, &as_told(), message);
-    broken.colors[1][3][2] = f32::MAX;
-    broken.colors[0][3][2] = f32::MIN;
+    broken.colors_mut(1)[3][2] = f32::MAX;
+    broken.colors_mut(0)[3][2] = f32::MIN;
     let error = compress(&broken, &BitMap::uniform(10, 16, 1), None, SceneInfo::of(&broken), &as_told()).unwrap_err();
     assert!(error.to_string().ends_with("the step is not a positive finite number"), "{error}");
     let message = "invalid number of bit widths of means: found 9, expected 10";

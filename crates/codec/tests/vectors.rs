@@ -55,9 +55,9 @@ fn describe(scene: &CompactScene) -> Value {
     let values = |timestep: usize| {
         let now = scene.at(timestep);
         let of = |a: Attribute| (a.name().to_owned(), json!(now.values(a)));
-        json!({ "timestep": timestep, "values": Attribute::ALL.map(of).into_iter().collect::<serde_json::Map<_, _>>() })
+        json!({ "timestep": timestep, "values": Attribute::BASE.map(of).into_iter().collect::<serde_json::Map<_, _>>() })
     };
-    let attributes = Attribute::ALL.map(|a| (a.name().to_owned(), attribute(a)));
+    let attributes = Attribute::BASE.map(|a| (a.name().to_owned(), attribute(a)));
     json!({
         "num_gaussians": info.num_gaussians,
         "num_timesteps": info.num_timesteps,

@@ -1,7 +1,9 @@
 //! From stored to drawn: unit quaternions, positive scales, opacities in (0, 1); and back for gradients.
 
+use std::sync::Arc;
+
 use crate::parallel::{map, map_pairs};
-use crate::{Gaussians, Real, normalize, normalize_vjp};
+use crate::{Attribute, GaussianGrads, Gaussians, Real, normalize, normalize_vjp};
 
 /// What a rasterizer draws. All arrays have length `N`; `colors` has `num_channels` a Gaussian.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -65,43 +67,51 @@ pub fn sigmoid_vjp<R: Real>(value: R, v_value: R) -> R {
 /// ```
 /// use tcgs_core::{Gaussians, activate};
 /// let mut gaussians = Gaussians::zeros(1);
-/// gaussians.quats[0] = [2.0, 0.0, 0.0, 0.0];
+/// gaussians.quats_mut()[0] = [2.0, 0.0, 0.0, 0.0];
 /// let drawn = activate(&gaussians);
 /// assert_eq!((drawn.quats[0][0], drawn.scales[0][0], drawn.opacities[0]), (1.0, 1.0, 0.5));
 /// ```
 pub fn activate(gaussians: &Gaussians) -> Activated {
     Activated {
-        means: gaussians.means.clone(),
-        quats: map(&gaussians.quats, |&q| normalize(q)),
-        scales: map(&gaussians.log_scales, |s| s.map(f32::exp)),
-        opacities: map(&gaussians.logit_opacities, |&o| sigmoid(o)),
-        colors: gaussians.colors.as_flattened().to_vec(),
+        means: gaussians.means().to_vec(),
+        quats: map(gaussians.quats(), |&q| normalize(q)),
+        scales: map(gaussians.log_scales(), |s| s.map(f32::exp)),
+        opacities: map(gaussians.logit_opacities(), |&o| sigmoid(o)),
+        colors: gaussians.values(Attribute::Color).to_vec(),
         num_channels: 3,
     }
 }
 
-/// Backward of [`activate`]: gradients to the stored values, in the shape of [`Gaussians`].
+/// Backward of [`activate`]: gradients to the stored values. Columns that are not drawn get zeros.
 ///
 /// - `gaussians`, `activated`: as given to and returned by `activate`
 /// - `grads`: with three colour channels
 ///
 /// # Panics
 /// If `grads` has another number of Gaussians or channels.
-pub fn activate_bwd(gaussians: &Gaussians, activated: &Activated, grads: &ActivatedGrads) -> Gaussians {
+pub fn activate_bwd(gaussians: &Gaussians, activated: &Activated, grads: &ActivatedGrads) -> GaussianGrads {
     let n = gaussians.num_gaussians();
     assert_eq!(grads.v_colors.len(), 3 * n, "v_colors: [{}] against [{n}, 3]", grads.v_colors.len());
-    Gaussians {
-        means: grads.v_means.clone(),
-        quats: map_pairs(&gaussians.quats, &grads.v_quats, |&q, &v| normalize_vjp(q, v)),
-        log_scales: map_pairs(&activated.scales, &grads.v_scales, |s, v| [s[0] * v[0], s[1] * v[1], s[2] * v[2]]),
-        logit_opacities: map_pairs(&activated.opacities, &grads.v_opacities, |&o, &v| sigmoid_vjp(o, v)),
-        colors: grads.v_colors.as_chunks::<3>().0.to_vec(),
-    }
+    let v_quats = map_pairs(gaussians.quats(), &grads.v_quats, |&q, &v| normalize_vjp(q, v));
+    let v_log_scales = map_pairs(&activated.scales, &grads.v_scales, |s, v| [s[0] * v[0], s[1] * v[1], s[2] * v[2]]);
+    let v_logit_opacities = map_pairs(&activated.opacities, &grads.v_opacities, |&o, &v| sigmoid_vjp(o, v));
+    let mut values = vec![
+        grads.v_means.as_flattened().to_vec(),
+        v_quats.into_flattened(),
+        v_log_scales.into_flattened(),
+        v_logit_opacities,
+        grads.v_colors.clone(),
+    ];
+    // Nothing draws the others.
+    let others = &gaussians.layout().columns()[values.len()..];
+    values.extend(others.iter().map(|column| vec![0.0; n * column.components()]));
+    GaussianGrads::new(Arc::clone(gaussians.layout()), n, values)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::BaseColumns;
 
     #[test]
     fn sigmoid_vjp_matches_a_central_difference() {
@@ -112,13 +122,13 @@ mod tests {
 
     #[test]
     fn activate_bwd_matches_central_differences() {
-        let gaussians = Gaussians {
+        let gaussians = Gaussians::from(BaseColumns {
             means: vec![[0.1, 0.2, 0.3]],
             quats: vec![[0.9, -0.2, 0.4, 0.3]],
             log_scales: vec![[-1.0, -2.0, 0.5]],
             logit_opacities: vec![0.7],
             colors: vec![[0.2, 0.4, 0.6]],
-        };
+        });
         let grads = ActivatedGrads {
             v_means: vec![[1.0, 2.0, 3.0]],
             v_quats: vec![[0.3, -0.5, 0.2, 0.9]],
@@ -136,7 +146,7 @@ mod tests {
                 + sum(&a.colors, &grads.v_colors)
         };
         let v = activate_bwd(&gaussians, &activate(&gaussians), &grads);
-        for attribute in crate::Attribute::ALL {
+        for attribute in Attribute::BASE {
             for i in 0..attribute.components() {
                 let at = |d: f32| {
                     let mut moved = gaussians.clone();

@@ -1,7 +1,9 @@
-//! The one table of what a Gaussian carries.
+//! What a Gaussian carries: the name of one column of a [`crate::Layout`].
 
-/// One attribute of a Gaussian, in its stored form. Loops iterate [`Attribute::ALL`]; nothing keeps
-/// a parallel list.
+/// One attribute of a Gaussian, in its stored form: a column of a [`crate::Layout`].
+///
+/// Every layout starts with the five of [`Attribute::BASE`], which renderers and the losses know by name. Whatever
+/// else a Gaussian carries is an [`Attribute::Extra`]; its name, unit and activation are in the layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Attribute {
     /// Centre in scene units.
@@ -14,22 +16,18 @@ pub enum Attribute {
     LogitOpacity,
     /// Raw sRGB, neither activated nor clamped.
     Color,
+    /// A further column. [`crate::Layout::push`] makes these.
+    Extra {
+        /// Position after the five of [`Attribute::BASE`].
+        place: u8,
+        /// Scalars of one Gaussian at one timestep.
+        components: u8,
+    },
 }
 
 impl Attribute {
-    /// Every attribute, in storage order.
-    pub const ALL: [Self; 5] = [Self::Mean, Self::Quat, Self::LogScale, Self::LogitOpacity, Self::Color];
-
-    /// Name in files and tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Mean => "means",
-            Self::Quat => "quats",
-            Self::LogScale => "log_scales",
-            Self::LogitOpacity => "logit_opacities",
-            Self::Color => "colors",
-        }
-    }
+    /// The attributes that every layout starts with, in storage order.
+    pub const BASE: [Self; 5] = [Self::Mean, Self::Quat, Self::LogScale, Self::LogitOpacity, Self::Color];
 
     /// Number of scalars of one Gaussian at one timestep.
     pub fn components(self) -> usize {
@@ -37,31 +35,32 @@ impl Attribute {
             Self::Mean | Self::LogScale | Self::Color => 3,
             Self::Quat => 4,
             Self::LogitOpacity => 1,
+            Self::Extra { components, .. } => usize::from(components),
         }
     }
 
-    /// Whether training gives every timestep a value of its own; the others are trained once. Scenes of
-    /// other programs may differ: [`crate::DynamicGaussians::varies`].
-    pub fn varies_in_training(self) -> bool {
-        matches!(self, Self::Mean | Self::Quat | Self::Color)
-    }
-
-    /// Position in [`Attribute::ALL`].
+    /// Position of the column in its layout.
     pub fn index(self) -> usize {
-        self as usize
+        match self {
+            Self::Mean => 0,
+            Self::Quat => 1,
+            Self::LogScale => 2,
+            Self::LogitOpacity => 3,
+            Self::Color => 4,
+            Self::Extra { place, .. } => Self::BASE.len() + usize::from(place),
+        }
     }
-}
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn raw_size_counts_forty_bytes_a_timestep_and_sixteen_once() {
-        let bytes = |varies| -> usize {
-            Attribute::ALL.iter().filter(|a| a.varies_in_training() == varies).map(|a| 4 * a.components()).sum()
-        };
-        assert_eq!((bytes(true), bytes(false)), (40, 16));
-        assert!(Attribute::ALL.iter().enumerate().all(|(i, a)| a.index() == i));
+    /// Name of one of the five of [`Attribute::BASE`] in files and tables; of another column [`crate::Layout::name`]
+    /// knows it, and this is `extra`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mean => "means",
+            Self::Quat => "quats",
+            Self::LogScale => "log_scales",
+            Self::LogitOpacity => "logit_opacities",
+            Self::Color => "colors",
+            Self::Extra { .. } => "extra",
+        }
     }
 }

@@ -1,41 +1,89 @@
-//! A whole scene over time.
+//! A whole scene over time, in memory.
 
-use crate::{Attribute, Gaussians};
+use std::sync::Arc;
 
-/// All timesteps of a scene. Means, rotations and colours have a value for every timestep; scales and
-/// opacities one for each or one for all. Training leaves one for all.
-#[derive(Clone, Debug, Default, PartialEq)]
+use crate::columns::select_rows;
+use crate::{Attribute, Gaussians, Layout};
+
+/// All timesteps of a scene. A column that varies by its layout has a value for every timestep; another has one for
+/// each or one for all. Training leaves one for all.
+///
+/// ```
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let mut scene = DynamicGaussians::default();
+/// for timestep in 0..3 {
+///     let mut gaussians = Gaussians::zeros(2);
+///     gaussians.means_mut()[1] = [timestep as f32, 0.0, 0.0];
+///     scene.push(gaussians);
+/// }
+/// assert_eq!((scene.num_timesteps(), scene.means(2)[1][0]), (3, 2.0));
+/// ```
+#[derive(Clone, Debug, PartialEq)]
 pub struct DynamicGaussians {
-    /// `[T][N, 3]` centres, scene units.
-    pub means: Vec<Vec<[f32; 3]>>,
-    /// `[T][N, 4]` rotations, `w, x, y, z`, unnormalised.
-    pub quats: Vec<Vec<[f32; 4]>>,
-    /// `[T][N, 3]` raw sRGB.
-    pub colors: Vec<Vec<[f32; 3]>>,
-    /// `[1 or T][N, 3]` logarithms of the standard deviations.
-    pub log_scales: Vec<Vec<[f32; 3]>>,
-    /// `[1 or T][N]` inverse logistic of the opacities.
-    pub logit_opacities: Vec<Vec<f32>>,
+    layout: Arc<Layout>,
+    num_gaussians: usize,
+    num_timesteps: usize,
+    /// By [`Attribute::index`]: `[1 or T][N * components]`.
+    samples: Vec<Vec<Vec<f32>>>,
+}
+
+impl Default for DynamicGaussians {
+    /// No timestep, of the columns of [`Layout::base`].
+    fn default() -> Self {
+        Self::new(Layout::base())
+    }
 }
 
 impl DynamicGaussians {
+    /// No timestep yet, of the columns of `layout`.
+    pub fn new(layout: Arc<Layout>) -> Self {
+        let samples = vec![Vec::new(); layout.columns().len()];
+        Self { layout, num_gaussians: 0, num_timesteps: 0, samples }
+    }
+
+    /// A scene from its samples.
+    ///
+    /// - `num_timesteps`: `T`, at least 1
+    /// - `samples`: by [`Attribute::index`], `[T][N * components]`, or `[1][…]` of a column that does not vary
+    ///
+    /// # Panics
+    /// If the samples do not fit the layout, `T` or one another.
+    pub fn from_samples(layout: Arc<Layout>, num_timesteps: usize, samples: Vec<Vec<Vec<f32>>>) -> Self {
+        assert_eq!(samples.len(), layout.columns().len(), "sampled columns against {layout}");
+        let num_gaussians = samples[0].first().map_or(0, |values| values.len() / layout.columns()[0].components());
+        for (column, samples) in layout.columns().iter().zip(&samples) {
+            let (name, components) = (&column.name, column.components());
+            let is_once = samples.len() == 1 && !column.varies;
+            assert!(
+                samples.len() == num_timesteps || is_once,
+                "{} samples of {name} at {num_timesteps} timesteps",
+                samples.len()
+            );
+            for values in samples {
+                assert_eq!(values.len(), num_gaussians * components, "{name} against [{num_gaussians}, {components}]");
+            }
+        }
+        Self { layout, num_gaussians, num_timesteps, samples }
+    }
+
     /// `N`.
     pub fn num_gaussians(&self) -> usize {
-        self.means.first().map_or(0, Vec::len)
+        self.num_gaussians
     }
 
     /// `T`.
     pub fn num_timesteps(&self) -> usize {
-        self.means.len()
+        self.num_timesteps
+    }
+
+    /// Which columns there are.
+    pub fn layout(&self) -> &Arc<Layout> {
+        &self.layout
     }
 
     /// Whether an attribute has a value for every timestep rather than one for all.
     pub fn varies(&self, attribute: Attribute) -> bool {
-        match attribute {
-            Attribute::Mean | Attribute::Quat | Attribute::Color => true,
-            Attribute::LogScale => self.log_scales.len() > 1,
-            Attribute::LogitOpacity => self.logit_opacities.len() > 1,
-        }
+        self.layout.column(attribute).varies || self.samples[attribute.index()].len() > 1
     }
 
     /// At how many timesteps an attribute is held: `T`, or 1 if it does not vary.
@@ -48,28 +96,30 @@ impl DynamicGaussians {
     /// # Panics
     /// If `timestep` is not below [`Self::num_timesteps`].
     pub fn at(&self, timestep: usize) -> Gaussians {
-        Gaussians {
-            means: self.means[timestep].clone(),
-            quats: self.quats[timestep].clone(),
-            log_scales: sample(&self.log_scales, timestep).clone(),
-            logit_opacities: sample(&self.logit_opacities, timestep).clone(),
-            colors: self.colors[timestep].clone(),
-        }
+        let values = self.layout.attributes().map(|a| self.values(a, timestep).to_vec()).collect();
+        Gaussians::new(Arc::clone(&self.layout), self.num_gaussians, values)
     }
 
-    /// Appends a timestep. Scales, and likewise opacities, begin to vary with the first timestep in which a
-    /// bit of them differs.
+    /// Appends a timestep. A column that does not vary by the layout begins to with the first timestep in which a
+    /// bit of it differs.
     ///
     /// # Panics
-    /// If the number of Gaussians differs from the timesteps already there.
+    /// If the columns or the number of Gaussians differ from the timesteps already there.
     pub fn push(&mut self, gaussians: Gaussians) {
-        let (n, t) = (gaussians.means.len(), self.num_timesteps());
-        assert!(t == 0 || n == self.num_gaussians(), "a timestep of {n} Gaussians after {}", self.num_gaussians());
-        push_sample(&mut self.log_scales, gaussians.log_scales, t, <[[f32; 3]]>::as_flattened);
-        push_sample(&mut self.logit_opacities, gaussians.logit_opacities, t, |values| values);
-        self.means.push(gaussians.means);
-        self.quats.push(gaussians.quats);
-        self.colors.push(gaussians.colors);
+        let (n, t) = (gaussians.num_gaussians(), self.num_timesteps);
+        assert!(t == 0 || n == self.num_gaussians, "a timestep of {n} Gaussians after {}", self.num_gaussians);
+        assert_eq!(*gaussians.layout(), self.layout, "columns of a timestep against those before");
+        let layout = Arc::clone(&self.layout);
+        for (column, (samples, values)) in
+            layout.columns().iter().zip(self.samples.iter_mut().zip(gaussians.into_values()))
+        {
+            if column.varies {
+                samples.push(values);
+            } else {
+                push_sample(samples, values, t);
+            }
+        }
+        (self.num_gaussians, self.num_timesteps) = (n, t + 1);
     }
 
     /// The Gaussians at `indices`, in that order, at every timestep.
@@ -77,28 +127,92 @@ impl DynamicGaussians {
     /// # Panics
     /// If an index is out of range.
     pub fn select(&self, indices: &[usize]) -> Self {
-        fn pick<T: Copy>(of: &[Vec<T>], indices: &[usize]) -> Vec<Vec<T>> {
-            of.iter().map(|values| indices.iter().map(|&i| values[i]).collect()).collect()
-        }
+        let select = |a: Attribute| -> Vec<Vec<f32>> {
+            self.samples[a.index()].iter().map(|values| select_rows(values, a.components(), indices)).collect()
+        };
         Self {
-            means: pick(&self.means, indices),
-            quats: pick(&self.quats, indices),
-            colors: pick(&self.colors, indices),
-            log_scales: pick(&self.log_scales, indices),
-            logit_opacities: pick(&self.logit_opacities, indices),
+            layout: Arc::clone(&self.layout),
+            num_gaussians: indices.len(),
+            num_timesteps: self.num_timesteps,
+            samples: self.layout.attributes().map(select).collect(),
         }
     }
 
     /// All values of one attribute at one timestep, `[N * components]`; `timestep` does not matter
     /// for an attribute that does not vary.
+    ///
+    /// # Panics
+    /// If `timestep` is out of range for one that does.
     pub fn values(&self, attribute: Attribute, timestep: usize) -> &[f32] {
-        match attribute {
-            Attribute::Mean => self.means[timestep].as_flattened(),
-            Attribute::Quat => self.quats[timestep].as_flattened(),
-            Attribute::LogScale => sample(&self.log_scales, timestep).as_flattened(),
-            Attribute::LogitOpacity => sample(&self.logit_opacities, timestep),
-            Attribute::Color => self.colors[timestep].as_flattened(),
+        match self.samples[attribute.index()].as_slice() {
+            [all] if !self.varies(attribute) => all,
+            samples => &samples[timestep],
         }
+    }
+
+    /// All values of one attribute at one timestep, to change in place; of one that does not vary, those of all
+    /// timesteps.
+    ///
+    /// # Panics
+    /// If `timestep` is out of range for one that varies.
+    pub fn values_mut(&mut self, attribute: Attribute, timestep: usize) -> &mut [f32] {
+        let sample = if self.varies(attribute) { timestep } else { 0 };
+        &mut self.samples[attribute.index()][sample]
+    }
+
+    /// What is held of one attribute: `[T][N * components]`, or `[1][…]` if it does not vary.
+    pub fn samples(&self, attribute: Attribute) -> &[Vec<f32>] {
+        &self.samples[attribute.index()]
+    }
+
+    /// `[N, 3]` centres at one timestep, scene units; see [`Self::values`].
+    pub fn means(&self, timestep: usize) -> &[[f32; 3]] {
+        self.values(Attribute::Mean, timestep).as_chunks().0
+    }
+
+    /// [`Self::means`], to change in place; see [`Self::values_mut`].
+    pub fn means_mut(&mut self, timestep: usize) -> &mut [[f32; 3]] {
+        self.values_mut(Attribute::Mean, timestep).as_chunks_mut().0
+    }
+
+    /// `[N, 4]` rotations at one timestep, `w, x, y, z`, unnormalised; see [`Self::values`].
+    pub fn quats(&self, timestep: usize) -> &[[f32; 4]] {
+        self.values(Attribute::Quat, timestep).as_chunks().0
+    }
+
+    /// [`Self::quats`], to change in place; see [`Self::values_mut`].
+    pub fn quats_mut(&mut self, timestep: usize) -> &mut [[f32; 4]] {
+        self.values_mut(Attribute::Quat, timestep).as_chunks_mut().0
+    }
+
+    /// `[N, 3]` logarithms of the standard deviations at one timestep; see [`Self::values`].
+    pub fn log_scales(&self, timestep: usize) -> &[[f32; 3]] {
+        self.values(Attribute::LogScale, timestep).as_chunks().0
+    }
+
+    /// [`Self::log_scales`], to change in place; see [`Self::values_mut`].
+    pub fn log_scales_mut(&mut self, timestep: usize) -> &mut [[f32; 3]] {
+        self.values_mut(Attribute::LogScale, timestep).as_chunks_mut().0
+    }
+
+    /// `[N]` inverse logistic of the opacities at one timestep; see [`Self::values`].
+    pub fn logit_opacities(&self, timestep: usize) -> &[f32] {
+        self.values(Attribute::LogitOpacity, timestep)
+    }
+
+    /// [`Self::logit_opacities`], to change in place; see [`Self::values_mut`].
+    pub fn logit_opacities_mut(&mut self, timestep: usize) -> &mut [f32] {
+        self.values_mut(Attribute::LogitOpacity, timestep)
+    }
+
+    /// `[N, 3]` raw sRGB at one timestep; see [`Self::values`].
+    pub fn colors(&self, timestep: usize) -> &[[f32; 3]] {
+        self.values(Attribute::Color, timestep).as_chunks().0
+    }
+
+    /// [`Self::colors`], to change in place; see [`Self::values_mut`].
+    pub fn colors_mut(&mut self, timestep: usize) -> &mut [[f32; 3]] {
+        self.values_mut(Attribute::Color, timestep).as_chunks_mut().0
     }
 
     /// Size as plain 32-bit floats: `N * (40 * T + 16)`, if scales and opacities do not vary.
@@ -111,25 +225,16 @@ impl DynamicGaussians {
     /// assert_eq!(scene.raw_bytes(), 10 * (40 * 2 + 16));
     /// ```
     pub fn raw_bytes(&self) -> u64 {
-        let per_gaussian: usize = Attribute::ALL.iter().map(|&a| 4 * a.components() * self.num_samples(a)).sum();
+        let per_gaussian: usize = self.layout.attributes().map(|a| 4 * a.components() * self.num_samples(a)).sum();
         self.num_gaussians() as u64 * per_gaussian as u64
     }
 }
 
-/// Of `[1 or T]` samples the one that holds at a timestep.
-fn sample<V>(samples: &[Vec<V>], timestep: usize) -> &Vec<V> {
-    match samples {
-        [all] => all,
-        _ => &samples[timestep],
-    }
-}
-
-/// Appends the sample of timestep `timestep` to `[1 or T]` samples.
-///
-/// - `floats`: a sample as numbers, compared by their bits: what is stored once must come back as it was
-fn push_sample<V: Clone>(samples: &mut Vec<Vec<V>>, sample: Vec<V>, timestep: usize, floats: impl Fn(&[V]) -> &[f32]) {
+/// Appends the sample of timestep `timestep` to `[1 or T]` samples, compared by their bits: what is stored once must
+/// come back as it was.
+fn push_sample(samples: &mut Vec<Vec<f32>>, sample: Vec<f32>, timestep: usize) {
     if let [all] = samples.as_slice() {
-        if floats(all).iter().map(|x| x.to_bits()).eq(floats(&sample).iter().map(|x| x.to_bits())) {
+        if all.iter().map(|x| x.to_bits()).eq(sample.iter().map(|x| x.to_bits())) {
             return;
         }
         let all = all.clone();
@@ -149,13 +254,13 @@ mod tests {
         for _ in 0..3 {
             scene.push(still.clone());
         }
-        assert_eq!((scene.log_scales.len(), scene.num_samples(Attribute::LogScale)), (1, 1));
+        assert!(!scene.varies(Attribute::LogScale) && scene.num_samples(Attribute::LogScale) == 1);
         let mut grown = still.clone();
-        grown.log_scales[1][2] = 0.5;
+        grown.log_scales_mut()[1][2] = 0.5;
         scene.push(grown.clone());
         scene.push(still.clone());
         assert_eq!(scene.num_timesteps(), 5);
-        assert_eq!(Attribute::ALL.map(|a| scene.num_samples(a)), [5, 5, 5, 1, 5]);
+        assert_eq!(Attribute::BASE.map(|a| scene.num_samples(a)), [5, 5, 5, 1, 5]);
         assert_eq!([2, 3, 4].map(|t| scene.at(t)), [still.clone(), grown.clone(), still.clone()]);
         assert_eq!(scene.values(Attribute::LogScale, 3), [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]);
         assert_eq!(scene.values(Attribute::LogitOpacity, 3), [0.0, 0.0]);
@@ -163,11 +268,11 @@ mod tests {
         assert_eq!(scene.select(&[1]).at(3), grown.select(&[1]));
         // Zeros of either sign are equal, but not the same.
         let mut negative = still.clone();
-        negative.logit_opacities[0] = -0.0;
+        negative.logit_opacities_mut()[0] = -0.0;
         let mut scene = DynamicGaussians::default();
         scene.push(still);
         scene.push(negative);
-        assert!(scene.varies(Attribute::LogitOpacity) && scene.at(1).logit_opacities[0].is_sign_negative());
+        assert!(scene.varies(Attribute::LogitOpacity) && scene.at(1).logit_opacities()[0].is_sign_negative());
     }
 
     #[test]

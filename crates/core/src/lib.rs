@@ -11,13 +11,15 @@ mod activation;
 mod attribute;
 mod camera;
 mod camera_path;
+mod columns;
 mod dynamic;
 mod extent;
-mod gaussians;
 mod image;
+mod layout;
 mod natural_key;
 mod parallel;
 mod quat;
+mod reader;
 mod real;
 mod tour;
 mod view;
@@ -26,15 +28,17 @@ pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid,
 pub use attribute::Attribute;
 pub use camera::{Camera, CameraError, Pinhole};
 pub use camera_path::{CameraKeyframe, CameraPath, CameraPathError};
+pub use columns::{BaseColumns, BaseViewsMut, Columns, GaussianGrads, Gaussians, PointCloud, Sensitivity, role};
 pub use dynamic::DynamicGaussians;
 pub use extent::Extent;
-pub use gaussians::{Gaussians, PointCloud};
 pub use image::Image;
+pub use layout::{Activation, Column, Layout, RateGroup};
 pub use natural_key::natural_key;
 pub use quat::{
     dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
     rotmat_from_unit_quat, rotmat_from_unit_quat_vjp,
 };
+pub use reader::SceneReader;
 pub use real::Real;
 pub use tour::{Tour, upright_axes};
 pub use view::{Segmentation, View};

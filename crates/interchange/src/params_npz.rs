@@ -17,9 +17,9 @@ use std::{
     path::Path,
 };
 
-use tcgs_core::{Attribute, DynamicGaussians};
+use tcgs_core::{Attribute, DynamicGaussians, Layout};
 
-use crate::{InterchangeError, NpzReader, NpzWriter, npy::show_shape};
+use crate::{Existing, InterchangeError, NpzReader, NpzWriter, npy::show_shape, write_whole};
 
 /// Keys of [`ParamsOrigin`].
 const FIRST_FRAME: &str = "tcgs_first_frame";
@@ -112,13 +112,17 @@ pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError
         }
         Ok(array.values)
     };
-    Ok(DynamicGaussians {
-        means: timesteps(&means.values, num_gaussians),
-        quats: timesteps(&quats, num_gaussians),
-        colors: timesteps(&colors, num_gaussians),
-        logit_opacities: vec![constant("logit_opacities", 1)?],
-        log_scales: timesteps(&constant("log_scales", 3)?, num_gaussians),
-    })
+    let samples = |values: &[f32], components| -> Vec<Vec<f32>> {
+        values.chunks_exact(num_gaussians * components).map(<[f32]>::to_vec).collect()
+    };
+    let samples = vec![
+        samples(&means.values, 3),
+        samples(&quats, 4),
+        vec![constant("log_scales", 3)?],
+        vec![constant("logit_opacities", 1)?],
+        samples(&colors, 3),
+    ];
+    Ok(DynamicGaussians::from_samples(Layout::base(), samples[0].len(), samples))
 }
 
 /// Where the scene in a file comes from; none if another program wrote it.
@@ -151,11 +155,6 @@ pub fn read_params_origin(path: &Path) -> Result<Option<ParamsOrigin>, Interchan
     }))
 }
 
-/// `[T * N * D]` to `[T][N, D]`.
-fn timesteps<const D: usize>(values: &[f32], num_gaussians: usize) -> Vec<Vec<[f32; D]>> {
-    values.as_chunks::<D>().0.chunks(num_gaussians).map(<[_]>::to_vec).collect()
-}
-
 /// Writes a scene that Dynamic 3D Gaussians can show; whole or not at all (beside, then renamed).
 /// Replaces what is there.
 ///
@@ -165,17 +164,9 @@ fn timesteps<const D: usize>(values: &[f32], num_gaussians: usize) -> Vec<Vec<[f
 /// # Panics
 /// As [`write_params_npz_to`].
 pub fn write_params_npz(path: &Path, scene: &DynamicGaussians, extras: &ParamsExtras) -> Result<(), InterchangeError> {
-    let failed = |error| InterchangeError::Io { path: path.into(), action: "writing", error };
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    // A temporary file is private unless told; the one it becomes is as readable as any other.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let file = builder.prefix(".params").suffix(".tmp").tempfile_in(folder).map_err(failed)?;
-    let write = |file: &File| write_params_npz_to(BufWriter::new(file), scene, extras)?.flush();
-    write(file.as_file()).and_then(|()| file.as_file().sync_all()).map_err(failed)?;
-    file.persist(path).map_err(|error| failed(error.error))?;
-    Ok(())
+    let write = |file: &mut File| write_params_npz_to(BufWriter::new(file), scene, extras)?.flush();
+    let written = write_whole(path, Existing::Replace, write);
+    written.map_err(|error| InterchangeError::Io { path: path.into(), action: "writing", error })
 }
 
 /// Writes the bytes of a `params.npz`: the same for the same scene.
@@ -193,8 +184,6 @@ pub fn write_params_npz_to<W: Write + Seek>(
 ) -> io::Result<W> {
     let (t, n) = (scene.num_timesteps(), scene.num_gaussians());
     assert!(t > 0 && n > 0, "a scene of {t} timesteps of {n} gaussians");
-    assert_eq!(scene.quats.len(), t, "quats: {} timesteps against {t}", scene.quats.len());
-    assert_eq!(scene.colors.len(), t, "colors: {} timesteps against {t}", scene.colors.len());
     for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
         assert!(!scene.varies(attribute), "{} vary over {t} timesteps, params.npz holds one", attribute.name());
     }
@@ -213,9 +202,9 @@ pub fn write_params_npz_to<W: Write + Seek>(
     };
 
     let mut npz = NpzWriter::new(writer);
-    npz.array("means3D", &[t, n, 3], scene.means.iter().map(|v| v.as_flattened()))?;
-    npz.array("rgb_colors", &[t, n, 3], scene.colors.iter().map(|v| v.as_flattened()))?;
-    npz.array("unnorm_rotations", &[t, n, 4], scene.quats.iter().map(|v| v.as_flattened()))?;
+    npz.array("means3D", &[t, n, 3], scene.samples(Attribute::Mean).iter().map(Vec::as_slice))?;
+    npz.array("rgb_colors", &[t, n, 3], scene.samples(Attribute::Color).iter().map(Vec::as_slice))?;
+    npz.array("unnorm_rotations", &[t, n, 4], scene.samples(Attribute::Quat).iter().map(Vec::as_slice))?;
     npz.array("logit_opacities", &[n, 1], [scene.values(Attribute::LogitOpacity, 0)])?;
     npz.array("log_scales", &[n, 3], [scene.values(Attribute::LogScale, 0)])?;
     npz.array("seg_colors", &[n, 3], [seg_colors.as_flattened()])?;
@@ -241,11 +230,13 @@ mod tests {
             counter += 0.25;
             counter
         };
-        let mut triples = || std::array::from_fn::<[f32; 3], 3, _>(|_| std::array::from_fn(|_| next())).to_vec();
-        let (means, colors) = (vec![triples(), triples()], vec![triples(), triples()]);
-        let log_scales = vec![triples()];
-        let quats = (0..2).map(|_| (0..3).map(|_| std::array::from_fn(|_| next())).collect()).collect();
-        DynamicGaussians { means, quats, colors, log_scales, logit_opacities: vec![vec![-1.0, 0.5, 2.0]] }
+        let mut values = |count| -> Vec<f32> { (0..count).map(|_| next()).collect() };
+        let means = vec![values(9), values(9)];
+        let colors = vec![values(9), values(9)];
+        let log_scales = vec![values(9)];
+        let quats = vec![values(12), values(12)];
+        let samples = vec![means, quats, log_scales, vec![vec![-1.0, 0.5, 2.0]], colors];
+        DynamicGaussians::from_samples(Layout::base(), 2, samples)
     }
 
     fn bytes(scene: &DynamicGaussians, extras: &ParamsExtras) -> Vec<u8> {
@@ -259,11 +250,11 @@ mod tests {
     fn arrays() -> Vec<Array> {
         let scene = scene();
         vec![
-            ("means3D", vec![2, 3, 3], scene.means.concat().as_flattened().to_vec()),
-            ("rgb_colors", vec![2, 3, 3], scene.colors.concat().as_flattened().to_vec()),
-            ("unnorm_rotations", vec![2, 3, 4], scene.quats.concat().as_flattened().to_vec()),
-            ("logit_opacities", vec![3, 1], scene.logit_opacities.concat()),
-            ("log_scales", vec![3, 3], scene.log_scales.concat().as_flattened().to_vec()),
+            ("means3D", vec![2, 3, 3], scene.samples(Attribute::Mean).concat()),
+            ("rgb_colors", vec![2, 3, 3], scene.samples(Attribute::Color).concat()),
+            ("unnorm_rotations", vec![2, 3, 4], scene.samples(Attribute::Quat).concat()),
+            ("logit_opacities", vec![3, 1], scene.samples(Attribute::LogitOpacity).concat()),
+            ("log_scales", vec![3, 3], scene.samples(Attribute::LogScale).concat()),
         ]
     }
 
@@ -358,7 +349,7 @@ mod tests {
     fn opacities_that_vary_are_a_mistake() {
         let mut scene = scene();
         let mut next = scene.at(1);
-        next.logit_opacities[2] += 1.0;
+        next.logit_opacities_mut()[2] += 1.0;
         scene.push(next);
         bytes(&scene, &ParamsExtras::default());
     }
@@ -383,7 +374,7 @@ mod tests {
         ]
         .map(|(key, (shape, values))| (key, shape, values));
         let scene = read(&arrays).unwrap();
-        assert_eq!((scene.num_timesteps(), scene.log_scales), (1, vec![vec![[-1.0, -2.0, -3.0]]]));
+        assert_eq!((scene.num_timesteps(), scene.values(Attribute::LogScale, 0)), (1, [-1.0, -2.0, -3.0].as_slice()));
     }
 
     #[test]

@@ -19,7 +19,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use serde_ply::{DeserializeError, PlyReader, SerializeOptions};
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Attribute, BaseColumns, Gaussians};
 
 use crate::InterchangeError;
 
@@ -112,7 +112,7 @@ pub fn read_ply(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, In
     if gaussians.num_gaussians() == 0 {
         return Err(invalid("holds no Gaussian, expected at least one".into()));
     }
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let values = gaussians.values(attribute);
         if let Some(i) = values.iter().position(|x| !x.is_finite()) {
             let (name, gaussian) = (attribute.name(), i / attribute.components());
@@ -139,20 +139,20 @@ fn from_vertices(vertices: &[Vertex]) -> Gaussians {
         negative if negative < 0.0 => 0.0,
         color => color,
     };
-    Gaussians {
+    Gaussians::from(BaseColumns {
         means: vertices.iter().map(|v| [v.x, v.y, v.z]).collect(),
         quats: vertices.iter().map(|v| [v.rot_0, v.rot_1, v.rot_2, v.rot_3]).collect(),
         log_scales: vertices.iter().map(|v| [v.scale_0, v.scale_1, v.scale_2]).collect(),
         logit_opacities: vertices.iter().map(|v| v.opacity).collect(),
         colors: vertices.iter().map(|v| [v.f_dc_0, v.f_dc_1, v.f_dc_2].map(color)).collect(),
-    }
+    })
 }
 
 fn to_vertices(gaussians: &Gaussians) -> Vec<Vertex> {
     let vertex = |i: usize| {
-        let ([x, y, z], [rot_0, rot_1, rot_2, rot_3]) = (gaussians.means[i], gaussians.quats[i]);
-        let [f_dc_0, f_dc_1, f_dc_2] = gaussians.colors[i].map(|c| ((f64::from(c) - 0.5) / HARMONIC_0) as f32);
-        let ([scale_0, scale_1, scale_2], opacity) = (gaussians.log_scales[i], gaussians.logit_opacities[i]);
+        let ([x, y, z], [rot_0, rot_1, rot_2, rot_3]) = (gaussians.means()[i], gaussians.quats()[i]);
+        let [f_dc_0, f_dc_1, f_dc_2] = gaussians.colors()[i].map(|c| ((f64::from(c) - 0.5) / HARMONIC_0) as f32);
+        let ([scale_0, scale_1, scale_2], opacity) = (gaussians.log_scales()[i], gaussians.logit_opacities()[i]);
         let (nx, ny, nz) = (0.0, 0.0, 0.0);
         Vertex {
             x,
@@ -235,13 +235,13 @@ mod tests {
             let of = |property: usize| value(i, property);
             let color = |dc: f32| 0.5 + 0.282_094_8 * dc;
             let after = 9 + num_rest;
-            assert_eq!(gaussians.means[i], [of(0), of(1), of(2)]);
+            assert_eq!(gaussians.means()[i], [of(0), of(1), of(2)]);
             for c in 0..3 {
-                assert!((gaussians.colors[i][c] - color(of(6 + c))).abs() < 1e-7);
+                assert!((gaussians.colors()[i][c] - color(of(6 + c))).abs() < 1e-7);
             }
-            assert_eq!(gaussians.logit_opacities[i], of(after));
-            assert_eq!(gaussians.log_scales[i], [1, 2, 3].map(|c| of(after + c)));
-            assert_eq!(gaussians.quats[i], [4, 5, 6, 7].map(|c| of(after + c)));
+            assert_eq!(gaussians.logit_opacities()[i], of(after));
+            assert_eq!(gaussians.log_scales()[i], [1, 2, 3].map(|c| of(after + c)));
+            assert_eq!(gaussians.quats()[i], [4, 5, 6, 7].map(|c| of(after + c)));
         }
     }
 
@@ -288,13 +288,13 @@ mod tests {
     #[test]
     fn gaussians_come_back_with_their_bits() {
         let mut gaussians = read(&little_endian(&names(0)), HigherHarmonics::Refuse).unwrap();
-        gaussians.means[1] = [-0.0, f32::MIN_POSITIVE / 8.0, 1e30];
-        gaussians.quats[2] = [-0.0, 3.0, -7e-20, 0.0];
-        gaussians.colors = vec![[0.0, 1.0, 0.5], [1e-3, 0.1, 0.249_99], [2.0, 0.999_999, 1.0 / 3.0]];
+        gaussians.means_mut()[1] = [-0.0, f32::MIN_POSITIVE / 8.0, 1e30];
+        gaussians.quats_mut()[2] = [-0.0, 3.0, -7e-20, 0.0];
+        gaussians.colors_mut().copy_from_slice(&[[0.0, 1.0, 0.5], [1e-3, 0.1, 0.249_99], [2.0, 0.999_999, 1.0 / 3.0]]);
         let mut first = Vec::new();
         write_ply_to(&mut first, &gaussians).unwrap();
         let found = read(&first, HigherHarmonics::Refuse).unwrap();
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             for (a, b) in gaussians.values(attribute).iter().zip(found.values(attribute)) {
                 if attribute == Attribute::Color {
                     assert!((a - b).abs() <= 3e-8, "{a} {b}");
@@ -313,10 +313,10 @@ mod tests {
     #[test]
     fn colours_below_zero_are_black() {
         let mut gaussians = Gaussians::zeros(1);
-        gaussians.colors[0] = [-0.3, 0.0, 1.7];
+        gaussians.colors_mut()[0] = [-0.3, 0.0, 1.7];
         let mut bytes = Vec::new();
         write_ply_to(&mut bytes, &gaussians).unwrap();
-        let found = read(&bytes, HigherHarmonics::Refuse).unwrap().colors[0];
+        let found = read(&bytes, HigherHarmonics::Refuse).unwrap().colors()[0];
         assert_eq!((found[0], found[1]), (0.0, 0.0));
         assert!((found[2] - 1.7).abs() < 1e-6);
     }

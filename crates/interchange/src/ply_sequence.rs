@@ -4,6 +4,7 @@
 //! that Gaussian `i` of one file is near Gaussian `i` of the next ([`MAX_JUMP`]).
 
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use tcgs_core::{DynamicGaussians, natural_key};
@@ -26,36 +27,74 @@ pub struct PlySequence {
     pub first_frame: Option<u32>,
 }
 
-/// Reads the PLY files of a folder in their natural order: numbers in names count as numbers. A path that is
-/// a file is a sequence of one.
-///
-/// Scales and opacities vary in the scene if a bit of them differs between the files.
+/// The files of a sequence by name alone: none is read until [`Self::read`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlyFiles {
+    /// A timestep a file, at least one.
+    pub files: Vec<PathBuf>,
+    /// As [`PlySequence::first_frame`].
+    pub first_frame: Option<u32>,
+}
+
+impl PlyFiles {
+    /// Lists the PLY files of a folder in their natural order: numbers in names count as numbers. A path that is a file
+    /// is a sequence of one.
+    ///
+    /// # Errors
+    /// [`InterchangeError`] if the folder cannot be read or has no PLY file.
+    pub fn list(path: &Path) -> Result<Self, InterchangeError> {
+        let files = if path.is_dir() { ply_files(path)? } else { vec![path.into()] };
+        let first_frame = first_frame(&files);
+        Ok(Self { files, first_frame })
+    }
+
+    /// Reads some timesteps as one scene. Scales and opacities vary in the scene if a bit of them differs between the
+    /// files.
+    ///
+    /// # Errors
+    /// [`InterchangeError`] that names the first file that cannot be read or does not continue the sequence; as
+    /// [`read_ply`].
+    ///
+    /// # Panics
+    /// If there are not so many files.
+    pub fn read(
+        &self,
+        timesteps: Range<usize>,
+        harmonics: HigherHarmonics,
+    ) -> Result<DynamicGaussians, InterchangeError> {
+        let files = &self.files[timesteps];
+        let mut scene = DynamicGaussians::default();
+        for file in files {
+            let gaussians = read_ply(file, harmonics)?;
+            let invalid = |problem| Err(InterchangeError::Ply { path: file.clone(), problem });
+            if let Some(last) = scene.num_timesteps().checked_sub(1) {
+                let before = scene.means(last);
+                if before.len() != gaussians.num_gaussians() {
+                    let (found, first) = (gaussians.num_gaussians(), files[0].display());
+                    return invalid(format!("has {found} Gaussians, expected {} as in {first}", before.len()));
+                }
+                let jump = jump(before, gaussians.means());
+                if jump > MAX_JUMP {
+                    return invalid(format!(
+                        "the median Gaussian moves by {jump:.2} of the scene's size since the file before, expected at \
+                         most {MAX_JUMP}: Gaussians in the same order in every file"
+                    ));
+                }
+            }
+            scene.push(gaussians);
+        }
+        Ok(scene)
+    }
+}
+
+/// Reads all files of [`PlyFiles::list`] as one scene.
 ///
 /// # Errors
-/// [`InterchangeError`] that names the first file that cannot be read or does not continue the sequence; as
-/// [`read_ply`], and if there is none.
+/// As [`PlyFiles::list`] and [`PlyFiles::read`].
 pub fn read_ply_sequence(path: &Path, harmonics: HigherHarmonics) -> Result<PlySequence, InterchangeError> {
-    let files = if path.is_dir() { ply_files(path)? } else { vec![path.into()] };
-    let mut scene = DynamicGaussians::default();
-    for file in &files {
-        let gaussians = read_ply(file, harmonics)?;
-        let invalid = |problem| Err(InterchangeError::Ply { path: file.clone(), problem });
-        if let Some(before) = scene.means.last() {
-            if before.len() != gaussians.num_gaussians() {
-                let (found, first) = (gaussians.num_gaussians(), files[0].display());
-                return invalid(format!("has {found} Gaussians, expected {} as in {first}", before.len()));
-            }
-            let jump = jump(before, &gaussians.means);
-            if jump > MAX_JUMP {
-                return invalid(format!(
-                    "the median Gaussian moves by {jump:.2} of the scene's size since the file before, expected at \
-                     most {MAX_JUMP}: Gaussians in the same order in every file"
-                ));
-            }
-        }
-        scene.push(gaussians);
-    }
-    Ok(PlySequence { scene, first_frame: first_frame(&files) })
+    let files = PlyFiles::list(path)?;
+    let scene = files.read(0..files.files.len(), harmonics)?;
+    Ok(PlySequence { scene, first_frame: files.first_frame })
 }
 
 /// Whether a name is that of a file to read. Hidden ones are other programs' notes.
@@ -128,11 +167,11 @@ mod tests {
         let mut gaussians = Gaussians::zeros(100);
         for i in 0..100 {
             let (x, y) = ((i % 10) as f32, (i / 10) as f32);
-            gaussians.means[i] = [x + 20.0 * timestep as f32, y, (0.7 * x + y).sin() + 0.1 * timestep as f32];
-            gaussians.quats[i] = [1.0, 0.1 * x, 0.0, 0.0];
-            gaussians.colors[i] = [0.1 * x, 0.1 * y, 0.5];
-            gaussians.log_scales[i] = [-2.0, -3.0, -0.5 * x];
-            gaussians.logit_opacities[i] = y - timestep as f32;
+            gaussians.means_mut()[i] = [x + 20.0 * timestep as f32, y, (0.7 * x + y).sin() + 0.1 * timestep as f32];
+            gaussians.quats_mut()[i] = [1.0, 0.1 * x, 0.0, 0.0];
+            gaussians.colors_mut()[i] = [0.1 * x, 0.1 * y, 0.5];
+            gaussians.log_scales_mut()[i] = [-2.0, -3.0, -0.5 * x];
+            gaussians.logit_opacities_mut()[i] = y - timestep as f32;
         }
         gaussians
     }
@@ -165,8 +204,11 @@ mod tests {
         assert!(scene.varies(Attribute::LogitOpacity) && !scene.varies(Attribute::LogScale));
         for timestep in 0..3 {
             let (found, expected) = (scene.at(timestep), at(timestep));
-            assert_eq!((&found.means, &found.quats), (&expected.means, &expected.quats));
-            assert_eq!((&found.log_scales, &found.logit_opacities), (&expected.log_scales, &expected.logit_opacities));
+            assert_eq!((&found.means(), &found.quats()), (&expected.means(), &expected.quats()));
+            assert_eq!(
+                (&found.log_scales(), &found.logit_opacities()),
+                (&expected.log_scales(), &expected.logit_opacities())
+            );
         }
         let one = read_ply_sequence(&folder.path().join("frame_10.ply"), HigherHarmonics::Refuse).unwrap();
         assert_eq!(one.scene.at(0), scene.at(2));
@@ -209,7 +251,7 @@ mod tests {
         assert_eq!(read(&folder).unwrap_err().0, "3.ply");
 
         let mut infinite = at(1);
-        infinite.log_scales[4][1] = f32::NEG_INFINITY;
+        infinite.log_scales_mut()[4][1] = f32::NEG_INFINITY;
         write(&folder, "1.ply", &infinite);
         let (file, problem) = read(&folder).unwrap_err();
         assert_eq!((&*file, &*problem), ("1.ply", "log_scales of Gaussian 4: -inf, expected a finite number"));
@@ -219,10 +261,10 @@ mod tests {
     fn what_all_have_in_common_is_no_jump() {
         let turned = |degrees: f32| -> Vec<[f32; 3]> {
             let (sin, cos) = degrees.to_radians().sin_cos();
-            at(0).means.iter().map(|&[x, y, z]| [cos * x - sin * y + 500.0, sin * x + cos * y, z - 70.0]).collect()
+            at(0).means().iter().map(|&[x, y, z]| [cos * x - sin * y + 500.0, sin * x + cos * y, z - 70.0]).collect()
         };
         assert_eq!(jump(&turned(0.0), &turned(0.0)), 0.0);
-        assert!(jump(&at(0).means, &turned(0.0)) < 1e-3);
+        assert!(jump(at(0).means(), &turned(0.0)) < 1e-3);
         let (little, much) = (jump(&turned(0.0), &turned(20.0)), jump(&turned(0.0), &turned(40.0)));
         assert!(little < MAX_JUMP && MAX_JUMP < much, "{little} {much}");
         assert_eq!(jump(&[[1.0; 3]], &[[9.0; 3]]), 0.0);

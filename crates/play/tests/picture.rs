@@ -10,7 +10,7 @@ use std::io::Write;
 use support::{room_file, scenes, settings, wait};
 use tcgs_codec::{BitMap, CompressSettings, Sampler, SceneInfo, Segment, UpAxis, compress, encode};
 use tcgs_core::{Attribute, Camera, DynamicGaussians, activate};
-use tcgs_play::{BytesSource, Player, Reconstruction, Shot, Stage, Viewer, start_view};
+use tcgs_play::{BytesSource, ErrorCode, PictureRequest, Player, Reconstruction, SegmentRenderer, Viewer, start_view};
 use tcgs_render::device::pack;
 use tcgs_render::gpu::{Gpu, GpuChoice};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
@@ -35,12 +35,12 @@ fn segment(file: &[u8], timestep: usize) -> std::sync::Arc<Segment> {
     player.current().unwrap().0.clone()
 }
 
-fn still(gpu: &Gpu, stage: &mut Stage, shot: &Shot<'_>) -> Vec<u8> {
+fn still(gpu: &Gpu, renderer: &mut SegmentRenderer, request: &PictureRequest<'_>) -> Vec<u8> {
     for _ in 0..4 {
-        let still = stage.begin_still(shot).unwrap();
+        let still = renderer.begin_still(request).unwrap();
         gpu.wait().unwrap();
         assert!(still.is_ready());
-        if let Some(pixels) = stage.finish_still(&still).unwrap() {
+        if let Some(pixels) = renderer.finish_still(&still).unwrap() {
             return pixels;
         }
     }
@@ -67,10 +67,14 @@ fn share_alike(found: &[u8], expected: &[u8]) -> f64 {
 /// Attributes that move together and apart, also those that training leaves alone.
 fn files() -> Vec<(&'static str, Vec<u8>)> {
     let (n, t) = (700, 12);
-    let mut all_vary = scenes::room(n, t);
-    all_vary.log_scales = (0..t).map(|i| grown(&all_vary.log_scales[0], 0.02 * i as f32)).collect();
-    all_vary.logit_opacities =
-        (0..t).map(|i| all_vary.logit_opacities[0].iter().map(|o| o - 0.1 * i as f32).collect()).collect();
+    let room = scenes::room(n, t);
+    let mut all_vary = DynamicGaussians::default();
+    for timestep in 0..t {
+        let mut gaussians = room.at(timestep);
+        grow(gaussians.log_scales_mut(), 0.02 * timestep as f32);
+        gaussians.logit_opacities_mut().iter_mut().for_each(|o| *o -= 0.1 * timestep as f32);
+        all_vary.push(gaussians);
+    }
     let file = |scene: &DynamicGaussians, settings: &CompressSettings| {
         encode(&compress(scene, &scenes::mixed_widths(n), None, SceneInfo::of(scene), settings).unwrap()).unwrap()
     };
@@ -88,8 +92,8 @@ fn files() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-fn grown(log_scales: &[[f32; 3]], by: f32) -> Vec<[f32; 3]> {
-    log_scales.iter().map(|scale| scale.map(|x| x + by)).collect()
+fn grow(log_scales: &mut [[f32; 3]], by: f32) {
+    log_scales.iter_mut().flatten().for_each(|x| *x += by);
 }
 
 #[test]
@@ -144,16 +148,16 @@ fn pictures_equal_the_cpu_renderers() {
     let mut files = files();
     files.push(("room", room));
     for (name, file) in &files {
-        let mut stage = Stage::new(&gpu, FORMAT, &segment(file, 0)).unwrap();
+        let mut renderer = SegmentRenderer::new(&gpu, FORMAT, &segment(file, 0)).unwrap();
         let num_timesteps = segment(file, 0).info().num_timesteps as usize;
-        let (start, _) = start_view(&segment(file, 0).first().means, UpAxis::default().direction());
+        let (start, _) = start_view(segment(file, 0).first().means(), UpAxis::default().direction());
         // Rows of a texture are copied in multiples of 256 bytes: sizes that are and are not.
         for (timestep, width, height) in [(0, 128, 72), (num_timesteps - 1, 101, 67), (num_timesteps / 2, 320, 180)] {
             let segment = segment(file, timestep);
             let camera = start.resized(width, height);
             let background = [0.1, 0.4, 0.25];
-            let shot = Shot { segment: &segment, timestep, camera: &camera, background };
-            let found = still(&gpu, &mut stage, &shot);
+            let request = PictureRequest { segment: &segment, timestep, camera: &camera, background };
+            let found = still(&gpu, &mut renderer, &request);
             let expected = expected(&segment, timestep, &camera, background);
             let share = share_alike(&found, &expected);
             let of_background = share_alike(&vec![[26, 102, 64, 255]; width * height].concat(), &expected);
@@ -169,26 +173,26 @@ fn more_pairs_than_expected_are_drawn_again() {
     let Some(gpu) = gpu() else { return };
     // A few Gaussians that cover everything.
     let mut scene = scenes::room(300, 2);
-    scene.log_scales = vec![vec![[1.0; 3]; 300]];
-    scene.logit_opacities = vec![vec![-3.0; 300]];
+    scene.log_scales_mut(0).fill([1.0; 3]);
+    scene.logit_opacities_mut(0).fill(-3.0);
     let bits = BitMap::uniform(300, 16, 8);
     let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default());
     let file = encode(&compact.unwrap()).unwrap();
     let segment = segment(&file, 1);
-    let (start, _) = start_view(&segment.first().means, UpAxis::default().direction());
+    let (start, _) = start_view(segment.first().means(), UpAxis::default().direction());
     let camera = start.resized(400, 300);
-    let shot = Shot { segment: &segment, timestep: 1, camera: &camera, background: [0.0; 3] };
-    let mut stage = Stage::new(&gpu, FORMAT, &segment).unwrap();
+    let request = PictureRequest { segment: &segment, timestep: 1, camera: &camera, background: [0.0; 3] };
+    let mut renderer = SegmentRenderer::new(&gpu, FORMAT, &segment).unwrap();
     let texture = texture(&gpu, 400, 300);
-    stage.draw(&shot, &texture).unwrap();
+    renderer.draw(&request, &texture).unwrap();
     gpu.wait().unwrap();
     // It is known a frame later, and right from then on.
-    stage.draw(&shot, &texture).unwrap();
-    assert!(!stage.is_whole());
+    renderer.draw(&request, &texture).unwrap();
+    assert!(!renderer.is_whole());
     gpu.wait().unwrap();
-    stage.draw(&shot, &texture).unwrap();
-    assert!(stage.is_whole());
-    let found = still(&gpu, &mut Stage::new(&gpu, FORMAT, &segment).unwrap(), &shot);
+    renderer.draw(&request, &texture).unwrap();
+    assert!(renderer.is_whole());
+    let found = still(&gpu, &mut SegmentRenderer::new(&gpu, FORMAT, &segment).unwrap(), &request);
     assert!(share_alike(&found, &expected(&segment, 1, &camera, [0.0; 3])) >= 0.999);
 }
 
@@ -234,13 +238,13 @@ fn a_viewer_plays_pauses_and_takes_stills() {
 
     // Another file takes its place; one that is none leaves nothing.
     viewer.open(BytesSource::new(&b"something else"[..]), settings(1 << 30), 0);
-    assert_eq!(viewer.update(200.0).unwrap_err().code(), "not-tcgs");
+    assert_eq!(viewer.update(200.0).unwrap_err().code(), ErrorCode::NotTcgs);
     assert_eq!(viewer.draw([96, 64], &target).unwrap(), None);
 }
 
 #[test]
 fn every_attribute_has_its_place() {
     // Reconstruction counts on it.
-    let components = Attribute::ALL.map(Attribute::components);
+    let components = Attribute::BASE.map(Attribute::components);
     assert_eq!(components, [3, 4, 3, 1, 3]);
 }

@@ -1,15 +1,12 @@
 //! What a run remembers of a timestep: its result, and the rest of what the next one starts from.
 //! One NumPy archive a timestep, written whole or not at all.
 
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 
-use npyz::WriterBuilder;
-use npyz::npz::{NpzArchive, NpzWriter};
-use npyz::zip::write::FileOptions;
-use npyz::zip::{CompressionMethod, DateTime};
 use tcgs_codec::{BitMap, Quantizer};
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Attribute, Gaussians, Layout};
+use tcgs_interchange::{Existing, InterchangeError, NpyValue, NpzReader, NpzWriter, write_whole};
 
 use crate::TrainError;
 use crate::engine::cpu::{FakeQuantizers, Moments};
@@ -33,56 +30,51 @@ pub struct Checkpoint {
 const MOMENT_NAMES: [&str; 3] = ["color_moments", "quantizer_step_moments", "quantizer_offset_moments"];
 
 impl Checkpoint {
-    /// Writes the archive beside `path`, makes it durable, then renames it.
+    /// Writes the archive, whole or not at all. Equal checkpoints are equal files.
     ///
     /// # Errors
     /// [`TrainError::Write`]; `path` is then as it was.
     pub fn save(&self, path: &Path, first: bool) -> Result<(), TrainError> {
-        let failed = |error| TrainError::Write { path: path.into(), error };
-        let folder = path.parent().unwrap_or(Path::new("."));
-        let mut file = temporary_file(folder).map_err(failed)?;
-        self.write(BufWriter::new(file.as_file_mut()), first).map_err(failed)?;
-        file.as_file().sync_all().map_err(failed)?;
-        file.persist(path).map_err(|e| failed(e.error))?;
-        // The rename itself must survive a power cut too.
-        std::fs::File::open(folder).and_then(|f| f.sync_all()).map_err(failed)
+        let written = write_whole(path, Existing::Replace, |file| self.write(BufWriter::new(file), first));
+        written.map_err(|error| TrainError::Write { path: path.into(), error })
     }
 
-    fn write<W: Write + std::io::Seek>(&self, writer: W, first: bool) -> std::io::Result<()> {
+    fn write<W: Write + Seek>(&self, writer: W, first: bool) -> std::io::Result<()> {
         let mut npz = NpzWriter::new(writer);
         let p = &self.parameters;
-        let n = p.num_gaussians() as u64;
-        for attribute in Attribute::ALL.into_iter().filter(|a| first || a.varies_in_training()) {
-            let shape = [n, attribute.components() as u64];
+        let n = p.num_gaussians();
+        for column in p.gaussians.layout().columns().iter().filter(|column| first || column.varies) {
+            let attribute = column.attribute;
+            let shape = [n, attribute.components()];
             let shape = if attribute.components() == 1 { &shape[..1] } else { &shape };
-            put(&mut npz, attribute.name(), shape, p.gaussians.values(attribute))?;
+            npz.array(&column.name, shape, [p.gaussians.values(attribute)])?;
         }
-        put(&mut npz, "mask_logits", &[n], &p.mask_logits)?;
+        npz.array("mask_logits", &[n], [p.mask_logits.as_slice()])?;
         let flat = |q: &FakeQuantizers, f: fn(&Quantizer) -> f32| q.quantizers.iter().map(f).collect::<Vec<_>>();
         if let Some(q) = &self.quantizers {
-            put(&mut npz, "quantizer_steps", &[q.quantizers.len() as u64], &flat(q, |q| q.step))?;
-            put(&mut npz, "quantizer_offsets", &[q.quantizers.len() as u64], &flat(q, |q| q.offset))?;
+            npz.array("quantizer_steps", &[q.quantizers.len()], [&flat(q, |q| q.step)[..]])?;
+            npz.array("quantizer_offsets", &[q.quantizers.len()], [&flat(q, |q| q.offset)[..]])?;
         }
         for (name, m) in MOMENT_NAMES.iter().zip(&self.kept_moments) {
-            put(&mut npz, name, &[2, m.first.len() as u64], &[m.first.as_slice(), &m.second].concat())?;
+            npz.array(name, &[2, m.first.len()], [m.first.as_slice(), &m.second])?;
         }
-        let steps = [self.steps.as_slice(), &self.kept_moments.each_ref().map(|m| m.step)].concat();
-        put(&mut npz, "steps", &[steps.len() as u64], &steps)?;
+        let kept_steps = self.kept_moments.each_ref().map(|m| m.step);
+        npz.array("steps", &[self.steps.len() + kept_steps.len()], [self.steps.as_slice(), &kept_steps])?;
         if first {
-            let cameras = p.camera_gains.len() as u64;
-            put(&mut npz, "camera_gains", &[cameras, 3], p.camera_gains.as_flattened())?;
-            put(&mut npz, "camera_offsets", &[cameras, 3], p.camera_offsets.as_flattened())?;
-            put(&mut npz, "foreground", &[n], &p.foreground.iter().map(|&f| u8::from(f)).collect::<Vec<_>>())?;
-            put(&mut npz, "scene_radius", &[1], &[self.scene_radius])?;
+            let cameras = p.camera_gains.len();
+            npz.array("camera_gains", &[cameras, 3], [p.camera_gains.as_flattened()])?;
+            npz.array("camera_offsets", &[cameras, 3], [p.camera_offsets.as_flattened()])?;
+            npz.array("foreground", &[n], [&p.foreground.iter().map(|&f| u8::from(f)).collect::<Vec<_>>()[..]])?;
+            npz.array("scene_radius", &[1], [[self.scene_radius].as_slice()])?;
             if let Some(q) = &self.quantizers {
                 let groups: Vec<u8> = q.groups.iter().flat_map(|&(a, width)| [a.index() as u8, width]).collect();
-                put(&mut npz, "quantizer_groups", &[q.groups.len() as u64, 2], &groups)?;
-                put(&mut npz, "quantizer_initial_steps", &[q.initial_steps.len() as u64], &q.initial_steps)?;
-                put(&mut npz, "bit_widths", &[5, n], &q.bit_map.widths.concat())?;
+                npz.array("quantizer_groups", &[q.groups.len(), 2], [&groups[..]])?;
+                npz.array("quantizer_initial_steps", &[q.initial_steps.len()], [&q.initial_steps[..]])?;
+                npz.array("bit_widths", &[5, n], q.bit_map.widths.iter().map(Vec::as_slice))?;
             }
         }
         // Left to be dropped, the archive would swallow a full disk.
-        npz.zip_writer().finish().map_err(std::io::Error::from)?.flush()
+        npz.finish()?.flush()
     }
 
     /// Reads an archive.
@@ -94,32 +86,22 @@ impl Checkpoint {
     /// [`TrainError::File`] if it is not a whole checkpoint of this run.
     pub fn load(path: &Path, first: Option<&Self>, learned_offset: bool) -> Result<Self, TrainError> {
         let failed = |problem: String| TrainError::File { path: path.into(), problem };
-        let mut npz = NpzArchive::open(path).map_err(|e| failed(format!("not a checkpoint: {e}")))?;
+        let npz = NpzReader::open(path);
+        let mut npz = npz.map_err(|error| failed(format!("not a checkpoint: {}", problem_of(error))))?;
         read(&mut npz, first, learned_offset).map_err(failed)
     }
 }
 
-/// A file to be renamed within `folder`. Temporary files are private unless told; the one it becomes is as
-/// readable as any other.
-pub(crate) fn temporary_file(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.prefix(".writing-").tempfile_in(folder)
-}
-
-type Archive = NpzArchive<std::io::BufReader<std::fs::File>>;
-
-fn read(npz: &mut Archive, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
+fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
     let means = get::<f32>(npz, "means")?;
     let n = first.map_or(means.len() / 3, |f| f.parameters.num_gaussians());
     let mut gaussians = Gaussians::zeros(n);
-    for attribute in Attribute::ALL {
+    for column in Layout::base().columns() {
         let values = match first {
-            Some(first) if !attribute.varies_in_training() => first.parameters.gaussians.values(attribute).to_vec(),
-            _ => get(npz, attribute.name())?,
+            Some(first) if !column.varies => first.parameters.gaussians.values(column.attribute).to_vec(),
+            _ => get(npz, &column.name)?,
         };
-        fill(attribute.name(), gaussians.values_mut(attribute), &values)?;
+        fill(&column.name, gaussians.values_mut(column.attribute), &values)?;
     }
     let mut mask_logits = vec![0.0; n];
     fill("mask_logits", &mut mask_logits, &get::<f32>(npz, "mask_logits")?)?;
@@ -176,8 +158,10 @@ fn read(npz: &mut Archive, first: Option<&Checkpoint>, learned_offset: bool) -> 
 
 type Bits = (BitMap, Vec<(Attribute, u8)>, Vec<f32>);
 
-fn read_bits(npz: &mut Archive, n: usize) -> Result<Option<Bits>, String> {
-    if !npz.array_names().any(|name| name == "bit_widths") {
+fn read_bits(npz: &mut NpzReader, n: usize) -> Result<Option<Bits>, String> {
+    // All of them or none: an archive's list of names has no checksum.
+    if !["quantizer_groups", "quantizer_initial_steps", "quantizer_steps", "bit_widths"].iter().any(|a| npz.contains(a))
+    {
         return Ok(None);
     }
     let widths = get::<u8>(npz, "bit_widths")?;
@@ -186,33 +170,25 @@ fn read_bits(npz: &mut Archive, n: usize) -> Result<Option<Bits>, String> {
     }
     let groups: Vec<(Attribute, u8)> = get::<u8>(npz, "quantizer_groups")?
         .chunks_exact(2)
-        .map(|g| Attribute::ALL.get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|&a| (a, g[1])))
+        .map(|g| Attribute::BASE.get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|&a| (a, g[1])))
         .collect::<Option<_>>()
         .ok_or("quantizer_groups names an attribute or a width that does not exist")?;
     let widths = std::array::from_fn(|a| widths[a * n..(a + 1) * n].to_vec());
     Ok(Some((BitMap { widths }, groups, get(npz, "quantizer_initial_steps")?)))
 }
 
-fn put<W: Write + std::io::Seek, T: npyz::Serialize + npyz::AutoSerialize + Copy>(
-    npz: &mut NpzWriter<W>,
-    name: &str,
-    shape: &[u64],
-    values: &[T],
-) -> std::io::Result<()> {
-    // No time of writing, so that equal checkpoints are equal files; not compressed, as `numpy.savez` does.
-    let options = FileOptions::default()
-        .compression_method(CompressionMethod::Stored)
-        .last_modified_time(DateTime::default())
-        .large_file(size_of_val(values) > u32::MAX as usize / 2);
-    let mut array = npz.array::<T>(name, options)?.default_dtype().shape(shape).begin_nd()?;
-    array.extend(values.iter().copied())?;
-    array.finish()
+fn get<T: NpyValue>(npz: &mut NpzReader, name: &str) -> Result<Vec<T>, String> {
+    Ok(npz.array_of(name).map_err(problem_of)?.values)
 }
 
-fn get<T: npyz::Deserialize>(npz: &mut Archive, name: &str) -> Result<Vec<T>, String> {
-    let array = npz.by_name(name).map_err(|e| format!("{name} cannot be read: {e}"))?;
-    let array = array.ok_or_else(|| format!("{name} is missing"))?;
-    array.into_vec().map_err(|e| format!("{name} cannot be read: {e}"))
+/// What is wrong with a checkpoint, without its path.
+fn problem_of(error: InterchangeError) -> String {
+    match error {
+        InterchangeError::Io { error, .. } => error.to_string(),
+        InterchangeError::Archive { problem, .. } => problem,
+        InterchangeError::Array { key, problem, .. } => format!("{key} {problem}"),
+        other => other.to_string(),
+    }
 }
 
 fn fill(name: &str, into: &mut [f32], values: &[f32]) -> Result<(), String> {

@@ -44,7 +44,7 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let statistic = &state.statistic;
     let gradient = |i: usize| if statistic.count[i] > 0 { statistic.sum[i] / statistic.count[i] as f32 } else { 0.0 };
     let n = state.parameters.num_gaussians();
-    let scales: Vec<f32> = state.parameters.gaussians.log_scales.iter().map(|&s| largest_scale(s)).collect();
+    let scales: Vec<f32> = state.parameters.gaussians.log_scales().iter().map(|&s| largest_scale(s)).collect();
     let steep: Vec<usize> = (0..n).filter(|&i| gradient(i) >= c.gradient_threshold).collect();
     let (cloned, split): (Vec<usize>, Vec<usize>) =
         steep.into_iter().partition(|&i| scales[i] <= c.clone_scale * step.scene_radius);
@@ -65,22 +65,22 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let gaussians = &mut state.parameters.gaussians;
     let mut random = Pcg64Mcg::seed_from_u64(step.seed);
     for i in first_child..sources.len() {
-        let quat = gaussians.quats[i];
+        let quat = gaussians.quats()[i];
         // Quantised rotations are of unit length already; to normalise them again would change their last bits.
         let rotmat = rotmat_from_unit_quat(if state.quantizers.is_some() { quat } else { normalize(quat) });
-        let local: [f32; 3] = std::array::from_fn(|d| gaussians.log_scales[i][d].exp() * normal(&mut random));
+        let local: [f32; 3] = std::array::from_fn(|d| gaussians.log_scales()[i][d].exp() * normal(&mut random));
         for (d, row) in rotmat.iter().enumerate() {
-            gaussians.means[i][d] += row[0] * local[0] + row[1] * local[1] + row[2] * local[2];
+            gaussians.means_mut()[i][d] += row[0] * local[0] + row[1] * local[1] + row[2] * local[2];
         }
-        gaussians.log_scales[i] = gaussians.log_scales[i].map(|s| s - c.split_shrink.ln());
+        gaussians.log_scales_mut()[i] = gaussians.log_scales_mut()[i].map(|s| s - c.split_shrink.ln());
     }
 
     let threshold = if step.last { c.prune_opacity_end } else { c.prune_opacity };
     let keep: Vec<usize> = (0..sources.len())
         .filter(|&i| {
             let large =
-                step.removes_large && largest_scale(gaussians.log_scales[i]) > c.prune_scale * step.scene_radius;
-            sigmoid(gaussians.logit_opacities[i]) >= threshold && !large
+                step.removes_large && largest_scale(gaussians.log_scales()[i]) > c.prune_scale * step.scene_radius;
+            sigmoid(gaussians.logit_opacities()[i]) >= threshold && !large
         })
         .collect();
     // An empty scene would have nothing left to learn from.
@@ -102,7 +102,7 @@ pub fn remove_others(state: &mut State, keep: &[usize]) {
 /// Sets every opacity to `opacity`, within (0, 1), and forgets their moments.
 pub fn reset_opacities(state: &mut State, opacity: f32) {
     let logit = (opacity / (1.0 - opacity)).ln();
-    state.parameters.gaussians.logit_opacities.fill(logit);
+    state.parameters.gaussians.logit_opacities_mut().fill(logit);
     state.optimizer.attributes[tcgs_core::Attribute::LogitOpacity.index()].clear(false);
 }
 

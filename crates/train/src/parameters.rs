@@ -4,7 +4,7 @@ use std::num::NonZero;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
-use tcgs_core::{Camera, Gaussians, PointCloud};
+use tcgs_core::{BaseColumns, Camera, Gaussians, PointCloud};
 
 /// Everything that gradients move, in stored form, at the current timestep.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -44,13 +44,13 @@ impl Parameters {
             })
             .collect();
         Self {
-            gaussians: Gaussians {
+            gaussians: Gaussians::from(BaseColumns {
                 means: cloud.points.clone(),
                 quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
                 log_scales,
                 logit_opacities: vec![0.0; n],
                 colors: cloud.colors.clone(),
-            },
+            }),
             mask_logits: vec![mask_logit; n],
             foreground: cloud.foreground.clone(),
             camera_gains: vec![[0.0; 3]; num_cameras],
@@ -134,7 +134,7 @@ mod tests {
         };
         let p = Parameters::from_cloud(&cloud, 2, 1.0);
         let expected = (9.0_f32 / 3.0).sqrt().ln(); // squared distances 1, 4, 4
-        assert!((p.gaussians.log_scales[0][1] - expected).abs() < 1e-6);
-        assert_eq!((p.gaussians.logit_opacities[0], p.mask_logits[0], p.camera_gains.len()), (0.0, 1.0, 2));
+        assert!((p.gaussians.log_scales()[0][1] - expected).abs() < 1e-6);
+        assert_eq!((p.gaussians.logit_opacities()[0], p.mask_logits[0], p.camera_gains.len()), (0.0, 1.0, 2));
     }
 }

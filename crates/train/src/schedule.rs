@@ -1,5 +1,7 @@
 //! When things happen and how fast parameters move, as a function of timestep and iteration.
 
+use tcgs_core::RateGroup;
+
 use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 
 /// Learning rates of one iteration.
@@ -21,6 +23,19 @@ pub struct Rates {
     pub mask: f32,
     /// Steps and offsets, times the step they started from.
     pub step: f32,
+}
+
+impl Rates {
+    /// The learning rate of a column's group.
+    pub fn of(&self, group: RateGroup) -> f32 {
+        match group {
+            RateGroup::Mean => self.mean,
+            RateGroup::Quat => self.quat,
+            RateGroup::LogScale => self.log_scale,
+            RateGroup::LogitOpacity => self.logit_opacity,
+            RateGroup::Color => self.color,
+        }
+    }
 }
 
 /// The first timestep or a later one.

@@ -1,7 +1,7 @@
 //! How much each parameter moves the pictures: `S(θ)`, paper Eq. 7.
 
 use rayon::prelude::*;
-use tcgs_core::{Attribute, Camera, Gaussians, Image, activate, activate_bwd};
+use tcgs_core::{Camera, Gaussians, Image, Sensitivity, activate, activate_bwd};
 use tcgs_render::{Rasterizer, RenderSettings};
 
 /// `S(θ) = Σ_k |∂Q_k/∂θ| / Σ_k N_k`: `Q_k` the sum of all colour values of image `k` over black,
@@ -10,7 +10,7 @@ use tcgs_render::{Rasterizer, RenderSettings};
 /// - `rasterizer`: renders, and takes gradients back
 /// - `gaussians`: `[N]`, stored form; the sensitivities are with respect to it
 /// - `cameras`: of the training views, one rendering each
-/// - returns: in the shape of [`Gaussians`], all values >= 0, colour per unit of the parameter
+/// - returns: of the same columns, all values >= 0, colour per unit of the parameter
 ///
 /// Paper, Eq. 7; the absolute value is taken per view as in Niedermayr et al. 2024.
 ///
@@ -20,21 +20,21 @@ pub fn sensitivity<R: Rasterizer>(
     rasterizer: &R,
     gaussians: &Gaussians,
     cameras: &[Camera],
-) -> Result<Gaussians, R::Error> {
+) -> Result<Sensitivity, R::Error> {
     let activated = activate(gaussians);
     let settings = RenderSettings::default();
-    let mut sum = Gaussians::zeros(gaussians.num_gaussians());
+    let mut sum = Sensitivity::zeros_of(gaussians.layout(), gaussians.num_gaussians());
     for camera in cameras {
         let (_, saved) = rasterizer.forward(&activated, camera, &settings)?;
         let ones = Image::filled(camera.width, camera.height, 3, 1.0);
         let render = rasterizer.backward(&activated, camera, &settings, &saved, &ones)?;
         let v = activate_bwd(gaussians, &activated, &render.activated);
-        for attribute in Attribute::ALL {
+        for attribute in gaussians.layout().attributes() {
             sum.values_mut(attribute).par_iter_mut().zip(v.values(attribute)).for_each(|(s, v)| *s += v.abs());
         }
     }
     let num_pixels: usize = cameras.iter().map(|c| c.width * c.height).sum();
-    for attribute in Attribute::ALL {
+    for attribute in gaussians.layout().attributes() {
         sum.values_mut(attribute).par_iter_mut().for_each(|s| *s /= num_pixels.max(1) as f32);
     }
     Ok(sum)

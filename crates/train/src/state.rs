@@ -31,7 +31,7 @@ impl Optimizer {
     pub fn new(parameters: &Parameters, num_quantizers: usize) -> Self {
         let cameras = 3 * parameters.camera_gains.len();
         Self {
-            attributes: Attribute::ALL.map(|a| Moments::new(parameters.gaussians.values(a).len())),
+            attributes: Attribute::BASE.map(|a| Moments::new(parameters.gaussians.values(a).len())),
             mask: Moments::new(parameters.num_gaussians()),
             gains: Moments::new(cameras),
             offsets: Moments::new(cameras),
@@ -42,7 +42,7 @@ impl Optimizer {
 
     /// Rows of the Gaussians' moments taken from `sources`; a fresh row starts from zero.
     pub fn gather(&mut self, sources: &[(usize, bool)]) {
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             self.attributes[attribute.index()].gather(sources, attribute.components());
         }
         self.mask.gather(sources, 1);
@@ -65,8 +65,21 @@ impl GradientStatistic {
     }
 }
 
-/// Means and rotations of one timestep, `[N]` each.
-pub type Pose = (Vec<[f32; 3]>, Vec<[f32; 4]>);
+/// Where every Gaussian was at one timestep.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Pose {
+    /// `[N, 3]` centres, scene units.
+    pub means: Vec<[f32; 3]>,
+    /// `[N, 4]` rotations, `w, x, y, z`.
+    pub quats: Vec<[f32; 4]>,
+}
+
+impl Pose {
+    /// Where `gaussians` are.
+    pub fn of(gaussians: &Gaussians) -> Self {
+        Self { means: gaussians.means().to_vec(), quats: gaussians.quats().to_vec() }
+    }
+}
 
 /// What the losses on motion compare with.
 #[derive(Clone, Debug)]
@@ -129,7 +142,7 @@ impl State {
     /// Brings rotations into the form that files hold: unit length, `w >= 0`. To be done before anything
     /// is measured for quantisation, so that quantizers are fitted to what they will round.
     pub fn canonicalize_quats(&mut self) {
-        self.parameters.gaussians.quats.par_iter_mut().for_each(|quat| {
+        self.parameters.gaussians.quats_mut().par_iter_mut().for_each(|quat| {
             let unit = normalize(*quat);
             *quat = if unit[0] < 0.0 { unit.map(|x| -x) } else { unit };
         });

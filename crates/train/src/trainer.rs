@@ -124,7 +124,6 @@ impl Trainer {
         timesteps: usize,
         make: impl FnOnce(State) -> Box<dyn Engine>,
     ) -> Self {
-        let place = |c: &Checkpoint| (c.parameters.gaussians.means.clone(), c.parameters.gaussians.quats.clone());
         let mut state = State::new(last.parameters.clone());
         state.quantizers = last.quantizers.clone();
         let [mean, quat, masks] = last.steps;
@@ -143,8 +142,8 @@ impl Trainer {
             num_gaussians: state.parameters.num_gaussians(),
             engine: make(state),
             timestep: timesteps,
-            first: Some(Arc::new(place(first))),
-            before: Some(Arc::new(place(before_last))),
+            first: Some(Arc::new(Pose::of(&first.parameters.gaussians))),
+            before: Some(Arc::new(Pose::of(&before_last.parameters.gaussians))),
             camera_ids: Vec::new(),
             is_unfinished: false,
         }
@@ -318,14 +317,15 @@ impl Trainer {
         let p = &mut state.parameters;
         let neighbors = match state.past.take() {
             Some(past) => past.neighbors,
-            None => Arc::new(Neighbors::new(&first.0, &p.foreground)),
+            None => Arc::new(Neighbors::new(&first.means, &p.foreground)),
         };
         state.past = Some(Past { first, neighbors, previous: p.gaussians.clone() });
         let g = &mut p.gaussians;
-        let now = Arc::new((g.means.clone(), g.quats.clone()));
+        let now = Arc::new(Pose::of(g));
         let before = self.before.take().unwrap_or_else(|| Arc::clone(&now));
-        for i in 0..g.means.len() {
-            (g.means[i], g.quats[i]) = predict(g.means[i], before.0[i], g.quats[i], before.1[i]);
+        let v = g.views_mut();
+        for i in 0..v.means.len() {
+            (v.means[i], v.quats[i]) = predict(v.means[i], before.means[i], v.quats[i], before.quats[i]);
         }
         self.before = Some(now);
         if self.config.mask.enabled {
@@ -346,7 +346,7 @@ impl Trainer {
     /// A Gaussian that is not finite is culled by the renderer, so that no loss tells.
     fn check_finite(&mut self, iteration: usize) -> Result<(), TrainError> {
         let gaussians = &self.engine.state()?.parameters.gaussians;
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             if let Some(value) = gaussians.values(attribute).iter().find(|x| !x.is_finite()) {
                 let (term, value) = (attribute.name(), f64::from(*value));
                 return Err(TrainError::NotFinite { term, value, timestep: self.timestep, iteration });
@@ -358,7 +358,7 @@ impl Trainer {
     fn end_timestep(&mut self) -> Result<(), TrainError> {
         if self.timestep == 0 {
             let g = &self.engine.state()?.parameters.gaussians;
-            self.first = Some(Arc::new((g.means.clone(), g.quats.clone())));
+            self.first = Some(Arc::new(Pose::of(g)));
             // No motion is known yet.
             self.before = self.first.clone();
         }

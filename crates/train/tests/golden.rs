@@ -5,9 +5,9 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use npyz::npz::NpzArchive;
 use tcgs_codec::Quantizer;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image, normalize};
+use tcgs_interchange::{NpyValue, NpzReader};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::cpu::{
     MotionPrior, Neighbors, PriorGrads, PriorWeights, fake_quant_vjp, image_loss, predict, step_gradient_scale,
@@ -25,15 +25,15 @@ fn shared(name: &str) -> Option<PathBuf> {
     None
 }
 
-struct Arrays(NpzArchive<std::io::BufReader<std::fs::File>>);
+struct Arrays(NpzReader);
 
 impl Arrays {
     fn open(path: &Path) -> Self {
-        Self(NpzArchive::open(path).unwrap())
+        Self(NpzReader::open(path).unwrap())
     }
 
-    fn get<T: npyz::Deserialize>(&mut self, name: &str) -> Vec<T> {
-        self.0.by_name(name).unwrap().unwrap_or_else(|| panic!("{name} is missing")).into_vec().unwrap()
+    fn get<T: NpyValue>(&mut self, name: &str) -> Vec<T> {
+        self.0.array_of(name).unwrap().values
     }
 
     fn rows<const D: usize>(&mut self, name: &str) -> Vec<[f32; D]> {
@@ -257,7 +257,7 @@ fn the_first_render_of_basketball_equals_the_reference() {
     let radius = f64::from(scene_radius(&cameras));
     assert!((radius / golden["scene_radius"].as_f64().unwrap() - 1.0).abs() < 1e-5);
     let parameters = Parameters::from_cloud(&capture.point_cloud().unwrap(), views.len(), 1.0);
-    let scales = &parameters.gaussians.log_scales;
+    let scales = &parameters.gaussians.log_scales();
     let mean_scale = scales.iter().map(|s| f64::from(s[0].exp())).sum::<f64>() / scales.len() as f64;
     assert!((mean_scale / golden["mean_scale"].as_f64().unwrap() - 1.0).abs() < 1e-3);
 

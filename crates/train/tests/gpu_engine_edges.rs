@@ -13,7 +13,7 @@ use tcgs_render::gpu::{Gpu, GpuError};
 use tcgs_train::engine::cpu::{CpuEngine, FakeQuantizers, Neighbors};
 use tcgs_train::engine::gpu::GpuEngine;
 use tcgs_train::engine::{Engine, LossTerms, Step, Target};
-use tcgs_train::{Optimizer, Parameters, Past, Phase, Rates, Schedule, State, TrainConfig, TrainError};
+use tcgs_train::{Optimizer, Parameters, Past, Phase, Pose, Rates, Schedule, State, TrainConfig, TrainError};
 
 fn config() -> TrainConfig {
     TrainConfig::default()
@@ -29,9 +29,9 @@ fn state(n: usize, cameras: usize, is_foreground: impl Fn(usize) -> bool) -> Sta
     let mut state = State::new(Parameters::from_cloud(&cloud, cameras, 1.0));
     for i in 0..n {
         let g = &mut state.parameters.gaussians;
-        g.log_scales[i] = random.row::<3>(1.0).map(|s| s - 2.0);
-        g.quats[i] = random.row(1.0);
-        g.logit_opacities[i] = random.within(3.0);
+        g.log_scales_mut()[i] = random.row::<3>(1.0).map(|s| s - 2.0);
+        g.quats_mut()[i] = random.row(1.0);
+        g.logit_opacities_mut()[i] = random.within(3.0);
     }
     state
 }
@@ -59,10 +59,10 @@ fn target([width, height]: [usize; 2], channels: usize, seed: u64) -> Target {
 fn with_past(mut state: State) -> State {
     let mut random = Random::new(99);
     let g = &state.parameters.gaussians;
-    let first = (g.means.clone(), g.quats.clone());
+    let first = Pose::of(g);
     let mut previous = g.clone();
-    previous.means.iter_mut().for_each(|mean| *mean = mean.map(|x| x + random.within(0.01)));
-    let neighbors = Arc::new(Neighbors::new(&first.0, &state.parameters.foreground));
+    previous.means_mut().iter_mut().for_each(|mean| *mean = mean.map(|x| x + random.within(0.01)));
+    let neighbors = Arc::new(Neighbors::new(&first.means, &state.parameters.foreground));
     state.past = Some(Past { first: Arc::new(first), neighbors, previous });
     state.previous_mask_logits = Some(vec![0.5; g.num_gaussians()]);
     state
@@ -112,7 +112,7 @@ fn compare(
     let (e, f) = (a.state().unwrap(), b.state().unwrap());
     let counts = e.statistic.count.iter().zip(&f.statistic.count).filter(|(a, b)| a != b).count();
     assert!(counts * 100 <= e.statistic.count.len(), "{name}: {counts} counts differ");
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let [m, n] = [e, f].map(|s| &s.optimizer.attributes[attribute.index()]);
         assert_eq!(m.step, n.step);
         let error = relative_l2(&n.first, &m.first);
@@ -234,7 +234,7 @@ fn a_lost_gpu_is_an_error() {
 /// Everything that outlives an iteration, bit for bit.
 fn bits(state: &State) -> Vec<u32> {
     let (p, o) = (&state.parameters, &state.optimizer);
-    let mut values: Vec<f32> = Attribute::ALL.iter().flat_map(|&a| p.gaussians.values(a).to_vec()).collect();
+    let mut values: Vec<f32> = Attribute::BASE.iter().flat_map(|&a| p.gaussians.values(a).to_vec()).collect();
     values.extend(p.camera_gains.iter().chain(&p.camera_offsets).flatten());
     values.extend(p.mask_logits.iter().chain(&state.statistic.sum));
     let others = [&o.mask, &o.gains, &o.offsets, &o.quantizer_steps, &o.quantizer_offsets];
@@ -274,7 +274,7 @@ fn iterations_beyond_the_room_are_repeated_bit_for_bit() {
         cameras[from] = camera;
     }
     let mut start = state(60, 4, |i| i % 2 == 0);
-    start.parameters.gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s += 0.7);
+    start.parameters.gaussians.log_scales_mut().as_flattened_mut().iter_mut().for_each(|s| *s += 0.7);
     let start = quantized(with_past(start), true);
     let mut runs = [100_000, 1].map(|room| {
         let mut engine = GpuEngine::new(&gpu, start.clone()).with_room_for(room);
@@ -340,7 +340,7 @@ fn without_rates_nothing_moves_and_the_statistic_is_that_of_the_cpu() {
         o.attributes.iter().chain(others).map(|m| m.step).collect::<Vec<_>>()
     };
     assert_eq!(steps(found), steps(expected));
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let (f, s) = (found.parameters.gaussians.values(attribute), start.parameters.gaussians.values(attribute));
         assert!(relative_l2(f, s) < 1e-6, "{} moved", attribute.name());
     }
@@ -377,7 +377,7 @@ fn timesteps_of_other_sizes_and_channels_follow_each_other() {
             state.parameters = with_past(self::state(80, 2, |i| i % 2 == 0)).parameters;
             state.parameters.mask_logits[timestep] = -6.0;
             let past = state.past.as_mut().unwrap();
-            past.previous.colors.iter_mut().for_each(|color| color[timestep % 3] += 0.1);
+            past.previous.colors_mut().iter_mut().for_each(|color| color[timestep % 3] += 0.1);
             losses.push(run(engine, &targets, &[0, 1, 0], &config, Phase::Rest).unwrap());
         }
         for (f, e) in losses[1].iter().zip(&losses[0]) {

@@ -6,7 +6,7 @@ mod support;
 
 use support::{Random, gpu, packed, relative_l2};
 use tcgs_codec::BitMap;
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Attribute, GaussianGrads, Gaussians};
 use tcgs_render::gpu::Gpu;
 use tcgs_train::engine::cpu::FakeQuantizers;
 use tcgs_train::engine::gpu::{FakeQuantKernels, QuantizerBuffers, StepUniform};
@@ -54,7 +54,7 @@ fn backward(
 fn scene(n: usize, random: &mut Random) -> (BitMap, Gaussians) {
     let mut bit_map = BitMap::uniform(n, 16, 8);
     let mut gaussians = Gaussians::zeros(n);
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let size = 1.0 + attribute.index() as f32;
         gaussians.values_mut(attribute).fill_with(|| random.within(size) + 0.3);
         if attribute != Attribute::Mean {
@@ -74,7 +74,7 @@ fn gradients_are_those_of_the_cpu() {
         let (bit_map, mut gaussians) = scene(n, &mut random);
         let quantizers = FakeQuantizers::new(bit_map, &gaussians, learned_offset);
         // Values have moved since: some are beyond the range, some exactly at its end or between two codes.
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             gaussians.values_mut(attribute).iter_mut().for_each(|x| *x = 1.1 * *x + random.within(0.02));
         }
         for (i, &(attribute, width)) in quantizers.groups.iter().enumerate() {
@@ -90,9 +90,9 @@ fn gradients_are_those_of_the_cpu() {
             }
         }
         let v: Vec<f32> = (0..15 * n).map(|_| random.within(1.0)).collect();
-        let mut expected = Gaussians::zeros(n);
+        let mut expected = GaussianGrads::zeros(n);
         let mut first = 0;
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             let values = expected.values_mut(attribute);
             values.copy_from_slice(&v[first..first + values.len()]);
             first += values.len();
@@ -137,7 +137,7 @@ fn every_gaussian_finds_its_quantizers() {
     let starts: Vec<u32> = gpu.read(&buffers.group_starts, 256).unwrap();
     let table: Vec<f32> = gpu.read(&buffers.quantizers, 4 * quantizers.quantizers.len()).unwrap();
     let wanted = quantizers.table();
-    for (byte, &attribute) in Attribute::ALL[1..].iter().enumerate() {
+    for (byte, &attribute) in Attribute::BASE[1..].iter().enumerate() {
         for i in 0..500 {
             let first = starts[(groups[i] >> (8 * byte) & 255) as usize] as usize;
             for channel in 0..attribute.components() {

@@ -7,9 +7,9 @@ mod support;
 use std::io::Write;
 use std::path::Path;
 
-use npyz::npz::NpzArchive;
 use support::{Random, gpu, packed, relative_l2};
-use tcgs_core::Gaussians;
+use tcgs_core::{Attribute, GaussianGrads, Gaussians};
+use tcgs_interchange::NpzReader;
 use tcgs_render::gpu::Gpu;
 use tcgs_train::engine::cpu::{MotionPrior, Neighbors, PriorGrads, PriorLosses, PriorWeights};
 use tcgs_train::engine::gpu::{MotionPriorKernels, PriorBuffers, StepUniform, prior_rows};
@@ -31,41 +31,42 @@ impl Motion {
         let mut random = Random::new(seed);
         let n = is_foreground.len();
         let mut first = Gaussians::zeros(n);
-        first.means.fill_with(|| random.row(0.1));
-        first.quats.fill_with(|| random.row(1.0));
-        first.colors.fill_with(|| random.row(1.0));
+        first.means_mut().fill_with(|| random.row(0.1));
+        first.quats_mut().fill_with(|| random.row(1.0));
+        first.colors_mut().fill_with(|| random.row(1.0));
         let mut moved = |from: &Gaussians| {
             let mut to = from.clone();
-            to.means.iter_mut().flatten().for_each(|x| *x += random.within(moves));
-            to.quats.iter_mut().flatten().for_each(|x| *x += random.within(moves));
-            to.colors.iter_mut().flatten().for_each(|x| *x += random.within(moves));
+            to.means_mut().iter_mut().flatten().for_each(|x| *x += random.within(moves));
+            to.quats_mut().iter_mut().flatten().for_each(|x| *x += random.within(moves));
+            to.colors_mut().iter_mut().flatten().for_each(|x| *x += random.within(moves));
             to
         };
         let previous = moved(&first);
         let mut now = moved(&previous);
-        now.colors[0] = previous.colors[0];
+        now.colors_mut()[0] = previous.colors()[0];
         Self { is_foreground, first, previous, now }
     }
 
     fn neighbors(&self) -> Neighbors<f32> {
-        Neighbors::new(&self.first.means, &self.is_foreground)
+        Neighbors::new(self.first.means(), &self.is_foreground)
     }
 }
 
-fn cpu_losses(motion: &Motion, weights: &PriorWeights) -> (PriorLosses, Gaussians) {
+fn cpu_losses(motion: &Motion, weights: &PriorWeights) -> (PriorLosses, GaussianGrads) {
     let Motion { is_foreground, first, previous, now } = motion;
     let prior = MotionPrior::new(
         motion.neighbors().into(),
         is_foreground,
-        &first.means,
-        &first.quats,
-        &previous.means,
-        &previous.quats,
-        &previous.colors,
+        first.means(),
+        first.quats(),
+        previous.means(),
+        previous.quats(),
+        previous.colors(),
     );
-    let mut v = Gaussians::zeros(now.num_gaussians());
-    let grads = PriorGrads { v_means: &mut v.means, v_quats: &mut v.quats, v_colors: &mut v.colors };
-    let losses = prior.losses(&now.means, &now.quats, &now.colors, weights, grads);
+    let mut v = GaussianGrads::zeros(now.num_gaussians());
+    let views = v.views_mut();
+    let grads = PriorGrads { v_means: views.means, v_quats: views.quats, v_colors: views.colors };
+    let losses = prior.losses(now.means(), now.quats(), now.colors(), weights, grads);
     (losses, v)
 }
 
@@ -96,7 +97,7 @@ fn gpu_losses(gpu: &Gpu, motion: &Motion, weights: &PriorWeights, start: f32, ti
     gpu.queue().write_buffer(&step, 0, bytemuck::bytes_of(&settings));
     let buffers = PriorBuffers { params: &params, grads: &grads, step: &step, partials: &partials };
     let first = &motion.first;
-    let kernels = MotionPriorKernels::new(gpu, &neighbors, &first.means, &first.quats, &buffers).unwrap();
+    let kernels = MotionPriorKernels::new(gpu, &neighbors, first.means(), first.quats(), &buffers).unwrap();
     let mut encoder = gpu.encoder();
     kernels.record_begin(&mut encoder.begin_compute_pass(&Default::default()));
     gpu.submit(encoder);
@@ -181,16 +182,16 @@ fn exact_gradients(motion: &Motion, weights: &PriorWeights) -> Vec<f32> {
     let prior = MotionPrior::new(
         Neighbors::from_edges(foreground, per_node, indices, falloffs, distances).into(),
         is_foreground,
-        &wide(&first.means),
-        &wide(&first.quats),
-        &wide(&previous.means),
-        &wide(&previous.quats),
-        &wide(&previous.colors),
+        &wide(first.means()),
+        &wide(first.quats()),
+        &wide(previous.means()),
+        &wide(previous.quats()),
+        &wide(previous.colors()),
     );
     let n = now.num_gaussians();
     let (mut v_means, mut v_quats, mut v_colors) = (vec![[0.0; 3]; n], vec![[0.0; 4]; n], vec![[0.0; 3]; n]);
     let grads = PriorGrads { v_means: &mut v_means, v_quats: &mut v_quats, v_colors: &mut v_colors };
-    prior.losses(&wide(&now.means), &wide(&now.quats), &wide(&now.colors), weights, grads);
+    prior.losses(&wide(now.means()), &wide(now.quats()), &wide(now.colors()), weights, grads);
     v_means.as_flattened().iter().chain(v_quats.as_flattened()).map(|&v| v as f32).collect()
 }
 
@@ -201,7 +202,7 @@ fn rounding_costs_no_more_than_on_the_cpu() {
     for moves in [1e-2, 1e-3] {
         let mut motion = Motion::random(vec![true; 900], moves, 17);
         for gaussians in [&mut motion.first, &mut motion.previous, &mut motion.now] {
-            gaussians.means.iter_mut().flatten().for_each(|x| *x += 1.5);
+            gaussians.means_mut().iter_mut().flatten().for_each(|x| *x += 1.5);
         }
         for (name, weights) in [
             ("rigid", PriorWeights { rigid: 1.0, ..PriorWeights::default() }),
@@ -257,15 +258,16 @@ fn losses_and_gradients_equal_the_reference() {
         return;
     }
     let Some(gpu) = gpu() else { return };
-    let mut archive = NpzArchive::open(path).unwrap();
-    let is_foreground: Vec<bool> = archive.by_name("is_fg").unwrap().unwrap().into_vec().unwrap();
-    let mut get = |name: &str| -> Vec<f32> { archive.by_name(name).unwrap().unwrap().into_vec().unwrap() };
-    let colors = get("colors").as_chunks::<3>().0.to_vec();
-    let [first, previous, now] = ["t0", "t1", "t2"].map(|time| Gaussians {
-        means: get(&format!("means_{time}")).as_chunks::<3>().0.to_vec(),
-        quats: get(&format!("quats_{time}")).as_chunks::<4>().0.to_vec(),
-        colors: colors.clone(),
-        ..Gaussians::zeros(is_foreground.len())
+    let mut archive = NpzReader::open(path).unwrap();
+    let is_foreground: Vec<bool> = archive.array_of("is_fg").unwrap().values;
+    let mut get = |name: &str| -> Vec<f32> { archive.array_of(name).unwrap().values };
+    let colors = get("colors");
+    let [first, previous, now] = ["t0", "t1", "t2"].map(|time| {
+        let mut gaussians = Gaussians::zeros(is_foreground.len());
+        gaussians.values_mut(Attribute::Mean).copy_from_slice(&get(&format!("means_{time}")));
+        gaussians.values_mut(Attribute::Quat).copy_from_slice(&get(&format!("quats_{time}")));
+        gaussians.values_mut(Attribute::Color).copy_from_slice(&colors);
+        gaussians
     });
     let motion = Motion { is_foreground, first, previous, now };
     let n = motion.now.num_gaussians();
@@ -274,8 +276,7 @@ fn losses_and_gradients_equal_the_reference() {
         let weights =
             PriorWeights { rigid: on(0), rot: on(1), iso: on(2), floor: on(3), background: on(4), soft_color: 0.0 };
         let (losses, v) = gpu_losses(&gpu, &motion, &weights, 0.0, 1);
-        let expected: Vec<f64> =
-            NpzArchive::open(path).unwrap().by_name(&format!("loss_{name}")).unwrap().unwrap().into_vec().unwrap();
+        let expected: Vec<f64> = NpzReader::open(path).unwrap().array_of(&format!("loss_{name}")).unwrap().values;
         assert!((values(&losses)[i] / expected[0] - 1.0).abs() < 1e-4, "{name}: {losses:?} against {expected:?}");
         for (found, key) in [(&v[..3 * n], format!("v_means_{name}")), (&v[3 * n..7 * n], format!("v_quats_{name}"))] {
             let error = relative_l2(found, &get(&key));

@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
-use tcgs_core::{Camera, Gaussians, Image, View};
+use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::{Engine, LossTerms, Step, Target};
@@ -84,11 +84,11 @@ fn training_learns_the_scene_and_follows_it() {
     assert!(follows > frozen + 3.0, "{follows:.2} dB while following, {frozen:.2} standing still");
     // What is frozen after the first timestep has not moved; what varies has.
     let last = &trainer.state().unwrap().parameters;
-    assert_eq!(last.gaussians.log_scales, first.gaussians.log_scales);
-    assert_eq!(last.gaussians.logit_opacities, first.gaussians.logit_opacities);
+    assert_eq!(last.gaussians.log_scales(), first.gaussians.log_scales());
+    assert_eq!(last.gaussians.logit_opacities(), first.gaussians.logit_opacities());
     assert_eq!(last.camera_gains, first.camera_gains);
-    assert_ne!(last.gaussians.means, first.gaussians.means);
-    assert_ne!(last.gaussians.colors, first.gaussians.colors);
+    assert_ne!(last.gaussians.means(), first.gaussians.means());
+    assert_ne!(last.gaussians.colors(), first.gaussians.colors());
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn a_capture_without_masks_trains_and_stays_finite() {
             .unwrap();
     }
     assert!(trainer.mean_psnr(&without(1)).unwrap() > 18.0);
-    assert!(trainer.state().unwrap().parameters.gaussians.means.as_flattened().iter().all(|x| x.is_finite()));
+    assert!(trainer.state().unwrap().parameters.gaussians.means().as_flattened().iter().all(|x| x.is_finite()));
 }
 
 #[test]
@@ -188,7 +188,7 @@ impl Engine for Late {
         self.cpu.state_mut()
     }
 
-    fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Gaussians, TrainError> {
+    fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
         self.cpu.sensitivity(cameras)
     }
 
@@ -262,9 +262,9 @@ fn rotations_take_the_form_of_files_before_they_are_quantised() {
     let cloud =
         tcgs_core::PointCloud { points: vec![[0.0; 3]; 2], colors: vec![[0.5; 3]; 2], foreground: vec![true; 2] };
     let mut state = State::new(Parameters::from_cloud(&cloud, 1, 1.0));
-    state.parameters.gaussians.quats = vec![[-3.0, 0.0, 4.0, 0.0], [0.0, 0.0, 0.0, 2.0]];
+    state.parameters.gaussians.quats_mut().copy_from_slice(&[[-3.0, 0.0, 4.0, 0.0], [0.0, 0.0, 0.0, 2.0]]);
     state.canonicalize_quats();
-    assert_eq!(state.parameters.gaussians.quats, [[0.6, 0.0, -0.8, 0.0], [0.0, 0.0, 0.0, 1.0]]);
+    assert_eq!(state.parameters.gaussians.quats(), [[0.6, 0.0, -0.8, 0.0], [0.0, 0.0, 0.0, 1.0]]);
 }
 
 #[test]
@@ -278,26 +278,26 @@ fn density_adapts_by_the_rules() {
     let mut state = State::new(Parameters::from_cloud(&cloud, 1, 1.0));
     let g = &mut state.parameters.gaussians;
     // With a radius of 10: cloned up to a scale of 0.1, split above, removed above 1.
-    g.log_scales = [0.05_f32, 0.5, 0.05, 0.05, 2.0].map(|s| [s.ln(); 3]).to_vec();
-    g.logit_opacities = vec![0.0, 0.0, 0.0, -9.0, 0.0];
+    g.log_scales_mut().copy_from_slice(&[0.05_f32, 0.5, 0.05, 0.05, 2.0].map(|s| [s.ln(); 3]));
+    g.logit_opacities_mut().copy_from_slice(&[0.0, 0.0, 0.0, -9.0, 0.0]);
     state.statistic = GradientStatistic { sum: vec![3e-3, 3e-3, 1e-4, 0.0, 0.0], count: vec![10, 10, 10, 0, 3] };
     let step = DensifyStep { config: &config, scene_radius: 10.0, last: false, removes_large: true, seed: 1 };
     let done = densify(&mut state, &step);
     assert_eq!((done.cloned, done.split, done.removed), (1, 1, 2));
     let p = &state.parameters;
     // Kept 0 and 2, the clone of 0, two children of 1; the transparent and the large one are gone.
-    let colors: Vec<f32> = p.gaussians.colors.iter().map(|c| c[0]).collect();
+    let colors: Vec<f32> = p.gaussians.colors().iter().map(|c| c[0]).collect();
     assert_eq!(colors, [0.1, 0.3, 0.1, 0.2, 0.2]);
     assert_eq!(p.foreground, [true, true, true, false, false]);
-    assert_eq!(p.gaussians.means[2], p.gaussians.means[0]);
+    assert_eq!(p.gaussians.means()[2], p.gaussians.means()[0]);
     for child in [3, 4] {
-        assert!((p.gaussians.log_scales[child][0].exp() - 0.5 / 1.6).abs() < 1e-6);
-        let moved = p.gaussians.means[child].map(|x| x - 1.0);
+        assert!((p.gaussians.log_scales()[child][0].exp() - 0.5 / 1.6).abs() < 1e-6);
+        let moved = p.gaussians.means()[child].map(|x| x - 1.0);
         assert!(moved != [0.0; 3] && moved.iter().all(|m| m.abs() < 2.5), "{moved:?}");
     }
     assert_eq!(state.statistic, GradientStatistic::new(5));
     assert_eq!(state.optimizer.mask.first.len(), 5);
     reset_opacities(&mut state, 0.01);
-    let opacity = tcgs_core::sigmoid(state.parameters.gaussians.logit_opacities[0]);
+    let opacity = tcgs_core::sigmoid(state.parameters.gaussians.logit_opacities()[0]);
     assert!((opacity - 0.01).abs() < 1e-6);
 }

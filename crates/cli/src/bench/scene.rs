@@ -6,10 +6,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::BitMap;
-use tcgs_core::{Attribute, Camera, Gaussians, Image};
+use tcgs_core::{Attribute, BaseColumns, Camera, Image};
 use tcgs_train::engine::Target;
 use tcgs_train::engine::cpu::{FakeQuantizers, Neighbors};
-use tcgs_train::{Parameters, Past, State, TrainConfig};
+use tcgs_train::{Parameters, Past, Pose, State, TrainConfig};
 
 use super::START_LOGIT;
 use crate::options::Size;
@@ -51,7 +51,7 @@ const LOGIT_OPACITY: [f32; 2] = [-2.0, 4.0];
 /// The built-in Gaussians: all over a camera's view, in no order, the left half foreground. No function is used that
 /// machines compute differently.
 fn random_gaussians(num_gaussians: usize, random: &mut Pcg64Mcg) -> Parameters {
-    let mut g = Gaussians::default();
+    let mut g = BaseColumns::default();
     for _ in 0..num_gaussians {
         let z = random.random_range(DEPTH[0]..DEPTH[1]);
         let [x, y] = SLOPE.map(|slope| z * random.random_range(-slope..slope));
@@ -63,7 +63,7 @@ fn random_gaussians(num_gaussians: usize, random: &mut Pcg64Mcg) -> Parameters {
     }
     Parameters {
         foreground: g.means.iter().map(|mean| mean[0] < 0.0).collect(),
-        gaussians: g,
+        gaussians: g.into(),
         mask_logits: vec![START_LOGIT; num_gaussians],
         camera_gains: vec![[0.0; 3]],
         camera_offsets: vec![[0.0; 3]],
@@ -113,21 +113,23 @@ fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> State {
     state.canonicalize_quats();
     let p = &state.parameters;
     let mut bit_map = BitMap::uniform(p.num_gaussians(), q.position_bits, q.min_bits);
-    for attribute in Attribute::ALL.into_iter().filter(|&attribute| attribute != Attribute::Mean) {
+    for attribute in Attribute::BASE.into_iter().filter(|&attribute| attribute != Attribute::Mean) {
         bit_map.widths[attribute.index()].fill_with(|| random.random_range(q.min_bits..=q.max_bits));
     }
     let quantizers = FakeQuantizers::new(bit_map, &p.gaussians, q.learned_offset);
     state.start_quantization(quantizers);
     let mut moved = |by: f32| -> Vec<[f32; 3]> {
-        let means = &state.parameters.gaussians.means;
+        let means = &state.parameters.gaussians.means();
         means.iter().map(|mean| mean.map(|x| x + random.random_range(-by..by))).collect()
     };
     let (first, before) = (moved(1e-2), moved(1e-3));
     let p = &state.parameters;
+    let mut previous = p.gaussians.clone();
+    previous.means_mut().copy_from_slice(&before);
     state.past = Some(Past {
         neighbors: Arc::new(Neighbors::new(&first, &p.foreground)),
-        first: Arc::new((first, p.gaussians.quats.clone())),
-        previous: Gaussians { means: before, ..p.gaussians.clone() },
+        first: Arc::new(Pose { means: first, quats: p.gaussians.quats().to_vec() }),
+        previous,
     });
     state.previous_mask_logits = Some(p.mask_logits.clone());
     state

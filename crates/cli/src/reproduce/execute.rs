@@ -287,7 +287,7 @@ fn measure_run(place: &Place, job: &Job, name: &str, measure: &Measure, train: &
 fn derived(result: &Map<String, Value>) -> Value {
     let histogram = &result.get("info").map_or(Value::Null, |info| info["bits_histogram"].clone());
     let (mut bits, mut values) = (0.0, 0.0);
-    for attribute in tcgs_core::Attribute::ALL.into_iter().filter(|&a| a != tcgs_core::Attribute::Mean) {
+    for attribute in tcgs_core::Attribute::BASE.into_iter().filter(|&a| a != tcgs_core::Attribute::Mean) {
         for (width, count) in histogram[attribute.name()].as_object().into_iter().flatten() {
             let count = count.as_f64().unwrap_or(0.0) * attribute.components() as f64;
             bits += width.parse().unwrap_or(0.0) * count;

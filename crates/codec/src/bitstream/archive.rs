@@ -101,11 +101,11 @@ impl Archive {
         let mut groups = Vec::new();
         for layer in 0..head.layers.len() {
             groups.push(next(MAPS, shared, layer)?.0);
-            for attribute in Attribute::ALL {
+            for attribute in Attribute::BASE {
                 next(section::of_attribute(attribute), shared, layer)?;
             }
         }
-        let varying: Vec<Attribute> = Attribute::ALL.into_iter().filter(|a| head.plan.varies[a.index()]).collect();
+        let varying: Vec<Attribute> = Attribute::BASE.into_iter().filter(|a| head.plan.varies[a.index()]).collect();
         for segment in 0..head.num_segments() {
             for layer in 0..head.layers.len() {
                 let mut first = None;

@@ -49,7 +49,7 @@ pub(super) fn open_whole(file: &[u8], limits: &DecodeLimits) -> Result<Archive, 
 /// One scene of all its segments.
 pub(super) fn join(archive: &Archive, segments: &[Segment]) -> Result<CompactScene, DecodeError> {
     let (head, shared) = (archive.head(), archive.shared());
-    let attributes = parallel::map(Attribute::ALL.to_vec(), |a| join_tracks(archive, segments, a));
+    let attributes = parallel::map(Attribute::BASE.to_vec(), |a| join_tracks(archive, segments, a));
     let tracks = attributes.into_iter().collect::<Result<Vec<_>, _>>()?;
     let scene = CompactScene {
         info: head.info.clone(),

@@ -59,7 +59,7 @@ pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Result<Vec<u
         info: scene.info.clone(),
         plan: Plan {
             varies: scene.varies,
-            joint: Attribute::ALL.map(|a| share_times(&scene.tracks[a.index()], a.components())),
+            joint: Attribute::BASE.map(|a| share_times(&scene.tracks[a.index()], a.components())),
             quantizers: scene.quantizers.clone(),
             predictors: Default::default(),
         },
@@ -73,7 +73,7 @@ pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Result<Vec<u
     }
     let mut shared = shared_of(scene, &head);
     let predictors = |a: Attribute| if a == Attribute::Mean { vec![] } else { fit::predictors(a, &head.plan, &shared) };
-    let predictors: Vec<_> = Attribute::ALL.into_par_iter().map(predictors).collect();
+    let predictors: Vec<_> = Attribute::BASE.into_par_iter().map(predictors).collect();
     head.plan.predictors = predictors.try_into().expect("five attributes");
 
     let mut parts = vec![Part::shared(INFO, 0, write_info(&head)), Part::shared(PLAN, 0, write_plan(&head.plan))];
@@ -85,7 +85,7 @@ pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Result<Vec<u
     }
     parts.extend(shared_sections(&head, &mut shared));
     let spans = 0..head.num_segments();
-    let varying = || Attribute::ALL.into_iter().filter(|a| scene.varies[a.index()]);
+    let varying = || Attribute::BASE.into_iter().filter(|a| scene.varies[a.index()]);
     let jobs: Vec<_> = spans.flat_map(|segment| varying().map(move |attribute| (segment, attribute))).collect();
     let mut by_layer: Vec<_> =
         jobs.into_par_iter().map(|(segment, a)| segment_sections(scene, &head, &shared, segment, a)).collect();
@@ -122,7 +122,7 @@ fn bounds(scene: &CompactScene) -> [[f32; 3]; 2] {
 /// What all segments of a scene share, as a decoder finds it.
 fn shared_of(scene: &CompactScene, head: &Head) -> Shared {
     let mut shared = Shared { bit_map: scene.bit_map.clone(), ..Shared::default() };
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let a = attribute.index();
         let tracks = &scene.tracks[a];
         shared.first_codes[a] = (0..tracks.len()).map(|i| tracks.track(i).1[0]).collect();
@@ -142,7 +142,7 @@ fn shared_of(scene: &CompactScene, head: &Head) -> Shared {
 fn shared_sections(head: &Head, shared: &mut Shared) -> Vec<Part> {
     let mut maps = MapModels::new();
     let mut curve = CurveModels::new();
-    let mut others: Vec<FirstModels> = Attribute::ALL[1..].iter().map(|&a| FirstModels::new(a)).collect();
+    let mut others: Vec<FirstModels> = Attribute::BASE[1..].iter().map(|&a| FirstModels::new(a)).collect();
     let mut parts = Vec::new();
     for index in 0..head.layers.len() {
         let layer = head.layer(index);
@@ -153,7 +153,7 @@ fn shared_sections(head: &Head, shared: &mut Shared) -> Vec<Part> {
         curve.code(&mut encoder, &head.plan, layer.clone(), shared);
         parts.push(Part::shared(section::of_attribute(Attribute::Mean), index, encoder.finish()));
         let Shared { bit_map, neighbors, first_codes, .. } = shared;
-        for (models, &attribute) in others.iter_mut().zip(&Attribute::ALL[1..]) {
+        for (models, &attribute) in others.iter_mut().zip(&Attribute::BASE[1..]) {
             let a = attribute.index();
             let mut encoder = Encoder::default();
             let (widths, codes) = (&bit_map.widths[a], &mut first_codes[a]);

@@ -128,7 +128,7 @@ const LINEAR: u8 = 0;
 
 pub(super) fn write_plan(plan: &Plan) -> Vec<u8> {
     let mut section = vec![attribute_bits(&plan.varies), attribute_bits(&plan.joint)];
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let a = attribute.index();
         section.push(LINEAR);
         section.push(plan.quantizers.attributes[a].len() as u8);
@@ -154,7 +154,7 @@ pub(super) fn read_plan(mut cursor: Cursor<'_>) -> Result<Plan, DecodeError> {
     let joint = cursor.attributes("joint attributes")?;
     let mut quantizers = Quantizers::default();
     let mut predictors: [Vec<Predictor>; 5] = Default::default();
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let (a, components) = (attribute.index(), attribute.components());
         if cursor.u8("interpolation")? != LINEAR {
             return Err(cursor.invalid("interpolation", "unknown"));

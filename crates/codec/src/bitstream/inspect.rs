@@ -69,7 +69,7 @@ impl FileInfo {
 
     /// By [`Attribute::index`]: bytes of the attribute's codes; bit widths and all else are shared.
     pub fn bytes_by_attribute(&self) -> [u64; 5] {
-        Attribute::ALL.map(|a| self.sections.iter().filter(|s| s.name == a.name()).map(|s| s.bytes).sum())
+        Attribute::BASE.map(|a| self.sections.iter().filter(|s| s.name == a.name()).map(|s| s.bytes).sum())
     }
 }
 

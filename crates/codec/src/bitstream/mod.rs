@@ -31,6 +31,7 @@ mod segment;
 mod shared;
 
 pub use archive::{Archive, Opening};
+pub use container::MAGIC;
 pub use decode::decode;
 #[cfg(feature = "encode")]
 pub use encode::{encode, encode_with};

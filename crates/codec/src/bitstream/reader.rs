@@ -26,7 +26,7 @@ pub(super) struct SharedModels {
 
 impl SharedModels {
     pub(super) fn new() -> Self {
-        let others = Attribute::ALL[1..].iter().map(|&a| FirstModels::new(a)).collect();
+        let others = Attribute::BASE[1..].iter().map(|&a| FirstModels::new(a)).collect();
         Self { maps: MapModels::new(), curve: CurveModels::new(), others }
     }
 
@@ -49,7 +49,7 @@ impl SharedModels {
         let mut decoder = SymbolDecoder::new(cursor.rest());
         self.maps.code(&mut decoder, plan, layer.clone(), shared);
         complete(&decoder, &cursor)?;
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             let (a, known) = (attribute.index(), plan.quantizers.by_width(attribute));
             if shared.bit_map.widths[a][layer.clone()].iter().any(|&w| known[usize::from(w)].is_empty()) {
                 return Err(cursor.invalid("bit widths", "a width without quantizers"));
@@ -91,7 +91,7 @@ pub(super) struct SegmentReader {
 impl SegmentReader {
     pub(super) fn new(archive: &Archive, segment: usize) -> Self {
         let plan = &archive.head().plan;
-        let varying = Attribute::ALL.into_iter().filter(|a| plan.varies[a.index()]);
+        let varying = Attribute::BASE.into_iter().filter(|a| plan.varies[a.index()]);
         let attributes =
             varying.map(|a| (a, KeypointModels::new(plan, a), UnitTracks::new(plan.channels(a)))).collect();
         Self { segment, layers: 0, attributes }
@@ -158,7 +158,7 @@ fn segment_of(
     layers: usize,
     units: impl Iterator<Item = (Attribute, UnitTracks)>,
 ) -> Segment {
-    let mut tracks: [UnitTracks; 5] = Attribute::ALL.map(|a| UnitTracks::new(archive.head().plan.channels(a)));
+    let mut tracks: [UnitTracks; 5] = Attribute::BASE.map(|a| UnitTracks::new(archive.head().plan.channels(a)));
     for (attribute, mut units) in units {
         units.shrink();
         tracks[attribute.index()] = units;

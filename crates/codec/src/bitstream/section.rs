@@ -28,6 +28,7 @@ pub(super) fn of_attribute(attribute: Attribute) -> Tag {
         Attribute::LogScale => *b"SCAL",
         Attribute::LogitOpacity => *b"OPAC",
         Attribute::Color => *b"COLR",
+        Attribute::Extra { .. } => unreachable!("version 1 holds no further attributes"),
     }
 }
 
@@ -38,7 +39,7 @@ pub(super) fn name(tag: Tag) -> &'static str {
         b"PLAN" => "plan",
         b"MAPS" => "maps",
         b"appl" => "application data",
-        _ => Attribute::ALL.into_iter().find(|&a| of_attribute(a) == tag).map_or("unknown section", Attribute::name),
+        _ => Attribute::BASE.into_iter().find(|&a| of_attribute(a) == tag).map_or("unknown section", Attribute::name),
     }
 }
 
@@ -136,10 +137,10 @@ impl<'a> Cursor<'a> {
     /// One bit for each attribute.
     pub(super) fn attributes(&mut self, field: &'static str) -> Result<[bool; 5], DecodeError> {
         let bits = self.u8(field)?;
-        if bits >> Attribute::ALL.len() > 0 {
+        if bits >> Attribute::BASE.len() > 0 {
             return Err(self.invalid(field, "more attributes than there are"));
         }
-        Ok(Attribute::ALL.map(|attribute| bits >> attribute.index() & 1 > 0))
+        Ok(Attribute::BASE.map(|attribute| bits >> attribute.index() & 1 > 0))
     }
 
     /// Nothing may be left.

@@ -98,7 +98,7 @@ impl Segment {
     /// Every track at its first keypoint in the file, in stored form; quaternions as they are, of any length.
     pub fn first(&self) -> Gaussians {
         let mut first = Gaussians::zeros(self.num_gaussians);
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             let (a, components) = (attribute.index(), attribute.components());
             let table = self.quantizers().by_width(attribute);
             let widths = &self.shared.bit_map.widths[a];
@@ -173,15 +173,15 @@ impl Sampler {
     /// Dequantises a segment.
     pub fn new(segment: &Segment) -> Self {
         let mut now = segment.first();
-        let varying = Attribute::ALL.into_iter().filter(|a| segment.head.plan.varies[a.index()]);
+        let varying = Attribute::BASE.into_iter().filter(|a| segment.head.plan.varies[a.index()]);
         let moving: Vec<Moving> = varying.map(|attribute| Moving::new(segment, attribute)).collect();
         let (mut rotating, mut raw_quats) = (Vec::new(), Vec::new());
         if let Some(quats) = moving.iter().find(|m| m.attribute == Attribute::Quat && m.channels == 1) {
             rotating = quats.places.iter().map(|place| place / 4).collect();
             rotating.dedup();
-            raw_quats.clone_from(&now.quats);
+            raw_quats = now.quats().to_vec();
         }
-        for quat in &mut now.quats {
+        for quat in now.quats_mut() {
             *quat = unit_quat(*quat);
         }
         Self { timesteps: segment.timesteps(), now, moving, rotating, raw_quats }
@@ -203,7 +203,7 @@ impl Sampler {
             }
         }
         for &gaussian in &self.rotating {
-            self.now.quats[gaussian as usize] = unit_quat(self.raw_quats[gaussian as usize]);
+            self.now.quats_mut()[gaussian as usize] = unit_quat(self.raw_quats[gaussian as usize]);
         }
         &self.now
     }

@@ -34,7 +34,7 @@ impl Plan {
 
     /// Memory that a Gaussian takes in what all segments share.
     pub(super) fn bytes_per_gaussian(&self) -> usize {
-        let attributes = Attribute::ALL.map(|attribute| {
+        let attributes = Attribute::BASE.map(|attribute| {
             let components = attribute.components();
             let varying = components * size_of::<bool>() + components / self.channels(attribute) * size_of::<u32>();
             let varies = usize::from(self.varies[attribute.index()]);
@@ -96,7 +96,7 @@ impl Shared {
 
     /// Makes room for the Gaussians of a layer.
     pub(super) fn extend(&mut self, plan: &Plan, layer: &Range<usize>) {
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             let (a, components) = (attribute.index(), attribute.components());
             self.bit_map.widths[a].resize(layer.end, 1);
             self.first_codes[a].resize(layer.end * components, 0);
@@ -108,7 +108,7 @@ impl Shared {
 
     /// Counts the units of a layer that move.
     pub(super) fn count_units(&mut self, plan: &Plan, layer: &Range<usize>) {
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             let (a, components) = (attribute.index(), attribute.components());
             if plan.varies[a] {
                 let step = if plan.joint[a] { components } else { 1 };
@@ -167,7 +167,7 @@ impl MapModels {
                 other = if a == 0 { 0 } else { widths[g] };
             }
             let mut other = false;
-            for attribute in Attribute::ALL {
+            for attribute in Attribute::BASE {
                 let a = attribute.index();
                 if !plan.varies[a] {
                     continue;

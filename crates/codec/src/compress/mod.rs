@@ -34,7 +34,7 @@ pub use self::settings::CompressSettings;
 /// scene.push(Gaussians::zeros(3));
 /// let bit_map = BitMap::uniform(3, 16, 6);
 /// let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default())?;
-/// assert_eq!(compact.at(1).means, scene.means[1]);
+/// assert_eq!(compact.at(1).means(), scene.means(1));
 /// # Ok::<(), tcgs_codec::CompressError>(())
 /// ```
 ///
@@ -80,7 +80,7 @@ pub fn compress_ordered(
     let segment_length = settings.segment_length_of(scene.num_gaussians(), scene.num_timesteps());
     let mut quantizers = Quantizers::default();
     let mut tracks: [Tracks<f32>; 5] = Default::default();
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let widths = &bit_map.widths[attribute.index()];
         let tolerances = tolerances(scene, attribute, widths, learned, position_step, settings)?;
         let slack = tolerance_factors(scene, attribute, settings);
@@ -105,7 +105,7 @@ pub fn compress_ordered(
     let order = morton_order(&tracks[Attribute::Mean.index()], &bit_map.widths[Attribute::Mean.index()], &quantizers);
     let (order, layers) = by_layer(order, scene, settings);
     let bit_map = bit_map.select(&order);
-    let codes = Attribute::ALL.map(|attribute| {
+    let codes = Attribute::BASE.map(|attribute| {
         let (components, table) = (attribute.components(), quantizers.by_width(attribute));
         let (mut codes, mut of_track) = (Tracks::default(), Vec::new());
         for (&gaussian, &width) in order.iter().zip(&bit_map.widths[attribute.index()]) {
@@ -118,7 +118,7 @@ pub fn compress_ordered(
         }
         codes
     });
-    let varies = Attribute::ALL.map(|attribute| scene.varies(attribute));
+    let varies = Attribute::BASE.map(|attribute| scene.varies(attribute));
     Ok((CompactScene { info, bit_map, quantizers, varies, layers, segment_length, tracks: codes }, order))
 }
 
@@ -132,7 +132,7 @@ fn check_arguments(scene: &DynamicGaussians, bit_map: &BitMap, info: &SceneInfo)
     };
     counts("Gaussians in info".into(), info.num_gaussians as usize, n)?;
     counts("timesteps in info".into(), info.num_timesteps as usize, t)?;
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let (name, widths) = (attribute.name(), &bit_map.widths[attribute.index()]);
         counts(format!("bit widths of {name}"), widths.len(), n)?;
         widths.iter().try_for_each(|&width| check_bits(width))?;

@@ -42,7 +42,9 @@ fn weight(scene: &DynamicGaussians, attribute: Attribute, gaussian: usize) -> f6
     let seen = opacity * opacity;
     let round = (long / thin.max(0.1 * long)).min(10.0);
     let weight = match attribute {
-        Attribute::Color | Attribute::LogitOpacity | Attribute::LogScale => seen * middle * long,
+        Attribute::Color | Attribute::LogitOpacity | Attribute::LogScale | Attribute::Extra { .. } => {
+            seen * middle * long
+        }
         Attribute::Mean => seen * (long / middle.max(0.1 * long)).min(10.0),
         Attribute::Quat => seen * middle * long * (round - 1.0 / round).powi(2).max(1e-3),
     };

@@ -199,7 +199,7 @@ impl CompressSettings {
 /// The fewest bits of positions in steps of `step`.
 fn position_bits(scene: &DynamicGaussians, step: f64) -> u8 {
     let (mut min, mut max) = ([f32::MAX; 3], [f32::MIN; 3]);
-    for mean in scene.means.iter().flatten() {
+    for mean in (0..scene.num_timesteps()).flat_map(|timestep| scene.means(timestep)) {
         min = std::array::from_fn(|i| min[i].min(mean[i]));
         max = std::array::from_fn(|i| max[i].max(mean[i]));
     }

@@ -60,7 +60,7 @@ pub fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> Compa
         segment_length: [1, 2, 7, 30, 65_536][random.below(5) as usize],
         tracks: Default::default(),
     };
-    for attribute in Attribute::ALL {
+    for attribute in Attribute::BASE {
         let (index, components) = (attribute.index(), attribute.components());
         let highest = 1 + random.below(16);
         let widths: Vec<u8> = (0..num_gaussians).map(|_| (1 + random.below(highest)) as u8).collect();

@@ -37,7 +37,7 @@ pub fn room(num_gaussians: usize, num_timesteps: usize) -> DynamicGaussians {
     let num_moving = num_gaussians / 5;
     for i in 0..num_gaussians {
         let (u, v) = (random.uniform(), random.uniform());
-        base.means[i] = if i < num_moving {
+        base.means_mut()[i] = if i < num_moving {
             let (z, angle) = (2.0 * u - 1.0, v * std::f32::consts::TAU);
             let r = 0.5 * (1.0 - z * z).sqrt();
             let center = if i % 2 == 0 { -1.0 } else { 1.0 };
@@ -51,15 +51,15 @@ pub fn room(num_gaussians: usize, num_timesteps: usize) -> DynamicGaussians {
                 _ => [3.0, -3.0 * u, 6.0 * v - 3.0],
             }
         };
-        for x in &mut base.means[i] {
+        for x in &mut base.means_mut()[i] {
             *x += 0.01 * random.normal();
         }
-        let p = base.means[i];
+        let p = base.means()[i];
         let texture = |phase: f32| 0.5 + 0.25 * (1.7 * p[0] + phase).sin() * (2.3 * p[1] + 1.9 * p[2] - phase).cos();
-        base.colors[i] = [0.0, 0.6, 1.3].map(|phase| texture(phase) + 0.06 * random.normal());
-        base.quats[i] = [1.0, 0.0, 0.0, 0.0].map(|x: f32| x + 0.25 * random.normal());
-        base.log_scales[i] = [-3.8; 3].map(|x| x + 0.6 * random.normal());
-        base.logit_opacities[i] = 1.5 + 2.0 * random.normal();
+        base.colors_mut()[i] = [0.0, 0.6, 1.3].map(|phase| texture(phase) + 0.06 * random.normal());
+        base.quats_mut()[i] = [1.0, 0.0, 0.0, 0.0].map(|x: f32| x + 0.25 * random.normal());
+        base.log_scales_mut()[i] = [-3.8; 3].map(|x| x + 0.6 * random.normal());
+        base.logit_opacities_mut()[i] = 1.5 + 2.0 * random.normal();
     }
     let mut scene = DynamicGaussians::default();
     for timestep in 0..num_timesteps {
@@ -68,15 +68,16 @@ pub fn room(num_gaussians: usize, num_timesteps: usize) -> DynamicGaussians {
         for i in 0..num_gaussians {
             if i < num_moving {
                 let side = if i % 2 == 0 { 1.0 } else { -1.0 };
-                now.means[i][0] += 0.6 * (side * 2.0 * secs).sin();
-                now.means[i][1] -= 1.5 * secs * (1.6 - secs);
-                now.means[i][2] += 0.4 * side * secs;
+                now.means_mut()[i][0] += 0.6 * (side * 2.0 * secs).sin();
+                now.means_mut()[i][1] -= 1.5 * secs * (1.6 - secs);
+                now.means_mut()[i][2] += 0.4 * side * secs;
                 let (sin, cos) = (side * 0.75 * secs).sin_cos();
-                now.quats[i] = tcgs_core::quat_mul([cos, 0.0, sin, 0.0], tcgs_core::normalize(base.quats[i]));
+                now.quats_mut()[i] =
+                    tcgs_core::quat_mul([cos, 0.0, sin, 0.0], tcgs_core::normalize(base.quats_mut()[i]));
             }
-            now.means[i] = now.means[i].map(|x| x + 0.001 * random.normal());
-            now.quats[i] = now.quats[i].map(|x| x + 0.003 * random.normal());
-            now.colors[i] = now.colors[i].map(|x| x + 0.004 * random.normal());
+            now.means_mut()[i] = now.means_mut()[i].map(|x| x + 0.001 * random.normal());
+            now.quats_mut()[i] = now.quats_mut()[i].map(|x| x + 0.003 * random.normal());
+            now.colors_mut()[i] = now.colors_mut()[i].map(|x| x + 0.004 * random.normal());
         }
         scene.push(now);
     }
@@ -87,7 +88,7 @@ pub fn room(num_gaussians: usize, num_timesteps: usize) -> DynamicGaussians {
 pub fn mixed_widths(num_gaussians: usize) -> BitMap {
     let random = &mut Random(11);
     let mut map = BitMap::uniform(num_gaussians, 16, 4);
-    for attribute in &Attribute::ALL[1..] {
+    for attribute in &Attribute::BASE[1..] {
         for width in &mut map.widths[attribute.index()] {
             *width = (5.5 + 1.1 * random.normal()).round().clamp(4.0, 8.0) as u8;
         }

@@ -27,8 +27,8 @@ use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, Rende
 /// use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 ///
 /// let mut gaussians = Gaussians::zeros(1);
-/// gaussians.quats[0] = [1.0, 0.0, 0.0, 0.0];
-/// gaussians.colors[0] = [1.0, 0.5, 0.0];
+/// gaussians.quats_mut()[0] = [1.0, 0.0, 0.0, 0.0];
+/// gaussians.colors_mut()[0] = [1.0, 0.5, 0.0];
 /// let camera = Camera::look_at([0.0, 0.0, -5.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, 64, 48);
 /// // The renderer on the CPU never fails: its error is `Infallible`.
 /// let Ok((output, _)) = CpuRasterizer.forward(&activate(&gaussians), &camera, &RenderSettings::default());

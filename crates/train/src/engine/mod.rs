@@ -10,7 +10,7 @@ pub mod gpu;
 
 use std::fmt::Debug;
 
-use tcgs_core::{Camera, Gaussians, Image, View};
+use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
 
 use self::cpu::PriorLosses;
@@ -138,7 +138,7 @@ pub trait Engine: Send + Debug {
     /// How much each stored value moves the pictures, paper Eq. 7; see [`crate::sensitivity`].
     ///
     /// - `cameras`: one rendering each
-    fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Gaussians, TrainError>;
+    fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError>;
 
     /// What the model draws now: quantised and masked, the colours alone, before a camera's gain and offset.
     ///

@@ -6,7 +6,7 @@ use std::io::Write;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Attribute, Columns};
 use tcgs_render::gpu::{Gpu, GpuChoice};
 
 /// The GPU that tests run on, by the name in `TCGS_TEST_GPU`; Mesa's software adapter without it.
@@ -46,9 +46,9 @@ impl Random {
 }
 
 /// `[15 N]` as the GPU holds them; mask logits are zero.
-pub fn packed(gaussians: &Gaussians) -> Vec<f32> {
-    let mut all: Vec<f32> = Attribute::ALL.iter().flat_map(|&a| gaussians.values(a).iter().copied()).collect();
-    all.resize(15 * gaussians.num_gaussians(), 0.0);
+pub fn packed<Role>(columns: &Columns<Role>) -> Vec<f32> {
+    let mut all: Vec<f32> = Attribute::BASE.iter().flat_map(|&a| columns.values(a).iter().copied()).collect();
+    all.resize(15 * columns.num_gaussians(), 0.0);
     all
 }
 

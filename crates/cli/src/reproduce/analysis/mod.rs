@@ -61,7 +61,7 @@ fn foreground(run: &Run, trained: &TrainedScene) -> Vec<[Vec<f32>; 3]> {
     let all = !is_foreground.contains(&true);
     (0..scene.num_gaussians())
         .filter(|&i| all || is_foreground[i])
-        .map(|i| std::array::from_fn(|axis| scene.means.iter().map(|means| means[i][axis]).collect()))
+        .map(|i| std::array::from_fn(|axis| (0..scene.num_timesteps()).map(|t| scene.means(t)[i][axis]).collect()))
         .collect()
 }
 
@@ -144,7 +144,7 @@ mod tests {
         let mut scene = DynamicGaussians::default();
         for sign in [1.0, -1.0, 1.0] {
             let mut gaussians = tcgs_core::Gaussians::zeros(1);
-            gaussians.quats[0] = [0.0, 2.0 * sign, 0.0, 0.0];
+            gaussians.quats_mut()[0] = [0.0, 2.0 * sign, 0.0, 0.0];
             scene.push(gaussians);
         }
         assert_eq!(tracks_of(&scene, Attribute::Quat, 0)[1], [1.0; 3]);

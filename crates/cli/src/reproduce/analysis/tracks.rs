@@ -113,8 +113,8 @@ mod tests {
         let mut scene = DynamicGaussians::default();
         for t in 0..12 {
             let mut gaussians = tcgs_core::Gaussians::zeros(2);
-            gaussians.quats = vec![[1.0, 0.0, 0.0, 0.0]; 2];
-            gaussians.means[1] = [(t as f32).sin(), t as f32, 0.0];
+            gaussians.quats_mut().fill([1.0, 0.0, 0.0, 0.0]);
+            gaussians.means_mut()[1] = [(t as f32).sin(), t as f32, 0.0];
             scene.push(gaussians);
         }
         let findings = analyse(&scene);

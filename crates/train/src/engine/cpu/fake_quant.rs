@@ -4,7 +4,7 @@
 
 use rayon::prelude::*;
 use tcgs_codec::{BitMap, Quantizer, Quantizers};
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Attribute, GaussianGrads, Gaussians};
 
 use super::Moments;
 use crate::engine::constants::MIN_STEP_SHARE;
@@ -55,7 +55,7 @@ pub fn step_gradient_scale(bits: u8, numel: usize) -> f32 {
 
 /// Attributes that are quantised while training; positions are quantised afterwards.
 pub fn quantized_attributes() -> impl Iterator<Item = Attribute> {
-    Attribute::ALL.into_iter().filter(|&a| a != Attribute::Mean)
+    Attribute::BASE.into_iter().filter(|&a| a != Attribute::Mean)
 }
 
 /// The learned quantizers and who uses which.
@@ -180,7 +180,7 @@ impl FakeQuantizers {
     ///
     /// - `gaussians`: as given to `forward`
     /// - returns: `(v_steps, v_offsets)`, each `[quantizers]`, scaled by [`step_gradient_scale`]
-    pub fn backward(&self, gaussians: &Gaussians, v_gaussians: &mut Gaussians) -> (Vec<f32>, Vec<f32>) {
+    pub fn backward(&self, gaussians: &Gaussians, v_gaussians: &mut GaussianGrads) -> (Vec<f32>, Vec<f32>) {
         let mut v_steps = vec![0.0_f64; self.quantizers.len()];
         let mut v_offsets = vec![0.0_f64; self.quantizers.len()];
         for attribute in quantized_attributes() {
@@ -253,7 +253,7 @@ mod tests {
     #[test]
     fn the_range_of_a_lone_gaussian_is_that_of_all() {
         let mut gaussians = Gaussians::zeros(100);
-        gaussians.colors = (0..100).map(|i| [i as f32 / 100.0; 3]).collect();
+        gaussians.colors_mut().iter_mut().enumerate().for_each(|(i, color)| *color = [i as f32 / 100.0; 3]);
         let mut bit_map = BitMap::uniform(100, 16, 4);
         bit_map.widths[Attribute::Color.index()][50] = 8;
         let table = FakeQuantizers::new(bit_map, &gaussians, true).table();

@@ -15,7 +15,9 @@ pub use motion_prior::{MotionPrior, Neighbors, PriorGrads, PriorLosses, PriorWei
 use std::sync::Arc;
 
 use rayon::prelude::*;
-use tcgs_core::{Activated, ActivatedGrads, Attribute, Camera, Gaussians, Image, activate, activate_bwd, normalize};
+use tcgs_core::{
+    Activated, ActivatedGrads, Camera, GaussianGrads, Gaussians, Image, Sensitivity, activate, activate_bwd, normalize,
+};
 use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderSettings, StageTimes};
 
 use super::{Engine, LossTerms, Step, Target};
@@ -30,7 +32,7 @@ const CHUNK: usize = 1 << 12;
 /// Gradients of one iteration, in stored form.
 #[derive(Clone, Debug)]
 pub struct StepGrads {
-    gaussians: Gaussians,
+    gaussians: GaussianGrads,
     mask_logits: Vec<f32>,
     v_gain: [f32; 3],
     v_offset: [f32; 3],
@@ -152,7 +154,6 @@ impl CpuEngine {
         let quantizers = self.state.quantizers.as_ref().map(|q| q.backward(&p.gaussians, &mut v_gaussians));
         laps.lap("activate backward");
         if let Some(prior) = &self.prior {
-            let Gaussians { means, quats, colors, .. } = &p.gaussians;
             let w = step.weights;
             let weights = PriorWeights {
                 rigid: w.rigid,
@@ -162,12 +163,10 @@ impl CpuEngine {
                 background: w.background,
                 soft_color: w.soft_color,
             };
-            let grads = PriorGrads {
-                v_means: &mut v_gaussians.means,
-                v_quats: &mut v_gaussians.quats,
-                v_colors: &mut v_gaussians.colors,
-            };
-            terms.prior = prior.losses(means, quats, colors, &weights, grads);
+            let v = v_gaussians.views_mut();
+            let grads = PriorGrads { v_means: v.means, v_quats: v.quats, v_colors: v.colors };
+            let g = &p.gaussians;
+            terms.prior = prior.losses(g.means(), g.quats(), g.colors(), &weights, grads);
         }
         laps.lap("motion losses");
         let grads = StepGrads {
@@ -221,14 +220,9 @@ impl CpuEngine {
         let State { parameters: p, optimizer: o, quantizers, .. } = &mut self.state;
         let rates = &step.rates;
         if step.moves_gaussians {
-            for attribute in Attribute::ALL {
-                let rate = match attribute {
-                    Attribute::Mean => rates.mean,
-                    Attribute::Quat => rates.quat,
-                    Attribute::LogScale => rates.log_scale,
-                    Attribute::LogitOpacity => rates.logit_opacity,
-                    Attribute::Color => rates.color,
-                };
+            let layout = Arc::clone(p.gaussians.layout());
+            for column in layout.columns() {
+                let (attribute, rate) = (column.attribute, rates.of(column.rate));
                 let v = grads.gaussians.values(attribute);
                 o.attributes[attribute.index()].update(p.gaussians.values_mut(attribute), v, rate);
             }
@@ -248,7 +242,7 @@ impl CpuEngine {
         if let (Some(q), Some((v_steps, v_offsets))) = (quantizers, &grads.quantizers) {
             q.update(v_steps, v_offsets, &mut o.quantizer_steps, &mut o.quantizer_offsets, rates.step);
             // Codes are those of unit quaternions.
-            p.gaussians.quats.par_iter_mut().for_each(|quat| *quat = normalize(*quat));
+            p.gaussians.quats_mut().par_iter_mut().for_each(|quat| *quat = normalize(*quat));
         }
     }
 }
@@ -262,9 +256,10 @@ impl Engine for CpuEngine {
         self.targets = targets;
         let foreground = &self.state.parameters.foreground;
         self.prior = self.state.past.as_ref().map(|past| {
-            let ((first_means, first_quats), now) = (&*past.first, &past.previous);
+            let (first, now) = (&past.first, &past.previous);
             let neighbors = Arc::clone(&past.neighbors);
-            MotionPrior::new(neighbors, foreground, first_means, first_quats, &now.means, &now.quats, &now.colors)
+            let (means, quats, colors) = (now.means(), now.quats(), now.colors());
+            MotionPrior::new(neighbors, foreground, &first.means, &first.quats, means, quats, colors)
         });
         Ok(())
     }
@@ -301,7 +296,7 @@ impl Engine for CpuEngine {
         Ok(&mut self.state)
     }
 
-    fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Gaussians, TrainError> {
+    fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
         let Ok(sensitivity) = sensitivity(&CpuRasterizer, &self.state.parameters.gaussians, cameras);
         Ok(sensitivity)
     }

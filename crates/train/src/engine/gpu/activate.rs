@@ -138,7 +138,7 @@ mod tests {
         }
 
         fn params(&self) -> Vec<f32> {
-            let attributes = Attribute::ALL.map(|a| self.gaussians.values(a));
+            let attributes = Attribute::BASE.map(|a| self.gaussians.values(a));
             [&attributes.concat()[..], &self.mask_logits].concat()
         }
 
@@ -209,7 +209,7 @@ mod tests {
                 }
             }
             let grads = activate_bwd(&stored, &activated, &v_activated);
-            let [means, quats, scales, opacities, colors] = Attribute::ALL.map(|a| grads.values(a).to_vec());
+            let [means, quats, scales, opacities, colors] = Attribute::BASE.map(|a| grads.values(a).to_vec());
             ([means, quats, scales, opacities, colors, v_masks], losses)
         }
     }
@@ -313,7 +313,7 @@ mod tests {
             *q = Quantizer::new(step, offset, q.bits).unwrap();
         }
         let picks: Vec<f32> = random(8, 3 * n, 0.0, 1.0);
-        for (i, color) in scene.gaussians.colors.iter_mut().enumerate() {
+        for (i, color) in scene.gaussians.colors_mut().iter_mut().enumerate() {
             for (channel, x) in color.iter_mut().enumerate() {
                 let q = quantizers.quantizers[first + 3 * (i % 16) + channel];
                 let span = f64::from(q.max_code()) - f64::from(q.min_code()) + 2.0;
@@ -346,7 +346,7 @@ mod tests {
         for (i, color) in activated[11 * n..].chunks(3).enumerate() {
             for (channel, &value) in color.iter().enumerate() {
                 let q = scene.quantizers.quantizers[first + 3 * (i % 16) + channel];
-                let x = scene.gaussians.colors[i][channel];
+                let x = scene.gaussians.colors()[i][channel];
                 let code = (f64::from(value) - f64::from(q.offset)) / f64::from(q.step);
                 assert_eq!(code.round() as i32, q.quantize(x), "{x} by {q:?}");
                 assert!((value - q.dequantize(q.quantize(x))).abs() <= value.abs().max(q.offset.abs()) * 1.2e-7);

@@ -119,7 +119,7 @@ impl QuantizerBuffers {
 
 /// First word of an attribute in `params`.
 fn first_word(attribute: Attribute, num_gaussians: usize) -> u32 {
-    let before = &Attribute::ALL[..attribute.index()];
+    let before = &Attribute::BASE[..attribute.index()];
     (num_gaussians * before.iter().map(|a| a.components()).sum::<usize>()) as u32
 }
 

@@ -25,7 +25,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
-use tcgs_core::{Activated, Attribute, Camera, Gaussians, Image};
+use tcgs_core::{Activated, Attribute, Camera, Image, Sensitivity};
 use tcgs_render::device::Capacity;
 use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
@@ -47,7 +47,7 @@ use super::{Engine, LossTerms, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
 use crate::sensitivity::sensitivity;
-use crate::state::State;
+use crate::state::{Pose, State};
 
 /// Reports that may be on their way before the host waits for the first of them.
 const MAX_REPORTS: usize = 2;
@@ -175,7 +175,7 @@ impl GpuEngine {
             let partials = self.gpu.storage("sums of the losses on motion", 8 * rows)?;
             let buffers =
                 PriorBuffers { params: &model.params, grads: &model.grads, step: &model.step, partials: &partials };
-            let (means, quats) = &*past.first;
+            let Pose { means, quats } = &*past.first;
             let kernels = MotionPriorKernels::new(&self.gpu, &neighbors, means, quats, &buffers)?;
             self.prior = Some(Prior { neighbors, kernels, partials });
             (self.passes, self.past_is_new) = (None, true);
@@ -184,7 +184,7 @@ impl GpuEngine {
             // Where everything was goes by way of the parameters' memory.
             let queue = self.gpu.queue();
             let mut at = 0;
-            for attribute in Attribute::ALL {
+            for attribute in Attribute::BASE {
                 let values = past.previous.values(attribute);
                 queue.write_buffer(&model.params, at, bytemuck::cast_slice(values));
                 at += size_of_val(values) as u64;
@@ -471,7 +471,7 @@ impl Engine for GpuEngine {
         Ok(&mut self.state)
     }
 
-    fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Gaussians, TrainError> {
+    fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
         self.state()?;
         Ok(sensitivity(&self.rasterizer, &self.state.parameters.gaussians, cameras)?)
     }

@@ -84,7 +84,7 @@ impl Model {
         };
         let (p, o) = (&state.parameters, &state.optimizer);
         let joined = |attribute: &dyn Fn(Attribute) -> Vec<f32>, mask: &[f32]| {
-            let mut all: Vec<f32> = Attribute::ALL.into_iter().flat_map(attribute).collect();
+            let mut all: Vec<f32> = Attribute::BASE.into_iter().flat_map(attribute).collect();
             all.extend_from_slice(mask);
             all
         };
@@ -146,7 +146,7 @@ impl Model {
         let (p, o) = (&mut state.parameters, &mut state.optimizer);
         let (params, first, second) = (next(), next(), next());
         let mut at = 0;
-        for attribute in Attribute::ALL {
+        for attribute in Attribute::BASE {
             let range = at..at + n * attribute.components();
             p.gaussians.values_mut(attribute).copy_from_slice(&params[range.clone()]);
             o.attributes[attribute.index()].first.copy_from_slice(&first[range.clone()]);

@@ -4,7 +4,7 @@ use std::io::Write;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs_core::Gaussians;
+use tcgs_core::{BaseColumns, Gaussians};
 use tcgs_render::gpu::{Gpu, GpuChoice};
 
 use crate::engine::cpu::{FakeQuantizers, step_gradient_scale};
@@ -68,13 +68,13 @@ pub(super) fn uniform<T: bytemuck::NoUninit>(gpu: &Gpu, value: &T) -> wgpu::Buff
 
 /// Gaussians in stored form, quaternions of any length.
 pub(super) fn random_gaussians(seed: u64, n: usize) -> Gaussians {
-    Gaussians {
+    Gaussians::from(BaseColumns {
         means: random_rows(seed, n, -3.0, 3.0),
         quats: random_rows(seed + 1, n, -1.0, 1.0),
         log_scales: random_rows(seed + 2, n, -6.0, 1.0),
         logit_opacities: random(seed + 3, n, -5.0, 5.0),
         colors: random_rows(seed + 4, n, -0.2, 1.2),
-    }
+    })
 }
 
 /// Quantizers as the shaders read them.

@@ -1,0 +1,218 @@
+//! The table of what a Gaussian carries, built at run time.
+
+use std::fmt;
+use std::sync::{Arc, LazyLock};
+
+use crate::Attribute;
+
+/// What turns a stored value into the one that is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Activation {
+    /// Stored as drawn.
+    Identity,
+    /// Divided by the length of the row: unit quaternions.
+    Normalize,
+    /// `exp`, for what is positive.
+    Exp,
+    /// Logistic function, for what lies in (0, 1).
+    Sigmoid,
+}
+
+/// Which learning rate moves a column: a field of the training's rates, with its schedule.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum RateGroup {
+    /// As centres, relative to the scene's extent.
+    Mean,
+    /// As rotations.
+    Quat,
+    /// As scales: in the first timestep alone.
+    LogScale,
+    /// As opacities: in the first timestep alone.
+    LogitOpacity,
+    /// As colours.
+    Color,
+}
+
+/// One column of a [`Layout`].
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Column {
+    /// Which column, and how many scalars of one Gaussian it has.
+    pub attribute: Attribute,
+    /// Name in files and tables, in the plural: `means`.
+    pub name: String,
+    /// What is applied to a stored value before it is drawn.
+    pub activation: Activation,
+    /// Whether training gives every timestep a value of its own; the others are trained once. Scenes of other
+    /// programs may differ: [`crate::DynamicGaussians::varies`].
+    pub varies: bool,
+    /// Whether training quantises the column, with bits by sensitivity and learned steps. Positions are quantised
+    /// afterwards.
+    pub quantized: bool,
+    /// Which learning rate moves it.
+    pub rate: RateGroup,
+    /// Unit of a stored value, for tables and for people.
+    pub unit: &'static str,
+}
+
+/// The ordered columns of a scene. Loops, offsets, Adam's groups, the arrays of checkpoints and the constants of
+/// shaders come from it.
+///
+/// The first five columns are those of [`Attribute::BASE`].
+///
+/// ```
+/// use tcgs_core::{Activation, Attribute, Column, Layout, RateGroup};
+/// let mut layout = Layout::default();
+/// assert_eq!((layout.columns().len(), layout.components()), (5, 14));
+/// let wetness = layout.push("wetness", 2, Column::like(Attribute::Color));
+/// assert_eq!((layout.name(wetness), layout.offset(wetness), layout.components()), ("wetness", 14, 16));
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Layout {
+    columns: Vec<Column>,
+}
+
+impl Column {
+    /// A column that is treated as one of [`Attribute::BASE`] is: the same activation, rate and unit.
+    ///
+    /// # Panics
+    /// If `attribute` is not one of [`Attribute::BASE`].
+    pub fn like(attribute: Attribute) -> Self {
+        let (activation, varies, rate, unit) = match attribute {
+            Attribute::Mean => (Activation::Identity, true, RateGroup::Mean, "scene units"),
+            Attribute::Quat => (Activation::Normalize, true, RateGroup::Quat, "quaternion w, x, y, z"),
+            Attribute::LogScale => (Activation::Exp, false, RateGroup::LogScale, "ln of scene units"),
+            Attribute::LogitOpacity => (Activation::Sigmoid, false, RateGroup::LogitOpacity, "logit"),
+            Attribute::Color => (Activation::Identity, true, RateGroup::Color, "sRGB"),
+            Attribute::Extra { .. } => panic!("{attribute:?} is not one of Attribute::BASE"),
+        };
+        let quantized = attribute != Attribute::Mean;
+        Self { attribute, name: attribute.name().into(), activation, varies, quantized, rate, unit }
+    }
+
+    /// Number of scalars of one Gaussian at one timestep.
+    pub fn components(&self) -> usize {
+        self.attribute.components()
+    }
+}
+
+impl Default for Layout {
+    /// The five columns of [`Attribute::BASE`].
+    fn default() -> Self {
+        Self { columns: Attribute::BASE.map(Column::like).into() }
+    }
+}
+
+impl Layout {
+    /// The five columns of [`Attribute::BASE`], shared.
+    pub fn base() -> Arc<Self> {
+        static BASE: LazyLock<Arc<Layout>> = LazyLock::new(Arc::default);
+        Arc::clone(&BASE)
+    }
+
+    /// Appends a column.
+    ///
+    /// - `name`: in files and tables
+    /// - `components`: scalars of one Gaussian at one timestep, at least 1
+    /// - `column`: how it is treated; its own name and attribute do not matter
+    /// - returns: the attribute to ask for it with
+    ///
+    /// # Panics
+    /// If the name is taken, `components` is 0 or above 255, or there are 255 further columns already.
+    pub fn push(&mut self, name: &str, components: usize, column: Column) -> Attribute {
+        assert!(self.find(name).is_none(), "a second column {name}");
+        let place = u8::try_from(self.columns.len() - Attribute::BASE.len()).expect("at most 255 further columns");
+        let components = u8::try_from(components).ok().filter(|&c| c > 0).expect("1 to 255 components");
+        let attribute = Attribute::Extra { place, components };
+        self.columns.push(Column { attribute, name: name.into(), ..column });
+        attribute
+    }
+
+    /// All columns, in storage order.
+    pub fn columns(&self) -> &[Column] {
+        &self.columns
+    }
+
+    /// The attributes of all columns, in storage order.
+    pub fn attributes(&self) -> impl DoubleEndedIterator<Item = Attribute> + ExactSizeIterator + Clone + use<'_> {
+        self.columns.iter().map(|column| column.attribute)
+    }
+
+    /// The column of an attribute.
+    ///
+    /// # Panics
+    /// If the layout does not have it.
+    pub fn column(&self, attribute: Attribute) -> &Column {
+        let column = self.columns.get(attribute.index()).filter(|column| column.attribute == attribute);
+        column.unwrap_or_else(|| panic!("{attribute:?} is not a column of {self}"))
+    }
+
+    /// Name of a column in files and tables.
+    ///
+    /// # Panics
+    /// If the layout does not have it.
+    pub fn name(&self, attribute: Attribute) -> &str {
+        &self.column(attribute).name
+    }
+
+    /// The column of a name, if there is one.
+    pub fn find(&self, name: &str) -> Option<Attribute> {
+        self.columns.iter().find(|column| column.name == name).map(|column| column.attribute)
+    }
+
+    /// Scalars of one Gaussian at one timestep, all columns together.
+    pub fn components(&self) -> usize {
+        self.columns.iter().map(Column::components).sum()
+    }
+
+    /// Scalars of one Gaussian in the columns before `attribute`.
+    pub fn offset(&self, attribute: Attribute) -> usize {
+        self.columns[..attribute.index()].iter().map(Column::components).sum()
+    }
+
+    /// Whether there is no column but those of [`Attribute::BASE`].
+    pub fn is_base(&self) -> bool {
+        *self == *Self::base()
+    }
+}
+
+impl fmt::Display for Layout {
+    /// Names and components: `means[3] quats[4] …`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, column) in self.columns.iter().enumerate() {
+            write!(f, "{}{}[{}]", if i > 0 { " " } else { "" }, column.name, column.components())?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn raw_size_counts_forty_bytes_a_timestep_and_sixteen_once() {
+        let layout = Layout::base();
+        let bytes = |varies| -> usize {
+            layout.columns().iter().filter(|c| c.varies == varies).map(|c| 4 * c.components()).sum()
+        };
+        assert_eq!((bytes(true), bytes(false)), (40, 16));
+        assert!(layout.attributes().eq(Attribute::BASE));
+        assert!(layout.attributes().enumerate().all(|(i, a)| a.index() == i));
+    }
+
+    #[test]
+    #[should_panic(expected = "a second column means")]
+    fn a_name_is_taken_once() {
+        Layout::default().push("means", 1, Column::like(Attribute::Color));
+    }
+
+    #[test]
+    fn columns_are_found_by_name_and_said_in_order() {
+        let mut layout = Layout::default();
+        let harmonics = layout.push("harmonics", 45, Column { varies: false, ..Column::like(Attribute::Color) });
+        assert_eq!(layout.find("harmonics"), Some(harmonics));
+        assert_eq!((layout.offset(Attribute::Color), layout.offset(harmonics)), (11, 14));
+        assert_eq!(layout.to_string(), "means[3] quats[4] log_scales[3] logit_opacities[1] colors[3] harmonics[45]");
+        assert!(!layout.is_base() && layout.column(Attribute::Color).varies && !layout.column(harmonics).varies);
+    }
+}
