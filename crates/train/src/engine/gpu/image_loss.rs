@@ -10,7 +10,7 @@ use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::step;
-use crate::engine::constants::{COUNTED_CHANNELS, L1_SHARE};
+use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 
 /// Pixels along a block's side.
 const SIDE: usize = 16;

@@ -32,8 +32,8 @@ use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::neighbor_lists::{self, NeighborLists};
 use super::step::source;
-use crate::engine::constants::ROOT_EPSILON;
-use crate::engine::cpu::Neighbors;
+use crate::losses::ROOT_EPSILON;
+use crate::neighbors::Neighbors;
 
 /// Buffers that the losses share with the rest of an iteration.
 #[derive(Clone, Copy, Debug)]

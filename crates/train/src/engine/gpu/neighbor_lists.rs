@@ -12,7 +12,7 @@
 use rayon::prelude::*;
 use tcgs_render::device::{WORKGROUP, Wgsl};
 
-use crate::engine::cpu::Neighbors;
+use crate::neighbors::Neighbors;
 
 /// Nodes whose lists lie side by side.
 const SLICE: usize = 32;

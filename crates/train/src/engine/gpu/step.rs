@@ -2,7 +2,7 @@
 
 use tcgs_render::device::Wgsl;
 
-use crate::engine::constants::{ADAM_EPSILON, BETA1, BETA2, adam_factors};
+use crate::adam::{BETA1, BETA2, EPSILON, adam_factors};
 
 /// One iteration, written by the host before it; twin of `Step` in `step.wgsl`.
 ///
@@ -111,7 +111,7 @@ pub(super) fn source(constants: Wgsl) -> Wgsl {
     for (name, flag) in StepUniform::FLAGS {
         source = source.constant(name, flag);
     }
-    source.constant("BETA1", BETA1).constant("BETA2", BETA2).constant("ADAM_EPSILON", ADAM_EPSILON)
+    source.constant("BETA1", BETA1).constant("BETA2", BETA2).constant("EPSILON", EPSILON)
 }
 
 #[cfg(test)]
