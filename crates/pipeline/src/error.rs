@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use tcgs_capture::CaptureError;
+use tcgs_capture::{CaptureError, Split};
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
@@ -35,6 +35,14 @@ pub enum PipelineError {
         /// What the file should be.
         expected: &'static str,
     },
+    /// A file cannot be written.
+    #[error("writing {}: {error}", path.display())]
+    Unwritable {
+        /// The file.
+        path: PathBuf,
+        /// The system's answer.
+        error: io::Error,
+    },
     /// A `.tcgs` file cannot be decoded.
     #[error("{}: {error}, expected a whole .tcgs file", path.display())]
     Decode {
@@ -56,6 +64,32 @@ pub enum PipelineError {
         wanted: std::ops::Range<usize>,
         /// The frames there are.
         has: std::ops::Range<usize>,
+    },
+    /// No quality gives a file as small as wanted.
+    #[error("a target of {target} bytes: the smallest file is {smallest} bytes, expected that or more")]
+    TargetBytes {
+        /// As wanted.
+        target: u64,
+        /// Length of the smallest file that was tried.
+        smallest: u64,
+    },
+    /// No quality gives a PSNR as high as wanted.
+    #[error("a target of {target} dB: the best against {of} is {best:.2} dB, expected that or less")]
+    TargetPsnr {
+        /// As wanted, dB.
+        target: f64,
+        /// The highest PSNR that was measured, rounded down to hundredths, dB.
+        best: f64,
+        /// The images that were compared with, in words.
+        of: String,
+    },
+    /// A capture has no cameras of the split that was asked for.
+    #[error("{}: has no {} cameras, expected one that has, or another choice of cameras", path.display(), split_name(*split))]
+    NoCameras {
+        /// The capture.
+        path: PathBuf,
+        /// Which cameras were asked for.
+        split: Split,
     },
     /// A capture.
     #[error(transparent)]
@@ -94,6 +128,14 @@ impl PipelineError {
     }
 }
 
+fn split_name(split: Split) -> &'static str {
+    match split {
+        Split::Train => "training",
+        Split::Test => "test",
+        Split::All => "usable",
+    }
+}
+
 impl From<TrainError> for PipelineError {
     fn from(error: TrainError) -> Self {
         if matches!(error, TrainError::Stopped { .. }) { Self::Stopped } else { Self::Train(error) }
@@ -128,7 +170,12 @@ pub trait HasFault {
 impl HasFault for PipelineError {
     fn fault(&self) -> Fault {
         match self {
-            Self::Input { .. } | Self::Frames { .. } => Fault::Input,
+            Self::Input { .. }
+            | Self::Frames { .. }
+            | Self::NoCameras { .. }
+            | Self::TargetBytes { .. }
+            | Self::TargetPsnr { .. } => Fault::Input,
+            Self::Unwritable { .. } => Fault::Machine,
             Self::Stopped => Fault::Stopped,
             Self::Unreadable { error, .. } => error.fault(),
             Self::Decode { error, .. } => error.fault(),

@@ -4,8 +4,8 @@ use std::ops::ControlFlow;
 
 use tcgs_train::Progress;
 
-use crate::PipelineError;
 use crate::train::TimestepSummary;
+use crate::{PipelineError, Trial};
 
 /// Something that happened in a long call.
 #[derive(Clone, Copy, Debug)]
@@ -29,6 +29,8 @@ pub enum Event<'a> {
     Iteration(&'a Progress),
     /// A timestep is trained: its metrics and its checkpoint are on the disk.
     Timestep(&'a TimestepSummary),
+    /// A search for a target tried a setting.
+    Tried(&'a Trial),
     /// A step of any other work: an image of this frame is done.
     Frame(usize),
 }
@@ -41,6 +43,10 @@ pub enum Work {
     Training,
     /// Images that are rendered and compared.
     Evaluating,
+    /// Images that are rendered.
+    Rendering,
+    /// Timesteps that are written for other programs.
+    Exporting,
 }
 
 impl Work {
@@ -49,6 +55,8 @@ impl Work {
         match self {
             Self::Training => "training",
             Self::Evaluating => "evaluating",
+            Self::Rendering => "rendering",
+            Self::Exporting => "exporting",
         }
     }
 }

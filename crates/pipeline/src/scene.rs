@@ -1,5 +1,6 @@
 //! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or PLY files.
 
+use std::borrow::Cow;
 use std::fs;
 use std::io::Read;
 use std::ops::Range;
@@ -8,8 +9,8 @@ use std::sync::Arc;
 
 use tcgs_codec::{CompactScene, DecodeLimits, UpAxis};
 use tcgs_core::{Activated, DynamicGaussians, Gaussians, activate};
-use tcgs_interchange::{HigherHarmonics, ParamsOrigin};
-use tcgs_train::{Run, TrainedScene};
+use tcgs_interchange::{HigherHarmonics, ParamsOrigin, PlyFiles};
+use tcgs_train::{Checkpoint, Run};
 
 use crate::PipelineError;
 
@@ -51,37 +52,49 @@ impl Default for OpenSettings {
 pub struct OpenScene {
     /// As given.
     pub path: PathBuf,
-    /// What the scene is made of.
-    pub content: SceneContent,
     /// Frame of the capture that timestep 0 shows.
     pub first_frame: usize,
     /// Factor by which the capture's images were shrunk for training.
     pub downscale: usize,
     /// Frames a second; 0 if unknown.
     pub frame_rate: f64,
-    /// Length of a `.tcgs` file; the raw size of anything else.
+    /// Length of a `.tcgs` file; of anything else the raw size `N (40 T + 16)`: means, rotations and colours of every
+    /// timestep, scales and opacities once.
     pub bytes: u64,
+    content: Content,
 }
 
-/// What a scene is made of.
+/// What a scene is made of. Of a run and of PLY files a timestep is read when it is asked for.
 #[derive(Debug)]
-pub enum SceneContent {
-    /// A `.tcgs` file.
+enum Content {
     Compact(Box<CompactScene>),
-    /// A run, with its masks.
-    Run(Box<(Run, TrainedScene)>),
-    /// Nothing but floats.
-    Floats {
-        /// All of them.
-        scene: Box<DynamicGaussians>,
-        /// The kind of file that they are from, in words.
-        kind: &'static str,
-    },
+    Run(Box<RunContent>),
+    Floats { scene: Box<DynamicGaussians>, kind: &'static str },
+    Ply { files: PlyFiles, higher_harmonics: HigherHarmonics, num_gaussians: usize },
+}
+
+#[derive(Debug)]
+struct RunContent {
+    run: Run,
+    /// What the first checkpoint holds and the others do not repeat.
+    first: Checkpoint,
+    num_timesteps: usize,
+}
+
+impl RunContent {
+    fn checkpoint(&self, timestep: usize) -> Result<Checkpoint, PipelineError> {
+        if timestep == 0 {
+            return Ok(self.first.clone());
+        }
+        Ok(self.run.checkpoint(timestep, Some(&self.first))?)
+    }
 }
 
 impl OpenScene {
     /// Opens a scene. A file is taken for what its ending says, so that a damaged one is judged as what it was meant to
     /// be; one with another ending for what its first bytes say.
+    ///
+    /// Of a run and of PLY files the first timestep is read, the others when they are asked for.
     ///
     /// # Errors
     /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.
@@ -102,28 +115,31 @@ impl OpenScene {
                 let scene = tcgs_interchange::read_params_npz(path)?;
                 let unknown = ParamsOrigin { first_frame: 0, downscale: 1, frame_rate: 30.0 };
                 let origin = tcgs_interchange::read_params_origin(path)?.unwrap_or(unknown);
-                Ok(Self::of_floats(path, scene, "Dynamic 3D Gaussians parameters", origin))
+                Ok(Self {
+                    path: path.into(),
+                    bytes: scene.raw_bytes(),
+                    content: Content::Floats { scene: Box::new(scene), kind: "Dynamic 3D Gaussians parameters" },
+                    first_frame: origin.first_frame as usize,
+                    downscale: origin.downscale as usize,
+                    frame_rate: f64::from(origin.frame_rate),
+                })
             }
             Kind::Ply => Self::open_ply(path, settings),
         }
     }
 
     fn open_ply(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
-        let sequence = tcgs_interchange::read_ply_sequence(path, settings.higher_harmonics)?;
-        let first_frame = sequence.first_frame.unwrap_or(0);
-        let origin = ParamsOrigin { first_frame, downscale: 1, frame_rate: 30.0 };
-        Ok(Self::of_floats(path, sequence.scene, "PLY files", origin))
-    }
-
-    fn of_floats(path: &Path, scene: DynamicGaussians, kind: &'static str, origin: ParamsOrigin) -> Self {
-        Self {
+        let files = PlyFiles::list(path)?;
+        let higher_harmonics = settings.higher_harmonics;
+        let num_gaussians = tcgs_interchange::read_ply(&files.files[0], higher_harmonics)?.num_gaussians();
+        Ok(Self {
             path: path.into(),
-            bytes: scene.raw_bytes(),
-            content: SceneContent::Floats { scene: Box::new(scene), kind },
-            first_frame: origin.first_frame as usize,
-            downscale: origin.downscale as usize,
-            frame_rate: f64::from(origin.frame_rate),
-        }
+            bytes: raw_bytes(num_gaussians, files.files.len()),
+            first_frame: files.first_frame.unwrap_or(0) as usize,
+            downscale: 1,
+            frame_rate: 30.0,
+            content: Content::Ply { files, higher_harmonics, num_gaussians },
+        })
     }
 
     /// The scene in the bytes of a `.tcgs` file.
@@ -142,7 +158,7 @@ impl OpenScene {
             downscale: info.downscale as usize,
             frame_rate: f64::from(info.frame_rate),
             bytes: bytes.len() as u64,
-            content: SceneContent::Compact(Box::new(compact)),
+            content: Content::Compact(Box::new(compact)),
         })
     }
 
@@ -152,41 +168,77 @@ impl OpenScene {
             return Err(PipelineError::input(path.display(), found, EXPECTED));
         }
         let run = Run::open(path)?;
-        let trained = run.trained()?;
+        let num_timesteps = run.timesteps();
+        if num_timesteps == 0 {
+            let (culprit, expected) = (path.join("checkpoints"), "a run with at least one finished timestep");
+            return Err(PipelineError::input(culprit.display(), "no checkpoint", expected));
+        }
+        let first = run.checkpoint(0, None)?;
         let data = &run.config().data;
         Ok(Self {
             path: path.into(),
             first_frame: data.first_frame,
             downscale: data.downscale,
             frame_rate: data.frame_rate,
-            bytes: trained.scene.raw_bytes(),
-            content: SceneContent::Run(Box::new((run, trained))),
+            bytes: raw_bytes(first.parameters.num_gaussians(), num_timesteps),
+            content: Content::Run(Box::new(RunContent { run, first, num_timesteps })),
         })
+    }
+
+    /// The same scene with other Gaussians in memory: what a step between this one and a file leaves.
+    ///
+    /// - `kind`: as [`Self::kind`] shall say
+    pub fn with_floats(&self, scene: DynamicGaussians, kind: &'static str) -> Self {
+        self.with(Content::Floats { scene: Box::new(scene), kind })
+    }
+
+    /// The same scene with the symbols of a compression.
+    pub fn with_symbols(&self, compact: CompactScene) -> Self {
+        self.with(Content::Compact(Box::new(compact)))
+    }
+
+    fn with(&self, content: Content) -> Self {
+        Self { path: self.path.clone(), content, ..*self }
     }
 
     /// The axis that points up, as a `.tcgs` file says it; unknown of anything else.
     pub fn up(&self) -> UpAxis {
         match &self.content {
-            SceneContent::Compact(compact) => compact.info.up,
+            Content::Compact(compact) => compact.info.up,
             _ => UpAxis::Unknown,
         }
+    }
+
+    /// The run, if the scene is one.
+    pub fn run(&self) -> Option<&Run> {
+        match &self.content {
+            Content::Run(run) => Some(&run.run),
+            _ => None,
+        }
+    }
+
+    /// Whether the scene is compressed already.
+    pub fn is_compressed(&self) -> bool {
+        matches!(self.content, Content::Compact(_))
     }
 
     /// `N`, of a run before pruning.
     pub fn num_gaussians(&self) -> usize {
         match &self.content {
-            SceneContent::Compact(compact) => compact.num_gaussians(),
-            SceneContent::Run(run) => run.1.scene.num_gaussians(),
-            SceneContent::Floats { scene, .. } => scene.num_gaussians(),
+            Content::Compact(compact) => compact.num_gaussians(),
+            Content::Run(run) => run.first.parameters.num_gaussians(),
+            Content::Floats { scene, .. } => scene.num_gaussians(),
+            Content::Ply { num_gaussians, .. } => *num_gaussians,
         }
     }
 
     /// `T`.
     pub fn num_timesteps(&self) -> usize {
         match &self.content {
-            SceneContent::Compact(compact) => compact.num_timesteps(),
-            SceneContent::Run(run) => run.1.scene.num_timesteps(),
-            SceneContent::Floats { scene, .. } => scene.num_timesteps(),
+            Content::Compact(compact) => compact.num_timesteps(),
+            Content::Run(run) => run.num_timesteps,
+            Content::Floats { scene, .. } => scene.num_timesteps(),
+            Content::Ply { files, .. } => files.files.len(),
         }
     }
 
@@ -210,20 +262,26 @@ impl OpenScene {
         }
     }
 
-    /// All Gaussians of one timestep, in stored form; of a run also those that its masks leave out.
+    /// All Gaussians of one timestep, in stored form; of a run also those that its masks leave out. Reads no other
+    /// timestep.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if there is no such timestep.
+    /// [`PipelineError::Input`] if there is no such timestep; [`PipelineError`] if its file is damaged.
     pub fn at(&self, timestep: usize) -> Result<Gaussians, PipelineError> {
-        let num_timesteps = self.num_timesteps();
-        if timestep >= num_timesteps {
-            let (found, expected) = (format!("no timestep {timestep}"), format!("one below {num_timesteps}"));
-            return Err(PipelineError::input(self.path.display(), found, expected));
-        }
+        self.check_timestep(timestep)?;
         Ok(match &self.content {
-            SceneContent::Compact(compact) => compact.at(timestep),
-            SceneContent::Run(run) => run.1.scene.at(timestep),
-            SceneContent::Floats { scene, .. } => scene.at(timestep),
+            Content::Compact(compact) => compact.at(timestep),
+            Content::Run(run) => run.checkpoint(timestep)?.parameters.gaussians,
+            Content::Floats { scene, .. } => scene.at(timestep),
+            Content::Ply { files, higher_harmonics, num_gaussians } => {
+                let gaussians = tcgs_interchange::read_ply(&files.files[timestep], *higher_harmonics)?;
+                if gaussians.num_gaussians() != *num_gaussians {
+                    let found = format!("has {} Gaussians", gaussians.num_gaussians());
+                    let expected = format!("{num_gaussians} as in {}", files.files[0].display());
+                    return Err(PipelineError::input(files.files[timestep].display(), found, expected));
+                }
+                gaussians
+            }
         })
     }
 
@@ -232,25 +290,82 @@ impl OpenScene {
     /// # Errors
     /// As [`Self::at`].
     pub fn drawn(&self, timestep: usize) -> Result<Arc<Activated>, PipelineError> {
-        let gaussians = self.at(timestep)?;
-        Ok(match &self.content {
-            SceneContent::Run(run) if run.0.config().mask.enabled => {
-                let masked = tcgs_train::masked_out(&run.1.mask_logits[timestep], run.0.config().mask.threshold);
-                let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
-                Arc::new(activate(&gaussians.select(&shown)))
+        self.check_timestep(timestep)?;
+        if let Content::Run(run) = &self.content
+            && run.run.config().mask.enabled
+        {
+            let parameters = run.checkpoint(timestep)?.parameters;
+            let masked = tcgs_train::masked_out(&parameters.mask_logits, run.run.config().mask.threshold);
+            let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
+            return Ok(Arc::new(activate(&parameters.gaussians.select(&shown))));
+        }
+        Ok(Arc::new(activate(&self.at(timestep)?)))
+    }
+
+    fn check_timestep(&self, timestep: usize) -> Result<(), PipelineError> {
+        let num_timesteps = self.num_timesteps();
+        if timestep < num_timesteps {
+            return Ok(());
+        }
+        let (found, expected) = (format!("no timestep {timestep}"), format!("one below {num_timesteps}"));
+        Err(PipelineError::input(self.path.display(), found, expected))
+    }
+
+    /// All timesteps of a scene of floats. PLY files are checked to continue one another.
+    ///
+    /// # Errors
+    /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged.
+    pub fn floats(&self) -> Result<Cow<'_, DynamicGaussians>, PipelineError> {
+        match &self.content {
+            Content::Compact(_) => {
+                Err(PipelineError::input(self.path.display(), "is compressed already", "a scene of floats"))
             }
-            _ => Arc::new(activate(&gaussians)),
-        })
+            Content::Run(run) => Ok(Cow::Owned(run.run.trained()?.scene)),
+            Content::Floats { scene, .. } => Ok(Cow::Borrowed(scene)),
+            Content::Ply { files, higher_harmonics, .. } => {
+                Ok(Cow::Owned(files.read(0..files.files.len(), *higher_harmonics)?))
+            }
+        }
+    }
+
+    /// The first checkpoint of a run.
+    pub(crate) fn first_checkpoint(&self) -> Option<&Checkpoint> {
+        match &self.content {
+            Content::Run(run) => Some(&run.first),
+            _ => None,
+        }
+    }
+
+    /// Mean mask of each Gaussian of a run over time (paper Eq. 6); none of a scene without masks. Reads one timestep
+    /// after another.
+    pub(crate) fn mean_masks(&self) -> Result<Option<Vec<f32>>, PipelineError> {
+        let Content::Run(run) = &self.content else { return Ok(None) };
+        if !run.run.config().mask.enabled {
+            return Ok(None);
+        }
+        let mut sums = vec![0.0_f32; self.num_gaussians()];
+        for timestep in 0..run.num_timesteps {
+            let logits = run.checkpoint(timestep)?.parameters.mask_logits;
+            sums.iter_mut().zip(logits).for_each(|(sum, logit)| *sum += tcgs_core::sigmoid(logit));
+        }
+        let count = run.num_timesteps as f32;
+        Ok(Some(sums.into_iter().map(|sum| sum / count).collect()))
     }
 
     /// The kind of the scene in two words.
     pub fn kind(&self) -> &'static str {
         match &self.content {
-            SceneContent::Compact(_) => "compressed file",
-            SceneContent::Run(_) => "run folder",
-            SceneContent::Floats { kind, .. } => kind,
+            Content::Compact(_) => "compressed file",
+            Content::Run(_) => "run folder",
+            Content::Floats { kind, .. } => kind,
+            Content::Ply { .. } => "PLY files",
         }
     }
+}
+
+/// Bytes of a scene of floats whose scales and opacities stand still.
+fn raw_bytes(num_gaussians: usize, num_timesteps: usize) -> u64 {
+    num_gaussians as u64 * (40 * num_timesteps as u64 + 16)
 }
 
 enum Kind {
