@@ -5,11 +5,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context;
+use tcgs_interchange::{is_unfinished, remove_unfinished};
 use tcgs_pipeline::Backend;
 use tcgs_train::{Run, TrainError, Trainer};
 
 use crate::error::wrong_input;
-use crate::output::{is_leftover, note};
+use crate::output::note;
 
 /// What commands write into a run folder.
 const OURS: [&str; 3] = ["scene.tcgs", "metrics.jsonl", "config.toml"];
@@ -37,7 +38,7 @@ pub fn look(folder: &Path) -> anyhow::Result<Found> {
     // A run stopped before its first file is no more than an empty folder or two.
     let is_empty = |entry: &fs::DirEntry| {
         let name = entry.file_name();
-        is_leftover(&name)
+        is_unfinished(&name)
             || name == "checkpoints" && fs::read_dir(entry.path()).is_ok_and(|mut inside| inside.next().is_none())
     };
     for entry in fs::read_dir(folder).with_context(|| format!("reading {}", folder.display()))? {
@@ -111,11 +112,11 @@ fn is_checkpoint(path: &Path) -> bool {
 /// Removes what a stopped process was about to rename. Nobody else writes here: the folder is locked.
 pub fn remove_leftovers(folder: &Path) -> anyhow::Result<()> {
     for folder in [folder.into(), folder.join("checkpoints")] {
-        tcgs_interchange::remove_unfinished(&folder, Duration::ZERO);
+        remove_unfinished(&folder, Duration::ZERO);
         let Ok(entries) = fs::read_dir(&folder) else { continue };
         for entry in entries.flatten() {
             // Earlier versions wrote files of such names.
-            if is_leftover(&entry.file_name()) && entry.path().is_file() {
+            if is_unfinished(&entry.file_name()) && entry.path().is_file() {
                 fs::remove_file(entry.path()).with_context(|| format!("removing {}", entry.path().display()))?;
             }
         }
