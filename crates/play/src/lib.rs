@@ -1,7 +1,7 @@
 //! The player of `.tcgs` scenes, natively and in a browser.
 //!
 //! - `source`: where the bytes of a file come from; `download`: what servers answer
-//! - `player`: which bytes are fetched next; decoded segments (`buffer`); the `clock`
+//! - `player`: which bytes are fetched next; the `clock`
 //! - `reconstruct`, `segment_renderer`, `blit`: from a timestep of a segment to a picture, with the renderer that training
 //!   uses
 //! - `start_view`, `cameras`, `controls`: from where the scene is seen
@@ -32,7 +32,6 @@
 #![cfg_attr(not(target_family = "wasm"), forbid(unsafe_code))]
 
 mod blit;
-mod buffer;
 mod cameras;
 mod clock;
 mod controls;
@@ -49,7 +48,6 @@ mod viewer;
 #[cfg(target_family = "wasm")]
 mod web;
 
-pub use buffer::{Buffer, Order};
 pub use cameras::{FileCamera, VIEWS, read_cameras};
 pub use clock::Clock;
 pub use controls::Controls;

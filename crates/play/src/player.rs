@@ -7,9 +7,8 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening, Segment};
+use tcgs_codec::{Archive, DecodeLimits, Eviction, MAGIC, Opening, Playback, Segment, SegmentCache};
 
-use crate::buffer::{Buffer, Order};
 use crate::clock::Clock;
 use crate::error::PlayError;
 use crate::source::{Piece, RangeSource, SourceError};
@@ -31,7 +30,7 @@ pub struct PlayerSettings {
 impl Default for PlayerSettings {
     fn default() -> Self {
         Self {
-            max_segment_bytes: 256 << 20,
+            max_segment_bytes: SegmentCache::DEFAULT_BYTES,
             limits: DecodeLimits { max_bytes: 1 << 30, ..DecodeLimits::default() },
             opening_bytes: 1 << 14,
         }
@@ -90,14 +89,14 @@ pub struct Player<S> {
 #[derive(Debug)]
 struct OpenFile {
     archive: Archive,
-    buffer: Buffer,
+    cache: SegmentCache,
     clock: Clock,
     application_data: Vec<(String, Vec<u8>)>,
 }
 
 impl OpenFile {
-    fn order(&self) -> Order {
-        Order {
+    fn playback(&self) -> Playback {
+        Playback {
             now: self.archive.segment_at(self.clock.timestep()),
             is_backwards: self.clock.is_backwards(),
             is_looping: self.clock.is_looping(),
@@ -122,7 +121,7 @@ impl OpenFile {
 
     fn current(&self) -> Option<(&Arc<Segment>, usize)> {
         let timestep = self.clock.timestep();
-        self.buffer.get(self.archive.segment_at(timestep)).map(|segment| (segment, timestep))
+        self.cache.get(self.archive.segment_at(timestep)).map(|segment| (segment, timestep))
     }
 }
 
@@ -178,7 +177,7 @@ impl<S: RangeSource> Player<S> {
 
     /// Memory of the decoded segments, bytes.
     pub fn segment_bytes(&self) -> usize {
-        self.file.as_ref().map_or(0, |file| file.buffer.bytes())
+        self.file.as_ref().map_or(0, |file| file.cache.bytes())
     }
 
     /// Lets time pass, takes the bytes that have arrived, decodes, and requests what is needed next.
@@ -270,8 +269,8 @@ impl<S: RangeSource> Player<S> {
         let mut clock = Clock::new(info.num_timesteps as usize, info.frame_rate.into());
         clock.seek(self.first_timestep);
         clock.hold(now_ms);
-        let buffer = Buffer::new(archive.num_segments(), self.settings.max_segment_bytes);
-        self.file = Some(OpenFile { archive: *archive, buffer, clock, application_data: Vec::new() });
+        let cache = SegmentCache::new(archive.num_segments(), self.settings.max_segment_bytes);
+        self.file = Some(OpenFile { archive: *archive, cache, clock, application_data: Vec::new() });
         Ok(())
     }
 
@@ -286,10 +285,10 @@ impl<S: RangeSource> Player<S> {
 
     fn read_segment(&mut self, segment: usize, bytes: &[u8]) -> Result<(), PlayError> {
         let Some(file) = &mut self.file else { return Ok(()) };
-        let order = file.order();
-        file.buffer.make_room(segment, order);
+        let eviction = Eviction::FarthestAhead(file.playback());
+        file.cache.make_room(segment, eviction);
         let segment = file.archive.read_segment(segment, bytes)?;
-        file.buffer.insert(Arc::new(segment), order);
+        file.cache.insert(Arc::new(segment), eviction);
         Ok(())
     }
 
@@ -301,7 +300,7 @@ impl<S: RangeSource> Player<S> {
         };
         if let Some(fetch) = &self.fetch {
             // A prefetch goes on, unless the due segment is missing.
-            let is_needed_now = self.file.as_ref().is_some_and(|file| part == FilePart::Segment(file.order().now));
+            let is_needed_now = self.file.as_ref().is_some_and(|file| part == FilePart::Segment(file.playback().now));
             if fetch.part == part || !is_needed_now {
                 return Ok(());
             }
@@ -319,7 +318,7 @@ impl<S: RangeSource> Player<S> {
 
     /// The part that is needed most, and where it lies in the file; none if there is nothing to fetch.
     fn next_part(&self) -> Result<Option<(FilePart, Range<u64>)>, PlayError> {
-        let Some(OpenFile { archive, buffer, .. }) = &self.file else {
+        let Some(OpenFile { archive, cache, .. }) = &self.file else {
             let known = self.start.len() as u64;
             let needed = match self.open_archive()? {
                 Opening::More(needed) => needed,
@@ -343,8 +342,8 @@ impl<S: RangeSource> Player<S> {
             }
             return Ok(Some((FilePart::Shared, range)));
         }
-        let order = self.file.as_ref().map(OpenFile::order);
-        let segment = order.and_then(|order| buffer.wanted(order));
+        let playback = self.file.as_ref().map(OpenFile::playback);
+        let segment = playback.and_then(|playback| cache.prefetch(playback));
         Ok(segment.map(|segment| (FilePart::Segment(segment), archive.segment_range(segment, layers))))
     }
 }

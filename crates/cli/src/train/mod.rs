@@ -155,7 +155,7 @@ fn describe(capture: &Capture, config: &TrainConfig) -> anyhow::Result<String> {
         }
     };
     let (first, end) = (data.first_frame, data.end_frame);
-    let (count, layout) = (train.len(), capture.kind().name());
+    let (count, layout) = (train.len(), capture.kind().name);
     Ok(format!("{layout} capture: {count} cameras ({held_out}), frames {first}..{end}, {}x{} pixels", size.0, size.1))
 }
 

@@ -101,11 +101,12 @@ mod tests {
     use tcgs_core::{ActivatedGrads, Attribute, Gaussians, activate, activate_bwd};
 
     use super::*;
-    use crate::engine::cpu::{FakeQuantizers, mask, mask_consistency_loss, mask_loss, mask_vjp};
     use crate::engine::gpu::StepUniform;
     use crate::engine::gpu::testing::{
         QuantizerTables, assert_close, gpu, random, random_gaussians, random_rows, run, uniform,
     };
+    use crate::fake_quant::FakeQuantizers;
+    use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 
     const THRESHOLD: f32 = 0.3;
 

@@ -1,4 +1,4 @@
-//! Adam of the Gaussians: see [`crate::engine::cpu::Moments`].
+//! Adam of the Gaussians: see [`crate::adam()`].
 //!
 //! The floor is memory: 28 bytes a value that moves (value, gradient and two moments in, all but the
 //! gradient out), nothing for a group that does not; a Gaussian has 15 values, 11 after the first timestep.
@@ -71,7 +71,7 @@ mod tests {
     use tcgs_core::normalize;
 
     use super::*;
-    use crate::engine::cpu::Moments;
+    use crate::adam::Moments;
     use crate::engine::gpu::testing::{assert_close, gpu, random, run, uniform};
     use crate::engine::gpu::{StepUniform, adam_rates};
 

@@ -1,5 +1,5 @@
 //! Fake quantisation on the GPU: the learned quantizers as buffers, and the backward of
-//! [`crate::engine::cpu::FakeQuantizers`].
+//! [`crate::FakeQuantizers`].
 //!
 //! Members of a group (one attribute, one width) are listed, so that a workgroup sums for one group's
 //! quantizers only and writes one row for each: no atomics, and every sum has one order.
@@ -15,7 +15,7 @@ use tcgs_core::Attribute;
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::step::source;
-use crate::engine::cpu::FakeQuantizers;
+use crate::fake_quant::FakeQuantizers;
 
 /// Most members of a group that one workgroup handles.
 const CHUNK: usize = 1024;

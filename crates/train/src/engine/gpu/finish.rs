@@ -90,9 +90,10 @@ mod tests {
     use tcgs_codec::BitMap;
 
     use super::*;
-    use crate::engine::cpu::{FakeQuantizers, Moments};
+    use crate::adam::Moments;
     use crate::engine::gpu::testing::{QuantizerTables, assert_close, gpu, random, random_gaussians, run, uniform};
     use crate::engine::gpu::{StepUniform, adam_rates};
+    use crate::fake_quant::FakeQuantizers;
 
     const CAMERAS: usize = 3;
     const SLOTS: usize = 4;

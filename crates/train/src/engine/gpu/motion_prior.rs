@@ -31,7 +31,7 @@ use tcgs_render::gpu::{Bound, Gpu, GpuError, WORKGROUP};
 
 use super::neighbor_lists::NeighborLists;
 use super::step::source;
-use crate::engine::cpu::Neighbors;
+use crate::neighbors::Neighbors;
 
 /// Buffers that the losses share with the rest of an iteration.
 #[derive(Clone, Copy, Debug)]

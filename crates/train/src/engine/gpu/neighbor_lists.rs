@@ -12,7 +12,7 @@
 use rayon::prelude::*;
 use tcgs_render::gpu::WORKGROUP;
 
-use crate::engine::cpu::Neighbors;
+use crate::neighbors::Neighbors;
 
 /// Nodes whose lists lie side by side. `SLICE` in `motion_prior.wgsl`.
 const SLICE: usize = 32;
