@@ -4,6 +4,7 @@
 //! what happens between iterations; that is the trainer's, which changes the engine's [`State`].
 
 pub mod cpu;
+#[cfg(feature = "gpu")]
 pub mod gpu;
 
 use std::fmt::Debug;

@@ -26,7 +26,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use tcgs_core::{Activated, Attribute, Camera, Image, Sensitivity};
-use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
+use tcgs_render::device::Capacity;
+use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
 
 pub use activate::{ActivateBuffers, ActivateKernels};
@@ -44,6 +45,7 @@ use super::cpu::drawn;
 use super::{Engine, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
+use crate::fake_quant::MIN_STEP_SHARE;
 use crate::losses::{LossTerms, PriorLosses};
 use crate::motion::Pose;
 use crate::neighbors::Neighbors;
@@ -367,9 +369,6 @@ impl GpuEngine {
         Ok(())
     }
 }
-
-/// A quantizer's step never falls below this share of where it started; as on the CPU.
-const MIN_STEP_SHARE: f32 = 0.1;
 
 /// Where a row of losses says whether the GPU had halted.
 const HALTED: usize = 10;
