@@ -7,7 +7,8 @@
 use bytemuck::{Pod, Zeroable};
 use tcgs_codec::{Keypoints, Segment};
 use tcgs_core::{Attribute, activate, normalize};
-use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X, WORKGROUP, pack};
+use tcgs_render::device::{Wgsl, pack};
+use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X, WORKGROUP};
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
@@ -59,8 +60,17 @@ struct Moving {
 
 /// WGSL for units of so many components.
 fn source(unit: usize, finish: Finish) -> String {
-    let constants = format!("const UNIT: u32 = {unit}u;\nconst FINISH: u32 = {}u;\n", finish as u32);
-    format!("{constants}const MAX_GROUPS_X: u32 = {MAX_GROUPS_X}u;\n{}", include_str!("reconstruct.wgsl"))
+    Wgsl::new()
+        .constant("UNIT", unit)
+        .constant("FINISH", finish as u32)
+        .constant("AS_IS", Finish::AsIs as u32)
+        .constant("EXP", Finish::Exp as u32)
+        .constant("SIGMOID", Finish::Sigmoid as u32)
+        .constant("UNIT_LENGTH", Finish::UnitLength as u32)
+        .constant("WORKGROUP", WORKGROUP)
+        .constant("MAX_GROUPS_X", MAX_GROUPS_X)
+        .part(include_str!("reconstruct.wgsl"))
+        .finish()
 }
 
 /// Every shader of the reconstruction with its name, as the GPU gets it.

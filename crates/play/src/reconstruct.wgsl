@@ -4,12 +4,7 @@
 //   normalize_quats   one thread a Gaussian: rotations whose components move apart, of unit length
 //
 // A unit is UNIT components that share their times: all of an attribute, or one. Put before: UNIT; FINISH, what makes a
-// stored value a drawn one.
-
-const AS_IS: u32 = 0u;
-const EXP: u32 = 1u;
-const SIGMOID: u32 = 2u;
-const UNIT_LENGTH: u32 = 3u;
+// stored value a drawn one, and its four values.
 
 struct Frame {
     timestep: u32,
@@ -55,9 +50,9 @@ fn finished(value: f32) -> f32 {
     }
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let i = (group.y * MAX_GROUPS_X + group.x) * 256u + lane;
+    let i = (group.y * MAX_GROUPS_X + group.x) * WORKGROUP + lane;
     if i >= place.count {
         return;
     }
@@ -103,7 +98,7 @@ fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     }
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn normalize_quats(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= place.count {
         return;

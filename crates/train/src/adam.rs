@@ -2,12 +2,9 @@
 
 use rayon::prelude::*;
 
+use crate::engine::constants::{ADAM_EPSILON, BETA1, BETA2, adam_factors};
 use crate::state::Row;
 
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.999;
-/// Reference: far below any gradient, so that the step does not depend on the loss's scale.
-const EPSILON: f32 = 1e-15;
 /// Values that one task updates.
 const CHUNK: usize = 1 << 14;
 
@@ -69,9 +66,7 @@ pub fn adam(values: &mut [f32], v_values: &[f32], first: &mut [f32], second: &mu
     if rate == 0.0 {
         return;
     }
-    let t = i32::try_from(*step).unwrap_or(i32::MAX);
-    let step_size = rate / (1.0 - BETA1.powi(t));
-    let correction = 1.0 / (1.0 - BETA2.powi(t)).sqrt();
+    let [step_size, correction] = adam_factors(rate, *step);
     (
         values.par_chunks_mut(CHUNK),
         v_values.par_chunks(CHUNK),
@@ -83,7 +78,7 @@ pub fn adam(values: &mut [f32], v_values: &[f32], first: &mut [f32], second: &mu
             for (((x, &v), m), s) in values.iter_mut().zip(v_values).zip(first).zip(second) {
                 *m = BETA1 * *m + (1.0 - BETA1) * v;
                 *s = BETA2 * *s + (1.0 - BETA2) * v * v;
-                *x -= step_size * *m / (s.sqrt() * correction + EPSILON);
+                *x -= step_size * *m / (s.sqrt() * correction + ADAM_EPSILON);
             }
         });
 }

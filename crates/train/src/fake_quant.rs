@@ -7,6 +7,7 @@ use tcgs_codec::{BitMap, Quantizer, Quantizers};
 use tcgs_core::{Attribute, GaussianGrads, Gaussians, Layout};
 
 use crate::adam::Moments;
+use crate::engine::constants::MIN_STEP_SHARE;
 
 /// Gaussians that one task handles; fixed, so that sums over them are.
 const CHUNK: usize = 1 << 12;
@@ -239,7 +240,7 @@ impl FakeQuantizers {
             offsets.update(&mut relative_offsets, v_offsets, rate);
         }
         for (i, q) in self.quantizers.iter_mut().enumerate() {
-            q.step = relative_steps[i].max(0.1) * self.initial_steps[i];
+            q.step = relative_steps[i].max(MIN_STEP_SHARE) * self.initial_steps[i];
             q.offset = relative_offsets[i] * self.initial_steps[i];
         }
     }

@@ -14,10 +14,11 @@ use rayon::prelude::*;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
 use self::project::{Pinhole, project_vjp};
-use self::rasterize::{PAIR_GRADS, TileImage, rasterize_bwd, rasterize_fwd};
-use self::tiles::{TILE, Tiles};
+use self::rasterize::{TileImage, rasterize_bwd, rasterize_fwd};
+use self::tiles::Tiles;
 use crate::gpu::GpuError;
 use crate::settings::MAX_CHANNELS;
+use crate::tiling::{PAIR_GRADS, TILE};
 use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
 /// The renderer that needs nothing but a CPU.

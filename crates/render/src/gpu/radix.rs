@@ -9,7 +9,8 @@
 //! a pass. Scattered writes come in runs of 4 keys a block and digit on average, and meet their neighbours' runs in
 //! the cache.
 
-use super::{Bound, Gpu, GpuError, source};
+use super::source::source;
+use super::{Bound, Gpu, GpuError};
 
 /// Keys that one workgroup counts and scatters.
 pub const SORT_BLOCK: usize = 1024;
@@ -124,7 +125,7 @@ impl Radix {
 
 /// The whole source of the kernels.
 pub(super) fn composed() -> String {
-    source(1, &[include_str!("radix.wgsl")])
+    source(1).constant("DIGITS", NUM_DIGITS).part(include_str!("radix.wgsl")).finish()
 }
 
 #[cfg(test)]

@@ -20,9 +20,11 @@ use bytemuck::{Pod, Zeroable};
 use tcgs_core::Camera;
 
 use super::radix::{Dispatch, Radix, SORT_BLOCK};
-use super::source::{BUCKET, TILE, source};
-use super::{Bound, Gpu, GpuError, MAX_THREADS};
+use super::source::{BUCKET, VISIBLE, source};
+use super::{Bound, Gpu, GpuError, MAX_THREADS, WORKGROUP};
+use crate::device::activated_len;
 use crate::settings::MAX_CHANNELS;
+use crate::tiling::{PAIR_GRADS, TILE, tile_grid};
 use crate::{PairCounts, Pinhole, RenderSettings};
 
 /// Sources of the renderer's shaders, by name.
@@ -31,17 +33,15 @@ use crate::{PairCounts, Pinhole, RenderSettings};
 pub(super) fn sources(num_channels: usize, keeps: bool) -> [(&'static str, String); 4] {
     let view = include_str!("view.wgsl");
     let reach = include_str!("reach.wgsl");
-    let keeps = format!("const KEEPS: bool = {keeps};");
+    let source = || source(num_channels).part(view);
     [
-        ("project", source(num_channels, &[view, reach, include_str!("project.wgsl")])),
-        ("bin", source(num_channels, &[view, reach, include_str!("bin.wgsl")])),
-        ("rasterize_fwd", source(num_channels, &[view, &keeps, include_str!("rasterize_fwd.wgsl")])),
-        ("rasterize_bwd", source(num_channels, &[view, include_str!("rasterize_bwd.wgsl")])),
+        ("project", source().part(reach).part(include_str!("project.wgsl"))),
+        ("bin", source().part(reach).part(include_str!("bin.wgsl"))),
+        ("rasterize_fwd", source().constant("KEEPS", keeps).part(include_str!("rasterize_fwd.wgsl"))),
+        ("rasterize_bwd", source().part(include_str!("rasterize_bwd.wgsl"))),
     ]
+    .map(|(name, source)| (name, source.finish()))
 }
-
-/// Marks a tile count of a splat whose bounds hold a pixel, as in `reach.wgsl`.
-const VISIBLE: u32 = 0x8000_0000;
 
 /// What a [`GpuRenderer`]'s buffers hold at most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,7 +71,8 @@ impl Capacity {
         let (mut num_pixels, mut num_tiles) = (1, 1);
         for camera in cameras {
             num_pixels = num_pixels.max(camera.width * camera.height);
-            num_tiles = num_tiles.max(camera.width.div_ceil(TILE) * camera.height.div_ceil(TILE));
+            let [columns, rows] = tile_grid(camera.width, camera.height);
+            num_tiles = num_tiles.max(columns * rows);
         }
         let num_pairs = 2 * num_gaussians + 16 * num_tiles;
         Self { num_gaussians, num_channels, num_pixels, num_tiles, num_pairs, backward }
@@ -149,8 +150,8 @@ impl GpuRenderer {
     /// # Panics
     /// If the number of channels is not in `1..=MAX_CHANNELS`.
     pub fn new(gpu: &Gpu, capacity: Capacity) -> Result<Self, GpuError> {
-        let values = (11 + capacity.num_channels) * capacity.num_gaussians;
-        Self::of_gaussians(gpu, capacity, &gpu.storage("activated Gaussians", values)?)
+        let len = activated_len(capacity.num_gaussians, capacity.num_channels);
+        Self::of_gaussians(gpu, capacity, &gpu.storage("activated Gaussians", len)?)
     }
 
     /// Allocates everything but the Gaussians, which outlive the renderer.
@@ -175,7 +176,7 @@ impl GpuRenderer {
             activated: activated.clone(),
             image: gpu.storage("the image", (c + 1) * num_pixels)?,
             v_image: gpu.storage("the image's gradient", if_backward(c * num_pixels))?,
-            v_activated: gpu.storage("gradients of activated Gaussians", if_backward((11 + c) * n))?,
+            v_activated: gpu.storage("gradients of activated Gaussians", if_backward(activated_len(n, c)))?,
             v_means2d_ndc: gpu.storage("the statistic's gradients", if_backward(3 * n))?,
             status: gpu.storage("status", 4)?,
         };
@@ -183,7 +184,7 @@ impl GpuRenderer {
         let keys = [gpu.storage("depths", n)?, gpu.storage("depths", n)?];
         let values = [gpu.storage("depth order", n)?, gpu.storage("depth order", n)?];
         let tile_counts = gpu.storage("tile counts", n)?;
-        let block_sums = gpu.storage("block sums", n.div_ceil(256))?;
+        let block_sums = gpu.storage("block sums", n.div_ceil(WORKGROUP as usize))?;
         let pair_keys = [gpu.storage("pairs' tiles", p)?, gpu.storage("pairs' tiles", p)?];
         let pair_values = [gpu.storage("pairs", p)?, gpu.storage("pairs", p)?];
         let pair_gaussian = gpu.storage("pairs' Gaussians", p)?;
@@ -192,7 +193,7 @@ impl GpuRenderer {
         let arguments = gpu.storage("dispatch arguments", 6)?;
         let tiles = gpu.storage("tiles", 2 * (num_tiles + 1) + capacity.num_buckets())?;
         let checkpoints = gpu.storage("checkpoints", if_backward(capacity.num_buckets() * (1 + c) * TILE * TILE))?;
-        let v_pairs = gpu.storage("gradients of pairs", if_backward(p * (8 + c)))?;
+        let v_pairs = gpu.storage("gradients of pairs", if_backward(p * (PAIR_GRADS + c)))?;
 
         let count = gpu.upload("number of Gaussians", &[n as u32])?;
         let sort_depths = Radix::new(gpu, [&keys[0], &keys[1]], [&values[0], &values[1]], &count, n, 32)?;
@@ -325,7 +326,7 @@ impl GpuRenderer {
     /// # Panics
     /// If its image is larger than there is room for.
     pub fn set_view(&mut self, camera: &Camera, settings: &RenderSettings) {
-        let grid = [camera.width.div_ceil(TILE), camera.height.div_ceil(TILE)];
+        let grid = tile_grid(camera.width, camera.height);
         assert!(
             camera.width * camera.height <= self.capacity.num_pixels && grid[0] * grid[1] <= self.capacity.num_tiles,
             "an image of {}x{}, room for {} pixels",

@@ -1,42 +1,39 @@
-//! WGSL is put together from text: constants that Rust owns, shared parts, and the operation's own file.
+//! The renderer's shaders: the constants that Rust owns, shared parts, and the operation's own file.
 
-use super::{MAX_GROUPS_X, SORT_BLOCK, radix, renderer};
+use super::{MAX_GROUPS_X, SORT_BLOCK, WORKGROUP, radix, renderer};
+use crate::device::Wgsl;
 use crate::settings;
-
-/// Pixels of a tile's side. A tile's pixels are one workgroup.
-pub const TILE: usize = 16;
+use crate::tiling::{EXTENT_FACTOR, EXTENT_MARGIN_PX, PAIR_GRADS, TILE};
 
 /// Splats of a bucket: backward gives each bucket of a tile a workgroup with one thread a splat, and
 /// forward keeps what it has blended before each bucket.
 pub const BUCKET: usize = 32;
 
-/// The constants of [`settings`] and of this module, then `parts`, as one source.
+/// Marks a tile count of a splat whose bounds hold a pixel, whether or not a tile is reached.
+pub(super) const VISIBLE: u32 = 0x8000_0000;
+
+/// What every shader of the renderer starts with: the constants of [`settings`], of the tiling and of this module.
 ///
 /// - `num_channels`: of the colours, 1 to 8
-pub fn source(num_channels: usize, parts: &[&str]) -> String {
-    let mut text = format!(
-        "const NEAR: f32 = {:?};
-const BLUR_VARIANCE: f32 = {:?};
-const MIN_ALPHA: f32 = {:?};
-const MAX_ALPHA: f32 = {:?};
-const MIN_TRANSMITTANCE: f32 = {:?};
-const CHANNELS: u32 = {num_channels}u;
-const TILE: u32 = {TILE}u;
-const BUCKET: u32 = {BUCKET}u;
-const MAX_GROUPS_X: u32 = {MAX_GROUPS_X}u;
-const SORT_BLOCK: u32 = {SORT_BLOCK}u;
-",
-        settings::NEAR as f32,
-        settings::BLUR_VARIANCE as f32,
-        settings::MIN_ALPHA as f32,
-        settings::MAX_ALPHA as f32,
-        settings::MIN_TRANSMITTANCE as f32,
-    );
-    for part in parts {
-        text.push_str(part);
-        text.push('\n');
-    }
-    text
+pub(super) fn source(num_channels: usize) -> Wgsl {
+    Wgsl::new()
+        .constant("NEAR", settings::NEAR as f32)
+        .constant("BLUR_VARIANCE", settings::BLUR_VARIANCE as f32)
+        .constant("MIN_ALPHA", settings::MIN_ALPHA as f32)
+        .constant("MAX_ALPHA", settings::MAX_ALPHA as f32)
+        .constant("MIN_TRANSMITTANCE", settings::MIN_TRANSMITTANCE as f32)
+        .constant("EXTENT_FACTOR", EXTENT_FACTOR)
+        .constant("EXTENT_MARGIN_PX", EXTENT_MARGIN_PX)
+        .constant("CHANNELS", num_channels)
+        .constant("TILE", TILE)
+        .constant("PIXELS", TILE * TILE)
+        .constant("PAIR_GRADS", PAIR_GRADS)
+        .constant("BUCKET", BUCKET)
+        .constant("VISIBLE", VISIBLE)
+        .constant("WORKGROUP", WORKGROUP)
+        .constant("MAX_GROUPS_X", MAX_GROUPS_X)
+        .constant("SORT_BLOCK", SORT_BLOCK)
+        .activated_columns()
 }
 
 /// Every shader of this module with its name, as the GPU gets it; where the channels count, once for colour (3) and

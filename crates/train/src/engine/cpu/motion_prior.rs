@@ -12,11 +12,10 @@ use tcgs_core::{
     Real, dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
 };
 
+use crate::engine::constants::ROOT_EPSILON;
 use crate::losses::{PriorLosses, PriorWeights};
 use crate::neighbors::Neighbors;
 
-/// Added under square roots so that they have a derivative at zero. Reference.
-const ROOT_EPSILON: f64 = 1e-20;
 /// Fewest foreground Gaussians that one task handles. Sums are taken per Gaussian and then in order, so
 /// that this does not show in them.
 const CHUNK: usize = 128;

@@ -4,6 +4,7 @@
 //! what the mask's gradient needs. The floor is memory, for every Gaussian: forward reads 68 bytes and
 //! writes 56 (64 with segmentation), backward reads 60 + 56 and writes 60.
 
+use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError, WORKGROUP};
 
 use super::step::source;
@@ -92,7 +93,7 @@ impl ActivateKernels {
 }
 
 pub(super) fn shader() -> String {
-    source(&[include_str!("quantize.wgsl"), include_str!("activate.wgsl")])
+    source(Wgsl::new()).part(include_str!("quantize.wgsl")).part(include_str!("activate.wgsl")).finish()
 }
 
 #[cfg(test)]

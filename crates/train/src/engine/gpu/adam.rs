@@ -3,6 +3,7 @@
 //! The floor is memory: 28 bytes a value that moves (value, gradient and two moments in, all but the
 //! gradient out), nothing for a group that does not; a Gaussian has 15 values, 11 after the first timestep.
 
+use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X};
 
 use super::step::source;
@@ -62,8 +63,10 @@ impl AdamKernel {
 }
 
 pub(super) fn shader() -> String {
-    let groups = format!("const MAX_GROUPS_X: u32 = {MAX_GROUPS_X}u;\n");
-    source(&[&groups, include_str!("moments.wgsl"), include_str!("adam.wgsl")])
+    source(Wgsl::new().constant("MAX_GROUPS_X", MAX_GROUPS_X).constant("BLOCK", BLOCK))
+        .part(include_str!("moments.wgsl"))
+        .part(include_str!("adam.wgsl"))
+        .finish()
 }
 
 #[cfg(test)]

@@ -12,6 +12,7 @@
 //! order of the Gaussians that they begin with, so that the others find it in the cache.
 
 use tcgs_core::Attribute;
+use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::step::source;
@@ -139,7 +140,7 @@ impl FakeQuantKernels {
         grads: &wgpu::Buffer,
         step: &wgpu::Buffer,
     ) -> Self {
-        let source = source(&[include_str!("fake_quant.wgsl")]);
+        let source = source(Wgsl::new()).part(include_str!("fake_quant.wgsl")).finish();
         let bwd = gpu.kernel(&source, "fake_quant_bwd").bind(
             gpu.device(),
             &[

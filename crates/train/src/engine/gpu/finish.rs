@@ -82,7 +82,10 @@ impl FinishKernel {
 }
 
 pub(super) fn shader() -> String {
-    source(&[&constants(), include_str!("moments.wgsl"), include_str!("finish.wgsl")])
+    source(constants().constant("LOSS_VALUES", LOSS_VALUES))
+        .part(include_str!("moments.wgsl"))
+        .part(include_str!("finish.wgsl"))
+        .finish()
 }
 
 #[cfg(test)]

@@ -40,6 +40,7 @@ pub use step::{StepUniform, adam_rates};
 use self::model::{Model, REPORT};
 use self::passes::{Passes, STAGES};
 use self::targets::Targets;
+use super::constants::MIN_STEP_SHARE;
 use super::cpu::drawn;
 use super::{Engine, Step, Target};
 use crate::TrainError;
@@ -367,9 +368,6 @@ impl GpuEngine {
         Ok(())
     }
 }
-
-/// A quantizer's step never falls below this share of where it started; as on the CPU.
-const MIN_STEP_SHARE: f32 = 0.1;
 
 /// Where a row of losses says whether the GPU had halted.
 const HALTED: usize = 10;
