@@ -141,9 +141,10 @@ impl NewFolder {
 /// Moves what is in `place` to `before`, and all of `new` to `place`; both lie in `place`.
 fn exchange(place: &Path, new: &Path, before: &Path, stays: fn(&OsStr) -> bool) -> io::Result<()> {
     for entry in fs::read_dir(place)?.collect::<io::Result<Vec<_>>>()? {
-        let path = entry.path();
-        if path != new && path != before && !stays(&entry.file_name()) {
-            fs::rename(path, before.join(entry.file_name()))?;
+        // By their names: `place` may be relative where `new` and `before` are absolute.
+        let name = entry.file_name();
+        if Some(&*name) != new.file_name() && Some(&*name) != before.file_name() && !stays(&name) {
+            fs::rename(entry.path(), before.join(name))?;
         }
     }
     for entry in fs::read_dir(new)?.collect::<io::Result<Vec<_>>>()? {

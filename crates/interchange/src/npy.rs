@@ -1,7 +1,7 @@
 //! One NumPy array: the header of the `.npy` format, and its values in C order.
 //!
 //! Source: NumPy Enhancement Proposal 1, "A Simple File Format for NumPy Arrays", versions 1 to 3.
-//! Only what model files hold: little-endian 32- and 64-bit floats.
+//! Of its types those that model files and checkpoints hold, little-endian: see [`NpyValue`].
 
 use std::fs::File;
 use std::io::{self, BufReader, Read};
@@ -15,13 +15,68 @@ const MAX_HEADER_BYTES: usize = 4096;
 /// Bytes read at a time; a multiple of every item size.
 const BUFFER_BYTES: usize = 1 << 16;
 
-/// A dense array of finite numbers, in C order (the last index runs fastest).
+/// A dense array in C order (the last index runs fastest).
 #[derive(Clone, Debug, PartialEq)]
-pub struct NpyArray {
+pub struct NpyArray<T = f32> {
     /// Size along each axis.
     pub shape: Vec<usize>,
     /// As many values as the product of `shape`.
-    pub values: Vec<f32>,
+    pub values: Vec<T>,
+}
+
+/// A type of values that arrays hold: `f32`, `f64`, `u8`, `u64`, `i64`, `bool`.
+pub trait NpyValue: Copy + sealed::Sealed {
+    /// NumPy's name of the type, such as `<f4`.
+    const DESCR: &str;
+    /// Bytes of a value, at most 8.
+    const BYTES: usize;
+
+    /// The value of its little-endian bytes.
+    ///
+    /// # Panics
+    /// If there are not [`Self::BYTES`] of them.
+    fn read_le(bytes: &[u8]) -> Self;
+
+    /// Writes the value as little-endian bytes.
+    ///
+    /// # Panics
+    /// If there is not room for [`Self::BYTES`] exactly.
+    fn write_le(self, bytes: &mut [u8]);
+}
+
+mod sealed {
+    pub trait Sealed {}
+}
+
+macro_rules! impl_npy_value {
+    ($($type:ty => $descr:literal),*) => {$(
+        impl sealed::Sealed for $type {}
+        impl NpyValue for $type {
+            const DESCR: &str = $descr;
+            const BYTES: usize = size_of::<$type>();
+            fn read_le(bytes: &[u8]) -> Self {
+                let mut own = [0; size_of::<$type>()];
+                own.copy_from_slice(bytes);
+                Self::from_le_bytes(own)
+            }
+            fn write_le(self, bytes: &mut [u8]) {
+                bytes.copy_from_slice(&self.to_le_bytes());
+            }
+        }
+    )*};
+}
+impl_npy_value!(f32 => "<f4", f64 => "<f8", u8 => "|u1", u64 => "<u8", i64 => "<i8");
+
+impl sealed::Sealed for bool {}
+impl NpyValue for bool {
+    const DESCR: &str = "|b1";
+    const BYTES: usize = 1;
+    fn read_le(bytes: &[u8]) -> Self {
+        u8::read_le(bytes) != 0
+    }
+    fn write_le(self, bytes: &mut [u8]) {
+        u8::from(self).write_le(bytes);
+    }
 }
 
 /// Reads a `.npy` file of float32 or float64, in C or Fortran order.
@@ -35,11 +90,11 @@ pub fn read_npy(path: &Path) -> Result<NpyArray, InterchangeError> {
     let mut reader = BufReader::new(file);
     let read = |reader: &mut BufReader<File>| {
         let header = Header::read(reader)?;
-        let (held, promised) = (held.saturating_sub(header.header_bytes as u64), header.value_bytes());
+        let (held, promised) = (held.saturating_sub(header.header_bytes as u64), header.value_bytes()?);
         if held != promised {
             return Err(format!("holds {held} bytes of values, its header promises {promised}"));
         }
-        header.read_values(reader)
+        header.read_floats(reader)
     };
     read(&mut reader).map_err(|problem| InterchangeError::Npy { path: path.into(), problem })
 }
@@ -49,27 +104,16 @@ pub fn read_npy(path: &Path) -> Result<NpyArray, InterchangeError> {
 pub(crate) struct Header {
     pub shape: Vec<usize>,
     pub fortran_order: bool,
-    pub item: Item,
+    /// NumPy's name of the type.
+    pub descr: String,
     /// Product of `shape`.
     pub num_values: usize,
     /// Bytes from the start of the array's file to the first value.
     pub header_bytes: usize,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Item {
-    F32,
-    F64,
-}
-
-impl Item {
-    fn bytes(self) -> usize {
-        match self {
-            Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-}
+/// Of every type that is read.
+const MAX_VALUE_BYTES: usize = 8;
 
 impl Header {
     /// Reads up to the first value.
@@ -99,13 +143,7 @@ impl Header {
     }
 
     fn parse(text: &str, header_bytes: usize) -> Result<Self, String> {
-        let descr = value_of(text, "descr")?;
-        let item = match quoted(descr) {
-            Some("<f4") => Item::F32,
-            Some("<f8") => Item::F64,
-            Some(other) => return Err(format!("has the type {other}, expected float32 or float64 (<f4, <f8)")),
-            None => return Err("has a structured type, expected float32 or float64".into()),
-        };
+        let descr = quoted(value_of(text, "descr")?).ok_or("has a structured type, expected float32 or float64")?;
         let order = value_of(text, "fortran_order")?;
         let fortran_order = order.starts_with("True");
         if !fortran_order && !order.starts_with("False") {
@@ -115,28 +153,64 @@ impl Header {
         let num_values = shape
             .iter()
             .try_fold(1_usize, |product, &size| product.checked_mul(size))
-            .filter(|count| count.checked_mul(item.bytes()).is_some())
+            .filter(|count| count.checked_mul(MAX_VALUE_BYTES).is_some())
             .ok_or_else(|| format!("has the shape {}, more than can be addressed", show_shape(&shape)))?;
-        Ok(Self { shape, fortran_order, item, num_values, header_bytes })
+        Ok(Self { shape, fortran_order, descr: descr.into(), num_values, header_bytes })
     }
 
-    /// Bytes of all values.
-    pub fn value_bytes(&self) -> u64 {
-        (self.num_values * self.item.bytes()) as u64
+    /// Bytes of all values, if their type is one that is read.
+    pub fn value_bytes(&self) -> Result<u64, String> {
+        let types = [
+            (f32::DESCR, f32::BYTES),
+            (f64::DESCR, f64::BYTES),
+            (u8::DESCR, u8::BYTES),
+            (u64::DESCR, u64::BYTES),
+            (i64::DESCR, i64::BYTES),
+            (bool::DESCR, bool::BYTES),
+        ];
+        let found = types.into_iter().find(|(descr, _)| *descr == self.descr);
+        found.map(|(_, bytes)| (self.num_values * bytes) as u64).ok_or_else(|| self.not_floats())
     }
 
-    /// Reads all values, which must be finite and the last thing in `from`.
-    pub fn read_values(self, from: &mut impl Read) -> Result<NpyArray, String> {
+    fn not_floats(&self) -> String {
+        format!("has the type {}, expected float32 or float64 (<f4, <f8)", self.descr)
+    }
+
+    /// Reads all values, which must be float32 or float64, finite, and the last thing in `from`.
+    pub fn read_floats(self, from: &mut impl Read) -> Result<NpyArray, String> {
+        let array = match self.descr.as_str() {
+            f32::DESCR => self.read_converted(f32::BYTES, f32::read_le, from)?,
+            f64::DESCR => self.read_converted(f64::BYTES, |bytes| f64::read_le(bytes) as f32, from)?,
+            _ => return Err(self.not_floats()),
+        };
+        match array.values.iter().position(|v| !v.is_finite()) {
+            Some(i) => Err(format!("{} is {}, expected a finite number", array.index(i), array.values[i])),
+            None => Ok(array),
+        }
+    }
+
+    /// Reads all values as they are stored, which must be of this type and the last thing in `from`.
+    pub fn read_values<T: NpyValue>(self, from: &mut impl Read) -> Result<NpyArray<T>, String> {
+        if self.descr != T::DESCR {
+            return Err(format!("has the type {}, expected {}", self.descr, T::DESCR));
+        }
+        self.read_converted(T::BYTES, T::read_le, from)
+    }
+
+    /// - `convert`: from the bytes of one value
+    fn read_converted<T: Copy>(
+        self,
+        item_bytes: usize,
+        convert: impl Fn(&[u8]) -> T,
+        from: &mut impl Read,
+    ) -> Result<NpyArray<T>, String> {
         let mut values = Vec::with_capacity(self.num_values);
         let mut buffer = vec![0; BUFFER_BYTES];
-        let mut left = self.num_values * self.item.bytes();
+        let mut left = self.num_values * item_bytes;
         while left > 0 {
             let bytes = &mut buffer[..left.min(BUFFER_BYTES)];
             read_exact(from, bytes, "values")?;
-            match self.item {
-                Item::F32 => values.extend(bytes.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b))),
-                Item::F64 => values.extend(bytes.as_chunks::<8>().0.iter().map(|&b| f64::from_le_bytes(b) as f32)),
-            }
+            values.extend(bytes.chunks_exact(item_bytes).map(&convert));
             left -= bytes.len();
         }
         // Reaching the end is also what makes the archive verify its checksum.
@@ -148,15 +222,11 @@ impl Header {
         if self.fortran_order {
             values = c_from_fortran_order(&self.shape, &values);
         }
-        let array = NpyArray { shape: self.shape, values };
-        match array.values.iter().position(|v| !v.is_finite()) {
-            Some(i) => Err(format!("{} is {}, expected a finite number", array.index(i), array.values[i])),
-            None => Ok(array),
-        }
+        Ok(NpyArray { shape: self.shape, values })
     }
 }
 
-impl NpyArray {
+impl<T> NpyArray<T> {
     /// `[i, j, …]` of the value at a position, for messages.
     fn index(&self, position: usize) -> String {
         let mut rest = position;
@@ -175,10 +245,11 @@ impl NpyArray {
     }
 }
 
-/// Everything before the values of a C-ordered float32 array, version 1, padded to 64 bytes as NumPy does.
-pub(crate) fn header_bytes(shape: &[usize]) -> Vec<u8> {
+/// Everything before the values of a C-ordered array, version 1, padded to 64 bytes as NumPy does.
+pub(crate) fn header_bytes<T: NpyValue>(shape: &[usize]) -> Vec<u8> {
     const BEFORE_TEXT: usize = 10;
-    let mut text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {}, }}", show_shape(shape));
+    let (descr, shape) = (T::DESCR, show_shape(shape));
+    let mut text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
     let padding = 63 - (BEFORE_TEXT + text.len()) % 64;
     text.push_str(&" ".repeat(padding));
     text.push('\n');
@@ -226,7 +297,7 @@ fn parse_shape(text: &str) -> Option<Vec<usize>> {
     inside.strip_suffix(',').unwrap_or(inside).split(',').map(|size| size.trim().parse().ok()).collect()
 }
 
-fn c_from_fortran_order(shape: &[usize], values: &[f32]) -> Vec<f32> {
+fn c_from_fortran_order<T: Copy>(shape: &[usize], values: &[T]) -> Vec<T> {
     let strides: Vec<usize> = shape
         .iter()
         .scan(1, |stride, &size| {
@@ -261,10 +332,10 @@ mod tests {
     #[test]
     fn written_headers_are_aligned_and_read_back() {
         for shape in [vec![], vec![7], vec![2, 3], vec![150, 341_877, 4]] {
-            let bytes = header_bytes(&shape);
+            let bytes = header_bytes::<f32>(&shape);
             assert_eq!(bytes.len() % 64, 0);
             let header = Header::read(&mut bytes.as_slice()).unwrap();
-            assert_eq!((header.shape, header.item, header.header_bytes), (shape, Item::F32, bytes.len()));
+            assert_eq!((header.shape, header.descr.as_str(), header.header_bytes), (shape, "<f4", bytes.len()));
         }
     }
 
@@ -273,14 +344,14 @@ mod tests {
         let header = header("{'descr': '<f8', 'fortran_order': True, 'shape': (2, 3), }").unwrap();
         // numpy: np.asfortranarray([[0, 1, 2], [3, 4, 5]]).tobytes('A')
         let bytes: Vec<u8> = [0.0_f64, 3.0, 1.0, 4.0, 2.0, 5.0].iter().flat_map(|v| v.to_le_bytes()).collect();
-        let array = header.read_values(&mut bytes.as_slice()).unwrap();
+        let array = header.read_floats(&mut bytes.as_slice()).unwrap();
         assert_eq!((array.shape, array.values), (vec![2, 3], vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0]));
     }
 
     #[test]
     fn a_file_holds_what_its_header_promises() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        let mut bytes = header_bytes(&[2, 2]);
+        let mut bytes = header_bytes::<f32>(&[2, 2]);
         bytes.extend([1.0_f32, 2.0, 3.0, 4.0].iter().flat_map(|v| v.to_le_bytes()));
         std::fs::write(file.path(), &bytes).unwrap();
         assert_eq!(read_npy(file.path()).unwrap().values, [1.0, 2.0, 3.0, 4.0]);
@@ -294,7 +365,7 @@ mod tests {
         let read = |values: &[f32]| {
             let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
             let header = header("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 2)}").unwrap();
-            header.read_values(&mut bytes.as_slice()).map(|a| a.values)
+            header.read_floats(&mut bytes.as_slice()).map(|a| a.values)
         };
         assert_eq!(read(&[1.0, 2.0, 3.0, 4.0]).unwrap(), [1.0, 2.0, 3.0, 4.0]);
         assert_eq!(read(&[1.0, 2.0, 3.0]).unwrap_err(), "ends inside its values");
@@ -304,7 +375,7 @@ mod tests {
 
     #[test]
     fn bad_headers_are_named() {
-        let problem = |text: &str| header(text).unwrap_err();
+        let problem = |text: &str| header(text).and_then(|header| header.read_floats(&mut [].as_slice())).unwrap_err();
         let dict = |descr: &str, shape: &str| format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}}}");
         assert!(problem(&dict("'<i8'", "(2,)")).contains("the type <i8, expected float32 or float64"));
         assert!(problem(&dict("[('a', '<f4')]", "(2,)")).contains("structured"));

@@ -6,11 +6,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, result::ZipError, write::SimpleFileOptions};
+use zip::{
+    CompressionMethod, DateTime, ZipArchive, ZipWriter, read::ZipFile, result::ZipError, write::SimpleFileOptions,
+};
 
 use crate::{
     InterchangeError, NpyArray,
-    npy::{Header, header_bytes},
+    npy::{Header, NpyValue, header_bytes},
 };
 
 /// Deflate cannot shrink by more than this, so a larger promise is a lie (RFC 1951: 258 bytes from 2 bits).
@@ -45,8 +47,15 @@ impl NpzReader {
     /// [`InterchangeError::Array`] if it is missing, of another type, damaged, or holds a number that
     /// is not finite.
     pub fn array(&mut self, key: &str) -> Result<NpyArray, InterchangeError> {
-        let found = self.read(key);
-        found.map_err(|problem| InterchangeError::Array { path: self.path.clone(), key: key.into(), problem })
+        self.read(key, |header, entry| header.read_floats(entry))
+    }
+
+    /// Reads one array of a certain type as it is stored, numbers that are not finite included.
+    ///
+    /// # Errors
+    /// [`InterchangeError::Array`] if it is missing, of another type, or damaged.
+    pub fn array_of<T: NpyValue>(&mut self, key: &str) -> Result<NpyArray<T>, InterchangeError> {
+        self.read(key, |header, entry| header.read_values(entry))
     }
 
     /// Whether there is an array of that name.
@@ -54,20 +63,37 @@ impl NpzReader {
         self.archive.index_for_name(&format!("{key}.npy")).is_some()
     }
 
-    fn read(&mut self, key: &str) -> Result<NpyArray, String> {
-        let keys: Vec<String> =
-            self.archive.file_names().flatten().map(|name| name.trim_end_matches(".npy").to_owned()).collect();
+    /// Names of the arrays, in the order of the archive.
+    pub fn array_names(&self) -> impl Iterator<Item = String> {
+        self.archive.file_names().flatten().filter_map(|name| name.strip_suffix(".npy").map(str::to_owned))
+    }
+
+    fn read<T>(
+        &mut self,
+        key: &str,
+        read: impl FnOnce(Header, &mut ZipFile<'_, BufReader<File>>) -> Result<T, String>,
+    ) -> Result<T, InterchangeError> {
+        let found = self.try_read(key, read);
+        found.map_err(|problem| InterchangeError::Array { path: self.path.clone(), key: key.into(), problem })
+    }
+
+    fn try_read<T>(
+        &mut self,
+        key: &str,
+        read: impl FnOnce(Header, &mut ZipFile<'_, BufReader<File>>) -> Result<T, String>,
+    ) -> Result<T, String> {
+        let keys: Vec<String> = self.array_names().collect();
         let mut entry = self.archive.by_name(&format!("{key}.npy")).map_err(|error| match error {
             ZipError::FileNotFound => format!("is missing, found {}", keys.join(", ")),
             other => format!("is damaged: {}", lowercase(&other.to_string())),
         })?;
         let header = Header::read(&mut entry)?;
-        let (held, promised) = (entry.size().saturating_sub(header.header_bytes as u64), header.value_bytes());
+        let (held, promised) = (entry.size().saturating_sub(header.header_bytes as u64), header.value_bytes()?);
         let possible = entry.compressed_size().min(self.file_bytes).saturating_mul(MAX_DEFLATE_RATIO);
         if held != promised || promised > possible {
             return Err(format!("holds {held} bytes of values, its header promises {promised}"));
         }
-        header.read_values(&mut entry)
+        read(header, &mut entry)
     }
 
     /// The file being read.
@@ -76,7 +102,7 @@ impl NpzReader {
     }
 }
 
-/// Writes an archive of float32 arrays. Same arrays, same bytes: no time of writing is stored.
+/// Writes an archive of arrays. Same arrays, same bytes: no time of writing is stored.
 ///
 /// ```
 /// let mut npz = tcgs_interchange::NpzWriter::new(std::io::Cursor::new(Vec::new()));
@@ -104,29 +130,29 @@ impl<W: Write + Seek> NpzWriter<W> {
     ///
     /// # Panics
     /// If `parts` together hold another number of values than `shape`.
-    pub fn array<'a>(
+    pub fn array<'a, T: NpyValue + 'a>(
         &mut self,
         key: &str,
         shape: &[usize],
-        parts: impl IntoIterator<Item = &'a [f32]>,
+        parts: impl IntoIterator<Item = &'a [T]>,
     ) -> io::Result<()> {
         let num_values: usize = shape.iter().product();
-        let header = header_bytes(shape);
+        let header = header_bytes::<T>(shape);
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Stored)
             .last_modified_time(DateTime::default())
             .unix_permissions(0o644)
-            .large_file(4 * num_values as u64 + header.len() as u64 > u64::from(u32::MAX));
+            .large_file((T::BYTES * num_values) as u64 + header.len() as u64 > u64::from(u32::MAX));
         self.zip.start_file(format!("{key}.npy"), options)?;
         self.zip.write_all(&header)?;
         let mut bytes = [0; 1 << 14];
         let mut written = 0;
         for values in parts {
-            for chunk in values.chunks(bytes.len() / 4) {
-                for (slot, value) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(chunk) {
-                    *slot = value.to_le_bytes();
+            for chunk in values.chunks(bytes.len() / T::BYTES) {
+                for (slot, value) in bytes.chunks_exact_mut(T::BYTES).zip(chunk) {
+                    value.write_le(slot);
                 }
-                self.zip.write_all(&bytes[..4 * chunk.len()])?;
+                self.zip.write_all(&bytes[..T::BYTES * chunk.len()])?;
             }
             written += values.len();
         }
@@ -169,6 +195,35 @@ mod tests {
         let mut npz = NpzReader::open(file.path()).unwrap();
         assert_eq!(npz.array("long").unwrap().values, long);
         assert_eq!(npz.array("a").unwrap(), NpyArray { shape: vec![2, 2], values: vec![1.0, 2.0, 3.0, 4.0] });
+    }
+
+    #[test]
+    fn every_type_reads_back_as_it_is() {
+        let mut file = tempfile::NamedTempFile::new().unwrap();
+        let mut npz = NpzWriter::new(file.as_file_mut());
+        npz.array("f4", &[3], [[1.5_f32, f32::NEG_INFINITY, -0.0].as_slice()]).unwrap();
+        npz.array("f8", &[1], [[1e300_f64].as_slice()]).unwrap();
+        npz.array("u1", &[2, 2], [[0_u8, 255].as_slice(), &[7, 8]]).unwrap();
+        npz.array("u8", &[1], [[u64::MAX].as_slice()]).unwrap();
+        npz.array("i8", &[2], [[i64::MIN, -1].as_slice()]).unwrap();
+        npz.array("b1", &[2], [[true, false].as_slice()]).unwrap();
+        npz.array::<u8>("none", &[0], []).unwrap();
+        npz.finish().unwrap();
+        let mut npz = NpzReader::open(file.path()).unwrap();
+        let f4 = npz.array_of::<f32>("f4").unwrap();
+        assert_eq!((f4.shape, f4.values.iter().map(|x| x.to_bits()).collect::<Vec<_>>()), {
+            (vec![3], [1.5, f32::NEG_INFINITY, -0.0].map(f32::to_bits).to_vec())
+        });
+        assert_eq!(npz.array_of::<f64>("f8").unwrap().values, [1e300]);
+        assert_eq!(npz.array_of::<u8>("u1").unwrap(), NpyArray { shape: vec![2, 2], values: vec![0, 255, 7, 8] });
+        assert_eq!(npz.array_of::<u64>("u8").unwrap().values, [u64::MAX]);
+        assert_eq!(npz.array_of::<i64>("i8").unwrap().values, [i64::MIN, -1]);
+        assert_eq!(npz.array_of::<bool>("b1").unwrap().values, [true, false]);
+        assert_eq!(npz.array_of::<u8>("none").unwrap().values, []);
+        let error = npz.array_of::<f32>("f8").unwrap_err().to_string();
+        assert!(error.ends_with(": f8 has the type <f8, expected <f4"), "{error}");
+        assert!(npz.array("f4").unwrap_err().to_string().contains("[1] is -inf, expected a finite number"));
+        assert!(npz.array("u8").unwrap_err().to_string().contains("the type <u8, expected float32 or float64"));
     }
 
     #[test]

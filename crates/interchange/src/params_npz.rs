@@ -19,7 +19,7 @@ use std::{
 
 use tcgs_core::{Attribute, DynamicGaussians, Layout};
 
-use crate::{InterchangeError, NpzReader, NpzWriter, npy::show_shape};
+use crate::{Existing, InterchangeError, NpzReader, NpzWriter, npy::show_shape, write_whole};
 
 /// Keys of [`ParamsOrigin`].
 const FIRST_FRAME: &str = "tcgs_first_frame";
@@ -164,17 +164,9 @@ pub fn read_params_origin(path: &Path) -> Result<Option<ParamsOrigin>, Interchan
 /// # Panics
 /// As [`write_params_npz_to`].
 pub fn write_params_npz(path: &Path, scene: &DynamicGaussians, extras: &ParamsExtras) -> Result<(), InterchangeError> {
-    let failed = |error| InterchangeError::Io { path: path.into(), action: "writing", error };
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    // A temporary file is private unless told; the one it becomes is as readable as any other.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let file = builder.prefix(".params").suffix(".tmp").tempfile_in(folder).map_err(failed)?;
-    let write = |file: &File| write_params_npz_to(BufWriter::new(file), scene, extras)?.flush();
-    write(file.as_file()).and_then(|()| file.as_file().sync_all()).map_err(failed)?;
-    file.persist(path).map_err(|error| failed(error.error))?;
-    Ok(())
+    let write = |file: &mut File| write_params_npz_to(BufWriter::new(file), scene, extras)?.flush();
+    let written = write_whole(path, Existing::Replace, write);
+    written.map_err(|error| InterchangeError::Io { path: path.into(), action: "writing", error })
 }
 
 /// Writes the bytes of a `params.npz`: the same for the same scene.

@@ -3,11 +3,12 @@
 
 use std::io::Write;
 use tcgs_core::Image;
+use tcgs_interchange::NpzReader;
 use tcgs_metrics::{psnr, psnr_per_channel, ssim, ssim_bwd, ssim_fwd};
 
 const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/golden/image_loss.npz");
 
-struct Golden(npyz::npz::NpzArchive<std::io::BufReader<std::fs::File>>);
+struct Golden(NpzReader);
 
 impl Golden {
     /// The vectors; `None` where this checkout has none and `REQUIRE_GOLDEN` does not ask for them.
@@ -18,22 +19,17 @@ impl Golden {
             let _ = writeln!(std::io::stderr(), "skipped: no {GOLDEN}");
             return None;
         }
-        Some(Self(npyz::npz::NpzArchive::open(GOLDEN).unwrap()))
+        Some(Self(NpzReader::open(GOLDEN.as_ref()).unwrap()))
     }
 
     fn scalar(&mut self, name: &str) -> f64 {
-        self.0.by_name(name).unwrap().unwrap().into_vec::<f64>().unwrap()[0]
+        self.0.array_of::<f64>(name).unwrap().values[0]
     }
 
     fn image(&mut self, name: &str) -> Image {
-        let array = self.0.by_name(name).unwrap().unwrap();
-        let [num_channels, height, width] = *array.shape() else { panic!("{name} is {:?}", array.shape()) };
-        Image {
-            width: width as usize,
-            height: height as usize,
-            num_channels: num_channels as usize,
-            data: array.into_vec().unwrap(),
-        }
+        let array = self.0.array_of::<f32>(name).unwrap();
+        let [num_channels, height, width] = array.shape[..] else { panic!("{name} is {:?}", array.shape) };
+        Image { width, height, num_channels, data: array.values }
     }
 }
 

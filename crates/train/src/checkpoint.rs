@@ -60,7 +60,7 @@ impl Checkpoint {
     /// [`TrainError::Io`]; `path` is then as it was.
     pub fn save(&self, path: &Path, first: bool) -> Result<(), TrainError> {
         let written = write_whole(path, Existing::Replace, |file| self.write(BufWriter::new(file), first));
-        written.map_err(|source| TrainError::Io { action: "writing", path: path.into(), source })
+        written.map_err(|error| TrainError::Write { path: path.into(), error })
     }
 
     fn write<W: Write + Seek>(&self, writer: W, first: bool) -> std::io::Result<()> {

@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
 use tcgs_core::DynamicGaussians;
+use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
-use crate::checkpoint::{Checkpoint, temporary_file};
+use crate::checkpoint::Checkpoint;
 use crate::config::TrainConfig;
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
@@ -212,11 +213,7 @@ impl Run {
 
     fn write_whole(&self, name: &str, bytes: &[u8]) -> Result<(), TrainError> {
         let path = self.folder.join(name);
-        let mut file = temporary_file(&self.folder).map_err(write(&path))?;
-        file.write_all(bytes).map_err(write(&path))?;
-        file.as_file().sync_all().map_err(write(&path))?;
-        file.persist(&path).map_err(|e| write(&path)(e.error))?;
-        Ok(())
+        write_whole(&path, Existing::Replace, |file| file.write_all(bytes)).map_err(write(&path))
     }
 }
 

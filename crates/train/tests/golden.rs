@@ -5,9 +5,9 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use npyz::npz::NpzArchive;
 use tcgs_codec::Quantizer;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image, normalize};
+use tcgs_interchange::{NpyValue, NpzReader};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::cpu::{MotionPrior, PriorGrads, image_loss};
 use tcgs_train::{
@@ -25,15 +25,15 @@ fn shared(name: &str) -> Option<PathBuf> {
     None
 }
 
-struct Arrays(NpzArchive<std::io::BufReader<std::fs::File>>);
+struct Arrays(NpzReader);
 
 impl Arrays {
     fn open(path: &Path) -> Self {
-        Self(NpzArchive::open(path).unwrap())
+        Self(NpzReader::open(path).unwrap())
     }
 
-    fn get<T: npyz::Deserialize>(&mut self, name: &str) -> Vec<T> {
-        self.0.by_name(name).unwrap().unwrap_or_else(|| panic!("{name} is missing")).into_vec().unwrap()
+    fn get<T: NpyValue>(&mut self, name: &str) -> Vec<T> {
+        self.0.array_of(name).unwrap().values
     }
 
     fn rows<const D: usize>(&mut self, name: &str) -> Vec<[f32; D]> {

@@ -7,9 +7,9 @@ mod support;
 use std::io::Write;
 use std::path::Path;
 
-use npyz::npz::NpzArchive;
 use support::{Random, gpu, packed, relative_l2};
 use tcgs_core::{Attribute, GaussianGrads, Gaussians};
+use tcgs_interchange::NpzReader;
 use tcgs_render::gpu::Gpu;
 use tcgs_train::engine::cpu::{MotionPrior, PriorGrads};
 use tcgs_train::engine::gpu::{MotionPriorKernels, PriorBuffers, StepUniform, prior_rows};
@@ -259,9 +259,9 @@ fn losses_and_gradients_equal_the_reference() {
         return;
     }
     let Some(gpu) = gpu() else { return };
-    let mut archive = NpzArchive::open(path).unwrap();
-    let is_foreground: Vec<bool> = archive.by_name("is_fg").unwrap().unwrap().into_vec().unwrap();
-    let mut get = |name: &str| -> Vec<f32> { archive.by_name(name).unwrap().unwrap().into_vec().unwrap() };
+    let mut archive = NpzReader::open(path).unwrap();
+    let is_foreground: Vec<bool> = archive.array_of("is_fg").unwrap().values;
+    let mut get = |name: &str| -> Vec<f32> { archive.array_of(name).unwrap().values };
     let colors = get("colors");
     let [first, previous, now] = ["t0", "t1", "t2"].map(|time| {
         let mut gaussians = Gaussians::zeros(is_foreground.len());
@@ -277,8 +277,7 @@ fn losses_and_gradients_equal_the_reference() {
         let weights =
             PriorWeights { rigid: on(0), rot: on(1), iso: on(2), floor: on(3), background: on(4), soft_color: 0.0 };
         let (losses, v) = gpu_losses(&gpu, &motion, &weights, 0.0, 1);
-        let expected: Vec<f64> =
-            NpzArchive::open(path).unwrap().by_name(&format!("loss_{name}")).unwrap().unwrap().into_vec().unwrap();
+        let expected: Vec<f64> = NpzReader::open(path).unwrap().array_of(&format!("loss_{name}")).unwrap().values;
         assert!((values(&losses)[i] / expected[0] - 1.0).abs() < 1e-4, "{name}: {losses:?} against {expected:?}");
         for (found, key) in [(&v[..3 * n], format!("v_means_{name}")), (&v[3 * n..7 * n], format!("v_quats_{name}"))] {
             let error = relative_l2(found, &get(&key));

@@ -2,6 +2,7 @@
 
 use std::fs::{self, File};
 use std::path::Path;
+use std::time::Duration;
 
 use anyhow::Context;
 use tcgs_pipeline::Backend;
@@ -107,11 +108,13 @@ fn is_checkpoint(path: &Path) -> bool {
     name.strip_suffix(".npz").is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_digit()))
 }
 
-/// Removes files that a stopped process was about to rename.
+/// Removes what a stopped process was about to rename. Nobody else writes here: the folder is locked.
 pub fn remove_leftovers(folder: &Path) -> anyhow::Result<()> {
     for folder in [folder.into(), folder.join("checkpoints")] {
+        tcgs_interchange::remove_unfinished(&folder, Duration::ZERO);
         let Ok(entries) = fs::read_dir(&folder) else { continue };
         for entry in entries.flatten() {
+            // Earlier versions wrote files of such names.
             if is_leftover(&entry.file_name()) && entry.path().is_file() {
                 fs::remove_file(entry.path()).with_context(|| format!("removing {}", entry.path().display()))?;
             }

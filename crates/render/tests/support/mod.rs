@@ -8,8 +8,8 @@ pub mod oracle;
 
 use std::path::PathBuf;
 
-use npyz::npz::NpzArchive;
 use tcgs_core::{Activated, Camera, normalize};
+use tcgs_interchange::NpzReader;
 use tcgs_render::gpu::{Gpu, GpuChoice};
 
 /// Path of a test vector, or `None` with a message where the vectors are absent.
@@ -36,23 +36,23 @@ pub fn gpu() -> Option<Gpu> {
 }
 
 /// Arrays of one `.npz` file.
-pub struct Arrays(NpzArchive<std::io::BufReader<std::fs::File>>);
+pub struct Arrays(NpzReader);
 
 impl Arrays {
     pub fn open(path: &std::path::Path) -> Self {
-        Self(NpzArchive::open(path).unwrap())
+        Self(NpzReader::open(path).unwrap())
     }
 
     pub fn f32(&mut self, name: &str) -> Vec<f32> {
-        self.0.by_name(name).unwrap().unwrap().into_vec().unwrap()
+        self.0.array_of(name).unwrap().values
     }
 
     pub fn f64(&mut self, name: &str) -> Vec<f64> {
-        self.0.by_name(name).unwrap().unwrap().into_vec().unwrap()
+        self.0.array_of(name).unwrap().values
     }
 
     pub fn i64(&mut self, name: &str) -> Vec<i64> {
-        self.0.by_name(name).unwrap().unwrap().into_vec().unwrap()
+        self.0.array_of(name).unwrap().values
     }
 
     /// The scene of a `raster_*.npz`.

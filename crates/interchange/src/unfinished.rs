@@ -1,0 +1,284 @@
+//! Files and folders that appear whole or not at all.
+//!
+//! New content is written inside a folder `.writing-XXXXXX`, which lies where the output will lie, so that both are on
+//! one file system; when the content is whole it is renamed into its place. The folder holds a mark beside the content:
+//! a file that says in words what the folder is, and which the writing process keeps locked. A process that is killed
+//! leaves the folder behind. [`remove_unfinished`] knows by the mark's text that such a folder belongs to this
+//! program, and by the lock that no process writes into it any more.
+
+use std::{
+    ffi::OsStr,
+    fs::{self, File, OpenOptions},
+    io::{self, Read, Write},
+    path::{Path, PathBuf},
+    time::{Duration, SystemTime},
+};
+
+use tempfile::{TempDir, TempPath};
+
+/// How the names of folders with unfinished content begin.
+const PREFIX: &str = ".writing-";
+/// Name of the mark inside such a folder.
+const MARK: &str = "unfinished-by-tcgs";
+/// Content of the mark. Nothing is removed without it, so it must not change.
+const MARK_TEXT: &str = "tcgs writes here what it renames when it is whole. If no tcgs runs, this folder is left over from one\n\
+                         that was stopped, and may be removed.\n";
+
+/// What is done where a file exists already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// The file stays as it is, and writing fails with [`io::ErrorKind::AlreadyExists`].
+    Keep,
+    /// The new file takes its place.
+    Replace,
+}
+
+/// Writes a file beside its place and renames it when it is whole and on the disk, so that neither an error, nor a
+/// killed process, nor a power cut leaves half a file.
+///
+/// - `path`: in a folder that exists; a symbolic link is replaced, not followed
+/// - `write`: writes the content; a buffer around the file is its own affair
+///
+/// # Errors
+/// What the file system or `write` reports; `path` is then as it was.
+///
+/// ```
+/// use std::io::Write;
+/// use tcgs_interchange::{Existing, write_whole};
+///
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("result.json");
+/// write_whole(&path, Existing::Keep, |file| file.write_all(b"{}"))?;
+/// assert!(write_whole(&path, Existing::Keep, |file| file.write_all(b"[]")).is_err());
+/// assert_eq!(std::fs::read(&path)?, b"{}");
+/// # Ok::<(), std::io::Error>(())
+/// ```
+pub fn write_whole(path: &Path, existing: Existing, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let unfinished = Unfinished::begin(folder)?;
+    let new = unfinished.path().join("new");
+    let mut file = File::create_new(&new)?;
+    write(&mut file)?;
+    file.sync_all()?;
+    drop(file);
+    let new = TempPath::try_from_path(new)?;
+    match existing {
+        Existing::Keep => new.persist_noclobber(path)?,
+        Existing::Replace => new.persist(path)?,
+    }
+    // The rename itself must survive a power cut too. Elsewhere a folder cannot be opened like a file.
+    if cfg!(unix) {
+        File::open(folder)?.sync_all()?;
+    }
+    Ok(())
+}
+
+/// A folder for unfinished content, marked as this program's and as in use. Dropped, it is removed with all that is
+/// still in it.
+#[derive(Debug)]
+pub struct Unfinished {
+    /// Locked as long as it is open; first, so that the folder is removed after the file is closed.
+    mark: File,
+    folder: TempDir,
+}
+
+impl Unfinished {
+    /// Makes such a folder.
+    ///
+    /// - `folder`: where the finished content will lie, or what it will replace the content of
+    ///
+    /// # Errors
+    /// What the file system reports.
+    pub fn begin(folder: &Path) -> io::Result<Self> {
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(PREFIX);
+        // A temporary folder is private unless told; what is made here becomes as readable as any other.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+        let folder = builder.tempdir_in(folder)?;
+        let mut mark = File::create_new(folder.path().join(MARK))?;
+        // Some network drives know no locks; there nothing is ever removed.
+        let _ = mark.try_lock();
+        // The text comes after the lock, so that a mark with text and without a lock is that of a process that ended.
+        mark.write_all(MARK_TEXT.as_bytes())?;
+        Ok(Self { mark, folder })
+    }
+
+    /// Where the content is written, under any name but the mark's.
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Removes the mark and leaves the folder to the caller: from here on nothing removes it by itself, whatever
+    /// becomes of this process.
+    ///
+    /// - returns: the folder
+    ///
+    /// # Errors
+    /// What the file system reports.
+    pub fn keep(self) -> io::Result<PathBuf> {
+        let Self { mark, folder } = self;
+        fs::remove_file(folder.path().join(MARK))?;
+        drop(mark);
+        Ok(folder.keep())
+    }
+}
+
+/// Whether a name is that of a folder with unfinished content.
+pub fn is_unfinished(name: &OsStr) -> bool {
+    name.to_string_lossy().starts_with(PREFIX)
+}
+
+/// Removes from a folder what processes of this program left there that were killed while they wrote. Never touches
+/// anything without this program's mark, anything that a process still writes to, or the target of a symbolic link.
+/// What cannot be read or removed stays: cleaning is a courtesy.
+///
+/// - `age`: nothing is removed in which anything has changed since
+pub fn remove_unfinished(folder: &Path, age: Duration) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        // The type of the entry itself: a symbolic link is no folder.
+        if !is_unfinished(&entry.file_name()) || !entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+            continue;
+        }
+        let path = entry.path();
+        // Held until the folder is gone.
+        let Some(_mark) = abandoned_mark(&path.join(MARK)) else { continue };
+        let newest = newest_change(&path).and_then(|time| SystemTime::now().duration_since(time).ok());
+        if newest.is_some_and(|unchanged_for| unchanged_for >= age) {
+            let _ = fs::remove_dir_all(&path);
+        }
+    }
+}
+
+/// The mark, locked; none if it is not this program's, or another process holds it.
+fn abandoned_mark(path: &Path) -> Option<File> {
+    // An exclusive lock of a network drive needs a file that may be written.
+    let mut mark = OpenOptions::new().read(true).write(true).open(path).ok()?;
+    let mut text = Vec::new();
+    (&mut mark).take(MARK_TEXT.len() as u64 + 1).read_to_end(&mut text).ok()?;
+    (text == MARK_TEXT.as_bytes() && mark.try_lock().is_ok()).then_some(mark)
+}
+
+/// When anything in a folder last changed, the folder itself included; none if that cannot be read.
+fn newest_change(path: &Path) -> Option<SystemTime> {
+    let metadata = path.symlink_metadata().ok()?;
+    let mut newest = metadata.modified().ok()?;
+    if metadata.is_dir() {
+        for entry in fs::read_dir(path).ok()? {
+            newest = newest.max(newest_change(&entry.ok()?.path())?);
+        }
+    }
+    Some(newest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DAY: Duration = Duration::from_secs(24 * 3600);
+
+    /// What a killed process leaves, as old as told.
+    fn abandoned(folder: &Path, age: Duration) -> PathBuf {
+        let path = folder.join(format!("{PREFIX}{}", age.as_secs()));
+        fs::create_dir_all(path.join("new/3")).unwrap();
+        fs::write(path.join("new/3/000000.png"), b"half").unwrap();
+        fs::write(path.join(MARK), MARK_TEXT).unwrap();
+        set_age(&path, age);
+        path
+    }
+
+    /// Sets the age of a folder and of all in it.
+    fn set_age(path: &Path, age: Duration) {
+        if path.is_dir() {
+            fs::read_dir(path).unwrap().for_each(|entry| set_age(&entry.unwrap().path(), age));
+        }
+        File::open(path).unwrap().set_modified(SystemTime::now() - age).unwrap();
+    }
+
+    #[test]
+    fn a_file_is_whole_or_not_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        let failing = |file: &mut File| {
+            file.write_all(b"half")?;
+            assert!(!path.exists());
+            Err(io::Error::other("the disk is full"))
+        };
+        let error = write_whole(&path, Existing::Keep, failing).unwrap_err();
+        assert_eq!(error.to_string(), "the disk is full");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        write_whole(&path, Existing::Keep, |file| file.write_all(b"one")).unwrap();
+        let error = write_whole(&path, Existing::Keep, |file| file.write_all(b"two")).unwrap_err();
+        assert_eq!((error.kind(), fs::read(&path).unwrap()), (io::ErrorKind::AlreadyExists, b"one".to_vec()));
+        write_whole(&path, Existing::Replace, |file| file.write_all(b"two")).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        assert!(write_whole(&folder.path().join("no/a"), Existing::Keep, |_| Ok(())).is_err());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_file_is_as_readable_as_any_other() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let (usual, ours) = (folder.path().join("usual"), folder.path().join("ours"));
+        fs::write(&usual, b"").unwrap();
+        write_whole(&ours, Existing::Keep, |_| Ok(())).unwrap();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
+        assert_eq!(mode(&ours), mode(&usual));
+    }
+
+    // Elsewhere a folder's times cannot be set this way.
+    #[cfg(unix)]
+    #[test]
+    fn only_what_is_old_ours_and_abandoned_is_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let in_folder = |name: &str| folder.path().join(name);
+        let old = abandoned(folder.path(), 2 * DAY);
+        let young = abandoned(folder.path(), DAY / 2);
+        // Somebody else's: no mark, another text in it, or a mark where no folder of that name is.
+        let unmarked = in_folder(".writing-unmarked");
+        fs::create_dir(&unmarked).unwrap();
+        let other = in_folder(".writing-other");
+        fs::create_dir(&other).unwrap();
+        fs::write(other.join(MARK), format!("{MARK_TEXT}And more.\n")).unwrap();
+        let file = in_folder(".writing-file");
+        fs::write(&file, MARK_TEXT).unwrap();
+        let elsewhere = tempfile::tempdir().unwrap();
+        let linked = abandoned(elsewhere.path(), 3 * DAY);
+        let link = in_folder(".writing-link");
+        std::os::unix::fs::symlink(&linked, &link).unwrap();
+        let named_otherwise = in_folder("frames");
+        fs::rename(abandoned(folder.path(), 4 * DAY), &named_otherwise).unwrap();
+        // A process still writes into this one, though nothing has changed for long.
+        let used = Unfinished::begin(folder.path()).unwrap();
+        for path in [&unmarked, &other, &file, &named_otherwise, &used.path().to_owned()] {
+            set_age(path, 5 * DAY);
+        }
+        // One that was touched since is not old, though its mark is.
+        let touched = abandoned(folder.path(), 6 * DAY);
+        fs::write(touched.join("new/3/000001.png"), b"later").unwrap();
+
+        remove_unfinished(folder.path(), DAY);
+        assert!(!old.exists());
+        for path in [&young, &unmarked, &other, &file, &link, &linked, &named_otherwise, &touched] {
+            assert!(path.exists(), "{}", path.display());
+        }
+        assert!(linked.join("new/3/000000.png").exists() && used.path().is_dir());
+        remove_unfinished(folder.path(), Duration::ZERO);
+        assert!(!young.exists() && !touched.exists() && used.path().is_dir() && unmarked.exists());
+        remove_unfinished(&in_folder("no such folder"), DAY);
+    }
+
+    #[test]
+    fn what_is_kept_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let unfinished = Unfinished::begin(folder.path()).unwrap();
+        fs::write(unfinished.path().join("new"), b"precious").unwrap();
+        let kept = unfinished.keep().unwrap();
+        remove_unfinished(folder.path(), Duration::ZERO);
+        assert_eq!(fs::read(kept.join("new")).unwrap(), b"precious");
+        assert_eq!(fs::read_dir(&kept).unwrap().count(), 1, "the mark is gone");
+    }
+}
