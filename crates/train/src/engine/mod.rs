@@ -5,6 +5,7 @@
 
 pub(crate) mod constants;
 pub mod cpu;
+mod device;
 pub mod gpu;
 
 use std::fmt::Debug;
@@ -13,8 +14,8 @@ use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
 
 use crate::TrainError;
-use crate::config::{MaskConfig, WeightConfig};
-use crate::losses::LossTerms;
+use crate::config::MaskConfig;
+use crate::losses::{LossTerms, WeightConfig};
 use crate::schedule::Rates;
 use crate::state::State;
 

@@ -7,7 +7,7 @@
 use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError, WORKGROUP};
 
-use super::step::source;
+use crate::engine::device::{Packing, source};
 
 /// What the kernels read and write. Arrays about quantizers have room for one at least, also where there is
 /// none.
@@ -15,11 +15,11 @@ use super::step::source;
 pub struct ActivateBuffers<'a> {
     /// [`super::StepUniform`]
     pub step: &'a wgpu::Buffer,
-    /// `[15 N]` means, quats, log_scales, logit_opacities, colors, mask_logits.
+    /// `[values * N]` columns and mask logits, see [`Packing`].
     pub params: &'a wgpu::Buffer,
     /// `[N]` bit 0: foreground.
     pub flags: &'a wgpu::Buffer,
-    /// `[N]` bytes: groups of the quat, log_scale, logit_opacity and color, the first lowest.
+    /// `[words, N]` a byte a quantised column: its group of quantizers.
     pub quantizer_groups: &'a wgpu::Buffer,
     /// `[256]` position of a group's first quantizer; the others of its components follow.
     pub group_starts: &'a wgpu::Buffer,
@@ -31,7 +31,7 @@ pub struct ActivateBuffers<'a> {
     pub v_activated: &'a wgpu::Buffer,
     /// `[N]` of the timestep before; read only where masks are compared.
     pub previous_mask_logits: &'a wgpu::Buffer,
-    /// `[15 N]` overwritten: gradients to the quantised stored values.
+    /// `[values * N]` overwritten: gradients to the quantised stored values.
     pub grads: &'a wgpu::Buffer,
     /// `[N, 3]` gradients to projected centres in NDC units: x, y, whether visible.
     pub v_means2d_ndc: &'a wgpu::Buffer,
@@ -55,10 +55,15 @@ pub struct ActivateKernels {
 impl ActivateKernels {
     /// # Errors
     /// If memory for the partial sums cannot be had.
-    pub fn new(gpu: &Gpu, buffers: ActivateBuffers<'_>, num_gaussians: usize) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        packing: &Packing,
+        buffers: ActivateBuffers<'_>,
+        num_gaussians: usize,
+    ) -> Result<Self, GpuError> {
         let groups = num_gaussians.div_ceil(WORKGROUP as usize);
         let mask_partials = gpu.storage("sums of the mask losses", 2 * groups.max(1))?;
-        let source = shader();
+        let source = shader(packing);
         let b = buffers;
         let stored = [(0, b.step), (1, b.params), (3, b.quantizer_groups), (4, b.group_starts), (5, b.quantizers)];
         let bind = |entry, others: &[(u32, &wgpu::Buffer)]| {
@@ -92,8 +97,8 @@ impl ActivateKernels {
     }
 }
 
-pub(super) fn shader() -> String {
-    source(Wgsl::new()).part(include_str!("quantize.wgsl")).part(include_str!("activate.wgsl")).finish()
+pub(super) fn shader(packing: &Packing) -> String {
+    source(packing, Wgsl::new().activated_columns()).part(include_str!("quantize.wgsl")).part(include_str!("activate.wgsl")).finish()
 }
 
 #[cfg(test)]

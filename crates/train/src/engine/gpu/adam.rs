@@ -1,30 +1,28 @@
 //! Adam of the Gaussians: see [`crate::adam()`].
 //!
 //! The floor is memory: 28 bytes a value that moves (value, gradient and two moments in, all but the
-//! gradient out), nothing for a group that does not; a Gaussian has 15 values, 11 after the first timestep.
+//! gradient out), nothing for a group that does not; a Gaussian of the base layout has 15 values, 11 after the first timestep.
 
 use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X};
 
-use super::step::source;
+use crate::engine::device::{Packing, source};
 
 /// Values that one workgroup updates.
 const BLOCK: usize = 1024;
-/// Values of a Gaussian by group: mean, quat, log_scale, logit_opacity, color, mask.
-const COMPONENTS: [usize; 6] = [3, 4, 3, 1, 3, 1];
 
 /// What the kernel reads and writes.
 #[derive(Clone, Copy, Debug)]
 pub struct AdamBuffers<'a> {
     /// [`super::StepUniform`]
     pub step: &'a wgpu::Buffer,
-    /// `[15 N]` moved.
+    /// `[values * N]`, see [`Packing`] moved.
     pub params: &'a wgpu::Buffer,
-    /// `[15 N]`
+    /// `[values * N]`
     pub grads: &'a wgpu::Buffer,
-    /// `[15 N]` moved.
+    /// `[values * N]` moved.
     pub first_moments: &'a wgpu::Buffer,
-    /// `[15 N]` moved.
+    /// `[values * N]` moved.
     pub second_moments: &'a wgpu::Buffer,
     /// `[1]` not 0: nothing moves.
     pub status: &'a wgpu::Buffer,
@@ -40,8 +38,13 @@ pub struct AdamKernel {
 impl AdamKernel {
     /// # Errors
     /// What has gone wrong with the GPU.
-    pub fn new(gpu: &Gpu, buffers: AdamBuffers<'_>, num_gaussians: usize) -> Result<Self, GpuError> {
-        let adam = gpu.kernel(&shader(), "adam").bind(
+    pub fn new(
+        gpu: &Gpu,
+        packing: &Packing,
+        buffers: AdamBuffers<'_>,
+        num_gaussians: usize,
+    ) -> Result<Self, GpuError> {
+        let adam = gpu.kernel(&shader(packing), "adam").bind(
             gpu.device(),
             &[
                 (0, buffers.step),
@@ -53,7 +56,7 @@ impl AdamKernel {
             ],
         );
         gpu.check()?;
-        Ok(Self { adam, num_groups: COMPONENTS.iter().map(|c| (c * num_gaussians).div_ceil(BLOCK)).sum() })
+        Ok(Self { adam, num_groups: packing.group_components().map(|c| (c * num_gaussians).div_ceil(BLOCK)).sum() })
     }
 
     /// Records one update, then the normalisation of quaternions if quantisation is on.
@@ -62,8 +65,8 @@ impl AdamKernel {
     }
 }
 
-pub(super) fn shader() -> String {
-    source(Wgsl::new().constant("MAX_GROUPS_X", MAX_GROUPS_X).constant("BLOCK", BLOCK))
+pub(super) fn shader(packing: &Packing) -> String {
+    source(packing, Wgsl::new().constant("MAX_GROUPS_X", MAX_GROUPS_X).constant("BLOCK", BLOCK))
         .part(include_str!("moments.wgsl"))
         .part(include_str!("adam.wgsl"))
         .finish()

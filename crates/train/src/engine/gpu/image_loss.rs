@@ -9,8 +9,8 @@ use tcgs_metrics::{SSIM_C1, SSIM_C2, SSIM_WINDOW};
 use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-use super::step;
 use crate::engine::constants::{COUNTED_CHANNELS, L1_SHARE};
+use crate::engine::device::{Packing, source};
 
 /// Pixels along a block's side.
 const SIDE: usize = 16;
@@ -45,12 +45,17 @@ impl ImageLossKernels {
     ///
     /// # Errors
     /// If memory for the maps or partial sums cannot be had.
-    pub fn new(gpu: &Gpu, buffers: ImageLossBuffers<'_>, max_shape: [usize; 3]) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        packing: &Packing,
+        buffers: ImageLossBuffers<'_>,
+        max_shape: [usize; 3],
+    ) -> Result<Self, GpuError> {
         let [channels, height, width] = max_shape;
         let maps = gpu.storage("derivatives of SSIM", 3 * channels * height * width)?;
         let blocks = height.div_ceil(SIDE) * width.div_ceil(SIDE);
         let partials = gpu.storage("sums of the image loss", 4 * channels * blocks)?;
-        let source = shader();
+        let source = shader(packing);
         let inputs = [(0, buffers.step), (1, buffers.rendered), (2, buffers.targets), (3, buffers.cameras)];
         let kept = [(4, &maps), (5, &partials)];
         let fwd = gpu.kernel(&source, "image_loss_fwd").bind(gpu.device(), &[&inputs[..], &kept].concat());
@@ -76,12 +81,12 @@ pub(super) fn constants() -> Wgsl {
     Wgsl::new().constant("L1_SHARE", L1_SHARE).constant("COUNTED_CHANNELS", COUNTED_CHANNELS).constant("SIDE", SIDE)
 }
 
-pub(super) fn shader() -> String {
-    let mut source = constants().constant("C1", SSIM_C1).constant("C2", SSIM_C2);
+pub(super) fn shader(packing: &Packing) -> String {
+    let mut constants = constants().constant("C1", SSIM_C1).constant("C2", SSIM_C2);
     for (distance, weight) in SSIM_WINDOW.into_iter().enumerate() {
-        source = source.constant(&format!("WINDOW{distance}"), weight);
+        constants = constants.constant(&format!("WINDOW{distance}"), weight);
     }
-    step::source(source).part(include_str!("image_loss.wgsl")).finish()
+    source(packing, constants).part(include_str!("image_loss.wgsl")).finish()
 }
 
 #[cfg(test)]

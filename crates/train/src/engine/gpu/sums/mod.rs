@@ -1,4 +1,4 @@
-//! The end of an iteration: values of all losses, and Adam of cameras and quantizers.
+//! What follows from sums over an iteration: values of all losses, and Adam of cameras and quantizers.
 //!
 //! A workgroup for each sum that depends on no other, all in one dispatch. What it moves is small (some
 //! hundred kilobytes of partial sums); its time is that of a few rounds trip to memory in a row.
@@ -6,17 +6,14 @@
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::image_loss::constants;
-use super::step::source;
+use crate::engine::device::{Packing, source};
 
-/// Values of a slot in the ring of losses: image, segmentation, rigid, rot, iso, floor, background,
-/// soft_color, mask, mask_consistency, before their weights; the status; zeros.
-pub const LOSS_VALUES: usize = 16;
 /// Workgroups beside those of the quantizers.
 const SUMS: usize = 3;
 
 /// What the kernel reads and writes. Arrays of rows have room for one at least, also where there is none.
 #[derive(Clone, Copy, Debug)]
-pub struct FinishBuffers<'a> {
+pub struct SumsBuffers<'a> {
     /// [`super::StepUniform`]
     pub step: &'a wgpu::Buffer,
     /// [`super::ImageLossKernels::partials`]
@@ -44,18 +41,23 @@ pub struct FinishBuffers<'a> {
 
 /// The kernel.
 #[derive(Clone, Debug)]
-pub struct FinishKernel {
-    finish: Bound,
+pub struct SumsKernel {
+    sums: Bound,
     num_groups: usize,
 }
 
-impl FinishKernel {
+impl SumsKernel {
     /// - `num_quantizers`: `Q`, 0 before quantisation starts
     ///
     /// # Errors
     /// What has gone wrong with the GPU.
-    pub fn new(gpu: &Gpu, buffers: FinishBuffers<'_>, num_quantizers: usize) -> Result<Self, GpuError> {
-        let finish = gpu.kernel(&shader(), "finish").bind(
+    pub fn new(
+        gpu: &Gpu,
+        packing: &Packing,
+        buffers: SumsBuffers<'_>,
+        num_quantizers: usize,
+    ) -> Result<Self, GpuError> {
+        let sums = gpu.kernel(&shader(packing), "sums_and_small_adam").bind(
             gpu.device(),
             &[
                 (0, buffers.step),
@@ -72,19 +74,23 @@ impl FinishKernel {
             ],
         );
         gpu.check()?;
-        Ok(Self { finish, num_groups: SUMS + num_quantizers })
+        Ok(Self { sums, num_groups: SUMS + num_quantizers })
     }
 
     /// Records the sums and the updates.
     pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
-        self.finish.dispatch(pass, [self.num_groups as u32, 1, 1]);
+        self.sums.dispatch(pass, [self.num_groups as u32, 1, 1]);
     }
 }
 
-pub(super) fn shader() -> String {
-    source(constants().constant("LOSS_VALUES", LOSS_VALUES))
-        .part(include_str!("moments.wgsl"))
-        .part(include_str!("finish.wgsl"))
+pub(super) fn shader(packing: &Packing) -> String {
+    source(packing, constants())
+        .part(include_str!("../moments.wgsl"))
+        .part(include_str!("sums.wgsl"))
+        .part(include_str!("images_and_cameras.wgsl"))
+        .part(include_str!("masks.wgsl"))
+        .part(include_str!("motion.wgsl"))
+        .part(include_str!("quantizers.wgsl"))
         .finish()
 }
 
@@ -163,7 +169,7 @@ mod tests {
     }
 
     struct OnGpu {
-        kernel: FinishKernel,
+        kernel: SumsKernel,
         step: wgpu::Buffer,
         quantizers: wgpu::Buffer,
         quantizer_state: wgpu::Buffer,
@@ -177,7 +183,7 @@ mod tests {
             let (step, quantizers) = (uniform(gpu, &StepUniform::default()), upload(state.quantizers.as_flattened()));
             let (quantizer_state, cameras) = (upload(&state.quantizer_state), upload(&state.cameras));
             let losses = upload(&[-1.0; SLOTS * LOSS_VALUES]);
-            let buffers = FinishBuffers {
+            let buffers = SumsBuffers {
                 step: &step,
                 image_partials: &upload(&state.image_partials),
                 mask_partials: &upload(&state.mask_partials),
@@ -190,7 +196,7 @@ mod tests {
                 losses: &losses,
                 status: &gpu.upload("status", &[status]).unwrap(),
             };
-            let kernel = FinishKernel::new(gpu, buffers, state.quantizers.len()).unwrap();
+            let kernel = SumsKernel::new(gpu, buffers, state.quantizers.len()).unwrap();
             Self { kernel, step, quantizers, quantizer_state, cameras, losses }
         }
 

@@ -11,10 +11,11 @@
 
 use rayon::prelude::*;
 use tcgs_render::device::Wgsl;
-use tcgs_render::gpu::WORKGROUP;
 
 use crate::neighbors::Neighbors;
 
+/// Nodes that a workgroup walks.
+const WORKGROUP: usize = 256;
 /// Nodes whose lists lie side by side.
 const SLICE: usize = 32;
 /// Words of an entry: node and directions, weight, distance. They lie a slice apart.
@@ -28,7 +29,7 @@ const ARRIVES: u32 = 1 << 30;
 const BACKGROUND: u32 = 1 << 31;
 
 /// How the lists lie, for the shader that walks them.
-pub(super) fn constants() -> Wgsl {
+pub(crate) fn constants() -> Wgsl {
     Wgsl::new()
         .constant("BACKGROUND", BACKGROUND)
         .constant("LEAVES", LEAVES)
@@ -37,9 +38,9 @@ pub(super) fn constants() -> Wgsl {
         .constant("LINK_STRIDE", WORDS * SLICE)
 }
 
-/// What [`super::MotionPriorKernels`] uploads; stays the same over all timesteps.
+/// What the losses on motion walk; stays the same over all timesteps.
 #[derive(Debug, PartialEq)]
-pub(super) struct NeighborLists {
+pub(crate) struct NeighborLists {
     /// `[N]` the node that a Gaussian is, or its position among the background with the highest bit set.
     pub places: Vec<u32>,
     /// `[F]` Gaussian, first word of its list in `links`, entries of the list, 0.
@@ -59,7 +60,7 @@ impl NeighborLists {
 
         let points: Vec<[f32; 3]> = foreground.iter().map(|&i| first_means[i as usize]).collect();
         let mut order = along_morton_curve(&points);
-        for block in order.chunks_mut(WORKGROUP as usize) {
+        for block in order.chunks_mut(WORKGROUP) {
             block.sort_by_key(|&i| std::cmp::Reverse(lists[i as usize].len()));
         }
         let mut ranks = vec![0; order.len()];
