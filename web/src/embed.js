@@ -28,6 +28,9 @@ function commands(player) {
   };
 }
 
+/** An error that is not the engine's. */
+const unknown = (error) => ({ code: "unknown", title: String(error.message ?? error), detail: "" });
+
 function describe(player) {
   if (!player.info) return null;
   const { name, numGaussians, numTimesteps, frameRate, bytes, cameras } = player.info;
@@ -46,7 +49,7 @@ export function listenToEmbedder(player) {
       const result = await known[data.method](...(data.args ?? []));
       tell({ id: data.id, result });
     } catch (error) {
-      tell({ id: data.id, error: error.title ? error : { code: "unknown", title: String(error.message ?? error), detail: "" } });
+      tell({ id: data.id, error: error.title ? error : error.code ? explain(error) : unknown(error) });
     }
   });
 

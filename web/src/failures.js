@@ -33,6 +33,10 @@ const FAILURES = {
     title: "The scene is too large for this device",
     text: "There is not enough memory for it on the graphics card. Close other pages, or use a device with more.",
   },
+  "bad-camera": {
+    title: "These numbers are no camera",
+    text: "A camera needs width, height, fx, fy, cx, cy and cameraFromWorld, 16 numbers row by row: a rotation and a shift, without scale or mirror.",
+  },
   "device-lost": {
     title: "The graphics card stopped answering",
     text: "The system took it away from this page, as happens after sleep or a driver update. Reload the page.",

@@ -1,7 +1,8 @@
 // Puts the page together and opens what its address asks for.
 
-import { CameraPath } from "./camera_path.js";
+import { pathFromJson } from "./camera_path.js";
 import { listenToEmbedder } from "./embed.js";
+import { explain } from "./failures.js";
 import { listenForMoves } from "./input.js";
 import { addToPath, moreMenu, saveStill, showHelp, viewsMenu } from "./menus.js";
 import { readParams } from "./params.js";
@@ -56,10 +57,10 @@ async function take(chosen) {
     return;
   }
   try {
-    player.setPath(CameraPath.fromJson(await chosen.text()));
+    player.setPath(pathFromJson(await chosen.text()));
     toast(`Following ${chosen.name}`);
   } catch (error) {
-    toast(error instanceof SyntaxError ? "This file is no JSON" : error.message);
+    toast(error instanceof SyntaxError ? "This file is no JSON" : error.code ? explain(error).text : error.message);
   }
 }
 

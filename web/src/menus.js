@@ -1,6 +1,7 @@
 // The menus: views and the camera path, and what is needed now and then.
 
-import { CameraPath } from "./camera_path.js";
+import { pathToJson } from "./camera_path.js";
+import { CameraPath } from "./engine/tcgs_play.js";
 import { element, nameOf, save, toast } from "./ui.js";
 
 /** @param {import("./player.js").Player} player */
@@ -10,7 +11,7 @@ export function viewsMenu(player) {
   element("path-follow").addEventListener("click", () => player.follow(!player.following));
   element("path-clear").addEventListener("click", () => player.setPath(new CameraPath()));
   element("path-save").addEventListener("click", () => {
-    save("camera-path.json", new Blob([player.path.toJson()], { type: "application/json" }));
+    save("camera-path.json", new Blob([pathToJson(player.path)], { type: "application/json" }));
   });
   player.addEventListener("load", () => {
     const buttons = player.info.cameras.map((camera, index) => {
@@ -23,11 +24,11 @@ export function viewsMenu(player) {
     element("cameras").replaceChildren(...buttons);
   });
   const show = () => {
-    const { keys } = player.path;
-    for (const id of ["path-follow", "path-save", "path-clear"]) element(id).disabled = keys.length === 0;
+    const { keyframes } = player;
+    for (const id of ["path-follow", "path-save", "path-clear"]) element(id).disabled = keyframes.length === 0;
     element("path-follow").setAttribute("aria-pressed", String(player.following));
     const last = Math.max(1, (player.info?.numTimesteps ?? 1) - 1);
-    const marks = keys.map(({ timestep, camera }) => {
+    const marks = keyframes.map(({ timestep, camera }) => {
       const mark = document.createElement("button");
       mark.style.left = `${(100 * timestep) / last}%`;
       mark.title = `View at frame ${timestep + 1}`;
@@ -48,7 +49,7 @@ export function viewsMenu(player) {
 /** @param {import("./player.js").Player} player */
 export function addToPath(player) {
   player.addToPath();
-  toast(player.path.keys.length === 1 ? "First view of a path; add others at other times" : "Added to the camera path");
+  toast(player.keyframes.length === 1 ? "First view of a path; add others at other times" : "Added to the camera path");
 }
 
 /** @param {import("./player.js").Player} player */

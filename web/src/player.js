@@ -1,8 +1,7 @@
 // The engine on a canvas: when a frame is drawn, at how many pixels, and what others are told about it.
 
-import init, { Viewer } from "./engine/tcgs_play.js";
+import init, { CameraPath, Viewer } from "./engine/tcgs_play.js";
 import { AdaptiveResolution } from "./resolution.js";
-import { CameraPath, checkCamera } from "./camera_path.js";
 
 /** So long after the last change all pixels are drawn. */
 const SETTLE_MS = 200;
@@ -19,7 +18,8 @@ const MAX_PENDING = 1;
 export class Player extends EventTarget {
   /** A drag on the scene or a key ends what moves the camera by itself. */
   following = false;
-  path = new CameraPath();
+  /** The engine's `CameraPath`, which is there with a scene. */
+  path = null;
   speed = 1;
   loop = true;
   /** Of the scene, by the engine; null: no scene. */
@@ -76,7 +76,7 @@ export class Player extends EventTarget {
     this.#opening = true;
     this.info = null;
     this.state = null;
-    this.path = new CameraPath();
+    this.path = null;
     this.following = false;
     this.#tell("opening");
     try {
@@ -86,6 +86,7 @@ export class Player extends EventTarget {
       if (turn !== this.#turn) return false;
       this.#opening = false;
       this.info = viewer.info();
+      this.path = new CameraPath();
       viewer.setLoop(this.loop);
       viewer.setSpeed(this.speed);
       this.#resolution.forget();
@@ -157,11 +158,15 @@ export class Player extends EventTarget {
     return this.info && this.#viewer.camera();
   }
 
-  /** Shows what a camera sees; in a window of another shape, more. */
+  /** Cameras of the path by increasing timestep: `[{timestep, camera}]`. */
+  get keyframes() {
+    return this.path?.keyframes() ?? [];
+  }
+
+  /** Shows what a camera sees; in a window of another shape, more. Throws the engine's error where it is none. */
   setCamera(camera) {
-    checkCamera(camera);
-    this.following = false;
     this.#do((viewer) => viewer.setCamera(camera));
+    this.following = false;
     this.#tell("change");
   }
 
@@ -174,17 +179,18 @@ export class Player extends EventTarget {
   /** Adds the view of now to the path. */
   addToPath() {
     if (!this.state) return;
-    this.path.add(this.state.timestep, this.camera());
+    this.path.insert(this.state.timestep, this.camera());
     this.#tell("change");
   }
 
+  /** @param {CameraPath} path */
   setPath(path) {
     this.path = path;
-    this.follow(path.keys.length > 0);
+    this.follow(this.keyframes.length > 0);
   }
 
   follow(on) {
-    this.following = on && this.path.keys.length > 0;
+    this.following = on && this.keyframes.length > 0;
     this.touch();
     this.#tell("change");
   }
@@ -267,7 +273,7 @@ export class Player extends EventTarget {
     if (this.following && this.state) {
       const { width, height } = this.#canvas;
       try {
-        this.#viewer.setCamera(this.path.camera(this.state.timestep, width, height));
+        this.#viewer.setCamera(this.path.cameraAt(this.state.timestep, width, height));
       } catch {
         this.follow(false);
         this.#tell("lost");

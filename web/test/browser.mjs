@@ -313,7 +313,7 @@ test("another page embeds the player and speaks with it", async (t) => {
     camera.cameraFromWorld[3] += 0.125;
     await player.setCamera(camera);
     const moved = await player.camera();
-    const wrong = await player.setCamera({ fx: 1 }).then(() => "accepted", (error) => error.message);
+    const wrong = await player.setCamera({ fx: 1 }).then(() => "accepted", ({ code, text }) => `${code}: ${text}`);
     const missing = await player.load("missing.tcgs").then(() => "loaded", (error) => error.code);
     return { events, paused, sought, info, shift: moved.cameraFromWorld[3] - camera.cameraFromWorld[3], wrong, missing };
   });
@@ -323,7 +323,7 @@ test("another page embeds the player and speaks with it", async (t) => {
   assert.ok(result.events.some(([name, detail]) => name === "error" && detail.code === "network"));
   assert.ok(result.info.numGaussians > 0 && result.info.numTimesteps > 5);
   assert.ok(Math.abs(result.shift) < 1e-9);
-  assert.match(result.wrong, /camera needs width/);
+  assert.match(result.wrong, /^bad-camera: A camera needs width/);
   assert.equal(result.missing, "network");
 });
 

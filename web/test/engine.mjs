@@ -1,9 +1,12 @@
-// A stand-in for the engine: a scene of any file at once, no GPU. A test may say, as `window.given`, how many timesteps
+// A stand-in for the engine's viewer: a scene of any file at once, no GPU. Camera paths are the engine's own. A test may say, as `window.given`, how many timesteps
 // scenes have (`timesteps`) and what a picture waits for (`picture`, a promise).
 
-const given = (window.given ??= {});
+import init, { CameraPath } from "./tcgs_play.js?real";
 
-export default async function init() {}
+export default init;
+export { CameraPath };
+
+const given = (window.given ??= {});
 
 export class Viewer {
   #timestep = 0;

@@ -1,9 +1,9 @@
-// What of the page needs no browser. Run: node --test web/test/unit.mjs
+// What of the page needs no browser. Run, after web/build.sh: node --test web/test/unit.mjs
 
 import assert from "node:assert/strict";
+import { existsSync, readFileSync } from "node:fs";
 import { test } from "node:test";
 
-import { CameraPath, checkCamera, fitted } from "../src/camera_path.js";
 import { explain } from "../src/failures.js";
 import { readParams } from "../src/params.js";
 import { AdaptiveResolution } from "../src/resolution.js";
@@ -69,6 +69,17 @@ test("pixels do not pay for time that goes elsewhere", () => {
   assert.ok(scales.filter((scale) => scale === 1).length > 1300, "fewer pixels did not help");
 });
 
+// What the engine does for the page without a GPU: the page as built, with its WebAssembly.
+const DIST = new URL("../dist/", import.meta.url);
+const isBuilt = existsSync(new URL("engine/tcgs_play.js", DIST));
+assert.ok(isBuilt || !process.env.REQUIRE_PLAYER, "web/dist is missing: run web/build.sh");
+const engineTest = (name, run) =>
+  test(name, { skip: isBuilt ? false : "web/dist is missing: run web/build.sh" }, async () => {
+    const { initSync, CameraPath } = await import(new URL("engine/tcgs_play.js", DIST));
+    initSync({ module: readFileSync(new URL("engine/tcgs_play_bg.wasm", DIST)) });
+    await run(CameraPath, await import(new URL("camera_path.js", DIST)));
+  });
+
 const camera = (angle) => {
   // On a circle of radius 3 around the origin, looking at it.
   const [s, c] = [Math.sin(angle), Math.cos(angle)];
@@ -83,45 +94,55 @@ const camera = (angle) => {
   };
 };
 
-test("a path meets its views and turns between them", () => {
+engineTest("a path meets its views and turns between them", (CameraPath) => {
   const path = new CameraPath();
-  for (const timestep of [8, 2, 4, 6]) path.add(timestep, camera(0.1 * timestep));
-  assert.deepEqual(path.keys.map((key) => key.timestep), [2, 4, 6, 8]);
-  assert.deepEqual(path.camera(4, 100, 60), camera(0.4));
-  assert.deepEqual(path.camera(0, 100, 60), camera(0.2));
-  assert.deepEqual(path.camera(99, 100, 60), camera(0.8));
-  const between = path.camera(5, 100, 60).cameraFromWorld;
+  for (const timestep of [8, 2, 4, 6]) path.insert(timestep, camera(0.1 * timestep));
+  assert.deepEqual(path.keyframes().map((keyframe) => keyframe.timestep), [2, 4, 6, 8]);
+  assert.deepEqual(path.cameraAt(4, 100, 60), camera(0.4));
+  assert.deepEqual(path.cameraAt(0, 100, 60), camera(0.2));
+  assert.deepEqual(path.cameraAt(99, 100, 60), camera(0.8));
+  const between = path.cameraAt(5, 100, 60).cameraFromWorld;
   for (const [i, expected] of camera(0.5).cameraFromWorld.entries()) {
     assert.ok(Math.abs(between[i] - expected) < 0.01, `${i}: ${between[i]}, expected ${expected}`);
   }
-  path.add(4, camera(1));
-  assert.equal(path.keys.length, 4, "a view at the same timestep makes room");
+  path.insert(4, camera(1));
+  assert.equal(path.keyframes().length, 4, "a view at the same timestep makes room");
 });
 
-test("a path comes back from its file, and nothing else does", () => {
+engineTest("a path comes back from its file, and nothing else does", (CameraPath, { pathFromJson, pathToJson }) => {
   const path = new CameraPath();
-  path.add(3, camera(3 / 10));
-  path.add(1, { ...camera(1 / 10), cameraFromWorld: new Float64Array(camera(1 / 10).cameraFromWorld) });
-  const back = CameraPath.fromJson(path.toJson());
-  assert.deepEqual(back.keys, [1, 3].map((timestep) => ({ timestep, camera: camera(timestep / 10) })));
-  for (const text of ["{}", "null", '{"format":"tcgs-camera-path","version":1,"cameras":[]}', path.toJson().replace('"fx"', '"f"')]) {
-    assert.throws(() => CameraPath.fromJson(text), Error, text);
-  }
+  path.insert(3, camera(3 / 10));
+  path.insert(1, { ...camera(1 / 10), cameraFromWorld: new Float64Array(camera(1 / 10).cameraFromWorld) });
+  const text = pathToJson(path);
+  const expected = [1, 3].map((timestep) => ({ timestep, camera: camera(timestep / 10) }));
+  assert.deepEqual(pathFromJson(text).keyframes(), expected);
+  const { format, version, cameras } = JSON.parse(text);
+  assert.deepEqual([format, version, Object.keys(cameras[0])], ["tcgs-camera-path", 1, ["timestep", ...Object.keys(camera(0))]]);
+  const wrong = [
+    "{}",
+    "null",
+    '{"format":"tcgs-camera-path","version":1,"cameras":[]}',
+    text.replace('"fx"', '"f"'),
+    text.replace('"timestep"', '"time"'),
+  ];
+  for (const text of wrong) assert.throws(() => pathFromJson(text), Error, text);
 });
 
-test("a view shows all that it shows in another window, too", () => {
-  const wide = fitted(camera(0), 400, 120);
+engineTest("a view shows all that it shows in another window, too", (CameraPath) => {
+  const path = new CameraPath();
+  assert.throws(() => path.cameraAt(0, 400, 120), { code: "bad-camera" });
+  path.insert(0, camera(0));
+  const wide = path.cameraAt(0, 400, 120);
   assert.deepEqual([wide.fx, wide.fy, wide.cx, wide.cy], [160, 160, 200, 60]);
-  const tall = fitted(camera(0), 50, 120);
+  const tall = path.cameraAt(0, 50, 120);
   assert.deepEqual([tall.fx, tall.fy, tall.cx, tall.cy], [40, 40, 25, 60]);
-  assert.throws(() => checkCamera({ ...camera(0), cameraFromWorld: [1] }), /16 numbers/);
-  assert.throws(() => checkCamera({ ...camera(0), fx: -1 }), /camera needs/);
 });
 
-test("a camera is turned and shifted, and nothing else", () => {
+engineTest("a camera is turned and shifted, and nothing else", (CameraPath) => {
   const { cameraFromWorld } = camera(0.3);
   const changed = (action) => ({ ...camera(0), cameraFromWorld: cameraFromWorld.map(action) });
-  checkCamera(changed((x) => x + 1e-5 * (x !== 0 && x !== 1)));
+  const path = new CameraPath();
+  path.insert(0, changed((x) => x + 1e-5 * (x !== 0 && x !== 1)));
   const wrong = {
     "larger": changed((x, i) => (i < 12 ? 2 * x : x)),
     "mirrored": changed((x, i) => (i < 4 ? -x : x)),
@@ -129,8 +150,13 @@ test("a camera is turned and shifted, and nothing else", () => {
     "sheared": changed((x, i) => (i === 1 ? 0.1 : x)),
     "with another last row": changed((x, i) => (i === 12 ? 1 : x)),
     "by columns": { ...camera(0), cameraFromWorld: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 3, 1] },
+    "of one number": { ...camera(0), cameraFromWorld: [1] },
+    "with a negative focal length": { ...camera(0), fx: -1 },
+    "without a width": { ...camera(0), width: undefined },
+    "missing": undefined,
   };
-  for (const [name, given] of Object.entries(wrong)) assert.throws(() => checkCamera(given), /rotation/, name);
+  for (const [name, given] of Object.entries(wrong)) assert.throws(() => path.insert(0, given), { code: "bad-camera" }, name);
+  assert.throws(() => path.insert(undefined, camera(0)), { code: "bad-camera" }, "nowhere in time");
 });
 
 test("speeds are next to any speed, those that the address alone can ask for included", () => {
@@ -153,7 +179,7 @@ test("a scene is called as its file, however that is written", () => {
 
 test("failures are told to people", () => {
   globalThis.isSecureContext = true;
-  for (const code of ["no-webgpu", "not-tcgs", "truncated", "newer-version", "damaged", "network", "out-of-memory", "device-lost"]) {
+  for (const code of ["no-webgpu", "not-tcgs", "truncated", "newer-version", "damaged", "network", "out-of-memory", "device-lost", "bad-camera"]) {
     const { title, text, detail } = explain(Object.assign(new Error("why"), { code }));
     assert.ok(title.length > 10 && text.length > 30 && detail === "why", code);
   }

@@ -1,6 +1,6 @@
-//! Which exit code an error has. `main` prints it.
+//! Which exit code an error has, and its words; `main` prints them.
 
-use tcgs_capture::CaptureError;
+use tcgs_capture::{CaptureError, Split};
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
@@ -32,6 +32,33 @@ pub fn stopped(left: String) -> anyhow::Error {
     Stopped(left).into()
 }
 
+/// The message of an error, which names options where the library names arguments.
+pub fn message(error: &anyhow::Error) -> String {
+    match error.downcast_ref::<PipelineError>() {
+        Some(PipelineError::Interchange(error @ InterchangeError::HigherHarmonics { .. })) => {
+            format!("{error}, or --drop-sh to do without the others")
+        }
+        Some(PipelineError::Frames { path, wanted, has }) => format!(
+            "--frames {}..{}: {} has the frames {}..{}, expected some of these",
+            wanted.start,
+            wanted.end,
+            path.display(),
+            has.start,
+            has.end
+        ),
+        Some(PipelineError::TargetBytes { target, smallest }) => {
+            format!("--target-bytes {target}: the smallest file is {smallest} bytes, expected that or more")
+        }
+        Some(PipelineError::TargetPsnr { target, best, of }) => {
+            format!("--target-psnr {target}: the best against {of} is {best:.2} dB, expected that or less")
+        }
+        Some(PipelineError::NoCameras { path, split: Split::Test }) => {
+            format!("{}: has no test cameras, expected one that has, or --cameras train", path.display())
+        }
+        _ => format!("{error:#}"),
+    }
+}
+
 /// 2 for wrong usage or input, 130 after Ctrl-C, 1 for the rest.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     fn fault<E: HasFault + std::error::Error + Send + Sync + 'static>(error: &anyhow::Error) -> Option<Fault> {
@@ -59,7 +86,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
 mod tests {
     use std::io::{Error, ErrorKind};
 
-    use tcgs_render::gpu::GpuError;
+    use tcgs_render::device::GpuError;
 
     use super::*;
 

@@ -24,6 +24,11 @@ pub fn catch() -> anyhow::Result<()> {
     ctrlc::set_handler(handler).context("catching Ctrl-C")
 }
 
+/// An error after Ctrl-C.
+pub fn check() -> anyhow::Result<()> {
+    if asked().is_break() { Err(tcgs_pipeline::PipelineError::Stopped.into()) } else { Ok(()) }
+}
+
 /// Whether to go on.
 pub fn asked() -> ControlFlow<()> {
     if ASKED.load(Ordering::SeqCst) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }

@@ -83,7 +83,7 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            output::note(&format!("tcgs: {}", one_line(&format!("{error:#}"))));
+            output::note(&format!("tcgs: {}", one_line(&error::message(&error))));
             ExitCode::from(error::exit_code(&error))
         }
     }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use clap::Args;
-use tcgs_interchange::{HigherHarmonics, InterchangeError};
+use tcgs_interchange::HigherHarmonics;
 use tcgs_pipeline::{Fault, HasFault, OpenScene, OpenSettings, PipelineError};
 
 use crate::error::wrong_input;
@@ -18,15 +18,10 @@ pub struct SceneOptions {
 }
 
 impl SceneOptions {
-    /// Opens a scene; where an option would help, the error names it.
-    pub fn open(self, path: &Path) -> anyhow::Result<OpenScene> {
+    /// Opens a scene.
+    pub fn open(self, path: &Path) -> Result<OpenScene, PipelineError> {
         let higher_harmonics = if self.drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Refuse };
-        OpenScene::open(path, OpenSettings { higher_harmonics }).map_err(|error| match error {
-            PipelineError::Interchange(error @ InterchangeError::HigherHarmonics { .. }) => {
-                wrong_input(format!("{error}, or --drop-sh to do without the others"))
-            }
-            other => other.into(),
-        })
+        OpenScene::open(path, OpenSettings { higher_harmonics })
     }
 }
 

@@ -2,10 +2,11 @@
 
 use std::ops::ControlFlow;
 
-use tcgs_pipeline::{Event, Observer, PipelineError, TimestepSummary};
+use tcgs_pipeline::{Event, Observer, TimestepSummary};
 
+use crate::compress::target::line;
 use crate::interrupt;
-use crate::output::note;
+use crate::output::{note, say};
 use crate::progress::Progress;
 
 /// The observer of every long call of the command line.
@@ -20,11 +21,25 @@ pub struct Teller {
 
 impl Teller {
     /// Makes a call with this observer. Where nobody can be told any more, that is the error.
-    pub fn watch<T>(mut self, call: impl FnOnce(&mut Self) -> Result<T, PipelineError>) -> anyhow::Result<T> {
+    pub fn watch<T, E: Into<anyhow::Error>>(
+        mut self,
+        call: impl FnOnce(&mut Self) -> Result<T, E>,
+    ) -> anyhow::Result<T> {
         let result = call(&mut self);
         match self.failed {
             Some(error) => Err(error),
-            None => Ok(result?),
+            None => result.map_err(Into::into),
+        }
+    }
+
+    /// Whether to go on after telling something.
+    fn go_on(&mut self, told: anyhow::Result<()>) -> ControlFlow<()> {
+        match told {
+            Ok(()) => interrupt::asked(),
+            Err(error) => {
+                self.failed = Some(error);
+                ControlFlow::Break(())
+            }
         }
     }
 
@@ -55,15 +70,17 @@ impl Observer for Teller {
                 "warning: {found} points to start from, expected {expected} or more: what lies far from all of them \
                  stays empty; `tcgs prepare` makes points from the images, `--points FILE` takes others"
             )),
+            Event::SetAside { checkpoint, problem } => {
+                note(&format!("{}: {problem}; set aside, its timestep is trained again", checkpoint.display()));
+            }
             Event::Iteration(p) => {
                 self.step(|| format!("timestep {}, {} Gaussians, loss {:.4}", p.timestep, p.num_gaussians, p.loss))
             }
             Event::Timestep(summary) => {
-                if let Err(error) = self.timestep(summary) {
-                    self.failed = Some(error);
-                    return ControlFlow::Break(());
-                }
+                let told = self.timestep(summary);
+                return self.go_on(told);
             }
+            Event::Tried(trial) => return self.go_on(say(&line(trial))),
             Event::Frame(frame) => self.step(|| format!("frame {frame}")),
             _ => {}
         }

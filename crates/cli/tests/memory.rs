@@ -56,7 +56,7 @@ fn hundreds_of_timesteps_fit_where_ten_do() {
     let found = checkpoints(&long);
     assert_eq!(found.len(), 400);
 
-    // The limit is one: half of it does not do.
-    let output = limited(most / 8, &arguments(&capture, &tight, "0..10"));
-    assert!(!output.status.success(), "a limit of {} kB limits nothing", most / 8);
+    // The limit is one: a small part of it does not do. Threads reserve more addresses than they need.
+    let output = limited(most / 16, &arguments(&capture, &tight, "0..10"));
+    assert!(!output.status.success(), "a limit of {} kB limits nothing", most / 16);
 }

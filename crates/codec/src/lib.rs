@@ -13,6 +13,7 @@
 mod accounting;
 mod bits;
 mod bitstream;
+mod cache;
 mod compact;
 #[cfg(feature = "encode")]
 mod compress;
@@ -22,14 +23,16 @@ mod limits;
 mod morton;
 mod parallel;
 mod quantize;
+mod scene_file;
 
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 pub use bitstream::{
-    Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Keypoints, Opening, Sampler, SectionInfo, Segment,
-    application_data, decode, inspect,
+    Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Keypoints, MAGIC, Opening, Sampler, SectionInfo,
+    Segment, application_data, decode, inspect,
 };
 #[cfg(feature = "encode")]
 pub use bitstream::{encode, encode_with};
+pub use cache::{Eviction, Playback, SegmentCache};
 pub use compact::{ColorSpace, CompactScene, SceneInfo, Tracks, UpAxis};
 #[cfg(feature = "encode")]
 pub use compress::{CompressSettings, compress, compress_ordered};
@@ -37,3 +40,4 @@ pub use error::{CompressError, DecodeError};
 pub use keypoints::{interpolate, select as select_keypoints};
 pub use limits::DecodeLimits;
 pub use quantize::{MAX_BITS, Quantizer, Quantizers, lsq_step};
+pub use scene_file::SceneFile;

@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use proptest::prelude::*;
 use tcgs_codec::{
-    Archive, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Opening, Sampler, SceneInfo, compress,
-    decode, encode, encode_with,
+    Archive, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Eviction, Opening, Playback, Sampler,
+    SceneFile, SceneInfo, SegmentCache, compress, decode, encode, encode_with,
 };
 use tcgs_core::Gaussians;
 
@@ -277,4 +277,109 @@ fn keypoints_are_those_of_the_floats() {
             }
         }
     }
+}
+
+/// Counts the bytes that are read.
+struct Counted<'a> {
+    file: std::io::Cursor<&'a [u8]>,
+    bytes: &'a std::cell::Cell<usize>,
+}
+
+impl std::io::Read for Counted<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.file.read(buffer)?;
+        self.bytes.set(self.bytes.get() + count);
+        Ok(count)
+    }
+}
+
+impl std::io::Seek for Counted<'_> {
+    fn seek(&mut self, to: std::io::SeekFrom) -> std::io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
+#[test]
+fn a_file_is_decoded_where_it_is_read() {
+    let scene = scenes::room(900, 60);
+    let settings = CompressSettings { segment_length: Some(10), ..CompressSettings::default() };
+    let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings).unwrap();
+    let file = encode(&compact).unwrap();
+    let bytes = std::cell::Cell::new(0);
+    let open = |file, max_segment_bytes| {
+        bytes.set(0);
+        let source = Counted { file: std::io::Cursor::new(file), bytes: &bytes };
+        SceneFile::open(source, &DecodeLimits::default(), max_segment_bytes)
+    };
+    let mut reader = open(&file[..], usize::MAX).unwrap();
+    let length = |segment| {
+        let range = reader.archive().segment_range(segment, reader.archive().num_layers());
+        (range.end - range.start) as usize
+    };
+    let (third, fourth) = (length(2), length(3));
+    let opened = bytes.get();
+    assert_eq!(reader.at(25).unwrap(), compact.at(25));
+    assert_eq!(reader.at(29).unwrap(), compact.at(29));
+    assert_eq!(bytes.get() - opened, third, "one segment is read once");
+    assert_eq!(reader.at(30).unwrap(), compact.at(30));
+    assert_eq!(reader.at(21).unwrap(), compact.at(21));
+    assert_eq!(bytes.get() - opened, third + fourth);
+
+    // Room for two segments: of three the one that was used longest ago is read again.
+    let two = 2 * (0..6).map(|i| reader.segment(i).unwrap().bytes()).max().unwrap();
+    let mut reader = open(&file[..], two).unwrap();
+    for timestep in [0, 10, 0, 20] {
+        assert_eq!(reader.at(timestep).unwrap(), compact.at(timestep));
+    }
+    assert!(reader.cached_bytes() <= two);
+    let before = bytes.get();
+    reader.at(0).unwrap();
+    assert_eq!(bytes.get(), before);
+    reader.at(10).unwrap();
+    assert!(bytes.get() > before);
+    // Without room for any, the segment in use is held.
+    let mut reader = open(&file[..], 0).unwrap();
+    assert!((0..60).rev().all(|t| reader.at(t).unwrap() == compact.at(t)));
+
+    let refuses = |file: &[u8], message: &str| {
+        let source = std::io::Cursor::new(file);
+        let error = SceneFile::open(source, &DecodeLimits::default(), 0).err().unwrap();
+        assert_eq!(error.to_string(), message);
+    };
+    let end = file.len() - 1;
+    refuses(&file[..end], &format!("invalid end in file at byte {end}: the file ends early"));
+    refuses(&file[..100], "invalid end in file at byte 100: the file ends early");
+    let longer = [&file[..], &[0]].concat();
+    refuses(&longer, &format!("invalid end in file at byte {}: bytes are left over", longer.len()));
+    // A damaged segment is an error when it is read; the others can be read.
+    let mut damaged = file.clone();
+    damaged[end] ^= 1;
+    let mut reader = open(&damaged, usize::MAX).unwrap();
+    assert_eq!(reader.at(49).unwrap(), compact.at(49));
+    assert!(reader.at(50).is_err());
+    assert_eq!(reader.at(49).unwrap(), compact.at(49));
+}
+
+#[test]
+fn playback_keeps_and_prefetches_what_comes_next() {
+    let scene = scenes::room(200, 40);
+    let settings = CompressSettings { segment_length: Some(10), ..CompressSettings::default() };
+    let compact = compress(&scene, &scenes::mixed_widths(200), None, SceneInfo::of(&scene), &settings).unwrap();
+    let file = std::io::Cursor::new(encode(&compact).unwrap());
+    let mut reader = SceneFile::open(file, &DecodeLimits::default(), 0).unwrap();
+    let segments: Vec<_> = (0..4).map(|i| reader.segment(i).unwrap()).collect();
+    let largest = segments.iter().map(|s| s.bytes()).max().unwrap();
+    let playback = |now| Playback { now, is_backwards: false, is_looping: true };
+    let mut cache = SegmentCache::new(4, 2 * largest);
+    assert_eq!(cache.prefetch(playback(2)), Some(2));
+    for i in [2, 3, 0] {
+        cache.insert(segments[i].clone(), Eviction::FarthestAhead(playback(2)));
+    }
+    // Segment 0 comes after both that are held.
+    assert!(cache.get(2).is_some() && cache.get(3).is_some() && cache.get(0).is_none());
+    assert_eq!(cache.prefetch(playback(2)), None);
+    assert_eq!(cache.prefetch(Playback { is_backwards: true, ..playback(2) }), Some(1));
+    assert_eq!(cache.prefetch(Playback { is_looping: false, ..playback(3) }), None);
+    cache.insert(segments[0].clone(), Eviction::FarthestAhead(playback(3)));
+    assert!(cache.get(2).is_none() && cache.get(0).is_some());
 }

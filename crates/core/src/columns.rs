@@ -334,7 +334,10 @@ mod tests {
         assert_eq!(selected.values(wetness), [4.0, 5.0, 0.0, 1.0, 4.0, 5.0]);
         assert_eq!((selected.num_gaussians(), selected.colors()[2]), (3, [0.5; 3]));
         let selected = gaussians.select_or_zero(&[None, Some(1)]);
-        assert_eq!((selected.values(wetness), selected.means()), ([0.0, 0.0, 2.0, 3.0].as_slice(), [[0.0; 3]; 2].as_slice()));
+        assert_eq!(
+            (selected.values(wetness), selected.means()),
+            ([0.0, 0.0, 2.0, 3.0].as_slice(), [[0.0; 3]; 2].as_slice())
+        );
         assert_ne!(Gaussians::zeros(3), Gaussians::zeros_of(gaussians.layout(), 3));
     }
 

@@ -21,5 +21,5 @@ pub use params_npz::{
 };
 pub use ply::{HigherHarmonics, read_ply, write_ply_to};
 pub use ply_points::read_ply_points;
-pub use ply_sequence::{PlySequence, read_ply_sequence};
+pub use ply_sequence::{PlyFiles, PlySequence, read_ply_sequence};
 pub use unfinished::{Existing, Unfinished, is_unfinished, remove_unfinished, write_whole};

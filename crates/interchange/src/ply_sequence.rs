@@ -4,6 +4,7 @@
 //! that Gaussian `i` of one file is near Gaussian `i` of the next ([`MAX_JUMP`]).
 
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use tcgs_core::{DynamicGaussians, natural_key};
@@ -26,37 +27,74 @@ pub struct PlySequence {
     pub first_frame: Option<u32>,
 }
 
-/// Reads the PLY files of a folder in their natural order: numbers in names count as numbers. A path that is
-/// a file is a sequence of one.
-///
-/// Scales and opacities vary in the scene if a bit of them differs between the files.
+/// The files of a sequence by name alone: none is read until [`Self::read`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlyFiles {
+    /// A timestep a file, at least one.
+    pub files: Vec<PathBuf>,
+    /// As [`PlySequence::first_frame`].
+    pub first_frame: Option<u32>,
+}
+
+impl PlyFiles {
+    /// Lists the PLY files of a folder in their natural order: numbers in names count as numbers. A path that is a file
+    /// is a sequence of one.
+    ///
+    /// # Errors
+    /// [`InterchangeError`] if the folder cannot be read or has no PLY file.
+    pub fn list(path: &Path) -> Result<Self, InterchangeError> {
+        let files = if path.is_dir() { ply_files(path)? } else { vec![path.into()] };
+        let first_frame = first_frame(&files);
+        Ok(Self { files, first_frame })
+    }
+
+    /// Reads some timesteps as one scene. Scales and opacities vary in the scene if a bit of them differs between the
+    /// files.
+    ///
+    /// # Errors
+    /// [`InterchangeError`] that names the first file that cannot be read or does not continue the sequence; as
+    /// [`read_ply`].
+    ///
+    /// # Panics
+    /// If there are not so many files.
+    pub fn read(
+        &self,
+        timesteps: Range<usize>,
+        harmonics: HigherHarmonics,
+    ) -> Result<DynamicGaussians, InterchangeError> {
+        let files = &self.files[timesteps];
+        let mut scene = DynamicGaussians::default();
+        for file in files {
+            let gaussians = read_ply(file, harmonics)?;
+            let invalid = |problem| Err(InterchangeError::Ply { path: file.clone(), problem });
+            if let Some(last) = scene.num_timesteps().checked_sub(1) {
+                let before = scene.means(last);
+                if before.len() != gaussians.num_gaussians() {
+                    let (found, first) = (gaussians.num_gaussians(), files[0].display());
+                    return invalid(format!("has {found} Gaussians, expected {} as in {first}", before.len()));
+                }
+                let jump = jump(before, gaussians.means());
+                if jump > MAX_JUMP {
+                    return invalid(format!(
+                        "the median Gaussian moves by {jump:.2} of the scene's size since the file before, expected at \
+                         most {MAX_JUMP}: Gaussians in the same order in every file"
+                    ));
+                }
+            }
+            scene.push(gaussians);
+        }
+        Ok(scene)
+    }
+}
+
+/// Reads all files of [`PlyFiles::list`] as one scene.
 ///
 /// # Errors
-/// [`InterchangeError`] that names the first file that cannot be read or does not continue the sequence; as
-/// [`read_ply`], and if there is none.
+/// As [`PlyFiles::list`] and [`PlyFiles::read`].
 pub fn read_ply_sequence(path: &Path, harmonics: HigherHarmonics) -> Result<PlySequence, InterchangeError> {
-    let files = if path.is_dir() { ply_files(path)? } else { vec![path.into()] };
-    let mut scene = DynamicGaussians::default();
-    for file in &files {
-        let gaussians = read_ply(file, harmonics)?;
-        let invalid = |problem| Err(InterchangeError::Ply { path: file.clone(), problem });
-        if let Some(last) = scene.num_timesteps().checked_sub(1) {
-            let before = scene.means(last);
-            if before.len() != gaussians.num_gaussians() {
-                let (found, first) = (gaussians.num_gaussians(), files[0].display());
-                return invalid(format!("has {found} Gaussians, expected {} as in {first}", before.len()));
-            }
-            let jump = jump(before, gaussians.means());
-            if jump > MAX_JUMP {
-                return invalid(format!(
-                    "the median Gaussian moves by {jump:.2} of the scene's size since the file before, expected at \
-                     most {MAX_JUMP}: Gaussians in the same order in every file"
-                ));
-            }
-        }
-        scene.push(gaussians);
-    }
-    Ok(PlySequence { scene, first_frame: first_frame(&files) })
+    let files = PlyFiles::list(path)?;
+    let scene = files.read(0..files.files.len(), harmonics)?;
+    Ok(PlySequence { scene, first_frame: files.first_frame })
 }
 
 /// Whether a name is that of a file to read. Hidden ones are other programs' notes.

@@ -3,11 +3,11 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use tcgs_capture::CaptureError;
+use tcgs_capture::{CaptureError, Split};
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
-use tcgs_render::gpu::GpuError;
+use tcgs_render::device::GpuError;
 use tcgs_train::TrainError;
 
 /// Why a call of this crate ended early. Every message is one line that names the culprit; a cause is part of the
@@ -35,6 +35,14 @@ pub enum PipelineError {
         /// What the file should be.
         expected: &'static str,
     },
+    /// A file cannot be written.
+    #[error("writing {}: {error}", path.display())]
+    Unwritable {
+        /// The file.
+        path: PathBuf,
+        /// The system's answer.
+        error: io::Error,
+    },
     /// A `.tcgs` file cannot be decoded.
     #[error("{}: {error}, expected a whole .tcgs file", path.display())]
     Decode {
@@ -57,6 +65,32 @@ pub enum PipelineError {
         /// The frames there are.
         has: std::ops::Range<usize>,
     },
+    /// No quality gives a file as small as wanted.
+    #[error("a target of {target} bytes: the smallest file is {smallest} bytes, expected that or more")]
+    TargetBytes {
+        /// As wanted.
+        target: u64,
+        /// Length of the smallest file that was tried.
+        smallest: u64,
+    },
+    /// No quality gives a PSNR as high as wanted.
+    #[error("a target of {target} dB: the best against {of} is {best:.2} dB, expected that or less")]
+    TargetPsnr {
+        /// As wanted, dB.
+        target: f64,
+        /// The highest PSNR that was measured, rounded down to hundredths, dB.
+        best: f64,
+        /// The images that were compared with, in words.
+        of: String,
+    },
+    /// A capture has no cameras of the split that was asked for.
+    #[error("{}: has no {} cameras, expected one that has, or another choice of cameras", path.display(), split_name(*split))]
+    NoCameras {
+        /// The capture.
+        path: PathBuf,
+        /// Which cameras were asked for.
+        split: Split,
+    },
     /// A capture.
     #[error(transparent)]
     Capture(#[from] CaptureError),
@@ -75,6 +109,14 @@ pub enum PipelineError {
     /// The GPU.
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// This build lacks what was asked for.
+    #[error("this build has no {what}, expected one with feature {feature}")]
+    NotBuilt {
+        /// What it lacks.
+        what: &'static str,
+        /// The feature of cargo that brings it.
+        feature: &'static str,
+    },
 }
 
 impl PipelineError {
@@ -91,6 +133,14 @@ impl PipelineError {
 
     pub(crate) fn unreadable(path: &Path, error: io::Error, expected: &'static str) -> Self {
         Self::Unreadable { path: path.into(), error, expected }
+    }
+}
+
+fn split_name(split: Split) -> &'static str {
+    match split {
+        Split::Train => "training",
+        Split::Test => "test",
+        Split::All => "usable",
     }
 }
 
@@ -128,7 +178,13 @@ pub trait HasFault {
 impl HasFault for PipelineError {
     fn fault(&self) -> Fault {
         match self {
-            Self::Input { .. } | Self::Frames { .. } => Fault::Input,
+            Self::Input { .. }
+            | Self::Frames { .. }
+            | Self::NoCameras { .. }
+            | Self::TargetBytes { .. }
+            | Self::TargetPsnr { .. }
+            | Self::NotBuilt { .. } => Fault::Input,
+            Self::Unwritable { .. } => Fault::Machine,
             Self::Stopped => Fault::Stopped,
             Self::Unreadable { error, .. } => error.fault(),
             Self::Decode { error, .. } => error.fault(),

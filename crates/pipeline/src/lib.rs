@@ -1,19 +1,76 @@
 //! From a capture to a compressed scene and its quality: what the command line does, for programs.
 //!
-//! What lives here: opening a scene of any kind ([`OpenScene`]), and the steps that need several crates at once. What
-//! does not: arguments, progress bars and words for people (the command line), and the maths of each step (the crates
-//! below).
+//! What lives here: opening a scene of any kind ([`OpenScene`]), and the steps that need several crates at once:
+//! training a run with prefetched images ([`fit`]), pruning and compressing ([`PrunedScene`], [`compress_scene`]),
+//! searching a size or a quality ([`search`] with a [`Judge`]), comparing with a capture ([`evaluate`]),
+//! rendering ([`render`]) and writing for other programs ([`Export`]). What does
+//! not: arguments, progress bars and words for people (the command line), and the maths of each step (the crates below).
 //!
-//! Every input that is wrong is a [`PipelineError`]; [`HasFault::fault`] says whether the input or the machine failed.
+//! Every input that is wrong is a [`PipelineError`]; [`HasFault::fault`] says whether the input or the machine failed. A
+//! long call tells an [`Observer`] what it does, and the observer may stop it.
+//!
+//! ```
+//! use std::ops::ControlFlow;
+//! use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
+//! use tcgs_pipeline::{
+//!     Backend, CompressOptions, EvaluateSettings, Event, OpenScene, OpenSettings, Unobserved, compress_scene, evaluate, fit,
+//!     new_trainer, settings_for,
+//! };
+//! use tcgs_train::{Preset, Run};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let small = SyntheticSettings { width: 48, height: 36, num_timesteps: 2, num_points: 300, ..Default::default() };
+//! write_synthetic(&folder.path().join("capture"), &small)?;
+//! let capture = Capture::open(&folder.path().join("capture"))?;
+//!
+//! // Train, and hear of every timestep.
+//! let mut config = settings_for(Preset::Fast, &capture);
+//! (config.schedule.first_iterations, config.schedule.rest_iterations) = (20, 5);
+//! let run = Run::create(&folder.path().join("run"), &config)?;
+//! let trainer = new_trainer(&config, &capture, &Backend::Cpu)?;
+//! let mut timesteps = 0;
+//! fit(&capture, &run, trainer, &mut |event: &Event| {
+//!     timesteps += usize::from(matches!(event, Event::Timestep(_)));
+//!     ControlFlow::Continue(())
+//! })?;
+//! assert_eq!(timesteps, 2);
+//!
+//! // Compress, open the file, and compare it with the held-out cameras.
+//! let trained = OpenScene::open(run.folder(), OpenSettings::default())?;
+//! let options = CompressOptions { capture: Some(folder.path().join("capture")), ..CompressOptions::default() };
+//! let compressed = compress_scene(&trained, &options)?;
+//! let file = folder.path().join("scene.tcgs");
+//! std::fs::write(&file, &compressed.file)?;
+//! let scene = OpenScene::open(&file, OpenSettings::default())?;
+//! let settings = EvaluateSettings::of(&scene, Split::Test);
+//! let quality = evaluate(&scene, &capture, &settings, &*Backend::Cpu.renderer(), &mut Unobserved)?;
+//! assert!(quality.mean(|image| Some(image.psnr)).is_some_and(|psnr| psnr > 5.0));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod backend;
+mod compress;
 mod error;
+mod evaluate;
+mod export;
 mod observe;
+mod path_file;
+mod render;
 mod scene;
 mod train;
 
 pub use backend::Backend;
+pub use compress::{
+    CompressOptions, CompressPreset, Compressed, Judge, JudgeImages, PrunedScene, QUALITY_RANGE, SearchResult,
+    SizeStep, Target, Trial, compress_scene, kept_gaussians, position_step_remark, search, settings_of,
+};
 pub use error::{Fault, HasFault, PipelineError};
+pub use evaluate::{
+    COLUMNS, EvaluateSettings, Evaluation, ImageScore, MetricColumn, evaluate, evaluation_json, protocol_mean,
+};
+pub use export::{Export, ExportedParams};
 pub use observe::{Event, Observer, Unobserved, Work};
-pub use scene::{OpenScene, OpenSettings, SceneContent};
-pub use train::{TimestepSummary, fit, new_trainer, settings_for};
+pub use path_file::read_camera_path;
+pub use render::{CameraAt, render};
+pub use scene::{OpenScene, OpenSettings};
+pub use train::{RunFolder, TimestepSummary, fit, new_trainer, settings_for};

@@ -1,11 +1,12 @@
 //! What a long call tells while it runs, and how it is stopped.
 
 use std::ops::ControlFlow;
+use std::path::Path;
 
 use tcgs_train::Progress;
 
-use crate::PipelineError;
 use crate::train::TimestepSummary;
+use crate::{PipelineError, Trial};
 
 /// Something that happened in a long call.
 #[derive(Clone, Copy, Debug)]
@@ -25,10 +26,19 @@ pub enum Event<'a> {
         /// Points from which on nothing would be said.
         expected: usize,
     },
+    /// A checkpoint is damaged and was set aside; its timestep is to be trained again.
+    SetAside {
+        /// The file, as it was called.
+        checkpoint: &'a Path,
+        /// What is wrong with it.
+        problem: &'a str,
+    },
     /// A step of [`Work::Training`]: an iteration.
     Iteration(&'a Progress),
     /// A timestep is trained: its metrics and its checkpoint are on the disk.
     Timestep(&'a TimestepSummary),
+    /// A search for a target tried a setting.
+    Tried(&'a Trial),
     /// A step of any other work: an image of this frame is done.
     Frame(usize),
 }
@@ -41,6 +51,10 @@ pub enum Work {
     Training,
     /// Images that are rendered and compared.
     Evaluating,
+    /// Images that are rendered.
+    Rendering,
+    /// Timesteps that are written for other programs.
+    Exporting,
 }
 
 impl Work {
@@ -49,6 +63,8 @@ impl Work {
         match self {
             Self::Training => "training",
             Self::Evaluating => "evaluating",
+            Self::Rendering => "rendering",
+            Self::Exporting => "exporting",
         }
     }
 }

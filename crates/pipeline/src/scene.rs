@@ -1,15 +1,17 @@
 //! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or PLY files.
 
-use std::fs;
+use std::borrow::Cow;
+use std::fmt;
+use std::fs::{self, File};
 use std::io::Read;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tcgs_codec::{CompactScene, DecodeLimits, UpAxis};
-use tcgs_core::{Activated, DynamicGaussians, Gaussians, activate};
-use tcgs_interchange::{HigherHarmonics, ParamsOrigin};
-use tcgs_train::{Run, TrainedScene};
+use tcgs_codec::{CompactScene, DecodeLimits, SceneFile, SceneInfo, SegmentCache, UpAxis};
+use tcgs_core::{Activated, DynamicGaussians, Gaussians, Layout, SceneReader, activate};
+use tcgs_interchange::{HigherHarmonics, ParamsOrigin, PlyFiles};
+use tcgs_train::{Checkpoint, Run};
 
 use crate::PipelineError;
 
@@ -51,37 +53,79 @@ impl Default for OpenSettings {
 pub struct OpenScene {
     /// As given.
     pub path: PathBuf,
-    /// What the scene is made of.
-    pub content: SceneContent,
     /// Frame of the capture that timestep 0 shows.
     pub first_frame: usize,
     /// Factor by which the capture's images were shrunk for training.
     pub downscale: usize,
     /// Frames a second; 0 if unknown.
     pub frame_rate: f64,
-    /// Length of a `.tcgs` file; the raw size of anything else.
+    /// Length of a `.tcgs` file; of anything else the raw size `N (40 T + 16)`: means, rotations and colours of every
+    /// timestep, scales and opacities once.
     pub bytes: u64,
+    layout: Arc<Layout>,
+    content: Content,
 }
 
-/// What a scene is made of.
+/// What a scene is made of. Of a run and of PLY files a timestep is read when it is asked for.
 #[derive(Debug)]
-pub enum SceneContent {
-    /// A `.tcgs` file.
-    Compact(Box<CompactScene>),
-    /// A run, with its masks.
-    Run(Box<(Run, TrainedScene)>),
-    /// Nothing but floats.
+enum Content {
+    /// A file, of which segments are decoded when they are asked for; an LRU keeps some.
+    File(Box<FileContent>),
+    /// The symbols of a compression.
+    Symbols(Box<CompactScene>),
+    Run(Box<RunContent>),
     Floats {
-        /// All of them.
         scene: Box<DynamicGaussians>,
-        /// The kind of file that they are from, in words.
         kind: &'static str,
     },
+    Ply {
+        files: PlyFiles,
+        higher_harmonics: HigherHarmonics,
+        num_gaussians: usize,
+    },
+}
+
+struct FileContent {
+    info: SceneInfo,
+    file: Mutex<SceneFile<File>>,
+}
+
+impl FileContent {
+    fn file(&self) -> MutexGuard<'_, SceneFile<File>> {
+        // What a panic elsewhere leaves is a cache with a segment more or less.
+        self.file.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl fmt::Debug for FileContent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FileContent").field("info", &self.info).finish_non_exhaustive()
+    }
+}
+
+#[derive(Debug)]
+struct RunContent {
+    run: Run,
+    /// What the first checkpoint holds and the others do not repeat.
+    first: Checkpoint,
+    num_timesteps: usize,
+}
+
+impl RunContent {
+    fn checkpoint(&self, timestep: usize) -> Result<Checkpoint, PipelineError> {
+        if timestep == 0 {
+            return Ok(self.first.clone());
+        }
+        Ok(self.run.checkpoint(timestep, Some(&self.first))?)
+    }
 }
 
 impl OpenScene {
     /// Opens a scene. A file is taken for what its ending says, so that a damaged one is judged as what it was meant to
     /// be; one with another ending for what its first bytes say.
+    ///
+    /// Of a run and of PLY files the first timestep is read now, and the others when they are asked for; of a `.tcgs` file
+    /// a segment is decoded when one of its timesteps is asked for. A `params.npz` is read as a whole.
     ///
     /// # Errors
     /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.
@@ -95,35 +139,55 @@ impl OpenScene {
         }
         match kind_of_file(path)? {
             Kind::Tcgs => {
-                let bytes = fs::read(path).map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
-                Self::decode(path, &bytes)
+                let file = File::open(path).map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+                Self::open_file(path, file)
             }
             Kind::Npz => {
                 let scene = tcgs_interchange::read_params_npz(path)?;
                 let unknown = ParamsOrigin { first_frame: 0, downscale: 1, frame_rate: 30.0 };
                 let origin = tcgs_interchange::read_params_origin(path)?.unwrap_or(unknown);
-                Ok(Self::of_floats(path, scene, "Dynamic 3D Gaussians parameters", origin))
+                Ok(Self {
+                    path: path.into(),
+                    bytes: scene.raw_bytes(),
+                    layout: Arc::clone(scene.layout()),
+                    content: Content::Floats { scene: Box::new(scene), kind: "Dynamic 3D Gaussians parameters" },
+                    first_frame: origin.first_frame as usize,
+                    downscale: origin.downscale as usize,
+                    frame_rate: f64::from(origin.frame_rate),
+                })
             }
             Kind::Ply => Self::open_ply(path, settings),
         }
     }
 
     fn open_ply(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
-        let sequence = tcgs_interchange::read_ply_sequence(path, settings.higher_harmonics)?;
-        let first_frame = sequence.first_frame.unwrap_or(0);
-        let origin = ParamsOrigin { first_frame, downscale: 1, frame_rate: 30.0 };
-        Ok(Self::of_floats(path, sequence.scene, "PLY files", origin))
+        let files = PlyFiles::list(path)?;
+        let higher_harmonics = settings.higher_harmonics;
+        let num_gaussians = tcgs_interchange::read_ply(&files.files[0], higher_harmonics)?.num_gaussians();
+        Ok(Self {
+            path: path.into(),
+            bytes: raw_bytes(num_gaussians, files.files.len()),
+            first_frame: files.first_frame.unwrap_or(0) as usize,
+            downscale: 1,
+            frame_rate: 30.0,
+            layout: Layout::base(),
+            content: Content::Ply { files, higher_harmonics, num_gaussians },
+        })
     }
 
-    fn of_floats(path: &Path, scene: DynamicGaussians, kind: &'static str, origin: ParamsOrigin) -> Self {
-        Self {
+    fn open_file(path: &Path, file: File) -> Result<Self, PipelineError> {
+        let scene = SceneFile::open(file, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES)
+            .map_err(|error| PipelineError::Decode { path: path.into(), error })?;
+        let info = scene.info();
+        Ok(Self {
             path: path.into(),
-            bytes: scene.raw_bytes(),
-            content: SceneContent::Floats { scene: Box::new(scene), kind },
-            first_frame: origin.first_frame as usize,
-            downscale: origin.downscale as usize,
-            frame_rate: f64::from(origin.frame_rate),
-        }
+            first_frame: info.first_frame as usize,
+            downscale: info.downscale as usize,
+            frame_rate: f64::from(info.frame_rate),
+            bytes: scene.archive().file_bytes(),
+            layout: Arc::clone(scene.layout()),
+            content: Content::File(Box::new(FileContent { info: info.clone(), file: Mutex::new(scene) })),
+        })
     }
 
     /// The scene in the bytes of a `.tcgs` file.
@@ -142,7 +206,8 @@ impl OpenScene {
             downscale: info.downscale as usize,
             frame_rate: f64::from(info.frame_rate),
             bytes: bytes.len() as u64,
-            content: SceneContent::Compact(Box::new(compact)),
+            layout: Layout::base(),
+            content: Content::Symbols(Box::new(compact)),
         })
     }
 
@@ -152,41 +217,82 @@ impl OpenScene {
             return Err(PipelineError::input(path.display(), found, EXPECTED));
         }
         let run = Run::open(path)?;
-        let trained = run.trained()?;
+        let num_timesteps = run.timesteps();
+        if num_timesteps == 0 {
+            let (culprit, expected) = (path.join("checkpoints"), "a run with at least one finished timestep");
+            return Err(PipelineError::input(culprit.display(), "no checkpoint", expected));
+        }
+        let first = run.checkpoint(0, None)?;
         let data = &run.config().data;
         Ok(Self {
             path: path.into(),
             first_frame: data.first_frame,
             downscale: data.downscale,
             frame_rate: data.frame_rate,
-            bytes: trained.scene.raw_bytes(),
-            content: SceneContent::Run(Box::new((run, trained))),
+            bytes: raw_bytes(first.parameters.num_gaussians(), num_timesteps),
+            layout: Arc::clone(first.parameters.gaussians.layout()),
+            content: Content::Run(Box::new(RunContent { run, first, num_timesteps })),
         })
+    }
+
+    /// The same scene with other Gaussians in memory: what a step between this one and a file leaves.
+    ///
+    /// - `kind`: as [`Self::kind`] shall say
+    pub fn with_floats(&self, scene: DynamicGaussians, kind: &'static str) -> Self {
+        let layout = Arc::clone(scene.layout());
+        self.with(layout, Content::Floats { scene: Box::new(scene), kind })
+    }
+
+    /// The same scene with the symbols of a compression.
+    pub fn with_symbols(&self, compact: CompactScene) -> Self {
+        self.with(Layout::base(), Content::Symbols(Box::new(compact)))
+    }
+
+    fn with(&self, layout: Arc<Layout>, content: Content) -> Self {
+        Self { path: self.path.clone(), layout, content, ..*self }
     }
 
     /// The axis that points up, as a `.tcgs` file says it; unknown of anything else.
     pub fn up(&self) -> UpAxis {
         match &self.content {
-            SceneContent::Compact(compact) => compact.info.up,
+            Content::File(file) => file.info.up,
+            Content::Symbols(compact) => compact.info.up,
             _ => UpAxis::Unknown,
         }
+    }
+
+    /// The run, if the scene is one.
+    pub fn run(&self) -> Option<&Run> {
+        match &self.content {
+            Content::Run(run) => Some(&run.run),
+            _ => None,
+        }
+    }
+
+    /// Whether the scene is compressed already.
+    pub fn is_compressed(&self) -> bool {
+        matches!(self.content, Content::File(_) | Content::Symbols(_))
     }
 
     /// `N`, of a run before pruning.
     pub fn num_gaussians(&self) -> usize {
         match &self.content {
-            SceneContent::Compact(compact) => compact.num_gaussians(),
-            SceneContent::Run(run) => run.1.scene.num_gaussians(),
-            SceneContent::Floats { scene, .. } => scene.num_gaussians(),
+            Content::File(file) => file.info.num_gaussians as usize,
+            Content::Symbols(compact) => compact.num_gaussians(),
+            Content::Run(run) => run.first.parameters.num_gaussians(),
+            Content::Floats { scene, .. } => scene.num_gaussians(),
+            Content::Ply { num_gaussians, .. } => *num_gaussians,
         }
     }
 
     /// `T`.
     pub fn num_timesteps(&self) -> usize {
         match &self.content {
-            SceneContent::Compact(compact) => compact.num_timesteps(),
-            SceneContent::Run(run) => run.1.scene.num_timesteps(),
-            SceneContent::Floats { scene, .. } => scene.num_timesteps(),
+            Content::File(file) => file.info.num_timesteps as usize,
+            Content::Symbols(compact) => compact.num_timesteps(),
+            Content::Run(run) => run.num_timesteps,
+            Content::Floats { scene, .. } => scene.num_timesteps(),
+            Content::Ply { files, .. } => files.files.len(),
         }
     }
 
@@ -210,20 +316,29 @@ impl OpenScene {
         }
     }
 
-    /// All Gaussians of one timestep, in stored form; of a run also those that its masks leave out.
+    /// All Gaussians of one timestep, in stored form; of a run also those that its masks leave out. Reads no other
+    /// timestep.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if there is no such timestep.
+    /// [`PipelineError::Input`] if there is no such timestep; [`PipelineError`] if its file is damaged.
     pub fn at(&self, timestep: usize) -> Result<Gaussians, PipelineError> {
-        let num_timesteps = self.num_timesteps();
-        if timestep >= num_timesteps {
-            let (found, expected) = (format!("no timestep {timestep}"), format!("one below {num_timesteps}"));
-            return Err(PipelineError::input(self.path.display(), found, expected));
-        }
+        self.check_timestep(timestep)?;
         Ok(match &self.content {
-            SceneContent::Compact(compact) => compact.at(timestep),
-            SceneContent::Run(run) => run.1.scene.at(timestep),
-            SceneContent::Floats { scene, .. } => scene.at(timestep),
+            Content::File(file) => {
+                file.file().at(timestep).map_err(|error| PipelineError::Decode { path: self.path.clone(), error })?
+            }
+            Content::Symbols(compact) => compact.at(timestep),
+            Content::Run(run) => run.checkpoint(timestep)?.parameters.gaussians,
+            Content::Floats { scene, .. } => scene.at(timestep),
+            Content::Ply { files, higher_harmonics, num_gaussians } => {
+                let gaussians = tcgs_interchange::read_ply(&files.files[timestep], *higher_harmonics)?;
+                if gaussians.num_gaussians() != *num_gaussians {
+                    let found = format!("has {} Gaussians", gaussians.num_gaussians());
+                    let expected = format!("{num_gaussians} as in {}", files.files[0].display());
+                    return Err(PipelineError::input(files.files[timestep].display(), found, expected));
+                }
+                gaussians
+            }
         })
     }
 
@@ -232,25 +347,110 @@ impl OpenScene {
     /// # Errors
     /// As [`Self::at`].
     pub fn drawn(&self, timestep: usize) -> Result<Arc<Activated>, PipelineError> {
-        let gaussians = self.at(timestep)?;
-        Ok(match &self.content {
-            SceneContent::Run(run) if run.0.config().mask.enabled => {
-                let masked = tcgs_train::masked_out(&run.1.mask_logits[timestep], run.0.config().mask.threshold);
-                let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
-                Arc::new(activate(&gaussians.select(&shown)))
+        self.check_timestep(timestep)?;
+        if let Content::Run(run) = &self.content
+            && run.run.config().mask.enabled
+        {
+            let parameters = run.checkpoint(timestep)?.parameters;
+            let masked = tcgs_train::masked_out(&parameters.mask_logits, run.run.config().mask.threshold);
+            let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
+            return Ok(Arc::new(activate(&parameters.gaussians.select(&shown))));
+        }
+        Ok(Arc::new(activate(&self.at(timestep)?)))
+    }
+
+    fn check_timestep(&self, timestep: usize) -> Result<(), PipelineError> {
+        let num_timesteps = self.num_timesteps();
+        if timestep < num_timesteps {
+            return Ok(());
+        }
+        let (found, expected) = (format!("no timestep {timestep}"), format!("one below {num_timesteps}"));
+        Err(PipelineError::input(self.path.display(), found, expected))
+    }
+
+    /// All timesteps of a scene of floats. PLY files are checked to continue one another.
+    ///
+    /// # Errors
+    /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged.
+    pub fn floats(&self) -> Result<Cow<'_, DynamicGaussians>, PipelineError> {
+        match &self.content {
+            Content::File(_) | Content::Symbols(_) => {
+                Err(PipelineError::input(self.path.display(), "is compressed already", "a scene of floats"))
             }
-            _ => Arc::new(activate(&gaussians)),
-        })
+            Content::Run(run) => Ok(Cow::Owned(run.run.trained()?.scene)),
+            Content::Floats { scene, .. } => Ok(Cow::Borrowed(scene)),
+            Content::Ply { files, higher_harmonics, .. } => {
+                Ok(Cow::Owned(files.read(0..files.files.len(), *higher_harmonics)?))
+            }
+        }
+    }
+
+    /// The first checkpoint of a run.
+    pub(crate) fn first_checkpoint(&self) -> Option<&Checkpoint> {
+        match &self.content {
+            Content::Run(run) => Some(&run.first),
+            _ => None,
+        }
+    }
+
+    /// Mean mask of each Gaussian of a run over time (paper Eq. 6); none of a scene without masks. Reads one timestep
+    /// after another.
+    pub(crate) fn mean_masks(&self) -> Result<Option<Vec<f32>>, PipelineError> {
+        let Content::Run(run) = &self.content else { return Ok(None) };
+        if !run.run.config().mask.enabled {
+            return Ok(None);
+        }
+        let mut sums = vec![0.0_f32; self.num_gaussians()];
+        for timestep in 0..run.num_timesteps {
+            let logits = run.checkpoint(timestep)?.parameters.mask_logits;
+            sums.iter_mut().zip(logits).for_each(|(sum, logit)| *sum += tcgs_core::sigmoid(logit));
+        }
+        let count = run.num_timesteps as f32;
+        Ok(Some(sums.into_iter().map(|sum| sum / count).collect()))
     }
 
     /// The kind of the scene in two words.
     pub fn kind(&self) -> &'static str {
         match &self.content {
-            SceneContent::Compact(_) => "compressed file",
-            SceneContent::Run(_) => "run folder",
-            SceneContent::Floats { kind, .. } => kind,
+            Content::File(_) | Content::Symbols(_) => "compressed file",
+            Content::Run(_) => "run folder",
+            Content::Floats { kind, .. } => kind,
+            Content::Ply { .. } => "PLY files",
         }
     }
+}
+
+/// Timesteps are read when they are asked for, as by [`OpenScene::at`].
+impl SceneReader for OpenScene {
+    type Error = PipelineError;
+
+    fn layout(&self) -> &Arc<Layout> {
+        &self.layout
+    }
+
+    fn num_gaussians(&self) -> usize {
+        OpenScene::num_gaussians(self)
+    }
+
+    fn num_timesteps(&self) -> usize {
+        OpenScene::num_timesteps(self)
+    }
+
+    fn span(&self, timestep: usize) -> Range<usize> {
+        match &self.content {
+            Content::File(file) => file.file().span(timestep),
+            _ => timestep..timestep + 1,
+        }
+    }
+
+    fn at(&mut self, timestep: usize) -> Result<Gaussians, PipelineError> {
+        OpenScene::at(self, timestep)
+    }
+}
+
+/// Bytes of a scene of floats whose scales and opacities stand still.
+fn raw_bytes(num_gaussians: usize, num_timesteps: usize) -> u64 {
+    num_gaussians as u64 * (40 * num_timesteps as u64 + 16)
 }
 
 enum Kind {
@@ -262,7 +462,7 @@ enum Kind {
 /// By its name; else by its first bytes.
 fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
     let mut start = Vec::new();
-    let read = fs::File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
+    let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
     read.map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
         "tcgs" => Ok(Kind::Tcgs),

@@ -1,11 +1,11 @@
-//! The renderer's image to a texture that can be shown.
+//! From the image in the renderer's buffer to a texture that a window can show.
 
 use tcgs_render::gpu::{Gpu, GpuError};
 
 /// WGSL of the shaders.
 pub(crate) const SOURCE: &str = include_str!("blit.wgsl");
 
-/// Draws images to textures of one format.
+/// Copies images to textures of one format.
 #[derive(Debug)]
 pub struct Blit {
     pipeline: wgpu::RenderPipeline,
@@ -13,10 +13,12 @@ pub struct Blit {
 }
 
 impl Blit {
+    /// Compiles the shaders.
+    ///
     /// - `format`: of the textures; not one that encodes sRGB, since colours are stored as displayed
     ///
     /// # Errors
-    /// [`GpuError::Memory`] if there is none left.
+    /// [`GpuError::Memory`] if the GPU has no memory left.
     pub fn new(gpu: &Gpu, format: wgpu::TextureFormat) -> Result<Self, GpuError> {
         let source = wgpu::ShaderSource::Wgsl(SOURCE.into());
         let module = gpu.device().create_shader_module(wgpu::ShaderModuleDescriptor { label: Some("blit"), source });
@@ -44,10 +46,10 @@ impl Blit {
         Ok(Self { pipeline, size: gpu.uniform("size of the picture", 16)? })
     }
 
-    /// Records the drawing of an image.
+    /// Records a pass that copies an image to a texture.
     ///
     /// - `image`: `[C + 1, H, W]`, as the renderer leaves it
-    /// - `size`: width and height of image and target
+    /// - `size`: width and height of both the image and `target`, pixels
     pub fn record(
         &self,
         gpu: &Gpu,
@@ -72,7 +74,7 @@ impl Blit {
     }
 }
 
-/// Starts to draw over a colour.
+/// Begins a render pass that first fills the texture with a colour.
 pub(crate) fn begin<'a>(
     encoder: &'a mut wgpu::CommandEncoder,
     target: &wgpu::TextureView,

@@ -1,4 +1,4 @@
-// The renderer's image to a texture: colours as stored, one pixel a pixel.
+// Copies the renderer's image to a texture of the same size: colours as stored, pixel by pixel.
 
 struct Size {
     width: u32,
@@ -9,7 +9,7 @@ struct Size {
 // [C + 1, H, W]
 @group(0) @binding(1) var<storage, read> image: array<f32>;
 
-// A triangle that covers everything.
+// One triangle that covers the whole texture.
 @vertex
 fn cover(@builtin(vertex_index) i: u32) -> @builtin(position) vec4<f32> {
     return vec4<f32>(f32(i & 1u) * 4.0 - 1.0, f32(i >> 1u) * 4.0 - 1.0, 0.0, 1.0);

@@ -1,11 +1,19 @@
-//! Which timestep is due.
+//! The clock of a player: which timestep is due.
 
 /// Frames per second of a scene that does not say.
 const DEFAULT_FRAME_RATE: f64 = 30.0;
 
-/// A position in time that moves on, at some speed, in a loop or not.
+/// A position in a scene's time that moves on at some speed, in a loop or not.
 ///
-/// Positions are in timesteps; timestep `t` is shown from `t` up to, not including, `t + 1`.
+/// Positions are in timesteps: timestep `t` is due from position `t` up to, not including, `t + 1`.
+///
+/// ```
+/// let mut clock = tcgs_play::Clock::new(24, 30.0);
+/// clock.play();
+/// clock.advance(1000.0);
+/// clock.advance(1100.0);
+/// assert_eq!(clock.timestep(), 3, "a tenth of a second at 30 timesteps a second");
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clock {
     num_timesteps: usize,
@@ -20,7 +28,8 @@ pub struct Clock {
 impl Clock {
     /// A clock that stands at the first timestep, set to loop at the scene's own speed.
     ///
-    /// - `frame_rate`: timesteps a second; 0 if unknown
+    /// - `num_timesteps`: at least 1
+    /// - `frame_rate`: timesteps a second; 0 if unknown, which counts as 30
     pub fn new(num_timesteps: usize, frame_rate: f64) -> Self {
         let frame_rate = if frame_rate > 0.0 { frame_rate } else { DEFAULT_FRAME_RATE };
         Self {
@@ -34,12 +43,12 @@ impl Clock {
         }
     }
 
-    /// The timestep to show.
+    /// The timestep that is due.
     pub fn timestep(&self) -> usize {
         (self.position as usize).min(self.num_timesteps - 1)
     }
 
-    /// In timesteps, from 0 up to, not including, their number.
+    /// The position in timesteps, from 0 up to, not including, their number.
     pub fn position(&self) -> f64 {
         self.position
     }
@@ -54,17 +63,17 @@ impl Clock {
         self.is_playing
     }
 
-    /// Whether time runs backwards when it passes.
+    /// Whether the speed is negative.
     pub fn is_backwards(&self) -> bool {
         self.speed < 0.0
     }
 
-    /// Whether the other end follows an end.
+    /// Whether the first timestep follows the last one, and backwards the last one the first.
     pub fn is_looping(&self) -> bool {
         self.is_looping
     }
 
-    /// Lets time pass; from the start again if it stands at the end.
+    /// Lets time pass. A clock without a loop that stands at the end begins at the start again.
     pub fn play(&mut self) {
         if !self.is_playing && !self.is_looping && self.num_timesteps > 1 {
             let last = self.num_timesteps - 1;
@@ -77,38 +86,42 @@ impl Clock {
         self.is_playing = true;
     }
 
-    /// Stops.
+    /// Stops time.
     pub fn pause(&mut self) {
         self.is_playing = false;
     }
 
-    /// Goes to a timestep, or to the last one if there are fewer.
+    /// Goes to a timestep, or to the last timestep if there are fewer.
     pub fn seek(&mut self, timestep: usize) {
         self.position = timestep.min(self.num_timesteps - 1) as f64;
     }
 
-    /// Stops, and goes so many timesteps on or back; around the ends only in a loop.
+    /// Stops time, and goes some timesteps on or back; beyond an end only in a loop.
+    ///
+    /// - `count`: timesteps; negative: back
     pub fn step(&mut self, count: i64) {
         self.is_playing = false;
         let (len, target) = (self.num_timesteps as i64, (self.timestep() as i64).saturating_add(count));
         self.seek(if self.is_looping { target.rem_euclid(len) } else { target.clamp(0, len - 1) } as usize);
     }
 
-    /// 1 is the scene's own, negative ones go backwards; what is no number changes nothing.
+    /// Sets the speed.
+    ///
+    /// - `speed`: in multiples of the frame rate; negative: backwards; NaN and infinity change nothing
     pub fn set_speed(&mut self, speed: f64) {
         if speed.is_finite() {
             self.speed = speed;
         }
     }
 
-    /// Whether the other end follows an end.
+    /// Sets whether the first timestep follows the last one, and backwards the last one the first.
     pub fn set_looping(&mut self, is_looping: bool) {
         self.is_looping = is_looping;
     }
 
-    /// Moves on to a time of the world.
+    /// Moves the position on by the real time since the last call of this method or of [`Self::hold`].
     ///
-    /// - `now_ms`: milliseconds since anything
+    /// - `now_ms`: real time, milliseconds since an origin that never changes
     pub fn advance(&mut self, now_ms: f64) {
         let elapsed_ms = now_ms - self.last_ms.unwrap_or(now_ms);
         self.last_ms = Some(now_ms);
@@ -129,7 +142,9 @@ impl Clock {
         }
     }
 
-    /// Lets a time of the world pass without moving on.
+    /// Lets real time pass without moving the position, as while a segment is missing.
+    ///
+    /// - `now_ms`: as for [`Self::advance`]
     pub fn hold(&mut self, now_ms: f64) {
         self.last_ms = Some(now_ms);
     }

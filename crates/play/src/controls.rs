@@ -1,7 +1,7 @@
-//! The camera in a person's hands: around a point, sideways, nearer, through the scene.
+//! A camera that a person moves: orbit, look, pan, zoom, fly.
 //!
-//! Lengths are in scene units, angles in radians. What is dragged follows the pointer: a drag to the right takes the
-//! camera to the left.
+//! Lengths are in scene units, angles in radians. The scene follows the pointer: a drag to the right moves the camera to
+//! the left.
 
 use tcgs_core::{Camera, CameraError, dot, normalize};
 
@@ -9,7 +9,7 @@ use tcgs_core::{Camera, CameraError, dot, normalize};
 const MIN_POLE_ANGLE: f64 = 0.05;
 /// The camera comes no nearer to its pivot than this share of the distance that it started from.
 const MIN_DISTANCE: f64 = 1e-3;
-/// And goes no farther.
+/// The camera goes no farther from its pivot than this many times the distance that it started from.
 const MAX_DISTANCE: f64 = 1e3;
 
 type Vector = [f64; 3];
@@ -54,16 +54,28 @@ pub struct Controls {
 }
 
 impl Controls {
-    /// Starts at a camera, and comes back to it at [`Self::reset`].
+    /// Controls of a camera that begins at `start` and returns there at [`Self::reset`].
     ///
     /// - `up`: direction in the world that stays up in the picture
-    /// - `pivot`: what the camera looks at and turns around
+    /// - `pivot`: point in the world around which the camera orbits
+    ///
+    /// ```
+    /// use tcgs_core::Camera;
+    /// let start = Camera::look_at([0.0, 0.0, -2.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, 64, 48);
+    /// let mut controls = tcgs_play::Controls::new(&start, [0.0, -1.0, 0.0], [0.0; 3]);
+    /// controls.orbit(std::f64::consts::PI, 0.0);
+    /// assert!((controls.camera([64, 48]).center()[2] - 2.0).abs() < 1e-9, "on the other side");
+    /// controls.reset();
+    /// assert_eq!(controls.camera([64, 48]), start);
+    /// ```
     pub fn new(start: &Camera, up: Vector, pivot: Vector) -> Self {
         let pose = Pose::of(start, ahead(start, pivot));
         Self { start: pose.clone(), pose, up: normalize(up) }
     }
 
-    /// The camera for a picture of some size.
+    /// The camera for a picture of some size; it shows at least all that the camera given last shows.
+    ///
+    /// - `[width, height]`: pixels
     pub fn camera(&self, [width, height]: [usize; 2]) -> Camera {
         let Pose { axes, position, given, is_moved, .. } = &self.pose;
         let camera = given.fitted(width, height);
@@ -74,10 +86,10 @@ impl Controls {
         Camera { camera_from_world: [row(axes[0]), row(axes[1]), row(axes[2]), [0.0, 0.0, 0.0, 1.0]], ..camera }
     }
 
-    /// Takes another camera's place. The pivot becomes the point straight ahead that is as far away as the old pivot.
+    /// Moves to another camera. The new pivot lies straight ahead of it, as far ahead as the old pivot is.
     ///
     /// # Errors
-    /// [`CameraError`] if it is none.
+    /// [`CameraError`] if the numbers of `camera` are no camera. The old one stays then.
     pub fn set_camera(&mut self, camera: &Camera) -> Result<(), CameraError> {
         let Camera { width, height, focal: [fx, fy], principal: [cx, cy], camera_from_world } = *camera;
         let intrinsics = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]];
@@ -86,12 +98,12 @@ impl Controls {
         Ok(())
     }
 
-    /// Back to the start.
+    /// Moves back to the start.
     pub fn reset(&mut self) {
         self.pose = self.start.clone();
     }
 
-    /// Around the pivot.
+    /// Moves around the pivot, which stays where it is in the picture.
     ///
     /// - `dx`, `dy`: radians to the right and down
     pub fn orbit(&mut self, dx: f64, dy: f64) {
@@ -101,24 +113,25 @@ impl Controls {
         }
     }
 
-    /// On the spot.
+    /// Turns on the spot, together with the pivot.
     ///
     /// - `dx`, `dy`: radians to the right and down
     pub fn look(&mut self, dx: f64, dy: f64) {
         self.turn(dx, -dy);
     }
 
-    /// Sideways, together with the pivot.
+    /// Moves sideways, together with the pivot.
     ///
-    /// - `dx`, `dy`: to the right and down, in heights of the picture, at the pivot's depth
+    /// - `dx`, `dy`: how far what lies at the pivot's depth moves to the right and down in the picture, in heights of the
+    ///   picture
     pub fn pan(&mut self, dx: f64, dy: f64) {
         let height = self.pose.distance * self.pose.given.height as f64 / self.pose.given.focal[1];
         self.shift([-dx * height, -dy * height, 0.0]);
     }
 
-    /// Towards the pivot.
+    /// Moves towards the pivot or away from it.
     ///
-    /// - `factor`: above 1 nearer; what is not a positive number changes nothing
+    /// - `factor`: by which the distance is divided: above 1 nearer; what is not a positive number changes nothing
     pub fn zoom(&mut self, factor: f64) {
         if !(factor.is_finite() && factor > 0.0) {
             return;
@@ -131,7 +144,7 @@ impl Controls {
         self.pose.is_moved = true;
     }
 
-    /// Through the scene, together with the pivot.
+    /// Moves through the scene, together with the pivot.
     ///
     /// - `dx`, `dy`, `dz`: to the right, down, forward, in distances of the start view from its pivot
     pub fn fly(&mut self, dx: f64, dy: f64, dz: f64) {

@@ -1,7 +1,7 @@
-//! What a server sends of a file. The requests themselves are in `web`.
+//! What a server answers to requests for a file. The requests themselves are in `web`.
 //!
-//! A server is asked for ranges. One that sends the whole file instead is heard out once; ranges are then taken from
-//! what it sent.
+//! A server is asked for ranges. If it sends the whole file instead, that download goes on to its end, and all ranges are
+//! taken from it.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -9,31 +9,31 @@ use std::task::Waker;
 
 use crate::source::{Piece, SourceError};
 
-/// What an answer says before its bytes.
+/// Status and headers of an answer.
 #[derive(Clone, Debug, Default)]
 pub struct Head {
-    /// Such as 206.
+    /// HTTP status, such as 206.
     pub status: u16,
-    /// Such as `Partial Content`.
+    /// Words of the status, such as `Partial Content`.
     pub status_text: String,
-    /// Of the whole file.
+    /// Length of the whole file in bytes, where the headers tell it.
     pub length: Option<u64>,
-    /// When the file was last changed, else its tag: another one stands for other bytes.
+    /// `Last-Modified`, else `ETag`: another value stands for other bytes.
     pub version: Option<String>,
 }
 
-/// What requests leave for whoever polls.
+/// Collects what the answers to requests bring, until it is polled.
 #[derive(Debug, Default)]
 pub struct Inbox {
-    /// Counts requests: what belongs to an earlier one is dropped.
+    /// Number of the current request. What arrives for an earlier one is dropped.
     request: u64,
-    /// What is left of the range when a whole download serves it.
+    /// What has not been polled yet of the current range, if a download of the whole file serves it.
     rest: Range<u64>,
     pieces: VecDeque<Result<Piece, SourceError>>,
     length: Option<u64>,
     version: Option<String>,
     whole: Option<Whole>,
-    /// Who waits for the next piece.
+    /// Woken by the next piece.
     waker: Option<Waker>,
 }
 
@@ -45,55 +45,58 @@ struct Whole {
 }
 
 impl Inbox {
-    /// - `length`: of the file, where that is known before anything arrives
+    /// An inbox without a request.
+    ///
+    /// - `length`: of the whole file in bytes, where that is known before any answer
     pub fn new(length: Option<u64>) -> Self {
         Self { length, ..Self::default() }
     }
 
-    /// What hears of the next piece.
+    /// Takes the waker that the next piece is to wake, in place of the one before.
     pub fn wake_by(&mut self, waker: Waker) {
         self.waker = Some(waker);
     }
 
-    /// Of the whole file, as soon as it is known.
+    /// Length of the whole file in bytes, as soon as it is known.
     pub fn length(&self) -> Option<u64> {
         self.length
     }
 
-    /// Asks for bytes; whatever was asked for before is forgotten.
+    /// Begins a request for a range. The request before is dropped.
     ///
-    /// - returns: the number of the request to be sent; none where the whole file is here or under way
+    /// - returns: the number of the request, which the caller sends; none if the whole file has arrived or is under way
     pub fn ask(&mut self, range: Range<u64>) -> Option<u64> {
         self.rest = range;
         self.whole.is_none().then(|| self.forget())
     }
 
-    /// Ends the request that is under way.
+    /// Drops the current request and what has arrived of it.
     ///
-    /// - returns: the number of the next one
+    /// - returns: the number of the next request
     pub fn forget(&mut self) -> u64 {
         self.pieces.clear();
         self.request += 1;
         self.request
     }
 
-    /// Whether anybody waits for a request's bytes.
+    /// Whether a request is the current one.
     pub fn is_current(&self, request: u64) -> bool {
         self.request == request
     }
 
     /// Takes the head of the answer to the current request.
     ///
-    /// - `what`: the file's address
+    /// - `what`: address of the file, for messages
     /// - returns: whether bytes follow
     ///
     /// # Errors
-    /// [`SourceError`] if the answer is no part of the file.
+    /// [`SourceError::Interrupted`] if the server is in trouble that may pass, [`SourceError::Refused`] if it answers with
+    /// another status or if the file has changed since an earlier answer.
     pub fn begin(&mut self, what: &str, head: Head) -> Result<bool, SourceError> {
         let Head { status, status_text, length, version } = head;
         if ![200, 206, 416].contains(&status) {
             let (what, problem) = (what.to_owned(), format!("the server answers {status} {status_text}"));
-            // Too slow, too many requests, or a server in trouble: that passes.
+            // Too slow, too many requests, or a server in trouble: another request may succeed.
             let passes = matches!(status, 408 | 429 | 500..);
             return Err(if passes {
                 SourceError::Interrupted { what, problem }
@@ -110,11 +113,11 @@ impl Inbox {
         if status == 200 {
             self.whole = Some(Whole::default());
         }
-        // The third status: the range starts past the end.
+        // Status 416 says that the range starts past the end of the file.
         Ok(status != 416)
     }
 
-    /// Takes bytes.
+    /// Takes bytes of an answer.
     pub fn add(&mut self, request: u64, bytes: Vec<u8>) {
         if !self.is_current(request) || bytes.is_empty() {
             return;
@@ -126,7 +129,7 @@ impl Inbox {
         self.wake();
     }
 
-    /// Takes the end of an answer.
+    /// Takes the end of an answer, or the error that ended it.
     pub fn end(&mut self, request: u64, result: Result<(), SourceError>) {
         if !self.is_current(request) {
             return;
@@ -138,7 +141,7 @@ impl Inbox {
             }
             (Ok(()), None) => self.pieces.push_back(Ok(Piece::End)),
             (Err(error), _) => {
-                // The rest of it will not come by itself.
+                // Ranges have to be requested again: the rest of the whole file will not arrive.
                 self.whole = None;
                 self.pieces.push_back(Err(error));
             }
@@ -146,7 +149,7 @@ impl Inbox {
         self.wake();
     }
 
-    /// As [`Source::poll`](crate::Source::poll).
+    /// As [`RangeSource::poll`](crate::RangeSource::poll).
     pub fn poll(&mut self) -> Result<Piece, SourceError> {
         if let Some(whole) = &self.whole {
             let end = self.rest.end.min(whole.bytes.len() as u64);

@@ -1,66 +1,151 @@
 //! Why a scene does not play.
 
+use std::sync::Arc;
+
 use tcgs_codec::DecodeError;
+use tcgs_core::{CameraError, CameraPathError};
 use tcgs_render::gpu::GpuError;
 
 use crate::source::SourceError;
 
-/// Why a scene does not play, in words for the person who watches.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+/// Why a scene does not play. Programs tell the cases apart by [`PlayError::code`].
+#[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlayError {
-    /// Some other kind of file.
+    /// The file is of another kind.
     #[error("this is not a .tcgs file")]
     NotTcgs,
-    /// The file ends before its end.
+    /// The file ends too early.
     #[error("the file is cut off: {found} bytes, expected {expected}")]
     Truncated {
-        /// Bytes there are.
+        /// Length of the file, bytes.
         found: u64,
-        /// Bytes there should be at least.
+        /// Length that the file has at least according to its own tables, bytes.
         expected: u64,
     },
-    /// Made by a later version of the programs.
+    /// A later version of the programs wrote the file.
     #[error("the file has version {found} of the format, this player knows version {expected}")]
     NewerVersion {
-        /// The file's.
+        /// Version of the file.
         found: u16,
-        /// The one known.
+        /// The one version that this player knows.
         expected: u16,
     },
-    /// Not what was written.
+    /// The file needs more memory than [`PlayerSettings::limits`](crate::PlayerSettings::limits) allows.
+    #[error("the scene is too large to play here: {0}")]
+    TooLarge(Arc<DecodeError>),
+    /// The bytes of the file contradict its checksums or the format.
     #[error("the file is damaged: {0}")]
-    Damaged(String),
-    /// The bytes cannot be had.
-    #[error("{0}")]
-    Network(String),
-    /// There is no GPU that could draw.
-    #[error("{0}")]
-    NoGpu(String),
-    /// Larger than what memory or limits allow.
-    #[error("{0}")]
-    OutOfMemory(String),
+    Damaged(Arc<DecodeError>),
+    /// The bytes of the file do not arrive.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// There is no fitting GPU, its memory is full, or it stopped working.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// What was given as a camera is none.
+    #[error(transparent)]
+    Camera(#[from] BadCamera),
+    /// Another scene was opened before this one was there.
+    #[error("another scene was opened")]
+    Replaced,
+}
+
+/// Why something is no camera to look from.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum BadCamera {
+    /// An object of the page lacks a number.
+    #[error("{field} of the camera is missing, expected a number")]
+    Missing {
+        /// Name of the property.
+        field: &'static str,
+    },
+    /// An object of the page has a matrix of another size.
+    #[error("cameraFromWorld has {0} numbers, expected 16 in rows")]
+    Matrix(usize),
+    /// The numbers are no pinhole camera.
+    #[error(transparent)]
+    Numbers(#[from] CameraError),
+    /// A camera path has no camera there.
+    #[error(transparent)]
+    Path(#[from] CameraPathError),
+    /// The file has fewer cameras.
+    #[error("there is no camera {index}, the file has {count}")]
+    Index {
+        /// The camera that was asked for, from 0.
+        index: usize,
+        /// Number of cameras in the file.
+        count: usize,
+    },
+}
+
+/// The kinds of [`PlayError`] for programs. The words for people are the page's (`web/src/failures.js`).
+///
+/// ```
+/// use tcgs_play::{ErrorCode, PlayError};
+/// let error = PlayError::Truncated { found: 10, expected: 20 };
+/// assert_eq!(error.code(), ErrorCode::Truncated);
+/// assert_eq!(error.code().as_str(), "truncated");
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ErrorCode {
+    /// The file is of another kind.
+    NotTcgs,
+    /// The file ends too early.
+    Truncated,
+    /// A later version of the programs wrote the file.
+    NewerVersion,
+    /// The file is damaged.
+    Damaged,
+    /// The bytes of the file do not arrive.
+    Network,
+    /// There is no GPU that can draw the scene.
+    NoGpu,
+    /// Memory, of the GPU or of this program, is too small for the scene.
+    OutOfMemory,
     /// The GPU stopped working.
-    #[error("{0}")]
-    DeviceLost(String),
-    /// Numbers that are no camera.
-    #[error("{0}")]
-    BadCamera(String),
+    DeviceLost,
+    /// What was given as a camera is none.
+    BadCamera,
+    /// Another scene was opened.
+    Aborted,
+}
+
+impl ErrorCode {
+    /// The code that a page reads in the property `code` of an error. It stays the same whatever the message says.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::NotTcgs => "not-tcgs",
+            Self::Truncated => "truncated",
+            Self::NewerVersion => "newer-version",
+            Self::Damaged => "damaged",
+            Self::Network => "network",
+            Self::NoGpu => "no-webgpu",
+            Self::OutOfMemory => "out-of-memory",
+            Self::DeviceLost => "device-lost",
+            Self::BadCamera => "bad-camera",
+            Self::Aborted => "aborted",
+        }
+    }
 }
 
 impl PlayError {
-    /// A word for programs, which stays the same whatever the message says.
-    pub fn code(&self) -> &'static str {
+    /// The kind of the error.
+    pub fn code(&self) -> ErrorCode {
         match self {
-            Self::NotTcgs => "not-tcgs",
-            Self::Truncated { .. } => "truncated",
-            Self::NewerVersion { .. } => "newer-version",
-            Self::Damaged(_) => "damaged",
-            Self::Network(_) => "network",
-            Self::NoGpu(_) => "no-webgpu",
-            Self::OutOfMemory(_) => "out-of-memory",
-            Self::DeviceLost(_) => "device-lost",
-            Self::BadCamera(_) => "bad-camera",
+            Self::NotTcgs => ErrorCode::NotTcgs,
+            Self::Truncated { .. } => ErrorCode::Truncated,
+            Self::NewerVersion { .. } => ErrorCode::NewerVersion,
+            Self::TooLarge(_) => ErrorCode::OutOfMemory,
+            Self::Damaged(_) => ErrorCode::Damaged,
+            Self::Source(_) => ErrorCode::Network,
+            Self::Gpu(GpuError::NotFound { .. } | GpuError::Unfit { .. }) => ErrorCode::NoGpu,
+            Self::Gpu(GpuError::Memory { .. }) => ErrorCode::OutOfMemory,
+            Self::Gpu(_) => ErrorCode::DeviceLost,
+            Self::Camera(_) => ErrorCode::BadCamera,
+            Self::Replaced => ErrorCode::Aborted,
         }
     }
 }
@@ -68,27 +153,21 @@ impl PlayError {
 impl From<DecodeError> for PlayError {
     fn from(error: DecodeError) -> Self {
         match error {
-            DecodeError::Format { field: "magic", .. } => Self::NotTcgs,
             DecodeError::Version { found, expected } if found > expected => Self::NewerVersion { found, expected },
-            DecodeError::Limit { .. } => Self::OutOfMemory(format!("the scene is too large to play here: {error}")),
-            other => Self::Damaged(other.to_string()),
+            DecodeError::Limit { .. } => Self::TooLarge(Arc::new(error)),
+            _ => Self::Damaged(Arc::new(error)),
         }
     }
 }
 
-impl From<SourceError> for PlayError {
-    fn from(error: SourceError) -> Self {
-        Self::Network(error.to_string())
+impl From<CameraError> for PlayError {
+    fn from(error: CameraError) -> Self {
+        BadCamera::from(error).into()
     }
 }
 
-impl From<GpuError> for PlayError {
-    fn from(error: GpuError) -> Self {
-        let problem = error.to_string();
-        match error {
-            GpuError::NotFound { .. } | GpuError::Unfit { .. } => Self::NoGpu(problem),
-            GpuError::Memory { .. } => Self::OutOfMemory(problem),
-            _ => Self::DeviceLost(problem),
-        }
+impl From<CameraPathError> for PlayError {
+    fn from(error: CameraPathError) -> Self {
+        BadCamera::from(error).into()
     }
 }

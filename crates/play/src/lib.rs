@@ -1,47 +1,66 @@
 //! The player of `.tcgs` scenes, natively and in a browser.
 //!
-//! - `source`: where bytes come from; `download`: what servers send
-//! - `player`: which bytes are needed, decoded segments (`buffer`), the `clock`
-//! - `reconstruct`, `blit`, `stage`: a timestep of a segment to a picture, with the renderer that training uses
-//! - `start_view`, `cameras`, `controls`: from where it is seen
+//! - `source`: where the bytes of a file come from; `download`: what servers answer
+//! - `player`: which bytes are fetched next; the `clock`
+//! - `reconstruct`, `segment_renderer`, `blit`: from a timestep of a segment to a picture, with the renderer that training
+//!   uses
+//! - `start_view`, `cameras`, `controls`: from where the scene is seen
 //! - `viewer`: all of these together; `web`: the same as a page sees it
 //!
-//! No training, no captures, no encoder: what a browser has to load.
+//! There is no training, no capture and no encoder in this crate, because a browser has to load all of it.
+//!
+//! Without a GPU a player still fetches and decodes:
+//!
+//! ```
+//! use tcgs_play::{BytesSource, Player, PlayerSettings};
+//! let file = include_bytes!("../../../testdata/bitstream/v1/room_default.tcgs");
+//! let mut player = Player::new(BytesSource::new(*file), PlayerSettings::default(), 0);
+//! let mut now_ms = 0.0;
+//! let gaussians = loop {
+//!     player.update(now_ms)?;
+//!     if let Some((segment, timestep)) = player.current() {
+//!         assert_eq!(timestep, 0);
+//!         break segment.first();
+//!     }
+//!     now_ms += 10.0;
+//! };
+//! assert!(gaussians.num_gaussians() > 0);
+//! # Ok::<(), tcgs_play::PlayError>(())
+//! ```
 
-// The browser's bindings are made by macros that are not.
+// The code that `wasm_bindgen`'s macros generate for the browser is unsafe, so only native builds forbid it.
 #![cfg_attr(not(target_family = "wasm"), forbid(unsafe_code))]
 
 mod blit;
-mod buffer;
 mod cameras;
 mod clock;
 mod controls;
-// Only browsers download; tests need none.
+// Only browsers download; natively nothing but the module's own tests uses it.
 #[cfg(any(target_family = "wasm", test))]
 mod download;
 mod error;
 mod player;
 mod reconstruct;
+mod segment_renderer;
 mod source;
-mod stage;
 mod start_view;
 mod viewer;
 #[cfg(target_family = "wasm")]
 mod web;
 
-pub use buffer::{Buffer, Order};
 pub use cameras::{FileCamera, VIEWS, read_cameras};
 pub use clock::Clock;
 pub use controls::Controls;
-pub use error::PlayError;
+pub use error::{BadCamera, ErrorCode, PlayError};
 pub use player::{Player, PlayerSettings};
 pub use reconstruct::Reconstruction;
-pub use source::{BytesSource, FileSource, Piece, Source, SourceError};
-pub use stage::{Shot, Stage, Still};
+pub use segment_renderer::{PictureRequest, SegmentRenderer, Still};
+pub use source::{BytesSource, FileSource, Piece, RangeSource, SourceError};
 pub use start_view::start_view;
-pub use viewer::{Frame, Viewer};
+pub use viewer::{FrameReport, Viewer};
 
-/// Every shader of this crate with its name, as the GPU gets it; see [`tcgs_render::gpu::sources`] for the others.
+/// Name and WGSL source of every shader of this crate, as the GPU gets it. [`tcgs_render::device::sources`] has those of the
+/// renderer.
 pub fn sources() -> Vec<(String, String)> {
     let mut sources = reconstruct::sources();
     sources.push(("blit".into(), blit::SOURCE.into()));

@@ -1,35 +1,36 @@
-//! From a source to the segment and timestep that are to be drawn.
+//! From a source of bytes to the segment and timestep that are to be drawn.
 //!
-//! The state machine: the start of the file, what all segments share, the segment that is needed now, those needed
-//! next as long as there is room. One range is under way at a time. Nothing here blocks or waits: [`Player::update`]
-//! does what can be done now.
+//! A state machine fetches in this order: the tables at the start of the file, what all segments share, the segment that
+//! is due, and as prefetch the segments that are due next, as long as there is room. One request is under way at a time.
+//! Nothing here blocks: [`Player::update`] does what can be done with the bytes that have arrived.
 
 use std::ops::Range;
 use std::sync::Arc;
 
-use tcgs_codec::{Archive, DecodeLimits, Opening, Segment};
+use tcgs_codec::{Archive, DecodeLimits, Eviction, MAGIC, Opening, Playback, Segment, SegmentCache};
 
-use crate::buffer::{Buffer, Order};
 use crate::clock::Clock;
 use crate::error::PlayError;
-use crate::source::{Piece, Source, SourceError};
+use crate::source::{Piece, RangeSource, SourceError};
 
-/// How a player spends.
+/// How much memory a player uses, and how it begins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlayerSettings {
-    /// Bytes of decoded segments; the one on show is held even if it is larger. Default 256 MiB.
+    /// Bound on the memory of decoded segments, bytes. The due segment is held even if it alone is larger.
+    /// Default 256 MiB.
     pub max_segment_bytes: usize,
-    /// What a file may ask for. Default: a gibibyte, for the memory of a browser's tab.
+    /// What a file may ask for before it is refused. Default: 1 GiB of memory, which a browser's tab has, and otherwise
+    /// [`DecodeLimits::default`].
     pub limits: DecodeLimits,
-    /// Bytes of the first request; enough for the tables of most files, and less than their first segment.
-    /// Default 16 KiB.
+    /// Length of the first request, bytes. The default of 16 KiB holds the tables of most files and is less than their
+    /// first segment.
     pub opening_bytes: u64,
 }
 
 impl Default for PlayerSettings {
     fn default() -> Self {
         Self {
-            max_segment_bytes: 256 << 20,
+            max_segment_bytes: SegmentCache::DEFAULT_BYTES,
             limits: DecodeLimits { max_bytes: 1 << 30, ..DecodeLimits::default() },
             opening_bytes: 1 << 14,
         }
@@ -38,70 +39,73 @@ impl Default for PlayerSettings {
 
 /// How often in a row a request is sent again after the connection broke.
 const MAX_RETRIES: u32 = 4;
-/// Milliseconds before the first of these; each next one waits twice as long.
+/// Milliseconds before the first repetition; each further one waits twice as long (exponential backoff).
 const RETRY_MS: f64 = 250.0;
 
-/// What applications put before the shared part is fetched with it if it is no longer than this.
+/// Data of applications that lie before the shared part are fetched together with it if they are no longer than this.
 const MAX_APPLICATION_BYTES: u64 = 1 << 18;
 
-/// A part of the file.
+/// A part of the file that is fetched as one range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Part {
-    /// Tables, up to so many bytes.
-    Start,
+enum FilePart {
+    /// The tables at the start of the file.
+    Tables,
     /// What all segments share.
     Shared,
+    /// The segment of this index.
     Segment(usize),
 }
 
-/// A request.
+/// A request that is under way.
 #[derive(Debug)]
 struct Fetch {
-    part: Part,
-    /// Of the file; what `bytes` will hold.
+    part: FilePart,
+    /// Where the part lies in the file.
     range: Range<u64>,
+    /// What has arrived of the range.
     bytes: Vec<u8>,
     /// When the source is asked again, if the connection broke.
     retry_at_ms: Option<f64>,
 }
 
-/// Plays a scene from a source.
+/// Plays a scene from a source: fetches, decodes and keeps time. It draws nothing.
 #[derive(Debug)]
 pub struct Player<S> {
     source: S,
     settings: PlayerSettings,
     /// The first bytes of the file.
     start: Vec<u8>,
-    /// Whether the file ends with them.
+    /// Whether the whole file is in `start`.
     start_is_all: bool,
-    opened: Option<Opened>,
+    file: Option<OpenFile>,
     fetch: Option<Fetch>,
     num_retries: u32,
-    /// Shown first.
     first_timestep: usize,
     bytes_loaded: u64,
     failure: Option<PlayError>,
 }
 
-/// What is there once the tables are known.
+/// A file whose tables have arrived.
 #[derive(Debug)]
-struct Opened {
+struct OpenFile {
     archive: Archive,
-    buffer: Buffer,
+    cache: SegmentCache,
     clock: Clock,
     application_data: Vec<(String, Vec<u8>)>,
 }
 
-impl Opened {
-    fn order(&self) -> Order {
-        Order {
+impl OpenFile {
+    fn playback(&self) -> Playback {
+        Playback {
             now: self.archive.segment_at(self.clock.timestep()),
             is_backwards: self.clock.is_backwards(),
             is_looping: self.clock.is_looping(),
         }
     }
 
-    /// - `range`: of `bytes` in the file; to the end of what all segments share
+    /// Reads what all segments share, and the data of applications that came with it.
+    ///
+    /// - `range`: where `bytes` lie in the file; it ends where the shared part ends
     fn read_shared(&mut self, range: &Range<u64>, bytes: &[u8]) -> Result<(), PlayError> {
         let at = |position: u64| (position - range.start) as usize;
         let shared = self.archive.shared_range(self.archive.num_layers());
@@ -117,19 +121,21 @@ impl Opened {
 
     fn current(&self) -> Option<(&Arc<Segment>, usize)> {
         let timestep = self.clock.timestep();
-        self.buffer.get(self.archive.segment_at(timestep)).map(|segment| (segment, timestep))
+        self.cache.get(self.archive.segment_at(timestep)).map(|segment| (segment, timestep))
     }
 }
 
-impl<S: Source> Player<S> {
-    /// - `first_timestep`: shown first; the last one if there are fewer
+impl<S: RangeSource> Player<S> {
+    /// A player that has asked for nothing yet.
+    ///
+    /// - `first_timestep`: the timestep that is shown first; the last one of the scene if it has fewer
     pub fn new(source: S, settings: PlayerSettings, first_timestep: usize) -> Self {
         Self {
             source,
             settings,
             start: Vec::new(),
             start_is_all: false,
-            opened: None,
+            file: None,
             fetch: None,
             num_retries: 0,
             first_timestep,
@@ -138,56 +144,57 @@ impl<S: Source> Player<S> {
         }
     }
 
-    /// The file, once its tables are known.
+    /// Tables of the file, once they have arrived.
     pub fn archive(&self) -> Option<&Archive> {
-        self.opened.as_ref().map(|opened| &opened.archive)
+        self.file.as_ref().map(|file| &file.archive)
     }
 
-    /// Names and bytes that applications put between the tables and the shared part, once the latter is known.
+    /// Names and bytes of the data that applications put between the tables and the shared part; empty before the shared
+    /// part has arrived.
     pub fn application_data(&self) -> &[(String, Vec<u8>)] {
-        self.opened.as_ref().map_or(&[], |opened| &opened.application_data)
+        self.file.as_ref().map_or(&[], |file| &file.application_data)
     }
 
-    /// The clock, once the tables are known.
+    /// The clock, once the tables of the file have arrived.
     pub fn clock(&self) -> Option<&Clock> {
-        self.opened.as_ref().map(|opened| &opened.clock)
+        self.file.as_ref().map(|file| &file.clock)
     }
 
-    /// The clock, to be set.
+    /// The clock, to be started, stopped and set, once the tables of the file have arrived.
     pub fn clock_mut(&mut self) -> Option<&mut Clock> {
-        self.opened.as_mut().map(|opened| &mut opened.clock)
+        self.file.as_mut().map(|file| &mut file.clock)
     }
 
-    /// What to draw: the timestep that is due and the segment that holds it, if that is here.
+    /// What to draw: the due timestep and the segment that holds it, if that segment has arrived.
     pub fn current(&self) -> Option<(&Arc<Segment>, usize)> {
-        self.opened.as_ref().and_then(Opened::current)
+        self.file.as_ref().and_then(OpenFile::current)
     }
 
-    /// Bytes that arrived so far, those that arrived twice included.
+    /// Number of bytes that have arrived; bytes that arrived twice count twice.
     pub fn bytes_loaded(&self) -> u64 {
         self.bytes_loaded
     }
 
-    /// Memory of decoded segments.
+    /// Memory of the decoded segments, bytes.
     pub fn segment_bytes(&self) -> usize {
-        self.opened.as_ref().map_or(0, |opened| opened.buffer.bytes())
+        self.file.as_ref().map_or(0, |file| file.cache.bytes())
     }
 
-    /// Lets time pass, takes what has arrived, decodes, and asks for what is needed next.
+    /// Lets time pass, takes the bytes that have arrived, decodes, and requests what is needed next.
     ///
-    /// At most one segment is decoded in a call, so that pictures need not wait for what is needed later. Time stands
-    /// still while the segment that is due is missing.
+    /// One call decodes at most one segment, so that no picture waits for the decoding of segments that are due later.
+    /// Time stands still while the due segment is missing.
     ///
-    /// - `now_ms`: milliseconds since anything, as long as it is always the same
+    /// - `now_ms`: real time, milliseconds since an origin that never changes
     ///
     /// # Errors
-    /// [`PlayError`]: from then on always the same one.
+    /// [`PlayError`] if the scene does not play. Every later call returns the same error.
     pub fn update(&mut self, now_ms: f64) -> Result<(), PlayError> {
         if let Some(failure) = &self.failure {
             return Err(failure.clone());
         }
-        if let Some(opened) = &mut self.opened {
-            if opened.current().is_some() { opened.clock.advance(now_ms) } else { opened.clock.hold(now_ms) }
+        if let Some(file) = &mut self.file {
+            if file.current().is_some() { file.clock.advance(now_ms) } else { file.clock.hold(now_ms) }
         }
         let result = self.work(now_ms);
         if let Err(error) = &result {
@@ -220,8 +227,8 @@ impl<S: Source> Player<S> {
                     Err(error @ SourceError::Interrupted { .. }) if self.num_retries < MAX_RETRIES => {
                         fetch.retry_at_ms = Some(now_ms + RETRY_MS * f64::from(1 << self.num_retries));
                         self.num_retries += 1;
-                        // Somebody who opens a file wants to know at once.
-                        if self.opened.is_none() { return Err(error.into()) } else { return Ok(()) }
+                        // A person who opens a file should hear of a broken connection at once.
+                        if self.file.is_none() { return Err(error.into()) } else { return Ok(()) }
                     }
                     Err(error) => return Err(error.into()),
                 }
@@ -229,31 +236,31 @@ impl<S: Source> Player<S> {
             let Some(mut fetch) = self.fetch.take() else { return Ok(()) };
             let is_short = fetch.bytes.len() < needed;
             fetch.bytes.truncate(needed);
-            if is_short && fetch.part != Part::Start {
+            if is_short && fetch.part != FilePart::Tables {
                 let found = fetch.range.start + fetch.bytes.len() as u64;
                 let expected = self.archive().map_or(fetch.range.end, Archive::file_bytes);
                 return Err(PlayError::Truncated { found: self.source.length().unwrap_or(found), expected });
             }
             match fetch.part {
-                Part::Start => self.read_start(&fetch.bytes, is_short, now_ms)?,
-                Part::Shared => {
-                    if let Some(opened) = &mut self.opened {
-                        opened.read_shared(&fetch.range, &fetch.bytes)?;
+                FilePart::Tables => self.read_tables(&fetch.bytes, is_short, now_ms)?,
+                FilePart::Shared => {
+                    if let Some(file) = &mut self.file {
+                        file.read_shared(&fetch.range, &fetch.bytes)?;
                     }
                 }
-                Part::Segment(segment) => {
+                FilePart::Segment(segment) => {
                     self.read_segment(segment, &fetch.bytes)?;
-                    // The next one is asked for now, and decoded some other time.
+                    // The next segment is requested now and decoded in a later call.
                     return self.ask();
                 }
             }
         }
     }
 
-    fn read_start(&mut self, bytes: &[u8], is_all: bool, now_ms: f64) -> Result<(), PlayError> {
+    fn read_tables(&mut self, bytes: &[u8], is_all: bool, now_ms: f64) -> Result<(), PlayError> {
         self.start.extend_from_slice(bytes);
         self.start_is_all = is_all;
-        let Opening::Ready(archive) = Archive::open(&self.start, &self.settings.limits)? else { return Ok(()) };
+        let Opening::Ready(archive) = self.open_archive()? else { return Ok(()) };
         let (expected, found) = (archive.file_bytes(), self.source.length());
         if let Some(found) = found.filter(|&found| found < expected) {
             return Err(PlayError::Truncated { found, expected });
@@ -262,34 +269,43 @@ impl<S: Source> Player<S> {
         let mut clock = Clock::new(info.num_timesteps as usize, info.frame_rate.into());
         clock.seek(self.first_timestep);
         clock.hold(now_ms);
-        let buffer = Buffer::new(archive.num_segments(), self.settings.max_segment_bytes);
-        self.opened = Some(Opened { archive: *archive, buffer, clock, application_data: Vec::new() });
+        let cache = SegmentCache::new(archive.num_segments(), self.settings.max_segment_bytes);
+        self.file = Some(OpenFile { archive: *archive, cache, clock, application_data: Vec::new() });
         Ok(())
+    }
+
+    /// What the first bytes of the file say.
+    fn open_archive(&self) -> Result<Opening, PlayError> {
+        let known = self.start.len().min(MAGIC.len());
+        if self.start[..known] != MAGIC[..known] {
+            return Err(PlayError::NotTcgs);
+        }
+        Ok(Archive::open(&self.start, &self.settings.limits)?)
     }
 
     fn read_segment(&mut self, segment: usize, bytes: &[u8]) -> Result<(), PlayError> {
-        let Some(opened) = &mut self.opened else { return Ok(()) };
-        let order = opened.order();
-        opened.buffer.make_room(segment, order);
-        let segment = opened.archive.read_segment(segment, bytes)?;
-        opened.buffer.insert(Arc::new(segment), order);
+        let Some(file) = &mut self.file else { return Ok(()) };
+        let eviction = Eviction::FarthestAhead(file.playback());
+        file.cache.make_room(segment, eviction);
+        let segment = file.archive.read_segment(segment, bytes)?;
+        file.cache.insert(Arc::new(segment), eviction);
         Ok(())
     }
 
-    /// Sees to it that what is needed most is under way.
+    /// Makes sure that the part which is needed most is under way.
     fn ask(&mut self) -> Result<(), PlayError> {
         let Some((part, range)) = self.next_part()? else {
-            // Whatever is under way is not needed any more.
+            // What is under way is not needed any more.
             return Ok(());
         };
         if let Some(fetch) = &self.fetch {
-            // A segment that is needed later goes on, unless another one is needed now.
-            let is_needed_now = self.opened.as_ref().is_some_and(|opened| part == Part::Segment(opened.order().now));
+            // A prefetch goes on, unless the due segment is missing.
+            let is_needed_now = self.file.as_ref().is_some_and(|file| part == FilePart::Segment(file.playback().now));
             if fetch.part == part || !is_needed_now {
                 return Ok(());
             }
         }
-        // What the first request brought of it need not come again.
+        // The first request may have brought the beginning of the part, or all of it.
         let known = self.start.get(range.start as usize..).unwrap_or_default();
         let bytes = known[..known.len().min((range.end - range.start) as usize)].to_vec();
         let rest = range.start + bytes.len() as u64..range.end;
@@ -300,11 +316,11 @@ impl<S: Source> Player<S> {
         Ok(())
     }
 
-    /// The part that is needed most, if any is, and where it lies.
-    fn next_part(&self) -> Result<Option<(Part, Range<u64>)>, PlayError> {
-        let Some(Opened { archive, buffer, .. }) = &self.opened else {
+    /// The part that is needed most, and where it lies in the file; none if there is nothing to fetch.
+    fn next_part(&self) -> Result<Option<(FilePart, Range<u64>)>, PlayError> {
+        let Some(OpenFile { archive, cache, .. }) = &self.file else {
             let known = self.start.len() as u64;
-            let needed = match Archive::open(&self.start, &self.settings.limits)? {
+            let needed = match self.open_archive()? {
                 Opening::More(needed) => needed,
                 Opening::Ready(_) => known,
             };
@@ -312,22 +328,22 @@ impl<S: Source> Player<S> {
                 return Err(PlayError::Truncated { found: known, expected: needed });
             }
             let end = if known == 0 { self.settings.opening_bytes.max(needed) } else { needed };
-            return Ok(Some((Part::Start, known..end)));
+            return Ok(Some((FilePart::Tables, known..end)));
         };
         let layers = archive.num_layers();
         if archive.layers_read() < layers {
             let mut range = archive.shared_range(layers);
-            // What lies between the tables and it comes along.
+            // The data of applications, which lie between the tables and the shared part, come along.
             let before = archive.application_ranges().into_iter().map(|data| data.start).min();
             if let Some(before) =
                 before.filter(|before| (1..=MAX_APPLICATION_BYTES).contains(&(range.start.saturating_sub(*before))))
             {
                 range.start = before;
             }
-            return Ok(Some((Part::Shared, range)));
+            return Ok(Some((FilePart::Shared, range)));
         }
-        let order = self.opened.as_ref().map(Opened::order);
-        let segment = order.and_then(|order| buffer.wanted(order));
-        Ok(segment.map(|segment| (Part::Segment(segment), archive.segment_range(segment, layers))))
+        let playback = self.file.as_ref().map(OpenFile::playback);
+        let segment = playback.and_then(|playback| cache.prefetch(playback));
+        Ok(segment.map(|segment| (FilePart::Segment(segment), archive.segment_range(segment, layers))))
     }
 }

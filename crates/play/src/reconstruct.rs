@@ -1,25 +1,31 @@
-//! Any timestep of a segment, on the GPU: keypoints are uploaded once, a frame uploads the timestep's number.
+//! Reconstructs any timestep of a segment on the GPU. The keypoints of a segment are uploaded once; a frame uploads the
+//! index of its timestep alone.
 //!
-//! What `codec::Sampler` does on the CPU: codes to values, straight lines between keypoints, rotations of unit length,
-//! then `core::activate`. The arithmetic is f32 throughout, where the codec dequantises in f64: values differ in their
-//! last bits.
+//! The steps are those of [`tcgs_codec::Sampler`] on the CPU: codes become values, values between two keypoints are
+//! interpolated linearly, rotations get unit length; then follows [`tcgs_core::activate`]. The arithmetic is f32
+//! throughout, where the codec dequantises in f64, so values differ in their last bits.
 
 use bytemuck::{Pod, Zeroable};
 use tcgs_codec::{Keypoints, Segment};
 use tcgs_core::{Attribute, activate, normalize};
-use tcgs_render::device::{Wgsl, pack};
-use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X, WORKGROUP};
+use tcgs_render::device::{MAX_GROUPS_X, WORKGROUP, Wgsl, pack};
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
+/// What a kernel knows of its attribute; `Tracks` in the shader.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
-struct Layout {
+struct TrackUniform {
+    /// Units of the attribute that move.
     count: u32,
+    /// Index of the attribute's first value in the buffer that the kernel writes.
     base: u32,
+    /// Index of the first keypoint time, in words of 16 bits.
     times_at: u32,
+    /// Index of the first code, in words of 16 bits.
     codes_at: u32,
 }
 
-/// What becomes of an interpolated value; as in the shader.
+/// How an interpolated value is activated; the numbers are those of the shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Finish {
     AsIs = 0,
@@ -28,37 +34,40 @@ enum Finish {
     UnitLength = 3,
 }
 
-/// A scene on the GPU, of which one segment's timesteps can be had.
+/// A scene on the GPU, with the keypoints of one of its segments.
 #[derive(Debug)]
 pub struct Reconstruction {
     gpu: Gpu,
     num_gaussians: usize,
-    /// `[14 N]` as the renderer takes it.
+    /// `[14 N]` activated Gaussians in the order that the renderer reads.
     activated: wgpu::Buffer,
-    /// `[4 N]` quaternions as they are stored, if their components move apart.
+    /// `[4 N]` quaternions as stored, if their components have keypoint times of their own: they get unit length only
+    /// after all four are interpolated.
     raw_quats: Option<wgpu::Buffer>,
     frame: wgpu::Buffer,
-    /// Of the attributes that move.
-    moving: Vec<Moving>,
+    /// One for each attribute that moves.
+    moving: Vec<MovingAttribute>,
     normalize_quats: Option<Bound>,
-    /// Which segment's keypoints lie here.
+    /// Index of the segment whose keypoints are uploaded.
     segment: Option<usize>,
 }
 
 /// An attribute that moves.
 #[derive(Debug)]
-struct Moving {
+struct MovingAttribute {
     attribute: Attribute,
     finish: Finish,
     num_units: usize,
     units: wgpu::Buffer,
     quantizers: wgpu::Buffer,
-    layout: wgpu::Buffer,
-    /// Of the segment that lies here.
+    uniform: wgpu::Buffer,
+    /// The kernel with the keypoints of the uploaded segment.
     interpolate: Option<Bound>,
 }
 
-/// WGSL for units of so many components.
+/// WGSL of the kernel.
+///
+/// - `unit`: components of a unit: 1, 3 or 4
 fn source(unit: usize, finish: Finish) -> String {
     Wgsl::new()
         .constant("UNIT", unit)
@@ -73,7 +82,7 @@ fn source(unit: usize, finish: Finish) -> String {
         .finish()
 }
 
-/// Every shader of the reconstruction with its name, as the GPU gets it.
+/// Name and WGSL of every shader of the reconstruction, as the GPU gets it.
 pub(crate) fn sources() -> Vec<(String, String)> {
     let kinds = [(1, Finish::AsIs), (1, Finish::Exp), (1, Finish::Sigmoid), (3, Finish::AsIs), (3, Finish::Exp)];
     let all = kinds.into_iter().chain([(4, Finish::UnitLength)]);
@@ -81,9 +90,9 @@ pub(crate) fn sources() -> Vec<(String, String)> {
 }
 
 impl Reconstruction {
-    /// Takes what all segments share: what does not move, and which units move.
+    /// Uploads what all segments of a scene share: the values that do not move, which units move, and the quantizers.
     ///
-    /// - `segment`: any of the scene
+    /// - `segment`: any segment of the scene
     ///
     /// # Errors
     /// [`GpuError::Memory`] if the scene does not fit.
@@ -100,18 +109,18 @@ impl Reconstruction {
         let mut moving = Vec::new();
         for attribute in Attribute::BASE {
             if let Some(keypoints) = segment.keypoints(attribute) {
-                moving.push(Moving::new(gpu, segment, attribute, keypoints.channels)?);
+                moving.push(MovingAttribute::new(gpu, segment, attribute, keypoints.channels)?);
             }
         }
         let normalize_quats = match &raw_quats {
             None => None,
             Some(raw_quats) => {
-                let layout = gpu.uniform("rotations", size_of::<Layout>())?;
+                let uniform = gpu.uniform("rotations", size_of::<TrackUniform>())?;
                 let base = base_of(Attribute::Quat, n);
-                let settings = Layout { count: n as u32, base, times_at: 0, codes_at: 0 };
-                gpu.queue().write_buffer(&layout, 0, bytemuck::bytes_of(&settings));
+                let settings = TrackUniform { count: n as u32, base, times_at: 0, codes_at: 0 };
+                gpu.queue().write_buffer(&uniform, 0, bytemuck::bytes_of(&settings));
                 let kernel = gpu.kernel(&source(1, Finish::AsIs), "normalize_quats");
-                Some(kernel.bind(gpu.device(), &[(1, &layout), (5, &activated), (6, raw_quats)]))
+                Some(kernel.bind(gpu.device(), &[(1, &uniform), (5, &activated), (6, raw_quats)]))
             }
         };
         Ok(Self {
@@ -126,25 +135,25 @@ impl Reconstruction {
         })
     }
 
-    /// `N`.
+    /// Number of Gaussians `N`.
     pub fn num_gaussians(&self) -> usize {
         self.num_gaussians
     }
 
-    /// `[14 N]` what [`Self::record`] leaves to be drawn.
+    /// `[14 N]` the activated Gaussians of the timestep that [`Self::record`] reconstructs, as the renderer reads them.
     pub fn activated(&self) -> &wgpu::Buffer {
         &self.activated
     }
 
-    /// Uploads a segment's keypoints, unless they lie here already.
+    /// Uploads the keypoints of a segment, unless they are uploaded already.
     ///
-    /// - `segment`: of the same scene and as many layers
+    /// - `segment`: of the scene that [`Self::new`] was given, read with as many layers
     ///
     /// # Errors
     /// [`GpuError::Memory`] if they do not fit.
     ///
     /// # Panics
-    /// If it has another number of Gaussians.
+    /// If the segment has another number of Gaussians than the scene.
     pub fn load(&mut self, segment: &Segment) -> Result<(), GpuError> {
         assert_eq!(segment.num_gaussians(), self.num_gaussians, "Gaussians of the segment, and of the scene");
         if self.segment == Some(segment.index()) {
@@ -152,7 +161,7 @@ impl Reconstruction {
         }
         self.segment = None;
         for moving in &mut self.moving {
-            // The one before goes first: there need not be room for both.
+            // The keypoints of the segment before go first: there need not be room for both.
             moving.interpolate = None;
             let Some(keypoints) = segment.keypoints(moving.attribute) else { continue };
             let values = match &self.raw_quats {
@@ -165,12 +174,14 @@ impl Reconstruction {
         Ok(())
     }
 
-    /// Chooses the timestep of the passes submitted from now on.
+    /// Chooses the timestep that passes submitted from now on reconstruct.
+    ///
+    /// - `timestep`: of the scene, within the uploaded segment
     pub fn set_timestep(&self, timestep: usize) {
         self.gpu.queue().write_buffer(&self.frame, 0, bytemuck::cast_slice(&[timestep as u32, 0, 0, 0]));
     }
 
-    /// Records what makes [`Self::activated`] that timestep, which must be one of the segment loaded.
+    /// Records the dispatches that write the chosen timestep to [`Self::activated`].
     pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
         for moving in &self.moving {
             if let Some(interpolate) = &moving.interpolate {
@@ -183,9 +194,9 @@ impl Reconstruction {
     }
 }
 
-impl Moving {
+impl MovingAttribute {
     fn new(gpu: &Gpu, segment: &Segment, attribute: Attribute, channels: usize) -> Result<Self, GpuError> {
-        // Widths and their channels in a row, so that a unit needs one number to find its quantizers.
+        // The quantizers of all widths lie in one table, so that a unit finds its own by one index.
         let components = attribute.components();
         let mut rows = [0_u32; 17];
         let mut quantizers = Vec::new();
@@ -203,7 +214,7 @@ impl Moving {
             num_units: units.len(),
             units: gpu.upload("moving tracks", &units)?,
             quantizers: gpu.upload("quantizers", &quantizers)?,
-            layout: gpu.uniform("layout of keypoints", size_of::<Layout>())?,
+            uniform: gpu.uniform("tracks of an attribute", size_of::<TrackUniform>())?,
             interpolate: None,
         })
     }
@@ -220,7 +231,7 @@ impl Moving {
             return Ok(());
         }
         let Keypoints { channels, starts, times, codes } = *keypoints;
-        // 16 bits each, as they lie: this side and WebGPU are little-endian.
+        // Starts, times and codes as they lie in memory, in words of 16 bits: both WebGPU and the hosts are little-endian.
         let mut halves: Vec<u16> = Vec::with_capacity(2 * starts.len() + times.len() + codes.len() + 1);
         halves.extend_from_slice(bytemuck::cast_slice(starts));
         let times_at = halves.len() as u32;
@@ -229,13 +240,13 @@ impl Moving {
         halves.extend_from_slice(bytemuck::cast_slice(codes));
         halves.resize(halves.len().next_multiple_of(2), 0);
         let words = gpu.upload("keypoints", &halves)?;
-        // Rotations whose components move apart lie in a buffer of their own.
+        // Rotations whose components have keypoint times of their own are interpolated into a buffer of their own.
         let is_raw = self.attribute == Attribute::Quat && channels == 1;
         let base = if is_raw { 0 } else { base_of(self.attribute, num_gaussians) };
-        let layout = Layout { count: self.num_units as u32, base, times_at, codes_at };
-        gpu.queue().write_buffer(&self.layout, 0, bytemuck::bytes_of(&layout));
+        let tracks = TrackUniform { count: self.num_units as u32, base, times_at, codes_at };
+        gpu.queue().write_buffer(&self.uniform, 0, bytemuck::bytes_of(&tracks));
         let buffers =
-            [(0, frame), (1, &self.layout), (2, &self.units), (3, &self.quantizers), (4, &words), (5, values)];
+            [(0, frame), (1, &self.uniform), (2, &self.units), (3, &self.quantizers), (4, &words), (5, values)];
         let kernel = gpu.kernel(&source(channels, self.finish), "interpolate");
         self.interpolate = Some(kernel.bind(gpu.device(), &buffers));
         Ok(())
@@ -252,7 +263,7 @@ fn finish_of(attribute: Attribute, channels: usize) -> Finish {
     }
 }
 
-/// Where an attribute's values begin in what the renderer takes.
+/// Index at which the values of an attribute begin in the buffer of activated Gaussians.
 fn base_of(attribute: Attribute, num_gaussians: usize) -> u32 {
     let before = Attribute::BASE[..attribute.index()].iter().map(|attribute| attribute.components()).sum::<usize>();
     (before * num_gaussians) as u32

@@ -1,44 +1,45 @@
-// Keypoints to what is drawn, at one timestep. What does not move lies in its place already.
+// From keypoints to activated values at one timestep. Values that do not move are in the buffer already.
 //
-//   interpolate       one thread a unit that moves: its value at the timestep, activated
-//   normalize_quats   one thread a Gaussian: rotations whose components move apart, of unit length
+//   interpolate       a thread per unit that moves: finds its two keypoints by bisection, dequantises, interpolates
+//                     linearly, activates
+//   normalize_quats   a thread per Gaussian: gives unit length to rotations whose components have times of their own
 //
-// A unit is UNIT components that share their times: all of an attribute, or one. Put before: UNIT; FINISH, what makes a
-// stored value a drawn one, and its four values.
+// A unit is UNIT components that share their keypoint times: all components of an attribute, or one. The host puts the
+// constants before this source: UNIT; FINISH, the activation of the attribute; the values of FINISH.
 
 struct Frame {
     timestep: u32,
 }
 
-struct Layout {
-    // Units that move, or Gaussians.
+struct Tracks {
+    // Units that move; for normalize_quats, Gaussians.
     count: u32,
-    // Where the attribute's first value lies in values.
+    // Index of the attribute's first value in values.
     base: u32,
-    // Where times and codes begin in keypoints, in halves of its words.
+    // Where times and codes begin in keypoints, in words of 16 bits.
     times_at: u32,
     codes_at: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<uniform> place: Layout;
-// [units]: first value within the attribute, quantizer of the first component
+@group(0) @binding(1) var<uniform> tracks: Tracks;
+// [units]: index of the unit's first value within the attribute, index of its first quantizer
 @group(0) @binding(2) var<storage, read> units: array<vec2<u32>>;
 // step, offset
 @group(0) @binding(3) var<storage, read> quantizers: array<vec2<f32>>;
 // starts [units + 1] | times [keypoints], 16 bits | codes [keypoints, UNIT], 16 bits
 @group(0) @binding(4) var<storage, read> keypoints: array<u32>;
 @group(0) @binding(5) var<storage, read_write> values: array<f32>;
-// [N, 4] not of unit length
+// [N, 4] interpolated quaternions of any length
 @group(0) @binding(6) var<storage, read_write> raw_quats: array<vec4<f32>>;
 
 fn time_of(keypoint: u32) -> u32 {
-    let at = place.times_at + keypoint;
+    let at = tracks.times_at + keypoint;
     return extractBits(keypoints[at / 2u], 16u * (at % 2u), 16u);
 }
 
 fn code_of(keypoint: u32, component: u32) -> f32 {
-    let at = place.codes_at + keypoint * UNIT + component;
+    let at = tracks.codes_at + keypoint * UNIT + component;
     return f32(extractBits(bitcast<i32>(keypoints[at / 2u]), 16u * (at % 2u), 16u));
 }
 
@@ -53,7 +54,7 @@ fn finished(value: f32) -> f32 {
 @compute @workgroup_size(WORKGROUP)
 fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let i = (group.y * MAX_GROUPS_X + group.x) * WORKGROUP + lane;
-    if i >= place.count {
+    if i >= tracks.count {
         return;
     }
     // The last keypoint that is not after the timestep.
@@ -89,24 +90,24 @@ fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
         }
         let scale = inverseSqrt(max(squares, 1e-37));
         for (var c = 0u; c < UNIT; c++) {
-            // No rotation where there is no length.
+            // A quaternion without a length becomes the identity rotation.
             value[c] = select(select(0.0, 1.0, c == 0u), value[c] * scale, squares > 1e-37);
         }
     }
     for (var c = 0u; c < UNIT; c++) {
-        values[place.base + unit.x + c] = finished(value[c]);
+        values[tracks.base + unit.x + c] = finished(value[c]);
     }
 }
 
 @compute @workgroup_size(WORKGROUP)
 fn normalize_quats(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= place.count {
+    if id.x >= tracks.count {
         return;
     }
     let quat = raw_quats[id.x];
     let squares = dot(quat, quat);
     let unit = select(vec4<f32>(1.0, 0.0, 0.0, 0.0), quat * inverseSqrt(max(squares, 1e-37)), squares > 1e-37);
-    let at = place.base + 4u * id.x;
+    let at = tracks.base + 4u * id.x;
     for (var c = 0u; c < 4u; c++) {
         values[at + c] = unit[c];
     }

@@ -1,6 +1,6 @@
-//! Where a file's bytes come from: memory, a disk, or (in `web`) a network.
+//! Where the bytes of a file come from: memory, a disk, or (in `web`) a network.
 //!
-//! A source never blocks for long and never calls back: it is asked for a range, then polled.
+//! A browser allows no blocking reads, so a source is asked for a range and then polled.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -8,53 +8,68 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-/// What a source has to say.
+/// What [`RangeSource::poll`] brings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Piece {
-    /// Nothing new yet.
+    /// Nothing has arrived since the last poll.
     Waiting,
     /// The next bytes of the range, at least one.
     Bytes(Vec<u8>),
-    /// No more will come: the range was delivered, or the file ends within it.
+    /// No more bytes will come: the whole range was delivered, or the file ends within the range.
     End,
 }
 
-/// Why bytes cannot be had.
+/// Why the bytes of a file cannot be had.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SourceError {
-    /// The answer was no. Asking again would not help.
+    /// The answer was no. Another request would get the same answer.
     #[error("{what} cannot be read: {problem}")]
     Refused {
-        /// Address or name.
+        /// Address or name of the file.
         what: String,
-        /// Why.
+        /// Reason, as the server or the system gives it.
         problem: String,
     },
-    /// There was no answer, or it broke off. Asking again may help.
+    /// There was no answer, or the connection broke off. Another request may succeed.
     #[error("the connection to {what} failed: {problem}")]
     Interrupted {
-        /// Address or name.
+        /// Address or name of the file.
         what: String,
-        /// Why.
+        /// Reason, as the server or the system gives it.
         problem: String,
     },
+    /// A page gave something to open that is neither an address nor a file.
+    #[error("this cannot be opened, expected an address or a Blob")]
+    NoFile,
 }
 
-/// Delivers ranges of a file.
-pub trait Source {
-    /// Asks for bytes; whatever was asked for before is forgotten.
+/// Delivers byte ranges of one file without blocking.
+///
+/// A player asks for one range at a time and polls until [`Piece::End`]. Implementations outside this crate bring files
+/// from anywhere else.
+///
+/// ```
+/// use tcgs_play::{BytesSource, Piece, RangeSource};
+/// let mut source = BytesSource::new(*b"0123456789");
+/// source.request(3..6);
+/// assert_eq!(source.poll()?, Piece::Bytes(b"345".to_vec()));
+/// assert_eq!(source.poll()?, Piece::End);
+/// # Ok::<(), tcgs_play::SourceError>(())
+/// ```
+pub trait RangeSource {
+    /// Requests a range of the file. The request before, if there is one, is dropped.
     ///
-    /// - `range`: not empty; may reach past the end of the file
+    /// - `range`: bytes, not empty; may reach past the end of the file
     fn request(&mut self, range: Range<u64>);
 
-    /// What has arrived of the range since the last call, in order.
+    /// Takes the bytes of the requested range that arrived since the last call, in order.
     ///
     /// # Errors
-    /// [`SourceError`] if the bytes cannot be had; the request is over then.
+    /// [`SourceError`] if the bytes cannot be had. The request is over then; the caller may make another.
     fn poll(&mut self) -> Result<Piece, SourceError>;
 
-    /// Length of the whole file, as soon as it is known.
+    /// Length of the whole file in bytes, as soon as it is known.
     fn length(&self) -> Option<u64>;
 }
 
@@ -66,13 +81,13 @@ pub struct BytesSource {
 }
 
 impl BytesSource {
-    /// A source of these bytes.
+    /// - `bytes`: the whole file
     pub fn new(bytes: impl Into<Arc<[u8]>>) -> Self {
         Self { bytes: bytes.into(), rest: 0..0 }
     }
 }
 
-impl Source for BytesSource {
+impl RangeSource for BytesSource {
     fn request(&mut self, range: Range<u64>) {
         self.rest = clamp(&range, self.bytes.len() as u64);
     }
@@ -87,7 +102,7 @@ impl Source for BytesSource {
     }
 }
 
-/// A file on a disk.
+/// A file on a disk. It is read while it is polled, which blocks as long as the disk does.
 #[derive(Debug)]
 pub struct FileSource {
     name: String,
@@ -100,7 +115,7 @@ impl FileSource {
     /// Opens a file.
     ///
     /// # Errors
-    /// [`SourceError`] if it cannot be read.
+    /// [`SourceError::Refused`] if the file does not exist or cannot be read.
     pub fn open(path: &Path) -> Result<Self, SourceError> {
         let name = path.display().to_string();
         let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
@@ -110,7 +125,7 @@ impl FileSource {
     }
 }
 
-impl Source for FileSource {
+impl RangeSource for FileSource {
     fn request(&mut self, range: Range<u64>) {
         self.rest = clamp(&range, self.length);
     }
@@ -133,6 +148,7 @@ impl Source for FileSource {
     }
 }
 
+/// The part of a range that a file of some length has.
 fn clamp(range: &Range<u64>, length: u64) -> Range<usize> {
     range.start.min(length) as usize..range.end.min(length) as usize
 }

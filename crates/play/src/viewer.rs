@@ -1,4 +1,4 @@
-//! A player, a camera and a stage: all of a viewer but the window that it shows in.
+//! A player, a camera and a renderer: all of a viewer but the window in which it shows a scene.
 
 use tcgs_codec::{Archive, SceneInfo};
 use tcgs_core::Camera;
@@ -9,187 +9,202 @@ use crate::clock::Clock;
 use crate::controls::Controls;
 use crate::error::PlayError;
 use crate::player::{Player, PlayerSettings};
-use crate::source::Source;
-use crate::stage::{self, Shot, Stage, Still};
+use crate::segment_renderer::{self, PictureRequest, SegmentRenderer, Still};
+use crate::source::RangeSource;
 use crate::start_view::start_view;
 
-/// What a frame showed.
+/// What [`Viewer::draw`] drew, and what was due.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
-    /// In timesteps; between them while playing.
+pub struct FrameReport {
+    /// Position of the clock, timesteps; between two whole numbers while time passes.
     pub time: f64,
-    /// The one that is due.
+    /// The timestep that is due.
     pub timestep: usize,
     /// Whether time passes.
     pub is_playing: bool,
-    /// Whether the segment that is due is missing. What was shown before stays.
+    /// Whether the segment of the due timestep has not arrived. The picture then shows an earlier timestep.
     pub is_buffering: bool,
-    /// Whether the picture is that of the timestep, and all of it.
+    /// Whether the picture shows the due timestep, with all its splats.
     pub is_drawn: bool,
 }
 
-/// A scene before a camera.
+/// Plays one scene at a time and draws it from a camera that a person moves.
+///
+/// The caller owns the window or canvas: it calls [`Viewer::update`] and [`Viewer::draw`] once a frame.
 #[derive(Debug)]
 pub struct Viewer<S> {
     gpu: Gpu,
     format: wgpu::TextureFormat,
     background: [f32; 3],
-    scene: Option<Opened<S>>,
+    session: Option<Session<S>>,
 }
 
+/// A scene from its opening to its closing.
 #[derive(Debug)]
-struct Opened<S> {
+struct Session<S> {
     player: Player<S>,
-    /// Once the first segment is here.
-    shown: Option<Shown>,
+    /// There once the first segment has arrived.
+    picture: Option<Picture>,
 }
 
+/// What it takes to draw the scene.
 #[derive(Debug)]
-struct Shown {
-    stage: Stage,
+struct Picture {
+    renderer: SegmentRenderer,
     controls: Controls,
-    /// The last one that was there to be drawn.
-    last: (std::sync::Arc<tcgs_codec::Segment>, usize),
+    /// Segment and timestep that are drawn until the next due timestep has arrived.
+    shown: (std::sync::Arc<tcgs_codec::Segment>, usize),
 }
 
-impl<S: Source> Viewer<S> {
-    /// - `format`: of the textures drawn to; not one that encodes sRGB
+impl<S: RangeSource> Viewer<S> {
+    /// A viewer without a scene.
+    ///
+    /// - `format`: of the textures drawn to; not one that encodes sRGB, since colours are stored as displayed
     pub fn new(gpu: Gpu, format: wgpu::TextureFormat) -> Self {
-        Self { gpu, format, background: [0.0; 3], scene: None }
+        Self { gpu, format, background: [0.0; 3], session: None }
     }
 
-    /// Opens another scene; what was open is closed. [`Self::update`] brings it in.
+    /// Begins to open a scene, and closes the scene before. The calls of [`Self::update`] that follow fetch and decode it.
     ///
-    /// - `first_timestep`: shown first
+    /// - `first_timestep`: the timestep that is shown first; the last one of the scene if it has fewer
     pub fn open(&mut self, source: S, settings: PlayerSettings, first_timestep: usize) {
-        self.scene = Some(Opened { player: Player::new(source, settings, first_timestep), shown: None });
+        self.session = Some(Session { player: Player::new(source, settings, first_timestep), picture: None });
     }
 
     /// Closes the scene.
     pub fn close(&mut self) {
-        self.scene = None;
+        self.session = None;
     }
 
-    /// Lets time pass and takes what has arrived.
+    /// Lets time pass, takes the bytes that have arrived, and decodes.
     ///
+    /// - `now_ms`: as for [`Player::update`]
     /// - returns: whether there is a picture to draw
     ///
     /// # Errors
-    /// [`PlayError`]: from then on the same one, until another scene is opened.
+    /// [`PlayError`] if the scene does not play. Every later call returns the same error until another scene is opened.
     pub fn update(&mut self, now_ms: f64) -> Result<bool, PlayError> {
-        let Some(scene) = &mut self.scene else { return Ok(false) };
-        scene.player.update(now_ms)?;
-        if let Some((segment, timestep)) = scene.player.current() {
-            match &mut scene.shown {
-                Some(shown) => {
-                    if shown.last.1 != timestep {
-                        shown.last = (segment.clone(), timestep);
+        let Some(session) = &mut self.session else { return Ok(false) };
+        session.player.update(now_ms)?;
+        if let Some((segment, timestep)) = session.player.current() {
+            match &mut session.picture {
+                Some(picture) => {
+                    if picture.shown.1 != timestep {
+                        picture.shown = (segment.clone(), timestep);
                     }
                 }
                 None => {
                     let first = segment.first();
                     let up = segment.info().up.direction();
                     let (camera, pivot) = start_view(first.means(), up);
-                    scene.shown = Some(Shown {
-                        stage: Stage::new(&self.gpu, self.format, segment)?,
+                    session.picture = Some(Picture {
+                        renderer: SegmentRenderer::new(&self.gpu, self.format, segment)?,
                         controls: Controls::new(&camera, up, pivot),
-                        last: (segment.clone(), timestep),
+                        shown: (segment.clone(), timestep),
                     });
                 }
             }
         }
-        Ok(scene.shown.is_some())
+        Ok(session.picture.is_some())
     }
 
-    /// Draws the timestep that was due at the last update; one before it where that has not arrived.
+    /// Draws the timestep that was due at the last update, or the timestep shown before as long as the due one has not
+    /// arrived.
     ///
     /// - `size`: width and height of `target`, pixels
-    /// - returns: none as long as there is no scene; the background was drawn then
+    /// - returns: none as long as there is no picture; `target` shows the background then
     ///
     /// # Errors
-    /// [`PlayError`] if the GPU fails.
-    pub fn draw(&mut self, size: [usize; 2], target: &wgpu::TextureView) -> Result<Option<Frame>, PlayError> {
-        let Some(Opened { player, shown: Some(shown) }) = &mut self.scene else {
-            stage::clear(&self.gpu, target, self.background);
+    /// [`PlayError::Gpu`] if the GPU fails.
+    pub fn draw(&mut self, size: [usize; 2], target: &wgpu::TextureView) -> Result<Option<FrameReport>, PlayError> {
+        let Some(Session { player, picture: Some(picture) }) = &mut self.session else {
+            segment_renderer::clear(&self.gpu, target, self.background);
             self.gpu.check()?;
             return Ok(None);
         };
-        let camera = shown.controls.camera(size);
-        let (segment, timestep) = &shown.last;
-        let shot = Shot { segment, timestep: *timestep, camera: &camera, background: self.background };
-        shown.stage.draw(&shot, target)?;
+        let camera = picture.controls.camera(size);
+        let (segment, timestep) = &picture.shown;
+        let request = PictureRequest { segment, timestep: *timestep, camera: &camera, background: self.background };
+        picture.renderer.draw(&request, target)?;
         Ok(player.clock().map(|clock| {
             let is_buffering = player.current().is_none();
-            Frame {
+            FrameReport {
                 time: clock.position(),
                 timestep: clock.timestep(),
                 is_playing: clock.is_playing(),
                 is_buffering,
-                is_drawn: !is_buffering && shown.stage.is_whole(),
+                is_drawn: !is_buffering && picture.renderer.is_whole(),
             }
         }))
     }
 
-    /// Draws a picture that is to be read; none as long as the timestep that is due has not arrived.
+    /// Submits the drawing of a picture whose pixels are to be read.
+    ///
+    /// - `size`: width and height of the picture, pixels
+    /// - returns: none as long as the due timestep has not arrived
     ///
     /// # Errors
-    /// [`PlayError`] if the GPU fails.
+    /// [`PlayError::Gpu`] if the GPU fails.
     pub fn begin_still(&mut self, size: [usize; 2]) -> Result<Option<Still>, PlayError> {
-        let Some(Opened { player, shown: Some(shown) }) = &mut self.scene else { return Ok(None) };
+        let Some(Session { player, picture: Some(picture) }) = &mut self.session else { return Ok(None) };
         let Some((segment, timestep)) = player.current() else { return Ok(None) };
-        let camera = shown.controls.camera(size);
-        let shot = Shot { segment, timestep, camera: &camera, background: self.background };
-        Ok(Some(shown.stage.begin_still(&shot)?))
+        let camera = picture.controls.camera(size);
+        let request = PictureRequest { segment, timestep, camera: &camera, background: self.background };
+        Ok(Some(picture.renderer.begin_still(&request)?))
     }
 
-    /// As [`Stage::finish_still`].
+    /// Takes the pixels of a still that is ready, as [`SegmentRenderer::finish_still`] does.
     ///
     /// # Errors
-    /// [`PlayError`] if the GPU fails.
+    /// [`PlayError::Gpu`] if the GPU fails.
     pub fn finish_still(&mut self, still: &Still) -> Result<Option<Vec<u8>>, PlayError> {
-        match &mut self.scene {
-            Some(Opened { shown: Some(shown), .. }) => Ok(shown.stage.finish_still(still)?),
+        match &mut self.session {
+            Some(Session { picture: Some(picture), .. }) => Ok(picture.renderer.finish_still(still)?),
             _ => Ok(None),
         }
     }
 
-    /// What is behind everything, sRGB in [0, 1].
+    /// Sets the colour behind all Gaussians, black at first.
+    ///
+    /// - `background`: sRGB in `[0, 1]`
     pub fn set_background(&mut self, background: [f32; 3]) {
         self.background = background;
     }
 
-    /// What the file says of its scene, once that is known.
+    /// What the file says of its scene, once its tables have arrived.
     pub fn info(&self) -> Option<&SceneInfo> {
         self.archive().map(Archive::info)
     }
 
-    /// The file, once its tables are known.
+    /// Tables of the file, once they have arrived.
     pub fn archive(&self) -> Option<&Archive> {
-        self.scene.as_ref()?.player.archive()
+        self.session.as_ref()?.player.archive()
     }
 
-    /// Cameras that the file brings along, once its first segment is here.
+    /// Cameras that the file brings along; none before its first segment has arrived.
     pub fn cameras(&self) -> Vec<FileCamera> {
-        self.scene.as_ref().map_or_else(Vec::new, |scene| read_cameras(scene.player.application_data()))
+        self.session.as_ref().map_or_else(Vec::new, |session| read_cameras(session.player.application_data()))
     }
 
-    /// Bytes that arrived so far.
+    /// Number of bytes that have arrived of the open scene.
     pub fn bytes_loaded(&self) -> u64 {
-        self.scene.as_ref().map_or(0, |scene| scene.player.bytes_loaded())
+        self.session.as_ref().map_or(0, |session| session.player.bytes_loaded())
     }
 
-    /// The clock, once the scene's tables are known.
+    /// The clock, once the tables of the file have arrived.
     pub fn clock_mut(&mut self) -> Option<&mut Clock> {
-        self.scene.as_mut()?.player.clock_mut()
+        self.session.as_mut()?.player.clock_mut()
     }
 
     /// The camera's controls, once there is a picture.
     pub fn controls_mut(&mut self) -> Option<&mut Controls> {
-        Some(&mut self.scene.as_mut()?.shown.as_mut()?.controls)
+        Some(&mut self.session.as_mut()?.picture.as_mut()?.controls)
     }
 
-    /// The camera for a picture of some size, once there is one.
+    /// The camera for a picture of some size, once there is a picture.
+    ///
+    /// - `size`: width and height, pixels
     pub fn camera(&self, size: [usize; 2]) -> Option<Camera> {
-        Some(self.scene.as_ref()?.shown.as_ref()?.controls.camera(size))
+        Some(self.session.as_ref()?.picture.as_ref()?.controls.camera(size))
     }
 }

@@ -10,7 +10,7 @@ use std::io::Write;
 use support::{room_file, scenes, settings, wait};
 use tcgs_codec::{BitMap, CompressSettings, Sampler, SceneInfo, Segment, UpAxis, compress, encode};
 use tcgs_core::{Attribute, Camera, DynamicGaussians, activate};
-use tcgs_play::{BytesSource, Player, Reconstruction, Shot, Stage, Viewer, start_view};
+use tcgs_play::{BytesSource, ErrorCode, PictureRequest, Player, Reconstruction, SegmentRenderer, Viewer, start_view};
 use tcgs_render::device::pack;
 use tcgs_render::gpu::{Gpu, GpuChoice};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
@@ -35,12 +35,12 @@ fn segment(file: &[u8], timestep: usize) -> std::sync::Arc<Segment> {
     player.current().unwrap().0.clone()
 }
 
-fn still(gpu: &Gpu, stage: &mut Stage, shot: &Shot<'_>) -> Vec<u8> {
+fn still(gpu: &Gpu, renderer: &mut SegmentRenderer, request: &PictureRequest<'_>) -> Vec<u8> {
     for _ in 0..4 {
-        let still = stage.begin_still(shot).unwrap();
+        let still = renderer.begin_still(request).unwrap();
         gpu.wait().unwrap();
         assert!(still.is_ready());
-        if let Some(pixels) = stage.finish_still(&still).unwrap() {
+        if let Some(pixels) = renderer.finish_still(&still).unwrap() {
             return pixels;
         }
     }
@@ -148,7 +148,7 @@ fn pictures_equal_the_cpu_renderers() {
     let mut files = files();
     files.push(("room", room));
     for (name, file) in &files {
-        let mut stage = Stage::new(&gpu, FORMAT, &segment(file, 0)).unwrap();
+        let mut renderer = SegmentRenderer::new(&gpu, FORMAT, &segment(file, 0)).unwrap();
         let num_timesteps = segment(file, 0).info().num_timesteps as usize;
         let (start, _) = start_view(segment(file, 0).first().means(), UpAxis::default().direction());
         // Rows of a texture are copied in multiples of 256 bytes: sizes that are and are not.
@@ -156,8 +156,8 @@ fn pictures_equal_the_cpu_renderers() {
             let segment = segment(file, timestep);
             let camera = start.resized(width, height);
             let background = [0.1, 0.4, 0.25];
-            let shot = Shot { segment: &segment, timestep, camera: &camera, background };
-            let found = still(&gpu, &mut stage, &shot);
+            let request = PictureRequest { segment: &segment, timestep, camera: &camera, background };
+            let found = still(&gpu, &mut renderer, &request);
             let expected = expected(&segment, timestep, &camera, background);
             let share = share_alike(&found, &expected);
             let of_background = share_alike(&vec![[26, 102, 64, 255]; width * height].concat(), &expected);
@@ -181,18 +181,18 @@ fn more_pairs_than_expected_are_drawn_again() {
     let segment = segment(&file, 1);
     let (start, _) = start_view(segment.first().means(), UpAxis::default().direction());
     let camera = start.resized(400, 300);
-    let shot = Shot { segment: &segment, timestep: 1, camera: &camera, background: [0.0; 3] };
-    let mut stage = Stage::new(&gpu, FORMAT, &segment).unwrap();
+    let request = PictureRequest { segment: &segment, timestep: 1, camera: &camera, background: [0.0; 3] };
+    let mut renderer = SegmentRenderer::new(&gpu, FORMAT, &segment).unwrap();
     let texture = texture(&gpu, 400, 300);
-    stage.draw(&shot, &texture).unwrap();
+    renderer.draw(&request, &texture).unwrap();
     gpu.wait().unwrap();
     // It is known a frame later, and right from then on.
-    stage.draw(&shot, &texture).unwrap();
-    assert!(!stage.is_whole());
+    renderer.draw(&request, &texture).unwrap();
+    assert!(!renderer.is_whole());
     gpu.wait().unwrap();
-    stage.draw(&shot, &texture).unwrap();
-    assert!(stage.is_whole());
-    let found = still(&gpu, &mut Stage::new(&gpu, FORMAT, &segment).unwrap(), &shot);
+    renderer.draw(&request, &texture).unwrap();
+    assert!(renderer.is_whole());
+    let found = still(&gpu, &mut SegmentRenderer::new(&gpu, FORMAT, &segment).unwrap(), &request);
     assert!(share_alike(&found, &expected(&segment, 1, &camera, [0.0; 3])) >= 0.999);
 }
 
@@ -238,7 +238,7 @@ fn a_viewer_plays_pauses_and_takes_stills() {
 
     // Another file takes its place; one that is none leaves nothing.
     viewer.open(BytesSource::new(&b"something else"[..]), settings(1 << 30), 0);
-    assert_eq!(viewer.update(200.0).unwrap_err().code(), "not-tcgs");
+    assert_eq!(viewer.update(200.0).unwrap_err().code(), ErrorCode::NotTcgs);
     assert_eq!(viewer.draw([96, 64], &target).unwrap(), None);
 }
 

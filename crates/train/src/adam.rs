@@ -2,9 +2,15 @@
 
 use rayon::prelude::*;
 
-use crate::engine::constants::{ADAM_EPSILON, BETA1, BETA2, adam_factors};
 use crate::state::Row;
 
+/// Decay of the first moments.
+pub(crate) const BETA1: f32 = 0.9;
+/// Decay of the second moments.
+pub(crate) const BETA2: f32 = 0.999;
+/// Added to the root of the second moment. Reference: far below any gradient, so that the step does not depend on the
+/// loss's scale.
+pub(crate) const EPSILON: f32 = 1e-15;
 /// Values that one task updates.
 const CHUNK: usize = 1 << 14;
 
@@ -50,6 +56,16 @@ impl Moments {
     }
 }
 
+/// What the update number `count` multiplies with: the step size `rate / (1 − β1ᵗ)`, and the correction of the second
+/// moment's root, `1 / √(1 − β2ᵗ)`.
+///
+/// - `rate`: learning rate
+/// - `count`: `t`, updates including this one, from 1
+pub(crate) fn adam_factors(rate: f32, count: u64) -> [f32; 2] {
+    let t = i32::try_from(count).unwrap_or(i32::MAX);
+    [rate / (1.0 - BETA1.powi(t)), 1.0 / (1.0 - BETA2.powi(t)).sqrt()]
+}
+
 /// One update of `values` along `v_values`: Kingma and Ba 2015, Algorithm 1, in the form in which `ε` is added after
 /// the bias correction. A rate of 0 only counts.
 ///
@@ -61,7 +77,11 @@ impl Moments {
 /// # Panics
 /// If lengths differ.
 pub fn adam(values: &mut [f32], v_values: &[f32], first: &mut [f32], second: &mut [f32], step: &mut u64, rate: f32) {
-    assert_eq!([values.len(), v_values.len(), second.len()], [first.len(); 3], "values and gradients against the moments");
+    assert_eq!(
+        [values.len(), v_values.len(), second.len()],
+        [first.len(); 3],
+        "values and gradients against the moments"
+    );
     *step += 1;
     if rate == 0.0 {
         return;
@@ -78,7 +98,7 @@ pub fn adam(values: &mut [f32], v_values: &[f32], first: &mut [f32], second: &mu
             for (((x, &v), m), s) in values.iter_mut().zip(v_values).zip(first).zip(second) {
                 *m = BETA1 * *m + (1.0 - BETA1) * v;
                 *s = BETA2 * *s + (1.0 - BETA2) * v * v;
-                *x -= step_size * *m / (s.sqrt() * correction + ADAM_EPSILON);
+                *x -= step_size * *m / (s.sqrt() * correction + EPSILON);
             }
         });
 }

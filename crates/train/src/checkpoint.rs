@@ -57,7 +57,7 @@ impl Checkpoint {
     /// Writes the archive, whole or not at all. Equal checkpoints are equal files.
     ///
     /// # Errors
-    /// [`TrainError::Io`]; `path` is then as it was.
+    /// [`TrainError::Write`]; `path` is then as it was.
     pub fn save(&self, path: &Path, first: bool) -> Result<(), TrainError> {
         let written = write_whole(path, Existing::Replace, |file| self.write(BufWriter::new(file), first));
         written.map_err(|error| TrainError::Write { path: path.into(), error })
@@ -194,15 +194,14 @@ fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -
     for column in layout.columns() {
         let (name, values) = (values_name(column), gaussians.values_mut(column.attribute));
         match first {
-            Some(first) if !column.varies => values.copy_from_slice(first.parameters.gaussians.values(column.attribute)),
+            Some(first) if !column.varies => {
+                values.copy_from_slice(first.parameters.gaussians.values(column.attribute))
+            }
             _ => fill(&name, values, &get::<f32>(npz, &name)?)?,
         }
     }
-    let lifetimes = if LIFETIME_NAMES.iter().any(|name| npz.contains(name)) {
-        read_lifetimes(npz, n)?
-    } else {
-        Lifetimes::new(n)
-    };
+    let lifetimes =
+        if LIFETIME_NAMES.iter().any(|name| npz.contains(name)) { read_lifetimes(npz, n)? } else { Lifetimes::new(n) };
     let mut mask_logits = vec![0.0; n];
     fill("mask_logits", &mut mask_logits, &get::<f32>(npz, "mask_logits")?)?;
     let mut parameters = Parameters { gaussians, mask_logits, ..Parameters::default() };
@@ -294,7 +293,7 @@ fn read_optimizer(npz: &mut NpzReader, parameters: &Parameters, num_quantizers: 
 
 type Bits = (BitMap, Vec<(Attribute, u8)>, Vec<f32>);
 
-fn read_bits(npz: &mut NpzReader, layout: &Layout, n: usize) -> Result<Option<Bits>, String> {
+fn read_bits(npz: &mut NpzReader, layout: &Arc<Layout>, n: usize) -> Result<Option<Bits>, String> {
     // All of them or none: an archive's list of names has no checksum.
     if !["quantizer_groups", "quantizer_initial_steps", "quantizer_steps", "bit_widths"].iter().any(|a| npz.contains(a))
     {
@@ -307,11 +306,13 @@ fn read_bits(npz: &mut NpzReader, layout: &Layout, n: usize) -> Result<Option<Bi
     }
     let groups: Vec<(Attribute, u8)> = get::<u8>(npz, "quantizer_groups")?
         .chunks_exact(2)
-        .map(|g| layout.columns().get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|c| (c.attribute, g[1])))
+        .map(|g| {
+            layout.columns().get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|c| (c.attribute, g[1]))
+        })
         .collect::<Option<_>>()
         .ok_or("quantizer_groups names an attribute or a width that does not exist")?;
-    let widths = std::array::from_fn(|a| widths[a * n..(a + 1) * n].to_vec());
-    Ok(Some((BitMap { widths }, groups, get(npz, "quantizer_initial_steps")?)))
+    let widths = (0..layout.columns().len()).map(|a| widths[a * n..(a + 1) * n].to_vec()).collect();
+    Ok(Some((BitMap::new(Arc::clone(layout), widths), groups, get(npz, "quantizer_initial_steps")?)))
 }
 
 fn get<T: NpyValue>(npz: &mut NpzReader, name: &str) -> Result<Vec<T>, String> {

@@ -7,7 +7,9 @@ use tcgs_codec::{BitMap, Quantizer, Quantizers};
 use tcgs_core::{Attribute, GaussianGrads, Gaussians, Layout};
 
 use crate::adam::Moments;
-use crate::engine::constants::MIN_STEP_SHARE;
+
+/// A quantizer's step never falls below this share of where it started.
+pub(crate) const MIN_STEP_SHARE: f32 = 0.1;
 
 /// Gaussians that one task handles; fixed, so that sums over them are.
 const CHUNK: usize = 1 << 12;
@@ -84,8 +86,9 @@ impl FakeQuantizers {
     /// - `learned_offset`: without it quantizers are symmetric and start from LSQ's formula
     pub fn new(bit_map: BitMap, gaussians: &Gaussians, learned_offset: bool) -> Self {
         let histogram = bit_map.histogram();
-        let groups: Vec<(Attribute, u8)> =
-            quantized(gaussians.layout()).flat_map(|a| histogram[a.index()].keys().map(move |&width| (a, width))).collect();
+        let groups: Vec<(Attribute, u8)> = quantized(gaussians.layout())
+            .flat_map(|a| histogram[a.index()].keys().map(move |&width| (a, width)))
+            .collect();
         let mut quantizers = Vec::new();
         for &(attribute, width) in &groups {
             let components = attribute.components();
@@ -148,7 +151,7 @@ impl FakeQuantizers {
 
     /// As the codec wants them.
     pub fn table(&self) -> Quantizers {
-        let mut table = Quantizers::default();
+        let mut table = Quantizers::none(self.bit_map.layout());
         for &(attribute, width) in &self.groups {
             let first = usize::from(self.first[attribute.index()][usize::from(width)]);
             let channels = self.quantizers[first..first + attribute.components()].to_vec();

@@ -6,6 +6,16 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Share of L1 in the image losses; the rest is SSIM's. Kerbl et al. 2023, Eq. 7.
+pub(crate) const L1_SHARE: f32 = 0.8;
+
+/// Channels of the images that the image losses are means over. The segmentation image's middle one is always zero, is
+/// not rendered, and still counts.
+pub(crate) const COUNTED_CHANNELS: f32 = 3.0;
+
+/// Added under square roots of the losses on motion, so that they have a derivative at zero. Reference.
+pub(crate) const ROOT_EPSILON: f64 = 1e-20;
+
 /// Declares [`Loss`], [`WeightConfig`] and [`LossTerms`] from one list.
 macro_rules! losses {
     ($($(#[doc = $about:literal])+ $variant:ident $name:ident = $weight:literal;)+) => {

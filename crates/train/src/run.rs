@@ -128,13 +128,19 @@ impl Run {
         if finished == 0 {
             return Ok(None);
         }
-        let first = self.load(0, None)?;
-        let later = |t: usize| if t == 0 { Ok(first.clone()) } else { self.load(t, Some(&first)) };
+        let first = self.checkpoint(0, None)?;
+        let later = |t: usize| if t == 0 { Ok(first.clone()) } else { self.checkpoint(t, Some(&first)) };
         let (before_last, last) = (later(finished.saturating_sub(2))?, later(finished - 1)?);
         Ok(Some(Trainer::resume(&self.config, &first, &before_last, &last, finished, make)))
     }
 
-    fn load(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {
+    /// Reads the checkpoint of one finished timestep.
+    ///
+    /// - `first`: the checkpoint of timestep 0, which holds what does not vary; none to read that one itself
+    ///
+    /// # Errors
+    /// [`TrainError::File`] if there is no such checkpoint, or it is damaged.
+    pub fn checkpoint(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {
         Checkpoint::load(&self.checkpoint_path(timestep), first, self.config.quantize.learned_offset)
     }
 
@@ -148,14 +154,14 @@ impl Run {
             let problem = "no checkpoint, expected a run with at least one finished timestep".into();
             return Err(TrainError::File { path: self.folder.join("checkpoints"), problem });
         }
-        let first = self.load(0, None)?;
+        let first = self.checkpoint(0, None)?;
         let mut scene = DynamicGaussians::default();
         let mut mask_logits = Vec::with_capacity(finished);
         let mut quantizers = first.quantizers.clone();
         scene.push(first.parameters.gaussians.clone());
         mask_logits.push(first.parameters.mask_logits.clone());
         for timestep in 1..finished {
-            let later = self.load(timestep, Some(&first))?;
+            let later = self.checkpoint(timestep, Some(&first))?;
             scene.push(later.parameters.gaussians);
             mask_logits.push(later.parameters.mask_logits);
             quantizers = later.quantizers;

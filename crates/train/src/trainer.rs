@@ -313,9 +313,8 @@ impl Trainer {
         state.timestep = timestep;
         let p = &mut state.parameters;
         // After the first timestep no motion is known yet.
-        let past = state
-            .past
-            .get_or_insert_with(|| Past::new(Pose::of(&p.gaussians), p.gaussians.clone(), &p.foreground));
+        let past =
+            state.past.get_or_insert_with(|| Past::new(Pose::of(&p.gaussians), p.gaussians.clone(), &p.foreground));
         let before = std::mem::replace(&mut past.previous, p.gaussians.clone());
         let (before_means, before_quats) = (before.means(), before.quats());
         let v = p.gaussians.views_mut();

@@ -2,7 +2,7 @@
 
 use tcgs_core::normalize;
 use tcgs_train::engine::cpu::{MotionPrior, PriorGrads};
-use tcgs_train::{Neighbors, LossTerms, WeightConfig};
+use tcgs_train::{LossTerms, Neighbors, WeightConfig};
 
 type State = (Vec<[f64; 3]>, Vec<[f64; 4]>, Vec<[f64; 3]>);
 
@@ -45,7 +45,15 @@ fn every_prior_matches_central_differences() {
     let (first, before, now) = (state(1), state(2), state(3));
     let prior = MotionPrior::new(neighbors.into(), &foreground, &first.0, &first.1, &before.0, &before.1, &before.2);
 
-    let all = WeightConfig { rigid: 4.0, rot: 4.0, iso: 2.0, floor: 2.0, background: 20.0, soft_color: 0.5, ..WeightConfig::NONE };
+    let all = WeightConfig {
+        rigid: 4.0,
+        rot: 4.0,
+        iso: 2.0,
+        floor: 2.0,
+        background: 20.0,
+        soft_color: 0.5,
+        ..WeightConfig::NONE
+    };
     let one = |field: usize| {
         let on = |i: usize, w: f32| if i == field { w } else { 0.0 };
         WeightConfig {
@@ -110,7 +118,15 @@ fn empty_sets_contribute_nothing() {
         let colors: Vec<[f32; 3]> = s.2.iter().map(|c| c.map(|x| x as f32)).collect();
         let neighbors = Neighbors::new(&means, &foreground);
         let prior = MotionPrior::new(neighbors.into(), &foreground, &means, &quats, &means, &quats, &colors);
-        let weights = WeightConfig { rigid: 4.0, rot: 4.0, iso: 2.0, floor: 2.0, background: 20.0, soft_color: 0.5, ..WeightConfig::NONE };
+        let weights = WeightConfig {
+            rigid: 4.0,
+            rot: 4.0,
+            iso: 2.0,
+            floor: 2.0,
+            background: 20.0,
+            soft_color: 0.5,
+            ..WeightConfig::NONE
+        };
         let (mut v_means, mut v_quats, mut v_colors) = (vec![[0.0; 3]; 14], vec![[0.0; 4]; 14], vec![[0.0; 3]; 14]);
         let grads = PriorGrads { v_means: &mut v_means, v_quats: &mut v_quats, v_colors: &mut v_colors };
         let losses = prior.losses(&means, &quats, &colors, &weights, grads);

@@ -4,8 +4,6 @@
 
 mod support;
 
-use std::sync::Arc;
-
 use support::{Random, gpu, relative_l2};
 use tcgs_codec::BitMap;
 use tcgs_core::{Attribute, Camera, Image, PointCloud};
@@ -13,7 +11,10 @@ use tcgs_render::gpu::{Gpu, GpuError};
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::gpu::GpuEngine;
 use tcgs_train::engine::{Engine, Step, Target};
-use tcgs_train::{FakeQuantizers, LossTerms, Optimizer, Parameters, Past, Phase, Pose, Rates, Schedule, State, TrainConfig, TrainError};
+use tcgs_train::{
+    FakeQuantizers, LossTerms, Optimizer, Parameters, Past, Phase, Pose, Rates, Row, Schedule, State, TrainConfig,
+    TrainError,
+};
 
 fn config() -> TrainConfig {
     TrainConfig::default()
@@ -181,7 +182,7 @@ fn as_many_gaussians_in_another_order_are_others() {
     let config = config();
     let targets = [target([40, 30], 5, 4)];
     let start = state(60, 1, |i| i < 30);
-    let reversed: Vec<(usize, bool)> = (0..60).rev().map(|i| (i, false)).collect();
+    let reversed: Vec<Row> = (0..60).rev().map(Row::Kept).collect();
     let mut engine = GpuEngine::new(&gpu, start.clone());
     let before = run(&mut engine, &targets, &[0], &config, Phase::First).unwrap();
     assert!(before[0].segmentation > 0.0);
@@ -238,7 +239,11 @@ fn bits(state: &State) -> Vec<u32> {
     values.extend(p.camera_gains.iter().chain(&p.camera_offsets).flatten());
     values.extend(p.mask_logits.iter().chain(&state.statistic.sum));
     let others = [&o.mask, &o.gains, &o.offsets, &o.quantizer_steps, &o.quantizer_offsets];
-    for moments in o.attributes.iter().chain(others) {
+    for attribute in Attribute::BASE {
+        values.extend(o.first.values(attribute).iter().chain(o.second.values(attribute)));
+        values.push(o.steps[attribute.index()] as f32);
+    }
+    for moments in others {
         values.extend(moments.first.iter().chain(&moments.second));
         values.push(moments.step as f32);
     }

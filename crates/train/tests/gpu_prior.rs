@@ -12,11 +12,18 @@ use tcgs_core::{Attribute, GaussianGrads, Gaussians};
 use tcgs_interchange::NpzReader;
 use tcgs_render::gpu::Gpu;
 use tcgs_train::engine::cpu::{MotionPrior, PriorGrads};
-use tcgs_train::engine::gpu::{MotionPriorKernels, PriorBuffers, StepUniform, prior_rows};
-use tcgs_train::{Neighbors, LossTerms, WeightConfig};
+use tcgs_train::engine::gpu::testing::{MotionPriorKernels, Packing, PriorBuffers, StepUniform, prior_rows};
+use tcgs_train::{LossTerms, Neighbors, WeightConfig};
 
-const ALL: WeightConfig =
-    WeightConfig { rigid: 4.0, rot: 3.0, iso: 2.0, floor: 5.0, background: 20.0, soft_color: 0.01, ..WeightConfig::NONE };
+const ALL: WeightConfig = WeightConfig {
+    rigid: 4.0,
+    rot: 3.0,
+    iso: 2.0,
+    floor: 5.0,
+    background: 20.0,
+    soft_color: 0.01,
+    ..WeightConfig::NONE
+};
 
 /// Three timesteps: the first, the one before, and now.
 struct Motion {
@@ -77,32 +84,25 @@ fn gpu_losses(gpu: &Gpu, motion: &Motion, weights: &WeightConfig, start: f32, ti
     let neighbors = motion.neighbors();
     let num_foreground = neighbors.foreground.len();
     let rows = prior_rows(n, num_foreground);
-    let params = gpu.upload("params", &packed(&motion.previous)).unwrap();
+    let params = gpu.upload("params", &packed(&motion.now)).unwrap();
     let grads = gpu.upload("grads", &vec![start; 15 * n]).unwrap();
     let partials = gpu.upload("partials", &vec![f32::NAN; 8 * rows]).unwrap();
-    let step = gpu.uniform("step", size_of::<StepUniform>()).unwrap();
+    let packing = Packing::new(motion.now.layout());
+    let step = gpu.uniform("step", StepUniform::size(&packing)).unwrap();
     let settings = StepUniform {
         num_gaussians: n as u32,
         num_foreground: num_foreground as u32,
         per_node: neighbors.per_node as u32,
         num_background: (n - num_foreground) as u32,
         flags: StepUniform::HAS_PRIOR,
-        rigid_weight: weights.rigid,
-        rot_weight: weights.rot,
-        iso_weight: weights.iso,
-        floor_weight: weights.floor,
-        background_weight: weights.background,
-        soft_color_weight: weights.soft_color,
+        weights: weights.values(),
         ..Default::default()
     };
-    gpu.queue().write_buffer(&step, 0, bytemuck::bytes_of(&settings));
+    gpu.queue().write_buffer(&step, 0, &settings.bytes(&vec![[0.0; 4]; packing.num_groups()]));
     let buffers = PriorBuffers { params: &params, grads: &grads, step: &step, partials: &partials };
     let first = &motion.first;
-    let kernels = MotionPriorKernels::new(gpu, &neighbors, first.means(), first.quats(), &buffers).unwrap();
-    let mut encoder = gpu.encoder();
-    kernels.record_begin(&mut encoder.begin_compute_pass(&Default::default()));
-    gpu.submit(encoder);
-    gpu.queue().write_buffer(&params, 0, bytemuck::cast_slice(&packed(&motion.now)));
+    let kernels = MotionPriorKernels::new(gpu, &packing, &neighbors, first.means(), first.quats(), &buffers).unwrap();
+    kernels.begin(gpu, &motion.previous).unwrap();
     for _ in 0..times {
         let mut encoder = gpu.encoder();
         kernels.record(&mut encoder.begin_compute_pass(&Default::default()));
@@ -275,8 +275,15 @@ fn losses_and_gradients_equal_the_reference() {
     let n = motion.now.num_gaussians();
     for (i, name) in ["rigid", "rot", "iso", "floor", "bg"].into_iter().enumerate() {
         let on = |this: usize| f32::from(u8::from(i == this));
-        let weights =
-            WeightConfig { rigid: on(0), rot: on(1), iso: on(2), floor: on(3), background: on(4), soft_color: 0.0, ..WeightConfig::NONE };
+        let weights = WeightConfig {
+            rigid: on(0),
+            rot: on(1),
+            iso: on(2),
+            floor: on(3),
+            background: on(4),
+            soft_color: 0.0,
+            ..WeightConfig::NONE
+        };
         let (losses, v) = gpu_losses(&gpu, &motion, &weights, 0.0, 1);
         let expected: Vec<f64> = NpzReader::open(path).unwrap().array_of(&format!("loss_{name}")).unwrap().values;
         assert!((values(&losses)[i] / expected[0] - 1.0).abs() < 1e-4, "{name}: {losses:?} against {expected:?}");

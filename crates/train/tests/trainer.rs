@@ -11,8 +11,8 @@ use tcgs_render::StageTimes;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::{Engine, Step, Target};
 use tcgs_train::{
-    DensifyStep, GradientStatistic, LossTerms, MaskConfig, Parameters, Run, State, TrainConfig, TrainError, Trainer, densify,
-    reset_opacities,
+    DensifyStep, GradientStatistic, LossTerms, MaskConfig, Parameters, Run, State, TrainConfig, TrainError, Trainer,
+    densify, reset_opacities,
 };
 
 fn capture() -> &'static Capture {
@@ -105,7 +105,7 @@ fn a_capture_without_masks_trains_and_stays_finite() {
         trainer
             .fit(&without(frame), &mut |p| {
                 assert!(p.loss.is_finite());
-                assert_eq!((p.terms.segmentation, p.terms.prior.background), (0.0, 0.0));
+                assert_eq!((p.terms.segmentation, p.terms.background), (0.0, 0.0));
                 ControlFlow::Continue(())
             })
             .unwrap();
@@ -250,7 +250,10 @@ fn what_cannot_be_trained_on_is_refused() {
         view.image.data[7] = f32::NAN;
     }
     let error = trainer.fit(&broken, &mut |_| ControlFlow::Continue(())).unwrap_err();
-    assert!(matches!(&error, TrainError::NotFinite { term, timestep: 0, iteration: 0, .. } if term == "image"), "{error}");
+    assert!(
+        matches!(&error, TrainError::NotFinite { term, timestep: 0, iteration: 0, .. } if term == "image"),
+        "{error}"
+    );
     let error = trainer.fit(&views(0)[..3], &mut |_| ControlFlow::Continue(())).unwrap_err().to_string();
     assert_eq!(error, "training views of timestep 0: found 3, expected 5, as at the first");
     let nothing = tcgs_core::PointCloud::default();

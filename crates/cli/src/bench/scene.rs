@@ -1,7 +1,5 @@
 //! What is measured: Gaussians as they are in the middle of a training, cameras and images.
 
-use std::sync::Arc;
-
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_capture::{Capture, Split};

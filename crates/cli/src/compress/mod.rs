@@ -1,32 +1,28 @@
 //! `tcgs compress`: floats become a `.tcgs` file.
 
-mod bits;
-mod judge;
-mod scene;
-mod target;
-mod views;
+pub mod target;
 
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureKind};
-use tcgs_codec::{BitMapping, CompressSettings, UpAxis};
-use tcgs_core::{Attribute, Extent};
-use tcgs_pipeline::{OpenScene, SceneContent};
+use tcgs_codec::UpAxis;
+use tcgs_core::Attribute;
+use tcgs_pipeline::{
+    CompressOptions, CompressPreset, Compressed, Judge, JudgeImages, OpenScene, PrunedScene, Target,
+    position_step_remark, search, settings_of,
+};
 use tcgs_train::Run;
 
-use self::judge::{Images, Judge};
-use self::scene::Prepared;
-use self::target::Target;
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::eval::Cameras;
+use crate::interrupt;
 use crate::options::{self, Frames, JobOptions, Pair};
 use crate::output::{check_file, say, show_bytes, write_file};
 use crate::scene::{SceneOptions, describe};
-
-pub use scene::{Compressed, Settings, compress_scene, kept_gaussians};
+use crate::teller::Teller;
 
 /// Compress a trained scene into a .tcgs file
 ///
@@ -125,19 +121,21 @@ pub struct Arguments {
 /// Options that a quality stands for.
 const SINGLE_SETTINGS: [&str; 5] = ["max_keypoints", "max_mse", "no_keypoints", "bits", "position_bits"];
 
-/// Error of positions between keypoints, in the scene's radius, where the unit of lengths is not known: in the
-/// 2.8 m of Panoptic Sports nearly the 1.6 mm of a run.
-const POSITION_TOLERANCE: f32 = 5e-4;
-/// Step of positions, in the scene's radius, from which on it is worth a remark: rounding errs as much as the
-/// tolerance allows.
-const MAX_POSITION_STEP: f32 = 3e-3;
-
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum PresetName {
     /// The paper's: linear bits, two keypoints at least
     Paper,
     /// What measured better
     Default,
+}
+
+impl From<PresetName> for CompressPreset {
+    fn from(name: PresetName) -> Self {
+        match name {
+            PresetName::Paper => Self::Paper,
+            PresetName::Default => Self::Default,
+        }
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -170,6 +168,7 @@ fn share(text: &str) -> Result<f32, String> {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
+    interrupt::catch()?;
     let target = arguments.target_bytes.map(Target::Bytes).or(arguments.target_psnr.map(Target::Psnr));
     if arguments.preset == PresetName::Paper && (target.is_some() || arguments.quality.is_some()) {
         let problem = "has its own settings, expected --preset default with --quality, --target-bytes or --target-psnr";
@@ -184,49 +183,42 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     check_source(arguments, &scene)?;
     say(&describe(&scene))?;
 
-    let kind = kind(arguments, &scene)?;
-    let mut settings = settings(arguments, kind);
-    let radius = Extent::of(scene.at(0)?.means()).radius as f32;
-    let of_unknown_unit = matches!(scene.content, SceneContent::Floats { .. }) || kind != CaptureKind::Panoptic;
-    if of_unknown_unit && arguments.preset == PresetName::Default && arguments.max_mse.is_none() {
-        settings.keypoints.max_mse[Attribute::Mean.index()] = (POSITION_TOLERANCE * radius).powi(2);
-    }
-    if let Some(quality) = arguments.quality {
-        settings.keypoints = settings.keypoints.with_quality(quality);
-    }
-    let prepared = Prepared::new(&scene, &settings)?;
-    say(&prepared.bits_from)?;
+    let options = options(arguments, &scene)?;
+    let pruned = PrunedScene::new(&scene, &options)?;
+    say(&pruned.bits_from)?;
     let (compressed, result) = match target {
         None => {
-            let (compact, file) = prepared.compress(&settings.keypoints)?;
-            (prepared.account(&settings, compact, file)?, None)
+            let (compact, file) = pruned.compress(&options.keypoints)?;
+            (pruned.account(&options, compact, file)?, None)
         }
         Some(target) => {
             let judge = judge(arguments, &scene)?;
-            let found = target::search(&prepared, &settings.keypoints, target, &judge)?;
-            let result = found.describe(target, &judge);
-            (prepared.account(&settings, found.compact, found.file)?, Some(result))
+            say(&format!("measuring against {}", judge.of))?;
+            say("quality         size      PSNR")?;
+            let found =
+                Teller::default().watch(|teller| search(&pruned, &options.keypoints, target, &judge, teller))?;
+            let result = target::describe(&found, target, &judge);
+            (pruned.account(&options, found.compact, found.file)?, Some(result))
         }
     };
-    let steps = compressed.compact.quantizers.attributes[Attribute::Mean.index()].values().flatten().map(|q| q.step);
-    let step = steps.fold(0.0, f32::max);
-    if step > MAX_POSITION_STEP * radius {
+    if let Some((step, radius)) = position_step_remark(&scene, &compressed.compact)? {
         say(&format!(
             "positions are rounded to {step:.2e}, and most of the scene lies within {radius:.2e} of its middle: \
              some Gaussians are far away"
         ))?;
     }
+    interrupt::check()?;
     write_file(&out, &compressed.file, arguments.job.force)?;
     report(arguments, &compressed, result, &out)
 }
 
 fn judge(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Judge> {
-    let images = Images {
+    let images = JudgeImages {
         capture: arguments.capture.clone(),
         split: arguments.cameras.unwrap_or(Cameras::Test).split(),
         frames: arguments.frames.as_ref().map(|frames| frames.0.clone()),
     };
-    Judge::new(scene, &images, arguments.backend.open(BackendName::Auto)?.renderer())
+    Ok(Judge::new(scene, &images, arguments.backend.open(BackendName::Auto)?.renderer())?)
 }
 
 fn default_out(source: &Path) -> PathBuf {
@@ -236,14 +228,15 @@ fn default_out(source: &Path) -> PathBuf {
 
 fn check_source(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<()> {
     let source = scene.path.display();
-    match &scene.content {
-        SceneContent::Compact(_) => Err(wrong_input(format!(
-            "{source}: is compressed already, expected a run folder, a params.npz or PLY files"
-        ))),
-        SceneContent::Floats { .. } if arguments.prune.is_some() => {
+    if scene.is_compressed() {
+        let problem = "is compressed already, expected a run folder, a params.npz or PLY files";
+        return Err(wrong_input(format!("{source}: {problem}")));
+    }
+    match scene.run() {
+        None if arguments.prune.is_some() => {
             Err(wrong_input(format!("{source}: has no masks to prune by, expected a run folder with --prune")))
         }
-        SceneContent::Run(run) if arguments.prune.is_some() && !run.0.config().mask.enabled => {
+        Some(run) if arguments.prune.is_some() && !run.config().mask.enabled => {
             Err(wrong_input(format!("{source}: was trained without masks, expected a run with masks with --prune")))
         }
         _ => Ok(()),
@@ -255,28 +248,13 @@ fn kind(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CaptureKind>
     if let Some(capture) = &arguments.capture {
         return Ok(Capture::open(capture)?.kind());
     }
-    let of_run = match &scene.content {
-        SceneContent::Run(run) => CaptureKind::named(&run.0.config().data.layout),
-        _ => None,
-    };
-    Ok(of_run.unwrap_or(CaptureKind::Panoptic))
+    let of_run = scene.run().and_then(|run| CaptureKind::named(&run.config().data.layout));
+    Ok(of_run.unwrap_or(CaptureKind::PANOPTIC))
 }
 
-/// The paper's settings, which differ between its data sets.
-fn paper(kind: CaptureKind) -> CompressSettings {
-    let (max_keypoints, max_mse) = match kind {
-        CaptureKind::Panoptic => (30, 1e-5),
-        CaptureKind::Technicolor => (15, 1e-7),
-        _ => (60, 1e-7),
-    };
-    CompressSettings { max_keypoints, max_mse: [max_mse; 5], ..CompressSettings::paper() }
-}
-
-fn settings(arguments: &Arguments, kind: CaptureKind) -> Settings {
-    let (mut keypoints, mapping) = match arguments.preset {
-        PresetName::Paper => (paper(kind), BitMapping::Linear),
-        PresetName::Default => (CompressSettings::default(), BitMapping::Log),
-    };
+/// What the command line says, over the preset.
+fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressOptions> {
+    let (mut keypoints, mapping) = settings_of(arguments.preset.into(), kind(arguments, scene)?, scene)?;
     keypoints.keypoints = !arguments.no_keypoints;
     keypoints.segment_length = arguments.segment_length;
     if arguments.bits.is_some() {
@@ -291,7 +269,10 @@ fn settings(arguments: &Arguments, kind: CaptureKind) -> Settings {
     if let Some(max_mse) = arguments.max_mse {
         keypoints.max_mse = [max_mse; 5];
     }
-    Settings {
+    if let Some(quality) = arguments.quality {
+        keypoints = keypoints.with_quality(quality);
+    }
+    Ok(CompressOptions {
         keypoints,
         mapping,
         bits: arguments.bits.map(|Pair(min, max)| (min, max)),
@@ -301,7 +282,7 @@ fn settings(arguments: &Arguments, kind: CaptureKind) -> Settings {
         plain: arguments.storage == Storage::Plain,
         up: arguments.up,
         views: arguments.views,
-    }
+    })
 }
 
 fn report(

@@ -9,14 +9,15 @@ use std::time::Instant;
 use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
-use tcgs_codec::{BitMapping, CompressSettings};
-use tcgs_pipeline::{Backend, OpenScene, OpenSettings, SceneContent, fit, new_trainer};
+use tcgs_codec::CompressSettings;
+use tcgs_pipeline::{
+    Backend, CompressOptions, Compressed, EvaluateSettings, Evaluation, OpenScene, OpenSettings, compress_scene,
+    evaluate, fit, kept_gaussians, new_trainer,
+};
 use tcgs_train::{Run, TrainConfig};
 
 use crate::backend::{BackendName, BackendOptions};
-use crate::compress::{self, Compressed, compress_scene, kept_gaussians};
 use crate::error::wrong_input;
-use crate::eval::{self, Evaluation, evaluate};
 use crate::interrupt;
 use crate::options::JobOptions;
 use crate::output::{NewFolder, is_empty_folder, say, show_bytes};
@@ -152,8 +153,8 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
 
     say("3/4  compressing")?;
     let scene = OpenScene::open(run.folder(), OpenSettings::default())?;
-    let compressed = compress_scene(&scene, &compress_settings(folder, true))?;
-    let quantized = compress_scene(&scene, &compress_settings(folder, false))?;
+    let compressed = compress_scene(&scene, &compress_options(folder, true))?;
+    let quantized = compress_scene(&scene, &compress_options(folder, false))?;
     let file = folder.join("scene.tcgs");
     fs::write(&file, &compressed.file).with_context(|| format!("writing {}", file.display()))?;
     let decoded = OpenScene::decode(&file, &compressed.file)?;
@@ -161,9 +162,8 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
 
     say("4/4  measuring on the held-out cameras")?;
     let score = |scene: &OpenScene, frozen: bool| {
-        let (split, frames) = (Split::Test, scene.frames());
-        let settings = eval::Settings { split, frames, downscale: 1, frozen, lpips: None, protocol: None };
-        evaluate(scene, &capture, &settings, &*renderer)
+        let settings = EvaluateSettings { downscale: 1, frozen, ..EvaluateSettings::of(scene, Split::Test) };
+        Teller::default().watch(|teller| evaluate(scene, &capture, &settings, &*renderer, teller))
     };
     let uncompressed = score(&scene, false)?;
     let final_ = score(&decoded, false)?;
@@ -192,18 +192,12 @@ fn config(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfi
     Ok(config)
 }
 
-fn compress_settings(folder: &Path, keypoints: bool) -> compress::Settings {
-    compress::Settings {
+fn compress_options(folder: &Path, keypoints: bool) -> CompressOptions {
+    CompressOptions {
         keypoints: CompressSettings { keypoints, ..CompressSettings::default() },
-        mapping: BitMapping::Log,
-        bits: None,
-        position_bits: None,
-        prune: None,
         // The run names the place that the capture will have only when all is done.
         capture: Some(folder.join("capture")),
-        plain: false,
-        up: None,
-        views: 8,
+        ..CompressOptions::default()
     }
 }
 
@@ -216,11 +210,9 @@ fn measure_stages(
     final_: &Evaluation,
     score: impl Fn(&OpenScene) -> anyhow::Result<Evaluation>,
 ) -> anyhow::Result<Vec<Measured>> {
-    let SceneContent::Run(run) = &scene.content else { unreachable!("the demo's scene is a run") };
-    let pruned = run.1.scene.select(&kept_gaussians(scene, None)?);
-    let with = |content| OpenScene { path: scene.path.clone(), content, ..*scene };
-    let pruned = score(&with(SceneContent::Floats { scene: Box::new(pruned), kind: "pruned" }))?;
-    let quantized = score(&with(SceneContent::Compact(Box::new(quantized.compact))))?;
+    let pruned = scene.floats()?.select(&kept_gaussians(scene, None)?);
+    let pruned = score(&scene.with_floats(pruned, "pruned"))?;
+    let quantized = score(&scene.with_symbols(quantized.compact))?;
     let stages = &compressed.stages;
     let of_stage = [uncompressed, &pruned, &quantized, final_, final_];
     Ok(stages

@@ -8,13 +8,12 @@ use image::RgbImage;
 use rayon::prelude::*;
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Attribute, Image};
-use tcgs_pipeline::OpenScene;
-use tcgs_render::gpu::GpuError;
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_pipeline::{Evaluation, ImageScore, OpenScene};
+use tcgs_render::device::GpuError;
+use tcgs_render::{DrawAny, RenderSettings};
 use tcgs_train::Run;
 
 use super::Outcome;
-use crate::eval::Evaluation;
 use crate::output::show_bytes;
 use crate::report::{self, Picture, Report, Series, Stage, png};
 
@@ -29,7 +28,7 @@ const MASK_BINS: usize = 20;
 pub fn write_frames(
     scene: &OpenScene,
     capture: &Capture,
-    renderer: &dyn Draw,
+    renderer: &DrawAny,
     folder: &Path,
 ) -> anyhow::Result<Vec<Picture>> {
     let frames = scene.frames();
@@ -125,9 +124,9 @@ pub fn html(outcome: &Outcome, run: &Run, pictures: Vec<Picture>) -> anyhow::Res
 }
 
 /// Mean of a metric at each timestep.
-fn series(name: &str, evaluation: &Evaluation, metric: impl Fn(&crate::eval::ImageScore) -> Option<f64>) -> Series {
+fn series(name: &str, evaluation: &Evaluation, metric: impl Fn(&ImageScore) -> Option<f64>) -> Series {
     let timesteps = evaluation.images.iter().map(|i| i.timestep + 1).max().unwrap_or(0);
-    let at = |t| crate::eval::mean(evaluation.images.iter().filter(|i| i.timestep == t).filter_map(&metric));
+    let at = |t| ImageScore::mean(evaluation.images.iter().filter(|i| i.timestep == t), &metric);
     Series { name: name.into(), values: (0..timesteps).map(|t| at(t).unwrap_or(f64::NAN)).collect() }
 }
 

@@ -1,7 +1,5 @@
 //! `tcgs eval`: how close a scene comes to the images of a capture.
 
-mod measure;
-mod result;
 mod table;
 
 use std::path::PathBuf;
@@ -9,14 +7,14 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use tcgs_capture::{Capture, Split};
 use tcgs_metrics::{Lpips, Protocol};
+use tcgs_pipeline::{EvaluateSettings, Evaluation, PipelineError, evaluate, evaluation_json};
 
 use crate::backend::{BackendName, BackendOptions};
-use crate::error::wrong_input;
+use crate::interrupt;
 use crate::options::{self, Frames, JobOptions};
 use crate::output::{check_file, say, write_file};
 use crate::scene::{SceneOptions, describe};
-
-pub use measure::{Evaluation, ImageScore, Settings, evaluate, mean};
+use crate::teller::Teller;
 
 /// Names the weights of LPIPS where no option does; none if it is empty.
 const WEIGHTS_VARIABLE: &str = "TCGS_LPIPS_WEIGHTS";
@@ -109,6 +107,7 @@ impl From<ProtocolName> for Protocol {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
+    interrupt::catch()?;
     if let Some(csv) = &arguments.csv {
         check_file(csv, arguments.job.force)?;
     }
@@ -119,7 +118,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
     let capture = Capture::open(&arguments.capture)?;
     let scene = arguments.reading.open(&arguments.scene)?;
-    let settings = Settings {
+    let settings = EvaluateSettings {
         split: arguments.cameras.split(),
         frames: scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?,
         downscale: arguments.downscale.unwrap_or(scene.downscale),
@@ -128,10 +127,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         protocol: arguments.protocol.map(Protocol::from),
     };
     if capture.cameras(settings.split, settings.frames.start, settings.downscale)?.is_empty() {
-        let problem = "has no test cameras, expected one that has, or --cameras train";
-        return Err(wrong_input(format!("{}: {problem}", arguments.capture.display())));
+        return Err(PipelineError::NoCameras { path: arguments.capture.clone(), split: settings.split }.into());
     }
-    let evaluation = evaluate(&scene, &capture, &settings, &*renderer)?;
+    let evaluation = Teller::default().watch(|teller| evaluate(&scene, &capture, &settings, &*renderer, teller))?;
     say(&describe(&scene))?;
     say(&table::text(&evaluation, lpips.is_some()))?;
     if let Some(protocol) = settings.protocol {
@@ -142,11 +140,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(csv) = &arguments.csv {
         write_file(csv, table::csv(&evaluation, settings.protocol).as_bytes(), arguments.job.force)?;
     }
-    arguments.job.write_json(&result::json(&scene, &evaluation, settings.protocol))
+    arguments.job.write_json(&evaluation_json(&scene, &evaluation, settings.protocol))
 }
 
 /// What was evaluated, to be held against what a protocol prescribes.
-fn here(capture: &Capture, settings: &Settings, evaluation: &Evaluation) -> String {
+fn here(capture: &Capture, settings: &EvaluateSettings, evaluation: &Evaluation) -> String {
     let mut cameras: Vec<usize> = evaluation.images.iter().map(|image| image.camera).collect();
     cameras.sort_unstable();
     cameras.dedup();

@@ -4,44 +4,22 @@ use std::fmt::Write;
 
 use tcgs_metrics::{Backbone, MIN_MS_SSIM_SIDE, Protocol};
 
-use super::measure::{Evaluation, ImageScore, mean};
-
-/// A metric that every evaluation has.
-pub struct Column {
-    /// Its name in JSON and CSV.
-    pub key: &'static str,
-    /// Its name in the table.
-    title: &'static str,
-    decimals: usize,
-    /// Of an image.
-    pub of: fn(&ImageScore) -> Option<f64>,
-}
-
-/// What the table, the CSV and the JSON have in common.
-pub const COLUMNS: [Column; 7] = [
-    Column { key: "psnr", title: "PSNR", decimals: 2, of: |i| Some(i.psnr) },
-    Column { key: "psnr_per_channel", title: "PSNR/channel", decimals: 2, of: |i| Some(i.psnr_per_channel) },
-    Column { key: "ssim", title: "SSIM", decimals: 4, of: |i| Some(i.ssim) },
-    Column { key: "ms_ssim", title: "MS-SSIM", decimals: 4, of: |i| i.ms_ssim },
-    Column { key: "dssim", title: "D-SSIM", decimals: 4, of: |i| i.dssim },
-    Column { key: "lpips_vgg", title: "LPIPS-VGG", decimals: 4, of: |i| i.lpips_vgg },
-    Column { key: "lpips_alex", title: "LPIPS-Alex", decimals: 4, of: |i| i.lpips_alex },
-];
+use tcgs_pipeline::{COLUMNS, Evaluation, ImageScore, MetricColumn, protocol_mean};
 
 /// In the table alone: few captures have what it needs.
-const FOREGROUND: Column =
-    Column { key: "psnr_foreground", title: "PSNR of foreground", decimals: 2, of: |i| i.psnr_foreground };
+const FOREGROUND: MetricColumn =
+    MetricColumn { key: "psnr_foreground", title: "PSNR of foreground", decimals: 2, of: |i| i.psnr_foreground };
 
 /// Means of every timestep and of all images, and why a column is empty.
 pub fn text(evaluation: &Evaluation, has_weights: bool) -> String {
     let columns = || COLUMNS.iter().chain([&FOREGROUND]);
-    let width = |column: &Column| column.title.len().max(6);
+    let width = |column: &MetricColumn| column.title.len().max(6);
     let mut table = String::from("timestep");
     columns().for_each(|column| table += &format!("  {:>1$}", column.title, width(column)));
     let mut row = |name: &str, images: &[ImageScore]| {
         let _ = write!(table, "\n{name:>8}");
         for column in columns() {
-            let value = decimal(mean(images.iter().filter_map(column.of)), column.decimals);
+            let value = decimal(ImageScore::mean(images, column.of), column.decimals);
             let _ = write!(table, "  {value:>0$}", width(column));
         }
     };
@@ -66,11 +44,6 @@ pub fn text(evaluation: &Evaluation, has_weights: bool) -> String {
     };
     let ms = evaluation.median_render_ms;
     table + &format!("\n{:.1} frames a second ({ms:.2} ms an image, {})", 1000.0 / ms, evaluation.device)
-}
-
-/// Mean of a protocol's metric over the images that have it.
-pub fn protocol_mean(evaluation: &Evaluation, index: usize) -> Option<f64> {
-    evaluation.mean(|image| image.protocol[index])
 }
 
 /// What a protocol calls its metrics.

@@ -1,31 +1,28 @@
 //! `tcgs render`: pictures or a video of a scene, from a capture's cameras or along a path.
 
-mod path_file;
 mod video;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::sync::Arc;
 
 use anyhow::Context;
 use serde_json::json;
-use tcgs_capture::{Capture, Split};
-use tcgs_core::{Activated, Camera, CameraPathError, Tour};
-use tcgs_pipeline::OpenScene;
-use tcgs_render::RenderSettings;
+use tcgs_capture::Capture;
+use tcgs_core::{Camera, Tour};
+use tcgs_pipeline::{CameraAt, OpenScene, read_camera_path, render};
 
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
+use crate::interrupt;
 use crate::options::{Frames, JobOptions, Size};
 use crate::output::{NewFolder, is_numbered, say};
-use crate::progress::Progress;
 use crate::scene::{SceneOptions, describe};
-use path_file::read_camera_path;
+use crate::teller::Teller;
 use video::Video;
 
 /// Size of pictures along a path around the scene.
-const PATH_SIZE: Size = Size { width: 640, height: 360 };
+const PATH_SIZE: [usize; 2] = [640, 360];
 
 /// Render pictures or a video of a scene
 ///
@@ -84,17 +81,10 @@ impl FromStr for PathOption {
     }
 }
 
-/// A picture to take.
-struct Shot {
-    frame: usize,
-    camera: Camera,
-    /// Within the folder.
-    name: PathBuf,
-}
-
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
+    interrupt::catch()?;
     if let Some(path) = arguments.cameras.as_ref().filter(|path| path.extension().is_some_and(|e| e == "json")) {
         let problem = "no camera files in this version, expected the folder of a capture";
         return Err(wrong_input(format!("{}: {problem}", path.display())));
@@ -102,87 +92,47 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut output = Output::begin(&arguments.out, arguments.job.force)?;
     let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
     let scene = arguments.reading.open(&arguments.scene)?;
-    let shots = shots(arguments, &scene, matches!(output, Output::Video(_)))?;
+    let cameras = cameras(arguments, &scene, matches!(output, Output::Video(_)))?;
     if let Output::Video(video) = &mut output {
         video.set_frame_rate(scene.frame_rate);
     }
     say(&describe(&scene))?;
-
-    let mut progress = Progress::new("rendering", shots.len());
-    let mut drawn: Option<(usize, Arc<Activated>)> = None;
-    for shot in &shots {
-        let gaussians = match &drawn {
-            Some((frame, gaussians)) if *frame == shot.frame => Arc::clone(gaussians),
-            _ => scene.drawn(shot.frame - scene.first_frame)?,
-        };
-        let (picture, _) = renderer.draw(&gaussians, &shot.camera, &RenderSettings::default())?;
-        output.add(&shot.name, &picture.image.to_rgb8(), &shot.camera)?;
-        drawn = Some((shot.frame, gaussians));
-        progress.step(|| format!("frame {}", shot.frame));
-    }
-    drop(progress);
+    Teller::default().watch(|teller| {
+        render(&scene, &cameras, &*renderer, teller, |at, image| output.add(&name(at), &image.to_rgb8(), &at.camera))
+    })?;
     output.finish()?;
     let out = arguments.out.display().to_string();
-    say(&format!("{out}: {} pictures", shots.len()))?;
-    arguments.job.write_json(&json!({ "out": out, "pictures": shots.len() }))
+    say(&format!("{out}: {} pictures", cameras.len()))?;
+    arguments.job.write_json(&json!({ "out": out, "pictures": cameras.len() }))
 }
 
-/// All pictures, in the order in which they are taken.
+/// The name of a picture within the folder.
+fn name(at: &CameraAt) -> PathBuf {
+    let png = format!("{:06}.png", at.frame);
+    at.camera_id.map_or_else(|| PathBuf::from(&png), |id| Path::new(&id.to_string()).join(&png))
+}
+
+/// All cameras, in the order in which their pictures are taken.
 ///
 /// - `by_camera`: of a capture, one camera after the other; else one frame after the other
-fn shots(arguments: &Arguments, scene: &OpenScene, by_camera: bool) -> anyhow::Result<Vec<Shot>> {
+fn cameras(arguments: &Arguments, scene: &OpenScene, by_camera: bool) -> anyhow::Result<Vec<CameraAt>> {
     let frames = scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?;
-    let png = |frame| PathBuf::from(format!("{frame:06}.png"));
-    let shot = |frame, camera| Shot { frame, camera, name: png(frame) };
+    let size = arguments.size.map(|size| [size.width, size.height]);
     if let Some(path) = &arguments.cameras {
-        let capture = Capture::open(path)?;
-        let mut shots = Vec::new();
-        for frame in frames {
-            for (place, (id, camera)) in cameras(&capture, scene, frame, arguments.size)?.into_iter().enumerate() {
-                let name = Path::new(&id.to_string()).join(png(frame));
-                shots.push((place, Shot { frame, camera, name }));
-            }
-        }
+        let mut cameras = CameraAt::of_capture(scene, frames, &Capture::open(path)?, size)?;
         if by_camera {
-            shots.sort_by_key(|(place, shot)| (*place, shot.frame));
+            // In the order of the first frame, whatever the cameras are called.
+            let first = cameras.first().map(|at| at.frame);
+            let order: Vec<_> = cameras.iter().filter(|at| Some(at.frame) == first).map(|at| at.camera_id).collect();
+            let place = |at: &CameraAt| order.iter().position(|id| *id == at.camera_id).unwrap_or(order.len());
+            cameras.sort_by_key(|at| (place(at), at.camera_id, at.frame));
         }
-        return Ok(shots.into_iter().map(|(_, shot)| shot).collect());
+        return Ok(cameras);
     }
-    match arguments.path.as_ref().unwrap_or(&PathOption::Around(Tour::Orbit)) {
-        PathOption::Around(tour) => {
-            let gaussians = scene.at(frames.start - scene.first_frame)?;
-            let Size { width, height } = arguments.size.unwrap_or(PATH_SIZE);
-            let cameras = tour.cameras(gaussians.means(), scene.up().direction(), frames.len(), [width, height]);
-            Ok(frames.zip(cameras).map(|(frame, camera)| shot(frame, camera)).collect())
-        }
-        PathOption::Saved(file) => {
-            let path = read_camera_path(file)?;
-            let first = path.keyframes().first().map(|first| [first.camera.width, first.camera.height]);
-            let size = arguments.size.map(|size| [size.width, size.height]).or(first).unwrap_or_default();
-            let camera_at = |frame| path.camera_at((frame - scene.first_frame) as f64, size);
-            let shots = frames.map(|frame| Ok(shot(frame, camera_at(frame)?)));
-            let shots: Result<_, CameraPathError> = shots.collect();
-            shots.map_err(|problem| wrong_input(format!("{}: {problem}", file.display())))
-        }
-    }
-}
-
-fn cameras(
-    capture: &Capture,
-    scene: &OpenScene,
-    frame: usize,
-    size: Option<Size>,
-) -> anyhow::Result<Vec<(usize, Camera)>> {
-    let mut cameras = capture.cameras(Split::Test, frame, scene.downscale)?;
-    if cameras.is_empty() {
-        cameras = capture.cameras(Split::Train, frame, scene.downscale)?;
-    }
-    if let Some(size) = size {
-        for (_, camera) in &mut cameras {
-            *camera = camera.resized(size.width, size.height);
-        }
-    }
-    Ok(cameras)
+    Ok(match arguments.path.as_ref().unwrap_or(&PathOption::Around(Tour::Orbit)) {
+        PathOption::Around(tour) => CameraAt::of_tour(scene, frames, *tour, size.unwrap_or(PATH_SIZE))?,
+        PathOption::Saved(file) => CameraAt::of_path(scene, frames, &read_camera_path(file)?, size)?,
+    })
 }
 
 /// Where the pictures go.

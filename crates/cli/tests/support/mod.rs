@@ -67,7 +67,8 @@ pub fn fail(code: i32, arguments: &[&str]) -> String {
     let output = run(arguments);
     let message = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
-    let lines: Vec<&str> = message.lines().filter(|line| !line.starts_with("computing on ")).collect();
+    let is_remark = |line: &&str| line.starts_with("computing on ") || line.starts_with("warning: ");
+    let lines: Vec<&str> = message.lines().filter(|line| !is_remark(line)).collect();
     let [line] = lines[..] else { panic!("{arguments:?}: expected one line, found {message}") };
     assert!(line.starts_with("tcgs: "), "{line}");
     line.to_owned()
@@ -105,8 +106,8 @@ pub fn checkpoints(run: &Path) -> Vec<(String, Vec<u8>)> {
     let Ok(entries) = std::fs::read_dir(run.join("checkpoints")) else { return Vec::new() };
     let mut files: Vec<(String, Vec<u8>)> = entries
         .map(|entry| entry.unwrap())
+        .filter(|entry| !entry.file_name().to_string_lossy().starts_with('.'))
         .map(|entry| (entry.file_name().into_string().unwrap(), std::fs::read(entry.path()).unwrap()))
-        .filter(|(name, _)| !name.starts_with('.'))
         .collect();
     files.sort();
     files

@@ -4,7 +4,8 @@ use super::FORMAT_VERSION;
 use super::section::{self, Cursor, Entry, SHARED, Tag};
 use crate::error::{CompressError, DecodeError};
 
-const MAGIC: Tag = *b"TCGS";
+/// The first four bytes of every `.tcgs` file.
+pub const MAGIC: Tag = *b"TCGS";
 /// Magic, version, reserved, number of sections, checksum.
 pub(super) const FIXED_BYTES: usize = 16;
 /// Tag, segment, layer, length, checksum.

@@ -38,12 +38,17 @@ pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<CompactScene, Decode
 
 /// An archive of which all is there.
 pub(super) fn open_whole(file: &[u8], limits: &DecodeLimits) -> Result<Archive, DecodeError> {
-    let invalid = |problem| Cursor::new("file", file.len() as u64, &[]).invalid("end", problem);
+    let invalid = |problem| end_of_file(file.len() as u64, problem);
     match Archive::open(file, limits)? {
         Opening::Ready(archive) if archive.file_bytes() == file.len() as u64 => Ok(*archive),
         Opening::Ready(archive) if archive.file_bytes() < file.len() as u64 => Err(invalid("bytes are left over")),
         _ => Err(invalid("the file ends early")),
     }
+}
+
+/// What is wrong with where a file ends.
+pub(crate) fn end_of_file(length: u64, problem: &'static str) -> DecodeError {
+    Cursor::new("file", length, &[]).invalid("end", problem)
 }
 
 /// One scene of all its segments.

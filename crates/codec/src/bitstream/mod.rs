@@ -31,7 +31,9 @@ mod segment;
 mod shared;
 
 pub use archive::{Archive, Opening};
+pub use container::MAGIC;
 pub use decode::decode;
+pub(crate) use decode::end_of_file;
 #[cfg(feature = "encode")]
 pub use encode::{encode, encode_with};
 pub use inspect::{Contents, FileInfo, SectionInfo, application_data, inspect};

@@ -17,8 +17,9 @@ const MAX_CURVE_POINTS: usize = 100;
 /// Iterations that the losses of a timestep are averaged over: single ones depend on their camera.
 const AVERAGED_ITERATIONS: usize = 50;
 /// Fewer points to start from are worth a warning: density control splits what is there, and does not reach what lies
-/// far from every point.
-const FEW_POINTS: usize = 200;
+/// far from every point. On the capture of `tcgs demo`, two timesteps trained from 8000 of its points come to 32.9 dB,
+/// from 1000 to 28.3 dB, from 400 to 18.6 dB, and from 200 or 66 to less than 5.5 dB with hardly a Gaussian left.
+const FEW_POINTS: usize = 1000;
 
 /// A timestep that is trained and saved.
 #[derive(Clone, Copy, Debug, PartialEq)]

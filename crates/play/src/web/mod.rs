@@ -1,8 +1,9 @@
-//! What a page sees of the player: the class `Viewer`.
+//! The player as a page sees it: the classes `Viewer` and `CameraPath`.
 //!
-//! Everything lies behind one `RefCell`, which is never borrowed across an `await`, so that the page may call anything
-//! while something else is under way.
+//! The state of a `Viewer` lies behind one `RefCell`, which is never borrowed across an `await`, so that the page may call
+//! any method while a promise of another one is pending.
 
+mod camera_path;
 mod object;
 mod source;
 
@@ -17,15 +18,17 @@ use tcgs_render::gpu::Gpu;
 use wasm_bindgen::prelude::*;
 use wasm_bindgen_futures::{JsFuture, future_to_promise};
 
-use crate::PlayError;
 use crate::cameras::FileCamera;
+use crate::error::{BadCamera, PlayError};
 use crate::player::PlayerSettings;
 use crate::viewer::Viewer;
-use object::{camera_object, camera_of, error, object};
+use object::{camera_object, camera_of, object};
 use source::WebSource;
 
-/// Milliseconds between looks at whether a picture has come back from the GPU.
+/// Milliseconds between two looks at whether a picture has come back from the GPU.
 const LOOK_MS: i32 = 2;
+
+/// What a `Viewer` shares with its pending promises.
 
 struct State {
     viewer: Viewer<WebSource>,
@@ -34,18 +37,19 @@ struct State {
     format: wgpu::TextureFormat,
     /// Width and height of the canvas, device pixels.
     size: [usize; 2],
-    /// Counts calls of `open`: an earlier one gives up.
+    /// Number of calls of `open`. The promise of an earlier call gives up.
     opening: u64,
-    /// Who waits for the scene to be there.
+    /// Wakes the promise of `open`.
     waker: Option<Waker>,
     is_open: bool,
     cameras: Vec<FileCamera>,
+    /// Frames submitted to the GPU, modulo 2³².
     num_drawn: u32,
-    /// How many of them the GPU has finished.
+    /// Frames that the GPU has finished, modulo 2³².
     num_finished: Arc<AtomicU32>,
 }
 
-/// A scene on a canvas.
+/// Draws scenes on a canvas, one at a time.
 #[wasm_bindgen(js_name = Viewer)]
 pub struct WebViewer {
     state: Rc<RefCell<State>>,
@@ -60,7 +64,7 @@ fn now_ms() -> f64 {
     web_sys::window().and_then(|window| window.performance()).map_or(0.0, |performance| performance.now())
 }
 
-/// Resolves some time later.
+/// Waits some milliseconds.
 async fn sleep(ms: i32) {
     let promise = Promise::new(&mut |resolve, _| {
         if let Some(window) = web_sys::window() {
@@ -72,7 +76,7 @@ async fn sleep(ms: i32) {
 
 #[wasm_bindgen(js_class = Viewer)]
 impl WebViewer {
-    /// Opens the browser's GPU for a canvas. Fails with the code `no-webgpu` where there is none that fits.
+    /// Opens the browser's GPU for a canvas. Rejects with the code `no-webgpu` where the browser has no fitting GPU.
     pub async fn create(canvas: web_sys::HtmlCanvasElement) -> Result<WebViewer, JsValue> {
         let size = [canvas.width().max(1) as usize, canvas.height().max(1) as usize];
         let (gpu, surface, format) = Gpu::of_canvas(canvas).await.map_err(PlayError::from)?;
@@ -94,15 +98,17 @@ impl WebViewer {
         Ok(Self { state: Rc::new(RefCell::new(state)) })
     }
 
-    /// Opens a scene; what was open is closed. Resolves when the first picture can be drawn: `frame` draws it.
+    /// Opens a scene, and closes the scene before. Resolves when the first picture can be drawn: the next call of `frame`
+    /// draws it. Rejects with the code of what is wrong with the scene, or `aborted` if another scene is opened first.
     ///
     /// - `source`: an address, or a `Blob` such as a file that was dropped
-    /// - `timestep`: shown first; 0 if not given
+    /// - `timestep`: the timestep that is shown first; 0 if it is not given
     #[wasm_bindgen(unchecked_return_type = "Promise<void>")]
     pub fn open(&self, source: JsValue, timestep: Option<u32>) -> Promise {
         let state = self.state.clone();
-        let Some(source) = WebSource::new(&source) else {
-            return Promise::reject(&error("network", "this cannot be opened, expected an address or a Blob"));
+        let source = match WebSource::new(&source) {
+            Ok(source) => source,
+            Err(problem) => return Promise::reject(&PlayError::from(problem).into()),
         };
         let wake_by = source.wakes();
         let turn = {
@@ -111,7 +117,7 @@ impl WebViewer {
             state.is_open = false;
             state.cameras.clear();
             state.viewer.open(source, PlayerSettings::default(), timestep.unwrap_or(0) as usize);
-            // Whoever waited for another scene hears that it will not come.
+            // The promise of the scene before learns that it will not be resolved.
             if let Some(waker) = state.waker.take() {
                 waker.wake();
             }
@@ -120,7 +126,7 @@ impl WebViewer {
         future_to_promise(std::future::poll_fn(move |context| {
             let mut state = state.borrow_mut();
             if state.opening != turn {
-                return Poll::Ready(Err(error("aborted", "another scene was opened")));
+                return Poll::Ready(Err(PlayError::Replaced.into()));
             }
             match state.viewer.update(now_ms()) {
                 Ok(true) => {
@@ -129,7 +135,7 @@ impl WebViewer {
                     Poll::Ready(Ok(JsValue::UNDEFINED))
                 }
                 Ok(false) => {
-                    // The next bytes, or a frame that was faster.
+                    // The next bytes wake this promise, or a call of `frame` that took them first.
                     wake_by(context.waker().clone());
                     state.waker = Some(context.waker().clone());
                     Poll::Pending
@@ -139,8 +145,9 @@ impl WebViewer {
         }))
     }
 
-    /// `{name, numGaussians, numTimesteps, frameRate, bytes, cameras: [{name, position, ...}]}`, or null while no scene is
-    /// open.
+    /// What the file says of its scene: `{name, generator, numGaussians, numTimesteps, firstFrame, frameRate, bytes,
+    /// cameras}`, where each camera is in the form of `camera()`, with `name` and `position` besides; null while no scene
+    /// is open.
     pub fn info(&self) -> JsValue {
         let state = self.state.borrow();
         let Some(archive) = state.viewer.archive().filter(|_| state.is_open) else { return JsValue::NULL };
@@ -158,13 +165,13 @@ impl WebViewer {
         ])
     }
 
-    /// Lets time pass and draws once. Called for every frame that the browser shows.
+    /// Lets time pass and draws once. A page calls this for every frame that the browser shows.
     ///
     /// - `now_ms`: as `requestAnimationFrame` gives it
-    /// - returns: `{time, timestep, playing, buffering, drawn, gaussians, bytesLoaded, width, height}`; `time` is in
-    ///   timesteps, `drawn` whether the picture is that of the timestep
+    /// - returns: `{time, timestep, playing, buffering, drawn, gaussians, bytesLoaded, width, height}`; `time` is the
+    ///   clock's position in timesteps, `drawn` whether the picture shows the due timestep with all its splats
     ///
-    /// Throws errors with a `code`; those of a scene that is being opened are `open`'s.
+    /// Throws errors with a `code`. Errors of a scene that is still being opened reject the promise of `open` instead.
     pub fn frame(&self, now_ms: f64) -> Result<JsValue, JsValue> {
         let mut guard = self.state.borrow_mut();
         let state = &mut *guard;
@@ -190,8 +197,8 @@ impl WebViewer {
         ]))
     }
 
-    /// How many frames the GPU has not finished yet. A page that draws on regardless makes it fall behind more and more:
-    /// browsers do not wait.
+    /// Number of frames that the GPU has not finished yet. A page waits until it is small before it draws: browsers take
+    /// any number of frames, and the GPU would fall behind more and more.
     pub fn pending(&self) -> u32 {
         let state = self.state.borrow();
         state.num_drawn.wrapping_sub(state.num_finished.load(Ordering::Relaxed))
@@ -209,34 +216,34 @@ impl WebViewer {
 
     /// Goes to a timestep.
     pub fn seek(&self, timestep: f64) {
-        // Nonsense becomes 0, and what is too large the last one.
+        // The cast takes negative numbers and NaN to 0; the clock takes what is too large to the last timestep.
         self.with_clock(|clock| clock.seek(timestep as usize));
     }
 
-    /// Stops, and goes so many timesteps on or back.
+    /// Stops time, and goes `count` timesteps on, or back if `count` is negative.
     pub fn step(&self, count: f64) {
         self.with_clock(|clock| clock.step(count as i64));
     }
 
-    /// 1 is the scene's own speed, negative ones go backwards.
+    /// Sets the speed in multiples of the scene's frame rate; negative: backwards.
     #[wasm_bindgen(js_name = setSpeed)]
     pub fn set_speed(&self, speed: f64) {
         self.with_clock(|clock| clock.set_speed(speed));
     }
 
-    /// Whether the start follows the end.
+    /// Sets whether the first timestep follows the last one.
     #[wasm_bindgen(js_name = setLoop)]
     pub fn set_loop(&self, is_looping: bool) {
         self.with_clock(|clock| clock.set_looping(is_looping));
     }
 
-    /// What is behind everything, sRGB in [0, 1]. Black at first.
+    /// Sets the colour behind all Gaussians, sRGB in [0, 1]; black at first.
     #[wasm_bindgen(js_name = setBackground)]
     pub fn set_background(&self, r: f32, g: f32, b: f32) {
         self.state.borrow_mut().viewer.set_background([r, g, b]);
     }
 
-    /// The canvas' size in device pixels; at most what the GPU allows.
+    /// Sets the canvas' size in device pixels, or as near to it as the GPU allows.
     pub fn resize(&self, width: u32, height: u32) {
         let mut state = self.state.borrow_mut();
         let most = state.gpu.device().limits().max_texture_dimension_2d;
@@ -247,76 +254,77 @@ impl WebViewer {
         }
     }
 
-    /// Around the pivot, by radians to the right and down; what is seen follows.
+    /// Moves the camera around the pivot, by radians to the right and down. The scene follows the pointer.
     pub fn orbit(&self, dx: f64, dy: f64) {
         self.with_controls(|controls| controls.orbit(dx, dy));
     }
 
-    /// Sideways, by heights of the picture to the right and down; what is seen follows.
+    /// Moves the camera sideways, by heights of the picture to the right and down. The scene follows the pointer.
     pub fn pan(&self, dx: f64, dy: f64) {
         self.with_controls(|controls| controls.pan(dx, dy));
     }
 
-    /// Nearer by a factor above 1, farther by one below.
+    /// Moves the camera nearer to the pivot by a factor above 1, farther from it by a factor below.
     pub fn zoom(&self, factor: f64) {
         self.with_controls(|controls| controls.zoom(factor));
     }
 
-    /// To the right, down and forward, in distances of the first view from its pivot.
+    /// Moves the camera to the right, down and forward, in distances of the start view from its pivot.
     pub fn fly(&self, dx: f64, dy: f64, dz: f64) {
         self.with_controls(|controls| controls.fly(dx, dy, dz));
     }
 
-    /// On the spot, by radians to the right and down; what is seen follows.
+    /// Turns the camera on the spot, by radians to the right and down. The scene follows the pointer.
     pub fn look(&self, dx: f64, dy: f64) {
         self.with_controls(|controls| controls.look(dx, dy));
     }
 
-    /// Back to the first view.
+    /// Moves the camera back to the start view.
     pub fn reset(&self) {
         self.with_controls(|controls| controls.reset());
     }
 
-    /// `{width, height, fx, fy, cx, cy, cameraFromWorld}` of what the canvas shows, the matrix 16 numbers in rows; null
-    /// while no scene is open.
+    /// The camera of what the canvas shows: `{width, height, fx, fy, cx, cy, cameraFromWorld}`, the matrix as 16 numbers in
+    /// rows; null while no scene is open.
     pub fn camera(&self) -> JsValue {
         let state = self.state.borrow();
         state.viewer.camera(state.size).map_or(JsValue::NULL, |camera| camera_object(&camera))
     }
 
-    /// Takes a camera's place, in the form of `camera()`. On a canvas of its size the picture is exactly the camera's; on
-    /// any other it shows at least as much.
+    /// Moves to a camera, which is given in the form of `camera()`. On a canvas of its size the picture is exactly the
+    /// camera's; on any other canvas it shows at least as much. Throws an error of code `bad-camera` if the numbers are no
+    /// camera.
     #[wasm_bindgen(js_name = setCamera)]
     pub fn set_camera(&self, camera: JsValue) -> Result<(), JsValue> {
-        let camera = camera_of(&camera)?;
-        match self.state.borrow_mut().viewer.controls_mut() {
-            Some(controls) => controls.set_camera(&camera).map_err(|e| error("bad-camera", &e.to_string())),
-            None => Ok(()),
+        let camera = camera_of(&camera).map_err(PlayError::from)?;
+        if let Some(controls) = self.state.borrow_mut().viewer.controls_mut() {
+            controls.set_camera(&camera).map_err(PlayError::from)?;
         }
+        Ok(())
     }
 
-    /// Takes the place of a camera of the file.
+    /// Moves to a camera of the file. Throws an error of code `bad-camera` if the file has no camera of that index.
     #[wasm_bindgen(js_name = useCamera)]
     pub fn use_camera(&self, index: usize) -> Result<(), JsValue> {
         let mut state = self.state.borrow_mut();
         let Some(camera) = state.cameras.get(index).map(|entry| entry.camera.clone()) else {
-            let count = state.cameras.len();
-            return Err(error("bad-camera", &format!("camera {index} of {count}")));
+            return Err(PlayError::from(BadCamera::Index { index, count: state.cameras.len() }).into());
         };
-        match state.viewer.controls_mut() {
-            Some(controls) => controls.set_camera(&camera).map_err(|e| error("bad-camera", &e.to_string())),
-            None => Ok(()),
+        if let Some(controls) = state.viewer.controls_mut() {
+            controls.set_camera(&camera).map_err(PlayError::from)?;
         }
+        Ok(())
     }
 
-    /// `{width, height, timestep, data}`: the picture at the canvas' size, RGBA in rows from the top, once the timestep
-    /// that is due is there. Fails with the code `aborted` if another scene is opened meanwhile.
+    /// Draws a picture of the canvas' size once the due timestep has arrived, and resolves to
+    /// `{width, height, timestep, data}`, where `data` is RGBA in rows from the top. Rejects with the code `aborted` if
+    /// another scene is opened meanwhile.
     #[wasm_bindgen(unchecked_return_type = "Promise<object>")]
     pub fn capture(&self) -> Promise {
         let state = self.state.clone();
         let turn = state.borrow().opening;
         let still_open = move |state: &State| {
-            if state.opening == turn { Ok(()) } else { Err(error("aborted", "another scene was opened")) }
+            if state.opening == turn { Ok(()) } else { Err(PlayError::Replaced) }
         };
         future_to_promise(async move {
             loop {
@@ -381,7 +389,7 @@ impl State {
         );
     }
 
-    fn draw(&mut self) -> Result<Option<crate::Frame>, PlayError> {
+    fn draw(&mut self) -> Result<Option<crate::FrameReport>, PlayError> {
         let texture = match self.surface.get_current_texture() {
             wgpu::CurrentSurfaceTexture::Success(texture) | wgpu::CurrentSurfaceTexture::Suboptimal(texture) => texture,
             _ => {

@@ -1,12 +1,12 @@
-//! Between plain JavaScript objects and what the player has.
+//! Conversions between plain JavaScript objects and the types of the player.
 
 use js_sys::{Array, Error, Object, Reflect};
 use tcgs_core::Camera;
 use wasm_bindgen::JsValue;
 
-use crate::error::PlayError;
+use crate::error::{BadCamera, PlayError};
 
-/// An object of these properties.
+/// A JavaScript object with these properties.
 pub fn object<const K: usize>(properties: [(&str, JsValue); K]) -> JsValue {
     let object = Object::new();
     for (name, value) in properties {
@@ -15,26 +15,22 @@ pub fn object<const K: usize>(properties: [(&str, JsValue); K]) -> JsValue {
     object.into()
 }
 
-/// Sets a property.
+/// Sets a property of an object.
 pub fn set(object: &Object, name: &str, value: &JsValue) {
-    // It fails on frozen objects alone, and these are our own.
+    // This fails on frozen objects alone, and all objects here are our own.
     let _ = Reflect::set(object, &name.into(), value);
 }
 
-/// An `Error` with a `code`.
-pub fn error(code: &str, message: &str) -> JsValue {
-    let error = Error::new(message);
-    set(&error, "code", &code.into());
-    error.into()
-}
-
 impl From<PlayError> for JsValue {
+    /// A JavaScript `Error` whose property `code` is [`PlayError::code`]. The page has the words for people.
     fn from(problem: PlayError) -> Self {
-        error(problem.code(), &problem.to_string())
+        let error = Error::new(&problem.to_string());
+        set(&error, "code", &problem.code().as_str().into());
+        error.into()
     }
 }
 
-/// `{width, height, fx, fy, cx, cy, cameraFromWorld}`
+/// The object `{width, height, fx, fy, cx, cy, cameraFromWorld}` of a camera: pixels, and 16 numbers in rows.
 pub fn camera_object(camera: &Camera) -> JsValue {
     let matrix: Array = camera.camera_from_world.as_flattened().iter().map(|&x| JsValue::from_f64(x)).collect();
     object([
@@ -48,26 +44,23 @@ pub fn camera_object(camera: &Camera) -> JsValue {
     ])
 }
 
-/// Reads what [`camera_object`] writes.
-pub fn camera_of(given: &JsValue) -> Result<Camera, PlayError> {
-    let bad = |problem: String| PlayError::BadCamera(problem);
-    let number = |name: &str| {
-        let value = Reflect::get(given, &name.into()).ok().and_then(|value| value.as_f64());
-        value.ok_or_else(|| bad(format!("{name} of the camera is missing, expected a number")))
+/// Reads a camera from an object in the form of [`camera_object`]; its matrix may be any array, typed or not.
+pub fn camera_of(given: &JsValue) -> Result<Camera, BadCamera> {
+    let number = |field: &'static str| {
+        let value = Reflect::get(given, &field.into()).ok().and_then(|value| value.as_f64());
+        value.ok_or(BadCamera::Missing { field })
     };
     let matrix = Reflect::get(given, &"cameraFromWorld".into()).unwrap_or(JsValue::UNDEFINED);
-    let values: Vec<f64> = if Array::is_array(&matrix) {
+    let values: Vec<f64> = if matrix.is_object() {
         Array::from(&matrix).iter().map(|value| value.as_f64().unwrap_or(f64::NAN)).collect()
     } else {
         Vec::new()
     };
-    let values: [f64; 16] = values.try_into().map_err(|values: Vec<f64>| {
-        bad(format!("cameraFromWorld has {} numbers, expected 16 in rows", values.len()))
-    })?;
+    let values: [f64; 16] = values.try_into().map_err(|values: Vec<f64>| BadCamera::Matrix(values.len()))?;
     let [fx, fy, cx, cy] = [number("fx")?, number("fy")?, number("cx")?, number("cy")?];
     let intrinsics = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]];
     let rows = std::array::from_fn(|i| std::array::from_fn(|j| values[4 * i + j]));
-    // Nonsense becomes 0, which is refused.
+    // The cast takes negative numbers and NaN to 0, which is refused.
     let [width, height] = [number("width")? as usize, number("height")? as usize];
-    Camera::new(width, height, intrinsics, rows).map_err(|error| bad(error.to_string()))
+    Ok(Camera::new(width, height, intrinsics, rows)?)
 }

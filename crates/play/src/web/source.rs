@@ -1,4 +1,4 @@
-//! Bytes of a file on a server, or of one that a person picked.
+//! The bytes of a file on a server, or of a file that a person picked.
 
 use std::cell::RefCell;
 use std::ops::Range;
@@ -10,19 +10,19 @@ use wasm_bindgen::{JsCast, JsValue};
 use wasm_bindgen_futures::{JsFuture, spawn_local};
 
 use crate::download::{Head, Inbox};
-use crate::source::{Piece, Source, SourceError};
+use crate::source::{Piece, RangeSource, SourceError};
 
-/// Where the file is.
+/// Where a file is.
 #[derive(Clone, Debug)]
-enum Place {
+enum FileLocation {
     Url(String),
     Blob(web_sys::Blob),
 }
 
-/// A file on a server, or one that a person picked.
+/// A file on a server, which is fetched by HTTP ranges, or a file that a person picked.
 #[derive(Debug)]
 pub struct WebSource {
-    place: Place,
+    location: FileLocation,
     inbox: Rc<RefCell<Inbox>>,
     /// Ends the request that is under way.
     abort: Option<web_sys::AbortController>,
@@ -30,18 +30,21 @@ pub struct WebSource {
 
 impl WebSource {
     /// - `given`: an address, or a `Blob`
-    pub fn new(given: &JsValue) -> Option<Self> {
-        let (place, length) = if let Some(url) = given.as_string() {
-            (Place::Url(url), None)
+    ///
+    /// # Errors
+    /// [`SourceError::NoFile`] if it is neither.
+    pub fn new(given: &JsValue) -> Result<Self, SourceError> {
+        let (location, length) = if let Some(url) = given.as_string() {
+            (FileLocation::Url(url), None)
         } else {
-            let blob = given.dyn_ref::<web_sys::Blob>()?.clone();
+            let blob = given.dyn_ref::<web_sys::Blob>().ok_or(SourceError::NoFile)?.clone();
             let length = blob.size() as u64;
-            (Place::Blob(blob), Some(length))
+            (FileLocation::Blob(blob), Some(length))
         };
-        Some(Self { place, inbox: Rc::new(RefCell::new(Inbox::new(length))), abort: None })
+        Ok(Self { location, inbox: Rc::new(RefCell::new(Inbox::new(length))), abort: None })
     }
 
-    /// What hears of the next piece.
+    /// Takes the waker that the next piece is to wake.
     pub fn wakes(&self) -> impl Fn(Waker) + use<> {
         let inbox = self.inbox.clone();
         move |waker| inbox.borrow_mut().wake_by(waker)
@@ -61,13 +64,13 @@ impl Drop for WebSource {
     }
 }
 
-impl Source for WebSource {
+impl RangeSource for WebSource {
     fn request(&mut self, range: Range<u64>) {
         let Some(request) = self.inbox.borrow_mut().ask(range.clone()) else { return };
         self.end_request();
         let inbox = self.inbox.clone();
-        match &self.place {
-            Place::Blob(blob) => {
+        match &self.location {
+            FileLocation::Blob(blob) => {
                 let blob = blob.clone();
                 spawn_local(async move {
                     let read = read_blob(&blob, range).await;
@@ -76,7 +79,7 @@ impl Source for WebSource {
                     inbox.end(request, result);
                 });
             }
-            Place::Url(url) => {
+            FileLocation::Url(url) => {
                 let abort = web_sys::AbortController::new().ok();
                 let signal = abort.as_ref().map(web_sys::AbortController::signal);
                 self.abort = abort;
@@ -149,16 +152,16 @@ async fn download(
 
 fn head(answer: &web_sys::Response) -> Head {
     let header = |name: &str| answer.headers().get(name).ok().flatten();
-    // What arrives is longer than what is sent, and tagged apart.
+    // A compressed answer has other lengths than the file, and often a tag of its own.
     let is_encoded = header("content-encoding").is_some();
     let length = if answer.status() == 200 {
         header("content-length").filter(|_| !is_encoded)
     } else {
-        // Of the file, of which the answer is a part.
+        // The answer is a part, and its header names the length of the whole file.
         header("content-range").and_then(|range| Some(range.rsplit_once('/')?.1.to_owned()))
     };
-    // Machines of one host may tag the same file apart, and other hosts' tags are not told; some servers call a tag weak in
-    // some answers alone.
+    // The time of the last change is preferred to the entity tag: the machines behind one address may tag the same file
+    // differently, and an answer of another origin may hide its tag. Some servers call a tag weak in some answers only.
     let tag = || header("etag").filter(|_| !is_encoded).map(|etag| etag.trim_start_matches("W/").to_owned());
     Head {
         status: answer.status(),

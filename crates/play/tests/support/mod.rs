@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::rc::Rc;
 
 use tcgs_codec::{CompressSettings, SceneInfo, compress, encode};
-use tcgs_play::{BytesSource, Piece, Player, PlayerSettings, Source, SourceError};
+use tcgs_play::{BytesSource, Piece, Player, PlayerSettings, RangeSource, SourceError};
 
 #[path = "../../../codec/tests/scenes/mod.rs"]
 pub mod scenes;
@@ -68,7 +68,7 @@ impl Network {
     }
 }
 
-impl Source for Network {
+impl RangeSource for Network {
     fn request(&mut self, range: Range<u64>) {
         assert!(!range.is_empty(), "a request for nothing");
         self.log.0.borrow_mut().push(range.clone());
@@ -105,7 +105,7 @@ impl Source for Network {
 }
 
 /// Updates until the timestep that is due is there; asserts that this ends.
-pub fn wait<S: Source>(player: &mut Player<S>, now_ms: &mut f64) {
+pub fn wait<S: RangeSource>(player: &mut Player<S>, now_ms: &mut f64) {
     for _ in 0..10_000_000 {
         player.update(*now_ms).unwrap();
         if player.current().is_some() {

@@ -6,8 +6,8 @@
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera};
 
-use super::project::{Pinhole, project};
 use crate::Laps;
+use crate::project::{SplatCamera, project};
 use crate::settings::MIN_ALPHA;
 use crate::tiling::{EXTENT_FACTOR, EXTENT_MARGIN_PX, TILE, tile_grid};
 
@@ -54,12 +54,12 @@ fn pixel_range(center: f32, extent: f32, size: usize) -> [u32; 2] {
     [first as u32, end as u32]
 }
 
-fn splat(gaussians: &Activated, index: usize, camera: &Camera, pinhole: &Pinhole<f32>) -> Option<Splat> {
+fn splat(gaussians: &Activated, index: usize, camera: &Camera, splat_camera: &SplatCamera<f32>) -> Option<Splat> {
     let opacity = gaussians.opacities[index];
     if opacity < MIN_ALPHA as f32 || opacity.is_nan() {
         return None;
     }
-    let p = project(gaussians.means[index], gaussians.quats[index], gaussians.scales[index], pinhole)?;
+    let p = project(gaussians.means[index], gaussians.quats[index], gaussians.scales[index], splat_camera)?;
     // alpha >= MIN_ALPHA  <=>  exponent <= ln(opacity / MIN_ALPHA), an ellipse.
     let reach = 2.0 * (opacity / MIN_ALPHA as f32).ln().max(0.0);
     let extent = |variance: f32| (reach * variance).sqrt() * EXTENT_FACTOR + EXTENT_MARGIN_PX;
@@ -78,11 +78,11 @@ fn splat(gaussians: &Activated, index: usize, camera: &Camera, pinhole: &Pinhole
 
 impl Tiles {
     pub fn new(gaussians: &Activated, camera: &Camera, laps: &mut Laps) -> Self {
-        let pinhole = Pinhole::new(camera);
+        let splat_camera = SplatCamera::new(camera);
         let splats: Vec<Splat> = (0..gaussians.num_gaussians())
             .into_par_iter()
             .with_min_len(512)
-            .filter_map(|i| splat(gaussians, i, camera, &pinhole))
+            .filter_map(|i| splat(gaussians, i, camera, &splat_camera))
             .collect();
         laps.lap("project");
 

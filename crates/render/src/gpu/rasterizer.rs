@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
-use super::{Capacity, Gpu, GpuError, GpuRenderer, RenderBuffers, StageTimer};
-use crate::device::pack;
+use super::{Gpu, GpuError, GpuRenderer, RenderBuffers, StageTimer};
+use crate::device::{Capacity, pack};
 use crate::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
 /// Draws on a GPU. Buffers are kept from one image to the next.
@@ -73,7 +73,7 @@ impl GpuRasterizer {
         let timer = StageTimer::new(&self.gpu, &["draw"])?;
         loop {
             let mut renderer = match kept.renderer.take() {
-                Some(renderer) if serves(renderer.capacity(), &capacity) => renderer,
+                Some(renderer) if renderer.capacity().serves(&capacity) => renderer,
                 _ => {
                     kept.loaded = None;
                     GpuRenderer::new(&self.gpu, capacity)?
@@ -144,17 +144,9 @@ impl GpuRasterizer {
     }
 }
 
-fn serves(capacity: &Capacity, wanted: &Capacity) -> bool {
-    capacity.num_gaussians == wanted.num_gaussians
-        && capacity.num_channels == wanted.num_channels
-        && capacity.num_pixels >= wanted.num_pixels
-        && capacity.num_tiles >= wanted.num_tiles
-        && capacity.num_pairs >= wanted.num_pairs
-        && capacity.backward >= wanted.backward
-}
-
 impl Rasterizer for GpuRasterizer {
     type Saved = GpuSaved;
+    type Error = GpuError;
 
     fn forward(
         &self,
@@ -195,6 +187,8 @@ impl Rasterizer for GpuRasterizer {
 }
 
 impl Draw for GpuRasterizer {
+    type Error = GpuError;
+
     fn name(&self) -> String {
         format!("gpu, {}", self.gpu.info().name)
     }

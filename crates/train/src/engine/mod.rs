@@ -3,9 +3,10 @@
 //! What lives here: one iteration, and looking at its outcome. What does not: when something happens and
 //! what happens between iterations; that is the trainer's, which changes the engine's [`State`].
 
-pub(crate) mod constants;
 pub mod cpu;
+#[cfg(feature = "gpu")]
 mod device;
+#[cfg(feature = "gpu")]
 pub mod gpu;
 
 use std::fmt::Debug;

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use tcgs_core::Image;
 use tcgs_metrics::{ssim_bwd, ssim_fwd};
 
-use crate::engine::constants::{COUNTED_CHANNELS, L1_SHARE};
+use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 
 /// Values and gradients of the two image losses.
 #[derive(Clone, Debug)]

@@ -287,12 +287,14 @@ impl Engine for CpuEngine {
     }
 
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
-        Ok(sensitivity(&CpuRasterizer, &self.state.parameters.gaussians, cameras)?)
+        let Ok(sensitivity) = sensitivity(&CpuRasterizer, &self.state.parameters.gaussians, cameras);
+        Ok(sensitivity)
     }
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
         let drawn = drawn(&self.state, mask, false);
-        Ok(CpuRasterizer.forward(&drawn, camera, &RenderSettings::default())?.0.image)
+        let Ok((output, _)) = CpuRasterizer.forward(&drawn, camera, &RenderSettings::default());
+        Ok(output.image)
     }
 }
 

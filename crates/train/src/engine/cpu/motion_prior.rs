@@ -12,8 +12,7 @@ use tcgs_core::{
     Real, dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
 };
 
-use crate::engine::constants::ROOT_EPSILON;
-use crate::losses::{LossTerms, WeightConfig};
+use crate::losses::{LossTerms, ROOT_EPSILON, WeightConfig};
 use crate::neighbors::Neighbors;
 
 /// Fewest foreground Gaussians that one task handles. Sums are taken per Gaussian and then in order, so

@@ -16,5 +16,7 @@ pub(crate) use mirror::Mirror;
 pub(crate) use neighbor_lists::{NeighborLists, constants as neighbor_constants};
 pub use packing::Packing;
 pub(crate) use quantizer_lists::{QuantizerLists, quantizer_rows};
-pub(crate) use step::{LOSS_VALUES, ViewPlace, count_updates, losses_of, source};
 pub use step::StepUniform;
+#[cfg(test)]
+pub(crate) use step::adam_rates;
+pub(crate) use step::{LOSS_VALUES, ViewPlace, count_updates, losses_of, source};

@@ -10,12 +10,10 @@
 //! together.
 
 use rayon::prelude::*;
-use tcgs_render::device::Wgsl;
+use tcgs_render::device::{WORKGROUP, Wgsl};
 
 use crate::neighbors::Neighbors;
 
-/// Nodes that a workgroup walks.
-const WORKGROUP: usize = 256;
 /// Nodes whose lists lie side by side.
 const SLICE: usize = 32;
 /// Words of an entry: node and directions, weight, distance. They lie a slice apart.
@@ -60,7 +58,7 @@ impl NeighborLists {
 
         let points: Vec<[f32; 3]> = foreground.iter().map(|&i| first_means[i as usize]).collect();
         let mut order = along_morton_curve(&points);
-        for block in order.chunks_mut(WORKGROUP) {
+        for block in order.chunks_mut(WORKGROUP as usize) {
             block.sort_by_key(|&i| std::cmp::Reverse(lists[i as usize].len()));
         }
         let mut ranks = vec![0; order.len()];

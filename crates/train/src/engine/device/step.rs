@@ -3,8 +3,9 @@
 use tcgs_render::device::Wgsl;
 
 use super::packing::{Packing, SmallGroup};
+use crate::adam::{BETA1, BETA2, EPSILON, adam_factors};
 use crate::engine::Step;
-use crate::engine::constants::{ADAM_EPSILON, BETA1, BETA2, MIN_STEP_SHARE, adam_factors};
+use crate::fake_quant::MIN_STEP_SHARE;
 use crate::losses::{Loss, WeightConfig};
 use crate::state::State;
 
@@ -215,7 +216,7 @@ pub(crate) fn source(packing: &Packing, constants: Wgsl) -> Wgsl {
         .constant("LOSS_VALUES", LOSS_VALUES)
         .constant("BETA1", BETA1)
         .constant("BETA2", BETA2)
-        .constant("ADAM_EPSILON", ADAM_EPSILON)
+        .constant("EPSILON", EPSILON)
 }
 
 #[cfg(test)]

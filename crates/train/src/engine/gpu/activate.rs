@@ -4,8 +4,8 @@
 //! what the mask's gradient needs. The floor is memory, for every Gaussian: forward reads 68 bytes and
 //! writes 56 (64 with segmentation), backward reads 60 + 56 and writes 60.
 
-use tcgs_render::device::Wgsl;
-use tcgs_render::gpu::{Bound, Gpu, GpuError, WORKGROUP};
+use tcgs_render::device::{WORKGROUP, Wgsl};
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use crate::engine::device::{Packing, source};
 
@@ -98,23 +98,28 @@ impl ActivateKernels {
 }
 
 pub(super) fn shader(packing: &Packing) -> String {
-    source(packing, Wgsl::new().activated_columns()).part(include_str!("quantize.wgsl")).part(include_str!("activate.wgsl")).finish()
+    source(packing, Wgsl::new().activated_columns())
+        .part(include_str!("quantize.wgsl"))
+        .part(include_str!("activate.wgsl"))
+        .finish()
 }
 
 #[cfg(test)]
 mod tests {
     use tcgs_codec::{BitMap, Quantizer};
-    use tcgs_core::{ActivatedGrads, Attribute, Gaussians, activate, activate_bwd};
+    use tcgs_core::{ActivatedGrads, Attribute, Gaussians, Layout, activate, activate_bwd};
 
     use super::*;
-    use crate::engine::gpu::StepUniform;
-    use crate::engine::gpu::testing::{
+    use crate::engine::device::StepUniform;
+    use crate::engine::gpu::test_support::{
         QuantizerTables, assert_close, gpu, random, random_gaussians, random_rows, run, uniform,
     };
     use crate::fake_quant::FakeQuantizers;
+    use crate::losses::WeightConfig;
     use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 
     const THRESHOLD: f32 = 0.3;
+    const WEIGHTS: WeightConfig = WeightConfig { mask: 2.0, mask_consistency: 3.0, ..WeightConfig::NONE };
 
     struct Scene {
         gaussians: Gaussians,
@@ -181,7 +186,7 @@ mod tests {
         }
 
         /// Gradients by attribute, then of mask logits, and the two losses.
-        fn grads(&self, flags: u32, v: &[f32], step: &StepUniform) -> ([Vec<f32>; 6], [f64; 2]) {
+        fn grads(&self, flags: u32, v: &[f32]) -> ([Vec<f32>; 6], [f64; 2]) {
             let n = self.mask_logits.len();
             let stored = self.stored(flags);
             let activated = activate(&stored);
@@ -207,10 +212,10 @@ mod tests {
                     v_activated.v_scales[i] = v_s.map(|v| v * m);
                     v_activated.v_opacities[i] *= m;
                 }
-                losses[0] = mask_loss(&self.mask_logits, |i, v| v_masks[i] += step.mask_weight * v);
+                losses[0] = mask_loss(&self.mask_logits, |i, v| v_masks[i] += WEIGHTS.mask * v);
                 if flags & StepUniform::COMPARES_MASKS != 0 {
                     losses[1] = mask_consistency_loss(&self.mask_logits, &self.previous, |i, v| {
-                        v_masks[i] += step.mask_consistency_weight * v;
+                        v_masks[i] += WEIGHTS.mask_consistency * v;
                     });
                 }
             }
@@ -239,7 +244,7 @@ mod tests {
         let (grads, statistic) = (gpu.storage("grads", 15 * n).unwrap(), gpu.storage("statistic", 2 * n).unwrap());
         let flags: Vec<u32> = scene.foreground.iter().map(|&f| u32::from(f) | 2).collect();
         let buffers = ActivateBuffers {
-            step: &uniform(gpu, step),
+            step: &uniform(gpu, step, &[]),
             params: &upload(&scene.params()),
             flags: &gpu.upload("flags", &flags).unwrap(),
             quantizer_groups: &gpu.upload("groups", &tables.groups).unwrap(),
@@ -253,7 +258,7 @@ mod tests {
             statistic: &statistic,
             status: &gpu.upload("status", &[status]).unwrap(),
         };
-        let kernels = ActivateKernels::new(gpu, buffers, n).unwrap();
+        let kernels = ActivateKernels::new(gpu, &Packing::new(&Layout::base()), buffers, n).unwrap();
         OnGpu { kernels, activated, grads, statistic }
     }
 
@@ -271,8 +276,7 @@ mod tests {
                     num_gaussians: n as u32,
                     flags,
                     mask_threshold: THRESHOLD,
-                    mask_weight: 2.0,
-                    mask_consistency_weight: 3.0,
+                    weights: WEIGHTS.values(),
                     ..StepUniform::default()
                 };
                 let found = on_gpu(&gpu, &scene, &step, &v, &vec![0.0; 3 * n], 0);
@@ -288,7 +292,7 @@ mod tests {
                     assert_close(&format!("{name} of {n}, flags {flags}"), found, &expected, 2e-6);
                 }
                 let grads: Vec<f32> = gpu.read(&found.grads, 15 * n).unwrap();
-                let (expected, losses) = scene.grads(flags, &v, &step);
+                let (expected, losses) = scene.grads(flags, &v);
                 let lens = [3, 4, 3, 1, 3, 1].map(|c| c * n);
                 for ((name, found), expected) in names.iter().zip(split(&grads, &lens)).zip(&expected) {
                     assert_close(&format!("v of {name} of {n}, flags {flags}"), found, expected, 5e-6);

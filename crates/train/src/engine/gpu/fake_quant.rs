@@ -91,8 +91,7 @@ impl FakeQuantKernels {
         grads: &wgpu::Buffer,
         step: &wgpu::Buffer,
     ) -> Self {
-        let source = source(packing, Wgsl::new()).part(include_str!("fake_quant.wgsl")).finish();
-        let bwd = gpu.kernel(&source, "fake_quant_bwd").bind(
+        let bwd = gpu.kernel(&shader(packing), "fake_quant_bwd").bind(
             gpu.device(),
             &[
                 (0, step),
@@ -112,4 +111,8 @@ impl FakeQuantKernels {
     pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.bwd.dispatch(pass, [self.num_chunks, 1, 1]);
     }
+}
+
+pub(super) fn shader(packing: &Packing) -> String {
+    source(packing, Wgsl::new()).part(include_str!("fake_quant.wgsl")).finish()
 }

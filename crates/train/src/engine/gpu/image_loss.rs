@@ -9,8 +9,8 @@ use tcgs_metrics::{SSIM_C1, SSIM_C2, SSIM_WINDOW};
 use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-use crate::engine::constants::{COUNTED_CHANNELS, L1_SHARE};
 use crate::engine::device::{Packing, source};
+use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 
 /// Pixels along a block's side.
 const SIDE: usize = 16;
@@ -91,12 +91,13 @@ pub(super) fn shader(packing: &Packing) -> String {
 
 #[cfg(test)]
 mod tests {
-    use tcgs_core::Image;
+    use tcgs_core::{Image, Layout};
 
     use super::*;
     use crate::engine::cpu;
-    use crate::engine::gpu::StepUniform;
-    use crate::engine::gpu::testing::{assert_close, gpu, random, run, uniform};
+    use crate::engine::device::StepUniform;
+    use crate::engine::gpu::test_support::{assert_close, gpu, random, run, uniform};
+    use crate::losses::WeightConfig;
 
     const GAIN: [f32; 3] = [0.1, -0.2, 0.05];
     const OFFSET: [f32; 3] = [0.02, 0.0, -0.03];
@@ -146,19 +147,18 @@ mod tests {
                 width: width as u32,
                 height: height as u32,
                 target_offset: (width * height) as u32,
-                image_weight: 1.5,
-                segmentation_weight: 3.0,
+                weights: WeightConfig { image: 1.5, segmentation: 3.0, ..WeightConfig::NONE }.values(),
                 ..StepUniform::default()
             };
             let v_image = gpu.storage("v_image", rendered.data.len()).unwrap();
             let buffers = ImageLossBuffers {
-                step: &uniform(&gpu, &step),
+                step: &uniform(&gpu, &step, &[]),
                 rendered: &gpu.upload("rendered", &rendered.data).unwrap(),
                 targets: &gpu.upload("targets", &packed).unwrap(),
                 cameras: &gpu.upload("cameras", &cameras).unwrap(),
                 v_image: &v_image,
             };
-            let kernels = ImageLossKernels::new(&gpu, buffers, shape).unwrap();
+            let kernels = ImageLossKernels::new(&gpu, &Packing::new(&Layout::base()), buffers, shape).unwrap();
             run(&gpu, |pass| kernels.record(pass, shape));
 
             let found: Vec<f32> = gpu.read(&v_image, rendered.data.len()).unwrap();

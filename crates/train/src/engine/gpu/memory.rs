@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use tcgs_render::gpu::{Capacity, Gpu, GpuError};
+use tcgs_render::device::Capacity;
+use tcgs_render::gpu::{Gpu, GpuError};
 
 use super::model::Model;
 use super::motion_prior::{MotionPriorKernels, PriorBuffers, prior_rows};
@@ -80,8 +81,7 @@ impl Memory {
             return Ok(());
         }
         let loaded = self.loaded();
-        let mut capacity =
-            Capacity::new(loaded.model.num_gaussians, targets.num_channels(), &targets.cameras, true);
+        let mut capacity = Capacity::new(loaded.model.num_gaussians, targets.num_channels(), &targets.cameras, true);
         if num_pairs > 0 {
             capacity.num_pairs = num_pairs;
         }

@@ -4,8 +4,8 @@ use tcgs_codec::BitMap;
 use tcgs_render::gpu::{Gpu, GpuError};
 
 use super::fake_quant::QuantizerBuffers;
-use crate::engine::device::{LOSS_VALUES, Packing, StepUniform, quantizer_rows};
 use crate::adam::Moments;
+use crate::engine::device::{LOSS_VALUES, Packing, StepUniform, quantizer_rows};
 use crate::fake_quant::FakeQuantizers;
 use crate::state::State;
 

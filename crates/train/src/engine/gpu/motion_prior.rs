@@ -26,10 +26,11 @@
 //! `prior_gaussians` moves 80 bytes a Gaussian, 48 more of the foreground and 88 more of the background: 51 MB.
 
 use tcgs_core::{Gaussians, normalize};
-use tcgs_render::gpu::{Bound, Kernel, Gpu, GpuError, WORKGROUP};
+use tcgs_render::device::WORKGROUP;
+use tcgs_render::gpu::{Bound, Gpu, GpuError, Kernel};
 
-use crate::engine::constants::ROOT_EPSILON;
 use crate::engine::device::{NeighborLists, Packing, neighbor_constants, source};
+use crate::losses::ROOT_EPSILON;
 use crate::neighbors::Neighbors;
 
 /// Buffers that the losses share with the rest of an iteration.
@@ -113,8 +114,7 @@ impl MotionPriorKernels {
         let previous_colors = gpu.storage("previous colours", 3 * num_gaussians)?;
         let moving = rows("moving foreground", 2 * num_foreground)?;
 
-        let constants = neighbor_constants().constant("ROOT_EPSILON", ROOT_EPSILON as f32);
-        let source = source(packing, constants).part(include_str!("motion_prior.wgsl")).finish();
+        let source = shader(packing);
         let PriorBuffers { params, grads, step, partials } = *buffers;
         let bind = |entry, buffers: &[(u32, &wgpu::Buffer)]| gpu.kernel(&source, entry).bind(gpu.device(), buffers);
         Ok(Self {
@@ -184,4 +184,9 @@ impl MotionPriorKernels {
         self.gaussians.dispatch_over(pass, self.num_gaussians);
         self.edges.dispatch_over(pass, self.num_foreground);
     }
+}
+
+pub(super) fn shader(packing: &Packing) -> String {
+    let constants = neighbor_constants().constant("ROOT_EPSILON", ROOT_EPSILON as f32);
+    source(packing, constants).part(include_str!("motion_prior.wgsl")).finish()
 }

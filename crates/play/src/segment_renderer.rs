@@ -1,46 +1,47 @@
 //! One scene on the GPU, drawn to textures: reconstruction, the renderer that training uses (forward alone), blit.
 //!
-//! Nothing waits for the GPU. How many pairs of tile and splat there were is read back some frames later; buffers grow
-//! before they are full. Where a picture needs more at once, it stays empty for the few frames until
-//! that is known ([`Stage::is_whole`]); a [`Still`] is drawn again until it is whole.
+//! Nothing waits for the GPU. The number of pairs of tile and splat in a frame is read back some frames later, and the
+//! buffers grow before they are full. Where a picture needs more pairs at once than there is room for, it stays empty for
+//! the few frames until that is known ([`SegmentRenderer::is_whole`]); a [`Still`] is drawn again until it is whole.
 
 use tcgs_codec::Segment;
 use tcgs_core::Camera;
 use tcgs_render::RenderSettings;
-use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRenderer, Staged};
+use tcgs_render::device::Capacity;
+use tcgs_render::gpu::{Gpu, GpuError, GpuRenderer, Staged};
 
 use crate::blit::{self, Blit};
 use crate::reconstruct::Reconstruction;
 
-/// Pairs that there is room for at first, per Gaussian: a picture of full size has two to seven.
+/// Pairs of tile and splat per Gaussian that the first buffers have room for: a picture of full size has two to seven.
 const FIRST_PAIRS: usize = 6;
-/// Of stills.
+/// Format of the textures of stills.
 const STILL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
-/// Bytes that rows of a texture are copied in multiples of.
+/// Rows of a texture are copied to a buffer in multiples of so many bytes.
 const ROW_BYTES: usize = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize;
 
-/// What is drawn.
+/// A picture to draw: which timestep, from where, over which background.
 #[derive(Clone, Copy, Debug)]
-pub struct Shot<'a> {
-    /// Of the stage's scene.
+pub struct PictureRequest<'a> {
+    /// A segment of the renderer's scene.
     pub segment: &'a Segment,
-    /// One of the segment's.
+    /// A timestep of the scene that lies in the segment.
     pub timestep: usize,
-    /// From where.
+    /// Camera; its image size is the size of the picture.
     pub camera: &'a Camera,
-    /// Behind everything, sRGB.
+    /// Colour behind all Gaussians, sRGB in `[0, 1]`.
     pub background: [f32; 3],
 }
 
-/// One scene on the GPU.
+/// Draws the timesteps of one scene, whose segments are uploaded as they are needed.
 #[derive(Debug)]
-pub struct Stage {
+pub struct SegmentRenderer {
     gpu: Gpu,
     reconstruction: Reconstruction,
     renderer: Option<GpuRenderer>,
     /// Pairs that the next renderer has room for.
     num_pairs: usize,
-    /// Counts of an earlier frame, on their way.
+    /// Counts of pairs of an earlier frame, on their way from the GPU.
     counts: Option<Staged>,
     is_whole: bool,
     blit: Blit,
@@ -56,20 +57,20 @@ pub struct Still {
 }
 
 impl Still {
-    /// Whether it has arrived, as of the last poll or wait.
+    /// Whether the pixels have arrived, as of the last time that the GPU was polled.
     pub fn is_ready(&self) -> bool {
         self.pixels.is_ready() && self.counts.is_ready()
     }
 }
 
-impl Stage {
-    /// Uploads a scene.
+impl SegmentRenderer {
+    /// Uploads what all segments of a scene share.
     ///
-    /// - `format`: of the textures drawn to, but for stills
-    /// - `segment`: any of the scene
+    /// - `format`: of the textures that [`Self::draw`] draws to; not one that encodes sRGB
+    /// - `segment`: any segment of the scene
     ///
     /// # Errors
-    /// [`GpuError::Memory`] if it does not fit.
+    /// [`GpuError::Memory`] if the scene does not fit.
     pub fn new(gpu: &Gpu, format: wgpu::TextureFormat, segment: &Segment) -> Result<Self, GpuError> {
         Ok(Self {
             gpu: gpu.clone(),
@@ -83,21 +84,23 @@ impl Stage {
         })
     }
 
-    /// Whether the last frame of which it is known had room for all its pairs.
+    /// Whether the buffers had room for all pairs of the last frame whose counts have arrived.
     pub fn is_whole(&self) -> bool {
         self.is_whole
     }
 
-    /// Draws to a texture of the camera's size; does not wait.
+    /// Submits the drawing of a picture to a texture, without waiting for the GPU.
+    ///
+    /// - `target`: a texture of the size of the camera's image
     ///
     /// # Errors
-    /// What has gone wrong by now.
-    pub fn draw(&mut self, shot: &Shot<'_>, target: &wgpu::TextureView) -> Result<(), GpuError> {
-        self.hear()?;
+    /// [`GpuError::Memory`] if buffers for the picture do not fit; otherwise what has gone wrong on the GPU so far.
+    pub fn draw(&mut self, request: &PictureRequest<'_>, target: &wgpu::TextureView) -> Result<(), GpuError> {
+        self.take_counts()?;
         let mut encoder = self.gpu.encoder();
-        self.render(shot, &mut encoder)?;
+        self.render(request, &mut encoder)?;
         let Some(renderer) = &self.renderer else { return Ok(()) };
-        let size = [shot.camera.width, shot.camera.height];
+        let size = [request.camera.width, request.camera.height];
         self.blit.record(&self.gpu, &mut encoder, &renderer.buffers().image, size, target);
         let counts = match &self.counts {
             None => Some(self.gpu.stage(&mut encoder, &renderer.buffers().status, 4)?),
@@ -111,13 +114,13 @@ impl Stage {
         self.gpu.poll()
     }
 
-    /// Draws a picture that is to be read; does not wait.
+    /// Submits the drawing of a picture whose pixels are to be read, without waiting for the GPU.
     ///
     /// # Errors
-    /// What has gone wrong by now.
-    pub fn begin_still(&mut self, shot: &Shot<'_>) -> Result<Still, GpuError> {
-        self.hear()?;
-        let size @ [width, height] = [shot.camera.width, shot.camera.height];
+    /// [`GpuError::Memory`] if buffers for the picture do not fit; otherwise what has gone wrong on the GPU so far.
+    pub fn begin_still(&mut self, request: &PictureRequest<'_>) -> Result<Still, GpuError> {
+        self.take_counts()?;
+        let size @ [width, height] = [request.camera.width, request.camera.height];
         let texture = self.gpu.device().create_texture(&wgpu::TextureDescriptor {
             label: Some("still"),
             size: extent(size),
@@ -135,7 +138,7 @@ impl Stage {
             self.blit_still = Some(Blit::new(&self.gpu, STILL_FORMAT)?);
         }
         let mut encoder = self.gpu.encoder();
-        self.render(shot, &mut encoder)?;
+        self.render(request, &mut encoder)?;
         let (Some(renderer), Some(blit)) = (&self.renderer, &self.blit_still) else {
             return Err(GpuError::Lost("there is no renderer".into()));
         };
@@ -161,10 +164,13 @@ impl Stage {
         Ok(Still { size, pixels, counts })
     }
 
-    /// The pixels of a still that has arrived, RGBA in rows from the top; none if it has to be drawn again.
+    /// Takes the pixels of a still that is ready.
+    ///
+    /// - returns: `[H, W, 4]` RGBA, 8 bits each, rows from the top; none if the buffers had no room for the whole picture
+    ///   and it has to be drawn again, with the larger buffers that the next drawing makes
     ///
     /// # Errors
-    /// What has gone wrong by now.
+    /// [`GpuError::Memory`] if the buffers cannot become large enough; otherwise what has gone wrong on the GPU so far.
     pub fn finish_still(&mut self, still: &Still) -> Result<Option<Vec<u8>>, GpuError> {
         let counts = still.counts.take(&self.gpu)?;
         if !self.learn(&counts) {
@@ -177,14 +183,14 @@ impl Stage {
     }
 
     /// Records everything up to the renderer's image.
-    fn render(&mut self, shot: &Shot<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<(), GpuError> {
-        self.reconstruction.load(shot.segment)?;
-        self.reconstruction.set_timestep(shot.timestep);
-        self.fit(shot.camera)?;
+    fn render(&mut self, request: &PictureRequest<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<(), GpuError> {
+        self.reconstruction.load(request.segment)?;
+        self.reconstruction.set_timestep(request.timestep);
+        self.make_room(request.camera)?;
         let Some(renderer) = &mut self.renderer else { return Ok(()) };
         let mut settings = RenderSettings::default();
-        settings.background[..3].copy_from_slice(&shot.background);
-        renderer.set_view(shot.camera, &settings);
+        settings.background[..3].copy_from_slice(&request.background);
+        renderer.set_view(request.camera, &settings);
         self.gpu.queue().write_buffer(&renderer.buffers().status, 0, &[0; 16]);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         self.reconstruction.record(&mut pass);
@@ -194,8 +200,8 @@ impl Stage {
         Ok(())
     }
 
-    /// Sees to it that the renderer's buffers are large enough.
-    fn fit(&mut self, camera: &Camera) -> Result<(), GpuError> {
+    /// Makes the renderer anew if its buffers are too small for a picture.
+    fn make_room(&mut self, camera: &Camera) -> Result<(), GpuError> {
         let n = self.reconstruction.num_gaussians();
         let mut capacity = Capacity::new(n, 3, [camera], false);
         capacity.num_pairs = self.num_pairs.max(FIRST_PAIRS * n + 16 * capacity.num_tiles);
@@ -215,15 +221,15 @@ impl Stage {
             capacity.num_tiles = capacity.num_tiles.max(held.num_tiles);
             capacity.num_pairs = capacity.num_pairs.max(held.num_pairs);
         }
-        // There need not be room for both.
+        // The old buffers go first: there need not be room for both.
         self.renderer = None;
         self.counts = None;
         self.renderer = Some(GpuRenderer::of_gaussians(&self.gpu, capacity, self.reconstruction.activated())?);
         Ok(())
     }
 
-    /// Takes the counts of an earlier frame, if they are here.
-    fn hear(&mut self) -> Result<(), GpuError> {
+    /// Takes the counts of an earlier frame, if they have arrived.
+    fn take_counts(&mut self) -> Result<(), GpuError> {
         self.gpu.poll()?;
         if let Some(counts) = self.counts.take_if(|counts| counts.is_ready()) {
             self.is_whole = self.learn(&counts.take(&self.gpu)?);
@@ -231,22 +237,24 @@ impl Stage {
         Ok(())
     }
 
+    /// Decides from the counts of a frame how large the next buffers are.
+    ///
     /// - `counts`: the renderer's status after a frame
-    /// - returns: whether there was room
+    /// - returns: whether there was room for all pairs
     fn learn(&mut self, counts: &[u32]) -> bool {
         let [halted, _, needed, _] = *counts else { return false };
         let needed = needed as usize;
         let held = self.renderer.as_ref().map_or(0, |renderer| renderer.capacity().num_pairs);
         if needed > held - held / 4 {
-            self.num_pairs = needed.max(held).saturating_add(needed.max(held) / 2).min(self.most_pairs());
+            self.num_pairs = needed.max(held).saturating_add(needed.max(held) / 2).min(self.max_pairs());
         }
         halted == 0
     }
 
-    /// Whether larger buffers can be had.
+    /// An error if the buffers already hold as many pairs as a buffer can.
     fn check_room(&self) -> Result<(), GpuError> {
         match &self.renderer {
-            Some(renderer) if renderer.capacity().num_pairs >= self.most_pairs() => Err(GpuError::Memory {
+            Some(renderer) if renderer.capacity().num_pairs >= self.max_pairs() => Err(GpuError::Memory {
                 what: "a picture of so many splats in so many tiles".into(),
                 bytes: 4 * renderer.capacity().num_pairs as u64 + 4,
                 problem: "more than a buffer may have".into(),
@@ -255,8 +263,8 @@ impl Stage {
         }
     }
 
-    /// What one buffer of pairs can hold here.
-    fn most_pairs(&self) -> usize {
+    /// Number of pairs that one buffer of this GPU can hold.
+    fn max_pairs(&self) -> usize {
         let limits = self.gpu.device().limits();
         let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         (bytes / 4) as usize

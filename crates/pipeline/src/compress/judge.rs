@@ -7,10 +7,9 @@ use tcgs_capture::{Capture, Split};
 use tcgs_codec::CompactScene;
 use tcgs_core::{Camera, Image, Tour, activate};
 use tcgs_metrics::psnr;
-use tcgs_pipeline::{OpenScene, SceneContent};
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::{DrawAny, RenderSettings};
 
-use crate::error::wrong_input;
+use crate::{OpenScene, PipelineError};
 
 /// Images of a capture that are compared at most, as far as whole frames allow: a frame is drawn anew for each
 /// setting tried.
@@ -22,7 +21,8 @@ const NUM_TIMESTEPS: usize = 5;
 const IMAGE_SIZE: [usize; 2] = [640, 360];
 
 /// Which images.
-pub struct Images {
+#[derive(Clone, Debug)]
+pub struct JudgeImages {
     /// Whose images; none: renders of the source.
     pub capture: Option<PathBuf>,
     /// Which cameras of the capture.
@@ -46,27 +46,31 @@ pub struct Judge {
     pub of: String,
     /// Whether they are a capture's.
     pub of_capture: bool,
-    renderer: Box<dyn Draw>,
+    renderer: Box<DrawAny>,
 }
 
 impl Judge {
     /// Decodes or renders the images.
-    pub fn new(scene: &OpenScene, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+    pub fn new(scene: &OpenScene, images: &JudgeImages, renderer: Box<DrawAny>) -> Result<Self, PipelineError> {
         match &images.capture {
             Some(path) => Self::of_capture(scene, path, images, renderer),
             None => Self::of_source(scene, images, renderer),
         }
     }
 
-    fn of_capture(scene: &OpenScene, path: &Path, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+    fn of_capture(
+        scene: &OpenScene,
+        path: &Path,
+        images: &JudgeImages,
+        renderer: Box<DrawAny>,
+    ) -> Result<Self, PipelineError> {
         let capture = Capture::open(path)?;
         let frames = scene.choose_frames(images.frames.as_ref())?;
         // The last frame is looked for before the first is decoded.
         capture.cameras(images.split, frames.end - 1, scene.downscale)?;
         let num_cameras = capture.cameras(images.split, frames.start, scene.downscale)?.len();
         if num_cameras == 0 {
-            let problem = "has no test cameras, expected one that has, or --cameras train";
-            return Err(wrong_input(format!("{}: {problem}", path.display())));
+            return Err(PipelineError::NoCameras { path: path.into(), split: images.split });
         }
         let count = if images.frames.is_some() { frames.len() } else { (MAX_IMAGES / num_cameras).max(1) };
         let mut goals = Vec::new();
@@ -78,7 +82,7 @@ impl Judge {
         Ok(Self { goals, of, of_capture: true, renderer })
     }
 
-    fn of_source(scene: &OpenScene, images: &Images, renderer: Box<dyn Draw>) -> anyhow::Result<Self> {
+    fn of_source(scene: &OpenScene, images: &JudgeImages, renderer: Box<DrawAny>) -> Result<Self, PipelineError> {
         let frames = scene.choose_frames(images.frames.as_ref())?;
         let cameras = cameras(scene)?;
         let mut goals = Vec::new();
@@ -99,7 +103,7 @@ impl Judge {
     }
 
     /// Mean PSNR of a compressed scene, as `eval` measures it.
-    pub fn psnr(&self, compact: &CompactScene) -> anyhow::Result<f64> {
+    pub fn psnr(&self, compact: &CompactScene) -> Result<f64, PipelineError> {
         let mut sum = 0.0;
         for of_timestep in self.goals.chunk_by(|a, b| a.timestep == b.timestep) {
             let drawn = Arc::new(activate(&compact.at(of_timestep[0].timestep)));
@@ -113,9 +117,9 @@ impl Judge {
 }
 
 /// The training cameras of a run, evenly; cameras around any other scene, or where the run's capture is gone.
-fn cameras(scene: &OpenScene) -> anyhow::Result<Vec<Camera>> {
-    if let SceneContent::Run(run) = &scene.content
-        && let Ok(capture) = Capture::open(run.0.config().data.capture.as_ref())
+fn cameras(scene: &OpenScene) -> Result<Vec<Camera>, PipelineError> {
+    if let Some(run) = scene.run()
+        && let Ok(capture) = Capture::open(run.config().data.capture.as_ref())
         && let Ok(cameras) = capture.cameras(Split::Train, scene.first_frame, scene.downscale)
         && !cameras.is_empty()
     {

@@ -6,10 +6,10 @@ use std::path::Path;
 use serde::Deserialize;
 use tcgs_core::{Camera, CameraPath};
 
-use crate::error::wrong_input;
-use crate::options::Size;
-use crate::scene::unreadable;
+use crate::PipelineError;
 
+/// Pixels a side at most, as of every image that a path is drawn in.
+const MAX_SIDE: usize = 16384;
 const FORMAT: &str = "tcgs-camera-path";
 
 /// The file.
@@ -35,11 +35,14 @@ struct Keyframe {
     camera_from_world: [f64; 16],
 }
 
-/// Reads a file of at least one keyframe, by increasing timestep.
-pub fn read_camera_path(path: &Path) -> anyhow::Result<CameraPath> {
+/// Reads the camera path that the player saved: at least one keyframe, by increasing timestep.
+///
+/// # Errors
+/// [`PipelineError::Unreadable`] if there is no such file; [`PipelineError::Input`] if it holds anything else.
+pub fn read_camera_path(path: &Path) -> Result<CameraPath, PipelineError> {
     let expected = "a camera path that the player saved";
-    let bytes = fs::read(path).map_err(|error| unreadable(path, error, expected))?;
-    parse(&bytes).map_err(|problem| wrong_input(format!("{}: {problem}, expected {expected}", path.display())))
+    let bytes = fs::read(path).map_err(|error| PipelineError::unreadable(path, error, expected))?;
+    parse(&bytes).map_err(|problem| PipelineError::input(path.display(), problem, expected))
 }
 
 fn parse(bytes: &[u8]) -> Result<CameraPath, String> {
@@ -52,7 +55,7 @@ fn parse(bytes: &[u8]) -> Result<CameraPath, String> {
         if path.keyframes().last().is_some_and(|before| before.timestep >= keyframe.timestep) {
             return Err(format!("camera {index} has timestep {}, not later than the one before", keyframe.timestep));
         }
-        if !(Size { width: keyframe.width, height: keyframe.height }).is_legal() {
+        if ![keyframe.width, keyframe.height].iter().all(|side| (1..=MAX_SIDE).contains(side)) {
             return Err(format!("camera {index} has {}x{} pixels, more than 16384", keyframe.width, keyframe.height));
         }
         let intrinsics = [[keyframe.fx, 0.0, keyframe.cx], [0.0, keyframe.fy, keyframe.cy], [0.0, 0.0, 1.0]];

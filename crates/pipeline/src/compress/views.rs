@@ -6,27 +6,27 @@ use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::UpAxis;
 use tcgs_core::Camera;
-use tcgs_pipeline::{OpenScene, SceneContent};
 
+use super::CompressOptions;
 use super::judge::spread;
-use super::scene::Settings;
+use crate::{OpenScene, PipelineError};
 
 /// Name of the data.
 pub const VIEWS: &str = "tcgs.views";
 
 /// The training cameras of the capture given, or of the run's if it is still there; none without.
-pub fn cameras(scene: &OpenScene, settings: &Settings) -> anyhow::Result<Vec<(usize, Camera)>> {
+pub fn cameras(scene: &OpenScene, options: &CompressOptions) -> Result<Vec<(usize, Camera)>, PipelineError> {
     let of = |path: &Path| Capture::open(path)?.cameras(Split::Train, scene.first_frame, 1);
-    Ok(match (&settings.capture, &scene.content) {
+    Ok(match (&options.capture, scene.run()) {
         (Some(path), _) => of(path)?,
-        (None, SceneContent::Run(run)) => of(Path::new(&run.0.config().data.capture)).unwrap_or_default(),
-        _ => Vec::new(),
+        (None, Some(run)) => of(Path::new(&run.config().data.capture)).unwrap_or_default(),
+        (None, None) => Vec::new(),
     })
 }
 
 /// Some of the cameras as the file says them; none without.
-pub fn views(cameras: &[(usize, Camera)], settings: &Settings) -> Option<Vec<u8>> {
-    let views: Vec<Value> = spread(cameras.len(), settings.views).map(|i| view(&cameras[i])).collect();
+pub fn views(cameras: &[(usize, Camera)], options: &CompressOptions) -> Option<Vec<u8>> {
+    let views: Vec<Value> = spread(cameras.len(), options.views).map(|i| view(&cameras[i])).collect();
     (!views.is_empty()).then(|| json!({ "views": views }).to_string().into_bytes())
 }
 

@@ -1,4 +1,6 @@
-//! Rendering and comparing, image by image.
+//! Rendering and comparing with the images of a capture, image by image.
+
+mod result;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -8,17 +10,19 @@ use tcgs_core::{Image, View};
 use tcgs_metrics::{
     Backbone, InputRange, Lpips, Protocol, dssim, flicker, ms_ssim, psnr, psnr_masked, psnr_per_channel, ssim,
 };
-use tcgs_pipeline::OpenScene;
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::{DrawAny, RenderSettings};
 
-use crate::error::wrong_input;
-use crate::progress::Progress;
+use crate::observe::tell;
+use crate::{Event, Observer, OpenScene, PipelineError, Work};
+
+pub use result::{COLUMNS, MetricColumn, evaluation_json, protocol_mean};
 
 /// Fewest renders that a median time is taken of.
 const MIN_TIMED_RENDERS: usize = 9;
 
-/// What is evaluated.
-pub struct Settings<'a> {
+/// What [`evaluate`] compares.
+#[derive(Clone)]
+pub struct EvaluateSettings<'a> {
     /// Which cameras.
     pub split: Split,
     /// Frames of the capture; the scene has them.
@@ -33,7 +37,16 @@ pub struct Settings<'a> {
     pub protocol: Option<Protocol>,
 }
 
+impl EvaluateSettings<'_> {
+    /// All frames of a scene at the size it was trained with, without LPIPS and protocol.
+    pub fn of(scene: &OpenScene, split: Split) -> Self {
+        let (frames, downscale) = (scene.frames(), scene.downscale);
+        Self { split, frames, downscale, frozen: false, lpips: None, protocol: None }
+    }
+}
+
 /// Metrics of one image.
+#[derive(Clone, Debug, PartialEq)]
 pub struct ImageScore {
     /// Of the scene.
     pub timestep: usize,
@@ -60,6 +73,7 @@ pub struct ImageScore {
 }
 
 /// What [`evaluate`] finds.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Evaluation {
     /// By time, then in the capture's order; at least one.
     pub images: Vec<ImageScore>,
@@ -76,28 +90,42 @@ pub struct Evaluation {
 impl Evaluation {
     /// Mean of a metric over the images that have it; none if none has.
     pub fn mean(&self, metric: impl Fn(&ImageScore) -> Option<f64>) -> Option<f64> {
-        mean(self.images.iter().filter_map(metric))
+        ImageScore::mean(&self.images, metric)
     }
 }
 
-/// Mean; none of nothing.
-pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+impl ImageScore {
+    /// Mean of a metric over the images that have it; none if none has.
+    pub fn mean<'a>(images: impl IntoIterator<Item = &'a Self>, metric: impl Fn(&Self) -> Option<f64>) -> Option<f64> {
+        mean(images.into_iter().filter_map(metric))
+    }
+}
+
+/// Mean; none of no values.
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / f64::from(count))
 }
 
-/// Renders and compares.
+/// Renders every camera of a split at every frame and compares with the capture's images.
+///
+/// # Errors
+/// [`PipelineError::Frames`] if the scene lacks a frame, and [`PipelineError`] if the capture lacks a frame or such
+/// cameras, or an image cannot be read; [`PipelineError::Stopped`] if the observer broke off.
 pub fn evaluate(
     scene: &OpenScene,
     capture: &Capture,
-    settings: &Settings,
-    renderer: &dyn Draw,
-) -> anyhow::Result<Evaluation> {
-    let Settings { split, ref frames, downscale, frozen, .. } = *settings;
+    settings: &EvaluateSettings,
+    renderer: &DrawAny,
+    observer: &mut dyn Observer,
+) -> Result<Evaluation, PipelineError> {
+    let EvaluateSettings { split, ref frames, downscale, frozen, .. } = *settings;
+    scene.choose_frames(Some(frames))?;
     // The last frame is looked for before the first is rendered.
     capture.cameras(split, frames.end - 1, downscale)?;
     let cameras = capture.cameras(split, frames.start, downscale)?;
-    let mut progress = Progress::new("evaluating", cameras.len() * frames.len());
+    let num_steps = cameras.len() * frames.len();
+    tell(observer, Event::Begun { work: Work::Evaluating, num_steps })?;
     let (mut images, mut flickers, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
     // Of the frame before, by camera: as rendered, and as it should be.
     let mut before: BTreeMap<usize, [Image; 2]> = BTreeMap::new();
@@ -114,7 +142,7 @@ pub fn evaluate(
             times_ms.push(ms);
             let clamped = clamped(&output.image);
             images.push(score(timestep, &output.image, &clamped, &view, settings));
-            progress.step(|| format!("frame {frame}"));
+            tell(observer, Event::Frame(frame))?;
             // Sizes may change with time; nothing says which pixels belong together then.
             let size = |image: &Image| (image.width, image.height);
             if let Some([rendered, image]) = before.get(&view.camera_id)
@@ -128,8 +156,8 @@ pub fn evaluate(
         before = now;
     }
     let Some(camera) = last_camera else {
-        let problem = format!("has no such cameras in the frames {}..{}", frames.start, frames.end);
-        return Err(wrong_input(format!("{}: {problem}, expected at least one", capture.name())));
+        let found = format!("has no such cameras in the frames {}..{}", frames.start, frames.end);
+        return Err(PipelineError::input(capture.name(), found, "at least one"));
     };
     while times_ms.len() < MIN_TIMED_RENDERS {
         times_ms.push(renderer.draw(&drawn, &camera, &RenderSettings::default())?.1);
@@ -145,7 +173,7 @@ pub fn evaluate(
 }
 
 /// One image against the camera's.
-fn score(timestep: usize, rendered: &Image, clamped: &Image, view: &View, settings: &Settings) -> ImageScore {
+fn score(timestep: usize, rendered: &Image, clamped: &Image, view: &View, settings: &EvaluateSettings) -> ImageScore {
     let image = &view.image;
     let lpips = |backbone| settings.lpips?.distance(backbone, InputRange::Signed, clamped, image);
     let ms_ssim = ms_ssim(clamped, image);

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::{BitMap, BitSettings, assign_bits};
 use tcgs_core::{Camera, DynamicGaussians, Gaussians, Sensitivity, Tour};
-use tcgs_pipeline::{OpenScene, SceneContent};
 
-use super::scene::Settings;
+use super::CompressOptions;
+use crate::{OpenScene, PipelineError};
 
 /// Cameras around a scene without a capture, and the size of their images.
 const NUM_CAMERAS: usize = 16;
@@ -25,9 +25,9 @@ const NUM_TIMESTEPS: usize = 4;
 pub fn measured_bits(
     scene: &OpenScene,
     floats: &DynamicGaussians,
-    settings: &Settings,
-) -> anyhow::Result<(BitMap, String)> {
-    let (cameras, of) = cameras(scene, &floats.at(0), settings)?;
+    options: &CompressOptions,
+) -> Result<(BitMap, String), PipelineError> {
+    let (cameras, of) = cameras(scene, &floats.at(0), options)?;
     let last = floats.num_timesteps() - 1;
     let count = NUM_TIMESTEPS.min(last + 1).min(cameras.len().max(1));
     let mut sum = Sensitivity::zeros_of(floats.layout(), floats.num_gaussians());
@@ -36,7 +36,7 @@ pub fn measured_bits(
     for turn in 0..count {
         let gaussians = floats.at(turn * last / (count - 1).max(1));
         let of_turn: Vec<Camera> = cameras.iter().skip(turn).step_by(count).cloned().collect();
-        let sensitivity = tcgs_train::sensitivity(&tcgs_render::CpuRasterizer, &gaussians, &of_turn)?;
+        let Ok(sensitivity) = tcgs_train::sensitivity(&tcgs_render::CpuRasterizer, &gaussians, &of_turn);
         for attribute in floats.layout().attributes() {
             let (row, rows) = (attribute.components(), sum.values_mut(attribute));
             rows.iter_mut().zip(sensitivity.values(attribute)).for_each(|(sum, s)| *sum += s / count as f32);
@@ -45,17 +45,17 @@ pub fn measured_bits(
             rows.skip(turn).step_by(count).for_each(|(to, from)| to.copy_from_slice(from));
         }
     }
-    let bit_map = assign_bits(&sum, &stored, &bit_settings(scene, settings))?;
+    let bit_map = assign_bits(&sum, &stored, &bit_settings(scene, options))?;
     Ok((bit_map, format!("bits: by sensitivity, measured with {} {of}", cameras.len())))
 }
 
-fn bit_settings(scene: &OpenScene, settings: &Settings) -> BitSettings {
-    let mut bits = match &scene.content {
-        SceneContent::Run(run) => tcgs_train::bit_settings(run.0.config()),
-        _ => BitSettings::default(),
+fn bit_settings(scene: &OpenScene, options: &CompressOptions) -> BitSettings {
+    let mut bits = match scene.run() {
+        Some(run) => tcgs_train::bit_settings(run.config()),
+        None => BitSettings::default(),
     };
-    bits.mapping = settings.mapping;
-    if let Some((min, max)) = settings.bits {
+    bits.mapping = options.mapping;
+    if let Some((min, max)) = options.bits {
         (bits.min_bits, bits.max_bits) = (min, max);
         // A mean outside of the range would give every parameter the same bits.
         if !(f32::from(min)..=f32::from(max)).contains(&bits.mean_bits) {
@@ -65,12 +65,13 @@ fn bit_settings(scene: &OpenScene, settings: &Settings) -> BitSettings {
     bits
 }
 
-fn cameras(scene: &OpenScene, gaussians: &Gaussians, settings: &Settings) -> anyhow::Result<(Vec<Camera>, String)> {
-    let of_run = match &scene.content {
-        SceneContent::Run(run) => Some(PathBuf::from(&run.0.config().data.capture)),
-        _ => None,
-    };
-    let Some(path) = settings.capture.clone().or(of_run) else {
+fn cameras(
+    scene: &OpenScene,
+    gaussians: &Gaussians,
+    options: &CompressOptions,
+) -> Result<(Vec<Camera>, String), PipelineError> {
+    let of_run = scene.run().map(|run| PathBuf::from(&run.config().data.capture));
+    let Some(path) = options.capture.clone().or(of_run) else {
         let cameras = Tour::Orbit.cameras(gaussians.means(), scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE);
         return Ok((cameras, "cameras around the scene (--capture would give the real ones)".into()));
     };

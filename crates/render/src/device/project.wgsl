@@ -43,7 +43,7 @@ fn rotmat_from_quat(q: vec4<f32>) -> array<vec3<f32>, 3> {
     );
 }
 
-// What forward and backward share; see `Chain` in cpu/project.rs.
+// What forward and backward share; see `Chain` in project.rs.
 struct Chain {
     ok: bool,
     point: vec3<f32>,

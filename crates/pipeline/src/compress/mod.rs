@@ -1,0 +1,284 @@
+//! The steps from a scene of floats to the bytes of a `.tcgs` file, and what each leaves.
+
+mod bits;
+mod judge;
+mod settings;
+mod target;
+mod views;
+
+use std::borrow::Cow;
+use std::path::PathBuf;
+
+use tcgs_codec::{
+    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis,
+    compress, encode_with, inspect,
+};
+use tcgs_core::{Attribute, DynamicGaussians};
+use tcgs_train::Run;
+
+use self::bits::measured_bits;
+use self::views::VIEWS;
+use crate::{OpenScene, PipelineError};
+
+pub use judge::{Judge, JudgeImages};
+pub use settings::{CompressPreset, position_step_remark, settings_of};
+pub use target::{QUALITY_RANGE, SearchResult, Target, Trial, search};
+
+/// How a scene is compressed.
+#[derive(Clone, Debug)]
+pub struct CompressOptions {
+    /// Keypoints and quantizers.
+    pub keypoints: CompressSettings,
+    /// From sensitivity to bits, where bits are not learned.
+    pub mapping: BitMapping,
+    /// Fewest and most bits; none: those learned, else the default.
+    pub bits: Option<(u8, u8)>,
+    /// Of a position's coordinate; none: as learned, else the default.
+    pub position_bits: Option<u8>,
+    /// Mean mask from which on a Gaussian stays; none: the run's threshold.
+    pub prune: Option<f32>,
+    /// Capture for measuring sensitivities; none: the run's, or cameras around the scene.
+    pub capture: Option<PathBuf>,
+    /// Whether the paper's form without entropy coding is a stage of its own.
+    pub plain: bool,
+    /// What points up; none: found by the capture's cameras.
+    pub up: Option<UpAxis>,
+    /// Most cameras that the file gives players to start from.
+    pub views: usize,
+}
+
+impl Default for CompressOptions {
+    /// The codec's default settings, learned bits or bits of the default range, the run's mask threshold, eight cameras.
+    fn default() -> Self {
+        Self {
+            keypoints: CompressSettings::default(),
+            mapping: BitMapping::Log,
+            bits: None,
+            position_bits: None,
+            prune: None,
+            capture: None,
+            plain: false,
+            up: None,
+            views: 8,
+        }
+    }
+}
+
+impl CompressOptions {
+    /// Bits that the codec knows, and shares that are some.
+    fn check(&self) -> Result<(), PipelineError> {
+        let expected = format!("1 to {MAX_BITS}, the fewest first");
+        if let Some((min, max)) = self.bits
+            && !(1 <= min && min <= max && max <= MAX_BITS)
+        {
+            return Err(PipelineError::input("fewest and most bits", format!("{min} and {max}"), expected));
+        }
+        if let Some(bits) = self.position_bits
+            && !(1..=MAX_BITS).contains(&bits)
+        {
+            return Err(PipelineError::input("bits of a position", bits.to_string(), expected));
+        }
+        match self.prune {
+            Some(share) if !(0.0..=1.0).contains(&share) => {
+                Err(PipelineError::input("threshold of masks", share.to_string(), "a number from 0 to 1"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A step of a compression and the size that it leaves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SizeStep {
+    /// What the scene is after the step: `raw`, `pruned`, `quantised`, `keypoints`, `plain`, `file`.
+    pub name: &'static str,
+    /// What the scene then takes.
+    pub bytes: u64,
+}
+
+/// A compressed scene.
+#[derive(Clone, Debug)]
+pub struct Compressed {
+    /// Bytes of the `.tcgs` file.
+    pub file: Vec<u8>,
+    /// The same as symbols.
+    pub compact: CompactScene,
+    /// Before pruning.
+    pub num_gaussians_before: usize,
+    /// From the raw floats, in order; the last is the file.
+    pub stages: Vec<SizeStep>,
+    /// By [`Attribute::index`]: bytes in the file.
+    pub bytes_by_attribute: [u64; 5],
+}
+
+/// A scene of floats of which all is known but the settings of keypoints and quantizers: compressing it again
+/// with others does not measure its bits again.
+#[derive(Clone, Debug)]
+pub struct PrunedScene {
+    pruned: DynamicGaussians,
+    bit_map: BitMap,
+    learned: Option<Quantizers>,
+    info: SceneInfo,
+    num_gaussians_before: usize,
+    raw_bytes: u64,
+    /// For players.
+    views: Option<Vec<u8>>,
+    /// Where the bits come from, in words.
+    pub bits_from: String,
+}
+
+impl PrunedScene {
+    /// Prunes a scene by its masks (paper Eq. 6), where it has masks, and assigns bits to what stays.
+    ///
+    /// # Errors
+    /// [`PipelineError::Input`] if the scene is compressed already, holds a value that is not finite, or no mask is above
+    /// the threshold; [`PipelineError`] if a file of the scene or the capture cannot be read.
+    pub fn new(scene: &OpenScene, options: &CompressOptions) -> Result<Self, PipelineError> {
+        options.check()?;
+        let trained = scene.run().map(Run::trained).transpose()?;
+        let floats = match &trained {
+            Some(trained) => Cow::Borrowed(&trained.scene),
+            None => scene.floats()?,
+        };
+        let learned = trained.as_ref().and_then(|trained| trained.quantization.as_ref());
+        check_finite(scene, &floats)?;
+        let keep = kept_gaussians(scene, options.prune)?;
+        let pruned = floats.select(&keep);
+        let (bit_map, bits_from) = bits(scene, &pruned, &keep, options, learned)?;
+        let cameras = views::cameras(scene, options)?;
+        let up = options.up.unwrap_or_else(|| views::up_axis(&cameras));
+        Ok(Self {
+            info: info(scene, &pruned, up),
+            views: views::views(&cameras, options),
+            pruned,
+            bit_map,
+            learned: learned.map(|(_, quantizers)| quantizers.clone()),
+            num_gaussians_before: floats.num_gaussians(),
+            raw_bytes: floats.raw_bytes(),
+            bits_from,
+        })
+    }
+
+    /// The scene as symbols, and the bytes of its file.
+    ///
+    /// # Errors
+    /// [`PipelineError`] if the codec refuses the scene or the settings.
+    pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactScene, Vec<u8>), PipelineError> {
+        let compact = compress(&self.pruned, &self.bit_map, self.learned.as_ref(), self.info.clone(), settings)?;
+        let views = self.views.iter().map(|json| (VIEWS, &json[..]));
+        let file = encode_with(&compact, &views.collect::<Vec<_>>())?;
+        Ok((compact, file))
+    }
+
+    /// The sizes after every step, and by attribute.
+    ///
+    /// - `options`: with which [`Self::compress`] gave the others
+    ///
+    /// # Errors
+    /// [`PipelineError::Decode`] if `file` is not a whole `.tcgs` file.
+    pub fn account(
+        self,
+        options: &CompressOptions,
+        compact: CompactScene,
+        file: Vec<u8>,
+    ) -> Result<Compressed, PipelineError> {
+        let mut stages = vec![
+            SizeStep { name: "raw", bytes: self.raw_bytes },
+            SizeStep { name: "pruned", bytes: self.pruned.raw_bytes() },
+            SizeStep { name: "quantised", bytes: compact.quantized_bytes() },
+        ];
+        if options.keypoints.keypoints {
+            stages.push(SizeStep { name: "keypoints", bytes: compact.plain_bytes() });
+        }
+        if options.plain {
+            stages.push(SizeStep { name: "plain", bytes: compact.plain_bytes() });
+        }
+        stages.push(SizeStep { name: "file", bytes: file.len() as u64 });
+        let bytes_by_attribute = inspect(&file, &DecodeLimits::none())
+            .map_err(|error| PipelineError::Decode { path: self.info.name.clone().into(), error })?
+            .bytes_by_attribute();
+        Ok(Compressed { bytes_by_attribute, file, compact, num_gaussians_before: self.num_gaussians_before, stages })
+    }
+}
+
+/// Compresses a scene of floats: [`PrunedScene::new`], [`PrunedScene::compress`] and [`PrunedScene::account`] in one.
+///
+/// # Errors
+/// As these.
+pub fn compress_scene(scene: &OpenScene, options: &CompressOptions) -> Result<Compressed, PipelineError> {
+    let pruned = PrunedScene::new(scene, options)?;
+    let (compact, file) = pruned.compress(&options.keypoints)?;
+    pruned.account(options, compact, file)
+}
+
+/// Indices of the Gaussians that stay: all of a scene without masks, else those whose mean mask over time (paper Eq. 6)
+/// is above the threshold.
+///
+/// - `threshold`: none for the run's
+///
+/// # Errors
+/// [`PipelineError::Input`] if no mean mask is above the threshold; [`PipelineError`] if a file of the scene is damaged.
+pub fn kept_gaussians(scene: &OpenScene, threshold: Option<f32>) -> Result<Vec<usize>, PipelineError> {
+    let num_gaussians = scene.num_gaussians();
+    let (Some(run), Some(means)) = (scene.run(), scene.mean_masks()?) else { return Ok((0..num_gaussians).collect()) };
+    let threshold = threshold.unwrap_or(run.config().mask.threshold);
+    let keep: Vec<usize> = (0..num_gaussians).filter(|&i| means[i] > threshold).collect();
+    if keep.is_empty() {
+        let largest = means.iter().fold(0.0_f32, |a, &b| a.max(b));
+        let found = format!("its largest mean mask is {largest:.1e}");
+        return Err(PipelineError::input(scene.path.display(), found, format!("one above the threshold {threshold}")));
+    }
+    Ok(keep)
+}
+
+/// Bits of the Gaussians that stay, and where they come from.
+fn bits(
+    scene: &OpenScene,
+    pruned: &DynamicGaussians,
+    keep: &[usize],
+    options: &CompressOptions,
+    learned: Option<&(BitMap, Quantizers)>,
+) -> Result<(BitMap, String), PipelineError> {
+    let (mut bit_map, from) = match (options.bits, learned) {
+        (None, Some((bit_map, _))) => (bit_map.select(keep), "bits: learned by the run".into()),
+        (Some((min, max)), _) if min == max => {
+            let position_bits = options.position_bits.unwrap_or(tcgs_codec::BitSettings::default().position_bits);
+            (BitMap::uniform(pruned.num_gaussians(), position_bits, min), format!("bits: {min} for every parameter"))
+        }
+        _ => measured_bits(scene, pruned, options)?,
+    };
+    if let Some(position_bits) = options.position_bits {
+        bit_map.widths[Attribute::Mean.index()].fill(position_bits);
+    }
+    Ok((bit_map, from))
+}
+
+fn info(scene: &OpenScene, pruned: &DynamicGaussians, up: UpAxis) -> SceneInfo {
+    let source = match scene.run() {
+        Some(run) => PathBuf::from(&run.config().data.capture),
+        None => scene.path.with_extension(""),
+    };
+    SceneInfo {
+        first_frame: scene.first_frame as u32,
+        downscale: scene.downscale as u32,
+        frame_rate: scene.frame_rate as f32,
+        name: source.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+        up,
+        ..SceneInfo::of(pruned)
+    }
+}
+
+/// Training may leave a value that nobody saw.
+fn check_finite(scene: &OpenScene, floats: &DynamicGaussians) -> Result<(), PipelineError> {
+    for attribute in Attribute::BASE {
+        for timestep in 0..floats.num_samples(attribute) {
+            let values = floats.values(attribute, timestep);
+            if let Some(i) = values.iter().position(|x| !x.is_finite()) {
+                let (name, value, gaussian) = (attribute.name(), values[i], i / attribute.components());
+                let found = format!("{name} of Gaussian {gaussian} at timestep {timestep} is {value}");
+                return Err(PipelineError::input(scene.path.display(), found, "a finite number"));
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,179 @@
+//! A scene for other programs: `params.npz` and PLY files.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Seek, Write};
+use std::ops::Range;
+use std::path::Path;
+
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians};
+use tcgs_interchange::{ParamsExtras, ParamsOrigin, write_params_npz_to, write_ply_to};
+
+use crate::observe::tell;
+use crate::{Event, Observer, OpenScene, PipelineError, Work, kept_gaussians};
+
+/// `params.npz` holds floats, of which the whole numbers end here.
+const MAX_FRAME_OF_PARAMS: usize = 1 << 24;
+
+/// Writes a scene for other programs, in floats. Of a run the Gaussians that its masks leave out over time are left out:
+/// such files have no place for masks.
+///
+/// ```
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// use tcgs_interchange::{ParamsExtras, write_params_npz};
+/// use tcgs_pipeline::{Export, OpenScene, OpenSettings, Unobserved};
+///
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("params.npz");
+/// let mut floats = DynamicGaussians::default();
+/// floats.push(Gaussians::zeros(5));
+/// write_params_npz(&path, &floats, &ParamsExtras::default())?;
+///
+/// let scene = OpenScene::open(&path, OpenSettings::default())?;
+/// let export = Export::new(&scene)?;
+/// let bytes = export.write_ply_folder(scene.frames(), folder.path(), &mut Unobserved)?;
+/// assert_eq!(bytes, std::fs::metadata(folder.path().join("000000.ply"))?.len());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Export<'a> {
+    scene: &'a OpenScene,
+    keep: Vec<usize>,
+}
+
+impl<'a> Export<'a> {
+    /// Decides which Gaussians stay.
+    ///
+    /// # Errors
+    /// [`PipelineError::Input`] if none stays; [`PipelineError`] if a file of the scene is damaged.
+    pub fn new(scene: &'a OpenScene) -> Result<Self, PipelineError> {
+        let keep = kept_gaussians(scene, None)?;
+        if keep.is_empty() {
+            return Err(PipelineError::input(scene.path.display(), "has no Gaussians", "at least one"));
+        }
+        Ok(Self { scene, keep })
+    }
+
+    /// How many Gaussians stay.
+    pub fn num_gaussians(&self) -> usize {
+        self.keep.len()
+    }
+
+    /// The Gaussians that stay, at one frame.
+    ///
+    /// # Errors
+    /// [`PipelineError`] if the scene lacks the frame, or it cannot be read.
+    pub fn gaussians(&self, frame: usize) -> Result<Gaussians, PipelineError> {
+        self.scene.choose_frames(Some(&(frame..frame + 1)))?;
+        let gaussians = self.scene.at(frame - self.scene.first_frame)?;
+        Ok(if self.keep.len() < gaussians.num_gaussians() { gaussians.select(&self.keep) } else { gaussians })
+    }
+
+    /// The arrays of a `params.npz` of some frames.
+    ///
+    /// # Errors
+    /// [`PipelineError::Input`] if scales or opacities vary with time or the first frame's number is too large, neither
+    /// of which a `params.npz` can hold; [`PipelineError`] if a frame is missing or cannot be read.
+    pub fn params(&self, frames: Range<usize>) -> Result<ExportedParams<'_>, PipelineError> {
+        let scene = self.scene;
+        let frames = scene.choose_frames(Some(&frames))?;
+        let mut floats = DynamicGaussians::default();
+        for frame in frames.clone() {
+            floats.push(self.gaussians(frame)?);
+        }
+        for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
+            if floats.varies(attribute) {
+                let found = format!("{} vary with time, which a params.npz cannot hold", attribute.name());
+                return Err(PipelineError::input(scene.path.display(), found, "a folder of PLY files to export to"));
+            }
+        }
+        // A number of 32 bits, where frames are counted by dates or clocks, would be another one.
+        if frames.start >= MAX_FRAME_OF_PARAMS {
+            let found = format!("begins at frame {}, which a params.npz cannot hold", frames.start);
+            let expected = format!("a frame below {MAX_FRAME_OF_PARAMS}, or a folder of PLY files to export to");
+            return Err(PipelineError::input(scene.path.display(), found, expected));
+        }
+        let foreground = scene.first_checkpoint().map(|first| {
+            let foreground = &first.parameters.foreground;
+            self.keep.iter().map(|&i| foreground[i]).collect()
+        });
+        Ok(ExportedParams { scene, floats, foreground, first_frame: frames.start as u32 })
+    }
+
+    /// Writes one frame as a PLY file.
+    ///
+    /// # Errors
+    /// [`PipelineError`] if the frame is missing or cannot be read.
+    pub fn ply(&self, frame: usize) -> Result<impl Fn(&File) -> io::Result<()> + use<>, PipelineError> {
+        let gaussians = self.gaussians(frame)?;
+        Ok(move |file: &File| write_ply(file, &gaussians))
+    }
+
+    /// Writes a PLY file a frame, named by its number: `000012.ply`.
+    ///
+    /// - `folder`: exists; what is in it stays
+    /// - returns: bytes written
+    ///
+    /// # Errors
+    /// [`PipelineError::Unwritable`] if a file cannot be written; [`PipelineError`] if a frame is missing or cannot be
+    /// read; [`PipelineError::Stopped`] if the observer broke off.
+    pub fn write_ply_folder(
+        &self,
+        frames: Range<usize>,
+        folder: &Path,
+        observer: &mut dyn Observer,
+    ) -> Result<u64, PipelineError> {
+        let frames = self.scene.choose_frames(Some(&frames))?;
+        tell(observer, Event::Begun { work: Work::Exporting, num_steps: frames.len() })?;
+        let mut bytes = 0;
+        for frame in frames {
+            let path = folder.join(format!("{frame:06}.ply"));
+            let gaussians = self.gaussians(frame)?;
+            let written = File::create(&path).and_then(|file| {
+                write_ply(&file, &gaussians)?;
+                Ok(file.metadata()?.len())
+            });
+            bytes += written.map_err(|error| PipelineError::Unwritable { path, error })?;
+            tell(observer, Event::Frame(frame))?;
+        }
+        Ok(bytes)
+    }
+}
+
+/// The arrays of a `params.npz`.
+#[derive(Debug)]
+pub struct ExportedParams<'a> {
+    scene: &'a OpenScene,
+    floats: DynamicGaussians,
+    /// `[N]`, of a run.
+    foreground: Option<Vec<bool>>,
+    first_frame: u32,
+}
+
+impl ExportedParams<'_> {
+    /// Writes the archive.
+    ///
+    /// # Errors
+    /// What the writer reports.
+    pub fn write<W: Write + Seek>(&self, writer: W) -> io::Result<W> {
+        let scene = self.scene;
+        let origin = ParamsOrigin {
+            first_frame: self.first_frame,
+            downscale: scene.downscale as u32,
+            frame_rate: scene.frame_rate as f32,
+        };
+        let cameras = scene.first_checkpoint().map(|first| &first.parameters);
+        let extras = ParamsExtras {
+            foreground: self.foreground.as_deref(),
+            log_gains: cameras.map_or(&[], |p| &p.camera_gains),
+            offsets: cameras.map_or(&[], |p| &p.camera_offsets),
+            origin: Some(origin),
+        };
+        write_params_npz_to(writer, &self.floats, &extras)
+    }
+}
+
+fn write_ply(file: &File, gaussians: &Gaussians) -> io::Result<()> {
+    let mut writer = BufWriter::new(file);
+    write_ply_to(&mut writer, gaussians)?;
+    writer.flush()
+}
