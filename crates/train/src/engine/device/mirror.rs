@@ -91,11 +91,19 @@ impl Mirror {
 mod tests {
     use std::convert::Infallible;
 
+    use tcgs_core::Gaussians;
+
     use super::*;
     use crate::parameters::Parameters;
 
     fn mirror() -> Mirror {
-        Mirror::new(State::new(Parameters::from_cloud(&tcgs_core::PointCloud::default(), 1, 0.0)))
+        Mirror::new(State::new(Parameters {
+            gaussians: Gaussians::zeros(1),
+            mask_logits: vec![0.0],
+            foreground: vec![true],
+            camera_gains: Vec::new(),
+            camera_offsets: Vec::new(),
+        }))
     }
 
     #[test]
