@@ -10,14 +10,13 @@ use std::borrow::Cow;
 use std::path::PathBuf;
 
 use tcgs_codec::{
-    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, Quantizers, SceneInfo, UpAxis, compress,
-    encode_with, inspect,
+    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS,
+    compress, encode_with, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians};
 use tcgs_train::Run;
 
 use self::bits::measured_bits;
-use self::views::VIEWS;
 use crate::{OpenScene, PipelineError};
 
 pub use judge::{Judge, JudgeImages};
@@ -60,6 +59,29 @@ impl Default for CompressOptions {
             plain: false,
             up: None,
             views: 8,
+        }
+    }
+}
+
+impl CompressOptions {
+    /// Bits that the codec knows, and shares that are some.
+    fn check(&self) -> Result<(), PipelineError> {
+        let expected = format!("1 to {MAX_BITS}, the fewest first");
+        if let Some((min, max)) = self.bits
+            && !(1 <= min && min <= max && max <= MAX_BITS)
+        {
+            return Err(PipelineError::input("fewest and most bits", format!("{min} and {max}"), expected));
+        }
+        if let Some(bits) = self.position_bits
+            && !(1..=MAX_BITS).contains(&bits)
+        {
+            return Err(PipelineError::input("bits of a position", bits.to_string(), expected));
+        }
+        match self.prune {
+            Some(share) if !(0.0..=1.0).contains(&share) => {
+                Err(PipelineError::input("threshold of masks", share.to_string(), "a number from 0 to 1"))
+            }
+            _ => Ok(()),
         }
     }
 }
@@ -111,6 +133,7 @@ impl PrunedScene {
     /// [`PipelineError::Input`] if the scene is compressed already, holds a value that is not finite, or no mask is above
     /// the threshold; [`PipelineError`] if a file of the scene or the capture cannot be read.
     pub fn new(scene: &OpenScene, options: &CompressOptions) -> Result<Self, PipelineError> {
+        options.check()?;
         let trained = scene.run().map(Run::trained).transpose()?;
         let floats = match &trained {
             Some(trained) => Cow::Borrowed(&trained.scene),
