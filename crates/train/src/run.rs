@@ -2,8 +2,8 @@
 
 use std::fs;
 use std::io::Write;
-use std::sync::Arc;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
