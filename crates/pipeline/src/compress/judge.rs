@@ -27,7 +27,7 @@ pub struct JudgeImages {
     pub capture: Option<PathBuf>,
     /// Which cameras of the capture.
     pub split: Split,
-    /// Frames; none: of the scene, evenly, as many as [`MAX_IMAGES`] allow.
+    /// Frames; none: of the scene, evenly, as many as make at most 100 images.
     pub frames: Option<std::ops::Range<usize>>,
 }
 
