@@ -1,6 +1,8 @@
 //! Image files to pixels.
 
-use std::{io::Cursor, path::Path};
+use std::fs::File;
+use std::io::{BufReader, Cursor};
+use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
 use tcgs_core::Segmentation;
@@ -18,6 +20,35 @@ pub(crate) fn image(path: &Path, size: (usize, usize)) -> Result<RgbImage, Captu
         let [r, g, b, alpha] = rgba.get_pixel(x, y).0;
         image::Rgb([r, g, b].map(|c| ((u16::from(c) * u16::from(alpha) + 127) / 255) as u8))
     }))
+}
+
+/// Decodes an image whose PNG file may be cut short; rows that cannot be read come from another.
+///
+/// - `before`: the same camera a frame earlier
+pub(crate) fn cut_image(path: &Path, before: &Path, size: (usize, usize)) -> Result<RgbImage, CaptureError> {
+    if let Ok(whole) = image(path, size) {
+        return Ok(whole);
+    }
+    let mut mended = image(before, size)?;
+    let damaged = |error: png::DecodingError| CaptureError::invalid(path, format!("cannot be decoded: {error}"));
+    let file = File::open(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+    let mut decoder = png::Decoder::new(BufReader::new(file));
+    decoder.set_transformations(png::Transformations::normalize_to_color8());
+    let mut reader = decoder.read_info().map_err(damaged)?;
+    let (found, color) = ((reader.info().width as usize, reader.info().height as usize), reader.output_color_type());
+    let channels = color.0.samples();
+    if found != size || channels < 3 || reader.info().interlaced {
+        let problem =
+            format!("is {}x{} pixels, {:?}, expected {}x{} in RGB", found.0, found.1, color.0, size.0, size.1);
+        return Err(CaptureError::invalid(path, problem));
+    }
+    for out in mended.rows_mut() {
+        let Ok(Some(row)) = reader.next_row() else { break };
+        for (out, pixel) in out.zip(row.data().chunks_exact(channels)) {
+            out.0.copy_from_slice(&pixel[..3]);
+        }
+    }
+    Ok(mended)
 }
 
 /// Width and height, without decoding more.

@@ -4,22 +4,19 @@ use std::{io, path::PathBuf};
 
 use tcgs_interchange::InterchangeError;
 
-use crate::kind;
-
 /// Why a capture cannot be used. Every message is one line and begins with the file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CaptureError {
     /// The folder is of no kind that is known.
-    #[error(
-        "{}: {problem}, expected the folder of a capture with one of {}",
-        path.display(), kind::marks()
-    )]
+    #[error("{}: {problem}, expected the folder of a capture with one of {expected}", path.display())]
     NotCapture {
         /// The folder.
         path: PathBuf,
         /// What was found.
         problem: String,
+        /// What folders of the known kinds have.
+        expected: String,
     },
     /// The file system refused.
     #[error("{}: reading failed: {error}", path.display())]
@@ -50,6 +47,24 @@ pub enum CaptureError {
     /// Points or poses cannot be read.
     #[error(transparent)]
     Points(#[from] InterchangeError),
+    /// A closure that makes images or masks failed, or made something that does not fit its camera.
+    #[error("camera {camera_id}, frame {frame}: {error}")]
+    Made {
+        /// The camera.
+        camera_id: usize,
+        /// The frame asked for.
+        frame: usize,
+        /// Why there is none.
+        error: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// A capture that a program puts together does not fit together.
+    #[error("capture {name}: {problem}")]
+    Built {
+        /// The capture.
+        name: String,
+        /// What was found, and what was expected.
+        problem: String,
+    },
     /// A frame was asked for that the capture does not have.
     #[error("{}: has {num_frames} frames, expected more than {frame} to show frame {frame}", path.display())]
     NoFrame {

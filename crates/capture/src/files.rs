@@ -1,5 +1,9 @@
 //! What a folder holds.
 
+use std::collections::{BTreeMap, HashSet};
+use std::ffi::OsString;
+use std::fs::DirEntry;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use tcgs_core::natural_key;
@@ -22,9 +26,42 @@ pub(crate) fn list(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
 
 /// The images of a folder, in the natural order of their names.
 pub(crate) fn images(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
+    let mut listings = Listings::default();
     let mut paths = list(folder)?;
-    paths.retain(|path| has_extension(path, &["png", "jpg", "jpeg"]) && path.is_file());
+    paths.retain(|path| has_extension(path, &["png", "jpg", "jpeg"]) && listings.has_file(path));
     Ok(paths)
+}
+
+/// Which files exist, by listing every folder once: thousands of frames by tens of cameras would be hundreds of
+/// thousands of single questions to the file system, each a round trip where that is on a network.
+#[derive(Default)]
+pub(crate) struct Listings {
+    /// Names of the files in each folder; none for a folder that does not exist.
+    folders: BTreeMap<PathBuf, Option<HashSet<OsString>>>,
+}
+
+impl Listings {
+    /// Whether a path is a file.
+    pub fn has_file(&mut self, path: &Path) -> bool {
+        let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else { return path.is_file() };
+        if !self.folders.contains_key(folder) {
+            self.folders.insert(folder.into(), names_of_files(folder));
+        }
+        // A folder that may be entered but not listed, links, and names that only the file system takes for the same
+        // are asked for one by one.
+        self.folders[folder].as_ref().is_some_and(|names| names.contains(name) || path.is_file())
+    }
+}
+
+/// Names of the files in a folder, as far as listing it says: links are left out. Nothing if there is no such folder.
+fn names_of_files(folder: &Path) -> Option<HashSet<OsString>> {
+    let entries = match std::fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == ErrorKind::NotFound => return None,
+        Err(_) => return Some(HashSet::new()),
+    };
+    let is_file = |entry: &DirEntry| entry.file_type().is_ok_and(|kind| kind.is_file());
+    Some(entries.flatten().filter(is_file).map(|entry| entry.file_name()).collect())
 }
 
 pub(crate) fn has_extension(path: &Path, extensions: &[&str]) -> bool {

@@ -1,121 +1,65 @@
-//! The layouts that are known, how each is recognised, and what its publications agree on.
+//! What a kind of capture is: plain data, one constant for each kind, in `kinds`.
 
 use std::path::Path;
 
-use crate::{Capture, CaptureError, colmap, files, middlebury, nerfstudio, neural3d, panoptic, technicolor};
+use crate::{CaptureError, contents::Contents};
 
-/// How a capture lies on disk.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum CaptureKind {
-    /// Panoptic Sports as prepared for Dynamic 3D Gaussians: a file an image.
-    Panoptic,
-    /// Neural 3D Video: a video a camera, poses as LLFF writes them.
-    Neural3d,
-    /// The light-field videos of Technicolor: a file an image.
-    Technicolor,
-    /// `transforms.json` of nerfstudio, with a time for each image if there are several timesteps.
-    Nerfstudio,
-    /// A COLMAP model and its images: one timestep.
-    Colmap,
-    /// Multi-view stereo sets of Middlebury: one timestep.
-    Middlebury,
+/// How a capture lies on disk, how it is recognised and opened, and what holds of every capture of this kind.
+///
+/// The kinds that are known are associated constants, and [`CaptureKind::ALL`] lists them.
+///
+/// ```
+/// use tcgs_capture::CaptureKind;
+/// assert_eq!(CaptureKind::named("panoptic"), Some(CaptureKind::PANOPTIC));
+/// assert!(CaptureKind::PANOPTIC.facts.has_floor && !CaptureKind::COLMAP.facts.has_floor);
+/// ```
+#[derive(Clone, Copy)]
+pub struct CaptureKind {
+    /// A short name, as settings hold it.
+    pub name: &'static str,
+    /// What a folder of this kind has, for messages.
+    pub mark: &'static str,
+    /// What holds of every capture of this kind.
+    pub facts: CaptureFacts,
+    /// Whether a folder is of this kind. The first kind of the list that says so counts.
+    pub(crate) recognises: fn(&Path) -> Result<bool, CaptureError>,
+    /// Reads all but images and points.
+    pub(crate) open: fn(&Path) -> Result<Contents, CaptureError>,
 }
 
-/// Every kind, in the order in which they are looked for.
-pub(crate) const KINDS: [CaptureKind; 6] = [
-    CaptureKind::Panoptic,
-    CaptureKind::Neural3d,
-    CaptureKind::Technicolor,
-    CaptureKind::Nerfstudio,
-    CaptureKind::Colmap,
-    CaptureKind::Middlebury,
-];
+/// What else is known of a capture than its images, cameras and points.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CaptureFacts {
+    /// Whether the world's `y` points down and its floor is the plane `y = 0`.
+    pub has_floor: bool,
+    /// Whether the scene unit is the metre.
+    pub in_metres: bool,
+    /// Whether the labels of the points, and the masks where there are any, say what moves.
+    pub labels_motion: bool,
+}
 
 impl CaptureKind {
-    /// A short name, as settings hold it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Panoptic => "panoptic",
-            Self::Neural3d => "neural3d",
-            Self::Technicolor => "technicolor",
-            Self::Nerfstudio => "nerfstudio",
-            Self::Colmap => "colmap",
-            Self::Middlebury => "middlebury",
-        }
-    }
+    /// Not a folder: a capture that a program put together with a [`CaptureBuilder`](crate::CaptureBuilder). Not one of
+    /// [`CaptureKind::ALL`].
+    pub const BUILT: Self = Self {
+        name: "built",
+        mark: "nothing",
+        facts: CaptureFacts { has_floor: false, in_metres: false, labels_motion: false },
+        recognises: |_| Ok(false),
+        open: |path| Err(CaptureError::invalid(path, "is not a folder of a capture")),
+    };
+}
 
-    /// The kind of a short name.
-    ///
-    /// ```
-    /// use tcgs_capture::CaptureKind;
-    /// assert_eq!(CaptureKind::named("neural3d"), Some(CaptureKind::Neural3d));
-    /// ```
-    pub fn named(name: &str) -> Option<Self> {
-        KINDS.into_iter().find(|kind| kind.name() == name)
-    }
-
-    /// Whether the world's `y` points down and its floor is `y = 0`.
-    pub fn has_floor(self) -> bool {
-        self == Self::Panoptic
-    }
-
-    /// What a folder of this kind has, for messages.
-    fn mark(self) -> &'static str {
-        match self {
-            Self::Panoptic => "train_meta.json (Panoptic Sports)",
-            Self::Neural3d => "poses_bounds.npy with cam*.mp4 (Neural 3D Video)",
-            Self::Technicolor => "cameras_parameters.txt (Technicolor)",
-            Self::Nerfstudio => "transforms.json (nerfstudio)",
-            Self::Colmap => "sparse/0/cameras.bin or .txt (COLMAP)",
-            Self::Middlebury => "*_par.txt (Middlebury)",
-        }
-    }
-
-    fn recognises(self, path: &Path) -> Result<bool, CaptureError> {
-        let has = |name: &str| path.join(name).exists();
-        Ok(match self {
-            Self::Panoptic => has(panoptic::TRAIN_META),
-            // Other programs leave poses beside a COLMAP model; without videos that is what counts.
-            Self::Neural3d => {
-                has(neural3d::POSES) && (neural3d::has_cameras(path)? || colmap::model_folder(path).is_none())
-            }
-            Self::Technicolor => has(technicolor::CAMERAS),
-            Self::Nerfstudio => has(nerfstudio::TRANSFORMS),
-            Self::Colmap => colmap::model_folder(path).is_some(),
-            Self::Middlebury => middlebury::cameras_file(path)?.is_some(),
-        })
-    }
-
-    fn open(self, path: &Path) -> Result<Capture, CaptureError> {
-        match self {
-            Self::Panoptic => panoptic::open(path),
-            Self::Neural3d => neural3d::open(path),
-            Self::Technicolor => technicolor::open(path),
-            Self::Nerfstudio => nerfstudio::open(path),
-            Self::Colmap => colmap::open(path),
-            Self::Middlebury => middlebury::open(path),
-        }
+impl PartialEq for CaptureKind {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
     }
 }
 
-/// Opens a folder as what it is.
-pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
-    let not_capture = |problem: String| CaptureError::NotCapture { path: path.into(), problem };
-    if !path.is_dir() {
-        return Err(not_capture(if path.exists() { "is a file".into() } else { "no such folder".into() }));
-    }
-    // A folder that cannot be listed is named by this.
-    files::list(path)?;
-    for kind in KINDS {
-        if kind.recognises(path)? {
-            return kind.open(path);
-        }
-    }
-    Err(not_capture("has no cameras".into()))
-}
+impl Eq for CaptureKind {}
 
-/// The marks of all kinds, for messages.
-pub(crate) fn marks() -> String {
-    KINDS.map(CaptureKind::mark).join(", ")
+impl std::fmt::Debug for CaptureKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("CaptureKind").field(&self.name).finish()
+    }
 }

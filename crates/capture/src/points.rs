@@ -2,16 +2,17 @@
 
 use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use tcgs_core::PointCloud;
 use tcgs_interchange::{NpzReader, NpzWriter, read_ply_points};
 
 use crate::{CaptureError, colmap, files};
 
-/// The points of Dynamic 3D Gaussians, in a capture of any layout.
+/// The points of Dynamic 3D Gaussians, in a capture of any kind.
 pub const POINTS_FILE: &str = "init_pt_cld.npz";
 
-/// Files that a capture of any layout may have beside its own, the first that exists counts. The last is what the
+/// Files that a capture of any kind may have beside its own, the first that exists counts. The last is what the
 /// preparation of Neural 3D Video for 4D Gaussian Splatting leaves.
 const FILES: [&str; 3] = [POINTS_FILE, "points3D.ply", "points3D_downsample2.ply"];
 
@@ -21,11 +22,18 @@ const COLUMNS: usize = 7;
 /// How far beyond `[0, 1]` a colour may lie before it is taken for another scale than for rounding.
 const COLOR_TOLERANCE: f32 = 0.01;
 
+/// Where points are.
+#[derive(Clone, Debug)]
+pub(crate) enum Points {
+    File(PathBuf),
+    InMemory(Arc<PointCloud>),
+}
+
 /// Finds the points of a capture.
 ///
-/// - `own`: those of this layout; what every layout may have comes before
-pub(crate) fn find(capture: &Path, own: Option<PathBuf>) -> Option<PathBuf> {
-    FILES.iter().map(|name| capture.join(name)).find(|path| path.is_file()).or(own)
+/// - `own`: those of this kind; what every kind may have comes before
+pub(crate) fn find(capture: &Path, own: Option<PathBuf>) -> Option<Points> {
+    FILES.iter().map(|name| capture.join(name)).find(|path| path.is_file()).or(own).map(Points::File)
 }
 
 /// Reads points, by the kind of the file.

@@ -88,7 +88,7 @@ const PINHOLE: &str = "1 PINHOLE 32 24 28 28 16 12";
 fn text_and_binary_models_are_captures() {
     for (folder, num_points) in [(text(PINHOLE), 2), (binary(), 1)] {
         let capture = Capture::open(folder.path()).unwrap();
-        assert_eq!((capture.kind(), capture.num_frames()), (CaptureKind::Colmap, 1));
+        assert_eq!((capture.kind(), capture.num_frames()), (CaptureKind::COLMAP, 1));
         let ids = |split| capture.cameras(split, 0, 1).unwrap().into_iter().map(|(id, _)| id).collect::<Vec<_>>();
         assert_eq!((ids(Split::Train), ids(Split::Test)), ((1..8).collect(), vec![0, 8]));
         for view in capture.views(Split::All, 0, 1).unwrap() {
@@ -197,7 +197,7 @@ fn middlebury(count: &str) -> TempDir {
 fn a_set_of_middlebury_is_a_capture() {
     let folder = middlebury("9");
     let capture = Capture::open(folder.path()).unwrap();
-    assert_eq!((capture.kind(), capture.num_frames(), capture.has_points()), (CaptureKind::Middlebury, 1, false));
+    assert_eq!((capture.kind(), capture.num_frames(), capture.has_points()), (CaptureKind::MIDDLEBURY, 1, false));
     for (id, found) in capture.cameras(Split::All, 0, 1).unwrap() {
         assert_close(&found, &camera_of(id, NUM_CAMERAS, 32, 24));
     }

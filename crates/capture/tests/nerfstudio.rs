@@ -67,7 +67,7 @@ fn images_of_a_time_are_a_timestep() {
     let folder = write(&with_points);
     write_ply(&folder.path().join("sparse_pc.ply"));
     let capture = Capture::open(folder.path()).unwrap();
-    assert_eq!((capture.kind(), capture.num_frames(), capture.frame_rate()), (CaptureKind::Nerfstudio, 3, 24.0));
+    assert_eq!((capture.kind(), capture.num_frames(), capture.frame_rate()), (CaptureKind::NERFSTUDIO, 3, 24.0));
     assert_eq!((ids(&capture, Split::Train), ids(&capture, Split::Test)), ((1..8).collect(), vec![0]));
     assert_eq!(capture.point_cloud().unwrap().points.len(), 50);
     for frame in 0..NUM_FRAMES {

@@ -67,7 +67,7 @@ fn small() -> TempDir {
 fn videos_and_poses_are_a_capture() {
     let folder = small();
     let capture = Capture::open(folder.path()).unwrap();
-    assert_eq!((capture.kind(), capture.num_frames(), capture.usual_frames()), (CaptureKind::Neural3d, 12, 0..12));
+    assert_eq!((capture.kind(), capture.num_frames(), capture.usual_frames()), (CaptureKind::NEURAL3D, 12, 0..12));
     assert_eq!((capture.frame_rate(), capture.has_segmentation()), (25.0, false));
     for (split, ids) in [(Split::Train, vec![1, 2, 3]), (Split::Test, vec![0])] {
         let found = capture.cameras(split, 5, 1).unwrap();
@@ -255,6 +255,6 @@ fn points_come_from_a_model_beside_the_videos() {
     fs::write(sparse.join("cameras.txt"), "").unwrap();
     fs::write(sparse.join("points3D.txt"), "# c\n1 0.1 0 0 0 255 0 0.5\n2 0 0.1 0 0 0 255 0.5 1 2\n").unwrap();
     let capture = Capture::open(folder.path()).unwrap();
-    assert_eq!(capture.kind(), CaptureKind::Neural3d);
+    assert_eq!(capture.kind(), CaptureKind::NEURAL3D);
     assert_eq!(capture.point_cloud().unwrap().colors, [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
 }

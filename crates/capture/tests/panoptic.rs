@@ -34,7 +34,7 @@ fn problem_of_points(shape: &[usize], values: &[f32]) -> String {
 fn a_whole_capture_opens() {
     let small = small();
     let capture = small.open().unwrap();
-    assert_eq!(capture.kind(), CaptureKind::Panoptic);
+    assert_eq!(capture.kind(), CaptureKind::PANOPTIC);
     assert_eq!(capture.name(), small.path().file_name().unwrap().to_str().unwrap());
     assert_eq!((capture.num_frames(), capture.frame_rate(), capture.has_segmentation()), (NUM_FRAMES, 30.0, true));
     for (split, ids) in [(Split::Train, vec![1, 2, 4, 5]), (Split::Test, vec![3]), (Split::All, vec![1, 2, 4, 5, 3])] {

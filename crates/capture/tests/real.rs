@@ -119,7 +119,7 @@ fn psnr(a: &Image, b: &Image) -> f64 {
 fn kitchen_opens() {
     let Some(path) = folder("kitchen") else { return };
     let capture = Capture::open(&path).unwrap();
-    assert_eq!((capture.kind(), capture.num_frames(), capture.frame_rate()), (CaptureKind::Neural3d, 100, 30.0));
+    assert_eq!((capture.kind(), capture.num_frames(), capture.frame_rate()), (CaptureKind::NEURAL3D, 100, 30.0));
     let exact: serde_json::Value = serde_json::from_slice(&std::fs::read(path.join("cameras.json")).unwrap()).unwrap();
     let number = |value: &serde_json::Value| value.as_f64().unwrap();
     let views = capture.views(Split::All, 0, 1).unwrap();
@@ -152,7 +152,7 @@ fn kitchen_opens() {
 fn beercan_opens() {
     let Some(path) = folder("beercan_colmap") else { return };
     let capture = Capture::open(&path).unwrap();
-    assert_eq!((capture.kind(), capture.num_frames()), (CaptureKind::Colmap, 1));
+    assert_eq!((capture.kind(), capture.num_frames()), (CaptureKind::COLMAP, 1));
     let views = capture.views(Split::All, 0, 1).unwrap();
     assert_eq!((views.len(), capture.cameras(Split::Test, 0, 1).unwrap().len()), (71, 9));
     // Points that others hide count as well.
@@ -184,7 +184,7 @@ fn beercan_opens() {
 fn temple_opens() {
     let Some(path) = folder("temple_sparse_ring") else { return };
     let capture = Capture::open(&path).unwrap();
-    assert_eq!((capture.kind(), capture.num_frames(), capture.has_points()), (CaptureKind::Middlebury, 1, false));
+    assert_eq!((capture.kind(), capture.num_frames(), capture.has_points()), (CaptureKind::MIDDLEBURY, 1, false));
     let views = capture.views(Split::All, 0, 1).unwrap();
     assert_eq!(views.len(), 16);
     // Its README gives a box around the temple; the rest of the pictures is black. What is bright lies in the box.

@@ -50,7 +50,7 @@ fn small() -> TempDir {
 fn images_and_parameters_are_a_capture() {
     let folder = small();
     let capture = Capture::open(folder.path()).unwrap();
-    assert_eq!((capture.kind(), capture.num_frames(), capture.frame_rate()), (CaptureKind::Technicolor, 7, 30.0));
+    assert_eq!((capture.kind(), capture.num_frames(), capture.frame_rate()), (CaptureKind::TECHNICOLOR, 7, 30.0));
     // Publications begin with 151.
     assert_eq!(capture.usual_frames(), 2..7);
     let ids = |split| capture.cameras(split, 0, 1).unwrap().into_iter().map(|(id, _)| id).collect::<Vec<_>>();

@@ -86,7 +86,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
 mod tests {
     use std::io::{Error, ErrorKind};
 
-    use tcgs_render::gpu::GpuError;
+    use tcgs_render::device::GpuError;
 
     use super::*;
 

@@ -171,6 +171,23 @@ impl<Role> Columns<Role> {
         }
     }
 
+    /// The Gaussians at `rows`, in that order; zeros where there is none.
+    ///
+    /// # Panics
+    /// If an index is out of range.
+    pub fn select_or_zero(&self, rows: &[Option<usize>]) -> Self {
+        let mut selected = Self::zeros_of(&self.layout, rows.len());
+        for (from, to) in self.values.iter().zip(&mut selected.values) {
+            let components = to.len() / rows.len().max(1);
+            for (to, row) in to.chunks_exact_mut(components.max(1)).zip(rows) {
+                if let Some(i) = row {
+                    to.copy_from_slice(&from[i * components..(i + 1) * components]);
+                }
+            }
+        }
+        selected
+    }
+
     /// The five columns of [`Attribute::BASE`], to change in place together.
     pub fn views_mut(&mut self) -> BaseViewsMut<'_> {
         let [means, quats, log_scales, logit_opacities, colors, ..] = self.values.as_mut_slice() else {
@@ -316,6 +333,11 @@ mod tests {
         let selected = gaussians.select(&[2, 0, 2]);
         assert_eq!(selected.values(wetness), [4.0, 5.0, 0.0, 1.0, 4.0, 5.0]);
         assert_eq!((selected.num_gaussians(), selected.colors()[2]), (3, [0.5; 3]));
+        let selected = gaussians.select_or_zero(&[None, Some(1)]);
+        assert_eq!(
+            (selected.values(wetness), selected.means()),
+            ([0.0, 0.0, 2.0, 3.0].as_slice(), [[0.0; 3]; 2].as_slice())
+        );
         assert_ne!(Gaussians::zeros(3), Gaussians::zeros_of(gaussians.layout(), 3));
     }
 

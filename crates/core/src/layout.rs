@@ -51,7 +51,7 @@ pub struct Column {
     /// Which learning rate moves it.
     pub rate: RateGroup,
     /// Unit of a stored value, for tables and for people.
-    pub unit: &'static str,
+    pub unit: String,
 }
 
 /// The ordered columns of a scene. Loops, offsets, Adam's groups, the arrays of checkpoints and the constants of
@@ -86,7 +86,7 @@ impl Column {
             Attribute::Extra { .. } => panic!("{attribute:?} is not one of Attribute::BASE"),
         };
         let quantized = attribute != Attribute::Mean;
-        Self { attribute, name: attribute.name().into(), activation, varies, quantized, rate, unit }
+        Self { attribute, name: attribute.name().into(), activation, varies, quantized, rate, unit: unit.into() }
     }
 
     /// Number of scalars of one Gaussian at one timestep.

@@ -22,4 +22,10 @@ pub enum MetricsError {
         /// What was found.
         problem: String,
     },
+    /// This build computes no LPIPS.
+    #[error("{}: this build computes no LPIPS, expected one with feature lpips", path.display())]
+    NotBuilt {
+        /// The file.
+        path: PathBuf,
+    },
 }

@@ -59,7 +59,7 @@ pub use source::{BytesSource, FileSource, Piece, RangeSource, SourceError};
 pub use start_view::start_view;
 pub use viewer::{FrameReport, Viewer};
 
-/// Name and WGSL source of every shader of this crate, as the GPU gets it. [`tcgs_render::gpu::sources`] has those of the
+/// Name and WGSL source of every shader of this crate, as the GPU gets it. [`tcgs_render::device::sources`] has those of the
 /// renderer.
 pub fn sources() -> Vec<(String, String)> {
     let mut sources = reconstruct::sources();

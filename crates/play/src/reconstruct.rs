@@ -8,7 +8,8 @@
 use bytemuck::{Pod, Zeroable};
 use tcgs_codec::{Keypoints, Segment};
 use tcgs_core::{Attribute, activate, normalize};
-use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X, WORKGROUP, pack};
+use tcgs_render::device::{MAX_GROUPS_X, WORKGROUP, Wgsl, pack};
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 /// What a kernel knows of its attribute; `Tracks` in the shader.
 #[repr(C)]
@@ -68,8 +69,17 @@ struct MovingAttribute {
 ///
 /// - `unit`: components of a unit: 1, 3 or 4
 fn source(unit: usize, finish: Finish) -> String {
-    let constants = format!("const UNIT: u32 = {unit}u;\nconst FINISH: u32 = {}u;\n", finish as u32);
-    format!("{constants}const MAX_GROUPS_X: u32 = {MAX_GROUPS_X}u;\n{}", include_str!("reconstruct.wgsl"))
+    Wgsl::new()
+        .constant("UNIT", unit)
+        .constant("FINISH", finish as u32)
+        .constant("AS_IS", Finish::AsIs as u32)
+        .constant("EXP", Finish::Exp as u32)
+        .constant("SIGMOID", Finish::Sigmoid as u32)
+        .constant("UNIT_LENGTH", Finish::UnitLength as u32)
+        .constant("WORKGROUP", WORKGROUP)
+        .constant("MAX_GROUPS_X", MAX_GROUPS_X)
+        .part(include_str!("reconstruct.wgsl"))
+        .finish()
 }
 
 /// Name and WGSL of every shader of the reconstruction, as the GPU gets it.

@@ -5,12 +5,7 @@
 //   normalize_quats   a thread per Gaussian: gives unit length to rotations whose components have times of their own
 //
 // A unit is UNIT components that share their keypoint times: all components of an attribute, or one. The host puts the
-// constants before this source: UNIT, and FINISH, the activation of the attribute.
-
-const AS_IS: u32 = 0u;
-const EXP: u32 = 1u;
-const SIGMOID: u32 = 2u;
-const UNIT_LENGTH: u32 = 3u;
+// constants before this source: UNIT; FINISH, the activation of the attribute; the values of FINISH.
 
 struct Frame {
     timestep: u32,
@@ -56,9 +51,9 @@ fn finished(value: f32) -> f32 {
     }
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let i = (group.y * MAX_GROUPS_X + group.x) * 256u + lane;
+    let i = (group.y * MAX_GROUPS_X + group.x) * WORKGROUP + lane;
     if i >= tracks.count {
         return;
     }
@@ -104,7 +99,7 @@ fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     }
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn normalize_quats(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= tracks.count {
         return;

@@ -3,31 +3,55 @@
 
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
+use std::sync::Arc;
 
 use tcgs_codec::{BitMap, Quantizer};
-use tcgs_core::{Attribute, Gaussians, Layout};
+use tcgs_core::{Activation, Attribute, Column, Gaussians, Layout, RateGroup};
 use tcgs_interchange::{Existing, InterchangeError, NpyValue, NpzReader, NpzWriter, write_whole};
 
 use crate::TrainError;
-use crate::engine::cpu::{FakeQuantizers, Moments};
+use crate::fake_quant::FakeQuantizers;
 use crate::parameters::Parameters;
+use crate::state::{Lifetimes, Optimizer, goes_on};
 
 /// State at the end of one timestep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
     /// Everything optimised. After the first timestep a file holds only what varies with time.
     pub parameters: Parameters,
+    /// Who each Gaussian is, and when it lives.
+    pub lifetimes: Lifetimes,
     /// Quantisation, once it has started.
     pub quantizers: Option<FakeQuantizers>,
-    /// Adam's moments that the next timestep goes on with: colours, quantizers' steps and offsets.
-    pub kept_moments: [Moments; 3],
-    /// Updates of the means, rotations and mask logits so far; their moments start anew.
-    pub steps: [u64; 3],
+    /// Of Adam what the next timestep goes on with; the rest is zero.
+    pub optimizer: Optimizer,
     /// Scene units; see [`crate::scene_radius`].
     pub scene_radius: f32,
 }
 
-const MOMENT_NAMES: [&str; 3] = ["color_moments", "quantizer_step_moments", "quantizer_offset_moments"];
+/// Name of the array with the moments of a column.
+fn moments_name(column: &Column) -> String {
+    // Files had it before a layout could have further columns.
+    if column.attribute == Attribute::Color { "color_moments".into() } else { format!("{}_moments", column.name) }
+}
+
+/// Name of the array with the values of a column. Further columns have a prefix, since their names are free.
+fn values_name(column: &Column) -> String {
+    match column.attribute {
+        Attribute::Extra { .. } => format!("column_{}", column.name),
+        _ => column.name.clone(),
+    }
+}
+
+/// The columns whose moments go on to the next timestep.
+fn with_moments(layout: &Layout) -> impl Iterator<Item = &Column> {
+    layout.columns().iter().filter(|column| column.varies && goes_on(column))
+}
+
+/// The columns that vary and of whose Adam nothing but the number of updates goes on.
+fn with_steps_alone(layout: &Layout) -> impl Iterator<Item = &Column> {
+    layout.columns().iter().filter(|column| column.varies && !goes_on(column))
+}
 
 impl Checkpoint {
     /// Writes the archive, whole or not at all. Equal checkpoints are equal files.
@@ -43,11 +67,22 @@ impl Checkpoint {
         let mut npz = NpzWriter::new(writer);
         let p = &self.parameters;
         let n = p.num_gaussians();
-        for column in p.gaussians.layout().columns().iter().filter(|column| first || column.varies) {
-            let attribute = column.attribute;
-            let shape = [n, attribute.components()];
-            let shape = if attribute.components() == 1 { &shape[..1] } else { &shape };
-            npz.array(&column.name, shape, [p.gaussians.values(attribute)])?;
+        let layout = p.gaussians.layout();
+        if first && !layout.is_base() {
+            let table = table_of(layout);
+            npz.array("columns", &[table.len()], [table.as_bytes()])?;
+        }
+        for column in layout.columns().iter().filter(|column| first || column.varies) {
+            let shape = [n, column.components()];
+            let shape = if column.components() == 1 { &shape[..1] } else { &shape };
+            npz.array(&values_name(column), shape, [p.gaussians.values(column.attribute)])?;
+        }
+        if !self.lifetimes.are_whole() {
+            let l = &self.lifetimes;
+            for (name, values) in LIFETIME_NAMES.into_iter().zip([&l.ids, &l.births, &l.deaths]) {
+                let wide: Vec<u64> = values.iter().map(|&value| value.into()).collect();
+                npz.array(name, &[n], [&wide[..]])?;
+            }
         }
         npz.array("mask_logits", &[n], [p.mask_logits.as_slice()])?;
         let flat = |q: &FakeQuantizers, f: fn(&Quantizer) -> f32| q.quantizers.iter().map(f).collect::<Vec<_>>();
@@ -55,11 +90,19 @@ impl Checkpoint {
             npz.array("quantizer_steps", &[q.quantizers.len()], [&flat(q, |q| q.step)[..]])?;
             npz.array("quantizer_offsets", &[q.quantizers.len()], [&flat(q, |q| q.offset)[..]])?;
         }
-        for (name, m) in MOMENT_NAMES.iter().zip(&self.kept_moments) {
+        let o = &self.optimizer;
+        for column in with_moments(layout) {
+            let (m, v) = (o.first.values(column.attribute), o.second.values(column.attribute));
+            npz.array(&moments_name(column), &[2, m.len()], [m, v])?;
+        }
+        for (name, m) in QUANTIZER_MOMENT_NAMES.into_iter().zip([&o.quantizer_steps, &o.quantizer_offsets]) {
             npz.array(name, &[2, m.first.len()], [m.first.as_slice(), &m.second])?;
         }
-        let kept_steps = self.kept_moments.each_ref().map(|m| m.step);
-        npz.array("steps", &[self.steps.len() + kept_steps.len()], [self.steps.as_slice(), &kept_steps])?;
+        let mut steps: Vec<u64> = with_steps_alone(layout).map(|column| o.steps[column.attribute.index()]).collect();
+        steps.push(o.mask.step);
+        steps.extend(with_moments(layout).map(|column| o.steps[column.attribute.index()]));
+        steps.extend([o.quantizer_steps.step, o.quantizer_offsets.step]);
+        npz.array("steps", &[steps.len()], [&steps[..]])?;
         if first {
             let cameras = p.camera_gains.len();
             npz.array("camera_gains", &[cameras, 3], [p.camera_gains.as_flattened()])?;
@@ -70,7 +113,7 @@ impl Checkpoint {
                 let groups: Vec<u8> = q.groups.iter().flat_map(|&(a, width)| [a.index() as u8, width]).collect();
                 npz.array("quantizer_groups", &[q.groups.len(), 2], [&groups[..]])?;
                 npz.array("quantizer_initial_steps", &[q.initial_steps.len()], [&q.initial_steps[..]])?;
-                npz.array("bit_widths", &[5, n], q.bit_map.widths.iter().map(Vec::as_slice))?;
+                npz.array("bit_widths", &[layout.columns().len(), n], q.bit_map.widths.iter().map(Vec::as_slice))?;
             }
         }
         // Left to be dropped, the archive would swallow a full disk.
@@ -92,29 +135,75 @@ impl Checkpoint {
     }
 }
 
+const LIFETIME_NAMES: [&str; 3] = ["ids", "births", "deaths"];
+const QUANTIZER_MOMENT_NAMES: [&str; 2] = ["quantizer_step_moments", "quantizer_offset_moments"];
+
+/// The columns after the first five, a line each: how a checkpoint says its layout.
+fn table_of(layout: &Layout) -> String {
+    let line = |c: &Column| {
+        let Column { name, activation, varies, quantized, rate, unit, .. } = c;
+        format!("{name}\t{}\t{activation:?}\t{varies}\t{quantized}\t{rate:?}\t{unit}\n", c.components())
+    };
+    layout.columns()[Attribute::BASE.len()..].iter().map(line).collect()
+}
+
+/// The layout that [`table_of`] says; none if a line is not one of its.
+fn layout_of(table: &str) -> Option<Layout> {
+    let named = |word: &str| -> Option<Activation> {
+        let all = [Activation::Identity, Activation::Normalize, Activation::Exp, Activation::Sigmoid];
+        all.into_iter().find(|activation| format!("{activation:?}") == word)
+    };
+    let rate = |word: &str| -> Option<RateGroup> {
+        let all = [RateGroup::Mean, RateGroup::Quat, RateGroup::LogScale, RateGroup::LogitOpacity, RateGroup::Color];
+        all.into_iter().find(|rate| format!("{rate:?}") == word)
+    };
+    let mut layout = Layout::default();
+    for line in table.lines() {
+        let words: Vec<&str> = line.split('\t').collect();
+        let &[name, components, activation, varies, quantized, group, unit] = words.as_slice() else { return None };
+        let components = components.parse().ok().filter(|c| (1..=255).contains(c))?;
+        if layout.find(name).is_some() || layout.columns().len() > 255 {
+            return None;
+        }
+        let column = Column {
+            activation: named(activation)?,
+            varies: varies.parse().ok()?,
+            quantized: quantized.parse().ok()?,
+            rate: rate(group)?,
+            unit: unit.to_owned(),
+            ..Column::like(Attribute::Color)
+        };
+        layout.push(name, components, column);
+    }
+    Some(layout)
+}
+
 fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
     let means = get::<f32>(npz, "means")?;
     let n = first.map_or(means.len() / 3, |f| f.parameters.num_gaussians());
-    let mut gaussians = Gaussians::zeros(n);
-    for column in Layout::base().columns() {
-        let values = match first {
-            Some(first) if !column.varies => first.parameters.gaussians.values(column.attribute).to_vec(),
-            _ => get(npz, &column.name)?,
-        };
-        fill(&column.name, gaussians.values_mut(column.attribute), &values)?;
+    let layout = match first {
+        Some(first) => Arc::clone(first.parameters.gaussians.layout()),
+        None if npz.contains("columns") => {
+            let table = String::from_utf8(get::<u8>(npz, "columns")?).ok();
+            let layout = table.and_then(|table| layout_of(&table));
+            Arc::new(layout.ok_or("columns is no table of columns")?)
+        }
+        None => Layout::base(),
+    };
+    let mut gaussians = Gaussians::zeros_of(&layout, n);
+    for column in layout.columns() {
+        let (name, values) = (values_name(column), gaussians.values_mut(column.attribute));
+        match first {
+            Some(first) if !column.varies => {
+                values.copy_from_slice(first.parameters.gaussians.values(column.attribute))
+            }
+            _ => fill(&name, values, &get::<f32>(npz, &name)?)?,
+        }
     }
+    let lifetimes =
+        if LIFETIME_NAMES.iter().any(|name| npz.contains(name)) { read_lifetimes(npz, n)? } else { Lifetimes::new(n) };
     let mut mask_logits = vec![0.0; n];
     fill("mask_logits", &mut mask_logits, &get::<f32>(npz, "mask_logits")?)?;
-    let moments: Vec<Vec<f32>> = MOMENT_NAMES.iter().map(|name| get(npz, name)).collect::<Result<_, _>>()?;
-    let steps = get::<u64>(npz, "steps")?;
-    if steps.len() != 6 {
-        return Err(format!("steps holds {} values, expected 6", steps.len()));
-    }
-    let kept_moments = std::array::from_fn(|i| {
-        let (a, b) = moments[i].split_at(moments[i].len() / 2);
-        Moments { first: a.to_vec(), second: b.to_vec(), step: steps[3 + i] }
-    });
-
     let mut parameters = Parameters { gaussians, mask_logits, ..Parameters::default() };
     let (scene_radius, bits) = match first {
         Some(first) => {
@@ -130,7 +219,7 @@ fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -
             parameters.camera_gains = get::<f32>(npz, "camera_gains")?.as_chunks().0.to_vec();
             parameters.camera_offsets = get::<f32>(npz, "camera_offsets")?.as_chunks().0.to_vec();
             let radius = get::<f32>(npz, "scene_radius")?.first().copied().ok_or("scene_radius is empty")?;
-            (radius, read_bits(npz, n)?)
+            (radius, read_bits(npz, &layout, n)?)
         }
     };
     if parameters.foreground.len() != n {
@@ -153,28 +242,77 @@ fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -
             Some(FakeQuantizers::restore(bit_map, groups, quantizers, initial_steps, learned_offset))
         }
     };
-    Ok(Checkpoint { parameters, quantizers, kept_moments, steps: [steps[0], steps[1], steps[2]], scene_radius })
+    let optimizer = read_optimizer(npz, &parameters, quantizers.as_ref().map_or(0, |q| q.quantizers.len()))?;
+    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius })
+}
+
+fn read_lifetimes(npz: &mut NpzReader, n: usize) -> Result<Lifetimes, String> {
+    let mut column = |name: &str| -> Result<Vec<u32>, String> {
+        let values = get::<u64>(npz, name)?;
+        let narrow: Option<Vec<u32>> = values.iter().map(|&value| u32::try_from(value).ok()).collect();
+        narrow.filter(|values| values.len() == n).ok_or_else(|| format!("{name} is not {n} values below 2^32"))
+    };
+    let [ids, births, deaths] = LIFETIME_NAMES;
+    Ok(Lifetimes::from_columns(column(ids)?, column(births)?, column(deaths)?))
+}
+
+fn read_optimizer(npz: &mut NpzReader, parameters: &Parameters, num_quantizers: usize) -> Result<Optimizer, String> {
+    let layout = parameters.gaussians.layout();
+    let mut o = Optimizer::new(parameters, num_quantizers);
+    for column in with_moments(layout) {
+        let name = moments_name(column);
+        let both = get::<f32>(npz, &name)?;
+        let (m, v) = both.split_at(both.len() / 2);
+        fill(&name, o.first.values_mut(column.attribute), m)?;
+        fill(&name, o.second.values_mut(column.attribute), v)?;
+    }
+    for (name, moments) in QUANTIZER_MOMENT_NAMES.into_iter().zip([&mut o.quantizer_steps, &mut o.quantizer_offsets]) {
+        let both = get::<f32>(npz, name)?;
+        let (m, v) = both.split_at(both.len() / 2);
+        fill(name, &mut moments.first, m)?;
+        fill(name, &mut moments.second, v)?;
+    }
+    let steps = get::<u64>(npz, "steps")?;
+    let (alone, with): (Vec<_>, Vec<_>) = (with_steps_alone(layout).collect(), with_moments(layout).collect());
+    let expected = alone.len() + 1 + with.len() + 2;
+    if steps.len() != expected {
+        return Err(format!("steps holds {} values, expected {expected}", steps.len()));
+    }
+    let mut steps = steps.into_iter();
+    let mut next = || steps.next().expect("counted above");
+    for column in alone {
+        o.steps[column.attribute.index()] = next();
+    }
+    o.mask.step = next();
+    for column in with {
+        o.steps[column.attribute.index()] = next();
+    }
+    (o.quantizer_steps.step, o.quantizer_offsets.step) = (next(), next());
+    Ok(o)
 }
 
 type Bits = (BitMap, Vec<(Attribute, u8)>, Vec<f32>);
 
-fn read_bits(npz: &mut NpzReader, n: usize) -> Result<Option<Bits>, String> {
+fn read_bits(npz: &mut NpzReader, layout: &Arc<Layout>, n: usize) -> Result<Option<Bits>, String> {
     // All of them or none: an archive's list of names has no checksum.
     if !["quantizer_groups", "quantizer_initial_steps", "quantizer_steps", "bit_widths"].iter().any(|a| npz.contains(a))
     {
         return Ok(None);
     }
     let widths = get::<u8>(npz, "bit_widths")?;
-    if widths.len() != 5 * n || widths.iter().any(|w| !(1..=16).contains(w)) {
-        return Err(format!("bit_widths holds {} values, expected {} of 1 to 16", widths.len(), 5 * n));
+    let expected = layout.columns().len() * n;
+    if widths.len() != expected || widths.iter().any(|w| !(1..=16).contains(w)) {
+        return Err(format!("bit_widths holds {} values, expected {expected} of 1 to 16", widths.len()));
     }
     let groups: Vec<(Attribute, u8)> = get::<u8>(npz, "quantizer_groups")?
         .chunks_exact(2)
-        .map(|g| Attribute::BASE.get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|&a| (a, g[1])))
+        .map(|g| {
+            layout.columns().get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|c| (c.attribute, g[1]))
+        })
         .collect::<Option<_>>()
         .ok_or("quantizer_groups names an attribute or a width that does not exist")?;
-    let widths = std::array::from_fn(|a| widths[a * n..(a + 1) * n].to_vec());
-    Ok(Some((BitMap { widths }, groups, get(npz, "quantizer_initial_steps")?)))
+    let widths = (0..layout.columns().len()).map(|a| widths[a * n..(a + 1) * n].to_vec()).collect();
+    Ok(Some((BitMap::new(Arc::clone(layout), widths), groups, get(npz, "quantizer_initial_steps")?)))
 }
 
 fn get<T: NpyValue>(npz: &mut NpzReader, name: &str) -> Result<Vec<T>, String> {

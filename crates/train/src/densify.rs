@@ -3,10 +3,10 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use tcgs_core::{normalize, rotmat_from_unit_quat, sigmoid};
+use tcgs_core::{Attribute, normalize, rotmat_from_unit_quat, sigmoid};
 
 use crate::config::DensifyConfig;
-use crate::state::{GradientStatistic, State};
+use crate::state::{GradientStatistic, Row, State};
 
 /// What one densification did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -49,22 +49,22 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let (cloned, split): (Vec<usize>, Vec<usize>) =
         steep.into_iter().partition(|&i| scales[i] <= c.clone_scale * step.scene_radius);
 
-    // Where each new row comes from, and whether it is new. Parents of a split are gone.
+    // Parents of a split are gone.
     let mut is_parent = vec![false; n];
     for &i in &split {
         is_parent[i] = true;
     }
-    let mut sources: Vec<(usize, bool)> = (0..n).filter(|&i| !is_parent[i]).map(|i| (i, false)).collect();
-    sources.extend(cloned.iter().map(|&i| (i, true)));
-    let first_child = sources.len();
+    let mut rows: Vec<Row> = (0..n).filter(|&i| !is_parent[i]).map(Row::Kept).collect();
+    rows.extend(cloned.iter().map(|&parent| Row::New { parent }));
+    let first_child = rows.len();
     for _ in 0..c.split_children {
-        sources.extend(split.iter().map(|&i| (i, true)));
+        rows.extend(split.iter().map(|&parent| Row::New { parent }));
     }
-    state.gather(&sources);
+    state.gather(&rows);
 
     let gaussians = &mut state.parameters.gaussians;
     let mut random = Pcg64Mcg::seed_from_u64(step.seed);
-    for i in first_child..sources.len() {
+    for i in first_child..rows.len() {
         let quat = gaussians.quats()[i];
         // Quantised rotations are of unit length already; to normalise them again would change their last bits.
         let rotmat = rotmat_from_unit_quat(if state.quantizers.is_some() { quat } else { normalize(quat) });
@@ -76,7 +76,7 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     }
 
     let threshold = if step.last { c.prune_opacity_end } else { c.prune_opacity };
-    let keep: Vec<usize> = (0..sources.len())
+    let keep: Vec<usize> = (0..rows.len())
         .filter(|&i| {
             let large =
                 step.removes_large && largest_scale(gaussians.log_scales()[i]) > c.prune_scale * step.scene_radius;
@@ -84,7 +84,7 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
         })
         .collect();
     // An empty scene would have nothing left to learn from.
-    let removed = if keep.is_empty() { 0 } else { sources.len() - keep.len() };
+    let removed = if keep.is_empty() { 0 } else { rows.len() - keep.len() };
     if removed > 0 {
         remove_others(state, &keep);
     }
@@ -96,14 +96,14 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
 ///
 /// - `keep`: indices, in the order wanted
 pub fn remove_others(state: &mut State, keep: &[usize]) {
-    state.gather(&keep.iter().map(|&i| (i, false)).collect::<Vec<_>>());
+    state.gather(&keep.iter().map(|&i| Row::Kept(i)).collect::<Vec<_>>());
 }
 
 /// Sets every opacity to `opacity`, within (0, 1), and forgets their moments.
 pub fn reset_opacities(state: &mut State, opacity: f32) {
     let logit = (opacity / (1.0 - opacity)).ln();
     state.parameters.gaussians.logit_opacities_mut().fill(logit);
-    state.optimizer.attributes[tcgs_core::Attribute::LogitOpacity.index()].clear(false);
+    state.optimizer.clear(Attribute::LogitOpacity, false);
 }
 
 /// A standard normal number (Box and Muller 1958).

@@ -1,10 +1,11 @@
 //! What can go wrong while training.
 
+use std::borrow::Cow;
 use std::io;
 use std::path::PathBuf;
 
 use tcgs_codec::CompressError;
-use tcgs_render::gpu::GpuError;
+use tcgs_render::device::GpuError;
 
 use crate::config::ConfigError;
 
@@ -19,7 +20,7 @@ pub enum TrainError {
     #[error("{term} became {value} at timestep {timestep}, iteration {iteration}; the checkpoints before it are whole")]
     NotFinite {
         /// Which loss or attribute.
-        term: &'static str,
+        term: Cow<'static, str>,
         /// Its value.
         value: f64,
         /// Counted from the run's first.

@@ -4,11 +4,17 @@
 //! inside the optimisation, run folders. What does not: captures (they come as
 //! [`tcgs_core::View`]s), rendering, the file format.
 
+mod adam;
 mod checkpoint;
 mod config;
 mod densify;
 pub mod engine;
 mod error;
+mod fake_quant;
+mod losses;
+mod mask;
+mod motion;
+mod neighbors;
 mod parameters;
 mod run;
 mod schedule;
@@ -16,6 +22,7 @@ mod sensitivity;
 mod state;
 mod trainer;
 
+pub use adam::{Moments, adam};
 pub use checkpoint::Checkpoint;
 pub use config::{
     BitMapKind, ConfigError, DataConfig, DensifyConfig, MaskConfig, Preset, QuantizeConfig, REFERENCE_ITERATIONS,
@@ -23,9 +30,14 @@ pub use config::{
 };
 pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
 pub use error::TrainError;
+pub use fake_quant::{FakeQuantizers, fake_quant, fake_quant_vjp, step_gradient_scale};
+pub use losses::{LossTerms, PriorLosses, PriorWeights};
+pub use mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
+pub use motion::{Past, Pose, predict};
+pub use neighbors::{NEIGHBOR_FALLOFF, NUM_NEIGHBORS, Neighbors};
 pub use parameters::{Parameters, scene_radius};
 pub use run::{Run, TrainedScene};
 pub use schedule::{Phase, Rates, Schedule};
 pub use sensitivity::sensitivity;
-pub use state::{GradientStatistic, Optimizer, Past, Pose, State};
+pub use state::{GradientStatistic, Lifetimes, Optimizer, Row, State};
 pub use trainer::{Progress, Trainer, bit_settings, masked_out, mean_masks};

@@ -1,6 +1,6 @@
 //! When things happen and how fast parameters move, as a function of timestep and iteration.
 
-use tcgs_core::RateGroup;
+use tcgs_core::{Column, RateGroup};
 
 use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 
@@ -23,12 +23,17 @@ pub struct Rates {
     pub mask: f32,
     /// Steps and offsets, times the step they started from.
     pub step: f32,
+    /// Whether columns that do not vary over time move: in the first timestep alone.
+    pub moves_constants: bool,
 }
 
 impl Rates {
-    /// The learning rate of a column's group.
-    pub fn of(&self, group: RateGroup) -> f32 {
-        match group {
+    /// The learning rate of a column; 0 of one that is constant over time and has been learned.
+    pub fn of(&self, column: &Column) -> f32 {
+        if !column.varies && !self.moves_constants {
+            return 0.0;
+        }
+        match column.rate {
             RateGroup::Mean => self.mean,
             RateGroup::Quat => self.quat,
             RateGroup::LogScale => self.log_scale,
@@ -107,6 +112,7 @@ impl Schedule {
                     camera: r.camera * scale * decay,
                     mask,
                     step: r.step * decay,
+                    moves_constants: true,
                 }
             }
             Phase::Rest => {
@@ -122,6 +128,7 @@ impl Schedule {
                     camera: 0.0,
                     mask,
                     step: r.step * cosine(r.motion_decay),
+                    moves_constants: false,
                 }
             }
         }

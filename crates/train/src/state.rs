@@ -4,16 +4,116 @@
 use std::sync::Arc;
 
 use rayon::prelude::*;
-use tcgs_core::{Attribute, Gaussians, normalize};
+use tcgs_core::{Attribute, Column, Columns, RateGroup, normalize, role};
 
-use crate::engine::cpu::{FakeQuantizers, Moments, Neighbors};
+use crate::adam::{Moments, adam};
+use crate::fake_quant::FakeQuantizers;
+use crate::motion::Past;
 use crate::parameters::Parameters;
 
-/// Adam's moments of every group.
+/// Where a Gaussian of a reshaped state comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Row {
+    /// It was there before, at this index.
+    Kept(usize),
+    /// It is new and starts as the one at this index is, without its moments: a clone, or a child of a split.
+    New {
+        /// Index of the one it starts from.
+        parent: usize,
+    },
+}
+
+impl Row {
+    /// Index of the Gaussian whose values it has.
+    pub fn source(self) -> usize {
+        match self {
+            Self::Kept(i) | Self::New { parent: i } => i,
+        }
+    }
+
+    /// Index where it was before, unless it is new.
+    pub fn kept(self) -> Option<usize> {
+        match self {
+            Self::Kept(i) => Some(i),
+            Self::New { .. } => None,
+        }
+    }
+}
+
+/// Who each Gaussian is, and from when to when it lives: columns of integers.
+///
+/// Today every Gaussian that the first timestep leaves lives at all timesteps.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Lifetimes {
+    /// `[N]` an identity that stays while rows are reordered and removed, and is not given twice.
+    pub ids: Vec<u32>,
+    /// `[N]` first timestep at which it lives.
+    pub births: Vec<u32>,
+    /// `[N]` first timestep at which it lives no more; [`Self::NEVER`] of one that has not died.
+    pub deaths: Vec<u32>,
+    /// The next identity to give.
+    next_id: u32,
+}
+
+impl Lifetimes {
+    /// The death of a Gaussian that has not died.
+    pub const NEVER: u32 = u32::MAX;
+
+    /// `num_gaussians` that live from the first timestep on, numbered from 0 in their order.
+    pub fn new(num_gaussians: usize) -> Self {
+        let next_id = u32::try_from(num_gaussians).expect("fewer than 2^32 Gaussians");
+        let (births, deaths) = (vec![0; num_gaussians], vec![Self::NEVER; num_gaussians]);
+        Self { ids: (0..next_id).collect(), births, deaths, next_id }
+    }
+
+    /// Lifetimes as a file holds them.
+    ///
+    /// - `ids`, `births`, `deaths`: `[N]`; see the fields
+    ///
+    /// # Panics
+    /// If lengths differ.
+    pub fn from_columns(ids: Vec<u32>, births: Vec<u32>, deaths: Vec<u32>) -> Self {
+        assert_eq!([births.len(), deaths.len()], [ids.len(); 2], "births and deaths against identities");
+        let next_id = ids.iter().max().map_or(0, |&id| id.saturating_add(1));
+        Self { ids, births, deaths, next_id }
+    }
+
+    /// Whether all live from the first timestep on, have not died, and are numbered in their order.
+    pub fn are_whole(&self) -> bool {
+        let whole = |(i, ((&id, &birth), &death)): (usize, ((&u32, &u32), &u32))| {
+            id as usize == i && birth == 0 && death == Self::NEVER
+        };
+        self.ids.iter().zip(&self.births).zip(&self.deaths).enumerate().all(whole)
+    }
+
+    /// - `timestep`: at which what is new is born
+    fn gather(&mut self, rows: &[Row], timestep: u32) {
+        let old = std::mem::take(self);
+        self.next_id = old.next_id;
+        for row in rows {
+            let (id, birth, death) = match row.kept() {
+                Some(i) => (old.ids[i], old.births[i], old.deaths[i]),
+                None => {
+                    self.next_id += 1;
+                    (self.next_id - 1, timestep, Self::NEVER)
+                }
+            };
+            self.ids.push(id);
+            self.births.push(birth);
+            self.deaths.push(death);
+        }
+    }
+}
+
+/// Adam's moments of everything.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Optimizer {
-    /// By [`Attribute::index`].
-    pub attributes: [Moments; 5],
+    /// `[N]` running means of the gradients of all columns.
+    pub first: Columns<role::FirstMoment>,
+    /// `[N]` running means of their squares.
+    pub second: Columns<role::SecondMoment>,
+    /// Updates of each column so far, by [`Attribute::index`].
+    pub steps: Vec<u64>,
     /// Mask logits.
     pub mask: Moments,
     /// Camera gains.
@@ -29,10 +129,13 @@ pub struct Optimizer {
 impl Optimizer {
     /// Zero moments for `parameters`.
     pub fn new(parameters: &Parameters, num_quantizers: usize) -> Self {
-        let cameras = 3 * parameters.camera_gains.len();
+        let (n, cameras) = (parameters.num_gaussians(), 3 * parameters.camera_gains.len());
+        let layout = parameters.gaussians.layout();
         Self {
-            attributes: Attribute::BASE.map(|a| Moments::new(parameters.gaussians.values(a).len())),
-            mask: Moments::new(parameters.num_gaussians()),
+            first: Columns::zeros_of(layout, n),
+            second: Columns::zeros_of(layout, n),
+            steps: vec![0; layout.columns().len()],
+            mask: Moments::new(n),
             gains: Moments::new(cameras),
             offsets: Moments::new(cameras),
             quantizer_steps: Moments::new(num_quantizers),
@@ -40,13 +143,64 @@ impl Optimizer {
         }
     }
 
-    /// Rows of the Gaussians' moments taken from `sources`; a fresh row starts from zero.
-    pub fn gather(&mut self, sources: &[(usize, bool)]) {
-        for attribute in Attribute::BASE {
-            self.attributes[attribute.index()].gather(sources, attribute.components());
-        }
-        self.mask.gather(sources, 1);
+    /// One update of a column; see [`adam`].
+    ///
+    /// - `values`: `[N * components]`, updated in place
+    /// - `v_values`: likewise, their gradient
+    ///
+    /// # Panics
+    /// If lengths differ.
+    pub fn update(&mut self, attribute: Attribute, values: &mut [f32], v_values: &[f32], rate: f32) {
+        let (first, second) = (self.first.values_mut(attribute), self.second.values_mut(attribute));
+        adam(values, v_values, first, second, &mut self.steps[attribute.index()], rate);
     }
+
+    /// Forgets the moments of a column; as [`Moments::clear`].
+    pub fn clear(&mut self, attribute: Attribute, count_too: bool) {
+        self.first.values_mut(attribute).fill(0.0);
+        self.second.values_mut(attribute).fill(0.0);
+        if count_too {
+            self.steps[attribute.index()] = 0;
+        }
+    }
+
+    /// Forgets what does not go on from one timestep to the next: the moments of what follows motion, and of masks.
+    ///
+    /// - `count_too`: see [`Moments::clear`]
+    pub(crate) fn begin_timestep(&mut self, count_too: bool) {
+        for column in Arc::clone(self.first.layout()).columns() {
+            if !goes_on(column) {
+                self.clear(column.attribute, count_too);
+            }
+        }
+        self.mask.clear(count_too);
+    }
+
+    /// What a timestep leaves to the next one: the moments of columns that [`Self::begin_timestep`] does not clear,
+    /// and how often everything that varies was updated.
+    pub(crate) fn carried_over(&self) -> Self {
+        let mut carried = self.clone();
+        carried.begin_timestep(false);
+        for column in self.first.layout().columns().iter().filter(|column| !column.varies) {
+            carried.clear(column.attribute, true);
+        }
+        let cameras = self.gains.first.len();
+        (carried.gains, carried.offsets) = (Moments::new(cameras), Moments::new(cameras));
+        carried
+    }
+
+    fn gather(&mut self, rows: &[Row]) {
+        let kept: Vec<Option<usize>> = rows.iter().map(|row| row.kept()).collect();
+        self.first = self.first.select_or_zero(&kept);
+        self.second = self.second.select_or_zero(&kept);
+        self.mask.gather(rows);
+    }
+}
+
+/// Whether the moments of a column that varies go on from one timestep to the next. Those of what follows motion start
+/// anew: it was moved to where it would be at constant velocity.
+pub(crate) fn goes_on(column: &Column) -> bool {
+    !matches!(column.rate, RateGroup::Mean | RateGroup::Quat)
 }
 
 /// The densification statistic: NDC gradients of visible Gaussians, summed, and how often.
@@ -65,78 +219,63 @@ impl GradientStatistic {
     }
 }
 
-/// Where every Gaussian was at one timestep.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Pose {
-    /// `[N, 3]` centres, scene units.
-    pub means: Vec<[f32; 3]>,
-    /// `[N, 4]` rotations, `w, x, y, z`.
-    pub quats: Vec<[f32; 4]>,
-}
-
-impl Pose {
-    /// Where `gaussians` are.
-    pub fn of(gaussians: &Gaussians) -> Self {
-        Self { means: gaussians.means().to_vec(), quats: gaussians.quats().to_vec() }
-    }
-}
-
-/// What the losses on motion compare with.
-#[derive(Clone, Debug)]
-pub struct Past {
-    /// Of the first timestep.
-    pub first: Arc<Pose>,
-    /// Who was near whom then; fixed from then on.
-    pub neighbors: Arc<Neighbors<f32>>,
-    /// The timestep before.
-    pub previous: Gaussians,
-}
-
 /// State of the optimisation, in the host's memory.
 #[derive(Clone, Debug)]
 pub struct State {
     /// What is optimised.
     pub parameters: Parameters,
+    /// Who each Gaussian is, and when it lives.
+    pub lifetimes: Lifetimes,
     /// Adam.
     pub optimizer: Optimizer,
     /// Quantisation, once it has started.
     pub quantizers: Option<FakeQuantizers>,
     /// After the first timestep.
     pub past: Option<Past>,
-    /// Mask logits of the timestep before, after the first.
-    pub previous_mask_logits: Option<Vec<f32>>,
     /// For densification.
     pub statistic: GradientStatistic,
+    /// The timestep that it is at, counted from the run's first.
+    pub timestep: usize,
 }
 
 impl State {
     /// A fresh optimisation.
     pub fn new(parameters: Parameters) -> Self {
+        let num_gaussians = parameters.num_gaussians();
         Self {
             optimizer: Optimizer::new(&parameters, 0),
-            statistic: GradientStatistic::new(parameters.num_gaussians()),
+            statistic: GradientStatistic::new(num_gaussians),
+            lifetimes: Lifetimes::new(num_gaussians),
             parameters,
             quantizers: None,
             past: None,
-            previous_mask_logits: None,
+            timestep: 0,
         }
     }
 
-    /// Rows taken from `sources`, with their moments, their share of the statistic and their bit widths.
-    ///
-    /// - `sources`: index of each new row's old one, and whether it is fresh: then its moments are zero
-    pub fn gather(&mut self, sources: &[(usize, bool)]) {
-        let indices: Vec<usize> = sources.iter().map(|s| s.0).collect();
+    /// Replaces the Gaussians by `rows` of them, with everything that belongs to each: values, identity, moments,
+    /// bit widths, its past and its share of the statistic.
+    pub fn gather(&mut self, rows: &[Row]) {
+        let indices: Vec<usize> = rows.iter().map(|row| row.source()).collect();
         self.parameters = self.parameters.select(&indices);
-        self.optimizer.gather(sources);
+        self.lifetimes.gather(rows, self.timestep as u32);
+        self.optimizer.gather(rows);
         if let Some(quantizers) = &mut self.quantizers {
             quantizers.select(&indices);
+        }
+        if let Some(past) = &mut self.past {
+            past.gather(&indices, &self.parameters.foreground);
         }
         let old = &self.statistic;
         self.statistic = GradientStatistic {
             sum: indices.iter().map(|&i| old.sum[i]).collect(),
             count: indices.iter().map(|&i| old.count[i]).collect(),
         };
+    }
+
+    /// Numbers the Gaussians from 0 in their order: what the first timestep leaves is what there is.
+    pub(crate) fn number_anew(&mut self) {
+        self.lifetimes = Lifetimes::new(self.parameters.num_gaussians());
     }
 
     /// Brings rotations into the form that files hold: unit length, `w >= 0`. To be done before anything

@@ -1,23 +1,26 @@
 //! The loop: timesteps, iterations, and what happens between them.
 
 use std::ops::ControlFlow;
-use std::sync::Arc;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_codec::{BitMapping, BitSettings, assign_bits};
-use tcgs_core::{Attribute, Camera, PointCloud, View};
+use tcgs_core::{Camera, PointCloud, View};
 use tcgs_metrics::psnr;
 
 use crate::TrainError;
 use crate::checkpoint::Checkpoint;
 use crate::config::{BitMapKind, TrainConfig};
 use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
-use crate::engine::cpu::{CpuEngine, FakeQuantizers, Neighbors, mask, predict};
-use crate::engine::{Engine, LossTerms, Step, Target};
+use crate::engine::cpu::CpuEngine;
+use crate::engine::{Engine, Step, Target};
+use crate::fake_quant::FakeQuantizers;
+use crate::losses::LossTerms;
+use crate::mask::mask;
+use crate::motion::{Past, Pose, predict};
 use crate::parameters::{Parameters, scene_radius};
 use crate::schedule::{Phase, Schedule};
-use crate::state::{Past, Pose, State};
+use crate::state::State;
 
 /// What a caller hears of every iteration.
 #[derive(Clone, Copy, Debug)]
@@ -47,10 +50,6 @@ pub struct Trainer {
     num_gaussians: usize,
     /// Timesteps finished.
     timestep: usize,
-    /// Of the first timestep.
-    first: Option<Arc<Pose>>,
-    /// Of the timestep before the last.
-    before: Option<Arc<Pose>>,
     camera_ids: Vec<usize>,
     /// Whether [`Self::fit`] ended within a timestep.
     is_unfinished: bool,
@@ -103,8 +102,6 @@ impl Trainer {
             num_gaussians: parameters.num_gaussians(),
             engine: make(State::new(parameters)),
             timestep: 0,
-            first: None,
-            before: None,
             camera_ids: Vec::new(),
             is_unfinished: false,
         })
@@ -126,15 +123,14 @@ impl Trainer {
     ) -> Self {
         let mut state = State::new(last.parameters.clone());
         state.quantizers = last.quantizers.clone();
-        let [mean, quat, masks] = last.steps;
-        let [color, steps, offsets] = last.kept_moments.clone();
-        let o = &mut state.optimizer;
-        o.attributes[Attribute::Mean.index()].step = mean;
-        o.attributes[Attribute::Quat.index()].step = quat;
-        o.mask.step = masks;
-        o.attributes[Attribute::Color.index()] = color;
-        o.quantizer_steps = steps;
-        o.quantizer_offsets = offsets;
+        state.lifetimes = last.lifetimes.clone();
+        state.optimizer = last.optimizer.clone();
+        state.timestep = timesteps - 1;
+        if timesteps > 1 {
+            let before_last = before_last.parameters.gaussians.clone();
+            let first = Pose::of(&first.parameters.gaussians);
+            state.past = Some(Past::new(first, before_last, &state.parameters.foreground));
+        }
         Self {
             config: config.clone(),
             schedule: Schedule::new(config, first.scene_radius),
@@ -142,8 +138,6 @@ impl Trainer {
             num_gaussians: state.parameters.num_gaussians(),
             engine: make(state),
             timestep: timesteps,
-            first: Some(Arc::new(Pose::of(&first.parameters.gaussians))),
-            before: Some(Arc::new(Pose::of(&before_last.parameters.gaussians))),
             camera_ids: Vec::new(),
             is_unfinished: false,
         }
@@ -260,7 +254,7 @@ impl Trainer {
         for terms in self.engine.losses()? {
             let iteration = *reported;
             if let Some(&(term, value, _)) = terms.terms(weights).iter().find(|t| !t.1.is_finite()) {
-                return Err(TrainError::NotFinite { term, value, timestep, iteration });
+                return Err(TrainError::NotFinite { term: term.into(), value, timestep, iteration });
             }
             let loss = terms.total(weights);
             *reported += 1;
@@ -295,6 +289,8 @@ impl Trainer {
                 remove_others(state, &keep);
             }
         }
+        // Until the first timestep is finished nobody is told apart.
+        state.number_anew();
         self.num_gaussians = state.parameters.num_gaussians();
         Ok(())
     }
@@ -312,43 +308,36 @@ impl Trainer {
 
     /// Predicts where everything goes, and prepares what the losses compare with.
     fn begin_timestep(&mut self) -> Result<(), TrainError> {
-        let first = self.first.clone().expect("a first timestep is finished");
+        let timestep = self.timestep;
         let state = self.engine.state_mut()?;
+        state.timestep = timestep;
         let p = &mut state.parameters;
-        let neighbors = match state.past.take() {
-            Some(past) => past.neighbors,
-            None => Arc::new(Neighbors::new(&first.means, &p.foreground)),
-        };
-        state.past = Some(Past { first, neighbors, previous: p.gaussians.clone() });
-        let g = &mut p.gaussians;
-        let now = Arc::new(Pose::of(g));
-        let before = self.before.take().unwrap_or_else(|| Arc::clone(&now));
-        let v = g.views_mut();
+        // After the first timestep no motion is known yet.
+        let past =
+            state.past.get_or_insert_with(|| Past::new(Pose::of(&p.gaussians), p.gaussians.clone(), &p.foreground));
+        let before = std::mem::replace(&mut past.previous, p.gaussians.clone());
+        let (before_means, before_quats) = (before.means(), before.quats());
+        let v = p.gaussians.views_mut();
         for i in 0..v.means.len() {
-            (v.means[i], v.quats[i]) = predict(v.means[i], before.means[i], v.quats[i], before.quats[i]);
+            (v.means[i], v.quats[i]) = predict(v.means[i], before_means[i], v.quats[i], before_quats[i]);
         }
-        self.before = Some(now);
         if self.config.mask.enabled {
             // Paper Eq. 5 compares with the timestep before.
-            state.previous_mask_logits = Some(p.mask_logits.clone());
+            past.previous_mask_logits = Some(p.mask_logits.clone());
             if self.config.mask.reset {
                 p.mask_logits.fill(self.config.mask.initial_logit);
             }
         }
-        let o = &mut state.optimizer;
-        for attribute in [Attribute::Mean, Attribute::Quat] {
-            o.attributes[attribute.index()].clear(self.config.rates.reset_steps);
-        }
-        o.mask.clear(self.config.rates.reset_steps);
+        state.optimizer.begin_timestep(self.config.rates.reset_steps);
         Ok(())
     }
 
     /// A Gaussian that is not finite is culled by the renderer, so that no loss tells.
     fn check_finite(&mut self, iteration: usize) -> Result<(), TrainError> {
         let gaussians = &self.engine.state()?.parameters.gaussians;
-        for attribute in Attribute::BASE {
-            if let Some(value) = gaussians.values(attribute).iter().find(|x| !x.is_finite()) {
-                let (term, value) = (attribute.name(), f64::from(*value));
+        for column in gaussians.layout().columns() {
+            if let Some(value) = gaussians.values(column.attribute).iter().find(|x| !x.is_finite()) {
+                let (term, value) = (column.name.clone().into(), f64::from(*value));
                 return Err(TrainError::NotFinite { term, value, timestep: self.timestep, iteration });
             }
         }
@@ -356,12 +345,6 @@ impl Trainer {
     }
 
     fn end_timestep(&mut self) -> Result<(), TrainError> {
-        if self.timestep == 0 {
-            let g = &self.engine.state()?.parameters.gaussians;
-            self.first = Some(Arc::new(Pose::of(g)));
-            // No motion is known yet.
-            self.before = self.first.clone();
-        }
         self.timestep += 1;
         self.is_unfinished = false;
         Ok(())
@@ -385,13 +368,11 @@ impl Trainer {
     pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
         self.check_finished()?;
         let state = self.engine.state()?;
-        let o = &state.optimizer;
-        let [mean, quat, _, _, color] = &o.attributes;
         Ok(Checkpoint {
             parameters: state.parameters.clone(),
+            lifetimes: state.lifetimes.clone(),
             quantizers: state.quantizers.clone(),
-            kept_moments: [color.clone(), o.quantizer_steps.clone(), o.quantizer_offsets.clone()],
-            steps: [mean.step, quat.step, o.mask.step],
+            optimizer: state.optimizer.carried_over(),
             scene_radius: self.scene_radius,
         })
     }

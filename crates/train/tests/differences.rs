@@ -1,7 +1,8 @@
 //! Motion priors against central differences, in f64.
 
 use tcgs_core::normalize;
-use tcgs_train::engine::cpu::{MotionPrior, Neighbors, PriorGrads, PriorLosses, PriorWeights};
+use tcgs_train::engine::cpu::{MotionPrior, PriorGrads};
+use tcgs_train::{Neighbors, PriorLosses, PriorWeights};
 
 type State = (Vec<[f64; 3]>, Vec<[f64; 4]>, Vec<[f64; 3]>);
 

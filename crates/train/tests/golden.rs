@@ -9,10 +9,8 @@ use tcgs_codec::Quantizer;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image, normalize};
 use tcgs_interchange::{NpyValue, NpzReader};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
-use tcgs_train::engine::cpu::{
-    MotionPrior, Neighbors, PriorGrads, PriorWeights, fake_quant_vjp, image_loss, predict, step_gradient_scale,
-};
-use tcgs_train::{Parameters, scene_radius};
+use tcgs_train::engine::cpu::{MotionPrior, PriorGrads, image_loss};
+use tcgs_train::{Neighbors, Parameters, PriorWeights, fake_quant_vjp, predict, scene_radius, step_gradient_scale};
 
 fn shared(name: &str) -> Option<PathBuf> {
     let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")).join(name);

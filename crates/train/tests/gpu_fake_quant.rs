@@ -8,7 +8,7 @@ use support::{Random, gpu, packed, relative_l2};
 use tcgs_codec::BitMap;
 use tcgs_core::{Attribute, GaussianGrads, Gaussians};
 use tcgs_render::gpu::Gpu;
-use tcgs_train::engine::cpu::FakeQuantizers;
+use tcgs_train::FakeQuantizers;
 use tcgs_train::engine::gpu::{FakeQuantKernels, QuantizerBuffers, StepUniform};
 
 /// Gradients and the sums for steps and offsets.

@@ -11,8 +11,9 @@ use support::{Random, gpu, packed, relative_l2};
 use tcgs_core::{Attribute, GaussianGrads, Gaussians};
 use tcgs_interchange::NpzReader;
 use tcgs_render::gpu::Gpu;
-use tcgs_train::engine::cpu::{MotionPrior, Neighbors, PriorGrads, PriorLosses, PriorWeights};
+use tcgs_train::engine::cpu::{MotionPrior, PriorGrads};
 use tcgs_train::engine::gpu::{MotionPriorKernels, PriorBuffers, StepUniform, prior_rows};
+use tcgs_train::{Neighbors, PriorLosses, PriorWeights};
 
 const ALL: PriorWeights =
     PriorWeights { rigid: 4.0, rot: 3.0, iso: 2.0, floor: 5.0, background: 20.0, soft_color: 0.01 };

@@ -9,7 +9,7 @@ use crate::CaptureError;
 use crate::lens::{Crop, Lens, MAX_SIDE};
 
 /// Cameras and images.
-pub(super) struct Model {
+pub(crate) struct Model {
     pub cameras_file: PathBuf,
     pub images_file: PathBuf,
     pub cameras: BTreeMap<u32, Arc<Lens>>,
@@ -17,7 +17,7 @@ pub(super) struct Model {
 }
 
 /// One image and where it was taken from.
-pub(super) struct PosedImage {
+pub(crate) struct PosedImage {
     pub name: String,
     pub camera_id: u32,
     /// `camera_from_world`

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use tcgs_core::{Camera, Pinhole, View};
 
 use super::{Finding, FindingKind, list, splat::Splats};
-use crate::{prepare::vantage::Vantage, sight};
+use crate::{points_in_view, prepare::vantage::Vantage};
 
 /// By how much a hypothesis must fit better than what the capture says.
 const CLEARLY: f64 = 0.12;
@@ -65,7 +65,7 @@ pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<J
                 }
             };
             // From the likeliest to the least likely: of two that fit alike the first is kept.
-            consider(with(&sight::inverse(camera)), Hypothesis::Inverted);
+            consider(with(&points_in_view::inverse(camera)), Hypothesis::Inverted);
             for j in (0..views.len()).filter(|&j| j != i && same_size(j) && is_apart(views, i, j)) {
                 consider(drawings[j].fit(colors, [0; 2], 1), Hypothesis::PoseOf(j));
             }

@@ -14,7 +14,7 @@ mod sync;
 
 use tcgs_core::{Camera, Image, View};
 
-use crate::{Capture, CaptureError, PrepareSettings, Split, prepare, sight};
+use crate::{Capture, CaptureError, PrepareSettings, Split, points_in_view, prepare};
 use geometry::Judged;
 use splat::Splats;
 
@@ -179,7 +179,7 @@ fn consistent(views: &[View], report: &mut dyn FnMut(&str)) -> (Vec<View>, Optio
     if given >= FEW_AGREE {
         return (views.to_vec(), None);
     }
-    let inverted = with(&sight::inverse);
+    let inverted = with(&points_in_view::inverse);
     if prepare::agreement(&inverted, AGREEMENT_WIDTH) > FEW_AGREE.max(2.0 * given) {
         let ids = views.iter().map(|view| view.camera_id).collect();
         let fix = "write the inverse of these matrices: w2c maps the world to the camera";

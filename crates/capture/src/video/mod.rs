@@ -136,11 +136,6 @@ impl Video {
         })
     }
 
-    /// The file.
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
     /// Width and height, pixels.
     pub fn size(&self) -> (usize, usize) {
         self.size

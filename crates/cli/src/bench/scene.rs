@@ -1,15 +1,12 @@
 //! What is measured: Gaussians as they are in the middle of a training, cameras and images.
 
-use std::sync::Arc;
-
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::BitMap;
 use tcgs_core::{Attribute, BaseColumns, Camera, Image};
 use tcgs_train::engine::Target;
-use tcgs_train::engine::cpu::{FakeQuantizers, Neighbors};
-use tcgs_train::{Parameters, Past, Pose, State, TrainConfig};
+use tcgs_train::{FakeQuantizers, Parameters, Past, Pose, State, TrainConfig};
 
 use super::START_LOGIT;
 use crate::options::Size;
@@ -126,11 +123,8 @@ fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> State {
     let p = &state.parameters;
     let mut previous = p.gaussians.clone();
     previous.means_mut().copy_from_slice(&before);
-    state.past = Some(Past {
-        neighbors: Arc::new(Neighbors::new(&first, &p.foreground)),
-        first: Arc::new(Pose { means: first, quats: p.gaussians.quats().to_vec() }),
-        previous,
-    });
-    state.previous_mask_logits = Some(p.mask_logits.clone());
+    let first = Pose { means: first, quats: p.gaussians.quats().to_vec() };
+    let past = Past::new(first, previous, &p.foreground);
+    state.past = Some(Past { previous_mask_logits: Some(p.mask_logits.clone()), ..past });
     state
 }

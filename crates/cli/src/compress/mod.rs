@@ -249,7 +249,7 @@ fn kind(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CaptureKind>
         return Ok(Capture::open(capture)?.kind());
     }
     let of_run = scene.run().and_then(|run| CaptureKind::named(&run.config().data.layout));
-    Ok(of_run.unwrap_or(CaptureKind::Panoptic))
+    Ok(of_run.unwrap_or(CaptureKind::PANOPTIC))
 }
 
 /// What the command line says, over the preset.

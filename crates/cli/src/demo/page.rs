@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Attribute, Image};
 use tcgs_pipeline::{Evaluation, ImageScore, OpenScene};
-use tcgs_render::gpu::GpuError;
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::device::GpuError;
+use tcgs_render::{DrawAny, RenderSettings};
 use tcgs_train::Run;
 
 use super::Outcome;
@@ -28,7 +28,7 @@ const MASK_BINS: usize = 20;
 pub fn write_frames(
     scene: &OpenScene,
     capture: &Capture,
-    renderer: &dyn Draw,
+    renderer: &DrawAny,
     folder: &Path,
 ) -> anyhow::Result<Vec<Picture>> {
     let frames = scene.frames();

@@ -7,7 +7,7 @@ use image::{Rgb, RgbImage};
 use tcgs_capture::{Capture, Split};
 use tcgs_core::Image;
 use tcgs_pipeline::{OpenScene, OpenSettings};
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::{DrawAny, RenderSettings};
 
 use super::execute::Place;
 use super::plan::Plan;
@@ -23,7 +23,7 @@ const GAP: u32 = 4;
 const WIDTH: u32 = 320;
 
 /// A grid a scene: a row a timestep, ground truth first. Also which file each belongs into.
-pub fn grids(plan: &Plan, place: &Place, renderer: &dyn Draw) -> anyhow::Result<Vec<(PathBuf, Picture)>> {
+pub fn grids(plan: &Plan, place: &Place, renderer: &DrawAny) -> anyhow::Result<Vec<(PathBuf, Picture)>> {
     let mut grids = Vec::new();
     for scene in &plan.scenes {
         let capture = Capture::open(&place.capture(scene))?;

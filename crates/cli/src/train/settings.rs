@@ -62,7 +62,7 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
     // A file may be another run's; the capture is the one that was named.
     let folder = absolute(&arguments.capture)?;
     base.data.capture.clone_from(&folder);
-    base.data.layout = capture.kind().name().into();
+    base.data.layout = capture.kind().name.into();
     if let Some(points) = &arguments.points {
         base.data.points = absolute(points)?;
     }
@@ -72,7 +72,7 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
         };
         base.set(key.trim(), value.trim()).map_err(|error| wrong_input(format!("--set {setting}: {error}")))?;
     }
-    if (&base.data.capture, base.data.layout.as_str()) != (&folder, capture.kind().name()) {
+    if (&base.data.capture, base.data.layout.as_str()) != (&folder, capture.kind().name) {
         return Err(wrong_input("--set data.capture or data.layout: is what CAPTURE says, expected no other"));
     }
     if arguments.no_mask {

@@ -36,7 +36,7 @@ pub fn measured_bits(
     for turn in 0..count {
         let gaussians = floats.at(turn * last / (count - 1).max(1));
         let of_turn: Vec<Camera> = cameras.iter().skip(turn).step_by(count).cloned().collect();
-        let sensitivity = tcgs_train::sensitivity(&tcgs_render::CpuRasterizer, &gaussians, &of_turn)?;
+        let Ok(sensitivity) = tcgs_train::sensitivity(&tcgs_render::CpuRasterizer, &gaussians, &of_turn);
         for attribute in floats.layout().attributes() {
             let (row, rows) = (attribute.components(), sum.values_mut(attribute));
             rows.iter_mut().zip(sensitivity.values(attribute)).for_each(|(sum, s)| *sum += s / count as f32);

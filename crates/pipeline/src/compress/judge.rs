@@ -7,7 +7,7 @@ use tcgs_capture::{Capture, Split};
 use tcgs_codec::CompactScene;
 use tcgs_core::{Camera, Image, Tour, activate};
 use tcgs_metrics::psnr;
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::{DrawAny, RenderSettings};
 
 use crate::{OpenScene, PipelineError};
 
@@ -46,12 +46,12 @@ pub struct Judge {
     pub of: String,
     /// Whether they are a capture's.
     pub of_capture: bool,
-    renderer: Box<dyn Draw>,
+    renderer: Box<DrawAny>,
 }
 
 impl Judge {
     /// Decodes or renders the images.
-    pub fn new(scene: &OpenScene, images: &JudgeImages, renderer: Box<dyn Draw>) -> Result<Self, PipelineError> {
+    pub fn new(scene: &OpenScene, images: &JudgeImages, renderer: Box<DrawAny>) -> Result<Self, PipelineError> {
         match &images.capture {
             Some(path) => Self::of_capture(scene, path, images, renderer),
             None => Self::of_source(scene, images, renderer),
@@ -62,7 +62,7 @@ impl Judge {
         scene: &OpenScene,
         path: &Path,
         images: &JudgeImages,
-        renderer: Box<dyn Draw>,
+        renderer: Box<DrawAny>,
     ) -> Result<Self, PipelineError> {
         let capture = Capture::open(path)?;
         let frames = scene.choose_frames(images.frames.as_ref())?;
@@ -82,7 +82,7 @@ impl Judge {
         Ok(Self { goals, of, of_capture: true, renderer })
     }
 
-    fn of_source(scene: &OpenScene, images: &JudgeImages, renderer: Box<dyn Draw>) -> Result<Self, PipelineError> {
+    fn of_source(scene: &OpenScene, images: &JudgeImages, renderer: Box<DrawAny>) -> Result<Self, PipelineError> {
         let frames = scene.choose_frames(images.frames.as_ref())?;
         let cameras = cameras(scene)?;
         let mut goals = Vec::new();

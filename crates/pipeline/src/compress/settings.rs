@@ -38,7 +38,7 @@ pub fn settings_of(
         return Ok((paper(kind), BitMapping::Linear));
     }
     let mut settings = CompressSettings::default();
-    let of_unknown_unit = scene.run().is_none() || kind != CaptureKind::Panoptic;
+    let of_unknown_unit = scene.run().is_none() || !kind.facts.in_metres;
     if of_unknown_unit {
         settings.max_mse[Attribute::Mean.index()] = (POSITION_TOLERANCE * radius(scene)?).powi(2);
     }
@@ -47,9 +47,9 @@ pub fn settings_of(
 
 /// The paper's settings, which differ between its data sets.
 fn paper(kind: CaptureKind) -> CompressSettings {
-    let (max_keypoints, max_mse) = match kind {
-        CaptureKind::Panoptic => (30, 1e-5),
-        CaptureKind::Technicolor => (15, 1e-7),
+    let (max_keypoints, max_mse) = match kind.name {
+        "panoptic" => (30, 1e-5),
+        "technicolor" => (15, 1e-7),
         _ => (60, 1e-7),
     };
     CompressSettings { max_keypoints, max_mse: [max_mse; 5], ..CompressSettings::paper() }

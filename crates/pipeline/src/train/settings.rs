@@ -1,6 +1,6 @@
 //! What each kind of capture asks of the training settings.
 
-use tcgs_capture::{Capture, CaptureKind};
+use tcgs_capture::Capture;
 use tcgs_train::{Preset, TrainConfig};
 
 /// Learning rate of scales in which Dynamic 3D Gaussians, and the paper after it, were compared on scenes without
@@ -13,14 +13,14 @@ const LOG_SCALE_RATE: f32 = 0.005;
 /// - returns: settings whose `data.capture` is still empty
 pub fn settings_for(preset: Preset, capture: &Capture) -> TrainConfig {
     let mut config = TrainConfig::preset(preset);
-    let (kind, frames) = (capture.kind(), capture.usual_frames());
-    config.data.layout = kind.name().into();
+    let (facts, frames) = (capture.facts(), capture.usual_frames());
+    config.data.layout = capture.kind().name.into();
     (config.data.first_frame, config.data.end_frame) = (frames.start, frames.end);
     config.data.frame_rate = capture.frame_rate();
-    if !kind.has_floor() {
+    if !facts.has_floor {
         config.weights.floor = 0.0;
     }
-    if kind != CaptureKind::Panoptic {
+    if !facts.labels_motion {
         // Nothing says what moves.
         config.weights.segmentation = 0.0;
         config.weights.background = 0.0;

@@ -1,4 +1,4 @@
-//! The GPU renderer: WGSL compute shaders through `wgpu`, each operation a `.rs` beside its `.wgsl`.
+//! The GPU renderer: what [`crate::device`] describes, run through `wgpu`.
 
 mod device;
 mod kernel;
@@ -7,15 +7,13 @@ mod profiler;
 mod radix;
 mod rasterizer;
 mod renderer;
-mod source;
 mod timing;
 
-pub use device::{Gpu, GpuError, GpuInfo, Staged};
-pub use kernel::{Bound, Kernel, MAX_GROUPS_X, MAX_THREADS, WORKGROUP};
+pub use crate::device::{GpuError, GpuInfo};
+pub use device::{Gpu, Staged};
+pub use kernel::{Bound, Kernel};
 pub use open::GpuChoice;
 pub use profiler::RenderProfiler;
-pub use radix::{Dispatch, Radix, SORT_BLOCK};
-pub use rasterizer::{GpuRasterizer, GpuSaved, pack};
-pub use renderer::{Capacity, GpuRenderer, RenderBuffers};
-pub use source::{BUCKET, TILE, source, sources};
+pub use rasterizer::{GpuRasterizer, GpuSaved};
+pub use renderer::{GpuRenderer, RenderBuffers};
 pub use timing::StageTimer;

@@ -4,6 +4,7 @@
 //! what happens between iterations; that is the trainer's, which changes the engine's [`State`].
 
 pub mod cpu;
+#[cfg(feature = "gpu")]
 pub mod gpu;
 
 use std::fmt::Debug;
@@ -11,9 +12,9 @@ use std::fmt::Debug;
 use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
 
-use self::cpu::PriorLosses;
 use crate::TrainError;
 use crate::config::{MaskConfig, WeightConfig};
+use crate::losses::LossTerms;
 use crate::schedule::Rates;
 use crate::state::State;
 
@@ -56,44 +57,6 @@ pub struct Step<'a> {
     /// Whether Gaussians and masks move; cameras and quantizers always do. False where Gaussians are
     /// replaced right after: the new ones have no gradient.
     pub moves_gaussians: bool,
-}
-
-/// Values of every loss of one iteration, before their weights; 0 where a loss is off.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LossTerms {
-    /// Colour image.
-    pub image: f64,
-    /// Segmentation image.
-    pub segmentation: f64,
-    /// Motion.
-    pub prior: PriorLosses,
-    /// `L_mask`
-    pub mask: f64,
-    /// `L_mc`
-    pub mask_consistency: f64,
-}
-
-impl LossTerms {
-    /// Names, values and weights of all terms.
-    pub fn terms(&self, w: &WeightConfig) -> [(&'static str, f64, f32); 10] {
-        [
-            ("image", self.image, w.image),
-            ("segmentation", self.segmentation, w.segmentation),
-            ("rigid", self.prior.rigid, w.rigid),
-            ("rot", self.prior.rot, w.rot),
-            ("iso", self.prior.iso, w.iso),
-            ("floor", self.prior.floor, w.floor),
-            ("background", self.prior.background, w.background),
-            ("soft_color", self.prior.soft_color, w.soft_color),
-            ("mask", self.mask, w.mask),
-            ("mask_consistency", self.mask_consistency, w.mask_consistency),
-        ]
-    }
-
-    /// Weighted sum.
-    pub fn total(&self, weights: &WeightConfig) -> f64 {
-        self.terms(weights).iter().map(|(_, value, weight)| value * f64::from(*weight)).sum()
-    }
 }
 
 /// What computes. It may run behind: [`Self::step`] asks for an iteration, and what came of it is known

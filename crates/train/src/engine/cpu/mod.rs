@@ -1,16 +1,10 @@
 //! The optimisation on the CPU. Same bits for any number of threads.
 
-mod adam;
-mod fake_quant;
 mod image_loss;
-mod mask;
 mod motion_prior;
 
-pub use adam::Moments;
-pub use fake_quant::{FakeQuantizers, fake_quant, fake_quant_vjp, step_gradient_scale};
 pub use image_loss::{ImageLoss, image_loss};
-pub use mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
-pub use motion_prior::{MotionPrior, Neighbors, PriorGrads, PriorLosses, PriorWeights, predict};
+pub use motion_prior::{MotionPrior, PriorGrads};
 
 use std::sync::Arc;
 
@@ -20,9 +14,11 @@ use tcgs_core::{
 };
 use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderSettings, StageTimes};
 
-use super::{Engine, LossTerms, Step, Target};
+use super::{Engine, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
+use crate::losses::{LossTerms, PriorWeights};
+use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 use crate::sensitivity::sensitivity;
 use crate::state::State;
 
@@ -208,7 +204,7 @@ impl CpuEngine {
                 *v_opacity *= m;
             });
         terms.mask = mask_loss(logits, |n, v| v_mask_logits[n] += step.weights.mask * v);
-        if let Some(previous) = &self.state.previous_mask_logits {
+        if let Some(previous) = self.state.past.as_ref().and_then(|past| past.previous_mask_logits.as_ref()) {
             terms.mask_consistency = mask_consistency_loss(logits, previous, |n, v| {
                 v_mask_logits[n] += step.weights.mask_consistency * v;
             });
@@ -222,9 +218,9 @@ impl CpuEngine {
         if step.moves_gaussians {
             let layout = Arc::clone(p.gaussians.layout());
             for column in layout.columns() {
-                let (attribute, rate) = (column.attribute, rates.of(column.rate));
+                let (attribute, rate) = (column.attribute, rates.of(column));
                 let v = grads.gaussians.values(attribute);
-                o.attributes[attribute.index()].update(p.gaussians.values_mut(attribute), v, rate);
+                o.update(attribute, p.gaussians.values_mut(attribute), v, rate);
             }
             if step.mask.enabled {
                 o.mask.update(&mut p.mask_logits, &grads.mask_logits, rates.mask);
@@ -297,12 +293,14 @@ impl Engine for CpuEngine {
     }
 
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
-        Ok(sensitivity(&CpuRasterizer, &self.state.parameters.gaussians, cameras)?)
+        let Ok(sensitivity) = sensitivity(&CpuRasterizer, &self.state.parameters.gaussians, cameras);
+        Ok(sensitivity)
     }
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
         let drawn = drawn(&self.state, mask, false);
-        Ok(CpuRasterizer.forward(&drawn, camera, &RenderSettings::default())?.0.image)
+        let Ok((output, _)) = CpuRasterizer.forward(&drawn, camera, &RenderSettings::default());
+        Ok(output.image)
     }
 }
 

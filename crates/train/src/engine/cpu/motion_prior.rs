@@ -12,126 +12,12 @@ use tcgs_core::{
     Real, dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
 };
 
-use crate::parameters::nearest;
+use crate::losses::{PriorLosses, PriorWeights, ROOT_EPSILON};
+use crate::neighbors::Neighbors;
 
-/// Neighbours of a foreground Gaussian. Reference: 20.
-pub const NUM_NEIGHBORS: usize = 20;
-/// A neighbour at distance `d` weighs `exp(−NEIGHBOR_FALLOFF d²)`. Reference: 2000.
-pub const NEIGHBOR_FALLOFF: f32 = 2000.0;
-/// Added under square roots so that they have a derivative at zero. Reference.
-const ROOT_EPSILON: f64 = 1e-20;
 /// Fewest foreground Gaussians that one task handles. Sums are taken per Gaussian and then in order, so
 /// that this does not show in them.
 const CHUNK: usize = 128;
-
-/// Who is a neighbour of whom, from the first timestep on.
-#[derive(Clone, Debug)]
-pub struct Neighbors<R> {
-    /// `[F]` indices of the foreground Gaussians.
-    pub foreground: Vec<u32>,
-    /// Edges of each: `min(NUM_NEIGHBORS, F − 1)`.
-    pub per_node: usize,
-    /// `[F, per_node]` positions in `foreground`.
-    pub indices: Vec<u32>,
-    /// `[F, per_node]`
-    pub weights: Vec<R>,
-    /// `[F, per_node]` distance at the first timestep, scene units.
-    pub distances: Vec<R>,
-    /// `[F + 1]` first of each node's entries in `incoming`.
-    incoming_starts: Vec<u32>,
-    /// `[F, per_node]` edges that end at each node.
-    incoming: Vec<u32>,
-}
-
-impl Neighbors<f32> {
-    /// Finds the neighbours among the foreground.
-    ///
-    /// - `means`: `[N, 3]` at the first timestep, finite, scene units
-    /// - `is_foreground`: `[N]`
-    pub fn new(means: &[[f32; 3]], is_foreground: &[bool]) -> Self {
-        let foreground: Vec<u32> = (0..means.len() as u32).filter(|&i| is_foreground[i as usize]).collect();
-        let points: Vec<[f32; 3]> = foreground.iter().map(|&i| means[i as usize]).collect();
-        let found = nearest(&points, NUM_NEIGHBORS);
-        let per_node = found.first().map_or(0, Vec::len);
-        let edges = || found.iter().flatten();
-        Self::from_edges(
-            foreground,
-            per_node,
-            edges().map(|&(i, _)| i).collect(),
-            edges().map(|&(_, d)| (-NEIGHBOR_FALLOFF * d).exp()).collect(),
-            edges().map(|&(_, d)| d.sqrt()).collect(),
-        )
-    }
-}
-
-impl<R: Real> Neighbors<R> {
-    /// From edges found elsewhere; the fields say what each argument is.
-    ///
-    /// # Panics
-    /// If `indices` is not `[foreground, per_node]`, or one of them is no position in `foreground`.
-    pub fn from_edges(
-        foreground: Vec<u32>,
-        per_node: usize,
-        indices: Vec<u32>,
-        weights: Vec<R>,
-        distances: Vec<R>,
-    ) -> Self {
-        assert_eq!(indices.len(), foreground.len() * per_node, "edges against [{}, {per_node}]", foreground.len());
-        let mut incoming_starts = vec![0_u32; foreground.len() + 1];
-        for &end in &indices {
-            incoming_starts[end as usize + 1] += 1;
-        }
-        for i in 1..incoming_starts.len() {
-            incoming_starts[i] += incoming_starts[i - 1];
-        }
-        let mut next = incoming_starts.clone();
-        let mut incoming = vec![0; indices.len()];
-        for (edge, &end) in indices.iter().enumerate() {
-            incoming[next[end as usize] as usize] = edge as u32;
-            next[end as usize] += 1;
-        }
-        Self { foreground, per_node, indices, weights, distances, incoming_starts, incoming }
-    }
-
-    /// Edges that end at the node at position `i`.
-    pub(crate) fn incoming(&self, i: usize) -> &[u32] {
-        &self.incoming[self.incoming_starts[i] as usize..self.incoming_starts[i + 1] as usize]
-    }
-}
-
-/// Weights of the losses; 0 leaves one out (its value is then 0 too, `rigid`, `rot` and `iso` only together).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PriorWeights {
-    /// See [`crate::WeightConfig`].
-    pub rigid: f32,
-    /// See [`crate::WeightConfig`].
-    pub rot: f32,
-    /// See [`crate::WeightConfig`].
-    pub iso: f32,
-    /// See [`crate::WeightConfig`].
-    pub floor: f32,
-    /// See [`crate::WeightConfig`].
-    pub background: f32,
-    /// See [`crate::WeightConfig`].
-    pub soft_color: f32,
-}
-
-/// Values of the losses, before their weights.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PriorLosses {
-    /// `mean sqrt(w ‖Rᵢᵀ(x_k − x_i) − previous offset‖²)`
-    pub rigid: f64,
-    /// `mean sqrt(w ‖relative rotation of k − of i‖²)`
-    pub rot: f64,
-    /// `mean sqrt(w (‖x_k − x_i‖ − first distance)²)`
-    pub iso: f64,
-    /// `mean max(y, 0)` of the foreground: y points down, the floor is `y = 0`
-    pub floor: f64,
-    /// `mean ‖x − first x‖₁ + mean ‖q − first q‖₁` of the background
-    pub background: f64,
-    /// `mean ‖colour − previous colour‖₁` of all
-    pub soft_color: f64,
-}
 
 /// Gradients that the losses add to, in stored form.
 #[derive(Debug)]
@@ -396,18 +282,4 @@ fn l1<R: Real, const D: usize>(a: [R; D], b: [R; D], share: R, v_a: &mut [R; D])
         }
     }
     sum
-}
-
-/// The constant-velocity prediction of the next timestep: `x + (x − x_before)`, and likewise for
-/// rotations, normalised. Luiten et al. 2024, `initialize_per_timestep` of the released code.
-///
-/// - `mean`, `mean_before`: scene units
-/// - `quat`, `quat_before`: `w, x, y, z`, any length; normalised first
-/// - returns: mean and unit rotation
-pub fn predict<R: Real>(mean: [R; 3], mean_before: [R; 3], quat: [R; 4], quat_before: [R; 4]) -> ([R; 3], [R; 4]) {
-    let (q, before) = (normalize(quat), normalize(quat_before));
-    (
-        std::array::from_fn(|i| mean[i] + (mean[i] - mean_before[i])),
-        normalize(std::array::from_fn(|i| q[i] + (q[i] - before[i]))),
-    )
 }

@@ -4,7 +4,8 @@
 //! what the mask's gradient needs. The floor is memory, for every Gaussian: forward reads 68 bytes and
 //! writes 56 (64 with segmentation), backward reads 60 + 56 and writes 60.
 
-use tcgs_render::gpu::{Bound, Gpu, GpuError, WORKGROUP};
+use tcgs_render::device::{WORKGROUP, Wgsl};
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::step::source;
 
@@ -92,7 +93,7 @@ impl ActivateKernels {
 }
 
 pub(super) fn shader() -> String {
-    source(&[include_str!("quantize.wgsl"), include_str!("activate.wgsl")])
+    source(Wgsl::new()).part(include_str!("quantize.wgsl")).part(include_str!("activate.wgsl")).finish()
 }
 
 #[cfg(test)]
@@ -101,11 +102,12 @@ mod tests {
     use tcgs_core::{ActivatedGrads, Attribute, Gaussians, activate, activate_bwd};
 
     use super::*;
-    use crate::engine::cpu::{FakeQuantizers, mask, mask_consistency_loss, mask_loss, mask_vjp};
     use crate::engine::gpu::StepUniform;
     use crate::engine::gpu::testing::{
         QuantizerTables, assert_close, gpu, random, random_gaussians, random_rows, run, uniform,
     };
+    use crate::fake_quant::FakeQuantizers;
+    use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 
     const THRESHOLD: f32 = 0.3;
 

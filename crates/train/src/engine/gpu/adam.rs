@@ -1,9 +1,10 @@
-//! Adam of the Gaussians: see [`crate::engine::cpu::Moments`].
+//! Adam of the Gaussians: see [`crate::adam()`].
 //!
 //! The floor is memory: 28 bytes a value that moves (value, gradient and two moments in, all but the
 //! gradient out), nothing for a group that does not; a Gaussian has 15 values, 11 after the first timestep.
 
-use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X};
+use tcgs_render::device::{MAX_GROUPS_X, Wgsl};
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::step::source;
 
@@ -62,8 +63,10 @@ impl AdamKernel {
 }
 
 pub(super) fn shader() -> String {
-    let groups = format!("const MAX_GROUPS_X: u32 = {MAX_GROUPS_X}u;\n");
-    source(&[&groups, include_str!("moments.wgsl"), include_str!("adam.wgsl")])
+    source(Wgsl::new().constant("MAX_GROUPS_X", MAX_GROUPS_X).constant("BLOCK", BLOCK))
+        .part(include_str!("moments.wgsl"))
+        .part(include_str!("adam.wgsl"))
+        .finish()
 }
 
 #[cfg(test)]
@@ -71,7 +74,7 @@ mod tests {
     use tcgs_core::normalize;
 
     use super::*;
-    use crate::engine::cpu::Moments;
+    use crate::adam::Moments;
     use crate::engine::gpu::testing::{assert_close, gpu, random, run, uniform};
     use crate::engine::gpu::{StepUniform, adam_rates};
 

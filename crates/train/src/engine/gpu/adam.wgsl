@@ -4,7 +4,7 @@
 // params, first_moments, second_moments, grads [15 N]: means 3N, quats 4N, log_scales 3N,
 //     logit_opacities N, colors 3N, mask_logits N
 //
-// A thread has four values and a workgroup 1024 neighbouring ones of one attribute: neighbouring threads
+// A thread has four values and a workgroup BLOCK neighbouring ones of one attribute: neighbouring threads
 // read and write neighbouring values, and a group whose step size is 0 is left at once.
 
 @group(0) @binding(0) var<uniform> step: Step;
@@ -26,8 +26,8 @@ fn adam(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) l
     var before = 0u;
     var block = id.y * MAX_GROUPS_X + id.x;
     var len = COMPONENTS[0] * step.num_gaussians;
-    while (which < MASK && block >= (len + 1023u) / 1024u) {
-        block -= (len + 1023u) / 1024u;
+    while (which < MASK && block >= (len + BLOCK - 1u) / BLOCK) {
+        block -= (len + BLOCK - 1u) / BLOCK;
         before += len;
         which += 1u;
         len = COMPONENTS[which] * step.num_gaussians;
@@ -40,8 +40,8 @@ fn adam(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) l
     if (status[0] != 0u || !(moves || normalizes)) {
         return;
     }
-    for (var turn = 0u; turn < 4u; turn += 1u) {
-        let j = block * 1024u + turn * 256u + local;
+    for (var turn = 0u; turn < BLOCK / 256u; turn += 1u) {
+        let j = block * BLOCK + turn * 256u + local;
         let i = before + j;
         var x = 0.0;
         if (j < len) {

@@ -1,5 +1,5 @@
 //! Fake quantisation on the GPU: the learned quantizers as buffers, and the backward of
-//! [`crate::engine::cpu::FakeQuantizers`].
+//! [`crate::FakeQuantizers`].
 //!
 //! Members of a group (one attribute, one width) are listed, so that a workgroup sums for one group's
 //! quantizers only and writes one row for each: no atomics, and every sum has one order.
@@ -12,10 +12,11 @@
 //! order of the Gaussians that they begin with, so that the others find it in the cache.
 
 use tcgs_core::Attribute;
+use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::step::source;
-use crate::engine::cpu::FakeQuantizers;
+use crate::fake_quant::FakeQuantizers;
 
 /// Most members of a group that one workgroup handles.
 const CHUNK: usize = 1024;
@@ -139,7 +140,7 @@ impl FakeQuantKernels {
         grads: &wgpu::Buffer,
         step: &wgpu::Buffer,
     ) -> Self {
-        let source = source(&[include_str!("fake_quant.wgsl")]);
+        let source = source(Wgsl::new()).part(include_str!("fake_quant.wgsl")).finish();
         let bwd = gpu.kernel(&source, "fake_quant_bwd").bind(
             gpu.device(),
             &[

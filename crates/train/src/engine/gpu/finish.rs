@@ -82,7 +82,10 @@ impl FinishKernel {
 }
 
 pub(super) fn shader() -> String {
-    source(&[&constants(), include_str!("moments.wgsl"), include_str!("finish.wgsl")])
+    source(constants().constant("LOSS_VALUES", LOSS_VALUES))
+        .part(include_str!("moments.wgsl"))
+        .part(include_str!("finish.wgsl"))
+        .finish()
 }
 
 #[cfg(test)]
@@ -90,9 +93,10 @@ mod tests {
     use tcgs_codec::BitMap;
 
     use super::*;
-    use crate::engine::cpu::{FakeQuantizers, Moments};
+    use crate::adam::Moments;
     use crate::engine::gpu::testing::{QuantizerTables, assert_close, gpu, random, random_gaussians, run, uniform};
     use crate::engine::gpu::{StepUniform, adam_rates};
+    use crate::fake_quant::FakeQuantizers;
 
     const CAMERAS: usize = 3;
     const SLOTS: usize = 4;

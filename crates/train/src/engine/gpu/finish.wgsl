@@ -8,7 +8,7 @@
 // quantizers [Q]: step, offset, lowest code, highest code
 // quantizer_state [6, Q]: initial steps, gradient scales, moments (step first, second, offset first, second)
 // cameras [3, 2, K, 3]: values, first, second moments; each gains, then offsets
-// losses [slots, 16]: image, segmentation, rigid, rot, iso, floor, background, soft_color, mask,
+// losses [slots, LOSS_VALUES]: image, segmentation, rigid, rot, iso, floor, background, soft_color, mask,
 //     mask_consistency, status, 0 ...
 //
 // Workgroup 0: image losses and cameras. 1: masks. 2: motion. 3 + q: quantizer q. Every sum has one order.
@@ -36,7 +36,7 @@ fn has(flag: u32) -> bool {
 }
 
 fn write_loss(position: u32, value: f32) {
-    losses[16u * step.slot + position] = value;
+    losses[LOSS_VALUES * step.slot + position] = value;
 }
 
 // Rows beyond the end are zero. Loops take four at once, so that four reads are under way.
@@ -84,7 +84,7 @@ fn total(value: vec4<f32>, local: u32) -> vec4<f32> {
 }
 
 fn images_and_cameras(local: u32) {
-    let blocks = ((step.width + 15u) / 16u) * ((step.height + 15u) / 16u);
+    let blocks = ((step.width + SIDE - 1u) / SIDE) * ((step.height + SIDE - 1u) / SIDE);
     let channels = select(3u, 5u, has(SEGMENTED));
     var image = vec2(0.0);
     var segmentation = vec2(0.0);
@@ -106,12 +106,12 @@ fn images_and_cameras(local: u32) {
         }
     }
     if (local == 0u) {
-        let counted = COUNTED * f32(step.width * step.height);
+        let counted = COUNTED_CHANNELS * f32(step.width * step.height);
         let shares = vec2(1.0 - L1_SHARE, L1_SHARE) / counted;
         write_loss(0u, dot(shares, image));
         write_loss(1u, dot(shares, segmentation));
         write_loss(10u, f32(status[0]));
-        for (var i = 11u; i < 16u; i += 1u) {
+        for (var i = 11u; i < LOSS_VALUES; i += 1u) {
             write_loss(i, 0.0);
         }
     }

@@ -5,14 +5,13 @@
 //! reads 20 and writes 4; blocks overlap, so that a value is read 2.6 times, from the cache all but once.
 //! Arithmetic: about 250 operations forward, 120 backward, and 100 and 70 reads of workgroup memory.
 
+use tcgs_metrics::{SSIM_C1, SSIM_C2, SSIM_WINDOW};
+use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-use super::step::source;
+use super::step;
+use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 
-/// Share of L1; the rest is SSIM's. As on the CPU.
-const L1_SHARE: f32 = 0.8;
-/// Channels of the images that the losses are means over. As on the CPU.
-const COUNTED: f32 = 3.0;
 /// Pixels along a block's side.
 const SIDE: usize = 16;
 
@@ -73,12 +72,16 @@ impl ImageLossKernels {
 }
 
 /// What the shaders of the loss and of its sums share.
-pub(super) fn constants() -> String {
-    format!("const L1_SHARE: f32 = {L1_SHARE:?};\nconst COUNTED: f32 = {COUNTED:?};\n")
+pub(super) fn constants() -> Wgsl {
+    Wgsl::new().constant("L1_SHARE", L1_SHARE).constant("COUNTED_CHANNELS", COUNTED_CHANNELS).constant("SIDE", SIDE)
 }
 
 pub(super) fn shader() -> String {
-    source(&[&constants(), include_str!("image_loss.wgsl")])
+    let mut source = constants().constant("C1", SSIM_C1).constant("C2", SSIM_C2);
+    for (distance, weight) in SSIM_WINDOW.into_iter().enumerate() {
+        source = source.constant(&format!("WINDOW{distance}"), weight);
+    }
+    step::source(source).part(include_str!("image_loss.wgsl")).finish()
 }
 
 #[cfg(test)]

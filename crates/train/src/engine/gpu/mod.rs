@@ -26,7 +26,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use tcgs_core::{Activated, Attribute, Camera, Image, Sensitivity};
-use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
+use tcgs_render::device::Capacity;
+use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
 
 pub use activate::{ActivateBuffers, ActivateKernels};
@@ -40,12 +41,16 @@ pub use step::{StepUniform, adam_rates};
 use self::model::{Model, REPORT};
 use self::passes::{Passes, STAGES};
 use self::targets::Targets;
-use super::cpu::{Moments, Neighbors, PriorLosses, drawn};
-use super::{Engine, LossTerms, Step, Target};
+use super::cpu::drawn;
+use super::{Engine, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
+use crate::fake_quant::MIN_STEP_SHARE;
+use crate::losses::{LossTerms, PriorLosses};
+use crate::motion::Pose;
+use crate::neighbors::Neighbors;
 use crate::sensitivity::sensitivity;
-use crate::state::{Pose, State};
+use crate::state::State;
 
 /// Reports that may be on their way before the host waits for the first of them.
 const MAX_REPORTS: usize = 2;
@@ -217,12 +222,13 @@ impl GpuEngine {
         let past = self.state.past.as_ref();
         let num_gaussians = self.state.parameters.num_gaussians();
         let num_foreground = past.map_or(0, |past| past.neighbors.foreground.len());
+        let compares_masks = past.is_some_and(|past| past.previous_mask_logits.is_some());
         let flags = [
             (step.mask.enabled, StepUniform::MASKED),
             (step.counts_gradients, StepUniform::COUNTS),
             (step.moves_gaussians, StepUniform::MOVES),
             (self.state.quantizers.is_some(), StepUniform::QUANTIZED),
-            (step.mask.enabled && self.state.previous_mask_logits.is_some(), StepUniform::COMPARES_MASKS),
+            (step.mask.enabled && compares_masks, StepUniform::COMPARES_MASKS),
             (segmented, StepUniform::SEGMENTED),
             (past.is_some(), StepUniform::HAS_PRIOR),
             (learned_offset, StepUniform::LEARNED_OFFSET),
@@ -232,22 +238,22 @@ impl GpuEngine {
         let o = &mut self.state.optimizer;
         let rates = &step.rates;
         let mut adam = [[0.0; 4]; 10];
-        let mut count = |group: usize, moments: &mut Moments, rate: f32, moves: bool| {
+        let mut count = |group: usize, updates: &mut u64, rate: f32, moves: bool| {
             if moves {
-                moments.step += 1;
-                adam[group] = adam_rates(rate, moments.step);
+                *updates += 1;
+                adam[group] = adam_rates(rate, *updates);
             }
         };
         let moves = step.moves_gaussians;
-        let attribute_rates = [rates.mean, rates.quat, rates.log_scale, rates.logit_opacity, rates.color];
-        for (group, (moments, rate)) in o.attributes.iter_mut().zip(attribute_rates).enumerate() {
-            count(group, moments, rate, moves);
+        let layout = Arc::clone(o.first.layout());
+        for (group, (updates, column)) in o.steps.iter_mut().zip(layout.columns()).enumerate() {
+            count(group, updates, rates.of(column), moves);
         }
-        count(5, &mut o.mask, rates.mask, moves && step.mask.enabled);
-        count(6, &mut o.gains, rates.camera, rates.camera > 0.0);
-        count(7, &mut o.offsets, rates.camera, rates.camera > 0.0);
-        count(8, &mut o.quantizer_steps, rates.step, num_quantizers > 0);
-        count(9, &mut o.quantizer_offsets, rates.step, num_quantizers > 0 && learned_offset);
+        count(5, &mut o.mask.step, rates.mask, moves && step.mask.enabled);
+        count(6, &mut o.gains.step, rates.camera, rates.camera > 0.0);
+        count(7, &mut o.offsets.step, rates.camera, rates.camera > 0.0);
+        count(8, &mut o.quantizer_steps.step, rates.step, num_quantizers > 0);
+        count(9, &mut o.quantizer_offsets.step, rates.step, num_quantizers > 0 && learned_offset);
 
         StepUniform {
             num_gaussians: num_gaussians as u32,
@@ -363,9 +369,6 @@ impl GpuEngine {
         Ok(())
     }
 }
-
-/// A quantizer's step never falls below this share of where it started; as on the CPU.
-const MIN_STEP_SHARE: f32 = 0.1;
 
 /// Where a row of losses says whether the GPU had halted.
 const HALTED: usize = 10;

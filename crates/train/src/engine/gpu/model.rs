@@ -5,7 +5,8 @@ use tcgs_core::Attribute;
 use tcgs_render::gpu::{Gpu, GpuError};
 
 use super::{LOSS_VALUES, QuantizerBuffers, StepUniform};
-use crate::engine::cpu::{FakeQuantizers, Moments};
+use crate::adam::Moments;
+use crate::fake_quant::FakeQuantizers;
 use crate::state::State;
 
 /// Iterations between two reports, and slots of the ring that losses are written to.
@@ -89,12 +90,11 @@ impl Model {
             all
         };
         write(&self.params, &joined(&|a| p.gaussians.values(a).to_vec(), &p.mask_logits));
-        let moments = |a: Attribute| &o.attributes[a.index()];
-        write(&self.first_moments, &joined(&|a| moments(a).first.clone(), &o.mask.first));
-        write(&self.second_moments, &joined(&|a| moments(a).second.clone(), &o.mask.second));
+        write(&self.first_moments, &joined(&|a| o.first.values(a).to_vec(), &o.mask.first));
+        write(&self.second_moments, &joined(&|a| o.second.values(a).to_vec(), &o.mask.second));
         let counts: Vec<f32> = state.statistic.count.iter().map(|&c| c as f32).collect();
         write(&self.statistic, &[state.statistic.sum.as_slice(), &counts].concat());
-        if let Some(previous) = &state.previous_mask_logits {
+        if let Some(previous) = state.past.as_ref().and_then(|past| past.previous_mask_logits.as_ref()) {
             write(&self.previous_mask_logits, previous);
         }
         let cameras = [
@@ -149,8 +149,8 @@ impl Model {
         for attribute in Attribute::BASE {
             let range = at..at + n * attribute.components();
             p.gaussians.values_mut(attribute).copy_from_slice(&params[range.clone()]);
-            o.attributes[attribute.index()].first.copy_from_slice(&first[range.clone()]);
-            o.attributes[attribute.index()].second.copy_from_slice(&second[range.clone()]);
+            o.first.values_mut(attribute).copy_from_slice(&first[range.clone()]);
+            o.second.values_mut(attribute).copy_from_slice(&second[range.clone()]);
             at = range.end;
         }
         p.mask_logits.copy_from_slice(&params[at..]);

@@ -27,11 +27,13 @@
 //! `prior_gaussians` moves 80 bytes a Gaussian, 48 more of the foreground and 88 more of the background: 51 MB.
 
 use tcgs_core::normalize;
-use tcgs_render::gpu::{Bound, Gpu, GpuError, WORKGROUP};
+use tcgs_render::device::WORKGROUP;
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-use super::neighbor_lists::NeighborLists;
+use super::neighbor_lists::{self, NeighborLists};
 use super::step::source;
-use crate::engine::cpu::Neighbors;
+use crate::losses::ROOT_EPSILON;
+use crate::neighbors::Neighbors;
 
 /// Buffers that the losses share with the rest of an iteration.
 #[derive(Clone, Copy, Debug)]
@@ -109,7 +111,8 @@ impl MotionPriorKernels {
         let previous_colors = gpu.storage("previous colours", 3 * num_gaussians)?;
         let moving = rows("moving foreground", 2 * num_foreground)?;
 
-        let source = source(&[include_str!("motion_prior.wgsl")]);
+        let constants = neighbor_lists::constants().constant("ROOT_EPSILON", ROOT_EPSILON as f32);
+        let source = source(constants).part(include_str!("motion_prior.wgsl")).finish();
         let PriorBuffers { params, grads, step, partials } = *buffers;
         let bind = |entry, buffers: &[(u32, &wgpu::Buffer)]| gpu.kernel(&source, entry).bind(gpu.device(), buffers);
         Ok(Self {

@@ -26,15 +26,8 @@
 @group(0) @binding(18) var<storage, read_write> previous_colors_out: array<f32>;
 @group(0) @binding(19) var<storage, read_write> moving_out: array<vec4<f32>>;
 
-const BACKGROUND: u32 = 0x80000000u;
-const LEAVES: u32 = 0x80000000u;
-const ARRIVES: u32 = 0x40000000u;
-const NODE: u32 = 0x3fffffffu;
-const SLICE: u32 = 32u;
-const LINK_STRIDE: u32 = 96u; // 3 words of SLICE nodes
-
-// Added under square roots so that they have a derivative at zero. ROOT_EPSILON of the CPU's losses.
-const ROOT_EPSILON: f32 = 1e-20;
+// Bits of an entry that name its node.
+const NODE: u32 = ~(LEAVES | ARRIVES);
 
 // Of unit rotations that differ by less only their rounding differs.
 const ROUNDING: f32 = 5e-7;

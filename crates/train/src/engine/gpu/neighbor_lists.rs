@@ -10,11 +10,11 @@
 //! together.
 
 use rayon::prelude::*;
-use tcgs_render::gpu::WORKGROUP;
+use tcgs_render::device::{WORKGROUP, Wgsl};
 
-use crate::engine::cpu::Neighbors;
+use crate::neighbors::Neighbors;
 
-/// Nodes whose lists lie side by side. `SLICE` in `motion_prior.wgsl`.
+/// Nodes whose lists lie side by side.
 const SLICE: usize = 32;
 /// Words of an entry: node and directions, weight, distance. They lie a slice apart.
 const WORDS: usize = 3;
@@ -25,6 +25,16 @@ const LEAVES: u32 = 1 << 31;
 const ARRIVES: u32 = 1 << 30;
 /// Flag of a place: a position among the background, not a node.
 const BACKGROUND: u32 = 1 << 31;
+
+/// How the lists lie, for the shader that walks them.
+pub(super) fn constants() -> Wgsl {
+    Wgsl::new()
+        .constant("BACKGROUND", BACKGROUND)
+        .constant("LEAVES", LEAVES)
+        .constant("ARRIVES", ARRIVES)
+        .constant("SLICE", SLICE)
+        .constant("LINK_STRIDE", WORDS * SLICE)
+}
 
 /// What [`super::MotionPriorKernels`] uploads; stays the same over all timesteps.
 #[derive(Debug, PartialEq)]

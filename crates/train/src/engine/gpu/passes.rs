@@ -1,6 +1,7 @@
 //! The kernels of one iteration, bound to their buffers, in their order.
 
-use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRenderer, StageTimer};
+use tcgs_render::device::Capacity;
+use tcgs_render::gpu::{Gpu, GpuError, GpuRenderer, StageTimer};
 
 use super::model::Model;
 use super::targets::Targets;

@@ -1,13 +1,8 @@
 //! What one iteration is asked for, as the shaders read it, and the text that every shader starts with.
 
-use std::fmt::Write;
+use tcgs_render::device::Wgsl;
 
-/// Decay of Adam's first moments. As on the CPU.
-const BETA1: f32 = 0.9;
-/// Decay of Adam's second moments. As on the CPU.
-const BETA2: f32 = 0.999;
-/// Added to the root of the second moment. As on the CPU.
-const EPSILON: f32 = 1e-15;
+use crate::adam::{BETA1, BETA2, EPSILON, adam_factors};
 
 /// One iteration, written by the host before it; twin of `Step` in `step.wgsl`.
 ///
@@ -85,6 +80,18 @@ impl StepUniform {
     pub const HAS_PRIOR: u32 = 64;
     /// Quantizers' offsets are learned.
     pub const LEARNED_OFFSET: u32 = 128;
+
+    /// Names of the flags in the shaders.
+    const FLAGS: [(&str, u32); 8] = [
+        ("MASKED", Self::MASKED),
+        ("COUNTS", Self::COUNTS),
+        ("MOVES", Self::MOVES),
+        ("QUANTIZED", Self::QUANTIZED),
+        ("COMPARES_MASKS", Self::COMPARES_MASKS),
+        ("SEGMENTED", Self::SEGMENTED),
+        ("HAS_PRIOR", Self::HAS_PRIOR),
+        ("LEARNED_OFFSET", Self::LEARNED_OFFSET),
+    ];
 }
 
 /// What a shader needs of Adam for one group: `(step size, correction, 0, 0)`.
@@ -92,20 +99,19 @@ impl StepUniform {
 /// - `rate`: learning rate; 0 leaves the group as it is
 /// - `count`: updates including this one, from 1
 pub fn adam_rates(rate: f32, count: u64) -> [f32; 4] {
-    let t = i32::try_from(count).unwrap_or(i32::MAX);
-    [rate / (1.0 - BETA1.powi(t)), 1.0 / (1.0 - BETA2.powi(t)).sqrt(), 0.0, 0.0]
+    let [step_size, correction] = adam_factors(rate, count);
+    [step_size, correction, 0.0, 0.0]
 }
 
-/// The uniform's declaration and Adam's constants, then `parts`, as one source.
-pub(super) fn source(parts: &[&str]) -> String {
-    let mut text = String::from(include_str!("step.wgsl"));
-    for (name, value) in [("BETA1", BETA1), ("BETA2", BETA2), ("EPSILON", EPSILON)] {
-        let _ = writeln!(text, "const {name}: f32 = {value:?};");
+/// A source with the uniform's declaration, its flags and Adam's constants.
+///
+/// - `constants`: what else the shader needs
+pub(super) fn source(constants: Wgsl) -> Wgsl {
+    let mut source = constants.part(include_str!("step.wgsl"));
+    for (name, flag) in StepUniform::FLAGS {
+        source = source.constant(name, flag);
     }
-    for part in parts {
-        text.push_str(part);
-    }
-    text
+    source.constant("BETA1", BETA1).constant("BETA2", BETA2).constant("EPSILON", EPSILON)
 }
 
 #[cfg(test)]
@@ -114,7 +120,7 @@ mod tests {
 
     #[test]
     fn the_uniform_has_the_layout_of_the_shader() {
-        let module = wgpu::naga::front::wgsl::parse_str(&source(&[])).expect("the shader parses");
+        let module = wgpu::naga::front::wgsl::parse_str(&source(Wgsl::new()).finish()).expect("the shader parses");
         let (_, declared) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some("Step")).expect("a Step");
         let wgpu::naga::TypeInner::Struct { members, span } = &declared.inner else { panic!("not a struct") };
         assert_eq!(*span as usize, size_of::<StepUniform>());
@@ -129,22 +135,5 @@ mod tests {
         }
         assert_eq!(members.len(), 25);
         assert_eq!(std::mem::offset_of!(StepUniform, adam), members[24].offset as usize);
-    }
-
-    #[test]
-    fn the_flags_are_those_of_the_shader() {
-        let text = source(&[]);
-        for (name, flag) in [
-            ("MASKED", StepUniform::MASKED),
-            ("COUNTS", StepUniform::COUNTS),
-            ("MOVES", StepUniform::MOVES),
-            ("QUANTIZED", StepUniform::QUANTIZED),
-            ("COMPARES_MASKS", StepUniform::COMPARES_MASKS),
-            ("SEGMENTED", StepUniform::SEGMENTED),
-            ("HAS_PRIOR", StepUniform::HAS_PRIOR),
-            ("LEARNED_OFFSET", StepUniform::LEARNED_OFFSET),
-        ] {
-            assert!(text.contains(&format!("const {name}: u32 = {flag}u;")), "{name}");
-        }
     }
 }

@@ -26,12 +26,3 @@ struct Step {
     step_min_share: f32,
     adam: array<vec4<f32>, 10>,
 }
-
-const MASKED: u32 = 1u;
-const COUNTS: u32 = 2u;
-const MOVES: u32 = 4u;
-const QUANTIZED: u32 = 8u;
-const COMPARES_MASKS: u32 = 16u;
-const SEGMENTED: u32 = 32u;
-const HAS_PRIOR: u32 = 64u;
-const LEARNED_OFFSET: u32 = 128u;

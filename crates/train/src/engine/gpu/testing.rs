@@ -7,7 +7,7 @@ use rand_pcg::Pcg64;
 use tcgs_core::{BaseColumns, Gaussians};
 use tcgs_render::gpu::{Gpu, GpuChoice};
 
-use crate::engine::cpu::{FakeQuantizers, step_gradient_scale};
+use crate::fake_quant::{FakeQuantizers, step_gradient_scale};
 
 /// The GPU that tests run on: named by `TCGS_TEST_GPU`, or Mesa's software one. `None`, with a message, if
 /// there is none, unless `REQUIRE_GPU` is set.

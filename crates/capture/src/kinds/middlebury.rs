@@ -9,24 +9,41 @@ use std::path::{Path, PathBuf};
 
 use tcgs_core::Camera;
 
-use crate::{Capture, CaptureError, CaptureKind, decode, files, points, shot::Shot, split};
+use super::test_cameras::{STATIC_FRAME_RATE, every_eighth};
+use crate::contents::{CameraSetOfFiles, Contents};
+use crate::footage::Change;
+use crate::kind::{CaptureFacts, CaptureKind};
+use crate::{CaptureError, decode, files, points};
 
 /// Numbers of a line after the name.
 const NUMBERS: usize = 21;
 
+impl CaptureKind {
+    /// Multi-view stereo sets of Middlebury: one timestep.
+    pub const MIDDLEBURY: Self = Self {
+        name: "middlebury",
+        mark: "*_par.txt (Middlebury)",
+        facts: CaptureFacts { has_floor: false, in_metres: false, labels_motion: false },
+        recognises: |path| Ok(cameras_file(path)?.is_some()),
+        open,
+    };
+}
+
 /// The file of cameras.
-pub(crate) fn cameras_file(path: &Path) -> Result<Option<PathBuf>, CaptureError> {
+fn cameras_file(path: &Path) -> Result<Option<PathBuf>, CaptureError> {
     Ok(files::list(path)?.into_iter().find(|file| files::name(file).ends_with("_par.txt")))
 }
 
-pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
+fn open(path: &Path) -> Result<Contents, CaptureError> {
     let file = cameras_file(path)?.ok_or_else(|| CaptureError::invalid(path, "has no *_par.txt"))?;
     let text = std::fs::read_to_string(&file).map_err(|error| CaptureError::Io { path: file.clone(), error })?;
     let invalid = |problem: String| CaptureError::invalid(&file, problem);
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let count = lines.next().and_then(|(_, line)| line.trim().parse::<usize>().ok());
     let count = count.ok_or_else(|| invalid("line 1: expected the number of images".into()))?;
-    let mut shots = Vec::new();
+    let mut cameras = CameraSetOfFiles::new(path);
+    cameras.begin_frame();
+    let mut num_images = 0;
     for (i, line) in lines {
         let words: Vec<&str> = line.split_whitespace().collect();
         let numbers: Vec<f64> = words[1..].iter().filter_map(|word| word.parse().ok()).collect();
@@ -45,20 +62,19 @@ pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
         let row = |r: usize| [n[9 + 3 * r], n[10 + 3 * r], n[11 + 3 * r], n[18 + r]];
         let camera = Camera::new(width, height, k, [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
             .map_err(|error| invalid(format!("line {}: {error}", i + 1)))?;
-        shots.push(Shot::of_file(shots.len(), camera, image));
+        cameras.add(num_images, camera, Change::Nothing, words[0]);
+        num_images += 1;
     }
-    if shots.len() != count || count == 0 {
-        return Err(invalid(format!("has {} images, expected {count} as its first line says", shots.len())));
+    if num_images != count || count == 0 {
+        return Err(invalid(format!("has {num_images} images, expected {count} as its first line says")));
     }
-    let (train, test) = split::every_eighth(shots);
-    Ok(Capture {
-        path: path.into(),
-        kind: CaptureKind::Middlebury,
-        frame_rate: split::STATIC_FRAME_RATE,
+    let [train, test] = every_eighth(cameras.finish());
+    Ok(Contents {
+        num_frames: 1,
+        frame_rate: STATIC_FRAME_RATE,
         usual_frames: 0..1,
-        train: vec![train],
-        test: vec![test],
-        has_segmentation: false,
+        train,
+        test,
         cameras_files: [file.clone(), file],
         points: points::find(path, None),
     })

@@ -1,7 +1,7 @@
-// Backward of blending. One workgroup of 32 a bucket, one thread a splat: pixels pass from thread to thread, so that each
+// Backward of blending. One workgroup a bucket, one thread a splat: pixels pass from thread to thread, so that each
 // meets the bucket's splats front to back, and every thread sums its own splat's gradients in registers.
 //   reads   splats, activated (colors), pair_gaussian, pair_values, tiles, image, v_image [C, H, W], checkpoints
-//   writes  v_pairs [pairs, 8 + C]: gradients to mean2d, conic, opacity, the statistic's mean2d, colors
+//   writes  v_pairs [pairs, PAIR_GRADS + C]: gradients to mean2d, conic, opacity, the statistic's mean2d, colors
 //
 // What lies behind a splat is the finished image less what was blended up to it.
 
@@ -15,15 +15,12 @@
 @group(0) @binding(8) var<storage, read> checkpoints: array<f32>;
 @group(0) @binding(9) var<storage, read_write> v_pairs: array<f32>;
 
-const PAIR_GRADS: u32 = 8u;
-const PIXELS: u32 = TILE * TILE;
-
 var<workgroup> transmittances: array<f32, PIXELS>;
 // Sum over channels of image * v_image behind the splats met so far: all channels, the statistic's alone.
 var<workgroup> behinds: array<vec2<f32>, PIXELS>;
 var<workgroup> v_pixels: array<f32, PIXELS * CHANNELS>;
 
-@compute @workgroup_size(32)
+@compute @workgroup_size(BUCKET)
 fn rasterize_bwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3<u32>) {
     let bucket = group.y * MAX_GROUPS_X + group.x;
     let count = num_tiles();
@@ -83,7 +80,7 @@ fn rasterize_bwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_
         mean2d = shape.xy;
         conic = vec3<f32>(shape.zw, rest.x);
         opacity = rest.y;
-        let at = 11u * view.num_gaussians + CHANNELS * gaussian;
+        let at = COLORS_AT * view.num_gaussians + CHANNELS * gaussian;
         for (var c = 0u; c < CHANNELS; c++) {
             color[c] = activated[at + c];
         }

@@ -9,7 +9,7 @@ use tcgs_core::{Real, sigmoid, sigmoid_vjp};
 /// - returns: `M_n`, exactly 0 or 1
 ///
 /// ```
-/// use tcgs_train::engine::cpu::mask;
+/// use tcgs_train::mask;
 /// assert_eq!((mask(-4.0, 0.01), mask(-5.0, 0.01)), (1.0, 0.0)); // σ(−4) = 0.018, σ(−5) = 0.0067
 /// ```
 pub fn mask<R: Real>(logit: R, threshold: R) -> R {

@@ -17,11 +17,14 @@ use std::sync::Arc;
 use serde::Deserialize;
 use tcgs_core::{Camera, natural_key};
 
+use super::test_cameras;
+use crate::contents::{CameraSetOfFiles, Contents, check_images};
+use crate::footage::Change;
+use crate::kind::{CaptureFacts, CaptureKind};
 use crate::lens::{Crop, Lens, MAX_SIDE};
-use crate::shot::{self, Shot};
-use crate::{Capture, CaptureError, CaptureKind, decode, points, split};
+use crate::{CaptureError, decode, points};
 
-pub(crate) const TRANSFORMS: &str = "transforms.json";
+const TRANSFORMS: &str = "transforms.json";
 
 /// Frames a second, where they are not given.
 const FRAME_RATE: f64 = 30.0;
@@ -69,7 +72,18 @@ struct Intrinsics {
     p2: Option<f64>,
 }
 
-pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
+impl CaptureKind {
+    /// `transforms.json` of nerfstudio, with a time for each image if there are several timesteps.
+    pub const NERFSTUDIO: Self = Self {
+        name: "nerfstudio",
+        mark: "transforms.json (nerfstudio)",
+        facts: CaptureFacts { has_floor: false, in_metres: false, labels_motion: false },
+        recognises: |path| Ok(path.join(TRANSFORMS).exists()),
+        open,
+    };
+}
+
+fn open(path: &Path) -> Result<Contents, CaptureError> {
     let file = path.join(TRANSFORMS);
     let invalid = |problem: String| CaptureError::invalid(&file, problem);
     let text = std::fs::read(&file).map_err(|error| CaptureError::Io { path: file.clone(), error })?;
@@ -83,27 +97,28 @@ pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
     let timesteps = timesteps(&transforms.frames).map_err(invalid)?;
     let for_test = test_cameras(&transforms, &timesteps).map_err(invalid)?;
 
-    let mut lenses = Lenses { capture: path, all: &transforms.intrinsics, known: BTreeMap::new() };
-    let (mut train, mut test) = (Vec::new(), Vec::new());
+    let num_frames = timesteps.len();
+    let mut lenses =
+        Lenses { capture: path, all: &transforms.intrinsics, known: BTreeMap::new(), sizes: BTreeMap::new() };
+    let (mut train, mut test) = (CameraSetOfFiles::new(path), CameraSetOfFiles::new(path));
     for frames in &timesteps {
-        let (mut train_now, mut test_now) = (Vec::new(), Vec::new());
+        train.begin_frame();
+        test.begin_frame();
         for (camera_id, frame) in frames.iter().enumerate() {
-            let shot = lenses.shot(camera_id, frame, &file)?;
-            if for_test.contains(&camera_id) { test_now.push(shot) } else { train_now.push(shot) }
+            let (camera, change, name) = lenses.image(camera_id, frame, &file)?;
+            let set = if for_test.contains(&camera_id) { &mut test } else { &mut train };
+            set.add(camera_id, camera, change, name);
         }
-        shot::check_files(&train_now, &file)?;
-        shot::check_files(&test_now, &file)?;
-        train.push(train_now);
-        test.push(test_now);
     }
-    Ok(Capture {
-        path: path.into(),
-        kind: CaptureKind::Nerfstudio,
+    let (train, test) = (train.finish(), test.finish());
+    check_images(&train, num_frames, &file)?;
+    check_images(&test, num_frames, &file)?;
+    Ok(Contents {
+        num_frames,
         frame_rate,
-        usual_frames: 0..train.len(),
+        usual_frames: 0..num_frames,
         train,
         test,
-        has_segmentation: false,
         cameras_files: [file.clone(), file],
         points: points::find(path, transforms.ply_file_path.map(|ply| path.join(ply)).filter(|ply| ply.is_file())),
     })
@@ -155,7 +170,7 @@ fn test_cameras(transforms: &Transforms, timesteps: &[Vec<&Frame>]) -> Result<BT
     let num_cameras = timesteps[0].len();
     let (val, test) = (&transforms.val_filenames, &transforms.test_filenames);
     if val.is_none() && test.is_none() {
-        let stride = if num_cameras < split::TEST_STRIDE { usize::MAX } else { split::TEST_STRIDE };
+        let stride = if num_cameras < test_cameras::TEST_STRIDE { usize::MAX } else { test_cameras::TEST_STRIDE };
         return Ok((0..num_cameras).filter(|i| stride != usize::MAX && i % stride == 0).collect());
     }
     let named = |frame: &Frame| [val, test].into_iter().flatten().any(|names| names.contains(&frame.file_path));
@@ -176,29 +191,38 @@ struct Lenses<'a> {
     capture: &'a Path,
     all: &'a Intrinsics,
     known: BTreeMap<Vec<u64>, Arc<Lens>>,
+    /// Image sizes by camera, where only the images say: one for each camera, since opening every image takes a while.
+    sizes: BTreeMap<usize, (usize, usize)>,
 }
 
 impl Lenses<'_> {
-    fn shot(&mut self, camera_id: usize, frame: &Frame, file: &Path) -> Result<Shot, CaptureError> {
+    /// Camera and change of an image, and its file relative to the capture.
+    fn image(
+        &mut self,
+        camera_id: usize,
+        frame: &Frame,
+        file: &Path,
+    ) -> Result<(Camera, Change, String), CaptureError> {
         let invalid = |problem: String| CaptureError::invalid(file, format!("{}: {problem}", frame.file_path));
         let relative = Path::new(&frame.file_path);
         if !relative.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
             return Err(invalid("expected a path inside the capture".into()));
         }
-        let mut image = self.capture.join(relative);
+        let mut image = relative.to_path_buf();
         if image.extension().is_none() {
             image.set_extension("png");
         }
-        let lens = self.lens(&frame.intrinsics, &image, invalid)?;
+        let lens = self.lens(&frame.intrinsics, camera_id, &image, invalid)?;
         let camera_from_world = camera_from_world(&frame.transform_matrix).map_err(invalid)?;
         let camera = Camera::new(lens.crop.width, lens.crop.height, lens.straight_intrinsics(), camera_from_world)
             .map_err(|error| invalid(error.to_string()))?;
-        Ok(Shot::of_file(camera_id, camera, image).through(lens))
+        Ok((camera, Change::for_lens(&lens), image.to_string_lossy().into_owned()))
     }
 
     fn lens(
         &mut self,
         own: &Intrinsics,
+        camera_id: usize,
         image: &Path,
         invalid: impl Fn(String) -> CaptureError,
     ) -> Result<Arc<Lens>, CaptureError> {
@@ -211,7 +235,11 @@ impl Lenses<'_> {
         let (width, height) = match (get(|i| i.w), get(|i| i.h)) {
             (Some(width), Some(height)) => (width, height),
             _ => {
-                let (width, height) = decode::size(image)?;
+                let (width, height) = match self.sizes.get(&camera_id) {
+                    Some(&size) => size,
+                    None => decode::size(&self.capture.join(image))?,
+                };
+                self.sizes.insert(camera_id, (width, height));
                 (width as f64, height as f64)
             }
         };

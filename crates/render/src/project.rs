@@ -1,39 +1,30 @@
 //! Projection of one Gaussian to its splat, and its vector-Jacobian product.
 
-use tcgs_core::{Camera, Real, dot, rotmat_from_unit_quat, rotmat_from_unit_quat_vjp};
+use tcgs_core::{Camera, Pinhole, Real, dot, rotmat_from_unit_quat, rotmat_from_unit_quat_vjp};
 
 use crate::settings::{BLUR_VARIANCE, FOV_MARGIN, NEAR};
 
-/// A camera in the numbers that projection runs on.
+/// A camera in the numbers that projection runs on, in one precision.
 #[derive(Clone, Debug)]
-pub struct Pinhole<R> {
-    pub(crate) rotation: [[R; 3]; 3],
-    pub(crate) translation: [R; 3],
-    pub(crate) focal: [R; 2],
-    pub(crate) principal: [R; 2],
-    /// Range of `x/z` and of `y/z` in which the projection is linearised.
-    pub(crate) slope_min: [R; 2],
-    pub(crate) slope_max: [R; 2],
+pub struct SplatCamera<R> {
+    /// The camera.
+    pub pinhole: Pinhole<R>,
+    /// Least `x/z` and `y/z` at which the projection is linearised; see [`FOV_MARGIN`].
+    pub slope_min: [R; 2],
+    /// Greatest `x/z` and `y/z` at which the projection is linearised.
+    pub slope_max: [R; 2],
 }
 
-impl<R: Real> Pinhole<R> {
-    /// Rounds a camera to `R`.
+impl<R: Real> SplatCamera<R> {
+    /// Rounds a camera to `R`; the range of slopes is computed in `f64` before.
     pub fn new(camera: &Camera) -> Self {
-        let m = &camera.camera_from_world;
         let size = [camera.width as f64, camera.height as f64];
         let margin = |i: usize| FOV_MARGIN * size[i] / (2.0 * camera.focal[i]);
         Self {
-            rotation: std::array::from_fn(|i| std::array::from_fn(|j| R::of(m[i][j]))),
-            translation: std::array::from_fn(|i| R::of(m[i][3])),
-            focal: camera.focal.map(R::of),
-            principal: camera.principal.map(R::of),
+            pinhole: Pinhole::new(camera),
             slope_min: std::array::from_fn(|i| R::of(-camera.principal[i] / camera.focal[i] - margin(i))),
             slope_max: std::array::from_fn(|i| R::of((size[i] - camera.principal[i]) / camera.focal[i] + margin(i))),
         }
-    }
-
-    fn camera_from_world(&self, point: [R; 3]) -> [R; 3] {
-        std::array::from_fn(|i| dot(self.rotation[i], point) + self.translation[i])
     }
 }
 
@@ -63,8 +54,9 @@ struct Chain<R> {
     root: [[R; 3]; 2],
 }
 
-fn chain<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], pinhole: &Pinhole<R>) -> Option<Chain<R>> {
-    let point = pinhole.camera_from_world(mean);
+fn chain<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], camera: &SplatCamera<R>) -> Option<Chain<R>> {
+    let pinhole = &camera.pinhole;
+    let point = pinhole.camera_point(mean);
     let depth = point[2];
     if depth <= R::of(NEAR) || depth.is_nan() {
         return None;
@@ -77,7 +69,7 @@ fn chain<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], pinhole: &Pinhole<R
         })
     });
     let raw = [point[0] / depth, point[1] / depth];
-    let slope = std::array::from_fn(|i| raw[i].max(pinhole.slope_min[i]).min(pinhole.slope_max[i]));
+    let slope = std::array::from_fn(|i| raw[i].max(camera.slope_min[i]).min(camera.slope_max[i]));
     let clamped = [slope[0] != raw[0], slope[1] != raw[1]];
     let root = std::array::from_fn(|i| {
         let per_depth = pinhole.focal[i] / depth;
@@ -99,8 +91,9 @@ fn invert_symmetric<R: Real>([xx, xy, yy]: [R; 3]) -> Option<[R; 3]> {
 /// - `scale`: `[3]`, activated, scene units
 ///
 /// Zwicker et al. 2002, Eq. 29 and 31 (local affine approximation); Kerbl et al. 2023, Eq. 5.
-pub fn project<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], pinhole: &Pinhole<R>) -> Option<Projection<R>> {
-    let chain = chain(mean, quat, scale, pinhole)?;
+pub fn project<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], camera: &SplatCamera<R>) -> Option<Projection<R>> {
+    let chain = chain(mean, quat, scale, camera)?;
+    let pinhole = &camera.pinhole;
     let [x, y, depth] = chain.point;
     let [u, v] = chain.root;
     let blur = R::of(BLUR_VARIANCE);
@@ -119,13 +112,14 @@ pub fn project_vjp<R: Real>(
     mean: [R; 3],
     quat: [R; 4],
     scale: [R; 3],
-    pinhole: &Pinhole<R>,
+    camera: &SplatCamera<R>,
     v_mean2d: [R; 2],
     v_conic: [R; 3],
 ) -> ([R; 3], [R; 4], [R; 3]) {
-    let Some(chain) = chain(mean, quat, scale, pinhole) else {
+    let Some(chain) = chain(mean, quat, scale, camera) else {
         return ([R::zero(); 3], [R::zero(); 4], [R::zero(); 3]);
     };
+    let pinhole = &camera.pinhole;
     let (two, half) = (R::of(2.0), R::of(0.5));
     let [u, v] = chain.root;
     let blur = R::of(BLUR_VARIANCE);
@@ -186,14 +180,14 @@ pub fn project_vjp<R: Real>(
 mod tests {
     use super::*;
 
-    fn pinhole() -> Pinhole<f64> {
-        Pinhole::new(&Camera::look_at([0.3, -0.4, -3.0], [0.0, 0.1, 0.0], [0.0, -1.0, 0.0], 40.0, 64, 48))
+    fn splat_camera() -> SplatCamera<f64> {
+        SplatCamera::new(&Camera::look_at([0.3, -0.4, -3.0], [0.0, 0.1, 0.0], [0.0, -1.0, 0.0], 40.0, 64, 48))
     }
 
     #[test]
     fn a_sphere_ahead_projects_to_a_circle() {
         let camera = Camera::look_at([0.0, 0.0, -2.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, 64, 48);
-        let splat = project([0.0; 3], [1.0, 0.0, 0.0, 0.0], [0.1; 3], &Pinhole::<f64>::new(&camera)).unwrap();
+        let splat = project([0.0; 3], [1.0, 0.0, 0.0, 0.0], [0.1; 3], &SplatCamera::<f64>::new(&camera)).unwrap();
         assert_eq!(splat.mean2d, [32.0, 24.0]);
         assert_eq!(splat.depth, 2.0);
         let variance = (50.0_f64 * 0.1 / 2.0).powi(2) + 0.3;
@@ -203,9 +197,9 @@ mod tests {
     #[test]
     fn what_is_near_or_not_finite_is_culled() {
         let quat = [1.0, 0.0, 0.0, 0.0];
-        assert!(project([0.3, -0.4, -2.85], quat, [0.1; 3], &pinhole()).is_none());
-        assert!(project([f64::NAN, 0.0, 0.0], quat, [0.1; 3], &pinhole()).is_none());
-        assert!(project([0.0; 3], quat, [f64::INFINITY; 3], &pinhole()).is_none());
+        assert!(project([0.3, -0.4, -2.85], quat, [0.1; 3], &splat_camera()).is_none());
+        assert!(project([f64::NAN, 0.0, 0.0], quat, [0.1; 3], &splat_camera()).is_none());
+        assert!(project([0.0; 3], quat, [f64::INFINITY; 3], &splat_camera()).is_none());
     }
 
     #[test]
@@ -218,11 +212,11 @@ mod tests {
             let split = |x: [f64; 10]| ([x[0], x[1], x[2]], [x[3], x[4], x[5], x[6]], [x[7], x[8], x[9]]);
             let loss = |x: [f64; 10]| {
                 let (m, q, s) = split(x);
-                let p = project(m, q, s, &pinhole()).unwrap();
+                let p = project(m, q, s, &splat_camera()).unwrap();
                 dot(p.mean2d, v_mean2d) + dot(p.conic, v_conic)
             };
             let (m, q, s) = split(x);
-            let (v_m, v_q, v_s) = project_vjp(m, q, s, &pinhole(), v_mean2d, v_conic);
+            let (v_m, v_q, v_s) = project_vjp(m, q, s, &splat_camera(), v_mean2d, v_conic);
             let gradient = [v_m.as_slice(), &v_q, &v_s].concat();
             for i in 0..10 {
                 let h = 1e-5;

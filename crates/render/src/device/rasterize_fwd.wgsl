@@ -1,7 +1,7 @@
 // Blending of each tile's splats, front to back. One workgroup a tile, one thread a pixel.
 //   reads   splats, activated (colors), pair_gaussian [pairs], pair_values [pairs] (numbers of pairs, sorted by tile, then depth)
 //   writes  image [C + 1, H, W]: colours, then transmittance
-//           with KEEPS: checkpoints [buckets, 1 + C, 256]: transmittance (not above 0 where the pixel was finished) and
+//           with KEEPS: checkpoints [buckets, 1 + C, PIXELS]: transmittance (not above 0 where the pixel was finished) and
 //           what was blended before each bucket; tiles: the tile of each bucket
 
 @group(0) @binding(1) var<storage, read> splats: array<vec4<u32>>;
@@ -12,14 +12,14 @@
 @group(0) @binding(6) var<storage, read_write> image: array<f32>;
 @group(0) @binding(7) var<storage, read_write> checkpoints: array<f32>;
 
-var<workgroup> shapes: array<vec4<f32>, 256>;   // mean2d, conic xx, xy
-var<workgroup> rests: array<vec2<f32>, 256>;    // conic yy, opacity
-var<workgroup> colors: array<f32, 256u * CHANNELS>;
+var<workgroup> shapes: array<vec4<f32>, PIXELS>;   // mean2d, conic xx, xy
+var<workgroup> rests: array<vec2<f32>, PIXELS>;    // conic yy, opacity
+var<workgroup> colors: array<f32, PIXELS * CHANNELS>;
 var<workgroup> bounds: vec3<u32>;               // first pair, end, first bucket
 var<workgroup> live: atomic<u32>;
 var<workgroup> any_live: u32;
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(PIXELS)
 fn rasterize_fwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3<u32>) {
     let tile = group.y * MAX_GROUPS_X + group.x;
     if tile >= num_tiles() {
@@ -39,7 +39,7 @@ fn rasterize_fwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_
         blended[c] = 0.0;
     }
     var first = range.x;
-    for (; first < range.y; first += 256u) {
+    for (; first < range.y; first += PIXELS) {
         if lane == 0u {
             atomicStore(&live, 0u);
         }
@@ -59,20 +59,20 @@ fn rasterize_fwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_
             let rest = splats[2u * gaussian + 1u];
             shapes[lane] = bitcast<vec4<f32>>(splats[2u * gaussian]);
             rests[lane] = bitcast<vec2<f32>>(rest.xy);
-            let at = 11u * view.num_gaussians + CHANNELS * gaussian;
+            let at = COLORS_AT * view.num_gaussians + CHANNELS * gaussian;
             for (var c = 0u; c < CHANNELS; c++) {
                 colors[CHANNELS * lane + c] = activated[at + c];
             }
         }
         workgroupBarrier();
-        let count = min(range.y - first, 256u);
+        let count = min(range.y - first, PIXELS);
         for (var j = 0u; j < count; j++) {
             if KEEPS && j % BUCKET == 0u {
                 let bucket = range.z + (first - range.x + j) / BUCKET;
-                let at = bucket * (1u + CHANNELS) * 256u + lane;
+                let at = bucket * (1u + CHANNELS) * PIXELS + lane;
                 checkpoints[at] = transmittance;
                 for (var c = 0u; c < CHANNELS; c++) {
-                    checkpoints[at + (1u + c) * 256u] = blended[c];
+                    checkpoints[at + (1u + c) * PIXELS] = blended[c];
                 }
             }
             if transmittance <= 0.0 {
@@ -111,7 +111,7 @@ fn rasterize_fwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_
     if KEEPS {
         let buckets = (range.y - range.x + BUCKET - 1u) / BUCKET;
         let reached = min((first - range.x) / BUCKET, buckets);
-        for (var b = lane; b < buckets; b += 256u) {
+        for (var b = lane; b < buckets; b += PIXELS) {
             tiles[2u * (num_tiles() + 1u) + range.z + b] = select(tile, tile | DEAD, b >= reached);
         }
     }

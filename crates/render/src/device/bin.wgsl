@@ -24,19 +24,19 @@
 @group(0) @binding(11) var<storage, read_write> arguments: array<u32>;
 @group(0) @binding(12) var<storage, read_write> tiles: array<u32>;
 
-var<workgroup> sums: array<u32, 256>;
+var<workgroup> sums: array<u32, WORKGROUP>;
 
 // So that too many pairs to count are still too many.
 fn saturating_add(a: u32, b: u32) -> u32 {
     return a + min(b, ~a);
 }
 
-// Exclusive sum over the workgroup; the total is left in sums[255]. Once that is the largest number, the others say nothing.
+// Exclusive sum over the workgroup; the total is left in the last of sums. Once that is the largest number, the others say nothing.
 fn scan(lane: u32, value: u32) -> u32 {
     workgroupBarrier();
     sums[lane] = value;
     workgroupBarrier();
-    for (var distance = 1u; distance < 256u; distance *= 2u) {
+    for (var distance = 1u; distance < WORKGROUP; distance *= 2u) {
         var before = 0u;
         if lane >= distance {
             before = sums[lane - distance];
@@ -55,23 +55,23 @@ fn count_at(place: u32) -> u32 {
     return tile_counts[order[place]] & ~VISIBLE;
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn bin_count(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) group: vec3<u32>,
 ) {
     scan(lane, count_at(id.x));
-    if lane == 255u {
-        block_sums[group.x] = sums[255];
+    if lane == WORKGROUP - 1u {
+        block_sums[group.x] = sums[WORKGROUP - 1u];
     }
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn bin_scan(@builtin(local_invocation_index) lane: u32) {
-    let blocks = (view.num_gaussians + 255u) / 256u;
+    let blocks = (view.num_gaussians + WORKGROUP - 1u) / WORKGROUP;
     var total = 0u;
-    for (var first = 0u; first < blocks; first += 256u) {
+    for (var first = 0u; first < blocks; first += WORKGROUP) {
         let block = first + lane;
         var value = 0u;
         if block < blocks {
@@ -81,7 +81,7 @@ fn bin_scan(@builtin(local_invocation_index) lane: u32) {
         if block < blocks {
             block_sums[block] = total + before;
         }
-        total = saturating_add(total, sums[255]);
+        total = saturating_add(total, sums[WORKGROUP - 1u]);
     }
     if lane == 0u {
         status[2] = total;
@@ -99,7 +99,7 @@ fn bin_scan(@builtin(local_invocation_index) lane: u32) {
     }
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn bin_emit(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
@@ -138,7 +138,7 @@ fn bin_emit(
     }
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn bin_ranges(@builtin(global_invocation_id) id: vec3<u32>) {
     let tile = id.x;
     if tile > num_tiles() {
@@ -158,11 +158,11 @@ fn bin_ranges(@builtin(global_invocation_id) id: vec3<u32>) {
     tiles[tile] = low;
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn bin_buckets(@builtin(local_invocation_index) lane: u32) {
     let count = num_tiles();
     var total = 0u;
-    for (var first = 0u; first < count; first += 256u) {
+    for (var first = 0u; first < count; first += WORKGROUP) {
         let tile = first + lane;
         var value = 0u;
         if tile < count {
@@ -172,7 +172,7 @@ fn bin_buckets(@builtin(local_invocation_index) lane: u32) {
         if tile < count {
             tiles[count + 1u + tile] = total + before;
         }
-        total += sums[255];
+        total += sums[WORKGROUP - 1u];
     }
     if lane == 0u {
         tiles[2u * count + 1u] = total;

@@ -1,8 +1,5 @@
 // Which tiles a splat reaches: only those in which no pixel has an alpha of MIN_ALPHA are left out.
 
-// Set in tile_counts where a splat's bounds hold a pixel, whether or not a tile is reached.
-const VISIBLE: u32 = 0x80000000u;
-
 // alpha >= MIN_ALPHA  <=>  exponent <= this.
 fn reach(opacity: f32) -> f32 {
     return max(log(opacity / MIN_ALPHA), 0.0);

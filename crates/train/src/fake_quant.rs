@@ -4,9 +4,12 @@
 
 use rayon::prelude::*;
 use tcgs_codec::{BitMap, Quantizer, Quantizers};
-use tcgs_core::{Attribute, GaussianGrads, Gaussians};
+use tcgs_core::{Attribute, GaussianGrads, Gaussians, Layout};
 
-use super::Moments;
+use crate::adam::Moments;
+
+/// A quantizer's step never falls below this share of where it started.
+pub(crate) const MIN_STEP_SHARE: f32 = 0.1;
 
 /// Gaussians that one task handles; fixed, so that sums over them are.
 const CHUNK: usize = 1 << 12;
@@ -52,9 +55,9 @@ pub fn step_gradient_scale(bits: u8, numel: usize) -> f32 {
     (1.0 / (high * numel.max(1) as f64).sqrt()) as f32
 }
 
-/// Attributes that are quantised while training; positions are quantised afterwards.
-pub fn quantized_attributes() -> impl Iterator<Item = Attribute> {
-    Attribute::BASE.into_iter().filter(|&a| a != Attribute::Mean)
+/// The columns that are quantised while training; positions are quantised afterwards.
+fn quantized(layout: &Layout) -> impl Iterator<Item = Attribute> {
+    layout.columns().iter().filter(|column| column.quantized).map(|column| column.attribute)
 }
 
 /// The learned quantizers and who uses which.
@@ -71,7 +74,7 @@ pub struct FakeQuantizers {
     /// Whether offsets are learned.
     pub learned_offset: bool,
     /// By attribute and width: position of the first channel in `quantizers`.
-    first: [[u16; 17]; 5],
+    first: Vec<[u16; 17]>,
     /// Scale of each step's gradient.
     pub(crate) gradient_scales: Vec<f32>,
 }
@@ -83,8 +86,9 @@ impl FakeQuantizers {
     /// - `learned_offset`: without it quantizers are symmetric and start from LSQ's formula
     pub fn new(bit_map: BitMap, gaussians: &Gaussians, learned_offset: bool) -> Self {
         let histogram = bit_map.histogram();
-        let groups: Vec<(Attribute, u8)> =
-            quantized_attributes().flat_map(|a| histogram[a.index()].keys().map(move |&width| (a, width))).collect();
+        let groups: Vec<(Attribute, u8)> = quantized(gaussians.layout())
+            .flat_map(|a| histogram[a.index()].keys().map(move |&width| (a, width)))
+            .collect();
         let mut quantizers = Vec::new();
         for &(attribute, width) in &groups {
             let components = attribute.components();
@@ -121,7 +125,7 @@ impl FakeQuantizers {
         learned_offset: bool,
     ) -> Self {
         let histogram = bit_map.histogram();
-        let mut first = [[u16::MAX; 17]; 5];
+        let mut first = vec![[u16::MAX; 17]; bit_map.widths.len()];
         let mut gradient_scales = Vec::new();
         for &(attribute, width) in &groups {
             first[attribute.index()][usize::from(width)] = gradient_scales.len() as u16;
@@ -147,7 +151,7 @@ impl FakeQuantizers {
 
     /// As the codec wants them.
     pub fn table(&self) -> Quantizers {
-        let mut table = Quantizers::default();
+        let mut table = Quantizers::none(self.bit_map.layout());
         for &(attribute, width) in &self.groups {
             let first = usize::from(self.first[attribute.index()][usize::from(width)]);
             let channels = self.quantizers[first..first + attribute.components()].to_vec();
@@ -159,7 +163,7 @@ impl FakeQuantizers {
     /// Quantised values of every attribute but the positions.
     pub fn forward(&self, gaussians: &Gaussians) -> Gaussians {
         let mut out = gaussians.clone();
-        for attribute in quantized_attributes() {
+        for attribute in quantized(gaussians.layout()) {
             let components = attribute.components();
             let (widths, first) = (&self.bit_map.widths[attribute.index()], &self.first[attribute.index()]);
             out.values_mut(attribute).par_chunks_mut(components).zip(widths).with_min_len(CHUNK).for_each(
@@ -182,7 +186,7 @@ impl FakeQuantizers {
     pub fn backward(&self, gaussians: &Gaussians, v_gaussians: &mut GaussianGrads) -> (Vec<f32>, Vec<f32>) {
         let mut v_steps = vec![0.0_f64; self.quantizers.len()];
         let mut v_offsets = vec![0.0_f64; self.quantizers.len()];
-        for attribute in quantized_attributes() {
+        for attribute in quantized(gaussians.layout()) {
             let components = attribute.components();
             let (widths, first) = (&self.bit_map.widths[attribute.index()], &self.first[attribute.index()]);
             let values = gaussians.values(attribute);
@@ -239,7 +243,7 @@ impl FakeQuantizers {
             offsets.update(&mut relative_offsets, v_offsets, rate);
         }
         for (i, q) in self.quantizers.iter_mut().enumerate() {
-            q.step = relative_steps[i].max(0.1) * self.initial_steps[i];
+            q.step = relative_steps[i].max(MIN_STEP_SHARE) * self.initial_steps[i];
             q.offset = relative_offsets[i] * self.initial_steps[i];
         }
     }

@@ -10,19 +10,18 @@
 //! frames of each of five scenes. One published file, `Birthday_undist_00173_09.png`, is damaged: rows that it lacks
 //! are taken from the frame before, as the preparation for Spacetime Gaussians does.
 
-use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::BufReader;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use image::RgbImage;
 use tcgs_core::{Camera, rotmat_from_quat};
 
-use crate::shot::{Change, Shot, Source};
-use crate::{Capture, CaptureError, CaptureKind, colmap, decode, files, points};
+use crate::contents::{CameraSetOfFiles, Contents};
+use crate::footage::Change;
+use crate::kind::{CaptureFacts, CaptureKind};
+use crate::{CaptureError, colmap, decode, files, points};
 
-pub(crate) const CAMERAS: &str = "cameras_parameters.txt";
+const CAMERAS: &str = "cameras_parameters.txt";
 
 /// Camera for judging.
 const TEST_CAMERA: usize = 10;
@@ -38,12 +37,22 @@ const DAMAGED: (&str, usize, usize) = ("Birthday", 173, 9);
 const COLUMNS: usize = 12;
 const ORIGINAL_COLUMNS: usize = 14;
 
-pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
+impl CaptureKind {
+    /// The light-field videos of Technicolor: a file an image.
+    pub const TECHNICOLOR: Self = Self {
+        name: "technicolor",
+        mark: "cameras_parameters.txt (Technicolor)",
+        facts: CaptureFacts { has_floor: false, in_metres: false, labels_motion: false },
+        recognises: |path| Ok(path.join(CAMERAS).exists()),
+        open,
+    };
+}
+
+fn open(path: &Path) -> Result<Contents, CaptureError> {
     let cameras_file = path.join(CAMERAS);
     let lines = read_lines(&cameras_file)?;
     let (scene, images) = images(path)?;
-    let frames: Vec<usize> =
-        images.keys().map(|&(frame, _)| frame).collect::<std::collections::BTreeSet<_>>().into_iter().collect();
+    let frames: Vec<usize> = images.keys().map(|&(frame, _)| frame).collect::<BTreeSet<_>>().into_iter().collect();
     let image = |frame: usize, camera: usize| -> Result<&PathBuf, CaptureError> {
         images.get(&(frame, camera)).ok_or_else(|| {
             let missing = path.join(format!("{scene}_undist_{frame:05}_{camera:02}.png"));
@@ -69,30 +78,24 @@ pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
         cameras.push(camera);
     }
 
-    let (mut train, mut test) = (Vec::new(), Vec::new());
+    let (mut train, mut test) = (CameraSetOfFiles::new(path), CameraSetOfFiles::new(path));
     for &frame in &frames {
-        let (mut train_now, mut test_now) = (Vec::new(), Vec::new());
+        train.begin_frame();
+        test.begin_frame();
         for (id, camera) in cameras.iter().enumerate() {
-            let file = image(frame, id)?.clone();
-            let before = images.get(&(frame.wrapping_sub(1), id));
-            let source = match before {
-                Some(before) if (scene.as_str(), frame, id) == DAMAGED => Source::Cut { file, before: before.clone() },
-                _ => Source::File(file),
-            };
-            let shot = Shot { camera_id: id, camera: camera.clone(), source, change: Change::Nothing, mask: None };
-            if id == TEST_CAMERA { test_now.push(shot) } else { train_now.push(shot) }
+            let set = if id == TEST_CAMERA { &mut test } else { &mut train };
+            set.add(id, camera.clone(), Change::Nothing, files::name(image(frame, id)?));
+            if (scene.as_str(), frame, id) == DAMAGED && images.contains_key(&(frame.wrapping_sub(1), id)) {
+                set.last_is_cut();
+            }
         }
-        train.push(train_now);
-        test.push(test_now);
     }
-    Ok(Capture {
-        path: path.into(),
-        kind: CaptureKind::Technicolor,
+    Ok(Contents {
+        num_frames: frames.len(),
         frame_rate: FRAME_RATE,
         usual_frames: usual_frames(&scene, &frames),
-        train,
-        test,
-        has_segmentation: false,
+        train: train.finish(),
+        test: test.finish(),
         cameras_files: [cameras_file.clone(), cameras_file],
         points: points::find(path, colmap::points_file(path)),
     })
@@ -176,33 +179,6 @@ fn usual_frames(scene: &str, frames: &[usize]) -> Range<usize> {
     let usual = USUAL_FRAMES.iter().find(|(name, _)| *name == scene);
     let usual = usual.map(|(_, numbers)| position(numbers.start)..position(numbers.end));
     usual.filter(|usual| !usual.is_empty()).unwrap_or(0..frames.len())
-}
-
-/// An image whose file is cut short; rows that cannot be read come from another.
-pub(crate) fn mend(path: &Path, before: &Path, size: (usize, usize)) -> Result<RgbImage, CaptureError> {
-    if let Ok(whole) = decode::image(path, size) {
-        return Ok(whole);
-    }
-    let mut mended = decode::image(before, size)?;
-    let damaged = |error: png::DecodingError| CaptureError::invalid(path, format!("cannot be decoded: {error}"));
-    let file = File::open(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
-    let mut decoder = png::Decoder::new(BufReader::new(file));
-    decoder.set_transformations(png::Transformations::normalize_to_color8());
-    let mut reader = decoder.read_info().map_err(damaged)?;
-    let (found, color) = ((reader.info().width as usize, reader.info().height as usize), reader.output_color_type());
-    let channels = color.0.samples();
-    if found != size || channels < 3 || reader.info().interlaced {
-        let problem =
-            format!("is {}x{} pixels, {:?}, expected {}x{} in RGB", found.0, found.1, color.0, size.0, size.1);
-        return Err(CaptureError::invalid(path, problem));
-    }
-    for out in mended.rows_mut() {
-        let Ok(Some(row)) = reader.next_row() else { break };
-        for (out, pixel) in out.zip(row.data().chunks_exact(channels)) {
-            out.0.copy_from_slice(&pixel[..3]);
-        }
-    }
-    Ok(mended)
 }
 
 #[cfg(test)]

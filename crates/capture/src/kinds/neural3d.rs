@@ -19,10 +19,13 @@ use rayon::prelude::*;
 use tcgs_core::Camera;
 use tcgs_interchange::read_npy;
 
-use crate::shot::{Change, Shot, Source};
-use crate::{Capture, CaptureError, CaptureKind, colmap, decode, files, points, video::Video};
+use crate::contents::{CameraSet, Contents};
+use crate::footage::{ByFrame, Change, Footage, Images, Masks, Pixels};
+use crate::kind::{CaptureFacts, CaptureKind};
+use crate::names::{Files, Names};
+use crate::{CaptureError, colmap, decode, files, points, video::Video};
 
-pub(crate) const POSES: &str = "poses_bounds.npy";
+const POSES: &str = "poses_bounds.npy";
 
 /// Values of a row.
 const COLUMNS: usize = 17;
@@ -37,24 +40,31 @@ const FRAME_RATE: f64 = 30.0;
 /// How far the shape of a video's frames may be from that of its poses.
 const SHAPE_TOLERANCE: f64 = 0.01;
 
-/// All images of one camera.
-struct Footage {
+impl CaptureKind {
+    /// Neural 3D Video: a video a camera, poses as LLFF writes them.
+    pub const NEURAL3D: Self = Self {
+        name: "neural3d",
+        mark: "poses_bounds.npy with cam*.mp4 (Neural 3D Video)",
+        facts: CaptureFacts { has_floor: false, in_metres: false, labels_motion: false },
+        recognises,
+        open,
+    };
+}
+
+/// The video of one camera, or the folder of its frames.
+struct Recording {
     path: PathBuf,
     size: (usize, usize),
-    frames: Frames,
+    num_frames: usize,
+    pixels: Pixels,
 }
 
-enum Frames {
-    Video(Arc<Video>),
-    Files(Vec<PathBuf>),
+/// Other programs leave poses beside a COLMAP model; without videos the model is what counts.
+fn recognises(path: &Path) -> Result<bool, CaptureError> {
+    Ok(path.join(POSES).exists() && (!recordings(path)?.is_empty() || colmap::model_folder(path).is_none()))
 }
 
-/// Whether there are videos, or folders of their frames.
-pub(crate) fn has_cameras(path: &Path) -> Result<bool, CaptureError> {
-    Ok(!footage_paths(path)?.is_empty())
-}
-
-pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
+fn open(path: &Path) -> Result<Contents, CaptureError> {
     let poses_file = path.join(POSES);
     let poses = read_npy(&poses_file)?;
     let invalid = |problem: String| CaptureError::invalid(&poses_file, problem);
@@ -62,41 +72,37 @@ pub(crate) fn open(path: &Path) -> Result<Capture, CaptureError> {
         let problem = format!("has the shape {:?}, expected [cameras, {COLUMNS}]", poses.shape);
         return Err(invalid(problem));
     };
-    let paths = footage_paths(path)?;
+    let paths = recordings(path)?;
     if paths.len() != num_poses {
         return Err(invalid(wrong_count(num_poses, &paths)));
     }
     if num_poses < 2 {
         return Err(invalid("has 1 camera, expected at least 2: the first is for judging".into()));
     }
-    let footage: Vec<_> = paths.into_par_iter().map(Footage::open).collect();
-    let footage = footage.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let num_frames = footage.iter().map(Footage::num_frames).min().unwrap_or(0);
+    let recordings: Vec<_> = paths.into_par_iter().map(Recording::open).collect();
+    let recordings = recordings.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let num_frames = recordings.iter().map(|recording| recording.num_frames).min().unwrap_or(0);
+    let frame_rate = recordings[0].frame_rate();
 
-    let mut cameras = Vec::new();
-    for (i, (row, footage)) in poses.values.as_chunks::<COLUMNS>().0.iter().zip(&footage).enumerate() {
-        let problem = |problem: String| invalid(format!("row {i}, of {}: {problem}", files::name(&footage.path)));
-        cameras.push(camera(row, footage.size).map_err(problem)?);
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for (i, (row, recording)) in poses.values.as_chunks::<COLUMNS>().0.iter().zip(recordings).enumerate() {
+        let problem = |problem: String| invalid(format!("row {i}, of {}: {problem}", files::name(&recording.path)));
+        let camera = camera(row, recording.size).map_err(problem)?;
+        if i == TEST_CAMERA { &mut test } else { &mut train }.push(recording.footage(i, camera));
     }
-    let shots = |frame: usize, for_test: bool| -> Vec<Shot> {
-        let chosen = (0..footage.len()).filter(|&i| (i == TEST_CAMERA) == for_test);
-        chosen.map(|i| footage[i].shot(i, frame, &cameras[i])).collect()
-    };
-    Ok(Capture {
-        path: path.into(),
-        kind: CaptureKind::Neural3d,
-        frame_rate: footage[0].frame_rate(),
+    Ok(Contents {
+        num_frames,
+        frame_rate,
         usual_frames: 0..num_frames.min(USUAL_FRAMES),
-        train: (0..num_frames).map(|frame| shots(frame, false)).collect(),
-        test: (0..num_frames).map(|frame| shots(frame, true)).collect(),
-        has_segmentation: false,
+        train: CameraSet::constant(train),
+        test: CameraSet::constant(test),
         cameras_files: [poses_file.clone(), poses_file],
         points: points::find(path, colmap::points_file(path)),
     })
 }
 
 /// `cam*.mp4`; where there are none, folders `cam*`; in natural order.
-fn footage_paths(path: &Path) -> Result<Vec<PathBuf>, CaptureError> {
+fn recordings(path: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     let mut paths = files::list(path)?;
     paths.retain(|path| files::name(path).starts_with("cam"));
     let (videos, others): (Vec<_>, Vec<_>) =
@@ -142,46 +148,39 @@ fn camera(row: &[f32; COLUMNS], (width, height): (usize, usize)) -> Result<Camer
         .map_err(|error| error.to_string())
 }
 
-impl Footage {
+impl Recording {
     fn open(path: PathBuf) -> Result<Self, CaptureError> {
-        let (size, frames) = if path.is_file() {
+        if path.is_file() {
             let video = Video::open(&path)?;
-            (video.size(), Frames::Video(Arc::new(video)))
-        } else {
-            let images = path.join("images");
-            let files = files::images(if images.is_dir() { &images } else { &path })?;
-            let first = files
-                .first()
-                .ok_or_else(|| CaptureError::invalid(&path, "has no images, expected a file a frame, .png or .jpg"))?;
-            (decode::size(first)?, Frames::Files(files))
-        };
-        Ok(Self { path, size, frames })
-    }
-
-    fn num_frames(&self) -> usize {
-        match &self.frames {
-            Frames::Video(video) => video.num_frames(),
-            Frames::Files(files) => files.len(),
+            let (size, num_frames) = (video.size(), video.num_frames());
+            return Ok(Self { path, size, num_frames, pixels: Pixels::Video(Arc::new(video)) });
         }
+        let images = path.join("images");
+        let folder = if images.is_dir() { images } else { path.clone() };
+        let images = files::images(&folder)?;
+        let first = images
+            .first()
+            .ok_or_else(|| CaptureError::invalid(&path, "has no images, expected a file a frame, .png or .jpg"))?;
+        let (size, num_frames) = (decode::size(first)?, images.len());
+        let names: Vec<(usize, String)> = images.iter().map(|image| files::name(image)).enumerate().collect();
+        let files = Files { folder, names: Names::of(&names) };
+        Ok(Self { path, size, num_frames, pixels: Pixels::Files { files, cut_frame: None } })
     }
 
     fn frame_rate(&self) -> f64 {
-        match &self.frames {
-            Frames::Video(video) if video.frame_rate() > 0.0 => video.frame_rate(),
+        match &self.pixels {
+            Pixels::Video(video) if video.frame_rate() > 0.0 => video.frame_rate(),
             _ => FRAME_RATE,
         }
     }
 
-    fn shot(&self, camera_id: usize, frame: usize, camera: &Camera) -> Shot {
-        let source = match &self.frames {
-            Frames::Video(video) => Source::Video { video: Arc::clone(video), frame },
-            Frames::Files(files) => Source::File(files[frame].clone()),
-        };
+    fn footage(self, camera_id: usize, camera: Camera) -> Footage {
         let (camera, change) = match self.size {
             PUBLISHED_SIZE => (camera.downscaled(2), Change::Halve),
-            _ => (camera.clone(), Change::Nothing),
+            _ => (camera, Change::Nothing),
         };
-        Shot { camera_id, camera, source, change, mask: None }
+        let images = Images::Stored { pixels: self.pixels, changes: ByFrame::constant(change) };
+        Footage { camera_id, cameras: ByFrame::constant(camera), images, masks: Masks::None }
     }
 }
 

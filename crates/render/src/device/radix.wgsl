@@ -1,8 +1,8 @@
 // One pass of a stable radix sort by a digit of 8 bits, in three kernels; a workgroup of count and scatter takes
 // SORT_BLOCK keys in their order.
 //
-//   radix_count    keys_in [len] -> table [256, stride]: how often each digit occurs in each block
-//   radix_scan     table -> each row's exclusive prefix sums over the blocks, in place; totals [256]: the rows' sums
+//   radix_count    keys_in [len] -> table [DIGITS, stride]: how often each digit occurs in each block
+//   radix_scan     table -> each row's exclusive prefix sums over the blocks, in place; totals [DIGITS]: the rows' sums
 //   radix_scatter  keys_in, values_in [len], table, totals -> keys_out, values_out [len]
 //
 // len = min(count[0], capacity). Nothing past len is read or written.
@@ -26,10 +26,10 @@ struct Sort {
 @group(0) @binding(6) var<storage, read_write> totals: array<u32>;
 @group(0) @binding(7) var<uniform> sort: Sort;
 
-// Threads of a workgroup and values of a digit: thread d also stands for digit d.
-const DIGITS: u32 = 256u;
+// DIGITS, values of a digit, is also the number of a workgroup's threads: thread d stands for digit d too.
+
 // Words of 32 bits that hold a bit for each thread.
-const WORDS: u32 = 8u;
+const WORDS: u32 = DIGITS / 32u;
 // Blocks that a thread of radix_scan adds up by itself.
 const RUN: u32 = 4u;
 
@@ -66,7 +66,7 @@ fn inclusive_sum(thread: u32, value: u32) -> u32 {
     return sum;
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(DIGITS)
 fn radix_count(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let len = num_keys();
     let first = group.x * SORT_BLOCK;
@@ -82,7 +82,7 @@ fn radix_count(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     table[thread * sort.stride + group.x] = atomicLoad(&counts[thread]);
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(DIGITS)
 fn radix_scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let num_blocks = (num_keys() + SORT_BLOCK - 1u) / SORT_BLOCK;
     let row = group.x * sort.stride;
@@ -112,9 +112,9 @@ fn radix_scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
     }
 }
 
-// The 256 keys of a round are ranked at once: a key's place is the next one of its digit, plus the number of earlier
+// The DIGITS keys of a round are ranked at once: a key's place is the next one of its digit, plus the number of earlier
 // threads with the same digit.
-@compute @workgroup_size(256)
+@compute @workgroup_size(DIGITS)
 fn radix_scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let len = num_keys();
     let first = group.x * SORT_BLOCK;

@@ -6,7 +6,7 @@
 //           keys [N]: bits of the depth, NO_DEPTH where no tile is reached; values [N]: the Gaussian's index
 //           tile_counts [N]: tiles reached, and VISIBLE where the splat's bounds hold a pixel
 // project_bwd: one thread a Gaussian; adds up its pairs and takes the sums back through the projection.
-//   reads   activated; tile_counts; pair_first [N]; v_pairs [pairs, 8 + C]
+//   reads   activated; tile_counts; pair_first [N]; v_pairs [pairs, PAIR_GRADS + C]
 //   writes  v_activated [(11 + C) N]; v_means2d_ndc [3 N]: the statistic's x, y, and 1 where visible
 
 @group(0) @binding(1) var<storage, read> activated: array<f32>;
@@ -20,14 +20,13 @@
 @group(0) @binding(9) var<storage, read_write> v_means2d_ndc: array<f32>;
 
 const NO_DEPTH: u32 = 0xffffffffu;
-const PAIR_GRADS: u32 = 8u;
 
 fn load3(at: u32) -> vec3<f32> {
     return vec3<f32>(activated[at], activated[at + 1u], activated[at + 2u]);
 }
 
 fn load_quat(i: u32) -> vec4<f32> {
-    let at = 3u * view.num_gaussians + 4u * i;
+    let at = QUATS_AT * view.num_gaussians + 4u * i;
     return vec4<f32>(activated[at], activated[at + 1u], activated[at + 2u], activated[at + 3u]);
 }
 
@@ -44,7 +43,7 @@ fn rotmat_from_quat(q: vec4<f32>) -> array<vec3<f32>, 3> {
     );
 }
 
-// What forward and backward share; see `Chain` in cpu/project.rs.
+// What forward and backward share; see `Chain` in project.rs.
 struct Chain {
     ok: bool,
     point: vec3<f32>,
@@ -99,7 +98,7 @@ fn pixel_range(center: f32, extent: f32, size: u32) -> vec2<u32> {
     return vec2<u32>(u32(first), u32(end));
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn project_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
     let i = id.x;
     let n = view.num_gaussians;
@@ -109,11 +108,11 @@ fn project_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
     keys[i] = NO_DEPTH;
     values[i] = i;
     tile_counts[i] = 0u;
-    let opacity = activated[10u * n + i];
+    let opacity = activated[OPACITIES_AT * n + i];
     if !(opacity >= MIN_ALPHA) || !is_finite(opacity) {
         return;
     }
-    let c = project(load3(3u * i), load_quat(i), load3(7u * n + 3u * i));
+    let c = project(load3(3u * i), load_quat(i), load3(SCALES_AT * n + 3u * i));
     if !c.ok {
         return;
     }
@@ -122,7 +121,7 @@ fn project_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let limit = reach(opacity);
-    let extent = sqrt(2.0 * limit * c.covariance.xz) * 1.001 + 0.05;
+    let extent = sqrt(2.0 * limit * c.covariance.xz) * EXTENT_FACTOR + EXTENT_MARGIN_PX;
     let columns = pixel_range(mean2d.x, extent.x, view.size.x);
     let rows = pixel_range(mean2d.y, extent.y, view.size.y);
     if columns.x >= columns.y || rows.x >= rows.y {
@@ -149,7 +148,7 @@ fn project_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
     }
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn project_bwd(@builtin(global_invocation_id) id: vec3<u32>) {
     let i = id.x;
     let n = view.num_gaussians;
@@ -189,7 +188,7 @@ fn project_bwd(@builtin(global_invocation_id) id: vec3<u32>) {
     var v_scale = vec3<f32>();
     if count > 0u {
         let quat = load_quat(i);
-        let scale = load3(7u * n + 3u * i);
+        let scale = load3(SCALES_AT * n + 3u * i);
         let k = project(load3(3u * i), quat, scale);
         if k.ok {
             // The covariance: its inverse differentiated, incoming gradient as a symmetric matrix.
@@ -244,14 +243,14 @@ fn project_bwd(@builtin(global_invocation_id) id: vec3<u32>) {
 
     for (var d = 0u; d < 3u; d++) {
         v_activated[3u * i + d] = v_mean[d];
-        v_activated[7u * n + 3u * i + d] = v_scale[d];
+        v_activated[SCALES_AT * n + 3u * i + d] = v_scale[d];
     }
     for (var d = 0u; d < 4u; d++) {
-        v_activated[3u * n + 4u * i + d] = v_quat[d];
+        v_activated[QUATS_AT * n + 4u * i + d] = v_quat[d];
     }
-    v_activated[10u * n + i] = v_opacity;
+    v_activated[OPACITIES_AT * n + i] = v_opacity;
     for (var c = 0u; c < CHANNELS; c++) {
-        v_activated[11u * n + CHANNELS * i + c] = v_color[c];
+        v_activated[COLORS_AT * n + CHANNELS * i + c] = v_color[c];
     }
     let ndc = statistic * 0.5 * vec2<f32>(view.size);
     v_means2d_ndc[3u * i] = ndc.x;

@@ -1,0 +1,158 @@
+//! What a capture holds, whatever its kind: both splits' cameras with their footage, the frame rate, where the points
+//! are.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use tcgs_core::Camera;
+
+use crate::CaptureError;
+use crate::files::{self, Listings};
+use crate::footage::{ByFrame, Change, Footage, Images, Masks, Pixels};
+use crate::names::{Files, Names};
+use crate::points::Points;
+
+/// All that a kind reads of a capture.
+#[derive(Clone, Debug)]
+pub(crate) struct Contents {
+    pub num_frames: usize,
+    /// Frames a second.
+    pub frame_rate: f64,
+    /// Those that publications use.
+    pub usual_frames: Range<usize>,
+    pub train: CameraSet,
+    pub test: CameraSet,
+    /// What says where the cameras of `train` and `test` stand.
+    pub cameras_files: [PathBuf; 2],
+    pub points: Option<Points>,
+}
+
+/// The cameras of one split.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct CameraSet {
+    pub footage: Vec<Footage>,
+    /// Which of `footage` a frame has, in the capture's order.
+    pub order: ByFrame<Vec<usize>>,
+}
+
+impl CameraSet {
+    /// Cameras that have every frame.
+    pub fn constant(footage: Vec<Footage>) -> Self {
+        let order = ByFrame::constant((0..footage.len()).collect());
+        Self { footage, order }
+    }
+
+    /// The cameras of one frame, in the capture's order.
+    pub fn at(&self, frame: usize) -> impl Iterator<Item = &Footage> {
+        self.order.at(frame).iter().map(|&i| &self.footage[i])
+    }
+
+    /// Whether every image has a mask.
+    pub fn has_masks(&self, num_frames: usize) -> bool {
+        (0..num_frames).all(|frame| self.at(frame).all(|footage| footage.masks.has(frame)))
+    }
+}
+
+/// Puts files together to a [`CameraSet`], frame by frame.
+pub(crate) struct CameraSetOfFiles<'a> {
+    folder: &'a Path,
+    by_id: BTreeMap<usize, usize>,
+    cameras: Vec<CameraOfFiles>,
+    order: Vec<Vec<usize>>,
+}
+
+struct CameraOfFiles {
+    id: usize,
+    cameras: ByFrame<Camera>,
+    changes: ByFrame<Change>,
+    names: Vec<(usize, String)>,
+    cut_frame: Option<usize>,
+}
+
+impl<'a> CameraSetOfFiles<'a> {
+    /// - `folder`: what names are relative to
+    pub fn new(folder: &'a Path) -> Self {
+        Self { folder, by_id: BTreeMap::new(), cameras: Vec::new(), order: Vec::new() }
+    }
+
+    /// Goes on to the next frame.
+    pub fn begin_frame(&mut self) {
+        self.order.push(Vec::new());
+    }
+
+    /// Adds an image of the frame that was begun last.
+    ///
+    /// - returns: whether the frame had none of this camera so far; nothing is added if it had
+    pub fn add(&mut self, camera_id: usize, camera: Camera, change: Change, name: impl Into<String>) -> bool {
+        let frame = self.order.len() - 1;
+        let i = *self.by_id.entry(camera_id).or_insert(self.cameras.len());
+        if i == self.cameras.len() {
+            let (cameras, changes) = (ByFrame::default(), ByFrame::default());
+            self.cameras.push(CameraOfFiles { id: camera_id, cameras, changes, names: Vec::new(), cut_frame: None });
+        }
+        let this = &mut self.cameras[i];
+        if this.names.last().is_some_and(|(last, _)| *last == frame) {
+            return false;
+        }
+        this.cameras.push(frame, camera);
+        this.changes.push(frame, change);
+        this.names.push((frame, name.into()));
+        self.order[frame].push(i);
+        true
+    }
+
+    /// Says that the image that was added last is cut short, and that the frame before has what it lacks.
+    pub fn last_is_cut(&mut self) {
+        if let Some(&i) = self.order.last().and_then(|order| order.last()) {
+            self.cameras[i].cut_frame = Some(self.order.len() - 1);
+        }
+    }
+
+    /// The cameras, without masks.
+    pub fn finish(self) -> CameraSet {
+        let footage = |camera: CameraOfFiles| {
+            let files = Files { folder: self.folder.into(), names: Names::of(&camera.names) };
+            let pixels = Pixels::Files { files, cut_frame: camera.cut_frame };
+            let images = Images::Stored { pixels, changes: camera.changes };
+            Footage { camera_id: camera.id, cameras: camera.cameras, images, masks: Masks::None }
+        };
+        let mut set = CameraSet::default();
+        set.footage = self.cameras.into_iter().map(footage).collect();
+        for (frame, order) in self.order.into_iter().enumerate() {
+            set.order.push(frame, order);
+        }
+        set
+    }
+}
+
+/// The first image, by frame and then in the capture's order, that is missing.
+///
+/// - returns: its file, frame and place in the frame
+pub(crate) fn missing_image(cameras: &CameraSet, num_frames: usize) -> Option<(PathBuf, usize, usize)> {
+    let mut listings = Listings::default();
+    for frame in 0..num_frames {
+        for (i, footage) in cameras.at(frame).enumerate() {
+            if let Images::Stored { pixels: Pixels::Files { files, .. }, .. } = &footage.images {
+                let path = files.path(frame);
+                if !listings.has_file(&path) {
+                    return Some((path, frame, i));
+                }
+            }
+        }
+    }
+    None
+}
+
+/// Checks that all images exist.
+///
+/// - `named_by`: the file that says so
+pub(crate) fn check_images(cameras: &CameraSet, num_frames: usize, named_by: &Path) -> Result<(), CaptureError> {
+    match missing_image(cameras, num_frames) {
+        Some((path, ..)) => {
+            let problem = format!("no such file, expected it as {} names it", files::name(named_by));
+            Err(CaptureError::invalid(path, problem))
+        }
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,18 @@
+//! Which cameras are for judging, where a capture does not say.
+
+use crate::contents::CameraSet;
+
+/// Of so many cameras one is for judging, beginning with the first: as publications on scenes of COLMAP do.
+pub(super) const TEST_STRIDE: usize = 8;
+
+/// Frames a second of what does not move.
+pub(super) const STATIC_FRAME_RATE: f64 = 30.0;
+
+/// Training and test cameras of a capture of one frame. With fewer than eight all are for training.
+pub(super) fn every_eighth(all: CameraSet) -> [CameraSet; 2] {
+    if all.footage.len() < TEST_STRIDE {
+        return [all, CameraSet::constant(Vec::new())];
+    }
+    let (test, train): (Vec<_>, Vec<_>) = all.footage.into_iter().enumerate().partition(|(i, _)| i % TEST_STRIDE == 0);
+    [train, test].map(|split| CameraSet::constant(split.into_iter().map(|(_, footage)| footage).collect()))
+}

@@ -1,0 +1,82 @@
+//! Where Gaussians were, and where they go if they go on as before.
+
+use std::sync::Arc;
+
+use tcgs_core::{Gaussians, Real, normalize};
+
+use crate::neighbors::Neighbors;
+
+/// Where every Gaussian was at one timestep.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Pose {
+    /// `[N, 3]` centres, scene units.
+    pub means: Vec<[f32; 3]>,
+    /// `[N, 4]` rotations, `w, x, y, z`.
+    pub quats: Vec<[f32; 4]>,
+}
+
+impl Pose {
+    /// Where `gaussians` are.
+    pub fn of(gaussians: &Gaussians) -> Self {
+        Self { means: gaussians.means().to_vec(), quats: gaussians.quats().to_vec() }
+    }
+
+    fn select(&self, indices: &[usize]) -> Self {
+        Self {
+            means: indices.iter().map(|&i| self.means[i]).collect(),
+            quats: indices.iter().map(|&i| self.quats[i]).collect(),
+        }
+    }
+}
+
+/// What the losses on motion and on masks compare with; there is one from the second timestep on.
+#[derive(Clone, Debug)]
+pub struct Past {
+    /// Where everything was at the first timestep.
+    pub first: Arc<Pose>,
+    /// Who was near whom then; fixed from then on.
+    pub neighbors: Arc<Neighbors<f32>>,
+    /// Everything at the timestep before. Between two timesteps, before the next one begins: at the one before the
+    /// last, which the last one's velocity is measured from.
+    pub previous: Gaussians,
+    /// `[N]` mask logits of the timestep before, where masks are on.
+    pub previous_mask_logits: Option<Vec<f32>>,
+}
+
+impl Past {
+    /// The past of Gaussians whose first timestep is finished.
+    ///
+    /// - `first`: as the first timestep left everything
+    /// - `previous`: see [`Self::previous`]
+    /// - `is_foreground`: `[N]`
+    pub fn new(first: Pose, previous: Gaussians, is_foreground: &[bool]) -> Self {
+        let neighbors = Arc::new(Neighbors::new(&first.means, is_foreground));
+        Self { first: Arc::new(first), neighbors, previous, previous_mask_logits: None }
+    }
+
+    /// Rows taken from `indices`; neighbours are found anew among them.
+    ///
+    /// - `is_foreground`: of the rows taken
+    pub(crate) fn gather(&mut self, indices: &[usize], is_foreground: &[bool]) {
+        self.first = Arc::new(self.first.select(indices));
+        self.neighbors = Arc::new(Neighbors::new(&self.first.means, is_foreground));
+        self.previous = self.previous.select(indices);
+        if let Some(logits) = &mut self.previous_mask_logits {
+            *logits = indices.iter().map(|&i| logits[i]).collect();
+        }
+    }
+}
+
+/// The constant-velocity prediction of the next timestep: `x + (x − x_before)`, and likewise for
+/// rotations, normalised. Luiten et al. 2024, `initialize_per_timestep` of the released code.
+///
+/// - `mean`, `mean_before`: scene units
+/// - `quat`, `quat_before`: `w, x, y, z`, any length; normalised first
+/// - returns: mean and unit rotation
+pub fn predict<R: Real>(mean: [R; 3], mean_before: [R; 3], quat: [R; 4], quat_before: [R; 4]) -> ([R; 3], [R; 4]) {
+    let (q, before) = (normalize(quat), normalize(quat_before));
+    (
+        std::array::from_fn(|i| mean[i] + (mean[i] - mean_before[i])),
+        normalize(std::array::from_fn(|i| q[i] + (q[i] - before[i]))),
+    )
+}
