@@ -158,14 +158,13 @@ fn compress_columns<R: SceneReader>(
         reduced.push(next.unwrap_or_else(|| reduce::constant(&statistics, attribute, settings)));
     }
 
-    let mut quantizers = Quantizers::of(&layout);
+    let mut quantizers = Quantizers::none(&layout);
     for (attribute, reduced) in layout.attributes().zip(&reduced) {
         let values = |gaussian: usize, channel: usize, values: &mut Vec<f32>| {
             reduced.append(gaussian, channel, None, values);
         };
         let widths = &bit_map.widths[attribute.index()];
-        quantizers.attributes[attribute.index()] =
-            quantizers_for(attribute, values, widths, learned, position_step)?;
+        quantizers.attributes[attribute.index()] = quantizers_for(attribute, values, widths, learned, position_step)?;
     }
     let means = Attribute::Mean.index();
     let order = morton_order(&reduced[means], &bit_map.widths[means], &quantizers);
@@ -213,4 +212,58 @@ fn check_arguments(
         widths.iter().try_for_each(|&width| check_bits(width))?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use tcgs_core::Gaussians;
+
+    use super::*;
+
+    /// Some stand still, some shake by about the tolerance, some move.
+    fn scene() -> DynamicGaussians {
+        let mut scene = DynamicGaussians::default();
+        for timestep in 0..40 {
+            let mut now = Gaussians::zeros(90);
+            for attribute in [Attribute::Mean, Attribute::Quat, Attribute::Color] {
+                for (i, x) in now.values_mut(attribute).iter_mut().enumerate() {
+                    let gaussian = i / attribute.components();
+                    let wave = (0.7 * timestep as f32 + i as f32).sin();
+                    *x = 0.3 * (i as f32).cos() + [0.0, 0.002, 0.3][gaussian % 3] * wave * (gaussian as f32 / 45.0);
+                }
+            }
+            scene.push(now);
+        }
+        scene
+    }
+
+    #[test]
+    fn sums_and_exact_distances_find_the_same_to_be_constant() {
+        let (scene, settings, map) = (scene(), CompressSettings::default(), BitMap::uniform(90, 16, 6));
+        let attributes = [Attribute::Mean, Attribute::Quat, Attribute::Color];
+        let reduced = |statistics: Statistics| -> Vec<(Vec<u16>, Vec<f32>)> {
+            let tolerances = attributes.map(|attribute| {
+                let (column, widths) = (scene.layout().column(attribute), &map.widths[attribute.index()]);
+                Tolerances::new(&statistics, column, widths, None, None, &settings).unwrap()
+            });
+            let columns: Vec<_> = attributes.into_iter().zip(&tolerances).collect();
+            let reduced = reduce::jointly(&mut &scene, &statistics, &columns, 15, &settings).unwrap();
+            let mut tracks = Vec::new();
+            for (attribute, reduced) in attributes.into_iter().zip(&reduced) {
+                for track in 0..90 * attribute.components() {
+                    let (mut times, mut values) = (Vec::new(), Vec::new());
+                    let (gaussian, channel) = (track / attribute.components(), track % attribute.components());
+                    reduced.append(gaussian, channel, Some(&mut times), &mut values);
+                    assert_eq!(reduced.first(gaussian, channel), values[0]);
+                    tracks.push((times, values));
+                }
+            }
+            tracks
+        };
+        let statistics = || Statistics::read(&mut &scene, &[true, true, false, false, true]).unwrap();
+        let fast = reduced(statistics());
+        assert_eq!(fast, reduced(statistics().all_uncertain()));
+        let constant = fast.iter().filter(|(times, _)| times.len() == 1).count();
+        assert!(constant > 300 && constant < 600, "{constant} of {}", fast.len());
+    }
 }

@@ -196,12 +196,7 @@ pub(super) fn apart<R: SceneReader>(
 }
 
 /// Keypoints of one track.
-fn reduce(
-    track: &[f32],
-    max_mse: f32,
-    settings: &CompressSettings,
-    selector: &mut Selector,
-) -> (Vec<u16>, Vec<f32>) {
+fn reduce(track: &[f32], max_mse: f32, settings: &CompressSettings, selector: &mut Selector) -> (Vec<u16>, Vec<f32>) {
     if !settings.keypoints {
         return ((0..track.len()).map(|t| t as u16).collect(), track.to_vec());
     }
@@ -263,13 +258,12 @@ impl<'a> Column<'a> {
         tolerances: &'a Tolerances<'a>,
         settings: &CompressSettings,
     ) -> Self {
-        let (components, of) = (attribute.components(), &statistics.columns[attribute.index()]);
+        let components = attribute.components();
         let stillness = |gaussian: u32| {
             if !settings.constant_tracks {
                 return Stillness::Moves;
             }
-            let first = gaussian as usize * components;
-            of.stillness(first..first + components, &weights(tolerances, gaussian), statistics.num_timesteps)
+            statistics.stillness(attribute, gaussian as usize, &weights(tolerances, gaussian))
         };
         let all = 0..statistics.first.num_gaussians() as u32;
         let (gaussians, uncertain): (Vec<u32>, Vec<bool>) = all
@@ -282,7 +276,7 @@ impl<'a> Column<'a> {
         Self {
             attribute,
             tolerances,
-            means: tracks.map(|track| of.mean(track, statistics.num_timesteps)).collect(),
+            means: tracks.map(|track| statistics.mean(attribute, track)).collect(),
             errors: vec![0.0; gaussians.len() * components],
             rotations: vec![IDENTITY; gaussians.len()],
             segments: Vec::new(),
@@ -304,10 +298,18 @@ impl<'a> Column<'a> {
                 let mut keypoints = SegmentKeypoints::default();
                 for (i, values) in values.chunks_exact(components * timesteps.len()).enumerate() {
                     let tracks: Vec<&[f32]> = values.chunks_exact(timesteps.len()).collect();
-                    reduce_segment(&tracks, &weights(tolerances, gaussians[i]), start, settings, selector, &mut keypoints);
+                    reduce_segment(
+                        &tracks,
+                        &weights(tolerances, gaussians[i]),
+                        start,
+                        settings,
+                        selector,
+                        &mut keypoints,
+                    );
                     if uncertain[i] {
                         let place = i * components..(i + 1) * components;
-                        for ((error, &mean), track) in errors[place.clone()].iter_mut().zip(&means[place]).zip(&tracks) {
+                        for ((error, &mean), track) in errors[place.clone()].iter_mut().zip(&means[place]).zip(&tracks)
+                        {
                             for &x in *track {
                                 *error += (f64::from(x) - f64::from(mean)).powi(2);
                             }
@@ -322,7 +324,6 @@ impl<'a> Column<'a> {
 
     fn finish(self, statistics: &Statistics) -> Reduced {
         let (components, num_timesteps) = (self.attribute.components(), statistics.num_timesteps);
-        let of = &statistics.columns[self.attribute.index()];
         let mut units = vec![STILL; statistics.first.num_gaussians()];
         for (unit, &gaussian) in self.gaussians.iter().enumerate() {
             let errors = &self.errors[unit * components..(unit + 1) * components];
@@ -332,7 +333,7 @@ impl<'a> Column<'a> {
                 units[gaussian as usize] = unit as u32;
             }
         }
-        let constants = (0..units.len() * components).map(|track| of.mean(track, num_timesteps)).collect();
+        let constants = (0..units.len() * components).map(|track| statistics.mean(self.attribute, track)).collect();
         Reduced::Joint(JointKeypoints { components, units, constants, segments: self.segments })
     }
 }

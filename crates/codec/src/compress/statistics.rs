@@ -20,6 +20,8 @@ pub(super) struct Statistics {
     pub(super) bounds: [[f32; 3]; 2],
     pub(super) columns: Vec<ColumnStatistics>,
     pub(super) num_timesteps: usize,
+    /// [`UNCERTAINTY`]
+    uncertainty: f64,
 }
 
 /// Of one column.
@@ -72,7 +74,13 @@ impl Statistics {
             }
             column
         });
-        let mut of = Self { columns: columns.collect(), bounds: [[f32::MAX; 3], [f32::MIN; 3]], first, num_timesteps };
+        let mut of = Self {
+            columns: columns.collect(),
+            bounds: [[f32::MAX; 3], [f32::MIN; 3]],
+            first,
+            num_timesteps,
+            uncertainty: UNCERTAINTY,
+        };
         let mut rotations = vec![IDENTITY; of.first.num_gaussians()];
         let all: Vec<u32> = (0..of.first.num_gaussians() as u32).collect();
         for chunk in chunks(&layout, of.first.num_gaussians(), num_timesteps) {
@@ -134,7 +142,8 @@ impl Statistics {
         }
         let last = num_timesteps - 1;
         let count = timesteps.len();
-        let blocks = column.sums.par_chunks_mut(BLOCK * components).zip(column.samples.par_chunks_mut(BLOCK * components));
+        let blocks =
+            column.sums.par_chunks_mut(BLOCK * components).zip(column.samples.par_chunks_mut(BLOCK * components));
         let gaussians = all.par_chunks(BLOCK).zip(rotations.par_chunks_mut(BLOCK));
         blocks.zip(gaussians).for_each(|((sums, samples), (gaussians, before))| {
             let values = gather(timesteps, attribute, gaussians, before);
@@ -156,6 +165,39 @@ impl Statistics {
             }
         });
     }
+
+    /// Mean of a track over time.
+    pub(super) fn mean(&self, attribute: Attribute, track: usize) -> f32 {
+        (self.columns[attribute.index()].sums[track].values / self.num_timesteps as f64) as f32
+    }
+
+    /// Whether the weighted sum of mean squared distances of a Gaussian's tracks to their means is at most their number.
+    pub(super) fn stillness(&self, attribute: Attribute, gaussian: usize, weights: &[f64]) -> Stillness {
+        let (components, count) = (attribute.components(), self.num_timesteps as f64);
+        let (mut error, mut added) = (0.0, 0.0);
+        for (channel, weight) in weights.iter().enumerate() {
+            let track = gaussian * components + channel;
+            let Sums { differences, squares, first, .. } = self.columns[attribute.index()].sums[track];
+            let shift = f64::from(self.mean(attribute, track)) - f64::from(first);
+            error += weight * (squares / count - 2.0 * shift * differences / count + shift * shift);
+            added += weight * (squares / count + shift * shift);
+        }
+        let (uncertainty, limit) = (self.uncertainty * added, components as f64);
+        if error + uncertainty < limit {
+            Stillness::Still
+        } else if error - uncertainty > limit {
+            Stillness::Moves
+        } else {
+            Stillness::Uncertain
+        }
+    }
+
+    /// The same, but all that may count as constant is uncertain.
+    #[cfg(test)]
+    #[cfg(test)]
+    pub(super) fn all_uncertain(self) -> Self {
+        Self { uncertainty: f64::INFINITY, ..self }
+    }
 }
 
 impl ColumnStatistics {
@@ -167,35 +209,14 @@ impl ColumnStatistics {
         let sums = first.iter().map(|&x| Sums { values: values(x), differences: 0.0, squares: 0.0, first: x });
         self.sums = sums.collect();
     }
-
-    /// Mean of a track over time.
-    pub(super) fn mean(&self, track: usize, num_timesteps: usize) -> f32 {
-        (self.sums[track].values / num_timesteps as f64) as f32
-    }
-
-    /// Whether the weighted sum of mean squared distances of some tracks to their means is at most their number.
-    pub(super) fn stillness(&self, tracks: Range<usize>, weights: &[f64], num_timesteps: usize) -> Stillness {
-        let (limit, count) = (tracks.len() as f64, num_timesteps as f64);
-        let (mut error, mut added) = (0.0, 0.0);
-        for (track, weight) in tracks.zip(weights) {
-            let Sums { differences, squares, first, .. } = self.sums[track];
-            let shift = f64::from(self.mean(track, num_timesteps)) - f64::from(first);
-            error += weight * (squares / count - 2.0 * shift * differences / count + shift * shift);
-            added += weight * (squares / count + shift * shift);
-        }
-        let uncertainty = UNCERTAINTY * added;
-        if error + uncertainty < limit {
-            Stillness::Still
-        } else if error - uncertainty > limit {
-            Stillness::Moves
-        } else {
-            Stillness::Uncertain
-        }
-    }
 }
 
 /// All timesteps in spans that are read together.
-pub(super) fn chunks(layout: &Layout, num_gaussians: usize, num_timesteps: usize) -> impl Iterator<Item = Range<usize>> {
+pub(super) fn chunks(
+    layout: &Layout,
+    num_gaussians: usize,
+    num_timesteps: usize,
+) -> impl Iterator<Item = Range<usize>> {
     let bytes = size_of::<f32>() * layout.components() * num_gaussians.max(1);
     let length = (CHUNK_BYTES / bytes).clamp(1, num_timesteps.max(1));
     (0..num_timesteps).step_by(length).map(move |start| start..(start + length).min(num_timesteps))
