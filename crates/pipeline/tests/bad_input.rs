@@ -59,6 +59,7 @@ fn open(path: &Path) -> OpenScene {
 }
 
 /// Asserts that an error is the input's fault and one line with these words.
+#[track_caller]
 fn refused<T>(result: Result<T, PipelineError>, words: &[&str]) {
     let error = result.err().expect("an error");
     let message = error.to_string();

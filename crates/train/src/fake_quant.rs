@@ -151,7 +151,7 @@ impl FakeQuantizers {
 
     /// As the codec wants them.
     pub fn table(&self) -> Quantizers {
-        let mut table = Quantizers::default();
+        let mut table = Quantizers::none(self.bit_map.layout());
         for &(attribute, width) in &self.groups {
             let first = usize::from(self.first[attribute.index()][usize::from(width)]);
             let channels = self.quantizers[first..first + attribute.components()].to_vec();

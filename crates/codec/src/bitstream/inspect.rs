@@ -52,7 +52,7 @@ pub struct Contents {
     /// Counts and provenance.
     pub info: SceneInfo,
     /// By [`Attribute::index`]: how many Gaussians have each width.
-    pub bits_histogram: [BTreeMap<u8, usize>; 5],
+    pub bits_histogram: Vec<BTreeMap<u8, usize>>,
     /// By [`Attribute::index`]: mean number of keypoints of a track.
     pub keypoints_mean: [f64; 5],
     /// Size as plain 32-bit floats: [`crate::CompactScene::raw_bytes`].

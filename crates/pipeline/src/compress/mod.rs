@@ -10,8 +10,8 @@ use std::borrow::Cow;
 use std::path::PathBuf;
 
 use tcgs_codec::{
-    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, Quantizers, SceneInfo, UpAxis, compress,
-    encode_with, inspect,
+    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis,
+    compress, encode_with, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians};
 use tcgs_train::Run;
@@ -64,6 +64,29 @@ impl Default for CompressOptions {
     }
 }
 
+impl CompressOptions {
+    /// Bits that the codec knows, and shares that are some.
+    fn check(&self) -> Result<(), PipelineError> {
+        let expected = format!("1 to {MAX_BITS}, the fewest first");
+        if let Some((min, max)) = self.bits
+            && !(1 <= min && min <= max && max <= MAX_BITS)
+        {
+            return Err(PipelineError::input("fewest and most bits", format!("{min} and {max}"), expected));
+        }
+        if let Some(bits) = self.position_bits
+            && !(1..=MAX_BITS).contains(&bits)
+        {
+            return Err(PipelineError::input("bits of a position", bits.to_string(), expected));
+        }
+        match self.prune {
+            Some(share) if !(0.0..=1.0).contains(&share) => {
+                Err(PipelineError::input("threshold of masks", share.to_string(), "a number from 0 to 1"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
 /// A step of a compression and the size that it leaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SizeStep {
@@ -111,6 +134,7 @@ impl PrunedScene {
     /// [`PipelineError::Input`] if the scene is compressed already, holds a value that is not finite, or no mask is above
     /// the threshold; [`PipelineError`] if a file of the scene or the capture cannot be read.
     pub fn new(scene: &OpenScene, options: &CompressOptions) -> Result<Self, PipelineError> {
+        options.check()?;
         let trained = scene.run().map(Run::trained).transpose()?;
         let floats = match &trained {
             Some(trained) => Cow::Borrowed(&trained.scene),
