@@ -24,6 +24,7 @@ mod morton;
 mod parallel;
 mod quantize;
 mod scene_file;
+mod views;
 
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 pub use bitstream::{
@@ -41,3 +42,4 @@ pub use keypoints::{interpolate, select as select_keypoints};
 pub use limits::DecodeLimits;
 pub use quantize::{MAX_BITS, Quantizer, Quantizers, lsq_step};
 pub use scene_file::SceneFile;
+pub use views::{FileCamera, VIEWS, read_views, write_views};
