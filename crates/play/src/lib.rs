@@ -32,7 +32,6 @@
 #![cfg_attr(not(target_family = "wasm"), forbid(unsafe_code))]
 
 mod blit;
-mod cameras;
 mod clock;
 mod controls;
 // Only browsers download; natively nothing but the module's own tests uses it.
@@ -48,7 +47,6 @@ mod viewer;
 #[cfg(target_family = "wasm")]
 mod web;
 
-pub use cameras::{FileCamera, VIEWS, read_cameras};
 pub use clock::Clock;
 pub use controls::Controls;
 pub use error::{BadCamera, ErrorCode, PlayError};

@@ -1,10 +1,9 @@
 //! A player, a camera and a renderer: all of a viewer but the window in which it shows a scene.
 
-use tcgs_codec::{Archive, SceneInfo};
+use tcgs_codec::{Archive, FileCamera, SceneInfo, read_views};
 use tcgs_core::Camera;
 use tcgs_render::gpu::Gpu;
 
-use crate::cameras::{FileCamera, read_cameras};
 use crate::clock::Clock;
 use crate::controls::Controls;
 use crate::error::PlayError;
@@ -183,7 +182,7 @@ impl<S: RangeSource> Viewer<S> {
 
     /// Cameras that the file brings along; none before its first segment has arrived.
     pub fn cameras(&self) -> Vec<FileCamera> {
-        self.session.as_ref().map_or_else(Vec::new, |session| read_cameras(session.player.application_data()))
+        self.session.as_ref().map_or_else(Vec::new, |session| read_views(session.player.application_data()))
     }
 
     /// Number of bytes that have arrived of the open scene.

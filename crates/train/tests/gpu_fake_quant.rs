@@ -9,7 +9,7 @@ use tcgs_codec::BitMap;
 use tcgs_core::{Attribute, GaussianGrads, Gaussians};
 use tcgs_render::gpu::Gpu;
 use tcgs_train::FakeQuantizers;
-use tcgs_train::engine::gpu::{FakeQuantKernels, QuantizerBuffers, StepUniform};
+use tcgs_train::engine::gpu::testing::{FakeQuantKernels, Packing, QuantizerBuffers, StepUniform};
 
 /// Gradients and the sums for steps and offsets.
 fn backward(
@@ -20,13 +20,14 @@ fn backward(
     flags: u32,
 ) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let n = gaussians.num_gaussians();
-    let buffers = QuantizerBuffers::new(gpu, quantizers).unwrap();
+    let packing = Packing::new(gaussians.layout());
+    let buffers = QuantizerBuffers::new(gpu, &packing, quantizers).unwrap();
     let params = gpu.upload("params", &packed(gaussians)).unwrap();
     let grads = gpu.upload("grads", v).unwrap();
-    let step = gpu.uniform("step", size_of::<StepUniform>()).unwrap();
+    let step = gpu.uniform("step", StepUniform::size(&packing)).unwrap();
     let settings = StepUniform { num_gaussians: n as u32, flags, ..Default::default() };
-    gpu.queue().write_buffer(&step, 0, bytemuck::bytes_of(&settings));
-    let kernels = FakeQuantKernels::new(gpu, &buffers, &params, &grads, &step);
+    gpu.queue().write_buffer(&step, 0, &settings.bytes(&vec![[0.0; 4]; packing.num_groups()]));
+    let kernels = FakeQuantKernels::new(gpu, &packing, &buffers, &params, &grads, &step);
     let mut encoder = gpu.encoder();
     kernels.record(&mut encoder.begin_compute_pass(&Default::default()));
     gpu.submit(encoder);
@@ -132,7 +133,7 @@ fn every_gaussian_finds_its_quantizers() {
     let Some(gpu) = gpu() else { return };
     let (bit_map, gaussians) = scene(500, &mut Random::new(5));
     let quantizers = FakeQuantizers::new(bit_map, &gaussians, true);
-    let buffers = QuantizerBuffers::new(&gpu, &quantizers).unwrap();
+    let buffers = QuantizerBuffers::new(&gpu, &Packing::new(gaussians.layout()), &quantizers).unwrap();
     let groups: Vec<u32> = gpu.read(&buffers.quantizer_groups, 500).unwrap();
     let starts: Vec<u32> = gpu.read(&buffers.group_starts, 256).unwrap();
     let table: Vec<f32> = gpu.read(&buffers.quantizers, 4 * quantizers.quantizers.len()).unwrap();

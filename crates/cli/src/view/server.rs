@@ -1,4 +1,4 @@
-//! A web server for one page and one scene, on this machine alone.
+//! A web server for the page of the player and one scene. It answers to this machine alone.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
@@ -8,14 +8,14 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, UNIX_EPOCH};
 
-use super::http::{Part, Request};
+use super::http::{Request, RequestedRange};
 use crate::output::note;
 
-/// Where the page finds the scene.
+/// Path at which the scene is served.
 const SCENE: &str = "/scene.tcgs";
-/// In the page: where it learns which scene to open by itself. As built, none.
+/// The element of `index.html` that names the scene to open, as built: none.
 const NO_SCENE: &str = r#"<meta name="tcgs-src" content="">"#;
-/// A connection that says nothing for so long is closed.
+/// A connection on which nothing arrives for so long is closed.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A file of the built page.
@@ -23,40 +23,51 @@ const PATIENCE: Duration = Duration::from_secs(30);
 pub struct PageFile {
     /// Path below the page's folder, with slashes.
     pub name: &'static str,
-    /// What it holds.
+    /// Content of the file.
     pub bytes: &'static [u8],
 }
 
-/// A server that has a port.
+/// A server that listens on a port of 127.0.0.1.
 pub struct Server {
     listener: TcpListener,
     site: Arc<Site>,
 }
 
-/// What is served.
+/// The files that are served.
 struct Site {
     scene: PathBuf,
     page: &'static [PageFile],
 }
 
 impl Server {
-    /// Takes a port of 127.0.0.1; of port 0, any that is free.
+    /// Listens on a port of 127.0.0.1.
+    ///
+    /// - `port`: 0 for any port that is free
+    /// - `scene`: a `.tcgs` file; it is opened anew for every request
+    /// - `page`: the built page of the player
+    ///
+    /// # Errors
+    /// If the port is taken or not allowed.
     pub fn bind(port: u16, scene: &Path, page: &'static [PageFile]) -> io::Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
         Ok(Self { listener, site: Arc::new(Site { scene: scene.into(), page }) })
     }
 
-    /// What to type into a browser.
+    /// The address of the page, to type into a browser.
+    ///
+    /// # Errors
+    /// If the system does not tell the port.
     pub fn address(&self) -> io::Result<String> {
         Ok(format!("http://{}/", self.listener.local_addr()?))
     }
 
-    /// Serves for ever. A browser that went away or talks nonsense ends its connection and nothing else.
+    /// Serves for ever, a thread per connection. A browser that breaks off or sends what is no request loses its connection
+    /// and disturbs no other.
     pub fn run(self) -> ! {
         loop {
             let begun = self.listener.accept().and_then(|(connection, _)| {
                 let site = Arc::clone(&self.site);
-                thread::Builder::new().spawn(move || site.talk(&connection))
+                thread::Builder::new().spawn(move || site.serve_connection(&connection))
             });
             if let Err(error) = begun {
                 note(&format!("a connection failed: {error}"));
@@ -67,7 +78,8 @@ impl Server {
 }
 
 impl Site {
-    fn talk(&self, connection: &TcpStream) -> io::Result<()> {
+    /// Answers the requests of a connection, one after the other.
+    fn serve_connection(&self, connection: &TcpStream) -> io::Result<()> {
         connection.set_read_timeout(Some(PATIENCE))?;
         connection.set_write_timeout(Some(PATIENCE))?;
         connection.set_nodelay(true)?;
@@ -83,7 +95,8 @@ impl Site {
     }
 
     fn answer(&self, request: &Request) -> io::Result<Answer> {
-        // Elsewhere a name may be made to lead here, so that a foreign page reads what this one may.
+        // Refuses any other `Host`: by DNS rebinding a foreign page could make its own name lead to 127.0.0.1 and read
+        // local files.
         let host = request.header("host").unwrap_or_default();
         let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
         if !["127.0.0.1", "localhost"].contains(&name) {
@@ -93,7 +106,7 @@ impl Site {
             return Ok(Answer::plain("405 Method Not Allowed", "expected GET or HEAD").with("Allow", "GET, HEAD"));
         }
         if request.path == SCENE {
-            return self.scene(request);
+            return self.answer_scene(request);
         }
         let name = match request.path.trim_start_matches('/') {
             "" => "index.html",
@@ -106,8 +119,8 @@ impl Site {
         Ok(Answer::new("200 OK", mime(name), Body::Bytes(bytes)))
     }
 
-    /// Opened anew for every request: a scene that was compressed again shows after a reload.
-    fn scene(&self, request: &Request) -> io::Result<Answer> {
+    /// Opens the scene anew for every request, so that a scene which was compressed again shows after a reload.
+    fn answer_scene(&self, request: &Request) -> io::Result<Answer> {
         let Ok(mut file) = File::open(&self.scene) else {
             return Ok(Answer::plain("404 Not Found", "the scene is no longer there"));
         };
@@ -115,26 +128,26 @@ impl Site {
         let length = metadata.len();
         let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
         let tag = format!("\"{length:x}-{:x}\"", changed.unwrap_or_default().as_nanos());
-        // A part of a file that has changed since fits nothing that was read before.
+        // A part of a file that has changed meanwhile would not fit the parts that the page has.
         let unchanged = request.header("if-range").is_none_or(|known| known == tag);
         let wanted = request.header("range").filter(|_| unchanged);
         let kind = "application/octet-stream";
-        let answer = match Part::of(wanted, length) {
-            Part::Whole => Answer::new("200 OK", kind, Body::File(file, length)),
-            Part::Bytes(range) => {
+        let answer = match RequestedRange::of(wanted, length) {
+            RequestedRange::Whole => Answer::new("200 OK", kind, Body::File(file, length)),
+            RequestedRange::Bytes(range) => {
                 file.seek(SeekFrom::Start(range.start))?;
                 let place = format!("bytes {}-{}/{length}", range.start, range.end - 1);
                 Answer::new("206 Partial Content", kind, Body::File(file, range.end - range.start))
                     .with("Content-Range", &place)
             }
-            Part::Beyond => Answer::plain("416 Range Not Satisfiable", "no such bytes")
+            RequestedRange::Beyond => Answer::plain("416 Range Not Satisfiable", "no such bytes")
                 .with("Content-Range", &format!("bytes */{length}")),
         };
         Ok(answer.with("Accept-Ranges", "bytes").with("ETag", &tag))
     }
 }
 
-/// The page, told which scene to open.
+/// `index.html` with the path of the scene that it is to open.
 fn with_scene(page: &[u8]) -> Vec<u8> {
     let told = NO_SCENE.replace(r#"content="""#, &format!("content=\"{SCENE}\""));
     String::from_utf8_lossy(page).replace(NO_SCENE, &told).into_bytes()
@@ -153,7 +166,7 @@ fn mime(name: &str) -> &'static str {
 
 enum Body {
     Bytes(Vec<u8>),
-    /// So many bytes from where it stands.
+    /// The file's next bytes, and how many of them.
     File(File, u64),
 }
 
@@ -195,7 +208,7 @@ impl Answer {
             Body::File(file, length) => {
                 let sent = io::copy(&mut file.take(length), connection)?;
                 if sent < length {
-                    // The file was cut meanwhile: only the connection's end can say so now.
+                    // The file was cut meanwhile. The head is sent, so only the end of the connection can tell.
                     return Err(io::ErrorKind::UnexpectedEof.into());
                 }
             }

@@ -10,14 +10,13 @@ use std::borrow::Cow;
 use std::path::PathBuf;
 
 use tcgs_codec::{
-    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis,
+    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS,
     compress, encode_with, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians};
 use tcgs_train::Run;
 
 use self::bits::measured_bits;
-use self::views::VIEWS;
 use crate::{OpenScene, PipelineError};
 
 pub use judge::{Judge, JudgeImages};

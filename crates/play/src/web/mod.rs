@@ -14,11 +14,11 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::task::{Poll, Waker};
 
 use js_sys::{Promise, Uint8ClampedArray};
+use tcgs_codec::FileCamera;
 use tcgs_render::gpu::Gpu;
 use wasm_bindgen::prelude::*;
 use wasm_bindgen_futures::{JsFuture, future_to_promise};
 
-use crate::cameras::FileCamera;
 use crate::error::{BadCamera, PlayError};
 use crate::player::PlayerSettings;
 use crate::viewer::Viewer;

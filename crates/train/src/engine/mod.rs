@@ -5,6 +5,8 @@
 
 pub mod cpu;
 #[cfg(feature = "gpu")]
+mod device;
+#[cfg(feature = "gpu")]
 pub mod gpu;
 
 use std::fmt::Debug;
@@ -13,8 +15,8 @@ use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
 
 use crate::TrainError;
-use crate::config::{MaskConfig, WeightConfig};
-use crate::losses::LossTerms;
+use crate::config::MaskConfig;
+use crate::losses::{LossTerms, WeightConfig};
 use crate::schedule::Rates;
 use crate::state::State;
 

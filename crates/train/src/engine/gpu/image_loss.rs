@@ -9,7 +9,7 @@ use tcgs_metrics::{SSIM_C1, SSIM_C2, SSIM_WINDOW};
 use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-use super::step;
+use crate::engine::device::{Packing, source};
 use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 
 /// Pixels along a block's side.
@@ -45,12 +45,17 @@ impl ImageLossKernels {
     ///
     /// # Errors
     /// If memory for the maps or partial sums cannot be had.
-    pub fn new(gpu: &Gpu, buffers: ImageLossBuffers<'_>, max_shape: [usize; 3]) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        packing: &Packing,
+        buffers: ImageLossBuffers<'_>,
+        max_shape: [usize; 3],
+    ) -> Result<Self, GpuError> {
         let [channels, height, width] = max_shape;
         let maps = gpu.storage("derivatives of SSIM", 3 * channels * height * width)?;
         let blocks = height.div_ceil(SIDE) * width.div_ceil(SIDE);
         let partials = gpu.storage("sums of the image loss", 4 * channels * blocks)?;
-        let source = shader();
+        let source = shader(packing);
         let inputs = [(0, buffers.step), (1, buffers.rendered), (2, buffers.targets), (3, buffers.cameras)];
         let kept = [(4, &maps), (5, &partials)];
         let fwd = gpu.kernel(&source, "image_loss_fwd").bind(gpu.device(), &[&inputs[..], &kept].concat());
@@ -76,22 +81,23 @@ pub(super) fn constants() -> Wgsl {
     Wgsl::new().constant("L1_SHARE", L1_SHARE).constant("COUNTED_CHANNELS", COUNTED_CHANNELS).constant("SIDE", SIDE)
 }
 
-pub(super) fn shader() -> String {
-    let mut source = constants().constant("C1", SSIM_C1).constant("C2", SSIM_C2);
+pub(super) fn shader(packing: &Packing) -> String {
+    let mut constants = constants().constant("C1", SSIM_C1).constant("C2", SSIM_C2);
     for (distance, weight) in SSIM_WINDOW.into_iter().enumerate() {
-        source = source.constant(&format!("WINDOW{distance}"), weight);
+        constants = constants.constant(&format!("WINDOW{distance}"), weight);
     }
-    step::source(source).part(include_str!("image_loss.wgsl")).finish()
+    source(packing, constants).part(include_str!("image_loss.wgsl")).finish()
 }
 
 #[cfg(test)]
 mod tests {
-    use tcgs_core::Image;
+    use tcgs_core::{Image, Layout};
 
     use super::*;
     use crate::engine::cpu;
-    use crate::engine::gpu::StepUniform;
-    use crate::engine::gpu::testing::{assert_close, gpu, random, run, uniform};
+    use crate::engine::device::StepUniform;
+    use crate::engine::gpu::test_support::{assert_close, gpu, random, run, uniform};
+    use crate::losses::WeightConfig;
 
     const GAIN: [f32; 3] = [0.1, -0.2, 0.05];
     const OFFSET: [f32; 3] = [0.02, 0.0, -0.03];
@@ -141,19 +147,18 @@ mod tests {
                 width: width as u32,
                 height: height as u32,
                 target_offset: (width * height) as u32,
-                image_weight: 1.5,
-                segmentation_weight: 3.0,
+                weights: WeightConfig { image: 1.5, segmentation: 3.0, ..WeightConfig::NONE }.values(),
                 ..StepUniform::default()
             };
             let v_image = gpu.storage("v_image", rendered.data.len()).unwrap();
             let buffers = ImageLossBuffers {
-                step: &uniform(&gpu, &step),
+                step: &uniform(&gpu, &step, &[]),
                 rendered: &gpu.upload("rendered", &rendered.data).unwrap(),
                 targets: &gpu.upload("targets", &packed).unwrap(),
                 cameras: &gpu.upload("cameras", &cameras).unwrap(),
                 v_image: &v_image,
             };
-            let kernels = ImageLossKernels::new(&gpu, buffers, shape).unwrap();
+            let kernels = ImageLossKernels::new(&gpu, &Packing::new(&Layout::base()), buffers, shape).unwrap();
             run(&gpu, |pass| kernels.record(pass, shape));
 
             let found: Vec<f32> = gpu.read(&v_image, rendered.data.len()).unwrap();

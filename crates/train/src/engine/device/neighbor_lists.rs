@@ -27,7 +27,7 @@ const ARRIVES: u32 = 1 << 30;
 const BACKGROUND: u32 = 1 << 31;
 
 /// How the lists lie, for the shader that walks them.
-pub(super) fn constants() -> Wgsl {
+pub(crate) fn constants() -> Wgsl {
     Wgsl::new()
         .constant("BACKGROUND", BACKGROUND)
         .constant("LEAVES", LEAVES)
@@ -36,9 +36,9 @@ pub(super) fn constants() -> Wgsl {
         .constant("LINK_STRIDE", WORDS * SLICE)
 }
 
-/// What [`super::MotionPriorKernels`] uploads; stays the same over all timesteps.
+/// What the losses on motion walk; stays the same over all timesteps.
 #[derive(Debug, PartialEq)]
-pub(super) struct NeighborLists {
+pub(crate) struct NeighborLists {
     /// `[N]` the node that a Gaussian is, or its position among the background with the highest bit set.
     pub places: Vec<u32>,
     /// `[F]` Gaussian, first word of its list in `links`, entries of the list, 0.

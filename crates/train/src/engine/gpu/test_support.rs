@@ -4,9 +4,10 @@ use std::io::Write;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs_core::{BaseColumns, Gaussians};
+use tcgs_core::{BaseColumns, Gaussians, Layout};
 use tcgs_render::gpu::{Gpu, GpuChoice};
 
+use crate::engine::device::{Packing, StepUniform};
 use crate::fake_quant::{FakeQuantizers, step_gradient_scale};
 
 /// The GPU that tests run on: named by `TCGS_TEST_GPU`, or Mesa's software one. `None`, with a message, if
@@ -59,10 +60,13 @@ pub(super) fn run(gpu: &Gpu, record: impl FnOnce(&mut wgpu::ComputePass<'_>)) {
     gpu.wait().expect("the GPU works");
 }
 
-/// A uniform that holds `value`.
-pub(super) fn uniform<T: bytemuck::NoUninit>(gpu: &Gpu, value: &T) -> wgpu::Buffer {
-    let buffer = gpu.uniform("step", size_of::<T>()).expect("memory");
-    gpu.queue().write_buffer(&buffer, 0, bytemuck::bytes_of(value));
+/// The uniform of an iteration of the base layout; rates that are not given are 0.
+pub(super) fn uniform(gpu: &Gpu, step: &StepUniform, rates: &[[f32; 4]]) -> wgpu::Buffer {
+    let packing = Packing::new(&Layout::base());
+    let mut all = rates.to_vec();
+    all.resize(packing.num_groups(), [0.0; 4]);
+    let buffer = gpu.uniform("step", StepUniform::size(&packing)).expect("memory");
+    gpu.queue().write_buffer(&buffer, 0, &step.bytes(&all));
     buffer
 }
 
@@ -113,8 +117,20 @@ impl QuantizerTables {
 #[test]
 fn shaders_are_valid_and_within_limits() {
     use wgpu::naga::{AddressSpace, front, valid};
-    let shaders =
-        [super::activate::shader(), super::adam::shader(), super::finish::shader(), super::image_loss::shader()];
+    let mut layout = Layout::default();
+    layout.push("harmonics", 45, tcgs_core::Column::like(tcgs_core::Attribute::Color));
+    let of = |packing: &Packing| {
+        [
+            super::activate::shader(packing),
+            super::adam::shader(packing),
+            super::sums::shader(packing),
+            super::image_loss::shader(packing),
+            super::motion_prior::shader(packing),
+            super::fake_quant::shader(packing),
+        ]
+    };
+    let packings = [Layout::base(), std::sync::Arc::new(layout)].map(|layout| Packing::new(&layout));
+    let shaders = packings.iter().flat_map(of);
     for shader in shaders {
         let module = front::wgsl::parse_str(&shader).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&shader)));
         let info = valid::Validator::new(valid::ValidationFlags::all(), valid::Capabilities::empty())

@@ -1,4 +1,4 @@
-//! The end of an iteration: values of all losses, and Adam of cameras and quantizers.
+//! What follows from sums over an iteration: values of all losses, and Adam of cameras and quantizers.
 //!
 //! A workgroup for each sum that depends on no other, all in one dispatch. What it moves is small (some
 //! hundred kilobytes of partial sums); its time is that of a few rounds trip to memory in a row.
@@ -6,17 +6,14 @@
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use super::image_loss::constants;
-use super::step::source;
+use crate::engine::device::{Packing, source};
 
-/// Values of a slot in the ring of losses: image, segmentation, rigid, rot, iso, floor, background,
-/// soft_color, mask, mask_consistency, before their weights; the status; zeros.
-pub const LOSS_VALUES: usize = 16;
 /// Workgroups beside those of the quantizers.
 const SUMS: usize = 3;
 
 /// What the kernel reads and writes. Arrays of rows have room for one at least, also where there is none.
 #[derive(Clone, Copy, Debug)]
-pub struct FinishBuffers<'a> {
+pub struct SumsBuffers<'a> {
     /// [`super::StepUniform`]
     pub step: &'a wgpu::Buffer,
     /// [`super::ImageLossKernels::partials`]
@@ -44,18 +41,23 @@ pub struct FinishBuffers<'a> {
 
 /// The kernel.
 #[derive(Clone, Debug)]
-pub struct FinishKernel {
-    finish: Bound,
+pub struct SumsKernel {
+    sums: Bound,
     num_groups: usize,
 }
 
-impl FinishKernel {
+impl SumsKernel {
     /// - `num_quantizers`: `Q`, 0 before quantisation starts
     ///
     /// # Errors
     /// What has gone wrong with the GPU.
-    pub fn new(gpu: &Gpu, buffers: FinishBuffers<'_>, num_quantizers: usize) -> Result<Self, GpuError> {
-        let finish = gpu.kernel(&shader(), "finish").bind(
+    pub fn new(
+        gpu: &Gpu,
+        packing: &Packing,
+        buffers: SumsBuffers<'_>,
+        num_quantizers: usize,
+    ) -> Result<Self, GpuError> {
+        let sums = gpu.kernel(&shader(packing), "sums_and_small_adam").bind(
             gpu.device(),
             &[
                 (0, buffers.step),
@@ -72,19 +74,23 @@ impl FinishKernel {
             ],
         );
         gpu.check()?;
-        Ok(Self { finish, num_groups: SUMS + num_quantizers })
+        Ok(Self { sums, num_groups: SUMS + num_quantizers })
     }
 
     /// Records the sums and the updates.
     pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
-        self.finish.dispatch(pass, [self.num_groups as u32, 1, 1]);
+        self.sums.dispatch(pass, [self.num_groups as u32, 1, 1]);
     }
 }
 
-pub(super) fn shader() -> String {
-    source(constants().constant("LOSS_VALUES", LOSS_VALUES))
-        .part(include_str!("moments.wgsl"))
-        .part(include_str!("finish.wgsl"))
+pub(super) fn shader(packing: &Packing) -> String {
+    source(packing, constants())
+        .part(include_str!("../moments.wgsl"))
+        .part(include_str!("sums.wgsl"))
+        .part(include_str!("images_and_cameras.wgsl"))
+        .part(include_str!("masks.wgsl"))
+        .part(include_str!("motion.wgsl"))
+        .part(include_str!("quantizers.wgsl"))
         .finish()
 }
 
@@ -92,14 +98,21 @@ pub(super) fn shader() -> String {
 mod tests {
     use tcgs_codec::BitMap;
 
+    use tcgs_core::Layout;
+
     use super::*;
     use crate::adam::Moments;
-    use crate::engine::gpu::testing::{QuantizerTables, assert_close, gpu, random, random_gaussians, run, uniform};
-    use crate::engine::gpu::{StepUniform, adam_rates};
+    use crate::engine::device::{LOSS_VALUES, StepUniform, adam_rates};
+    use crate::engine::gpu::test_support::{
+        QuantizerTables, assert_close, gpu, random, random_gaussians, run, uniform,
+    };
     use crate::fake_quant::FakeQuantizers;
+    use crate::losses::WeightConfig;
 
     const CAMERAS: usize = 3;
     const SLOTS: usize = 4;
+    const WEIGHTS: WeightConfig =
+        WeightConfig { rot: 4.0, floor: 2.0, background: 20.0, soft_color: 0.01, ..WeightConfig::NONE };
 
     /// Everything that the kernel touches, on the host.
     struct State {
@@ -126,11 +139,7 @@ mod tests {
             flags,
             width: 70,
             height: 33,
-            rigid_weight: 0.0,
-            rot_weight: 4.0,
-            floor_weight: 2.0,
-            background_weight: 20.0,
-            soft_color_weight: 0.01,
+            weights: WEIGHTS.values(),
             step_min_share: 0.1,
             ..StepUniform::default()
         }
@@ -163,7 +172,7 @@ mod tests {
     }
 
     struct OnGpu {
-        kernel: FinishKernel,
+        kernel: SumsKernel,
         step: wgpu::Buffer,
         quantizers: wgpu::Buffer,
         quantizer_state: wgpu::Buffer,
@@ -174,10 +183,11 @@ mod tests {
     impl OnGpu {
         fn new(gpu: &Gpu, state: &State, status: u32) -> Self {
             let upload = |values: &[f32]| gpu.upload("values", values).unwrap();
-            let (step, quantizers) = (uniform(gpu, &StepUniform::default()), upload(state.quantizers.as_flattened()));
+            let (step, quantizers) =
+                (uniform(gpu, &StepUniform::default(), &[]), upload(state.quantizers.as_flattened()));
             let (quantizer_state, cameras) = (upload(&state.quantizer_state), upload(&state.cameras));
             let losses = upload(&[-1.0; SLOTS * LOSS_VALUES]);
-            let buffers = FinishBuffers {
+            let buffers = SumsBuffers {
                 step: &step,
                 image_partials: &upload(&state.image_partials),
                 mask_partials: &upload(&state.mask_partials),
@@ -190,12 +200,12 @@ mod tests {
                 losses: &losses,
                 status: &gpu.upload("status", &[status]).unwrap(),
             };
-            let kernel = FinishKernel::new(gpu, buffers, state.quantizers.len()).unwrap();
+            let kernel = SumsKernel::new(gpu, &Packing::new(&Layout::base()), buffers, state.quantizers.len()).unwrap();
             Self { kernel, step, quantizers, quantizer_state, cameras, losses }
         }
 
-        fn run(&self, gpu: &Gpu, step: &StepUniform) {
-            gpu.queue().write_buffer(&self.step, 0, bytemuck::bytes_of(step));
+        fn run(&self, gpu: &Gpu, step: &StepUniform, rates: [[f32; 4]; 10]) {
+            gpu.queue().write_buffer(&self.step, 0, &step.bytes(&rates));
             run(gpu, |pass| self.kernel.record(pass));
         }
     }
@@ -219,7 +229,7 @@ mod tests {
         let (segmented, prior) = (StepUniform::SEGMENTED, StepUniform::HAS_PRIOR);
         for flags in [0, masked, masked | compares | segmented | prior, compares | prior] {
             let on_gpu = OnGpu::new(&gpu, &state, 1);
-            on_gpu.run(&gpu, &step(flags));
+            on_gpu.run(&gpu, &step(flags), [[0.0; 4]; 10]);
             let on = |flag: u32, value: f64| if flags & flag == flag { value } else { 0.0 };
             let image = |channels: std::ops::Range<usize>| {
                 let partials = &state.image_partials[60 * channels.start..60 * channels.end];
@@ -251,8 +261,12 @@ mod tests {
             };
             check(&expected);
             // A weight of zero, and a set of none.
-            let off = StepUniform { rot_weight: 0.0, floor_weight: 0.0, num_background: 0, ..step(flags) };
-            on_gpu.run(&gpu, &off);
+            let off = StepUniform {
+                weights: WeightConfig { rot: 0.0, floor: 0.0, ..WEIGHTS }.values(),
+                num_background: 0,
+                ..step(flags)
+            };
+            on_gpu.run(&gpu, &off, [[0.0; 4]; 10]);
             expected[2..7].fill(0.0);
             check(&expected);
         }
@@ -266,7 +280,8 @@ mod tests {
         let (mut values, mut moments) = (state.cameras[..18].to_vec(), [Moments::new(9), Moments::new(9)]);
         for turn in 0..5 {
             let camera = turn % CAMERAS;
-            let mut now = StepUniform { camera: camera as u32, ..step(0) };
+            let mut rates = [[0.0; 4]; 10];
+            let now = StepUniform { camera: camera as u32, ..step(0) };
             for kind in 0..2 {
                 let mut v = vec![0.0; 9];
                 for c in 0..3 {
@@ -274,10 +289,10 @@ mod tests {
                 }
                 // No rate in one update: it only counts.
                 let rate = if turn == 2 { 0.0 } else { 1e-3 };
-                now.adam[6 + kind] = adam_rates(rate, moments[kind].step + 1);
+                rates[6 + kind] = adam_rates(rate, moments[kind].step + 1);
                 moments[kind].update(&mut values[9 * kind..][..9], &v, rate);
             }
-            on_gpu.run(&gpu, &now);
+            on_gpu.run(&gpu, &now, rates);
         }
         let found: Vec<f32> = gpu.read(&on_gpu.cameras, 18 * CAMERAS).unwrap();
         let [gains, offsets] = &moments;
@@ -309,11 +324,12 @@ mod tests {
             for _ in 0..5 {
                 // Far enough that some steps meet the floor.
                 let rate = 0.25;
-                let mut now = StepUniform { num_quantizers: num as u32, ..step(flags) };
-                now.adam[8] = adam_rates(rate, steps.step + 1);
-                now.adam[9] = adam_rates(rate, offsets.step + 1);
+                let mut rates = [[0.0; 4]; 10];
+                let now = StepUniform { num_quantizers: num as u32, ..step(flags) };
+                rates[8] = adam_rates(rate, steps.step + 1);
+                rates[9] = adam_rates(rate, offsets.step + 1);
                 expected.update(&gradient(0), &gradient(1), &mut steps, &mut offsets, rate);
-                on_gpu.run(&gpu, &now);
+                on_gpu.run(&gpu, &now, rates);
             }
             let found: Vec<f32> = gpu.read(&on_gpu.quantizers, 4 * num).unwrap();
             let expected = QuantizerTables::new(&expected).quantizers;
@@ -337,10 +353,9 @@ mod tests {
         let state = state(&quantizers());
         let on_gpu = OnGpu::new(&gpu, &state, 1);
         let num = state.quantizers.len();
-        let mut now =
+        let now =
             StepUniform { num_quantizers: num as u32, ..step(StepUniform::QUANTIZED | StepUniform::LEARNED_OFFSET) };
-        now.adam = [adam_rates(0.1, 1); 10];
-        on_gpu.run(&gpu, &now);
+        on_gpu.run(&gpu, &now, [adam_rates(0.1, 1); 10]);
         assert_eq!(gpu.read::<f32>(&on_gpu.cameras, 18 * CAMERAS).unwrap(), state.cameras);
         assert_eq!(gpu.read::<f32>(&on_gpu.quantizers, 4 * num).unwrap(), state.quantizers.as_flattened());
         assert_eq!(gpu.read::<f32>(&on_gpu.quantizer_state, 6 * num).unwrap(), state.quantizer_state);
