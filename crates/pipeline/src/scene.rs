@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tcgs_codec::{CompactScene, DecodeLimits, SceneFile, SceneInfo, SegmentCache, UpAxis};
+use tcgs_codec::{BitMap, CompactScene, DecodeLimits, Quantizers, SceneFile, SceneInfo, SegmentCache, UpAxis};
 use tcgs_core::{Activated, DynamicGaussians, Gaussians, Layout, SceneReader, activate};
 use tcgs_interchange::{HigherHarmonics, ParamsOrigin, PlyFiles};
 use tcgs_train::{Checkpoint, Run};
@@ -385,6 +385,13 @@ impl OpenScene {
         }
     }
 
+    /// Bits and quantizers that a run learned; none of another scene, or where quantisation was off.
+    pub(crate) fn learned_bits(&self) -> Result<Option<(BitMap, Quantizers)>, PipelineError> {
+        let Content::Run(run) = &self.content else { return Ok(None) };
+        let last = run.checkpoint(run.num_timesteps - 1)?;
+        Ok(last.quantizers.map(|q| (q.bit_map.clone(), q.table())))
+    }
+
     /// The first checkpoint of a run.
     pub(crate) fn first_checkpoint(&self) -> Option<&Checkpoint> {
         match &self.content {
@@ -449,7 +456,7 @@ impl SceneReader for OpenScene {
 }
 
 /// Bytes of a scene of floats whose scales and opacities stand still.
-fn raw_bytes(num_gaussians: usize, num_timesteps: usize) -> u64 {
+pub(crate) fn raw_bytes(num_gaussians: usize, num_timesteps: usize) -> u64 {
     num_gaussians as u64 * (40 * num_timesteps as u64 + 16)
 }
 
