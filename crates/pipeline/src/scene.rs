@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::fmt;
 use std::fs::{self, File};
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -175,9 +175,19 @@ impl OpenScene {
         })
     }
 
-    fn open_file(path: &Path, file: File) -> Result<Self, PipelineError> {
-        let scene = SceneFile::open(file, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES)
-            .map_err(|error| PipelineError::Decode { path: path.into(), error })?;
+    fn open_file(path: &Path, mut file: File) -> Result<Self, PipelineError> {
+        let decode_error = |error| PipelineError::Decode { path: path.into(), error };
+        let again = file.try_clone().map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+        let scene =
+            SceneFile::open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
+        // Data of applications are small, and no segment is: their checksums are verified now.
+        for (index, range) in scene.archive().application_ranges().into_iter().enumerate() {
+            let mut bytes = Vec::new();
+            file.seek(SeekFrom::Start(range.start))
+                .and_then(|_| (&mut file).take(range.end - range.start).read_to_end(&mut bytes))
+                .map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+            scene.archive().read_application(index, &bytes).map_err(decode_error)?;
+        }
         let info = scene.info();
         Ok(Self {
             path: path.into(),
