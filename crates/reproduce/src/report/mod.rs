@@ -19,7 +19,7 @@ pub struct Report {
     /// Headline figures: name and value, most important first.
     pub summary: Vec<(String, String)>,
     /// What each step of the compression leaves, in order; the first is the uncompressed model.
-    pub stages: Vec<Stage>,
+    pub stages: Vec<CompressionStep>,
     /// Seconds spent on each part of the run.
     pub seconds: Vec<(String, f64)>,
     /// Iteration, counted over the whole run, and training loss.
@@ -38,7 +38,7 @@ pub struct Report {
 
 /// A step of the compression.
 #[derive(Clone, Debug, Default)]
-pub struct Stage {
+pub struct CompressionStep {
     /// What was done.
     pub name: String,
     /// What the model takes after it.
@@ -117,7 +117,7 @@ fn summary(figures: &[(String, String)]) -> String {
 }
 
 /// A bar for each stage, and the same as a table.
-fn sizes(stages: &[Stage]) -> String {
+fn sizes(stages: &[CompressionStep]) -> String {
     let Some(first) = stages.first() else { return String::new() };
     let bars: Vec<Row> = stages
         .iter()
@@ -219,7 +219,10 @@ pub fn pictures(pictures: &[Picture]) -> String {
 }
 
 /// A picture as a PNG file.
-pub fn png(image: &RgbImage) -> anyhow::Result<Vec<u8>> {
+///
+/// # Errors
+/// If the picture has no pixels, or more than a PNG file can hold.
+pub fn png(image: &RgbImage) -> Result<Vec<u8>, image::ImageError> {
     let mut bytes = Cursor::new(Vec::new());
     image.write_to(&mut bytes, ImageFormat::Png)?;
     Ok(bytes.into_inner())

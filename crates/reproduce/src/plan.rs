@@ -5,10 +5,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use anyhow::Context;
-use clap::ValueEnum;
 use serde::Deserialize;
 
+use crate::ReproduceError;
 use crate::error::wrong_input;
 
 /// Tables there are: name and file.
@@ -30,7 +29,7 @@ const TABLES: [(&str, &str); 13] = [
 const SHARED: &str = include_str!("tables/shared.toml");
 
 /// How long is trained, and on what.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
     /// The paper's frames and schedule
     Full,
@@ -91,7 +90,7 @@ fn one() -> f64 {
 /// What blocks a table has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Layout {
+pub enum TableLayout {
     /// One a scene: rows by columns.
     #[default]
     Rows,
@@ -112,7 +111,8 @@ pub struct Table {
     /// What a reader must know; where the paper contradicts itself.
     pub notes: Vec<String>,
     #[serde(default)]
-    pub layout: Layout,
+    /// Which blocks of numbers the table has.
+    pub layout: TableLayout,
     /// Scenes of the paper's.
     pub scenes: Vec<String>,
     /// Columns by name, of this file or the shared one.
@@ -130,11 +130,13 @@ pub struct Table {
     #[serde(default)]
     measures: BTreeMap<String, Measure>,
     #[serde(default)]
+    /// The rows: a method each.
     pub rows: Vec<Row>,
     /// Shown after the table.
     #[serde(default)]
     pub analyses: Vec<Row>,
     #[serde(default)]
+    /// The figures beside the numbers.
     pub plots: Vec<Plot>,
 }
 
@@ -171,6 +173,7 @@ pub struct Plot {
     /// Column on the ordinate, of points and sweeps.
     pub y: Option<String>,
     #[serde(default)]
+    /// Whether the abscissa is logarithmic.
     pub log_x: bool,
 }
 
@@ -203,7 +206,7 @@ pub struct Job {
 
 /// A table for the scenes and the size asked for.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct TablePlan {
     /// As on the command line.
     pub name: String,
     /// Its file.
@@ -218,19 +221,24 @@ pub struct Plan {
 }
 
 /// What there is: name, title and place in the paper.
-pub fn list() -> anyhow::Result<Vec<(&'static str, Table)>> {
+pub fn tables() -> Result<Vec<(&'static str, Table)>, ReproduceError> {
     TABLES.iter().map(|&(name, text)| Ok((name, parse(name, text)?))).collect()
 }
 
-fn parse<T: serde::de::DeserializeOwned>(name: &str, text: &str) -> anyhow::Result<T> {
-    toml::from_str(text).with_context(|| format!("the table {name} of this program"))
+fn parse<T: serde::de::DeserializeOwned>(name: &str, text: &str) -> Result<T, ReproduceError> {
+    toml::from_str(text)
+        .map_err(|error| ReproduceError::Table(format!("the table {name} of this program: {}", error.message())))
+}
+
+fn missing(what: String) -> ReproduceError {
+    ReproduceError::Table(format!("{what}: is not defined"))
 }
 
 /// The plan of a table.
 ///
 /// - `scenes`: those wanted; none: all that the paper has
 /// - `over`: told to `train` instead of what the files say
-pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) -> anyhow::Result<Plan> {
+pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) -> Result<TablePlan, ReproduceError> {
     let Some((_, text)) = TABLES.iter().find(|table| table.0 == name) else {
         let names: Vec<&str> = TABLES.iter().map(|table| table.0).collect();
         return Err(wrong_input(format!("{name}: no table of this name, expected one of {}", names.join(", "))));
@@ -241,18 +249,30 @@ pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) 
         None => table.scenes.clone(),
         Some(wanted) => wanted.to_vec(),
     };
-    let mut plan = Plan { name: name.into(), columns: Vec::new(), scenes, jobs: Vec::new(), table, shared };
+    let mut plan = TablePlan { name: name.into(), columns: Vec::new(), scenes, jobs: Vec::new(), table, shared };
     for name in &plan.table.show {
         let column = plan.table.columns.get(name).or(plan.shared.columns.get(name));
-        let column = column.with_context(|| format!("column {name} of the table {}", plan.name))?;
+        let column = column.ok_or_else(|| missing(format!("column {name} of the table {}", plan.name)))?;
         plan.columns.push((name.clone(), column.clone()));
     }
     plan.jobs = plan.find_jobs(size, over)?;
     Ok(plan)
 }
 
-impl Plan {
-    fn find_jobs(&self, size: Size, over: &[String]) -> anyhow::Result<Vec<Job>> {
+impl Job {
+    /// The name of its training, which says the scene as well: `SCENE/RUN`.
+    pub fn name(&self) -> String {
+        format!("{}/{}", self.scene, self.run)
+    }
+}
+
+impl TablePlan {
+    /// Whether the table shows renders beside ground truth.
+    pub fn has_pictures(&self) -> bool {
+        self.table.plots.iter().any(|plot| plot.kind == PlotKind::Pictures)
+    }
+
+    fn find_jobs(&self, size: Size, over: &[String]) -> Result<Vec<Job>, ReproduceError> {
         let mut jobs: Vec<Job> = Vec::new();
         for scene in &self.scenes {
             let dataset = &self.shared.datasets[self.dataset(scene)?];
@@ -261,11 +281,12 @@ impl Plan {
             let of_table = of_size(&self.table.full, &self.table.small);
             for row in self.table.rows.iter().chain(&self.table.analyses) {
                 let (Some(run), Some(measure)) = (&row.run, &row.measure) else { continue };
-                let missing = |what: &str| format!("{what} of the row {} of the table {}", row.label, self.name);
-                let own = self.table.runs.get(run).or(self.shared.runs.get(run)).with_context(|| missing(run))?;
+                let missing =
+                    |what: &str| missing(format!("{what} of the row {} of the table {}", row.label, self.name));
+                let own = self.table.runs.get(run).or(self.shared.runs.get(run)).ok_or_else(|| missing(run))?;
                 let arguments = [of_data.as_slice(), own, &of_table, over].into_iter().fold(Vec::new(), merged);
                 let found = self.table.measures.get(measure).or(self.shared.measures.get(measure));
-                let found = found.with_context(|| missing(measure))?.clone();
+                let found = found.ok_or_else(|| missing(measure))?.clone();
                 let same = jobs.iter().position(|job| job.scene == *scene && job.run == *run);
                 let at = same.unwrap_or_else(|| {
                     let measures = BTreeMap::new();
@@ -279,7 +300,7 @@ impl Plan {
     }
 
     /// Which dataset a scene belongs to.
-    pub fn dataset(&self, scene: &str) -> anyhow::Result<&str> {
+    pub fn dataset(&self, scene: &str) -> Result<&str, ReproduceError> {
         let found = self.shared.datasets.iter().find(|(_, dataset)| dataset.scenes.iter().any(|s| s == scene));
         found.map(|(name, _)| name.as_str()).ok_or_else(|| {
             let all: BTreeSet<&str> =
@@ -340,7 +361,7 @@ mod tests {
     fn every_table_has_a_plan_and_a_name_means_one_thing() {
         for size in [Size::Full, Size::Small] {
             let (mut runs, mut measures) = (BTreeMap::new(), BTreeMap::new());
-            for (name, table) in list().unwrap() {
+            for (name, table) in tables().unwrap() {
                 let plan = plan(name, None, size, &[]).unwrap();
                 assert!(!plan.jobs.is_empty() && !table.notes.is_empty(), "{name}");
                 for plot in &plan.table.plots {
@@ -364,7 +385,7 @@ mod tests {
 
     #[test]
     fn the_papers_numbers_are_of_columns_and_scenes_that_exist() {
-        for (name, table) in list().unwrap() {
+        for (name, table) in tables().unwrap() {
             let plan = plan(name, None, Size::Full, &[]).unwrap();
             for row in &table.rows {
                 for (place, numbers) in &row.paper {
@@ -377,7 +398,7 @@ mod tests {
             }
         }
         // Its mean over scenes of sizes is not the one that it prints.
-        let table = &list().unwrap()[1].1;
+        let table = &tables().unwrap()[1].1;
         let ours = &table.rows.iter().find(|row| row.label == "TC3DGS").unwrap().paper;
         let sizes: Vec<f64> = table.scenes.iter().map(|scene| ours[scene]["storage"]).collect();
         assert!((sizes.iter().sum::<f64>() / 6.0 - 40.8e6).abs() < 0.1e6);
