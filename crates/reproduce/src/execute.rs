@@ -21,15 +21,16 @@ use crate::error::{file, wrong_input};
 /// In the folder of a measurement.
 const RESULT: &str = "result.json";
 
-/// Where things are, and what computes.
+/// Where captures, runs and results lie, and how steps are run.
+#[derive(Clone, Debug)]
 pub struct Workplace {
-    /// Captures, a folder a scene.
+    /// Folder of the captures, which holds a folder a scene.
     pub data: PathBuf,
-    /// Everything written.
+    /// Folder for everything that is written.
     pub out: PathBuf,
-    /// Of `train` and `eval`: what computes; results do not depend on it.
+    /// Arguments of `tcgs train` and `tcgs eval` that choose CPU or GPU; results do not depend on them.
     pub backend: Vec<String>,
-    /// Of every command: results do not depend on it.
+    /// Threads of every step; results do not depend on it. `None`: as many as cores.
     pub threads: Option<usize>,
     /// Whether runs made by other arguments are made anew.
     pub force: bool,
@@ -39,7 +40,7 @@ pub struct Workplace {
     pub program: PathBuf,
     /// What the program was built from; results name it.
     pub commit: &'static str,
-    /// Told a line about what is done.
+    /// Receives a line for every step and wait, for people.
     pub tell: fn(&str),
 }
 
@@ -106,7 +107,11 @@ fn other_arguments(path: &Path, found: &Value, wanted: &Value) -> ReproduceError
     wrong_input(format!("{}: {problem}; choose another --out, or --force to make it anew", path.display()))
 }
 
-/// Does what is missing, one run after another; those that another process is at come last.
+/// Runs what lacks a result, one training after another; those that another process works on come last, and are waited
+/// for.
+///
+/// # Errors
+/// [`ReproduceError`] if a step fails, or if there are results by other arguments. What is done stays done.
 pub fn execute(place: &Workplace, jobs: &[Job]) -> Result<(), ReproduceError> {
     let mut missing = Vec::new();
     for job in jobs {

@@ -28,12 +28,12 @@ const TABLES: [(&str, &str); 13] = [
 ];
 const SHARED: &str = include_str!("tables/shared.toml");
 
-/// How long is trained, and on what.
+/// How many frames are trained, for how many iterations, at which image size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
-    /// The paper's frames and schedule
+    /// The paper's frames and schedule.
     Full,
-    /// What two cores train in about a quarter of an hour
+    /// Few frames and a short schedule, which two cores train in about a quarter of an hour.
     Small,
 }
 
@@ -55,31 +55,31 @@ struct Dataset {
     small: Vec<String>,
 }
 
-/// What is done with a trained run.
+/// What is measured of a trained run. Every measurement ends with `eval`, but one of an analysis alone.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Measure {
-    /// Floats without what is masked.
+    /// Whether the run is exported as floats, without the Gaussians that its masks switch off.
     #[serde(default)]
     pub export: bool,
-    /// Arguments of `compress`.
+    /// Arguments of `tcgs compress`; `None`: the run is not compressed.
     pub compress: Option<Vec<String>>,
-    /// One of `analysis`.
+    /// Name of an analysis of the run's tracks or masks: `tracks`, `selection`, `polynomials` or `masks`.
     pub analysis: Option<String>,
 }
 
-/// A number of a result.
+/// A column of a table: one number of every result.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Column {
-    /// At its head.
+    /// Text in the head of the column.
     pub label: String,
-    /// Places in a result; the first that exists counts.
+    /// Paths to the number in a result's JSON, such as `eval.psnr`; the first that exists counts.
     pub from: Vec<String>,
-    /// What results, and the paper's numbers, are multiplied by to be shown.
+    /// Factor between a stored number and the number that is shown, such as 1e-6 from bytes to MB.
     #[serde(default = "one")]
     pub scale: f64,
-    /// After the point; none: with an exponent.
+    /// Digits after the point; `None`: the number is shown with an exponent.
     pub digits: Option<usize>,
 }
 
@@ -87,35 +87,35 @@ fn one() -> f64 {
     1.0
 }
 
-/// What blocks a table has.
+/// Which blocks of numbers a table has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TableLayout {
-    /// One a scene: rows by columns.
+    /// A block a scene: rows by columns.
     #[default]
     Rows,
-    /// One a column: rows by scenes, and their mean.
+    /// A block a column: rows by scenes, and the mean over scenes.
     Scenes,
-    /// One a dataset: rows by columns, means over its scenes.
+    /// A block a dataset: rows by columns, each number a mean over the dataset's scenes.
     Means,
 }
 
-/// A file of a table.
+/// What a file `tables/NAME.toml` says.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Table {
-    /// What it shows.
+    /// What the table shows.
     pub title: String,
-    /// Where it is in the paper.
+    /// The table or figure of the paper that this one reproduces.
     pub paper: String,
-    /// What a reader must know; where the paper contradicts itself.
+    /// Notes below the table: what a reader must know, and where the paper contradicts itself.
     pub notes: Vec<String>,
-    #[serde(default)]
     /// Which blocks of numbers the table has.
+    #[serde(default)]
     pub layout: TableLayout,
-    /// Scenes of the paper's.
+    /// The scenes of the paper's table.
     pub scenes: Vec<String>,
-    /// Columns by name, of this file or the shared one.
+    /// Names of the columns that are shown, defined in this file or in `tables/shared.toml`.
     #[serde(default)]
     pub show: Vec<String>,
     #[serde(default)]
@@ -129,55 +129,55 @@ pub struct Table {
     runs: BTreeMap<String, Vec<String>>,
     #[serde(default)]
     measures: BTreeMap<String, Measure>,
-    #[serde(default)]
     /// The rows: a method each.
+    #[serde(default)]
     pub rows: Vec<Row>,
-    /// Shown after the table.
+    /// Analyses of runs, whose tables and plots are shown after the table.
     #[serde(default)]
     pub analyses: Vec<Row>,
-    #[serde(default)]
     /// The figures beside the numbers.
+    #[serde(default)]
     pub plots: Vec<Plot>,
 }
 
-/// A row, or an analysis.
+/// A row of a table, or an analysis beside it.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Row {
-    /// Before it.
+    /// Text before the numbers.
     pub label: String,
-    /// Training that it stands on; none: a method that only the paper has numbers of.
+    /// Name of the training that is measured; `None`: a method of which only the paper has numbers.
     pub run: Option<String>,
-    /// What is measured of it.
+    /// Name of the measurement.
     pub measure: Option<String>,
-    /// Abscissa in a sweep.
+    /// Abscissa of the row in a [`PlotKind::Sweep`].
     pub x: Option<f64>,
     /// The paper's numbers: by scene, dataset or `mean`, then by column.
     #[serde(default)]
     pub paper: BTreeMap<String, BTreeMap<String, f64>>,
 }
 
-/// A picture beside a table.
+/// A figure beside a table.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Plot {
-    /// What kind.
+    /// What the figure shows.
     pub kind: PlotKind,
-    /// Above it.
+    /// Text above the figure.
     pub title: String,
-    /// Column on the abscissa, of points.
+    /// Column on the abscissa of [`PlotKind::Points`].
     pub x: Option<String>,
-    /// Of a sweep's abscissa.
+    /// Label of the abscissa of a [`PlotKind::Sweep`].
     #[serde(default)]
     pub x_label: String,
-    /// Column on the ordinate, of points and sweeps.
+    /// Column on the ordinate of points and sweeps.
     pub y: Option<String>,
-    #[serde(default)]
     /// Whether the abscissa is logarithmic.
+    #[serde(default)]
     pub log_x: bool,
 }
 
-/// What a plot shows.
+/// What a figure shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PlotKind {
@@ -194,33 +194,36 @@ pub enum PlotKind {
 /// A training and all that is measured of it, at one scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Job {
-    /// Folder of the capture below the data.
+    /// Name of the scene, and of its capture's folder below [`Workplace::data`](crate::Workplace::data).
     pub scene: String,
     /// Name of the training.
     pub run: String,
-    /// Of `train`.
+    /// Arguments of `tcgs train`.
     pub arguments: Vec<String>,
-    /// By name.
+    /// What is measured of the training, by name.
     pub measures: BTreeMap<String, Measure>,
 }
 
-/// A table for the scenes and the size asked for.
+/// A table, and what has to be run for the scenes and the size that were asked for.
 #[derive(Clone, Debug)]
 pub struct TablePlan {
-    /// As on the command line.
+    /// Name of the table, such as `ablation`.
     pub name: String,
-    /// Its file.
+    /// What the table's file says.
     pub table: Table,
-    /// With names, in order.
+    /// The columns that are shown and their names, in the table's order.
     pub columns: Vec<(String, Column)>,
-    /// In the table's order.
+    /// The scenes, in the table's order.
     pub scenes: Vec<String>,
-    /// In the order to be done.
+    /// The trainings and their measurements, in the order in which they are run.
     pub jobs: Vec<Job>,
     shared: Shared,
 }
 
-/// What there is: name, title and place in the paper.
+/// All tables with their names.
+///
+/// # Errors
+/// [`ReproduceError::Table`] if a file of this crate cannot be parsed, which its tests rule out.
 pub fn tables() -> Result<Vec<(&'static str, Table)>, ReproduceError> {
     TABLES.iter().map(|&(name, text)| Ok((name, parse(name, text)?))).collect()
 }
@@ -236,8 +239,12 @@ fn missing(what: String) -> ReproduceError {
 
 /// The plan of a table.
 ///
-/// - `scenes`: those wanted; none: all that the paper has
-/// - `over`: told to `train` instead of what the files say
+/// - `name`: one of [`tables`]
+/// - `scenes`: the scenes that are wanted; `None`: all of the paper's table
+/// - `over`: arguments of `tcgs train` that replace those of the table's files
+///
+/// # Errors
+/// [`ReproduceError::Input`] if there is no such table or scene.
 pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) -> Result<TablePlan, ReproduceError> {
     let Some((_, text)) = TABLES.iter().find(|table| table.0 == name) else {
         let names: Vec<&str> = TABLES.iter().map(|table| table.0).collect();
