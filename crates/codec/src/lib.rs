@@ -36,7 +36,7 @@ pub use bitstream::{encode, encode_with};
 pub use cache::{Eviction, Playback, SegmentCache};
 pub use compact::{ColorSpace, CompactScene, SceneInfo, Tracks, UpAxis};
 #[cfg(feature = "encode")]
-pub use compress::{CompressSettings, compress, compress_ordered};
+pub use compress::{CompressSettings, compress, compress_ordered, compress_reader};
 pub use error::{CompressError, DecodeError};
 pub use keypoints::{interpolate, select as select_keypoints};
 pub use limits::DecodeLimits;

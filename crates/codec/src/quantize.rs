@@ -289,7 +289,7 @@ impl Quantizers {
 
     /// The quantizer of one channel at one width, if there is one.
     pub fn get(&self, attribute: Attribute, width: u8, channel: usize) -> Option<&Quantizer> {
-        self.attributes[attribute.index()].get(&width)?.get(channel)
+        self.attributes.get(attribute.index())?.get(&width)?.get(channel)
     }
 
     /// The quantizers of all channels, by width from 0; empty where a width is not in use.

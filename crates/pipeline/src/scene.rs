@@ -400,13 +400,13 @@ impl OpenScene {
         if !run.run.config().mask.enabled {
             return Ok(None);
         }
-        let mut sums = vec![0.0_f32; self.num_gaussians()];
-        for timestep in 0..run.num_timesteps {
-            let logits = run.checkpoint(timestep)?.parameters.mask_logits;
-            sums.iter_mut().zip(logits).for_each(|(sum, logit)| *sum += tcgs_core::sigmoid(logit));
-        }
-        let count = run.num_timesteps as f32;
-        Ok(Some(sums.into_iter().map(|sum| sum / count).collect()))
+        let mut failed = None;
+        let logits = (0..run.num_timesteps).map_while(|timestep| {
+            let read = run.checkpoint(timestep).map_err(|error| failed = Some(error)).ok();
+            read.map(|checkpoint| checkpoint.parameters.mask_logits)
+        });
+        let means = tcgs_train::mean_masks(logits);
+        failed.map_or(Ok(Some(means)), Err)
     }
 
     /// The kind of the scene in two words.

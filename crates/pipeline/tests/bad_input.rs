@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
-use tcgs_codec::CompressSettings;
+use tcgs_codec::{CompressSettings, DecodeLimits, inspect};
 use tcgs_core::{DynamicGaussians, Gaussians, Tour};
 use tcgs_interchange::{ParamsExtras, write_params_npz, write_ply_to};
 use tcgs_pipeline::{
@@ -92,9 +92,10 @@ fn what_is_no_scene_is_refused() {
         refused(open(&write("cut.tcgs", &whole[..length])), &["cut.tcgs", "expected a whole .tcgs file"]);
     }
     let mut damaged = whole.clone();
-    damaged[whole.len() / 2] ^= 1;
+    let segment = inspect(&whole, &DecodeLimits::default()).unwrap().segments[0].1.clone();
+    damaged[(segment.start + segment.end) as usize / 2] ^= 1;
     let path = write("damaged.tcgs", &damaged);
-    // The damage lies in one of the segments, and shows at the latest when it is read.
+    // The damage lies in a segment and shows when the segment is read.
     let read = open(&path).and_then(|scene| (0..3).try_for_each(|t| scene.at(t).map(drop)));
     refused(read, &["damaged.tcgs"]);
 }
@@ -141,8 +142,12 @@ fn a_scene_that_cannot_be_compressed_is_refused() {
     refused(with(CompressOptions { bits: Some((0, 40)), ..options() }), &[]);
     refused(with(CompressOptions { bits: Some((40, 40)), ..options() }), &[]);
     refused(with(CompressOptions { position_bits: Some(77), ..options() }), &[]);
-    let keypoints = CompressSettings { max_keypoints: 0, ..CompressSettings::default() };
+    refused(with(CompressOptions { prune: Some(f32::NAN), ..options() }), &["threshold of masks"]);
+    let keypoints = CompressSettings { max_mse: [f32::NAN; 5], ..CompressSettings::default() };
     refused(with(CompressOptions { keypoints, ..options() }), &[]);
+    // Fewer than two keypoints count as two.
+    let keypoints = CompressSettings { max_keypoints: 0, ..CompressSettings::default() };
+    with(CompressOptions { keypoints, ..options() }).unwrap();
 
     let mut gaussians = Gaussians::zeros(3);
     gaussians.means_mut()[1] = [0.0, f32::NAN, 0.0];

@@ -5,7 +5,7 @@
 //   normalize_quats   a thread per Gaussian: gives unit length to rotations whose components have times of their own
 //
 // A unit is UNIT components that share their keypoint times: all components of an attribute, or one. The host puts the
-// constants before this source: UNIT; FINISH, the activation of the attribute; the values of FINISH.
+// constants before this source: UNIT; ACTIVATION, that of the interpolated values; its values EXP, SIGMOID, NORMALIZE.
 
 struct Frame {
     timestep: u32,
@@ -43,8 +43,8 @@ fn code_of(keypoint: u32, component: u32) -> f32 {
     return f32(extractBits(bitcast<i32>(keypoints[at / 2u]), 16u * (at % 2u), 16u));
 }
 
-fn finished(value: f32) -> f32 {
-    switch FINISH {
+fn activated(value: f32) -> f32 {
+    switch ACTIVATION {
         case EXP: { return exp(value); }
         case SIGMOID: { return 1.0 / (1.0 + exp(-value)); }
         default: { return value; }
@@ -83,7 +83,7 @@ fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
         let b = code_of(after, c) * quantizer.x + quantizer.y;
         value[c] = a + (b - a) * fraction;
     }
-    if FINISH == UNIT_LENGTH {
+    if ACTIVATION == NORMALIZE {
         var squares = 0.0;
         for (var c = 0u; c < UNIT; c++) {
             squares += value[c] * value[c];
@@ -95,7 +95,7 @@ fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
         }
     }
     for (var c = 0u; c < UNIT; c++) {
-        values[tracks.base + unit.x + c] = finished(value[c]);
+        values[tracks.base + unit.x + c] = activated(value[c]);
     }
 }
 

@@ -29,7 +29,27 @@ pub struct FrameReport {
 
 /// Plays one scene at a time and draws it from a camera that a person moves.
 ///
-/// The caller owns the window or canvas: it calls [`Viewer::update`] and [`Viewer::draw`] once a frame.
+/// The caller owns the window or canvas: it calls [`Viewer::update`] and [`Viewer::draw`] once a frame. A picture needs no
+/// window:
+///
+/// ```no_run
+/// use std::path::Path;
+/// use tcgs_play::{FileSource, PlayError, PlayerSettings, Viewer};
+/// use tcgs_render::gpu::{Gpu, GpuChoice};
+/// let gpu = Gpu::open_for_viewing(GpuChoice::Hardware)?;
+/// let mut viewer = Viewer::new(gpu.clone(), wgpu::TextureFormat::Rgba8Unorm);
+/// viewer.open(FileSource::open(Path::new("scene.tcgs"))?, PlayerSettings::default(), 0);
+/// while !viewer.update(0.0)? {}
+/// let pixels = loop {
+///     let Some(still) = viewer.begin_still([640, 360])? else { continue };
+///     gpu.wait()?;
+///     if let Some(pixels) = viewer.finish_still(&still)? {
+///         break pixels;
+///     }
+/// };
+/// assert_eq!(pixels.len(), 4 * 640 * 360);
+/// # Ok::<(), PlayError>(())
+/// ```
 #[derive(Debug)]
 pub struct Viewer<S> {
     gpu: Gpu,

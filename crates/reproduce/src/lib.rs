@@ -101,6 +101,9 @@ pub struct Written {
 /// # Errors
 /// [`ReproduceError`] if a result was made by other arguments, a scene cannot be drawn, or a file cannot be written.
 pub fn write(plan: &TablePlan, place: &Workplace, renderer: Option<&DrawAny>) -> Result<Written, ReproduceError> {
+    if !place.out.is_dir() {
+        return Err(wrong_input(format!("{}: no such folder, expected one to write into", place.out.display())));
+    }
     let mut results = table::Results::new();
     for job in &plan.jobs {
         for measure in job.measures.keys() {

@@ -434,15 +434,25 @@ pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
 
 /// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. 6.
 ///
-/// - `mask_logits`: `[T][N]`
-/// - returns: `[N]`, in (0, 1)
+/// - `mask_logits`: of every timestep `[N]`; taken one after another, so that none but the last has to be in memory
+/// - returns: `[N]`, in (0, 1); empty of no timesteps
+///
+/// # Panics
+/// If the timesteps have different numbers of Gaussians.
 ///
 /// ```
-/// assert_eq!(tcgs_train::mean_masks(&[vec![0.0, 40.0], vec![0.0, 40.0]]), [0.5, 1.0]);
+/// assert_eq!(tcgs_train::mean_masks([vec![0.0, 40.0], vec![0.0, 40.0]]), [0.5, 1.0]);
 /// ```
-pub fn mean_masks(mask_logits: &[Vec<f32>]) -> Vec<f32> {
-    let n = mask_logits.first().map_or(0, Vec::len);
-    (0..n)
-        .map(|i| mask_logits.iter().map(|m| tcgs_core::sigmoid(m[i])).sum::<f32>() / mask_logits.len() as f32)
-        .collect()
+pub fn mean_masks<L: AsRef<[f32]>>(mask_logits: impl IntoIterator<Item = L>) -> Vec<f32> {
+    let (mut sums, mut num_timesteps) = (Vec::new(), 0_usize);
+    for logits in mask_logits {
+        let logits = logits.as_ref();
+        if num_timesteps == 0 {
+            sums = vec![0.0; logits.len()];
+        }
+        assert_eq!(logits.len(), sums.len(), "mask logits: [{}] after [{}]", logits.len(), sums.len());
+        sums.iter_mut().zip(logits).for_each(|(sum, &logit)| *sum += tcgs_core::sigmoid(logit));
+        num_timesteps += 1;
+    }
+    sums.into_iter().map(|sum: f32| sum / num_timesteps as f32).collect()
 }

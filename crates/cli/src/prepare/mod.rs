@@ -13,6 +13,7 @@ use tcgs_capture::{Capture, Origin, POINTS_FILE, PrepareSettings, Prepared, writ
 use tcgs_interchange::is_unfinished;
 
 use crate::error::wrong_input;
+use crate::interrupt;
 use crate::options::{self, JobOptions};
 use crate::output::{NewFolder, check_file, is_empty_folder, parent, say, write_file_with, write_json};
 use crate::progress::Progress;
@@ -76,6 +77,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         check_points_file(file, force)?;
     }
     let folder = arguments.out.as_deref().map(|out| begin_capture(out, &arguments.source, force)).transpose()?;
+    if let Some(folder) = &folder {
+        interrupt::catch_and_remove(folder.path())?;
+    }
     let capture = Capture::open_unseen(&arguments.source)?;
     if capture.has_points() {
         say("the points that the source has are not used")?;

@@ -102,8 +102,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     interrupt::catch()?;
     let backend = arguments.backend.open(BackendName::Auto)?;
     let capture = Capture::open(&arguments.capture)?;
-    let goes_on = RunFolder::holds_run(&arguments.out)? && !(arguments.job.force && !arguments.resume);
-    if goes_on && !arguments.resume {
+    let holds_run = RunFolder::holds_run(&arguments.out)?;
+    let goes_on = holds_run && arguments.resume;
+    if holds_run && !arguments.resume && !arguments.job.force {
         let problem = "holds a run, expected --resume to go on with it or --force to replace it";
         return Err(wrong_input(format!("{}: {problem}", arguments.out.display())));
     }

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 use tcgs_core::Attribute;
 
+use super::FORMAT_VERSION;
 use super::coder::Encoder;
 use super::container::{self, Part};
 use super::fit;
@@ -54,11 +55,14 @@ pub fn encode(scene: &CompactScene) -> Result<Vec<u8>, CompressError> {
 /// # Errors
 /// As [`encode`]; also if a name is longer than 65535 bytes or data are of 4 GiB.
 pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Result<Vec<u8>, CompressError> {
+    if let Some(column) = scene.layout.columns().get(Attribute::BASE.len()) {
+        return Err(CompressError::Unsupported { version: FORMAT_VERSION, found: column.name.clone() });
+    }
     scene.check()?;
     let mut head = Head {
         info: scene.info.clone(),
         plan: Plan {
-            varies: scene.varies,
+            varies: Attribute::BASE.map(|a| scene.varies[a.index()]),
             joint: Attribute::BASE.map(|a| share_times(&scene.tracks[a.index()], a.components())),
             quantizers: scene.quantizers.clone(),
             predictors: Default::default(),

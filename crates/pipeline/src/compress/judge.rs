@@ -27,7 +27,7 @@ pub struct JudgeImages {
     pub capture: Option<PathBuf>,
     /// Which cameras of the capture.
     pub split: Split,
-    /// Frames; none: of the scene, evenly, as many as [`MAX_IMAGES`] allow.
+    /// Frames; none: of the scene, evenly, as many as make at most 100 images.
     pub frames: Option<std::ops::Range<usize>>,
 }
 
@@ -102,8 +102,16 @@ impl Judge {
         self.goals.len()
     }
 
-    /// Mean PSNR of a compressed scene, as `eval` measures it.
+    /// Mean PSNR in dB of a compressed scene, as `evaluate` measures it.
+    ///
+    /// # Errors
+    /// [`PipelineError::Input`] if the scene has fewer timesteps than the images; [`PipelineError::Gpu`] if the GPU fails.
     pub fn psnr(&self, compact: &CompactScene) -> Result<f64, PipelineError> {
+        let needed = self.goals.last().map_or(0, |goal| goal.timestep + 1);
+        if compact.num_timesteps() < needed {
+            let found = format!("{} timesteps", compact.num_timesteps());
+            return Err(PipelineError::input("the compressed scene", found, format!("{needed} as the images have")));
+        }
         let mut sum = 0.0;
         for of_timestep in self.goals.chunk_by(|a, b| a.timestep == b.timestep) {
             let drawn = Arc::new(activate(&compact.at(of_timestep[0].timestep)));
