@@ -1,10 +1,10 @@
 //! The player of `.tcgs` scenes, natively and in a browser.
 //!
 //! - `source`: where the bytes of a file come from; `download`: what servers answer
-//! - `player`: which bytes are fetched next; the `clock`
+//! - `player`: which bytes are fetched next, as prefetch too; the `clock`
 //! - `reconstruct`, `segment_renderer`, `blit`: from a timestep of a segment to a picture, with the renderer that training
 //!   uses
-//! - `start_view`, `cameras`, `controls`: from where the scene is seen
+//! - `start_view`, `controls`: from where the scene is seen
 //! - `viewer`: all of these together; `web`: the same as a page sees it
 //!
 //! There is no training, no capture and no encoder in this crate, because a browser has to load all of it.

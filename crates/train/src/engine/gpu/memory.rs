@@ -39,7 +39,7 @@ pub(super) enum Memory {
     /// A state, and no kernels that could iterate on it: the images or the room for pairs are to be others.
     Loaded(Loaded),
     /// A state, and the kernels of an iteration, bound to the state, to the images and to room for pairs.
-    Ready(Loaded, Passes),
+    Ready(Loaded, Box<Passes>),
 }
 
 impl Memory {
@@ -87,7 +87,7 @@ impl Memory {
         }
         // Without losses on motion their sums are not read, but something must be bound.
         let partials = loaded.motion.as_ref().map_or(&loaded.model.flags, |motion| &motion.partials);
-        let passes = Passes::new(gpu, &loaded.model, targets, capacity, partials)?;
+        let passes = Box::new(Passes::new(gpu, &loaded.model, targets, capacity, partials)?);
         if let Self::Loaded(loaded) = std::mem::take(self) {
             *self = Self::Ready(loaded, passes);
         }

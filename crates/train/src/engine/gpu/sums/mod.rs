@@ -107,7 +107,7 @@ mod tests {
         QuantizerTables, assert_close, gpu, random, random_gaussians, run, uniform,
     };
     use crate::fake_quant::FakeQuantizers;
-    use crate::losses::WeightConfig;
+    use crate::losses::{Loss, LossTerms, WeightConfig};
 
     const CAMERAS: usize = 3;
     const SLOTS: usize = 4;
@@ -236,27 +236,28 @@ mod tests {
                 (0.8 * sum(partials, 1, 4) + 0.2 * sum(partials, 0, 4)) / (3.0 * 70.0 * 33.0)
             };
             let prior_mean = |i: usize, count: f64| on(prior, sum(&state.prior_partials, i, 8) / count);
-            let mut expected = [
-                image(0..3),
-                on(segmented, image(3..5)),
-                prior_mean(0, 6000.0),
-                prior_mean(1, 6000.0),
-                prior_mean(2, 6000.0),
-                prior_mean(3, 300.0),
-                prior_mean(4, 700.0),
-                prior_mean(5, 1000.0),
-                on(masked, sum(&state.mask_partials, 0, 2) / 1000.0),
-                on(masked | compares, sum(&state.mask_partials, 1, 2) / 1000.0),
-                1.0,
-            ]
-            .map(|v| v as f32)
-            .to_vec();
-            let check = |expected: &[f32]| {
+            let expected = LossTerms {
+                image: image(0..3),
+                segmentation: on(segmented, image(3..5)),
+                rigid: prior_mean(0, 6000.0),
+                rot: prior_mean(1, 6000.0),
+                iso: prior_mean(2, 6000.0),
+                floor: prior_mean(3, 300.0),
+                background: prior_mean(4, 700.0),
+                soft_color: prior_mean(5, 1000.0),
+                mask: on(masked, sum(&state.mask_partials, 0, 2) / 1000.0),
+                mask_consistency: on(masked | compares, sum(&state.mask_partials, 1, 2) / 1000.0),
+            };
+            let check = |expected: &LossTerms| {
                 let losses: Vec<f32> = gpu.read(&on_gpu.losses, SLOTS * LOSS_VALUES).unwrap();
-                for (i, (found, expected)) in losses[2 * LOSS_VALUES..].iter().zip(expected).enumerate() {
-                    assert!((found - expected).abs() <= 1e-6 * expected.abs(), "{i}: {found} against {expected}");
+                let slot = &losses[2 * LOSS_VALUES..3 * LOSS_VALUES];
+                for (loss, (&found, expected)) in Loss::ALL.into_iter().zip(slot.iter().zip(expected.values())) {
+                    let error = (f64::from(found) - expected).abs();
+                    assert!(error <= 1e-6 * expected.abs(), "{}: {found} against {expected}", loss.name());
                 }
-                assert!(losses[2 * LOSS_VALUES + 11..3 * LOSS_VALUES].iter().all(|&v| v == 0.0));
+                // The status, then nothing.
+                let (status, rest) = slot[Loss::ALL.len()..].split_first().unwrap();
+                assert!(*status == 1.0 && rest.iter().all(|&v| v == 0.0));
                 assert!(losses[..2 * LOSS_VALUES].iter().chain(&losses[3 * LOSS_VALUES..]).all(|&v| v == -1.0));
             };
             check(&expected);
@@ -267,8 +268,7 @@ mod tests {
                 ..step(flags)
             };
             on_gpu.run(&gpu, &off, [[0.0; 4]; 10]);
-            expected[2..7].fill(0.0);
-            check(&expected);
+            check(&LossTerms { rigid: 0.0, rot: 0.0, iso: 0.0, floor: 0.0, background: 0.0, ..expected });
         }
     }
 
