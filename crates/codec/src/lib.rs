@@ -32,7 +32,7 @@ pub use bitstream::{
     Segment, application_data, decode, inspect,
 };
 #[cfg(feature = "encode")]
-pub use bitstream::{encode, encode_with};
+pub use bitstream::{encode, encode_to, encode_with};
 pub use cache::{Eviction, Playback, SegmentCache};
 pub use compact::{ColorSpace, CompactScene, SceneInfo, Tracks, UpAxis};
 #[cfg(feature = "encode")]
