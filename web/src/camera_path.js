@@ -1,4 +1,5 @@
-// The file of a camera path (docs/PLAYER.md). The path itself is the engine's: crates/core/src/camera_path.rs.
+// Reads and writes the file of a camera path (docs/PLAYER.md). The engine interpolates the path
+// (crates/core/src/camera_path.rs).
 
 import { CameraPath } from "./engine/tcgs_play.js";
 

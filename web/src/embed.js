@@ -1,8 +1,8 @@
-// The page within another page: commands and events by messages. tcgs-player.js is the other end.
+// Commands and events between this page and a page that embeds it, as messages. tcgs-player.js is the other end.
 
 import { explain } from "./failures.js";
 
-/** What a page that embeds this one may ask for. @param {import("./player.js").Player} player */
+/** The commands that an embedding page may send. @param {import("./player.js").Player} player */
 function commands(player) {
   return {
     load: async (source) => {
@@ -28,7 +28,7 @@ function commands(player) {
   };
 }
 
-/** An error that is not the engine's. */
+/** Describes an error that the engine did not throw. */
 const unknown = (error) => ({ code: "unknown", title: String(error.message ?? error), detail: "" });
 
 function describe(player) {

@@ -1,4 +1,5 @@
-// What went wrong, for people: a title, what it means and what helps.
+// The words for errors, for people: a title, what it means and what helps. The engine knows the codes alone
+// (crates/play/src/error.rs).
 
 const FAILURES = {
   "no-webgpu": {

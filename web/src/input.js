@@ -1,10 +1,10 @@
-// Mouse, touch and keys to moves of the camera. What is not about the camera is in ui.js.
+// Turns mouse, touch and keys into moves of the camera. Other controls are in ui.js.
 
-/** A drag across the canvas' height turns by so much, radians. */
+/** Turn by a drag across the height of the canvas, radians. */
 const TURN = Math.PI;
-/** A key held turns by so many radians a second. */
+/** Turn by a held key, radians a second. */
 const KEY_TURN = 1.2;
-/** A key held moves by so many canvas heights, or flies by so many distances of the start view, a second. */
+/** Move by a held key a second: heights of the canvas, or distances of the start view from its pivot when flying. */
 const KEY_MOVE = 0.6;
 const KEY_ZOOM = 1.8;
 
@@ -29,7 +29,7 @@ export function listenForMoves(canvas, player) {
     "wheel",
     (event) => {
       event.preventDefault();
-      // Lines and pages of a wheel, pixels of a touchpad; pinches on one arrive with the control key.
+      // A wheel reports lines or pages, a touchpad pixels; a pinch on a touchpad arrives with the control key.
       const unit = [1, 16, 100][event.deltaMode] * (event.ctrlKey ? 6 : 1);
       player.move("zoom", Math.exp(-0.0015 * Math.max(-240, Math.min(240, unit * event.deltaY))));
     },
@@ -40,7 +40,7 @@ export function listenForMoves(canvas, player) {
 }
 
 function dragging(canvas, player) {
-  /** Where each finger or button is. */
+  /** Position and button of each finger or mouse that is down, by pointer. */
   const pointers = new Map();
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
@@ -57,7 +57,7 @@ function dragging(canvas, player) {
     pointer.x = event.clientX;
     pointer.y = event.clientY;
     if (pointers.size > 1) {
-      // Each finger moves the middle by its share.
+      // The middle of the fingers moves by the mean of their moves.
       player.move("pan", dx / pointers.size, dy / pointers.size);
       if (before > 0) player.move("zoom", spread(pointers) / before);
     } else if (pointer.button !== 0 || event.shiftKey) {
@@ -70,7 +70,7 @@ function dragging(canvas, player) {
   });
 }
 
-/** How far two fingers are apart, pixels; 0 of one. */
+/** Distance of two fingers, pixels; 0 if there is one. */
 function spread(pointers) {
   const [a, b] = [...pointers.values()];
   return b ? Math.hypot(a.x - b.x, a.y - b.y) : 0;
@@ -110,7 +110,7 @@ function holding(player) {
     if (held.size === 0) requestAnimationFrame(tick);
     held.add(name);
   });
-  // Which keys are down is not told while another window has them.
+  // While another window has the focus this page is not told of released keys.
   window.addEventListener("blur", () => held.clear());
   window.addEventListener("keyup", (event) => {
     const code = nameOf(event)?.split(" ")[0];
@@ -118,7 +118,7 @@ function holding(player) {
   });
 }
 
-/** Whether a key belongs to what has the focus, or to the browser. */
+/** Whether a key is meant for the element that has the focus, or for the browser. */
 export function isTyping(event) {
   if (event.ctrlKey || event.metaKey || event.altKey) return true;
   const element = event.target instanceof Element ? event.target : document.body;

@@ -1,4 +1,4 @@
-// Puts the page together and opens what its address asks for.
+// Puts the page together and opens the scene that the address names.
 
 import { pathFromJson } from "./camera_path.js";
 import { listenToEmbedder } from "./embed.js";
@@ -37,7 +37,7 @@ listenToEmbedder(player);
 
 player.addEventListener("lost", () => toast("The camera path breaks off here"));
 
-/** The first scene alone starts where the address says. */
+/** Only the first scene starts at the view that the address names. */
 let starting = true;
 player.addEventListener("load", () => {
   if (starting && params.view !== null && params.view < player.info.cameras.length) player.useCamera(params.view);
@@ -45,7 +45,7 @@ player.addEventListener("load", () => {
   starting = false;
 });
 
-/** A scene or a camera path from this machine. */
+/** Opens a scene, or follows a camera path, from a file of this machine. */
 async function take(chosen) {
   if (!chosen) return;
   if (!chosen.name.endsWith(".json")) {

@@ -1,4 +1,4 @@
-// The menus: views and the camera path, and what is needed now and then.
+// The menu of views and camera paths, and the menu of everything that is needed rarely.
 
 import { pathToJson } from "./camera_path.js";
 import { CameraPath } from "./engine/tcgs_play.js";
@@ -55,7 +55,7 @@ export function addToPath(player) {
 /** @param {import("./player.js").Player} player */
 export async function saveStill(player) {
   if (!player.info) return;
-  // Another scene may be there before the picture is.
+  // Another scene may be opened before the picture is there.
   const name = (player.info.name || nameOf(player.source)).replace(/\.tcgs$/, "");
   try {
     const { width, height, timestep, data } = await player.capture();
@@ -94,13 +94,13 @@ export function moreMenu(player, { choose, stats, theme }) {
   return { toggleStatistics: toggle };
 }
 
-/** Light or dark: by the address, else as chosen before, else as the system has it. */
+/** Sets light or dark: as the address says, else as a person chose before, else as the system has it. */
 function appearance(asked) {
   let theme = asked;
   try {
     theme ??= localStorage.getItem("tcgs-theme");
   } catch {
-    // A page within another may have no storage; then the choice lasts as long as the page.
+    // An embedded page may have no storage; the choice then lasts as long as the page.
   }
   const set = (value) => {
     if (value === "light" || value === "dark") document.documentElement.dataset.theme = value;
@@ -114,7 +114,7 @@ function appearance(asked) {
       try {
         localStorage.setItem("tcgs-theme", choice.value);
       } catch {
-        // As above.
+        // There is no storage, as above.
       }
     });
   }

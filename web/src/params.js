@@ -22,9 +22,9 @@ export function readParams(query) {
     /** Camera of the file to start from; null: the start view. */
     view: number(given.get("view"), 0, 1e6, null),
     theme: ["light", "dark"].includes(theme) ? theme : null,
-    /** "fixed": every pixel is drawn, however long it takes. */
+    /** "fixed": every pixel is drawn, however long that takes. */
     quality: given.get("quality") === "fixed" ? "fixed" : "auto",
-    /** Device pixels a CSS pixel; null: the screen's. */
+    /** Device pixels per CSS pixel; null: as the screen has. */
     dpr: number(given.get("dpr"), 0.1, 8, null),
   };
 }

@@ -1,30 +1,31 @@
-// The engine on a canvas: when a frame is drawn, at how many pixels, and what others are told about it.
+// Drives the engine on a canvas: decides when a frame is drawn and at how many pixels, and tells the other modules by
+// events.
 
 import init, { CameraPath, Viewer } from "./engine/tcgs_play.js";
 import { AdaptiveResolution } from "./resolution.js";
 
-/** So long after the last change all pixels are drawn. */
+/** Milliseconds after the last change until all pixels are drawn. */
 const SETTLE_MS = 200;
-/** The engine learns some frames later whether it had room for all of a picture: so many are drawn before it rests. */
+/** Frames drawn before the page rests: the engine learns some frames later whether its buffers had room for all splats. */
 const STILL_FRAMES = 3;
-/** While things move the GPU may be so many frames behind. */
+/** Frames by which the GPU may be behind while something moves. */
 const MAX_PENDING = 1;
 
 /**
- * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (a scene is there), `frame` (one was drawn; its state is `player.state`), `change`
- * (settings, playing, or the path), `lost` (no camera of the path fits the timestep; it is followed no longer), `failure`
- * (`detail`: the error).
+ * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (the first picture of a scene can be drawn), `frame` (a
+ * frame was drawn; its state is `player.state`), `change` (of settings, of playing, or of the path), `lost` (the path has
+ * no camera at the timestep and is followed no longer), `failure` (`detail`: the error).
  */
 export class Player extends EventTarget {
-  /** A drag on the scene or a key ends what moves the camera by itself. */
+  /** Whether the camera follows the path. A drag on the scene or a key ends that. */
   following = false;
-  /** The engine's `CameraPath`, which is there with a scene. */
+  /** The engine's `CameraPath`; null: no scene. */
   path = null;
   speed = 1;
   loop = true;
-  /** Of the scene, by the engine; null: no scene. */
+  /** What the engine says of the scene; null: no scene. */
   info = null;
-  /** Of the last frame, by the engine. */
+  /** What the engine says of the last frame. */
   state = null;
   /** Frames drawn in the last second; null while nothing moves. */
   rate = null;
@@ -34,15 +35,15 @@ export class Player extends EventTarget {
   #viewer = null;
   #starting = null;
   #opening = false;
-  /** Counts scenes: one that was replaced while it was opened is forgotten. */
+  /** Number of calls of `open`: a scene that was replaced while it was opened is dropped. */
   #turn = 0;
   #source = null;
   #resolution = new AdaptiveResolution();
   #changed = 0;
-  /** Frames at all pixels since the last change. */
+  /** Number of frames drawn at all pixels since the last change. */
   #still = 0;
   #last = null;
-  /** Asked of the engine, which sets the canvas to that, or to the most that the device can. */
+  /** Size that the engine was asked for. It sets the canvas to this size, or to the largest that the device can. */
   #size = [0, 0];
   #times = [];
   #stopped = false;
@@ -61,14 +62,16 @@ export class Player extends EventTarget {
     requestAnimationFrame(this.#tick);
   }
 
-  /** What `open` was last given. */
+  /** The address or file that `open` was given last. */
   get source() {
     return this.#source;
   }
 
   /**
-   * Opens a scene, an address or a file, at a timestep. Resolves with the first picture to whether there is one; failures
-   * are told, not thrown.
+   * Opens a scene at a timestep. Resolves once its first picture can be drawn, to true, or to false if there is none.
+   * Failures become events; nothing is thrown.
+   *
+   * @param {string | Blob} given an address or a file
    */
   async open(given, timestep = 0) {
     const turn = ++this.#turn;
@@ -99,7 +102,7 @@ export class Player extends EventTarget {
     }
   }
 
-  /** The engine, started once; a device that was lost is not started again without a reload. */
+  /** Starts the engine once. A device that was lost is not started again without a reload of the page. */
   #start() {
     this.#starting ??= (async () => {
       if (!navigator.gpu) throw Object.assign(new Error("navigator.gpu is missing"), { code: "no-webgpu" });
@@ -148,7 +151,7 @@ export class Player extends EventTarget {
     this.#tell("change");
   }
 
-  /** Moves the camera by the engine's methods: `move("orbit", dx, dy)`. */
+  /** Moves the camera by a method of the engine: `move("orbit", dx, dy)`. */
   move(how, ...amounts) {
     if (this.following) this.follow(false);
     this.#do((viewer) => viewer[how](...amounts));
@@ -163,7 +166,7 @@ export class Player extends EventTarget {
     return this.path?.keyframes() ?? [];
   }
 
-  /** Shows what a camera sees; in a window of another shape, more. Throws the engine's error where it is none. */
+  /** Moves to a camera. A window of another shape shows more than it sees. Throws the engine's error if it is none. */
   setCamera(camera) {
     this.#do((viewer) => viewer.setCamera(camera));
     this.following = false;
@@ -176,7 +179,7 @@ export class Player extends EventTarget {
     this.#tell("change");
   }
 
-  /** Adds the view of now to the path. */
+  /** Adds the current camera to the path, at the current timestep. */
   addToPath() {
     if (!this.state) return;
     this.path.insert(this.state.timestep, this.camera());
@@ -195,7 +198,7 @@ export class Player extends EventTarget {
     this.#tell("change");
   }
 
-  /** What shows, at all pixels: `{width, height, timestep, data}`, RGBA. */
+  /** Draws a picture at all pixels: `{width, height, timestep, data}`, RGBA. */
   async capture() {
     this.#capturing = true;
     try {
@@ -207,7 +210,7 @@ export class Player extends EventTarget {
     }
   }
 
-  /** Something will look different. Until it does, and is complete, the canvas lacks `data-resting`. */
+  /** Notes that the picture will change. Until a complete picture shows it the canvas lacks `data-resting`. */
   touch() {
     this.#changed = performance.now();
     this.#still = 0;
@@ -248,7 +251,7 @@ export class Player extends EventTarget {
     this.#draw(now);
   };
 
-  /** Frames bring a scene in, too, and tell how far it is. */
+  /** Calls the engine while a scene is opened, which takes what has arrived, and tells how much that is. */
   #watch(now) {
     if (this.#viewer.pending() > 0) return;
     try {
@@ -258,7 +261,7 @@ export class Player extends EventTarget {
     }
   }
 
-  /** Nothing moves, and the picture is complete: no power is spent. */
+  /** Stops drawing to save power: nothing moves and the picture is complete. */
   #rest() {
     if (this.#last === null) return;
     this.#last = null;
@@ -303,7 +306,7 @@ export class Player extends EventTarget {
   }
 }
 
-/** The whole address of a scene. */
+/** Resolves the address of a scene against that of the page. */
 function addressOf(text) {
   try {
     return new URL(text, location.href).href;

@@ -1,12 +1,12 @@
-// How many of the screen's pixels are drawn, so that frames keep up with the screen.
+// Decides how many of the screen's pixels are drawn, so that frames keep up with the screen.
 
-/** A frame of a screen that shows sixty a second. */
+/** Milliseconds of a frame at sixty frames a second. */
 const TARGET_MS = 1000 / 60;
-/** The median of so many frames is judged: one slow frame is no reason. */
+/** Number of frames whose median time decides: one slow frame is no reason to draw fewer pixels. */
 const WINDOW = 9;
-/** After so many good frames in a row more pixels are tried. */
+/** Number of frames in time, in a row, after which more pixels are tried. */
 const GOOD_FRAMES = 90;
-/** Fewest pixels along a side, as a share of all: below this a picture is mush. */
+/** Least share of the pixels along a side: with fewer, a picture shows nothing. */
 const MIN_SCALE = 0.35;
 
 export class AdaptiveResolution {
@@ -24,7 +24,7 @@ export class AdaptiveResolution {
     return this.#scale;
   }
 
-  /** Forgets measured times: the frames around a pause, a new size or a new scene say nothing. */
+  /** Drops the measured times: frames around a pause, a new size or a new scene do not tell what pixels cost. */
   forget() {
     this.#intervals = [];
     this.#good = 0;
@@ -52,13 +52,13 @@ export class AdaptiveResolution {
     this.#raised = false;
     this.#good = 0;
     if (this.#before && median > 0.9 * this.#before.median) {
-      // Fewer pixels did not help: time goes elsewhere, and pixels are not to pay for it.
+      // Fewer pixels did not help: something else takes the time, so the scale goes back.
       this.#scale = this.#before.scale;
       this.#before = null;
       this.#hold = 16 * GOOD_FRAMES;
     } else if (this.#scale > MIN_SCALE) {
       this.#before = { median, scale: this.#scale };
-      // Time goes with the pixels, the square of the scale; a step too far would flicker.
+      // Time grows with the number of pixels, the square of the scale. Too large a step would make the scale oscillate.
       this.#scale = Math.max(MIN_SCALE, this.#scale * Math.max(0.6, Math.sqrt(TARGET_MS / median)));
     }
   }

@@ -26,7 +26,7 @@ export class TcgsPlayer extends EventTarget {
     super();
     const address = new URL(PAGE);
     for (const [name, value] of Object.entries(params)) {
-      // The player's own address is another base than this page's.
+      // The <iframe> would resolve the address against its own, not against this page's.
       address.searchParams.set(name, name === "src" ? new URL(value, document.baseURI).href : String(value));
     }
     this.frame = document.createElement("iframe");
@@ -38,7 +38,7 @@ export class TcgsPlayer extends EventTarget {
     container.append(this.frame);
   }
 
-  /** Opens a scene, an address or a file; resolves with what it is when its first picture shows. */
+  /** Opens an address or a file. Resolves to `info()` when the first picture shows. */
   load(source) {
     return this.#ask("load", source instanceof Blob ? source : new URL(source, document.baseURI).href);
   }
@@ -56,7 +56,7 @@ export class TcgsPlayer extends EventTarget {
     return this.#ask("seek", timestep);
   }
 
-  /** @param {number} speed 1: as it was filmed */
+  /** @param {number} speed in multiples of the scene's frame rate */
   setSpeed(speed) {
     return this.#ask("setSpeed", speed);
   }
@@ -80,17 +80,17 @@ export class TcgsPlayer extends EventTarget {
     return this.#ask("resetCamera");
   }
 
-  /** The camera of now, as `setCamera` takes it. */
+  /** The current camera, in the form that `setCamera` takes. */
   camera() {
     return this.#ask("camera");
   }
 
-  /** Of the last frame: `{timestep, playing, buffering, gaussians, bytesLoaded, width, height, …}`. */
+  /** The state of the last frame: `{timestep, playing, buffering, gaussians, bytesLoaded, width, height, …}`. */
   state() {
     return this.#ask("state");
   }
 
-  /** Of the scene: `{name, numGaussians, numTimesteps, frameRate, bytes, cameras}`. */
+  /** What the file says of its scene: `{name, numGaussians, numTimesteps, frameRate, bytes, cameras}`. */
   info() {
     return this.#ask("info");
   }

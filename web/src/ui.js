@@ -1,4 +1,4 @@
-// Everything on the page but the scene: cards, playback, numbers. Menus are in menus.js.
+// The page around the scene: cards, playback, statistics, shortcuts. Menus are in menus.js.
 
 import { explain } from "./failures.js";
 import { isTyping } from "./input.js";
@@ -6,10 +6,10 @@ import { isTyping } from "./input.js";
 export const element = (id) => document.getElementById(id);
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
-/** The controls leave when nobody touched anything for so long while the scene plays. */
+/** Milliseconds without input after which the controls are hidden while the scene plays. */
 const IDLE_MS = 3000;
 
-/** Such as `162 kB`: three digits, powers of 1000. */
+/** Writes a number of bytes with three digits, such as `162 kB`; a kB is 1000 bytes. */
 export function showBytes(bytes) {
   const units = ["B", "kB", "MB", "GB"];
   let value = bytes;
@@ -21,7 +21,7 @@ export function showBytes(bytes) {
   return `${value.toFixed(digits)} ${units[0]}`;
 }
 
-/** Says something for a moment. */
+/** Shows a message for a moment. */
 export function toast(text) {
   const box = element("toast");
   box.textContent = text;
@@ -35,7 +35,7 @@ export function showCard(name) {
   for (const card of ["welcome", "loading", "failure"]) element(card).hidden = card !== name;
 }
 
-/** Gives a file to whoever looks at the page. */
+/** Lets the browser save a file. */
 export function save(name, blob) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
@@ -92,7 +92,7 @@ export function cards(player, { choose }) {
   });
 }
 
-/** What a scene is called that has no name of its own. */
+/** The name of a scene whose file gives none: that of the file. */
 export function nameOf(source) {
   if (source instanceof Blob) return source.name ?? "scene";
   let name = source;
@@ -101,7 +101,7 @@ export function nameOf(source) {
     name = pathname.slice(pathname.lastIndexOf("/") + 1);
     name = decodeURIComponent(name);
   } catch {
-    // What is no address, or is oddly written, is called as it is written.
+    // A text that is no address, or whose escapes are wrong, is its own name.
   }
   return name || "scene";
 }
@@ -115,7 +115,7 @@ export function playback(player) {
     player.pause();
   });
   timeline.addEventListener("input", () => player.seek(Number(timeline.value)));
-  // One that is let go where it was taken does not change; and it may be let go elsewhere.
+  // A thumb that is released where it was pressed sends no `change`, and it may be released outside the timeline.
   for (const end of ["change", "pointerup", "pointercancel"]) {
     window.addEventListener(end, () => {
       if (resume) player.play();
@@ -172,7 +172,7 @@ export function toggleFull() {
   else document.documentElement.requestFullscreen?.().catch(() => toast("The browser refuses full screen here"));
 }
 
-/** Numbers, a few times a second. @param {import("./player.js").Player} player */
+/** Shows statistics, a few times a second. @param {import("./player.js").Player} player */
 export function statistics(player) {
   let last = 0;
   player.addEventListener("frame", () => {
@@ -187,13 +187,13 @@ export function statistics(player) {
   });
 }
 
-/** The next of the speeds on offer. @param {number} by above 0: faster, below: slower */
+/** The next of the offered speeds. @param {number} by above 0: faster, below: slower */
 export function nextSpeed(speed, by) {
   const next = by > 0 ? SPEEDS.find((s) => s > speed) : SPEEDS.findLast((s) => s < speed);
   return next ?? speed;
 }
 
-/** Keys that are not about the camera. @param {Record<string, () => void>} actions by key */
+/** Listens for keys that do not move the camera. @param {Record<string, () => void>} actions by key */
 export function shortcuts(player, actions) {
   const speed = (by) => () => {
     player.setSpeed(nextSpeed(player.speed, by));
@@ -223,7 +223,7 @@ export function shortcuts(player, actions) {
   });
 }
 
-/** Takes the controls away while the scene plays and nobody needs them. */
+/** Hides the controls while the scene plays and nobody needs them. */
 export function idling(player) {
   let last = performance.now();
   const stir = () => {

@@ -1,8 +1,8 @@
 // The player in a browser, as a person uses it, on a scene that `tcgs demo` made. Run:
 //   npm ci --prefix web
 //   TCGS=target/release/tcgs SCENE=tcgs-demo/scene.tcgs xvfb-run -a node --test web/test/browser.mjs
-// SHOTS=FOLDER keeps pictures of the window. Debian's chromium is needed, and a tcgs that carries the page. A software GPU
-// takes about a second a frame: windows are small, and where the scene does not matter it is a tiny one.
+// SHOTS=FOLDER keeps pictures of the window. The tests need Debian's chromium, and a tcgs that contains the page. A software
+// GPU takes about a second for a frame, so windows are small, and tests that fit any scene use a tiny one.
 
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
@@ -18,7 +18,7 @@ const bytes = readFileSync(SCENE);
 const TINY = new URL("../../testdata/bitstream/v1/room_default.tcgs", import.meta.url).pathname;
 const ENGINE = new URL("engine.mjs", import.meta.url).pathname;
 const EXACT = "quality=fixed&dpr=1&autoplay=0";
-/** For anything that waits: machines that test are slow, and busy. */
+/** Timeout of everything that waits: machines that run tests are slow and busy. */
 const PATIENCE_MS = 240_000;
 
 let browser, server, tiny, scratch;
@@ -36,7 +36,7 @@ after(async () => {
   rmSync(scratch, { recursive: true, force: true });
 });
 
-/** Opens the page; what goes wrong in its scripts fails the test. `standIn`: with that for the engine, which is quick. */
+/** Opens the page. An error in its scripts fails the test. `standIn`: with the stand-in for the engine, which is fast. */
 async function open(t, query = EXACT, { from = tiny, script, standIn = false, ...options } = {}) {
   const viewport = { width: 480, height: 300 };
   const context = await browser.newContext({ viewport, colorScheme: "dark", reducedMotion: "reduce", ...options });
@@ -222,7 +222,7 @@ test("what shows is what tcgs renders, at views and between them", async (t) => 
   assert.deepEqual(path.cameras.map((camera) => camera.timestep), [0, 6, 14]);
   assert.deepEqual([path.cameras[0].width, path.cameras[0].height], [320, 240]);
 
-  // Dropped on the page it is followed.
+  // A path that is dropped on the page is followed.
   await drop(page, "camera-path.json", readFileSync(file));
   await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
   const expected = rendered(file, "320x240");
@@ -235,7 +235,7 @@ test("what shows is what tcgs renders, at views and between them", async (t) => 
     t.diagnostic(`timestep ${timestep}: ${(100 * near).toFixed(2)} % of the pixels within 3, ${(100 * covered).toFixed(0)} % covered`);
   }
 
-  // A still is what shows.
+  // A still shows what the page shows.
   const still = page.waitForEvent("download");
   await page.keyboard.press("p");
   const saved = await still;
@@ -355,7 +355,7 @@ test("help opens and closes, menus and themes work, everything has a name", asyn
 
 test("without a scene the page says what to do", async (t) => {
   const page = await open(t);
-  // As on a host that names no scene.
+  // The page as on a host that names no scene.
   await page.route(`${tiny.address}?bare&${EXACT}`, async (route) => {
     const response = await route.fetch();
     await route.fulfill({ response, body: (await response.text()).replace('content="/scene.tcgs"', 'content=""') });
@@ -388,7 +388,7 @@ test("a path that no camera can follow is left, and the scene stays", async (t) 
   };
   await dropPath([2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 3, 0, 0, 0, 1]);
   await said("rotation");
-  // Halfway between two opposite directions there is none.
+  // Halfway between two opposite directions there is no camera.
   await dropPath([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 3, 0, 0, 0, 1], [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, -1, 3, 0, 0, 0, 1]);
   await said("Following");
   await page.evaluate(() => {
@@ -428,7 +428,7 @@ test("the timeline plays on when it is let go, and tells of each scene anew", as
   await page.keyboard.press("Space");
   await page.waitForSelector("#play[aria-label=Pause]");
   const { x, y, height } = await page.locator("#timeline").boundingBox();
-  // Where the thumb is: nothing changes.
+  // A click on the thumb, which moves nothing.
   await page.mouse.move(x + height / 2, y + height / 2);
   await page.mouse.down();
   await page.waitForSelector("#play[aria-label=Play]");

@@ -1,5 +1,6 @@
-// A stand-in for the engine's viewer: a scene of any file at once, no GPU. Camera paths are the engine's own. A test may say, as `window.given`, how many timesteps
-// scenes have (`timesteps`) and what a picture waits for (`picture`, a promise).
+// A stand-in for the engine's viewer, which opens any file as a scene at once and needs no GPU. Camera paths are those of the
+// engine. A test sets `window.given`: how many timesteps scenes have (`timesteps`) and what a picture waits for (`picture`, a
+// promise).
 
 import init, { CameraPath } from "./tcgs_play.js?real";
 

@@ -7,8 +7,8 @@ import { createInterface } from "node:readline";
 import { chromium } from "playwright-core";
 
 /**
- * Debian's. Its graphics card is software, that of the window, too, or WebGPU's pictures would not come through to it; for
- * the same reason there is a window, on whatever display there is. It reaches nothing but this machine.
+ * Starts Debian's Chromium with a software GPU, for the window as well as for WebGPU, and with a window on whatever display
+ * there is: otherwise the pictures of WebGPU would not arrive in the window. The browser reaches this machine alone.
  */
 export function launch() {
   return chromium.launch({
@@ -34,7 +34,7 @@ export function launch() {
   });
 }
 
-/** `tcgs view`: its address, and how to end it. */
+/** Starts `tcgs view`: its address, and a function that ends it. */
 export async function serve(tcgs, scene) {
   const child = spawn(tcgs, ["view", scene, "--no-open", "--port", "0"], { stdio: ["ignore", "pipe", "inherit"] });
   const lines = createInterface({ input: child.stdout });
@@ -43,8 +43,8 @@ export async function serve(tcgs, scene) {
 }
 
 /**
- * How two PNG files differ, told by the browser that decodes them: the share of the pixels of which all channels agree
- * within 3, and the share of the second one's pixels that show anything.
+ * Compares two PNG files in the browser, which decodes them. Returns the share of the pixels whose channels all agree within
+ * 3 (`near`), and the share of the second file's pixels that are not black (`covered`).
  * @param {Buffer} found
  * @param {Buffer} expected
  */
@@ -75,13 +75,13 @@ export function compare(page, found, expected) {
   );
 }
 
-/** A picture of the window once nothing changes any more. */
+/** Takes a picture of the window once nothing changes any more. */
 export async function settled(page) {
   await page.waitForSelector("#canvas[data-resting]");
   return page.screenshot();
 }
 
-/** Drops a file on the page, as a hand does. */
+/** Drops a file on the page, as a person does. */
 export async function drop(page, name, bytes) {
   await page.evaluate(
     ({ name, text }) => {

@@ -1,4 +1,4 @@
-// What of the page needs no browser. Run, after web/build.sh: node --test web/test/unit.mjs
+// Tests of the page that need no browser. Run, after web/build.sh: node --test web/test/unit.mjs
 
 import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
@@ -33,7 +33,7 @@ test("addresses say what to show, and nonsense says nothing", () => {
   assert.deepEqual([odd.speed, odd.timestep, odd.view, odd.dpr, odd.theme, odd.quality], [1, 0, null, null, null, "auto"]);
 });
 
-/** Draws frames that take so long at a scale, and returns every scale that was used. */
+/** Draws frames whose time depends on the scale, and returns the scale of each. */
 function drawn(resolution, count, milliseconds) {
   return Array.from({ length: count }, () => {
     const { scale } = resolution;
@@ -69,7 +69,7 @@ test("pixels do not pay for time that goes elsewhere", () => {
   assert.ok(scales.filter((scale) => scale === 1).length > 1300, "fewer pixels did not help");
 });
 
-// What the engine does for the page without a GPU: the page as built, with its WebAssembly.
+// Tests of the built page with its WebAssembly, of what needs no GPU.
 const DIST = new URL("../dist/", import.meta.url);
 const isBuilt = existsSync(new URL("engine/tcgs_play.js", DIST));
 assert.ok(isBuilt || !process.env.REQUIRE_PLAYER, "web/dist is missing: run web/build.sh");

@@ -2,8 +2,8 @@
 
 use anyhow::anyhow;
 use clap::{Args, ValueEnum};
-use tcgs_pipeline::Backend;
-use tcgs_render::gpu::{Gpu, GpuChoice, GpuError};
+use tcgs_pipeline::{Backend, PipelineError};
+use tcgs_render::device::GpuError;
 
 use crate::error::wrong_input;
 use crate::output::note;
@@ -48,19 +48,23 @@ impl BackendOptions {
                 let problem = "is a GPU's name, found --backend cpu, expected one without the other";
                 return Err(wrong_input(format!("--device {device}: {problem}")));
             }
-            return Gpu::open(GpuChoice::Named(device)).map(on_gpu).map_err(|error| {
+            return Backend::open_gpu(Some(device)).map(on_gpu).map_err(|error| {
                 let message = format!("--device {device}: {error}");
-                if matches!(error, GpuError::NotFound { .. }) { wrong_input(message) } else { anyhow!(message) }
+                match error {
+                    PipelineError::Gpu(GpuError::NotFound { .. }) | PipelineError::NotBuilt { .. } => {
+                        wrong_input(message)
+                    }
+                    _ => anyhow!(message),
+                }
             });
         }
         match self.backend.unwrap_or(default) {
             BackendName::Cpu => Ok(on_cpu("")),
-            BackendName::Gpu => Gpu::open(GpuChoice::Hardware)
-                .map(on_gpu)
-                .map_err(|error| anyhow!("--backend gpu: {error}, expected --device NAME or --backend cpu")),
-            BackendName::Auto => {
-                Ok(Gpu::open(GpuChoice::Hardware).map_or_else(|error| on_cpu(&format!(": {error}")), on_gpu))
-            }
+            BackendName::Gpu => Backend::open_gpu(None).map(on_gpu).map_err(|error| match error {
+                PipelineError::NotBuilt { .. } => wrong_input(format!("--backend gpu: {error}, or --backend cpu")),
+                _ => anyhow!("--backend gpu: {error}, expected --device NAME or --backend cpu"),
+            }),
+            BackendName::Auto => Ok(Backend::open_gpu(None).map_or_else(|error| on_cpu(&format!(": {error}")), on_gpu)),
         }
     }
 }
@@ -70,7 +74,9 @@ fn on_cpu(why: &str) -> Backend {
     Backend::Cpu
 }
 
-fn on_gpu(gpu: Gpu) -> Backend {
-    note(&format!("computing on {} ({})", gpu.info().name, gpu.info().backend));
-    Backend::Gpu(gpu)
+fn on_gpu(backend: Backend) -> Backend {
+    if let Some(info) = backend.gpu_info() {
+        note(&format!("computing on {} ({})", info.name, info.backend));
+    }
+    backend
 }

@@ -1,6 +1,7 @@
 //! Ctrl-C: the first asks the work to end cleanly, the second ends the process at once.
 
 use std::ops::ControlFlow;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
@@ -12,7 +13,7 @@ pub const EXIT_CODE: u8 = 130;
 
 static ASKED: AtomicBool = AtomicBool::new(false);
 
-/// Catches Ctrl-C (SIGINT) from now on. For commands that ask [`asked`] between steps; elsewhere Ctrl-C ends the process
+/// Catches Ctrl-C (SIGINT) from now on, for commands that ask [`asked`] between steps. Without this Ctrl-C ends the process
 /// at once.
 pub fn catch() -> anyhow::Result<()> {
     let handler = || {
@@ -20,6 +21,19 @@ pub fn catch() -> anyhow::Result<()> {
             std::process::exit(i32::from(EXIT_CODE));
         }
         note("ending cleanly; Ctrl-C again ends at once");
+    };
+    ctrlc::set_handler(handler).context("catching Ctrl-C")
+}
+
+/// From now on the first Ctrl-C removes a folder and ends the process, for commands with one long step.
+///
+/// - `unfinished`: holds nothing yet, or what nobody needs
+pub fn catch_and_remove(unfinished: &Path) -> anyhow::Result<()> {
+    let unfinished = unfinished.to_path_buf();
+    let handler = move || {
+        // What cannot be removed has a mark by which a later command removes it.
+        let _ = std::fs::remove_dir_all(&unfinished);
+        std::process::exit(i32::from(EXIT_CODE));
     };
     ctrlc::set_handler(handler).context("catching Ctrl-C")
 }

@@ -4,15 +4,17 @@ use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::Context;
 use serde_json::Value;
-use tempfile::TempDir;
+use tcgs_interchange::{Existing, Unfinished, is_unfinished, remove_unfinished, write_whole};
 
 use crate::error::wrong_input;
 
-/// How the names of what is unfinished begin.
-const UNFINISHED: &str = ".writing-";
+/// How long nothing has changed in what a killed process left, before it is removed. A day is more than a person needs
+/// to look at it.
+const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
 /// Prints a line on standard output. A reader that has gone away has read enough.
 pub fn say(text: &str) -> anyhow::Result<()> {
@@ -38,11 +40,14 @@ pub fn check_file(path: &Path, force: bool) -> anyhow::Result<()> {
             Err(wrong_input(format!("{}: is a folder, expected the name of a file", path.display())))
         }
         Ok(found) if found.is_file() && !force => Err(exists(path)),
+        Err(_) if path.is_symlink() => {
+            Err(wrong_input(format!("{}: a link to a file that does not exist, expected another name", path.display())))
+        }
         _ => Ok(()),
     }
 }
 
-/// Writes a file beside its place and renames it. Devices and pipes are written to as they are.
+/// Writes a file whole or not at all. Devices and pipes are written to as they are.
 ///
 /// - `force`: whether an existing file is replaced
 pub fn write_file(path: &Path, bytes: &[u8], force: bool) -> anyhow::Result<()> {
@@ -59,13 +64,22 @@ pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io
     }
     // A link is kept; what it points to is replaced.
     let path = path.canonicalize().unwrap_or_else(|_| path.into());
-    let file = visible(UNFINISHED).tempfile_in(parent(&path)).with_context(context)?;
-    write(file.as_file()).and_then(|()| file.as_file().sync_all()).with_context(context)?;
-    let renamed = if force { file.persist(&path) } else { file.persist_noclobber(&path) };
-    match renamed {
-        Err(failed) if failed.error.kind() == ErrorKind::AlreadyExists => Err(exists(&path)),
-        other => other.map(drop).with_context(context),
+    remove_unfinished(parent(&path), ABANDONED);
+    let existing = if force { Existing::Replace } else { Existing::Keep };
+    match write_whole(&path, existing, |file| write(file)) {
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => Err(exists(&path)),
+        other => other.with_context(context),
     }
+}
+
+/// Begins a folder for unfinished content beside a place, and removes abandoned ones there.
+pub fn begin_beside(place: &Path) -> io::Result<Unfinished> {
+    begin_in(parent(place))
+}
+
+fn begin_in(folder: &Path) -> io::Result<Unfinished> {
+    remove_unfinished(folder, ABANDONED);
+    Unfinished::begin(folder)
 }
 
 /// Writes a result for machines.
@@ -77,7 +91,8 @@ pub fn write_json(path: &Path, value: &Value, force: bool) -> anyhow::Result<()>
 /// renamed; inside one that exists, which may be where a shell stands or a disk is mounted.
 pub struct NewFolder {
     place: PathBuf,
-    making: TempDir,
+    making: Unfinished,
+    new: PathBuf,
     inside: bool,
 }
 
@@ -102,14 +117,17 @@ impl NewFolder {
         if !parent.is_dir() {
             return Err(wrong_input(format!("{}: no such folder, expected one to write into", parent.display())));
         }
-        let making = visible_folder(if inside { place } else { parent });
-        let making = making.with_context(|| format!("writing {}", place.display()))?;
-        Ok(Self { place: place.into(), making, inside })
+        let around = if inside { place } else { parent };
+        let context = || format!("writing {}", place.display());
+        let making = begin_in(around).with_context(context)?;
+        let new = making.path().join("new");
+        fs::create_dir(&new).with_context(context)?;
+        Ok(Self { place: place.into(), making, new, inside })
     }
 
     /// Where its files go meanwhile.
     pub fn path(&self) -> &Path {
-        self.making.path()
+        &self.new
     }
 
     /// Puts it in its place.
@@ -121,29 +139,32 @@ impl NewFolder {
     ///
     /// - `stays`: whether an entry of that name, of which there is none among the new ones, is left where it is
     pub fn finish_around(self, stays: fn(&OsStr) -> bool) -> anyhow::Result<()> {
-        let Self { place, making, inside } = self;
+        let Self { place, making, new, inside } = self;
         let context = format!("writing {}", place.display());
-        if !inside {
-            let moved = fs::rename(making.path(), &place);
-            return moved.with_context(|| format!("{context}; all of it is in {}", making.keep().display()));
-        }
-        let before = match visible_folder(&place) {
-            Ok(before) => before,
-            Err(error) => return Err(error).context(format!("{context}; all of it is in {}", making.keep().display())),
+        // From here on the unfinished folder may hold the only copy of something: it is no longer one to be cleaned up.
+        let making = making.keep();
+        let before = making.join("before");
+        let moved = match inside {
+            false => fs::rename(&new, &place).with_context(|| format!("{context}; all of it is in {}", new.display())),
+            true => exchange(&place, &new, &before, stays).with_context(|| {
+                format!("{context}; what is new is in {}, what was there in {}", new.display(), before.display())
+            }),
         };
-        exchange(&place, making.path(), before.path(), stays).with_context(|| {
-            let (new, old) = (making.keep(), before.keep());
-            format!("{context}; what is new is in {}, what was there in {}", new.display(), old.display())
-        })
+        moved?;
+        if let Err(error) = fs::remove_dir_all(&making) {
+            note(&format!("{}: removing what was there before failed: {error}", making.display()));
+        }
+        Ok(())
     }
 }
 
-/// Moves what is in `place` to `before`, and all of `new` to `place`; both lie in `place`.
+/// Moves what is in `place` to `before`, and all of `new` to `place`. Unfinished folders stay, whoever's they are; `new`
+/// and `before` lie in one of them.
 fn exchange(place: &Path, new: &Path, before: &Path, stays: fn(&OsStr) -> bool) -> io::Result<()> {
+    fs::create_dir(before)?;
     for entry in fs::read_dir(place)?.collect::<io::Result<Vec<_>>>()? {
-        // By their names: `place` may be relative where `new` and `before` are absolute.
         let name = entry.file_name();
-        if Some(&*name) != new.file_name() && Some(&*name) != before.file_name() && !stays(&name) {
+        if !is_unfinished(&name) && !stays(&name) {
             fs::rename(entry.path(), before.join(name))?;
         }
     }
@@ -156,12 +177,7 @@ fn exchange(place: &Path, new: &Path, before: &Path, stays: fn(&OsStr) -> bool) 
 /// Whether a folder exists and has nothing in it but what a stopped process left.
 pub fn is_empty_folder(path: &Path) -> bool {
     let Ok(mut entries) = fs::read_dir(path) else { return false };
-    entries.all(|entry| entry.is_ok_and(|entry| is_leftover(&entry.file_name())))
-}
-
-/// Whether a name is that of something unfinished.
-pub fn is_leftover(name: &OsStr) -> bool {
-    name.to_string_lossy().starts_with(UNFINISHED)
+    entries.all(|entry| entry.is_ok_and(|entry| is_unfinished(&entry.file_name())))
 }
 
 /// A file below `folder` that is not ours; the folder itself if it is none.
@@ -171,7 +187,7 @@ fn foreign_file(folder: &Path, is_ours: fn(&Path) -> bool) -> io::Result<Option<
     }
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
-        if path.file_name().is_some_and(is_leftover) {
+        if path.file_name().is_some_and(is_unfinished) {
             continue;
         }
         let foreign = match path.symlink_metadata()?.is_dir() {
@@ -198,23 +214,6 @@ fn exists(path: &Path) -> anyhow::Error {
 /// The folder that a path lies in.
 pub fn parent(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
-}
-
-/// A temporary file is private unless told; the one it becomes is as readable as any other.
-fn visible(prefix: &'static str) -> tempfile::Builder<'static, 'static> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(prefix);
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder
-}
-
-fn visible_folder(parent: &Path) -> io::Result<TempDir> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(UNFINISHED);
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
-    builder.tempdir_in(parent)
 }
 
 /// A size for people: three digits and a unit of powers of 1000.

@@ -70,6 +70,9 @@ impl Observer for Teller {
                 "warning: {found} points to start from, expected {expected} or more: what lies far from all of them \
                  stays empty; `tcgs prepare` makes points from the images, `--points FILE` takes others"
             )),
+            Event::SetAside { checkpoint, problem } => {
+                note(&format!("{}: {problem}; set aside, its timestep is trained again", checkpoint.display()));
+            }
             Event::Iteration(p) => {
                 self.step(|| format!("timestep {}, {} Gaussians, loss {:.4}", p.timestep, p.num_gaussians, p.loss))
             }

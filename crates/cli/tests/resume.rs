@@ -135,6 +135,38 @@ fn ctrl_c_ends_a_run_cleanly_and_it_resumes_to_the_same_bytes() {
     assert_eq!(without_times(&run), without_times(&calm));
 }
 
+#[cfg(unix)]
+#[test]
+fn ctrl_c_leaves_nothing_half_written() {
+    let folder = tempdir().unwrap();
+    let run = folder.path().join("run");
+    succeed(&arguments(&run));
+    let (frames, plys) = (folder.path().join("frames"), folder.path().join("plys"));
+    let (file, prepared) = (folder.path().join("small.tcgs"), folder.path().join("prepared"));
+    let commands: [&[&str]; 4] = [
+        // Pictures of this size take longer than the test waits.
+        &["render", text(&run), "--out", text(&frames), "--size", "4000x3000"],
+        &["render", text(&run), "--out", text(&plys), "--size", "4000x3000", "--path", "spiral"],
+        &["compress", text(&run), "--out", text(&file), "--target-psnr", "30"],
+        &["prepare", text(capture()), "--out", text(&prepared)],
+    ];
+    for arguments in commands {
+        let child = tcgs().args(arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(150));
+        interrupt(&child);
+        let output = child.wait_with_output().unwrap();
+        if output.status.success() {
+            continue;
+        }
+        let message = String::from_utf8(output.stderr).unwrap();
+        // Before the signal is caught, it ends the process.
+        assert!(matches!(output.status.code(), Some(130) | None), "{arguments:?}: {}: {message}", output.status);
+        let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        left.retain(|name| ![&file, &prepared].iter().any(|whole| whole.ends_with(name)));
+        assert_eq!(left, ["run"], "{arguments:?}: {message}");
+    }
+}
+
 #[test]
 fn a_damaged_last_checkpoint_is_set_aside() {
     let folder = tempdir().unwrap();

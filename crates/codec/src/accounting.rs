@@ -11,7 +11,7 @@ impl CompactScene {
     /// Bytes as plain 32-bit floats: [`tcgs_core::DynamicGaussians::raw_bytes`] of what it stands for.
     pub fn raw_bytes(&self) -> u64 {
         let samples = |a: Attribute| if self.varies[a.index()] { self.num_timesteps() } else { 1 };
-        let per_gaussian: usize = Attribute::BASE.into_iter().map(|a| 4 * a.components() * samples(a)).sum();
+        let per_gaussian: usize = self.layout.attributes().map(|a| 4 * a.components() * samples(a)).sum();
         self.num_gaussians() as u64 * per_gaussian as u64
     }
 
@@ -46,8 +46,9 @@ impl CompactScene {
     /// - `track_bits`: for an attribute, bits of a track from its keypoints and width
     fn bytes_with<F: Fn(usize, u64) -> u64>(&self, track_bits: impl Fn(Attribute) -> F) -> u64 {
         let histogram = self.bit_map.histogram();
-        let bits: u64 = Attribute::BASE
-            .into_iter()
+        let bits: u64 = self
+            .layout
+            .attributes()
             .map(|attribute| {
                 let index = attribute.index();
                 let (components, widths) = (attribute.components(), &self.bit_map.widths[index]);

@@ -1,17 +1,26 @@
 //! How many bits each Gaussian's attributes get.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use tcgs_core::{Attribute, Gaussians, Sensitivity};
+use tcgs_core::{Attribute, Column, Gaussians, Layout, Sensitivity};
 
 use crate::error::CompressError;
 use crate::quantize::MAX_BITS;
 
 /// Bit widths of every Gaussian's attributes.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BitMap {
+    layout: Arc<Layout>,
     /// By [`Attribute::index`]: `[N]` widths in bits, 1 to 16. All channels of an attribute share one.
-    pub widths: [Vec<u8>; 5],
+    pub widths: Vec<Vec<u8>>,
+}
+
+impl Default for BitMap {
+    /// No Gaussians, of the columns of [`Layout::base`].
+    fn default() -> Self {
+        Self::uniform(0, MAX_BITS, MAX_BITS)
+    }
 }
 
 impl BitMap {
@@ -22,10 +31,32 @@ impl BitMap {
     /// assert_eq!((map.num_gaussians(), map.mean_bits()), (10, 6.0));
     /// ```
     pub fn uniform(num_gaussians: usize, position_bits: u8, bits: u8) -> Self {
-        Self {
-            widths: Attribute::BASE
-                .map(|a| vec![if a == Attribute::Mean { position_bits } else { bits }; num_gaussians]),
+        Self::uniform_of(&Layout::base(), num_gaussians, position_bits, bits)
+    }
+
+    /// [`Self::uniform`] for the columns of `layout`: columns that are not quantised in training are as positions.
+    pub fn uniform_of(layout: &Arc<Layout>, num_gaussians: usize, position_bits: u8, bits: u8) -> Self {
+        let widths = |c: &Column| vec![if c.quantized { bits } else { position_bits }; num_gaussians];
+        Self::new(Arc::clone(layout), layout.columns().iter().map(widths).collect())
+    }
+
+    /// A map from its columns.
+    ///
+    /// - `widths`: by [`Attribute::index`], `[N]` each, 1 to 16
+    ///
+    /// # Panics
+    /// If there is another number of columns than in `layout`, or their lengths differ.
+    pub fn new(layout: Arc<Layout>, widths: Vec<Vec<u8>>) -> Self {
+        assert_eq!(widths.len(), layout.columns().len(), "columns of widths against {layout}");
+        for (column, of_column) in layout.columns().iter().zip(&widths) {
+            assert_eq!(of_column.len(), widths[0].len(), "widths of {} against those of means", column.name);
         }
+        Self { layout, widths }
+    }
+
+    /// Whose columns the widths are for.
+    pub fn layout(&self) -> &Arc<Layout> {
+        &self.layout
     }
 
     /// `N`.
@@ -38,24 +69,26 @@ impl BitMap {
     /// # Panics
     /// If an index is out of range.
     pub fn select(&self, indices: &[usize]) -> Self {
-        Self { widths: std::array::from_fn(|a| indices.iter().map(|&i| self.widths[a][i]).collect()) }
+        let select = |widths: &Vec<u8>| indices.iter().map(|&i| widths[i]).collect();
+        Self { layout: Arc::clone(&self.layout), widths: self.widths.iter().map(select).collect() }
     }
 
     /// By [`Attribute::index`]: how many Gaussians have each width.
-    pub fn histogram(&self) -> [BTreeMap<u8, usize>; 5] {
-        std::array::from_fn(|a| {
+    pub fn histogram(&self) -> Vec<BTreeMap<u8, usize>> {
+        let count = |widths: &Vec<u8>| {
             let mut counts = BTreeMap::new();
-            for &width in &self.widths[a] {
+            for &width in widths {
                 *counts.entry(width).or_insert(0) += 1;
             }
             counts
-        })
+        };
+        self.widths.iter().map(count).collect()
     }
 
     /// Mean bits of a scalar, positions excluded; 0 without Gaussians.
     pub fn mean_bits(&self) -> f64 {
         let (mut bits, mut scalars) = (0, 0);
-        for attribute in mixed() {
+        for attribute in mixed(&self.layout) {
             let widths = &self.widths[attribute.index()];
             bits += attribute.components() * widths.iter().map(|&w| usize::from(w)).sum::<usize>();
             scalars += attribute.components() * widths.len();
@@ -95,8 +128,9 @@ impl Default for BitSettings {
     }
 }
 
-fn mixed() -> impl Iterator<Item = Attribute> {
-    Attribute::BASE.into_iter().filter(|&a| a != Attribute::Mean)
+/// The columns whose widths differ between Gaussians.
+fn mixed(layout: &Layout) -> impl Iterator<Item = Attribute> {
+    layout.columns().iter().filter(|column| column.quantized).map(|column| column.attribute)
 }
 
 /// Bits for every Gaussian and attribute from how much the images depend on it.
@@ -152,8 +186,13 @@ pub fn assign_bits(
     if !mean_bits.is_finite() {
         return invalid("mean_bits", mean_bits.into(), "a finite number");
     }
-    for attribute in Attribute::BASE {
-        let (name, components) = (attribute.name(), attribute.components());
+    let layout = stored.layout();
+    if sensitivity.layout() != layout {
+        let (found, expected) = (sensitivity.layout().columns().len(), layout.columns().len());
+        return Err(CompressError::Count { what: "columns of sensitivities".into(), found, expected });
+    }
+    for column in layout.columns() {
+        let (attribute, name, components) = (column.attribute, &column.name, column.components());
         let (s, v) = (sensitivity.values(attribute), stored.values(attribute));
         if s.len() != v.len() {
             let what = format!("sensitivities of {name}");
@@ -167,10 +206,10 @@ pub fn assign_bits(
             return illegal(i, format!("sensitivity of {name}"), s[i], "a finite number, 0 or more");
         }
         if let Some(i) = v.iter().position(|x| !x.is_finite()) {
-            return illegal(i, name.to_owned(), v[i], "a finite number");
+            return illegal(i, name.clone(), v[i], "a finite number");
         }
     }
-    let mut map = BitMap::uniform(n, position_bits, min_bits);
+    let mut map = BitMap::uniform_of(layout, n, position_bits, min_bits);
     if min_bits < max_bits {
         match settings.mapping {
             BitMapping::Linear => assign_linear(sensitivity, settings, &mut map),
@@ -181,10 +220,10 @@ pub fn assign_bits(
 }
 
 fn assign_linear(sensitivity: &Sensitivity, settings: &BitSettings, map: &mut BitMap) {
-    let all = || mixed().flat_map(|a| sensitivity.values(a).iter().copied());
+    let all = || mixed(sensitivity.layout()).flat_map(|a| sensitivity.values(a).iter().copied());
     let (lowest, highest) = all().fold((f32::INFINITY, 0.0_f32), |(low, high), s| (low.min(s), high.max(s)));
     let (min_bits, range) = (f32::from(settings.min_bits), f32::from(settings.max_bits - settings.min_bits));
-    for attribute in mixed() {
+    for attribute in mixed(sensitivity.layout()) {
         let channels = sensitivity.values(attribute).chunks_exact(attribute.components());
         for (width, s) in map.widths[attribute.index()].iter_mut().zip(channels) {
             let largest = s.iter().fold(0.0_f32, |a, &b| a.max(b));
@@ -196,23 +235,24 @@ fn assign_linear(sensitivity: &Sensitivity, settings: &BitSettings, map: &mut Bi
 
 fn assign_log(sensitivity: &Sensitivity, stored: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
     // `[attribute][N]` of log2 w; minus infinity, hence the fewest bits, where nothing depends on the value.
-    let log_weights = Attribute::BASE.map(|attribute| {
-        if attribute == Attribute::Mean {
+    let of_column = |column: &Column| -> Vec<f64> {
+        if !column.quantized {
             return Vec::new();
         }
-        let components = attribute.components();
+        let (attribute, components) = (column.attribute, column.components());
         let spreads: Vec<f64> = (0..components).map(|c| spread(stored.values(attribute), components, c)).collect();
         let weight = |s: &[f32]| -> f64 {
             let sum: f64 = s.iter().zip(&spreads).map(|(&s, spread)| (f64::from(s) * spread).powi(2)).sum();
             0.5 * sum.log2()
         };
         sensitivity.values(attribute).chunks_exact(components).map(weight).collect()
-    });
+    };
+    let log_weights: Vec<Vec<f64>> = stored.layout().columns().iter().map(of_column).collect();
     let width = |log_weight: f64, c: f64| -> u8 {
         (log_weight + c).round().clamp(f64::from(settings.min_bits), f64::from(settings.max_bits)) as u8
     };
     let target = f64::from(settings.mean_bits);
-    for attribute in mixed() {
+    for attribute in mixed(stored.layout()) {
         let weights = &log_weights[attribute.index()];
         let mean_bits = |c: f64| -> f64 {
             weights.iter().map(|&w| usize::from(width(w, c))).sum::<usize>() as f64 / weights.len().max(1) as f64
@@ -289,7 +329,7 @@ mod tests {
         // The same widths, given to others.
         let mut shifted = log.clone();
         shifted.widths.iter_mut().for_each(|w| w.rotate_left(123));
-        for a in mixed() {
+        for a in mixed(&Layout::base()) {
             assert!(cost(&log, a) < 0.5 * cost(&uniform, a), "{a:?}");
             assert!(cost(&log, a) < 0.5 * cost(&shifted, a), "{a:?}");
         }
@@ -299,7 +339,7 @@ mod tests {
     fn every_attribute_gets_several_widths() {
         let (sensitivity, stored) = example(500);
         let map = assign_bits(&sensitivity, &stored, &BitSettings::default()).unwrap();
-        for a in mixed() {
+        for a in mixed(&Layout::base()) {
             let common = map.histogram()[a.index()].values().filter(|&&count| count >= 25).count();
             assert!(common >= 3, "{a:?}: {:?}", map.histogram()[a.index()]);
         }

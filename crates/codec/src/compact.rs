@@ -3,6 +3,8 @@
 //! The rules that every scene obeys, whether it was compressed here or read from a file, stand once,
 //! in [`CompactScene::check`]. How symbols become bytes is no matter of this module.
 
+use std::sync::Arc;
+
 use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout, normalize};
 
 use crate::bits::BitMap;
@@ -202,6 +204,9 @@ impl<V: Copy> Tracks<V> {
 /// needed to read them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompactScene {
+    /// The columns of its Gaussians. Version 1 of the format holds those of [`Attribute::BASE`]; another scene can do
+    /// everything but be encoded.
+    pub layout: Arc<Layout>,
     /// Counts and provenance.
     pub info: SceneInfo,
     /// Width of every code.
@@ -209,14 +214,14 @@ pub struct CompactScene {
     /// Values of the codes; one for every width in use.
     pub quantizers: Quantizers,
     /// By [`Attribute::index`]: whether its tracks may have several keypoints.
-    pub varies: [bool; 5],
+    pub varies: Vec<bool>,
     /// How many Gaussians each layer has, the most important layer first: a scene of the first layers
     /// alone is coarser. At most 65535 layers, none empty.
     pub layers: Vec<u32>,
     /// Timesteps of a segment, which decodes alone; the last may be shorter. 1 to 65536.
     pub segment_length: u32,
     /// By [`Attribute::index`]: codes of `N * components` tracks.
-    pub tracks: [Tracks<i16>; 5],
+    pub tracks: Vec<Tracks<i16>>,
 }
 
 /// How a scene breaks the rules of [`CompactScene::check`].
@@ -243,13 +248,12 @@ impl CompactScene {
     pub fn reconstruct(&self) -> DynamicGaussians {
         let over_time = |attribute| (0..self.num_timesteps()).map(move |t| self.values_at(attribute, t));
         // Scales and opacities that do not vary are held once.
-        let layout = Layout::base();
         let once = |attribute: Attribute| {
-            let varies = self.varies[attribute.index()] || layout.column(attribute).varies;
+            let varies = self.varies[attribute.index()] || self.layout.column(attribute).varies;
             if varies { self.num_timesteps() } else { 1 }
         };
-        let samples = Attribute::BASE.map(|attribute| over_time(attribute).take(once(attribute)).collect()).into();
-        DynamicGaussians::from_samples(Layout::base(), self.num_timesteps(), samples)
+        let samples = self.layout.attributes().map(|attribute| over_time(attribute).take(once(attribute)).collect());
+        DynamicGaussians::from_samples(Arc::clone(&self.layout), self.num_timesteps(), samples.collect())
     }
 
     /// One timestep as floats.
@@ -258,8 +262,8 @@ impl CompactScene {
     /// If `timestep` is not below [`Self::num_timesteps`].
     pub fn at(&self, timestep: usize) -> Gaussians {
         assert!(timestep < self.num_timesteps(), "timestep {timestep} of {}", self.num_timesteps());
-        let values = Attribute::BASE.map(|attribute| self.values_at(attribute, timestep)).into();
-        Gaussians::new(Layout::base(), self.num_gaussians(), values)
+        let values = self.layout.attributes().map(|attribute| self.values_at(attribute, timestep)).collect();
+        Gaussians::new(Arc::clone(&self.layout), self.num_gaussians(), values)
     }
 
     /// `[N * components]` of one attribute at one timestep.
@@ -283,8 +287,9 @@ impl CompactScene {
     }
 
     /// By [`Attribute::index`]: mean number of keypoints of a track; 0 without Gaussians.
-    pub fn keypoints_mean(&self) -> [f64; 5] {
-        std::array::from_fn(|a| self.tracks[a].num_keypoints() as f64 / self.tracks[a].len().max(1) as f64)
+    pub fn keypoints_mean(&self) -> Vec<f64> {
+        let mean = |tracks: &Tracks<i16>| tracks.num_keypoints() as f64 / tracks.len().max(1) as f64;
+        self.tracks.iter().map(mean).collect()
     }
 
     /// The rules: counts agree, every width has its quantizers, times rise from 0 to the last
@@ -292,7 +297,13 @@ impl CompactScene {
     pub(crate) fn check(&self) -> Result<(), Violation> {
         self.info.check()?;
         check_division(self.info.num_gaussians, &self.layers, self.segment_length)?;
-        Attribute::BASE.into_iter().try_for_each(|attribute| {
+        let of_columns =
+            [self.bit_map.widths.len(), self.quantizers.attributes.len(), self.varies.len(), self.tracks.len()];
+        if of_columns.iter().any(|&count| count != self.layout.columns().len()) {
+            let problem = "not as many of widths, quantizers, tracks and what varies";
+            return Err(Violation { attribute: None, field: "columns", problem });
+        }
+        self.layout.attributes().try_for_each(|attribute| {
             let violation = |field, problem| Violation { attribute: Some(attribute), field, problem };
             self.check_quantizers(attribute)?;
             let components = attribute.components();

@@ -102,6 +102,32 @@ pub enum CompressError {
         /// What was found against what was expected.
         problem: &'static str,
     },
+    /// A timestep cannot be read.
+    #[error("cannot read timestep {timestep}: {error}")]
+    Read {
+        /// Which one.
+        timestep: usize,
+        /// Why.
+        error: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// A timestep has other columns than the scene.
+    #[error("invalid columns at timestep {timestep}: found {found}, expected {expected}")]
+    Layout {
+        /// Which one.
+        timestep: usize,
+        /// Its columns.
+        found: String,
+        /// Those of the scene.
+        expected: String,
+    },
+    /// The format does not hold a column of the scene.
+    #[error("format {version} holds means, quats, log_scales, logit_opacities and colors; found {found}")]
+    Unsupported {
+        /// Of the format.
+        version: u16,
+        /// Name of the column.
+        found: String,
+    },
     /// The file cannot be written.
     #[error("write failed")]
     Io(#[from] std::io::Error),

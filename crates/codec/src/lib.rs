@@ -24,6 +24,7 @@ mod morton;
 mod parallel;
 mod quantize;
 mod scene_file;
+mod views;
 
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 pub use bitstream::{
@@ -31,13 +32,14 @@ pub use bitstream::{
     Segment, application_data, decode, inspect,
 };
 #[cfg(feature = "encode")]
-pub use bitstream::{encode, encode_with};
+pub use bitstream::{encode, encode_to, encode_with};
 pub use cache::{Eviction, Playback, SegmentCache};
 pub use compact::{ColorSpace, CompactScene, SceneInfo, Tracks, UpAxis};
 #[cfg(feature = "encode")]
-pub use compress::{CompressSettings, compress, compress_ordered};
+pub use compress::{CompressSettings, compress, compress_ordered, compress_reader};
 pub use error::{CompressError, DecodeError};
 pub use keypoints::{interpolate, select as select_keypoints};
 pub use limits::DecodeLimits;
 pub use quantize::{MAX_BITS, Quantizer, Quantizers, lsq_step};
 pub use scene_file::SceneFile;
+pub use views::{FileCamera, VIEWS, read_views, write_views};

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use tcgs_core::Attribute;
+use tcgs_core::{Attribute, Layout};
 
 use crate::error::CompressError;
 
@@ -268,16 +268,28 @@ pub fn lsq_step(values: &[f32], bits: u8) -> Result<f32, CompressError> {
 }
 
 /// All quantizers of a scene.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Quantizers {
     /// By [`Attribute::index`], then bit width: one quantizer per channel.
-    pub attributes: [BTreeMap<u8, Vec<Quantizer>>; 5],
+    pub attributes: Vec<BTreeMap<u8, Vec<Quantizer>>>,
+}
+
+impl Default for Quantizers {
+    /// None, for the columns of [`Layout::base`].
+    fn default() -> Self {
+        Self::none(&Layout::base())
+    }
 }
 
 impl Quantizers {
+    /// None yet, for the columns of `layout`.
+    pub fn none(layout: &Layout) -> Self {
+        Self { attributes: vec![BTreeMap::new(); layout.columns().len()] }
+    }
+
     /// The quantizer of one channel at one width, if there is one.
     pub fn get(&self, attribute: Attribute, width: u8, channel: usize) -> Option<&Quantizer> {
-        self.attributes[attribute.index()].get(&width)?.get(channel)
+        self.attributes.get(attribute.index())?.get(&width)?.get(channel)
     }
 
     /// The quantizers of all channels, by width from 0; empty where a width is not in use.

@@ -238,7 +238,7 @@ fn memory_stays_within_its_limit() {
 /// Codes of 4 bits that are all 0, at 0, 2 and 4 of five timesteps.
 fn small_scene() -> CompactScene {
     let mut scene = any_scene(1, 5, 0);
-    scene.varies = [true, true, false, false, true];
+    scene.varies = vec![true, true, false, false, true];
     scene.layers = vec![1];
     scene.segment_length = 5;
     scene.info.name.clear();

@@ -1,10 +1,12 @@
 //! Floats to symbols and back.
 
+use std::sync::Arc;
+
 use tcgs_codec::{
     BitMap, CompactScene, CompressSettings, DecodeLimits, Quantizer, Quantizers, SceneInfo, compress, compress_ordered,
-    decode, encode,
+    compress_reader, decode, encode,
 };
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians, dot, normalize};
+use tcgs_core::{Attribute, Column, DynamicGaussians, Gaussians, Layout, SceneReader, dot, normalize};
 
 mod scenes;
 use scenes::Random;
@@ -355,6 +357,92 @@ fn more_timesteps_than_a_byte_counts_work() {
     let varying: u64 = [(16, 3), (12, 4), (12, 3)].iter().map(|(bits, c)| c * (16 + 400 * (9 + bits))).sum();
     let constant = 12 * 4;
     assert_eq!(compact.plain_bytes(), (20 * (varying + constant) + 14 * 64).div_ceil(8));
+}
+
+/// Timesteps of a scene, counted, in which nothing says what varies.
+struct Counted<'a> {
+    scene: &'a DynamicGaussians,
+    num_reads: usize,
+}
+
+impl SceneReader for Counted<'_> {
+    type Error = std::io::Error;
+
+    fn layout(&self) -> &Arc<Layout> {
+        self.scene.layout()
+    }
+
+    fn num_gaussians(&self) -> usize {
+        self.scene.num_gaussians()
+    }
+
+    fn num_timesteps(&self) -> usize {
+        self.scene.num_timesteps()
+    }
+
+    fn at(&mut self, timestep: usize) -> Result<Gaussians, Self::Error> {
+        self.num_reads += 1;
+        if timestep == 99 { Err(std::io::Error::other("a hole in the disk")) } else { Ok(self.scene.at(timestep)) }
+    }
+}
+
+#[test]
+fn what_is_read_compresses_as_what_lies_in_memory() {
+    let mut scene = scenes::room(300, 1);
+    for timestep in 1..60 {
+        let mut now = scenes::room(300, 1).at(0);
+        now.means_mut()[7][0] += (0.1 * timestep as f32).sin();
+        // One of the columns that are usually held once varies, late.
+        now.log_scales_mut()[9][1] += if timestep > 40 { 0.5 } else { 0.0 };
+        scene.push(now);
+    }
+    let map = scenes::mixed_widths(300);
+    let paper = CompressSettings::paper();
+    let alone = CompressSettings { keypoints: false, ..CompressSettings::default() };
+    for settings in [CompressSettings::default(), as_told(), paper, alone] {
+        let mut reader = Counted { scene: &scene, num_reads: 0 };
+        let read = compress_reader(&mut reader, &map, None, SceneInfo::of(&scene), &settings).unwrap();
+        assert_eq!(read, compress_ordered(&scene, &map, None, SceneInfo::of(&scene), &settings).unwrap());
+        assert_eq!(read.0.varies, [true, true, true, false, true]);
+        assert_eq!(reader.num_reads, 2 * 60 + 1, "two readings, and the first timestep");
+    }
+    let long = scenes::room(2, 100);
+    let mut reader = Counted { scene: &long, num_reads: 0 };
+    let (map, settings) = (BitMap::uniform(2, 16, 8), CompressSettings::default());
+    let error = compress_reader(&mut reader, &map, None, SceneInfo::of(&long), &settings).unwrap_err();
+    assert_eq!(error.to_string(), "cannot read timestep 99: a hole in the disk");
+}
+
+#[test]
+fn further_columns_are_compressed_but_not_encoded() {
+    let mut layout = Layout::default();
+    let wetness = layout.push("wetness", 2, Column::like(Attribute::Color));
+    let rust = layout.push("rust", 5, Column::like(Attribute::LogitOpacity));
+    let (layout, base) = (Arc::new(layout), scenes::room(200, 30));
+    let mut scene = DynamicGaussians::new(Arc::clone(&layout));
+    for timestep in 0..30 {
+        let mut values = base.at(timestep).into_values();
+        values.push((0..400).map(|i| (0.1 * (i + timestep) as f32).sin()).collect());
+        values.push((0..1000).map(|i| (0.3 * i as f32).cos()).collect());
+        scene.push(Gaussians::new(Arc::clone(&layout), 200, values));
+    }
+    let map = BitMap::uniform_of(&layout, 200, 16, 8);
+    for settings in [as_told(), CompressSettings::paper(), CompressSettings::default()] {
+        let (compact, order) = compress_ordered(&scene, &map, None, SceneInfo::of(&scene), &settings).unwrap();
+        assert_eq!(compact.varies, [true, true, false, false, true, true, false]);
+        let (expected, found) = (scene.select(&order), compact.reconstruct());
+        assert_eq!((found.layout(), found.at(11)), (&layout, compact.at(11)));
+        for attribute in [wetness, rust] {
+            let error = mse(attribute, &expected, &found);
+            assert!(error < 1e-3, "{}: {error}", layout.name(attribute));
+        }
+        // The columns of the format are as they are without the others.
+        let map = BitMap::uniform(200, 16, 8);
+        let (alone, _) = compress_ordered(&base, &map, None, SceneInfo::of(&base), &settings).unwrap();
+        assert_eq!(compact.tracks[..5], alone.tracks);
+        let message = "format 1 holds means, quats, log_scales, logit_opacities and colors; found wetness";
+        assert_eq!(encode(&compact).unwrap_err().to_string(), message);
+    }
 }
 
 #[test]

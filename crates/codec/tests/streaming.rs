@@ -153,7 +153,7 @@ fn segments_of_nothing_cost_nothing() {
     let empty = CompactScene { segment_length: 1, ..any_scene(0, 65_536, 1) };
     let mut still = any_scene(40, 1, 2);
     still.info.num_timesteps = 65_536;
-    still.varies = [false; 5];
+    still.varies = vec![false; 5];
     still.segment_length = 1;
     still.layers = vec![1; 40];
     for scene in [empty, still] {

@@ -2,8 +2,7 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
+use crate::parallel::{map, map_pairs};
 use crate::{Attribute, GaussianGrads, Gaussians, Real, normalize, normalize_vjp};
 
 /// What a rasterizer draws. All arrays have length `N`; `colors` has `num_channels` a Gaussian.
@@ -75,9 +74,9 @@ pub fn sigmoid_vjp<R: Real>(value: R, v_value: R) -> R {
 pub fn activate(gaussians: &Gaussians) -> Activated {
     Activated {
         means: gaussians.means().to_vec(),
-        quats: gaussians.quats().par_iter().map(|&q| normalize(q)).collect(),
-        scales: gaussians.log_scales().par_iter().map(|s| s.map(f32::exp)).collect(),
-        opacities: gaussians.logit_opacities().par_iter().map(|&o| sigmoid(o)).collect(),
+        quats: map(gaussians.quats(), |&q| normalize(q)),
+        scales: map(gaussians.log_scales(), |s| s.map(f32::exp)),
+        opacities: map(gaussians.logit_opacities(), |&o| sigmoid(o)),
         colors: gaussians.values(Attribute::Color).to_vec(),
         num_channels: 3,
     }
@@ -93,13 +92,9 @@ pub fn activate(gaussians: &Gaussians) -> Activated {
 pub fn activate_bwd(gaussians: &Gaussians, activated: &Activated, grads: &ActivatedGrads) -> GaussianGrads {
     let n = gaussians.num_gaussians();
     assert_eq!(grads.v_colors.len(), 3 * n, "v_colors: [{}] against [{n}, 3]", grads.v_colors.len());
-    let v_quats: Vec<[f32; 4]> =
-        gaussians.quats().par_iter().zip(&grads.v_quats).map(|(&q, &v)| normalize_vjp(q, v)).collect();
-    let v_log_scales: Vec<[f32; 3]> = (activated.scales.par_iter().zip(&grads.v_scales))
-        .map(|(s, v)| [s[0] * v[0], s[1] * v[1], s[2] * v[2]])
-        .collect();
-    let v_logit_opacities =
-        activated.opacities.par_iter().zip(&grads.v_opacities).map(|(&o, &v)| sigmoid_vjp(o, v)).collect();
+    let v_quats = map_pairs(gaussians.quats(), &grads.v_quats, |&q, &v| normalize_vjp(q, v));
+    let v_log_scales = map_pairs(&activated.scales, &grads.v_scales, |s, v| [s[0] * v[0], s[1] * v[1], s[2] * v[2]]);
+    let v_logit_opacities = map_pairs(&activated.opacities, &grads.v_opacities, |&o, &v| sigmoid_vjp(o, v));
     let mut values = vec![
         grads.v_means.as_flattened().to_vec(),
         v_quats.into_flattened(),

@@ -17,6 +17,7 @@ mod extent;
 mod image;
 mod layout;
 mod natural_key;
+mod parallel;
 mod quat;
 mod reader;
 mod real;

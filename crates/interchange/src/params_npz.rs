@@ -10,6 +10,11 @@
 //! | `seg_colors` | `(N, 3)`: foreground, 0, background | [`ParamsExtras::foreground`], written only |
 //! | `cam_m`, `cam_c` | `(50, 3)`: image = exp(cam_m) * render + cam_c | [`ParamsExtras`], written only |
 //! | `tcgs_first_frame`, `tcgs_downscale`, `tcgs_frame_rate` | `(1,)` each, ours alone, optional | [`ParamsOrigin`] |
+//!
+//! The format has no field for the frame of the capture that its first timestep shows. Readers of other programs number
+//! the timesteps from 0 and pass over the arrays that begin with `tcgs_`: a scene of the frames 7 to 9 has the timesteps 0
+//! to 2 there. Timesteps of nothing before the first would be drawn and trained on, so none are written; who needs the
+//! number reads `tcgs_first_frame`, or exports from frame 0 on.
 
 use std::{
     fs::File,

@@ -1,4 +1,4 @@
-//! Files and folders that appear whole or not at all.
+//! Files and folders that appear whole or not at all, and what becomes of them when a process is killed.
 //!
 //! New content is written inside a folder `.writing-XXXXXX`, which lies where the output will lie, so that both are on
 //! one file system; when the content is whole it is renamed into its place. The folder holds a mark beside the content:
@@ -113,14 +113,12 @@ impl Unfinished {
     /// becomes of this process.
     ///
     /// - returns: the folder
-    ///
-    /// # Errors
-    /// What the file system reports.
-    pub fn keep(self) -> io::Result<PathBuf> {
+    pub fn keep(self) -> PathBuf {
         let Self { mark, folder } = self;
-        fs::remove_file(folder.path().join(MARK))?;
-        drop(mark);
-        Ok(folder.keep())
+        // Should the mark resist, it is empty at least, and nothing is removed for its sake.
+        let _ = mark.set_len(0);
+        let _ = fs::remove_file(folder.path().join(MARK));
+        folder.keep()
     }
 }
 
@@ -276,7 +274,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let unfinished = Unfinished::begin(folder.path()).unwrap();
         fs::write(unfinished.path().join("new"), b"precious").unwrap();
-        let kept = unfinished.keep().unwrap();
+        let kept = unfinished.keep();
         remove_unfinished(folder.path(), Duration::ZERO);
         assert_eq!(fs::read(kept.join("new")).unwrap(), b"precious");
         assert_eq!(fs::read_dir(&kept).unwrap().count(), 1, "the mark is gone");

@@ -24,8 +24,11 @@ use tcgs_core::Image;
 
 use crate::assert_same_shape;
 
-const C1: f32 = 0.01 * 0.01;
-const C2: f32 = 0.03 * 0.03;
+/// `C1 = (0.01 L)²` of Wang et al. 2004 for values of range `L = 1`.
+pub const SSIM_C1: f32 = 0.01 * 0.01;
+
+/// `C2 = (0.03 L)²` of Wang et al. 2004 for values of range `L = 1`.
+pub const SSIM_C2: f32 = 0.03 * 0.03;
 
 /// Pixels on each side of the window's centre.
 const RADIUS: usize = 5;
@@ -33,15 +36,16 @@ const RADIUS: usize = 5;
 /// Pixels on a side of the window.
 pub(crate) const WINDOW_SIZE: usize = 2 * RADIUS + 1;
 
-/// `exp(-d² / (2 * 1.5²))` over the window's sum, for d = 0..=5: the centre and one side.
-const WINDOW: [f32; RADIUS + 1] =
+/// Weights of the window along one axis: `exp(-d² / (2 * 1.5²))` over the sum of all eleven, for distances `d = 0..=5`
+/// in pixels, which is the centre and one side.
+pub const SSIM_WINDOW: [f32; RADIUS + 1] =
     [0.266_011_72, 0.213_005_54, 0.109_360_69, 0.036_000_773, 0.007_598_758, 0.001_028_380_1];
 
 /// Rows of a strip. Ten more are filtered to either side: a third more work along rows, for a
 /// scratch that fits the cache and strips enough for many cores.
 const STRIP_ROWS: usize = 32;
 
-/// What [`ssim_fwd`] keeps for [`ssim_bwd`].
+/// What [`ssim_fwd`] keeps for [`ssim_bwd`]: three values a value of the image.
 #[derive(Clone, Debug, Default)]
 pub struct SsimSaved {
     /// `[C, H, 3, W]` derivatives of the map to `mean_x`, `square_x` and `product`.
@@ -69,6 +73,16 @@ pub fn ssim(rendered: &Image, target: &Image) -> f64 {
 /// - `rendered`, `target`: `[C, H, W]`, of any size, not clamped
 /// - returns: `[C]`, and what [`ssim_bwd`] needs
 ///
+/// ```
+/// use tcgs_core::Image;
+/// use tcgs_metrics::{ssim_bwd, ssim_fwd};
+/// let (rendered, target) = (Image::filled(12, 12, 1, 0.4), Image::filled(12, 12, 1, 0.5));
+/// let (means, saved) = ssim_fwd(&rendered, &target);
+/// let mut v_rendered = Image::filled(12, 12, 1, 0.0);
+/// ssim_bwd(&rendered, &target, &saved, &[1.0], &mut v_rendered);
+/// assert!(means[0] < 1.0 && v_rendered.plane(0)[6 * 12 + 6] > 0.0, "brighter would be more similar");
+/// ```
+///
 /// # Panics
 /// If the images differ in shape or have no values.
 pub fn ssim_fwd(rendered: &Image, target: &Image) -> (Vec<f64>, SsimSaved) {
@@ -87,11 +101,11 @@ pub fn ssim_fwd(rendered: &Image, target: &Image) -> (Vec<f64>, SsimSaved) {
     (means, SsimSaved { partials })
 }
 
-/// Backward of [`ssim_fwd`]. Accumulates.
+/// Backward of [`ssim_fwd`]. *Accumulates* into `v_rendered`.
 ///
 /// - `saved`: of the same images
 /// - `v_ssim`: `[C]`, gradient to each channel's mean
-/// - `v_rendered`: `[C, H, W]`
+/// - `v_rendered`: `[C, H, W]`, gradient to `rendered`
 ///
 /// # Panics
 /// If shapes disagree.
@@ -173,8 +187,8 @@ fn inner_sums(width: usize, first_row: usize, num_rows: usize, x: &[f32], y: &[f
         for i in RADIUS..width - RADIUS {
             let (x, y) = (mean_x[i], mean_y[i]);
             let variances = (square_x[i] - x * x) + (square_y[i] - y * y);
-            let similarity = (2.0 * (product[i] - x * y) + C2) / (variances + C2);
-            whole += f64::from((2.0 * x * y + C1) / (x * x + y * y + C1) * similarity);
+            let similarity = (2.0 * (product[i] - x * y) + SSIM_C2) / (variances + SSIM_C2);
+            whole += f64::from((2.0 * x * y + SSIM_C1) / (x * x + y * y + SSIM_C1) * similarity);
             structure += f64::from(similarity);
         }
     }
@@ -209,8 +223,8 @@ fn row_fwd(width: usize, stats: &[f32], partials: &mut [f32]) -> f64 {
         let (x, y) = (mean_x[i], mean_y[i]);
         let covariance = product[i] - x * y;
         let variances = (square_x[i] - x * x) + (square_y[i] - y * y);
-        let (a1, a2) = (2.0 * x * y + C1, 2.0 * covariance + C2);
-        let (b1, b2) = (x * x + y * y + C1, variances + C2);
+        let (a1, a2) = (2.0 * x * y + SSIM_C1, 2.0 * covariance + SSIM_C2);
+        let (b1, b2) = (x * x + y * y + SSIM_C1, variances + SSIM_C2);
         let (inverse_b1, inverse_b2) = (1.0 / b1, 1.0 / b2);
         let inverse = inverse_b1 * inverse_b2;
         let ssim = a1 * a2 * inverse;
@@ -289,9 +303,9 @@ fn blend(taps: [&[f32]; 2 * RADIUS + 1], out: &mut [f32]) {
     let len = out.len();
     let [a5, a4, a3, a2, a1, centre, b1, b2, b3, b4, b5] = taps.map(|tap| &tap[..len]);
     for i in 0..len {
-        let near = WINDOW[0] * centre[i] + WINDOW[1] * (a1[i] + b1[i]);
-        let middle = WINDOW[2] * (a2[i] + b2[i]) + WINDOW[3] * (a3[i] + b3[i]);
-        let far = WINDOW[4] * (a4[i] + b4[i]) + WINDOW[5] * (a5[i] + b5[i]);
+        let near = SSIM_WINDOW[0] * centre[i] + SSIM_WINDOW[1] * (a1[i] + b1[i]);
+        let middle = SSIM_WINDOW[2] * (a2[i] + b2[i]) + SSIM_WINDOW[3] * (a3[i] + b3[i]);
+        let far = SSIM_WINDOW[4] * (a4[i] + b4[i]) + SSIM_WINDOW[5] * (a5[i] + b5[i]);
         out[i] = near + (middle + far);
     }
 }
@@ -310,7 +324,7 @@ mod tests {
     fn the_window_is_the_normalised_gaussian() {
         let gauss = |d: usize| (-((d * d) as f64) / (2.0 * 1.5 * 1.5)).exp();
         let sum = gauss(0) + 2.0 * (1..=RADIUS).map(gauss).sum::<f64>();
-        for (d, &weight) in WINDOW.iter().enumerate() {
+        for (d, &weight) in SSIM_WINDOW.iter().enumerate() {
             assert_eq!(weight, (gauss(d) / sum) as f32, "distance {d}");
         }
     }
@@ -319,7 +333,7 @@ mod tests {
     fn constant_images_match_a_sum_by_hand() {
         // One pixel: everything but the window's centre is zero.
         let (x, y) = (Image::filled(1, 1, 1, 0.8), Image::filled(1, 1, 1, 0.4));
-        let weight = f64::from(WINDOW[0]).powi(2);
+        let weight = f64::from(SSIM_WINDOW[0]).powi(2);
         let (mx, my) = (weight * 0.8, weight * 0.4);
         let covariance = weight * 0.32 - mx * my;
         let variances = weight * (0.64 + 0.16) - mx * mx - my * my;

@@ -1,11 +1,12 @@
 //! What computes: the CPU or a GPU.
 
-use tcgs_render::gpu::{Gpu, GpuRasterizer};
-use tcgs_render::{CpuRasterizer, Draw};
+use tcgs_render::device::GpuInfo;
+use tcgs_render::{CpuRasterizer, DrawAny, draw_any};
 use tcgs_train::State;
 use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::engine::gpu::GpuEngine;
+
+use crate::PipelineError;
 
 /// What trains and draws.
 ///
@@ -15,27 +16,61 @@ use tcgs_train::engine::gpu::GpuEngine;
 /// assert!(renderer.name().starts_with("cpu"));
 /// ```
 #[derive(Debug)]
+#[non_exhaustive]
 pub enum Backend {
     /// All threads of rayon's global pool.
     Cpu,
     /// An open GPU.
-    Gpu(Gpu),
+    #[cfg(feature = "gpu")]
+    Gpu(tcgs_render::gpu::Gpu),
 }
 
 impl Backend {
+    /// Opens a GPU.
+    ///
+    /// - `name`: a part of its name, in any case, with which software that acts as a GPU is found too; `None` for the
+    ///   first GPU in hardware
+    ///
+    /// # Errors
+    /// [`PipelineError::Gpu`] if there is none, or none that can compute; [`PipelineError::NotBuilt`] without feature
+    /// `gpu`.
+    pub fn open_gpu(name: Option<&str>) -> Result<Self, PipelineError> {
+        #[cfg(feature = "gpu")]
+        {
+            use tcgs_render::gpu::{Gpu, GpuChoice};
+            Ok(Self::Gpu(Gpu::open(name.map_or(GpuChoice::Hardware, GpuChoice::Named))?))
+        }
+        #[cfg(not(feature = "gpu"))]
+        {
+            let _ = name;
+            Err(PipelineError::NotBuilt { what: "GPUs", feature: "gpu" })
+        }
+    }
+
+    /// What the GPU says of itself; `None` on the CPU.
+    pub fn gpu_info(&self) -> Option<&GpuInfo> {
+        match self {
+            Self::Cpu => None,
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => Some(gpu.info()),
+        }
+    }
+
     /// An engine that trains from `state` on.
     pub fn engine(&self, state: State) -> Box<dyn Engine> {
         match self {
             Self::Cpu => Box::new(CpuEngine::new(state)),
-            Self::Gpu(gpu) => Box::new(GpuEngine::new(gpu, state)),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => Box::new(tcgs_train::engine::gpu::GpuEngine::new(gpu, state)),
         }
     }
 
     /// A renderer of images without gradients.
-    pub fn renderer(&self) -> Box<dyn Draw> {
+    pub fn renderer(&self) -> Box<DrawAny> {
         match self {
-            Self::Cpu => Box::new(CpuRasterizer),
-            Self::Gpu(gpu) => Box::new(GpuRasterizer::new(gpu)),
+            Self::Cpu => draw_any(CpuRasterizer),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => draw_any(tcgs_render::gpu::GpuRasterizer::new(gpu)),
         }
     }
 }

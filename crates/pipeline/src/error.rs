@@ -7,7 +7,7 @@ use tcgs_capture::{CaptureError, Split};
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
-use tcgs_render::gpu::GpuError;
+use tcgs_render::device::GpuError;
 use tcgs_train::TrainError;
 
 /// Why a call of this crate ended early. Every message is one line that names the culprit; a cause is part of the
@@ -109,6 +109,14 @@ pub enum PipelineError {
     /// The GPU.
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// This build lacks what was asked for.
+    #[error("this build has no {what}, expected one with feature {feature}")]
+    NotBuilt {
+        /// What it lacks.
+        what: &'static str,
+        /// The feature of cargo that brings it.
+        feature: &'static str,
+    },
 }
 
 impl PipelineError {
@@ -174,7 +182,8 @@ impl HasFault for PipelineError {
             | Self::Frames { .. }
             | Self::NoCameras { .. }
             | Self::TargetBytes { .. }
-            | Self::TargetPsnr { .. } => Fault::Input,
+            | Self::TargetPsnr { .. }
+            | Self::NotBuilt { .. } => Fault::Input,
             Self::Unwritable { .. } => Fault::Machine,
             Self::Stopped => Fault::Stopped,
             Self::Unreadable { error, .. } => error.fault(),

@@ -73,4 +73,4 @@ pub use observe::{Event, Observer, Unobserved, Work};
 pub use path_file::read_camera_path;
 pub use render::{CameraAt, render};
 pub use scene::{OpenScene, OpenSettings};
-pub use train::{TimestepSummary, fit, new_trainer, settings_for};
+pub use train::{RunFolder, TimestepSummary, fit, new_trainer, settings_for};

@@ -1,6 +1,7 @@
 //! What a long call tells while it runs, and how it is stopped.
 
 use std::ops::ControlFlow;
+use std::path::Path;
 
 use tcgs_train::Progress;
 
@@ -24,6 +25,13 @@ pub enum Event<'a> {
         found: usize,
         /// Points from which on nothing would be said.
         expected: usize,
+    },
+    /// A checkpoint is damaged and was set aside; its timestep is to be trained again.
+    SetAside {
+        /// The file, as it was called.
+        checkpoint: &'a Path,
+        /// What is wrong with it.
+        problem: &'a str,
     },
     /// A step of [`Work::Training`]: an iteration.
     Iteration(&'a Progress),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Activated, Camera, CameraPath, Image, Tour};
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::{DrawAny, RenderSettings};
 
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work};
@@ -103,7 +103,7 @@ impl CameraAt {
 pub fn render<E: From<PipelineError>>(
     scene: &OpenScene,
     cameras: &[CameraAt],
-    renderer: &dyn Draw,
+    renderer: &DrawAny,
     observer: &mut dyn Observer,
     mut take: impl FnMut(&CameraAt, Image) -> Result<(), E>,
 ) -> Result<(), E> {

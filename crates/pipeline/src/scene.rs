@@ -1,14 +1,15 @@
 //! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or PLY files.
 
 use std::borrow::Cow;
-use std::fs;
-use std::io::Read;
+use std::fmt;
+use std::fs::{self, File};
+use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tcgs_codec::{CompactScene, DecodeLimits, UpAxis};
-use tcgs_core::{Activated, DynamicGaussians, Gaussians, activate};
+use tcgs_codec::{BitMap, CompactScene, DecodeLimits, Quantizers, SceneFile, SceneInfo, SegmentCache, UpAxis};
+use tcgs_core::{Activated, DynamicGaussians, Gaussians, Layout, SceneReader, activate};
 use tcgs_interchange::{HigherHarmonics, ParamsOrigin, PlyFiles};
 use tcgs_train::{Checkpoint, Run};
 
@@ -61,16 +62,45 @@ pub struct OpenScene {
     /// Length of a `.tcgs` file; of anything else the raw size `N (40 T + 16)`: means, rotations and colours of every
     /// timestep, scales and opacities once.
     pub bytes: u64,
+    layout: Arc<Layout>,
     content: Content,
 }
 
 /// What a scene is made of. Of a run and of PLY files a timestep is read when it is asked for.
 #[derive(Debug)]
 enum Content {
-    Compact(Box<CompactScene>),
+    /// A file, of which segments are decoded when they are asked for; an LRU keeps some.
+    File(Box<FileContent>),
+    /// The symbols of a compression.
+    Symbols(Box<CompactScene>),
     Run(Box<RunContent>),
-    Floats { scene: Box<DynamicGaussians>, kind: &'static str },
-    Ply { files: PlyFiles, higher_harmonics: HigherHarmonics, num_gaussians: usize },
+    Floats {
+        scene: Box<DynamicGaussians>,
+        kind: &'static str,
+    },
+    Ply {
+        files: PlyFiles,
+        higher_harmonics: HigherHarmonics,
+        num_gaussians: usize,
+    },
+}
+
+struct FileContent {
+    info: SceneInfo,
+    file: Mutex<SceneFile<File>>,
+}
+
+impl FileContent {
+    fn file(&self) -> MutexGuard<'_, SceneFile<File>> {
+        // What a panic elsewhere leaves is a cache with a segment more or less.
+        self.file.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl fmt::Debug for FileContent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FileContent").field("info", &self.info).finish_non_exhaustive()
+    }
 }
 
 #[derive(Debug)]
@@ -94,7 +124,8 @@ impl OpenScene {
     /// Opens a scene. A file is taken for what its ending says, so that a damaged one is judged as what it was meant to
     /// be; one with another ending for what its first bytes say.
     ///
-    /// Of a run and of PLY files the first timestep is read, the others when they are asked for.
+    /// Of a run and of PLY files the first timestep is read now, and the others when they are asked for; of a `.tcgs` file
+    /// a segment is decoded when one of its timesteps is asked for. A `params.npz` is read as a whole.
     ///
     /// # Errors
     /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.
@@ -108,8 +139,8 @@ impl OpenScene {
         }
         match kind_of_file(path)? {
             Kind::Tcgs => {
-                let bytes = fs::read(path).map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
-                Self::decode(path, &bytes)
+                let file = File::open(path).map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+                Self::open_file(path, file)
             }
             Kind::Npz => {
                 let scene = tcgs_interchange::read_params_npz(path)?;
@@ -118,6 +149,7 @@ impl OpenScene {
                 Ok(Self {
                     path: path.into(),
                     bytes: scene.raw_bytes(),
+                    layout: Arc::clone(scene.layout()),
                     content: Content::Floats { scene: Box::new(scene), kind: "Dynamic 3D Gaussians parameters" },
                     first_frame: origin.first_frame as usize,
                     downscale: origin.downscale as usize,
@@ -138,7 +170,33 @@ impl OpenScene {
             first_frame: files.first_frame.unwrap_or(0) as usize,
             downscale: 1,
             frame_rate: 30.0,
+            layout: Layout::base(),
             content: Content::Ply { files, higher_harmonics, num_gaussians },
+        })
+    }
+
+    fn open_file(path: &Path, mut file: File) -> Result<Self, PipelineError> {
+        let decode_error = |error| PipelineError::Decode { path: path.into(), error };
+        let again = file.try_clone().map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+        let scene =
+            SceneFile::open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
+        // Data of applications are small, and no segment is: their checksums are verified now.
+        for (index, range) in scene.archive().application_ranges().into_iter().enumerate() {
+            let mut bytes = Vec::new();
+            file.seek(SeekFrom::Start(range.start))
+                .and_then(|_| (&mut file).take(range.end - range.start).read_to_end(&mut bytes))
+                .map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+            scene.archive().read_application(index, &bytes).map_err(decode_error)?;
+        }
+        let info = scene.info();
+        Ok(Self {
+            path: path.into(),
+            first_frame: info.first_frame as usize,
+            downscale: info.downscale as usize,
+            frame_rate: f64::from(info.frame_rate),
+            bytes: scene.archive().file_bytes(),
+            layout: Arc::clone(scene.layout()),
+            content: Content::File(Box::new(FileContent { info: info.clone(), file: Mutex::new(scene) })),
         })
     }
 
@@ -158,7 +216,8 @@ impl OpenScene {
             downscale: info.downscale as usize,
             frame_rate: f64::from(info.frame_rate),
             bytes: bytes.len() as u64,
-            content: Content::Compact(Box::new(compact)),
+            layout: Layout::base(),
+            content: Content::Symbols(Box::new(compact)),
         })
     }
 
@@ -181,6 +240,7 @@ impl OpenScene {
             downscale: data.downscale,
             frame_rate: data.frame_rate,
             bytes: raw_bytes(first.parameters.num_gaussians(), num_timesteps),
+            layout: Arc::clone(first.parameters.gaussians.layout()),
             content: Content::Run(Box::new(RunContent { run, first, num_timesteps })),
         })
     }
@@ -189,22 +249,24 @@ impl OpenScene {
     ///
     /// - `kind`: as [`Self::kind`] shall say
     pub fn with_floats(&self, scene: DynamicGaussians, kind: &'static str) -> Self {
-        self.with(Content::Floats { scene: Box::new(scene), kind })
+        let layout = Arc::clone(scene.layout());
+        self.with(layout, Content::Floats { scene: Box::new(scene), kind })
     }
 
     /// The same scene with the symbols of a compression.
     pub fn with_symbols(&self, compact: CompactScene) -> Self {
-        self.with(Content::Compact(Box::new(compact)))
+        self.with(Layout::base(), Content::Symbols(Box::new(compact)))
     }
 
-    fn with(&self, content: Content) -> Self {
-        Self { path: self.path.clone(), content, ..*self }
+    fn with(&self, layout: Arc<Layout>, content: Content) -> Self {
+        Self { path: self.path.clone(), layout, content, ..*self }
     }
 
     /// The axis that points up, as a `.tcgs` file says it; unknown of anything else.
     pub fn up(&self) -> UpAxis {
         match &self.content {
-            Content::Compact(compact) => compact.info.up,
+            Content::File(file) => file.info.up,
+            Content::Symbols(compact) => compact.info.up,
             _ => UpAxis::Unknown,
         }
     }
@@ -219,13 +281,14 @@ impl OpenScene {
 
     /// Whether the scene is compressed already.
     pub fn is_compressed(&self) -> bool {
-        matches!(self.content, Content::Compact(_))
+        matches!(self.content, Content::File(_) | Content::Symbols(_))
     }
 
     /// `N`, of a run before pruning.
     pub fn num_gaussians(&self) -> usize {
         match &self.content {
-            Content::Compact(compact) => compact.num_gaussians(),
+            Content::File(file) => file.info.num_gaussians as usize,
+            Content::Symbols(compact) => compact.num_gaussians(),
             Content::Run(run) => run.first.parameters.num_gaussians(),
             Content::Floats { scene, .. } => scene.num_gaussians(),
             Content::Ply { num_gaussians, .. } => *num_gaussians,
@@ -235,7 +298,8 @@ impl OpenScene {
     /// `T`.
     pub fn num_timesteps(&self) -> usize {
         match &self.content {
-            Content::Compact(compact) => compact.num_timesteps(),
+            Content::File(file) => file.info.num_timesteps as usize,
+            Content::Symbols(compact) => compact.num_timesteps(),
             Content::Run(run) => run.num_timesteps,
             Content::Floats { scene, .. } => scene.num_timesteps(),
             Content::Ply { files, .. } => files.files.len(),
@@ -270,7 +334,10 @@ impl OpenScene {
     pub fn at(&self, timestep: usize) -> Result<Gaussians, PipelineError> {
         self.check_timestep(timestep)?;
         Ok(match &self.content {
-            Content::Compact(compact) => compact.at(timestep),
+            Content::File(file) => {
+                file.file().at(timestep).map_err(|error| PipelineError::Decode { path: self.path.clone(), error })?
+            }
+            Content::Symbols(compact) => compact.at(timestep),
             Content::Run(run) => run.checkpoint(timestep)?.parameters.gaussians,
             Content::Floats { scene, .. } => scene.at(timestep),
             Content::Ply { files, higher_harmonics, num_gaussians } => {
@@ -317,7 +384,7 @@ impl OpenScene {
     /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged.
     pub fn floats(&self) -> Result<Cow<'_, DynamicGaussians>, PipelineError> {
         match &self.content {
-            Content::Compact(_) => {
+            Content::File(_) | Content::Symbols(_) => {
                 Err(PipelineError::input(self.path.display(), "is compressed already", "a scene of floats"))
             }
             Content::Run(run) => Ok(Cow::Owned(run.run.trained()?.scene)),
@@ -326,6 +393,13 @@ impl OpenScene {
                 Ok(Cow::Owned(files.read(0..files.files.len(), *higher_harmonics)?))
             }
         }
+    }
+
+    /// Bits and quantizers that a run learned; none of another scene, or where quantisation was off.
+    pub(crate) fn learned_bits(&self) -> Result<Option<(BitMap, Quantizers)>, PipelineError> {
+        let Content::Run(run) = &self.content else { return Ok(None) };
+        let last = run.checkpoint(run.num_timesteps - 1)?;
+        Ok(last.quantizers.map(|q| (q.bit_map.clone(), q.table())))
     }
 
     /// The first checkpoint of a run.
@@ -343,19 +417,19 @@ impl OpenScene {
         if !run.run.config().mask.enabled {
             return Ok(None);
         }
-        let mut sums = vec![0.0_f32; self.num_gaussians()];
-        for timestep in 0..run.num_timesteps {
-            let logits = run.checkpoint(timestep)?.parameters.mask_logits;
-            sums.iter_mut().zip(logits).for_each(|(sum, logit)| *sum += tcgs_core::sigmoid(logit));
-        }
-        let count = run.num_timesteps as f32;
-        Ok(Some(sums.into_iter().map(|sum| sum / count).collect()))
+        let mut failed = None;
+        let logits = (0..run.num_timesteps).map_while(|timestep| {
+            let read = run.checkpoint(timestep).map_err(|error| failed = Some(error)).ok();
+            read.map(|checkpoint| checkpoint.parameters.mask_logits)
+        });
+        let means = tcgs_train::mean_masks(logits);
+        failed.map_or(Ok(Some(means)), Err)
     }
 
     /// The kind of the scene in two words.
     pub fn kind(&self) -> &'static str {
         match &self.content {
-            Content::Compact(_) => "compressed file",
+            Content::File(_) | Content::Symbols(_) => "compressed file",
             Content::Run(_) => "run folder",
             Content::Floats { kind, .. } => kind,
             Content::Ply { .. } => "PLY files",
@@ -363,8 +437,36 @@ impl OpenScene {
     }
 }
 
+/// Timesteps are read when they are asked for, as by [`OpenScene::at`].
+impl SceneReader for OpenScene {
+    type Error = PipelineError;
+
+    fn layout(&self) -> &Arc<Layout> {
+        &self.layout
+    }
+
+    fn num_gaussians(&self) -> usize {
+        OpenScene::num_gaussians(self)
+    }
+
+    fn num_timesteps(&self) -> usize {
+        OpenScene::num_timesteps(self)
+    }
+
+    fn span(&self, timestep: usize) -> Range<usize> {
+        match &self.content {
+            Content::File(file) => file.file().span(timestep),
+            _ => timestep..timestep + 1,
+        }
+    }
+
+    fn at(&mut self, timestep: usize) -> Result<Gaussians, PipelineError> {
+        OpenScene::at(self, timestep)
+    }
+}
+
 /// Bytes of a scene of floats whose scales and opacities stand still.
-fn raw_bytes(num_gaussians: usize, num_timesteps: usize) -> u64 {
+pub(crate) fn raw_bytes(num_gaussians: usize, num_timesteps: usize) -> u64 {
     num_gaussians as u64 * (40 * num_timesteps as u64 + 16)
 }
 
@@ -377,7 +479,7 @@ enum Kind {
 /// By its name; else by its first bytes.
 fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
     let mut start = Vec::new();
-    let read = fs::File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
+    let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
     read.map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
         "tcgs" => Ok(Kind::Tcgs),

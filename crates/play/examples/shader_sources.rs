@@ -11,7 +11,7 @@ fn main() -> io::Result<()> {
     let folder = env::args_os().nth(1).ok_or_else(|| Error::other("which folder?"))?;
     let folder = Path::new(&folder);
     fs::create_dir_all(folder)?;
-    let mut sources = tcgs_render::gpu::sources();
+    let mut sources = tcgs_render::device::sources();
     sources.extend(tcgs_play::sources());
     for (name, source) in &sources {
         fs::write(folder.join(format!("{name}.wgsl")), source)?;

@@ -1,10 +1,10 @@
 //! The player of `.tcgs` scenes, natively and in a browser.
 //!
 //! - `source`: where the bytes of a file come from; `download`: what servers answer
-//! - `player`: which bytes are fetched next; the `clock`
+//! - `player`: which bytes are fetched next, as prefetch too; the `clock`
 //! - `reconstruct`, `segment_renderer`, `blit`: from a timestep of a segment to a picture, with the renderer that training
 //!   uses
-//! - `start_view`, `cameras`, `controls`: from where the scene is seen
+//! - `start_view`, `controls`: from where the scene is seen
 //! - `viewer`: all of these together; `web`: the same as a page sees it
 //!
 //! There is no training, no capture and no encoder in this crate, because a browser has to load all of it.
@@ -32,7 +32,6 @@
 #![cfg_attr(not(target_family = "wasm"), forbid(unsafe_code))]
 
 mod blit;
-mod cameras;
 mod clock;
 mod controls;
 // Only browsers download; natively nothing but the module's own tests uses it.
@@ -48,7 +47,6 @@ mod viewer;
 #[cfg(target_family = "wasm")]
 mod web;
 
-pub use cameras::{FileCamera, VIEWS, read_cameras};
 pub use clock::Clock;
 pub use controls::Controls;
 pub use error::{BadCamera, ErrorCode, PlayError};
@@ -59,7 +57,7 @@ pub use source::{BytesSource, FileSource, Piece, RangeSource, SourceError};
 pub use start_view::start_view;
 pub use viewer::{FrameReport, Viewer};
 
-/// Name and WGSL source of every shader of this crate, as the GPU gets it. [`tcgs_render::gpu::sources`] has those of the
+/// Name and WGSL source of every shader of this crate, as the GPU gets it. [`tcgs_render::device::sources`] has those of the
 /// renderer.
 pub fn sources() -> Vec<(String, String)> {
     let mut sources = reconstruct::sources();

@@ -7,10 +7,11 @@
 
 use bytemuck::{Pod, Zeroable};
 use tcgs_codec::{Keypoints, Segment};
-use tcgs_core::{Attribute, activate, normalize};
-use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X, WORKGROUP, pack};
+use tcgs_core::{Activation, Attribute, Layout, activate, normalize};
+use tcgs_render::device::{MAX_GROUPS_X, WORKGROUP, Wgsl, pack};
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-/// What a kernel knows of its attribute; `Tracks` in the shader.
+/// What a kernel knows of its attribute; of the same name in the shader.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 struct TrackUniform {
@@ -22,15 +23,6 @@ struct TrackUniform {
     times_at: u32,
     /// Index of the first code, in words of 16 bits.
     codes_at: u32,
-}
-
-/// How an interpolated value is activated; the numbers are those of the shader.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Finish {
-    AsIs = 0,
-    Exp = 1,
-    Sigmoid = 2,
-    UnitLength = 3,
 }
 
 /// A scene on the GPU, with the keypoints of one of its segments.
@@ -55,7 +47,7 @@ pub struct Reconstruction {
 #[derive(Debug)]
 struct MovingAttribute {
     attribute: Attribute,
-    finish: Finish,
+    activation: Activation,
     num_units: usize,
     units: wgpu::Buffer,
     quantizers: wgpu::Buffer,
@@ -67,16 +59,26 @@ struct MovingAttribute {
 /// WGSL of the kernel.
 ///
 /// - `unit`: components of a unit: 1, 3 or 4
-fn source(unit: usize, finish: Finish) -> String {
-    let constants = format!("const UNIT: u32 = {unit}u;\nconst FINISH: u32 = {}u;\n", finish as u32);
-    format!("{constants}const MAX_GROUPS_X: u32 = {MAX_GROUPS_X}u;\n{}", include_str!("reconstruct.wgsl"))
+/// - `activation`: of the interpolated values
+fn source(unit: usize, activation: Activation) -> String {
+    Wgsl::new()
+        .constant("UNIT", unit)
+        .constant("ACTIVATION", activation as u32)
+        .constant("EXP", Activation::Exp as u32)
+        .constant("SIGMOID", Activation::Sigmoid as u32)
+        .constant("NORMALIZE", Activation::Normalize as u32)
+        .constant("WORKGROUP", WORKGROUP)
+        .constant("MAX_GROUPS_X", MAX_GROUPS_X)
+        .part(include_str!("reconstruct.wgsl"))
+        .finish()
 }
 
 /// Name and WGSL of every shader of the reconstruction, as the GPU gets it.
 pub(crate) fn sources() -> Vec<(String, String)> {
-    let kinds = [(1, Finish::AsIs), (1, Finish::Exp), (1, Finish::Sigmoid), (3, Finish::AsIs), (3, Finish::Exp)];
-    let all = kinds.into_iter().chain([(4, Finish::UnitLength)]);
-    all.map(|(unit, finish)| (format!("reconstruct_{unit}_{finish:?}").to_lowercase(), source(unit, finish))).collect()
+    use Activation::{Exp, Identity, Normalize, Sigmoid};
+    let all = [(1, Identity), (1, Exp), (1, Sigmoid), (3, Identity), (3, Exp), (4, Normalize)];
+    let name = |unit, activation| format!("reconstruct_{unit}_{activation:?}").to_lowercase();
+    all.map(|(unit, activation)| (name(unit, activation), source(unit, activation))).into()
 }
 
 impl Reconstruction {
@@ -97,6 +99,7 @@ impl Reconstruction {
         let activated = gpu.upload("activated Gaussians", &pack(&activate(&first)))?;
         let frame = gpu.uniform("timestep", 16)?;
         let mut moving = Vec::new();
+        // The renderer reads the base attributes alone.
         for attribute in Attribute::BASE {
             if let Some(keypoints) = segment.keypoints(attribute) {
                 moving.push(MovingAttribute::new(gpu, segment, attribute, keypoints.channels)?);
@@ -109,7 +112,7 @@ impl Reconstruction {
                 let base = base_of(Attribute::Quat, n);
                 let settings = TrackUniform { count: n as u32, base, times_at: 0, codes_at: 0 };
                 gpu.queue().write_buffer(&uniform, 0, bytemuck::bytes_of(&settings));
-                let kernel = gpu.kernel(&source(1, Finish::AsIs), "normalize_quats");
+                let kernel = gpu.kernel(&source(1, Activation::Identity), "normalize_quats");
                 Some(kernel.bind(gpu.device(), &[(1, &uniform), (5, &activated), (6, raw_quats)]))
             }
         };
@@ -200,7 +203,7 @@ impl MovingAttribute {
             .collect();
         Ok(Self {
             attribute,
-            finish: finish_of(attribute, channels),
+            activation: activation_of(attribute, channels),
             num_units: units.len(),
             units: gpu.upload("moving tracks", &units)?,
             quantizers: gpu.upload("quantizers", &quantizers)?,
@@ -237,24 +240,22 @@ impl MovingAttribute {
         gpu.queue().write_buffer(&self.uniform, 0, bytemuck::bytes_of(&tracks));
         let buffers =
             [(0, frame), (1, &self.uniform), (2, &self.units), (3, &self.quantizers), (4, &words), (5, values)];
-        let kernel = gpu.kernel(&source(channels, self.finish), "interpolate");
+        let kernel = gpu.kernel(&source(channels, self.activation), "interpolate");
         self.interpolate = Some(kernel.bind(gpu.device(), &buffers));
         Ok(())
     }
 }
 
-fn finish_of(attribute: Attribute, channels: usize) -> Finish {
-    match attribute {
-        Attribute::Mean | Attribute::Color | Attribute::Extra { .. } => Finish::AsIs,
-        Attribute::Quat if channels == 1 => Finish::AsIs,
-        Attribute::Quat => Finish::UnitLength,
-        Attribute::LogScale => Finish::Exp,
-        Attribute::LogitOpacity => Finish::Sigmoid,
+/// What the kernel does with interpolated values: the activation of the attribute's column, but where a rotation's
+/// components are interpolated one by one, they get unit length by a kernel of its own.
+fn activation_of(attribute: Attribute, channels: usize) -> Activation {
+    match Layout::base().column(attribute).activation {
+        Activation::Normalize if channels == 1 => Activation::Identity,
+        activation => activation,
     }
 }
 
 /// Index at which the values of an attribute begin in the buffer of activated Gaussians.
 fn base_of(attribute: Attribute, num_gaussians: usize) -> u32 {
-    let before = Attribute::BASE[..attribute.index()].iter().map(|attribute| attribute.components()).sum::<usize>();
-    (before * num_gaussians) as u32
+    (Layout::base().offset(attribute) * num_gaussians) as u32
 }

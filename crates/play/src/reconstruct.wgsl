@@ -5,18 +5,13 @@
 //   normalize_quats   a thread per Gaussian: gives unit length to rotations whose components have times of their own
 //
 // A unit is UNIT components that share their keypoint times: all components of an attribute, or one. The host puts the
-// constants before this source: UNIT, and FINISH, the activation of the attribute.
+// constants before this source: UNIT; ACTIVATION, that of the interpolated values; its values EXP, SIGMOID, NORMALIZE.
 
-const AS_IS: u32 = 0u;
-const EXP: u32 = 1u;
-const SIGMOID: u32 = 2u;
-const UNIT_LENGTH: u32 = 3u;
-
-struct Frame {
+struct TimestepUniform {
     timestep: u32,
 }
 
-struct Tracks {
+struct TrackUniform {
     // Units that move; for normalize_quats, Gaussians.
     count: u32,
     // Index of the attribute's first value in values.
@@ -26,8 +21,8 @@ struct Tracks {
     codes_at: u32,
 }
 
-@group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<uniform> tracks: Tracks;
+@group(0) @binding(0) var<uniform> frame: TimestepUniform;
+@group(0) @binding(1) var<uniform> tracks: TrackUniform;
 // [units]: index of the unit's first value within the attribute, index of its first quantizer
 @group(0) @binding(2) var<storage, read> units: array<vec2<u32>>;
 // step, offset
@@ -48,17 +43,17 @@ fn code_of(keypoint: u32, component: u32) -> f32 {
     return f32(extractBits(bitcast<i32>(keypoints[at / 2u]), 16u * (at % 2u), 16u));
 }
 
-fn finished(value: f32) -> f32 {
-    switch FINISH {
+fn activated(value: f32) -> f32 {
+    switch ACTIVATION {
         case EXP: { return exp(value); }
         case SIGMOID: { return 1.0 / (1.0 + exp(-value)); }
         default: { return value; }
     }
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let i = (group.y * MAX_GROUPS_X + group.x) * 256u + lane;
+    let i = (group.y * MAX_GROUPS_X + group.x) * WORKGROUP + lane;
     if i >= tracks.count {
         return;
     }
@@ -88,7 +83,7 @@ fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
         let b = code_of(after, c) * quantizer.x + quantizer.y;
         value[c] = a + (b - a) * fraction;
     }
-    if FINISH == UNIT_LENGTH {
+    if ACTIVATION == NORMALIZE {
         var squares = 0.0;
         for (var c = 0u; c < UNIT; c++) {
             squares += value[c] * value[c];
@@ -100,11 +95,11 @@ fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
         }
     }
     for (var c = 0u; c < UNIT; c++) {
-        values[tracks.base + unit.x + c] = finished(value[c]);
+        values[tracks.base + unit.x + c] = activated(value[c]);
     }
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WORKGROUP)
 fn normalize_quats(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= tracks.count {
         return;

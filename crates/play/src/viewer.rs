@@ -1,10 +1,9 @@
 //! A player, a camera and a renderer: all of a viewer but the window in which it shows a scene.
 
-use tcgs_codec::{Archive, SceneInfo};
+use tcgs_codec::{Archive, FileCamera, SceneInfo, read_views};
 use tcgs_core::Camera;
 use tcgs_render::gpu::Gpu;
 
-use crate::cameras::{FileCamera, read_cameras};
 use crate::clock::Clock;
 use crate::controls::Controls;
 use crate::error::PlayError;
@@ -30,7 +29,27 @@ pub struct FrameReport {
 
 /// Plays one scene at a time and draws it from a camera that a person moves.
 ///
-/// The caller owns the window or canvas: it calls [`Viewer::update`] and [`Viewer::draw`] once a frame.
+/// The caller owns the window or canvas: it calls [`Viewer::update`] and [`Viewer::draw`] once a frame. A picture needs no
+/// window:
+///
+/// ```no_run
+/// use std::path::Path;
+/// use tcgs_play::{FileSource, PlayError, PlayerSettings, Viewer};
+/// use tcgs_render::gpu::{Gpu, GpuChoice};
+/// let gpu = Gpu::open_for_viewing(GpuChoice::Hardware)?;
+/// let mut viewer = Viewer::new(gpu.clone(), wgpu::TextureFormat::Rgba8Unorm);
+/// viewer.open(FileSource::open(Path::new("scene.tcgs"))?, PlayerSettings::default(), 0);
+/// while !viewer.update(0.0)? {}
+/// let pixels = loop {
+///     let Some(still) = viewer.begin_still([640, 360])? else { continue };
+///     gpu.wait()?;
+///     if let Some(pixels) = viewer.finish_still(&still)? {
+///         break pixels;
+///     }
+/// };
+/// assert_eq!(pixels.len(), 4 * 640 * 360);
+/// # Ok::<(), PlayError>(())
+/// ```
 #[derive(Debug)]
 pub struct Viewer<S> {
     gpu: Gpu,
@@ -44,12 +63,12 @@ pub struct Viewer<S> {
 struct Session<S> {
     player: Player<S>,
     /// There once the first segment has arrived.
-    picture: Option<Picture>,
+    display: Option<Display>,
 }
 
 /// What it takes to draw the scene.
 #[derive(Debug)]
-struct Picture {
+struct Display {
     renderer: SegmentRenderer,
     controls: Controls,
     /// Segment and timestep that are drawn until the next due timestep has arrived.
@@ -68,7 +87,7 @@ impl<S: RangeSource> Viewer<S> {
     ///
     /// - `first_timestep`: the timestep that is shown first; the last one of the scene if it has fewer
     pub fn open(&mut self, source: S, settings: PlayerSettings, first_timestep: usize) {
-        self.session = Some(Session { player: Player::new(source, settings, first_timestep), picture: None });
+        self.session = Some(Session { player: Player::new(source, settings, first_timestep), display: None });
     }
 
     /// Closes the scene.
@@ -87,17 +106,17 @@ impl<S: RangeSource> Viewer<S> {
         let Some(session) = &mut self.session else { return Ok(false) };
         session.player.update(now_ms)?;
         if let Some((segment, timestep)) = session.player.current() {
-            match &mut session.picture {
-                Some(picture) => {
-                    if picture.shown.1 != timestep {
-                        picture.shown = (segment.clone(), timestep);
+            match &mut session.display {
+                Some(display) => {
+                    if display.shown.1 != timestep {
+                        display.shown = (segment.clone(), timestep);
                     }
                 }
                 None => {
                     let first = segment.first();
                     let up = segment.info().up.direction();
                     let (camera, pivot) = start_view(first.means(), up);
-                    session.picture = Some(Picture {
+                    session.display = Some(Display {
                         renderer: SegmentRenderer::new(&self.gpu, self.format, segment)?,
                         controls: Controls::new(&camera, up, pivot),
                         shown: (segment.clone(), timestep),
@@ -105,7 +124,7 @@ impl<S: RangeSource> Viewer<S> {
                 }
             }
         }
-        Ok(session.picture.is_some())
+        Ok(session.display.is_some())
     }
 
     /// Draws the timestep that was due at the last update, or the timestep shown before as long as the due one has not
@@ -117,15 +136,15 @@ impl<S: RangeSource> Viewer<S> {
     /// # Errors
     /// [`PlayError::Gpu`] if the GPU fails.
     pub fn draw(&mut self, size: [usize; 2], target: &wgpu::TextureView) -> Result<Option<FrameReport>, PlayError> {
-        let Some(Session { player, picture: Some(picture) }) = &mut self.session else {
+        let Some(Session { player, display: Some(display) }) = &mut self.session else {
             segment_renderer::clear(&self.gpu, target, self.background);
             self.gpu.check()?;
             return Ok(None);
         };
-        let camera = picture.controls.camera(size);
-        let (segment, timestep) = &picture.shown;
+        let camera = display.controls.camera(size);
+        let (segment, timestep) = &display.shown;
         let request = PictureRequest { segment, timestep: *timestep, camera: &camera, background: self.background };
-        picture.renderer.draw(&request, target)?;
+        display.renderer.draw(&request, target)?;
         Ok(player.clock().map(|clock| {
             let is_buffering = player.current().is_none();
             FrameReport {
@@ -133,7 +152,7 @@ impl<S: RangeSource> Viewer<S> {
                 timestep: clock.timestep(),
                 is_playing: clock.is_playing(),
                 is_buffering,
-                is_drawn: !is_buffering && picture.renderer.is_whole(),
+                is_drawn: !is_buffering && display.renderer.is_whole(),
             }
         }))
     }
@@ -146,11 +165,11 @@ impl<S: RangeSource> Viewer<S> {
     /// # Errors
     /// [`PlayError::Gpu`] if the GPU fails.
     pub fn begin_still(&mut self, size: [usize; 2]) -> Result<Option<Still>, PlayError> {
-        let Some(Session { player, picture: Some(picture) }) = &mut self.session else { return Ok(None) };
+        let Some(Session { player, display: Some(display) }) = &mut self.session else { return Ok(None) };
         let Some((segment, timestep)) = player.current() else { return Ok(None) };
-        let camera = picture.controls.camera(size);
+        let camera = display.controls.camera(size);
         let request = PictureRequest { segment, timestep, camera: &camera, background: self.background };
-        Ok(Some(picture.renderer.begin_still(&request)?))
+        Ok(Some(display.renderer.begin_still(&request)?))
     }
 
     /// Takes the pixels of a still that is ready, as [`SegmentRenderer::finish_still`] does.
@@ -159,7 +178,7 @@ impl<S: RangeSource> Viewer<S> {
     /// [`PlayError::Gpu`] if the GPU fails.
     pub fn finish_still(&mut self, still: &Still) -> Result<Option<Vec<u8>>, PlayError> {
         match &mut self.session {
-            Some(Session { picture: Some(picture), .. }) => Ok(picture.renderer.finish_still(still)?),
+            Some(Session { display: Some(display), .. }) => Ok(display.renderer.finish_still(still)?),
             _ => Ok(None),
         }
     }
@@ -183,7 +202,7 @@ impl<S: RangeSource> Viewer<S> {
 
     /// Cameras that the file brings along; none before its first segment has arrived.
     pub fn cameras(&self) -> Vec<FileCamera> {
-        self.session.as_ref().map_or_else(Vec::new, |session| read_cameras(session.player.application_data()))
+        self.session.as_ref().map_or_else(Vec::new, |session| read_views(session.player.application_data()))
     }
 
     /// Number of bytes that have arrived of the open scene.
@@ -198,13 +217,13 @@ impl<S: RangeSource> Viewer<S> {
 
     /// The camera's controls, once there is a picture.
     pub fn controls_mut(&mut self) -> Option<&mut Controls> {
-        Some(&mut self.session.as_mut()?.picture.as_mut()?.controls)
+        Some(&mut self.session.as_mut()?.display.as_mut()?.controls)
     }
 
     /// The camera for a picture of some size, once there is a picture.
     ///
     /// - `size`: width and height, pixels
     pub fn camera(&self, size: [usize; 2]) -> Option<Camera> {
-        Some(self.session.as_ref()?.picture.as_ref()?.controls.camera(size))
+        Some(self.session.as_ref()?.display.as_ref()?.controls.camera(size))
     }
 }

@@ -11,7 +11,8 @@ use support::{room_file, scenes, settings, wait};
 use tcgs_codec::{BitMap, CompressSettings, Sampler, SceneInfo, Segment, UpAxis, compress, encode};
 use tcgs_core::{Attribute, Camera, DynamicGaussians, activate};
 use tcgs_play::{BytesSource, ErrorCode, PictureRequest, Player, Reconstruction, SegmentRenderer, Viewer, start_view};
-use tcgs_render::gpu::{Gpu, GpuChoice, pack};
+use tcgs_render::device::pack;
+use tcgs_render::gpu::{Gpu, GpuChoice};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Bgra8Unorm;

@@ -3,14 +3,23 @@
 //! What lives here: everything between activated Gaussians and pixels, forward and backward. What
 //! does not: activation, losses, files. The constants that decide what is visible stand once, in
 //! [`settings`]; every implementation and the oracle in the tests read them there.
+//!
+//! Features, both on by default: `cpu` is the renderer on the CPU, with its threads; `gpu` the one on GPUs, with `wgpu`.
 
+#[cfg(feature = "cpu")]
 mod cpu;
+pub mod device;
+#[cfg(feature = "gpu")]
 pub mod gpu;
+mod project;
 mod rasterizer;
 pub mod settings;
 mod stage_times;
+mod tiling;
 
-pub use cpu::project::{Pinhole, Projection, project, project_vjp};
+#[cfg(feature = "cpu")]
 pub use cpu::{CpuRasterizer, CpuSaved};
-pub use rasterizer::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
+pub use project::{Projection, SplatCamera, project, project_vjp};
+pub use rasterizer::{Draw, DrawAny, Rasterizer, RenderGrads, RenderOutput, RenderSettings, draw_any};
 pub use stage_times::{Laps, PairCounts, RENDER_STAGES, StageTimes};
+pub use tiling::{TILE, tile_grid};

@@ -1,13 +1,14 @@
 //! The contract that every renderer keeps.
 
+use std::error::Error;
 use std::sync::Arc;
 
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
-use crate::gpu::GpuError;
+use crate::device::GpuError;
 use crate::settings::MAX_CHANNELS;
 
-/// How to render.
+/// What a renderer needs beside Gaussians and a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RenderSettings {
     /// Colour behind everything, one value a channel. Default: black (reference).
@@ -44,15 +45,18 @@ pub struct RenderGrads {
     pub visible: Vec<bool>,
 }
 
-/// A differentiable renderer of activated Gaussians. The one on the CPU never fails.
+/// A differentiable renderer of activated Gaussians.
 pub trait Rasterizer {
     /// What forward keeps for backward.
     type Saved;
 
+    /// How it fails; [`Infallible`](std::convert::Infallible) for the renderer on the CPU.
+    type Error: Error + Send + Sync + 'static;
+
     /// Renders all channels of `gaussians.colors` in one pass.
     ///
     /// # Errors
-    /// [`GpuError`] if the GPU lacks the memory, or fails.
+    /// [`Self::Error`] if the device lacks the memory, or fails.
     ///
     /// # Panics
     /// If arrays of `gaussians` disagree in length, or `num_channels` is not in `1..=MAX_CHANNELS`.
@@ -61,7 +65,7 @@ pub trait Rasterizer {
         gaussians: &Activated,
         camera: &Camera,
         settings: &RenderSettings,
-    ) -> Result<(RenderOutput, Self::Saved), GpuError>;
+    ) -> Result<(RenderOutput, Self::Saved), Self::Error>;
 
     /// Overwrites: gradients of one forward pass.
     ///
@@ -80,12 +84,15 @@ pub trait Rasterizer {
         settings: &RenderSettings,
         saved: &Self::Saved,
         v_image: &Image,
-    ) -> Result<RenderGrads, GpuError>;
+    ) -> Result<RenderGrads, Self::Error>;
 }
 
-/// A renderer for those who want pictures alone, and no matter whose.
+/// A renderer for those who want pictures without gradients.
 pub trait Draw: Send + Sync {
-    /// What draws, for reports: `cpu, 2 threads`.
+    /// How it fails; [`Infallible`](std::convert::Infallible) for the renderer on the CPU.
+    type Error: Error + Send + Sync + 'static;
+
+    /// Name of the device for reports: `cpu, 2 threads`.
     fn name(&self) -> String;
 
     /// Renders all channels of `gaussians.colors` in one pass; as [`Rasterizer::forward`].
@@ -100,5 +107,40 @@ pub trait Draw: Send + Sync {
         gaussians: &Arc<Activated>,
         camera: &Camera,
         settings: &RenderSettings,
-    ) -> Result<(RenderOutput, f64), GpuError>;
+    ) -> Result<(RenderOutput, f64), Self::Error>;
+}
+
+/// A renderer that is chosen while the program runs; made by [`draw_any`].
+pub type DrawAny = dyn Draw<Error = GpuError>;
+
+/// A renderer behind one type, whatever it runs on.
+///
+/// ```
+/// # #[cfg(feature = "cpu")] {
+/// use tcgs_render::{CpuRasterizer, Draw, DrawAny, draw_any};
+/// let renderer: Box<DrawAny> = draw_any(CpuRasterizer);
+/// assert!(renderer.name().starts_with("cpu"));
+/// # }
+/// ```
+pub fn draw_any<D: Draw<Error: Into<GpuError>> + 'static>(renderer: D) -> Box<DrawAny> {
+    Box::new(Any(renderer))
+}
+
+struct Any<D>(D);
+
+impl<D: Draw<Error: Into<GpuError>>> Draw for Any<D> {
+    type Error = GpuError;
+
+    fn name(&self) -> String {
+        self.0.name()
+    }
+
+    fn draw(
+        &self,
+        gaussians: &Arc<Activated>,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(RenderOutput, f64), GpuError> {
+        self.0.draw(gaussians, camera, settings).map_err(Into::into)
+    }
 }

@@ -5,7 +5,7 @@
 use std::fs;
 use std::path::Path;
 
-use tcgs_render::gpu::sources;
+use tcgs_render::device::sources;
 // The compiler that the GPU code uses: its version cannot differ.
 use wgpu::naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use wgpu::naga::{AddressSpace, Module, ShaderStage, front::wgsl};
@@ -66,7 +66,7 @@ fn every_shader_is_valid_within_the_limits_of_browsers() {
 #[test]
 fn no_shader_is_left_out() {
     let sources = sources();
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/gpu");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/device");
     let mut num_files = 0;
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();

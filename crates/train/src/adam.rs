@@ -4,10 +4,13 @@ use rayon::prelude::*;
 
 use crate::state::Row;
 
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.999;
-/// Reference: far below any gradient, so that the step does not depend on the loss's scale.
-const EPSILON: f32 = 1e-15;
+/// Decay of the first moments.
+pub(crate) const BETA1: f32 = 0.9;
+/// Decay of the second moments.
+pub(crate) const BETA2: f32 = 0.999;
+/// Added to the root of the second moment. Reference: far below any gradient, so that the step does not depend on the
+/// loss's scale.
+pub(crate) const EPSILON: f32 = 1e-15;
 /// Values that one task updates.
 const CHUNK: usize = 1 << 14;
 
@@ -53,6 +56,16 @@ impl Moments {
     }
 }
 
+/// What the update number `count` multiplies with: the step size `rate / (1 − β1ᵗ)`, and the correction of the second
+/// moment's root, `1 / √(1 − β2ᵗ)`.
+///
+/// - `rate`: learning rate
+/// - `count`: `t`, updates including this one, from 1
+pub(crate) fn adam_factors(rate: f32, count: u64) -> [f32; 2] {
+    let t = i32::try_from(count).unwrap_or(i32::MAX);
+    [rate / (1.0 - BETA1.powi(t)), 1.0 / (1.0 - BETA2.powi(t)).sqrt()]
+}
+
 /// One update of `values` along `v_values`: Kingma and Ba 2015, Algorithm 1, in the form in which `ε` is added after
 /// the bias correction. A rate of 0 only counts.
 ///
@@ -73,9 +86,7 @@ pub fn adam(values: &mut [f32], v_values: &[f32], first: &mut [f32], second: &mu
     if rate == 0.0 {
         return;
     }
-    let t = i32::try_from(*step).unwrap_or(i32::MAX);
-    let step_size = rate / (1.0 - BETA1.powi(t));
-    let correction = 1.0 / (1.0 - BETA2.powi(t)).sqrt();
+    let [step_size, correction] = adam_factors(rate, *step);
     (
         values.par_chunks_mut(CHUNK),
         v_values.par_chunks(CHUNK),

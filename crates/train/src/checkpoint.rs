@@ -293,7 +293,7 @@ fn read_optimizer(npz: &mut NpzReader, parameters: &Parameters, num_quantizers: 
 
 type Bits = (BitMap, Vec<(Attribute, u8)>, Vec<f32>);
 
-fn read_bits(npz: &mut NpzReader, layout: &Layout, n: usize) -> Result<Option<Bits>, String> {
+fn read_bits(npz: &mut NpzReader, layout: &Arc<Layout>, n: usize) -> Result<Option<Bits>, String> {
     // All of them or none: an archive's list of names has no checksum.
     if !["quantizer_groups", "quantizer_initial_steps", "quantizer_steps", "bit_widths"].iter().any(|a| npz.contains(a))
     {
@@ -311,8 +311,8 @@ fn read_bits(npz: &mut NpzReader, layout: &Layout, n: usize) -> Result<Option<Bi
         })
         .collect::<Option<_>>()
         .ok_or("quantizer_groups names an attribute or a width that does not exist")?;
-    let widths = std::array::from_fn(|a| widths[a * n..(a + 1) * n].to_vec());
-    Ok(Some((BitMap { widths }, groups, get(npz, "quantizer_initial_steps")?)))
+    let widths = (0..layout.columns().len()).map(|a| widths[a * n..(a + 1) * n].to_vec()).collect();
+    Ok(Some((BitMap::new(Arc::clone(layout), widths), groups, get(npz, "quantizer_initial_steps")?)))
 }
 
 fn get<T: NpyValue>(npz: &mut NpzReader, name: &str) -> Result<Vec<T>, String> {

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::losses::WeightConfig;
+
 /// A training run's settings: what `config.toml` holds. Every field can be set by its dotted name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -125,33 +127,6 @@ pub struct RateConfig {
     /// What the rates of scales, rotations, means and cameras of the first timestep are multiplied by; 0: the
     /// square root of reference iterations / actual. Reference 1; default 0.
     pub first_scale: f32,
-}
-
-/// Weights of the losses.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct WeightConfig {
-    /// Colour image, `0.8 L1 + 0.2 (1 − SSIM)`. Default 1 (reference).
-    pub image: f32,
-    /// Segmentation image, likewise. Default 3 (reference).
-    pub segmentation: f32,
-    /// Local rigidity. Default 4 (reference).
-    pub rigid: f32,
-    /// Rotation similarity of neighbours. Default 4 (reference).
-    pub rot: f32,
-    /// Distances of neighbours. Default 2 (reference).
-    pub iso: f32,
-    /// Foreground below the floor `y = 0`. Default 2 (reference).
-    pub floor: f32,
-    /// Background that moves. Default 20 (reference).
-    pub background: f32,
-    /// Colours that change with time. Default 0.01 (reference, where a bug makes it inactive).
-    pub soft_color: f32,
-    /// `L_mask`, a mean. Paper 0.01; default 0.05: half the Gaussians for 0.1 dB.
-    pub mask: f32,
-    /// `L_mc`, a mean. Paper 0.01; default 0.5, against the stronger pull of `mask`: what is masked at
-    /// one timestep but not at its mean over time would appear when pruned scenes are drawn unmasked.
-    pub mask_consistency: f32,
 }
 
 /// Adaptive density control of the first timestep. Iterations are those of a 10000-iteration
@@ -310,18 +285,7 @@ impl TrainConfig {
                 first_decay: 1.0,
                 first_scale: 1.0,
             },
-            weights: WeightConfig {
-                image: 1.0,
-                segmentation: 3.0,
-                rigid: 4.0,
-                rot: 4.0,
-                iso: 2.0,
-                floor: 2.0,
-                background: 20.0,
-                soft_color: 0.01,
-                mask: 0.01,
-                mask_consistency: 0.01,
-            },
+            weights: WeightConfig::REFERENCE,
             densify: DensifyConfig {
                 start: 500,
                 end: 5000,

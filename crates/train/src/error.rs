@@ -5,7 +5,7 @@ use std::io;
 use std::path::PathBuf;
 
 use tcgs_codec::CompressError;
-use tcgs_render::gpu::GpuError;
+use tcgs_render::device::GpuError;
 
 use crate::config::ConfigError;
 

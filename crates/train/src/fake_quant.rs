@@ -8,6 +8,9 @@ use tcgs_core::{Attribute, GaussianGrads, Gaussians, Layout};
 
 use crate::adam::Moments;
 
+/// A quantizer's step never falls below this share of where it started.
+pub(crate) const MIN_STEP_SHARE: f32 = 0.1;
+
 /// Gaussians that one task handles; fixed, so that sums over them are.
 const CHUNK: usize = 1 << 12;
 
@@ -148,7 +151,7 @@ impl FakeQuantizers {
 
     /// As the codec wants them.
     pub fn table(&self) -> Quantizers {
-        let mut table = Quantizers::default();
+        let mut table = Quantizers::none(self.bit_map.layout());
         for &(attribute, width) in &self.groups {
             let first = usize::from(self.first[attribute.index()][usize::from(width)]);
             let channels = self.quantizers[first..first + attribute.components()].to_vec();
@@ -240,7 +243,7 @@ impl FakeQuantizers {
             offsets.update(&mut relative_offsets, v_offsets, rate);
         }
         for (i, q) in self.quantizers.iter_mut().enumerate() {
-            q.step = relative_steps[i].max(0.1) * self.initial_steps[i];
+            q.step = relative_steps[i].max(MIN_STEP_SHARE) * self.initial_steps[i];
             q.offset = relative_offsets[i] * self.initial_steps[i];
         }
     }

@@ -26,12 +26,12 @@ pub use adam::{Moments, adam};
 pub use checkpoint::Checkpoint;
 pub use config::{
     BitMapKind, ConfigError, DataConfig, DensifyConfig, MaskConfig, Preset, QuantizeConfig, REFERENCE_ITERATIONS,
-    RateConfig, ScheduleConfig, TrainConfig, WeightConfig,
+    RateConfig, ScheduleConfig, TrainConfig,
 };
 pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
 pub use error::TrainError;
 pub use fake_quant::{FakeQuantizers, fake_quant, fake_quant_vjp, step_gradient_scale};
-pub use losses::{LossTerms, PriorLosses, PriorWeights};
+pub use losses::{Loss, LossTerms, WeightConfig};
 pub use mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 pub use motion::{Past, Pose, predict};
 pub use neighbors::{NEIGHBOR_FALLOFF, NUM_NEIGHBORS, Neighbors};

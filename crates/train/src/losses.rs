@@ -1,75 +1,147 @@
-//! What the losses of one iteration are: their values and their weights, whichever engine computes them.
+//! The table of losses: what the settings, both engines and the reports know of each.
+//!
+//! A line of the table gives a loss its name, which is that of its weight in `config.toml`, and the weight of the
+//! reference. From the table come [`WeightConfig`], [`LossTerms`], the weights in the shaders' uniform and the places of
+//! the values that a device reports. Where a loss is computed stands with the engines.
 
-use crate::config::WeightConfig;
+use serde::{Deserialize, Serialize};
 
-/// Weights of the losses; 0 leaves one out (its value is then 0 too, `rigid`, `rot` and `iso` only together).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PriorWeights {
-    /// See [`crate::WeightConfig`].
-    pub rigid: f32,
-    /// See [`crate::WeightConfig`].
-    pub rot: f32,
-    /// See [`crate::WeightConfig`].
-    pub iso: f32,
-    /// See [`crate::WeightConfig`].
-    pub floor: f32,
-    /// See [`crate::WeightConfig`].
-    pub background: f32,
-    /// See [`crate::WeightConfig`].
-    pub soft_color: f32,
+/// Share of L1 in the image losses; the rest is SSIM's. Kerbl et al. 2023, Eq. 7.
+pub(crate) const L1_SHARE: f32 = 0.8;
+
+/// Channels of the images that the image losses are means over. The segmentation image's middle one is always zero, is
+/// not rendered, and still counts.
+pub(crate) const COUNTED_CHANNELS: f32 = 3.0;
+
+/// Added under square roots of the losses on motion, so that they have a derivative at zero. Reference.
+pub(crate) const ROOT_EPSILON: f64 = 1e-20;
+
+/// Declares [`Loss`], [`WeightConfig`] and [`LossTerms`] from one list.
+macro_rules! losses {
+    ($($(#[doc = $about:literal])+ $variant:ident $name:ident = $weight:literal;)+) => {
+        /// One loss.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Loss {
+            $($(#[doc = $about])+ $variant,)+
+        }
+
+        impl Loss {
+            /// All losses. Values and weights are reported in this order.
+            pub const ALL: [Self; [$(Self::$variant),+].len()] = [$(Self::$variant),+];
+
+            /// Name in `config.toml`, in metrics and in errors.
+            pub const fn name(self) -> &'static str {
+                match self { $(Self::$variant => stringify!($name),)+ }
+            }
+        }
+
+        /// Weights of the losses; 0 leaves a loss out, `rigid`, `rot` and `iso` only together.
+        #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct WeightConfig {
+            $($(#[doc = $about])+ pub $name: f32,)+
+        }
+
+        impl WeightConfig {
+            /// The weights of the reference, and the paper's of masks.
+            pub const REFERENCE: Self = Self { $($name: $weight,)+ };
+
+            /// No loss at all.
+            pub const NONE: Self = Self { $($name: 0.0,)+ };
+
+            /// The weights in the order of [`Loss::ALL`].
+            pub const fn values(&self) -> [f32; Loss::ALL.len()] {
+                [$(self.$name),+]
+            }
+        }
+
+        /// Values of every loss of one iteration, before their weights; 0 where a loss is off.
+        #[derive(Clone, Copy, Debug, Default, PartialEq)]
+        pub struct LossTerms {
+            $($(#[doc = $about])+ pub $name: f64,)+
+        }
+
+        impl LossTerms {
+            /// The values in the order of [`Loss::ALL`].
+            pub const fn values(&self) -> [f64; Loss::ALL.len()] {
+                [$(self.$name),+]
+            }
+
+            /// From values in the order of [`Loss::ALL`].
+            pub const fn from_values(values: [f64; Loss::ALL.len()]) -> Self {
+                Self { $($name: values[Loss::$variant as usize],)+ }
+            }
+        }
+    };
 }
 
-/// Values of the losses, before their weights.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PriorLosses {
-    /// `mean sqrt(w ‖Rᵢᵀ(x_k − x_i) − previous offset‖²)`
-    pub rigid: f64,
-    /// `mean sqrt(w ‖relative rotation of k − of i‖²)`
-    pub rot: f64,
-    /// `mean sqrt(w (‖x_k − x_i‖ − first distance)²)`
-    pub iso: f64,
-    /// `mean max(y, 0)` of the foreground: y points down, the floor is `y = 0`
-    pub floor: f64,
-    /// `mean ‖x − first x‖₁ + mean ‖q − first q‖₁` of the background
-    pub background: f64,
-    /// `mean ‖colour − previous colour‖₁` of all
-    pub soft_color: f64,
-}
-
-/// Values of every loss of one iteration, before their weights; 0 where a loss is off.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LossTerms {
-    /// Colour image.
-    pub image: f64,
-    /// Segmentation image.
-    pub segmentation: f64,
-    /// Motion.
-    pub prior: PriorLosses,
-    /// `L_mask`
-    pub mask: f64,
-    /// `L_mc`
-    pub mask_consistency: f64,
+losses! {
+    /// Colour image, `0.8 L1 + 0.2 (1 − SSIM)`. Weight 1 (reference).
+    Image image = 1.0;
+    /// Segmentation image, likewise. Weight 3 (reference).
+    Segmentation segmentation = 3.0;
+    /// Local rigidity: `mean sqrt(w ‖Rᵢᵀ(x_k − x_i) − previous offset‖²)`. Weight 4 (reference).
+    Rigid rigid = 4.0;
+    /// Rotation similarity of neighbours: `mean sqrt(w ‖relative rotation of k − of i‖²)`. Weight 4 (reference).
+    Rot rot = 4.0;
+    /// Distances of neighbours: `mean sqrt(w (‖x_k − x_i‖ − first distance)²)`. Weight 2 (reference).
+    Iso iso = 2.0;
+    /// Foreground below the floor: `mean max(y, 0)`; y points down, the floor is `y = 0`. Weight 2 (reference).
+    Floor floor = 2.0;
+    /// Background that moves: `mean ‖x − first x‖₁ + mean ‖q − first q‖₁`. Weight 20 (reference).
+    Background background = 20.0;
+    /// Colours that change with time: `mean ‖colour − previous colour‖₁`. Weight 0.01 (reference, where a bug makes it
+    /// inactive).
+    SoftColor soft_color = 0.01;
+    /// `L_mask`, a mean. Weight 0.01 (paper); default 0.05: half the Gaussians for 0.1 dB.
+    Mask mask = 0.01;
+    /// `L_mc`, a mean. Weight 0.01 (paper); default 0.5, against the stronger pull of `mask`: what is masked at one
+    /// timestep but not at its mean over time would appear when pruned scenes are drawn unmasked.
+    MaskConsistency mask_consistency = 0.01;
 }
 
 impl LossTerms {
-    /// Names, values and weights of all terms.
-    pub fn terms(&self, w: &WeightConfig) -> [(&'static str, f64, f32); 10] {
-        [
-            ("image", self.image, w.image),
-            ("segmentation", self.segmentation, w.segmentation),
-            ("rigid", self.prior.rigid, w.rigid),
-            ("rot", self.prior.rot, w.rot),
-            ("iso", self.prior.iso, w.iso),
-            ("floor", self.prior.floor, w.floor),
-            ("background", self.prior.background, w.background),
-            ("soft_color", self.prior.soft_color, w.soft_color),
-            ("mask", self.mask, w.mask),
-            ("mask_consistency", self.mask_consistency, w.mask_consistency),
-        ]
+    /// Names, values and weights of all losses.
+    ///
+    /// ```
+    /// use tcgs_train::{LossTerms, WeightConfig};
+    /// let terms = LossTerms { iso: 0.5, ..LossTerms::default() };
+    /// assert_eq!(terms.terms(&WeightConfig::REFERENCE)[4], ("iso", 0.5, 2.0));
+    /// assert_eq!(terms.total(&WeightConfig::REFERENCE), 1.0);
+    /// ```
+    pub fn terms(&self, weights: &WeightConfig) -> [(&'static str, f64, f32); Loss::ALL.len()] {
+        let (values, weights) = (self.values(), weights.values());
+        std::array::from_fn(|i| (Loss::ALL[i].name(), values[i], weights[i]))
     }
 
     /// Weighted sum.
     pub fn total(&self, weights: &WeightConfig) -> f64 {
         self.terms(weights).iter().map(|(_, value, weight)| value * f64::from(*weight)).sum()
+    }
+}
+
+impl std::ops::AddAssign for LossTerms {
+    /// Adds losses that were computed apart.
+    fn add_assign(&mut self, other: Self) {
+        let (own, other) = (self.values(), other.values());
+        *self = Self::from_values(std::array::from_fn(|i| own[i] + other[i]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_and_weights_have_one_order() {
+        let terms = LossTerms::from_values(std::array::from_fn(|i| i as f64));
+        assert_eq!((terms.image, terms.rigid, terms.mask_consistency), (0.0, 2.0, 9.0));
+        for (i, (name, value, weight)) in terms.terms(&WeightConfig::REFERENCE).into_iter().enumerate() {
+            assert_eq!((value, weight), (i as f64, WeightConfig::REFERENCE.values()[i]), "{name}");
+            assert_eq!(Loss::ALL[i] as usize, i);
+        }
+        let mut twice = terms;
+        twice += terms;
+        assert_eq!(twice.soft_color, 14.0);
     }
 }

@@ -2,7 +2,6 @@
 
 use rayon::prelude::*;
 use tcgs_core::{Camera, Gaussians, Image, Sensitivity, activate, activate_bwd};
-use tcgs_render::gpu::GpuError;
 use tcgs_render::{Rasterizer, RenderSettings};
 
 /// `S(θ) = Σ_k |∂Q_k/∂θ| / Σ_k N_k`: `Q_k` the sum of all colour values of image `k` over black,
@@ -16,12 +15,12 @@ use tcgs_render::{Rasterizer, RenderSettings};
 /// Paper, Eq. 7; the absolute value is taken per view as in Niedermayr et al. 2024.
 ///
 /// # Errors
-/// What the renderer fails with; the one on the CPU never does.
+/// What the renderer fails with; [`CpuRasterizer`](tcgs_render::CpuRasterizer) never does.
 pub fn sensitivity<R: Rasterizer>(
     rasterizer: &R,
     gaussians: &Gaussians,
     cameras: &[Camera],
-) -> Result<Sensitivity, GpuError> {
+) -> Result<Sensitivity, R::Error> {
     let activated = activate(gaussians);
     let settings = RenderSettings::default();
     let mut sum = Sensitivity::zeros_of(gaussians.layout(), gaussians.num_gaussians());

@@ -2,7 +2,7 @@
 
 use tcgs_core::normalize;
 use tcgs_train::engine::cpu::{MotionPrior, PriorGrads};
-use tcgs_train::{Neighbors, PriorLosses, PriorWeights};
+use tcgs_train::{LossTerms, Neighbors, WeightConfig};
 
 type State = (Vec<[f64; 3]>, Vec<[f64; 4]>, Vec<[f64; 3]>);
 
@@ -21,7 +21,7 @@ fn state(seed: u64) -> State {
     (means, quats, colors)
 }
 
-fn total(l: &PriorLosses, w: &PriorWeights) -> f64 {
+fn total(l: &LossTerms, w: &WeightConfig) -> f64 {
     let pairs = [
         (l.rigid, w.rigid),
         (l.rot, w.rot),
@@ -45,16 +45,25 @@ fn every_prior_matches_central_differences() {
     let (first, before, now) = (state(1), state(2), state(3));
     let prior = MotionPrior::new(neighbors.into(), &foreground, &first.0, &first.1, &before.0, &before.1, &before.2);
 
-    let all = PriorWeights { rigid: 4.0, rot: 4.0, iso: 2.0, floor: 2.0, background: 20.0, soft_color: 0.5 };
+    let all = WeightConfig {
+        rigid: 4.0,
+        rot: 4.0,
+        iso: 2.0,
+        floor: 2.0,
+        background: 20.0,
+        soft_color: 0.5,
+        ..WeightConfig::NONE
+    };
     let one = |field: usize| {
         let on = |i: usize, w: f32| if i == field { w } else { 0.0 };
-        PriorWeights {
+        WeightConfig {
             rigid: on(0, all.rigid),
             rot: on(1, all.rot),
             iso: on(2, all.iso),
             floor: on(3, all.floor),
             background: on(4, all.background),
             soft_color: on(5, all.soft_color),
+            ..WeightConfig::NONE
         }
     };
     for field in 0..6 {
@@ -109,7 +118,15 @@ fn empty_sets_contribute_nothing() {
         let colors: Vec<[f32; 3]> = s.2.iter().map(|c| c.map(|x| x as f32)).collect();
         let neighbors = Neighbors::new(&means, &foreground);
         let prior = MotionPrior::new(neighbors.into(), &foreground, &means, &quats, &means, &quats, &colors);
-        let weights = PriorWeights { rigid: 4.0, rot: 4.0, iso: 2.0, floor: 2.0, background: 20.0, soft_color: 0.5 };
+        let weights = WeightConfig {
+            rigid: 4.0,
+            rot: 4.0,
+            iso: 2.0,
+            floor: 2.0,
+            background: 20.0,
+            soft_color: 0.5,
+            ..WeightConfig::NONE
+        };
         let (mut v_means, mut v_quats, mut v_colors) = (vec![[0.0; 3]; 14], vec![[0.0; 4]; 14], vec![[0.0; 3]; 14]);
         let grads = PriorGrads { v_means: &mut v_means, v_quats: &mut v_quats, v_colors: &mut v_colors };
         let losses = prior.losses(&means, &quats, &colors, &weights, grads);

@@ -10,7 +10,7 @@ use tcgs_core::{Activated, ActivatedGrads, Camera, Image, normalize};
 use tcgs_interchange::{NpyValue, NpzReader};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::cpu::{MotionPrior, PriorGrads, image_loss};
-use tcgs_train::{Neighbors, Parameters, PriorWeights, fake_quant_vjp, predict, scene_radius, step_gradient_scale};
+use tcgs_train::{Neighbors, Parameters, WeightConfig, fake_quant_vjp, predict, scene_radius, step_gradient_scale};
 
 fn shared(name: &str) -> Option<PathBuf> {
     let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")).join(name);
@@ -95,13 +95,14 @@ fn motion_priors_equal_the_reference() {
     let prior = MotionPrior::new(neighbors.into(), &is_foreground, &means0, &quats0, &means1, &quats1, &colors);
     for name in ["rigid", "rot", "iso", "floor", "bg"] {
         let on = |this: &str| f32::from(u8::from(name == this));
-        let weights = PriorWeights {
+        let weights = WeightConfig {
             rigid: on("rigid"),
             rot: on("rot"),
             iso: on("iso"),
             floor: on("floor"),
             background: on("bg"),
             soft_color: 0.0,
+            ..WeightConfig::NONE
         };
         let n = means2.len();
         let (mut v_means, mut v_quats, mut v_colors) = (vec![[0.0; 3]; n], vec![[0.0; 4]; n], vec![[0.0; 3]; n]);

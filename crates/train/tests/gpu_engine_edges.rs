@@ -4,9 +4,11 @@
 
 mod support;
 
-use support::{Random, gpu, relative_l2};
+use std::sync::Arc;
+
+use support::{Random, further_layout, gpu, relative_l2};
 use tcgs_codec::BitMap;
-use tcgs_core::{Attribute, Camera, Image, PointCloud};
+use tcgs_core::{Attribute, Camera, Gaussians, Image, PointCloud};
 use tcgs_render::gpu::{Gpu, GpuError};
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::gpu::GpuEngine;
@@ -113,14 +115,15 @@ fn compare(
     let (e, f) = (a.state().unwrap(), b.state().unwrap());
     let counts = e.statistic.count.iter().zip(&f.statistic.count).filter(|(a, b)| a != b).count();
     assert!(counts * 100 <= e.statistic.count.len(), "{name}: {counts} counts differ");
-    for attribute in Attribute::BASE {
+    let layout = Arc::clone(e.parameters.gaussians.layout());
+    for attribute in layout.attributes() {
         let [m, n] = [e, f].map(|s| &s.optimizer);
         assert_eq!(m.steps[attribute.index()], n.steps[attribute.index()]);
         let error = relative_l2(n.first.values(attribute), m.first.values(attribute));
-        assert!(error < 2e-2, "{name}: first moments of {}: {error}", attribute.name());
+        assert!(error < 2e-2, "{name}: first moments of {}: {error}", layout.name(attribute));
         let (m, n) = (e.parameters.gaussians.values(attribute), f.parameters.gaussians.values(attribute));
         let error = relative_l2(n, m);
-        assert!(error < 1e-3, "{name}: {}: {error}", attribute.name());
+        assert!(error < 1e-3, "{name}: {}: {error}", layout.name(attribute));
     }
     let quantizers = [f, e].map(|s| -> Vec<f32> {
         s.quantizers.iter().flat_map(|q| &q.quantizers).flat_map(|q| [q.step, q.offset]).collect()
@@ -254,7 +257,7 @@ fn bits(state: &State) -> Vec<u32> {
 fn quantized(mut state: State, learned_offset: bool) -> State {
     state.canonicalize_quats();
     let gaussians = &state.parameters.gaussians;
-    let mut bit_map = BitMap::uniform(gaussians.num_gaussians(), 16, 6);
+    let mut bit_map = BitMap::uniform_of(gaussians.layout(), gaussians.num_gaussians(), 16, 6);
     bit_map.widths[1].iter_mut().step_by(3).for_each(|width| *width = 8);
     let quantizers = FakeQuantizers::new(bit_map, gaussians, learned_offset);
     state.start_quantization(quantizers);
@@ -388,6 +391,69 @@ fn timesteps_of_other_sizes_and_channels_follow_each_other() {
         for (f, e) in losses[1].iter().zip(&losses[0]) {
             for ((term, f, _), (_, e, _)) in f.terms(&config.weights).into_iter().zip(e.terms(&config.weights)) {
                 assert!((f - e).abs() <= 2e-3 * e.abs() + 1e-5, "timestep {timestep}: {term}: {f} against {e}");
+            }
+        }
+    }
+}
+
+/// `state` with the columns of [`further_layout`], whose moments are not zero: Adam moves what has no gradient.
+fn with_further_columns(mut state: State) -> State {
+    let mut random = Random::new(41);
+    let (layout, n) = (further_layout(), state.parameters.num_gaussians());
+    let mut gaussians = Gaussians::zeros_of(&layout, n);
+    for column in layout.columns() {
+        let values = gaussians.values_mut(column.attribute);
+        match column.attribute {
+            Attribute::Extra { .. } => values.fill_with(|| random.within(2.0)),
+            known => values.copy_from_slice(state.parameters.gaussians.values(known)),
+        }
+    }
+    state.parameters.gaussians = gaussians;
+    State::new(state.parameters)
+}
+
+fn give_moments(state: &mut State) {
+    let mut random = Random::new(43);
+    let layout = further_layout();
+    for attribute in layout.attributes().filter(|a| matches!(a, Attribute::Extra { .. })) {
+        state.optimizer.first.values_mut(attribute).fill_with(|| random.within(1e-3));
+        state.optimizer.second.values_mut(attribute).fill_with(|| 1e-6 + random.within(1e-7));
+        state.optimizer.steps[attribute.index()] = 7;
+    }
+}
+
+#[test]
+fn columns_that_nothing_draws_are_carried() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let layout = further_layout();
+    let targets = [target([40, 30], 5, 4), target([33, 20], 5, 5)];
+    for is_quantized in [false, true] {
+        let mut start = with_further_columns(state(150, 2, |i| i % 2 == 0));
+        if is_quantized {
+            start = quantized(start, true);
+        }
+        give_moments(&mut start);
+        let cameras: &[usize] = if is_quantized { &[1] } else { &[1, 0, 1] };
+        let name = format!("further columns, quantised: {is_quantized}");
+        compare(&name, &gpu, &start, &targets, cameras, &config, Phase::First);
+        compare(&format!("{name}, later"), &gpu, &with_past(start.clone()), &targets, cameras, &config, Phase::Rest);
+
+        // Where the further columns have no effect, the others are what they are without them, bit for bit.
+        let mut engine = GpuEngine::new(&gpu, start.clone());
+        run(&mut engine, &targets, cameras, &config, Phase::First).unwrap();
+        let found = engine.state().unwrap();
+        for column in layout.columns() {
+            let [before, after] = [&start, found].map(|s| s.parameters.gaussians.values(column.attribute));
+            assert_ne!(before, after, "{} did not move", column.name);
+        }
+        if !is_quantized {
+            let mut plain = GpuEngine::new(&gpu, state(150, 2, |i| i % 2 == 0));
+            run(&mut plain, &targets, cameras, &config, Phase::First).unwrap();
+            let plain = plain.state().unwrap();
+            for attribute in Attribute::BASE {
+                let [a, b] = [plain, found].map(|s| s.parameters.gaussians.values(attribute));
+                assert_eq!(a, b, "{}", attribute.name());
             }
         }
     }

@@ -12,11 +12,18 @@ use tcgs_core::{Attribute, GaussianGrads, Gaussians};
 use tcgs_interchange::NpzReader;
 use tcgs_render::gpu::Gpu;
 use tcgs_train::engine::cpu::{MotionPrior, PriorGrads};
-use tcgs_train::engine::gpu::{MotionPriorKernels, PriorBuffers, StepUniform, prior_rows};
-use tcgs_train::{Neighbors, PriorLosses, PriorWeights};
+use tcgs_train::engine::gpu::testing::{MotionPriorKernels, Packing, PriorBuffers, StepUniform, prior_rows};
+use tcgs_train::{LossTerms, Neighbors, WeightConfig};
 
-const ALL: PriorWeights =
-    PriorWeights { rigid: 4.0, rot: 3.0, iso: 2.0, floor: 5.0, background: 20.0, soft_color: 0.01 };
+const ALL: WeightConfig = WeightConfig {
+    rigid: 4.0,
+    rot: 3.0,
+    iso: 2.0,
+    floor: 5.0,
+    background: 20.0,
+    soft_color: 0.01,
+    ..WeightConfig::NONE
+};
 
 /// Three timesteps: the first, the one before, and now.
 struct Motion {
@@ -53,7 +60,7 @@ impl Motion {
     }
 }
 
-fn cpu_losses(motion: &Motion, weights: &PriorWeights) -> (PriorLosses, GaussianGrads) {
+fn cpu_losses(motion: &Motion, weights: &WeightConfig) -> (LossTerms, GaussianGrads) {
     let Motion { is_foreground, first, previous, now } = motion;
     let prior = MotionPrior::new(
         motion.neighbors().into(),
@@ -72,37 +79,30 @@ fn cpu_losses(motion: &Motion, weights: &PriorWeights) -> (PriorLosses, Gaussian
 }
 
 /// Losses and gradients, the latter added `times` times to a gradient of `start`.
-fn gpu_losses(gpu: &Gpu, motion: &Motion, weights: &PriorWeights, start: f32, times: usize) -> (PriorLosses, Vec<f32>) {
+fn gpu_losses(gpu: &Gpu, motion: &Motion, weights: &WeightConfig, start: f32, times: usize) -> (LossTerms, Vec<f32>) {
     let n = motion.now.num_gaussians();
     let neighbors = motion.neighbors();
     let num_foreground = neighbors.foreground.len();
     let rows = prior_rows(n, num_foreground);
-    let params = gpu.upload("params", &packed(&motion.previous)).unwrap();
+    let params = gpu.upload("params", &packed(&motion.now)).unwrap();
     let grads = gpu.upload("grads", &vec![start; 15 * n]).unwrap();
     let partials = gpu.upload("partials", &vec![f32::NAN; 8 * rows]).unwrap();
-    let step = gpu.uniform("step", size_of::<StepUniform>()).unwrap();
+    let packing = Packing::new(motion.now.layout());
+    let step = gpu.uniform("step", StepUniform::size(&packing)).unwrap();
     let settings = StepUniform {
         num_gaussians: n as u32,
         num_foreground: num_foreground as u32,
         per_node: neighbors.per_node as u32,
         num_background: (n - num_foreground) as u32,
         flags: StepUniform::HAS_PRIOR,
-        rigid_weight: weights.rigid,
-        rot_weight: weights.rot,
-        iso_weight: weights.iso,
-        floor_weight: weights.floor,
-        background_weight: weights.background,
-        soft_color_weight: weights.soft_color,
+        weights: weights.values(),
         ..Default::default()
     };
-    gpu.queue().write_buffer(&step, 0, bytemuck::bytes_of(&settings));
+    gpu.queue().write_buffer(&step, 0, &settings.bytes(&vec![[0.0; 4]; packing.num_groups()]));
     let buffers = PriorBuffers { params: &params, grads: &grads, step: &step, partials: &partials };
     let first = &motion.first;
-    let kernels = MotionPriorKernels::new(gpu, &neighbors, first.means(), first.quats(), &buffers).unwrap();
-    let mut encoder = gpu.encoder();
-    kernels.record_begin(&mut encoder.begin_compute_pass(&Default::default()));
-    gpu.submit(encoder);
-    gpu.queue().write_buffer(&params, 0, bytemuck::cast_slice(&packed(&motion.now)));
+    let kernels = MotionPriorKernels::new(gpu, &packing, &neighbors, first.means(), first.quats(), &buffers).unwrap();
+    kernels.begin(gpu, &motion.previous).unwrap();
     for _ in 0..times {
         let mut encoder = gpu.encoder();
         kernels.record(&mut encoder.begin_compute_pass(&Default::default()));
@@ -114,25 +114,26 @@ fn gpu_losses(gpu: &Gpu, motion: &Motion, weights: &PriorWeights, start: f32, ti
         partials[column..].iter().step_by(8).map(|&x| f64::from(x)).sum::<f64>() / count.max(1) as f64
     };
     let num_edges = num_foreground * neighbors.per_node;
-    let losses = PriorLosses {
+    let losses = LossTerms {
         rigid: sum(0, num_edges),
         rot: sum(1, num_edges),
         iso: sum(2, num_edges),
         floor: sum(3, num_foreground),
         background: sum(4, n - num_foreground),
         soft_color: sum(5, n),
+        ..LossTerms::default()
     };
     assert_eq!((sum(6, 1), sum(7, 1)), (0.0, 0.0));
     (losses, gpu.read(&grads, 15 * n).unwrap())
 }
 
-fn values(losses: &PriorLosses) -> [f64; 6] {
+fn values(losses: &LossTerms) -> [f64; 6] {
     [losses.rigid, losses.rot, losses.iso, losses.floor, losses.background, losses.soft_color]
 }
 
 /// Compares losses and gradients with the CPU's, the latter of each attribute, of foreground and background apart;
 /// returns the worst relative error of either.
-fn compare(gpu: &Gpu, motion: &Motion, weights: &PriorWeights) -> [f64; 2] {
+fn compare(gpu: &Gpu, motion: &Motion, weights: &WeightConfig) -> [f64; 2] {
     let (expected_losses, v) = cpu_losses(motion, weights);
     let (losses, found) = gpu_losses(gpu, motion, weights, 0.0, 1);
     let error = |(a, b): (f64, f64)| if b == 0.0 { a.abs() } else { (a / b - 1.0).abs() };
@@ -173,7 +174,7 @@ fn losses_and_gradients_are_those_of_the_cpu() {
 }
 
 /// The gradients of [`cpu_losses`], followed in double precision.
-fn exact_gradients(motion: &Motion, weights: &PriorWeights) -> Vec<f32> {
+fn exact_gradients(motion: &Motion, weights: &WeightConfig) -> Vec<f32> {
     fn wide<const D: usize>(rows: &[[f32; D]]) -> Vec<[f64; D]> {
         rows.iter().map(|row| row.map(f64::from)).collect()
     }
@@ -206,9 +207,9 @@ fn rounding_costs_no_more_than_on_the_cpu() {
             gaussians.means_mut().iter_mut().flatten().for_each(|x| *x += 1.5);
         }
         for (name, weights) in [
-            ("rigid", PriorWeights { rigid: 1.0, ..PriorWeights::default() }),
-            ("rot", PriorWeights { rot: 1.0, ..PriorWeights::default() }),
-            ("iso", PriorWeights { iso: 1.0, ..PriorWeights::default() }),
+            ("rigid", WeightConfig { rigid: 1.0, ..WeightConfig::NONE }),
+            ("rot", WeightConfig { rot: 1.0, ..WeightConfig::NONE }),
+            ("iso", WeightConfig { iso: 1.0, ..WeightConfig::NONE }),
         ] {
             let exact = exact_gradients(&motion, &weights);
             let (_, v) = cpu_losses(&motion, &weights);
@@ -226,10 +227,10 @@ fn a_weight_of_zero_leaves_a_loss_out() {
     let Some(gpu) = gpu() else { return };
     let motion = Motion::random((0..600).map(|i| i % 3 != 0).collect(), 0.05, 5);
     for weights in [
-        PriorWeights { rigid: 0.0, rot: 0.0, ..ALL },
-        PriorWeights { rigid: 0.0, rot: 0.0, iso: 0.0, ..ALL },
-        PriorWeights { floor: 0.0, background: 0.0, soft_color: 0.0, ..ALL },
-        PriorWeights::default(),
+        WeightConfig { rigid: 0.0, rot: 0.0, ..ALL },
+        WeightConfig { rigid: 0.0, rot: 0.0, iso: 0.0, ..ALL },
+        WeightConfig { floor: 0.0, background: 0.0, soft_color: 0.0, ..ALL },
+        WeightConfig::NONE,
     ] {
         let errors = compare(&gpu, &motion, &weights);
         assert!(errors.iter().all(|&e| e < 1e-5), "{weights:?}: losses, gradients differ by {errors:?}");
@@ -274,8 +275,15 @@ fn losses_and_gradients_equal_the_reference() {
     let n = motion.now.num_gaussians();
     for (i, name) in ["rigid", "rot", "iso", "floor", "bg"].into_iter().enumerate() {
         let on = |this: usize| f32::from(u8::from(i == this));
-        let weights =
-            PriorWeights { rigid: on(0), rot: on(1), iso: on(2), floor: on(3), background: on(4), soft_color: 0.0 };
+        let weights = WeightConfig {
+            rigid: on(0),
+            rot: on(1),
+            iso: on(2),
+            floor: on(3),
+            background: on(4),
+            soft_color: 0.0,
+            ..WeightConfig::NONE
+        };
         let (losses, v) = gpu_losses(&gpu, &motion, &weights, 0.0, 1);
         let expected: Vec<f64> = NpzReader::open(path).unwrap().array_of(&format!("loss_{name}")).unwrap().values;
         assert!((values(&losses)[i] / expected[0] - 1.0).abs() < 1e-4, "{name}: {losses:?} against {expected:?}");

@@ -105,7 +105,7 @@ fn a_capture_without_masks_trains_and_stays_finite() {
         trainer
             .fit(&without(frame), &mut |p| {
                 assert!(p.loss.is_finite());
-                assert_eq!((p.terms.segmentation, p.terms.prior.background), (0.0, 0.0));
+                assert_eq!((p.terms.segmentation, p.terms.background), (0.0, 0.0));
                 ControlFlow::Continue(())
             })
             .unwrap();

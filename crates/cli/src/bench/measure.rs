@@ -5,7 +5,6 @@ use std::time::Instant;
 use anyhow::bail;
 use tcgs_core::{Activated, Camera, Image, activate};
 use tcgs_pipeline::Backend;
-use tcgs_render::gpu::RenderProfiler;
 use tcgs_render::{CpuRasterizer, Laps, PairCounts, RenderSettings, StageTimes};
 use tcgs_train::engine::Step;
 use tcgs_train::{Phase, Rates, Schedule, TrainConfig};
@@ -118,22 +117,35 @@ fn render(
     backward: bool,
     counts: Counts,
 ) -> anyhow::Result<(Vec<StageTimes>, Vec<PairCounts>)> {
-    let mut profiler = match backend {
-        Backend::Cpu => None,
-        Backend::Gpu(gpu) => Some(RenderProfiler::new(gpu, drawn, cameras, backward)?),
-    };
-    let mut sample = |i: usize| -> anyhow::Result<(StageTimes, PairCounts)> {
-        let camera = &cameras[i % cameras.len()];
-        Ok(match &mut profiler {
-            Some(profiler) => (profiler.sample(camera)?, profiler.counts()?),
-            None => render_on_cpu(drawn, camera, backward),
-        })
-    };
+    let mut draw = drawing(backend, drawn, cameras, backward)?;
+    let mut sample = |i: usize| draw(&cameras[i % cameras.len()]);
     for i in 0..counts.warm_up {
         sample(i)?;
     }
     let samples: Vec<_> = (0..counts.samples).map(sample).collect::<anyhow::Result<_>>()?;
     Ok(samples.into_iter().unzip())
+}
+
+/// Draws with one camera, and takes the time.
+type Drawing<'a> = Box<dyn FnMut(&Camera) -> anyhow::Result<(StageTimes, PairCounts)> + 'a>;
+
+fn drawing<'a>(
+    backend: &Backend,
+    drawn: &'a Activated,
+    cameras: &[Camera],
+    backward: bool,
+) -> anyhow::Result<Drawing<'a>> {
+    match backend {
+        #[cfg(feature = "gpu")]
+        Backend::Gpu(gpu) => {
+            let mut profiler = tcgs_render::gpu::RenderProfiler::new(gpu, drawn, cameras, backward)?;
+            Ok(Box::new(move |camera| Ok((profiler.sample(camera)?, profiler.counts()?))))
+        }
+        _ => {
+            let _ = cameras;
+            Ok(Box::new(move |camera| Ok(render_on_cpu(drawn, camera, backward))))
+        }
+    }
 }
 
 fn render_on_cpu(drawn: &Activated, camera: &Camera, backward: bool) -> (StageTimes, PairCounts) {

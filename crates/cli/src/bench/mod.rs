@@ -87,12 +87,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 fn is_software(backend: &Backend) -> bool {
-    matches!(backend, Backend::Gpu(gpu) if gpu.info().is_software)
+    backend.gpu_info().is_some_and(|info| info.is_software)
 }
 
 /// As many as asked for. By default as many as two cores do in two minutes where no GPU does it.
 fn counts(backend: &Backend, samples: Option<usize>) -> Counts {
-    if matches!(backend, Backend::Gpu(_)) && !is_software(backend) {
+    if backend.gpu_info().is_some_and(|info| !info.is_software) {
         return Counts { warm_up: 10, samples: samples.unwrap_or(20), in_a_row: 100 };
     }
     let samples = samples.unwrap_or(if is_software(backend) { 3 } else { 5 });

@@ -10,10 +10,9 @@ use super::scene::Scene;
 
 /// What computes, in one line.
 pub fn device_line(backend: &Backend) -> String {
-    match backend {
-        Backend::Cpu => format!("the CPU, {} threads", rayon::current_num_threads()),
-        Backend::Gpu(gpu) => {
-            let info = gpu.info();
+    match backend.gpu_info() {
+        None => format!("the CPU, {} threads", rayon::current_num_threads()),
+        Some(info) => {
             let kind = if info.is_software { ", software" } else { "" };
             let features = if info.features.is_empty() { "none".into() } else { info.features.join(", ") };
             format!("{} ({}{kind}), driver {}, optional features: {features}", info.name, info.backend, info.driver)
@@ -89,8 +88,8 @@ pub fn scene_json(scene: &Scene, measured: &Measured, counts: Counts) -> Value {
 /// The result for machines.
 pub fn json(backend: &Backend, scenes: Vec<Value>) -> Value {
     let threads = rayon::current_num_threads();
-    match backend {
-        Backend::Cpu => json!({
+    match backend.gpu_info() {
+        None => json!({
             "device": "CPU",
             "driver": null,
             "backend": "cpu",
@@ -99,17 +98,14 @@ pub fn json(backend: &Backend, scenes: Vec<Value>) -> Value {
             "threads": threads,
             "scenes": scenes,
         }),
-        Backend::Gpu(gpu) => {
-            let info = gpu.info();
-            json!({
-                "device": info.name,
-                "driver": info.driver,
-                "backend": info.backend,
-                "features": info.features,
-                "software": info.is_software,
-                "threads": threads,
-                "scenes": scenes,
-            })
-        }
+        Some(info) => json!({
+            "device": info.name,
+            "driver": info.driver,
+            "backend": info.backend,
+            "features": info.features,
+            "software": info.is_software,
+            "threads": threads,
+            "scenes": scenes,
+        }),
     }
 }

@@ -9,13 +9,13 @@ use rayon::prelude::*;
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Attribute, Image};
 use tcgs_pipeline::{Evaluation, ImageScore, OpenScene};
-use tcgs_render::gpu::GpuError;
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::device::GpuError;
+use tcgs_render::{DrawAny, RenderSettings};
+use tcgs_reproduce::{CompressionStep, Picture, Report, Series, png};
 use tcgs_train::Run;
 
 use super::Outcome;
 use crate::output::show_bytes;
-use crate::report::{self, Picture, Report, Series, Stage, png};
 
 /// Timesteps that the report shows, spread over the clip.
 const SHOWN: usize = 4;
@@ -28,7 +28,7 @@ const MASK_BINS: usize = 20;
 pub fn write_frames(
     scene: &OpenScene,
     capture: &Capture,
-    renderer: &dyn Draw,
+    renderer: &DrawAny,
     folder: &Path,
 ) -> anyhow::Result<Vec<Picture>> {
     let frames = scene.frames();
@@ -102,9 +102,14 @@ pub fn html(outcome: &Outcome, run: &Run, pictures: Vec<Picture>) -> anyhow::Res
     let stages = outcome
         .stages
         .iter()
-        .map(|s| Stage { name: s.name.into(), bytes: s.bytes, psnr: Some(s.quality.psnr), ssim: Some(s.quality.ssim) })
+        .map(|s| CompressionStep {
+            name: s.name.into(),
+            bytes: s.bytes,
+            psnr: Some(s.quality.psnr),
+            ssim: Some(s.quality.ssim),
+        })
         .collect();
-    Ok(report::html(&Report {
+    Ok(tcgs_reproduce::html(&Report {
         title: "tcgs demo".into(),
         summary: summary.into_iter().map(|(name, value)| (name.into(), value)).collect(),
         stages,

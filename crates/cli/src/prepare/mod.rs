@@ -10,10 +10,12 @@ use std::time::Instant;
 use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::{Capture, Origin, POINTS_FILE, PrepareSettings, Prepared, write_points};
+use tcgs_interchange::is_unfinished;
 
 use crate::error::wrong_input;
+use crate::interrupt;
 use crate::options::{self, JobOptions};
-use crate::output::{NewFolder, check_file, is_empty_folder, is_leftover, parent, say, write_file_with, write_json};
+use crate::output::{NewFolder, check_file, is_empty_folder, parent, say, write_file_with, write_json};
 use crate::progress::Progress;
 
 /// Written into every capture that this command makes: how it was made, and that it may be replaced.
@@ -75,6 +77,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         check_points_file(file, force)?;
     }
     let folder = arguments.out.as_deref().map(|out| begin_capture(out, &arguments.source, force)).transpose()?;
+    if let Some(folder) = &folder {
+        interrupt::catch_and_remove(folder.path())?;
+    }
     let capture = Capture::open_unseen(&arguments.source)?;
     if capture.has_points() {
         say("the points that the source has are not used")?;
@@ -151,7 +156,7 @@ fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFo
         for entry in std::fs::read_dir(out).with_context(|| format!("reading {}", out.display()))? {
             let name = entry?.file_name();
             let ours = [POINTS_FILE, RECORD].iter().any(|ours| name == *ours);
-            if !ours && !is_leftover(&name) && source.join(&name).symlink_metadata().is_err() {
+            if !ours && !is_unfinished(&name) && source.join(&name).symlink_metadata().is_err() {
                 let problem = "is neither of the source nor of prepare, expected it to be moved away first";
                 return Err(wrong_input(format!("{}: {problem}", out.join(name).display())));
             }

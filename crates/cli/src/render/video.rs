@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use anyhow::{Context, anyhow};
-use tempfile::TempDir;
+use tcgs_interchange::Unfinished;
 
 use crate::error::wrong_input;
 use crate::options::Size;
-use crate::output::{check_file, write_file_with};
+use crate::output::{begin_beside, check_file, write_file_with};
 
 /// Of a scene that does not say how many frames a second it has.
 const FRAME_RATE: f64 = 30.0;
@@ -41,7 +41,8 @@ pub struct Video {
     force: bool,
     frame_rate: f64,
     encoder: &'static [&'static str],
-    folder: TempDir,
+    /// Beside the place: as private as that, and cleaned up by the same rule if this process is killed.
+    folder: Unfinished,
     running: Option<(Child, Size)>,
 }
 
@@ -64,7 +65,7 @@ impl Video {
             let way_out = "expected it on the PATH for a video; PNG frames need none: --out FOLDER";
             return Err(anyhow!("ffmpeg: {error}, {way_out}"));
         }
-        let folder = tempfile::tempdir().context("making a folder for the video")?;
+        let folder = begin_beside(place).context("making a folder for the video")?;
         Ok(Some(Self { place: place.into(), force, frame_rate: FRAME_RATE, encoder, folder, running: None }))
     }
 

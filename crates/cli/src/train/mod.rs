@@ -1,6 +1,5 @@
 //! `tcgs train`: a capture becomes a run folder.
 
-mod folder;
 mod settings;
 
 use std::path::PathBuf;
@@ -8,7 +7,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_pipeline::{PipelineError, fit, new_trainer};
+use tcgs_pipeline::{PipelineError, RunFolder, fit, new_trainer};
 use tcgs_train::{Preset, Run, TrainConfig, TrainError, Trainer};
 
 use crate::backend::{BackendName, BackendOptions};
@@ -103,25 +102,21 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     interrupt::catch()?;
     let backend = arguments.backend.open(BackendName::Auto)?;
     let capture = Capture::open(&arguments.capture)?;
-    let found = folder::look(&arguments.out)?;
-    let goes_on = match found {
-        folder::Found::Nothing => false,
-        folder::Found::Run if arguments.resume => true,
-        folder::Found::Run if arguments.job.force => false,
-        folder::Found::Run => {
-            let problem = "holds a run, expected --resume to go on with it or --force to replace it";
-            return Err(wrong_input(format!("{}: {problem}", arguments.out.display())));
-        }
-    };
+    let holds_run = RunFolder::holds_run(&arguments.out)?;
+    let goes_on = holds_run && arguments.resume;
+    if holds_run && !arguments.resume && !arguments.job.force {
+        let problem = "holds a run, expected --resume to go on with it or --force to replace it";
+        return Err(wrong_input(format!("{}: {problem}", arguments.out.display())));
+    }
 
     // Everything that can be wrong with the input is found before a run is begun or replaced.
-    let (run, trainer, lock);
+    let (run, trainer, folder);
     if goes_on {
-        lock = folder::lock(&arguments.out)?;
+        folder = RunFolder::lock(&arguments.out)?;
         let mut stored = Run::open(&arguments.out)?;
         let config = settings::resumed(arguments, &capture, stored.config())?;
-        folder::remove_leftovers(&arguments.out)?;
-        let resumed = folder::resume(&stored, &backend)?;
+        folder.remove_leftovers()?;
+        let resumed = Teller::default().watch(|teller| folder.resume(&stored, &backend, teller))?;
         settings::check_end(arguments, &config, resumed.as_ref().map_or(0, Trainer::timesteps))?;
         stored.truncate_metrics(resumed.as_ref().map_or(0, Trainer::timesteps))?;
         if &config != stored.config() {
@@ -137,13 +132,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let config = settings::fresh(arguments, &capture)?;
         say(&describe(&capture, &config)?)?;
         trainer = new_trainer(&config, &capture, &backend)?;
-        lock = folder::lock_new(&arguments.out)?;
-        folder::clear(&arguments.out)?;
+        folder = RunFolder::make(&arguments.out)?;
+        folder.clear()?;
         run = Run::create(&arguments.out, &config)?;
     }
     let trainer =
         Teller::default().watch(|teller| fit(&capture, &run, trainer, teller)).map_err(|e| with_advice(e, &run))?;
-    drop(lock);
+    drop(folder);
     report(arguments, &run, &trainer)
 }
 

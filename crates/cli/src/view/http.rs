@@ -1,27 +1,27 @@
-//! As much of HTTP/1.1 as serving files takes: heads of requests, and which bytes a range asks for.
+//! The part of HTTP/1.1 that serving files takes: heads of requests, and byte ranges.
 
 use std::io::{self, BufRead, ErrorKind, Read};
 use std::ops::Range;
 
-/// Longest head that is read: browsers send less than a kilobyte here.
+/// Longest head of a request that is read; browsers send less than a kilobyte.
 const MAX_HEAD_BYTES: u64 = 16 * 1024;
 
 /// The head of a request.
 #[derive(Debug, PartialEq)]
-pub struct Request {
-    /// Such as `GET`.
+pub struct HttpRequest {
+    /// HTTP method, such as `GET`.
     pub method: String,
-    /// Without what follows a question mark.
+    /// Path of the target, without the query.
     pub path: String,
-    /// Names in lower case.
+    /// Names, in lower case, and values.
     headers: Vec<(String, String)>,
 }
 
-impl Request {
-    /// Reads the next request of a connection; `None` at its end.
+impl HttpRequest {
+    /// Reads the next request of a connection; none at the end of the connection.
     ///
     /// # Errors
-    /// `InvalidData` if this is no request, or one with a body, which nothing here takes.
+    /// `InvalidData` if the bytes are no request of HTTP/1.0 or 1.1, or if the request has a body, which no file takes.
     pub fn read(connection: &mut impl BufRead) -> io::Result<Option<Self>> {
         let wrong = || io::Error::from(ErrorKind::InvalidData);
         let mut head = connection.take(MAX_HEAD_BYTES);
@@ -52,7 +52,7 @@ impl Request {
         if has_body { Err(wrong()) } else { Ok(Some(request)) }
     }
 
-    /// A header's value.
+    /// The value of a header, if the request has it.
     ///
     /// - `name`: in lower case
     pub fn header(&self, name: &str) -> Option<&str> {
@@ -60,22 +60,23 @@ impl Request {
     }
 }
 
-/// What a request wants of a file.
+/// The part of a file that a request asks for.
 #[derive(Debug, PartialEq)]
-pub enum Part {
-    /// All of it.
+pub enum RequestedRange {
+    /// The whole file.
     Whole,
-    /// These bytes.
+    /// These bytes, within the file.
     Bytes(Range<u64>),
-    /// Bytes that it does not have.
+    /// Bytes past the end of the file.
     Beyond,
 }
 
-impl Part {
-    /// Reads the header `Range`. What is malformed, or asks for several ranges, asks for the whole, as RFC 9110 allows.
+impl RequestedRange {
+    /// Reads the header `Range`. A malformed header, or one of several ranges, counts as a request for the whole file, as
+    /// RFC 9110 allows.
     ///
-    /// - `header`: its value
-    /// - `length`: of the file, bytes
+    /// - `header`: value of the header, if the request has it
+    /// - `length`: length of the file, bytes
     pub fn of(header: Option<&str>, length: u64) -> Self {
         let ends = header.and_then(|value| value.strip_prefix("bytes=")).and_then(|range| range.split_once('-'));
         let Some((first, last)) = ends else { return Self::Whole };
@@ -101,11 +102,11 @@ mod tests {
     #[test]
     fn heads_are_read_one_after_the_other() {
         let mut bytes: &[u8] = b"GET /a?b=c HTTP/1.1\r\nHost: x\r\nRANGE:  bytes=0-1 \r\n\r\nHEAD / HTTP/1.0\r\n\r\n";
-        let first = Request::read(&mut bytes).unwrap().unwrap();
+        let first = HttpRequest::read(&mut bytes).unwrap().unwrap();
         assert_eq!((first.method.as_str(), first.path.as_str()), ("GET", "/a"));
         assert_eq!((first.header("host"), first.header("range")), (Some("x"), Some("bytes=0-1")));
-        assert_eq!(Request::read(&mut bytes).unwrap().unwrap().method, "HEAD");
-        assert_eq!(Request::read(&mut bytes).unwrap(), None);
+        assert_eq!(HttpRequest::read(&mut bytes).unwrap().unwrap().method, "HEAD");
+        assert_eq!(HttpRequest::read(&mut bytes).unwrap(), None);
     }
 
     #[test]
@@ -123,27 +124,27 @@ mod tests {
         ];
         for case in cases {
             let mut bytes = case.as_bytes();
-            let kind = Request::read(&mut bytes).unwrap_err().kind();
+            let kind = HttpRequest::read(&mut bytes).unwrap_err().kind();
             assert_eq!(kind, ErrorKind::InvalidData, "{case}");
         }
     }
 
     #[test]
     fn ranges_are_cut_to_the_file() {
-        let of = |header: &str| Part::of(Some(header), 10);
-        assert_eq!(Part::of(None, 10), Part::Whole);
-        assert_eq!(of("bytes=0-0"), Part::Bytes(0..1));
-        assert_eq!(of("bytes=3-"), Part::Bytes(3..10));
-        assert_eq!(of("bytes=3-99"), Part::Bytes(3..10));
-        assert_eq!(of("bytes=3-18446744073709551615"), Part::Bytes(3..10));
-        assert_eq!(of("bytes=-4"), Part::Bytes(6..10));
-        assert_eq!(of("bytes=-99"), Part::Bytes(0..10));
+        let of = |header: &str| RequestedRange::of(Some(header), 10);
+        assert_eq!(RequestedRange::of(None, 10), RequestedRange::Whole);
+        assert_eq!(of("bytes=0-0"), RequestedRange::Bytes(0..1));
+        assert_eq!(of("bytes=3-"), RequestedRange::Bytes(3..10));
+        assert_eq!(of("bytes=3-99"), RequestedRange::Bytes(3..10));
+        assert_eq!(of("bytes=3-18446744073709551615"), RequestedRange::Bytes(3..10));
+        assert_eq!(of("bytes=-4"), RequestedRange::Bytes(6..10));
+        assert_eq!(of("bytes=-99"), RequestedRange::Bytes(0..10));
         for beyond in ["bytes=10-", "bytes=10-12", "bytes=-0"] {
-            assert_eq!(of(beyond), Part::Beyond, "{beyond}");
+            assert_eq!(of(beyond), RequestedRange::Beyond, "{beyond}");
         }
-        assert_eq!(Part::of(Some("bytes=0-"), 0), Part::Beyond);
+        assert_eq!(RequestedRange::of(Some("bytes=0-"), 0), RequestedRange::Beyond);
         for odd in ["bytes=", "bytes=-", "bytes=a-b", "bytes=5-2", "lines=0-1", "bytes=0-1,4-5", "bytes=+1-2"] {
-            assert_eq!(of(odd), Part::Whole, "{odd}");
+            assert_eq!(of(odd), RequestedRange::Whole, "{odd}");
         }
     }
 }

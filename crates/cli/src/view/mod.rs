@@ -1,4 +1,4 @@
-//! `tcgs view`: the player in a browser, showing a scene of this machine.
+//! `tcgs view`: shows a scene of this machine in a browser.
 
 mod http;
 mod server;
@@ -9,20 +9,20 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, anyhow};
-use tcgs_codec::{Archive, DecodeLimits, Opening};
+use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening};
 
 use crate::error::wrong_input;
 use crate::output::{note, say};
 use crate::scene::unreadable;
 use server::{PageFile, Server};
 
-/// The built page; nothing where it was not built before this program was.
+/// Files of the built page; empty if the page was not built before this program.
 const PAGE: &[PageFile] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
 
 /// Show a scene in a browser
 ///
-/// Serves the player on this machine alone (127.0.0.1), prints its address, opens the browser where there is
-/// one, and goes on until it is stopped (Ctrl-C).
+/// Serves the player on this machine alone (127.0.0.1), prints its address, opens a browser if there is one, and
+/// serves until it is stopped (Ctrl-C).
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -55,7 +55,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     server.run()
 }
 
-/// Whether a scene is worth a server. Damage further inside is the player's to tell.
+/// Refuses a file that the player could not open: one without the tables of a `.tcgs` file. The player itself tells of
+/// damage behind the tables.
 fn check_scene(path: &Path) -> anyhow::Result<()> {
     let expected = "a .tcgs file, which `tcgs compress` makes of other scenes";
     let refuse = |found: String| Err(wrong_input(format!("{}: {found}, expected {expected}", path.display())));
@@ -63,12 +64,12 @@ fn check_scene(path: &Path) -> anyhow::Result<()> {
         return refuse("is a folder".into());
     }
     let mut file = File::open(path).map_err(|error| unreadable(path, error, expected))?;
-    let (mut start, mut needed) = (Vec::new(), 4);
+    let (mut start, mut needed) = (Vec::new(), MAGIC.len() as u64);
     loop {
         let missing = needed - start.len() as u64;
         let read = (&mut file).take(missing).read_to_end(&mut start);
         read.map_err(|error| unreadable(path, error, expected))?;
-        if !start.starts_with(b"TCGS") {
+        if !start.starts_with(&MAGIC) {
             return refuse("a file of another kind".into());
         }
         if (start.len() as u64) < needed {
@@ -82,7 +83,7 @@ fn check_scene(path: &Path) -> anyhow::Result<()> {
     }
 }
 
-/// Asks the desktop, where there is one, to show an address. Who sees no window has the address printed.
+/// Asks the desktop, if there is one, to show an address. On other machines the printed address must do.
 fn open_browser(address: &str) {
     let program = if cfg!(target_os = "macos") {
         "open"

@@ -1,4 +1,4 @@
-//! A web server for one page and one scene, on this machine alone.
+//! A web server for the page of the player and one scene. It answers to this machine alone.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
@@ -8,14 +8,14 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, UNIX_EPOCH};
 
-use super::http::{Part, Request};
+use super::http::{HttpRequest, RequestedRange};
 use crate::output::note;
 
-/// Where the page finds the scene.
+/// Path at which the scene is served.
 const SCENE: &str = "/scene.tcgs";
-/// In the page: where it learns which scene to open by itself. As built, none.
+/// The element of `index.html` that names the scene to open, as built: none.
 const NO_SCENE: &str = r#"<meta name="tcgs-src" content="">"#;
-/// A connection that says nothing for so long is closed.
+/// A connection on which nothing arrives for so long is closed.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A file of the built page.
@@ -23,40 +23,51 @@ const PATIENCE: Duration = Duration::from_secs(30);
 pub struct PageFile {
     /// Path below the page's folder, with slashes.
     pub name: &'static str,
-    /// What it holds.
+    /// Content of the file.
     pub bytes: &'static [u8],
 }
 
-/// A server that has a port.
+/// A server that listens on a port of 127.0.0.1.
 pub struct Server {
     listener: TcpListener,
     site: Arc<Site>,
 }
 
-/// What is served.
+/// The files that are served.
 struct Site {
     scene: PathBuf,
     page: &'static [PageFile],
 }
 
 impl Server {
-    /// Takes a port of 127.0.0.1; of port 0, any that is free.
+    /// Listens on a port of 127.0.0.1.
+    ///
+    /// - `port`: 0 for any port that is free
+    /// - `scene`: a `.tcgs` file; it is opened anew for every request
+    /// - `page`: the built page of the player
+    ///
+    /// # Errors
+    /// If the port is taken or not allowed.
     pub fn bind(port: u16, scene: &Path, page: &'static [PageFile]) -> io::Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
         Ok(Self { listener, site: Arc::new(Site { scene: scene.into(), page }) })
     }
 
-    /// What to type into a browser.
+    /// The address of the page, to type into a browser.
+    ///
+    /// # Errors
+    /// If the system does not tell the port.
     pub fn address(&self) -> io::Result<String> {
         Ok(format!("http://{}/", self.listener.local_addr()?))
     }
 
-    /// Serves for ever. A browser that went away or talks nonsense ends its connection and nothing else.
+    /// Serves for ever, a thread per connection. A browser that breaks off or sends what is no request loses its connection
+    /// and disturbs no other.
     pub fn run(self) -> ! {
         loop {
             let begun = self.listener.accept().and_then(|(connection, _)| {
                 let site = Arc::clone(&self.site);
-                thread::Builder::new().spawn(move || site.talk(&connection))
+                thread::Builder::new().spawn(move || site.serve_connection(&connection))
             });
             if let Err(error) = begun {
                 note(&format!("a connection failed: {error}"));
@@ -67,12 +78,13 @@ impl Server {
 }
 
 impl Site {
-    fn talk(&self, connection: &TcpStream) -> io::Result<()> {
+    /// Answers the requests of a connection, one after the other.
+    fn serve_connection(&self, connection: &TcpStream) -> io::Result<()> {
         connection.set_read_timeout(Some(PATIENCE))?;
         connection.set_write_timeout(Some(PATIENCE))?;
         connection.set_nodelay(true)?;
         let mut incoming = BufReader::new(connection);
-        while let Some(request) = Request::read(&mut incoming)? {
+        while let Some(request) = HttpRequest::read(&mut incoming)? {
             let with_body = request.method != "HEAD";
             self.answer(&request)?.send(&mut &*connection, with_body)?;
             if request.header("connection").is_some_and(|value| value.eq_ignore_ascii_case("close")) {
@@ -82,59 +94,60 @@ impl Site {
         Ok(())
     }
 
-    fn answer(&self, request: &Request) -> io::Result<Answer> {
-        // Elsewhere a name may be made to lead here, so that a foreign page reads what this one may.
+    fn answer(&self, request: &HttpRequest) -> io::Result<HttpAnswer> {
+        // Refuses any other `Host`: by DNS rebinding a foreign page could make its own name lead to 127.0.0.1 and read
+        // local files.
         let host = request.header("host").unwrap_or_default();
         let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
         if !["127.0.0.1", "localhost"].contains(&name) {
-            return Ok(Answer::plain("403 Forbidden", "this server answers to 127.0.0.1 alone"));
+            return Ok(HttpAnswer::plain("403 Forbidden", "this server answers to 127.0.0.1 alone"));
         }
         if !["GET", "HEAD"].contains(&request.method.as_str()) {
-            return Ok(Answer::plain("405 Method Not Allowed", "expected GET or HEAD").with("Allow", "GET, HEAD"));
+            return Ok(HttpAnswer::plain("405 Method Not Allowed", "expected GET or HEAD").with("Allow", "GET, HEAD"));
         }
         if request.path == SCENE {
-            return self.scene(request);
+            return self.answer_scene(request);
         }
         let name = match request.path.trim_start_matches('/') {
             "" => "index.html",
             name => name,
         };
         let Some(file) = self.page.iter().find(|file| file.name == name) else {
-            return Ok(Answer::plain("404 Not Found", "no such file"));
+            return Ok(HttpAnswer::plain("404 Not Found", "no such file"));
         };
         let bytes = if name == "index.html" { with_scene(file.bytes) } else { file.bytes.into() };
-        Ok(Answer::new("200 OK", mime(name), Body::Bytes(bytes)))
+        Ok(HttpAnswer::new("200 OK", mime(name), AnswerBody::Bytes(bytes)))
     }
 
-    /// Opened anew for every request: a scene that was compressed again shows after a reload.
-    fn scene(&self, request: &Request) -> io::Result<Answer> {
+    /// Opens the scene anew for every request, so that a scene which was compressed again shows after a reload.
+    fn answer_scene(&self, request: &HttpRequest) -> io::Result<HttpAnswer> {
         let Ok(mut file) = File::open(&self.scene) else {
-            return Ok(Answer::plain("404 Not Found", "the scene is no longer there"));
+            return Ok(HttpAnswer::plain("404 Not Found", "the scene is no longer there"));
         };
         let metadata = file.metadata()?;
         let length = metadata.len();
         let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
         let tag = format!("\"{length:x}-{:x}\"", changed.unwrap_or_default().as_nanos());
-        // A part of a file that has changed since fits nothing that was read before.
+        // A part of a file that has changed meanwhile would not fit the parts that the page has.
         let unchanged = request.header("if-range").is_none_or(|known| known == tag);
         let wanted = request.header("range").filter(|_| unchanged);
         let kind = "application/octet-stream";
-        let answer = match Part::of(wanted, length) {
-            Part::Whole => Answer::new("200 OK", kind, Body::File(file, length)),
-            Part::Bytes(range) => {
+        let answer = match RequestedRange::of(wanted, length) {
+            RequestedRange::Whole => HttpAnswer::new("200 OK", kind, AnswerBody::File(file, length)),
+            RequestedRange::Bytes(range) => {
                 file.seek(SeekFrom::Start(range.start))?;
                 let place = format!("bytes {}-{}/{length}", range.start, range.end - 1);
-                Answer::new("206 Partial Content", kind, Body::File(file, range.end - range.start))
+                HttpAnswer::new("206 Partial Content", kind, AnswerBody::File(file, range.end - range.start))
                     .with("Content-Range", &place)
             }
-            Part::Beyond => Answer::plain("416 Range Not Satisfiable", "no such bytes")
+            RequestedRange::Beyond => HttpAnswer::plain("416 Range Not Satisfiable", "no such bytes")
                 .with("Content-Range", &format!("bytes */{length}")),
         };
         Ok(answer.with("Accept-Ranges", "bytes").with("ETag", &tag))
     }
 }
 
-/// The page, told which scene to open.
+/// `index.html` with the path of the scene that it is to open.
 fn with_scene(page: &[u8]) -> Vec<u8> {
     let told = NO_SCENE.replace(r#"content="""#, &format!("content=\"{SCENE}\""));
     String::from_utf8_lossy(page).replace(NO_SCENE, &told).into_bytes()
@@ -151,22 +164,22 @@ fn mime(name: &str) -> &'static str {
     }
 }
 
-enum Body {
+enum AnswerBody {
     Bytes(Vec<u8>),
-    /// So many bytes from where it stands.
+    /// The file's next bytes, and how many of them.
     File(File, u64),
 }
 
-struct Answer {
+struct HttpAnswer {
     head: String,
-    body: Body,
+    body: AnswerBody,
 }
 
-impl Answer {
-    fn new(status: &str, kind: &str, body: Body) -> Self {
+impl HttpAnswer {
+    fn new(status: &str, kind: &str, body: AnswerBody) -> Self {
         let length = match &body {
-            Body::Bytes(bytes) => bytes.len() as u64,
-            Body::File(_, length) => *length,
+            AnswerBody::Bytes(bytes) => bytes.len() as u64,
+            AnswerBody::File(_, length) => *length,
         };
         let head = format!("HTTP/1.1 {status}\r\n");
         Self { head, body }
@@ -178,7 +191,7 @@ impl Answer {
     }
 
     fn plain(status: &str, text: &str) -> Self {
-        Self::new(status, "text/plain; charset=utf-8", Body::Bytes(format!("{text}\n").into_bytes()))
+        Self::new(status, "text/plain; charset=utf-8", AnswerBody::Bytes(format!("{text}\n").into_bytes()))
     }
 
     fn with(mut self, name: &str, value: &str) -> Self {
@@ -191,11 +204,11 @@ impl Answer {
         connection.write_all(b"\r\n")?;
         match self.body {
             _ if !with_body => {}
-            Body::Bytes(bytes) => connection.write_all(&bytes)?,
-            Body::File(file, length) => {
+            AnswerBody::Bytes(bytes) => connection.write_all(&bytes)?,
+            AnswerBody::File(file, length) => {
                 let sent = io::copy(&mut file.take(length), connection)?;
                 if sent < length {
-                    // The file was cut meanwhile: only the connection's end can say so now.
+                    // The file was cut meanwhile. The head is sent, so only the end of the connection can tell.
                     return Err(io::ErrorKind::UnexpectedEof.into());
                 }
             }

@@ -1,5 +1,7 @@
 //! Magic, version, table of contents and checksums around sections of bytes.
 
+use std::io::{Seek, SeekFrom, Write};
+
 use super::FORMAT_VERSION;
 use super::section::{self, Cursor, Entry, SHARED, Tag};
 use crate::error::{CompressError, DecodeError};
@@ -24,48 +26,76 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// Stands where a section was taken from.
-    pub(super) fn empty() -> Self {
-        Self::shared([0; 4], 0, Vec::new())
-    }
-
     /// A section that belongs to no segment.
     pub(super) fn shared(tag: Tag, layer: usize, bytes: Vec<u8>) -> Self {
         Self { tag, segment: SHARED, layer: layer as u16, bytes }
     }
 }
 
-/// A file of these sections in this order.
-///
-/// # Errors
-/// [`CompressError::Count`] if a section is of 4 GiB or more, or there are more than 2^20.
-pub(super) fn write(parts: &[Part]) -> Result<Vec<u8>, CompressError> {
-    if parts.len() > MAX_SECTIONS as usize {
+/// Writes a file section after section, and in the end its table of contents.
+pub(super) struct Writer<'a, W> {
+    file: &'a mut W,
+    /// Where the file begins.
+    start: u64,
+    /// As far as it is known.
+    header: Vec<u8>,
+    num_sections: usize,
+}
+
+impl<'a, W: Write + Seek> Writer<'a, W> {
+    /// Leaves room for the header.
+    ///
+    /// # Errors
+    /// [`CompressError`] if there are more than 2^20 sections or the file cannot be written.
+    pub(super) fn new(file: &'a mut W, num_sections: usize) -> Result<Self, CompressError> {
         let expected = MAX_SECTIONS as usize;
-        return Err(CompressError::Count { what: "sections".into(), found: parts.len(), expected });
+        if num_sections > expected {
+            return Err(CompressError::Count { what: "sections".into(), found: num_sections, expected });
+        }
+        let start = file.stream_position()?;
+        file.write_all(&vec![0; header_bytes(num_sections)])?;
+        let mut header = Vec::with_capacity(header_bytes(num_sections));
+        header.extend(MAGIC);
+        header.extend(FORMAT_VERSION.to_le_bytes());
+        header.extend(0_u16.to_le_bytes());
+        header.extend((num_sections as u32).to_le_bytes());
+        header.extend(0_u32.to_le_bytes());
+        Ok(Self { file, start, header, num_sections })
     }
-    let mut file = Vec::with_capacity(header_bytes(parts.len()) + parts.iter().map(|p| p.bytes.len()).sum::<usize>());
-    file.extend(MAGIC);
-    file.extend(FORMAT_VERSION.to_le_bytes());
-    file.extend(0_u16.to_le_bytes());
-    file.extend((parts.len() as u32).to_le_bytes());
-    file.extend(0_u32.to_le_bytes());
-    for part in parts {
+
+    /// Writes the next section.
+    ///
+    /// # Errors
+    /// [`CompressError`] if the section is of 4 GiB or more, or the file cannot be written.
+    pub(super) fn section(&mut self, part: &Part) -> Result<(), CompressError> {
         let (found, expected) = (part.bytes.len(), u32::MAX as usize);
         let too_long = |_| CompressError::Count { what: "bytes of a section".into(), found, expected };
         let length = u32::try_from(found).map_err(too_long)?;
-        file.extend(part.tag);
-        file.extend(part.segment.to_le_bytes());
-        file.extend(part.layer.to_le_bytes());
-        file.extend(length.to_le_bytes());
-        file.extend(crc32fast::hash(&part.bytes).to_le_bytes());
+        self.header.extend(part.tag);
+        self.header.extend(part.segment.to_le_bytes());
+        self.header.extend(part.layer.to_le_bytes());
+        self.header.extend(length.to_le_bytes());
+        self.header.extend(crc32fast::hash(&part.bytes).to_le_bytes());
+        Ok(self.file.write_all(&part.bytes)?)
     }
-    let checksum = header_checksum(&file);
-    file[CHECKSUM_AT..FIXED_BYTES].copy_from_slice(&checksum.to_le_bytes());
-    for part in parts {
-        file.extend(&part.bytes);
+
+    /// Writes the header, after all sections; the file then stands at its end.
+    ///
+    /// # Errors
+    /// [`CompressError::Io`] if the file cannot be written.
+    ///
+    /// # Panics
+    /// If another number of sections was written than [`Self::new`] was told.
+    pub(super) fn finish(mut self) -> Result<(), CompressError> {
+        assert_eq!(self.header.len(), header_bytes(self.num_sections), "bytes of the table of contents");
+        let checksum = header_checksum(&self.header);
+        self.header[CHECKSUM_AT..FIXED_BYTES].copy_from_slice(&checksum.to_le_bytes());
+        let end = self.file.stream_position()?;
+        self.file.seek(SeekFrom::Start(self.start))?;
+        self.file.write_all(&self.header)?;
+        self.file.seek(SeekFrom::Start(end))?;
+        Ok(())
     }
-    Ok(file)
 }
 
 /// Bytes before the first section.

@@ -1,6 +1,6 @@
 //! A whole file at once.
 
-use tcgs_core::Attribute;
+use tcgs_core::{Attribute, Layout};
 
 use super::archive::{Archive, Opening};
 use super::neighbors::NONE;
@@ -60,10 +60,11 @@ pub(super) fn join(archive: &Archive, segments: &[Segment]) -> Result<CompactSce
         info: head.info.clone(),
         bit_map: shared.bit_map.clone(),
         quantizers: head.plan.quantizers.clone(),
-        varies: head.plan.varies,
+        varies: head.plan.varies.to_vec(),
         layers: head.layers.clone(),
         segment_length: head.segment_length,
-        tracks: tracks.try_into().expect("five attributes"),
+        tracks,
+        layout: Layout::base(),
     };
     scene.check().map(|()| scene).map_err(|violation| {
         Cursor::new(violation.attribute.map_or("info", Attribute::name), 0, &[])

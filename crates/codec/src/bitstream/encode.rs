@@ -1,8 +1,11 @@
 //! Symbols to bytes.
 
+use std::io::{Cursor, Seek, Write};
+
 use rayon::prelude::*;
 use tcgs_core::Attribute;
 
+use super::FORMAT_VERSION;
 use super::coder::Encoder;
 use super::container::{self, Part};
 use super::fit;
@@ -54,11 +57,44 @@ pub fn encode(scene: &CompactScene) -> Result<Vec<u8>, CompressError> {
 /// # Errors
 /// As [`encode`]; also if a name is longer than 65535 bytes or data are of 4 GiB.
 pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Result<Vec<u8>, CompressError> {
+    let mut file = Cursor::new(Vec::new());
+    encode_to(scene, data, &mut file)?;
+    Ok(file.into_inner())
+}
+
+/// [`encode_with`] into a file, segment by segment: memory holds some segments of the bytes.
+///
+/// - `file`: written from where it stands, and left at the end of what was written; after an error its content is of
+///   no use
+///
+/// ```
+/// # use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress, encode_to, encode_with};
+/// # use tcgs_core::{DynamicGaussians, Gaussians};
+/// # let mut scene = DynamicGaussians::default();
+/// # scene.push(Gaussians::zeros(3));
+/// # let bit_map = BitMap::uniform(3, 16, 6);
+/// # let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default())?;
+/// let mut file = std::io::Cursor::new(Vec::new()); // or a `std::fs::File`
+/// encode_to(&compact, &[], &mut file)?;
+/// assert_eq!(file.into_inner(), encode_with(&compact, &[])?);
+/// # Ok::<(), tcgs_codec::CompressError>(())
+/// ```
+///
+/// # Errors
+/// As [`encode_with`]; also if the file cannot be written.
+pub fn encode_to<W: Write + Seek>(
+    scene: &CompactScene,
+    data: &[(&str, &[u8])],
+    file: &mut W,
+) -> Result<(), CompressError> {
+    if let Some(column) = scene.layout.columns().get(Attribute::BASE.len()) {
+        return Err(CompressError::Unsupported { version: FORMAT_VERSION, found: column.name.clone() });
+    }
     scene.check()?;
     let mut head = Head {
         info: scene.info.clone(),
         plan: Plan {
-            varies: scene.varies,
+            varies: Attribute::BASE.map(|a| scene.varies[a.index()]),
             joint: Attribute::BASE.map(|a| share_times(&scene.tracks[a.index()], a.components())),
             quantizers: scene.quantizers.clone(),
             predictors: Default::default(),
@@ -84,18 +120,28 @@ pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Result<Vec<u
         parts.push(Part::shared(APPLICATION, 0, [&length.to_le_bytes(), name.as_bytes(), bytes].concat()));
     }
     parts.extend(shared_sections(&head, &mut shared));
-    let spans = 0..head.num_segments();
-    let varying = || Attribute::BASE.into_iter().filter(|a| scene.varies[a.index()]);
-    let jobs: Vec<_> = spans.flat_map(|segment| varying().map(move |attribute| (segment, attribute))).collect();
-    let mut by_layer: Vec<_> =
-        jobs.into_par_iter().map(|(segment, a)| segment_sections(scene, &head, &shared, segment, a)).collect();
-    for of_segment in by_layer.chunks_mut(varying().count().max(1)) {
-        for layer in 0..head.layers.len() {
-            parts.extend(of_segment.iter_mut().map(|layers| std::mem::replace(&mut layers[layer], Part::empty())));
+    let varying: Vec<Attribute> = Attribute::BASE.into_iter().filter(|a| scene.varies[a.index()]).collect();
+    let (num_segments, num_layers) = (head.num_segments(), head.layers.len());
+    let mut writer = container::Writer::new(file, parts.len() + num_segments * num_layers * varying.len())?;
+    parts.iter().try_for_each(|part| writer.section(part))?;
+    // Enough segments together that no thread waits for long.
+    let at_once = (JOBS_PER_THREAD * rayon::current_num_threads()).div_ceil(varying.len().max(1));
+    for start in (0..num_segments).step_by(at_once) {
+        let segments = start..(start + at_once).min(num_segments);
+        let jobs: Vec<_> = segments.flat_map(|segment| varying.iter().map(move |&a| (segment, a))).collect();
+        let by_job: Vec<Vec<Part>> =
+            jobs.into_par_iter().map(|(segment, a)| segment_sections(scene, &head, &shared, segment, a)).collect();
+        for of_segment in by_job.chunks(varying.len().max(1)) {
+            for layer in 0..num_layers {
+                of_segment.iter().try_for_each(|layers| writer.section(&layers[layer]))?;
+            }
         }
     }
-    container::write(&parts)
+    writer.finish()
 }
+
+/// Segments and attributes that are encoded together, for each thread.
+const JOBS_PER_THREAD: usize = 8;
 
 /// Whether the components of each Gaussian have keypoints at the same times.
 fn share_times(tracks: &Tracks<i16>, components: usize) -> bool {

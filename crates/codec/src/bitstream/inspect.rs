@@ -52,9 +52,9 @@ pub struct Contents {
     /// Counts and provenance.
     pub info: SceneInfo,
     /// By [`Attribute::index`]: how many Gaussians have each width.
-    pub bits_histogram: [BTreeMap<u8, usize>; 5],
+    pub bits_histogram: Vec<BTreeMap<u8, usize>>,
     /// By [`Attribute::index`]: mean number of keypoints of a track.
-    pub keypoints_mean: [f64; 5],
+    pub keypoints_mean: Vec<f64>,
     /// Size as plain 32-bit floats: [`crate::CompactScene::raw_bytes`].
     pub raw_bytes: u64,
     /// Size in the paper's sparse form: [`crate::CompactScene::plain_bytes`].

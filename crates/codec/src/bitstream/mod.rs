@@ -35,7 +35,7 @@ pub use container::MAGIC;
 pub use decode::decode;
 pub(crate) use decode::end_of_file;
 #[cfg(feature = "encode")]
-pub use encode::{encode, encode_with};
+pub use encode::{encode, encode_to, encode_with};
 pub use inspect::{Contents, FileInfo, SectionInfo, application_data, inspect};
 pub use push::{Decoder, Event};
 pub use segment::{Keypoints, Sampler, Segment};

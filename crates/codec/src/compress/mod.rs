@@ -1,26 +1,36 @@
-//! From floats to symbols.
+//! From floats to symbols, in two readings of a scene.
+//!
+//! The first reading (`statistics`) finds what must be known of all timesteps: ranges, means over time, which columns
+//! vary, the first timestep. From it follow bit widths, tolerances, and which Gaussians stand still. The second reading
+//! (`reduce`) holds one segment of timesteps, and keeps keypoints of what moves. Quantizers are fitted to these.
 //!
 //! - `settings`: what a user may choose
-//! - `tracks`: values over time, and their keypoints
+//! - `gather`: values over time from timesteps
+//! - `tolerances`: how far a track may be from its keypoints, and quantizers
 //! - `order`: who matters more, layers, and the curve along which Gaussians lie
 //!
-//! Here: quantizers and tolerances, and the steps one after another.
+//! Here: the steps one after another.
 
+mod gather;
 mod order;
+mod reduce;
 mod settings;
-mod tracks;
+mod statistics;
+mod tolerances;
 
-use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use rayon::prelude::*;
-use tcgs_core::{Attribute, DynamicGaussians};
+use tcgs_core::{Attribute, DynamicGaussians, Layout, SceneReader};
 
-use self::order::{by_layer, morton_order, tolerance_factors};
-use self::tracks::{float_tracks, reduce, reduce_jointly};
+use self::order::{by_layer, morton_order};
+use self::reduce::Reduced;
+use self::statistics::Statistics;
+use self::tolerances::{Tolerances, quantizers_for};
 use crate::bits::BitMap;
 use crate::compact::{CompactScene, MAX_TIMESTEPS, SceneInfo, Tracks};
 use crate::error::CompressError;
-use crate::quantize::{MAX_BITS, Quantizer, Quantizers, check_bits};
+use crate::quantize::{Quantizers, check_bits};
 
 pub use self::settings::CompressSettings;
 
@@ -50,22 +60,12 @@ pub fn compress(
     Ok(compress_ordered(scene, bit_map, learned, info, settings)?.0)
 }
 
-/// Turns a scene into symbols.
+/// Turns a scene in memory into symbols, as [`compress_reader`] does.
 ///
-/// Quaternions are normalised and made sign-continuous over time; keypoints are selected, on every
-/// scalar track by itself (paper 4.1.3) or for all components of an attribute together; positions get quantizers that cover all of them, every other
-/// channel and width the learned quantizer, or a fitted one where that errs far less on the values stored.
-///
-/// - `bit_map`: for the Gaussians of `scene`, in its order
-/// - `learned`: quantizers from training; those for positions are not used
-/// - `info`: counts as `scene` has them
-/// - returns: the compact scene, whose Gaussians lie in layers, in each along a Morton curve of their first
-///   positions; and that order: Gaussian `i` of the compact scene is `order[i]` of `scene`
+/// - returns: the compact scene and its order
 ///
 /// # Errors
-/// [`CompressError`] if `scene`, `bit_map` and `info` disagree in a count, there is no timestep or more than 65536, a
-/// value is not finite, a width is not within 1 to 16, a setting is out of range, or values lie further apart than a
-/// quantizer can say.
+/// As [`compress_reader`].
 pub fn compress_ordered(
     scene: &DynamicGaussians,
     bit_map: &BitMap,
@@ -73,57 +73,131 @@ pub fn compress_ordered(
     info: SceneInfo,
     settings: &CompressSettings,
 ) -> Result<(CompactScene, Vec<usize>), CompressError> {
+    let varies: Vec<bool> = scene.layout().attributes().map(|attribute| scene.varies(attribute)).collect();
+    compress_columns(&mut &*scene, &varies, bit_map, learned, info, settings)
+}
+
+/// Turns a scene that is read a timestep at a time into symbols.
+///
+/// Quaternions are normalised and made sign-continuous over time. Keypoints are selected for all components of an
+/// attribute together, segment by segment, or on every scalar track by itself (paper 4.1.3). Positions get quantizers
+/// that cover all of them; every other channel and width gets the learned quantizer, or a fitted one where the learned
+/// one errs far more on the values stored.
+///
+/// Where keypoints are selected segment by segment, which is the default, the scene is read twice, and memory holds
+/// one segment of its timesteps and the keypoints of what moves. Else it is read more often the larger it is.
+///
+/// - `bit_map`: for the Gaussians of the scene, in its order
+/// - `learned`: quantizers from training; those for positions are not used
+/// - `info`: counts as the scene has them
+/// - returns: the compact scene, whose Gaussians lie in layers, in each along a Morton curve of their first
+///   positions; and that order: Gaussian `i` of the compact scene is `order[i]` of the scene
+///
+/// ```
+/// use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress, compress_reader};
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let mut scene = DynamicGaussians::default();
+/// scene.push(Gaussians::zeros(3));
+/// let (map, info, settings) = (BitMap::uniform(3, 16, 6), SceneInfo::of(&scene), CompressSettings::default());
+/// // Any `SceneReader`, such as a `SceneFile`; a scene in memory is one, too.
+/// let (compact, order) = compress_reader(&mut &scene, &map, None, info.clone(), &settings)?;
+/// assert_eq!((&compact, order.len()), (&compress(&scene, &map, None, info, &settings)?, 3));
+/// # Ok::<(), tcgs_codec::CompressError>(())
+/// ```
+///
+/// # Errors
+/// [`CompressError`] if a timestep cannot be read, the scene, `bit_map` and `info` disagree in a count, there is no
+/// timestep or more than 65536, a value is not finite, a width is not within 1 to 16, a setting is out of range, or
+/// values lie further apart than a quantizer can say.
+pub fn compress_reader<R: SceneReader>(
+    reader: &mut R,
+    bit_map: &BitMap,
+    learned: Option<&Quantizers>,
+    info: SceneInfo,
+    settings: &CompressSettings,
+) -> Result<(CompactScene, Vec<usize>), CompressError> {
+    let varies: Vec<bool> = reader.layout().columns().iter().map(|column| column.varies).collect();
+    compress_columns(reader, &varies, bit_map, learned, info, settings)
+}
+
+/// - `varies`: by [`Attribute::index`]: whether a column is known to vary; whether another one does is found by reading
+fn compress_columns<R: SceneReader>(
+    reader: &mut R,
+    varies: &[bool],
+    bit_map: &BitMap,
+    learned: Option<&Quantizers>,
+    info: SceneInfo,
+    settings: &CompressSettings,
+) -> Result<(CompactScene, Vec<usize>), CompressError> {
     settings.check()?;
-    check_arguments(scene, bit_map, &info)?;
-    let bit_map = &settings.adjusted(bit_map, scene);
-    let position_step = settings.position_step(scene);
-    let segment_length = settings.segment_length_of(scene.num_gaussians(), scene.num_timesteps());
-    let mut quantizers = Quantizers::default();
-    let mut tracks: [Tracks<f32>; 5] = Default::default();
-    for attribute in Attribute::BASE {
-        let widths = &bit_map.widths[attribute.index()];
-        let tolerances = tolerances(scene, attribute, widths, learned, position_step, settings)?;
-        let slack = tolerance_factors(scene, attribute, settings);
-        let of_attribute = float_tracks(scene, attribute, |values, gaussian, selector, out| {
-            let tolerances: Vec<f32> = tolerances[usize::from(widths[gaussian])]
-                .iter()
-                .map(|&(max_mse, floor)| f32::max(max_mse * slack.get(gaussian).unwrap_or(&1.0), floor))
-                .collect();
-            if settings.joint && settings.keypoints && scene.varies(attribute) {
-                reduce_jointly(values, &tolerances, segment_length as usize, settings, selector, out);
-            } else {
-                for (track, &max_mse) in values.chunks_exact(values.len() / tolerances.len()).zip(&tolerances) {
-                    let (times, values) = reduce(track, max_mse, settings, selector);
-                    out.push(&times, &values);
-                }
-            }
-        });
-        quantizers.attributes[attribute.index()] =
-            quantizers_for(attribute, &of_attribute, widths, learned, position_step)?;
-        tracks[attribute.index()] = of_attribute;
+    let layout = Arc::clone(reader.layout());
+    let num_timesteps = reader.num_timesteps();
+    check_arguments(&layout, [reader.num_gaussians(), num_timesteps], bit_map, &info)?;
+    let statistics = Statistics::read(reader, varies)?;
+    let (first, varies) = (&statistics.first, |a: Attribute| statistics.columns[a.index()].varies);
+    let bit_map = &settings.adjusted(bit_map, first, statistics.bounds);
+    let position_step = settings.position_step(first);
+    let segment_length = settings.segment_length_of(first.num_gaussians(), num_timesteps);
+
+    let tolerances = layout.columns().iter().filter(|column| varies(column.attribute)).map(|column| {
+        let widths = &bit_map.widths[column.attribute.index()];
+        let tolerances = Tolerances::new(&statistics, column, widths, learned, position_step, settings);
+        tolerances.map(|tolerances| (column.attribute, tolerances))
+    });
+    let tolerances = tolerances.collect::<Result<Vec<_>, CompressError>>()?;
+    let columns: Vec<(Attribute, &Tolerances<'_>)> = tolerances.iter().map(|(a, of)| (*a, of)).collect();
+    let varying = if settings.joint && settings.keypoints {
+        reduce::jointly(reader, &statistics, &columns, segment_length as usize, settings)?
+    } else {
+        reduce::apart(reader, &columns, settings)?
+    };
+    let mut varying = varying.into_iter();
+    let mut reduced: Vec<Reduced> = Vec::new();
+    for attribute in layout.attributes() {
+        let next = if varies(attribute) { varying.next() } else { None };
+        reduced.push(next.unwrap_or_else(|| reduce::constant(&statistics, attribute, settings)));
     }
-    let order = morton_order(&tracks[Attribute::Mean.index()], &bit_map.widths[Attribute::Mean.index()], &quantizers);
-    let (order, layers) = by_layer(order, scene, settings);
+
+    let mut quantizers = Quantizers::none(&layout);
+    for (attribute, reduced) in layout.attributes().zip(&reduced) {
+        let values = |gaussian: usize, channel: usize, values: &mut Vec<f32>| {
+            reduced.append(gaussian, channel, None, values);
+        };
+        let widths = &bit_map.widths[attribute.index()];
+        quantizers.attributes[attribute.index()] = quantizers_for(attribute, values, widths, learned, position_step)?;
+    }
+    let means = Attribute::Mean.index();
+    let order = morton_order(&reduced[means], &bit_map.widths[means], &quantizers);
+    let (order, layers) = by_layer(order, first, settings);
     let bit_map = bit_map.select(&order);
-    let codes = Attribute::BASE.map(|attribute| {
-        let (components, table) = (attribute.components(), quantizers.by_width(attribute));
-        let (mut codes, mut of_track) = (Tracks::default(), Vec::new());
+    let columns: Vec<(Attribute, Reduced)> = layout.attributes().zip(reduced).collect();
+    let tracks = columns.into_par_iter().map(|(attribute, reduced)| {
+        let table = quantizers.by_width(attribute);
+        let (mut codes, mut times, mut values, mut of_track) = (Tracks::default(), vec![], vec![], vec![]);
         for (&gaussian, &width) in order.iter().zip(&bit_map.widths[attribute.index()]) {
             for (channel, quantizer) in table[usize::from(width)].iter().enumerate() {
-                let (times, values) = tracks[attribute.index()].track(gaussian * components + channel);
+                times.clear();
+                values.clear();
                 of_track.clear();
+                reduced.append(gaussian, channel, Some(&mut times), &mut values);
                 of_track.extend(values.iter().map(|&x| quantizer.quantize(x) as i16));
-                codes.push(times, &of_track);
+                codes.push(&times, &of_track);
             }
         }
         codes
     });
-    let varies = Attribute::BASE.map(|attribute| scene.varies(attribute));
-    Ok((CompactScene { info, bit_map, quantizers, varies, layers, segment_length, tracks: codes }, order))
+    let tracks = tracks.collect();
+    let varies = layout.attributes().map(varies).collect();
+    let scene = CompactScene { layout, info, bit_map, quantizers, varies, layers, segment_length, tracks };
+    Ok((scene, order))
 }
 
-fn check_arguments(scene: &DynamicGaussians, bit_map: &BitMap, info: &SceneInfo) -> Result<(), CompressError> {
-    let (n, t) = (scene.num_gaussians(), scene.num_timesteps());
+fn check_arguments(
+    layout: &Layout,
+    [n, t]: [usize; 2],
+    bit_map: &BitMap,
+    info: &SceneInfo,
+) -> Result<(), CompressError> {
     if !(1..=MAX_TIMESTEPS as usize).contains(&t) {
         return Err(CompressError::Value { what: "number of timesteps", found: t as f64, expected: "1 to 65536" });
     }
@@ -132,98 +206,64 @@ fn check_arguments(scene: &DynamicGaussians, bit_map: &BitMap, info: &SceneInfo)
     };
     counts("Gaussians in info".into(), info.num_gaussians as usize, n)?;
     counts("timesteps in info".into(), info.num_timesteps as usize, t)?;
-    for attribute in Attribute::BASE {
-        let (name, widths) = (attribute.name(), &bit_map.widths[attribute.index()]);
-        counts(format!("bit widths of {name}"), widths.len(), n)?;
+    counts("columns in the bit map".into(), bit_map.widths.len(), layout.columns().len())?;
+    for (column, widths) in layout.columns().iter().zip(&bit_map.widths) {
+        counts(format!("bit widths of {}", column.name), widths.len(), n)?;
         widths.iter().try_for_each(|&width| check_bits(width))?;
-        for timestep in 0..scene.num_samples(attribute) {
-            let values = scene.values(attribute, timestep);
-            counts(format!("values of {name} at timestep {timestep}"), values.len(), n * attribute.components())?;
-            if let Some(i) = values.iter().position(|x| !x.is_finite()) {
-                return Err(CompressError::Gaussian {
-                    what: name.to_owned(),
-                    gaussian: i / attribute.components(),
-                    timestep: Some(timestep),
-                    found: values[i].into(),
-                    expected: "a finite number",
-                });
-            }
-        }
     }
     Ok(())
 }
 
-/// Tolerance of a track by width and channel, and the noise floor below which it never falls.
-fn tolerances(
-    scene: &DynamicGaussians,
-    attribute: Attribute,
-    widths: &[u8],
-    learned: Option<&Quantizers>,
-    position_step: Option<f64>,
-    settings: &CompressSettings,
-) -> Result<Vec<Vec<(f32, f32)>>, CompressError> {
-    let max_mse = settings.max_mse[attribute.index()];
-    let mut tolerances = vec![vec![(max_mse, 0.0); attribute.components()]; usize::from(MAX_BITS) + 1];
-    if settings.keypoints && settings.noise_floor && scene.varies(attribute) {
-        // The quantizers proper need the keypoints, which need the steps: those of three timesteps serve.
-        let last = scene.num_timesteps() - 1;
-        let samples = [0, last / 2, last];
-        let tracks = float_tracks(scene, attribute, |values, _, _, out| {
-            for track in values.chunks_exact(scene.num_timesteps()) {
-                out.push(&samples.map(|t| t as u16), &samples.map(|t| track[t]));
-            }
-        });
-        for (width, quantizers) in quantizers_for(attribute, &tracks, widths, learned, position_step)? {
-            tolerances[usize::from(width)] = quantizers.iter().map(|q| (max_mse, (q.step / 4.0).powi(2))).collect();
-        }
-    }
-    Ok(tolerances)
-}
+#[cfg(test)]
+mod tests {
+    use tcgs_core::Gaussians;
 
-/// A learned quantizer is what the optimisation rounded to, and errs where that does not show, so it may
-/// err more than the fitted one; by more than this, values have left its range since it was learned.
-const LEARNED_ERROR_RATIO: f64 = 2.0;
+    use super::*;
 
-/// Quantizers for every width in use.
-fn quantizers_for(
-    attribute: Attribute,
-    tracks: &Tracks<f32>,
-    widths: &[u8],
-    learned: Option<&Quantizers>,
-    position_step: Option<f64>,
-) -> Result<BTreeMap<u8, Vec<Quantizer>>, CompressError> {
-    let components = attribute.components();
-    let mut groups: BTreeMap<u8, Vec<Vec<f32>>> = BTreeMap::new();
-    for (gaussian, &width) in widths.iter().enumerate() {
-        let group = groups.entry(width).or_insert_with(|| vec![Vec::new(); components]);
-        for (channel, values) in group.iter_mut().enumerate() {
-            values.extend_from_slice(tracks.track(gaussian * components + channel).1);
-        }
-    }
-    let groups: Vec<_> = groups.into_iter().collect();
-    groups
-        .into_par_iter()
-        .map(|(width, channels)| {
-            let quantizers = channels.par_iter().enumerate().map(|(channel, values)| {
-                if attribute == Attribute::Mean {
-                    let (min, max) = values.iter().fold((f32::MAX, f32::MIN), |(a, b), &x| (a.min(x), b.max(x)));
-                    let covering = Quantizer::covering(min, max, width)?;
-                    let step = position_step.filter(|&step| step > f64::from(covering.step));
-                    return step.map_or(Ok(covering), |step| Quantizer::from_lowest(min, step, width));
+    /// Some stand still, some shake by about the tolerance, some move.
+    fn scene() -> DynamicGaussians {
+        let mut scene = DynamicGaussians::default();
+        for timestep in 0..40 {
+            let mut now = Gaussians::zeros(90);
+            for attribute in [Attribute::Mean, Attribute::Quat, Attribute::Color] {
+                for (i, x) in now.values_mut(attribute).iter_mut().enumerate() {
+                    let gaussian = i / attribute.components();
+                    let wave = (0.7 * timestep as f32 + i as f32).sin();
+                    *x = 0.3 * (i as f32).cos() + [0.0, 0.002, 0.3][gaussian % 3] * wave * (gaussian as f32 / 45.0);
                 }
-                let fitted = Quantizer::fit(values, width)?;
-                let learned = learned.and_then(|l| l.get(attribute, width, channel)).filter(|q| q.bits == width);
-                Ok(match learned {
-                    Some(q)
-                        if q.problem().is_none()
-                            && q.squared_error(values) <= LEARNED_ERROR_RATIO * fitted.squared_error(values) =>
-                    {
-                        *q
-                    }
-                    _ => fitted,
-                })
+            }
+            scene.push(now);
+        }
+        scene
+    }
+
+    #[test]
+    fn sums_and_exact_distances_find_the_same_to_be_constant() {
+        let (scene, settings, map) = (scene(), CompressSettings::default(), BitMap::uniform(90, 16, 6));
+        let attributes = [Attribute::Mean, Attribute::Quat, Attribute::Color];
+        let reduced = |statistics: Statistics| -> Vec<(Vec<u16>, Vec<f32>)> {
+            let tolerances = attributes.map(|attribute| {
+                let (column, widths) = (scene.layout().column(attribute), &map.widths[attribute.index()]);
+                Tolerances::new(&statistics, column, widths, None, None, &settings).unwrap()
             });
-            Ok((width, quantizers.collect::<Result<_, CompressError>>()?))
-        })
-        .collect()
+            let columns: Vec<_> = attributes.into_iter().zip(&tolerances).collect();
+            let reduced = reduce::jointly(&mut &scene, &statistics, &columns, 15, &settings).unwrap();
+            let mut tracks = Vec::new();
+            for (attribute, reduced) in attributes.into_iter().zip(&reduced) {
+                for track in 0..90 * attribute.components() {
+                    let (mut times, mut values) = (Vec::new(), Vec::new());
+                    let (gaussian, channel) = (track / attribute.components(), track % attribute.components());
+                    reduced.append(gaussian, channel, Some(&mut times), &mut values);
+                    assert_eq!(reduced.first(gaussian, channel), values[0]);
+                    tracks.push((times, values));
+                }
+            }
+            tracks
+        };
+        let statistics = || Statistics::read(&mut &scene, &[true, true, false, false, true]).unwrap();
+        let fast = reduced(statistics());
+        assert_eq!(fast, reduced(statistics().all_uncertain()));
+        let constant = fast.iter().filter(|(times, _)| times.len() == 1).count();
+        assert!(constant > 300 && constant < 600, "{constant} of {}", fast.len());
+    }
 }

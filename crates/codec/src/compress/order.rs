@@ -1,10 +1,10 @@
 //! Which Gaussians matter more, and in which order all are stored.
 
 use rayon::prelude::*;
-use tcgs_core::{Attribute, DynamicGaussians};
+use tcgs_core::{Attribute, Gaussians};
 
 use super::CompressSettings;
-use crate::compact::Tracks;
+use super::reduce::Reduced;
 use crate::morton;
 use crate::quantize::{MAX_BITS, Quantizers};
 
@@ -14,15 +14,13 @@ use crate::quantize::{MAX_BITS, Quantizers};
 /// and summed over its pixels that is, up to a constant, opacity squared, times the area for a colour, times
 /// the ratio of the axes for a position, and for a rotation also times how far it is from round. Tolerances
 /// are divided by a power of that, relative to the median.
-pub(super) fn tolerance_factors(
-    scene: &DynamicGaussians,
-    attribute: Attribute,
-    settings: &CompressSettings,
-) -> Vec<f32> {
-    if settings.importance == 0.0 || !scene.varies(attribute) {
+///
+/// - `first`: the first timestep
+pub(super) fn tolerance_factors(first: &Gaussians, attribute: Attribute, settings: &CompressSettings) -> Vec<f32> {
+    if settings.importance == 0.0 {
         return Vec::new();
     }
-    let weights: Vec<f64> = (0..scene.num_gaussians()).map(|g| weight(scene, attribute, g)).collect();
+    let weights: Vec<f64> = (0..first.num_gaussians()).map(|g| weight(first, attribute, g)).collect();
     let mut sorted = weights.clone();
     sorted.sort_unstable_by(f64::total_cmp);
     let median = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
@@ -33,10 +31,9 @@ pub(super) fn tolerance_factors(
 /// Tolerances change at most by this.
 const MAX_FACTOR: f64 = 16.0;
 
-fn weight(scene: &DynamicGaussians, attribute: Attribute, gaussian: usize) -> f64 {
-    let opacity = f64::from(tcgs_core::sigmoid(scene.values(Attribute::LogitOpacity, 0)[gaussian]));
-    let scales = &scene.values(Attribute::LogScale, 0)[3 * gaussian..3 * gaussian + 3];
-    let mut scales = [0, 1, 2].map(|i| f64::from(scales[i]).exp());
+fn weight(first: &Gaussians, attribute: Attribute, gaussian: usize) -> f64 {
+    let opacity = f64::from(tcgs_core::sigmoid(first.logit_opacities()[gaussian]));
+    let mut scales = first.log_scales()[gaussian].map(|x| f64::from(x).exp());
     scales.sort_unstable_by(f64::total_cmp);
     let [thin, middle, long] = scales;
     let seen = opacity * opacity;
@@ -52,16 +49,16 @@ fn weight(scene: &DynamicGaussians, attribute: Attribute, gaussian: usize) -> f6
 }
 
 /// All Gaussians by how much of an image each covers, the most first.
-fn by_weight(scene: &DynamicGaussians) -> Vec<usize> {
-    let mut by_weight: Vec<usize> = (0..scene.num_gaussians()).collect();
-    let weights: Vec<f64> = by_weight.iter().map(|&g| weight(scene, Attribute::Color, g)).collect();
+fn by_weight(first: &Gaussians) -> Vec<usize> {
+    let mut by_weight: Vec<usize> = (0..first.num_gaussians()).collect();
+    let weights: Vec<f64> = by_weight.iter().map(|&g| weight(first, Attribute::Color, g)).collect();
     by_weight.sort_by(|&a, &b| weights[b].total_cmp(&weights[a]));
     by_weight
 }
 
 /// For each Gaussian the share of those that cover more of an image.
-pub(super) fn ranks(scene: &DynamicGaussians) -> Vec<f32> {
-    let by_weight = by_weight(scene);
+pub(super) fn ranks(first: &Gaussians) -> Vec<f32> {
+    let by_weight = by_weight(first);
     let mut ranks = vec![0.0; by_weight.len()];
     for (rank, &gaussian) in by_weight.iter().enumerate() {
         ranks[gaussian] = rank as f32 / by_weight.len() as f32;
@@ -71,13 +68,9 @@ pub(super) fn ranks(scene: &DynamicGaussians) -> Vec<f32> {
 
 /// Splits an order into layers by how much of an image each Gaussian covers, the most first; the order holds
 /// within each. Returns the number of Gaussians of each layer, too.
-pub(super) fn by_layer(
-    order: Vec<usize>,
-    scene: &DynamicGaussians,
-    settings: &CompressSettings,
-) -> (Vec<usize>, Vec<u32>) {
+pub(super) fn by_layer(order: Vec<usize>, first: &Gaussians, settings: &CompressSettings) -> (Vec<usize>, Vec<u32>) {
     let n = order.len();
-    let by_weight = by_weight(scene);
+    let by_weight = by_weight(first);
     let mut ends: Vec<usize> = Vec::new();
     for share in &settings.layers {
         let start = ends.last().copied().unwrap_or(0);
@@ -97,7 +90,7 @@ pub(super) fn by_layer(
 }
 
 /// Gaussians along a Morton curve of the codes of their first positions; equal ones in their order.
-pub(super) fn morton_order(means: &Tracks<f32>, widths: &[u8], quantizers: &Quantizers) -> Vec<usize> {
+pub(super) fn morton_order(means: &Reduced, widths: &[u8], quantizers: &Quantizers) -> Vec<usize> {
     let table = quantizers.by_width(Attribute::Mean);
     let mut keys: Vec<(u64, usize)> = widths
         .iter()
@@ -105,7 +98,7 @@ pub(super) fn morton_order(means: &Tracks<f32>, widths: &[u8], quantizers: &Quan
         .map(|(gaussian, &width)| {
             let code = |channel: usize| {
                 let quantizer = &table[usize::from(width)][channel];
-                let code = quantizer.quantize(means.track(3 * gaussian + channel).1[0]) - quantizer.min_code();
+                let code = quantizer.quantize(means.first(gaussian, channel)) - quantizer.min_code();
                 // Coarser codes fill the range of the finest, so that all lie on one curve.
                 (code << (MAX_BITS - width)) as u16
             };

@@ -1,6 +1,6 @@
 //! What a user may choose, and what it makes of the bit map.
 
-use tcgs_core::{Attribute, DynamicGaussians};
+use tcgs_core::{Attribute, Column, Gaussians, RateGroup};
 
 use super::order::ranks;
 use crate::bits::BitMap;
@@ -168,28 +168,46 @@ const FINER: [Pace; 5] = [pace(1.2, 0.85), pace(1.0, 0.75), pace(1.0, 0.75), pac
 
 impl CompressSettings {
     /// The bit map with what the settings change in it.
-    pub(super) fn adjusted(&self, bit_map: &BitMap, scene: &DynamicGaussians) -> BitMap {
+    ///
+    /// - `first`: the first timestep
+    /// - `bounds`: smallest and largest coordinates of all means at all timesteps
+    pub(super) fn adjusted(&self, bit_map: &BitMap, first: &Gaussians, bounds: [[f32; 3]; 2]) -> BitMap {
         let mut bit_map = bit_map.clone();
-        let ranks = ranks(scene);
-        for (widths, &coarser) in bit_map.widths.iter_mut().zip(&self.coarser) {
+        let ranks = ranks(first);
+        for (widths, column) in bit_map.widths.iter_mut().zip(first.layout().columns()) {
+            let coarser = self.coarser[Self::place_of(column)];
             for (width, &rank) in widths.iter_mut().zip(&ranks) {
                 let one_more = rank < -coarser - (-coarser).floor();
                 let shifted = f32::from(*width) + (-coarser).floor() + f32::from(u8::from(one_more));
                 *width = shifted.clamp(f32::from(2.min(*width)), f32::from(MAX_BITS)) as u8;
             }
         }
-        if let Some(step) = self.position_step(scene) {
-            bit_map.widths[Attribute::Mean.index()].fill(position_bits(scene, step));
+        if let Some(step) = self.position_step(first) {
+            bit_map.widths[Attribute::Mean.index()].fill(position_bits(bounds, step));
         }
         bit_map
     }
 
+    /// Where `max_mse` and `coarser` have the value of a column: a further one is treated as the column of
+    /// [`Attribute::BASE`] with the same rate of learning.
+    pub(super) fn place_of(column: &Column) -> usize {
+        match (column.attribute, column.rate) {
+            (Attribute::Extra { .. }, RateGroup::Mean) => Attribute::Mean,
+            (Attribute::Extra { .. }, RateGroup::Quat) => Attribute::Quat,
+            (Attribute::Extra { .. }, RateGroup::LogScale) => Attribute::LogScale,
+            (Attribute::Extra { .. }, RateGroup::LogitOpacity) => Attribute::LogitOpacity,
+            (Attribute::Extra { .. }, RateGroup::Color) => Attribute::Color,
+            (base, _) => base,
+        }
+        .index()
+    }
+
     /// Step of positions along all axes, if the settings choose it.
-    pub(super) fn position_step(&self, scene: &DynamicGaussians) -> Option<f64> {
-        if self.position_fineness <= 0.0 || scene.num_gaussians() == 0 {
+    pub(super) fn position_step(&self, first: &Gaussians) -> Option<f64> {
+        if self.position_fineness <= 0.0 || first.num_gaussians() == 0 {
             return None;
         }
-        let mut axes: Vec<f32> = scene.values(Attribute::LogScale, 0).as_chunks::<3>().0.iter().map(middle).collect();
+        let mut axes: Vec<f32> = first.log_scales().iter().map(middle).collect();
         let half = axes.len() / 2;
         let axis = f64::from(*axes.select_nth_unstable_by(half, f32::total_cmp).1).exp();
         Some(axis / f64::from(self.position_fineness))
@@ -197,12 +215,7 @@ impl CompressSettings {
 }
 
 /// The fewest bits of positions in steps of `step`.
-fn position_bits(scene: &DynamicGaussians, step: f64) -> u8 {
-    let (mut min, mut max) = ([f32::MAX; 3], [f32::MIN; 3]);
-    for mean in (0..scene.num_timesteps()).flat_map(|timestep| scene.means(timestep)) {
-        min = std::array::from_fn(|i| min[i].min(mean[i]));
-        max = std::array::from_fn(|i| max[i].max(mean[i]));
-    }
+fn position_bits([min, max]: [[f32; 3]; 2], step: f64) -> u8 {
     let extent = (0..3).map(|i| f64::from(max[i]) - f64::from(min[i])).fold(0.0, f64::max);
     let levels = extent / step + 1.0;
     (levels.log2().ceil() as u8).clamp(1, MAX_BITS)

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use tcgs_codec::{BitMap, ColorSpace, CompactScene, Quantizer, Quantizers, SceneInfo, UpAxis};
-use tcgs_core::Attribute;
+use tcgs_codec::{BitMap, ColorSpace, CompactScene, Quantizer, Quantizers, SceneInfo, Tracks, UpAxis};
+use tcgs_core::{Attribute, Layout};
 
 /// splitmix64 (Steele et al. 2014).
 pub struct Numbers(pub u64);
@@ -49,16 +49,11 @@ pub fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> Compa
         bit_map: BitMap::default(),
         quantizers: Quantizers::default(),
         // The others always vary in scenes of floats, but the format does not ask for it.
-        varies: [
-            random.below(8) > 0,
-            random.below(8) > 0,
-            random.below(2) > 0,
-            random.below(2) > 0,
-            random.below(8) > 0,
-        ],
+        varies: [8, 8, 2, 2, 8].map(|bound| random.below(bound) > 0).to_vec(),
         layers: cuts.windows(2).map(|pair| (pair[1] - pair[0]) as u32).collect(),
         segment_length: [1, 2, 7, 30, 65_536][random.below(5) as usize],
-        tracks: Default::default(),
+        tracks: vec![Tracks::default(); 5],
+        layout: Layout::base(),
     };
     for attribute in Attribute::BASE {
         let (index, components) = (attribute.index(), attribute.components());

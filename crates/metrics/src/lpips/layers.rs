@@ -7,6 +7,7 @@
 
 use rayon::prelude::*;
 
+use super::backbone::num_windows;
 use super::gemm::gemm;
 
 /// Pixels of a strip, at least: enough that packing the kernel costs little, few enough that strips feed many
@@ -55,11 +56,6 @@ impl Features {
         let rows = self.rows_mut().par_chunks_mut(row_len).enumerate();
         rows.for_each(|(row, values)| fill(row, &mut values[start..][..len]));
     }
-}
-
-/// Pixels that a window of `size` finds, every `stride`; `None` if the image is smaller than the window.
-pub fn num_windows(side: usize, size: usize, stride: usize) -> Option<usize> {
-    side.checked_sub(size).map(|rest| rest / stride + 1)
 }
 
 /// A convolution.

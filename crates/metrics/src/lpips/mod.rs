@@ -13,23 +13,23 @@
 //!
 //! What lives here: the networks, run forward. What does not: their numbers, which come from a file.
 
+mod backbone;
+#[cfg(feature = "lpips")]
 mod gemm;
+#[cfg(feature = "lpips")]
 mod layers;
+#[cfg(feature = "lpips")]
 mod network;
+#[cfg(feature = "lpips")]
 mod weights;
 
 use std::path::Path;
 
 use tcgs_core::Image;
 
-use self::network::Network;
 use crate::{MetricsError, assert_same_shape};
 
-pub use self::network::Backbone;
-
-/// Of `[-1, 1]`, by channel.
-const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
-const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
+pub use self::backbone::Backbone;
 
 /// What a network is given for pixels in `[0, 1]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -41,41 +41,69 @@ pub enum InputRange {
     Unit,
 }
 
-/// The metric, with the numbers of its two networks.
+/// The metric, with the numbers of its two networks. There is none without feature `lpips`.
 pub struct Lpips {
-    vgg: Network,
-    alex: Network,
+    #[cfg(feature = "lpips")]
+    vgg: network::Network,
+    #[cfg(feature = "lpips")]
+    alex: network::Network,
+    #[cfg(not(feature = "lpips"))]
+    never: std::convert::Infallible,
 }
 
 impl Lpips {
     /// Reads the networks from the safetensors file that `scripts/fetch_lpips_weights.py` makes.
     ///
     /// # Errors
-    /// If the file cannot be read, or does not hold the tensors of both networks in their shapes.
+    /// If the file cannot be read, or does not hold the tensors of both networks in their shapes;
+    /// [`MetricsError::NotBuilt`] without feature `lpips`.
     pub fn read(path: &Path) -> Result<Self, MetricsError> {
-        let [vgg, alex] = weights::read(path)?;
-        Ok(Self { vgg, alex })
+        #[cfg(feature = "lpips")]
+        {
+            let [vgg, alex] = weights::read(path)?;
+            Ok(Self { vgg, alex })
+        }
+        #[cfg(not(feature = "lpips"))]
+        Err(MetricsError::NotBuilt { path: path.into() })
     }
 
     /// The distance of two images: 0 for the same image, rarely above 1. The same bits for any number of threads.
     ///
     /// - `rendered`, `target`: `[3, H, W]`, values nominally in `[0, 1]`; not clamped
-    /// - returns: `None` where [`Backbone::sees`] nothing
+    /// - returns: `None` where an image is too small to leave features at every layer: VGG needs 16 pixels a side,
+    ///   AlexNet 31
     ///
     /// # Panics
     /// If the images differ in shape or have not three channels.
     pub fn distance(&self, backbone: Backbone, range: InputRange, rendered: &Image, target: &Image) -> Option<f64> {
         assert_same_shape(rendered, target);
         assert_eq!(rendered.num_channels, 3, "channels of the images");
-        let network = match backbone {
-            Backbone::Vgg => &self.vgg,
-            Backbone::Alex => &self.alex,
-        };
-        let [a, b] = [rendered, target].map(|image| normalized(image, range));
-        backbone.sees(rendered.width, rendered.height).then(|| network.distance([&a, &b]))
+        #[cfg(feature = "lpips")]
+        {
+            let network = match backbone {
+                Backbone::Vgg => &self.vgg,
+                Backbone::Alex => &self.alex,
+            };
+            let [a, b] = [rendered, target].map(|image| normalized(image, range));
+            backbone.sees(rendered.width, rendered.height).then(|| network.distance([&a, &b]))
+        }
+        #[cfg(not(feature = "lpips"))]
+        {
+            let _ = (backbone, range);
+            match self.never {}
+        }
     }
 }
 
+/// Mean of the values that the networks were trained on, by channel, for values in `[-1, 1]`.
+#[cfg(feature = "lpips")]
+const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
+
+/// Standard deviation of the same.
+#[cfg(feature = "lpips")]
+const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
+
+#[cfg(feature = "lpips")]
 fn normalized(image: &Image, range: InputRange) -> Image {
     let mut image = image.clone();
     for channel in 0..3 {

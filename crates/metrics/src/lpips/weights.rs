@@ -8,8 +8,9 @@ use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors};
 
+use super::backbone::{Backbone, Step};
 use super::layers::Convolution;
-use super::network::{Backbone, Network, Step};
+use super::network::Network;
 use crate::MetricsError;
 
 /// Reads both networks.

@@ -7,7 +7,7 @@ use tcgs_capture::{Capture, Split};
 use tcgs_codec::CompactScene;
 use tcgs_core::{Camera, Image, Tour, activate};
 use tcgs_metrics::psnr;
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::{DrawAny, RenderSettings};
 
 use crate::{OpenScene, PipelineError};
 
@@ -27,7 +27,7 @@ pub struct JudgeImages {
     pub capture: Option<PathBuf>,
     /// Which cameras of the capture.
     pub split: Split,
-    /// Frames; none: of the scene, evenly, as many as [`MAX_IMAGES`] allow.
+    /// Frames; none: of the scene, evenly, as many as make at most 100 images.
     pub frames: Option<std::ops::Range<usize>>,
 }
 
@@ -46,12 +46,12 @@ pub struct Judge {
     pub of: String,
     /// Whether they are a capture's.
     pub of_capture: bool,
-    renderer: Box<dyn Draw>,
+    renderer: Box<DrawAny>,
 }
 
 impl Judge {
     /// Decodes or renders the images.
-    pub fn new(scene: &OpenScene, images: &JudgeImages, renderer: Box<dyn Draw>) -> Result<Self, PipelineError> {
+    pub fn new(scene: &OpenScene, images: &JudgeImages, renderer: Box<DrawAny>) -> Result<Self, PipelineError> {
         match &images.capture {
             Some(path) => Self::of_capture(scene, path, images, renderer),
             None => Self::of_source(scene, images, renderer),
@@ -62,7 +62,7 @@ impl Judge {
         scene: &OpenScene,
         path: &Path,
         images: &JudgeImages,
-        renderer: Box<dyn Draw>,
+        renderer: Box<DrawAny>,
     ) -> Result<Self, PipelineError> {
         let capture = Capture::open(path)?;
         let frames = scene.choose_frames(images.frames.as_ref())?;
@@ -82,7 +82,7 @@ impl Judge {
         Ok(Self { goals, of, of_capture: true, renderer })
     }
 
-    fn of_source(scene: &OpenScene, images: &JudgeImages, renderer: Box<dyn Draw>) -> Result<Self, PipelineError> {
+    fn of_source(scene: &OpenScene, images: &JudgeImages, renderer: Box<DrawAny>) -> Result<Self, PipelineError> {
         let frames = scene.choose_frames(images.frames.as_ref())?;
         let cameras = cameras(scene)?;
         let mut goals = Vec::new();
@@ -102,8 +102,16 @@ impl Judge {
         self.goals.len()
     }
 
-    /// Mean PSNR of a compressed scene, as `eval` measures it.
+    /// Mean PSNR in dB of a compressed scene, as `evaluate` measures it.
+    ///
+    /// # Errors
+    /// [`PipelineError::Input`] if the scene has fewer timesteps than the images; [`PipelineError::Gpu`] if the GPU fails.
     pub fn psnr(&self, compact: &CompactScene) -> Result<f64, PipelineError> {
+        let needed = self.goals.last().map_or(0, |goal| goal.timestep + 1);
+        if compact.num_timesteps() < needed {
+            let found = format!("{} timesteps", compact.num_timesteps());
+            return Err(PipelineError::input("the compressed scene", found, format!("{needed} as the images have")));
+        }
         let mut sum = 0.0;
         for of_timestep in self.goals.chunk_by(|a, b| a.timestep == b.timestep) {
             let drawn = Arc::new(activate(&compact.at(of_timestep[0].timestep)));

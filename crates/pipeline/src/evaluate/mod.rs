@@ -10,7 +10,7 @@ use tcgs_core::{Image, View};
 use tcgs_metrics::{
     Backbone, InputRange, Lpips, Protocol, dssim, flicker, ms_ssim, psnr, psnr_masked, psnr_per_channel, ssim,
 };
-use tcgs_render::{Draw, RenderSettings};
+use tcgs_render::{DrawAny, RenderSettings};
 
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work};
@@ -116,7 +116,7 @@ pub fn evaluate(
     scene: &OpenScene,
     capture: &Capture,
     settings: &EvaluateSettings,
-    renderer: &dyn Draw,
+    renderer: &DrawAny,
     observer: &mut dyn Observer,
 ) -> Result<Evaluation, PipelineError> {
     let EvaluateSettings { split, ref frames, downscale, frozen, .. } = *settings;

@@ -65,5 +65,5 @@ pub fn evaluation_json(scene: &OpenScene, evaluation: &Evaluation, protocol: Opt
 ///
 /// - `index`: in the rules of the protocol
 pub fn protocol_mean(evaluation: &Evaluation, index: usize) -> Option<f64> {
-    evaluation.mean(|image| image.protocol[index])
+    evaluation.mean(|image| image.protocol.get(index).copied().flatten())
 }

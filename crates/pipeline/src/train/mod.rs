@@ -1,6 +1,7 @@
 //! From a capture to a run folder.
 
 mod fit;
+mod folder;
 mod settings;
 
 use std::path::Path;
@@ -11,6 +12,7 @@ use tcgs_train::{TrainConfig, Trainer};
 use crate::{Backend, PipelineError};
 
 pub use fit::{TimestepSummary, fit};
+pub use folder::RunFolder;
 pub use settings::settings_for;
 
 /// A trainer before the first timestep of the frames that the settings name.

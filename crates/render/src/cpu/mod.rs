@@ -3,24 +3,24 @@
 //! Sums that could depend on the order of threads are taken in a fixed one: a tile writes the
 //! gradients of its pairs, and each Gaussian then adds up its own pairs in tile order.
 
-pub(crate) mod project;
 mod rasterize;
 mod tiles;
 
+use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Instant;
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
-use self::project::{Pinhole, project_vjp};
-use self::rasterize::{PAIR_GRADS, TileImage, rasterize_bwd, rasterize_fwd};
-use self::tiles::{TILE, Tiles};
-use crate::gpu::GpuError;
+use self::rasterize::{TileImage, rasterize_bwd, rasterize_fwd};
+use self::tiles::Tiles;
+use crate::project::{SplatCamera, project_vjp};
 use crate::settings::MAX_CHANNELS;
+use crate::tiling::{PAIR_GRADS, TILE};
 use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
-/// The renderer that needs nothing but a CPU.
+/// The renderer on the CPU: all threads of rayon's pool, the same bits for any number of them. It never fails.
 ///
 /// ```
 /// use tcgs_core::{Camera, Gaussians, activate};
@@ -30,10 +30,10 @@ use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, Rende
 /// gaussians.quats_mut()[0] = [1.0, 0.0, 0.0, 0.0];
 /// gaussians.colors_mut()[0] = [1.0, 0.5, 0.0];
 /// let camera = Camera::look_at([0.0, 0.0, -5.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, 64, 48);
-/// let (output, _) = CpuRasterizer.forward(&activate(&gaussians), &camera, &RenderSettings::default())?;
+/// // The renderer on the CPU never fails: its error is `Infallible`.
+/// let Ok((output, _)) = CpuRasterizer.forward(&activate(&gaussians), &camera, &RenderSettings::default());
 /// let center = 24 * 64 + 32;
 /// assert!((output.image.plane(0)[center] - 0.5).abs() < 1e-2); // opacity ½, colour 1
-/// # Ok::<(), tcgs_render::gpu::GpuError>(())
 /// ```
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CpuRasterizer;
@@ -46,7 +46,7 @@ pub struct CpuSaved {
 }
 
 impl CpuSaved {
-    /// What there was to blend.
+    /// How much the image had to blend.
     pub fn counts(&self) -> PairCounts {
         PairCounts { pairs: self.tiles.pair_splats.len(), splats: self.tiles.splats.len() }
     }
@@ -69,7 +69,12 @@ macro_rules! with_channels {
 }
 
 impl CpuRasterizer {
-    /// [`Rasterizer::forward`] with a clock.
+    /// [`Rasterizer::forward`] with a stopwatch.
+    ///
+    /// - `laps`: gets the stages `project`, `sort` and `rasterize`
+    ///
+    /// # Panics
+    /// As [`Rasterizer::forward`].
     pub fn timed_forward(
         &self,
         gaussians: &Activated,
@@ -93,7 +98,12 @@ impl CpuRasterizer {
         (output, CpuSaved { tiles, image })
     }
 
-    /// [`Rasterizer::backward`] with a clock.
+    /// [`Rasterizer::backward`] with a stopwatch.
+    ///
+    /// - `laps`: gets the stages `rasterize backward` and `project backward`
+    ///
+    /// # Panics
+    /// As [`Rasterizer::backward`].
     pub fn timed_backward(
         &self,
         gaussians: &Activated,
@@ -130,13 +140,14 @@ impl CpuRasterizer {
 
 impl Rasterizer for CpuRasterizer {
     type Saved = CpuSaved;
+    type Error = Infallible;
 
     fn forward(
         &self,
         gaussians: &Activated,
         camera: &Camera,
         settings: &RenderSettings,
-    ) -> Result<(RenderOutput, CpuSaved), GpuError> {
+    ) -> Result<(RenderOutput, CpuSaved), Infallible> {
         Ok(self.timed_forward(gaussians, camera, settings, &mut Laps::begin()))
     }
 
@@ -147,12 +158,14 @@ impl Rasterizer for CpuRasterizer {
         settings: &RenderSettings,
         saved: &CpuSaved,
         v_image: &Image,
-    ) -> Result<RenderGrads, GpuError> {
+    ) -> Result<RenderGrads, Infallible> {
         Ok(self.timed_backward(gaussians, camera, settings, saved, v_image, &mut Laps::begin()))
     }
 }
 
 impl Draw for CpuRasterizer {
+    type Error = Infallible;
+
     fn name(&self) -> String {
         format!("cpu, {} threads", rayon::current_num_threads())
     }
@@ -162,7 +175,7 @@ impl Draw for CpuRasterizer {
         gaussians: &Arc<Activated>,
         camera: &Camera,
         settings: &RenderSettings,
-    ) -> Result<(RenderOutput, f64), GpuError> {
+    ) -> Result<(RenderOutput, f64), Infallible> {
         let begin = Instant::now();
         let (output, _) = self.forward(gaussians, camera, settings)?;
         Ok((output, begin.elapsed().as_secs_f64() * 1e3))
@@ -204,7 +217,7 @@ const GATHERED: usize = 256;
 fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[f32]) -> RenderGrads {
     let (n, channels) = (gaussians.num_gaussians(), gaussians.num_channels);
     let stride = PAIR_GRADS + channels;
-    let pinhole = Pinhole::new(camera);
+    let splat_camera = SplatCamera::new(camera);
     let half_size = [0.5 * camera.width as f32, 0.5 * camera.height as f32];
     let mut splat_of = vec![u32::MAX; n];
     for (index, splat) in tiles.splats.iter().enumerate() {
@@ -259,7 +272,7 @@ fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[f32]
                     gaussians.means[gaussian],
                     gaussians.quats[gaussian],
                     gaussians.scales[gaussian],
-                    &pinhole,
+                    &splat_camera,
                     [x, y],
                     [xx, xy, yy],
                 );

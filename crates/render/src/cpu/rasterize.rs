@@ -21,9 +21,10 @@
 use multiversion::multiversion;
 use tcgs_core::Image;
 
-use super::tiles::{Splat, TILE, Tiles};
+use super::tiles::{Splat, Tiles};
 use crate::RenderSettings;
 use crate::settings::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
+use crate::tiling::{PAIR_GRADS, TILE};
 
 const LANES: usize = 8;
 const BLOCKS: usize = TILE / LANES;
@@ -37,9 +38,6 @@ type Plane = [Lanes; TILE * BLOCKS];
 /// at once, where blending would wait for one after another; and after each batch the tile is asked
 /// whether all its pixels are finished.
 const BATCH: usize = 32;
-
-/// Gradient of one pair before its colours: `mean2d`, `conic`, opacity, and the statistic's `mean2d`.
-pub(super) const PAIR_GRADS: usize = 8;
 
 /// `exp(−x)` for `x >= 0`, to 2e-7 relative: a power of two by exponent bits and a degree-6 polynomial.
 #[inline(always)]

@@ -6,17 +6,10 @@
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera};
 
-use super::project::{Pinhole, project};
 use crate::Laps;
+use crate::project::{SplatCamera, project};
 use crate::settings::MIN_ALPHA;
-
-/// Tile side in pixels: wide enough that a row fills two vectors of eight lanes, small enough
-/// that a tile's state stays in the first-level cache.
-pub(super) const TILE: usize = 16;
-
-/// Extents are widened by this share and this many pixels, so that rounding never drops a pixel
-/// that reaches [`MIN_ALPHA`].
-const EXTENT_MARGIN: (f32, f32) = (1.0 + 1e-3, 0.05);
+use crate::tiling::{EXTENT_FACTOR, EXTENT_MARGIN_PX, TILE, tile_grid};
 
 /// A splat that reaches at least one pixel.
 #[derive(Clone, Copy, Debug)]
@@ -61,15 +54,15 @@ fn pixel_range(center: f32, extent: f32, size: usize) -> [u32; 2] {
     [first as u32, end as u32]
 }
 
-fn splat(gaussians: &Activated, index: usize, camera: &Camera, pinhole: &Pinhole<f32>) -> Option<Splat> {
+fn splat(gaussians: &Activated, index: usize, camera: &Camera, splat_camera: &SplatCamera<f32>) -> Option<Splat> {
     let opacity = gaussians.opacities[index];
     if opacity < MIN_ALPHA as f32 || opacity.is_nan() {
         return None;
     }
-    let p = project(gaussians.means[index], gaussians.quats[index], gaussians.scales[index], pinhole)?;
+    let p = project(gaussians.means[index], gaussians.quats[index], gaussians.scales[index], splat_camera)?;
     // alpha >= MIN_ALPHA  <=>  exponent <= ln(opacity / MIN_ALPHA), an ellipse.
     let reach = 2.0 * (opacity / MIN_ALPHA as f32).ln().max(0.0);
-    let extent = |variance: f32| (reach * variance).sqrt() * EXTENT_MARGIN.0 + EXTENT_MARGIN.1;
+    let extent = |variance: f32| (reach * variance).sqrt() * EXTENT_FACTOR + EXTENT_MARGIN_PX;
     let columns = pixel_range(p.mean2d[0], extent(p.covariance2d[0]), camera.width);
     let rows = pixel_range(p.mean2d[1], extent(p.covariance2d[2]), camera.height);
     (columns[0] < columns[1] && rows[0] < rows[1]).then_some(Splat {
@@ -85,11 +78,11 @@ fn splat(gaussians: &Activated, index: usize, camera: &Camera, pinhole: &Pinhole
 
 impl Tiles {
     pub fn new(gaussians: &Activated, camera: &Camera, laps: &mut Laps) -> Self {
-        let pinhole = Pinhole::new(camera);
+        let splat_camera = SplatCamera::new(camera);
         let splats: Vec<Splat> = (0..gaussians.num_gaussians())
             .into_par_iter()
             .with_min_len(512)
-            .filter_map(|i| splat(gaussians, i, camera, &pinhole))
+            .filter_map(|i| splat(gaussians, i, camera, &splat_camera))
             .collect();
         laps.lap("project");
 
@@ -98,7 +91,7 @@ impl Tiles {
             splats.par_iter().enumerate().map(|(i, s)| u64::from(s.depth.to_bits()) << 32 | i as u64).collect();
         order.par_sort_unstable();
 
-        let grid = [camera.width.div_ceil(TILE), camera.height.div_ceil(TILE)];
+        let grid = tile_grid(camera.width, camera.height);
         let mut starts = vec![0_u32; grid[0] * grid[1] + 1];
         let mut splat_starts = Vec::with_capacity(splats.len() + 1);
         let mut num_pairs = 0;

@@ -1,15 +1,8 @@
-//! Compute shaders: compiled once, bound to buffers, dispatched.
+//! Compute shaders: a [`Kernel`] is compiled, a [`Bound`] is one with its buffers, which can be dispatched.
 
-/// Threads of a workgroup wherever a shader has one thread an element.
-pub const WORKGROUP: u32 = 256;
+use crate::device::{groups_in_rows, groups_over};
 
-/// Most workgroups along x where a count of them may pass the limit of one dimension; the rest go along y.
-pub const MAX_GROUPS_X: u32 = 32_768;
-
-/// Most elements that have a thread each in one dispatch.
-pub const MAX_THREADS: usize = 65_535 * WORKGROUP as usize;
-
-/// A compiled compute shader.
+/// A compiled compute function of a shader.
 #[derive(Clone, Debug)]
 pub struct Kernel {
     pipeline: wgpu::ComputePipeline,
@@ -35,7 +28,7 @@ impl Kernel {
         Self { pipeline, label: entry }
     }
 
-    /// Ties the shader to its buffers.
+    /// Binds the function to its buffers.
     ///
     /// - `buffers`: bindings of group 0 that this entry point uses, each once
     pub fn bind(&self, device: &wgpu::Device, buffers: &[(u32, &wgpu::Buffer)]) -> Bound {
@@ -52,7 +45,7 @@ impl Kernel {
     }
 }
 
-/// A shader with its buffers.
+/// A compute function with its buffers.
 #[derive(Clone, Debug)]
 pub struct Bound {
     pipeline: wgpu::ComputePipeline,
@@ -60,7 +53,7 @@ pub struct Bound {
 }
 
 impl Bound {
-    /// Records one dispatch.
+    /// Records one dispatch of workgroups along x, y and z; none if a number is 0.
     pub fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, [x, y, z]: [u32; 3]) {
         if x * y * z == 0 {
             return;
@@ -70,17 +63,14 @@ impl Bound {
         pass.dispatch_workgroups(x, y, z);
     }
 
-    /// Records one dispatch of `len` workgroups, of which each takes the number
-    /// `workgroup_id.y * MAX_GROUPS_X + workgroup_id.x` and does nothing if that is not below `len`.
+    /// Records one dispatch of `len` workgroups, in rows as [`groups_in_rows`] says.
     pub fn dispatch_groups(&self, pass: &mut wgpu::ComputePass<'_>, len: usize) {
-        let len = len as u32;
-        self.dispatch(pass, [len.min(MAX_GROUPS_X), len.div_ceil(MAX_GROUPS_X), 1]);
+        self.dispatch(pass, groups_in_rows(len));
     }
 
-    /// Records one dispatch with a thread for each of `len` elements, in workgroups of [`WORKGROUP`]; at most
-    /// [`MAX_THREADS`].
+    /// Records one dispatch with a thread for each of `len` elements, as [`groups_over`] says.
     pub fn dispatch_over(&self, pass: &mut wgpu::ComputePass<'_>, len: usize) {
-        self.dispatch(pass, [(len as u32).div_ceil(WORKGROUP), 1, 1]);
+        self.dispatch(pass, groups_over(len));
     }
 
     /// Records one dispatch of as many workgroups as three 32-bit values of `arguments` say.

@@ -1,4 +1,8 @@
-//! The GPU renderer: WGSL compute shaders through `wgpu`, each operation a `.rs` beside its `.wgsl`.
+//! The GPU renderer: what [`crate::device`] describes, run through `wgpu`.
+//!
+//! Programs need [`Gpu`], [`GpuChoice`] and [`GpuRasterizer`]. The other items are for crates that run shaders of their
+//! own between the renderer's, on the same buffers (training, the player); their signatures have types of `wgpu`, so a new
+//! version of `wgpu` is a breaking change of these items.
 
 mod device;
 mod kernel;
@@ -7,15 +11,13 @@ mod profiler;
 mod radix;
 mod rasterizer;
 mod renderer;
-mod source;
 mod timing;
 
-pub use device::{Gpu, GpuError, GpuInfo, Staged};
-pub use kernel::{Bound, Kernel, MAX_GROUPS_X, MAX_THREADS, WORKGROUP};
+pub use crate::device::{GpuError, GpuInfo};
+pub use device::{Gpu, Staged};
+pub use kernel::{Bound, Kernel};
 pub use open::GpuChoice;
 pub use profiler::RenderProfiler;
-pub use radix::{Dispatch, Radix, SORT_BLOCK};
-pub use rasterizer::{GpuRasterizer, GpuSaved, pack};
-pub use renderer::{Capacity, GpuRenderer, RenderBuffers};
-pub use source::{BUCKET, TILE, source, sources};
+pub use rasterizer::{GpuRasterizer, GpuSaved};
+pub use renderer::{GpuRenderer, RenderBuffers};
 pub use timing::StageTimer;

@@ -4,8 +4,8 @@ use std::time::Instant;
 
 use tcgs_core::{Activated, Camera, Image};
 
-use super::rasterizer::pack;
-use super::{Capacity, Gpu, GpuError, GpuRenderer, StageTimer};
+use super::{Gpu, GpuError, GpuRenderer, StageTimer};
+use crate::device::{Capacity, pack};
 use crate::{PairCounts, RENDER_STAGES, RenderSettings, StageTimes};
 
 /// How many of [`RENDER_STAGES`] draw; the others take the gradient back.

@@ -1,7 +1,7 @@
 //! A stable sort of 32-bit keys, each with a 32-bit value, of which only the GPU knows how many there are.
 //!
 //! A radix sort from the lowest digit up, 8 bits a pass, in reduce-then-scan form: count the digits of each block
-//! of [`SORT_BLOCK`] keys, scan the counts, scatter. Nothing waits for another workgroup, so it needs no promise of
+//! of `SORT_BLOCK` keys, scan the counts, scatter. Nothing waits for another workgroup, so it needs no promise of
 //! forward progress, and no subgroups.
 //!
 //! The floor, per key and pass: 12 bytes read (the key twice, the value once), 8 written. The table of counts adds
@@ -9,17 +9,10 @@
 //! a pass. Scattered writes come in runs of 4 keys a block and digit on average, and meet their neighbours' runs in
 //! the cache.
 
-use super::{Bound, Gpu, GpuError, source};
+use super::{Bound, Gpu, GpuError};
+use crate::device::{MAX_KEYS, NUM_DIGITS, SORT_BLOCK, sort_passes, sort_source};
 
-/// Keys that one workgroup counts and scatters.
-pub const SORT_BLOCK: usize = 1024;
-
-const DIGIT_BITS: u32 = 8;
-const NUM_DIGITS: usize = 1 << DIGIT_BITS;
-/// Of a dispatch along x, on every adapter.
-const MAX_BLOCKS: usize = 65_535;
-
-/// How many blocks of [`SORT_BLOCK`] keys a sort covers; more than there are keys for cost a workgroup each.
+/// How many blocks of `SORT_BLOCK` keys a sort covers; more than there are keys for cost a workgroup each.
 #[derive(Clone, Copy, Debug)]
 pub enum Dispatch<'a> {
     /// As many.
@@ -62,24 +55,21 @@ impl Radix {
         capacity: usize,
         bits: u32,
     ) -> Result<Self, GpuError> {
-        let num_blocks = capacity.div_ceil(SORT_BLOCK);
-        if num_blocks > MAX_BLOCKS {
-            let problem = format!("would have to sort {capacity} keys, expected at most {}", MAX_BLOCKS * SORT_BLOCK);
+        if capacity > MAX_KEYS {
+            let problem = format!("would have to sort {capacity} keys, expected at most {MAX_KEYS}");
             return Err(GpuError::Unfit { name: gpu.info().name.clone(), problem });
         }
-        assert!(bits <= u32::BITS, "keys of {bits} bits");
         let device = gpu.device();
-        let source = composed();
+        let source = sort_source();
         let [count_kernel, scan_kernel, scatter_kernel] =
             ["radix_count", "radix_scan", "radix_scatter"].map(|entry| gpu.kernel(&source, entry));
-        let table = gpu.storage("counts of sorted digits", NUM_DIGITS * num_blocks)?;
+        let table = gpu.storage("counts of sorted digits", NUM_DIGITS * capacity.div_ceil(SORT_BLOCK))?;
         let totals = gpu.storage("totals of sorted digits", NUM_DIGITS)?;
         let mut passes = Vec::new();
-        for pass in 0..bits.div_ceil(DIGIT_BITS) {
+        for (pass, uniform) in sort_passes(capacity, bits).into_iter().enumerate() {
             let [from, to] = if pass % 2 == 0 { [0, 1] } else { [1, 0] };
-            let settings = [pass * DIGIT_BITS, capacity as u32, num_blocks as u32, 0];
-            let sort = gpu.uniform("pass of a sort", size_of_val(&settings))?;
-            gpu.queue().write_buffer(&sort, 0, bytemuck::cast_slice(&settings));
+            let sort = gpu.uniform("pass of a sort", size_of_val(&uniform))?;
+            gpu.queue().write_buffer(&sort, 0, bytemuck::bytes_of(&uniform));
             passes.push(Pass {
                 count: count_kernel.bind(device, &[(0, keys[from]), (4, count), (5, &table), (7, &sort)]),
                 scan: scan_kernel.bind(device, &[(4, count), (5, &table), (6, &totals), (7, &sort)]),
@@ -120,11 +110,6 @@ impl Radix {
             over_blocks(scatter, pass);
         }
     }
-}
-
-/// The whole source of the kernels.
-pub(super) fn composed() -> String {
-    source(1, &[include_str!("radix.wgsl")])
 }
 
 #[cfg(test)]

@@ -5,10 +5,12 @@ use std::time::Instant;
 
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
-use super::{Capacity, Gpu, GpuError, GpuRenderer, RenderBuffers, StageTimer};
+use super::{Gpu, GpuError, GpuRenderer, RenderBuffers, StageTimer};
+use crate::device::{Capacity, pack};
 use crate::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
-/// Draws on a GPU. Buffers are kept from one image to the next.
+/// The renderer on a GPU behind [`Rasterizer`] and [`Draw`]: arrays in, arrays out. Buffers, and the Gaussians of
+/// [`Draw::draw`], stay on the GPU from one image to the next.
 #[derive(Debug)]
 pub struct GpuRasterizer {
     gpu: Gpu,
@@ -72,7 +74,7 @@ impl GpuRasterizer {
         let timer = StageTimer::new(&self.gpu, &["draw"])?;
         loop {
             let mut renderer = match kept.renderer.take() {
-                Some(renderer) if serves(renderer.capacity(), &capacity) => renderer,
+                Some(renderer) if renderer.capacity().serves(&capacity) => renderer,
                 _ => {
                     kept.loaded = None;
                     GpuRenderer::new(&self.gpu, capacity)?
@@ -143,38 +145,9 @@ impl GpuRasterizer {
     }
 }
 
-fn serves(capacity: &Capacity, wanted: &Capacity) -> bool {
-    capacity.num_gaussians == wanted.num_gaussians
-        && capacity.num_channels == wanted.num_channels
-        && capacity.num_pixels >= wanted.num_pixels
-        && capacity.num_tiles >= wanted.num_tiles
-        && capacity.num_pairs >= wanted.num_pairs
-        && capacity.backward >= wanted.backward
-}
-
-/// `[(11 + C) N]` array after array, as the shaders read them: [`RenderBuffers::activated`].
-///
-/// # Panics
-/// If arrays disagree in length.
-pub fn pack(gaussians: &Activated) -> Vec<f32> {
-    let n = gaussians.num_gaussians();
-    let arrays: [(&str, &[f32], usize); 5] = [
-        ("means", gaussians.means.as_flattened(), 3),
-        ("quats", gaussians.quats.as_flattened(), 4),
-        ("scales", gaussians.scales.as_flattened(), 3),
-        ("opacities", &gaussians.opacities, 1),
-        ("colors", &gaussians.colors, gaussians.num_channels),
-    ];
-    let mut packed = Vec::with_capacity((11 + gaussians.num_channels) * n);
-    for (name, values, components) in arrays {
-        assert_eq!(values.len(), n * components, "{name} against [{n}, {components}]");
-        packed.extend_from_slice(values);
-    }
-    packed
-}
-
 impl Rasterizer for GpuRasterizer {
     type Saved = GpuSaved;
+    type Error = GpuError;
 
     fn forward(
         &self,
@@ -215,6 +188,8 @@ impl Rasterizer for GpuRasterizer {
 }
 
 impl Draw for GpuRasterizer {
+    type Error = GpuError;
+
     fn name(&self) -> String {
         format!("gpu, {}", self.gpu.info().name)
     }

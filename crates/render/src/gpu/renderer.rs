@@ -16,90 +16,15 @@
 //! stably by tile, so pairs are sorted by 8 or 16 bits alone. Nothing is read back: the number of pairs sizes dispatches on the GPU.
 //! No atomics: each pair's gradient has a place of its own, and a Gaussian's pairs lie in a row.
 
-use bytemuck::{Pod, Zeroable};
 use tcgs_core::Camera;
 
-use super::radix::{Dispatch, Radix, SORT_BLOCK};
-use super::source::{BUCKET, TILE, source};
-use super::{Bound, Gpu, GpuError, MAX_THREADS};
+use super::radix::{Dispatch, Radix};
+use super::{Bound, Gpu, GpuError};
+use crate::device::{Capacity, MAX_THREADS, RenderSources, SORT_BLOCK, VISIBLE, ViewUniform, WORKGROUP};
 use crate::settings::MAX_CHANNELS;
-use crate::{PairCounts, Pinhole, RenderSettings};
+use crate::{PairCounts, RenderSettings};
 
-/// Sources of the renderer's shaders, by name.
-///
-/// - `keeps`: whether forward keeps what backward needs
-pub(super) fn sources(num_channels: usize, keeps: bool) -> [(&'static str, String); 4] {
-    let view = include_str!("view.wgsl");
-    let reach = include_str!("reach.wgsl");
-    let keeps = format!("const KEEPS: bool = {keeps};");
-    [
-        ("project", source(num_channels, &[view, reach, include_str!("project.wgsl")])),
-        ("bin", source(num_channels, &[view, reach, include_str!("bin.wgsl")])),
-        ("rasterize_fwd", source(num_channels, &[view, &keeps, include_str!("rasterize_fwd.wgsl")])),
-        ("rasterize_bwd", source(num_channels, &[view, include_str!("rasterize_bwd.wgsl")])),
-    ]
-}
-
-/// Marks a tile count of a splat whose bounds hold a pixel, as in `reach.wgsl`.
-const VISIBLE: u32 = 0x8000_0000;
-
-/// What a [`GpuRenderer`]'s buffers hold at most.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Capacity {
-    /// `N`, exactly.
-    pub num_gaussians: usize,
-    /// `C`, 1 to 8, exactly.
-    pub num_channels: usize,
-    /// Of an image.
-    pub num_pixels: usize,
-    /// Of an image.
-    pub num_tiles: usize,
-    /// Combinations of a tile and a splat that reaches it.
-    pub num_pairs: usize,
-    /// Whether backward is wanted.
-    pub backward: bool,
-}
-
-impl Capacity {
-    /// Room for images of any of the cameras, and a first guess of the pairs.
-    pub fn new<'a>(
-        num_gaussians: usize,
-        num_channels: usize,
-        cameras: impl IntoIterator<Item = &'a Camera>,
-        backward: bool,
-    ) -> Self {
-        let (mut num_pixels, mut num_tiles) = (1, 1);
-        for camera in cameras {
-            num_pixels = num_pixels.max(camera.width * camera.height);
-            num_tiles = num_tiles.max(camera.width.div_ceil(TILE) * camera.height.div_ceil(TILE));
-        }
-        let num_pairs = 2 * num_gaussians + 16 * num_tiles;
-        Self { num_gaussians, num_channels, num_pixels, num_tiles, num_pairs, backward }
-    }
-
-    fn num_buckets(&self) -> usize {
-        self.num_pairs / BUCKET + self.num_tiles
-    }
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
-struct ViewUniform {
-    rows: [[f32; 4]; 3],
-    focal: [f32; 2],
-    principal: [f32; 2],
-    slope_min: [f32; 2],
-    slope_max: [f32; 2],
-    size: [u32; 2],
-    grid: [u32; 2],
-    num_gaussians: u32,
-    pair_capacity: u32,
-    statistic_channels: u32,
-    unused: u32,
-    background: [f32; MAX_CHANNELS],
-}
-
-/// The buffers that others fill or read.
+/// Buffers of a renderer that other operations fill or read.
 #[derive(Clone, Debug)]
 pub struct RenderBuffers {
     /// `[(11 + C) N]` means, unit quats, scales, opacities, colors: what is drawn.
@@ -117,7 +42,8 @@ pub struct RenderBuffers {
     pub status: wgpu::Buffer,
 }
 
-/// The GPU's renderer for one number of Gaussians and channels.
+/// Kernels and buffers of the renderer, for one number of Gaussians and channels. Its methods record the stages of an
+/// image in the order *project, sort, rasterize, rasterize backward, project backward*.
 #[derive(Debug)]
 pub struct GpuRenderer {
     capacity: Capacity,
@@ -126,7 +52,8 @@ pub struct GpuRenderer {
     view: wgpu::Buffer,
     arguments: wgpu::Buffer,
     tile_counts: wgpu::Buffer,
-    grid: [usize; 2],
+    /// Tiles of the image.
+    num_tiles: usize,
     project: Bound,
     sort_depths: Radix,
     bin_count: Bound,
@@ -140,7 +67,7 @@ pub struct GpuRenderer {
 }
 
 impl GpuRenderer {
-    /// Allocates everything.
+    /// Allocates all buffers and compiles the kernels.
     ///
     /// # Errors
     /// [`GpuError::Memory`] if something does not fit; [`GpuError::Unfit`] if there are more Gaussians or pairs than one
@@ -149,11 +76,10 @@ impl GpuRenderer {
     /// # Panics
     /// If the number of channels is not in `1..=MAX_CHANNELS`.
     pub fn new(gpu: &Gpu, capacity: Capacity) -> Result<Self, GpuError> {
-        let values = (11 + capacity.num_channels) * capacity.num_gaussians;
-        Self::of_gaussians(gpu, capacity, &gpu.storage("activated Gaussians", values)?)
+        Self::of_gaussians(gpu, capacity, &gpu.storage("activated Gaussians", capacity.activated_len())?)
     }
 
-    /// Allocates everything but the Gaussians, which outlive the renderer.
+    /// The same with a buffer of Gaussians that outlives the renderer.
     ///
     /// - `activated`: [`RenderBuffers::activated`]
     ///
@@ -163,7 +89,7 @@ impl GpuRenderer {
     /// # Panics
     /// As [`Self::new`].
     pub fn of_gaussians(gpu: &Gpu, capacity: Capacity, activated: &wgpu::Buffer) -> Result<Self, GpuError> {
-        let Capacity { num_gaussians: n, num_channels: c, num_pixels, num_tiles, num_pairs: p, backward } = capacity;
+        let Capacity { num_gaussians: n, num_channels: c, num_pixels, num_pairs: p, backward, .. } = capacity;
         assert!((1..=MAX_CHANNELS).contains(&c), "{c} channels, expected 1 to {MAX_CHANNELS}");
         if n > MAX_THREADS {
             let problem = format!("would have to draw {n} Gaussians, expected at most {MAX_THREADS}");
@@ -173,9 +99,9 @@ impl GpuRenderer {
         let view = gpu.uniform("the view", size_of::<ViewUniform>())?;
         let buffers = RenderBuffers {
             activated: activated.clone(),
-            image: gpu.storage("the image", (c + 1) * num_pixels)?,
+            image: gpu.storage("the image", capacity.image_len())?,
             v_image: gpu.storage("the image's gradient", if_backward(c * num_pixels))?,
-            v_activated: gpu.storage("gradients of activated Gaussians", if_backward((11 + c) * n))?,
+            v_activated: gpu.storage("gradients of activated Gaussians", if_backward(capacity.activated_len()))?,
             v_means2d_ndc: gpu.storage("the statistic's gradients", if_backward(3 * n))?,
             status: gpu.storage("status", 4)?,
         };
@@ -183,32 +109,31 @@ impl GpuRenderer {
         let keys = [gpu.storage("depths", n)?, gpu.storage("depths", n)?];
         let values = [gpu.storage("depth order", n)?, gpu.storage("depth order", n)?];
         let tile_counts = gpu.storage("tile counts", n)?;
-        let block_sums = gpu.storage("block sums", n.div_ceil(256))?;
+        let block_sums = gpu.storage("block sums", n.div_ceil(WORKGROUP as usize))?;
         let pair_keys = [gpu.storage("pairs' tiles", p)?, gpu.storage("pairs' tiles", p)?];
         let pair_values = [gpu.storage("pairs", p)?, gpu.storage("pairs", p)?];
         let pair_gaussian = gpu.storage("pairs' Gaussians", p)?;
         let pair_first = gpu.storage("first pairs", n)?;
         let num_pairs = gpu.storage("number of pairs", 1)?;
         let arguments = gpu.storage("dispatch arguments", 6)?;
-        let tiles = gpu.storage("tiles", 2 * (num_tiles + 1) + capacity.num_buckets())?;
-        let checkpoints = gpu.storage("checkpoints", if_backward(capacity.num_buckets() * (1 + c) * TILE * TILE))?;
-        let v_pairs = gpu.storage("gradients of pairs", if_backward(p * (8 + c)))?;
+        let tiles = gpu.storage("tiles", capacity.tiles_len())?;
+        let checkpoints = gpu.storage("checkpoints", if_backward(capacity.checkpoints_len()))?;
+        let v_pairs = gpu.storage("gradients of pairs", if_backward(capacity.pair_grads_len()))?;
 
         let count = gpu.upload("number of Gaussians", &[n as u32])?;
         let sort_depths = Radix::new(gpu, [&keys[0], &keys[1]], [&values[0], &values[1]], &count, n, 32)?;
         let order = &values[sort_depths.result_index()];
-        let tile_bits = (usize::BITS - num_tiles.saturating_sub(1).leading_zeros()).max(1);
         let sort_tiles = Radix::new(
             gpu,
             [&pair_keys[0], &pair_keys[1]],
             [&pair_values[0], &pair_values[1]],
             &num_pairs,
             p,
-            tile_bits,
+            capacity.tile_bits(),
         )?;
         let sorted = sort_tiles.result_index();
 
-        let [project, bin, fwd, bwd] = sources(c, backward).map(|(_, source)| source);
+        let RenderSources { project, bin, rasterize_fwd: fwd, rasterize_bwd: bwd } = RenderSources::new(c, backward);
         let device = gpu.device();
         let bind = |source: &str, entry, buffers: &[(u32, &wgpu::Buffer)]| {
             let with_view: Vec<_> = std::iter::once((0, &view)).chain(buffers.iter().copied()).collect();
@@ -293,24 +218,24 @@ impl GpuRenderer {
             view,
             arguments,
             tile_counts,
-            grid: [0; 2],
+            num_tiles: 0,
             buffers,
         };
         gpu.check()?;
         Ok(renderer)
     }
 
-    /// What the buffers hold.
+    /// How much the buffers hold.
     pub fn capacity(&self) -> &Capacity {
         &self.capacity
     }
 
-    /// The buffers that others fill or read.
+    /// Buffers that other operations fill or read.
     pub fn buffers(&self) -> &RenderBuffers {
         &self.buffers
     }
 
-    /// What the last image had to blend; reads back, and waits for the GPU.
+    /// How much the last image had to blend; reads back, and waits for the GPU.
     ///
     /// # Errors
     /// What has gone wrong meanwhile.
@@ -320,48 +245,22 @@ impl GpuRenderer {
         Ok(PairCounts { pairs: tiles.clone().sum(), splats: tiles.filter(|&tiles| tiles > 0).count() })
     }
 
-    /// Chooses the camera of the passes submitted from now on.
+    /// Sets the camera of the passes that are submitted from now on.
     ///
     /// # Panics
     /// If its image is larger than there is room for.
     pub fn set_view(&mut self, camera: &Camera, settings: &RenderSettings) {
-        let grid = [camera.width.div_ceil(TILE), camera.height.div_ceil(TILE)];
-        assert!(
-            camera.width * camera.height <= self.capacity.num_pixels && grid[0] * grid[1] <= self.capacity.num_tiles,
-            "an image of {}x{}, room for {} pixels",
-            camera.width,
-            camera.height,
-            self.capacity.num_pixels
-        );
-        self.grid = grid;
-        let pinhole = Pinhole::<f32>::new(camera);
-        let row = |i: usize| {
-            let [x, y, z] = pinhole.rotation[i];
-            [x, y, z, pinhole.translation[i]]
-        };
-        let uniform = ViewUniform {
-            rows: [row(0), row(1), row(2)],
-            focal: pinhole.focal,
-            principal: pinhole.principal,
-            slope_min: pinhole.slope_min,
-            slope_max: pinhole.slope_max,
-            size: [camera.width as u32, camera.height as u32],
-            grid: grid.map(|x| x as u32),
-            num_gaussians: self.capacity.num_gaussians as u32,
-            pair_capacity: self.capacity.num_pairs as u32,
-            statistic_channels: settings.statistic_channels as u32,
-            unused: 0,
-            background: settings.background,
-        };
+        let uniform = ViewUniform::new(camera, settings, &self.capacity);
+        self.num_tiles = uniform.num_tiles();
         self.gpu.queue().write_buffer(&self.view, 0, bytemuck::bytes_of(&uniform));
     }
 
-    /// Projects `activated` to splats.
+    /// Records *project*: `activated` to splats, with the tiles that each reaches.
     pub fn project(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.project.dispatch_over(pass, self.capacity.num_gaussians);
     }
 
-    /// Sorts splats into tiles, front to back.
+    /// Records *sort*: splats to each tile's list, front to back.
     pub fn sort(&self, pass: &mut wgpu::ComputePass<'_>) {
         let n = self.capacity.num_gaussians;
         self.sort_depths.record(pass, Dispatch::Blocks(n.div_ceil(SORT_BLOCK) as u32));
@@ -369,28 +268,28 @@ impl GpuRenderer {
         self.bin_scan.dispatch(pass, [1, 1, 1]);
         self.bin_emit.dispatch_over(pass, n);
         self.sort_tiles.record(pass, Dispatch::Indirect(&self.arguments, 0));
-        self.bin_ranges.dispatch_over(pass, self.grid[0] * self.grid[1] + 1);
+        self.bin_ranges.dispatch_over(pass, self.num_tiles + 1);
         self.bin_buckets.dispatch(pass, [1, 1, 1]);
     }
 
-    /// Blends the tiles' splats to `image`.
+    /// Records *rasterize*: overwrites `image` with each tile's list, blended.
     pub fn rasterize(&self, pass: &mut wgpu::ComputePass<'_>) {
-        self.rasterize.dispatch_groups(pass, self.grid[0] * self.grid[1]);
+        self.rasterize.dispatch_groups(pass, self.num_tiles);
     }
 
-    /// From `v_image` to gradients of the splats, after the forward stages.
+    /// Records *rasterize backward*, after the forward stages: `v_image` to the gradients of pairs.
     ///
     /// # Panics
-    /// If there are no buffers for it.
+    /// If the capacity has no room for backward.
     pub fn rasterize_bwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         let (rasterize, _) = self.backward.as_ref().expect("a renderer with backward");
         rasterize.dispatch_indirect(pass, &self.arguments, 12);
     }
 
-    /// Overwrites `v_activated` and `v_means2d_ndc`, after [`Self::rasterize_bwd`].
+    /// Records *project backward*, after [`Self::rasterize_bwd`]: overwrites `v_activated` and `v_means2d_ndc`.
     ///
     /// # Panics
-    /// If there are no buffers for it.
+    /// If the capacity has no room for backward.
     pub fn project_bwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         let (_, project) = self.backward.as_ref().expect("a renderer with backward");
         project.dispatch_over(pass, self.capacity.num_gaussians);

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 
 use tcgs_core::{Activated, Camera, normalize};
 use tcgs_interchange::NpzReader;
+#[cfg(feature = "gpu")]
 use tcgs_render::gpu::{Gpu, GpuChoice};
 
 /// Path of a test vector, or `None` with a message where the vectors are absent.
@@ -25,6 +26,7 @@ pub fn golden(name: &str) -> Option<PathBuf> {
 }
 
 /// The GPU that tests run on, or `None` with a message where there is none: `TCGS_TEST_GPU`, by default Mesa's software.
+#[cfg(feature = "gpu")]
 pub fn gpu() -> Option<Gpu> {
     let name = std::env::var("TCGS_TEST_GPU").unwrap_or_else(|_| "llvmpipe".into());
     Gpu::open(GpuChoice::Named(&name))

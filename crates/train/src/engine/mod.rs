@@ -4,6 +4,9 @@
 //! what happens between iterations; that is the trainer's, which changes the engine's [`State`].
 
 pub mod cpu;
+#[cfg(feature = "gpu")]
+mod device;
+#[cfg(feature = "gpu")]
 pub mod gpu;
 
 use std::fmt::Debug;
@@ -12,8 +15,8 @@ use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
 
 use crate::TrainError;
-use crate::config::{MaskConfig, WeightConfig};
-use crate::losses::LossTerms;
+use crate::config::MaskConfig;
+use crate::losses::{LossTerms, WeightConfig};
 use crate::schedule::Rates;
 use crate::state::State;
 

@@ -3,10 +3,11 @@
 #![allow(dead_code)] // every test uses a part of it
 
 use std::io::Write;
+use std::sync::Arc;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use tcgs_core::{Attribute, Columns};
+use tcgs_core::{Attribute, Column, Columns, Layout};
 use tcgs_render::gpu::{Gpu, GpuChoice};
 
 /// The GPU that tests run on, by the name in `TCGS_TEST_GPU`; Mesa's software adapter without it.
@@ -45,11 +46,22 @@ impl Random {
     }
 }
 
-/// `[15 N]` as the GPU holds them; mask logits are zero.
+/// Columns as the GPU holds them, `[values * N]`; mask logits are zero.
 pub fn packed<Role>(columns: &Columns<Role>) -> Vec<f32> {
-    let mut all: Vec<f32> = Attribute::BASE.iter().flat_map(|&a| columns.values(a).iter().copied()).collect();
-    all.resize(15 * columns.num_gaussians(), 0.0);
+    let layout = columns.layout();
+    let mut all: Vec<f32> = layout.attributes().flat_map(|a| columns.values(a).iter().copied()).collect();
+    all.resize((layout.components() + 1) * columns.num_gaussians(), 0.0);
     all
+}
+
+/// The base layout with three columns that nothing draws: `wetness[2]`, which is quantised; `age[1]`, which neither varies
+/// nor is quantised; `glow[5]`, quantised.
+pub fn further_layout() -> Arc<Layout> {
+    let mut layout = Layout::default();
+    layout.push("wetness", 2, Column::like(Attribute::Color));
+    layout.push("age", 1, Column { varies: false, quantized: false, ..Column::like(Attribute::LogScale) });
+    layout.push("glow", 5, Column::like(Attribute::Quat));
+    Arc::new(layout)
 }
 
 /// `‖found − expected‖ / ‖expected‖`; the numerator alone where nothing is expected.

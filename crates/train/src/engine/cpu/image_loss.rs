@@ -5,11 +5,7 @@ use rayon::prelude::*;
 use tcgs_core::Image;
 use tcgs_metrics::{ssim_bwd, ssim_fwd};
 
-/// Share of L1; the rest is SSIM's. Kerbl et al. 2023, Eq. 7.
-const L1_SHARE: f32 = 0.8;
-/// Channels of the images that the losses are means over. The segmentation image's middle one is
-/// always zero, is not rendered, and still counts.
-const COUNTED: f32 = 3.0;
+use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 
 /// Values and gradients of the two image losses.
 #[derive(Clone, Debug)]
@@ -52,7 +48,7 @@ pub fn image_loss(
     let weight = |channel: usize| if channel < 3 { image_weight } else { segmentation_weight };
     let (ssim, saved) = ssim_fwd(&corrected, target);
     let mut v_image = Image::filled(rendered.width, rendered.height, channels, 0.0);
-    let v_ssim: Vec<f32> = (0..channels).map(|c| -(1.0 - L1_SHARE) * weight(c) / COUNTED).collect();
+    let v_ssim: Vec<f32> = (0..channels).map(|c| -(1.0 - L1_SHARE) * weight(c) / COUNTED_CHANNELS).collect();
     ssim_bwd(&corrected, target, &saved, &v_ssim, &mut v_image);
 
     // L1, and the colours' correction taken back, channel by channel.
@@ -61,7 +57,7 @@ pub fn image_loss(
         .par_chunks_mut(pixels)
         .enumerate()
         .map(|(channel, v_plane)| {
-            let slope = L1_SHARE * weight(channel) / (COUNTED * pixels as f32);
+            let slope = L1_SHARE * weight(channel) / (COUNTED_CHANNELS * pixels as f32);
             let (mut l1, mut v_gain, mut v_offset) = (0.0_f64, 0.0_f64, 0.0_f64);
             let planes = corrected.plane(channel).iter().zip(target.plane(channel)).zip(rendered.plane(channel));
             for (v, ((&a, &b), &raw)) in v_plane.iter_mut().zip(planes) {
@@ -85,10 +81,11 @@ pub fn image_loss(
         .collect();
 
     let loss = |range: std::ops::Range<usize>| {
-        let l1: f64 = sums[range.clone()].iter().map(|s| s.0).sum::<f64>() / (f64::from(COUNTED) * pixels as f64);
+        let l1: f64 =
+            sums[range.clone()].iter().map(|s| s.0).sum::<f64>() / (f64::from(COUNTED_CHANNELS) * pixels as f64);
         // A channel that is not rendered is zero in both images and has an SSIM of 1.
-        let unseen = f64::from(COUNTED) - range.len() as f64;
-        let ssim = (ssim[range].iter().sum::<f64>() + unseen) / f64::from(COUNTED);
+        let unseen = f64::from(COUNTED_CHANNELS) - range.len() as f64;
+        let ssim = (ssim[range].iter().sum::<f64>() + unseen) / f64::from(COUNTED_CHANNELS);
         f64::from(L1_SHARE) * l1 + f64::from(1.0 - L1_SHARE) * (1.0 - ssim)
     };
     ImageLoss {

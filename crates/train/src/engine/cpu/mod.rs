@@ -17,7 +17,7 @@ use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderSettings, StageTimes};
 use super::{Engine, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
-use crate::losses::{LossTerms, PriorWeights};
+use crate::losses::{LossTerms, WeightConfig};
 use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 use crate::sensitivity::sensitivity;
 use crate::state::State;
@@ -150,19 +150,13 @@ impl CpuEngine {
         let quantizers = self.state.quantizers.as_ref().map(|q| q.backward(&p.gaussians, &mut v_gaussians));
         laps.lap("activate backward");
         if let Some(prior) = &self.prior {
-            let w = step.weights;
-            let weights = PriorWeights {
-                rigid: w.rigid,
-                rot: w.rot,
-                iso: w.iso,
-                floor: if with_segmentation { w.floor } else { 0.0 },
-                background: w.background,
-                soft_color: w.soft_color,
-            };
+            // Without segmentation nothing tells the foreground, which alone stands on the floor.
+            let floor = if with_segmentation { step.weights.floor } else { 0.0 };
+            let weights = WeightConfig { floor, ..*step.weights };
             let v = v_gaussians.views_mut();
             let grads = PriorGrads { v_means: v.means, v_quats: v.quats, v_colors: v.colors };
             let g = &p.gaussians;
-            terms.prior = prior.losses(g.means(), g.quats(), g.colors(), &weights, grads);
+            terms += prior.losses(g.means(), g.quats(), g.colors(), &weights, grads);
         }
         laps.lap("motion losses");
         let grads = StepGrads {
@@ -293,12 +287,14 @@ impl Engine for CpuEngine {
     }
 
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
-        Ok(sensitivity(&CpuRasterizer, &self.state.parameters.gaussians, cameras)?)
+        let Ok(sensitivity) = sensitivity(&CpuRasterizer, &self.state.parameters.gaussians, cameras);
+        Ok(sensitivity)
     }
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
         let drawn = drawn(&self.state, mask, false);
-        Ok(CpuRasterizer.forward(&drawn, camera, &RenderSettings::default())?.0.image)
+        let Ok((output, _)) = CpuRasterizer.forward(&drawn, camera, &RenderSettings::default());
+        Ok(output.image)
     }
 }
 

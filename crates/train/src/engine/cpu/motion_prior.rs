@@ -12,11 +12,9 @@ use tcgs_core::{
     Real, dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
 };
 
-use crate::losses::{PriorLosses, PriorWeights};
+use crate::losses::{LossTerms, ROOT_EPSILON, WeightConfig};
 use crate::neighbors::Neighbors;
 
-/// Added under square roots so that they have a derivative at zero. Reference.
-const ROOT_EPSILON: f64 = 1e-20;
 /// Fewest foreground Gaussians that one task handles. Sums are taken per Gaussian and then in order, so
 /// that this does not show in them.
 const CHUNK: usize = 128;
@@ -89,7 +87,7 @@ impl<R: Real> MotionPrior<R> {
         }
     }
 
-    /// Values of all losses; *accumulates* the gradient of their weighted sum.
+    /// Values of the losses on motion, the others 0; *accumulates* the gradient of their weighted sum.
     ///
     /// - `means`, `quats`, `colors`: `[N]`, stored form
     pub fn losses(
@@ -97,10 +95,10 @@ impl<R: Real> MotionPrior<R> {
         means: &[[R; 3]],
         quats: &[[R; 4]],
         colors: &[[R; 3]],
-        weights: &PriorWeights,
+        weights: &WeightConfig,
         grads: PriorGrads<'_, R>,
-    ) -> PriorLosses {
-        let mut losses = PriorLosses::default();
+    ) -> LossTerms {
+        let mut losses = LossTerms::default();
         let among_neighbors = [weights.rigid, weights.rot, weights.iso];
         if self.neighbors.per_node > 0 && among_neighbors != [0.0; 3] {
             [losses.rigid, losses.rot, losses.iso] =
@@ -144,7 +142,7 @@ impl<R: Real> MotionPrior<R> {
         &self,
         means: &[[R; 3]],
         quats: &[[R; 4]],
-        weights: &PriorWeights,
+        weights: &WeightConfig,
         v_means: &mut [[R; 3]],
         v_quats: &mut [[R; 4]],
     ) -> [f64; 3] {

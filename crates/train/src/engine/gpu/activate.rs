@@ -4,21 +4,22 @@
 //! what the mask's gradient needs. The floor is memory, for every Gaussian: forward reads 68 bytes and
 //! writes 56 (64 with segmentation), backward reads 60 + 56 and writes 60.
 
-use tcgs_render::gpu::{Bound, Gpu, GpuError, WORKGROUP};
+use tcgs_render::device::{WORKGROUP, Wgsl};
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-use super::step::source;
+use crate::engine::device::{Packing, source};
 
-/// What the kernels read and write. Arrays about quantizers have room for one at least, also where there is
+/// What activation and its backward read and write. Arrays about quantizers have room for one at least, also where there is
 /// none.
 #[derive(Clone, Copy, Debug)]
 pub struct ActivateBuffers<'a> {
     /// [`super::StepUniform`]
     pub step: &'a wgpu::Buffer,
-    /// `[15 N]` means, quats, log_scales, logit_opacities, colors, mask_logits.
+    /// `[values * N]` columns and mask logits, see [`Packing`].
     pub params: &'a wgpu::Buffer,
     /// `[N]` bit 0: foreground.
     pub flags: &'a wgpu::Buffer,
-    /// `[N]` bytes: groups of the quat, log_scale, logit_opacity and color, the first lowest.
+    /// `[words, N]` a byte a quantised column: its group of quantizers.
     pub quantizer_groups: &'a wgpu::Buffer,
     /// `[256]` position of a group's first quantizer; the others of its components follow.
     pub group_starts: &'a wgpu::Buffer,
@@ -30,17 +31,17 @@ pub struct ActivateBuffers<'a> {
     pub v_activated: &'a wgpu::Buffer,
     /// `[N]` of the timestep before; read only where masks are compared.
     pub previous_mask_logits: &'a wgpu::Buffer,
-    /// `[15 N]` overwritten: gradients to the quantised stored values.
+    /// `[values * N]` overwritten: gradients to the quantised stored values.
     pub grads: &'a wgpu::Buffer,
     /// `[N, 3]` gradients to projected centres in NDC units: x, y, whether visible.
     pub v_means2d_ndc: &'a wgpu::Buffer,
     /// `[2 N]` sums of their norms, then counts.
     pub statistic: &'a wgpu::Buffer,
-    /// `[1]` not 0: nothing is counted.
+    /// `[1]` u32: not 0 where the GPU has halted; then nothing is counted.
     pub status: &'a wgpu::Buffer,
 }
 
-/// The kernels.
+/// Forward from stored values to activated ones, its backward, and the densification statistic, bound to their buffers.
 #[derive(Clone, Debug)]
 pub struct ActivateKernels {
     fwd: Bound,
@@ -52,12 +53,19 @@ pub struct ActivateKernels {
 }
 
 impl ActivateKernels {
+    /// Binds the three kernels.
+    ///
     /// # Errors
     /// If memory for the partial sums cannot be had.
-    pub fn new(gpu: &Gpu, buffers: ActivateBuffers<'_>, num_gaussians: usize) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        packing: &Packing,
+        buffers: ActivateBuffers<'_>,
+        num_gaussians: usize,
+    ) -> Result<Self, GpuError> {
         let groups = num_gaussians.div_ceil(WORKGROUP as usize);
         let mask_partials = gpu.storage("sums of the mask losses", 2 * groups.max(1))?;
-        let source = shader();
+        let source = shader(packing);
         let b = buffers;
         let stored = [(0, b.step), (1, b.params), (3, b.quantizer_groups), (4, b.group_starts), (5, b.quantizers)];
         let bind = |entry, others: &[(u32, &wgpu::Buffer)]| {
@@ -75,12 +83,13 @@ impl ActivateKernels {
         Ok(Self { fwd, bwd, count, num_gaussians, mask_partials })
     }
 
-    /// Records the way from stored to drawn.
+    /// Records the forward: overwrites `activated` with stored values, fake-quantised, activated and masked.
     pub fn record_fwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.fwd.dispatch_over(pass, self.num_gaussians);
     }
 
-    /// Records the way back, from gradients to what is drawn to gradients to what is stored.
+    /// Records the backward: *overwrites* `grads` with gradients to the quantised stored values and to mask logits, the
+    /// weighted losses on masks included, and `mask_partials`.
     pub fn record_bwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.bwd.dispatch_over(pass, self.num_gaussians);
     }
@@ -91,24 +100,29 @@ impl ActivateKernels {
     }
 }
 
-pub(super) fn shader() -> String {
-    source(&[include_str!("quantize.wgsl"), include_str!("activate.wgsl")])
+pub(super) fn shader(packing: &Packing) -> String {
+    source(packing, Wgsl::new().activated_columns())
+        .part(include_str!("quantize.wgsl"))
+        .part(include_str!("activate.wgsl"))
+        .finish()
 }
 
 #[cfg(test)]
 mod tests {
     use tcgs_codec::{BitMap, Quantizer};
-    use tcgs_core::{ActivatedGrads, Attribute, Gaussians, activate, activate_bwd};
+    use tcgs_core::{ActivatedGrads, Attribute, Gaussians, Layout, activate, activate_bwd};
 
     use super::*;
-    use crate::engine::gpu::StepUniform;
-    use crate::engine::gpu::testing::{
+    use crate::engine::device::StepUniform;
+    use crate::engine::gpu::test_support::{
         QuantizerTables, assert_close, gpu, random, random_gaussians, random_rows, run, uniform,
     };
     use crate::fake_quant::FakeQuantizers;
+    use crate::losses::WeightConfig;
     use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 
     const THRESHOLD: f32 = 0.3;
+    const WEIGHTS: WeightConfig = WeightConfig { mask: 2.0, mask_consistency: 3.0, ..WeightConfig::NONE };
 
     struct Scene {
         gaussians: Gaussians,
@@ -175,7 +189,7 @@ mod tests {
         }
 
         /// Gradients by attribute, then of mask logits, and the two losses.
-        fn grads(&self, flags: u32, v: &[f32], step: &StepUniform) -> ([Vec<f32>; 6], [f64; 2]) {
+        fn grads(&self, flags: u32, v: &[f32]) -> ([Vec<f32>; 6], [f64; 2]) {
             let n = self.mask_logits.len();
             let stored = self.stored(flags);
             let activated = activate(&stored);
@@ -201,10 +215,10 @@ mod tests {
                     v_activated.v_scales[i] = v_s.map(|v| v * m);
                     v_activated.v_opacities[i] *= m;
                 }
-                losses[0] = mask_loss(&self.mask_logits, |i, v| v_masks[i] += step.mask_weight * v);
+                losses[0] = mask_loss(&self.mask_logits, |i, v| v_masks[i] += WEIGHTS.mask * v);
                 if flags & StepUniform::COMPARES_MASKS != 0 {
                     losses[1] = mask_consistency_loss(&self.mask_logits, &self.previous, |i, v| {
-                        v_masks[i] += step.mask_consistency_weight * v;
+                        v_masks[i] += WEIGHTS.mask_consistency * v;
                     });
                 }
             }
@@ -233,7 +247,7 @@ mod tests {
         let (grads, statistic) = (gpu.storage("grads", 15 * n).unwrap(), gpu.storage("statistic", 2 * n).unwrap());
         let flags: Vec<u32> = scene.foreground.iter().map(|&f| u32::from(f) | 2).collect();
         let buffers = ActivateBuffers {
-            step: &uniform(gpu, step),
+            step: &uniform(gpu, step, &[]),
             params: &upload(&scene.params()),
             flags: &gpu.upload("flags", &flags).unwrap(),
             quantizer_groups: &gpu.upload("groups", &tables.groups).unwrap(),
@@ -247,7 +261,7 @@ mod tests {
             statistic: &statistic,
             status: &gpu.upload("status", &[status]).unwrap(),
         };
-        let kernels = ActivateKernels::new(gpu, buffers, n).unwrap();
+        let kernels = ActivateKernels::new(gpu, &Packing::new(&Layout::base()), buffers, n).unwrap();
         OnGpu { kernels, activated, grads, statistic }
     }
 
@@ -265,8 +279,7 @@ mod tests {
                     num_gaussians: n as u32,
                     flags,
                     mask_threshold: THRESHOLD,
-                    mask_weight: 2.0,
-                    mask_consistency_weight: 3.0,
+                    weights: WEIGHTS.values(),
                     ..StepUniform::default()
                 };
                 let found = on_gpu(&gpu, &scene, &step, &v, &vec![0.0; 3 * n], 0);
@@ -282,7 +295,7 @@ mod tests {
                     assert_close(&format!("{name} of {n}, flags {flags}"), found, &expected, 2e-6);
                 }
                 let grads: Vec<f32> = gpu.read(&found.grads, 15 * n).unwrap();
-                let (expected, losses) = scene.grads(flags, &v, &step);
+                let (expected, losses) = scene.grads(flags, &v);
                 let lens = [3, 4, 3, 1, 3, 1].map(|c| c * n);
                 for ((name, found), expected) in names.iter().zip(split(&grads, &lens)).zip(&expected) {
                     assert_close(&format!("v of {name} of {n}, flags {flags}"), found, expected, 5e-6);

@@ -1,11 +1,11 @@
 
 // From stored values to what is drawn, and back.
 //
-// params, grads [15 N]: means 3N, quats 4N, log_scales 3N, logit_opacities N, colors 3N, mask_logits N
-// activated, v_activated [(11 + C) N]: means 3N, unit quats 4N, scales 3N, opacities N, colors [N, C];
-//     C = 5 with segmentation (foreground, background after the colours), else 3
+// params, grads: columns of the stored form, then mask logits; column X begins at X_AT times N, see packing.rs
+// activated, v_activated [(11 + C) N]: means, unit quats, scales, opacities, colors [N, C]; column X begins at X_AT times
+//     N, see activated.rs of tcgs-render; C = 5 with segmentation (foreground, background after the colours), else 3
 // flags [N]: bit 0 is foreground
-// quantizer_groups [N]: bytes are groups of the quat, log_scale, logit_opacity and color
+// quantizer_groups [words, N]: bytes are groups of the quantised columns; that of column X is X_BYTE
 // group_starts [256]: a group's first quantizer, that of its first component
 // quantizers [Q]: step, offset, lowest code, highest code
 // mask_partials [groups, 2]: sums of sigmoid(mask logit) and of |mask logit - previous one|
@@ -29,11 +29,6 @@
 @group(0) @binding(12) var<storage, read_write> statistic: array<f32>;
 @group(0) @binding(13) var<storage, read> status: array<u32>;
 
-const QUAT: u32 = 0u;
-const LOG_SCALE: u32 = 1u;
-const LOGIT_OPACITY: u32 = 2u;
-const COLOR: u32 = 3u;
-
 var<workgroup> quats: array<vec4<f32>, 256>;
 var<workgroup> masks: array<f32, 256>;
 var<workgroup> v_log_scales: array<f32, 768>;
@@ -44,22 +39,23 @@ fn has(flag: u32) -> bool {
 }
 
 // A stored value of Gaussian `n`, quantised if that is on.
-fn stored(index: u32, n: u32, which: u32, component: u32) -> f32 {
+fn stored(index: u32, n: u32, byte: u32, component: u32) -> f32 {
     let x = params[index];
     if (!has(QUANTIZED)) {
         return x;
     }
-    let group = (quantizer_groups[n] >> (8u * which)) & 255u;
+    let word = quantizer_groups[(byte / GROUPS_A_WORD) * step.num_gaussians + n];
+    let group = (word >> (8u * (byte % GROUPS_A_WORD))) & 255u;
     return fake_quant(x, quantizers[group_starts[group] + component]);
 }
 
 fn stored_quat(n: u32) -> vec4<f32> {
-    let first = 3u * step.num_gaussians + 4u * n;
+    let first = QUAT_AT * step.num_gaussians + 4u * n;
     return vec4(
-        stored(first, n, QUAT, 0u),
-        stored(first + 1u, n, QUAT, 1u),
-        stored(first + 2u, n, QUAT, 2u),
-        stored(first + 3u, n, QUAT, 3u),
+        stored(first, n, QUAT_BYTE, 0u),
+        stored(first + 1u, n, QUAT_BYTE, 1u),
+        stored(first + 2u, n, QUAT_BYTE, 2u),
+        stored(first + 3u, n, QUAT_BYTE, 3u),
     );
 }
 
@@ -84,25 +80,25 @@ fn activate_fwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocati
         quats[local] = select(quat, quat / length, length > 0.0);
         var mask = 1.0;
         if (has(MASKED)) {
-            mask = select(0.0, 1.0, sigmoid(params[14u * num + n]) > step.mask_threshold);
+            mask = select(0.0, 1.0, sigmoid(params[MASK_AT * num + n]) > step.mask_threshold);
         }
         masks[local] = mask;
-        activated[10u * num + n] = mask * sigmoid(stored(10u * num + n, n, LOGIT_OPACITY, 0u));
+        activated[OPACITIES_AT * num + n] = mask * sigmoid(stored(LOGIT_OPACITY_AT * num + n, n, LOGIT_OPACITY_BYTE, 0u));
     }
     workgroupBarrier();
     for (var j = local; j < 768u; j += 256u) {
         let i = 3u * first + j;
         let row = j / 3u;
         if (i < 3u * num) {
-            activated[i] = params[i];
-            let index = 7u * num + i;
-            activated[index] = masks[row] * exp(stored(index, first + row, LOG_SCALE, j % 3u));
+            activated[MEANS_AT * num + i] = params[MEAN_AT * num + i];
+            let log_scale = stored(LOG_SCALE_AT * num + i, first + row, LOG_SCALE_BYTE, j % 3u);
+            activated[SCALES_AT * num + i] = masks[row] * exp(log_scale);
         }
     }
     for (var j = local; j < 1024u; j += 256u) {
         let i = 4u * first + j;
         if (i < 4u * num) {
-            activated[3u * num + i] = quats[j / 4u][j % 4u];
+            activated[QUATS_AT * num + i] = quats[j / 4u][j % 4u];
         }
     }
     let channels = num_channels();
@@ -113,11 +109,11 @@ fn activate_fwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocati
             let channel = j % channels;
             var value = 0.0;
             if (channel < 3u) {
-                value = stored(11u * num + 3u * row + channel, row, COLOR, channel);
+                value = stored(COLOR_AT * num + 3u * row + channel, row, COLOR_BYTE, channel);
             } else {
                 value = select(0.0, 1.0, (flags[row] & 1u) == 4u - channel);
             }
-            activated[11u * num + i] = value;
+            activated[COLORS_AT * num + i] = value;
         }
     }
 }
@@ -144,33 +140,34 @@ fn activate_bwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocati
     var losses = vec2(0.0);
     if (n < num) {
         let quat = stored_quat(n);
-        let at = 3u * num + 4u * n;
+        let at = QUATS_AT * num + 4u * n;
         let v_unit = vec4(v_activated[at], v_activated[at + 1u], v_activated[at + 2u], v_activated[at + 3u]);
         let length = sqrt(dot(quat, quat));
         let unit = quat / length;
         quats[local] = select(vec4(0.0), (v_unit - unit * dot(unit, v_unit)) / length, length > 0.0);
 
         // Scale and opacity as they were before the mask.
-        let opacity = sigmoid(stored(10u * num + n, n, LOGIT_OPACITY, 0u));
-        let v_opacity = v_activated[10u * num + n];
-        let row = 7u * num + 3u * n;
+        let opacity = sigmoid(stored(LOGIT_OPACITY_AT * num + n, n, LOGIT_OPACITY_BYTE, 0u));
+        let v_opacity = v_activated[OPACITIES_AT * num + n];
+        let row = LOG_SCALE_AT * num + 3u * n;
+        let v_row = SCALES_AT * num + 3u * n;
         let v_log_scale = vec3(
-            exp(stored(row, n, LOG_SCALE, 0u)) * v_activated[row],
-            exp(stored(row + 1u, n, LOG_SCALE, 1u)) * v_activated[row + 1u],
-            exp(stored(row + 2u, n, LOG_SCALE, 2u)) * v_activated[row + 2u],
+            exp(stored(row, n, LOG_SCALE_BYTE, 0u)) * v_activated[v_row],
+            exp(stored(row + 1u, n, LOG_SCALE_BYTE, 1u)) * v_activated[v_row + 1u],
+            exp(stored(row + 2u, n, LOG_SCALE_BYTE, 2u)) * v_activated[v_row + 2u],
         );
         var drawn = 1.0;
         var v_mask_logit = 0.0;
         if (has(MASKED)) {
-            let logit = params[14u * num + n];
+            let logit = params[MASK_AT * num + n];
             let mask = sigmoid(logit);
             drawn = select(0.0, 1.0, mask > step.mask_threshold);
             // Straight through the threshold: the gradient is the sigmoid's.
             let v_mask = v_log_scale.x + v_log_scale.y + v_log_scale.z + opacity * v_opacity;
             v_mask_logit = v_mask * mask * (1.0 - mask) + mask_losses(logit, mask, n, &losses);
         }
-        grads[14u * num + n] = v_mask_logit;
-        grads[10u * num + n] = drawn * v_opacity * opacity * (1.0 - opacity);
+        grads[MASK_AT * num + n] = v_mask_logit;
+        grads[LOGIT_OPACITY_AT * num + n] = drawn * v_opacity * opacity * (1.0 - opacity);
         v_log_scales[3u * local] = drawn * v_log_scale.x;
         v_log_scales[3u * local + 1u] = drawn * v_log_scale.y;
         v_log_scales[3u * local + 2u] = drawn * v_log_scale.z;
@@ -181,15 +178,22 @@ fn activate_bwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocati
     for (var j = local; j < 768u; j += 256u) {
         let i = 3u * first + j;
         if (i < 3u * num) {
-            grads[i] = v_activated[i];
-            grads[7u * num + i] = v_log_scales[j];
-            grads[11u * num + i] = v_activated[11u * num + channels * (first + j / 3u) + j % 3u];
+            grads[MEAN_AT * num + i] = v_activated[MEANS_AT * num + i];
+            grads[LOG_SCALE_AT * num + i] = v_log_scales[j];
+            grads[COLOR_AT * num + i] = v_activated[COLORS_AT * num + channels * (first + j / 3u) + j % 3u];
         }
     }
     for (var j = local; j < 1024u; j += 256u) {
         let i = 4u * first + j;
         if (i < 4u * num) {
-            grads[3u * num + i] = quats[j / 4u][j % 4u];
+            grads[QUAT_AT * num + i] = quats[j / 4u][j % 4u];
+        }
+    }
+    // Nothing draws the further columns; losses may add to their gradients later.
+    for (var j = local; j < 256u * FURTHER_VALUES; j += 256u) {
+        let i = FURTHER_VALUES * first + j;
+        if (i < FURTHER_VALUES * num) {
+            grads[FURTHER_AT * num + i] = 0.0;
         }
     }
     for (var half = 128u; half > 0u; half /= 2u) {

@@ -1,35 +1,34 @@
 //! Adam of the Gaussians: see [`crate::adam()`].
 //!
 //! The floor is memory: 28 bytes a value that moves (value, gradient and two moments in, all but the
-//! gradient out), nothing for a group that does not; a Gaussian has 15 values, 11 after the first timestep.
+//! gradient out), nothing for a group that does not; a Gaussian of the base layout has 15 values, 11 after the first timestep.
 
-use tcgs_render::gpu::{Bound, Gpu, GpuError, MAX_GROUPS_X};
+use tcgs_render::device::{MAX_GROUPS_X, Wgsl};
+use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-use super::step::source;
+use crate::engine::device::{Packing, source};
 
 /// Values that one workgroup updates.
 const BLOCK: usize = 1024;
-/// Values of a Gaussian by group: mean, quat, log_scale, logit_opacity, color, mask.
-const COMPONENTS: [usize; 6] = [3, 4, 3, 1, 3, 1];
 
-/// What the kernel reads and writes.
+/// What Adam of the Gaussians reads and writes.
 #[derive(Clone, Copy, Debug)]
 pub struct AdamBuffers<'a> {
     /// [`super::StepUniform`]
     pub step: &'a wgpu::Buffer,
-    /// `[15 N]` moved.
+    /// `[values * N]` columns and mask logits, see [`Packing`]; moved.
     pub params: &'a wgpu::Buffer,
-    /// `[15 N]`
+    /// `[values * N]`
     pub grads: &'a wgpu::Buffer,
-    /// `[15 N]` moved.
+    /// `[values * N]` moved.
     pub first_moments: &'a wgpu::Buffer,
-    /// `[15 N]` moved.
+    /// `[values * N]` moved.
     pub second_moments: &'a wgpu::Buffer,
-    /// `[1]` not 0: nothing moves.
+    /// `[1]` u32: not 0 where the GPU has halted; then nothing moves.
     pub status: &'a wgpu::Buffer,
 }
 
-/// The kernel.
+/// Adam of all columns and of the mask logits in one dispatch, bound to its buffers.
 #[derive(Clone, Debug)]
 pub struct AdamKernel {
     adam: Bound,
@@ -37,10 +36,12 @@ pub struct AdamKernel {
 }
 
 impl AdamKernel {
+    /// Binds the kernel.
+    ///
     /// # Errors
-    /// What has gone wrong with the GPU.
-    pub fn new(gpu: &Gpu, buffers: AdamBuffers<'_>, num_gaussians: usize) -> Result<Self, GpuError> {
-        let adam = gpu.kernel(&shader(), "adam").bind(
+    /// What has gone wrong with the GPU before, or compiling the shader.
+    pub fn new(gpu: &Gpu, packing: &Packing, buffers: AdamBuffers<'_>, num_gaussians: usize) -> Result<Self, GpuError> {
+        let adam = gpu.kernel(&shader(packing), "adam").bind(
             gpu.device(),
             &[
                 (0, buffers.step),
@@ -52,7 +53,7 @@ impl AdamKernel {
             ],
         );
         gpu.check()?;
-        Ok(Self { adam, num_groups: COMPONENTS.iter().map(|c| (c * num_gaussians).div_ceil(BLOCK)).sum() })
+        Ok(Self { adam, num_groups: packing.group_components().map(|c| (c * num_gaussians).div_ceil(BLOCK)).sum() })
     }
 
     /// Records one update, then the normalisation of quaternions if quantisation is on.
@@ -61,20 +62,24 @@ impl AdamKernel {
     }
 }
 
-pub(super) fn shader() -> String {
-    let groups = format!("const MAX_GROUPS_X: u32 = {MAX_GROUPS_X}u;\n");
-    source(&[&groups, include_str!("moments.wgsl"), include_str!("adam.wgsl")])
+pub(super) fn shader(packing: &Packing) -> String {
+    source(packing, Wgsl::new().constant("MAX_GROUPS_X", MAX_GROUPS_X).constant("BLOCK", BLOCK))
+        .part(include_str!("moments.wgsl"))
+        .part(include_str!("adam.wgsl"))
+        .finish()
 }
 
 #[cfg(test)]
 mod tests {
-    use tcgs_core::normalize;
+    use tcgs_core::{Layout, normalize};
 
     use super::*;
     use crate::adam::Moments;
-    use crate::engine::gpu::testing::{assert_close, gpu, random, run, uniform};
-    use crate::engine::gpu::{StepUniform, adam_rates};
+    use crate::engine::device::{StepUniform, adam_rates};
+    use crate::engine::gpu::test_support::{assert_close, gpu, random, run, uniform};
 
+    /// Values of a Gaussian by group: mean, quat, log_scale, logit_opacity, color, mask.
+    const COMPONENTS: [usize; 6] = [3, 4, 3, 1, 3, 1];
     const RATES: [f32; 6] = [1e-2, 1e-3, 0.0, 5e-2, 2.5e-3, 1e-2];
 
     struct Case {
@@ -102,7 +107,7 @@ mod tests {
         let (params, grads) = (gpu.upload("params", &values).unwrap(), gpu.storage("grads", 15 * n).unwrap());
         let first = gpu.upload("first", &of(&|m| m.first.clone(), &moments)).unwrap();
         let second = gpu.upload("second", &of(&|m| m.second.clone(), &moments)).unwrap();
-        let step = uniform(gpu, &StepUniform::default());
+        let step = uniform(gpu, &StepUniform::default(), &[]);
         let status = gpu.upload("status", &[case.halted]).unwrap();
         let buffers = AdamBuffers {
             step: &step,
@@ -112,12 +117,13 @@ mod tests {
             second_moments: &second,
             status: &status,
         };
-        let kernel = AdamKernel::new(gpu, buffers, n).unwrap();
+        let kernel = AdamKernel::new(gpu, &Packing::new(&Layout::base()), buffers, n).unwrap();
         for turn in 0..5 {
             let v = random(10 + turn, 15 * n, -1e-3, 1e-3);
-            let mut now = StepUniform { num_gaussians: n as u32, flags: case.flags, ..StepUniform::default() };
+            let mut rates = [[0.0; 4]; 10];
+            let now = StepUniform { num_gaussians: n as u32, flags: case.flags, ..StepUniform::default() };
             for group in 0..6 {
-                now.adam[group] = adam_rates(RATES[group], moments[group].step + 1);
+                rates[group] = adam_rates(RATES[group], moments[group].step + 1);
                 let range = starts[group]..starts[group] + COMPONENTS[group] * n;
                 let moves = case.flags & StepUniform::MOVES != 0
                     && (group < 5 || case.flags & StepUniform::MASKED != 0)
@@ -130,7 +136,7 @@ mod tests {
                 let quats = values[starts[1]..starts[2]].as_chunks_mut::<4>().0;
                 quats.iter_mut().for_each(|quat| *quat = normalize(*quat));
             }
-            gpu.queue().write_buffer(&step, 0, bytemuck::bytes_of(&now));
+            gpu.queue().write_buffer(&step, 0, &now.bytes(&rates));
             gpu.queue().write_buffer(&grads, 0, bytemuck::cast_slice(&v));
             run(gpu, |pass| kernel.record(pass));
         }

@@ -1,10 +1,10 @@
 
 // Adam of all values of the Gaussians, in place.
 //
-// params, first_moments, second_moments, grads [15 N]: means 3N, quats 4N, log_scales 3N,
-//     logit_opacities N, colors 3N, mask_logits N
+// params, first_moments, second_moments, grads: columns of COMPONENTS values a Gaussian, the last one mask logits; see
+//     packing.rs
 //
-// A thread has four values and a workgroup 1024 neighbouring ones of one attribute: neighbouring threads
+// A thread has four values and a workgroup BLOCK neighbouring ones of one attribute: neighbouring threads
 // read and write neighbouring values, and a group whose step size is 0 is left at once.
 
 @group(0) @binding(0) var<uniform> step: Step;
@@ -14,10 +14,6 @@
 @group(0) @binding(4) var<storage, read_write> second_moments: array<f32>;
 @group(0) @binding(5) var<storage, read> status: array<u32>;
 
-const COMPONENTS = array<u32, 6>(3u, 4u, 3u, 1u, 3u, 1u);
-const QUAT: u32 = 1u;
-const MASK: u32 = 5u;
-
 var<workgroup> squares: array<f32, 256>;
 
 @compute @workgroup_size(256)
@@ -26,22 +22,22 @@ fn adam(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) l
     var before = 0u;
     var block = id.y * MAX_GROUPS_X + id.x;
     var len = COMPONENTS[0] * step.num_gaussians;
-    while (which < MASK && block >= (len + 1023u) / 1024u) {
-        block -= (len + 1023u) / 1024u;
+    while (which < ADAM_MASK && block >= (len + BLOCK - 1u) / BLOCK) {
+        block -= (len + BLOCK - 1u) / BLOCK;
         before += len;
         which += 1u;
         len = COMPONENTS[which] * step.num_gaussians;
     }
     let rates = step.adam[which].xy;
-    let needed = select(MOVES, MOVES | MASKED, which == MASK);
+    let needed = select(MOVES, MOVES | MASKED, which == ADAM_MASK);
     let moves = (step.flags & needed) == needed && rates.x != 0.0;
     // Codes are those of unit quaternions.
-    let normalizes = which == QUAT && (step.flags & QUANTIZED) != 0u;
+    let normalizes = which == ADAM_QUAT && (step.flags & QUANTIZED) != 0u;
     if (status[0] != 0u || !(moves || normalizes)) {
         return;
     }
-    for (var turn = 0u; turn < 4u; turn += 1u) {
-        let j = block * 1024u + turn * 256u + local;
+    for (var turn = 0u; turn < BLOCK / 256u; turn += 1u) {
+        let j = block * BLOCK + turn * 256u + local;
         let i = before + j;
         var x = 0.0;
         if (j < len) {

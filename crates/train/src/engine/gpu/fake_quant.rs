@@ -1,8 +1,7 @@
 //! Fake quantisation on the GPU: the learned quantizers as buffers, and the backward of
 //! [`crate::FakeQuantizers`].
 //!
-//! Members of a group (one attribute, one width) are listed, so that a workgroup sums for one group's
-//! quantizers only and writes one row for each: no atomics, and every sum has one order.
+//! [`QuantizerLists`] says who uses which, and why a workgroup sums for one group alone.
 //!
 //! # The floor
 //!
@@ -11,23 +10,17 @@
 //! Gaussian to the next, a 32-byte sector is fetched by two to four groups; chunks are therefore dispatched in the
 //! order of the Gaussians that they begin with, so that the others find it in the cache.
 
-use tcgs_core::Attribute;
+use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-use super::step::source;
+use crate::engine::device::{Packing, QuantizerLists, quantizer_rows, source};
 use crate::fake_quant::FakeQuantizers;
-
-/// Most members of a group that one workgroup handles.
-const CHUNK: usize = 1024;
-
-/// Attributes that are quantised, in the order of the bytes of `quantizer_groups`.
-const QUANTIZED: [Attribute; 4] = [Attribute::Quat, Attribute::LogScale, Attribute::LogitOpacity, Attribute::Color];
 
 /// The learned quantizers (Q of them, of N Gaussians) and who uses which.
 #[derive(Debug)]
 pub struct QuantizerBuffers {
-    /// `[N]` u32: position in [`FakeQuantizers::groups`] of the quat, log_scale, logit_opacity and color, a byte each,
-    /// the quat's lowest.
+    /// `[words, N]` u32: position in [`FakeQuantizers::groups`] for each quantised column, a byte each, four a word, the
+    /// first lowest.
     pub quantizer_groups: wgpu::Buffer,
     /// `[256]` u32: first quantizer of a group; that of component `c` comes `c` later.
     pub group_starts: wgpu::Buffer,
@@ -54,72 +47,30 @@ impl QuantizerBuffers {
     ///
     /// # Panics
     /// If a Gaussian has a width that no group has.
-    pub fn new(gpu: &Gpu, quantizers: &FakeQuantizers) -> Result<Self, GpuError> {
-        let num_gaussians = quantizers.bit_map.num_gaussians();
-        let mut quantizer_groups = vec![0_u32; num_gaussians];
-        let mut group_starts = vec![0_u32; 256];
-        let mut quantizer_rows = vec![0_u32];
-        let mut members = Vec::new();
-        // First Gaussian, and what the shader reads.
-        let mut chunks: Vec<(u32, [u32; 8])> = Vec::new();
-        let mut first_quantizer = 0;
-        for (group, &(attribute, width)) in quantizers.groups.iter().enumerate() {
-            let widths = &quantizers.bit_map.widths[attribute.index()];
-            let byte = QUANTIZED.iter().position(|&a| a == attribute).expect("positions are not quantised");
-            let components = attribute.components() as u32;
-            let first_member = members.len();
-            for i in (0..num_gaussians).filter(|&i| widths[i] == width) {
-                quantizer_groups[i] |= (group as u32) << (8 * byte);
-                members.push(i as u32);
-            }
-            let num_chunks = (members.len() - first_member).div_ceil(CHUNK) as u32;
-            let first_row = quantizer_rows[first_quantizer as usize];
-            for (i, chunk) in members[first_member..].chunks(CHUNK).enumerate() {
-                let first = (first_member + i * CHUNK) as u32;
-                let values = [first_word(attribute, num_gaussians), components, first, chunk.len() as u32];
-                let rows = [first_quantizer, first_row + i as u32, num_chunks, 0];
-                chunks.push((chunk[0], std::array::from_fn(|k| if k < 4 { values[k] } else { rows[k - 4] })));
-            }
-            group_starts[group] = first_quantizer;
-            quantizer_rows.extend((1..=components).map(|c| first_row + c * num_chunks));
-            first_quantizer += components;
-        }
-        assert_eq!(members.len(), QUANTIZED.len() * num_gaussians, "members of all groups against Gaussians");
-        chunks.sort_by_key(|&(first, chunk)| (chunk[0], first));
-        let num_chunks = chunks.len() as u32;
-        let mut chunks: Vec<[u32; 8]> = chunks.into_iter().map(|(_, chunk)| chunk).collect();
-        let mut table: Vec<[f32; 4]> = quantizers
-            .quantizers
-            .iter()
-            .map(|q| [q.step, q.offset, q.min_code() as f32, q.max_code() as f32])
-            .collect();
-        let num_rows = quantizer_rows.last().map_or(0, |&rows| rows as usize);
+    pub fn new(gpu: &Gpu, packing: &Packing, quantizers: &FakeQuantizers) -> Result<Self, GpuError> {
+        let mut lists = QuantizerLists::new(packing, quantizers);
+        let (num_chunks, num_rows) = (lists.chunks.len() as u32, lists.num_rows());
+        let mut table = quantizer_rows(quantizers);
         // An empty array of vectors cannot be bound.
-        if chunks.is_empty() {
-            chunks.push([0; 8]);
+        if lists.chunks.is_empty() {
+            lists.chunks.push([0; 8]);
         }
         if table.is_empty() {
             table.push([1.0, 0.0, 0.0, 0.0]);
         }
         Ok(Self {
-            quantizer_groups: gpu.upload("groups of quantizers", &quantizer_groups)?,
-            group_starts: gpu.upload("starts of groups", &group_starts)?,
+            quantizer_groups: gpu.upload("groups of quantizers", &lists.groups)?,
+            group_starts: gpu.upload("starts of groups", &lists.group_starts)?,
             quantizers: gpu.upload("quantizers", &table)?,
             initial_steps: gpu.upload("initial steps", &quantizers.initial_steps)?,
             gradient_scales: gpu.upload("scales of steps' gradients", &quantizers.gradient_scales)?,
-            quantizer_rows: gpu.upload("rows of quantizers", &quantizer_rows)?,
+            quantizer_rows: gpu.upload("rows of quantizers", &lists.rows)?,
             quantizer_partials: gpu.storage("partial sums of quantizers", 2 * num_rows.max(1))?,
-            members: gpu.upload("members of groups", &members)?,
-            chunks: gpu.upload("chunks of groups", &chunks)?,
+            members: gpu.upload("members of groups", &lists.members)?,
+            chunks: gpu.upload("chunks of groups", &lists.chunks)?,
             num_chunks,
         })
     }
-}
-
-/// First word of an attribute in `params`.
-fn first_word(attribute: Attribute, num_gaussians: usize) -> u32 {
-    let before = &Attribute::BASE[..attribute.index()];
-    (num_gaussians * before.iter().map(|a| a.components()).sum::<usize>()) as u32
 }
 
 /// Backward of fake quantisation, ready to be recorded.
@@ -130,17 +81,17 @@ pub struct FakeQuantKernels {
 }
 
 impl FakeQuantKernels {
-    /// - `params`, `grads`: `[15 N]` f32
+    /// - `params`, `grads`: `[values * N]` f32, see [`Packing`]
     /// - `step`: [`super::StepUniform`], a uniform; of it the flag `QUANTIZED`, without which nothing is done
     pub fn new(
         gpu: &Gpu,
+        packing: &Packing,
         quantizers: &QuantizerBuffers,
         params: &wgpu::Buffer,
         grads: &wgpu::Buffer,
         step: &wgpu::Buffer,
     ) -> Self {
-        let source = source(&[include_str!("fake_quant.wgsl")]);
-        let bwd = gpu.kernel(&source, "fake_quant_bwd").bind(
+        let bwd = gpu.kernel(&shader(packing), "fake_quant_bwd").bind(
             gpu.device(),
             &[
                 (0, step),
@@ -160,4 +111,8 @@ impl FakeQuantKernels {
     pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.bwd.dispatch(pass, [self.num_chunks, 1, 1]);
     }
+}
+
+pub(super) fn shader(packing: &Packing) -> String {
+    source(packing, Wgsl::new()).part(include_str!("fake_quant.wgsl")).finish()
 }

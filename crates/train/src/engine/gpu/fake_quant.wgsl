@@ -6,8 +6,8 @@
 // Q quantizers; N Gaussians.
 
 @group(0) @binding(0) var<uniform> step: Step;
-@group(0) @binding(1) var<storage, read> params: array<f32>; // [15 N]
-@group(0) @binding(2) var<storage, read_write> grads: array<f32>; // [15 N]
+@group(0) @binding(1) var<storage, read> params: array<f32>; // [values * N], see packing.rs
+@group(0) @binding(2) var<storage, read_write> grads: array<f32>; // [values * N], see packing.rs
 @group(0) @binding(3) var<storage, read> members: array<u32>; // Gaussians, group by group, ascending
 // [chunks, 2]: first word of the attribute, components, first member, number of members;
 // first quantizer, first row, rows from one component to the next, 0

@@ -5,18 +5,17 @@
 //! reads 20 and writes 4; blocks overlap, so that a value is read 2.6 times, from the cache all but once.
 //! Arithmetic: about 250 operations forward, 120 backward, and 100 and 70 reads of workgroup memory.
 
+use tcgs_metrics::{SSIM_C1, SSIM_C2, SSIM_WINDOW};
+use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-use super::step::source;
+use crate::engine::device::{Packing, source};
+use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 
-/// Share of L1; the rest is SSIM's. As on the CPU.
-const L1_SHARE: f32 = 0.8;
-/// Channels of the images that the losses are means over. As on the CPU.
-const COUNTED: f32 = 3.0;
 /// Pixels along a block's side.
 const SIDE: usize = 16;
 
-/// What the kernels read and write.
+/// What the image losses read and write.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageLossBuffers<'a> {
     /// [`super::StepUniform`]
@@ -31,7 +30,7 @@ pub struct ImageLossBuffers<'a> {
     pub v_image: &'a wgpu::Buffer,
 }
 
-/// The two kernels, and what passes between them.
+/// Forward and backward of the image losses, bound to their buffers, and the maps that pass between them.
 #[derive(Clone, Debug)]
 pub struct ImageLossKernels {
     fwd: Bound,
@@ -42,16 +41,23 @@ pub struct ImageLossKernels {
 }
 
 impl ImageLossKernels {
+    /// Binds both kernels, and makes room for the maps of the largest image.
+    ///
     /// - `max_shape`: `[C, H, W]` of the largest image
     ///
     /// # Errors
     /// If memory for the maps or partial sums cannot be had.
-    pub fn new(gpu: &Gpu, buffers: ImageLossBuffers<'_>, max_shape: [usize; 3]) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        packing: &Packing,
+        buffers: ImageLossBuffers<'_>,
+        max_shape: [usize; 3],
+    ) -> Result<Self, GpuError> {
         let [channels, height, width] = max_shape;
         let maps = gpu.storage("derivatives of SSIM", 3 * channels * height * width)?;
         let blocks = height.div_ceil(SIDE) * width.div_ceil(SIDE);
         let partials = gpu.storage("sums of the image loss", 4 * channels * blocks)?;
-        let source = shader();
+        let source = shader(packing);
         let inputs = [(0, buffers.step), (1, buffers.rendered), (2, buffers.targets), (3, buffers.cameras)];
         let kept = [(4, &maps), (5, &partials)];
         let fwd = gpu.kernel(&source, "image_loss_fwd").bind(gpu.device(), &[&inputs[..], &kept].concat());
@@ -73,22 +79,27 @@ impl ImageLossKernels {
 }
 
 /// What the shaders of the loss and of its sums share.
-pub(super) fn constants() -> String {
-    format!("const L1_SHARE: f32 = {L1_SHARE:?};\nconst COUNTED: f32 = {COUNTED:?};\n")
+pub(super) fn constants() -> Wgsl {
+    Wgsl::new().constant("L1_SHARE", L1_SHARE).constant("COUNTED_CHANNELS", COUNTED_CHANNELS).constant("SIDE", SIDE)
 }
 
-pub(super) fn shader() -> String {
-    source(&[&constants(), include_str!("image_loss.wgsl")])
+pub(super) fn shader(packing: &Packing) -> String {
+    let mut constants = constants().constant("C1", SSIM_C1).constant("C2", SSIM_C2);
+    for (distance, weight) in SSIM_WINDOW.into_iter().enumerate() {
+        constants = constants.constant(&format!("WINDOW{distance}"), weight);
+    }
+    source(packing, constants).part(include_str!("image_loss.wgsl")).finish()
 }
 
 #[cfg(test)]
 mod tests {
-    use tcgs_core::Image;
+    use tcgs_core::{Image, Layout};
 
     use super::*;
     use crate::engine::cpu;
-    use crate::engine::gpu::StepUniform;
-    use crate::engine::gpu::testing::{assert_close, gpu, random, run, uniform};
+    use crate::engine::device::StepUniform;
+    use crate::engine::gpu::test_support::{assert_close, gpu, random, run, uniform};
+    use crate::losses::WeightConfig;
 
     const GAIN: [f32; 3] = [0.1, -0.2, 0.05];
     const OFFSET: [f32; 3] = [0.02, 0.0, -0.03];
@@ -138,19 +149,18 @@ mod tests {
                 width: width as u32,
                 height: height as u32,
                 target_offset: (width * height) as u32,
-                image_weight: 1.5,
-                segmentation_weight: 3.0,
+                weights: WeightConfig { image: 1.5, segmentation: 3.0, ..WeightConfig::NONE }.values(),
                 ..StepUniform::default()
             };
             let v_image = gpu.storage("v_image", rendered.data.len()).unwrap();
             let buffers = ImageLossBuffers {
-                step: &uniform(&gpu, &step),
+                step: &uniform(&gpu, &step, &[]),
                 rendered: &gpu.upload("rendered", &rendered.data).unwrap(),
                 targets: &gpu.upload("targets", &packed).unwrap(),
                 cameras: &gpu.upload("cameras", &cameras).unwrap(),
                 v_image: &v_image,
             };
-            let kernels = ImageLossKernels::new(&gpu, buffers, shape).unwrap();
+            let kernels = ImageLossKernels::new(&gpu, &Packing::new(&Layout::base()), buffers, shape).unwrap();
             run(&gpu, |pass| kernels.record(pass, shape));
 
             let found: Vec<f32> = gpu.read(&v_image, rendered.data.len()).unwrap();

@@ -17,19 +17,11 @@
 @group(0) @binding(5) var<storage, read_write> partials: array<f32>;
 @group(0) @binding(6) var<storage, read_write> v_image: array<f32>;
 
-const SIDE: u32 = 16u;
+// Pixels on each side of the window's centre: `blend` has a tap for each. WINDOW0 to WINDOW5 are the window's weights,
+// the centre's and those of one side.
 const RADIUS: u32 = 5u;
 // Pixels along a side of what a block's windows see.
 const SEEN: u32 = SIDE + 2u * RADIUS;
-const C1: f32 = 0.01 * 0.01;
-const C2: f32 = 0.03 * 0.03;
-// Gaussian of sigma 1.5 over the sum of eleven: the centre and one side.
-const WINDOW0: f32 = 0.26601172;
-const WINDOW1: f32 = 0.21300554;
-const WINDOW2: f32 = 0.10936069;
-const WINDOW3: f32 = 0.036000773;
-const WINDOW4: f32 = 0.007598758;
-const WINDOW5: f32 = 0.0010283801;
 
 // Rendered and target.
 var<workgroup> seen: array<vec2<f32>, SEEN * SEEN>;
@@ -258,8 +250,8 @@ fn image_loss_bwd(
         let raw = rendered[at];
         let x = corrected.x * raw + corrected.y;
         let y = target_value(pixel, channel);
-        let v_map = -(1.0 - L1_SHARE) * weight(channel) / COUNTED / f32(pixels);
-        let slope = L1_SHARE * weight(channel) / (COUNTED * f32(pixels));
+        let v_map = -(1.0 - L1_SHARE) * weight(channel) / COUNTED_CHANNELS / f32(pixels);
+        let slope = L1_SHARE * weight(channel) / (COUNTED_CHANNELS * f32(pixels));
         let v = v_map * (map_column(0u, local) + 2.0 * x * map_column(1u, local) + y * map_column(2u, local))
             + slope * sign(x - y);
         v_image[at] = corrected.x * v;

@@ -1,23 +1,21 @@
 //! The optimisation's state in the GPU's memory, to and fro.
 
 use tcgs_codec::BitMap;
-use tcgs_core::Attribute;
 use tcgs_render::gpu::{Gpu, GpuError};
 
-use super::{LOSS_VALUES, QuantizerBuffers, StepUniform};
+use super::fake_quant::QuantizerBuffers;
 use crate::adam::Moments;
+use crate::engine::device::{LOSS_VALUES, Packing, StepUniform, quantizer_rows};
 use crate::fake_quant::FakeQuantizers;
 use crate::state::State;
 
 /// Iterations between two reports, and slots of the ring that losses are written to.
 pub(super) const REPORT: usize = 64;
 
-/// Values of one Gaussian: all attributes, and the mask logit.
-pub(super) const VALUES: usize = 15;
-
 /// What outlives an iteration, and gradients.
 #[derive(Debug)]
 pub(super) struct Model {
+    pub packing: Packing,
     pub num_gaussians: usize,
     pub num_cameras: usize,
     pub params: wgpu::Buffer,
@@ -42,6 +40,8 @@ impl Model {
     /// Memory for a state of this shape; nothing is written yet but what never changes.
     pub fn new(gpu: &Gpu, state: &State) -> Result<Self, GpuError> {
         let n = state.parameters.num_gaussians();
+        let packing = Packing::new(state.parameters.gaussians.layout());
+        let values = packing.values() * n;
         let num_cameras = state.parameters.camera_gains.len();
         let none = FakeQuantizers::restore(BitMap::uniform(0, 16, 8), Vec::new(), Vec::new(), Vec::new(), true);
         let quantizers = state.quantizers.as_ref().unwrap_or(&none);
@@ -50,21 +50,22 @@ impl Model {
         Ok(Self {
             num_gaussians: n,
             num_cameras,
-            params: gpu.storage("parameters", VALUES * n)?,
-            grads: gpu.storage("gradients", VALUES * n)?,
-            first_moments: gpu.storage("first moments", VALUES * n)?,
-            second_moments: gpu.storage("second moments", VALUES * n)?,
+            params: gpu.storage("parameters", values)?,
+            grads: gpu.storage("gradients", values)?,
+            first_moments: gpu.storage("first moments", values)?,
+            second_moments: gpu.storage("second moments", values)?,
             statistic: gpu.storage("densification statistic", 2 * n)?,
             flags: gpu.upload("flags", &flags)?,
             previous_mask_logits: gpu.storage("previous mask logits", n)?,
             cameras: gpu.storage("cameras' colours", 18 * num_cameras)?,
-            quantizers: QuantizerBuffers::new(gpu, quantizers)?,
+            quantizers: QuantizerBuffers::new(gpu, &packing, quantizers)?,
             quantizer_state: gpu.storage("quantizers' state", 6 * num_quantizers)?,
             num_quantizers,
             foreground: state.parameters.foreground.clone(),
             bit_map: state.quantizers.as_ref().map(|q| q.bit_map.clone()),
-            step: gpu.uniform("the step", size_of::<StepUniform>())?,
+            step: gpu.uniform("the step", StepUniform::size(&packing))?,
             losses: gpu.storage("losses", REPORT * LOSS_VALUES)?,
+            packing,
         })
     }
 
@@ -72,6 +73,7 @@ impl Model {
     /// it is. As many Gaussians may be others.
     pub fn fits(&self, state: &State) -> bool {
         self.num_gaussians == state.parameters.num_gaussians()
+            && self.packing.layout() == state.parameters.gaussians.layout()
             && self.num_cameras == state.parameters.camera_gains.len()
             && self.num_quantizers == state.quantizers.as_ref().map_or(0, |q| q.quantizers.len())
             && self.foreground == state.parameters.foreground
@@ -84,14 +86,9 @@ impl Model {
             gpu.queue().write_buffer(buffer, 0, bytemuck::cast_slice(values));
         };
         let (p, o) = (&state.parameters, &state.optimizer);
-        let joined = |attribute: &dyn Fn(Attribute) -> Vec<f32>, mask: &[f32]| {
-            let mut all: Vec<f32> = Attribute::BASE.into_iter().flat_map(attribute).collect();
-            all.extend_from_slice(mask);
-            all
-        };
-        write(&self.params, &joined(&|a| p.gaussians.values(a).to_vec(), &p.mask_logits));
-        write(&self.first_moments, &joined(&|a| o.first.values(a).to_vec(), &o.mask.first));
-        write(&self.second_moments, &joined(&|a| o.second.values(a).to_vec(), &o.mask.second));
+        write(&self.params, &self.packing.pack(&p.gaussians, &p.mask_logits));
+        write(&self.first_moments, &self.packing.pack(&o.first, &o.mask.first));
+        write(&self.second_moments, &self.packing.pack(&o.second, &o.mask.second));
         let counts: Vec<f32> = state.statistic.count.iter().map(|&c| c as f32).collect();
         write(&self.statistic, &[state.statistic.sum.as_slice(), &counts].concat());
         if let Some(previous) = state.past.as_ref().and_then(|past| past.previous_mask_logits.as_ref()) {
@@ -107,12 +104,7 @@ impl Model {
         ];
         write(&self.cameras, &cameras.concat());
         if let Some(q) = &state.quantizers {
-            let rows: Vec<f32> = q
-                .quantizers
-                .iter()
-                .flat_map(|q| [q.step, q.offset, q.min_code() as f32, q.max_code() as f32])
-                .collect();
-            write(&self.quantizers.quantizers, &rows);
+            write(&self.quantizers.quantizers, quantizer_rows(q).as_flattened());
             let (steps, offsets) = (&o.quantizer_steps, &o.quantizer_offsets);
             let scales = &q.gradient_scales;
             let state = [&q.initial_steps, scales, &steps.first, &steps.second, &offsets.first, &offsets.second]
@@ -124,10 +116,11 @@ impl Model {
     /// Overwrites `state` with everything that iterations change; waits for the GPU.
     pub fn read(&self, gpu: &Gpu, state: &mut State) -> Result<(), GpuError> {
         let n = self.num_gaussians;
+        let values = self.packing.values() * n;
         let wanted = [
-            (&self.params, VALUES * n),
-            (&self.first_moments, VALUES * n),
-            (&self.second_moments, VALUES * n),
+            (&self.params, values),
+            (&self.first_moments, values),
+            (&self.second_moments, values),
             (&self.statistic, 2 * n),
             (&self.cameras, 18 * self.num_cameras),
             (&self.quantizers.quantizers, 4 * self.num_quantizers),
@@ -144,18 +137,9 @@ impl Model {
         let mut next = || arrays.next().expect("one array for each that was asked for");
 
         let (p, o) = (&mut state.parameters, &mut state.optimizer);
-        let (params, first, second) = (next(), next(), next());
-        let mut at = 0;
-        for attribute in Attribute::BASE {
-            let range = at..at + n * attribute.components();
-            p.gaussians.values_mut(attribute).copy_from_slice(&params[range.clone()]);
-            o.first.values_mut(attribute).copy_from_slice(&first[range.clone()]);
-            o.second.values_mut(attribute).copy_from_slice(&second[range.clone()]);
-            at = range.end;
-        }
-        p.mask_logits.copy_from_slice(&params[at..]);
-        o.mask.first.copy_from_slice(&first[at..]);
-        o.mask.second.copy_from_slice(&second[at..]);
+        self.packing.unpack(&next(), &mut p.gaussians, &mut p.mask_logits);
+        self.packing.unpack(&next(), &mut o.first, &mut o.mask.first);
+        self.packing.unpack(&next(), &mut o.second, &mut o.mask.second);
 
         let statistic = next();
         state.statistic.sum.copy_from_slice(&statistic[..n]);

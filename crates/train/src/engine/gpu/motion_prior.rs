@@ -3,8 +3,7 @@
 //!
 //! Two dispatches an iteration: `prior_gaussians` takes what concerns a Gaussian alone (`floor`,
 //! `background`, `soft_color`) and packs where the foreground is now; `prior_edges` walks the lists of
-//! [`super::neighbor_lists`]. One dispatch a timestep, `prior_begin`, keeps what the losses compare with, so
-//! that the host sends nothing.
+//! [`NeighborLists`]. One dispatch a timestep, `prior_begin`, prepares what the losses compare with.
 //!
 //! # The floor
 //!
@@ -26,19 +25,20 @@
 //!
 //! `prior_gaussians` moves 80 bytes a Gaussian, 48 more of the foreground and 88 more of the background: 51 MB.
 
-use tcgs_core::normalize;
-use tcgs_render::gpu::{Bound, Gpu, GpuError, WORKGROUP};
+use tcgs_core::{Gaussians, normalize};
+use tcgs_render::device::WORKGROUP;
+use tcgs_render::gpu::{Bound, Gpu, GpuError, Kernel};
 
-use super::neighbor_lists::NeighborLists;
-use super::step::source;
+use crate::engine::device::{NeighborLists, Packing, neighbor_constants, source};
+use crate::losses::ROOT_EPSILON;
 use crate::neighbors::Neighbors;
 
 /// Buffers that the losses share with the rest of an iteration.
 #[derive(Clone, Copy, Debug)]
 pub struct PriorBuffers<'a> {
-    /// `[15 N]` f32, read.
+    /// `[values * N]` f32, read.
     pub params: &'a wgpu::Buffer,
-    /// `[15 N]` f32, accumulated into.
+    /// `[values * N]` f32, accumulated into.
     pub grads: &'a wgpu::Buffer,
     /// [`super::StepUniform`], a uniform; of it the weights and the numbers of Gaussians, foreground and background, and
     /// `per_node`.
@@ -57,7 +57,11 @@ pub fn prior_rows(num_gaussians: usize, num_foreground: usize) -> usize {
 /// The losses on motion, ready to be recorded from the second timestep on.
 #[derive(Debug)]
 pub struct MotionPriorKernels {
-    begin: Bound,
+    begin: Kernel,
+    places: wgpu::Buffer,
+    previous_means: wgpu::Buffer,
+    previous_inverse_quats: wgpu::Buffer,
+    previous_colors: wgpu::Buffer,
     gaussians: Bound,
     edges: Bound,
     num_gaussians: usize,
@@ -77,6 +81,7 @@ impl MotionPriorKernels {
     /// If there are not as many rotations as means.
     pub fn new(
         gpu: &Gpu,
+        packing: &Packing,
         neighbors: &Neighbors<f32>,
         first_means: &[[f32; 3]],
         first_quats: &[[f32; 4]],
@@ -109,21 +114,11 @@ impl MotionPriorKernels {
         let previous_colors = gpu.storage("previous colours", 3 * num_gaussians)?;
         let moving = rows("moving foreground", 2 * num_foreground)?;
 
-        let source = source(&[include_str!("motion_prior.wgsl")]);
+        let source = shader(packing);
         let PriorBuffers { params, grads, step, partials } = *buffers;
         let bind = |entry, buffers: &[(u32, &wgpu::Buffer)]| gpu.kernel(&source, entry).bind(gpu.device(), buffers);
         Ok(Self {
-            begin: bind(
-                "prior_begin",
-                &[
-                    (0, step),
-                    (1, params),
-                    (4, &places),
-                    (16, &previous_means),
-                    (17, &previous_inverse_quats),
-                    (18, &previous_colors),
-                ],
-            ),
+            begin: gpu.kernel(&source, "prior_begin"),
             gaussians: bind(
                 "prior_gaussians",
                 &[
@@ -135,7 +130,7 @@ impl MotionPriorKernels {
                     (5, &first),
                     (7, &previous_inverse_quats),
                     (8, &previous_colors),
-                    (19, &moving),
+                    (18, &moving),
                 ],
             ),
             edges: bind(
@@ -151,15 +146,36 @@ impl MotionPriorKernels {
                     (11, &links),
                 ],
             ),
+            places,
+            previous_means,
+            previous_inverse_quats,
+            previous_colors,
             num_gaussians,
             num_foreground,
         })
     }
 
-    /// Records what starts a timestep: the parameters, as they stand before they are moved on, become what the
-    /// losses compare with. All iterations before must have been done; of `step` it reads the number of Gaussians.
-    pub fn record_begin(&self, pass: &mut wgpu::ComputePass<'_>) {
-        self.begin.dispatch_over(pass, self.num_gaussians);
+    /// Starts a timestep: from now on the losses compare with `previous`. Iterations submitted before are not affected.
+    ///
+    /// - `previous`: `[N]` the timestep before, stored form
+    ///
+    /// # Errors
+    /// [`GpuError::Memory`] if the upload does not fit.
+    pub fn begin(&self, gpu: &Gpu, previous: &Gaussians) -> Result<(), GpuError> {
+        gpu.queue().write_buffer(&self.previous_colors, 0, bytemuck::cast_slice(previous.colors()));
+        let poses = [previous.means().as_flattened(), previous.quats().as_flattened()].concat();
+        let poses = gpu.upload("previous poses", &poses)?;
+        let begin = self.begin.bind(
+            gpu.device(),
+            &[(4, &self.places), (12, &poses), (16, &self.previous_means), (17, &self.previous_inverse_quats)],
+        );
+        let mut encoder = gpu.encoder();
+        begin.dispatch_over(
+            &mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()),
+            self.num_gaussians,
+        );
+        gpu.submit(encoder);
+        Ok(())
     }
 
     /// Records the losses of an iteration: *accumulates* their weighted gradients, overwrites the partial sums. A
@@ -168,4 +184,9 @@ impl MotionPriorKernels {
         self.gaussians.dispatch_over(pass, self.num_gaussians);
         self.edges.dispatch_over(pass, self.num_foreground);
     }
+}
+
+pub(super) fn shader(packing: &Packing) -> String {
+    let constants = neighbor_constants().constant("ROOT_EPSILON", ROOT_EPSILON as f32);
+    source(packing, constants).part(include_str!("motion_prior.wgsl")).finish()
 }

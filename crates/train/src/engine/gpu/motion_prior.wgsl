@@ -1,15 +1,15 @@
 // Losses that keep motion plausible, value and gradient. N Gaussians, F foreground ones (nodes, in the order
 // of `nodes`), B background ones.
 //
-// prior_begin, once a timestep, before anything moves: reads params; writes what the losses compare with.
+// prior_begin, once a timestep: reads where everything was at the timestep before; writes what the losses compare with.
 // prior_gaussians, a thread a Gaussian: floor, background, soft_color; packs where nodes are for prior_edges.
 // prior_edges, a thread a node: rigid, rot, iso along every edge that leaves or arrives.
 // The last two accumulate into grads and write partials [ceil(F / 256) + ceil(N / 256), 8]:
 // rigid, rot, iso, floor, background, soft_color, 0, 0, sums before any share or weight; rows of prior_edges first.
 
 @group(0) @binding(0) var<uniform> step: Step;
-@group(0) @binding(1) var<storage, read> params: array<f32>; // [15 N]
-@group(0) @binding(2) var<storage, read_write> grads: array<f32>; // [15 N]
+@group(0) @binding(1) var<storage, read> params: array<f32>; // [values * N], see packing.rs
+@group(0) @binding(2) var<storage, read_write> grads: array<f32>; // [values * N], see packing.rs
 @group(0) @binding(3) var<storage, read_write> partials: array<vec4<f32>>; // [rows, 2]
 @group(0) @binding(4) var<storage, read> places: array<u32>; // [N] node, or BACKGROUND + position among them
 @group(0) @binding(5) var<storage, read> first: array<vec4<f32>>; // [B, 2] mean and 0; unit rotation
@@ -23,21 +23,16 @@
 // The same buffers where they are written: only then may what reads them be cached as constant.
 @group(0) @binding(16) var<storage, read_write> previous_means_out: array<vec4<f32>>;
 @group(0) @binding(17) var<storage, read_write> previous_inverse_quats_out: array<vec4<f32>>;
-@group(0) @binding(18) var<storage, read_write> previous_colors_out: array<f32>;
-@group(0) @binding(19) var<storage, read_write> moving_out: array<vec4<f32>>;
+@group(0) @binding(18) var<storage, read_write> moving_out: array<vec4<f32>>;
 
-const BACKGROUND: u32 = 0x80000000u;
-const LEAVES: u32 = 0x80000000u;
-const ARRIVES: u32 = 0x40000000u;
-const NODE: u32 = 0x3fffffffu;
-const SLICE: u32 = 32u;
-const LINK_STRIDE: u32 = 96u; // 3 words of SLICE nodes
-
-// Added under square roots so that they have a derivative at zero. ROOT_EPSILON of the CPU's losses.
-const ROOT_EPSILON: f32 = 1e-20;
+// Bits of an entry that name its node.
+const NODE: u32 = ~(LEAVES | ARRIVES);
 
 // Of unit rotations that differ by less only their rounding differs.
 const ROUNDING: f32 = 5e-7;
+
+// Where everything was at the timestep before, as it was stored: [7 N] means 3N, quats 4N.
+@group(0) @binding(12) var<storage, read> previous_poses: array<f32>;
 
 var<workgroup> sums: array<vec4<f32>, 256>;
 
@@ -77,24 +72,24 @@ fn inverse_length(v: vec4<f32>) -> f32 {
 }
 
 fn mean_of(gaussian: u32) -> vec3<f32> {
-    let at = 3u * gaussian;
+    let at = MEAN_AT * step.num_gaussians + 3u * gaussian;
     return vec3<f32>(params[at], params[at + 1u], params[at + 2u]);
 }
 
 fn quat_of(gaussian: u32) -> vec4<f32> {
-    let at = 3u * step.num_gaussians + 4u * gaussian;
+    let at = QUAT_AT * step.num_gaussians + 4u * gaussian;
     return vec4<f32>(params[at], params[at + 1u], params[at + 2u], params[at + 3u]);
 }
 
 fn add_to_mean(gaussian: u32, v: vec3<f32>) {
-    let at = 3u * gaussian;
+    let at = MEAN_AT * step.num_gaussians + 3u * gaussian;
     grads[at] = grads[at] + v.x;
     grads[at + 1u] = grads[at + 1u] + v.y;
     grads[at + 2u] = grads[at + 2u] + v.z;
 }
 
 fn add_to_quat(gaussian: u32, v: vec4<f32>) {
-    let at = 3u * step.num_gaussians + 4u * gaussian;
+    let at = QUAT_AT * step.num_gaussians + 4u * gaussian;
     grads[at] = grads[at] + v.x;
     grads[at + 1u] = grads[at + 1u] + v.y;
     grads[at + 2u] = grads[at + 2u] + v.z;
@@ -104,18 +99,23 @@ fn add_to_quat(gaussian: u32, v: vec4<f32>) {
 @compute @workgroup_size(256)
 fn prior_begin(@builtin(global_invocation_id) id: vec3<u32>) {
     let gaussian = id.x;
-    if (gaussian >= step.num_gaussians) {
+    let num_gaussians = arrayLength(&previous_poses) / 7u;
+    if (gaussian >= num_gaussians) {
         return;
     }
     let place = places[gaussian];
     if ((place & BACKGROUND) == 0u) {
-        let quat = quat_of(gaussian);
-        previous_means_out[place] = vec4<f32>(mean_of(gaussian), 0.0);
+        let mean = 3u * gaussian;
+        let at = 3u * num_gaussians + 4u * gaussian;
+        let quat = vec4<f32>(
+            previous_poses[at],
+            previous_poses[at + 1u],
+            previous_poses[at + 2u],
+            previous_poses[at + 3u],
+        );
+        previous_means_out[place] =
+            vec4<f32>(previous_poses[mean], previous_poses[mean + 1u], previous_poses[mean + 2u], 0.0);
         previous_inverse_quats_out[place] = quat_conjugate(quat * inverse_length(quat));
-    }
-    for (var channel = 0u; channel < 3u; channel++) {
-        let at = 3u * gaussian + channel;
-        previous_colors_out[at] = params[11u * step.num_gaussians + at];
     }
 }
 
@@ -140,7 +140,7 @@ fn prior_gaussians(
             moving_out[2u * place + 1u] = relative * inverse_length(relative);
             if (step.floor_weight != 0.0 && mean.y > 0.0) {
                 losses.x = mean.y;
-                let at = 3u * gaussian + 1u;
+                let at = MEAN_AT * step.num_gaussians + 3u * gaussian + 1u;
                 grads[at] = grads[at] + step.floor_weight / f32(step.num_foreground);
             }
         } else if (step.background_weight != 0.0) {
@@ -157,7 +157,7 @@ fn prior_gaussians(
             let share = step.soft_color_weight / f32(step.num_gaussians);
             for (var channel = 0u; channel < 3u; channel++) {
                 let at = 3u * gaussian + channel;
-                let stored = 11u * step.num_gaussians + at;
+                let stored = COLOR_AT * step.num_gaussians + at;
                 let changed = params[stored] - previous_colors[at];
                 losses.z += abs(changed);
                 grads[stored] = grads[stored] + share * sign(changed);

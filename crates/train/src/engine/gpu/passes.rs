@@ -1,13 +1,16 @@
 //! The kernels of one iteration, bound to their buffers, in their order.
 
-use tcgs_render::gpu::{Capacity, Gpu, GpuError, GpuRenderer, StageTimer};
+use tcgs_render::device::Capacity;
+use tcgs_render::gpu::{Gpu, GpuError, GpuRenderer, StageTimer};
 
+use super::activate::{ActivateBuffers, ActivateKernels};
+use super::adam::{AdamBuffers, AdamKernel};
+use super::fake_quant::FakeQuantKernels;
+use super::image_loss::{ImageLossBuffers, ImageLossKernels};
 use super::model::Model;
+use super::motion_prior::MotionPriorKernels;
+use super::sums::{SumsBuffers, SumsKernel};
 use super::targets::Targets;
-use super::{
-    ActivateBuffers, ActivateKernels, AdamBuffers, AdamKernel, FakeQuantKernels, FinishBuffers, FinishKernel,
-    ImageLossBuffers, ImageLossKernels, MotionPriorKernels,
-};
 
 /// Stages of an iteration, in the order in which they run.
 pub(super) const STAGES: [&str; 11] = [
@@ -31,7 +34,7 @@ pub(super) struct Passes {
     activate: ActivateKernels,
     image_loss: ImageLossKernels,
     fake_quant: FakeQuantKernels,
-    finish: FinishKernel,
+    sums: SumsKernel,
     adam: AdamKernel,
 }
 
@@ -46,10 +49,12 @@ impl Passes {
     ) -> Result<Self, GpuError> {
         let renderer = GpuRenderer::new(gpu, capacity)?;
         let render = renderer.buffers();
+        let packing = &model.packing;
         let (step, status) = (&model.step, &render.status);
         let q = &model.quantizers;
         let activate = ActivateKernels::new(
             gpu,
+            packing,
             ActivateBuffers {
                 step,
                 params: &model.params,
@@ -70,6 +75,7 @@ impl Passes {
         let [height, width] = targets.max_size();
         let image_loss = ImageLossKernels::new(
             gpu,
+            packing,
             ImageLossBuffers {
                 step,
                 rendered: &render.image,
@@ -79,9 +85,10 @@ impl Passes {
             },
             [targets.num_channels(), height, width],
         )?;
-        let finish = FinishKernel::new(
+        let sums = SumsKernel::new(
             gpu,
-            FinishBuffers {
+            packing,
+            SumsBuffers {
                 step,
                 image_partials: &image_loss.partials,
                 mask_partials: &activate.mask_partials,
@@ -98,6 +105,7 @@ impl Passes {
         )?;
         let adam = AdamKernel::new(
             gpu,
+            packing,
             AdamBuffers {
                 step,
                 params: &model.params,
@@ -108,9 +116,9 @@ impl Passes {
             },
             model.num_gaussians,
         )?;
-        let fake_quant = FakeQuantKernels::new(gpu, q, &model.params, &model.grads, step);
+        let fake_quant = FakeQuantKernels::new(gpu, packing, q, &model.params, &model.grads, step);
         gpu.check()?;
-        Ok(Self { renderer, activate, image_loss, fake_quant, finish, adam })
+        Ok(Self { renderer, activate, image_loss, fake_quant, sums, adam })
     }
 
     /// Records one iteration; with a timer each stage is a pass of its own.
@@ -163,7 +171,7 @@ impl Passes {
                     prior.record(pass);
                 }
             }
-            9 => self.finish.record(pass),
+            9 => self.sums.record(pass),
             _ => self.adam.record(pass),
         }
     }

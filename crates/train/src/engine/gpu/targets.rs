@@ -47,6 +47,11 @@ impl Targets {
         if self.segmented { 5 } else { 3 }
     }
 
+    /// What kernels are bound to: equal shapes can share them.
+    pub fn shape(&self) -> (wgpu::Buffer, usize, Vec<Camera>) {
+        (self.buffer.clone(), self.num_channels(), self.cameras.clone())
+    }
+
     /// Rows and columns that hold every image.
     pub fn max_size(&self) -> [usize; 2] {
         let max = |side: fn(&Camera) -> usize| self.cameras.iter().map(side).max().unwrap_or(1);

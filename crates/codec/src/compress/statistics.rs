@@ -1,0 +1,242 @@
+//! The first reading of a scene: what must be known of all timesteps before any track is reduced.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+use tcgs_core::{Attribute, Gaussians, Layout, SceneReader};
+
+use super::gather::{BLOCK, IDENTITY, gather};
+use crate::error::CompressError;
+
+/// Floats of timesteps that are held together while reading, in bytes, where a segment does not ask for more.
+const CHUNK_BYTES: usize = 64 << 20;
+
+/// What the first reading finds.
+pub(super) struct Statistics {
+    /// The first timestep.
+    pub(super) first: Gaussians,
+    /// Smallest and largest coordinates of all means at all timesteps.
+    pub(super) bounds: [[f32; 3]; 2],
+    pub(super) columns: Vec<ColumnStatistics>,
+    pub(super) num_timesteps: usize,
+    /// [`UNCERTAINTY`]
+    uncertainty: f64,
+}
+
+/// Of one column.
+#[derive(Clone, Default)]
+pub(super) struct ColumnStatistics {
+    /// Whether the column has a value for every timestep.
+    pub(super) varies: bool,
+    /// `[N * components]`; empty if the column does not vary.
+    sums: Vec<Sums>,
+    /// `[N * components]` values at the first, the middle and the last timestep; empty if the column does not vary.
+    pub(super) samples: Vec<[f32; 3]>,
+}
+
+/// Of one track.
+#[derive(Clone, Copy)]
+struct Sums {
+    /// Of all values, added in the order of time.
+    values: f64,
+    /// Of differences to the first value.
+    differences: f64,
+    /// Of their squares.
+    squares: f64,
+    first: f32,
+}
+
+/// Errors of sums, relative to what was added, are far below this.
+const UNCERTAINTY: f64 = 1e-9;
+
+/// Whether tracks count as constant over time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stillness {
+    Still,
+    Moves,
+    /// Rounding decides: the squared distances to the mean have to be added exactly.
+    Uncertain,
+}
+
+impl Statistics {
+    /// Reads all timesteps once.
+    ///
+    /// - `varies`: by [`Attribute::index`], whether a column is known to vary; the others vary if a bit of them changes
+    pub(super) fn read<R: SceneReader>(reader: &mut R, varies: &[bool]) -> Result<Self, CompressError> {
+        let num_timesteps = reader.num_timesteps();
+        let first = read_one(reader, 0)?;
+        let layout = first.layout().clone();
+        let columns = layout.attributes().zip(varies).map(|(attribute, &varies)| {
+            let mut column = ColumnStatistics::default();
+            if varies {
+                column.begin(first.values(attribute), 0);
+            }
+            column
+        });
+        let mut of = Self {
+            columns: columns.collect(),
+            bounds: [[f32::MAX; 3], [f32::MIN; 3]],
+            first,
+            num_timesteps,
+            uncertainty: UNCERTAINTY,
+        };
+        let mut rotations = vec![IDENTITY; of.first.num_gaussians()];
+        let all: Vec<u32> = (0..of.first.num_gaussians() as u32).collect();
+        for chunk in chunks(&layout, of.first.num_gaussians(), num_timesteps) {
+            let timesteps = read(reader, chunk.clone())?;
+            for (gaussians, timestep) in timesteps.iter().zip(chunk.clone()) {
+                of.check_finite(gaussians, timestep)?;
+                for mean in gaussians.means() {
+                    of.bounds[0] = std::array::from_fn(|i| of.bounds[0][i].min(mean[i]));
+                    of.bounds[1] = std::array::from_fn(|i| of.bounds[1][i].max(mean[i]));
+                }
+            }
+            for attribute in layout.attributes() {
+                of.add(attribute, &timesteps, chunk.start, &all, &mut rotations);
+            }
+        }
+        Ok(of)
+    }
+
+    fn check_finite(&self, gaussians: &Gaussians, timestep: usize) -> Result<(), CompressError> {
+        for column in gaussians.layout().columns() {
+            let values = gaussians.values(column.attribute);
+            if let Some(i) = values.iter().position(|x| !x.is_finite()) {
+                return Err(CompressError::Gaussian {
+                    what: column.name.clone(),
+                    gaussian: i / column.components(),
+                    timestep: Some(timestep),
+                    found: values[i].into(),
+                    expected: "a finite number",
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds some timesteps of a column.
+    ///
+    /// - `start`: the first of them
+    /// - `all`: indices of all Gaussians
+    /// - `rotations`: what [`gather`] goes on from
+    fn add(
+        &mut self,
+        attribute: Attribute,
+        timesteps: &[Gaussians],
+        start: usize,
+        all: &[u32],
+        rotations: &mut [[f32; 4]],
+    ) {
+        let (components, num_timesteps) = (attribute.components(), self.num_timesteps);
+        let column = &mut self.columns[attribute.index()];
+        let first = self.first.values(attribute);
+        if !column.varies {
+            // Compared by bits: what is stored once must come back as it was.
+            let same = |x: &f32, y: &f32| x.to_bits() == y.to_bits();
+            let as_first = |now: &Gaussians| now.values(attribute).iter().zip(first).all(|(x, y)| same(x, y));
+            if timesteps.iter().all(as_first) {
+                return;
+            }
+            column.begin(first, start);
+        }
+        let last = num_timesteps - 1;
+        let count = timesteps.len();
+        let blocks =
+            column.sums.par_chunks_mut(BLOCK * components).zip(column.samples.par_chunks_mut(BLOCK * components));
+        let gaussians = all.par_chunks(BLOCK).zip(rotations.par_chunks_mut(BLOCK));
+        blocks.zip(gaussians).for_each(|((sums, samples), (gaussians, before))| {
+            let values = gather(timesteps, attribute, gaussians, before);
+            for ((sums, samples), track) in sums.iter_mut().zip(samples).zip(values.chunks_exact(count)) {
+                if start == 0 {
+                    sums.first = track[0];
+                }
+                for &x in track {
+                    let difference = f64::from(x) - f64::from(sums.first);
+                    sums.values += f64::from(x);
+                    sums.differences += difference;
+                    sums.squares += difference * difference;
+                }
+                for (sample, at) in samples.iter_mut().zip([0, last / 2, last]) {
+                    if let Some(&x) = at.checked_sub(start).and_then(|i| track.get(i)) {
+                        *sample = x;
+                    }
+                }
+            }
+        });
+    }
+
+    /// Mean of a track over time.
+    pub(super) fn mean(&self, attribute: Attribute, track: usize) -> f32 {
+        (self.columns[attribute.index()].sums[track].values / self.num_timesteps as f64) as f32
+    }
+
+    /// Whether the weighted sum of mean squared distances of a Gaussian's tracks to their means is at most their number.
+    pub(super) fn stillness(&self, attribute: Attribute, gaussian: usize, weights: &[f64]) -> Stillness {
+        let (components, count) = (attribute.components(), self.num_timesteps as f64);
+        let (mut error, mut added) = (0.0, 0.0);
+        for (channel, weight) in weights.iter().enumerate() {
+            let track = gaussian * components + channel;
+            let Sums { differences, squares, first, .. } = self.columns[attribute.index()].sums[track];
+            let shift = f64::from(self.mean(attribute, track)) - f64::from(first);
+            error += weight * (squares / count - 2.0 * shift * differences / count + shift * shift);
+            added += weight * (squares / count + shift * shift);
+        }
+        let (uncertainty, limit) = (self.uncertainty * added, components as f64);
+        if error + uncertainty < limit {
+            Stillness::Still
+        } else if error - uncertainty > limit {
+            Stillness::Moves
+        } else {
+            Stillness::Uncertain
+        }
+    }
+
+    /// The same, but all that may count as constant is uncertain.
+    #[cfg(test)]
+    #[cfg(test)]
+    pub(super) fn all_uncertain(self) -> Self {
+        Self { uncertainty: f64::INFINITY, ..self }
+    }
+}
+
+impl ColumnStatistics {
+    /// Begins to count, after `num_before` timesteps in which all values were the first ones.
+    fn begin(&mut self, first: &[f32], num_before: usize) {
+        self.varies = true;
+        self.samples = first.iter().map(|&x| [x; 3]).collect();
+        let values = |x: f32| std::iter::repeat_n(f64::from(x), num_before).sum();
+        let sums = first.iter().map(|&x| Sums { values: values(x), differences: 0.0, squares: 0.0, first: x });
+        self.sums = sums.collect();
+    }
+}
+
+/// All timesteps in spans that are read together.
+pub(super) fn chunks(
+    layout: &Layout,
+    num_gaussians: usize,
+    num_timesteps: usize,
+) -> impl Iterator<Item = Range<usize>> {
+    let bytes = size_of::<f32>() * layout.components() * num_gaussians.max(1);
+    let length = (CHUNK_BYTES / bytes).clamp(1, num_timesteps.max(1));
+    (0..num_timesteps).step_by(length).map(move |start| start..(start + length).min(num_timesteps))
+}
+
+/// Some timesteps of a scene.
+pub(super) fn read<R: SceneReader>(reader: &mut R, timesteps: Range<usize>) -> Result<Vec<Gaussians>, CompressError> {
+    timesteps.map(|timestep| read_one(reader, timestep)).collect()
+}
+
+fn read_one<R: SceneReader>(reader: &mut R, timestep: usize) -> Result<Gaussians, CompressError> {
+    let gaussians = reader.at(timestep).map_err(|error| CompressError::Read { timestep, error: Box::new(error) })?;
+    let (found, expected) = (gaussians.num_gaussians(), reader.num_gaussians());
+    if found != expected {
+        let what = format!("Gaussians at timestep {timestep}");
+        return Err(CompressError::Count { what, found, expected });
+    }
+    if !Arc::ptr_eq(gaussians.layout(), reader.layout()) && gaussians.layout() != reader.layout() {
+        let (found, expected) = (gaussians.layout().to_string(), reader.layout().to_string());
+        return Err(CompressError::Layout { timestep, found, expected });
+    }
+    Ok(gaussians)
+}

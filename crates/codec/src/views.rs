@@ -1,0 +1,194 @@
+//! Cameras that a file brings along, from which a player may look at the scene: data of the application [`VIEWS`], as
+//! `docs/FORMAT.md` says. No decoder needs them, and one that finds them wrong goes on without.
+
+use serde::Deserialize;
+use serde_json::{Value, json};
+use tcgs_core::{Camera, normalize, rotmat_from_quat};
+
+/// Name of the data.
+pub const VIEWS: &str = "tcgs.views";
+
+/// Longer data are left out: 4,000 cameras take as much, and parsed JSON takes a multiple of its text.
+const MAX_BYTES: usize = 1 << 20;
+/// Pixels along a side above which a view is left out: products of two sides stay within an integer of 32 bits.
+const MAX_SIDE: usize = 1 << 15;
+/// How far the length of a rotation's quaternion may be from 1; five decimals are written.
+const MAX_LENGTH_ERROR: f64 = 1e-3;
+
+/// A camera of the capture that a scene was made of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FileCamera {
+    /// Its name in the capture.
+    pub name: String,
+    /// Where it stood and what it saw.
+    pub camera: Camera,
+}
+
+#[derive(Deserialize)]
+struct Views {
+    views: Vec<Value>,
+}
+
+#[derive(Deserialize)]
+struct View {
+    name: String,
+    width: usize,
+    height: usize,
+    focal: [f64; 2],
+    principal: [f64; 2],
+    position: [f64; 3],
+    /// World from camera, `w, x, y, z`.
+    rotation: [f64; 4],
+}
+
+/// The data that say some cameras, for [`encode_with`](crate::encode_with) under the name [`VIEWS`]. Focal lengths and
+/// principal points are rounded to a hundredth of a pixel, positions to four decimals, rotations to five: the digits
+/// that nobody sees are half of the text.
+///
+/// - `cameras`: the first is where a player starts
+///
+/// ```
+/// use tcgs_codec::{FileCamera, VIEWS, read_views, write_views};
+/// use tcgs_core::Camera;
+///
+/// let camera = Camera::look_at([0.0, -1.0, 3.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, 64, 48);
+/// let bytes = write_views(&[FileCamera { name: "7".into(), camera }]);
+/// let read = read_views(&[(VIEWS.into(), bytes)]);
+/// assert_eq!((read[0].name.as_str(), read[0].camera.width), ("7", 64));
+/// ```
+pub fn write_views(cameras: &[FileCamera]) -> Vec<u8> {
+    let views: Vec<Value> = cameras.iter().map(view).collect();
+    json!({ "views": views }).to_string().into_bytes()
+}
+
+/// The cameras among the data of applications. Never fails, on whatever bytes: a view that cannot be read, or that is
+/// of no camera, is left out, and so are data that are no JSON or longer than a megabyte.
+///
+/// - `data`: names and bytes, as [`application_data`](crate::application_data) gives them
+pub fn read_views(data: &[(String, Vec<u8>)]) -> Vec<FileCamera> {
+    let of_views = data.iter().filter(|(name, bytes)| name == VIEWS && bytes.len() <= MAX_BYTES);
+    let parsed = of_views.filter_map(|(_, bytes)| serde_json::from_slice::<Views>(bytes).ok());
+    let views = parsed.flat_map(|views| views.views).filter_map(|view| serde_json::from_value::<View>(view).ok());
+    views.filter_map(View::camera).collect()
+}
+
+impl View {
+    fn camera(self) -> Option<FileCamera> {
+        let length = self.rotation.iter().map(|x| x * x).sum::<f64>().sqrt();
+        // Comparisons that fail for NaN, too.
+        let is_unit = (length - 1.0).abs() <= MAX_LENGTH_ERROR;
+        if !is_unit || self.width > MAX_SIDE || self.height > MAX_SIDE {
+            return None;
+        }
+        let world_from_camera = rotmat_from_quat(normalize(self.rotation));
+        let row = |i: usize| {
+            let axis = [0, 1, 2].map(|j| world_from_camera[j][i]);
+            let along: f64 = (0..3).map(|j| axis[j] * self.position[j]).sum();
+            [axis[0], axis[1], axis[2], -along]
+        };
+        let rows = [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]];
+        let ([fx, fy], [cx, cy]) = (self.focal, self.principal);
+        let intrinsics = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]];
+        let camera = Camera::new(self.width, self.height, intrinsics, rows).ok()?;
+        Some(FileCamera { name: self.name, camera })
+    }
+}
+
+fn view(of: &FileCamera) -> Value {
+    let camera = &of.camera;
+    json!({
+        "name": of.name,
+        "width": camera.width,
+        "height": camera.height,
+        "focal": camera.focal.map(|x| rounded(x, 1e2)),
+        "principal": camera.principal.map(|x| rounded(x, 1e2)),
+        "position": camera.center().map(|x| rounded(x, 1e4)),
+        "rotation": world_from_camera(&camera.camera_from_world).map(|x| rounded(x, 1e5)),
+    })
+}
+
+/// A number to a fraction of one.
+///
+/// - `parts`: how many there are in 1
+fn rounded(x: f64, parts: f64) -> f64 {
+    (x * parts).round() / parts
+}
+
+/// The rotation from camera to world as a unit quaternion `w, x, y, z`.
+fn world_from_camera(camera_from_world: &[[f64; 4]; 4]) -> [f64; 4] {
+    let r = |i: usize, j: usize| camera_from_world[j][i];
+    // Each row is the quaternion times four times one of its components; the longest is the most exact.
+    let rows = [
+        [1.0 + r(0, 0) + r(1, 1) + r(2, 2), r(2, 1) - r(1, 2), r(0, 2) - r(2, 0), r(1, 0) - r(0, 1)],
+        [r(2, 1) - r(1, 2), 1.0 + r(0, 0) - r(1, 1) - r(2, 2), r(0, 1) + r(1, 0), r(0, 2) + r(2, 0)],
+        [r(0, 2) - r(2, 0), r(0, 1) + r(1, 0), 1.0 - r(0, 0) + r(1, 1) - r(2, 2), r(1, 2) + r(2, 1)],
+        [r(1, 0) - r(0, 1), r(0, 2) + r(2, 0), r(1, 2) + r(2, 1), 1.0 - r(0, 0) - r(1, 1) + r(2, 2)],
+    ];
+    let longest = (1..4).fold(0, |best, i| if rows[i][i] > rows[best][best] { i } else { best });
+    normalize(rows[longest])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(json: &str) -> Vec<FileCamera> {
+        read_views(&[("other".into(), b"{}".to_vec()), (VIEWS.into(), json.as_bytes().to_vec())])
+    }
+
+    #[test]
+    fn views_become_cameras() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        // Turned by a right angle about y: the camera looks along x.
+        let json = format!(
+            r#"{{"views": [{{"name": "7", "width": 64, "height": 48, "focal": [50, 51], "principal": [32, 23.5],
+                "position": [1, 2, 3], "rotation": [{half}, 0, {half}, 0], "more": []}}]}}"#
+        );
+        let cameras = read(&json);
+        assert_eq!(cameras.len(), 1);
+        let FileCamera { name, camera } = &cameras[0];
+        assert_eq!(
+            (name.as_str(), camera.width, camera.focal, camera.principal),
+            ("7", 64, [50.0, 51.0], [32.0, 23.5])
+        );
+        for (found, expected) in camera.center().iter().zip([1.0, 2.0, 3.0]) {
+            assert!((found - expected).abs() < 1e-12);
+        }
+        for (found, expected) in camera.forward().iter().zip([1.0, 0.0, 0.0]) {
+            assert!((found - expected).abs() < 1e-12, "{:?}", camera.forward());
+        }
+    }
+
+    #[test]
+    fn what_is_no_view_is_left_out() {
+        assert!(read("no json").is_empty());
+        assert!(read(r#"{"views": [{"name": 7}]}"#).is_empty());
+        let zero = r#"{"views": [{"name": "a", "width": 0, "height": 1, "focal": [1, 1], "principal": [0, 0],
+            "position": [0, 0, 0], "rotation": [0, 0, 0, 0]}]}"#;
+        assert!(read(zero).is_empty());
+        let huge = zero.replace("\"width\": 0", "\"width\": 1000000").replace("[0, 0, 0, 0]", "[1, 0, 0, 0]");
+        assert!(read(&huge).is_empty());
+        assert_eq!(read(&huge.replace("1000000", "1000")).len(), 1);
+        // No rotation: its matrix would be that of none.
+        assert!(read(&zero.replace("\"width\": 0", "\"width\": 10")).is_empty());
+        // One that is wrong does not take the others along.
+        let both = huge.replace("1000000", "1000").replace("[{", "[7, {\"name\": 7}, {");
+        assert_eq!(read(&both).len(), 1);
+        let long = format!("{}{}", huge.replace("1000000", "1000"), " ".repeat(MAX_BYTES));
+        assert!(read(&long).is_empty());
+        assert!(read_views(&[]).is_empty());
+    }
+
+    #[test]
+    fn rotations_are_those_of_the_cameras() {
+        for target in [[1.0, 0.0, 0.0], [0.0, 0.1, 1.0], [-1.0, 2.0, -3.0], [0.1, -1.0, -5.0], [-4.0, 0.1, 0.2]] {
+            let camera = Camera::look_at([0.0; 3], target, [0.1, -1.0, 0.0], 50.0, 64, 48);
+            let matrix = rotmat_from_quat(world_from_camera(&camera.camera_from_world));
+            for (i, row) in matrix.iter().enumerate() {
+                for (j, x) in row.iter().enumerate() {
+                    assert!((x - camera.camera_from_world[j][i]).abs() < 1e-12, "{target:?}: {matrix:?}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,249 @@
+//! The folder that a run is written to: what is in it, and what may be done with that.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use tcgs_interchange::is_unfinished;
+use tcgs_train::{Run, TrainError, Trainer};
+
+use crate::observe::tell;
+use crate::{Backend, Event, Observer, PipelineError};
+
+/// What this program writes into a run folder.
+const OURS: [&str; 3] = ["scene.tcgs", "metrics.jsonl", "config.toml"];
+/// How the names of checkpoints end that were set aside.
+const DAMAGED: &str = ".damaged";
+
+/// A run folder, locked: a run is written by one process at a time.
+///
+/// ```
+/// use tcgs_pipeline::RunFolder;
+/// let parent = tempfile::tempdir()?;
+/// let path = parent.path().join("run");
+/// assert!(!RunFolder::holds_run(&path)?);
+/// let folder = RunFolder::make(&path)?;
+/// assert!(RunFolder::lock(&path).is_err(), "another writer");
+/// drop(folder);
+/// RunFolder::lock(&path)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct RunFolder {
+    path: PathBuf,
+    /// Open as long as it is locked.
+    _lock: Option<File>,
+}
+
+impl RunFolder {
+    /// Whether the place of a run holds one already; if not, it is free to begin one.
+    ///
+    /// # Errors
+    /// [`PipelineError::Input`] if it is a file, or a folder with other things in it.
+    pub fn holds_run(folder: &Path) -> Result<bool, PipelineError> {
+        // Other programs have a config.toml, too.
+        if Run::is_run(folder) && (folder.join("checkpoints").is_dir() || Run::open(folder).is_ok()) {
+            return Ok(true);
+        }
+        if !folder.exists() {
+            return Ok(false);
+        }
+        if !folder.is_dir() {
+            return Err(PipelineError::input(folder.display(), "is a file", "the name of a folder"));
+        }
+        // A run stopped before its first file is no more than an empty folder or two.
+        let is_empty = |entry: &fs::DirEntry| {
+            let name = entry.file_name();
+            is_unfinished(&name)
+                || name == "checkpoints" && fs::read_dir(entry.path()).is_ok_and(|mut inside| inside.next().is_none())
+        };
+        let expected = "a run, an empty folder or a new name";
+        let entries = fs::read_dir(folder).and_then(Iterator::collect::<io::Result<Vec<_>>>);
+        let entries = entries.map_err(|error| PipelineError::unreadable(folder, error, expected))?;
+        if !entries.iter().all(is_empty) {
+            return Err(PipelineError::input(folder.display(), "a folder with other things in it", expected));
+        }
+        Ok(false)
+    }
+
+    /// Locks a run folder until dropped. Where folders cannot be opened like files, and on network drives without locks,
+    /// it is taken without a lock.
+    ///
+    /// # Errors
+    /// [`PipelineError::Input`] if another process has locked it; [`PipelineError::Unreadable`] if there is none.
+    pub fn lock(folder: &Path) -> Result<Self, PipelineError> {
+        let path = folder.to_path_buf();
+        if cfg!(not(unix)) {
+            return Ok(Self { path, _lock: None });
+        }
+        let file = File::open(folder).map_err(|error| PipelineError::unreadable(folder, error, "a run folder"))?;
+        match file.try_lock() {
+            Err(fs::TryLockError::WouldBlock) => {
+                let found = "another process is training into it";
+                Err(PipelineError::input(folder.display(), found, "that to end first"))
+            }
+            _ => Ok(Self { path, _lock: Some(file) }),
+        }
+    }
+
+    /// Makes a run's folder and locks it.
+    ///
+    /// # Errors
+    /// [`PipelineError::Unwritable`] if it cannot be made; as [`Self::lock`].
+    pub fn make(folder: &Path) -> Result<Self, PipelineError> {
+        fs::create_dir_all(folder).map_err(|error| PipelineError::Unwritable { path: folder.into(), error })?;
+        Self::lock(folder)
+    }
+
+    /// Removes what a run wrote, and nothing else. Stopped half-way it leaves a run that is shorter.
+    ///
+    /// # Errors
+    /// [`PipelineError::Unwritable`] if a file cannot be removed.
+    pub fn clear(&self) -> Result<(), PipelineError> {
+        self.remove_leftovers()?;
+        let checkpoints = self.path.join("checkpoints");
+        if checkpoints.is_dir() {
+            let paths = fs::read_dir(&checkpoints)
+                .and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>());
+            let mut paths = paths.map_err(|error| PipelineError::Unwritable { path: checkpoints, error })?;
+            paths.sort();
+            for path in paths.into_iter().rev().filter(|path| is_checkpoint(path)) {
+                remove(path)?;
+            }
+        }
+        OURS.iter().try_for_each(|name| remove(self.path.join(name)))
+    }
+
+    /// Removes what a killed process was about to rename. Nobody else writes here: the folder is locked.
+    ///
+    /// # Errors
+    /// [`PipelineError::Unwritable`] if a file cannot be removed.
+    pub fn remove_leftovers(&self) -> Result<(), PipelineError> {
+        for folder in [self.path.clone(), self.path.join("checkpoints")] {
+            tcgs_interchange::remove_unfinished(&folder, Duration::ZERO);
+            let Ok(entries) = fs::read_dir(&folder) else { continue };
+            for entry in entries.flatten() {
+                if !is_unfinished(&entry.file_name()) {
+                    continue;
+                }
+                // Earlier versions wrote files of such names; a process killed right at the beginning or end leaves a
+                // folder with nothing in it, or with a mark that is still empty.
+                match entry.file_type() {
+                    Ok(kind) if kind.is_file() => remove(entry.path())?,
+                    Ok(kind) if kind.is_dir() => remove_hollow(&entry.path()),
+                    _ => {}
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The trainer after the last whole checkpoint; none if no timestep is finished. A last checkpoint that is damaged is
+    /// renamed, told as [`Event::SetAside`], and its timestep is to be trained again.
+    ///
+    /// - `run`: the run in this folder
+    ///
+    /// # Errors
+    /// [`PipelineError::Train`] if another checkpoint than the last is damaged; [`PipelineError::Stopped`] if the
+    /// observer broke off.
+    pub fn resume(
+        &self,
+        run: &Run,
+        backend: &Backend,
+        observer: &mut dyn Observer,
+    ) -> Result<Option<Trainer>, PipelineError> {
+        loop {
+            let error = match run.resume_with(|state| backend.engine(state)) {
+                Ok(trainer) => return Ok(trainer),
+                Err(error) => error,
+            };
+            let last = run.folder().join("checkpoints").join(format!("{:06}.npz", run.timesteps().saturating_sub(1)));
+            match error {
+                TrainError::File { path, problem } if path == last => {
+                    let mut aside = path.clone().into_os_string();
+                    aside.push(DAMAGED);
+                    let renamed = fs::rename(&path, &aside);
+                    renamed.map_err(|error| PipelineError::Unwritable { path: path.clone(), error })?;
+                    tell(observer, Event::SetAside { checkpoint: &path, problem: &problem })?;
+                }
+                other => return Err(other.into()),
+            }
+        }
+    }
+}
+
+/// Removes a folder that holds nothing but empty files. What cannot be removed stays.
+fn remove_hollow(folder: &Path) {
+    let entries = fs::read_dir(folder).and_then(Iterator::collect::<io::Result<Vec<_>>>).unwrap_or_default();
+    let is_empty = |entry: &fs::DirEntry| entry.metadata().is_ok_and(|found| found.is_file() && found.len() == 0);
+    if entries.iter().all(is_empty) {
+        for entry in entries {
+            let _ = fs::remove_file(entry.path());
+        }
+        let _ = fs::remove_dir(folder);
+    }
+}
+
+/// Removes a file, if it is there.
+fn remove(path: PathBuf) -> Result<(), PipelineError> {
+    match fs::remove_file(&path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(PipelineError::Unwritable { path, error }),
+        _ => Ok(()),
+    }
+}
+
+/// Whether a file of the folder `checkpoints` is one, whole or damaged.
+fn is_checkpoint(path: &Path) -> bool {
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let name = name.strip_suffix(DAMAGED).unwrap_or(&name);
+    name.strip_suffix(".npz").is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_runs_and_empty_folders_are_written_to() {
+        let parent = tempfile::tempdir().unwrap();
+        let folder = parent.path().join("run");
+        assert!(!RunFolder::holds_run(&folder).unwrap());
+        fs::create_dir_all(folder.join("checkpoints")).unwrap();
+        fs::write(folder.join(".writing-abc"), b"").unwrap();
+        assert!(!RunFolder::holds_run(&folder).unwrap());
+        fs::write(folder.join("config.toml"), b"").unwrap();
+        assert!(RunFolder::holds_run(&folder).unwrap());
+        fs::write(folder.join("config.toml"), b"baseURL = 'https://example.org'").unwrap();
+        fs::remove_dir(folder.join("checkpoints")).unwrap();
+        assert!(RunFolder::holds_run(&folder).err().unwrap().to_string().contains("other things"));
+        fs::rename(folder.join("config.toml"), folder.join("thesis.txt")).unwrap();
+        assert!(RunFolder::holds_run(&folder).err().unwrap().to_string().contains("other things"));
+        assert!(RunFolder::holds_run(&folder.join("thesis.txt")).err().unwrap().to_string().contains("is a file"));
+    }
+
+    #[test]
+    fn clearing_spares_what_a_run_did_not_write() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::create_dir(path("checkpoints")).unwrap();
+        let ours = ["config.toml", "metrics.jsonl", "scene.tcgs", "checkpoints/000000.npz", ".writing-1"];
+        let theirs = ["notes.txt", "checkpoints/best.npz.txt"];
+        for name in ours.iter().chain(&theirs) {
+            fs::write(path(name), b"x").unwrap();
+        }
+        RunFolder::lock(folder.path()).unwrap().clear().unwrap();
+        assert!(ours.iter().all(|name| !path(name).exists()));
+        assert!(theirs.iter().all(|name| path(name).exists()));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_run_has_one_writer() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = RunFolder::lock(folder.path()).unwrap();
+        assert!(RunFolder::lock(folder.path()).err().unwrap().to_string().contains("another process"));
+        drop(first);
+        RunFolder::lock(folder.path()).unwrap();
+    }
+}

@@ -1,0 +1,22 @@
+//! What an engine on a device needs of no device's interface: where a layout's columns lie in memory, what one iteration
+//! is asked for in `repr(C)`, who has the newest state, and which iterations are under way.
+//!
+//! [`super::gpu`] is the one engine on a device there is. Nothing here knows `wgpu`; the shaders' text is WGSL, since
+//! [`tcgs_render::device::Wgsl`] puts it together.
+
+mod in_flight;
+mod mirror;
+mod neighbor_lists;
+mod packing;
+mod quantizer_lists;
+mod step;
+
+pub(crate) use in_flight::InFlight;
+pub(crate) use mirror::Mirror;
+pub(crate) use neighbor_lists::{NeighborLists, constants as neighbor_constants};
+pub use packing::Packing;
+pub(crate) use quantizer_lists::{QuantizerLists, quantizer_rows};
+pub use step::StepUniform;
+#[cfg(test)]
+pub(crate) use step::adam_rates;
+pub(crate) use step::{LOSS_VALUES, ViewPlace, count_updates, losses_of, source};
