@@ -6,7 +6,7 @@ use tcgs_pipeline::{Backend, PipelineError};
 use tcgs_render::device::GpuError;
 
 use crate::error::wrong_input;
-use crate::output::note;
+use crate::terminal::note;
 
 /// What every command takes that trains or renders.
 #[derive(Args, Debug)]

@@ -9,9 +9,10 @@ use tcgs_pipeline::Export;
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{Frames, JobOptions};
-use crate::output::{NewFolder, check_file, is_numbered, note, say, show_bytes, write_file_with};
+use crate::output::{NewFolder, check_file, is_numbered, show_bytes, write_file_with};
 use crate::scene::{SceneOptions, describe};
 use crate::teller::Teller;
+use crate::terminal::{note, say};
 
 /// Export a scene for other programs
 ///

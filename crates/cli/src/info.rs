@@ -11,8 +11,9 @@ use tcgs_core::Attribute;
 
 use crate::error::wrong_input;
 use crate::options::JobOptions;
-use crate::output::{say, show_bytes};
+use crate::output::show_bytes;
 use crate::scene::unreadable;
+use crate::terminal::say;
 
 /// Show what is in a .tcgs file, and whether it is whole
 ///

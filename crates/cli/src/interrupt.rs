@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 
-use crate::output::note;
+use crate::terminal::note;
 
 /// As a shell reports a process that SIGINT ended: 128 + 2.
 pub const EXIT_CODE: u8 = 130;

@@ -20,6 +20,7 @@ mod render;
 mod reproduce;
 mod scene;
 mod teller;
+mod terminal;
 mod train;
 mod view;
 
@@ -82,7 +83,7 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            output::note(&format!("tcgs: {}", one_line(&error::message(&error))));
+            terminal::note(&format!("tcgs: {}", one_line(&error::message(&error))));
             ExitCode::from(error::exit_code(&error))
         }
     }
@@ -110,7 +111,7 @@ fn explain(error: &clap::Error) -> ExitCode {
         _ => {
             let text = error.render().to_string();
             let paragraphs: Vec<String> = text.split("\n\n").map(one_line).filter(|p| !p.is_empty()).collect();
-            output::note(&format!("tcgs: {}", paragraphs.join("; ").trim_start_matches("error: ")));
+            terminal::note(&format!("tcgs: {}", paragraphs.join("; ").trim_start_matches("error: ")));
         }
     }
     ExitCode::from(error.exit_code() as u8)

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Context;
-use clap::Args;
+use clap::{Args, ValueEnum};
+use tcgs_capture::Split;
 
 use crate::output;
 
@@ -122,6 +123,28 @@ impl FromStr for Size {
         let size = text.split_once('x').and_then(|(w, h)| Some(Self { width: side(w)?, height: side(h)? }));
         size.filter(|size| size.is_legal())
             .ok_or_else(|| "expected WIDTHxHEIGHT of 1 to 16384 pixels each, such as 640x360".into())
+    }
+}
+
+/// Cameras of a capture.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Cameras {
+    /// Those held out from training
+    Test,
+    /// Those trained on
+    Train,
+    /// Both
+    All,
+}
+
+impl Cameras {
+    /// The same for a capture.
+    pub fn split(self) -> Split {
+        match self {
+            Self::Test => Split::Test,
+            Self::Train => Split::Train,
+            Self::All => Split::All,
+        }
     }
 }
 

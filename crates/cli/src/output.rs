@@ -11,23 +11,11 @@ use serde_json::Value;
 use tcgs_interchange::{Existing, Unfinished, is_unfinished, remove_unfinished, write_whole};
 
 use crate::error::wrong_input;
+use crate::terminal::note;
 
 /// How long nothing has changed in what a killed process left, before it is removed. A day is more than a person needs
 /// to look at it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
-
-/// Prints a line on standard output. A reader that has gone away has read enough.
-pub fn say(text: &str) -> anyhow::Result<()> {
-    match writeln!(io::stdout().lock(), "{text}") {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("writing to standard output"),
-        _ => Ok(()),
-    }
-}
-
-/// Prints a remark on standard error; nothing depends on its being read.
-pub fn note(text: &str) {
-    let _ = writeln!(io::stderr().lock(), "{text}");
-}
 
 /// Refuses early what [`write_file`] would refuse after all the work.
 pub fn check_file(path: &Path, force: bool) -> anyhow::Result<()> {

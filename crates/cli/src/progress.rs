@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::output::{note, say};
+use crate::terminal::{note, say};
 
 /// Where there is no terminal, at most a line in this time.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);

@@ -9,7 +9,7 @@ use tcgs_reproduce::{Job, Size, Workplace, check_captures, execute, missing_comm
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::options::JobOptions;
-use crate::output::{note, say};
+use crate::terminal::{note, say};
 
 /// Reproduce a table or figure of the paper
 ///

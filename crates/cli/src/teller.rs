@@ -2,12 +2,12 @@
 
 use std::ops::ControlFlow;
 
-use tcgs_pipeline::{Event, Observer, TimestepSummary};
+use tcgs_pipeline::{Event, Observer, TimestepSummary, Trial};
 
-use crate::compress::target::line;
 use crate::interrupt;
-use crate::output::{note, say};
+use crate::output::show_bytes;
 use crate::progress::Progress;
+use crate::terminal::{note, say};
 
 /// The observer of every long call of the command line.
 #[derive(Default)]
@@ -86,4 +86,13 @@ impl Observer for Teller {
         }
         interrupt::asked()
     }
+}
+
+/// A line of the table of settings tried.
+pub fn line(trial: &Trial) -> String {
+    format!("{:>7.2}  {:>11}  {:>8}", trial.quality(), show_bytes(trial.bytes), show_psnr(trial.psnr))
+}
+
+pub fn show_psnr(psnr: Option<f64>) -> String {
+    psnr.map_or("-".into(), |psnr| format!("{psnr:.2} dB"))
 }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout, normalize};
 
 use crate::bits::BitMap;
+use crate::error::CompressError;
 use crate::keypoints::{lerp, locate};
 use crate::parallel;
 use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
@@ -394,4 +395,10 @@ pub(crate) fn unit_quat(quat: [f32; 4]) -> [f32; 4] {
     let unit = normalize(quat);
     // Lengths below about 1e-19 vanish when squared: left as they are by `normalize`.
     if unit.iter().map(|x| x * x).sum::<f32>() > 0.5 { unit } else { [1.0, 0.0, 0.0, 0.0] }
+}
+
+impl From<Violation> for CompressError {
+    fn from(Violation { attribute, field, problem }: Violation) -> Self {
+        Self::Scene { section: attribute.map_or("info", Attribute::name), field, problem }
+    }
 }

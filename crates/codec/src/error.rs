@@ -1,10 +1,5 @@
 //! Why bytes are no scene, and why floats cannot become one.
 
-use tcgs_core::Attribute;
-
-use crate::compact::Violation;
-use crate::quantize::Quantizer;
-
 /// Why decoding failed, by who is at fault.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -85,10 +80,14 @@ pub enum CompressError {
         expected: usize,
     },
     /// A step, an offset and a width that make no quantizer.
-    #[error("invalid quantizer of step {}, offset {} and {} bits: {problem}", .quantizer.step, .quantizer.offset, .quantizer.bits)]
+    #[error("invalid quantizer of step {step}, offset {offset} and {bits} bits: {problem}")]
     Quantizer {
-        /// The numbers.
-        quantizer: Quantizer,
+        /// Units of the attribute.
+        step: f32,
+        /// Units of the attribute.
+        offset: f32,
+        /// Width of a code.
+        bits: u8,
         /// What is wrong with them.
         problem: &'static str,
     },
@@ -135,10 +134,4 @@ pub enum CompressError {
 
 fn at(timestep: Option<usize>) -> String {
     timestep.map_or(String::new(), |timestep| format!(" at timestep {timestep}"))
-}
-
-impl From<Violation> for CompressError {
-    fn from(Violation { attribute, field, problem }: Violation) -> Self {
-        Self::Scene { section: attribute.map_or("info", Attribute::name), field, problem }
-    }
 }

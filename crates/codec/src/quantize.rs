@@ -47,7 +47,7 @@ impl Quantizer {
     pub fn new(step: f32, offset: f32, bits: u8) -> Result<Self, CompressError> {
         let quantizer = Self { step, offset, bits };
         match quantizer.problem() {
-            Some(problem) => Err(CompressError::Quantizer { quantizer, problem }),
+            Some(problem) => Err(CompressError::Quantizer { step, offset, bits, problem }),
             None => Ok(quantizer),
         }
     }

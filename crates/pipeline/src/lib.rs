@@ -62,15 +62,15 @@ mod train;
 pub use backend::Backend;
 pub use compress::{
     CompressOptions, CompressPreset, Compressed, Judge, JudgeImages, PrunedScene, QUALITY_RANGE, SearchResult,
-    SizeStep, Target, Trial, compress_scene, kept_gaussians, position_step_remark, search, settings_of,
+    SizeStep, Target, compress_scene, kept_gaussians, position_step_remark, search, settings_of,
 };
 pub use error::{Fault, HasFault, PipelineError};
 pub use evaluate::{
     COLUMNS, EvaluateSettings, Evaluation, ImageScore, MetricColumn, evaluate, evaluation_json, protocol_mean,
 };
 pub use export::{Export, ExportedParams};
-pub use observe::{Event, Observer, Unobserved, Work};
+pub use observe::{Event, Observer, TimestepSummary, Trial, Unobserved, Work};
 pub use path_file::read_camera_path;
 pub use render::{CameraAt, render};
 pub use scene::{OpenScene, OpenSettings};
-pub use train::{RunFolder, TimestepSummary, fit, new_trainer, settings_for};
+pub use train::{RunFolder, fit, new_trainer, settings_for};

@@ -5,8 +5,7 @@ use std::path::Path;
 
 use tcgs_train::Progress;
 
-use crate::train::TimestepSummary;
-use crate::{PipelineError, Trial};
+use crate::error::PipelineError;
 
 /// Something that happened in a long call.
 #[derive(Clone, Copy, Debug)]
@@ -41,6 +40,44 @@ pub enum Event<'a> {
     Tried(&'a Trial),
     /// A step of any other work: an image of this frame is done.
     Frame(usize),
+}
+
+/// A timestep that is trained and saved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimestepSummary {
+    /// Counted from the run's first.
+    pub timestep: usize,
+    /// Of the capture.
+    pub frame: usize,
+    /// Gaussians after it.
+    pub num_gaussians: usize,
+    /// Mean over the views, in dB.
+    pub psnr: f64,
+    /// Whether the views were held out from training; without such they are the training views.
+    pub held_out: bool,
+    /// Of training, without loading and measuring.
+    pub seconds: f64,
+}
+
+/// One setting and what came of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trial {
+    /// Of [`CompressSettings::with_quality`](tcgs_codec::CompressSettings::with_quality), in hundredths.
+    pub(crate) steps: i32,
+    /// Length of the file.
+    pub bytes: u64,
+    /// Mean PSNR in dB; none if it was not measured.
+    pub psnr: Option<f64>,
+}
+
+impl Trial {
+    /// Settings that a search tells apart within one unit of quality.
+    pub(crate) const STEPS: i32 = 100;
+
+    /// The quality tried, a whole number of hundredths.
+    pub fn quality(&self) -> f64 {
+        f64::from(self.steps) / f64::from(Self::STEPS)
+    }
 }
 
 /// A part of a long call.

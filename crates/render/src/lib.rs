@@ -20,6 +20,7 @@ mod tiling;
 #[cfg(feature = "cpu")]
 pub use cpu::{CpuRasterizer, CpuSaved};
 pub use project::{Projection, SplatCamera, project, project_vjp};
-pub use rasterizer::{Draw, DrawAny, Rasterizer, RenderGrads, RenderOutput, RenderSettings, draw_any};
+pub use rasterizer::{Draw, DrawAny, Rasterizer, RenderGrads, RenderOutput, draw_any};
+pub use settings::RenderSettings;
 pub use stage_times::{Laps, PairCounts, RENDER_STAGES, StageTimes};
 pub use tiling::{TILE, tile_grid};

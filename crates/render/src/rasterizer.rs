@@ -6,23 +6,7 @@ use std::sync::Arc;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
 use crate::device::GpuError;
-use crate::settings::MAX_CHANNELS;
-
-/// What a renderer needs beside Gaussians and a camera.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RenderSettings {
-    /// Colour behind everything, one value a channel. Default: black (reference).
-    pub background: [f32; MAX_CHANNELS],
-    /// The densification statistic counts the gradient of this many leading channels alone.
-    /// Default: 3, the colours, without the segmentation that shares the pass.
-    pub statistic_channels: usize,
-}
-
-impl Default for RenderSettings {
-    fn default() -> Self {
-        Self { background: [0.0; MAX_CHANNELS], statistic_channels: 3 }
-    }
-}
+use crate::settings::RenderSettings;
 
 /// What a forward pass returns.
 #[derive(Clone, Debug, PartialEq)]

@@ -26,3 +26,19 @@ pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 /// (centred) extent, before the Jacobian of the projection is taken: beyond, the linearisation
 /// stretches splats without bound.
 pub const FOV_MARGIN: f64 = 0.3;
+
+/// What a renderer needs beside Gaussians and a camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderSettings {
+    /// Colour behind everything, one value a channel. Default: black (reference).
+    pub background: [f32; MAX_CHANNELS],
+    /// The densification statistic counts the gradient of this many leading channels alone.
+    /// Default: 3, the colours, without the segmentation that shares the pass.
+    pub statistic_channels: usize,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        Self { background: [0.0; MAX_CHANNELS], statistic_channels: 3 }
+    }
+}

@@ -12,8 +12,8 @@ use tcgs_pipeline::Backend;
 use self::measure::{Counts, STEPS, measure};
 use crate::backend::{BackendName, BackendOptions};
 use crate::options::{self, JobOptions, Size};
-use crate::output::say;
 use crate::progress::Progress;
+use crate::terminal::say;
 
 /// Gaussians of the built-in scene.
 const NUM_GAUSSIANS: usize = 300_000;

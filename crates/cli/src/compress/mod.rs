@@ -17,12 +17,12 @@ use tcgs_train::Run;
 
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
-use crate::eval::Cameras;
 use crate::interrupt;
-use crate::options::{self, Frames, JobOptions, Pair};
-use crate::output::{check_file, say, show_bytes, write_file};
+use crate::options::{self, Cameras, Frames, JobOptions, Pair};
+use crate::output::{check_file, show_bytes, write_file};
 use crate::scene::{SceneOptions, describe};
 use crate::teller::Teller;
+use crate::terminal::say;
 
 /// Compress a trained scene into a .tcgs file
 ///

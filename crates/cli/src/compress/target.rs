@@ -5,6 +5,7 @@ use tcgs_core::Attribute;
 use tcgs_pipeline::{Judge, QUALITY_RANGE, SearchResult, Target, Trial};
 
 use crate::output::show_bytes;
+use crate::teller::show_psnr;
 
 /// Reads a quality.
 pub fn quality(text: &str) -> Result<f32, String> {
@@ -46,13 +47,4 @@ pub fn describe(found: &SearchResult, target: Target, judge: &Judge) -> (String,
         "steps": found.trials.iter().map(trial).collect::<Vec<_>>(),
     });
     (text, value)
-}
-
-/// A line of the table of settings tried.
-pub fn line(trial: &Trial) -> String {
-    format!("{:>7.2}  {:>11}  {:>8}", trial.quality(), show_bytes(trial.bytes), show_psnr(trial.psnr))
-}
-
-fn show_psnr(psnr: Option<f64>) -> String {
-    psnr.map_or("-".into(), |psnr| format!("{psnr:.2} dB"))
 }

@@ -20,8 +20,9 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::JobOptions;
-use crate::output::{NewFolder, is_empty_folder, say, show_bytes};
+use crate::output::{NewFolder, is_empty_folder, show_bytes};
 use crate::teller::Teller;
+use crate::terminal::say;
 
 /// Iterations of the first and of every later timestep: what two cores do in half a minute.
 const ITERATIONS: [usize; 2] = [1000, 80];

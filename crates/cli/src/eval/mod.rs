@@ -11,10 +11,11 @@ use tcgs_pipeline::{EvaluateSettings, Evaluation, PipelineError, evaluate, evalu
 
 use crate::backend::{BackendName, BackendOptions};
 use crate::interrupt;
-use crate::options::{self, Frames, JobOptions};
-use crate::output::{check_file, say, write_file};
+use crate::options::{self, Cameras, Frames, JobOptions};
+use crate::output::{check_file, write_file};
 use crate::scene::{SceneOptions, describe};
 use crate::teller::Teller;
+use crate::terminal::say;
 
 /// Names the weights of LPIPS where no option does; none if it is empty.
 const WEIGHTS_VARIABLE: &str = "TCGS_LPIPS_WEIGHTS";
@@ -58,28 +59,6 @@ pub struct Arguments {
     backend: BackendOptions,
     #[command(flatten)]
     job: JobOptions,
-}
-
-/// Cameras of a capture.
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Cameras {
-    /// Those held out from training
-    Test,
-    /// Those trained on
-    Train,
-    /// Both
-    All,
-}
-
-impl Cameras {
-    /// The same for a capture.
-    pub fn split(self) -> Split {
-        match self {
-            Self::Test => Split::Test,
-            Self::Train => Split::Train,
-            Self::All => Split::All,
-        }
-    }
 }
 
 /// Each is described in full where its table is printed.

@@ -9,8 +9,9 @@ use tcgs_capture::{Capture, Diagnosis};
 use tcgs_core::Image;
 
 use crate::options::JobOptions;
-use crate::output::{check_file, say, write_file};
+use crate::output::{check_file, write_file};
 use crate::progress::Progress;
+use crate::terminal::say;
 
 /// Steps of a check, for the progress bar.
 const NUM_STEPS: usize = 5;

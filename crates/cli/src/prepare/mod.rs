@@ -15,8 +15,9 @@ use tcgs_interchange::is_unfinished;
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{self, JobOptions};
-use crate::output::{NewFolder, check_file, is_empty_folder, parent, say, write_file_with, write_json};
+use crate::output::{NewFolder, check_file, is_empty_folder, parent, write_file_with, write_json};
 use crate::progress::Progress;
+use crate::terminal::say;
 
 /// Written into every capture that this command makes: how it was made, and that it may be replaced.
 const RECORD: &str = "prepare.json";

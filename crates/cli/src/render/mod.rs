@@ -16,9 +16,10 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{Frames, JobOptions, Size};
-use crate::output::{NewFolder, is_numbered, say};
+use crate::output::{NewFolder, is_numbered};
 use crate::scene::{SceneOptions, describe};
 use crate::teller::Teller;
+use crate::terminal::say;
 use video::Video;
 
 /// Size of pictures along a path around the scene.

@@ -14,8 +14,8 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::error::{stopped, wrong_input};
 use crate::interrupt;
 use crate::options::{self, Frames, JobOptions, Pair};
-use crate::output::say;
 use crate::teller::Teller;
+use crate::terminal::say;
 
 /// Train a dynamic scene on a multi-view capture, one timestep after another
 ///

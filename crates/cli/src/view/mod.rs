@@ -12,8 +12,8 @@ use anyhow::{Context, anyhow};
 use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening};
 
 use crate::error::wrong_input;
-use crate::output::{note, say};
 use crate::scene::unreadable;
+use crate::terminal::{note, say};
 use server::{PageFile, Server};
 
 /// Files of the built page; empty if the page was not built before this program.

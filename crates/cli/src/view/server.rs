@@ -9,7 +9,7 @@ use std::thread;
 use std::time::{Duration, UNIX_EPOCH};
 
 use super::http::{HttpRequest, RequestedRange};
-use crate::output::note;
+use crate::terminal::note;
 
 /// Path at which the scene is served.
 const SCENE: &str = "/scene.tcgs";

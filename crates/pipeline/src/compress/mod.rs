@@ -21,7 +21,7 @@ use crate::{OpenScene, PipelineError};
 
 pub use judge::{Judge, JudgeImages};
 pub use settings::{CompressPreset, position_step_remark, settings_of};
-pub use target::{QUALITY_RANGE, SearchResult, Target, Trial, search};
+pub use target::{QUALITY_RANGE, SearchResult, Target, search};
 
 /// How a scene is compressed.
 #[derive(Clone, Debug)]

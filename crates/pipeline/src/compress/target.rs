@@ -7,11 +7,11 @@ use tcgs_codec::{CompactScene, CompressSettings};
 
 use super::PrunedScene;
 use super::judge::Judge;
-use crate::observe::tell;
+use crate::observe::{Trial, tell};
 use crate::{Event, Observer, PipelineError};
 
 /// Quality is searched in steps of 1 / this, so that the one found can be said in two decimals.
-const STEPS: i32 = 100;
+const STEPS: i32 = Trial::STEPS;
 /// Lowest and highest quality, in these steps. Below, almost every code has its fewest bits; above, errors vanish
 /// in the rounding of pictures to 8 bits.
 const RANGE: (i32, i32) = (-6 * STEPS, 8 * STEPS);
@@ -33,24 +33,6 @@ pub enum Target {
     Bytes(u64),
     /// The smallest file with at least this PSNR, dB.
     Psnr(f64),
-}
-
-/// One setting and what came of it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Trial {
-    /// Of [`CompressSettings::with_quality`], in [`STEPS`].
-    steps: i32,
-    /// Length of the file.
-    pub bytes: u64,
-    /// Mean PSNR in dB; none if it was not measured.
-    pub psnr: Option<f64>,
-}
-
-impl Trial {
-    /// The quality tried, a whole number of hundredths.
-    pub fn quality(&self) -> f64 {
-        f64::from(self.steps) / f64::from(STEPS)
-    }
 }
 
 /// What a search found.

@@ -9,7 +9,7 @@ use tcgs_capture::{Capture, CaptureError, Split};
 use tcgs_core::View;
 use tcgs_train::{Run, Trainer};
 
-use crate::observe::tell;
+use crate::observe::{TimestepSummary, tell};
 use crate::{Event, Observer, PipelineError, Work};
 
 /// Most points of a timestep's loss curve.
@@ -20,23 +20,6 @@ const AVERAGED_ITERATIONS: usize = 50;
 /// far from every point. On the capture of `tcgs demo`, two timesteps trained from 8000 of its points come to 32.9 dB,
 /// from 1000 to 28.3 dB, from 400 to 18.6 dB, and from 200 or 66 to less than 5.5 dB with hardly a Gaussian left.
 const FEW_POINTS: usize = 1000;
-
-/// A timestep that is trained and saved.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TimestepSummary {
-    /// Counted from the run's first.
-    pub timestep: usize,
-    /// Of the capture.
-    pub frame: usize,
-    /// Gaussians after it.
-    pub num_gaussians: usize,
-    /// Mean over the views, in dB.
-    pub psnr: f64,
-    /// Whether the views were held out from training; without such they are the training views.
-    pub held_out: bool,
-    /// Of training, without loading and measuring.
-    pub seconds: f64,
-}
 
 /// Trains the timesteps that a run still lacks, and writes metrics and checkpoint of each. The images of the next
 /// timestep are prefetched in a thread of their own.

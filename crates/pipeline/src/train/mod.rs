@@ -11,7 +11,7 @@ use tcgs_train::{TrainConfig, Trainer};
 
 use crate::{Backend, PipelineError};
 
-pub use fit::{TimestepSummary, fit};
+pub use fit::fit;
 pub use folder::RunFolder;
 pub use settings::settings_for;
 

@@ -4,9 +4,9 @@ use bytemuck::{Pod, Zeroable};
 use tcgs_core::Camera;
 
 use super::{MAX_GROUPS_X, SORT_BLOCK, WORKGROUP, Wgsl, activated_len, sort_source};
-use crate::settings::{self, MAX_CHANNELS};
+use crate::project::SplatCamera;
+use crate::settings::{self, MAX_CHANNELS, RenderSettings};
 use crate::tiling::{EXTENT_FACTOR, EXTENT_MARGIN_PX, PAIR_GRADS, TILE, tile_grid};
-use crate::{RenderSettings, SplatCamera};
 
 /// Splats of a bucket: backward gives each bucket of a tile a workgroup with one thread a splat, and
 /// forward keeps what it has blended before each bucket.
