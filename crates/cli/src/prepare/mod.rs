@@ -38,7 +38,7 @@ Example:
   tcgs prepare my_footage --out my_capture
   tcgs prepare --check my_capture --sheet check.png
 
-Exit codes of --check: 0 the capture is healthy, 1 something was found, 2 wrong usage or input.")]
+Exit codes of --check: 0 the capture is healthy or it cannot be told, 1 something was found, 2 wrong usage or input.")]
 #[command(group = clap::ArgGroup::new("what").required(true).args(["out", "points_only", "check"]))]
 pub struct Arguments {
     /// Folder of a capture with calibrated cameras, in any layout that tcgs train reads
