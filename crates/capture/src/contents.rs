@@ -29,7 +29,7 @@ pub(crate) struct Contents {
 }
 
 /// The cameras of one split.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct CameraSet {
     pub footage: Vec<Footage>,
     /// Which of `footage` a frame has, in the capture's order.
@@ -117,12 +117,11 @@ impl<'a> CameraSetOfFiles<'a> {
             let images = Images::Stored { pixels, changes: camera.changes };
             Footage { camera_id: camera.id, cameras: camera.cameras, images, masks: Masks::None }
         };
-        let mut set = CameraSet::default();
-        set.footage = self.cameras.into_iter().map(footage).collect();
+        let mut by_frame = ByFrame::default();
         for (frame, order) in self.order.into_iter().enumerate() {
-            set.order.push(frame, order);
+            by_frame.push(frame, order);
         }
-        set
+        CameraSet { footage: self.cameras.into_iter().map(footage).collect(), order: by_frame }
     }
 }
 

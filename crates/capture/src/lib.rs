@@ -1,5 +1,7 @@
 //! Multi-view captures: loading, checking and synthesising them.
 //!
+//! The feature `video`, on by default, reads captures of videos; it needs a C++ compiler, for H.264.
+//!
 //! What lives here: everything between files of images, masks, cameras and points, and
 //! [`tcgs_core::View`]. What does not: what is made of the views.
 
@@ -21,6 +23,10 @@ mod points;
 mod points_in_view;
 mod prepare;
 mod synthetic;
+#[cfg(feature = "video")]
+mod video;
+#[cfg(not(feature = "video"))]
+#[path = "video_absent.rs"]
 mod video;
 
 pub use builder::{CameraBuilder, CaptureBuilder};

@@ -1,5 +1,6 @@
 //! Neural 3D Video: what a whole capture gives, and what is said of a spoilt one.
 
+#![cfg(feature = "video")]
 #![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
 
 mod support;

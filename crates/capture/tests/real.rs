@@ -6,7 +6,9 @@ use std::io::Write;
 use std::{ops::Range, path::PathBuf};
 
 use tcgs_capture::{Capture, CaptureKind, Split};
-use tcgs_core::{Camera, Image, Pinhole, PointCloud, View};
+#[cfg(feature = "video")]
+use tcgs_core::Image;
+use tcgs_core::{Camera, Pinhole, PointCloud, View};
 
 const TEST_CAMERAS: [usize; 4] = [0, 10, 15, 30];
 
@@ -110,11 +112,13 @@ fn assert_in_place(views: &[View], cloud: &PointCloud, most: f32) {
     }
 }
 
+#[cfg(feature = "video")]
 fn psnr(a: &Image, b: &Image) -> f64 {
     let squared: f64 = a.data.iter().zip(&b.data).map(|(a, b)| f64::from(a - b).powi(2)).sum();
     -10.0 * (squared / a.data.len() as f64).log10()
 }
 
+#[cfg(feature = "video")]
 #[test]
 fn kitchen_opens() {
     let Some(path) = folder("kitchen") else { return };

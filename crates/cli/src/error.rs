@@ -5,6 +5,7 @@ use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_pipeline::{Fault, HasFault, PipelineError};
+use tcgs_reproduce::ReproduceError;
 use tcgs_train::TrainError;
 
 use crate::interrupt;
@@ -69,6 +70,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         .then_some(Fault::Input)
         .or_else(|| error.is::<Stopped>().then_some(Fault::Stopped))
         .or_else(|| fault::<PipelineError>(error))
+        .or_else(|| fault::<ReproduceError>(error))
         .or_else(|| fault::<CaptureError>(error))
         .or_else(|| fault::<TrainError>(error))
         .or_else(|| fault::<MetricsError>(error))

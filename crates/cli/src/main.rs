@@ -17,7 +17,6 @@ mod output;
 mod prepare;
 mod progress;
 mod render;
-mod report;
 mod reproduce;
 mod scene;
 mod teller;

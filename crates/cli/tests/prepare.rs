@@ -117,7 +117,7 @@ fn the_doctor_says_healthy_or_what_is_wrong() {
     assert!(said.contains("the image is what is seen from another camera's place"), "{said}");
     assert!(complaint.contains("1 finding, expected a healthy capture"), "{complaint}");
     let result = json(&result);
-    assert_keys(&result, &["capture", "healthy", "made_points", "findings", "cameras"]);
+    assert_keys(&result, &["capture", "healthy", "undecided", "made_points", "findings", "cameras"]);
     assert_eq!(result["healthy"], false);
     assert_eq!(result["findings"][0]["kind"], "exchanged_cameras");
     assert_keys(&result["findings"][0], &["kind", "cameras", "problem", "fix"]);

@@ -157,6 +157,19 @@ impl<Role> Columns<Role> {
         self.values
     }
 
+    /// The same Gaussians with the columns of a longer layout; what is new is zero.
+    ///
+    /// # Panics
+    /// If `layout` does not start with the columns that there are.
+    pub fn extended(self, layout: &Arc<Layout>) -> Self {
+        let known = self.layout.columns();
+        assert!(layout.columns().starts_with(known), "columns {layout} do not start with {}", self.layout);
+        let new = &layout.columns()[known.len()..];
+        let mut values = self.values;
+        values.extend(new.iter().map(|column| vec![0.0; self.num_gaussians * column.components()]));
+        Self::new(Arc::clone(layout), self.num_gaussians, values)
+    }
+
     /// The Gaussians at `indices`, in that order, repeated where an index is.
     ///
     /// # Panics

@@ -1,4 +1,4 @@
-//! What can go wrong: only files can.
+//! How reading weights fails; metrics themselves never fail.
 
 use std::path::PathBuf;
 
@@ -6,15 +6,15 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MetricsError {
-    /// It could not be read.
+    /// The file could not be read.
     #[error("{}: {error}, expected LPIPS weights", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's answer.
         error: std::io::Error,
     },
-    /// It holds something else.
+    /// The file is not what `scripts/fetch_lpips_weights.py` makes.
     #[error("{}: {problem}, expected LPIPS weights as scripts/fetch_lpips_weights.py makes them", path.display())]
     Weights {
         /// The file.

@@ -20,7 +20,7 @@ use crate::ssim::{WINDOW_SIZE, inner_means};
 /// By scale, from the finest.
 const WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
 
-/// Fewest pixels of a side: the window fits inside the smallest scale.
+/// Fewest pixels of a side for [`ms_ssim`]: the window fits inside the smallest scale.
 pub const MIN_MS_SSIM_SIDE: usize = (WINDOW_SIZE - 1) * (1 << (WEIGHTS.len() - 1)) + 1;
 
 /// MS-SSIM, averaged over channels; `None` where a side has fewer than [`MIN_MS_SSIM_SIDE`] = 161 pixels.
@@ -56,7 +56,13 @@ pub fn ms_ssim(rendered: &Image, target: &Image) -> Option<f64> {
     Some(products.iter().sum::<f64>() / products.len() as f64)
 }
 
-/// Structural dissimilarity `(1 - ms_ssim) / 2`, as 4D Gaussian Splatting reports it.
+/// Structural dissimilarity `(1 - ms_ssim) / 2`, as 4D Gaussian Splatting reports it; 0 for the same image.
+///
+/// - `ms_ssim`: in `[0, 1]`
+///
+/// ```
+/// assert_eq!(tcgs_metrics::dssim(0.5), 0.25);
+/// ```
 pub fn dssim(ms_ssim: f64) -> f64 {
     (1.0 - ms_ssim) / 2.0
 }

@@ -26,23 +26,23 @@ pub enum Protocol {
 /// What a protocol prescribes.
 #[derive(Debug)]
 pub struct Rules {
-    /// As on the command line.
+    /// Name of the protocol for machines, such as an option of a command: `tc3dgs`.
     pub name: &'static str,
-    /// Whose it is.
+    /// The publication, and the program of it that measures.
     pub source: &'static str,
-    /// What happens to pixels first.
+    /// How pixel values are prepared before images are compared.
     pub range: PixelRange,
-    /// What is measured.
+    /// The metrics, in the order in which the protocol's program prints them.
     pub metrics: &'static [ProtocolMetric],
-    /// Which cameras are held out.
+    /// Cameras that are held out of training, by data set. Stated, not enforced.
     pub split: &'static str,
-    /// Which frames count.
+    /// Frames that the means are over, by data set. Stated, not enforced.
     pub frames: &'static str,
-    /// At which size.
+    /// Size of the images, pixels, by data set. Stated, not enforced.
     pub resizing: &'static str,
 }
 
-/// What happens to pixels before they are compared.
+/// How pixel values are prepared before images are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelRange {
     /// Nothing: renders keep what lies outside of `[0, 1]`.
@@ -56,28 +56,28 @@ pub enum PixelRange {
 /// A metric under the name that a protocol gives it.
 #[derive(Debug)]
 pub struct ProtocolMetric {
-    /// For machines.
+    /// Key of the metric in JSON, unique within the protocol.
     pub key: &'static str,
     /// As the protocol's program prints it.
     pub title: &'static str,
-    /// What it is.
+    /// How the value is computed.
     pub measure: Measure,
 }
 
-/// What a metric is, whatever its name.
+/// A metric as it is computed, whatever a protocol calls it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measure {
-    /// [`psnr`].
+    /// [`psnr`](crate::psnr): dB over all channels together.
     Psnr,
-    /// [`psnr_per_channel`].
+    /// [`psnr_per_channel`](crate::psnr_per_channel): dB, the mean over the channels.
     PsnrPerChannel,
-    /// [`ssim`].
+    /// [`ssim`](crate::ssim): a Gaussian window of 11x11 pixels.
     Ssim,
     /// [`uniform_ssim`] with a data range of 2.
     UniformSsim,
-    /// [`ms_ssim`].
+    /// [`ms_ssim`](crate::ms_ssim): five scales.
     MsSsim,
-    /// [`dssim`].
+    /// [`dssim`](crate::dssim) of [`ms_ssim`](crate::ms_ssim).
     Dssim,
     /// [`Lpips::distance`] with [`InputRange::Unit`], which all three protocols have.
     LpipsUnit(Backbone),
@@ -135,10 +135,10 @@ const STG: Rules = Rules {
 };
 
 impl Protocol {
-    /// All there are.
+    /// Every protocol.
     pub const ALL: [Self; 3] = [Self::Tc3dgs, Self::FourDgs, Self::Stg];
 
-    /// What it prescribes.
+    /// What the protocol prescribes.
     pub const fn rules(self) -> &'static Rules {
         match self {
             Self::Tc3dgs => &TC3DGS,
@@ -177,7 +177,8 @@ impl Protocol {
         measured.collect()
     }
 
-    /// What it prescribes, in words: what stands with every table that follows it.
+    /// The rules in words, several lines without a line end at the last: to stand beside every table that follows the
+    /// protocol.
     pub fn describe(self) -> String {
         let rules = self.rules();
         let mut text = format!("protocol {} ({})\n", rules.name, rules.source);

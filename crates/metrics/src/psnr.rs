@@ -32,6 +32,14 @@ pub fn psnr(rendered: &Image, target: &Image) -> f64 {
 ///
 /// The convention of the evaluation that the paper's numbers come from.
 ///
+/// ```
+/// use tcgs_core::Image;
+/// // One channel is off by 0.1, which is 20 dB; the other is exact and counts 100.
+/// let rendered = Image { width: 1, height: 1, num_channels: 2, data: vec![0.6, 0.5] };
+/// let target = Image::filled(1, 1, 2, 0.5);
+/// assert!((tcgs_metrics::psnr_per_channel(&rendered, &target) - 60.0).abs() < 1e-4);
+/// ```
+///
 /// # Panics
 /// If the images differ in shape or have no values.
 pub fn psnr_per_channel(rendered: &Image, target: &Image) -> f64 {
@@ -46,7 +54,14 @@ pub fn psnr_per_channel(rendered: &Image, target: &Image) -> f64 {
 /// [`psnr`] over the pixels of a mask.
 ///
 /// - `mask`: `[H, W]`, which pixels count
-/// - returns: `None` if no pixel does
+/// - returns: dB; `None` if no pixel counts
+///
+/// ```
+/// use tcgs_core::Image;
+/// let (a, b) = (Image::filled(2, 1, 3, 0.5), Image::filled(2, 1, 3, 0.6));
+/// assert!((tcgs_metrics::psnr_masked(&a, &b, &[true, false]).unwrap() - 20.0).abs() < 1e-5);
+/// assert_eq!(tcgs_metrics::psnr_masked(&a, &b, &[false, false]), None);
+/// ```
 ///
 /// # Panics
 /// If the images differ in shape or the mask has another number of pixels.

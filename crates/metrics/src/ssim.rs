@@ -45,7 +45,7 @@ pub const SSIM_WINDOW: [f32; RADIUS + 1] =
 /// scratch that fits the cache and strips enough for many cores.
 const STRIP_ROWS: usize = 32;
 
-/// What [`ssim_fwd`] keeps for [`ssim_bwd`].
+/// What [`ssim_fwd`] keeps for [`ssim_bwd`]: three values a value of the image.
 #[derive(Clone, Debug, Default)]
 pub struct SsimSaved {
     /// `[C, H, 3, W]` derivatives of the map to `mean_x`, `square_x` and `product`.
@@ -73,6 +73,16 @@ pub fn ssim(rendered: &Image, target: &Image) -> f64 {
 /// - `rendered`, `target`: `[C, H, W]`, of any size, not clamped
 /// - returns: `[C]`, and what [`ssim_bwd`] needs
 ///
+/// ```
+/// use tcgs_core::Image;
+/// use tcgs_metrics::{ssim_bwd, ssim_fwd};
+/// let (rendered, target) = (Image::filled(12, 12, 1, 0.4), Image::filled(12, 12, 1, 0.5));
+/// let (means, saved) = ssim_fwd(&rendered, &target);
+/// let mut v_rendered = Image::filled(12, 12, 1, 0.0);
+/// ssim_bwd(&rendered, &target, &saved, &[1.0], &mut v_rendered);
+/// assert!(means[0] < 1.0 && v_rendered.plane(0)[6 * 12 + 6] > 0.0, "brighter would be more similar");
+/// ```
+///
 /// # Panics
 /// If the images differ in shape or have no values.
 pub fn ssim_fwd(rendered: &Image, target: &Image) -> (Vec<f64>, SsimSaved) {
@@ -91,11 +101,11 @@ pub fn ssim_fwd(rendered: &Image, target: &Image) -> (Vec<f64>, SsimSaved) {
     (means, SsimSaved { partials })
 }
 
-/// Backward of [`ssim_fwd`]. Accumulates.
+/// Backward of [`ssim_fwd`]. *Accumulates* into `v_rendered`.
 ///
 /// - `saved`: of the same images
 /// - `v_ssim`: `[C]`, gradient to each channel's mean
-/// - `v_rendered`: `[C, H, W]`
+/// - `v_rendered`: `[C, H, W]`, gradient to `rendered`
 ///
 /// # Panics
 /// If shapes disagree.

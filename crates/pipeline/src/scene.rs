@@ -3,12 +3,12 @@
 use std::borrow::Cow;
 use std::fmt;
 use std::fs::{self, File};
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tcgs_codec::{CompactScene, DecodeLimits, SceneFile, SceneInfo, SegmentCache, UpAxis};
+use tcgs_codec::{BitMap, CompactScene, DecodeLimits, Quantizers, SceneFile, SceneInfo, SegmentCache, UpAxis};
 use tcgs_core::{Activated, DynamicGaussians, Gaussians, Layout, SceneReader, activate};
 use tcgs_interchange::{HigherHarmonics, ParamsOrigin, PlyFiles};
 use tcgs_train::{Checkpoint, Run};
@@ -175,9 +175,19 @@ impl OpenScene {
         })
     }
 
-    fn open_file(path: &Path, file: File) -> Result<Self, PipelineError> {
-        let scene = SceneFile::open(file, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES)
-            .map_err(|error| PipelineError::Decode { path: path.into(), error })?;
+    fn open_file(path: &Path, mut file: File) -> Result<Self, PipelineError> {
+        let decode_error = |error| PipelineError::Decode { path: path.into(), error };
+        let again = file.try_clone().map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+        let scene =
+            SceneFile::open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
+        // Data of applications are small, and no segment is: their checksums are verified now.
+        for (index, range) in scene.archive().application_ranges().into_iter().enumerate() {
+            let mut bytes = Vec::new();
+            file.seek(SeekFrom::Start(range.start))
+                .and_then(|_| (&mut file).take(range.end - range.start).read_to_end(&mut bytes))
+                .map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+            scene.archive().read_application(index, &bytes).map_err(decode_error)?;
+        }
         let info = scene.info();
         Ok(Self {
             path: path.into(),
@@ -385,6 +395,13 @@ impl OpenScene {
         }
     }
 
+    /// Bits and quantizers that a run learned; none of another scene, or where quantisation was off.
+    pub(crate) fn learned_bits(&self) -> Result<Option<(BitMap, Quantizers)>, PipelineError> {
+        let Content::Run(run) = &self.content else { return Ok(None) };
+        let last = run.checkpoint(run.num_timesteps - 1)?;
+        Ok(last.quantizers.map(|q| (q.bit_map.clone(), q.table())))
+    }
+
     /// The first checkpoint of a run.
     pub(crate) fn first_checkpoint(&self) -> Option<&Checkpoint> {
         match &self.content {
@@ -449,7 +466,7 @@ impl SceneReader for OpenScene {
 }
 
 /// Bytes of a scene of floats whose scales and opacities stand still.
-fn raw_bytes(num_gaussians: usize, num_timesteps: usize) -> u64 {
+pub(crate) fn raw_bytes(num_gaussians: usize, num_timesteps: usize) -> u64 {
     num_gaussians as u64 * (40 * num_timesteps as u64 + 16)
 }
 

@@ -2,61 +2,23 @@
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 
+mod support;
+
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 
+use support::{files, open};
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_codec::{CompressSettings, DecodeLimits, inspect};
 use tcgs_core::{DynamicGaussians, Gaussians, Tour};
-use tcgs_interchange::{ParamsExtras, write_params_npz, write_ply_to};
+use tcgs_interchange::write_ply_to;
 use tcgs_pipeline::{
     Backend, CameraAt, CompressOptions, EvaluateSettings, Event, Export, Fault, HasFault, Judge, JudgeImages,
     OpenScene, OpenSettings, PipelineError, PrunedScene, Target, Unobserved, compress_scene, evaluate, fit,
     new_trainer, read_camera_path, render, search, settings_for,
 };
 use tcgs_train::{Preset, Run};
-
-/// A folder with `capture`, `run` of three timesteps, `params.npz`, `scene.tcgs` and `plys`; nobody writes to it.
-fn files() -> &'static Path {
-    static FILES: OnceLock<tempfile::TempDir> = OnceLock::new();
-    FILES
-        .get_or_init(|| {
-            let folder = tempfile::tempdir().unwrap();
-            let path = |name: &str| folder.path().join(name);
-            let small = SyntheticSettings {
-                width: 48,
-                height: 36,
-                num_train_cameras: 4,
-                num_test_cameras: 1,
-                num_timesteps: 3,
-                num_points: 300,
-                seed: 0,
-            };
-            write_synthetic(&path("capture"), &small).unwrap();
-            let capture = Capture::open(&path("capture")).unwrap();
-            let mut config = settings_for(Preset::Fast, &capture);
-            (config.schedule.first_iterations, config.schedule.rest_iterations) = (12, 6);
-            config.data.capture = path("capture").display().to_string();
-            let run = Run::create(&path("run"), &config).unwrap();
-            let trainer = new_trainer(&config, &capture, &Backend::Cpu).unwrap();
-            fit(&capture, &run, trainer, &mut Unobserved).unwrap();
-
-            let scene = open(&path("run"));
-            let compressed = compress_scene(&scene, &CompressOptions::default()).unwrap();
-            fs::write(path("scene.tcgs"), compressed.file).unwrap();
-            write_params_npz(&path("params.npz"), &scene.floats().unwrap(), &ParamsExtras::default()).unwrap();
-            fs::create_dir(path("plys")).unwrap();
-            Export::new(&scene).unwrap().write_ply_folder(0..3, &path("plys"), &mut Unobserved).unwrap();
-            folder
-        })
-        .path()
-}
-
-fn open(path: &Path) -> OpenScene {
-    OpenScene::open(path, OpenSettings::default()).unwrap()
-}
 
 /// Asserts that an error is the input's fault and one line with these words.
 #[track_caller]

@@ -16,7 +16,7 @@ type Vector = [f64; 3];
 
 /// Where a camera stands and what it turns around.
 #[derive(Clone, Debug, PartialEq)]
-struct Pose {
+struct CameraPose {
     /// Right, down, forward in the world: rows of the rotation of `camera_from_world`.
     axes: [Vector; 3],
     position: Vector,
@@ -28,7 +28,7 @@ struct Pose {
     is_moved: bool,
 }
 
-impl Pose {
+impl CameraPose {
     fn of(camera: &Camera, distance: f64) -> Self {
         let m = &camera.camera_from_world;
         Self {
@@ -48,8 +48,8 @@ impl Pose {
 /// A camera that a person moves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Controls {
-    start: Pose,
-    pose: Pose,
+    start: CameraPose,
+    pose: CameraPose,
     up: Vector,
 }
 
@@ -69,7 +69,7 @@ impl Controls {
     /// assert_eq!(controls.camera([64, 48]), start);
     /// ```
     pub fn new(start: &Camera, up: Vector, pivot: Vector) -> Self {
-        let pose = Pose::of(start, ahead(start, pivot));
+        let pose = CameraPose::of(start, ahead(start, pivot));
         Self { start: pose.clone(), pose, up: normalize(up) }
     }
 
@@ -77,7 +77,7 @@ impl Controls {
     ///
     /// - `[width, height]`: pixels
     pub fn camera(&self, [width, height]: [usize; 2]) -> Camera {
-        let Pose { axes, position, given, is_moved, .. } = &self.pose;
+        let CameraPose { axes, position, given, is_moved, .. } = &self.pose;
         let camera = given.fitted(width, height);
         if !is_moved {
             return camera;
@@ -94,7 +94,7 @@ impl Controls {
         let Camera { width, height, focal: [fx, fy], principal: [cx, cy], camera_from_world } = *camera;
         let intrinsics = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]];
         let camera = Camera::new(width, height, intrinsics, camera_from_world)?;
-        self.pose = Pose::of(&camera, ahead(&camera, self.pose.pivot()));
+        self.pose = CameraPose::of(&camera, ahead(&camera, self.pose.pivot()));
         Ok(())
     }
 

@@ -11,7 +11,7 @@ use crate::source::{Piece, SourceError};
 
 /// Status and headers of an answer.
 #[derive(Clone, Debug, Default)]
-pub struct Head {
+pub struct AnswerHead {
     /// HTTP status, such as 206.
     pub status: u16,
     /// Words of the status, such as `Partial Content`.
@@ -92,8 +92,8 @@ impl Inbox {
     /// # Errors
     /// [`SourceError::Interrupted`] if the server is in trouble that may pass, [`SourceError::Refused`] if it answers with
     /// another status or if the file has changed since an earlier answer.
-    pub fn begin(&mut self, what: &str, head: Head) -> Result<bool, SourceError> {
-        let Head { status, status_text, length, version } = head;
+    pub fn begin(&mut self, what: &str, head: AnswerHead) -> Result<bool, SourceError> {
+        let AnswerHead { status, status_text, length, version } = head;
         if ![200, 206, 416].contains(&status) {
             let (what, problem) = (what.to_owned(), format!("the server answers {status} {status_text}"));
             // Too slow, too many requests, or a server in trouble: another request may succeed.
@@ -197,8 +197,8 @@ mod tests {
 
     const WHAT: &str = "http://host/a.tcgs";
 
-    fn head(status: u16) -> Head {
-        Head { status, status_text: "why".into(), length: Some(10), version: Some("\"a\"".into()) }
+    fn head(status: u16) -> AnswerHead {
+        AnswerHead { status, status_text: "why".into(), length: Some(10), version: Some("\"a\"".into()) }
     }
 
     fn broken() -> SourceError {
@@ -284,9 +284,9 @@ mod tests {
 
     #[test]
     fn a_file_that_changes_meanwhile_is_told() {
-        let longer = Head { length: Some(11), ..head(206) };
-        let other = Head { version: Some("\"b\"".into()), ..head(200) };
-        let silent = Head { length: None, version: None, ..head(206) };
+        let longer = AnswerHead { length: Some(11), ..head(206) };
+        let other = AnswerHead { version: Some("\"b\"".into()), ..head(200) };
+        let silent = AnswerHead { length: None, version: None, ..head(206) };
         for changed in [longer, other] {
             let mut inbox = Inbox::new(None);
             for same in [&silent, &head(206), &silent] {

@@ -11,7 +11,7 @@ use tcgs_core::{Activation, Attribute, Layout, activate, normalize};
 use tcgs_render::device::{MAX_GROUPS_X, WORKGROUP, Wgsl, pack};
 use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
-/// What a kernel knows of its attribute; `Tracks` in the shader.
+/// What a kernel knows of its attribute; of the same name in the shader.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 struct TrackUniform {

@@ -7,11 +7,11 @@
 // A unit is UNIT components that share their keypoint times: all components of an attribute, or one. The host puts the
 // constants before this source: UNIT; ACTIVATION, that of the interpolated values; its values EXP, SIGMOID, NORMALIZE.
 
-struct Frame {
+struct TimestepUniform {
     timestep: u32,
 }
 
-struct Tracks {
+struct TrackUniform {
     // Units that move; for normalize_quats, Gaussians.
     count: u32,
     // Index of the attribute's first value in values.
@@ -21,8 +21,8 @@ struct Tracks {
     codes_at: u32,
 }
 
-@group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<uniform> tracks: Tracks;
+@group(0) @binding(0) var<uniform> frame: TimestepUniform;
+@group(0) @binding(1) var<uniform> tracks: TrackUniform;
 // [units]: index of the unit's first value within the attribute, index of its first quantizer
 @group(0) @binding(2) var<storage, read> units: array<vec2<u32>>;
 // step, offset

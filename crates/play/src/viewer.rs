@@ -63,12 +63,12 @@ pub struct Viewer<S> {
 struct Session<S> {
     player: Player<S>,
     /// There once the first segment has arrived.
-    picture: Option<Picture>,
+    display: Option<Display>,
 }
 
 /// What it takes to draw the scene.
 #[derive(Debug)]
-struct Picture {
+struct Display {
     renderer: SegmentRenderer,
     controls: Controls,
     /// Segment and timestep that are drawn until the next due timestep has arrived.
@@ -87,7 +87,7 @@ impl<S: RangeSource> Viewer<S> {
     ///
     /// - `first_timestep`: the timestep that is shown first; the last one of the scene if it has fewer
     pub fn open(&mut self, source: S, settings: PlayerSettings, first_timestep: usize) {
-        self.session = Some(Session { player: Player::new(source, settings, first_timestep), picture: None });
+        self.session = Some(Session { player: Player::new(source, settings, first_timestep), display: None });
     }
 
     /// Closes the scene.
@@ -106,17 +106,17 @@ impl<S: RangeSource> Viewer<S> {
         let Some(session) = &mut self.session else { return Ok(false) };
         session.player.update(now_ms)?;
         if let Some((segment, timestep)) = session.player.current() {
-            match &mut session.picture {
-                Some(picture) => {
-                    if picture.shown.1 != timestep {
-                        picture.shown = (segment.clone(), timestep);
+            match &mut session.display {
+                Some(display) => {
+                    if display.shown.1 != timestep {
+                        display.shown = (segment.clone(), timestep);
                     }
                 }
                 None => {
                     let first = segment.first();
                     let up = segment.info().up.direction();
                     let (camera, pivot) = start_view(first.means(), up);
-                    session.picture = Some(Picture {
+                    session.display = Some(Display {
                         renderer: SegmentRenderer::new(&self.gpu, self.format, segment)?,
                         controls: Controls::new(&camera, up, pivot),
                         shown: (segment.clone(), timestep),
@@ -124,7 +124,7 @@ impl<S: RangeSource> Viewer<S> {
                 }
             }
         }
-        Ok(session.picture.is_some())
+        Ok(session.display.is_some())
     }
 
     /// Draws the timestep that was due at the last update, or the timestep shown before as long as the due one has not
@@ -136,15 +136,15 @@ impl<S: RangeSource> Viewer<S> {
     /// # Errors
     /// [`PlayError::Gpu`] if the GPU fails.
     pub fn draw(&mut self, size: [usize; 2], target: &wgpu::TextureView) -> Result<Option<FrameReport>, PlayError> {
-        let Some(Session { player, picture: Some(picture) }) = &mut self.session else {
+        let Some(Session { player, display: Some(display) }) = &mut self.session else {
             segment_renderer::clear(&self.gpu, target, self.background);
             self.gpu.check()?;
             return Ok(None);
         };
-        let camera = picture.controls.camera(size);
-        let (segment, timestep) = &picture.shown;
+        let camera = display.controls.camera(size);
+        let (segment, timestep) = &display.shown;
         let request = PictureRequest { segment, timestep: *timestep, camera: &camera, background: self.background };
-        picture.renderer.draw(&request, target)?;
+        display.renderer.draw(&request, target)?;
         Ok(player.clock().map(|clock| {
             let is_buffering = player.current().is_none();
             FrameReport {
@@ -152,7 +152,7 @@ impl<S: RangeSource> Viewer<S> {
                 timestep: clock.timestep(),
                 is_playing: clock.is_playing(),
                 is_buffering,
-                is_drawn: !is_buffering && picture.renderer.is_whole(),
+                is_drawn: !is_buffering && display.renderer.is_whole(),
             }
         }))
     }
@@ -165,11 +165,11 @@ impl<S: RangeSource> Viewer<S> {
     /// # Errors
     /// [`PlayError::Gpu`] if the GPU fails.
     pub fn begin_still(&mut self, size: [usize; 2]) -> Result<Option<Still>, PlayError> {
-        let Some(Session { player, picture: Some(picture) }) = &mut self.session else { return Ok(None) };
+        let Some(Session { player, display: Some(display) }) = &mut self.session else { return Ok(None) };
         let Some((segment, timestep)) = player.current() else { return Ok(None) };
-        let camera = picture.controls.camera(size);
+        let camera = display.controls.camera(size);
         let request = PictureRequest { segment, timestep, camera: &camera, background: self.background };
-        Ok(Some(picture.renderer.begin_still(&request)?))
+        Ok(Some(display.renderer.begin_still(&request)?))
     }
 
     /// Takes the pixels of a still that is ready, as [`SegmentRenderer::finish_still`] does.
@@ -178,7 +178,7 @@ impl<S: RangeSource> Viewer<S> {
     /// [`PlayError::Gpu`] if the GPU fails.
     pub fn finish_still(&mut self, still: &Still) -> Result<Option<Vec<u8>>, PlayError> {
         match &mut self.session {
-            Some(Session { picture: Some(picture), .. }) => Ok(picture.renderer.finish_still(still)?),
+            Some(Session { display: Some(display), .. }) => Ok(display.renderer.finish_still(still)?),
             _ => Ok(None),
         }
     }
@@ -217,13 +217,13 @@ impl<S: RangeSource> Viewer<S> {
 
     /// The camera's controls, once there is a picture.
     pub fn controls_mut(&mut self) -> Option<&mut Controls> {
-        Some(&mut self.session.as_mut()?.picture.as_mut()?.controls)
+        Some(&mut self.session.as_mut()?.display.as_mut()?.controls)
     }
 
     /// The camera for a picture of some size, once there is a picture.
     ///
     /// - `size`: width and height, pixels
     pub fn camera(&self, size: [usize; 2]) -> Option<Camera> {
-        Some(self.session.as_ref()?.picture.as_ref()?.controls.camera(size))
+        Some(self.session.as_ref()?.display.as_ref()?.controls.camera(size))
     }
 }

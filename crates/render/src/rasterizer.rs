@@ -8,7 +8,7 @@ use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 use crate::device::GpuError;
 use crate::settings::MAX_CHANNELS;
 
-/// How to render.
+/// What a renderer needs beside Gaussians and a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RenderSettings {
     /// Colour behind everything, one value a channel. Default: black (reference).
@@ -92,7 +92,7 @@ pub trait Draw: Send + Sync {
     /// How it fails; [`Infallible`](std::convert::Infallible) for the renderer on the CPU.
     type Error: Error + Send + Sync + 'static;
 
-    /// What draws, for reports: `cpu, 2 threads`.
+    /// Name of the device for reports: `cpu, 2 threads`.
     fn name(&self) -> String;
 
     /// Renders all channels of `gaussians.colors` in one pass; as [`Rasterizer::forward`].

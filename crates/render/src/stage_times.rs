@@ -5,16 +5,25 @@ use std::time::Instant;
 /// Milliseconds of each stage of one computation, in the order in which they ran.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StageTimes {
-    /// By name.
+    /// Name and milliseconds of each stage.
     pub stages: Vec<(&'static str, f64)>,
-    /// From the first stage's begin to the last one's end: more than their sum where time passes between them.
+    /// Milliseconds from the begin of the first stage to the end of the last: more than the sum of the stages where time
+    /// passes between them.
     pub total: f64,
 }
 
 /// Names of the stages of drawing and its gradient; every renderer has these.
 pub const RENDER_STAGES: [&str; 5] = ["project", "sort", "rasterize", "rasterize backward", "project backward"];
 
-/// A clock of the CPU, read where one stage ends and the next begins.
+/// A stopwatch on the CPU, read where one stage ends and the next begins.
+///
+/// ```
+/// use tcgs_render::Laps;
+/// let mut laps = Laps::begin();
+/// laps.lap("project");
+/// laps.lap("sort");
+/// assert_eq!(laps.finish().stages.len(), 2);
+/// ```
 #[derive(Clone, Debug)]
 pub struct Laps {
     begin: Instant,
@@ -23,20 +32,20 @@ pub struct Laps {
 }
 
 impl Laps {
-    /// Begins the first stage.
+    /// Starts the stopwatch: the first stage begins.
     pub fn begin() -> Self {
         let now = Instant::now();
         Self { begin: now, last: now, stages: Vec::new() }
     }
 
-    /// Ends a stage, and begins the next.
+    /// Ends the running stage, gives it a name, and begins the next.
     pub fn lap(&mut self, stage: &'static str) {
         let now = Instant::now();
         self.stages.push((stage, ms(now - self.last)));
         self.last = now;
     }
 
-    /// The times so far.
+    /// The stages that ended, in their order.
     pub fn finish(self) -> StageTimes {
         StageTimes { stages: self.stages, total: ms(self.last - self.begin) }
     }
@@ -46,7 +55,7 @@ fn ms(duration: std::time::Duration) -> f64 {
     duration.as_secs_f64() * 1e3
 }
 
-/// How much there is to blend, which decides how long it takes.
+/// How much an image has to blend, which decides how long drawing takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PairCounts {
     /// Combinations of a tile and a splat that may reach it.

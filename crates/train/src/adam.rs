@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::state::Row;
+use crate::row::Row;
 
 /// Decay of the first moments.
 pub(crate) const BETA1: f32 = 0.9;

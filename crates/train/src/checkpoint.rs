@@ -11,8 +11,9 @@ use tcgs_interchange::{Existing, InterchangeError, NpyValue, NpzReader, NpzWrite
 
 use crate::TrainError;
 use crate::fake_quant::FakeQuantizers;
+use crate::lifetimes::Lifetimes;
 use crate::parameters::Parameters;
-use crate::state::{Lifetimes, Optimizer, goes_on};
+use crate::state::{Optimizer, goes_on};
 
 /// State at the end of one timestep.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,7 +6,8 @@ use rand_pcg::Pcg64Mcg;
 use tcgs_core::{Attribute, normalize, rotmat_from_unit_quat, sigmoid};
 
 use crate::config::DensifyConfig;
-use crate::state::{GradientStatistic, Row, State};
+use crate::row::Row;
+use crate::state::{GradientStatistic, State};
 
 /// What one densification did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

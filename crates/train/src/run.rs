@@ -3,6 +3,7 @@
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
@@ -155,7 +156,7 @@ impl Run {
             return Err(TrainError::File { path: self.folder.join("checkpoints"), problem });
         }
         let first = self.checkpoint(0, None)?;
-        let mut scene = DynamicGaussians::default();
+        let mut scene = DynamicGaussians::new(Arc::clone(first.parameters.gaussians.layout()));
         let mut mask_logits = Vec::with_capacity(finished);
         let mut quantizers = first.quantizers.clone();
         scene.push(first.parameters.gaussians.clone());

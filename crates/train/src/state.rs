@@ -8,102 +8,10 @@ use tcgs_core::{Attribute, Column, Columns, RateGroup, normalize, role};
 
 use crate::adam::{Moments, adam};
 use crate::fake_quant::FakeQuantizers;
+use crate::lifetimes::Lifetimes;
 use crate::motion::Past;
 use crate::parameters::Parameters;
-
-/// Where a Gaussian of a reshaped state comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Row {
-    /// It was there before, at this index.
-    Kept(usize),
-    /// It is new and starts as the one at this index is, without its moments: a clone, or a child of a split.
-    New {
-        /// Index of the one it starts from.
-        parent: usize,
-    },
-}
-
-impl Row {
-    /// Index of the Gaussian whose values it has.
-    pub fn source(self) -> usize {
-        match self {
-            Self::Kept(i) | Self::New { parent: i } => i,
-        }
-    }
-
-    /// Index where it was before, unless it is new.
-    pub fn kept(self) -> Option<usize> {
-        match self {
-            Self::Kept(i) => Some(i),
-            Self::New { .. } => None,
-        }
-    }
-}
-
-/// Who each Gaussian is, and from when to when it lives: columns of integers.
-///
-/// Today every Gaussian that the first timestep leaves lives at all timesteps.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Lifetimes {
-    /// `[N]` an identity that stays while rows are reordered and removed, and is not given twice.
-    pub ids: Vec<u32>,
-    /// `[N]` first timestep at which it lives.
-    pub births: Vec<u32>,
-    /// `[N]` first timestep at which it lives no more; [`Self::NEVER`] of one that has not died.
-    pub deaths: Vec<u32>,
-    /// The next identity to give.
-    next_id: u32,
-}
-
-impl Lifetimes {
-    /// The death of a Gaussian that has not died.
-    pub const NEVER: u32 = u32::MAX;
-
-    /// `num_gaussians` that live from the first timestep on, numbered from 0 in their order.
-    pub fn new(num_gaussians: usize) -> Self {
-        let next_id = u32::try_from(num_gaussians).expect("fewer than 2^32 Gaussians");
-        let (births, deaths) = (vec![0; num_gaussians], vec![Self::NEVER; num_gaussians]);
-        Self { ids: (0..next_id).collect(), births, deaths, next_id }
-    }
-
-    /// Lifetimes as a file holds them.
-    ///
-    /// - `ids`, `births`, `deaths`: `[N]`; see the fields
-    ///
-    /// # Panics
-    /// If lengths differ.
-    pub fn from_columns(ids: Vec<u32>, births: Vec<u32>, deaths: Vec<u32>) -> Self {
-        assert_eq!([births.len(), deaths.len()], [ids.len(); 2], "births and deaths against identities");
-        let next_id = ids.iter().max().map_or(0, |&id| id.saturating_add(1));
-        Self { ids, births, deaths, next_id }
-    }
-
-    /// Whether all live from the first timestep on, have not died, and are numbered in their order.
-    pub fn are_whole(&self) -> bool {
-        let whole = |(i, ((&id, &birth), &death)): (usize, ((&u32, &u32), &u32))| {
-            id as usize == i && birth == 0 && death == Self::NEVER
-        };
-        self.ids.iter().zip(&self.births).zip(&self.deaths).enumerate().all(whole)
-    }
-
-    /// - `timestep`: at which what is new is born
-    fn gather(&mut self, rows: &[Row], timestep: u32) {
-        let old = std::mem::take(self);
-        self.next_id = old.next_id;
-        for row in rows {
-            let (id, birth, death) = match row.kept() {
-                Some(i) => (old.ids[i], old.births[i], old.deaths[i]),
-                None => {
-                    self.next_id += 1;
-                    (self.next_id - 1, timestep, Self::NEVER)
-                }
-            };
-            self.ids.push(id);
-            self.births.push(birth);
-            self.deaths.push(death);
-        }
-    }
-}
+use crate::row::Row;
 
 /// Adam's moments of everything.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -78,23 +78,37 @@ impl Trainer {
         cameras: &[Camera],
         make: impl FnOnce(State) -> Box<dyn Engine>,
     ) -> Result<Self, TrainError> {
-        let input = |what: &str, expected: &str| TrainError::Input {
-            what: what.into(),
-            found: "none".into(),
-            expected: expected.into(),
-        };
         if cloud.points.is_empty() {
-            return Err(input("points of the initial cloud", "at least 1"));
+            return Err(none("points of the initial cloud"));
+        }
+        let parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
+        Self::from_parameters(config, parameters, cameras, make)
+    }
+
+    /// Starts a run from Gaussians that are there already, with whatever columns they have.
+    ///
+    /// - `parameters`: with gains and offsets of as many cameras as `cameras`
+    /// - `cameras`, `make`: as of [`Self::with_engine`]
+    ///
+    /// # Errors
+    /// [`TrainError::Input`] if there are no Gaussians or cameras.
+    pub fn from_parameters(
+        config: &TrainConfig,
+        parameters: Parameters,
+        cameras: &[Camera],
+        make: impl FnOnce(State) -> Box<dyn Engine>,
+    ) -> Result<Self, TrainError> {
+        if parameters.num_gaussians() == 0 {
+            return Err(none("Gaussians to start from"));
         }
         if cameras.is_empty() {
-            return Err(input("training cameras", "at least 1"));
+            return Err(none("training cameras"));
         }
         let radius = match scene_radius(cameras) {
             // Cameras at one place say nothing of the scene's extent.
-            0.0 => distance_to_points(&cameras[0], cloud),
+            0.0 => distance_to(&cameras[0], parameters.gaussians.means()),
             radius => radius,
         };
-        let parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
         Ok(Self {
             config: config.clone(),
             schedule: Schedule::new(config, radius),
@@ -401,11 +415,16 @@ impl Trainer {
     }
 }
 
-/// Root mean squared distance of a camera to the points, scene units.
-fn distance_to_points(camera: &Camera, cloud: &PointCloud) -> f32 {
+/// That something is missing.
+fn none(what: &str) -> TrainError {
+    TrainError::Input { what: what.into(), found: "none".into(), expected: "at least 1".into() }
+}
+
+/// Root mean squared distance of a camera to points, scene units.
+fn distance_to(camera: &Camera, points: &[[f32; 3]]) -> f32 {
     let center = camera.center();
     let squared = |p: &[f32; 3]| (0..3).map(|i| (f64::from(p[i]) - center[i]).powi(2)).sum::<f64>();
-    (cloud.points.iter().map(squared).sum::<f64>() / cloud.points.len() as f64).sqrt() as f32
+    (points.iter().map(squared).sum::<f64>() / points.len() as f64).sqrt() as f32
 }
 
 /// A run's settings in the codec's words.

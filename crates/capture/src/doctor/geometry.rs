@@ -4,7 +4,8 @@
 use rayon::prelude::*;
 use tcgs_core::{Camera, Pinhole, View};
 
-use super::{Finding, FindingKind, list, splat::Splats};
+use super::splat::{Drawing, MIN_COVERAGE, Splats, smoothness};
+use super::{Finding, FindingKind, list};
 use crate::{points_in_view, prepare::vantage::Vantage};
 
 /// By how much a hypothesis must fit better than what the capture says.
@@ -13,6 +14,16 @@ const CLEARLY: f64 = 0.12;
 const MIN_FIT: f64 = 0.35;
 /// Below this a camera does not fit, whatever the reason.
 const NO_FIT: f64 = 0.2;
+/// Healthy cameras fit better than this.
+const HEALTHY_FIT: f64 = 0.5;
+/// By how many standard deviations of wrong correlations two correlations must differ. In the faults of the tests the
+/// right hypothesis is at least 5.6 better than what the capture says.
+const SIGNIFICANT: f64 = 3.0;
+/// Wrong shifts: steps in each direction, and share of the image's width between two.
+const NULL_STEPS: i32 = 2;
+const NULL_SPACING: f64 = 0.125;
+/// Wrong shifts that it takes to know their scatter.
+const MIN_NULL: usize = 8;
 /// Lenses that are tried: factors of the focal lengths.
 const FOCAL_FACTORS: [f64; 16] =
     [0.25, 0.333, 0.4, 0.5, 0.571, 0.667, 0.75, 0.833, 0.91, 1.1, 1.2, 1.333, 1.5, 1.75, 2.0, 4.0];
@@ -27,8 +38,22 @@ const MIN_APART: f64 = 0.02;
 
 /// How a camera fits, and what would fit better.
 pub(super) struct Judged {
-    pub fit: f64,
-    pub finding: Option<Hypothesis>,
+    /// Nothing, where there is too little to compare.
+    pub fit: Option<f64>,
+    pub verdict: Verdict,
+}
+
+/// What is said of a camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Verdict {
+    /// Nothing fits clearly better.
+    Fits,
+    /// This does.
+    Wrong(Hypothesis),
+    /// Image and points do not fit, and no hypothesis explains it.
+    Lost,
+    /// Too little texture, or too few points, to tell a right camera from a wrong one.
+    Undecided,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,40 +75,139 @@ pub(super) enum Hypothesis {
 pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<Judged> {
     let vantages: Vec<Vantage> = views.par_iter().map(|view| Vantage::new(view, 1)).collect();
     let drawings: Vec<_> = vantages.par_iter().map(|vantage| splats.draw(&vantage.pinhole)).collect();
+    let mut coverages: Vec<f64> = drawings.iter().map(Drawing::coverage).collect();
+    coverages.sort_by(f64::total_cmp);
+    let point_smoothness = splats.smoothness();
+    let typical_coverage = coverages[coverages.len() / 2];
     (0..views.len())
         .into_par_iter()
         .map(|i| {
             let colors = &vantages[i].colors;
             let camera = &views[i].camera;
             let same_size = |j: usize| views[j].camera.width == camera.width && views[j].camera.height == camera.height;
-            let fit = drawings[i].fit(colors, [0; 2], 1);
-            let with = |camera: &Camera| splats.draw(&Pinhole::new(camera)).fit(colors, [0; 2], 1);
+            let given = drawings[i].fit(colors, [0; 2], 1);
+            let fit = given.unwrap_or(0.0);
+            let with = |camera: &Camera| splats.draw(&Pinhole::new(camera)).fit(colors, [0; 2], 1).unwrap_or(0.0);
             let mut best = (fit + CLEARLY, None);
-            let mut consider = |fit: f64, hypothesis: Hypothesis| {
+            let mut consider = |fit: f64, hypothesis: Hypothesis, shift: [i32; 2]| {
                 if fit > best.0 && fit > MIN_FIT {
-                    best = (fit, Some(hypothesis));
+                    best = (fit, Some((hypothesis, shift)));
                 }
             };
             // From the likeliest to the least likely: of two that fit alike the first is kept.
-            consider(with(&points_in_view::inverse(camera)), Hypothesis::Inverted);
+            consider(with(&points_in_view::inverse(camera)), Hypothesis::Inverted, [0; 2]);
             for j in (0..views.len()).filter(|&j| j != i && same_size(j) && is_apart(views, i, j)) {
-                consider(drawings[j].fit(colors, [0; 2], 1), Hypothesis::PoseOf(j));
+                consider(drawings[j].fit(colors, [0; 2], 1).unwrap_or(0.0), Hypothesis::PoseOf(j), [0; 2]);
             }
             for factor in SIZE_FACTORS {
-                consider(with(&scaled(camera, factor, factor)), Hypothesis::MeantForSize(factor));
+                consider(with(&scaled(camera, factor, factor)), Hypothesis::MeantForSize(factor), [0; 2]);
             }
             for factor in FOCAL_FACTORS {
-                consider(with(&scaled(camera, factor, 1.0)), Hypothesis::Focal(factor));
+                consider(with(&scaled(camera, factor, 1.0)), Hypothesis::Focal(factor), [0; 2]);
             }
             let most = (MAX_SHIFT * camera.width as f64) as i32;
-            let (shift, shifted) = best_shift(most, |shift, step| drawings[i].fit(colors, shift, step));
+            let (shift, shifted) = best_shift(most, |shift, step| drawings[i].fit(colors, shift, step).unwrap_or(0.0));
             if f64::from(shift[0]).hypot(f64::from(shift[1])) >= MIN_SHIFT * camera.width as f64 {
-                let shift = shift.map(|pixels| f64::from(pixels) * pixels_per as f64);
-                consider(shifted, Hypothesis::Principal(shift));
+                let pixels = shift.map(|pixels| f64::from(pixels) * pixels_per as f64);
+                consider(shifted, Hypothesis::Principal(pixels), shift);
             }
-            Judged { fit, finding: best.1 }
+            // What a right camera reaches at most, for the noise in the points' colours and in the image.
+            let attainable = (point_smoothness * smoothness(colors, camera.width)).sqrt();
+            let verdict = match best {
+                (better, Some((hypothesis, shift))) => {
+                    let drawn = match hypothesis {
+                        Hypothesis::Inverted => &splats.draw(&Pinhole::new(&points_in_view::inverse(camera))),
+                        Hypothesis::PoseOf(j) => &drawings[j],
+                        Hypothesis::MeantForSize(factor) => {
+                            &splats.draw(&Pinhole::new(&scaled(camera, factor, factor)))
+                        }
+                        Hypothesis::Focal(factor) => &splats.draw(&Pinhole::new(&scaled(camera, factor, 1.0))),
+                        Hypothesis::Principal(_) => &drawings[i],
+                    };
+                    let is_sure = attainable > MIN_FIT
+                        && Null::of(drawn, colors, shift)
+                            .is_some_and(|null| null.is_beaten_by(better) && null.tells_apart(better, fit.max(0.0)));
+                    if is_sure { Verdict::Wrong(hypothesis) } else { Verdict::Undecided }
+                }
+                _ if given.is_some_and(|fit| fit >= NO_FIT) => Verdict::Fits,
+                _ if given.is_none() => {
+                    // Where the points fill the others' images, a camera that sees few of them looks elsewhere.
+                    let looks_elsewhere =
+                        drawings[i].coverage() < MIN_COVERAGE && typical_coverage > 3.0 * MIN_COVERAGE;
+                    if looks_elsewhere { Verdict::Lost } else { Verdict::Undecided }
+                }
+                _ => {
+                    let healthy = HEALTHY_FIT * attainable;
+                    match Null::of(&drawings[i], colors, [0; 2]) {
+                        Some(null) if null.is_beaten_by(fit) && null.stands_out(fit) => Verdict::Fits,
+                        Some(null) if null.tells_apart(healthy, fit) => Verdict::Lost,
+                        _ => Verdict::Undecided,
+                    }
+                }
+            };
+            Judged { fit: given, verdict }
         })
         .collect()
+}
+
+/// How points and image correlate where they should not: moved against each other by more than a calibration errs.
+///
+/// Smooth pictures of few things correlate with anything, so that these correlations scatter widely; in a picture of much
+/// texture they are all near zero. Their scatter is the error of a correlation found in this picture, in Fisher's
+/// `atanh`, whatever the number of pixels: it counts independent patches.
+struct Null {
+    /// `atanh` of the correlations.
+    values: Vec<f64>,
+    /// Standard deviation of the difference of two correlations over so many points as are drawn, were each a sample of
+    /// its own: few points agree with anything in one of the many places that are tried.
+    sampling: f64,
+}
+
+impl Null {
+    /// Nothing where too few of the shifts leave enough to compare.
+    ///
+    /// - `around`: the shift that is judged
+    fn of(drawing: &Drawing, colors: &[[f32; 3]], around: [i32; 2]) -> Option<Self> {
+        let spacing = (NULL_SPACING * drawing.width as f64).round().max(2.0) as i32;
+        let shifts = (-NULL_STEPS..=NULL_STEPS).flat_map(|y| (-NULL_STEPS..=NULL_STEPS).map(move |x| [x, y]));
+        let values: Vec<f64> = shifts
+            .filter(|&shift| shift != [0; 2])
+            .filter_map(|[x, y]| drawing.fit(colors, [around[0] + x * spacing, around[1] + y * spacing], 2))
+            .map(fisher)
+            .collect();
+        let sampling = (2.0 / (drawing.num_points as f64 - 3.0).max(1.0)).sqrt();
+        (values.len() >= MIN_NULL).then_some(Self { values, sampling })
+    }
+
+    /// Whether a correlation is larger than all wrong ones.
+    fn is_beaten_by(&self, fit: f64) -> bool {
+        self.values.iter().all(|&value| fisher(fit) > value)
+    }
+
+    /// Whether one correlation is larger than another by more than the error of both.
+    fn tells_apart(&self, larger: f64, smaller: f64) -> bool {
+        fisher(larger) - fisher(smaller) > SIGNIFICANT * self.scatter()
+    }
+
+    /// Whether a correlation is larger than wrong ones are on average, by more than their error.
+    fn stands_out(&self, fit: f64) -> bool {
+        fisher(fit) - self.mean() > SIGNIFICANT * self.scatter()
+    }
+
+    fn mean(&self) -> f64 {
+        self.values.iter().sum::<f64>() / self.values.len() as f64
+    }
+
+    /// Error of a correlation: the standard deviation of wrong ones, or what the number of points allows.
+    fn scatter(&self) -> f64 {
+        let (count, mean) = (self.values.len() as f64, self.mean());
+        (self.values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0)).sqrt().max(self.sampling)
+    }
+}
+
+/// Fisher's transformation: the error of a transformed correlation does not depend on the correlation.
+fn fisher(correlation: f64) -> f64 {
+    correlation.clamp(-0.999, 0.999).atanh()
 }
 
 fn is_apart(views: &[View], i: usize, j: usize) -> bool {
@@ -125,7 +249,7 @@ fn best_shift(most: i32, fit: impl Fn([i32; 2], usize) -> f64) -> ([i32; 2], f64
 pub(super) fn findings(views: &[View], judged: &[Judged]) -> Vec<Finding> {
     let id = |i: usize| views[i].camera_id;
     let of = |pick: &dyn Fn(&Hypothesis) -> bool| -> Vec<usize> {
-        (0..views.len()).filter(|&i| judged[i].finding.as_ref().is_some_and(pick)).map(id).collect()
+        (0..views.len()).filter(|&i| matches!(&judged[i].verdict, Verdict::Wrong(h) if pick(h))).map(id).collect()
     };
     let mut findings = Vec::new();
     let inverted = of(&|h| *h == Hypothesis::Inverted);
@@ -137,8 +261,8 @@ pub(super) fn findings(views: &[View], judged: &[Judged]) -> Vec<Finding> {
     let exchanged = of(&|h| matches!(h, Hypothesis::PoseOf(_)));
     if !exchanged.is_empty() {
         let pairs: Vec<String> = (0..views.len())
-            .filter_map(|i| match judged[i].finding {
-                Some(Hypothesis::PoseOf(j)) => Some(format!("{} from that of {}", id(i), id(j))),
+            .filter_map(|i| match judged[i].verdict {
+                Verdict::Wrong(Hypothesis::PoseOf(j)) => Some(format!("{} from that of {}", id(i), id(j))),
                 _ => None,
             })
             .collect();
@@ -166,14 +290,13 @@ pub(super) fn findings(views: &[View], judged: &[Judged]) -> Vec<Finding> {
         }
     }
     for i in 0..views.len() {
-        if let Some(Hypothesis::Principal([x, y])) = judged[i].finding {
+        if let Verdict::Wrong(Hypothesis::Principal([x, y])) = judged[i].verdict {
             let problem = format!("everything is seen {} of where the principal point puts it", direction([x, y]));
             let fix = format!("add about {x:.0} to cx and {y:.0} to cy, or calibrate again: it may be turned a little");
             findings.push(Finding::new(FindingKind::PrincipalPoint, vec![id(i)], problem, fix));
         }
     }
-    let lost: Vec<usize> =
-        (0..views.len()).filter(|&i| judged[i].finding.is_none() && judged[i].fit < NO_FIT).map(id).collect();
+    let lost: Vec<usize> = (0..views.len()).filter(|&i| judged[i].verdict == Verdict::Lost).map(id).collect();
     if !lost.is_empty() {
         let problem = "image and points do not fit, and no single mistake explains it";
         let fix = format!("look at the picture and calibrate {} again", list(&lost));

@@ -15,7 +15,7 @@ mod sync;
 use tcgs_core::{Camera, Image, View};
 
 use crate::{Capture, CaptureError, PrepareSettings, Split, points_in_view, prepare};
-use geometry::Judged;
+use geometry::{Judged, Verdict};
 use splat::Splats;
 
 /// Images are compared at this width at most, pixels.
@@ -105,15 +105,19 @@ pub struct CameraFit {
     /// By the capture's names.
     pub camera_id: usize,
     /// Correlation of its image with the points drawn from its place, -1 to 1; healthy cameras are above a half.
-    /// Nothing where all cameras are wrong in the same way and were not compared one by one.
+    /// Nothing where too few points or too little texture is in sight, and where all cameras are wrong in the same way
+    /// and were not compared one by one.
     pub fit: Option<f64>,
 }
 
 /// What the doctor says.
 #[derive(Clone, Debug)]
 pub struct Diagnosis {
-    /// Nothing, if the capture is healthy.
+    /// What is wrong. Nothing, if the capture is healthy, or if it cannot be told.
     pub findings: Vec<Finding>,
+    /// Cameras of which it cannot be told whether they are right, by the capture's names: image or points have too
+    /// little texture, or too few points are in sight, for a right pose to stand out from wrong ones.
+    pub undecided: Vec<usize>,
     /// Training cameras, then test cameras.
     pub cameras: Vec<CameraFit>,
     /// Whether the points were made for the purpose, for lack of others.
@@ -163,10 +167,12 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
 
     report("drawing the picture");
     let cameras = (0..views.len())
-        .map(|i| CameraFit { camera_id: views[i].camera_id, fit: judged.get(i).map(|judged: &Judged| judged.fit) })
+        .map(|i| CameraFit { camera_id: views[i].camera_id, fit: judged.get(i).and_then(|judged| judged.fit) })
         .collect();
+    let undecided = |judged: &&Judged| judged.verdict == Verdict::Undecided;
+    let undecided = views.iter().zip(judged.iter()).filter(|(_, j)| undecided(j)).map(|(v, _)| v.camera_id).collect();
     let sheet = sheet::draw(&views, &splats, &findings);
-    Ok(Diagnosis { findings, cameras, made_points, sheet })
+    Ok(Diagnosis { findings, undecided, cameras, made_points, sheet })
 }
 
 /// The views as they agree with each other best: as they are, or with all matrices inverted.

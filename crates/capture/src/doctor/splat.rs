@@ -13,7 +13,7 @@ const OVERLAP: f32 = 1.5;
 /// Squares reach at most that many pixels from their middle.
 const MAX_REACH_PX: i32 = 4;
 /// A comparison over fewer pixels of the image than this share says nothing.
-const MIN_COVERAGE: f64 = 0.1;
+pub(super) const MIN_COVERAGE: f64 = 0.1;
 /// Variance of colours below which there is nothing to compare.
 const MIN_VARIANCE: f64 = 1e-5;
 
@@ -29,6 +29,8 @@ pub(crate) struct Splats {
 /// A picture with holes.
 pub(crate) struct Drawing {
     pub width: usize,
+    /// Points that fall into the picture, hidden ones too.
+    pub num_points: usize,
     /// `[H, W]`; 0 is a hole.
     pub depths: Vec<f32>,
     /// `[H, W]`
@@ -63,16 +65,37 @@ impl Splats {
         self.foreground.contains(&true) && self.foreground.contains(&false)
     }
 
+    /// Correlation of the points' colours with those of their nearest neighbours, 0 to 1: the share of their variance
+    /// that is texture and not the noise of single points. 0 for fewer than three points.
+    pub fn smoothness(&self) -> f64 {
+        if self.points.len() < 3 {
+            return 0.0;
+        }
+        let step = self.points.len().div_ceil(NUM_PROBES).max(1);
+        let pairs: Vec<(usize, usize)> = (0..self.points.len())
+            .step_by(step)
+            .filter_map(|i| {
+                let distance = |j: usize| length(sub(self.points[j], self.points[i]));
+                let others = (0..self.points.len()).filter(|&j| j != i);
+                others.min_by(|&a, &b| distance(a).total_cmp(&distance(b))).map(|j| (i, j))
+            })
+            .collect();
+        let color = |i: usize| self.colors[i].map(f64::from);
+        correlation_of_pairs(pairs.into_iter().map(|(i, j)| (color(i), color(j))).collect())
+    }
+
     pub fn draw(&self, pinhole: &Pinhole<f32>) -> Drawing {
         let num_pixels = pinhole.width * pinhole.height;
         let mut drawing = Drawing {
             width: pinhole.width,
+            num_points: 0,
             depths: vec![0.0; num_pixels],
             colors: vec![[0.0; 3]; num_pixels],
             foreground: vec![false; num_pixels],
         };
         for (i, &point) in self.points.iter().enumerate() {
             let Some((pixel, depth)) = pinhole.pixel(point) else { continue };
+            drawing.num_points += 1;
             let reach = ((0.5 * self.sizes[usize::from(self.foreground[i])] * pinhole.focal[0] / depth).round() as i32)
                 .min(MAX_REACH_PX);
             let (x, y) = ((pixel % pinhole.width) as i32, (pixel / pinhole.width) as i32);
@@ -92,12 +115,12 @@ impl Splats {
 }
 
 impl Drawing {
-    /// Correlation with the colours of an image of the same size, moved by some pixels; -1 to 1, and 0
-    /// where there is too little to compare.
+    /// Correlation with the colours of an image of the same size, moved by some pixels, -1 to 1; nothing where there is
+    /// too little to compare.
     ///
     /// - `shift`: what is drawn at `x, y` is compared with the image at `x + shift`
     /// - `step`: every so many pixels along both axes
-    pub fn fit(&self, colors: &[[f32; 3]], shift: [i32; 2], step: usize) -> f64 {
+    pub fn fit(&self, colors: &[[f32; 3]], shift: [i32; 2], step: usize) -> Option<f64> {
         let (width, height) = (self.width as i32, (self.depths.len() / self.width) as i32);
         // Of both: sum, sum of squares; of the product; channel by channel.
         let (mut count, mut sums) = (0.0, [[0.0_f64; 5]; 3]);
@@ -125,7 +148,7 @@ impl Drawing {
         }
         let all = (self.depths.len() / (step * step)) as f64;
         if count < MIN_COVERAGE * all || f64::from(compared) < 0.25 * all {
-            return 0.0;
+            return None;
         }
         let (mut product, mut square_a, mut square_b) = (0.0, 0.0, 0.0);
         for [a, b, aa, bb, ab] in sums.map(|sums| sums.map(|sum| sum / count)) {
@@ -133,11 +156,40 @@ impl Drawing {
             square_a += aa - a * a;
             square_b += bb - b * b;
         }
-        if square_a < MIN_VARIANCE || square_b < MIN_VARIANCE { 0.0 } else { product / (square_a * square_b).sqrt() }
+        (square_a >= MIN_VARIANCE && square_b >= MIN_VARIANCE).then(|| product / (square_a * square_b).sqrt())
+    }
+
+    /// Share of the pixels that were drawn.
+    pub fn coverage(&self) -> f64 {
+        self.depths.iter().filter(|&&depth| depth > 0.0).count() as f64 / self.depths.len() as f64
     }
 
     /// Whether a pixel was drawn.
     pub fn is_drawn(&self, pixel: usize) -> bool {
         self.depths[pixel] > 0.0
     }
+}
+
+/// Correlation of an image with itself moved by a pixel to the right, 0 to 1: the share of its variance that is texture
+/// and not noise of single pixels.
+///
+/// - `colors`: `[H, W]`
+pub(super) fn smoothness(colors: &[[f32; 3]], width: usize) -> f64 {
+    let at = |pixel: usize| colors[pixel].map(f64::from);
+    let pairs = (0..colors.len()).filter(|i| (i + 1) % width != 0).map(|i| (at(i), at(i + 1)));
+    correlation_of_pairs(pairs.collect())
+}
+
+/// Correlation of colours that lie beside each other, 0 to 1; 0 where all are the same.
+fn correlation_of_pairs(pairs: Vec<([f64; 3], [f64; 3])>) -> f64 {
+    let (mut product, mut variance) = (0.0, 0.0);
+    for channel in 0..3 {
+        let mean = pairs.iter().map(|(a, b)| a[channel] + b[channel]).sum::<f64>() / (2.0 * pairs.len() as f64);
+        for (a, b) in &pairs {
+            let (a, b) = (a[channel] - mean, b[channel] - mean);
+            product += a * b;
+            variance += (a * a + b * b) / 2.0;
+        }
+    }
+    if variance > 0.0 { (product / variance).clamp(0.0, 1.0) } else { 0.0 }
 }

@@ -282,6 +282,7 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         plain: arguments.storage == Storage::Plain,
         up: arguments.up,
         views: arguments.views,
+        ..CompressOptions::default()
     })
 }
 

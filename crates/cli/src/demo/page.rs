@@ -11,11 +11,11 @@ use tcgs_core::{Attribute, Image};
 use tcgs_pipeline::{Evaluation, ImageScore, OpenScene};
 use tcgs_render::device::GpuError;
 use tcgs_render::{DrawAny, RenderSettings};
+use tcgs_reproduce::{CompressionStep, Picture, Report, Series, png};
 use tcgs_train::Run;
 
 use super::Outcome;
 use crate::output::show_bytes;
-use crate::report::{self, Picture, Report, Series, Stage, png};
 
 /// Timesteps that the report shows, spread over the clip.
 const SHOWN: usize = 4;
@@ -102,9 +102,14 @@ pub fn html(outcome: &Outcome, run: &Run, pictures: Vec<Picture>) -> anyhow::Res
     let stages = outcome
         .stages
         .iter()
-        .map(|s| Stage { name: s.name.into(), bytes: s.bytes, psnr: Some(s.quality.psnr), ssim: Some(s.quality.ssim) })
+        .map(|s| CompressionStep {
+            name: s.name.into(),
+            bytes: s.bytes,
+            psnr: Some(s.quality.psnr),
+            ssim: Some(s.quality.ssim),
+        })
         .collect();
-    Ok(report::html(&Report {
+    Ok(tcgs_reproduce::html(&Report {
         title: "tcgs demo".into(),
         summary: summary.into_iter().map(|(name, value)| (name.into(), value)).collect(),
         stages,

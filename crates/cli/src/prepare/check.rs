@@ -35,8 +35,19 @@ pub fn run(path: &Path, sheet: Option<&Path>, job: &JobOptions) -> anyhow::Resul
     }
     job.write_json(&json(path, &diagnosis))?;
     let num_cameras = diagnosis.cameras.len();
+    if !diagnosis.undecided.is_empty() {
+        let ids: Vec<String> = diagnosis.undecided.iter().map(usize::to_string).collect();
+        say(&format!(
+            "cannot tell of {} of {num_cameras} cameras ({}): too little texture, or too few points in sight, for a \
+             right camera to stand out from a wrong one; the picture of --sheet shows images and points",
+            ids.len(),
+            ids.join(", ")
+        ))?;
+    }
     if diagnosis.findings.is_empty() {
-        return say(&format!("{}: healthy, {num_cameras} cameras fit", path.display()));
+        let num_fit = num_cameras - diagnosis.undecided.len();
+        let verdict = if num_fit == num_cameras { "healthy" } else { "nothing wrong was found" };
+        return say(&format!("{}: {verdict}, {num_fit} cameras fit", path.display()));
     }
     let found = match diagnosis.findings.len() {
         1 => "1 finding".to_owned(),
@@ -63,7 +74,8 @@ fn json(path: &Path, diagnosis: &Diagnosis) -> Value {
         diagnosis.cameras.iter().map(|camera| json!({ "camera": camera.camera_id, "fit": camera.fit })).collect();
     json!({
         "capture": path.display().to_string(),
-        "healthy": diagnosis.findings.is_empty(),
+        "healthy": diagnosis.findings.is_empty() && diagnosis.undecided.is_empty(),
+        "undecided": diagnosis.undecided,
         "made_points": diagnosis.made_points,
         "findings": findings,
         "cameras": cameras,

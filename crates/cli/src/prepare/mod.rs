@@ -38,7 +38,7 @@ Example:
   tcgs prepare my_footage --out my_capture
   tcgs prepare --check my_capture --sheet check.png
 
-Exit codes of --check: 0 the capture is healthy, 1 something was found, 2 wrong usage or input.")]
+Exit codes of --check: 0 the capture is healthy or it cannot be told, 1 something was found, 2 wrong usage or input.")]
 #[command(group = clap::ArgGroup::new("what").required(true).args(["out", "points_only", "check"]))]
 pub struct Arguments {
     /// Folder of a capture with calibrated cameras, in any layout that tcgs train reads
@@ -76,9 +76,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(file) = &arguments.points_only {
         check_points_file(file, force)?;
     }
+    if arguments.out.is_some() {
+        interrupt::catch()?;
+    }
     let folder = arguments.out.as_deref().map(|out| begin_capture(out, &arguments.source, force)).transpose()?;
     if let Some(folder) = &folder {
-        interrupt::catch_and_remove(folder.path())?;
+        interrupt::remove_at_end(folder.path())?;
     }
     let capture = Capture::open_unseen(&arguments.source)?;
     if capture.has_points() {

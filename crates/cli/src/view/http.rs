@@ -8,7 +8,7 @@ const MAX_HEAD_BYTES: u64 = 16 * 1024;
 
 /// The head of a request.
 #[derive(Debug, PartialEq)]
-pub struct Request {
+pub struct HttpRequest {
     /// HTTP method, such as `GET`.
     pub method: String,
     /// Path of the target, without the query.
@@ -17,7 +17,7 @@ pub struct Request {
     headers: Vec<(String, String)>,
 }
 
-impl Request {
+impl HttpRequest {
     /// Reads the next request of a connection; none at the end of the connection.
     ///
     /// # Errors
@@ -102,11 +102,11 @@ mod tests {
     #[test]
     fn heads_are_read_one_after_the_other() {
         let mut bytes: &[u8] = b"GET /a?b=c HTTP/1.1\r\nHost: x\r\nRANGE:  bytes=0-1 \r\n\r\nHEAD / HTTP/1.0\r\n\r\n";
-        let first = Request::read(&mut bytes).unwrap().unwrap();
+        let first = HttpRequest::read(&mut bytes).unwrap().unwrap();
         assert_eq!((first.method.as_str(), first.path.as_str()), ("GET", "/a"));
         assert_eq!((first.header("host"), first.header("range")), (Some("x"), Some("bytes=0-1")));
-        assert_eq!(Request::read(&mut bytes).unwrap().unwrap().method, "HEAD");
-        assert_eq!(Request::read(&mut bytes).unwrap(), None);
+        assert_eq!(HttpRequest::read(&mut bytes).unwrap().unwrap().method, "HEAD");
+        assert_eq!(HttpRequest::read(&mut bytes).unwrap(), None);
     }
 
     #[test]
@@ -124,7 +124,7 @@ mod tests {
         ];
         for case in cases {
             let mut bytes = case.as_bytes();
-            let kind = Request::read(&mut bytes).unwrap_err().kind();
+            let kind = HttpRequest::read(&mut bytes).unwrap_err().kind();
             assert_eq!(kind, ErrorKind::InvalidData, "{case}");
         }
     }

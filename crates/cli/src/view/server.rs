@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, UNIX_EPOCH};
 
-use super::http::{Request, RequestedRange};
+use super::http::{HttpRequest, RequestedRange};
 use crate::output::note;
 
 /// Path at which the scene is served.
@@ -84,7 +84,7 @@ impl Site {
         connection.set_write_timeout(Some(PATIENCE))?;
         connection.set_nodelay(true)?;
         let mut incoming = BufReader::new(connection);
-        while let Some(request) = Request::read(&mut incoming)? {
+        while let Some(request) = HttpRequest::read(&mut incoming)? {
             let with_body = request.method != "HEAD";
             self.answer(&request)?.send(&mut &*connection, with_body)?;
             if request.header("connection").is_some_and(|value| value.eq_ignore_ascii_case("close")) {
@@ -94,16 +94,16 @@ impl Site {
         Ok(())
     }
 
-    fn answer(&self, request: &Request) -> io::Result<Answer> {
+    fn answer(&self, request: &HttpRequest) -> io::Result<HttpAnswer> {
         // Refuses any other `Host`: by DNS rebinding a foreign page could make its own name lead to 127.0.0.1 and read
         // local files.
         let host = request.header("host").unwrap_or_default();
         let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
         if !["127.0.0.1", "localhost"].contains(&name) {
-            return Ok(Answer::plain("403 Forbidden", "this server answers to 127.0.0.1 alone"));
+            return Ok(HttpAnswer::plain("403 Forbidden", "this server answers to 127.0.0.1 alone"));
         }
         if !["GET", "HEAD"].contains(&request.method.as_str()) {
-            return Ok(Answer::plain("405 Method Not Allowed", "expected GET or HEAD").with("Allow", "GET, HEAD"));
+            return Ok(HttpAnswer::plain("405 Method Not Allowed", "expected GET or HEAD").with("Allow", "GET, HEAD"));
         }
         if request.path == SCENE {
             return self.answer_scene(request);
@@ -113,16 +113,16 @@ impl Site {
             name => name,
         };
         let Some(file) = self.page.iter().find(|file| file.name == name) else {
-            return Ok(Answer::plain("404 Not Found", "no such file"));
+            return Ok(HttpAnswer::plain("404 Not Found", "no such file"));
         };
         let bytes = if name == "index.html" { with_scene(file.bytes) } else { file.bytes.into() };
-        Ok(Answer::new("200 OK", mime(name), Body::Bytes(bytes)))
+        Ok(HttpAnswer::new("200 OK", mime(name), AnswerBody::Bytes(bytes)))
     }
 
     /// Opens the scene anew for every request, so that a scene which was compressed again shows after a reload.
-    fn answer_scene(&self, request: &Request) -> io::Result<Answer> {
+    fn answer_scene(&self, request: &HttpRequest) -> io::Result<HttpAnswer> {
         let Ok(mut file) = File::open(&self.scene) else {
-            return Ok(Answer::plain("404 Not Found", "the scene is no longer there"));
+            return Ok(HttpAnswer::plain("404 Not Found", "the scene is no longer there"));
         };
         let metadata = file.metadata()?;
         let length = metadata.len();
@@ -133,14 +133,14 @@ impl Site {
         let wanted = request.header("range").filter(|_| unchanged);
         let kind = "application/octet-stream";
         let answer = match RequestedRange::of(wanted, length) {
-            RequestedRange::Whole => Answer::new("200 OK", kind, Body::File(file, length)),
+            RequestedRange::Whole => HttpAnswer::new("200 OK", kind, AnswerBody::File(file, length)),
             RequestedRange::Bytes(range) => {
                 file.seek(SeekFrom::Start(range.start))?;
                 let place = format!("bytes {}-{}/{length}", range.start, range.end - 1);
-                Answer::new("206 Partial Content", kind, Body::File(file, range.end - range.start))
+                HttpAnswer::new("206 Partial Content", kind, AnswerBody::File(file, range.end - range.start))
                     .with("Content-Range", &place)
             }
-            RequestedRange::Beyond => Answer::plain("416 Range Not Satisfiable", "no such bytes")
+            RequestedRange::Beyond => HttpAnswer::plain("416 Range Not Satisfiable", "no such bytes")
                 .with("Content-Range", &format!("bytes */{length}")),
         };
         Ok(answer.with("Accept-Ranges", "bytes").with("ETag", &tag))
@@ -164,22 +164,22 @@ fn mime(name: &str) -> &'static str {
     }
 }
 
-enum Body {
+enum AnswerBody {
     Bytes(Vec<u8>),
     /// The file's next bytes, and how many of them.
     File(File, u64),
 }
 
-struct Answer {
+struct HttpAnswer {
     head: String,
-    body: Body,
+    body: AnswerBody,
 }
 
-impl Answer {
-    fn new(status: &str, kind: &str, body: Body) -> Self {
+impl HttpAnswer {
+    fn new(status: &str, kind: &str, body: AnswerBody) -> Self {
         let length = match &body {
-            Body::Bytes(bytes) => bytes.len() as u64,
-            Body::File(_, length) => *length,
+            AnswerBody::Bytes(bytes) => bytes.len() as u64,
+            AnswerBody::File(_, length) => *length,
         };
         let head = format!("HTTP/1.1 {status}\r\n");
         Self { head, body }
@@ -191,7 +191,7 @@ impl Answer {
     }
 
     fn plain(status: &str, text: &str) -> Self {
-        Self::new(status, "text/plain; charset=utf-8", Body::Bytes(format!("{text}\n").into_bytes()))
+        Self::new(status, "text/plain; charset=utf-8", AnswerBody::Bytes(format!("{text}\n").into_bytes()))
     }
 
     fn with(mut self, name: &str, value: &str) -> Self {
@@ -204,8 +204,8 @@ impl Answer {
         connection.write_all(b"\r\n")?;
         match self.body {
             _ if !with_body => {}
-            Body::Bytes(bytes) => connection.write_all(&bytes)?,
-            Body::File(file, length) => {
+            AnswerBody::Bytes(bytes) => connection.write_all(&bytes)?,
+            AnswerBody::File(file, length) => {
                 let sent = io::copy(&mut file.take(length), connection)?;
                 if sent < length {
                     // The file was cut meanwhile. The head is sent, so only the end of the connection can tell.

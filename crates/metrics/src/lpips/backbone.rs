@@ -10,10 +10,10 @@ pub enum Backbone {
 }
 
 impl Backbone {
-    /// Both.
+    /// Both networks, in the order of the file of weights.
     pub const ALL: [Self; 2] = [Self::Vgg, Self::Alex];
 
-    /// What its tensors' names begin with.
+    /// Name of the network; its tensors' names in the file of weights begin with it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Vgg => "vgg",
@@ -66,7 +66,14 @@ impl Backbone {
         }
     }
 
-    /// Whether an image of this size leaves features at every layer: VGG needs 16 pixels a side, AlexNet 31.
+    /// Whether an image leaves features at every layer: VGG needs 16 pixels a side, AlexNet 31.
+    ///
+    /// - `width`, `height`: pixels
+    ///
+    /// ```
+    /// use tcgs_metrics::Backbone;
+    /// assert!(Backbone::Vgg.sees(16, 40) && !Backbone::Alex.sees(30, 40));
+    /// ```
     pub fn sees(self, width: usize, height: usize) -> bool {
         let after = |side: usize| {
             self.steps().iter().try_fold(side, |side, step| match *step {

@@ -1,12 +1,14 @@
 //! Bits of a scene that learned none, from how much its images depend on each parameter.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::{BitMap, BitSettings, assign_bits};
-use tcgs_core::{Camera, DynamicGaussians, Gaussians, Sensitivity, Tour};
+use tcgs_core::{Camera, Gaussians, Sensitivity, Tour};
 
 use super::CompressOptions;
+use super::kept::Kept;
 use crate::{OpenScene, PipelineError};
 
 /// Cameras around a scene without a capture, and the size of their images.
@@ -19,25 +21,26 @@ const NUM_TIMESTEPS: usize = 4;
 
 /// Bits from sensitivities, and how they were measured.
 ///
-/// - `floats`: the Gaussians that stay
+/// - `kept`: the Gaussians that stay, of at least one timestep
 ///
 /// The cameras take turns at the timesteps, so that more timesteps take no longer.
 pub fn measured_bits(
     scene: &OpenScene,
-    floats: &DynamicGaussians,
+    kept: &Kept,
     options: &CompressOptions,
 ) -> Result<(BitMap, String), PipelineError> {
-    let (cameras, of) = cameras(scene, &floats.at(0), options)?;
-    let last = floats.num_timesteps() - 1;
+    let (cameras, of) = cameras(scene, &kept.at(0)?, options)?;
+    let last = kept.num_timesteps() - 1;
     let count = NUM_TIMESTEPS.min(last + 1).min(cameras.len().max(1));
-    let mut sum = Sensitivity::zeros_of(floats.layout(), floats.num_gaussians());
     // Every Gaussian as it is at one of the timesteps: for the spread of values over the scene.
-    let mut stored = floats.at(0);
+    let mut stored = kept.at(0)?;
+    let layout = Arc::clone(stored.layout());
+    let mut sum = Sensitivity::zeros_of(&layout, kept.num_gaussians());
     for turn in 0..count {
-        let gaussians = floats.at(turn * last / (count - 1).max(1));
+        let gaussians = kept.at(turn * last / (count - 1).max(1))?;
         let of_turn: Vec<Camera> = cameras.iter().skip(turn).step_by(count).cloned().collect();
         let Ok(sensitivity) = tcgs_train::sensitivity(&tcgs_render::CpuRasterizer, &gaussians, &of_turn);
-        for attribute in floats.layout().attributes() {
+        for attribute in layout.attributes() {
             let (row, rows) = (attribute.components(), sum.values_mut(attribute));
             rows.iter_mut().zip(sensitivity.values(attribute)).for_each(|(sum, s)| *sum += s / count as f32);
             let rows =

@@ -2,21 +2,21 @@
 
 mod bits;
 mod judge;
+mod kept;
 mod settings;
 mod target;
 mod views;
 
-use std::borrow::Cow;
 use std::path::PathBuf;
 
 use tcgs_codec::{
     BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS,
-    compress, encode_with, inspect,
+    encode_with, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians};
-use tcgs_train::Run;
 
 use self::bits::measured_bits;
+use self::kept::Kept;
 use crate::{OpenScene, PipelineError};
 
 pub use judge::{Judge, JudgeImages};
@@ -44,6 +44,9 @@ pub struct CompressOptions {
     pub up: Option<UpAxis>,
     /// Most cameras that the file gives players to start from.
     pub views: usize,
+    /// Raw size above which the timesteps of a run are read from the disk, several times, instead of held in memory,
+    /// bytes. The file is the same. Default: half a gigabyte.
+    pub max_float_bytes: u64,
 }
 
 impl Default for CompressOptions {
@@ -59,6 +62,7 @@ impl Default for CompressOptions {
             plain: false,
             up: None,
             views: 8,
+            max_float_bytes: 1 << 29,
         }
     }
 }
@@ -113,8 +117,8 @@ pub struct Compressed {
 /// A scene of floats of which all is known but the settings of keypoints and quantizers: compressing it again
 /// with others does not measure its bits again.
 #[derive(Clone, Debug)]
-pub struct PrunedScene {
-    pruned: DynamicGaussians,
+pub struct PrunedScene<'a> {
+    kept: Kept<'a>,
     bit_map: BitMap,
     learned: Option<Quantizers>,
     info: SceneInfo,
@@ -126,34 +130,38 @@ pub struct PrunedScene {
     pub bits_from: String,
 }
 
-impl PrunedScene {
+impl<'a> PrunedScene<'a> {
     /// Prunes a scene by its masks (paper Eq. 6), where it has masks, and assigns bits to what stays.
     ///
     /// # Errors
     /// [`PipelineError::Input`] if the scene is compressed already, holds a value that is not finite, or no mask is above
     /// the threshold; [`PipelineError`] if a file of the scene or the capture cannot be read.
-    pub fn new(scene: &OpenScene, options: &CompressOptions) -> Result<Self, PipelineError> {
+    pub fn new(scene: &'a OpenScene, options: &CompressOptions) -> Result<Self, PipelineError> {
         options.check()?;
-        let trained = scene.run().map(Run::trained).transpose()?;
-        let floats = match &trained {
-            Some(trained) => Cow::Borrowed(&trained.scene),
-            None => scene.floats()?,
+        if scene.num_timesteps() == 0 {
+            return Err(PipelineError::input(scene.path.display(), "no timestep", "at least one"));
+        }
+        let learned = scene.learned_bits()?;
+        let (kept, keep, raw_bytes) = if scene.run().is_some() && scene.bytes > options.max_float_bytes {
+            let keep = kept_gaussians(scene, options.prune)?;
+            (Kept::OnDisk { scene, keep: keep.clone() }, keep, scene.bytes)
+        } else {
+            let floats = scene.floats()?;
+            check_finite(scene, &floats)?;
+            let keep = kept_gaussians(scene, options.prune)?;
+            (Kept::InMemory(floats.select(&keep)), keep, floats.raw_bytes())
         };
-        let learned = trained.as_ref().and_then(|trained| trained.quantization.as_ref());
-        check_finite(scene, &floats)?;
-        let keep = kept_gaussians(scene, options.prune)?;
-        let pruned = floats.select(&keep);
-        let (bit_map, bits_from) = bits(scene, &pruned, &keep, options, learned)?;
+        let (bit_map, bits_from) = bits(scene, &kept, &keep, options, learned.as_ref())?;
         let cameras = views::cameras(scene, options)?;
         let up = options.up.unwrap_or_else(|| views::up_axis(&cameras));
         Ok(Self {
-            info: info(scene, &pruned, up),
+            info: info(scene, &kept, up),
             views: views::views(&cameras, options),
-            pruned,
+            kept,
             bit_map,
-            learned: learned.map(|(_, quantizers)| quantizers.clone()),
-            num_gaussians_before: floats.num_gaussians(),
-            raw_bytes: floats.raw_bytes(),
+            learned: learned.map(|(_, quantizers)| quantizers),
+            num_gaussians_before: scene.num_gaussians(),
+            raw_bytes,
             bits_from,
         })
     }
@@ -163,7 +171,7 @@ impl PrunedScene {
     /// # Errors
     /// [`PipelineError`] if the codec refuses the scene or the settings.
     pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactScene, Vec<u8>), PipelineError> {
-        let compact = compress(&self.pruned, &self.bit_map, self.learned.as_ref(), self.info.clone(), settings)?;
+        let compact = self.kept.compress(&self.bit_map, self.learned.as_ref(), self.info.clone(), settings)?;
         let views = self.views.iter().map(|json| (VIEWS, &json[..]));
         let file = encode_with(&compact, &views.collect::<Vec<_>>())?;
         Ok((compact, file))
@@ -183,7 +191,7 @@ impl PrunedScene {
     ) -> Result<Compressed, PipelineError> {
         let mut stages = vec![
             SizeStep { name: "raw", bytes: self.raw_bytes },
-            SizeStep { name: "pruned", bytes: self.pruned.raw_bytes() },
+            SizeStep { name: "pruned", bytes: self.kept.raw_bytes() },
             SizeStep { name: "quantised", bytes: compact.quantized_bytes() },
         ];
         if options.keypoints.keypoints {
@@ -233,7 +241,7 @@ pub fn kept_gaussians(scene: &OpenScene, threshold: Option<f32>) -> Result<Vec<u
 /// Bits of the Gaussians that stay, and where they come from.
 fn bits(
     scene: &OpenScene,
-    pruned: &DynamicGaussians,
+    kept: &Kept,
     keep: &[usize],
     options: &CompressOptions,
     learned: Option<&(BitMap, Quantizers)>,
@@ -242,9 +250,9 @@ fn bits(
         (None, Some((bit_map, _))) => (bit_map.select(keep), "bits: learned by the run".into()),
         (Some((min, max)), _) if min == max => {
             let position_bits = options.position_bits.unwrap_or(tcgs_codec::BitSettings::default().position_bits);
-            (BitMap::uniform(pruned.num_gaussians(), position_bits, min), format!("bits: {min} for every parameter"))
+            (BitMap::uniform(kept.num_gaussians(), position_bits, min), format!("bits: {min} for every parameter"))
         }
-        _ => measured_bits(scene, pruned, options)?,
+        _ => measured_bits(scene, kept, options)?,
     };
     if let Some(position_bits) = options.position_bits {
         bit_map.widths[Attribute::Mean.index()].fill(position_bits);
@@ -252,7 +260,7 @@ fn bits(
     Ok((bit_map, from))
 }
 
-fn info(scene: &OpenScene, pruned: &DynamicGaussians, up: UpAxis) -> SceneInfo {
+fn info(scene: &OpenScene, kept: &Kept, up: UpAxis) -> SceneInfo {
     let source = match scene.run() {
         Some(run) => PathBuf::from(&run.config().data.capture),
         None => scene.path.with_extension(""),
@@ -263,7 +271,9 @@ fn info(scene: &OpenScene, pruned: &DynamicGaussians, up: UpAxis) -> SceneInfo {
         frame_rate: scene.frame_rate as f32,
         name: source.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
         up,
-        ..SceneInfo::of(pruned)
+        num_gaussians: kept.num_gaussians() as u32,
+        num_timesteps: kept.num_timesteps() as u32,
+        ..SceneInfo::of(&DynamicGaussians::default())
     }
 }
 

@@ -124,9 +124,15 @@ impl RunFolder {
             tcgs_interchange::remove_unfinished(&folder, Duration::ZERO);
             let Ok(entries) = fs::read_dir(&folder) else { continue };
             for entry in entries.flatten() {
-                // Earlier versions wrote files of such names.
-                if is_unfinished(&entry.file_name()) && entry.path().is_file() {
-                    remove(entry.path())?;
+                if !is_unfinished(&entry.file_name()) {
+                    continue;
+                }
+                // Earlier versions wrote files of such names; a process killed right at the beginning or end leaves a
+                // folder with nothing in it, or with a mark that is still empty.
+                match entry.file_type() {
+                    Ok(kind) if kind.is_file() => remove(entry.path())?,
+                    Ok(kind) if kind.is_dir() => remove_hollow(&entry.path()),
+                    _ => {}
                 }
             }
         }
@@ -164,6 +170,18 @@ impl RunFolder {
                 other => return Err(other.into()),
             }
         }
+    }
+}
+
+/// Removes a folder that holds nothing but empty files. What cannot be removed stays.
+fn remove_hollow(folder: &Path) {
+    let entries = fs::read_dir(folder).and_then(Iterator::collect::<io::Result<Vec<_>>>).unwrap_or_default();
+    let is_empty = |entry: &fs::DirEntry| entry.metadata().is_ok_and(|found| found.is_file() && found.len() == 0);
+    if entries.iter().all(is_empty) {
+        for entry in entries {
+            let _ = fs::remove_file(entry.path());
+        }
+        let _ = fs::remove_dir(folder);
     }
 }
 

@@ -30,7 +30,7 @@ const LOOK_MS: i32 = 2;
 
 /// What a `Viewer` shares with its pending promises.
 
-struct State {
+struct ViewerState {
     viewer: Viewer<WebSource>,
     gpu: Gpu,
     surface: wgpu::Surface<'static>,
@@ -52,7 +52,7 @@ struct State {
 /// Draws scenes on a canvas, one at a time.
 #[wasm_bindgen(js_name = Viewer)]
 pub struct WebViewer {
-    state: Rc<RefCell<State>>,
+    state: Rc<RefCell<ViewerState>>,
 }
 
 #[wasm_bindgen(start)]
@@ -81,7 +81,7 @@ impl WebViewer {
         let size = [canvas.width().max(1) as usize, canvas.height().max(1) as usize];
         let (gpu, surface, format) = Gpu::of_canvas(canvas).await.map_err(PlayError::from)?;
         let viewer = Viewer::new(gpu.clone(), format);
-        let state = State {
+        let state = ViewerState {
             viewer,
             gpu,
             surface,
@@ -323,7 +323,7 @@ impl WebViewer {
     pub fn capture(&self) -> Promise {
         let state = self.state.clone();
         let turn = state.borrow().opening;
-        let still_open = move |state: &State| {
+        let still_open = move |state: &ViewerState| {
             if state.opening == turn { Ok(()) } else { Err(PlayError::Replaced) }
         };
         future_to_promise(async move {
@@ -371,7 +371,7 @@ impl WebViewer {
     }
 }
 
-impl State {
+impl ViewerState {
     fn configure(&self) {
         self.surface.configure(
             self.gpu.device(),

@@ -9,7 +9,7 @@ use js_sys::{Reflect, Uint8Array};
 use wasm_bindgen::{JsCast, JsValue};
 use wasm_bindgen_futures::{JsFuture, spawn_local};
 
-use crate::download::{Head, Inbox};
+use crate::download::{AnswerHead, Inbox};
 use crate::source::{Piece, RangeSource, SourceError};
 
 /// Where a file is.
@@ -150,7 +150,7 @@ async fn download(
     }
 }
 
-fn head(answer: &web_sys::Response) -> Head {
+fn head(answer: &web_sys::Response) -> AnswerHead {
     let header = |name: &str| answer.headers().get(name).ok().flatten();
     // A compressed answer has other lengths than the file, and often a tag of its own.
     let is_encoded = header("content-encoding").is_some();
@@ -163,7 +163,7 @@ fn head(answer: &web_sys::Response) -> Head {
     // The time of the last change is preferred to the entity tag: the machines behind one address may tag the same file
     // differently, and an answer of another origin may hide its tag. Some servers call a tag weak in some answers only.
     let tag = || header("etag").filter(|_| !is_encoded).map(|etag| etag.trim_start_matches("W/").to_owned());
-    Head {
+    AnswerHead {
         status: answer.status(),
         status_text: answer.status_text(),
         length: length.and_then(|length| length.trim().parse().ok()),

@@ -20,7 +20,7 @@ use crate::settings::MAX_CHANNELS;
 use crate::tiling::{PAIR_GRADS, TILE};
 use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
-/// The renderer that needs nothing but a CPU.
+/// The renderer on the CPU: all threads of rayon's pool, the same bits for any number of them. It never fails.
 ///
 /// ```
 /// use tcgs_core::{Camera, Gaussians, activate};
@@ -46,7 +46,7 @@ pub struct CpuSaved {
 }
 
 impl CpuSaved {
-    /// What there was to blend.
+    /// How much the image had to blend.
     pub fn counts(&self) -> PairCounts {
         PairCounts { pairs: self.tiles.pair_splats.len(), splats: self.tiles.splats.len() }
     }
@@ -69,7 +69,12 @@ macro_rules! with_channels {
 }
 
 impl CpuRasterizer {
-    /// [`Rasterizer::forward`] with a clock.
+    /// [`Rasterizer::forward`] with a stopwatch.
+    ///
+    /// - `laps`: gets the stages `project`, `sort` and `rasterize`
+    ///
+    /// # Panics
+    /// As [`Rasterizer::forward`].
     pub fn timed_forward(
         &self,
         gaussians: &Activated,
@@ -93,7 +98,12 @@ impl CpuRasterizer {
         (output, CpuSaved { tiles, image })
     }
 
-    /// [`Rasterizer::backward`] with a clock.
+    /// [`Rasterizer::backward`] with a stopwatch.
+    ///
+    /// - `laps`: gets the stages `rasterize backward` and `project backward`
+    ///
+    /// # Panics
+    /// As [`Rasterizer::backward`].
     pub fn timed_backward(
         &self,
         gaussians: &Activated,

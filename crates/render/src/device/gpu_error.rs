@@ -5,15 +5,15 @@ use std::convert::Infallible;
 /// What an adapter says of itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GpuInfo {
-    /// The adapter's name.
+    /// Name of the adapter.
     pub name: String,
     /// Driver and its version.
     pub driver: String,
-    /// Vulkan, Metal, …
+    /// Interface through which the adapter is reached: Vulkan, Metal, …
     pub backend: String,
-    /// Whether it is a program on the CPU.
+    /// Whether the adapter is a program on the CPU, such as Mesa's lavapipe.
     pub is_software: bool,
-    /// Optional features in use, by name.
+    /// Names of the optional features in use.
     pub features: Vec<&'static str>,
 }
 
@@ -21,20 +21,20 @@ pub struct GpuInfo {
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum GpuError {
-    /// No adapter as wanted.
+    /// There is no adapter as the caller wants it.
     #[error("no GPU {wanted}, found {found}")]
     NotFound {
-        /// As asked for.
+        /// What the caller asked for.
         wanted: String,
-        /// All adapters there are.
+        /// Names of all adapters that there are.
         found: String,
     },
     /// The adapter cannot do what the shaders need.
     #[error("the GPU {name} {problem}")]
     Unfit {
-        /// The adapter's name.
+        /// Name of the adapter.
         name: String,
-        /// What it lacks.
+        /// What the adapter lacks.
         problem: String,
     },
     /// A buffer is larger than the adapter allows, or than the memory left.
@@ -42,15 +42,15 @@ pub enum GpuError {
     Memory {
         /// Which buffer.
         what: String,
-        /// Its size.
+        /// Size of the buffer.
         bytes: u64,
-        /// The limit it meets.
+        /// The limit that the size meets.
         problem: String,
     },
     /// The driver gave up, or the device was removed.
     #[error("the GPU was lost: {0}")]
     Lost(String),
-    /// A call was refused.
+    /// The GPU's interface refused a call: a mistake of this program, or of a driver.
     #[error("the GPU refused a call: {0}")]
     Refused(String),
 }

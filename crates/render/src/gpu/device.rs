@@ -1,4 +1,4 @@
-//! The GPU itself: its memory, its shaders, and what goes wrong with it.
+//! An open GPU: its memory, its compiled shaders, and the first error that it met.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::kernel::Kernel;
 use crate::device::{GpuError, GpuInfo};
 
-/// An open GPU; clones share it.
+/// An open GPU: allocates buffers, compiles shaders, submits work, reads results back. Clones share one device.
 #[derive(Clone, Debug)]
 pub struct Gpu(Arc<Inner>);
 
@@ -83,39 +83,43 @@ impl Gpu {
         }))
     }
 
-    /// What it is.
+    /// Name, driver and features of the adapter.
     pub fn info(&self) -> &GpuInfo {
         &self.0.info
     }
 
-    /// The device, for what this type does not cover.
+    /// The device of `wgpu`: bind groups, textures, pipelines.
     pub fn device(&self) -> &wgpu::Device {
         &self.0.device
     }
 
-    /// The queue, for what this type does not cover.
+    /// The queue of `wgpu`: writes to buffers.
     pub fn queue(&self) -> &wgpu::Queue {
         &self.0.queue
     }
 
-    /// How often work was submitted so far.
+    /// How often work was submitted so far. For tests of what an iteration costs.
+    #[doc(hidden)]
     pub fn num_submissions(&self) -> usize {
         self.0.submissions.load(Ordering::Relaxed)
     }
 
-    /// How often results were read back so far.
+    /// How often results were read back so far. For tests of what an iteration costs.
+    #[doc(hidden)]
     pub fn num_reads(&self) -> usize {
         self.0.reads.load(Ordering::Relaxed)
     }
 
-    /// How many shaders were compiled so far.
+    /// How many shaders were compiled so far. For tests of what is compiled twice.
+    #[doc(hidden)]
     pub fn num_compiled(&self) -> usize {
         self.0.compiled.load(Ordering::Relaxed)
     }
 
-    /// A compute shader, compiled at the first request.
+    /// A compute shader. The first request for a source and an entry point compiles it; later ones share the result.
     ///
-    /// - `source`: WGSL with everything it needs
+    /// - `source`: WGSL, complete; see [`Wgsl`](crate::device::Wgsl)
+    /// - `entry`: name of the compute function
     pub fn kernel(&self, source: &str, entry: &'static str) -> Kernel {
         let mut kernels = lock(&self.0.kernels);
         let key = (source.to_owned(), entry);
@@ -138,7 +142,9 @@ impl Gpu {
         self.allocate(what, len.max(4) as u64 * 4, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT)
     }
 
-    /// A uniform buffer.
+    /// A uniform buffer of `bytes` bytes.
+    ///
+    /// - `what`: name of the buffer in errors
     ///
     /// # Errors
     /// As [`Self::storage`].
@@ -196,7 +202,7 @@ impl Gpu {
         })
     }
 
-    /// Whether anything has gone wrong so far.
+    /// Fails if anything has gone wrong so far.
     ///
     /// # Errors
     /// The first thing that has.
@@ -211,12 +217,12 @@ impl Gpu {
         })
     }
 
-    /// Starts recording.
+    /// Starts recording commands.
     pub fn encoder(&self) -> wgpu::CommandEncoder {
         self.0.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    /// Hands recorded work to the GPU; does not wait.
+    /// Hands recorded commands to the GPU; does not wait for them.
     pub fn submit(&self, encoder: wgpu::CommandEncoder) -> wgpu::SubmissionIndex {
         self.0.submissions.fetch_add(1, Ordering::Relaxed);
         self.0.queue.submit([encoder.finish()])
@@ -230,7 +236,7 @@ impl Gpu {
         self.poll_until(wgpu::PollType::wait_indefinitely())
     }
 
-    /// Hears of what has arrived or gone wrong; does not wait.
+    /// Lets callbacks of finished copies and of errors run; does not wait.
     ///
     /// # Errors
     /// What has gone wrong meanwhile.
@@ -289,7 +295,8 @@ impl Gpu {
     }
 }
 
-/// Values on their way back from the GPU.
+/// A copy of values of a buffer on its way back to the host: recorded by [`Gpu::stage`], asked for by [`Self::map`],
+/// there once [`Self::is_ready`], taken by [`Self::take`].
 #[derive(Debug)]
 pub struct Staged {
     staging: wgpu::Buffer,
@@ -310,7 +317,7 @@ impl Staged {
         lock(&self.mapped).is_some()
     }
 
-    /// Takes the values.
+    /// The values that were copied.
     ///
     /// # Errors
     /// [`GpuError::Lost`] if they never arrived.

@@ -1,8 +1,8 @@
-//! Compute shaders: compiled once, bound to buffers, dispatched.
+//! Compute shaders: a [`Kernel`] is compiled, a [`Bound`] is one with its buffers, which can be dispatched.
 
 use crate::device::{groups_in_rows, groups_over};
 
-/// A compiled compute shader.
+/// A compiled compute function of a shader.
 #[derive(Clone, Debug)]
 pub struct Kernel {
     pipeline: wgpu::ComputePipeline,
@@ -28,7 +28,7 @@ impl Kernel {
         Self { pipeline, label: entry }
     }
 
-    /// Ties the shader to its buffers.
+    /// Binds the function to its buffers.
     ///
     /// - `buffers`: bindings of group 0 that this entry point uses, each once
     pub fn bind(&self, device: &wgpu::Device, buffers: &[(u32, &wgpu::Buffer)]) -> Bound {
@@ -45,7 +45,7 @@ impl Kernel {
     }
 }
 
-/// A shader with its buffers.
+/// A compute function with its buffers.
 #[derive(Clone, Debug)]
 pub struct Bound {
     pipeline: wgpu::ComputePipeline,
@@ -53,7 +53,7 @@ pub struct Bound {
 }
 
 impl Bound {
-    /// Records one dispatch.
+    /// Records one dispatch of workgroups along x, y and z; none if a number is 0.
     pub fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, [x, y, z]: [u32; 3]) {
         if x * y * z == 0 {
             return;

@@ -1,4 +1,8 @@
 //! The GPU renderer: what [`crate::device`] describes, run through `wgpu`.
+//!
+//! Programs need [`Gpu`], [`GpuChoice`] and [`GpuRasterizer`]. The other items are for crates that run shaders of their
+//! own between the renderer's, on the same buffers (training, the player); their signatures have types of `wgpu`, so a new
+//! version of `wgpu` is a breaking change of these items.
 
 mod device;
 mod kernel;

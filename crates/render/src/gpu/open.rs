@@ -2,12 +2,12 @@
 
 use super::{Gpu, GpuError};
 
-/// Which adapter is wanted.
+/// Which adapter to open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GpuChoice<'a> {
     /// The first hardware GPU, discrete ones before integrated ones.
     Hardware,
-    /// The first one whose name contains this, in any case; software adapters too.
+    /// The first adapter whose name contains this text, in upper or lower case; software adapters too.
     Named(&'a str),
 }
 
@@ -41,7 +41,14 @@ enum Purpose {
 }
 
 impl Gpu {
-    /// Opens an adapter for everything that it can.
+    /// Opens an adapter for training and drawing, with all limits that it allows.
+    ///
+    /// ```no_run
+    /// use tcgs_render::gpu::{Gpu, GpuChoice, GpuRasterizer};
+    /// let gpu = Gpu::open(GpuChoice::Hardware)?;
+    /// let rasterizer = GpuRasterizer::new(&gpu);
+    /// # Ok::<(), tcgs_render::gpu::GpuError>(())
+    /// ```
     ///
     /// # Errors
     /// [`GpuError::NotFound`] if there is none as wanted, [`GpuError::Unfit`] if it cannot run the shaders.
@@ -49,7 +56,7 @@ impl Gpu {
         Self::open_for(choice, Purpose::Training)
     }
 
-    /// Opens an adapter as a browser does: it draws forward alone, and within the limits that every browser has.
+    /// Opens an adapter as a browser does: for drawing without gradients, within the limits that every browser grants.
     ///
     /// # Errors
     /// As [`Self::open`].

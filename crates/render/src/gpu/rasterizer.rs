@@ -9,7 +9,8 @@ use super::{Gpu, GpuError, GpuRenderer, RenderBuffers, StageTimer};
 use crate::device::{Capacity, pack};
 use crate::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
-/// Draws on a GPU. Buffers are kept from one image to the next.
+/// The renderer on a GPU behind [`Rasterizer`] and [`Draw`]: arrays in, arrays out. Buffers, and the Gaussians of
+/// [`Draw::draw`], stay on the GPU from one image to the next.
 #[derive(Debug)]
 pub struct GpuRasterizer {
     gpu: Gpu,

@@ -24,7 +24,7 @@ use crate::device::{Capacity, MAX_THREADS, RenderSources, SORT_BLOCK, VISIBLE, V
 use crate::settings::MAX_CHANNELS;
 use crate::{PairCounts, RenderSettings};
 
-/// The buffers that others fill or read.
+/// Buffers of a renderer that other operations fill or read.
 #[derive(Clone, Debug)]
 pub struct RenderBuffers {
     /// `[(11 + C) N]` means, unit quats, scales, opacities, colors: what is drawn.
@@ -42,7 +42,8 @@ pub struct RenderBuffers {
     pub status: wgpu::Buffer,
 }
 
-/// The GPU's renderer for one number of Gaussians and channels.
+/// Kernels and buffers of the renderer, for one number of Gaussians and channels. Its methods record the stages of an
+/// image in the order *project, sort, rasterize, rasterize backward, project backward*.
 #[derive(Debug)]
 pub struct GpuRenderer {
     capacity: Capacity,
@@ -66,7 +67,7 @@ pub struct GpuRenderer {
 }
 
 impl GpuRenderer {
-    /// Allocates everything.
+    /// Allocates all buffers and compiles the kernels.
     ///
     /// # Errors
     /// [`GpuError::Memory`] if something does not fit; [`GpuError::Unfit`] if there are more Gaussians or pairs than one
@@ -78,7 +79,7 @@ impl GpuRenderer {
         Self::of_gaussians(gpu, capacity, &gpu.storage("activated Gaussians", capacity.activated_len())?)
     }
 
-    /// Allocates everything but the Gaussians, which outlive the renderer.
+    /// The same with a buffer of Gaussians that outlives the renderer.
     ///
     /// - `activated`: [`RenderBuffers::activated`]
     ///
@@ -224,17 +225,17 @@ impl GpuRenderer {
         Ok(renderer)
     }
 
-    /// What the buffers hold.
+    /// How much the buffers hold.
     pub fn capacity(&self) -> &Capacity {
         &self.capacity
     }
 
-    /// The buffers that others fill or read.
+    /// Buffers that other operations fill or read.
     pub fn buffers(&self) -> &RenderBuffers {
         &self.buffers
     }
 
-    /// What the last image had to blend; reads back, and waits for the GPU.
+    /// How much the last image had to blend; reads back, and waits for the GPU.
     ///
     /// # Errors
     /// What has gone wrong meanwhile.
@@ -244,7 +245,7 @@ impl GpuRenderer {
         Ok(PairCounts { pairs: tiles.clone().sum(), splats: tiles.filter(|&tiles| tiles > 0).count() })
     }
 
-    /// Chooses the camera of the passes submitted from now on.
+    /// Sets the camera of the passes that are submitted from now on.
     ///
     /// # Panics
     /// If its image is larger than there is room for.
@@ -254,12 +255,12 @@ impl GpuRenderer {
         self.gpu.queue().write_buffer(&self.view, 0, bytemuck::bytes_of(&uniform));
     }
 
-    /// Projects `activated` to splats.
+    /// Records *project*: `activated` to splats, with the tiles that each reaches.
     pub fn project(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.project.dispatch_over(pass, self.capacity.num_gaussians);
     }
 
-    /// Sorts splats into tiles, front to back.
+    /// Records *sort*: splats to each tile's list, front to back.
     pub fn sort(&self, pass: &mut wgpu::ComputePass<'_>) {
         let n = self.capacity.num_gaussians;
         self.sort_depths.record(pass, Dispatch::Blocks(n.div_ceil(SORT_BLOCK) as u32));
@@ -271,24 +272,24 @@ impl GpuRenderer {
         self.bin_buckets.dispatch(pass, [1, 1, 1]);
     }
 
-    /// Blends the tiles' splats to `image`.
+    /// Records *rasterize*: overwrites `image` with each tile's list, blended.
     pub fn rasterize(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.rasterize.dispatch_groups(pass, self.num_tiles);
     }
 
-    /// From `v_image` to gradients of the splats, after the forward stages.
+    /// Records *rasterize backward*, after the forward stages: `v_image` to the gradients of pairs.
     ///
     /// # Panics
-    /// If there are no buffers for it.
+    /// If the capacity has no room for backward.
     pub fn rasterize_bwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         let (rasterize, _) = self.backward.as_ref().expect("a renderer with backward");
         rasterize.dispatch_indirect(pass, &self.arguments, 12);
     }
 
-    /// Overwrites `v_activated` and `v_means2d_ndc`, after [`Self::rasterize_bwd`].
+    /// Records *project backward*, after [`Self::rasterize_bwd`]: overwrites `v_activated` and `v_means2d_ndc`.
     ///
     /// # Panics
-    /// If there are no buffers for it.
+    /// If the capacity has no room for backward.
     pub fn project_bwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         let (_, project) = self.backward.as_ref().expect("a renderer with backward");
         project.dispatch_over(pass, self.capacity.num_gaussians);

@@ -3,7 +3,7 @@
 use super::{Gpu, GpuError, Staged};
 use crate::StageTimes;
 
-/// A pair of timestamps around each of a few stages.
+/// A pair of GPU timestamps around each of a few stages.
 #[derive(Debug)]
 pub struct StageTimer {
     queries: wgpu::QuerySet,
@@ -12,7 +12,7 @@ pub struct StageTimer {
 }
 
 impl StageTimer {
-    /// For stages of these names; none where the adapter has no timestamps.
+    /// A timer of the stages that are named; `None` where the adapter has no timestamps.
     ///
     /// # Errors
     /// As [`Gpu::storage`].
@@ -36,7 +36,9 @@ impl StageTimer {
         Ok(Some(Self { queries, resolved, stages }))
     }
 
-    /// Begins the pass of one stage, by its position.
+    /// Begins the compute pass of one stage.
+    ///
+    /// - `stage`: position among the names
     pub fn pass<'a>(&self, encoder: &'a mut wgpu::CommandEncoder, stage: usize) -> wgpu::ComputePass<'a> {
         encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: None,
@@ -57,7 +59,7 @@ impl StageTimer {
         gpu.stage(encoder, &self.resolved, 4 * self.stages.len())
     }
 
-    /// The times; waits for the GPU.
+    /// The time of each stage in milliseconds; waits for the GPU.
     ///
     /// - `staged`: as [`Self::stage`] returned it, submitted
     ///

@@ -9,7 +9,7 @@ use tcgs_render::gpu::{Bound, Gpu, GpuError};
 
 use crate::engine::device::{Packing, source};
 
-/// What the kernels read and write. Arrays about quantizers have room for one at least, also where there is
+/// What activation and its backward read and write. Arrays about quantizers have room for one at least, also where there is
 /// none.
 #[derive(Clone, Copy, Debug)]
 pub struct ActivateBuffers<'a> {
@@ -37,11 +37,11 @@ pub struct ActivateBuffers<'a> {
     pub v_means2d_ndc: &'a wgpu::Buffer,
     /// `[2 N]` sums of their norms, then counts.
     pub statistic: &'a wgpu::Buffer,
-    /// `[1]` not 0: nothing is counted.
+    /// `[1]` u32: not 0 where the GPU has halted; then nothing is counted.
     pub status: &'a wgpu::Buffer,
 }
 
-/// The kernels.
+/// Forward from stored values to activated ones, its backward, and the densification statistic, bound to their buffers.
 #[derive(Clone, Debug)]
 pub struct ActivateKernels {
     fwd: Bound,
@@ -53,6 +53,8 @@ pub struct ActivateKernels {
 }
 
 impl ActivateKernels {
+    /// Binds the three kernels.
+    ///
     /// # Errors
     /// If memory for the partial sums cannot be had.
     pub fn new(
@@ -81,12 +83,13 @@ impl ActivateKernels {
         Ok(Self { fwd, bwd, count, num_gaussians, mask_partials })
     }
 
-    /// Records the way from stored to drawn.
+    /// Records the forward: overwrites `activated` with stored values, fake-quantised, activated and masked.
     pub fn record_fwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.fwd.dispatch_over(pass, self.num_gaussians);
     }
 
-    /// Records the way back, from gradients to what is drawn to gradients to what is stored.
+    /// Records the backward: *overwrites* `grads` with gradients to the quantised stored values and to mask logits, the
+    /// weighted losses on masks included, and `mask_partials`.
     pub fn record_bwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.bwd.dispatch_over(pass, self.num_gaussians);
     }

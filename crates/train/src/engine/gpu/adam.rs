@@ -11,12 +11,12 @@ use crate::engine::device::{Packing, source};
 /// Values that one workgroup updates.
 const BLOCK: usize = 1024;
 
-/// What the kernel reads and writes.
+/// What Adam of the Gaussians reads and writes.
 #[derive(Clone, Copy, Debug)]
 pub struct AdamBuffers<'a> {
     /// [`super::StepUniform`]
     pub step: &'a wgpu::Buffer,
-    /// `[values * N]`, see [`Packing`] moved.
+    /// `[values * N]` columns and mask logits, see [`Packing`]; moved.
     pub params: &'a wgpu::Buffer,
     /// `[values * N]`
     pub grads: &'a wgpu::Buffer,
@@ -24,11 +24,11 @@ pub struct AdamBuffers<'a> {
     pub first_moments: &'a wgpu::Buffer,
     /// `[values * N]` moved.
     pub second_moments: &'a wgpu::Buffer,
-    /// `[1]` not 0: nothing moves.
+    /// `[1]` u32: not 0 where the GPU has halted; then nothing moves.
     pub status: &'a wgpu::Buffer,
 }
 
-/// The kernel.
+/// Adam of all columns and of the mask logits in one dispatch, bound to its buffers.
 #[derive(Clone, Debug)]
 pub struct AdamKernel {
     adam: Bound,
@@ -36,8 +36,10 @@ pub struct AdamKernel {
 }
 
 impl AdamKernel {
+    /// Binds the kernel.
+    ///
     /// # Errors
-    /// What has gone wrong with the GPU.
+    /// What has gone wrong with the GPU before, or compiling the shader.
     pub fn new(gpu: &Gpu, packing: &Packing, buffers: AdamBuffers<'_>, num_gaussians: usize) -> Result<Self, GpuError> {
         let adam = gpu.kernel(&shader(packing), "adam").bind(
             gpu.device(),

@@ -15,7 +15,7 @@ use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 /// Pixels along a block's side.
 const SIDE: usize = 16;
 
-/// What the kernels read and write.
+/// What the image losses read and write.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageLossBuffers<'a> {
     /// [`super::StepUniform`]
@@ -30,7 +30,7 @@ pub struct ImageLossBuffers<'a> {
     pub v_image: &'a wgpu::Buffer,
 }
 
-/// The two kernels, and what passes between them.
+/// Forward and backward of the image losses, bound to their buffers, and the maps that pass between them.
 #[derive(Clone, Debug)]
 pub struct ImageLossKernels {
     fwd: Bound,
@@ -41,6 +41,8 @@ pub struct ImageLossKernels {
 }
 
 impl ImageLossKernels {
+    /// Binds both kernels, and makes room for the maps of the largest image.
+    ///
     /// - `max_shape`: `[C, H, W]` of the largest image
     ///
     /// # Errors

@@ -7,8 +7,8 @@
 //! changes anything that outlives an iteration. The report says so; the host then enlarges the buffers
 //! and asks for the same iterations again. Results are those of buffers that were large enough from the start.
 //!
-//! What the engine is in the middle of stands in three types: [`Mirror`] says whether the host or the GPU has the newest
-//! state, [`Memory`] what the GPU's memory holds, and [`InFlight`] which iterations are not yet known to be done.
+//! What the engine is in the middle of stands in three types: `Mirror` says whether the host or the GPU has the newest
+//! state, `Memory` what the GPU's memory holds, and `InFlight` which iterations are not yet known to be done.
 
 mod activate;
 mod adam;

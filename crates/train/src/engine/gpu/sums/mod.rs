@@ -11,7 +11,7 @@ use crate::engine::device::{Packing, source};
 /// Workgroups beside those of the quantizers.
 const SUMS: usize = 3;
 
-/// What the kernel reads and writes. Arrays of rows have room for one at least, also where there is none.
+/// What the sums read and write. Arrays of rows have room for one at least, also where there is none.
 #[derive(Clone, Copy, Debug)]
 pub struct SumsBuffers<'a> {
     /// [`super::StepUniform`]
@@ -35,11 +35,12 @@ pub struct SumsBuffers<'a> {
     pub cameras: &'a wgpu::Buffer,
     /// `[slots, LOSS_VALUES]` one slot overwritten.
     pub losses: &'a wgpu::Buffer,
-    /// `[1]` not 0: nothing moves.
+    /// `[1]` u32: not 0 where the GPU has halted; then nothing moves.
     pub status: &'a wgpu::Buffer,
 }
 
-/// The kernel.
+/// Sums of all partial sums of an iteration, and Adam of what they are gradients of, in one dispatch: a workgroup a
+/// subject (images with the cameras' colours, masks, motion) and one a quantizer.
 #[derive(Clone, Debug)]
 pub struct SumsKernel {
     sums: Bound,
@@ -47,10 +48,12 @@ pub struct SumsKernel {
 }
 
 impl SumsKernel {
+    /// Binds the kernel.
+    ///
     /// - `num_quantizers`: `Q`, 0 before quantisation starts
     ///
     /// # Errors
-    /// What has gone wrong with the GPU.
+    /// What has gone wrong with the GPU before, or compiling the shader.
     pub fn new(
         gpu: &Gpu,
         packing: &Packing,

@@ -10,36 +10,41 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use anyhow::{Context, anyhow};
 use serde_json::{Map, Value, json};
+use tcgs_interchange::{Existing, write_whole};
 
 use super::analysis;
 use super::plan::{Job, Measure};
-use crate::error::wrong_input;
-use crate::output::{note, write_json};
+use crate::ReproduceError;
+use crate::error::{file, wrong_input};
 
-/// What this program was built from.
-pub const COMMIT: &str = env!("TCGS_COMMIT");
 /// In the folder of a measurement.
 const RESULT: &str = "result.json";
 
-/// Where things are, and what computes.
-pub struct Place {
-    /// Captures, a folder a scene.
+/// Where captures, runs and results lie, and how steps are run.
+#[derive(Clone, Debug)]
+pub struct Workplace {
+    /// Folder of the captures, which holds a folder a scene.
     pub data: PathBuf,
-    /// Everything written.
+    /// Folder for everything that is written.
     pub out: PathBuf,
-    /// Of `train` and `eval`: what computes; results do not depend on it.
+    /// Arguments of `tcgs train` and `tcgs eval` that choose CPU or GPU; results do not depend on them.
     pub backend: Vec<String>,
-    /// Of every command: results do not depend on it.
+    /// Threads of every step; results do not depend on it. `None`: as many as cores.
     pub threads: Option<usize>,
     /// Whether runs made by other arguments are made anew.
     pub force: bool,
     /// The command that a person types for this table, without `--only`.
     pub command: Vec<String>,
+    /// The command line's program, which every step is run with.
+    pub program: PathBuf,
+    /// What the program was built from; results name it.
+    pub commit: &'static str,
+    /// Receives a line for every step and wait, for people.
+    pub tell: fn(&str),
 }
 
-impl Place {
+impl Workplace {
     fn folder(&self, job: &Job) -> PathBuf {
         self.out.join("runs").join(&job.scene).join(&job.run)
     }
@@ -64,12 +69,12 @@ impl Place {
     ///
     /// # Errors
     /// If it was made by other arguments.
-    pub fn result(&self, job: &Job, measure: &str) -> anyhow::Result<Option<Value>> {
+    pub fn result(&self, job: &Job, measure: &str) -> Result<Option<Value>, ReproduceError> {
         let path = self.folder(job).join(measure).join(RESULT);
         if !path.is_file() {
             return Ok(None);
         }
-        let text = fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
+        let text = fs::read_to_string(&path).map_err(file("reading", &path))?;
         let result: Value = serde_json::from_str(&text)
             .map_err(|error| wrong_input(format!("{}: {error}, expected a result of this command", path.display())))?;
         let wanted = json!({ "train": job.arguments, "measure": arguments_of(&job.measures[measure]) });
@@ -83,7 +88,7 @@ impl Place {
     }
 
     /// Whether all of a job is done.
-    pub fn is_done(&self, job: &Job) -> anyhow::Result<bool> {
+    pub fn is_done(&self, job: &Job) -> Result<bool, ReproduceError> {
         for measure in job.measures.keys() {
             if self.result(job, measure)?.is_none() {
                 return Ok(false);
@@ -97,13 +102,17 @@ fn arguments_of(measure: &Measure) -> Value {
     json!({ "export": measure.export, "compress": measure.compress, "analysis": measure.analysis })
 }
 
-fn other_arguments(path: &Path, found: &Value, wanted: &Value) -> anyhow::Error {
+fn other_arguments(path: &Path, found: &Value, wanted: &Value) -> ReproduceError {
     let problem = format!("was made by the arguments {found}, expected {wanted}");
     wrong_input(format!("{}: {problem}; choose another --out, or --force to make it anew", path.display()))
 }
 
-/// Does what is missing, one run after another; those that another process is at come last.
-pub fn execute(place: &Place, jobs: &[Job]) -> anyhow::Result<()> {
+/// Runs what lacks a result, one training after another; those that another process works on come last, and are waited
+/// for.
+///
+/// # Errors
+/// [`ReproduceError`] if a step fails, or if there are results by other arguments. What is done stays done.
+pub fn execute(place: &Workplace, jobs: &[Job]) -> Result<(), ReproduceError> {
     let mut missing = Vec::new();
     for job in jobs {
         if !place.is_done(job)? {
@@ -117,7 +126,7 @@ pub fn execute(place: &Place, jobs: &[Job]) -> anyhow::Result<()> {
     for wait in [false, true] {
         let round = if wait { std::mem::take(&mut taken) } else { missing.clone() };
         for job in round {
-            let Some(_lock) = lock(&place.folder(job), wait)? else {
+            let Some(_lock) = lock(&place.folder(job), wait, place.tell)? else {
                 taken.push(job);
                 continue;
             };
@@ -126,7 +135,7 @@ pub fn execute(place: &Place, jobs: &[Job]) -> anyhow::Result<()> {
                 let each = begin.elapsed().as_secs_f64() / f64::from(done.max(1));
                 let left = (total - done as usize) as f64 * each;
                 let left = if done == 0 { String::new() } else { format!(", about {} left", show_seconds(left)) };
-                note(&format!("run {} of {total}: {}/{}{left}", done + 1, job.scene, job.run));
+                (place.tell)(&format!("run {} of {total}: {}/{}{left}", done + 1, job.scene, job.run));
                 run(place, job)?;
             }
             done += 1;
@@ -144,24 +153,23 @@ fn show_seconds(seconds: f64) -> String {
 }
 
 /// Held until dropped; none if another process has it and we do not wait.
-fn lock(folder: &Path, wait: bool) -> anyhow::Result<Option<File>> {
+fn lock(folder: &Path, wait: bool, tell: fn(&str)) -> Result<Option<File>, ReproduceError> {
     let path = folder.join("lock");
-    let context = || format!("writing {}", path.display());
-    fs::create_dir_all(folder).with_context(context)?;
-    let file = File::create(&path).with_context(context)?;
-    match file.try_lock() {
+    fs::create_dir_all(folder).map_err(file("creating", folder))?;
+    let lock = File::create(&path).map_err(file("writing", &path))?;
+    match lock.try_lock() {
         Err(TryLockError::WouldBlock) if !wait => return Ok(None),
         Err(TryLockError::WouldBlock) => {
-            note(&format!("{}: waiting for the process that is at it", folder.display()));
-            file.lock().with_context(context)?;
+            tell(&format!("{}: waiting for the process that is at it", folder.display()));
+            lock.lock().map_err(file("locking", &path))?;
         }
         // Some network drives know no locks.
         _ => {}
     }
-    Ok(Some(file))
+    Ok(Some(lock))
 }
 
-fn run(place: &Place, job: &Job) -> anyhow::Result<()> {
+fn run(place: &Workplace, job: &Job) -> Result<(), ReproduceError> {
     let folder = place.folder(job);
     let train = train(place, job, &folder)?;
     for (name, measure) in &job.measures {
@@ -179,7 +187,7 @@ struct Trained {
     steps: Vec<Value>,
 }
 
-fn train(place: &Place, job: &Job, folder: &Path) -> anyhow::Result<Trained> {
+fn train(place: &Workplace, job: &Job, folder: &Path) -> Result<Trained, ReproduceError> {
     let (run, json_path, log) = (folder.join("train"), folder.join("train.json"), folder.join("steps.jsonl"));
     let mut steps = read_lines(&log)?;
     let other = steps.iter().find(|step| step["arguments"] != json!(job.arguments));
@@ -192,21 +200,22 @@ fn train(place: &Place, job: &Job, folder: &Path) -> anyhow::Result<Trained> {
         steps.clear();
         // The run first: stopped between, what is left still says by which arguments it was made.
         if run.exists() {
-            fs::remove_dir_all(&run).with_context(|| format!("removing {}", run.display()))?;
+            fs::remove_dir_all(&run).map_err(file("removing", &run))?;
         }
         for path in [&json_path, &log] {
             remove(path)?;
         }
     }
     if !json_path.is_file() {
-        let mut arguments = vec!["train".into(), text(&place.capture(&job.scene))?, "--out".into(), text(&run)?];
+        let mut arguments =
+            vec!["train".into(), argument(&place.capture(&job.scene))?, "--out".into(), argument(&run)?];
         arguments.extend_from_slice(&job.arguments);
         // Typed once, that is how it begins; it goes on in the same way.
         let command = command_line(&arguments);
-        let step = json!({ "command": command, "arguments": job.arguments, "commit": COMMIT });
+        let step = json!({ "command": command, "arguments": job.arguments, "commit": place.commit });
         append_line(&log, &step)?;
         steps.push(step);
-        arguments.extend(["--resume".into(), "--json".into(), text(&json_path)?]);
+        arguments.extend(["--resume".into(), "--json".into(), argument(&json_path)?]);
         arguments.extend_from_slice(&place.backend);
         let advice = "its whole checkpoints are kept, and the same command goes on after them";
         let outcome = step_of(place, arguments, &command, advice);
@@ -219,19 +228,25 @@ fn train(place: &Place, job: &Job, folder: &Path) -> anyhow::Result<Trained> {
     Ok(Trained { result: read_json(&json_path)?, steps })
 }
 
-fn measure_run(place: &Place, job: &Job, name: &str, measure: &Measure, train: &Trained) -> anyhow::Result<()> {
+fn measure_run(
+    place: &Workplace,
+    job: &Job,
+    name: &str,
+    measure: &Measure,
+    train: &Trained,
+) -> Result<(), ReproduceError> {
     let folder = place.folder(job);
     let (run, here) = (folder.join("train"), folder.join(name));
-    fs::create_dir_all(&here).with_context(|| format!("creating {}", here.display()))?;
+    fs::create_dir_all(&here).map_err(file("creating", &here))?;
     remove(&here.join(RESULT))?;
     let mut result = Map::new();
     let mut commands: Vec<Value> = train.steps.last().map(|step| step["command"].clone()).into_iter().collect();
     let mut seconds = Map::new();
-    let mut step = |step: &str, arguments: Vec<String>, backend: bool| -> anyhow::Result<()> {
+    let mut step = |step: &str, arguments: Vec<String>, backend: bool| -> Result<(), ReproduceError> {
         let json_path = here.join(format!("{step}.json"));
         let mut arguments: Vec<String> = std::iter::once(step.to_owned()).chain(arguments).collect();
         let command = command_line(&arguments);
-        arguments.extend(["--json".into(), text(&json_path)?, "--force".into()]);
+        arguments.extend(["--json".into(), argument(&json_path)?, "--force".into()]);
         if backend {
             arguments.extend_from_slice(&place.backend);
         }
@@ -244,18 +259,18 @@ fn measure_run(place: &Place, job: &Job, name: &str, measure: &Measure, train: &
     };
     let drawable = place.drawable(job, name);
     if measure.export {
-        step("export", vec![text(&run)?, "--to".into(), text(&drawable)?], false)?;
+        step("export", vec![argument(&run)?, "--to".into(), argument(&drawable)?], false)?;
     }
     if let Some(more) = &measure.compress {
-        let mut arguments = vec![text(&run)?, "--out".into(), text(&drawable)?];
+        let mut arguments = vec![argument(&run)?, "--out".into(), argument(&drawable)?];
         arguments.extend_from_slice(more);
         step("compress", arguments, false)?;
-        step("info", vec![text(&drawable)?], false)?;
+        step("info", vec![argument(&drawable)?], false)?;
     }
     if measure.analysis.is_none() || measure.export || measure.compress.is_some() {
-        let capture = text(&place.capture(&job.scene))?;
+        let capture = argument(&place.capture(&job.scene))?;
         let protocol = ["--protocol".into(), "tc3dgs".into()];
-        let arguments = [vec![text(&drawable)?, "--capture".into(), capture], protocol.to_vec()].concat();
+        let arguments = [vec![argument(&drawable)?, "--capture".into(), capture], protocol.to_vec()].concat();
         step("eval", arguments, true)?;
     }
     if let Some(analysis) = &measure.analysis {
@@ -267,7 +282,7 @@ fn measure_run(place: &Place, job: &Job, name: &str, measure: &Measure, train: &
     }
     result.insert("derived".into(), derived(&result));
     let mut commits: Vec<&str> = train.steps.iter().filter_map(|step| step["commit"].as_str()).collect();
-    commits.push(COMMIT);
+    commits.push(place.commit);
     commits.dedup();
     let about = json!({
         "scene": job.scene,
@@ -280,7 +295,8 @@ fn measure_run(place: &Place, job: &Job, name: &str, measure: &Measure, train: &
         "train": train.result,
     });
     let about = about.as_object().cloned().unwrap_or_default();
-    write_json(&here.join(RESULT), &Value::Object(about.into_iter().chain(result).collect()), true)
+    let result = Value::Object(about.into_iter().chain(result).collect());
+    write_file(&here.join(RESULT), format!("{result:#}\n").as_bytes())
 }
 
 /// What follows from results.
@@ -299,23 +315,23 @@ fn derived(result: &Map<String, Value>) -> Value {
 }
 
 /// Runs this program with other arguments; what it says goes to standard error.
-fn step_of(place: &Place, mut arguments: Vec<String>, command: &str, advice: &str) -> anyhow::Result<()> {
+fn step_of(place: &Workplace, mut arguments: Vec<String>, command: &str, advice: &str) -> Result<(), ReproduceError> {
     if let Some(threads) = place.threads {
         arguments.extend(["--threads".into(), threads.to_string()]);
     }
-    let program = std::env::current_exe().context("finding this program")?;
-    note(command);
-    let status = Command::new(program)
+    (place.tell)(command);
+    let status = Command::new(&place.program)
         .args(&arguments)
         .stdin(Stdio::null())
         .stdout(Stdio::from(std::io::stderr()))
         .status()
-        .with_context(|| format!("starting {command}"))?;
+        .map_err(file("starting", &place.program))?;
+    let failed = |problem| ReproduceError::Step { command: command.into(), problem };
     match status.code() {
         Some(0) => Ok(()),
         Some(2) => Err(wrong_input(format!("{command}: wrong input, see the line above, expected it to be right"))),
-        Some(code) => Err(anyhow!("{command}: ended with exit code {code}, see the line above; {advice}")),
-        None => Err(anyhow!("{command}: was killed; {advice}")),
+        Some(code) => Err(failed(format!("ended with exit code {code}, see the line above; {advice}"))),
+        None => Err(failed(format!("was killed; {advice}"))),
     }
 }
 
@@ -335,36 +351,38 @@ pub fn quoted(word: &str) -> String {
 }
 
 /// A path as an argument.
-pub fn text(path: &Path) -> anyhow::Result<String> {
+pub fn argument(path: &Path) -> Result<String, ReproduceError> {
     let text = path.to_str().map(str::to_owned);
     text.ok_or_else(|| wrong_input(format!("{}: not a name in UTF-8, expected one", path.display())))
 }
 
-fn read_json(path: &Path) -> anyhow::Result<Value> {
-    let text = fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
-    serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))
+fn read_json(path: &Path) -> Result<Value, ReproduceError> {
+    let text = fs::read_to_string(path).map_err(file("reading", path))?;
+    serde_json::from_str(&text).map_err(file("reading", path))
 }
 
-fn read_lines(path: &Path) -> anyhow::Result<Vec<Value>> {
+fn read_lines(path: &Path) -> Result<Vec<Value>, ReproduceError> {
     if !path.exists() {
         return Ok(Vec::new());
     }
-    let text = fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let text = fs::read_to_string(path).map_err(file("reading", path))?;
     // A line cut short was of a step that never began.
     Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
 }
 
-fn append_line(path: &Path, line: &Value) -> anyhow::Result<()> {
-    let context = || format!("writing {}", path.display());
-    let mut file = fs::OpenOptions::new().create(true).append(true).open(path).with_context(context)?;
-    file.write_all(format!("{line}\n").as_bytes()).with_context(context)
+fn append_line(path: &Path, line: &Value) -> Result<(), ReproduceError> {
+    let mut log = fs::OpenOptions::new().create(true).append(true).open(path).map_err(file("opening", path))?;
+    log.write_all(format!("{line}\n").as_bytes()).map_err(file("writing", path))
 }
 
-fn remove(path: &Path) -> anyhow::Result<()> {
+/// Writes a file whole or not at all, over one that is there.
+pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), ReproduceError> {
+    write_whole(path, Existing::Replace, |into| into.write_all(bytes)).map_err(file("writing", path))
+}
+
+fn remove(path: &Path) -> Result<(), ReproduceError> {
     match fs::remove_file(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            Err(error).with_context(|| format!("removing {}", path.display()))
-        }
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(file("removing", path)(error)),
         _ => Ok(()),
     }
 }
@@ -383,11 +401,11 @@ mod tests {
     fn a_run_has_one_process_at_a_time() {
         let folder = tempfile::tempdir().unwrap();
         let place = folder.path().join("runs/a/b");
-        let first = lock(&place, false).unwrap();
-        assert!(first.is_some() && lock(&place, false).unwrap().is_none());
+        let first = lock(&place, false, |_| ()).unwrap();
+        assert!(first.is_some() && lock(&place, false, |_| ()).unwrap().is_none());
         let waiting = std::thread::spawn({
             let place = place.clone();
-            move || lock(&place, true).unwrap().is_some()
+            move || lock(&place, true, |_| ()).unwrap().is_some()
         });
         drop(first);
         assert!(waiting.join().unwrap());

@@ -5,10 +5,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use anyhow::Context;
-use clap::ValueEnum;
 use serde::Deserialize;
 
+use crate::ReproduceError;
 use crate::error::wrong_input;
 
 /// Tables there are: name and file.
@@ -29,12 +28,12 @@ const TABLES: [(&str, &str); 13] = [
 ];
 const SHARED: &str = include_str!("tables/shared.toml");
 
-/// How long is trained, and on what.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+/// How many frames are trained, for how many iterations, at which image size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
-    /// The paper's frames and schedule
+    /// The paper's frames and schedule.
     Full,
-    /// What two cores train in about a quarter of an hour
+    /// Few frames and a short schedule, which two cores train in about a quarter of an hour.
     Small,
 }
 
@@ -56,31 +55,31 @@ struct Dataset {
     small: Vec<String>,
 }
 
-/// What is done with a trained run.
+/// What is measured of a trained run. Every measurement ends with `eval`, but one of an analysis alone.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Measure {
-    /// Floats without what is masked.
+    /// Whether the run is exported as floats, without the Gaussians that its masks switch off.
     #[serde(default)]
     pub export: bool,
-    /// Arguments of `compress`.
+    /// Arguments of `tcgs compress`; `None`: the run is not compressed.
     pub compress: Option<Vec<String>>,
-    /// One of `analysis`.
+    /// Name of an analysis of the run's tracks or masks: `tracks`, `selection`, `polynomials` or `masks`.
     pub analysis: Option<String>,
 }
 
-/// A number of a result.
+/// A column of a table: one number of every result.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Column {
-    /// At its head.
+    /// Text in the head of the column.
     pub label: String,
-    /// Places in a result; the first that exists counts.
+    /// Paths to the number in a result's JSON, such as `eval.psnr`; the first that exists counts.
     pub from: Vec<String>,
-    /// What results, and the paper's numbers, are multiplied by to be shown.
+    /// Factor between a stored number and the number that is shown, such as 1e-6 from bytes to MB.
     #[serde(default = "one")]
     pub scale: f64,
-    /// After the point; none: with an exponent.
+    /// Digits after the point; `None`: the number is shown with an exponent.
     pub digits: Option<usize>,
 }
 
@@ -88,34 +87,35 @@ fn one() -> f64 {
     1.0
 }
 
-/// What blocks a table has.
+/// Which blocks of numbers a table has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Layout {
-    /// One a scene: rows by columns.
+pub enum TableLayout {
+    /// A block a scene: rows by columns.
     #[default]
     Rows,
-    /// One a column: rows by scenes, and their mean.
+    /// A block a column: rows by scenes, and the mean over scenes.
     Scenes,
-    /// One a dataset: rows by columns, means over its scenes.
+    /// A block a dataset: rows by columns, each number a mean over the dataset's scenes.
     Means,
 }
 
-/// A file of a table.
+/// What a file `tables/NAME.toml` says.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Table {
-    /// What it shows.
+    /// What the table shows.
     pub title: String,
-    /// Where it is in the paper.
+    /// The table or figure of the paper that this one reproduces.
     pub paper: String,
-    /// What a reader must know; where the paper contradicts itself.
+    /// Notes below the table: what a reader must know, and where the paper contradicts itself.
     pub notes: Vec<String>,
+    /// Which blocks of numbers the table has.
     #[serde(default)]
-    pub layout: Layout,
-    /// Scenes of the paper's.
+    pub layout: TableLayout,
+    /// The scenes of the paper's table.
     pub scenes: Vec<String>,
-    /// Columns by name, of this file or the shared one.
+    /// Names of the columns that are shown, defined in this file or in `tables/shared.toml`.
     #[serde(default)]
     pub show: Vec<String>,
     #[serde(default)]
@@ -129,52 +129,55 @@ pub struct Table {
     runs: BTreeMap<String, Vec<String>>,
     #[serde(default)]
     measures: BTreeMap<String, Measure>,
+    /// The rows: a method each.
     #[serde(default)]
     pub rows: Vec<Row>,
-    /// Shown after the table.
+    /// Analyses of runs, whose tables and plots are shown after the table.
     #[serde(default)]
     pub analyses: Vec<Row>,
+    /// The figures beside the numbers.
     #[serde(default)]
     pub plots: Vec<Plot>,
 }
 
-/// A row, or an analysis.
+/// A row of a table, or an analysis beside it.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Row {
-    /// Before it.
+    /// Text before the numbers.
     pub label: String,
-    /// Training that it stands on; none: a method that only the paper has numbers of.
+    /// Name of the training that is measured; `None`: a method of which only the paper has numbers.
     pub run: Option<String>,
-    /// What is measured of it.
+    /// Name of the measurement.
     pub measure: Option<String>,
-    /// Abscissa in a sweep.
+    /// Abscissa of the row in a [`PlotKind::Sweep`].
     pub x: Option<f64>,
     /// The paper's numbers: by scene, dataset or `mean`, then by column.
     #[serde(default)]
     pub paper: BTreeMap<String, BTreeMap<String, f64>>,
 }
 
-/// A picture beside a table.
+/// A figure beside a table.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Plot {
-    /// What kind.
+    /// What the figure shows.
     pub kind: PlotKind,
-    /// Above it.
+    /// Text above the figure.
     pub title: String,
-    /// Column on the abscissa, of points.
+    /// Column on the abscissa of [`PlotKind::Points`].
     pub x: Option<String>,
-    /// Of a sweep's abscissa.
+    /// Label of the abscissa of a [`PlotKind::Sweep`].
     #[serde(default)]
     pub x_label: String,
-    /// Column on the ordinate, of points and sweeps.
+    /// Column on the ordinate of points and sweeps.
     pub y: Option<String>,
+    /// Whether the abscissa is logarithmic.
     #[serde(default)]
     pub log_x: bool,
 }
 
-/// What a plot shows.
+/// What a figure shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PlotKind {
@@ -191,46 +194,58 @@ pub enum PlotKind {
 /// A training and all that is measured of it, at one scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Job {
-    /// Folder of the capture below the data.
+    /// Name of the scene, and of its capture's folder below [`Workplace::data`](crate::Workplace::data).
     pub scene: String,
     /// Name of the training.
     pub run: String,
-    /// Of `train`.
+    /// Arguments of `tcgs train`.
     pub arguments: Vec<String>,
-    /// By name.
+    /// What is measured of the training, by name.
     pub measures: BTreeMap<String, Measure>,
 }
 
-/// A table for the scenes and the size asked for.
+/// A table, and what has to be run for the scenes and the size that were asked for.
 #[derive(Clone, Debug)]
-pub struct Plan {
-    /// As on the command line.
+pub struct TablePlan {
+    /// Name of the table, such as `ablation`.
     pub name: String,
-    /// Its file.
+    /// What the table's file says.
     pub table: Table,
-    /// With names, in order.
+    /// The columns that are shown and their names, in the table's order.
     pub columns: Vec<(String, Column)>,
-    /// In the table's order.
+    /// The scenes, in the table's order.
     pub scenes: Vec<String>,
-    /// In the order to be done.
+    /// The trainings and their measurements, in the order in which they are run.
     pub jobs: Vec<Job>,
     shared: Shared,
 }
 
-/// What there is: name, title and place in the paper.
-pub fn list() -> anyhow::Result<Vec<(&'static str, Table)>> {
+/// All tables with their names.
+///
+/// # Errors
+/// [`ReproduceError::Table`] if a file of this crate cannot be parsed, which its tests rule out.
+pub fn tables() -> Result<Vec<(&'static str, Table)>, ReproduceError> {
     TABLES.iter().map(|&(name, text)| Ok((name, parse(name, text)?))).collect()
 }
 
-fn parse<T: serde::de::DeserializeOwned>(name: &str, text: &str) -> anyhow::Result<T> {
-    toml::from_str(text).with_context(|| format!("the table {name} of this program"))
+fn parse<T: serde::de::DeserializeOwned>(name: &str, text: &str) -> Result<T, ReproduceError> {
+    toml::from_str(text)
+        .map_err(|error| ReproduceError::Table(format!("the table {name} of this program: {}", error.message())))
+}
+
+fn missing(what: String) -> ReproduceError {
+    ReproduceError::Table(format!("{what}: is not defined"))
 }
 
 /// The plan of a table.
 ///
-/// - `scenes`: those wanted; none: all that the paper has
-/// - `over`: told to `train` instead of what the files say
-pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) -> anyhow::Result<Plan> {
+/// - `name`: one of [`tables`]
+/// - `scenes`: the scenes that are wanted; `None`: all of the paper's table
+/// - `over`: arguments of `tcgs train` that replace those of the table's files
+///
+/// # Errors
+/// [`ReproduceError::Input`] if there is no such table or scene.
+pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) -> Result<TablePlan, ReproduceError> {
     let Some((_, text)) = TABLES.iter().find(|table| table.0 == name) else {
         let names: Vec<&str> = TABLES.iter().map(|table| table.0).collect();
         return Err(wrong_input(format!("{name}: no table of this name, expected one of {}", names.join(", "))));
@@ -241,18 +256,30 @@ pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) 
         None => table.scenes.clone(),
         Some(wanted) => wanted.to_vec(),
     };
-    let mut plan = Plan { name: name.into(), columns: Vec::new(), scenes, jobs: Vec::new(), table, shared };
+    let mut plan = TablePlan { name: name.into(), columns: Vec::new(), scenes, jobs: Vec::new(), table, shared };
     for name in &plan.table.show {
         let column = plan.table.columns.get(name).or(plan.shared.columns.get(name));
-        let column = column.with_context(|| format!("column {name} of the table {}", plan.name))?;
+        let column = column.ok_or_else(|| missing(format!("column {name} of the table {}", plan.name)))?;
         plan.columns.push((name.clone(), column.clone()));
     }
     plan.jobs = plan.find_jobs(size, over)?;
     Ok(plan)
 }
 
-impl Plan {
-    fn find_jobs(&self, size: Size, over: &[String]) -> anyhow::Result<Vec<Job>> {
+impl Job {
+    /// The name of its training, which says the scene as well: `SCENE/RUN`.
+    pub fn name(&self) -> String {
+        format!("{}/{}", self.scene, self.run)
+    }
+}
+
+impl TablePlan {
+    /// Whether the table shows renders beside ground truth.
+    pub fn has_pictures(&self) -> bool {
+        self.table.plots.iter().any(|plot| plot.kind == PlotKind::Pictures)
+    }
+
+    fn find_jobs(&self, size: Size, over: &[String]) -> Result<Vec<Job>, ReproduceError> {
         let mut jobs: Vec<Job> = Vec::new();
         for scene in &self.scenes {
             let dataset = &self.shared.datasets[self.dataset(scene)?];
@@ -261,11 +288,12 @@ impl Plan {
             let of_table = of_size(&self.table.full, &self.table.small);
             for row in self.table.rows.iter().chain(&self.table.analyses) {
                 let (Some(run), Some(measure)) = (&row.run, &row.measure) else { continue };
-                let missing = |what: &str| format!("{what} of the row {} of the table {}", row.label, self.name);
-                let own = self.table.runs.get(run).or(self.shared.runs.get(run)).with_context(|| missing(run))?;
+                let missing =
+                    |what: &str| missing(format!("{what} of the row {} of the table {}", row.label, self.name));
+                let own = self.table.runs.get(run).or(self.shared.runs.get(run)).ok_or_else(|| missing(run))?;
                 let arguments = [of_data.as_slice(), own, &of_table, over].into_iter().fold(Vec::new(), merged);
                 let found = self.table.measures.get(measure).or(self.shared.measures.get(measure));
-                let found = found.with_context(|| missing(measure))?.clone();
+                let found = found.ok_or_else(|| missing(measure))?.clone();
                 let same = jobs.iter().position(|job| job.scene == *scene && job.run == *run);
                 let at = same.unwrap_or_else(|| {
                     let measures = BTreeMap::new();
@@ -279,7 +307,7 @@ impl Plan {
     }
 
     /// Which dataset a scene belongs to.
-    pub fn dataset(&self, scene: &str) -> anyhow::Result<&str> {
+    pub fn dataset(&self, scene: &str) -> Result<&str, ReproduceError> {
         let found = self.shared.datasets.iter().find(|(_, dataset)| dataset.scenes.iter().any(|s| s == scene));
         found.map(|(name, _)| name.as_str()).ok_or_else(|| {
             let all: BTreeSet<&str> =
@@ -340,7 +368,7 @@ mod tests {
     fn every_table_has_a_plan_and_a_name_means_one_thing() {
         for size in [Size::Full, Size::Small] {
             let (mut runs, mut measures) = (BTreeMap::new(), BTreeMap::new());
-            for (name, table) in list().unwrap() {
+            for (name, table) in tables().unwrap() {
                 let plan = plan(name, None, size, &[]).unwrap();
                 assert!(!plan.jobs.is_empty() && !table.notes.is_empty(), "{name}");
                 for plot in &plan.table.plots {
@@ -364,7 +392,7 @@ mod tests {
 
     #[test]
     fn the_papers_numbers_are_of_columns_and_scenes_that_exist() {
-        for (name, table) in list().unwrap() {
+        for (name, table) in tables().unwrap() {
             let plan = plan(name, None, Size::Full, &[]).unwrap();
             for row in &table.rows {
                 for (place, numbers) in &row.paper {
@@ -377,7 +405,7 @@ mod tests {
             }
         }
         // Its mean over scenes of sizes is not the one that it prints.
-        let table = &list().unwrap()[1].1;
+        let table = &tables().unwrap()[1].1;
         let ours = &table.rows.iter().find(|row| row.label == "TC3DGS").unwrap().paper;
         let sizes: Vec<f64> = table.scenes.iter().map(|scene| ours[scene]["storage"]).collect();
         assert!((sizes.iter().sum::<f64>() / 6.0 - 40.8e6).abs() < 0.1e6);

@@ -4,9 +4,9 @@ use rayon::prelude::*;
 use tcgs_codec::select_keypoints;
 
 use super::{Findings, above_rounding, along, squared_error};
+use crate::figure::Figure;
 use crate::report::plot::{Axes, Line};
-use crate::reproduce::figure::Figure;
-use crate::reproduce::table::{self, Cell, Sheet};
+use crate::table::{self, Cell, Sheet};
 
 /// Shares of the Gaussians by path, the slowest first.
 const GROUPS: [(&str, f64, f64); 3] =

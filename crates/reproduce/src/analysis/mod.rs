@@ -9,7 +9,6 @@ mod tracks;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tcgs_core::{Attribute, DynamicGaussians};
@@ -17,6 +16,7 @@ use tcgs_train::{Run, TrainedScene, mean_masks};
 
 use super::figure::Figure;
 use super::table::Sheet;
+use crate::ReproduceError;
 use crate::report::plot::Line;
 
 /// What an analysis finds.
@@ -34,7 +34,7 @@ pub struct Findings {
 ///
 /// - `name`: as a table's file has it
 /// - `run`: the run's folder
-pub fn analyse(name: &str, run: &Path) -> anyhow::Result<Value> {
+pub fn analyse(name: &str, run: &Path) -> Result<Value, ReproduceError> {
     let run = Run::open(run)?;
     let trained = run.trained()?;
     let findings = match name {
@@ -42,9 +42,10 @@ pub fn analyse(name: &str, run: &Path) -> anyhow::Result<Value> {
         "selection" => selection::analyse(&foreground(&run, &trained)),
         "polynomials" => polynomials::analyse(&foreground(&run, &trained)),
         "masks" => masks::analyse(&trained.mask_logits, run.config().mask.threshold),
-        _ => bail!("{name}: no analysis of this name"),
+        _ => return Err(ReproduceError::Table(format!("{name}: no analysis of this name"))),
     };
-    serde_json::to_value(findings).context("an analysis as JSON")
+    serde_json::to_value(findings)
+        .map_err(|error| ReproduceError::Table(format!("the analysis {name} as JSON: {error}")))
 }
 
 /// Without what is masked over time; and which of them are foreground.

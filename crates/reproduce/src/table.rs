@@ -6,7 +6,8 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::plan::{Column, Layout, Plan, Row};
+use super::plan::{Column, Row, TableLayout, TablePlan};
+use crate::ReproduceError;
 use crate::report::plot::escape;
 
 /// A block of a table.
@@ -97,7 +98,7 @@ fn at(value: &Value, path: &str) -> Option<f64> {
 }
 
 /// The table's blocks.
-pub fn sheets(plan: &Plan, results: &Results) -> anyhow::Result<Vec<Sheet>> {
+pub fn sheets(plan: &TablePlan, results: &Results) -> Result<Vec<Sheet>, ReproduceError> {
     let cell = |scene: &str, row: &Row, place: &str, (name, column): &(String, Column)| {
         let key = key(scene, row).filter(|key| results.contains_key(key));
         let value = key.as_ref().and_then(|key| number(column, &results[key]));
@@ -122,13 +123,13 @@ pub fn sheets(plan: &Plan, results: &Results) -> anyhow::Result<Vec<Sheet>> {
         return Ok(sheets);
     }
     match plan.table.layout {
-        Layout::Rows => {
+        TableLayout::Rows => {
             for scene in &plan.scenes {
                 let cells = |row: &Row| plan.columns.iter().map(|column| cell(scene, row, scene, column)).collect();
                 sheets.push(Sheet { title: scene.clone(), head: heads(), lines: lines(&cells) });
             }
         }
-        Layout::Scenes => {
+        TableLayout::Scenes => {
             let all: Vec<&String> = plan.scenes.iter().collect();
             for column in &plan.columns {
                 let cells = |row: &Row| {
@@ -140,7 +141,7 @@ pub fn sheets(plan: &Plan, results: &Results) -> anyhow::Result<Vec<Sheet>> {
                 sheets.push(Sheet { title: column.1.label.clone(), head, lines: lines(&cells) });
             }
         }
-        Layout::Means => {
+        TableLayout::Means => {
             let mut datasets: BTreeMap<&str, Vec<&String>> = BTreeMap::new();
             for scene in &plan.scenes {
                 datasets.entry(plan.dataset(scene)?).or_default().push(scene);
@@ -290,8 +291,10 @@ pub fn html(sheet: &Sheet) -> String {
     html + "</tbody></table></div>\n"
 }
 
-/// For machines.
-pub fn json(plan: &Plan, sheets: &[Sheet], results: &Results) -> Value {
+/// The table for machines.
+///
+/// - `commit`: of the program
+pub fn json(plan: &TablePlan, sheets: &[Sheet], results: &Results, commit: &str) -> Value {
     let sources: serde_json::Map<String, Value> = results
         .iter()
         .map(|(key, result)| {
@@ -306,7 +309,7 @@ pub fn json(plan: &Plan, sheets: &[Sheet], results: &Results) -> Value {
         "title": plan.table.title,
         "paper": plan.table.paper,
         "notes": plan.table.notes,
-        "commit": super::execute::COMMIT,
+        "commit": commit,
         "blocks": sheets,
         "sources": sources,
     })
@@ -315,7 +318,7 @@ pub fn json(plan: &Plan, sheets: &[Sheet], results: &Results) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reproduce::plan::{Size, plan};
+    use crate::plan::{Size, plan};
 
     fn result() -> Value {
         json!({

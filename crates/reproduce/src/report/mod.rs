@@ -1,4 +1,5 @@
-//! The page that `tcgs demo` leaves behind: one file, no script, nothing loaded from elsewhere.
+//! Pages of results: one HTML file each, without scripts, nothing loaded from elsewhere. The page of one run
+//! ([`html`]), and the parts that pages of tables share with it.
 //!
 //! What lives here: which figures the page shows and in what order. `plot` draws them.
 
@@ -11,7 +12,7 @@ use image::{ImageFormat, RgbImage};
 
 use plot::{Axes, Line, Row, columns, escape, lines, rows, short};
 
-/// What the page tells. Plots without values say so instead of vanishing.
+/// What the page of a run shows. A plot without values says that it was not measured.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
     /// Heading of the page.
@@ -19,7 +20,7 @@ pub struct Report {
     /// Headline figures: name and value, most important first.
     pub summary: Vec<(String, String)>,
     /// What each step of the compression leaves, in order; the first is the uncompressed model.
-    pub stages: Vec<Stage>,
+    pub stages: Vec<CompressionStep>,
     /// Seconds spent on each part of the run.
     pub seconds: Vec<(String, f64)>,
     /// Iteration, counted over the whole run, and training loss.
@@ -38,10 +39,10 @@ pub struct Report {
 
 /// A step of the compression.
 #[derive(Clone, Debug, Default)]
-pub struct Stage {
-    /// What was done.
+pub struct CompressionStep {
+    /// What the step does.
     pub name: String,
-    /// What the model takes after it.
+    /// Size of the model after the step.
     pub bytes: u64,
     /// On the test cameras, dB, where measured.
     pub psnr: Option<f64>,
@@ -49,10 +50,10 @@ pub struct Stage {
     pub ssim: Option<f64>,
 }
 
-/// A named row of numbers; its index is the abscissa.
+/// A named series of numbers, of which each one's index is the abscissa.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// In the legend.
+    /// Name in the legend.
     pub name: String,
     /// Values that are not finite are left out.
     pub values: Vec<f64>,
@@ -70,7 +71,7 @@ pub struct Picture {
 /// Points that the loss is averaged to: more than the plot has pixels to show would only weigh.
 const MAX_LOSS_POINTS: usize = 300;
 
-/// The page as HTML.
+/// The page of a run as HTML.
 pub fn html(report: &Report) -> String {
     let mut page = summary(&report.summary);
     section(&mut page, "Pictures", "", &pictures(&report.pictures));
@@ -117,7 +118,7 @@ fn summary(figures: &[(String, String)]) -> String {
 }
 
 /// A bar for each stage, and the same as a table.
-fn sizes(stages: &[Stage]) -> String {
+fn sizes(stages: &[CompressionStep]) -> String {
     let Some(first) = stages.first() else { return String::new() };
     let bars: Vec<Row> = stages
         .iter()
@@ -219,7 +220,10 @@ pub fn pictures(pictures: &[Picture]) -> String {
 }
 
 /// A picture as a PNG file.
-pub fn png(image: &RgbImage) -> anyhow::Result<Vec<u8>> {
+///
+/// # Errors
+/// If the picture has no pixels, or more than a PNG file can hold.
+pub fn png(image: &RgbImage) -> Result<Vec<u8>, image::ImageError> {
     let mut bytes = Cursor::new(Vec::new());
     image.write_to(&mut bytes, ImageFormat::Png)?;
     Ok(bytes.into_inner())

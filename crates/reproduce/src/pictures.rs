@@ -2,16 +2,16 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
 use image::{Rgb, RgbImage};
 use tcgs_capture::{Capture, Split};
 use tcgs_core::Image;
 use tcgs_pipeline::{OpenScene, OpenSettings};
 use tcgs_render::{DrawAny, RenderSettings};
 
-use super::execute::Place;
-use super::plan::Plan;
-use crate::error::wrong_input;
+use super::execute::Workplace;
+use super::plan::TablePlan;
+use crate::ReproduceError;
+use crate::error::{file, wrong_input};
 use crate::report::Picture;
 use crate::report::png;
 
@@ -23,7 +23,11 @@ const GAP: u32 = 4;
 const WIDTH: u32 = 320;
 
 /// A grid a scene: a row a timestep, ground truth first. Also which file each belongs into.
-pub fn grids(plan: &Plan, place: &Place, renderer: &DrawAny) -> anyhow::Result<Vec<(PathBuf, Picture)>> {
+pub fn grids(
+    plan: &TablePlan,
+    place: &Workplace,
+    renderer: &DrawAny,
+) -> Result<Vec<(PathBuf, Picture)>, ReproduceError> {
     let mut grids = Vec::new();
     for scene in &plan.scenes {
         let capture = Capture::open(&place.capture(scene))?;
@@ -32,7 +36,10 @@ pub fn grids(plan: &Plan, place: &Place, renderer: &DrawAny) -> anyhow::Result<V
         let mut of = String::new();
         for row in &plan.table.rows {
             let (Some(run), Some(measure)) = (&row.run, &row.measure) else { continue };
-            let job = plan.jobs.iter().find(|job| job.scene == *scene && job.run == *run).context("a row's run")?;
+            let job = plan.jobs.iter().find(|job| job.scene == *scene && job.run == *run).ok_or_else(|| {
+                let problem = format!("{scene}/{run}: is a row's run and none of the plan");
+                ReproduceError::Table(problem)
+            })?;
             if place.result(job, measure)?.is_none() {
                 continue;
             }
@@ -69,8 +76,10 @@ pub fn grids(plan: &Plan, place: &Place, renderer: &DrawAny) -> anyhow::Result<V
             continue;
         }
         let caption = format!("{scene}, {of}; from left to right: {}", names.join(", "));
-        let picture = Picture { caption, png: png(&grid(&columns))? };
-        grids.push((PathBuf::from(format!("{}-{scene}.png", plan.name)), picture));
+        let name = PathBuf::from(format!("{}-{scene}.png", plan.name));
+        let png = png(&grid(&columns)).map_err(|error| file("drawing", &name)(std::io::Error::other(error)))?;
+        let picture = Picture { caption, png };
+        grids.push((name, picture));
     }
     Ok(grids)
 }

@@ -14,7 +14,7 @@ fn series(name: &str, values: impl IntoIterator<Item = f64>) -> Series {
 }
 
 fn sample() -> Report {
-    let stage = |name: &str, bytes, psnr, ssim| Stage { name: name.into(), bytes, psnr, ssim };
+    let stage = |name: &str, bytes, psnr, ssim| CompressionStep { name: name.into(), bytes, psnr, ssim };
     let bell =
         |len: usize, at: f64, size: f64| (0..len).map(move |i| (size * (-(i as f64 - at).powi(2) / 8.0).exp()).round());
     Report {
@@ -134,7 +134,12 @@ fn numbers_that_are_none_do_not_reach_the_page() {
     let mut report = sample();
     report.loss[5].1 = f32::NAN;
     report.seconds.push(("broken".into(), f64::INFINITY));
-    report.stages.push(Stage { name: "empty".into(), bytes: 0, psnr: Some(f64::NAN), ssim: Some(f64::NEG_INFINITY) });
+    report.stages.push(CompressionStep {
+        name: "empty".into(),
+        bytes: 0,
+        psnr: Some(f64::NAN),
+        ssim: Some(f64::NEG_INFINITY),
+    });
     report.bits_histogram[0].values[3] = f64::NAN;
     report.psnr_over_time.push(series("nothing", [f64::NAN; 3]));
     let page = html(&report);

@@ -3,8 +3,8 @@
 use tcgs_core::sigmoid;
 
 use super::Findings;
+use crate::figure::Figure;
 use crate::report::plot::{Axes, Line};
-use crate::reproduce::figure::Figure;
 
 /// Curves of each kind.
 const SHOWN: usize = 4;

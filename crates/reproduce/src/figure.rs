@@ -6,8 +6,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::analysis::Findings;
-use super::plan::{Layout, Plan, Plot, PlotKind, Row};
+use super::plan::{Plot, PlotKind, Row, TableLayout, TablePlan};
 use super::table::{self, Results, Sheet, key, number};
+use crate::ReproduceError;
+use crate::error::wrong_input;
 use crate::report::plot::{self, Axes, Line, Mark, escape};
 use crate::report::{Picture, document, pictures, section};
 
@@ -52,7 +54,7 @@ pub struct Shown {
 }
 
 /// Blocks and plots of a table; renders come from elsewhere.
-pub fn show(plan: &Plan, results: &Results) -> anyhow::Result<Shown> {
+pub fn show(plan: &TablePlan, results: &Results) -> Result<Shown, ReproduceError> {
     let mut shown = Shown { sheets: table::sheets(plan, results)?, figures: Vec::new(), pictures: Vec::new() };
     for plot in &plan.table.plots {
         shown.figures.extend(figures(plan, plot, results)?);
@@ -61,7 +63,8 @@ pub fn show(plan: &Plan, results: &Results) -> anyhow::Result<Shown> {
         for row in plan.table.rows.iter().chain(&plan.table.analyses) {
             let Some(key) = key(scene, row).filter(|key| results.contains_key(key)) else { continue };
             let Some(findings) = results[&key].get("analysis") else { continue };
-            let findings: Findings = serde_json::from_value(findings.clone())?;
+            let findings: Findings = serde_json::from_value(findings.clone())
+                .map_err(|error| wrong_input(format!("the result {key}: {error}, expected findings of an analysis")))?;
             let name = format!("{scene}, {}", row.label);
             let named = |title: &str| format!("{title} ({name})");
             for mut sheet in findings.sheets {
@@ -84,7 +87,7 @@ pub fn show(plan: &Plan, results: &Results) -> anyhow::Result<Shown> {
     Ok(shown)
 }
 
-fn figures(plan: &Plan, plot: &Plot, results: &Results) -> anyhow::Result<Vec<Figure>> {
+fn figures(plan: &TablePlan, plot: &Plot, results: &Results) -> Result<Vec<Figure>, ReproduceError> {
     let column = |name: &Option<String>| plan.columns.iter().find(|(known, _)| Some(known) == name.as_ref());
     let mut figures = Vec::new();
     let (x, y) = (column(&plot.x), column(&plot.y));
@@ -147,12 +150,14 @@ fn figures(plan: &Plan, plot: &Plot, results: &Results) -> anyhow::Result<Vec<Fi
 }
 
 /// Scenes whose numbers are shown as one mark: their name, where the paper's numbers are, and which they are.
-fn groups(plan: &Plan) -> anyhow::Result<Vec<(String, String, Vec<&String>)>> {
+type SceneGroup<'a> = (String, String, Vec<&'a String>);
+
+fn groups(plan: &TablePlan) -> Result<Vec<SceneGroup<'_>>, ReproduceError> {
     Ok(match plan.table.layout {
-        Layout::Rows => plan.scenes.iter().map(|scene| (scene.clone(), scene.clone(), vec![scene])).collect(),
-        Layout::Scenes => vec![("mean".into(), "mean".into(), plan.scenes.iter().collect())],
-        Layout::Means => {
-            let mut groups: Vec<(String, String, Vec<&String>)> = Vec::new();
+        TableLayout::Rows => plan.scenes.iter().map(|scene| (scene.clone(), scene.clone(), vec![scene])).collect(),
+        TableLayout::Scenes => vec![("mean".into(), "mean".into(), plan.scenes.iter().collect())],
+        TableLayout::Means => {
+            let mut groups: Vec<SceneGroup<'_>> = Vec::new();
             for scene in &plan.scenes {
                 let dataset = plan.dataset(scene)?;
                 match groups.iter_mut().find(|group| group.0 == dataset) {
@@ -178,7 +183,7 @@ fn psnr_over_time(result: &Value) -> Vec<(f64, f64)> {
 }
 
 /// The page: blocks, plots, renders, and the commands of every number.
-pub fn page(plan: &Plan, shown: &Shown, results: &Results) -> String {
+pub fn page(plan: &TablePlan, shown: &Shown, results: &Results) -> String {
     let mut page = format!(
         "<p class=\"note\">{} of the paper. Numbers in parentheses are the paper's.</p>\n",
         escape(&plan.table.paper)

@@ -1,0 +1,96 @@
+//! The Gaussians of a scene that stay, in memory or read from the disk a timestep at a time.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use tcgs_codec::{BitMap, CompactScene, CompressSettings, Quantizers, SceneInfo, compress, compress_reader};
+use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
+
+use crate::scene::raw_bytes;
+use crate::{OpenScene, PipelineError};
+
+/// The Gaussians that stay.
+#[derive(Clone, Debug)]
+pub(super) enum Kept<'a> {
+    /// All timesteps.
+    InMemory(DynamicGaussians),
+    /// Timesteps are read, and read again, when the codec asks for them.
+    OnDisk { scene: &'a OpenScene, keep: Vec<usize> },
+}
+
+impl Kept<'_> {
+    pub fn num_gaussians(&self) -> usize {
+        match self {
+            Self::InMemory(floats) => floats.num_gaussians(),
+            Self::OnDisk { keep, .. } => keep.len(),
+        }
+    }
+
+    pub fn num_timesteps(&self) -> usize {
+        match self {
+            Self::InMemory(floats) => floats.num_timesteps(),
+            Self::OnDisk { scene, .. } => scene.num_timesteps(),
+        }
+    }
+
+    pub fn raw_bytes(&self) -> u64 {
+        match self {
+            Self::InMemory(floats) => floats.raw_bytes(),
+            Self::OnDisk { scene, keep } => raw_bytes(keep.len(), scene.num_timesteps()),
+        }
+    }
+
+    /// One timestep in stored form.
+    pub fn at(&self, timestep: usize) -> Result<Gaussians, PipelineError> {
+        match self {
+            Self::InMemory(floats) => Ok(floats.at(timestep)),
+            Self::OnDisk { scene, keep } => {
+                let gaussians = scene.at(timestep)?;
+                Ok(if keep.len() < gaussians.num_gaussians() { gaussians.select(keep) } else { gaussians })
+            }
+        }
+    }
+
+    /// The symbols; the same from memory and from the disk.
+    pub fn compress(
+        &self,
+        bit_map: &BitMap,
+        learned: Option<&Quantizers>,
+        info: SceneInfo,
+        settings: &CompressSettings,
+    ) -> Result<CompactScene, PipelineError> {
+        Ok(match self {
+            Self::InMemory(floats) => compress(floats, bit_map, learned, info, settings)?,
+            Self::OnDisk { .. } => compress_reader(&mut Reader(self), bit_map, learned, info, settings)?.0,
+        })
+    }
+}
+
+struct Reader<'a>(&'a Kept<'a>);
+
+impl SceneReader for Reader<'_> {
+    type Error = PipelineError;
+
+    fn layout(&self) -> &Arc<Layout> {
+        match self.0 {
+            Kept::InMemory(floats) => floats.layout(),
+            Kept::OnDisk { scene, .. } => SceneReader::layout(*scene),
+        }
+    }
+
+    fn num_gaussians(&self) -> usize {
+        self.0.num_gaussians()
+    }
+
+    fn num_timesteps(&self) -> usize {
+        self.0.num_timesteps()
+    }
+
+    fn span(&self, timestep: usize) -> Range<usize> {
+        timestep..timestep + 1
+    }
+
+    fn at(&mut self, timestep: usize) -> Result<Gaussians, PipelineError> {
+        self.0.at(timestep)
+    }
+}

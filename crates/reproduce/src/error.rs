@@ -1,0 +1,74 @@
+//! What can go wrong with a table.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use tcgs_capture::CaptureError;
+use tcgs_pipeline::{Fault, HasFault, PipelineError};
+use tcgs_render::device::GpuError;
+use tcgs_train::TrainError;
+
+/// Why a table could not be made. Every message is one line, and causes are part of it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReproduceError {
+    /// An argument, a capture, or what lies in the output folder is wrong: the culprit, what was found and expected.
+    #[error("{0}")]
+    Input(String),
+    /// The file system refused.
+    #[error("{action} {}: {error}", path.display())]
+    File {
+        /// What was tried.
+        action: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's answer.
+        error: io::Error,
+    },
+    /// A step of a run, which is a process of its own, failed.
+    #[error("{command}: {problem}")]
+    Step {
+        /// The step as a person would type it.
+        command: String,
+        /// How it ended, and how to go on.
+        problem: String,
+    },
+    /// A file of this crate that says what a table is made of contradicts itself.
+    #[error("{0}")]
+    Table(String),
+    /// A run, a scene or a capture.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+}
+
+impl HasFault for ReproduceError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Input(_) => Fault::Input,
+            Self::Pipeline(error) => error.fault(),
+            Self::File { .. } | Self::Step { .. } | Self::Table(_) => Fault::Machine,
+        }
+    }
+}
+
+/// Errors of the crates below the pipeline are the pipeline's.
+macro_rules! through_the_pipeline {
+    ($($error:ty),*) => {$(
+        impl From<$error> for ReproduceError {
+            fn from(error: $error) -> Self {
+                Self::Pipeline(error.into())
+            }
+        }
+    )*};
+}
+through_the_pipeline!(CaptureError, TrainError, GpuError);
+
+/// For `map_err` of what a file is read or written with.
+pub(crate) fn file<E: Into<io::Error>>(action: &'static str, path: &Path) -> impl FnOnce(E) -> ReproduceError {
+    let path = path.to_path_buf();
+    move |error| ReproduceError::File { action, path, error: error.into() }
+}
+
+pub(crate) fn wrong_input(problem: impl Into<String>) -> ReproduceError {
+    ReproduceError::Input(problem.into())
+}

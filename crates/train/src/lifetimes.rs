@@ -1,0 +1,86 @@
+//! Who each Gaussian is, and from when to when it lives.
+
+use crate::row::Row;
+
+/// Who each Gaussian is, and from when to when it lives: columns of integers.
+///
+/// Today every Gaussian that the first timestep leaves lives at all timesteps.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Lifetimes {
+    /// `[N]` an identity that stays while rows are reordered and removed, and is not given twice.
+    pub ids: Vec<u32>,
+    /// `[N]` first timestep at which it lives.
+    pub births: Vec<u32>,
+    /// `[N]` first timestep at which it lives no more; [`Self::NEVER`] of one that has not died.
+    pub deaths: Vec<u32>,
+    /// The next identity to give.
+    next_id: u32,
+}
+
+impl Lifetimes {
+    /// The death of a Gaussian that has not died.
+    pub const NEVER: u32 = u32::MAX;
+
+    /// `num_gaussians` that live from the first timestep on, numbered from 0 in their order.
+    pub fn new(num_gaussians: usize) -> Self {
+        let next_id = u32::try_from(num_gaussians).expect("fewer than 2^32 Gaussians");
+        let (births, deaths) = (vec![0; num_gaussians], vec![Self::NEVER; num_gaussians]);
+        Self { ids: (0..next_id).collect(), births, deaths, next_id }
+    }
+
+    /// Lifetimes as a file holds them.
+    ///
+    /// - `ids`, `births`, `deaths`: `[N]`; see the fields
+    ///
+    /// # Panics
+    /// If lengths differ.
+    pub fn from_columns(ids: Vec<u32>, births: Vec<u32>, deaths: Vec<u32>) -> Self {
+        assert_eq!([births.len(), deaths.len()], [ids.len(); 2], "births and deaths against identities");
+        let next_id = ids.iter().max().map_or(0, |&id| id.saturating_add(1));
+        Self { ids, births, deaths, next_id }
+    }
+
+    /// Whether all live from the first timestep on, have not died, and are numbered in their order.
+    pub fn are_whole(&self) -> bool {
+        let whole = |(i, ((&id, &birth), &death)): (usize, ((&u32, &u32), &u32))| {
+            id as usize == i && birth == 0 && death == Self::NEVER
+        };
+        self.ids.iter().zip(&self.births).zip(&self.deaths).enumerate().all(whole)
+    }
+
+    /// - `timestep`: at which what is new is born
+    pub(crate) fn gather(&mut self, rows: &[Row], timestep: u32) {
+        let old = std::mem::take(self);
+        self.next_id = old.next_id;
+        for row in rows {
+            let (id, birth, death) = match row.kept() {
+                Some(i) => (old.ids[i], old.births[i], old.deaths[i]),
+                None => {
+                    self.next_id += 1;
+                    (self.next_id - 1, timestep, Self::NEVER)
+                }
+            };
+            self.ids.push(id);
+            self.births.push(birth);
+            self.deaths.push(death);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn identities_stay_with_their_rows_and_are_not_given_twice() {
+        let mut lifetimes = Lifetimes::new(3);
+        lifetimes.gather(&[Row::Kept(2), Row::New { parent: 2 }, Row::Kept(0)], 5);
+        assert_eq!((&lifetimes.ids[..], &lifetimes.births[..]), (&[2, 3, 0][..], &[0, 5, 0][..]));
+        assert!(!lifetimes.are_whole() && lifetimes.deaths == [Lifetimes::NEVER; 3]);
+        // The last one is removed, and its number is not used again.
+        lifetimes.gather(&[Row::Kept(0)], 6);
+        lifetimes.gather(&[Row::New { parent: 0 }], 6);
+        assert_eq!((&lifetimes.ids[..], &lifetimes.births[..]), (&[4][..], &[6][..]));
+        assert!(Lifetimes::new(2).are_whole());
+    }
+}
