@@ -1,8 +1,9 @@
 //! Ctrl-C: the first asks the work to end cleanly, the second ends the process at once.
 
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::Context;
 
@@ -12,11 +13,18 @@ use crate::terminal::note;
 pub const EXIT_CODE: u8 = 130;
 
 static ASKED: AtomicBool = AtomicBool::new(false);
+/// What the first Ctrl-C removes.
+static UNFINISHED: Mutex<Option<PathBuf>> = Mutex::new(None);
 
 /// Catches Ctrl-C (SIGINT) from now on, for commands that ask [`asked`] between steps. Without this Ctrl-C ends the process
 /// at once.
 pub fn catch() -> anyhow::Result<()> {
     let handler = || {
+        if let Some(unfinished) = &*UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner) {
+            // What cannot be removed has a mark by which a later command removes it.
+            let _ = std::fs::remove_dir_all(unfinished);
+            std::process::exit(i32::from(EXIT_CODE));
+        }
         if ASKED.swap(true, Ordering::SeqCst) {
             std::process::exit(i32::from(EXIT_CODE));
         }
@@ -25,17 +33,15 @@ pub fn catch() -> anyhow::Result<()> {
     ctrlc::set_handler(handler).context("catching Ctrl-C")
 }
 
-/// From now on the first Ctrl-C removes a folder and ends the process, for commands with one long step.
+/// After [`catch`], for commands with one long step: from now on the first Ctrl-C removes a folder and ends the process.
 ///
 /// - `unfinished`: holds nothing yet, or what nobody needs
-pub fn catch_and_remove(unfinished: &Path) -> anyhow::Result<()> {
-    let unfinished = unfinished.to_path_buf();
-    let handler = move || {
-        // What cannot be removed has a mark by which a later command removes it.
-        let _ = std::fs::remove_dir_all(&unfinished);
-        std::process::exit(i32::from(EXIT_CODE));
-    };
-    ctrlc::set_handler(handler).context("catching Ctrl-C")
+///
+/// # Errors
+/// If Ctrl-C came before; the folder is then the caller's to remove.
+pub fn remove_at_end(unfinished: &Path) -> anyhow::Result<()> {
+    *UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner) = Some(unfinished.into());
+    check()
 }
 
 /// An error after Ctrl-C.

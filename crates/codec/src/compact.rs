@@ -9,14 +9,14 @@ use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout, normalize};
 
 use crate::bits::BitMap;
 use crate::error::CompressError;
-use crate::keypoints::{lerp, locate};
+use crate::keypoints::sample;
 use crate::parallel;
 use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
 
 /// Most timesteps of a scene: a keypoint's time has 16 bits.
 pub(crate) const MAX_TIMESTEPS: u32 = 1 << 16;
 
-/// What a file says besides symbols.
+/// Counts and provenance of a scene: what a file says before any symbol.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneInfo {
     /// `N`.
@@ -29,13 +29,13 @@ pub struct SceneInfo {
     pub frame_rate: f32,
     /// Factor by which the capture's images were shrunk for training, at least 1.
     pub downscale: u32,
-    /// Of the capture: any text, at most 65535 bytes.
+    /// Name of the capture: any text, at most 65535 bytes.
     pub name: String,
-    /// What wrote the file: any text, at most 65535 bytes.
+    /// Program that wrote the file: any text, at most 65535 bytes.
     pub generator: String,
-    /// What the colours mean.
+    /// Colour space of the colours.
     pub color_space: ColorSpace,
-    /// Which way is up.
+    /// The axis that points up.
     pub up: UpAxis,
 }
 
@@ -278,7 +278,7 @@ impl CompactScene {
             let quantizers = quantizers[usize::from(widths[gaussian])];
             for (channel, value) in row.iter_mut().enumerate() {
                 let (times, codes) = tracks.track(gaussian * components + channel);
-                *value = value_of(times, codes, &quantizers[channel], timestep);
+                *value = sample(times, timestep, |keypoint| quantizers[channel].dequantize(codes[keypoint].into()));
             }
             if attribute == Attribute::Quat {
                 row.copy_from_slice(&unit_quat([row[0], row[1], row[2], row[3]]));
@@ -378,16 +378,6 @@ pub(crate) fn check_division(num_gaussians: u32, layers: &[u32], segment_length:
     } else {
         Ok(())
     }
-}
-
-#[inline(always)]
-fn value_of(times: &[u16], codes: &[i16], quantizer: &Quantizer, timestep: usize) -> f32 {
-    if let [code] = codes {
-        return quantizer.dequantize(i32::from(*code));
-    }
-    let (i, fraction) = locate(times, timestep);
-    let value = quantizer.dequantize(i32::from(codes[i]));
-    if fraction == 0.0 { value } else { lerp(value, quantizer.dequantize(i32::from(codes[i + 1])), fraction) }
 }
 
 /// Unit length; no rotation where there is no length.

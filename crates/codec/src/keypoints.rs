@@ -176,13 +176,30 @@ fn index_of_largest(values: &[f64]) -> usize {
 /// the next, in `[0, 1)`.
 ///
 /// - `times`: strictly increasing, not empty; `timestep` outside them is held at the nearest
-pub(crate) fn locate(times: &[u16], timestep: usize) -> (usize, f32) {
-    let after = times.partition_point(|&t| usize::from(t) <= timestep);
-    if after == 0 || after == times.len() {
-        return (after.saturating_sub(1), 0.0);
+fn locate(times: &[u16], timestep: usize) -> (usize, f32) {
+    let before = times.partition_point(|&t| usize::from(t) <= timestep).saturating_sub(1);
+    (before, fraction(times, before, timestep))
+}
+
+/// How far a timestep is from a keypoint towards the next one, in `[0, 1)`; 0 before the first and after the last.
+///
+/// - `before`: index of the last keypoint at or before the timestep, or 0
+#[inline(always)]
+pub(crate) fn fraction(times: &[u16], before: usize, timestep: usize) -> f32 {
+    let start = usize::from(times[before]);
+    match times.get(before + 1) {
+        Some(&end) if start < timestep => (timestep - start) as f32 / (usize::from(end) - start) as f32,
+        _ => 0.0,
     }
-    let (start, end) = (usize::from(times[after - 1]), usize::from(times[after]));
-    (after - 1, (timestep - start) as f32 / (end - start) as f32)
+}
+
+/// Value of a track at a timestep, from its value at any keypoint.
+///
+/// - `times`: as of [`locate`]
+#[inline(always)]
+pub(crate) fn sample(times: &[u16], timestep: usize, value: impl Fn(usize) -> f32) -> f32 {
+    let (before, fraction) = locate(times, timestep);
+    if fraction == 0.0 { value(before) } else { lerp(value(before), value(before + 1), fraction) }
 }
 
 /// Value of a track at a timestep: linear between keypoints, held before the first and after the last.
@@ -204,8 +221,7 @@ pub fn interpolate(times: &[u16], values: &[f32], timestep: usize) -> f32 {
         times.len(),
         values.len()
     );
-    let (i, fraction) = locate(times, timestep);
-    if fraction == 0.0 { values[i] } else { lerp(values[i], values[i + 1], fraction) }
+    sample(times, timestep, |keypoint| values[keypoint])
 }
 
 #[inline(always)]

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::error::DecodeError;
 
-/// What a decoder is willing to spend on a file.
+/// How much memory a decoder spends on a file before it refuses the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DecodeLimits {
     /// Default 16,777,216: forty times a large scene.

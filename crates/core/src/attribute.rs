@@ -30,12 +30,12 @@ impl Attribute {
     pub const BASE: [Self; 5] = [Self::Mean, Self::Quat, Self::LogScale, Self::LogitOpacity, Self::Color];
 
     /// Number of scalars of one Gaussian at one timestep.
-    pub fn components(self) -> usize {
+    pub const fn components(self) -> usize {
         match self {
             Self::Mean | Self::LogScale | Self::Color => 3,
             Self::Quat => 4,
             Self::LogitOpacity => 1,
-            Self::Extra { components, .. } => usize::from(components),
+            Self::Extra { components, .. } => components as usize,
         }
     }
 

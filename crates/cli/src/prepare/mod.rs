@@ -77,9 +77,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(file) = &arguments.points_only {
         check_points_file(file, force)?;
     }
+    if arguments.out.is_some() {
+        interrupt::catch()?;
+    }
     let folder = arguments.out.as_deref().map(|out| begin_capture(out, &arguments.source, force)).transpose()?;
     if let Some(folder) = &folder {
-        interrupt::catch_and_remove(folder.path())?;
+        interrupt::remove_at_end(folder.path())?;
     }
     let capture = Capture::open_unseen(&arguments.source)?;
     if capture.has_points() {

@@ -15,16 +15,16 @@ use crate::compact::SceneInfo;
 use crate::error::DecodeError;
 use crate::limits::{Budget, DecodeLimits};
 
-/// What the start of a file gives.
+/// Result of [`Archive::open`].
 #[derive(Debug)]
 pub enum Opening {
-    /// So many bytes from the start are needed at least.
+    /// The tables are not complete: at least this many bytes from the start of the file are needed.
     More(u64),
-    /// Enough.
+    /// The tables are complete.
     Ready(Box<Archive>),
 }
 
-/// A file of which the start is known: where its parts lie, and what of them was read.
+/// A file whose tables were read: where its parts lie, and the layers that all segments share as far as they were read.
 ///
 /// All layers that are wanted are read first ([`Self::shared_range`], [`Self::read_shared`]), then any
 /// segments in any order ([`Self::segment_range`], [`Self::read_segment`]).
@@ -133,7 +133,7 @@ impl Archive {
         })))
     }
 
-    /// What the file says besides symbols.
+    /// Counts and provenance of the scene.
     pub fn info(&self) -> &SceneInfo {
         &self.head.info
     }
@@ -143,7 +143,7 @@ impl Archive {
         self.head.bounds
     }
 
-    /// By [`Attribute::index`]: whether it varies over time.
+    /// By [`Attribute::index`]: whether the attribute varies over time.
     pub fn varies(&self) -> [bool; 5] {
         self.head.plan.varies
     }

@@ -10,7 +10,7 @@ use super::coder::Encoder;
 use super::container::{self, Part};
 use super::fit;
 use super::head::{Head, write_info, write_plan};
-use super::keypoints::{KeypointModels, Motion, Place, UnitTracks};
+use super::keypoints::{KeypointModels, Motion, Scope, UnitTracks};
 use super::section::{self, APPLICATION, INFO, MAPS, PLAN};
 use super::shared::{CurveModels, FirstModels, MapModels, Plan, Shared};
 use crate::compact::{CompactScene, Tracks};
@@ -224,7 +224,7 @@ fn segment_sections(
     let unlimited = Budget::new(&DecodeLimits::none(), u64::MAX);
     let mut parts = Vec::new();
     for layer in 0..head.layers.len() {
-        let place = Place {
+        let place = Scope {
             plan: &head.plan,
             shared,
             attribute,

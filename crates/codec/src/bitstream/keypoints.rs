@@ -39,8 +39,8 @@ impl UnitTracks {
         self.times.len()
     }
 
-    /// Makes room for one unit more of so many keypoints. By a fourth rather than the double, so that what is
-    /// decoded and what it grows into together stay small.
+    /// Reserves space for one more unit of `num_keypoints` keypoints. Arrays grow by 25 %, not 100 %, to bound peak
+    /// memory while decoding.
     fn reserve(&mut self, num_keypoints: usize) {
         fn reserve<V>(values: &mut Vec<V>, more: usize) {
             if values.capacity() - values.len() < more {
@@ -52,7 +52,7 @@ impl UnitTracks {
         reserve(&mut self.codes, num_keypoints * self.channels);
     }
 
-    /// Gives back what was reserved and not used.
+    /// Frees the space that was reserved and not used.
     pub(super) fn shrink(&mut self) {
         self.starts.shrink_to_fit();
         self.times.shrink_to_fit();
@@ -63,7 +63,7 @@ impl UnitTracks {
         size_of::<u16>() + self.channels * size_of::<i16>()
     }
 
-    /// Memory.
+    /// Memory of all units, in bytes.
     pub(super) fn bytes(&self) -> usize {
         self.starts.len() * size_of::<u32>() + self.times.len() * self.bytes_per_keypoint()
     }
@@ -74,7 +74,7 @@ impl UnitTracks {
         (&self.times[range.clone()], &self.codes[range.start * self.channels..range.end * self.channels])
     }
 
-    /// For others.
+    /// The public view of these units.
     pub(super) fn as_keypoints(&self) -> Keypoints<'_> {
         Keypoints { channels: self.channels, starts: &self.starts, times: &self.times, codes: &self.codes }
     }
@@ -93,17 +93,17 @@ impl UnitTracks {
     }
 }
 
-/// From where a code is expected relative to the one before it.
+/// How a code is predicted from the code before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(super) enum Motion {
-    /// As it was.
+    /// The same code.
     Still = 0,
-    /// As the neighbour moves.
+    /// The code, moved as the neighbour moves.
     Neighbor = 1,
-    /// On as from the keypoint before.
+    /// On along the line through the two keypoints before.
     Line = 2,
-    /// The mean of the two.
+    /// The mean of [`Self::Neighbor`] and [`Self::Line`].
     Mean = 3,
 }
 
@@ -112,7 +112,7 @@ impl Motion {
 }
 
 /// Which attribute of which Gaussians within which timesteps.
-pub(super) struct Place<'a> {
+pub(super) struct Scope<'a> {
     pub(super) plan: &'a Plan,
     pub(super) shared: &'a Shared,
     pub(super) attribute: Attribute,
@@ -125,7 +125,7 @@ pub(super) struct Place<'a> {
     pub(super) budget: &'a Budget,
 }
 
-/// Why keypoints are no keypoints.
+/// Why keypoints cannot be decoded.
 #[derive(Debug)]
 pub(super) enum Problem {
     /// There are not enough bytes, or they say what cannot be.
@@ -196,7 +196,7 @@ impl KeypointModels {
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
-        place: &Place<'_>,
+        place: &Scope<'_>,
         motion: Motion,
         source: Option<&Tracks<i16>>,
         out: &mut UnitTracks,
@@ -221,7 +221,8 @@ impl KeypointModels {
                     gaussian: g,
                     channel: unit * out.channels,
                     neighbor,
-                    source: source.map(|tracks| Source::new(tracks, g * components + unit * out.channels, &place.span)),
+                    source: source
+                        .map(|tracks| UnitKeypoints::new(tracks, g * components + unit * out.channels, &place.span)),
                 };
                 count_before = self.code_unit(coder, &unit, count_before, out)?;
                 if coder.exhausted() {
@@ -394,16 +395,16 @@ fn rounded(shift: f64) -> i32 {
     floor((shift + 0.5).clamp(-1e6, 1e6))
 }
 
-/// One unit on its way.
+/// A unit that is being coded, and what its codes are predicted from.
 struct Unit<'a> {
-    place: &'a Place<'a>,
+    place: &'a Scope<'a>,
     motion: Motion,
     gaussian: usize,
     /// First channel.
     channel: usize,
     /// Its neighbour that moves: Gaussian and unit.
     neighbor: Option<(usize, usize)>,
-    source: Option<Source<'a>>,
+    source: Option<UnitKeypoints<'a>>,
 }
 
 impl Unit<'_> {
@@ -426,13 +427,13 @@ impl Unit<'_> {
 }
 
 /// Keypoints to encode.
-struct Source<'a> {
+struct UnitKeypoints<'a> {
     times: &'a [u16],
     /// By channel.
     codes: [&'a [i16]; MAX_COMPONENTS],
 }
 
-impl<'a> Source<'a> {
+impl<'a> UnitKeypoints<'a> {
     /// What a span needs of the tracks from `track` on: from the last keypoint at or before its first
     /// timestep to the first at or after its last.
     fn new(tracks: &'a Tracks<i16>, track: usize, span: &Range<usize>) -> Self {

@@ -8,7 +8,7 @@ use super::segment::Segment;
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 
-/// What became known.
+/// What the bytes given to [`Decoder::push`] completed.
 #[derive(Debug)]
 pub enum Event {
     /// The start of the file: see [`Decoder::archive`].

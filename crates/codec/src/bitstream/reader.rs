@@ -7,7 +7,7 @@ use tcgs_core::Attribute;
 use super::archive::Archive;
 use super::coder::{Coder, Decoder as SymbolDecoder};
 use super::head::Head;
-use super::keypoints::{KeypointModels, Motion, Place, Problem, UnitTracks};
+use super::keypoints::{KeypointModels, Motion, Problem, Scope, UnitTracks};
 use super::section::Cursor;
 use super::segment::Segment;
 use super::shared::{CurveModels, FirstModels, MapModels, Shared};
@@ -112,7 +112,7 @@ impl SegmentReader {
         let results = parallel::map(jobs, |((attribute, models, units), mut cursor)| {
             let motion = Motion::ALL.get(usize::from(cursor.u8("motion")?)).copied();
             let motion = motion.ok_or_else(|| cursor.invalid("motion", "unknown"))?;
-            let place = Place {
+            let place = Scope {
                 plan: &archive.head().plan,
                 shared: archive.shared(),
                 attribute: *attribute,

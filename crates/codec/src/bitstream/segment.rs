@@ -1,4 +1,4 @@
-//! A span of timesteps that was decoded alone, and its floats.
+//! A segment: a span of timesteps that decodes alone. Its keypoints, and the floats between them.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use super::keypoints::UnitTracks;
 use super::neighbors::NONE;
 use super::shared::Shared;
 use crate::compact::{SceneInfo, unit_quat};
-use crate::keypoints::lerp;
+use crate::keypoints::{fraction, lerp};
 use crate::quantize::Quantizers;
 
 /// Some timesteps of a scene, all of its Gaussians or those of the first layers.
@@ -39,27 +39,27 @@ impl Segment {
         Self { head, shared, index, num_layers, num_gaussians, tracks }
     }
 
-    /// What the file says besides symbols.
+    /// Counts and provenance of the scene.
     pub fn info(&self) -> &SceneInfo {
         &self.head.info
     }
 
-    /// Which segment of the file it is.
+    /// Index of the segment in the file.
     pub fn index(&self) -> usize {
         self.index
     }
 
-    /// How many layers it has.
+    /// Number of layers that were decoded.
     pub fn num_layers(&self) -> usize {
         self.num_layers
     }
 
-    /// How many Gaussians these have: the first of the scene.
+    /// Number of Gaussians of these layers; they are the first Gaussians of the scene.
     pub fn num_gaussians(&self) -> usize {
         self.num_gaussians
     }
 
-    /// Timesteps that it can say.
+    /// The timesteps of the segment: those for which [`Self::at`] gives values.
     pub fn timesteps(&self) -> Range<usize> {
         self.head.span(self.index)
     }
@@ -68,13 +68,13 @@ impl Segment {
         &self.tracks[attribute.index()]
     }
 
-    /// What the codes stand for.
+    /// Quantizers of the scene: which float a code stands for.
     pub fn quantizers(&self) -> &Quantizers {
         &self.head.plan.quantizers
     }
 
-    /// Keypoints of an attribute, of the units that move: for those who make floats of them elsewhere. None if the
-    /// attribute does not vary.
+    /// Keypoints of the units of an attribute that move, for callers that dequantise and interpolate themselves, such
+    /// as a GPU. None if the attribute does not vary.
     pub fn keypoints(&self, attribute: Attribute) -> Option<Keypoints<'_>> {
         let tracks = &self.tracks[attribute.index()];
         self.head.plan.varies[attribute.index()].then(|| tracks.as_keypoints())
@@ -122,7 +122,7 @@ impl Segment {
         sampler.at(timestep).clone()
     }
 
-    /// Memory that it holds beyond what all segments share, in bytes.
+    /// Memory of the segment's keypoints, in bytes; the layers that all segments share are not counted.
     pub fn bytes(&self) -> usize {
         self.tracks.iter().map(UnitTracks::bytes).sum()
     }
@@ -199,7 +199,8 @@ impl Sampler {
                 (Attribute::Quat, 1) => moving.write::<1>(timestep, self.raw_quats.as_flattened_mut(), |x| x),
                 (Attribute::Quat, _) => moving.write::<4>(timestep, self.now.values_mut(attribute), unit_quat),
                 (_, 3) => moving.write::<3>(timestep, self.now.values_mut(attribute), |x| x),
-                _ => moving.write::<1>(timestep, self.now.values_mut(attribute), |x| x),
+                (_, 1) => moving.write::<1>(timestep, self.now.values_mut(attribute), |x| x),
+                (_, channels) => unreachable!("{attribute:?} of {channels} components in version 1 of the format"),
             }
         }
         for &gaussian in &self.rotating {
@@ -255,9 +256,8 @@ impl Moving {
             }
             *cursor = k as u32;
             let before = keypoints[k];
-            let value = if k + 1 < times.len() && usize::from(times[k]) < timestep {
-                let (start, end) = (usize::from(times[k]), usize::from(times[k + 1]));
-                let fraction = (timestep - start) as f32 / (end - start) as f32;
+            let fraction = fraction(times, k, timestep);
+            let value = if fraction > 0.0 {
                 std::array::from_fn(|c| lerp(before[c], keypoints[k + 1][c], fraction))
             } else {
                 before

@@ -11,8 +11,16 @@ use crate::bits::BitMap;
 use crate::morton;
 use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
 
-/// Most components of an attribute.
+/// Most components of a column of version 1 of the format, those of a rotation.
 pub(super) const MAX_COMPONENTS: usize = 4;
+
+const _: () = {
+    let mut index = 0;
+    while index < Attribute::BASE.len() {
+        assert!(Attribute::BASE[index].components() <= MAX_COMPONENTS, "a column of version 1 of more components");
+        index += 1;
+    }
+};
 
 /// How a scene's tracks are described, the same for all layers.
 #[derive(Clone, Debug, Default)]
@@ -89,7 +97,7 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    /// Number of Gaussians of the layers so far.
+    /// Number of Gaussians of the layers that were read so far.
     pub(super) fn num_gaussians(&self) -> usize {
         self.bit_map.num_gaussians()
     }
@@ -149,7 +157,10 @@ pub(super) struct MapModels {
 
 impl MapModels {
     pub(super) fn new() -> Self {
-        Self { widths: vec![Model::new(16); 5 * 17 * 17], moves: vec![Model::new(2); 5 * MAX_COMPONENTS * 8] }
+        Self {
+            widths: vec![Model::new(16); Attribute::BASE.len() * 17 * 17],
+            moves: vec![Model::new(2); Attribute::BASE.len() * MAX_COMPONENTS * 8],
+        }
     }
 
     /// Codes widths and moves of a layer in place; their arrays reach to its end.
@@ -159,7 +170,7 @@ impl MapModels {
                 return;
             }
             let mut other = 0;
-            for a in 0..5 {
+            for a in 0..Attribute::BASE.len() {
                 let widths = &mut shared.bit_map.widths[a];
                 let before = if g > 0 { widths[g - 1] } else { 0 };
                 let model = &mut self.widths[(a * 17 + usize::from(before)) * 17 + usize::from(other)];
