@@ -1,4 +1,7 @@
-//! Captures that a program puts together: cameras and images from memory, from files, or made when they are asked for.
+//! Captures that a program builds: cameras, and images from memory, from files, or from a closure that makes each image
+//! on demand.
+//!
+//! What lives here: the public builder and its checks. What does not: folders of known kinds (`kinds`).
 
 use std::ops::Range;
 use std::path::PathBuf;
@@ -13,8 +16,8 @@ use crate::names::{Files, Names};
 use crate::points::Points;
 use crate::{Capture, CaptureError};
 
-/// Puts a [`Capture`] together from what a program has: for images that are rendered, received or already decoded, and
-/// for folders of a kind that is not known here.
+/// Builds a [`Capture`] from cameras and images that a program already has: rendered, received or decoded images, or a
+/// folder of a kind that this crate does not know.
 ///
 /// ```
 /// use tcgs_capture::{CameraBuilder, CaptureBuilder, Split};
@@ -49,18 +52,18 @@ pub struct CaptureBuilder {
     points: Option<Points>,
 }
 
-/// One camera of a [`CaptureBuilder`]: where it stands, and where its images and masks are.
+/// One camera of a [`CaptureBuilder`]: its intrinsics and pose at every frame, and where its images and masks are.
 #[derive(Clone, Debug)]
 #[must_use]
 pub struct CameraBuilder {
     camera_id: usize,
-    /// One, or one a frame.
+    /// One camera for all frames, or one camera per frame.
     cameras: Vec<Camera>,
     images: Option<Given<Image>>,
     masks: Option<Given<Segmentation>>,
 }
 
-/// Images or masks, as they were given.
+/// The images or masks of one camera, as the program gave them.
 #[derive(Clone)]
 enum Given<T> {
     InMemory(Vec<T>),
@@ -79,10 +82,10 @@ impl<T> std::fmt::Debug for Given<T> {
 }
 
 impl CaptureBuilder {
-    /// A capture without cameras and points, of 30 frames a second.
+    /// Starts a capture without cameras and points, at 30 frames per second.
     ///
-    /// - `name`: what [`Capture::name`] says, and errors begin with
-    /// - `num_frames`: frames of every camera, at least 1
+    /// - `name`: what [`Capture::name`] returns; messages of errors begin with it
+    /// - `num_frames`: number of frames of every camera; [`Self::build`] demands at least 1
     pub fn new(name: impl Into<String>, num_frames: usize) -> Self {
         Self {
             name: name.into(),
@@ -96,50 +99,55 @@ impl CaptureBuilder {
         }
     }
 
-    /// Sets the frames a second, 30 by default.
+    /// Sets the frames per second; default 30. [`Self::build`] demands a finite number above 0.
     pub fn frame_rate(self, frame_rate: f64) -> Self {
         Self { frame_rate, ..self }
     }
 
-    /// Sets the frames that training and evaluation use unless they are told otherwise; all by default.
+    /// Sets the frames that training and evaluation use by default ([`Capture::usual_frames`]); without this call all
+    /// frames. [`Self::build`] demands a range that is not empty and within the capture.
     pub fn usual_frames(self, usual_frames: Range<usize>) -> Self {
         Self { usual_frames, ..self }
     }
 
-    /// Says what else is known of the capture; nothing by default.
+    /// Sets what is known about the world's axes, the scene unit and the labels; by default nothing is.
     pub fn facts(self, facts: CaptureFacts) -> Self {
         Self { facts, ..self }
     }
 
-    /// Adds a camera to learn from.
+    /// Adds a training camera. A capture needs at least one.
     pub fn train_camera(mut self, camera: CameraBuilder) -> Self {
         self.train.push(camera);
         self
     }
 
-    /// Adds a camera that is held out for judging.
+    /// Adds a test camera, which is held out for evaluation.
     pub fn test_camera(mut self, camera: CameraBuilder) -> Self {
         self.test.push(camera);
         self
     }
 
-    /// Sets the points that training starts from: positions in scene units, colours in `[0, 1]`, and which points are
-    /// foreground.
+    /// Sets the points that training starts from.
+    ///
+    /// - `points`: positions in scene units, colours in `[0, 1]`, foreground labels, as many of each
     pub fn points(self, points: PointCloud) -> Self {
         Self { points: Some(Points::InMemory(Arc::new(points))), ..self }
     }
 
-    /// Sets the file of the points that training starts from: one of those that [`Capture::with_points`] reads.
+    /// Sets the file of the points that training starts from. The file is read when points are asked for.
+    ///
+    /// - `path`: of a format that [`Capture::with_points`] reads
     pub fn points_file(self, path: impl Into<PathBuf>) -> Self {
         Self { points: Some(Points::File(path.into())), ..self }
     }
 
-    /// Checks everything but images that are in files or made later, and makes the capture.
+    /// Builds the capture. Checks everything except the contents of image files and the results of closures, which
+    /// [`Capture::views`] checks.
     ///
     /// # Errors
-    /// [`CaptureError::Built`] names what is missing or does not fit together: a frame without image, an image in
-    /// memory of another size than its camera's, two cameras of one id. As [`Capture::open`] for files that are missing
-    /// and points that most cameras do not see.
+    /// [`CaptureError::Built`] names what is missing or inconsistent: a frame without image, an image in memory whose
+    /// size is not its camera's, an id that two cameras share. The errors of [`Capture::open`] for files that are
+    /// missing and for points that most cameras do not see.
     pub fn build(self) -> Result<Capture, CaptureError> {
         let Self { name, num_frames, frame_rate, usual_frames, facts, train, test, points } = self;
         let invalid = |problem: String| CaptureError::Built { name: name.clone(), problem };
@@ -192,39 +200,40 @@ impl CaptureBuilder {
 }
 
 impl CameraBuilder {
-    /// A camera that stands still.
+    /// A camera whose pose and intrinsics are the same at every frame.
     ///
-    /// - `camera_id`: its name, unique in the capture
-    /// - `camera`: where it stands; its size is that of the images
+    /// - `camera_id`: number that names the camera, unique in the capture
+    /// - `camera`: intrinsics and pose; `width` and `height` are those of the images
     pub fn new(camera_id: usize, camera: Camera) -> Self {
         Self { camera_id, cameras: vec![camera], images: None, masks: None }
     }
 
-    /// A camera that moves.
+    /// A camera whose pose or intrinsics change with time.
     ///
-    /// - `cameras`: one for each frame
+    /// - `camera_id`: number that names the camera, unique in the capture
+    /// - `cameras`: `[num_frames]`, intrinsics and pose at each frame
     pub fn moving(camera_id: usize, cameras: Vec<Camera>) -> Self {
         Self { camera_id, cameras, images: None, masks: None }
     }
 
     /// Takes images from memory.
     ///
-    /// - `images`: one for each frame, three channels in `[0, 1]`
+    /// - `images`: `[num_frames]`, each `[3, H, W]` in `[0, 1]`
     pub fn images(self, images: Vec<Image>) -> Self {
         Self { images: Some(Given::InMemory(images)), ..self }
     }
 
-    /// Takes images from PNG or JPEG files, each decoded when its frame is asked for.
+    /// Takes images from PNG or JPEG files. Each file is decoded when [`Capture::views`] asks for its frame.
     ///
-    /// - `paths`: one for each frame
+    /// - `paths`: `[num_frames]`
     pub fn image_files(self, paths: Vec<PathBuf>) -> Self {
         Self { images: Some(Given::Files(paths)), ..self }
     }
 
-    /// Makes images when they are asked for, on any thread and possibly more than once.
+    /// Makes each image on demand by a closure, which may be called from any thread and several times for one frame.
     ///
-    /// - `make`: from a frame to its image, three channels in `[0, 1]`; what it returns as an error [`Capture::views`]
-    ///   returns as [`CaptureError::Made`]
+    /// - `make`: from a frame's index to the image `[3, H, W]` in `[0, 1]`; [`Capture::views`] returns the closure's
+    ///   errors as [`CaptureError::Made`]
     pub fn images_from(
         self,
         make: impl Fn(usize) -> Result<Image, Box<dyn std::error::Error + Send + Sync>> + Send + Sync + 'static,
@@ -234,19 +243,21 @@ impl CameraBuilder {
 
     /// Takes foreground masks from memory.
     ///
-    /// - `masks`: one for each frame
+    /// - `masks`: `[num_frames]`, each of the size of its image
     pub fn masks(self, masks: Vec<Segmentation>) -> Self {
         Self { masks: Some(Given::InMemory(masks)), ..self }
     }
 
-    /// Takes foreground masks from PNG files, in which what is not black is foreground.
+    /// Takes foreground masks from PNG files. A pixel that is not black is foreground.
     ///
-    /// - `paths`: one for each frame
+    /// - `paths`: `[num_frames]`
     pub fn mask_files(self, paths: Vec<PathBuf>) -> Self {
         Self { masks: Some(Given::Files(paths)), ..self }
     }
 
-    /// Makes foreground masks when they are asked for, as [`images_from`](Self::images_from) does images.
+    /// Makes each foreground mask on demand by a closure, as [`images_from`](Self::images_from) makes images.
+    ///
+    /// - `make`: from a frame's index to the mask, of the size of its image
     pub fn masks_from(
         self,
         make: impl Fn(usize) -> Result<Segmentation, Box<dyn std::error::Error + Send + Sync>> + Send + Sync + 'static,

@@ -1,4 +1,7 @@
-//! A capture, whatever its kind: what it says of itself, and its views frame by frame.
+//! A capture of any kind: its properties, its cameras and points, and its views frame by frame.
+//!
+//! What lives here: what a caller asks of an open capture. What does not: how each kind reads its folder (`kinds`), and
+//! how one camera's images become views (`footage`).
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -12,21 +15,23 @@ use crate::kind::{CaptureFacts, CaptureKind};
 use crate::points::{self, Points};
 use crate::{CaptureError, kinds, points_in_view};
 
-/// Which cameras.
+/// Selects the training cameras, the test cameras, or both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Split {
-    /// Those to learn from.
+    /// The cameras that training uses.
     Train,
-    /// Those held out for judging.
+    /// The cameras that are held out for evaluation.
     Test,
-    /// First those of `Train`, then those of `Test`.
+    /// The training cameras, followed by the test cameras.
     All,
 }
 
-/// A multi-view capture: cameras, frames, points, and where the images are. Images are decoded when they are asked for.
+/// A multi-view capture: cameras, frames, initial points, and where the images are. An image is decoded only when
+/// [`views`](Self::views) asks for its frame.
 ///
-/// Cheap to keep: file names that follow a pattern, and cameras that stand still, are held once for all frames. A
-/// folder becomes one by [`Capture::open`], what a program has itself by [`CaptureBuilder`](crate::CaptureBuilder).
+/// A capture takes little memory: file names that follow a pattern, and cameras that stand still, are stored once for
+/// all frames. [`Capture::open`] makes a capture of a folder, [`CaptureBuilder`](crate::CaptureBuilder) makes one of
+/// cameras and images that a program already has.
 ///
 /// ```
 /// use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
@@ -41,7 +46,7 @@ pub enum Split {
 /// ```
 #[derive(Clone, Debug)]
 pub struct Capture {
-    /// Its folder; of a capture that a program put together its name.
+    /// The folder; for [`CaptureKind::BUILT`] the name that the program gave.
     pub(crate) path: PathBuf,
     kind: CaptureKind,
     facts: CaptureFacts,
@@ -50,26 +55,29 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Opens the capture in a folder: recognises its kind, and reads and checks all but the images.
+    /// Opens the capture in a folder: recognises the folder's kind, and reads and checks everything but the images.
     ///
     /// - `path`: the folder
     ///
-    /// What is checked now: that cameras are cameras, that all images exist (every folder of images is listed once),
-    /// that masks exist for all training images or for none, and that most cameras see the points. What is checked when
-    /// [`views`](Self::views) decodes a frame: that its images and masks are whole and of their cameras' size. Initial
-    /// points may be missing, since not all that is done with a capture needs them.
+    /// `open` checks that the cameras' numbers are valid, that all images exist (every folder of images is listed
+    /// once), that masks exist for all training images or for none, and that most cameras see the points.
+    /// [`views`](Self::views) checks that the images and masks of its frame are whole and of their cameras' size.
+    /// Initial points may be missing: rendering and evaluation do not need them.
     ///
     /// # Errors
-    /// [`CaptureError`] names the first file that is missing or wrong; if the folder is of no known kind, what was
-    /// looked for.
+    /// [`CaptureError::NotCapture`] if the folder is of no known kind; the message lists the files that were looked
+    /// for. Otherwise a [`CaptureError`] that names the first file that is missing or wrong.
     pub fn open(path: &Path) -> Result<Self, CaptureError> {
         let capture = Self::open_unseen(path)?;
         capture.check_sight()?;
         Ok(capture)
     }
 
-    /// [`Self::open`] without the check that cameras see the points: to make new points, or to find out what is wrong
-    /// with the cameras.
+    /// Opens the capture in a folder as [`Self::open`] does, without the check that most cameras see the points.
+    /// Programs that make new points ([`prepare`](crate::prepare)) or examine the cameras ([`check`](crate::check))
+    /// call this.
+    ///
+    /// - `path`: the folder
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -83,20 +91,20 @@ impl Capture {
         Self { path, kind, facts, contents, has_segmentation }
     }
 
-    /// The same capture with the points of another file.
+    /// Replaces the initial points by those of another file.
     ///
-    /// - `path`: `.npz` as Dynamic 3D Gaussians has it, `.ply`, or `points3D.bin` or `.txt` of a COLMAP model, or that
-    ///   model's folder
+    /// - `path`: `.npz` in the form of Dynamic 3D Gaussians, `.ply`, `points3D.bin` or `points3D.txt` of a COLMAP
+    ///   model, or the model's folder
     ///
     /// # Errors
-    /// If the points cannot be read, or most cameras do not see them.
+    /// [`CaptureError`] if the points cannot be read, or most cameras do not see them.
     pub fn with_points(mut self, path: &Path) -> Result<Self, CaptureError> {
         self.contents.points = Some(Points::File(path.into()));
         self.check_sight()?;
         Ok(self)
     }
 
-    /// Do the cameras see the points?
+    /// Checks that most cameras of each split see the points in the first frame. A capture without points passes.
     pub(crate) fn check_sight(&self) -> Result<(), CaptureError> {
         if !self.has_points() {
             return Ok(());
@@ -110,17 +118,20 @@ impl Capture {
         Ok(())
     }
 
-    /// The kind of its folder, or [`CaptureKind::BUILT`].
+    /// The kind that the folder was recognised as; [`CaptureKind::BUILT`] for a capture made by a
+    /// [`CaptureBuilder`](crate::CaptureBuilder).
     pub fn kind(&self) -> CaptureKind {
         self.kind
     }
 
-    /// What is known of it besides images, cameras and points: of a folder what holds of its kind.
+    /// What is known about the world's axes, the scene unit and the labels: for a folder the facts of its kind, for a
+    /// built capture those given to [`CaptureBuilder::facts`](crate::CaptureBuilder::facts).
     pub fn facts(&self) -> CaptureFacts {
         self.facts
     }
 
-    /// Name of its folder, or the name that a program gave it.
+    /// The folder's name without the path; for a built capture the name given to
+    /// [`CaptureBuilder::new`](crate::CaptureBuilder::new).
     pub fn name(&self) -> String {
         // A path such as `.` has no name of its own.
         if self.kind == CaptureKind::BUILT {
@@ -130,45 +141,50 @@ impl Capture {
         path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
     }
 
-    /// Number of frames, which are numbered from 0.
+    /// Number of frames, at least 1. Frames are numbered from 0.
     pub fn num_frames(&self) -> usize {
         self.contents.num_frames
     }
 
-    /// The frames that publications use; all, where they have not agreed on fewer.
+    /// The frames that publications on this data set train and evaluate on; all frames where there is no convention.
     pub fn usual_frames(&self) -> Range<usize> {
         self.contents.usual_frames.clone()
     }
 
-    /// Frames a second.
+    /// Frames per second, greater than 0.
     pub fn frame_rate(&self) -> f64 {
         self.contents.frame_rate
     }
 
-    /// Whether every image of the training cameras has a mask.
+    /// Whether every image of the training cameras, at every frame, has a foreground mask.
     pub fn has_segmentation(&self) -> bool {
         self.has_segmentation
     }
 
-    /// Id and camera of all cameras of one frame, in the capture's order. Decodes nothing.
+    /// The cameras of one frame with their ids, in the capture's order. Decodes no image.
     ///
-    /// - `frame`: from 0
-    /// - `downscale`: factor by which the images will be made smaller, 1 to keep them
+    /// - `frame`: index of the frame, from 0
+    /// - `downscale`: factor by which width and height of the images are divided, at least 1
+    /// - returns: camera id, and the camera with intrinsics and size for the downscaled image
     ///
     /// # Errors
-    /// If there is no such frame, or no pixel would remain.
+    /// [`CaptureError::NoFrame`] if the capture has no such frame; [`CaptureError::Downscale`] if `downscale` is 0 or
+    /// exceeds the width or height of an image.
     pub fn cameras(&self, split: Split, frame: usize, downscale: usize) -> Result<Vec<(usize, Camera)>, CaptureError> {
         let footage = self.footage(split, frame, downscale)?;
         Ok(footage.into_iter().map(|of| (of.camera_id, of.camera(frame).downscaled(downscale))).collect())
     }
 
-    /// All views of one frame, decoded in parallel, in the capture's order.
+    /// Decodes the images and masks of one frame, in parallel.
     ///
-    /// - `downscale`: images are averaged over that many pixels squared, masks by majority
+    /// - `frame`: index of the frame, from 0
+    /// - `downscale`: side in pixels of the square blocks that become one pixel: the mean of an image's colours, the
+    ///   majority of a mask's labels
+    /// - returns: the views in the capture's order, images `[3, H, W]` in `[0, 1]`
     ///
     /// # Errors
-    /// If there is no such frame, no pixel would remain, or an image cannot be decoded or has another
-    /// size than the capture says.
+    /// As [`Self::cameras`]; a [`CaptureError`] that names the file if an image or mask cannot be decoded or is not of
+    /// its camera's size; [`CaptureError::Made`] if a closure that makes images fails.
     pub fn views(&self, split: Split, frame: usize, downscale: usize) -> Result<Vec<View>, CaptureError> {
         let footage = self.footage(split, frame, downscale)?;
         // Collected before the first error is looked for, so that it is always the same one.
@@ -176,10 +192,11 @@ impl Capture {
         views.into_iter().collect()
     }
 
-    /// The points that training starts from.
+    /// Reads the points that training starts from: positions in scene units, colours in `[0, 1]`, foreground labels.
     ///
     /// # Errors
-    /// If there are none, or the file cannot be read or has no or broken points.
+    /// [`CaptureError::NoPoints`] if the capture has no points; another [`CaptureError`] if the file cannot be read, is
+    /// empty, or holds numbers that are not finite.
     pub fn point_cloud(&self) -> Result<PointCloud, CaptureError> {
         match &self.contents.points {
             Some(Points::File(file)) => points::read(file),
@@ -188,7 +205,7 @@ impl Capture {
         }
     }
 
-    /// Whether there are points to start from.
+    /// Whether the capture has initial points, so that [`Self::point_cloud`] has something to read.
     pub fn has_points(&self) -> bool {
         self.contents.points.is_some()
     }

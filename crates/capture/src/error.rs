@@ -1,93 +1,95 @@
-//! What can be wrong with a capture.
+//! The crate's error: what is wrong with a capture, or with what was asked of it.
 
 use std::{io, path::PathBuf};
 
 use tcgs_interchange::InterchangeError;
 
-/// Why a capture cannot be used. Every message is one line and begins with the file.
+/// Why a capture cannot be opened, built or decoded. Every message is one line and begins with the culprit: a file, a
+/// folder, a camera or a capture's name.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CaptureError {
-    /// The folder is of no kind that is known.
+    /// No known kind of capture recognises the folder.
     #[error("{}: {problem}, expected the folder of a capture with one of {expected}", path.display())]
     NotCapture {
         /// The folder.
         path: PathBuf,
-        /// What was found.
+        /// What was found in the folder.
         problem: String,
-        /// What folders of the known kinds have.
+        /// The files by which the known kinds are recognised.
         expected: String,
     },
-    /// The file system refused.
+    /// The operating system failed to read a file or folder.
     #[error("{}: reading failed: {error}", path.display())]
     Io {
-        /// The file.
+        /// The file or folder.
         path: PathBuf,
-        /// The system's answer.
+        /// The operating system's error.
         error: io::Error,
     },
-    /// A file says what cannot be.
+    /// A file or folder is missing, damaged, or holds values that are out of range or contradict each other.
     #[error("{}: {problem}", path.display())]
     Invalid {
-        /// The file.
+        /// The file or folder.
         path: PathBuf,
         /// What was found, and what was expected.
         problem: String,
     },
-    /// There are no points to start from.
+    /// The capture has no initial points. [`prepare`](crate::prepare) makes points,
+    /// [`Capture::with_points`](crate::Capture::with_points) takes them from another file.
     #[error(
         "{}: has no initial points, expected init_pt_cld.npz, points3D.ply or a COLMAP model in it; `tcgs prepare` \
          makes them, and `tcgs train --points FILE` takes others",
         path.display()
     )]
     NoPoints {
-        /// The capture.
+        /// The capture's folder.
         path: PathBuf,
     },
-    /// Points or poses cannot be read.
+    /// A PLY, npz or npy file of points or poses cannot be read.
     #[error(transparent)]
     Points(#[from] InterchangeError),
-    /// A closure that makes images or masks failed, or made something that does not fit its camera.
+    /// A closure that makes images or masks failed, or its image or mask is not of the camera's size.
     #[error("camera {camera_id}, frame {frame}: {error}")]
     Made {
-        /// The camera.
+        /// Id of the camera.
         camera_id: usize,
-        /// The frame asked for.
+        /// The requested frame.
         frame: usize,
-        /// Why there is none.
+        /// The closure's error, or how the result differs from the camera.
         error: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// A capture that a program puts together does not fit together.
+    /// What a [`CaptureBuilder`](crate::CaptureBuilder) was given is incomplete or inconsistent.
     #[error("capture {name}: {problem}")]
     Built {
-        /// The capture.
+        /// The capture's name.
         name: String,
         /// What was found, and what was expected.
         problem: String,
     },
-    /// A frame was asked for that the capture does not have.
+    /// The requested frame does not exist.
     #[error("{}: has {num_frames} frames, expected more than {frame} to show frame {frame}", path.display())]
     NoFrame {
-        /// The capture.
+        /// The capture's folder or name.
         path: PathBuf,
-        /// The frame asked for.
+        /// The requested frame.
         frame: usize,
-        /// Frames there are.
+        /// Number of frames of the capture.
         num_frames: usize,
     },
-    /// Images cannot be made that small.
+    /// The requested factor of downscaling is 0, or leaves no pixel of an image.
     #[error(
         "{}: cannot downscale {width}x{height} images by {downscale}, expected 1 to {}",
         path.display(), width.min(height)
     )]
     Downscale {
-        /// The capture.
+        /// The capture's folder or name.
         path: PathBuf,
-        /// The factor asked for.
+        /// The requested factor.
         downscale: usize,
-        /// Width of the smallest image.
+        /// Width in pixels of the first image that is too small.
         width: usize,
-        /// Height of the smallest image.
+        /// Height in pixels of the first image that is too small.
         height: usize,
     },
 }

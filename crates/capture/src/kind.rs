@@ -1,12 +1,13 @@
-//! What a kind of capture is: plain data, one constant for each kind, in `kinds`.
+//! The description of one kind of capture as plain data. Each file of `kinds` holds the constant of one kind.
 
 use std::path::Path;
 
 use crate::{CaptureError, contents::Contents};
 
-/// How a capture lies on disk, how it is recognised and opened, and what holds of every capture of this kind.
+/// One kind of capture: its name, the files by which a folder is recognised, how the folder is read, and the facts that
+/// hold for every capture of the kind. Two kinds are equal if their names are.
 ///
-/// The kinds that are known are associated constants, and [`CaptureKind::ALL`] lists them.
+/// The known kinds are associated constants; [`CaptureKind::ALL`] lists them.
 ///
 /// ```
 /// use tcgs_capture::CaptureKind;
@@ -15,32 +16,32 @@ use crate::{CaptureError, contents::Contents};
 /// ```
 #[derive(Clone, Copy)]
 pub struct CaptureKind {
-    /// A short name, as settings hold it.
+    /// Short lower-case name by which settings and messages name the kind, such as `neural3d`.
     pub name: &'static str,
-    /// What a folder of this kind has, for messages.
+    /// The files by which a folder of this kind is recognised, as error messages list them.
     pub mark: &'static str,
-    /// What holds of every capture of this kind.
+    /// What is known about the axes, the unit and the labels of every capture of this kind.
     pub facts: CaptureFacts,
-    /// Whether a folder is of this kind. The first kind of the list that says so counts.
+    /// Whether a folder is of this kind. The first kind of [`CaptureKind::ALL`] that recognises a folder opens it.
     pub(crate) recognises: fn(&Path) -> Result<bool, CaptureError>,
-    /// Reads all but images and points.
+    /// Reads cameras, names of images and masks, and the place of the points; decodes no image.
     pub(crate) open: fn(&Path) -> Result<Contents, CaptureError>,
 }
 
-/// What else is known of a capture than its images, cameras and points.
+/// What is known about a capture's world and labels beyond its images, cameras and points. By default nothing is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CaptureFacts {
-    /// Whether the world's `y` points down and its floor is the plane `y = 0`.
+    /// Whether the world's `y` axis points down and the floor is the plane `y = 0`.
     pub has_floor: bool,
     /// Whether the scene unit is the metre.
     pub in_metres: bool,
-    /// Whether the labels of the points, and the masks where there are any, say what moves.
+    /// Whether the foreground of the point labels, and of the masks if there are any, is what moves.
     pub labels_motion: bool,
 }
 
 impl CaptureKind {
-    /// Not a folder: a capture that a program put together with a [`CaptureBuilder`](crate::CaptureBuilder). Not one of
-    /// [`CaptureKind::ALL`].
+    /// The kind of captures that a [`CaptureBuilder`](crate::CaptureBuilder) makes. No folder is of this kind, and
+    /// [`CaptureKind::ALL`] does not contain it.
     pub const BUILT: Self = Self {
         name: "built",
         mark: "nothing",

@@ -1,9 +1,17 @@
-//! Multi-view captures: loading, checking and synthesising them.
+//! Multi-view captures: opens, checks, prepares and synthesises them.
 //!
-//! The feature `video`, on by default, reads captures of videos; it needs a C++ compiler, for H.264.
+//! - [`Capture::open`] recognises a folder's kind and reads its cameras; [`Capture::views`] decodes one frame.
+//! - [`CaptureBuilder`] makes a capture of cameras and images that a program already has.
+//! - [`prepare`] makes initial points by multi-view stereo, for a capture that has none.
+//! - [`check`] looks for wrong cameras, masks and clocks.
+//! - [`write_synthetic`] renders a small capture with known cameras, for tests and examples.
 //!
-//! What lives here: everything between files of images, masks, cameras and points, and
-//! [`tcgs_core::View`]. What does not: what is made of the views.
+//! The feature `video`, on by default, decodes H.264 videos; the decoder needs a C++ compiler. Without the feature a
+//! capture of videos is an error that names the feature.
+//!
+//! What lives here: the way from files of images, videos, masks, cameras and points to [`tcgs_core::View`] and
+//! [`tcgs_core::PointCloud`]. What does not: training and evaluation on the views. The split keeps the decoders of
+//! images and videos out of the programs that only play scenes.
 
 mod builder;
 mod capture;

@@ -1,4 +1,5 @@
-//! The initial points, wherever they are: `init_pt_cld.npz` of Dynamic 3D Gaussians, a PLY file, a COLMAP model.
+//! The initial points of a capture: found and read as `init_pt_cld.npz` of Dynamic 3D Gaussians, PLY or COLMAP model,
+//! and written as `init_pt_cld.npz`.
 
 use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
@@ -9,7 +10,8 @@ use tcgs_interchange::{NpzReader, NpzWriter, read_ply_points};
 
 use crate::{CaptureError, colmap, files};
 
-/// The points of Dynamic 3D Gaussians, in a capture of any kind.
+/// File name of the initial points in the form of Dynamic 3D Gaussians (Luiten et al. 2024). A capture of any kind may
+/// have this file; its points precede all others.
 pub const POINTS_FILE: &str = "init_pt_cld.npz";
 
 /// Files that a capture of any kind may have beside its own, the first that exists counts. The last is what the
@@ -22,7 +24,7 @@ const COLUMNS: usize = 7;
 /// How far beyond `[0, 1]` a colour may lie before it is taken for another scale than for rounding.
 const COLOR_TOLERANCE: f32 = 0.01;
 
-/// Where points are.
+/// Where the initial points of a capture are.
 #[derive(Clone, Debug)]
 pub(crate) enum Points {
     File(PathBuf),
@@ -31,7 +33,7 @@ pub(crate) enum Points {
 
 /// Finds the points of a capture.
 ///
-/// - `own`: those of this kind; what every kind may have comes before
+/// - `own`: the file of points that this kind of capture has; the files that every kind may have precede it
 pub(crate) fn find(capture: &Path, own: Option<PathBuf>) -> Option<Points> {
     FILES.iter().map(|name| capture.join(name)).find(|path| path.is_file()).or(own).map(Points::File)
 }
@@ -55,7 +57,27 @@ pub(crate) fn read(path: &Path) -> Result<PointCloud, CaptureError> {
     }
 }
 
-/// Writes a cloud as the `.npz` that captures have.
+/// Writes a point cloud as [`POINTS_FILE`]: an npz archive with the array `data`, `[P, 7]` float32, whose columns are
+/// `x, y, z` in scene units, `r, g, b` in `[0, 1]`, and foreground, 0 or 1. Equal clouds give equal bytes.
+///
+/// - `writer`: the file; `write_points` flushes it
+/// - `cloud`: `P` points with as many colours and labels
+///
+/// ```
+/// use tcgs_core::PointCloud;
+/// use tcgs_capture::{POINTS_FILE, write_points};
+/// let folder = tempfile::tempdir()?;
+/// let cloud = PointCloud { points: vec![[0.0, 1.0, 2.0]], colors: vec![[0.5; 3]], foreground: vec![true] };
+/// let file = std::fs::File::create(folder.path().join(POINTS_FILE))?;
+/// write_points(std::io::BufWriter::new(file), &cloud)?;
+/// # Ok::<(), std::io::Error>(())
+/// ```
+///
+/// # Errors
+/// The errors of `writer`.
+///
+/// # Panics
+/// If the cloud has fewer colours or labels than points.
 pub fn write_points(writer: impl Write + Seek, cloud: &PointCloud) -> io::Result<()> {
     let num_points = cloud.points.len();
     let rows: Vec<f32> = (0..num_points)

@@ -1,4 +1,4 @@
-//! What can be wrong with another program's file.
+//! The crate's error: what is wrong with another program's file.
 
 use std::{io, path::PathBuf};
 
@@ -6,33 +6,35 @@ use std::{io, path::PathBuf};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InterchangeError {
-    /// The file system refused.
+    /// The operating system failed to read or write a file or folder.
     #[error("{}: {action} failed: {error}", path.display())]
     Io {
-        /// The file.
+        /// The file or folder.
         path: PathBuf,
-        /// What was tried.
+        /// The operation that failed, as a word: `opening`, `reading` or `writing`.
         action: &'static str,
-        /// The system's answer.
+        /// The operating system's error.
         error: io::Error,
     },
-    /// The file is not a whole zip archive.
+    /// The file is not a complete zip archive.
     #[error("{}: {problem}, expected a complete npz archive", path.display())]
     Archive {
         /// The file.
         path: PathBuf,
-        /// What the archive reader found.
+        /// The message of the zip reader.
         problem: String,
     },
-    /// A PLY file, or a folder of them, is not as expected.
+    /// A PLY file is damaged, lacks a property or holds a number that is not finite; or the files of a folder are no
+    /// sequence.
     #[error("{}: {problem}", path.display())]
     Ply {
-        /// The first file that does not fit.
+        /// The first file that is wrong, or the folder.
         path: PathBuf,
         /// What was found, and what was expected.
         problem: String,
     },
-    /// A PLY file has colours that depend on the direction of view, which were not to be dropped.
+    /// A PLY file has view-dependent colours (spherical harmonics above degree 0), and the caller chose
+    /// [`HigherHarmonics::Refuse`](crate::HigherHarmonics::Refuse).
     #[error(
         "{}: has spherical harmonics above degree 0 ({num_rest} properties f_rest), expected colours of degree 0 alone",
         path.display()
@@ -40,10 +42,10 @@ pub enum InterchangeError {
     HigherHarmonics {
         /// The file.
         path: PathBuf,
-        /// Coefficients above degree 0, of all three channels.
+        /// Number of coefficients above degree 0 of one Gaussian, all three channels together.
         num_rest: usize,
     },
-    /// A file of one array is not as expected.
+    /// A `.npy` file is damaged, of a type that is not supported, or holds a number that is not finite.
     #[error("{}: {problem}", path.display())]
     Npy {
         /// The file.
@@ -51,7 +53,7 @@ pub enum InterchangeError {
         /// What was found, and what was expected.
         problem: String,
     },
-    /// One array of the archive is missing or not as expected.
+    /// One array of an npz archive is missing, damaged, of the wrong type or shape, or holds values out of range.
     #[error("{}: {key} {problem}", path.display())]
     Array {
         /// The file.

@@ -1,8 +1,14 @@
-//! Other programs' model files, both ways.
+//! Reads and writes other programs' model files.
 //!
-//! What lives here: `params.npz` of Dynamic 3D Gaussians, and the npz archives it is one of; PLY files of 3D
-//! Gaussian splatting, one a timestep, and of points; and how files come to be whole or not at all ([`write_whole`]), for
-//! all that writes them. What does not: our own format (the codec), images and cameras (the capture).
+//! | files | reading | writing |
+//! |---|---|---|
+//! | `params.npz` of Dynamic 3D Gaussians | [`read_params_npz`], [`read_params_origin`] | [`write_params_npz`] |
+//! | PLY of 3D Gaussian splatting, one file per timestep | [`read_ply_sequence`], [`PlyFiles`] | [`write_ply_to`] |
+//! | PLY of points | [`read_ply_points`] | – |
+//! | npz archives and npy arrays of any content | [`NpzReader`], [`read_npy`] | [`NpzWriter`] |
+//!
+//! What lives here: these formats, and atomic writing of files ([`write_whole`], [`Unfinished`]) for every crate that
+//! writes any. What does not: the format `.tcgs` (the codec), images and cameras (the capture).
 
 mod error;
 mod npy;

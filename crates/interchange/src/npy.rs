@@ -1,7 +1,7 @@
 //! One NumPy array: the header of the `.npy` format, and its values in C order.
 //!
 //! Source: NumPy Enhancement Proposal 1, "A Simple File Format for NumPy Arrays", versions 1 to 3.
-//! Of its types those that model files and checkpoints hold, little-endian: see [`NpyValue`].
+//! Supported types are the little-endian ones that model files and checkpoints hold: see [`NpyValue`].
 
 use std::fs::File;
 use std::io::{self, BufReader, Read};
@@ -18,29 +18,29 @@ const BUFFER_BYTES: usize = 1 << 16;
 /// A dense array in C order (the last index runs fastest).
 #[derive(Clone, Debug, PartialEq)]
 pub struct NpyArray<T = f32> {
-    /// Size along each axis.
+    /// Size along each axis; empty for a scalar.
     pub shape: Vec<usize>,
-    /// As many values as the product of `shape`.
+    /// The values in C order, as many as the product of `shape`.
     pub values: Vec<T>,
 }
 
-/// A type of values that arrays hold: `f32`, `f64`, `u8`, `u64`, `i64`, `bool`.
+/// An element type of arrays: `f32`, `f64`, `u8`, `u64`, `i64` or `bool`. The trait is sealed.
 pub trait NpyValue: Copy + sealed::Sealed {
-    /// NumPy's name of the type, such as `<f4`.
+    /// NumPy's type string (`descr` in the header), such as `<f4`.
     const DESCR: &str;
-    /// Bytes of a value, at most 8.
+    /// Size of one value in bytes, at most 8.
     const BYTES: usize;
 
-    /// The value of its little-endian bytes.
+    /// The value that little-endian bytes encode.
     ///
     /// # Panics
-    /// If there are not [`Self::BYTES`] of them.
+    /// If the slice does not hold exactly [`Self::BYTES`] bytes.
     fn read_le(bytes: &[u8]) -> Self;
 
-    /// Writes the value as little-endian bytes.
+    /// Writes the value's little-endian bytes into a slice.
     ///
     /// # Panics
-    /// If there is not room for [`Self::BYTES`] exactly.
+    /// If the slice does not hold exactly [`Self::BYTES`] bytes.
     fn write_le(self, bytes: &mut [u8]);
 }
 
@@ -79,10 +79,11 @@ impl NpyValue for bool {
     }
 }
 
-/// Reads a `.npy` file of float32 or float64, in C or Fortran order.
+/// Reads a `.npy` file of float32 or float64, stored in C or Fortran order, as float32 in C order.
 ///
 /// # Errors
-/// [`InterchangeError`] if it cannot be read, is of another type, damaged, or holds a number that is not finite.
+/// [`InterchangeError::Io`] if the file cannot be read; [`InterchangeError::Npy`] if the array is of another type or
+/// damaged, or holds a number that is not finite.
 pub fn read_npy(path: &Path) -> Result<NpyArray, InterchangeError> {
     let failed = |error| InterchangeError::Io { path: path.into(), action: "opening", error };
     let file = File::open(path).map_err(failed)?;

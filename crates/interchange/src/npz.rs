@@ -1,4 +1,7 @@
-//! Archives of NumPy arrays: a zip archive with one `.npy` file an array.
+//! Archives of NumPy arrays (`.npz`): a zip archive that holds one `.npy` file per array.
+//!
+//! What lives here: the archive, its table of contents, and the bounds that a damaged archive cannot exceed. What does
+//! not: the header and the values of one array (`npy`).
 
 use std::{
     fs::File,
@@ -18,7 +21,21 @@ use crate::{
 /// Deflate cannot shrink by more than this, so a larger promise is a lie (RFC 1951: 258 bytes from 2 bits).
 const MAX_DEFLATE_RATIO: u64 = 1032;
 
-/// Reads the arrays of an archive, one when asked for.
+/// Reads the arrays of an npz archive, one array per call: an array's values are in memory only once it is asked for.
+///
+/// ```
+/// use tcgs_interchange::{NpzReader, NpzWriter};
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("arrays.npz");
+/// let mut writer = NpzWriter::new(std::fs::File::create(&path)?);
+/// writer.array("data", &[2, 3], [&[1.0_f32, 2.0, 3.0, 4.0, 5.0, 6.0][..]])?;
+/// writer.finish()?;
+///
+/// let mut reader = NpzReader::open(&path)?;
+/// let data = reader.array("data")?;
+/// assert_eq!((&data.shape[..], data.values[5]), (&[2, 3][..], 6.0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct NpzReader {
     path: PathBuf,
@@ -30,8 +47,8 @@ impl NpzReader {
     /// Opens an archive and reads its table of contents.
     ///
     /// # Errors
-    /// [`InterchangeError::Io`] if there is no such file, [`InterchangeError::Archive`] if it is not a
-    /// whole archive.
+    /// [`InterchangeError::Io`] if the file cannot be opened; [`InterchangeError::Archive`] if the file is not a
+    /// complete zip archive.
     pub fn open(path: &Path) -> Result<Self, InterchangeError> {
         let failed = |error| InterchangeError::Io { path: path.into(), action: "opening", error };
         let file = File::open(path).map_err(failed)?;
@@ -41,29 +58,33 @@ impl NpzReader {
         Ok(Self { path: path.into(), file_bytes, archive })
     }
 
-    /// Reads one array of float32 or float64, in C or Fortran order.
+    /// Reads one array of float32 or float64, stored in C or Fortran order, as float32 in C order.
+    ///
+    /// - `key`: name of the array, without `.npy`
     ///
     /// # Errors
-    /// [`InterchangeError::Array`] if it is missing, of another type, damaged, or holds a number that
-    /// is not finite.
+    /// [`InterchangeError::Array`] if the array is missing, of another type or damaged, or holds a number that is not
+    /// finite.
     pub fn array(&mut self, key: &str) -> Result<NpyArray, InterchangeError> {
         self.read(key, |header, entry| header.read_floats(entry))
     }
 
-    /// Reads one array of a certain type as it is stored, numbers that are not finite included.
+    /// Reads one array of the type `T` without conversion. NaN and infinities are allowed.
+    ///
+    /// - `key`: name of the array, without `.npy`
     ///
     /// # Errors
-    /// [`InterchangeError::Array`] if it is missing, of another type, or damaged.
+    /// [`InterchangeError::Array`] if the array is missing, of another type, or damaged.
     pub fn array_of<T: NpyValue>(&mut self, key: &str) -> Result<NpyArray<T>, InterchangeError> {
         self.read(key, |header, entry| header.read_values(entry))
     }
 
-    /// Whether there is an array of that name.
+    /// Whether the archive has an array named `key` (without `.npy`).
     pub fn contains(&self, key: &str) -> bool {
         self.archive.index_for_name(&format!("{key}.npy")).is_some()
     }
 
-    /// Names of the arrays, in the order of the archive.
+    /// Names of the arrays without `.npy`, in the order of the archive.
     pub fn array_names(&self) -> impl Iterator<Item = String> {
         self.archive.file_names().flatten().filter_map(|name| name.strip_suffix(".npy").map(str::to_owned))
     }
@@ -96,13 +117,13 @@ impl NpzReader {
         read(header, &mut entry)
     }
 
-    /// The file being read.
+    /// Path of the archive, as given to [`Self::open`].
     pub fn path(&self) -> &Path {
         &self.path
     }
 }
 
-/// Writes an archive of arrays. Same arrays, same bytes: no time of writing is stored.
+/// Writes an npz archive, uncompressed. Equal arrays give equal bytes: no time of writing is stored.
 ///
 /// ```
 /// let mut npz = tcgs_interchange::NpzWriter::new(std::io::Cursor::new(Vec::new()));
@@ -116,20 +137,24 @@ pub struct NpzWriter<W: Write + Seek> {
 }
 
 impl<W: Write + Seek> NpzWriter<W> {
-    /// An empty archive.
+    /// Starts an archive without arrays.
+    ///
+    /// - `writer`: should be buffered
     pub fn new(writer: W) -> Self {
         Self { zip: ZipWriter::new(writer) }
     }
 
     /// Adds an array, not compressed, as `numpy.savez` does.
     ///
-    /// - `parts`: slices that make up the values, C order, one after another
+    /// - `key`: name of the array, without `.npy`
+    /// - `shape`: size along each axis
+    /// - `parts`: slices whose concatenation is the array's values in C order
     ///
     /// # Errors
-    /// What the writer reports.
+    /// The errors of the writer.
     ///
     /// # Panics
-    /// If `parts` together hold another number of values than `shape`.
+    /// If `parts` together do not hold as many values as the product of `shape`.
     pub fn array<'a, T: NpyValue + 'a>(
         &mut self,
         key: &str,
@@ -160,10 +185,10 @@ impl<W: Write + Seek> NpzWriter<W> {
         Ok(())
     }
 
-    /// Writes the table of contents and gives the writer back.
+    /// Writes the table of contents and returns the writer. Without this call the archive is incomplete.
     ///
     /// # Errors
-    /// What the writer reports.
+    /// The errors of the writer.
     pub fn finish(self) -> io::Result<W> {
         Ok(self.zip.finish()?)
     }

@@ -1,4 +1,4 @@
-//! `params.npz` of Dynamic 3D Gaussians (Luiten et al. 2024): one archive, one array an attribute.
+//! `params.npz` of Dynamic 3D Gaussians (Luiten et al. 2024): one archive with one array per attribute.
 //!
 //! | key | shape | here |
 //! |---|---|---|
@@ -11,10 +11,10 @@
 //! | `cam_m`, `cam_c` | `(50, 3)`: image = exp(cam_m) * render + cam_c | [`ParamsExtras`], written only |
 //! | `tcgs_first_frame`, `tcgs_downscale`, `tcgs_frame_rate` | `(1,)` each, ours alone, optional | [`ParamsOrigin`] |
 //!
-//! The format has no field for the frame of the capture that its first timestep shows. Readers of other programs number
-//! the timesteps from 0 and pass over the arrays that begin with `tcgs_`: a scene of the frames 7 to 9 has the timesteps 0
-//! to 2 there. Timesteps of nothing before the first would be drawn and trained on, so none are written; who needs the
-//! number reads `tcgs_first_frame`, or exports from frame 0 on.
+//! The format has no field for the frame of the capture that its first timestep shows. Other programs number the
+//! timesteps from 0 and ignore the arrays whose names begin with `tcgs_`: a scene of the frames 7 to 9 has the
+//! timesteps 0 to 2 there. The writer does not pad the scene with empty timesteps, since other programs would draw them
+//! and train on them. A reader that needs the frame's number reads `tcgs_first_frame`.
 
 use std::{
     fs::File,
@@ -34,31 +34,32 @@ const FRAME_RATE: &str = "tcgs_frame_rate";
 /// Rows of `cam_m` and `cam_c`: the source always has 50, whatever the number of cameras.
 const MIN_CAMERA_ROWS: usize = 50;
 
-/// What `params.npz` holds beside the Gaussians.
+/// The arrays of `params.npz` other than the Gaussians' attributes. By default: all foreground, no cameras, no origin.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ParamsExtras<'a> {
-    /// `[N]` whether a Gaussian belongs to the foreground; without it all do.
+    /// `[N]`, whether each Gaussian belongs to the foreground; with `None` all do.
     pub foreground: Option<&'a [bool]>,
-    /// `[C, 3]` logarithm of the colour gain of each training camera, `cam_m`.
+    /// `[C, 3]`, logarithm of each training camera's colour gain, written as `cam_m`.
     pub log_gains: &'a [[f32; 3]],
-    /// `[C, 3]` colour offset of each training camera, `cam_c`.
+    /// `[C, 3]`, colour offset of each training camera, written as `cam_c`.
     pub offsets: &'a [[f32; 3]],
-    /// Where the scene comes from, for those who know to read it.
+    /// The frames and the resolution that the scene was trained on, for readers that know [`read_params_origin`].
     pub origin: Option<ParamsOrigin>,
 }
 
-/// What the format itself does not say, in arrays that other readers pass over.
+/// Which frames of a capture a scene shows, and at which resolution it was trained. The format of Dynamic 3D Gaussians
+/// has no such fields; other programs ignore these arrays.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ParamsOrigin {
-    /// Frame number in the capture of timestep 0, below 16,777,216: the format's numbers are float32.
+    /// Index of the capture's frame that timestep 0 shows, below 16,777,216, since the array is float32.
     pub first_frame: u32,
-    /// Factor by which the capture's images were shrunk for training, 1 to 65536.
+    /// Factor by which width and height of the capture's images were divided for training, 1 to 65536.
     pub downscale: u32,
     /// Frames per second; 0 if unknown.
     pub frame_rate: f32,
 }
 
-/// Reads a scene that Dynamic 3D Gaussians trained.
+/// Reads the scene of a `params.npz` that Dynamic 3D Gaussians, or [`write_params_npz`], wrote.
 ///
 /// ```
 /// use tcgs_core::{DynamicGaussians, Gaussians};
@@ -72,12 +73,12 @@ pub struct ParamsOrigin {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
-/// Tolerates float64, Fortran order, `logit_opacities` as `(N,)`, and a leading axis of one on what
-/// does not vary with time.
+/// Accepts float64, Fortran order, `logit_opacities` of shape `(N,)`, and a leading axis of length 1 on the arrays that
+/// do not vary with time.
 ///
 /// # Errors
-/// [`InterchangeError`] if an array is missing, shapes disagree, a number is not finite, the file is
-/// cut, or there is no timestep or no Gaussian.
+/// [`InterchangeError`] if the file cannot be read or is incomplete, an array is missing, shapes disagree, a number is
+/// not finite, or the scene has no timestep or no Gaussian.
 pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError> {
     let mut npz = NpzReader::open(path)?;
     let invalid = |key: &str, problem| InterchangeError::Array { path: path.into(), key: key.into(), problem };
@@ -130,10 +131,12 @@ pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError
     Ok(DynamicGaussians::from_samples(Layout::base(), samples[0].len(), samples))
 }
 
-/// Where the scene in a file comes from; none if another program wrote it.
+/// Reads the origin of the scene in a `params.npz`; `None` if the file has no array `tcgs_first_frame`, as when another
+/// program wrote the file.
 ///
 /// # Errors
-/// [`InterchangeError`] if the arrays are incomplete, or a number is out of its range.
+/// [`InterchangeError`] if the file cannot be read, one of the three arrays is missing, or a number is out of its
+/// range.
 pub fn read_params_origin(path: &Path) -> Result<Option<ParamsOrigin>, InterchangeError> {
     let mut npz = NpzReader::open(path)?;
     if !npz.contains(FIRST_FRAME) {
@@ -160,11 +163,11 @@ pub fn read_params_origin(path: &Path) -> Result<Option<ParamsOrigin>, Interchan
     }))
 }
 
-/// Writes a scene that Dynamic 3D Gaussians can show; whole or not at all (beside, then renamed).
-/// Replaces what is there.
+/// Writes a scene as a `params.npz` that the viewer of Dynamic 3D Gaussians can show. The write is atomic: a temporary
+/// file is renamed to `path` and replaces an existing file.
 ///
 /// # Errors
-/// [`InterchangeError::Io`] if the folder cannot be written.
+/// [`InterchangeError::Io`] if the file cannot be written; an existing file is then unchanged.
 ///
 /// # Panics
 /// As [`write_params_npz_to`].
@@ -174,14 +177,16 @@ pub fn write_params_npz(path: &Path, scene: &DynamicGaussians, extras: &ParamsEx
     written.map_err(|error| InterchangeError::Io { path: path.into(), action: "writing", error })
 }
 
-/// Writes the bytes of a `params.npz`: the same for the same scene.
+/// Writes the bytes of a `params.npz`. Equal scenes and extras give equal bytes.
+///
+/// - `writer`: should be buffered
 ///
 /// # Errors
-/// What the writer reports.
+/// The errors of `writer`.
 ///
 /// # Panics
-/// If the scene has no timestep or no Gaussian, scales or opacities vary (the format holds them once), or
-/// arrays disagree in their length.
+/// If the scene has no timestep or no Gaussian, if scales or opacities vary with time (the format holds them once), or
+/// if `extras.foreground` does not have one label per Gaussian.
 pub fn write_params_npz_to<W: Write + Seek>(
     writer: W,
     scene: &DynamicGaussians,

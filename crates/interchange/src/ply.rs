@@ -10,8 +10,8 @@
 //! | `scale_0` to `scale_2` | `log_scales` |
 //! | `rot_0` to `rot_3` | `quats`, `w, x, y, z` |
 //!
-//! Everything but colours keeps its bits both ways. A colour is off by up to 3e-8, for its offset; one below
-//! zero is read as zero, as which such files are drawn.
+//! Writing and reading again keeps the bits of everything but colours. A colour changes by up to 3e-8, by the rounding
+//! of its offset; a negative colour is read as zero, since renderers of such files clamp colours at zero.
 
 use std::fs::File;
 use std::io::{self, BufReader, ErrorKind, Write};
@@ -26,12 +26,12 @@ use crate::InterchangeError;
 /// Value of the spherical harmonic of degree 0: `1 / (2 √π)`.
 const HARMONIC_0: f64 = 0.282_094_791_773_878_14;
 
-/// What happens to colours that depend on the direction of view. A scene here has none.
+/// How [`read_ply`] treats view-dependent colours (spherical harmonics above degree 0), which the scene cannot hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HigherHarmonics {
-    /// A file with `f_rest` properties is an error.
+    /// A file with properties `f_rest_…` is refused with [`InterchangeError::HigherHarmonics`].
     Refuse,
-    /// They are not read.
+    /// The properties `f_rest_…` are ignored: each Gaussian keeps its colour of degree 0.
     Drop,
 }
 
@@ -72,7 +72,8 @@ struct Elements {
     vertex: Vec<Vertex>,
 }
 
-/// Reads one timestep: binary of either byte order, or ASCII. Properties that no Gaussian has are skipped.
+/// Reads the Gaussians of one PLY file, in stored form: binary of either byte order, or ASCII. Unknown properties are
+/// ignored.
 ///
 /// ```
 /// use tcgs_core::Gaussians;
@@ -86,8 +87,9 @@ struct Elements {
 /// ```
 ///
 /// # Errors
-/// [`InterchangeError`] if it is not a whole file of this kind, a property is missing, a number is not finite,
-/// there is no Gaussian, or harmonics are refused.
+/// [`InterchangeError::Io`] if the file cannot be read; [`InterchangeError::Ply`] if the file is not a complete PLY
+/// file, lacks a property, holds a number that is not finite, or has no Gaussian; [`InterchangeError::HigherHarmonics`]
+/// if harmonics are present and refused.
 pub fn read_ply(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, InterchangeError> {
     let failed = |error| InterchangeError::Io { path: path.into(), action: "reading", error };
     let invalid = |problem| InterchangeError::Ply { path: path.into(), problem };
@@ -122,13 +124,14 @@ pub fn read_ply(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, In
     Ok(gaussians)
 }
 
-/// Writes one timestep, binary little-endian, with colours of degree 0: what viewers of 3D Gaussian splatting
-/// read. The same Gaussians give the same bytes.
+/// Writes the Gaussians of one timestep as a PLY file for viewers of 3D Gaussian splatting: binary little-endian, with
+/// colours of degree 0. Equal Gaussians give equal bytes.
 ///
 /// - `writer`: should be buffered
+/// - `gaussians`: `[N]`, stored form
 ///
 /// # Errors
-/// What the writer reports.
+/// The errors of `writer`.
 pub fn write_ply_to(writer: impl Write, gaussians: &Gaussians) -> io::Result<()> {
     let elements = Elements { vertex: to_vertices(gaussians) };
     serde_ply::to_writer(&elements, SerializeOptions::binary_le(), writer).map_err(|error| error.0)

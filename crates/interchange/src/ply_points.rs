@@ -24,11 +24,15 @@ struct Vertex {
     blue: Option<f32>,
 }
 
-/// Reads points: `x`, `y`, `z`, and where there are `red`, `green`, `blue`, as bytes (0 to 255) or floats (0 to 1).
-/// Points without colours are grey. All are foreground, since such files do not say what moves.
+/// Reads a point cloud from the element `vertex` of a PLY file: the properties `x`, `y`, `z`, and `red`, `green`,
+/// `blue` if present, as bytes (0 to 255) or floats (0 to 1). Points without colours are grey (0.5). All points are
+/// foreground, since such files do not tell what moves.
+///
+/// - returns: positions in the file's unit, colours in `[0, 1]`
 ///
 /// # Errors
-/// [`InterchangeError`] if it is not a whole PLY file, has no points, or a number is not finite.
+/// [`InterchangeError::Io`] if the file cannot be read; [`InterchangeError::Ply`] if the file is not a complete PLY
+/// file, has no points, or holds a number that is not finite.
 pub fn read_ply_points(path: &Path) -> Result<PointCloud, InterchangeError> {
     let failed = |error| InterchangeError::Io { path: path.into(), action: "reading", error };
     let invalid = |problem| InterchangeError::Ply { path: path.into(), problem };

@@ -1,7 +1,7 @@
-//! A folder of PLY files, one a timestep, whose Gaussians keep their number and their order.
+//! A folder of PLY files, one file per timestep, whose Gaussians keep their number and their order.
 //!
-//! Files do not say that they belong together. What can be seen is checked: their number of Gaussians, and
-//! that Gaussian `i` of one file is near Gaussian `i` of the next ([`MAX_JUMP`]).
+//! The files do not state that they belong together. The reader checks what it can: every file has the same number of
+//! Gaussians, and Gaussian `i` of one file is near Gaussian `i` of the next ([`MAX_JUMP`]).
 
 use std::fs;
 use std::ops::Range;
@@ -18,45 +18,50 @@ use crate::{HigherHarmonics, InterchangeError, read_ply};
 /// frame, and no codec gains anything from tracks that jump like that.
 const MAX_JUMP: f32 = 0.5;
 
-/// A sequence of files as one scene.
+/// The scene that a sequence of PLY files holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlySequence {
-    /// A timestep a file.
+    /// The scene, with one timestep per file.
     pub scene: DynamicGaussians,
-    /// Number of the first file, if the names are numbers that count up by one, such as `000012.ply`.
+    /// The number in the first file's name, if all names are numbers that count up by one, such as `000012.ply`; the
+    /// index of the capture's frame that timestep 0 shows.
     pub first_frame: Option<u32>,
 }
 
-/// The files of a sequence by name alone: none is read until [`Self::read`].
+/// The paths of a sequence of PLY files. No file is opened until [`Self::read`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlyFiles {
-    /// A timestep a file, at least one.
+    /// The files in the order of the timesteps, at least one.
     pub files: Vec<PathBuf>,
     /// As [`PlySequence::first_frame`].
     pub first_frame: Option<u32>,
 }
 
 impl PlyFiles {
-    /// Lists the PLY files of a folder in their natural order: numbers in names count as numbers. A path that is a file
-    /// is a sequence of one.
+    /// Lists the PLY files of a folder in natural order (numbers within names are compared as numbers). Hidden files
+    /// are left out.
+    ///
+    /// - `path`: the folder, or a single PLY file, which becomes a sequence of one timestep
     ///
     /// # Errors
-    /// [`InterchangeError`] if the folder cannot be read or has no PLY file.
+    /// [`InterchangeError::Io`] if the folder cannot be read; [`InterchangeError::Ply`] if the folder has no PLY file.
     pub fn list(path: &Path) -> Result<Self, InterchangeError> {
         let files = if path.is_dir() { ply_files(path)? } else { vec![path.into()] };
         let first_frame = first_frame(&files);
         Ok(Self { files, first_frame })
     }
 
-    /// Reads some timesteps as one scene. Scales and opacities vary in the scene if a bit of them differs between the
-    /// files.
+    /// Reads a range of timesteps as one scene. Scales and opacities vary with time in the scene if any bit of them
+    /// differs between the files.
+    ///
+    /// - `timesteps`: positions in [`files`](Self::files)
     ///
     /// # Errors
-    /// [`InterchangeError`] that names the first file that cannot be read or does not continue the sequence; as
-    /// [`read_ply`].
+    /// As [`read_ply`]; [`InterchangeError::Ply`] names the first file whose number of Gaussians differs from that of
+    /// the first, or whose Gaussians are not near those of the file before.
     ///
     /// # Panics
-    /// If there are not so many files.
+    /// If `timesteps` exceeds the number of files.
     pub fn read(
         &self,
         timesteps: Range<usize>,
@@ -87,7 +92,20 @@ impl PlyFiles {
     }
 }
 
-/// Reads all files of [`PlyFiles::list`] as one scene.
+/// Reads all PLY files of a folder as one scene: [`PlyFiles::list`], then [`PlyFiles::read`].
+///
+/// ```
+/// use tcgs_core::Gaussians;
+/// use tcgs_interchange::{HigherHarmonics, read_ply_sequence, write_ply_to};
+/// let folder = tempfile::tempdir()?;
+/// for frame in 7..9 {
+///     let file = std::fs::File::create(folder.path().join(format!("{frame:06}.ply")))?;
+///     write_ply_to(std::io::BufWriter::new(file), &Gaussians::zeros(5))?;
+/// }
+/// let sequence = read_ply_sequence(folder.path(), HigherHarmonics::Refuse)?;
+/// assert_eq!((sequence.scene.num_timesteps(), sequence.first_frame), (2, Some(7)));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// As [`PlyFiles::list`] and [`PlyFiles::read`].

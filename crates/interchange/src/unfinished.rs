@@ -24,7 +24,7 @@ const MARK: &str = "unfinished-by-tcgs";
 const MARK_TEXT: &str = "tcgs writes here what it renames when it is whole. If no tcgs runs, this folder is left over from one\n\
                          that was stopped, and may be removed.\n";
 
-/// What is done where a file exists already.
+/// What [`write_whole`] does if the file exists already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
     /// The file stays as it is, and writing fails with [`io::ErrorKind::AlreadyExists`].
@@ -33,14 +33,15 @@ pub enum Existing {
     Replace,
 }
 
-/// Writes a file beside its place and renames it when it is whole and on the disk, so that neither an error, nor a
-/// killed process, nor a power cut leaves half a file.
+/// Writes a file atomically: `write` fills a temporary file on the same file system, which is synced to the disk and
+/// then renamed to `path`. So neither an error, nor a killed process, nor a power cut leaves half a file.
 ///
 /// - `path`: in a folder that exists; a symbolic link is replaced, not followed
-/// - `write`: writes the content; a buffer around the file is its own affair
+/// - `write`: writes the content to an unbuffered file
 ///
 /// # Errors
-/// What the file system or `write` reports; `path` is then as it was.
+/// The errors of the file system and of `write`; [`io::ErrorKind::AlreadyExists`] with [`Existing::Keep`] if `path`
+/// exists. `path` is unchanged after an error.
 ///
 /// ```
 /// use std::io::Write;
@@ -73,8 +74,8 @@ pub fn write_whole(path: &Path, existing: Existing, write: impl FnOnce(&mut File
     Ok(())
 }
 
-/// A folder for unfinished content, marked as this program's and as in use. Dropped, it is removed with all that is
-/// still in it.
+/// A temporary folder for unfinished content, with a locked mark that tells [`remove_unfinished`] whose the folder is
+/// and that a process still uses it. Dropping the value removes the folder with everything that is still in it.
 #[derive(Debug)]
 pub struct Unfinished {
     /// Locked as long as it is open; first, so that the folder is removed after the file is closed.
@@ -83,12 +84,12 @@ pub struct Unfinished {
 }
 
 impl Unfinished {
-    /// Makes such a folder.
+    /// Creates a temporary folder inside `folder`, and the locked mark in it.
     ///
-    /// - `folder`: where the finished content will lie, or what it will replace the content of
+    /// - `folder`: the folder in which the finished content will lie, or whose content it will replace
     ///
     /// # Errors
-    /// What the file system reports.
+    /// The errors of the file system.
     pub fn begin(folder: &Path) -> io::Result<Self> {
         let mut builder = tempfile::Builder::new();
         builder.prefix(PREFIX);
@@ -104,15 +105,15 @@ impl Unfinished {
         Ok(Self { mark, folder })
     }
 
-    /// Where the content is written, under any name but the mark's.
+    /// Path of the temporary folder. The caller writes the content into it, under any name but `unfinished-by-tcgs`.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
 
-    /// Removes the mark and leaves the folder to the caller: from here on nothing removes it by itself, whatever
-    /// becomes of this process.
+    /// Removes the mark and hands the folder over to the caller: neither dropping nor [`remove_unfinished`] removes the
+    /// folder any more.
     ///
-    /// - returns: the folder
+    /// - returns: path of the folder
     pub fn keep(self) -> PathBuf {
         let Self { mark, folder } = self;
         // Should the mark resist, it is empty at least, and nothing is removed for its sake.
@@ -122,16 +123,17 @@ impl Unfinished {
     }
 }
 
-/// Whether a name is that of a folder with unfinished content.
+/// Whether a file name is that of a folder with unfinished content: whether it begins with `.writing-`.
 pub fn is_unfinished(name: &OsStr) -> bool {
     name.to_string_lossy().starts_with(PREFIX)
 }
 
-/// Removes from a folder what processes of this program left there that were killed while they wrote. Never touches
-/// anything without this program's mark, anything that a process still writes to, or the target of a symbolic link.
-/// What cannot be read or removed stays: cleaning is a courtesy.
+/// Removes the temporary folders that killed processes of this program left inside a folder. A folder without this
+/// program's mark, a folder whose mark a process has locked, and the target of a symbolic link are never touched. What
+/// cannot be read or removed stays, without an error.
 ///
-/// - `age`: nothing is removed in which anything has changed since
+/// - `folder`: the folder to clean; its subfolders are not searched
+/// - `age`: a temporary folder is removed only if nothing in it has changed for this long
 pub fn remove_unfinished(folder: &Path, age: Duration) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for entry in entries.flatten() {

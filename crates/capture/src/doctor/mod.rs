@@ -1,10 +1,10 @@
-//! What is wrong with a capture, found by looking.
+//! The diagnosis of a capture: mistakes of cameras, masks and clocks that only the images reveal.
 //!
-//! What lives here: questions to images, cameras and masks that [`Capture::open`] cannot answer from numbers
-//! alone. *geometry* compares points drawn from every camera with its image, as given and under the usual
-//! mistakes; *masks* compares masks with the points' foreground; *sync* compares every camera's silhouettes
-//! with what the others say at other times; *sheet* is the picture of it all. What does not: files that are
-//! missing or damaged, which `open` and `views` name.
+//! What lives here: checks that [`Capture::open`] cannot make from numbers alone. *geometry* draws the points from
+//! every camera and compares the drawing with the image, for the given camera and for the usual mistakes; *masks*
+//! compares masks with the points' foreground; *sync* compares each camera's silhouettes with those of the others at
+//! other frames; *sheet* draws the overview. What does not: files that are missing or damaged, which `open` and `views`
+//! report.
 
 mod geometry;
 mod masks;
@@ -27,32 +27,32 @@ const FEW_AGREE: f64 = 0.1;
 /// Points, where the capture has none.
 const NUM_POINTS: usize = 30_000;
 
-/// Kinds of mistakes.
+/// The kinds of mistakes that [`check`] recognises.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FindingKind {
-    /// `camera_from_world` and `world_from_camera` are swapped.
+    /// The capture gives `world_from_camera` where `camera_from_world` is expected.
     InvertedExtrinsics,
-    /// Images stand at other cameras' places.
+    /// Cameras have each other's poses and intrinsics.
     ExchangedCameras,
-    /// Intrinsics of larger or smaller images.
+    /// The intrinsics belong to images of another size.
     ImageSize,
-    /// Focal lengths too large or too small.
+    /// The focal lengths are too large or too small.
     Focal,
-    /// Principal point too far to one side.
+    /// The principal point is displaced.
     PrincipalPoint,
-    /// Image and points do not match, for no simple reason.
+    /// Image and points do not match, and none of the mistakes above explains it.
     NoFit,
-    /// A mask without foreground, where foreground is in sight.
+    /// The mask has no foreground, although points of the foreground fall into the image.
     EmptyMask,
-    /// Foreground and background are swapped.
+    /// The mask marks the background instead of the foreground.
     InvertedMask,
-    /// Frames are early or late.
+    /// The camera's frames are earlier or later than those of the other cameras.
     Unsynchronised,
 }
 
 impl FindingKind {
-    /// One word for machines.
+    /// The kind's name in snake case, as machine-readable reports hold it: `inverted_extrinsics`.
     pub fn name(self) -> &'static str {
         match self {
             Self::InvertedExtrinsics => "inverted_extrinsics",
@@ -68,16 +68,16 @@ impl FindingKind {
     }
 }
 
-/// A mistake.
+/// One mistake that [`check`] found. Displayed as one line: the cameras, the problem, the likely fix.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// Which kind.
+    /// The kind of the mistake.
     pub kind: FindingKind,
-    /// Whose, by the capture's names.
+    /// Ids of the cameras that are concerned.
     pub cameras: Vec<usize>,
-    /// What was found.
+    /// What was found, as the middle of a sentence.
     pub problem: String,
-    /// What would mend it.
+    /// The change to the capture that would likely correct the mistake.
     pub fix: String,
 }
 
@@ -99,39 +99,53 @@ fn list(ids: &[usize]) -> String {
     ids.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// How one camera fits.
+/// How well the image of one camera matches the points drawn from its pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraFit {
-    /// By the capture's names.
+    /// Id of the camera.
     pub camera_id: usize,
-    /// Correlation of its image with the points drawn from its place, -1 to 1; healthy cameras are above a half.
-    /// Nothing where too few points or too little texture is in sight, and where all cameras are wrong in the same way
-    /// and were not compared one by one.
+    /// Correlation of the image's colours with those of the points drawn from the camera, in `[-1, 1]`; correct cameras
+    /// are above 0.5. `None` where too few points or too little texture is in sight, and where all cameras share a
+    /// mistake and were therefore not compared one by one.
     pub fit: Option<f64>,
 }
 
-/// What the doctor says.
+/// The result of [`check`].
 #[derive(Clone, Debug)]
 pub struct Diagnosis {
-    /// What is wrong. Nothing, if the capture is healthy, or if it cannot be told.
+    /// The mistakes that were found; empty if the capture is correct or cannot be judged.
     pub findings: Vec<Finding>,
-    /// Cameras of which it cannot be told whether they are right, by the capture's names: image or points have too
-    /// little texture, or too few points are in sight, for a right pose to stand out from wrong ones.
+    /// Ids of the cameras that cannot be judged: image or points have too little texture, or too few points are in
+    /// sight, for the correct pose to stand out from wrong poses.
     pub undecided: Vec<usize>,
-    /// Training cameras, then test cameras.
+    /// The fit of each training camera, then of each test camera.
     pub cameras: Vec<CameraFit>,
-    /// Whether the points were made for the purpose, for lack of others.
+    /// Whether the capture has no points of its own, so that the points were made by multi-view stereo.
     pub made_points: bool,
-    /// Every camera's image with projected points above the points drawn from its place.
+    /// Overview `[3, H, W]`: for each camera a tile with the projected points over the image, and below it the points
+    /// drawn from the camera.
     pub sheet: Image,
 }
 
-/// Looks for wrong cameras, masks and clocks.
+/// Looks for wrong cameras, masks and clocks. Cameras and masks are compared with the points at the first frame, clocks
+/// at frames spread over the capture.
 ///
-/// - `report`: told what is done next
+/// - `capture`: opened by [`Capture::open_unseen`], so that wrong cameras do not end in an error before
+/// - `report`: called with a description of each step before the step begins
+///
+/// ```
+/// use tcgs_capture::{Capture, SyntheticSettings, check, write_synthetic};
+/// let folder = tempfile::tempdir()?;
+/// write_synthetic(folder.path(), &SyntheticSettings { num_timesteps: 1, ..Default::default() })?;
+///
+/// let diagnosis = check(&Capture::open_unseen(folder.path())?, &mut |step| println!("{step}"))?;
+/// assert!(diagnosis.findings.is_empty() && !diagnosis.made_points);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
-/// If images or points cannot be read, or there are no points and cameras too far apart to make some.
+/// [`CaptureError`] if images or points cannot be read; for a capture without points also if [`prepare`] cannot make
+/// any from its cameras: fewer than three, images too small, or directions too far apart.
 pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosis, CaptureError> {
     report("reading images");
     let size = capture.cameras(Split::All, 0, 1)?;

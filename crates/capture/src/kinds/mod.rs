@@ -1,6 +1,6 @@
-//! The kinds of captures that are known: a file for each, with its constant.
+//! The known kinds of captures: one file per kind, with the kind's constant, its recognition and its reader.
 //!
-//! A new kind is a file with a constant and a line in [`CaptureKind::ALL`].
+//! A new kind is one file with a constant, and one line in [`CaptureKind::ALL`].
 
 mod colmap;
 mod middlebury;
@@ -16,11 +16,11 @@ use std::path::Path;
 use crate::{CaptureError, contents::Contents, files, kind::CaptureKind};
 
 impl CaptureKind {
-    /// Every kind, in the order in which they are looked for.
+    /// All kinds of folders, in the order in which [`Capture::open`](crate::Capture::open) tries them.
     pub const ALL: [Self; 6] =
         [Self::PANOPTIC, Self::NEURAL3D, Self::TECHNICOLOR, Self::NERFSTUDIO, Self::COLMAP, Self::MIDDLEBURY];
 
-    /// The kind of a short name, `None` if there is no such kind.
+    /// The kind whose [`name`](Self::name) is `name`; `None` if [`Self::ALL`] has no such kind.
     ///
     /// ```
     /// use tcgs_capture::CaptureKind;
@@ -32,7 +32,7 @@ impl CaptureKind {
     }
 }
 
-/// Opens a folder as what it is.
+/// Recognises a folder's kind and reads its contents.
 pub(crate) fn open(path: &Path) -> Result<(CaptureKind, Contents), CaptureError> {
     let not_capture = |problem: &str| CaptureError::NotCapture {
         path: path.into(),

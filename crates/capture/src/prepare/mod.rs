@@ -1,13 +1,13 @@
-//! Points to start from, out of images and cameras alone.
+//! Initial points from images and cameras alone, by multi-view stereo.
 //!
-//! What lives here: one module a step, and below their order. *patchmatch* finds the depth of every pixel of
-//! every training view, from coarse to fine; *hull* is where masks allow foreground, and limits its search;
-//! *fuse* keeps what several views agree on; *fill* continues surfaces without texture; *shell* ends the rays
-//! that met nothing; *thin* leaves as many points as wanted. What does not: which images there are
-//! ([`Capture`]), and what is made of the points.
+//! What lives here: one module per step, and below their order. *patchmatch* estimates the depth of every pixel of
+//! every training view, from coarse to fine; *hull* carves the visual hull of the masks, which bounds the depth of
+//! foreground; *fuse* keeps the points that several views agree on; *fill* interpolates depth across surfaces without
+//! texture; *shell* gives the remaining rays of background an end; *thin* reduces the points to the wanted number. What
+//! does not: reading images ([`Capture`]), and training from the points.
 //!
-//! Every view is worked on by one thread, and random numbers depend on view and pixel alone: the same bytes
-//! whatever the number of threads.
+//! One thread works on each view, and random numbers depend on seed, view and pixel alone. So the number of threads
+//! does not change the result.
 
 mod fill;
 mod fuse;
@@ -28,14 +28,14 @@ use patchmatch::{DepthMap, MAX_SOURCES, Plane, Range, Search, Source};
 use shell::Shell;
 use vantage::Vantage;
 
-/// How a cloud is made.
+/// Settings of [`prepare`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PrepareSettings {
-    /// Points at most, about; 80000.
+    /// Approximate upper bound of the number of points; default 80000.
     pub num_points: usize,
-    /// Images are averaged down until they are at most that wide, pixels; 400.
+    /// Images are downscaled by a whole factor until they are at most this wide, pixels; default 400.
     pub image_width: usize,
-    /// Of the search; 0.
+    /// Seed of the random depth hypotheses; default 0.
     pub seed: u64,
 }
 
@@ -45,32 +45,34 @@ impl Default for PrepareSettings {
     }
 }
 
-/// Where a point is from, the best first.
+/// Which step of [`prepare`] made a point, from the most to the least reliable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Origin {
-    /// Three views or more agree on it.
+    /// At least three views agree on the point's depth.
     Triangulated,
-    /// On the masks' visual hull: foreground without texture.
+    /// The point lies on the visual hull of the masks, where stereo found no foreground: foreground without texture.
     Hull,
-    /// Between triangulated points: a surface without texture, continued.
+    /// The point's depth is interpolated between triangulated points: background without texture.
     Filled,
-    /// On a shell around everything.
+    /// The point lies on the sphere or the floor that encloses the scene, on a ray that met no other point.
     Shell,
 }
 
-/// A cloud, and where its points are from.
+/// The point cloud that [`prepare`] makes, and which step made each point.
 #[derive(Clone, Debug, Default)]
 pub struct Prepared {
-    /// The points.
+    /// `P` points: positions in scene units, colours in `[0, 1]`, foreground labels from the masks. Without masks all
+    /// points are foreground, since anything may move.
     pub cloud: PointCloud,
-    /// Of each.
+    /// `[P]`, the step that made each point of `cloud`.
     pub origins: Vec<Origin>,
-    /// Share of the pixels whose depth other views confirm.
+    /// Share of the pixels of all training views whose depth other views confirm, in `[0, 1]`. A small share means that
+    /// cameras and images do not fit together.
     pub agreement: f64,
 }
 
 impl Prepared {
-    /// Points of one origin.
+    /// Number of points that one step made.
     pub fn count(&self, origin: Origin) -> usize {
         self.origins.iter().filter(|&&o| o == origin).count()
     }
@@ -99,7 +101,13 @@ const BLOCK_PX: usize = 8;
 /// Views from which a point may hide something they are sure of.
 const MAX_HIDDEN_FROM: usize = 1;
 
-/// Makes initial points from the training images of a capture's first frame.
+/// Makes initial points by multi-view stereo on the training images of a capture's first frame: PatchMatch (Bleyer et
+/// al. 2011), and the visual hull (Laurentini 1994) where there are masks.
+///
+/// - `capture`: with at least three training cameras; its own points, if there are any, are not used
+/// - `report`: called with a description of each step before the step begins
+///
+/// Equal captures and settings give equal points, whatever the number of threads.
 ///
 /// ```
 /// use tcgs_capture::{Capture, PrepareSettings, SyntheticSettings, prepare, write_synthetic};
@@ -114,11 +122,10 @@ const MAX_HIDDEN_FROM: usize = 1;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
-/// - `report`: told what is done next
-///
 /// # Errors
-/// If there are fewer than three training cameras, an image cannot be decoded, or no three views agree on
-/// anything, as when cameras are wrong. If no three cameras see the same, and no masks give a visual hull.
+/// [`CaptureError`] if the capture has fewer than three training cameras or images of fewer than 16 pixels each way, if
+/// an image cannot be decoded, if no three views agree on any depth (as when cameras are wrong; [`check`](crate::check)
+/// looks for the reason), or if no three cameras look at the same place and no masks give a visual hull.
 pub fn prepare(
     capture: &Capture,
     settings: &PrepareSettings,

@@ -1,9 +1,10 @@
-//! A capture made here: a textured room, three moving objects, exact cameras and masks.
+//! The synthetic capture: a textured room with three moving objects, with exact cameras and masks, rendered by ray
+//! casting.
 //!
-//! What lives here: where the cameras stand and what is written. `scene` says what stands and moves in
-//! the room, `texture` what it looks like, `trace` meets rays with it, `points` samples its surfaces.
-//! The scene is soft (low-frequency textures, matt surfaces, weak shadows that move) so that a few
-//! thousand Gaussians can hold it.
+//! What lives here: the poses of the cameras, and the files that are written. `scene` places and moves the bodies in
+//! the room, `texture` colours them, `trace` intersects rays with them, `points` samples their surfaces. The scene is
+//! soft (low-frequency textures, matt surfaces, weak moving shadows), so that a few thousand Gaussians can represent
+//! it.
 
 mod points;
 mod scene;
@@ -23,7 +24,7 @@ use crate::{
 use scene::Scene;
 pub use scene::ball_at;
 
-/// Frames a second that the motion is made for.
+/// Frames per second of the synthetic capture: the bodies' speeds and the ball's gravity are set for this rate.
 pub const SYNTHETIC_FRAME_RATE: f64 = 30.0;
 
 /// Distance of the cameras from the room's middle, along the floor, scene units (metres).
@@ -39,22 +40,22 @@ const FOCAL_PER_WIDTH: f64 = 0.82;
 /// Colour samples along each side of a pixel.
 const SUPERSAMPLES: usize = 2;
 
-/// What [`write_synthetic`] makes.
+/// Settings of [`write_synthetic`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SyntheticSettings {
-    /// Image width in pixels; 128.
+    /// Image width in pixels; default 128.
     pub width: usize,
-    /// Image height in pixels; 96.
+    /// Image height in pixels; default 96.
     pub height: usize,
-    /// Cameras to train on; 12. At least two more than test cameras.
+    /// Number of training cameras, at least two more than test cameras; default 12.
     pub num_train_cameras: usize,
-    /// Held-out cameras, each between two training cameras; 2.
+    /// Number of test cameras, each between two training cameras; default 2.
     pub num_test_cameras: usize,
-    /// Frames of every camera, at 30 a second; 24. The motion does not depend on it.
+    /// Number of frames of every camera, at [`SYNTHETIC_FRAME_RATE`]; default 24. The motion does not depend on it.
     pub num_timesteps: usize,
-    /// Points of the initial cloud; 8000, a third of them on the moving objects.
+    /// Number of initial points, a third of them on the moving objects; default 8000.
     pub num_points: usize,
-    /// Where the points fall; 0. The images do not depend on it.
+    /// Seed of the initial points' positions; default 0. The images do not depend on it.
     pub seed: u64,
 }
 
@@ -72,18 +73,28 @@ impl Default for SyntheticSettings {
     }
 }
 
-/// Renders the synthetic capture into a folder, in Panoptic layout: `train_meta.json`, `test_meta.json`,
-/// `ims/CAMERA/FRAME.png`, `seg/CAMERA/FRAME.png` (1 where a moving object is seen, for test cameras
-/// too) and `init_pt_cld.npz`. Equal settings give equal bytes.
+/// Renders the synthetic capture into a folder, as a capture of the kind
+/// [`CaptureKind::PANOPTIC`](crate::CaptureKind::PANOPTIC): `train_meta.json`, `test_meta.json`,
+/// `ims/CAMERA/FRAME.png`, `seg/CAMERA/FRAME.png` (1 where a moving object is seen, for test cameras too) and
+/// `init_pt_cld.npz`. The scene unit is the metre. Equal settings give equal bytes.
 ///
-/// - `dir`: made if it does not exist; files in it of these names are overwritten
+/// - `dir`: the folder; created if it does not exist. Existing files of these names are overwritten.
+///
+/// ```
+/// use tcgs_capture::{Capture, CaptureKind, SyntheticSettings, write_synthetic};
+/// let folder = tempfile::tempdir()?;
+/// let settings = SyntheticSettings { width: 32, height: 24, num_timesteps: 1, ..Default::default() };
+/// write_synthetic(folder.path(), &settings)?;
+/// assert_eq!(Capture::open(folder.path())?.kind(), CaptureKind::PANOPTIC);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
-/// If a file cannot be written.
+/// [`CaptureError`] if a file cannot be written.
 ///
 /// # Panics
-/// If the settings ask for no pixels, timesteps or points, or for fewer than two more training than
-/// test cameras.
+/// If width, height, timesteps or points are 0, or the training cameras are not at least two more than the test
+/// cameras.
 pub fn write_synthetic(dir: &Path, settings: &SyntheticSettings) -> Result<(), CaptureError> {
     let sizes = [settings.width, settings.height, settings.num_timesteps, settings.num_points];
     assert!(sizes.iter().all(|&size| size > 0), "width, height, timesteps and points of {sizes:?}");

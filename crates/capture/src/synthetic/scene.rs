@@ -1,4 +1,5 @@
-//! What stands and moves in the room, at every timestep. Lengths in metres, y down, the floor at y = 0.
+//! The bodies in the room and their motion: shape, pose and texture at every timestep. Lengths are in metres, y points
+//! down, the floor is y = 0.
 
 use std::f64::consts::PI;
 
@@ -68,9 +69,9 @@ impl Scene {
     }
 }
 
-/// Centre and radius of the synthetic capture's ball.
+/// Centre (world space) and radius, in metres, of the ball of the synthetic capture at a timestep.
 ///
-/// It crosses the room on parabolas, three of its diameters in 24 timesteps, and comes back.
+/// The ball bounces across the room on parabolas, three of its diameters in 24 timesteps, and returns.
 ///
 /// ```
 /// let (start, radius) = tcgs_capture::ball_at(0);
