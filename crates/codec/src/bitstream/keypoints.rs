@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use tcgs_core::Attribute;
 
-use super::coder::{Coder, Model};
+use super::coder::{Coder, SymbolModel};
 use super::neighbors::NONE;
 use super::number::{Numbers, floor, unzigzag, wrap, zigzag};
 use super::segment::Keypoints;
@@ -154,7 +154,7 @@ pub(super) struct KeypointModels {
     place_of_width: [usize; 17],
     num_widths: usize,
     /// Number of inner keypoints and one, or [`HELD`].
-    counts: Vec<Model>,
+    counts: Vec<SymbolModel>,
     more: Numbers,
     before: Numbers,
     after: Numbers,
@@ -175,7 +175,7 @@ impl KeypointModels {
         Self {
             place_of_width,
             num_widths,
-            counts: vec![Model::new(16); components * NUM_COUNTS * NUM_COUNTS],
+            counts: vec![SymbolModel::new(16); components * NUM_COUNTS * NUM_COUNTS],
             more: Numbers::new(1),
             before: Numbers::new(1),
             after: Numbers::new(1),

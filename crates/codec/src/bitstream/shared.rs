@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use tcgs_core::Attribute;
 
-use super::coder::{Coder, Model};
+use super::coder::{Coder, SymbolModel};
 use super::neighbors::{NONE, Neighbors};
 use super::number::{Codes, Numbers, floor, unzigzag, wrap, zigzag};
 use crate::bits::BitMap;
@@ -151,15 +151,15 @@ fn coordinate(code: i16, width: u8) -> u16 {
 /// Models of widths and of which tracks move.
 #[derive(Debug)]
 pub(super) struct MapModels {
-    widths: Vec<Model>,
-    moves: Vec<Model>,
+    widths: Vec<SymbolModel>,
+    moves: Vec<SymbolModel>,
 }
 
 impl MapModels {
     pub(super) fn new() -> Self {
         Self {
-            widths: vec![Model::new(16); Attribute::BASE.len() * 17 * 17],
-            moves: vec![Model::new(2); Attribute::BASE.len() * MAX_COMPONENTS * 8],
+            widths: vec![SymbolModel::new(16); Attribute::BASE.len() * 17 * 17],
+            moves: vec![SymbolModel::new(2); Attribute::BASE.len() * MAX_COMPONENTS * 8],
         }
     }
 
@@ -206,20 +206,20 @@ impl MapModels {
 #[derive(Debug)]
 pub(super) struct CurveModels {
     /// Exponent of a gap, divided by 4, after the one before.
-    high: Vec<Model>,
+    high: Vec<SymbolModel>,
     /// The rest of it.
-    low: Vec<Model>,
+    low: Vec<SymbolModel>,
     /// Highest three bits below the leading one, by exponent.
-    leading: Vec<Model>,
+    leading: Vec<SymbolModel>,
     exponent: usize,
 }
 
 impl CurveModels {
     pub(super) fn new() -> Self {
         Self {
-            high: vec![Model::new(13); 13],
-            low: vec![Model::new(4); 13],
-            leading: vec![Model::new(8); 49],
+            high: vec![SymbolModel::new(13); 13],
+            low: vec![SymbolModel::new(4); 13],
+            leading: vec![SymbolModel::new(8); 49],
             exponent: 0,
         }
     }
