@@ -1,4 +1,5 @@
-//! Magic, version, table of contents and checksums around sections of bytes.
+//! The container of a file (`docs/FORMAT.md`, "Container"): magic, version, table of contents and checksums around
+//! sections. The content of a section is opaque here.
 
 use std::io::{Seek, SeekFrom, Write};
 

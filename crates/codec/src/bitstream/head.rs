@@ -1,4 +1,5 @@
-//! The sections `INFO` and `PLAN`: what is known before any symbol.
+//! The sections `INFO` and `PLAN` (`docs/FORMAT.md`): counts, provenance, layers, quantizers and predictors, which a
+//! decoder needs before any entropy-coded symbol.
 
 use std::ops::Range;
 

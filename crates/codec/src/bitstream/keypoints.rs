@@ -1,4 +1,4 @@
-//! The keypoints of one attribute within a span of timesteps.
+//! Coding of the keypoints of one attribute within one segment (`docs/FORMAT.md`, "Segments"), for both directions.
 
 use std::ops::Range;
 

@@ -1,4 +1,4 @@
-//! Layers of what all segments share, and of one segment, from the bytes of their sections.
+//! Decoding of one shared layer, or of one layer of a segment, from the bytes of its sections.
 
 use std::ops::Range;
 

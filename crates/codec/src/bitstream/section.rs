@@ -1,4 +1,4 @@
-//! Which sections a file has, and reading one field after another.
+//! Kinds of sections, entries of the table of contents, and a cursor that reads a section's fields one after another.
 
 use std::ops::Range;
 

@@ -1,4 +1,5 @@
-//! What all segments share, layer by layer: widths, which tracks move, and the first code of every track.
+//! The shared layers (`docs/FORMAT.md`, "Shared layers"), which all segments need: widths, which tracks move, and the
+//! first code of every track.
 
 use std::ops::Range;
 

@@ -1,4 +1,5 @@
-//! Which Gaussians matter more, and in which order all are stored.
+//! Importance of Gaussians, estimated from the first timestep, and what follows from it: factors of tolerances, layers,
+//! and the order in which Gaussians are stored.
 
 use rayon::prelude::*;
 use tcgs_core::{Attribute, Gaussians};

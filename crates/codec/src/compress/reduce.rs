@@ -1,4 +1,5 @@
-//! From all values over time to keypoints, as floats.
+//! The second pass over a scene: selection of the keypoints of all tracks, as floats. Quantisation follows in the
+//! parent module.
 
 use rayon::prelude::*;
 use tcgs_core::{Attribute, SceneReader};

@@ -1,4 +1,5 @@
-//! The first reading of a scene: what must be known of all timesteps before any track is reduced.
+//! The first pass over a scene: ranges, means and variances over time, and which columns vary. The second pass
+//! (`reduce`) needs these before it sees the first timestep.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -171,7 +172,8 @@ impl Statistics {
         (self.columns[attribute.index()].sums[track].values / self.num_timesteps as f64) as f32
     }
 
-    /// Whether the weighted sum of mean squared distances of a Gaussian's tracks to their means is at most their number.
+    /// Whether the weighted sum of mean squared distances of a Gaussian's tracks to their means is at most their
+    /// number.
     pub(super) fn stillness(&self, attribute: Attribute, gaussian: usize, weights: &[f64]) -> Stillness {
         let (components, count) = (attribute.components(), self.num_timesteps as f64);
         let (mut error, mut added) = (0.0, 0.0);

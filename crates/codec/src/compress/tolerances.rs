@@ -1,4 +1,5 @@
-//! How far a track may be from the line through its keypoints, and the quantizers of what is kept.
+//! Tolerance of each track, the mean squared error allowed between the track and its keypoints, and quantizers for the
+//! values at keypoints.
 
 use std::collections::BTreeMap;
 
