@@ -256,7 +256,7 @@ pub struct CompactScene {
 /// How a scene breaks the rules of [`CompactScene::check`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Violation {
-    /// Where, if in the tracks of an attribute.
+    /// Attribute whose codes, widths or quantizers break the rule; none for a rule of the whole scene.
     pub(crate) attribute: Option<Attribute>,
     pub(crate) field: &'static str,
     pub(crate) problem: &'static str,

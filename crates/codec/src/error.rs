@@ -20,7 +20,7 @@ pub enum DecodeError {
         /// Byte of the file at which the field was read; for entropy-coded symbols the first byte of the section's
         /// symbols; 0 for a disagreement between segments.
         offset: u64,
-        /// What was found against what was expected.
+        /// The rule that is broken.
         problem: &'static str,
     },
     /// The file is of a version of the format that this decoder does not know. A newer program may read it.
@@ -34,9 +34,9 @@ pub enum DecodeError {
     /// Decoding would exceed [`DecodeLimits`](crate::DecodeLimits). A caller who trusts the file may raise the limit.
     #[error("{what} needs {needed} {unit}, limit is {limit}")]
     Limit {
-        /// What is too large.
+        /// What exceeds the limit, such as `scene` or `keypoints`.
         what: &'static str,
-        /// What is counted: `bytes`, `Gaussians` or `timesteps`.
+        /// Unit of `needed` and `limit`: `bytes`, `Gaussians` or `timesteps`.
         unit: &'static str,
         /// Amount that the file asks for, in `unit`.
         needed: u64,
@@ -56,13 +56,13 @@ pub enum CompressError {
         what: &'static str,
         /// The illegal number.
         found: f64,
-        /// What is legal.
+        /// Legal range.
         expected: &'static str,
     },
     /// A value of a Gaussian is not finite, or negative where it must not be.
     #[error("invalid {what} of Gaussian {gaussian}{}: found {found}, expected {expected}", at(*.timestep))]
     Gaussian {
-        /// Which values: the name of an attribute, or what belongs to each Gaussian of it.
+        /// Name of the attribute, or of the quantity that belongs to it, such as its sensitivity.
         what: String,
         /// Index of the Gaussian.
         gaussian: usize,
@@ -70,13 +70,13 @@ pub enum CompressError {
         timestep: Option<usize>,
         /// The illegal value.
         found: f64,
-        /// What is legal.
+        /// Legal range.
         expected: &'static str,
     },
     /// Two arguments disagree in a count.
     #[error("invalid number of {what}: found {found}, expected {expected}")]
     Count {
-        /// What is counted.
+        /// Name of the counted things.
         what: String,
         /// Count in the argument at fault.
         found: usize,

@@ -57,11 +57,11 @@ impl Selector {
         self.select_joint(&[track], &[1.0], max_keypoints, f64::from(max_mse))
     }
 
-    /// The same for several tracks that share their keypoints.
+    /// Selection for several tracks that share their keypoints.
     ///
     /// - `tracks`: `[C][T]`, finite, not empty
-    /// - `weights`: `[C]`, of the squared error of each
-    /// - `max_error`: of the mean over time of the weighted sum of squared errors
+    /// - `weights`: `[C]` factors of the squared errors of the tracks
+    /// - `max_error`: bound on the mean over time of the weighted sum of squared errors
     pub(crate) fn select_joint(
         &mut self,
         tracks: &[&[f32]],
@@ -172,16 +172,16 @@ fn index_of_largest(values: &[f64]) -> usize {
     values.iter().position(|&v| v == largest).unwrap_or(0)
 }
 
-/// Where a timestep lies among keypoints: the keypoint at or before it, and how far it is towards
-/// the next, in `[0, 1)`.
+/// Index of the last keypoint at or before a timestep, and the fraction in `[0, 1)` of the way to the next keypoint.
 ///
-/// - `times`: strictly increasing, not empty; `timestep` outside them is held at the nearest
+/// - `times`: strictly increasing, not empty; a `timestep` outside them gives the nearest keypoint and fraction 0
 fn locate(times: &[u16], timestep: usize) -> (usize, f32) {
     let before = times.partition_point(|&t| usize::from(t) <= timestep).saturating_sub(1);
     (before, fraction(times, before, timestep))
 }
 
-/// How far a timestep is from a keypoint towards the next one, in `[0, 1)`; 0 before the first and after the last.
+/// Fraction in `[0, 1)` of the way from keypoint `before` to the next keypoint at a timestep; 0 before the first
+/// keypoint and after the last.
 ///
 /// - `before`: index of the last keypoint at or before the timestep, or 0
 #[inline(always)]
@@ -195,7 +195,8 @@ pub(crate) fn fraction(times: &[u16], before: usize, timestep: usize) -> f32 {
 
 /// Value of a track at a timestep, from its value at any keypoint.
 ///
-/// - `times`: as of [`locate`]
+/// - `times`: as in [`locate`]
+/// - `value`: value at the keypoint of an index
 #[inline(always)]
 pub(crate) fn sample(times: &[u16], timestep: usize, value: impl Fn(usize) -> f32) -> f32 {
     let (before, fraction) = locate(times, timestep);

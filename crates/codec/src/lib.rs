@@ -1,13 +1,13 @@
 //! Compression of dynamic Gaussians and the `.tcgs` container.
 //!
 //! A scene has three representations: floats ([`tcgs_core::DynamicGaussians`]), codes ([`CompactScene`]: keypoints, bit
-//! widths, quantizers) and bytes (a `.tcgs` file, `docs/FORMAT.md`). [`compress`] and [`CompactScene::reconstruct`]
-//! convert between floats and codes; [`compress`] is lossy. [`encode`] and [`decode`] convert between codes and bytes
+//! widths, quantizers) and bytes (a `.tcgs` file, `docs/FORMAT.md`). [`compress()`] and [`CompactScene::reconstruct`]
+//! convert between floats and codes; [`compress()`] is lossy. [`encode`] and [`decode`] convert between codes and bytes
 //! without loss.
 //!
 //! | a program wants to | entry point |
 //! |---|---|
-//! | make a file | [`assign_bits`] or [`BitMap::uniform`], [`compress`], [`encode`] |
+//! | make a file | [`assign_bits`] or [`BitMap::uniform`], [`compress()`], [`encode`] |
 //! | read a whole file | [`decode`] |
 //! | read single timesteps of a file | [`SceneFile`] |
 //! | decode while bytes arrive | [`Decoder`] |

@@ -48,7 +48,7 @@ impl Default for DecodeLimits {
     }
 }
 
-/// What is left of the memory that [`DecodeLimits`] allow while decoding one file. Never given back: the sum
+/// Memory charged against [`DecodeLimits`] while one file is decoded. Memory that is freed is not given back: the sum
 /// of all allocations bounds their peak.
 #[derive(Debug)]
 pub(crate) struct Budget {
@@ -63,12 +63,15 @@ impl Budget {
         Self { limit: limits.max_bytes.min(expanded), used: AtomicU64::new(0) }
     }
 
-    /// As much as is left now, for something that will be dropped again.
+    /// A budget with the memory that is left now, for allocations that do not outlive the decoding of a part.
     pub(crate) fn fork(&self) -> Self {
         Self { limit: self.limit, used: AtomicU64::new(self.used.load(Ordering::Relaxed)) }
     }
 
-    /// To be asked before `count` things of `size` bytes are allocated.
+    /// Charges the memory of `count` values of `size` bytes; called before the allocation.
+    ///
+    /// # Errors
+    /// [`DecodeError::Limit`] if the sum of all charges exceeds the limit.
     pub(crate) fn reserve(&self, what: &'static str, count: u64, size: usize) -> Result<(), DecodeError> {
         let bytes = count.saturating_mul(size as u64).min(1 << 62);
         let used = self.used.fetch_add(bytes, Ordering::Relaxed);

@@ -342,7 +342,7 @@ impl Archive {
         Ok((cursor.text("name")?, cursor.rest()))
     }
 
-    /// Where data of applications lie, with their checksums.
+    /// Entries of the table of contents for application data.
     fn application(&self) -> impl Iterator<Item = &Entry> {
         self.entries.iter().filter(|e| e.tag == APPLICATION)
     }

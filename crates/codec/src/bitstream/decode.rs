@@ -53,7 +53,7 @@ pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<CompactScene, Decode
     join(&archive, &segments)
 }
 
-/// An archive of which all is there.
+/// Opens a file of which all bytes are given; refuses a file that is truncated or followed by other bytes.
 pub(super) fn open_whole(file: &[u8], limits: &DecodeLimits) -> Result<Archive, DecodeError> {
     let invalid = |problem| end_of_file(file.len() as u64, problem);
     match Archive::open(file, limits)? {
@@ -63,12 +63,12 @@ pub(super) fn open_whole(file: &[u8], limits: &DecodeLimits) -> Result<Archive, 
     }
 }
 
-/// What is wrong with where a file ends.
+/// Error at the end of a file.
 pub(crate) fn end_of_file(length: u64, problem: &'static str) -> DecodeError {
     Cursor::new("file", length, &[]).invalid("end", problem)
 }
 
-/// One scene of all its segments.
+/// Joins all segments of a file into one scene, and checks the rules of the format.
 pub(super) fn join(archive: &Archive, segments: &[Segment]) -> Result<CompactScene, DecodeError> {
     let (head, shared) = (archive.head(), archive.shared());
     let attributes = parallel::map(Attribute::BASE.to_vec(), |a| join_tracks(archive, segments, a));
@@ -89,7 +89,7 @@ pub(super) fn join(archive: &Archive, segments: &[Segment]) -> Result<CompactSce
     })
 }
 
-/// All keypoints of an attribute.
+/// Joins the keypoints of an attribute over all segments; a keypoint that two segments share must be the same in both.
 fn join_tracks(archive: &Archive, segments: &[Segment], attribute: Attribute) -> Result<Tracks<i16>, DecodeError> {
     let (a, components) = (attribute.index(), attribute.components());
     let (plan, shared) = (&archive.head().plan, archive.shared());

@@ -154,7 +154,8 @@ fn share_times(tracks: &Tracks<i16>, components: usize) -> bool {
     (0..tracks.len()).all(|i| i % components == 0 || tracks.track(i).0 == tracks.track(i - 1).0)
 }
 
-/// Of all means at all times: between keypoints they lie between these.
+/// Bounding box of all means at all timesteps. Keypoints suffice: interpolated means lie between the means at
+/// keypoints.
 fn bounds(scene: &CompactScene) -> [[f32; 3]; 2] {
     let mut bounds = [[f32::MAX; 3], [f32::MIN; 3]];
     let mean = Attribute::Mean.index();
@@ -171,7 +172,7 @@ fn bounds(scene: &CompactScene) -> [[f32; 3]; 2] {
     if scene.num_gaussians() == 0 { [[0.0; 3]; 2] } else { bounds }
 }
 
-/// What all segments of a scene share, as a decoder finds it.
+/// The shared layers of a scene in the form in which a decoder holds them.
 fn shared_of(scene: &CompactScene, head: &Head) -> Shared {
     let mut shared = Shared { bit_map: scene.bit_map.clone(), ..Shared::default() };
     for attribute in Attribute::BASE {

@@ -49,15 +49,15 @@ pub enum Event {
 /// ```
 pub struct Decoder {
     limits: DecodeLimits,
-    /// From `offset` of the file: what was not yet decoded.
+    /// Bytes from `offset` of the file that were not yet decoded.
     bytes: Vec<u8>,
     offset: u64,
-    /// Length from the start that the next step needs.
+    /// Number of bytes from the start of the file that the next step needs.
     needed: u64,
     archive: Option<Box<Archive>>,
-    /// Of the segment under way.
+    /// Reader of the segment of which some layers were decoded.
     reader: Option<SegmentReader>,
-    /// Groups of sections that were decoded.
+    /// Number of groups of sections (see [`Archive`]) that were decoded.
     groups: usize,
     finished: bool,
 }
@@ -115,7 +115,9 @@ impl Decoder {
         self.finished
     }
 
-    /// - returns: whether it got anywhere
+    /// Decodes the next part of the file, if its bytes have arrived.
+    ///
+    /// - returns: false if more bytes are needed
     fn step(&mut self, events: &mut Vec<Event>) -> Result<bool, DecodeError> {
         let Some(archive) = &mut self.archive else {
             match Archive::open(&self.bytes, &self.limits)? {
@@ -169,7 +171,7 @@ impl Decoder {
         Ok(self.wait_for_next())
     }
 
-    /// Sets what the next step needs.
+    /// Sets the number of bytes that the next step needs.
     fn wait_for_next(&mut self) -> bool {
         if let Some(archive) = &self.archive {
             let num_groups = archive.num_layers() * (1 + archive.num_segments());

@@ -193,9 +193,9 @@ pub struct Sampler {
     timesteps: Range<usize>,
     now: Gaussians,
     moving: Vec<Moving>,
-    /// Where the components of a rotation move apart: which Gaussians rotate.
+    /// `[rotating]` Gaussians that rotate, if the components of quaternions are separate units; else empty.
     rotating: Vec<u32>,
-    /// And all rotations before they are normalised.
+    /// `[N]` quaternions before they are normalised, if the components of quaternions are separate units; else empty.
     raw_quats: Vec<[f32; 4]>,
 }
 
@@ -270,9 +270,10 @@ impl Moving {
         of
     }
 
-    /// Writes what moves at a timestep.
+    /// Writes the values of the moving units at a timestep.
     ///
-    /// - `values`: of all Gaussians
+    /// - `values`: `[N * components]` values of the attribute
+    /// - `finish`: applied to each interpolated value before it is written
     fn write<const C: usize>(&mut self, timestep: usize, values: &mut [f32], finish: impl Fn([f32; C]) -> [f32; C]) {
         let keypoints = self.values.as_chunks::<C>().0;
         for (unit, (cursor, &place)) in self.cursors.iter_mut().zip(&self.places).enumerate() {
