@@ -1,9 +1,9 @@
-//! Symbols to bits and back: adaptive models of up to sixteen symbols, and an asymmetric numeral system
-//! (rANS) that spends on each symbol what its model says.
+//! Entropy coding (`docs/FORMAT.md`, "Symbols"): adaptive models of up to sixteen symbols, and an asymmetric numeral
+//! system (rANS).
 //!
-//! Everything is exact integer arithmetic, so that all machines agree. What is coded is written once, for
-//! both directions: code is generic over [`Coder`], gives it the symbol and goes on with the symbol that
-//! it returns, which a [`Decoder`] takes from the bytes.
+//! All arithmetic is exact and in integers, so that all machines agree. Code that is generic over [`Coder`] serves both
+//! directions: it passes a symbol to the coder and continues with the symbol that the coder returns. The [`Encoder`]
+//! returns the symbol that it was given, the [`Decoder`] ignores it and returns the symbol from the bytes.
 
 /// Symbols of a model.
 pub(super) const NUM_SYMBOLS: usize = 16;

@@ -1,4 +1,5 @@
-//! Numbers of up to 16 bits as symbols.
+//! Coding of numbers of up to 16 bits as symbols of `coder` (`docs/FORMAT.md`, "Symbols": number,
+//! signed number, code).
 
 use super::coder::{Coder, SymbolModel};
 

@@ -1,4 +1,5 @@
-//! What all segments share, layer by layer: widths, which tracks move, and the first code of every track.
+//! The shared layers (`docs/FORMAT.md`, "Shared layers"), which all segments need: widths, which tracks move, and the
+//! first code of every track.
 
 use std::ops::Range;
 
@@ -56,7 +57,8 @@ impl Plan {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Predictor {
     pub(super) mode: Mode,
-    /// Of 1, the values of the nearest Gaussian, those of the next one, the components before.
+    /// Weights of the features: 1, the values of the nearest neighbour, the values of the second neighbour, the
+    /// components before.
     pub(super) weights: Vec<f32>,
 }
 
@@ -102,7 +104,7 @@ impl Shared {
         self.bit_map.num_gaussians()
     }
 
-    /// Makes room for the Gaussians of a layer.
+    /// Extends all arrays to the Gaussians of a layer.
     pub(super) fn extend(&mut self, plan: &Plan, layer: &Range<usize>) {
         for attribute in Attribute::BASE {
             let (a, components) = (attribute.index(), attribute.components());
@@ -365,7 +367,7 @@ impl FirstModels {
     }
 }
 
-/// What a first value is predicted from.
+/// Features of the linear prediction of a first value.
 pub(super) struct Features {
     components: usize,
     values: [f64; 3 * MAX_COMPONENTS + 1],
@@ -406,7 +408,7 @@ impl Features {
     }
 }
 
-/// What a code stands for, not rounded to 32 bits.
+/// Value of a code in f64, not rounded to f32.
 pub(super) fn value(quantizer: &Quantizer, code: i16) -> f64 {
     f64::from(code) * f64::from(quantizer.step) + f64::from(quantizer.offset)
 }
