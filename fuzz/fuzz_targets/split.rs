@@ -21,7 +21,7 @@ fn describe(event: &Event) -> String {
     match event {
         Event::Segment(segment) => {
             let values = segment.at(segment.timesteps().start);
-            let bits: Vec<u32> = values.means.as_flattened().iter().map(|x| x.to_bits()).collect();
+            let bits: Vec<u32> = values.means().as_flattened().iter().map(|x| x.to_bits()).collect();
             format!("{} {} {bits:?}", segment.index(), segment.num_layers())
         }
         other => format!("{other:?}"),

@@ -1,4 +1,7 @@
-//! Sizes without entropy coding, as the paper counts them.
+//! Sizes of a scene without entropy coding, as the paper counts sizes.
+//!
+//! The three sizes of [`CompactScene`] here separate what quantisation and keypoints save from what the entropy coder
+//! saves. The size of a `.tcgs` file is the length of what [`encode`](crate::encode()) returns.
 
 use tcgs_core::Attribute;
 
@@ -8,19 +11,21 @@ use crate::compact::CompactScene;
 const QUANTIZER_BITS: u64 = 64;
 
 impl CompactScene {
-    /// Bytes as plain 32-bit floats: [`tcgs_core::DynamicGaussians::raw_bytes`] of what it stands for.
+    /// Size of the reconstructed scene as 32-bit floats, in bytes: [`tcgs_core::DynamicGaussians::raw_bytes`] of
+    /// [`Self::reconstruct`].
     pub fn raw_bytes(&self) -> u64 {
         let samples = |a: Attribute| if self.varies[a.index()] { self.num_timesteps() } else { 1 };
         let per_gaussian: usize = self.layout.attributes().map(|a| 4 * a.components() * samples(a)).sum();
         self.num_gaussians() as u64 * per_gaussian as u64
     }
 
-    /// Bytes in the paper's sparse form, nothing entropy-coded: per track of an attribute that varies
-    /// a count byte, per keypoint `ceil(log2 T)` bits of time and its code; other attributes at their
-    /// bits; per Gaussian and attribute of mixed width `ceil(log2(widths in use))` bits of bit map;
-    /// the quantizers.
+    /// Size in the paper's sparse form without entropy coding, in bytes.
     ///
-    /// A count takes two bytes where one of the scene exceeds 255.
+    /// - a track of an attribute that varies: one byte for the number of keypoints (two bytes if any track of the scene
+    ///   has more than 255), and for each keypoint `ceil(log2 T)` bits for the timestep and the width of the code
+    /// - a track of another attribute: the width of one code
+    /// - the bit map: `ceil(log2(number of widths in use))` bits for each Gaussian and attribute
+    /// - a quantizer: 64 bits, for step and offset
     pub fn plain_bytes(&self) -> u64 {
         let longest = self.tracks.iter().flat_map(|t| (0..t.len()).map(|i| t.track(i).0.len())).max();
         let count_bits = if longest.unwrap_or(0) > 255 { 16 } else { 8 };
@@ -33,8 +38,8 @@ impl CompactScene {
         })
     }
 
-    /// Bytes with every timestep stored at its bits, no keypoints, nothing entropy-coded; bit map and
-    /// quantizers as in [`Self::plain_bytes`].
+    /// Size in bytes if every timestep of every attribute that varies were stored as a code, without keypoints and
+    /// without entropy coding. The bit map and the quantizers count as in [`Self::plain_bytes`].
     pub fn quantized_bytes(&self) -> u64 {
         let num_timesteps = self.num_timesteps() as u64;
         self.bytes_with(|attribute| {
@@ -43,7 +48,9 @@ impl CompactScene {
         })
     }
 
-    /// - `track_bits`: for an attribute, bits of a track from its keypoints and width
+    /// Sum of the bits of all tracks, the bit map and the quantizers, in bytes.
+    ///
+    /// - `track_bits`: for an attribute, the bits of a track from its number of keypoints and its width
     fn bytes_with<F: Fn(usize, u64) -> u64>(&self, track_bits: impl Fn(Attribute) -> F) -> u64 {
         let histogram = self.bit_map.histogram();
         let bits: u64 = self
@@ -68,7 +75,7 @@ impl CompactScene {
     }
 }
 
-/// Bits that tell `count` things apart.
+/// `ceil(log2(count))`: the bits of an index below `count`; 0 for a count of 0.
 fn ceil_log2(count: usize) -> u64 {
     u64::from(count.max(1).next_power_of_two().trailing_zeros())
 }

@@ -1,4 +1,7 @@
-//! How many bits each Gaussian's attributes get.
+//! Bit allocation: the width of every Gaussian's codes, from the sensitivities of the images.
+//!
+//! [`assign_bits`] makes a [`BitMap`] before compression. Which float a code of a width stands for is the subject of
+//! [`Quantizer`](crate::Quantizer).
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -8,11 +11,12 @@ use tcgs_core::{Attribute, Column, Gaussians, Layout, Sensitivity};
 use crate::error::CompressError;
 use crate::quantize::MAX_BITS;
 
-/// Bit widths of every Gaussian's attributes.
+/// Bit width of the codes of every attribute of every Gaussian. All components of an attribute of a Gaussian share one
+/// width.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BitMap {
     layout: Arc<Layout>,
-    /// By [`Attribute::index`]: `[N]` widths in bits, 1 to 16. All channels of an attribute share one.
+    /// By [`Attribute::index`]: `[N]` widths in bits, 1 to 16.
     pub widths: Vec<Vec<u8>>,
 }
 
@@ -24,7 +28,12 @@ impl Default for BitMap {
 }
 
 impl BitMap {
-    /// The same width for everything but positions.
+    /// A bit map with one width for positions and one for all other base attributes.
+    ///
+    /// - `position_bits`: width of means, 1 to 16
+    /// - `bits`: width of quaternions, scales, opacities and colours, 1 to 16
+    ///
+    /// The widths are checked by [`compress`](crate::compress()).
     ///
     /// ```
     /// let map = tcgs_codec::BitMap::uniform(10, 16, 6);
@@ -34,18 +43,19 @@ impl BitMap {
         Self::uniform_of(&Layout::base(), num_gaussians, position_bits, bits)
     }
 
-    /// [`Self::uniform`] for the columns of `layout`: columns that are not quantised in training are as positions.
+    /// [`Self::uniform`] for the columns of `layout`. Columns that are not quantised in training
+    /// ([`Column::quantized`]) get `position_bits`.
     pub fn uniform_of(layout: &Arc<Layout>, num_gaussians: usize, position_bits: u8, bits: u8) -> Self {
         let widths = |c: &Column| vec![if c.quantized { bits } else { position_bits }; num_gaussians];
         Self::new(Arc::clone(layout), layout.columns().iter().map(widths).collect())
     }
 
-    /// A map from its columns.
+    /// A bit map of given widths.
     ///
-    /// - `widths`: by [`Attribute::index`], `[N]` each, 1 to 16
+    /// - `widths`: by [`Attribute::index`], `[N]` widths each, in bits, 1 to 16
     ///
     /// # Panics
-    /// If there is another number of columns than in `layout`, or their lengths differ.
+    /// If `widths` and `layout` differ in the number of columns, or the columns of `widths` differ in length.
     pub fn new(layout: Arc<Layout>, widths: Vec<Vec<u8>>) -> Self {
         assert_eq!(widths.len(), layout.columns().len(), "columns of widths against {layout}");
         for (column, of_column) in layout.columns().iter().zip(&widths) {
@@ -54,26 +64,26 @@ impl BitMap {
         Self { layout, widths }
     }
 
-    /// Whose columns the widths are for.
+    /// Layout of the scene for which the widths are.
     pub fn layout(&self) -> &Arc<Layout> {
         &self.layout
     }
 
-    /// `N`.
+    /// `N`, the number of Gaussians.
     pub fn num_gaussians(&self) -> usize {
         self.widths[0].len()
     }
 
-    /// The Gaussians at `indices`, in that order.
+    /// The widths of the Gaussians at `indices`, in the order of `indices`.
     ///
     /// # Panics
-    /// If an index is out of range.
+    /// If an index is not below [`Self::num_gaussians`].
     pub fn select(&self, indices: &[usize]) -> Self {
         let select = |widths: &Vec<u8>| indices.iter().map(|&i| widths[i]).collect();
         Self { layout: Arc::clone(&self.layout), widths: self.widths.iter().map(select).collect() }
     }
 
-    /// By [`Attribute::index`]: how many Gaussians have each width.
+    /// By [`Attribute::index`]: the number of Gaussians of each width in use.
     pub fn histogram(&self) -> Vec<BTreeMap<u8, usize>> {
         let count = |widths: &Vec<u8>| {
             let mut counts = BTreeMap::new();
@@ -85,7 +95,8 @@ impl BitMap {
         self.widths.iter().map(count).collect()
     }
 
-    /// Mean bits of a scalar, positions excluded; 0 without Gaussians.
+    /// Mean width of a scalar over all columns that are quantised in training (all base attributes but means), in bits;
+    /// 0 for a map without Gaussians.
     pub fn mean_bits(&self) -> f64 {
         let (mut bits, mut scalars) = (0, 0);
         for attribute in mixed(&self.layout) {
@@ -97,28 +108,29 @@ impl BitMap {
     }
 }
 
-/// From sensitivity to bits.
+/// Rule by which [`assign_bits`] derives widths from sensitivities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BitMapping {
-    /// Bits follow the logarithm of what an error of one spread would cost; see [`assign_bits`].
+    /// Reverse water-filling: the width rises by one where the effect of an error on the images doubles; see
+    /// [`assign_bits`].
     Log,
-    /// The paper's: bits are linear in the min-max normalised sensitivity.
+    /// The paper's rule (4.1.2): the width is linear in the min-max normalised sensitivity.
     Linear,
 }
 
 /// Settings of [`assign_bits`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct BitSettings {
-    /// Fewest bits. Default 4 (paper).
+    /// Smallest width, in bits, 1 to 16: the paper's `b_min`. Default 4 (paper).
     pub min_bits: u8,
-    /// Most bits. Default 8 (paper).
+    /// Largest width, in bits, `min_bits` to 16: the paper's `b_max`. Default 8 (paper).
     pub max_bits: u8,
-    /// Mean bits that [`BitMapping::Log`] aims at in every attribute but positions. Default 5, about
-    /// where the paper's [4, 8] ends up.
+    /// Mean width that [`BitMapping::Log`] aims at in every attribute but positions, in bits; unused by
+    /// [`BitMapping::Linear`]. Default 5, about the mean width that the paper's rule gives with its range of 4 to 8.
     pub mean_bits: f32,
-    /// Bits of a position's coordinate. Default 16 (paper).
+    /// Width of each coordinate of a mean, in bits, 1 to 16. Default 16 (paper).
     pub position_bits: u8,
-    /// Default [`BitMapping::Log`].
+    /// Rule from sensitivities to widths. Default [`BitMapping::Log`].
     pub mapping: BitMapping,
 }
 
@@ -133,24 +145,24 @@ fn mixed(layout: &Layout) -> impl Iterator<Item = Attribute> {
     layout.columns().iter().filter(|column| column.quantized).map(|column| column.attribute)
 }
 
-/// Bits for every Gaussian and attribute from how much the images depend on it.
+/// Width of every attribute of every Gaussian, from the sensitivity of the images to the attribute.
 ///
-/// - `sensitivity`: `S(θ) >= 0`, of the same Gaussians (paper 4.1.2)
-/// - `stored`: the values themselves, for their spread
-/// - returns: a width per Gaussian and attribute; means always get `position_bits`
+/// - `sensitivity`: `S(θ) >= 0` of the Gaussians of `stored`, in their order (paper 4.1.2)
+/// - `stored`: the values in stored form; [`BitMapping::Log`] uses their spread
+/// - returns: one width for each Gaussian and attribute; means always get [`BitSettings::position_bits`]
 ///
-/// [`BitMapping::Linear`] is the paper's: `S` is min-max normalised over all parameters, bits are
-/// `round(min + S (max - min))`; an attribute of a Gaussian takes its largest channel. `S` is
-/// heavy-tailed, so nearly everything gets the fewest bits.
+/// [`BitMapping::Linear`] is the paper's rule: `S` is min-max normalised over all parameters, and the width is
+/// `round(min_bits + S (max_bits - min_bits))`, where `S` is the largest sensitivity among the components of the
+/// attribute. `S` is heavy-tailed, so nearly all attributes get `min_bits`.
 ///
 /// [`BitMapping::Log`] minimises `Σ S² step²`, the expected squared change of the images when each
-/// parameter errs by its step independently, within each attribute. At equal width the step is
-/// proportional to the spread of its channel, `step = spread 2^-b`; with one width for the `C` channels
-/// of an attribute, the minimum at a given total of bits lies where `Σ_c (S_c spread_c)² 4^-b` is the same
-/// for all Gaussians (reverse water-filling), that is at `b = log2 w + c` with `w² = Σ_c (S_c spread_c)²`.
-/// For each attribute one `c` is found by bisection so that its mean comes as near as possible to
-/// `mean_bits`. Attributes are not weighed against each other: `S` adds pixels up with their signs, and
-/// what moves edges (rotations, scales) cancels where what brightens (colours, opacities) does not.
+/// parameter errs by its step independently, within each attribute. At equal width the step is proportional to the
+/// spread (standard deviation over Gaussians) of the component, `step = spread 2^-b`. With one width for all components
+/// `k` of an attribute, the minimum at a given total of bits lies where `Σ_k (S_k spread_k)² 4^-b` is the same for all
+/// Gaussians (reverse water-filling), that is at `b = log2 w + c` with `w² = Σ_k (S_k spread_k)²`. For each attribute
+/// bisection finds the constant `c` whose mean width is nearest to `mean_bits`. Attributes are not weighed against each
+/// other: `S` sums signed changes of pixels, so the effect of an attribute that moves edges (rotations, scales) cancels
+/// in part, and the effect of an attribute that brightens (colours, opacities) does not.
 ///
 /// ```
 /// use tcgs_codec::{BitSettings, assign_bits};
@@ -164,8 +176,9 @@ fn mixed(layout: &Layout) -> impl Iterator<Item = Attribute> {
 /// ```
 ///
 /// # Errors
-/// [`CompressError`] if the two disagree in the number of Gaussians, a sensitivity is negative or not finite, a
-/// stored value is not finite, or the settings are out of range (`1 <= min_bits <= max_bits <= 16`).
+/// - [`CompressError::Value`] if a setting is out of range
+/// - [`CompressError::Count`] if `sensitivity` and `stored` differ in columns or in the number of Gaussians
+/// - [`CompressError::Gaussian`] if a sensitivity is negative or not finite, or a stored value is not finite
 pub fn assign_bits(
     sensitivity: &Sensitivity,
     stored: &Gaussians,

@@ -1,8 +1,8 @@
 //! Decoded segments within a bound on their memory.
 //!
-//! One cache for two kinds of readers. Who reads timesteps in any order evicts the segment that was used longest ago
-//! (LRU). Who plays knows what comes next: the cache evicts the segment whose next use is farthest away (Bélády's
-//! rule) and says which segment to prefetch.
+//! [`SegmentCache`] serves two kinds of readers. A reader of timesteps in any order evicts the least recently used
+//! segment (LRU). A player knows the order of playback: the cache evicts the segment whose next use is farthest away
+//! (Bélády's rule) and names the segment to prefetch. The cache neither reads nor decodes; its caller does.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -51,42 +51,43 @@ struct Held {
 /// Which segment a [`SegmentCache`] evicts first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Eviction {
-    /// The one that was used longest ago, for reads in no known order.
+    /// The least recently used segment (LRU), for reads in no known order.
     LeastRecentlyUsed,
-    /// The one that playback reaches last. A new segment that playback reaches later than all those held evicts
-    /// none.
+    /// The segment that playback reaches last (Bélády's rule). A new segment that playback reaches later than all held
+    /// segments evicts none of them.
     FarthestAhead(Playback),
 }
 
-/// In which order playback reaches the segments.
+/// Position and direction of playback, from which follows the order in which playback reaches the segments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Playback {
-    /// The segment that is needed now.
+    /// Index of the segment that holds the timestep being shown.
     pub now: usize,
-    /// Whether time runs backwards.
+    /// Whether playback runs towards earlier timesteps.
     pub is_backwards: bool,
-    /// Whether playback goes on from the other end after an end.
+    /// Whether playback wraps around: from the last segment to the first, or backwards from the first to the last.
     pub is_looping: bool,
 }
 
 impl SegmentCache {
-    /// A bound that holds several segments of a large scene: 256 MiB.
+    /// Default bound on the memory of a cache, 256 MiB: several segments of a large scene.
     pub const DEFAULT_BYTES: usize = 256 << 20;
 
     /// An empty cache.
     ///
-    /// - `num_segments`: of the file
-    /// - `max_bytes`: [`Segment::bytes`] of all segments held together; a single larger segment is held all the same
+    /// - `num_segments`: number of segments of the file
+    /// - `max_bytes`: bound on the sum of [`Segment::bytes`] over all held segments; one segment alone may exceed the
+    ///   bound
     pub fn new(num_segments: usize, max_bytes: usize) -> Self {
         Self { max_bytes, num_segments, held: BTreeMap::new(), largest: 0, num_uses: 0 }
     }
 
-    /// A segment, if it is held. Does not count as a use.
+    /// The segment of index `segment`, if the cache holds it. Does not count as a use.
     pub fn get(&self, segment: usize) -> Option<&Arc<Segment>> {
         self.held.get(&segment).map(|held| &held.segment)
     }
 
-    /// A segment, if it is held. Counts as a use for [`Eviction::LeastRecentlyUsed`].
+    /// The segment of index `segment`, if the cache holds it. Counts as a use for [`Eviction::LeastRecentlyUsed`].
     pub fn recall(&mut self, segment: usize) -> Option<&Arc<Segment>> {
         let held = self.held.get_mut(&segment)?;
         self.num_uses += 1;
@@ -94,13 +95,15 @@ impl SegmentCache {
         Some(&held.segment)
     }
 
-    /// Memory of all segments held, in bytes.
+    /// Sum of [`Segment::bytes`] over all held segments.
     pub fn bytes(&self) -> usize {
         self.held.values().map(|held| held.segment.bytes()).sum()
     }
 
-    /// The segment to prefetch: of those not held the one that playback reaches first, if it is expected to fit beside
-    /// the segments reached before it.
+    /// Index of the segment to prefetch: the first segment in the order of playback that is not held. None if all
+    /// segments ahead are held, or if the segment is not expected to fit beside the segments that playback reaches
+    /// earlier. The segment is expected to be as large as the largest segment inserted so far. `playback.now` is named
+    /// whether it fits or not.
     pub fn prefetch(&self, playback: Playback) -> Option<usize> {
         let mut before = 0;
         for distance in 0..self.num_segments {
@@ -113,13 +116,15 @@ impl SegmentCache {
         None
     }
 
-    /// Evicts before a segment is decoded, so that decoding it does not exceed the bound: as much as the largest
-    /// segment seen so far takes.
+    /// Evicts segments before the segment of index `segment` is decoded, so that the held segments and the decoded one
+    /// together keep the bound. Makes room for the largest segment inserted so far, since the size of the new one is
+    /// not known yet.
     pub fn make_room(&mut self, segment: usize, eviction: Eviction) {
         self.evict(segment, self.largest, eviction);
     }
 
-    /// Takes a segment, and evicts others if all together exceed the bound.
+    /// Inserts a segment and evicts others until all keep the bound. The segment itself is dropped if it does not fit
+    /// beside the segments that rank before it; an empty cache takes any segment.
     pub fn insert(&mut self, segment: Arc<Segment>, eviction: Eviction) {
         let (index, bytes) = (segment.index(), segment.bytes());
         self.largest = self.largest.max(bytes);

@@ -1,7 +1,8 @@
-//! What a file says, before bits: symbols, and the floats they stand for.
+//! The compact scene: keypoints as codes, and the floats that the codes stand for.
 //!
-//! The rules that every scene obeys, whether it was compressed here or read from a file, stand once,
-//! in [`CompactScene::check`]. How symbols become bytes is no matter of this module.
+//! [`CompactScene::check`] holds the rules that every compact scene obeys, whether [`compress`](crate::compress()) made
+//! it or a file. Entropy coding and the layout of a file are the subject of `bitstream`, the way from floats to codes
+//! that of `compress`.
 
 use std::sync::Arc;
 
@@ -16,34 +17,43 @@ use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
 /// Most timesteps of a scene: a keypoint's time has 16 bits.
 pub(crate) const MAX_TIMESTEPS: u32 = 1 << 16;
 
-/// Counts and provenance of a scene: what a file says before any symbol.
+/// Counts and provenance of a scene: the fields of the section `INFO` (`docs/FORMAT.md`) that describe the scene.
+///
+/// ```
+/// use tcgs_codec::{SceneInfo, UpAxis};
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let mut scene = DynamicGaussians::default();
+/// scene.push(Gaussians::zeros(3));
+/// let info = SceneInfo { name: "basketball".into(), up: UpAxis::MinusY, ..SceneInfo::of(&scene) };
+/// assert_eq!((info.num_gaussians, info.num_timesteps, info.frame_rate), (3, 1, 30.0));
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneInfo {
-    /// `N`.
+    /// `N`, the number of Gaussians.
     pub num_gaussians: u32,
-    /// `T`, 1 to 65536.
+    /// `T`, the number of timesteps, 1 to 65536.
     pub num_timesteps: u32,
-    /// Frame number in the capture of timestep 0.
+    /// Number of the frame of the capture at timestep 0.
     pub first_frame: u32,
-    /// Frames per second; 0 if unknown.
+    /// Timesteps per second, finite; 0 if unknown.
     pub frame_rate: f32,
     /// Factor by which the capture's images were shrunk for training, at least 1.
     pub downscale: u32,
     /// Name of the capture: any text, at most 65535 bytes.
     pub name: String,
-    /// Program that wrote the file: any text, at most 65535 bytes.
+    /// Name and version of the program that made the scene: any text, at most 65535 bytes.
     pub generator: String,
-    /// Colour space of the colours.
+    /// Colour space of [`Attribute::Color`].
     pub color_space: ColorSpace,
-    /// The axis that points up.
+    /// World axis that points up.
     pub up: UpAxis,
 }
 
-/// What the numbers of a colour mean.
+/// Colour space of a scene's colours. Colours are blended as stored in either.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ColorSpace {
-    /// Display-referred sRGB, blended as stored.
+    /// Display-referred sRGB.
     #[default]
     Srgb = 0,
     /// Linear light with the primaries of sRGB.
@@ -51,11 +61,11 @@ pub enum ColorSpace {
 }
 
 impl ColorSpace {
-    /// All, by their number in a file.
+    /// All colour spaces, by their number in a file.
     pub(crate) const ALL: [Self; 2] = [Self::Srgb, Self::LinearSrgb];
 }
 
-/// The axis that points up. The coordinate system is right-handed.
+/// World axis that points up. The coordinate system is right-handed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 #[allow(missing_docs)]
@@ -71,16 +81,17 @@ pub enum UpAxis {
 }
 
 impl UpAxis {
-    /// All, by their number in a file.
+    /// All axes, by their number in a file.
     pub(crate) const ALL: [Self; 7] =
         [Self::Unknown, Self::PlusX, Self::PlusY, Self::PlusZ, Self::MinusX, Self::MinusY, Self::MinusZ];
 
-    /// Such as `-y`; `unknown`.
+    /// Sign and letter of the axis, such as `y` or `-y`; `unknown` for [`Self::Unknown`].
     pub fn name(self) -> &'static str {
         ["unknown", "x", "y", "z", "-x", "-y", "-z"][self as usize]
     }
 
-    /// Unit direction in the world that points up; that of `MinusY`, as in captures, if it is unknown.
+    /// Unit vector along the axis, in world space. [`Self::Unknown`] gives that of [`Self::MinusY`], the
+    /// convention of captures.
     ///
     /// ```
     /// use tcgs_codec::UpAxis;
@@ -100,7 +111,8 @@ impl UpAxis {
 }
 
 impl SceneInfo {
-    /// The counts of a scene; frame 0, 30 frames per second, full size, no name, this crate as generator.
+    /// Counts of `scene` with defaults for all else: first frame 0, 30 frames per second, downscale 1, an empty name,
+    /// this crate as generator, sRGB, unknown up axis.
     pub fn of(scene: &DynamicGaussians) -> Self {
         Self {
             num_gaussians: scene.num_gaussians() as u32,
@@ -115,7 +127,7 @@ impl SceneInfo {
         }
     }
 
-    /// The rules for what is known before any symbol.
+    /// Checks the legal range of every field, as `docs/FORMAT.md` lists them under `INFO`.
     pub(crate) fn check(&self) -> Result<(), Violation> {
         let SceneInfo { num_timesteps, frame_rate, downscale, ref name, ref generator, .. } = *self;
         let violation = |field, problem| Err(Violation { attribute: None, field, problem });
@@ -135,10 +147,18 @@ impl SceneInfo {
     }
 }
 
-/// Keypoints of many tracks, one track after another.
+/// Keypoints of many tracks in one pair of arrays, one track after another.
 ///
-/// Those of an attribute have the index `gaussian * components + channel`. A track of one keypoint is
-/// constant over time.
+/// The track of component `channel` of Gaussian `gaussian` has the index `gaussian * components + channel`. A track of
+/// one keypoint is constant over time.
+///
+/// ```
+/// let mut tracks = tcgs_codec::Tracks::default();
+/// tracks.push(&[0, 4, 9], &[-3_i16, 5, 5]);
+/// tracks.push(&[0], &[7]); // constant
+/// assert_eq!((tracks.len(), tracks.num_keypoints()), (2, 4));
+/// assert_eq!(tracks.track(1), (&[0][..], &[7][..]));
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tracks<V> {
     /// `[tracks + 1]`; keypoints of track `i` are `starts[i]..starts[i + 1]`.
@@ -161,20 +181,20 @@ impl<V: Copy> Tracks<V> {
         self.starts.len() - 1
     }
 
-    /// Whether there is no track.
+    /// Whether the number of tracks is 0.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Number of keypoints of all tracks.
+    /// Number of keypoints of all tracks together.
     pub fn num_keypoints(&self) -> usize {
         self.times.len()
     }
 
-    /// Times and values of one track.
+    /// Keypoints of one track: `[keypoints]` timesteps and `[keypoints]` values.
     ///
     /// # Panics
-    /// If `index` is out of range.
+    /// If `index` is not below [`Self::len`].
     #[inline(always)]
     pub fn track(&self, index: usize) -> (&[u16], &[V]) {
         let range = self.starts[index]..self.starts[index + 1];
@@ -183,8 +203,11 @@ impl<V: Copy> Tracks<V> {
 
     /// Appends a track.
     ///
+    /// - `times`: `[keypoints]` timesteps, strictly increasing from 0; [`encode`](crate::encode()) checks them
+    /// - `values`: `[keypoints]`
+    ///
     /// # Panics
-    /// If the numbers of times and values differ.
+    /// If `times` and `values` differ in length.
     pub fn push(&mut self, times: &[u16], values: &[V]) {
         assert_eq!(times.len(), values.len(), "{} times against {} values", times.len(), values.len());
         self.times.extend_from_slice(times);
@@ -192,7 +215,7 @@ impl<V: Copy> Tracks<V> {
         self.starts.push(self.times.len());
     }
 
-    /// Appends all tracks of another.
+    /// Appends all tracks of `other`.
     pub(crate) fn append(&mut self, other: &Self) {
         let base = self.times.len();
         self.times.extend_from_slice(&other.times);
@@ -201,51 +224,59 @@ impl<V: Copy> Tracks<V> {
     }
 }
 
-/// A compressed scene as symbols: for every track the times and codes of its keypoints, and what is
-/// needed to read them.
+/// A compressed scene before entropy coding: the keypoints of every track as codes, the bit widths and quantizers that
+/// turn codes into floats, and the division into layers and segments.
+///
+/// [`compress`](crate::compress()) makes it from floats, [`decode`](crate::decode()) from a file;
+/// [`encode`](crate::encode()) writes it. A program may also fill the fields: [`encode`](crate::encode()) refuses a
+/// scene that breaks a rule, the other methods may panic on one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompactScene {
-    /// The columns of its Gaussians. Version 1 of the format holds those of [`Attribute::BASE`]; another scene can do
-    /// everything but be encoded.
+    /// Columns of the Gaussians. Version 1 of the format holds the columns of [`Attribute::BASE`];
+    /// [`encode`](crate::encode()) refuses a scene of further columns.
     pub layout: Arc<Layout>,
     /// Counts and provenance.
     pub info: SceneInfo,
-    /// Width of every code.
+    /// Width of the codes of every attribute of every Gaussian, in bits.
     pub bit_map: BitMap,
-    /// Values of the codes; one for every width in use.
+    /// Quantizers: for every attribute and width in use one for each component.
     pub quantizers: Quantizers,
-    /// By [`Attribute::index`]: whether its tracks may have several keypoints.
+    /// By [`Attribute::index`]: whether tracks of the attribute may have more than one keypoint.
     pub varies: Vec<bool>,
-    /// How many Gaussians each layer has, the most important layer first: a scene of the first layers
-    /// alone is coarser. At most 65535 layers, none empty.
+    /// Number of Gaussians of each layer, the most important layer first; the first layers alone are a coarser scene.
+    /// The layers divide the Gaussians in their order: at most 65535 layers, none empty, with the sum `N`.
     pub layers: Vec<u32>,
-    /// Timesteps of a segment, which decodes alone; the last may be shorter. 1 to 65536.
+    /// Number of timesteps of a segment, 1 to 65536; the last segment may be shorter. A segment decodes without the
+    /// other segments.
     pub segment_length: u32,
-    /// By [`Attribute::index`]: codes of `N * components` tracks.
+    /// By [`Attribute::index`]: `[N * components]` tracks of codes.
     pub tracks: Vec<Tracks<i16>>,
 }
 
 /// How a scene breaks the rules of [`CompactScene::check`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Violation {
-    /// Where, if in the tracks of an attribute.
+    /// Attribute whose codes, widths or quantizers break the rule; none for a rule of the whole scene.
     pub(crate) attribute: Option<Attribute>,
     pub(crate) field: &'static str,
     pub(crate) problem: &'static str,
 }
 
 impl CompactScene {
-    /// `N`.
+    /// `N`, the number of Gaussians.
     pub fn num_gaussians(&self) -> usize {
         self.info.num_gaussians as usize
     }
 
-    /// `T`.
+    /// `T`, the number of timesteps.
     pub fn num_timesteps(&self) -> usize {
         self.info.num_timesteps as usize
     }
 
-    /// All timesteps as floats: codes dequantised, interpolated linearly, quaternions of unit length.
+    /// All timesteps as floats, in stored form: codes are dequantised, tracks are interpolated linearly between
+    /// keypoints, and quaternions are normalised afterwards (`docs/FORMAT.md`, "Reconstruction").
+    ///
+    /// - returns: `T` timesteps; scales and opacities are held once if they do not vary
     pub fn reconstruct(&self) -> DynamicGaussians {
         let over_time = |attribute| (0..self.num_timesteps()).map(move |t| self.values_at(attribute, t));
         // Scales and opacities that do not vary are held once.
@@ -257,7 +288,7 @@ impl CompactScene {
         DynamicGaussians::from_samples(Arc::clone(&self.layout), self.num_timesteps(), samples.collect())
     }
 
-    /// One timestep as floats.
+    /// One timestep as floats, in stored form: the same values as [`Self::reconstruct`] gives at the timestep.
     ///
     /// # Panics
     /// If `timestep` is not below [`Self::num_timesteps`].
@@ -287,14 +318,14 @@ impl CompactScene {
         values
     }
 
-    /// By [`Attribute::index`]: mean number of keypoints of a track; 0 without Gaussians.
+    /// By [`Attribute::index`]: mean number of keypoints of a track; 0 for a scene without Gaussians.
     pub fn keypoints_mean(&self) -> Vec<f64> {
         let mean = |tracks: &Tracks<i16>| tracks.num_keypoints() as f64 / tracks.len().max(1) as f64;
         self.tracks.iter().map(mean).collect()
     }
 
-    /// The rules: counts agree, every width has its quantizers, times rise from 0 to the last
-    /// timestep (or are 0 alone: constant), codes fit their widths.
+    /// Checks the rules of the format: counts agree, every width in use has quantizers, the timesteps of a track rise
+    /// strictly from 0 to `T - 1` (a constant track has the timestep 0 alone), codes fit their widths.
     pub(crate) fn check(&self) -> Result<(), Violation> {
         self.info.check()?;
         check_division(self.info.num_gaussians, &self.layers, self.segment_length)?;
@@ -365,7 +396,7 @@ impl CompactScene {
     }
 }
 
-/// The rules for layers and segments.
+/// Checks the rules for layers and for the length of segments.
 pub(crate) fn check_division(num_gaussians: u32, layers: &[u32], segment_length: u32) -> Result<(), Violation> {
     let violation = |field, problem| Err(Violation { attribute: None, field, problem });
     let sum: u64 = layers.iter().map(|&n| u64::from(n)).sum();
@@ -380,7 +411,7 @@ pub(crate) fn check_division(num_gaussians: u32, layers: &[u32], segment_length:
     }
 }
 
-/// Unit length; no rotation where there is no length.
+/// The quaternion divided by its length; the identity if the length is zero.
 pub(crate) fn unit_quat(quat: [f32; 4]) -> [f32; 4] {
     let unit = normalize(quat);
     // Lengths below about 1e-19 vanish when squared: left as they are by `normalize`.

@@ -1,94 +1,98 @@
-//! Why bytes are no scene, and why floats cannot become one.
+//! Errors of both directions: [`DecodeError`] for bytes that are no scene, [`CompressError`] for scenes and settings
+//! that cannot become bytes.
+//!
+//! A caller's mistake in an argument that no file controls, such as a timestep beyond the last, panics instead.
 
-/// Why decoding failed, by who is at fault.
+/// Error of decoding a `.tcgs` file. The variants differ in who is at fault.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {
-    /// The reader.
+    /// The source of the bytes failed. Reading again may help.
     #[error("read failed")]
     Io(#[from] std::io::Error),
-    /// The file.
+    /// The bytes break a rule of the format: the file is damaged, truncated, or no `.tcgs` file.
     #[error("invalid {field} in {section} at byte {offset}: {problem}")]
     Format {
-        /// Part of the file.
+        /// Section of the file, such as `header` or an attribute's name.
         section: &'static str,
-        /// What in it.
+        /// Field of the section.
         field: &'static str,
-        /// Where in the file; of what lies in a compressed stream, where that part starts.
+        /// Byte of the file at which the field was read; for entropy-coded symbols the first byte of the section's
+        /// symbols; 0 for a disagreement between segments.
         offset: u64,
-        /// What was found against what was expected.
+        /// The rule that is broken.
         problem: &'static str,
     },
-    /// A newer file than this decoder.
+    /// The file is of a version of the format that this decoder does not know. A newer program may read it.
     #[error("invalid version in header at byte 4: found {found}, expected {expected}")]
     Version {
-        /// The file's.
+        /// Version of the file.
         found: u16,
-        /// The only one known.
+        /// The only version known, [`FORMAT_VERSION`](crate::FORMAT_VERSION).
         expected: u16,
     },
-    /// Our policy.
+    /// Decoding would exceed [`DecodeLimits`](crate::DecodeLimits). A caller who trusts the file may raise the limit.
     #[error("{what} needs {needed} {unit}, limit is {limit}")]
     Limit {
-        /// What is too large.
+        /// What exceeds the limit, such as `scene` or `keypoints`.
         what: &'static str,
-        /// What is counted: `bytes`, `Gaussians` or `timesteps`.
+        /// Unit of `needed` and `limit`: `bytes`, `Gaussians` or `timesteps`.
         unit: &'static str,
-        /// By the file.
+        /// Amount that the file asks for, in `unit`.
         needed: u64,
-        /// By [`crate::DecodeLimits`].
+        /// Amount that the limits allow, in `unit`.
         limit: u64,
     },
 }
 
-/// Why a scene cannot be compressed or written, by which argument is at fault.
+/// Error of compressing or writing a scene. The variants differ in which argument is at fault.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CompressError {
     /// A number is outside what is legal for it, or not finite.
     #[error("invalid {what}: found {found}, expected {expected}")]
     Value {
-        /// Which number.
+        /// Name of the number.
         what: &'static str,
-        /// The number.
+        /// The illegal number.
         found: f64,
-        /// What is legal.
+        /// Legal range.
         expected: &'static str,
     },
     /// A value of a Gaussian is not finite, or negative where it must not be.
     #[error("invalid {what} of Gaussian {gaussian}{}: found {found}, expected {expected}", at(*.timestep))]
     Gaussian {
-        /// Which values: the name of an attribute, or what belongs to each Gaussian of it.
+        /// Name of the attribute, or of the quantity that belongs to it, such as its sensitivity.
         what: String,
         /// Index of the Gaussian.
         gaussian: usize,
-        /// At which timestep, where the values belong to one.
+        /// Timestep of the value; none if the value holds for all timesteps.
         timestep: Option<usize>,
-        /// The value.
+        /// The illegal value.
         found: f64,
-        /// What is legal.
+        /// Legal range.
         expected: &'static str,
     },
     /// Two arguments disagree in a count.
     #[error("invalid number of {what}: found {found}, expected {expected}")]
     Count {
-        /// What is counted.
+        /// Name of the counted things.
         what: String,
-        /// In the one argument.
+        /// Count in the argument at fault.
         found: usize,
-        /// By the other, or by what the format holds at most.
+        /// Count in the other argument, or the most that the format holds.
         expected: usize,
     },
-    /// A step, an offset and a width that make no quantizer.
+    /// A step, an offset and a width do not make a quantizer: see [`Quantizer::problem`](crate::Quantizer::problem).
     #[error("invalid quantizer of step {step}, offset {offset} and {bits} bits: {problem}")]
     Quantizer {
-        /// Units of the attribute.
+        /// Step of the quantizer, in the unit of the attribute.
         step: f32,
-        /// Units of the attribute.
+        /// Value of code 0, in the unit of the attribute.
         offset: f32,
-        /// Width of a code.
+        /// Width of a code, in bits.
         bits: u8,
-        /// What is wrong with them.
+        /// The rule that is broken.
         problem: &'static str,
     },
     /// A [`CompactScene`](crate::CompactScene) breaks a rule of the format.
@@ -96,38 +100,38 @@ pub enum CompressError {
     Scene {
         /// The name of an attribute, or `info`.
         section: &'static str,
-        /// What in it.
+        /// Field of the section.
         field: &'static str,
-        /// What was found against what was expected.
+        /// The rule that is broken.
         problem: &'static str,
     },
-    /// A timestep cannot be read.
+    /// The [`SceneReader`](tcgs_core::SceneReader) failed at a timestep.
     #[error("cannot read timestep {timestep}: {error}")]
     Read {
-        /// Which one.
+        /// Timestep that was read.
         timestep: usize,
-        /// Why.
+        /// Error of the reader.
         error: Box<dyn std::error::Error + Send + Sync>,
     },
     /// A timestep has other columns than the scene.
     #[error("invalid columns at timestep {timestep}: found {found}, expected {expected}")]
     Layout {
-        /// Which one.
+        /// Timestep that was read.
         timestep: usize,
-        /// Its columns.
+        /// Columns of the timestep.
         found: String,
-        /// Those of the scene.
+        /// Columns of the scene.
         expected: String,
     },
-    /// The format does not hold a column of the scene.
+    /// The scene has a column that the format does not hold.
     #[error("format {version} holds means, quats, log_scales, logit_opacities and colors; found {found}")]
     Unsupported {
-        /// Of the format.
+        /// Version of the format.
         version: u16,
-        /// Name of the column.
+        /// Name of the first column that the format does not hold.
         found: String,
     },
-    /// The file cannot be written.
+    /// The destination of the bytes failed.
     #[error("write failed")]
     Io(#[from] std::io::Error),
 }

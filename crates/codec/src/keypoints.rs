@@ -1,22 +1,22 @@
-//! The samples of a track that are kept; between them a track is a straight line.
+//! Selection of keypoints (the paper's Algorithm 1) and linear interpolation between them.
 //!
-//! Selection works on the float values of one scalar over time, before quantisation, and knows
-//! nothing of what the scalar means.
+//! Selection works on the float values of one or several scalars over time, before quantisation, and does not depend on
+//! the meaning of the scalars. Tolerances for each attribute are the subject of `compress`.
 
 use crate::error::CompressError;
 
-/// Which samples of a track to keep: Algorithm 1 of the paper.
+/// Selects the samples of a track to keep as keypoints (the paper's Algorithm 1).
 ///
-/// Starts from the first and the last sample. As long as the mean squared error of linear
-/// interpolation through the kept samples, over all samples, exceeds `max_mse`, and fewer than
-/// `max_keypoints` are kept, adds the sample of highest error (of equal ones the earliest).
+/// The selection starts with the first and the last sample. While the mean squared error of linear interpolation
+/// between keypoints, over all samples, exceeds `max_mse`, and fewer than `max_keypoints` are selected, the selection
+/// adds the sample of the largest squared error (of equal errors the earliest sample).
 ///
-/// - `track`: `[T]`, finite
-/// - `max_keypoints`: below 2 counts as 2
-/// - `max_mse`: squared unit of the track, 0 or more; may be infinite
-/// - returns: strictly increasing indices; none of an empty track, `[0]` of a single sample
+/// - `track`: `[T]` values, finite
+/// - `max_keypoints`: a number below 2 counts as 2
+/// - `max_mse`: mean squared error, in the squared unit of the track, 0 or more; may be infinite
+/// - returns: `[K]` indices of samples, strictly increasing; no index for an empty track, `[0]` for a single sample
 ///
-/// The mean may rise after a keypoint is added, so the result need not be the best at its length.
+/// The mean squared error may rise when a keypoint is added, so another selection of as many keypoints may be better.
 ///
 /// ```
 /// let track = [0.0, 1.0, 2.0, 1.0, 0.0];
@@ -38,12 +38,12 @@ pub fn select(track: &[f32], max_keypoints: usize, max_mse: f32) -> Result<Vec<u
     Ok(Selector::default().select(track, max_keypoints, max_mse).to_vec())
 }
 
-/// [`select`] for many tracks: keeps its buffers.
+/// [`select`] for many tracks with buffers that are reused.
 ///
-/// Simple version: interpolate the whole track after each added keypoint, take the mean and the
-/// worst. Departures: (1) only the segment that was split is interpolated again; the squared errors
-/// of the others are kept. (2) The sum over all samples is taken anew each time, always in the order
-/// of [`sum`], so that the decisions are those of the simple version to the last bit.
+/// Simple version: after each added keypoint interpolate the whole track, and find the mean and the largest of the
+/// squared errors. Departures: (1) only the interval that the keypoint splits is interpolated again; the squared errors
+/// elsewhere are kept. (2) The sum over all samples is computed anew each time, always in the order of [`sum`], so that
+/// every decision equals that of the simple version to the last bit.
 #[derive(Default)]
 pub(crate) struct Selector {
     squared_errors: Vec<f64>,
@@ -57,11 +57,11 @@ impl Selector {
         self.select_joint(&[track], &[1.0], max_keypoints, f64::from(max_mse))
     }
 
-    /// The same for several tracks that share their keypoints.
+    /// Selection for several tracks that share their keypoints.
     ///
     /// - `tracks`: `[C][T]`, finite, not empty
-    /// - `weights`: `[C]`, of the squared error of each
-    /// - `max_error`: of the mean over time of the weighted sum of squared errors
+    /// - `weights`: `[C]` factors of the squared errors of the tracks
+    /// - `max_error`: bound on the mean over time of the weighted sum of squared errors
     pub(crate) fn select_joint(
         &mut self,
         tracks: &[&[f32]],
@@ -172,16 +172,16 @@ fn index_of_largest(values: &[f64]) -> usize {
     values.iter().position(|&v| v == largest).unwrap_or(0)
 }
 
-/// Where a timestep lies among keypoints: the keypoint at or before it, and how far it is towards
-/// the next, in `[0, 1)`.
+/// Index of the last keypoint at or before a timestep, and the fraction in `[0, 1)` of the way to the next keypoint.
 ///
-/// - `times`: strictly increasing, not empty; `timestep` outside them is held at the nearest
+/// - `times`: strictly increasing, not empty; a `timestep` outside them gives the nearest keypoint and fraction 0
 fn locate(times: &[u16], timestep: usize) -> (usize, f32) {
     let before = times.partition_point(|&t| usize::from(t) <= timestep).saturating_sub(1);
     (before, fraction(times, before, timestep))
 }
 
-/// How far a timestep is from a keypoint towards the next one, in `[0, 1)`; 0 before the first and after the last.
+/// Fraction in `[0, 1)` of the way from keypoint `before` to the next keypoint at a timestep; 0 before the first
+/// keypoint and after the last.
 ///
 /// - `before`: index of the last keypoint at or before the timestep, or 0
 #[inline(always)]
@@ -195,17 +195,19 @@ pub(crate) fn fraction(times: &[u16], before: usize, timestep: usize) -> f32 {
 
 /// Value of a track at a timestep, from its value at any keypoint.
 ///
-/// - `times`: as of [`locate`]
+/// - `times`: as in [`locate`]
+/// - `value`: value at the keypoint of an index
 #[inline(always)]
 pub(crate) fn sample(times: &[u16], timestep: usize, value: impl Fn(usize) -> f32) -> f32 {
     let (before, fraction) = locate(times, timestep);
     if fraction == 0.0 { value(before) } else { lerp(value(before), value(before + 1), fraction) }
 }
 
-/// Value of a track at a timestep: linear between keypoints, held before the first and after the last.
+/// Value of a track at a timestep: linear between keypoints, constant before the first keypoint and after the last.
 ///
-/// - `times`: `[K]` timesteps, strictly increasing, `K >= 1`
-/// - `values`: `[K]`
+/// - `times`: `[K]` timesteps of the keypoints, strictly increasing, `K >= 1`
+/// - `values`: `[K]` values at the keypoints
+/// - returns: the value at `timestep`, in the unit of `values`
 ///
 /// ```
 /// assert_eq!(tcgs_codec::interpolate(&[0, 4], &[1.0, 3.0], 1), 1.5);
@@ -213,7 +215,7 @@ pub(crate) fn sample(times: &[u16], timestep: usize, value: impl Fn(usize) -> f3
 /// ```
 ///
 /// # Panics
-/// If there are no keypoints or the lengths differ.
+/// If `times` is empty, or `times` and `values` differ in length.
 pub fn interpolate(times: &[u16], values: &[f32], timestep: usize) -> f32 {
     assert!(
         !times.is_empty() && times.len() == values.len(),

@@ -1,10 +1,38 @@
 //! Compression of dynamic Gaussians and the `.tcgs` container.
 //!
-//! Three layers, strictly apart: a scene of floats (`tcgs_core::DynamicGaussians`) · its symbols
-//! ([`CompactScene`]: codes at keypoints, bit widths, quantizers) · bytes ([`encode`], [`decode`]).
-//! [`compress`] and [`CompactScene::reconstruct`] join the first two and lose information; the bytes
-//! lose none. This crate reads bytes that nobody vouches for: no unsafe code, every allocation under
-//! [`DecodeLimits`].
+//! A scene has three representations: floats ([`tcgs_core::DynamicGaussians`]), codes ([`CompactScene`]: keypoints, bit
+//! widths, quantizers) and bytes (a `.tcgs` file, `docs/FORMAT.md`). [`compress()`] and [`CompactScene::reconstruct`]
+//! convert between floats and codes; [`compress()`] is lossy. [`encode`] and [`decode`] convert between codes and bytes
+//! without loss.
+//!
+//! | a program wants to | entry point |
+//! |---|---|
+//! | make a file | [`assign_bits`] or [`BitMap::uniform`], [`compress()`], [`encode`] |
+//! | read a whole file | [`decode`] |
+//! | read single timesteps of a file | [`SceneFile`] |
+//! | decode while bytes arrive | [`Decoder`] |
+//! | fetch only the byte ranges that a timestep needs | [`Archive`] |
+//! | describe a file | [`inspect`] |
+//!
+//! ```
+//! use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, compress, decode, encode};
+//! use tcgs_core::{DynamicGaussians, Gaussians};
+//! let mut scene = DynamicGaussians::default();
+//! scene.push(Gaussians::zeros(3)); // timestep 0
+//! scene.push(Gaussians::zeros(3)); // timestep 1
+//!
+//! let bit_map = BitMap::uniform(3, 16, 6);
+//! let compact = compress(&scene, &bit_map, None, SceneInfo::of(&scene), &CompressSettings::default())?;
+//! let file: Vec<u8> = encode(&compact)?;
+//!
+//! let decoded = decode(&file, &DecodeLimits::default())?;
+//! assert_eq!(decoded.reconstruct().means(1), scene.means(1));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The crate decodes untrusted bytes: it has no unsafe code, and every allocation whose size a file controls is charged
+//! against [`DecodeLimits`] first. Without the feature `encode` only decoding is compiled; the feature `parallel`
+//! decodes with several threads.
 
 #![forbid(unsafe_code)]
 // Both directions are written side by side; for decoding alone one of them is idle.

@@ -1,28 +1,42 @@
-//! How much a file may ask for.
+//! Bounds on the memory and the counts that a file may ask for. Decoders check them before they allocate.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::error::DecodeError;
 
-/// How much memory a decoder spends on a file before it refuses the file.
+/// Limits beyond which a decoder refuses a file with [`DecodeError::Limit`].
+///
+/// ```
+/// use tcgs_codec::{BitMap, CompressSettings, DecodeError, DecodeLimits, SceneInfo, compress, decode, encode};
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let mut scene = DynamicGaussians::default();
+/// scene.push(Gaussians::zeros(3));
+/// let settings = CompressSettings::default();
+/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
+///
+/// let limits = DecodeLimits { max_gaussians: 2, ..DecodeLimits::default() };
+/// let error = decode(&encode(&compact)?, &limits).unwrap_err();
+/// assert!(matches!(error, DecodeError::Limit { needed: 3, limit: 2, .. }));
+/// # Ok::<(), tcgs_codec::CompressError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DecodeLimits {
-    /// Default 16,777,216: forty times a large scene.
+    /// Most Gaussians of a scene. Default 16,777,216: forty times a large scene.
     pub max_gaussians: u32,
-    /// Default 65,536: what the format can say.
+    /// Most timesteps of a scene. Default 65,536, the most that the format can hold.
     pub max_timesteps: u32,
-    /// Memory for the decoded scene and what is needed on the way, in bytes. Default 4 GiB.
+    /// Most memory for the decoded scene and for decoding, in bytes. Default 4 GiB.
     pub max_bytes: u64,
-    /// How many bytes of memory a byte of the file may take, beyond [`Self::FREE_BYTES`]: a small file
-    /// that unfolds into something huge was made for that. Default 1024; real scenes take some ten.
+    /// Most bytes of memory for each byte of the file, beyond [`Self::FREE_BYTES`]: refuses decompression bombs.
+    /// Default 1024; real scenes need about ten.
     pub max_expansion: u32,
 }
 
 impl DecodeLimits {
-    /// Memory that every file may take, however small: 16 MiB.
+    /// Memory that [`Self::max_expansion`] allows to a file of any length, 16 MiB.
     pub const FREE_BYTES: u64 = 1 << 24;
 
-    /// No limits, for files that one wrote oneself.
+    /// No limits, for files that the program itself wrote.
     pub fn none() -> Self {
         Self { max_gaussians: u32::MAX, max_timesteps: u32::MAX, max_bytes: u64::MAX, max_expansion: u32::MAX }
     }
@@ -34,7 +48,7 @@ impl Default for DecodeLimits {
     }
 }
 
-/// What is left of the memory that [`DecodeLimits`] allow while decoding one file. Never given back: the sum
+/// Memory charged against [`DecodeLimits`] while one file is decoded. Memory that is freed is not given back: the sum
 /// of all allocations bounds their peak.
 #[derive(Debug)]
 pub(crate) struct Budget {
@@ -49,12 +63,15 @@ impl Budget {
         Self { limit: limits.max_bytes.min(expanded), used: AtomicU64::new(0) }
     }
 
-    /// As much as is left now, for something that will be dropped again.
+    /// A budget with the memory that is left now, for allocations that do not outlive the decoding of a part.
     pub(crate) fn fork(&self) -> Self {
         Self { limit: self.limit, used: AtomicU64::new(self.used.load(Ordering::Relaxed)) }
     }
 
-    /// To be asked before `count` things of `size` bytes are allocated.
+    /// Charges the memory of `count` values of `size` bytes; called before the allocation.
+    ///
+    /// # Errors
+    /// [`DecodeError::Limit`] if the sum of all charges exceeds the limit.
     pub(crate) fn reserve(&self, what: &'static str, count: u64, size: usize) -> Result<(), DecodeError> {
         let bytes = count.saturating_mul(size as u64).min(1 << 62);
         let used = self.used.fetch_add(bytes, Ordering::Relaxed);

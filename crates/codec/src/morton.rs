@@ -1,4 +1,4 @@
-//! Morton order: neighbours in space become neighbours in the file.
+//! Morton order (Z-order): points that are neighbours in space are mostly neighbours in the file.
 
 /// Interleaves three coordinates of at most 16 bits; bit 0 of `x` is the lowest.
 pub(crate) fn interleave(coordinates: [u16; 3]) -> u64 {

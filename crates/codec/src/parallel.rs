@@ -1,4 +1,5 @@
-//! The one place of decoding that knows whether there are threads.
+//! Loops of decoding that run on several threads with the feature `parallel` and on one thread without it. No other
+//! module of decoding depends on the feature.
 
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;

@@ -1,8 +1,8 @@
-//! Between floats and codes of a few bits: uniform quantizers with an offset.
+//! Uniform quantizers with an offset, which convert between floats and codes of 1 to 16 bits.
 //!
-//! A quantizer serves all values of one attribute, channel and bit width. The offset is what the
-//! paper's quantizer (LSQ) lacks: colours and opacities lie to one side of zero and would waste half
-//! of the signed range.
+//! One quantizer serves all values of one attribute, component and bit width. The paper's quantizer (LSQ, Esser et al.
+//! 2020) has no offset; colours and opacities lie on one side of zero and would leave half of its signed range unused.
+//! Which width a Gaussian gets is the subject of `bits`; training through a quantizer lives in the crate `tcgs-train`.
 
 use std::collections::BTreeMap;
 
@@ -10,18 +10,18 @@ use tcgs_core::{Attribute, Layout};
 
 use crate::error::CompressError;
 
-/// Widest code.
+/// Largest width of a code, in bits.
 pub const MAX_BITS: u8 = 16;
 
 /// A uniform quantizer: code `c` stands for `c * step + offset`, `c` in
 /// `[-2^(bits-1), 2^(bits-1) - 1]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantizer {
-    /// Distance of neighbouring values; finite and positive.
+    /// Distance of the values of neighbouring codes, in the unit of the attribute; finite and positive.
     pub step: f32,
-    /// Value of code 0; finite.
+    /// Value of code 0, in the unit of the attribute; finite.
     pub offset: f32,
-    /// Width of a code, 1 to 16.
+    /// Width of a code in bits, 1 to 16.
     pub bits: u8,
 }
 
@@ -40,10 +40,10 @@ const NUM_SHRINKS: usize = 25;
 const NUM_REFITS: usize = 8;
 
 impl Quantizer {
-    /// A quantizer of given step and offset.
+    /// A quantizer of given step, offset (both in the unit of the attribute) and width in bits.
     ///
     /// # Errors
-    /// [`CompressError::Quantizer`] if [`Self::problem`] finds a problem.
+    /// [`CompressError::Quantizer`] if [`Self::problem`] finds a broken rule.
     pub fn new(step: f32, offset: f32, bits: u8) -> Result<Self, CompressError> {
         let quantizer = Self { step, offset, bits };
         match quantizer.problem() {
@@ -52,7 +52,8 @@ impl Quantizer {
         }
     }
 
-    /// What makes these numbers no quantizer, if anything.
+    /// The rule that the fields break: step positive and finite, offset finite, width within 1 to 16 bits. None if they
+    /// break no rule.
     pub fn problem(&self) -> Option<&'static str> {
         if !(1..=MAX_BITS).contains(&self.bits) {
             Some("the width is not within 1 to 16 bits")
@@ -65,19 +66,20 @@ impl Quantizer {
         }
     }
 
-    /// Lowest code, `-2^(bits-1)`.
+    /// Smallest code, `-2^(bits-1)`.
     #[inline(always)]
     pub fn min_code(&self) -> i32 {
         -(1 << (self.bits - 1))
     }
 
-    /// Highest code, `2^(bits-1) - 1`.
+    /// Largest code, `2^(bits-1) - 1`.
     #[inline(always)]
     pub fn max_code(&self) -> i32 {
         (1 << (self.bits - 1)) - 1
     }
 
-    /// Nearest code; values beyond the range get the code at its end.
+    /// Code whose value is nearest to `x`; a tie rounds away from code 0. A value outside the range of the codes gets
+    /// the smallest or the largest code.
     ///
     /// ```
     /// let quantizer = tcgs_codec::Quantizer::new(0.5, 1.0, 4)?;
@@ -91,13 +93,13 @@ impl Quantizer {
         code.clamp(f64::from(self.min_code()), f64::from(self.max_code())) as i32
     }
 
-    /// Value of a code: `code * step + offset`, rounded once.
+    /// Value of a code: `code * step + offset` computed in f64 and rounded once to f32.
     #[inline(always)]
     pub fn dequantize(&self, code: i32) -> f32 {
         (f64::from(code) * f64::from(self.step) + f64::from(self.offset)) as f32
     }
 
-    /// Sum of squared errors over `values`.
+    /// Sum of squared errors over `values` after `quantize` and `dequantize`, in the squared unit of the attribute.
     pub fn squared_error(&self, values: &[f32]) -> f64 {
         values
             .iter()
@@ -108,8 +110,8 @@ impl Quantizer {
             .sum()
     }
 
-    /// The quantizer whose lowest code is `min` and whose highest is `max`; if they are equal, code 0
-    /// is exactly that value.
+    /// The quantizer whose smallest code has the value `min` and whose largest code has the value `max`. If `min` and
+    /// `max` are equal, code 0 has exactly that value.
     ///
     /// ```
     /// let quantizer = tcgs_codec::Quantizer::covering(0.0, 15.0, 4)?;
@@ -118,8 +120,8 @@ impl Quantizer {
     /// ```
     ///
     /// # Errors
-    /// [`CompressError`] if a bound is not finite, `min > max`, `bits` is not within 1 to 16, or the step from one end
-    /// to the other exceeds what 32 bits hold.
+    /// [`CompressError::Value`] if a bound is not finite, `min > max`, or `bits` is not within 1 to 16;
+    /// [`CompressError::Quantizer`] if the step or the offset overflows an `f32`.
     pub fn covering(min: f32, max: f32, bits: u8) -> Result<Self, CompressError> {
         check_finite("lower bound of a quantizer", min)?;
         check_finite("upper bound of a quantizer", max)?;
@@ -135,24 +137,37 @@ impl Quantizer {
         Self::new(step as f32, offset as f32, bits)
     }
 
-    /// The quantizer of a given step whose lowest code is `min`.
+    /// The quantizer of a given step whose smallest code has the value `min`.
     ///
     /// # Errors
-    /// [`CompressError::Quantizer`] if these numbers make no quantizer.
+    /// [`CompressError::Quantizer`] if step, offset and width break a rule of [`Self::problem`].
     pub(crate) fn from_lowest(min: f32, step: f64, bits: u8) -> Result<Self, CompressError> {
         let offset = f64::from(min) + step * f64::from(1_u32 << (bits - 1));
         Self::new(step as f32, offset as f32, bits)
     }
 
-    /// The quantizer of lowest squared error found: ranges shrunk from either side (an outlier is
-    /// cut off where that makes the step finer for the rest), then least squares for step and offset.
+    /// A quantizer of small squared error over `values`.
     ///
-    /// A constant set of values gets an exact quantizer. Its error over `values`, or over the even
-    /// sample that it looks at when there are very many, is at most that of [`Self::covering`].
+    /// The search starts from [`Self::covering`]. It shrinks the range from either end, which clips outliers where a
+    /// finer step for the other values outweighs the clipping, and then alternates between assigning codes and solving
+    /// for the step and offset of least squares.
+    ///
+    /// - `values`: in the unit of the attribute; of more than 16,384 values an evenly spaced sample is used
+    /// - returns: a quantizer whose squared error over the values used is at most that of [`Self::covering`], and zero
+    ///   if all values are equal
+    ///
+    /// ```
+    /// use tcgs_codec::Quantizer;
+    /// let mut values: Vec<f32> = (0..1000).map(|i| i as f32 / 1000.0).collect();
+    /// values.push(30.0); // an outlier
+    /// let (fitted, covering) = (Quantizer::fit(&values, 4)?, Quantizer::covering(0.0, 30.0, 4)?);
+    /// assert!(fitted.squared_error(&values) <= covering.squared_error(&values));
+    /// # Ok::<(), tcgs_codec::CompressError>(())
+    /// ```
     ///
     /// # Errors
-    /// [`CompressError`] if there are no values, a value is not finite, `bits` is not within 1 to 16, or the values
-    /// lie further apart than 32 bits hold.
+    /// [`CompressError::Count`] if `values` is empty; [`CompressError::Value`] if a value is not finite or `bits` is
+    /// not within 1 to 16; [`CompressError::Quantizer`] if the range of the values overflows an `f32`.
     pub fn fit(values: &[f32], bits: u8) -> Result<Self, CompressError> {
         let (min, max) = bounds(values)?;
         let covering = Self::covering(min, max, bits)?;
@@ -246,9 +261,13 @@ pub(crate) fn check_bits(bits: u8) -> Result<(), CompressError> {
     }
 }
 
-/// First step of a learned quantizer: `2 mean|x| / sqrt(Q_p)`, `Q_p = 2^(bits-1) - 1`.
+/// Initial step of a learned quantizer (LSQ): `2 mean|x| / sqrt(Q_p)` with `Q_p = 2^(bits-1) - 1`.
 ///
-/// Esser et al. 2020, §2.1. One bit has `Q_p = 0`; it counts as 1.
+/// - `values`: `x`, at least one value
+/// - `bits`: width of a code, 1 to 16
+/// - returns: step in the unit of `values`
+///
+/// Esser et al. 2020, §2.1. One bit gives `Q_p = 0`, which counts as 1.
 ///
 /// ```
 /// assert_eq!(tcgs_codec::lsq_step(&[1.0, -3.0], 3)?, 4.0 / 3.0_f32.sqrt());
@@ -256,7 +275,7 @@ pub(crate) fn check_bits(bits: u8) -> Result<(), CompressError> {
 /// ```
 ///
 /// # Errors
-/// [`CompressError`] if there are no values or `bits` is not within 1 to 16.
+/// [`CompressError::Count`] if `values` is empty; [`CompressError::Value`] if `bits` is not within 1 to 16.
 pub fn lsq_step(values: &[f32], bits: u8) -> Result<f32, CompressError> {
     check_bits(bits)?;
     if values.is_empty() {
@@ -267,27 +286,27 @@ pub fn lsq_step(values: &[f32], bits: u8) -> Result<f32, CompressError> {
     Ok((2.0 * mean / max_code.sqrt()) as f32)
 }
 
-/// All quantizers of a scene.
+/// All quantizers of a scene: one for every attribute, width in use and component.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quantizers {
-    /// By [`Attribute::index`], then bit width: one quantizer per channel.
+    /// By [`Attribute::index`], then by bit width: `[components]` quantizers.
     pub attributes: Vec<BTreeMap<u8, Vec<Quantizer>>>,
 }
 
 impl Default for Quantizers {
-    /// None, for the columns of [`Layout::base`].
+    /// No quantizers, for the columns of [`Layout::base`].
     fn default() -> Self {
         Self::none(&Layout::base())
     }
 }
 
 impl Quantizers {
-    /// None yet, for the columns of `layout`.
+    /// No quantizers, for the columns of `layout`; [`Self::attributes`] is filled by the caller.
     pub fn none(layout: &Layout) -> Self {
         Self { attributes: vec![BTreeMap::new(); layout.columns().len()] }
     }
 
-    /// The quantizer of one channel at one width, if there is one.
+    /// The quantizer of component `channel` of an attribute at a width in bits; none if the width is not in use.
     pub fn get(&self, attribute: Attribute, width: u8, channel: usize) -> Option<&Quantizer> {
         self.attributes.get(attribute.index())?.get(&width)?.get(channel)
     }

@@ -1,4 +1,7 @@
-//! A `.tcgs` file read at single timesteps: only the segments that are asked for are decoded.
+//! Random access to the timesteps of a `.tcgs` file: a segment is read and decoded when one of its timesteps is needed.
+//!
+//! Input comes from any `Read + Seek`. [`Archive`] offers the same without input of its own, for callers that fetch
+//! ranges of bytes.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
@@ -15,10 +18,10 @@ use crate::limits::DecodeLimits;
 /// Bytes read at first; the tables of most files fit.
 const OPENING_BYTES: u64 = 1 << 14;
 
-/// A `.tcgs` file that is read at single timesteps.
+/// A `.tcgs` file with random access to timesteps.
 ///
-/// Holds what all segments share, the segments used last ([`SegmentCache`], LRU), and of the last one used its
-/// keypoints as floats.
+/// Memory holds the shared layers, the most recently used segments ([`SegmentCache`], LRU), and the dequantised
+/// keypoints of the segment used last.
 ///
 /// ```
 /// use std::io::Cursor;
@@ -45,31 +48,36 @@ pub struct SceneFile<R> {
 }
 
 impl<R> SceneFile<R> {
-    /// Counts and provenance.
+    /// Counts and provenance of the scene.
     pub fn info(&self) -> &SceneInfo {
         self.archive.info()
     }
 
-    /// Where the parts of the file lie.
+    /// Table of contents of the file, and its shared layers.
     pub fn archive(&self) -> &Archive {
         &self.archive
     }
 
-    /// Memory of the segments held, in bytes.
+    /// Memory of the segments in the cache, in bytes.
     pub fn cached_bytes(&self) -> usize {
         self.cache.bytes()
     }
 }
 
 impl<R: Read + Seek> SceneFile<R> {
-    /// Reads what comes before the segments.
+    /// Opens a file: reads the header and the shared layers, and no segment.
     ///
     /// - `source`: the file, from its first byte on
-    /// - `max_segment_bytes`: of decoded segments held together, such as [`SegmentCache::DEFAULT_BYTES`]; the one in use is held even if it is larger
+    /// - `limits`: bounds on memory and counts
+    /// - `max_segment_bytes`: bound on the memory of decoded segments, such as [`SegmentCache::DEFAULT_BYTES`]; a
+    ///   single segment may exceed the bound
     ///
     /// # Errors
-    /// [`DecodeError`] if the source cannot be read, is no whole `.tcgs` file of the one version known, is damaged
-    /// before its segments, or asks for more than `limits` allow.
+    /// - [`DecodeError::Io`] if the source cannot be read
+    /// - [`DecodeError::Format`] if the source is no `.tcgs` file, has another length than its header says, or is
+    ///   damaged before its segments
+    /// - [`DecodeError::Version`] if the file is of another version
+    /// - [`DecodeError::Limit`] if the file exceeds `limits`
     pub fn open(mut source: R, limits: &DecodeLimits, max_segment_bytes: usize) -> Result<Self, DecodeError> {
         let length = source.seek(SeekFrom::End(0))?;
         let mut start = read(&mut source, 0..OPENING_BYTES.min(length))?;
@@ -93,13 +101,13 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(Self { source, layout: Layout::base(), archive, cache, sampler: None })
     }
 
-    /// A segment, decoded now if it is not held.
+    /// The segment of index `segment`, from the cache or else read and decoded.
     ///
     /// # Errors
-    /// [`DecodeError`] if it cannot be read, is damaged, or is larger than the limits allow.
+    /// [`DecodeError`] if the segment cannot be read, is damaged, or exceeds the limits.
     ///
     /// # Panics
-    /// If there is no such segment.
+    /// If `segment` is not below [`Archive::num_segments`].
     pub fn segment(&mut self, segment: usize) -> Result<Arc<Segment>, DecodeError> {
         if let Some(held) = self.cache.recall(segment) {
             return Ok(held.clone());
@@ -111,14 +119,14 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(decoded)
     }
 
-    /// One timestep as floats, in stored form: the same as [`crate::CompactScene::at`]. Fastest where timesteps of a
-    /// segment follow each other.
+    /// One timestep as floats, in stored form: the same values as [`crate::CompactScene::at`] gives. Fastest if
+    /// successive calls ask for successive timesteps of one segment.
     ///
     /// # Errors
     /// As [`Self::segment`].
     ///
     /// # Panics
-    /// If there is no such timestep.
+    /// If `timestep` is not below [`SceneInfo::num_timesteps`].
     pub fn at(&mut self, timestep: usize) -> Result<Gaussians, DecodeError> {
         let index = self.archive.segment_at(timestep);
         if self.sampler.as_ref().is_none_or(|(held, _)| *held != index) {

@@ -1,11 +1,11 @@
-//! Cameras that a file brings along, from which a player may look at the scene: data of the application [`VIEWS`], as
-//! `docs/FORMAT.md` says. No decoder needs them, and one that finds them wrong goes on without.
+//! Cameras stored in a file, from which a player may show the scene: application data of the name [`VIEWS`]
+//! (`docs/FORMAT.md`, "Views"). No decoder needs these cameras, and a decoder ignores those that it cannot read.
 
 use serde::Deserialize;
 use serde_json::{Value, json};
 use tcgs_core::{Camera, normalize, rotmat_from_quat};
 
-/// Name of the data.
+/// Name of the application data that hold cameras.
 pub const VIEWS: &str = "tcgs.views";
 
 /// Longer data are left out: 4,000 cameras take as much, and parsed JSON takes a multiple of its text.
@@ -15,12 +15,12 @@ const MAX_SIDE: usize = 1 << 15;
 /// How far the length of a rotation's quaternion may be from 1; five decimals are written.
 const MAX_LENGTH_ERROR: f64 = 1e-3;
 
-/// A camera of the capture that a scene was made of.
+/// A named camera of the capture from which a scene was trained.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileCamera {
-    /// Its name in the capture.
+    /// Name of the camera in the capture.
     pub name: String,
-    /// Where it stood and what it saw.
+    /// Intrinsics and pose.
     pub camera: Camera,
 }
 
@@ -41,11 +41,13 @@ struct View {
     rotation: [f64; 4],
 }
 
-/// The data that say some cameras, for [`encode_with`](crate::encode_with) under the name [`VIEWS`]. Focal lengths and
-/// principal points are rounded to a hundredth of a pixel, positions to four decimals, rotations to five: the digits
-/// that nobody sees are half of the text.
+/// Cameras as application data, for [`encode_with`](crate::encode_with) under the name [`VIEWS`].
 ///
-/// - `cameras`: the first is where a player starts
+/// Focal lengths and principal points are rounded to 0.01 pixels, positions to four decimals in scene units, components
+/// of rotations to five decimals: further digits would double the text without a visible effect.
+///
+/// - `cameras`: a player starts with the first camera
+/// - returns: JSON in UTF-8 (`docs/FORMAT.md`, "Views")
 ///
 /// ```
 /// use tcgs_codec::{FileCamera, VIEWS, read_views, write_views};
@@ -61,10 +63,11 @@ pub fn write_views(cameras: &[FileCamera]) -> Vec<u8> {
     json!({ "views": views }).to_string().into_bytes()
 }
 
-/// The cameras among the data of applications. Never fails, on whatever bytes: a view that cannot be read, or that is
-/// of no camera, is left out, and so are data that are no JSON or longer than a megabyte.
+/// Cameras in the application data of a file; the inverse of [`write_views`] but for the rounding.
 ///
-/// - `data`: names and bytes, as [`application_data`](crate::application_data) gives them
+/// - `data`: names and bytes of application data, as [`application_data`](crate::application_data) gives them
+/// - returns: the cameras of all data of the name [`VIEWS`], in their order. A view that is no legal camera is left
+///   out, and so are data that are not JSON or longer than 1 MiB, so no input is an error
 pub fn read_views(data: &[(String, Vec<u8>)]) -> Vec<FileCamera> {
     let of_views = data.iter().filter(|(name, bytes)| name == VIEWS && bytes.len() <= MAX_BYTES);
     let parsed = of_views.filter_map(|(_, bytes)| serde_json::from_slice::<Views>(bytes).ok());

@@ -42,7 +42,7 @@ pub struct Projection<R> {
 }
 
 /// What forward and backward share: camera-space centre, Jacobian, and the factors of the covariance.
-struct Chain<R> {
+struct ProjectionChain<R> {
     point: [R; 3],
     /// `x/z`, `y/z` after clamping, and whether they were clamped.
     slope: [R; 2],
@@ -54,7 +54,7 @@ struct Chain<R> {
     root: [[R; 3]; 2],
 }
 
-fn chain<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], camera: &SplatCamera<R>) -> Option<Chain<R>> {
+fn chain<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], camera: &SplatCamera<R>) -> Option<ProjectionChain<R>> {
     let pinhole = &camera.pinhole;
     let point = pinhole.camera_point(mean);
     let depth = point[2];
@@ -75,7 +75,7 @@ fn chain<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], camera: &SplatCamer
         let per_depth = pinhole.focal[i] / depth;
         std::array::from_fn(|j| per_depth * (factor[i][j] - slope[i] * factor[2][j]))
     });
-    Some(Chain { point, slope, clamped, rotmat, factor, root })
+    Some(ProjectionChain { point, slope, clamped, rotmat, factor, root })
 }
 
 fn invert_symmetric<R: Real>([xx, xy, yy]: [R; 3]) -> Option<[R; 3]> {

@@ -9,7 +9,7 @@ use crate::CaptureError;
 use crate::lens::{Crop, Lens, MAX_SIDE};
 
 /// Cameras and images.
-pub(crate) struct Model {
+pub(crate) struct ColmapModel {
     pub cameras_file: PathBuf,
     pub images_file: PathBuf,
     pub cameras: BTreeMap<u32, Arc<Lens>>,
@@ -98,7 +98,7 @@ impl CameraModel {
     }
 }
 
-impl Model {
+impl ColmapModel {
     pub fn read(folder: &Path) -> Result<Self, CaptureError> {
         let (cameras_file, cameras) = read(folder, "cameras", binary_cameras, text_cameras)?;
         let (images_file, images) = read(folder, "images", binary_images, text_images)?;

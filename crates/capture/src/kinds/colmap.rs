@@ -13,7 +13,7 @@ use std::path::{Component, Path};
 use tcgs_core::{Camera, rotmat_from_quat};
 
 use super::test_cameras::{STATIC_FRAME_RATE, every_eighth};
-use crate::colmap::{Model, model_folder, points_file};
+use crate::colmap::{ColmapModel, model_folder, points_file};
 use crate::contents::{CameraSetOfFiles, Contents, check_images};
 use crate::footage::Change;
 use crate::kind::{CaptureFacts, CaptureKind};
@@ -40,7 +40,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
     let images_folder = images_folder.ok_or_else(|| {
         CaptureError::invalid(path, "has a COLMAP model, but no folder images/, expected the images that it names")
     })?;
-    let Model { cameras_file, images_file, cameras, mut images } = Model::read(&folder)?;
+    let ColmapModel { cameras_file, images_file, cameras, mut images } = ColmapModel::read(&folder)?;
     images.sort_by(|a, b| a.name.cmp(&b.name));
 
     let mut cameras_of_images = CameraSetOfFiles::new(&images_folder);

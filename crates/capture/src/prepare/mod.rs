@@ -24,7 +24,7 @@ use crate::{Capture, CaptureError, Split};
 
 use fuse::{Belief, Point, Rule, SureDepths, agreed, num_hidden_from};
 use hull::{Hull, Silhouette};
-use patchmatch::{DepthMap, MAX_SOURCES, Plane, Range, Search, Source};
+use patchmatch::{DepthMap, MAX_SOURCES, Plane, Range, Search, SourceView};
 use shell::Shell;
 use vantage::Vantage;
 
@@ -262,7 +262,7 @@ impl Stereo {
                 .into_par_iter()
                 .map(|i| {
                     let ranges = stereo.ranges(&vantages[i], background[i]);
-                    let sources = neighbors[i].iter().map(|&j| Source::new(&vantages[i], &vantages[j])).collect();
+                    let sources = neighbors[i].iter().map(|&j| SourceView::new(&vantages[i], &vantages[j])).collect();
                     let seed = seed.wrapping_mul(1 << 20).wrapping_add((i * MAX_LEVELS + level) as u64);
                     let search = Search { vantage: &vantages[i], sources, ranges: &ranges, seed };
                     let mut map = search.begin(coarse.get(i).map(|map| (map, coarse_widths[i])));

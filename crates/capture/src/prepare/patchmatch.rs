@@ -94,20 +94,20 @@ pub(super) fn widest_range(vantages: &[Vantage], of: usize, neighbors: &[usize])
 /// One view's search.
 pub(super) struct Search<'a> {
     pub vantage: &'a Vantage,
-    pub sources: Vec<Source<'a>>,
+    pub sources: Vec<SourceView<'a>>,
     /// `[H, W]`
     pub ranges: &'a [Range],
     pub seed: u64,
 }
 
 /// Another view, and how a pixel gets there: `image_from_image * [x, y, 1] + inverse_depth * epipole`.
-pub(super) struct Source<'a> {
+pub(super) struct SourceView<'a> {
     vantage: &'a Vantage,
     image_from_image: [[f32; 3]; 3],
     epipole: [f32; 3],
 }
 
-impl<'a> Source<'a> {
+impl<'a> SourceView<'a> {
     pub fn new(from: &Vantage, to: &'a Vantage) -> Self {
         let (a, b) = (&from.pinhole, &to.pinhole);
         // K_b R_b R_aᵀ K_a⁻¹ and K_b (t_b − R_b R_aᵀ t_a)
@@ -274,7 +274,7 @@ impl Search<'_> {
     }
 }
 
-impl Source<'_> {
+impl SourceView<'_> {
     fn cost(&self, window: &Window, [x, y]: [f32; 2], plane: Plane) -> f32 {
         let (m, e) = (&self.image_from_image, self.epipole);
         let (width, height) = (self.vantage.pinhole.width, self.vantage.pinhole.height);

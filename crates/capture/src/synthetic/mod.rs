@@ -21,7 +21,7 @@ use crate::{
     CaptureError,
     points::{POINTS_FILE, write_points},
 };
-use scene::Scene;
+use scene::SyntheticScene;
 pub use scene::ball_at;
 
 /// Frames per second of the synthetic capture: the bodies' speeds and the ball's gravity are set for this rate.
@@ -111,7 +111,7 @@ pub fn write_synthetic(dir: &Path, settings: &SyntheticSettings) -> Result<(), C
     let written = std::fs::File::create(&path).and_then(|file| write_points(file, &cloud));
     written.map_err(|error| failed(&path, error))?;
 
-    let scenes: Vec<Scene> = (0..settings.num_timesteps).map(Scene::at).collect();
+    let scenes: Vec<SyntheticScene> = (0..settings.num_timesteps).map(SyntheticScene::at).collect();
     let jobs: Vec<(&NumberedCamera, usize)> =
         cameras.iter().flat_map(|camera| (0..settings.num_timesteps).map(move |timestep| (camera, timestep))).collect();
     jobs.into_par_iter().try_for_each(|(camera, timestep)| {
@@ -156,7 +156,7 @@ fn cameras(settings: &SyntheticSettings) -> Vec<NumberedCamera> {
 }
 
 /// Colour averaged over samples of each pixel, and whether its centre shows a moving object.
-fn render(scene: &Scene, camera: &Camera) -> (Image, Vec<bool>) {
+fn render(scene: &SyntheticScene, camera: &Camera) -> (Image, Vec<bool>) {
     let mut image = Image::filled(camera.width, camera.height, 3, 0.0);
     let num_pixels = image.num_pixels();
     let mut mask = vec![false; num_pixels];
@@ -226,7 +226,7 @@ fn failed(path: &Path, error: impl std::fmt::Display) -> CaptureError {
 /// Distance of a point from the nearest surface at the first timestep, of what moves or of what does not.
 #[cfg(test)]
 pub(crate) fn distance_from_surface(point: [f32; 3], moving: bool) -> f64 {
-    Scene::at(0).distance(point.map(f64::from), moving)
+    SyntheticScene::at(0).distance(point.map(f64::from), moving)
 }
 
 #[cfg(test)]

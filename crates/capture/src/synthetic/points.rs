@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use tcgs_core::PointCloud;
 
 use super::{
-    scene::{Body, ROOM, Scene, Shape},
+    scene::{Body, ROOM, Shape, SyntheticScene},
     texture::mix_bits,
     trace::Hit,
 };
@@ -17,7 +17,7 @@ const MOVING_SHARE: usize = 3;
 
 /// Points, uniformly by area over what moves and over what does not, whether a camera sees them or not.
 pub(super) fn sample(num_points: usize, seed: u64) -> PointCloud {
-    let scene = Scene::at(0);
+    let scene = SyntheticScene::at(0);
     let (moving, fixed): (Vec<usize>, Vec<usize>) =
         (0..scene.bodies.len()).partition(|&body| scene.bodies[body].moving);
     let surfaces = |bodies: &[usize]| -> Vec<(Option<usize>, f64)> {

@@ -47,11 +47,11 @@ impl Body {
 
 /// The bodies at one timestep; the room is always there.
 #[derive(Clone, Debug)]
-pub(super) struct Scene {
+pub(super) struct SyntheticScene {
     pub bodies: Vec<Body>,
 }
 
-impl Scene {
+impl SyntheticScene {
     pub fn at(timestep: usize) -> Self {
         let upright = turn_y(0.0);
         let fixed =

@@ -44,7 +44,7 @@ fn moving_objects_cover_a_tenth_of_the_pixels() {
     let masks = (0..24).flat_map(|timestep| cameras.iter().map(move |camera| (timestep, camera)));
     let shares: Vec<f64> = masks
         .map(|(timestep, camera)| {
-            let (_, mask) = render(&Scene::at(timestep), &camera.camera.resized(64, 48));
+            let (_, mask) = render(&SyntheticScene::at(timestep), &camera.camera.resized(64, 48));
             mask.iter().filter(|&&m| m).count() as f64 / mask.len() as f64
         })
         .collect();
@@ -74,7 +74,7 @@ fn the_ball_travels_three_of_its_diameters_in_small_steps() {
 fn bodies_stay_apart_from_each_other_and_from_the_cameras() {
     let cameras = cameras(&SyntheticSettings::default());
     for timestep in 0..300 {
-        let bodies = Scene::at(timestep).bodies;
+        let bodies = SyntheticScene::at(timestep).bodies;
         for (i, a) in bodies.iter().enumerate() {
             let outside = |b: &scene::Body| {
                 // Seen along the line between the centres, each within its largest radius.
@@ -95,7 +95,7 @@ fn bodies_stay_apart_from_each_other_and_from_the_cameras() {
 /// Differences of colour between the points that a camera sees and the pixels they fall on, ascending.
 fn color_differences(capture: &Capture, mirror: bool) -> Vec<f32> {
     let cloud = capture.point_cloud().unwrap();
-    let scene = Scene::at(0);
+    let scene = SyntheticScene::at(0);
     let mut differences = Vec::new();
     for View { camera, image, .. } in capture.views(Split::All, 0, 1).unwrap() {
         for (point, color) in cloud.points.iter().zip(&cloud.colors) {

@@ -3,7 +3,7 @@
 use tcgs_core::{dot, normalize};
 
 use super::{
-    scene::{Body, ROOM, Scene, Shape},
+    scene::{Body, ROOM, Shape, SyntheticScene},
     texture::{room_color, smoothstep},
 };
 
@@ -23,7 +23,7 @@ pub(super) struct Hit {
 }
 
 impl Hit {
-    pub fn is_moving(&self, scene: &Scene) -> bool {
+    pub fn is_moving(&self, scene: &SyntheticScene) -> bool {
         self.body.is_some_and(|body| scene.bodies[body].moving)
     }
 
@@ -37,7 +37,7 @@ impl Hit {
     }
 }
 
-impl Scene {
+impl SyntheticScene {
     /// The first surface along a ray from inside the room.
     ///
     /// - `direction`: unit
@@ -160,7 +160,7 @@ impl Body {
 }
 
 #[cfg(test)]
-impl Scene {
+impl SyntheticScene {
     /// Distance of a point from the nearest surface of what moves, or of what does not; of ellipsoids nearly.
     pub fn distance(&self, point: [f64; 3], moving: bool) -> f64 {
         let walls = (0..3).flat_map(|i| [(point[i] - ROOM[0][i]).abs(), (point[i] - ROOM[1][i]).abs()]);

@@ -40,7 +40,7 @@ pub(crate) struct Video {
     /// By frame in the order of showing: where decoding may begin at the latest.
     begins: Vec<usize>,
     stream: Stream,
-    state: Mutex<State>,
+    state: Mutex<DecoderState>,
 }
 
 /// One coded frame.
@@ -63,7 +63,7 @@ struct Stream {
 }
 
 #[derive(Default)]
-struct State {
+struct DecoderState {
     running: Option<Running>,
     /// The latest last.
     kept: VecDeque<(usize, RgbImage)>,
@@ -168,7 +168,7 @@ impl Video {
         result
     }
 
-    fn decode(&self, state: &mut State, frame: usize) -> Result<RgbImage, CaptureError> {
+    fn decode(&self, state: &mut DecoderState, frame: usize) -> Result<RgbImage, CaptureError> {
         let failed = |problem: String| CaptureError::invalid(&self.path, format!("frame {frame}: {problem}"));
         let begin = self.begins[frame];
         let goes_on = |r: &Running| r.next_frame <= frame && begin <= r.next_sample;
@@ -263,7 +263,7 @@ impl Stream {
     }
 }
 
-impl State {
+impl DecoderState {
     fn keep(&mut self, frame: usize, image: RgbImage) {
         self.kept.push_back((frame, image));
         let mut bytes: usize = self.kept.iter().map(|(_, image)| image.as_raw().len()).sum();

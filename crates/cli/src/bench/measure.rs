@@ -9,7 +9,7 @@ use tcgs_render::{CpuRasterizer, Laps, PairCounts, RenderSettings, StageTimes};
 use tcgs_train::engine::Step;
 use tcgs_train::{Phase, Rates, Schedule, TrainConfig};
 
-use super::scene::Scene;
+use super::scene::BenchScene;
 
 /// How often things are done.
 #[derive(Clone, Copy)]
@@ -83,7 +83,7 @@ impl Samples {
 /// - `step`: called after each of [`STEPS`] parts
 pub fn measure(
     backend: &Backend,
-    scene: &Scene,
+    scene: &BenchScene,
     counts: Counts,
     step: &mut dyn FnMut(&'static str),
 ) -> anyhow::Result<Measured> {
@@ -160,7 +160,7 @@ fn render_on_cpu(drawn: &Activated, camera: &Camera, backward: bool) -> (StageTi
 }
 
 /// Trains, one camera after another; also returns the mean of many iterations by the clock on the wall.
-fn iterate(backend: &Backend, scene: &Scene, counts: Counts) -> anyhow::Result<(Vec<StageTimes>, f64)> {
+fn iterate(backend: &Backend, scene: &BenchScene, counts: Counts) -> anyhow::Result<(Vec<StageTimes>, f64)> {
     let config = TrainConfig::default();
     let rates = Schedule::new(&config, 1.0).rates(Phase::Rest, 0);
     let step = |i: usize| Step {

@@ -12,7 +12,7 @@ use super::START_LOGIT;
 use crate::options::Size;
 
 /// One case of the bench.
-pub struct Scene {
+pub struct BenchScene {
     /// For people and machines.
     pub name: String,
     /// Of a later timestep: every loss has something to do.
@@ -21,7 +21,7 @@ pub struct Scene {
     pub targets: Vec<Target>,
 }
 
-impl Scene {
+impl BenchScene {
     /// Where the images were taken from.
     pub fn cameras(&self) -> Vec<Camera> {
         self.targets.iter().map(|target| target.camera.clone()).collect()
@@ -68,7 +68,7 @@ fn random_gaussians(num_gaussians: usize, random: &mut Pcg64Mcg) -> Parameters {
 }
 
 /// The built-in scene at every size.
-pub fn built_in(num_gaussians: usize, sizes: &[Size], seed: u64) -> Vec<Scene> {
+pub fn built_in(num_gaussians: usize, sizes: &[Size], seed: u64) -> Vec<BenchScene> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let parameters = random_gaussians(num_gaussians, &mut random);
     let state = later_timestep(parameters, &mut random);
@@ -86,17 +86,17 @@ pub fn built_in(num_gaussians: usize, sizes: &[Size], seed: u64) -> Vec<Scene> {
                 image.plane_mut(3)[pixel] = foreground;
                 image.plane_mut(4)[pixel] = 1.0 - foreground;
             }
-            Scene { name: "random".into(), state: state.clone(), targets: vec![Target { camera, image }] }
+            BenchScene { name: "random".into(), state: state.clone(), targets: vec![Target { camera, image }] }
         })
         .collect()
 }
 
 /// A capture's initial cloud and the training images of its first frame.
-pub fn of_capture(capture: &Capture, downscale: usize, seed: u64) -> anyhow::Result<Scene> {
+pub fn of_capture(capture: &Capture, downscale: usize, seed: u64) -> anyhow::Result<BenchScene> {
     let views = capture.views(Split::Train, 0, downscale)?;
     let parameters = Parameters::from_cloud(&capture.point_cloud()?, views.len(), START_LOGIT);
     let with_segmentation = views.iter().all(|view| view.segmentation.is_some());
-    Ok(Scene {
+    Ok(BenchScene {
         name: capture.name(),
         state: later_timestep(parameters, &mut Pcg64Mcg::seed_from_u64(seed)),
         targets: views.iter().map(|view| Target::new(view, with_segmentation)).collect(),

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use tcgs_pipeline::Backend;
 
 use super::measure::{Counts, Measured, Samples, Spread};
-use super::scene::Scene;
+use super::scene::BenchScene;
 
 /// What computes, in one line.
 pub fn device_line(backend: &Backend) -> String {
@@ -21,7 +21,7 @@ pub fn device_line(backend: &Backend) -> String {
 }
 
 /// One scene's times, milliseconds.
-pub fn text(scene: &Scene, measured: &Measured, counts: Counts) -> String {
+pub fn text(scene: &BenchScene, measured: &Measured, counts: Counts) -> String {
     let (n, size, m) = (scene.state.parameters.num_gaussians(), scene.size(), measured);
     let num_images = scene.targets.len();
     let images = if num_images == 1 { String::new() } else { format!(", {num_images} images") };
@@ -63,7 +63,7 @@ fn stages_json(samples: &Samples) -> Vec<Value> {
 }
 
 /// One scene's times for machines, milliseconds.
-pub fn scene_json(scene: &Scene, measured: &Measured, counts: Counts) -> Value {
+pub fn scene_json(scene: &BenchScene, measured: &Measured, counts: Counts) -> Value {
     let (size, m) = (scene.size(), measured);
     json!({
         "name": scene.name,

@@ -1,4 +1,5 @@
-//! A file from which parts are read: which bytes a timestep needs, and what they say.
+//! Decoding of parts of a file: which ranges of bytes a timestep needs, and their content. Input is the caller's: this
+//! module takes bytes, and names the ranges that it needs.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -18,16 +19,20 @@ use crate::limits::{Budget, DecodeLimits};
 /// Result of [`Archive::open`].
 #[derive(Debug)]
 pub enum Opening {
-    /// The tables are not complete: at least this many bytes from the start of the file are needed.
+    /// The bytes end before the table of contents, `INFO` and `PLAN` do: [`Archive::open`] needs at least this many
+    /// bytes from the start of the file.
     More(u64),
-    /// The tables are complete.
+    /// The archive is open.
     Ready(Box<Archive>),
 }
 
-/// A file whose tables were read: where its parts lie, and the layers that all segments share as far as they were read.
+/// Table of contents of a file, and the shared layers that were read so far.
 ///
-/// All layers that are wanted are read first ([`Self::shared_range`], [`Self::read_shared`]), then any
-/// segments in any order ([`Self::segment_range`], [`Self::read_segment`]).
+/// A caller fetches ranges of bytes, for example with HTTP range requests:
+///
+/// 1. the start of the file, for [`Self::open`]
+/// 2. [`Self::shared_range`] of the layers that it wants, for [`Self::read_shared`]
+/// 3. [`Self::segment_range`] of any segments in any order, for [`Self::read_segment`]
 ///
 /// ```
 /// use tcgs_codec::{Archive, BitMap, CompressSettings, DecodeLimits, Opening, SceneInfo, compress, encode};
@@ -63,13 +68,16 @@ pub struct Archive {
 }
 
 impl Archive {
-    /// Opens a file by its start.
+    /// Opens a file from its first bytes: the header, `INFO` and `PLAN`.
     ///
-    /// - `start`: any number of bytes; some kilobytes are usually enough
+    /// - `start`: any number of bytes from the start of the file; 16 KiB usually suffice
+    /// - `limits`: bounds on memory and counts, also for all that is read later
     ///
     /// # Errors
-    /// [`DecodeError`] if this is no file of the one version known, its header is damaged or breaks a rule, or
-    /// it asks for more than `limits` allow.
+    /// - [`DecodeError::Format`] if `start` is not the start of a `.tcgs` file, is damaged, or breaks a rule of the
+    ///   format
+    /// - [`DecodeError::Version`] if the file is of another version
+    /// - [`DecodeError::Limit`] if the counts exceed `limits`
     pub fn open(start: &[u8], limits: &DecodeLimits) -> Result<Opening, DecodeError> {
         let Some(header) = container::length_of_header(start)? else {
             return Ok(Opening::More(container::FIXED_BYTES as u64));
@@ -138,7 +146,8 @@ impl Archive {
         &self.head.info
     }
 
-    /// Smallest and largest coordinates of all means at all timesteps.
+    /// Axis-aligned bounding box of all means at all timesteps, in scene units: the smallest and the largest
+    /// coordinates.
     pub fn bounds(&self) -> [[f32; 3]; 2] {
         self.head.bounds
     }
@@ -148,27 +157,27 @@ impl Archive {
         self.head.plan.varies
     }
 
-    /// Length of the whole file.
+    /// Length of the whole file in bytes, as the table of contents says.
     pub fn file_bytes(&self) -> u64 {
         self.entries.last().map_or(container::FIXED_BYTES as u64, |e| e.range.end)
     }
 
-    /// Number of segments.
+    /// Number of segments of the file.
     pub fn num_segments(&self) -> usize {
         self.head.num_segments()
     }
 
-    /// Number of layers; none without Gaussians.
+    /// Number of layers of the file; 0 for a scene without Gaussians.
     pub fn num_layers(&self) -> usize {
         self.head.layers.len()
     }
 
-    /// By layer: how many Gaussians it adds.
+    /// `[layers]`: number of Gaussians of each layer.
     pub fn layers(&self) -> &[u32] {
         &self.head.layers
     }
 
-    /// How many layers were read by [`Self::read_shared`].
+    /// Number of shared layers that [`Self::read_shared`] has read so far.
     pub fn layers_read(&self) -> usize {
         self.layers_read
     }
@@ -176,34 +185,35 @@ impl Archive {
     /// Timesteps of a segment.
     ///
     /// # Panics
-    /// If there is no such segment.
+    /// If `segment` is not below [`Self::num_segments`].
     pub fn timesteps(&self, segment: usize) -> Range<usize> {
         assert!(segment < self.num_segments(), "segment {segment} of {}", self.num_segments());
         self.head.span(segment)
     }
 
-    /// The segment that holds a timestep.
+    /// Index of the segment that holds a timestep.
     ///
     /// # Panics
-    /// If there is no such timestep.
+    /// If `timestep` is not below [`SceneInfo::num_timesteps`].
     pub fn segment_at(&self, timestep: usize) -> usize {
         assert!(timestep < self.head.num_timesteps(), "timestep {timestep} of {}", self.head.num_timesteps());
         timestep / self.head.segment_length()
     }
 
-    /// Bytes of the file that [`Self::read_shared`] needs to know the first `layers` layers.
+    /// Range of the file that [`Self::read_shared`] needs so that the first `layers` shared layers are read; layers
+    /// that were read already are not part of it.
     ///
     /// # Panics
-    /// If there are not so many.
+    /// If `layers` exceeds [`Self::num_layers`].
     pub fn shared_range(&self, layers: usize) -> Range<u64> {
         assert!(layers <= self.num_layers(), "{layers} layers of {}", self.num_layers());
         self.range_of(self.layers_read.min(layers)..layers)
     }
 
-    /// Bytes of the file that [`Self::read_segment`] needs for the first `layers` layers of a segment.
+    /// Range of the file that [`Self::read_segment`] needs for the first `layers` layers of a segment.
     ///
     /// # Panics
-    /// If there are not so many.
+    /// If `segment` is not below [`Self::num_segments`], or `layers` exceeds [`Self::num_layers`].
     pub fn segment_range(&self, segment: usize, layers: usize) -> Range<u64> {
         let (num_layers, num_segments) = (self.num_layers(), self.num_segments());
         assert!(
@@ -244,13 +254,13 @@ impl Archive {
             .collect()
     }
 
-    /// Reads the next layers.
+    /// Reads the shared layers that follow those read so far.
     ///
-    /// - `bytes`: those of a [`Self::shared_range`]; more are ignored, with fewer as many layers are read as
-    ///   are complete
+    /// - `bytes`: the bytes of a [`Self::shared_range`]; further bytes are ignored, and a layer that is incomplete is
+    ///   not read
     ///
     /// # Errors
-    /// [`DecodeError`] if a section is damaged or too large.
+    /// [`DecodeError::Format`] if a section is damaged, [`DecodeError::Limit`] if decoding exceeds the limits.
     pub fn read_shared(&mut self, bytes: &[u8]) -> Result<(), DecodeError> {
         let start = self.range_of(self.layers_read..self.layers_read).start;
         while self.layers_read < self.num_layers()
@@ -266,16 +276,17 @@ impl Archive {
         Ok(())
     }
 
-    /// Reads the first layers of a segment.
+    /// Decodes the first layers of a segment.
     ///
-    /// - `bytes`: those of a [`Self::segment_range`] of at most as many layers as were read by
-    ///   [`Self::read_shared`]; fewer give fewer layers
+    /// - `bytes`: the bytes of a [`Self::segment_range`]. Layers beyond [`Self::layers_read`] and layers that are
+    ///   incomplete are left out
+    /// - returns: the segment, of as many layers as were decoded
     ///
     /// # Errors
-    /// [`DecodeError`] if a section is damaged or too large.
+    /// [`DecodeError::Format`] if a section is damaged, [`DecodeError::Limit`] if decoding exceeds the limits.
     ///
     /// # Panics
-    /// If there is no such segment.
+    /// If `segment` is not below [`Self::num_segments`].
     pub fn read_segment(&self, segment: usize, bytes: &[u8]) -> Result<Segment, DecodeError> {
         assert!(segment < self.num_segments(), "segment {segment} of {}", self.num_segments());
         let mut reader = SegmentReader::new(self, segment);
@@ -307,21 +318,23 @@ impl Archive {
         &self.entries
     }
 
-    /// Where data of applications lie in the file; [`Self::read_application`] says what they are.
+    /// Ranges of the file with application data, in the order of the file; [`Self::read_application`] reads their
+    /// content.
     pub fn application_ranges(&self) -> Vec<Range<u64>> {
         self.application().map(|entry| entry.range.clone()).collect()
     }
 
-    /// Name and bytes of data of an application.
+    /// Name and content of one piece of application data.
     ///
-    /// - `index`: in [`Self::application_ranges`]
-    /// - `bytes`: those of its range
+    /// - `index`: position in [`Self::application_ranges`]
+    /// - `bytes`: the bytes of the range at `index`
+    /// - returns: the name, and the bytes after the name
     ///
     /// # Errors
-    /// [`DecodeError`] if they are damaged.
+    /// [`DecodeError::Format`] if the bytes are damaged.
     ///
     /// # Panics
-    /// If there are no such data.
+    /// If `index` is not below the number of [`Self::application_ranges`].
     pub fn read_application<'a>(&self, index: usize, bytes: &'a [u8]) -> Result<(String, &'a [u8]), DecodeError> {
         let mut entries = self.application();
         let entry = entries.nth(index).unwrap_or_else(|| panic!("data {index} of {}", self.application().count()));
@@ -329,7 +342,7 @@ impl Archive {
         Ok((cursor.text("name")?, cursor.rest()))
     }
 
-    /// Where data of applications lie, with their checksums.
+    /// Entries of the table of contents for application data.
     fn application(&self) -> impl Iterator<Item = &Entry> {
         self.entries.iter().filter(|e| e.tag == APPLICATION)
     }

@@ -1,9 +1,9 @@
-//! Symbols to bits and back: adaptive models of up to sixteen symbols, and an asymmetric numeral system
-//! (rANS) that spends on each symbol what its model says.
+//! Entropy coding (`docs/FORMAT.md`, "Symbols"): adaptive models of up to sixteen symbols, and an asymmetric numeral
+//! system (rANS).
 //!
-//! Everything is exact integer arithmetic, so that all machines agree. What is coded is written once, for
-//! both directions: code is generic over [`Coder`], gives it the symbol and goes on with the symbol that
-//! it returns, which a [`Decoder`] takes from the bytes.
+//! All arithmetic is exact and in integers, so that all machines agree. Code that is generic over [`Coder`] serves both
+//! directions: it passes a symbol to the coder and continues with the symbol that the coder returns. The [`Encoder`]
+//! returns the symbol that it was given, the [`Decoder`] ignores it and returns the symbol from the bytes.
 
 /// Symbols of a model.
 pub(super) const NUM_SYMBOLS: usize = 16;
@@ -38,14 +38,14 @@ const TARGETS: [[i32; NUM_SYMBOLS]; NUM_SYMBOLS] = {
 /// How likely each symbol is, learned from those before.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
-pub(super) struct Model {
+pub(super) struct SymbolModel {
     /// Of the symbols before each, ascending from 0; the last symbol ends at [`ONE`].
     cumulative: [i32; NUM_SYMBOLS],
     /// Symbols seen, and one.
     age: u32,
 }
 
-impl Model {
+impl SymbolModel {
     /// The first `num_symbols` are equally likely, the others next to impossible.
     pub(super) const fn new(num_symbols: usize) -> Self {
         let mut cumulative = [0; NUM_SYMBOLS];
@@ -88,7 +88,7 @@ impl Model {
 /// One direction of coding.
 pub(super) trait Coder {
     /// Codes a symbol below 16.
-    fn symbol(&mut self, model: &mut Model, symbol: u32) -> u32;
+    fn symbol(&mut self, model: &mut SymbolModel, symbol: u32) -> u32;
     /// Codes `count` bits, at most 15, as they are.
     fn bits(&mut self, count: u32, value: u32) -> u32;
     /// Whether there was nothing left to decode: what was returned since is worthless.
@@ -104,7 +104,7 @@ pub(super) struct Encoder {
 
 impl Coder for Encoder {
     #[inline(always)]
-    fn symbol(&mut self, model: &mut Model, symbol: u32) -> u32 {
+    fn symbol(&mut self, model: &mut SymbolModel, symbol: u32) -> u32 {
         let (start, length) = model.interval(symbol as usize);
         self.intervals.push((start as u16, length as u16));
         model.update(symbol as usize);
@@ -191,7 +191,7 @@ impl<'a> Decoder<'a> {
 
 impl Coder for Decoder<'_> {
     #[inline(always)]
-    fn symbol(&mut self, model: &mut Model, _: u32) -> u32 {
+    fn symbol(&mut self, model: &mut SymbolModel, _: u32) -> u32 {
         let symbol = model.symbol_at(self.state as u32 & ((1 << FREQUENCY_BITS) - 1));
         let (start, length) = model.interval(symbol);
         self.advance(start, length);
@@ -230,7 +230,7 @@ mod tests {
     #[test]
     fn models_stay_whole_whatever_they_see() {
         for symbols in [[0, 0], [15, 15], [0, 15], [7, 8]] {
-            let mut model = Model::new(16);
+            let mut model = SymbolModel::new(16);
             for i in 0..5000 {
                 model.update(symbols[i % 2]);
                 let lengths: u32 = (0..NUM_SYMBOLS).map(|s| model.interval(s).1).sum();
@@ -239,7 +239,7 @@ mod tests {
             }
         }
         for num_symbols in 1..=16 {
-            let model = Model::new(num_symbols);
+            let model = SymbolModel::new(num_symbols);
             assert!((0..NUM_SYMBOLS).all(|s| model.interval(s).1 > 0));
             let all: u32 = (0..num_symbols).map(|s| model.interval(s).1).sum();
             assert!(all > (1 << FREQUENCY_BITS) - 40);
@@ -248,9 +248,9 @@ mod tests {
 
     #[test]
     fn symbols_and_bits_come_back() {
-        type Step<'a> = &'a mut dyn FnMut(&mut Model, u32, u32, u32) -> (u32, u32);
+        type Step<'a> = &'a mut dyn FnMut(&mut SymbolModel, u32, u32, u32) -> (u32, u32);
         let code = |coder: Step<'_>| -> Vec<(u32, u32)> {
-            let mut models = vec![Model::new(16); 3];
+            let mut models = vec![SymbolModel::new(16); 3];
             numbers(5)
                 .take(20_000)
                 .enumerate()
@@ -282,7 +282,7 @@ mod tests {
     #[test]
     fn what_repeats_costs_next_to_nothing() {
         let mut encoder = Encoder::default();
-        let mut model = Model::new(16);
+        let mut model = SymbolModel::new(16);
         (0..100_000).for_each(|_| {
             encoder.symbol(&mut model, 3);
         });

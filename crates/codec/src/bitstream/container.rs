@@ -1,4 +1,5 @@
-//! Magic, version, table of contents and checksums around sections of bytes.
+//! The container of a file (`docs/FORMAT.md`, "Container"): magic, version, table of contents and checksums around
+//! sections. The content of a section is opaque here.
 
 use std::io::{Seek, SeekFrom, Write};
 
@@ -35,9 +36,9 @@ impl Part {
 /// Writes a file section after section, and in the end its table of contents.
 pub(super) struct Writer<'a, W> {
     file: &'a mut W,
-    /// Where the file begins.
+    /// Position of the file's first byte.
     start: u64,
-    /// As far as it is known.
+    /// Header and the entries of the sections written so far; the checksum is 0.
     header: Vec<u8>,
     num_sections: usize,
 }
@@ -103,7 +104,7 @@ fn header_bytes(num_sections: usize) -> usize {
     FIXED_BYTES + num_sections * ENTRY_BYTES
 }
 
-/// Of the header without its checksum.
+/// CRC-32 of the header without the field of the checksum.
 fn header_checksum(header: &[u8]) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(&header[..CHECKSUM_AT]);

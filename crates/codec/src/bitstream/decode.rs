@@ -1,4 +1,4 @@
-//! A whole file at once.
+//! Decoding of a whole file at once, into one [`CompactScene`].
 
 use tcgs_core::{Attribute, Layout};
 
@@ -11,13 +11,30 @@ use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 use crate::parallel;
 
-/// The scene in a `.tcgs` file.
+/// Decodes a whole `.tcgs` file: the inverse of [`encode`](crate::encode()).
 ///
-/// - `file`: all of it
+/// - `file`: all bytes of the file
+/// - `limits`: bounds on memory and counts
+///
+/// ```
+/// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, compress, decode, encode};
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let mut scene = DynamicGaussians::default();
+/// scene.push(Gaussians::zeros(3));
+/// let settings = CompressSettings::default();
+/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
+/// let file = encode(&compact)?;
+///
+/// let decoded = decode(&file, &DecodeLimits::default())?;
+/// assert_eq!(decoded.at(0).num_gaussians(), 3);
+/// assert!(decode(&file[..file.len() - 1], &DecodeLimits::default()).is_err()); // truncated
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
-/// [`DecodeError`] if the file is truncated, damaged, followed by other bytes, of another version, breaks
-/// a rule of the format, or asks for more than `limits` allow.
+/// - [`DecodeError::Format`] if the file is truncated, damaged, followed by other bytes, or breaks a rule of the format
+/// - [`DecodeError::Version`] if the file is of another version
+/// - [`DecodeError::Limit`] if decoding exceeds `limits`
 pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<CompactScene, DecodeError> {
     let mut archive = open_whole(file, limits)?;
     let bytes = |range: std::ops::Range<u64>| &file[range.start as usize..range.end as usize];
@@ -36,7 +53,7 @@ pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<CompactScene, Decode
     join(&archive, &segments)
 }
 
-/// An archive of which all is there.
+/// Opens a file of which all bytes are given; refuses a file that is truncated or followed by other bytes.
 pub(super) fn open_whole(file: &[u8], limits: &DecodeLimits) -> Result<Archive, DecodeError> {
     let invalid = |problem| end_of_file(file.len() as u64, problem);
     match Archive::open(file, limits)? {
@@ -46,12 +63,12 @@ pub(super) fn open_whole(file: &[u8], limits: &DecodeLimits) -> Result<Archive, 
     }
 }
 
-/// What is wrong with where a file ends.
+/// Error at the end of a file.
 pub(crate) fn end_of_file(length: u64, problem: &'static str) -> DecodeError {
     Cursor::new("file", length, &[]).invalid("end", problem)
 }
 
-/// One scene of all its segments.
+/// Joins all segments of a file into one scene, and checks the rules of the format.
 pub(super) fn join(archive: &Archive, segments: &[Segment]) -> Result<CompactScene, DecodeError> {
     let (head, shared) = (archive.head(), archive.shared());
     let attributes = parallel::map(Attribute::BASE.to_vec(), |a| join_tracks(archive, segments, a));
@@ -72,7 +89,7 @@ pub(super) fn join(archive: &Archive, segments: &[Segment]) -> Result<CompactSce
     })
 }
 
-/// All keypoints of an attribute.
+/// Joins the keypoints of an attribute over all segments; a keypoint that two segments share must be the same in both.
 fn join_tracks(archive: &Archive, segments: &[Segment], attribute: Attribute) -> Result<Tracks<i16>, DecodeError> {
     let (a, components) = (attribute.index(), attribute.components());
     let (plan, shared) = (&archive.head().plan, archive.shared());

@@ -1,4 +1,4 @@
-//! Symbols to bytes.
+//! Encoding of a compact scene as a `.tcgs` file.
 
 use std::io::{Cursor, Seek, Write};
 
@@ -17,7 +17,9 @@ use crate::compact::{CompactScene, Tracks};
 use crate::error::CompressError;
 use crate::limits::{Budget, DecodeLimits};
 
-/// The `.tcgs` file of a scene. The same scene gives the same bytes.
+/// Encodes a scene as a `.tcgs` file (`docs/FORMAT.md`). Equal scenes give equal bytes.
+///
+/// - returns: all bytes of the file; [`encode_to`] writes them to a file without holding all of them in memory
 ///
 /// ```
 /// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, compress, decode, encode};
@@ -31,15 +33,17 @@ use crate::limits::{Budget, DecodeLimits};
 /// ```
 ///
 /// # Errors
-/// [`CompressError`] if the scene breaks a rule of the format, such as a code outside its width, or is larger than the
-/// format can say.
+/// - [`CompressError::Scene`] if the scene breaks a rule of the format, such as a code outside its width
+/// - [`CompressError::Unsupported`] if the scene has columns beyond [`Attribute::BASE`]
+/// - [`CompressError::Count`] if the scene takes more sections or a longer section than the format holds
 pub fn encode(scene: &CompactScene) -> Result<Vec<u8>, CompressError> {
     encode_with(scene, &[])
 }
 
-/// [`encode`] with data of applications, which decoders that do not know them pass over.
+/// [`encode`] with application data, which decoders skip if they do not know the name.
 ///
-/// - `data`: for each the name of the application and any bytes; they lie near the start of the file
+/// - `data`: name and content of each piece of application data, such as cameras ([`write_views`](crate::write_views)).
+///   The file holds them near its start
 ///
 /// ```
 /// # use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, compress, decode, encode_with};
@@ -55,17 +59,19 @@ pub fn encode(scene: &CompactScene) -> Result<Vec<u8>, CompressError> {
 /// ```
 ///
 /// # Errors
-/// As [`encode`]; also if a name is longer than 65535 bytes or data are of 4 GiB.
+/// As [`encode`]; also [`CompressError::Count`] if a name is longer than 65535 bytes, or a name and its content
+/// together take 4 GiB or more.
 pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Result<Vec<u8>, CompressError> {
     let mut file = Cursor::new(Vec::new());
     encode_to(scene, data, &mut file)?;
     Ok(file.into_inner())
 }
 
-/// [`encode_with`] into a file, segment by segment: memory holds some segments of the bytes.
+/// [`encode_with`] into a file, segment by segment: memory holds the bytes of some segments at a time.
 ///
-/// - `file`: written from where it stands, and left at the end of what was written; after an error its content is of
-///   no use
+/// - `data`: as in [`encode_with`]
+/// - `file`: written from its current position, and left at the end of the written bytes; after an error its content is
+///   useless
 ///
 /// ```
 /// # use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress, encode_to, encode_with};
@@ -81,7 +87,7 @@ pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Result<Vec<u
 /// ```
 ///
 /// # Errors
-/// As [`encode_with`]; also if the file cannot be written.
+/// As [`encode_with`]; also [`CompressError::Io`] if the file cannot be written.
 pub fn encode_to<W: Write + Seek>(
     scene: &CompactScene,
     data: &[(&str, &[u8])],
@@ -148,7 +154,8 @@ fn share_times(tracks: &Tracks<i16>, components: usize) -> bool {
     (0..tracks.len()).all(|i| i % components == 0 || tracks.track(i).0 == tracks.track(i - 1).0)
 }
 
-/// Of all means at all times: between keypoints they lie between these.
+/// Bounding box of all means at all timesteps. Keypoints suffice: interpolated means lie between the means at
+/// keypoints.
 fn bounds(scene: &CompactScene) -> [[f32; 3]; 2] {
     let mut bounds = [[f32::MAX; 3], [f32::MIN; 3]];
     let mean = Attribute::Mean.index();
@@ -165,7 +172,7 @@ fn bounds(scene: &CompactScene) -> [[f32; 3]; 2] {
     if scene.num_gaussians() == 0 { [[0.0; 3]; 2] } else { bounds }
 }
 
-/// What all segments of a scene share, as a decoder finds it.
+/// The shared layers of a scene in the form in which a decoder holds them.
 fn shared_of(scene: &CompactScene, head: &Head) -> Shared {
     let mut shared = Shared { bit_map: scene.bit_map.clone(), ..Shared::default() };
     for attribute in Attribute::BASE {

@@ -1,4 +1,5 @@
-//! What an encoder chooses: weights of predictors and how codes are coded. A decoder reads the result.
+//! The encoder's choice of predictors for first codes: weights of least squares and the mode that takes the fewest
+//! bytes. The file holds the result, so a decoder does not need this module.
 
 use tcgs_core::Attribute;
 

@@ -1,4 +1,5 @@
-//! The sections `INFO` and `PLAN`: what is known before any symbol.
+//! The sections `INFO` and `PLAN` (`docs/FORMAT.md`): counts, provenance, layers, quantizers and predictors, which a
+//! decoder needs before any entropy-coded symbol.
 
 use std::ops::Range;
 
@@ -11,14 +12,14 @@ use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 use crate::quantize::{Quantizer, Quantizers};
 
-/// What is known before any symbol.
+/// Content of `INFO` and `PLAN`.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Head {
     pub(super) info: SceneInfo,
     pub(super) plan: Plan,
-    /// How many Gaussians each has.
+    /// `[layers]`: number of Gaussians of each layer.
     pub(super) layers: Vec<u32>,
-    /// As the file says; see [`Self::segment_length`].
+    /// `L` of the file; [`Self::segment_length`] is the length in effect.
     pub(super) segment_length: u32,
     /// Smallest and largest coordinates of means.
     pub(super) bounds: [[f32; 3]; 2],
@@ -29,7 +30,8 @@ impl Head {
         self.info.num_timesteps as usize
     }
 
-    /// Where nothing moves there is one segment: a file must not claim what it spends no byte on.
+    /// Length of the segments in timesteps. A scene without Gaussians or without an attribute that varies has one
+    /// segment of all timesteps: otherwise a few bytes could claim 65,536 segments.
     pub(super) fn segment_length(&self) -> usize {
         let moves = self.info.num_gaussians > 0 && self.plan.varies.contains(&true);
         if moves { self.segment_length as usize } else { self.num_timesteps() }

@@ -1,4 +1,4 @@
-//! What is in a file, for people.
+//! Description of a file for people: sections, sizes, checksums and statistics; and the application data of a file.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -12,68 +12,74 @@ use crate::compact::SceneInfo;
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 
-/// What [`inspect`] finds.
+/// Description of a file, made by [`inspect`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileInfo {
-    /// Of the format.
+    /// Version of the format.
     pub version: u16,
-    /// Length of the file.
+    /// Length of the file in bytes.
     pub bytes: u64,
-    /// In the order of the file.
+    /// All sections, in the order of the file.
     pub sections: Vec<SectionInfo>,
-    /// Timesteps and bytes of every segment.
+    /// For every segment its timesteps and its range of bytes in the file.
     pub segments: Vec<(Range<usize>, Range<u64>)>,
-    /// By layer: how many Gaussians it adds.
+    /// `[layers]`: number of Gaussians of each layer.
     pub layers: Vec<u32>,
-    /// Smallest and largest coordinates of means.
+    /// Axis-aligned bounding box of all means at all timesteps, in scene units: the smallest and the largest
+    /// coordinates.
     pub bounds: [[f32; 3]; 2],
-    /// What the sections say; none if one is damaged.
+    /// Statistics of the decoded scene; none if a section is damaged.
     pub contents: Option<Contents>,
 }
 
 /// One section of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SectionInfo {
-    /// Such as `maps`; that of an attribute's codes is [`Attribute::name`].
+    /// Name of the kind of section, such as `maps`; [`Attribute::name`] for a section with codes of an attribute.
     pub name: &'static str,
-    /// Which segment it belongs to; none if all share it.
+    /// Index of the segment that the section belongs to; none if all segments share the section.
     pub segment: Option<usize>,
-    /// Which layer it belongs to, if it belongs to any.
+    /// Index of the layer that the section belongs to; 0 if the section belongs to none.
     pub layer: usize,
-    /// Length without the table of contents.
+    /// Length of the section in bytes, without its entry in the table of contents.
     pub bytes: u64,
-    /// Whether its content is what was written.
+    /// Whether the CRC-32 of the section agrees with the table of contents.
     pub checksum_ok: bool,
 }
 
-/// What the sections of an undamaged file say.
+/// Statistics of the scene in an undamaged file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contents {
-    /// Counts and provenance.
+    /// Counts and provenance of the scene.
     pub info: SceneInfo,
-    /// By [`Attribute::index`]: how many Gaussians have each width.
+    /// By [`Attribute::index`]: the number of Gaussians of each width in use.
     pub bits_histogram: Vec<BTreeMap<u8, usize>>,
     /// By [`Attribute::index`]: mean number of keypoints of a track.
     pub keypoints_mean: Vec<f64>,
-    /// Size as plain 32-bit floats: [`crate::CompactScene::raw_bytes`].
+    /// Size as 32-bit floats, in bytes: [`crate::CompactScene::raw_bytes`].
     pub raw_bytes: u64,
-    /// Size in the paper's sparse form: [`crate::CompactScene::plain_bytes`].
+    /// Size in the paper's sparse form, in bytes: [`crate::CompactScene::plain_bytes`].
     pub plain_bytes: u64,
 }
 
 impl FileInfo {
-    /// Whether every section is what was written.
+    /// Whether the checksums of all sections are right.
     pub fn checksums_ok(&self) -> bool {
         self.sections.iter().all(|s| s.checksum_ok)
     }
 
-    /// By [`Attribute::index`]: bytes of the attribute's codes; bit widths and all else are shared.
+    /// By [`Attribute::index`]: total length of the sections with codes of the attribute, in bytes. Bit widths and all
+    /// else lie in other sections.
     pub fn bytes_by_attribute(&self) -> [u64; 5] {
         Attribute::BASE.map(|a| self.sections.iter().filter(|s| s.name == a.name()).map(|s| s.bytes).sum())
     }
 }
 
-/// Looks into a file. A section whose checksum is wrong is reported, not an error, but for those at its start.
+/// Describes a file. A wrong checksum is an error in the header, `INFO` and `PLAN`; in any other section it is reported
+/// by [`SectionInfo::checksum_ok`].
+///
+/// - `file`: all bytes of the file
+/// - `limits`: bounds on memory and counts
 ///
 /// ```
 /// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, compress, encode, inspect};
@@ -88,8 +94,10 @@ impl FileInfo {
 /// ```
 ///
 /// # Errors
-/// [`DecodeError`] if the header or one of the first two sections is damaged or of another version, the
-/// length is wrong, or an undamaged file breaks a rule of the format or asks for more than `limits` allow.
+/// - [`DecodeError::Format`] if the header, `INFO` or `PLAN` is damaged, the file is truncated or followed by other
+///   bytes, or a file of right checksums breaks a rule of the format
+/// - [`DecodeError::Version`] if the file is of another version
+/// - [`DecodeError::Limit`] if decoding exceeds `limits`
 pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeError> {
     let archive = open_whole(file, limits)?;
     let sections = archive.entries().iter().map(|entry| {
@@ -127,10 +135,26 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
     Ok(file_info)
 }
 
-/// Data that applications added to a file: for each its name and its bytes.
+/// Application data of a file, as [`encode_with`](crate::encode_with) wrote them.
+///
+/// - `file`: all bytes of the file
+/// - `limits`: bounds on memory and counts
+/// - returns: name and content of each piece, in the order of the file
+///
+/// ```
+/// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, application_data, compress, encode_with};
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let mut scene = DynamicGaussians::default();
+/// scene.push(Gaussians::zeros(3));
+/// let settings = CompressSettings::default();
+/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
+/// let file = encode_with(&compact, &[("notes", b"a red ball")])?;
+/// assert_eq!(application_data(&file, &DecodeLimits::default())?, [("notes".to_owned(), &b"a red ball"[..])]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
-/// [`DecodeError`] if the header or one of these sections is damaged.
+/// As [`inspect`] for the start of the file; also [`DecodeError::Format`] if a section of application data is damaged.
 pub fn application_data<'a>(file: &'a [u8], limits: &DecodeLimits) -> Result<Vec<(String, &'a [u8])>, DecodeError> {
     let archive = open_whole(file, limits)?;
     let of_range = |(index, range): (usize, Range<u64>)| {

@@ -1,10 +1,10 @@
-//! The keypoints of one attribute within a span of timesteps.
+//! Coding of the keypoints of one attribute within one segment (`docs/FORMAT.md`, "Segments"), for both directions.
 
 use std::ops::Range;
 
 use tcgs_core::Attribute;
 
-use super::coder::{Coder, Model};
+use super::coder::{Coder, SymbolModel};
 use super::neighbors::NONE;
 use super::number::{Numbers, floor, unzigzag, wrap, zigzag};
 use super::segment::Keypoints;
@@ -97,11 +97,11 @@ impl UnitTracks {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(super) enum Motion {
-    /// The same code.
+    /// The code before.
     Still = 0,
-    /// The code, moved as the neighbour moves.
+    /// The code before plus the change of the neighbour's code.
     Neighbor = 1,
-    /// On along the line through the two keypoints before.
+    /// Linear extrapolation from the two keypoints before.
     Line = 2,
     /// The mean of [`Self::Neighbor`] and [`Self::Line`].
     Mean = 3,
@@ -111,7 +111,7 @@ impl Motion {
     pub(super) const ALL: [Self; 4] = [Self::Still, Self::Neighbor, Self::Line, Self::Mean];
 }
 
-/// Which attribute of which Gaussians within which timesteps.
+/// The keypoints that one section holds: one attribute, one layer, one segment.
 pub(super) struct Scope<'a> {
     pub(super) plan: &'a Plan,
     pub(super) shared: &'a Shared,
@@ -121,7 +121,7 @@ pub(super) struct Scope<'a> {
     /// Timesteps.
     pub(super) span: Range<usize>,
     pub(super) num_timesteps: usize,
-    /// What keypoints may take.
+    /// Budget for the memory of keypoints.
     pub(super) budget: &'a Budget,
 }
 
@@ -154,7 +154,7 @@ pub(super) struct KeypointModels {
     place_of_width: [usize; 17],
     num_widths: usize,
     /// Number of inner keypoints and one, or [`HELD`].
-    counts: Vec<Model>,
+    counts: Vec<SymbolModel>,
     more: Numbers,
     before: Numbers,
     after: Numbers,
@@ -175,7 +175,7 @@ impl KeypointModels {
         Self {
             place_of_width,
             num_widths,
-            counts: vec![Model::new(16); components * NUM_COUNTS * NUM_COUNTS],
+            counts: vec![SymbolModel::new(16); components * NUM_COUNTS * NUM_COUNTS],
             more: Numbers::new(1),
             before: Numbers::new(1),
             after: Numbers::new(1),

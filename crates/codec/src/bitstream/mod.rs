@@ -1,15 +1,18 @@
-//! Between symbols and bytes: the `.tcgs` container, version 1 (`docs/FORMAT.md`).
+//! The `.tcgs` format, version 1 (`docs/FORMAT.md`): lossless conversion between a compact scene and the bytes of a
+//! file.
 //!
-//! - `container`, `section`: magic, version, table of contents, checksums; reading one field after another
-//! - `head`: what is known before any symbol
-//! - `coder`, `number`: adaptive entropy coding of symbols and numbers
-//! - `neighbors`, `shared`: layers: widths, first codes, predicted from Gaussians nearby
-//! - `keypoints`: segments: times and codes of keypoints, predicted from motion before and nearby
-//! - `encode`, `fit`: a scene to bytes
-//! - `archive`, `reader`, `segment`: parts of a file to codes and floats; `decode`, `push`: the whole
+//! - `container`, `section`: header, table of contents, checksums; a cursor over the fields of a section
+//! - `head`: the sections `INFO` and `PLAN`
+//! - `coder`, `number`: adaptive entropy coding (rANS) of symbols and numbers
+//! - `neighbors`, `shared`: the shared layers: widths and first codes, predicted from Gaussians nearby
+//! - `keypoints`: the sections of segments: times and codes of keypoints, predicted from earlier and neighbouring
+//!   motion
+//! - `encode`, `fit`: a compact scene to a file
+//! - `archive`, `reader`, `segment`: parts of a file to codes and floats
+//! - `decode`, `push`, `inspect`: a whole file at once, a file in pieces, a description of a file
 //!
-//! What `shared` and `keypoints` code is written once for both directions (see `coder`). Nothing outside
-//! this folder knows bytes.
+//! `shared` and `keypoints` describe the coded symbols once for both directions (see `coder`). Only this folder depends
+//! on the layout of a file.
 
 mod archive;
 mod coder;
@@ -40,5 +43,5 @@ pub use inspect::{Contents, FileInfo, SectionInfo, application_data, inspect};
 pub use push::{Decoder, Event};
 pub use segment::{Keypoints, Sampler, Segment};
 
-/// Version that is written, and the only one read.
+/// Version of the format that this crate writes, and the only version that it reads.
 pub const FORMAT_VERSION: u16 = 1;

@@ -1,4 +1,5 @@
-//! Which Gaussians, decoded before, lie near each one.
+//! For every Gaussian the two nearest of the Gaussians decoded before (`docs/FORMAT.md`, "Neighbours"), from which
+//! first codes and keypoints are predicted.
 
 use std::ops::Range;
 

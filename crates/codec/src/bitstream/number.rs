@@ -1,6 +1,7 @@
-//! Numbers of up to 16 bits as symbols.
+//! Coding of numbers of up to 16 bits as symbols of `coder` (`docs/FORMAT.md`, "Symbols": number,
+//! signed number, code).
 
-use super::coder::{Coder, Model};
+use super::coder::{Coder, SymbolModel};
 
 /// Below this a number is its own symbol.
 const DIRECT: u32 = 8;
@@ -12,17 +13,17 @@ const LARGE: u32 = 14;
 #[derive(Clone, Debug)]
 pub(super) struct Numbers {
     /// By context.
-    symbols: Vec<Model>,
+    symbols: Vec<SymbolModel>,
     /// Exponents of large numbers, less 6.
-    exponents: Model,
+    exponents: SymbolModel,
     /// By number of bits: the highest three or fewer.
-    leading: Vec<Model>,
+    leading: Vec<SymbolModel>,
 }
 
 impl Numbers {
     pub(super) fn new(num_contexts: usize) -> Self {
-        let leading = (0..16_u32).map(|bits| Model::new(1 << bits.min(3))).collect();
-        Self { symbols: vec![Model::new(16); num_contexts], exponents: Model::new(10), leading }
+        let leading = (0..16_u32).map(|bits| SymbolModel::new(1 << bits.min(3))).collect();
+        Self { symbols: vec![SymbolModel::new(16); num_contexts], exponents: SymbolModel::new(10), leading }
     }
 
     #[inline(always)]
@@ -91,9 +92,9 @@ pub(super) fn floor(x: f64) -> i32 {
 #[derive(Clone, Debug)]
 pub(super) struct Codes {
     /// By context.
-    high: Vec<Model>,
+    high: Vec<SymbolModel>,
     /// By context's class and highest bits.
-    middle: Vec<Model>,
+    middle: Vec<SymbolModel>,
     contexts_per_class: usize,
 }
 
@@ -101,8 +102,8 @@ impl Codes {
     /// - `contexts_per_class`: so many contexts that follow each other share the models of lower bits
     pub(super) fn new(num_contexts: usize, contexts_per_class: usize) -> Self {
         Self {
-            high: vec![Model::new(16); num_contexts],
-            middle: vec![Model::new(16); num_contexts / contexts_per_class * 16],
+            high: vec![SymbolModel::new(16); num_contexts],
+            middle: vec![SymbolModel::new(16); num_contexts / contexts_per_class * 16],
             contexts_per_class,
         }
     }

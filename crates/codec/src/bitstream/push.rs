@@ -1,4 +1,4 @@
-//! Bytes as they arrive.
+//! Push decoding: a file is decoded while its bytes arrive, in pieces of any size.
 
 use super::archive::{Archive, Opening};
 use super::container;
@@ -8,23 +8,24 @@ use super::segment::Segment;
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 
-/// What the bytes given to [`Decoder::push`] completed.
+/// A part of the file that the bytes given to [`Decoder::push`] completed. The parts come in the order of the variants.
 #[derive(Debug)]
 pub enum Event {
-    /// The start of the file: see [`Decoder::archive`].
+    /// The table of contents, `INFO` and `PLAN`: [`Decoder::archive`] is available from now on.
     Header,
-    /// A layer of what all segments share.
+    /// One more shared layer.
     Layer {
-        /// How many there are now.
+        /// Number of shared layers so far.
         layers: usize,
     },
-    /// A segment of the layers that arrived so far: comes once for each of its layers.
+    /// A segment with the layers that arrived so far. A segment comes once for each of its layers, each time with one
+    /// layer more.
     Segment(Box<Segment>),
     /// The file is complete.
     End,
 }
 
-/// Decodes a file from bytes that arrive in pieces; where it is cut does not matter.
+/// Push decoder: decodes a file from pieces of bytes. The events do not depend on where the file is cut.
 ///
 /// ```
 /// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, Decoder, Event, SceneInfo, compress, encode};
@@ -48,21 +49,23 @@ pub enum Event {
 /// ```
 pub struct Decoder {
     limits: DecodeLimits,
-    /// From `offset` of the file: what was not yet decoded.
+    /// Bytes from `offset` of the file that were not yet decoded.
     bytes: Vec<u8>,
     offset: u64,
-    /// Length from the start that the next step needs.
+    /// Number of bytes from the start of the file that the next step needs.
     needed: u64,
     archive: Option<Box<Archive>>,
-    /// Of the segment under way.
+    /// Reader of the segment of which some layers were decoded.
     reader: Option<SegmentReader>,
-    /// Groups of sections that were decoded.
+    /// Number of groups of sections (see [`Archive`]) that were decoded.
     groups: usize,
     finished: bool,
 }
 
 impl Decoder {
-    /// A decoder of one file.
+    /// A decoder of one file, which has received no bytes yet.
+    ///
+    /// - `limits`: bounds on memory and counts
     pub fn new(limits: DecodeLimits) -> Self {
         Self {
             limits,
@@ -76,11 +79,14 @@ impl Decoder {
         }
     }
 
-    /// Takes the next bytes and says what they complete.
+    /// Decodes the parts of the file that the next bytes complete.
+    ///
+    /// - `bytes`: the bytes of the file that follow those of the call before, any number
+    /// - returns: the parts, in the order of the file; none if `bytes` complete no part
     ///
     /// # Errors
-    /// [`DecodeError`] if the file is damaged, breaks a rule, asks for more than the limits allow, or was
-    /// complete already. The decoder is of no more use then.
+    /// [`DecodeError`] if the file is damaged, breaks a rule of the format, is of another version, exceeds the limits,
+    /// or was complete already. The decoder cannot be used after an error.
     pub fn push(&mut self, bytes: &[u8]) -> Result<Vec<Event>, DecodeError> {
         let mut events = Vec::new();
         self.bytes.extend_from_slice(bytes);
@@ -99,17 +105,19 @@ impl Decoder {
         Ok(events)
     }
 
-    /// What is known of the file since [`Event::Header`].
+    /// Table of contents and shared layers of the file; none before [`Event::Header`].
     pub fn archive(&self) -> Option<&Archive> {
         self.archive.as_deref()
     }
 
-    /// Whether the file is complete.
+    /// Whether all bytes of the file have arrived: [`Event::End`] was returned.
     pub fn is_finished(&self) -> bool {
         self.finished
     }
 
-    /// - returns: whether it got anywhere
+    /// Decodes the next part of the file, if its bytes have arrived.
+    ///
+    /// - returns: false if more bytes are needed
     fn step(&mut self, events: &mut Vec<Event>) -> Result<bool, DecodeError> {
         let Some(archive) = &mut self.archive else {
             match Archive::open(&self.bytes, &self.limits)? {
@@ -163,7 +171,7 @@ impl Decoder {
         Ok(self.wait_for_next())
     }
 
-    /// Sets what the next step needs.
+    /// Sets the number of bytes that the next step needs.
     fn wait_for_next(&mut self) -> bool {
         if let Some(archive) = &self.archive {
             let num_groups = archive.num_layers() * (1 + archive.num_segments());

@@ -1,4 +1,4 @@
-//! Layers of what all segments share, and of one segment, from the bytes of their sections.
+//! Decoding of one shared layer, or of one layer of a segment, from the bytes of its sections.
 
 use std::ops::Range;
 
@@ -20,7 +20,7 @@ use crate::parallel;
 pub(super) struct SharedModels {
     maps: MapModels,
     curve: CurveModels,
-    /// Of all attributes but means.
+    /// Models of first codes, of all attributes but means.
     others: Vec<FirstModels>,
 }
 
@@ -135,14 +135,14 @@ impl SegmentReader {
         results.into_iter().collect()
     }
 
-    /// What was read so far.
+    /// The segment of the layers read so far.
     pub(super) fn finish(self, archive: &Archive) -> Segment {
         let (segment, layers) = (self.segment, self.layers);
         let units = self.attributes.into_iter().map(|(attribute, _, units)| (attribute, units));
         segment_of(archive, segment, layers, units)
     }
 
-    /// A copy of what was read so far.
+    /// A copy of the segment of the layers read so far.
     pub(super) fn snapshot(&self, archive: &Archive) -> Result<Segment, DecodeError> {
         let bytes: usize = self.attributes.iter().map(|(_, _, units)| units.bytes()).sum();
         archive.budget().reserve("segment", bytes as u64, 1)?;

@@ -1,4 +1,4 @@
-//! Which sections a file has, and reading one field after another.
+//! Kinds of sections, entries of the table of contents, and a cursor that reads a section's fields one after another.
 
 use std::ops::Range;
 
@@ -71,7 +71,7 @@ impl Entry {
 /// Reads fields from the bytes of one section; never past its end.
 pub(super) struct Cursor<'a> {
     section: &'static str,
-    /// Of the section in the file.
+    /// Offset of the section in the file.
     offset: u64,
     bytes: &'a [u8],
     position: usize,
@@ -94,7 +94,7 @@ impl<'a> Cursor<'a> {
         Ok(taken)
     }
 
-    /// All that is left.
+    /// The bytes of the section that were not read yet.
     pub(super) fn rest(&mut self) -> &'a [u8] {
         let rest = &self.bytes[self.position..];
         self.position = self.bytes.len();
@@ -127,14 +127,14 @@ impl<'a> Cursor<'a> {
         self.array(field)
     }
 
-    /// A length in two bytes and so much text.
+    /// A text: its length in two bytes, then that many bytes of UTF-8.
     pub(super) fn text(&mut self, field: &'static str) -> Result<String, DecodeError> {
         let length = self.u16(field)?;
         let text = std::str::from_utf8(self.take(field, length.into())?);
         text.map(str::to_owned).map_err(|_| self.invalid(field, "not UTF-8"))
     }
 
-    /// One bit for each attribute.
+    /// A byte of one flag for each attribute.
     pub(super) fn attributes(&mut self, field: &'static str) -> Result<[bool; 5], DecodeError> {
         let bits = self.u8(field)?;
         if bits >> Attribute::BASE.len() > 0 {
@@ -143,7 +143,7 @@ impl<'a> Cursor<'a> {
         Ok(Attribute::BASE.map(|attribute| bits >> attribute.index() & 1 > 0))
     }
 
-    /// Nothing may be left.
+    /// Refuses a section with bytes left.
     pub(super) fn finish(self) -> Result<(), DecodeError> {
         if self.position == self.bytes.len() { Ok(()) } else { Err(self.invalid("end", "bytes are left over")) }
     }

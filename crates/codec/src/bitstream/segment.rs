@@ -1,4 +1,4 @@
-//! A segment: a span of timesteps that decodes alone. Its keypoints, and the floats between them.
+//! A decoded segment, and its conversion to floats at single timesteps (`docs/FORMAT.md`, "Reconstruction").
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -13,9 +13,10 @@ use crate::compact::{SceneInfo, unit_quat};
 use crate::keypoints::{fraction, lerp};
 use crate::quantize::Quantizers;
 
-/// Some timesteps of a scene, all of its Gaussians or those of the first layers.
+/// A decoded segment: a span of timesteps, of all Gaussians of the scene or of those of the first layers.
 ///
-/// Holds codes; [`Self::at`] and [`Sampler`] make floats of them.
+/// The segment holds codes at keypoints. [`Self::at`] gives one timestep as floats, a [`Sampler`] many timesteps
+/// faster.
 #[derive(Clone, Debug)]
 pub struct Segment {
     head: Arc<Head>,
@@ -44,22 +45,22 @@ impl Segment {
         &self.head.info
     }
 
-    /// Index of the segment in the file.
+    /// Index of the segment in the file, from 0.
     pub fn index(&self) -> usize {
         self.index
     }
 
-    /// Number of layers that were decoded.
+    /// Number of layers of the segment that were decoded.
     pub fn num_layers(&self) -> usize {
         self.num_layers
     }
 
-    /// Number of Gaussians of these layers; they are the first Gaussians of the scene.
+    /// Number of Gaussians of the decoded layers, which are the first Gaussians of the scene.
     pub fn num_gaussians(&self) -> usize {
         self.num_gaussians
     }
 
-    /// The timesteps of the segment: those for which [`Self::at`] gives values.
+    /// Timesteps of the scene that the segment spans.
     pub fn timesteps(&self) -> Range<usize> {
         self.head.span(self.index)
     }
@@ -68,22 +69,22 @@ impl Segment {
         &self.tracks[attribute.index()]
     }
 
-    /// Quantizers of the scene: which float a code stands for.
+    /// Quantizers of the scene, which give the float that a code stands for.
     pub fn quantizers(&self) -> &Quantizers {
         &self.head.plan.quantizers
     }
 
-    /// Keypoints of the units of an attribute that move, for callers that dequantise and interpolate themselves, such
-    /// as a GPU. None if the attribute does not vary.
+    /// Keypoints of the moving units of an attribute, for callers that dequantise and interpolate on their own, such as
+    /// a renderer on a GPU. None if the attribute does not vary.
     pub fn keypoints(&self, attribute: Attribute) -> Option<Keypoints<'_>> {
         let tracks = &self.tracks[attribute.index()];
         self.head.plan.varies[attribute.index()].then(|| tracks.as_keypoints())
     }
 
-    /// The units of an attribute that move, in the order of [`Self::keypoints`]; the same in every segment of as many
-    /// layers.
+    /// The moving units of an attribute, in the order of [`Self::keypoints`]. All segments with the same number of
+    /// layers have the same moving units.
     ///
-    /// - returns: index of the unit's first value in `[N * components]`, and the width of its codes
+    /// - returns: for each unit the index of its first value in `[N * components]`, and the width of its codes in bits
     pub fn moving_units(&self, attribute: Attribute) -> impl Iterator<Item = (u32, u8)> {
         let (a, components) = (attribute.index(), attribute.components());
         let channels = self.tracks[a].channels;
@@ -95,7 +96,8 @@ impl Segment {
         })
     }
 
-    /// Every track at its first keypoint in the file, in stored form; quaternions as they are, of any length.
+    /// Value of every track at its first keypoint, which lies at timestep 0 of the scene, in stored form. Quaternions
+    /// are not normalised.
     pub fn first(&self) -> Gaussians {
         let mut first = Gaussians::zeros(self.num_gaussians);
         for attribute in Attribute::BASE {
@@ -113,7 +115,10 @@ impl Segment {
         first
     }
 
-    /// One timestep as floats, in stored form; the same as [`crate::CompactScene::at`] gives of the whole.
+    /// One timestep as floats, in stored form: the same values as [`crate::CompactScene::at`] gives for the Gaussians
+    /// of the decoded layers. Dequantises the whole segment at each call; see [`Sampler`].
+    ///
+    /// - `timestep`: timestep of the scene
     ///
     /// # Panics
     /// If `timestep` is not within [`Self::timesteps`].
@@ -122,24 +127,26 @@ impl Segment {
         sampler.at(timestep).clone()
     }
 
-    /// Memory of the segment's keypoints, in bytes; the layers that all segments share are not counted.
+    /// Memory of the segment's keypoints, in bytes, without the shared layers.
     pub fn bytes(&self) -> usize {
         self.tracks.iter().map(UnitTracks::bytes).sum()
     }
 }
 
-/// Keypoints of the units of an attribute that move. A unit is what has keypoint times of its own: all components of
-/// the attribute of a Gaussian where they share their times, else one component.
+/// Keypoints of the moving units of an attribute, within one segment.
+///
+/// A unit is a group of tracks that share their keypoint times: the tracks of all components of an attribute of a
+/// Gaussian if these are joint, else one track.
 #[derive(Clone, Copy, Debug)]
 pub struct Keypoints<'a> {
-    /// Components of a unit.
+    /// Number of components of a unit.
     pub channels: usize,
-    /// `[units + 1]`; keypoints of unit `i` are `starts[i]..starts[i + 1]`.
+    /// `[units + 1]`; the keypoints of unit `i` are those of the indices `starts[i]..starts[i + 1]`.
     pub starts: &'a [u32],
-    /// `[keypoints]` timesteps; of a unit strictly increasing, the first at or before the segment's first one, the
-    /// last at or after its last one.
+    /// `[keypoints]` timesteps of the scene. Those of one unit are strictly increasing; the first is at or before the
+    /// segment's first timestep, the last at or after the segment's last timestep.
     pub times: &'a [u16],
-    /// `[keypoints, channels]`
+    /// `[keypoints, channels]` codes.
     pub codes: &'a [i16],
 }
 
@@ -158,19 +165,42 @@ struct Moving {
     values: Vec<f32>,
 }
 
-/// A segment as floats, one timestep after another: only what moves is computed anew.
+/// A segment as floats, one timestep after another.
+///
+/// The sampler dequantises all keypoints once. Each call of [`Self::at`] computes moving tracks only and starts its
+/// search for keypoints at those of the call before.
+///
+/// ```
+/// use tcgs_codec::{CompressSettings, DecodeLimits, Decoder, Event, Sampler, SceneInfo, encode};
+/// use tcgs_codec::{BitMap, compress};
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let mut scene = DynamicGaussians::default();
+/// (0..4).for_each(|_| scene.push(Gaussians::zeros(3)));
+/// let settings = CompressSettings::default();
+/// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
+///
+/// for event in Decoder::new(DecodeLimits::default()).push(&encode(&compact)?)? {
+///     if let Event::Segment(segment) = event {
+///         let mut sampler = Sampler::new(&segment);
+///         for timestep in segment.timesteps() {
+///             assert_eq!(sampler.at(timestep), &segment.at(timestep));
+///         }
+///     }
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Sampler {
     timesteps: Range<usize>,
     now: Gaussians,
     moving: Vec<Moving>,
-    /// Where the components of a rotation move apart: which Gaussians rotate.
+    /// `[rotating]` Gaussians that rotate, if the components of quaternions are separate units; else empty.
     rotating: Vec<u32>,
-    /// And all rotations before they are normalised.
+    /// `[N]` quaternions before they are normalised, if the components of quaternions are separate units; else empty.
     raw_quats: Vec<[f32; 4]>,
 }
 
 impl Sampler {
-    /// Dequantises a segment.
+    /// Dequantises all keypoints of a segment.
     pub fn new(segment: &Segment) -> Self {
         let mut now = segment.first();
         let varying = Attribute::BASE.into_iter().filter(|a| segment.head.plan.varies[a.index()]);
@@ -187,10 +217,11 @@ impl Sampler {
         Self { timesteps: segment.timesteps(), now, moving, rotating, raw_quats }
     }
 
-    /// One timestep; the same as [`Segment::at`]. Fastest where timesteps follow each other.
+    /// One timestep as floats, in stored form: the same values as [`Segment::at`] gives. Fastest if successive calls
+    /// ask for successive timesteps.
     ///
     /// # Panics
-    /// If `timestep` is not one of the segment.
+    /// If `timestep` is not within [`Segment::timesteps`].
     pub fn at(&mut self, timestep: usize) -> &Gaussians {
         assert!(self.timesteps.contains(&timestep), "timestep {timestep} of {:?}", self.timesteps);
         for moving in &mut self.moving {
@@ -239,9 +270,10 @@ impl Moving {
         of
     }
 
-    /// Writes what moves at a timestep.
+    /// Writes the values of the moving units at a timestep.
     ///
-    /// - `values`: of all Gaussians
+    /// - `values`: `[N * components]` values of the attribute
+    /// - `finish`: applied to each interpolated value before it is written
     fn write<const C: usize>(&mut self, timestep: usize, values: &mut [f32], finish: impl Fn([f32; C]) -> [f32; C]) {
         let keypoints = self.values.as_chunks::<C>().0;
         for (unit, (cursor, &place)) in self.cursors.iter_mut().zip(&self.places).enumerate() {

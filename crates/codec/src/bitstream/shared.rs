@@ -1,10 +1,11 @@
-//! What all segments share, layer by layer: widths, which tracks move, and the first code of every track.
+//! The shared layers (`docs/FORMAT.md`, "Shared layers"), which all segments need: widths, which tracks move, and the
+//! first code of every track.
 
 use std::ops::Range;
 
 use tcgs_core::Attribute;
 
-use super::coder::{Coder, Model};
+use super::coder::{Coder, SymbolModel};
 use super::neighbors::{NONE, Neighbors};
 use super::number::{Codes, Numbers, floor, unzigzag, wrap, zigzag};
 use crate::bits::BitMap;
@@ -56,7 +57,8 @@ impl Plan {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Predictor {
     pub(super) mode: Mode,
-    /// Of 1, the values of the nearest Gaussian, those of the next one, the components before.
+    /// Weights of the features: 1, the values of the nearest neighbour, the values of the second neighbour, the
+    /// components before.
     pub(super) weights: Vec<f32>,
 }
 
@@ -102,7 +104,7 @@ impl Shared {
         self.bit_map.num_gaussians()
     }
 
-    /// Makes room for the Gaussians of a layer.
+    /// Extends all arrays to the Gaussians of a layer.
     pub(super) fn extend(&mut self, plan: &Plan, layer: &Range<usize>) {
         for attribute in Attribute::BASE {
             let (a, components) = (attribute.index(), attribute.components());
@@ -151,15 +153,15 @@ fn coordinate(code: i16, width: u8) -> u16 {
 /// Models of widths and of which tracks move.
 #[derive(Debug)]
 pub(super) struct MapModels {
-    widths: Vec<Model>,
-    moves: Vec<Model>,
+    widths: Vec<SymbolModel>,
+    moves: Vec<SymbolModel>,
 }
 
 impl MapModels {
     pub(super) fn new() -> Self {
         Self {
-            widths: vec![Model::new(16); Attribute::BASE.len() * 17 * 17],
-            moves: vec![Model::new(2); Attribute::BASE.len() * MAX_COMPONENTS * 8],
+            widths: vec![SymbolModel::new(16); Attribute::BASE.len() * 17 * 17],
+            moves: vec![SymbolModel::new(2); Attribute::BASE.len() * MAX_COMPONENTS * 8],
         }
     }
 
@@ -206,20 +208,20 @@ impl MapModels {
 #[derive(Debug)]
 pub(super) struct CurveModels {
     /// Exponent of a gap, divided by 4, after the one before.
-    high: Vec<Model>,
+    high: Vec<SymbolModel>,
     /// The rest of it.
-    low: Vec<Model>,
+    low: Vec<SymbolModel>,
     /// Highest three bits below the leading one, by exponent.
-    leading: Vec<Model>,
+    leading: Vec<SymbolModel>,
     exponent: usize,
 }
 
 impl CurveModels {
     pub(super) fn new() -> Self {
         Self {
-            high: vec![Model::new(13); 13],
-            low: vec![Model::new(4); 13],
-            leading: vec![Model::new(8); 49],
+            high: vec![SymbolModel::new(13); 13],
+            low: vec![SymbolModel::new(4); 13],
+            leading: vec![SymbolModel::new(8); 49],
             exponent: 0,
         }
     }
@@ -365,7 +367,7 @@ impl FirstModels {
     }
 }
 
-/// What a first value is predicted from.
+/// Features of the linear prediction of a first value.
 pub(super) struct Features {
     components: usize,
     values: [f64; 3 * MAX_COMPONENTS + 1],
@@ -406,7 +408,7 @@ impl Features {
     }
 }
 
-/// What a code stands for, not rounded to 32 bits.
+/// Value of a code in f64, not rounded to f32.
 pub(super) fn value(quantizer: &Quantizer, code: i16) -> f64 {
     f64::from(code) * f64::from(quantizer.step) + f64::from(quantizer.offset)
 }

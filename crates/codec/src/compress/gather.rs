@@ -1,4 +1,4 @@
-//! Values over time, gathered from timesteps.
+//! Transposition of timesteps into tracks, with quaternions normalised and made sign-continuous over time.
 
 use tcgs_core::{Attribute, Gaussians, dot};
 

@@ -1,15 +1,17 @@
-//! From floats to symbols, in two readings of a scene.
+//! Lossy compression: from a scene of floats to a [`CompactScene`], in two passes over the timesteps.
 //!
-//! The first reading (`statistics`) finds what must be known of all timesteps: ranges, means over time, which columns
-//! vary, the first timestep. From it follow bit widths, tolerances, and which Gaussians stand still. The second reading
-//! (`reduce`) holds one segment of timesteps, and keeps keypoints of what moves. Quantizers are fitted to these.
+//! The first pass (`statistics`) collects ranges, means over time, the columns that vary, and the first timestep. Bit
+//! widths, tolerances and the choice of constant tracks follow from these. The second pass (`reduce`) holds one segment
+//! of timesteps at a time and selects the keypoints of moving tracks. Quantizers are then fitted to the keypoints.
 //!
-//! - `settings`: what a user may choose
-//! - `gather`: values over time from timesteps
-//! - `tolerances`: how far a track may be from its keypoints, and quantizers
-//! - `order`: who matters more, layers, and the curve along which Gaussians lie
+//! - `settings`: the settings of compression
+//! - `statistics`: the first pass
+//! - `gather`: tracks from timesteps
+//! - `tolerances`: tolerance of each track, and quantizers
+//! - `reduce`: the second pass
+//! - `order`: importance of Gaussians, layers, and Morton order
 //!
-//! Here: the steps one after another.
+//! This file calls the steps in their order. Entropy coding is the subject of `bitstream`.
 
 mod gather;
 mod order;
@@ -34,7 +36,11 @@ use crate::quantize::{Quantizers, check_bits};
 
 pub use self::settings::CompressSettings;
 
-/// Turns a scene into symbols: [`compress_ordered`] without the order.
+/// Compresses a scene in memory: [`compress_reader`] of `scene`, without the order of the Gaussians.
+///
+/// - `scene`: `T` timesteps of `N` Gaussians, in stored form
+/// - `bit_map`, `learned`, `info`, `settings`: as in [`compress_reader`]
+/// - returns: the compact scene; its Gaussians are in another order than those of `scene`
 ///
 /// ```
 /// use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress};
@@ -49,7 +55,7 @@ pub use self::settings::CompressSettings;
 /// ```
 ///
 /// # Errors
-/// As [`compress_ordered`].
+/// As [`compress_reader`].
 pub fn compress(
     scene: &DynamicGaussians,
     bit_map: &BitMap,
@@ -60,9 +66,21 @@ pub fn compress(
     Ok(compress_ordered(scene, bit_map, learned, info, settings)?.0)
 }
 
-/// Turns a scene in memory into symbols, as [`compress_reader`] does.
+/// Compresses a scene in memory: [`compress_reader`] of `scene`.
 ///
-/// - returns: the compact scene and its order
+/// - returns: the compact scene, and its order: Gaussian `i` of the compact scene is Gaussian `order[i]` of `scene`
+///
+/// ```
+/// use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress_ordered};
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let mut scene = DynamicGaussians::default();
+/// scene.push(Gaussians::zeros(3));
+/// let (map, info, settings) = (BitMap::uniform(3, 16, 6), SceneInfo::of(&scene), CompressSettings::default());
+/// let (_, mut order) = compress_ordered(&scene, &map, None, info, &settings)?;
+/// order.sort_unstable();
+/// assert_eq!(order, [0, 1, 2]); // a permutation
+/// # Ok::<(), tcgs_codec::CompressError>(())
+/// ```
 ///
 /// # Errors
 /// As [`compress_reader`].
@@ -77,21 +95,24 @@ pub fn compress_ordered(
     compress_columns(&mut &*scene, &varies, bit_map, learned, info, settings)
 }
 
-/// Turns a scene that is read a timestep at a time into symbols.
+/// Compresses a scene that is read a timestep at a time.
 ///
 /// Quaternions are normalised and made sign-continuous over time. Keypoints are selected for all components of an
-/// attribute together, segment by segment, or on every scalar track by itself (paper 4.1.3). Positions get quantizers
-/// that cover all of them; every other channel and width gets the learned quantizer, or a fitted one where the learned
-/// one errs far more on the values stored.
+/// attribute together and segment by segment ([`CompressSettings::joint`]), or for every track alone (paper 4.1.3).
+/// Quantizers of positions cover all positions. Every other component and width gets the learned quantizer, or a fitted
+/// quantizer ([`Quantizer::fit`](crate::Quantizer::fit)) if the learned one has more than twice the squared error of
+/// the fitted one on the keypoints.
 ///
-/// Where keypoints are selected segment by segment, which is the default, the scene is read twice, and memory holds
-/// one segment of its timesteps and the keypoints of what moves. Else it is read more often the larger it is.
+/// With [`CompressSettings::joint`], which is the default, the scene is read twice, and memory holds one segment of
+/// timesteps and the keypoints of moving tracks. Otherwise the scene is read once for the statistics and once for every
+/// group of Gaussians whose whole tracks fit into memory together.
 ///
-/// - `bit_map`: for the Gaussians of the scene, in its order
-/// - `learned`: quantizers from training; those for positions are not used
-/// - `info`: counts as the scene has them
-/// - returns: the compact scene, whose Gaussians lie in layers, in each along a Morton curve of their first
-///   positions; and that order: Gaussian `i` of the compact scene is `order[i]` of the scene
+/// - `reader`: `T` timesteps of `N` Gaussians, in stored form
+/// - `bit_map`: widths of the Gaussians, in the order of the scene; `settings` may change them
+/// - `learned`: quantizers from training, if any; those of positions are not used
+/// - `info`: counts of the scene, and provenance
+/// - returns: the compact scene, and its order: Gaussian `i` of the compact scene is Gaussian `order[i]` of the scene.
+///   The compact scene has the Gaussians in layers, and in each layer along a Morton curve of the first positions
 ///
 /// ```
 /// use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress, compress_reader};
@@ -106,9 +127,12 @@ pub fn compress_ordered(
 /// ```
 ///
 /// # Errors
-/// [`CompressError`] if a timestep cannot be read, the scene, `bit_map` and `info` disagree in a count, there is no
-/// timestep or more than 65536, a value is not finite, a width is not within 1 to 16, a setting is out of range, or
-/// values lie further apart than a quantizer can say.
+/// - [`CompressError::Read`] if the reader fails, [`CompressError::Layout`] if a timestep has other columns
+/// - [`CompressError::Count`] if the scene, `bit_map` and `info` disagree in a count
+/// - [`CompressError::Value`] if the number of timesteps is not within 1 to 65536, a width not within 1 to 16, or a
+///   setting out of range
+/// - [`CompressError::Gaussian`] if a value is not finite
+/// - [`CompressError::Quantizer`] if the range of the values overflows an `f32`
 pub fn compress_reader<R: SceneReader>(
     reader: &mut R,
     bit_map: &BitMap,
@@ -120,7 +144,8 @@ pub fn compress_reader<R: SceneReader>(
     compress_columns(reader, &varies, bit_map, learned, info, settings)
 }
 
-/// - `varies`: by [`Attribute::index`]: whether a column is known to vary; whether another one does is found by reading
+/// - `varies`: by [`Attribute::index`]: whether a column is known to vary; the first pass finds whether other columns
+///   do
 fn compress_columns<R: SceneReader>(
     reader: &mut R,
     varies: &[bool],

@@ -1,4 +1,5 @@
-//! Which Gaussians matter more, and in which order all are stored.
+//! Importance of Gaussians, estimated from the first timestep, and what follows from it: factors of tolerances, layers,
+//! and the order in which Gaussians are stored.
 
 use rayon::prelude::*;
 use tcgs_core::{Attribute, Gaussians};
@@ -8,7 +9,7 @@ use super::reduce::Reduced;
 use crate::morton;
 use crate::quantize::{MAX_BITS, Quantizers};
 
-/// What the tolerance of every Gaussian is multiplied by; empty if all are 1.
+/// `[N]` factors of the tolerances; empty if all factors are 1.
 ///
 /// An error moves a splat's image by about as much as the error's size times the slope of the splat. Squared
 /// and summed over its pixels that is, up to a constant, opacity squared, times the area for a colour, times

@@ -1,4 +1,5 @@
-//! From all values over time to keypoints, as floats.
+//! The second pass over a scene: selection of the keypoints of all tracks, as floats. Quantisation follows in the
+//! parent module.
 
 use rayon::prelude::*;
 use tcgs_core::{Attribute, SceneReader};
@@ -16,14 +17,14 @@ const TRACK_BYTES: usize = 256 << 20;
 
 /// Keypoints of one column.
 pub(super) enum Reduced {
-    /// Of every track by itself.
+    /// Each track has keypoints of its own.
     Apart {
         /// Tracks of a Gaussian.
         components: usize,
         /// `[N * components]`
         tracks: Tracks<f32>,
     },
-    /// The components of a Gaussian share theirs.
+    /// The components of an attribute of a Gaussian share their keypoints.
     Joint(JointKeypoints),
 }
 
@@ -218,13 +219,13 @@ struct Column<'a> {
     tolerances: &'a Tolerances<'a>,
     /// Gaussians of which it is not certain that they are constant.
     gaussians: Vec<u32>,
-    /// Of each of these: whether rounding decides.
+    /// `[gaussians]`: whether rounding errors could decide if the Gaussian is constant.
     uncertain: Vec<bool>,
     /// `[gaussians, components]` means over all timesteps.
     means: Vec<f32>,
-    /// `[gaussians, components]` sums of squared distances to these, of the uncertain ones.
+    /// `[gaussians, components]` sums of squared distances to `means`, of the uncertain Gaussians.
     errors: Vec<f64>,
-    /// Where [`gather`] goes on from.
+    /// Quaternions at the last timestep read, from which [`gather`] continues.
     rotations: Vec<[f32; 4]>,
     segments: Vec<SegmentKeypoints>,
 }
@@ -338,7 +339,7 @@ impl<'a> Column<'a> {
     }
 }
 
-/// Of the squared errors of a Gaussian's components.
+/// Factors of the squared errors of a Gaussian's components: the reciprocals of the tolerances.
 fn weights(tolerances: &Tolerances<'_>, gaussian: u32) -> Vec<f64> {
     tolerances.of(gaussian as usize).map(|t| 1.0 / f64::from(t).max(1e-30)).collect()
 }

@@ -1,4 +1,4 @@
-//! What a user may choose, and what it makes of the bit map.
+//! [`CompressSettings`], and the bit map and step of positions that follow from the settings.
 
 use tcgs_core::{Attribute, Column, Gaussians, RateGroup};
 
@@ -9,46 +9,59 @@ use crate::error::CompressError;
 use crate::quantize::MAX_BITS;
 
 /// Settings of [`compress`](super::compress()).
+///
+/// In `max_mse` and `coarser`, a column beyond [`Attribute::BASE`] uses the entry of the base attribute with the same
+/// learning rate.
+///
+/// ```
+/// use tcgs_codec::CompressSettings;
+/// let settings = CompressSettings { segment_length: Some(30), ..CompressSettings::default().with_quality(-1.0) };
+/// assert!(settings.max_mse[0] > CompressSettings::default().max_mse[0]);
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompressSettings {
-    /// Whether tracks are reduced to keypoints at all; if not, every timestep is stored and the other
-    /// settings do not matter. Default true.
+    /// Whether tracks are reduced to keypoints. If not, every timestep is stored, and `max_keypoints`, `max_mse`,
+    /// `constant_tracks`, `noise_floor`, `joint` and `importance` have no effect. Default true.
     pub keypoints: bool,
-    /// Most keypoints of a track, at least 2. Default 60: the tolerance should decide, and the most
-    /// restless colours of a long scene need more than the paper's 30.
+    /// Most keypoints of a track, or where `joint` of a track in each segment; a number below 2 counts as 2. Default
+    /// 60: the tolerance should decide, and the colours that change most in a long scene need more than the paper's 30.
     pub max_keypoints: usize,
-    /// By [`Attribute::index`]: mean squared error of a track at which selection stops, in the squared
-    /// unit of the attribute. Default 2.5e-6 for positions (1.6 mm in scenes in metres), 4e-5 for rotations
-    /// (0.7 degrees), 2e-4 for colours (3.6 of 255), 1e-4 for scales (1 percent) and 1e-3 for opacities (at
-    /// most 0.008 of 1): measured on basketball, finer ones cost bytes that do not show. The paper's is
-    /// 1e-5 for all. Those of attributes that do not vary are unused.
+    /// By [`Attribute::index`]: tolerance, the mean squared error of a track at which the selection of keypoints stops,
+    /// in the squared unit of the stored attribute, 0 or more. Unused for attributes that do not vary. Default 2.5e-6
+    /// for positions (1.6 mm in scenes in metres), 4e-5 for rotations (0.7 degrees), 1e-4 for scales (1 percent), 1e-3
+    /// for opacities (at most 0.008 of 1) and 2e-4 for colours (3.6 of 255): in measurements on basketball, smaller
+    /// tolerances cost bytes without a visible gain. 1e-5 for all attributes in the paper.
     pub max_mse: [f32; 5],
-    /// Whether a track within `max_mse` of its mean is stored as that one value rather than as a line
-    /// from first to last. Default true; most of a scene stands still. The paper keeps two keypoints.
+    /// Whether a track whose mean squared distance to its mean is within the tolerance is stored as the mean, with one
+    /// keypoint. Default true, since most of a scene is static. The paper keeps two keypoints.
     pub constant_tracks: bool,
-    /// Whether the tolerance is at least `(step/4)²`: an error below that of rounding to the
-    /// quantizer, `step²/12`, is not worth a keypoint. Default true; not in the paper.
+    /// Whether the tolerance is at least `(step/4)²` for the step of the track's quantizer: a keypoint that removes an
+    /// error below the quantisation error `step²/12` is a waste. Default true; not in the paper.
     pub noise_floor: bool,
-    /// Timesteps of a segment, 1 to 65536. Default none: 50, or of more than 60,000 Gaussians so few that a segment
-    /// decodes in about a twentieth of a second on one core.
+    /// Number of timesteps of a segment, 1 to 65536. Default none, which chooses 50 for a scene of up to 60,000
+    /// Gaussians, and fewer (at least 8) for a larger scene, so that a segment decodes in about 50 ms on one core.
     pub segment_length: Option<u32>,
-    /// Whether the components of an attribute of a Gaussian share their keypoint times, every segment has
-    /// keypoints of its own at its ends, and values at keypoints are those of least squared error rather
-    /// than samples. Default true; not in the paper.
+    /// Whether the components of an attribute of a Gaussian share their keypoint times. Keypoints are then selected
+    /// segment by segment, with keypoints at both ends of each segment, and their values are the least-squares fit
+    /// rather than samples of the track. Default true; not in the paper.
     pub joint: bool,
-    /// How the tolerance follows what a Gaussian's error does to images: the power of its weight by
-    /// opacity and size that the tolerance is divided by. Default 0.5; 0 in the paper.
+    /// Exponent `p` by which the tolerance depends on the Gaussian: the tolerance is divided by `w^p`, at most by 16
+    /// and at least by 1/16. The weight `w`, relative to the median over Gaussians, estimates from opacity and scales
+    /// how much an error changes images. Default 0.5; 0 (the same tolerance for all Gaussians) in the paper.
     pub importance: f32,
-    /// Gaussians of each layer but the last, as shares of all. Default a tenth and three tenths.
+    /// Number of Gaussians of each layer but the last as a share of `N`, 0 to 1; the last layer has the rest. Default
+    /// `[0.1, 0.3]`: three layers. Empty: one layer, as in the paper.
     pub layers: Vec<f32>,
-    /// By [`Attribute::index`]: bits by which widths of the bit map are lowered, to 2 at least; negative: raised,
-    /// to 16 at most. Of a fraction, those Gaussians that cover most of an image get the bit more. Default 2 for
-    /// rotations and 1 for opacities, which training gives as many as colours: on basketball that took 6 percent
-    /// off the file and 0.01 dB.
+    /// By [`Attribute::index`]: bits by which the widths of the bit map are lowered, to 2 at least; a negative number
+    /// raises widths, to 16 at most. A fraction applies to a share of the Gaussians: 0.25 lowers the width by one bit
+    /// for the quarter of the Gaussians that covers least of an image. Default 2 for rotations and 1 for opacities,
+    /// whose widths in training equal those of colours: on basketball that saves 6 percent of the file for 0.01 dB.
     pub coarser: [f32; 5],
-    /// If positive, positions get steps along all axes of the median Gaussian's middle axis (one standard deviation)
-    /// divided by this, and as many bits as that takes. Default 11; if 0, the bits that the bit map says, over the
-    /// range along each axis.
+    /// If positive, the number of steps of positions to a length typical of the scene's Gaussians: the step along all
+    /// axes is the median over Gaussians of the second largest scale (one standard deviation, in scene units) divided
+    /// by this number, and the width of positions follows from the step and the extent of the scene. If 0 or negative,
+    /// the width of positions is that of the bit map, and the codes cover the range along each axis. Default 11; 0 in
+    /// the paper.
     pub position_fineness: f32,
 }
 
@@ -71,7 +84,8 @@ impl Default for CompressSettings {
 }
 
 impl CompressSettings {
-    /// The paper's for Panoptic Sports: 30 keypoints, 1e-5 for everything.
+    /// The paper's settings for Panoptic Sports: at most 30 keypoints, tolerance 1e-5 for all attributes, none of this
+    /// crate's additions.
     pub fn paper() -> Self {
         Self {
             keypoints: true,
@@ -121,8 +135,10 @@ impl CompressSettings {
         })
     }
 
-    /// The same along one curve from small to good: quality 0 changes nothing, 1 about halves the errors, -1
-    /// doubles them. Files grow with it, by a fourth to a third for each 1.
+    /// These settings moved along one rate-distortion curve.
+    ///
+    /// - `quality`: 0 changes nothing; each step of 1 up about halves the errors, each step of 1 down about doubles
+    ///   them; any finite number. The file grows by a fourth to a third for each step up
     ///
     /// ```
     /// let finer = tcgs_codec::CompressSettings::default().with_quality(1.0);

@@ -1,4 +1,5 @@
-//! The first reading of a scene: what must be known of all timesteps before any track is reduced.
+//! The first pass over a scene: ranges, means and variances over time, and which columns vary. The second pass
+//! (`reduce`) needs these before it sees the first timestep.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -12,7 +13,7 @@ use crate::error::CompressError;
 /// Floats of timesteps that are held together while reading, in bytes, where a segment does not ask for more.
 const CHUNK_BYTES: usize = 64 << 20;
 
-/// What the first reading finds.
+/// Result of the first pass.
 pub(super) struct Statistics {
     /// The first timestep.
     pub(super) first: Gaussians,
@@ -24,7 +25,7 @@ pub(super) struct Statistics {
     uncertainty: f64,
 }
 
-/// Of one column.
+/// Statistics of one column.
 #[derive(Clone, Default)]
 pub(super) struct ColumnStatistics {
     /// Whether the column has a value for every timestep.
@@ -35,14 +36,14 @@ pub(super) struct ColumnStatistics {
     pub(super) samples: Vec<[f32; 3]>,
 }
 
-/// Of one track.
+/// Sums over the values of one track.
 #[derive(Clone, Copy)]
 struct Sums {
-    /// Of all values, added in the order of time.
+    /// Sum of all values, added in the order of time.
     values: f64,
-    /// Of differences to the first value.
+    /// Sum of differences to the first value.
     differences: f64,
-    /// Of their squares.
+    /// Sum of squared differences to the first value.
     squares: f64,
     first: f32,
 }
@@ -171,7 +172,8 @@ impl Statistics {
         (self.columns[attribute.index()].sums[track].values / self.num_timesteps as f64) as f32
     }
 
-    /// Whether the weighted sum of mean squared distances of a Gaussian's tracks to their means is at most their number.
+    /// Whether the weighted sum of mean squared distances of a Gaussian's tracks to their means is at most their
+    /// number.
     pub(super) fn stillness(&self, attribute: Attribute, gaussian: usize, weights: &[f64]) -> Stillness {
         let (components, count) = (attribute.components(), self.num_timesteps as f64);
         let (mut error, mut added) = (0.0, 0.0);
@@ -192,7 +194,7 @@ impl Statistics {
         }
     }
 
-    /// The same, but all that may count as constant is uncertain.
+    /// These statistics with every track that may count as constant marked uncertain.
     #[cfg(test)]
     #[cfg(test)]
     pub(super) fn all_uncertain(self) -> Self {

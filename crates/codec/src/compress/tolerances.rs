@@ -1,4 +1,5 @@
-//! How far a track may be from the line through its keypoints, and the quantizers of what is kept.
+//! Tolerance of each track, the mean squared error allowed between the track and its keypoints, and quantizers for the
+//! values at keypoints.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +23,7 @@ pub(super) struct Tolerances<'a> {
 }
 
 impl<'a> Tolerances<'a> {
-    /// Of a column that varies.
+    /// Tolerances of the tracks of a column that varies.
     pub(super) fn new(
         statistics: &Statistics,
         column: &Column,
@@ -47,7 +48,7 @@ impl<'a> Tolerances<'a> {
         Ok(Self { widths, by_width, factors: tolerance_factors(&statistics.first, attribute, settings) })
     }
 
-    /// By component.
+    /// `[components]` tolerances of the tracks of a Gaussian.
     pub(super) fn of(&self, gaussian: usize) -> impl Iterator<Item = f32> {
         let factor = self.factors.get(gaussian).copied().unwrap_or(1.0);
         let by_channel = &self.by_width[usize::from(self.widths[gaussian])];

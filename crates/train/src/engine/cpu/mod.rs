@@ -36,7 +36,7 @@ pub struct StepGrads {
 }
 
 /// What one forward chain leaves for the backward one.
-struct Chain {
+struct DrawnChain {
     quantized: Option<Gaussians>,
     drawn: Activated,
     /// Scales and opacities before the mask, if there is one.
@@ -50,7 +50,7 @@ pub fn drawn(state: &State, mask: &MaskConfig, with_segmentation: bool) -> Activ
 }
 
 /// The forward chain: quantised (if on), activated, and what is drawn.
-fn chain(state: &State, mask_config: &MaskConfig, with_segmentation: bool) -> Chain {
+fn chain(state: &State, mask_config: &MaskConfig, with_segmentation: bool) -> DrawnChain {
     let p = &state.parameters;
     let quantized = state.quantizers.as_ref().map(|q| q.forward(&p.gaussians));
     let mut drawn = activate(quantized.as_ref().unwrap_or(&p.gaussians));
@@ -77,7 +77,7 @@ fn chain(state: &State, mask_config: &MaskConfig, with_segmentation: bool) -> Ch
             });
         (drawn.colors, drawn.num_channels) = (colors, 5);
     }
-    Chain { quantized, drawn, unmasked }
+    DrawnChain { quantized, drawn, unmasked }
 }
 
 /// The optimisation on the CPU. Every step is computed at once.
@@ -108,7 +108,7 @@ impl CpuEngine {
     fn timed_forward_backward(&mut self, step: &Step<'_>, laps: &mut Laps) -> (LossTerms, StepGrads) {
         let target = &self.targets[step.camera];
         let with_segmentation = target.image.num_channels == 5;
-        let Chain { quantized, drawn, unmasked } = chain(&self.state, step.mask, with_segmentation);
+        let DrawnChain { quantized, drawn, unmasked } = chain(&self.state, step.mask, with_segmentation);
         let p = &self.state.parameters;
         let settings = RenderSettings::default();
         laps.lap("activate");

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use tcgs_render::device::Capacity;
 use tcgs_render::gpu::{Gpu, GpuError};
 
-use super::model::Model;
 use super::motion_prior::{MotionPriorKernels, PriorBuffers, prior_rows};
 use super::passes::Passes;
+use super::state_buffers::StateBuffers;
 use super::targets::Targets;
 use crate::neighbors::Neighbors;
 use crate::state::State;
@@ -25,7 +25,7 @@ pub(super) struct Motion {
 #[derive(Debug)]
 pub(super) struct Loaded {
     /// The state, and gradients.
-    pub model: Model,
+    pub model: StateBuffers,
     /// From the second timestep on.
     pub motion: Option<Motion>,
 }
@@ -56,7 +56,7 @@ impl Memory {
         };
         let mut loaded = match loaded {
             Some(loaded) => loaded,
-            None => Loaded { model: Model::new(gpu, state)?, motion: None },
+            None => Loaded { model: StateBuffers::new(gpu, state)?, motion: None },
         };
         let has_new_motion = loaded.upload_past(gpu, state)?;
         loaded.model.write(gpu, state);

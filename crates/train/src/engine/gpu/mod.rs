@@ -15,9 +15,9 @@ mod adam;
 mod fake_quant;
 mod image_loss;
 mod memory;
-mod model;
 mod motion_prior;
 mod passes;
+mod state_buffers;
 mod sums;
 mod targets;
 #[cfg(test)]
@@ -31,8 +31,8 @@ use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
 
 use self::memory::Memory;
-use self::model::REPORT;
 use self::passes::STAGES;
+use self::state_buffers::REPORT;
 use self::targets::Targets;
 use super::cpu::drawn;
 use super::device::{InFlight, LOSS_VALUES, Mirror, StepUniform, ViewPlace, count_updates, losses_of};

@@ -7,8 +7,8 @@ use super::activate::{ActivateBuffers, ActivateKernels};
 use super::adam::{AdamBuffers, AdamKernel};
 use super::fake_quant::FakeQuantKernels;
 use super::image_loss::{ImageLossBuffers, ImageLossKernels};
-use super::model::Model;
 use super::motion_prior::MotionPriorKernels;
+use super::state_buffers::StateBuffers;
 use super::sums::{SumsBuffers, SumsKernel};
 use super::targets::Targets;
 
@@ -42,7 +42,7 @@ impl Passes {
     /// - `prior_partials`: of the losses on motion; any buffer where there are none
     pub fn new(
         gpu: &Gpu,
-        model: &Model,
+        model: &StateBuffers,
         targets: &Targets,
         capacity: Capacity,
         prior_partials: &wgpu::Buffer,

@@ -14,7 +14,7 @@ pub(super) const REPORT: usize = 64;
 
 /// What outlives an iteration, and gradients.
 #[derive(Debug)]
-pub(super) struct Model {
+pub(super) struct StateBuffers {
     pub packing: Packing,
     pub num_gaussians: usize,
     pub num_cameras: usize,
@@ -36,7 +36,7 @@ pub(super) struct Model {
     pub losses: wgpu::Buffer,
 }
 
-impl Model {
+impl StateBuffers {
     /// Memory for a state of this shape; nothing is written yet but what never changes.
     pub fn new(gpu: &Gpu, state: &State) -> Result<Self, GpuError> {
         let n = state.parameters.num_gaussians();
