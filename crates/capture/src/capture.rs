@@ -83,6 +83,9 @@ impl Capture {
     /// As [`Self::open`].
     pub fn open_unseen(path: &Path) -> Result<Self, CaptureError> {
         let (kind, contents) = kinds::open(path)?;
+        if contents.num_frames == 0 {
+            return Err(CaptureError::invalid(path, "has no frames, expected at least one"));
+        }
         Ok(Self::of_contents(path.into(), kind, kind.facts, contents))
     }
 

@@ -33,6 +33,16 @@ pub enum RateGroup {
     Color,
 }
 
+impl Activation {
+    /// Every activation; files name one by its variant.
+    pub const ALL: [Self; 4] = [Self::Identity, Self::Normalize, Self::Exp, Self::Sigmoid];
+}
+
+impl RateGroup {
+    /// Every group; files name one by its variant.
+    pub const ALL: [Self; 5] = [Self::Mean, Self::Quat, Self::LogScale, Self::LogitOpacity, Self::Color];
+}
+
 /// One column of a [`Layout`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Column {
@@ -167,6 +177,23 @@ impl Layout {
     /// Scalars of one Gaussian in the columns before `attribute`.
     pub fn offset(&self, attribute: Attribute) -> usize {
         self.columns[..attribute.index()].iter().map(Column::components).sum()
+    }
+
+    /// Size as plain 32-bit floats of a scene in which nothing varies but what the layout lets vary: of the five columns
+    /// of [`Attribute::BASE`] `N * (40 * T + 16)`.
+    ///
+    /// ```
+    /// assert_eq!(tcgs_core::Layout::base().raw_bytes(10, 3), 10 * (40 * 3 + 16));
+    /// ```
+    pub fn raw_bytes(&self, num_gaussians: usize, num_timesteps: usize) -> u64 {
+        let samples = |column: &Column| if column.varies { num_timesteps } else { 1 };
+        let per_gaussian: usize = self.columns.iter().map(|column| 4 * column.components() * samples(column)).sum();
+        num_gaussians as u64 * per_gaussian as u64
+    }
+
+    /// The first column that is none of [`Attribute::BASE`], if there is one: what formats of five columns cannot hold.
+    pub fn further(&self) -> Option<&Column> {
+        self.columns.get(Attribute::BASE.len())
     }
 
     /// Whether there is no column but those of [`Attribute::BASE`].

@@ -5,7 +5,7 @@ use std::io::{self, BufWriter, Seek, Write};
 use std::ops::Range;
 use std::path::Path;
 
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians};
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians, SceneReader};
 use tcgs_interchange::{ParamsExtras, ParamsOrigin, write_params_npz_to, write_ply_to};
 
 use crate::observe::tell;
@@ -44,11 +44,19 @@ impl<'a> Export<'a> {
     /// Decides which Gaussians stay.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if none stays; [`PipelineError`] if a file of the scene is damaged.
+    /// [`PipelineError::Input`] if none stays, or the scene has a column that no other program's files hold; [`PipelineError`] if a file of the scene is damaged.
     pub fn new(scene: &'a OpenScene) -> Result<Self, PipelineError> {
         let keep = kept_gaussians(scene, None)?;
         if keep.is_empty() {
             return Err(PipelineError::input(scene.path.display(), "has no Gaussians", "at least one"));
+        }
+        if let Some(column) = scene.layout().further() {
+            let found = format!("has the column {}, which neither a params.npz nor PLY files hold", column.name);
+            return Err(PipelineError::input(
+                scene.path.display(),
+                found,
+                "means, quats, log_scales, logit_opacities and colors",
+            ));
         }
         Ok(Self { scene, keep })
     }

@@ -166,7 +166,7 @@ impl OpenScene {
         let num_gaussians = tcgs_interchange::read_ply(&files.files[0], higher_harmonics)?.num_gaussians();
         Ok(Self {
             path: path.into(),
-            bytes: raw_bytes(num_gaussians, files.files.len()),
+            bytes: Layout::base().raw_bytes(num_gaussians, files.files.len()),
             first_frame: files.first_frame.unwrap_or(0) as usize,
             downscale: 1,
             frame_rate: 30.0,
@@ -216,7 +216,7 @@ impl OpenScene {
             downscale: info.downscale as usize,
             frame_rate: f64::from(info.frame_rate),
             bytes: bytes.len() as u64,
-            layout: Layout::base(),
+            layout: Arc::clone(&compact.layout),
             content: Content::Symbols(Box::new(compact)),
         })
     }
@@ -239,7 +239,7 @@ impl OpenScene {
             first_frame: data.first_frame,
             downscale: data.downscale,
             frame_rate: data.frame_rate,
-            bytes: raw_bytes(first.parameters.num_gaussians(), num_timesteps),
+            bytes: first.parameters.gaussians.layout().raw_bytes(first.parameters.num_gaussians(), num_timesteps),
             layout: Arc::clone(first.parameters.gaussians.layout()),
             content: Content::Run(Box::new(RunContent { run, first, num_timesteps })),
         })
@@ -255,7 +255,7 @@ impl OpenScene {
 
     /// The same scene with the symbols of a compression.
     pub fn with_symbols(&self, compact: CompactScene) -> Self {
-        self.with(Layout::base(), Content::Symbols(Box::new(compact)))
+        self.with(Arc::clone(&compact.layout), Content::Symbols(Box::new(compact)))
     }
 
     fn with(&self, layout: Arc<Layout>, content: Content) -> Self {
@@ -463,11 +463,6 @@ impl SceneReader for OpenScene {
     fn at(&mut self, timestep: usize) -> Result<Gaussians, PipelineError> {
         OpenScene::at(self, timestep)
     }
-}
-
-/// Bytes of a scene of floats whose scales and opacities stand still.
-pub(crate) fn raw_bytes(num_gaussians: usize, num_timesteps: usize) -> u64 {
-    num_gaussians as u64 * (40 * num_timesteps as u64 + 16)
 }
 
 enum Kind {

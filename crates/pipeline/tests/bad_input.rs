@@ -7,18 +7,19 @@ mod support;
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use support::{files, open};
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_codec::{CompressSettings, DecodeLimits, inspect};
-use tcgs_core::{DynamicGaussians, Gaussians, Tour};
+use tcgs_core::{Attribute, Column, DynamicGaussians, Gaussians, Layout, Tour};
 use tcgs_interchange::write_ply_to;
 use tcgs_pipeline::{
     Backend, CameraAt, CompressOptions, EvaluateSettings, Event, Export, Fault, HasFault, Judge, JudgeImages,
     OpenScene, OpenSettings, PipelineError, PrunedScene, Target, Unobserved, compress_scene, evaluate, fit,
     new_trainer, read_camera_path, render, search, settings_for,
 };
-use tcgs_train::{Preset, Run};
+use tcgs_train::{Checkpoint, Optimizer, Preset, Run, TrainConfig};
 
 /// Asserts that an error is the input's fault and one line with these words.
 #[track_caller]
@@ -257,4 +258,27 @@ fn a_start_from_few_points_is_told() {
     })
     .unwrap();
     assert!(matches!(told[..], [(66, 67..)]), "{told:?}");
+}
+
+#[test]
+fn a_run_with_a_column_that_no_format_holds_is_refused_by_name() {
+    let old = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/run/checkpoints/000000.npz"));
+    let mut checkpoint = Checkpoint::load(old, None, true).unwrap();
+    let mut layout = Layout::default();
+    layout.push("wetness", 2, Column::like(Attribute::Color));
+    let gaussians = std::mem::take(&mut checkpoint.parameters.gaussians).extended(&Arc::new(layout.clone()));
+    checkpoint.parameters.gaussians = gaussians;
+    checkpoint.quantizers = None;
+    checkpoint.optimizer = Optimizer::new(&checkpoint.parameters, 0);
+    let folder = tempfile::tempdir().unwrap();
+    let run = Run::create(&folder.path().join("run"), &TrainConfig::default()).unwrap();
+    run.save(0, &checkpoint).unwrap();
+
+    let scene = open(run.folder());
+    assert_eq!(scene.bytes, layout.raw_bytes(checkpoint.parameters.num_gaussians(), 1));
+    assert_eq!(*scene.at(0).unwrap().layout(), Arc::new(layout));
+    refused(Export::new(&scene).map(|_| ()), &["wetness", "params.npz"]);
+    let options = CompressOptions { bits: Some((6, 6)), ..CompressOptions::default() };
+    let error = compress_scene(&scene, &options).err().unwrap().to_string();
+    assert!(error.contains("wetness") && error.contains("format 1"), "{error}");
 }

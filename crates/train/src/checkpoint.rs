@@ -151,13 +151,10 @@ fn table_of(layout: &Layout) -> String {
 /// The layout that [`table_of`] says; none if a line is not one of its.
 fn layout_of(table: &str) -> Option<Layout> {
     let named = |word: &str| -> Option<Activation> {
-        let all = [Activation::Identity, Activation::Normalize, Activation::Exp, Activation::Sigmoid];
-        all.into_iter().find(|activation| format!("{activation:?}") == word)
+        Activation::ALL.into_iter().find(|activation| format!("{activation:?}") == word)
     };
-    let rate = |word: &str| -> Option<RateGroup> {
-        let all = [RateGroup::Mean, RateGroup::Quat, RateGroup::LogScale, RateGroup::LogitOpacity, RateGroup::Color];
-        all.into_iter().find(|rate| format!("{rate:?}") == word)
-    };
+    let rate =
+        |word: &str| -> Option<RateGroup> { RateGroup::ALL.into_iter().find(|rate| format!("{rate:?}") == word) };
     let mut layout = Layout::default();
     for line in table.lines() {
         let words: Vec<&str> = line.split('\t').collect();

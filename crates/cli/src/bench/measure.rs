@@ -141,10 +141,11 @@ fn drawing<'a>(
             let mut profiler = tcgs_render::gpu::RenderProfiler::new(gpu, drawn, cameras, backward)?;
             Ok(Box::new(move |camera| Ok((profiler.sample(camera)?, profiler.counts()?))))
         }
-        _ => {
+        Backend::Cpu => {
             let _ = cameras;
             Ok(Box::new(move |camera| Ok(render_on_cpu(drawn, camera, backward))))
         }
+        _ => anyhow::bail!("the stages of drawing on this device cannot be timed"),
     }
 }
 

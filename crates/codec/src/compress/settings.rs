@@ -207,13 +207,15 @@ impl CompressSettings {
     /// Where `max_mse` and `coarser` have the value of a column: a further one is treated as the column of
     /// [`Attribute::BASE`] with the same rate of learning.
     pub(super) fn place_of(column: &Column) -> usize {
-        match (column.attribute, column.rate) {
-            (Attribute::Extra { .. }, RateGroup::Mean) => Attribute::Mean,
-            (Attribute::Extra { .. }, RateGroup::Quat) => Attribute::Quat,
-            (Attribute::Extra { .. }, RateGroup::LogScale) => Attribute::LogScale,
-            (Attribute::Extra { .. }, RateGroup::LogitOpacity) => Attribute::LogitOpacity,
-            (Attribute::Extra { .. }, RateGroup::Color) => Attribute::Color,
-            (base, _) => base,
+        match column.attribute {
+            Attribute::Extra { .. } => match column.rate {
+                RateGroup::Mean => Attribute::Mean,
+                RateGroup::Quat => Attribute::Quat,
+                RateGroup::LogScale => Attribute::LogScale,
+                RateGroup::LogitOpacity => Attribute::LogitOpacity,
+                RateGroup::Color => Attribute::Color,
+            },
+            base => base,
         }
         .index()
     }

@@ -6,7 +6,6 @@ use std::sync::Arc;
 use tcgs_codec::{BitMap, CompactScene, CompressSettings, Quantizers, SceneInfo, compress, compress_reader};
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
 
-use crate::scene::raw_bytes;
 use crate::{OpenScene, PipelineError};
 
 /// The Gaussians that stay.
@@ -36,7 +35,7 @@ impl Kept<'_> {
     pub fn raw_bytes(&self) -> u64 {
         match self {
             Self::InMemory(floats) => floats.raw_bytes(),
-            Self::OnDisk { scene, keep } => raw_bytes(keep.len(), scene.num_timesteps()),
+            Self::OnDisk { scene, keep } => scene.layout().raw_bytes(keep.len(), scene.num_timesteps()),
         }
     }
 

@@ -13,7 +13,7 @@ use tcgs_codec::{
     BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS,
     encode_with, inspect,
 };
-use tcgs_core::{Attribute, DynamicGaussians};
+use tcgs_core::{Attribute, DynamicGaussians, SceneReader};
 
 use self::bits::measured_bits;
 use self::kept::Kept;
@@ -250,7 +250,8 @@ fn bits(
         (None, Some((bit_map, _))) => (bit_map.select(keep), "bits: learned by the run".into()),
         (Some((min, max)), _) if min == max => {
             let position_bits = options.position_bits.unwrap_or(tcgs_codec::BitSettings::default().position_bits);
-            (BitMap::uniform(kept.num_gaussians(), position_bits, min), format!("bits: {min} for every parameter"))
+            let bit_map = BitMap::uniform_of(SceneReader::layout(scene), kept.num_gaussians(), position_bits, min);
+            (bit_map, format!("bits: {min} for every parameter"))
         }
         _ => measured_bits(scene, kept, options)?,
     };
@@ -279,11 +280,12 @@ fn info(scene: &OpenScene, kept: &Kept, up: UpAxis) -> SceneInfo {
 
 /// Training may leave a value that nobody saw.
 fn check_finite(scene: &OpenScene, floats: &DynamicGaussians) -> Result<(), PipelineError> {
-    for attribute in Attribute::BASE {
+    for column in floats.layout().columns() {
+        let attribute = column.attribute;
         for timestep in 0..floats.num_samples(attribute) {
             let values = floats.values(attribute, timestep);
             if let Some(i) = values.iter().position(|x| !x.is_finite()) {
-                let (name, value, gaussian) = (attribute.name(), values[i], i / attribute.components());
+                let (name, value, gaussian) = (&column.name, values[i], i / attribute.components());
                 let found = format!("{name} of Gaussian {gaussian} at timestep {timestep} is {value}");
                 return Err(PipelineError::input(scene.path.display(), found, "a finite number"));
             }
