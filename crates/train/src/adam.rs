@@ -21,7 +21,7 @@ pub struct Moments {
     pub first: Vec<f32>,
     /// `[values]` running mean of its square.
     pub second: Vec<f32>,
-    /// Updates so far.
+    /// Number of updates so far.
     pub step: u64,
 }
 
@@ -31,8 +31,10 @@ impl Moments {
         Self { first: vec![0.0; len], second: vec![0.0; len], step: 0 }
     }
 
-    /// Forgets the moments, and the count only if asked to. The reference keeps the count at every
-    /// timestep: the bias is then no longer corrected, and the first step is about 3.2 times the rate.
+    /// Sets the moments to zero.
+    ///
+    /// - `count_too`: whether to set the count of updates to zero as well. The reference keeps the count at every
+    ///   timestep: the bias is then no longer corrected, and the first step is about 3.2 times the rate.
     pub fn clear(&mut self, count_too: bool) {
         if count_too {
             self.step = 0;
@@ -41,7 +43,7 @@ impl Moments {
         self.second.fill(0.0);
     }
 
-    /// Moments of single values taken from `rows`; a new one starts from zero.
+    /// Reorders the moments as `rows` says, with one value per Gaussian. The moments of a new Gaussian are zero.
     pub fn gather(&mut self, rows: &[Row]) {
         let take = |values: &[f32]| rows.iter().map(|row| row.kept().map_or(0.0, |i| values[i])).collect();
         (self.first, self.second) = (take(&self.first), take(&self.second));

@@ -1,5 +1,5 @@
-//! What a run remembers of a timestep: its result, and the rest of what the next one starts from.
-//! One NumPy archive a timestep, written whole or not at all.
+//! Checkpoints: the result of one timestep, and the optimiser's state that the next timestep starts from. Each timestep
+//! has one npz archive, which is written atomically.
 
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
@@ -18,15 +18,15 @@ use crate::state::{Optimizer, goes_on};
 /// State at the end of one timestep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
-    /// Everything optimised. After the first timestep a file holds only what varies with time.
+    /// All learned parameters, in stored form. The files after that of timestep 0 hold only what varies with time.
     pub parameters: Parameters,
-    /// Who each Gaussian is, and when it lives.
+    /// Identity, birth and death of each Gaussian.
     pub lifetimes: Lifetimes,
-    /// Quantisation, once it has started.
+    /// The learned quantizers; `None` before quantisation has started.
     pub quantizers: Option<FakeQuantizers>,
-    /// Of Adam what the next timestep goes on with; the rest is zero.
+    /// Adam's moments and counts that the next timestep continues; all others are zero.
     pub optimizer: Optimizer,
-    /// Scene units; see [`crate::scene_radius`].
+    /// Extent of the scene in scene units; see [`crate::scene_radius`].
     pub scene_radius: f32,
 }
 
@@ -55,10 +55,13 @@ fn with_steps_alone(layout: &Layout) -> impl Iterator<Item = &Column> {
 }
 
 impl Checkpoint {
-    /// Writes the archive, whole or not at all. Equal checkpoints are equal files.
+    /// Writes the archive atomically. Equal checkpoints give equal bytes.
+    ///
+    /// - `first`: whether this is the checkpoint of timestep 0, which also holds everything that does not vary with
+    ///   time
     ///
     /// # Errors
-    /// [`TrainError::Write`]; `path` is then as it was.
+    /// [`TrainError::Write`] if the file cannot be written; `path` is then unchanged.
     pub fn save(&self, path: &Path, first: bool) -> Result<(), TrainError> {
         let written = write_whole(path, Existing::Replace, |file| self.write(BufWriter::new(file), first));
         written.map_err(|error| TrainError::Write { path: path.into(), error })
@@ -121,13 +124,14 @@ impl Checkpoint {
         npz.finish()?.flush()
     }
 
-    /// Reads an archive.
+    /// Reads the archive of one timestep.
     ///
-    /// - `first`: the run's first checkpoint, which later ones take the rest from; `None` to read the first
-    /// - `learned_offset`: of the run's settings
+    /// - `first`: the checkpoint of timestep 0, which supplies everything that does not vary with time; `None` to read
+    ///   timestep 0 itself
+    /// - `learned_offset`: [`QuantizeConfig::learned_offset`](crate::QuantizeConfig::learned_offset) of the run
     ///
     /// # Errors
-    /// [`TrainError::File`] if it is not a whole checkpoint of this run.
+    /// [`TrainError::File`] if the file is not a complete checkpoint of this run.
     pub fn load(path: &Path, first: Option<&Self>, learned_offset: bool) -> Result<Self, TrainError> {
         let failed = |problem: String| TrainError::File { path: path.into(), problem };
         let npz = NpzReader::open(path);

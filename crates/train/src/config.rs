@@ -1,4 +1,4 @@
-//! Everything a training run can be told, as one file says it.
+//! All settings of a training run, as `config.toml` holds them, and the presets.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,9 +13,9 @@ pub struct TrainConfig {
     /// Seed of every random choice. Default 0. TOML's integers are signed: from 2^63 on a file holds it less 2^64.
     #[serde(with = "signed")]
     pub seed: u64,
-    /// What is trained on.
+    /// The capture, its frames and their resolution.
     pub data: DataConfig,
-    /// How long.
+    /// Numbers of iterations.
     pub schedule: ScheduleConfig,
     /// Learning rates of Adam.
     pub rates: RateConfig,
@@ -46,27 +46,29 @@ mod signed {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Preset {
-    /// Dynamic 3D Gaussians: no masks, no quantisation, the soft colour loss off as in its code.
+    /// Dynamic 3D Gaussians (Luiten et al. 2024): no masks, no quantisation, and the weight of the soft colour loss is
+    /// 0, since a bug makes that loss inactive in the released code.
     D3dgs,
-    /// The paper to the letter.
+    /// The settings that the paper prints.
     Paper,
-    /// The paper with what measured better.
+    /// The paper's settings, with those replaced that measured worse than an alternative.
     Default,
-    /// The default in far fewer iterations.
+    /// `Default` with 2000 instead of 10000 iterations of the first timestep, and 300 instead of 2000 of each later
+    /// one.
     Fast,
 }
 
-/// What is trained on.
+/// The capture that a run trains on: folder, frames, resolution.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DataConfig {
     /// The capture's folder, as given.
     pub capture: String,
-    /// Its layout, as it was recognised: what publications agree on goes by it. Default `panoptic`.
+    /// Name of the capture's kind, by which evaluation follows the conventions of publications. Default `panoptic`.
     pub layout: String,
     /// File of the initial points; empty: the capture's own. Default empty.
     pub points: String,
-    /// First frame.
+    /// Index of the capture's frame that timestep 0 shows.
     pub first_frame: usize,
     /// One past the last frame.
     pub end_frame: usize,
@@ -76,10 +78,11 @@ pub struct DataConfig {
     pub frame_rate: f64,
 }
 
-/// Iterations the reference's constants are written for: first timestep, each later one.
+/// Numbers of iterations for which the constants of the reference are written: of the first timestep, and of each later
+/// timestep.
 pub const REFERENCE_ITERATIONS: [usize; 2] = [10_000, 2_000];
 
-/// How long.
+/// Numbers of iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScheduleConfig {
@@ -180,13 +183,13 @@ pub struct MaskConfig {
     pub prune_end: usize,
 }
 
-/// How sensitivity becomes bits.
+/// The map from sensitivities to bit widths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BitMapKind {
     /// Least expected change of the images for `mean_bits` (`tcgs_codec::BitMapping::Log`).
     Log,
-    /// The paper's min-max normalisation.
+    /// The paper's min-max normalisation to `[min_bits, max_bits]` (`tcgs_codec::BitMapping::Linear`).
     Linear,
 }
 
@@ -212,29 +215,29 @@ pub struct QuantizeConfig {
     pub learned_offset: bool,
 }
 
-/// Why settings were refused.
+/// Why [`TrainConfig::merge`] or [`TrainConfig::set`] refused settings.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
-    /// No such field.
+    /// No setting has this name.
     #[error("unknown setting {key}, expected {expected}")]
     UnknownKey {
-        /// As given.
+        /// Dotted name of the setting, as given.
         key: String,
-        /// Names that exist there.
+        /// The names that exist at this place.
         expected: String,
     },
-    /// Not a value of that field's type or range.
+    /// The value is of the wrong type or out of range.
     #[error("{key} is {found}, expected {expected}")]
     Value {
-        /// The field.
+        /// Dotted name of the setting.
         key: String,
-        /// As given.
+        /// The value, as given.
         found: String,
-        /// What would be right.
+        /// The type or range that is valid.
         expected: String,
     },
-    /// Not a configuration file.
+    /// The text is not TOML, or not of the form of a `config.toml`.
     #[error("not a configuration: {0}")]
     Syntax(String),
 }
@@ -361,6 +364,9 @@ impl TrainConfig {
 
     /// Sets one field by its dotted name.
     ///
+    /// - `key`: dotted name, such as `weights.rigid`
+    /// - `value`: a TOML value; a text that is not TOML is taken as a string
+    ///
     /// ```
     /// let mut config = tcgs_train::TrainConfig::default();
     /// config.set("weights.rigid", "2.5").unwrap();
@@ -390,7 +396,8 @@ impl TrainConfig {
         toml::to_string(self).expect("plain settings have a TOML form")
     }
 
-    /// Dotted name of the first field in which two configurations differ.
+    /// Dotted name of the first field, in the order of `config.toml`, in which two configurations differ; `None` if
+    /// they are equal.
     pub fn first_difference(&self, other: &Self) -> Option<String> {
         fn walk(a: &toml::Table, b: &toml::Table, prefix: &str) -> Option<String> {
             a.iter().find_map(|(key, value)| match (value, &b[key]) {

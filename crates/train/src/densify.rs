@@ -9,29 +9,29 @@ use crate::config::DensifyConfig;
 use crate::row::Row;
 use crate::state::{GradientStatistic, State};
 
-/// What one densification did.
+/// Counts of what one call of [`densify`] did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Densified {
-    /// Small Gaussians of large gradient, doubled.
+    /// Number of small Gaussians of large gradient that were cloned.
     pub cloned: usize,
-    /// Large ones, replaced by children.
+    /// Number of large Gaussians of large gradient that were replaced by children.
     pub split: usize,
-    /// Removed: nearly transparent or too large.
+    /// Number of Gaussians that were removed, since they were nearly transparent or too large.
     pub removed: usize,
 }
 
-/// What one densification looks at beside the state.
+/// The inputs of one call of [`densify`] other than the state.
 #[derive(Clone, Copy, Debug)]
 pub struct DensifyStep<'a> {
-    /// Thresholds.
+    /// The thresholds of density control.
     pub config: &'a DensifyConfig,
-    /// Scene units.
+    /// Extent of the scene in scene units, to which scales are compared.
     pub scene_radius: f32,
-    /// Whether it is the last, which removes far more.
+    /// Whether this is the last densification, whose threshold of opacity (`prune_opacity_end`) is larger.
     pub last: bool,
-    /// Whether large Gaussians are removed.
+    /// Whether Gaussians of a scale above `prune_scale` are removed.
     pub removes_large: bool,
-    /// Seed of the children's places.
+    /// Seed of the random positions of the children.
     pub seed: u64,
 }
 
@@ -39,7 +39,9 @@ fn largest_scale(log_scale: [f32; 3]) -> f32 {
     log_scale.into_iter().fold(f32::MIN, f32::max).exp()
 }
 
-/// Clones, splits and removes; clears the statistic.
+/// One step of adaptive density control: clones small and splits large Gaussians whose mean NDC gradient reaches the
+/// threshold, removes Gaussians that are nearly transparent or too large, and resets the gradient statistic. If all
+/// Gaussians would be removed, none is. Kerbl et al. 2023, §5.2.
 pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let c = step.config;
     let statistic = &state.statistic;
@@ -93,14 +95,17 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     Densified { cloned: cloned.len(), split: split.len(), removed }
 }
 
-/// Keeps the Gaussians at `keep`, with their moments, their share of the statistic and their bit widths.
+/// Removes all Gaussians but those at `keep`. The Gaussians that stay keep their moments, their part of the gradient
+/// statistic and their bit widths.
 ///
-/// - `keep`: indices, in the order wanted
+/// - `keep`: indices of the Gaussians that stay, in their new order
 pub fn remove_others(state: &mut State, keep: &[usize]) {
     state.gather(&keep.iter().map(|&i| Row::Kept(i)).collect::<Vec<_>>());
 }
 
-/// Sets every opacity to `opacity`, within (0, 1), and forgets their moments.
+/// Sets the opacity of all Gaussians, and sets Adam's moments of the opacities to zero.
+///
+/// - `opacity`: activated, within (0, 1)
 pub fn reset_opacities(state: &mut State, opacity: f32) {
     let logit = (opacity / (1.0 - opacity)).ln();
     state.parameters.gaussians.logit_opacities_mut().fill(logit);

@@ -1,4 +1,4 @@
-//! What can go wrong while training.
+//! The crate's error: why training, or reading and writing a run folder, failed.
 
 use std::borrow::Cow;
 use std::io;
@@ -9,47 +9,47 @@ use tcgs_render::device::GpuError;
 
 use crate::config::ConfigError;
 
-/// Why training stopped.
+/// Why training failed or was stopped.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrainError {
-    /// Settings.
+    /// A setting is unknown, of the wrong type or out of range.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// A loss or a parameter became NaN or infinite.
     #[error("{term} became {value} at timestep {timestep}, iteration {iteration}; the checkpoints before it are whole")]
     NotFinite {
-        /// Which loss or attribute.
+        /// Name of the loss or attribute.
         term: Cow<'static, str>,
-        /// Its value.
+        /// The value that is not finite.
         value: f64,
-        /// Counted from the run's first.
+        /// Index of the timestep, counted from the run's first.
         timestep: usize,
-        /// Within the timestep.
+        /// Index of the iteration within the timestep.
         iteration: usize,
     },
-    /// Nothing to train on.
+    /// Points, cameras or views are missing or of the wrong number, or the timestep before is unfinished.
     #[error("{what}: found {found}, expected {expected}")]
     Input {
-        /// What is wrong.
+        /// The input that is wrong.
         what: String,
-        /// As it is.
+        /// What was found.
         found: String,
-        /// As it should be.
+        /// What was expected.
         expected: String,
     },
-    /// The GPU.
+    /// The GPU failed: no adapter, out of memory, or a lost device.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// Parameters or sensitivities from which no bits can be assigned.
+    /// The codec cannot assign bit widths, since a parameter or sensitivity is invalid.
     #[error(transparent)]
     Bits(#[from] CompressError),
-    /// A file of a run folder.
+    /// A file of a run folder is missing, damaged or of another run.
     #[error("{}: {problem}", path.display())]
     File {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// What is wrong with it and what was expected.
+        /// What was found, and what was expected.
         problem: String,
     },
     /// A file of a run folder cannot be read. The cause is part of the message, not a source beside it.
@@ -57,7 +57,7 @@ pub enum TrainError {
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// The operating system's error.
         error: io::Error,
     },
     /// A file of a run folder cannot be written. The cause is part of the message, not a source beside it.
@@ -65,7 +65,7 @@ pub enum TrainError {
     Write {
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// The operating system's error.
         error: io::Error,
     },
     /// The observer of [`Trainer::fit`](crate::Trainer::fit) asked to stop.

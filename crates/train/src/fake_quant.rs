@@ -18,7 +18,7 @@ const CHUNK: usize = 1 << 12;
 /// of where they will move, and the range of a single value would hold that value for good.
 const MIN_FITTED: usize = 32;
 
-/// One value through its quantizer: what the file will say.
+/// Quantises and dequantises one value: the value that a decoder will read from the file.
 #[inline(always)]
 pub fn fake_quant(x: f32, q: &Quantizer) -> f32 {
     q.dequantize(q.quantize(x))
@@ -60,16 +60,16 @@ fn quantized(layout: &Layout) -> impl Iterator<Item = Attribute> {
     layout.columns().iter().filter(|column| column.quantized).map(|column| column.attribute)
 }
 
-/// The learned quantizers and who uses which.
+/// The learned quantizers, and the bit width of each Gaussian's attributes, which selects a quantizer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FakeQuantizers {
-    /// Widths of every Gaussian's attributes.
+    /// Bit width of every attribute of every Gaussian.
     pub bit_map: BitMap,
-    /// Attribute and width that have quantizers, one a channel, in this order.
+    /// The pairs of attribute and bit width that are in use. Each group has one quantizer per channel of the attribute.
     pub groups: Vec<(Attribute, u8)>,
-    /// `[quantizers]` group by group, then by channel.
+    /// `[quantizers]`, ordered by group, then by channel.
     pub quantizers: Vec<Quantizer>,
-    /// `[quantizers]` steps that learning started from: its rates are relative to them.
+    /// `[quantizers]`, the initial step of each quantizer, to which the learning rates are relative.
     pub initial_steps: Vec<f32>,
     /// Whether offsets are learned.
     pub learned_offset: bool,
@@ -80,10 +80,12 @@ pub struct FakeQuantizers {
 }
 
 impl FakeQuantizers {
-    /// Starts learning from what fits `gaussians` best.
+    /// Initial quantizers, fitted to the values that they will quantise.
     ///
-    /// - `gaussians`: `[N]`, stored form, as many as `bit_map` has
-    /// - `learned_offset`: without it quantizers are symmetric and start from LSQ's formula
+    /// - `bit_map`: bit widths of `N` Gaussians
+    /// - `gaussians`: `[N]`, stored form
+    /// - `learned_offset`: whether offsets are learned; without them quantizers are symmetric, and their steps start
+    ///   from LSQ's formula (Esser et al. 2020)
     pub fn new(bit_map: BitMap, gaussians: &Gaussians, learned_offset: bool) -> Self {
         let histogram = bit_map.histogram();
         let groups: Vec<(Attribute, u8)> = quantized(gaussians.layout())
@@ -113,10 +115,10 @@ impl FakeQuantizers {
         Self::restore(bit_map, groups, quantizers, initial_steps, learned_offset)
     }
 
-    /// Puts saved state together again.
+    /// Quantizers from saved fields; the fields of this struct describe the arguments.
     ///
     /// # Panics
-    /// If `groups` asks for another number of quantizers.
+    /// If `quantizers` and `initial_steps` do not have one entry for each channel of each group.
     pub fn restore(
         bit_map: BitMap,
         groups: Vec<(Attribute, u8)>,
@@ -149,7 +151,7 @@ impl FakeQuantizers {
         );
     }
 
-    /// As the codec wants them.
+    /// The quantizers as the codec takes them, by attribute and bit width.
     pub fn table(&self) -> Quantizers {
         let mut table = Quantizers::none(self.bit_map.layout());
         for &(attribute, width) in &self.groups {
@@ -160,7 +162,9 @@ impl FakeQuantizers {
         table
     }
 
-    /// Quantised values of every attribute but the positions.
+    /// Quantised values of every attribute but the positions, which stay as they are.
+    ///
+    /// - `gaussians`: `[N]`, stored form
     pub fn forward(&self, gaussians: &Gaussians) -> Gaussians {
         let mut out = gaussians.clone();
         for attribute in quantized(gaussians.layout()) {

@@ -1,5 +1,8 @@
 //! Training of dynamic Gaussians from multi-view images, one timestep after another.
 //!
+//! [`Trainer`] runs the optimisation; [`Run`] stores its settings, checkpoints and metrics in a folder; [`engine`]
+//! holds the two implementations of one iteration, CPU and GPU.
+//!
 //! What lives here: the optimiser's state, losses, schedule, density control, masks, quantisation
 //! inside the optimisation, run folders. What does not: captures (they come as
 //! [`tcgs_core::View`]s), rendering, the file format.

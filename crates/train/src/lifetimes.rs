@@ -1,8 +1,8 @@
-//! Who each Gaussian is, and from when to when it lives.
+//! Identity and lifetime of each Gaussian, as columns of integers.
 
 use crate::row::Row;
 
-/// Who each Gaussian is, and from when to when it lives: columns of integers.
+/// A stable identity, the timestep of birth and the timestep of death of each Gaussian.
 ///
 /// Today every Gaussian that the first timestep leaves lives at all timesteps.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -18,7 +18,7 @@ pub struct Lifetimes {
 }
 
 impl Lifetimes {
-    /// The death of a Gaussian that has not died.
+    /// The value in [`deaths`](Self::deaths) of a Gaussian that has not died.
     pub const NEVER: u32 = u32::MAX;
 
     /// `num_gaussians` that live from the first timestep on, numbered from 0 in their order.

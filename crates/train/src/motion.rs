@@ -1,4 +1,4 @@
-//! Where Gaussians were, and where they go if they go on as before.
+//! The poses of earlier timesteps, and the constant-velocity prediction of the next one.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use tcgs_core::{Gaussians, Real, normalize};
 
 use crate::neighbors::Neighbors;
 
-/// Where every Gaussian was at one timestep.
+/// Positions and rotations of all Gaussians at one timestep.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pose {
     /// `[N, 3]` centres, scene units.
@@ -16,7 +16,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// Where `gaussians` are.
+    /// Copies the means and quaternions of `gaussians`.
     pub fn of(gaussians: &Gaussians) -> Self {
         Self { means: gaussians.means().to_vec(), quats: gaussians.quats().to_vec() }
     }
@@ -29,15 +29,15 @@ impl Pose {
     }
 }
 
-/// What the losses on motion and on masks compare with; there is one from the second timestep on.
+/// The earlier timesteps that the losses on motion and on masks compare with. Exists from the second timestep on.
 #[derive(Clone, Debug)]
 pub struct Past {
-    /// Where everything was at the first timestep.
+    /// The pose at the first timestep.
     pub first: Arc<Pose>,
-    /// Who was near whom then; fixed from then on.
+    /// The neighbours at the first timestep, which all later timesteps use.
     pub neighbors: Arc<Neighbors<f32>>,
-    /// Everything at the timestep before. Between two timesteps, before the next one begins: at the one before the
-    /// last, which the last one's velocity is measured from.
+    /// The Gaussians at the previous timestep. Between two timesteps, before the next one begins, the Gaussians at the
+    /// second to last finished timestep, from which the velocity at the last one is measured.
     pub previous: Gaussians,
     /// `[N]` mask logits of the timestep before, where masks are on.
     pub previous_mask_logits: Option<Vec<f32>>,

@@ -5,20 +5,21 @@ use tcgs_core::Real;
 
 use crate::parameters::nearest;
 
-/// Neighbours of a foreground Gaussian. Reference: 20.
+/// Number of neighbours of each foreground Gaussian. Reference: 20.
 pub const NUM_NEIGHBORS: usize = 20;
-/// A neighbour at distance `d` weighs `exp(−NEIGHBOR_FALLOFF d²)`. Reference: 2000.
+/// A neighbour at distance `d` has the weight `exp(−NEIGHBOR_FALLOFF d²)`; per squared scene unit. Reference: 2000.
 pub const NEIGHBOR_FALLOFF: f32 = 2000.0;
-/// Who is a neighbour of whom, from the first timestep on.
+/// The graph of nearest neighbours among the foreground Gaussians at the first timestep: `F` nodes with `per_node`
+/// edges each.
 #[derive(Clone, Debug)]
 pub struct Neighbors<R> {
     /// `[F]` indices of the foreground Gaussians.
     pub foreground: Vec<u32>,
-    /// Edges of each: `min(NUM_NEIGHBORS, F − 1)`.
+    /// Number of edges of each node: `min(NUM_NEIGHBORS, F − 1)`.
     pub per_node: usize,
-    /// `[F, per_node]` positions in `foreground`.
+    /// `[F, per_node]`, the neighbours of each node, as positions in `foreground`.
     pub indices: Vec<u32>,
-    /// `[F, per_node]`
+    /// `[F, per_node]`, weight of each edge.
     pub weights: Vec<R>,
     /// `[F, per_node]` distance at the first timestep, scene units.
     pub distances: Vec<R>,

@@ -1,4 +1,4 @@
-//! What is optimised, and where it starts.
+//! The learned parameters, and their initial values from a point cloud.
 
 use std::num::NonZero;
 
@@ -6,12 +6,12 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use tcgs_core::{BaseColumns, Camera, Gaussians, PointCloud};
 
-/// Everything that gradients move, in stored form, at the current timestep.
+/// All learned parameters at one timestep, in stored form.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
-    /// `[N]`
+    /// `[N]`, the Gaussians.
     pub gaussians: Gaussians,
-    /// `[N]` `m_{n,t}`; all at their start where masks are off.
+    /// `[N]`, mask logits `m_{n,t}`; at their initial value if masks are off.
     pub mask_logits: Vec<f32>,
     /// `[N]` whether the Gaussian belongs to what moves. Not learned.
     pub foreground: Vec<bool>,
@@ -28,7 +28,9 @@ impl Parameters {
     /// Gaussians at the points of a cloud: isotropic, as large as the root mean squared distance to
     /// the three nearest, half opaque. Luiten et al. 2024, `initialize_params` of the released code.
     ///
-    /// - `mask_logit`: where every mask starts
+    /// - `cloud`: positions in scene units, colours in `[0, 1]`
+    /// - `num_cameras`: number of training cameras, each of which gets the gain 1 and the offset 0
+    /// - `mask_logit`: initial value of every mask logit
     ///
     /// # Panics
     /// If the cloud is empty.
@@ -58,7 +60,7 @@ impl Parameters {
         }
     }
 
-    /// `N`.
+    /// Number of Gaussians, `N`.
     pub fn num_gaussians(&self) -> usize {
         self.gaussians.num_gaussians()
     }

@@ -1,26 +1,26 @@
-//! What replaces the Gaussians of a state when density adapts.
+//! The rows of a reshaped state: which Gaussian of the old state each Gaussian of the new state comes from.
 
 /// Where a Gaussian of a reshaped state comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Row {
-    /// It was there before, at this index.
+    /// The Gaussian existed at this index of the old state, and keeps its values and moments.
     Kept(usize),
-    /// It is new and starts as the one at this index is, without its moments: a clone, or a child of a split.
+    /// The Gaussian is new, a clone or a child of a split: it starts with its parent's values and with zero moments.
     New {
-        /// Index of the one it starts from.
+        /// Index of the parent in the old state.
         parent: usize,
     },
 }
 
 impl Row {
-    /// Index of the Gaussian whose values it has.
+    /// Index in the old state of the Gaussian whose values the new one takes.
     pub fn source(self) -> usize {
         match self {
             Self::Kept(i) | Self::New { parent: i } => i,
         }
     }
 
-    /// Index where it was before, unless it is new.
+    /// Index of the same Gaussian in the old state; `None` if the Gaussian is new.
     pub fn kept(self) -> Option<usize> {
         match self {
             Self::Kept(i) => Some(i),

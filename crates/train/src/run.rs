@@ -1,4 +1,5 @@
-//! A run folder: `config.toml`, one checkpoint a timestep, metrics as JSON lines.
+//! A run folder: `config.toml`, `checkpoints/` with one npz archive per timestep, and `metrics.jsonl` with one JSON
+//! object per timestep. What does not live here: the content of a checkpoint (`checkpoint`).
 
 use std::fs;
 use std::io::Write;
@@ -21,40 +22,40 @@ use crate::trainer::Trainer;
 const CONFIG: &str = "config.toml";
 const METRICS: &str = "metrics.jsonl";
 
-/// A run folder.
+/// A run folder on disk, and the settings in its `config.toml`.
 #[derive(Clone, Debug)]
 pub struct Run {
     folder: PathBuf,
     config: TrainConfig,
 }
 
-/// What a finished (or unfinished) run holds.
+/// The result of a run: the finished timesteps of all checkpoints together.
 #[derive(Clone, Debug)]
 pub struct TrainedScene {
-    /// Float parameters of every finished timestep, before pruning.
+    /// `[T, N]`, the Gaussians of every finished timestep in stored form, neither quantised nor pruned.
     pub scene: DynamicGaussians,
-    /// `[T][N]` mask logits; of no use where masks were off.
+    /// `[T][N]`, mask logits `m_{n,t}`; without meaning if the run did not learn masks.
     pub mask_logits: Vec<Vec<f32>>,
-    /// `[N]`
+    /// `[N]`, whether each Gaussian belongs to the foreground.
     pub foreground: Vec<bool>,
-    /// Bits and learned quantizers, where quantisation was on.
+    /// Bit widths and learned quantizers; `None` if the run did not quantise.
     pub quantization: Option<(BitMap, Quantizers)>,
-    /// `[cameras, 3]` logarithms of the gains.
+    /// `[cameras, 3]`, logarithm of each training camera's colour gain.
     pub camera_gains: Vec<[f32; 3]>,
-    /// `[cameras, 3]`
+    /// `[cameras, 3]`, colour offset of each training camera.
     pub camera_offsets: Vec<[f32; 3]>,
 }
 
 impl Run {
-    /// Whether a folder is a run.
+    /// Whether a folder is a run folder: whether it has a `config.toml`.
     pub fn is_run(folder: &Path) -> bool {
         folder.join(CONFIG).is_file()
     }
 
-    /// Makes a new run folder.
+    /// Creates a run folder and writes its `config.toml`.
     ///
     /// # Errors
-    /// [`TrainError::Write`] if it cannot be written.
+    /// [`TrainError::Write`] if the folder or the file cannot be written.
     pub fn create(folder: &Path, config: &TrainConfig) -> Result<Self, TrainError> {
         fs::create_dir_all(folder.join("checkpoints")).map_err(write(folder))?;
         let run = Self { folder: folder.into(), config: config.clone() };
@@ -62,10 +63,10 @@ impl Run {
         Ok(run)
     }
 
-    /// Opens a run folder.
+    /// Opens an existing run folder and reads its `config.toml`.
     ///
     /// # Errors
-    /// [`TrainError`] if its configuration cannot be read.
+    /// [`TrainError`] if `config.toml` cannot be read or holds invalid settings.
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
         let text = fs::read_to_string(&path).map_err(read(&path))?;
@@ -74,21 +75,21 @@ impl Run {
         Ok(Self { folder: folder.into(), config })
     }
 
-    /// Its settings.
+    /// The settings in `config.toml`.
     pub fn config(&self) -> &TrainConfig {
         &self.config
     }
 
-    /// Replaces the settings, to go on with more frames.
+    /// Replaces the settings and rewrites `config.toml`, as to resume the run with more frames.
     ///
     /// # Errors
-    /// [`TrainError::Write`] if they cannot be written.
+    /// [`TrainError::Write`] if `config.toml` cannot be written.
     pub fn set_config(&mut self, config: &TrainConfig) -> Result<(), TrainError> {
         self.config = config.clone();
         self.write_whole(CONFIG, config.to_toml().as_bytes())
     }
 
-    /// The folder.
+    /// Path of the run folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
@@ -97,20 +98,20 @@ impl Run {
         self.folder.join("checkpoints").join(format!("{timestep:06}.npz"))
     }
 
-    /// Timesteps finished: checkpoints without a gap from the first.
+    /// Number of finished timesteps: of checkpoints from timestep 0 on without a gap.
     pub fn timesteps(&self) -> usize {
         (0..).take_while(|&t| self.checkpoint_path(t).is_file()).count()
     }
 
-    /// Writes the checkpoint of a timestep.
+    /// Writes the checkpoint of a timestep atomically.
     ///
     /// # Errors
-    /// [`TrainError::Write`]; nothing half-written stays.
+    /// [`TrainError::Write`] if the file cannot be written; no partial file remains.
     pub fn save(&self, timestep: usize, checkpoint: &Checkpoint) -> Result<(), TrainError> {
         checkpoint.save(&self.checkpoint_path(timestep), timestep == 0)
     }
 
-    /// Goes on where the run stopped, on the CPU; `None` if no timestep is finished.
+    /// Resumes the run on the CPU after its last finished timestep; `None` if no timestep is finished.
     ///
     /// # Errors
     /// [`TrainError::File`] if a checkpoint is damaged.
@@ -118,9 +119,9 @@ impl Run {
         self.resume_with(|state| Box::new(CpuEngine::new(state)))
     }
 
-    /// Goes on where the run stopped; `None` if no timestep is finished.
+    /// Resumes the run on an engine of the caller's choice; `None` if no timestep is finished.
     ///
-    /// - `make`: what computes, from the state that it starts from
+    /// - `make`: makes the engine from the resumed state
     ///
     /// # Errors
     /// As [`Self::resume`].
@@ -145,10 +146,10 @@ impl Run {
         Checkpoint::load(&self.checkpoint_path(timestep), first, self.config.quantize.learned_offset)
     }
 
-    /// Puts all finished timesteps together.
+    /// Reads the checkpoints of all finished timesteps into one scene.
     ///
     /// # Errors
-    /// [`TrainError::File`] if there are none, or one is damaged.
+    /// [`TrainError::File`] if no timestep is finished, or a checkpoint is damaged.
     pub fn trained(&self) -> Result<TrainedScene, TrainError> {
         let finished = self.timesteps();
         if finished == 0 {
@@ -177,10 +178,10 @@ impl Run {
         })
     }
 
-    /// Metrics written so far, one object a timestep.
+    /// The JSON objects in `metrics.jsonl`, one per timestep.
     ///
     /// # Errors
-    /// [`TrainError::Read`] if they cannot be read.
+    /// [`TrainError::Read`] if `metrics.jsonl` cannot be read.
     pub fn metrics(&self) -> Result<Vec<Value>, TrainError> {
         // A line cut short by a crash is one of a timestep that has no checkpoint yet.
         Ok(self.metrics_text()?.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
@@ -194,10 +195,11 @@ impl Run {
         fs::read_to_string(&path).map_err(read(&path))
     }
 
-    /// Keeps the metrics of the first `timesteps` and drops what a stopped run wrote after them.
+    /// Keeps the metrics of the first `timesteps` timesteps and removes the metrics that an interrupted run wrote after
+    /// them.
     ///
     /// # Errors
-    /// [`TrainError::Read`] or [`TrainError::Write`] if they cannot be read or written.
+    /// [`TrainError::Read`] or [`TrainError::Write`] if `metrics.jsonl` cannot be read or written.
     pub fn truncate_metrics(&self, timesteps: usize) -> Result<(), TrainError> {
         let kept = |line: &&str| {
             let metrics: Option<Value> = serde_json::from_str(line).ok();
@@ -208,10 +210,12 @@ impl Run {
         self.write_whole(METRICS, text.as_bytes())
     }
 
-    /// Appends the metrics of one timestep.
+    /// Appends the metrics of one timestep to `metrics.jsonl`.
+    ///
+    /// - `metrics`: a JSON object, written as one line
     ///
     /// # Errors
-    /// [`TrainError::Write`] if they cannot be written.
+    /// [`TrainError::Write`] if `metrics.jsonl` cannot be written.
     pub fn append_metrics(&self, metrics: &Value) -> Result<(), TrainError> {
         let path = self.folder.join(METRICS);
         let mut file = fs::OpenOptions::new().create(true).append(true).open(&path).map_err(write(&path))?;

@@ -1,4 +1,4 @@
-//! When things happen and how fast parameters move, as a function of timestep and iteration.
+//! The schedule: learning rates and the iterations of events, as functions of timestep and iteration.
 
 use tcgs_core::{Column, RateGroup};
 
@@ -7,23 +7,23 @@ use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 /// Learning rates of one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// Means, scene units.
+    /// Rate of the means, in scene units.
     pub mean: f32,
-    /// Rotations.
+    /// Rate of the stored quaternions.
     pub quat: f32,
-    /// Colours.
+    /// Rate of the colours.
     pub color: f32,
-    /// Opacities; 0 after the first timestep.
+    /// Rate of the logit opacities; 0 after the first timestep.
     pub logit_opacity: f32,
-    /// Scales; 0 after the first timestep.
+    /// Rate of the log scales; 0 after the first timestep.
     pub log_scale: f32,
-    /// Camera gains and offsets; 0 after the first timestep.
+    /// Rate of the cameras' gains and offsets; 0 after the first timestep.
     pub camera: f32,
-    /// Mask logits.
+    /// Rate of the mask logits.
     pub mask: f32,
-    /// Steps and offsets, times the step they started from.
+    /// Rate of the quantizers' steps and offsets, as a multiple of each quantizer's initial step.
     pub step: f32,
-    /// Whether columns that do not vary over time move: in the first timestep alone.
+    /// Whether columns that do not vary with time are learned: true in the first timestep alone.
     pub moves_constants: bool,
 }
 
@@ -43,23 +43,24 @@ impl Rates {
     }
 }
 
-/// The first timestep or a later one.
+/// The two phases of a run: the first timestep, and all later timesteps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Everything is learned, and density adapts.
+    /// The first timestep: all columns are learned, and density control adds and removes Gaussians.
     First,
-    /// Only what moves is learned.
+    /// A later timestep: only the columns that vary with time are learned.
     Rest,
 }
 
 impl Phase {
-    /// Of timestep `timestep`, counted from the run's first.
+    /// The phase of a timestep, counted from the run's first.
     pub fn of(timestep: usize) -> Self {
         if timestep == 0 { Self::First } else { Self::Rest }
     }
 }
 
-/// A configuration's schedule, scaled to its number of iterations.
+/// The schedule of a configuration: the reference's events and rates, scaled to the configuration's numbers of
+/// iterations.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     config: TrainConfig,
@@ -67,12 +68,14 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// - `scene_radius`: see [`crate::scene_radius`]
+    /// The schedule of a run.
+    ///
+    /// - `scene_radius`: scene units, by which the rate of the means is multiplied; see [`crate::scene_radius`]
     pub fn new(config: &TrainConfig, scene_radius: f32) -> Self {
         Self { config: config.clone(), scene_radius }
     }
 
-    /// Iterations of a timestep.
+    /// Number of iterations of a timestep.
     pub fn iterations(&self, phase: Phase) -> usize {
         match phase {
             Phase::First => self.config.schedule.first_iterations,
@@ -86,13 +89,15 @@ impl Schedule {
         reference as f32 / self.iterations(phase) as f32
     }
 
-    /// An iteration of the reference's first timestep, in this schedule.
+    /// The iteration of this schedule's first timestep that corresponds to an iteration of the reference's.
     pub fn scaled(&self, reference_iteration: usize) -> usize {
         (reference_iteration as f64 * self.iterations(Phase::First) as f64 / REFERENCE_ITERATIONS[0] as f64).round()
             as usize
     }
 
-    /// Learning rates at an iteration, counted from 0.
+    /// The learning rates of an iteration.
+    ///
+    /// - `iteration`: within the timestep, from 0
     pub fn rates(&self, phase: Phase, iteration: usize) -> Rates {
         let r = &self.config.rates;
         let progress = iteration as f32 / self.iterations(phase) as f32;

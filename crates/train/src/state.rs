@@ -13,24 +13,24 @@ use crate::motion::Past;
 use crate::parameters::Parameters;
 use crate::row::Row;
 
-/// Adam's moments of everything.
+/// Adam's moments and counts of updates of all learned parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Optimizer {
     /// `[N]` running means of the gradients of all columns.
     pub first: Columns<role::FirstMoment>,
     /// `[N]` running means of their squares.
     pub second: Columns<role::SecondMoment>,
-    /// Updates of each column so far, by [`Attribute::index`].
+    /// Number of updates of each column so far, by [`Attribute::index`].
     pub steps: Vec<u64>,
-    /// Mask logits.
+    /// `[N]`, moments of the mask logits.
     pub mask: Moments,
-    /// Camera gains.
+    /// `[cameras * 3]`, moments of the cameras' gains.
     pub gains: Moments,
-    /// Camera offsets.
+    /// `[cameras * 3]`, moments of the cameras' offsets.
     pub offsets: Moments,
-    /// Quantizers' steps.
+    /// `[quantizers]`, moments of the quantizers' steps.
     pub quantizer_steps: Moments,
-    /// Quantizers' offsets.
+    /// `[quantizers]`, moments of the quantizers' offsets.
     pub quantizer_offsets: Moments,
 }
 
@@ -63,7 +63,7 @@ impl Optimizer {
         adam(values, v_values, first, second, &mut self.steps[attribute.index()], rate);
     }
 
-    /// Forgets the moments of a column; as [`Moments::clear`].
+    /// Sets the moments of a column to zero, as [`Moments::clear`] does.
     pub fn clear(&mut self, attribute: Attribute, count_too: bool) {
         self.first.values_mut(attribute).fill(0.0);
         self.second.values_mut(attribute).fill(0.0);
@@ -114,14 +114,14 @@ pub(crate) fn goes_on(column: &Column) -> bool {
 /// The densification statistic: NDC gradients of visible Gaussians, summed, and how often.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GradientStatistic {
-    /// `[N]` sum of norms.
+    /// `[N]`, sum of the norms of the NDC gradients.
     pub sum: Vec<f32>,
-    /// `[N]` times visible.
+    /// `[N]`, number of iterations in which the Gaussian was visible.
     pub count: Vec<u32>,
 }
 
 impl GradientStatistic {
-    /// Nothing counted for `num_gaussians`.
+    /// The statistic of `num_gaussians` before any iteration: all zero.
     pub fn new(num_gaussians: usize) -> Self {
         Self { sum: vec![0.0; num_gaussians], count: vec![0; num_gaussians] }
     }
@@ -130,24 +130,24 @@ impl GradientStatistic {
 /// State of the optimisation, in the host's memory.
 #[derive(Clone, Debug)]
 pub struct State {
-    /// What is optimised.
+    /// The learned parameters at the current timestep.
     pub parameters: Parameters,
-    /// Who each Gaussian is, and when it lives.
+    /// Identity, birth and death of each Gaussian.
     pub lifetimes: Lifetimes,
-    /// Adam.
+    /// Adam's moments and counts of updates.
     pub optimizer: Optimizer,
-    /// Quantisation, once it has started.
+    /// The learned quantizers; `None` before quantisation has started.
     pub quantizers: Option<FakeQuantizers>,
-    /// After the first timestep.
+    /// The earlier poses that the losses on motion compare with; `None` in the first timestep.
     pub past: Option<Past>,
-    /// For densification.
+    /// The statistic that density control reads.
     pub statistic: GradientStatistic,
-    /// The timestep that it is at, counted from the run's first.
+    /// Index of the current timestep, counted from the run's first.
     pub timestep: usize,
 }
 
 impl State {
-    /// A fresh optimisation.
+    /// The state before the first iteration: zero moments, no quantizers, no past, timestep 0.
     pub fn new(parameters: Parameters) -> Self {
         let num_gaussians = parameters.num_gaussians();
         Self {

@@ -1,4 +1,6 @@
-//! The loop: timesteps, iterations, and what happens between them.
+//! The training loop: timesteps, iterations, and the events between iterations (densification, pruning, the start of
+//! quantisation). What does not live here: when an event is due (`schedule`), and how an iteration is computed
+//! (`engine`).
 
 use std::ops::ControlFlow;
 
@@ -22,24 +24,52 @@ use crate::parameters::{Parameters, scene_radius};
 use crate::schedule::{Phase, Schedule};
 use crate::state::State;
 
-/// What a caller hears of every iteration.
+/// The report of one iteration that [`Trainer::fit`] gives to its observer.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
-    /// Counted from the run's first.
+    /// Index of the timestep, counted from the run's first.
     pub timestep: usize,
-    /// Within the timestep, from 0.
+    /// Index of the iteration within the timestep, from 0.
     pub iteration: usize,
-    /// Iterations of this timestep.
+    /// Number of iterations of this timestep.
     pub iterations: usize,
-    /// Losses.
+    /// The value of each loss, before its weight.
     pub terms: LossTerms,
-    /// Weighted sum of the losses.
+    /// The weighted sum of the losses.
     pub loss: f64,
-    /// Gaussians that it was computed with.
+    /// Number of Gaussians during the iteration.
     pub num_gaussians: usize,
 }
 
-/// A run in progress: the state after some timesteps.
+/// A training run in progress: settings, schedule, and an engine with the state after the last finished timestep.
+///
+/// ```
+/// use std::ops::ControlFlow;
+/// use tcgs_core::{Camera, Image, PointCloud, View};
+/// use tcgs_train::{Preset, TrainConfig, Trainer};
+///
+/// let views = [-1.0, 1.0].map(|x| View {
+///     camera: Camera::look_at([x, 0.0, -2.0], [0.0; 3], [0.0, -1.0, 0.0], 14.0, 16, 12),
+///     image: Image::filled(16, 12, 3, 0.5),
+///     segmentation: None,
+///     frame: 0,
+///     camera_id: usize::from(x > 0.0),
+/// });
+/// let cameras = views.each_ref().map(|view| view.camera.clone());
+/// let points = vec![[0.0; 3], [0.5, 0.0, 0.0]];
+/// let cloud = PointCloud { points, colors: vec![[0.5; 3]; 2], foreground: vec![true; 2] };
+/// let mut config = TrainConfig::preset(Preset::D3dgs);
+/// config.schedule.first_iterations = 3;
+///
+/// let mut trainer = Trainer::new(&config, &cloud, &cameras)?;
+/// let mut losses = Vec::new();
+/// trainer.fit(&views, &mut |progress| {
+///     losses.push(progress.loss);
+///     ControlFlow::Continue(())
+/// })?;
+/// assert_eq!((trainer.timesteps(), losses.len()), (1, 3));
+/// # Ok::<(), tcgs_train::TrainError>(())
+/// ```
 #[derive(Debug)]
 pub struct Trainer {
     config: TrainConfig,
@@ -56,19 +86,20 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// Starts a run on the CPU.
+    /// Starts a run on the CPU, from one Gaussian per point.
     ///
-    /// - `cameras`: of the first timestep's training views, in their order
+    /// - `cloud`: initial points, positions in scene units, colours in `[0, 1]`
+    /// - `cameras`: the cameras of the first timestep's training views, in the order of the views
     ///
     /// # Errors
-    /// [`TrainError::Input`] if there are no points or cameras.
+    /// [`TrainError::Input`] if `cloud` or `cameras` is empty.
     pub fn new(config: &TrainConfig, cloud: &PointCloud, cameras: &[Camera]) -> Result<Self, TrainError> {
         Self::with_engine(config, cloud, cameras, |state| Box::new(CpuEngine::new(state)))
     }
 
-    /// Starts a run; the rest as [`Self::new`].
+    /// Starts a run on an engine of the caller's choice; otherwise as [`Self::new`].
     ///
-    /// - `make`: what computes, from the state that it starts from
+    /// - `make`: makes the engine from the initial state
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -85,13 +116,13 @@ impl Trainer {
         Self::from_parameters(config, parameters, cameras, make)
     }
 
-    /// Starts a run from Gaussians that are there already, with whatever columns they have.
+    /// Starts a run from existing Gaussians, of any layout.
     ///
-    /// - `parameters`: with gains and offsets of as many cameras as `cameras`
-    /// - `cameras`, `make`: as of [`Self::with_engine`]
+    /// - `parameters`: the Gaussians in stored form, and one gain and offset for each of `cameras`
+    /// - `cameras`, `make`: as for [`Self::with_engine`]
     ///
     /// # Errors
-    /// [`TrainError::Input`] if there are no Gaussians or cameras.
+    /// [`TrainError::Input`] if there is no Gaussian or no camera.
     pub fn from_parameters(
         config: &TrainConfig,
         parameters: Parameters,
@@ -121,12 +152,12 @@ impl Trainer {
         })
     }
 
-    /// Goes on after the checkpoints of a run.
+    /// Resumes a run from its checkpoints. [`Run::resume_with`](crate::Run::resume_with) reads them from a run folder.
     ///
-    /// - `first`, `before_last`, `last`: of the first timestep, and of the last two finished; with one
-    ///   timestep finished all three are the same
-    /// - `timesteps`: finished, at least 1
-    /// - `make`: what computes, from the state that it starts from
+    /// - `first`, `before_last`, `last`: checkpoints of the first timestep and of the last two finished timesteps; with
+    ///   one finished timestep all three are the same
+    /// - `timesteps`: number of finished timesteps, at least 1
+    /// - `make`: makes the engine from the resumed state
     pub fn resume(
         config: &TrainConfig,
         first: &Checkpoint,
@@ -157,17 +188,17 @@ impl Trainer {
         }
     }
 
-    /// Timesteps finished.
+    /// Number of finished timesteps.
     pub fn timesteps(&self) -> usize {
         self.timestep
     }
 
-    /// Gaussians now.
+    /// Current number of Gaussians.
     pub fn num_gaussians(&self) -> usize {
         self.num_gaussians
     }
 
-    /// The optimisation's state.
+    /// The state of the optimisation, in the host's memory. A GPU engine first finishes and downloads its iterations.
     ///
     /// # Errors
     /// [`TrainError::Gpu`] if the engine failed.
@@ -177,13 +208,15 @@ impl Trainer {
 
     /// Trains the next timestep on its views.
     ///
-    /// - `observe`: hears of every iteration, and ends the training by [`ControlFlow::Break`]. The CPU engine reports an
-    ///   iteration before the next one begins; the GPU engine reports up to 64 iterations later.
+    /// - `views`: one view per training camera, in the same order at every timestep
+    /// - `observe`: receives every iteration's report, and ends the training by [`ControlFlow::Break`]. The CPU engine
+    ///   reports an iteration before the next one begins; the GPU engine reports up to 64 iterations later.
     ///
     /// A timestep is the unit of a run: a checkpoint holds the state between two timesteps, not the moments of Adam and
     /// the order of views that only matter within one. So a trainer that ended within a timestep, by
-    /// `ControlFlow::Break` or by an error, gives no checkpoint and trains no further; [`Run::resume`](crate::Run::resume)
-    /// goes on after the last finished timestep, with the same bytes as a run that was never stopped.
+    /// `ControlFlow::Break` or by an error, gives no checkpoint and trains no further;
+    /// [`Run::resume`](crate::Run::resume) goes on after the last finished timestep, with the same bytes as a run that
+    /// was never stopped.
     ///
     /// # Errors
     /// [`TrainError::Stopped`] if `observe` broke off; [`TrainError::NotFinite`] if a loss is; [`TrainError::Input`] if
@@ -375,10 +408,10 @@ impl Trainer {
         Ok(())
     }
 
-    /// What is to be remembered of the timestep just finished.
+    /// The checkpoint of the timestep that [`Self::fit`] finished last.
     ///
     /// # Errors
-    /// [`TrainError::Input`] if the last timestep ended half-way; [`TrainError::Gpu`] if the engine failed.
+    /// [`TrainError::Input`] if the last timestep was interrupted; [`TrainError::Gpu`] if the engine failed.
     pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
         self.check_finished()?;
         let state = self.engine.state()?;
@@ -391,8 +424,10 @@ impl Trainer {
         })
     }
 
-    /// Mean PSNR over views of the timestep just finished, masks and quantisation applied, in dB. A
-    /// training camera's own gain and offset apply to it.
+    /// Mean PSNR in dB over views of the timestep that was finished last, with masks and quantisation applied. The
+    /// learned gain and offset of a training camera are applied to the rendering of that camera.
+    ///
+    /// - `views`: training or test views; 0 dB is returned for no views
     ///
     /// # Errors
     /// [`TrainError::Gpu`] if the engine failed.
@@ -427,7 +462,7 @@ fn distance_to(camera: &Camera, points: &[[f32; 3]]) -> f32 {
     (points.iter().map(squared).sum::<f64>() / points.len() as f64).sqrt() as f32
 }
 
-/// A run's settings in the codec's words.
+/// The settings of a run's mixed-precision quantisation ([`TrainConfig::quantize`]) as the codec takes them.
 pub fn bit_settings(config: &TrainConfig) -> BitSettings {
     let q = &config.quantize;
     BitSettings {

@@ -1,7 +1,7 @@
-//! What computes the iterations: the contract that every engine keeps, and what passes through it.
+//! Engines, which compute the iterations: the trait that every engine implements, and its inputs.
 //!
-//! What lives here: one iteration, and looking at its outcome. What does not: when something happens and
-//! what happens between iterations; that is the trainer's, which changes the engine's [`State`].
+//! What lives here: the interface to one iteration and to its results. What does not: the schedule and the events
+//! between iterations; the trainer owns both, and changes the engine's [`State`].
 
 pub mod cpu;
 #[cfg(feature = "gpu")]
@@ -20,11 +20,11 @@ use crate::losses::{LossTerms, WeightConfig};
 use crate::schedule::Rates;
 use crate::state::State;
 
-/// What one image is compared with: three colour channels and, where the capture has masks, two of
+/// The training image that a rendering is compared with: three colour channels and, where the capture has masks, two of
 /// segmentation (foreground, background).
 #[derive(Clone, Debug)]
 pub struct Target {
-    /// Where it was taken from.
+    /// The camera that took the image.
     pub camera: Camera,
     /// `[3 or 5, H, W]`
     pub image: Image,
@@ -43,16 +43,16 @@ impl Target {
     }
 }
 
-/// What one iteration is asked for.
+/// The inputs of one iteration.
 #[derive(Clone, Copy, Debug)]
 pub struct Step<'a> {
     /// Position of the target in the timestep's list, and of its camera's gain and offset.
     pub camera: usize,
-    /// Learning rates.
+    /// The learning rates of this iteration.
     pub rates: Rates,
-    /// Weights of the losses.
+    /// The weights of the losses.
     pub weights: &'a WeightConfig,
-    /// Masks.
+    /// The settings of the learned masks.
     pub mask: &'a MaskConfig,
     /// Whether to count gradients for densification.
     pub counts_gradients: bool,
@@ -61,22 +61,23 @@ pub struct Step<'a> {
     pub moves_gaussians: bool,
 }
 
-/// What computes. It may run behind: [`Self::step`] asks for an iteration, and what came of it is known
-/// later. [`Self::state`] and whatever else looks at the outcome waits for it.
+/// Computes the iterations of a run on one device. An engine may be asynchronous: [`Self::step`] submits an iteration,
+/// and its losses become known later. [`Self::state`] and every other method that reads results waits for all submitted
+/// iterations.
 ///
 /// # Errors
-/// Every call may fail with [`TrainError::Gpu`], also for what an earlier one asked for. The engine is then
-/// of no further use. The one on the CPU never fails.
+/// Every call may fail with [`TrainError::Gpu`], also because of an iteration that an earlier call submitted. The
+/// engine must not be used after an error. The CPU engine never fails.
 pub trait Engine: Send + Debug {
-    /// What computes, for messages: `the CPU, 2 threads`.
+    /// Name of the device, for messages: `the CPU, 2 threads`.
     fn name(&self) -> String;
 
     /// Takes the images of a timestep, one a camera, in the order of the cameras' gains. The state has
     /// been brought to the timestep's start.
     fn begin(&mut self, targets: Vec<Target>) -> Result<(), TrainError>;
 
-    /// One iteration: losses and gradients on one image, then the parameters move. It may return before
-    /// it is computed.
+    /// Computes or submits one iteration: losses and gradients on one image, then one update of the parameters. May
+    /// return before the iteration is computed.
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError>;
 
     /// One iteration with a clock: what [`Self::step`] does, with the times of its stages. Waits for it and for all
@@ -86,16 +87,16 @@ pub trait Engine: Send + Debug {
     /// has no timestamps there is one stage, `iteration`, by the clock of the CPU.
     fn profile(&mut self, step: &Step<'_>) -> Result<StageTimes, TrainError>;
 
-    /// Losses of the iterations that have become known since this was last asked, in order.
+    /// The losses that have become known since the last call of this method, in the order of the iterations.
     fn losses(&mut self) -> Result<Vec<LossTerms>, TrainError>;
 
     /// Waits until all iterations are computed: [`Self::losses`] is then complete.
     fn wait(&mut self) -> Result<(), TrainError>;
 
-    /// The state after all iterations so far.
+    /// The state after all submitted iterations.
     fn state(&mut self) -> Result<&State, TrainError>;
 
-    /// The same, to be changed; what comes next computes with the changes.
+    /// The state after all submitted iterations, mutable; later iterations compute with the changes.
     fn state_mut(&mut self) -> Result<&mut State, TrainError>;
 
     /// How much each stored value moves the pictures, paper Eq. 7; see [`crate::sensitivity`].
@@ -103,7 +104,8 @@ pub trait Engine: Send + Debug {
     /// - `cameras`: one rendering each
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError>;
 
-    /// What the model draws now: quantised and masked, the colours alone, before a camera's gain and offset.
+    /// Renders the current state: quantised and masked, colours alone, without the gain and offset of a training
+    /// camera.
     ///
     /// - returns: `[3, H, W]`
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError>;

@@ -7,18 +7,19 @@ use tcgs_metrics::{ssim_bwd, ssim_fwd};
 
 use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 
-/// Values and gradients of the two image losses.
+/// Values and gradients of the two image losses of one view.
 #[derive(Clone, Debug)]
 pub struct ImageLoss {
-    /// Of the colour image, before its weight.
+    /// Loss of the colour image, before its weight.
     pub image: f64,
-    /// Of the segmentation image, before its weight; 0 without one.
+    /// Loss of the segmentation image, before its weight; 0 without segmentation.
     pub segmentation: f64,
-    /// Of the weighted sum, to the rendered image before the camera's colours.
+    /// `[C, H, W]`, gradient of the weighted sum with respect to the rendered image before the camera's gain and
+    /// offset.
     pub v_image: Image,
-    /// To the logarithm of the camera's gain.
+    /// Gradient of the weighted sum with respect to the logarithm of the camera's gain.
     pub v_gain: [f32; 3],
-    /// To the camera's offset.
+    /// Gradient of the weighted sum with respect to the camera's offset.
     pub v_offset: [f32; 3],
 }
 

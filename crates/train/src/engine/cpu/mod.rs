@@ -1,4 +1,4 @@
-//! The optimisation on the CPU. Same bits for any number of threads.
+//! The CPU engine. The number of threads does not change any bit of the result.
 
 mod image_loss;
 mod motion_prior;
@@ -25,7 +25,7 @@ use crate::state::State;
 /// Fewest Gaussians that one task copies.
 const CHUNK: usize = 1 << 12;
 
-/// Gradients of one iteration, in stored form.
+/// Gradients of one iteration's weighted loss with respect to all learned parameters, in stored form.
 #[derive(Clone, Debug)]
 pub struct StepGrads {
     gaussians: GaussianGrads,
@@ -43,8 +43,11 @@ struct DrawnChain {
     unmasked: Option<(Vec<[f32; 3]>, Vec<f32>)>,
 }
 
-/// What a state draws: stored, fake-quantised, activated, masked; with two channels of segmentation beside the
-/// colours if asked for.
+/// The Gaussians that a state renders: fake-quantised if quantisation has started, activated, and masked if masks are
+/// on.
+///
+/// - `with_segmentation`: whether to append two channels to the colours: foreground, background, each 0 or 1
+/// - returns: `[N]`, activated
 pub fn drawn(state: &State, mask: &MaskConfig, with_segmentation: bool) -> Activated {
     chain(state, mask, with_segmentation).drawn
 }
@@ -80,7 +83,7 @@ fn chain(state: &State, mask_config: &MaskConfig, with_segmentation: bool) -> Dr
     DrawnChain { quantized, drawn, unmasked }
 }
 
-/// The optimisation on the CPU. Every step is computed at once.
+/// The CPU engine: [`Engine::step`] computes the iteration before it returns.
 #[derive(Clone, Debug)]
 pub struct CpuEngine {
     state: State,
@@ -92,12 +95,13 @@ pub struct CpuEngine {
 }
 
 impl CpuEngine {
-    /// Goes on from `state`.
+    /// An engine that continues from `state`.
     pub fn new(state: State) -> Self {
         Self { state, targets: Vec::new(), prior: None, losses: Vec::new() }
     }
 
-    /// Losses and gradients on one image; counts the densification statistic.
+    /// Computes the losses and gradients on one image, without updating the parameters; adds to the densification
+    /// statistic if `step` demands it.
     ///
     /// # Errors
     /// None; see [`Engine`].
@@ -205,7 +209,9 @@ impl CpuEngine {
         }
     }
 
-    /// Moves the parameters.
+    /// Updates the parameters by one step of Adam.
+    ///
+    /// - `grads`: as [`Self::forward_backward`] returns them for `step`
     pub fn update(&mut self, grads: &StepGrads, step: &Step<'_>) {
         let State { parameters: p, optimizer: o, quantizers, .. } = &mut self.state;
         let rates = &step.rates;

@@ -19,21 +19,21 @@ use crate::neighbors::Neighbors;
 /// that this does not show in them.
 const CHUNK: usize = 128;
 
-/// Gradients that the losses add to, in stored form.
+/// The gradients of stored values to which [`MotionPrior::losses`] adds.
 #[derive(Debug)]
 pub struct PriorGrads<'a, R> {
-    /// `[N, 3]`
+    /// `[N, 3]`, gradients of the means.
     pub v_means: &'a mut [[R; 3]],
-    /// `[N, 4]`
+    /// `[N, 4]`, gradients of the stored quaternions.
     pub v_quats: &'a mut [[R; 4]],
-    /// `[N, 3]`
+    /// `[N, 3]`, gradients of the colours.
     pub v_colors: &'a mut [[R; 3]],
 }
 
-/// What the losses of one timestep compare with.
+/// The quantities of earlier timesteps that the losses on motion of one timestep compare with.
 #[derive(Clone, Debug)]
 pub struct MotionPrior<R> {
-    /// Fixed after the first timestep.
+    /// The neighbours at the first timestep.
     pub neighbors: Arc<Neighbors<R>>,
     /// `[F, per_node]` `x_k − x_i` at the timestep before.
     previous_offsets: Vec<[R; 3]>,
