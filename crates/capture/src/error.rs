@@ -38,11 +38,16 @@ pub enum CaptureError {
     /// The capture has no initial points. [`prepare`](crate::prepare) makes points,
     /// [`Capture::with_points`](crate::Capture::with_points) takes them from another file.
     #[error(
-        "{}: has no initial points, expected init_pt_cld.npz, points3D.ply or a COLMAP model in it; `tcgs prepare` \
-         makes them, and `tcgs train --points FILE` takes others",
+        "{}: has no initial points, expected init_pt_cld.npz, points3D.ply or a COLMAP model in it",
         path.display()
     )]
     NoPoints {
+        /// The capture's folder.
+        path: PathBuf,
+    },
+    /// [`prepare`](crate::prepare) found no depth that three views agree on. [`check`](crate::check) looks for the reason.
+    #[error("{}: no three views agree on any depth, expected cameras that fit the images", path.display())]
+    NoDepth {
         /// The capture's folder.
         path: PathBuf,
     },

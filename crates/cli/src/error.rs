@@ -35,6 +35,17 @@ pub fn stopped(left: String) -> anyhow::Error {
 
 /// The message of an error, which names options where the library names arguments.
 pub fn message(error: &anyhow::Error) -> String {
+    let of_capture = error.downcast_ref::<CaptureError>().or_else(|| match error.downcast_ref::<PipelineError>() {
+        Some(PipelineError::Capture(error)) => Some(error),
+        _ => None,
+    });
+    match of_capture {
+        Some(CaptureError::NoPoints { .. }) => {
+            return format!("{error:#}; `tcgs prepare` makes them, and `tcgs train --points FILE` takes others");
+        }
+        Some(CaptureError::NoDepth { .. }) => return format!("{error:#}; `tcgs prepare --check` looks for the reason"),
+        _ => {}
+    }
     match error.downcast_ref::<PipelineError>() {
         Some(PipelineError::Interchange(error @ InterchangeError::HigherHarmonics { .. })) => {
             format!("{error}, or --drop-sh to do without the others")
@@ -91,6 +102,17 @@ mod tests {
     use tcgs_render::device::GpuError;
 
     use super::*;
+
+    #[test]
+    fn what_the_command_line_offers_is_added_to_what_a_library_says() {
+        let no_points = || CaptureError::NoPoints { path: "x".into() };
+        for error in [anyhow::Error::from(no_points()), PipelineError::Capture(no_points()).into()] {
+            let message = message(&error);
+            assert!(message.starts_with("x: has no initial points") && message.contains("--points FILE"), "{message}");
+        }
+        let message = message(&CaptureError::NoDepth { path: "x".into() }.into());
+        assert!(message.ends_with("`tcgs prepare --check` looks for the reason"), "{message}");
+    }
 
     #[test]
     fn whose_fault_it_is_decides_the_exit_code() {

@@ -142,9 +142,7 @@ pub fn prepare(
         return Ok(prepared);
     }
     if prepared.count(Origin::Triangulated) == 0 {
-        let problem = "no three views agree on any depth, expected cameras that fit the images; tcgs prepare --check \
-                       looks for the reason";
-        return Err(CaptureError::invalid(&capture.path, problem));
+        return Err(CaptureError::NoDepth { path: capture.path.clone() });
     }
     Ok(prepared)
 }

@@ -76,7 +76,7 @@ fn cameras(
     let of_run = scene.run().map(|run| PathBuf::from(&run.config().data.capture));
     let Some(path) = options.capture.clone().or(of_run) else {
         let cameras = Tour::Orbit.cameras(gaussians.means(), scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE);
-        return Ok((cameras, "cameras around the scene (--capture would give the real ones)".into()));
+        return Ok((cameras, "cameras around the scene (a capture would give the real ones)".into()));
     };
     let capture = Capture::open(&path)?;
     let cameras = capture.cameras(Split::Train, scene.first_frame, scene.downscale)?;
