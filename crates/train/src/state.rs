@@ -203,3 +203,43 @@ impl State {
         self.quantizers = Some(quantizers);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use tcgs_core::{Gaussians, PointCloud};
+
+    use super::*;
+    use crate::motion::Pose;
+
+    /// Each thing that belongs to a Gaussian holds the Gaussian's number.
+    #[test]
+    fn one_gather_moves_everything_that_belongs_to_a_gaussian() {
+        let points: Vec<[f32; 3]> = (0..4).map(|i| [i as f32; 3]).collect();
+        let cloud = PointCloud { colors: points.clone(), foreground: vec![true; 4], points };
+        let mut state = State::new(Parameters::from_cloud(&cloud, 1, 1.0));
+        state.timestep = 7;
+        state.parameters.mask_logits = vec![0.0, 1.0, 2.0, 3.0];
+        let numbered = state.parameters.gaussians.clone();
+        state.optimizer.first.means_mut().copy_from_slice(numbered.means());
+        state.optimizer.mask.first = vec![0.0, 1.0, 2.0, 3.0];
+        state.statistic.count = vec![0, 1, 2, 3];
+        let past = Past::new(Pose::of(&numbered), numbered, &[true; 4]);
+        state.past = Some(Past { previous_mask_logits: Some(vec![0.0, 1.0, 2.0, 3.0]), ..past });
+
+        state.gather(&[Row::Kept(3), Row::Kept(1), Row::New { parent: 3 }]);
+        let numbers = |gaussians: &Gaussians| -> Vec<f32> { gaussians.means().iter().map(|mean| mean[0]).collect() };
+        let expected = [3.0, 1.0, 3.0];
+        assert_eq!(numbers(&state.parameters.gaussians), expected);
+        assert_eq!(state.parameters.mask_logits, expected);
+        assert_eq!(state.statistic.count, [3, 1, 3]);
+        assert_eq!((&state.lifetimes.ids[..], &state.lifetimes.births[..]), (&[3, 1, 4][..], &[0, 0, 7][..]));
+        // What is new starts without moments.
+        assert_eq!(state.optimizer.first.means(), [[3.0; 3], [1.0; 3], [0.0; 3]]);
+        assert_eq!(state.optimizer.mask.first, [3.0, 1.0, 0.0]);
+        let past = state.past.unwrap();
+        assert_eq!(numbers(&past.previous), expected);
+        assert_eq!(past.first.means.iter().map(|mean| mean[0]).collect::<Vec<_>>(), expected);
+        assert_eq!(past.previous_mask_logits.unwrap(), expected);
+        assert_eq!((past.neighbors.foreground.len(), past.neighbors.indices[0]), (3, 2), "a clone is the nearest");
+    }
+}
