@@ -70,8 +70,32 @@ impl BackendOptions {
 }
 
 fn on_cpu(why: &str) -> Backend {
+    keep_freed_memory();
     note(&format!("computing on the CPU, {} threads{why}", rayon::current_num_threads()));
     Backend::Cpu
+}
+
+/// Lets the C library keep up to 1 GiB of freed memory for the next allocation. Every iteration on the CPU allocates
+/// and frees about 100 MB; given back to the system each time, they cost 30,000 page faults, a fifth of an iteration.
+/// Only glibc gives memory back so soon.
+fn keep_freed_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    {
+        use std::ffi::c_int;
+        // From malloc.h.
+        const M_TRIM_THRESHOLD: c_int = -1;
+        const M_MMAP_THRESHOLD: c_int = -3;
+        unsafe extern "C" {
+            fn mallopt(parameter: c_int, value: c_int) -> c_int;
+        }
+        // SAFETY: mallopt takes the allocator's lock, and both values are legal; where it refuses one, memory is given
+        // back as before.
+        #[allow(unsafe_code)]
+        unsafe {
+            mallopt(M_TRIM_THRESHOLD, 1 << 30);
+            mallopt(M_MMAP_THRESHOLD, 1 << 29);
+        }
+    }
 }
 
 fn on_gpu(backend: Backend) -> Backend {
