@@ -1,6 +1,9 @@
 //! Which Gaussians the losses on motion hold together: neighbours of the foreground, found once after the first
 //! timestep.
 
+use std::cmp::Ordering;
+
+use rayon::prelude::*;
 use tcgs_core::Real;
 
 use crate::parameters::nearest;
@@ -9,11 +12,22 @@ use crate::parameters::nearest;
 pub const NUM_NEIGHBORS: usize = 20;
 /// A neighbour at distance `d` has the weight `exp(−NEIGHBOR_FALLOFF d²)`; per squared scene unit. Reference: 2000.
 pub const NEIGHBOR_FALLOFF: f32 = 2000.0;
+/// Links that are worked on side by side: a node's list is padded to a multiple of this.
+pub(crate) const LANES: usize = 8;
+/// A link stands for an edge that leaves the list's node.
+pub(crate) const LEAVES: u32 = 1 << 31;
+/// A link stands for an edge that arrives at the list's node.
+pub(crate) const ARRIVES: u32 = 1 << 30;
+
 /// The graph of nearest neighbours among the foreground Gaussians at the first timestep: `F` nodes with `per_node`
 /// edges each.
+///
+/// Every node also has a list of the nodes that share an edge with it, whichever way the edge runs. So a node finds all
+/// of its gradient in one walk, and nothing is written for a far end. Where two nodes are each other's neighbours, which
+/// most are, one link stands for both edges.
 #[derive(Clone, Debug)]
 pub struct Neighbors<R> {
-    /// `[F]` indices of the foreground Gaussians.
+    /// `[F]` indices of the foreground Gaussians, ascending.
     pub foreground: Vec<u32>,
     /// Number of edges of each node: `min(NUM_NEIGHBORS, F − 1)`.
     pub per_node: usize,
@@ -23,10 +37,46 @@ pub struct Neighbors<R> {
     pub weights: Vec<R>,
     /// `[F, per_node]` distance at the first timestep, scene units.
     pub distances: Vec<R>,
-    /// `[F + 1]` first of each node's entries in `incoming`.
-    incoming_starts: Vec<u32>,
-    /// `[F, per_node]` edges that end at each node.
-    incoming: Vec<u32>,
+    /// `[F + 1]` first of each node's entries in `blocks`.
+    block_starts: Vec<u32>,
+    /// The lists of all nodes.
+    blocks: Vec<LinkBlock<R>>,
+}
+
+/// One or two edges between a list's node and another one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Link<R> {
+    /// Position of the other node in `foreground`.
+    pub other: u32,
+    /// [`LEAVES`], [`ARRIVES`], or both; 0 for padding.
+    pub directions: u32,
+    /// Weight of the edges.
+    pub weight: R,
+    /// Distance at the first timestep, scene units.
+    pub distance: R,
+}
+
+/// [`LANES`] links of one list. Padding names the list's own node and weighs nothing.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LinkBlock<R> {
+    /// Other node and directions.
+    pub others: [u32; LANES],
+    /// Weights.
+    pub weights: [R; LANES],
+    /// Distances at the first timestep, scene units.
+    pub distances: [R; LANES],
+}
+
+impl<R: Real> LinkBlock<R> {
+    fn new(node: u32, links: &[Link<R>]) -> Self {
+        let padding = Link { other: node, directions: 0, weight: R::zero(), distance: R::zero() };
+        let link = |l: usize| links.get(l).copied().unwrap_or(padding);
+        Self {
+            others: std::array::from_fn(|l| link(l).other | link(l).directions),
+            weights: std::array::from_fn(|l| link(l).weight),
+            distances: std::array::from_fn(|l| link(l).distance),
+        }
+    }
 }
 
 impl Neighbors<f32> {
@@ -54,7 +104,8 @@ impl<R: Real> Neighbors<R> {
     /// From edges found elsewhere; the fields say what each argument is.
     ///
     /// # Panics
-    /// If `indices` is not `[foreground, per_node]`, or one of them is no position in `foreground`.
+    /// If `foreground` is not ascending, `indices` is not `[foreground, per_node]`, or one of them is no position in
+    /// `foreground`.
     pub fn from_edges(
         foreground: Vec<u32>,
         per_node: usize,
@@ -62,8 +113,10 @@ impl<R: Real> Neighbors<R> {
         weights: Vec<R>,
         distances: Vec<R>,
     ) -> Self {
-        assert_eq!(indices.len(), foreground.len() * per_node, "edges against [{}, {per_node}]", foreground.len());
-        let mut incoming_starts = vec![0_u32; foreground.len() + 1];
+        let num_nodes = foreground.len();
+        assert!(foreground.is_sorted_by(|a, b| a < b) && num_nodes < ARRIVES as usize, "foreground is ascending");
+        assert_eq!(indices.len(), num_nodes * per_node, "edges against [{num_nodes}, {per_node}]");
+        let mut incoming_starts = vec![0_u32; num_nodes + 1];
         for &end in &indices {
             incoming_starts[end as usize + 1] += 1;
         }
@@ -76,11 +129,69 @@ impl<R: Real> Neighbors<R> {
             incoming[next[end as usize] as usize] = edge as u32;
             next[end as usize] += 1;
         }
-        Self { foreground, per_node, indices, weights, distances, incoming_starts, incoming }
+        let lists: Vec<Vec<LinkBlock<R>>> = (0..num_nodes)
+            .into_par_iter()
+            .map(|i| {
+                let link = |other: u32, directions, edge: usize| Link {
+                    other,
+                    directions,
+                    weight: weights[edge],
+                    distance: distances[edge],
+                };
+                let leaving = (i * per_node..(i + 1) * per_node).map(|edge| link(indices[edge], LEAVES, edge));
+                let arriving = incoming[incoming_starts[i] as usize..incoming_starts[i + 1] as usize]
+                    .iter()
+                    .map(|&edge| link(edge / per_node as u32, ARRIVES, edge as usize));
+                let links = merged(leaving.chain(arriving).collect());
+                links.chunks(LANES).map(|links| LinkBlock::new(i as u32, links)).collect()
+            })
+            .collect();
+        let mut block_starts = Vec::with_capacity(num_nodes + 1);
+        block_starts.push(0);
+        block_starts.extend(lists.iter().scan(0, |end, list| {
+            *end += list.len() as u32;
+            Some(*end)
+        }));
+        Self { foreground, per_node, indices, weights, distances, block_starts, blocks: lists.concat() }
     }
 
-    /// Edges that end at the node at position `i`.
-    pub(crate) fn incoming(&self, i: usize) -> &[u32] {
-        &self.incoming[self.incoming_starts[i] as usize..self.incoming_starts[i + 1] as usize]
+    /// The list of the node at position `i`, with padding.
+    #[inline]
+    pub(crate) fn blocks(&self, i: usize) -> &[LinkBlock<R>] {
+        &self.blocks[self.block_starts[i] as usize..self.block_starts[i + 1] as usize]
     }
+
+    /// The list of the node at position `i`, without padding.
+    #[cfg(any(test, feature = "gpu"))]
+    pub(crate) fn links(&self, i: usize) -> impl Iterator<Item = Link<R>> {
+        const FLAGS: u32 = LEAVES | ARRIVES;
+        let all = self.blocks(i).iter().flat_map(|block| {
+            (0..LANES).map(|l| Link {
+                other: block.others[l] & !FLAGS,
+                directions: block.others[l] & FLAGS,
+                weight: block.weights[l],
+                distance: block.distances[l],
+            })
+        });
+        all.filter(|link| link.directions != 0)
+    }
+}
+
+/// Sorts links by the other node. Two opposite edges become one link if weight and distance agree, as they do when both
+/// were measured.
+fn merged<R: Real>(mut links: Vec<Link<R>>) -> Vec<Link<R>> {
+    let order = |a: R, b: R| a.partial_cmp(&b).unwrap_or(Ordering::Equal);
+    links.sort_by(|a, b| {
+        let by_values = || order(a.weight, b.weight).then_with(|| order(a.distance, b.distance));
+        a.other.cmp(&b.other).then_with(by_values).then_with(|| a.directions.cmp(&b.directions))
+    });
+    links.dedup_by(|next, kept| {
+        let same = (next.other, next.weight, next.distance) == (kept.other, kept.weight, kept.distance)
+            && next.directions & kept.directions == 0;
+        if same {
+            kept.directions |= next.directions;
+        }
+        same
+    });
+    links
 }

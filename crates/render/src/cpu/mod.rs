@@ -268,7 +268,7 @@ fn draw<const C: usize>(
     colors: &[f32],
     settings: &RenderSettings,
     image: &mut Image,
-    mut transmittance: Option<&mut [f32]>,
+    transmittance: Option<&mut [f32]>,
 ) {
     let (width, height) = (image.width, image.height);
     let drawn: Vec<TileImage<C>> = numbers
@@ -276,23 +276,26 @@ fn draw<const C: usize>(
         .with_max_len(1)
         .map(|&tile| rasterize_fwd(tiles, tile, colors, width, height, settings))
         .collect();
-    for (&tile, drawn) in numbers.iter().zip(&drawn) {
-        let (x, y) = (tile % tiles.grid[0] * TILE, tile / tiles.grid[0] * TILE);
-        let count = TILE.min(width - x);
-        for row in 0..TILE.min(height - y) {
-            let at = (y + row) * width + x;
-            let line = |plane: &'_ [_]| -> [f32; TILE] {
-                let plane: &[[f32; 8]] = plane;
-                plane[row * 2..][..2].as_flattened().try_into().expect("a tile's row")
-            };
-            if let Some(transmittance) = &mut transmittance {
-                transmittance[at..at + count].copy_from_slice(&line(&drawn.transmittance)[..count]);
-            }
-            for channel in 0..C {
-                image.plane_mut(channel)[at..at + count].copy_from_slice(&line(&drawn.planes[channel])[..count]);
+    // Bands of a tile's height: those of all channels, then those of the transmittance.
+    let bands = image.data.par_chunks_mut(width * height).enumerate().flat_map(|(channel, plane)| {
+        plane.par_chunks_mut(width * TILE).enumerate().map(move |(row, band)| (Some(channel), row, band))
+    });
+    let of_transmittance = transmittance
+        .into_par_iter()
+        .flat_map(|plane| plane.par_chunks_mut(width * TILE).enumerate().map(|(row, band)| (None, row, band)));
+    bands.chain(of_transmittance).for_each(|(channel, row, band)| {
+        let first = numbers.partition_point(|tile| tile / tiles.grid[0] < row);
+        for (&tile, drawn) in
+            numbers.iter().zip(&drawn).skip(first).take_while(|(tile, _)| **tile / tiles.grid[0] == row)
+        {
+            let x = tile % tiles.grid[0] * TILE;
+            let count = TILE.min(width - x);
+            let plane = channel.map_or(&drawn.transmittance, |channel| &drawn.planes[channel]);
+            for (line, pixels) in band.chunks_exact_mut(width).zip(plane.chunks_exact(TILE)) {
+                line[x..x + count].copy_from_slice(&pixels[..count]);
             }
         }
-    }
+    });
 }
 
 /// Gaussians whose pairs are added up before any is taken through the projection: their rows lie far apart,

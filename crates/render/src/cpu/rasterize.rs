@@ -13,12 +13,15 @@
 //! image += transmittance · background
 //! ```
 //!
-//! Departures, for speed: (1) splats are the outer loop and run over eight pixels of a row at a
+//! Departures, for speed: (1) splats are the outer loop and run over eight or sixteen pixels of a row at a
 //! time, inside the splat's own rows and columns; (2) a finished pixel is marked by the sign of its
 //! transmittance; (3) backward walks front to back as well: what lies behind a splat is the
-//! finished image less what was blended so far, so nothing per pixel is kept but the image.
+//! finished image less what was blended so far, so nothing per pixel is kept but the image; (4) the exponent is one
+//! of 2; (5) where the processor has fused multiply-adds, sums of products are rounded once. So machines differ in
+//! the last bits; a machine always computes the same.
 
 use multiversion::multiversion;
+use multiversion::target::target_cfg_f;
 use tcgs_core::Image;
 
 use super::tiles::{Splat, Tiles};
@@ -26,92 +29,102 @@ use crate::RenderSettings;
 use crate::settings::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
 use crate::tiling::{PAIR_GRADS, TILE};
 
-const LANES: usize = 8;
-const BLOCKS: usize = TILE / LANES;
-type Lanes = [f32; LANES];
-const ZERO: Lanes = [0.0; LANES];
-
-/// State of one tile, a row of blocks after another.
-type Plane = [Lanes; TILE * BLOCKS];
+/// One value of each pixel of a tile, row by row.
+pub(super) type Plane = [f32; TILE * TILE];
 
 /// Splats that a tile takes at a time. Copying them first lets the processor wait for many cache misses
 /// at once, where blending would wait for one after another; and after each batch the tile is asked
 /// whether all its pixels are finished.
 const BATCH: usize = 32;
 
-/// `exp(−x)` for `x >= 0`, to 2e-7 relative: a power of two by exponent bits and a degree-6 polynomial.
+/// `a * b + c`, rounded once if `FUSED`. Without the processor's own instruction a fused one is a slow call.
 #[inline(always)]
-fn exp_neg(x: f32) -> f32 {
+fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
+    if FUSED { a.mul_add(b, c) } else { a * b + c }
+}
+
+/// `2^−x` for `x >= 0`, to 2e-7 relative: a power of two by exponent bits and a degree-6 polynomial.
+#[inline(always)]
+fn exp2_neg<const FUSED: bool>(x: f32) -> f32 {
     /// Adding this leaves an integer in the low mantissa bits.
     const MAGIC: f32 = 12_582_912.0;
-    let y = -x.min(80.0) * std::f32::consts::LOG2_E;
-    let shifted = y + MAGIC;
-    let f = y - (shifted - MAGIC);
-    let p = 1.540_353e-4_f32;
-    let p = p * f + 1.333_355_8e-3;
-    let p = p * f + 9.618_129e-3;
-    let p = p * f + 5.550_411e-2;
-    let p = p * f + 2.402_265e-1;
-    let p = p * f + std::f32::consts::LN_2;
-    let p = p * f + 1.0;
+    /// The least result is still a normal number.
+    const MOST: f32 = 120.0;
+    let x = if x < MOST { x } else { MOST };
+    let shifted = MAGIC - x;
+    let f = (MAGIC - shifted) - x;
+    let p = mul_add::<FUSED>(1.540_353e-4, f, 1.333_355_8e-3);
+    let p = mul_add::<FUSED>(p, f, 9.618_129e-3);
+    let p = mul_add::<FUSED>(p, f, 5.550_411e-2);
+    let p = mul_add::<FUSED>(p, f, 2.402_265e-1);
+    let p = mul_add::<FUSED>(p, f, std::f32::consts::LN_2);
+    let p = mul_add::<FUSED>(p, f, 1.0);
     f32::from_bits(p.to_bits().wrapping_add(shifted.to_bits() << 23))
 }
 
-/// What one splat does to eight pixels.
-struct Blend {
-    /// Offset of the pixel centres from the splat's, along x.
-    dx: Lanes,
-    alpha: Lanes,
-    /// `alpha * transmittance`; 0 where the splat is skipped.
-    blend_weight: Lanes,
-    /// Whether alpha was clamped.
-    clamped: [bool; LANES],
+/// The terms of a splat's exponent of 2 in one row of pixels: `(aa * dx + b_dy) * dx + cc_dy2`.
+#[derive(Clone, Copy)]
+struct RowTerms {
+    aa: f32,
+    b_dy: f32,
+    cc_dy2: f32,
+    opacity: f32,
 }
 
-/// Blends a splat into the transmittance of eight pixels that start at `x`.
-#[inline(always)]
-fn blend(splat: &Splat, x: f32, dy: f32, transmittance: &mut Lanes) -> Blend {
-    let [a, b, c] = splat.conic;
-    let mut out = Blend { dx: ZERO, alpha: ZERO, blend_weight: ZERO, clamped: [false; LANES] };
-    let (half_a, b_dy, half_c_dy2) = (0.5 * a, b * dy, 0.5 * c * dy * dy);
-    for l in 0..LANES {
-        let dx = x + l as f32 - splat.mean2d[0];
-        let exponent = (half_a * dx + b_dy) * dx + half_c_dy2;
-        let raw = splat.opacity * exp_neg(exponent.max(0.0));
-        let alpha = raw.min(MAX_ALPHA as f32);
-        let before = transmittance[l];
-        let after = before * (1.0 - alpha);
-        let reached = (alpha >= MIN_ALPHA as f32) & (before > 0.0);
-        let finishes = after < MIN_TRANSMITTANCE as f32;
-        let blended = reached & !finishes;
-        out.dx[l] = dx;
-        out.alpha[l] = alpha;
-        out.blend_weight[l] = if blended { alpha * before } else { 0.0 };
-        out.clamped[l] = raw > MAX_ALPHA as f32;
-        transmittance[l] = if blended {
-            after
-        } else if reached {
-            -before
-        } else {
-            before
-        };
+impl RowTerms {
+    #[inline(always)]
+    fn new(splat: &Splat, dy: f32) -> Self {
+        const LOG2_E: f32 = std::f32::consts::LOG2_E;
+        let [a, b, c] = splat.conic;
+        Self { aa: 0.5 * LOG2_E * a, b_dy: LOG2_E * b * dy, cc_dy2: 0.5 * LOG2_E * c * dy * dy, opacity: splat.opacity }
     }
-    out
 }
 
-/// Rows and blocks of a tile that a splat reaches.
+/// What one splat does to one pixel.
+struct Blend {
+    alpha: f32,
+    /// `alpha * transmittance`; 0 where the splat is skipped.
+    blend_weight: f32,
+    /// Whether alpha was clamped.
+    clamped: bool,
+    /// Transmittance behind the splat; negative where the pixel is finished.
+    transmittance: f32,
+}
+
+/// Blends a splat into a pixel.
 #[inline(always)]
-fn reach(splat: &Splat, origin: [usize; 2]) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+fn blend<const FUSED: bool>(terms: RowTerms, dx: f32, before: f32) -> Blend {
+    let exponent = mul_add::<FUSED>(mul_add::<FUSED>(terms.aa, dx, terms.b_dy), dx, terms.cc_dy2);
+    let exponent = if exponent > 0.0 { exponent } else { 0.0 };
+    let raw = terms.opacity * exp2_neg::<FUSED>(exponent);
+    let clamped = raw > MAX_ALPHA as f32;
+    let alpha = if clamped { MAX_ALPHA as f32 } else { raw };
+    let weight = alpha * before;
+    let after = before - weight;
+    let reached = (alpha >= MIN_ALPHA as f32) & (before > 0.0);
+    let blended = reached & (after >= MIN_TRANSMITTANCE as f32);
+    let skipped = if reached { -before } else { before };
+    Blend {
+        alpha,
+        blend_weight: if blended { weight } else { 0.0 },
+        clamped,
+        transmittance: if blended { after } else { skipped },
+    }
+}
+
+/// Rows of a tile that a splat reaches, and runs of `L` pixels in each.
+#[inline(always)]
+fn reach<const L: usize>(splat: &Splat, origin: [usize; 2]) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
     let clip = |range: [u32; 2], origin: usize| {
         (range[0] as usize).saturating_sub(origin)..(range[1] as usize - origin).min(TILE)
     };
     let columns = clip(splat.columns, origin[0]);
-    (clip(splat.rows, origin[1]), columns.start / LANES..columns.end.div_ceil(LANES))
+    (clip(splat.rows, origin[1]), columns.start / L..columns.end.div_ceil(L))
 }
 
 #[inline(always)]
 fn finished(transmittance: &Plane) -> bool {
-    transmittance.iter().all(|lanes| lanes.iter().all(|&t| t <= 0.0))
+    transmittance.iter().all(|&t| t <= 0.0)
 }
 
 /// Overwrites: the splats of some pairs, with their colours.
@@ -140,18 +153,47 @@ fn origin(tiles: &Tiles, tile: usize) -> [usize; 2] {
 #[inline(always)]
 fn start_transmittance(origin: [usize; 2], width: usize, height: usize) -> Plane {
     std::array::from_fn(|i| {
-        std::array::from_fn(|l| {
-            let (x, y) = (origin[0] + i % BLOCKS * LANES + l, origin[1] + i / BLOCKS);
-            if x < width && y < height { 1.0 } else { -1.0 }
-        })
+        let (x, y) = (origin[0] + i % TILE, origin[1] + i / TILE);
+        if x < width && y < height { 1.0 } else { -1.0 }
     })
+}
+
+/// A run of `L` pixels.
+#[inline(always)]
+fn run<const L: usize>(plane: &Plane, at: usize) -> &[f32; L] {
+    plane[at..at + L].try_into().expect("a run of L pixels")
+}
+
+/// A run of `L` pixels, to change in place.
+#[inline(always)]
+fn run_mut<const L: usize>(plane: &mut Plane, at: usize) -> &mut [f32; L] {
+    (&mut plane[at..at + L]).try_into().expect("a run of L pixels")
 }
 
 /// Forward of one tile.
 ///
 /// - `colors`: `[N, C]`
-#[multiversion(targets("x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 pub(super) fn rasterize_fwd<const C: usize>(
+    tiles: &Tiles,
+    tile: usize,
+    colors: &[f32],
+    width: usize,
+    height: usize,
+    settings: &RenderSettings,
+) -> TileImage<C> {
+    if target_cfg_f!(target_feature = "avx512f") {
+        fwd::<C, 16, true>(tiles, tile, colors, width, height, settings)
+    } else if target_cfg_f!(target_feature = "fma") {
+        fwd::<C, 8, true>(tiles, tile, colors, width, height, settings)
+    } else {
+        fwd::<C, 8, false>(tiles, tile, colors, width, height, settings)
+    }
+}
+
+/// [`rasterize_fwd`] in runs of `L` pixels.
+#[inline(always)]
+fn fwd<const C: usize, const L: usize, const FUSED: bool>(
     tiles: &Tiles,
     tile: usize,
     colors: &[f32],
@@ -161,7 +203,7 @@ pub(super) fn rasterize_fwd<const C: usize>(
 ) -> TileImage<C> {
     let origin = origin(tiles, tile);
     let mut transmittance = start_transmittance(origin, width, height);
-    let mut planes = [[ZERO; TILE * BLOCKS]; C];
+    let mut planes = [[0.0; TILE * TILE]; C];
     let mut batch: Vec<(Splat, [f32; C])> = Vec::with_capacity(BATCH);
     for pairs in tiles.pair_splats[tiles.pairs(tile)].chunks(BATCH) {
         if finished(&transmittance) {
@@ -169,29 +211,35 @@ pub(super) fn rasterize_fwd<const C: usize>(
         }
         take_batch::<C>(tiles, pairs, colors, &mut batch);
         for (splat, color) in &batch {
-            let (rows, blocks) = reach(splat, origin);
+            let (rows, runs) = reach::<L>(splat, origin);
+            let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
             for row in rows {
-                let dy = (origin[1] + row) as f32 + 0.5 - splat.mean2d[1];
-                for block in blocks.clone() {
-                    let i = row * BLOCKS + block;
-                    let x = (origin[0] + block * LANES) as f32 + 0.5;
-                    let blended = blend(splat, x, dy, &mut transmittance[i]);
-                    for (plane, color) in planes.iter_mut().zip(color) {
-                        for l in 0..LANES {
-                            plane[i][l] += blended.blend_weight[l] * color;
+                let terms = RowTerms::new(splat, (origin[1] + row) as f32 + 0.5 - splat.mean2d[1]);
+                for column in runs.clone() {
+                    let at = row * TILE + column * L;
+                    let x = left + (column * L) as f32;
+                    let mut weights = [0.0; L];
+                    let transmittance = run_mut::<L>(&mut transmittance, at);
+                    for l in 0..L {
+                        let blended = blend::<FUSED>(terms, x + l as f32, transmittance[l]);
+                        weights[l] = blended.blend_weight;
+                        transmittance[l] = blended.transmittance;
+                    }
+                    for (plane, &color) in planes.iter_mut().zip(color) {
+                        let plane = run_mut::<L>(plane, at);
+                        for l in 0..L {
+                            plane[l] = mul_add::<FUSED>(weights[l], color, plane[l]);
                         }
                     }
                 }
             }
         }
     }
-    for i in 0..TILE * BLOCKS {
-        for l in 0..LANES {
-            let t = transmittance[i][l].abs();
-            transmittance[i][l] = t;
-            for (plane, background) in planes.iter_mut().zip(settings.background) {
-                plane[i][l] += t * background;
-            }
+    for i in 0..TILE * TILE {
+        let t = transmittance[i].abs();
+        transmittance[i] = t;
+        for (plane, background) in planes.iter_mut().zip(settings.background) {
+            plane[i] = mul_add::<FUSED>(t, background, plane[i]);
         }
     }
     TileImage { planes, transmittance }
@@ -201,18 +249,26 @@ pub(super) fn rasterize_fwd<const C: usize>(
 #[inline(always)]
 fn cut(image: &Image, channel: usize, origin: [usize; 2]) -> Plane {
     let plane = image.plane(channel);
-    let mut out = [ZERO; TILE * BLOCKS];
+    let mut out = [0.0; TILE * TILE];
     let width = TILE.min(image.width - origin[0]);
     for row in 0..TILE.min(image.height - origin[1]) {
         let line = &plane[(origin[1] + row) * image.width + origin[0]..][..width];
-        out[row * BLOCKS..][..BLOCKS].as_flattened_mut()[..width].copy_from_slice(line);
+        out[row * TILE..][..width].copy_from_slice(line);
     }
     out
 }
 
+/// Sum of the lanes, in halves.
 #[inline(always)]
-fn sum(lanes: Lanes) -> f32 {
-    ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]))
+fn sum<const L: usize>(mut lanes: [f32; L]) -> f32 {
+    let mut len = L;
+    while len > 1 {
+        len /= 2;
+        for l in 0..len {
+            lanes[l] += lanes[l + len];
+        }
+    }
+    lanes[0]
 }
 
 /// Backward of one tile. Overwrites `v_pairs`.
@@ -220,8 +276,47 @@ fn sum(lanes: Lanes) -> f32 {
 /// - `colors`: `[N, C]`
 /// - `image`, `v_image`: `[C, H, W]`, the finished image and its gradient
 /// - `v_pairs`: `[pairs of the tile, PAIR_GRADS + C]`
-#[multiversion(targets("x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 pub(super) fn rasterize_bwd<const C: usize>(
+    tiles: &Tiles,
+    tile: usize,
+    colors: &[f32],
+    settings: &RenderSettings,
+    image: &Image,
+    v_image: &Image,
+    v_pairs: &mut [f32],
+) {
+    if target_cfg_f!(target_feature = "avx512f") {
+        bwd_counting::<C, 16, true>(tiles, tile, colors, settings, image, v_image, v_pairs);
+    } else if target_cfg_f!(target_feature = "fma") {
+        bwd_counting::<C, 8, true>(tiles, tile, colors, settings, image, v_image, v_pairs);
+    } else {
+        bwd_counting::<C, 8, false>(tiles, tile, colors, settings, image, v_image, v_pairs);
+    }
+}
+
+/// [`rasterize_bwd`] in runs of `L` pixels. The statistic has sums of its own only if it counts some channels and not
+/// all.
+#[inline(always)]
+fn bwd_counting<const C: usize, const L: usize, const FUSED: bool>(
+    tiles: &Tiles,
+    tile: usize,
+    colors: &[f32],
+    settings: &RenderSettings,
+    image: &Image,
+    v_image: &Image,
+    v_pairs: &mut [f32],
+) {
+    if (1..C).contains(&settings.statistic_channels) {
+        bwd::<C, L, FUSED, true>(tiles, tile, colors, settings, image, v_image, v_pairs);
+    } else {
+        bwd::<C, L, FUSED, false>(tiles, tile, colors, settings, image, v_image, v_pairs);
+    }
+}
+
+/// - `PARTIAL`: whether the statistic counts some channels and not all
+#[inline(always)]
+fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
     tiles: &Tiles,
     tile: usize,
     colors: &[f32],
@@ -234,16 +329,14 @@ pub(super) fn rasterize_bwd<const C: usize>(
     let mut transmittance = start_transmittance(origin, image.width, image.height);
     let v_planes: [Plane; C] = std::array::from_fn(|channel| cut(v_image, channel, origin));
     // Σ over channels of image · v_image, less what was blended so far: all channels, statistic's alone.
-    let mut behind = [ZERO; TILE * BLOCKS];
-    let mut behind_statistic = [ZERO; TILE * BLOCKS];
+    let mut behind = [0.0; TILE * TILE];
+    let mut behind_statistic = [0.0; TILE * TILE];
     for (channel, v_plane) in v_planes.iter().enumerate() {
         let plane = cut(image, channel, origin);
-        for i in 0..TILE * BLOCKS {
-            for l in 0..LANES {
-                behind[i][l] += plane[i][l] * v_plane[i][l];
-                if channel < settings.statistic_channels {
-                    behind_statistic[i][l] += plane[i][l] * v_plane[i][l];
-                }
+        for i in 0..TILE * TILE {
+            behind[i] += plane[i] * v_plane[i];
+            if PARTIAL && channel < settings.statistic_channels {
+                behind_statistic[i] += plane[i] * v_plane[i];
             }
         }
     }
@@ -259,59 +352,85 @@ pub(super) fn rasterize_bwd<const C: usize>(
         take_batch::<C>(tiles, pairs, colors, &mut batch);
         for ((splat, color), v_pair) in batch.iter().zip(v_pairs.chunks_exact_mut(PAIR_GRADS + C)) {
             let statistic_color: [f32; C] = std::array::from_fn(|c| color[c] * statistic[c]);
-            let (rows, blocks) = reach(splat, origin);
+            let (rows, runs) = reach::<L>(splat, origin);
+            let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
+            let zero = [0.0; L];
             // Moments of g = −∂L/∂exponent about the splat's centre.
-            let (mut g_sum, mut g_x, mut g_y, mut g_xx, mut g_xy, mut g_yy) = (ZERO, ZERO, ZERO, ZERO, ZERO, ZERO);
-            let (mut s_x, mut s_y) = (ZERO, ZERO);
-            let mut v_color = [ZERO; C];
+            let (mut g_sum, mut g_x, mut g_y, mut g_xx, mut g_xy, mut g_yy) = (zero, zero, zero, zero, zero, zero);
+            let (mut s_x, mut s_y) = (zero, zero);
+            let mut v_color = [zero; C];
             for row in rows {
                 let dy = (origin[1] + row) as f32 + 0.5 - splat.mean2d[1];
-                for block in blocks.clone() {
-                    let i = row * BLOCKS + block;
-                    let x = (origin[0] + block * LANES) as f32 + 0.5;
-                    let blended = blend(splat, x, dy, &mut transmittance[i]);
-                    let mut own = ZERO;
-                    let mut own_statistic = ZERO;
+                let terms = RowTerms::new(splat, dy);
+                for column in runs.clone() {
+                    let at = row * TILE + column * L;
+                    let x = left + (column * L) as f32;
+                    let transmittance = run_mut::<L>(&mut transmittance, at);
+                    let behind = run_mut::<L>(&mut behind, at);
+                    let behind_statistic = run_mut::<L>(&mut behind_statistic, at);
+                    let mut own = zero;
+                    let mut own_statistic = zero;
                     for c in 0..C {
-                        for l in 0..LANES {
-                            let v = v_planes[c][i][l];
-                            own[l] += color[c] * v;
-                            own_statistic[l] += statistic_color[c] * v;
-                            v_color[c][l] += blended.blend_weight[l] * v;
+                        let v = run::<L>(&v_planes[c], at);
+                        for l in 0..L {
+                            own[l] = mul_add::<FUSED>(color[c], v[l], own[l]);
+                            if PARTIAL {
+                                own_statistic[l] = mul_add::<FUSED>(statistic_color[c], v[l], own_statistic[l]);
+                            }
                         }
                     }
-                    for l in 0..LANES {
-                        let (weight, alpha) = (blended.blend_weight[l], blended.alpha[l]);
-                        behind[i][l] -= weight * own[l];
-                        behind_statistic[i][l] -= weight * own_statistic[l];
-                        let moves = (weight > 0.0) & !blended.clamped[l];
+                    let mut weights = zero;
+                    for l in 0..L {
+                        let dx = x + l as f32;
+                        let blended = blend::<FUSED>(terms, dx, transmittance[l]);
+                        transmittance[l] = blended.transmittance;
+                        let (weight, alpha) = (blended.blend_weight, blended.alpha);
+                        weights[l] = weight;
+                        behind[l] = mul_add::<FUSED>(-weight, own[l], behind[l]);
+                        let moves = (weight > 0.0) & !blended.clamped;
                         let ratio = alpha / (1.0 - alpha);
-                        let g = if moves { weight * own[l] - behind[i][l] * ratio } else { 0.0 };
-                        let s = if moves { weight * own_statistic[l] - behind_statistic[i][l] * ratio } else { 0.0 };
-                        let dx = blended.dx[l];
-                        let g_dx = g * dx;
+                        let g = mul_add::<FUSED>(-ratio, behind[l], weight * own[l]);
+                        let g = if moves { g } else { 0.0 };
+                        let (g_dx, g_dy) = (g * dx, g * dy);
                         g_sum[l] += g;
                         g_x[l] += g_dx;
-                        g_y[l] += g * dy;
-                        g_xx[l] += g_dx * dx;
-                        g_xy[l] += g_dx * dy;
-                        g_yy[l] += g * dy * dy;
-                        s_x[l] += s * dx;
-                        s_y[l] += s * dy;
+                        g_y[l] += g_dy;
+                        g_xx[l] = mul_add::<FUSED>(g_dx, dx, g_xx[l]);
+                        g_xy[l] = mul_add::<FUSED>(g_dx, dy, g_xy[l]);
+                        g_yy[l] = mul_add::<FUSED>(g_dy, dy, g_yy[l]);
+                        if PARTIAL {
+                            behind_statistic[l] = mul_add::<FUSED>(-weight, own_statistic[l], behind_statistic[l]);
+                            let s = mul_add::<FUSED>(-ratio, behind_statistic[l], weight * own_statistic[l]);
+                            let s = if moves { s } else { 0.0 };
+                            s_x[l] = mul_add::<FUSED>(s, dx, s_x[l]);
+                            s_y[l] = mul_add::<FUSED>(s, dy, s_y[l]);
+                        }
+                    }
+                    for c in 0..C {
+                        let v = run::<L>(&v_planes[c], at);
+                        for l in 0..L {
+                            v_color[c][l] = mul_add::<FUSED>(weights[l], v[l], v_color[c][l]);
+                        }
                     }
                 }
             }
             let [a, b, c] = splat.conic;
-            let (x, y, sx, sy) = (sum(g_x), sum(g_y), sum(s_x), sum(s_y));
+            let along = |x: f32, y: f32| [a * x + b * y, b * x + c * y];
+            let mean2d = along(sum(g_x), sum(g_y));
+            let statistic = match settings.statistic_channels {
+                0 => [0.0; 2],
+                _ if PARTIAL => along(sum(s_x), sum(s_y)),
+                _ => mean2d,
+            };
             v_pair[..PAIR_GRADS].copy_from_slice(&[
-                a * x + b * y,
-                b * x + c * y,
+                mean2d[0],
+                mean2d[1],
                 -0.5 * sum(g_xx),
                 -sum(g_xy),
                 -0.5 * sum(g_yy),
                 sum(g_sum) / splat.opacity,
-                a * sx + b * sy,
-                b * sx + c * sy,
+                statistic[0],
+                statistic[1],
             ]);
             for (v, lanes) in v_pair[PAIR_GRADS..].iter_mut().zip(v_color) {
                 *v = sum(lanes);
@@ -325,11 +444,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn exp_neg_follows_exp() {
-        for i in 0..60_000 {
+    fn exp2_neg_follows_exp2() {
+        for i in 0..90_000 {
             let x = i as f32 * 1e-3;
-            let (found, expected) = (f64::from(exp_neg(x)), (-f64::from(x)).exp());
-            assert!((found / expected - 1.0).abs() < 4e-7 + f64::from(x) * 1e-7, "{x}: {found} against {expected}");
+            let expected = (-f64::from(x)).exp2();
+            for found in [exp2_neg::<true>(x), exp2_neg::<false>(x)].map(f64::from) {
+                assert!((found / expected - 1.0).abs() < 4e-7, "{x}: {found} against {expected}");
+            }
         }
     }
 }

@@ -1,8 +1,6 @@
 //! Neighbours as the shaders walk them: in an order that keeps what is near in space near in memory.
 //!
-//! A foreground Gaussian is a *node*. Its list holds the nodes that share an edge with it, whichever way
-//! the edge runs: so a node finds all of its gradient in one walk, and nothing is written for a far end.
-//! Where two nodes are each other's neighbours, which most are, one entry stands for both edges.
+//! A foreground Gaussian is a *node*, and its list is that of [`Neighbors`].
 //!
 //! Nodes lie along a Morton curve of their first positions, so that a workgroup's lists name few nodes
 //! beyond its own. Within a workgroup they are sorted by the length of their lists, and lists are stored
@@ -12,17 +10,13 @@
 use rayon::prelude::*;
 use tcgs_render::device::{WORKGROUP, Wgsl};
 
-use crate::neighbors::Neighbors;
+use crate::neighbors::{ARRIVES, LEAVES, Link, Neighbors};
 
 /// Nodes whose lists lie side by side.
 const SLICE: usize = 32;
 /// Words of an entry: node and directions, weight, distance. They lie a slice apart.
 const WORDS: usize = 3;
 
-/// Flag of an entry: the edge leaves the list's node.
-const LEAVES: u32 = 1 << 31;
-/// Flag of an entry: the edge arrives at the list's node.
-const ARRIVES: u32 = 1 << 30;
 /// Flag of a place: a position among the background, not a node.
 const BACKGROUND: u32 = 1 << 31;
 
@@ -47,14 +41,11 @@ pub(crate) struct NeighborLists {
     pub links: Vec<u32>,
 }
 
-/// One entry: the other end, directions, bits of weight and distance.
-type Link = (u32, u32, u32, u32);
-
 impl NeighborLists {
     /// - `first_means`: `[N, 3]` at the first timestep, finite
     pub fn new(neighbors: &Neighbors<f32>, first_means: &[[f32; 3]]) -> Self {
         let foreground = &neighbors.foreground;
-        let lists: Vec<Vec<Link>> = (0..foreground.len()).into_par_iter().map(|i| links_of(neighbors, i)).collect();
+        let lists: Vec<Vec<Link<f32>>> = (0..foreground.len()).map(|i| neighbors.links(i).collect()).collect();
 
         let points: Vec<[f32; 3]> = foreground.iter().map(|&i| first_means[i as usize]).collect();
         let mut order = along_morton_curve(&points);
@@ -86,39 +77,18 @@ impl NeighborLists {
             for (lane, &i) in slice.iter().enumerate() {
                 let mut list = lists[i as usize].clone();
                 // Threads side by side then ask for nodes near each other at the same time.
-                list.sort_by_key(|&(other, ..)| ranks[other as usize]);
-                for (position, &(other, directions, weight, distance)) in list.iter().enumerate() {
+                list.sort_by_key(|link| ranks[link.other as usize]);
+                for (position, link) in list.iter().enumerate() {
                     let at = first + position * WORDS * SLICE + lane;
-                    links[at] = ranks[other as usize] | directions;
-                    links[at + SLICE] = weight;
-                    links[at + 2 * SLICE] = distance;
+                    links[at] = ranks[link.other as usize] | link.directions;
+                    links[at + SLICE] = link.weight.to_bits();
+                    links[at + 2 * SLICE] = link.distance.to_bits();
                 }
                 nodes.push([foreground[i as usize], (first + lane) as u32, list.len() as u32, 0]);
             }
         }
         Self { places, nodes, links }
     }
-}
-
-/// Entries of the node at position `i` of the foreground. Two opposite edges become one entry if weight
-/// and distance agree, as they do when both were measured.
-fn links_of(neighbors: &Neighbors<f32>, i: usize) -> Vec<Link> {
-    let per_node = neighbors.per_node;
-    let link = |other: u32, direction, edge: usize| {
-        (other, direction, neighbors.weights[edge].to_bits(), neighbors.distances[edge].to_bits())
-    };
-    let leaving = (i * per_node..(i + 1) * per_node).map(|edge| link(neighbors.indices[edge], LEAVES, edge));
-    let arriving = neighbors.incoming(i).iter().map(|&edge| link(edge / per_node as u32, ARRIVES, edge as usize));
-    let mut links: Vec<Link> = leaving.chain(arriving).collect();
-    links.sort_unstable_by_key(|&(other, direction, weight, distance)| (other, weight, distance, direction));
-    links.dedup_by(|next, kept| {
-        let same = (next.0, next.2, next.3) == (kept.0, kept.2, kept.3) && next.1 & kept.1 == 0;
-        if same {
-            kept.1 |= next.1;
-        }
-        same
-    });
-    links
 }
 
 /// Positions of `points` in the order of a Morton curve through their bounding box; equal keys by position.
