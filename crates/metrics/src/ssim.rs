@@ -11,14 +11,18 @@
 //!
 //! It runs in every training iteration, so:
 //! 1. the window is separable: rows first, then columns, six products a value since it is symmetric;
-//! 2. work is cut into strips of rows of one channel, each filtering the rows it needs into a scratch
-//!    that stays in the cache; strips do not depend on the number of threads, so neither do the results;
-//! 3. the forward pass keeps the map's three derivatives rather than its statistics: the backward pass
+//! 2. only the sum of the two squares is filtered: the formula knows no other;
+//! 3. work is cut into strips of rows of one channel, and these into spans of columns, of which the eleven rows filtered
+//!    last stay in the first-level cache; neither depends on the number of threads, so the results do not either;
+//! 4. the forward pass keeps the map's three derivatives rather than its statistics: the backward pass
 //!    is then three filters;
-//! 4. loops run on slices of equal length, compiled for AVX2 where the machine has it, and never
-//!    contracted to fused multiply-adds: all machines give the same bits.
+//! 5. loops run on arrays of one length, compiled for AVX-512 or AVX2 where the machine has them. There multiply-adds
+//!    are fused, so machines differ in the last bits. A value has the same bits wherever an image is cut.
+
+use std::ops::Range;
 
 use multiversion::multiversion;
+use multiversion::target::target_cfg_f;
 use rayon::prelude::*;
 use tcgs_core::Image;
 
@@ -43,9 +47,15 @@ pub(crate) const WINDOW_SIZE: usize = 2 * RADIUS + 1;
 pub const SSIM_WINDOW: [f32; RADIUS + 1] =
     [0.266_011_72, 0.213_005_54, 0.109_360_69, 0.036_000_773, 0.007_598_758, 0.001_028_380_1];
 
-/// Rows of a strip. Ten more are filtered to either side: a third more work along rows, for a
-/// scratch that fits the cache and strips enough for many cores.
+/// Rows of a strip. Ten more are filtered to either side: a third more work along rows, for strips enough for many
+/// cores.
 const STRIP_ROWS: usize = 32;
+
+/// Columns of a span: eleven rows of four filtered quantities take 22 kB.
+const SPAN: usize = 128;
+
+/// One row of a span.
+type Row = [f32; SPAN];
 
 /// What [`ssim_fwd`] keeps for [`ssim_bwd`]: three values a value of the image.
 #[derive(Clone, Debug, Default)]
@@ -176,151 +186,237 @@ fn strips(data: &mut [f32], channel_len: usize, row_len: usize) -> Vec<(usize, u
 ///
 /// - `x`, `y`: `[H, W]`, rendered and target
 /// - `partials`: `[rows, 3, W]`
-#[multiversion(targets("x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 fn strip_fwd(width: usize, first_row: usize, x: &[f32], y: &[f32], partials: &mut [f32]) -> f64 {
-    let filtered = filter_moments(width, first_row, partials.len() / (3 * width), x, y);
-    let mut stats = vec![0.0; 5 * width];
-    let mut sum = 0.0;
-    for (row, out) in partials.chunks_exact_mut(3 * width).enumerate() {
-        filter_columns::<5>(width, row, &filtered, &mut stats);
-        sum += row_fwd(width, &stats, out);
+    if target_cfg_f!(target_feature = "fma") {
+        strip_fwd_in::<true>(width, first_row, x, y, partials)
+    } else {
+        strip_fwd_in::<false>(width, first_row, x, y, partials)
     }
+}
+
+/// [`strip_fwd`], with fused multiply-adds or without.
+#[inline(always)]
+fn strip_fwd_in<const FUSED: bool>(width: usize, first_row: usize, x: &[f32], y: &[f32], partials: &mut [f32]) -> f64 {
+    let num_rows = partials.len() / (3 * width);
+    let mut sum = 0.0;
+    filter_moments::<FUSED>(width, first_row, num_rows, x, y, |row, columns, stats| {
+        let (map, derivatives) = span_fwd::<FUSED>(stats);
+        let out = &mut partials[row * 3 * width..][..3 * width];
+        for (out, values) in out.chunks_exact_mut(width).zip(&derivatives) {
+            out[columns.clone()].copy_from_slice(&values[..columns.len()]);
+        }
+        sum += sum_of(&map[..columns.len()]);
+    });
     sum
 }
 
 /// Sums of the map and of its second factor over the inner pixels of some rows.
 ///
 /// - `x`, `y`: `[H, W]`, rendered and target
-#[multiversion(targets("x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 fn inner_sums(width: usize, first_row: usize, num_rows: usize, x: &[f32], y: &[f32]) -> (f64, f64) {
-    let filtered = filter_moments(width, first_row, num_rows, x, y);
-    let mut stats = vec![0.0; 5 * width];
-    let (mut whole, mut structure) = (0.0, 0.0);
-    for row in 0..num_rows {
-        filter_columns::<5>(width, row, &filtered, &mut stats);
-        let [mean_x, mean_y, square_x, square_y, product] = split::<5>(width, &stats);
-        for i in RADIUS..width - RADIUS {
-            let (x, y) = (mean_x[i], mean_y[i]);
-            let variances = (square_x[i] - x * x) + (square_y[i] - y * y);
-            let similarity = (2.0 * (product[i] - x * y) + SSIM_C2) / (variances + SSIM_C2);
-            whole += f64::from((2.0 * x * y + SSIM_C1) / (x * x + y * y + SSIM_C1) * similarity);
-            structure += f64::from(similarity);
-        }
+    if target_cfg_f!(target_feature = "fma") {
+        inner_sums_in::<true>(width, first_row, num_rows, x, y)
+    } else {
+        inner_sums_in::<false>(width, first_row, num_rows, x, y)
     }
+}
+
+/// [`inner_sums`], with fused multiply-adds or without.
+#[inline(always)]
+fn inner_sums_in<const FUSED: bool>(
+    width: usize,
+    first_row: usize,
+    num_rows: usize,
+    x: &[f32],
+    y: &[f32],
+) -> (f64, f64) {
+    let (mut whole, mut structure) = (0.0, 0.0);
+    filter_moments::<FUSED>(width, first_row, num_rows, x, y, |_, columns, [mean_x, mean_y, squares, product]| {
+        let [mut map, mut similarities] = [[0.0; SPAN]; 2];
+        for i in 0..SPAN {
+            let (x, y) = (mean_x[i], mean_y[i]);
+            let variances = squares[i] - (x * x + y * y);
+            let similarity = (2.0 * (product[i] - x * y) + SSIM_C2) / (variances + SSIM_C2);
+            map[i] = (2.0 * x * y + SSIM_C1) / (x * x + y * y + SSIM_C1) * similarity;
+            similarities[i] = similarity;
+        }
+        let begin = RADIUS.max(columns.start) - columns.start;
+        let end = (width - RADIUS).min(columns.end).saturating_sub(columns.start).max(begin);
+        whole += sum_of(&map[begin..end]);
+        structure += sum_of(&similarities[begin..end]);
+    });
     (whole, structure)
 }
 
-/// Both images, their squares and their product, filtered along the rows that a strip needs: [`filter_rows`].
+/// Sum of at most [`SPAN`] values, in eight lanes.
 #[inline(always)]
-fn filter_moments(width: usize, first_row: usize, num_rows: usize, x: &[f32], y: &[f32]) -> Vec<f32> {
-    filter_rows::<5>(width, first_row, num_rows, x.len() / width, |row, padded| {
-        let (x, y) = (&x[row * width..][..width], &y[row * width..][..width]);
-        let [px, py, pxx, pyy, pxy] = padded;
-        for i in 0..width {
-            (px[i], py[i]) = (x[i], y[i]);
-            (pxx[i], pyy[i], pxy[i]) = (x[i] * x[i], y[i] * y[i], x[i] * y[i]);
+fn sum_of(values: &[f32]) -> f64 {
+    let mut lanes = [0.0_f64; 8];
+    let (eights, rest) = values.as_chunks::<8>();
+    for eight in eights {
+        for l in 0..8 {
+            lanes[l] += f64::from(eight[l]);
         }
-    })
+    }
+    for (lane, &value) in lanes.iter_mut().zip(rest) {
+        *lane += f64::from(value);
+    }
+    lanes.iter().sum()
 }
 
-/// The formula, from filtered statistics, over one row.
-///
-/// - `stats`: `[5, W]`
-/// - `partials`: `[3, W]`
+/// Both images, the sum of their squares and their product, filtered: [`filter`].
 #[inline(always)]
-fn row_fwd(width: usize, stats: &[f32], partials: &mut [f32]) -> f64 {
-    let [mean_x, mean_y, square_x, square_y, product] = split::<5>(width, stats);
-    let (v_mean, rest) = partials.split_at_mut(width);
-    let (v_square, v_product) = rest.split_at_mut(width);
-    let (v_square, v_product) = (&mut v_square[..width], &mut v_product[..width]);
-    let mut sum = 0.0;
-    for i in 0..width {
+fn filter_moments<const FUSED: bool>(
+    width: usize,
+    first_row: usize,
+    num_rows: usize,
+    x: &[f32],
+    y: &[f32],
+    take: impl FnMut(usize, Range<usize>, &[Row; 4]),
+) {
+    let fill = |row: usize, columns: Range<usize>, [px, py, squares, product]: [&mut [f32]; 4]| {
+        let (x, y) = (&x[row * width..][columns.clone()], &y[row * width..][columns]);
+        for (i, (&x, &y)) in x.iter().zip(y).enumerate() {
+            (px[i], py[i]) = (x, y);
+            (squares[i], product[i]) = (mul_add::<FUSED>(x, x, y * y), x * y);
+        }
+    };
+    filter::<4, FUSED>(width, first_row, num_rows, x.len() / width, fill, take);
+}
+
+/// The formula, from filtered statistics: the map and its three derivatives, in one row of a span.
+#[inline(always)]
+fn span_fwd<const FUSED: bool>([mean_x, mean_y, squares, product]: &[Row; 4]) -> (Row, [Row; 3]) {
+    let mut map = [0.0; SPAN];
+    let [mut v_mean, mut v_square, mut v_product] = [[0.0; SPAN]; 3];
+    for i in 0..SPAN {
         let (x, y) = (mean_x[i], mean_y[i]);
-        let covariance = product[i] - x * y;
-        let variances = (square_x[i] - x * x) + (square_y[i] - y * y);
-        let (a1, a2) = (2.0 * x * y + SSIM_C1, 2.0 * covariance + SSIM_C2);
-        let (b1, b2) = (x * x + y * y + SSIM_C1, variances + SSIM_C2);
+        let means = mul_add::<FUSED>(x, x, y * y);
+        let (both, covariance) = (2.0 * x * y, mul_add::<FUSED>(-x, y, product[i]));
+        let (a1, a2) = (both + SSIM_C1, mul_add::<FUSED>(2.0, covariance, SSIM_C2));
+        let (b1, b2) = (means + SSIM_C1, (squares[i] - means) + SSIM_C2);
         let (inverse_b1, inverse_b2) = (1.0 / b1, 1.0 / b2);
         let inverse = inverse_b1 * inverse_b2;
         let ssim = a1 * a2 * inverse;
         // With the squares and the product held fixed, the mean acts on the variance and covariance too.
-        v_mean[i] = 2.0 * (y * (a2 - a1) * inverse - x * ssim * (inverse_b1 - inverse_b2));
+        v_mean[i] = 2.0 * mul_add::<FUSED>(y * (a2 - a1), inverse, -(x * ssim * (inverse_b1 - inverse_b2)));
         v_square[i] = -ssim * inverse_b2;
         v_product[i] = 2.0 * a1 * inverse;
-        sum += f64::from(ssim);
+        map[i] = ssim;
     }
-    sum
+    (map, [v_mean, v_square, v_product])
 }
 
 /// Adds one strip's gradient: `G*v_mean + 2 x (G*v_square) + y (G*v_product)`, the window being its own transpose.
 ///
 /// - `partials`: `[H, 3, W]`
 /// - `v_rows`: `[rows, W]`
-#[multiversion(targets("x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 fn strip_bwd(width: usize, first_row: usize, x: &[f32], y: &[f32], partials: &[f32], v_map: f32, v_rows: &mut [f32]) {
-    let num_rows = v_rows.len() / width;
-    let filtered = filter_rows::<3>(width, first_row, num_rows, x.len() / width, |row, padded| {
-        let rows = split::<3>(width, &partials[row * 3 * width..][..3 * width]);
-        for (padded, row) in padded.into_iter().zip(rows) {
-            padded.copy_from_slice(row);
-        }
-    });
-    let mut stats = vec![0.0; 3 * width];
-    for (row, v_row) in v_rows.chunks_exact_mut(width).enumerate() {
-        filter_columns::<3>(width, row, &filtered, &mut stats);
-        let [v_mean, v_square, v_product] = split::<3>(width, &stats);
-        let start = (first_row + row) * width;
-        let (x, y) = (&x[start..][..width], &y[start..][..width]);
-        for i in 0..width {
-            v_row[i] += v_map * (v_mean[i] + 2.0 * x[i] * v_square[i] + y[i] * v_product[i]);
-        }
+    if target_cfg_f!(target_feature = "fma") {
+        strip_bwd_in::<true>(width, first_row, x, y, partials, v_map, v_rows);
+    } else {
+        strip_bwd_in::<false>(width, first_row, x, y, partials, v_map, v_rows);
     }
 }
 
-/// Filters `K` quantities along the rows that a strip needs.
-///
-/// - `fill`: writes the `K` quantities of one row of the image
-/// - returns: `[num_rows + 10, K, W]`; rows beyond the image are zero
+/// [`strip_bwd`], with fused multiply-adds or without.
 #[inline(always)]
-fn filter_rows<const K: usize>(
+fn strip_bwd_in<const FUSED: bool>(
+    width: usize,
+    first_row: usize,
+    x: &[f32],
+    y: &[f32],
+    partials: &[f32],
+    v_map: f32,
+    v_rows: &mut [f32],
+) {
+    let fill = |row: usize, columns: Range<usize>, padded: [&mut [f32]; 3]| {
+        let rows = split::<3>(width, &partials[row * 3 * width..][..3 * width]);
+        for (padded, row) in padded.into_iter().zip(rows) {
+            padded.copy_from_slice(&row[columns.clone()]);
+        }
+    };
+    let num_rows = v_rows.len() / width;
+    filter::<3, FUSED>(width, first_row, num_rows, x.len() / width, fill, |row, columns, stats| {
+        let [v_mean, v_square, v_product] = stats;
+        let start = (first_row + row) * width;
+        let (x, y) = (&x[start..][columns.clone()], &y[start..][columns.clone()]);
+        let v_row = &mut v_rows[row * width..][columns];
+        for (i, (v, (&x, &y))) in v_row.iter_mut().zip(x.iter().zip(y)).enumerate() {
+            let of_square = mul_add::<FUSED>(2.0 * x, v_square[i], v_mean[i]);
+            *v = mul_add::<FUSED>(v_map, mul_add::<FUSED>(y, v_product[i], of_square), *v);
+        }
+    });
+}
+
+/// `a * b + c`, rounded once if `FUSED`. Without the processor's own instruction a fused one is a slow call.
+#[inline(always)]
+fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
+    if FUSED { a.mul_add(b, c) } else { a * b + c }
+}
+
+/// Filters `K` quantities with the window, span by span and row by row.
+///
+/// - `fill`: writes the `K` quantities of some columns of one row of the image
+/// - `take`: is given every row of the strip, its columns, and their filtered values, of which those beyond the columns
+///   have no meaning
+#[inline(always)]
+fn filter<const K: usize, const FUSED: bool>(
     width: usize,
     first_row: usize,
     num_rows: usize,
     height: usize,
-    fill: impl Fn(usize, [&mut [f32]; K]),
-) -> Vec<f32> {
-    let padded_width = width + 2 * RADIUS;
-    let mut padded = vec![0.0; K * padded_width];
-    let mut filtered = vec![0.0; (num_rows + 2 * RADIUS) * K * width];
-    for (i, out) in filtered.chunks_exact_mut(K * width).enumerate() {
-        let Some(row) = (first_row + i).checked_sub(RADIUS).filter(|&row| row < height) else { continue };
-        let mut quantities = padded.chunks_exact_mut(padded_width).map(|row| &mut row[RADIUS..][..width]);
-        fill(row, std::array::from_fn(|_| quantities.next().unwrap_or_default()));
-        for (padded, out) in padded.chunks_exact(padded_width).zip(out.chunks_exact_mut(width)) {
-            blend(std::array::from_fn(|tap| &padded[tap..][..width]), out);
+    fill: impl Fn(usize, Range<usize>, [&mut [f32]; K]),
+    mut take: impl FnMut(usize, Range<usize>, &[Row; K]),
+) {
+    // Quantities of one row, with zeros beyond the image, and the rows filtered along themselves, the last eleven.
+    let mut padded;
+    let mut ring = [[[0.0; SPAN]; K]; WINDOW_SIZE];
+    let mut filtered = [[0.0; SPAN]; K];
+    for begin in (0..width).step_by(SPAN) {
+        let columns = begin..(begin + SPAN).min(width);
+        let seen = begin.saturating_sub(RADIUS)..(begin + SPAN + RADIUS).min(width);
+        padded = [[0.0; SPAN + 2 * RADIUS]; K];
+        for i in 0..num_rows + 2 * RADIUS {
+            let slot = &mut ring[i % WINDOW_SIZE];
+            match (first_row + i).checked_sub(RADIUS).filter(|&row| row < height) {
+                Some(row) => {
+                    let at = seen.start + RADIUS - begin;
+                    let mut rows = padded.iter_mut().map(|padded| &mut padded[at..at + seen.len()]);
+                    fill(row, seen.clone(), std::array::from_fn(|_| rows.next().unwrap_or_default()));
+                    for (padded, out) in padded.iter().zip(slot) {
+                        blend::<FUSED>(|tap| first_of(&padded[tap..]), out);
+                    }
+                }
+                None => *slot = [[0.0; SPAN]; K],
+            }
+            if let Some(row) = i.checked_sub(2 * RADIUS) {
+                for (k, out) in filtered.iter_mut().enumerate() {
+                    blend::<FUSED>(|tap| &ring[(row + tap) % WINDOW_SIZE][k], out);
+                }
+                take(row, columns.clone(), &filtered);
+            }
         }
     }
-    filtered
 }
 
-/// Filters `K` quantities down the columns, for one row of a strip.
-///
-/// - `filtered`: of [`filter_rows`]
-/// - `out`: `[K, W]`
 #[inline(always)]
-fn filter_columns<const K: usize>(width: usize, row: usize, filtered: &[f32], out: &mut [f32]) {
-    blend(std::array::from_fn(|tap| &filtered[(row + tap) * K * width..][..K * width]), out);
+fn first_of(values: &[f32]) -> &Row {
+    values.first_chunk().expect("a span and its border")
 }
 
-/// One pass of the window: weighs eleven slices, as long as `out` each, from one side to the other.
+/// One pass of the window: weighs eleven rows, from one side to the other.
 #[inline(always)]
-fn blend(taps: [&[f32]; 2 * RADIUS + 1], out: &mut [f32]) {
-    let len = out.len();
-    let [a5, a4, a3, a2, a1, centre, b1, b2, b3, b4, b5] = taps.map(|tap| &tap[..len]);
-    for i in 0..len {
-        let near = SSIM_WINDOW[0] * centre[i] + SSIM_WINDOW[1] * (a1[i] + b1[i]);
-        let middle = SSIM_WINDOW[2] * (a2[i] + b2[i]) + SSIM_WINDOW[3] * (a3[i] + b3[i]);
-        let far = SSIM_WINDOW[4] * (a4[i] + b4[i]) + SSIM_WINDOW[5] * (a5[i] + b5[i]);
+fn blend<'a, const FUSED: bool>(tap: impl Fn(usize) -> &'a Row, out: &mut Row) {
+    let [a5, a4, a3, a2, a1, centre, b1, b2, b3, b4, b5]: [&Row; WINDOW_SIZE] = std::array::from_fn(tap);
+    let w = SSIM_WINDOW;
+    for i in 0..SPAN {
+        let near = mul_add::<FUSED>(w[1], a1[i] + b1[i], w[0] * centre[i]);
+        let middle = mul_add::<FUSED>(w[2], a2[i] + b2[i], w[3] * (a3[i] + b3[i]));
+        let far = mul_add::<FUSED>(w[4], a4[i] + b4[i], w[5] * (a5[i] + b5[i]));
         out[i] = near + (middle + far);
     }
 }

@@ -3,12 +3,16 @@
 
 use std::ops::Range;
 
+use multiversion::multiversion;
 use rayon::prelude::*;
 use tcgs_core::Image;
 use tcgs_metrics::{SSIM_RADIUS, ssim_fwd, ssim_map_bwd};
 use tcgs_render::{TILE, TileMask};
 
 use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
+
+/// Fewest rows of pixels that one task handles.
+const MIN_ROWS: usize = 16;
 
 /// Values and gradients of the two image losses of one view.
 #[derive(Clone, Debug)]
@@ -139,12 +143,18 @@ fn loss_of(
     let pixels = rendered.num_pixels();
     let channels = rendered.num_channels;
     let factor = gain.map(f32::exp);
-    let mut corrected = rendered.clone();
-    for channel in 0..3 {
-        for value in corrected.plane_mut(channel) {
-            *value = factor[channel] * *value + offset[channel];
-        }
-    }
+    let height = rendered.height;
+    // The camera's image: of the colours, then of segmentation.
+    let mut corrected = Image::filled(rendered.width, rendered.height, channels, 0.0);
+    (corrected.data.par_chunks_mut(rendered.width), rendered.data.par_chunks(rendered.width))
+        .into_par_iter()
+        .enumerate()
+        .with_min_len(MIN_ROWS)
+        .for_each(|(row, (corrected, rendered))| {
+            let channel = row / height;
+            let (factor, offset) = if channel < 3 { (factor[channel], offset[channel]) } else { (1.0, 0.0) };
+            corrected.iter_mut().zip(rendered).for_each(|(corrected, &raw)| *corrected = factor * raw + offset);
+        });
 
     let weight = |channel: usize| weights[usize::from(channel >= 3)];
     let (ssim, saved) = ssim_fwd(&corrected, target);
@@ -153,38 +163,29 @@ fn loss_of(
         (0..channels).map(|c| -(1.0 - L1_SHARE) * weight(c) / COUNTED_CHANNELS / counted as f32).collect();
     ssim_map_bwd(&corrected, target, &saved, &v_map, &mut v_image);
 
-    // L1, and the colours' correction taken back, channel by channel.
-    let sums: Vec<(f64, f64, f64)> = v_image
+    // L1, and the colours' correction taken back, row by row.
+    let parts: Vec<[f64; 3]> = v_image
         .data
-        .par_chunks_mut(pixels)
+        .par_chunks_mut(rendered.width)
         .enumerate()
-        .map(|(channel, v_plane)| {
+        .with_min_len(MIN_ROWS)
+        .map(|(row, v_row)| {
+            let channel = row / height;
             let slope = L1_SHARE * weight(channel) / (COUNTED_CHANNELS * counted as f32);
-            let (mut l1, mut v_gain, mut v_offset) = (0.0_f64, 0.0_f64, 0.0_f64);
-            let planes = corrected.plane(channel).iter().zip(target.plane(channel)).zip(rendered.plane(channel));
-            for (v, ((&a, &b), &raw)) in v_plane.iter_mut().zip(planes) {
-                let difference = a - b;
-                l1 += f64::from(difference.abs());
-                *v += if difference > 0.0 {
-                    slope
-                } else if difference < 0.0 {
-                    -slope
-                } else {
-                    0.0
-                };
-                if channel < 3 {
-                    v_offset += f64::from(*v);
-                    *v *= factor[channel];
-                    v_gain += f64::from(*v * raw);
-                }
-            }
-            (l1, v_gain, v_offset)
+            let factor = if channel < 3 { factor[channel] } else { 1.0 };
+            let row_of = |image: &'_ Image| row * image.width..(row + 1) * image.width;
+            let [a, b, raw] = [&corrected, target, rendered].map(|image| &image.data[row_of(image)]);
+            row_bwd(a, b, raw, slope, factor, v_row)
         })
+        .collect();
+    let sums: Vec<[f64; 3]> = parts
+        .chunks(height)
+        .map(|rows| rows.iter().fold([0.0; 3], |sum, part| std::array::from_fn(|i| sum[i] + part[i])))
         .collect();
 
     let loss = |range: Range<usize>| {
         let l1: f64 =
-            sums[range.clone()].iter().map(|s| s.0).sum::<f64>() / (f64::from(COUNTED_CHANNELS) * pixels as f64);
+            sums[range.clone()].iter().map(|s| s[0]).sum::<f64>() / (f64::from(COUNTED_CHANNELS) * pixels as f64);
         // A channel that is not rendered is zero in both images and has an SSIM of 1.
         let unseen = f64::from(COUNTED_CHANNELS) - range.len() as f64;
         let ssim = (ssim[range].iter().sum::<f64>() + unseen) / f64::from(COUNTED_CHANNELS);
@@ -194,9 +195,43 @@ fn loss_of(
         image: loss(0..3),
         segmentation: if channels > 3 { loss(3..channels) } else { 0.0 },
         v_image,
-        v_gain: std::array::from_fn(|c| sums[c].1 as f32),
-        v_offset: std::array::from_fn(|c| sums[c].2 as f32),
+        v_gain: std::array::from_fn(|c| sums[c][1] as f32),
+        v_offset: std::array::from_fn(|c| sums[c][2] as f32),
     }
+}
+
+/// L1 of one row of one channel, and its part of the gradient. *Accumulates* into `v_row`, then takes it back through the
+/// camera's factor.
+///
+/// - `a`, `b`, `raw`: `[W]`, the camera's image, the target, the rendered image
+/// - returns: sums of `|a − b|`, and of the gradients to the factor's logarithm and to the offset
+#[multiversion(targets("x86_64+avx2"))]
+fn row_bwd(a: &[f32], b: &[f32], raw: &[f32], slope: f32, factor: f32, v_row: &mut [f32]) -> [f64; 3] {
+    const LANES: usize = 8;
+    let mut sums = [[0.0_f64; LANES]; 3];
+    let mut add = |l: usize, a: f32, b: f32, raw: f32, v: &mut f32| {
+        let difference = a - b;
+        let sign = if difference > 0.0 { slope } else { 0.0 };
+        let sign = if difference < 0.0 { -slope } else { sign };
+        let v_corrected = *v + sign;
+        *v = v_corrected * factor;
+        sums[0][l] += f64::from(difference.abs());
+        sums[1][l] += f64::from(*v * raw);
+        sums[2][l] += f64::from(v_corrected);
+    };
+    let ((a, a_rest), (b, b_rest), (raw, raw_rest)) = (a.as_chunks(), b.as_chunks(), raw.as_chunks());
+    let (v, v_rest) = v_row.as_chunks_mut::<LANES>();
+    let eights: [&[[f32; LANES]]; 3] = [a, b, raw];
+    for (i, v) in v.iter_mut().enumerate() {
+        let [a, b, raw] = eights.map(|rows| &rows[i]);
+        for l in 0..LANES {
+            add(l, a[l], b[l], raw[l], &mut v[l]);
+        }
+    }
+    for (l, v) in v_rest.iter_mut().enumerate() {
+        add(l, a_rest[l], b_rest[l], raw_rest[l], v);
+    }
+    sums.map(|lanes| lanes.iter().sum())
 }
 
 #[cfg(test)]
