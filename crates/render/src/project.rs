@@ -54,6 +54,7 @@ struct ProjectionChain<R> {
     root: [[R; 3]; 2],
 }
 
+#[inline(always)]
 fn chain<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], camera: &SplatCamera<R>) -> Option<ProjectionChain<R>> {
     let pinhole = &camera.pinhole;
     let point = pinhole.camera_point(mean);
@@ -78,6 +79,7 @@ fn chain<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], camera: &SplatCamer
     Some(ProjectionChain { point, slope, clamped, rotmat, factor, root })
 }
 
+#[inline(always)]
 fn invert_symmetric<R: Real>([xx, xy, yy]: [R; 3]) -> Option<[R; 3]> {
     let determinant = xx * yy - xy * xy;
     (determinant > R::zero() && determinant.is_finite())
@@ -91,6 +93,7 @@ fn invert_symmetric<R: Real>([xx, xy, yy]: [R; 3]) -> Option<[R; 3]> {
 /// - `scale`: `[3]`, activated, scene units
 ///
 /// Zwicker et al. 2002, Eq. 29 and 31 (local affine approximation); Kerbl et al. 2023, Eq. 5.
+#[inline(always)]
 pub fn project<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], camera: &SplatCamera<R>) -> Option<Projection<R>> {
     let chain = chain(mean, quat, scale, camera)?;
     let pinhole = &camera.pinhole;

@@ -142,7 +142,9 @@ impl<R: Real> Neighbors<R> {
                 let arriving = incoming[incoming_starts[i] as usize..incoming_starts[i + 1] as usize]
                     .iter()
                     .map(|&edge| link(edge / per_node as u32, ARRIVES, edge as usize));
-                let links = merged(leaving.chain(arriving).collect());
+                // An edge from a node to itself moves nothing.
+                let others = leaving.chain(arriving).filter(|link| link.other != i as u32);
+                let links = merged(others.collect());
                 links.chunks(LANES).map(|links| LinkBlock::new(i as u32, links)).collect()
             })
             .collect();
