@@ -362,12 +362,12 @@ impl Run {
     }
 }
 
-fn read(path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
+fn read(path: &Path) -> impl Fn(io::Error) -> TrainError + use<> {
     let path = path.to_path_buf();
     move |error| TrainError::Read { path: path.clone(), error }
 }
 
-fn write(path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
+fn write(path: &Path) -> impl Fn(io::Error) -> TrainError + use<> {
     let path = path.to_path_buf();
     move |error| TrainError::Write { path: path.clone(), error }
 }
