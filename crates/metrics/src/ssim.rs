@@ -347,7 +347,7 @@ fn strip_bwd_in<const FUSED: bool>(
         let v_row = &mut v_rows[row * width..][columns];
         for (i, (v, (&x, &y))) in v_row.iter_mut().zip(x.iter().zip(y)).enumerate() {
             let of_square = mul_add::<FUSED>(2.0 * x, v_square[i], v_mean[i]);
-            *v = mul_add::<FUSED>(v_map, mul_add::<FUSED>(y, v_product[i], of_square), *v);
+            *v += v_map * mul_add::<FUSED>(y, v_product[i], of_square);
         }
     });
 }

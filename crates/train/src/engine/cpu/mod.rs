@@ -114,7 +114,7 @@ impl CpuEngine {
         let with_segmentation = target.image.num_channels == 5;
         let DrawnChain { quantized, drawn, unmasked } = chain(&self.state, step.mask, with_segmentation);
         let p = &self.state.parameters;
-        let settings = RenderSettings::default();
+        let settings = settings_of(step);
         laps.lap("activate");
         let (output, saved) = CpuRasterizer.timed_forward(&drawn, &target.camera, &settings, laps);
         let loss = image_loss(
@@ -301,6 +301,15 @@ impl Engine for CpuEngine {
         let drawn = drawn(&self.state, mask, false);
         let Ok((output, _)) = CpuRasterizer.forward(&drawn, camera, &RenderSettings::default());
         Ok(output.image)
+    }
+}
+
+/// Without a densification to come its statistic is not computed.
+fn settings_of(step: &Step<'_>) -> RenderSettings {
+    let settings = RenderSettings::default();
+    RenderSettings {
+        statistic_channels: if step.counts_gradients { settings.statistic_channels } else { 0 },
+        ..settings
     }
 }
 
