@@ -11,6 +11,7 @@ use tcgs_interchange::{Existing, InterchangeError, NpyValue, NpzReader, NpzWrite
 
 use crate::TrainError;
 use crate::fake_quant::FakeQuantizers;
+use crate::gate::GateRecord;
 use crate::lifetimes::Lifetimes;
 use crate::parameters::Parameters;
 use crate::state::{Optimizer, goes_on};
@@ -28,6 +29,8 @@ pub struct Checkpoint {
     pub optimizer: Optimizer,
     /// Extent of the scene in scene units; see [`crate::scene_radius`].
     pub scene_radius: f32,
+    /// What the gate knows; empty in a run without one.
+    pub gate: GateRecord,
 }
 
 /// Name of the array with the moments of a column.
@@ -107,6 +110,14 @@ impl Checkpoint {
         steps.extend(with_moments(layout).map(|column| o.steps[column.attribute.index()]));
         steps.extend([o.quantizer_steps.step, o.quantizer_offsets.step]);
         npz.array("steps", &[steps.len()], [&steps[..]])?;
+        if !self.gate.errors.is_empty() {
+            // Views may differ in their number of tiles, and have equally many estimates.
+            let g = &self.gate;
+            let tiles: Vec<u64> = g.errors.iter().map(|errors| errors.len() as u64).collect();
+            npz.array("gate_tiles", &[tiles.len()], [&tiles[..]])?;
+            npz.array("gate_errors", &[g.errors.iter().map(Vec::len).sum()], g.errors.iter().map(Vec::as_slice))?;
+            npz.array("gate_noise", &[tiles.len(), g.noise[0].len()], g.noise.iter().map(Vec::as_slice))?;
+        }
         if first {
             let cameras = p.camera_gains.len();
             npz.array("camera_gains", &[cameras, 3], [p.camera_gains.as_flattened()])?;
@@ -180,6 +191,26 @@ fn layout_of(table: &str) -> Option<Layout> {
     Some(layout)
 }
 
+fn read_gate(npz: &mut NpzReader) -> Result<GateRecord, String> {
+    let tiles = get::<u64>(npz, "gate_tiles")?;
+    let (errors, noise) = (get::<f32>(npz, "gate_errors")?, get::<f32>(npz, "gate_noise")?);
+    let sum = tiles.iter().try_fold(0_u64, |sum, &count| sum.checked_add(count));
+    if sum != Some(errors.len() as u64) || tiles.is_empty() || !noise.len().is_multiple_of(tiles.len()) {
+        return Err("gate_tiles does not fit gate_errors and gate_noise".into());
+    }
+    let mut rest = &errors[..];
+    let mut take = |count: u64| {
+        let (own, after) = rest.split_at(count as usize);
+        rest = after;
+        own.to_vec()
+    };
+    let per_camera = noise.len() / tiles.len();
+    Ok(GateRecord {
+        errors: tiles.iter().map(|&count| take(count)).collect(),
+        noise: (0..tiles.len()).map(|i| noise[i * per_camera..][..per_camera].to_vec()).collect(),
+    })
+}
+
 fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
     let means = get::<f32>(npz, "means")?;
     let n = first.map_or(means.len() / 3, |f| f.parameters.num_gaussians());
@@ -245,7 +276,8 @@ fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -
         }
     };
     let optimizer = read_optimizer(npz, &parameters, quantizers.as_ref().map_or(0, |q| q.quantizers.len()))?;
-    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius })
+    let gate = if npz.contains("gate_tiles") { read_gate(npz)? } else { GateRecord::default() };
+    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, gate })
 }
 
 fn read_lifetimes(npz: &mut NpzReader, n: usize) -> Result<Lifetimes, String> {

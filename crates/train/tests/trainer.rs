@@ -9,7 +9,7 @@ use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::engine::{Engine, Step, Target};
+use tcgs_train::engine::{Engine, Scenery, Step, Target};
 use tcgs_train::{
     DensifyStep, GradientStatistic, LossTerms, MaskConfig, Parameters, Run, State, TrainConfig, TrainError, Trainer,
     densify, reset_opacities,
@@ -159,8 +159,12 @@ impl Engine for Late {
         "late".into()
     }
 
-    fn begin(&mut self, targets: Vec<Target>) -> Result<(), TrainError> {
-        self.cpu.begin(targets)
+    fn takes_scenery(&self) -> bool {
+        self.cpu.takes_scenery()
+    }
+
+    fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError> {
+        self.cpu.begin(targets, scenery)
     }
 
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError> {
