@@ -43,6 +43,8 @@ fn views(frame: usize) -> Vec<View> {
 
 fn config(first: usize, rest: usize) -> TrainConfig {
     let mut config = TrainConfig::default();
+    // The GPU engine trains everything.
+    config.gate.enabled = false;
     (config.schedule.first_iterations, config.schedule.rest_iterations) = (first, rest);
     config
 }

@@ -140,6 +140,7 @@ fn threads_and_resuming_do_not_change_a_bit() {
         run.save(finished - 1, &whole[finished - 1]).unwrap();
         let mut resumed = run.resume().unwrap().expect("a timestep is finished");
         assert_eq!(resumed.timesteps(), finished);
+        resumed.recall(&views(finished - 1)).unwrap();
         resumed.fit(&views(finished), &mut |_| ControlFlow::Continue(())).unwrap();
         assert!(resumed.checkpoint().unwrap() == whole[finished], "resuming after {finished} timesteps differs");
     }

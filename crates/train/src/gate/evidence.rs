@@ -12,8 +12,6 @@ use super::GateConfig;
 const COLORS: usize = 3;
 /// Side in pixels of the blocks whose difference is averaged against noise.
 const BLOCK: usize = 4;
-/// Pixels by which the tiles reach beyond what changed: room for what moves, and most of the weight of SSIM's window.
-const MARGIN: usize = 4;
 /// Bins of differences, from 0 to 1, of which the median is taken.
 const NOISE_BINS: usize = 8192;
 /// Median of the absolute value of a normal variable of standard deviation 1.
@@ -155,13 +153,12 @@ pub(super) fn tile_errors(picture: &Image, target: &Image, gain: [f32; 3], offse
     sums
 }
 
-/// The tiles in which something changed or nearly so: those that hold marked blocks or lie within a few pixels of them.
-pub(super) fn tiles_near(blocks: &Blocks, width: usize, height: usize) -> TileMask {
+/// The tiles that hold marked blocks.
+pub(super) fn tiles_of(blocks: &Blocks, width: usize, height: usize) -> TileMask {
     let mut tiles = TileMask::none(width, height);
     for index in (0..blocks.is_marked.len()).filter(|&index| blocks.is_marked[index]) {
         let [x, y] = [index % blocks.across * BLOCK, index / blocks.across * BLOCK];
-        let range = |at: usize| at.saturating_sub(MARGIN)..at + BLOCK + MARGIN;
-        tiles.insert_pixels(range(x), range(y));
+        tiles.insert_pixels(x..x + BLOCK, y..y + BLOCK);
     }
     tiles
 }
@@ -221,7 +218,7 @@ mod tests {
             assert!(blocks.at(x, y), "{x}, {y}");
         }
         assert!(!blocks.at(30, 30) && !blocks.at(45, 8) && !blocks.at(60, 30) && !blocks.at(45, 52));
-        let tiles = tiles_near(&blocks, SIZE[0], SIZE[1]);
+        let tiles = tiles_of(&blocks, SIZE[0], SIZE[1]);
         assert_eq!(tiles.iter().collect::<Vec<_>>(), [8, 9, 14, 15], "of 6 a row");
     }
 

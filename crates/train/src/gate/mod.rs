@@ -24,7 +24,7 @@ use tcgs_core::{Activated, Image, View};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub(crate) use self::activity::{Activity, Shares};
-use self::evidence::{Blocks, changed_blocks, noise, tile_errors, tiles_near};
+use self::evidence::{Blocks, changed_blocks, noise, tile_errors, tiles_of};
 pub(crate) use self::pace::Pace;
 use crate::config::MaskConfig;
 use crate::engine::Target;
@@ -57,7 +57,7 @@ pub struct GateConfig {
     /// Default 0.25; 0 makes every Gaussian active that a changed block shows.
     pub share: f32,
     /// A timestep has settled when its losses fell, over the last pass through its views, by less than this share of
-    /// what they fell since it began. Default 0.1.
+    /// the most that they fell over one pass. Default 0.1.
     pub settle: f32,
     /// How many times as fast a timestep goes through the rest of its schedule once it has settled. Default 3; 1 to give
     /// every timestep all of its iterations.
@@ -181,7 +181,7 @@ impl Gate {
                             blocks.mark(columns, rows);
                         }
                     }
-                    Evidence { tiles: tiles_near(&blocks, width, height), blocks }
+                    Evidence { tiles: tiles_of(&blocks, width, height), blocks }
                 })
                 .collect();
         Some(Activity::new(state, &self.mask, targets, evidence, &memory.pictures, config.share))
