@@ -38,12 +38,7 @@ use crate::parallel;
 pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<CompactScene, DecodeError> {
     let mut archive = open_whole(file, limits)?;
     let bytes = |range: std::ops::Range<u64>| &file[range.start as usize..range.end as usize];
-    for (entry, section) in archive.entries().iter().map(|e| (e, bytes(e.range.clone()))) {
-        // Those that are read are checked then.
-        if entry.is_optional() {
-            entry.open(section)?;
-        }
-    }
+    archive.check_optional(0, file)?;
     let layers = archive.num_layers();
     archive.read_shared(bytes(archive.shared_range(layers)))?;
     let segments = parallel::map((0..archive.num_segments()).collect(), |segment| {

@@ -139,7 +139,7 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
 ///
 /// - `file`: all bytes of the file
 /// - `limits`: bounds on memory and counts
-/// - returns: name and content of each piece, in the order of the file
+/// - returns: name and content of each piece, in the order of the file, without those that lack a name in UTF-8
 ///
 /// ```
 /// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, application_data, compress, encode_with};
@@ -158,7 +158,7 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
 pub fn application_data<'a>(file: &'a [u8], limits: &DecodeLimits) -> Result<Vec<(String, &'a [u8])>, DecodeError> {
     let archive = open_whole(file, limits)?;
     let of_range = |(index, range): (usize, Range<u64>)| {
-        archive.read_application(index, &file[range.start as usize..range.end as usize])
+        archive.read_application(index, &file[range.start as usize..range.end as usize]).transpose()
     };
-    archive.application_ranges().into_iter().enumerate().map(of_range).collect()
+    archive.application_ranges().into_iter().enumerate().filter_map(of_range).collect()
 }
