@@ -29,7 +29,10 @@ MUTANTS = [
     ('widths begin anew in a layer', 'if g > 0 else 0', 'if g > layer.start else 0'),
     ('moves begin anew in a layer', 'if g >= k else 0', 'if g - layer.start >= k else 0'),
     ('the last decision is of any Gaussian', '            decision = 0\n', '            decision = 0 if g == 0 else decision\n'),
+    ('symbols beyond two are capped', 'symbols.read(moving[a, c, one, two, decision]) % 2', 'min(symbols.read(moving[a, c, one, two, decision]), 1)'),
     # First positions.
+    ('symbols beyond four are capped', 'symbols.read(low[top]) % 4', 'min(symbols.read(low[top]), 3)'),
+    ('symbols beyond eight are capped', 'symbols.read(leading[bits]) % 2**modelled', 'min(symbols.read(leading[bits]), 2**modelled - 1)'),
     ('the next key builds on the key without its dropped bits', '            b = self.width[MEANS][g]\n            axes', '            b = self.width[MEANS][g]; key = key >> 3 * (widest - b) << 3 * (widest - b)\n            axes'),
     ('the key goes on from layer to layer', 'widest, key = max(self.plan[\'quantizers\'][MEANS]), 0', 'widest, key = max(self.plan[\'quantizers\'][MEANS]), getattr(self, "key", 0)', 'key = (key + gap)', 'key = self.key = (key + gap)'),
     ('the last gap begins anew in a layer', 'widest, key = max', 'self.gap_before = 0; widest, key = max'),
@@ -62,7 +65,6 @@ MUTANTS = [
     ('keypoints of the neighbour with their ends', 'max(len(self.units[neighbor, c0][0]) - 2, 0)', 'len(self.units[neighbor, c0][0])'),
     ('the count before goes on from layer to layer', 'inner_before, per = 0,', 'inner_before, per = getattr(self, "last_count", 0),', 'inner_before = self.read_unit(', 'inner_before = self.last_count = self.read_unit('),
     ('k = 15 alone', 'inner = 14 + self.more', 'inner = 15 + self.more'),
-    ('density without its factor', 'log2(2 * free // left), 8) - 1', 'log2(free // left), 7)'),
     ('density not capped', 'min(log2(2 * free // left), 8) - 1', 'log2(2 * free // left) - 1'),
     ('a gap is read where none is free', 'if free > left else 0', 'if free >= left else 0'),
     ('the last keypoint is at Z', 'if Z + 1 < T else 0', 'if Z + 2 < T else 0'),

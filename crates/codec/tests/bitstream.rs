@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use proptest::prelude::*;
 use tcgs_codec::{
-    BitMap, CompactScene, CompressSettings, DecodeError, DecodeLimits, SceneInfo, Tracks, compress, decode, encode,
-    inspect,
+    BitMap, CompactScene, CompressSettings, DecodeError, DecodeLimits, Decoder, Event, SceneInfo, Segment, Tracks,
+    compress, decode, encode, inspect,
 };
 use tcgs_core::Attribute;
 
@@ -37,6 +37,10 @@ proptest! {
             prop_assert_eq!(&decoded.tracks[attribute.index()], &scene.tracks[attribute.index()], "{:?}", attribute);
         }
         prop_assert_eq!(&decoded, &scene);
+        // The memory that docs/FORMAT.md says every decoder allows is enough.
+        let max_bytes = 1024 + 512 * num_gaussians as u64 + 16 * num_codes(&file);
+        let limits = DecodeLimits { max_bytes, ..Default::default() };
+        prop_assert!(decode(&file, &limits).is_ok());
         let info = inspect(&file, &DecodeLimits::default()).unwrap();
         prop_assert!(info.checksums_ok());
         let contents = info.contents.unwrap();
@@ -69,6 +73,25 @@ proptest! {
             prop_assert_eq!(decode(&encode(&scene).unwrap(), &DecodeLimits::default()).unwrap().tracks, scene.tracks);
         }
     }
+}
+
+/// Codes at keypoints in all segments; those that two segments share count twice.
+fn num_codes(file: &[u8]) -> u64 {
+    let mut decoder = Decoder::new(DecodeLimits::none());
+    let events = decoder.push(file).unwrap();
+    let layers = decoder.archive().unwrap().num_layers();
+    let of_segment = |segment: &Segment| {
+        Attribute::BASE
+            .into_iter()
+            .filter_map(|a| segment.keypoints(a))
+            .map(|keypoints| keypoints.codes.len() as u64)
+            .sum()
+    };
+    let codes = events.iter().map(|event| match event {
+        Event::Segment(segment) if segment.num_layers() == layers => of_segment(segment),
+        _ => 0,
+    });
+    codes.sum()
 }
 
 /// Tag, place, segment and layer of every section.
