@@ -72,5 +72,5 @@ pub use export::{Export, ExportedParams};
 pub use observe::{Event, Observer, TimestepSummary, Trial, Unobserved, Work};
 pub use path_file::read_camera_path;
 pub use render::{CameraAt, render};
-pub use scene::{OpenScene, OpenSettings};
+pub use scene::{CutFiles, OpenScene, OpenSettings};
 pub use train::{RunFolder, fit, new_trainer, settings_for};

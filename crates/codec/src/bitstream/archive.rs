@@ -13,7 +13,7 @@ use super::section::{self, APPLICATION, Cursor, Entry, INFO, MAPS, PLAN, SHARED,
 use super::segment::Segment;
 use super::shared::Shared;
 use crate::compact::SceneInfo;
-use crate::error::DecodeError;
+use crate::error::{DecodeError, ENDS_EARLY};
 use crate::limits::{Budget, DecodeLimits};
 
 /// Result of [`Archive::open`].
@@ -249,10 +249,8 @@ impl Archive {
             .map(|entry| {
                 let range = (entry.range.start - offset) as usize..(entry.range.end - offset) as usize;
                 let section = bytes.get(range);
-                let early = || {
-                    Cursor::new(section::name(entry.tag), entry.range.start, &[])
-                        .invalid("length", "the file ends early")
-                };
+                let early =
+                    || Cursor::new(section::name(entry.tag), entry.range.start, &[]).invalid("length", ENDS_EARLY);
                 entry.open(section.ok_or_else(early)?)
             })
             .collect()
@@ -353,7 +351,11 @@ impl Archive {
     ///
     /// # Panics
     /// If `index` is not below the number of [`Self::application_ranges`].
-    pub fn read_application<'a>(&self, index: usize, bytes: &'a [u8]) -> Result<Option<(String, &'a [u8])>, DecodeError> {
+    pub fn read_application<'a>(
+        &self,
+        index: usize,
+        bytes: &'a [u8],
+    ) -> Result<Option<(String, &'a [u8])>, DecodeError> {
         let mut entries = self.application();
         let entry = entries.nth(index).unwrap_or_else(|| panic!("data {index} of {}", self.application().count()));
         let mut cursor = entry.open(bytes)?;

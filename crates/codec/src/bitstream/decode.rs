@@ -7,7 +7,7 @@ use super::neighbors::NONE;
 use super::section::Cursor;
 use super::segment::Segment;
 use crate::compact::{CompactScene, Tracks};
-use crate::error::DecodeError;
+use crate::error::{DecodeError, ENDS_EARLY};
 use crate::limits::DecodeLimits;
 use crate::parallel;
 
@@ -54,7 +54,7 @@ pub(super) fn open_whole(file: &[u8], limits: &DecodeLimits) -> Result<Archive, 
     match Archive::open(file, limits)? {
         Opening::Ready(archive) if archive.file_bytes() == file.len() as u64 => Ok(*archive),
         Opening::Ready(archive) if archive.file_bytes() < file.len() as u64 => Err(invalid("bytes are left over")),
-        _ => Err(invalid("the file ends early")),
+        _ => Err(invalid(ENDS_EARLY)),
     }
 }
 
