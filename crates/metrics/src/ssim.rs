@@ -60,8 +60,9 @@ type Row = [f32; SPAN];
 /// What [`ssim_fwd`] keeps for [`ssim_bwd`]: three values a value of the image.
 #[derive(Clone, Debug, Default)]
 pub struct SsimSaved {
-    /// `[C, H, 3, W]` derivatives of the map to `mean_x`, `square_x` and `product`.
-    partials: Vec<f32>,
+    /// Strips of the channels, one after another, each `[rows, 3, W]`: derivatives of the map to `mean_x`, `square_x` and
+    /// `product`. Every strip is allocated by the thread that fills it.
+    strips: Vec<Vec<f32>>,
 }
 
 /// SSIM, averaged over pixels, then channels.
@@ -101,16 +102,18 @@ pub fn ssim_fwd(rendered: &Image, target: &Image) -> (Vec<f64>, SsimSaved) {
     assert_same_shape(rendered, target);
     assert!(!rendered.data.is_empty(), "ssim of an image without values");
     let (width, num_pixels) = (rendered.width, rendered.num_pixels());
-    let mut partials = vec![0.0; 3 * rendered.data.len()];
-    let sums: Vec<f64> = strips(&mut partials, 3 * num_pixels, 3 * width)
-        .into_par_iter()
-        .map(|(channel, first_row, out)| {
-            strip_fwd(width, first_row, rendered.plane(channel), target.plane(channel), out)
-        })
-        .collect();
     let strips_per_channel = rendered.height.div_ceil(STRIP_ROWS);
+    let (sums, strips): (Vec<f64>, Vec<Vec<f32>>) = (0..rendered.num_channels * strips_per_channel)
+        .into_par_iter()
+        .map(|strip| {
+            let (channel, first_row) = (strip / strips_per_channel, strip % strips_per_channel * STRIP_ROWS);
+            let mut partials = vec![0.0; STRIP_ROWS.min(rendered.height - first_row) * 3 * width];
+            let sum = strip_fwd(width, first_row, rendered.plane(channel), target.plane(channel), &mut partials);
+            (sum, partials)
+        })
+        .unzip();
     let means = sums.chunks(strips_per_channel).map(|sums| sums.iter().sum::<f64>() / num_pixels as f64).collect();
-    (means, SsimSaved { partials })
+    (means, SsimSaved { strips })
 }
 
 /// Backward of [`ssim_fwd`]. *Accumulates* into `v_rendered`.
@@ -139,10 +142,12 @@ pub fn ssim_map_bwd(rendered: &Image, target: &Image, saved: &SsimSaved, v_map: 
     assert_same_shape(rendered, target);
     assert_same_shape(rendered, v_rendered);
     assert_eq!(v_map.len(), rendered.num_channels, "a gradient of [{}] against [C]", v_map.len());
-    assert_eq!(saved.partials.len(), 3 * rendered.data.len(), "saved for [C, H, 3, W] of another image");
+    let num_saved: usize = saved.strips.iter().map(Vec::len).sum();
+    assert_eq!(num_saved, 3 * rendered.data.len(), "saved for [C, H, 3, W] of another image");
+    let strips_per_channel = rendered.height.div_ceil(STRIP_ROWS);
     let (width, num_pixels) = (rendered.width, rendered.num_pixels());
     strips(&mut v_rendered.data, num_pixels, width).into_par_iter().for_each(|(channel, first_row, v_rows)| {
-        let partials = &saved.partials[3 * num_pixels * channel..][..3 * num_pixels];
+        let partials = &saved.strips[channel * strips_per_channel..][..strips_per_channel];
         strip_bwd(width, first_row, rendered.plane(channel), target.plane(channel), partials, v_map[channel], v_rows);
     });
 }
@@ -311,10 +316,18 @@ fn span_fwd<const FUSED: bool>([mean_x, mean_y, squares, product]: &[Row; 4]) ->
 
 /// Adds one strip's gradient: `G*v_mean + 2 x (G*v_square) + y (G*v_product)`, the window being its own transpose.
 ///
-/// - `partials`: `[H, 3, W]`
+/// - `partials`: the strips of the channel, `[rows, 3, W]` each
 /// - `v_rows`: `[rows, W]`
 #[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn strip_bwd(width: usize, first_row: usize, x: &[f32], y: &[f32], partials: &[f32], v_map: f32, v_rows: &mut [f32]) {
+fn strip_bwd(
+    width: usize,
+    first_row: usize,
+    x: &[f32],
+    y: &[f32],
+    partials: &[Vec<f32>],
+    v_map: f32,
+    v_rows: &mut [f32],
+) {
     if target_cfg_f!(target_feature = "fma") {
         strip_bwd_in::<true>(width, first_row, x, y, partials, v_map, v_rows);
     } else {
@@ -329,12 +342,12 @@ fn strip_bwd_in<const FUSED: bool>(
     first_row: usize,
     x: &[f32],
     y: &[f32],
-    partials: &[f32],
+    partials: &[Vec<f32>],
     v_map: f32,
     v_rows: &mut [f32],
 ) {
     let fill = |row: usize, columns: Range<usize>, padded: [&mut [f32]; 3]| {
-        let rows = split::<3>(width, &partials[row * 3 * width..][..3 * width]);
+        let rows = split::<3>(width, &partials[row / STRIP_ROWS][row % STRIP_ROWS * 3 * width..][..3 * width]);
         for (padded, row) in padded.into_iter().zip(rows) {
             padded.copy_from_slice(&row[columns.clone()]);
         }

@@ -164,7 +164,7 @@ impl<R: Real> Neighbors<R> {
     }
 
     /// The list of the node at position `i`, without padding.
-    #[cfg(any(test, feature = "gpu"))]
+    #[cfg(feature = "gpu")]
     pub(crate) fn links(&self, i: usize) -> impl Iterator<Item = Link<R>> {
         const FLAGS: u32 = LEAVES | ARRIVES;
         let all = self.blocks(i).iter().flat_map(|block| {
