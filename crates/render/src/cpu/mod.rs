@@ -192,22 +192,21 @@ impl CpuRasterizer {
         assert_eq!([shape(image), shape(v_image)], [drawn; 2], "image and v_image against what was drawn");
         let (tiles, colors) = (&tiles.0, &gaussians.colors);
         let stride = PAIR_GRADS + gaussians.num_channels;
-        let mut v_pairs = vec![0.0; tiles.pair_splats.len() * stride];
-        let mut rest = v_pairs.as_mut_slice();
-        let mut shares = Vec::new();
-        for tile in 0..tiles.starts.len() - 1 {
-            let (share, after) = rest.split_at_mut(tiles.pairs(tile).len() * stride);
-            if !share.is_empty() {
-                shares.push((tile, share));
-            }
-            rest = after;
-        }
-        shares.into_par_iter().with_max_len(1).for_each(|(tile, v_pairs)| {
-            with_channels!(
-                gaussians.num_channels,
-                rasterize_bwd(tiles, tile, colors, settings, image, v_image, v_pairs)
-            );
-        });
+        // Every tile's are allocated by the thread that fills them: one zeroes memory slower than several.
+        let v_pairs: Vec<Vec<f32>> = (0..tiles.starts.len() - 1)
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|tile| {
+                let mut v_pairs = vec![0.0; tiles.pairs(tile).len() * stride];
+                if !v_pairs.is_empty() {
+                    with_channels!(
+                        gaussians.num_channels,
+                        rasterize_bwd(tiles, tile, colors, settings, image, v_image, &mut v_pairs)
+                    );
+                }
+                v_pairs
+            })
+            .collect();
         laps.lap("rasterize backward");
         let grads = gather(gaussians, camera, tiles, &v_pairs);
         laps.lap("project backward");
@@ -303,7 +302,9 @@ fn draw<const C: usize>(
 const GATHERED: usize = 256;
 
 /// Adds up the pairs of each Gaussian and takes them back through the projection.
-fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[f32]) -> RenderGrads {
+///
+/// - `v_pairs`: of each tile
+fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[Vec<f32>]) -> RenderGrads {
     let (n, channels) = (gaussians.num_gaussians(), gaussians.num_channels);
     let stride = PAIR_GRADS + channels;
     let splat_camera = SplatCamera::new(camera);
@@ -341,8 +342,9 @@ fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[f32]
             for (i, &splat) in splats.iter().enumerate().filter(|(_, splat)| **splat != u32::MAX) {
                 let first = tiles.splat_starts[splat as usize] as usize;
                 let end = tiles.splat_starts[splat as usize + 1] as usize;
-                for &pair in &tiles.splat_pairs[first..end] {
-                    let (v_pair, v_pair_color) = v_pairs[pair as usize * stride..][..stride].split_at(PAIR_GRADS);
+                for &[tile, position] in &tiles.splat_pairs[first..end] {
+                    let v_pairs = &v_pairs[tile as usize];
+                    let (v_pair, v_pair_color) = v_pairs[position as usize * stride..][..stride].split_at(PAIR_GRADS);
                     for (sum, value) in sums[i].iter_mut().zip(v_pair) {
                         *sum += value;
                     }

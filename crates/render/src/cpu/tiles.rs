@@ -59,8 +59,8 @@ pub(super) struct Tiles {
     pub pair_splats: Vec<u32>,
     /// `[splats + 1]` first of each splat's entries in `splat_pairs`.
     pub splat_starts: Vec<u32>,
-    /// `[pairs]` the pairs of each splat.
-    pub splat_pairs: Vec<u32>,
+    /// `[pairs]` the pairs of each splat: tile, and position among its pairs.
+    pub splat_pairs: Vec<[u32; 2]>,
 }
 
 /// Half-open range of pixels whose centre lies within `center ± extent`, inside `0..size`.
@@ -182,7 +182,7 @@ impl Tiles {
 
         let mut next = starts.clone();
         let mut pair_splats = vec![0; num_pairs as usize];
-        let mut splat_pairs = vec![0; num_pairs as usize];
+        let mut splat_pairs = vec![[0; 2]; num_pairs as usize];
         for key in order {
             let index = key as u32;
             let s = &splats[index as usize];
@@ -193,7 +193,7 @@ impl Tiles {
                     if mask.is_none_or(|mask| mask.contains(tile)) {
                         let slot = &mut next[tile];
                         pair_splats[*slot as usize] = index;
-                        splat_pairs[entry] = *slot;
+                        splat_pairs[entry] = [tile as u32, *slot - starts[tile]];
                         *slot += 1;
                         entry += 1;
                     }
