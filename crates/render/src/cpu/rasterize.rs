@@ -100,7 +100,8 @@ fn blend<const FUSED: bool>(terms: RowTerms, dx: f32, before: f32) -> Blend {
     let clamped = raw > MAX_ALPHA as f32;
     let alpha = if clamped { MAX_ALPHA as f32 } else { raw };
     let weight = alpha * before;
-    let after = before - weight;
+    // Not `before - weight`: that loses digits where alpha is near 1.
+    let after = if FUSED { (-alpha).mul_add(before, before) } else { before * (1.0 - alpha) };
     let reached = (alpha >= MIN_ALPHA as f32) & (before > 0.0);
     let blended = reached & (after >= MIN_TRANSMITTANCE as f32);
     let skipped = if reached { -before } else { before };
