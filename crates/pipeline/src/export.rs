@@ -1,4 +1,4 @@
-//! A scene for other programs: `params.npz` and PLY files.
+//! A scene for other programs: `params.npz`, PLY files and plain floats.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
@@ -45,12 +45,9 @@ impl<'a> Export<'a> {
     /// Decides which Gaussians stay.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if none stays, or the scene has a column that no other program's files hold; [`PipelineError`] if a file of the scene is damaged.
+    /// [`PipelineError::Input`] if the masks of a run leave none, or the scene has a column that no other program's files hold; [`PipelineError`] if a file of the scene is damaged.
     pub fn new(scene: &'a OpenScene) -> Result<Self, PipelineError> {
         let keep = kept_gaussians(scene, None)?;
-        if keep.is_empty() {
-            return Err(PipelineError::input(scene.path.display(), "has no Gaussians", "at least one"));
-        }
         if let Some(column) = scene.layout().further() {
             let found = format!("has the column {}, which neither a params.npz nor PLY files hold", column.name);
             return Err(PipelineError::input(
@@ -67,6 +64,14 @@ impl<'a> Export<'a> {
         self.keep.len()
     }
 
+    /// Refuses a scene without Gaussians, which other programs do not read.
+    fn check_some(&self) -> Result<(), PipelineError> {
+        if self.keep.is_empty() {
+            return Err(PipelineError::input(self.scene.path.display(), "has no Gaussians", "at least one"));
+        }
+        Ok(())
+    }
+
     /// The Gaussians that stay, at one frame.
     ///
     /// # Errors
@@ -80,10 +85,11 @@ impl<'a> Export<'a> {
     /// The arrays of a `params.npz` of some frames.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if scales or opacities vary with time or the first frame's number is too large, neither
+    /// [`PipelineError::Input`] if there are no Gaussians, scales or opacities vary with time or the first frame's number is too large, neither
     /// of which a `params.npz` can hold; [`PipelineError`] if a frame is missing or cannot be read.
     pub fn params(&self, frames: Range<usize>) -> Result<ExportedParams<'_>, PipelineError> {
         let scene = self.scene;
+        self.check_some()?;
         let frames = scene.choose_frames(Some(&frames))?;
         let first = self.gaussians(frames.start)?;
         for frame in frames.start + 1..frames.end {
@@ -117,8 +123,27 @@ impl<'a> Export<'a> {
     /// # Errors
     /// [`PipelineError`] if the frame is missing or cannot be read.
     pub fn ply(&self, frame: usize) -> Result<impl Fn(&File) -> io::Result<()> + use<>, PipelineError> {
+        self.check_some()?;
         let gaussians = self.gaussians(frame)?;
         Ok(move |file: &File| write_ply(file, &gaussians))
+    }
+
+    /// Plain floats, bit for bit as they are stored: for each frame all means, quats, log_scales, logit_opacities and
+    /// colors, each `[N, components]`, as little-endian binary32 (`docs/FORMAT.md`, "Conformance").
+    ///
+    /// - returns: `[N * 14 * 4]` bytes a frame, or why the frame cannot be read
+    ///
+    /// # Errors
+    /// [`PipelineError::Frames`] if the scene lacks a frame.
+    pub fn floats(
+        &self,
+        frames: Range<usize>,
+    ) -> Result<impl Iterator<Item = Result<Vec<u8>, PipelineError>>, PipelineError> {
+        let bytes = |gaussians: Gaussians| {
+            let values = Attribute::BASE.into_iter().flat_map(|a| gaussians.values(a).iter());
+            values.flat_map(|x| x.to_le_bytes()).collect()
+        };
+        Ok(self.scene.choose_frames(Some(&frames))?.map(move |frame| self.gaussians(frame).map(bytes)))
     }
 
     /// Writes a PLY file a frame, named by its number: `000012.ply`.
@@ -135,6 +160,7 @@ impl<'a> Export<'a> {
         folder: &Path,
         observer: &mut dyn Observer,
     ) -> Result<u64, PipelineError> {
+        self.check_some()?;
         let frames = self.scene.choose_frames(Some(&frames))?;
         tell(observer, Event::Begun { work: Work::Exporting, num_steps: frames.len() })?;
         let mut bytes = 0;

@@ -25,6 +25,7 @@ use crate::checkpoint::{Arrays, Chain, Checkpoint, For, MASK_LOGITS, read_single
 use crate::config::TrainConfig;
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
+use crate::gate::GateConfig;
 use crate::parameters::Parameters;
 use crate::state::State;
 use crate::trainer::Trainer;
@@ -84,8 +85,9 @@ impl Run {
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
         let text = fs::read_to_string(&path).map_err(read(&path))?;
-        let config =
-            TrainConfig::default().merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
+        // A run of before the gate goes on without it.
+        let base = TrainConfig { gate: GateConfig::OFF, ..TrainConfig::default() };
+        let config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         Ok(Self::new(folder, config))
     }
 

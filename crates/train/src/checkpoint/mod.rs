@@ -17,6 +17,7 @@ use tcgs_interchange::{Existing, NpzReader, NpzWriter, write_whole};
 use self::array::{Array, Value, get, problem_of};
 use crate::TrainError;
 use crate::fake_quant::FakeQuantizers;
+use crate::gate::GateRecord;
 use crate::lifetimes::Lifetimes;
 use crate::parameters::Parameters;
 use crate::state::{Optimizer, goes_on};
@@ -38,6 +39,8 @@ pub struct Checkpoint {
     pub optimizer: Optimizer,
     /// Extent of the scene in scene units; see [`crate::scene_radius`].
     pub scene_radius: f32,
+    /// What the gate knows; empty in a run without one.
+    pub gate: GateRecord,
 }
 
 /// Name of the array with the moments of a column.
@@ -75,6 +78,7 @@ impl Checkpoint {
             optimizer: Optimizer::new(&parameters, 0),
             scene_radius: extent(cameras, parameters.gaussians.means()),
             parameters,
+            gate: GateRecord::default(),
         }
     }
 
@@ -143,6 +147,15 @@ impl Checkpoint {
         steps.extend(with_moments(layout).map(|column| o.steps[column.attribute.index()]));
         steps.extend([o.quantizer_steps.step, o.quantizer_offsets.step]);
         arrays.add(STEPS, For::Resuming, &[steps.len()], &steps);
+        if !self.gate.errors.is_empty() {
+            // Views may differ in their number of tiles, and have equally many estimates.
+            let g = &self.gate;
+            let tiles: Vec<u64> = g.errors.iter().map(|errors| errors.len() as u64).collect();
+            let (errors, noise) = (g.errors.concat(), g.noise.concat());
+            arrays.add(GATE_TILES, For::Resuming, &[tiles.len()], &tiles);
+            arrays.add("gate_errors", For::Resuming, &[errors.len()], &errors);
+            arrays.add("gate_noise", For::Resuming, &[tiles.len(), noise.len() / tiles.len()], &noise);
+        }
         if first {
             let cameras = p.camera_gains.len();
             arrays.add("camera_gains", For::Scene, &[cameras, 3], p.camera_gains.as_flattened());
@@ -236,6 +249,7 @@ impl List {
 const STEPS: &str = "steps";
 /// Name of the array of mask logits.
 pub(crate) const MASK_LOGITS: &str = "mask_logits";
+const GATE_TILES: &str = "gate_tiles";
 const LIFETIME_NAMES: [&str; 3] = ["ids", "births", "deaths"];
 const QUANTIZER_MOMENT_NAMES: [&str; 2] = ["quantizer_step_moments", "quantizer_offset_moments"];
 
@@ -274,6 +288,26 @@ fn layout_of(table: &str) -> Option<Layout> {
         layout.push(name, components, column);
     }
     Some(layout)
+}
+
+fn read_gate(arrays: &Arrays) -> Result<GateRecord, String> {
+    let tiles = get::<u64>(arrays, GATE_TILES)?;
+    let (errors, noise) = (get::<f32>(arrays, "gate_errors")?, get::<f32>(arrays, "gate_noise")?);
+    let sum = tiles.iter().try_fold(0_u64, |sum, &count| sum.checked_add(count));
+    if sum != Some(errors.len() as u64) || tiles.is_empty() || !noise.len().is_multiple_of(tiles.len()) {
+        return Err("gate_tiles does not fit gate_errors and gate_noise".into());
+    }
+    let mut rest = errors;
+    let mut take = |count: u64| {
+        let (own, after) = rest.split_at(count as usize);
+        rest = after;
+        own.to_vec()
+    };
+    let per_camera = noise.len() / tiles.len();
+    Ok(GateRecord {
+        errors: tiles.iter().map(|&count| take(count)).collect(),
+        noise: (0..tiles.len()).map(|i| noise[i * per_camera..][..per_camera].to_vec()).collect(),
+    })
 }
 
 /// What is drawn, and by which gains cameras see it.
@@ -358,7 +392,8 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
         true => read_optimizer(arrays, &parameters, num_quantizers)?,
         false => Optimizer::new(&parameters, num_quantizers),
     };
-    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius })
+    let gate = if arrays.contains_key(GATE_TILES) { read_gate(arrays)? } else { GateRecord::default() };
+    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, gate })
 }
 
 fn read_lifetimes(arrays: &Arrays, n: usize) -> Result<Lifetimes, String> {
