@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tcgs_codec::{BitMap, CompactScene, DecodeLimits, Loss, Quantizers, SceneFile, SceneInfo, SegmentCache, UpAxis};
 use tcgs_core::{Activated, DynamicGaussians, Gaussians, Layout, SceneReader, activate};
 use tcgs_interchange::{HigherHarmonics, ParamsOrigin, PlyFiles};
-use tcgs_train::{Checkpoint, Run};
+use tcgs_train::{Checkpoint, Parameters, Run};
 
 use crate::PipelineError;
 use crate::chapters::Chapters;
@@ -136,6 +136,13 @@ impl RunContent {
             return Ok(self.first.clone());
         }
         Ok(self.run.checkpoint(timestep, Some(&self.first))?)
+    }
+
+    fn parameters(&self, timestep: usize) -> Result<Parameters, PipelineError> {
+        if timestep == 0 {
+            return Ok(self.first.parameters.clone());
+        }
+        Ok(self.run.parameters(timestep, Some(&self.first))?)
     }
 }
 
@@ -412,7 +419,7 @@ impl OpenScene {
                 file.file().at(timestep).map_err(|error| PipelineError::Decode { path: self.path.clone(), error })?
             }
             Content::Symbols(compact) => compact.at(timestep),
-            Content::Run(run) => run.checkpoint(timestep)?.parameters.gaussians,
+            Content::Run(run) => run.parameters(timestep)?.gaussians,
             Content::Chapters(chapters) => {
                 let (chapter, timestep) = chapters.place(timestep);
                 chapter.at(timestep)?
@@ -443,7 +450,7 @@ impl OpenScene {
         if let Content::Run(run) = &self.content
             && run.run.config().mask.enabled
         {
-            let parameters = run.checkpoint(timestep)?.parameters;
+            let parameters = run.parameters(timestep)?;
             let masked = tcgs_train::masked_out(&parameters.mask_logits, run.run.config().mask.threshold);
             let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
             return Ok(Arc::new(activate(&parameters.gaussians.select(&shown))));

@@ -26,6 +26,7 @@ use crate::config::TrainConfig;
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
 use crate::gate::GateConfig;
+use crate::parameters::Parameters;
 use crate::state::State;
 use crate::trainer::Trainer;
 
@@ -224,6 +225,18 @@ impl Run {
         self.decode(timestep, &arrays, first)
     }
 
+    /// The learned parameters in the checkpoint of one finished timestep, and nothing else of it.
+    ///
+    /// - `first`: see [`Self::checkpoint`]
+    ///
+    /// # Errors
+    /// As [`Self::checkpoint`].
+    pub fn parameters(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Parameters, TrainError> {
+        let arrays = self.chain().read(timestep)?;
+        let parameters = Checkpoint::parameters_of(&arrays, first);
+        parameters.map_err(|problem| TrainError::File { path: self.checkpoint_path(timestep), problem })
+    }
+
     /// Reads the checkpoint of one of the last two finished timesteps, with the optimizer's state.
     ///
     /// - `first`: see [`Self::checkpoint`]
@@ -279,10 +292,12 @@ impl Run {
         scene.push(first.parameters.gaussians.clone());
         mask_logits.push(first.parameters.mask_logits.clone());
         for timestep in 1..finished {
-            let later = self.checkpoint(timestep, Some(&first))?;
-            scene.push(later.parameters.gaussians);
-            mask_logits.push(later.parameters.mask_logits);
-            quantizers = later.quantizers;
+            let later = self.parameters(timestep, Some(&first))?;
+            scene.push(later.gaussians);
+            mask_logits.push(later.mask_logits);
+        }
+        if finished > 1 {
+            quantizers = self.checkpoint(finished - 1, Some(&first))?.quantizers;
         }
         Ok(TrainedScene {
             scene,

@@ -202,6 +202,16 @@ impl Checkpoint {
         read(arrays, first, learned_offset)
     }
 
+    /// The parameters among arrays.
+    ///
+    /// - `first`: see [`Self::load`]
+    ///
+    /// # Errors
+    /// What is wrong with the arrays.
+    pub(crate) fn parameters_of(arrays: &Arrays, first: Option<&Self>) -> Result<Parameters, String> {
+        read_parameters(arrays, first)
+    }
+
     /// The mask logits among arrays.
     ///
     /// # Errors
@@ -300,7 +310,8 @@ fn read_gate(arrays: &Arrays) -> Result<GateRecord, String> {
     })
 }
 
-fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
+/// What is drawn, and by which gains cameras see it.
+fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parameters, String> {
     let means = get::<f32>(arrays, "means")?;
     let n = first.map_or(means.len() / 3, |f| f.parameters.num_gaussians());
     let layout = match first {
@@ -322,34 +333,43 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
             _ => fill(&name, values, get::<f32>(arrays, &name)?)?,
         }
     }
+    let mut mask_logits = vec![0.0; n];
+    fill(MASK_LOGITS, &mut mask_logits, get::<f32>(arrays, MASK_LOGITS)?)?;
+    let (foreground, camera_gains, camera_offsets) = match first {
+        Some(Checkpoint { parameters: p, .. }) => {
+            (p.foreground.clone(), p.camera_gains.clone(), p.camera_offsets.clone())
+        }
+        None => (
+            get::<u8>(arrays, "foreground")?.iter().map(|&f| f != 0).collect(),
+            get::<f32>(arrays, "camera_gains")?.as_chunks().0.to_vec(),
+            get::<f32>(arrays, "camera_offsets")?.as_chunks().0.to_vec(),
+        ),
+    };
+    if foreground.len() != n {
+        return Err(format!("foreground holds {} values, expected {n}", foreground.len()));
+    }
+    Ok(Parameters { gaussians, mask_logits, foreground, camera_gains, camera_offsets })
+}
+
+fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
+    let parameters = read_parameters(arrays, first)?;
+    let (n, layout) = (parameters.num_gaussians(), parameters.gaussians.layout());
     let lifetimes = if LIFETIME_NAMES.iter().any(|name| arrays.contains_key(*name)) {
         read_lifetimes(arrays, n)?
     } else {
         Lifetimes::new(n)
     };
-    let mut mask_logits = vec![0.0; n];
-    fill("mask_logits", &mut mask_logits, get::<f32>(arrays, MASK_LOGITS)?)?;
-    let mut parameters = Parameters { gaussians, mask_logits, ..Parameters::default() };
     let (scene_radius, bits) = match first {
         Some(first) => {
-            parameters.foreground = first.parameters.foreground.clone();
-            parameters.camera_gains = first.parameters.camera_gains.clone();
-            parameters.camera_offsets = first.parameters.camera_offsets.clone();
             let bits =
                 first.quantizers.as_ref().map(|q| (q.bit_map.clone(), q.groups.clone(), q.initial_steps.clone()));
             (first.scene_radius, bits)
         }
         None => {
-            parameters.foreground = get::<u8>(arrays, "foreground")?.iter().map(|&f| f != 0).collect();
-            parameters.camera_gains = get::<f32>(arrays, "camera_gains")?.as_chunks().0.to_vec();
-            parameters.camera_offsets = get::<f32>(arrays, "camera_offsets")?.as_chunks().0.to_vec();
             let radius = get::<f32>(arrays, "scene_radius")?.first().copied().ok_or("scene_radius is empty")?;
-            (radius, read_bits(arrays, &layout, n)?)
+            (radius, read_bits(arrays, layout, n)?)
         }
     };
-    if parameters.foreground.len() != n {
-        return Err(format!("foreground holds {} values, expected {n}", parameters.foreground.len()));
-    }
     let quantizers = match bits {
         None => None,
         Some((bit_map, groups, initial_steps)) => {
