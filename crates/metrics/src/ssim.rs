@@ -204,16 +204,69 @@ fn strip_fwd(width: usize, first_row: usize, x: &[f32], y: &[f32], partials: &mu
 #[inline(always)]
 fn strip_fwd_in<const FUSED: bool>(width: usize, first_row: usize, x: &[f32], y: &[f32], partials: &mut [f32]) -> f64 {
     let num_rows = partials.len() / (3 * width);
-    let mut sum = 0.0;
-    filter_moments::<FUSED>(width, first_row, num_rows, x, y, |row, columns, stats| {
+    let mut pass = Forward { moments: Moments { width, x, y }, partials, sum: 0.0 };
+    filter::<4, FUSED>(width, first_row, num_rows, x.len() / width, &mut pass);
+    pass.sum
+}
+
+/// What [`filter`] filters, and what becomes of it. A trait where closures would read better: these are compiled apart,
+/// without the processor's features.
+trait Pass<const K: usize, const FUSED: bool> {
+    /// Writes the `K` quantities of some columns of one row of the image.
+    fn fill(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; K]);
+
+    /// Is given the filtered quantities of some columns of one row of the strip; those beyond the columns have no
+    /// meaning.
+    fn take(&mut self, row: usize, columns: Range<usize>, stats: &[Row; K]);
+}
+
+/// Both images, the sum of their squares and their product.
+struct Moments<'a> {
+    width: usize,
+    /// `[H, W]`, rendered.
+    x: &'a [f32],
+    /// `[H, W]`, target.
+    y: &'a [f32],
+}
+
+impl Moments<'_> {
+    #[inline(always)]
+    fn fill<const FUSED: bool>(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; 4]) {
+        let [px, py, squares, product] = padded.map(|quantity| &mut quantity[..columns.len()]);
+        let [x, y] = [self.x, self.y].map(|image| &image[row * self.width..][columns.clone()]);
+        for i in 0..x.len() {
+            let (x, y) = (x[i], y[i]);
+            (px[i], py[i]) = (x, y);
+            (squares[i], product[i]) = (mul_add::<FUSED>(x, x, y * y), x * y);
+        }
+    }
+}
+
+/// The formula.
+struct Forward<'a> {
+    moments: Moments<'a>,
+    /// `[rows, 3, W]`
+    partials: &'a mut [f32],
+    /// Sum of the map.
+    sum: f64,
+}
+
+impl<const FUSED: bool> Pass<4, FUSED> for Forward<'_> {
+    #[inline(always)]
+    fn fill(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; 4]) {
+        self.moments.fill::<FUSED>(row, columns, padded);
+    }
+
+    #[inline(always)]
+    fn take(&mut self, row: usize, columns: Range<usize>, stats: &[Row; 4]) {
+        let width = self.moments.width;
         let (map, derivatives) = span_fwd::<FUSED>(stats);
-        let out = &mut partials[row * 3 * width..][..3 * width];
+        let out = &mut self.partials[row * 3 * width..][..3 * width];
         for (out, values) in out.chunks_exact_mut(width).zip(&derivatives) {
             out[columns.clone()].copy_from_slice(&values[..columns.len()]);
         }
-        sum += sum_of(&map[..columns.len()]);
-    });
-    sum
+        self.sum += sum_of(&map[..columns.len()]);
+    }
 }
 
 /// Sums of the map and of its second factor over the inner pixels of some rows.
@@ -237,8 +290,28 @@ fn inner_sums_in<const FUSED: bool>(
     x: &[f32],
     y: &[f32],
 ) -> (f64, f64) {
-    let (mut whole, mut structure) = (0.0, 0.0);
-    filter_moments::<FUSED>(width, first_row, num_rows, x, y, |_, columns, [mean_x, mean_y, squares, product]| {
+    let mut pass = Inner { moments: Moments { width, x, y }, whole: 0.0, structure: 0.0 };
+    filter::<4, FUSED>(width, first_row, num_rows, x.len() / width, &mut pass);
+    (pass.whole, pass.structure)
+}
+
+/// The formula without derivatives.
+struct Inner<'a> {
+    moments: Moments<'a>,
+    /// Sum of the map over inner columns.
+    whole: f64,
+    /// Sum of its second factor.
+    structure: f64,
+}
+
+impl<const FUSED: bool> Pass<4, FUSED> for Inner<'_> {
+    #[inline(always)]
+    fn fill(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; 4]) {
+        self.moments.fill::<FUSED>(row, columns, padded);
+    }
+
+    #[inline(always)]
+    fn take(&mut self, _: usize, columns: Range<usize>, [mean_x, mean_y, squares, product]: &[Row; 4]) {
         let [mut map, mut similarities] = [[0.0; SPAN]; 2];
         for i in 0..SPAN {
             let (x, y) = (mean_x[i], mean_y[i]);
@@ -248,11 +321,10 @@ fn inner_sums_in<const FUSED: bool>(
             similarities[i] = similarity;
         }
         let begin = RADIUS.max(columns.start) - columns.start;
-        let end = (width - RADIUS).min(columns.end).saturating_sub(columns.start).max(begin);
-        whole += sum_of(&map[begin..end]);
-        structure += sum_of(&similarities[begin..end]);
-    });
-    (whole, structure)
+        let end = (self.moments.width - RADIUS).min(columns.end).saturating_sub(columns.start).max(begin);
+        self.whole += sum_of(&map[begin..end]);
+        self.structure += sum_of(&similarities[begin..end]);
+    }
 }
 
 /// Sum of at most [`SPAN`] values, in eight lanes.
@@ -269,26 +341,6 @@ fn sum_of(values: &[f32]) -> f64 {
         *lane += f64::from(value);
     }
     lanes.iter().sum()
-}
-
-/// Both images, the sum of their squares and their product, filtered: [`filter`].
-#[inline(always)]
-fn filter_moments<const FUSED: bool>(
-    width: usize,
-    first_row: usize,
-    num_rows: usize,
-    x: &[f32],
-    y: &[f32],
-    take: impl FnMut(usize, Range<usize>, &[Row; 4]),
-) {
-    let fill = |row: usize, columns: Range<usize>, [px, py, squares, product]: [&mut [f32]; 4]| {
-        let (x, y) = (&x[row * width..][columns.clone()], &y[row * width..][columns]);
-        for (i, (&x, &y)) in x.iter().zip(y).enumerate() {
-            (px[i], py[i]) = (x, y);
-            (squares[i], product[i]) = (mul_add::<FUSED>(x, x, y * y), x * y);
-        }
-    };
-    filter::<4, FUSED>(width, first_row, num_rows, x.len() / width, fill, take);
 }
 
 /// The formula, from filtered statistics: the map and its three derivatives, in one row of a span.
@@ -346,23 +398,41 @@ fn strip_bwd_in<const FUSED: bool>(
     v_map: f32,
     v_rows: &mut [f32],
 ) {
-    let fill = |row: usize, columns: Range<usize>, padded: [&mut [f32]; 3]| {
-        let rows = split::<3>(width, &partials[row / STRIP_ROWS][row % STRIP_ROWS * 3 * width..][..3 * width]);
-        for (padded, row) in padded.into_iter().zip(rows) {
+    let num_rows = v_rows.len() / width;
+    let mut pass = Backward { width, first_row, x, y, partials, v_map, v_rows };
+    filter::<3, FUSED>(width, first_row, num_rows, x.len() / width, &mut pass);
+}
+
+/// The gradient; fields as the arguments of [`strip_bwd`].
+struct Backward<'a> {
+    width: usize,
+    first_row: usize,
+    x: &'a [f32],
+    y: &'a [f32],
+    partials: &'a [Vec<f32>],
+    v_map: f32,
+    v_rows: &'a mut [f32],
+}
+
+impl<const FUSED: bool> Pass<3, FUSED> for Backward<'_> {
+    #[inline(always)]
+    fn fill(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; 3]) {
+        let partials = &self.partials[row / STRIP_ROWS][row % STRIP_ROWS * 3 * self.width..][..3 * self.width];
+        for (padded, row) in padded.into_iter().zip(split::<3>(self.width, partials)) {
             padded.copy_from_slice(&row[columns.clone()]);
         }
-    };
-    let num_rows = v_rows.len() / width;
-    filter::<3, FUSED>(width, first_row, num_rows, x.len() / width, fill, |row, columns, stats| {
-        let [v_mean, v_square, v_product] = stats;
-        let start = (first_row + row) * width;
-        let (x, y) = (&x[start..][columns.clone()], &y[start..][columns.clone()]);
-        let v_row = &mut v_rows[row * width..][columns];
+    }
+
+    #[inline(always)]
+    fn take(&mut self, row: usize, columns: Range<usize>, [v_mean, v_square, v_product]: &[Row; 3]) {
+        let start = (self.first_row + row) * self.width;
+        let [x, y] = [self.x, self.y].map(|image| &image[start..][columns.clone()]);
+        let v_row = &mut self.v_rows[row * self.width..][columns];
         for (i, (v, (&x, &y))) in v_row.iter_mut().zip(x.iter().zip(y)).enumerate() {
             let of_square = mul_add::<FUSED>(2.0 * x, v_square[i], v_mean[i]);
-            *v += v_map * mul_add::<FUSED>(y, v_product[i], of_square);
+            *v += self.v_map * mul_add::<FUSED>(y, v_product[i], of_square);
         }
-    });
+    }
 }
 
 /// `a * b + c`, rounded once if `FUSED`. Without the processor's own instruction a fused one is a slow call.
@@ -372,18 +442,13 @@ fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
 }
 
 /// Filters `K` quantities with the window, span by span and row by row.
-///
-/// - `fill`: writes the `K` quantities of some columns of one row of the image
-/// - `take`: is given every row of the strip, its columns, and their filtered values, of which those beyond the columns
-///   have no meaning
 #[inline(always)]
 fn filter<const K: usize, const FUSED: bool>(
     width: usize,
     first_row: usize,
     num_rows: usize,
     height: usize,
-    fill: impl Fn(usize, Range<usize>, [&mut [f32]; K]),
-    mut take: impl FnMut(usize, Range<usize>, &[Row; K]),
+    pass: &mut impl Pass<K, FUSED>,
 ) {
     // Quantities of one row, with zeros beyond the image, and the rows filtered along themselves, the last eleven.
     let mut padded;
@@ -399,18 +464,18 @@ fn filter<const K: usize, const FUSED: bool>(
                 Some(row) => {
                     let at = seen.start + RADIUS - begin;
                     let mut rows = padded.iter_mut().map(|padded| &mut padded[at..at + seen.len()]);
-                    fill(row, seen.clone(), std::array::from_fn(|_| rows.next().unwrap_or_default()));
+                    pass.fill(row, seen.clone(), std::array::from_fn(|_| rows.next().unwrap_or_default()));
                     for (padded, out) in padded.iter().zip(slot) {
-                        blend::<FUSED>(|tap| first_of(&padded[tap..]), out);
+                        blend::<FUSED>(std::array::from_fn(|tap| first_of(&padded[tap..])), out);
                     }
                 }
                 None => *slot = [[0.0; SPAN]; K],
             }
             if let Some(row) = i.checked_sub(2 * RADIUS) {
                 for (k, out) in filtered.iter_mut().enumerate() {
-                    blend::<FUSED>(|tap| &ring[(row + tap) % WINDOW_SIZE][k], out);
+                    blend::<FUSED>(std::array::from_fn(|tap| &ring[(row + tap) % WINDOW_SIZE][k]), out);
                 }
-                take(row, columns.clone(), &filtered);
+                pass.take(row, columns.clone(), &filtered);
             }
         }
     }
@@ -423,8 +488,8 @@ fn first_of(values: &[f32]) -> &Row {
 
 /// One pass of the window: weighs eleven rows, from one side to the other.
 #[inline(always)]
-fn blend<'a, const FUSED: bool>(tap: impl Fn(usize) -> &'a Row, out: &mut Row) {
-    let [a5, a4, a3, a2, a1, centre, b1, b2, b3, b4, b5]: [&Row; WINDOW_SIZE] = std::array::from_fn(tap);
+fn blend<const FUSED: bool>(taps: [&Row; WINDOW_SIZE], out: &mut Row) {
+    let [a5, a4, a3, a2, a1, centre, b1, b2, b3, b4, b5] = taps;
     let w = SSIM_WINDOW;
     for i in 0..SPAN {
         let near = mul_add::<FUSED>(w[1], a1[i] + b1[i], w[0] * centre[i]);

@@ -78,33 +78,48 @@ fn fit(trainer: &mut Trainer, frames: std::ops::Range<usize>) -> Vec<f64> {
     losses
 }
 
+/// Losses of every iteration, the last frame's PSNR and the number of Gaussians of one training on both engines: GPU,
+/// then CPU.
+fn train_on_both(gpu: &Gpu, seed: u64) -> [(Vec<f64>, f64, usize); 2] {
+    let config = TrainConfig { seed, ..config(200, 40) };
+    [trainer(&config, on_gpu(gpu)), trainer(&config, on_cpu)].map(|mut trainer| {
+        let losses = fit(&mut trainer, 0..3);
+        (losses, trainer.mean_psnr(&views(2)).unwrap(), trainer.num_gaussians())
+    })
+}
+
 #[test]
 fn a_training_follows_that_on_the_cpu() {
     let Some(gpu) = gpu() else { return };
-    let config = config(200, 40);
-    let mut cpu = trainer(&config, on_cpu);
-    let mut gpu = trainer(&config, on_gpu(&gpu));
-    let expected = fit(&mut cpu, 0..3);
-    let found = fit(&mut gpu, 0..3);
-    assert_eq!(found.len(), expected.len());
-    let error =
-        |range: std::ops::Range<usize>| range.map(|i| (found[i] - expected[i]).abs() / expected[i]).fold(0.0, f64::max);
-    eprintln!("worst relative difference of the loss: {:.1e} {:.1e} {:.1e}", error(0..10), error(0..60), error(0..280));
-    // Before density adapts the two are one computation; afterwards single Gaussians may fall to either side
-    // of a threshold, and the losses of single images drift.
-    assert!(error(0..10) < 1e-4, "first losses: {}", error(0..10));
-    let mean =
-        |losses: &[f64], range: std::ops::Range<usize>| losses[range.clone()].iter().sum::<f64>() / range.len() as f64;
+    // Before density adapts the two are one computation. Afterwards single Gaussians fall to either side of a threshold:
+    // one training ends anywhere within a few tenths of a decibel, on one engine as between them, so means are compared.
+    const TRAININGS: u64 = 5;
+    let pairs: Vec<_> = (0..TRAININGS).map(|seed| train_on_both(&gpu, seed)).collect();
+    let mut first_error = 0.0;
+    for [(found, ..), (expected, ..)] in &pairs {
+        assert_eq!(found.len(), expected.len());
+        let error = |range: std::ops::Range<usize>| {
+            range.map(|i| (found[i] - expected[i]).abs() / expected[i]).fold(0.0, f64::max)
+        };
+        let [first, early, all] = [error(0..10), error(0..60), error(0..280)];
+        eprintln!("worst relative difference of the loss: {first:.1e} {early:.1e} {all:.1e}");
+        first_error += first / TRAININGS as f64;
+    }
+    assert!(first_error < 1e-4, "first losses: {first_error}");
+    let mean = |of: &dyn Fn(&(Vec<f64>, f64, usize)) -> f64| {
+        [0, 1].map(|engine| pairs.iter().map(|pair| of(&pair[engine])).sum::<f64>() / TRAININGS as f64)
+    };
     for range in [100..200, 200..240, 240..280] {
-        let (found, expected) = (mean(&found, range.clone()), mean(&expected, range.clone()));
+        let [found, expected] = mean(&|(losses, ..)| losses[range.clone()].iter().sum::<f64>() / range.len() as f64);
         eprintln!("mean loss {range:?}: {found:.5} against {expected:.5}");
         assert!((found / expected - 1.0).abs() < 0.03, "{range:?}: {found} against {expected}");
     }
-    let psnr = [&mut gpu, &mut cpu].map(|trainer| trainer.mean_psnr(&views(2)).unwrap());
-    eprintln!("PSNR {psnr:?}, Gaussians {} against {}", gpu.num_gaussians(), cpu.num_gaussians());
+    let psnr = mean(&|(_, psnr, _)| *psnr);
+    let counts = mean(&|(.., count)| *count as f64);
+    let each: Vec<_> = pairs.iter().map(|pair| [pair[0].1, pair[1].1]).collect();
+    eprintln!("PSNR {psnr:.2?} ({each:.2?}), Gaussians {counts:?}");
     assert!((psnr[0] - psnr[1]).abs() < 0.2, "{psnr:?}");
-    let ratio = gpu.num_gaussians() as f64 / cpu.num_gaussians() as f64;
-    assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+    assert!((counts[0] / counts[1] - 1.0).abs() < 0.02, "{counts:?}");
 }
 
 #[test]
