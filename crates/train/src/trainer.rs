@@ -17,7 +17,7 @@ use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
 use crate::engine::cpu::CpuEngine;
 use crate::engine::{Engine, Step, Target};
 use crate::fake_quant::FakeQuantizers;
-use crate::gate::{Activity, Gate, GateRecord, Pace, Shares};
+use crate::gate::{Activity, Gate, GateRecord, Pace, Shares, Trained};
 use crate::losses::LossTerms;
 use crate::mask::mask;
 use crate::motion::{Past, Pose, predict};
@@ -86,6 +86,7 @@ pub struct Trainer {
     is_unfinished: bool,
     /// What later timesteps train; none if they train everything.
     gate: Option<Gate>,
+    trained: Trained,
     /// Whether the run continues another one's state, so that its first timestep is trained as a later one.
     continues: bool,
 }
@@ -151,6 +152,7 @@ impl Trainer {
             camera_ids: Vec::new(),
             is_unfinished: false,
             gate: gate(config, GateRecord::default()),
+            trained: Trained::ALL,
             continues: false,
         })
     }
@@ -226,6 +228,7 @@ impl Trainer {
             camera_ids: Vec::new(),
             is_unfinished: false,
             gate: gate(config, last.gate.clone()),
+            trained: Trained::ALL,
             continues,
         }
     }
@@ -251,6 +254,11 @@ impl Trainer {
     /// [`TrainError::Gpu`] if the engine failed.
     pub fn state(&mut self) -> Result<&State, TrainError> {
         self.engine.state()
+    }
+
+    /// How much of the scene and of its views the timestep that was finished last trained.
+    pub fn trained(&self) -> Trained {
+        self.trained
     }
 
     /// Whether a resumed run needs [`Self::recall`] to go on as if it had never stopped: whether its gate compares the
@@ -317,6 +325,7 @@ impl Trainer {
             }
             self.begin_timestep(activity.as_ref())?;
         }
+        self.trained = activity.as_ref().map_or(Trained::ALL, |a| a.trained(self.num_gaussians));
         match &mut activity {
             Some(activity) => self.fit_activity(targets, activity, observe)?,
             None => {

@@ -8,7 +8,7 @@ use std::time::Instant;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureError, Split};
 use tcgs_core::View;
-use tcgs_train::{Phase, Run, Trainer};
+use tcgs_train::{Phase, Run, Trained, Trainer};
 
 use crate::observe::{TimestepSummary, tell};
 use crate::{Event, Observer, PipelineError, Work};
@@ -87,7 +87,7 @@ pub fn fit(
             let psnr = trainer.mean_psnr(if held_out { &loaded.test } else { &loaded.train })?;
             let num_gaussians = trainer.num_gaussians();
             let summary = TimestepSummary { timestep, frame, num_gaussians, psnr, held_out, seconds };
-            run.append_metrics(&record.metrics(&summary))?;
+            run.append_metrics(&record.metrics(&summary, trainer.trained()))?;
             run.save(timestep, &trainer.checkpoint()?)?;
             tell(observer, Event::Timestep(&summary))?;
         }
@@ -151,7 +151,7 @@ impl Record {
         }
     }
 
-    fn metrics(mut self, summary: &TimestepSummary) -> Value {
+    fn metrics(mut self, summary: &TimestepSummary, trained: Trained) -> Value {
         self.close();
         // A timestep in which nothing changed has no iterations, and no losses.
         let averaged = self.last.len().max(1) as f64;
@@ -164,6 +164,8 @@ impl Record {
             "psnr": summary.psnr,
             "seconds": summary.seconds,
             "iterations": self.iterations,
+            "active_gaussians": trained.gaussians,
+            "active_tiles": trained.tiles,
             "num_gaussians": summary.num_gaussians,
             "loss": mean(&|last| last.0),
             "losses": losses,

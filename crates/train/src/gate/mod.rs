@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use tcgs_core::{Activated, Image, View};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
+pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
 use self::evidence::{Blocks, changed_blocks, noise, tile_errors, tiles_of};
 pub(crate) use self::pace::Pace;
