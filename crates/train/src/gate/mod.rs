@@ -25,7 +25,7 @@ use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
-use self::evidence::{Blocks, changed_blocks, noise, tile_errors, tiles_of};
+use self::evidence::{Blocks, changed_blocks, differences, median, noise_level, tile_errors, tiles_of};
 pub(crate) use self::pace::Pace;
 use crate::config::MaskConfig;
 use crate::engine::Target;
@@ -34,8 +34,9 @@ use crate::state::State;
 
 /// Estimates of a camera's noise of which the median counts.
 const NOISE_ESTIMATES: usize = 9;
-/// Share of the noise by which a tile's error may grow without being evidence, beyond [`GateConfig::growth`].
-const GROWTH_NOISE: f32 = 0.25;
+/// Share of the level of noise by which a tile's error may grow without being evidence, beyond [`GateConfig::growth`]: a
+/// tile has sixteen blocks.
+const GROWTH_NOISE: f32 = 0.1;
 /// Share of an error that training could not lower that the gate gets used to in one timestep. Until then the tile stays
 /// one with evidence: what was uncovered is seen by the weights of the next timestep.
 const PATIENCE: f32 = 0.25;
@@ -46,13 +47,13 @@ const PATIENCE: f32 = 0.25;
 pub struct GateConfig {
     /// Whether timesteps after the first train only what changes. Default true; false in `d3dgs` and `paper`.
     pub enabled: bool,
-    /// A block of 4x4 pixels has changed if its mean absolute difference exceeds the camera's noise (a standard
-    /// deviation, measured) times this, plus `contrast`. Default 2: noise alone comes to 0.8.
+    /// A block of 4x4 pixels has changed if its mean absolute difference from the image before exceeds the median of all
+    /// blocks of the view by so many standard deviations, estimated robustly, and by `contrast`. Default 6.
     pub noise: f32,
     /// See `noise`; in units of colour, of which white has 1. Default 0.006, one and a half of 255 levels.
     pub contrast: f32,
     /// A tile has evidence, too, if its mean absolute error has grown by more than this since it was last trained, in
-    /// units of colour. Default 0.004.
+    /// units of colour. Default 0.006.
     pub growth: f32,
     /// A Gaussian is active if at least this share of its blending weight, over all views, falls on changed blocks.
     /// Default 0.25; 0 makes every Gaussian active that a changed block shows.
@@ -68,7 +69,7 @@ pub struct GateConfig {
 impl GateConfig {
     /// The settings of presets `default` and `fast`.
     pub const ON: Self =
-        Self { enabled: true, noise: 2.0, contrast: 0.006, growth: 0.004, share: 0.25, settle: 0.1, pace: 3.0 };
+        Self { enabled: true, noise: 6.0, contrast: 0.006, growth: 0.006, share: 0.25, settle: 0.1, pace: 3.0 };
 
     /// The settings of presets that train everything, and of runs whose `config.toml` knows of no gate.
     pub const OFF: Self = Self { enabled: false, ..Self::ON };
@@ -77,8 +78,8 @@ impl GateConfig {
 /// What the gate knows at the end of a timestep and cannot see again: part of a checkpoint.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GateRecord {
-    /// `[cameras][up to 9]` the last estimates of each camera's noise, the newest last: standard deviations of the
-    /// difference of two images.
+    /// `[cameras][up to 9]` the last estimates of each camera's noise, the newest last: the mean absolute difference up to
+    /// which noise explains a block, in units of colour.
     pub noise: Vec<Vec<f32>>,
     /// `[cameras][tiles]` mean absolute error of the scene's picture in each tile, as it was when last trained.
     pub errors: Vec<Vec<f32>>,
@@ -168,12 +169,13 @@ impl Gate {
                 .into_par_iter()
                 .enumerate()
                 .map(|(i, (estimates, reference, before, picture, target))| {
-                    estimates.push(noise(before, &target.image));
+                    let differences = differences(before, &target.image);
+                    estimates.push(noise_level(&differences, config.noise));
                     let too_many = estimates.len().saturating_sub(NOISE_ESTIMATES);
                     estimates.drain(..too_many);
                     let level = median(estimates);
-                    let mut blocks = changed_blocks(before, &target.image, level, config);
                     let (width, height) = (target.image.width, target.image.height);
+                    let mut blocks = changed_blocks(&differences, level + config.contrast, width, height);
                     let limit = config.growth + GROWTH_NOISE * level;
                     let tiles = TileMask::none(width, height);
                     for (tile, error) in errors(state, i, picture, &target.image).into_iter().enumerate() {
@@ -239,10 +241,4 @@ pub(crate) fn rows_of(drawn: &Activated, indices: &[usize]) -> Activated {
         colors: indices.iter().flat_map(|&i| &drawn.colors[i * channels..][..channels]).copied().collect(),
         num_channels: channels,
     }
-}
-
-fn median(values: &[f32]) -> f32 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f32::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
