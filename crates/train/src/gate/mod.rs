@@ -56,10 +56,10 @@ pub struct GateConfig {
     /// units of colour. Default 0.006.
     pub growth: f32,
     /// A Gaussian is active if at least this share of its blending weight, over all views, falls on changed blocks.
-    /// Default 0.25; 0 makes every Gaussian active that a changed block shows.
+    /// Default 0.4; 0 makes every Gaussian active that a changed block shows.
     pub share: f32,
     /// A timestep has settled when its losses fell, over the last pass through its views, by less than this share of
-    /// the most that they fell over one pass. Default 0.1.
+    /// the most that they fell over one pass. Default 0.05.
     pub settle: f32,
     /// How many times as fast a timestep goes through the rest of its schedule once it has settled. Default 3; 1 to give
     /// every timestep all of its iterations.
@@ -69,7 +69,7 @@ pub struct GateConfig {
 impl GateConfig {
     /// The settings of presets `default` and `fast`.
     pub const ON: Self =
-        Self { enabled: true, noise: 6.0, contrast: 0.006, growth: 0.006, share: 0.25, settle: 0.1, pace: 3.0 };
+        Self { enabled: true, noise: 6.0, contrast: 0.006, growth: 0.006, share: 0.4, settle: 0.05, pace: 3.0 };
 
     /// The settings of presets that train everything, and of runs whose `config.toml` knows of no gate.
     pub const OFF: Self = Self { enabled: false, ..Self::ON };
