@@ -324,7 +324,7 @@ fn get<T: NpyValue>(npz: &mut NpzReader, name: &str) -> Result<Vec<T>, String> {
 /// What is wrong with a checkpoint, without its path.
 fn problem_of(error: InterchangeError) -> String {
     match error {
-        InterchangeError::Io { error, .. } => error.to_string(),
+        InterchangeError::Read { error, .. } | InterchangeError::Write { error, .. } => error.to_string(),
         InterchangeError::Archive { problem, .. } => problem,
         InterchangeError::Array { key, problem, .. } => format!("{key} {problem}"),
         other => other.to_string(),

@@ -71,7 +71,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => {
             let sizes = if arguments.size.is_empty() { &SIZES[..] } else { &arguments.size };
             let default = if is_software(&backend) { NUM_GAUSSIANS_SOFTWARE } else { NUM_GAUSSIANS };
-            scene::built_in(arguments.gaussians.unwrap_or(default), sizes, seed)
+            scene::built_in(arguments.gaussians.unwrap_or(default), sizes, seed)?
         }
     };
     let counts = counts(&backend, arguments.iterations);
