@@ -88,7 +88,7 @@ impl FakeQuantizers {
     ///   from LSQ's formula (Esser et al. 2020)
     ///
     /// # Errors
-    /// [`CompressError`] if a value is not finite, or the values of a channel span more than an `f32` holds.
+    /// [`CompressError`] if a value is not finite, or a step that covers the values of a channel is no `f32`.
     pub fn new(bit_map: BitMap, gaussians: &Gaussians, learned_offset: bool) -> Result<Self, CompressError> {
         let histogram = bit_map.histogram();
         let groups: Vec<(Attribute, u8)> = quantized(gaussians.layout())
@@ -274,16 +274,16 @@ mod tests {
 
     #[test]
     fn values_that_no_quantizer_holds_are_an_error() {
-        let new = |value: f32, learned_offset| {
+        let new = |value: f32, bits, learned_offset| {
             let mut gaussians = Gaussians::zeros(40);
             gaussians.colors_mut()[0] = [value; 3];
             gaussians.colors_mut()[1] = [-value; 3];
-            FakeQuantizers::new(BitMap::uniform(40, 16, 4), &gaussians, learned_offset)
+            FakeQuantizers::new(BitMap::uniform(40, 16, bits), &gaussians, learned_offset)
         };
-        assert!(new(1.0, true).is_ok() && new(1.0, false).is_ok());
+        assert!(new(1.0, 4, true).is_ok() && new(1.0, 4, false).is_ok());
         for value in [f32::NAN, f32::INFINITY] {
-            assert!(new(value, true).is_err() && new(value, false).is_err(), "{value}");
+            assert!(new(value, 4, true).is_err() && new(value, 4, false).is_err(), "{value}");
         }
-        assert!(new(f32::MAX, true).is_err(), "its range is no f32");
+        assert!(new(f32::MAX, 1, true).is_err(), "its step is no f32");
     }
 }
