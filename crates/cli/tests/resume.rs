@@ -224,6 +224,22 @@ fn a_damaged_last_checkpoint_is_set_aside() {
     assert_eq!(fs::read(&last).unwrap(), expected[3].1);
     assert!(!run.join("checkpoints/.writing-abc").exists());
 
+    // The last one's state of the optimizer is as bad, while that of the one before is there.
+    let states = ["resume0.npz", "resume1.npz"].map(|name| run.join(name));
+    fs::write(&states[1], b"PK").unwrap();
+    let output = tcgs().args(arguments(&run)).output().unwrap();
+    assert!(output.status.success());
+    assert!(String::from_utf8(output.stderr).unwrap().contains("resume1.npz: not a checkpoint"), "it says so");
+    let is_whole = |(name, _): &(String, Vec<u8>)| !name.ends_with(".damaged");
+    assert!(checkpoints(&run).into_iter().filter(is_whole).eq(expected.iter().cloned()));
+    // Without either it is not known how to go on, and no timestep is given up for that.
+    let saved = states.each_ref().map(|path| fs::read(path).unwrap());
+    states.iter().for_each(|path| fs::remove_file(path).unwrap());
+    let more = [&arguments(&run)[..], &["--frames", "0..4"]].concat();
+    assert!(fail(2, &more).contains("resume1.npz: not a checkpoint"));
+    assert!(checkpoints(&run).into_iter().filter(is_whole).eq(expected.iter().cloned()));
+    states.iter().zip(saved).for_each(|(path, bytes)| fs::write(path, bytes).unwrap());
+
     // In the middle, nobody knows what the later ones built on.
     fs::write(run.join("checkpoints/000000.npz"), b"PK").unwrap();
     let message = fail(2, &arguments(&run));

@@ -1,5 +1,7 @@
 //! Images of any number of channels.
 
+use std::ops::Range;
+
 /// An image, one plane after another: `[C, H, W]`, rows from the top.
 ///
 /// Planes rather than interleaved pixels, since every kernel here runs along pixels of one channel.
@@ -24,6 +26,21 @@ impl Image {
     /// `W * H`.
     pub fn num_pixels(&self) -> usize {
         self.width * self.height
+    }
+
+    /// A copy of some pixels, of all channels.
+    ///
+    /// # Panics
+    /// If `columns` or `rows` reach beyond the image.
+    pub fn crop(&self, columns: Range<usize>, rows: Range<usize>) -> Self {
+        let mut data = Vec::with_capacity(columns.len() * rows.len() * self.num_channels);
+        for channel in 0..self.num_channels {
+            let plane = self.plane(channel);
+            for row in rows.clone() {
+                data.extend_from_slice(&plane[row * self.width..][..self.width][columns.clone()]);
+            }
+        }
+        Self { width: columns.len(), height: rows.len(), num_channels: self.num_channels, data }
     }
 
     /// One channel, `[H, W]`.
@@ -96,6 +113,14 @@ mod tests {
     fn bytes_survive_the_round_trip() {
         let bytes: Vec<u8> = (0..3 * 4 * 2).map(|i| (i * 10) as u8).collect();
         assert_eq!(Image::from_rgb8(4, 2, &bytes).to_rgb8(), bytes);
+    }
+
+    #[test]
+    fn a_crop_holds_its_pixels_of_all_channels() {
+        let mut image = Image::filled(4, 3, 2, 0.0);
+        image.data.iter_mut().enumerate().for_each(|(i, value)| *value = i as f32);
+        let crop = image.crop(1..3, 2..3);
+        assert_eq!((crop.width, crop.height, &crop.data[..]), (2, 1, &[9.0, 10.0, 21.0, 22.0][..]));
     }
 
     #[test]

@@ -127,6 +127,14 @@ impl NpzReader {
         self.archive.index_for_name(&format!("{key}.npy")).is_some()
     }
 
+    /// NumPy's type string of an array, such as `<f4`, from its header.
+    ///
+    /// # Errors
+    /// [`InterchangeError::Array`] if the array is missing or its header is damaged.
+    pub fn type_of(&mut self, key: &str) -> Result<String, InterchangeError> {
+        self.read(key, |header, _| Ok(header.descr))
+    }
+
     /// Names of the arrays without `.npy`, in the order of the archive.
     pub fn array_names(&self) -> impl Iterator<Item = String> {
         self.archive.file_names().flatten().filter_map(|name| name.strip_suffix(".npy").map(str::to_owned))
@@ -310,6 +318,7 @@ mod tests {
         assert_eq!(npz.array_of::<i64>("i8").unwrap().values, [i64::MIN, -1]);
         assert_eq!(npz.array_of::<bool>("b1").unwrap().values, [true, false]);
         assert_eq!(npz.array_of::<u8>("none").unwrap().values, []);
+        assert_eq!(["f4", "u8", "b1"].map(|key| npz.type_of(key).unwrap()), ["<f4", "<u8", "|b1"]);
         let error = npz.array_of::<f32>("f8").unwrap_err().to_string();
         assert!(error.ends_with(": f8 has the type <f8, expected <f4"), "{error}");
         assert!(npz.array("f4").unwrap_err().to_string().contains("[1] is -inf, expected a finite number"));

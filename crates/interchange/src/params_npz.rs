@@ -241,6 +241,22 @@ pub fn read_params_origin(path: &Path) -> Result<Option<ParamsOrigin>, Interchan
     }))
 }
 
+/// Reads which Gaussians of a `params.npz` are foreground: those that `seg_colors` paints red; `None` if the file has no
+/// such array.
+///
+/// - returns: `[N]`
+///
+/// # Errors
+/// [`InterchangeError`] if the file cannot be read or the array is damaged.
+pub fn read_params_foreground(path: &Path) -> Result<Option<Vec<bool>>, InterchangeError> {
+    let mut npz = NpzReader::open(path)?;
+    if !npz.contains("seg_colors") {
+        return Ok(None);
+    }
+    let colors = npz.array("seg_colors")?;
+    Ok(Some(colors.values.chunks_exact(3).map(|color| color[0] > 0.5).collect()))
+}
+
 /// Writes a scene as a `params.npz` that the viewer of Dynamic 3D Gaussians can show. The write is atomic: a temporary
 /// file is renamed to `path` and replaces an existing file.
 ///

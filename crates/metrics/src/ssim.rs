@@ -30,8 +30,10 @@ pub const SSIM_C1: f32 = 0.01 * 0.01;
 /// `C2 = (0.03 L)²` of Wang et al. 2004 for values of range `L = 1`.
 pub const SSIM_C2: f32 = 0.03 * 0.03;
 
-/// Pixels on each side of the window's centre.
-const RADIUS: usize = 5;
+/// Pixels on each side of the window's centre: a pixel's value of the map depends on those no farther away along either
+/// axis, and so does its gradient on those no farther than twice as many.
+pub const SSIM_RADIUS: usize = 5;
+const RADIUS: usize = SSIM_RADIUS;
 
 /// Pixels on a side of the window.
 pub(crate) const WINDOW_SIZE: usize = 2 * RADIUS + 1;
@@ -110,15 +112,28 @@ pub fn ssim_fwd(rendered: &Image, target: &Image) -> (Vec<f64>, SsimSaved) {
 /// # Panics
 /// If shapes disagree.
 pub fn ssim_bwd(rendered: &Image, target: &Image, saved: &SsimSaved, v_ssim: &[f32], v_rendered: &mut Image) {
+    let v_map: Vec<f32> = v_ssim.iter().map(|v| v / rendered.num_pixels() as f32).collect();
+    ssim_map_bwd(rendered, target, saved, &v_map, v_rendered);
+}
+
+/// Backward of the map of [`ssim_fwd`] before its mean is taken, for images that are cut from larger ones. *Accumulates*
+/// into `v_rendered`.
+///
+/// - `saved`: of the same images
+/// - `v_map`: `[C]`, gradient to the map, the same at every pixel of a channel
+/// - `v_rendered`: `[C, H, W]`, gradient to `rendered`
+///
+/// # Panics
+/// If shapes disagree.
+pub fn ssim_map_bwd(rendered: &Image, target: &Image, saved: &SsimSaved, v_map: &[f32], v_rendered: &mut Image) {
     assert_same_shape(rendered, target);
     assert_same_shape(rendered, v_rendered);
-    assert_eq!(v_ssim.len(), rendered.num_channels, "v_ssim [{}] against [C]", v_ssim.len());
+    assert_eq!(v_map.len(), rendered.num_channels, "a gradient of [{}] against [C]", v_map.len());
     assert_eq!(saved.partials.len(), 3 * rendered.data.len(), "saved for [C, H, 3, W] of another image");
     let (width, num_pixels) = (rendered.width, rendered.num_pixels());
     strips(&mut v_rendered.data, num_pixels, width).into_par_iter().for_each(|(channel, first_row, v_rows)| {
         let partials = &saved.partials[3 * num_pixels * channel..][..3 * num_pixels];
-        let v_map = v_ssim[channel] / num_pixels as f32;
-        strip_bwd(width, first_row, rendered.plane(channel), target.plane(channel), partials, v_map, v_rows);
+        strip_bwd(width, first_row, rendered.plane(channel), target.plane(channel), partials, v_map[channel], v_rows);
     });
 }
 

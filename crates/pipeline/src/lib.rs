@@ -49,6 +49,7 @@
 //! ```
 
 mod backend;
+mod chapters;
 mod compress;
 mod error;
 mod evaluate;
@@ -73,4 +74,4 @@ pub use observe::{Event, Observer, TimestepSummary, Trial, Unobserved, Work};
 pub use path_file::read_camera_path;
 pub use render::{CameraAt, render};
 pub use scene::{OpenScene, OpenSettings};
-pub use train::{RunFolder, fit, new_trainer, settings_for};
+pub use train::{RunFolder, continued_trainer, fit, new_trainer, settings_for, start_state};

@@ -14,6 +14,7 @@ use tcgs_interchange::{HigherHarmonics, ParamsNpz, ParamsOrigin, PlyFiles};
 use tcgs_train::{Checkpoint, Run};
 
 use crate::PipelineError;
+use crate::chapters::Chapters;
 
 /// What a scene may be, for messages.
 const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz or PLY files";
@@ -74,6 +75,8 @@ enum Content {
     /// The symbols of a compression.
     Symbols(Box<CompactScene>),
     Run(Box<RunContent>),
+    /// Runs one after another.
+    Chapters(Box<Chapters>),
     Floats {
         scene: Box<DynamicGaussians>,
         kind: &'static str,
@@ -261,6 +264,44 @@ impl OpenScene {
         })
     }
 
+    /// Runs that continue one another as one scene: chapters of a capture.
+    ///
+    /// Chapters are taken in the order of their frames. Where two overlap, the earlier one counts up to the last border of
+    /// segments after the later one's first frame, so that a file's segments are of one chapter each; up to its end if no
+    /// border lies there.
+    ///
+    /// - `chapters`: run folders, one or more
+    /// - `segment_length`: timesteps of a segment; none: as the codec chooses it
+    ///
+    /// # Errors
+    /// [`PipelineError::Input`] if one is no run, there are frames between two, one adds no frame, or they are not of the
+    /// same Gaussians in the same order, which is what a `.tcgs` file holds.
+    pub fn join(mut chapters: Vec<Self>, segment_length: Option<u32>) -> Result<Self, PipelineError> {
+        if chapters.len() == 1 {
+            return Ok(chapters.remove(0));
+        }
+        let chapters = Chapters::join(chapters, segment_length)?;
+        let first = chapters.first();
+        let bytes = first.layout.raw_bytes(first.num_gaussians(), chapters.num_timesteps());
+        let (path, layout) = (first.path.clone(), Arc::clone(&first.layout));
+        let Self { first_frame, downscale, frame_rate, .. } = *first;
+        let content = Content::Chapters(Box::new(chapters));
+        Ok(Self { path, first_frame, downscale, frame_rate, bytes, layout, content })
+    }
+
+    /// Timesteps of a segment at whose borders chapters are joined; none of any other scene.
+    pub(crate) fn segment_length(&self) -> Option<u32> {
+        match &self.content {
+            Content::Chapters(chapters) => Some(chapters.segment_length()),
+            _ => None,
+        }
+    }
+
+    /// Whether the scene is a `params.npz`.
+    pub(crate) fn is_params(&self) -> bool {
+        matches!(&self.content, Content::Params(_))
+    }
+
     /// The same scene with other Gaussians in memory: what a step between this one and a file leaves.
     ///
     /// - `kind`: as [`Self::kind`] shall say
@@ -287,17 +328,18 @@ impl OpenScene {
         }
     }
 
-    /// The run, if the scene is one.
+    /// The run, if the scene is one; of chapters the first.
     pub fn run(&self) -> Option<&Run> {
         match &self.content {
             Content::Run(run) => Some(&run.run),
+            Content::Chapters(chapters) => chapters.first().run(),
             _ => None,
         }
     }
 
     /// Whether the scene is one of floats whose timesteps are read from the disk, and were checked to be of one scene.
     pub(crate) fn is_on_disk(&self) -> bool {
-        matches!(self.content, Content::Run(_) | Content::Params(_))
+        matches!(self.content, Content::Run(_) | Content::Chapters(_) | Content::Params(_))
     }
 
     /// Whether the scene is compressed already.
@@ -311,6 +353,7 @@ impl OpenScene {
             Content::File(file) => file.info.num_gaussians as usize,
             Content::Symbols(compact) => compact.num_gaussians(),
             Content::Run(run) => run.first.parameters.num_gaussians(),
+            Content::Chapters(chapters) => chapters.first().num_gaussians(),
             Content::Floats { scene, .. } => scene.num_gaussians(),
             Content::Params(params) => params.num_gaussians,
             Content::Ply { num_gaussians, .. } => *num_gaussians,
@@ -323,6 +366,7 @@ impl OpenScene {
             Content::File(file) => file.info.num_timesteps as usize,
             Content::Symbols(compact) => compact.num_timesteps(),
             Content::Run(run) => run.num_timesteps,
+            Content::Chapters(chapters) => chapters.num_timesteps(),
             Content::Floats { scene, .. } => scene.num_timesteps(),
             Content::Params(params) => params.num_timesteps,
             Content::Ply { files, .. } => files.files.len(),
@@ -362,6 +406,10 @@ impl OpenScene {
             }
             Content::Symbols(compact) => compact.at(timestep),
             Content::Run(run) => run.checkpoint(timestep)?.parameters.gaussians,
+            Content::Chapters(chapters) => {
+                let (chapter, timestep) = chapters.place(timestep);
+                chapter.at(timestep)?
+            }
             Content::Floats { scene, .. } => scene.at(timestep),
             // What a panic elsewhere leaves is a file at another place, and every read begins by seeking its own.
             Content::Params(params) => params.file.lock().unwrap_or_else(PoisonError::into_inner).at(timestep)?,
@@ -383,6 +431,10 @@ impl OpenScene {
     /// As [`Self::at`].
     pub fn drawn(&self, timestep: usize) -> Result<Arc<Activated>, PipelineError> {
         self.check_timestep(timestep)?;
+        if let Content::Chapters(chapters) = &self.content {
+            let (chapter, timestep) = chapters.place(timestep);
+            return chapter.drawn(timestep);
+        }
         if let Content::Run(run) = &self.content
             && run.run.config().mask.enabled
         {
@@ -413,6 +465,13 @@ impl OpenScene {
                 Err(PipelineError::input(self.path.display(), "is compressed already", "a scene of floats"))
             }
             Content::Run(run) => Ok(Cow::Owned(run.run.trained()?.scene)),
+            Content::Chapters(_) => {
+                let mut floats = DynamicGaussians::new(Arc::clone(&self.layout));
+                for timestep in 0..self.num_timesteps() {
+                    floats.push(self.at(timestep)?);
+                }
+                Ok(Cow::Owned(floats))
+            }
             Content::Floats { scene, .. } => Ok(Cow::Borrowed(scene)),
             Content::Params(_) => Ok(Cow::Owned(tcgs_interchange::read_params_npz(&self.path)?)),
             Content::Ply { files, higher_harmonics, .. } => {
@@ -421,8 +480,12 @@ impl OpenScene {
         }
     }
 
-    /// Bits and quantizers that a run learned; none of another scene, or where quantisation was off.
+    /// Bits and quantizers that a run learned; none of another scene, or where quantisation was off. Of chapters those of
+    /// the first: all have its bits, and steps that went on from there.
     pub(crate) fn learned_bits(&self) -> Result<Option<(BitMap, Quantizers)>, PipelineError> {
+        if let Content::Chapters(chapters) = &self.content {
+            return chapters.first().learned_bits();
+        }
         let Content::Run(run) = &self.content else { return Ok(None) };
         let last = run.checkpoint(run.num_timesteps - 1)?;
         Ok(last.quantizers.map(|q| (q.bit_map.clone(), q.table())))
@@ -432,24 +495,25 @@ impl OpenScene {
     pub(crate) fn first_checkpoint(&self) -> Option<&Checkpoint> {
         match &self.content {
             Content::Run(run) => Some(&run.first),
+            Content::Chapters(chapters) => chapters.first().first_checkpoint(),
             _ => None,
         }
     }
 
-    /// Mean mask of each Gaussian of a run over time (paper Eq. 6); none of a scene without masks. Reads one timestep
-    /// after another.
+    /// Mean mask of each Gaussian of a run over time (paper Eq. 6); none of a scene without masks. Reads nothing but
+    /// masks, one timestep after another.
     pub(crate) fn mean_masks(&self) -> Result<Option<Vec<f32>>, PipelineError> {
-        let Content::Run(run) = &self.content else { return Ok(None) };
-        if !run.run.config().mask.enabled {
+        if !self.run().is_some_and(|run| run.config().mask.enabled) {
             return Ok(None);
         }
         let mut failed = None;
-        let logits = (0..run.num_timesteps).map_while(|timestep| {
-            let read = run.checkpoint(timestep).map_err(|error| failed = Some(error)).ok();
-            read.map(|checkpoint| checkpoint.parameters.mask_logits)
-        });
+        let logits: Box<dyn Iterator<Item = _>> = match &self.content {
+            Content::Chapters(chapters) => Box::new(chapters.mask_logits()),
+            _ => Box::new(self.run().into_iter().flat_map(Run::mask_logits)),
+        };
+        let logits = logits.map_while(|logits| logits.map_err(|error| failed = Some(error)).ok());
         let means = tcgs_train::mean_masks(logits);
-        failed.map_or(Ok(Some(means)), Err)
+        failed.map_or(Ok(Some(means)), |error| Err(error.into()))
     }
 
     /// The kind of the scene in two words.
@@ -457,6 +521,7 @@ impl OpenScene {
         match &self.content {
             Content::File(_) | Content::Symbols(_) => "compressed file",
             Content::Run(_) => "run folder",
+            Content::Chapters(_) => "run folders",
             Content::Floats { kind, .. } => kind,
             Content::Params(_) => "Dynamic 3D Gaussians parameters",
             Content::Ply { .. } => "PLY files",

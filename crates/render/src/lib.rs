@@ -15,12 +15,14 @@ mod project;
 mod rasterizer;
 pub mod settings;
 mod stage_times;
+mod tile_mask;
 mod tiling;
 
 #[cfg(feature = "cpu")]
-pub use cpu::{CpuRasterizer, CpuSaved};
+pub use cpu::{CpuRasterizer, CpuSaved, CpuTiles, gaussians_reaching, tiles_reached};
 pub use project::{Projection, SplatCamera, project, project_vjp};
 pub use rasterizer::{Draw, DrawAny, Rasterizer, RenderGrads, RenderOutput, draw_any};
 pub use settings::RenderSettings;
 pub use stage_times::{Laps, PairCounts, RENDER_STAGES, StageTimes};
+pub use tile_mask::TileMask;
 pub use tiling::{TILE, tile_grid};

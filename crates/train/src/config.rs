@@ -68,6 +68,9 @@ pub struct DataConfig {
     pub layout: String,
     /// File of the initial points; empty: the capture's own. Default empty.
     pub points: String,
+    /// Scene and timestep whose state the run starts from, as `/path/of/scene@12`; the first timestep is then trained as a
+    /// later one. Empty: from points. Default empty.
+    pub start_from: String,
     /// Index of the capture's frame that timestep 0 shows.
     pub first_frame: usize,
     /// One past the last frame.
@@ -263,6 +266,7 @@ impl TrainConfig {
                 capture: String::new(),
                 layout: "panoptic".into(),
                 points: String::new(),
+                start_from: String::new(),
                 first_frame: 0,
                 end_frame: 0,
                 downscale: 1,

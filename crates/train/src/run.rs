@@ -1,10 +1,19 @@
-//! A run folder: `config.toml`, `checkpoints/` with one npz archive per timestep, and `metrics.jsonl` with one JSON
-//! object per timestep. What does not live here: the content of a checkpoint (`checkpoint`).
+//! A run folder:
+//!
+//! | file | content |
+//! |---|---|
+//! | `config.toml` | the settings |
+//! | `checkpoints/000041.npz` | of each timestep, what differs from the timestep before |
+//! | `resume0.npz`, `resume1.npz` | of the last even and the last odd timestep, what only the next timestep starts from: the optimizer's state |
+//! | `start.npz` | of a run that continues another one, the state that it began from, as a checkpoint with everything |
+//! | `metrics.jsonl` | a JSON object for each timestep |
+//!
+//! What does not live here: the content of a checkpoint (`checkpoint`).
 
 use std::fs;
-use std::io::Write;
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
@@ -12,7 +21,7 @@ use tcgs_core::DynamicGaussians;
 use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Arrays, Chain, Checkpoint, For, MASK_LOGITS, read_single, write_single};
 use crate::config::TrainConfig;
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
@@ -21,12 +30,16 @@ use crate::trainer::Trainer;
 
 const CONFIG: &str = "config.toml";
 const METRICS: &str = "metrics.jsonl";
+const START: &str = "start.npz";
+const CHECKPOINTS: &str = "checkpoints";
 
 /// A run folder on disk, and the settings in its `config.toml`.
 #[derive(Clone, Debug)]
 pub struct Run {
     folder: PathBuf,
     config: TrainConfig,
+    /// Where reading and writing of checkpoints go on.
+    chain: Arc<Mutex<Chain>>,
 }
 
 /// The result of a run: the finished timesteps of all checkpoints together.
@@ -57,8 +70,8 @@ impl Run {
     /// # Errors
     /// [`TrainError::Write`] if the folder or the file cannot be written.
     pub fn create(folder: &Path, config: &TrainConfig) -> Result<Self, TrainError> {
-        fs::create_dir_all(folder.join("checkpoints")).map_err(write(folder))?;
-        let run = Self { folder: folder.into(), config: config.clone() };
+        fs::create_dir_all(folder.join(CHECKPOINTS)).map_err(write(folder))?;
+        let run = Self::new(folder, config.clone());
         run.write_whole(CONFIG, config.to_toml().as_bytes())?;
         Ok(run)
     }
@@ -72,7 +85,12 @@ impl Run {
         let text = fs::read_to_string(&path).map_err(read(&path))?;
         let config =
             TrainConfig::default().merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
-        Ok(Self { folder: folder.into(), config })
+        Ok(Self::new(folder, config))
+    }
+
+    fn new(folder: &Path, config: TrainConfig) -> Self {
+        let chain = Arc::new(Mutex::new(Chain::new(&folder.join(CHECKPOINTS))));
+        Self { folder: folder.into(), config, chain }
     }
 
     /// The settings in `config.toml`.
@@ -94,21 +112,67 @@ impl Run {
         &self.folder
     }
 
-    fn checkpoint_path(&self, timestep: usize) -> PathBuf {
-        self.folder.join("checkpoints").join(format!("{timestep:06}.npz"))
+    fn chain(&self) -> MutexGuard<'_, Chain> {
+        // What a panic elsewhere leaves is what was read last, or nothing.
+        self.chain.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Path of a timestep's checkpoint, whether it is there or not.
+    pub fn checkpoint_path(&self, timestep: usize) -> PathBuf {
+        self.chain().path(timestep)
+    }
+
+    /// Path of what is needed to resume after a timestep besides its checkpoint. Each timestep overwrites that of the
+    /// timestep before the last.
+    pub fn resume_path(&self, timestep: usize) -> PathBuf {
+        self.folder.join(format!("resume{}.npz", timestep % 2))
     }
 
     /// Number of finished timesteps: of checkpoints from timestep 0 on without a gap.
     pub fn timesteps(&self) -> usize {
-        (0..).take_while(|&t| self.checkpoint_path(t).is_file()).count()
+        let chain = self.chain();
+        (0..).take_while(|&t| chain.path(t).is_file()).count()
     }
 
-    /// Writes the checkpoint of a timestep atomically.
+    /// Writes the checkpoint of a timestep: what differs to the bit from the timestep before, and everything at every
+    /// 40th timestep. Before it, the state that the next timestep starts from; so at any moment the run can be resumed
+    /// after the last checkpoint that is there. Each file is written atomically.
     ///
     /// # Errors
-    /// [`TrainError::Write`] if the file cannot be written; no partial file remains.
+    /// [`TrainError::Write`] if a file cannot be written; no partial file remains. [`TrainError::File`] if the checkpoint
+    /// of the timestep before is damaged.
     pub fn save(&self, timestep: usize, checkpoint: &Checkpoint) -> Result<(), TrainError> {
-        checkpoint.save(&self.checkpoint_path(timestep), timestep == 0)
+        let (mut scene, mut resuming) = ((Vec::new(), Arrays::new()), (Vec::new(), Arrays::new()));
+        for (name, used_for, array) in checkpoint.arrays(timestep == 0) {
+            let (order, arrays) = if used_for == For::Scene { &mut scene } else { &mut resuming };
+            order.push(name.clone());
+            arrays.insert(name, Arc::new(array));
+        }
+        write_single(&self.resume_path(timestep), timestep, &resuming.0, &resuming.1)?;
+        self.chain().write(timestep, &scene.0, scene.1)
+    }
+
+    /// Writes the state that a run begins from which continues another one. To be done before [`Self::create`], so that
+    /// what has a `config.toml` has its start.
+    ///
+    /// - `folder`: of the run, made if it is not there
+    ///
+    /// # Errors
+    /// [`TrainError::Write`] if the folder or the file cannot be written.
+    pub fn save_start(folder: &Path, start: &Checkpoint) -> Result<(), TrainError> {
+        fs::create_dir_all(folder).map_err(write(folder))?;
+        start.save(&folder.join(START), true)
+    }
+
+    /// The state that the run began from; `None` if it began from points.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] if the state is missing or damaged.
+    pub fn start(&self) -> Result<Option<Checkpoint>, TrainError> {
+        if self.config.data.start_from.is_empty() {
+            return Ok(None);
+        }
+        Checkpoint::load(&self.folder.join(START), None, self.config.quantize.learned_offset).map(Some)
     }
 
     /// Resumes the run on the CPU after its last finished timestep; `None` if no timestep is finished.
@@ -131,19 +195,69 @@ impl Run {
             return Ok(None);
         }
         let first = self.checkpoint(0, None)?;
-        let later = |t: usize| if t == 0 { Ok(first.clone()) } else { self.checkpoint(t, Some(&first)) };
-        let (before_last, last) = (later(finished.saturating_sub(2))?, later(finished - 1)?);
-        Ok(Some(Trainer::resume(&self.config, &first, &before_last, &last, finished, make)))
+        let before_last = match finished {
+            1 => first.clone(),
+            _ => self.checkpoint(finished - 2, Some(&first).filter(|_| finished > 2))?,
+        };
+        let last = self.resumable(finished - 1, Some(&first).filter(|_| finished > 1))?;
+        Ok(Some(match self.start()? {
+            None => Trainer::resume(&self.config, &first, &before_last, &last, finished, make),
+            Some(start) => {
+                let before_last = if finished == 1 { &start } else { &before_last };
+                Trainer::resume_continued(&self.config, &start, before_last, &last, finished, make)
+            }
+        }))
     }
 
-    /// Reads the checkpoint of one finished timestep.
+    /// Reads the checkpoint of one finished timestep. Reading timesteps in their order reads each file once; reading any
+    /// reads at most the 40 files before it.
     ///
     /// - `first`: the checkpoint of timestep 0, which holds what does not vary; none to read that one itself
+    /// - returns: the checkpoint; all zero is the optimizer's state, for which see [`Self::resumable`]
     ///
     /// # Errors
-    /// [`TrainError::File`] if there is no such checkpoint, or it is damaged.
+    /// [`TrainError::File`] if there is no such checkpoint, or it or one that it continues is damaged.
     pub fn checkpoint(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {
-        Checkpoint::load(&self.checkpoint_path(timestep), first, self.config.quantize.learned_offset)
+        let arrays = self.chain().read(timestep)?;
+        self.decode(timestep, &arrays, first)
+    }
+
+    /// Reads the checkpoint of one of the last two finished timesteps, with the optimizer's state.
+    ///
+    /// - `first`: see [`Self::checkpoint`]
+    ///
+    /// # Errors
+    /// As [`Self::checkpoint`]; [`TrainError::File`] if the run no longer has the optimizer's state after that timestep.
+    pub fn resumable(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {
+        let mut arrays = self.chain().read(timestep)?;
+        // Earlier versions had it in the checkpoint.
+        if !Checkpoint::can_resume_from(&arrays) {
+            arrays.extend(read_single(&self.resume_path(timestep), timestep)?);
+        }
+        let found = Checkpoint::can_resume_from(&arrays);
+        if !found {
+            let problem = "holds no state of an optimizer".into();
+            return Err(TrainError::File { path: self.resume_path(timestep), problem });
+        }
+        self.decode(timestep, &arrays, first)
+    }
+
+    /// The mask logits of the finished timesteps in their order, `[N]` each. Reads nothing else of the checkpoints.
+    ///
+    /// # Errors
+    /// Each as [`Self::checkpoint`].
+    pub fn mask_logits(&self) -> impl Iterator<Item = Result<Vec<f32>, TrainError>> + use<> {
+        let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), MASK_LOGITS);
+        (0..self.timesteps()).map(move |timestep| {
+            let arrays = chain.read(timestep)?;
+            let logits = Checkpoint::mask_logits_of(&arrays);
+            logits.map(<[f32]>::to_vec).map_err(|problem| TrainError::File { path: chain.path(timestep), problem })
+        })
+    }
+
+    fn decode(&self, timestep: usize, arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {
+        let checkpoint = Checkpoint::from_arrays(arrays, first, self.config.quantize.learned_offset);
+        checkpoint.map_err(|problem| TrainError::File { path: self.checkpoint_path(timestep), problem })
     }
 
     /// Reads the checkpoints of all finished timesteps into one scene.
@@ -154,7 +268,7 @@ impl Run {
         let finished = self.timesteps();
         if finished == 0 {
             let problem = "no checkpoint, expected a run with at least one finished timestep".into();
-            return Err(TrainError::File { path: self.folder.join("checkpoints"), problem });
+            return Err(TrainError::File { path: self.folder.join(CHECKPOINTS), problem });
         }
         let first = self.checkpoint(0, None)?;
         let mut scene = DynamicGaussians::new(Arc::clone(first.parameters.gaussians.layout()));
@@ -178,21 +292,26 @@ impl Run {
         })
     }
 
-    /// The JSON objects in `metrics.jsonl`, one per timestep.
+    /// The JSON objects in `metrics.jsonl`, one per timestep. Each is read when it is asked for: with their curves of
+    /// losses those of a long run take a lot of memory.
     ///
     /// # Errors
-    /// [`TrainError::Read`] if `metrics.jsonl` cannot be read.
-    pub fn metrics(&self) -> Result<Vec<Value>, TrainError> {
+    /// [`TrainError::Read`] if `metrics.jsonl` cannot be read, of the call or of an item.
+    pub fn metrics(&self) -> Result<impl Iterator<Item = Result<Value, TrainError>> + use<>, TrainError> {
         // A line cut short by a crash is one of a timestep that has no checkpoint yet.
-        Ok(self.metrics_text()?.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+        let parse = |line: Result<String, TrainError>| line.map(|line| serde_json::from_str(&line).ok()).transpose();
+        Ok(self.metrics_lines()?.filter_map(parse))
     }
 
-    fn metrics_text(&self) -> Result<String, TrainError> {
+    /// Lines of `metrics.jsonl`; none if there is no such file.
+    fn metrics_lines(&self) -> Result<impl Iterator<Item = Result<String, TrainError>> + use<>, TrainError> {
         let path = self.folder.join(METRICS);
-        if !path.exists() {
-            return Ok(String::new());
-        }
-        fs::read_to_string(&path).map_err(read(&path))
+        let file = match fs::File::open(&path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            file => Some(file.map_err(read(&path))?),
+        };
+        let lines = file.into_iter().flat_map(|file| BufReader::new(file).lines());
+        Ok(lines.map(move |line| line.map_err(read(&path))))
     }
 
     /// Keeps the metrics of the first `timesteps` timesteps and removes the metrics that an interrupted run wrote after
@@ -201,13 +320,28 @@ impl Run {
     /// # Errors
     /// [`TrainError::Read`] or [`TrainError::Write`] if `metrics.jsonl` cannot be read or written.
     pub fn truncate_metrics(&self, timesteps: usize) -> Result<(), TrainError> {
-        let kept = |line: &&str| {
+        let kept = |line: &str| {
             let metrics: Option<Value> = serde_json::from_str(line).ok();
             metrics.is_some_and(|m| m["timestep"].as_u64().is_some_and(|t| t < timesteps as u64))
         };
-        // The lines as they are: printing what was parsed could change the last digit of a number.
-        let text: String = self.metrics_text()?.lines().filter(kept).map(|line| format!("{line}\n")).collect();
-        self.write_whole(METRICS, text.as_bytes())
+        let path = self.folder.join(METRICS);
+        let (lines, mut failed) = (self.metrics_lines()?, None);
+        let written = write_whole(&path, Existing::Replace, |file| {
+            let mut file = BufWriter::new(file);
+            // The lines as they are: printing what was parsed could change the last digit of a number.
+            for line in lines {
+                match line {
+                    Ok(line) if kept(&line) => writeln!(file, "{line}")?,
+                    Ok(_) => {}
+                    Err(error) => {
+                        failed = Some(error);
+                        break;
+                    }
+                }
+            }
+            if failed.is_some() { Err(io::ErrorKind::InvalidData.into()) } else { file.flush() }
+        });
+        written.map_err(|error| failed.unwrap_or_else(|| write(&path)(error)))
     }
 
     /// Appends the metrics of one timestep to `metrics.jsonl`.
@@ -228,12 +362,12 @@ impl Run {
     }
 }
 
-fn read(path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
+fn read(path: &Path) -> impl Fn(io::Error) -> TrainError + use<> {
     let path = path.to_path_buf();
     move |error| TrainError::Read { path: path.clone(), error }
 }
 
-fn write(path: &Path) -> impl Fn(std::io::Error) -> TrainError + use<> {
+fn write(path: &Path) -> impl Fn(io::Error) -> TrainError + use<> {
     let path = path.to_path_buf();
     move |error| TrainError::Write { path: path.clone(), error }
 }

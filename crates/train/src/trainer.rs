@@ -83,6 +83,8 @@ pub struct Trainer {
     camera_ids: Vec<usize>,
     /// Whether [`Self::fit`] ended within a timestep.
     is_unfinished: bool,
+    /// Whether the run continues another one's state, so that its first timestep is trained as a later one.
+    continues: bool,
 }
 
 impl Trainer {
@@ -135,11 +137,7 @@ impl Trainer {
         if cameras.is_empty() {
             return Err(none("training cameras"));
         }
-        let radius = match scene_radius(cameras) {
-            // Cameras at one place say nothing of the scene's extent.
-            0.0 => distance_to(&cameras[0], parameters.gaussians.means()),
-            radius => radius,
-        };
+        let radius = extent(cameras, parameters.gaussians.means());
         Ok(Self {
             config: config.clone(),
             schedule: Schedule::new(config, radius),
@@ -149,7 +147,17 @@ impl Trainer {
             timestep: 0,
             camera_ids: Vec::new(),
             is_unfinished: false,
+            continues: false,
         })
+    }
+
+    /// Starts a run that continues the state of another one: its first timestep is trained as a later one, without
+    /// density control, and the losses on motion compare with the neighbours in that state.
+    ///
+    /// - `start`: the state, with a gain and an offset for each training camera
+    /// - `make`: makes the engine from the state
+    pub fn continued(config: &TrainConfig, start: &Checkpoint, make: impl FnOnce(State) -> Box<dyn Engine>) -> Self {
+        Self::restored(config, start, None, 0, true, make)
     }
 
     /// Resumes a run from its checkpoints. [`Run::resume_with`](crate::Run::resume_with) reads them from a run folder.
@@ -166,26 +174,60 @@ impl Trainer {
         timesteps: usize,
         make: impl FnOnce(State) -> Box<dyn Engine>,
     ) -> Self {
+        let past = (timesteps > 1).then_some((first, before_last));
+        Self::restored(config, last, past, timesteps, false, make)
+    }
+
+    /// Resumes a run that began by [`Self::continued`]; otherwise as [`Self::resume`].
+    ///
+    /// - `start`: the state that the run began from
+    /// - `before_last`, `last`: checkpoints of the last two finished timesteps; with one finished timestep the first of
+    ///   them is `start`
+    pub fn resume_continued(
+        config: &TrainConfig,
+        start: &Checkpoint,
+        before_last: &Checkpoint,
+        last: &Checkpoint,
+        timesteps: usize,
+        make: impl FnOnce(State) -> Box<dyn Engine>,
+    ) -> Self {
+        Self::restored(config, last, Some((start, before_last)), timesteps, true, make)
+    }
+
+    /// - `past`: where everything stood at first, and before `last`; none before the first motion
+    fn restored(
+        config: &TrainConfig,
+        last: &Checkpoint,
+        past: Option<(&Checkpoint, &Checkpoint)>,
+        timesteps: usize,
+        continues: bool,
+        make: impl FnOnce(State) -> Box<dyn Engine>,
+    ) -> Self {
         let mut state = State::new(last.parameters.clone());
         state.quantizers = last.quantizers.clone();
         state.lifetimes = last.lifetimes.clone();
         state.optimizer = last.optimizer.clone();
-        state.timestep = timesteps - 1;
-        if timesteps > 1 {
-            let before_last = before_last.parameters.gaussians.clone();
+        state.timestep = timesteps.saturating_sub(1);
+        state.past = past.map(|(first, before_last)| {
             let first = Pose::of(&first.parameters.gaussians);
-            state.past = Some(Past::new(first, before_last, &state.parameters.foreground));
-        }
+            Past::new(first, before_last.parameters.gaussians.clone(), &state.parameters.foreground)
+        });
         Self {
             config: config.clone(),
-            schedule: Schedule::new(config, first.scene_radius),
-            scene_radius: first.scene_radius,
+            schedule: Schedule::new(config, last.scene_radius),
+            scene_radius: last.scene_radius,
             num_gaussians: state.parameters.num_gaussians(),
             engine: make(state),
             timestep: timesteps,
             camera_ids: Vec::new(),
             is_unfinished: false,
+            continues,
         }
+    }
+
+    /// How the next timestep is trained.
+    pub fn phase(&self) -> Phase {
+        if self.continues { Phase::Rest } else { Phase::of(self.timestep) }
     }
 
     /// Number of finished timesteps.
@@ -239,7 +281,7 @@ impl Trainer {
         self.is_unfinished = true;
         self.camera_ids = views.iter().map(|v| v.camera_id).collect();
         let with_segmentation = views.iter().all(|v| v.segmentation.is_some());
-        let phase = Phase::of(self.timestep);
+        let phase = self.phase();
         if phase == Phase::Rest {
             self.begin_timestep()?;
         }
@@ -453,6 +495,17 @@ impl Trainer {
 /// That something is missing.
 fn none(what: &str) -> TrainError {
     TrainError::Input { what: what.into(), found: "none".into(), expected: "at least 1".into() }
+}
+
+/// The scene's radius by its cameras; where these are at one place and say nothing of it, by the distance of points.
+///
+/// - `cameras`: at least one
+/// - returns: scene units
+pub(crate) fn extent(cameras: &[Camera], points: &[[f32; 3]]) -> f32 {
+    match scene_radius(cameras) {
+        0.0 => distance_to(&cameras[0], points),
+        radius => radius,
+    }
 }
 
 /// Root mean squared distance of a camera to points, scene units.

@@ -38,10 +38,13 @@ Example:
   tcgs compress my_run
   tcgs compress my_run --target-bytes 2MB --capture my_capture
   tcgs compress params.npz --capture my_capture --bits 4,8 --out small.tcgs
-  tcgs compress my_plys --drop-sh --frame-rate 24 --out scene.tcgs")]
+  tcgs compress my_plys --drop-sh --frame-rate 24 --out scene.tcgs
+  tcgs compress chapter0 chapter1 chapter2 --out scene.tcgs")]
 pub struct Arguments {
-    /// Run folder, params.npz of Dynamic 3D Gaussians, or folder of PLY files
-    source: PathBuf,
+    /// Run folder, params.npz of Dynamic 3D Gaussians, or folder of PLY files; several run folders that are chapters of
+    /// one capture (train --start-from) are joined
+    #[arg(required = true)]
+    sources: Vec<PathBuf>,
     /// File to write [default: RUN/scene.tcgs, or the name of SOURCE with .tcgs]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -174,9 +177,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let problem = "has its own settings, expected --preset default with --quality, --target-bytes or --target-psnr";
         return Err(wrong_input(format!("--preset paper: {problem}")));
     }
-    let out = arguments.out.clone().unwrap_or_else(|| default_out(&arguments.source));
+    let out = match (&arguments.out, &arguments.sources[..]) {
+        (Some(out), _) => out.clone(),
+        (None, [source]) => default_out(source),
+        (None, _) => return Err(wrong_input("compress: several sources, expected --out with the file to write")),
+    };
     check_file(&out, arguments.job.force)?;
-    let mut scene = arguments.reading.open(&arguments.source)?;
+    let scenes = arguments.sources.iter().map(|source| arguments.reading.open(source));
+    let mut scene = OpenScene::join(scenes.collect::<Result<_, _>>()?, arguments.segment_length)?;
     if let Some(frame_rate) = arguments.frame_rate {
         scene.frame_rate = f64::from(frame_rate);
     }

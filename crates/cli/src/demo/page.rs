@@ -140,6 +140,7 @@ fn loss_curve(run: &Run) -> anyhow::Result<Vec<(u64, f32)>> {
     let mut curve = Vec::new();
     let mut done = 0;
     for metrics in run.metrics()? {
+        let metrics = metrics?;
         for point in metrics["loss_curve"].as_array().into_iter().flatten() {
             if let (Some(iteration), Some(loss)) = (point[0].as_u64(), point[1].as_f64()) {
                 curve.push((done + iteration, loss as f32));

@@ -7,13 +7,14 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_pipeline::{PipelineError, RunFolder, fit, new_trainer};
-use tcgs_train::{Preset, Run, TrainConfig, TrainError, Trainer};
+use tcgs_pipeline::{PipelineError, RunFolder, continued_trainer, fit, new_trainer, start_state};
+use tcgs_train::{Checkpoint, Preset, Run, TrainConfig, TrainError, Trainer};
 
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::{stopped, wrong_input};
 use crate::interrupt;
 use crate::options::{self, Frames, JobOptions, Pair};
+use crate::scene::SceneOptions;
 use crate::teller::Teller;
 use crate::terminal::say;
 
@@ -25,7 +26,13 @@ use crate::terminal::say;
 #[command(after_help = "\
 Example:
   tcgs train my_capture --out my_run --preset fast --frames 0..20
-  tcgs train my_capture --out my_run --preset fast --frames 0..40 --resume")]
+  tcgs train my_capture --out my_run --preset fast --frames 0..40 --resume
+
+A long capture in chapters, on as many machines; see README.md:
+  tcgs train my_capture --out base --preset fast --frames 0..1
+  tcgs train my_capture --out chapter0 --config base/config.toml --frames 0..102 --start-from base@0
+  tcgs train my_capture --out chapter1 --config base/config.toml --frames 95..202 --start-from base@0
+  tcgs compress chapter0 chapter1 --out scene.tcgs")]
 pub struct Arguments {
     /// Folder of the capture: Panoptic Sports, Neural 3D Video, Technicolor, nerfstudio, COLMAP or Middlebury
     capture: PathBuf,
@@ -44,6 +51,11 @@ pub struct Arguments {
     /// Initial points, .npz, .ply or points3D.bin of COLMAP, instead of the capture's own
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
+    /// Continue the state of SCENE at timestep T (default: its last): a run folder, .tcgs, params.npz or PLY folder.
+    /// The first timestep is trained as a later one, from there. From a run masks, quantizers and, at its last two
+    /// timesteps, the optimizer's state carry over
+    #[arg(long, value_name = "SCENE@T", conflicts_with = "points")]
+    start_from: Option<String>,
     /// Learn no masks
     #[arg(long)]
     no_mask: bool,
@@ -124,22 +136,49 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         trainer = match resumed {
             Some(trainer) => trainer,
-            None => new_trainer(&config, &capture, &backend)?,
+            None => match stored.start()? {
+                Some(start) => continued_trainer(&config, &start, &backend),
+                None => new_trainer(&config, &capture, &backend)?,
+            },
         };
         run = stored;
         report_resumption(&run, &trainer)?;
     } else {
         let config = settings::fresh(arguments, &capture)?;
         say(&describe(&capture, &config)?)?;
-        trainer = new_trainer(&config, &capture, &backend)?;
+        let start = match &arguments.start_from {
+            Some(start) => Some(open_start(start, &config, &capture)?),
+            None => None,
+        };
+        trainer = match &start {
+            Some(start) => continued_trainer(&config, start, &backend),
+            None => new_trainer(&config, &capture, &backend)?,
+        };
         folder = RunFolder::make(&arguments.out)?;
         folder.clear()?;
+        if let Some(start) = &start {
+            Run::save_start(&arguments.out, start)?;
+        }
         run = Run::create(&arguments.out, &config)?;
     }
     let trainer =
         Teller::default().watch(|teller| fit(&capture, &run, trainer, teller)).map_err(|e| with_advice(e, &run))?;
     drop(folder);
     report(arguments, &run, &trainer)
+}
+
+/// The state that a chapter starts from, told in words.
+fn open_start(start: &str, config: &TrainConfig, capture: &Capture) -> anyhow::Result<Checkpoint> {
+    let (path, timestep) = settings::scene_and_timestep(start)?;
+    let scene = SceneOptions::default().open(&path)?;
+    let timestep = timestep.unwrap_or(scene.num_timesteps() - 1);
+    let state = start_state(&scene, timestep, config, capture)?;
+    let (path, n) = (path.display(), state.parameters.num_gaussians());
+    say(&format!(
+        "starting from {path} at timestep {timestep}, frame {}: {n} Gaussians",
+        scene.first_frame + timestep
+    ))?;
+    Ok(state)
 }
 
 /// What is trained on, in words.
@@ -192,18 +231,18 @@ fn report_resumption(run: &Run, trainer: &Trainer) -> anyhow::Result<()> {
 }
 
 fn report(arguments: &Arguments, run: &Run, trainer: &Trainer) -> anyhow::Result<()> {
-    let metrics = run.metrics()?;
     let num_gaussians = trainer.num_gaussians();
     // A line may be missing after a power cut: it is written before its checkpoint, but less carefully.
-    let of_timestep = |t: usize| metrics.iter().find(|m| m["timestep"].as_u64() == Some(t as u64));
-    let timesteps: Vec<Value> = (0..trainer.timesteps())
-        .map(|t| {
-            let value = |key| of_timestep(t).map_or(Value::Null, |m| m[key].clone());
-            json!({ "timestep": t, "psnr": value("psnr"), "seconds": value("seconds") })
-        })
-        .collect();
-    let of_all = |key: &str| timesteps.iter().filter_map(|t| t[key].as_f64()).collect::<Vec<_>>();
-    let (psnr, seconds) = (of_all("psnr"), of_all("seconds"));
+    let mut timesteps: Vec<[Value; 2]> = vec![[Value::Null, Value::Null]; trainer.timesteps()];
+    for metrics in run.metrics()? {
+        let mut metrics = metrics?;
+        let timestep = metrics["timestep"].as_u64().and_then(|timestep| timesteps.get_mut(timestep as usize));
+        if let Some(of_timestep) = timestep {
+            *of_timestep = ["psnr", "seconds"].map(|key| metrics[key].take());
+        }
+    }
+    let of_all = |key: usize| timesteps.iter().filter_map(|t| t[key].as_f64()).collect::<Vec<_>>();
+    let (psnr, seconds) = (of_all(0), of_all(1));
     say(&format!(
         "{} timesteps, {num_gaussians} Gaussians, mean PSNR {:.2} dB, {:.1} s of training",
         timesteps.len(),
@@ -212,9 +251,11 @@ fn report(arguments: &Arguments, run: &Run, trainer: &Trainer) -> anyhow::Result
     ))?;
     let (run, capture) = (arguments.out.display(), arguments.capture.display());
     say(&format!("next: tcgs compress {run}; tcgs eval {run} --capture {capture}"))?;
+    let described =
+        |(t, [psnr, seconds]): (usize, &[Value; 2])| json!({ "timestep": t, "psnr": psnr, "seconds": seconds });
     arguments.job.write_json(&json!({
         "run": arguments.out.display().to_string(),
         "num_gaussians": num_gaussians,
-        "timesteps": timesteps,
+        "timesteps": timesteps.iter().enumerate().map(described).collect::<Vec<_>>(),
     }))
 }

@@ -1,7 +1,7 @@
 //! From the command line to a run's settings.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use tcgs_capture::Capture;
 use tcgs_pipeline::settings_for;
@@ -66,6 +66,17 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
     if let Some(points) = &arguments.points {
         base.data.points = absolute(points)?;
     }
+    // A file may be that of a run that was a chapter.
+    base.data.start_from = match &arguments.start_from {
+        Some(start) => {
+            let (path, timestep) = scene_and_timestep(start)?;
+            let timestep = timestep.map(|timestep| format!("@{timestep}")).unwrap_or_default();
+            format!("{}{timestep}", absolute(&path)?)
+        }
+        None if arguments.resume => base.data.start_from,
+        None => String::new(),
+    };
+    let start_from = base.data.start_from.clone();
     for setting in &arguments.set {
         let Some((key, value)) = setting.split_once('=') else {
             return Err(wrong_input(format!("--set {setting}: no =, expected KEY=VALUE such as weights.rigid=2")));
@@ -74,6 +85,9 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
     }
     if (&base.data.capture, base.data.layout.as_str()) != (&folder, capture.kind().name) {
         return Err(wrong_input("--set data.capture or data.layout: is what CAPTURE says, expected no other"));
+    }
+    if base.data.start_from != start_from {
+        return Err(wrong_input("--set data.start_from: is what --start-from says, expected no other"));
     }
     if arguments.no_mask {
         base.mask.enabled = false;
@@ -102,6 +116,19 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
         base.seed = seed;
     }
     Ok(base)
+}
+
+/// The parts of `SCENE@T`, or of `SCENE` alone.
+pub fn scene_and_timestep(start: &str) -> anyhow::Result<(PathBuf, Option<usize>)> {
+    // A name may have an @ of its own.
+    if Path::new(start).exists() {
+        return Ok((start.into(), None));
+    }
+    let parsed =
+        start.rsplit_once('@').and_then(|(scene, timestep)| Some((scene.into(), Some(timestep.parse().ok()?))));
+    parsed.ok_or_else(|| {
+        wrong_input(format!("--start-from {start}: no such scene, expected one, or SCENE@T with its timestep T"))
+    })
 }
 
 /// So that a run finds its capture and points from any folder.

@@ -127,7 +127,7 @@ impl CompressSettings {
     }
 
     /// Timesteps of a segment of a scene of so many Gaussians and timesteps, all but the last of equal length.
-    pub(super) fn segment_length_of(&self, num_gaussians: usize, num_timesteps: usize) -> u32 {
+    pub fn segment_length_of(&self, num_gaussians: usize, num_timesteps: usize) -> u32 {
         let fitting = (SEGMENT_WORK / num_gaussians.max(1)).max(MIN_SEGMENT_LENGTH);
         self.segment_length.unwrap_or_else(|| match fitting {
             SEGMENT_LENGTH.. => SEGMENT_LENGTH as u32,

@@ -124,6 +124,8 @@ pub struct PrunedScene<'a> {
     info: SceneInfo,
     num_gaussians_before: usize,
     raw_bytes: u64,
+    /// Of chapters, unless the settings say another.
+    segment_length: Option<u32>,
     /// For players.
     views: Option<Vec<u8>>,
     /// Where the bits come from, in words.
@@ -162,6 +164,7 @@ impl<'a> PrunedScene<'a> {
             learned: learned.map(|(_, quantizers)| quantizers),
             num_gaussians_before: scene.num_gaussians(),
             raw_bytes,
+            segment_length: scene.segment_length(),
             bits_from,
         })
     }
@@ -171,6 +174,8 @@ impl<'a> PrunedScene<'a> {
     /// # Errors
     /// [`PipelineError`] if the codec refuses the scene or the settings.
     pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactScene, Vec<u8>), PipelineError> {
+        let segment_length = settings.segment_length.or(self.segment_length);
+        let settings = &CompressSettings { segment_length, ..settings.clone() };
         let compact = self.kept.compress(&self.bit_map, self.learned.as_ref(), self.info.clone(), settings)?;
         let views = self.views.iter().map(|json| (VIEWS, &json[..]));
         let file = encode_with(&compact, &views.collect::<Vec<_>>())?;

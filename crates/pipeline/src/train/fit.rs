@@ -7,7 +7,7 @@ use std::time::Instant;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureError, Split};
 use tcgs_core::View;
-use tcgs_train::{Run, Trainer};
+use tcgs_train::{Phase, Run, Trainer};
 
 use crate::observe::{TimestepSummary, tell};
 use crate::{Event, Observer, PipelineError, Work};
@@ -45,13 +45,15 @@ pub fn fit(
     if frames.is_empty() {
         return Ok(trainer);
     }
-    if trainer.timesteps() == 0 && trainer.num_gaussians() < FEW_POINTS {
+    if trainer.phase() == Phase::First && trainer.num_gaussians() < FEW_POINTS {
         tell(observer, Event::FewPoints { found: trainer.num_gaussians(), expected: FEW_POINTS })?;
     }
     let schedule = &config.schedule;
-    let iterations_of = |t: usize| if t == 0 { schedule.first_iterations } else { schedule.rest_iterations };
-    let first = trainer.timesteps();
-    let num_steps = (0..frames.len()).map(|i| iterations_of(first + i)).sum();
+    let iterations_of = |phase| match phase {
+        Phase::First => schedule.first_iterations,
+        Phase::Rest => schedule.rest_iterations,
+    };
+    let num_steps = iterations_of(trainer.phase()) + (frames.len() - 1) * iterations_of(Phase::Rest);
     tell(observer, Event::Begun { work: Work::Training, num_steps })?;
     std::thread::scope(|scope| {
         // Holds nothing: the loader is one frame ahead, waiting to hand it over.
@@ -71,7 +73,7 @@ pub fn fit(
             let loaded = receive.recv().map_err(|_| loader_ended(capture, frame))??;
             let timestep = trainer.timesteps();
             let begin = Instant::now();
-            let mut record = Record::new(iterations_of(timestep));
+            let mut record = Record::new(iterations_of(trainer.phase()));
             trainer.fit(&loaded.train, &mut |p| -> ControlFlow<()> {
                 record.add(p.iteration, p.loss, &p.terms.terms(&config.weights));
                 observer.hear(&Event::Iteration(p))

@@ -12,7 +12,7 @@ use crate::observe::tell;
 use crate::{Backend, Event, Observer, PipelineError};
 
 /// What this program writes into a run folder.
-const OURS: [&str; 3] = ["scene.tcgs", "metrics.jsonl", "config.toml"];
+const OURS: [&str; 6] = ["scene.tcgs", "metrics.jsonl", "resume0.npz", "resume1.npz", "config.toml", "start.npz"];
 /// How the names of checkpoints end that were set aside.
 const DAMAGED: &str = ".damaged";
 
@@ -56,6 +56,7 @@ impl RunFolder {
         let is_empty = |entry: &fs::DirEntry| {
             let name = entry.file_name();
             is_unfinished(&name)
+                || name == "start.npz"
                 || name == "checkpoints" && fs::read_dir(entry.path()).is_ok_and(|mut inside| inside.next().is_none())
         };
         let expected = "a run, an empty folder or a new name";
@@ -139,8 +140,8 @@ impl RunFolder {
         Ok(())
     }
 
-    /// The trainer after the last whole checkpoint; none if no timestep is finished. A last checkpoint that is damaged is
-    /// renamed, told as [`Event::SetAside`], and its timestep is to be trained again.
+    /// The trainer after the last whole checkpoint; none if no timestep is finished. A last checkpoint that is damaged, or
+    /// whose optimizer's state is, is renamed, told as [`Event::SetAside`], and its timestep is to be trained again.
     ///
     /// - `run`: the run in this folder
     ///
@@ -158,13 +159,22 @@ impl RunFolder {
                 Ok(trainer) => return Ok(trainer),
                 Err(error) => error,
             };
-            let last = run.folder().join("checkpoints").join(format!("{:06}.npz", run.timesteps().saturating_sub(1)));
+            let finished = run.timesteps();
+            let last = run.checkpoint_path(finished.saturating_sub(1));
+            // The other of the two states leads back to this timestep; were it gone too, none would be left in the end.
+            let has_other_state = || match finished {
+                0 | 1 => true,
+                2 => run.resumable(0, None).is_ok(),
+                _ => run.checkpoint(0, None).and_then(|first| run.resumable(finished - 2, Some(&first))).is_ok(),
+            };
             match error {
-                TrainError::File { path, problem } if path == last => {
-                    let mut aside = path.clone().into_os_string();
+                TrainError::File { path, problem }
+                    if path == last || path == run.resume_path(finished.saturating_sub(1)) && has_other_state() =>
+                {
+                    let mut aside = last.clone().into_os_string();
                     aside.push(DAMAGED);
-                    let renamed = fs::rename(&path, &aside);
-                    renamed.map_err(|error| PipelineError::Unwritable { path: path.clone(), error })?;
+                    let renamed = fs::rename(&last, &aside);
+                    renamed.map_err(|error| PipelineError::Unwritable { path: last.clone(), error })?;
                     tell(observer, Event::SetAside { checkpoint: &path, problem: &problem })?;
                 }
                 other => return Err(other.into()),
@@ -227,7 +237,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         fs::create_dir(path("checkpoints")).unwrap();
-        let ours = ["config.toml", "metrics.jsonl", "scene.tcgs", "checkpoints/000000.npz", ".writing-1"];
+        let ours =
+            ["config.toml", "metrics.jsonl", "scene.tcgs", "resume0.npz", "checkpoints/000000.npz", ".writing-1"];
         let theirs = ["notes.txt", "checkpoints/best.npz.txt"];
         for name in ours.iter().chain(&theirs) {
             fs::write(path(name), b"x").unwrap();

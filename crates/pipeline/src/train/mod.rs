@@ -1,5 +1,6 @@
 //! From a capture to a run folder.
 
+mod chapter;
 mod fit;
 mod folder;
 mod settings;
@@ -11,6 +12,7 @@ use tcgs_train::{TrainConfig, Trainer};
 
 use crate::{Backend, PipelineError};
 
+pub use chapter::{continued_trainer, start_state};
 pub use fit::fit;
 pub use folder::RunFolder;
 pub use settings::settings_for;

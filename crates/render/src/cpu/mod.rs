@@ -15,10 +15,11 @@ use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
 use self::rasterize::{TileImage, rasterize_bwd, rasterize_fwd};
 use self::tiles::Tiles;
+pub use self::tiles::{gaussians_reaching, tiles_reached};
 use crate::project::{SplatCamera, project_vjp};
 use crate::settings::MAX_CHANNELS;
-use crate::tiling::{PAIR_GRADS, TILE};
-use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
+use crate::tiling::{PAIR_GRADS, TILE, tile_grid};
+use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, RenderSettings, TileMask};
 
 /// The renderer on the CPU: all threads of rayon's pool, the same bits for any number of them. It never fails.
 ///
@@ -38,17 +39,23 @@ use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, Rende
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CpuRasterizer;
 
+/// The splats of one rendering, sorted for each tile: what [`CpuRasterizer::forward_in`] keeps for
+/// [`CpuRasterizer::backward_in`].
+#[derive(Debug)]
+pub struct CpuTiles(Tiles);
+
 /// What the CPU's forward keeps for its backward.
 #[derive(Debug)]
 pub struct CpuSaved {
-    tiles: Tiles,
+    tiles: CpuTiles,
     image: Image,
 }
 
 impl CpuSaved {
     /// How much the image had to blend.
     pub fn counts(&self) -> PairCounts {
-        PairCounts { pairs: self.tiles.pair_splats.len(), splats: self.tiles.splats.len() }
+        let tiles = &self.tiles.0;
+        PairCounts { pairs: tiles.pair_splats.len(), splats: tiles.splats.len() }
     }
 }
 
@@ -82,20 +89,64 @@ impl CpuRasterizer {
         settings: &RenderSettings,
         laps: &mut Laps,
     ) -> (RenderOutput, CpuSaved) {
-        let n = gaussians.num_gaussians();
-        let lengths = [gaussians.quats.len(), gaussians.scales.len(), gaussians.opacities.len()];
-        assert_eq!(lengths, [n; 3], "quats, scales and opacities against {n} means");
-        assert_eq!(
-            gaussians.colors.len(),
-            n * gaussians.num_channels,
-            "colors against [{n}, {}]",
-            gaussians.num_channels
-        );
-        let tiles = Tiles::new(gaussians, camera, laps);
-        let output = with_channels!(gaussians.num_channels, draw(&tiles, &gaussians.colors, camera, settings));
+        let mut image = Image::filled(camera.width, camera.height, gaussians.num_channels, 0.0);
+        let mut transmittance = vec![0.0; camera.width * camera.height];
+        let tiles = Self::draw_into(gaussians, camera, settings, None, &mut image, Some(&mut transmittance), laps);
+        let output = RenderOutput { image, transmittance };
         let image = output.image.clone();
         laps.lap("rasterize");
         (output, CpuSaved { tiles, image })
+    }
+
+    /// Renders some tiles of an image, and leaves its other pixels as they are. In the tiles drawn, every pixel has the
+    /// same bits as [`Rasterizer::forward`] gives it.
+    ///
+    /// - `mask`: the tiles to draw
+    /// - `image`: `[C, H, W]`, overwritten in these tiles
+    /// - `laps`: gets the stages `project`, `sort` and `rasterize`
+    ///
+    /// # Panics
+    /// As [`Rasterizer::forward`]; if `mask` or `image` is not of the camera's size.
+    pub fn forward_in(
+        &self,
+        gaussians: &Activated,
+        camera: &Camera,
+        settings: &RenderSettings,
+        mask: &TileMask,
+        image: &mut Image,
+        laps: &mut Laps,
+    ) -> CpuTiles {
+        let tiles = Self::draw_into(gaussians, camera, settings, Some(mask), image, None, laps);
+        laps.lap("rasterize");
+        tiles
+    }
+
+    /// Draws the tiles of `mask`, or all, into an image, and likewise the transmittance.
+    fn draw_into(
+        gaussians: &Activated,
+        camera: &Camera,
+        settings: &RenderSettings,
+        mask: Option<&TileMask>,
+        image: &mut Image,
+        transmittance: Option<&mut [f32]>,
+        laps: &mut Laps,
+    ) -> CpuTiles {
+        let n = gaussians.num_gaussians();
+        let lengths = [gaussians.quats.len(), gaussians.scales.len(), gaussians.opacities.len()];
+        assert_eq!(lengths, [n; 3], "quats, scales and opacities against {n} means");
+        let channels = gaussians.num_channels;
+        assert_eq!(gaussians.colors.len(), n * channels, "colors against [{n}, {channels}]");
+        let shape = [image.num_channels, image.height, image.width];
+        assert_eq!(shape, [channels, camera.height, camera.width], "the image to draw into");
+        let grid = tile_grid(camera.width, camera.height);
+        assert!(mask.is_none_or(|mask| mask.grid() == grid), "a mask of another image's tiles");
+        let tiles = Tiles::new(gaussians, camera, mask, laps);
+        let numbers: Vec<usize> = match mask {
+            Some(mask) => mask.iter().collect(),
+            None => (0..grid[0] * grid[1]).collect(),
+        };
+        with_channels!(channels, draw(&tiles, &numbers, &gaussians.colors, settings, image, transmittance));
+        CpuTiles(tiles)
     }
 
     /// [`Rasterizer::backward`] with a stopwatch.
@@ -113,22 +164,48 @@ impl CpuRasterizer {
         v_image: &Image,
         laps: &mut Laps,
     ) -> RenderGrads {
+        self.backward_in(gaussians, camera, settings, &saved.tiles, &saved.image, v_image, laps)
+    }
+
+    /// The gradients of [`Self::forward_in`]: those that come through the pixels of the tiles drawn.
+    ///
+    /// - `gaussians`, `camera`, `settings`: as given to `forward_in`
+    /// - `image`: `[C, H, W]`, as `forward_in` left it
+    /// - `v_image`: `[C, H, W]`, gradient to the image; read in the tiles drawn alone
+    /// - `laps`: gets the stages `rasterize backward` and `project backward`
+    ///
+    /// # Panics
+    /// If `image` or `v_image` has another shape than the image drawn.
+    #[allow(clippy::too_many_arguments, reason = "a forward pass, its results, and the gradient to them")]
+    pub fn backward_in(
+        &self,
+        gaussians: &Activated,
+        camera: &Camera,
+        settings: &RenderSettings,
+        tiles: &CpuTiles,
+        image: &Image,
+        v_image: &Image,
+        laps: &mut Laps,
+    ) -> RenderGrads {
         let shape = |i: &Image| [i.num_channels, i.height, i.width];
-        assert_eq!(shape(v_image), shape(&saved.image), "v_image against the rendered image");
-        let (tiles, colors) = (&saved.tiles, &gaussians.colors);
+        let drawn = [gaussians.num_channels, camera.height, camera.width];
+        assert_eq!([shape(image), shape(v_image)], [drawn; 2], "image and v_image against what was drawn");
+        let (tiles, colors) = (&tiles.0, &gaussians.colors);
         let stride = PAIR_GRADS + gaussians.num_channels;
         let mut v_pairs = vec![0.0; tiles.pair_splats.len() * stride];
         let mut rest = v_pairs.as_mut_slice();
-        let mut shares = Vec::with_capacity(tiles.starts.len() - 1);
+        let mut shares = Vec::new();
         for tile in 0..tiles.starts.len() - 1 {
             let (share, after) = rest.split_at_mut(tiles.pairs(tile).len() * stride);
-            shares.push(share);
+            if !share.is_empty() {
+                shares.push((tile, share));
+            }
             rest = after;
         }
-        shares.into_par_iter().enumerate().with_max_len(1).for_each(|(tile, v_pairs)| {
+        shares.into_par_iter().with_max_len(1).for_each(|(tile, v_pairs)| {
             with_channels!(
                 gaussians.num_channels,
-                rasterize_bwd(tiles, tile, colors, settings, &saved.image, v_image, v_pairs)
+                rasterize_bwd(tiles, tile, colors, settings, image, v_image, v_pairs)
             );
         });
         laps.lap("rasterize backward");
@@ -182,16 +259,24 @@ impl Draw for CpuRasterizer {
     }
 }
 
-fn draw<const C: usize>(tiles: &Tiles, colors: &[f32], camera: &Camera, settings: &RenderSettings) -> RenderOutput {
-    let (width, height) = (camera.width, camera.height);
-    let drawn: Vec<TileImage<C>> = (0..tiles.starts.len() - 1)
-        .into_par_iter()
+/// Draws some tiles into an image and, if wanted, their transmittance.
+///
+/// - `numbers`: of the tiles to draw
+fn draw<const C: usize>(
+    tiles: &Tiles,
+    numbers: &[usize],
+    colors: &[f32],
+    settings: &RenderSettings,
+    image: &mut Image,
+    mut transmittance: Option<&mut [f32]>,
+) {
+    let (width, height) = (image.width, image.height);
+    let drawn: Vec<TileImage<C>> = numbers
+        .par_iter()
         .with_max_len(1)
-        .map(|tile| rasterize_fwd(tiles, tile, colors, width, height, settings))
+        .map(|&tile| rasterize_fwd(tiles, tile, colors, width, height, settings))
         .collect();
-    let mut image = Image::filled(width, height, C, 0.0);
-    let mut transmittance = vec![0.0; width * height];
-    for (tile, drawn) in drawn.iter().enumerate() {
+    for (&tile, drawn) in numbers.iter().zip(&drawn) {
         let (x, y) = (tile % tiles.grid[0] * TILE, tile / tiles.grid[0] * TILE);
         let count = TILE.min(width - x);
         for row in 0..TILE.min(height - y) {
@@ -200,13 +285,14 @@ fn draw<const C: usize>(tiles: &Tiles, colors: &[f32], camera: &Camera, settings
                 let plane: &[[f32; 8]] = plane;
                 plane[row * 2..][..2].as_flattened().try_into().expect("a tile's row")
             };
-            transmittance[at..at + count].copy_from_slice(&line(&drawn.transmittance)[..count]);
+            if let Some(transmittance) = &mut transmittance {
+                transmittance[at..at + count].copy_from_slice(&line(&drawn.transmittance)[..count]);
+            }
             for channel in 0..C {
                 image.plane_mut(channel)[at..at + count].copy_from_slice(&line(&drawn.planes[channel])[..count]);
             }
         }
     }
-    RenderOutput { image, transmittance }
 }
 
 /// Gaussians whose pairs are added up before any is taken through the projection: their rows lie far apart,

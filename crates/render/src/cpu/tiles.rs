@@ -6,10 +6,10 @@
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera};
 
-use crate::Laps;
 use crate::project::{SplatCamera, project};
 use crate::settings::MIN_ALPHA;
 use crate::tiling::{EXTENT_FACTOR, EXTENT_MARGIN_PX, TILE, tile_grid};
+use crate::{Laps, TileMask};
 
 /// A splat that reaches at least one pixel.
 #[derive(Clone, Copy, Debug)]
@@ -28,6 +28,16 @@ pub(super) struct Splat {
 impl Splat {
     fn tile_range(range: [u32; 2]) -> std::ops::Range<usize> {
         range[0] as usize / TILE..(range[1] as usize).div_ceil(TILE)
+    }
+
+    /// Columns and rows of the pixels that it may reach.
+    fn pixels(&self) -> [std::ops::Range<usize>; 2] {
+        [self.columns, self.rows].map(|[first, end]| first as usize..end as usize)
+    }
+
+    fn meets(&self, mask: &TileMask) -> bool {
+        let [columns, rows] = self.pixels();
+        mask.meets(columns, rows)
     }
 }
 
@@ -76,14 +86,43 @@ fn splat(gaussians: &Activated, index: usize, camera: &Camera, splat_camera: &Sp
     })
 }
 
+/// The splats of those Gaussians that reach a pixel, in the order of the Gaussians.
+///
+/// - `mask`: the tiles that count; none for all
+fn splats(gaussians: &Activated, camera: &Camera, mask: Option<&TileMask>) -> Vec<Splat> {
+    let splat_camera = SplatCamera::new(camera);
+    (0..gaussians.num_gaussians())
+        .into_par_iter()
+        .with_min_len(512)
+        .filter_map(|i| splat(gaussians, i, camera, &splat_camera))
+        .filter(|splat| mask.is_none_or(|mask| splat.meets(mask)))
+        .collect()
+}
+
+/// The tiles of an image that Gaussians reach: those with a pixel in which one of them, seen alone, has an alpha of at
+/// least [`MIN_ALPHA`], and a few beyond, since a bounding box stands for each ellipse.
+pub fn tiles_reached(gaussians: &Activated, camera: &Camera) -> TileMask {
+    let mut tiles = TileMask::none(camera.width, camera.height);
+    for splat in splats(gaussians, camera, None) {
+        let [columns, rows] = splat.pixels();
+        tiles.insert_pixels(columns, rows);
+    }
+    tiles
+}
+
+/// Indices of the Gaussians that reach a set of tiles in the sense of [`tiles_reached`], ascending.
+///
+/// # Panics
+/// If `mask` is not of the camera's size.
+pub fn gaussians_reaching(gaussians: &Activated, camera: &Camera, mask: &TileMask) -> Vec<u32> {
+    assert_eq!(mask.grid(), tile_grid(camera.width, camera.height), "a mask of another image's tiles");
+    splats(gaussians, camera, Some(mask)).iter().map(|splat| splat.gaussian).collect()
+}
+
 impl Tiles {
-    pub fn new(gaussians: &Activated, camera: &Camera, laps: &mut Laps) -> Self {
-        let splat_camera = SplatCamera::new(camera);
-        let splats: Vec<Splat> = (0..gaussians.num_gaussians())
-            .into_par_iter()
-            .with_min_len(512)
-            .filter_map(|i| splat(gaussians, i, camera, &splat_camera))
-            .collect();
+    /// - `mask`: the tiles to be drawn, and the only ones with pairs; none for all
+    pub fn new(gaussians: &Activated, camera: &Camera, mask: Option<&TileMask>, laps: &mut Laps) -> Self {
+        let splats = splats(gaussians, camera, mask);
         laps.lap("project");
 
         // Depths are positive, so their bits sort as they do; ties go by index.
@@ -99,8 +138,11 @@ impl Tiles {
             splat_starts.push(num_pairs);
             for row in Splat::tile_range(s.rows) {
                 for column in Splat::tile_range(s.columns) {
-                    starts[row * grid[0] + column + 1] += 1;
-                    num_pairs += 1;
+                    let tile = row * grid[0] + column;
+                    if mask.is_none_or(|mask| mask.contains(tile)) {
+                        starts[tile + 1] += 1;
+                        num_pairs += 1;
+                    }
                 }
             }
         }
@@ -118,11 +160,14 @@ impl Tiles {
             let mut entry = splat_starts[index as usize] as usize;
             for row in Splat::tile_range(s.rows) {
                 for column in Splat::tile_range(s.columns) {
-                    let slot = &mut next[row * grid[0] + column];
-                    pair_splats[*slot as usize] = index;
-                    splat_pairs[entry] = *slot;
-                    *slot += 1;
-                    entry += 1;
+                    let tile = row * grid[0] + column;
+                    if mask.is_none_or(|mask| mask.contains(tile)) {
+                        let slot = &mut next[tile];
+                        pair_splats[*slot as usize] = index;
+                        splat_pairs[entry] = *slot;
+                        *slot += 1;
+                        entry += 1;
+                    }
                 }
             }
         }

@@ -1,9 +1,12 @@
 //! `0.8 L1 + 0.2 (1 − SSIM)` on the colour image and on the segmentation image, with the camera's
 //! gain and offset on the colours.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 use tcgs_core::Image;
-use tcgs_metrics::{ssim_bwd, ssim_fwd};
+use tcgs_metrics::{SSIM_RADIUS, ssim_fwd, ssim_map_bwd};
+use tcgs_render::{TILE, TileMask};
 
 use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 
@@ -36,6 +39,103 @@ pub fn image_loss(
     image_weight: f32,
     segmentation_weight: f32,
 ) -> ImageLoss {
+    let weights = [image_weight, segmentation_weight];
+    loss_of(rendered, target, gain, offset, weights, rendered.num_pixels())
+}
+
+/// Compares some tiles of a rendered image with their target, as [`image_loss`] compares all of it: the gradient has the
+/// same bits there.
+///
+/// - `mask`: the tiles
+/// - `v_image`: `[C, H, W]`, the gradient; overwritten in the tiles, of no meaning elsewhere
+/// - returns: the two losses, as sums over the tiles and what lies near them divided by the pixels of the whole image;
+///   [`ImageLoss::v_image`] is empty, and the camera has no gradient
+#[allow(clippy::too_many_arguments, reason = "the arguments of image_loss, and where")]
+pub fn image_loss_in(
+    rendered: &Image,
+    target: &Image,
+    mask: &TileMask,
+    gain: [f32; 3],
+    offset: [f32; 3],
+    image_weight: f32,
+    segmentation_weight: f32,
+    v_image: &mut Image,
+) -> ImageLoss {
+    let (width, height) = (rendered.width, rendered.height);
+    let weights = [image_weight, segmentation_weight];
+    let mut sum =
+        ImageLoss { image: 0.0, segmentation: 0.0, v_image: Image::default(), v_gain: [0.0; 3], v_offset: [0.0; 3] };
+    // A gradient depends on the map's values within a window's radius, and these on pixels within another.
+    const HALO: usize = 2 * SSIM_RADIUS;
+    let widened = |range: Range<usize>, end: usize| range.start.saturating_sub(HALO)..(range.end + HALO).min(end);
+    for [columns, rows] in rectangles(mask, 2 * HALO) {
+        let columns = columns.start * TILE..(columns.end * TILE).min(width);
+        let rows = rows.start * TILE..(rows.end * TILE).min(height);
+        let [wide, high] = [widened(columns.clone(), width), widened(rows.clone(), height)];
+        let crop = |image: &Image| image.crop(wide.clone(), high.clone());
+        let loss = loss_of(&crop(rendered), &crop(target), gain, offset, weights, rendered.num_pixels());
+        for channel in 0..rendered.num_channels {
+            let (from, to) = (loss.v_image.plane(channel), v_image.plane_mut(channel));
+            for row in rows.clone() {
+                let line = &from[(row - high.start) * wide.len()..][..wide.len()];
+                to[row * width..][columns.clone()]
+                    .copy_from_slice(&line[columns.start - wide.start..][..columns.len()]);
+            }
+        }
+        let share = (wide.len() * high.len()) as f64 / rendered.num_pixels() as f64;
+        sum.image += share * loss.image;
+        sum.segmentation += share * loss.segmentation;
+    }
+    sum
+}
+
+/// Rectangles of tiles that do not overlap and together hold the tiles of a set: columns and rows, in tiles. Cut where
+/// two smaller ones with a border are less to compute than one.
+///
+/// - `border`: pixels by which each rectangle is wider and higher when it is computed
+fn rectangles(mask: &TileMask, border: usize) -> Vec<[Range<usize>; 2]> {
+    fn bounds(mask: &TileMask, [columns, rows]: [Range<usize>; 2]) -> Option<[Range<usize>; 2]> {
+        let mut found: Option<[Range<usize>; 2]> = None;
+        for row in rows {
+            for column in columns.clone().filter(|column| mask.contains(row * mask.grid()[0] + column)) {
+                let [columns, rows] = found.unwrap_or([column..column, row..row]);
+                found =
+                    Some([columns.start.min(column)..columns.end.max(column + 1), rows.start..rows.end.max(row + 1)]);
+            }
+        }
+        found
+    }
+    let cost = |[columns, rows]: &[Range<usize>; 2]| (columns.len() * TILE + border) * (rows.len() * TILE + border);
+    let mut open: Vec<_> = bounds(mask, [0..mask.grid()[0], 0..mask.grid()[1]]).into_iter().collect();
+    let mut done = Vec::new();
+    while let Some(rectangle) = open.pop() {
+        let [columns, rows] = rectangle.clone();
+        let left_and_right = (columns.start + 1..columns.end)
+            .map(|at| [[columns.start..at, rows.clone()], [at..columns.end, rows.clone()]]);
+        let above_and_below =
+            (rows.start + 1..rows.end).map(|at| [[columns.clone(), rows.start..at], [columns.clone(), at..rows.end]]);
+        let halves = left_and_right.chain(above_and_below).filter_map(|[first, second]| {
+            let halves = [bounds(mask, first)?, bounds(mask, second)?];
+            Some((cost(&halves[0]) + cost(&halves[1]), halves))
+        });
+        match halves.min_by_key(|(cost, _)| *cost) {
+            Some((both, halves)) if both < cost(&rectangle) => open.extend(halves),
+            _ => done.push(rectangle),
+        }
+    }
+    done
+}
+
+/// - `weights`: of the colour image and of the segmentation image, in the gradients
+/// - `counted`: the pixels that the losses' gradients are means over
+fn loss_of(
+    rendered: &Image,
+    target: &Image,
+    gain: [f32; 3],
+    offset: [f32; 3],
+    weights: [f32; 2],
+    counted: usize,
+) -> ImageLoss {
     let pixels = rendered.num_pixels();
     let channels = rendered.num_channels;
     let factor = gain.map(f32::exp);
@@ -46,11 +146,12 @@ pub fn image_loss(
         }
     }
 
-    let weight = |channel: usize| if channel < 3 { image_weight } else { segmentation_weight };
+    let weight = |channel: usize| weights[usize::from(channel >= 3)];
     let (ssim, saved) = ssim_fwd(&corrected, target);
     let mut v_image = Image::filled(rendered.width, rendered.height, channels, 0.0);
-    let v_ssim: Vec<f32> = (0..channels).map(|c| -(1.0 - L1_SHARE) * weight(c) / COUNTED_CHANNELS).collect();
-    ssim_bwd(&corrected, target, &saved, &v_ssim, &mut v_image);
+    let v_map: Vec<f32> =
+        (0..channels).map(|c| -(1.0 - L1_SHARE) * weight(c) / COUNTED_CHANNELS / counted as f32).collect();
+    ssim_map_bwd(&corrected, target, &saved, &v_map, &mut v_image);
 
     // L1, and the colours' correction taken back, channel by channel.
     let sums: Vec<(f64, f64, f64)> = v_image
@@ -58,7 +159,7 @@ pub fn image_loss(
         .par_chunks_mut(pixels)
         .enumerate()
         .map(|(channel, v_plane)| {
-            let slope = L1_SHARE * weight(channel) / (COUNTED_CHANNELS * pixels as f32);
+            let slope = L1_SHARE * weight(channel) / (COUNTED_CHANNELS * counted as f32);
             let (mut l1, mut v_gain, mut v_offset) = (0.0_f64, 0.0_f64, 0.0_f64);
             let planes = corrected.plane(channel).iter().zip(target.plane(channel)).zip(rendered.plane(channel));
             for (v, ((&a, &b), &raw)) in v_plane.iter_mut().zip(planes) {
@@ -81,7 +182,7 @@ pub fn image_loss(
         })
         .collect();
 
-    let loss = |range: std::ops::Range<usize>| {
+    let loss = |range: Range<usize>| {
         let l1: f64 =
             sums[range.clone()].iter().map(|s| s.0).sum::<f64>() / (f64::from(COUNTED_CHANNELS) * pixels as f64);
         // A channel that is not rendered is zero in both images and has an SSIM of 1.
@@ -148,6 +249,55 @@ mod tests {
             assert!((along_gain - f64::from(loss.v_gain[c])).abs() < 0.02 * along_gain.abs() + 1e-4);
             assert!((along_offset - f64::from(loss.v_offset[c])).abs() < 0.02 * along_offset.abs() + 1e-4);
         }
+    }
+
+    /// The pattern of which the gate's pictures are made: a few tiles, apart and together, and at the edges.
+    fn some_tiles(width: usize, height: usize) -> TileMask {
+        let mut mask = TileMask::none(width, height);
+        for (x, y) in [(0, 0), (40, 20), (56, 20), (40, 36), (119, 90), (70, 70)] {
+            mask.insert_pixels(x..x + 1, y..y + 1);
+        }
+        mask
+    }
+
+    #[test]
+    fn some_tiles_have_the_gradient_of_the_whole_image_to_the_bit() {
+        let wide = |phase: f32| {
+            let mut image = Image::filled(120, 91, 5, 0.0);
+            image.data.iter_mut().enumerate().for_each(|(i, v)| *v = 0.5 + 0.4 * (i as f32 * 0.13 + phase).sin());
+            image
+        };
+        let (rendered, target) = (wide(0.4), wide(0.0));
+        let (gain, offset) = ([0.1, -0.2, 0.05], [0.02, 0.0, -0.03]);
+        let whole = image_loss(&rendered, &target, gain, offset, 1.0, 3.0);
+        for mask in [some_tiles(120, 91), TileMask::all(120, 91)] {
+            let mut v_image = Image::filled(120, 91, 5, f32::NAN);
+            let loss = image_loss_in(&rendered, &target, &mask, gain, offset, 1.0, 3.0, &mut v_image);
+            for tile in mask.iter() {
+                let [columns, rows] = mask.pixels(tile, 120, 91);
+                let cut = |image: &Image| image.crop(columns.clone(), rows.clone());
+                assert_eq!(cut(&v_image), cut(&whole.v_image), "tile {tile}");
+            }
+            if mask == TileMask::all(120, 91) {
+                assert!(
+                    (loss.image - whole.image).abs() < 1e-9 && (loss.segmentation - whole.segmentation).abs() < 1e-9
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn rectangles_hold_every_tile_once_and_are_cut_where_that_pays() {
+        let mask = some_tiles(200, 120);
+        let found = rectangles(&mask, 20);
+        let holds = |tile: usize, [columns, rows]: &[Range<usize>; 2]| {
+            columns.contains(&(tile % mask.grid()[0])) && rows.contains(&(tile / mask.grid()[0]))
+        };
+        for tile in mask.iter() {
+            assert_eq!(found.iter().filter(|rectangle| holds(tile, rectangle)).count(), 1, "tile {tile}");
+        }
+        assert_eq!((found.len(), rectangles(&TileMask::all(200, 120), 20).len()), (4, 1));
+        assert!(rectangles(&TileMask::none(200, 120), 20).is_empty());
     }
 
     #[test]

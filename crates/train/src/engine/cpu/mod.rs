@@ -3,7 +3,7 @@
 mod image_loss;
 mod motion_prior;
 
-pub use image_loss::{ImageLoss, image_loss};
+pub use image_loss::{ImageLoss, image_loss, image_loss_in};
 pub use motion_prior::{MotionPrior, PriorGrads};
 
 use std::sync::Arc;

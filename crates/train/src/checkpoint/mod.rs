@@ -1,19 +1,29 @@
-//! Checkpoints: the result of one timestep, and the optimiser's state that the next timestep starts from. Each timestep
-//! has one npz archive, which is written atomically.
+//! Checkpoints: the result of one timestep, and the optimiser's state that the next timestep starts from, as arrays.
+//!
+//! - `array`: one array, and in which rows two differ
+//! - `chain`: the archives of a run, which hold what changes from one timestep to the next
+
+mod array;
+mod chain;
 
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 use std::sync::Arc;
 
 use tcgs_codec::{BitMap, Quantizer};
-use tcgs_core::{Activation, Attribute, Column, Gaussians, Layout, RateGroup};
-use tcgs_interchange::{Existing, InterchangeError, NpyValue, NpzReader, NpzWriter, write_whole};
+use tcgs_core::{Activation, Attribute, Camera, Column, Gaussians, Layout, RateGroup};
+use tcgs_interchange::{Existing, NpzReader, NpzWriter, write_whole};
 
+use self::array::{Array, Value, get, problem_of};
 use crate::TrainError;
 use crate::fake_quant::FakeQuantizers;
 use crate::lifetimes::Lifetimes;
 use crate::parameters::Parameters;
 use crate::state::{Optimizer, goes_on};
+use crate::trainer::extent;
+
+pub(crate) use array::Arrays;
+pub(crate) use chain::{Chain, read_single, write_single};
 
 /// State at the end of one timestep.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,7 +65,21 @@ fn with_steps_alone(layout: &Layout) -> impl Iterator<Item = &Column> {
 }
 
 impl Checkpoint {
-    /// Writes the archive atomically. Equal checkpoints give equal bytes.
+    /// The state of a scene that nothing is known of but its Gaussians: none has a past, and nothing is quantised.
+    ///
+    /// - `cameras`: the training cameras, at least one
+    pub fn of_parameters(parameters: Parameters, cameras: &[Camera]) -> Self {
+        Self {
+            lifetimes: Lifetimes::new(parameters.num_gaussians()),
+            quantizers: None,
+            optimizer: Optimizer::new(&parameters, 0),
+            scene_radius: extent(cameras, parameters.gaussians.means()),
+            parameters,
+        }
+    }
+
+    /// Writes everything into one archive, atomically. Equal checkpoints give equal bytes. [`Run::save`](crate::Run::save)
+    /// writes less: what differs from the timestep before.
     ///
     /// - `first`: whether this is the checkpoint of timestep 0, which also holds everything that does not vary with
     ///   time
@@ -69,62 +93,74 @@ impl Checkpoint {
 
     fn write<W: Write + Seek>(&self, writer: W, first: bool) -> std::io::Result<()> {
         let mut npz = NpzWriter::new(writer);
-        let p = &self.parameters;
-        let n = p.num_gaussians();
-        let layout = p.gaussians.layout();
-        if first && !layout.is_base() {
-            let table = table_of(layout);
-            npz.array("columns", &[table.len()], [table.as_bytes()])?;
-        }
-        for column in layout.columns().iter().filter(|column| first || column.varies) {
-            let shape = [n, column.components()];
-            let shape = if column.components() == 1 { &shape[..1] } else { &shape };
-            npz.array(&values_name(column), shape, [p.gaussians.values(column.attribute)])?;
-        }
-        if !self.lifetimes.are_whole() {
-            let l = &self.lifetimes;
-            for (name, values) in LIFETIME_NAMES.into_iter().zip([&l.ids, &l.births, &l.deaths]) {
-                let wide: Vec<u64> = values.iter().map(|&value| value.into()).collect();
-                npz.array(name, &[n], [&wide[..]])?;
-            }
-        }
-        npz.array("mask_logits", &[n], [p.mask_logits.as_slice()])?;
-        let flat = |q: &FakeQuantizers, f: fn(&Quantizer) -> f32| q.quantizers.iter().map(f).collect::<Vec<_>>();
-        if let Some(q) = &self.quantizers {
-            npz.array("quantizer_steps", &[q.quantizers.len()], [&flat(q, |q| q.step)[..]])?;
-            npz.array("quantizer_offsets", &[q.quantizers.len()], [&flat(q, |q| q.offset)[..]])?;
-        }
-        let o = &self.optimizer;
-        for column in with_moments(layout) {
-            let (m, v) = (o.first.values(column.attribute), o.second.values(column.attribute));
-            npz.array(&moments_name(column), &[2, m.len()], [m, v])?;
-        }
-        for (name, m) in QUANTIZER_MOMENT_NAMES.into_iter().zip([&o.quantizer_steps, &o.quantizer_offsets]) {
-            npz.array(name, &[2, m.first.len()], [m.first.as_slice(), &m.second])?;
-        }
-        let mut steps: Vec<u64> = with_steps_alone(layout).map(|column| o.steps[column.attribute.index()]).collect();
-        steps.push(o.mask.step);
-        steps.extend(with_moments(layout).map(|column| o.steps[column.attribute.index()]));
-        steps.extend([o.quantizer_steps.step, o.quantizer_offsets.step]);
-        npz.array("steps", &[steps.len()], [&steps[..]])?;
-        if first {
-            let cameras = p.camera_gains.len();
-            npz.array("camera_gains", &[cameras, 3], [p.camera_gains.as_flattened()])?;
-            npz.array("camera_offsets", &[cameras, 3], [p.camera_offsets.as_flattened()])?;
-            npz.array("foreground", &[n], [&p.foreground.iter().map(|&f| u8::from(f)).collect::<Vec<_>>()[..]])?;
-            npz.array("scene_radius", &[1], [[self.scene_radius].as_slice()])?;
-            if let Some(q) = &self.quantizers {
-                let groups: Vec<u8> = q.groups.iter().flat_map(|&(a, width)| [a.index() as u8, width]).collect();
-                npz.array("quantizer_groups", &[q.groups.len(), 2], [&groups[..]])?;
-                npz.array("quantizer_initial_steps", &[q.initial_steps.len()], [&q.initial_steps[..]])?;
-                npz.array("bit_widths", &[layout.columns().len(), n], q.bit_map.widths.iter().map(Vec::as_slice))?;
-            }
+        for (name, _, array) in self.arrays(first) {
+            array.write(&mut npz, &name)?;
         }
         // Left to be dropped, the archive would swallow a full disk.
         npz.finish()?.flush()
     }
 
-    /// Reads the archive of one timestep.
+    /// Name, use and values of everything that a checkpoint holds, in the order of the archive.
+    ///
+    /// - `first`: see [`Self::save`]
+    pub(crate) fn arrays(&self, first: bool) -> Vec<(String, For, Array)> {
+        let p = &self.parameters;
+        let n = p.num_gaussians();
+        let layout = p.gaussians.layout();
+        let mut arrays = List::default();
+        if first && !layout.is_base() {
+            let table = table_of(layout);
+            arrays.add("columns", For::Scene, &[table.len()], table.as_bytes());
+        }
+        for column in layout.columns().iter().filter(|column| first || column.varies) {
+            let shape = [n, column.components()];
+            let shape = if column.components() == 1 { &shape[..1] } else { &shape };
+            arrays.add(&values_name(column), For::Scene, shape, p.gaussians.values(column.attribute));
+        }
+        if !self.lifetimes.are_whole() {
+            let l = &self.lifetimes;
+            for (name, values) in LIFETIME_NAMES.into_iter().zip([&l.ids, &l.births, &l.deaths]) {
+                let wide: Vec<u64> = values.iter().map(|&value| value.into()).collect();
+                arrays.add(name, For::Scene, &[n], &wide);
+            }
+        }
+        arrays.add(MASK_LOGITS, For::Scene, &[n], &p.mask_logits);
+        let flat = |q: &FakeQuantizers, f: fn(&Quantizer) -> f32| q.quantizers.iter().map(f).collect::<Vec<_>>();
+        if let Some(q) = &self.quantizers {
+            arrays.add("quantizer_steps", For::Scene, &[q.quantizers.len()], &flat(q, |q| q.step));
+            arrays.add("quantizer_offsets", For::Scene, &[q.quantizers.len()], &flat(q, |q| q.offset));
+        }
+        let o = &self.optimizer;
+        for column in with_moments(layout) {
+            let (m, v) = (o.first.values(column.attribute), o.second.values(column.attribute));
+            arrays.add(&moments_name(column), For::Resuming, &[2, m.len()], &[m, v].concat());
+        }
+        for (name, m) in QUANTIZER_MOMENT_NAMES.into_iter().zip([&o.quantizer_steps, &o.quantizer_offsets]) {
+            arrays.add(name, For::Resuming, &[2, m.first.len()], &[&m.first[..], &m.second].concat());
+        }
+        let mut steps: Vec<u64> = with_steps_alone(layout).map(|column| o.steps[column.attribute.index()]).collect();
+        steps.push(o.mask.step);
+        steps.extend(with_moments(layout).map(|column| o.steps[column.attribute.index()]));
+        steps.extend([o.quantizer_steps.step, o.quantizer_offsets.step]);
+        arrays.add(STEPS, For::Resuming, &[steps.len()], &steps);
+        if first {
+            let cameras = p.camera_gains.len();
+            arrays.add("camera_gains", For::Scene, &[cameras, 3], p.camera_gains.as_flattened());
+            arrays.add("camera_offsets", For::Scene, &[cameras, 3], p.camera_offsets.as_flattened());
+            let foreground: Vec<u8> = p.foreground.iter().map(|&f| u8::from(f)).collect();
+            arrays.add("foreground", For::Scene, &[n], &foreground);
+            arrays.add("scene_radius", For::Scene, &[1], &[self.scene_radius]);
+            if let Some(q) = &self.quantizers {
+                let groups: Vec<u8> = q.groups.iter().flat_map(|&(a, width)| [a.index() as u8, width]).collect();
+                arrays.add("quantizer_groups", For::Scene, &[q.groups.len(), 2], &groups);
+                arrays.add("quantizer_initial_steps", For::Scene, &[q.initial_steps.len()], &q.initial_steps);
+                arrays.add("bit_widths", For::Scene, &[layout.columns().len(), n], &q.bit_map.widths.concat());
+            }
+        }
+        arrays.0
+    }
+
+    /// Reads an archive that [`Self::save`] wrote.
     ///
     /// - `first`: the checkpoint of timestep 0, which supplies everything that does not vary with time; `None` to read
     ///   timestep 0 itself
@@ -136,10 +172,60 @@ impl Checkpoint {
         let failed = |problem: String| TrainError::File { path: path.into(), problem };
         let npz = NpzReader::open(path);
         let mut npz = npz.map_err(|error| failed(format!("not a checkpoint: {}", problem_of(error))))?;
-        read(&mut npz, first, learned_offset).map_err(failed)
+        let names: Vec<String> = npz.array_names().collect();
+        let read = |name: String| Ok((name.clone(), Arc::new(Array::read(&mut npz, &name)?)));
+        let arrays = names.into_iter().map(read).collect::<Result<Arrays, String>>().map_err(failed)?;
+        get::<u64>(&arrays, STEPS).map_err(failed)?;
+        Self::from_arrays(&arrays, first, learned_offset).map_err(failed)
+    }
+
+    /// The checkpoint that arrays hold. Without those for resuming the optimizer's state is all zero.
+    ///
+    /// - `first`, `learned_offset`: see [`Self::load`]
+    ///
+    /// # Errors
+    /// What is wrong with the arrays.
+    pub(crate) fn from_arrays(arrays: &Arrays, first: Option<&Self>, learned_offset: bool) -> Result<Self, String> {
+        read(arrays, first, learned_offset)
+    }
+
+    /// The mask logits among arrays.
+    ///
+    /// # Errors
+    /// What is wrong with the arrays.
+    pub(crate) fn mask_logits_of(arrays: &Arrays) -> Result<&[f32], String> {
+        get(arrays, MASK_LOGITS)
+    }
+
+    /// Whether arrays hold what the next timestep starts from besides the scene.
+    pub(crate) fn can_resume_from(arrays: &Arrays) -> bool {
+        arrays.contains_key(STEPS)
     }
 }
 
+/// Who reads an array.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum For {
+    /// Whoever wants the scene at this timestep. The run keeps it of every timestep.
+    Scene,
+    /// The next timestep alone. The run keeps it of the last two timesteps.
+    Resuming,
+}
+
+/// Arrays as they are added.
+#[derive(Default)]
+struct List(Vec<(String, For, Array)>);
+
+impl List {
+    fn add<T: Value>(&mut self, name: &str, used_for: For, shape: &[usize], values: &[T]) {
+        self.0.push((name.into(), used_for, Array::new(shape, values.to_vec())));
+    }
+}
+
+/// Name of the array of all counts of updates; every state of an optimizer has it.
+const STEPS: &str = "steps";
+/// Name of the array of mask logits.
+pub(crate) const MASK_LOGITS: &str = "mask_logits";
 const LIFETIME_NAMES: [&str; 3] = ["ids", "births", "deaths"];
 const QUANTIZER_MOMENT_NAMES: [&str; 2] = ["quantizer_step_moments", "quantizer_offset_moments"];
 
@@ -180,13 +266,13 @@ fn layout_of(table: &str) -> Option<Layout> {
     Some(layout)
 }
 
-fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
-    let means = get::<f32>(npz, "means")?;
+fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
+    let means = get::<f32>(arrays, "means")?;
     let n = first.map_or(means.len() / 3, |f| f.parameters.num_gaussians());
     let layout = match first {
         Some(first) => Arc::clone(first.parameters.gaussians.layout()),
-        None if npz.contains("columns") => {
-            let table = String::from_utf8(get::<u8>(npz, "columns")?).ok();
+        None if arrays.contains_key("columns") => {
+            let table = String::from_utf8(get::<u8>(arrays, "columns")?.to_vec()).ok();
             let layout = table.and_then(|table| layout_of(&table));
             Arc::new(layout.ok_or("columns is no table of columns")?)
         }
@@ -199,13 +285,16 @@ fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -
             Some(first) if !column.varies => {
                 values.copy_from_slice(first.parameters.gaussians.values(column.attribute))
             }
-            _ => fill(&name, values, &get::<f32>(npz, &name)?)?,
+            _ => fill(&name, values, get::<f32>(arrays, &name)?)?,
         }
     }
-    let lifetimes =
-        if LIFETIME_NAMES.iter().any(|name| npz.contains(name)) { read_lifetimes(npz, n)? } else { Lifetimes::new(n) };
+    let lifetimes = if LIFETIME_NAMES.iter().any(|name| arrays.contains_key(*name)) {
+        read_lifetimes(arrays, n)?
+    } else {
+        Lifetimes::new(n)
+    };
     let mut mask_logits = vec![0.0; n];
-    fill("mask_logits", &mut mask_logits, &get::<f32>(npz, "mask_logits")?)?;
+    fill("mask_logits", &mut mask_logits, get::<f32>(arrays, MASK_LOGITS)?)?;
     let mut parameters = Parameters { gaussians, mask_logits, ..Parameters::default() };
     let (scene_radius, bits) = match first {
         Some(first) => {
@@ -217,11 +306,11 @@ fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -
             (first.scene_radius, bits)
         }
         None => {
-            parameters.foreground = get::<u8>(npz, "foreground")?.iter().map(|&f| f != 0).collect();
-            parameters.camera_gains = get::<f32>(npz, "camera_gains")?.as_chunks().0.to_vec();
-            parameters.camera_offsets = get::<f32>(npz, "camera_offsets")?.as_chunks().0.to_vec();
-            let radius = get::<f32>(npz, "scene_radius")?.first().copied().ok_or("scene_radius is empty")?;
-            (radius, read_bits(npz, &layout, n)?)
+            parameters.foreground = get::<u8>(arrays, "foreground")?.iter().map(|&f| f != 0).collect();
+            parameters.camera_gains = get::<f32>(arrays, "camera_gains")?.as_chunks().0.to_vec();
+            parameters.camera_offsets = get::<f32>(arrays, "camera_offsets")?.as_chunks().0.to_vec();
+            let radius = get::<f32>(arrays, "scene_radius")?.first().copied().ok_or("scene_radius is empty")?;
+            (radius, read_bits(arrays, &layout, n)?)
         }
     };
     if parameters.foreground.len() != n {
@@ -230,12 +319,12 @@ fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -
     let quantizers = match bits {
         None => None,
         Some((bit_map, groups, initial_steps)) => {
-            let (steps, offsets) = (get::<f32>(npz, "quantizer_steps")?, get::<f32>(npz, "quantizer_offsets")?);
+            let (steps, offsets) = (get::<f32>(arrays, "quantizer_steps")?, get::<f32>(arrays, "quantizer_offsets")?);
             let widths: Vec<u8> = groups.iter().flat_map(|&(a, width)| vec![width; a.components()]).collect();
             if [steps.len(), offsets.len(), initial_steps.len()] != [widths.len(); 3] {
                 return Err(format!("{} quantizer steps, expected {}", steps.len(), widths.len()));
             }
-            let quantizers: Vec<Quantizer> = (steps.iter().zip(&offsets).zip(&widths))
+            let quantizers: Vec<Quantizer> = (steps.iter().zip(offsets).zip(&widths))
                 .map(|((&step, &offset), &bits)| Quantizer { step, offset, bits })
                 .collect();
             if let Some(problem) = quantizers.iter().find_map(Quantizer::problem) {
@@ -244,13 +333,17 @@ fn read(npz: &mut NpzReader, first: Option<&Checkpoint>, learned_offset: bool) -
             Some(FakeQuantizers::restore(bit_map, groups, quantizers, initial_steps, learned_offset))
         }
     };
-    let optimizer = read_optimizer(npz, &parameters, quantizers.as_ref().map_or(0, |q| q.quantizers.len()))?;
+    let num_quantizers = quantizers.as_ref().map_or(0, |q| q.quantizers.len());
+    let optimizer = match Checkpoint::can_resume_from(arrays) {
+        true => read_optimizer(arrays, &parameters, num_quantizers)?,
+        false => Optimizer::new(&parameters, num_quantizers),
+    };
     Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius })
 }
 
-fn read_lifetimes(npz: &mut NpzReader, n: usize) -> Result<Lifetimes, String> {
-    let mut column = |name: &str| -> Result<Vec<u32>, String> {
-        let values = get::<u64>(npz, name)?;
+fn read_lifetimes(arrays: &Arrays, n: usize) -> Result<Lifetimes, String> {
+    let column = |name: &str| -> Result<Vec<u32>, String> {
+        let values = get::<u64>(arrays, name)?;
         let narrow: Option<Vec<u32>> = values.iter().map(|&value| u32::try_from(value).ok()).collect();
         narrow.filter(|values| values.len() == n).ok_or_else(|| format!("{name} is not {n} values below 2^32"))
     };
@@ -258,29 +351,29 @@ fn read_lifetimes(npz: &mut NpzReader, n: usize) -> Result<Lifetimes, String> {
     Ok(Lifetimes::from_columns(column(ids)?, column(births)?, column(deaths)?))
 }
 
-fn read_optimizer(npz: &mut NpzReader, parameters: &Parameters, num_quantizers: usize) -> Result<Optimizer, String> {
+fn read_optimizer(arrays: &Arrays, parameters: &Parameters, num_quantizers: usize) -> Result<Optimizer, String> {
     let layout = parameters.gaussians.layout();
     let mut o = Optimizer::new(parameters, num_quantizers);
     for column in with_moments(layout) {
         let name = moments_name(column);
-        let both = get::<f32>(npz, &name)?;
+        let both = get::<f32>(arrays, &name)?;
         let (m, v) = both.split_at(both.len() / 2);
         fill(&name, o.first.values_mut(column.attribute), m)?;
         fill(&name, o.second.values_mut(column.attribute), v)?;
     }
     for (name, moments) in QUANTIZER_MOMENT_NAMES.into_iter().zip([&mut o.quantizer_steps, &mut o.quantizer_offsets]) {
-        let both = get::<f32>(npz, name)?;
+        let both = get::<f32>(arrays, name)?;
         let (m, v) = both.split_at(both.len() / 2);
         fill(name, &mut moments.first, m)?;
         fill(name, &mut moments.second, v)?;
     }
-    let steps = get::<u64>(npz, "steps")?;
+    let steps = get::<u64>(arrays, STEPS)?;
     let (alone, with): (Vec<_>, Vec<_>) = (with_steps_alone(layout).collect(), with_moments(layout).collect());
     let expected = alone.len() + 1 + with.len() + 2;
     if steps.len() != expected {
         return Err(format!("steps holds {} values, expected {expected}", steps.len()));
     }
-    let mut steps = steps.into_iter();
+    let mut steps = steps.iter().copied();
     let mut next = || steps.next().expect("counted above");
     for column in alone {
         o.steps[column.attribute.index()] = next();
@@ -295,18 +388,20 @@ fn read_optimizer(npz: &mut NpzReader, parameters: &Parameters, num_quantizers: 
 
 type Bits = (BitMap, Vec<(Attribute, u8)>, Vec<f32>);
 
-fn read_bits(npz: &mut NpzReader, layout: &Arc<Layout>, n: usize) -> Result<Option<Bits>, String> {
+fn read_bits(arrays: &Arrays, layout: &Arc<Layout>, n: usize) -> Result<Option<Bits>, String> {
     // All of them or none: an archive's list of names has no checksum.
-    if !["quantizer_groups", "quantizer_initial_steps", "quantizer_steps", "bit_widths"].iter().any(|a| npz.contains(a))
+    if !["quantizer_groups", "quantizer_initial_steps", "quantizer_steps", "bit_widths"]
+        .iter()
+        .any(|a| arrays.contains_key(*a))
     {
         return Ok(None);
     }
-    let widths = get::<u8>(npz, "bit_widths")?;
+    let widths = get::<u8>(arrays, "bit_widths")?;
     let expected = layout.columns().len() * n;
     if widths.len() != expected || widths.iter().any(|w| !(1..=16).contains(w)) {
         return Err(format!("bit_widths holds {} values, expected {expected} of 1 to 16", widths.len()));
     }
-    let groups: Vec<(Attribute, u8)> = get::<u8>(npz, "quantizer_groups")?
+    let groups: Vec<(Attribute, u8)> = get::<u8>(arrays, "quantizer_groups")?
         .chunks_exact(2)
         .map(|g| {
             layout.columns().get(usize::from(g[0])).filter(|_| (1..=16).contains(&g[1])).map(|c| (c.attribute, g[1]))
@@ -314,21 +409,7 @@ fn read_bits(npz: &mut NpzReader, layout: &Arc<Layout>, n: usize) -> Result<Opti
         .collect::<Option<_>>()
         .ok_or("quantizer_groups names an attribute or a width that does not exist")?;
     let widths = (0..layout.columns().len()).map(|a| widths[a * n..(a + 1) * n].to_vec()).collect();
-    Ok(Some((BitMap::new(Arc::clone(layout), widths), groups, get(npz, "quantizer_initial_steps")?)))
-}
-
-fn get<T: NpyValue>(npz: &mut NpzReader, name: &str) -> Result<Vec<T>, String> {
-    Ok(npz.array_of(name).map_err(problem_of)?.values)
-}
-
-/// What is wrong with a checkpoint, without its path.
-fn problem_of(error: InterchangeError) -> String {
-    match error {
-        InterchangeError::Read { error, .. } | InterchangeError::Write { error, .. } => error.to_string(),
-        InterchangeError::Archive { problem, .. } => problem,
-        InterchangeError::Array { key, problem, .. } => format!("{key} {problem}"),
-        other => other.to_string(),
-    }
+    Ok(Some((BitMap::new(Arc::clone(layout), widths), groups, get(arrays, "quantizer_initial_steps")?.to_vec())))
 }
 
 fn fill(name: &str, into: &mut [f32], values: &[f32]) -> Result<(), String> {

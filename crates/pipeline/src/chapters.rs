@@ -1,0 +1,130 @@
+//! Runs that continue one another, as one scene over time. What does not live here: how a chapter is trained
+//! (`train::chapter`).
+
+use std::ops::Range;
+
+use tcgs_codec::CompressSettings;
+use tcgs_core::{Gaussians, Layout};
+use tcgs_train::{Run, TrainError};
+
+use crate::{OpenScene, PipelineError};
+
+/// Chapters and what counts of each.
+#[derive(Debug)]
+pub(crate) struct Chapters {
+    /// Two or more runs, by their first frames.
+    scenes: Vec<OpenScene>,
+    /// The frames that count of each: all of the joined scene together.
+    frames: Vec<Range<usize>>,
+    segment_length: u32,
+}
+
+impl Chapters {
+    /// See [`OpenScene::join`].
+    pub fn join(mut scenes: Vec<OpenScene>, segment_length: Option<u32>) -> Result<Self, PipelineError> {
+        scenes.sort_by_key(|scene| scene.frames().start);
+        check(&scenes)?;
+        let all = scenes[0].frames().start..scenes.last().map_or(0, |last| last.frames().end);
+        let settings = CompressSettings { segment_length, ..CompressSettings::default() };
+        let segment_length = settings.segment_length_of(scenes[0].num_gaussians(), all.len());
+        let mut starts = vec![all.start];
+        for pair in scenes.windows(2) {
+            let (later, end) = (pair[1].frames().start, pair[0].frames().end);
+            // A chapter's first timestep still follows from far away.
+            let earliest = later.max(starts[starts.len() - 1]) + 1;
+            let border = all.start + (end - all.start) / segment_length as usize * segment_length as usize;
+            starts.push(if border >= earliest { border } else { end });
+        }
+        let ends = starts[1..].iter().copied().chain([all.end]);
+        let frames = starts.iter().zip(ends).map(|(&start, end)| start..end).collect();
+        Ok(Self { scenes, frames, segment_length })
+    }
+
+    pub fn first(&self) -> &OpenScene {
+        &self.scenes[0]
+    }
+
+    pub fn segment_length(&self) -> u32 {
+        self.segment_length
+    }
+
+    pub fn num_timesteps(&self) -> usize {
+        self.frames.iter().map(ExactSizeIterator::len).sum()
+    }
+
+    /// The chapter that shows a timestep, and which of its own that is.
+    ///
+    /// # Panics
+    /// If there is no such timestep.
+    pub fn place(&self, timestep: usize) -> (&OpenScene, usize) {
+        let frame = self.frames[0].start + timestep;
+        let chapter = self.frames.iter().position(|frames| frames.contains(&frame));
+        let chapter = &self.scenes[chapter.expect("a timestep of the scene")];
+        (chapter, frame - chapter.first_frame)
+    }
+
+    /// Mask logits of every timestep, one after another.
+    pub fn mask_logits(&self) -> impl Iterator<Item = Result<Vec<f32>, TrainError>> {
+        self.scenes.iter().zip(&self.frames).flat_map(|(scene, frames)| {
+            let logits = scene.run().into_iter().flat_map(Run::mask_logits);
+            logits.skip(frames.start - scene.first_frame).take(frames.len())
+        })
+    }
+}
+
+/// Whether runs, by their first frames, are chapters of one scene.
+fn check(scenes: &[OpenScene]) -> Result<(), PipelineError> {
+    let refuse = |scene: &OpenScene, found: String, expected: String| {
+        Err(PipelineError::input(scene.path.display(), found, expected))
+    };
+    if let Some(scene) = scenes.iter().find(|scene| scene.run().is_none()) {
+        return refuse(scene, format!("is a {}", scene.kind()), "run folders where several are joined".into());
+    }
+    for pair in scenes.windows(2) {
+        let (before, scene, first) = (&pair[0], &pair[1], &scenes[0]);
+        let (frames, end) = (scene.frames(), before.frames().end);
+        if frames.start > end {
+            let expected = format!("frame {end} or an earlier one, where {} ends", before.path.display());
+            return refuse(scene, format!("begins at frame {}", frames.start), expected);
+        }
+        if frames.end <= end {
+            let expected = format!("more, since {} ends there or later", before.path.display());
+            return refuse(scene, format!("ends with frame {}", frames.end - 1), expected);
+        }
+        let (found, expected) = (scene.num_gaussians(), first.num_gaussians());
+        let as_first = format!(
+            "those of {} in the same order, since a .tcgs file has the same Gaussians at all timesteps: \
+             chapters start from one run (train --start-from)",
+            first.path.display()
+        );
+        if found != expected {
+            return refuse(scene, format!("has {found} Gaussians, not {expected}"), as_first);
+        }
+        let constants = [first, scene].map(|scene| scene.first_checkpoint().map(|c| &c.parameters.gaussians));
+        if let [Some(of_first), Some(own)] = constants
+            && let Some(column) = first_difference(of_first, own)
+        {
+            return refuse(scene, format!("has other {column}"), as_first);
+        }
+        let told = [first, scene].map(|scene| (scene.downscale, scene.frame_rate));
+        if told[0] != told[1] {
+            let said = |(downscale, rate)| format!("downscale {downscale} and frame rate {rate}");
+            let expected = format!("{} as {}", said(told[0]), first.path.display());
+            return refuse(scene, format!("has {}", said(told[1])), expected);
+        }
+    }
+    Ok(())
+}
+
+/// Name of a column in which two scenes differ that does not change with time; all but these may.
+fn first_difference(first: &Gaussians, other: &Gaussians) -> Option<String> {
+    let [a, b]: [&Layout; 2] = [first.layout(), other.layout()];
+    if a != b {
+        return Some("columns".into());
+    }
+    let bits = |gaussians: &Gaussians, attribute| -> Vec<u32> {
+        gaussians.values(attribute).iter().map(|x| x.to_bits()).collect()
+    };
+    let differs = |attribute| bits(first, attribute) != bits(other, attribute);
+    a.columns().iter().find(|column| !column.varies && differs(column.attribute)).map(|column| column.name.clone())
+}

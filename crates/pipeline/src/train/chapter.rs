@@ -1,0 +1,77 @@
+//! Chapters: a run that continues the state of another scene.
+
+use tcgs_capture::{Capture, Split};
+use tcgs_core::Camera;
+use tcgs_interchange::read_params_foreground;
+use tcgs_train::{Checkpoint, Parameters, Run, TrainConfig, TrainError, Trainer};
+
+use crate::{Backend, OpenScene, PipelineError};
+
+/// The state of a scene at a timestep, as a run starts from it ([`continued_trainer`]).
+///
+/// From a run masks, quantizers and the gains of cameras carry over, and the optimizer's state if the timestep is one of
+/// its last two; otherwise the optimizer begins anew. Of any other scene masks begin as the settings say, nothing is
+/// quantised, cameras have no gains, and all Gaussians are foreground unless a `params.npz` says otherwise.
+///
+/// # Errors
+/// [`PipelineError::Input`] if the scene has no such timestep or no Gaussian, or was trained with another number of
+/// cameras; [`PipelineError`] if a file of the scene or the capture's cameras cannot be read.
+pub fn start_state(
+    scene: &OpenScene,
+    timestep: usize,
+    config: &TrainConfig,
+    capture: &Capture,
+) -> Result<Checkpoint, PipelineError> {
+    let gaussians = scene.at(timestep)?;
+    if gaussians.num_gaussians() == 0 {
+        return Err(PipelineError::input(scene.path.display(), "has no Gaussians", "at least one"));
+    }
+    let cameras = training_cameras(config, capture)?;
+    let Some(run) = scene.run() else {
+        let n = gaussians.num_gaussians();
+        let foreground = if scene.is_params() { read_params_foreground(&scene.path)? } else { None };
+        let parameters = Parameters {
+            mask_logits: vec![config.mask.initial_logit; n],
+            foreground: foreground.unwrap_or_else(|| vec![true; n]),
+            camera_gains: vec![[0.0; 3]; cameras.len()],
+            camera_offsets: vec![[0.0; 3]; cameras.len()],
+            gaussians,
+        };
+        return Ok(Checkpoint::of_parameters(parameters, &cameras));
+    };
+    let mut start = checkpoint_of(run, timestep)?;
+    let found = start.parameters.camera_gains.len();
+    if found != cameras.len() {
+        let (found, expected) = (format!("was trained with {found} cameras"), format!("{} as in", cameras.len()));
+        let expected = format!("{expected} {}", capture.name());
+        return Err(PipelineError::input(scene.path.display(), found, expected));
+    }
+    if !config.quantize.enabled {
+        start.quantizers = None;
+    }
+    Ok(start)
+}
+
+/// A checkpoint with the optimizer's state, if the run still has it.
+fn checkpoint_of(run: &Run, timestep: usize) -> Result<Checkpoint, TrainError> {
+    let first = if timestep == 0 { None } else { Some(run.checkpoint(0, None)?) };
+    match run.resumable(timestep, first.as_ref()) {
+        Err(_) if timestep + 2 < run.timesteps() => run.checkpoint(timestep, first.as_ref()),
+        found => found,
+    }
+}
+
+/// A trainer that continues the state of another scene.
+///
+/// - `start`: of [`start_state`] or [`Run::start`]
+pub fn continued_trainer(config: &TrainConfig, start: &Checkpoint, backend: &Backend) -> Trainer {
+    Trainer::continued(config, start, |state| backend.engine(state))
+}
+
+fn training_cameras(config: &TrainConfig, capture: &Capture) -> Result<Vec<Camera>, PipelineError> {
+    let cameras = capture.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
+    if cameras.is_empty() {
+        return Err(PipelineError::input(capture.name(), "no training cameras", "at least one"));
+    }
+    Ok(cameras.into_iter().map(|(_, camera)| camera).collect())
+}
