@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let start = start(num_gaussians, percent)?;
     let num_moving = num_gaussians * percent / 100;
     let mut random = Pcg64Mcg::seed_from_u64(1);
-    let phases: Vec<f32> = (0..num_moving).map(|_| random.random_range(0.0..6.28)).collect();
+    let phases: Vec<f32> = (0..num_moving).map(|_| random.random_range(0.0..std::f32::consts::TAU)).collect();
     let (mut checkpoint, mut seconds) = (start.clone(), 0.0);
     for timestep in 0..num_timesteps {
         let parameters = &mut checkpoint.parameters;

@@ -96,7 +96,7 @@ fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
     let points: Vec<[f32; 3]> = (0..num_gaussians).map(|i| [i as f32, 0.5, -1.0]).collect();
     let cloud = PointCloud { colors: points.clone(), foreground: vec![true; num_gaussians], points };
     let mut parameters = Parameters::from_cloud(&cloud, 3, 1.0);
-    let moved = |i: usize| (1..=timestep).rev().find(|t| (i * 7 + t) % 10 == 0).unwrap_or(0) as f32;
+    let moved = |i: usize| (1..=timestep).rev().find(|t| (i * 7 + t).is_multiple_of(10)).unwrap_or(0) as f32;
     for (i, mean) in parameters.gaussians.means_mut().iter_mut().enumerate() {
         mean[1] += moved(i);
     }
