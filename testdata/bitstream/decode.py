@@ -1,298 +1,557 @@
-"""A decoder of .tcgs version 1 written from docs/FORMAT.md alone. Slow, complete, of no use but to check the text.
+"""A decoder of .tcgs version 1, written from docs/FORMAT.md; it shares no code with the Rust one. Slow and complete: it
+checks the text, and it is the reference of scripts/conformance.py.
 
-Usage: decode.py FILE.tcgs...: compares each with the values that it means, in the FILE.json beside it.
+Usage:
+  decode.py FILE.tcgs OUT             write all floats of a file, as docs/FORMAT.md says under "Conformance"
+  decode.py --check FILE.tcgs...      compare each file with the values that it means, in the FILE.json beside it
 """
-import json, math, struct, sys, zlib
-f32 = lambda x: struct.unpack('<f', struct.pack('<f', x))[0]
+import bisect, json, math, struct, sys, zlib
+
 NAMES = ['means', 'quats', 'log_scales', 'logit_opacities', 'colors']
 TAGS = [b'MEAN', b'QUAT', b'SCAL', b'OPAC', b'COLR']
-C = [3, 4, 3, 1, 3]
+COMPONENTS = [3, 4, 3, 1, 3]
+MEANS, QUATS = 0, 1
+SHARED = 65535
+NONE = None
+SHIFT_LIMIT = 10**6
+
+class Refused(Exception):
+    """The file must be refused. Section and field have the names that the Rust decoder gives them."""
+    def __init__(self, section, field, problem):
+        super().__init__(f'{section}: {field}: {problem}')
+        self.section, self.field = section, field
+
+def must(holds, section, field, problem):
+    if not holds: raise Refused(section, field, problem)
+
+def f32(x):
+    """The nearest binary32; infinity beyond the largest."""
+    try: return struct.unpack('<f', struct.pack('<f', x))[0]
+    except OverflowError: return math.copysign(math.inf, x)
+
 log2 = lambda n: n.bit_length() - 1
 nearest = lambda x: math.floor(x + 0.5)
-def wrap(x, b):
-    return (x + 2**(b - 1)) % 2**b - 2**(b - 1)
+clamp = lambda x, low, high: max(low, min(high, x))
+wrap = lambda x, b: (x + 2**(b - 1)) % 2**b - 2**(b - 1)
+signed = lambda z: z // 2 if z % 2 == 0 else -(z + 1) // 2
+size = lambda z: min(log2(z + 1), 5)
+bucket = lambda count: 0 if count == 0 else min(log2(count + 1) + 1, 5)
+
+# --- Container ---------------------------------------------------------------------------------------------------------
 
 class Fields:
-    def __init__(self, data): self.data, self.at = data, 0
-    def take(self, n):
-        assert self.at + n <= len(self.data); self.at += n
+    """The fields of a section, one after another."""
+    def __init__(self, data, section): self.data, self.section, self.at = data, section, 0
+    def take(self, n, field):
+        must(self.at + n <= len(self.data), self.section, field, 'reaches past the end')
+        self.at += n
         return self.data[self.at - n:self.at]
-    def u(self, n): return int.from_bytes(self.take(n), 'little')
-    def f(self): return struct.unpack('<f', self.take(4))[0]
-    def text(self): return self.take(self.u(2)).decode('utf-8')
-    def end(self): assert self.at == len(self.data)
+    def u(self, n, field): return int.from_bytes(self.take(n, field), 'little')
+    def f(self, field): return struct.unpack('<f', self.take(4, field))[0]
+    def text(self, field):
+        data = self.take(self.u(2, field), field)
+        try: return data.decode('utf-8')
+        except UnicodeDecodeError: raise Refused(self.section, field, 'not UTF-8')
+    def flags(self, field):
+        byte = self.u(1, field)
+        must(byte < 32, self.section, field, 'more attributes than there are')
+        return [byte >> a & 1 == 1 for a in range(5)]
+    def end(self): must(self.at == len(self.data), self.section, 'end', 'bytes are left over')
+
+def section_name(tag):
+    known = {b'INFO': 'info', b'PLAN': 'plan', b'MAPS': 'maps', b'appl': 'application data'} | dict(zip(TAGS, NAMES))
+    return known.get(tag, 'unknown section')
+
+def read_container(data):
+    """The sections that are not optional, each (tag, segment, layer, bytes)."""
+    must(data[:4] == b'TCGS'[:len(data)], 'header', 'magic', 'this is not a .tcgs file')
+    must(len(data) >= 16, 'file', 'end', 'the file ends early')
+    top = Fields(data, 'header')
+    top.take(4, 'magic')
+    must(top.u(2, 'version') == 1, 'version', 'version', 'another version')
+    must(top.u(2, 'reserved') == 0, 'header', 'reserved', 'not zero')
+    count = top.u(4, 'number of sections')
+    must(count <= 2**20, 'header', 'number of sections', 'more than 1048576')
+    must(len(data) >= 16 + 16 * count, 'file', 'end', 'the file ends early')
+    crc = zlib.crc32(data[:12] + data[16:16 + 16 * count])
+    must(top.u(4, 'checksum') == crc, 'header', 'checksum', 'the header is damaged')
+    entries, at = [], 16 + 16 * count
+    for _ in range(count):
+        tag, segment, layer = top.take(4, 'tag'), top.u(2, 'segment'), top.u(2, 'layer')
+        length, crc = top.u(4, 'length'), top.u(4, 'checksum')
+        optional = tag[0] & 0x20 != 0
+        must(optional or section_name(tag) != 'unknown section', 'header', 'tag', 'may not be skipped')
+        entries.append((tag, segment, layer, data[at:at + length], crc, optional))
+        at += length
+    must(at <= len(data), 'file', 'end', 'the file ends early')
+    must(at == len(data), 'file', 'end', 'bytes are left over')
+    for tag, _, _, body, crc, _ in entries:
+        must(zlib.crc32(body) == crc, section_name(tag), 'checksum', 'the section is damaged')
+    return [entry[:4] for entry in entries if not entry[5]]
+
+def read_info(f):
+    s = {'num_gaussians': f.u(4, 'num_gaussians'), 'num_timesteps': f.u(4, 'num_timesteps')}
+    # This decoder's own limits.
+    must(s['num_gaussians'] <= 2**24 and s['num_timesteps'] <= 2**16, 'limit', 'limit', 'more than this decoder takes')
+    s |= {'first_frame': f.u(4, 'first_frame'), 'downscale': f.u(4, 'downscale'), 'frame_rate': f.f('frame_rate')}
+    bounds = [f.f('bounds') for _ in range(6)]
+    ascending = all(low <= high for low, high in zip(bounds[:3], bounds[3:]))
+    must(all(map(math.isfinite, bounds)) and ascending, 'info', 'bounds', 'not finite or not ascending')
+    s['color_space'] = f.u(1, 'color_space')
+    must(s['color_space'] <= 1, 'info', 'color_space', 'unknown')
+    s['up'] = f.u(1, 'up')
+    must(s['up'] <= 6, 'info', 'up', 'unknown')
+    s |= {'name': f.text('name'), 'generator': f.text('generator'), 'segment_length': f.u(4, 'segment_length')}
+    s['layers'] = [f.u(4, 'layers') for _ in range(f.u(2, 'number of layers'))]
+    must(1 <= s['num_timesteps'] <= 65536, 'info', 'num_timesteps', 'not within 1 to 65536')
+    must(math.isfinite(s['frame_rate']) and s['frame_rate'] >= 0, 'info', 'frame_rate', 'negative or not finite')
+    must(s['downscale'] >= 1, 'info', 'downscale', 'zero')
+    must(sum(s['layers']) == s['num_gaussians'], 'info', 'layers', 'not as many Gaussians as the scene')
+    must(0 not in s['layers'], 'info', 'layers', 'an empty one')
+    must(1 <= s['segment_length'] <= 65536, 'info', 'segment_length', 'not within 1 to 65536')
+    f.end()
+    return s
+
+def read_plan(f):
+    plan = {'varies': f.flags('varying attributes'), 'joint': f.flags('joint attributes'), 'quantizers': [], 'predictors': []}
+    for a in range(5):
+        must(f.u(1, 'interpolation') == 0, 'plan', 'interpolation', 'unknown')
+        quantizers = {}
+        for _ in range(f.u(1, 'number of widths')):
+            b = f.u(1, 'width')
+            must(b > max(quantizers, default=-1), 'plan', 'width', 'not ascending')
+            quantizers[b] = [(f.f('step'), f.f('offset')) for _ in range(COMPONENTS[a])]
+            for step, offset in quantizers[b]:
+                legal = 1 <= b <= 16 and 0 < step < math.inf and math.isfinite(offset)
+                must(legal, 'plan', 'quantizer', 'not 1 to 16 bits, or not finite, or a step that is not positive')
+        predictors = []
+        for c in range(COMPONENTS[a] if a != MEANS else 0):
+            mode = f.u(1, 'mode')
+            must(mode <= 2, 'plan', 'mode', 'unknown')
+            weights = [f.f('weight') for _ in range(1 + 2 * COMPONENTS[a] + c)]
+            must(all(map(math.isfinite, weights)), 'plan', 'weight', 'not finite')
+            predictors.append((mode, weights))
+        plan['quantizers'].append(quantizers)
+        plan['predictors'].append(predictors)
+    f.end()
+    return plan
+
+# --- Symbols -----------------------------------------------------------------------------------------------------------
 
 class Model:
     def __init__(self, n):
         each = (2**30 - (16 - n) * 65536) // n
-        self.f = [i * each if i < n else 2**30 - (16 - i) * 65536 for i in range(16)]
+        self.bound = [i * each if i < n else 2**30 - (16 - i) * 65536 for i in range(16)] + [2**30]
         self.age = 1
+    def interval(self, symbol):
+        start = self.bound[symbol] >> 15
+        return start, (self.bound[symbol + 1] >> 15) - start
+    def learn(self, symbol):
+        self.age += 1
+        rate = min(log2(self.age), 7)
+        for i in range(1, 16):
+            target = 65536 * i if i <= symbol else 2**30 - (16 - i) * 65536
+            self.bound[i] += (target - self.bound[i]) >> rate
+
 class Models(dict):
-    def __init__(self, n): self.n = n
-    def __missing__(self, key):
-        n = self.n(key) if callable(self.n) else self.n
-        self[key] = Model(n); return self[key]
+    """A model for every context, made when it is first used."""
+    def __init__(self, n, name): self.n, self.name = n, name
+    def __missing__(self, context):
+        model = self[context] = Model(self.n(context) if callable(self.n) else self.n)
+        model.name = self.name
+        return model
 
 class Symbols:
-    def __init__(self, data):
-        self.data = data; self.x = int.from_bytes(data[:8], 'little'); self.at = 8
-        assert 2**31 <= self.x < 2**63
-    def step(self, a, f):
-        self.x = f * (self.x >> 15) + self.x % 2**15 - a
+    """The symbols of a section."""
+    def __init__(self, data, section):
+        self.data, self.section, self.at = data, section, 8
+        self.x = int.from_bytes(data[:8], 'little')
+        self.must(len(data) >= 8 and 2**31 <= self.x < 2**63)
+    def must(self, holds): must(holds, self.section, 'symbols', 'not exactly as many as there should be')
+    def step(self, start, length):
+        self.x = length * (self.x >> 15) + self.x % 2**15 - start
         if self.x < 2**31:
-            assert self.at + 4 <= len(self.data)
-            self.x = self.x * 2**32 + int.from_bytes(self.data[self.at:self.at + 4], 'little'); self.at += 4
-    def read(self, m):
-        y = self.x % 2**15
-        starts = [v >> 15 for v in m.f] + [2**15]
-        s = max(i for i in range(16) if starts[i] <= y)
-        self.step(starts[s], starts[s + 1] - starts[s])
-        m.age += 1; r = min(log2(m.age), 7)
-        for i in range(1, 16):
-            g = 65536 * i if i <= s else 2**30 - (16 - i) * 65536
-            m.f[i] += (g - m.f[i]) >> r
-        return s
-    def bits(self, k):
-        if k == 0: return 0
-        v = (self.x % 2**15) >> (15 - k)
-        self.step(v << (15 - k), 1 << (15 - k)); return v
-    def end(self): assert self.x == 2**31 and self.at == len(self.data)
+            self.must(self.at + 4 <= len(self.data))
+            self.x = self.x * 2**32 + int.from_bytes(self.data[self.at:self.at + 4], 'little')
+            self.at += 4
+    def read(self, model):
+        # The last that starts at or below the slot: those whose bounds, rounded down, are not above.
+        symbol = bisect.bisect_right(model.bound, self.x % 2**15 * 2**15 + 2**15 - 1, 0, 16) - 1
+        self.step(*model.interval(symbol))
+        model.learn(symbol)
+        return symbol
+    def bits(self, count):
+        if count == 0: return 0
+        value = self.x % 2**15 >> (15 - count)
+        self.step(value << (15 - count), 1 << (15 - count))
+        return value
+    def end(self): self.must(self.x == 2**31 and self.at == len(self.data))
 
 class Numbers:
-    def __init__(self):
-        self.symbol, self.exponent, self.leading = Models(16), Model(10), Models(lambda k: 2**min(k, 3))
-    def read(self, s, context):
-        u = s.read(self.symbol[context])
+    def __init__(self, name):
+        self.symbol, self.exponent = Models(16, name), Models(10, name + ' exponent')
+        self.leading = Models(lambda bits: 2**min(bits, 3), name + ' leading')
+    def read(self, symbols, context):
+        u = symbols.read(self.symbol[context])
         if u < 8: return u
         if u < 14:
-            e = u // 2 - 1; base = (2 + u % 2) * 2**(e - 1); k = e - 1
+            bits = u // 2 - 2
+            base = (2 + u % 2) << bits
         else:
-            e = 6 + min(s.read(self.exponent), 9); base = 2**e; k = e
-        h = s.read(self.leading[k]) % 2**min(k, 3)
-        return base + h * 2**(k - min(k, 3)) + s.bits(k - min(k, 3))
-signed = lambda z: z // 2 if z % 2 == 0 else -(z + 1) // 2
-size = lambda z: min(log2(z + 1), 5)
-bucket = lambda i: 0 if i == 0 else min(log2(i + 1) + 1, 5)
+            bits = 6 + min(symbols.read(self.exponent[0]), 9)
+            base = 2**bits
+        top = min(bits, 3)
+        high = symbols.read(self.leading[bits]) % 2**top
+        return base + (high << (bits - top)) + symbols.bits(bits - top)
 
-def decode(data):
-    top = Fields(data)
-    assert top.take(4) == b'TCGS' and top.u(2) == 1 and top.u(2) == 0
-    count = top.u(4); crc = top.u(4)
-    assert crc == zlib.crc32(data[:12] + data[16:16 + 16 * count])
-    sections, at = [], 16 + 16 * count
-    for _ in range(count):
-        tag, segment, layer, length, crc = top.take(4), top.u(2), top.u(2), top.u(4), top.u(4)
-        body = data[at:at + length]; at += length
-        assert len(body) == length and zlib.crc32(body) == crc
-        if not tag[0] & 0x20: sections.append((tag, segment, layer, body))
-    assert at == len(data)
-    sections = iter(sections)
-    def section(tag, segment, layer):
-        t = next(sections); assert t[:3] == (tag, segment, layer), t[:3]
-        return t[3]
-    i = Fields(section(b'INFO', 65535, 0))
-    s = {'num_gaussians': i.u(4), 'num_timesteps': i.u(4), 'first_frame': i.u(4), 'downscale': i.u(4), 'frame_rate': i.f()}
-    bounds = [i.f() for _ in range(6)]
-    s |= {'color_space': i.u(1), 'up': i.u(1), 'name': i.text(), 'generator': i.text(), 'segment_length': i.u(4)}
-    s['layers'] = [i.u(4) for _ in range(i.u(2))]; i.end()
-    N, T, L = s['num_gaussians'], s['num_timesteps'], s['segment_length']
-    p = Fields(section(b'PLAN', 65535, 0))
-    varies, joint = p.u(1), p.u(1)
-    varies = [varies >> a & 1 for a in range(5)]; joint = [joint >> a & 1 for a in range(5)]
-    quantizers, predictors = [], []
-    for a in range(5):
-        assert p.u(1) == 0
-        q = {}
-        for _ in range(p.u(1)):
-            b = p.u(1); q[b] = [(p.f(), p.f()) for _ in range(C[a])]
-        quantizers.append(q)
-        predictors.append([(p.u(1), [p.f() for _ in range(1 + 2 * C[a] + c)]) for c in range(C[a])] if a else [])
-    p.end()
-    width = [[] for _ in range(5)]; moves = [[] for _ in range(5)]; code = [[] for _ in range(5)]
-    value = lambda a, g, c, k: k * quantizers[a][width[a][g]][c][0] + quantizers[a][width[a][g]][c][1]
-    wm, mm, hm, lm, dm = Models(16), Models(2), Models(13), Models(4), Models(8)
-    firsts = [(Models(16), Models(16), Numbers()) for _ in range(5)]
-    neighbors, points, curve, e_before = [], [], [], 0
-    W = max(quantizers[0], default=16)
-    key_of = lambda x, n: sum((x[c] >> j & 1) << (3 * j + c) for j in range(n) for c in range(3))
-    start = 0
-    for layer, n in enumerate(s['layers']):
-        y = Symbols(section(b'MAPS', 65535, layer))
-        for g in range(start, start + n):
+# --- Shared layers -----------------------------------------------------------------------------------------------------
+
+def curve_key(point, bits):
+    return sum((point[c] >> j & 1) << (3 * j + c) for j in range(bits) for c in range(3))
+
+class Shared:
+    """What all segments share: widths, which tracks move, first codes, neighbours."""
+    def __init__(self, plan):
+        self.plan = plan
+        self.width, self.moves, self.code = ([[] for _ in range(5)] for _ in range(3))
+        self.neighbors, self.points, self.curve = [], [], []
+        self.maps = Models(16, 'width'), Models(2, 'moves')
+        self.curve_models = Models(13, 'gap high'), Models(4, 'gap low'), Models(8, 'gap leading')
+        self.gap_before = 0
+        self.first = [(Models(16, 'high'), Models(16, 'middle'), Numbers('difference')) for _ in range(5)]
+
+    def quantizer(self, a, g, c): return self.plan['quantizers'][a][self.width[a][g]][c]
+    def value(self, a, g, c, code):
+        step, offset = self.quantizer(a, g, c)
+        return code * step + offset
+
+    def read_maps(self, symbols, layer):
+        widths, moving = self.maps
+        for g in layer:
             for a in range(5):
-                before = width[a][g - 1] if g else 0
-                other = 0 if a < 2 else width[a - 1][g]
-                width[a].append(1 + y.read(wm[a, before, other]))
-                assert width[a][g] in quantizers[a]
-            o = 0
+                before = self.width[a][g - 1] if g > 0 else 0
+                left = self.width[a - 1][g] if a > 1 else 0
+                self.width[a].append(1 + symbols.read(widths[a, before, left]))
+            decision = 0
             for a in range(5):
-                row = [0] * C[a]
-                if varies[a]:
-                    for c in range(C[a]):
-                        if joint[a] and c: row[c] = row[0]; continue
-                        was = lambda k: moves[a][g - k][c] if g >= k else 0
-                        o = row[c] = y.read(mm[a, c, was(1), was(2), o]) % 2
-                moves[a].append(row)
-        y.end()
-        y = Symbols(section(b'MEAN', 65535, layer)); key = 0
-        for g in range(start, start + n):
-            high = min(y.read(hm[e_before // 4]), 12); low = y.read(lm[high]) % 4
-            e = min(4 * high + low, 48); e_before = e
-            gap = e
-            if e >= 2:
-                m = min(e - 1, 3); gap = 2**m + y.read(dm[e]) % 2**m; rest = e - 1 - m
-                while rest: k = min(rest, 15); gap = gap << k | y.bits(k); rest -= k
-            key = (key + gap) % 2**(3 * W); b = width[0][g]
-            x = [sum((key >> (3 * j + c) & 1) << j for j in range(W)) for c in range(3)]
-            code[0].append([(v >> (W - b)) - 2**(b - 1) for v in x])
-        y.end()
-        for g in range(start, start + n):
-            points.append([(k + 2**(width[0][g] - 1)) << (16 - width[0][g]) for k in code[0][g]])
-        own = []
-        for g in range(start, start + n):
-            k = key_of(points[g], 16); own.append((k, g))
-            place = sum(1 for c in curve if c[0] < k)
-            candidates = list(range(g - 1, max(start, g - 4) - 1, -1)) + [c[1] for c in curve[max(place - 4, 0):place + 4]]
-            best = sorted(candidates, key=lambda c: sum((u - v)**2 for u, v in zip(points[g], points[c])))
-            neighbors.append(best[:2])
-        curve = sorted(curve + own)
-        for a in range(1, 5):
-            y = Symbols(section(TAGS[a], 65535, layer)); high, middle, numbers = firsts[a]
-            for g in range(start, start + n):
-                near2 = neighbors[g] + neighbors[g][-1:] if len(neighbors[g]) == 1 else neighbors[g]
-                near2 = [[value(a, h, c, code[a][h][c]) for c in range(C[a])] for h in near2] or [[0.0] * C[a]] * 2
-                features = [1.0] + near2[0] + near2[1]
-                code[a].append([]); r = 1.0; b = width[a][g]
-                for c in range(C[a]):
-                    step, offset = quantizers[a][b][c]; mode, weights = predictors[a][c]
-                    near = lambda x: max(-2**(b - 1), min(2**(b - 1) - 1, nearest((x - offset) / step)))
-                    pred = 0.0
-                    for x, w in zip(features, weights): pred += x * w
-                    if mode == 1:
-                        d = abs(near(near2[0][c]) - near(near2[1][c]))
-                        k = wrap(near(pred) + signed(numbers.read(y, (c, b, 0 if d == 0 else min(log2(d) + 1, 7)))), b)
-                    else:
-                        bin = ((near(pred if mode == 0 else math.sqrt(max(r, 0.0))) + 2**(b - 1)) * 16) >> b
-                        h = min(b, 4); m = min(b - h, 4)
-                        v = y.read(high[c, b, bin]) % 2**h; k = v
-                        if m: k = k << m | y.read(middle[c, b, v]) % 2**m
-                        k = (k << (b - h - m) | y.bits(b - h - m)) - 2**(b - 1)
-                    code[a][g].append(k); x = value(a, g, c, k); r -= x * x; features.append(x)
-            y.end()
-        start += n
-    tracks = [[[([0], [code[a][g][c]]) for c in range(C[a])] for g in range(N)] for a in range(5)]
-    joined = [dict() for _ in range(5)]
-    for segment in range((T + L - 1) // L):
-        A, Z = segment * L, min((segment + 1) * L, T) - 1
-        state = [dict(count=Models(16), more=Numbers(), before=Numbers(), after=Numbers(), gaps=Numbers(), first=Numbers(), later=Numbers(), unit={}) for _ in range(5)]
-        start = 0
-        for layer, n in enumerate(s['layers']):
-            for a in (a for a in range(5) if varies[a]):
-                body = section(TAGS[a], segment, layer); motion = body[0]; assert motion < 4
-                y = Symbols(body[1:]); st = state[a]; last = 0; per = C[a] if joint[a] else 1
-                for g in range(start, start + n):
-                    for c0 in range(0, C[a], per):
-                        if not moves[a][g][c0]: continue
-                        nb = next((h for h in neighbors[g] if moves[a][h][c0]), None); b = width[a][g]
-                        def at(c, t):
-                            times, codes = st['unit'][nb, c0]
-                            k = sum(1 for x in times if x <= t)
-                            if k == 0: return float(codes[0][c - c0])
-                            if k == len(times): return float(codes[-1][c - c0])
-                            u, v = float(codes[k - 1][c - c0]), float(codes[k][c - c0])
-                            return u + (v - u) * (t - times[k - 1]) / (times[k] - times[k - 1])
-                        def scaled(c, d):
-                            return d if width[a][nb] == b else d * quantizers[a][width[a][nb]][c][0] / quantizers[a][b][c][0]
-                        clamp = lambda x: max(-10**6, min(10**6, nearest(x)))
-                        before = st['before'].read(y, 0) if A else 0
-                        times = [A - before]; assert times[0] >= 0
-                        if A == 0: codes = [code[a][g][c0:c0 + per]]
-                        else:
-                            sz, row = 0, []
-                            for c in range(c0, c0 + per):
-                                shift = scaled(c, at(c, times[0]) - code[a][nb][c]) if nb is not None else 0.0
-                                z = st['first'].read(y, (c, b, sz)); sz = size(z)
-                                row.append(wrap(code[a][g][c] + clamp(shift) + signed(z), b))
-                            codes = [row]
-                        inner = 0
-                        if not (A == Z and before == 0):
-                            near = bucket(max(len(st['unit'][nb, c0][0]) - 2, 0)) if nb is not None else 0
-                            k = y.read(st['count'][c0, near, bucket(last)])
-                            inner = max(k - 1, 0)
-                            if k == 15: inner = 14 + st['more'].read(y, 0)
-                            t, q = A, max(Z - A - 1, 0); assert inner <= q
-                            for i in range(inner, 0, -1):
-                                gap = st['gaps'].read(y, min(log2(2 * q // i), 8) - 1) if q > i else 0
-                                assert gap <= q - i
-                                t += gap + 1; q -= gap + 1; times.append(t)
-                            times.append(Z + st['after'].read(y, 0) if Z + 1 < T else Z); assert times[-1] < T
-                            if k == 0: codes.append(codes[0])
-                            else:
-                                sizes = [0] * per
-                                for j in range(1, len(times)):
-                                    row = []
-                                    for c in range(c0, c0 + per):
-                                        i = c - c0; u = codes[j - 1][i]
-                                        S = scaled(c, at(c, times[j]) - at(c, times[j - 1])) if nb is not None else None
-                                        D = float(u - codes[j - 2][i]) * (times[j] - times[j - 1]) / (times[j - 1] - times[j - 2]) if j > 1 else None
-                                        if motion == 0: shift = 0.0
-                                        elif motion == 1: shift = S if S is not None else 0.0
-                                        elif motion == 2: shift = D if D is not None else 0.0
-                                        else: shift = (S + D) * 0.5 if None not in (S, D) else S if S is not None else D if D is not None else 0.0
-                                        gg = min(log2(max(times[j] - times[j - 1], 1)), 3)
-                                        z = st['later'].read(y, (c, b, sizes[i - 1] if i else sizes[0], gg, nb is not None))
-                                        sizes[i] = size(z); row.append(wrap(u + clamp(shift) + signed(z), b))
-                                    codes.append(row)
-                        last = inner
-                        st['unit'][g, c0] = (times, codes)
-                        old = joined[a].setdefault((g, c0), ([], []))
-                        shared = sum(1 for t in old[0] if t >= times[0])
-                        assert old[0][len(old[0]) - shared:] == times[:shared] and old[1][len(old[1]) - shared:] == codes[:shared]
-                        old[0].extend(times[shared:]); old[1].extend(codes[shared:])
-                y.end()
-            start += n
-    assert next(sections, None) is None
-    for a in range(5):
-        for (g, c0), (times, codes) in joined[a].items():
-            assert times[0] == 0 and times[-1] == T - 1 and times == sorted(set(times))
-            for i in range(len(codes[0])): tracks[a][g][c0 + i] = (times, [row[i] for row in codes])
-    def at(t):
-        out = {}
+                row = [0] * COMPONENTS[a]
+                for c in range(COMPONENTS[a] if self.plan['varies'][a] else 0):
+                    if self.plan['joint'][a] and c > 0:
+                        row[c] = row[0]
+                        continue
+                    one, two = (self.moves[a][g - k][c] if g >= k else 0 for k in (1, 2))
+                    decision = row[c] = symbols.read(moving[a, c, one, two, decision]) % 2
+                self.moves[a].append(row)
+        symbols.end()
         for a in range(5):
-            rows = []
-            for g in range(N):
-                row = []
-                for c in range(C[a]):
-                    times, codes = tracks[a][g][c]
-                    k = sum(1 for x in times if x <= t) - 1
-                    v = f32(value(a, g, c, codes[k]))
-                    if k + 1 < len(times) and times[k] < t:
-                        w = f32(value(a, g, c, codes[k + 1]))
-                        v = f32(v + f32(f32(w - v) * f32((t - times[k]) / (times[k + 1] - times[k]))))
-                    row.append(v)
-                if a == 1:
-                    def norm(row):
-                        total = 0.0
-                        for x in row: total = f32(total + f32(x * x))
-                        return total
-                    length = f32(math.sqrt(norm(row)))
-                    if length > 0: row = [f32(x / length) for x in row]
-                    if not norm(row) > 0.5: row = [1.0, 0.0, 0.0, 0.0]
-                rows += row
-            out[NAMES[a]] = rows
-        return out
-    s['attributes'] = {NAMES[a]: {'varies': bool(varies[a]), 'widths': width[a], 'tracks_of_times_and_codes': [[t, k] for g in tracks[a] for t, k in g]} for a in range(5)}
-    s['reconstructed'] = [{'timestep': t, 'values': at(t)} for t in [0, (T - 1) // 2, T - 1]]
-    return s
+            known = all(self.width[a][g] in self.plan['quantizers'][a] for g in layer)
+            must(known, 'maps', 'bit widths', 'a width without quantizers')
 
-for name in sys.argv[1:]:
-    got = decode(open(name, 'rb').read())
-    want = json.load(open(name.replace('.tcgs', '.json')))
-    for key in want:
-        if key == 'reconstructed':
-            for g, w in zip(got[key], want[key]):
-                for n in NAMES:
-                    assert g['values'][n] == [f32(x) for x in w['values'][n]], (name, g['timestep'], n)
-        elif key == 'frame_rate': assert f32(want[key]) == got[key]
-        else: assert got[key] == want[key], (name, key)
-    print(name, 'is what it should be')
+    def read_positions(self, symbols, layer):
+        high, low, leading = self.curve_models
+        widest, key = max(self.plan['quantizers'][MEANS]), 0
+        for g in layer:
+            top = min(symbols.read(high[self.gap_before // 4]), 12)
+            bits = min(4 * top + symbols.read(low[top]) % 4, 48)
+            self.gap_before = gap = bits
+            if bits >= 2:
+                modelled = min(bits - 1, 3)
+                gap = 2**modelled + symbols.read(leading[bits]) % 2**modelled
+                rest = bits - 1 - modelled
+                while rest > 0:
+                    count = min(rest, 15)
+                    gap = gap << count | symbols.bits(count)
+                    rest -= count
+            key = (key + gap) % 2**(3 * widest)
+            b = self.width[MEANS][g]
+            axes = [sum((key >> (3 * j + c) & 1) << j for j in range(widest)) for c in range(3)]
+            self.code[MEANS].append([(x >> (widest - b)) - 2**(b - 1) for x in axes])
+        symbols.end()
+
+    def find_neighbors(self, layer):
+        own = []
+        for g in layer:
+            b = self.width[MEANS][g]
+            self.points.append([(code + 2**(b - 1)) << (16 - b) for code in self.code[MEANS][g]])
+            own.append((curve_key(self.points[g], 16), g))
+        for key, g in own:
+            place = bisect.bisect_left(self.curve, (key, -1))
+            candidates = [h for h in range(g - 1, g - 5, -1) if h >= layer.start]
+            candidates += [h for _, h in self.curve[max(place - 4, 0):place + 4]]
+            distance = lambda h: sum((x - y)**2 for x, y in zip(self.points[g], self.points[h]))
+            self.neighbors.append(sorted(candidates, key=distance)[:2])
+        self.curve = sorted(self.curve + own)
+
+    def read_first_codes(self, a, symbols, layer):
+        high, middle, numbers = self.first[a]
+        for g in layer:
+            b, codes = self.width[a][g], []
+            self.code[a].append(codes)
+            two = (self.neighbors[g] * 2)[:2]
+            near = [[self.value(a, h, c, self.code[a][h][c]) for c in range(COMPONENTS[a])] for h in two]
+            near = near or [[0.0] * COMPONENTS[a]] * 2
+            features, rest = [1.0] + near[0] + near[1], 1.0
+            for c in range(COMPONENTS[a]):
+                (step, offset), (mode, weights) = self.quantizer(a, g, c), self.plan['predictors'][a][c]
+                code_of = lambda x: clamp(nearest((x - offset) / step), -2**(b - 1), 2**(b - 1) - 1)
+                prediction = 0.0
+                for x, weight in zip(features, weights): prediction += x * weight
+                if mode == 1:
+                    apart = abs(code_of(near[0][c]) - code_of(near[1][c]))
+                    spread = 0 if apart == 0 else min(log2(apart) + 1, 7)
+                    code = wrap(code_of(prediction) + signed(numbers.read(symbols, (c, b, spread))), b)
+                else:
+                    expected = code_of(prediction if mode == 0 else math.sqrt(max(rest, 0.0)))
+                    bin = (expected + 2**(b - 1)) * 16 >> b
+                    top = min(b, 4)
+                    mid = min(b - top, 4)
+                    v = symbols.read(high[c, b, bin]) % 2**top
+                    code = v
+                    if mid > 0: code = code << mid | symbols.read(middle[c, b, v]) % 2**mid
+                    code = (code << (b - top - mid) | symbols.bits(b - top - mid)) - 2**(b - 1)
+                codes.append(code)
+                value = self.value(a, g, c, code)
+                rest -= value * value
+                features.append(value)
+        symbols.end()
+
+# --- Segments ----------------------------------------------------------------------------------------------------------
+
+class SegmentOf:
+    """The keypoints of one attribute within one segment: (times, codes[keypoint][component]) by Gaussian and unit."""
+    def __init__(self, a, shared, first, last, num_timesteps):
+        self.a, self.shared, self.first, self.last, self.num_timesteps = a, shared, first, last, num_timesteps
+        self.joint = shared.plan['joint'][a]
+        self.units = {}
+        self.counts = Models(16, 'count')
+        names = 'more', 'before', 'after', 'gap', 'first', 'later'
+        self.more, self.before, self.after, self.gaps, self.firsts, self.laters = map(Numbers, names)
+
+    def read_layer(self, symbols, layer, motion):
+        inner_before, per = 0, COMPONENTS[self.a] if self.joint else 1
+        for g in layer:
+            for c0 in range(0, COMPONENTS[self.a], per):
+                if self.shared.moves[self.a][g][c0]:
+                    inner_before = self.read_unit(symbols, motion, g, range(c0, c0 + per), inner_before)
+        symbols.end()
+
+    def read_unit(self, symbols, motion, g, components, inner_before):
+        a, A, Z, T, c0 = self.a, self.first, self.last, self.num_timesteps, components[0]
+        late = lambda holds: must(holds, NAMES[a], 'keypoint times', 'not within the timesteps that are left')
+        neighbor = next((h for h in self.shared.neighbors[g] if self.shared.moves[a][h][c0]), NONE)
+        b = self.shared.width[a][g]
+        before = self.before.read(symbols, 0) if A > 0 else 0
+        late(before <= A)
+        times, codes = [A - before], [self.read_start(symbols, g, components, neighbor, A - before)]
+        self.units[g, c0] = times, codes
+        if A == Z and before == 0: return 0
+        near = 0 if neighbor is NONE else max(len(self.units[neighbor, c0][0]) - 2, 0)
+        k = symbols.read(self.counts[c0, bucket(near), bucket(inner_before)])
+        inner = max(k - 1, 0)
+        if k == 15: inner = 14 + self.more.read(symbols, 0)
+        t, free = A, max(Z - A - 1, 0)
+        late(inner <= free)
+        for left in range(inner, 0, -1):
+            gap = self.gaps.read(symbols, min(log2(2 * free // left), 8) - 1) if free > left else 0
+            late(gap <= free - left)
+            t, free = t + gap + 1, free - gap - 1
+            times.append(t)
+        times.append(Z + (self.after.read(symbols, 0) if Z + 1 < T else 0))
+        late(times[-1] < T)
+        if k == 0: codes.append(codes[0])
+        else: self.read_later(symbols, motion, g, components, neighbor)
+        return inner
+
+    def read_start(self, symbols, g, components, neighbor, time):
+        a, codes, last_size = self.a, [], 0
+        for c in components:
+            code, b = self.shared.code[a][g][c], self.shared.width[a][g]
+            if self.first > 0:
+                shift = 0.0
+                if neighbor is not NONE:
+                    moved = self.at(neighbor, components[0], c, time) - self.shared.code[a][neighbor][c]
+                    shift = self.scaled(g, neighbor, c, moved)
+                z = self.firsts.read(symbols, (c, b, last_size))
+                last_size = size(z)
+                code = wrap(code + clamp(nearest(shift), -SHIFT_LIMIT, SHIFT_LIMIT) + signed(z), b)
+            codes.append(code)
+        return codes
+
+    def read_later(self, symbols, motion, g, components, neighbor):
+        times, codes = self.units[g, components[0]]
+        b, sizes = self.shared.width[self.a][g], [0] * len(components)
+        for j in range(1, len(times)):
+            row = []
+            for i, c in enumerate(components):
+                u = codes[j - 1][i]
+                along = line = None
+                if neighbor is not NONE:
+                    ends = (self.at(neighbor, components[0], c, t) for t in (times[j], times[j - 1]))
+                    along = self.scaled(g, neighbor, c, next(ends) - next(ends))
+                if j > 1:
+                    line = float(u - codes[j - 2][i]) * (times[j] - times[j - 1]) / (times[j - 1] - times[j - 2])
+                shift = self.shift(motion, along, line)
+                age = min(log2(times[j] - times[j - 1]), 3)
+                last_size = sizes[i - 1] if i > 0 else sizes[0]
+                z = self.laters.read(symbols, (c, b, last_size, age, neighbor is not NONE))
+                sizes[i] = size(z)
+                row.append(wrap(u + clamp(nearest(shift), -SHIFT_LIMIT, SHIFT_LIMIT) + signed(z), b))
+            codes.append(row)
+
+    @staticmethod
+    def shift(motion, along, line):
+        if motion == 1: return 0.0 if along is None else along
+        if motion == 2: return 0.0 if line is None else line
+        if motion == 3:
+            if along is None: return 0.0 if line is None else line
+            return along if line is None else (along + line) * 0.5
+        return 0.0
+
+    def at(self, h, c0, c, time):
+        """Code of a component of a unit of this segment at a time."""
+        times, codes = self.units[h, c0]
+        after = bisect.bisect_right(times, time)
+        if after in (0, len(times)): return float(codes[max(after - 1, 0)][c - c0])
+        (ta, tb), (u, v) = times[after - 1:after + 1], (float(row[c - c0]) for row in codes[after - 1:after + 1])
+        return u + (v - u) * (time - ta) / (tb - ta)
+
+    def scaled(self, g, h, c, difference):
+        """A difference of codes of h in steps of g."""
+        if self.shared.width[self.a][g] == self.shared.width[self.a][h]: return difference
+        return difference * self.shared.quantizer(self.a, h, c)[0] / self.shared.quantizer(self.a, g, c)[0]
+
+# --- A whole file ------------------------------------------------------------------------------------------------------
+
+class Scene:
+    """`info`: the fields of INFO; `tracks[a][g * C + c]`: times and codes."""
+    def __init__(self, info, shared, tracks): self.info, self.shared, self.tracks = info, shared, tracks
+
+    def at(self, t):
+        """All attributes at a timestep, each a list of N C floats."""
+        values = []
+        for a in range(5):
+            rows = [self.track_at(a, i, t) for i in range(len(self.tracks[a]))]
+            if a == QUATS: rows = [x for i in range(0, len(rows), 4) for x in unit(rows[i:i + 4])]
+            values.append(rows)
+        return values
+
+    def track_at(self, a, i, t):
+        times, codes = self.tracks[a][i]
+        value = lambda k: f32(self.shared.value(a, i // COMPONENTS[a], i % COMPONENTS[a], codes[k]))
+        k = bisect.bisect_right(times, t) - 1
+        v = value(k)
+        if times[k] == t or k + 1 == len(times): return v
+        along = f32((t - times[k]) / (times[k + 1] - times[k]))
+        return f32(v + f32(f32(value(k + 1) - v) * along))
+
+def unit(quat):
+    def squares(values):
+        total = 0.0
+        for x in values: total = f32(total + f32(x * x))
+        return total
+    length = f32(math.sqrt(squares(quat)))
+    if length > 0: quat = [f32(x / length) for x in quat]
+    return quat if squares(quat) > 0.5 else [1.0, 0.0, 0.0, 0.0]
+
+def decode(data, open_symbols=lambda place, body: Symbols(body, section_name(place[0]))):
+    """The scene in the bytes of a file.
+
+    - `open_symbols`: the reader of the symbols of a section at (tag, segment, layer); forge.py gives another
+    """
+    sections = iter(read_container(data))
+    def section(*place):
+        found = next(sections, None)
+        must(found is not None and found[:3] == place, 'header', 'tag', 'not the section that is due')
+        return found[3]
+    info = read_info(Fields(section(b'INFO', SHARED, 0), 'info'))
+    plan = read_plan(Fields(section(b'PLAN', SHARED, 0), 'plan'))
+    N, T, L = info['num_gaussians'], info['num_timesteps'], info['segment_length']
+    varying = [a for a in range(5) if plan['varies'][a]]
+    if N == 0 or not varying: L = T
+    num_segments = (T + L - 1) // L
+    must(num_segments <= 65535, 'info', 'segment_length', 'more than 65535 segments')
+    must(512 * N <= 2**24 + 1024 * len(data), 'limit', 'limit', 'more than this decoder takes')
+
+    starts = [sum(info['layers'][:i]) for i in range(len(info['layers']) + 1)]
+    layers = [range(*pair) for pair in zip(starts, starts[1:])]
+    shared = Shared(plan)
+    symbols = lambda *place: open_symbols(place, section(*place))
+    for i, layer in enumerate(layers):
+        shared.read_maps(symbols(b'MAPS', SHARED, i), layer)
+        shared.read_positions(symbols(b'MEAN', SHARED, i), layer)
+        shared.find_neighbors(layer)
+        for a in range(1, 5): shared.read_first_codes(a, symbols(TAGS[a], SHARED, i), layer)
+    joined = [{} for _ in range(5)]
+    for s in range(num_segments):
+        first, last = s * L, min((s + 1) * L, T) - 1
+        attributes = {a: SegmentOf(a, shared, first, last, T) for a in varying}
+        for i, layer in enumerate(layers):
+            for a in varying:
+                body = section(TAGS[a], s, i)
+                must(len(body) > 0 and body[0] <= 3, NAMES[a], 'motion', 'unknown')
+                attributes[a].read_layer(open_symbols((TAGS[a], s, i), body[1:]), layer, body[0])
+        for a in varying: join(a, joined[a], attributes[a].units)
+    must(next(sections, None) is None, 'header', 'tag', 'a section too many')
+
+    tracks = []
+    for a in range(5):
+        of_attribute = []
+        for g in range(N):
+            for c in range(COMPONENTS[a]):
+                c0 = 0 if plan['joint'][a] else c
+                times, codes = joined[a].get((g, c0), ([0], None))
+                codes = [shared.code[a][g][c]] if codes is None else [row[c - c0] for row in codes]
+                of_attribute.append((times, codes))
+        tracks.append(of_attribute)
+    return Scene(info, shared, tracks)
+
+def join(a, joined, units):
+    """Adds the keypoints of a segment; those that it shares with the segments before must be the same."""
+    for unit, (times, codes) in units.items():
+        known_times, known_codes = joined.setdefault(unit, ([], []))
+        known = bisect.bisect_left(known_times, times[0])
+        shared = len(known_times) - known
+        same = known_times[known:] == times[:shared] and known_codes[known:] == codes[:shared]
+        must(same, NAMES[a], 'keypoints', 'segments disagree on one that they share')
+        known_times += times[shared:]
+        known_codes += codes[shared:]
+
+# --- Command line ------------------------------------------------------------------------------------------------------
+
+def floats(scene):
+    """All floats of a scene, timestep by timestep, as bytes."""
+    for t in range(scene.info['num_timesteps']):
+        for values in scene.at(t): yield struct.pack(f'<{len(values)}f', *values)
+
+def differences(scene, expected):
+    """What differs from the values in a FILE.json."""
+    for key in scene.info:
+        found, want = scene.info[key], expected[key]
+        if found != (f32(want) if key == 'frame_rate' else want): yield f'{key}: {found}, expected {want}'
+    for a, name in enumerate(NAMES):
+        want = expected['attributes'][name]
+        if scene.shared.plan['varies'][a] != want['varies']: yield f'{name}: varies'
+        if scene.shared.width[a] != want['widths']: yield f'{name}: widths'
+        if [list(track) for track in scene.tracks[a]] != want['tracks_of_times_and_codes']: yield f'{name}: tracks'
+    for at in expected['reconstructed']:
+        for name, found in zip(NAMES, scene.at(at['timestep'])):
+            want = [f32(float(x)) for x in at['values'][name]]
+            if struct.pack(f'{len(found)}f', *found) != struct.pack(f'{len(want)}f', *want):
+                yield f'{name} at timestep {at["timestep"]}: {found}, expected {want}'
+
+def read(path):
+    with open(path, 'rb') as file: return file.read()
+
+def main(arguments):
+    if arguments[:1] == ['--check'] and len(arguments) > 1:
+        for path in arguments[1:]:
+            expected = json.loads(read(path.removesuffix('.tcgs') + '.json'))
+            for difference in differences(decode(read(path)), expected): sys.exit(f'{path}: {difference}')
+            print(f'{path} is what it should be')
+    elif len(arguments) == 2:
+        try: scene = decode(read(arguments[0]))
+        except Refused as refused: sys.exit(f'{arguments[0]}: {refused}')
+        with open(arguments[1], 'wb') as out: out.writelines(floats(scene))
+    else: sys.exit(__doc__)
+
+if __name__ == '__main__': main(sys.argv[1:])

@@ -18,7 +18,8 @@ use crate::terminal::{note, say};
 ///
 /// A params.npz is what Dynamic 3D Gaussians writes and its viewer reads; it holds scales and opacities once.
 /// A PLY file is what 3D Gaussian splatting writes and most viewers read: one timestep, named by its frame in a
-/// folder of many. A run is exported in floats, without the Gaussians that its masks leave out over time: such
+/// folder of many. A .f32 file holds plain floats, bit for bit: for each frame all means, quats, log_scales,
+/// logit_opacities and colors, little-endian. A run is exported in floats, without the Gaussians that its masks leave out over time: such
 /// files have no place for masks.
 #[derive(clap::Args)]
 #[command(after_help = "\
@@ -31,7 +32,7 @@ pub struct Arguments {
     scene: PathBuf,
     #[command(flatten)]
     reading: SceneOptions,
-    /// File or folder to write; its ending says what: .npz, .ply for one timestep, none for a folder of PLY files
+    /// File or folder to write; its ending says what: .npz, .f32, .ply for one timestep, none for a folder of PLY files
     #[arg(long, value_name = "FILE|DIR")]
     to: PathBuf,
     /// Frames of the capture, from A up to but not including B [default: all of the scene]
@@ -45,6 +46,7 @@ pub struct Arguments {
 enum Target {
     ParamsNpz,
     Ply,
+    Floats,
     PlyFolder(NewFolder),
 }
 
@@ -82,6 +84,25 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             write_file_with(to, force, export.ply(frames.start)?)?;
             length(to)
         }
+        Target::Floats => {
+            let mut failed = None;
+            let floats = export.floats(frames)?;
+            let written = write_file_with(to, force, |mut file| {
+                for frame in floats {
+                    match frame {
+                        Ok(bytes) => file.write_all(&bytes)?,
+                        Err(error) => {
+                            failed = Some(error);
+                            return Err(std::io::Error::other("a frame cannot be read"));
+                        }
+                    }
+                }
+                Ok(())
+            });
+            failed.map_or(Ok(()), Err)?;
+            written?;
+            length(to)
+        }
         Target::PlyFolder(folder) => {
             let bytes = Teller::default().watch(|teller| export.write_ply_folder(frames, folder.path(), teller))?;
             folder.finish()?;
@@ -97,12 +118,13 @@ fn target(to: &Path, force: bool) -> anyhow::Result<Target> {
     match to.extension().map(|extension| extension.to_string_lossy().to_lowercase()).as_deref() {
         Some("npz") => check_file(to, force).map(|()| Target::ParamsNpz),
         Some("ply") => check_file(to, force).map(|()| Target::Ply),
+        Some("f32") => check_file(to, force).map(|()| Target::Floats),
         other if other.is_none() || to.is_dir() => {
             NewFolder::begin(to, force, |path| is_numbered(path, ".ply")).map(Target::PlyFolder)
         }
         _ => {
             let problem = "not a kind of file that this version writes";
-            let expected = "NAME.npz, NAME.ply, or a folder's name without an ending";
+            let expected = "NAME.npz, NAME.ply, NAME.f32, or a folder's name without an ending";
             Err(wrong_input(format!("{}: {problem}, expected {expected}", to.display())))
         }
     }

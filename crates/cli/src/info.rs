@@ -2,22 +2,23 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::Cursor;
 use std::ops::Range;
 use std::path::PathBuf;
 
 use serde_json::{Map, Value, json};
-use tcgs_codec::{Contents, DecodeError, DecodeLimits, FileInfo, application_data, inspect};
+use tcgs_codec::{Contents, DecodeError, DecodeLimits, FileInfo, SceneFile, application_data, inspect, inspect_cut};
 use tcgs_core::Attribute;
 
 use crate::error::wrong_input;
 use crate::options::JobOptions;
 use crate::output::show_bytes;
-use crate::scene::unreadable;
-use crate::terminal::say;
+use crate::scene::{RecoverOption, describe_loss, unreadable};
+use crate::terminal::{note, say};
 
 /// Show what is in a .tcgs file, and whether it is whole
 ///
-/// Every checksum is verified; a damaged file exits with 2.
+/// Every checksum is verified; a damaged file exits with 2, and so does one that was cut, without --recover.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -25,6 +26,8 @@ Example:
 pub struct Arguments {
     /// .tcgs file
     file: PathBuf,
+    #[command(flatten)]
+    recover: RecoverOption,
     #[command(flatten)]
     job: JobOptions,
 }
@@ -37,20 +40,32 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return Err(wrong_input(format!("{path}: is a folder, expected a .tcgs file")));
     }
     let bytes = fs::read(&arguments.file).map_err(|error| unreadable(&arguments.file, error, "a .tcgs file"))?;
-    let damaged = |error: DecodeError| wrong_input(format!("{path}: {error}, expected a whole .tcgs file"));
-    let info = inspect(&bytes, &DecodeLimits::default()).map_err(damaged)?;
+    let damaged =
+        |error: DecodeError| arguments.recover.advise(&error, format!("{path}: {error}, expected a whole .tcgs file"));
+    let limits = DecodeLimits::default();
+    let inspect = if arguments.recover.recover { inspect_cut } else { inspect };
+    let info = inspect(&bytes, &limits).map_err(damaged)?;
+    let mut first_frame = info.contents.as_ref().map_or(0, |c| c.info.first_frame);
+    if info.bytes < info.bytes_before {
+        let left = SceneFile::recover(Cursor::new(&bytes), &limits, 0).map_err(damaged)?;
+        if let Some(loss) = left.loss() {
+            let (num_gaussians, num_timesteps) = (left.info().num_gaussians, left.info().num_timesteps);
+            note(&describe_loss(&arguments.file, loss, num_gaussians as usize, num_timesteps as usize));
+        }
+        first_frame = left.info().first_frame;
+    }
     say(&format!("{path}: version {}, {} ({} bytes)", info.version, show_bytes(info.bytes), info.bytes))?;
     if let Some(contents) = &info.contents {
         print_contents(&info, contents)?;
     }
-    print_sections(&info)?;
+    print_sections(&info, first_frame as usize)?;
     if info.checksums_ok() {
-        for (name, data) in application_data(&bytes, &DecodeLimits::default()).map_err(damaged)? {
+        for (name, data) in application_data(&bytes, &limits).map_err(damaged)? {
             say(&format!("application data: {name}, {}", show_bytes(data.len() as u64)))?;
         }
     }
     arguments.job.write_json(&machine_readable(&info))?;
-    let damaged: Vec<&str> = info.sections.iter().filter(|s| !s.checksum_ok).map(|s| s.name).collect();
+    let damaged: Vec<&str> = info.sections.iter().filter(|s| s.is_whole && !s.checksum_ok).map(|s| s.name).collect();
     if !damaged.is_empty() {
         let problem = format!("the checksum of {} is wrong, expected a whole file", damaged.join(", "));
         return Err(wrong_input(format!("{path}: {problem}")));
@@ -97,14 +112,23 @@ fn shares(histogram: &BTreeMap<u8, usize>) -> String {
     histogram.iter().map(share).collect::<Vec<_>>().join("  ")
 }
 
-fn print_sections(info: &FileInfo) -> anyhow::Result<()> {
+/// - `first`: frame of the first timestep
+fn print_sections(info: &FileInfo, first: usize) -> anyhow::Result<()> {
     let layers: Vec<String> = info.layers.iter().map(u32::to_string).collect();
     say(&format!("layers        {} Gaussians", layers.join(" + ")))?;
-    let first = info.contents.as_ref().map_or(0, |c| c.info.first_frame as usize);
     say("\npart                       bytes  checksums")?;
     let sum = |segment: Option<usize>| {
-        let sections = info.sections.iter().filter(|s| s.segment == segment);
-        sections.fold((0, true), |(bytes, ok), s| (bytes + s.bytes, ok && s.checksum_ok))
+        let sections: Vec<_> = info.sections.iter().filter(|s| s.segment == segment).collect();
+        let checksums = if sections.iter().any(|s| s.is_whole && !s.checksum_ok) {
+            "WRONG"
+        } else if sections.iter().all(|s| s.is_whole) {
+            "right"
+        } else if sections.iter().any(|s| s.is_whole) {
+            "right, but the rest is missing"
+        } else {
+            "missing"
+        };
+        (sections.iter().map(|s| s.bytes).sum::<u64>(), checksums)
     };
     let parts = std::iter::once((None, "shared".to_owned())).chain(
         info.segments
@@ -113,8 +137,8 @@ fn print_sections(info: &FileInfo) -> anyhow::Result<()> {
             .map(|(i, (t, _))| (Some(i), format!("frames {} to {}", first + t.start, first + t.end - 1))),
     );
     for (segment, name) in parts {
-        let (bytes, ok) = sum(segment);
-        say(&format!("{name:<21}  {:>9}  {}", show_bytes(bytes), if ok { "right" } else { "WRONG" }))?;
+        let (bytes, checksums) = sum(segment);
+        say(&format!("{name:<21}  {:>9}  {checksums}", show_bytes(bytes)))?;
     }
     Ok(())
 }
@@ -138,6 +162,7 @@ fn machine_readable(info: &FileInfo) -> Value {
         "first_frame": scene.map(|s| s.first_frame),
         "frame_rate": scene.map(|s| s.frame_rate),
         "bytes": info.bytes,
+        "bytes_before": info.bytes_before,
         "bytes_by_attribute": by_attribute(&|a| json!(bytes[a])),
         "segments": segments,
         "bits_histogram": contents.map(|c| by_attribute(&|a| histogram(c, a))),

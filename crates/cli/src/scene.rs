@@ -3,26 +3,90 @@
 use std::path::Path;
 
 use clap::Args;
+use tcgs_codec::{DecodeError, Loss};
 use tcgs_interchange::HigherHarmonics;
-use tcgs_pipeline::{Fault, HasFault, OpenScene, OpenSettings, PipelineError};
+use tcgs_pipeline::{CutFiles, Fault, HasFault, OpenScene, OpenSettings, PipelineError};
 
 use crate::error::wrong_input;
 use crate::output::show_bytes;
+use crate::terminal::note;
 
-/// How a SCENE is read.
+/// How a SCENE that is to be compressed is read.
 #[derive(Args, Clone, Copy, Debug, Default)]
-pub struct SceneOptions {
+pub struct SourceOptions {
     /// Of PLY files, leave out spherical harmonics above degree 0: colours stop depending on the view
     #[arg(long)]
     pub drop_sh: bool,
 }
 
-impl SceneOptions {
+impl SourceOptions {
     /// Opens a scene.
     pub fn open(self, path: &Path) -> Result<OpenScene, PipelineError> {
-        let higher_harmonics = if self.drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Refuse };
-        OpenScene::open(path, OpenSettings { higher_harmonics })
+        OpenScene::open(path, self.settings())
     }
+
+    fn settings(self) -> OpenSettings {
+        let higher_harmonics = if self.drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Refuse };
+        OpenSettings { higher_harmonics, ..OpenSettings::default() }
+    }
+}
+
+/// How a SCENE of any kind is read.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub struct SceneOptions {
+    #[command(flatten)]
+    source: SourceOptions,
+    #[command(flatten)]
+    recover: RecoverOption,
+}
+
+/// What to do with a file that was cut.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub struct RecoverOption {
+    /// Of a .tcgs file that was cut, read what is whole
+    #[arg(long)]
+    pub recover: bool,
+}
+
+impl RecoverOption {
+    /// A file that cannot be decoded; of one that was cut with the advice to recover it.
+    ///
+    /// - `message`: names the file and what was found
+    pub fn advise(self, error: &DecodeError, message: String) -> anyhow::Error {
+        match error.fault() {
+            Fault::Input if error.is_cut() && !self.recover => {
+                wrong_input(format!("{message}; --recover reads what is whole"))
+            }
+            Fault::Input => wrong_input(message),
+            _ => anyhow::anyhow!(message),
+        }
+    }
+}
+
+impl SceneOptions {
+    /// Opens a scene, and says what a file that was cut has lost.
+    pub fn open(self, path: &Path) -> anyhow::Result<OpenScene> {
+        let cut_files = if self.recover.recover { CutFiles::Recover } else { CutFiles::Refuse };
+        let opened = OpenScene::open(path, OpenSettings { cut_files, ..self.source.settings() });
+        let scene = opened.map_err(|error| match &error {
+            PipelineError::Decode { error: cause, .. } => self.recover.advise(cause, error.to_string()),
+            _ => error.into(),
+        })?;
+        if let Some(loss) = scene.loss() {
+            note(&describe_loss(path, loss, scene.num_gaussians(), scene.num_timesteps()));
+        }
+        Ok(scene)
+    }
+}
+
+/// What is left of a file that was cut, in one line.
+pub fn describe_loss(path: &Path, loss: &Loss, num_gaussians: usize, num_timesteps: usize) -> String {
+    let Loss { bytes, bytes_before, timesteps_before, gaussians_before } = loss;
+    format!(
+        "warning: {}: the file was cut at {bytes} of {bytes_before} bytes: {num_timesteps} of {timesteps_before} timesteps \
+         and {num_gaussians} of {gaussians_before} Gaussians are whole",
+        path.display()
+    )
 }
 
 /// What a scene is, in words.

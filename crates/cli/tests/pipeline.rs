@@ -151,6 +151,7 @@ fn a_capture_becomes_a_small_file_that_renders() {
             "bits_histogram",
             "keypoints_mean",
             "checksums_ok",
+            "bytes_before",
         ],
     );
     assert_eq!((&info["bytes"], &info["first_frame"], &info["checksums_ok"]), (&bytes.into(), &1.into(), &true.into()));

@@ -193,3 +193,26 @@ fn what_does_not_fit_is_one_line() {
     refuse(&[&export[..], &["--force"]].concat(), &["diary.txt", "not written by this command"]);
     assert!(!Path::new(&out).exists() && !path("back").exists() && !path("a.ply").exists());
 }
+
+/// Plain floats are those of the decoder, bit for bit; also infinite ones, and none.
+#[test]
+fn plain_floats_are_those_of_the_file() {
+    let folder = tempdir().unwrap();
+    for name in ["layers_and_segments", "beyond_floats", "empty"] {
+        let vectors = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/bitstream/v1");
+        let (file, out) = (vectors.join(format!("{name}.tcgs")), folder.path().join(format!("{name}.f32")));
+        succeed(&["export", text(&file), "--to", text(&out)]);
+        let scene = tcgs_codec::decode(&fs::read(&file).unwrap(), &tcgs_codec::DecodeLimits::default()).unwrap();
+        let of_timestep = |t: usize| Attribute::BASE.map(|a| scene.at(t).values(a).to_vec()).concat();
+        let expected: Vec<u8> = (0..scene.num_timesteps()).flat_map(of_timestep).flat_map(f32::to_le_bytes).collect();
+        assert_eq!(fs::read(&out).unwrap(), expected, "{name}");
+        let first = scene.info.first_frame;
+        let one = format!("{first}..{}", first as u64 + 1);
+        succeed(&["export", text(&file), "--to", text(&out), "--frames", &one, "--force"]);
+        assert_eq!(fs::read(&out).unwrap(), expected[..expected.len() / scene.num_timesteps()], "{name}");
+    }
+    let empty = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/bitstream/v1/empty.tcgs");
+    let message = fail(2, &["export", text(&empty), "--to", text(&folder.path().join("plys"))]);
+    assert!(message.ends_with("has no Gaussians, expected at least one"), "{message}");
+    assert!(!folder.path().join("plys").exists());
+}

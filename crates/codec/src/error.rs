@@ -45,6 +45,17 @@ pub enum DecodeError {
     },
 }
 
+/// Problem of a file that was cut.
+pub(crate) const ENDS_EARLY: &str = "the file ends early";
+
+impl DecodeError {
+    /// Whether the file ends before its last section does. [`SceneFile::recover`](crate::SceneFile::recover) reads what is
+    /// whole of such a file.
+    pub fn is_cut(&self) -> bool {
+        matches!(self, Self::Format { problem: ENDS_EARLY, .. })
+    }
+}
+
 /// Error of compressing or writing a scene. The variants differ in which argument is at fault.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

@@ -9,7 +9,7 @@
 //! |---|---|
 //! | make a file | [`assign_bits`] or [`BitMap::uniform`], [`compress()`], [`encode`] |
 //! | read a whole file | [`decode`] |
-//! | read single timesteps of a file | [`SceneFile`] |
+//! | read single timesteps of a file, or what is left of a file that was cut | [`SceneFile`] |
 //! | decode while bytes arrive | [`Decoder`] |
 //! | fetch only the byte ranges that a timestep needs | [`Archive`] |
 //! | describe a file | [`inspect`] |
@@ -57,7 +57,7 @@ mod views;
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 pub use bitstream::{
     Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Keypoints, MAGIC, Opening, Sampler, SectionInfo,
-    Segment, application_data, decode, inspect,
+    Segment, application_data, decode, inspect, inspect_cut,
 };
 #[cfg(feature = "encode")]
 pub use bitstream::{encode, encode_to, encode_with};
@@ -69,5 +69,5 @@ pub use error::{CompressError, DecodeError};
 pub use keypoints::{interpolate, select as select_keypoints};
 pub use limits::DecodeLimits;
 pub use quantize::{MAX_BITS, Quantizer, Quantizers, lsq_step};
-pub use scene_file::SceneFile;
+pub use scene_file::{Loss, SceneFile};
 pub use views::{FileCamera, VIEWS, read_views, write_views};

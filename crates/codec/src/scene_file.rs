@@ -12,7 +12,7 @@ use tcgs_core::{Gaussians, Layout, SceneReader};
 use crate::bitstream::{Archive, Opening, Sampler, Segment, end_of_file};
 use crate::cache::{Eviction, SegmentCache};
 use crate::compact::SceneInfo;
-use crate::error::DecodeError;
+use crate::error::{DecodeError, ENDS_EARLY};
 use crate::limits::DecodeLimits;
 
 /// Bytes read at first; the tables of most files fit.
@@ -40,6 +40,11 @@ const OPENING_BYTES: u64 = 1 << 14;
 /// ```
 pub struct SceneFile<R> {
     source: R,
+    /// Counts of what can be read.
+    info: SceneInfo,
+    /// Layers that can be read.
+    num_layers: usize,
+    loss: Option<Loss>,
     layout: Arc<Layout>,
     archive: Archive,
     cache: SegmentCache,
@@ -47,10 +52,29 @@ pub struct SceneFile<R> {
     sampler: Option<(usize, Sampler)>,
 }
 
+/// What a file that was cut has lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Loss {
+    /// Bytes of the file.
+    pub bytes: u64,
+    /// Bytes that the file had.
+    pub bytes_before: u64,
+    /// Timesteps that the file had; [`SceneFile::info`] counts those that are left.
+    pub timesteps_before: u32,
+    /// Gaussians that the file had; [`SceneFile::info`] counts those that are left.
+    pub gaussians_before: u32,
+}
+
 impl<R> SceneFile<R> {
-    /// Counts and provenance of the scene.
+    /// Provenance of the scene, and counts of what can be read: those of [`Archive::info`], or fewer of a file that was
+    /// cut ([`Self::recover`]).
     pub fn info(&self) -> &SceneInfo {
-        self.archive.info()
+        &self.info
+    }
+
+    /// What the file has lost; none of a whole file.
+    pub fn loss(&self) -> Option<&Loss> {
+        self.loss.as_ref()
     }
 
     /// Table of contents of the file, and its shared layers.
@@ -78,7 +102,36 @@ impl<R: Read + Seek> SceneFile<R> {
     ///   damaged before its segments
     /// - [`DecodeError::Version`] if the file is of another version
     /// - [`DecodeError::Limit`] if the file exceeds `limits`
-    pub fn open(mut source: R, limits: &DecodeLimits, max_segment_bytes: usize) -> Result<Self, DecodeError> {
+    pub fn open(source: R, limits: &DecodeLimits, max_segment_bytes: usize) -> Result<Self, DecodeError> {
+        let file = Self::recover(source, limits, max_segment_bytes)?;
+        file.loss.map_or(Ok(file), |loss| Err(end_of_file(loss.bytes, ENDS_EARLY)))
+    }
+
+    /// Opens a file that may have been cut, such as by a transfer that broke off, for what is whole of it: the
+    /// timesteps of the segments that are whole; if the first segment is not, its timesteps with the Gaussians of the
+    /// layers that are. A file that was not cut is read as by [`Self::open`].
+    ///
+    /// ```
+    /// use std::io::Cursor;
+    /// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneFile, SceneInfo, SegmentCache, compress, encode};
+    /// use tcgs_core::{DynamicGaussians, Gaussians};
+    /// let mut scene = DynamicGaussians::default();
+    /// scene.push(Gaussians::zeros(3));
+    /// scene.push(Gaussians::zeros(3));
+    /// let settings = CompressSettings { segment_length: Some(1), ..CompressSettings::default() };
+    /// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
+    ///
+    /// let mut cut = encode(&compact)?;
+    /// cut.pop();
+    /// let mut file = SceneFile::recover(Cursor::new(cut), &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES)?;
+    /// assert_eq!(file.loss().map(|loss| loss.bytes_before - loss.bytes), Some(1));
+    /// assert_eq!(file.at(0)?, compact.at(0));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Self::open`], of a file that was cut only if nothing of its first segment is whole.
+    pub fn recover(mut source: R, limits: &DecodeLimits, max_segment_bytes: usize) -> Result<Self, DecodeError> {
         let length = source.seek(SeekFrom::End(0))?;
         let mut start = read(&mut source, 0..OPENING_BYTES.min(length))?;
         let mut archive = loop {
@@ -88,17 +141,27 @@ impl<R: Read + Seek> SceneFile<R> {
                     let rest = read(&mut source, start.len() as u64..needed)?;
                     start.extend(rest);
                 }
-                Opening::More(_) => return Err(end_of_file(length, "the file ends early")),
+                Opening::More(_) => return Err(end_of_file(length, ENDS_EARLY)),
             }
         };
-        if archive.file_bytes() != length {
-            let is_short = length < archive.file_bytes();
-            return Err(end_of_file(length, if is_short { "the file ends early" } else { "bytes are left over" }));
+        if archive.file_bytes() < length {
+            return Err(end_of_file(length, "bytes are left over"));
         }
         let shared = read(&mut source, archive.shared_range(archive.num_layers()))?;
         archive.read_shared(&shared)?;
+        let whole = archive.info();
+        let loss = (length < archive.file_bytes()).then(|| Loss {
+            bytes: length,
+            bytes_before: archive.file_bytes(),
+            timesteps_before: whole.num_timesteps,
+            gaussians_before: whole.num_gaussians,
+        });
+        let (num_layers, num_timesteps) =
+            what_is_whole(&archive, length).ok_or_else(|| end_of_file(length, ENDS_EARLY))?;
+        let num_gaussians = archive.layers()[..num_layers].iter().sum();
+        let info = SceneInfo { num_gaussians, num_timesteps: num_timesteps as u32, ..whole.clone() };
         let cache = SegmentCache::new(archive.num_segments(), max_segment_bytes);
-        Ok(Self { source, layout: Layout::base(), archive, cache, sampler: None })
+        Ok(Self { source, info, num_layers, loss, layout: Layout::base(), archive, cache, sampler: None })
     }
 
     /// The segment of index `segment`, from the cache or else read and decoded.
@@ -107,12 +170,13 @@ impl<R: Read + Seek> SceneFile<R> {
     /// [`DecodeError`] if the segment cannot be read, is damaged, or exceeds the limits.
     ///
     /// # Panics
-    /// If `segment` is not below [`Archive::num_segments`].
+    /// If `segment` is not below [`Archive::num_segments`]. Of a file that was cut, a segment beyond [`Self::info`] has
+    /// fewer layers than the others.
     pub fn segment(&mut self, segment: usize) -> Result<Arc<Segment>, DecodeError> {
         if let Some(held) = self.cache.recall(segment) {
             return Ok(held.clone());
         }
-        let bytes = read(&mut self.source, self.archive.segment_range(segment, self.archive.num_layers()))?;
+        let bytes = read(&mut self.source, self.archive.segment_range(segment, self.num_layers))?;
         self.cache.make_room(segment, Eviction::LeastRecentlyUsed);
         let decoded = Arc::new(self.archive.read_segment(segment, &bytes)?);
         self.cache.insert(decoded.clone(), Eviction::LeastRecentlyUsed);
@@ -161,6 +225,25 @@ impl<R: Read + Seek> SceneReader for SceneFile<R> {
     fn at(&mut self, timestep: usize) -> Result<Gaussians, DecodeError> {
         SceneFile::at(self, timestep)
     }
+}
+
+/// Layers and timesteps of which all bytes are there, if there are any.
+///
+/// - `archive`: with the shared layers that are whole
+/// - `length`: bytes of the file
+fn what_is_whole(archive: &Archive, length: u64) -> Option<(usize, usize)> {
+    // A segment in which nothing moves has no bytes, wherever it lies.
+    let is_whole = |segment: usize, layers: usize| {
+        let range = archive.segment_range(segment, layers);
+        layers <= archive.layers_read() && (range.is_empty() || range.end <= length)
+    };
+    let all = archive.num_layers();
+    let segments = (0..archive.num_segments()).take_while(|&segment| is_whole(segment, all)).count();
+    if segments > 0 {
+        return Some((all, archive.timesteps(segments - 1).end));
+    }
+    let layers = (1..all).take_while(|&layers| is_whole(0, layers)).count();
+    (layers > 0).then(|| (layers, archive.timesteps(0).end))
 }
 
 /// Bytes of a source; fewer if it ends.

@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use proptest::prelude::*;
 use tcgs_codec::{
-    BitMap, CompactScene, CompressSettings, DecodeError, DecodeLimits, SceneInfo, Tracks, compress, decode, encode,
-    inspect,
+    BitMap, CompactScene, CompressSettings, DecodeError, DecodeLimits, Decoder, Event, SceneInfo, Segment, Tracks,
+    compress, decode, encode, inspect,
 };
 use tcgs_core::Attribute;
 
@@ -37,6 +37,10 @@ proptest! {
             prop_assert_eq!(&decoded.tracks[attribute.index()], &scene.tracks[attribute.index()], "{:?}", attribute);
         }
         prop_assert_eq!(&decoded, &scene);
+        // The memory that docs/FORMAT.md says every decoder allows is enough.
+        let max_bytes = 1024 + 512 * num_gaussians as u64 + 16 * num_codes(&file);
+        let limits = DecodeLimits { max_bytes, ..Default::default() };
+        prop_assert!(decode(&file, &limits).is_ok());
         let info = inspect(&file, &DecodeLimits::default()).unwrap();
         prop_assert!(info.checksums_ok());
         let contents = info.contents.unwrap();
@@ -69,6 +73,25 @@ proptest! {
             prop_assert_eq!(decode(&encode(&scene).unwrap(), &DecodeLimits::default()).unwrap().tracks, scene.tracks);
         }
     }
+}
+
+/// Codes at keypoints in all segments; those that two segments share count twice.
+fn num_codes(file: &[u8]) -> u64 {
+    let mut decoder = Decoder::new(DecodeLimits::none());
+    let events = decoder.push(file).unwrap();
+    let layers = decoder.archive().unwrap().num_layers();
+    let of_segment = |segment: &Segment| {
+        Attribute::BASE
+            .into_iter()
+            .filter_map(|a| segment.keypoints(a))
+            .map(|keypoints| keypoints.codes.len() as u64)
+            .sum()
+    };
+    let codes = events.iter().map(|event| match event {
+        Event::Segment(segment) if segment.num_layers() == layers => of_segment(segment),
+        _ => 0,
+    });
+    codes.sum()
 }
 
 /// Tag, place, segment and layer of every section.
@@ -193,6 +216,12 @@ fn unknown_sections_are_skipped_if_they_may_be() {
     assert_eq!(decode(&application, &limits).unwrap(), scene);
     let data = tcgs_codec::application_data(&application, &limits).unwrap();
     assert_eq!(data, [("notes".to_owned(), &b"abc"[..])]);
+    // A name that is no UTF-8, or that is longer than its section: no decoder needs it.
+    for nameless in [&b"\x02\0\xff\xfe"[..], b"\x05\0not", b""] {
+        let file = with_section(&application, b"appl", nameless);
+        assert_eq!(decode(&file, &limits).unwrap(), scene);
+        assert_eq!(tcgs_codec::application_data(&file, &limits).unwrap(), data);
+    }
     let error = decode(&with_section(&file, b"NEW1", b""), &limits).unwrap_err().to_string();
     assert!(error.ends_with("a section that this decoder does not know and may not skip"), "{error}");
     let error = decode(&with_section(&file, b"MEAN", b""), &limits).unwrap_err().to_string();
@@ -300,6 +329,32 @@ fn a_scene_with_a_code_outside_its_width_is_not_encoded() {
     scene.tracks[Attribute::LogitOpacity.index()].push(&[0], &[8]);
     let message = "invalid codes in logit_opacities: a code outside its width";
     assert_eq!(encode(&scene).unwrap_err().to_string(), message);
+}
+
+/// A segment's number has 16 bits, and 65535 stands for what all segments share.
+#[test]
+fn a_scene_of_65_536_segments_is_not_encoded() {
+    let mut scene = any_scene(1, 65_536, 0);
+    for attribute in Attribute::BASE {
+        let tracks = &mut scene.tracks[attribute.index()];
+        *tracks = Tracks::default();
+        (0..attribute.components()).for_each(|_| tracks.push(&[0], &[0]));
+    }
+    scene.varies = vec![true, false, false, false, false];
+    scene.segment_length = 1;
+    let error = encode(&scene).unwrap_err().to_string();
+    assert_eq!(error, "invalid number of segments: found 65536, expected 65535");
+    // One timestep less, and one segment less.
+    scene.info.num_timesteps -= 1;
+    let file = encode(&scene).unwrap();
+    assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
+    let info = sections(&file)[0].1.clone();
+    let mut one_more = file;
+    one_more[info.start + 4..info.start + 8].copy_from_slice(&65_536_u32.to_le_bytes());
+    reseal(&mut one_more);
+    let error = decode(&one_more, &DecodeLimits::default()).unwrap_err().to_string();
+    let place = format!("invalid segment_length in info at byte {}", info.start);
+    assert_eq!(error, format!("{place}: more than 65535 segments"));
 }
 
 #[test]

@@ -207,7 +207,7 @@ fn data_of_applications_are_known_from_the_start() {
     let ranges = archive.application_ranges();
     assert!(ranges.iter().all(|range| range.end <= archive.shared_range(1).start), "{ranges:?}");
     let read = |(index, range): (usize, &Range<u64>)| {
-        let (name, found) = archive.read_application(index, bytes(&file, range.clone())).unwrap();
+        let (name, found) = archive.read_application(index, bytes(&file, range.clone())).unwrap().unwrap();
         (name, found.to_vec())
     };
     let found: Vec<_> = ranges.iter().enumerate().map(read).collect();
@@ -216,6 +216,11 @@ fn data_of_applications_are_known_from_the_start() {
     // They change nothing else.
     assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
     assert_eq!(events(&[&file[..]]), events(&[&plain[..]]));
+    // What is skipped is verified all the same.
+    let mut damaged = file.clone();
+    damaged[ranges[0].end as usize - 1] ^= 1;
+    let error = Decoder::new(DecodeLimits::default()).push(&damaged).unwrap_err().to_string();
+    assert!(error.contains("checksum in application data"), "{error}");
 }
 
 /// A player in a loop decodes the same segments for ever.

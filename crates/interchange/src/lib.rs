@@ -24,7 +24,7 @@ pub use npy::{NpyArray, NpyValue, read_npy};
 pub use npz::{NpzReader, NpzWriter};
 pub use params_npz::{
     ParamsExtras, ParamsNpz, ParamsOrigin, read_params_foreground, read_params_npz, read_params_origin,
-    write_params_npz, write_params_npz_to,
+    write_params_npz, write_params_npz_from, write_params_npz_to,
 };
 pub use ply::{HigherHarmonics, read_ply, write_ply_to};
 pub use ply_points::read_ply_points;

@@ -234,6 +234,24 @@ impl<W: Write + Seek> NpzWriter<W> {
         shape: &[usize],
         parts: impl IntoIterator<Item = &'a [T]>,
     ) -> io::Result<()> {
+        self.array_with(key, shape, |put: &mut dyn FnMut(&[T]) -> io::Result<()>| parts.into_iter().try_for_each(put))
+    }
+
+    /// Adds an array whose parts need not be in memory together; otherwise as [`Self::array`].
+    ///
+    /// - `write`: calls the function that it is given with one part after another
+    ///
+    /// # Errors
+    /// The errors of the writer and of `write`.
+    ///
+    /// # Panics
+    /// If the parts together do not hold as many values as the product of `shape`.
+    pub fn array_with<T: NpyValue>(
+        &mut self,
+        key: &str,
+        shape: &[usize],
+        write: impl FnOnce(&mut dyn FnMut(&[T]) -> io::Result<()>) -> io::Result<()>,
+    ) -> io::Result<()> {
         let num_values: usize = shape.iter().product();
         let header = header_bytes::<T>(shape);
         let options = SimpleFileOptions::default()
@@ -245,7 +263,7 @@ impl<W: Write + Seek> NpzWriter<W> {
         self.zip.write_all(&header)?;
         let mut bytes = [0; 1 << 14];
         let mut written = 0;
-        for values in parts {
+        write(&mut |values| {
             for chunk in values.chunks(bytes.len() / T::BYTES) {
                 for (slot, value) in bytes.chunks_exact_mut(T::BYTES).zip(chunk) {
                     value.write_le(slot);
@@ -253,7 +271,8 @@ impl<W: Write + Seek> NpzWriter<W> {
                 self.zip.write_all(&bytes[..T::BYTES * chunk.len()])?;
             }
             written += values.len();
-        }
+            Ok(())
+        })?;
         assert_eq!(written, num_values, "{key}: {written} values for the shape {shape:?}");
         Ok(())
     }

@@ -286,11 +286,30 @@ pub fn write_params_npz_to<W: Write + Seek>(
     scene: &DynamicGaussians,
     extras: &ParamsExtras,
 ) -> io::Result<W> {
-    let (t, n) = (scene.num_timesteps(), scene.num_gaussians());
-    assert!(t > 0 && n > 0, "a scene of {t} timesteps of {n} gaussians");
+    let t = scene.num_timesteps();
     for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
         assert!(!scene.varies(attribute), "{} vary over {t} timesteps, params.npz holds one", attribute.name());
     }
+    write_params_npz_from(writer, &mut &*scene, extras)
+}
+
+/// Writes the bytes of a `params.npz` of a scene that is read a timestep at a time, three times over. Scales and
+/// opacities are those of the first timestep.
+///
+/// - `writer`: should be buffered
+///
+/// # Errors
+/// The errors of `writer` and, as [`io::ErrorKind::Other`], of `scene`.
+///
+/// # Panics
+/// If the scene has no timestep or no Gaussian, or if `extras.foreground` does not have one label per Gaussian.
+pub fn write_params_npz_from<W: Write + Seek, R: SceneReader>(
+    writer: W,
+    scene: &mut R,
+    extras: &ParamsExtras,
+) -> io::Result<W> {
+    let (t, n) = (scene.num_timesteps(), scene.num_gaussians());
+    assert!(t > 0 && n > 0, "a scene of {t} timesteps of {n} gaussians");
     let seg_colors: Vec<[f32; 3]> = match extras.foreground {
         Some(foreground) => {
             assert_eq!(foreground.len(), n, "foreground: [{}] against [{n}]", foreground.len());
@@ -306,11 +325,16 @@ pub fn write_params_npz_to<W: Write + Seek>(
     };
 
     let mut npz = NpzWriter::new(writer);
-    npz.array("means3D", &[t, n, 3], scene.samples(Attribute::Mean).iter().map(Vec::as_slice))?;
-    npz.array("rgb_colors", &[t, n, 3], scene.samples(Attribute::Color).iter().map(Vec::as_slice))?;
-    npz.array("unnorm_rotations", &[t, n, 4], scene.samples(Attribute::Quat).iter().map(Vec::as_slice))?;
-    npz.array("logit_opacities", &[n, 1], [scene.values(Attribute::LogitOpacity, 0)])?;
-    npz.array("log_scales", &[n, 3], [scene.values(Attribute::LogScale, 0)])?;
+    for (key, attribute) in
+        [("means3D", Attribute::Mean), ("rgb_colors", Attribute::Color), ("unnorm_rotations", Attribute::Quat)]
+    {
+        npz.array_with(key, &[t, n, attribute.components()], |put| {
+            (0..t).try_for_each(|timestep| put(scene.at(timestep).map_err(io::Error::other)?.values(attribute)))
+        })?;
+    }
+    let first = scene.at(0).map_err(io::Error::other)?;
+    npz.array("logit_opacities", &[n, 1], [first.logit_opacities()])?;
+    npz.array("log_scales", &[n, 3], [first.log_scales().as_flattened()])?;
     npz.array("seg_colors", &[n, 3], [seg_colors.as_flattened()])?;
     npz.array("cam_m", &[camera_rows, 3], [padded(extras.log_gains).as_flattened()])?;
     npz.array("cam_c", &[camera_rows, 3], [padded(extras.offsets).as_flattened()])?;

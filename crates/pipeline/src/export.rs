@@ -1,12 +1,13 @@
-//! A scene for other programs: `params.npz` and PLY files.
+//! A scene for other programs: `params.npz`, PLY files and plain floats.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians, SceneReader};
-use tcgs_interchange::{ParamsExtras, ParamsOrigin, write_params_npz_to, write_ply_to};
+use tcgs_core::{Attribute, Gaussians, Layout, SceneReader};
+use tcgs_interchange::{ParamsExtras, ParamsOrigin, write_params_npz_from, write_ply_to};
 
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work, kept_gaussians};
@@ -44,12 +45,9 @@ impl<'a> Export<'a> {
     /// Decides which Gaussians stay.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if none stays, or the scene has a column that no other program's files hold; [`PipelineError`] if a file of the scene is damaged.
+    /// [`PipelineError::Input`] if the masks of a run leave none, or the scene has a column that no other program's files hold; [`PipelineError`] if a file of the scene is damaged.
     pub fn new(scene: &'a OpenScene) -> Result<Self, PipelineError> {
         let keep = kept_gaussians(scene, None)?;
-        if keep.is_empty() {
-            return Err(PipelineError::input(scene.path.display(), "has no Gaussians", "at least one"));
-        }
         if let Some(column) = scene.layout().further() {
             let found = format!("has the column {}, which neither a params.npz nor PLY files hold", column.name);
             return Err(PipelineError::input(
@@ -66,6 +64,14 @@ impl<'a> Export<'a> {
         self.keep.len()
     }
 
+    /// Refuses a scene without Gaussians, which other programs do not read.
+    fn check_some(&self) -> Result<(), PipelineError> {
+        if self.keep.is_empty() {
+            return Err(PipelineError::input(self.scene.path.display(), "has no Gaussians", "at least one"));
+        }
+        Ok(())
+    }
+
     /// The Gaussians that stay, at one frame.
     ///
     /// # Errors
@@ -79,19 +85,24 @@ impl<'a> Export<'a> {
     /// The arrays of a `params.npz` of some frames.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if scales or opacities vary with time or the first frame's number is too large, neither
+    /// [`PipelineError::Input`] if there are no Gaussians, scales or opacities vary with time or the first frame's number is too large, neither
     /// of which a `params.npz` can hold; [`PipelineError`] if a frame is missing or cannot be read.
     pub fn params(&self, frames: Range<usize>) -> Result<ExportedParams<'_>, PipelineError> {
         let scene = self.scene;
+        self.check_some()?;
         let frames = scene.choose_frames(Some(&frames))?;
-        let mut floats = DynamicGaussians::default();
-        for frame in frames.clone() {
-            floats.push(self.gaussians(frame)?);
-        }
-        for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
-            if floats.varies(attribute) {
-                let found = format!("{} vary with time, which a params.npz cannot hold", attribute.name());
-                return Err(PipelineError::input(scene.path.display(), found, "a folder of PLY files to export to"));
+        let first = self.gaussians(frames.start)?;
+        for frame in frames.start + 1..frames.end {
+            let gaussians = self.gaussians(frame)?;
+            for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
+                if gaussians.values(attribute) != first.values(attribute) {
+                    let found = format!("{} vary with time, which a params.npz cannot hold", attribute.name());
+                    return Err(PipelineError::input(
+                        scene.path.display(),
+                        found,
+                        "a folder of PLY files to export to",
+                    ));
+                }
             }
         }
         // A number of 32 bits, where frames are counted by dates or clocks, would be another one.
@@ -104,7 +115,7 @@ impl<'a> Export<'a> {
             let foreground = &first.parameters.foreground;
             self.keep.iter().map(|&i| foreground[i]).collect()
         });
-        Ok(ExportedParams { scene, floats, foreground, first_frame: frames.start as u32 })
+        Ok(ExportedParams { export: self, frames, foreground })
     }
 
     /// Writes one frame as a PLY file.
@@ -112,8 +123,27 @@ impl<'a> Export<'a> {
     /// # Errors
     /// [`PipelineError`] if the frame is missing or cannot be read.
     pub fn ply(&self, frame: usize) -> Result<impl Fn(&File) -> io::Result<()> + use<>, PipelineError> {
+        self.check_some()?;
         let gaussians = self.gaussians(frame)?;
         Ok(move |file: &File| write_ply(file, &gaussians))
+    }
+
+    /// Plain floats, bit for bit as they are stored: for each frame all means, quats, log_scales, logit_opacities and
+    /// colors, each `[N, components]`, as little-endian binary32 (`docs/FORMAT.md`, "Conformance").
+    ///
+    /// - returns: `[N * 14 * 4]` bytes a frame, or why the frame cannot be read
+    ///
+    /// # Errors
+    /// [`PipelineError::Frames`] if the scene lacks a frame.
+    pub fn floats(
+        &self,
+        frames: Range<usize>,
+    ) -> Result<impl Iterator<Item = Result<Vec<u8>, PipelineError>>, PipelineError> {
+        let bytes = |gaussians: Gaussians| {
+            let values = Attribute::BASE.into_iter().flat_map(|a| gaussians.values(a).iter());
+            values.flat_map(|x| x.to_le_bytes()).collect()
+        };
+        Ok(self.scene.choose_frames(Some(&frames))?.map(move |frame| self.gaussians(frame).map(bytes)))
     }
 
     /// Writes a PLY file a frame, named by its number: `000012.ply`.
@@ -130,6 +160,7 @@ impl<'a> Export<'a> {
         folder: &Path,
         observer: &mut dyn Observer,
     ) -> Result<u64, PipelineError> {
+        self.check_some()?;
         let frames = self.scene.choose_frames(Some(&frames))?;
         tell(observer, Event::Begun { work: Work::Exporting, num_steps: frames.len() })?;
         let mut bytes = 0;
@@ -147,25 +178,47 @@ impl<'a> Export<'a> {
     }
 }
 
-/// The arrays of a `params.npz`.
+/// The arrays of a `params.npz`, read while they are written.
 #[derive(Debug)]
 pub struct ExportedParams<'a> {
-    scene: &'a OpenScene,
-    floats: DynamicGaussians,
+    export: &'a Export<'a>,
+    frames: Range<usize>,
     /// `[N]`, of a run.
     foreground: Option<Vec<bool>>,
-    first_frame: u32,
+}
+
+/// The frames of an export that are asked for.
+struct Frames<'a>(&'a ExportedParams<'a>);
+
+impl SceneReader for Frames<'_> {
+    type Error = PipelineError;
+
+    fn layout(&self) -> &Arc<Layout> {
+        SceneReader::layout(self.0.export.scene)
+    }
+
+    fn num_gaussians(&self) -> usize {
+        self.0.export.keep.len()
+    }
+
+    fn num_timesteps(&self) -> usize {
+        self.0.frames.len()
+    }
+
+    fn at(&mut self, timestep: usize) -> Result<Gaussians, PipelineError> {
+        self.0.export.gaussians(self.0.frames.start + timestep)
+    }
 }
 
 impl ExportedParams<'_> {
-    /// Writes the archive.
+    /// Writes the archive. Reads every timestep three times, and holds one.
     ///
     /// # Errors
-    /// What the writer reports.
+    /// What the writer reports, and what reading the scene does.
     pub fn write<W: Write + Seek>(&self, writer: W) -> io::Result<W> {
-        let scene = self.scene;
+        let scene = self.export.scene;
         let origin = ParamsOrigin {
-            first_frame: self.first_frame,
+            first_frame: self.frames.start as u32,
             downscale: scene.downscale as u32,
             frame_rate: scene.frame_rate as f32,
         };
@@ -176,7 +229,7 @@ impl ExportedParams<'_> {
             offsets: cameras.map_or(&[], |p| &p.camera_offsets),
             origin: Some(origin),
         };
-        write_params_npz_to(writer, &self.floats, &extras)
+        write_params_npz_from(writer, &mut Frames(self), &extras)
     }
 }
 

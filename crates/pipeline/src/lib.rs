@@ -73,5 +73,5 @@ pub use export::{Export, ExportedParams};
 pub use observe::{Event, Observer, TimestepSummary, Trial, Unobserved, Work};
 pub use path_file::read_camera_path;
 pub use render::{CameraAt, render};
-pub use scene::{OpenScene, OpenSettings};
+pub use scene::{CutFiles, OpenScene, OpenSettings};
 pub use train::{RunFolder, continued_trainer, fit, new_trainer, settings_for, start_state};

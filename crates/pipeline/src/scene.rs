@@ -8,10 +8,10 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tcgs_codec::{BitMap, CompactScene, DecodeLimits, Quantizers, SceneFile, SceneInfo, SegmentCache, UpAxis};
+use tcgs_codec::{BitMap, CompactScene, DecodeLimits, Loss, Quantizers, SceneFile, SceneInfo, SegmentCache, UpAxis};
 use tcgs_core::{Activated, DynamicGaussians, Gaussians, Layout, SceneReader, activate};
 use tcgs_interchange::{HigherHarmonics, ParamsNpz, ParamsOrigin, PlyFiles};
-use tcgs_train::{Checkpoint, Run};
+use tcgs_train::{Checkpoint, Parameters, Run};
 
 use crate::PipelineError;
 use crate::chapters::Chapters;
@@ -24,11 +24,23 @@ const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz or PLY files";
 pub struct OpenSettings {
     /// What to do with PLY files whose colours depend on the direction of view. Default: refuse.
     pub higher_harmonics: HigherHarmonics,
+    /// What to do with a `.tcgs` file that was cut. Default: refuse.
+    pub cut_files: CutFiles,
+}
+
+/// What to do with a `.tcgs` file that was cut, such as by a transfer that broke off.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CutFiles {
+    /// Refuse the file.
+    #[default]
+    Refuse,
+    /// Read what is whole: [`SceneFile::recover`]. [`OpenScene::loss`] says what is missing.
+    Recover,
 }
 
 impl Default for OpenSettings {
     fn default() -> Self {
-        Self { higher_harmonics: HigherHarmonics::Refuse }
+        Self { higher_harmonics: HigherHarmonics::Refuse, cut_files: CutFiles::Refuse }
     }
 }
 
@@ -92,6 +104,7 @@ enum Content {
 
 struct FileContent {
     info: SceneInfo,
+    loss: Option<Loss>,
     file: Mutex<SceneFile<File>>,
 }
 
@@ -130,6 +143,13 @@ impl RunContent {
         }
         Ok(self.run.checkpoint(timestep, Some(&self.first))?)
     }
+
+    fn parameters(&self, timestep: usize) -> Result<Parameters, PipelineError> {
+        if timestep == 0 {
+            return Ok(self.first.parameters.clone());
+        }
+        Ok(self.run.parameters(timestep, Some(&self.first))?)
+    }
 }
 
 impl OpenScene {
@@ -153,7 +173,7 @@ impl OpenScene {
         match kind_of_file(path)? {
             Kind::Tcgs => {
                 let file = File::open(path).map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
-                Self::open_file(path, file)
+                Self::open_file(path, file, settings.cut_files)
             }
             Kind::Npz => {
                 let params = ParamsNpz::open(path)?;
@@ -194,13 +214,19 @@ impl OpenScene {
         })
     }
 
-    fn open_file(path: &Path, mut file: File) -> Result<Self, PipelineError> {
+    fn open_file(path: &Path, mut file: File, cut_files: CutFiles) -> Result<Self, PipelineError> {
         let decode_error = |error| PipelineError::Decode { path: path.into(), error };
         let again = file.try_clone().map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
-        let scene =
-            SceneFile::open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
+        let open = match cut_files {
+            CutFiles::Refuse => SceneFile::open,
+            CutFiles::Recover => SceneFile::recover,
+        };
+        let scene = open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
+        let loss = scene.loss().copied();
+        let length = loss.map_or(scene.archive().file_bytes(), |loss| loss.bytes);
         // Data of applications are small, and no segment is: their checksums are verified now.
-        for (index, range) in scene.archive().application_ranges().into_iter().enumerate() {
+        let application = scene.archive().application_ranges().into_iter().enumerate();
+        for (index, range) in application.filter(|(_, range)| range.end <= length) {
             let mut bytes = Vec::new();
             file.seek(SeekFrom::Start(range.start))
                 .and_then(|_| (&mut file).take(range.end - range.start).read_to_end(&mut bytes))
@@ -213,9 +239,9 @@ impl OpenScene {
             first_frame: info.first_frame as usize,
             downscale: info.downscale as usize,
             frame_rate: f64::from(info.frame_rate),
-            bytes: scene.archive().file_bytes(),
+            bytes: length,
             layout: Arc::clone(scene.layout()),
-            content: Content::File(Box::new(FileContent { info: info.clone(), file: Mutex::new(scene) })),
+            content: Content::File(Box::new(FileContent { info: info.clone(), loss, file: Mutex::new(scene) })),
         })
     }
 
@@ -328,6 +354,14 @@ impl OpenScene {
         }
     }
 
+    /// What a `.tcgs` file that was cut has lost; none of anything else.
+    pub fn loss(&self) -> Option<&Loss> {
+        match &self.content {
+            Content::File(file) => file.loss.as_ref(),
+            _ => None,
+        }
+    }
+
     /// The run, if the scene is one; of chapters the first.
     pub fn run(&self) -> Option<&Run> {
         match &self.content {
@@ -405,7 +439,7 @@ impl OpenScene {
                 file.file().at(timestep).map_err(|error| PipelineError::Decode { path: self.path.clone(), error })?
             }
             Content::Symbols(compact) => compact.at(timestep),
-            Content::Run(run) => run.checkpoint(timestep)?.parameters.gaussians,
+            Content::Run(run) => run.parameters(timestep)?.gaussians,
             Content::Chapters(chapters) => {
                 let (chapter, timestep) = chapters.place(timestep);
                 chapter.at(timestep)?
@@ -438,7 +472,7 @@ impl OpenScene {
         if let Content::Run(run) = &self.content
             && run.run.config().mask.enabled
         {
-            let parameters = run.checkpoint(timestep)?.parameters;
+            let parameters = run.parameters(timestep)?;
             let masked = tcgs_train::masked_out(&parameters.mask_logits, run.run.config().mask.threshold);
             let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
             return Ok(Arc::new(activate(&parameters.gaussians.select(&shown))));

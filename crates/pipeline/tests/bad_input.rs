@@ -120,7 +120,8 @@ fn a_scene_that_cannot_be_compressed_is_refused() {
     refused(compress_scene(&broken, &options()), &["Gaussian 1 at timestep 0 is NaN"]);
     let empty = scene.with_floats(DynamicGaussians::default(), "floats");
     refused(compress_scene(&empty, &options()), &[]);
-    refused(Export::new(&empty), &["has no Gaussians"]);
+    refused(Export::new(&empty).unwrap().params(0..1), &["has no Gaussians"]);
+    refused(Export::new(&empty).unwrap().ply(0), &["has no Gaussians"]);
 }
 
 #[test]

@@ -111,8 +111,8 @@ impl OpenFile {
         let shared = self.archive.shared_range(self.archive.num_layers());
         for (index, data) in self.archive.application_ranges().into_iter().enumerate() {
             if range.start <= data.start && data.end <= shared.start {
-                let (name, bytes) = self.archive.read_application(index, &bytes[at(data.start)..at(data.end)])?;
-                self.application_data.push((name, bytes.to_vec()));
+                let read = self.archive.read_application(index, &bytes[at(data.start)..at(data.end)])?;
+                self.application_data.extend(read.map(|(name, bytes)| (name, bytes.to_vec())));
             }
         }
         self.archive.read_shared(&bytes[at(shared.start)..])?;

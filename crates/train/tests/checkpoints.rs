@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use tcgs_core::PointCloud;
 use tcgs_interchange::NpzReader;
-use tcgs_train::{Checkpoint, Lifetimes, Optimizer, Parameters, Run, TrainConfig, TrainError};
+use tcgs_train::{Checkpoint, GateRecord, Lifetimes, Optimizer, Parameters, Run, TrainConfig, TrainError};
 
 /// A run that the first version of checkpoints wrote; see its README.md.
 const OLD: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/run");
@@ -106,7 +106,14 @@ fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
     let mut optimizer = Optimizer::new(&parameters, 0);
     optimizer.mask.step = timestep as u64;
     optimizer.first.colors_mut().fill([timestep as f32; 3]);
-    Checkpoint { parameters, lifetimes: Lifetimes::new(num_gaussians), quantizers: None, optimizer, scene_radius: 2.0 }
+    Checkpoint {
+        parameters,
+        lifetimes: Lifetimes::new(num_gaussians),
+        quantizers: None,
+        optimizer,
+        scene_radius: 2.0,
+        gate: GateRecord::default(),
+    }
 }
 
 /// A run of such timesteps.

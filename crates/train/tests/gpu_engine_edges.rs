@@ -84,7 +84,7 @@ fn run(
     config: &TrainConfig,
     phase: Phase,
 ) -> Result<Vec<LossTerms>, TrainError> {
-    engine.begin(targets.to_vec())?;
+    engine.begin(targets.to_vec(), None)?;
     let schedule = Schedule::new(config, 2.0);
     for (iteration, &camera) in cameras.iter().enumerate() {
         let rates = schedule.rates(phase, iteration);
@@ -213,7 +213,7 @@ fn a_lost_gpu_is_an_error() {
         }
         let schedule = Schedule::new(&config, 2.0);
         let mut steps = || {
-            engine.begin(targets.to_vec())?;
+            engine.begin(targets.to_vec(), None)?;
             for i in 0..200 {
                 if i == 70 && when == "in flight" {
                     gpu.device().destroy();
@@ -227,8 +227,9 @@ fn a_lost_gpu_is_an_error() {
         eprintln!("{when}: {error}");
         assert!(matches!(error, TrainError::Gpu(GpuError::Lost(_))), "{error:?}");
         // And again and again.
-        for error in
-            [engine.wait().err(), engine.state().err(), engine.begin(targets.to_vec()).err()].into_iter().flatten()
+        for error in [engine.wait().err(), engine.state().err(), engine.begin(targets.to_vec(), None).err()]
+            .into_iter()
+            .flatten()
         {
             assert!(matches!(error, TrainError::Gpu(GpuError::Lost(_))), "{error:?}");
         }

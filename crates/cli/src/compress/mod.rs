@@ -20,7 +20,7 @@ use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{self, Cameras, Frames, JobOptions, Pair};
 use crate::output::{check_file, show_bytes, write_file};
-use crate::scene::{SceneOptions, describe};
+use crate::scene::{SourceOptions, describe};
 use crate::teller::Teller;
 use crate::terminal::say;
 
@@ -49,7 +49,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     #[command(flatten)]
-    reading: SceneOptions,
+    reading: SourceOptions,
     /// Frames a second that the file tells players [default: the source's, else 30]
     #[arg(long, value_name = "F", value_parser = not_negative, allow_negative_numbers = true)]
     frame_rate: Option<f32>,

@@ -14,7 +14,7 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::error::{stopped, wrong_input};
 use crate::interrupt;
 use crate::options::{self, Frames, JobOptions, Pair};
-use crate::scene::SceneOptions;
+use crate::scene::SourceOptions;
 use crate::teller::Teller;
 use crate::terminal::say;
 
@@ -170,7 +170,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// The state that a chapter starts from, told in words.
 fn open_start(start: &str, config: &TrainConfig, capture: &Capture) -> anyhow::Result<Checkpoint> {
     let (path, timestep) = settings::scene_and_timestep(start)?;
-    let scene = SceneOptions::default().open(&path)?;
+    let scene = SourceOptions::default().open(&path)?;
     let timestep = timestep.unwrap_or(scene.num_timesteps() - 1);
     let state = start_state(&scene, timestep, config, capture)?;
     let (path, n) = (path.display(), state.parameters.num_gaussians());

@@ -7,13 +7,13 @@ use std::sync::Arc;
 use tcgs_core::Attribute;
 
 use super::container;
-use super::head::{Head, read_info, read_plan};
+use super::head::{Head, MAX_SEGMENTS, read_info, read_plan};
 use super::reader::{SegmentReader, SharedModels};
 use super::section::{self, APPLICATION, Cursor, Entry, INFO, MAPS, PLAN, SHARED, Tag};
 use super::segment::Segment;
 use super::shared::Shared;
 use crate::compact::SceneInfo;
-use crate::error::DecodeError;
+use crate::error::{DecodeError, ENDS_EARLY};
 use crate::limits::{Budget, DecodeLimits};
 
 /// Result of [`Archive::open`].
@@ -105,6 +105,10 @@ impl Archive {
         let mut head = read_info(info.open(bytes(info))?, limits)?;
         let (_, plan) = next(PLAN, shared, 0)?;
         head.plan = read_plan(plan.open(bytes(plan))?)?;
+        if head.num_segments() > MAX_SEGMENTS {
+            let at_info = Cursor::new(section::name(INFO), info.range.start, &[]);
+            return Err(at_info.invalid("segment_length", "more than 65535 segments"));
+        }
 
         let mut groups = Vec::new();
         for layer in 0..head.layers.len() {
@@ -245,13 +249,24 @@ impl Archive {
             .map(|entry| {
                 let range = (entry.range.start - offset) as usize..(entry.range.end - offset) as usize;
                 let section = bytes.get(range);
-                let early = || {
-                    Cursor::new(section::name(entry.tag), entry.range.start, &[])
-                        .invalid("length", "the file ends early")
-                };
+                let early =
+                    || Cursor::new(section::name(entry.tag), entry.range.start, &[]).invalid("length", ENDS_EARLY);
                 entry.open(section.ok_or_else(early)?)
             })
             .collect()
+    }
+
+    /// Verifies the checksums of the optional sections that lie whole in some bytes of the file. The other sections are
+    /// verified when they are decoded.
+    ///
+    /// - `bytes`: from `offset` of the file
+    pub(super) fn check_optional(&self, offset: u64, bytes: &[u8]) -> Result<(), DecodeError> {
+        let end = offset + bytes.len() as u64;
+        let within = |entry: &&Entry| entry.is_optional() && offset <= entry.range.start && entry.range.end <= end;
+        self.entries.iter().filter(within).try_for_each(|entry| {
+            let section = (entry.range.start - offset) as usize..(entry.range.end - offset) as usize;
+            entry.open(&bytes[section]).map(drop)
+        })
     }
 
     /// Reads the shared layers that follow those read so far.
@@ -328,18 +343,23 @@ impl Archive {
     ///
     /// - `index`: position in [`Self::application_ranges`]
     /// - `bytes`: the bytes of the range at `index`
-    /// - returns: the name, and the bytes after the name
+    /// - returns: the name, and the bytes after the name; none if the section does not begin with a name in UTF-8, which
+    ///   no decoder needs
     ///
     /// # Errors
-    /// [`DecodeError::Format`] if the bytes are damaged.
+    /// [`DecodeError::Format`] if the checksum does not match.
     ///
     /// # Panics
     /// If `index` is not below the number of [`Self::application_ranges`].
-    pub fn read_application<'a>(&self, index: usize, bytes: &'a [u8]) -> Result<(String, &'a [u8]), DecodeError> {
+    pub fn read_application<'a>(
+        &self,
+        index: usize,
+        bytes: &'a [u8],
+    ) -> Result<Option<(String, &'a [u8])>, DecodeError> {
         let mut entries = self.application();
         let entry = entries.nth(index).unwrap_or_else(|| panic!("data {index} of {}", self.application().count()));
         let mut cursor = entry.open(bytes)?;
-        Ok((cursor.text("name")?, cursor.rest()))
+        Ok(cursor.text("name").ok().map(|name| (name, cursor.rest())))
     }
 
     /// Entries of the table of contents for application data.

@@ -7,7 +7,7 @@ use super::neighbors::NONE;
 use super::section::Cursor;
 use super::segment::Segment;
 use crate::compact::{CompactScene, Tracks};
-use crate::error::DecodeError;
+use crate::error::{DecodeError, ENDS_EARLY};
 use crate::limits::DecodeLimits;
 use crate::parallel;
 
@@ -38,12 +38,7 @@ use crate::parallel;
 pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<CompactScene, DecodeError> {
     let mut archive = open_whole(file, limits)?;
     let bytes = |range: std::ops::Range<u64>| &file[range.start as usize..range.end as usize];
-    for (entry, section) in archive.entries().iter().map(|e| (e, bytes(e.range.clone()))) {
-        // Those that are read are checked then.
-        if entry.is_optional() {
-            entry.open(section)?;
-        }
-    }
+    archive.check_optional(0, file)?;
     let layers = archive.num_layers();
     archive.read_shared(bytes(archive.shared_range(layers)))?;
     let segments = parallel::map((0..archive.num_segments()).collect(), |segment| {
@@ -59,7 +54,7 @@ pub(super) fn open_whole(file: &[u8], limits: &DecodeLimits) -> Result<Archive, 
     match Archive::open(file, limits)? {
         Opening::Ready(archive) if archive.file_bytes() == file.len() as u64 => Ok(*archive),
         Opening::Ready(archive) if archive.file_bytes() < file.len() as u64 => Err(invalid("bytes are left over")),
-        _ => Err(invalid("the file ends early")),
+        _ => Err(invalid(ENDS_EARLY)),
     }
 }
 

@@ -9,7 +9,7 @@ use super::FORMAT_VERSION;
 use super::coder::Encoder;
 use super::container::{self, Part};
 use super::fit;
-use super::head::{Head, write_info, write_plan};
+use super::head::{Head, MAX_SEGMENTS, write_info, write_plan};
 use super::keypoints::{KeypointModels, Motion, Scope, UnitTracks};
 use super::section::{self, APPLICATION, INFO, MAPS, PLAN};
 use super::shared::{CurveModels, FirstModels, MapModels, Plan, Shared};
@@ -35,7 +35,8 @@ use crate::limits::{Budget, DecodeLimits};
 /// # Errors
 /// - [`CompressError::Scene`] if the scene breaks a rule of the format, such as a code outside its width
 /// - [`CompressError::Unsupported`] if the scene has columns beyond [`Attribute::BASE`]
-/// - [`CompressError::Count`] if the scene takes more sections or a longer section than the format holds
+/// - [`CompressError::Count`] if the scene takes more segments (65,535), more sections (2^20) or a longer section
+///   (4 GiB) than the format holds
 pub fn encode(scene: &CompactScene) -> Result<Vec<u8>, CompressError> {
     encode_with(scene, &[])
 }
@@ -112,6 +113,10 @@ pub fn encode_to<W: Write + Seek>(
     if !head.bounds.as_flattened().iter().all(|x| x.is_finite()) {
         let (section, field) = (Attribute::Mean.name(), "codes");
         return Err(CompressError::Scene { section, field, problem: "a code that stands for no finite number" });
+    }
+    if head.num_segments() > MAX_SEGMENTS {
+        let what = "segments".into();
+        return Err(CompressError::Count { what, found: head.num_segments(), expected: MAX_SEGMENTS });
     }
     let mut shared = shared_of(scene, &head);
     let predictors = |a: Attribute| if a == Attribute::Mean { vec![] } else { fit::predictors(a, &head.plan, &shared) };

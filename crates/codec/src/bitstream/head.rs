@@ -5,12 +5,15 @@ use std::ops::Range;
 
 use tcgs_core::Attribute;
 
-use super::section::Cursor;
+use super::section::{Cursor, SHARED};
 use super::shared::{Mode, Plan, Predictor, num_weights};
 use crate::compact::{ColorSpace, SceneInfo, UpAxis, check_division};
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 use crate::quantize::{Quantizer, Quantizers};
+
+/// Most segments: the number 65535 stands for what all segments share.
+pub(super) const MAX_SEGMENTS: usize = SHARED as usize;
 
 /// Content of `INFO` and `PLAN`.
 #[derive(Clone, Debug, Default)]

@@ -6,6 +6,7 @@ use std::ops::Range;
 use tcgs_core::Attribute;
 
 use super::FORMAT_VERSION;
+use super::archive::{Archive, Opening};
 use super::decode::{decode, open_whole};
 use super::section::{SHARED, name};
 use crate::compact::SceneInfo;
@@ -19,6 +20,8 @@ pub struct FileInfo {
     pub version: u16,
     /// Length of the file in bytes.
     pub bytes: u64,
+    /// Length of the file in bytes as its table of contents says; more than [`Self::bytes`] if the file was cut.
+    pub bytes_before: u64,
     /// All sections, in the order of the file.
     pub sections: Vec<SectionInfo>,
     /// For every segment its timesteps and its range of bytes in the file.
@@ -28,7 +31,7 @@ pub struct FileInfo {
     /// Axis-aligned bounding box of all means at all timesteps, in scene units: the smallest and the largest
     /// coordinates.
     pub bounds: [[f32; 3]; 2],
-    /// Statistics of the decoded scene; none if a section is damaged.
+    /// Statistics of the decoded scene; none if a section is damaged or missing.
     pub contents: Option<Contents>,
 }
 
@@ -43,7 +46,9 @@ pub struct SectionInfo {
     pub layer: usize,
     /// Length of the section in bytes, without its entry in the table of contents.
     pub bytes: u64,
-    /// Whether the CRC-32 of the section agrees with the table of contents.
+    /// Whether all bytes of the section are there; false only of a file that was cut.
+    pub is_whole: bool,
+    /// Whether the CRC-32 of the section agrees with the table of contents; false if the section is not whole.
     pub checksum_ok: bool,
 }
 
@@ -99,21 +104,51 @@ impl FileInfo {
 /// - [`DecodeError::Version`] if the file is of another version
 /// - [`DecodeError::Limit`] if decoding exceeds `limits`
 pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeError> {
-    let archive = open_whole(file, limits)?;
+    inspect_archive(file, limits, &open_whole(file, limits)?)
+}
+
+/// [`inspect`] of a file that may have been cut: sections that are not whole are reported by
+/// [`SectionInfo::is_whole`].
+///
+/// ```
+/// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, compress, encode, inspect_cut};
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let mut scene = DynamicGaussians::default();
+/// scene.push(Gaussians::zeros(3));
+/// let settings = CompressSettings::default();
+/// let file = encode(&compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?)?;
+/// let info = inspect_cut(&file[..file.len() - 1], &DecodeLimits::default())?;
+/// assert_eq!(info.sections.iter().filter(|section| !section.is_whole).count(), 1);
+/// assert_eq!(info.bytes_before - info.bytes, 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// As [`inspect`], of a file that was cut only if the header, `INFO` or `PLAN` is not whole.
+pub fn inspect_cut(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeError> {
+    match Archive::open(file, limits)? {
+        Opening::Ready(archive) if archive.file_bytes() > file.len() as u64 => inspect_archive(file, limits, &archive),
+        _ => inspect(file, limits),
+    }
+}
+
+fn inspect_archive(file: &[u8], limits: &DecodeLimits, archive: &Archive) -> Result<FileInfo, DecodeError> {
     let sections = archive.entries().iter().map(|entry| {
-        let bytes = &file[entry.range.start as usize..entry.range.end as usize];
+        let bytes = file.get(entry.range.start as usize..entry.range.end as usize);
         SectionInfo {
             name: name(entry.tag),
             segment: (entry.segment != SHARED).then_some(entry.segment.into()),
             layer: entry.layer.into(),
-            bytes: bytes.len() as u64,
-            checksum_ok: entry.open(bytes).is_ok(),
+            bytes: entry.range.end - entry.range.start,
+            is_whole: bytes.is_some(),
+            checksum_ok: bytes.is_some_and(|bytes| entry.open(bytes).is_ok()),
         }
     });
     let layers = archive.num_layers();
     let mut file_info = FileInfo {
         version: FORMAT_VERSION,
         bytes: file.len() as u64,
+        bytes_before: archive.file_bytes(),
         sections: sections.collect(),
         segments: (0..archive.num_segments())
             .map(|segment| (archive.timesteps(segment), archive.segment_range(segment, layers)))
@@ -139,7 +174,7 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
 ///
 /// - `file`: all bytes of the file
 /// - `limits`: bounds on memory and counts
-/// - returns: name and content of each piece, in the order of the file
+/// - returns: name and content of each piece, in the order of the file, without those that lack a name in UTF-8
 ///
 /// ```
 /// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, application_data, compress, encode_with};
@@ -158,7 +193,7 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
 pub fn application_data<'a>(file: &'a [u8], limits: &DecodeLimits) -> Result<Vec<(String, &'a [u8])>, DecodeError> {
     let archive = open_whole(file, limits)?;
     let of_range = |(index, range): (usize, Range<u64>)| {
-        archive.read_application(index, &file[range.start as usize..range.end as usize])
+        archive.read_application(index, &file[range.start as usize..range.end as usize]).transpose()
     };
-    archive.application_ranges().into_iter().enumerate().map(of_range).collect()
+    archive.application_ranges().into_iter().enumerate().filter_map(of_range).collect()
 }

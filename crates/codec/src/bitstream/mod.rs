@@ -43,7 +43,7 @@ pub use decode::decode;
 pub(crate) use decode::end_of_file;
 #[cfg(feature = "encode")]
 pub use encode::{encode, encode_to, encode_with};
-pub use inspect::{Contents, FileInfo, SectionInfo, application_data, inspect};
+pub use inspect::{Contents, FileInfo, SectionInfo, application_data, inspect, inspect_cut};
 pub use push::{Decoder, Event};
 pub use segment::{Keypoints, Sampler, Segment};
 

@@ -136,6 +136,7 @@ impl Decoder {
         let (num_layers, num_groups) = (archive.num_layers(), archive.num_layers() * (1 + archive.num_segments()));
         if self.groups == num_groups {
             let end = archive.file_bytes();
+            archive.check_optional(self.offset, &self.bytes[..(end - self.offset) as usize])?;
             self.bytes.drain(..(end - self.offset) as usize);
             self.offset = end;
             self.finished = true;
@@ -150,6 +151,7 @@ impl Decoder {
         }
         let range = archive.range_of(self.groups..self.groups + 1);
         let start = (range.start - self.offset) as usize;
+        archive.check_optional(self.offset, &self.bytes[..(range.end - self.offset) as usize])?;
         if self.groups < num_layers {
             archive.read_shared(&self.bytes[start..(range.end - self.offset) as usize])?;
             events.push(Event::Layer { layers: self.groups + 1 });

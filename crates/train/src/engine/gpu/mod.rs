@@ -37,7 +37,7 @@ use self::state_buffers::REPORT;
 use self::targets::Targets;
 use super::cpu::drawn;
 use super::device::{InFlight, LOSS_VALUES, Mirror, StepUniform, ViewPlace, count_updates, losses_of};
-use super::{Engine, Step, Target};
+use super::{Engine, Scenery, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
 use crate::losses::LossTerms;
@@ -242,7 +242,11 @@ impl Engine for GpuEngine {
         self.gpu.info().name.clone()
     }
 
-    fn begin(&mut self, targets: Vec<Target>) -> Result<(), TrainError> {
+    fn takes_scenery(&self) -> bool {
+        false
+    }
+
+    fn begin(&mut self, targets: Vec<Target>, _: Option<Scenery>) -> Result<(), TrainError> {
         self.wait()?;
         let before = self.targets.take();
         let old = before.as_ref().map(Targets::shape);
