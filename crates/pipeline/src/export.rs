@@ -4,9 +4,10 @@ use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians, SceneReader};
-use tcgs_interchange::{ParamsExtras, ParamsOrigin, write_params_npz_to, write_ply_to};
+use tcgs_core::{Attribute, Gaussians, Layout, SceneReader};
+use tcgs_interchange::{ParamsExtras, ParamsOrigin, write_params_npz_from, write_ply_to};
 
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work, kept_gaussians};
@@ -90,14 +91,18 @@ impl<'a> Export<'a> {
         let scene = self.scene;
         self.check_some()?;
         let frames = scene.choose_frames(Some(&frames))?;
-        let mut floats = DynamicGaussians::default();
-        for frame in frames.clone() {
-            floats.push(self.gaussians(frame)?);
-        }
-        for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
-            if floats.varies(attribute) {
-                let found = format!("{} vary with time, which a params.npz cannot hold", attribute.name());
-                return Err(PipelineError::input(scene.path.display(), found, "a folder of PLY files to export to"));
+        let first = self.gaussians(frames.start)?;
+        for frame in frames.start + 1..frames.end {
+            let gaussians = self.gaussians(frame)?;
+            for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
+                if gaussians.values(attribute) != first.values(attribute) {
+                    let found = format!("{} vary with time, which a params.npz cannot hold", attribute.name());
+                    return Err(PipelineError::input(
+                        scene.path.display(),
+                        found,
+                        "a folder of PLY files to export to",
+                    ));
+                }
             }
         }
         // A number of 32 bits, where frames are counted by dates or clocks, would be another one.
@@ -110,7 +115,7 @@ impl<'a> Export<'a> {
             let foreground = &first.parameters.foreground;
             self.keep.iter().map(|&i| foreground[i]).collect()
         });
-        Ok(ExportedParams { scene, floats, foreground, first_frame: frames.start as u32 })
+        Ok(ExportedParams { export: self, frames, foreground })
     }
 
     /// Writes one frame as a PLY file.
@@ -173,25 +178,47 @@ impl<'a> Export<'a> {
     }
 }
 
-/// The arrays of a `params.npz`.
+/// The arrays of a `params.npz`, read while they are written.
 #[derive(Debug)]
 pub struct ExportedParams<'a> {
-    scene: &'a OpenScene,
-    floats: DynamicGaussians,
+    export: &'a Export<'a>,
+    frames: Range<usize>,
     /// `[N]`, of a run.
     foreground: Option<Vec<bool>>,
-    first_frame: u32,
+}
+
+/// The frames of an export that are asked for.
+struct Frames<'a>(&'a ExportedParams<'a>);
+
+impl SceneReader for Frames<'_> {
+    type Error = PipelineError;
+
+    fn layout(&self) -> &Arc<Layout> {
+        SceneReader::layout(self.0.export.scene)
+    }
+
+    fn num_gaussians(&self) -> usize {
+        self.0.export.keep.len()
+    }
+
+    fn num_timesteps(&self) -> usize {
+        self.0.frames.len()
+    }
+
+    fn at(&mut self, timestep: usize) -> Result<Gaussians, PipelineError> {
+        self.0.export.gaussians(self.0.frames.start + timestep)
+    }
 }
 
 impl ExportedParams<'_> {
-    /// Writes the archive.
+    /// Writes the archive. Reads every timestep three times, and holds one.
     ///
     /// # Errors
-    /// What the writer reports.
+    /// What the writer reports, and what reading the scene does.
     pub fn write<W: Write + Seek>(&self, writer: W) -> io::Result<W> {
-        let scene = self.scene;
+        let scene = self.export.scene;
         let origin = ParamsOrigin {
-            first_frame: self.first_frame,
+            first_frame: self.frames.start as u32,
             downscale: scene.downscale as u32,
             frame_rate: scene.frame_rate as f32,
         };
@@ -202,7 +229,7 @@ impl ExportedParams<'_> {
             offsets: cameras.map_or(&[], |p| &p.camera_offsets),
             origin: Some(origin),
         };
-        write_params_npz_to(writer, &self.floats, &extras)
+        write_params_npz_from(writer, &mut Frames(self), &extras)
     }
 }
 

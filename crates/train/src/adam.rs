@@ -49,12 +49,13 @@ impl Moments {
         (self.first, self.second) = (take(&self.first), take(&self.second));
     }
 
-    /// One update of `values` along `v_values`; see [`adam`].
+    /// One update of the first values along `v_values`; see [`adam`].
     ///
     /// # Panics
-    /// If lengths differ.
+    /// If lengths differ, or there are fewer moments.
     pub fn update(&mut self, values: &mut [f32], v_values: &[f32], rate: f32) {
-        adam(values, v_values, &mut self.first, &mut self.second, &mut self.step, rate);
+        let (first, second) = (&mut self.first[..values.len()], &mut self.second[..values.len()]);
+        adam(values, v_values, first, second, &mut self.step, rate);
     }
 }
 

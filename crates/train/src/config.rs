@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::gate::GateConfig;
 use crate::losses::WeightConfig;
 
 /// A training run's settings: what `config.toml` holds. Every field can be set by its dotted name.
@@ -27,6 +28,8 @@ pub struct TrainConfig {
     pub mask: MaskConfig,
     /// Mixed-precision quantisation (paper 4.1.2).
     pub quantize: QuantizeConfig,
+    /// Which Gaussians and tiles a timestep after the first trains.
+    pub gate: GateConfig,
 }
 
 /// 64 bits as the signed integers that TOML has.
@@ -325,6 +328,7 @@ impl TrainConfig {
                 position_bits: 16,
                 learned_offset: true,
             },
+            gate: GateConfig::OFF,
         };
         let mut config = reference;
         match preset {
@@ -347,6 +351,7 @@ impl TrainConfig {
                 config.weights.mask = 0.05;
                 config.weights.mask_consistency = 0.5;
                 config.mask.prune_end = 6000;
+                config.gate = GateConfig::ON;
             }
         }
         if preset == Preset::Fast {

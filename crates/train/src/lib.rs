@@ -14,6 +14,7 @@ mod densify;
 pub mod engine;
 mod error;
 mod fake_quant;
+mod gate;
 mod lifetimes;
 mod losses;
 mod mask;
@@ -36,6 +37,7 @@ pub use config::{
 pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
 pub use error::TrainError;
 pub use fake_quant::{FakeQuantizers, fake_quant, fake_quant_vjp, step_gradient_scale};
+pub use gate::{GateConfig, GateRecord};
 pub use lifetimes::Lifetimes;
 pub use losses::{Loss, LossTerms, WeightConfig};
 pub use mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};

@@ -53,6 +53,11 @@ macro_rules! losses {
             pub const fn values(&self) -> [f32; Loss::ALL.len()] {
                 [$(self.$name),+]
             }
+
+            /// From weights in the order of [`Loss::ALL`].
+            pub const fn from_values(values: [f32; Loss::ALL.len()]) -> Self {
+                Self { $($name: values[Loss::$variant as usize],)+ }
+            }
         }
 
         /// Values of every loss of one iteration, before their weights; 0 where a loss is off.

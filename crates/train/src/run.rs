@@ -25,6 +25,8 @@ use crate::checkpoint::{Arrays, Chain, Checkpoint, For, MASK_LOGITS, read_single
 use crate::config::TrainConfig;
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
+use crate::gate::GateConfig;
+use crate::parameters::Parameters;
 use crate::state::State;
 use crate::trainer::Trainer;
 
@@ -83,8 +85,9 @@ impl Run {
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
         let text = fs::read_to_string(&path).map_err(read(&path))?;
-        let config =
-            TrainConfig::default().merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
+        // A run of before the gate goes on without it.
+        let base = TrainConfig { gate: GateConfig::OFF, ..TrainConfig::default() };
+        let config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         Ok(Self::new(folder, config))
     }
 
@@ -222,6 +225,18 @@ impl Run {
         self.decode(timestep, &arrays, first)
     }
 
+    /// The learned parameters in the checkpoint of one finished timestep, and nothing else of it.
+    ///
+    /// - `first`: see [`Self::checkpoint`]
+    ///
+    /// # Errors
+    /// As [`Self::checkpoint`].
+    pub fn parameters(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Parameters, TrainError> {
+        let arrays = self.chain().read(timestep)?;
+        let parameters = Checkpoint::parameters_of(&arrays, first);
+        parameters.map_err(|problem| TrainError::File { path: self.checkpoint_path(timestep), problem })
+    }
+
     /// Reads the checkpoint of one of the last two finished timesteps, with the optimizer's state.
     ///
     /// - `first`: see [`Self::checkpoint`]
@@ -277,10 +292,12 @@ impl Run {
         scene.push(first.parameters.gaussians.clone());
         mask_logits.push(first.parameters.mask_logits.clone());
         for timestep in 1..finished {
-            let later = self.checkpoint(timestep, Some(&first))?;
-            scene.push(later.parameters.gaussians);
-            mask_logits.push(later.parameters.mask_logits);
-            quantizers = later.quantizers;
+            let later = self.parameters(timestep, Some(&first))?;
+            scene.push(later.gaussians);
+            mask_logits.push(later.mask_logits);
+        }
+        if finished > 1 {
+            quantizers = self.checkpoint(finished - 1, Some(&first))?.quantizers;
         }
         Ok(TrainedScene {
             scene,

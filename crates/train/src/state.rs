@@ -9,7 +9,7 @@ use tcgs_core::{Attribute, Column, Columns, RateGroup, normalize, role};
 use crate::adam::{Moments, adam};
 use crate::fake_quant::FakeQuantizers;
 use crate::lifetimes::Lifetimes;
-use crate::motion::Past;
+use crate::motion::{Past, Pose};
 use crate::parameters::Parameters;
 use crate::row::Row;
 
@@ -53,13 +53,14 @@ impl Optimizer {
 
     /// One update of a column; see [`adam`].
     ///
-    /// - `values`: `[N * components]`, updated in place
+    /// - `values`: `[n * components]` of the first `n` Gaussians, updated in place
     /// - `v_values`: likewise, their gradient
     ///
     /// # Panics
-    /// If lengths differ.
+    /// If lengths differ, or there are fewer Gaussians.
     pub fn update(&mut self, attribute: Attribute, values: &mut [f32], v_values: &[f32], rate: f32) {
         let (first, second) = (self.first.values_mut(attribute), self.second.values_mut(attribute));
+        let (first, second) = (&mut first[..values.len()], &mut second[..values.len()]);
         adam(values, v_values, first, second, &mut self.steps[attribute.index()], rate);
     }
 
@@ -97,7 +98,7 @@ impl Optimizer {
         carried
     }
 
-    fn gather(&mut self, rows: &[Row]) {
+    pub(crate) fn gather(&mut self, rows: &[Row]) {
         let kept: Vec<Option<usize>> = rows.iter().map(|row| row.kept()).collect();
         self.first = self.first.select_or_zero(&kept);
         self.second = self.second.select_or_zero(&kept);
@@ -159,6 +160,12 @@ impl State {
             past: None,
             timestep: 0,
         }
+    }
+
+    /// Remembers the first timestep, if that is the one before. No motion is known yet.
+    pub(crate) fn begin_past(&mut self) {
+        let p = &self.parameters;
+        self.past.get_or_insert_with(|| Past::new(Pose::of(&p.gaussians), p.gaussians.clone(), &p.foreground));
     }
 
     /// Replaces the Gaussians by `rows` of them, with everything that belongs to each: values, identity, moments,

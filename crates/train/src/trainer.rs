@@ -17,6 +17,7 @@ use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
 use crate::engine::cpu::CpuEngine;
 use crate::engine::{Engine, Step, Target};
 use crate::fake_quant::FakeQuantizers;
+use crate::gate::{Activity, Gate, GateRecord, Pace, Shares};
 use crate::losses::LossTerms;
 use crate::mask::mask;
 use crate::motion::{Past, Pose, predict};
@@ -83,6 +84,8 @@ pub struct Trainer {
     camera_ids: Vec<usize>,
     /// Whether [`Self::fit`] ended within a timestep.
     is_unfinished: bool,
+    /// What later timesteps train; none if they train everything.
+    gate: Option<Gate>,
     /// Whether the run continues another one's state, so that its first timestep is trained as a later one.
     continues: bool,
 }
@@ -147,6 +150,7 @@ impl Trainer {
             timestep: 0,
             camera_ids: Vec::new(),
             is_unfinished: false,
+            gate: gate(config, GateRecord::default()),
             continues: false,
         })
     }
@@ -221,6 +225,7 @@ impl Trainer {
             timestep: timesteps,
             camera_ids: Vec::new(),
             is_unfinished: false,
+            gate: gate(config, last.gate.clone()),
             continues,
         }
     }
@@ -246,6 +251,26 @@ impl Trainer {
     /// [`TrainError::Gpu`] if the engine failed.
     pub fn state(&mut self) -> Result<&State, TrainError> {
         self.engine.state()
+    }
+
+    /// Whether a resumed run needs [`Self::recall`] to go on as if it had never stopped: whether its gate compares the
+    /// next images with those before.
+    pub fn needs_recall(&self) -> bool {
+        self.timestep > 0 && self.gate.as_ref().is_some_and(Gate::forgot)
+    }
+
+    /// Takes the views of the timestep that was finished last, after a run was resumed. Without it the next timestep
+    /// trains everything, which is slower and gives other bytes than a run that never stopped.
+    ///
+    /// - `views`: as [`Self::fit`] was given them for that timestep
+    ///
+    /// # Errors
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn recall(&mut self, views: &[View]) -> Result<(), TrainError> {
+        if let Some(gate) = &mut self.gate {
+            gate.recall(self.engine.state()?, views, all_segmented(views));
+        }
+        Ok(())
     }
 
     /// Trains the next timestep on its views.
@@ -280,32 +305,100 @@ impl Trainer {
         self.check_finished()?;
         self.is_unfinished = true;
         self.camera_ids = views.iter().map(|v| v.camera_id).collect();
-        let with_segmentation = views.iter().all(|v| v.segmentation.is_some());
+        let with_segmentation = all_segmented(views);
+        let targets: Vec<Target> = views.iter().map(|v| Target::new(v, with_segmentation)).collect();
         let phase = self.phase();
+        let mut activity = None;
         if phase == Phase::Rest {
-            self.begin_timestep()?;
+            let state = self.engine.state_mut()?;
+            state.begin_past();
+            if let Some(gate) = self.gate.as_mut().filter(|_| self.engine.takes_scenery()) {
+                activity = gate.look(self.engine.state()?, &targets);
+            }
+            self.begin_timestep(activity.as_ref())?;
         }
-        self.engine.begin(views.iter().map(|v| Target::new(v, with_segmentation)).collect())?;
-        let iterations = self.schedule.iterations(phase);
+        match &mut activity {
+            Some(activity) => self.fit_activity(targets, activity, observe)?,
+            None => {
+                self.engine.begin(targets, None)?;
+                let pace = Pace::even(self.schedule.iterations(phase), views.len());
+                let cameras = (0..views.len()).collect();
+                self.iterate(phase, cameras, pace, Shares::WHOLE, views, observe)?;
+            }
+        }
+        if let Some(gate) = &mut self.gate {
+            let state = self.engine.state()?;
+            match &activity {
+                Some(activity) => gate.end(state, views, activity),
+                None => gate.begin(state, views, with_segmentation),
+            }
+        }
+        self.end_timestep()
+    }
+
+    /// Trains what is active of a timestep, and leaves the whole state in the engine.
+    fn fit_activity(
+        &mut self,
+        targets: Vec<Target>,
+        activity: &mut Activity,
+        observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+    ) -> Result<(), TrainError> {
+        let Some(scenery) = activity.scenery.take() else { return Ok(()) };
+        let num_views = targets.len();
+        let state = self.engine.state_mut()?;
+        let shares = activity.shares(state);
+        let small = activity.excerpt(state);
+        let mut whole = std::mem::replace(state, small);
+        self.engine.begin(targets, Some(scenery))?;
+        // Every view has as many iterations as it would have if all views changed.
+        let length = (self.schedule.iterations(Phase::Rest) * activity.cameras.len()).div_ceil(num_views);
+        let pace = Pace::new(&self.config.gate, length, activity.cameras.len());
+        self.iterate(Phase::Rest, activity.cameras.clone(), pace, shares, &[], observe)?;
+        activity.put_back(self.engine.state()?, &mut whole);
+        *self.engine.state_mut()? = whole;
+        Ok(())
+    }
+
+    /// The iterations of a timestep.
+    ///
+    /// - `cameras`: positions of the views that they go round
+    /// - `shares`: of the scene that the engine's state holds
+    /// - `views`: all views, for what the first timestep does between iterations
+    fn iterate(
+        &mut self,
+        phase: Phase,
+        cameras: Vec<usize>,
+        mut pace: Pace,
+        shares: Shares,
+        views: &[View],
+        observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+    ) -> Result<(), TrainError> {
         let config = self.config.clone();
-        let mut reported = 0;
+        let weights = shares.weights(&config.weights);
+        let mut report = Report { iterations: pace.length(), shares, reported: 0 };
         let mut order = Vec::new();
         // One stream a timestep, so that resuming needs no saved state.
         let mut random =
             Pcg64Mcg::seed_from_u64(self.config.seed ^ (self.timestep as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        for iteration in 0..iterations {
+        while let Some(place) = pace.next() {
+            let iteration = place * self.schedule.iterations(phase) / pace.length();
             if phase == Phase::First && self.schedule.starts_quantization(iteration) {
                 self.start_quantization(views)?;
             }
             if order.is_empty() {
-                order = (0..views.len()).collect();
+                order.clone_from(&cameras);
             }
             let camera = order.swap_remove(random.random_range(0..order.len()));
             let reshapes = phase == Phase::First && self.schedule.reshapes(iteration);
+            let mut rates = self.schedule.rates(phase, iteration);
+            if shares != Shares::WHOLE {
+                // Quantizers are shared with what is locked.
+                rates.step = 0.0;
+            }
             let step = Step {
                 camera,
-                rates: self.schedule.rates(phase, iteration),
-                weights: &config.weights,
+                rates,
+                weights: &weights,
                 mask: &config.mask,
                 counts_gradients: phase == Phase::First && self.schedule.counts_gradients(iteration),
                 moves_gaussians: !reshapes,
@@ -314,7 +407,14 @@ impl Trainer {
             if reshapes {
                 self.engine.wait()?;
             }
-            self.report(&mut reported, iterations, observe)?;
+            self.report(&mut report, &mut pace, observe)?;
+            if pace.is_decision_due() {
+                if !pace.can_decide() {
+                    self.engine.wait()?;
+                    self.report(&mut report, &mut pace, observe)?;
+                }
+                pace.decide();
+            }
             if phase == Phase::First {
                 let seed = random.random();
                 if reshapes {
@@ -323,30 +423,29 @@ impl Trainer {
             }
         }
         self.engine.wait()?;
-        self.report(&mut reported, iterations, observe)?;
-        assert_eq!(reported, iterations, "iterations that the engine reported");
-        self.check_finite(iterations)?;
-        self.end_timestep()
+        self.report(&mut report, &mut pace, observe)?;
+        assert_eq!(report.reported, pace.begun(), "iterations that the engine reported");
+        self.check_finite(report.reported)
     }
 
     /// Checks and passes on the losses that have become known.
-    ///
-    /// - `reported`: iterations of the timestep whose losses were known before
     fn report(
         &mut self,
-        reported: &mut usize,
-        iterations: usize,
+        report: &mut Report,
+        pace: &mut Pace,
         observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<(), TrainError> {
         let weights = &self.config.weights;
-        let (timestep, num_gaussians) = (self.timestep, self.num_gaussians);
+        let (timestep, num_gaussians, iterations) = (self.timestep, self.num_gaussians, report.iterations);
         for terms in self.engine.losses()? {
-            let iteration = *reported;
+            let iteration = report.reported;
+            let terms = report.shares.terms(terms);
             if let Some(&(term, value, _)) = terms.terms(weights).iter().find(|t| !t.1.is_finite()) {
                 return Err(TrainError::NotFinite { term: term.into(), value, timestep, iteration });
             }
             let loss = terms.total(weights);
-            *reported += 1;
+            pace.hear(loss);
+            report.reported += 1;
             if observe(&Progress { timestep, iteration, iterations, terms, loss, num_gaussians }).is_break() {
                 return Err(TrainError::Stopped { timestep, iteration });
             }
@@ -391,24 +490,28 @@ impl Trainer {
         let state = self.engine.state_mut()?;
         let gaussians = &state.parameters.gaussians;
         let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(&self.config))?;
-        state.start_quantization(FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset));
+        state.start_quantization(FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset)?);
         Ok(())
     }
 
-    /// Predicts where everything goes, and prepares what the losses compare with.
-    fn begin_timestep(&mut self) -> Result<(), TrainError> {
+    /// Predicts where what is trained goes, and prepares what the losses compare with.
+    ///
+    /// - `activity`: what the timestep trains; none for everything
+    fn begin_timestep(&mut self, activity: Option<&Activity>) -> Result<(), TrainError> {
         let timestep = self.timestep;
         let state = self.engine.state_mut()?;
         state.timestep = timestep;
         let p = &mut state.parameters;
-        // After the first timestep no motion is known yet.
-        let past =
-            state.past.get_or_insert_with(|| Past::new(Pose::of(&p.gaussians), p.gaussians.clone(), &p.foreground));
+        let past = state.past.as_mut().expect("made before");
         let before = std::mem::replace(&mut past.previous, p.gaussians.clone());
         let (before_means, before_quats) = (before.means(), before.quats());
         let v = p.gaussians.views_mut();
-        for i in 0..v.means.len() {
+        let mut goes_on = |i: usize| {
             (v.means[i], v.quats[i]) = predict(v.means[i], before_means[i], v.quats[i], before_quats[i]);
+        };
+        match activity {
+            Some(activity) => activity.active.iter().for_each(|&i| goes_on(i)),
+            None => (0..before_means.len()).for_each(goes_on),
         }
         if self.config.mask.enabled {
             // Paper Eq. 5 compares with the timestep before.
@@ -463,6 +566,7 @@ impl Trainer {
             quantizers: state.quantizers.clone(),
             optimizer: state.optimizer.carried_over(),
             scene_radius: self.scene_radius,
+            gate: self.gate.as_ref().map(|gate| gate.record().clone()).unwrap_or_default(),
         })
     }
 
@@ -490,6 +594,24 @@ impl Trainer {
         }
         Ok(sum / views.len().max(1) as f64)
     }
+}
+
+/// How far the reports of a timestep's iterations have come.
+struct Report {
+    /// Iterations of the timestep, if it takes all of them.
+    iterations: usize,
+    /// Of the scene that the engine's state holds.
+    shares: Shares,
+    /// Iterations whose losses are known.
+    reported: usize,
+}
+
+fn gate(config: &TrainConfig, record: GateRecord) -> Option<Gate> {
+    config.gate.enabled.then(|| Gate::new(&config.gate, &config.mask, record))
+}
+
+fn all_segmented(views: &[View]) -> bool {
+    views.iter().all(|view| view.segmentation.is_some())
 }
 
 /// That something is missing.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use tcgs_core::PointCloud;
 use tcgs_interchange::NpzReader;
-use tcgs_train::{Checkpoint, Lifetimes, Optimizer, Parameters, Run, TrainConfig, TrainError};
+use tcgs_train::{Checkpoint, GateRecord, Lifetimes, Optimizer, Parameters, Run, TrainConfig, TrainError};
 
 /// A run that the first version of checkpoints wrote; see its README.md.
 const OLD: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/run");
@@ -96,7 +96,7 @@ fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
     let points: Vec<[f32; 3]> = (0..num_gaussians).map(|i| [i as f32, 0.5, -1.0]).collect();
     let cloud = PointCloud { colors: points.clone(), foreground: vec![true; num_gaussians], points };
     let mut parameters = Parameters::from_cloud(&cloud, 3, 1.0);
-    let moved = |i: usize| (1..=timestep).rev().find(|t| (i * 7 + t) % 10 == 0).unwrap_or(0) as f32;
+    let moved = |i: usize| (1..=timestep).rev().find(|t| (i * 7 + t).is_multiple_of(10)).unwrap_or(0) as f32;
     for (i, mean) in parameters.gaussians.means_mut().iter_mut().enumerate() {
         mean[1] += moved(i);
     }
@@ -106,7 +106,14 @@ fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
     let mut optimizer = Optimizer::new(&parameters, 0);
     optimizer.mask.step = timestep as u64;
     optimizer.first.colors_mut().fill([timestep as f32; 3]);
-    Checkpoint { parameters, lifetimes: Lifetimes::new(num_gaussians), quantizers: None, optimizer, scene_radius: 2.0 }
+    Checkpoint {
+        parameters,
+        lifetimes: Lifetimes::new(num_gaussians),
+        quantizers: None,
+        optimizer,
+        scene_radius: 2.0,
+        gate: GateRecord::default(),
+    }
 }
 
 /// A run of such timesteps.

@@ -84,6 +84,7 @@ fn a_made_up_column_is_trained_saved_resumed_and_selected() {
 
     // A run that goes on from its files ends with the same bits.
     let mut resumed = run.resume().unwrap().unwrap();
+    resumed.recall(&views(1)).unwrap();
     resumed.fit(&views(2), &mut |_| ControlFlow::Continue(())).unwrap();
     assert!(resumed.checkpoint().unwrap() == last, "resuming changed something");
     run.save(2, &last).unwrap();

@@ -43,6 +43,8 @@ fn views(frame: usize) -> Vec<View> {
 
 fn config(first: usize, rest: usize) -> TrainConfig {
     let mut config = TrainConfig::default();
+    // The GPU engine trains everything.
+    config.gate.enabled = false;
     (config.schedule.first_iterations, config.schedule.rest_iterations) = (first, rest);
     config
 }
@@ -122,7 +124,7 @@ fn an_iteration_with_a_clock_is_an_iteration() {
         moves_gaussians: true,
     };
     let run = |mut engine: Made, is_timed: fn(usize) -> bool| {
-        engine.begin(targets.clone()).unwrap();
+        engine.begin(targets.clone(), None).unwrap();
         for i in 0..6 {
             if is_timed(i) {
                 let times = engine.profile(&step(i)).unwrap();

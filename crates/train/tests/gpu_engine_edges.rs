@@ -84,7 +84,7 @@ fn run(
     config: &TrainConfig,
     phase: Phase,
 ) -> Result<Vec<LossTerms>, TrainError> {
-    engine.begin(targets.to_vec())?;
+    engine.begin(targets.to_vec(), None)?;
     let schedule = Schedule::new(config, 2.0);
     for (iteration, &camera) in cameras.iter().enumerate() {
         let rates = schedule.rates(phase, iteration);
@@ -213,7 +213,7 @@ fn a_lost_gpu_is_an_error() {
         }
         let schedule = Schedule::new(&config, 2.0);
         let mut steps = || {
-            engine.begin(targets.to_vec())?;
+            engine.begin(targets.to_vec(), None)?;
             for i in 0..200 {
                 if i == 70 && when == "in flight" {
                     gpu.device().destroy();
@@ -227,8 +227,9 @@ fn a_lost_gpu_is_an_error() {
         eprintln!("{when}: {error}");
         assert!(matches!(error, TrainError::Gpu(GpuError::Lost(_))), "{error:?}");
         // And again and again.
-        for error in
-            [engine.wait().err(), engine.state().err(), engine.begin(targets.to_vec()).err()].into_iter().flatten()
+        for error in [engine.wait().err(), engine.state().err(), engine.begin(targets.to_vec(), None).err()]
+            .into_iter()
+            .flatten()
         {
             assert!(matches!(error, TrainError::Gpu(GpuError::Lost(_))), "{error:?}");
         }
@@ -259,7 +260,7 @@ fn quantized(mut state: State, learned_offset: bool) -> State {
     let gaussians = &state.parameters.gaussians;
     let mut bit_map = BitMap::uniform_of(gaussians.layout(), gaussians.num_gaussians(), 16, 6);
     bit_map.widths[1].iter_mut().step_by(3).for_each(|width| *width = 8);
-    let quantizers = FakeQuantizers::new(bit_map, gaussians, learned_offset);
+    let quantizers = FakeQuantizers::new(bit_map, gaussians, learned_offset).unwrap();
     state.start_quantization(quantizers);
     state
 }

@@ -9,7 +9,7 @@ use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::engine::{Engine, Step, Target};
+use tcgs_train::engine::{Engine, Scenery, Step, Target};
 use tcgs_train::{
     DensifyStep, GradientStatistic, LossTerms, MaskConfig, Parameters, Run, State, TrainConfig, TrainError, Trainer,
     densify, reset_opacities,
@@ -140,6 +140,7 @@ fn threads_and_resuming_do_not_change_a_bit() {
         run.save(finished - 1, &whole[finished - 1]).unwrap();
         let mut resumed = run.resume().unwrap().expect("a timestep is finished");
         assert_eq!(resumed.timesteps(), finished);
+        resumed.recall(&views(finished - 1)).unwrap();
         resumed.fit(&views(finished), &mut |_| ControlFlow::Continue(())).unwrap();
         assert!(resumed.checkpoint().unwrap() == whole[finished], "resuming after {finished} timesteps differs");
     }
@@ -159,8 +160,12 @@ impl Engine for Late {
         "late".into()
     }
 
-    fn begin(&mut self, targets: Vec<Target>) -> Result<(), TrainError> {
-        self.cpu.begin(targets)
+    fn takes_scenery(&self) -> bool {
+        self.cpu.takes_scenery()
+    }
+
+    fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError> {
+        self.cpu.begin(targets, scenery)
     }
 
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError> {

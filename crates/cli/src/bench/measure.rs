@@ -180,7 +180,7 @@ fn iterate(backend: &Backend, scene: &BenchScene, counts: Counts) -> anyhow::Res
         moves_gaussians: true,
     };
     let mut engine = backend.engine(scene.state.clone());
-    engine.begin(scene.targets.clone())?;
+    engine.begin(scene.targets.clone(), None)?;
     for i in 0..counts.warm_up {
         engine.step(&step(i))?;
     }

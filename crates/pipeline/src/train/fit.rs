@@ -1,5 +1,6 @@
 //! The timesteps of a run, one after another, each with its metrics and its checkpoint.
 
+use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::sync::mpsc::sync_channel;
 use std::time::Instant;
@@ -72,10 +73,13 @@ pub fn fit(
         for frame in frames {
             let loaded = receive.recv().map_err(|_| loader_ended(capture, frame))??;
             let timestep = trainer.timesteps();
+            if trainer.needs_recall() {
+                trainer.recall(&capture.views(Split::Train, frame - 1, downscale)?)?;
+            }
             let begin = Instant::now();
-            let mut record = Record::new(iterations_of(trainer.phase()));
+            let mut record = Record::default();
             trainer.fit(&loaded.train, &mut |p| -> ControlFlow<()> {
-                record.add(p.iteration, p.loss, &p.terms.terms(&config.weights));
+                record.add(p.iterations, p.iteration, p.loss, &p.terms.terms(&config.weights));
                 observer.hear(&Event::Iteration(p))
             })?;
             let seconds = begin.elapsed().as_secs_f64();
@@ -110,50 +114,58 @@ impl LoadedFrame {
 }
 
 /// Losses of one timestep as they come.
+#[derive(Default)]
 struct Record {
     iterations: usize,
+    /// Iterations that a point of the curve is the mean of.
+    stretch: usize,
     /// Last iteration and mean loss of each stretch.
     curve: Vec<(usize, f64)>,
     /// Of the stretch under way: iterations, sum of losses.
-    stretch: (usize, f64),
-    /// Sums over the last iterations.
-    terms: Vec<(&'static str, f64)>,
-    loss: f64,
+    open: (usize, f64),
+    /// Losses of the last iterations, the newest last: their sum, and each alone.
+    last: VecDeque<(f64, Vec<f64>)>,
+    names: Vec<&'static str>,
 }
 
 impl Record {
-    fn new(iterations: usize) -> Self {
-        Self { iterations, curve: Vec::new(), stretch: (0, 0.0), terms: Vec::new(), loss: 0.0 }
-    }
-
-    fn add(&mut self, iteration: usize, loss: f64, terms: &[(&'static str, f64, f32)]) {
-        self.stretch = (self.stretch.0 + 1, self.stretch.1 + loss);
-        if self.stretch.0 == self.iterations.div_ceil(MAX_CURVE_POINTS) || iteration + 1 == self.iterations {
-            self.curve.push((iteration, self.stretch.1 / self.stretch.0 as f64));
-            self.stretch = (0, 0.0);
+    /// - `most`: iterations of the timestep if it does not end early
+    fn add(&mut self, most: usize, iteration: usize, loss: f64, terms: &[(&'static str, f64, f32)]) {
+        self.iterations = iteration + 1;
+        self.stretch = most.div_ceil(MAX_CURVE_POINTS);
+        self.open = (self.open.0 + 1, self.open.1 + loss);
+        if self.open.0 == self.stretch {
+            self.close();
         }
-        if iteration + AVERAGED_ITERATIONS >= self.iterations {
-            self.loss += loss;
-            if self.terms.is_empty() {
-                self.terms = terms.iter().map(|&(name, _, _)| (name, 0.0)).collect();
-            }
-            for ((_, sum), (_, value, _)) in self.terms.iter_mut().zip(terms) {
-                *sum += value;
-            }
+        self.names = terms.iter().map(|&(name, _, _)| name).collect();
+        self.last.push_back((loss, terms.iter().map(|&(_, value, _)| value).collect()));
+        if self.last.len() > AVERAGED_ITERATIONS {
+            self.last.pop_front();
         }
     }
 
-    fn metrics(&self, summary: &TimestepSummary) -> Value {
-        let averaged = self.iterations.min(AVERAGED_ITERATIONS) as f64;
+    fn close(&mut self) {
+        if self.open.0 > 0 {
+            self.curve.push((self.iterations - 1, self.open.1 / self.open.0 as f64));
+            self.open = (0, 0.0);
+        }
+    }
+
+    fn metrics(mut self, summary: &TimestepSummary) -> Value {
+        self.close();
+        // A timestep in which nothing changed has no iterations, and no losses.
+        let averaged = self.last.len().max(1) as f64;
+        let mean = |value: &dyn Fn(&(f64, Vec<f64>)) -> f64| self.last.iter().map(value).sum::<f64>() / averaged;
         let losses: serde_json::Map<String, Value> =
-            self.terms.iter().map(|&(name, sum)| (name.into(), json!(sum / averaged))).collect();
+            self.names.iter().enumerate().map(|(i, &name)| (name.into(), json!(mean(&|last| last.1[i])))).collect();
         json!({
             "timestep": summary.timestep,
             "frame": summary.frame,
             "psnr": summary.psnr,
             "seconds": summary.seconds,
+            "iterations": self.iterations,
             "num_gaussians": summary.num_gaussians,
-            "loss": self.loss / averaged,
+            "loss": mean(&|last| last.0),
             "losses": losses,
             "loss_curve": self.curve,
         })

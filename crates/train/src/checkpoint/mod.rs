@@ -17,6 +17,7 @@ use tcgs_interchange::{Existing, NpzReader, NpzWriter, write_whole};
 use self::array::{Array, Value, get, problem_of};
 use crate::TrainError;
 use crate::fake_quant::FakeQuantizers;
+use crate::gate::GateRecord;
 use crate::lifetimes::Lifetimes;
 use crate::parameters::Parameters;
 use crate::state::{Optimizer, goes_on};
@@ -38,6 +39,8 @@ pub struct Checkpoint {
     pub optimizer: Optimizer,
     /// Extent of the scene in scene units; see [`crate::scene_radius`].
     pub scene_radius: f32,
+    /// What the gate knows; empty in a run without one.
+    pub gate: GateRecord,
 }
 
 /// Name of the array with the moments of a column.
@@ -75,6 +78,7 @@ impl Checkpoint {
             optimizer: Optimizer::new(&parameters, 0),
             scene_radius: extent(cameras, parameters.gaussians.means()),
             parameters,
+            gate: GateRecord::default(),
         }
     }
 
@@ -143,6 +147,15 @@ impl Checkpoint {
         steps.extend(with_moments(layout).map(|column| o.steps[column.attribute.index()]));
         steps.extend([o.quantizer_steps.step, o.quantizer_offsets.step]);
         arrays.add(STEPS, For::Resuming, &[steps.len()], &steps);
+        if !self.gate.errors.is_empty() {
+            // Views may differ in their number of tiles, and have equally many estimates.
+            let g = &self.gate;
+            let tiles: Vec<u64> = g.errors.iter().map(|errors| errors.len() as u64).collect();
+            let (errors, noise) = (g.errors.concat(), g.noise.concat());
+            arrays.add(GATE_TILES, For::Resuming, &[tiles.len()], &tiles);
+            arrays.add("gate_errors", For::Resuming, &[errors.len()], &errors);
+            arrays.add("gate_noise", For::Resuming, &[tiles.len(), noise.len() / tiles.len()], &noise);
+        }
         if first {
             let cameras = p.camera_gains.len();
             arrays.add("camera_gains", For::Scene, &[cameras, 3], p.camera_gains.as_flattened());
@@ -189,6 +202,16 @@ impl Checkpoint {
         read(arrays, first, learned_offset)
     }
 
+    /// The parameters among arrays.
+    ///
+    /// - `first`: see [`Self::load`]
+    ///
+    /// # Errors
+    /// What is wrong with the arrays.
+    pub(crate) fn parameters_of(arrays: &Arrays, first: Option<&Self>) -> Result<Parameters, String> {
+        read_parameters(arrays, first)
+    }
+
     /// The mask logits among arrays.
     ///
     /// # Errors
@@ -226,6 +249,7 @@ impl List {
 const STEPS: &str = "steps";
 /// Name of the array of mask logits.
 pub(crate) const MASK_LOGITS: &str = "mask_logits";
+const GATE_TILES: &str = "gate_tiles";
 const LIFETIME_NAMES: [&str; 3] = ["ids", "births", "deaths"];
 const QUANTIZER_MOMENT_NAMES: [&str; 2] = ["quantizer_step_moments", "quantizer_offset_moments"];
 
@@ -266,7 +290,28 @@ fn layout_of(table: &str) -> Option<Layout> {
     Some(layout)
 }
 
-fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
+fn read_gate(arrays: &Arrays) -> Result<GateRecord, String> {
+    let tiles = get::<u64>(arrays, GATE_TILES)?;
+    let (errors, noise) = (get::<f32>(arrays, "gate_errors")?, get::<f32>(arrays, "gate_noise")?);
+    let sum = tiles.iter().try_fold(0_u64, |sum, &count| sum.checked_add(count));
+    if sum != Some(errors.len() as u64) || tiles.is_empty() || !noise.len().is_multiple_of(tiles.len()) {
+        return Err("gate_tiles does not fit gate_errors and gate_noise".into());
+    }
+    let mut rest = errors;
+    let mut take = |count: u64| {
+        let (own, after) = rest.split_at(count as usize);
+        rest = after;
+        own.to_vec()
+    };
+    let per_camera = noise.len() / tiles.len();
+    Ok(GateRecord {
+        errors: tiles.iter().map(|&count| take(count)).collect(),
+        noise: (0..tiles.len()).map(|i| noise[i * per_camera..][..per_camera].to_vec()).collect(),
+    })
+}
+
+/// What is drawn, and by which gains cameras see it.
+fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parameters, String> {
     let means = get::<f32>(arrays, "means")?;
     let n = first.map_or(means.len() / 3, |f| f.parameters.num_gaussians());
     let layout = match first {
@@ -288,34 +333,43 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
             _ => fill(&name, values, get::<f32>(arrays, &name)?)?,
         }
     }
+    let mut mask_logits = vec![0.0; n];
+    fill(MASK_LOGITS, &mut mask_logits, get::<f32>(arrays, MASK_LOGITS)?)?;
+    let (foreground, camera_gains, camera_offsets) = match first {
+        Some(Checkpoint { parameters: p, .. }) => {
+            (p.foreground.clone(), p.camera_gains.clone(), p.camera_offsets.clone())
+        }
+        None => (
+            get::<u8>(arrays, "foreground")?.iter().map(|&f| f != 0).collect(),
+            get::<f32>(arrays, "camera_gains")?.as_chunks().0.to_vec(),
+            get::<f32>(arrays, "camera_offsets")?.as_chunks().0.to_vec(),
+        ),
+    };
+    if foreground.len() != n {
+        return Err(format!("foreground holds {} values, expected {n}", foreground.len()));
+    }
+    Ok(Parameters { gaussians, mask_logits, foreground, camera_gains, camera_offsets })
+}
+
+fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
+    let parameters = read_parameters(arrays, first)?;
+    let (n, layout) = (parameters.num_gaussians(), parameters.gaussians.layout());
     let lifetimes = if LIFETIME_NAMES.iter().any(|name| arrays.contains_key(*name)) {
         read_lifetimes(arrays, n)?
     } else {
         Lifetimes::new(n)
     };
-    let mut mask_logits = vec![0.0; n];
-    fill("mask_logits", &mut mask_logits, get::<f32>(arrays, MASK_LOGITS)?)?;
-    let mut parameters = Parameters { gaussians, mask_logits, ..Parameters::default() };
     let (scene_radius, bits) = match first {
         Some(first) => {
-            parameters.foreground = first.parameters.foreground.clone();
-            parameters.camera_gains = first.parameters.camera_gains.clone();
-            parameters.camera_offsets = first.parameters.camera_offsets.clone();
             let bits =
                 first.quantizers.as_ref().map(|q| (q.bit_map.clone(), q.groups.clone(), q.initial_steps.clone()));
             (first.scene_radius, bits)
         }
         None => {
-            parameters.foreground = get::<u8>(arrays, "foreground")?.iter().map(|&f| f != 0).collect();
-            parameters.camera_gains = get::<f32>(arrays, "camera_gains")?.as_chunks().0.to_vec();
-            parameters.camera_offsets = get::<f32>(arrays, "camera_offsets")?.as_chunks().0.to_vec();
             let radius = get::<f32>(arrays, "scene_radius")?.first().copied().ok_or("scene_radius is empty")?;
-            (radius, read_bits(arrays, &layout, n)?)
+            (radius, read_bits(arrays, layout, n)?)
         }
     };
-    if parameters.foreground.len() != n {
-        return Err(format!("foreground holds {} values, expected {n}", parameters.foreground.len()));
-    }
     let quantizers = match bits {
         None => None,
         Some((bit_map, groups, initial_steps)) => {
@@ -338,7 +392,8 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
         true => read_optimizer(arrays, &parameters, num_quantizers)?,
         false => Optimizer::new(&parameters, num_quantizers),
     };
-    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius })
+    let gate = if arrays.contains_key(GATE_TILES) { read_gate(arrays)? } else { GateRecord::default() };
+    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, gate })
 }
 
 fn read_lifetimes(arrays: &Arrays, n: usize) -> Result<Lifetimes, String> {

@@ -8,6 +8,9 @@ pub mod cpu;
 mod device;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod scenery;
+
+pub use scenery::{Scenery, ViewScenery};
 
 use std::fmt::Debug;
 
@@ -74,7 +77,13 @@ pub trait Engine: Send + Debug {
 
     /// Takes the images of a timestep, one a camera, in the order of the cameras' gains. The state has
     /// been brought to the timestep's start.
-    fn begin(&mut self, targets: Vec<Target>) -> Result<(), TrainError>;
+    ///
+    /// - `scenery`: what the state is drawn with, where it holds only the rows of a timestep; none where it holds the
+    ///   whole scene
+    fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError>;
+
+    /// Whether [`Self::begin`] takes a scenery.
+    fn takes_scenery(&self) -> bool;
 
     /// Computes or submits one iteration: losses and gradients on one image, then one update of the parameters. May
     /// return before the iteration is computed.

@@ -12,13 +12,14 @@ use rayon::prelude::*;
 use tcgs_core::{
     Activated, ActivatedGrads, Camera, GaussianGrads, Gaussians, Image, Sensitivity, activate, activate_bwd, normalize,
 };
-use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderSettings, StageTimes};
+use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderGrads, RenderSettings, StageTimes};
 
-use super::{Engine, Step, Target};
+use super::{Engine, Scenery, Step, Target, ViewScenery};
 use crate::TrainError;
 use crate::config::MaskConfig;
 use crate::losses::{LossTerms, WeightConfig};
 use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
+use crate::parameters::Parameters;
 use crate::sensitivity::sensitivity;
 use crate::state::State;
 
@@ -90,6 +91,8 @@ pub struct CpuEngine {
     targets: Vec<Target>,
     /// Losses on motion, after the first timestep.
     prior: Option<MotionPrior<f32>>,
+    /// What the state is drawn with, where it does not hold the whole scene.
+    scenery: Option<Scenery>,
     /// Not asked for yet.
     losses: Vec<LossTerms>,
 }
@@ -97,7 +100,7 @@ pub struct CpuEngine {
 impl CpuEngine {
     /// An engine that continues from `state`.
     pub fn new(state: State) -> Self {
-        Self { state, targets: Vec::new(), prior: None, losses: Vec::new() }
+        Self { state, targets: Vec::new(), prior: None, scenery: None, losses: Vec::new() }
     }
 
     /// Computes the losses and gradients on one image, without updating the parameters; adds to the densification
@@ -114,19 +117,11 @@ impl CpuEngine {
         let with_segmentation = target.image.num_channels == 5;
         let DrawnChain { quantized, drawn, unmasked } = chain(&self.state, step.mask, with_segmentation);
         let p = &self.state.parameters;
-        let settings = RenderSettings::default();
         laps.lap("activate");
-        let (output, saved) = CpuRasterizer.timed_forward(&drawn, &target.camera, &settings, laps);
-        let loss = image_loss(
-            &output.image,
-            &target.image,
-            p.camera_gains[step.camera],
-            p.camera_offsets[step.camera],
-            step.weights.image,
-            step.weights.segmentation,
-        );
-        laps.lap("image losses");
-        let render = CpuRasterizer.timed_backward(&drawn, &target.camera, &settings, &saved, &loss.v_image, laps);
+        let (loss, render) = match &mut self.scenery {
+            Some(scenery) => render_in(&mut scenery.views[step.camera], &drawn, target, p, step, laps),
+            None => render_whole(&drawn, target, p, step, laps),
+        };
         if step.counts_gradients {
             let statistic = &mut self.state.statistic;
             (&mut statistic.sum, &mut statistic.count, &render.v_means2d_ndc, &render.visible)
@@ -138,6 +133,7 @@ impl CpuEngine {
                     }
                 });
         }
+        let p = &self.state.parameters;
 
         let mut terms = LossTerms { image: loss.image, segmentation: loss.segmentation, ..LossTerms::default() };
         let mut v_activated = colors_alone(render.activated, drawn.num_channels);
@@ -209,21 +205,28 @@ impl CpuEngine {
         }
     }
 
+    /// Number of Gaussians that are trained: the first rows of the state.
+    fn num_active(&self) -> usize {
+        self.scenery.as_ref().map_or(self.state.parameters.num_gaussians(), |scenery| scenery.num_active)
+    }
+
     /// Updates the parameters by one step of Adam.
     ///
     /// - `grads`: as [`Self::forward_backward`] returns them for `step`
     pub fn update(&mut self, grads: &StepGrads, step: &Step<'_>) {
+        let num_active = self.num_active();
         let State { parameters: p, optimizer: o, quantizers, .. } = &mut self.state;
         let rates = &step.rates;
         if step.moves_gaussians {
             let layout = Arc::clone(p.gaussians.layout());
             for column in layout.columns() {
                 let (attribute, rate) = (column.attribute, rates.of(column));
-                let v = grads.gaussians.values(attribute);
-                o.update(attribute, p.gaussians.values_mut(attribute), v, rate);
+                let count = num_active * column.components();
+                let v = &grads.gaussians.values(attribute)[..count];
+                o.update(attribute, &mut p.gaussians.values_mut(attribute)[..count], v, rate);
             }
             if step.mask.enabled {
-                o.mask.update(&mut p.mask_logits, &grads.mask_logits, rates.mask);
+                o.mask.update(&mut p.mask_logits[..num_active], &grads.mask_logits[..num_active], rates.mask);
             }
         }
         if rates.camera > 0.0 {
@@ -238,7 +241,7 @@ impl CpuEngine {
         if let (Some(q), Some((v_steps, v_offsets))) = (quantizers, &grads.quantizers) {
             q.update(v_steps, v_offsets, &mut o.quantizer_steps, &mut o.quantizer_offsets, rates.step);
             // Codes are those of unit quaternions.
-            p.gaussians.quats_mut().par_iter_mut().for_each(|quat| *quat = normalize(*quat));
+            p.gaussians.quats_mut()[..num_active].par_iter_mut().for_each(|quat| *quat = normalize(*quat));
         }
     }
 }
@@ -248,8 +251,13 @@ impl Engine for CpuEngine {
         format!("the CPU, {} threads", rayon::current_num_threads())
     }
 
-    fn begin(&mut self, targets: Vec<Target>) -> Result<(), TrainError> {
+    fn takes_scenery(&self) -> bool {
+        true
+    }
+
+    fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError> {
         self.targets = targets;
+        self.scenery = scenery;
         let foreground = &self.state.parameters.foreground;
         self.prior = self.state.past.as_ref().map(|past| {
             let (first, now) = (&past.first, &past.previous);
@@ -302,6 +310,58 @@ impl Engine for CpuEngine {
         let Ok((output, _)) = CpuRasterizer.forward(&drawn, camera, &RenderSettings::default());
         Ok(output.image)
     }
+}
+
+/// Renders the whole image and takes its losses back.
+fn render_whole(
+    drawn: &Activated,
+    target: &Target,
+    p: &Parameters,
+    step: &Step<'_>,
+    laps: &mut Laps,
+) -> (ImageLoss, RenderGrads) {
+    let settings = RenderSettings::default();
+    let (output, saved) = CpuRasterizer.timed_forward(drawn, &target.camera, &settings, laps);
+    let [gain, offset] = [p.camera_gains[step.camera], p.camera_offsets[step.camera]];
+    let weights = step.weights;
+    let loss = image_loss(&output.image, &target.image, gain, offset, weights.image, weights.segmentation);
+    laps.lap("image losses");
+    let grads = CpuRasterizer.timed_backward(drawn, &target.camera, &settings, &saved, &loss.v_image, laps);
+    (loss, grads)
+}
+
+/// Renders the state's rows among their scenery, in the tiles of the view, and takes the losses back to the rows.
+fn render_in(
+    view: &mut ViewScenery,
+    rows: &Activated,
+    target: &Target,
+    p: &Parameters,
+    step: &Step<'_>,
+    laps: &mut Laps,
+) -> (ImageLoss, RenderGrads) {
+    let (settings, camera) = (RenderSettings::default(), &target.camera);
+    view.place(rows);
+    let ViewScenery { tiles, drawn, picture, places } = view;
+    let sorted = CpuRasterizer.forward_in(drawn, camera, &settings, tiles, picture, laps);
+    let [gain, offset] = [p.camera_gains[step.camera], p.camera_offsets[step.camera]];
+    let weights = step.weights;
+    let mut v_image = Image::filled(picture.width, picture.height, picture.num_channels, 0.0);
+    let (image, segmentation) = (weights.image, weights.segmentation);
+    let loss = image_loss_in(picture, &target.image, tiles, gain, offset, image, segmentation, &mut v_image);
+    laps.lap("image losses");
+    let grads = CpuRasterizer.backward_in(drawn, camera, &settings, &sorted, picture, &v_image, laps);
+    let (a, channels) = (&grads.activated, drawn.num_channels);
+    let places: Vec<usize> = places.iter().map(|&place| place as usize).collect();
+    let activated = ActivatedGrads {
+        v_means: places.iter().map(|&i| a.v_means[i]).collect(),
+        v_quats: places.iter().map(|&i| a.v_quats[i]).collect(),
+        v_scales: places.iter().map(|&i| a.v_scales[i]).collect(),
+        v_opacities: places.iter().map(|&i| a.v_opacities[i]).collect(),
+        v_colors: places.iter().flat_map(|&i| &a.v_colors[i * channels..][..channels]).copied().collect(),
+    };
+    let v_means2d_ndc = places.iter().map(|&i| grads.v_means2d_ndc[i]).collect();
+    let visible = places.iter().map(|&i| grads.visible[i]).collect();
+    (loss, RenderGrads { activated, v_means2d_ndc, visible })
 }
 
 /// Drops the gradients of channels beyond the colours: segmentation is not learned.

@@ -27,7 +27,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use tcgs_core::{Activated, Camera, Image, Sensitivity};
-use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
+use tcgs_render::gpu::raw::{StageTimer, Staged};
+use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
 
 use self::memory::Memory;
@@ -36,15 +37,15 @@ use self::state_buffers::REPORT;
 use self::targets::Targets;
 use super::cpu::drawn;
 use super::device::{InFlight, LOSS_VALUES, Mirror, StepUniform, ViewPlace, count_updates, losses_of};
-use super::{Engine, Step, Target};
+use super::{Engine, Scenery, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
 use crate::losses::LossTerms;
 use crate::sensitivity::sensitivity;
 use crate::state::State;
 
-/// Buffers and kernels, for the tests that compare single operations with the CPU's. No part of the interface: they
-/// change with the shaders.
+/// Unstable, for the tests of this crate only: buffers and kernels of single operations, which are compared with the
+/// CPU's. They change with the shaders.
 #[doc(hidden)]
 pub mod testing {
     pub use super::fake_quant::{FakeQuantKernels, QuantizerBuffers};
@@ -241,7 +242,11 @@ impl Engine for GpuEngine {
         self.gpu.info().name.clone()
     }
 
-    fn begin(&mut self, targets: Vec<Target>) -> Result<(), TrainError> {
+    fn takes_scenery(&self) -> bool {
+        false
+    }
+
+    fn begin(&mut self, targets: Vec<Target>, _: Option<Scenery>) -> Result<(), TrainError> {
         self.wait()?;
         let before = self.targets.take();
         let old = before.as_ref().map(Targets::shape);

@@ -1,0 +1,357 @@
+//! Which Gaussians a timestep trains, and what it needs beside them.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+use tcgs_core::{Activated, Camera, Image};
+use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, TileMask, gaussians_reaching};
+
+use super::{Blocks, Evidence, rows_of};
+use crate::config::MaskConfig;
+use crate::engine::cpu::drawn;
+use crate::engine::{Scenery, Target, ViewScenery};
+use crate::losses::{Loss, LossTerms, WeightConfig};
+use crate::motion::{Past, Pose};
+use crate::neighbors::Neighbors;
+use crate::row::Row;
+use crate::state::{GradientStatistic, State};
+
+/// Images are looked at in half their resolution if their shorter side has at least this many pixels.
+const MIN_HALVED: usize = 128;
+/// Blending weight, summed over views, below which a Gaussian is not seen.
+const MIN_WEIGHT: f32 = 1e-3;
+
+/// Rounds in which neighbours wake each other.
+const MAX_VOTES: usize = 10;
+/// Share of a pixel's colour from which on active Gaussians answer for it.
+const MIN_SHARE: f32 = 0.1;
+
+/// What a timestep trains: Gaussians, and tiles of views.
+#[derive(Clone, Debug)]
+pub(crate) struct Activity {
+    /// Indices of the active Gaussians, ascending.
+    pub active: Vec<usize>,
+    /// Indices of the Gaussians that are held because the losses on motion tie them to active ones, ascending.
+    pub held: Vec<usize>,
+    /// `[cameras]`, the tiles that are drawn.
+    pub tiles: Vec<TileMask>,
+    /// Positions of the views that have such tiles; none if no Gaussian is active.
+    pub cameras: Vec<usize>,
+    /// The active Gaussians as drawn before the timestep.
+    pub before: Activated,
+    /// What the timestep is drawn with; none if no Gaussian is active.
+    pub scenery: Option<Scenery>,
+}
+
+impl Activity {
+    /// - `state`: as the timestep before left it
+    /// - `pictures`: `[cameras]`, of this state
+    pub(super) fn new(
+        state: &State,
+        mask: &MaskConfig,
+        targets: &[Target],
+        evidence: Vec<Evidence>,
+        pictures: &[Image],
+        share: f32,
+    ) -> Self {
+        let channels = pictures[0].num_channels;
+        let mut activity = Self {
+            active: Vec::new(),
+            held: Vec::new(),
+            cameras: Vec::new(),
+            before: Activated { num_channels: channels, ..Activated::default() },
+            tiles: evidence.iter().map(|e| e.tiles.clone()).collect(),
+            scenery: None,
+        };
+        if evidence.iter().all(|e| e.tiles.is_empty()) {
+            return activity;
+        }
+        let all = drawn(state, mask, channels > 3);
+        let weights = weights(&all, targets, &evidence);
+        let is_seen: Vec<bool> = weights.iter().map(|[_, whole]| *whole > MIN_WEIGHT).collect();
+        let mut is_active: Vec<bool> =
+            weights.iter().map(|&[changed, whole]| changed > MIN_WEIGHT && changed >= share * whole).collect();
+        let mut is_held = vec![false; is_active.len()];
+        if let Some(past) = &state.past {
+            vote(&past.neighbors, &is_seen, &mut is_active);
+            for (near, far) in links(&past.neighbors) {
+                is_held[near] |= is_active[far];
+                is_held[far] |= is_active[near];
+            }
+        }
+        let indices = |flags: &[bool]| (0..flags.len()).filter(|&i| flags[i]).collect::<Vec<_>>();
+        activity.active = indices(&is_active);
+        if activity.active.is_empty() {
+            return activity;
+        }
+        activity.active.iter().for_each(|&i| is_held[i] = false);
+        activity.held = indices(&is_held);
+        // Where they are seen, active Gaussians answer for it, changed or not.
+        for (tiles, target) in activity.tiles.iter_mut().zip(targets) {
+            tiles.union(&tiles_shown(&all, &is_active, &target.camera));
+        }
+        activity.cameras = (0..targets.len()).filter(|&i| !activity.tiles[i].is_empty()).collect();
+        activity.before = rows_of(&all, &activity.active);
+        activity.scenery = Some(activity.scenery_of(&all, pictures, targets));
+        activity
+    }
+
+    /// The rows of the small state: active, then held.
+    pub fn rows(&self) -> Vec<usize> {
+        [&self.active[..], &self.held].concat()
+    }
+
+    /// The small state: the rows of `state`, with the part of the past that concerns them.
+    pub fn excerpt(&self, state: &State) -> State {
+        let rows = self.rows();
+        let parameters = state.parameters.select(&rows);
+        let kept: Vec<Row> = rows.iter().map(|&i| Row::Kept(i)).collect();
+        let mut optimizer = state.optimizer.clone();
+        optimizer.gather(&kept);
+        let mut lifetimes = state.lifetimes.clone();
+        lifetimes.gather(&kept, state.timestep as u32);
+        let mut quantizers = state.quantizers.clone();
+        if let Some(quantizers) = &mut quantizers {
+            quantizers.select(&rows);
+        }
+        let past = state.past.as_ref().map(|past| Past {
+            first: Arc::new(Pose {
+                means: rows.iter().map(|&i| past.first.means[i]).collect(),
+                quats: rows.iter().map(|&i| past.first.quats[i]).collect(),
+            }),
+            neighbors: Arc::new(self.neighbors(&past.neighbors, state.parameters.num_gaussians())),
+            previous: past.previous.select(&rows),
+            previous_mask_logits: past
+                .previous_mask_logits
+                .as_ref()
+                .map(|logits| rows.iter().map(|&i| logits[i]).collect()),
+        });
+        let statistic = GradientStatistic::new(rows.len());
+        State { parameters, lifetimes, optimizer, quantizers, past, statistic, timestep: state.timestep }
+    }
+
+    /// The edges that end at an active Gaussian or start from one. In place of an edge between two that are held there is
+    /// one of weight 0, since every node has as many edges as the next.
+    fn neighbors(&self, whole: &Neighbors<f32>, num_gaussians: usize) -> Neighbors<f32> {
+        let rows = self.rows();
+        let mut row_of = vec![u32::MAX; num_gaussians];
+        rows.iter().enumerate().for_each(|(row, &i)| row_of[i] = row as u32);
+        // Rows of the foreground, and for each Gaussian of the whole foreground its position among them.
+        let mut at: Vec<(u32, usize)> = (whole.foreground.iter().enumerate())
+            .filter(|(_, i)| row_of[**i as usize] != u32::MAX)
+            .map(|(node, &i)| (row_of[i as usize], node))
+            .collect();
+        at.sort_unstable();
+        let mut position = vec![u32::MAX; whole.foreground.len()];
+        at.iter().enumerate().for_each(|(new, &(_, node))| position[node] = new as u32);
+        let per_node = whole.per_node;
+        let is_active = |node: usize| (row_of[whole.foreground[node] as usize] as usize) < self.active.len();
+        let (mut indices, mut weights, mut distances) = (Vec::new(), Vec::new(), Vec::new());
+        for (new, &(_, node)) in at.iter().enumerate() {
+            for edge in node * per_node..(node + 1) * per_node {
+                let end = whole.indices[edge] as usize;
+                if is_active(node) || (position[end] != u32::MAX && is_active(end)) {
+                    indices.push(position[end]);
+                    weights.push(whole.weights[edge]);
+                    distances.push(whole.distances[edge]);
+                } else {
+                    indices.push(new as u32);
+                    weights.push(0.0);
+                    distances.push(0.0);
+                }
+            }
+        }
+        let foreground = at.iter().map(|&(row, _)| row).collect();
+        Neighbors::from_edges(foreground, per_node, indices, weights, distances)
+    }
+
+    /// Puts what a timestep trained back into the whole state.
+    ///
+    /// - `small`: the state that [`Self::excerpt`] made, trained
+    pub fn put_back(&self, small: &State, state: &mut State) {
+        let scatter = |from: &[f32], to: &mut [f32], components: usize| {
+            for (row, &i) in self.active.iter().enumerate() {
+                to[i * components..][..components].copy_from_slice(&from[row * components..][..components]);
+            }
+        };
+        let (p, o) = (&mut state.parameters, &mut state.optimizer);
+        for column in Arc::clone(p.gaussians.layout()).columns() {
+            let (a, components) = (column.attribute, column.components());
+            scatter(small.parameters.gaussians.values(a), p.gaussians.values_mut(a), components);
+            scatter(small.optimizer.first.values(a), o.first.values_mut(a), components);
+            scatter(small.optimizer.second.values(a), o.second.values_mut(a), components);
+        }
+        scatter(&small.parameters.mask_logits, &mut p.mask_logits, 1);
+        scatter(&small.optimizer.mask.first, &mut o.mask.first, 1);
+        scatter(&small.optimizer.mask.second, &mut o.mask.second, 1);
+        o.steps.clone_from(&small.optimizer.steps);
+        o.mask.step = small.optimizer.mask.step;
+    }
+
+    /// - `all`: the scene as drawn
+    /// - `pictures`: `[cameras]`, of the scene
+    fn scenery_of(&self, all: &Activated, pictures: &[Image], targets: &[Target]) -> Scenery {
+        let rows = self.rows();
+        let mut row_of: Vec<Option<u32>> = vec![None; all.num_gaussians()];
+        rows.iter().enumerate().for_each(|(row, &i)| row_of[i] = Some(row as u32));
+        let view = |camera: usize| {
+            let tiles = self.tiles[camera].clone();
+            if !self.cameras.contains(&camera) {
+                let drawn = Activated { num_channels: all.num_channels, ..Activated::default() };
+                return ViewScenery { tiles, drawn, places: Vec::new(), picture: Image::default() };
+            }
+            let mut is_drawn: Vec<bool> = row_of.iter().map(Option::is_some).collect();
+            for i in gaussians_reaching(all, &targets[camera].camera, &tiles) {
+                is_drawn[i as usize] = true;
+            }
+            let indices: Vec<usize> = (0..is_drawn.len()).filter(|&i| is_drawn[i]).collect();
+            let mut places = vec![0; rows.len()];
+            for (place, &i) in indices.iter().enumerate() {
+                if let Some(row) = row_of[i] {
+                    places[row as usize] = place as u32;
+                }
+            }
+            ViewScenery { tiles, drawn: rows_of(all, &indices), places, picture: pictures[camera].clone() }
+        };
+        Scenery { num_active: self.active.len(), views: (0..pictures.len()).map(view).collect() }
+    }
+
+    /// What share of the scene's Gaussians the small state has.
+    pub fn shares(&self, state: &State) -> Shares {
+        let foreground = &state.parameters.foreground;
+        let rows = self.rows();
+        let share = |part: usize, whole: usize| if whole == 0 { 1.0 } else { part as f64 / whole as f64 };
+        let of_foreground = rows.iter().filter(|&&i| foreground[i]).count();
+        let whole_foreground = foreground.iter().filter(|f| **f).count();
+        Shares {
+            all: share(rows.len(), foreground.len()),
+            foreground: share(of_foreground, whole_foreground),
+            background: share(rows.len() - of_foreground, foreground.len() - whole_foreground),
+        }
+    }
+}
+
+/// What share of the Gaussians a small state has, by which its losses count: a mean over its rows, times its share, is
+/// their part of the mean over the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Shares {
+    all: f64,
+    foreground: f64,
+    background: f64,
+}
+
+impl Shares {
+    /// Of a state that holds the whole scene.
+    pub const WHOLE: Self = Self { all: 1.0, foreground: 1.0, background: 1.0 };
+
+    fn of(self, loss: Loss) -> f64 {
+        match loss {
+            // Sums over the pixels drawn, already divided by those of the whole image.
+            Loss::Image | Loss::Segmentation => 1.0,
+            Loss::Rigid | Loss::Rot | Loss::Iso | Loss::Floor => self.foreground,
+            Loss::Background => self.background,
+            Loss::SoftColor | Loss::Mask | Loss::MaskConsistency => self.all,
+        }
+    }
+
+    /// The weights that a small state's losses have.
+    pub fn weights(self, weights: &WeightConfig) -> WeightConfig {
+        let values = weights.values();
+        WeightConfig::from_values(std::array::from_fn(|i| values[i] * self.of(Loss::ALL[i]) as f32))
+    }
+
+    /// A small state's losses as their parts of the scene's.
+    pub fn terms(self, terms: LossTerms) -> LossTerms {
+        let values = terms.values();
+        LossTerms::from_values(std::array::from_fn(|i| values[i] * self.of(Loss::ALL[i])))
+    }
+}
+
+/// The blending weight of every Gaussian, summed over all views: on changed pixels, and on all.
+///
+/// The gradient of `Σ pixels v · picture` to a Gaussian's colour is `Σ pixels v · weight`.
+///
+/// - `drawn`: `[N]`
+/// - returns: `[N]`, in pixels of the resolution that is looked at
+fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<[f32; 2]> {
+    let n = drawn.num_gaussians();
+    let two = Activated { colors: vec![0.0; 2 * n], num_channels: 2, ..drawn.clone() };
+    let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
+    let mut sums = vec![[0.0_f32; 2]; n];
+    for (target, evidence) in targets.iter().zip(evidence) {
+        let camera = &target.camera;
+        let step = step(camera);
+        let camera = camera.downscaled(step);
+        let mut v_image = Image::filled(camera.width, camera.height, 2, 1.0);
+        mark(&evidence.blocks, step, camera.width, v_image.plane_mut(0));
+        let Ok((_, saved)) = CpuRasterizer.forward(&two, &camera, &settings);
+        let Ok(grads) = CpuRasterizer.backward(&two, &camera, &settings, &saved, &v_image);
+        for (sum, weights) in sums.iter_mut().zip(grads.activated.v_colors.as_chunks::<2>().0) {
+            *sum = [sum[0] + weights[0], sum[1] + weights[1]];
+        }
+    }
+    sums
+}
+
+/// The tiles in which some Gaussians make up a visible part of the picture.
+fn tiles_shown(drawn: &Activated, is_shown: &[bool], camera: &Camera) -> TileMask {
+    let colors = is_shown.iter().map(|&shown| f32::from(u8::from(shown))).collect();
+    let one = Activated { colors, num_channels: 1, ..drawn.clone() };
+    let mut tiles = TileMask::none(camera.width, camera.height);
+    let step = step(camera);
+    let camera = camera.downscaled(step);
+    let Ok((output, _)) = CpuRasterizer.forward(&one, &camera, &RenderSettings::default());
+    for (i, _) in output.image.data.iter().enumerate().filter(|(_, share)| **share > MIN_SHARE) {
+        let [x, y] = [i % camera.width * step, i / camera.width * step];
+        tiles.insert_pixels(x..x + step, y..y + step);
+    }
+    tiles
+}
+
+/// Pixels of a view for one of the resolution that is looked at.
+fn step(camera: &Camera) -> usize {
+    1 + usize::from(camera.width.min(camera.height) >= MIN_HALVED)
+}
+
+/// 1 at pixels of marked blocks, 0 elsewhere.
+///
+/// - `step`: pixels of the blocks' image for one of the plane
+fn mark(blocks: &Blocks, step: usize, width: usize, plane: &mut [f32]) {
+    for (i, value) in plane.iter_mut().enumerate() {
+        *value = f32::from(u8::from(blocks.at(i % width * step, i / width * step)));
+    }
+}
+
+/// Wakes those of whose neighbours at least as many are active as are seen to be still: the inside of what moves changes
+/// less than its edges, and what is hidden or masked moves with what is around it.
+///
+/// - `is_seen`: `[N]`, whether a Gaussian's own evidence counts
+/// - `is_active`: `[N]`, added to
+fn vote(neighbors: &Neighbors<f32>, is_seen: &[bool], is_active: &mut [bool]) {
+    let Neighbors { foreground, per_node, indices, .. } = neighbors;
+    for _ in 0..MAX_VOTES {
+        let woken: Vec<u32> = (foreground.par_iter().enumerate())
+            .filter(|(node, i)| {
+                let ends = indices[node * per_node..(node + 1) * per_node].iter().map(|&end| foreground[end as usize]);
+                let (mut active, mut still) = (0, 0);
+                for end in ends {
+                    active += usize::from(is_active[end as usize]);
+                    still += usize::from(is_seen[end as usize] && !is_active[end as usize]);
+                }
+                !is_active[**i as usize] && active > 0 && active >= still
+            })
+            .map(|(_, &i)| i)
+            .collect();
+        woken.iter().for_each(|&i| is_active[i as usize] = true);
+        if woken.is_empty() {
+            break;
+        }
+    }
+}
+
+/// Both ends of every edge.
+fn links(neighbors: &Neighbors<f32>) -> impl Iterator<Item = (usize, usize)> + '_ {
+    let foreground = &neighbors.foreground;
+    (neighbors.indices.iter().enumerate())
+        .map(|(edge, &end)| (foreground[edge / neighbors.per_node] as usize, foreground[end as usize] as usize))
+}

@@ -1,0 +1,247 @@
+//! The gate: which Gaussians and which tiles a timestep trains.
+//!
+//! Between two frames of most captures nearly nothing changes. From the images of a timestep and the state before it, the
+//! gate decides what does:
+//!
+//! 1. **Evidence** (`evidence`): blocks of a view whose image differs from the one before by more than the camera's noise,
+//!    and tiles in which the error of the scene's picture has grown since they were last trained.
+//! 2. **Activity** (`activity`): a Gaussian is *active* if enough of what it contributes to all pictures falls on blocks
+//!    with evidence; every other Gaussian is *locked* and keeps every bit. What a Gaussian contributes is its blending
+//!    weight, which is the gradient of a picture to a colour.
+//! 3. The timestep then trains a small state, the active Gaussians, in the tiles with evidence, against the `Scenery` of
+//!    all else ([`crate::engine::Scenery`]).
+//! 4. The iterations follow need (`pace`).
+//!
+//! The reference, and the presets `d3dgs` and `paper`, train everything everywhere.
+
+mod activity;
+mod evidence;
+mod pace;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use tcgs_core::{Activated, Image, View};
+use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
+
+pub(crate) use self::activity::{Activity, Shares};
+use self::evidence::{Blocks, changed_blocks, noise, tile_errors, tiles_of};
+pub(crate) use self::pace::Pace;
+use crate::config::MaskConfig;
+use crate::engine::Target;
+use crate::engine::cpu::drawn;
+use crate::state::State;
+
+/// Estimates of a camera's noise of which the median counts.
+const NOISE_ESTIMATES: usize = 9;
+/// Share of the noise by which a tile's error may grow without being evidence, beyond [`GateConfig::growth`].
+const GROWTH_NOISE: f32 = 0.25;
+/// Share of an error that training could not lower that the gate gets used to in one timestep. Until then the tile stays
+/// one with evidence: what was uncovered is seen by the weights of the next timestep.
+const PATIENCE: f32 = 0.25;
+
+/// Settings of the gate: what a timestep after the first trains.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GateConfig {
+    /// Whether timesteps after the first train only what changes. Default true; false in `d3dgs` and `paper`.
+    pub enabled: bool,
+    /// A block of 4x4 pixels has changed if its mean absolute difference exceeds the camera's noise (a standard
+    /// deviation, measured) times this, plus `contrast`. Default 2: noise alone comes to 0.8.
+    pub noise: f32,
+    /// See `noise`; in units of colour, of which white has 1. Default 0.006, one and a half of 255 levels.
+    pub contrast: f32,
+    /// A tile has evidence, too, if its mean absolute error has grown by more than this since it was last trained, in
+    /// units of colour. Default 0.004.
+    pub growth: f32,
+    /// A Gaussian is active if at least this share of its blending weight, over all views, falls on changed blocks.
+    /// Default 0.25; 0 makes every Gaussian active that a changed block shows.
+    pub share: f32,
+    /// A timestep has settled when its losses fell, over the last pass through its views, by less than this share of
+    /// the most that they fell over one pass. Default 0.1.
+    pub settle: f32,
+    /// How many times as fast a timestep goes through the rest of its schedule once it has settled. Default 3; 1 to give
+    /// every timestep all of its iterations.
+    pub pace: f32,
+}
+
+impl GateConfig {
+    /// The settings of presets `default` and `fast`.
+    pub const ON: Self =
+        Self { enabled: true, noise: 2.0, contrast: 0.006, growth: 0.004, share: 0.25, settle: 0.1, pace: 3.0 };
+
+    /// The settings of presets that train everything, and of runs whose `config.toml` knows of no gate.
+    pub const OFF: Self = Self { enabled: false, ..Self::ON };
+}
+
+/// What the gate knows at the end of a timestep and cannot see again: part of a checkpoint.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GateRecord {
+    /// `[cameras][up to 9]` the last estimates of each camera's noise, the newest last: standard deviations of the
+    /// difference of two images.
+    pub noise: Vec<Vec<f32>>,
+    /// `[cameras][tiles]` mean absolute error of the scene's picture in each tile, as it was when last trained.
+    pub errors: Vec<Vec<f32>>,
+}
+
+/// What the gate remembers of each view from one timestep to the next.
+#[derive(Clone, Debug)]
+struct Memory {
+    /// `[3, H, W]`, the image of the timestep before.
+    images: Vec<Image>,
+    /// `[C, H, W]`, the scene as it is now, before the cameras' gain and offset.
+    pictures: Vec<Image>,
+}
+
+/// The gate of a run.
+#[derive(Clone, Debug)]
+pub(crate) struct Gate {
+    config: GateConfig,
+    mask: MaskConfig,
+    record: GateRecord,
+    memory: Option<Memory>,
+}
+
+/// The evidence of one view.
+struct Evidence {
+    blocks: Blocks,
+    tiles: TileMask,
+}
+
+impl Gate {
+    /// - `record`: of the checkpoint that a run goes on from; empty at its start
+    pub fn new(config: &GateConfig, mask: &MaskConfig, record: GateRecord) -> Self {
+        Self { config: config.clone(), mask: mask.clone(), record, memory: None }
+    }
+
+    /// Whether it has a record and lacks the images that go with it.
+    pub fn forgot(&self) -> bool {
+        self.memory.is_none() && !self.record.errors.is_empty()
+    }
+
+    pub fn record(&self) -> &GateRecord {
+        &self.record
+    }
+
+    /// Takes the images of the timestep that a run goes on from.
+    pub fn recall(&mut self, state: &State, views: &[View], with_segmentation: bool) {
+        if self.record.errors.len() == views.len() {
+            self.remember(state, views, with_segmentation);
+        }
+    }
+
+    /// Takes what a timestep left that trained everything.
+    pub fn begin(&mut self, state: &State, views: &[View], with_segmentation: bool) {
+        self.record = GateRecord { noise: vec![Vec::new(); views.len()], errors: Vec::new() };
+        self.remember(state, views, with_segmentation);
+        let pictures = self.memory.iter().flat_map(|memory| &memory.pictures);
+        self.record.errors = pictures.zip(views).enumerate().map(|(i, (p, v))| errors(state, i, p, &v.image)).collect();
+    }
+
+    fn remember(&mut self, state: &State, views: &[View], with_segmentation: bool) {
+        let drawn = drawn(state, &self.mask, with_segmentation);
+        let pictures = views.iter().map(|view| {
+            let (width, height) = (view.image.width, view.image.height);
+            let mut picture = Image::filled(width, height, drawn.num_channels, 0.0);
+            redraw(&drawn, view, &TileMask::all(width, height), &mut picture);
+            picture
+        });
+        let (pictures, images) = (pictures.collect(), views.iter().map(|view| view.image.clone()).collect());
+        self.memory = Some(Memory { images, pictures });
+    }
+
+    /// Finds what a timestep has to train.
+    ///
+    /// - `state`: as the timestep before left it, with its past
+    /// - returns: none if the gate does not know what was before; everything then counts as changed
+    pub fn look(&mut self, state: &State, targets: &[Target]) -> Option<Activity> {
+        let memory = self.memory.as_ref().filter(|memory| memory.images.len() == targets.len())?;
+        let fits = |(image, target): (&Image, &Target)| {
+            [image.width, image.height] == [target.image.width, target.image.height]
+        };
+        if !memory.images.iter().zip(targets).all(fits) {
+            return None;
+        }
+        let config = &self.config;
+        let evidence: Vec<Evidence> =
+            (&mut self.record.noise, &self.record.errors, &memory.images, &memory.pictures, targets)
+                .into_par_iter()
+                .enumerate()
+                .map(|(i, (estimates, reference, before, picture, target))| {
+                    estimates.push(noise(before, &target.image));
+                    let too_many = estimates.len().saturating_sub(NOISE_ESTIMATES);
+                    estimates.drain(..too_many);
+                    let level = median(estimates);
+                    let mut blocks = changed_blocks(before, &target.image, level, config);
+                    let (width, height) = (target.image.width, target.image.height);
+                    let limit = config.growth + GROWTH_NOISE * level;
+                    let tiles = TileMask::none(width, height);
+                    for (tile, error) in errors(state, i, picture, &target.image).into_iter().enumerate() {
+                        if error > reference[tile] + limit {
+                            let [columns, rows] = tiles.pixels(tile, width, height);
+                            blocks.mark(columns, rows);
+                        }
+                    }
+                    Evidence { tiles: tiles_of(&blocks, width, height), blocks }
+                })
+                .collect();
+        Some(Activity::new(state, &self.mask, targets, evidence, &memory.pictures, config.share))
+    }
+
+    /// Takes what a timestep left that trained an activity.
+    ///
+    /// - `state`: after the timestep
+    pub fn end(&mut self, state: &State, views: &[View], activity: &Activity) {
+        let Some(memory) = &mut self.memory else { return };
+        memory.images = views.iter().map(|view| view.image.clone()).collect();
+        let channels = memory.pictures[0].num_channels;
+        let all = (!activity.active.is_empty()).then(|| drawn(state, &self.mask, channels > 3));
+        let after = all.as_ref().map(|all| rows_of(all, &activity.active));
+        for (i, (picture, view)) in memory.pictures.iter_mut().zip(views).enumerate() {
+            if let (Some(all), Some(after)) = (&all, &after) {
+                let mut tiles = tiles_reached(&activity.before, &view.camera);
+                tiles.union(&tiles_reached(after, &view.camera));
+                redraw(all, view, &tiles, picture);
+            }
+            let reference = &mut self.record.errors[i];
+            if !activity.tiles[i].is_empty() {
+                let errors = errors(state, i, picture, &view.image);
+                for tile in activity.tiles[i].iter() {
+                    let grown = errors[tile] - reference[tile];
+                    reference[tile] += if grown > 0.0 { PATIENCE * grown } else { grown };
+                }
+            }
+        }
+    }
+}
+
+/// See [`tile_errors`].
+fn errors(state: &State, camera: usize, picture: &Image, target: &Image) -> Vec<f32> {
+    let p = &state.parameters;
+    tile_errors(picture, target, p.camera_gains[camera], p.camera_offsets[camera])
+}
+
+fn redraw(drawn: &Activated, view: &View, tiles: &TileMask, picture: &mut Image) {
+    if !tiles.is_empty() {
+        let (settings, laps) = (RenderSettings::default(), &mut Laps::begin());
+        CpuRasterizer.forward_in(drawn, &view.camera, &settings, tiles, picture, laps);
+    }
+}
+
+/// Some of the Gaussians, in the order of `indices`.
+pub(crate) fn rows_of(drawn: &Activated, indices: &[usize]) -> Activated {
+    let channels = drawn.num_channels;
+    Activated {
+        means: indices.iter().map(|&i| drawn.means[i]).collect(),
+        quats: indices.iter().map(|&i| drawn.quats[i]).collect(),
+        scales: indices.iter().map(|&i| drawn.scales[i]).collect(),
+        opacities: indices.iter().map(|&i| drawn.opacities[i]).collect(),
+        colors: indices.iter().flat_map(|&i| &drawn.colors[i * channels..][..channels]).copied().collect(),
+        num_channels: channels,
+    }
+}
+
+fn median(values: &[f32]) -> f32 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f32::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
