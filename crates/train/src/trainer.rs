@@ -499,7 +499,7 @@ impl Trainer {
         let state = self.engine.state_mut()?;
         let gaussians = &state.parameters.gaussians;
         let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(&self.config))?;
-        state.start_quantization(FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset));
+        state.start_quantization(FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset)?);
         Ok(())
     }
 
