@@ -21,7 +21,7 @@ use crate::gate::{Activity, Gate, GateRecord, Pace, Shares, Trained};
 use crate::losses::LossTerms;
 use crate::mask::mask;
 use crate::motion::{Past, Pose, predict};
-use crate::parameters::{Parameters, scene_radius};
+use crate::parameters::{Parameters, extent};
 use crate::schedule::{Phase, Schedule};
 use crate::state::State;
 
@@ -626,24 +626,6 @@ fn all_segmented(views: &[View]) -> bool {
 /// That something is missing.
 fn none(what: &str) -> TrainError {
     TrainError::Input { what: what.into(), found: "none".into(), expected: "at least 1".into() }
-}
-
-/// The scene's radius by its cameras; where these are at one place and say nothing of it, by the distance of points.
-///
-/// - `cameras`: at least one
-/// - returns: scene units
-pub(crate) fn extent(cameras: &[Camera], points: &[[f32; 3]]) -> f32 {
-    match scene_radius(cameras) {
-        0.0 => distance_to(&cameras[0], points),
-        radius => radius,
-    }
-}
-
-/// Root mean squared distance of a camera to points, scene units.
-fn distance_to(camera: &Camera, points: &[[f32; 3]]) -> f32 {
-    let center = camera.center();
-    let squared = |p: &[f32; 3]| (0..3).map(|i| (f64::from(p[i]) - center[i]).powi(2)).sum::<f64>();
-    (points.iter().map(squared).sum::<f64>() / points.len() as f64).sqrt() as f32
 }
 
 /// The settings of a run's mixed-precision quantisation ([`TrainConfig::quantize`]) as the codec takes them.

@@ -164,7 +164,7 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
-    use crate::gate::GateConfig;
+    use crate::config::GateConfig;
 
     const SIZE: [usize; 2] = [90, 70];
 

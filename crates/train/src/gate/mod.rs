@@ -19,7 +19,6 @@ mod evidence;
 mod pace;
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use tcgs_core::{Activated, Image, View};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
@@ -27,7 +26,7 @@ pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
 use self::evidence::{Blocks, changed_blocks, differences, median, noise_level, tile_errors, tiles_of};
 pub(crate) use self::pace::Pace;
-use crate::config::MaskConfig;
+use crate::config::{GateConfig, MaskConfig};
 use crate::engine::Target;
 use crate::engine::cpu::drawn;
 use crate::state::State;
@@ -40,40 +39,6 @@ const GROWTH_NOISE: f32 = 0.1;
 /// Share of an error that training could not lower that the gate gets used to in one timestep. Until then the tile stays
 /// one with evidence: what was uncovered is seen by the weights of the next timestep.
 const PATIENCE: f32 = 0.25;
-
-/// Settings of the gate: what a timestep after the first trains.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GateConfig {
-    /// Whether timesteps after the first train only what changes. Default true; false in `d3dgs` and `paper`.
-    pub enabled: bool,
-    /// A block of 4x4 pixels has changed if its mean absolute difference from the image before exceeds the median of all
-    /// blocks of the view by so many standard deviations, estimated robustly, and by `contrast`. Default 6.
-    pub noise: f32,
-    /// See `noise`; in units of colour, of which white has 1. Default 0.006, one and a half of 255 levels.
-    pub contrast: f32,
-    /// A tile has evidence, too, if its mean absolute error has grown by more than this since it was last trained, in
-    /// units of colour. Default 0.006.
-    pub growth: f32,
-    /// A Gaussian is active if at least this share of its blending weight, over all views, falls on changed blocks.
-    /// Default 0.4; 0 makes every Gaussian active that a changed block shows.
-    pub share: f32,
-    /// A timestep has settled when its losses fell, over the last pass through its views, by less than this share of
-    /// the most that they fell over one pass. Default 0.05.
-    pub settle: f32,
-    /// How many times as fast a timestep goes through the rest of its schedule once it has settled. Default 3; 1 to give
-    /// every timestep all of its iterations.
-    pub pace: f32,
-}
-
-impl GateConfig {
-    /// The settings of presets `default` and `fast`.
-    pub const ON: Self =
-        Self { enabled: true, noise: 6.0, contrast: 0.006, growth: 0.006, share: 0.4, settle: 0.05, pace: 3.0 };
-
-    /// The settings of presets that train everything, and of runs whose `config.toml` knows of no gate.
-    pub const OFF: Self = Self { enabled: false, ..Self::ON };
-}
 
 /// What the gate knows at the end of a timestep and cannot see again: part of a checkpoint.
 #[derive(Clone, Debug, Default, PartialEq)]

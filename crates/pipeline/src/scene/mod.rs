@@ -1,5 +1,7 @@
 //! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or PLY files.
 
+mod chapters;
+
 use std::borrow::Cow;
 use std::fmt;
 use std::fs::{self, File};
@@ -13,8 +15,8 @@ use tcgs_core::{Activated, DynamicGaussians, Gaussians, Layout, SceneReader, act
 use tcgs_interchange::{HigherHarmonics, ParamsNpz, ParamsOrigin, PlyFiles};
 use tcgs_train::{Checkpoint, Parameters, Run};
 
+use self::chapters::Chapters;
 use crate::PipelineError;
-use crate::chapters::Chapters;
 
 /// What a scene may be, for messages.
 const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz or PLY files";
