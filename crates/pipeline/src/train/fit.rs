@@ -113,6 +113,9 @@ impl LoadedFrame {
     }
 }
 
+/// Losses of an iteration: their sum, and each alone.
+type Losses = (f64, Vec<f64>);
+
 /// Losses of one timestep as they come.
 #[derive(Default)]
 struct Record {
@@ -123,8 +126,8 @@ struct Record {
     curve: Vec<(usize, f64)>,
     /// Of the stretch under way: iterations, sum of losses.
     open: (usize, f64),
-    /// Losses of the last iterations, the newest last: their sum, and each alone.
-    last: VecDeque<(f64, Vec<f64>)>,
+    /// Losses of the last iterations, the newest last.
+    last: VecDeque<Losses>,
     names: Vec<&'static str>,
 }
 
@@ -155,7 +158,7 @@ impl Record {
         self.close();
         // A timestep in which nothing changed has no iterations, and no losses.
         let averaged = self.last.len().max(1) as f64;
-        let mean = |value: &dyn Fn(&(f64, Vec<f64>)) -> f64| self.last.iter().map(value).sum::<f64>() / averaged;
+        let mean = |value: &dyn Fn(&Losses) -> f64| self.last.iter().map(value).sum::<f64>() / averaged;
         let losses: serde_json::Map<String, Value> =
             self.names.iter().enumerate().map(|(i, &name)| (name.into(), json!(mean(&|last| last.1[i])))).collect();
         json!({
