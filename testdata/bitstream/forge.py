@@ -193,6 +193,8 @@ def refused():
     yield 'color_space', 'format', 'info', 'color_space', 'colour space 2', patched(ONE, (info, 44, 'B', 2))
     yield 'up', 'format', 'info', 'up', 'axis 7 points up', patched(ONE, (info, 45, 'B', 7))
     yield 'name', 'format', 'info', 'generator', 'a text that is not UTF-8', patched(ONE, (info, 50, 'B', 0xff))
+    yield 'overlong', 'format', 'info', 'generator', 'a text of UTF-8 in an overlong form', patched(ONE, (info, 50, '2s', b'\xc0\x80'))
+    yield 'surrogate', 'format', 'info', 'generator', 'a text with a surrogate', patched(ONE, (info, 50, '3s', b'\xed\xa0\x80'))
     yield 'long_name', 'format', 'info', 'name', 'a text that reaches past the section', patched(ONE, (info, 46, 'H', 9999))
     yield 'layers', 'format', 'info', 'layers', 'the layers hold more Gaussians than there are', patched(ONE, (info, end, 'I', 2))
     yield 'empty_layer', 'format', 'info', 'layers', 'a layer without Gaussians', resized(ONE, info, lambda b: b[:end - 2] + b'\2\0' + b[end:] + bytes(4))

@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use tcgs_core::{Camera, Image, PointCloud, Segmentation};
 
+use crate::checked::FrameRate;
 use crate::contents::{CameraSet, Contents, missing_image};
 use crate::footage::{BoxedError, ByFrame, Footage, Images, Masks, check_image, check_mask};
 use crate::kind::{CaptureFacts, CaptureKind};
@@ -154,9 +155,7 @@ impl CaptureBuilder {
         if num_frames == 0 {
             return Err(invalid("has no frames, expected at least one".into()));
         }
-        if !(frame_rate.is_finite() && frame_rate > 0.0) {
-            return Err(invalid(format!("has {frame_rate} frames a second, expected more than 0")));
-        }
+        let frame_rate = FrameRate::new(frame_rate).map_err(|problem| invalid(format!("the frame rate {problem}")))?;
         if usual_frames.is_empty() || usual_frames.end > num_frames {
             return Err(invalid(format!("has the usual frames {usual_frames:?}, expected some of 0..{num_frames}")));
         }

@@ -156,7 +156,7 @@ impl Capture {
 
     /// Frames per second, greater than 0.
     pub fn frame_rate(&self) -> f64 {
-        self.contents.frame_rate
+        self.contents.frame_rate.fps()
     }
 
     /// Whether every image of the training cameras, at every frame, has a foreground mask.

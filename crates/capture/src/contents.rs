@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use tcgs_core::Camera;
 
 use crate::CaptureError;
+use crate::checked::{FrameRate, InnerPath};
 use crate::files::{self, Listings};
 use crate::footage::{ByFrame, Change, Footage, Images, Masks, Pixels};
 use crate::names::{Files, Names};
@@ -17,8 +18,7 @@ use crate::points::Points;
 #[derive(Clone, Debug)]
 pub(crate) struct Contents {
     pub num_frames: usize,
-    /// Frames a second.
-    pub frame_rate: f64,
+    pub frame_rate: FrameRate,
     /// Those that publications use.
     pub usual_frames: Range<usize>,
     pub train: CameraSet,
@@ -84,7 +84,7 @@ impl<'a> CameraSetOfFiles<'a> {
     /// Adds an image of the frame that was begun last.
     ///
     /// - returns: whether the frame had none of this camera so far; nothing is added if it had
-    pub fn add(&mut self, camera_id: usize, camera: Camera, change: Change, name: impl Into<String>) -> bool {
+    pub fn add(&mut self, camera_id: usize, camera: Camera, change: Change, name: InnerPath) -> bool {
         let frame = self.order.len() - 1;
         let i = *self.by_id.entry(camera_id).or_insert(self.cameras.len());
         if i == self.cameras.len() {
@@ -97,7 +97,7 @@ impl<'a> CameraSetOfFiles<'a> {
         }
         this.cameras.push(frame, camera);
         this.changes.push(frame, change);
-        this.names.push((frame, name.into()));
+        this.names.push((frame, name.into_name()));
         self.order[frame].push(i);
         true
     }

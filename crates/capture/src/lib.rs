@@ -15,6 +15,7 @@
 
 mod builder;
 mod capture;
+mod checked;
 mod colmap;
 mod contents;
 mod decode;

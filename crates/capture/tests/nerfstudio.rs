@@ -201,7 +201,8 @@ fn what_is_wrong_is_named() {
     let message = of(&|t| t["frames"] = json!([]));
     assert_eq!(message, "transforms.json: has no frames, expected at least one");
     let message = of(&|t| t["frames"][0]["file_path"] = json!("../secret.png"));
-    assert!(message.contains("../secret.png: expected a path inside the capture"), "{message}");
+    let expected = "file_path is \"../secret.png\", expected the path of a file inside the capture";
+    assert_eq!(message, format!("transforms.json: {expected}"));
     let message = of(&|t| t["frames"][0]["transform_matrix"] = json!([[1.0, 0.0, 0.0, 0.0]]));
     assert!(message.contains("transform_matrix has 1 rows, expected 3 or 4"), "{message}");
     let message = of(&|t| t["frames"][0]["transform_matrix"][0][0] = json!(3.0));

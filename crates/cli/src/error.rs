@@ -46,6 +46,19 @@ pub fn message(error: &anyhow::Error) -> String {
         Some(CaptureError::NoDepth { .. }) => return format!("{error:#}; `tcgs prepare --check` looks for the reason"),
         _ => {}
     }
+    match error.downcast_ref::<ReproduceError>() {
+        Some(ReproduceError::NoScene { .. }) => return format!("--scenes {error:#}"),
+        Some(ReproduceError::NoCaptures { present, .. }) if present.is_empty() => {
+            return format!("{error:#}, or --scenes with those that are there");
+        }
+        Some(ReproduceError::NoCaptures { present, .. }) => {
+            return format!("{error:#}, or --scenes {}", present.join(","));
+        }
+        Some(ReproduceError::OtherArguments { .. }) => {
+            return format!("{error:#}; choose another --out, or --force to make it anew");
+        }
+        _ => {}
+    }
     match error.downcast_ref::<PipelineError>() {
         Some(PipelineError::Interchange(error @ InterchangeError::HigherHarmonics { .. })) => {
             format!("{error}, or --drop-sh to do without the others")
@@ -110,8 +123,22 @@ mod tests {
             let message = message(&error);
             assert!(message.starts_with("x: has no initial points") && message.contains("--points FILE"), "{message}");
         }
-        let message = message(&CaptureError::NoDepth { path: "x".into() }.into());
-        assert!(message.ends_with("`tcgs prepare --check` looks for the reason"), "{message}");
+        let message = |error: anyhow::Error| message(&error);
+        let no_depth = message(CaptureError::NoDepth { path: "x".into() }.into());
+        assert!(no_depth.ends_with("`tcgs prepare --check` looks for the reason"), "{no_depth}");
+
+        let missing = |present: &[&str]| {
+            let present = present.iter().map(|scene| (*scene).to_owned()).collect();
+            ReproduceError::NoCaptures { data: "x".into(), missing: vec!["a".into()], present }.into()
+        };
+        let expected = "x: has no captures named a, expected a folder for each, or --scenes";
+        assert_eq!(message(missing(&[])), format!("{expected} with those that are there"));
+        assert_eq!(message(missing(&["b", "c"])), format!("{expected} b,c"));
+        let no_scene = ReproduceError::NoScene { scene: "a".into(), known: vec!["b".into(), "c".into()] };
+        assert_eq!(message(no_scene.into()), "--scenes a: no scene of the paper, expected some of b, c");
+        let (found, expected) = (Box::new("a".into()), Box::new("b".into()));
+        let other = message(ReproduceError::OtherArguments { path: "x".into(), found, expected }.into());
+        assert!(other.ends_with("expected \"b\"; choose another --out, or --force to make it anew"), "{other}");
     }
 
     #[test]
@@ -131,7 +158,7 @@ mod tests {
             (CaptureError::Io { path: path(), error: missing }.into(), 2),
             (MetricsError::Weights { path: path(), problem: "x".into() }.into(), 2),
             (MetricsError::Io { path: path(), error: Error::other("x") }.into(), 1),
-            (InterchangeError::Io { path: path(), action: "writing", error: full() }.into(), 1),
+            (InterchangeError::Write { path: path(), error: full() }.into(), 1),
             (full().into(), 1),
             (TrainError::from(lost.clone()).into(), 1),
             (lost.into(), 1),

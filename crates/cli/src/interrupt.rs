@@ -1,5 +1,6 @@
 //! Ctrl-C: the first asks the work to end cleanly, the second ends the process at once.
 
+use std::io::ErrorKind;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,6 +13,9 @@ use crate::terminal::note;
 /// As a shell reports a process that SIGINT ended: 128 + 2.
 pub const EXIT_CODE: u8 = 130;
 
+/// Tries to remove a folder; each fails only if a file appears meanwhile; a disk without room or rights fails at once.
+const REMOVALS: usize = 100;
+
 static ASKED: AtomicBool = AtomicBool::new(false);
 /// What the first Ctrl-C removes.
 static UNFINISHED: Mutex<Option<PathBuf>> = Mutex::new(None);
@@ -21,8 +25,7 @@ static UNFINISHED: Mutex<Option<PathBuf>> = Mutex::new(None);
 pub fn catch() -> anyhow::Result<()> {
     let handler = || {
         if let Some(unfinished) = &*UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner) {
-            // What cannot be removed has a mark by which a later command removes it.
-            let _ = std::fs::remove_dir_all(unfinished);
+            remove(unfinished);
             std::process::exit(i32::from(EXIT_CODE));
         }
         if ASKED.swap(true, Ordering::SeqCst) {
@@ -31,6 +34,17 @@ pub fn catch() -> anyhow::Result<()> {
         note("ending cleanly; Ctrl-C again ends at once");
     };
     ctrlc::set_handler(handler).context("catching Ctrl-C")
+}
+
+/// Removes a folder into which the work, which has not been told to stop, may still write: what appears while the folder is
+/// being emptied is removed by another try. What cannot be removed has a mark by which a later command removes it.
+fn remove(folder: &Path) {
+    for _ in 0..REMOVALS {
+        match std::fs::remove_dir_all(folder) {
+            Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
+            _ => return,
+        }
+    }
 }
 
 /// After [`catch`], for commands with one long step: from now on the first Ctrl-C removes a folder and ends the process.

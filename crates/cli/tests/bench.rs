@@ -8,7 +8,10 @@ use std::io::Write;
 
 use serde_json::Value;
 use support::*;
+use tcgs_core::{Camera, activate};
+use tcgs_interchange::{HigherHarmonics, NpzReader, read_ply};
 use tcgs_render::gpu::{Gpu, GpuChoice};
+use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tempfile::tempdir;
 
 const RENDER_STAGES: [&str; 5] = ["project", "sort", "rasterize", "rasterize backward", "project backward"];
@@ -25,8 +28,9 @@ const STAGES: [&str; 11] = [
     "sums, small Adam",
     "Adam",
 ];
-const SCENE: [&str; 16] = [
+const SCENE: [&str; 17] = [
     "name",
+    "files",
     "gaussians",
     "width",
     "height",
@@ -128,6 +132,37 @@ fn a_capture_is_a_scene() {
     assert_keys(scene, &SCENE);
     assert_eq!((&scene["width"], &scene["height"], &scene["images"]), (&24.into(), &18.into(), &4.into()));
     assert!(said.contains(", 4 images; "), "{said}");
+}
+
+#[test]
+fn a_scene_is_written_as_it_is_drawn() {
+    let folder = tempdir().unwrap();
+    let place = folder.path().join("scenes");
+    let arguments = ["--backend", "cpu", "--gaussians", "500", "--size", "64x48,32x24", "--iterations", "1"];
+    let arguments = [&arguments[..], &["--write-scene", text(&place)]].concat();
+    let (_, result) = bench(&arguments);
+    for (i, (width, height)) in [(64, 48), (32, 24)].into_iter().enumerate() {
+        let files = place.join(format!("random-{width}x{height}"));
+        assert_eq!(result["scenes"][i]["files"], text(&files));
+        let gaussians = read_ply(&files.join("gaussians.ply"), HigherHarmonics::Refuse).unwrap();
+        assert_eq!(gaussians.num_gaussians(), 500);
+        let camera = json(&files.join("camera.json"));
+        let pair = |name: &str| [0, 1].map(|i| number(&camera[name][i]));
+        let ([fx, fy], [cx, cy]) = (pair("focal"), pair("principal"));
+        let rows = [0, 1, 2, 3].map(|i| [0, 1, 2, 3].map(|j| number(&camera["camera_from_world"][i][j])));
+        let intrinsics = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]];
+        let camera = Camera::new(width, height, intrinsics, rows).unwrap();
+        let (drawn, _) = CpuRasterizer.forward(&activate(&gaussians), &camera, &RenderSettings::default()).unwrap();
+        let image = NpzReader::open(&files.join("image.npz")).unwrap().array("image").unwrap();
+        assert_eq!(image.shape, [height, width, 3]);
+        let close = |at: usize| (image.values[at] - drawn.image.plane(at % 3)[at / 3]).abs() < 1e-5;
+        assert!((0..image.values.len()).all(close), "colours of a PLY file differ by 3e-8, and no more");
+        assert!(image.values.iter().any(|&value| value > 0.1));
+    }
+    let again = [&["bench"], &arguments[..]].concat();
+    let said = fail(2, &again);
+    assert!(said.contains("scenes: exists already") && said.contains("--force"), "{said}");
+    succeed(&[&again[..], &["--force"]].concat());
 }
 
 #[test]

@@ -8,7 +8,7 @@ mod support;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use support::*;
 use tempfile::tempdir;
@@ -112,9 +112,9 @@ fn ctrl_c_ends_a_run_cleanly_and_it_resumes_to_the_same_bytes() {
     for before in 0..expected.len() {
         let child = tcgs().args(arguments(text(&run))).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         while !run.join("config.toml").exists() || checkpoints(&run).len() < before {
-            std::thread::sleep(std::time::Duration::from_millis(1));
+            std::thread::sleep(Duration::from_millis(1));
         }
-        std::thread::sleep(std::time::Duration::from_millis(20));
+        std::thread::sleep(Duration::from_millis(20));
         interrupt(&child);
         let output = child.wait_with_output().unwrap();
         let message = String::from_utf8(output.stderr).unwrap();
@@ -152,7 +152,7 @@ fn ctrl_c_leaves_nothing_half_written() {
     ];
     for arguments in commands {
         let child = tcgs().args(arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-        std::thread::sleep(std::time::Duration::from_millis(150));
+        std::thread::sleep(Duration::from_millis(150));
         interrupt(&child);
         let output = child.wait_with_output().unwrap();
         if output.status.success() {
@@ -165,6 +165,48 @@ fn ctrl_c_leaves_nothing_half_written() {
         left.retain(|name| ![&file, &prepared].iter().any(|whole| whole.ends_with(name)));
         assert_eq!(left, ["run"], "{arguments:?}: {message}");
     }
+}
+
+/// Commands that write at their end only, or through other commands, do not catch the signal: it ends the process, which a
+/// shell reports as 130.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_other_commands_at_once() {
+    use std::os::unix::process::{CommandExt, ExitStatusExt};
+    let folder = tempdir().unwrap();
+    let (data, out, json) = (folder.path().join("data"), folder.path().join("out"), folder.path().join("bench.json"));
+    fs::create_dir(&data).unwrap();
+    std::os::unix::fs::symlink(capture(), data.join("basketball")).unwrap();
+    let train = out.join("runs/basketball/d3dgs/train");
+    let bench: &[&str] = &["bench", "--backend", "cpu", "--json", text(&json)];
+    let reproduce = ["reproduce", "ablation", "--data", text(&data), "--out", text(&out), "--scenes", "basketball"];
+    let reproduce =
+        [&reproduce[..], &["--backend", "cpu", "--train-args", "--iterations 100000,1 --frames 0..4"]].concat();
+    for arguments in [bench, &reproduce] {
+        // As in a terminal: the signal goes to the process and to all that it started.
+        let mut command = tcgs();
+        command.args(arguments).process_group(0).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut child = command.spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(300));
+        while arguments[0] == "reproduce" && !train.join("config.toml").exists() {
+            assert!(child.try_wait().unwrap().is_none(), "{arguments:?}: nothing to interrupt");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let signalled = Instant::now();
+        let status = Command::new("kill").args(["-INT", "--", &format!("-{}", child.id())]).status().unwrap();
+        assert!(status.success());
+        let status = child.wait().unwrap();
+        assert_eq!(status.signal(), Some(2), "{arguments:?}: {status}");
+        assert!(signalled.elapsed() < Duration::from_secs(5), "{arguments:?}");
+    }
+    assert!(!json.exists());
+    // The training that was under way ends as by its own Ctrl-C, and what it had locked is free.
+    let signalled = Instant::now();
+    while fs::File::open(&train).unwrap().try_lock().is_err() {
+        assert!(signalled.elapsed() < Duration::from_secs(60), "training goes on");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert!(!is_writing(&train));
 }
 
 #[test]

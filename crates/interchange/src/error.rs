@@ -6,13 +6,19 @@ use std::{io, path::PathBuf};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InterchangeError {
-    /// The operating system failed to read or write a file or folder.
-    #[error("{}: {action} failed: {error}", path.display())]
-    Io {
+    /// The operating system failed to open or read a file or folder.
+    #[error("{}: reading failed: {error}", path.display())]
+    Read {
         /// The file or folder.
         path: PathBuf,
-        /// The operation that failed, as a word: `opening`, `reading` or `writing`.
-        action: &'static str,
+        /// The operating system's error.
+        error: io::Error,
+    },
+    /// The operating system failed to write a file.
+    #[error("{}: writing failed: {error}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
         /// The operating system's error.
         error: io::Error,
     },

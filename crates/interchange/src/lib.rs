@@ -2,7 +2,7 @@
 //!
 //! | files | reading | writing |
 //! |---|---|---|
-//! | `params.npz` of Dynamic 3D Gaussians | [`read_params_npz`], [`read_params_origin`], [`read_params_foreground`] | [`write_params_npz`] |
+//! | `params.npz` of Dynamic 3D Gaussians | [`read_params_npz`], [`ParamsNpz`], [`read_params_origin`], [`read_params_foreground`] | [`write_params_npz`] |
 //! | PLY of 3D Gaussian splatting, one file per timestep | [`read_ply_sequence`], [`PlyFiles`] | [`write_ply_to`] |
 //! | PLY of points | [`read_ply_points`] | – |
 //! | npz archives and npy arrays of any content | [`NpzReader`], [`read_npy`] | [`NpzWriter`] |
@@ -23,8 +23,8 @@ pub use error::InterchangeError;
 pub use npy::{NpyArray, NpyValue, read_npy};
 pub use npz::{NpzReader, NpzWriter};
 pub use params_npz::{
-    ParamsExtras, ParamsOrigin, read_params_foreground, read_params_npz, read_params_origin, write_params_npz,
-    write_params_npz_from, write_params_npz_to,
+    ParamsExtras, ParamsNpz, ParamsOrigin, read_params_foreground, read_params_npz, read_params_origin,
+    write_params_npz, write_params_npz_from, write_params_npz_to,
 };
 pub use ply::{HigherHarmonics, read_ply, write_ply_to};
 pub use ply_points::read_ply_points;

@@ -4,7 +4,8 @@
 //! Supported types are the little-endian ones that model files and checkpoints hold: see [`NpyValue`].
 
 use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::ops::Range;
 use std::path::Path;
 
 use crate::InterchangeError;
@@ -82,10 +83,10 @@ impl NpyValue for bool {
 /// Reads a `.npy` file of float32 or float64, stored in C or Fortran order, as float32 in C order.
 ///
 /// # Errors
-/// [`InterchangeError::Io`] if the file cannot be read; [`InterchangeError::Npy`] if the array is of another type or
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::Npy`] if the array is of another type or
 /// damaged, or holds a number that is not finite.
 pub fn read_npy(path: &Path) -> Result<NpyArray, InterchangeError> {
-    let failed = |error| InterchangeError::Io { path: path.into(), action: "opening", error };
+    let failed = |error| InterchangeError::Read { path: path.into(), error };
     let file = File::open(path).map_err(failed)?;
     let held = file.metadata().map_err(failed)?.len();
     let mut reader = BufReader::new(file);
@@ -179,14 +180,47 @@ impl Header {
 
     /// Reads all values, which must be float32 or float64, finite, and the last thing in `from`.
     pub fn read_floats(self, from: &mut impl Read) -> Result<NpyArray, String> {
-        let array = match self.descr.as_str() {
-            f32::DESCR => self.read_converted(f32::BYTES, f32::read_le, from)?,
-            f64::DESCR => self.read_converted(f64::BYTES, |bytes| f64::read_le(bytes) as f32, from)?,
-            _ => return Err(self.not_floats()),
+        let array = match self.float_bytes()? {
+            f32::BYTES => self.read_converted(f32::BYTES, f32::read_le, from)?,
+            _ => self.read_converted(f64::BYTES, narrowed, from)?,
         };
-        match array.values.iter().position(|v| !v.is_finite()) {
-            Some(i) => Err(format!("{} is {}, expected a finite number", array.index(i), array.values[i])),
-            None => Ok(array),
+        check_finite(&array.shape, 0, &array.values)?;
+        Ok(array)
+    }
+
+    /// Reads through all values and keeps none: they must be what [`Self::read_floats`] asks for, in C order.
+    pub fn check_floats(&self, from: &mut impl Read) -> Result<(), String> {
+        let mut num_checked = 0;
+        let item_bytes = self.float_bytes()?;
+        self.for_each_buffer(item_bytes, from, |bytes| {
+            let values = floats_of(bytes, item_bytes);
+            check_finite(&self.shape, num_checked, &values)?;
+            num_checked += values.len();
+            Ok(())
+        })
+    }
+
+    /// Reads some values that [`Self::check_floats`] has passed.
+    ///
+    /// - `array`: the array's file, header included
+    /// - `values`: positions in C order
+    pub fn read_some_floats(&self, array: &mut (impl Read + Seek), values: Range<usize>) -> Result<Vec<f32>, String> {
+        let item_bytes = self.float_bytes()?;
+        let first_byte = self.header_bytes + values.start * item_bytes;
+        array.seek(SeekFrom::Start(first_byte as u64)).map_err(|error| format!("is damaged: {error}"))?;
+        let mut bytes = vec![0; values.len() * item_bytes];
+        read_exact(array, &mut bytes, "values")?;
+        let found = floats_of(&bytes, item_bytes);
+        check_finite(&self.shape, values.start, &found)?;
+        Ok(found)
+    }
+
+    /// Size of one value, if it is float32 or float64.
+    fn float_bytes(&self) -> Result<usize, String> {
+        match self.descr.as_str() {
+            f32::DESCR => Ok(f32::BYTES),
+            f64::DESCR => Ok(f64::BYTES),
+            _ => Err(self.not_floats()),
         }
     }
 
@@ -206,44 +240,72 @@ impl Header {
         from: &mut impl Read,
     ) -> Result<NpyArray<T>, String> {
         let mut values = Vec::with_capacity(self.num_values);
-        let mut buffer = vec![0; BUFFER_BYTES];
-        let mut left = self.num_values * item_bytes;
-        while left > 0 {
-            let bytes = &mut buffer[..left.min(BUFFER_BYTES)];
-            read_exact(from, bytes, "values")?;
+        self.for_each_buffer(item_bytes, from, |bytes| {
             values.extend(bytes.chunks_exact(item_bytes).map(&convert));
-            left -= bytes.len();
-        }
-        // Reaching the end is also what makes the archive verify its checksum.
-        match from.read(&mut [0]) {
-            Ok(0) => {}
-            Ok(_) => return Err(format!("goes on after the values of the shape {}", show_shape(&self.shape))),
-            Err(error) => return Err(format!("is damaged: {error}")),
-        }
+            Ok(())
+        })?;
         if self.fortran_order {
             values = c_from_fortran_order(&self.shape, &values);
         }
         Ok(NpyArray { shape: self.shape, values })
     }
+
+    /// Passes the bytes of all values on, whole values at a time; they must be the last thing in `from`.
+    fn for_each_buffer(
+        &self,
+        item_bytes: usize,
+        from: &mut impl Read,
+        mut take: impl FnMut(&[u8]) -> Result<(), String>,
+    ) -> Result<(), String> {
+        let mut buffer = vec![0; BUFFER_BYTES];
+        let mut left = self.num_values * item_bytes;
+        while left > 0 {
+            let bytes = &mut buffer[..left.min(BUFFER_BYTES)];
+            read_exact(from, bytes, "values")?;
+            take(bytes)?;
+            left -= bytes.len();
+        }
+        // Reaching the end is also what makes the archive verify its checksum.
+        match from.read(&mut [0]) {
+            Ok(0) => Ok(()),
+            Ok(_) => Err(format!("goes on after the values of the shape {}", show_shape(&self.shape))),
+            Err(error) => Err(format!("is damaged: {error}")),
+        }
+    }
 }
 
-impl<T> NpyArray<T> {
-    /// `[i, j, …]` of the value at a position, for messages.
-    fn index(&self, position: usize) -> String {
-        let mut rest = position;
-        let mut index: Vec<String> = self
-            .shape
-            .iter()
-            .rev()
-            .map(|&size| {
-                let i = rest % size;
-                rest /= size;
-                i.to_string()
-            })
-            .collect();
-        index.reverse();
-        format!("[{}]", index.join(", "))
+fn narrowed(bytes: &[u8]) -> f32 {
+    f64::read_le(bytes) as f32
+}
+
+/// - `item_bytes`: of float32 or float64
+fn floats_of(bytes: &[u8], item_bytes: usize) -> Vec<f32> {
+    let convert = if item_bytes == f32::BYTES { f32::read_le } else { narrowed };
+    bytes.chunks_exact(item_bytes).map(convert).collect()
+}
+
+/// - `first`: position of the first of `values` in the array, in C order
+fn check_finite(shape: &[usize], first: usize, values: &[f32]) -> Result<(), String> {
+    match values.iter().position(|value| !value.is_finite()) {
+        Some(i) => Err(format!("{} is {}, expected a finite number", show_index(shape, first + i), values[i])),
+        None => Ok(()),
     }
+}
+
+/// `[i, j, …]` of the value at a position in C order.
+fn show_index(shape: &[usize], position: usize) -> String {
+    let mut rest = position;
+    let mut index: Vec<String> = shape
+        .iter()
+        .rev()
+        .map(|&size| {
+            let i = rest % size;
+            rest /= size;
+            i.to_string()
+        })
+        .collect();
+    index.reverse();
+    format!("[{}]", index.join(", "))
 }
 
 /// Everything before the values of a C-ordered array, version 1, padded to 64 bytes as NumPy does.

@@ -47,10 +47,10 @@ impl NpzReader {
     /// Opens an archive and reads its table of contents.
     ///
     /// # Errors
-    /// [`InterchangeError::Io`] if the file cannot be opened; [`InterchangeError::Archive`] if the file is not a
+    /// [`InterchangeError::Read`] if the file cannot be opened; [`InterchangeError::Archive`] if the file is not a
     /// complete zip archive.
     pub fn open(path: &Path) -> Result<Self, InterchangeError> {
-        let failed = |error| InterchangeError::Io { path: path.into(), action: "opening", error };
+        let failed = |error| InterchangeError::Read { path: path.into(), error };
         let file = File::open(path).map_err(failed)?;
         let file_bytes = file.metadata().map_err(failed)?.len();
         let archive = ZipArchive::new(BufReader::new(file))
@@ -77,6 +77,49 @@ impl NpzReader {
     /// [`InterchangeError::Array`] if the array is missing, of another type, or damaged.
     pub fn array_of<T: NpyValue>(&mut self, key: &str) -> Result<NpyArray<T>, InterchangeError> {
         self.read(key, |header, entry| header.read_values(entry))
+    }
+
+    /// Prepares one array of float32 or float64 for [`Self::row`], which reads a part of it: reads through the array
+    /// once, and checks its values and the archive's checksum.
+    ///
+    /// Only an array that is stored as it is (`numpy.savez`) and in C order stays on disk. In a compressed one
+    /// (`numpy.savez_compressed`) no place can be reached but through all before it: such an array is held in memory.
+    ///
+    /// - `key`: name of the array, without `.npy`
+    ///
+    /// # Errors
+    /// As [`Self::array`].
+    pub(crate) fn rows(&mut self, key: &str) -> Result<NpzRows, InterchangeError> {
+        self.read(key, |header, entry| {
+            if entry.compression() != CompressionMethod::Stored || header.fortran_order {
+                let NpyArray { shape, values } = header.read_floats(entry)?;
+                return Ok(NpzRows { key: key.into(), shape, values: RowValues::InMemory(values) });
+            }
+            header.check_floats(entry)?;
+            Ok(NpzRows { key: key.into(), shape: header.shape.clone(), values: RowValues::OnDisk(header) })
+        })
+    }
+
+    /// The values at one index of the first axis, in C order.
+    ///
+    /// # Errors
+    /// [`InterchangeError::Array`] if the file has changed since, or cannot be read.
+    ///
+    /// # Panics
+    /// If there is no such index.
+    pub(crate) fn row(&mut self, rows: &NpzRows, index: usize) -> Result<Vec<f32>, InterchangeError> {
+        assert!(index < rows.shape[0], "row {index} of {}", rows.shape[0]);
+        let row_len: usize = rows.shape[1..].iter().product();
+        let values = index * row_len..(index + 1) * row_len;
+        let header = match &rows.values {
+            RowValues::InMemory(all) => return Ok(all[values].to_vec()),
+            RowValues::OnDisk(header) => header,
+        };
+        let array = self.archive.by_name_seek(&format!("{}.npy", rows.key));
+        let found = array
+            .map_err(|error| format!("is damaged: {}", lowercase(&error.to_string())))
+            .and_then(|mut array| header.read_some_floats(&mut array, values));
+        found.map_err(|problem| InterchangeError::Array { path: self.path.clone(), key: rows.key.clone(), problem })
     }
 
     /// Whether the archive has an array named `key` (without `.npy`).
@@ -129,6 +172,28 @@ impl NpzReader {
     pub fn path(&self) -> &Path {
         &self.path
     }
+}
+
+/// One array of an archive whose rows [`NpzReader::row`] reads; a row is what one index of the first axis has.
+#[derive(Debug)]
+pub(crate) struct NpzRows {
+    key: String,
+    /// Size along each axis.
+    pub(crate) shape: Vec<usize>,
+    values: RowValues,
+}
+
+impl NpzRows {
+    #[cfg(test)]
+    pub(crate) fn is_on_disk(&self) -> bool {
+        matches!(self.values, RowValues::OnDisk(_))
+    }
+}
+
+#[derive(Debug)]
+enum RowValues {
+    OnDisk(Header),
+    InMemory(Vec<f32>),
 }
 
 /// Writes an npz archive, uncompressed. Equal arrays give equal bytes: no time of writing is stored.
@@ -302,7 +367,7 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), b"not a zip").unwrap();
         assert!(matches!(NpzReader::open(file.path()), Err(InterchangeError::Archive { .. })));
-        assert!(matches!(NpzReader::open(Path::new("/nowhere.npz")), Err(InterchangeError::Io { .. })));
+        assert!(matches!(NpzReader::open(Path::new("/nowhere.npz")), Err(InterchangeError::Read { .. })));
     }
 
     #[test]

@@ -20,10 +20,12 @@ use std::{
     fs::File,
     io::{self, BufWriter, Seek, Write},
     path::Path,
+    sync::Arc,
 };
 
-use tcgs_core::{Attribute, DynamicGaussians, Layout, SceneReader};
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout, SceneReader};
 
+use crate::npz::NpzRows;
 use crate::{Existing, InterchangeError, NpzReader, NpzWriter, npy::show_shape, write_whole};
 
 /// Keys of [`ParamsOrigin`].
@@ -80,10 +82,94 @@ pub struct ParamsOrigin {
 /// [`InterchangeError`] if the file cannot be read or is incomplete, an array is missing, shapes disagree, a number is
 /// not finite, or the scene has no timestep or no Gaussian.
 pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError> {
+    ParamsNpz::open(path)?.read_all()
+}
+
+/// A scene in a `params.npz` that is read a timestep at a time.
+///
+/// [`Self::open`] reads through the file once, and checks what [`read_params_npz`] checks. Arrays that are stored as they
+/// are, as the source and [`write_params_npz`] store them, stay on disk; compressed ones (`numpy.savez_compressed`) and
+/// those in Fortran order are held in memory, since a timestep of them cannot be reached alone.
+///
+/// ```
+/// use tcgs_core::{DynamicGaussians, Gaussians, SceneReader};
+/// use tcgs_interchange::{ParamsExtras, ParamsNpz, write_params_npz};
+/// let mut scene = DynamicGaussians::default();
+/// scene.push(Gaussians::zeros(5));
+/// scene.push(Gaussians::zeros(5));
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("params.npz");
+/// write_params_npz(&path, &scene, &ParamsExtras::default())?;
+/// let mut params = ParamsNpz::open(&path)?;
+/// assert_eq!((params.num_timesteps(), params.at(1)?), (2, scene.at(1)));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct ParamsNpz {
+    npz: NpzReader,
+    num_timesteps: usize,
+    num_gaussians: usize,
+    layout: Arc<Layout>,
+    means: NpzRows,
+    quats: NpzRows,
+    /// `[N, 3]`
+    log_scales: Vec<f32>,
+    /// `[N]`
+    logit_opacities: Vec<f32>,
+    colors: NpzRows,
+}
+
+impl ParamsNpz {
+    /// Opens a `params.npz`, and checks all of it.
+    ///
+    /// # Errors
+    /// As [`read_params_npz`].
+    pub fn open(path: &Path) -> Result<Self, InterchangeError> {
+        open_params(path)
+    }
+
+    /// All timesteps.
+    ///
+    /// # Errors
+    /// [`InterchangeError::Array`] if the file has changed since it was opened, or cannot be read.
+    pub fn read_all(mut self) -> Result<DynamicGaussians, InterchangeError> {
+        let Self { npz, num_timesteps, means, quats, colors, .. } = &mut self;
+        let mut over_time =
+            |rows: &NpzRows| (0..*num_timesteps).map(|t| npz.row(rows, t)).collect::<Result<Vec<_>, _>>();
+        let (means, quats, colors) = (over_time(means)?, over_time(quats)?, over_time(colors)?);
+        let samples = vec![means, quats, vec![self.log_scales], vec![self.logit_opacities], colors];
+        Ok(DynamicGaussians::from_samples(self.layout, self.num_timesteps, samples))
+    }
+}
+
+impl SceneReader for ParamsNpz {
+    type Error = InterchangeError;
+
+    fn layout(&self) -> &Arc<Layout> {
+        &self.layout
+    }
+
+    fn num_gaussians(&self) -> usize {
+        self.num_gaussians
+    }
+
+    fn num_timesteps(&self) -> usize {
+        self.num_timesteps
+    }
+
+    fn at(&mut self, timestep: usize) -> Result<Gaussians, InterchangeError> {
+        let mut row = |rows: &NpzRows| self.npz.row(rows, timestep);
+        let (means, quats, colors) = (row(&self.means)?, row(&self.quats)?, row(&self.colors)?);
+        let values = vec![means, quats, self.log_scales.clone(), self.logit_opacities.clone(), colors];
+        Ok(Gaussians::new(Arc::clone(&self.layout), self.num_gaussians, values))
+    }
+}
+
+fn open_params(path: &Path) -> Result<ParamsNpz, InterchangeError> {
     let mut npz = NpzReader::open(path)?;
     let invalid = |key: &str, problem| InterchangeError::Array { path: path.into(), key: key.into(), problem };
 
-    let means = npz.array("means3D")?;
+    let means = npz.rows("means3D")?;
     let &[num_timesteps, num_gaussians, 3] = means.shape.as_slice() else {
         let problem = format!("has the shape {}, expected (timesteps, gaussians, 3)", show_shape(&means.shape));
         return Err(invalid("means3D", problem));
@@ -94,13 +180,13 @@ pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError
     }
 
     let mut varying = |key: &str, components: usize| {
-        let array = npz.array(key)?;
+        let array = npz.rows(key)?;
         let expected = [num_timesteps, num_gaussians, components];
         if array.shape != expected {
             let (found, expected) = (show_shape(&array.shape), show_shape(&expected));
             return Err(invalid(key, format!("has the shape {found}, expected {expected} to agree with means3D")));
         }
-        Ok(array.values)
+        Ok(array)
     };
     let colors = varying("rgb_colors", 3)?;
     let quats = varying("unnorm_rotations", 4)?;
@@ -118,17 +204,9 @@ pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError
         }
         Ok(array.values)
     };
-    let samples = |values: &[f32], components| -> Vec<Vec<f32>> {
-        values.chunks_exact(num_gaussians * components).map(<[f32]>::to_vec).collect()
-    };
-    let samples = vec![
-        samples(&means.values, 3),
-        samples(&quats, 4),
-        vec![constant("log_scales", 3)?],
-        vec![constant("logit_opacities", 1)?],
-        samples(&colors, 3),
-    ];
-    Ok(DynamicGaussians::from_samples(Layout::base(), samples[0].len(), samples))
+    let (log_scales, logit_opacities) = (constant("log_scales", 3)?, constant("logit_opacities", 1)?);
+    let layout = Layout::base();
+    Ok(ParamsNpz { npz, num_timesteps, num_gaussians, layout, means, quats, log_scales, logit_opacities, colors })
 }
 
 /// Reads the origin of the scene in a `params.npz`; `None` if the file has no array `tcgs_first_frame`, as when another
@@ -183,14 +261,14 @@ pub fn read_params_foreground(path: &Path) -> Result<Option<Vec<bool>>, Intercha
 /// file is renamed to `path` and replaces an existing file.
 ///
 /// # Errors
-/// [`InterchangeError::Io`] if the file cannot be written; an existing file is then unchanged.
+/// [`InterchangeError::Write`] if the file cannot be written; an existing file is then unchanged.
 ///
 /// # Panics
 /// As [`write_params_npz_to`].
 pub fn write_params_npz(path: &Path, scene: &DynamicGaussians, extras: &ParamsExtras) -> Result<(), InterchangeError> {
     let write = |file: &mut File| write_params_npz_to(BufWriter::new(file), scene, extras)?.flush();
     let written = write_whole(path, Existing::Replace, write);
-    written.map_err(|error| InterchangeError::Io { path: path.into(), action: "writing", error })
+    written.map_err(|error| InterchangeError::Write { path: path.into(), error })
 }
 
 /// Writes the bytes of a `params.npz`. Equal scenes and extras give equal bytes.
@@ -338,6 +416,60 @@ mod tests {
         assert_eq!(read_params_npz(&path).unwrap(), scene());
         assert_eq!(std::fs::read(&path).unwrap(), bytes(&scene(), &ParamsExtras::default()));
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file was left behind");
+    }
+
+    /// [`arrays`] as [`Array`]s, compressed or not, in an archive.
+    fn write_compressed(path: &Path, compressed: &[&str]) {
+        let mut zip = zip::ZipWriter::new(File::create(path).unwrap());
+        for (key, shape, values) in arrays() {
+            let mut own = NpzWriter::new(io::Cursor::new(Vec::new()));
+            own.array(key, &shape, [values.as_slice()]).unwrap();
+            let mut own = zip::ZipArchive::new(own.finish().unwrap()).unwrap();
+            let mut npy = Vec::new();
+            io::Read::read_to_end(&mut own.by_index(0).unwrap(), &mut npy).unwrap();
+            let is_compressed = compressed.contains(&key);
+            let method = if is_compressed { zip::CompressionMethod::Deflated } else { zip::CompressionMethod::Stored };
+            let options = zip::write::SimpleFileOptions::default().compression_method(method);
+            zip.start_file(format!("{key}.npy"), options).unwrap();
+            zip.write_all(&npy).unwrap();
+        }
+        zip.finish().unwrap();
+    }
+
+    #[test]
+    fn a_timestep_is_read_alone_whether_compressed_or_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("params.npz");
+        for compressed in [&[][..], &["rgb_colors"], &["means3D", "unnorm_rotations", "rgb_colors", "log_scales"]] {
+            write_compressed(&path, compressed);
+            let mut params = ParamsNpz::open(&path).unwrap();
+            let on_disk = [&params.means, &params.quats, &params.colors].map(NpzRows::is_on_disk);
+            let stored = ["means3D", "unnorm_rotations", "rgb_colors"].map(|key| !compressed.contains(&key));
+            assert_eq!(on_disk, stored);
+            assert_eq!((params.num_timesteps(), params.num_gaussians()), (2, 3));
+            for timestep in [1, 0, 1] {
+                assert_eq!(params.at(timestep).unwrap(), scene().at(timestep));
+            }
+            assert_eq!(params.read_all().unwrap(), scene());
+        }
+    }
+
+    #[test]
+    fn a_file_that_is_written_to_while_it_is_open_is_no_other_scene() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("params.npz");
+        write_params_npz(&path, &scene(), &ParamsExtras::default()).unwrap();
+        let mut params = ParamsNpz::open(&path).unwrap();
+        // Into the open file, not beside it: the first value of the second timestep.
+        let mut bytes = std::fs::read(&path).unwrap();
+        let second = scene().means(1)[0][0].to_le_bytes();
+        let at = bytes.windows(4).position(|window| window == second).unwrap();
+        bytes[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+        std::fs::write(&path, &bytes).unwrap();
+        let error = params.at(1).unwrap_err().to_string();
+        assert!(error.ends_with("means3D [1, 0, 0] is NaN, expected a finite number"), "{error}");
+        std::fs::write(&path, &bytes[..at]).unwrap();
+        assert!(params.at(1).unwrap_err().to_string().contains("means3D "));
     }
 
     #[test]

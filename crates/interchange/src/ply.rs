@@ -87,11 +87,11 @@ struct Elements {
 /// ```
 ///
 /// # Errors
-/// [`InterchangeError::Io`] if the file cannot be read; [`InterchangeError::Ply`] if the file is not a complete PLY
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::Ply`] if the file is not a complete PLY
 /// file, lacks a property, holds a number that is not finite, or has no Gaussian; [`InterchangeError::HigherHarmonics`]
 /// if harmonics are present and refused.
 pub fn read_ply(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, InterchangeError> {
-    let failed = |error| InterchangeError::Io { path: path.into(), action: "reading", error };
+    let failed = |error| InterchangeError::Read { path: path.into(), error };
     let invalid = |problem| InterchangeError::Ply { path: path.into(), problem };
     let damaged = |DeserializeError(error)| match error.kind() {
         ErrorKind::UnexpectedEof => invalid("ends early, expected a whole PLY file".into()),
@@ -353,7 +353,7 @@ mod tests {
         assert_eq!(problem(&spoilt), "logit_opacities of Gaussian 1: NaN, expected a finite number");
         assert!(matches!(
             read_ply(Path::new("/nowhere.ply"), HigherHarmonics::Drop),
-            Err(InterchangeError::Io { action: "reading", .. })
+            Err(InterchangeError::Read { .. })
         ));
     }
 }

@@ -31,10 +31,10 @@ struct Vertex {
 /// - returns: positions in the file's unit, colours in `[0, 1]`
 ///
 /// # Errors
-/// [`InterchangeError::Io`] if the file cannot be read; [`InterchangeError::Ply`] if the file is not a complete PLY
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::Ply`] if the file is not a complete PLY
 /// file, has no points, or holds a number that is not finite.
 pub fn read_ply_points(path: &Path) -> Result<PointCloud, InterchangeError> {
-    let failed = |error| InterchangeError::Io { path: path.into(), action: "reading", error };
+    let failed = |error| InterchangeError::Read { path: path.into(), error };
     let invalid = |problem| InterchangeError::Ply { path: path.into(), problem };
     let damaged = |DeserializeError(error)| match error.kind() {
         ErrorKind::UnexpectedEof => invalid("ends early, expected a whole PLY file".into()),

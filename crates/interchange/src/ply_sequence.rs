@@ -44,7 +44,7 @@ impl PlyFiles {
     /// - `path`: the folder, or a single PLY file, which becomes a sequence of one timestep
     ///
     /// # Errors
-    /// [`InterchangeError::Io`] if the folder cannot be read; [`InterchangeError::Ply`] if the folder has no PLY file.
+    /// [`InterchangeError::Read`] if the folder cannot be read; [`InterchangeError::Ply`] if the folder has no PLY file.
     pub fn list(path: &Path) -> Result<Self, InterchangeError> {
         let files = if path.is_dir() { ply_files(path)? } else { vec![path.into()] };
         let first_frame = first_frame(&files);
@@ -126,7 +126,7 @@ fn name(path: &Path) -> String {
 
 /// The files of a folder in their natural order.
 fn ply_files(folder: &Path) -> Result<Vec<PathBuf>, InterchangeError> {
-    let failed = |error| InterchangeError::Io { path: folder.into(), action: "reading", error };
+    let failed = |error| InterchangeError::Read { path: folder.into(), error };
     let mut files = Vec::new();
     for entry in fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();

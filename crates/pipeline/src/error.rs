@@ -239,8 +239,8 @@ impl HasFault for TrainError {
 impl HasFault for InterchangeError {
     fn fault(&self) -> Fault {
         match self {
-            Self::Io { action: "writing", .. } => Fault::Machine,
-            Self::Io { error, .. } => error.fault(),
+            Self::Write { .. } => Fault::Machine,
+            Self::Read { error, .. } => error.fault(),
             _ => Fault::Input,
         }
     }
@@ -294,7 +294,7 @@ mod tests {
             (CaptureError::Io { path: path(), error: missing() }.into(), Fault::Input),
             (MetricsError::Weights { path: path(), problem: "x".into() }.into(), Fault::Input),
             (MetricsError::Io { path: path(), error: Error::other("x") }.into(), Fault::Machine),
-            (InterchangeError::Io { path: path(), action: "writing", error: full() }.into(), Fault::Machine),
+            (InterchangeError::Write { path: path(), error: full() }.into(), Fault::Machine),
             (TrainError::from(GpuError::Lost("x".into())).into(), Fault::Machine),
         ];
         for (error, fault) in cases {

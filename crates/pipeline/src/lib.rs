@@ -49,7 +49,6 @@
 //! ```
 
 mod backend;
-mod chapters;
 mod compress;
 mod error;
 mod evaluate;

@@ -10,6 +10,7 @@ use std::path::Path;
 use support::{files, open};
 use tcgs_codec::{CompressSettings, DecodeLimits, inspect};
 use tcgs_core::SceneReader;
+use tcgs_interchange::{ParamsExtras, write_params_npz};
 use tcgs_pipeline::{CompressOptions, OpenScene, compress_scene};
 
 /// A copy of the run, to be spoilt.
@@ -59,13 +60,19 @@ fn a_segment_of_a_file_is_decoded_alone() {
 }
 
 #[test]
-fn a_run_compresses_to_the_same_bytes_from_memory_and_from_the_disk() {
-    let scene = open(&files().join("run"));
-    for bits in [None, Some((4, 8))] {
+fn floats_compress_to_the_same_bytes_from_memory_and_from_the_disk() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = open(&files().join("run"));
+    let params = folder.path().join("params.npz");
+    write_params_npz(&params, &run.floats().unwrap(), &ParamsExtras::default()).unwrap();
+    let params = open(&params);
+    assert_eq!((params.bytes, params.layout()), (run.bytes, run.layout()));
+    assert!((0..3).all(|t| params.at(t).unwrap() == run.at(t).unwrap()));
+    for (scene, bits) in [(&run, None), (&run, Some((4, 8))), (&params, None), (&params, Some((4, 8)))] {
         let options = |max_float_bytes| CompressOptions { max_float_bytes, bits, ..CompressOptions::default() };
         let (memory, disk) = (options(u64::MAX), options(0));
-        let (memory, disk) = (compress_scene(&scene, &memory).unwrap(), compress_scene(&scene, &disk).unwrap());
-        assert!(memory.file == disk.file, "bits {bits:?}");
+        let (memory, disk) = (compress_scene(scene, &memory).unwrap(), compress_scene(scene, &disk).unwrap());
+        assert!(memory.file == disk.file, "{}, bits {bits:?}", scene.kind());
         assert_eq!((memory.compact, memory.stages), (disk.compact, disk.stages));
     }
 }

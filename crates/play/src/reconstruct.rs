@@ -9,7 +9,8 @@ use bytemuck::{Pod, Zeroable};
 use tcgs_codec::{Keypoints, Segment};
 use tcgs_core::{Activation, Attribute, Layout, activate, normalize};
 use tcgs_render::device::{MAX_GROUPS_X, WORKGROUP, Wgsl, pack};
-use tcgs_render::gpu::{Bound, Gpu, GpuError};
+use tcgs_render::gpu::raw::Bound;
+use tcgs_render::gpu::{Gpu, GpuError};
 
 /// What a kernel knows of its attribute; of the same name in the shader.
 #[repr(C)]

@@ -8,7 +8,8 @@ use tcgs_codec::Segment;
 use tcgs_core::Camera;
 use tcgs_render::RenderSettings;
 use tcgs_render::device::Capacity;
-use tcgs_render::gpu::{Gpu, GpuError, GpuRenderer, Staged};
+use tcgs_render::gpu::raw::{GpuRenderer, Staged};
+use tcgs_render::gpu::{Gpu, GpuError};
 
 use crate::blit::{self, Blit};
 use crate::reconstruct::Reconstruction;

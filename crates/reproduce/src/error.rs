@@ -15,6 +15,34 @@ pub enum ReproduceError {
     /// An argument, a capture, or what lies in the output folder is wrong: the culprit, what was found and expected.
     #[error("{0}")]
     Input(String),
+    /// No dataset of the paper has a scene of this name.
+    #[error("{scene}: no scene of the paper, expected some of {}", known.join(", "))]
+    NoScene {
+        /// The name that was asked for.
+        scene: String,
+        /// All scenes of the paper, sorted.
+        known: Vec<String>,
+    },
+    /// The folder of captures lacks a folder for some scenes of the table.
+    #[error("{}: has no captures named {}, expected a folder for each", data.display(), missing.join(", "))]
+    NoCaptures {
+        /// The folder of captures.
+        data: PathBuf,
+        /// The scenes without a folder, in the table's order.
+        missing: Vec<String>,
+        /// The scenes that have a folder, in the table's order.
+        present: Vec<String>,
+    },
+    /// The output folder has a result that was made by other arguments than the table's.
+    #[error("{}: was made by the arguments {found}, expected {expected}", path.display())]
+    OtherArguments {
+        /// The file of the result.
+        path: PathBuf,
+        /// The arguments that the result names.
+        found: Box<serde_json::Value>,
+        /// The arguments by which the table would make it.
+        expected: Box<serde_json::Value>,
+    },
     /// The file system refused.
     #[error("{action} {}: {error}", path.display())]
     File {
@@ -44,7 +72,9 @@ pub enum ReproduceError {
 impl HasFault for ReproduceError {
     fn fault(&self) -> Fault {
         match self {
-            Self::Input(_) => Fault::Input,
+            Self::Input(_) | Self::NoScene { .. } | Self::NoCaptures { .. } | Self::OtherArguments { .. } => {
+                Fault::Input
+            }
             Self::Pipeline(error) => error.fault(),
             Self::File { .. } | Self::Step { .. } | Self::Table(_) => Fault::Machine,
         }

@@ -84,7 +84,7 @@ impl Workplace {
         if self.force {
             return Ok(None);
         }
-        Err(other_arguments(&path, &result["arguments"], &wanted))
+        Err(other_arguments(path, &result["arguments"], wanted))
     }
 
     /// Whether all of a job is done.
@@ -102,9 +102,8 @@ fn arguments_of(measure: &Measure) -> Value {
     json!({ "export": measure.export, "compress": measure.compress, "analysis": measure.analysis })
 }
 
-fn other_arguments(path: &Path, found: &Value, wanted: &Value) -> ReproduceError {
-    let problem = format!("was made by the arguments {found}, expected {wanted}");
-    wrong_input(format!("{}: {problem}; choose another --out, or --force to make it anew", path.display()))
+fn other_arguments(path: PathBuf, found: &Value, expected: Value) -> ReproduceError {
+    ReproduceError::OtherArguments { path, found: Box::new(found.clone()), expected: Box::new(expected) }
 }
 
 /// Runs what lacks a result, one training after another; those that another process works on come last, and are waited
@@ -194,7 +193,7 @@ fn train(place: &Workplace, job: &Job, folder: &Path) -> Result<Trained, Reprodu
     if let Some(other) = other
         && !place.force
     {
-        return Err(other_arguments(&log, &other["arguments"], &json!(job.arguments)));
+        return Err(other_arguments(log, &other["arguments"], json!(job.arguments)));
     }
     if other.is_some() {
         steps.clear();

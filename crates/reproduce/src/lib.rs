@@ -42,26 +42,20 @@ pub use report::{CompressionStep, Picture, Report, Series, html, png};
 /// Checks that every scene has its folder.
 ///
 /// # Errors
-/// [`ReproduceError::Input`] that names the scenes without one.
+/// [`ReproduceError::NoCaptures`] that names the scenes without one.
 pub fn check_captures(plan: &TablePlan, place: &Workplace) -> Result<(), ReproduceError> {
-    let missing: Vec<&str> =
-        plan.scenes.iter().filter(|scene| !place.capture(scene).is_dir()).map(String::as_str).collect();
+    let (present, missing): (Vec<String>, Vec<String>) =
+        plan.scenes.iter().cloned().partition(|scene| place.capture(scene).is_dir());
     if missing.is_empty() {
         return Ok(());
     }
-    let there: Vec<&str> = plan.scenes.iter().map(String::as_str).filter(|scene| !missing.contains(scene)).collect();
-    let instead = match there[..] {
-        [] => "a folder for each, or --scenes with those that are there".to_owned(),
-        _ => format!("a folder for each, or --scenes {}", there.join(",")),
-    };
-    let data = place.data.display();
-    Err(wrong_input(format!("{data}: has no captures named {}, expected {instead}", missing.join(", "))))
+    Err(ReproduceError::NoCaptures { data: place.data.clone(), missing, present })
 }
 
 /// A command for each run that lacks something, for GNU parallel or a batch system.
 ///
 /// # Errors
-/// [`ReproduceError::Input`] if there is a result that was made by other arguments.
+/// [`ReproduceError::OtherArguments`] if there is a result that was made by other arguments.
 pub fn missing_commands(plan: &TablePlan, place: &Workplace) -> Result<Vec<String>, ReproduceError> {
     let program = quoted(&argument(&place.program)?);
     let mut commands = Vec::new();

@@ -310,10 +310,8 @@ impl TablePlan {
     pub fn dataset(&self, scene: &str) -> Result<&str, ReproduceError> {
         let found = self.shared.datasets.iter().find(|(_, dataset)| dataset.scenes.iter().any(|s| s == scene));
         found.map(|(name, _)| name.as_str()).ok_or_else(|| {
-            let all: BTreeSet<&str> =
-                self.shared.datasets.values().flat_map(|d| &d.scenes).map(String::as_str).collect();
-            let all: Vec<&str> = all.into_iter().collect();
-            wrong_input(format!("--scenes {scene}: no scene of the paper, expected some of {}", all.join(", ")))
+            let known: BTreeSet<&String> = self.shared.datasets.values().flat_map(|d| &d.scenes).collect();
+            ReproduceError::NoScene { scene: scene.into(), known: known.into_iter().cloned().collect() }
         })
     }
 }
@@ -418,10 +416,7 @@ mod tests {
         assert!(error.starts_with("abblation: no table of this name, expected one of main, panoptic"), "{error}");
         let scenes = ["garden".to_owned()];
         let error = plan("ablation", Some(&scenes), Size::Full, &[]).unwrap_err().to_string();
-        assert!(
-            error.starts_with("--scenes garden: no scene of the paper, expected some of Birthday, Fabien"),
-            "{error}"
-        );
+        assert!(error.starts_with("garden: no scene of the paper, expected some of Birthday, Fabien"), "{error}");
     }
 
     #[test]

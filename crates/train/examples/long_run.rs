@@ -10,7 +10,7 @@ use std::time::Instant;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use tcgs_codec::BitMap;
+use tcgs_codec::{BitMap, CompressError};
 use tcgs_core::PointCloud;
 use tcgs_train::{Checkpoint, FakeQuantizers, Parameters, Run, TrainConfig};
 
@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut config = TrainConfig::default();
     config.data.end_frame = num_timesteps;
     let run = Run::create(Path::new(out), &config)?;
-    let start = start(num_gaussians, percent);
+    let start = start(num_gaussians, percent)?;
     let num_moving = num_gaussians * percent / 100;
     let mut random = Pcg64Mcg::seed_from_u64(1);
     let phases: Vec<f32> = (0..num_moving).map(|_| random.random_range(0.0..std::f32::consts::TAU)).collect();
@@ -53,7 +53,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 /// A room of Gaussians in eight bits, those in front of it foreground.
-fn start(num_gaussians: usize, percent: usize) -> Checkpoint {
+fn start(num_gaussians: usize, percent: usize) -> Result<Checkpoint, CompressError> {
     let mut random = Pcg64Mcg::seed_from_u64(0);
     let mut point = |size: f32| [(); 3].map(|()| size * (2.0 * random.random::<f32>() - 1.0));
     let points = (0..num_gaussians).map(|_| point(2.0)).collect();
@@ -64,10 +64,10 @@ fn start(num_gaussians: usize, percent: usize) -> Checkpoint {
         let [x, y, z] = point(0.5);
         *quat = [(1.0 - x * x - y * y - z * z).sqrt(), x, y, z];
     }
-    let quantizers = FakeQuantizers::new(BitMap::uniform(num_gaussians, 16, 8), &parameters.gaussians, true);
+    let quantizers = FakeQuantizers::new(BitMap::uniform(num_gaussians, 16, 8), &parameters.gaussians, true)?;
     let camera = tcgs_core::Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 500.0, 640, 480);
     let mut checkpoint = Checkpoint::of_parameters(parameters, &[camera]);
     checkpoint.optimizer = tcgs_train::Optimizer::new(&checkpoint.parameters, quantizers.quantizers.len());
     checkpoint.quantizers = Some(quantizers);
-    checkpoint
+    Ok(checkpoint)
 }

@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::gate::GateConfig;
 use crate::losses::WeightConfig;
 
 /// A training run's settings: what `config.toml` holds. Every field can be set by its dotted name.
@@ -219,6 +218,40 @@ pub struct QuantizeConfig {
     pub position_bits: u8,
     /// Whether quantizers learn an offset too (LSQ has none). Default true.
     pub learned_offset: bool,
+}
+
+/// Settings of the gate: what a timestep after the first trains.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GateConfig {
+    /// Whether timesteps after the first train only what changes. Default true; false in `d3dgs` and `paper`.
+    pub enabled: bool,
+    /// A block of 4x4 pixels has changed if its mean absolute difference from the image before exceeds the median of all
+    /// blocks of the view by so many standard deviations, estimated robustly, and by `contrast`. Default 6.
+    pub noise: f32,
+    /// See `noise`; in units of colour, of which white has 1. Default 0.006, one and a half of 255 levels.
+    pub contrast: f32,
+    /// A tile has evidence, too, if its mean absolute error has grown by more than this since it was last trained, in
+    /// units of colour. Default 0.006.
+    pub growth: f32,
+    /// A Gaussian is active if at least this share of its blending weight, over all views, falls on changed blocks.
+    /// Default 0.4; 0 makes every Gaussian active that a changed block shows.
+    pub share: f32,
+    /// A timestep has settled when its losses fell, over the last pass through its views, by less than this share of
+    /// the most that they fell over one pass. Default 0.05.
+    pub settle: f32,
+    /// How many times as fast a timestep goes through the rest of its schedule once it has settled. Default 3; 1 to give
+    /// every timestep all of its iterations.
+    pub pace: f32,
+}
+
+impl GateConfig {
+    /// The settings of presets `default` and `fast`.
+    pub const ON: Self =
+        Self { enabled: true, noise: 6.0, contrast: 0.006, growth: 0.006, share: 0.4, settle: 0.05, pace: 3.0 };
+
+    /// The settings of presets that train everything, and of runs whose `config.toml` knows of no gate.
+    pub const OFF: Self = Self { enabled: false, ..Self::ON };
 }
 
 /// Why [`TrainConfig::merge`] or [`TrainConfig::set`] refused settings.

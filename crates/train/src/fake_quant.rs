@@ -4,7 +4,7 @@
 
 use multiversion::multiversion;
 use rayon::prelude::*;
-use tcgs_codec::{BitMap, Quantizer, Quantizers};
+use tcgs_codec::{BitMap, CompressError, Quantizer, Quantizers};
 use tcgs_core::{Attribute, GaussianGrads, Gaussians, Layout};
 
 use crate::adam::Moments;
@@ -87,7 +87,10 @@ impl FakeQuantizers {
     /// - `gaussians`: `[N]`, stored form
     /// - `learned_offset`: whether offsets are learned; without them quantizers are symmetric, and their steps start
     ///   from LSQ's formula (Esser et al. 2020)
-    pub fn new(bit_map: BitMap, gaussians: &Gaussians, learned_offset: bool) -> Self {
+    ///
+    /// # Errors
+    /// [`CompressError`] if a value is not finite, or a step that covers the values of a channel is no `f32`.
+    pub fn new(bit_map: BitMap, gaussians: &Gaussians, learned_offset: bool) -> Result<Self, CompressError> {
         let histogram = bit_map.histogram();
         let groups: Vec<(Attribute, u8)> = quantized(gaussians.layout())
             .flat_map(|a| histogram[a.index()].keys().map(move |&width| (a, width)))
@@ -106,14 +109,15 @@ impl FakeQuantizers {
                 let quantizer = if learned_offset {
                     Quantizer::fit(&own, width)
                 } else {
-                    let step = tcgs_codec::lsq_step(&own, width);
-                    step.and_then(|step| Quantizer::new(step.max(1e-6), 0.0, width))
+                    let step = tcgs_codec::lsq_step(&own, width)?;
+                    // Not `max`, which would take the step of values that are not finite for a small one.
+                    Quantizer::new(if step < 1e-6 { 1e-6 } else { step }, 0.0, width)
                 };
-                quantizers.push(quantizer.expect("finite values, since their bits were assigned"));
+                quantizers.push(quantizer?);
             }
         }
         let initial_steps = quantizers.iter().map(|q| q.step).collect();
-        Self::restore(bit_map, groups, quantizers, initial_steps, learned_offset)
+        Ok(Self::restore(bit_map, groups, quantizers, initial_steps, learned_offset))
     }
 
     /// Quantizers from saved fields; the fields of this struct describe the arguments.
@@ -291,8 +295,23 @@ mod tests {
         gaussians.colors_mut().iter_mut().enumerate().for_each(|(i, color)| *color = [i as f32 / 100.0; 3]);
         let mut bit_map = BitMap::uniform(100, 16, 4);
         bit_map.widths[Attribute::Color.index()][50] = 8;
-        let table = FakeQuantizers::new(bit_map, &gaussians, true).table();
+        let table = FakeQuantizers::new(bit_map, &gaussians, true).unwrap().table();
         let quantizer = table.get(Attribute::Color, 8, 0).expect("a width in use");
         assert!((fake_quant(0.1, quantizer) - 0.1).abs() < 0.01 && (fake_quant(0.9, quantizer) - 0.9).abs() < 0.01);
+    }
+
+    #[test]
+    fn values_that_no_quantizer_holds_are_an_error() {
+        let new = |value: f32, bits, learned_offset| {
+            let mut gaussians = Gaussians::zeros(40);
+            gaussians.colors_mut()[0] = [value; 3];
+            gaussians.colors_mut()[1] = [-value; 3];
+            FakeQuantizers::new(BitMap::uniform(40, 16, bits), &gaussians, learned_offset)
+        };
+        assert!(new(1.0, 4, true).is_ok() && new(1.0, 4, false).is_ok());
+        for value in [f32::NAN, f32::INFINITY] {
+            assert!(new(value, 4, true).is_err() && new(value, 4, false).is_err(), "{value}");
+        }
+        assert!(new(f32::MAX, 1, true).is_err(), "its step is no f32");
     }
 }

@@ -31,13 +31,13 @@ mod trainer;
 pub use adam::{Moments, adam};
 pub use checkpoint::Checkpoint;
 pub use config::{
-    BitMapKind, ConfigError, DataConfig, DensifyConfig, MaskConfig, Preset, QuantizeConfig, REFERENCE_ITERATIONS,
-    RateConfig, ScheduleConfig, TrainConfig,
+    BitMapKind, ConfigError, DataConfig, DensifyConfig, GateConfig, MaskConfig, Preset, QuantizeConfig,
+    REFERENCE_ITERATIONS, RateConfig, ScheduleConfig, TrainConfig,
 };
 pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
 pub use error::TrainError;
 pub use fake_quant::{FakeQuantizers, fake_quant, fake_quant_vjp, step_gradient_scale};
-pub use gate::{GateConfig, GateRecord};
+pub use gate::{GateRecord, Trained};
 pub use lifetimes::Lifetimes;
 pub use losses::{Loss, LossTerms, WeightConfig};
 pub use mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};

@@ -111,6 +111,24 @@ pub fn scene_radius(cameras: &[Camera]) -> f32 {
     (1.1 * centers.iter().map(distance).fold(0.0, f64::max)) as f32
 }
 
+/// The scene's radius by its cameras; where these are at one place and say nothing of it, by the distance of points.
+///
+/// - `cameras`: at least one
+/// - returns: scene units
+pub(crate) fn extent(cameras: &[Camera], points: &[[f32; 3]]) -> f32 {
+    match scene_radius(cameras) {
+        0.0 => distance_to(&cameras[0], points),
+        radius => radius,
+    }
+}
+
+/// Root mean squared distance of a camera to points, scene units.
+fn distance_to(camera: &Camera, points: &[[f32; 3]]) -> f32 {
+    let center = camera.center();
+    let squared = |p: &[f32; 3]| (0..3).map(|i| (f64::from(p[i]) - center[i]).powi(2)).sum::<f64>();
+    (points.iter().map(squared).sum::<f64>() / points.len() as f64).sqrt() as f32
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

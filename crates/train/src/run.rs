@@ -22,10 +22,9 @@ use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
 use crate::checkpoint::{Arrays, Chain, Checkpoint, For, MASK_LOGITS, read_single, write_single};
-use crate::config::TrainConfig;
+use crate::config::{GateConfig, TrainConfig};
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
-use crate::gate::GateConfig;
 use crate::parameters::Parameters;
 use crate::state::State;
 use crate::trainer::Trainer;

@@ -17,11 +17,11 @@ use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
 use crate::engine::cpu::CpuEngine;
 use crate::engine::{Engine, Step, Target};
 use crate::fake_quant::FakeQuantizers;
-use crate::gate::{Activity, Gate, GateRecord, Pace, Shares};
+use crate::gate::{Activity, Gate, GateRecord, Pace, Shares, Trained};
 use crate::losses::LossTerms;
 use crate::mask::mask;
 use crate::motion::{Past, Pose, predict};
-use crate::parameters::{Parameters, scene_radius};
+use crate::parameters::{Parameters, extent};
 use crate::schedule::{Phase, Schedule};
 use crate::state::State;
 
@@ -86,6 +86,7 @@ pub struct Trainer {
     is_unfinished: bool,
     /// What later timesteps train; none if they train everything.
     gate: Option<Gate>,
+    trained: Trained,
     /// Whether the run continues another one's state, so that its first timestep is trained as a later one.
     continues: bool,
 }
@@ -151,6 +152,7 @@ impl Trainer {
             camera_ids: Vec::new(),
             is_unfinished: false,
             gate: gate(config, GateRecord::default()),
+            trained: Trained::ALL,
             continues: false,
         })
     }
@@ -226,6 +228,7 @@ impl Trainer {
             camera_ids: Vec::new(),
             is_unfinished: false,
             gate: gate(config, last.gate.clone()),
+            trained: Trained::ALL,
             continues,
         }
     }
@@ -251,6 +254,11 @@ impl Trainer {
     /// [`TrainError::Gpu`] if the engine failed.
     pub fn state(&mut self) -> Result<&State, TrainError> {
         self.engine.state()
+    }
+
+    /// How much of the scene and of its views the timestep that was finished last trained.
+    pub fn trained(&self) -> Trained {
+        self.trained
     }
 
     /// Whether a resumed run needs [`Self::recall`] to go on as if it had never stopped: whether its gate compares the
@@ -317,6 +325,7 @@ impl Trainer {
             }
             self.begin_timestep(activity.as_ref())?;
         }
+        self.trained = activity.as_ref().map_or(Trained::ALL, |a| a.trained(self.num_gaussians));
         match &mut activity {
             Some(activity) => self.fit_activity(targets, activity, observe)?,
             None => {
@@ -490,7 +499,7 @@ impl Trainer {
         let state = self.engine.state_mut()?;
         let gaussians = &state.parameters.gaussians;
         let bit_map = assign_bits(&sensitivity, gaussians, &bit_settings(&self.config))?;
-        state.start_quantization(FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset));
+        state.start_quantization(FakeQuantizers::new(bit_map, gaussians, self.config.quantize.learned_offset)?);
         Ok(())
     }
 
@@ -617,24 +626,6 @@ fn all_segmented(views: &[View]) -> bool {
 /// That something is missing.
 fn none(what: &str) -> TrainError {
     TrainError::Input { what: what.into(), found: "none".into(), expected: "at least 1".into() }
-}
-
-/// The scene's radius by its cameras; where these are at one place and say nothing of it, by the distance of points.
-///
-/// - `cameras`: at least one
-/// - returns: scene units
-pub(crate) fn extent(cameras: &[Camera], points: &[[f32; 3]]) -> f32 {
-    match scene_radius(cameras) {
-        0.0 => distance_to(&cameras[0], points),
-        radius => radius,
-    }
-}
-
-/// Root mean squared distance of a camera to points, scene units.
-fn distance_to(camera: &Camera, points: &[[f32; 3]]) -> f32 {
-    let center = camera.center();
-    let squared = |p: &[f32; 3]| (0..3).map(|i| (f64::from(p[i]) - center[i]).powi(2)).sum::<f64>();
-    (points.iter().map(squared).sum::<f64>() / points.len() as f64).sqrt() as f32
 }
 
 /// The settings of a run's mixed-precision quantisation ([`TrainConfig::quantize`]) as the codec takes them.

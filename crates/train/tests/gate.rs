@@ -1,5 +1,7 @@
 //! What the gate trains, on made captures whose Gaussians are known: a wall and an object before it.
 
+#![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
+
 use std::ops::{ControlFlow, Range};
 
 use rand::{RngExt, SeedableRng};

@@ -260,7 +260,7 @@ fn quantized(mut state: State, learned_offset: bool) -> State {
     let gaussians = &state.parameters.gaussians;
     let mut bit_map = BitMap::uniform_of(gaussians.layout(), gaussians.num_gaussians(), 16, 6);
     bit_map.widths[1].iter_mut().step_by(3).for_each(|width| *width = 8);
-    let quantizers = FakeQuantizers::new(bit_map, gaussians, learned_offset);
+    let quantizers = FakeQuantizers::new(bit_map, gaussians, learned_offset).unwrap();
     state.start_quantization(quantizers);
     state
 }

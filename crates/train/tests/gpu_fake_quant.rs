@@ -80,7 +80,7 @@ fn gradients_are_those_of_the_cpu() {
     {
         let values = layout.components() + 1;
         let (bit_map, mut gaussians) = scene(layout, n, &mut random);
-        let quantizers = FakeQuantizers::new(bit_map, &gaussians, learned_offset);
+        let quantizers = FakeQuantizers::new(bit_map, &gaussians, learned_offset).unwrap();
         // Values have moved since: some are beyond the range, some exactly at its end or between two codes.
         for attribute in layout.attributes() {
             gaussians.values_mut(attribute).iter_mut().for_each(|x| *x = 1.1 * *x + random.within(0.02));
@@ -123,7 +123,7 @@ fn gradients_are_those_of_the_cpu() {
 fn nothing_happens_before_quantisation() {
     let Some(gpu) = gpu() else { return };
     let (bit_map, gaussians) = scene(&Layout::base(), 100, &mut Random::new(3));
-    let quantizers = FakeQuantizers::new(bit_map, &gaussians, true);
+    let quantizers = FakeQuantizers::new(bit_map, &gaussians, true).unwrap();
     let v = vec![1.5; 1500];
     let (found, v_steps, _) = backward(&gpu, &quantizers, &gaussians, &v, 0);
     assert_eq!(found, v);
@@ -140,7 +140,7 @@ fn every_gaussian_finds_its_quantizers() {
     let Some(gpu) = gpu() else { return };
     for layout in [Layout::base(), further_layout()] {
         let (bit_map, gaussians) = scene(&layout, 500, &mut Random::new(5));
-        let quantizers = FakeQuantizers::new(bit_map, &gaussians, true);
+        let quantizers = FakeQuantizers::new(bit_map, &gaussians, true).unwrap();
         let buffers = QuantizerBuffers::new(&gpu, &Packing::new(&layout), &quantizers).unwrap();
         let quantized: Vec<_> = layout.columns().iter().filter(|column| column.quantized).collect();
         let words = quantized.len().div_ceil(4);

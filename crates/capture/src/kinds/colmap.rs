@@ -8,11 +8,12 @@
 //! What lives here: from a model to a capture; the model's files are read by `colmap`. What lenses bend is straightened.
 //! Every eighth image by name, beginning with the first, is for judging.
 
-use std::path::{Component, Path};
+use std::path::Path;
 
 use tcgs_core::{Camera, rotmat_from_quat};
 
-use super::test_cameras::{STATIC_FRAME_RATE, every_eighth};
+use super::test_cameras::every_eighth;
+use crate::checked::{FrameRate, InnerPath};
 use crate::colmap::{ColmapModel, model_folder, points_file};
 use crate::contents::{CameraSetOfFiles, Contents, check_images};
 use crate::footage::Change;
@@ -50,9 +51,8 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
         let lens = cameras.get(&image.camera_id).ok_or_else(|| {
             invalid(format!("has the camera {}, expected one of {}", image.camera_id, cameras_file.display()))
         })?;
-        if !Path::new(&image.name).components().all(|part| matches!(part, Component::Normal(_))) {
-            return Err(invalid("is outside of the images' folder".into()));
-        }
+        let name = InnerPath::new(&image.name, "the folder of images")
+            .map_err(|problem| CaptureError::invalid(&images_file, format!("the name of an image {problem}")))?;
         let [x, y, z] = rotmat_from_quat(image.quat);
         let [tx, ty, tz] = image.translation;
         let row = |r: [f64; 3], t: f64| [r[0], r[1], r[2], t];
@@ -60,7 +60,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
         let (size, intrinsics) = ((lens.crop.width, lens.crop.height), lens.straight_intrinsics());
         let camera =
             Camera::new(size.0, size.1, intrinsics, camera_from_world).map_err(|error| invalid(error.to_string()))?;
-        cameras_of_images.add(id, camera, Change::for_lens(lens), &image.name);
+        cameras_of_images.add(id, camera, Change::for_lens(lens), name);
     }
     if images.is_empty() {
         return Err(CaptureError::invalid(&images_file, "has no images, expected at least one"));
@@ -70,7 +70,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
     let [train, test] = every_eighth(all);
     Ok(Contents {
         num_frames: 1,
-        frame_rate: STATIC_FRAME_RATE,
+        frame_rate: FrameRate::USUAL,
         usual_frames: 0..1,
         train,
         test,

@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 
 use tcgs_core::Camera;
 
-use super::test_cameras::{STATIC_FRAME_RATE, every_eighth};
+use super::test_cameras::every_eighth;
+use crate::checked::{FrameRate, InnerPath};
 use crate::contents::{CameraSetOfFiles, Contents};
 use crate::footage::Change;
 use crate::kind::{CaptureFacts, CaptureKind};
@@ -52,7 +53,9 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
                 format!("line {}: expected a name and {NUMBERS} numbers: k11 … k33, r11 … r33, t1 t2 t3", i + 1);
             return Err(invalid(problem));
         };
-        let image = path.join(words[0]);
+        let name = InnerPath::new(words[0], "the capture")
+            .map_err(|problem| invalid(format!("line {}: the name {problem}", i + 1)))?;
+        let image = name.below(path);
         if !image.is_file() {
             let problem = format!("no such file, expected it as line {} of {} names it", i + 1, files::name(&file));
             return Err(CaptureError::invalid(image, problem));
@@ -62,7 +65,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
         let row = |r: usize| [n[9 + 3 * r], n[10 + 3 * r], n[11 + 3 * r], n[18 + r]];
         let camera = Camera::new(width, height, k, [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
             .map_err(|error| invalid(format!("line {}: {error}", i + 1)))?;
-        cameras.add(num_images, camera, Change::Nothing, words[0]);
+        cameras.add(num_images, camera, Change::Nothing, name);
         num_images += 1;
     }
     if num_images != count || count == 0 {
@@ -71,7 +74,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
     let [train, test] = every_eighth(cameras.finish());
     Ok(Contents {
         num_frames: 1,
-        frame_rate: STATIC_FRAME_RATE,
+        frame_rate: FrameRate::USUAL,
         usual_frames: 0..1,
         train,
         test,

@@ -11,13 +11,14 @@
 //! given, every eighth camera of the first timestep.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Component, Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use serde::Deserialize;
 use tcgs_core::{Camera, natural_key};
 
 use super::test_cameras;
+use crate::checked::{FrameRate, InnerPath, read_json};
 use crate::contents::{CameraSetOfFiles, Contents, check_images};
 use crate::footage::Change;
 use crate::kind::{CaptureFacts, CaptureKind};
@@ -25,9 +26,9 @@ use crate::lens::{Crop, Lens, MAX_SIDE};
 use crate::{CaptureError, decode, points};
 
 const TRANSFORMS: &str = "transforms.json";
+/// What the names of files are relative to.
+const INSIDE: &str = "the capture";
 
-/// Frames a second, where they are not given.
-const FRAME_RATE: f64 = 30.0;
 /// Times this close are one.
 const TIME_STEP: f64 = 1e-6;
 
@@ -36,7 +37,7 @@ struct Transforms {
     frames: Vec<Frame>,
     #[serde(flatten)]
     intrinsics: Intrinsics,
-    ply_file_path: Option<PathBuf>,
+    ply_file_path: Option<String>,
     val_filenames: Option<BTreeSet<String>>,
     test_filenames: Option<BTreeSet<String>>,
     /// Frames a second; an addition of ours.
@@ -86,14 +87,10 @@ impl CaptureKind {
 fn open(path: &Path) -> Result<Contents, CaptureError> {
     let file = path.join(TRANSFORMS);
     let invalid = |problem: String| CaptureError::invalid(&file, problem);
-    let text = std::fs::read(&file).map_err(|error| CaptureError::Io { path: file.clone(), error })?;
-    let mut json = serde_json::Deserializer::from_slice(&text);
-    let transforms: Transforms =
-        serde_path_to_error::deserialize(&mut json).map_err(|error| invalid(error.to_string()))?;
-    let frame_rate = transforms.fps.unwrap_or(FRAME_RATE);
-    if !(frame_rate.is_finite() && frame_rate > 0.0) {
-        return Err(invalid(format!("fps is {frame_rate}, expected more than 0")));
-    }
+    let transforms: Transforms = read_json(&file)?;
+    let frame_rate = FrameRate::of_file(transforms.fps, &file)?;
+    let own_points = transforms.ply_file_path.as_deref().map(|path| InnerPath::new(path, INSIDE));
+    let own_points = own_points.transpose().map_err(|problem| invalid(format!("ply_file_path {problem}")))?;
     let timesteps = timesteps(&transforms.frames).map_err(invalid)?;
     let for_test = test_cameras(&transforms, &timesteps).map_err(invalid)?;
 
@@ -120,7 +117,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
         train,
         test,
         cameras_files: [file.clone(), file],
-        points: points::find(path, transforms.ply_file_path.map(|ply| path.join(ply)).filter(|ply| ply.is_file())),
+        points: points::find(path, own_points.map(|ply| ply.below(path)).filter(|ply| ply.is_file())),
     })
 }
 
@@ -202,28 +199,23 @@ impl Lenses<'_> {
         camera_id: usize,
         frame: &Frame,
         file: &Path,
-    ) -> Result<(Camera, Change, String), CaptureError> {
+    ) -> Result<(Camera, Change, InnerPath), CaptureError> {
+        let image = InnerPath::new(&frame.file_path, INSIDE)
+            .map_err(|problem| CaptureError::invalid(file, format!("file_path {problem}")))?
+            .or_extension("png");
         let invalid = |problem: String| CaptureError::invalid(file, format!("{}: {problem}", frame.file_path));
-        let relative = Path::new(&frame.file_path);
-        if !relative.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
-            return Err(invalid("expected a path inside the capture".into()));
-        }
-        let mut image = relative.to_path_buf();
-        if image.extension().is_none() {
-            image.set_extension("png");
-        }
         let lens = self.lens(&frame.intrinsics, camera_id, &image, invalid)?;
         let camera_from_world = camera_from_world(&frame.transform_matrix).map_err(invalid)?;
         let camera = Camera::new(lens.crop.width, lens.crop.height, lens.straight_intrinsics(), camera_from_world)
             .map_err(|error| invalid(error.to_string()))?;
-        Ok((camera, Change::for_lens(&lens), image.to_string_lossy().into_owned()))
+        Ok((camera, Change::for_lens(&lens), image))
     }
 
     fn lens(
         &mut self,
         own: &Intrinsics,
         camera_id: usize,
-        image: &Path,
+        image: &InnerPath,
         invalid: impl Fn(String) -> CaptureError,
     ) -> Result<Arc<Lens>, CaptureError> {
         let model = own.camera_model.as_ref().or(self.all.camera_model.as_ref());
@@ -237,7 +229,7 @@ impl Lenses<'_> {
             _ => {
                 let (width, height) = match self.sizes.get(&camera_id) {
                     Some(&size) => size,
-                    None => decode::size(&self.capture.join(image))?,
+                    None => decode::size(&image.below(self.capture))?,
                 };
                 self.sizes.insert(camera_id, (width, height));
                 (width as f64, height as f64)

@@ -19,6 +19,7 @@ use rayon::prelude::*;
 use tcgs_core::Camera;
 use tcgs_interchange::read_npy;
 
+use crate::checked::FrameRate;
 use crate::contents::{CameraSet, Contents};
 use crate::footage::{ByFrame, Change, Footage, Images, Masks, Pixels};
 use crate::kind::{CaptureFacts, CaptureKind};
@@ -35,8 +36,6 @@ const TEST_CAMERA: usize = 0;
 const USUAL_FRAMES: usize = 300;
 /// Size of the published videos.
 const PUBLISHED_SIZE: (usize, usize) = (2704, 2028);
-/// Frames a second where only images are left.
-const FRAME_RATE: f64 = 30.0;
 /// How far the shape of a video's frames may be from that of its poses.
 const SHAPE_TOLERANCE: f64 = 0.01;
 
@@ -167,10 +166,11 @@ impl Recording {
         Ok(Self { path, size, num_frames, pixels: Pixels::Files { files, cut_frame: None } })
     }
 
-    fn frame_rate(&self) -> f64 {
+    /// That of the video; the usual one where only images are left, or where the video does not say how long it is.
+    fn frame_rate(&self) -> FrameRate {
         match &self.pixels {
-            Pixels::Video(video) if video.frame_rate() > 0.0 => video.frame_rate(),
-            _ => FRAME_RATE,
+            Pixels::Video(video) => FrameRate::new(video.frame_rate()).unwrap_or(FrameRate::USUAL),
+            Pixels::Files { .. } => FrameRate::USUAL,
         }
     }
 

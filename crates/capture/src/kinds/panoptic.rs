@@ -7,12 +7,13 @@
 //! init_pt_cld.npz                       points
 //! ```
 
-use std::path::{Component, Path};
+use std::path::Path;
 
 use rayon::prelude::*;
 use tcgs_core::Camera;
 
 use super::panoptic_meta::Meta;
+use crate::checked::{FrameRate, InnerPath, read_json};
 use crate::contents::{CameraSet, CameraSetOfFiles, Contents, missing_image};
 use crate::files::Listings;
 use crate::footage::{ByFrame, Change, Images, Masks, Pixels};
@@ -24,9 +25,6 @@ const TRAIN_META: &str = "train_meta.json";
 const TEST_META: &str = "test_meta.json";
 const IMAGES: &str = "ims";
 const MASKS: &str = "seg";
-
-/// Frames a second of CMU Panoptic's cameras.
-const DEFAULT_FRAME_RATE: f64 = 30.0;
 
 impl CaptureKind {
     /// Panoptic Sports as prepared for Dynamic 3D Gaussians: a file an image.
@@ -45,11 +43,8 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
         return Err(CaptureError::invalid(images, "no such folder, expected the images that train_meta.json names"));
     }
     let train_meta = path.join(TRAIN_META);
-    let meta = Meta::read(&train_meta)?;
-    let frame_rate = meta.fps.unwrap_or(DEFAULT_FRAME_RATE);
-    if !(frame_rate.is_finite() && frame_rate > 0.0) {
-        return Err(CaptureError::invalid(&train_meta, format!("fps is {frame_rate}, expected more than 0")));
-    }
+    let meta: Meta = read_json(&train_meta)?;
+    let frame_rate = FrameRate::of_file(meta.fps, &train_meta)?;
     let mut train = cameras(path, TRAIN_META, &meta)?;
     let num_frames = meta.k.len();
     // The largest part of what is read; names and cameras that repeat are held once from here on.
@@ -62,7 +57,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
     }
 
     let test_meta = path.join(TEST_META);
-    let meta = if test_meta.exists() { Some(Meta::read(&test_meta)?) } else { None };
+    let meta = if test_meta.exists() { Some(read_json::<Meta>(&test_meta)?) } else { None };
     let mut test = match meta.filter(|meta| !meta.k.is_empty()) {
         Some(meta) if meta.k.len() == num_frames => cameras(path, TEST_META, &meta)?,
         Some(meta) => {
@@ -102,7 +97,7 @@ fn cameras(path: &Path, meta_name: &str, meta: &Meta) -> Result<CameraSet, Captu
     if let Some((key, length)) = lengths.into_iter().find(|&(_, length)| length != num_timesteps) {
         return Err(invalid(format!("{key} has {length} timesteps, expected {num_timesteps} as k has")));
     }
-    let images = path.join(IMAGES);
+    let (images, inside) = (path.join(IMAGES), format!("{IMAGES}/"));
     let mut cameras = CameraSetOfFiles::new(&images);
     for t in 0..num_timesteps {
         let num_cameras = meta.k[t].len();
@@ -113,15 +108,9 @@ fn cameras(path: &Path, meta_name: &str, meta: &Meta) -> Result<CameraSet, Captu
         cameras.begin_frame();
         for c in 0..num_cameras {
             let (camera_id, name) = (meta.cam_id[t][c], &meta.file_names[t][c]);
-            let file_name = Path::new(name);
             let camera = Camera::new(meta.w, meta.h, meta.k[t][c], meta.w2c[t][c])
                 .map_err(|error| invalid(format!("camera {camera_id} at [{t}][{c}]: {error}")))?;
-            if file_name.components().next().is_none()
-                || !file_name.components().all(|part| matches!(part, Component::Normal(_)))
-            {
-                let problem = format!("fn[{t}][{c}] is {file_name:?}, expected the path of a file inside {IMAGES}/");
-                return Err(invalid(problem));
-            }
+            let name = InnerPath::new(name, &inside).map_err(|problem| invalid(format!("fn[{t}][{c}] {problem}")))?;
             if !cameras.add(camera_id, camera, Change::Nothing, name) {
                 return Err(invalid(format!("cam_id[{t}] has {camera_id} twice, expected every camera once")));
             }

@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 
 use tcgs_core::{Camera, rotmat_from_quat};
 
+use crate::checked::{FrameRate, InnerPath};
 use crate::contents::{CameraSetOfFiles, Contents};
 use crate::footage::Change;
 use crate::kind::{CaptureFacts, CaptureKind};
@@ -25,8 +26,6 @@ const CAMERAS: &str = "cameras_parameters.txt";
 
 /// Camera for judging.
 const TEST_CAMERA: usize = 10;
-/// The cameras' speed.
-const FRAME_RATE: f64 = 30.0;
 /// Numbers of the files that publications use.
 const USUAL_FRAMES: [(&str, Range<usize>); 5] =
     [("Birthday", 151..201), ("Fabien", 51..101), ("Painter", 100..150), ("Theater", 51..101), ("Train", 151..201)];
@@ -84,7 +83,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
         test.begin_frame();
         for (id, camera) in cameras.iter().enumerate() {
             let set = if id == TEST_CAMERA { &mut test } else { &mut train };
-            set.add(id, camera.clone(), Change::Nothing, files::name(image(frame, id)?));
+            set.add(id, camera.clone(), Change::Nothing, InnerPath::of_listed(image(frame, id)?));
             if (scene.as_str(), frame, id) == DAMAGED && images.contains_key(&(frame.wrapping_sub(1), id)) {
                 set.last_is_cut();
             }
@@ -92,7 +91,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
     }
     Ok(Contents {
         num_frames: frames.len(),
-        frame_rate: FRAME_RATE,
+        frame_rate: FrameRate::USUAL,
         usual_frames: usual_frames(&scene, &frames),
         train: train.finish(),
         test: test.finish(),

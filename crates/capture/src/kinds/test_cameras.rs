@@ -5,9 +5,6 @@ use crate::contents::CameraSet;
 /// Of so many cameras one is for judging, beginning with the first: as publications on scenes of COLMAP do.
 pub(super) const TEST_STRIDE: usize = 8;
 
-/// Frames a second of what does not move.
-pub(super) const STATIC_FRAME_RATE: f64 = 30.0;
-
 /// Training and test cameras of a capture of one frame. With fewer than eight all are for training.
 pub(super) fn every_eighth(all: CameraSet) -> [CameraSet; 2] {
     if all.footage.len() < TEST_STRIDE {

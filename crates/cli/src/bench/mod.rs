@@ -1,5 +1,6 @@
 //! `tcgs bench`: how fast this computer draws and trains, stage by stage.
 
+mod files;
 mod measure;
 mod scene;
 mod table;
@@ -36,7 +37,8 @@ const START_LOGIT: f32 = 1.0;
 Example:
   tcgs bench --json bench.json
   tcgs bench --backend cpu --gaussians 50000 --size 320x180
-  tcgs bench --capture my_capture --downscale 2")]
+  tcgs bench --capture my_capture --downscale 2
+  tcgs bench --size 640x360 --write-scene scene")]
 pub struct Arguments {
     /// Gaussians of the built-in scene [default: 300000; 30000 on software that acts as a GPU]
     #[arg(long, value_name = "N", value_parser = options::positive, conflicts_with = "capture")]
@@ -53,6 +55,9 @@ pub struct Arguments {
     /// Times that each thing is measured, after a warm-up [default: 20; 5 on the CPU, 3 on software that acts as a GPU]
     #[arg(long, value_name = "N", value_parser = options::positive)]
     iterations: Option<usize>,
+    /// Also write what is drawn, for other renderers to draw the same: Gaussians (PLY), camera (JSON), image (npz)
+    #[arg(long, value_name = "DIR")]
+    write_scene: Option<PathBuf>,
     #[command(flatten)]
     backend: BackendOptions,
     #[command(flatten)]
@@ -71,16 +76,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => {
             let sizes = if arguments.size.is_empty() { &SIZES[..] } else { &arguments.size };
             let default = if is_software(&backend) { NUM_GAUSSIANS_SOFTWARE } else { NUM_GAUSSIANS };
-            scene::built_in(arguments.gaussians.unwrap_or(default), sizes, seed)
+            scene::built_in(arguments.gaussians.unwrap_or(default), sizes, seed)?
         }
     };
+    let folder = arguments.write_scene.as_deref();
+    let written = folder.map(|folder| files::write(folder, &scenes, &backend, arguments.job.force)).transpose()?;
     let counts = counts(&backend, arguments.iterations);
     let mut progress = Progress::new("measuring", STEPS * scenes.len());
     let mut results = Vec::with_capacity(scenes.len());
-    for scene in &scenes {
+    for (i, scene) in scenes.iter().enumerate() {
         let measured = measure(&backend, scene, counts, &mut |part| progress.step(|| part.into()))?;
         progress.say(&table::text(scene, &measured, counts))?;
-        results.push(table::scene_json(scene, &measured, counts));
+        results.push(table::scene_json(scene, &measured, counts, written.as_ref().map(|folders| folders[i].as_path())));
     }
     drop(progress);
     arguments.job.write_json(&table::json(&backend, results))

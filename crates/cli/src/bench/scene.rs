@@ -68,11 +68,11 @@ fn random_gaussians(num_gaussians: usize, random: &mut Pcg64Mcg) -> Parameters {
 }
 
 /// The built-in scene at every size.
-pub fn built_in(num_gaussians: usize, sizes: &[Size], seed: u64) -> Vec<BenchScene> {
+pub fn built_in(num_gaussians: usize, sizes: &[Size], seed: u64) -> anyhow::Result<Vec<BenchScene>> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let parameters = random_gaussians(num_gaussians, &mut random);
-    let state = later_timestep(parameters, &mut random);
-    sizes
+    let state = later_timestep(parameters, &mut random)?;
+    Ok(sizes
         .iter()
         .map(|&Size { width, height }| {
             let (ahead, up) = ([0.0, 0.0, 1.0], [0.0, -1.0, 0.0]);
@@ -88,7 +88,7 @@ pub fn built_in(num_gaussians: usize, sizes: &[Size], seed: u64) -> Vec<BenchSce
             }
             BenchScene { name: "random".into(), state: state.clone(), targets: vec![Target { camera, image }] }
         })
-        .collect()
+        .collect())
 }
 
 /// A capture's initial cloud and the training images of its first frame.
@@ -98,13 +98,13 @@ pub fn of_capture(capture: &Capture, downscale: usize, seed: u64) -> anyhow::Res
     let with_segmentation = views.iter().all(|view| view.segmentation.is_some());
     Ok(BenchScene {
         name: capture.name(),
-        state: later_timestep(parameters, &mut Pcg64Mcg::seed_from_u64(seed)),
+        state: later_timestep(parameters, &mut Pcg64Mcg::seed_from_u64(seed))?,
         targets: views.iter().map(|view| Target::new(view, with_segmentation)).collect(),
     })
 }
 
 /// A state between whose timesteps everything has moved a little, quantised to mixed bit widths.
-fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> State {
+fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> anyhow::Result<State> {
     let q = TrainConfig::default().quantize;
     let mut state = State::new(parameters);
     state.canonicalize_quats();
@@ -113,7 +113,7 @@ fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> State {
     for attribute in Attribute::BASE.into_iter().filter(|&attribute| attribute != Attribute::Mean) {
         bit_map.widths[attribute.index()].fill_with(|| random.random_range(q.min_bits..=q.max_bits));
     }
-    let quantizers = FakeQuantizers::new(bit_map, &p.gaussians, q.learned_offset);
+    let quantizers = FakeQuantizers::new(bit_map, &p.gaussians, q.learned_offset)?;
     state.start_quantization(quantizers);
     let mut moved = |by: f32| -> Vec<[f32; 3]> {
         let means = &state.parameters.gaussians.means();
@@ -126,5 +126,5 @@ fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> State {
     let first = Pose { means: first, quats: p.gaussians.quats().to_vec() };
     let past = Past::new(first, previous, &p.foreground);
     state.past = Some(Past { previous_mask_logits: Some(p.mask_logits.clone()), ..past });
-    state
+    Ok(state)
 }

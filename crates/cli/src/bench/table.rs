@@ -1,6 +1,7 @@
 //! The times for people and for machines.
 
 use std::fmt::Write;
+use std::path::Path;
 
 use serde_json::{Value, json};
 use tcgs_pipeline::Backend;
@@ -63,10 +64,13 @@ fn stages_json(samples: &Samples) -> Vec<Value> {
 }
 
 /// One scene's times for machines, milliseconds.
-pub fn scene_json(scene: &BenchScene, measured: &Measured, counts: Counts) -> Value {
+///
+/// - `files`: the folder that the scene was written to
+pub fn scene_json(scene: &BenchScene, measured: &Measured, counts: Counts, files: Option<&Path>) -> Value {
     let (size, m) = (scene.size(), measured);
     json!({
         "name": scene.name,
+        "files": files,
         "gaussians": scene.state.parameters.num_gaussians(),
         "width": size.width,
         "height": size.height,

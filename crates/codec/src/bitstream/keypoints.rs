@@ -80,6 +80,10 @@ impl UnitTracks {
     }
 
     /// Code of a channel at a time, linear between keypoints, held beyond them.
+    ///
+    /// Predicts the codes of other units while decoding. FORMAT.md makes this form normative, in f64 and in this order of
+    /// operations: another form, such as `keypoints::lerp` in f32, which turns decoded codes into floats, predicts
+    /// otherwise and reads other symbols.
     fn at(&self, unit: usize, channel: usize, time: u16) -> f64 {
         let (times, codes) = self.unit(unit);
         let code = |k: usize| f64::from(codes[k * self.channels + channel]);

@@ -11,6 +11,10 @@
 //! - `archive`, `reader`, `segment`: parts of a file to codes and floats
 //! - `decode`, `push`, `inspect`: a whole file at once, a file in pieces, a description of a file
 //!
+//! Version 1 of the format has exactly the columns of [`Attribute::BASE`](tcgs_core::Attribute::BASE), in this order: the
+//! arrays of length 5 in this folder are by [`Attribute::index`](tcgs_core::Attribute::index) of these columns. An encoder
+//! refuses a [`Layout`](tcgs_core::Layout) with others.
+//!
 //! `shared` and `keypoints` describe the coded symbols once for both directions (see `coder`). Only this folder depends
 //! on the layout of a file.
 

@@ -44,8 +44,8 @@ pub struct CompressOptions {
     pub up: Option<UpAxis>,
     /// Most cameras that the file gives players to start from.
     pub views: usize,
-    /// Raw size above which the timesteps of a run are read from the disk, several times, instead of held in memory,
-    /// bytes. The file is the same. Default: half a gigabyte.
+    /// Raw size above which the timesteps of a run or of a `params.npz` are read from the disk, several times, instead of
+    /// held in memory, bytes. The file is the same. Default: half a gigabyte.
     pub max_float_bytes: u64,
 }
 
@@ -144,7 +144,7 @@ impl<'a> PrunedScene<'a> {
             return Err(PipelineError::input(scene.path.display(), "no timestep", "at least one"));
         }
         let learned = scene.learned_bits()?;
-        let (kept, keep, raw_bytes) = if scene.run().is_some() && scene.bytes > options.max_float_bytes {
+        let (kept, keep, raw_bytes) = if scene.is_on_disk() && scene.bytes > options.max_float_bytes {
             let keep = kept_gaussians(scene, options.prune)?;
             (Kept::OnDisk { scene, keep: keep.clone() }, keep, scene.bytes)
         } else {

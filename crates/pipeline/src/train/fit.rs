@@ -8,7 +8,7 @@ use std::time::Instant;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureError, Split};
 use tcgs_core::View;
-use tcgs_train::{Phase, Run, Trainer};
+use tcgs_train::{Phase, Run, Trained, Trainer};
 
 use crate::observe::{TimestepSummary, tell};
 use crate::{Event, Observer, PipelineError, Work};
@@ -87,7 +87,7 @@ pub fn fit(
             let psnr = trainer.mean_psnr(if held_out { &loaded.test } else { &loaded.train })?;
             let num_gaussians = trainer.num_gaussians();
             let summary = TimestepSummary { timestep, frame, num_gaussians, psnr, held_out, seconds };
-            run.append_metrics(&record.metrics(&summary))?;
+            run.append_metrics(&record.metrics(&summary, trainer.trained()))?;
             run.save(timestep, &trainer.checkpoint()?)?;
             tell(observer, Event::Timestep(&summary))?;
         }
@@ -113,6 +113,9 @@ impl LoadedFrame {
     }
 }
 
+/// Losses of an iteration: their sum, and each alone.
+type Losses = (f64, Vec<f64>);
+
 /// Losses of one timestep as they come.
 #[derive(Default)]
 struct Record {
@@ -123,8 +126,8 @@ struct Record {
     curve: Vec<(usize, f64)>,
     /// Of the stretch under way: iterations, sum of losses.
     open: (usize, f64),
-    /// Losses of the last iterations, the newest last: their sum, and each alone.
-    last: VecDeque<(f64, Vec<f64>)>,
+    /// Losses of the last iterations, the newest last.
+    last: VecDeque<Losses>,
     names: Vec<&'static str>,
 }
 
@@ -151,11 +154,11 @@ impl Record {
         }
     }
 
-    fn metrics(mut self, summary: &TimestepSummary) -> Value {
+    fn metrics(mut self, summary: &TimestepSummary, trained: Trained) -> Value {
         self.close();
         // A timestep in which nothing changed has no iterations, and no losses.
         let averaged = self.last.len().max(1) as f64;
-        let mean = |value: &dyn Fn(&(f64, Vec<f64>)) -> f64| self.last.iter().map(value).sum::<f64>() / averaged;
+        let mean = |value: &dyn Fn(&Losses) -> f64| self.last.iter().map(value).sum::<f64>() / averaged;
         let losses: serde_json::Map<String, Value> =
             self.names.iter().enumerate().map(|(i, &name)| (name.into(), json!(mean(&|last| last.1[i])))).collect();
         json!({
@@ -164,6 +167,8 @@ impl Record {
             "psnr": summary.psnr,
             "seconds": summary.seconds,
             "iterations": self.iterations,
+            "active_gaussians": trained.gaussians,
+            "active_tiles": trained.tiles,
             "num_gaussians": summary.num_gaussians,
             "loss": mean(&|last| last.0),
             "losses": losses,

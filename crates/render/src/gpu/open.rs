@@ -103,6 +103,7 @@ impl Gpu {
     ///
     /// # Errors
     /// [`GpuError::NotFound`] if there is no WebGPU, [`GpuError::Unfit`] if it cannot run the shaders.
+    #[doc(hidden)]
     #[cfg(target_family = "wasm")]
     pub async fn of_canvas(
         canvas: wgpu::web_sys::HtmlCanvasElement,

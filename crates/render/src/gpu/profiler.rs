@@ -4,7 +4,8 @@ use std::time::Instant;
 
 use tcgs_core::{Activated, Camera, Image};
 
-use super::{Gpu, GpuError, GpuRenderer, StageTimer};
+use super::raw::{GpuRenderer, StageTimer};
+use super::{Gpu, GpuError};
 use crate::device::{Capacity, pack};
 use crate::{PairCounts, RENDER_STAGES, RenderSettings, StageTimes};
 

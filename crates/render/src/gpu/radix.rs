@@ -9,7 +9,8 @@
 //! a pass. Scattered writes come in runs of 4 keys a block and digit on average, and meet their neighbours' runs in
 //! the cache.
 
-use super::{Bound, Gpu, GpuError};
+use super::raw::Bound;
+use super::{Gpu, GpuError};
 use crate::device::{MAX_KEYS, NUM_DIGITS, SORT_BLOCK, sort_passes, sort_source};
 
 /// How many blocks of `SORT_BLOCK` keys a sort covers; more than there are keys for cost a workgroup each.

@@ -5,7 +5,8 @@ use std::time::Instant;
 
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
-use super::{Gpu, GpuError, GpuRenderer, RenderBuffers, StageTimer};
+use super::raw::{GpuRenderer, RenderBuffers, StageTimer};
+use super::{Gpu, GpuError};
 use crate::device::{Capacity, pack};
 use crate::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 

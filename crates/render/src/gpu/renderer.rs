@@ -19,7 +19,8 @@
 use tcgs_core::Camera;
 
 use super::radix::{Dispatch, Radix};
-use super::{Bound, Gpu, GpuError};
+use super::raw::Bound;
+use super::{Gpu, GpuError};
 use crate::device::{Capacity, MAX_THREADS, RenderSources, SORT_BLOCK, VISIBLE, ViewUniform, WORKGROUP};
 use crate::settings::MAX_CHANNELS;
 use crate::{PairCounts, RenderSettings};

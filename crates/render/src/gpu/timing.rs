@@ -1,6 +1,7 @@
 //! Time that stages take on the GPU, by its own clock.
 
-use super::{Gpu, GpuError, Staged};
+use super::raw::Staged;
+use super::{Gpu, GpuError};
 use crate::StageTimes;
 
 /// A pair of GPU timestamps around each of a few stages.

@@ -175,7 +175,7 @@ pub(crate) fn get<'a, T: Value>(arrays: &'a Arrays, name: &str) -> Result<&'a [T
 /// What is wrong with a checkpoint, without its path.
 pub(crate) fn problem_of(error: InterchangeError) -> String {
     match error {
-        InterchangeError::Io { error, .. } => error.to_string(),
+        InterchangeError::Read { error, .. } | InterchangeError::Write { error, .. } => error.to_string(),
         InterchangeError::Archive { problem, .. } => problem,
         InterchangeError::Array { key, problem, .. } => format!("{key} {problem}"),
         other => other.to_string(),

@@ -19,9 +19,8 @@ use crate::TrainError;
 use crate::fake_quant::FakeQuantizers;
 use crate::gate::GateRecord;
 use crate::lifetimes::Lifetimes;
-use crate::parameters::Parameters;
+use crate::parameters::{Parameters, extent};
 use crate::state::{Optimizer, goes_on};
-use crate::trainer::extent;
 
 pub(crate) use array::Arrays;
 pub(crate) use chain::{Chain, read_single, write_single};

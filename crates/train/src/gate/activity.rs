@@ -96,6 +96,15 @@ impl Activity {
         activity
     }
 
+    /// - `num_gaussians`: of the scene
+    pub fn trained(&self, num_gaussians: usize) -> Trained {
+        let tiles = |count: &dyn Fn(&TileMask) -> usize| self.tiles.iter().map(count).sum::<usize>() as f64;
+        Trained {
+            gaussians: self.active.len() as f64 / num_gaussians as f64,
+            tiles: tiles(&TileMask::len) / tiles(&|mask| mask.grid()[0] * mask.grid()[1]),
+        }
+    }
+
     /// The rows of the small state: active, then held.
     pub fn rows(&self) -> Vec<usize> {
         [&self.active[..], &self.held].concat()
@@ -229,6 +238,20 @@ impl Activity {
             background: share(rows.len() - of_foreground, foreground.len() - whole_foreground),
         }
     }
+}
+
+/// How much a timestep trained.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trained {
+    /// Share of the Gaussians that were active, in `[0, 1]`.
+    pub gaussians: f64,
+    /// Share of the tiles of all views that were drawn, in `[0, 1]`.
+    pub tiles: f64,
+}
+
+impl Trained {
+    /// Of a timestep that trains everything.
+    pub const ALL: Self = Self { gaussians: 1.0, tiles: 1.0 };
 }
 
 /// What share of the Gaussians a small state has, by which its losses count: a mean over its rows, times its share, is

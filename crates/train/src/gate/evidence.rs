@@ -6,16 +6,12 @@ use std::ops::Range;
 use tcgs_core::Image;
 use tcgs_render::{TILE, TileMask};
 
-use super::GateConfig;
-
 /// Channels of an image that are its colours.
 const COLORS: usize = 3;
 /// Side in pixels of the blocks whose difference is averaged against noise.
 const BLOCK: usize = 4;
-/// Bins of differences, from 0 to 1, of which the median is taken.
-const NOISE_BINS: usize = 8192;
-/// Median of the absolute value of a normal variable of standard deviation 1.
-const NORMAL_MEDIAN: f64 = 0.674_489_75;
+/// Standard deviation of a normal variable whose median distance to its median is 1.
+const NORMAL_DEVIATION: f32 = 1.4826;
 
 /// Blocks of an image, of [`BLOCK`] pixels a side; those at the right and lower edge may be cut.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,61 +59,60 @@ impl Blocks {
     }
 }
 
-/// Standard deviation of the noise in the difference of two images of one camera: a robust estimate from the second
-/// derivative along rows, which hardly sees changes of light and shade (Immerkær 1996 for single images).
+/// Mean absolute difference of two images in each block.
 ///
 /// - `before`, `now`: `[C, H, W]`, of which the colours count
-pub(super) fn noise(before: &Image, now: &Image) -> f32 {
-    let width = now.width;
-    let mut bins = vec![0_u32; NOISE_BINS];
-    let mut count = 0_u32;
-    for channel in 0..COLORS {
-        let rows = before.plane(channel).chunks_exact(width).zip(now.plane(channel).chunks_exact(width));
-        for (before, now) in rows {
-            for x in (1..width.saturating_sub(1)).step_by(3) {
-                let difference = |x: usize| now[x] - before[x];
-                let bend = (difference(x - 1) - 2.0 * difference(x) + difference(x + 1)).abs();
-                bins[((bend * NOISE_BINS as f32) as usize).min(NOISE_BINS - 1)] += 1;
-                count += 1;
-            }
-        }
-    }
-    let mut below = 0;
-    let median = bins.iter().position(|&bin| {
-        below += bin;
-        2 * below > count
-    });
-    // The weights 1, −2, 1 add up to six variances. Whole bins are what 8-bit images have; the first one is no noise.
-    let median = median.unwrap_or(0) as f64 / NOISE_BINS as f64;
-    (median / NORMAL_MEDIAN / 6_f64.sqrt()) as f32
-}
-
-/// Blocks whose mean absolute difference is beyond what noise explains, and that are not alone.
-///
-/// - `before`, `now`: `[C, H, W]`, of which the colours count
-/// - `noise`: standard deviation of the noise in the images' difference
-pub(super) fn changed_blocks(before: &Image, now: &Image, noise: f32, config: &GateConfig) -> Blocks {
+/// - returns: `[blocks]`, row by row
+pub(super) fn differences(before: &Image, now: &Image) -> Vec<f32> {
     let (width, height) = (now.width, now.height);
-    let mut blocks = Blocks::none(width, height);
-    let limit = config.noise * noise + config.contrast;
-    let mut sums = vec![0.0_f32; blocks.across];
-    for band in 0..blocks.down {
-        sums.fill(0.0);
+    let across = width.div_ceil(BLOCK);
+    let mut means = vec![0.0_f32; across * height.div_ceil(BLOCK)];
+    for (band, means) in means.chunks_exact_mut(across).enumerate() {
         let rows = band * BLOCK..((band + 1) * BLOCK).min(height);
         for channel in 0..COLORS {
             let (before, now) = (before.plane(channel), now.plane(channel));
             for row in rows.clone() {
                 let (before, now) = (&before[row * width..][..width], &now[row * width..][..width]);
-                for (sum, (a, b)) in sums.iter_mut().zip(before.chunks(BLOCK).zip(now.chunks(BLOCK))) {
-                    *sum += a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>();
+                for (mean, (a, b)) in means.iter_mut().zip(before.chunks(BLOCK).zip(now.chunks(BLOCK))) {
+                    *mean += a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>();
                 }
             }
         }
-        for (column, sum) in sums.iter().enumerate() {
-            let pixels = rows.len() * BLOCK.min(width - column * BLOCK) * COLORS;
-            blocks.is_marked[band * blocks.across + column] = *sum > limit * pixels as f32;
+        for (column, mean) in means.iter_mut().enumerate() {
+            *mean /= (COLORS * rows.len() * BLOCK.min(width - column * BLOCK)) as f32;
         }
     }
+    means
+}
+
+/// The difference up to which noise explains a block: the median over the blocks and so many standard deviations, which
+/// are estimated robustly. What moves is in fewer than half of the blocks; the noise of cameras and of video compression
+/// is in all.
+///
+/// - `differences`: of the blocks of one view
+/// - `deviations`: how many
+pub(super) fn noise_level(differences: &[f32], deviations: f32) -> f32 {
+    let middle = median(differences);
+    let distances: Vec<f32> = differences.iter().map(|difference| (difference - middle).abs()).collect();
+    middle + deviations * NORMAL_DEVIATION * median(&distances)
+}
+
+/// The upper median; 0 of no values.
+pub(super) fn median(values: &[f32]) -> f32 {
+    let mut values = values.to_vec();
+    let middle = values.len() / 2;
+    match values.is_empty() {
+        true => 0.0,
+        false => *values.select_nth_unstable_by(middle, f32::total_cmp).1,
+    }
+}
+
+/// Blocks that differ by more than a limit and are not alone, and those around them.
+///
+/// - `differences`: of the blocks of an image of `width` x `height` pixels
+pub(super) fn changed_blocks(differences: &[f32], limit: f32, width: usize, height: usize) -> Blocks {
+    let all = Blocks::none(width, height);
+    let blocks = Blocks { is_marked: differences.iter().map(|difference| *difference > limit).collect(), ..all };
     let supported = blocks.with_around(2);
     let is_marked = blocks.is_marked.iter().zip(&supported.is_marked).map(|(own, near)| *own && *near).collect();
     // One block more on each side: the edge of what moves is where the least changes.
@@ -169,6 +164,7 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
+    use crate::config::GateConfig;
 
     const SIZE: [usize; 2] = [90, 70];
 
@@ -191,35 +187,40 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_measured_and_changes_of_light_are_not_taken_for_it() {
-        for sigma in [1.0, 2.0, 5.0] {
-            let lit = |x: usize, y: usize| wall(x, y) * 1.3;
-            for level in [&wall as &dyn Fn(usize, usize) -> f32, &lit] {
-                let found = noise(&shot(1, sigma / 255.0, wall), &shot(2, sigma / 255.0, level)) * 255.0;
-                let expected = sigma * 2_f32.sqrt();
-                assert!((found / expected - 1.0).abs() < 0.25, "{found} of {expected}");
-            }
-        }
-        assert_eq!(noise(&shot(1, 0.0, wall), &shot(2, 0.0, wall)), 0.0);
-    }
-
-    #[test]
     fn noise_marks_nothing_and_what_moves_is_marked_whole() {
         let config = GateConfig::ON;
-        let sigma = 2.0 / 255.0;
         let moved = |x: usize, y: usize| {
             if (40..50).contains(&x) && (20..40).contains(&y) { 0.5 } else { wall(x, y) }
         };
-        let (before, still) = (shot(1, sigma, wall), shot(2, sigma, wall));
-        let level = noise(&before, &still);
-        assert!(changed_blocks(&before, &still, level, &config).is_marked.iter().all(|marked| !marked));
-        let blocks = changed_blocks(&before, &shot(3, sigma, moved), level, &config);
-        for (x, y) in [(40, 20), (49, 39), (45, 30)] {
-            assert!(blocks.at(x, y), "{x}, {y}");
+        for sigma in [0.0, 1.0, 2.0, 5.0].map(|levels| levels / 255.0) {
+            let before = shot(1, sigma, wall);
+            let marked = |now: &Image| {
+                let differences = differences(&before, now);
+                let limit = noise_level(&differences, config.noise) + config.contrast;
+                changed_blocks(&differences, limit, SIZE[0], SIZE[1])
+            };
+            assert!(marked(&shot(2, sigma, wall)).is_marked.iter().all(|marked| !marked), "noise of {sigma}");
+            let blocks = marked(&shot(3, sigma, moved));
+            for (x, y) in [(40, 20), (49, 39), (45, 30)] {
+                assert!(blocks.at(x, y), "{x}, {y} with noise of {sigma}");
+            }
+            assert!(!blocks.at(30, 30) && !blocks.at(45, 8) && !blocks.at(60, 30) && !blocks.at(45, 52));
+            let tiles = tiles_of(&blocks, SIZE[0], SIZE[1]);
+            assert_eq!(tiles.iter().collect::<Vec<_>>(), [8, 9, 14, 15], "of 6 a row");
         }
-        assert!(!blocks.at(30, 30) && !blocks.at(45, 8) && !blocks.at(60, 30) && !blocks.at(45, 52));
-        let tiles = tiles_of(&blocks, SIZE[0], SIZE[1]);
-        assert_eq!(tiles.iter().collect::<Vec<_>>(), [8, 9, 14, 15], "of 6 a row");
+    }
+
+    #[test]
+    fn the_level_of_noise_lies_above_nearly_all_blocks_and_is_not_moved_by_a_few() {
+        let sigma = 3.0 / 255.0;
+        let before = shot(1, sigma, wall);
+        let still = noise_level(&differences(&before, &shot(2, sigma, wall)), 6.0);
+        // Blocks of two images with noise differ by 2/√π of its deviation in the mean.
+        assert!(still > 1.13 * sigma && still < 2.5 * sigma, "{still} for {sigma}");
+        let moved = |x: usize, y: usize| if x < 30 { 1.0 - wall(x, y) } else { wall(x, y) };
+        let with_motion = noise_level(&differences(&before, &shot(2, sigma, moved)), 6.0);
+        assert!(with_motion < 2.0 * still, "{with_motion} against {still}");
+        assert_eq!((median(&[]), median(&[3.0, 1.0, 2.0])), (0.0, 2.0));
     }
 
     #[test]

@@ -19,65 +19,32 @@ mod evidence;
 mod pace;
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use tcgs_core::{Activated, Image, View};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
+pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
-use self::evidence::{Blocks, changed_blocks, noise, tile_errors, tiles_of};
+use self::evidence::{Blocks, changed_blocks, differences, median, noise_level, tile_errors, tiles_of};
 pub(crate) use self::pace::Pace;
-use crate::config::MaskConfig;
+use crate::config::{GateConfig, MaskConfig};
 use crate::engine::Target;
 use crate::engine::cpu::drawn;
 use crate::state::State;
 
 /// Estimates of a camera's noise of which the median counts.
 const NOISE_ESTIMATES: usize = 9;
-/// Share of the noise by which a tile's error may grow without being evidence, beyond [`GateConfig::growth`].
-const GROWTH_NOISE: f32 = 0.25;
+/// Share of the level of noise by which a tile's error may grow without being evidence, beyond [`GateConfig::growth`]: a
+/// tile has sixteen blocks.
+const GROWTH_NOISE: f32 = 0.1;
 /// Share of an error that training could not lower that the gate gets used to in one timestep. Until then the tile stays
 /// one with evidence: what was uncovered is seen by the weights of the next timestep.
 const PATIENCE: f32 = 0.25;
 
-/// Settings of the gate: what a timestep after the first trains.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GateConfig {
-    /// Whether timesteps after the first train only what changes. Default true; false in `d3dgs` and `paper`.
-    pub enabled: bool,
-    /// A block of 4x4 pixels has changed if its mean absolute difference exceeds the camera's noise (a standard
-    /// deviation, measured) times this, plus `contrast`. Default 2: noise alone comes to 0.8.
-    pub noise: f32,
-    /// See `noise`; in units of colour, of which white has 1. Default 0.006, one and a half of 255 levels.
-    pub contrast: f32,
-    /// A tile has evidence, too, if its mean absolute error has grown by more than this since it was last trained, in
-    /// units of colour. Default 0.004.
-    pub growth: f32,
-    /// A Gaussian is active if at least this share of its blending weight, over all views, falls on changed blocks.
-    /// Default 0.25; 0 makes every Gaussian active that a changed block shows.
-    pub share: f32,
-    /// A timestep has settled when its losses fell, over the last pass through its views, by less than this share of
-    /// the most that they fell over one pass. Default 0.1.
-    pub settle: f32,
-    /// How many times as fast a timestep goes through the rest of its schedule once it has settled. Default 3; 1 to give
-    /// every timestep all of its iterations.
-    pub pace: f32,
-}
-
-impl GateConfig {
-    /// The settings of presets `default` and `fast`.
-    pub const ON: Self =
-        Self { enabled: true, noise: 2.0, contrast: 0.006, growth: 0.004, share: 0.25, settle: 0.1, pace: 3.0 };
-
-    /// The settings of presets that train everything, and of runs whose `config.toml` knows of no gate.
-    pub const OFF: Self = Self { enabled: false, ..Self::ON };
-}
-
 /// What the gate knows at the end of a timestep and cannot see again: part of a checkpoint.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GateRecord {
-    /// `[cameras][up to 9]` the last estimates of each camera's noise, the newest last: standard deviations of the
-    /// difference of two images.
+    /// `[cameras][up to 9]` the last estimates of each camera's noise, the newest last: the mean absolute difference up to
+    /// which noise explains a block, in units of colour.
     pub noise: Vec<Vec<f32>>,
     /// `[cameras][tiles]` mean absolute error of the scene's picture in each tile, as it was when last trained.
     pub errors: Vec<Vec<f32>>,
@@ -167,12 +134,13 @@ impl Gate {
                 .into_par_iter()
                 .enumerate()
                 .map(|(i, (estimates, reference, before, picture, target))| {
-                    estimates.push(noise(before, &target.image));
+                    let differences = differences(before, &target.image);
+                    estimates.push(noise_level(&differences, config.noise));
                     let too_many = estimates.len().saturating_sub(NOISE_ESTIMATES);
                     estimates.drain(..too_many);
                     let level = median(estimates);
-                    let mut blocks = changed_blocks(before, &target.image, level, config);
                     let (width, height) = (target.image.width, target.image.height);
+                    let mut blocks = changed_blocks(&differences, level + config.contrast, width, height);
                     let limit = config.growth + GROWTH_NOISE * level;
                     let tiles = TileMask::none(width, height);
                     for (tile, error) in errors(state, i, picture, &target.image).into_iter().enumerate() {
@@ -238,10 +206,4 @@ pub(crate) fn rows_of(drawn: &Activated, indices: &[usize]) -> Activated {
         colors: indices.iter().flat_map(|&i| &drawn.colors[i * channels..][..channels]).copied().collect(),
         num_channels: channels,
     }
-}
-
-fn median(values: &[f32]) -> f32 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f32::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }

@@ -1,6 +1,6 @@
 //! How many iterations a timestep gets: as many as its losses go on falling.
 
-use super::GateConfig;
+use crate::config::GateConfig;
 
 /// Fewest iterations over which losses are averaged. A whole number of passes through the views, since the loss depends
 /// on the view.

@@ -101,7 +101,7 @@ mod tests {
         let n = 3000;
         let mut bit_map = BitMap::uniform(n, 16, 6);
         bit_map.widths[Attribute::Quat.index()].iter_mut().step_by(3).for_each(|width| *width = 8);
-        let quantizers = FakeQuantizers::new(bit_map, &Gaussians::zeros(n), true);
+        let quantizers = FakeQuantizers::new(bit_map, &Gaussians::zeros(n), true).unwrap();
         let lists = QuantizerLists::new(&Packing::new(&Layout::base()), &quantizers);
         // Of rotations 2000 have 6 bits and 1000 have 8.
         let of_quats: Vec<u32> = lists.chunks.iter().filter(|chunk| chunk[1] == 4).map(|chunk| chunk[3]).collect();

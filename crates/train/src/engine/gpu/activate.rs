@@ -5,7 +5,8 @@
 //! writes 56 (64 with segmentation), backward reads 60 + 56 and writes 60.
 
 use tcgs_render::device::{WORKGROUP, Wgsl};
-use tcgs_render::gpu::{Bound, Gpu, GpuError};
+use tcgs_render::gpu::raw::Bound;
+use tcgs_render::gpu::{Gpu, GpuError};
 
 use crate::engine::device::{Packing, source};
 
@@ -143,7 +144,7 @@ mod tests {
             let mask_logits = random(2, n, -3.0, 3.0);
             previous[0] = mask_logits[0];
             Self {
-                quantizers: FakeQuantizers::new(bit_map, &gaussians, true),
+                quantizers: FakeQuantizers::new(bit_map, &gaussians, true).unwrap(),
                 mask_logits,
                 previous,
                 foreground: random(4, n, 0.0, 1.0).iter().map(|&r| r < 0.5).collect(),
@@ -316,7 +317,7 @@ mod tests {
         let mut scene = Scene::new(n);
         let mut bit_map = BitMap::uniform(n, 16, 8);
         bit_map.widths[Attribute::Color.index()].iter_mut().enumerate().for_each(|(i, w)| *w = (i % 16) as u8 + 1);
-        let mut quantizers = FakeQuantizers::new(bit_map, &scene.gaussians, true);
+        let mut quantizers = FakeQuantizers::new(bit_map, &scene.gaussians, true).unwrap();
         let first = quantizers.quantizers.len() - 48;
         for (i, q) in quantizers.quantizers[first..].iter_mut().enumerate() {
             // Of each width: exact halves, a symmetric quantizer, an offset beyond the range. No half is at

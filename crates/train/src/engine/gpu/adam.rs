@@ -4,7 +4,8 @@
 //! gradient out), nothing for a group that does not; a Gaussian of the base layout has 15 values, 11 after the first timestep.
 
 use tcgs_render::device::{MAX_GROUPS_X, Wgsl};
-use tcgs_render::gpu::{Bound, Gpu, GpuError};
+use tcgs_render::gpu::raw::Bound;
+use tcgs_render::gpu::{Gpu, GpuError};
 
 use crate::engine::device::{Packing, source};
 

@@ -11,7 +11,8 @@
 //! order of the Gaussians that they begin with, so that the others find it in the cache.
 
 use tcgs_render::device::Wgsl;
-use tcgs_render::gpu::{Bound, Gpu, GpuError};
+use tcgs_render::gpu::raw::Bound;
+use tcgs_render::gpu::{Gpu, GpuError};
 
 use crate::engine::device::{Packing, QuantizerLists, quantizer_rows, source};
 use crate::fake_quant::FakeQuantizers;

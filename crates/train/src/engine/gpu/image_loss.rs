@@ -7,7 +7,8 @@
 
 use tcgs_metrics::{SSIM_C1, SSIM_C2, SSIM_WINDOW};
 use tcgs_render::device::Wgsl;
-use tcgs_render::gpu::{Bound, Gpu, GpuError};
+use tcgs_render::gpu::raw::Bound;
+use tcgs_render::gpu::{Gpu, GpuError};
 
 use crate::engine::device::{Packing, source};
 use crate::losses::{COUNTED_CHANNELS, L1_SHARE};

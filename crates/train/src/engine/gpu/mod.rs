@@ -27,7 +27,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use tcgs_core::{Activated, Camera, Image, Sensitivity};
-use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer, StageTimer, Staged};
+use tcgs_render::gpu::raw::{StageTimer, Staged};
+use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
 
 use self::memory::Memory;
@@ -43,8 +44,8 @@ use crate::losses::LossTerms;
 use crate::sensitivity::sensitivity;
 use crate::state::State;
 
-/// Buffers and kernels, for the tests that compare single operations with the CPU's. No part of the interface: they
-/// change with the shaders.
+/// Unstable, for the tests of this crate only: buffers and kernels of single operations, which are compared with the
+/// CPU's. They change with the shaders.
 #[doc(hidden)]
 pub mod testing {
     pub use super::fake_quant::{FakeQuantKernels, QuantizerBuffers};

@@ -27,7 +27,8 @@
 
 use tcgs_core::{Gaussians, normalize};
 use tcgs_render::device::WORKGROUP;
-use tcgs_render::gpu::{Bound, Gpu, GpuError, Kernel};
+use tcgs_render::gpu::raw::{Bound, Kernel};
+use tcgs_render::gpu::{Gpu, GpuError};
 
 use crate::engine::device::{NeighborLists, Packing, neighbor_constants, source};
 use crate::losses::ROOT_EPSILON;

@@ -1,7 +1,8 @@
 //! The kernels of one iteration, bound to their buffers, in their order.
 
 use tcgs_render::device::Capacity;
-use tcgs_render::gpu::{Gpu, GpuError, GpuRenderer, StageTimer};
+use tcgs_render::gpu::raw::{GpuRenderer, StageTimer};
+use tcgs_render::gpu::{Gpu, GpuError};
 
 use super::activate::{ActivateBuffers, ActivateKernels};
 use super::adam::{AdamBuffers, AdamKernel};

@@ -3,7 +3,8 @@
 //! A workgroup for each sum that depends on no other, all in one dispatch. What it moves is small (some
 //! hundred kilobytes of partial sums); its time is that of a few rounds trip to memory in a row.
 
-use tcgs_render::gpu::{Bound, Gpu, GpuError};
+use tcgs_render::gpu::raw::Bound;
+use tcgs_render::gpu::{Gpu, GpuError};
 
 use super::image_loss::constants;
 use crate::engine::device::{Packing, source};
@@ -216,7 +217,7 @@ mod tests {
     fn quantizers() -> FakeQuantizers {
         let mut bit_map = BitMap::uniform(200, 16, 6);
         bit_map.widths[1][..50].fill(9);
-        FakeQuantizers::new(bit_map, &random_gaussians(7, 200), true)
+        FakeQuantizers::new(bit_map, &random_gaussians(7, 200), true).unwrap()
     }
 
     /// Sum of every `stride`th value.

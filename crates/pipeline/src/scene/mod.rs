@@ -1,5 +1,7 @@
 //! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or PLY files.
 
+mod chapters;
+
 use std::borrow::Cow;
 use std::fmt;
 use std::fs::{self, File};
@@ -10,17 +12,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tcgs_codec::{BitMap, CompactScene, DecodeLimits, Loss, Quantizers, SceneFile, SceneInfo, SegmentCache, UpAxis};
 use tcgs_core::{Activated, DynamicGaussians, Gaussians, Layout, SceneReader, activate};
-use tcgs_interchange::{HigherHarmonics, ParamsOrigin, PlyFiles};
+use tcgs_interchange::{HigherHarmonics, ParamsNpz, ParamsOrigin, PlyFiles};
 use tcgs_train::{Checkpoint, Parameters, Run};
 
+use self::chapters::Chapters;
 use crate::PipelineError;
-use crate::chapters::Chapters;
 
 /// What a scene may be, for messages.
 const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz or PLY files";
-
-/// Kind of a `params.npz`.
-const PARAMS: &str = "Dynamic 3D Gaussians parameters";
 
 /// How a scene is read.
 #[derive(Clone, Copy, Debug)]
@@ -82,7 +81,7 @@ pub struct OpenScene {
     content: Content,
 }
 
-/// What a scene is made of. Of a run and of PLY files a timestep is read when it is asked for.
+/// What a scene is made of. Of a run, of PLY files and of a `params.npz` a timestep is read when it is asked for.
 #[derive(Debug)]
 enum Content {
     /// A file, of which segments are decoded when they are asked for; an LRU keeps some.
@@ -96,6 +95,8 @@ enum Content {
         scene: Box<DynamicGaussians>,
         kind: &'static str,
     },
+    /// A `params.npz`, of which a timestep is read when it is asked for.
+    Params(Box<ParamsContent>),
     Ply {
         files: PlyFiles,
         higher_harmonics: HigherHarmonics,
@@ -107,6 +108,13 @@ struct FileContent {
     info: SceneInfo,
     loss: Option<Loss>,
     file: Mutex<SceneFile<File>>,
+}
+
+#[derive(Debug)]
+struct ParamsContent {
+    num_gaussians: usize,
+    num_timesteps: usize,
+    file: Mutex<ParamsNpz>,
 }
 
 impl FileContent {
@@ -151,7 +159,8 @@ impl OpenScene {
     /// be; one with another ending for what its first bytes say.
     ///
     /// Of a run and of PLY files the first timestep is read now, and the others when they are asked for; of a `.tcgs` file
-    /// a segment is decoded when one of its timesteps is asked for. A `params.npz` is read as a whole.
+    /// a segment is decoded when one of its timesteps is asked for. A `params.npz` is read through and checked now, and a
+    /// timestep of it is read again when it is asked for; one that is compressed is held in memory ([`ParamsNpz`]).
     ///
     /// # Errors
     /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.
@@ -169,14 +178,20 @@ impl OpenScene {
                 Self::open_file(path, file, settings.cut_files)
             }
             Kind::Npz => {
-                let scene = tcgs_interchange::read_params_npz(path)?;
+                let params = ParamsNpz::open(path)?;
+                let (num_gaussians, num_timesteps) = (params.num_gaussians(), params.num_timesteps());
+                let layout = Arc::clone(params.layout());
                 let unknown = ParamsOrigin { first_frame: 0, downscale: 1, frame_rate: 30.0 };
                 let origin = tcgs_interchange::read_params_origin(path)?.unwrap_or(unknown);
                 Ok(Self {
                     path: path.into(),
-                    bytes: scene.raw_bytes(),
-                    layout: Arc::clone(scene.layout()),
-                    content: Content::Floats { scene: Box::new(scene), kind: PARAMS },
+                    bytes: layout.raw_bytes(num_gaussians, num_timesteps),
+                    layout,
+                    content: Content::Params(Box::new(ParamsContent {
+                        num_gaussians,
+                        num_timesteps,
+                        file: Mutex::new(params),
+                    })),
                     first_frame: origin.first_frame as usize,
                     downscale: origin.downscale as usize,
                     frame_rate: f64::from(origin.frame_rate),
@@ -312,7 +327,7 @@ impl OpenScene {
 
     /// Whether the scene is a `params.npz`.
     pub(crate) fn is_params(&self) -> bool {
-        matches!(&self.content, Content::Floats { kind: PARAMS, .. })
+        matches!(&self.content, Content::Params(_))
     }
 
     /// The same scene with other Gaussians in memory: what a step between this one and a file leaves.
@@ -358,6 +373,11 @@ impl OpenScene {
         }
     }
 
+    /// Whether the scene is one of floats whose timesteps are read from the disk, and were checked to be of one scene.
+    pub(crate) fn is_on_disk(&self) -> bool {
+        matches!(self.content, Content::Run(_) | Content::Chapters(_) | Content::Params(_))
+    }
+
     /// Whether the scene is compressed already.
     pub fn is_compressed(&self) -> bool {
         matches!(self.content, Content::File(_) | Content::Symbols(_))
@@ -371,6 +391,7 @@ impl OpenScene {
             Content::Run(run) => run.first.parameters.num_gaussians(),
             Content::Chapters(chapters) => chapters.first().num_gaussians(),
             Content::Floats { scene, .. } => scene.num_gaussians(),
+            Content::Params(params) => params.num_gaussians,
             Content::Ply { num_gaussians, .. } => *num_gaussians,
         }
     }
@@ -383,6 +404,7 @@ impl OpenScene {
             Content::Run(run) => run.num_timesteps,
             Content::Chapters(chapters) => chapters.num_timesteps(),
             Content::Floats { scene, .. } => scene.num_timesteps(),
+            Content::Params(params) => params.num_timesteps,
             Content::Ply { files, .. } => files.files.len(),
         }
     }
@@ -425,6 +447,8 @@ impl OpenScene {
                 chapter.at(timestep)?
             }
             Content::Floats { scene, .. } => scene.at(timestep),
+            // What a panic elsewhere leaves is a file at another place, and every read begins by seeking its own.
+            Content::Params(params) => params.file.lock().unwrap_or_else(PoisonError::into_inner).at(timestep)?,
             Content::Ply { files, higher_harmonics, num_gaussians } => {
                 let gaussians = tcgs_interchange::read_ply(&files.files[timestep], *higher_harmonics)?;
                 if gaussians.num_gaussians() != *num_gaussians {
@@ -485,6 +509,7 @@ impl OpenScene {
                 Ok(Cow::Owned(floats))
             }
             Content::Floats { scene, .. } => Ok(Cow::Borrowed(scene)),
+            Content::Params(_) => Ok(Cow::Owned(tcgs_interchange::read_params_npz(&self.path)?)),
             Content::Ply { files, higher_harmonics, .. } => {
                 Ok(Cow::Owned(files.read(0..files.files.len(), *higher_harmonics)?))
             }
@@ -534,6 +559,7 @@ impl OpenScene {
             Content::Run(_) => "run folder",
             Content::Chapters(_) => "run folders",
             Content::Floats { kind, .. } => kind,
+            Content::Params(_) => "Dynamic 3D Gaussians parameters",
             Content::Ply { .. } => "PLY files",
         }
     }
