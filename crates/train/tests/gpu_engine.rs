@@ -78,9 +78,11 @@ fn fit(trainer: &mut Trainer, frames: std::ops::Range<usize>) -> Vec<f64> {
     losses
 }
 
-/// Losses of every iteration, the last frame's PSNR and the number of Gaussians of one training on both engines: GPU,
-/// then CPU.
-fn train_on_both(gpu: &Gpu, seed: u64) -> [(Vec<f64>, f64, usize); 2] {
+/// Losses of every iteration, the last frame's PSNR and the number of Gaussians of one training.
+type Trained = (Vec<f64>, f64, usize);
+
+/// One training on both engines: GPU, then CPU.
+fn train_on_both(gpu: &Gpu, seed: u64) -> [Trained; 2] {
     let config = TrainConfig { seed, ..config(200, 40) };
     [trainer(&config, on_gpu(gpu)), trainer(&config, on_cpu)].map(|mut trainer| {
         let losses = fit(&mut trainer, 0..3);
@@ -106,7 +108,7 @@ fn a_training_follows_that_on_the_cpu() {
         first_error += first / TRAININGS as f64;
     }
     assert!(first_error < 1e-4, "first losses: {first_error}");
-    let mean = |of: &dyn Fn(&(Vec<f64>, f64, usize)) -> f64| {
+    let mean = |of: &dyn Fn(&Trained) -> f64| {
         [0, 1].map(|engine| pairs.iter().map(|pair| of(&pair[engine])).sum::<f64>() / TRAININGS as f64)
     };
     for range in [100..200, 200..240, 240..280] {

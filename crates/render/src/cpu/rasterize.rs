@@ -21,7 +21,7 @@
 //! the last bits; a machine always computes the same.
 
 use multiversion::multiversion;
-use multiversion::target::target_cfg_f;
+use multiversion::target::match_target;
 use tcgs_core::Image;
 
 use super::tiles::{Splat, Tiles};
@@ -183,12 +183,10 @@ pub(super) fn rasterize_fwd<const C: usize>(
     height: usize,
     settings: &RenderSettings,
 ) -> TileImage<C> {
-    if target_cfg_f!(target_feature = "avx512f") {
-        fwd::<C, 16, true>(tiles, tile, colors, width, height, settings)
-    } else if target_cfg_f!(target_feature = "fma") {
-        fwd::<C, 8, true>(tiles, tile, colors, width, height, settings)
-    } else {
-        fwd::<C, 8, false>(tiles, tile, colors, width, height, settings)
+    match_target! {
+        "x86_64+avx512f" => fwd::<C, 16, true>(tiles, tile, colors, width, height, settings),
+        "x86_64+fma" => fwd::<C, 8, true>(tiles, tile, colors, width, height, settings),
+        _ => fwd::<C, 8, false>(tiles, tile, colors, width, height, settings),
     }
 }
 
@@ -287,12 +285,10 @@ pub(super) fn rasterize_bwd<const C: usize>(
     v_image: &Image,
     v_pairs: &mut [f32],
 ) {
-    if target_cfg_f!(target_feature = "avx512f") {
-        bwd_counting::<C, 16, true>(tiles, tile, colors, settings, image, v_image, v_pairs);
-    } else if target_cfg_f!(target_feature = "fma") {
-        bwd_counting::<C, 8, true>(tiles, tile, colors, settings, image, v_image, v_pairs);
-    } else {
-        bwd_counting::<C, 8, false>(tiles, tile, colors, settings, image, v_image, v_pairs);
+    match_target! {
+        "x86_64+avx512f" => bwd_counting::<C, 16, true>(tiles, tile, colors, settings, image, v_image, v_pairs),
+        "x86_64+fma" => bwd_counting::<C, 8, true>(tiles, tile, colors, settings, image, v_image, v_pairs),
+        _ => bwd_counting::<C, 8, false>(tiles, tile, colors, settings, image, v_image, v_pairs),
     }
 }
 
