@@ -26,7 +26,9 @@ fn main() -> anyhow::Result<()> {
                     let (gaussians, timesteps) = (info.num_gaussians, info.num_timesteps);
                     println!("{received:>9} bytes: {gaussians} Gaussians, {timesteps} timesteps to come");
                 }
-                Event::Layer { layers } => println!("{received:>9} bytes: layer {layers} of what all segments share"),
+                Event::Layer { layers, .. } => {
+                    println!("{received:>9} bytes: layer {layers} of what all segments share")
+                }
                 Event::Segment(segment) => {
                     let (timesteps, shown) = (segment.timesteps(), segment.num_gaussians());
                     // Any timestep of a segment can be had, in any order; one after another is cheapest.

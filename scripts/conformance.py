@@ -4,8 +4,8 @@
   scripts/conformance.py --decoder "COMMAND {file} {out}"
 
 runs COMMAND in a shell once a file, with {file} the file to decode and {out} where its floats go. Of a vector it must exit
-with 0 and write, for every timestep, all means, quats, log_scales, logit_opacities and colors, as little-endian binary32;
-they are compared bit for bit. Of a file that must be refused it must exit with another code below 126: a crash is no
+with 0 and write, for every timestep, all means, quats, log_scales, logit_opacities, colors and further attributes of the
+Gaussians that live at it, as little-endian binary32; they are compared bit for bit. Of a file that must be refused it must exit with another code below 126: a crash is no
 refusal. Prints a table; exits with 1 if a file fails. Needs Python 3.9 or newer and nothing else.
 
 Examples:
@@ -23,24 +23,24 @@ def bits(value): return struct.unpack('<I', struct.pack('<f', value))[0]
 
 def first_difference(found, scene, expected):
     """Where the floats of a decoder differ from those expected; None if nowhere."""
-    components = reference.COMPONENTS
-    per_timestep = 4 * sum(components) * scene.info['num_gaussians']
-    want_bytes = per_timestep * scene.info['num_timesteps']
-    if len(found) != want_bytes: return f'{len(found)} bytes of floats, expected {want_bytes}'
+    names, components, at = scene.names(), scene.components(), 0
     # What a vector says of some timesteps; the decoder in Python says the others.
-    known = {at['timestep']: [at['values'][name] for name in reference.NAMES] for at in expected['reconstructed']}
+    known = {at['timestep']: [at['values'][name] for name in names] for at in expected['reconstructed']}
     for t in range(scene.info['num_timesteps']):
-        at = t * per_timestep
         values = [[reference.f32(float(x)) for x in values] for values in known[t]] if t in known else scene.at(t)
         want = b''.join(struct.pack(f'<{len(v)}f', *v) for v in values)
-        if found[at:at + per_timestep] == want: continue
-        for name, count, values in zip(reference.NAMES, components, values):
+        end = at + len(want)
+        if len(found) < end: return f'{len(found)} bytes of floats, expected at least {end}, up to timestep {t}'
+        if found[at:end] == want:
+            at = end
+            continue
+        for name, count, values in zip(names, components, values):
             for i, value in enumerate(values):
                 is_, = struct.unpack_from('<f', found, at)
                 same = bits(is_) == bits(value) or math.isnan(is_) and math.isnan(value)
                 if not same: return f'{name} of Gaussian {i // count}, component {i % count}, timestep {t}: {is_!r}, expected {value!r}'
                 at += 4
-    return None
+    return f'{len(found)} bytes of floats, expected {at}' if len(found) > at else None
 
 class Runner:
     def __init__(self, command, seconds, folder):
@@ -75,21 +75,28 @@ class Runner:
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--decoder', required=True, metavar='COMMAND', help='with {file} and {out}')
+    parser.add_argument('--version', type=int, choices=[1, 2], help='of the format [default: both]')
     parser.add_argument('--seconds', type=float, default=60, help='that a file may take [default: 60]')
     parser.add_argument('--json', type=pathlib.Path, metavar='FILE', help='also write the result to this file')
     options = parser.parse_args()
-    vectors = sorted((FOLDER / 'v1').glob('*.tcgs'))
-    refused = json.loads((FOLDER / 'refused' / 'refused.json').read_text())['files']
-    if not vectors or not refused: sys.exit(f'{FOLDER}: no vectors, expected the whole repository')
+    # Files of a version to decode, and to refuse.
+    folders = {1: ('v1', 'refused'), 2: ('v2', 'refused_v2')}
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         runner = Runner(options.decoder, options.seconds, pathlib.Path(folder))
-        for file in vectors: rows.append(('decodes', file.name, runner.vector(file), ''))
-        for row in refused: rows.append(('refuses', row['file'], runner.refused(FOLDER / 'refused' / row['file']), row['wrong']))
+        for version in [options.version] if options.version else folders:
+            vectors, refused = (FOLDER / name for name in folders[version])
+            files = sorted(vectors.glob('*.tcgs'))
+            table = json.loads((refused / 'refused.json').read_text())['files']
+            if not files or not table: sys.exit(f'{FOLDER}: no vectors, expected the whole repository')
+            for file in files: rows.append(('decodes', f'{vectors.name}/{file.name}', runner.vector(file), ''))
+            for row in table:
+                rows.append(('refuses', f'{refused.name}/{row["file"]}', runner.refused(refused / row['file']), row['wrong']))
     for what, name, problem, wrong in rows:
-        print(f'{"FAIL" if problem else "ok":<4}  {what}  {name:<30}  {problem or wrong}'.rstrip())
+        print(f'{"FAIL" if problem else "ok":<4}  {what}  {name:<40}  {problem or wrong}'.rstrip())
     failed = sum(problem is not None for *_, problem, _ in rows)
-    print(f'{len(rows) - failed} of {len(rows)} files as they should be: {len(vectors)} to decode, {len(refused)} to refuse')
+    decoded = sum(what == 'decodes' for what, *_ in rows)
+    print(f'{len(rows) - failed} of {len(rows)} files as they should be: {decoded} to decode, {len(rows) - decoded} to refuse')
     if options.json:
         result = [{'file': name, 'test': what, 'problem': problem} for what, name, problem, _ in rows]
         options.json.write_text(json.dumps(result, indent=1) + '\n')

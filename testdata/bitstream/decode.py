@@ -1,4 +1,4 @@
-"""A decoder of .tcgs version 1, written from docs/FORMAT.md; it shares no code with the Rust one. Slow and complete: it
+"""A decoder of .tcgs versions 1 and 2, written from docs/FORMAT.md; it shares no code with the Rust one. Slow and complete: it
 checks the text, and it is the reference of scripts/conformance.py.
 
 Usage:
@@ -7,9 +7,12 @@ Usage:
 """
 import bisect, json, math, struct, sys, zlib
 
+# Attributes that every Gaussian has. Those of a cohort are in its plan.
 NAMES = ['means', 'quats', 'log_scales', 'logit_opacities', 'colors']
-TAGS = [b'MEAN', b'QUAT', b'SCAL', b'OPAC', b'COLR']
 COMPONENTS = [3, 4, 3, 1, 3]
+ACTIVATIONS = [0, 1, 2, 3, 0]
+TAGS = [b'MEAN', b'QUAT', b'SCAL', b'OPAC', b'COLR']
+BASE = len(NAMES)
 MEANS, QUATS = 0, 1
 SHARED = 65535
 NONE = None
@@ -52,44 +55,52 @@ class Fields:
         data = self.take(self.u(2, field), field)
         try: return data.decode('utf-8')
         except UnicodeDecodeError: raise Refused(self.section, field, 'not UTF-8')
-    def flags(self, field):
+    def flags(self, field, count):
         byte = self.u(1, field)
-        must(byte < 32, self.section, field, 'more attributes than there are')
-        return [byte >> a & 1 == 1 for a in range(5)]
+        must(byte >> count == 0, self.section, field, 'unknown')
+        return [byte >> i & 1 == 1 for i in range(count)]
     def end(self): must(self.at == len(self.data), self.section, 'end', 'bytes are left over')
 
 def section_name(tag):
-    known = {b'INFO': 'info', b'PLAN': 'plan', b'MAPS': 'maps', b'appl': 'application data'} | dict(zip(TAGS, NAMES))
+    known = {b'INFO': 'info', b'COHO': 'cohorts', b'appl': 'application data'}
+    known |= {b'PLAN': 'plan', b'MAPS': 'maps'} | dict(zip(TAGS, NAMES))
     return known.get(tag, 'unknown section')
 
-def read_container(data):
-    """The sections that are not optional, each (tag, segment, layer, bytes)."""
+def name_in_errors(name): return name if name == 'maps' or name in NAMES else 'further attribute'
+
+def version_of(data):
     must(data[:4] == b'TCGS'[:len(data)], 'header', 'magic', 'this is not a .tcgs file')
     must(len(data) >= 16, 'file', 'end', 'the file ends early')
-    top = Fields(data, 'header')
-    top.take(4, 'magic')
-    must(top.u(2, 'version') == 1, 'version', 'version', 'another version')
-    must(top.u(2, 'reserved') == 0, 'header', 'reserved', 'not zero')
-    count = top.u(4, 'number of sections')
-    must(count <= 2**20, 'header', 'number of sections', 'more than 1048576')
-    must(len(data) >= 16 + 16 * count, 'file', 'end', 'the file ends early')
-    crc = zlib.crc32(data[:12] + data[16:16 + 16 * count])
-    must(top.u(4, 'checksum') == crc, 'header', 'checksum', 'the header is damaged')
-    entries, at = [], 16 + 16 * count
-    for _ in range(count):
-        tag, segment, layer = top.take(4, 'tag'), top.u(2, 'segment'), top.u(2, 'layer')
-        length, crc = top.u(4, 'length'), top.u(4, 'checksum')
-        optional = tag[0] & 0x20 != 0
-        must(optional or section_name(tag) != 'unknown section', 'header', 'tag', 'may not be skipped')
-        entries.append((tag, segment, layer, data[at:at + length], crc, optional))
-        at += length
-    must(at <= len(data), 'file', 'end', 'the file ends early')
-    must(at == len(data), 'file', 'end', 'bytes are left over')
-    for tag, _, _, body, crc, _ in entries:
-        must(zlib.crc32(body) == crc, section_name(tag), 'checksum', 'the section is damaged')
-    return [entry[:4] for entry in entries if not entry[5]]
+    version = int.from_bytes(data[4:6], 'little')
+    must(version in (1, 2), 'version', 'version', 'another version')
+    return version
 
-def read_info(f):
+class Cohort:
+    """What is known of a cohort before its symbols. All Gaussians of a file of version 1 are one.
+
+    - `segment_length`: as in the file; `span` has the one in effect
+    - `shared[layer]`: bytes of the maps and of every attribute; `segments[s][layer]`: of every attribute that varies
+    """
+    def __init__(self, plan, start, num_timesteps, num_gaussians, layers, segment_length, has_lives, section):
+        must(sum(layers) == num_gaussians, section, 'layers', 'not as many Gaussians as the scene')
+        must(0 not in layers, section, 'layers', 'an empty one')
+        must(1 <= segment_length <= 65536, section, 'segment_length', 'not within 1 to 65536')
+        self.plan, self.start, self.num_timesteps, self.has_lives = plan, start, num_timesteps, has_lives
+        self.num_gaussians, self.segment_length = num_gaussians, segment_length
+        self.varying = [a for a, varies in enumerate(plan['varies']) if varies]
+        self.length = segment_length if self.varying and num_gaussians > 0 else num_timesteps
+        self.num_segments = (num_timesteps + self.length - 1) // self.length
+        must(self.num_segments <= 65535, section, 'segment_length', 'more than 65535 segments')
+        starts = [sum(layers[:i]) for i in range(len(layers) + 1)]
+        self.layers = [range(*pair) for pair in zip(starts, starts[1:])]
+        self.shared, self.segments = [], []
+    def span(self, s):
+        """First and last timestep of a segment, counted from the start of the cohort."""
+        return s * self.length, min((s + 1) * self.length, self.num_timesteps) - 1
+    def names(self, attributes): return [self.plan['names'][a] for a in attributes]
+
+def read_scene(f):
+    """The fields of INFO that both versions have."""
     s = {'num_gaussians': f.u(4, 'num_gaussians'), 'num_timesteps': f.u(4, 'num_timesteps')}
     # This decoder's own limits.
     must(s['num_gaussians'] <= 2**24 and s['num_timesteps'] <= 2**16, 'limit', 'limit', 'more than this decoder takes')
@@ -101,40 +112,241 @@ def read_info(f):
     must(s['color_space'] <= 1, 'info', 'color_space', 'unknown')
     s['up'] = f.u(1, 'up')
     must(s['up'] <= 6, 'info', 'up', 'unknown')
-    s |= {'name': f.text('name'), 'generator': f.text('generator'), 'segment_length': f.u(4, 'segment_length')}
-    s['layers'] = [f.u(4, 'layers') for _ in range(f.u(2, 'number of layers'))]
-    must(1 <= s['num_timesteps'] <= 65536, 'info', 'num_timesteps', 'not within 1 to 65536')
+    return s | {'name': f.text('name'), 'generator': f.text('generator')}
+
+def check_scene(f, s):
+    must(s['num_timesteps'] >= 1, 'info', 'num_timesteps', 'zero')
     must(math.isfinite(s['frame_rate']) and s['frame_rate'] >= 0, 'info', 'frame_rate', 'negative or not finite')
     must(s['downscale'] >= 1, 'info', 'downscale', 'zero')
-    must(sum(s['layers']) == s['num_gaussians'], 'info', 'layers', 'not as many Gaussians as the scene')
-    must(0 not in s['layers'], 'info', 'layers', 'an empty one')
-    must(1 <= s['segment_length'] <= 65536, 'info', 'segment_length', 'not within 1 to 65536')
     f.end()
     return s
 
-def read_plan(f):
-    plan = {'varies': f.flags('varying attributes'), 'joint': f.flags('joint attributes'), 'quantizers': [], 'predictors': []}
-    for a in range(5):
-        must(f.u(1, 'interpolation') == 0, 'plan', 'interpolation', 'unknown')
-        quantizers = {}
-        for _ in range(f.u(1, 'number of widths')):
-            b = f.u(1, 'width')
-            must(b > max(quantizers, default=-1), 'plan', 'width', 'not ascending')
-            quantizers[b] = [(f.f('step'), f.f('offset')) for _ in range(COMPONENTS[a])]
-            for step, offset in quantizers[b]:
-                legal = 1 <= b <= 16 and 0 < step < math.inf and math.isfinite(offset)
-                must(legal, 'plan', 'quantizer', 'not 1 to 16 bits, or not finite, or a step that is not positive')
-        predictors = []
-        for c in range(COMPONENTS[a] if a != MEANS else 0):
-            mode = f.u(1, 'mode')
-            must(mode <= 2, 'plan', 'mode', 'unknown')
-            weights = [f.f('weight') for _ in range(1 + 2 * COMPONENTS[a] + c)]
-            must(all(map(math.isfinite, weights)), 'plan', 'weight', 'not finite')
-            predictors.append((mode, weights))
-        plan['quantizers'].append(quantizers)
-        plan['predictors'].append(predictors)
+def read_layers(f): return [f.u(4, 'layers') for _ in range(f.u(2, 'number of layers'))]
+
+def new_plan():
+    return {key: [] for key in 'names units components activations varies joint lacking quantizers predictors'.split()}
+
+def read_attribute(f, plan, a):
+    """What both versions say of an attribute: quantizers and predictors."""
+    must(f.u(1, 'interpolation') == 0, f.section, 'interpolation', 'unknown')
+    quantizers, predictors, components = {}, [], plan['components'][a]
+    for _ in range(f.u(1, 'number of widths')):
+        b = f.u(1, 'width')
+        must(b > max(quantizers, default=-1), f.section, 'width', 'not ascending')
+        quantizers[b] = []
+        for _ in range(components):
+            step, offset = f.f('step'), f.f('offset')
+            legal = 1 <= b <= 16 and 0 < step < math.inf and math.isfinite(offset)
+            must(legal, f.section, 'quantizer', 'not 1 to 16 bits, or not finite, or a step that is not positive')
+            quantizers[b].append((step, offset))
+    for c in range(components if a != MEANS else 0):
+        mode = f.u(1, 'mode')
+        must(mode <= 2, f.section, 'mode', 'unknown')
+        weights = [f.f('weight') for _ in range(1 + 2 * components + c if a < BASE else 3 + min(c, 3))]
+        must(all(map(math.isfinite, weights)), f.section, 'weight', 'not finite')
+        predictors.append((mode, weights))
+    plan['quantizers'].append(quantizers)
+    plan['predictors'].append(predictors)
+
+# --- Container of version 1 ----------------------------------------------------------------------------------------------
+
+def open_1(data):
+    """Fields of INFO, and the only cohort."""
+    top = Fields(data, 'header')
+    top.take(6, 'magic')
+    must(top.u(2, 'reserved') == 0, 'header', 'reserved', 'not zero')
+    count = top.u(4, 'number of sections')
+    must(count <= 2**20, 'header', 'number of sections', 'more than 1048576')
+    must(len(data) >= 16 + 16 * count, 'file', 'end', 'the file ends early')
+    crc = zlib.crc32(data[:12] + data[16:16 + 16 * count])
+    must(top.u(4, 'checksum') == crc, 'header', 'checksum', 'the header is damaged')
+    entries, at = [], 16 + 16 * count
+    for _ in range(count):
+        tag, segment, layer = top.take(4, 'tag'), top.u(2, 'segment'), top.u(2, 'layer')
+        length, crc = top.u(4, 'length'), top.u(4, 'checksum')
+        optional = tag[0] & 0x20 != 0
+        must(optional or tag in (b'INFO', b'PLAN', b'MAPS', *TAGS), 'header', 'tag', 'may not be skipped')
+        entries.append((tag, segment, layer, data[at:at + length], crc, optional))
+        at += length
+    must(at <= len(data), 'file', 'end', 'the file ends early')
+    must(at == len(data), 'file', 'end', 'bytes are left over')
+    for tag, _, _, body, crc, _ in entries:
+        must(zlib.crc32(body) == crc, section_name(tag), 'checksum', 'the section is damaged')
+    sections = iter([entry[:4] for entry in entries if not entry[5]])
+    def section(*place):
+        found = next(sections, None)
+        must(found is not None and found[:3] == place, 'header', 'tag', 'not the section that is due')
+        return found[3]
+
+    info = read_info_1(Fields(section(b'INFO', SHARED, 0), 'info'))
+    plan = read_plan_1(Fields(section(b'PLAN', SHARED, 0), 'plan'))
+    T, N = info['num_timesteps'], info['num_gaussians']
+    cohort = Cohort(plan, 0, T, N, info['layers'], info['segment_length'], False, 'info')
+    for i in range(len(cohort.layers)):
+        cohort.shared.append([section(tag, SHARED, i) for tag in [b'MAPS'] + TAGS])
+    for s in range(cohort.num_segments):
+        of_layer = lambda i: [section(TAGS[a], s, i) for a in cohort.varying]
+        cohort.segments.append([of_layer(i) for i in range(len(cohort.layers))])
+    must(next(sections, None) is None, 'header', 'tag', 'a section too many')
+    return info, [cohort]
+
+def read_info_1(f):
+    s = read_scene(f)
+    return check_scene(f, s | {'segment_length': f.u(4, 'segment_length'), 'layers': read_layers(f)})
+
+def read_plan_1(f):
+    plan = new_plan() | {'names': NAMES, 'components': COMPONENTS, 'activations': ACTIVATIONS}
+    plan |= {'units': [''] * BASE, 'lacking': [False] * BASE}
+    plan['varies'], plan['joint'] = f.flags('varying attributes', BASE), f.flags('joint attributes', BASE)
+    for a in range(BASE): read_attribute(f, plan, a)
     f.end()
     return plan
+
+# --- Container of version 2 ----------------------------------------------------------------------------------------------
+
+def open_2(data):
+    """Fields of INFO, and all cohorts."""
+    top = Fields(data, 'header')
+    top.take(6, 'magic')
+    count = top.u(2, 'number of sections')
+    end = 20 + 24 * count
+    must(len(data) >= end, 'file', 'end', 'the file ends early')
+    length = top.u(8, 'length of the file')
+    must(top.u(4, 'checksum') == zlib.crc32(data[:16] + data[20:end]), 'header', 'checksum', 'the header is damaged')
+    parts, entries = [(0, end)], []
+    for _ in range(count):
+        tag, crc, offset, size = top.take(4, 'tag'), top.u(4, 'checksum'), top.u(8, 'offset'), top.u(8, 'length')
+        must(parts[-1][1] <= offset and offset + size <= length, 'header', 'offset', 'not in order, or beyond the end')
+        optional = tag[0] & 0x20 != 0
+        must(optional or tag in (b'INFO', b'COHO'), 'header', 'tag', 'may not be skipped')
+        parts.append((offset, offset + size))
+        entries.append((tag, data[offset:offset + size], crc, offset + size, optional))
+    needed = [entry for entry in entries if not entry[4]]
+    must([entry[0] for entry in needed] == [b'INFO', b'COHO'], 'header', 'tag', 'not the sections that are due')
+    def opened(tag, body, crc, _, __):
+        must(zlib.crc32(body) == crc, section_name(tag), 'checksum', 'the section is damaged')
+        return Fields(body, section_name(tag))
+    end = needed[1][3]
+    must(end <= len(data), 'file', 'end', 'the file ends early')
+    info = read_info_2(opened(*needed[0]))
+    places = read_cohorts(opened(*needed[1]), info, end, length)
+    must(length <= len(data), 'file', 'end', 'the file ends early')
+    must(length == len(data), 'file', 'end', 'bytes are left over')
+    for entry in entries: opened(*entry)
+
+    cohorts, pieces = [], []
+    for place in places:
+        plan = cohorts[place['plan']].plan if place['plan'] < len(cohorts) else None
+        cohort, of_cohort = read_head(data, place, plan, length)
+        pieces += [(cohort.start + t, len(cohorts), i, part) for i, (t, part) in enumerate(of_cohort)]
+        cohorts.append(cohort)
+    for before, cohort in zip(cohorts, cohorts[1:]):
+        same = described(before.plan) == described(cohort.plan)
+        must(same, 'cohort', 'attributes', 'others than those of the first cohort')
+    # Parts cover the file, and pieces come in the order in which they are needed.
+    pieces = [piece[3] for piece in sorted(pieces)]
+    ordered = all(a[0] <= b[0] for a, b in zip(pieces, pieces[1:]))
+    must(ordered, 'file', 'end', 'parts come in another order than that in which they are needed')
+    parts = sorted(parts + pieces) + [(length, length)]
+    covered = all(a[1] == b[0] for a, b in zip(parts, parts[1:]))
+    must(covered, 'file', 'end', 'parts leave a gap or overlap')
+    return info, cohorts
+
+def read_info_2(f):
+    s = read_scene(f) | {'errors': []}
+    for _ in range(f.u(1, 'number of errors')):
+        name, error = f.text('name of an attribute'), f.f('error')
+        must(math.isfinite(error) and error >= 0, 'info', 'error', 'negative or not finite')
+        s['errors'].append([name, error])
+    return check_scene(f, s)
+
+def read_cohorts(f, info, end, length):
+    """The section COHO.
+
+    - `end`: where it ends in the file
+    - `length`: of the file
+    """
+    count = f.u(4, 'number of cohorts')
+    must(count <= 2**20, 'cohorts', 'number of cohorts', 'more than 1048576')
+    places, start = [], 0
+    fields = 'start num_timesteps num_gaussians plan head_bytes head_checksum shared_bytes'.split()
+    for index in range(count):
+        p = {field: f.u(4, field) for field in fields} | {'offset': f.u(8, 'offset')}
+        must(p['start'] >= start, 'cohorts', 'start', 'not ascending')
+        within = 1 <= p['num_timesteps'] <= 65536 and p['start'] + p['num_timesteps'] <= info['num_timesteps']
+        must(within, 'cohorts', 'num_timesteps', 'not within 1 to 65536, or beyond the end of the scene')
+        must(p['num_gaussians'] > 0, 'cohorts', 'num_gaussians', 'none')
+        own = p['plan'] == index or p['plan'] < index and places[p['plan']]['plan'] == p['plan']
+        must(own, 'cohorts', 'plan', 'that of a cohort without one of its own')
+        after = p['offset'] + p['head_bytes'] + p['shared_bytes']
+        must(end <= p['offset'] and after <= length, 'cohorts', 'offset', 'not in order, or beyond the end')
+        start, end = p['start'], after
+        places.append(p)
+    total = sum(p['num_gaussians'] for p in places)
+    must(total == info['num_gaussians'], 'cohorts', 'num_gaussians', 'not as many Gaussians as the scene')
+    f.end()
+    return places
+
+def read_head(data, place, plan, length):
+    """A cohort, and its pieces: the first timestep at which each is needed, and its first byte and that after its last.
+
+    - `plan`: the one that it shares with a cohort before
+    - `length`: of the file
+    """
+    at = place['offset']
+    end = at + place['head_bytes']
+    must(zlib.crc32(data[at:end]) == place['head_checksum'], 'cohort', 'checksum', 'the head is damaged')
+    f = Fields(data[at:end], 'cohort')
+    has_lives, = f.flags('flags', 1)
+    segment_length, layers = f.u(4, 'segment_length'), read_layers(f)
+    plan = plan or read_plan_2(f)
+    cohort = Cohort(plan, place['start'], place['num_timesteps'], place['num_gaussians'], layers, segment_length, has_lives, 'cohort')
+    segments = range(cohort.num_segments if cohort.varying else 0)
+    count = len(layers) * (1 + len(plan['names']) + len(segments) * len(cohort.varying)) + len(segments)
+    must(len(f.data) - f.at == 8 * count, 'cohort', 'sections', 'not as many as layers, segments and attributes make')
+    def section(name):
+        nonlocal end
+        start, end = end, end + f.u(4, 'length')
+        return name, data[start:end], f.u(4, 'checksum')
+    # Checksums of sections are for those who read them.
+    cohort.shared = [[section(name) for name in ['maps'] + plan['names']] for _ in layers]
+    wanted = place['offset'] + place['head_bytes'] + place['shared_bytes']
+    must(end == wanted, 'cohort', 'length', 'not as many bytes of shared layers as the table of cohorts says')
+    pieces = [(0, (at, end))]
+    for s in segments:
+        start = f.u(8, 'offset of a segment')
+        must(start >= end, 'cohort', 'offset of a segment', 'not after the one before')
+        end = start
+        cohort.segments.append([[section(name) for name in cohort.names(cohort.varying)] for _ in layers])
+        pieces.append((cohort.span(s)[0], (start, end)))
+    must(end <= length, 'cohort', 'offset of a segment', 'beyond the end of the file')
+    f.end()
+    return cohort, pieces
+
+def read_plan_2(f):
+    plan = new_plan()
+    count = f.u(1, 'number of attributes')
+    for a in range(count):
+        name, unit = f.text('name of an attribute'), f.text('unit')
+        components, activation = f.u(1, 'components'), f.u(1, 'activation')
+        must(activation <= 3, 'cohort', 'activation', 'unknown')
+        varies, joint, lacking = f.flags('flags of an attribute', 3)
+        if a < BASE:
+            due = (NAMES[a], COMPONENTS[a], ACTIVATIONS[a])
+            must((name, components, activation) == due, 'cohort', 'name of an attribute', 'not the attribute that is due')
+            must(not lacking, 'cohort', 'flags of an attribute', 'one that every Gaussian has may be lacking')
+        else:
+            must(name not in plan['names'] + NAMES, 'cohort', 'name of an attribute', 'that of another attribute')
+            must(1 <= components <= 32, 'cohort', 'components', 'not within 1 to 32')
+        values = name, unit, components, activation, varies, joint, lacking
+        for key, value in zip('names units components activations varies joint lacking'.split(), values): plan[key].append(value)
+        read_attribute(f, plan, a)
+    must(count >= BASE, 'cohort', 'number of attributes', 'fewer than every Gaussian has')
+    return plan
+
+def described(plan):
+    """What all cohorts have in common."""
+    return plan['names'], plan['components'], plan['activations'], plan['units'][BASE:]
 
 # --- Symbols -----------------------------------------------------------------------------------------------------------
 
@@ -210,32 +422,39 @@ def curve_key(point, bits):
     return sum((point[c] >> j & 1) << (3 * j + c) for j in range(bits) for c in range(3))
 
 class Shared:
-    """What all segments share: widths, which tracks move, first codes, neighbours."""
-    def __init__(self, plan):
-        self.plan = plan
-        self.width, self.moves, self.code = ([[] for _ in range(5)] for _ in range(3))
-        self.neighbors, self.points, self.curve = [], [], []
-        self.maps = Models(16, 'width'), Models(2, 'moves')
+    """What all segments share: lives, widths, which tracks move, first codes, neighbours."""
+    def __init__(self, plan, num_timesteps, has_lives):
+        self.plan, self.components, self.attributes = plan, plan['components'], range(len(plan['components']))
+        self.last, self.has_lives = num_timesteps - 1, has_lives
+        self.width, self.moves, self.code = ([[] for _ in self.attributes] for _ in range(3))
+        self.lives, self.neighbors, self.points, self.curve = [], [], [], []
+        self.births, self.deaths = Numbers('birth'), Numbers('death')
+        self.maps = Models(16, 'width'), Models(2, 'moves'), Models(2, 'present')
         self.curve_models = Models(13, 'gap high'), Models(4, 'gap low'), Models(8, 'gap leading')
         self.gap_before = 0
-        self.first = [(Models(16, 'high'), Models(16, 'middle'), Numbers('difference')) for _ in range(5)]
+        self.first = [(Models(16, 'high'), Models(16, 'middle'), Numbers('difference')) for _ in self.attributes]
 
     def quantizer(self, a, g, c): return self.plan['quantizers'][a][self.width[a][g]][c]
     def value(self, a, g, c, code):
+        if self.width[a][g] == 0: return 0.0
         step, offset = self.quantizer(a, g, c)
         return code * step + offset
 
     def read_maps(self, symbols, layer):
-        widths, moving = self.maps
+        widths, moving, present = self.maps
         for g in layer:
-            for a in range(5):
+            self.lives.append(self.read_life(symbols) if self.has_lives else (0, self.last))
+            there = 0
+            for a in self.attributes:
                 before = self.width[a][g - 1] if g > 0 else 0
                 left = self.width[a - 1][g] if a > 1 else 0
-                self.width[a].append(1 + symbols.read(widths[a, before, left]))
+                if self.plan['lacking'][a]: there = symbols.read(present[a, before > 0, there]) % 2
+                has = there or not self.plan['lacking'][a]
+                self.width[a].append(1 + symbols.read(widths[a, before, left]) if has else 0)
             decision = 0
-            for a in range(5):
-                row = [0] * COMPONENTS[a]
-                for c in range(COMPONENTS[a] if self.plan['varies'][a] else 0):
+            for a in self.attributes:
+                row = [0] * self.components[a]
+                for c in range(self.components[a] if self.plan['varies'][a] and self.width[a][g] > 0 else 0):
                     if self.plan['joint'][a] and c > 0:
                         row[c] = row[0]
                         continue
@@ -243,9 +462,15 @@ class Shared:
                     decision = row[c] = symbols.read(moving[a, c, one, two, decision]) % 2
                 self.moves[a].append(row)
         symbols.end()
-        for a in range(5):
-            known = all(self.width[a][g] in self.plan['quantizers'][a] for g in layer)
+        for a in self.attributes:
+            known = all(self.width[a][g] in (0, *self.plan['quantizers'][a]) for g in layer)
             must(known, 'maps', 'bit widths', 'a width without quantizers')
+
+    def read_life(self, symbols):
+        birth = self.births.read(symbols, 0)
+        from_end = self.deaths.read(symbols, birth > 0)
+        must(birth + from_end <= self.last, 'maps', 'lives', 'not within the timesteps of the cohort')
+        return birth, self.last - from_end
 
     def read_positions(self, symbols, layer):
         high, low, leading = self.curve_models
@@ -284,14 +509,20 @@ class Shared:
 
     def read_first_codes(self, a, symbols, layer):
         high, middle, numbers = self.first[a]
+        count = self.components[a]
         for g in layer:
             b, codes = self.width[a][g], []
             self.code[a].append(codes)
+            if b == 0:
+                codes += [0] * count
+                continue
             two = (self.neighbors[g] * 2)[:2]
-            near = [[self.value(a, h, c, self.code[a][h][c]) for c in range(COMPONENTS[a])] for h in two]
-            near = near or [[0.0] * COMPONENTS[a]] * 2
-            features, rest = [1.0] + near[0] + near[1], 1.0
-            for c in range(COMPONENTS[a]):
+            near = [[self.value(a, h, c, self.code[a][h][c]) for c in range(count)] for h in two]
+            near = near or [[0.0] * count] * 2
+            before, rest = [], 1.0
+            for c in range(count):
+                features = [1.0] + near[0] + near[1] + before
+                if a >= BASE: features = [1.0, near[0][c], near[1][c]] + before[-3:]
                 (step, offset), (mode, weights) = self.quantizer(a, g, c), self.plan['predictors'][a][c]
                 code_of = lambda x: clamp(nearest((x - offset) / step), -2**(b - 1), 2**(b - 1) - 1)
                 prediction = 0.0
@@ -312,37 +543,42 @@ class Shared:
                 codes.append(code)
                 value = self.value(a, g, c, code)
                 rest -= value * value
-                features.append(value)
+                before.append(value)
         symbols.end()
 
 # --- Segments ----------------------------------------------------------------------------------------------------------
 
 class SegmentOf:
     """The keypoints of one attribute within one segment: (times, codes[keypoint][component]) by Gaussian and unit."""
-    def __init__(self, a, shared, first, last, num_timesteps):
-        self.a, self.shared, self.first, self.last, self.num_timesteps = a, shared, first, last, num_timesteps
-        self.joint = shared.plan['joint'][a]
+    def __init__(self, a, shared, first, last):
+        self.a, self.shared, self.first, self.last = a, shared, first, last
+        self.components = shared.components[a]
+        self.per = self.components if shared.plan['joint'][a] else 1
         self.units = {}
         self.counts = Models(16, 'count')
         names = 'more', 'before', 'after', 'gap', 'first', 'later'
         self.more, self.before, self.after, self.gaps, self.firsts, self.laters = map(Numbers, names)
 
     def read_layer(self, symbols, layer, motion):
-        inner_before, per = 0, COMPONENTS[self.a] if self.joint else 1
+        inner_before = 0
         for g in layer:
-            for c0 in range(0, COMPONENTS[self.a], per):
+            birth, death = self.shared.lives[g]
+            if birth > self.last or death < self.first: continue
+            for c0 in range(0, self.components, self.per):
                 if self.shared.moves[self.a][g][c0]:
-                    inner_before = self.read_unit(symbols, motion, g, range(c0, c0 + per), inner_before)
+                    inner_before = self.read_unit(symbols, motion, g, range(c0, c0 + self.per), inner_before)
         symbols.end()
 
     def read_unit(self, symbols, motion, g, components, inner_before):
-        a, A, Z, T, c0 = self.a, self.first, self.last, self.num_timesteps, components[0]
-        late = lambda holds: must(holds, NAMES[a], 'keypoint times', 'not within the timesteps that are left')
-        neighbor = next((h for h in self.shared.neighbors[g] if self.shared.moves[a][h][c0]), NONE)
+        a, c0, (birth, death) = self.a, components[0], self.shared.lives[g]
+        A, Z = max(self.first, birth), min(self.last, death)
+        late = lambda holds: must(holds, name_in_errors(self.shared.plan['names'][a]), 'keypoint times', 'not within the timesteps that are left')
+        # Those that move and live in this segment.
+        neighbor = next((h for h in self.shared.neighbors[g] if (h, c0) in self.units), NONE)
         b = self.shared.width[a][g]
-        before = self.before.read(symbols, 0) if A > 0 else 0
-        late(before <= A)
-        times, codes = [A - before], [self.read_start(symbols, g, components, neighbor, A - before)]
+        before = self.before.read(symbols, 0) if A > birth else 0
+        late(before <= A - birth)
+        times, codes = [A - before], [self.read_start(symbols, g, components, neighbor, A - before, A == birth)]
         self.units[g, c0] = times, codes
         if A == Z and before == 0: return 0
         near = 0 if neighbor is NONE else max(len(self.units[neighbor, c0][0]) - 2, 0)
@@ -356,17 +592,17 @@ class SegmentOf:
             late(gap <= free - left)
             t, free = t + gap + 1, free - gap - 1
             times.append(t)
-        times.append(Z + (self.after.read(symbols, 0) if Z + 1 < T else 0))
-        late(times[-1] < T)
+        times.append(Z + (self.after.read(symbols, 0) if Z < death else 0))
+        late(times[-1] <= death)
         if k == 0: codes.append(codes[0])
         else: self.read_later(symbols, motion, g, components, neighbor)
         return inner
 
-    def read_start(self, symbols, g, components, neighbor, time):
+    def read_start(self, symbols, g, components, neighbor, time, is_born):
         a, codes, last_size = self.a, [], 0
         for c in components:
             code, b = self.shared.code[a][g][c], self.shared.width[a][g]
-            if self.first > 0:
+            if not is_born:
                 shift = 0.0
                 if neighbor is not NONE:
                     moved = self.at(neighbor, components[0], c, time) - self.shared.code[a][neighbor][c]
@@ -422,27 +658,41 @@ class SegmentOf:
 
 # --- A whole file ------------------------------------------------------------------------------------------------------
 
-class Scene:
-    """`info`: the fields of INFO; `tracks[a][g * C + c]`: times and codes."""
-    def __init__(self, info, shared, tracks): self.info, self.shared, self.tracks = info, shared, tracks
+class Decoded:
+    """A decoded cohort. `tracks[a][g * C + c]`: times, counted from the start of the cohort, and codes."""
+    def __init__(self, head, shared, tracks): self.head, self.shared, self.tracks = head, shared, tracks
 
     def at(self, t):
-        """All attributes at a timestep, each a list of N C floats."""
+        """All attributes of the Gaussians that live at a timestep of the scene, a list of floats each."""
+        now = t - self.head.start
+        if not 0 <= now < self.head.num_timesteps: return [[] for _ in self.tracks]
+        living = [g for g, (birth, death) in enumerate(self.shared.lives) if birth <= now <= death]
         values = []
-        for a in range(5):
-            rows = [self.track_at(a, i, t) for i in range(len(self.tracks[a]))]
-            if a == QUATS: rows = [x for i in range(0, len(rows), 4) for x in unit(rows[i:i + 4])]
-            values.append(rows)
+        for a, count in enumerate(self.shared.components):
+            rows = [[self.track_at(a, g * count + c, now) for c in range(count)] for g in living]
+            if a == QUATS: rows = [unit(row) for row in rows]
+            values.append([x for row in rows for x in row])
         return values
 
     def track_at(self, a, i, t):
         times, codes = self.tracks[a][i]
-        value = lambda k: f32(self.shared.value(a, i // COMPONENTS[a], i % COMPONENTS[a], codes[k]))
+        g, c = divmod(i, self.shared.components[a])
+        value = lambda k: f32(self.shared.value(a, g, c, codes[k]))
         k = bisect.bisect_right(times, t) - 1
         v = value(k)
         if times[k] == t or k + 1 == len(times): return v
         along = f32((t - times[k]) / (times[k + 1] - times[k]))
         return f32(v + f32(f32(value(k + 1) - v) * along))
+
+class Scene:
+    """`info`: the fields of INFO; `cohorts`: decoded."""
+    def __init__(self, info, cohorts): self.info, self.cohorts = info, cohorts
+    def names(self): return self.cohorts[0].head.plan['names'] if self.cohorts else NAMES
+    def components(self): return self.cohorts[0].shared.components if self.cohorts else COMPONENTS
+    def at(self, t):
+        """All attributes of the Gaussians that live at a timestep, cohort by cohort, a list of floats each."""
+        parts = [cohort.at(t) for cohort in self.cohorts]
+        return [[x for part in parts for x in part[a]] for a in range(len(self.names()))]
 
 def unit(quat):
     def squares(values):
@@ -453,66 +703,65 @@ def unit(quat):
     if length > 0: quat = [f32(x / length) for x in quat]
     return quat if squares(quat) > 0.5 else [1.0, 0.0, 0.0, 0.0]
 
-def decode(data, open_symbols=lambda place, body: Symbols(body, section_name(place[0]))):
+def decode(data, open_symbols=lambda place, body: Symbols(body, name_in_errors(place[0]))):
     """The scene in the bytes of a file.
 
-    - `open_symbols`: the reader of the symbols of a section at (tag, segment, layer); forge.py gives another
+    - `open_symbols`: the reader of the symbols of a section at (`maps` or the name of an attribute, segment, layer,
+      cohort); forge.py gives another
     """
-    sections = iter(read_container(data))
-    def section(*place):
-        found = next(sections, None)
-        must(found is not None and found[:3] == place, 'header', 'tag', 'not the section that is due')
-        return found[3]
-    info = read_info(Fields(section(b'INFO', SHARED, 0), 'info'))
-    plan = read_plan(Fields(section(b'PLAN', SHARED, 0), 'plan'))
-    N, T, L = info['num_gaussians'], info['num_timesteps'], info['segment_length']
-    varying = [a for a in range(5) if plan['varies'][a]]
-    if N == 0 or not varying: L = T
-    num_segments = (T + L - 1) // L
-    must(num_segments <= 65535, 'info', 'segment_length', 'more than 65535 segments')
-    must(512 * N <= 2**24 + 1024 * len(data), 'limit', 'limit', 'more than this decoder takes')
+    info, cohorts = (open_1 if version_of(data) == 1 else open_2)(data)
+    memory = sum(cohort.num_gaussians * (512 + 32 * sum(cohort.plan['components'][BASE:])) for cohort in cohorts)
+    must(memory <= 2**24 + 1024 * len(data), 'limit', 'limit', 'more than this decoder takes')
+    return Scene(info, [decode_cohort(i, cohort, open_symbols) for i, cohort in enumerate(cohorts)])
 
-    starts = [sum(info['layers'][:i]) for i in range(len(info['layers']) + 1)]
-    layers = [range(*pair) for pair in zip(starts, starts[1:])]
-    shared = Shared(plan)
-    symbols = lambda *place: open_symbols(place, section(*place))
-    for i, layer in enumerate(layers):
-        shared.read_maps(symbols(b'MAPS', SHARED, i), layer)
-        shared.read_positions(symbols(b'MEAN', SHARED, i), layer)
+def decode_cohort(index, head, open_symbols):
+    plan, attributes = head.plan, range(len(head.plan['names']))
+    shared = Shared(plan, head.num_timesteps, head.has_lives)
+    for i, layer in enumerate(head.layers):
+        bodies = [checked(body) for body in head.shared[i]]
+        symbols = lambda name, body: open_symbols((name, SHARED, i, index), body)
+        shared.read_maps(symbols('maps', bodies[0]), layer)
+        shared.read_positions(symbols('means', bodies[1]), layer)
         shared.find_neighbors(layer)
-        for a in range(1, 5): shared.read_first_codes(a, symbols(TAGS[a], SHARED, i), layer)
-    joined = [{} for _ in range(5)]
-    for s in range(num_segments):
-        first, last = s * L, min((s + 1) * L, T) - 1
-        attributes = {a: SegmentOf(a, shared, first, last, T) for a in varying}
-        for i, layer in enumerate(layers):
-            for a in varying:
-                body = section(TAGS[a], s, i)
-                must(len(body) > 0 and body[0] <= 3, NAMES[a], 'motion', 'unknown')
-                attributes[a].read_layer(open_symbols((TAGS[a], s, i), body[1:]), layer, body[0])
-        for a in varying: join(a, joined[a], attributes[a].units)
-    must(next(sections, None) is None, 'header', 'tag', 'a section too many')
+        for a in attributes[1:]: shared.read_first_codes(a, symbols(plan['names'][a], bodies[1 + a]), layer)
+    joined = [{} for _ in attributes]
+    for s, of_segment in enumerate(head.segments):
+        readers = [SegmentOf(a, shared, *head.span(s)) for a in head.varying]
+        for i, layer in enumerate(head.layers):
+            for reader, body in zip(readers, of_segment[i]):
+                name, body = plan['names'][reader.a], checked(body)
+                must(len(body) > 0 and body[0] <= 3, name_in_errors(name), 'motion', 'unknown')
+                reader.read_layer(open_symbols((name, s, i, index), body[1:]), layer, body[0])
+        for reader in readers: join(plan['names'][reader.a], joined[reader.a], reader.units)
 
     tracks = []
-    for a in range(5):
+    for a in attributes:
         of_attribute = []
-        for g in range(N):
-            for c in range(COMPONENTS[a]):
+        for g in range(head.num_gaussians):
+            for c in range(plan['components'][a]):
                 c0 = 0 if plan['joint'][a] else c
                 times, codes = joined[a].get((g, c0), ([0], None))
                 codes = [shared.code[a][g][c]] if codes is None else [row[c - c0] for row in codes]
-                of_attribute.append((times, codes))
+                # A track that moves in a life of one timestep.
+                of_attribute.append((times if len(times) > 1 else [0], codes))
         tracks.append(of_attribute)
-    return Scene(info, shared, tracks)
+    return Decoded(head, shared, tracks)
 
-def join(a, joined, units):
+def checked(section):
+    """The bytes of a section; those of version 1 were checked before."""
+    if isinstance(section, bytes): return section
+    name, body, crc = section
+    must(zlib.crc32(body) == crc, name_in_errors(name), 'checksum', 'the section is damaged')
+    return body
+
+def join(name, joined, units):
     """Adds the keypoints of a segment; those that it shares with the segments before must be the same."""
     for unit, (times, codes) in units.items():
         known_times, known_codes = joined.setdefault(unit, ([], []))
         known = bisect.bisect_left(known_times, times[0])
         shared = len(known_times) - known
         same = known_times[known:] == times[:shared] and known_codes[known:] == codes[:shared]
-        must(same, NAMES[a], 'keypoints', 'segments disagree on one that they share')
+        must(same, name_in_errors(name), 'keypoints', 'segments disagree on one that they share')
         known_times += times[shared:]
         known_codes += codes[shared:]
 
@@ -525,19 +774,37 @@ def floats(scene):
 
 def differences(scene, expected):
     """What differs from the values in a FILE.json."""
-    for key in scene.info:
-        found, want = scene.info[key], expected[key]
-        if found != (f32(want) if key == 'frame_rate' else want): yield f'{key}: {found}, expected {want}'
-    for a, name in enumerate(NAMES):
-        want = expected['attributes'][name]
-        if scene.shared.plan['varies'][a] != want['varies']: yield f'{name}: varies'
-        if scene.shared.width[a] != want['widths']: yield f'{name}: widths'
-        if [list(track) for track in scene.tracks[a]] != want['tracks_of_times_and_codes']: yield f'{name}: tracks'
+    for key, found in scene.info.items():
+        want = expected[key]
+        if key == 'frame_rate': want = f32(want)
+        if key == 'errors': want = [[name, f32(error)] for name, error in want]
+        if found != want: yield f'{key}: {found}, expected {want}'
+    # Of version 1 the only cohort is the file.
+    cohorts = expected.get('cohorts', [expected])
+    if len(scene.cohorts) != len(cohorts): yield f'{len(scene.cohorts)} cohorts, expected {len(cohorts)}'
+    for i, (cohort, want) in enumerate(zip(scene.cohorts, cohorts)):
+        for difference in cohort_differences(cohort, want): yield f'cohort {i}: {difference}'
     for at in expected['reconstructed']:
-        for name, found in zip(NAMES, scene.at(at['timestep'])):
+        for name, found in zip(scene.names(), scene.at(at['timestep'])):
             want = [f32(float(x)) for x in at['values'][name]]
             if struct.pack(f'{len(found)}f', *found) != struct.pack(f'{len(want)}f', *want):
                 yield f'{name} at timestep {at["timestep"]}: {found}, expected {want}'
+
+def cohort_differences(cohort, expected):
+    head, shared, plan = cohort.head, cohort.shared, cohort.head.plan
+    found = {'start': head.start, 'num_timesteps': head.num_timesteps, 'num_gaussians': head.num_gaussians}
+    found |= {'segment_length': head.segment_length, 'layers': [len(layer) for layer in head.layers]}
+    found['lives'] = [list(life) for life in shared.lives] if head.has_lives else None
+    for key in found:
+        if key in expected and found[key] != expected[key]: yield f'{key}: {found[key]}, expected {expected[key]}'
+    if plan['names'] != expected.get('names', NAMES): yield f'names: {plan["names"]}'
+    for a, name in enumerate(plan['names']):
+        want = expected['attributes'][name]
+        tracks = [list(track) for track in cohort.tracks[a]]
+        found = {'unit': plan['units'][a], 'components': plan['components'][a], 'activation': plan['activations'][a]}
+        found |= {'varies': plan['varies'][a], 'widths': shared.width[a], 'tracks_of_times_and_codes': tracks}
+        for key in found:
+            if key in want and found[key] != want[key]: yield f'{name}: {key}'
 
 def read(path):
     with open(path, 'rb') as file: return file.read()

@@ -1,4 +1,4 @@
-"""Makes files that no encoder writes, from the vectors in v1/: those of refused/, each of which breaks one rule of
+"""Makes files of version 1 that no encoder writes, from the vectors in v1/: those of refused/, each of which breaks one rule of
 docs/FORMAT.md, with their table refused/refused.json; and two vectors that a decoder takes.
 
 Usage:
@@ -24,6 +24,10 @@ class File:
             at += length
     def section(self, tag, segment=decoder.SHARED, layer=0):
         return next(s[3] for s in self.sections if tuple(s[:3]) == (tag, segment, layer))
+    def section_at(self, place):
+        """By a place of decode.py: `maps` or the name of an attribute, segment, layer, cohort."""
+        name, segment, layer, _ = place
+        return self.section(dict(zip(decoder.NAMES, decoder.TAGS), maps=b'MAPS')[name], segment, layer)
     def bytes(self):
         table = b''.join(struct.pack('<4sHHII', *s[:3], len(s[3]), zlib.crc32(s[3])) for s in self.sections)
         start = b'TCGS' + struct.pack('<HHI', 1, 0, len(self.sections))
@@ -95,22 +99,27 @@ def forged(name, *changes, file=None):
     """A vector with other symbols in some sections.
 
     - `file`: the vector with other fields, if these change
-    - `changes`: pairs of a place (tag, segment, layer) and an edit: from the symbols that are read, (name of the model,
+    - `changes`: pairs of a place, as decode.py names it, and an edit: from the symbols that are read, (name of the model,
       value) each, to others
     """
-    file, recorders = file or File(name), {}
+    file = file or File(name)
+    forge(vector(name), file, changes)
+    return file.bytes()
+
+def forge(original, file, changes):
+    """Changes the symbols of a file's sections; see `forged`."""
+    recorders = {}
     def recording(place, body):
-        recorder = Recorder(body, decoder.section_name(place[0]))
+        recorder = Recorder(body, decoder.name_in_errors(place[0]))
         return recorders.setdefault(place, recorder)
-    decoder.decode(vector(name), recording)
+    decoder.decode(original, recording)
     writers = {place: Writer(edit(recorders[place].seen)) for place, edit in changes}
-    writing = lambda place, body: writers.get(place) or decoder.Symbols(body, decoder.section_name(place[0]))
+    writing = lambda place, body: writers.get(place) or decoder.Symbols(body, decoder.name_in_errors(place[0]))
     try: decoder.decode(file.bytes(), writing)
     except decoder.Refused: pass
     for place, writer in writers.items():
         motion = 0 if place[1] == decoder.SHARED else 1
-        file.section(*place)[motion:] = writer.bytes()
-    return file.bytes()
+        file.section_at(place)[motion:] = writer.bytes()
 
 def until(name, *values, skip=0):
     """The symbols before one of a model, and others in its place; a decoder is to refuse the last."""
@@ -161,7 +170,7 @@ def refused():
     """Name, kind, section, field, what is wrong, bytes."""
     one = vector(ONE)
     info, plan = b'INFO', b'PLAN'
-    second = (b'MEAN', 1, 0)
+    second = ('means', 1, 0, 0)
     # Section tag, offset of the field, layout, value. Offsets of PLAN: flags, then of means interpolation, number of
     # widths, width, step, offset, ...; the mode of the first component of quats lies at 65.
     yield 'magic', 'format', 'header', 'magic', 'does not begin with TCGS', b'PLY ' + one[4:]
@@ -220,7 +229,7 @@ def refused():
     yield 'word_missing', 'format', 'means', 'symbols', 'the last word is missing', resized(LAYERS, b'MEAN', lambda b: b[:-4])
     yield 'word_too_many', 'format', 'means', 'symbols', 'a word too many', resized(LAYERS, b'MEAN', lambda b: b + bytes(4))
     yield 'half_word', 'format', 'means', 'symbols', 'two bytes after the last word', resized(LAYERS, b'MEAN', lambda b: b + bytes(2))
-    yield 'symbol_too_many', 'format', 'quats', 'symbols', 'a symbol too many: the last state is not 2^31', forged(ONE, ((b'QUAT', decoder.SHARED, 0), lambda seen: seen + [('extra', 1)]))
+    yield 'symbol_too_many', 'format', 'quats', 'symbols', 'a symbol too many: the last state is not 2^31', forged(ONE, (('quats', decoder.SHARED, 0, 0), lambda seen: seen + [('extra', 1)]))
     opac = File(ONE)
     opac.section(b'OPAC', 0)[0] = 4
     yield 'motion', 'format', 'logit_opacities', 'motion', 'motion 4', opac.bytes()
@@ -228,8 +237,8 @@ def refused():
     yield 'no_motion', 'format', 'logit_opacities', 'motion', 'a section of a segment without a byte', opac.bytes()
     yield 'before', 'format', 'means', 'keypoint times', 'a first keypoint before timestep 0', forged(SHORT, (second, until('before', *large('before'))))
     yield 'inner', 'format', 'means', 'keypoint times', 'an inner keypoint where there is no timestep', forged(SHORT, (second, until('count', ('count', 2))))
-    yield 'many_inner', 'format', 'means', 'keypoint times', 'more than 40,000 inner keypoints', forged(LAYERS, ((b'MEAN', 0, 1), until('count', ('count', 15), *large('more'))))
-    yield 'gap', 'format', 'log_scales', 'keypoint times', 'a gap larger than what is left', forged(LAYERS, ((b'SCAL', 0, 0), until('gap', ('gap', 7))))
+    yield 'many_inner', 'format', 'means', 'keypoint times', 'more than 40,000 inner keypoints', forged(LAYERS, (('means', 0, 1, 0), until('count', ('count', 15), *large('more'))))
+    yield 'gap', 'format', 'log_scales', 'keypoint times', 'a gap larger than what is left', forged(LAYERS, (('log_scales', 0, 0, 0), until('gap', ('gap', 7))))
     yield 'after', 'format', 'means', 'keypoint times', 'a last keypoint after the last timestep', forged(SHORT, (second, until('after', ('after', 7))))
     yield 'disagreement', 'format', 'means', 'keypoints', 'two segments disagree on the code of a keypoint that they share', forged(SHORT, (second, replaced('first', lambda u: u ^ 1 if u < 8 else u)))
 
@@ -249,7 +258,7 @@ def optional_sections():
 
 def beyond(seen):
     """Every other symbol of some models, raised by the number of values that it has."""
-    values = {'moves': 2, 'gap low': 4, 'gap leading': 8}
+    values = {'moves': 2, 'present': 2, 'gap low': 4, 'gap leading': 8}
     raised = lambda i, name, value: value + values[name] if name in values and i % 2 == 0 and value + values[name] < 16 else value
     return [(name, raised(i, name, value)) for i, (name, value) in enumerate(seen)]
 
@@ -258,7 +267,7 @@ def layers_of(name): return range(len(decoder.decode(vector(name)).info['layers'
 def symbols_beyond():
     """Symbols beyond those that are said."""
     name = 'one_timestep'
-    return forged(name, *[((tag, decoder.SHARED, i), beyond) for tag in (b'MAPS', b'MEAN') for i in layers_of(name)])
+    return forged(name, *[((section, decoder.SHARED, i, 0), beyond) for section in ('maps', 'means') for i in layers_of(name)])
 
 def dropped_bits():
     """Positions of 4 bits where the widest are of 6, with dropped bits that are not 0."""
@@ -267,8 +276,8 @@ def dropped_bits():
     plan = file.section(b'PLAN')
     assert plan[3:5] == b'\1\4'
     plan[3:29] = b'\2\4' + plan[5:29] + b'\6' + struct.pack('<6f', *[0.03125, 0.0] * 3)
-    edits = [(b'MEAN', beyond)] + [(tag, lambda seen: seen) for tag in decoder.TAGS[1:]]
-    return forged(name, *[((tag, decoder.SHARED, i), edit) for tag, edit in edits for i in layers_of(name)], file=file)
+    edits = [('means', beyond)] + [(section, lambda seen: seen) for section in decoder.NAMES[1:]]
+    return forged(name, *[((section, decoder.SHARED, i, 0), edit) for section, edit in edits for i in layers_of(name)], file=file)
 
 # --- Command line ------------------------------------------------------------------------------------------------------
 
@@ -276,16 +285,20 @@ def table(files):
     rows = [{'file': f'{name}.tcgs', 'kind': kind, 'section': section, 'field': field, 'wrong': wrong} for name, kind, section, field, wrong, _ in files]
     return '{ "files": [\n' + ',\n'.join('  ' + json.dumps(row) for row in rows) + '\n] }\n'
 
-def main(arguments):
-    files = list(refused())
-    made = {FOLDER / 'refused' / f'{name}.tcgs': data for name, *_, data in files}
-    made[FOLDER / 'refused' / 'refused.json'] = table(files).encode()
-    vectors = {FOLDER / 'v1' / f'{make.__name__}.tcgs': make() for make in (optional_sections, symbols_beyond, dropped_bits)}
+def main(arguments, files, vectors, folder, vectors_folder):
+    """The command line.
+
+    - `files`: as `refused` gives them; `vectors`: functions, each named as the vector that it makes
+    - `folder`, `vectors_folder`: where they go
+    """
+    made = {folder / f'{name}.tcgs': data for name, *_, data in files}
+    made[folder / 'refused.json'] = table(files).encode()
+    vectors = {vectors_folder / f'{make.__name__}.tcgs': make() for make in vectors}
     if arguments == ['--check']:
         for path, data in (made | vectors).items():
-            if path.read_bytes() != data: sys.exit(f'{path}: is not what forge.py makes')
-        for row in json.loads((FOLDER / 'refused' / 'refused.json').read_text())['files']:
-            path = FOLDER / 'refused' / row['file']
+            if path.read_bytes() != data: sys.exit(f'{path}: is not what is made')
+        for row in json.loads((folder / 'refused.json').read_text())['files']:
+            path = folder / row['file']
             try: decoder.decode(path.read_bytes())
             except decoder.Refused as error:
                 if (error.section, error.field) != (row['section'], row['field']): sys.exit(f'{path}: {error}, expected {row}')
@@ -295,6 +308,8 @@ def main(arguments):
         for path, data in made.items(): path.write_bytes(data)
         for path, data in vectors.items():
             if not path.exists(): path.write_bytes(data)
-    else: sys.exit(__doc__)
+    else: sys.exit(sys.modules['__main__'].__doc__)
 
-if __name__ == '__main__': main(sys.argv[1:])
+if __name__ == '__main__':
+    forged_vectors = optional_sections, symbols_beyond, dropped_bits
+    main(sys.argv[1:], list(refused()), forged_vectors, FOLDER / 'refused', FOLDER / 'v1')

@@ -1,7 +1,7 @@
 """Whether the vectors catch mistakes: every mutant is decode.py with one mistake that the writer of a decoder might make,
 and some vector must tell it from decode.py.
 
-Usage: mutants.py FILE.tcgs...
+Usage: mutants.py FILE.tcgs...    (of both versions)
 """
 import json, pathlib, sys, types
 
@@ -49,7 +49,7 @@ MUTANTS = [
     ('points not aligned', '<< (16 - b) for code', '<< 0 for code'),
     ('distances along axes', '(x - y)**2 for', 'abs(x - y) for'),
     # First codes.
-    ('a missing second neighbour is zero', 'two = (self.neighbors[g] * 2)[:2]', 'two = self.neighbors[g]', 'near = near or [[0.0] * COMPONENTS[a]] * 2', 'near = (near + [[0.0] * COMPONENTS[a]] * 2)[:2]'),
+    ('a missing second neighbour is zero', 'two = (self.neighbors[g] * 2)[:2]', 'two = self.neighbors[g]', 'near = near or [[0.0] * count] * 2', 'near = (near + [[0.0] * count] * 2)[:2]'),
     ('the neighbour\'s code by the own quantizer', '[self.value(a, h, c, self.code[a][h][c]) for', '[self.value(a, g, c, self.code[a][h][c]) for'),
     ('predictions not clamped', 'code_of = lambda x: clamp(nearest((x - offset) / step), -2**(b - 1), 2**(b - 1) - 1)', 'code_of = lambda x: nearest((x - offset) / step)'),
     ('only predictions of mode 1 not clamped', 'code = wrap(code_of(prediction) +', 'code = wrap(nearest((prediction - offset) / step) +'),
@@ -57,17 +57,17 @@ MUTANTS = [
     ('rest of means beyond length', 'math.sqrt(max(rest, 0.0))', 'math.sqrt(abs(rest))'),
     ('mode 2 as mode 0', 'prediction if mode == 0 else', 'prediction if mode != 1 else'),
     ('middle model by component alone', 'middle[c, b, v]', 'middle[c, v]'),
-    ('features of codes', 'features.append(value)', 'features.append(code)'),
+    ('features of codes', 'before.append(value)', 'before.append(code)'),
     # Segments.
-    ('each unit of a Gaussian has the neighbour of the first', 'if self.shared.moves[a][h][c0]), NONE)', 'if self.shared.moves[a][h][0]), NONE)', 'self.units[neighbor, c0]', 'self.units.get((neighbor, c0), ([], []))'),
+    ('each unit of a Gaussian has the neighbour of the first', 'if (h, c0) in self.units), NONE)', 'if (h, 0) in self.units), NONE)', 'self.units[neighbor, c0]', 'self.units.get((neighbor, c0), ([], []))'),
     ('only the first neighbour', 'for h in self.shared.neighbors[g] if', 'for h in self.shared.neighbors[g][:1] if'),
     ('counts in one context', 'self.counts[c0, bucket(near), bucket(inner_before)]', 'self.counts[0, bucket(near), bucket(inner_before)]'),
     ('keypoints of the neighbour with their ends', 'max(len(self.units[neighbor, c0][0]) - 2, 0)', 'len(self.units[neighbor, c0][0])'),
-    ('the count before goes on from layer to layer', 'inner_before, per = 0,', 'inner_before, per = getattr(self, "last_count", 0),', 'inner_before = self.read_unit(', 'inner_before = self.last_count = self.read_unit('),
+    ('the count before goes on from layer to layer', 'inner_before = 0\n', 'inner_before = getattr(self, "last_count", 0)\n', 'inner_before = self.read_unit(', 'inner_before = self.last_count = self.read_unit('),
     ('k = 15 alone', 'inner = 14 + self.more', 'inner = 15 + self.more'),
     ('density not capped', 'min(log2(2 * free // left), 8) - 1', 'log2(2 * free // left) - 1'),
     ('a gap is read where none is free', 'if free > left else 0', 'if free >= left else 0'),
-    ('the last keypoint is at Z', 'if Z + 1 < T else 0', 'if Z + 2 < T else 0'),
+    ('the last keypoint is at Z', 'if Z < death else 0', 'if Z + 1 < death else 0'),
     ('k = 0 codes its last codes', 'if k == 0: codes.append', 'if k == 99: codes.append'),
     ('first codes without the neighbour', 'shift = self.scaled(g, neighbor, c, moved)', 'pass'),
     ('first codes by the neighbour\'s start', '- self.shared.code[a][neighbor][c]', '- self.at(neighbor, components[0], c, 0)'),
@@ -87,18 +87,55 @@ MUTANTS = [
     ('motion 3 of the line alone', 'if along is None: return 0.0 if line is None else line', 'if along is None: return 0.0'),
     ('motion 3 of the neighbour alone', 'return along if line is None else', 'return 0.0 if line is None else'),
     ('the neighbour is extrapolated', 'if after in (0, len(times)): return float(codes[max(after - 1, 0)][c - c0])', 'if after in (0, len(times)) and len(times) < 2: return float(codes[max(after - 1, 0)][c - c0])\n        after = clamp(after, 1, len(times) - 1)'),
-    ('one segment if nothing varies', 'if N == 0 or not varying: L = T', 'pass'),
+    ('one segment if nothing varies', 'segment_length if self.varying and num_gaussians > 0 else num_timesteps', 'segment_length'),
     # Reconstruction.
     ('binary64 throughout', 'return f32(v + f32(f32(value(k + 1) - v) * along))', 'return f32(v + (value(k + 1) - v) * along)'),
     ('weights of both ends', 'return f32(v + f32(f32(value(k + 1) - v) * along))', 'return f32(f32(v * f32(1 - along)) + f32(value(k + 1) * along))'),
-    ('codes are interpolated', 'return f32(v + f32(f32(value(k + 1) - v) * along))', 'return f32(self.shared.value(a, i // COMPONENTS[a], i % COMPONENTS[a], codes[k] + (codes[k + 1] - codes[k]) * along))'),
+    ('codes are interpolated', 'return f32(v + f32(f32(value(k + 1) - v) * along))', 'return f32(self.shared.value(a, g, c, codes[k] + (codes[k + 1] - codes[k]) * along))'),
     ('overflow is the largest', 'return math.copysign(math.inf, x)', 'return math.copysign(3.4028234663852886e38, x)'),
-    ('quaternions as they are', 'for x in unit(rows[i:i + 4])', 'for x in rows[i:i + 4]'),
+    ('quaternions as they are', 'rows = [unit(row) for row in rows]', 'pass'),
     ('no quaternion that has no length', 'if squares(quat) > 0.5 else [1.0, 0.0, 0.0, 0.0]', ''),
     ('keypoints are normalised', 'value = lambda k: f32(', 'value = lambda k: unit([f32(self.shared.value(a, i // 4, j, self.tracks[a][i // 4 * 4 + j][1][k])) for j in range(4)])[i % 4] if a == QUATS and self.shared.plan["joint"][a] and self.shared.moves[a][i // 4][0] else f32('),
     # Container.
     ('optional sections in the way', 'for entry in entries if not entry[5]]', 'for entry in entries]'),
+    ('optional sections in the way, version 2', '[entry for entry in entries if not entry[4]]', 'entries'),
     ('lower-case letters alone are optional', 'optional = tag[0] & 0x20 != 0', 'optional = 97 <= tag[0] <= 122'),
+    # Version 2: lives.
+    ('lives count from the birth', 'return birth, self.last - from_end', 'return birth, birth + from_end'),
+    ('ends of lives in one context', 'self.deaths.read(symbols, birth > 0)', 'self.deaths.read(symbols, 0)'),
+    ('births and deaths in one model', 'self.deaths.read(symbols,', 'self.births.read(symbols,'),
+    ('segments of Gaussians that do not live yet', 'max(self.first, birth), min(self.last, death)', 'self.first, min(self.last, death)'),
+    ('segments of Gaussians that live no more', 'max(self.first, birth), min(self.last, death)', 'max(self.first, birth), self.last'),
+    ('a birth within a segment is none', 'if A > birth else 0', 'if A > 0 else 0'),
+    ('a death within a segment is none', 'if Z < death else 0', 'if Z < self.shared.last else 0'),
+    ('first codes are of timestep 0', 'A - before, A == birth)', 'A - before, A == 0)'),
+    ('a neighbour that does not live is one', 'if (h, c0) in self.units), NONE)', 'if self.shared.moves[a][h][c0]), NONE)', 'self.units[neighbor, c0]', 'self.units.get((neighbor, c0), ([0], [self.shared.code[a][neighbor]]))', 'times, codes = self.units[h, c0]', 'times, codes = self.units.get((h, c0), ([0], [self.shared.code[self.a][h]]))'),
+    ('what does not live has no inner keypoint', 'if birth > self.last or death < self.first: continue', 'if birth > self.last or death < self.first: inner_before = 0; continue'),
+    ('all live always', 'if birth <= now <= death]', 'if True]'),
+    ('the last timestep of a life is not of it', 'if birth <= now <= death]', 'if birth <= now < max(death, birth + 1)]'),
+    ('a track in one timestep has its time', '(times if len(times) > 1 else [0], codes)', '(times, codes)'),
+    # Version 2: attributes.
+    ('what is lacking has a width', 'present[a, before > 0, there]', 'present[a, True, there]'),
+    ('each decision alone', 'present[a, before > 0, there]', 'present[a, before > 0, 0]'),
+    ('the decision before is of any Gaussian', '            there = 0\n', '            there = 0 if g == layer[0] else there\n'),
+    ('symbols beyond two are capped, of what is there', 'present[a, before > 0, there]) % 2', 'present[a, before > 0, there]) > 0'),
+    ('models of what is there in common', 'present[a, before', 'present[0, before'),
+    ('decisions of what is lacking', "if self.plan['varies'][a] and self.width[a][g] > 0 else 0", "if self.plan['varies'][a] else 0"),
+    ('neighbours that lack it are passed over', 'two = (self.neighbors[g] * 2)[:2]', 'two = ([h for h in self.neighbors[g] if self.width[a][h] > 0] * 2)[:2]'),
+    ('all features for all', 'if a >= BASE: features = [1.0, near[0][c], near[1][c]] + before[-3:]', ''),
+    ('the latest component first', '+ before[-3:]', '+ before[:-4:-1]'),
+    ('the first three components', '+ before[-3:]', '+ before[:3]'),
+    ('all components before', '+ before[-3:]', '+ before'),
+    ('what is lacking has the value of code 0', 'if self.width[a][g] == 0: return 0.0', 'if self.width[a][g] == 0: return self.plan["quantizers"][a][min(self.plan["quantizers"][a])][c][1]'),
+    ('unit length of all that is normalised', 'if a == QUATS: rows', 'if self.head.plan["activations"][a] == 1: rows'),
+    # Version 2: cohorts.
+    ('times count from the start of the scene', 'now = t - self.head.start', 'now = t'),
+    ('models of the cohort whose plan is shared', 'shared = Shared(plan, head.num_timesteps, head.has_lives)', 'shared = Shared(plan, head.num_timesteps, head.has_lives); shared.maps = plan.setdefault("maps", shared.maps)'),
+    ('a plan for every cohort', 'plan = plan or read_plan_2(f)', 'plan = read_plan_2(f)'),
+    ('the plan of the cohort before', "cohorts[place['plan']].plan if place['plan'] < len(cohorts)", "cohorts[-1].plan if place['plan'] < len(cohorts)"),
+    ('the cohort that begins last comes first', 'parts = [cohort.at(t) for cohort in self.cohorts]', 'parts = [cohort.at(t) for cohort in self.cohorts[::-1]]'),
+    ('checksum of the whole header', 'zlib.crc32(data[:16] + data[20:end])', 'zlib.crc32(data[:end])'),
+    ('segments without offsets', "start = f.u(8, 'offset of a segment')", "start = end + 0 * f.u(8, 'offset of a segment')"),
 ]
 
 def decoder(source):

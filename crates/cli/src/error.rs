@@ -2,6 +2,7 @@
 
 use tcgs_capture::{CaptureError, Split};
 use tcgs_codec::{CompressError, DecodeError};
+use tcgs_core::{Layout, MAX_SH_DEGREE};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_pipeline::{Fault, HasFault, PipelineError};
@@ -60,8 +61,9 @@ pub fn message(error: &anyhow::Error) -> String {
         _ => {}
     }
     match error.downcast_ref::<PipelineError>() {
-        Some(PipelineError::Interchange(error @ InterchangeError::HigherHarmonics { .. })) => {
-            format!("{error}, or --drop-sh to do without the others")
+        Some(PipelineError::Compress(error @ CompressError::Unsupported { found, .. })) => {
+            let hint = if is_harmonics(found) { ", and --drop-sh leaves harmonics of PLY files out" } else { "" };
+            format!("{error}; --format 2 holds it{hint}")
         }
         Some(PipelineError::Frames { path, wanted, has }) => format!(
             "--frames {}..{}: {} has the frames {}..{}, expected some of these",
@@ -82,6 +84,12 @@ pub fn message(error: &anyhow::Error) -> String {
         }
         _ => format!("{error:#}"),
     }
+}
+
+/// Whether a column is that of spherical harmonics.
+fn is_harmonics(column: &str) -> bool {
+    let layout = Layout::with_harmonics(MAX_SH_DEGREE);
+    layout.find(column).is_some_and(|attribute| layout.harmonics().contains(&attribute))
 }
 
 /// 2 for wrong usage or input, 130 after Ctrl-C, 1 for the rest.

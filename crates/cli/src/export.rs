@@ -16,11 +16,11 @@ use crate::terminal::{note, say};
 
 /// Export a scene for other programs
 ///
-/// A params.npz is what Dynamic 3D Gaussians writes and its viewer reads; it holds scales and opacities once.
-/// A PLY file is what 3D Gaussian splatting writes and most viewers read: one timestep, named by its frame in a
-/// folder of many. A .f32 file holds plain floats, bit for bit: for each frame all means, quats, log_scales,
-/// logit_opacities and colors, little-endian. A run is exported in floats, without the Gaussians that its masks leave out over time: such
-/// files have no place for masks.
+/// A params.npz is what Dynamic 3D Gaussians writes and its viewer reads; it holds scales and opacities once, and no
+/// spherical harmonics. A PLY file is what 3D Gaussian splatting writes and most viewers read: one timestep, named by
+/// its frame in a folder of many. A .f32 file holds plain floats, bit for bit: for each frame all means, quats,
+/// log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in floats, without the
+/// Gaussians that its masks leave out over time: such files have no place for masks.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:

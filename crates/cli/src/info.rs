@@ -7,8 +7,10 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use serde_json::{Map, Value, json};
-use tcgs_codec::{Contents, DecodeError, DecodeLimits, FileInfo, SceneFile, application_data, inspect, inspect_cut};
-use tcgs_core::Attribute;
+use tcgs_codec::{
+    CohortInfo, Contents, DecodeError, DecodeLimits, FileInfo, SceneFile, SectionInfo, application_data, inspect,
+    inspect_cut,
+};
 
 use crate::error::wrong_input;
 use crate::options::JobOptions;
@@ -58,14 +60,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(contents) = &info.contents {
         print_contents(&info, contents)?;
     }
-    print_sections(&info, first_frame as usize)?;
+    if let [cohort] = &info.cohorts[..] {
+        print_segments(&info, cohort, first_frame as usize)?;
+    } else {
+        print_cohorts(&info, first_frame as usize)?;
+    }
     if info.checksums_ok() {
         for (name, data) in application_data(&bytes, &limits).map_err(damaged)? {
             say(&format!("application data: {name}, {}", show_bytes(data.len() as u64)))?;
         }
     }
     arguments.job.write_json(&machine_readable(&info))?;
-    let damaged: Vec<&str> = info.sections.iter().filter(|s| s.is_whole && !s.checksum_ok).map(|s| s.name).collect();
+    let damaged = info.sections.iter().filter(|s| s.is_whole && !s.checksum_ok);
+    let damaged: Vec<String> = damaged.map(|s| described(s, info.cohorts.len())).collect();
     if !damaged.is_empty() {
         let problem = format!("the checksum of {} is wrong, expected a whole file", damaged.join(", "));
         return Err(wrong_input(format!("{path}: {problem}")));
@@ -92,15 +99,10 @@ fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
     say(&format!("not packed    {} ({:.1} times as much)", show_bytes(plain), plain as f64 / info.bytes as f64))?;
 
     say("\nattribute            bytes  keypoints a track  bits: share of the Gaussians")?;
-    for (attribute, bytes) in Attribute::BASE.into_iter().zip(info.bytes_by_attribute()) {
-        let index = attribute.index();
-        say(&format!(
-            "{:<15}  {:>9}  {:>17.2}  {}",
-            attribute.name(),
-            show_bytes(bytes),
-            contents.keypoints_mean[index],
-            shares(&contents.bits_histogram[index])
-        ))?;
+    let contents = contents.keypoints_mean.iter().zip(&contents.bits_histogram);
+    for ((name, bytes), ((_, keypoints), (_, histogram))) in info.bytes_by_attribute().iter().zip(contents) {
+        let (bytes, shares) = (show_bytes(*bytes), shares(histogram));
+        say(&format!("{name:<15}  {bytes:>9}  {keypoints:>17.2}  {shares}"))?;
     }
     say("")
 }
@@ -112,50 +114,95 @@ fn shares(histogram: &BTreeMap<u8, usize>) -> String {
     histogram.iter().map(share).collect::<Vec<_>>().join("  ")
 }
 
-/// - `first`: frame of the first timestep
-fn print_sections(info: &FileInfo, first: usize) -> anyhow::Result<()> {
-    let layers: Vec<String> = info.layers.iter().map(u32::to_string).collect();
-    say(&format!("layers        {} Gaussians", layers.join(" + ")))?;
-    say("\npart                       bytes  checksums")?;
-    let sum = |segment: Option<usize>| {
-        let sections: Vec<_> = info.sections.iter().filter(|s| s.segment == segment).collect();
-        let checksums = if sections.iter().any(|s| s.is_whole && !s.checksum_ok) {
-            "WRONG"
-        } else if sections.iter().all(|s| s.is_whole) {
-            "right"
-        } else if sections.iter().any(|s| s.is_whole) {
-            "right, but the rest is missing"
-        } else {
-            "missing"
-        };
-        (sections.iter().map(|s| s.bytes).sum::<u64>(), checksums)
+/// Name of a section, with its cohort in a file of several.
+fn described(section: &SectionInfo, num_cohorts: usize) -> String {
+    match section.cohort {
+        Some(cohort) if num_cohorts > 1 => format!("{} of cohort {cohort}", section.name),
+        _ => section.name.clone(),
+    }
+}
+
+/// Size and state of some sections together.
+fn summed<'a>(sections: impl Iterator<Item = &'a SectionInfo>) -> (String, &'static str) {
+    let sections: Vec<_> = sections.collect();
+    let checksums = if sections.iter().any(|s| s.is_whole && !s.checksum_ok) {
+        "WRONG"
+    } else if sections.iter().all(|s| s.is_whole) {
+        "right"
+    } else if sections.iter().any(|s| s.is_whole) {
+        "right, but the rest is missing"
+    } else {
+        "missing"
     };
+    (show_bytes(sections.iter().map(|s| s.bytes).sum()), checksums)
+}
+
+fn show_layers(layers: &[u32]) -> String {
+    layers.iter().map(u32::to_string).collect::<Vec<_>>().join(" + ")
+}
+
+/// The parts of a file of one cohort.
+///
+/// - `first`: frame of the first timestep
+fn print_segments(info: &FileInfo, cohort: &CohortInfo, first: usize) -> anyhow::Result<()> {
+    say(&format!("layers        {} Gaussians", show_layers(&cohort.layers)))?;
+    say("\npart                       bytes  checksums")?;
     let parts = std::iter::once((None, "shared".to_owned())).chain(
-        info.segments
+        cohort
+            .segments
             .iter()
             .enumerate()
             .map(|(i, (t, _))| (Some(i), format!("frames {} to {}", first + t.start, first + t.end - 1))),
     );
     for (segment, name) in parts {
-        let (bytes, checksums) = sum(segment);
-        say(&format!("{name:<21}  {:>9}  {checksums}", show_bytes(bytes)))?;
+        let (bytes, checksums) = summed(info.sections.iter().filter(|s| s.segment == segment));
+        say(&format!("{name:<21}  {bytes:>9}  {checksums}"))?;
+    }
+    Ok(())
+}
+
+/// The cohorts of a file of several.
+///
+/// - `first`: frame of the first timestep
+fn print_cohorts(info: &FileInfo, first: usize) -> anyhow::Result<()> {
+    // By cohort; the last are those of the whole scene.
+    let mut sections: Vec<Vec<&SectionInfo>> = vec![Vec::new(); info.cohorts.len() + 1];
+    for section in &info.sections {
+        sections[section.cohort.unwrap_or(info.cohorts.len())].push(section);
+    }
+    say("part                    Gaussians  segments      bytes  checksums  layers")?;
+    let (bytes, checksums) = summed(sections[info.cohorts.len()].iter().copied());
+    say(&format!("{:<21}  {:>10}  {:>8}  {bytes:>9}  {checksums}", "shared", "", ""))?;
+    for (cohort, sections) in info.cohorts.iter().zip(&sections) {
+        let (t, layers) = (&cohort.timesteps, show_layers(&cohort.layers));
+        let name = format!("frames {} to {}", first + t.start, first + t.end - 1);
+        let (num_gaussians, num_segments) = (cohort.layers.iter().sum::<u32>(), cohort.segments.len());
+        let (bytes, checksums) = summed(sections.iter().copied());
+        say(&format!("{name:<21}  {num_gaussians:>10}  {num_segments:>8}  {bytes:>9}  {checksums:<9}  {layers}"))?;
     }
     Ok(())
 }
 
 fn machine_readable(info: &FileInfo) -> Value {
-    let by_attribute = |value: &dyn Fn(usize) -> Value| -> Value {
-        Attribute::BASE.iter().map(|a| (a.name().to_owned(), value(a.index()))).collect::<Map<_, _>>().into()
-    };
-    let bytes = info.bytes_by_attribute();
     let contents = info.contents.as_ref();
     let scene = contents.map(|c| &c.info);
-    let histogram = |c: &Contents, a: usize| -> Value {
-        c.bits_histogram[a].iter().map(|(bits, &count)| (bits.to_string(), json!(count))).collect::<Map<_, _>>().into()
+    let histogram = |bits: &BTreeMap<u8, usize>| {
+        bits.iter().map(|(bits, &count)| (bits.to_string(), json!(count))).collect::<Map<_, _>>()
     };
-    let segment = |(timesteps, bytes): &(Range<usize>, Range<u64>)| json!({ "first_timestep": timesteps.start, "num_timesteps": timesteps.len(), "offset": bytes.start, "bytes": bytes.end - bytes.start });
-    let segments: Vec<Value> = info.segments.iter().map(segment).collect();
-    json!({
+    let has_cohorts = info.version > 1;
+    let segment = |cohort: usize, (timesteps, bytes): &(Range<usize>, Range<u64>)| {
+        let (first, count) = (timesteps.start, timesteps.len());
+        let mut of = json!({ "first_timestep": first, "num_timesteps": count, "offset": bytes.start, "bytes": bytes.end - bytes.start });
+        if has_cohorts {
+            of["cohort"] = json!(cohort);
+        }
+        of
+    };
+    let of_cohort = |(index, cohort): (usize, &CohortInfo)| -> Vec<Value> {
+        cohort.segments.iter().map(|found| segment(index, found)).collect()
+    };
+    let segments: Vec<Value> = info.cohorts.iter().enumerate().flat_map(of_cohort).collect();
+    let mut result = json!({
         "version": info.version,
         "num_gaussians": scene.map(|s| s.num_gaussians),
         "num_timesteps": scene.map(|s| s.num_timesteps),
@@ -163,10 +210,29 @@ fn machine_readable(info: &FileInfo) -> Value {
         "frame_rate": scene.map(|s| s.frame_rate),
         "bytes": info.bytes,
         "bytes_before": info.bytes_before,
-        "bytes_by_attribute": by_attribute(&|a| json!(bytes[a])),
+        "bytes_by_attribute": info.bytes_by_attribute().into_iter().collect::<BTreeMap<_, _>>(),
         "segments": segments,
-        "bits_histogram": contents.map(|c| by_attribute(&|a| histogram(c, a))),
-        "keypoints_mean": contents.map(|c| by_attribute(&|a| json!(c.keypoints_mean[a]))),
+        "bits_histogram": contents.map(|c| by_name(&c.bits_histogram, &|bits| json!(histogram(bits)))),
+        "keypoints_mean": contents.map(|c| by_name(&c.keypoints_mean, &|mean| json!(mean))),
         "checksums_ok": info.checksums_ok(),
-    })
+    });
+    if has_cohorts {
+        let cohort = |cohort: &CohortInfo| {
+            json!({
+                "first_timestep": cohort.timesteps.start,
+                "num_timesteps": cohort.timesteps.len(),
+                "num_gaussians": cohort.layers.iter().sum::<u32>(),
+                "layers": cohort.layers,
+                "num_segments": cohort.segments.len(),
+                "attributes": cohort.layout.columns().iter().map(|column| &column.name).collect::<Vec<_>>(),
+            })
+        };
+        result["cohorts"] = info.cohorts.iter().map(cohort).collect();
+    }
+    result
+}
+
+/// An object with a value for every attribute.
+fn by_name<T>(values: &[(String, T)], show: &dyn Fn(&T) -> Value) -> Value {
+    values.iter().map(|(name, value)| (name.clone(), show(value))).collect::<Map<_, _>>().into()
 }

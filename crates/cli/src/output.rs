@@ -118,6 +118,11 @@ impl NewFolder {
         &self.new
     }
 
+    /// The temporary folder that holds [`Self::path`] and the mark by which a later command removes it.
+    pub fn temporary(&self) -> &Path {
+        self.making.path()
+    }
+
     /// Puts it in its place.
     pub fn finish(self) -> anyhow::Result<()> {
         self.finish_around(|_| false)

@@ -25,21 +25,27 @@ impl Progress {
     /// - `total`: how many steps of it
     pub fn new(name: &'static str, total: usize) -> Self {
         let bar = ProgressBar::with_draw_target(Some(total as u64), ProgressDrawTarget::stderr_with_hz(8));
-        let style = ProgressStyle::with_template("{prefix} {bar:30} {pos}/{len}  {eta} left  {wide_msg}");
+        let style = ProgressStyle::with_template("{prefix} {bar:30} {percent:>3} %  {eta} left  {wide_msg}");
         bar.set_style(style.expect("a template that is right").progress_chars("━╸─"));
         bar.set_prefix(name);
         Self { bar, name, total: total as u64, last: Instant::now() }
     }
 
-    /// One step more.
+    /// One step more; otherwise as [`Self::advance_to`].
+    pub fn step(&mut self, detail: impl FnOnce() -> String) {
+        self.advance_to(self.bar.position() as usize + 1, detail);
+    }
+
+    /// So many steps are done.
     ///
     /// - `detail`: behind the bar
-    pub fn step(&mut self, detail: impl FnOnce() -> String) {
-        self.bar.inc(1);
+    pub fn advance_to(&mut self, num_done: usize, detail: impl FnOnce() -> String) {
+        self.bar.set_position(num_done as u64);
         if self.bar.is_hidden() {
             if self.last.elapsed() >= LINE_INTERVAL {
                 self.last = Instant::now();
-                note(&format!("{} {}/{}  {}", self.name, self.bar.position(), self.total, detail()));
+                let percent = 100 * self.bar.position() / self.total.max(1);
+                note(&format!("{} {percent} %  {}", self.name, detail()));
             }
         } else if self.last.elapsed() >= Duration::from_millis(100) {
             self.last = Instant::now();

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use clap::Args;
 use tcgs_codec::{DecodeError, Loss};
+use tcgs_core::SceneReader;
 use tcgs_interchange::HigherHarmonics;
 use tcgs_pipeline::{CutFiles, Fault, HasFault, OpenScene, OpenSettings, PipelineError};
 
@@ -26,7 +27,7 @@ impl SourceOptions {
     }
 
     fn settings(self) -> OpenSettings {
-        let higher_harmonics = if self.drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Refuse };
+        let higher_harmonics = if self.drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Keep };
         OpenSettings { higher_harmonics, ..OpenSettings::default() }
     }
 }
@@ -92,7 +93,17 @@ pub fn describe_loss(path: &Path, loss: &Loss, num_gaussians: usize, num_timeste
 /// What a scene is, in words.
 pub fn describe(scene: &OpenScene) -> String {
     let (path, kind, size) = (scene.path.display(), scene.kind(), show_bytes(scene.bytes));
-    format!("{path} ({kind}): {} Gaussians, {} timesteps, {size}", scene.num_gaussians(), scene.num_timesteps())
+    let num_timesteps = scene.num_timesteps();
+    let (least, most) = (
+        (0..num_timesteps).map(|t| scene.num_gaussians_at(t)).min().unwrap_or(scene.num_gaussians()),
+        scene.num_gaussians(),
+    );
+    let number = if least == most { most.to_string() } else { format!("{least} to {most}") };
+    let harmonics = match scene.layout().sh_degree() {
+        0 => String::new(),
+        degree => format!(" with harmonics of degree {degree}"),
+    };
+    format!("{path} ({kind}): {number} Gaussians{harmonics}, {num_timesteps} timesteps, {size}")
 }
 
 /// A file given by the user that cannot be read.

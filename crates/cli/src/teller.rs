@@ -49,6 +49,12 @@ impl Teller {
         }
     }
 
+    fn advance_to(&mut self, num_done: usize, detail: impl FnOnce() -> String) {
+        if let Some(progress) = &mut self.progress {
+            progress.advance_to(num_done, detail);
+        }
+    }
+
     fn timestep(&mut self, summary: &TimestepSummary) -> anyhow::Result<()> {
         let Some(progress) = &self.progress else { return Ok(()) };
         let name = if summary.held_out { "test PSNR" } else { "train PSNR" };
@@ -73,11 +79,12 @@ impl Observer for Teller {
             Event::SetAside { checkpoint, problem } => {
                 note(&format!("{}: {problem}; set aside, its timestep is trained again", checkpoint.display()));
             }
-            Event::Iteration(p) => {
-                self.step(|| format!("timestep {}, {} Gaussians, loss {:.4}", p.timestep, p.num_gaussians, p.loss))
-            }
-            Event::Timestep(summary) => {
-                let told = self.timestep(summary);
+            Event::Iteration { progress: p, num_done } => self.advance_to(*num_done, || {
+                format!("timestep {}, {} Gaussians, loss {:.4}", p.timestep, p.num_gaussians, p.loss)
+            }),
+            Event::Timestep { summary: s, num_done } => {
+                self.advance_to(*num_done, || format!("timestep {}, {} Gaussians", s.timestep, s.num_gaussians));
+                let told = self.timestep(s);
                 return self.go_on(told);
             }
             Event::Tried(trial) => return self.go_on(say(&line(trial))),

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use support::*;
-use tcgs_codec::{Archive, DecodeLimits, Opening, decode, encode};
+use tcgs_codec::{Archive, Cohort, DecodeLimits, Opening, decode, encode};
 use tcgs_interchange::{HigherHarmonics, read_ply};
 use tempfile::{TempDir, tempdir};
 
@@ -23,9 +23,10 @@ fn scene(folder: &TempDir) -> PathBuf {
     file
 }
 
-fn archive(file: &[u8]) -> Archive {
+/// The only cohort.
+fn cohort(file: &[u8]) -> Cohort {
     match Archive::open(file, &DecodeLimits::default()).unwrap() {
-        Opening::Ready(archive) => *archive,
+        Opening::Ready(mut archive) => archive.open_cohort(0, &[]).unwrap(),
         Opening::More(_) => panic!("a whole file was given"),
     }
 }
@@ -51,13 +52,13 @@ fn what_is_whole_of_a_cut_file_is_read() {
     let place = |name: &str| folder.path().join(name);
     let file = scene(&folder);
     let bytes = fs::read(&file).unwrap();
-    let archive = archive(&bytes);
-    let (all, layers) = (archive.info().num_gaussians, archive.num_layers());
-    assert_eq!((archive.num_segments(), layers), (4, 2));
+    let cohort = cohort(&bytes);
+    let (all, layers) = (cohort.num_gaussians(), cohort.num_layers());
+    assert_eq!((cohort.num_segments(), layers), (4, 2));
     succeed(&["export", text(&file), "--to", text(&place("whole"))]);
 
     // In the fourth segment: three timesteps are whole.
-    let three = cut(&file, archive.segment_range(3, layers).end - 1);
+    let three = cut(&file, cohort.segment_range(3, layers).end - 1);
     let message = fail(2, &["export", text(&three), "--to", text(&place("no"))]);
     assert!(
         message.contains("the file ends early") && message.ends_with("; --recover reads what is whole"),
@@ -101,17 +102,17 @@ fn what_is_whole_of_a_cut_file_is_read() {
     assert_eq!(String::from_utf8(output.stderr).unwrap(), "");
 
     // In the second layer of the first segment: its timestep, of the first layer.
-    let one = cut(&file, archive.segment_range(0, layers).end - 1);
-    let first_layer = archive.layers()[0];
+    let one = cut(&file, cohort.segment_range(0, layers).end - 1);
+    let first_layer = cohort.layers()[0];
     let said = warning(&["export", text(&one), "--recover", "--to", text(&place("one.ply"))]);
     assert!(said.ends_with(&format!("1 of 4 timesteps and {first_layer} of {all} Gaussians are whole")), "{said}");
-    let left = read_ply(&place("one.ply"), HigherHarmonics::Refuse).unwrap();
+    let left = read_ply(&place("one.ply"), HigherHarmonics::Keep).unwrap();
     let name = names[0].to_str().unwrap();
-    let whole = read_ply(&place("whole").join(name), HigherHarmonics::Refuse).unwrap();
+    let whole = read_ply(&place("whole").join(name), HigherHarmonics::Keep).unwrap();
     assert_eq!(left, whole.select(&(0..first_layer as usize).collect::<Vec<_>>()));
 
     // Before the first layer of the first segment, and in the table of contents: nothing is left.
-    for length in [archive.segment_range(0, 1).end - 1, 100] {
+    for length in [cohort.segment_range(0, 1).end - 1, 100] {
         let nothing = cut(&file, length);
         let message = fail(2, &["export", text(&nothing), "--recover", "--to", text(&place("no"))]);
         assert!(message.ends_with("the file ends early, expected a whole .tcgs file"), "{message}");

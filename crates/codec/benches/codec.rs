@@ -52,6 +52,7 @@ fn scene(criterion: &mut Criterion) {
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     let segments = || -> Vec<Segment> {
         let Ok(Opening::Ready(mut archive)) = Archive::open(&file, &limits) else { panic!("a file just written") };
+        let mut archive = archive.open_cohort(0, &[]).expect("the only one");
         let layers = archive.num_layers();
         let bytes = |range: std::ops::Range<u64>| &file[range.start as usize..range.end as usize];
         archive.read_shared(bytes(archive.shared_range(layers))).expect("whole");
@@ -97,6 +98,7 @@ fn named_file(criterion: &mut Criterion) {
     let bytes = |range: std::ops::Range<u64>| &file[range.start as usize..range.end as usize];
     let open = || {
         let Ok(Opening::Ready(mut archive)) = Archive::open(&file, &limits) else { panic!("not a whole file") };
+        let mut archive = archive.open_cohort(0, &[]).expect("the only one");
         archive.read_shared(bytes(archive.shared_range(archive.num_layers()))).expect("whole");
         archive
     };

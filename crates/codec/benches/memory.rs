@@ -71,6 +71,7 @@ fn main() {
         let Ok(Opening::Ready(mut archive)) = Archive::open(&file, &DecodeLimits::default()) else {
             panic!("a file just written")
         };
+        let mut archive = archive.open_cohort(0, &[]).expect("the only one");
         let layers = archive.num_layers();
         let range = archive.shared_range(layers);
         let (read, shared, shared_most) = measure(|| archive.read_shared(bytes(range)));

@@ -14,7 +14,7 @@ use crate::keypoints::sample;
 use crate::parallel;
 use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
 
-/// Most timesteps of a scene: a keypoint's time has 16 bits.
+/// Most timesteps of a [`CompactScene`]: a keypoint's time has 16 bits.
 pub(crate) const MAX_TIMESTEPS: u32 = 1 << 16;
 
 /// Counts and provenance of a scene: the fields of the section `INFO` (`docs/FORMAT.md`) that describe the scene.
@@ -31,7 +31,7 @@ pub(crate) const MAX_TIMESTEPS: u32 = 1 << 16;
 pub struct SceneInfo {
     /// `N`, the number of Gaussians.
     pub num_gaussians: u32,
-    /// `T`, the number of timesteps, 1 to 65536.
+    /// `T`, the number of timesteps, at least 1; at most 65536 in a file of version 1 and in a [`CompactScene`].
     pub num_timesteps: u32,
     /// Number of the frame of the capture at timestep 0.
     pub first_frame: u32,
@@ -128,11 +128,13 @@ impl SceneInfo {
     }
 
     /// Checks the legal range of every field, as `docs/FORMAT.md` lists them under `INFO`.
-    pub(crate) fn check(&self) -> Result<(), Violation> {
+    ///
+    /// - `version`: of the format
+    pub(crate) fn check(&self, version: u16) -> Result<(), Violation> {
         let SceneInfo { num_timesteps, frame_rate, downscale, ref name, ref generator, .. } = *self;
         let violation = |field, problem| Err(Violation { attribute: None, field, problem });
-        if !(1..=MAX_TIMESTEPS).contains(&num_timesteps) {
-            violation("num_timesteps", "not within 1 to 65536")
+        if num_timesteps == 0 || version == 1 && num_timesteps > MAX_TIMESTEPS {
+            violation("num_timesteps", if version == 1 { "not within 1 to 65536" } else { "zero" })
         } else if !(frame_rate.is_finite() && frame_rate >= 0.0) {
             violation("frame_rate", "negative or not finite")
         } else if downscale == 0 {
@@ -224,20 +226,26 @@ impl<V: Copy> Tracks<V> {
     }
 }
 
-/// A compressed scene before entropy coding: the keypoints of every track as codes, the bit widths and quantizers that
-/// turn codes into floats, and the division into layers and segments.
+/// A compressed scene before entropy coding, or one cohort of it: the keypoints of every track as codes, the bit widths
+/// and quantizers that turn codes into floats, and the division into layers and segments.
 ///
 /// [`compress`](crate::compress()) makes it from floats, [`decode`](crate::decode()) from a file;
-/// [`encode`](crate::encode()) writes it. A program may also fill the fields: [`encode`](crate::encode()) refuses a
-/// scene that breaks a rule, the other methods may panic on one.
+/// [`encode`](crate::encode()) writes it. A file of version 2 holds any number of them
+/// ([`encode_cohorts`](crate::encode_cohorts()), [`decode_cohorts`](crate::decode_cohorts())). A program may also fill
+/// the fields: encoding refuses a scene that breaks a rule, the other methods may panic on one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompactScene {
-    /// Columns of the Gaussians. Version 1 of the format holds the columns of [`Attribute::BASE`];
-    /// [`encode`](crate::encode()) refuses a scene of further columns.
+    /// Columns of the Gaussians. Version 1 of the format holds the columns of [`Attribute::BASE`] only.
     pub layout: Arc<Layout>,
-    /// Counts and provenance.
+    /// Counts of these Gaussians and their timesteps, and provenance.
     pub info: SceneInfo,
-    /// Width of the codes of every attribute of every Gaussian, in bits.
+    /// Timestep of the whole scene at which timestep 0 of this one lies; 0 in a file of version 1.
+    pub start: u32,
+    /// `[N]` first and last timestep at which each Gaussian lives; none if all live in all timesteps, as they do in a
+    /// file of version 1.
+    pub lives: Option<Vec<[u16; 2]>>,
+    /// Width of the codes of every attribute of every Gaussian, in bits. 0 stands for a column beyond
+    /// [`Attribute::BASE`] that the Gaussian lacks: its values are 0.
     pub bit_map: BitMap,
     /// Quantizers: for every attribute and width in use one for each component.
     pub quantizers: Quantizers,
@@ -288,7 +296,8 @@ impl CompactScene {
         DynamicGaussians::from_samples(Arc::clone(&self.layout), self.num_timesteps(), samples.collect())
     }
 
-    /// One timestep as floats, in stored form: the same values as [`Self::reconstruct`] gives at the timestep.
+    /// One timestep as floats, in stored form: the same values as [`Self::reconstruct`] gives at the timestep. A Gaussian
+    /// that does not live at it has the values of its first or last timestep.
     ///
     /// # Panics
     /// If `timestep` is not below [`Self::num_timesteps`].
@@ -296,6 +305,16 @@ impl CompactScene {
         assert!(timestep < self.num_timesteps(), "timestep {timestep} of {}", self.num_timesteps());
         let values = self.layout.attributes().map(|attribute| self.values_at(attribute, timestep)).collect();
         Gaussians::new(Arc::clone(&self.layout), self.num_gaussians(), values)
+    }
+
+    /// Those of the Gaussians that live at a timestep of the whole scene, as [`Self::at`] gives them; none if the cohort
+    /// does not reach to it.
+    pub fn alive_at(&self, timestep: usize) -> Option<Gaussians> {
+        let now = timestep.checked_sub(self.start as usize).filter(|&now| now < self.num_timesteps())?;
+        let all = self.at(now);
+        let is_alive = |life: &[u16; 2]| (usize::from(life[0])..=usize::from(life[1])).contains(&now);
+        let alive = self.lives.as_ref().map(|lives| (0..lives.len()).filter(|&g| is_alive(&lives[g])).collect());
+        Some(alive.map_or(all.clone(), |alive: Vec<usize>| all.select(&alive)))
     }
 
     /// `[N * components]` of one attribute at one timestep.
@@ -309,7 +328,9 @@ impl CompactScene {
             let quantizers = quantizers[usize::from(widths[gaussian])];
             for (channel, value) in row.iter_mut().enumerate() {
                 let (times, codes) = tracks.track(gaussian * components + channel);
-                *value = sample(times, timestep, |keypoint| quantizers[channel].dequantize(codes[keypoint].into()));
+                let quantizer = quantizers.get(channel);
+                let value_of = |quantizer: &Quantizer, keypoint: usize| quantizer.dequantize(codes[keypoint].into());
+                *value = quantizer.map_or(0.0, |q| sample(times, timestep, |keypoint| value_of(q, keypoint)));
             }
             if attribute == Attribute::Quat {
                 row.copy_from_slice(&unit_quat([row[0], row[1], row[2], row[3]]));
@@ -325,15 +346,23 @@ impl CompactScene {
     }
 
     /// Checks the rules of the format: counts agree, every width in use has quantizers, the timesteps of a track rise
-    /// strictly from 0 to `T - 1` (a constant track has the timestep 0 alone), codes fit their widths.
+    /// strictly from the first to the last of its Gaussian's life (a constant track has the timestep 0 alone), codes fit
+    /// their widths.
     pub(crate) fn check(&self) -> Result<(), Violation> {
-        self.info.check()?;
+        self.info.check(1)?;
         check_division(self.info.num_gaussians, &self.layers, self.segment_length)?;
         let of_columns =
             [self.bit_map.widths.len(), self.quantizers.attributes.len(), self.varies.len(), self.tracks.len()];
         if of_columns.iter().any(|&count| count != self.layout.columns().len()) {
             let problem = "not as many of widths, quantizers, tracks and what varies";
             return Err(Violation { attribute: None, field: "columns", problem });
+        }
+        if let Some(lives) = &self.lives {
+            let is_legal = |&[first, last]: &[u16; 2]| first <= last && usize::from(last) < self.num_timesteps();
+            if lives.len() != self.num_gaussians() || !lives.iter().all(is_legal) {
+                let problem = "not one within the timesteps for each Gaussian";
+                return Err(Violation { attribute: None, field: "lives", problem });
+            }
         }
         self.layout.attributes().try_for_each(|attribute| {
             let violation = |field, problem| Violation { attribute: Some(attribute), field, problem };
@@ -348,12 +377,20 @@ impl CompactScene {
             if tracks.len() != self.num_gaussians() * components {
                 return Err(violation("tracks", "not one for each Gaussian and channel"));
             }
+            let may_lack = matches!(attribute, Attribute::Extra { .. });
             parallel::try_for_each(widths, |gaussian, &width| {
+                if width == 0 && may_lack {
+                    let of = gaussian * components..(gaussian + 1) * components;
+                    let is_zero = |i| tracks.track(i) == (&[0][..], &[0][..]);
+                    let problem = violation("codes", "not 0 of an attribute that the Gaussian lacks");
+                    return if of.into_iter().all(is_zero) { Ok(()) } else { Err(problem) };
+                }
                 let quantizer = quantizers.get(usize::from(width)).and_then(|of_width| of_width.first());
                 let quantizer = quantizer.ok_or(violation("bit widths", "a width without quantizers"))?;
                 (gaussian * components..(gaussian + 1) * components).try_for_each(|i| {
                     let (times, codes) = tracks.track(i);
-                    self.check_times(attribute, times).map_err(|problem| violation("keypoint times", problem))?;
+                    self.check_times(attribute, gaussian, times)
+                        .map_err(|problem| violation("keypoint times", problem))?;
                     let legal = quantizer.min_code()..=quantizer.max_code();
                     if codes.iter().all(|&c| legal.contains(&i32::from(c))) {
                         Ok(())
@@ -379,19 +416,21 @@ impl CompactScene {
         })
     }
 
-    fn check_times(&self, attribute: Attribute, times: &[u16]) -> Result<(), &'static str> {
+    fn check_times(&self, attribute: Attribute, gaussian: usize, times: &[u16]) -> Result<(), &'static str> {
+        let life = self.lives.as_ref().map(|lives| lives[gaussian]);
+        let [birth, death] = life.unwrap_or([0, (self.num_timesteps() - 1) as u16]);
         match times {
             [] => Err("a track without keypoints"),
             [0] => Ok(()),
             _ if !self.varies[attribute.index()] => Err("several keypoints of an attribute that does not vary"),
-            [0, .., last] if usize::from(*last) == self.num_timesteps() - 1 => {
+            &[first, .., last] if [first, last] == [birth, death] => {
                 if times.is_sorted_by(|a, b| a < b) {
                     Ok(())
                 } else {
                     Err("not increasing")
                 }
             }
-            _ => Err("not from the first to the last timestep"),
+            _ => Err("not from the first to the last timestep of a life"),
         }
     }
 }

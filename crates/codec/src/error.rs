@@ -134,12 +134,15 @@ pub enum CompressError {
         /// Columns of the scene.
         expected: String,
     },
-    /// The scene has a column that the format does not hold.
-    #[error("format {version} holds means, quats, log_scales, logit_opacities and colors; found {found}")]
+    /// The scene has a column that the version of the format does not hold, or Gaussians that come and go.
+    #[error(
+        "version {version} of the format holds means, quats, log_scales, logit_opacities and colors of Gaussians that \
+         live in all timesteps; found {found}"
+    )]
     Unsupported {
         /// Version of the format.
         version: u16,
-        /// Name of the first column that the format does not hold.
+        /// Name of the first column that the version does not hold, or what else it does not hold, in words.
         found: String,
     },
     /// The destination of the bytes failed.

@@ -1,7 +1,7 @@
 //! Compression of dynamic Gaussians and the `.tcgs` container.
 //!
 //! A scene has three representations: floats ([`tcgs_core::DynamicGaussians`]), codes ([`CompactScene`]: keypoints, bit
-//! widths, quantizers) and bytes (a `.tcgs` file, `docs/FORMAT.md`). [`compress()`] and [`CompactScene::reconstruct`]
+//! widths, quantizers; [`CompactFile`] for several of them) and bytes (a `.tcgs` file, `docs/FORMAT.md`). [`compress()`] and [`CompactScene::reconstruct`]
 //! convert between floats and codes; [`compress()`] is lossy. [`encode`] and [`decode`] convert between codes and bytes
 //! without loss.
 //!
@@ -43,6 +43,7 @@ mod bits;
 mod bitstream;
 mod cache;
 mod compact;
+mod compact_file;
 #[cfg(feature = "encode")]
 mod compress;
 mod error;
@@ -56,15 +57,19 @@ mod views;
 
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 pub use bitstream::{
-    Archive, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Keypoints, MAGIC, Opening, Sampler, SectionInfo,
-    Segment, application_data, decode, inspect, inspect_cut,
+    Archive, Cohort, CohortInfo, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Keypoints, MAGIC, Opening,
+    Sampler, SectionInfo, Segment, application_data, decode, decode_cohorts, inspect, inspect_cut,
 };
 #[cfg(feature = "encode")]
-pub use bitstream::{encode, encode_to, encode_with};
+pub use bitstream::{FileWriter, encode, encode_cohorts, encode_to, encode_with};
 pub use cache::{Eviction, Playback, SegmentCache};
 pub use compact::{ColorSpace, CompactScene, SceneInfo, Tracks, UpAxis};
+pub use compact_file::CompactFile;
 #[cfg(feature = "encode")]
-pub use compress::{CompressSettings, compress, compress_ordered, compress_reader};
+pub use compress::{
+    CompressSettings, Contemporaries, Followed, FollowedParts, compress, compress_ordered, compress_reader,
+    contemporaries,
+};
 pub use error::{CompressError, DecodeError};
 pub use keypoints::{interpolate, select as select_keypoints};
 pub use limits::DecodeLimits;

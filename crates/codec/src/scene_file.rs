@@ -3,13 +3,14 @@
 //! Input comes from any `Read + Seek`. [`Archive`] offers the same without input of its own, for callers that fetch
 //! ranges of bytes.
 
+use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Layout, SceneReader};
 
-use crate::bitstream::{Archive, Opening, Sampler, Segment, end_of_file};
+use crate::bitstream::{Archive, Cohort, Opening, Sampler, Segment, end_of_file, other_attributes};
 use crate::cache::{Eviction, SegmentCache};
 use crate::compact::SceneInfo;
 use crate::error::{DecodeError, ENDS_EARLY};
@@ -20,8 +21,8 @@ const OPENING_BYTES: u64 = 1 << 14;
 
 /// A `.tcgs` file with random access to timesteps.
 ///
-/// Memory holds the shared layers, the most recently used segments ([`SegmentCache`], LRU), and the dequantised
-/// keypoints of the segment used last.
+/// Memory holds of the cohorts that live at the timestep read last the shared layers, the most recently used segments
+/// ([`SegmentCache`], LRU), and the dequantised keypoints of the segment used last. Of other cohorts nothing is read.
 ///
 /// ```
 /// use std::io::Cursor;
@@ -42,11 +43,22 @@ pub struct SceneFile<R> {
     source: R,
     /// Counts of what can be read.
     info: SceneInfo,
-    /// Layers that can be read.
-    num_layers: usize,
+    /// Layers that can be read of the only cohort; all if none.
+    num_layers: Option<usize>,
     loss: Option<Loss>,
     layout: Arc<Layout>,
     archive: Archive,
+    /// Bound on the memory of a cohort's segments.
+    max_segment_bytes: usize,
+    /// Most Gaussians that live at a timestep.
+    most_gaussians: usize,
+    /// Those that live at the timestep read last.
+    cohorts: BTreeMap<usize, OpenCohort>,
+}
+
+/// A cohort with its shared layers.
+struct OpenCohort {
+    cohort: Cohort,
     cache: SegmentCache,
     /// Index of a segment and its keypoints as floats.
     sampler: Option<(usize, Sampler)>,
@@ -77,24 +89,29 @@ impl<R> SceneFile<R> {
         self.loss.as_ref()
     }
 
-    /// Table of contents of the file, and its shared layers.
+    /// What the start of the file says.
     pub fn archive(&self) -> &Archive {
         &self.archive
     }
 
-    /// Memory of the segments in the cache, in bytes.
+    /// Which columns the Gaussians have.
+    pub fn layout(&self) -> &Arc<Layout> {
+        &self.layout
+    }
+
+    /// Memory of the segments in the caches, in bytes.
     pub fn cached_bytes(&self) -> usize {
-        self.cache.bytes()
+        self.cohorts.values().map(|open| open.cache.bytes()).sum()
     }
 }
 
 impl<R: Read + Seek> SceneFile<R> {
-    /// Opens a file: reads the header and the shared layers, and no segment.
+    /// Opens a file: reads what describes the scene and the shared layers of the first cohort, and no segment.
     ///
     /// - `source`: the file, from its first byte on
     /// - `limits`: bounds on memory and counts
-    /// - `max_segment_bytes`: bound on the memory of decoded segments, such as [`SegmentCache::DEFAULT_BYTES`]; a
-    ///   single segment may exceed the bound
+    /// - `max_segment_bytes`: bound on the memory of the decoded segments of each cohort that lives at a timestep, such as
+    ///   [`SegmentCache::DEFAULT_BYTES`]; a single segment may exceed the bound
     ///
     /// # Errors
     /// - [`DecodeError::Io`] if the source cannot be read
@@ -134,7 +151,7 @@ impl<R: Read + Seek> SceneFile<R> {
     pub fn recover(mut source: R, limits: &DecodeLimits, max_segment_bytes: usize) -> Result<Self, DecodeError> {
         let length = source.seek(SeekFrom::End(0))?;
         let mut start = read(&mut source, 0..OPENING_BYTES.min(length))?;
-        let mut archive = loop {
+        let archive = loop {
             match Archive::open(&start, limits)? {
                 Opening::Ready(archive) => break *archive,
                 Opening::More(needed) if needed <= length => {
@@ -147,44 +164,124 @@ impl<R: Read + Seek> SceneFile<R> {
         if archive.file_bytes() < length {
             return Err(end_of_file(length, "bytes are left over"));
         }
-        let shared = read(&mut source, archive.shared_range(archive.num_layers()))?;
-        archive.read_shared(&shared)?;
-        let whole = archive.info();
-        let loss = (length < archive.file_bytes()).then(|| Loss {
-            bytes: length,
-            bytes_before: archive.file_bytes(),
-            timesteps_before: whole.num_timesteps,
-            gaussians_before: whole.num_gaussians,
-        });
-        let (num_layers, num_timesteps) =
-            what_is_whole(&archive, length).ok_or_else(|| end_of_file(length, ENDS_EARLY))?;
-        let num_gaussians = archive.layers()[..num_layers].iter().sum();
-        let info = SceneInfo { num_gaussians, num_timesteps: num_timesteps as u32, ..whole.clone() };
-        let cache = SegmentCache::new(archive.num_segments(), max_segment_bytes);
-        Ok(Self { source, info, num_layers, loss, layout: Layout::base(), archive, cache, sampler: None })
+        let whole = archive.info().clone();
+        let mut file = Self {
+            source,
+            info: whole.clone(),
+            num_layers: None,
+            loss: None,
+            layout: Layout::base(),
+            most_gaussians: most_gaussians(&archive),
+            archive,
+            max_segment_bytes,
+            cohorts: BTreeMap::new(),
+        };
+        if length < file.archive.file_bytes() {
+            file.loss = Some(Loss {
+                bytes: length,
+                bytes_before: file.archive.file_bytes(),
+                timesteps_before: whole.num_timesteps,
+                gaussians_before: whole.num_gaussians,
+            });
+            let early = || end_of_file(length, ENDS_EARLY);
+            let (num_layers, num_timesteps) = file.what_is_whole(length)?.ok_or_else(early)?;
+            file.info.num_timesteps = num_timesteps as u32;
+            if let Some(num_layers) = num_layers {
+                let layers = file.cohorts[&0].cohort.layers();
+                file.info.num_gaussians = layers[..num_layers].iter().sum();
+                (file.most_gaussians, file.num_layers) = (file.info.num_gaussians as usize, Some(num_layers));
+            }
+        }
+        if file.archive.num_cohorts() > 0 {
+            file.open_cohort(0)?;
+            file.layout = Arc::clone(file.cohorts[&0].cohort.layout());
+        }
+        Ok(file)
     }
 
-    /// The segment of index `segment`, from the cache or else read and decoded.
+    /// Opens a cohort with its shared layers, if it is not open.
+    fn open_cohort(&mut self, index: usize) -> Result<(), DecodeError> {
+        if self.cohorts.contains_key(&index) {
+            return Ok(());
+        }
+        if let Some(before) = self.archive.needs_before(index) {
+            let head = read(&mut self.source, self.archive.head_range(before))?;
+            self.archive.open_cohort(before, &head)?;
+        }
+        let start = self.archive.start_range(index);
+        let bytes = read(&mut self.source, start.clone())?;
+        let mut cohort = self.archive.open_cohort(index, &bytes)?;
+        let shared = cohort.shared_range(cohort.num_layers()).start - start.start;
+        cohort.read_shared(bytes.get(shared as usize..).unwrap_or(&[]))?;
+        let cache = SegmentCache::new(cohort.num_segments(), self.max_segment_bytes);
+        self.cohorts.insert(index, OpenCohort { cohort, cache, sampler: None });
+        Ok(())
+    }
+
+    /// Of a file that was cut: how many layers are whole, if not all, and how many timesteps.
+    ///
+    /// - `length`: bytes that are left
+    /// - returns: none if not even the first layer of the first timestep is whole
+    fn what_is_whole(&mut self, length: u64) -> Result<Option<(Option<usize>, usize)>, DecodeError> {
+        let mut num_timesteps = self.info.num_timesteps as usize;
+        for index in 0..self.archive.num_cohorts() {
+            let span = self.archive.timesteps_of(index);
+            if span.start >= num_timesteps {
+                break;
+            }
+            // A file of version 1 has no head; its layers are looked at below.
+            if self.archive.head_range(index).end > length {
+                num_timesteps = span.start;
+                break;
+            }
+            self.open_cohort(index)?;
+            let cohort = &self.cohorts[&index].cohort;
+            // A segment in which nothing moves has no bytes, wherever it lies.
+            let is_whole = |segment: usize, layers: usize| {
+                let range = cohort.segment_range(segment, layers);
+                layers <= cohort.layers_read() && (range.is_empty() || range.end <= length)
+            };
+            let all = cohort.num_layers();
+            let segments = (0..cohort.num_segments()).take_while(|&segment| is_whole(segment, all)).count();
+            if segments < cohort.num_segments() {
+                num_timesteps = num_timesteps.min(cohort.timesteps_of(segments).start);
+            }
+            if num_timesteps == 0 && self.archive.num_cohorts() == 1 {
+                let layers = (1..all).take_while(|&layers| is_whole(0, layers)).count();
+                let first = cohort.timesteps_of(0).end;
+                return Ok((layers > 0).then_some((Some(layers), first)));
+            }
+            if index > 0 {
+                self.cohorts.remove(&index);
+            }
+        }
+        Ok((num_timesteps > 0).then_some((None, num_timesteps)))
+    }
+
+    /// A segment of a cohort, from the cache or else read and decoded.
     ///
     /// # Errors
     /// [`DecodeError`] if the segment cannot be read, is damaged, or exceeds the limits.
     ///
     /// # Panics
-    /// If `segment` is not below [`Archive::num_segments`]. Of a file that was cut, a segment beyond [`Self::info`] has
-    /// fewer layers than the others.
-    pub fn segment(&mut self, segment: usize) -> Result<Arc<Segment>, DecodeError> {
-        if let Some(held) = self.cache.recall(segment) {
+    /// If `cohort` is not below [`Archive::num_cohorts`] or `segment` not below [`Cohort::num_segments`]. Of a file that
+    /// was cut, a segment beyond [`Self::info`] has fewer layers than the others.
+    pub fn segment(&mut self, cohort: usize, segment: usize) -> Result<Arc<Segment>, DecodeError> {
+        self.open_cohort(cohort)?;
+        let open = self.cohorts.get_mut(&cohort).expect("a cohort that was opened");
+        if let Some(held) = open.cache.recall(segment) {
             return Ok(held.clone());
         }
-        let bytes = read(&mut self.source, self.archive.segment_range(segment, self.num_layers))?;
-        self.cache.make_room(segment, Eviction::LeastRecentlyUsed);
-        let decoded = Arc::new(self.archive.read_segment(segment, &bytes)?);
-        self.cache.insert(decoded.clone(), Eviction::LeastRecentlyUsed);
+        let layers = self.num_layers.unwrap_or(open.cohort.num_layers());
+        let bytes = read(&mut self.source, open.cohort.segment_range(segment, layers))?;
+        open.cache.make_room(segment, Eviction::LeastRecentlyUsed);
+        let decoded = Arc::new(open.cohort.read_segment(segment, &bytes)?);
+        open.cache.insert(decoded.clone(), Eviction::LeastRecentlyUsed);
         Ok(decoded)
     }
 
-    /// One timestep as floats, in stored form: the same values as [`crate::CompactScene::at`] gives. Fastest if
-    /// successive calls ask for successive timesteps of one segment.
+    /// The Gaussians that live at one timestep as floats, in stored form: cohort by cohort the same values as
+    /// [`crate::CompactScene::at`] gives. Fastest if successive calls ask for successive timesteps.
     ///
     /// # Errors
     /// As [`Self::segment`].
@@ -192,15 +289,53 @@ impl<R: Read + Seek> SceneFile<R> {
     /// # Panics
     /// If `timestep` is not below [`SceneInfo::num_timesteps`].
     pub fn at(&mut self, timestep: usize) -> Result<Gaussians, DecodeError> {
-        let index = self.archive.segment_at(timestep);
-        if self.sampler.as_ref().is_none_or(|(held, _)| *held != index) {
-            self.sampler = None;
-            let segment = self.segment(index)?;
-            self.sampler = Some((index, Sampler::new(&segment)));
+        let num_timesteps = self.info.num_timesteps as usize;
+        assert!(timestep < num_timesteps, "timestep {timestep} of {num_timesteps}");
+        let alive: Vec<usize> = self.archive.cohorts_at(timestep).collect();
+        self.cohorts.retain(|cohort, _| alive.contains(cohort));
+        let mut parts = Vec::with_capacity(alive.len());
+        for cohort in alive {
+            parts.push(self.of_cohort(cohort, timestep)?);
         }
-        let (_, sampler) = self.sampler.as_mut().expect("a sampler that was just made");
-        Ok(sampler.at(timestep).clone())
+        if let [_] = &parts[..] {
+            return Ok(parts.pop().expect("one part"));
+        }
+        Ok(Gaussians::concat(&self.layout, &parts))
     }
+
+    /// The Gaussians of a cohort that live at a timestep.
+    fn of_cohort(&mut self, cohort: usize, timestep: usize) -> Result<Gaussians, DecodeError> {
+        self.open_cohort(cohort)?;
+        let open = &self.cohorts[&cohort];
+        if open.cohort.layout() != &self.layout {
+            return Err(other_attributes(self.archive.head_range(cohort).start));
+        }
+        let index = open.cohort.segment_at(timestep);
+        let segment = self.segment(cohort, index)?;
+        let open = self.cohorts.get_mut(&cohort).expect("a cohort that was opened");
+        if open.sampler.as_ref().is_none_or(|(held, _)| *held != index) {
+            open.sampler = Some((index, Sampler::new(&segment)));
+        }
+        let (_, sampler) = open.sampler.as_mut().expect("a sampler that was just made");
+        let all = sampler.at(timestep);
+        Ok(segment.alive(timestep).map_or_else(|| all.clone(), |alive| all.select(&alive)))
+    }
+}
+
+/// Most Gaussians of the cohorts that live at a timestep together.
+fn most_gaussians(archive: &Archive) -> usize {
+    let mut changes: BTreeMap<usize, i64> = BTreeMap::new();
+    for cohort in 0..archive.num_cohorts() {
+        let (span, count) = (archive.timesteps_of(cohort), archive.num_gaussians_of(cohort) as i64);
+        *changes.entry(span.start).or_default() += count;
+        *changes.entry(span.end).or_default() -= count;
+    }
+    let mut alive = 0;
+    let alive = changes.values().map(|change| {
+        alive += change;
+        alive
+    });
+    alive.max().unwrap_or(0) as usize
 }
 
 impl<R: Read + Seek> SceneReader for SceneFile<R> {
@@ -211,7 +346,14 @@ impl<R: Read + Seek> SceneReader for SceneFile<R> {
     }
 
     fn num_gaussians(&self) -> usize {
-        self.info().num_gaussians as usize
+        self.most_gaussians
+    }
+
+    /// The Gaussians of the cohorts that live at a timestep: at most as many are given, since lives within cohorts are
+    /// known only when these are read.
+    fn num_gaussians_at(&self, timestep: usize) -> usize {
+        let of = |cohort| self.archive.num_gaussians_of(cohort);
+        if self.num_layers.is_some() { self.most_gaussians } else { self.archive.cohorts_at(timestep).map(of).sum() }
     }
 
     fn num_timesteps(&self) -> usize {
@@ -219,31 +361,20 @@ impl<R: Read + Seek> SceneReader for SceneFile<R> {
     }
 
     fn span(&self, timestep: usize) -> Range<usize> {
-        self.archive.timesteps(self.archive.segment_at(timestep))
+        let mut span = 0..self.num_timesteps();
+        for cohort in self.archive.cohorts_at(timestep) {
+            let of_cohort = match self.cohorts.get(&cohort) {
+                Some(open) => open.cohort.timesteps_of(open.cohort.segment_at(timestep)),
+                None => self.archive.timesteps_of(cohort),
+            };
+            span = span.start.max(of_cohort.start)..span.end.min(of_cohort.end);
+        }
+        span
     }
 
     fn at(&mut self, timestep: usize) -> Result<Gaussians, DecodeError> {
         SceneFile::at(self, timestep)
     }
-}
-
-/// Layers and timesteps of which all bytes are there, if there are any.
-///
-/// - `archive`: with the shared layers that are whole
-/// - `length`: bytes of the file
-fn what_is_whole(archive: &Archive, length: u64) -> Option<(usize, usize)> {
-    // A segment in which nothing moves has no bytes, wherever it lies.
-    let is_whole = |segment: usize, layers: usize| {
-        let range = archive.segment_range(segment, layers);
-        layers <= archive.layers_read() && (range.is_empty() || range.end <= length)
-    };
-    let all = archive.num_layers();
-    let segments = (0..archive.num_segments()).take_while(|&segment| is_whole(segment, all)).count();
-    if segments > 0 {
-        return Some((all, archive.timesteps(segments - 1).end));
-    }
-    let layers = (1..all).take_while(|&layers| is_whole(0, layers)).count();
-    (layers > 0).then(|| (layers, archive.timesteps(0).end))
 }
 
 /// Bytes of a source; fewer if it ends.

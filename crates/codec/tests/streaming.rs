@@ -5,11 +5,12 @@ use std::ops::Range;
 
 use proptest::prelude::*;
 use tcgs_codec::{
-    Archive, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Eviction, Opening, Playback, Sampler,
-    SceneFile, SceneInfo, SegmentCache, compress, decode, encode, encode_with,
+    Archive, Cohort, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Eviction, Opening, Playback,
+    Sampler, SceneFile, SceneInfo, SegmentCache, compress, decode, encode, encode_with,
 };
 use tcgs_core::Gaussians;
 
+#[allow(dead_code)] // Each test uses some of it.
 mod any_scene;
 mod scenes;
 use any_scene::any_scene;
@@ -30,6 +31,13 @@ fn open(file: &[u8]) -> Archive {
             }
         }
     }
+}
+
+/// The only cohort of a file.
+fn open_cohort(file: &[u8]) -> Cohort {
+    let mut archive = open(file);
+    let head = archive.head_range(0);
+    archive.open_cohort(0, bytes(file, head)).unwrap()
 }
 
 /// The Gaussians of the first layers of a scene.
@@ -69,7 +77,7 @@ proptest! {
     ) {
         let scene = any_scene(num_gaussians, num_timesteps, seed);
         let file = encode(&scene).unwrap();
-        let mut archive = open(&file);
+        let mut archive = open_cohort(&file);
         let layers = layers.index(archive.num_layers() + 1);
         archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();
         prop_assert_eq!(archive.layers_read(), layers);
@@ -119,7 +127,7 @@ fn events_come_in_order_and_say_what_the_whole_says() {
         for event in decoder.push(std::slice::from_ref(byte)).unwrap() {
             seen.push(match &event {
                 Event::Header => "header".to_owned(),
-                Event::Layer { layers } => format!("layer {layers}"),
+                Event::Layer { layers, .. } => format!("layer {layers}"),
                 Event::Segment(segment) => {
                     for timestep in segment.timesteps() {
                         assert_eq!(segment.at(timestep), first(&scene, timestep, segment.num_layers()));
@@ -159,7 +167,7 @@ fn segments_of_nothing_cost_nothing() {
     for scene in [empty, still] {
         let file = encode(&scene).unwrap();
         assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
-        assert_eq!(open(&file).num_segments(), 1);
+        assert_eq!(open_cohort(&file).num_segments(), 1);
         assert!(events(&[&file]).len() < 100);
     }
 }
@@ -187,7 +195,7 @@ fn a_segment_needs_few_of_the_bytes() {
     let settings = CompressSettings { segment_length: Some(10), ..Default::default() };
     let compact = compress(&scene, &scenes::mixed_widths(3000), None, SceneInfo::of(&scene), &settings).unwrap();
     let file = encode(&compact).unwrap();
-    let archive = open(&file);
+    let archive = open_cohort(&file);
     let all = archive.num_layers();
     let segments: u64 = (0..6).map(|s| archive.segment_range(s, all)).map(|r| r.end - r.start).sum();
     let shared = archive.shared_range(all);
@@ -205,7 +213,7 @@ fn data_of_applications_are_known_from_the_start() {
     assert_eq!(file.len(), plain.len() + lengths);
     let archive = open(&file);
     let ranges = archive.application_ranges();
-    assert!(ranges.iter().all(|range| range.end <= archive.shared_range(1).start), "{ranges:?}");
+    assert!(ranges.iter().all(|range| range.end <= open_cohort(&file).shared_range(1).start), "{ranges:?}");
     let read = |(index, range): (usize, &Range<u64>)| {
         let (name, found) = archive.read_application(index, bytes(&file, range.clone())).unwrap().unwrap();
         (name, found.to_vec())
@@ -233,6 +241,7 @@ fn a_segment_may_be_decoded_any_number_of_times() {
     // As little as it takes to read each segment once.
     let limits = DecodeLimits { max_bytes: 1 << 19, ..Default::default() };
     let Opening::Ready(mut archive) = Archive::open(&file, &limits).unwrap() else { panic!("more bytes are needed") };
+    let mut archive = archive.open_cohort(0, &[]).unwrap();
     let layers = archive.num_layers();
     archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();
     for turn in 0..100 {
@@ -242,6 +251,7 @@ fn a_segment_may_be_decoded_any_number_of_times() {
     // The limit still holds for one.
     let limits = DecodeLimits { max_bytes: 1 << 16, ..Default::default() };
     let Opening::Ready(mut archive) = Archive::open(&file, &limits).unwrap() else { panic!("more bytes are needed") };
+    let mut archive = archive.open_cohort(0, &[]).unwrap();
     let read = archive.read_shared(bytes(&file, archive.shared_range(layers)));
     let read = read.and_then(|()| archive.read_segment(0, bytes(&file, archive.segment_range(0, layers))).map(|_| ()));
     assert!(matches!(read, Err(tcgs_codec::DecodeError::Limit { .. })), "{read:?}");
@@ -252,7 +262,7 @@ fn a_segment_may_be_decoded_any_number_of_times() {
 fn keypoints_are_those_of_the_floats() {
     let compact = any_scene(9, 17, 3);
     let file = encode(&compact).unwrap();
-    let mut archive = open(&file);
+    let mut archive = open_cohort(&file);
     let layers = archive.num_layers();
     archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();
     for index in 0..archive.num_segments() {
@@ -318,7 +328,8 @@ fn a_file_is_decoded_where_it_is_read() {
     };
     let mut reader = open(&file[..], usize::MAX).unwrap();
     let length = |segment| {
-        let range = reader.archive().segment_range(segment, reader.archive().num_layers());
+        let cohort = open_cohort(&file);
+        let range = cohort.segment_range(segment, cohort.num_layers());
         (range.end - range.start) as usize
     };
     let (third, fourth) = (length(2), length(3));
@@ -331,7 +342,7 @@ fn a_file_is_decoded_where_it_is_read() {
     assert_eq!(bytes.get() - opened, third + fourth);
 
     // Room for two segments: of three the one that was used longest ago is read again.
-    let two = 2 * (0..6).map(|i| reader.segment(i).unwrap().bytes()).max().unwrap();
+    let two = 2 * (0..6).map(|i| reader.segment(0, i).unwrap().bytes()).max().unwrap();
     let mut reader = open(&file[..], two).unwrap();
     for timestep in [0, 10, 0, 20] {
         assert_eq!(reader.at(timestep).unwrap(), compact.at(timestep));
@@ -372,7 +383,7 @@ fn playback_keeps_and_prefetches_what_comes_next() {
     let compact = compress(&scene, &scenes::mixed_widths(200), None, SceneInfo::of(&scene), &settings).unwrap();
     let file = std::io::Cursor::new(encode(&compact).unwrap());
     let mut reader = SceneFile::open(file, &DecodeLimits::default(), 0).unwrap();
-    let segments: Vec<_> = (0..4).map(|i| reader.segment(i).unwrap()).collect();
+    let segments: Vec<_> = (0..4).map(|i| reader.segment(0, i).unwrap()).collect();
     let largest = segments.iter().map(|s| s.bytes()).max().unwrap();
     let playback = |now| Playback { now, is_backwards: false, is_looping: true };
     let mut cache = SegmentCache::new(4, 2 * largest);

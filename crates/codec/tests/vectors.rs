@@ -1,8 +1,8 @@
-//! Files of version 1 and the values they mean, kept for ever: `testdata/bitstream/v1`; and files that must be refused:
-//! `testdata/bitstream/refused`.
+//! Files of both versions and the values they mean: `testdata/bitstream/v1`, kept for ever, and `testdata/bitstream/v2`; and
+//! files that must be refused: `testdata/bitstream/refused` and `testdata/bitstream/refused_v2`.
 //!
 //! `UPDATE_GOLDENS=1 cargo test -p tcgs-codec --test vectors` makes those that are missing; a file that exists keeps its
-//! bytes. `testdata/bitstream/forge.py` makes what no encoder writes.
+//! bytes. `forge.py` and `forge_v2.py` beside them make what no encoder writes.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
@@ -10,21 +10,24 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 use tcgs_codec::{
-    CompactScene, CompressSettings, DecodeError, DecodeLimits, SceneInfo, application_data, compress, decode, encode,
-    encode_with,
+    CompactScene, CompressSettings, DecodeError, DecodeLimits, SceneFile, SceneInfo, application_data, compress,
+    decode, decode_cohorts, encode, encode_cohorts, encode_with,
 };
-use tcgs_core::Attribute;
+use tcgs_core::{Activation, Attribute, Gaussians};
 
-#[allow(dead_code)]
+#[allow(dead_code)] // Each test uses some of it.
 mod any_scene;
+mod cohort_scenes;
 mod corner_scenes;
 mod scenes;
 use any_scene::any_scene;
 
-/// Vectors with bytes that a decoder takes and no encoder writes.
+/// Vectors of version 1 with bytes that a decoder takes and no encoder writes.
 const FORGED: [&str; 3] = ["dropped_bits", "optional_sections", "symbols_beyond"];
+/// Those of version 2.
+const FORGED_V2: [&str; 4] = ["born_and_gone", "declared_errors", "optional_sections", "symbols_beyond"];
 
-/// Every vector but those of `forge.py`: its name and the scene that it holds.
+/// Every vector of version 1 but those of `forge.py`: its name and the scene that it holds.
 fn vectors() -> Vec<(&'static str, CompactScene)> {
     let mut layered = any_scene(6, 12, 3);
     layered.layers = vec![1, 2, 3];
@@ -49,32 +52,28 @@ fn vectors() -> Vec<(&'static str, CompactScene)> {
     ]
 }
 
+/// Every vector of version 2 but those of `forge_v2.py`: its name and what it holds.
+fn vectors_v2() -> [(&'static str, cohort_scenes::File); 9] {
+    [
+        ("one_gaussian", cohort_scenes::one_gaussian()),
+        ("no_cohorts", cohort_scenes::no_cohorts()),
+        ("cohorts", cohort_scenes::cohorts()),
+        ("lives", cohort_scenes::lives()),
+        ("sparse", cohort_scenes::sparse()),
+        ("harmonics", cohort_scenes::harmonics()),
+        ("shared_plan", cohort_scenes::shared_plan()),
+        ("layers", cohort_scenes::layers()),
+        ("flip_book", cohort_scenes::flip_book()),
+    ]
+}
+
 fn info(room: &tcgs_core::DynamicGaussians) -> SceneInfo {
     // Not the version of the program: the bytes are to stay.
     SceneInfo { name: "room".into(), generator: "vectors".into(), ..SceneInfo::of(room) }
 }
 
-/// What a file says, and the floats of its first, middle and last timestep.
-fn describe(scene: &CompactScene) -> Value {
-    let info = &scene.info;
-    let attribute = |a: Attribute| {
-        let tracks = &scene.tracks[a.index()];
-        let tracks: Vec<Value> = (0..tracks.len()).map(|i| json!([tracks.track(i).0, tracks.track(i).1])).collect();
-        json!({
-            "varies": scene.varies[a.index()],
-            "widths": scene.bit_map.widths[a.index()],
-            "tracks_of_times_and_codes": tracks,
-        })
-    };
-    let last = scene.num_timesteps() - 1;
-    let values = |timestep: usize| {
-        let now = scene.at(timestep);
-        // JSON has no infinity.
-        let number = |x: &f32| if x.is_finite() { json!(x) } else { json!(x.to_string()) };
-        let of = |a: Attribute| (a.name().to_owned(), now.values(a).iter().map(number).collect());
-        json!({ "timestep": timestep, "values": Attribute::BASE.map(of).into_iter().collect::<serde_json::Map<_, _>>() })
-    };
-    let attributes = Attribute::BASE.map(|a| (a.name().to_owned(), attribute(a)));
+/// The fields of `INFO` that both versions have.
+fn describe_info(info: &SceneInfo) -> Value {
     json!({
         "num_gaussians": info.num_gaussians,
         "num_timesteps": info.num_timesteps,
@@ -85,11 +84,83 @@ fn describe(scene: &CompactScene) -> Value {
         "up": info.up as u8,
         "name": info.name,
         "generator": info.generator,
+    })
+}
+
+/// Division, widths and tracks of a cohort, which is all of a file of version 1.
+fn describe_cohort(scene: &CompactScene) -> Value {
+    let attribute = |a: Attribute| {
+        let tracks = &scene.tracks[a.index()];
+        let tracks: Vec<Value> = (0..tracks.len()).map(|i| json!([tracks.track(i).0, tracks.track(i).1])).collect();
+        let described = json!({
+            "varies": scene.varies[a.index()],
+            "widths": scene.bit_map.widths[a.index()],
+            "tracks_of_times_and_codes": tracks,
+        });
+        (scene.layout.name(a).to_owned(), described)
+    };
+    json!({
         "segment_length": scene.segment_length,
         "layers": scene.layers,
-        "attributes": attributes.into_iter().collect::<serde_json::Map<_, _>>(),
-        "reconstructed": ([0, last / 2, last].map(values)),
+        "attributes": scene.layout.attributes().map(attribute).collect::<serde_json::Map<_, _>>(),
     })
+}
+
+/// Floats at a timestep.
+fn describe_values(timestep: usize, now: &Gaussians) -> Value {
+    // JSON has no infinity.
+    let number = |x: &f32| if x.is_finite() { json!(x) } else { json!(x.to_string()) };
+    let of = |a: Attribute| (now.layout().name(a).to_owned(), now.values(a).iter().map(number).collect());
+    json!({
+        "timestep": timestep,
+        "values": now.layout().attributes().map(of).collect::<serde_json::Map<_, _>>(),
+    })
+}
+
+/// Adds the fields of `more`.
+fn joined(mut value: Value, more: Value) -> Value {
+    if let (Value::Object(fields), Value::Object(more)) = (&mut value, more) {
+        fields.extend(more);
+    }
+    value
+}
+
+/// What a file of version 1 says, and the floats of its first, middle and last timestep.
+fn describe(scene: &CompactScene) -> Value {
+    let last = scene.num_timesteps() - 1;
+    let values = [0, last / 2, last].map(|t| describe_values(t, &scene.at(t)));
+    joined(joined(describe_info(&scene.info), describe_cohort(scene)), json!({ "reconstructed": values }))
+}
+
+/// What a file of version 2 says, and the floats of its first, middle and last timestep.
+fn describe_v2(file: &[u8]) -> Value {
+    let limits = DecodeLimits::default();
+    let mut reader = SceneFile::open(std::io::Cursor::new(file), &limits, 0).unwrap();
+    let info = reader.info().clone();
+    let cohort = |cohort: &CompactScene| {
+        let mut described = joined(
+            describe_cohort(cohort),
+            json!({
+                "start": cohort.start,
+                "num_timesteps": cohort.info.num_timesteps,
+                "num_gaussians": cohort.info.num_gaussians,
+                "lives": cohort.lives,
+                "names": cohort.layout.columns().iter().map(|column| &column.name).collect::<Vec<_>>(),
+            }),
+        );
+        for column in cohort.layout.columns() {
+            let activation = Activation::ALL.iter().position(|&known| known == column.activation);
+            let more = json!({ "unit": column.unit, "components": column.components(), "activation": activation });
+            let attribute = &mut described["attributes"][&column.name];
+            *attribute = joined(attribute.take(), more);
+        }
+        described
+    };
+    let cohorts: Vec<Value> = decode_cohorts(file, &limits).unwrap().1.iter().map(cohort).collect();
+    let last = info.num_timesteps as usize - 1;
+    let values = [0, last / 2, last].map(|t| describe_values(t, &reader.at(t).unwrap()));
+    let errors = reader.archive().declared_errors();
+    joined(describe_info(&info), json!({ "errors": errors, "cohorts": cohorts, "reconstructed": values }))
 }
 
 /// A line for each innermost list.
@@ -135,47 +206,87 @@ fn files(folder: &Path) -> Vec<(String, PathBuf)> {
     files.into_iter().map(|path| (path.file_stem().unwrap().to_str().unwrap().to_owned(), path)).collect()
 }
 
-#[test]
-fn every_vector_means_what_it_meant() {
-    let folder = folder().join("v1");
-    let made = vectors();
+/// Makes what is missing, if asked to, and checks that a folder holds what it should.
+///
+/// - `made`: names and bytes
+/// - `forged`: names of what no encoder writes
+/// - `describe`: what a file means
+/// - returns: names and bytes
+fn vectors_of(
+    folder: &Path,
+    made: &[(&str, Vec<u8>)],
+    forged: &[&str],
+    describe: impl Fn(&[u8]) -> Value,
+) -> Vec<(String, Vec<u8>)> {
     if std::env::var_os("UPDATE_GOLDENS").is_some() {
         let write_missing = |path: PathBuf, bytes: &[u8]| path.exists() || fs::write(path, bytes).is_ok();
-        for (name, scene) in &made {
-            assert!(write_missing(folder.join(name).with_extension("tcgs"), &encode(scene).unwrap()));
+        for (name, file) in made {
+            assert!(write_missing(folder.join(name).with_extension("tcgs"), file));
         }
-        for (_, path) in files(&folder) {
-            let scene = decode(&fs::read(&path).unwrap(), &DecodeLimits::default()).unwrap();
-            assert!(write_missing(path.with_extension("json"), text(&describe(&scene)).as_bytes()));
+        for (_, path) in files(folder) {
+            let file = fs::read(&path).unwrap();
+            assert!(write_missing(path.with_extension("json"), text(&describe(&file)).as_bytes()));
         }
     }
-    let found = files(&folder);
-    let expected = made.iter().map(|(name, _)| *name).chain(FORGED);
+    let found = files(folder);
+    let expected = made.iter().map(|(name, _)| name).chain(forged);
     assert!(expected.clone().all(|name| found.iter().any(|(found, _)| found == name)), "a vector is missing");
     assert_eq!(found.len(), expected.count());
-    for (name, path) in found {
+    let read = |(name, path): (String, PathBuf)| {
         let file = fs::read(&path).unwrap();
-        let scene = decode(&file, &DecodeLimits::default()).unwrap();
         let expected = fs::read_to_string(path.with_extension("json")).unwrap();
-        assert_eq!(text(&describe(&scene)), expected, "{name}");
-        let data = application_data(&file, &DecodeLimits::default()).unwrap();
-        let data: Vec<(&str, &[u8])> = data.iter().map(|(name, bytes)| (name.as_str(), *bytes)).collect();
-        let again = encode_with(&scene, &data).unwrap();
+        assert_eq!(text(&describe(&file)), expected, "{name}");
+        (name, file)
+    };
+    found.into_iter().map(read).collect()
+}
+
+/// Application data of a file.
+fn data_of(file: &[u8]) -> Vec<(String, Vec<u8>)> {
+    let data = application_data(file, &DecodeLimits::default()).unwrap();
+    data.into_iter().map(|(name, bytes)| (name, bytes.to_vec())).collect()
+}
+
+fn borrowed(data: &[(String, Vec<u8>)]) -> Vec<(&str, &[u8])> {
+    data.iter().map(|(name, bytes)| (name.as_str(), &bytes[..])).collect()
+}
+
+#[test]
+fn every_vector_means_what_it_meant() {
+    let made: Vec<_> = vectors().into_iter().map(|(name, scene)| (name, encode(&scene).unwrap())).collect();
+    let decoded = |file: &[u8]| decode(file, &DecodeLimits::default()).unwrap();
+    for (name, file) in vectors_of(&folder().join("v1"), &made, &FORGED, |file| describe(&decoded(file))) {
+        let scene = decoded(&file);
+        let again = encode_with(&scene, &borrowed(&data_of(&file))).unwrap();
         assert_eq!(
             again == file,
             !FORGED.contains(&name.as_str()),
             "{name}: other bytes for the same values, or forged"
         );
-        assert_eq!(decode(&again, &DecodeLimits::default()).unwrap(), scene, "{name}");
+        assert_eq!(decoded(&again), scene, "{name}");
     }
 }
 
-/// The bytes in the annotated dump of `docs/FORMAT.md`: an offset, bytes or `00 x N`, and what they mean, each two blanks
-/// apart.
 #[test]
-fn the_annotated_file_is_the_vector() {
-    let text = fs::read_to_string(folder().join("../../docs/FORMAT.md")).unwrap();
-    let (_, dump) = text.split_once("\n## A file, byte by byte\n").unwrap();
+fn every_vector_of_version_2_means_what_it_meant() {
+    let encoded = |(info, cohorts): cohort_scenes::File| encode_cohorts(&info, &cohorts, &[]).unwrap();
+    let made: Vec<_> = vectors_v2().into_iter().map(|(name, file)| (name, encoded(file))).collect();
+    for (name, file) in vectors_of(&folder().join("v2"), &made, &FORGED_V2, describe_v2) {
+        let (info, cohorts) = decode_cohorts(&file, &DecodeLimits::default()).unwrap();
+        let again = encode_cohorts(&info, &cohorts, &borrowed(&data_of(&file))).unwrap();
+        assert_eq!(
+            again == file,
+            !FORGED_V2.contains(&name.as_str()),
+            "{name}: other bytes for the same values, or forged"
+        );
+        assert_eq!(decode_cohorts(&again, &DecodeLimits::default()).unwrap(), (info, cohorts), "{name}");
+    }
+}
+
+/// The bytes in an annotated dump of `docs/FORMAT.md`: an offset, bytes or `00 x N`, and what they mean, each two blanks
+/// apart.
+fn dumped(text: &str, heading: &str) -> Vec<u8> {
+    let (_, dump) = text.split_once(&format!("\n## {heading}\n")).unwrap();
     let dump = dump.split("```\n").nth(1).unwrap();
     let mut bytes = Vec::new();
     for line in dump.lines().filter(|line| !line.starts_with(' ')) {
@@ -188,7 +299,18 @@ fn the_annotated_file_is_the_vector() {
             None => bytes.extend(dumped.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap())),
         }
     }
-    assert_eq!(bytes, fs::read(folder().join("v1/one_gaussian.tcgs")).unwrap());
+    bytes
+}
+
+#[test]
+fn the_annotated_files_are_the_vectors() {
+    let text = fs::read_to_string(folder().join("../../docs/FORMAT.md")).unwrap();
+    for (heading, file) in [
+        ("A file, byte by byte", "v1/one_gaussian.tcgs"),
+        ("A file of version 2, byte by byte", "v2/one_gaussian.tcgs"),
+    ] {
+        assert_eq!(dumped(&text, heading), fs::read(folder().join(file)).unwrap(), "{file}");
+    }
 }
 
 /// Kind, section and field of an error, as the table of refused files names them.
@@ -201,27 +323,32 @@ fn kind(error: &DecodeError) -> (&'static str, &'static str, &'static str) {
     }
 }
 
-#[test]
-fn every_refused_file_is_refused_for_its_reason() {
-    let folder = folder().join("refused");
+/// All files of a folder that must be refused, and why.
+fn refused_files(folder: &Path) -> Vec<(Vec<u8>, Value)> {
     let table: Value = serde_json::from_slice(&fs::read(folder.join("refused.json")).unwrap()).unwrap();
     let table = table["files"].as_array().unwrap();
     let listed: Vec<&str> = table.iter().map(|row| row["file"].as_str().unwrap()).collect();
-    let mut found: Vec<String> = files(&folder).into_iter().map(|(name, _)| format!("{name}.tcgs")).collect();
+    let mut found: Vec<String> = files(folder).into_iter().map(|(name, _)| format!("{name}.tcgs")).collect();
     found.sort_by_key(|name| listed.iter().position(|listed| listed == name));
     assert_eq!(found, listed);
     assert!(listed.len() >= 20);
-    for row in table {
+    let read = |row: &Value| (fs::read(folder.join(row["file"].as_str().unwrap())).unwrap(), row.clone());
+    table.iter().map(read).collect()
+}
+
+#[test]
+fn every_refused_file_is_refused_for_its_reason() {
+    let of_folders = ["refused", "refused_v2"].map(|name| refused_files(&folder().join(name)));
+    for (file, row) in of_folders.into_iter().flatten() {
         let name = row["file"].as_str().unwrap();
-        let file = fs::read(folder.join(name)).unwrap();
-        let error = decode(&file, &DecodeLimits::default()).expect_err(name);
+        let error = decode_cohorts(&file, &DecodeLimits::default()).expect_err(name);
         let expected = ["kind", "section", "field"].map(|key| row[key].as_str().unwrap());
         assert_eq!(<[&str; 3]>::from(kind(&error)), expected, "{name}: {error}");
-        // However the bytes arrive; where segments meet is seen by who joins them.
-        if row["field"] != "keypoints" {
-            let mut decoder = tcgs_codec::Decoder::new(DecodeLimits::default());
-            let refused = file.chunks(13).any(|bytes| decoder.push(bytes).is_err());
-            assert!(refused || !decoder.is_finished(), "{name}");
-        }
+        // However the bytes arrive. Where segments meet, gaps, order, and what cohorts have in common are seen by who reads
+        // the whole file.
+        let is_of_whole = row["field"] == "keypoints" || row["field"] == "attributes" || row["section"] == "file";
+        let mut decoder = tcgs_codec::Decoder::new(DecodeLimits::default());
+        let refused = file.chunks(13).any(|bytes| decoder.push(bytes).is_err());
+        assert!(refused || !decoder.is_finished() || is_of_whole, "{name}");
     }
 }

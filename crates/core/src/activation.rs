@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use crate::columns::select_rows;
 use crate::parallel::{map, map_pairs};
 use crate::{Attribute, GaussianGrads, Gaussians, Real, normalize, normalize_vjp};
 
@@ -27,6 +28,21 @@ impl Activated {
     pub fn num_gaussians(&self) -> usize {
         self.means.len()
     }
+
+    /// The Gaussians at `indices`, in that order.
+    ///
+    /// # Panics
+    /// If an index is out of range.
+    pub fn select(&self, indices: &[usize]) -> Self {
+        Self {
+            means: indices.iter().map(|&i| self.means[i]).collect(),
+            quats: indices.iter().map(|&i| self.quats[i]).collect(),
+            scales: indices.iter().map(|&i| self.scales[i]).collect(),
+            opacities: indices.iter().map(|&i| self.opacities[i]).collect(),
+            colors: select_rows(&self.colors, self.num_channels, indices),
+            num_channels: self.num_channels,
+        }
+    }
 }
 
 /// Gradients with respect to the fields of [`Activated`].
@@ -42,6 +58,24 @@ pub struct ActivatedGrads {
     pub v_opacities: Vec<f32>,
     /// `[N, num_channels]`
     pub v_colors: Vec<f32>,
+}
+
+impl ActivatedGrads {
+    /// The gradients to the Gaussians at `indices`, in that order.
+    ///
+    /// - `num_channels`: of a Gaussian in `v_colors`
+    ///
+    /// # Panics
+    /// If an index is out of range.
+    pub fn select(&self, indices: &[usize], num_channels: usize) -> Self {
+        Self {
+            v_means: indices.iter().map(|&i| self.v_means[i]).collect(),
+            v_quats: indices.iter().map(|&i| self.v_quats[i]).collect(),
+            v_scales: indices.iter().map(|&i| self.v_scales[i]).collect(),
+            v_opacities: indices.iter().map(|&i| self.v_opacities[i]).collect(),
+            v_colors: select_rows(&self.v_colors, num_channels, indices),
+        }
+    }
 }
 
 /// Logistic function.
@@ -62,7 +96,8 @@ pub fn sigmoid_vjp<R: Real>(value: R, v_value: R) -> R {
     v_value * value * (R::one() - value)
 }
 
-/// Activates one timestep for drawing with its three colour channels.
+/// Activates one timestep for drawing with its three colour channels. Colours are those of degree 0, whatever the
+/// direction of view: [`Drawable`](crate::Drawable) adds spherical harmonics of higher degree.
 ///
 /// ```
 /// use tcgs_core::{Gaussians, activate};

@@ -184,6 +184,17 @@ impl<Role> Columns<Role> {
         }
     }
 
+    /// The Gaussians of all `parts`, one part after another.
+    ///
+    /// # Panics
+    /// If a part does not have the columns of `layout`.
+    pub fn concat(layout: &Arc<Layout>, parts: &[Self]) -> Self {
+        assert!(parts.iter().all(|part| part.layout == *layout), "parts of other columns than {layout}");
+        let column = |a: usize| parts.iter().flat_map(|part| &part.values[a]).copied().collect();
+        let values = (0..layout.columns().len()).map(column).collect();
+        Self::new(Arc::clone(layout), parts.iter().map(|part| part.num_gaussians).sum(), values)
+    }
+
     /// The Gaussians at `rows`, in that order; zeros where there is none.
     ///
     /// # Panics

@@ -4,6 +4,7 @@ use std::fmt;
 use std::sync::{Arc, LazyLock};
 
 use crate::Attribute;
+use crate::harmonics::MAX_SH_DEGREE;
 
 /// What turns a stored value into the one that is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -119,6 +120,50 @@ impl Layout {
         Arc::clone(&BASE)
     }
 
+    /// The five columns of [`Attribute::BASE`], then the coefficients of spherical harmonics of degrees 1 to `degree`,
+    /// shared: `sh1[9]`, `sh2[15]`, `sh3[21]`. Colours then depend on the direction of view
+    /// ([`Drawable`](crate::Drawable)).
+    ///
+    /// Within a column the coefficients are in the order of [`harmonics`](crate::harmonics()), red, green and blue of each
+    /// together: `[2 l + 1, 3]`. They do not vary over time, unless a scene's values do.
+    ///
+    /// - `degree`: 0 to [`MAX_SH_DEGREE`]; 0 gives [`Self::base`]
+    ///
+    /// ```
+    /// use tcgs_core::Layout;
+    /// let layout = Layout::with_harmonics(2);
+    /// assert_eq!(layout.to_string(), "means[3] quats[4] log_scales[3] logit_opacities[1] colors[3] sh1[9] sh2[15]");
+    /// assert_eq!((layout.sh_degree(), Layout::base().sh_degree()), (2, 0));
+    /// ```
+    ///
+    /// # Panics
+    /// If `degree` is above [`MAX_SH_DEGREE`].
+    pub fn with_harmonics(degree: usize) -> Arc<Self> {
+        static LAYOUTS: LazyLock<[Arc<Layout>; MAX_SH_DEGREE + 1]> = LazyLock::new(|| {
+            std::array::from_fn(|degree| {
+                let mut layout = Layout::default();
+                for l in 1..=degree {
+                    let column = Column { varies: false, ..Column::like(Attribute::Color) };
+                    layout.push(&band_name(l), 3 * (2 * l + 1), column);
+                }
+                Arc::new(layout)
+            })
+        });
+        assert!(degree <= MAX_SH_DEGREE, "harmonics of degree {degree}, expected at most {MAX_SH_DEGREE}");
+        Arc::clone(&LAYOUTS[degree])
+    }
+
+    /// The columns of spherical harmonics that there are, from degree 1 on without a gap, found by name and size.
+    pub fn harmonics(&self) -> Vec<Attribute> {
+        let band = |l| self.find(&band_name(l)).filter(|band| band.components() == 3 * (2 * l + 1));
+        (1..=MAX_SH_DEGREE).map_while(band).collect()
+    }
+
+    /// Highest degree of the spherical harmonics, 0 without any.
+    pub fn sh_degree(&self) -> usize {
+        self.harmonics().len()
+    }
+
     /// Appends a column.
     ///
     /// - `name`: in files and tables
@@ -191,6 +236,19 @@ impl Layout {
         num_gaussians as u64 * per_gaussian as u64
     }
 
+    /// Size as plain 32-bit floats of a scene in which the number of Gaussians changes: every timestep holds all columns,
+    /// since no Gaussian is known to be another one at another time.
+    ///
+    /// - `num_gaussians`: at every timestep
+    ///
+    /// ```
+    /// assert_eq!(tcgs_core::Layout::base().raw_bytes_of_changing([10, 12]), (10 + 12) * 56);
+    /// ```
+    pub fn raw_bytes_of_changing(&self, num_gaussians: impl IntoIterator<Item = usize>) -> u64 {
+        let bytes = 4 * self.components() as u64;
+        num_gaussians.into_iter().map(|n| n as u64 * bytes).sum()
+    }
+
     /// The first column that is none of [`Attribute::BASE`], if there is one: what formats of five columns cannot hold.
     pub fn further(&self) -> Option<&Column> {
         self.columns.get(Attribute::BASE.len())
@@ -200,6 +258,11 @@ impl Layout {
     pub fn is_base(&self) -> bool {
         *self == *Self::base()
     }
+}
+
+/// Name of the column of the harmonics of degree `l`.
+fn band_name(l: usize) -> String {
+    format!("sh{l}")
 }
 
 impl fmt::Display for Layout {
@@ -231,6 +294,26 @@ mod tests {
     #[should_panic(expected = "a second column means")]
     fn a_name_is_taken_once() {
         Layout::default().push("means", 1, Column::like(Attribute::Color));
+    }
+
+    #[test]
+    fn harmonics_are_found_by_name_and_size() {
+        let sizes = |layout: &Layout| layout.harmonics().iter().map(|band| band.components()).collect::<Vec<_>>();
+        assert_eq!((0..4).map(|d| Layout::with_harmonics(d).sh_degree()).collect::<Vec<_>>(), [0, 1, 2, 3]);
+        assert_eq!(sizes(&Layout::with_harmonics(3)), [9, 15, 21]);
+        assert!(Layout::with_harmonics(0).is_base());
+        let full = Layout::with_harmonics(3);
+        let column = full.column(full.find("sh2").unwrap());
+        assert_eq!((column.activation, &*column.unit, column.varies), (Activation::Identity, "sRGB", false));
+        assert_eq!(full.raw_bytes(10, 3), 10 * (40 * 3 + 16 + 4 * 45));
+
+        // Anywhere among other columns; not with another size, and not beyond a gap.
+        let mut layout = Layout::default();
+        layout.push("wetness", 1, Column::like(Attribute::Color));
+        let sh1 = layout.push("sh1", 9, Column::like(Attribute::Color));
+        layout.push("sh2", 9, Column::like(Attribute::Color));
+        layout.push("sh3", 21, Column::like(Attribute::Color));
+        assert_eq!(layout.harmonics(), [sh1]);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The words every tcgs crate speaks: Gaussians, cameras, views, images and elementwise maths.
 //!
 //! What lives here: the data types that pass between crates, and maths on single elements
-//! (quaternions, activations), generic over [`Real`] so that one source is both run in `f32` and
+//! (quaternions, activations, spherical harmonics), generic over [`Real`] so that one source is both run in `f32` and
 //! differentiated in `f64`; the order of numbered names. What does not: files, rendering, optimisation, compression.
 //!
 //! Conventions: camera space is x right, y down, z forward; pixel centres lie at +0.5; quaternions
@@ -12,8 +12,10 @@ mod attribute;
 mod camera;
 mod camera_path;
 mod columns;
+mod drawable;
 mod dynamic;
 mod extent;
+mod harmonics;
 mod image;
 mod layout;
 mod natural_key;
@@ -29,8 +31,10 @@ pub use attribute::Attribute;
 pub use camera::{Camera, CameraError, Pinhole};
 pub use camera_path::{CameraKeyframe, CameraPath, CameraPathError};
 pub use columns::{BaseColumns, BaseViewsMut, Columns, GaussianGrads, Gaussians, PointCloud, Sensitivity, role};
+pub use drawable::Drawable;
 pub use dynamic::DynamicGaussians;
 pub use extent::Extent;
+pub use harmonics::{HARMONIC_0, MAX_SH_DEGREE, color_in_direction, harmonics};
 pub use image::Image;
 pub use layout::{Activation, Column, Layout, RateGroup};
 pub use natural_key::natural_key;

@@ -15,11 +15,26 @@ pub trait SceneReader {
     /// Which columns its Gaussians have.
     fn layout(&self) -> &Arc<Layout>;
 
-    /// `N`, at every timestep.
+    /// `N`: at every timestep, or where [`Self::num_gaussians_at`] says otherwise the most at any.
     fn num_gaussians(&self) -> usize;
 
     /// `T`.
     fn num_timesteps(&self) -> usize;
+
+    /// Number of Gaussians at one timestep.
+    ///
+    /// # Panics
+    /// If `timestep` is not below [`Self::num_timesteps`], where the number changes.
+    fn num_gaussians_at(&self, timestep: usize) -> usize {
+        let _ = timestep;
+        self.num_gaussians()
+    }
+
+    /// Whether all timesteps have the same number of Gaussians. Where they have not, nothing says which Gaussian of one
+    /// timestep is which of another.
+    fn has_constant_number(&self) -> bool {
+        (0..self.num_timesteps()).all(|timestep| self.num_gaussians_at(timestep) == self.num_gaussians())
+    }
 
     /// The timesteps that come at little more cost together with `timestep`, which is one of them: a segment of a
     /// file. One alone where nothing is shared.
@@ -54,5 +69,47 @@ impl SceneReader for &DynamicGaussians {
 
     fn at(&mut self, timestep: usize) -> Result<Gaussians, Infallible> {
         Ok(DynamicGaussians::at(self, timestep))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As many Gaussians at each timestep as the numbers say.
+    struct Changing(Vec<usize>, Arc<Layout>);
+
+    impl SceneReader for Changing {
+        type Error = Infallible;
+
+        fn layout(&self) -> &Arc<Layout> {
+            &self.1
+        }
+
+        fn num_gaussians(&self) -> usize {
+            self.0.iter().copied().max().unwrap_or(0)
+        }
+
+        fn num_gaussians_at(&self, timestep: usize) -> usize {
+            self.0[timestep]
+        }
+
+        fn num_timesteps(&self) -> usize {
+            self.0.len()
+        }
+
+        fn at(&mut self, timestep: usize) -> Result<Gaussians, Infallible> {
+            Ok(Gaussians::zeros_of(&self.1, self.0[timestep]))
+        }
+    }
+
+    #[test]
+    fn a_number_is_constant_if_all_timesteps_have_it() {
+        let changing = |numbers: &[usize]| Changing(numbers.to_vec(), Layout::base());
+        assert!(changing(&[3, 3]).has_constant_number() && changing(&[]).has_constant_number());
+        assert!(!changing(&[3, 2]).has_constant_number() && !changing(&[2, 3, 3]).has_constant_number());
+        let mut scene = DynamicGaussians::default();
+        scene.push(Gaussians::zeros(4));
+        assert_eq!(((&scene).num_gaussians_at(0), (&scene).has_constant_number()), (4, true));
     }
 }

@@ -39,18 +39,6 @@ pub enum InterchangeError {
         /// What was found, and what was expected.
         problem: String,
     },
-    /// A PLY file has view-dependent colours (spherical harmonics above degree 0), and the caller chose
-    /// [`HigherHarmonics::Refuse`](crate::HigherHarmonics::Refuse).
-    #[error(
-        "{}: has spherical harmonics above degree 0 ({num_rest} properties f_rest), expected colours of degree 0 alone",
-        path.display()
-    )]
-    HigherHarmonics {
-        /// The file.
-        path: PathBuf,
-        /// Number of coefficients above degree 0 of one Gaussian, all three channels together.
-        num_rest: usize,
-    },
     /// A `.npy` file is damaged, of a type that is not supported, or holds a number that is not finite.
     #[error("{}: {problem}", path.display())]
     Npy {

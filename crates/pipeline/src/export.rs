@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-use tcgs_core::{Attribute, Gaussians, Layout, SceneReader};
+use tcgs_core::{Attribute, Column, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{ParamsExtras, ParamsOrigin, write_params_npz_from, write_ply_to};
 
 use crate::observe::tell;
@@ -38,38 +38,23 @@ const MAX_FRAME_OF_PARAMS: usize = 1 << 24;
 #[derive(Debug)]
 pub struct Export<'a> {
     scene: &'a OpenScene,
-    keep: Vec<usize>,
+    /// Of a run, those that its masks leave; none: all.
+    keep: Option<Vec<usize>>,
 }
 
 impl<'a> Export<'a> {
     /// Decides which Gaussians stay.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if the masks of a run leave none, or the scene has a column that no other program's files hold; [`PipelineError`] if a file of the scene is damaged.
+    /// [`PipelineError::Input`] if the masks of a run leave none; [`PipelineError`] if a file of the scene is damaged.
     pub fn new(scene: &'a OpenScene) -> Result<Self, PipelineError> {
-        let keep = kept_gaussians(scene, None)?;
-        if let Some(column) = scene.layout().further() {
-            let found = format!("has the column {}, which neither a params.npz nor PLY files hold", column.name);
-            return Err(PipelineError::input(
-                scene.path.display(),
-                found,
-                "means, quats, log_scales, logit_opacities and colors",
-            ));
-        }
+        let keep = scene.run().map(|_| kept_gaussians(scene, None)).transpose()?;
         Ok(Self { scene, keep })
     }
 
-    /// How many Gaussians stay.
+    /// How many Gaussians stay; the most at any timestep where the number changes.
     pub fn num_gaussians(&self) -> usize {
-        self.keep.len()
-    }
-
-    /// Refuses a scene without Gaussians, which other programs do not read.
-    fn check_some(&self) -> Result<(), PipelineError> {
-        if self.keep.is_empty() {
-            return Err(PipelineError::input(self.scene.path.display(), "has no Gaussians", "at least one"));
-        }
-        Ok(())
+        self.keep.as_ref().map_or(self.scene.num_gaussians(), Vec::len)
     }
 
     /// The Gaussians that stay, at one frame.
@@ -79,21 +64,77 @@ impl<'a> Export<'a> {
     pub fn gaussians(&self, frame: usize) -> Result<Gaussians, PipelineError> {
         self.scene.choose_frames(Some(&(frame..frame + 1)))?;
         let gaussians = self.scene.at(frame - self.scene.first_frame)?;
-        Ok(if self.keep.len() < gaussians.num_gaussians() { gaussians.select(&self.keep) } else { gaussians })
+        Ok(match &self.keep {
+            Some(keep) if keep.len() < gaussians.num_gaussians() => gaussians.select(keep),
+            _ => gaussians,
+        })
+    }
+
+    /// Refuses a scene without Gaussians, which other programs do not read.
+    fn check_some(&self) -> Result<(), PipelineError> {
+        if self.num_gaussians() == 0 {
+            return Err(PipelineError::input(self.scene.path.display(), "has no Gaussians", "at least one"));
+        }
+        Ok(())
+    }
+
+    /// [`Self::gaussians`], of which there must be some.
+    fn some_gaussians(&self, frame: usize) -> Result<Gaussians, PipelineError> {
+        let gaussians = self.gaussians(frame)?;
+        if gaussians.num_gaussians() == 0 {
+            let found = format!("has no Gaussians at frame {frame}");
+            return Err(PipelineError::input(self.scene.path.display(), found, "at least one"));
+        }
+        Ok(gaussians)
+    }
+
+    /// The refusal of a column that a kind of file has no place for.
+    fn refuse_column(&self, column: &Column, kind: &str, expected: &str) -> PipelineError {
+        let found = format!("has the column {}, which {kind} cannot hold", column.name);
+        PipelineError::input(self.scene.path.display(), found, expected)
+    }
+
+    /// Refuses what PLY files have no place for: no Gaussians, and columns of other kinds.
+    fn check_ply(&self) -> Result<(), PipelineError> {
+        self.check_some()?;
+        let layout = self.scene.layout();
+        let harmonics = layout.harmonics();
+        let further = &layout.columns()[Attribute::BASE.len()..];
+        match further.iter().find(|column| !harmonics.contains(&column.attribute)) {
+            Some(column) => {
+                let expected = "means, quats, log_scales, logit_opacities, colors and spherical harmonics";
+                Err(self.refuse_column(column, "a PLY file", expected))
+            }
+            None => Ok(()),
+        }
     }
 
     /// The arrays of a `params.npz` of some frames.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if there are no Gaussians, scales or opacities vary with time or the first frame's number is too large, neither
-    /// of which a `params.npz` can hold; [`PipelineError`] if a frame is missing or cannot be read.
+    /// [`PipelineError::Input`] if there are no Gaussians, or if something is not as a `params.npz` holds it: their number
+    /// changes, there are spherical harmonics, scales or opacities vary with time, or the first frame's number is too
+    /// large; [`PipelineError`] if a frame is missing or cannot be read.
     pub fn params(&self, frames: Range<usize>) -> Result<ExportedParams<'_>, PipelineError> {
         let scene = self.scene;
         self.check_some()?;
+        if let Some(column) = scene.layout().further() {
+            let expected =
+                "means, quats, log_scales, logit_opacities and colors, or a folder of PLY files to export to";
+            return Err(self.refuse_column(column, "a params.npz", expected));
+        }
         let frames = scene.choose_frames(Some(&frames))?;
-        let first = self.gaussians(frames.start)?;
+        let first = self.some_gaussians(frames.start)?;
         for frame in frames.start + 1..frames.end {
             let gaussians = self.gaussians(frame)?;
+            let [found, expected] = [&gaussians, &first].map(Gaussians::num_gaussians);
+            if found != expected {
+                let found = format!(
+                    "has {expected} Gaussians at frame {} and {found} at frame {frame}, which a params.npz cannot hold",
+                    frames.start
+                );
+                return Err(PipelineError::input(scene.path.display(), found, "a folder of PLY files to export to"));
+            }
             for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
                 if gaussians.values(attribute) != first.values(attribute) {
                     let found = format!("{} vary with time, which a params.npz cannot hold", attribute.name());
@@ -113,25 +154,30 @@ impl<'a> Export<'a> {
         }
         let foreground = scene.first_checkpoint().map(|first| {
             let foreground = &first.parameters.foreground;
-            self.keep.iter().map(|&i| foreground[i]).collect()
+            match &self.keep {
+                Some(keep) => keep.iter().map(|&i| foreground[i]).collect(),
+                None => foreground.clone(),
+            }
         });
-        Ok(ExportedParams { export: self, frames, foreground })
+        Ok(ExportedParams { export: self, frames, num_gaussians: first.num_gaussians(), foreground })
     }
 
     /// Writes one frame as a PLY file.
     ///
     /// # Errors
+    /// [`PipelineError::Input`] if there are no Gaussians, or the scene has a column that PLY files do not hold;
     /// [`PipelineError`] if the frame is missing or cannot be read.
     pub fn ply(&self, frame: usize) -> Result<impl Fn(&File) -> io::Result<()> + use<>, PipelineError> {
-        self.check_some()?;
-        let gaussians = self.gaussians(frame)?;
+        self.check_ply()?;
+        let gaussians = self.some_gaussians(frame)?;
         Ok(move |file: &File| write_ply(file, &gaussians))
     }
 
     /// Plain floats, bit for bit as they are stored: for each frame all means, quats, log_scales, logit_opacities and
-    /// colors, each `[N, components]`, as little-endian binary32 (`docs/FORMAT.md`, "Conformance").
+    /// colors, then the further columns in the order of the layout, each `[N, components]`, as little-endian binary32
+    /// (`docs/FORMAT.md`, "Conformance").
     ///
-    /// - returns: `[N * 14 * 4]` bytes a frame, or why the frame cannot be read
+    /// - returns: `[N * 14 * 4]` bytes a frame of a scene without further columns, or why the frame cannot be read
     ///
     /// # Errors
     /// [`PipelineError::Frames`] if the scene lacks a frame.
@@ -140,7 +186,7 @@ impl<'a> Export<'a> {
         frames: Range<usize>,
     ) -> Result<impl Iterator<Item = Result<Vec<u8>, PipelineError>>, PipelineError> {
         let bytes = |gaussians: Gaussians| {
-            let values = Attribute::BASE.into_iter().flat_map(|a| gaussians.values(a).iter());
+            let values = gaussians.layout().attributes().flat_map(|a| gaussians.values(a).iter());
             values.flat_map(|x| x.to_le_bytes()).collect()
         };
         Ok(self.scene.choose_frames(Some(&frames))?.map(move |frame| self.gaussians(frame).map(bytes)))
@@ -152,21 +198,20 @@ impl<'a> Export<'a> {
     /// - returns: bytes written
     ///
     /// # Errors
-    /// [`PipelineError::Unwritable`] if a file cannot be written; [`PipelineError`] if a frame is missing or cannot be
-    /// read; [`PipelineError::Stopped`] if the observer broke off.
+    /// As [`Self::ply`]; [`PipelineError::Unwritable`] if a file cannot be written; [`PipelineError::Stopped`] if the observer broke off.
     pub fn write_ply_folder(
         &self,
         frames: Range<usize>,
         folder: &Path,
         observer: &mut dyn Observer,
     ) -> Result<u64, PipelineError> {
-        self.check_some()?;
+        self.check_ply()?;
         let frames = self.scene.choose_frames(Some(&frames))?;
         tell(observer, Event::Begun { work: Work::Exporting, num_steps: frames.len() })?;
         let mut bytes = 0;
         for frame in frames {
             let path = folder.join(format!("{frame:06}.ply"));
-            let gaussians = self.gaussians(frame)?;
+            let gaussians = self.some_gaussians(frame)?;
             let written = File::create(&path).and_then(|file| {
                 write_ply(&file, &gaussians)?;
                 Ok(file.metadata()?.len())
@@ -183,6 +228,7 @@ impl<'a> Export<'a> {
 pub struct ExportedParams<'a> {
     export: &'a Export<'a>,
     frames: Range<usize>,
+    num_gaussians: usize,
     /// `[N]`, of a run.
     foreground: Option<Vec<bool>>,
 }
@@ -198,7 +244,7 @@ impl SceneReader for Frames<'_> {
     }
 
     fn num_gaussians(&self) -> usize {
-        self.0.export.keep.len()
+        self.0.num_gaussians
     }
 
     fn num_timesteps(&self) -> usize {

@@ -30,7 +30,7 @@
 //! let trainer = new_trainer(&config, &capture, &Backend::Cpu)?;
 //! let mut timesteps = 0;
 //! fit(&capture, &run, trainer, &mut |event: &Event| {
-//!     timesteps += usize::from(matches!(event, Event::Timestep(_)));
+//!     timesteps += usize::from(matches!(event, Event::Timestep { .. }));
 //!     ControlFlow::Continue(())
 //! })?;
 //! assert_eq!(timesteps, 2);

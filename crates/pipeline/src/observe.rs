@@ -11,11 +11,11 @@ use crate::error::PipelineError;
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub enum Event<'a> {
-    /// A part of the work begins; it has `num_steps` steps, each of which is told when it is done.
+    /// A part of the work begins.
     Begun {
         /// Which part.
         work: Work,
-        /// How many steps it has.
+        /// How many steps it has; [`Work`] says what a step is.
         num_steps: usize,
     },
     /// A training starts from fewer points than a scene needs to become dense.
@@ -32,10 +32,20 @@ pub enum Event<'a> {
         /// What is wrong with it.
         problem: &'a str,
     },
-    /// A step of [`Work::Training`]: an iteration.
-    Iteration(&'a Progress),
+    /// An iteration of [`Work::Training`] is computed.
+    Iteration {
+        /// The iteration.
+        progress: &'a Progress,
+        /// Steps of the work that are done.
+        num_done: usize,
+    },
     /// A timestep is trained: its metrics and its checkpoint are on the disk.
-    Timestep(&'a TimestepSummary),
+    Timestep {
+        /// The timestep.
+        summary: &'a TimestepSummary,
+        /// Steps of the work that are done.
+        num_done: usize,
+    },
     /// A search for a target tried a setting.
     Tried(&'a Trial),
     /// A step of any other work: an image of this frame is done.
@@ -84,13 +94,14 @@ impl Trial {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Work {
-    /// Iterations of all timesteps.
+    /// Timesteps are trained. A step is one of the iterations that the settings give to a timestep. A timestep may take
+    /// fewer; all of its steps are done when it ends.
     Training,
-    /// Images that are rendered and compared.
+    /// Images are rendered and compared. A step is an image.
     Evaluating,
-    /// Images that are rendered.
+    /// Images are rendered. A step is an image.
     Rendering,
-    /// Timesteps that are written for other programs.
+    /// Timesteps are written for other programs. A step is a timestep.
     Exporting,
 }
 

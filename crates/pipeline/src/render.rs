@@ -1,10 +1,9 @@
 //! Rendering a scene with the cameras of a capture, on a tour around it, or along a saved path.
 
 use std::ops::Range;
-use std::sync::Arc;
 
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Activated, Camera, CameraPath, Image, Tour};
+use tcgs_core::{Camera, CameraPath, Drawable, Image, Tour};
 use tcgs_render::{DrawAny, RenderSettings};
 
 use crate::observe::tell;
@@ -108,17 +107,17 @@ pub fn render<E: From<PipelineError>>(
     mut take: impl FnMut(&CameraAt, Image) -> Result<(), E>,
 ) -> Result<(), E> {
     tell(observer, Event::Begun { work: Work::Rendering, num_steps: cameras.len() })?;
-    let mut drawn: Option<(usize, Arc<Activated>)> = None;
+    let mut drawn: Option<(usize, Drawable)> = None;
     for at in cameras {
-        let gaussians = match &drawn {
-            Some((frame, gaussians)) if *frame == at.frame => Arc::clone(gaussians),
+        let gaussians = match drawn.take() {
+            Some((frame, gaussians)) if frame == at.frame => gaussians,
             _ => {
                 scene.choose_frames(Some(&(at.frame..at.frame + 1)))?;
                 scene.drawn(at.frame - scene.first_frame)?
             }
         };
-        let (output, _) =
-            renderer.draw(&gaussians, &at.camera, &RenderSettings::default()).map_err(PipelineError::from)?;
+        let seen = gaussians.seen_by(&at.camera);
+        let (output, _) = renderer.draw(&seen, &at.camera, &RenderSettings::default()).map_err(PipelineError::from)?;
         take(at, output.image)?;
         drawn = Some((at.frame, gaussians));
         tell(observer, Event::Frame(at.frame))?;

@@ -47,7 +47,7 @@ fn a_segment_of_a_file_is_decoded_alone() {
     let options = CompressOptions { keypoints, ..CompressOptions::default() };
     let compressed = compress_scene(&open(&files().join("run")), &options).unwrap();
     let mut file = compressed.file;
-    let segments = inspect(&file, &DecodeLimits::default()).unwrap().segments;
+    let segments = inspect(&file, &DecodeLimits::default()).unwrap().cohorts[0].segments.clone();
     assert_eq!(segments.len(), 3);
     file[(segments[1].1.start + segments[1].1.end) as usize / 2] ^= 1;
     fs::write(&path, &file).unwrap();

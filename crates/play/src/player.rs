@@ -7,7 +7,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use tcgs_codec::{Archive, DecodeLimits, Eviction, MAGIC, Opening, Playback, Segment, SegmentCache};
+use tcgs_codec::{Archive, Cohort, DecodeLimits, Eviction, MAGIC, Opening, Playback, Segment, SegmentCache};
 
 use crate::clock::Clock;
 use crate::error::PlayError;
@@ -89,6 +89,7 @@ pub struct Player<S> {
 #[derive(Debug)]
 struct OpenFile {
     archive: Archive,
+    cohort: Cohort,
     cache: SegmentCache,
     clock: Clock,
     application_data: Vec<(String, Vec<u8>)>,
@@ -97,7 +98,7 @@ struct OpenFile {
 impl OpenFile {
     fn playback(&self) -> Playback {
         Playback {
-            now: self.archive.segment_at(self.clock.timestep()),
+            now: self.cohort.segment_at(self.clock.timestep()),
             is_backwards: self.clock.is_backwards(),
             is_looping: self.clock.is_looping(),
         }
@@ -108,20 +109,20 @@ impl OpenFile {
     /// - `range`: where `bytes` lie in the file; it ends where the shared part ends
     fn read_shared(&mut self, range: &Range<u64>, bytes: &[u8]) -> Result<(), PlayError> {
         let at = |position: u64| (position - range.start) as usize;
-        let shared = self.archive.shared_range(self.archive.num_layers());
+        let shared = self.cohort.shared_range(self.cohort.num_layers());
         for (index, data) in self.archive.application_ranges().into_iter().enumerate() {
             if range.start <= data.start && data.end <= shared.start {
                 let read = self.archive.read_application(index, &bytes[at(data.start)..at(data.end)])?;
                 self.application_data.extend(read.map(|(name, bytes)| (name, bytes.to_vec())));
             }
         }
-        self.archive.read_shared(&bytes[at(shared.start)..])?;
+        self.cohort.read_shared(&bytes[at(shared.start)..])?;
         Ok(())
     }
 
     fn current(&self) -> Option<(&Arc<Segment>, usize)> {
         let timestep = self.clock.timestep();
-        self.cache.get(self.archive.segment_at(timestep)).map(|segment| (segment, timestep))
+        self.cache.get(self.cohort.segment_at(timestep)).map(|segment| (segment, timestep))
     }
 }
 
@@ -260,7 +261,10 @@ impl<S: RangeSource> Player<S> {
     fn read_tables(&mut self, bytes: &[u8], is_all: bool, now_ms: f64) -> Result<(), PlayError> {
         self.start.extend_from_slice(bytes);
         self.start_is_all = is_all;
-        let Opening::Ready(archive) = self.open_archive()? else { return Ok(()) };
+        let Opening::Ready(mut archive) = self.open_archive()? else { return Ok(()) };
+        if archive.version() > 1 {
+            return Err(PlayError::NewerVersion { found: archive.version(), expected: 1 });
+        }
         let (expected, found) = (archive.file_bytes(), self.source.length());
         if let Some(found) = found.filter(|&found| found < expected) {
             return Err(PlayError::Truncated { found, expected });
@@ -269,8 +273,9 @@ impl<S: RangeSource> Player<S> {
         let mut clock = Clock::new(info.num_timesteps as usize, info.frame_rate.into());
         clock.seek(self.first_timestep);
         clock.hold(now_ms);
-        let cache = SegmentCache::new(archive.num_segments(), self.settings.max_segment_bytes);
-        self.file = Some(OpenFile { archive: *archive, cache, clock, application_data: Vec::new() });
+        let cohort = archive.open_cohort(0, &[])?;
+        let cache = SegmentCache::new(cohort.num_segments(), self.settings.max_segment_bytes);
+        self.file = Some(OpenFile { archive: *archive, cohort, cache, clock, application_data: Vec::new() });
         Ok(())
     }
 
@@ -287,7 +292,7 @@ impl<S: RangeSource> Player<S> {
         let Some(file) = &mut self.file else { return Ok(()) };
         let eviction = Eviction::FarthestAhead(file.playback());
         file.cache.make_room(segment, eviction);
-        let segment = file.archive.read_segment(segment, bytes)?;
+        let segment = file.cohort.read_segment(segment, bytes)?;
         file.cache.insert(Arc::new(segment), eviction);
         Ok(())
     }
@@ -318,7 +323,7 @@ impl<S: RangeSource> Player<S> {
 
     /// The part that is needed most, and where it lies in the file; none if there is nothing to fetch.
     fn next_part(&self) -> Result<Option<(FilePart, Range<u64>)>, PlayError> {
-        let Some(OpenFile { archive, cache, .. }) = &self.file else {
+        let Some(OpenFile { archive, cohort, cache, .. }) = &self.file else {
             let known = self.start.len() as u64;
             let needed = match self.open_archive()? {
                 Opening::More(needed) => needed,
@@ -330,9 +335,9 @@ impl<S: RangeSource> Player<S> {
             let end = if known == 0 { self.settings.opening_bytes.max(needed) } else { needed };
             return Ok(Some((FilePart::Tables, known..end)));
         };
-        let layers = archive.num_layers();
-        if archive.layers_read() < layers {
-            let mut range = archive.shared_range(layers);
+        let layers = cohort.num_layers();
+        if cohort.layers_read() < layers {
+            let mut range = cohort.shared_range(layers);
             // The data of applications, which lie between the tables and the shared part, come along.
             let before = archive.application_ranges().into_iter().map(|data| data.start).min();
             if let Some(before) =
@@ -344,6 +349,6 @@ impl<S: RangeSource> Player<S> {
         }
         let playback = self.file.as_ref().map(OpenFile::playback);
         let segment = playback.and_then(|playback| cache.prefetch(playback));
-        Ok(segment.map(|segment| (FilePart::Segment(segment), archive.segment_range(segment, layers))))
+        Ok(segment.map(|segment| (FilePart::Segment(segment), cohort.segment_range(segment, layers))))
     }
 }

@@ -5,13 +5,14 @@
 mod support;
 
 use support::{Behaviour, Network, room_file, settings, small_file, wait};
-use tcgs_codec::{Archive, CompressSettings, DecodeLimits, Opening, decode};
+use tcgs_codec::{Archive, Cohort, CompressSettings, DecodeLimits, Opening, decode};
 use tcgs_core::Gaussians;
 use tcgs_play::{BytesSource, FileSource, PlayError, Player, PlayerSettings, RangeSource, SourceError};
 
-fn archive(file: &[u8]) -> Archive {
+/// The only cohort of a file of version 1.
+fn cohort(file: &[u8]) -> Cohort {
     match Archive::open(file, &DecodeLimits::default()).unwrap() {
-        Opening::Ready(archive) => *archive,
+        Opening::Ready(mut archive) => archive.open_cohort(0, &[]).unwrap(),
         Opening::More(more) => panic!("{more} of {} bytes", file.len()),
     }
 }
@@ -136,9 +137,9 @@ fn a_stall_holds_the_clock_and_nothing_else() {
 fn opening_at_the_last_timestep_fetches_tables_shared_part_and_one_segment() {
     // Larger than the first request.
     let file = room_file(4000, 60, &CompressSettings { segment_length: Some(6), ..Default::default() });
-    let archive = archive(&file);
-    let (layers, last) = (archive.num_layers(), archive.num_segments() - 1);
-    let (shared, segment) = (archive.shared_range(layers), archive.segment_range(last, layers));
+    let cohort = cohort(&file);
+    let (layers, last) = (cohort.num_layers(), cohort.num_segments() - 1);
+    let (shared, segment) = (cohort.shared_range(layers), cohort.segment_range(last, layers));
     let opening = PlayerSettings::default().opening_bytes;
     assert!(opening < shared.end && shared.end < segment.start && last == 9);
 
@@ -164,7 +165,7 @@ fn opening_at_the_last_timestep_fetches_tables_shared_part_and_one_segment() {
     for _ in 0..100 {
         player.update(now).unwrap();
     }
-    let rest: Vec<_> = (0..last).map(|s| archive.segment_range(s, layers)).collect();
+    let rest: Vec<_> = (0..last).map(|s| cohort.segment_range(s, layers)).collect();
     assert_eq!(log.ranges()[3..], rest);
     assert_eq!(player.bytes_loaded(), file.len() as u64);
 }
@@ -185,7 +186,7 @@ fn a_small_file_takes_one_request() {
 #[test]
 fn the_memory_bound_holds_over_a_long_loop() {
     let file = small_file();
-    let archive = archive(&file);
+    let cohort = cohort(&file);
     let largest = {
         let mut player = Player::new(BytesSource::new(&file[..]), settings(1 << 30), 0);
         let mut now = 0.0;
@@ -198,7 +199,7 @@ fn the_memory_bound_holds_over_a_long_loop() {
             .max()
             .unwrap()
     };
-    assert_eq!(archive.num_segments(), 8);
+    assert_eq!(cohort.num_segments(), 8);
     for (segments, speed) in [(2, 1.0), (3, -1.0), (5, 4.0)] {
         let bound = segments * largest;
         let mut now = 0.0;
@@ -240,8 +241,8 @@ fn failure(source: impl RangeSource) -> PlayError {
 #[test]
 fn an_early_end_is_told_with_both_lengths() {
     let file = small_file();
-    let archive = archive(&file);
-    let shared = archive.shared_range(archive.num_layers());
+    let cohort = cohort(&file);
+    let shared = cohort.shared_range(cohort.num_layers());
     let len = file.len() as u64;
     for ends_at in [0, 10, 40, shared.start, shared.end - 1, shared.end + 5, len - 1] {
         for hides_length in [false, true] {
@@ -263,12 +264,12 @@ fn what_is_no_scene_is_told_apart() {
     assert_eq!(failure_of(b"PK\x03\x04").code().as_str(), "not-tcgs");
     let mut newer = file.clone();
     newer[4] = 9;
-    assert!(matches!(failure_of(&newer), PlayError::NewerVersion { found: 9, expected: 1 }));
+    assert!(matches!(failure_of(&newer), PlayError::NewerVersion { found: 9, expected: 2 }));
     assert_eq!(failure_of(&newer).code().as_str(), "newer-version");
     // A flipped bit in the tables, the shared part, the first segment.
-    let archive = archive(&file);
-    let layers = archive.num_layers();
-    for at in [20, archive.shared_range(layers).start + 3, archive.segment_range(0, layers).start + 3] {
+    let cohort = cohort(&file);
+    let layers = cohort.num_layers();
+    for at in [20, cohort.shared_range(layers).start + 3, cohort.segment_range(0, layers).start + 3] {
         let mut damaged = file.clone();
         damaged[at as usize] ^= 4;
         let error = failure_of(&damaged);
@@ -319,8 +320,8 @@ struct Breaks {
 
 impl Breaks {
     fn new(file: &[u8], breaks: usize) -> Self {
-        let archive = archive(file);
-        let last = archive.segment_range(archive.num_segments() - 1, 0).start;
+        let cohort = cohort(file);
+        let last = cohort.segment_range(cohort.num_segments() - 1, 0).start;
         Self { inner: BytesSource::new(file), breaks, last, is_last: false }
     }
 }

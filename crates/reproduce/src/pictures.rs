@@ -58,7 +58,8 @@ pub fn grids(
                     ))
                 })?;
                 let drawn = model.drawn(frame - model.first_frame)?;
-                let (output, _) = renderer.draw(&drawn, &view.camera, &RenderSettings::default())?;
+                let (output, _) =
+                    renderer.draw(&drawn.seen_by(&view.camera), &view.camera, &RenderSettings::default())?;
                 if names.len() == 1 {
                     let truths = columns.first_mut();
                     match truths {

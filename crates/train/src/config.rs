@@ -494,6 +494,9 @@ impl TrainConfig {
         if self.data.downscale == 0 {
             return refuse("data.downscale", "0".into(), "at least 1");
         }
+        if self.gate.pace < 1.0 {
+            return refuse("gate.pace", self.gate.pace.to_string(), "1 or more");
+        }
         if self.densify.interval == 0 || self.mask.prune_interval == 0 {
             return refuse("densify.interval or mask.prune_interval", "0".into(), "at least 1");
         }
@@ -559,6 +562,7 @@ mod tests {
             ("quantize.bit_map", "cubic", "not a configuration"),
             ("weights.rigid", "nan", "weights.rigid is NaN, expected a finite number"),
             ("rates.mean", "-1.0", "rates.mean is -1, expected"),
+            ("gate.pace", "0.5", "gate.pace is 0.5, expected 1 or more"),
         ] {
             let error = config.clone().set(key, value).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");

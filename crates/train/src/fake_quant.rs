@@ -4,10 +4,11 @@
 
 use multiversion::multiversion;
 use rayon::prelude::*;
-use tcgs_codec::{BitMap, CompressError, Quantizer, Quantizers};
+use tcgs_codec::{BitMap, BitMapping, BitSettings, CompressError, Quantizer, Quantizers};
 use tcgs_core::{Attribute, GaussianGrads, Gaussians, Layout};
 
 use crate::adam::Moments;
+use crate::config::{BitMapKind, TrainConfig};
 
 /// A quantizer's step never falls below this share of where it started.
 pub(crate) const MIN_STEP_SHARE: f32 = 0.1;
@@ -54,6 +55,21 @@ pub fn fake_quant_vjp(x: f32, q: &Quantizer, v_y: f32) -> (f32, f32, f32) {
 pub fn step_gradient_scale(bits: u8, numel: usize) -> f32 {
     let high = f64::from((1_u32 << (bits - 1)) - 1).max(1.0);
     (1.0 / (high * numel.max(1) as f64).sqrt()) as f32
+}
+
+/// The settings of a run's mixed-precision quantisation ([`TrainConfig::quantize`]) as the codec takes them.
+pub fn bit_settings(config: &TrainConfig) -> BitSettings {
+    let q = &config.quantize;
+    BitSettings {
+        min_bits: q.min_bits,
+        max_bits: q.max_bits,
+        mean_bits: q.mean_bits,
+        position_bits: q.position_bits,
+        mapping: match q.bit_map {
+            BitMapKind::Log => BitMapping::Log,
+            BitMapKind::Linear => BitMapping::Linear,
+        },
+    }
 }
 
 /// The columns that are quantised while training; positions are quantised afterwards.

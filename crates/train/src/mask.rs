@@ -1,4 +1,4 @@
-//! Learned masks, paper Eq. 1 to 5.
+//! Learned masks, paper Eq. 1 to 6.
 
 use tcgs_core::{Real, sigmoid, sigmoid_vjp};
 
@@ -66,6 +66,40 @@ pub fn mask_consistency_loss<R: Real>(logits: &[R], previous: &[R], mut accumula
         }
     }
     sum / logits.len().max(1) as f64
+}
+
+/// Which Gaussians of a checkpoint are not drawn: those whose mask (paper Eq. 1) is 0.
+///
+/// - `mask_logits`: `[N]`
+/// - `threshold`: `ε`, in `[0, 1)`
+/// - returns: `[N]`
+pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
+    mask_logits.iter().map(|&m| mask(m, threshold) == 0.0).collect()
+}
+
+/// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. 6.
+///
+/// - `mask_logits`: of every timestep `[N]`; taken one after another, so that none but the last has to be in memory
+/// - returns: `[N]`, in (0, 1); empty of no timesteps
+///
+/// # Panics
+/// If the timesteps have different numbers of Gaussians.
+///
+/// ```
+/// assert_eq!(tcgs_train::mean_masks([vec![0.0, 40.0], vec![0.0, 40.0]]), [0.5, 1.0]);
+/// ```
+pub fn mean_masks<L: AsRef<[f32]>>(mask_logits: impl IntoIterator<Item = L>) -> Vec<f32> {
+    let (mut sums, mut num_timesteps) = (Vec::new(), 0_usize);
+    for logits in mask_logits {
+        let logits = logits.as_ref();
+        if num_timesteps == 0 {
+            sums = vec![0.0; logits.len()];
+        }
+        assert_eq!(logits.len(), sums.len(), "mask logits: [{}] after [{}]", logits.len(), sums.len());
+        sums.iter_mut().zip(logits).for_each(|(sum, &logit)| *sum += sigmoid(logit));
+        num_timesteps += 1;
+    }
+    sums.into_iter().map(|sum: f32| sum / num_timesteps as f32).collect()
 }
 
 #[cfg(test)]

@@ -58,11 +58,20 @@ impl Past {
     ///
     /// - `is_foreground`: of the rows taken
     pub(crate) fn gather(&mut self, indices: &[usize], is_foreground: &[bool]) {
-        self.first = Arc::new(self.first.select(indices));
-        self.neighbors = Arc::new(Neighbors::new(&self.first.means, is_foreground));
-        self.previous = self.previous.select(indices);
-        if let Some(logits) = &mut self.previous_mask_logits {
-            *logits = indices.iter().map(|&i| logits[i]).collect();
+        *self = self.select(indices, |first| Neighbors::new(&first.means, is_foreground));
+    }
+
+    /// The past of the rows at `indices`.
+    ///
+    /// - `neighbors`: finds neighbours among these rows, by their poses at the first timestep
+    pub(crate) fn select(&self, indices: &[usize], neighbors: impl FnOnce(&Pose) -> Neighbors<f32>) -> Self {
+        let first = self.first.select(indices);
+        let logits = self.previous_mask_logits.as_ref();
+        Self {
+            neighbors: Arc::new(neighbors(&first)),
+            first: Arc::new(first),
+            previous: self.previous.select(indices),
+            previous_mask_logits: logits.map(|logits| indices.iter().map(|&i| logits[i]).collect()),
         }
     }
 }

@@ -43,7 +43,7 @@ fn views(frame: usize) -> Vec<View> {
 
 fn config(first: usize, rest: usize) -> TrainConfig {
     let mut config = TrainConfig::default();
-    // The GPU engine trains everything.
+    // The GPU engine trains everything; the CPU engine, which it is compared with, shall do so too.
     config.gate.enabled = false;
     (config.schedule.first_iterations, config.schedule.rest_iterations) = (first, rest);
     config

@@ -11,8 +11,8 @@ use tcgs_render::StageTimes;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::{Engine, Scenery, Step, Target};
 use tcgs_train::{
-    DensifyStep, GradientStatistic, LossTerms, MaskConfig, Parameters, Run, State, TrainConfig, TrainError, Trainer,
-    densify, reset_opacities,
+    DensifyStep, GateRecord, GradientStatistic, LossTerms, MaskConfig, Parameters, Run, State, TrainConfig, TrainError,
+    Trained, Trainer, densify, reset_opacities,
 };
 
 fn capture() -> &'static Capture {
@@ -148,11 +148,18 @@ fn threads_and_resuming_do_not_change_a_bit() {
     assert_eq!(run.trained().unwrap().scene.num_timesteps(), 4);
 }
 
-/// The CPU, whose losses become known late, as those of a GPU do.
+/// The CPU engine, whose losses become known late, as those of a GPU do.
 #[derive(Debug)]
 struct Late {
     cpu: CpuEngine,
     known: Vec<LossTerms>,
+    takes_scenery: bool,
+}
+
+impl Late {
+    fn boxed(state: State, takes_scenery: bool) -> Box<dyn Engine> {
+        Box::new(Self { cpu: CpuEngine::new(state), known: Vec::new(), takes_scenery })
+    }
 }
 
 impl Engine for Late {
@@ -161,7 +168,7 @@ impl Engine for Late {
     }
 
     fn takes_scenery(&self) -> bool {
-        self.cpu.takes_scenery()
+        self.takes_scenery
     }
 
     fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError> {
@@ -220,11 +227,38 @@ fn an_engine_may_run_behind() {
         }
         (told, trainer.checkpoint().unwrap())
     };
-    let late = |state| -> Box<dyn Engine> { Box::new(Late { cpu: CpuEngine::new(state), known: Vec::new() }) };
     let (told, checkpoint) = fit(trainer(&config));
     assert_eq!(told.len(), 135);
-    let behind = fit(Trainer::with_engine(&config, &cloud, &cameras, late).unwrap());
+    let behind = fit(Trainer::with_engine(&config, &cloud, &cameras, |state| Late::boxed(state, true)).unwrap());
     assert!(behind == (told, checkpoint));
+}
+
+#[test]
+fn an_engine_that_trains_everything_has_no_gate() {
+    let mut gated = config();
+    (gated.schedule.first_iterations, gated.schedule.rest_iterations) = (60, 15);
+    assert!(gated.gate.enabled);
+    let mut ungated = gated.clone();
+    ungated.gate.enabled = false;
+    let cameras: Vec<Camera> = views(0).into_iter().map(|v| v.camera).collect();
+    let cloud = capture().point_cloud().unwrap();
+    let trained = |config: &TrainConfig, takes_scenery: bool| {
+        let make = |state| Late::boxed(state, takes_scenery);
+        let mut trainer = Trainer::with_engine(config, &cloud, &cameras, make).unwrap();
+        let checkpoints = [0, 1].map(|frame| {
+            trainer.fit(&views(frame), &mut |_| ControlFlow::Continue(())).unwrap();
+            trainer.checkpoint().unwrap()
+        });
+        let [first, last] = &checkpoints;
+        let needs_recall = Trainer::resume(config, first, first, last, 2, make).needs_recall();
+        (trainer.trained(), needs_recall, checkpoints)
+    };
+    let (everything, needs_recall, checkpoints) = trained(&gated, false);
+    assert_eq!((everything, needs_recall), (Trained::ALL, false));
+    assert!(checkpoints.iter().all(|checkpoint| checkpoint.gate == GateRecord::default()));
+    assert!(trained(&ungated, true) == (everything, needs_recall, checkpoints));
+    let (_, needs_recall, checkpoints) = trained(&gated, true);
+    assert!(needs_recall && checkpoints.iter().all(|checkpoint| checkpoint.gate != GateRecord::default()));
 }
 
 #[test]

@@ -8,7 +8,6 @@ use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::UpAxis;
-use tcgs_core::Attribute;
 use tcgs_pipeline::{
     CompressOptions, CompressPreset, Compressed, Judge, JudgeImages, OpenScene, PrunedScene, Target,
     position_step_remark, search, settings_of,
@@ -29,8 +28,9 @@ use crate::terminal::say;
 /// A run is pruned by its masks and quantised with its learned bits. Of a scene without them, how much the
 /// images depend on each parameter is measured with the capture's cameras, or with cameras around it.
 ///
-/// PLY files are those of 3D Gaussian splatting, one a timestep, in the natural order of their names; their
-/// Gaussians keep their number and order. Names that are numbers and count up, such as 000012.ply, are frames.
+/// PLY files are those of 3D Gaussian splatting, one a timestep, in the natural order of their names, with spherical
+/// harmonics or without. Names that are numbers and count up, such as 000012.ply, are frames. Where the number or the
+/// order of Gaussians changes from file to file, those that are found again are followed, and the others come and go.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("target").args(["target_bytes", "target_psnr"]))]
 #[command(after_help = "\
@@ -38,7 +38,7 @@ Example:
   tcgs compress my_run
   tcgs compress my_run --target-bytes 2MB --capture my_capture
   tcgs compress params.npz --capture my_capture --bits 4,8 --out small.tcgs
-  tcgs compress my_plys --drop-sh --frame-rate 24 --out scene.tcgs
+  tcgs compress my_plys --frame-rate 24 --out scene.tcgs
   tcgs compress chapter0 chapter1 chapter2 --out scene.tcgs")]
 pub struct Arguments {
     /// Run folder, params.npz of Dynamic 3D Gaussians, or folder of PLY files; several run folders that are chapters of
@@ -112,6 +112,10 @@ pub struct Arguments {
     /// which the capture's cameras stand upright, without a capture unknown]
     #[arg(long, value_name = "AXIS", value_parser = up_axis, allow_hyphen_values = true)]
     up: Option<UpAxis>,
+    /// Version of the format: 1, which older programs read, or 2, which holds spherical harmonics and Gaussians that come
+    /// and go [default: 1 where it holds the scene]
+    #[arg(long, value_name = "VERSION", value_parser = clap::value_parser!(u16).range(1..=2))]
+    format: Option<u16>,
     /// Most cameras of --capture or of the run's capture that the file gives players to start from
     #[arg(long, value_name = "N", default_value_t = 8)]
     views: usize,
@@ -289,6 +293,7 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         capture: arguments.capture.clone(),
         plain: arguments.storage == Storage::Plain,
         up: arguments.up,
+        version: arguments.format,
         views: arguments.views,
         ..CompressOptions::default()
     })
@@ -310,16 +315,15 @@ fn report(
     let compact = &compressed.compact;
     let keypoints = compact.keypoints_mean();
     say(&format!("{:<15} {:>11}  {:>9}  {:>18}", "attribute", "bytes", "", "keypoints a track"))?;
-    for (attribute, bytes) in Attribute::BASE.into_iter().zip(compressed.bytes_by_attribute) {
-        let (name, keypoints) = (attribute.name(), keypoints[attribute.index()]);
-        say(&format!("{name:<15} {bytes:>11}  {:>9}  {keypoints:>18.2}", show_bytes(bytes)))?;
+    for ((name, bytes), keypoints) in compressed.bytes_by_attribute.iter().zip(keypoints) {
+        say(&format!("{name:<15} {bytes:>11}  {:>9}  {keypoints:>18.2}", show_bytes(*bytes)))?;
     }
     let (before, after) = (compressed.num_gaussians_before, compact.num_gaussians());
     let size = compressed.file.len() as u64;
     say(&format!(
         "{}: {after} of {before} Gaussians, {:.2} bits a parameter, {}, {:.1} times smaller",
         out.display(),
-        compact.bit_map.mean_bits(),
+        compact.mean_bits(),
         show_bytes(size),
         ratio(size)
     ))?;

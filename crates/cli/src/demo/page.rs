@@ -39,7 +39,7 @@ pub fn write_frames(
         let drawn = scene.drawn(frame - scene.first_frame)?;
         let views = capture.views(Split::Test, frame, 1)?;
         let pairs = views.par_iter().map(|view| {
-            let (output, _) = renderer.draw(&drawn, &view.camera, &RenderSettings::default())?;
+            let (output, _) = renderer.draw(&drawn.seen_by(&view.camera), &view.camera, &RenderSettings::default())?;
             Ok((view.camera_id, side_by_side(&view.image, &output.image)))
         });
         let pairs: Vec<(usize, RgbImage)> = pairs.collect::<Result<_, GpuError>>()?;
@@ -153,7 +153,7 @@ fn loss_curve(run: &Run) -> anyhow::Result<Vec<(u64, f32)>> {
 }
 
 fn keypoints_histogram(outcome: &Outcome) -> Vec<Series> {
-    let compact = &outcome.compressed.compact;
+    let compact = &outcome.compressed.compact.cohorts[0];
     Attribute::BASE
         .into_iter()
         .filter(|a| compact.varies[a.index()])
@@ -169,7 +169,7 @@ fn keypoints_histogram(outcome: &Outcome) -> Vec<Series> {
 }
 
 fn bits_histogram(outcome: &Outcome) -> Vec<Series> {
-    let histogram = outcome.compressed.compact.bit_map.histogram();
+    let histogram = outcome.compressed.compact.cohorts[0].bit_map.histogram();
     Attribute::BASE
         .into_iter()
         .filter(|&a| a != Attribute::Mean)

@@ -82,7 +82,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let folder = arguments.out.as_deref().map(|out| begin_capture(out, &arguments.source, force)).transpose()?;
     if let Some(folder) = &folder {
-        interrupt::remove_at_end(folder.path())?;
+        interrupt::remove_at_end(folder.temporary())?;
     }
     let capture = Capture::open_unseen(&arguments.source)?;
     if capture.has_points() {

@@ -1,38 +1,36 @@
-//! Decoding of parts of a file: which ranges of bytes a timestep needs, and their content. Input is the caller's: this
-//! module takes bytes, and names the ranges that it needs.
+//! The start of a file: what it holds, and where its cohorts lie. Input is the caller's: this module takes bytes, and
+//! names the ranges that it needs.
 
 use std::ops::Range;
 use std::sync::Arc;
 
-use tcgs_core::Attribute;
-
-use super::container;
-use super::head::{Head, MAX_SEGMENTS, read_info, read_plan};
-use super::reader::{SegmentReader, SharedModels};
-use super::section::{self, APPLICATION, Cursor, Entry, INFO, MAPS, PLAN, SHARED, Tag};
-use super::segment::Segment;
-use super::shared::Shared;
+use super::cohort::Cohort;
+use super::container::{self, version_1, version_2};
+use super::head::{Head, Info};
+use super::plan::Plan;
+use super::section::{APPLICATION, Entry};
 use crate::compact::SceneInfo;
-use crate::error::{DecodeError, ENDS_EARLY};
+use crate::error::DecodeError;
 use crate::limits::{Budget, DecodeLimits};
 
 /// Result of [`Archive::open`].
 #[derive(Debug)]
 pub enum Opening {
-    /// The bytes end before the table of contents, `INFO` and `PLAN` do: [`Archive::open`] needs at least this many
-    /// bytes from the start of the file.
+    /// The bytes end before what describes the file does: [`Archive::open`] needs at least this many bytes from the
+    /// start of the file.
     More(u64),
     /// The archive is open.
     Ready(Box<Archive>),
 }
 
-/// Table of contents of a file, and the shared layers that were read so far.
+/// What the start of a file says: the scene, and where its cohorts lie.
 ///
-/// A caller fetches ranges of bytes, for example with HTTP range requests:
+/// A *cohort* is a set of Gaussians that are described together and live within one span of timesteps. A file of version 1
+/// has one cohort of all timesteps. A caller fetches ranges of bytes, for example with HTTP range requests:
 ///
 /// 1. the start of the file, for [`Self::open`]
-/// 2. [`Self::shared_range`] of the layers that it wants, for [`Self::read_shared`]
-/// 3. [`Self::segment_range`] of any segments in any order, for [`Self::read_segment`]
+/// 2. [`Self::head_range`] of the cohorts that live at a timestep ([`Self::cohorts_at`]), for [`Self::open_cohort`]
+/// 3. what a [`Cohort`] asks for
 ///
 /// ```
 /// use tcgs_codec::{Archive, BitMap, CompressSettings, DecodeLimits, Opening, SceneInfo, compress, encode};
@@ -48,27 +46,64 @@ pub enum Opening {
 /// let Opening::Ready(mut archive) = Archive::open(&file[..1000.min(file.len())], &DecodeLimits::default())? else {
 ///     panic!("more bytes are needed")
 /// };
-/// archive.read_shared(range(archive.shared_range(archive.num_layers())))?;
-/// let index = archive.segment_at(1);
-/// let segment = archive.read_segment(index, range(archive.segment_range(index, archive.num_layers())))?;
+/// let mut cohort = archive.open_cohort(0, range(archive.head_range(0)))?;
+/// cohort.read_shared(range(cohort.shared_range(cohort.num_layers())))?;
+/// let index = cohort.segment_at(1);
+/// let segment = cohort.read_segment(index, range(cohort.segment_range(index, cohort.num_layers())))?;
 /// assert_eq!(segment.at(1), compact.at(1));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
 pub struct Archive {
+    version: u16,
+    info: Arc<Info>,
+    /// Bytes of the whole file.
+    length: u64,
+    /// Sections of the table of contents, in the order of the file.
     entries: Vec<Entry>,
-    head: Arc<Head>,
-    /// Index in `entries` of the first section of every shared layer, then of every layer of every
-    /// segment, and the number of entries.
-    groups: Vec<usize>,
-    shared: Arc<Shared>,
-    layers_read: usize,
-    models: SharedModels,
-    budget: Budget,
+    cohorts: Cohorts,
+    limits: DecodeLimits,
+}
+
+/// Where the cohorts of a file lie.
+#[derive(Debug)]
+enum Cohorts {
+    /// The only cohort of a file of version 1, opened.
+    One(Box<Cohort>),
+    /// Those of a file of version 2, by ascending start, and the plans that were read so far.
+    Many(Vec<Place>, Vec<Option<Arc<Plan>>>),
+}
+
+/// Where a cohort lies: an entry of the section `COHO`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Place {
+    /// First timestep of the scene at which it lives.
+    pub(super) start: u32,
+    pub(super) num_timesteps: u32,
+    pub(super) num_gaussians: u32,
+    /// The cohort whose plan it uses, itself or one before.
+    pub(super) plan: u32,
+    /// Bytes of its head, and their checksum.
+    pub(super) head_bytes: u32,
+    pub(super) head_checksum: u32,
+    /// Bytes of its shared layers, which follow the head.
+    pub(super) shared_bytes: u32,
+    /// Where the head lies in the file.
+    pub(super) offset: u64,
+}
+
+impl Place {
+    pub(super) fn timesteps(&self) -> Range<usize> {
+        self.start as usize..self.start as usize + self.num_timesteps as usize
+    }
+
+    fn head(&self) -> Range<u64> {
+        self.offset..self.offset + u64::from(self.head_bytes)
+    }
 }
 
 impl Archive {
-    /// Opens a file from its first bytes: the header, `INFO` and `PLAN`.
+    /// Opens a file from its first bytes: the header, and what describes the whole scene.
     ///
     /// - `start`: any number of bytes from the start of the file; 16 KiB usually suffice
     /// - `limits`: bounds on memory and counts, also for all that is read later
@@ -79,181 +114,169 @@ impl Archive {
     /// - [`DecodeError::Version`] if the file is of another version
     /// - [`DecodeError::Limit`] if the counts exceed `limits`
     pub fn open(start: &[u8], limits: &DecodeLimits) -> Result<Opening, DecodeError> {
-        let Some(header) = container::length_of_header(start)? else {
+        let Some((version, header)) = container::length_of_header(start)? else {
             return Ok(Opening::More(container::FIXED_BYTES as u64));
         };
         let Some(header) = start.get(..header) else { return Ok(Opening::More(header as u64)) };
-        let entries = container::read_header(header)?;
-        let head_end = entries.iter().filter(|e| e.tag == INFO || e.tag == PLAN).map(|e| e.range.end).max();
-        let head_end = head_end.unwrap_or(header.len() as u64);
-        if head_end > start.len() as u64 {
-            return Ok(Opening::More(head_end));
-        }
-        let mut sections = entries.iter().enumerate().filter(|(_, e)| !e.is_optional());
-        let mut next = |tag: Tag, segment: usize, layer: usize| {
-            let found = sections.next();
-            let place = found.map_or(header.len() - container::ENTRY_BYTES, |(index, _)| {
-                container::FIXED_BYTES + index * container::ENTRY_BYTES
-            });
-            found
-                .filter(|(_, e)| (e.tag, usize::from(e.segment), usize::from(e.layer)) == (tag, segment, layer))
-                .ok_or_else(|| Cursor::new("header", place as u64, &[]).invalid("tag", "not the section that is due"))
-        };
-        let shared = usize::from(SHARED);
-        let bytes = |entry: &Entry| &start[entry.range.start as usize..entry.range.end as usize];
-        let (_, info) = next(INFO, shared, 0)?;
-        let mut head = read_info(info.open(bytes(info))?, limits)?;
-        let (_, plan) = next(PLAN, shared, 0)?;
-        head.plan = read_plan(plan.open(bytes(plan))?)?;
-        if head.num_segments() > MAX_SEGMENTS {
-            let at_info = Cursor::new(section::name(INFO), info.range.start, &[]);
-            return Err(at_info.invalid("segment_length", "more than 65535 segments"));
-        }
-
-        let mut groups = Vec::new();
-        for layer in 0..head.layers.len() {
-            groups.push(next(MAPS, shared, layer)?.0);
-            for attribute in Attribute::BASE {
-                next(section::of_attribute(attribute), shared, layer)?;
-            }
-        }
-        let varying: Vec<Attribute> = Attribute::BASE.into_iter().filter(|a| head.plan.varies[a.index()]).collect();
-        for segment in 0..head.num_segments() {
-            for layer in 0..head.layers.len() {
-                let mut first = None;
-                for &attribute in &varying {
-                    let (index, _) = next(section::of_attribute(attribute), segment, layer)?;
-                    first.get_or_insert(index);
-                }
-                groups.push(first.unwrap_or(entries.len()));
-            }
-        }
-        if let Some((index, _)) = sections.next() {
-            let place = container::FIXED_BYTES + index * container::ENTRY_BYTES;
-            return Err(Cursor::new("header", place as u64, &[]).invalid("tag", "a section too many"));
-        }
-        groups.push(entries.len());
-        let length = entries.last().map_or(header.len() as u64, |e| e.range.end);
-        Ok(Opening::Ready(Box::new(Self {
-            models: SharedModels::new(),
-            shared: Arc::new(Shared::default()),
-            layers_read: 0,
-            head: Arc::new(head),
-            groups,
-            entries,
-            budget: Budget::new(limits, length),
-        })))
+        if version == 1 { version_1::open(header, start, limits) } else { version_2::open(header, start, limits) }
     }
 
-    /// Counts and provenance of the scene.
+    pub(super) fn of_one(length: u64, entries: Vec<Entry>, cohort: Cohort, limits: &DecodeLimits) -> Self {
+        let info = Arc::clone(&cohort.head().info);
+        Self { version: 1, info, length, entries, cohorts: Cohorts::One(Box::new(cohort)), limits: limits.clone() }
+    }
+
+    pub(super) fn of_many(
+        length: u64,
+        entries: Vec<Entry>,
+        info: Info,
+        places: Vec<Place>,
+        limits: &DecodeLimits,
+    ) -> Self {
+        let plans = vec![None; places.len()];
+        let cohorts = Cohorts::Many(places, plans);
+        Self { version: 2, info: Arc::new(info), length, entries, cohorts, limits: limits.clone() }
+    }
+
+    /// Version of the format.
+    pub fn version(&self) -> u16 {
+        self.version
+    }
+
+    /// Counts and provenance of the scene. The number of Gaussians is that of all cohorts together.
     pub fn info(&self) -> &SceneInfo {
-        &self.head.info
+        &self.info.scene
     }
 
     /// Axis-aligned bounding box of all means at all timesteps, in scene units: the smallest and the largest
     /// coordinates.
     pub fn bounds(&self) -> [[f32; 3]; 2] {
-        self.head.bounds
+        self.info.bounds
     }
 
-    /// By [`Attribute::index`]: whether the attribute varies over time.
-    pub fn varies(&self) -> [bool; 5] {
-        self.head.plan.varies
+    /// By name of the attribute: the largest difference to what was compressed, in stored form, as the file declares it;
+    /// empty if it does not.
+    pub fn declared_errors(&self) -> &[(String, f32)] {
+        &self.info.errors
     }
 
-    /// Length of the whole file in bytes, as the table of contents says.
+    /// Length of the whole file in bytes, as its start says.
     pub fn file_bytes(&self) -> u64 {
-        self.entries.last().map_or(container::FIXED_BYTES as u64, |e| e.range.end)
+        self.length
     }
 
-    /// Number of segments of the file.
-    pub fn num_segments(&self) -> usize {
-        self.head.num_segments()
+    /// Number of cohorts.
+    pub fn num_cohorts(&self) -> usize {
+        match &self.cohorts {
+            Cohorts::One(_) => 1,
+            Cohorts::Many(places, _) => places.len(),
+        }
     }
 
-    /// Number of layers of the file; 0 for a scene without Gaussians.
-    pub fn num_layers(&self) -> usize {
-        self.head.layers.len()
-    }
-
-    /// `[layers]`: number of Gaussians of each layer.
-    pub fn layers(&self) -> &[u32] {
-        &self.head.layers
-    }
-
-    /// Number of shared layers that [`Self::read_shared`] has read so far.
-    pub fn layers_read(&self) -> usize {
-        self.layers_read
-    }
-
-    /// Timesteps of a segment.
+    /// Timesteps of the scene that a cohort spans.
     ///
     /// # Panics
-    /// If `segment` is not below [`Self::num_segments`].
-    pub fn timesteps(&self, segment: usize) -> Range<usize> {
-        assert!(segment < self.num_segments(), "segment {segment} of {}", self.num_segments());
-        self.head.span(segment)
+    /// If `cohort` is not below [`Self::num_cohorts`].
+    pub fn timesteps_of(&self, cohort: usize) -> Range<usize> {
+        match &self.cohorts {
+            Cohorts::One(only) if cohort == 0 => only.timesteps(),
+            Cohorts::Many(places, _) if cohort < places.len() => places[cohort].timesteps(),
+            _ => panic!("cohort {cohort} of {}", self.num_cohorts()),
+        }
     }
 
-    /// Index of the segment that holds a timestep.
+    /// Number of Gaussians of a cohort.
     ///
     /// # Panics
-    /// If `timestep` is not below [`SceneInfo::num_timesteps`].
-    pub fn segment_at(&self, timestep: usize) -> usize {
-        assert!(timestep < self.head.num_timesteps(), "timestep {timestep} of {}", self.head.num_timesteps());
-        timestep / self.head.segment_length()
+    /// If `cohort` is not below [`Self::num_cohorts`].
+    pub fn num_gaussians_of(&self, cohort: usize) -> usize {
+        match &self.cohorts {
+            Cohorts::One(only) if cohort == 0 => only.num_gaussians(),
+            Cohorts::Many(places, _) if cohort < places.len() => places[cohort].num_gaussians as usize,
+            _ => panic!("cohort {cohort} of {}", self.num_cohorts()),
+        }
     }
 
-    /// Range of the file that [`Self::read_shared`] needs so that the first `layers` shared layers are read; layers
-    /// that were read already are not part of it.
+    /// The cohorts that live at a timestep of the scene, ascending.
+    pub fn cohorts_at(&self, timestep: usize) -> impl Iterator<Item = usize> {
+        // They ascend by their first timesteps.
+        let begun = match &self.cohorts {
+            Cohorts::One(_) => 1,
+            Cohorts::Many(places, _) => places.partition_point(|place| place.start as usize <= timestep),
+        };
+        (0..begun).filter(move |&cohort| self.timesteps_of(cohort).contains(&timestep))
+    }
+
+    /// Range of the file that [`Self::open_cohort`] needs.
     ///
     /// # Panics
-    /// If `layers` exceeds [`Self::num_layers`].
-    pub fn shared_range(&self, layers: usize) -> Range<u64> {
-        assert!(layers <= self.num_layers(), "{layers} layers of {}", self.num_layers());
-        self.range_of(self.layers_read.min(layers)..layers)
+    /// If `cohort` is not below [`Self::num_cohorts`].
+    pub fn head_range(&self, cohort: usize) -> Range<u64> {
+        match &self.cohorts {
+            Cohorts::One(_) if cohort == 0 => 0..0,
+            Cohorts::Many(places, _) if cohort < places.len() => places[cohort].head(),
+            _ => panic!("cohort {cohort} of {}", self.num_cohorts()),
+        }
     }
 
-    /// Range of the file that [`Self::read_segment`] needs for the first `layers` layers of a segment.
+    /// Range of the file from the head of a cohort to the end of its shared layers: what one request may fetch for
+    /// [`Self::open_cohort`] and [`Cohort::read_shared`] together.
     ///
     /// # Panics
-    /// If `segment` is not below [`Self::num_segments`], or `layers` exceeds [`Self::num_layers`].
-    pub fn segment_range(&self, segment: usize, layers: usize) -> Range<u64> {
-        let (num_layers, num_segments) = (self.num_layers(), self.num_segments());
-        assert!(
-            layers <= num_layers && segment < num_segments,
-            "{layers} of {num_layers}, {segment} of {num_segments}"
-        );
-        let first = num_layers * (1 + segment);
-        self.range_of(first..first + layers)
+    /// If `cohort` is not below [`Self::num_cohorts`].
+    pub fn start_range(&self, cohort: usize) -> Range<u64> {
+        match &self.cohorts {
+            Cohorts::One(only) if cohort == 0 => only.shared_range(only.num_layers()),
+            Cohorts::Many(places, _) if cohort < places.len() => {
+                let Range { start, end } = places[cohort].head();
+                start..end + u64::from(places[cohort].shared_bytes)
+            }
+            _ => panic!("cohort {cohort} of {}", self.num_cohorts()),
+        }
     }
 
-    /// Bytes of groups of sections.
-    pub(super) fn range_of(&self, groups: Range<usize>) -> Range<u64> {
-        let at = |group: usize| self.entries.get(self.groups[group]).map_or(self.file_bytes(), |e| e.range.start);
-        if groups.is_empty() { at(groups.start)..at(groups.start) } else { at(groups.start)..at(groups.end) }
-    }
-
-    /// Sections of a group with their bytes.
+    /// The cohort whose plan (attributes, quantizers, predictors) a cohort shares, if [`Self::open_cohort`] must have
+    /// opened that one before.
     ///
-    /// - `bytes`: from `offset` of the file
-    pub(super) fn sections<'a>(
-        &self,
-        group: usize,
-        offset: u64,
-        bytes: &'a [u8],
-    ) -> Result<Vec<Cursor<'a>>, DecodeError> {
-        let entries = &self.entries[self.groups[group]..self.groups[group + 1]];
-        let needed = entries.iter().filter(|e| !e.is_optional());
-        needed
-            .map(|entry| {
-                let range = (entry.range.start - offset) as usize..(entry.range.end - offset) as usize;
-                let section = bytes.get(range);
-                let early =
-                    || Cursor::new(section::name(entry.tag), entry.range.start, &[]).invalid("length", ENDS_EARLY);
-                entry.open(section.ok_or_else(early)?)
-            })
-            .collect()
+    /// # Panics
+    /// If `cohort` is not below [`Self::num_cohorts`].
+    pub fn needs_before(&self, cohort: usize) -> Option<usize> {
+        match &self.cohorts {
+            Cohorts::One(_) => None,
+            Cohorts::Many(places, plans) => {
+                let plan = places[cohort].plan as usize;
+                (plan != cohort && plans[plan].is_none()).then_some(plan)
+            }
+        }
+    }
+
+    /// Opens a cohort: where its sections lie.
+    ///
+    /// - `bytes`: those of [`Self::head_range`]; further bytes are ignored
+    ///
+    /// # Errors
+    /// - [`DecodeError::Format`] if the bytes are damaged or break a rule of the format
+    /// - [`DecodeError::Limit`] if the counts exceed the limits
+    ///
+    /// # Panics
+    /// If `cohort` is not below [`Self::num_cohorts`], or [`Self::needs_before`] names one that was not opened.
+    pub fn open_cohort(&mut self, cohort: usize, bytes: &[u8]) -> Result<Cohort, DecodeError> {
+        match &mut self.cohorts {
+            Cohorts::One(only) if cohort == 0 => Ok((**only).clone()),
+            Cohorts::One(_) => panic!("cohort {cohort} of 1"),
+            Cohorts::Many(places, plans) => {
+                let place = &places[cohort];
+                let shared = (place.plan as usize != cohort)
+                    .then(|| plans[place.plan as usize].clone().expect("the cohort whose plan is shared was opened"));
+                let info = Arc::clone(&self.info);
+                let (head, sections): (Head, _) =
+                    version_2::read_head(cohort, place, info, shared, bytes, self.length, &self.limits)?;
+                if place.plan as usize == cohort {
+                    plans[cohort] = Some(Arc::clone(&head.plan));
+                }
+                Ok(Cohort::new(head, sections, Arc::new(Budget::new(&self.limits, self.length))))
+            }
+        }
     }
 
     /// Verifies the checksums of the optional sections that lie whole in some bytes of the file. The other sections are
@@ -269,66 +292,12 @@ impl Archive {
         })
     }
 
-    /// Reads the shared layers that follow those read so far.
-    ///
-    /// - `bytes`: the bytes of a [`Self::shared_range`]; further bytes are ignored, and a layer that is incomplete is
-    ///   not read
-    ///
-    /// # Errors
-    /// [`DecodeError::Format`] if a section is damaged, [`DecodeError::Limit`] if decoding exceeds the limits.
-    pub fn read_shared(&mut self, bytes: &[u8]) -> Result<(), DecodeError> {
-        let start = self.range_of(self.layers_read..self.layers_read).start;
-        while self.layers_read < self.num_layers()
-            && self.range_of(self.layers_read..self.layers_read + 1).end - start <= bytes.len() as u64
-        {
-            let sections = self.sections(self.layers_read, start, bytes)?;
-            let layer = self.head.layer(self.layers_read);
-            // Segments that were given away keep what they had.
-            let shared = Arc::make_mut(&mut self.shared);
-            self.models.read(&self.head, layer, sections, shared, &self.budget)?;
-            self.layers_read += 1;
-        }
-        Ok(())
+    /// Bytes before the first section or piece.
+    pub(super) fn header_bytes(&self) -> u64 {
+        version_2::header_bytes(self.entries.len()) as u64
     }
 
-    /// Decodes the first layers of a segment.
-    ///
-    /// - `bytes`: the bytes of a [`Self::segment_range`]. Layers beyond [`Self::layers_read`] and layers that are
-    ///   incomplete are left out
-    /// - returns: the segment, of as many layers as were decoded
-    ///
-    /// # Errors
-    /// [`DecodeError::Format`] if a section is damaged, [`DecodeError::Limit`] if decoding exceeds the limits.
-    ///
-    /// # Panics
-    /// If `segment` is not below [`Self::num_segments`].
-    pub fn read_segment(&self, segment: usize, bytes: &[u8]) -> Result<Segment, DecodeError> {
-        assert!(segment < self.num_segments(), "segment {segment} of {}", self.num_segments());
-        let mut reader = SegmentReader::new(self, segment);
-        // Segments come and go: each may take what is left beside the shared layers.
-        let budget = self.budget.fork();
-        let start = self.segment_range(segment, 0).start;
-        for layer in 0..self.layers_read {
-            if self.segment_range(segment, layer + 1).end - start > bytes.len() as u64 {
-                break;
-            }
-            reader.read(self, start, bytes, &budget)?;
-        }
-        Ok(reader.finish(self))
-    }
-
-    pub(super) fn head(&self) -> &Arc<Head> {
-        &self.head
-    }
-
-    pub(super) fn shared(&self) -> &Arc<Shared> {
-        &self.shared
-    }
-
-    pub(super) fn budget(&self) -> &Budget {
-        &self.budget
-    }
-
+    /// Sections of the table of contents.
     pub(super) fn entries(&self) -> &[Entry] {
         &self.entries
     }

@@ -1,23 +1,25 @@
-//! Encoding of a compact scene as a `.tcgs` file.
+//! Encoding of compact scenes as `.tcgs` files of both versions.
 
 use std::io::{Cursor, Seek, Write};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 use tcgs_core::Attribute;
 
-use super::FORMAT_VERSION;
 use super::coder::Encoder;
-use super::container::{self, Part};
+use super::container::version_1::{Part, Writer as Writer1};
+use super::container::version_2::{Encoded, Writer as Writer2};
 use super::fit;
-use super::head::{Head, MAX_SEGMENTS, write_info, write_plan};
+use super::head::{Head, Info, MAX_SEGMENTS, write_info_1};
 use super::keypoints::{KeypointModels, Motion, Scope, UnitTracks};
-use super::section::{self, APPLICATION, INFO, MAPS, PLAN};
-use super::shared::{CurveModels, FirstModels, MapModels, Plan, Shared};
-use crate::compact::{CompactScene, Tracks};
+use super::plan::{Plan, write_plan_1};
+use super::section::{self, APPLICATION, INFO, MAPS, PLAN, Tag};
+use super::shared::{CurveModels, FirstModels, MapModels, Shared};
+use crate::compact::{CompactScene, SceneInfo, Tracks};
 use crate::error::CompressError;
 use crate::limits::{Budget, DecodeLimits};
 
-/// Encodes a scene as a `.tcgs` file (`docs/FORMAT.md`). Equal scenes give equal bytes.
+/// Encodes a scene as a `.tcgs` file of version 1 (`docs/FORMAT.md`). Equal scenes give equal bytes.
 ///
 /// - returns: all bytes of the file; [`encode_to`] writes them to a file without holding all of them in memory
 ///
@@ -34,7 +36,7 @@ use crate::limits::{Budget, DecodeLimits};
 ///
 /// # Errors
 /// - [`CompressError::Scene`] if the scene breaks a rule of the format, such as a code outside its width
-/// - [`CompressError::Unsupported`] if the scene has columns beyond [`Attribute::BASE`]
+/// - [`CompressError::Unsupported`] if the scene has columns beyond [`Attribute::BASE`] or lives
 /// - [`CompressError::Count`] if the scene takes more segments (65,535), more sections (2^20) or a longer section
 ///   (4 GiB) than the format holds
 pub fn encode(scene: &CompactScene) -> Result<Vec<u8>, CompressError> {
@@ -94,65 +96,257 @@ pub fn encode_to<W: Write + Seek>(
     data: &[(&str, &[u8])],
     file: &mut W,
 ) -> Result<(), CompressError> {
-    if let Some(column) = scene.layout.columns().get(Attribute::BASE.len()) {
-        return Err(CompressError::Unsupported { version: FORMAT_VERSION, found: column.name.clone() });
+    let unsupported = |found: &str| CompressError::Unsupported { version: 1, found: found.into() };
+    if let Some(column) = scene.layout.further() {
+        return Err(unsupported(&column.name));
     }
-    scene.check()?;
-    let mut head = Head {
-        info: scene.info.clone(),
-        plan: Plan {
-            varies: Attribute::BASE.map(|a| scene.varies[a.index()]),
-            joint: Attribute::BASE.map(|a| share_times(&scene.tracks[a.index()], a.components())),
-            quantizers: scene.quantizers.clone(),
-            predictors: Default::default(),
-        },
-        layers: scene.layers.clone(),
-        segment_length: scene.segment_length,
-        bounds: bounds(scene),
-    };
-    if !head.bounds.as_flattened().iter().all(|x| x.is_finite()) {
-        let (section, field) = (Attribute::Mean.name(), "codes");
-        return Err(CompressError::Scene { section, field, problem: "a code that stands for no finite number" });
+    if scene.lives.is_some() || scene.start > 0 {
+        return Err(unsupported("Gaussians that come and go"));
     }
-    if head.num_segments() > MAX_SEGMENTS {
-        let what = "segments".into();
-        return Err(CompressError::Count { what, found: head.num_segments(), expected: MAX_SEGMENTS });
+    let (info, bounds) = (scene.info.clone(), bounds(scene)?);
+    let Prepared { head, mut shared } = Prepared::new(scene, Info { scene: info, bounds, errors: Vec::new() }, &[])?;
+    let mut parts =
+        vec![Part::shared(INFO, 0, write_info_1(&head.info, &head)), Part::shared(PLAN, 0, write_plan_1(&head.plan))];
+    parts.extend(application(data)?.into_iter().map(|(tag, bytes)| Part::shared(tag, 0, bytes)));
+    let tags: Vec<Tag> =
+        std::iter::once(MAPS).chain(head.plan.layout.attributes().map(section::of_attribute)).collect();
+    for (i, bytes) in shared_sections(&head, &mut shared).into_iter().enumerate() {
+        parts.push(Part::shared(tags[i % tags.len()], i / tags.len(), bytes));
     }
-    let mut shared = shared_of(scene, &head);
-    let predictors = |a: Attribute| if a == Attribute::Mean { vec![] } else { fit::predictors(a, &head.plan, &shared) };
-    let predictors: Vec<_> = Attribute::BASE.into_par_iter().map(predictors).collect();
-    head.plan.predictors = predictors.try_into().expect("five attributes");
+    let varying: Vec<Attribute> = head.plan.varying().collect();
+    let num_sections = head.num_segments() * head.layers.len() * varying.len();
+    let mut writer = Writer1::new(file, parts.len() + num_sections)?;
+    parts.iter().try_for_each(|part| writer.section(part))?;
+    segments(scene, &head, &shared, |segment, sections| {
+        let of_layers = sections.into_iter().enumerate();
+        of_layers.into_iter().try_for_each(|(i, bytes)| {
+            let (layer, tag) = (i / varying.len(), section::of_attribute(varying[i % varying.len()]));
+            writer.section(&Part { tag, segment: segment as u16, layer: layer as u16, bytes })
+        })
+    })?;
+    writer.finish()
+}
 
-    let mut parts = vec![Part::shared(INFO, 0, write_info(&head)), Part::shared(PLAN, 0, write_plan(&head.plan))];
-    for (name, bytes) in data {
+/// Encodes cohorts as a `.tcgs` file of version 2 (`docs/FORMAT.md`): [`FileWriter`] in memory. Equal scenes give equal
+/// bytes.
+///
+/// - `info`: of the whole scene; its counts are those of all cohorts together
+/// - `cohorts`: by ascending [`CompactScene::start`]
+/// - `data`: as in [`encode_with`]
+///
+/// ```
+/// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, compress, decode_cohorts, encode_cohorts};
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let frame = |n| {
+///     let mut scene = DynamicGaussians::default();
+///     scene.push(Gaussians::zeros(n));
+///     compress(&scene, &BitMap::uniform(n, 16, 6), None, SceneInfo::of(&scene), &CompressSettings::default())
+/// };
+/// // A sequence of two frames with other numbers of Gaussians.
+/// let mut cohorts = vec![frame(3)?, frame(5)?];
+/// cohorts[1].start = 1;
+/// let info = SceneInfo { num_gaussians: 8, num_timesteps: 2, ..cohorts[0].info.clone() };
+/// let file = encode_cohorts(&info, &cohorts, &[])?;
+/// assert_eq!(decode_cohorts(&file, &DecodeLimits::default())?, (info, cohorts));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// As [`FileWriter::add`].
+///
+/// # Panics
+/// If the cohorts do not ascend.
+pub fn encode_cohorts(
+    info: &SceneInfo,
+    cohorts: &[CompactScene],
+    data: &[(&str, &[u8])],
+) -> Result<Vec<u8>, CompressError> {
+    let mut file = Cursor::new(Vec::new());
+    let mut writer = FileWriter::new(&mut file, info, data, cohorts.len())?;
+    cohorts.iter().try_for_each(|cohort| writer.add(cohort))?;
+    writer.finish()?;
+    Ok(file.into_inner())
+}
+
+/// Writes a `.tcgs` file of version 2 cohort by cohort, so that memory need not hold all of a long scene.
+///
+/// After an error, or without [`Self::finish`], the content of the file is useless.
+pub struct FileWriter<'a, W> {
+    writer: Writer2<'a, W>,
+    num_gaussians: u64,
+}
+
+impl<'a, W: Write + Seek> FileWriter<'a, W> {
+    /// - `file`: written from its current position
+    /// - `info`: of the whole scene; its counts are those of all cohorts together
+    /// - `data`: name and content of each piece of application data
+    /// - `num_cohorts`: how many will be added
+    ///
+    /// # Errors
+    /// - [`CompressError::Scene`] if a field of `info` is not legal
+    /// - [`CompressError::Count`] if there are more than 2^20 cohorts or a name is longer than 65535 bytes
+    /// - [`CompressError::Io`] if the file cannot be written
+    pub fn new(
+        file: &'a mut W,
+        info: &SceneInfo,
+        data: &[(&str, &[u8])],
+        num_cohorts: usize,
+    ) -> Result<Self, CompressError> {
+        info.check(2)?;
+        let info = Info { scene: info.clone(), bounds: [[0.0; 3]; 2], errors: Vec::new() };
+        Ok(Self { writer: Writer2::new(file, info, &application(data)?, num_cohorts)?, num_gaussians: 0 })
+    }
+
+    /// Adds the next cohort.
+    ///
+    /// # Errors
+    /// - [`CompressError::Scene`] if the cohort breaks a rule of the format, such as a code outside its width, or ends after
+    ///   the scene
+    /// - [`CompressError::Count`] if the cohort has no Gaussians, more segments (65,535), or a longer section (4 GiB)
+    ///   than the format holds
+    /// - [`CompressError::Io`] if the file cannot be written
+    ///
+    /// # Panics
+    /// If the cohort begins before the one added last, or there are more than [`Self::new`] was told.
+    pub fn add(&mut self, cohort: &CompactScene) -> Result<(), CompressError> {
+        let end = u64::from(cohort.start) + u64::from(cohort.info.num_timesteps);
+        if end > u64::from(self.writer.info().scene.num_timesteps) {
+            let (section, field) = ("cohorts", "num_timesteps");
+            return Err(CompressError::Scene { section, field, problem: "beyond the end of the scene" });
+        }
+        if cohort.num_gaussians() == 0 {
+            let what = "Gaussians of a cohort".into();
+            return Err(CompressError::Count { what, found: 0, expected: 1 });
+        }
+        self.writer.extend_bounds(bounds(cohort)?);
+        self.num_gaussians += cohort.num_gaussians() as u64;
+        let plans: Vec<_> = self.writer.plans().map(Arc::clone).collect();
+        let Prepared { head, mut shared } = Prepared::new(cohort, self.writer.info().clone(), &plans)?;
+        let sections = shared_sections(&head, &mut shared);
+        let mut of_segments = Vec::new();
+        segments(cohort, &head, &shared, |_, sections| {
+            of_segments.push(sections);
+            Ok(())
+        })?;
+        self.writer.add(Encoded { head, shared: sections, segments: of_segments })
+    }
+
+    /// Completes the file, which then stands at its end.
+    ///
+    /// # Errors
+    /// - [`CompressError::Count`] if the cohorts have not as many Gaussians together as the scene
+    /// - [`CompressError::Io`] if the file cannot be written
+    ///
+    /// # Panics
+    /// If there are fewer cohorts than [`Self::new`] was told.
+    pub fn finish(self) -> Result<(), CompressError> {
+        let expected = self.writer.info().scene.num_gaussians as usize;
+        if self.num_gaussians != expected as u64 {
+            let what = "Gaussians of all cohorts".into();
+            return Err(CompressError::Count { what, found: self.num_gaussians as usize, expected });
+        }
+        self.writer.finish()
+    }
+}
+
+/// Sections of application data.
+fn application(data: &[(&str, &[u8])]) -> Result<Vec<(Tag, Vec<u8>)>, CompressError> {
+    let section = |&(name, bytes): &(&str, &[u8])| {
         let expected = usize::from(u16::MAX);
         let too_long = |_| CompressError::Count { what: "bytes of a name".into(), found: name.len(), expected };
         let length = u16::try_from(name.len()).map_err(too_long)?;
-        parts.push(Part::shared(APPLICATION, 0, [&length.to_le_bytes(), name.as_bytes(), bytes].concat()));
-    }
-    parts.extend(shared_sections(&head, &mut shared));
-    let varying: Vec<Attribute> = Attribute::BASE.into_iter().filter(|a| scene.varies[a.index()]).collect();
-    let (num_segments, num_layers) = (head.num_segments(), head.layers.len());
-    let mut writer = container::Writer::new(file, parts.len() + num_segments * num_layers * varying.len())?;
-    parts.iter().try_for_each(|part| writer.section(part))?;
-    // Enough segments together that no thread waits for long.
-    let at_once = (JOBS_PER_THREAD * rayon::current_num_threads()).div_ceil(varying.len().max(1));
-    for start in (0..num_segments).step_by(at_once) {
-        let segments = start..(start + at_once).min(num_segments);
-        let jobs: Vec<_> = segments.flat_map(|segment| varying.iter().map(move |&a| (segment, a))).collect();
-        let by_job: Vec<Vec<Part>> =
-            jobs.into_par_iter().map(|(segment, a)| segment_sections(scene, &head, &shared, segment, a)).collect();
-        for of_segment in by_job.chunks(varying.len().max(1)) {
-            for layer in 0..num_layers {
-                of_segment.iter().try_for_each(|layers| writer.section(&layers[layer]))?;
-            }
+        Ok((APPLICATION, [&length.to_le_bytes(), name.as_bytes(), bytes].concat()))
+    };
+    data.iter().map(section).collect()
+}
+
+/// Cohorts of fewer Gaussians than this take the predictors of an earlier cohort where they can: their own would take
+/// more bytes than they save.
+const MIN_FITTED: usize = 2000;
+
+/// A cohort that is ready for entropy coding.
+struct Prepared {
+    head: Head,
+    shared: Shared,
+}
+
+impl Prepared {
+    /// - `scene`: one that [`bounds`] found legal
+    /// - `plans`: those of earlier cohorts
+    fn new(scene: &CompactScene, info: Info, plans: &[Arc<Plan>]) -> Result<Self, CompressError> {
+        let layout = &scene.layout;
+        let mut plan = Plan::new(Arc::clone(layout));
+        plan.quantizers = scene.quantizers.clone();
+        plan.varies = scene.varies.clone();
+        let of = |attribute: Attribute| (&scene.tracks[attribute.index()], attribute.components());
+        plan.joint = layout.attributes().map(of).map(|(tracks, count)| share_times(tracks, count)).collect();
+        plan.sparse = scene.bit_map.widths.iter().map(|widths| widths.contains(&0)).collect();
+        let mut head = Head {
+            index: 0,
+            info: Arc::new(info),
+            plan: Arc::new(plan),
+            start: scene.start as usize,
+            num_timesteps: scene.num_timesteps(),
+            num_gaussians: scene.num_gaussians(),
+            has_lives: scene.lives.is_some(),
+            layers: scene.layers.clone(),
+            segment_length: scene.segment_length,
+        };
+        if head.num_segments() > MAX_SEGMENTS {
+            let what = "segments".into();
+            return Err(CompressError::Count { what, found: head.num_segments(), expected: MAX_SEGMENTS });
         }
+        let shared = shared_of(scene, &head);
+        let without_predictors = |plan: &Plan| Plan { predictors: head.plan.predictors.clone(), ..plan.clone() };
+        let known = plans.iter().find(|plan| without_predictors(plan) == *head.plan);
+        head.plan = match known.filter(|_| head.num_gaussians < MIN_FITTED) {
+            Some(plan) => Arc::clone(plan),
+            None => {
+                let predictors = |a: Attribute| {
+                    if a == Attribute::Mean { Vec::new() } else { fit::predictors(a, &head.plan, &shared) }
+                };
+                let attributes: Vec<Attribute> = layout.attributes().collect();
+                let predictors = attributes.into_par_iter().map(predictors).collect();
+                Arc::new(Plan { predictors, ..(*head.plan).clone() })
+            }
+        };
+        Ok(Self { head, shared })
     }
-    writer.finish()
 }
 
 /// Segments and attributes that are encoded together, for each thread.
 const JOBS_PER_THREAD: usize = 8;
+
+/// Encodes the segments of a cohort, in their order.
+///
+/// - `take`: is given the sections of each segment, layer by layer; nothing if no attribute varies
+fn segments(
+    scene: &CompactScene,
+    head: &Head,
+    shared: &Shared,
+    mut take: impl FnMut(usize, Vec<Vec<u8>>) -> Result<(), CompressError>,
+) -> Result<(), CompressError> {
+    let varying: Vec<Attribute> = head.plan.varying().collect();
+    let num_segments = if varying.is_empty() { 0 } else { head.num_segments() };
+    // Enough segments together that no thread waits for long.
+    let at_once = (JOBS_PER_THREAD * rayon::current_num_threads()).div_ceil(varying.len().max(1));
+    for start in (0..num_segments).step_by(at_once) {
+        let segments = start..(start + at_once).min(num_segments);
+        let jobs: Vec<_> = segments.clone().flat_map(|segment| varying.iter().map(move |&a| (segment, a))).collect();
+        let by_job: Vec<Vec<Vec<u8>>> =
+            jobs.into_par_iter().map(|(segment, a)| segment_sections(scene, head, shared, segment, a)).collect();
+        let mut by_job = by_job.into_iter();
+        for segment in segments {
+            let mut of_attributes: Vec<_> = by_job.by_ref().take(varying.len()).map(Vec::into_iter).collect();
+            let mut sections = Vec::new();
+            for _ in 0..head.layers.len() {
+                sections.extend(of_attributes.iter_mut().map(|layers| layers.next().expect("a section a layer")));
+            }
+            take(segment, sections)?;
+        }
+    }
+    Ok(())
+}
 
 /// Whether the components of each Gaussian have keypoints at the same times.
 fn share_times(tracks: &Tracks<i16>, components: usize) -> bool {
@@ -161,7 +355,11 @@ fn share_times(tracks: &Tracks<i16>, components: usize) -> bool {
 
 /// Bounding box of all means at all timesteps. Keypoints suffice: interpolated means lie between the means at
 /// keypoints.
-fn bounds(scene: &CompactScene) -> [[f32; 3]; 2] {
+///
+/// # Errors
+/// If the scene breaks a rule of the format, or a bound is not finite.
+fn bounds(scene: &CompactScene) -> Result<[[f32; 3]; 2], CompressError> {
+    scene.check()?;
     let mut bounds = [[f32::MAX; 3], [f32::MIN; 3]];
     let mean = Attribute::Mean.index();
     let table = scene.quantizers.by_width(Attribute::Mean);
@@ -174,13 +372,19 @@ fn bounds(scene: &CompactScene) -> [[f32; 3]; 2] {
             }
         }
     }
-    if scene.num_gaussians() == 0 { [[0.0; 3]; 2] } else { bounds }
+    let bounds = if scene.num_gaussians() == 0 { [[0.0; 3]; 2] } else { bounds };
+    if !bounds.as_flattened().iter().all(|x| x.is_finite()) {
+        let (section, field) = (Attribute::Mean.name(), "codes");
+        return Err(CompressError::Scene { section, field, problem: "a code that stands for no finite number" });
+    }
+    Ok(bounds)
 }
 
-/// The shared layers of a scene in the form in which a decoder holds them.
+/// The shared layers of a cohort in the form in which a decoder holds them.
 fn shared_of(scene: &CompactScene, head: &Head) -> Shared {
-    let mut shared = Shared { bit_map: scene.bit_map.clone(), ..Shared::default() };
-    for attribute in Attribute::BASE {
+    let empty = Shared::new(&head.plan, head.has_lives);
+    let mut shared = Shared { bit_map: scene.bit_map.clone(), lives: scene.lives.clone(), ..empty };
+    for attribute in head.plan.layout.attributes() {
         let a = attribute.index();
         let tracks = &scene.tracks[a];
         shared.first_codes[a] = (0..tracks.len()).map(|i| tracks.track(i).1[0]).collect();
@@ -197,29 +401,31 @@ fn shared_of(scene: &CompactScene, head: &Head) -> Shared {
     shared
 }
 
-fn shared_sections(head: &Head, shared: &mut Shared) -> Vec<Part> {
-    let mut maps = MapModels::new();
+/// The shared layers: of each its maps, and the first codes of every attribute.
+fn shared_sections(head: &Head, shared: &mut Shared) -> Vec<Vec<u8>> {
+    let plan = &*head.plan;
+    let mut maps = MapModels::new(plan);
     let mut curve = CurveModels::new();
-    let mut others: Vec<FirstModels> = Attribute::BASE[1..].iter().map(|&a| FirstModels::new(a)).collect();
-    let mut parts = Vec::new();
+    let mut others: Vec<FirstModels> = plan.layout.attributes().skip(1).map(|a| FirstModels::new(plan, a)).collect();
+    let mut sections = Vec::new();
     for index in 0..head.layers.len() {
         let layer = head.layer(index);
         let mut encoder = Encoder::default();
-        maps.code(&mut encoder, &head.plan, layer.clone(), shared);
-        parts.push(Part::shared(MAPS, index, encoder.finish()));
+        maps.code(&mut encoder, plan, head.num_timesteps, layer.clone(), shared);
+        sections.push(encoder.finish());
         let mut encoder = Encoder::default();
-        curve.code(&mut encoder, &head.plan, layer.clone(), shared);
-        parts.push(Part::shared(section::of_attribute(Attribute::Mean), index, encoder.finish()));
-        let Shared { bit_map, neighbors, first_codes, .. } = shared;
-        for (models, &attribute) in others.iter_mut().zip(&Attribute::BASE[1..]) {
-            let a = attribute.index();
+        curve.code(&mut encoder, plan, layer.clone(), shared);
+        sections.push(encoder.finish());
+        let Shared { bit_map, neighbors, first_codes, .. } = &mut *shared;
+        for models in &mut others {
+            let a = models.attribute().index();
             let mut encoder = Encoder::default();
             let (widths, codes) = (&bit_map.widths[a], &mut first_codes[a]);
-            models.code(&mut encoder, &head.plan, layer.clone(), neighbors, widths, codes);
-            parts.push(Part::shared(section::of_attribute(attribute), index, encoder.finish()));
+            models.code(&mut encoder, plan, layer.clone(), neighbors, widths, codes);
+            sections.push(encoder.finish());
         }
     }
-    parts
+    sections
 }
 
 /// The keypoints of an attribute in a segment, layer by layer.
@@ -229,12 +435,12 @@ fn segment_sections(
     shared: &Shared,
     segment: usize,
     attribute: Attribute,
-) -> Vec<Part> {
+) -> Vec<Vec<u8>> {
     let a = attribute.index();
     let mut models = KeypointModels::new(&head.plan, attribute);
     let mut units = UnitTracks::new(head.plan.channels(attribute));
     let unlimited = Budget::new(&DecodeLimits::none(), u64::MAX);
-    let mut parts = Vec::new();
+    let mut sections = Vec::new();
     for layer in 0..head.layers.len() {
         let place = Scope {
             plan: &head.plan,
@@ -242,7 +448,7 @@ fn segment_sections(
             attribute,
             layer: head.layer(layer),
             span: head.span(segment),
-            num_timesteps: head.num_timesteps(),
+            num_timesteps: head.num_timesteps,
             budget: &unlimited,
         };
         let tried = Motion::ALL.map(|motion| {
@@ -255,8 +461,7 @@ fn segment_sections(
         let (motion, bytes, best_models, best_units) =
             others.into_iter().fold(first, |best, next| if next.1.len() < best.1.len() { next } else { best });
         (models, units) = (best_models, best_units);
-        let bytes = [&[motion as u8][..], &bytes].concat();
-        parts.push(Part { tag: section::of_attribute(attribute), segment: segment as u16, layer: layer as u16, bytes });
+        sections.push([&[motion as u8][..], &bytes].concat());
     }
-    parts
+    sections
 }

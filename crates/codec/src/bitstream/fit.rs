@@ -5,10 +5,9 @@ use tcgs_core::Attribute;
 
 use super::coder::Encoder;
 use super::neighbors::NONE;
-use super::shared::{Features, FirstModels, MAX_COMPONENTS, Mode, Plan, Predictor, Shared, num_weights, value};
+use super::plan::{Mode, Plan, Predictor, num_weights};
+use super::shared::{Features, FirstModels, MAX_FEATURES, Shared, value};
 
-/// Most features of a predictor.
-const MAX_FEATURES: usize = 3 * MAX_COMPONENTS + 1;
 /// Keeps weights small where features say nothing; relative to the squares of the features.
 const RIDGE: f64 = 1e-4;
 /// Gaussians that weights are fitted to, at most, evenly taken.
@@ -27,7 +26,7 @@ pub(super) fn predictors(attribute: Attribute, plan: &Plan, shared: &Shared) -> 
         let mut codes = shared.first_codes[a].clone();
         let layer = 0..shared.num_gaussians();
         let widths = &shared.bit_map.widths[a];
-        FirstModels::new(attribute).code(&mut encoder, plan, layer, &shared.neighbors, widths, &mut codes);
+        FirstModels::new(plan, attribute).code(&mut encoder, plan, layer, &shared.neighbors, widths, &mut codes);
         encoder.finish().len()
     };
     let mut best = bytes(&plan);
@@ -49,18 +48,21 @@ fn weights(attribute: Attribute, channel: usize, plan: &Plan, shared: &Shared) -
     let (a, components) = (attribute.index(), attribute.components());
     let (table, codes) = (plan.quantizers.by_width(attribute), &shared.first_codes[a]);
     let widths = &shared.bit_map.widths[a];
-    let of = |g: usize, c: usize| value(&table[usize::from(widths[g])][c], codes[g * components + c]);
-    let count = num_weights(components, channel);
+    let of = |g: usize, c: usize| {
+        let quantizer = table[usize::from(widths[g])].get(c);
+        quantizer.map_or(0.0, |quantizer| value(quantizer, codes[g * components + c]))
+    };
+    let count = num_weights(attribute, channel);
     let mut squares = [[0.0; MAX_FEATURES]; MAX_FEATURES];
     let mut products = [0.0; MAX_FEATURES];
     let n = shared.num_gaussians();
     for g in (0..n).step_by(n.div_ceil(SAMPLE).max(1)) {
         let [first, second] = shared.neighbors(g);
-        if first == NONE {
+        if first == NONE || widths[g] == 0 {
             continue;
         }
         let second = if second == NONE { first } else { second };
-        let mut features = Features::new(components);
+        let mut features = Features::new(attribute);
         for (place, neighbor) in [first, second].into_iter().enumerate() {
             for c in 0..components {
                 features.set_neighbor(place, c, of(neighbor as usize, c));
@@ -70,9 +72,11 @@ fn weights(attribute: Attribute, channel: usize, plan: &Plan, shared: &Shared) -
             features.push(of(g, c));
         }
         let target = of(g, channel);
-        for (i, x) in features.values().iter().enumerate() {
+        let mut chosen = [0.0; MAX_FEATURES];
+        let features = features.of_next(&mut chosen);
+        for (i, x) in features.iter().enumerate() {
             products[i] += x * target;
-            for (j, y) in features.values().iter().enumerate() {
+            for (j, y) in features.iter().enumerate() {
                 squares[i][j] += x * y;
             }
         }

@@ -1,53 +1,65 @@
-//! The sections `INFO` and `PLAN` (`docs/FORMAT.md`): counts, provenance, layers, quantizers and predictors, which a
-//! decoder needs before any entropy-coded symbol.
+//! What a decoder knows before any entropy-coded symbol: the section `INFO`, and the head of a cohort (`docs/FORMAT.md`).
 
 use std::ops::Range;
+use std::sync::Arc;
 
-use tcgs_core::Attribute;
-
+use super::plan::Plan;
 use super::section::{Cursor, SHARED};
-use super::shared::{Mode, Plan, Predictor, num_weights};
-use crate::compact::{ColorSpace, SceneInfo, UpAxis, check_division};
+use crate::compact::{ColorSpace, SceneInfo, UpAxis, Violation, check_division};
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
-use crate::quantize::{Quantizer, Quantizers};
 
-/// Most segments: the number 65535 stands for what all segments share.
+/// Most segments of a cohort.
 pub(super) const MAX_SEGMENTS: usize = SHARED as usize;
 
-/// Content of `INFO` and `PLAN`.
-#[derive(Clone, Debug, Default)]
+/// Content of `INFO`: what holds for the whole scene.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Info {
+    pub(super) scene: SceneInfo,
+    /// Smallest and largest coordinates of means.
+    pub(super) bounds: [[f32; 3]; 2],
+    /// By attribute name, the largest difference to what was compressed.
+    pub(super) errors: Vec<(String, f32)>,
+}
+
+/// What is known of a cohort before its symbols.
+#[derive(Clone, Debug)]
 pub(super) struct Head {
-    pub(super) info: SceneInfo,
-    pub(super) plan: Plan,
+    /// Which cohort of the file.
+    pub(super) index: usize,
+    /// Of the whole scene.
+    pub(super) info: Arc<Info>,
+    pub(super) plan: Arc<Plan>,
+    /// Timestep of the scene at which the cohort begins.
+    pub(super) start: usize,
+    /// Timesteps of the cohort, at most 65536.
+    pub(super) num_timesteps: usize,
+    /// Gaussians of the cohort.
+    pub(super) num_gaussians: usize,
+    /// Whether Gaussians have first and last timesteps of their own.
+    pub(super) has_lives: bool,
     /// `[layers]`: number of Gaussians of each layer.
     pub(super) layers: Vec<u32>,
     /// `L` of the file; [`Self::segment_length`] is the length in effect.
     pub(super) segment_length: u32,
-    /// Smallest and largest coordinates of means.
-    pub(super) bounds: [[f32; 3]; 2],
 }
 
 impl Head {
-    pub(super) fn num_timesteps(&self) -> usize {
-        self.info.num_timesteps as usize
-    }
-
-    /// Length of the segments in timesteps. A scene without Gaussians or without an attribute that varies has one
+    /// Length of the segments in timesteps. A cohort without Gaussians or without an attribute that varies has one
     /// segment of all timesteps: otherwise a few bytes could claim 65,536 segments.
     pub(super) fn segment_length(&self) -> usize {
-        let moves = self.info.num_gaussians > 0 && self.plan.varies.contains(&true);
-        if moves { self.segment_length as usize } else { self.num_timesteps() }
+        let moves = self.num_gaussians > 0 && self.plan.varies.contains(&true);
+        if moves { self.segment_length as usize } else { self.num_timesteps }
     }
 
     pub(super) fn num_segments(&self) -> usize {
-        self.num_timesteps().div_ceil(self.segment_length())
+        self.num_timesteps.div_ceil(self.segment_length())
     }
 
-    /// Timesteps of a segment.
+    /// Timesteps of a segment, counted from the first of the cohort.
     pub(super) fn span(&self, segment: usize) -> Range<usize> {
         let length = self.segment_length();
-        segment * length..((segment + 1) * length).min(self.num_timesteps())
+        segment * length..((segment + 1) * length).min(self.num_timesteps)
     }
 
     /// Gaussians of a layer.
@@ -55,31 +67,73 @@ impl Head {
         let start = self.layers[..layer].iter().map(|&n| n as usize).sum();
         start..start + self.layers[layer] as usize
     }
+
+    /// Checks the rules for the division of Gaussians into layers and of timesteps into segments.
+    pub(super) fn check(&self) -> Result<(), Violation> {
+        check_division(self.num_gaussians as u32, &self.layers, self.segment_length)?;
+        if self.num_segments() > MAX_SEGMENTS {
+            let problem = "more than 65535 segments";
+            return Err(Violation { attribute: None, field: "segment_length", problem });
+        }
+        Ok(())
+    }
 }
 
-pub(super) fn write_info(head: &Head) -> Vec<u8> {
-    let info = &head.info;
+/// The fields of `INFO` that all versions have.
+fn write_scene(info: &Info) -> Vec<u8> {
+    let Info { scene, bounds, .. } = info;
     let mut bytes = Vec::new();
-    for count in [info.num_gaussians, info.num_timesteps, info.first_frame, info.downscale] {
+    for count in [scene.num_gaussians, scene.num_timesteps, scene.first_frame, scene.downscale] {
         bytes.extend(count.to_le_bytes());
     }
-    bytes.extend(info.frame_rate.to_le_bytes());
-    for bound in head.bounds.as_flattened() {
+    bytes.extend(scene.frame_rate.to_le_bytes());
+    for bound in bounds.as_flattened() {
         bytes.extend(bound.to_le_bytes());
     }
-    bytes.extend([info.color_space as u8, info.up as u8]);
-    for text in [&info.name, &info.generator] {
-        bytes.extend((text.len() as u16).to_le_bytes());
-        bytes.extend(text.as_bytes());
+    bytes.extend([scene.color_space as u8, scene.up as u8]);
+    for text in [&scene.name, &scene.generator] {
+        write_text(&mut bytes, text);
     }
-    bytes.extend(head.segment_length.to_le_bytes());
-    bytes.extend((head.layers.len() as u16).to_le_bytes());
-    bytes.extend(head.layers.iter().flat_map(|n| n.to_le_bytes()));
     bytes
 }
 
-/// Fields of `INFO`, into a head without a plan.
-pub(super) fn read_info(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result<Head, DecodeError> {
+/// A text of at most 65535 bytes.
+pub(super) fn write_text(bytes: &mut Vec<u8>, text: &str) {
+    bytes.extend((text.len() as u16).to_le_bytes());
+    bytes.extend(text.as_bytes());
+}
+
+/// `INFO` of version 1, which holds the division of its only cohort.
+pub(super) fn write_info_1(info: &Info, head: &Head) -> Vec<u8> {
+    let mut bytes = write_scene(info);
+    bytes.extend(head.segment_length.to_le_bytes());
+    write_layers(&mut bytes, &head.layers);
+    bytes
+}
+
+/// `INFO` of version 2.
+pub(super) fn write_info_2(info: &Info) -> Vec<u8> {
+    let mut bytes = write_scene(info);
+    bytes.push(info.errors.len() as u8);
+    for (name, error) in &info.errors {
+        write_text(&mut bytes, name);
+        bytes.extend(error.to_le_bytes());
+    }
+    bytes
+}
+
+pub(super) fn write_layers(bytes: &mut Vec<u8>, layers: &[u32]) {
+    bytes.extend((layers.len() as u16).to_le_bytes());
+    bytes.extend(layers.iter().flat_map(|n| n.to_le_bytes()));
+}
+
+pub(super) fn read_layers(cursor: &mut Cursor<'_>) -> Result<Vec<u32>, DecodeError> {
+    let num_layers = cursor.u16("number of layers")?;
+    (0..num_layers).map(|_| cursor.u32("layers")).collect()
+}
+
+/// The fields of `INFO` that all versions have.
+fn read_scene(cursor: &mut Cursor<'_>, limits: &DecodeLimits) -> Result<Info, DecodeError> {
     let num_gaussians = cursor.u32("num_gaussians")?;
     let num_timesteps = cursor.u32("num_timesteps")?;
     let counts =
@@ -104,10 +158,7 @@ pub(super) fn read_info(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result
     let up = UpAxis::ALL.get(usize::from(cursor.u8("up")?)).copied();
     let up = up.ok_or_else(|| cursor.invalid("up", "unknown"))?;
     let (name, generator) = (cursor.text("name")?, cursor.text("generator")?);
-    let segment_length = cursor.u32("segment_length")?;
-    let num_layers = cursor.u16("number of layers")?;
-    let layers = (0..num_layers).map(|_| cursor.u32("layers")).collect::<Result<Vec<u32>, _>>()?;
-    let info = SceneInfo {
+    let scene = SceneInfo {
         num_gaussians,
         num_timesteps,
         first_frame,
@@ -118,83 +169,33 @@ pub(super) fn read_info(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result
         color_space,
         up,
     };
-    let legal = info.check().and_then(|()| check_division(num_gaussians, &layers, segment_length));
+    Ok(Info { scene, bounds, errors: Vec::new() })
+}
+
+/// `INFO` of version 1.
+///
+/// - returns: what holds for the scene, length of a segment, and layers
+pub(super) fn read_info_1(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result<(Info, u32, Vec<u32>), DecodeError> {
+    let info = read_scene(&mut cursor, limits)?;
+    let segment_length = cursor.u32("segment_length")?;
+    let layers = read_layers(&mut cursor)?;
+    let legal = info.scene.check(1).and_then(|()| check_division(info.scene.num_gaussians, &layers, segment_length));
     legal.map_err(|violation| cursor.invalid(violation.field, violation.problem))?;
     cursor.finish()?;
-    Ok(Head { info, layers, segment_length, bounds, plan: Plan::default() })
+    Ok((info, segment_length, layers))
 }
 
-fn attribute_bits(flags: &[bool; 5]) -> u8 {
-    flags.iter().enumerate().map(|(index, &flag)| u8::from(flag) << index).sum()
-}
-
-/// Interpolation between keypoints; only linear is known.
-const LINEAR: u8 = 0;
-
-pub(super) fn write_plan(plan: &Plan) -> Vec<u8> {
-    let mut section = vec![attribute_bits(&plan.varies), attribute_bits(&plan.joint)];
-    for attribute in Attribute::BASE {
-        let a = attribute.index();
-        section.push(LINEAR);
-        section.push(plan.quantizers.attributes[a].len() as u8);
-        for (&width, channels) in &plan.quantizers.attributes[a] {
-            section.push(width);
-            for quantizer in channels {
-                section.extend(quantizer.step.to_le_bytes());
-                section.extend(quantizer.offset.to_le_bytes());
-            }
+/// `INFO` of version 2.
+pub(super) fn read_info_2(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result<Info, DecodeError> {
+    let mut info = read_scene(&mut cursor, limits)?;
+    for _ in 0..cursor.u8("number of errors")? {
+        let (name, error) = (cursor.text("name of an attribute")?, cursor.f32("error")?);
+        if !(error.is_finite() && error >= 0.0) {
+            return Err(cursor.invalid("error", "negative or not finite"));
         }
-        if attribute != Attribute::Mean {
-            for predictor in &plan.predictors[a] {
-                section.push(predictor.mode as u8);
-                section.extend(predictor.weights.iter().flat_map(|w| w.to_le_bytes()));
-            }
-        }
+        info.errors.push((name, error));
     }
-    section
-}
-
-pub(super) fn read_plan(mut cursor: Cursor<'_>) -> Result<Plan, DecodeError> {
-    let varies = cursor.attributes("varying attributes")?;
-    let joint = cursor.attributes("joint attributes")?;
-    let mut quantizers = Quantizers::default();
-    let mut predictors: [Vec<Predictor>; 5] = Default::default();
-    for attribute in Attribute::BASE {
-        let (a, components) = (attribute.index(), attribute.components());
-        if cursor.u8("interpolation")? != LINEAR {
-            return Err(cursor.invalid("interpolation", "unknown"));
-        }
-        let by_width = &mut quantizers.attributes[a];
-        for _ in 0..cursor.u8("number of widths")? {
-            let bits = cursor.u8("width")?;
-            if by_width.last_key_value().is_some_and(|(&last, _)| last >= bits) {
-                return Err(cursor.invalid("width", "not ascending"));
-            }
-            let mut channels = Vec::with_capacity(components);
-            for _ in 0..components {
-                let quantizer = Quantizer { step: cursor.f32("step")?, offset: cursor.f32("offset")?, bits };
-                if let Some(problem) = quantizer.problem() {
-                    return Err(cursor.invalid("quantizer", problem));
-                }
-                channels.push(quantizer);
-            }
-            by_width.insert(bits, channels);
-        }
-        if attribute != Attribute::Mean {
-            for channel in 0..components {
-                let mode = Mode::ALL.get(usize::from(cursor.u8("mode")?)).copied();
-                let mode = mode.ok_or_else(|| cursor.invalid("mode", "unknown"))?;
-                let mut weights = Vec::with_capacity(num_weights(components, channel));
-                for _ in 0..weights.capacity() {
-                    weights.push(cursor.f32("weight")?);
-                }
-                if weights.iter().any(|w| !w.is_finite()) {
-                    return Err(cursor.invalid("weight", "not finite"));
-                }
-                predictors[a].push(Predictor { mode, weights });
-            }
-        }
-    }
+    info.scene.check(2).map_err(|violation| cursor.invalid(violation.field, violation.problem))?;
     cursor.finish()?;
-    Ok(Plan { varies, joint, quantizers, predictors })
+    Ok(info)
 }

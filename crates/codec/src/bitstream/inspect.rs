@@ -2,14 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Arc;
 
-use tcgs_core::Attribute;
+use tcgs_core::Layout;
 
-use super::FORMAT_VERSION;
 use super::archive::{Archive, Opening};
-use super::decode::{decode, open_whole};
-use super::section::{SHARED, name};
-use crate::compact::SceneInfo;
+use super::cohort::Cohort;
+use super::decode::{decode_cohorts, open_cohorts, open_whole};
+use super::section::{Entry, SHARED, name};
+use crate::compact::{CompactScene, SceneInfo};
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 
@@ -22,12 +23,10 @@ pub struct FileInfo {
     pub bytes: u64,
     /// Length of the file in bytes as its table of contents says; more than [`Self::bytes`] if the file was cut.
     pub bytes_before: u64,
-    /// All sections, in the order of the file.
+    /// All sections: those of the whole scene, then cohort by cohort; of a file of version 1 in the order of the file.
     pub sections: Vec<SectionInfo>,
-    /// For every segment its timesteps and its range of bytes in the file.
-    pub segments: Vec<(Range<usize>, Range<u64>)>,
-    /// `[layers]`: number of Gaussians of each layer.
-    pub layers: Vec<u32>,
+    /// All cohorts whose heads are whole.
+    pub cohorts: Vec<CohortInfo>,
     /// Axis-aligned bounding box of all means at all timesteps, in scene units: the smallest and the largest
     /// coordinates.
     pub bounds: [[f32; 3]; 2],
@@ -35,11 +34,26 @@ pub struct FileInfo {
     pub contents: Option<Contents>,
 }
 
+/// One cohort of a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CohortInfo {
+    /// Timesteps of the scene that it spans.
+    pub timesteps: Range<usize>,
+    /// `[layers]`: number of Gaussians of each layer.
+    pub layers: Vec<u32>,
+    /// For every segment its timesteps of the scene and its range of bytes in the file.
+    pub segments: Vec<(Range<usize>, Range<u64>)>,
+    /// Which columns the Gaussians have.
+    pub layout: Arc<Layout>,
+}
+
 /// One section of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SectionInfo {
-    /// Name of the kind of section, such as `maps`; [`Attribute::name`] for a section with codes of an attribute.
-    pub name: &'static str,
+    /// Name of the kind of section, such as `maps`; that of the attribute for a section with codes of an attribute.
+    pub name: String,
+    /// Index of the cohort that the section belongs to; none if it belongs to the whole scene.
+    pub cohort: Option<usize>,
     /// Index of the segment that the section belongs to; none if all segments share the section.
     pub segment: Option<usize>,
     /// Index of the layer that the section belongs to; 0 if the section belongs to none.
@@ -57,10 +71,10 @@ pub struct SectionInfo {
 pub struct Contents {
     /// Counts and provenance of the scene.
     pub info: SceneInfo,
-    /// By [`Attribute::index`]: the number of Gaussians of each width in use.
-    pub bits_histogram: Vec<BTreeMap<u8, usize>>,
-    /// By [`Attribute::index`]: mean number of keypoints of a track.
-    pub keypoints_mean: Vec<f64>,
+    /// By name of the attribute: the number of Gaussians of each width in use; width 0 of those that lack it.
+    pub bits_histogram: Vec<(String, BTreeMap<u8, usize>)>,
+    /// By name of the attribute: mean number of keypoints of a track.
+    pub keypoints_mean: Vec<(String, f64)>,
     /// Size as 32-bit floats, in bytes: [`crate::CompactScene::raw_bytes`].
     pub raw_bytes: u64,
     /// Size in the paper's sparse form, in bytes: [`crate::CompactScene::plain_bytes`].
@@ -73,10 +87,13 @@ impl FileInfo {
         self.sections.iter().all(|s| s.checksum_ok)
     }
 
-    /// By [`Attribute::index`]: total length of the sections with codes of the attribute, in bytes. Bit widths and all
+    /// By name of the attribute: total length of the sections with codes of the attribute, in bytes. Bit widths and all
     /// else lie in other sections.
-    pub fn bytes_by_attribute(&self) -> [u64; 5] {
-        Attribute::BASE.map(|a| self.sections.iter().filter(|s| s.name == a.name()).map(|s| s.bytes).sum())
+    pub fn bytes_by_attribute(&self) -> Vec<(String, u64)> {
+        let layouts = self.cohorts.iter().map(|cohort| &cohort.layout);
+        let layout = layouts.max_by_key(|layout| layout.columns().len()).map_or_else(Layout::base, Arc::clone);
+        let bytes = |name: &str| self.sections.iter().filter(|s| s.name == name).map(|s| s.bytes).sum();
+        layout.columns().iter().map(|column| (column.name.clone(), bytes(&column.name))).collect()
     }
 }
 
@@ -94,7 +111,7 @@ impl FileInfo {
 /// let settings = CompressSettings::default();
 /// let compact = compress(&scene, &BitMap::uniform(3, 16, 6), None, SceneInfo::of(&scene), &settings)?;
 /// let info = inspect(&encode(&compact)?, &DecodeLimits::default())?;
-/// assert!(info.checksums_ok() && info.segments.len() == 1);
+/// assert!(info.checksums_ok() && info.cohorts[0].segments.len() == 1);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
@@ -104,7 +121,7 @@ impl FileInfo {
 /// - [`DecodeError::Version`] if the file is of another version
 /// - [`DecodeError::Limit`] if decoding exceeds `limits`
 pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeError> {
-    inspect_archive(file, limits, &open_whole(file, limits)?)
+    inspect_archive(file, limits, open_whole(file, limits)?)
 }
 
 /// [`inspect`] of a file that may have been cut: sections that are not whole are reported by
@@ -127,47 +144,89 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
 /// As [`inspect`], of a file that was cut only if the header, `INFO` or `PLAN` is not whole.
 pub fn inspect_cut(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeError> {
     match Archive::open(file, limits)? {
-        Opening::Ready(archive) if archive.file_bytes() > file.len() as u64 => inspect_archive(file, limits, &archive),
+        Opening::Ready(archive) if archive.file_bytes() > file.len() as u64 => inspect_archive(file, limits, *archive),
         _ => inspect(file, limits),
     }
 }
 
-fn inspect_archive(file: &[u8], limits: &DecodeLimits, archive: &Archive) -> Result<FileInfo, DecodeError> {
-    let sections = archive.entries().iter().map(|entry| {
+fn inspect_archive(file: &[u8], limits: &DecodeLimits, mut archive: Archive) -> Result<FileInfo, DecodeError> {
+    let describe = |entry: &Entry, name: &str, cohort: Option<usize>| {
         let bytes = file.get(entry.range.start as usize..entry.range.end as usize);
         SectionInfo {
-            name: name(entry.tag),
+            name: name.into(),
+            cohort,
             segment: (entry.segment != SHARED).then_some(entry.segment.into()),
             layer: entry.layer.into(),
             bytes: entry.range.end - entry.range.start,
             is_whole: bytes.is_some(),
             checksum_ok: bytes.is_some_and(|bytes| entry.open(bytes).is_ok()),
         }
-    });
-    let layers = archive.num_layers();
+    };
+    let mut sections: Vec<_> = archive.entries().iter().map(|e| describe(e, name(e.tag), None)).collect();
+    let is_whole = file.len() as u64 == archive.file_bytes();
+    let cohorts: Vec<Cohort> = if is_whole {
+        open_cohorts(&mut archive, file)?
+    } else {
+        // Heads come by ascending timesteps: those beyond the end of what is left are not whole.
+        let whole = (0..archive.num_cohorts()).take_while(|&i| archive.head_range(i).end <= file.len() as u64);
+        let whole: Vec<usize> = whole.collect();
+        let head = |archive: &Archive, i| archive.head_range(i).start as usize..archive.head_range(i).end as usize;
+        whole.into_iter().map(|i| archive.open_cohort(i, &file[head(&archive, i)])).collect::<Result<_, _>>()?
+    };
+    for (index, cohort) in cohorts.iter().enumerate().filter(|_| archive.version() > 1) {
+        let names = cohort.entry_names();
+        sections.extend(cohort.entries().iter().zip(names).map(|(e, name)| describe(e, &name, Some(index))));
+    }
+    let describe_cohort = |cohort: &Cohort| CohortInfo {
+        timesteps: cohort.timesteps(),
+        layers: cohort.layers().to_vec(),
+        segments: (0..cohort.num_segments())
+            .map(|i| (cohort.timesteps_of(i), cohort.segment_range(i, cohort.num_layers())))
+            .collect(),
+        layout: Arc::clone(cohort.layout()),
+    };
     let mut file_info = FileInfo {
-        version: FORMAT_VERSION,
+        version: archive.version(),
         bytes: file.len() as u64,
         bytes_before: archive.file_bytes(),
-        sections: sections.collect(),
-        segments: (0..archive.num_segments())
-            .map(|segment| (archive.timesteps(segment), archive.segment_range(segment, layers)))
-            .collect(),
-        layers: archive.layers().to_vec(),
+        sections,
+        cohorts: cohorts.iter().map(describe_cohort).collect(),
         bounds: archive.bounds(),
         contents: None,
     };
-    if file_info.checksums_ok() {
-        let scene = decode(file, limits)?;
-        file_info.contents = Some(Contents {
-            bits_histogram: scene.bit_map.histogram(),
-            keypoints_mean: scene.keypoints_mean(),
-            raw_bytes: scene.raw_bytes(),
-            plain_bytes: scene.plain_bytes(),
-            info: scene.info,
-        });
+    if is_whole && file_info.checksums_ok() {
+        file_info.contents = Some(contents(archive.info(), &decode_cohorts(file, limits)?.1));
     }
     Ok(file_info)
+}
+
+/// Statistics of all cohorts together.
+fn contents(info: &SceneInfo, cohorts: &[CompactScene]) -> Contents {
+    let layout = cohorts.iter().map(|cohort| &cohort.layout).max_by_key(|layout| layout.columns().len());
+    let columns = layout.map_or(&[][..], |layout| layout.columns());
+    let mut contents = Contents {
+        info: info.clone(),
+        bits_histogram: columns.iter().map(|column| (column.name.clone(), BTreeMap::new())).collect(),
+        keypoints_mean: Vec::new(),
+        raw_bytes: cohorts.iter().map(CompactScene::raw_bytes).sum(),
+        plain_bytes: cohorts.iter().map(CompactScene::plain_bytes).sum(),
+    };
+    let mut sums = vec![(0, 0); columns.len()];
+    for cohort in cohorts {
+        let histograms = cohort.bit_map.histogram();
+        for (attribute, tracks) in cohort.layout.attributes().zip(&cohort.tracks) {
+            let name = cohort.layout.name(attribute);
+            let Some(place) = columns.iter().position(|column| column.name == name) else { continue };
+            for (&width, &count) in &histograms[attribute.index()] {
+                *contents.bits_histogram[place].1.entry(width).or_default() += count;
+            }
+            sums[place].0 += tracks.num_keypoints();
+            sums[place].1 += tracks.len();
+        }
+    }
+    let means = sums.into_iter().map(|(keypoints, tracks)| keypoints as f64 / tracks.max(1) as f64);
+    contents.keypoints_mean = columns.iter().map(|column| column.name.clone()).zip(means).collect();
+    contents
 }
 
 /// Application data of a file, as [`encode_with`](crate::encode_with) wrote them.

@@ -7,8 +7,9 @@ use tcgs_core::Attribute;
 use super::coder::{Coder, SymbolModel};
 use super::neighbors::NONE;
 use super::number::{Numbers, floor, unzigzag, wrap, zigzag};
+use super::plan::{MAX_COMPONENTS, Plan};
 use super::segment::Keypoints;
-use super::shared::{MAX_COMPONENTS, Plan, Shared};
+use super::shared::{Shared, place_of_width};
 use crate::compact::Tracks;
 use crate::error::DecodeError;
 use crate::limits::Budget;
@@ -68,7 +69,7 @@ impl UnitTracks {
         self.starts.len() * size_of::<u32>() + self.times.len() * self.bytes_per_keypoint()
     }
 
-    /// Times and codes, `[keypoints]` and `[keypoints, channels]`.
+    /// Times and codes, `[keypoints]` and `[keypoints, channels]`; none of a unit that does not live in the segment.
     pub(super) fn unit(&self, unit: usize) -> (&[u16], &[i16]) {
         let range = self.starts[unit] as usize..self.starts[unit + 1] as usize;
         (&self.times[range.clone()], &self.codes[range.start * self.channels..range.end * self.channels])
@@ -122,8 +123,9 @@ pub(super) struct Scope<'a> {
     pub(super) attribute: Attribute,
     /// Gaussians.
     pub(super) layer: Range<usize>,
-    /// Timesteps.
+    /// Timesteps, counted from the first of the cohort.
     pub(super) span: Range<usize>,
+    /// Timesteps of the cohort.
     pub(super) num_timesteps: usize,
     /// Budget for the memory of keypoints.
     pub(super) budget: &'a Budget,
@@ -172,12 +174,8 @@ impl KeypointModels {
         let components = attribute.components();
         let widths = &plan.quantizers.attributes[attribute.index()];
         let num_widths = widths.len();
-        let mut place_of_width = [0; 17];
-        for (place, &width) in widths.keys().enumerate() {
-            place_of_width[usize::from(width)] = place;
-        }
         Self {
-            place_of_width,
+            place_of_width: place_of_width(widths.keys()),
             num_widths,
             counts: vec![SymbolModel::new(16); components * NUM_COUNTS * NUM_COUNTS],
             more: Numbers::new(1),
@@ -210,23 +208,35 @@ impl KeypointModels {
         let units = components / out.channels;
         let mut count_before = 0;
         for g in place.layer.clone() {
+            let lives = place.shared.lives.as_ref().map(|lives| lives[g].map(usize::from));
+            let [birth, death] = lives.unwrap_or([0, place.num_timesteps - 1]);
+            let span = place.span.start.max(birth)..place.span.end.min(death + 1);
             for unit in 0..units {
                 if place.shared.units[a][g * units + unit] == NONE {
+                    continue;
+                }
+                if span.is_empty() {
+                    place.budget.reserve("keypoints", 1, size_of::<u32>()).map_err(Problem::TooMany)?;
+                    out.starts.push(out.times.len() as u32);
                     continue;
                 }
                 let neighbors = place.shared.neighbors(g);
                 let neighbor = neighbors.into_iter().find_map(|n| {
                     let index = if n == NONE { NONE } else { place.shared.units[a][n as usize * units + unit] };
-                    (index != NONE).then_some((n as usize, index as usize))
+                    let moves_here = index != NONE && !out.unit(index as usize).0.is_empty();
+                    moves_here.then_some((n as usize, index as usize))
                 });
                 let unit = Unit {
                     place,
+                    span: span.clone(),
+                    birth,
+                    death,
                     motion,
                     gaussian: g,
                     channel: unit * out.channels,
                     neighbor,
                     source: source
-                        .map(|tracks| UnitKeypoints::new(tracks, g * components + unit * out.channels, &place.span)),
+                        .map(|tracks| UnitKeypoints::new(tracks, g * components + unit * out.channels, &span)),
                 };
                 count_before = self.code_unit(coder, &unit, count_before, out)?;
                 if coder.exhausted() {
@@ -246,7 +256,7 @@ impl KeypointModels {
         out: &mut UnitTracks,
     ) -> Result<usize, Problem> {
         let place = unit.place;
-        let (first, last) = (place.span.start, place.span.end - 1);
+        let (first, last) = (unit.span.start, unit.span.end - 1);
         let channels = out.channels;
         let start = out.times.len();
         let time_of = |k: usize| unit.source.as_ref().map_or(0, |s| usize::from(s.times[k]));
@@ -255,9 +265,9 @@ impl KeypointModels {
         place.budget.reserve("keypoints", 1, bytes).map_err(Problem::TooMany)?;
         out.reserve(2);
         let mut time = first;
-        if first > 0 {
+        if first > unit.birth {
             let before = self.before.code(coder, 0, first.wrapping_sub(time_of(0)) as u32) as usize;
-            time = first.checked_sub(before).ok_or(Problem::Damaged)?;
+            time = first.checked_sub(before).filter(|&time| time >= unit.birth).ok_or(Problem::Damaged)?;
         }
         out.times.push(time as u16);
         self.code_start(coder, unit, out);
@@ -300,10 +310,10 @@ impl KeypointModels {
                 out.times.push(inner_time as u16);
             }
             let mut end = last;
-            if last + 1 < place.num_timesteps {
+            if last < unit.death {
                 let source_end = source.map_or(0, |s| usize::from(s.times[s.times.len() - 1]));
                 end += self.after.code(coder, 0, source_end.wrapping_sub(last) as u32) as usize;
-                if end >= place.num_timesteps {
+                if end > unit.death {
                     return Err(Problem::Damaged);
                 }
             }
@@ -329,7 +339,7 @@ impl KeypointModels {
             let channel = unit.channel + c;
             let anchor = place.shared.first_codes[a][unit.gaussian * components + channel];
             let mut code = anchor;
-            if place.span.start > 0 {
+            if unit.span.start > unit.birth {
                 let width = unit.width();
                 let shift = unit.neighbor.map_or(0.0, |(n, index)| {
                     let first = f64::from(place.shared.first_codes[a][n * components + channel]);
@@ -352,7 +362,7 @@ impl KeypointModels {
     fn code_later<C: Coder>(&mut self, coder: &mut C, unit: &Unit<'_>, start: usize, out: &mut UnitTracks) {
         let channels = out.channels;
         let width = unit.width();
-        let mut sizes = [0; MAX_COMPONENTS];
+        let mut sizes = [0_u8; MAX_COMPONENTS];
         for at in start + 1..out.times.len() {
             let (time_before, time) = (out.times[at - 1], out.times[at]);
             let gap = (time - time_before).max(1).ilog2().min(NUM_GAPS as u32 - 1) as usize;
@@ -376,10 +386,10 @@ impl KeypointModels {
                 let near = i32::from(before) + rounded(shift);
                 let source = unit.source.as_ref().map_or(0, |s| i32::from(s.code(at - start, c)));
                 let size = if c > 0 { sizes[c - 1] } else { sizes[0] };
-                let context = (self.context(channel, width) * NUM_SIZES + size) * NUM_GAPS + gap;
+                let context = (self.context(channel, width) * NUM_SIZES + usize::from(size)) * NUM_GAPS + gap;
                 let context = 2 * context + usize::from(neighbor.is_some());
                 let coded = self.later.code(coder, context, zigzag(wrap(source.wrapping_sub(near), width)));
-                sizes[c] = size_of_difference(coded);
+                sizes[c] = size_of_difference(coded) as u8;
                 out.codes.push(wrap(near.wrapping_add(unzigzag(coded)), width) as i16);
             }
         }
@@ -402,6 +412,12 @@ fn rounded(shift: f64) -> i32 {
 /// A unit that is being coded, and what its codes are predicted from.
 struct Unit<'a> {
     place: &'a Scope<'a>,
+    /// Timesteps of the segment at which its Gaussian lives.
+    span: Range<usize>,
+    /// First timestep at which its Gaussian lives.
+    birth: usize,
+    /// Last timestep at which its Gaussian lives.
+    death: usize,
     motion: Motion,
     gaussian: usize,
     /// First channel.

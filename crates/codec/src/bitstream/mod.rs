@@ -1,25 +1,22 @@
-//! The `.tcgs` format, version 1 (`docs/FORMAT.md`): lossless conversion between a compact scene and the bytes of a
-//! file.
+//! The `.tcgs` format (`docs/FORMAT.md`), versions 1 and 2: lossless conversion between compact scenes and the bytes of a
+//! file. Both versions code symbols alike; they differ in their containers and in what these may hold.
 //!
-//! - `container`, `section`: header, table of contents, checksums; a cursor over the fields of a section
-//! - `head`: the sections `INFO` and `PLAN`
+//! - `container`, `section`: where sections lie in a file, checksums; a cursor over the fields of a section
+//! - `head`, `plan`: what describes a scene, and what describes a cohort of its Gaussians
 //! - `coder`, `number`: adaptive entropy coding (rANS) of symbols and numbers
 //! - `neighbors`, `shared`: the shared layers: widths and first codes, predicted from Gaussians nearby
 //! - `keypoints`: the sections of segments: times and codes of keypoints, predicted from earlier and neighbouring
 //!   motion
-//! - `encode`, `fit`: a compact scene to a file
-//! - `archive`, `reader`, `segment`: parts of a file to codes and floats
+//! - `encode`, `fit`: compact scenes to a file
+//! - `archive`, `cohort`, `reader`, `segment`: parts of a file to codes and floats
 //! - `decode`, `push`, `inspect`: a whole file at once, a file in pieces, a description of a file
-//!
-//! Version 1 of the format has exactly the columns of [`Attribute::BASE`](tcgs_core::Attribute::BASE), in this order: the
-//! arrays of length 5 in this folder are by [`Attribute::index`](tcgs_core::Attribute::index) of these columns. An encoder
-//! refuses a [`Layout`](tcgs_core::Layout) with others.
 //!
 //! `shared` and `keypoints` describe the coded symbols once for both directions (see `coder`). Only this folder depends
 //! on the layout of a file.
 
 mod archive;
 mod coder;
+mod cohort;
 mod container;
 mod decode;
 #[cfg(feature = "encode")]
@@ -31,6 +28,7 @@ mod inspect;
 mod keypoints;
 mod neighbors;
 mod number;
+mod plan;
 mod push;
 mod reader;
 mod section;
@@ -38,14 +36,15 @@ mod segment;
 mod shared;
 
 pub use archive::{Archive, Opening};
+pub use cohort::Cohort;
 pub use container::MAGIC;
-pub use decode::decode;
-pub(crate) use decode::end_of_file;
+pub use decode::{decode, decode_cohorts};
+pub(crate) use decode::{end_of_file, other_attributes};
 #[cfg(feature = "encode")]
-pub use encode::{encode, encode_to, encode_with};
-pub use inspect::{Contents, FileInfo, SectionInfo, application_data, inspect, inspect_cut};
+pub use encode::{FileWriter, encode, encode_cohorts, encode_to, encode_with};
+pub use inspect::{CohortInfo, Contents, FileInfo, SectionInfo, application_data, inspect, inspect_cut};
 pub use push::{Decoder, Event};
 pub use segment::{Keypoints, Sampler, Segment};
 
-/// Version of the format that this crate writes, and the only version that it reads.
-pub const FORMAT_VERSION: u16 = 1;
+/// The newest version of the format that this crate writes and reads; it reads and writes all before, too.
+pub const FORMAT_VERSION: u16 = 2;

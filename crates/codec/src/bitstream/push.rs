@@ -1,21 +1,28 @@
 //! Push decoding: a file is decoded while its bytes arrive, in pieces of any size.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use super::archive::{Archive, Opening};
+use super::cohort::Cohort;
 use super::container;
+use super::decode::end_of_file;
 use super::reader::SegmentReader;
 use super::section::Cursor;
 use super::segment::Segment;
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 
-/// A part of the file that the bytes given to [`Decoder::push`] completed. The parts come in the order of the variants.
+/// A part of the file that the bytes given to [`Decoder::push`] completed. The header comes first, of each cohort the
+/// layers before the segments, and the end last.
 #[derive(Debug)]
 pub enum Event {
-    /// The table of contents, `INFO` and `PLAN`: [`Decoder::archive`] is available from now on.
+    /// What describes the scene: [`Decoder::archive`] is available from now on.
     Header,
-    /// One more shared layer.
+    /// One more shared layer of a cohort.
     Layer {
-        /// Number of shared layers so far.
+        /// Which cohort.
+        cohort: usize,
+        /// Number of its shared layers so far.
         layers: usize,
     },
     /// A segment with the layers that arrived so far. A segment comes once for each of its layers, each time with one
@@ -55,11 +62,21 @@ pub struct Decoder {
     /// Number of bytes from the start of the file that the next step needs.
     needed: u64,
     archive: Option<Box<Archive>>,
+    /// Those of which parts are to come.
+    cohorts: BTreeMap<usize, Cohort>,
+    /// What is known to come: by its offset, cohort, and which part of the cohort.
+    parts: BTreeSet<(u64, usize, Part)>,
     /// Reader of the segment of which some layers were decoded.
     reader: Option<SegmentReader>,
-    /// Number of groups of sections (see [`Archive`]) that were decoded.
-    groups: usize,
     finished: bool,
+}
+
+/// Part of a cohort.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    Head,
+    /// A group of sections (see [`Cohort`]).
+    Group(usize),
 }
 
 impl Decoder {
@@ -73,8 +90,9 @@ impl Decoder {
             offset: 0,
             needed: 0,
             archive: None,
+            cohorts: BTreeMap::new(),
+            parts: BTreeSet::new(),
             reader: None,
-            groups: 0,
             finished: false,
         }
     }
@@ -105,7 +123,7 @@ impl Decoder {
         Ok(events)
     }
 
-    /// Table of contents and shared layers of the file; none before [`Event::Header`].
+    /// What the start of the file says; none before [`Event::Header`].
     pub fn archive(&self) -> Option<&Archive> {
         self.archive.as_deref()
     }
@@ -128,61 +146,92 @@ impl Decoder {
                 }
                 Opening::Ready(archive) => {
                     events.push(Event::Header);
+                    for cohort in 0..archive.num_cohorts() {
+                        self.parts.insert((archive.head_range(cohort).start, cohort, Part::Head));
+                    }
                     self.archive = Some(archive);
-                    return Ok(self.wait_for_next());
+                    self.wait_for_next();
+                    return Ok(true);
                 }
             }
         };
-        let (num_layers, num_groups) = (archive.num_layers(), archive.num_layers() * (1 + archive.num_segments()));
-        if self.groups == num_groups {
+        let Some((_, index, part)) = self.parts.pop_first() else {
             let end = archive.file_bytes();
             archive.check_optional(self.offset, &self.bytes[..(end - self.offset) as usize])?;
-            self.bytes.drain(..(end - self.offset) as usize);
-            self.offset = end;
+            self.drain(end);
             self.finished = true;
-            // A scene without Gaussians has no layers to send its segments with.
-            if num_layers == 0 {
-                for segment in 0..archive.num_segments() {
-                    events.push(Event::Segment(Box::new(archive.read_segment(segment, &[])?)));
-                }
-            }
             events.push(Event::End);
             return Ok(true);
+        };
+        let range = match part {
+            Part::Head => archive.head_range(index),
+            Part::Group(group) => self.cohorts[&index].range_of(group..group + 1),
+        };
+        // Nothing keeps the parts of a wrong file apart.
+        if !range.is_empty() && range.start < self.offset {
+            return Err(end_of_file(self.offset, "parts overlap"));
         }
-        let range = archive.range_of(self.groups..self.groups + 1);
-        let start = (range.start - self.offset) as usize;
-        archive.check_optional(self.offset, &self.bytes[..(range.end - self.offset) as usize])?;
-        if self.groups < num_layers {
-            archive.read_shared(&self.bytes[start..(range.end - self.offset) as usize])?;
-            events.push(Event::Layer { layers: self.groups + 1 });
-        } else {
-            let (segment, layer) = (self.groups / num_layers - 1, self.groups % num_layers);
-            let mut reader = self.reader.take().filter(|_| layer > 0);
-            let mut reader = reader.take().unwrap_or_else(|| SegmentReader::new(archive, segment));
-            reader.read(archive, self.offset, &self.bytes, archive.budget())?;
-            if layer + 1 < num_layers {
-                events.push(Event::Segment(Box::new(reader.snapshot(archive)?)));
-                self.reader = Some(reader);
-            } else {
-                events.push(Event::Segment(Box::new(reader.finish(archive))));
+        let end = match part {
+            Part::Head => {
+                let bytes =
+                    if range.is_empty() { &[][..] } else { &self.bytes[(range.start - self.offset) as usize..] };
+                let cohort = archive.open_cohort(index, bytes)?;
+                for group in 0..cohort.num_groups() {
+                    self.parts.insert((cohort.range_of(group..group + 1).start, index, Part::Group(group)));
+                }
+                // A cohort without Gaussians has no layers to send its segments with.
+                for segment in 0..if cohort.num_layers() == 0 { cohort.num_segments() } else { 0 } {
+                    events.push(Event::Segment(Box::new(cohort.read_segment(segment, &[])?)));
+                }
+                self.cohorts.insert(index, cohort);
+                range.end
             }
-        }
-        self.groups += 1;
-        self.bytes.drain(..(range.end - self.offset) as usize);
-        self.offset = range.end;
-        Ok(self.wait_for_next())
+            Part::Group(group) => {
+                let cohort = self.cohorts.get_mut(&index).expect("a cohort that was opened");
+                let end = range.end.max(self.offset);
+                archive.check_optional(self.offset, &self.bytes[..(end - self.offset) as usize])?;
+                let num_layers = cohort.num_layers();
+                if group < num_layers {
+                    let section = (range.start - self.offset) as usize..(range.end - self.offset) as usize;
+                    cohort.read_shared(&self.bytes[section])?;
+                    events.push(Event::Layer { cohort: index, layers: group + 1 });
+                } else {
+                    let (segment, layer) = (group / num_layers - 1, group % num_layers);
+                    let mut reader = self.reader.take().filter(|_| layer > 0);
+                    let mut reader = reader.take().unwrap_or_else(|| SegmentReader::new(cohort, segment));
+                    reader.read(cohort, self.offset, &self.bytes, cohort.budget())?;
+                    if layer + 1 < num_layers {
+                        events.push(Event::Segment(Box::new(reader.snapshot(cohort)?)));
+                        self.reader = Some(reader);
+                    } else {
+                        events.push(Event::Segment(Box::new(reader.finish(cohort))));
+                    }
+                }
+                if group + 1 == cohort.num_groups() {
+                    self.cohorts.remove(&index);
+                }
+                end
+            }
+        };
+        self.drain(end);
+        self.wait_for_next();
+        Ok(true)
+    }
+
+    /// Forgets the bytes before `end`.
+    fn drain(&mut self, end: u64) {
+        let end = end.max(self.offset);
+        self.bytes.drain(..(end - self.offset) as usize);
+        self.offset = end;
     }
 
     /// Sets the number of bytes that the next step needs.
-    fn wait_for_next(&mut self) -> bool {
-        if let Some(archive) = &self.archive {
-            let num_groups = archive.num_layers() * (1 + archive.num_segments());
-            self.needed = if self.groups < num_groups {
-                archive.range_of(self.groups..self.groups + 1).end
-            } else {
-                archive.file_bytes()
-            };
-        }
-        true
+    fn wait_for_next(&mut self) {
+        let Some(archive) = &self.archive else { return };
+        self.needed = match self.parts.first() {
+            Some((_, cohort, Part::Head)) => archive.head_range(*cohort).end,
+            Some((_, cohort, Part::Group(group))) => self.cohorts[cohort].range_of(*group..group + 1).end,
+            None => archive.file_bytes(),
+        };
     }
 }

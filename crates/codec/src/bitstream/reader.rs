@@ -4,10 +4,11 @@ use std::ops::Range;
 
 use tcgs_core::Attribute;
 
-use super::archive::Archive;
 use super::coder::{Coder, Decoder as SymbolDecoder};
+use super::cohort::Cohort;
 use super::head::Head;
 use super::keypoints::{KeypointModels, Motion, Problem, Scope, UnitTracks};
+use super::plan::Plan;
 use super::section::Cursor;
 use super::segment::Segment;
 use super::shared::{CurveModels, FirstModels, MapModels, Shared};
@@ -16,7 +17,7 @@ use crate::limits::Budget;
 use crate::parallel;
 
 /// Models that go on from layer to layer.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct SharedModels {
     maps: MapModels,
     curve: CurveModels,
@@ -25,9 +26,9 @@ pub(super) struct SharedModels {
 }
 
 impl SharedModels {
-    pub(super) fn new() -> Self {
-        let others = Attribute::BASE[1..].iter().map(|&a| FirstModels::new(a)).collect();
-        Self { maps: MapModels::new(), curve: CurveModels::new(), others }
+    pub(super) fn new(plan: &Plan) -> Self {
+        let others = plan.layout.attributes().skip(1).map(|a| FirstModels::new(plan, a)).collect();
+        Self { maps: MapModels::new(plan), curve: CurveModels::new(), others }
     }
 
     /// - `sections`: maps, then every attribute
@@ -39,7 +40,7 @@ impl SharedModels {
         shared: &mut Shared,
         budget: &Budget,
     ) -> Result<(), DecodeError> {
-        let plan = &head.plan;
+        let plan = &*head.plan;
         budget.reserve("layer", layer.len() as u64, plan.bytes_per_gaussian())?;
         shared.extend(plan, &layer);
         let mut sections = sections.into_iter();
@@ -47,11 +48,15 @@ impl SharedModels {
 
         let mut cursor = next();
         let mut decoder = SymbolDecoder::new(cursor.rest());
-        self.maps.code(&mut decoder, plan, layer.clone(), shared);
+        if !self.maps.code(&mut decoder, plan, head.num_timesteps, layer.clone(), shared) {
+            return Err(cursor.invalid("lives", "not within the timesteps of the cohort"));
+        }
         complete(&decoder, &cursor)?;
-        for attribute in Attribute::BASE {
+        for attribute in plan.layout.attributes() {
             let (a, known) = (attribute.index(), plan.quantizers.by_width(attribute));
-            if shared.bit_map.widths[a][layer.clone()].iter().any(|&w| known[usize::from(w)].is_empty()) {
+            // What a Gaussian lacks has the width 0.
+            let is_known = |&width: &u8| width == 0 || !known[usize::from(width)].is_empty();
+            if !shared.bit_map.widths[a][layer.clone()].iter().all(is_known) {
                 return Err(cursor.invalid("bit widths", "a width without quantizers"));
             }
         }
@@ -89,11 +94,10 @@ pub(super) struct SegmentReader {
 }
 
 impl SegmentReader {
-    pub(super) fn new(archive: &Archive, segment: usize) -> Self {
-        let plan = &archive.head().plan;
-        let varying = Attribute::BASE.into_iter().filter(|a| plan.varies[a.index()]);
-        let attributes =
-            varying.map(|a| (a, KeypointModels::new(plan, a), UnitTracks::new(plan.channels(a)))).collect();
+    pub(super) fn new(cohort: &Cohort, segment: usize) -> Self {
+        let plan = &cohort.head().plan;
+        let models = |a| (a, KeypointModels::new(plan, a), UnitTracks::new(plan.channels(a)));
+        let attributes = plan.varying().map(models).collect();
         Self { segment, layers: 0, attributes }
     }
 
@@ -102,23 +106,23 @@ impl SegmentReader {
     /// - `bytes`: from `offset` of the file
     pub(super) fn read(
         &mut self,
-        archive: &Archive,
+        cohort: &Cohort,
         offset: u64,
         bytes: &[u8],
         budget: &Budget,
     ) -> Result<(), DecodeError> {
-        let sections = archive.sections(archive.num_layers() * (1 + self.segment) + self.layers, offset, bytes)?;
+        let sections = cohort.sections(cohort.num_layers() * (1 + self.segment) + self.layers, offset, bytes)?;
         let jobs = self.attributes.iter_mut().zip(sections).collect();
         let results = parallel::map(jobs, |((attribute, models, units), mut cursor)| {
             let motion = Motion::ALL.get(usize::from(cursor.u8("motion")?)).copied();
             let motion = motion.ok_or_else(|| cursor.invalid("motion", "unknown"))?;
             let place = Scope {
-                plan: &archive.head().plan,
-                shared: archive.shared(),
+                plan: &cohort.head().plan,
+                shared: cohort.shared(),
                 attribute: *attribute,
-                layer: archive.head().layer(self.layers),
-                span: archive.head().span(self.segment),
-                num_timesteps: archive.head().num_timesteps(),
+                layer: cohort.head().layer(self.layers),
+                span: cohort.head().span(self.segment),
+                num_timesteps: cohort.head().num_timesteps,
                 budget,
             };
             let mut decoder = SymbolDecoder::new(cursor.rest());
@@ -136,32 +140,33 @@ impl SegmentReader {
     }
 
     /// The segment of the layers read so far.
-    pub(super) fn finish(self, archive: &Archive) -> Segment {
+    pub(super) fn finish(self, cohort: &Cohort) -> Segment {
         let (segment, layers) = (self.segment, self.layers);
         let units = self.attributes.into_iter().map(|(attribute, _, units)| (attribute, units));
-        segment_of(archive, segment, layers, units)
+        segment_of(cohort, segment, layers, units)
     }
 
     /// A copy of the segment of the layers read so far.
-    pub(super) fn snapshot(&self, archive: &Archive) -> Result<Segment, DecodeError> {
+    pub(super) fn snapshot(&self, cohort: &Cohort) -> Result<Segment, DecodeError> {
         let bytes: usize = self.attributes.iter().map(|(_, _, units)| units.bytes()).sum();
-        archive.budget().reserve("segment", bytes as u64, 1)?;
+        cohort.budget().reserve("segment", bytes as u64, 1)?;
         let units = self.attributes.iter().map(|(attribute, _, units)| (*attribute, units.clone()));
-        Ok(segment_of(archive, self.segment, self.layers, units))
+        Ok(segment_of(cohort, self.segment, self.layers, units))
     }
 }
 
 /// - `units`: of the attributes that vary
 fn segment_of(
-    archive: &Archive,
+    cohort: &Cohort,
     segment: usize,
     layers: usize,
     units: impl Iterator<Item = (Attribute, UnitTracks)>,
 ) -> Segment {
-    let mut tracks: [UnitTracks; 5] = Attribute::BASE.map(|a| UnitTracks::new(archive.head().plan.channels(a)));
+    let plan = &cohort.head().plan;
+    let mut tracks: Vec<UnitTracks> = plan.layout.attributes().map(|a| UnitTracks::new(plan.channels(a))).collect();
     for (attribute, mut units) in units {
         units.shrink();
         tracks[attribute.index()] = units;
     }
-    Segment::new(archive.head().clone(), archive.shared().clone(), segment, layers, tracks)
+    Segment::new(cohort.head().clone(), cohort.shared().clone(), segment, layers, tracks)
 }

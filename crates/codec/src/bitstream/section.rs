@@ -11,6 +11,8 @@ pub(super) type Tag = [u8; 4];
 
 /// Counts and provenance.
 pub(super) const INFO: Tag = *b"INFO";
+/// Cohorts: when they live and where they lie.
+pub(super) const COHORTS: Tag = *b"COHO";
 /// How tracks are described: quantizers, predictors.
 pub(super) const PLAN: Tag = *b"PLAN";
 /// Bit widths, and which tracks move.
@@ -28,7 +30,7 @@ pub(super) fn of_attribute(attribute: Attribute) -> Tag {
         Attribute::LogScale => *b"SCAL",
         Attribute::LogitOpacity => *b"OPAC",
         Attribute::Color => *b"COLR",
-        Attribute::Extra { .. } => unreachable!("version 1 holds no further attributes"),
+        Attribute::Extra { .. } => *b"MORE",
     }
 }
 
@@ -38,6 +40,8 @@ pub(super) fn name(tag: Tag) -> &'static str {
         b"INFO" => "info",
         b"PLAN" => "plan",
         b"MAPS" => "maps",
+        b"COHO" => "cohorts",
+        b"MORE" => "further attribute",
         b"appl" => "application data",
         _ => Attribute::BASE.into_iter().find(|&a| of_attribute(a) == tag).map_or("unknown section", Attribute::name),
     }
@@ -87,6 +91,11 @@ impl<'a> Cursor<'a> {
         DecodeError::Format { section: self.section, field, offset: self.offset + self.position as u64, problem }
     }
 
+    /// Bytes read so far.
+    pub(super) fn position(&self) -> u64 {
+        self.position as u64
+    }
+
     pub(super) fn take(&mut self, field: &'static str, length: usize) -> Result<&'a [u8], DecodeError> {
         let rest = &self.bytes[self.position..];
         let taken = rest.get(..length).ok_or_else(|| self.invalid(field, "reaches past the end"))?;
@@ -119,6 +128,10 @@ impl<'a> Cursor<'a> {
         self.array(field).map(u32::from_le_bytes)
     }
 
+    pub(super) fn u64(&mut self, field: &'static str) -> Result<u64, DecodeError> {
+        self.array(field).map(u64::from_le_bytes)
+    }
+
     pub(super) fn f32(&mut self, field: &'static str) -> Result<f32, DecodeError> {
         self.array(field).map(f32::from_le_bytes)
     }
@@ -132,15 +145,6 @@ impl<'a> Cursor<'a> {
         let length = self.u16(field)?;
         let text = std::str::from_utf8(self.take(field, length.into())?);
         text.map(str::to_owned).map_err(|_| self.invalid(field, "not UTF-8"))
-    }
-
-    /// A byte of one flag for each attribute.
-    pub(super) fn attributes(&mut self, field: &'static str) -> Result<[bool; 5], DecodeError> {
-        let bits = self.u8(field)?;
-        if bits >> Attribute::BASE.len() > 0 {
-            return Err(self.invalid(field, "more attributes than there are"));
-        }
-        Ok(Attribute::BASE.map(|attribute| bits >> attribute.index() & 1 > 0))
     }
 
     /// Refuses a section with bytes left.

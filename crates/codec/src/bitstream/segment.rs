@@ -3,14 +3,14 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Attribute, Gaussians, Layout};
 
 use super::head::Head;
 use super::keypoints::UnitTracks;
 use super::neighbors::NONE;
 use super::shared::Shared;
 use crate::compact::{SceneInfo, unit_quat};
-use crate::keypoints::{fraction, lerp};
+use crate::keypoints::{fraction, lerp, sample};
 use crate::quantize::Quantizers;
 
 /// A decoded segment: a span of timesteps, of all Gaussians of the scene or of those of the first layers.
@@ -25,7 +25,7 @@ pub struct Segment {
     num_layers: usize,
     num_gaussians: usize,
     /// By attribute.
-    tracks: [UnitTracks; 5],
+    tracks: Vec<UnitTracks>,
 }
 
 impl Segment {
@@ -34,18 +34,23 @@ impl Segment {
         shared: Arc<Shared>,
         index: usize,
         num_layers: usize,
-        tracks: [UnitTracks; 5],
+        tracks: Vec<UnitTracks>,
     ) -> Self {
         let num_gaussians = head.layers[..num_layers].iter().map(|&n| n as usize).sum();
         Self { head, shared, index, num_layers, num_gaussians, tracks }
     }
 
-    /// Counts and provenance of the scene.
+    /// Counts and provenance of the whole scene.
     pub fn info(&self) -> &SceneInfo {
-        &self.head.info
+        &self.head.info.scene
     }
 
-    /// Index of the segment in the file, from 0.
+    /// Index of the cohort in the file, from 0.
+    pub fn cohort(&self) -> usize {
+        self.head.index
+    }
+
+    /// Index of the segment in its cohort, from 0.
     pub fn index(&self) -> usize {
         self.index
     }
@@ -55,14 +60,42 @@ impl Segment {
         self.num_layers
     }
 
-    /// Number of Gaussians of the decoded layers, which are the first Gaussians of the scene.
+    /// Number of Gaussians of the decoded layers, which are the first Gaussians of the cohort.
     pub fn num_gaussians(&self) -> usize {
         self.num_gaussians
     }
 
     /// Timesteps of the scene that the segment spans.
     pub fn timesteps(&self) -> Range<usize> {
-        self.head.span(self.index)
+        let Range { start, end } = self.head.span(self.index);
+        self.start() + start..self.start() + end
+    }
+
+    /// First timestep of the cohort, from which the times of [`Self::keypoints`] and [`Self::lives`] count.
+    pub fn start(&self) -> usize {
+        self.head.start
+    }
+
+    /// Which columns the Gaussians have.
+    pub fn layout(&self) -> &Arc<Layout> {
+        &self.head.plan.layout
+    }
+
+    /// `[N]` first and last timestep at which each Gaussian lives, counted from [`Self::start`]; none if all live in all
+    /// timesteps of the cohort.
+    pub fn lives(&self) -> Option<&[[u16; 2]]> {
+        self.shared.lives.as_ref().map(|lives| &lives[..self.num_gaussians])
+    }
+
+    /// Indices of the Gaussians that live at a timestep of the scene, ascending; none if all live in all timesteps.
+    ///
+    /// # Panics
+    /// If `timestep` is before [`Self::start`].
+    pub fn alive(&self, timestep: usize) -> Option<Vec<usize>> {
+        let now = timestep - self.start();
+        let is_alive = |life: &[u16; 2]| (usize::from(life[0])..=usize::from(life[1])).contains(&now);
+        let lives = self.lives()?;
+        Some((0..lives.len()).filter(|&g| is_alive(&lives[g])).collect())
     }
 
     pub(super) fn tracks(&self, attribute: Attribute) -> &UnitTracks {
@@ -96,18 +129,18 @@ impl Segment {
         })
     }
 
-    /// Value of every track at its first keypoint, which lies at timestep 0 of the scene, in stored form. Quaternions
-    /// are not normalised.
+    /// Value of every track at its first keypoint, which lies where the Gaussian's life begins, in stored form.
+    /// Quaternions are not normalised; what a Gaussian lacks is 0.
     pub fn first(&self) -> Gaussians {
-        let mut first = Gaussians::zeros(self.num_gaussians);
-        for attribute in Attribute::BASE {
+        let mut first = Gaussians::zeros_of(self.layout(), self.num_gaussians);
+        for attribute in self.layout().attributes() {
             let (a, components) = (attribute.index(), attribute.components());
             let table = self.quantizers().by_width(attribute);
             let widths = &self.shared.bit_map.widths[a];
             let codes = &self.shared.first_codes[a];
             for (g, row) in first.values_mut(attribute).chunks_exact_mut(components).enumerate() {
-                for (channel, value) in row.iter_mut().enumerate() {
-                    let quantizer = &table[usize::from(widths[g])][channel];
+                let quantizers = table[usize::from(widths[g])];
+                for (channel, (value, quantizer)) in row.iter_mut().zip(quantizers).enumerate() {
                     *value = quantizer.dequantize(codes[g * components + channel].into());
                 }
             }
@@ -116,7 +149,8 @@ impl Segment {
     }
 
     /// One timestep as floats, in stored form: the same values as [`crate::CompactScene::at`] gives for the Gaussians
-    /// of the decoded layers. Dequantises the whole segment at each call; see [`Sampler`].
+    /// of the decoded layers, whether they live at it ([`Self::alive`]) or not. Dequantises the whole segment at each call;
+    /// see [`Sampler`].
     ///
     /// - `timestep`: timestep of the scene
     ///
@@ -141,10 +175,11 @@ impl Segment {
 pub struct Keypoints<'a> {
     /// Number of components of a unit.
     pub channels: usize,
-    /// `[units + 1]`; the keypoints of unit `i` are those of the indices `starts[i]..starts[i + 1]`.
+    /// `[units + 1]`; the keypoints of unit `i` are those of the indices `starts[i]..starts[i + 1]`: none of a Gaussian
+    /// that does not live in the segment.
     pub starts: &'a [u32],
-    /// `[keypoints]` timesteps of the scene. Those of one unit are strictly increasing; the first is at or before the
-    /// segment's first timestep, the last at or after the segment's last timestep.
+    /// `[keypoints]` timesteps, counted from [`Segment::start`]. Those of one unit are strictly increasing; the first is at
+    /// or before the first timestep of the segment at which the Gaussian lives, the last at or after the last one.
     pub times: &'a [u16],
     /// `[keypoints, channels]` codes.
     pub codes: &'a [i16],
@@ -190,6 +225,8 @@ struct Moving {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Sampler {
+    /// First timestep of the cohort.
+    start: usize,
     timesteps: Range<usize>,
     now: Gaussians,
     moving: Vec<Moving>,
@@ -203,8 +240,8 @@ impl Sampler {
     /// Dequantises all keypoints of a segment.
     pub fn new(segment: &Segment) -> Self {
         let mut now = segment.first();
-        let varying = Attribute::BASE.into_iter().filter(|a| segment.head.plan.varies[a.index()]);
-        let moving: Vec<Moving> = varying.map(|attribute| Moving::new(segment, attribute)).collect();
+        let moving: Vec<Moving> =
+            segment.head.plan.varying().map(|attribute| Moving::new(segment, attribute)).collect();
         let (mut rotating, mut raw_quats) = (Vec::new(), Vec::new());
         if let Some(quats) = moving.iter().find(|m| m.attribute == Attribute::Quat && m.channels == 1) {
             rotating = quats.places.iter().map(|place| place / 4).collect();
@@ -214,7 +251,7 @@ impl Sampler {
         for quat in now.quats_mut() {
             *quat = unit_quat(*quat);
         }
-        Self { timesteps: segment.timesteps(), now, moving, rotating, raw_quats }
+        Self { start: segment.start(), timesteps: segment.timesteps(), now, moving, rotating, raw_quats }
     }
 
     /// One timestep as floats, in stored form: the same values as [`Segment::at`] gives. Fastest if successive calls
@@ -224,6 +261,7 @@ impl Sampler {
     /// If `timestep` is not within [`Segment::timesteps`].
     pub fn at(&mut self, timestep: usize) -> &Gaussians {
         assert!(self.timesteps.contains(&timestep), "timestep {timestep} of {:?}", self.timesteps);
+        let timestep = timestep - self.start;
         for moving in &mut self.moving {
             let attribute = moving.attribute;
             match (attribute, moving.channels) {
@@ -231,7 +269,7 @@ impl Sampler {
                 (Attribute::Quat, _) => moving.write::<4>(timestep, self.now.values_mut(attribute), unit_quat),
                 (_, 3) => moving.write::<3>(timestep, self.now.values_mut(attribute), |x| x),
                 (_, 1) => moving.write::<1>(timestep, self.now.values_mut(attribute), |x| x),
-                (_, channels) => unreachable!("{attribute:?} of {channels} components in version 1 of the format"),
+                _ => moving.write_row(timestep, self.now.values_mut(attribute)),
             }
         }
         for &gaussian in &self.rotating {
@@ -270,8 +308,24 @@ impl Moving {
         of
     }
 
+    /// Writes the values of the moving units at a timestep, of any number of components.
+    ///
+    /// - `timestep`: counted from the first of the cohort
+    /// - `values`: `[N * components]` values of the attribute
+    fn write_row(&mut self, timestep: usize, values: &mut [f32]) {
+        for (unit, &place) in self.places.iter().enumerate() {
+            let range = self.starts[unit] as usize..self.starts[unit + 1] as usize;
+            let times = &self.times[range.clone()];
+            for channel in 0..if times.is_empty() { 0 } else { self.channels } {
+                let value = |k: usize| self.values[(range.start + k) * self.channels + channel];
+                values[place as usize + channel] = sample(times, timestep, value);
+            }
+        }
+    }
+
     /// Writes the values of the moving units at a timestep.
     ///
+    /// - `timestep`: counted from the first of the cohort
     /// - `values`: `[N * components]` values of the attribute
     /// - `finish`: applied to each interpolated value before it is written
     fn write<const C: usize>(&mut self, timestep: usize, values: &mut [f32], finish: impl Fn([f32; C]) -> [f32; C]) {
@@ -279,6 +333,9 @@ impl Moving {
         for (unit, (cursor, &place)) in self.cursors.iter_mut().zip(&self.places).enumerate() {
             let range = self.starts[unit] as usize..self.starts[unit + 1] as usize;
             let (times, keypoints) = (&self.times[range.clone()], &keypoints[range]);
+            if times.is_empty() {
+                continue;
+            }
             let mut k = *cursor as usize;
             while k + 1 < times.len() && usize::from(times[k + 1]) <= timestep {
                 k += 1;

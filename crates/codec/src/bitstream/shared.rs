@@ -8,97 +8,46 @@ use tcgs_core::Attribute;
 use super::coder::{Coder, SymbolModel};
 use super::neighbors::{NONE, Neighbors};
 use super::number::{Codes, Numbers, floor, unzigzag, wrap, zigzag};
+use super::plan::{MAX_COMPONENTS, Mode, Plan, RECENT};
 use crate::bits::BitMap;
 use crate::morton;
-use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
-
-/// Most components of a column of version 1 of the format, those of a rotation.
-pub(super) const MAX_COMPONENTS: usize = 4;
-
-const _: () = {
-    let mut index = 0;
-    while index < Attribute::BASE.len() {
-        assert!(Attribute::BASE[index].components() <= MAX_COMPONENTS, "a column of version 1 of more components");
-        index += 1;
-    }
-};
-
-/// How a scene's tracks are described, the same for all layers.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Plan {
-    /// Whether an attribute varies with time.
-    pub(super) varies: [bool; 5],
-    /// Whether the components of an attribute share their keypoint times.
-    pub(super) joint: [bool; 5],
-    pub(super) quantizers: Quantizers,
-    /// By attribute: how first codes are predicted.
-    pub(super) predictors: [Vec<Predictor>; 5],
-}
-
-impl Plan {
-    /// Components of a unit of an attribute: those that share their times.
-    pub(super) fn channels(&self, attribute: Attribute) -> usize {
-        if self.joint[attribute.index()] { attribute.components() } else { 1 }
-    }
-
-    /// Memory that a Gaussian takes in what all segments share.
-    pub(super) fn bytes_per_gaussian(&self) -> usize {
-        let attributes = Attribute::BASE.map(|attribute| {
-            let components = attribute.components();
-            let varying = components * size_of::<bool>() + components / self.channels(attribute) * size_of::<u32>();
-            let varies = usize::from(self.varies[attribute.index()]);
-            size_of::<u8>() + components * size_of::<i16>() + varies * varying
-        });
-        attributes.into_iter().sum::<usize>() + Neighbors::BYTES_PER_GAUSSIAN
-    }
-}
-
-/// How the first codes of a component are coded.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Predictor {
-    pub(super) mode: Mode,
-    /// Weights of the features: 1, the values of the nearest neighbour, the values of the second neighbour, the
-    /// components before.
-    pub(super) weights: Vec<f32>,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[repr(u8)]
-pub(super) enum Mode {
-    /// The code, in the context of its prediction.
-    #[default]
-    Code = 0,
-    /// The difference to its prediction.
-    Difference = 1,
-    /// The code, in the context of the length that the components before leave of one.
-    Length = 2,
-}
-
-impl Mode {
-    pub(super) const ALL: [Self; 3] = [Self::Code, Self::Difference, Self::Length];
-}
-
-/// Weights of a component's predictor.
-pub(super) fn num_weights(components: usize, channel: usize) -> usize {
-    1 + 2 * components + channel
-}
+use crate::quantize::{MAX_BITS, Quantizer};
 
 /// First codes and what is needed to read them, of the layers so far.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Shared {
+    /// The width of an attribute that a Gaussian lacks is 0.
     pub(super) bit_map: BitMap,
+    /// `[N]` first and last timestep at which a Gaussian lives; none if all live in all timesteps of the cohort.
+    pub(super) lives: Option<Vec<[u16; 2]>>,
     /// By attribute, `[N * components]`: whether a track has more than one keypoint.
-    pub(super) moves: [Vec<bool>; 5],
+    pub(super) moves: Vec<Vec<bool>>,
     /// By attribute, `[N * components]`
-    pub(super) first_codes: [Vec<i16>; 5],
+    pub(super) first_codes: Vec<Vec<i16>>,
     /// By attribute, for each Gaussian, or for each of its tracks where components do not share their
     /// times: which of the units that move it is; [`NONE`] if it does not.
-    pub(super) units: [Vec<u32>; 5],
-    pub(super) num_units: [u32; 5],
+    pub(super) units: Vec<Vec<u32>>,
+    pub(super) num_units: Vec<u32>,
     pub(super) neighbors: Neighbors,
 }
 
 impl Shared {
+    /// No layers.
+    ///
+    /// - `has_lives`: whether Gaussians have first and last timesteps of their own
+    pub(super) fn new(plan: &Plan, has_lives: bool) -> Self {
+        let num_columns = plan.layout.columns().len();
+        Self {
+            bit_map: BitMap::uniform_of(&plan.layout, 0, 1, 1),
+            lives: has_lives.then(Vec::new),
+            moves: vec![Vec::new(); num_columns],
+            first_codes: vec![Vec::new(); num_columns],
+            units: vec![Vec::new(); num_columns],
+            num_units: vec![0; num_columns],
+            neighbors: Neighbors::default(),
+        }
+    }
+
     /// Number of Gaussians of the layers that were read so far.
     pub(super) fn num_gaussians(&self) -> usize {
         self.bit_map.num_gaussians()
@@ -106,7 +55,10 @@ impl Shared {
 
     /// Extends all arrays to the Gaussians of a layer.
     pub(super) fn extend(&mut self, plan: &Plan, layer: &Range<usize>) {
-        for attribute in Attribute::BASE {
+        if let Some(lives) = &mut self.lives {
+            lives.resize(layer.end, [0, 0]);
+        }
+        for attribute in plan.layout.attributes() {
             let (a, components) = (attribute.index(), attribute.components());
             self.bit_map.widths[a].resize(layer.end, 1);
             self.first_codes[a].resize(layer.end * components, 0);
@@ -118,7 +70,7 @@ impl Shared {
 
     /// Counts the units of a layer that move.
     pub(super) fn count_units(&mut self, plan: &Plan, layer: &Range<usize>) {
-        for attribute in Attribute::BASE {
+        for attribute in plan.layout.attributes() {
             let (a, components) = (attribute.index(), attribute.components());
             if plan.varies[a] {
                 let step = if plan.joint[a] { components } else { 1 };
@@ -150,43 +102,90 @@ fn coordinate(code: i16, width: u8) -> u16 {
     ((i32::from(code) + (1 << (width - 1))) << (MAX_BITS - width)) as u16
 }
 
-/// Models of widths and of which tracks move.
-#[derive(Debug)]
+/// Models of lives, widths and of which tracks move.
+#[derive(Clone, Debug)]
 pub(super) struct MapModels {
+    /// First timesteps of lives.
+    births: Numbers,
+    /// Timesteps from the end of a life to that of the cohort.
+    deaths: Numbers,
+    /// Whether a Gaussian has an attribute.
+    present: Vec<SymbolModel>,
     widths: Vec<SymbolModel>,
     moves: Vec<SymbolModel>,
+    /// Most components of an attribute that varies.
+    components: usize,
 }
 
 impl MapModels {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(plan: &Plan) -> Self {
+        let num_columns = plan.layout.columns().len();
+        let components = plan.varying().map(Attribute::components).max().unwrap_or(0);
         Self {
-            widths: vec![SymbolModel::new(16); Attribute::BASE.len() * 17 * 17],
-            moves: vec![SymbolModel::new(2); Attribute::BASE.len() * MAX_COMPONENTS * 8],
+            births: Numbers::new(1),
+            deaths: Numbers::new(2),
+            present: vec![SymbolModel::new(2); num_columns * 4],
+            widths: vec![SymbolModel::new(16); num_columns * 17 * 17],
+            moves: vec![SymbolModel::new(2); num_columns * components * 8],
+            components,
         }
     }
 
-    /// Codes widths and moves of a layer in place; their arrays reach to its end.
-    pub(super) fn code<C: Coder>(&mut self, coder: &mut C, plan: &Plan, layer: Range<usize>, shared: &mut Shared) {
+    /// Codes lives, widths and moves of a layer in place; their arrays reach to its end.
+    ///
+    /// - `num_timesteps`: of the cohort
+    /// - returns: whether all lives lie within the cohort
+    pub(super) fn code<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        plan: &Plan,
+        num_timesteps: usize,
+        layer: Range<usize>,
+        shared: &mut Shared,
+    ) -> bool {
+        // What decodes has ones that the layout of a file allows for.
+        let last = (num_timesteps - 1) as u32;
         for g in layer {
             if coder.exhausted() {
-                return;
+                return true;
             }
-            let mut other = 0;
-            for a in 0..Attribute::BASE.len() {
+            if let Some(lives) = &mut shared.lives {
+                let [birth, death] = lives[g].map(u32::from);
+                let birth = self.births.code(coder, 0, birth);
+                let from_end = self.deaths.code(coder, usize::from(birth > 0), last.wrapping_sub(death));
+                if birth + from_end > last {
+                    return false;
+                }
+                lives[g] = [birth as u16, (last - from_end) as u16];
+            }
+            let (mut other, mut other_present) = (0, false);
+            for a in 0..plan.layout.columns().len() {
                 let widths = &mut shared.bit_map.widths[a];
                 let before = if g > 0 { widths[g - 1] } else { 0 };
+                if plan.sparse[a] {
+                    let context = (a * 2 + usize::from(before > 0)) * 2 + usize::from(other_present);
+                    other_present = coder.symbol(&mut self.present[context], u32::from(widths[g] > 0)) & 1 == 1;
+                    if !other_present {
+                        (widths[g], other) = (0, 0);
+                        continue;
+                    }
+                }
                 let model = &mut self.widths[(a * 17 + usize::from(before)) * 17 + usize::from(other)];
                 widths[g] = 1 + coder.symbol(model, u32::from(widths[g]).wrapping_sub(1) & 15) as u8;
                 other = if a == 0 { 0 } else { widths[g] };
             }
             let mut other = false;
-            for attribute in Attribute::BASE {
+            for attribute in plan.layout.attributes() {
                 let a = attribute.index();
                 if !plan.varies[a] {
                     continue;
                 }
                 let components = attribute.components();
                 let moves = &mut shared.moves[a];
+                if shared.bit_map.widths[a][g] == 0 {
+                    moves[g * components..][..components].fill(false);
+                    continue;
+                }
                 for channel in 0..components {
                     let at = g * components + channel;
                     if plan.joint[a] && channel > 0 {
@@ -194,18 +193,19 @@ impl MapModels {
                         continue;
                     }
                     let before = |n: usize| usize::from(g >= n && moves[at - n * components]);
-                    let context = ((a * MAX_COMPONENTS + channel) * 2 + before(1)) * 2 + before(2);
+                    let context = ((a * self.components + channel) * 2 + before(1)) * 2 + before(2);
                     let model = &mut self.moves[context * 2 + usize::from(other)];
                     moves[at] = coder.symbol(model, u32::from(moves[at])) & 1 == 1;
                     other = moves[at];
                 }
             }
         }
+        true
     }
 }
 
 /// Models of first positions, as steps along the curve.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct CurveModels {
     /// Exponent of a gap, divided by 4, after the one before.
     high: Vec<SymbolModel>,
@@ -276,9 +276,11 @@ impl CurveModels {
 }
 
 /// Models of the first codes of an attribute other than means.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct FirstModels {
     attribute: Attribute,
+    /// Contexts are for the widths that have quantizers: which of them a width is.
+    place_of_width: [usize; 17],
     codes: Codes,
     differences: Numbers,
 }
@@ -289,10 +291,12 @@ const NUM_BINS: usize = 16;
 const NUM_SPREADS: usize = 8;
 
 impl FirstModels {
-    pub(super) fn new(attribute: Attribute) -> Self {
-        let classes = attribute.components() * 17;
+    pub(super) fn new(plan: &Plan, attribute: Attribute) -> Self {
+        let widths = &plan.quantizers.attributes[attribute.index()];
+        let classes = attribute.components() * widths.len();
         Self {
             attribute,
+            place_of_width: place_of_width(widths.keys()),
             codes: Codes::new(classes * NUM_BINS, NUM_BINS),
             differences: Numbers::new(classes * NUM_SPREADS),
         }
@@ -315,13 +319,19 @@ impl FirstModels {
         let a = self.attribute.index();
         let components = self.attribute.components();
         let table = plan.quantizers.by_width(self.attribute);
+        let num_widths = plan.quantizers.attributes[a].len();
+        let mut features = Features::new(self.attribute);
         for g in layer {
             if coder.exhausted() {
                 return;
             }
             let width = widths[g];
+            if width == 0 {
+                codes[g * components..][..components].fill(0);
+                continue;
+            }
             let quantizers = table[usize::from(width)];
-            let mut features = Features::new(components);
+            features.clear();
             let [first, second] = neighbors.of(g);
             for (place, neighbor) in [first, if second == NONE { first } else { second }].into_iter().enumerate() {
                 if neighbor != NONE {
@@ -336,7 +346,7 @@ impl FirstModels {
             for (channel, quantizer) in quantizers.iter().enumerate() {
                 let code = &mut codes[g * components + channel];
                 let half = 1 << (width - 1);
-                let class = channel * 17 + usize::from(width);
+                let class = channel * num_widths + self.place_of_width[usize::from(width)];
                 let predictor = &plan.predictors[a][channel];
                 match predictor.mode {
                     Mode::Code | Mode::Length => {
@@ -367,18 +377,44 @@ impl FirstModels {
     }
 }
 
+/// Which of some widths each width is, in ascending order.
+pub(super) fn place_of_width<'a>(widths: impl Iterator<Item = &'a u8>) -> [usize; 17] {
+    let mut places = [0; 17];
+    for (place, &width) in widths.enumerate() {
+        places[usize::from(width)] = place;
+    }
+    places
+}
+
+/// Most features of a predictor: those of the last component of a rotation.
+pub(super) const MAX_FEATURES: usize = 1 + 2 * 4 + 3;
+
 /// Features of the linear prediction of a first value.
+///
+/// Those of an attribute of [`Attribute::BASE`]: 1, all values of the nearest neighbour, all values of the second
+/// neighbour, the components before. Those of another attribute, which may have many components: 1, the values of this
+/// component of the two neighbours, up to [`RECENT`] components before, the first of these first.
 pub(super) struct Features {
     components: usize,
+    is_base: bool,
+    /// 1, the values of the two neighbours, the components before.
     values: [f64; 3 * MAX_COMPONENTS + 1],
     len: usize,
 }
 
 impl Features {
-    pub(super) fn new(components: usize) -> Self {
+    pub(super) fn new(attribute: Attribute) -> Self {
+        let components = attribute.components();
         let mut values = [0.0; 3 * MAX_COMPONENTS + 1];
         values[0] = 1.0;
-        Self { components, values, len: 1 + 2 * components }
+        let is_base = !matches!(attribute, Attribute::Extra { .. });
+        Self { components, is_base, values, len: 1 + 2 * components }
+    }
+
+    /// Starts anew with neighbours of which all values are 0.
+    pub(super) fn clear(&mut self) {
+        self.len = 1 + 2 * self.components;
+        self.values[1..self.len].fill(0.0);
     }
 
     pub(super) fn set_neighbor(&mut self, place: usize, channel: usize, value: f64) {
@@ -395,13 +431,23 @@ impl Features {
         self.len += 1;
     }
 
-    pub(super) fn values(&self) -> &[f64] {
-        &self.values[..self.len]
+    /// The features of the component that comes after those just coded.
+    ///
+    /// - `chosen`: memory for the features of an attribute of many components
+    pub(super) fn of_next<'a>(&'a self, chosen: &'a mut [f64; MAX_FEATURES]) -> &'a [f64] {
+        if self.is_base {
+            return &self.values[..self.len];
+        }
+        let channel = self.len - 1 - 2 * self.components;
+        let recent = channel.min(RECENT);
+        chosen[..3].copy_from_slice(&[1.0, self.neighbor(0, channel), self.neighbor(1, channel)]);
+        chosen[3..3 + recent].copy_from_slice(&self.values[self.len - recent..self.len]);
+        &chosen[..3 + recent]
     }
 
     fn predict(&self, weights: &[f32]) -> f64 {
         let mut sum = 0.0;
-        for (value, &weight) in self.values().iter().zip(weights) {
+        for (value, &weight) in self.of_next(&mut [0.0; MAX_FEATURES]).iter().zip(weights) {
             sum += value * f64::from(weight);
         }
         sum

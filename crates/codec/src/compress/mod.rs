@@ -9,13 +9,21 @@
 //! - `gather`: tracks from timesteps
 //! - `tolerances`: tolerance of each track, and quantizers
 //! - `reduce`: the second pass
+//! - `harmonics`: which Gaussians keep which bands of harmonics
+//! - `levels`: which Gaussians of a long scene are described together
+//! - `lives`: Gaussians that live for a part of the timesteps
+//! - `sequence`: which Gaussian of a timestep is which of the next, where a source does not say
 //! - `order`: importance of Gaussians, layers, and Morton order
 //!
 //! This file calls the steps in their order. Entropy coding is the subject of `bitstream`.
 
 mod gather;
+mod harmonics;
+mod levels;
+mod lives;
 mod order;
 mod reduce;
+mod sequence;
 mod settings;
 mod statistics;
 mod tolerances;
@@ -34,6 +42,8 @@ use crate::compact::{CompactScene, MAX_TIMESTEPS, SceneInfo, Tracks};
 use crate::error::CompressError;
 use crate::quantize::{Quantizers, check_bits};
 
+pub use self::levels::{Contemporaries, contemporaries};
+pub use self::sequence::{Followed, FollowedParts};
 pub use self::settings::CompressSettings;
 
 /// Compresses a scene in memory: [`compress_reader`] of `scene`, without the order of the Gaussians.
@@ -128,7 +138,8 @@ pub fn compress_ordered(
 ///
 /// # Errors
 /// - [`CompressError::Read`] if the reader fails, [`CompressError::Layout`] if a timestep has other columns
-/// - [`CompressError::Count`] if the scene, `bit_map` and `info` disagree in a count
+/// - [`CompressError::Count`] if the scene, `bit_map` and `info` disagree in a count, or the number of Gaussians changes
+///   over time ([`FollowedParts`] is for such scenes)
 /// - [`CompressError::Value`] if the number of timesteps is not within 1 to 65536, a width not within 1 to 16, or a
 ///   setting out of range
 /// - [`CompressError::Gaussian`] if a value is not finite
@@ -158,9 +169,15 @@ fn compress_columns<R: SceneReader>(
     let layout = Arc::clone(reader.layout());
     let num_timesteps = reader.num_timesteps();
     check_arguments(&layout, [reader.num_gaussians(), num_timesteps], bit_map, &info)?;
+    if let Some(timestep) = (0..num_timesteps).find(|&t| reader.num_gaussians_at(t) != reader.num_gaussians()) {
+        let (found, expected) = (reader.num_gaussians_at(timestep), reader.num_gaussians());
+        return Err(CompressError::Count { what: format!("Gaussians at timestep {timestep}"), found, expected });
+    }
     let statistics = Statistics::read(reader, varies)?;
     let (first, varies) = (&statistics.first, |a: Attribute| statistics.columns[a.index()].varies);
-    let bit_map = &settings.adjusted(bit_map, first, statistics.bounds);
+    let mut bit_map = settings.adjusted(bit_map, first, statistics.bounds);
+    harmonics::set_widths(&mut bit_map, &statistics, settings);
+    let bit_map = &bit_map;
     let position_step = settings.position_step(first);
     let segment_length = settings.segment_length_of(first.num_gaussians(), num_timesteps);
 
@@ -200,6 +217,9 @@ fn compress_columns<R: SceneReader>(
         let table = quantizers.by_width(attribute);
         let (mut codes, mut times, mut values, mut of_track) = (Tracks::default(), vec![], vec![], vec![]);
         for (&gaussian, &width) in order.iter().zip(&bit_map.widths[attribute.index()]) {
+            if width == 0 {
+                (0..attribute.components()).for_each(|_| codes.push(&[0], &[0]));
+            }
             for (channel, quantizer) in table[usize::from(width)].iter().enumerate() {
                 times.clear();
                 values.clear();
@@ -213,7 +233,9 @@ fn compress_columns<R: SceneReader>(
     });
     let tracks = tracks.collect();
     let varies = layout.attributes().map(varies).collect();
-    let scene = CompactScene { layout, info, bit_map, quantizers, varies, layers, segment_length, tracks };
+    let (start, lives) = (0, None);
+    let scene =
+        CompactScene { layout, info, start, lives, bit_map, quantizers, varies, layers, segment_length, tracks };
     Ok((scene, order))
 }
 

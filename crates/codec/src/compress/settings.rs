@@ -57,6 +57,10 @@ pub struct CompressSettings {
     /// for the quarter of the Gaussians that covers least of an image. Default 2 for rotations and 1 for opacities,
     /// whose widths in training equal those of colours: on basketball that saves 6 percent of the file for 0.01 dB.
     pub coarser: [f32; 5],
+    /// If positive, the error of colours, a root mean square over all directions of view, below which a Gaussian does
+    /// without a band of spherical harmonics, and which rounding the coefficients may make; colours are from 0 to 1. If 0,
+    /// all Gaussians keep all bands with the widths of the bit map. Default 0.004, one step of 8-bit colours.
+    pub harmonic_error: f32,
     /// If positive, the number of steps of positions to a length typical of the scene's Gaussians: the step along all
     /// axes is the median over Gaussians of the second largest scale (one standard deviation, in scene units) divided
     /// by this number, and the width of positions follows from the step and the extent of the scene. If 0 or negative,
@@ -78,6 +82,7 @@ impl Default for CompressSettings {
             importance: 0.5,
             layers: vec![0.1, 0.3],
             coarser: [0.0, 2.0, 0.0, 1.0, 0.0],
+            harmonic_error: 0.004,
             position_fineness: 11.0,
         }
     }
@@ -98,6 +103,7 @@ impl CompressSettings {
             importance: 0.0,
             layers: Vec::new(),
             coarser: [0.0; 5],
+            harmonic_error: 0.0,
             position_fineness: 0.0,
         }
     }
@@ -119,6 +125,9 @@ impl CompressSettings {
         }
         if let Some(&found) = self.coarser.iter().find(|x| !x.is_finite()) {
             return invalid("coarser", found, "a finite number");
+        }
+        if !(self.harmonic_error.is_finite() && self.harmonic_error >= 0.0) {
+            return invalid("harmonic_error", self.harmonic_error, "0 or more");
         }
         if !self.position_fineness.is_finite() {
             return invalid("position_fineness", self.position_fineness, "a finite number");
@@ -150,6 +159,7 @@ impl CompressSettings {
             self.max_mse[a] *= 4.0_f32.powf(-quality * pace.tolerance);
             self.coarser[a] -= quality * pace.bits;
         }
+        self.harmonic_error *= 2.0_f32.powf(-quality * pace[Attribute::Color.index()].bits);
         self.position_fineness *= 2.0_f32.powf(quality * pace[Attribute::Mean.index()].bits);
         self.coarser[Attribute::Mean.index()] = 0.0;
         self

@@ -229,9 +229,9 @@ pub(super) fn read<R: SceneReader>(reader: &mut R, timesteps: Range<usize>) -> R
     timesteps.map(|timestep| read_one(reader, timestep)).collect()
 }
 
-fn read_one<R: SceneReader>(reader: &mut R, timestep: usize) -> Result<Gaussians, CompressError> {
+pub(super) fn read_one<R: SceneReader>(reader: &mut R, timestep: usize) -> Result<Gaussians, CompressError> {
     let gaussians = reader.at(timestep).map_err(|error| CompressError::Read { timestep, error: Box::new(error) })?;
-    let (found, expected) = (gaussians.num_gaussians(), reader.num_gaussians());
+    let (found, expected) = (gaussians.num_gaussians(), reader.num_gaussians_at(timestep));
     if found != expected {
         let what = format!("Gaussians at timestep {timestep}");
         return Err(CompressError::Count { what, found, expected });

@@ -71,7 +71,8 @@ pub(super) fn quantizers_for(
     position_step: Option<f64>,
 ) -> Result<BTreeMap<u8, Vec<Quantizer>>, CompressError> {
     let mut groups: BTreeMap<u8, Vec<usize>> = BTreeMap::new();
-    for (gaussian, &width) in widths.iter().enumerate() {
+    // What a Gaussian lacks has the width 0.
+    for (gaussian, &width) in widths.iter().enumerate().filter(|(_, width)| **width > 0) {
         groups.entry(width).or_default().push(gaussian);
     }
     let groups: Vec<_> = groups.into_iter().collect();

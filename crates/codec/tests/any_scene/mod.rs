@@ -1,9 +1,10 @@
 //! Any scene that the format can say.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use tcgs_codec::{BitMap, ColorSpace, CompactScene, Quantizer, Quantizers, SceneInfo, Tracks, UpAxis};
-use tcgs_core::{Attribute, Layout};
+use tcgs_core::{Attribute, Column, Layout};
 
 /// splitmix64 (Steele et al. 2014).
 pub struct Numbers(pub u64);
@@ -46,6 +47,8 @@ pub fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> Compa
             color_space: [ColorSpace::Srgb, ColorSpace::LinearSrgb][random.below(2) as usize],
             up: [UpAxis::Unknown, UpAxis::MinusY, UpAxis::PlusZ][random.below(3) as usize],
         },
+        start: 0,
+        lives: None,
         bit_map: BitMap::default(),
         quantizers: Quantizers::default(),
         // The others always vary in scenes of floats, but the format does not ask for it.
@@ -56,41 +59,114 @@ pub fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> Compa
         layout: Layout::base(),
     };
     for attribute in Attribute::BASE {
-        let (index, components) = (attribute.index(), attribute.components());
-        let highest = 1 + random.below(16);
-        let widths: Vec<u8> = (0..num_gaussians).map(|_| (1 + random.below(highest)) as u8).collect();
-        let quantizer = |bits: u8, random: &mut Numbers| {
-            Quantizer::new(random.float().abs() + 0.01, random.float(), bits).expect("a legal quantizer")
-        };
-        scene.quantizers.attributes[index] =
-            widths.iter().map(|&bits| (bits, (0..components).map(|_| quantizer(bits, random)).collect())).collect();
-        let joint = random.below(2) == 0;
-        let (still, steady) = (random.below(4), random.below(2) == 0);
-        let mut times = vec![0];
-        for track in 0..num_gaussians * components {
-            if !joint || track % components == 0 {
-                times = any_times(num_timesteps, scene.varies[index] && random.below(4) >= still, random);
-            }
-            let width = widths[track / components];
-            let half = 1_i64 << (width - 1);
-            let mut code = random.below(2 * half as u64) as i64 - half;
-            let codes: Vec<i16> = times
-                .iter()
-                .map(|_| {
-                    let next = if steady {
-                        code + random.below(3) as i64 - 1
-                    } else {
-                        random.below(2 * half as u64) as i64 - half
-                    };
-                    code = next.clamp(-half, half - 1);
-                    code as i16
-                })
-                .collect();
-            scene.tracks[index].push(&times, &codes);
-        }
-        scene.bit_map.widths[index] = widths;
+        fill(&mut scene, attribute, 0, random);
     }
     scene
+}
+
+/// Widths, quantizers and tracks of an attribute at random.
+///
+/// - `lacking`: of five Gaussians so many lack the attribute, about
+fn fill(scene: &mut CompactScene, attribute: Attribute, lacking: u64, random: &mut Numbers) {
+    let (num_gaussians, num_timesteps) = (scene.num_gaussians(), scene.num_timesteps());
+    let (index, components) = (attribute.index(), attribute.components());
+    let highest = 1 + random.below(16);
+    let widths: Vec<u8> = (0..num_gaussians)
+        .map(|_| if lacking > 0 && random.below(5) < lacking { 0 } else { (1 + random.below(highest)) as u8 })
+        .collect();
+    let quantizer = |bits: u8, random: &mut Numbers| {
+        Quantizer::new(random.float().abs() + 0.01, random.float(), bits).expect("a legal quantizer")
+    };
+    scene.quantizers.attributes[index] = widths
+        .iter()
+        .filter(|&&bits| bits > 0)
+        .map(|&bits| (bits, (0..components).map(|_| quantizer(bits, random)).collect()))
+        .collect();
+    let joint = random.below(2) == 0;
+    let (still, steady) = (random.below(4), random.below(2) == 0);
+    let mut times = vec![0];
+    for track in 0..num_gaussians * components {
+        if !joint || track % components == 0 {
+            times = any_times(num_timesteps, scene.varies[index] && random.below(4) >= still, random);
+        }
+        let width = widths[track / components];
+        if width == 0 {
+            scene.tracks[index].push(&[0], &[0]);
+            continue;
+        }
+        let half = 1_i64 << (width - 1);
+        let mut code = random.below(2 * half as u64) as i64 - half;
+        let codes: Vec<i16> = times
+            .iter()
+            .map(|_| {
+                let next = if steady {
+                    code + random.below(3) as i64 - 1
+                } else {
+                    random.below(2 * half as u64) as i64 - half
+                };
+                code = next.clamp(-half, half - 1);
+                code as i16
+            })
+            .collect();
+        scene.tracks[index].push(&times, &codes);
+    }
+    scene.bit_map.widths[index] = widths;
+}
+
+/// What version 2 holds beyond [`any_scene`]: further attributes, which Gaussians may lack, and lives.
+pub fn any_cohort(num_gaussians: usize, num_timesteps: usize, start: u32, seed: u64) -> CompactScene {
+    let mut scene = CompactScene { start, ..any_scene(num_gaussians, num_timesteps, seed) };
+    let random = &mut Numbers(!seed);
+    let mut layout = Layout::default();
+    for (name, components, varies) in [("sh1", 9, false), ("wetness", 2, true)] {
+        let attribute = layout.push(name, components, Column { varies: false, ..Column::like(Attribute::Color) });
+        scene.layout = Arc::new(layout.clone());
+        scene.varies.push(varies);
+        scene.tracks.push(Tracks::default());
+        scene.quantizers.attributes.push(Default::default());
+        let mut widths = scene.bit_map.widths.clone();
+        widths.push(vec![1; num_gaussians]);
+        scene.bit_map = BitMap::new(Arc::clone(&scene.layout), widths);
+        fill(&mut scene, attribute, random.below(3), random);
+    }
+    if random.below(3) > 0 {
+        live(&mut scene, random);
+    }
+    scene
+}
+
+/// Gives Gaussians lives of their own, and moves keypoints into them.
+fn live(scene: &mut CompactScene, random: &mut Numbers) {
+    let last = scene.num_timesteps() as u64 - 1;
+    let lives: Vec<[u16; 2]> = (0..scene.num_gaussians())
+        .map(|_| {
+            let ends = [random.below(last + 1) as u16, random.below(last + 1) as u16];
+            [ends[0].min(ends[1]), ends[0].max(ends[1])]
+        })
+        .collect();
+    for attribute in scene.layout.attributes() {
+        let mut moved = Tracks::default();
+        let tracks = &scene.tracks[attribute.index()];
+        for i in 0..tracks.len() {
+            let (times, codes) = tracks.track(i);
+            let [birth, death] = lives[i / attribute.components()];
+            if times.len() == 1 || birth == death {
+                moved.push(&[0], &codes[..1]);
+                continue;
+            }
+            let length = u64::from(death - birth);
+            let mut kept: Vec<(u16, i16)> = times
+                .iter()
+                .map(|&t| birth + (u64::from(t) * length / last) as u16)
+                .zip(codes.iter().copied())
+                .collect();
+            kept.dedup_by_key(|(time, _)| *time);
+            let (times, codes): (Vec<u16>, Vec<i16>) = kept.into_iter().unzip();
+            moved.push(&times, &codes);
+        }
+        scene.tracks[attribute.index()] = moved;
+    }
+    scene.lives = Some(lives);
 }
 
 fn any_times(num_timesteps: usize, moves: bool, random: &mut Numbers) -> Vec<u16> {

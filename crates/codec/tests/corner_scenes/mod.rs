@@ -29,6 +29,8 @@ impl Draft {
         };
         let scene = CompactScene {
             info,
+            start: 0,
+            lives: None,
             bit_map: BitMap::uniform(num_gaussians, 4, 4),
             quantizers: Quantizers::default(),
             varies: vec![false; 5],

@@ -1,11 +1,10 @@
 //! What a compressed scene is compared with: images of a capture, or renders of the source.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use tcgs_capture::{Capture, Split};
-use tcgs_codec::CompactScene;
-use tcgs_core::{Camera, Image, Tour, activate};
+use tcgs_codec::CompactFile;
+use tcgs_core::{Camera, Drawable, Image, Tour};
 use tcgs_metrics::psnr;
 use tcgs_render::{DrawAny, RenderSettings};
 
@@ -89,7 +88,7 @@ impl Judge {
         for timestep in spread(frames.len(), NUM_TIMESTEPS).map(|i| frames.start - scene.first_frame + i) {
             let drawn = scene.drawn(timestep)?;
             for camera in &cameras {
-                let image = clamped(renderer.draw(&drawn, camera, &RenderSettings::default())?.0.image);
+                let image = clamped(renderer.draw(&drawn.seen_by(camera), camera, &RenderSettings::default())?.0.image);
                 goals.push(Goal { timestep, camera: camera.clone(), image });
             }
         }
@@ -106,7 +105,7 @@ impl Judge {
     ///
     /// # Errors
     /// [`PipelineError::Input`] if the scene has fewer timesteps than the images; [`PipelineError::Gpu`] if the GPU fails.
-    pub fn psnr(&self, compact: &CompactScene) -> Result<f64, PipelineError> {
+    pub fn psnr(&self, compact: &CompactFile) -> Result<f64, PipelineError> {
         let needed = self.goals.last().map_or(0, |goal| goal.timestep + 1);
         if compact.num_timesteps() < needed {
             let found = format!("{} timesteps", compact.num_timesteps());
@@ -114,9 +113,10 @@ impl Judge {
         }
         let mut sum = 0.0;
         for of_timestep in self.goals.chunk_by(|a, b| a.timestep == b.timestep) {
-            let drawn = Arc::new(activate(&compact.at(of_timestep[0].timestep)));
+            let drawn = Drawable::new(&compact.at(of_timestep[0].timestep));
             for goal in of_timestep {
-                let (output, _) = self.renderer.draw(&drawn, &goal.camera, &RenderSettings::default())?;
+                let (output, _) =
+                    self.renderer.draw(&drawn.seen_by(&goal.camera), &goal.camera, &RenderSettings::default())?;
                 sum += psnr(&clamped(output.image), &goal.image);
             }
         }

@@ -3,6 +3,7 @@
 mod bits;
 mod judge;
 mod kept;
+mod parts;
 mod settings;
 mod target;
 mod views;
@@ -10,13 +11,14 @@ mod views;
 use std::path::PathBuf;
 
 use tcgs_codec::{
-    BitMap, BitMapping, CompactScene, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS,
-    encode_with, inspect,
+    BitMap, BitMapping, CompactFile, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS,
+    inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians, SceneReader};
 
 use self::bits::measured_bits;
 use self::kept::Kept;
+use self::parts::Parts;
 use crate::{OpenScene, PipelineError};
 
 pub use judge::{Judge, JudgeImages};
@@ -42,6 +44,8 @@ pub struct CompressOptions {
     pub plain: bool,
     /// What points up; none: found by the capture's cameras.
     pub up: Option<UpAxis>,
+    /// Version of the format; none: the oldest that holds the scene.
+    pub version: Option<u16>,
     /// Most cameras that the file gives players to start from.
     pub views: usize,
     /// Raw size above which the timesteps of a run or of a `params.npz` are read from the disk, several times, instead of
@@ -61,6 +65,7 @@ impl Default for CompressOptions {
             capture: None,
             plain: false,
             up: None,
+            version: None,
             views: 8,
             max_float_bytes: 1 << 29,
         }
@@ -105,23 +110,23 @@ pub struct Compressed {
     /// Bytes of the `.tcgs` file.
     pub file: Vec<u8>,
     /// The same as symbols.
-    pub compact: CompactScene,
+    pub compact: CompactFile,
     /// Before pruning.
     pub num_gaussians_before: usize,
     /// From the raw floats, in order; the last is the file.
     pub stages: Vec<SizeStep>,
-    /// By [`Attribute::index`]: bytes in the file.
-    pub bytes_by_attribute: [u64; 5],
+    /// By name of the attribute: bytes in the file.
+    pub bytes_by_attribute: Vec<(String, u64)>,
 }
 
 /// A scene of floats of which all is known but the settings of keypoints and quantizers: compressing it again
 /// with others does not measure its bits again.
 #[derive(Clone, Debug)]
 pub struct PrunedScene<'a> {
-    kept: Kept<'a>,
-    bit_map: BitMap,
-    learned: Option<Quantizers>,
+    content: Pruned<'a>,
     info: SceneInfo,
+    /// Of the format; none: the oldest that holds the scene.
+    version: Option<u16>,
     num_gaussians_before: usize,
     raw_bytes: u64,
     /// Of chapters, unless the settings say another.
@@ -130,6 +135,15 @@ pub struct PrunedScene<'a> {
     views: Option<Vec<u8>>,
     /// Where the bits come from, in words.
     pub bits_from: String,
+}
+
+/// What stays of a scene, and its bits.
+#[derive(Clone, Debug)]
+enum Pruned<'a> {
+    /// Gaussians that live in all timesteps.
+    Whole { kept: Kept<'a>, bit_map: BitMap, learned: Option<Quantizers> },
+    /// Gaussians that change in number or order from timestep to timestep: they are followed as far as they can be.
+    Parts(Parts<'a>),
 }
 
 impl<'a> PrunedScene<'a> {
@@ -143,6 +157,23 @@ impl<'a> PrunedScene<'a> {
         if scene.num_timesteps() == 0 {
             return Err(PipelineError::input(scene.path.display(), "no timestep", "at least one"));
         }
+        let cameras = views::cameras(scene, options)?;
+        let up = options.up.unwrap_or_else(|| views::up_axis(&cameras));
+        let mut pruned = Self {
+            info: info(scene, up),
+            version: options.version,
+            views: views::views(&cameras, options),
+            num_gaussians_before: scene.num_gaussians(),
+            raw_bytes: scene.bytes,
+            segment_length: scene.segment_length(),
+            bits_from: String::new(),
+            content: Pruned::Parts(Parts::none(scene)),
+        };
+        if !parts::are_followed(scene)? {
+            let parts = Parts::new(scene, options)?;
+            pruned.bits_from = parts.bits_from.clone();
+            return Ok(Self { content: Pruned::Parts(parts), ..pruned });
+        }
         let learned = scene.learned_bits()?;
         let (kept, keep, raw_bytes) = if scene.is_on_disk() && scene.bytes > options.max_float_bytes {
             let keep = kept_gaussians(scene, options.prune)?;
@@ -154,31 +185,29 @@ impl<'a> PrunedScene<'a> {
             (Kept::InMemory(floats.select(&keep)), keep, floats.raw_bytes())
         };
         let (bit_map, bits_from) = bits(scene, &kept, &keep, options, learned.as_ref())?;
-        let cameras = views::cameras(scene, options)?;
-        let up = options.up.unwrap_or_else(|| views::up_axis(&cameras));
-        Ok(Self {
-            info: info(scene, &kept, up),
-            views: views::views(&cameras, options),
-            kept,
-            bit_map,
-            learned: learned.map(|(_, quantizers)| quantizers),
-            num_gaussians_before: scene.num_gaussians(),
-            raw_bytes,
-            segment_length: scene.segment_length(),
-            bits_from,
-        })
+        (pruned.raw_bytes, pruned.bits_from) = (raw_bytes, bits_from);
+        (pruned.info.num_gaussians, pruned.info.num_timesteps) =
+            (kept.num_gaussians() as u32, kept.num_timesteps() as u32);
+        pruned.content = Pruned::Whole { kept, bit_map, learned: learned.map(|(_, quantizers)| quantizers) };
+        Ok(pruned)
     }
 
     /// The scene as symbols, and the bytes of its file.
     ///
     /// # Errors
     /// [`PipelineError`] if the codec refuses the scene or the settings.
-    pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactScene, Vec<u8>), PipelineError> {
+    pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactFile, Vec<u8>), PipelineError> {
         let segment_length = settings.segment_length.or(self.segment_length);
         let settings = &CompressSettings { segment_length, ..settings.clone() };
-        let compact = self.kept.compress(&self.bit_map, self.learned.as_ref(), self.info.clone(), settings)?;
+        let compact = match &self.content {
+            Pruned::Whole { kept, bit_map, learned } => {
+                CompactFile::of(kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?)
+            }
+            Pruned::Parts(parts) => parts.compress(&self.info, settings)?,
+        };
         let views = self.views.iter().map(|json| (VIEWS, &json[..]));
-        let file = encode_with(&compact, &views.collect::<Vec<_>>())?;
+        let version = self.version.unwrap_or_else(|| compact.oldest_version());
+        let file = compact.encode(version, &views.collect::<Vec<_>>())?;
         Ok((compact, file))
     }
 
@@ -191,12 +220,18 @@ impl<'a> PrunedScene<'a> {
     pub fn account(
         self,
         options: &CompressOptions,
-        compact: CompactScene,
+        compact: CompactFile,
         file: Vec<u8>,
     ) -> Result<Compressed, PipelineError> {
         let mut stages = vec![
             SizeStep { name: "raw", bytes: self.raw_bytes },
-            SizeStep { name: "pruned", bytes: self.kept.raw_bytes() },
+            SizeStep {
+                name: "pruned",
+                bytes: match &self.content {
+                    Pruned::Whole { kept, .. } => kept.raw_bytes(),
+                    Pruned::Parts(_) => self.raw_bytes,
+                },
+            },
             SizeStep { name: "quantised", bytes: compact.quantized_bytes() },
         ];
         if options.keypoints.keypoints {
@@ -266,7 +301,8 @@ fn bits(
     Ok((bit_map, from))
 }
 
-fn info(scene: &OpenScene, kept: &Kept, up: UpAxis) -> SceneInfo {
+/// What describes a scene, but for its counts.
+fn info(scene: &OpenScene, up: UpAxis) -> SceneInfo {
     let source = match scene.run() {
         Some(run) => PathBuf::from(&run.config().data.capture),
         None => scene.path.with_extension(""),
@@ -277,8 +313,6 @@ fn info(scene: &OpenScene, kept: &Kept, up: UpAxis) -> SceneInfo {
         frame_rate: scene.frame_rate as f32,
         name: source.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
         up,
-        num_gaussians: kept.num_gaussians() as u32,
-        num_timesteps: kept.num_timesteps() as u32,
         ..SceneInfo::of(&DynamicGaussians::default())
     }
 }

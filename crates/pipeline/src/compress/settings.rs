@@ -1,7 +1,7 @@
 //! Settings of the codec by preset and kind of capture, and tolerances by the extent of the scene.
 
 use tcgs_capture::CaptureKind;
-use tcgs_codec::{BitMapping, CompactScene, CompressSettings};
+use tcgs_codec::{BitMapping, CompactFile, CompressSettings};
 use tcgs_core::{Attribute, Extent};
 
 use crate::{OpenScene, PipelineError};
@@ -60,8 +60,9 @@ fn paper(kind: CaptureKind) -> CompressSettings {
 ///
 /// # Errors
 /// [`PipelineError`] if the first timestep cannot be read.
-pub fn position_step_remark(scene: &OpenScene, compact: &CompactScene) -> Result<Option<(f32, f32)>, PipelineError> {
-    let steps = compact.quantizers.attributes[Attribute::Mean.index()].values().flatten().map(|q| q.step);
+pub fn position_step_remark(scene: &OpenScene, compact: &CompactFile) -> Result<Option<(f32, f32)>, PipelineError> {
+    let quantizers = compact.cohorts.iter().map(|cohort| &cohort.quantizers.attributes[Attribute::Mean.index()]);
+    let steps = quantizers.flat_map(|of| of.values().flatten()).map(|q| q.step);
     let (step, radius) = (steps.fold(0.0, f32::max), radius(scene)?);
     Ok((step > MAX_POSITION_STEP * radius).then_some((step, radius)))
 }

@@ -3,7 +3,7 @@
 
 use std::ops::RangeInclusive;
 
-use tcgs_codec::{CompactScene, CompressSettings};
+use tcgs_codec::{CompactFile, CompressSettings};
 
 use super::PrunedScene;
 use super::judge::Judge;
@@ -45,7 +45,7 @@ pub struct SearchResult {
     /// The chosen setting.
     pub settings: CompressSettings,
     /// The scene as symbols.
-    pub compact: CompactScene,
+    pub compact: CompactFile,
     /// The same as bytes.
     pub file: Vec<u8>,
 }

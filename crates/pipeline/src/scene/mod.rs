@@ -1,50 +1,24 @@
-//! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or PLY files.
+//! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or PLY files. What does not live here: how one is
+//! opened (`open`).
 
 mod chapters;
+mod open;
 
 use std::borrow::Cow;
 use std::fmt;
-use std::fs::{self, File};
-use std::io::{Read, Seek, SeekFrom};
+use std::fs::File;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tcgs_codec::{BitMap, CompactScene, DecodeLimits, Loss, Quantizers, SceneFile, SceneInfo, SegmentCache, UpAxis};
-use tcgs_core::{Activated, DynamicGaussians, Gaussians, Layout, SceneReader, activate};
-use tcgs_interchange::{HigherHarmonics, ParamsNpz, ParamsOrigin, PlyFiles};
+use tcgs_codec::{BitMap, CompactFile, Loss, Quantizers, SceneFile, SceneInfo, UpAxis};
+use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
+use tcgs_interchange::{ParamsNpz, PlyFiles};
 use tcgs_train::{Checkpoint, Parameters, Run};
 
 use self::chapters::Chapters;
+pub use self::open::{CutFiles, OpenSettings};
 use crate::PipelineError;
-
-/// What a scene may be, for messages.
-const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz or PLY files";
-
-/// How a scene is read.
-#[derive(Clone, Copy, Debug)]
-pub struct OpenSettings {
-    /// What to do with PLY files whose colours depend on the direction of view. Default: refuse.
-    pub higher_harmonics: HigherHarmonics,
-    /// What to do with a `.tcgs` file that was cut. Default: refuse.
-    pub cut_files: CutFiles,
-}
-
-/// What to do with a `.tcgs` file that was cut, such as by a transfer that broke off.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum CutFiles {
-    /// Refuse the file.
-    #[default]
-    Refuse,
-    /// Read what is whole: [`SceneFile::recover`]. [`OpenScene::loss`] says what is missing.
-    Recover,
-}
-
-impl Default for OpenSettings {
-    fn default() -> Self {
-        Self { higher_harmonics: HigherHarmonics::Refuse, cut_files: CutFiles::Refuse }
-    }
-}
 
 /// A scene over time, whatever kind of file or folder it lies in.
 ///
@@ -74,8 +48,9 @@ pub struct OpenScene {
     pub downscale: usize,
     /// Frames a second; 0 if unknown.
     pub frame_rate: f64,
-    /// Length of a `.tcgs` file; of anything else the raw size `N (40 T + 16)`: means, rotations and colours of every
-    /// timestep, scales and opacities once.
+    /// Length of a `.tcgs` file; of anything else the raw size: means, rotations and colours of every timestep, and what
+    /// does not vary by the layout once, so `N (40 T + 16)` without harmonics. Where the number of Gaussians changes, all
+    /// columns of every timestep.
     pub bytes: u64,
     layout: Arc<Layout>,
     content: Content,
@@ -87,7 +62,7 @@ enum Content {
     /// A file, of which segments are decoded when they are asked for; an LRU keeps some.
     File(Box<FileContent>),
     /// The symbols of a compression.
-    Symbols(Box<CompactScene>),
+    Symbols(Box<CompactFile>),
     Run(Box<RunContent>),
     /// Runs one after another.
     Chapters(Box<Chapters>),
@@ -97,11 +72,7 @@ enum Content {
     },
     /// A `params.npz`, of which a timestep is read when it is asked for.
     Params(Box<ParamsContent>),
-    Ply {
-        files: PlyFiles,
-        higher_harmonics: HigherHarmonics,
-        num_gaussians: usize,
-    },
+    Ply(PlyFiles),
 }
 
 struct FileContent {
@@ -155,143 +126,6 @@ impl RunContent {
 }
 
 impl OpenScene {
-    /// Opens a scene. A file is taken for what its ending says, so that a damaged one is judged as what it was meant to
-    /// be; one with another ending for what its first bytes say.
-    ///
-    /// Of a run and of PLY files the first timestep is read now, and the others when they are asked for; of a `.tcgs` file
-    /// a segment is decoded when one of its timesteps is asked for. A `params.npz` is read through and checked now, and a
-    /// timestep of it is read again when it is asked for; one that is compressed is held in memory ([`ParamsNpz`]).
-    ///
-    /// # Errors
-    /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.
-    pub fn open(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
-        if path.is_dir() {
-            return if !Run::is_run(path) && is_ply_folder(path) {
-                Self::open_ply(path, settings)
-            } else {
-                Self::open_run(path)
-            };
-        }
-        match kind_of_file(path)? {
-            Kind::Tcgs => {
-                let file = File::open(path).map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
-                Self::open_file(path, file, settings.cut_files)
-            }
-            Kind::Npz => {
-                let params = ParamsNpz::open(path)?;
-                let (num_gaussians, num_timesteps) = (params.num_gaussians(), params.num_timesteps());
-                let layout = Arc::clone(params.layout());
-                let unknown = ParamsOrigin { first_frame: 0, downscale: 1, frame_rate: 30.0 };
-                let origin = tcgs_interchange::read_params_origin(path)?.unwrap_or(unknown);
-                Ok(Self {
-                    path: path.into(),
-                    bytes: layout.raw_bytes(num_gaussians, num_timesteps),
-                    layout,
-                    content: Content::Params(Box::new(ParamsContent {
-                        num_gaussians,
-                        num_timesteps,
-                        file: Mutex::new(params),
-                    })),
-                    first_frame: origin.first_frame as usize,
-                    downscale: origin.downscale as usize,
-                    frame_rate: f64::from(origin.frame_rate),
-                })
-            }
-            Kind::Ply => Self::open_ply(path, settings),
-        }
-    }
-
-    fn open_ply(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
-        let files = PlyFiles::list(path)?;
-        let higher_harmonics = settings.higher_harmonics;
-        let num_gaussians = tcgs_interchange::read_ply(&files.files[0], higher_harmonics)?.num_gaussians();
-        Ok(Self {
-            path: path.into(),
-            bytes: Layout::base().raw_bytes(num_gaussians, files.files.len()),
-            first_frame: files.first_frame.unwrap_or(0) as usize,
-            downscale: 1,
-            frame_rate: 30.0,
-            layout: Layout::base(),
-            content: Content::Ply { files, higher_harmonics, num_gaussians },
-        })
-    }
-
-    fn open_file(path: &Path, mut file: File, cut_files: CutFiles) -> Result<Self, PipelineError> {
-        let decode_error = |error| PipelineError::Decode { path: path.into(), error };
-        let again = file.try_clone().map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
-        let open = match cut_files {
-            CutFiles::Refuse => SceneFile::open,
-            CutFiles::Recover => SceneFile::recover,
-        };
-        let scene = open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
-        let loss = scene.loss().copied();
-        let length = loss.map_or(scene.archive().file_bytes(), |loss| loss.bytes);
-        // Data of applications are small, and no segment is: their checksums are verified now.
-        let application = scene.archive().application_ranges().into_iter().enumerate();
-        for (index, range) in application.filter(|(_, range)| range.end <= length) {
-            let mut bytes = Vec::new();
-            file.seek(SeekFrom::Start(range.start))
-                .and_then(|_| (&mut file).take(range.end - range.start).read_to_end(&mut bytes))
-                .map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
-            scene.archive().read_application(index, &bytes).map_err(decode_error)?;
-        }
-        let info = scene.info();
-        Ok(Self {
-            path: path.into(),
-            first_frame: info.first_frame as usize,
-            downscale: info.downscale as usize,
-            frame_rate: f64::from(info.frame_rate),
-            bytes: length,
-            layout: Arc::clone(scene.layout()),
-            content: Content::File(Box::new(FileContent { info: info.clone(), loss, file: Mutex::new(scene) })),
-        })
-    }
-
-    /// The scene in the bytes of a `.tcgs` file.
-    ///
-    /// - `path`: of the file, for messages
-    ///
-    /// # Errors
-    /// [`PipelineError::Decode`] if the bytes are not those of a whole file.
-    pub fn decode(path: &Path, bytes: &[u8]) -> Result<Self, PipelineError> {
-        let compact = tcgs_codec::decode(bytes, &DecodeLimits::default())
-            .map_err(|error| PipelineError::Decode { path: path.into(), error })?;
-        let info = &compact.info;
-        Ok(Self {
-            path: path.into(),
-            first_frame: info.first_frame as usize,
-            downscale: info.downscale as usize,
-            frame_rate: f64::from(info.frame_rate),
-            bytes: bytes.len() as u64,
-            layout: Arc::clone(&compact.layout),
-            content: Content::Symbols(Box::new(compact)),
-        })
-    }
-
-    fn open_run(path: &Path) -> Result<Self, PipelineError> {
-        if !Run::is_run(path) {
-            let found = "a folder without config.toml and without PLY files";
-            return Err(PipelineError::input(path.display(), found, EXPECTED));
-        }
-        let run = Run::open(path)?;
-        let num_timesteps = run.timesteps();
-        if num_timesteps == 0 {
-            let (culprit, expected) = (path.join("checkpoints"), "a run with at least one finished timestep");
-            return Err(PipelineError::input(culprit.display(), "no checkpoint", expected));
-        }
-        let first = run.checkpoint(0, None)?;
-        let data = &run.config().data;
-        Ok(Self {
-            path: path.into(),
-            first_frame: data.first_frame,
-            downscale: data.downscale,
-            frame_rate: data.frame_rate,
-            bytes: first.parameters.gaussians.layout().raw_bytes(first.parameters.num_gaussians(), num_timesteps),
-            layout: Arc::clone(first.parameters.gaussians.layout()),
-            content: Content::Run(Box::new(RunContent { run, first, num_timesteps })),
-        })
-    }
-
     /// Runs that continue one another as one scene: chapters of a capture.
     ///
     /// Chapters are taken in the order of their frames. Where two overlap, the earlier one counts up to the last border of
@@ -325,6 +159,12 @@ impl OpenScene {
         }
     }
 
+    /// Whether the scene has a file for each timestep, written by a program that need not say which Gaussian of one is which
+    /// of the next.
+    pub(crate) fn is_one_file_a_timestep(&self) -> bool {
+        matches!(&self.content, Content::Ply(_))
+    }
+
     /// Whether the scene is a `params.npz`.
     pub(crate) fn is_params(&self) -> bool {
         matches!(&self.content, Content::Params(_))
@@ -339,8 +179,8 @@ impl OpenScene {
     }
 
     /// The same scene with the symbols of a compression.
-    pub fn with_symbols(&self, compact: CompactScene) -> Self {
-        self.with(Arc::clone(&compact.layout), Content::Symbols(Box::new(compact)))
+    pub fn with_symbols(&self, compact: CompactFile) -> Self {
+        self.with(compact.layout(), Content::Symbols(Box::new(compact)))
     }
 
     fn with(&self, layout: Arc<Layout>, content: Content) -> Self {
@@ -383,7 +223,7 @@ impl OpenScene {
         matches!(self.content, Content::File(_) | Content::Symbols(_))
     }
 
-    /// `N`, of a run before pruning.
+    /// `N`, of a run before pruning; the most at any timestep where the number changes.
     pub fn num_gaussians(&self) -> usize {
         match &self.content {
             Content::File(file) => file.info.num_gaussians as usize,
@@ -392,7 +232,19 @@ impl OpenScene {
             Content::Chapters(chapters) => chapters.first().num_gaussians(),
             Content::Floats { scene, .. } => scene.num_gaussians(),
             Content::Params(params) => params.num_gaussians,
-            Content::Ply { num_gaussians, .. } => *num_gaussians,
+            Content::Ply(files) => files.num_gaussians(),
+        }
+    }
+
+    /// Number of Gaussians at one timestep, of a run before pruning.
+    ///
+    /// # Panics
+    /// If there is no such timestep, where the number changes.
+    pub fn num_gaussians_at(&self, timestep: usize) -> usize {
+        match &self.content {
+            Content::File(file) => file.file().num_gaussians_at(timestep),
+            Content::Ply(files) => files.num_gaussians_at(timestep),
+            _ => self.num_gaussians(),
         }
     }
 
@@ -405,7 +257,7 @@ impl OpenScene {
             Content::Chapters(chapters) => chapters.num_timesteps(),
             Content::Floats { scene, .. } => scene.num_timesteps(),
             Content::Params(params) => params.num_timesteps,
-            Content::Ply { files, .. } => files.files.len(),
+            Content::Ply(files) => files.num_timesteps(),
         }
     }
 
@@ -449,23 +301,15 @@ impl OpenScene {
             Content::Floats { scene, .. } => scene.at(timestep),
             // What a panic elsewhere leaves is a file at another place, and every read begins by seeking its own.
             Content::Params(params) => params.file.lock().unwrap_or_else(PoisonError::into_inner).at(timestep)?,
-            Content::Ply { files, higher_harmonics, num_gaussians } => {
-                let gaussians = tcgs_interchange::read_ply(&files.files[timestep], *higher_harmonics)?;
-                if gaussians.num_gaussians() != *num_gaussians {
-                    let found = format!("has {} Gaussians", gaussians.num_gaussians());
-                    let expected = format!("{num_gaussians} as in {}", files.files[0].display());
-                    return Err(PipelineError::input(files.files[timestep].display(), found, expected));
-                }
-                gaussians
-            }
+            Content::Ply(files) => files.at(timestep)?,
         })
     }
 
-    /// One timestep activated, as it is drawn: of a run without the Gaussians that its masks leave out then.
+    /// One timestep activated, as every camera draws it: of a run without the Gaussians that its masks leave out then.
     ///
     /// # Errors
     /// As [`Self::at`].
-    pub fn drawn(&self, timestep: usize) -> Result<Arc<Activated>, PipelineError> {
+    pub fn drawn(&self, timestep: usize) -> Result<Drawable, PipelineError> {
         self.check_timestep(timestep)?;
         if let Content::Chapters(chapters) = &self.content {
             let (chapter, timestep) = chapters.place(timestep);
@@ -477,9 +321,9 @@ impl OpenScene {
             let parameters = run.parameters(timestep)?;
             let masked = tcgs_train::masked_out(&parameters.mask_logits, run.run.config().mask.threshold);
             let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
-            return Ok(Arc::new(activate(&parameters.gaussians.select(&shown))));
+            return Ok(Drawable::new(&parameters.gaussians.select(&shown)));
         }
-        Ok(Arc::new(activate(&self.at(timestep)?)))
+        Ok(Drawable::new(&self.at(timestep)?))
     }
 
     fn check_timestep(&self, timestep: usize) -> Result<(), PipelineError> {
@@ -494,7 +338,8 @@ impl OpenScene {
     /// All timesteps of a scene of floats. PLY files are checked to continue one another.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged.
+    /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged, or PLY files differ in
+    /// their number of Gaussians.
     pub fn floats(&self) -> Result<Cow<'_, DynamicGaussians>, PipelineError> {
         match &self.content {
             Content::File(_) | Content::Symbols(_) => {
@@ -510,9 +355,7 @@ impl OpenScene {
             }
             Content::Floats { scene, .. } => Ok(Cow::Borrowed(scene)),
             Content::Params(_) => Ok(Cow::Owned(tcgs_interchange::read_params_npz(&self.path)?)),
-            Content::Ply { files, higher_harmonics, .. } => {
-                Ok(Cow::Owned(files.read(0..files.files.len(), *higher_harmonics)?))
-            }
+            Content::Ply(files) => Ok(Cow::Owned(files.read(0..files.num_timesteps())?)),
         }
     }
 
@@ -560,7 +403,7 @@ impl OpenScene {
             Content::Chapters(_) => "run folders",
             Content::Floats { kind, .. } => kind,
             Content::Params(_) => "Dynamic 3D Gaussians parameters",
-            Content::Ply { .. } => "PLY files",
+            Content::Ply(_) => "PLY files",
         }
     }
 }
@@ -577,6 +420,10 @@ impl SceneReader for OpenScene {
         OpenScene::num_gaussians(self)
     }
 
+    fn num_gaussians_at(&self, timestep: usize) -> usize {
+        OpenScene::num_gaussians_at(self, timestep)
+    }
+
     fn num_timesteps(&self) -> usize {
         OpenScene::num_timesteps(self)
     }
@@ -591,32 +438,4 @@ impl SceneReader for OpenScene {
     fn at(&mut self, timestep: usize) -> Result<Gaussians, PipelineError> {
         OpenScene::at(self, timestep)
     }
-}
-
-enum Kind {
-    Tcgs,
-    Npz,
-    Ply,
-}
-
-/// By its name; else by its first bytes.
-fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
-    let mut start = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
-    read.map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
-    match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
-        "tcgs" => Ok(Kind::Tcgs),
-        "npz" => Ok(Kind::Npz),
-        "ply" => Ok(Kind::Ply),
-        _ if start == b"TCGS" => Ok(Kind::Tcgs),
-        _ if start == b"PK\x03\x04" => Ok(Kind::Npz),
-        _ if start.starts_with(b"ply") => Ok(Kind::Ply),
-        _ => Err(PipelineError::input(path.display(), "a file of another kind", EXPECTED)),
-    }
-}
-
-/// Whether a folder holds PLY files.
-fn is_ply_folder(path: &Path) -> bool {
-    let Ok(entries) = fs::read_dir(path) else { return false };
-    entries.flatten().any(|entry| entry.path().extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")))
 }

@@ -14,8 +14,8 @@ use crate::{Backend, OpenScene, PipelineError};
 /// quantised, cameras have no gains, and all Gaussians are foreground unless a `params.npz` says otherwise.
 ///
 /// # Errors
-/// [`PipelineError::Input`] if the scene has no such timestep or no Gaussian, or was trained with another number of
-/// cameras; [`PipelineError`] if a file of the scene or the capture's cameras cannot be read.
+/// [`PipelineError::Input`] if the scene has no such timestep, no Gaussian or spherical harmonics, or was trained with
+/// another number of cameras; [`PipelineError`] if a file of the scene or the capture's cameras cannot be read.
 pub fn start_state(
     scene: &OpenScene,
     timestep: usize,
@@ -25,6 +25,10 @@ pub fn start_state(
     let gaussians = scene.at(timestep)?;
     if gaussians.num_gaussians() == 0 {
         return Err(PipelineError::input(scene.path.display(), "has no Gaussians", "at least one"));
+    }
+    if gaussians.layout().sh_degree() > 0 {
+        let expected = "colours that do not depend on the direction of view, since training has no others";
+        return Err(PipelineError::input(scene.path.display(), "has spherical harmonics", expected));
     }
     let cameras = training_cameras(config, capture)?;
     let Some(run) = scene.run() else {

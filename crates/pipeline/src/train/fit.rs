@@ -56,6 +56,7 @@ pub fn fit(
     };
     let num_steps = iterations_of(trainer.phase()) + (frames.len() - 1) * iterations_of(Phase::Rest);
     tell(observer, Event::Begun { work: Work::Training, num_steps })?;
+    let mut num_done = 0;
     std::thread::scope(|scope| {
         // Holds nothing: the loader is one frame ahead, waiting to hand it over.
         let (send, receive) = sync_channel(0);
@@ -73,6 +74,7 @@ pub fn fit(
         for frame in frames {
             let loaded = receive.recv().map_err(|_| loader_ended(capture, frame))??;
             let timestep = trainer.timesteps();
+            let steps = iterations_of(trainer.phase());
             if trainer.needs_recall() {
                 trainer.recall(&capture.views(Split::Train, frame - 1, downscale)?)?;
             }
@@ -80,8 +82,11 @@ pub fn fit(
             let mut record = Record::default();
             trainer.fit(&loaded.train, &mut |p| -> ControlFlow<()> {
                 record.add(p.iterations, p.iteration, p.loss, &p.terms.terms(&config.weights));
-                observer.hear(&Event::Iteration(p))
+                // The gate may give a timestep fewer iterations than `steps`: each then counts for more than one step.
+                let num_done = num_done + steps * (p.iteration + 1) / p.iterations;
+                observer.hear(&Event::Iteration { progress: p, num_done })
             })?;
+            num_done += steps;
             let seconds = begin.elapsed().as_secs_f64();
             let held_out = !loaded.test.is_empty();
             let psnr = trainer.mean_psnr(if held_out { &loaded.test } else { &loaded.train })?;
@@ -89,7 +94,7 @@ pub fn fit(
             let summary = TimestepSummary { timestep, frame, num_gaussians, psnr, held_out, seconds };
             run.append_metrics(&record.metrics(&summary, trainer.trained()))?;
             run.save(timestep, &trainer.checkpoint()?)?;
-            tell(observer, Event::Timestep(&summary))?;
+            tell(observer, Event::Timestep { summary: &summary, num_done })?;
         }
         Ok(trainer)
     })

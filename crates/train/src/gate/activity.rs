@@ -6,12 +6,12 @@ use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, TileMask, gaussians_reaching};
 
-use super::{Blocks, Evidence, rows_of};
+use super::{Blocks, Evidence};
 use crate::config::MaskConfig;
 use crate::engine::cpu::drawn;
 use crate::engine::{Scenery, Target, ViewScenery};
 use crate::losses::{Loss, LossTerms, WeightConfig};
-use crate::motion::{Past, Pose};
+use crate::motion::Past;
 use crate::neighbors::Neighbors;
 use crate::row::Row;
 use crate::state::{GradientStatistic, State};
@@ -20,7 +20,6 @@ use crate::state::{GradientStatistic, State};
 const MIN_HALVED: usize = 128;
 /// Blending weight, summed over views, below which a Gaussian is not seen.
 const MIN_WEIGHT: f32 = 1e-3;
-
 /// Rounds in which neighbours wake each other.
 const MAX_VOTES: usize = 10;
 /// Share of a pixel's colour from which on active Gaussians answer for it.
@@ -87,11 +86,13 @@ impl Activity {
         activity.active.iter().for_each(|&i| is_held[i] = false);
         activity.held = indices(&is_held);
         // Where they are seen, active Gaussians answer for it, changed or not.
+        let colors = is_active.iter().map(|&active| f32::from(u8::from(active))).collect();
+        let shares = Activated { colors, num_channels: 1, ..all.clone() };
         for (tiles, target) in activity.tiles.iter_mut().zip(targets) {
-            tiles.union(&tiles_shown(&all, &is_active, &target.camera));
+            tiles.union(&tiles_shown(&shares, &target.camera));
         }
         activity.cameras = (0..targets.len()).filter(|&i| !activity.tiles[i].is_empty()).collect();
-        activity.before = rows_of(&all, &activity.active);
+        activity.before = all.select(&activity.active);
         activity.scenery = Some(activity.scenery_of(&all, pictures, targets));
         activity
     }
@@ -123,18 +124,8 @@ impl Activity {
         if let Some(quantizers) = &mut quantizers {
             quantizers.select(&rows);
         }
-        let past = state.past.as_ref().map(|past| Past {
-            first: Arc::new(Pose {
-                means: rows.iter().map(|&i| past.first.means[i]).collect(),
-                quats: rows.iter().map(|&i| past.first.quats[i]).collect(),
-            }),
-            neighbors: Arc::new(self.neighbors(&past.neighbors, state.parameters.num_gaussians())),
-            previous: past.previous.select(&rows),
-            previous_mask_logits: past
-                .previous_mask_logits
-                .as_ref()
-                .map(|logits| rows.iter().map(|&i| logits[i]).collect()),
-        });
+        let neighbors = |past: &Past| self.neighbors(&past.neighbors, state.parameters.num_gaussians());
+        let past = state.past.as_ref().map(|past| past.select(&rows, |_| neighbors(past)));
         let statistic = GradientStatistic::new(rows.len());
         State { parameters, lifetimes, optimizer, quantizers, past, statistic, timestep: state.timestep }
     }
@@ -220,7 +211,7 @@ impl Activity {
                     places[row as usize] = place as u32;
                 }
             }
-            ViewScenery { tiles, drawn: rows_of(all, &indices), places, picture: pictures[camera].clone() }
+            ViewScenery { tiles, drawn: all.select(&indices), places, picture: pictures[camera].clone() }
         };
         Scenery { num_active: self.active.len(), views: (0..pictures.len()).map(view).collect() }
     }
@@ -264,9 +255,6 @@ pub(crate) struct Shares {
 }
 
 impl Shares {
-    /// Of a state that holds the whole scene.
-    pub const WHOLE: Self = Self { all: 1.0, foreground: 1.0, background: 1.0 };
-
     fn of(self, loss: Loss) -> f64 {
         match loss {
             // Sums over the pixels drawn, already divided by those of the whole image.
@@ -317,13 +305,13 @@ fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<
 }
 
 /// The tiles in which some Gaussians make up a visible part of the picture.
-fn tiles_shown(drawn: &Activated, is_shown: &[bool], camera: &Camera) -> TileMask {
-    let colors = is_shown.iter().map(|&shown| f32::from(u8::from(shown))).collect();
-    let one = Activated { colors, num_channels: 1, ..drawn.clone() };
+///
+/// - `shares`: all Gaussians, with one channel: 1 of those, 0 of all others
+fn tiles_shown(shares: &Activated, camera: &Camera) -> TileMask {
     let mut tiles = TileMask::none(camera.width, camera.height);
     let step = step(camera);
     let camera = camera.downscaled(step);
-    let Ok((output, _)) = CpuRasterizer.forward(&one, &camera, &RenderSettings::default());
+    let Ok((output, _)) = CpuRasterizer.forward(shares, &camera, &RenderSettings::default());
     for (i, _) in output.image.data.iter().enumerate().filter(|(_, share)| **share > MIN_SHARE) {
         let [x, y] = [i % camera.width * step, i / camera.width * step];
         tiles.insert_pixels(x..x + step, y..y + step);

@@ -163,7 +163,7 @@ impl Gate {
         memory.images = views.iter().map(|view| view.image.clone()).collect();
         let channels = memory.pictures[0].num_channels;
         let all = (!activity.active.is_empty()).then(|| drawn(state, &self.mask, channels > 3));
-        let after = all.as_ref().map(|all| rows_of(all, &activity.active));
+        let after = all.as_ref().map(|all| all.select(&activity.active));
         for (i, (picture, view)) in memory.pictures.iter_mut().zip(views).enumerate() {
             if let (Some(all), Some(after)) = (&all, &after) {
                 let mut tiles = tiles_reached(&activity.before, &view.camera);
@@ -192,18 +192,5 @@ fn redraw(drawn: &Activated, view: &View, tiles: &TileMask, picture: &mut Image)
     if !tiles.is_empty() {
         let (settings, laps) = (RenderSettings::default(), &mut Laps::begin());
         CpuRasterizer.forward_in(drawn, &view.camera, &settings, tiles, picture, laps);
-    }
-}
-
-/// Some of the Gaussians, in the order of `indices`.
-pub(crate) fn rows_of(drawn: &Activated, indices: &[usize]) -> Activated {
-    let channels = drawn.num_channels;
-    Activated {
-        means: indices.iter().map(|&i| drawn.means[i]).collect(),
-        quats: indices.iter().map(|&i| drawn.quats[i]).collect(),
-        scales: indices.iter().map(|&i| drawn.scales[i]).collect(),
-        opacities: indices.iter().map(|&i| drawn.opacities[i]).collect(),
-        colors: indices.iter().flat_map(|&i| &drawn.colors[i * channels..][..channels]).copied().collect(),
-        num_channels: channels,
     }
 }

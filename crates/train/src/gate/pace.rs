@@ -33,7 +33,7 @@ impl Pace {
         let stretch = views * MIN_STRETCH.div_ceil(views.max(1));
         Self {
             settle: config.settle.into(),
-            faster: config.pace.max(1.0).into(),
+            faster: config.pace.into(),
             length,
             position: 0.0,
             is_settled: false,

@@ -21,7 +21,7 @@ use crate::losses::{LossTerms, WeightConfig};
 use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 use crate::parameters::Parameters;
 use crate::sensitivity::sensitivity;
-use crate::state::State;
+use crate::state::{GradientStatistic, State};
 
 /// Fewest Gaussians that one task copies.
 const CHUNK: usize = 1 << 12;
@@ -93,6 +93,8 @@ pub struct CpuEngine {
     prior: Option<MotionPrior<f32>>,
     /// What the state is drawn with, where it does not hold the whole scene.
     scenery: Option<Scenery>,
+    /// The gradient of the image that was rendered last in some tiles; without meaning in the others.
+    v_image: Image,
     /// Not asked for yet.
     losses: Vec<LossTerms>,
 }
@@ -100,7 +102,7 @@ pub struct CpuEngine {
 impl CpuEngine {
     /// An engine that continues from `state`.
     pub fn new(state: State) -> Self {
-        Self { state, targets: Vec::new(), prior: None, scenery: None, losses: Vec::new() }
+        Self { state, targets: Vec::new(), prior: None, scenery: None, v_image: Image::default(), losses: Vec::new() }
     }
 
     /// Computes the losses and gradients on one image, without updating the parameters; adds to the densification
@@ -118,25 +120,23 @@ impl CpuEngine {
         let DrawnChain { quantized, drawn, unmasked } = chain(&self.state, step.mask, with_segmentation);
         let p = &self.state.parameters;
         laps.lap("activate");
-        let (loss, render) = match &mut self.scenery {
-            Some(scenery) => render_in(&mut scenery.views[step.camera], &drawn, target, p, step, laps),
-            None => render_whole(&drawn, target, p, step, laps),
+        let (loss, v_drawn) = match &mut self.scenery {
+            Some(scenery) => {
+                assert!(!step.counts_gradients, "density control acts in the first timestep, which has no scenery");
+                let view = &mut scenery.views[step.camera];
+                render_in(view, &drawn, target, p, step, &mut self.v_image, laps)
+            }
+            None => {
+                let (loss, grads) = render_whole(&drawn, target, p, step, laps);
+                if step.counts_gradients {
+                    count_gradients(&grads, &mut self.state.statistic);
+                }
+                (loss, grads.activated)
+            }
         };
-        if step.counts_gradients {
-            let statistic = &mut self.state.statistic;
-            (&mut statistic.sum, &mut statistic.count, &render.v_means2d_ndc, &render.visible)
-                .into_par_iter()
-                .for_each(|(sum, count, v, &visible)| {
-                    if visible {
-                        *sum += (v[0] * v[0] + v[1] * v[1]).sqrt();
-                        *count += 1;
-                    }
-                });
-        }
-        let p = &self.state.parameters;
 
         let mut terms = LossTerms { image: loss.image, segmentation: loss.segmentation, ..LossTerms::default() };
-        let mut v_activated = colors_alone(render.activated, drawn.num_channels);
+        let mut v_activated = colors_alone(v_drawn, drawn.num_channels);
         // Drawing is over: from here on scales and opacities are those before the mask.
         let activated = match unmasked {
             Some((scales, opacities)) => Activated { scales, opacities, ..drawn },
@@ -339,38 +339,47 @@ fn render_whole(
     (loss, grads)
 }
 
+/// Adds to the statistic of densification. *Accumulates*.
+fn count_gradients(grads: &RenderGrads, statistic: &mut GradientStatistic) {
+    (&mut statistic.sum, &mut statistic.count, &grads.v_means2d_ndc, &grads.visible).into_par_iter().for_each(
+        |(sum, count, v, &visible)| {
+            if visible {
+                *sum += (v[0] * v[0] + v[1] * v[1]).sqrt();
+                *count += 1;
+            }
+        },
+    );
+}
+
 /// Renders the state's rows among their scenery, in the tiles of the view, and takes the losses back to the rows.
+///
+/// - `v_image`: memory for the gradient of the image; overwritten in the tiles drawn
+/// - returns: the losses, and the gradients to `rows`
 fn render_in(
     view: &mut ViewScenery,
     rows: &Activated,
     target: &Target,
     p: &Parameters,
     step: &Step<'_>,
+    v_image: &mut Image,
     laps: &mut Laps,
-) -> (ImageLoss, RenderGrads) {
+) -> (ImageLoss, ActivatedGrads) {
     let (settings, camera) = (settings_of(step), &target.camera);
     view.place(rows);
     let ViewScenery { tiles, drawn, picture, places } = view;
     let sorted = CpuRasterizer.forward_in(drawn, camera, &settings, tiles, picture, laps);
     let [gain, offset] = [p.camera_gains[step.camera], p.camera_offsets[step.camera]];
     let weights = step.weights;
-    let mut v_image = Image::filled(picture.width, picture.height, picture.num_channels, 0.0);
+    let shape = |i: &Image| [i.num_channels, i.height, i.width];
+    if shape(v_image) != shape(picture) {
+        *v_image = Image::filled(picture.width, picture.height, picture.num_channels, 0.0);
+    }
     let (image, segmentation) = (weights.image, weights.segmentation);
-    let loss = image_loss_in(picture, &target.image, tiles, gain, offset, image, segmentation, &mut v_image);
+    let loss = image_loss_in(picture, &target.image, tiles, gain, offset, image, segmentation, v_image);
     laps.lap("image losses");
-    let grads = CpuRasterizer.backward_in(drawn, camera, &settings, &sorted, picture, &v_image, laps);
-    let (a, channels) = (&grads.activated, drawn.num_channels);
+    let grads = CpuRasterizer.backward_in(drawn, camera, &settings, &sorted, picture, v_image, laps);
     let places: Vec<usize> = places.iter().map(|&place| place as usize).collect();
-    let activated = ActivatedGrads {
-        v_means: places.iter().map(|&i| a.v_means[i]).collect(),
-        v_quats: places.iter().map(|&i| a.v_quats[i]).collect(),
-        v_scales: places.iter().map(|&i| a.v_scales[i]).collect(),
-        v_opacities: places.iter().map(|&i| a.v_opacities[i]).collect(),
-        v_colors: places.iter().flat_map(|&i| &a.v_colors[i * channels..][..channels]).copied().collect(),
-    };
-    let v_means2d_ndc = places.iter().map(|&i| grads.v_means2d_ndc[i]).collect();
-    let visible = places.iter().map(|&i| grads.visible[i]).collect();
-    (loss, RenderGrads { activated, v_means2d_ndc, visible })
+    (loss, grads.activated.select(&places, drawn.num_channels))
 }
 
 /// Drops the gradients of channels beyond the colours: segmentation is not learned.

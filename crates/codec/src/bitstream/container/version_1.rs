@@ -1,40 +1,46 @@
-//! The container of a file (`docs/FORMAT.md`, "Container"): magic, version, table of contents and checksums around
-//! sections. The content of a section is opaque here.
+//! The container of version 1: magic, version, table of contents, and all sections of the only cohort in a fixed order.
 
 use std::io::{Seek, SeekFrom, Write};
+use std::sync::Arc;
 
-use super::FORMAT_VERSION;
-use super::section::{self, Cursor, Entry, SHARED, Tag};
+use super::super::archive::{Archive, Opening};
+use super::super::cohort::Cohort;
+use super::super::head::{Head, MAX_SEGMENTS, read_info_1};
+use super::super::plan::read_plan_1;
+use super::super::section::{self, Cursor, Entry, INFO, MAPS, PLAN, SHARED, Tag};
+use super::{MAGIC, agrees};
 use crate::error::{CompressError, DecodeError};
+use crate::limits::{Budget, DecodeLimits};
 
-/// The first four bytes of every `.tcgs` file.
-pub const MAGIC: Tag = *b"TCGS";
 /// Magic, version, reserved, number of sections, checksum.
-pub(super) const FIXED_BYTES: usize = 16;
+const FIXED_BYTES: usize = 16;
 /// Tag, segment, layer, length, checksum.
-pub(super) const ENTRY_BYTES: usize = 16;
+const ENTRY_BYTES: usize = 16;
 /// Where the checksum of the header lies.
 const CHECKSUM_AT: usize = 12;
 /// Most sections: all attributes of 65,535 segments are more than anyone needs.
 const MAX_SECTIONS: u32 = 1 << 20;
 
+/// Sections that version 1 knows and that are not optional.
+const KNOWN: [Tag; 8] = [INFO, PLAN, MAPS, *b"MEAN", *b"QUAT", *b"SCAL", *b"OPAC", *b"COLR"];
+
 /// A section to be written.
-pub(super) struct Part {
-    pub(super) tag: Tag,
-    pub(super) segment: u16,
-    pub(super) layer: u16,
-    pub(super) bytes: Vec<u8>,
+pub(in super::super) struct Part {
+    pub(in super::super) tag: Tag,
+    pub(in super::super) segment: u16,
+    pub(in super::super) layer: u16,
+    pub(in super::super) bytes: Vec<u8>,
 }
 
 impl Part {
     /// A section that belongs to no segment.
-    pub(super) fn shared(tag: Tag, layer: usize, bytes: Vec<u8>) -> Self {
+    pub(in super::super) fn shared(tag: Tag, layer: usize, bytes: Vec<u8>) -> Self {
         Self { tag, segment: SHARED, layer: layer as u16, bytes }
     }
 }
 
 /// Writes a file section after section, and in the end its table of contents.
-pub(super) struct Writer<'a, W> {
+pub(in super::super) struct Writer<'a, W> {
     file: &'a mut W,
     /// Position of the file's first byte.
     start: u64,
@@ -48,7 +54,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     ///
     /// # Errors
     /// [`CompressError`] if there are more than 2^20 sections or the file cannot be written.
-    pub(super) fn new(file: &'a mut W, num_sections: usize) -> Result<Self, CompressError> {
+    pub(in super::super) fn new(file: &'a mut W, num_sections: usize) -> Result<Self, CompressError> {
         let expected = MAX_SECTIONS as usize;
         if num_sections > expected {
             return Err(CompressError::Count { what: "sections".into(), found: num_sections, expected });
@@ -57,7 +63,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         file.write_all(&vec![0; header_bytes(num_sections)])?;
         let mut header = Vec::with_capacity(header_bytes(num_sections));
         header.extend(MAGIC);
-        header.extend(FORMAT_VERSION.to_le_bytes());
+        header.extend(1_u16.to_le_bytes());
         header.extend(0_u16.to_le_bytes());
         header.extend((num_sections as u32).to_le_bytes());
         header.extend(0_u32.to_le_bytes());
@@ -68,7 +74,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     ///
     /// # Errors
     /// [`CompressError`] if the section is of 4 GiB or more, or the file cannot be written.
-    pub(super) fn section(&mut self, part: &Part) -> Result<(), CompressError> {
+    pub(in super::super) fn section(&mut self, part: &Part) -> Result<(), CompressError> {
         let (found, expected) = (part.bytes.len(), u32::MAX as usize);
         let too_long = |_| CompressError::Count { what: "bytes of a section".into(), found, expected };
         let length = u32::try_from(found).map_err(too_long)?;
@@ -87,7 +93,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     ///
     /// # Panics
     /// If another number of sections was written than [`Self::new`] was told.
-    pub(super) fn finish(mut self) -> Result<(), CompressError> {
+    pub(in super::super) fn finish(mut self) -> Result<(), CompressError> {
         assert_eq!(self.header.len(), header_bytes(self.num_sections), "bytes of the table of contents");
         let checksum = header_checksum(&self.header);
         self.header[CHECKSUM_AT..FIXED_BYTES].copy_from_slice(&checksum.to_le_bytes());
@@ -114,21 +120,11 @@ fn header_checksum(header: &[u8]) -> u32 {
 
 /// Length of the header, if the bytes reach far enough to tell.
 ///
-/// # Errors
-/// If this is no file of the one version known.
-pub(super) fn length_of_header(start: &[u8]) -> Result<Option<usize>, DecodeError> {
-    let known = start.len().min(MAGIC.len());
-    let mut cursor = Cursor::new("header", 0, start);
-    if start[..known] != MAGIC[..known] {
-        return Err(cursor.invalid("magic", "this is not a .tcgs file"));
-    }
-    if start.len() < FIXED_BYTES {
+/// - `cursor`: after the version
+/// - `found`: bytes of the file that are there
+pub(super) fn length_of_header(mut cursor: Cursor<'_>, found: usize) -> Result<Option<usize>, DecodeError> {
+    if found < FIXED_BYTES {
         return Ok(None);
-    }
-    cursor.tag("magic")?;
-    let found = cursor.u16("version")?;
-    if found != FORMAT_VERSION {
-        return Err(DecodeError::Version { found, expected: FORMAT_VERSION });
     }
     if cursor.u16("reserved")? != 0 {
         return Err(cursor.invalid("reserved", "not zero"));
@@ -140,14 +136,77 @@ pub(super) fn length_of_header(start: &[u8]) -> Result<Option<usize>, DecodeErro
     Ok(Some(header_bytes(num_sections as usize)))
 }
 
+/// Opens a file from its first bytes.
+///
+/// - `header`: of the length that [`length_of_header`] gives
+pub(in super::super) fn open(header: &[u8], start: &[u8], limits: &DecodeLimits) -> Result<Opening, DecodeError> {
+    let entries = read_header(header)?;
+    let head_end = entries.iter().filter(|e| e.tag == INFO || e.tag == PLAN).map(|e| e.range.end).max();
+    let head_end = head_end.unwrap_or(header.len() as u64);
+    if head_end > start.len() as u64 {
+        return Ok(Opening::More(head_end));
+    }
+    let mut sections = entries.iter().enumerate().filter(|(_, e)| !e.is_optional());
+    let mut next = |tag: Tag, segment: usize, layer: usize| {
+        let found = sections.next();
+        let place = found.map_or(header.len() - ENTRY_BYTES, |(index, _)| FIXED_BYTES + index * ENTRY_BYTES);
+        found
+            .filter(|(_, e)| (e.tag, usize::from(e.segment), usize::from(e.layer)) == (tag, segment, layer))
+            .map(|(_, entry)| entry.clone())
+            .ok_or_else(|| Cursor::new("header", place as u64, &[]).invalid("tag", "not the section that is due"))
+    };
+    let shared = usize::from(SHARED);
+    let bytes = |entry: &Entry| &start[entry.range.start as usize..entry.range.end as usize];
+    let at_info = next(INFO, shared, 0)?;
+    let (info, segment_length, layers) = read_info_1(at_info.open(bytes(&at_info))?, limits)?;
+    let plan = next(PLAN, shared, 0)?;
+    let plan = read_plan_1(plan.open(bytes(&plan))?)?;
+    let head = Head {
+        index: 0,
+        plan: Arc::new(plan),
+        start: 0,
+        num_timesteps: info.scene.num_timesteps as usize,
+        num_gaussians: info.scene.num_gaussians as usize,
+        has_lives: false,
+        layers,
+        segment_length,
+        info: Arc::new(info),
+    };
+    if head.num_segments() > MAX_SEGMENTS {
+        let at_info = Cursor::new(section::name(INFO), at_info.range.start, &[]);
+        return Err(at_info.invalid("segment_length", "more than 65535 segments"));
+    }
+    let mut of_cohort = Vec::new();
+    for layer in 0..head.layers.len() {
+        of_cohort.push(next(MAPS, shared, layer)?);
+        for attribute in head.plan.layout.attributes() {
+            of_cohort.push(next(section::of_attribute(attribute), shared, layer)?);
+        }
+    }
+    for segment in 0..head.num_segments() {
+        for layer in 0..head.layers.len() {
+            for attribute in head.plan.varying() {
+                of_cohort.push(next(section::of_attribute(attribute), segment, layer)?);
+            }
+        }
+    }
+    if let Some((index, _)) = sections.next() {
+        let place = FIXED_BYTES + index * ENTRY_BYTES;
+        return Err(Cursor::new("header", place as u64, &[]).invalid("tag", "a section too many"));
+    }
+    let length = entries.last().map_or(header.len() as u64, |e| e.range.end);
+    let cohort = Cohort::new(head, of_cohort, Arc::new(Budget::new(limits, length)));
+    Ok(Opening::Ready(Box::new(Archive::of_one(length, entries, cohort, limits))))
+}
+
 /// The table of contents.
 ///
 /// - `header`: of the length that [`length_of_header`] gives
-pub(super) fn read_header(header: &[u8]) -> Result<Vec<Entry>, DecodeError> {
+fn read_header(header: &[u8]) -> Result<Vec<Entry>, DecodeError> {
     let mut cursor = Cursor::new("header", 0, header);
     cursor.take("header", CHECKSUM_AT)?;
     let checksum = cursor.u32("checksum")?;
-    if !cfg!(fuzzing) && checksum != header_checksum(header) {
+    if !agrees(checksum, header_checksum(header)) {
         return Err(cursor.invalid("checksum", "the header is damaged"));
     }
     let mut offset = header.len() as u64;
@@ -157,7 +216,7 @@ pub(super) fn read_header(header: &[u8]) -> Result<Vec<Entry>, DecodeError> {
         let (segment, layer) = (cursor.u16("segment")?, cursor.u16("layer")?);
         let end = offset + u64::from(cursor.u32("length")?);
         let entry = Entry { tag, segment, layer, range: offset..end, checksum: cursor.u32("checksum")? };
-        if section::name(tag) == "unknown section" && !entry.is_optional() {
+        if !KNOWN.contains(&tag) && !entry.is_optional() {
             return Err(cursor.invalid("tag", "a section that this decoder does not know and may not skip"));
         }
         offset = end;

@@ -1,0 +1,127 @@
+//! All codes of a file: its cohorts, and what describes them together.
+
+use std::sync::Arc;
+
+use tcgs_core::{Gaussians, Layout};
+
+use crate::bitstream::decode_cohorts;
+use crate::compact::{CompactScene, SceneInfo};
+use crate::error::DecodeError;
+use crate::limits::DecodeLimits;
+
+/// A compressed scene before entropy coding: one [`CompactScene`], or several that begin and end at other timesteps.
+///
+/// ```
+/// use tcgs_codec::{BitMap, CompactFile, CompressSettings, DecodeLimits, SceneInfo, compress};
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// let mut scene = DynamicGaussians::default();
+/// scene.push(Gaussians::zeros(3));
+/// let (map, info, settings) = (BitMap::uniform(3, 16, 6), SceneInfo::of(&scene), CompressSettings::default());
+/// let compact = CompactFile::of(compress(&scene, &map, None, info, &settings)?);
+/// assert_eq!(compact.oldest_version(), 1);
+/// let file = compact.encode(2, &[])?;
+/// assert_eq!(CompactFile::decode(&file, &DecodeLimits::default())?, compact);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct CompactFile {
+    /// Of the whole scene; its counts are those of all cohorts together.
+    pub info: SceneInfo,
+    /// By ascending [`CompactScene::start`], all with the same layout.
+    pub cohorts: Vec<CompactScene>,
+}
+
+impl CompactFile {
+    /// One scene, all of whose Gaussians are described together.
+    pub fn of(scene: CompactScene) -> Self {
+        Self { info: scene.info.clone(), cohorts: vec![scene] }
+    }
+
+    /// Decodes a whole `.tcgs` file of any version.
+    ///
+    /// - `file`: all bytes of the file
+    /// - `limits`: bounds on memory and counts
+    ///
+    /// # Errors
+    /// As [`decode`](crate::decode()).
+    pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<Self, DecodeError> {
+        let (info, cohorts) = decode_cohorts(file, limits)?;
+        Ok(Self { info, cohorts })
+    }
+
+    /// Encodes a `.tcgs` file.
+    ///
+    /// - `version`: of the format, 1 or 2
+    /// - `data`: name and content of each piece of application data
+    ///
+    /// # Errors
+    /// [`CompressError::Unsupported`](crate::CompressError::Unsupported) if the version does not hold the scene; else as
+    /// [`encode_with`](crate::encode_with()) and [`encode_cohorts`](crate::encode_cohorts()).
+    #[cfg(feature = "encode")]
+    pub fn encode(&self, version: u16, data: &[(&str, &[u8])]) -> Result<Vec<u8>, crate::CompressError> {
+        match (version, &self.cohorts[..]) {
+            (1, [only]) => crate::encode_with(only, data),
+            (1, _) => {
+                let found = format!("{} cohorts", self.cohorts.len());
+                Err(crate::CompressError::Unsupported { version: 1, found })
+            }
+            _ => crate::encode_cohorts(&self.info, &self.cohorts, data),
+        }
+    }
+
+    /// The oldest version of the format that holds the scene.
+    pub fn oldest_version(&self) -> u16 {
+        match &self.cohorts[..] {
+            [only] if only.layout.is_base() && only.lives.is_none() && only.start == 0 => 1,
+            _ => 2,
+        }
+    }
+
+    /// Number of Gaussians of all cohorts together.
+    pub fn num_gaussians(&self) -> usize {
+        self.info.num_gaussians as usize
+    }
+
+    /// Number of timesteps.
+    pub fn num_timesteps(&self) -> usize {
+        self.info.num_timesteps as usize
+    }
+
+    /// Which columns the Gaussians have.
+    pub fn layout(&self) -> Arc<Layout> {
+        self.cohorts.first().map_or_else(Layout::base, |cohort| Arc::clone(&cohort.layout))
+    }
+
+    /// The Gaussians that live at a timestep as floats, in stored form, cohort by cohort.
+    pub fn at(&self, timestep: usize) -> Gaussians {
+        let mut parts: Vec<Gaussians> = self.cohorts.iter().filter_map(|cohort| cohort.alive_at(timestep)).collect();
+        if parts.len() == 1 { parts.remove(0) } else { Gaussians::concat(&self.layout(), &parts) }
+    }
+
+    /// By [`Attribute::index`](tcgs_core::Attribute::index): mean number of keypoints of a track.
+    pub fn keypoints_mean(&self) -> Vec<f64> {
+        let sum = |a: usize| {
+            let tracks = self.cohorts.iter().map(|cohort| &cohort.tracks[a]);
+            let (keypoints, count) =
+                tracks.fold((0, 0), |(keypoints, count), of| (keypoints + of.num_keypoints(), count + of.len()));
+            keypoints as f64 / count.max(1) as f64
+        };
+        (0..self.layout().columns().len()).map(sum).collect()
+    }
+
+    /// Mean width of all codes, in bits, over Gaussians.
+    pub fn mean_bits(&self) -> f64 {
+        let weighted: f64 = self.cohorts.iter().map(|c| c.bit_map.mean_bits() * c.num_gaussians() as f64).sum();
+        weighted / self.num_gaussians().max(1) as f64
+    }
+
+    /// Sum of [`CompactScene::plain_bytes`].
+    pub fn plain_bytes(&self) -> u64 {
+        self.cohorts.iter().map(CompactScene::plain_bytes).sum()
+    }
+
+    /// Sum of [`CompactScene::quantized_bytes`].
+    pub fn quantized_bytes(&self) -> u64 {
+        self.cohorts.iter().map(CompactScene::quantized_bytes).sum()
+    }
+}

@@ -1,0 +1,77 @@
+//! Which Gaussians of a long scene are described together, so that a timestep needs little but what lives at it.
+
+use std::ops::Range;
+
+/// Divisions of the longest life of a cohort within which its Gaussians are born.
+const BIRTHS: usize = 4;
+
+/// Gaussians that are described together: a cohort to be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Contemporaries {
+    /// Timesteps from the first birth to the last death.
+    pub timesteps: Range<usize>,
+    /// Indices of the Gaussians, ascending.
+    pub gaussians: Vec<usize>,
+}
+
+/// Divides Gaussians into cohorts by levels of time: those of like length of life that are born at about the same time
+/// come together.
+///
+/// Level `k` has lives of at most `shortest * 2^k` timesteps, and cohorts of those born within a quarter of that. So at
+/// most six cohorts of each level live at a timestep, and of these at most 5 / 4 of what is born in such a life.
+///
+/// - `lives`: `[N]` first and last timestep of each Gaussian
+/// - `shortest`: longest life of the lowest level, at least 1
+/// - returns: by ascending first timestep
+///
+/// ```
+/// let lives = [[0, 9999], [5, 6], [7, 8], [5000, 5003]];
+/// let cohorts = tcgs_codec::contemporaries(&lives, 60);
+/// assert_eq!(cohorts.iter().map(|c| c.gaussians.len()).collect::<Vec<_>>(), [1, 2, 1]);
+/// assert_eq!(cohorts[1].timesteps, 5..9);
+/// ```
+///
+/// # Panics
+/// If a life ends before it begins, or `shortest` is 0.
+pub fn contemporaries(lives: &[[u32; 2]], shortest: usize) -> Vec<Contemporaries> {
+    assert!(shortest > 0, "lives of no timestep");
+    let mut cohorts = std::collections::BTreeMap::<(u32, usize), Contemporaries>::new();
+    for (gaussian, &[birth, death]) in lives.iter().enumerate() {
+        assert!(birth <= death, "a life from {birth} to {death}");
+        let [birth, end] = [birth as usize, death as usize + 1];
+        let level = (end - birth).div_ceil(shortest).next_power_of_two().ilog2();
+        let together = (shortest << level).div_ceil(BIRTHS);
+        let fresh = || Contemporaries { timesteps: birth..end, gaussians: Vec::new() };
+        let cohort = cohorts.entry((level, birth / together)).or_insert_with(fresh);
+        cohort.timesteps = cohort.timesteps.start.min(birth)..cohort.timesteps.end.max(end);
+        cohort.gaussians.push(gaussian);
+    }
+    let mut cohorts: Vec<Contemporaries> = cohorts.into_values().collect();
+    cohorts.sort_by_key(|cohort| cohort.timesteps.start);
+    cohorts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_timestep_needs_few_cohorts_and_little_but_what_lives() {
+        let life = |i: u32| {
+            let birth = i * 7 % 9000;
+            [birth, (birth + i * i % 300).min(9999)]
+        };
+        let lives: Vec<_> = (0..20_000).map(life).collect();
+        let cohorts = contemporaries(&lives, 20);
+        let mut all: Vec<usize> = cohorts.iter().flat_map(|cohort| cohort.gaussians.clone()).collect();
+        all.sort_unstable();
+        assert!(all.into_iter().eq(0..lives.len()));
+        assert!(cohorts.is_sorted_by_key(|cohort| cohort.timesteps.start));
+        for timestep in (400..9000).step_by(333) {
+            let here: Vec<_> = cohorts.iter().filter(|cohort| cohort.timesteps.contains(&timestep)).collect();
+            let read: usize = here.iter().map(|cohort| cohort.gaussians.len()).sum();
+            let alive = lives.iter().filter(|l| (l[0] as usize..=l[1] as usize).contains(&timestep)).count();
+            assert!(here.len() <= 6 * 5 && read < 4 * alive, "{} cohorts, {read} of {alive}", here.len());
+        }
+    }
+}

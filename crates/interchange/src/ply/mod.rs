@@ -1,0 +1,246 @@
+//! One PLY file of 3D Gaussian splatting (Kerbl et al. 2023): one timestep.
+//!
+//! | property of `vertex` | here |
+//! |---|---|
+//! | `x`, `y`, `z` | `means` |
+//! | `nx`, `ny`, `nz` | written as 0, not read |
+//! | `f_dc_0` to `f_dc_2` | `colors`, as `(color - 0.5) / 0.28209…`: the coefficient of degree 0 |
+//! | `f_rest_0` to `f_rest_8`, `_23` or `_44` | `sh1`, `sh2`, `sh3`: spherical harmonics up to degree 1, 2 or 3 |
+//! | `opacity` | `logit_opacities` |
+//! | `scale_0` to `scale_2` | `log_scales` |
+//! | `rot_0` to `rot_3` | `quats`, `w, x, y, z` |
+//!
+//! Files hold all `f_rest` of red, then of green, then of blue: coefficient `k` of channel `c` is `f_rest_{c K + k}` with
+//! `K` of 3, 8 or 15. The columns hold red, green and blue of each coefficient together.
+//!
+//! Writing and reading again keeps the bits of everything but colours. A colour changes by up to 3e-8, by the rounding
+//! of its offset. In a file without `f_rest` a negative colour is read as zero, since renderers of such files clamp
+//! colours at zero; with them they clamp the sum.
+
+mod vertex;
+
+use std::fs::File;
+use std::io::{self, BufReader, ErrorKind, Write};
+use std::path::Path;
+
+use serde_ply::{DeserializeError, ElementDef, PlyFormat, PlyReader, PropertyType, ScalarType};
+use tcgs_core::{Gaussians, HARMONIC_0, Layout, MAX_SH_DEGREE};
+
+use self::vertex::{PROPERTIES, REQUIRED, Vertex};
+use crate::InterchangeError;
+
+/// What [`read_ply`] does with spherical harmonics above degree 0, with which colours depend on the direction of view.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum HigherHarmonics {
+    /// They become the columns of [`Layout::with_harmonics`].
+    #[default]
+    Keep,
+    /// The properties `f_rest_…` are ignored: each Gaussian keeps its colour of degree 0.
+    Drop,
+}
+
+/// What the header of a file says of its Gaussians.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct PlyHead {
+    /// `N`, at least 1, and not more than the file's length has room for.
+    pub num_gaussians: usize,
+    /// Degree of the harmonics that are read.
+    pub sh_degree: usize,
+}
+
+/// Reads the Gaussians of one PLY file, in stored form: binary of either byte order, or ASCII. Unknown properties are
+/// ignored.
+///
+/// ```
+/// use tcgs_core::{Gaussians, Layout};
+/// use tcgs_interchange::{HigherHarmonics, read_ply, write_ply_to};
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("a.ply");
+/// let mut gaussians = Gaussians::zeros_of(&Layout::with_harmonics(3), 5);
+/// gaussians.colors_mut().fill([0.5; 3]);
+/// write_ply_to(std::fs::File::create(&path)?, &gaussians)?;
+/// assert_eq!(read_ply(&path, HigherHarmonics::Keep)?, gaussians);
+/// assert_eq!(*read_ply(&path, HigherHarmonics::Drop)?.layout(), Layout::base());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::Ply`] if the file is not a complete PLY
+/// file, lacks a property, has harmonics of no known degree, holds a number that is not finite, or has no Gaussian.
+pub fn read_ply(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, InterchangeError> {
+    let (mut ply, head) = open(path, harmonics)?;
+    let gaussians = match head.sh_degree {
+        0 => read_rows::<REQUIRED>(&mut ply, 0),
+        1 => read_rows::<{ REQUIRED + 9 }>(&mut ply, 1),
+        2 => read_rows::<{ REQUIRED + 24 }>(&mut ply, 2),
+        _ => read_rows::<{ REQUIRED + 45 }>(&mut ply, MAX_SH_DEGREE),
+    };
+    let gaussians = gaussians.map_err(|error| damaged(path, error))?;
+    for column in gaussians.layout().columns() {
+        let values = gaussians.values(column.attribute);
+        if let Some(i) = values.iter().position(|x| !x.is_finite()) {
+            let (name, gaussian) = (&column.name, i / column.components());
+            let problem = format!("{name} of Gaussian {gaussian}: {}, expected a finite number", values[i]);
+            return Err(InterchangeError::Ply { path: path.into(), problem });
+        }
+    }
+    Ok(gaussians)
+}
+
+/// Reads the header of a PLY file.
+///
+/// # Errors
+/// As [`read_ply`], but for what only the numbers show.
+pub(crate) fn read_head(path: &Path, harmonics: HigherHarmonics) -> Result<PlyHead, InterchangeError> {
+    Ok(open(path, harmonics)?.1)
+}
+
+/// Writes the Gaussians of one timestep as a PLY file for viewers of 3D Gaussian splatting: binary little-endian, with
+/// the harmonics that their layout has. Further columns are left out. Equal Gaussians give equal bytes.
+///
+/// - `writer`: should be buffered
+/// - `gaussians`: `[N]`, stored form
+///
+/// # Errors
+/// The errors of `writer`.
+pub fn write_ply_to(mut writer: impl Write, gaussians: &Gaussians) -> io::Result<()> {
+    let (n, bands) = (gaussians.num_gaussians(), gaussians.layout().harmonics());
+    let num_rest = num_rest(bands.len());
+    let rest = PROPERTIES[REQUIRED..][..num_rest].iter().copied();
+    let names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].into_iter().chain(rest);
+    let names = names.chain(["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]);
+    let properties: String = names.map(|name| format!("property float {name}\n")).collect();
+    write!(writer, "ply\nformat binary_little_endian 1.0\nelement vertex {n}\n{properties}end_header\n")?;
+    for i in 0..n {
+        let mut row = Vec::with_capacity(17 + num_rest);
+        row.extend(gaussians.means()[i]);
+        row.extend([0.0; 3]);
+        row.extend(gaussians.colors()[i].map(|c| ((f64::from(c) - 0.5) / HARMONIC_0) as f32));
+        for channel in 0..3 {
+            for &band in &bands {
+                let of_gaussian = &gaussians.values(band)[i * band.components()..][..band.components()];
+                row.extend(of_gaussian.as_chunks::<3>().0.iter().map(|sh| sh[channel]));
+            }
+        }
+        row.push(gaussians.logit_opacities()[i]);
+        row.extend(gaussians.log_scales()[i]);
+        row.extend(gaussians.quats()[i]);
+        let bytes: Vec<u8> = row.into_iter().flat_map(f32::to_le_bytes).collect();
+        writer.write_all(&bytes)?;
+    }
+    Ok(())
+}
+
+/// Number of properties `f_rest` of harmonics up to a degree.
+const fn num_rest(sh_degree: usize) -> usize {
+    3 * ((sh_degree + 1) * (sh_degree + 1) - 1)
+}
+
+/// Opens a file, and checks what its header says.
+fn open(path: &Path, harmonics: HigherHarmonics) -> Result<(PlyReader<BufReader<File>>, PlyHead), InterchangeError> {
+    let failed = |error| InterchangeError::Read { path: path.into(), error };
+    let invalid = |problem| InterchangeError::Ply { path: path.into(), problem };
+    let file = File::open(path).map_err(failed)?;
+    let metadata = file.metadata().map_err(failed)?;
+    let ply = PlyReader::from_reader(BufReader::new(file)).map_err(|error| damaged(path, error))?;
+    let Some(element) = ply.current_element().filter(|element| element.name == "vertex") else {
+        let found = ply.current_element().map_or("nothing", |element| &element.name);
+        return Err(invalid(format!("holds {found} first, expected the element vertex")));
+    };
+    if let Some(missing) = PROPERTIES[..REQUIRED].iter().find(|name| !element.has_property(name)) {
+        let expected = PROPERTIES[..REQUIRED].join(", ");
+        return Err(invalid(format!("has no property {missing}, expected {expected}")));
+    }
+    let sh_degree = match harmonics {
+        HigherHarmonics::Keep => sh_degree(element).map_err(invalid)?,
+        HigherHarmonics::Drop => 0,
+    };
+    if element.count == 0 {
+        return Err(invalid("holds no Gaussian, expected at least one".into()));
+    }
+    let least = least_row_bytes(ply.header().format, element).checked_mul(element.count as u64);
+    if metadata.is_file() && least.is_none_or(|least| least > metadata.len()) {
+        return Err(ends_early(path));
+    }
+    let head = PlyHead { num_gaussians: element.count, sh_degree };
+    Ok((ply, head))
+}
+
+/// The degree of a file's harmonics, or what is wrong with them.
+fn sh_degree(element: &ElementDef) -> Result<usize, String> {
+    let found = element.properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
+    let Some(degree) = (0..=MAX_SH_DEGREE).find(|&degree| num_rest(degree) == found) else {
+        return Err(format!(
+            "has {found} properties f_rest, expected 0, 9, 24 or 45: spherical harmonics of degree 0 to 3"
+        ));
+    };
+    let names = &PROPERTIES[REQUIRED..][..found];
+    match names.iter().find(|name| !element.has_property(name)) {
+        Some(missing) => Err(format!("has no property {missing}, expected f_rest_0 to f_rest_{}", found - 1)),
+        None => Ok(degree),
+    }
+}
+
+/// Fewest bytes that a row takes, from which follows how many rows a file can hold.
+fn least_row_bytes(format: PlyFormat, element: &ElementDef) -> u64 {
+    let bytes = |property: &PropertyType| match property {
+        // A digit and a space.
+        _ if format == PlyFormat::Ascii => 2,
+        // A count of bytes, which is zero.
+        PropertyType::List { .. } => 1,
+        PropertyType::Scalar(ScalarType::I8 | ScalarType::U8) => 1,
+        PropertyType::Scalar(ScalarType::I16 | ScalarType::U16) => 2,
+        PropertyType::Scalar(ScalarType::I32 | ScalarType::U32 | ScalarType::F32) => 4,
+        PropertyType::Scalar(ScalarType::F64) => 8,
+    };
+    element.properties.iter().map(|property| bytes(&property.property_type)).sum()
+}
+
+fn ends_early(path: &Path) -> InterchangeError {
+    InterchangeError::Ply { path: path.into(), problem: "ends early, expected a whole PLY file".into() }
+}
+
+fn damaged(path: &Path, DeserializeError(error): DeserializeError) -> InterchangeError {
+    match error.kind() {
+        ErrorKind::UnexpectedEof => ends_early(path),
+        ErrorKind::InvalidData => {
+            let problem = format!("{error}, expected a PLY file of 3D Gaussians");
+            InterchangeError::Ply { path: path.into(), problem }
+        }
+        _ => InterchangeError::Read { path: path.into(), error },
+    }
+}
+
+/// Reads the rows of the element `vertex`.
+///
+/// - `LEN`: number of properties with harmonics up to `sh_degree`
+fn read_rows<const LEN: usize>(
+    ply: &mut PlyReader<BufReader<File>>,
+    sh_degree: usize,
+) -> Result<Gaussians, DeserializeError> {
+    let rows: Vec<Vertex<LEN>> = ply.next_element()?;
+    let columns = |places: &[usize]| -> Vec<f32> {
+        rows.iter().flat_map(|Vertex(row)| places.iter().map(|&place| row[place])).collect()
+    };
+    let color = |dc: f32| match (0.5 + HARMONIC_0 * f64::from(dc)) as f32 {
+        negative if negative < 0.0 && sh_degree == 0 => 0.0,
+        color => color,
+    };
+    let mut values = vec![
+        columns(&[0, 1, 2]),
+        columns(&[10, 11, 12, 13]),
+        columns(&[7, 8, 9]),
+        columns(&[6]),
+        columns(&[3, 4, 5]).into_iter().map(color).collect(),
+    ];
+    let per_channel = num_rest(sh_degree) / 3;
+    for l in 1..=sh_degree {
+        let coefficients = l * l - 1..(l + 1) * (l + 1) - 1;
+        let place = |k: usize| [0, 1, 2].map(|channel| REQUIRED + channel * per_channel + k);
+        values.push(columns(&coefficients.flat_map(place).collect::<Vec<_>>()));
+    }
+    Ok(Gaussians::new(Layout::with_harmonics(sh_degree), rows.len(), values))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,232 @@
+use tcgs_core::Attribute;
+
+use super::*;
+
+/// The value of every property in the files of [`original`]: different for each.
+fn value(gaussian: usize, property: usize) -> f32 {
+    0.37 + 0.1 * gaussian as f32 - 0.03 * property as f32
+}
+
+/// Names of the properties as the original writes them.
+fn names(num_rest: usize) -> Vec<String> {
+    let numbered = |name: &str, count: usize| (0..count).map(|i| format!("{name}_{i}")).collect::<Vec<_>>();
+    [
+        ["x", "y", "z", "nx", "ny", "nz"].map(String::from).to_vec(),
+        numbered("f_dc", 3),
+        numbered("f_rest", num_rest),
+        vec!["opacity".into()],
+        numbered("scale", 3),
+        numbered("rot", 4),
+    ]
+    .concat()
+}
+
+/// A file of three Gaussians as the original program writes it.
+fn original(format: &str, names: &[String], write: impl Fn(f32) -> Vec<u8>) -> Vec<u8> {
+    let properties: String = names.iter().map(|name| format!("property float {name}\n")).collect();
+    let header = format!("ply\nformat {format} 1.0\nelement vertex 3\n{properties}end_header\n");
+    let row = |gaussian: usize| -> Vec<u8> {
+        let mut row: Vec<u8> = (0..names.len()).flat_map(|property| write(value(gaussian, property))).collect();
+        if format == "ascii" {
+            row.push(b'\n');
+        }
+        row
+    };
+    [header.into_bytes(), (0..3).flat_map(row).collect()].concat()
+}
+
+fn little_endian(names: &[String]) -> Vec<u8> {
+    original("binary_little_endian", names, |x| x.to_le_bytes().to_vec())
+}
+
+fn read(bytes: &[u8], harmonics: HigherHarmonics) -> Result<Gaussians, String> {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), bytes).unwrap();
+    read_ply(file.path(), harmonics).map_err(|error| {
+        let message = error.to_string();
+        assert!(!message.contains('\n'), "{message}");
+        message.strip_prefix(&format!("{}: ", file.path().display())).unwrap().to_owned()
+    })
+}
+
+/// What the files of [`original`] mean.
+fn check(gaussians: &Gaussians, num_rest: usize) {
+    assert_eq!(gaussians.num_gaussians(), 3);
+    for i in 0..3 {
+        let of = |property: usize| value(i, property);
+        let color = |dc: f32| 0.5 + 0.282_094_8 * dc;
+        let after = 9 + num_rest;
+        assert_eq!(gaussians.means()[i], [of(0), of(1), of(2)]);
+        for c in 0..3 {
+            assert!((gaussians.colors()[i][c] - color(of(6 + c))).abs() < 1e-7);
+        }
+        assert_eq!(gaussians.logit_opacities()[i], of(after));
+        assert_eq!(gaussians.log_scales()[i], [1, 2, 3].map(|c| of(after + c)));
+        assert_eq!(gaussians.quats()[i], [4, 5, 6, 7].map(|c| of(after + c)));
+    }
+}
+
+#[test]
+fn files_of_the_original_are_read_in_every_encoding() {
+    for (degree, num_rest) in [0, 9, 24, 45].into_iter().enumerate() {
+        let names = names(num_rest);
+        let files = [
+            little_endian(&names),
+            original("binary_big_endian", &names, |x| x.to_be_bytes().to_vec()),
+            original("ascii", &names, |x| format!("{x} ").into_bytes()),
+        ];
+        for file in files {
+            check(&read(&file, HigherHarmonics::Drop).unwrap(), num_rest);
+            let kept = read(&file, HigherHarmonics::Keep).unwrap();
+            check(&kept, num_rest);
+            assert_eq!(*kept.layout(), Layout::with_harmonics(degree));
+            // Property 9 is f_rest_0; all of red come first, then all of green.
+            for i in 0..3 {
+                let rest: Vec<f32> = (0..num_rest).map(|k| value(i, 9 + k)).collect();
+                let mut k = 0;
+                for band in kept.layout().harmonics() {
+                    let of_gaussian = &kept.values(band)[i * band.components()..][..band.components()];
+                    for rgb in of_gaussian.chunks(3) {
+                        assert_eq!(rgb, [0, 1, 2].map(|channel| rest[channel * num_rest / 3 + k]));
+                        k += 1;
+                    }
+                }
+                assert_eq!(3 * k, num_rest);
+            }
+        }
+    }
+}
+
+#[test]
+fn harmonics_come_back_with_their_bits_in_the_order_of_the_original() {
+    for num_rest in [9, 24, 45] {
+        let names = names(num_rest);
+        let file = little_endian(&names);
+        let gaussians = read(&file, HigherHarmonics::Keep).unwrap();
+        let mut written = Vec::new();
+        write_ply_to(&mut written, &gaussians).unwrap();
+        assert_eq!(written.len(), file.len());
+        let header = file.len() - 3 * 4 * names.len();
+        assert_eq!(written[..header], file[..header]);
+        for (i, name) in (0..3 * names.len()).map(|i| (i, &names[i % names.len()])) {
+            let at = |bytes: &[u8]| f32::from_le_bytes(bytes[header + 4 * i..][..4].try_into().unwrap());
+            let (found, expected) = (at(&written), at(&file));
+            match &**name {
+                "nx" | "ny" | "nz" => assert_eq!(found, 0.0),
+                dc if dc.starts_with("f_dc") => assert!((found - expected).abs() < 2e-7),
+                _ => assert_eq!(found.to_bits(), expected.to_bits(), "{name}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn other_numbers_of_harmonics_are_refused() {
+    for num_rest in [1, 8, 10, 27, 48] {
+        let file = little_endian(&names(num_rest));
+        let message = read(&file, HigherHarmonics::Keep).unwrap_err();
+        let expected = "expected 0, 9, 24 or 45: spherical harmonics of degree 0 to 3";
+        assert_eq!(message, format!("has {num_rest} properties f_rest, {expected}"));
+        check(&read(&file, HigherHarmonics::Drop).unwrap(), num_rest);
+    }
+    let mut odd = names(9);
+    odd[9 + 4] = "f_rest_9".into();
+    let message = read(&little_endian(&odd), HigherHarmonics::Keep).unwrap_err();
+    assert_eq!(message, "has no property f_rest_4, expected f_rest_0 to f_rest_8");
+}
+
+#[test]
+fn order_and_company_of_properties_do_not_matter() {
+    let file = little_endian(&names(0));
+    let text = String::from_utf8_lossy(&file[..file.windows(10).position(|w| w == b"end_header").unwrap()]);
+    let header = text.replace("property float nx", "property uchar red\nproperty double half");
+    let header = header.replace("property float ny\nproperty float nz\n", "").replace("vertex 3", "vertex 1");
+    let mut bytes = (header + "element face 0\nproperty list uchar int vertex_indices\nend_header\n").into_bytes();
+    for property in 0..17 {
+        match property {
+            3 => bytes.extend([[200].as_slice(), &0.5_f64.to_le_bytes()].concat()),
+            4 | 5 => {}
+            _ => bytes.extend(value(0, property).to_le_bytes()),
+        }
+    }
+    let one = read(&bytes, HigherHarmonics::Keep).unwrap();
+    assert_eq!(one, read(&file, HigherHarmonics::Keep).unwrap().select(&[0]));
+}
+
+#[test]
+fn gaussians_come_back_with_their_bits() {
+    let mut gaussians = read(&little_endian(&names(0)), HigherHarmonics::Keep).unwrap();
+    gaussians.means_mut()[1] = [-0.0, f32::MIN_POSITIVE / 8.0, 1e30];
+    gaussians.quats_mut()[2] = [-0.0, 3.0, -7e-20, 0.0];
+    gaussians.colors_mut().copy_from_slice(&[[0.0, 1.0, 0.5], [1e-3, 0.1, 0.249_99], [2.0, 0.999_999, 1.0 / 3.0]]);
+    let mut first = Vec::new();
+    write_ply_to(&mut first, &gaussians).unwrap();
+    let found = read(&first, HigherHarmonics::Keep).unwrap();
+    for attribute in Attribute::BASE {
+        for (a, b) in gaussians.values(attribute).iter().zip(found.values(attribute)) {
+            if attribute == Attribute::Color {
+                assert!((a - b).abs() <= 3e-8, "{a} {b}");
+            } else {
+                assert_eq!(a.to_bits(), b.to_bits(), "{attribute:?}");
+            }
+        }
+    }
+    let header = "ply\nformat binary_little_endian 1.0\nelement vertex 3\n";
+    let properties: String = names(0).iter().map(|name| format!("property float {name}\n")).collect();
+    let header = format!("{header}{properties}end_header\n");
+    assert_eq!(first[..header.len()], *header.as_bytes(), "{}", String::from_utf8_lossy(&first[..300]));
+    assert_eq!(first.len(), header.len() + 3 * 17 * 4);
+}
+
+#[test]
+fn colours_below_zero_are_black() {
+    let mut gaussians = Gaussians::zeros(1);
+    gaussians.colors_mut()[0] = [-0.3, 0.0, 1.7];
+    let mut bytes = Vec::new();
+    write_ply_to(&mut bytes, &gaussians).unwrap();
+    let found = read(&bytes, HigherHarmonics::Keep).unwrap().colors()[0];
+    assert_eq!((found[0], found[1]), (0.0, 0.0));
+    assert!((found[2] - 1.7).abs() < 1e-6);
+
+    // With harmonics the sum is what may not be negative; without those that were dropped it is the colour again.
+    let mut bytes = Vec::new();
+    write_ply_to(&mut bytes, &gaussians.extended(&Layout::with_harmonics(1))).unwrap();
+    assert!((read(&bytes, HigherHarmonics::Keep).unwrap().colors()[0][0] + 0.3).abs() < 3e-8);
+    assert_eq!(read(&bytes, HigherHarmonics::Drop).unwrap().colors()[0], found);
+}
+
+#[test]
+fn what_is_wrong_is_named() {
+    let whole = little_endian(&names(0));
+    let problem = |bytes: &[u8]| read(bytes, HigherHarmonics::Keep).unwrap_err();
+    let edited = |from: &str, to: &str| {
+        let end = whole.windows(10).position(|w| w == b"end_header").unwrap();
+        let header = String::from_utf8(whole[..end].to_vec()).unwrap();
+        assert!(header.contains(from));
+        problem(&[header.replacen(from, to, 1).as_bytes(), &whole[end..]].concat())
+    };
+    for name in &PROPERTIES[..REQUIRED] {
+        let message = edited(&format!("property float {name}\n"), "property float other\n");
+        assert!(message.starts_with(&format!("has no property {name}, expected x, y, z")), "{message}");
+    }
+    assert_eq!(edited("vertex 3", "vertex 4"), "ends early, expected a whole PLY file");
+    assert_eq!(edited("vertex 3", "vertex 18446744073709551615"), "ends early, expected a whole PLY file");
+    assert_eq!(edited("vertex 3", "vertex 0"), "holds no Gaussian, expected at least one");
+    assert_eq!(edited("element vertex", "element chunk"), "holds chunk first, expected the element vertex");
+    let message = edited("property float x", "property list uchar float x");
+    assert!(message.ends_with("expected a PLY file of 3D Gaussians"), "{message}");
+    let message = problem(b"glTF\n");
+    assert!(message.ends_with("expected a PLY file of 3D Gaussians"), "{message}");
+    assert_eq!(problem(b"ply\n"), "ends early, expected a whole PLY file");
+    let mut spoilt = whole.clone();
+    let at = spoilt.len() - 4 * (17 + 8);
+    spoilt[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    assert_eq!(problem(&spoilt), "logit_opacities of Gaussian 1: NaN, expected a finite number");
+    // More Gaussians than the file has bytes for are seen before any is read.
+    let path = tempfile::NamedTempFile::new().unwrap();
+    let end = whole.windows(10).position(|w| w == b"end_header").unwrap();
+    let many = String::from_utf8(whole[..end].to_vec()).unwrap().replace("vertex 3", "vertex 1000");
+    std::fs::write(path.path(), [many.as_bytes(), &whole[end..]].concat()).unwrap();
+    assert!(read_head(path.path(), HigherHarmonics::Keep).unwrap_err().to_string().contains("ends early"));
+    assert!(matches!(read_ply(Path::new("/nowhere.ply"), HigherHarmonics::Drop), Err(InterchangeError::Read { .. })));
+}

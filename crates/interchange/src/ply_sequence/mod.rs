@@ -1,0 +1,271 @@
+//! A folder of PLY files, one file per timestep.
+//!
+//! Files may differ in their number of Gaussians; the degree of their spherical harmonics is the same. A scene whose
+//! Gaussians are followed through time ([`PlyFiles::read`]) needs more, which the files do not state: the same Gaussians in
+//! the same order. The reader checks what it can: every file has the same number of Gaussians, and Gaussian `i` of one
+//! file is near Gaussian `i` of the next ([`MAX_JUMP`]).
+
+use std::fs;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, natural_key};
+
+use crate::ply::{PlyHead, read_head};
+use crate::{HigherHarmonics, InterchangeError, read_ply};
+
+/// How far the median Gaussian may move from one file to the next, as a share of the median Gaussian's
+/// distance from the scene's middle; motion that all have in common is not counted.
+///
+/// Gaussians in random order come to 1.4. A rigid body comes to this if it turns by 30 degrees within one
+/// frame, and no codec gains anything from tracks that jump like that.
+const MAX_JUMP: f32 = 0.5;
+
+/// The scene that a sequence of PLY files holds, if its Gaussians are the same in all of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlySequence {
+    /// The scene, with one timestep per file.
+    pub scene: DynamicGaussians,
+    /// As [`PlyFiles::first_frame`].
+    pub first_frame: Option<u32>,
+}
+
+/// A sequence of PLY files that is read a timestep at a time. The number of Gaussians may differ between files.
+///
+/// ```
+/// use tcgs_core::{Gaussians, SceneReader};
+/// use tcgs_interchange::{HigherHarmonics, PlyFiles, write_ply_to};
+/// let folder = tempfile::tempdir()?;
+/// for (frame, num_gaussians) in [(7, 5), (8, 6)] {
+///     let file = std::fs::File::create(folder.path().join(format!("{frame:06}.ply")))?;
+///     write_ply_to(std::io::BufWriter::new(file), &Gaussians::zeros(num_gaussians))?;
+/// }
+/// let files = PlyFiles::open(folder.path(), HigherHarmonics::Keep)?;
+/// assert_eq!((files.num_timesteps(), files.first_frame()), (2, Some(7)));
+/// assert_eq!((files.num_gaussians(), files.num_gaussians_at(0)), (6, 5));
+/// assert_eq!(files.at(1)?, Gaussians::zeros(6));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct PlyFiles {
+    /// In the order of the timesteps, at least one.
+    files: Vec<PathBuf>,
+    /// Of each file, at least 1.
+    numbers: Vec<usize>,
+    first_frame: Option<u32>,
+    harmonics: HigherHarmonics,
+    layout: Arc<Layout>,
+}
+
+impl PlyFiles {
+    /// Lists the PLY files of a folder in natural order (numbers within names are compared as numbers), and reads their
+    /// headers. Hidden files are left out.
+    ///
+    /// - `path`: the folder, or a single PLY file, which becomes a sequence of one timestep
+    ///
+    /// # Errors
+    /// [`InterchangeError::Read`] if the folder or a file cannot be read; [`InterchangeError::Ply`] if the folder has no
+    /// PLY file, or names the first file whose header is none of 3D Gaussian splatting or has harmonics of another degree
+    /// than the first file.
+    pub fn open(path: &Path, harmonics: HigherHarmonics) -> Result<Self, InterchangeError> {
+        let files = if path.is_dir() { ply_files(path)? } else { vec![path.into()] };
+        let mut numbers = Vec::new();
+        let mut degree = None;
+        for file in &files {
+            let PlyHead { num_gaussians, sh_degree } = read_head(file, harmonics)?;
+            let expected = *degree.get_or_insert(sh_degree);
+            if sh_degree != expected {
+                let first = files[0].display();
+                let problem =
+                    format!("has spherical harmonics of degree {sh_degree}, expected degree {expected} as in {first}");
+                return Err(InterchangeError::Ply { path: file.clone(), problem });
+            }
+            numbers.push(num_gaussians);
+        }
+        let first_frame = first_frame(&files);
+        let layout = Layout::with_harmonics(degree.unwrap_or(0));
+        Ok(Self { files, numbers, first_frame, harmonics, layout })
+    }
+
+    /// The number in the first file's name, if all names are numbers that count up by one, such as `000012.ply`; the
+    /// index of the capture's frame that timestep 0 shows.
+    pub fn first_frame(&self) -> Option<u32> {
+        self.first_frame
+    }
+
+    /// Size as plain 32-bit floats. Where the number of Gaussians changes every timestep holds all columns; else as
+    /// [`Layout::raw_bytes`].
+    pub fn raw_bytes(&self) -> u64 {
+        if self.has_constant_number() {
+            return self.layout.raw_bytes(self.num_gaussians(), self.num_timesteps());
+        }
+        self.layout.raw_bytes_of_changing(self.numbers.iter().copied())
+    }
+
+    /// The Gaussians of one file, in its order.
+    ///
+    /// # Errors
+    /// As [`read_ply`]; [`InterchangeError::Ply`] if the file has another number of Gaussians, or harmonics of another
+    /// degree, than when the sequence was opened.
+    ///
+    /// # Panics
+    /// If there is no such timestep.
+    pub fn at(&self, timestep: usize) -> Result<Gaussians, InterchangeError> {
+        let file = &self.files[timestep];
+        let gaussians = read_ply(file, self.harmonics)?;
+        let found = [gaussians.num_gaussians(), gaussians.layout().sh_degree()];
+        let expected = [self.numbers[timestep], self.layout.sh_degree()];
+        if found != expected {
+            let problem = format!(
+                "has {} Gaussians and harmonics of degree {}, expected {} and degree {} as when it was opened",
+                found[0], found[1], expected[0], expected[1]
+            );
+            return Err(InterchangeError::Ply { path: file.clone(), problem });
+        }
+        Ok(gaussians)
+    }
+
+    /// Reads a range of timesteps as one scene of the same Gaussians. Scales, opacities and harmonics vary with time in
+    /// the scene if any bit of them differs between the files.
+    ///
+    /// # Errors
+    /// As [`Self::at`]; [`InterchangeError::Ply`] names the first file whose number of Gaussians differs from that of the
+    /// first, before any is read, or whose Gaussians are not near those of the file before.
+    ///
+    /// # Panics
+    /// If `timesteps` exceeds the number of files.
+    pub fn read(&self, timesteps: Range<usize>) -> Result<DynamicGaussians, InterchangeError> {
+        let invalid = |t: usize, problem| Err(InterchangeError::Ply { path: self.files[t].clone(), problem });
+        let expected = self.numbers.get(timesteps.start).copied().unwrap_or(0);
+        if let Some(t) = timesteps.clone().find(|&t| self.numbers[t] != expected) {
+            let (found, first) = (self.numbers[t], self.files[timesteps.start].display());
+            return invalid(t, format!("has {found} Gaussians, expected {expected} as in {first}"));
+        }
+        let mut scene = DynamicGaussians::new(Arc::clone(&self.layout));
+        for t in timesteps {
+            let gaussians = self.at(t)?;
+            if let Some(last) = scene.num_timesteps().checked_sub(1) {
+                let jump = jump(scene.means(last), gaussians.means());
+                if jump > MAX_JUMP {
+                    return invalid(
+                        t,
+                        format!(
+                            "the median Gaussian moves by {jump:.2} of the scene's size since the file before, expected \
+                             at most {MAX_JUMP}: Gaussians in the same order in every file"
+                        ),
+                    );
+                }
+            }
+            scene.push(gaussians);
+        }
+        Ok(scene)
+    }
+}
+
+impl SceneReader for PlyFiles {
+    type Error = InterchangeError;
+
+    fn layout(&self) -> &Arc<Layout> {
+        &self.layout
+    }
+
+    fn num_gaussians(&self) -> usize {
+        self.numbers.iter().copied().max().unwrap_or(0)
+    }
+
+    fn num_gaussians_at(&self, timestep: usize) -> usize {
+        self.numbers[timestep]
+    }
+
+    fn num_timesteps(&self) -> usize {
+        self.files.len()
+    }
+
+    fn at(&mut self, timestep: usize) -> Result<Gaussians, InterchangeError> {
+        Self::at(self, timestep)
+    }
+}
+
+/// Reads all PLY files of a folder as one scene of the same Gaussians: [`PlyFiles::open`], then [`PlyFiles::read`].
+///
+/// ```
+/// use tcgs_core::Gaussians;
+/// use tcgs_interchange::{HigherHarmonics, read_ply_sequence, write_ply_to};
+/// let folder = tempfile::tempdir()?;
+/// for frame in 7..9 {
+///     let file = std::fs::File::create(folder.path().join(format!("{frame:06}.ply")))?;
+///     write_ply_to(std::io::BufWriter::new(file), &Gaussians::zeros(5))?;
+/// }
+/// let sequence = read_ply_sequence(folder.path(), HigherHarmonics::Keep)?;
+/// assert_eq!((sequence.scene.num_timesteps(), sequence.first_frame), (2, Some(7)));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// As [`PlyFiles::open`] and [`PlyFiles::read`].
+pub fn read_ply_sequence(path: &Path, harmonics: HigherHarmonics) -> Result<PlySequence, InterchangeError> {
+    let files = PlyFiles::open(path, harmonics)?;
+    let scene = files.read(0..files.num_timesteps())?;
+    Ok(PlySequence { scene, first_frame: files.first_frame })
+}
+
+/// Whether a name is that of a file to read. Hidden ones are other programs' notes.
+fn is_ply(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) && !name(path).starts_with('.')
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// The files of a folder in their natural order.
+fn ply_files(folder: &Path) -> Result<Vec<PathBuf>, InterchangeError> {
+    let failed = |error| InterchangeError::Read { path: folder.into(), error };
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if is_ply(&path) {
+            files.push(path);
+        }
+    }
+    if files.is_empty() {
+        let problem = "holds no PLY file, expected one a timestep".into();
+        return Err(InterchangeError::Ply { path: folder.into(), problem });
+    }
+    files.sort_by_cached_key(|path| natural_key(&name(path)));
+    Ok(files)
+}
+
+/// The number of the first file, if each is named by the number after the one before.
+fn first_frame(files: &[PathBuf]) -> Option<u32> {
+    let number = |path: &PathBuf| -> Option<u32> {
+        let stem = path.file_stem()?.to_str()?;
+        stem.parse().ok().filter(|_| stem.bytes().all(|byte| byte.is_ascii_digit()))
+    };
+    let first = number(files.first()?)?;
+    let counts_up = files.iter().zip(first..).all(|(file, expected)| number(file) == Some(expected));
+    counts_up.then_some(first)
+}
+
+/// How far the median Gaussian moves, less what all have in common, in the median distance from the middle.
+///
+/// - `before`, `after`: `[N, 3]`, `N >= 1`
+fn jump(before: &[[f32; 3]], after: &[[f32; 3]]) -> f32 {
+    let axis = |points: &[[f32; 3]], axis: usize| median(points.iter().map(|p| p[axis]).collect());
+    let distance = |p: &[f32; 3], from: [f32; 3]| (0..3).map(|c| (p[c] - from[c]).powi(2)).sum::<f32>().sqrt();
+    let steps: Vec<[f32; 3]> = before.iter().zip(after).map(|(a, b)| std::array::from_fn(|c| b[c] - a[c])).collect();
+    let (middle, common) = ([0, 1, 2].map(|c| axis(before, c)), [0, 1, 2].map(|c| axis(&steps, c)));
+    let size = median(before.iter().map(|p| distance(p, middle)).collect());
+    let step = median(steps.iter().map(|step| distance(step, common)).collect());
+    // A scene without extent has no order to lose.
+    if size > 0.0 { step / size } else { 0.0 }
+}
+
+fn median(mut values: Vec<f32>) -> f32 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,186 @@
+use tcgs_core::{Attribute, Gaussians};
+use tempfile::TempDir;
+
+use super::*;
+use crate::write_ply_to;
+
+/// A hundred Gaussians on a crumpled sheet, and where they are at a timestep.
+fn at(timestep: usize) -> Gaussians {
+    let mut gaussians = Gaussians::zeros(100);
+    for i in 0..100 {
+        let (x, y) = ((i % 10) as f32, (i / 10) as f32);
+        gaussians.means_mut()[i] = [x + 20.0 * timestep as f32, y, (0.7 * x + y).sin() + 0.1 * timestep as f32];
+        gaussians.quats_mut()[i] = [1.0, 0.1 * x, 0.0, 0.0];
+        gaussians.colors_mut()[i] = [0.1 * x, 0.1 * y, 0.5];
+        gaussians.log_scales_mut()[i] = [-2.0, -3.0, -0.5 * x];
+        gaussians.logit_opacities_mut()[i] = y - timestep as f32;
+    }
+    gaussians
+}
+
+fn write(folder: &TempDir, name: &str, gaussians: &Gaussians) -> PathBuf {
+    let path = folder.path().join(name);
+    write_ply_to(fs::File::create(&path).unwrap(), gaussians).unwrap();
+    path
+}
+
+/// What reading gives, and the file and the problem of an error.
+fn read(folder: &TempDir) -> Result<PlySequence, (String, String)> {
+    read_ply_sequence(folder.path(), HigherHarmonics::Keep).map_err(|error| {
+        let message = error.to_string();
+        let (file, problem) = message.split_once(": ").unwrap();
+        (name(Path::new(file)), problem.to_owned())
+    })
+}
+
+#[test]
+fn files_are_timesteps_in_natural_order() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, timestep) in [("frame_10.ply", 2), ("frame_9.PLY", 1), ("frame_1.ply", 0)] {
+        write(&folder, name, &at(timestep));
+    }
+    fs::write(folder.path().join("._frame_2.ply"), "a note").unwrap();
+    fs::write(folder.path().join("readme.txt"), "").unwrap();
+    let PlySequence { scene, first_frame } = read(&folder).unwrap();
+    assert_eq!((scene.num_timesteps(), first_frame), (3, None));
+    assert!(scene.varies(Attribute::LogitOpacity) && !scene.varies(Attribute::LogScale));
+    for timestep in 0..3 {
+        let (found, expected) = (scene.at(timestep), at(timestep));
+        assert_eq!((&found.means(), &found.quats()), (&expected.means(), &expected.quats()));
+        assert_eq!(
+            (&found.log_scales(), &found.logit_opacities()),
+            (&expected.log_scales(), &expected.logit_opacities())
+        );
+    }
+    let one = read_ply_sequence(&folder.path().join("frame_10.ply"), HigherHarmonics::Keep).unwrap();
+    assert_eq!(one.scene.at(0), scene.at(2));
+}
+
+#[test]
+fn numbers_that_count_up_are_frames() {
+    let frames = |names: &[&str]| first_frame(&names.iter().map(PathBuf::from).collect::<Vec<_>>());
+    assert_eq!(frames(&["a/000007.ply", "a/000008.ply", "a/9.ply"]), Some(7));
+    assert_eq!(frames(&["0.ply"]), Some(0));
+    for names in [&["1.ply", "3.ply"][..], &["f1.ply", "f2.ply"], &["+1.ply"], &["1.5.ply"], &["4294967295.ply"; 2]] {
+        assert_eq!(frames(names), None, "{names:?}");
+    }
+}
+
+#[test]
+fn the_first_file_that_does_not_fit_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(read(&folder).unwrap_err().1, "holds no PLY file, expected one a timestep");
+    for timestep in 0..4 {
+        write(&folder, &format!("{timestep}.ply"), &at(timestep));
+    }
+    assert_eq!(read(&folder).unwrap().first_frame, Some(0));
+
+    let fewer = write(&folder, "2.ply", &at(2).select(&(0..99).collect::<Vec<_>>()));
+    write(&folder, "3.ply", &Gaussians::zeros(3));
+    let (file, problem) = read(&folder).unwrap_err();
+    let first = folder.path().join("0.ply");
+    assert_eq!(problem, format!("has 99 Gaussians, expected 100 as in {}", first.display()));
+    assert_eq!(file, name(&fewer));
+    write(&folder, "3.ply", &at(3));
+
+    let mut shuffled: Vec<usize> = (0..100).map(|i| i * 37 % 100).collect();
+    write(&folder, "2.ply", &at(2).select(&shuffled));
+    let (file, problem) = read(&folder).unwrap_err();
+    assert!(file == "2.ply" && problem.starts_with("the median Gaussian moves by 1."), "{problem}");
+    // Up to now the rows were mixed; neighbours that changed places are near enough.
+    shuffled = (0..100).map(|i| i ^ 1).collect();
+    write(&folder, "2.ply", &at(2).select(&shuffled));
+    assert_eq!(read(&folder).unwrap().scene.num_timesteps(), 4);
+
+    let mut infinite = at(1);
+    infinite.log_scales_mut()[4][1] = f32::NEG_INFINITY;
+    write(&folder, "1.ply", &infinite);
+    let (file, problem) = read(&folder).unwrap_err();
+    assert_eq!((&*file, &*problem), ("1.ply", "log_scales of Gaussian 4: -inf, expected a finite number"));
+}
+
+#[test]
+fn the_number_of_gaussians_may_change_in_every_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let numbers = [70, 100, 3, 99];
+    for (timestep, n) in numbers.into_iter().enumerate() {
+        write(&folder, &format!("{timestep}.ply"), &at(timestep).select(&(0..n).collect::<Vec<_>>()));
+    }
+    let mut files = PlyFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
+    assert_eq!((files.num_gaussians(), files.num_timesteps(), files.has_constant_number()), (100, 4, false));
+    assert_eq!([0, 1, 2, 3].map(|t| files.num_gaussians_at(t)), numbers);
+    assert_eq!(files.raw_bytes(), (70 + 100 + 3 + 99) * 56);
+    assert_eq!(SceneReader::at(&mut files, 2).unwrap().means(), &at(2).means()[..3]);
+    let problem = files.read(1..4).unwrap_err().to_string();
+    assert!(problem.contains("2.ply: has 3 Gaussians, expected 100 as in "), "{problem}");
+
+    // What changes after the headers were read is noticed.
+    write(&folder, "2.ply", &at(2));
+    let problem = files.at(2).unwrap_err().to_string();
+    let expected = "has 100 Gaussians and harmonics of degree 0, expected 3 and degree 0 as when it was opened";
+    assert!(problem.ends_with(expected), "{problem}");
+}
+
+/// Gaussians with harmonics of a degree that differ from one another, and over time if wanted.
+fn with_harmonics(timestep: usize, degree: usize, turns: f32) -> Gaussians {
+    let mut gaussians = at(timestep).extended(&Layout::with_harmonics(degree));
+    for (l, band) in gaussians.layout().harmonics().into_iter().enumerate() {
+        for (i, value) in gaussians.values_mut(band).iter_mut().enumerate() {
+            *value = (0.3 * i as f32 + l as f32 + turns * timestep as f32).sin();
+        }
+    }
+    gaussians
+}
+
+#[test]
+fn harmonics_are_held_once_if_they_do_not_vary() {
+    let bits = |gaussians: &Gaussians, band| -> Vec<u32> {
+        gaussians.values(band).iter().map(|x: &f32| x.to_bits()).collect()
+    };
+    for (turns, samples) in [(0.0, 1), (0.1, 3)] {
+        let folder = tempfile::tempdir().unwrap();
+        for timestep in 0..3 {
+            write(&folder, &format!("{timestep}.ply"), &with_harmonics(timestep, 3, turns));
+        }
+        let scene = read(&folder).unwrap().scene;
+        assert_eq!(*scene.layout(), Layout::with_harmonics(3));
+        for band in scene.layout().harmonics() {
+            assert_eq!(scene.num_samples(band), samples);
+            for timestep in 0..3 {
+                assert_eq!(bits(&scene.at(timestep), band), bits(&with_harmonics(timestep, 3, turns), band));
+            }
+        }
+        let files = PlyFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
+        assert_eq!(files.raw_bytes(), 100 * (40 * 3 + 16 + 180));
+        let dropped = PlyFiles::open(folder.path(), HigherHarmonics::Drop).unwrap();
+        assert_eq!((dropped.layout().is_base(), dropped.raw_bytes()), (true, 100 * (40 * 3 + 16)));
+        assert_eq!(dropped.read(0..3).unwrap().means(2), at(2).means());
+    }
+}
+
+#[test]
+fn a_file_of_another_degree_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    for (timestep, degree) in [2, 2, 1].into_iter().enumerate() {
+        write(&folder, &format!("{timestep}.ply"), &with_harmonics(timestep, degree, 0.0));
+    }
+    let (file, problem) = read(&folder).unwrap_err();
+    let first = folder.path().join("0.ply");
+    let expected = format!("has spherical harmonics of degree 1, expected degree 2 as in {}", first.display());
+    assert_eq!((&*file, problem), ("2.ply", expected));
+    assert!(PlyFiles::open(folder.path(), HigherHarmonics::Drop).is_ok());
+}
+
+#[test]
+fn what_all_have_in_common_is_no_jump() {
+    let turned = |degrees: f32| -> Vec<[f32; 3]> {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        at(0).means().iter().map(|&[x, y, z]| [cos * x - sin * y + 500.0, sin * x + cos * y, z - 70.0]).collect()
+    };
+    assert_eq!(jump(&turned(0.0), &turned(0.0)), 0.0);
+    assert!(jump(at(0).means(), &turned(0.0)) < 1e-3);
+    let (little, much) = (jump(&turned(0.0), &turned(20.0)), jump(&turned(0.0), &turned(40.0)));
+    assert!(little < MAX_JUMP && MAX_JUMP < much, "{little} {much}");
+    assert_eq!(jump(&[[1.0; 3]], &[[9.0; 3]]), 0.0);
+    assert_eq!(jump(&[[1.0; 3]; 3], &[[9.0; 3], [1.0; 3], [-4.0; 3]]), 0.0);
+}

@@ -1,0 +1,201 @@
+//! Opens scenes: which kind a file or folder is, and what of it is read at once.
+
+use std::fs::{self, File};
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+use tcgs_codec::{CompactFile, DecodeLimits, SceneFile, SegmentCache};
+use tcgs_core::SceneReader;
+use tcgs_interchange::{HigherHarmonics, ParamsNpz, ParamsOrigin, PlyFiles};
+use tcgs_train::Run;
+
+use super::{Content, FileContent, OpenScene, ParamsContent, RunContent};
+use crate::PipelineError;
+
+/// What a scene may be, for messages.
+const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz or PLY files";
+
+/// How a scene is read.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct OpenSettings {
+    /// What to do with the spherical harmonics of PLY files. Default: keep.
+    pub higher_harmonics: HigherHarmonics,
+    /// What to do with a `.tcgs` file that was cut. Default: refuse.
+    pub cut_files: CutFiles,
+}
+
+/// What to do with a `.tcgs` file that was cut, such as by a transfer that broke off.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CutFiles {
+    /// Refuse the file.
+    #[default]
+    Refuse,
+    /// Read what is whole: [`SceneFile::recover`]. [`OpenScene::loss`] says what is missing.
+    Recover,
+}
+
+impl OpenScene {
+    /// Opens a scene. A file is taken for what its ending says, so that a damaged one is judged as what it was meant to
+    /// be; one with another ending for what its first bytes say.
+    ///
+    /// Of a run the first timestep is read now, of PLY files their headers, and the rest when it is asked for; of a
+    /// `.tcgs` file a segment is decoded when one of its timesteps is asked for. A `params.npz` is read through and checked now, and a
+    /// timestep of it is read again when it is asked for; one that is compressed is held in memory ([`ParamsNpz`]).
+    ///
+    /// # Errors
+    /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.
+    pub fn open(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
+        if path.is_dir() {
+            return if !Run::is_run(path) && is_ply_folder(path) {
+                Self::open_ply(path, settings)
+            } else {
+                Self::open_run(path)
+            };
+        }
+        match kind_of_file(path)? {
+            Kind::Tcgs => {
+                let file = File::open(path).map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+                Self::open_file(path, file, settings.cut_files)
+            }
+            Kind::Npz => {
+                let params = ParamsNpz::open(path)?;
+                let (num_gaussians, num_timesteps) = (params.num_gaussians(), params.num_timesteps());
+                let layout = Arc::clone(params.layout());
+                let unknown = ParamsOrigin { first_frame: 0, downscale: 1, frame_rate: 30.0 };
+                let origin = tcgs_interchange::read_params_origin(path)?.unwrap_or(unknown);
+                Ok(Self {
+                    path: path.into(),
+                    bytes: layout.raw_bytes(num_gaussians, num_timesteps),
+                    layout,
+                    content: Content::Params(Box::new(ParamsContent {
+                        num_gaussians,
+                        num_timesteps,
+                        file: Mutex::new(params),
+                    })),
+                    first_frame: origin.first_frame as usize,
+                    downscale: origin.downscale as usize,
+                    frame_rate: f64::from(origin.frame_rate),
+                })
+            }
+            Kind::Ply => Self::open_ply(path, settings),
+        }
+    }
+
+    fn open_ply(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
+        let files = PlyFiles::open(path, settings.higher_harmonics)?;
+        Ok(Self {
+            path: path.into(),
+            bytes: files.raw_bytes(),
+            first_frame: files.first_frame().unwrap_or(0) as usize,
+            downscale: 1,
+            frame_rate: 30.0,
+            layout: Arc::clone(files.layout()),
+            content: Content::Ply(files),
+        })
+    }
+
+    fn open_file(path: &Path, mut file: File, cut_files: CutFiles) -> Result<Self, PipelineError> {
+        let decode_error = |error| PipelineError::Decode { path: path.into(), error };
+        let again = file.try_clone().map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+        let open = match cut_files {
+            CutFiles::Refuse => SceneFile::open,
+            CutFiles::Recover => SceneFile::recover,
+        };
+        let scene = open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
+        let loss = scene.loss().copied();
+        let length = loss.map_or(scene.archive().file_bytes(), |loss| loss.bytes);
+        // Data of applications are small, and no segment is: their checksums are verified now.
+        let application = scene.archive().application_ranges().into_iter().enumerate();
+        for (index, range) in application.filter(|(_, range)| range.end <= length) {
+            let mut bytes = Vec::new();
+            file.seek(SeekFrom::Start(range.start))
+                .and_then(|_| (&mut file).take(range.end - range.start).read_to_end(&mut bytes))
+                .map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+            scene.archive().read_application(index, &bytes).map_err(decode_error)?;
+        }
+        let info = scene.info();
+        Ok(Self {
+            path: path.into(),
+            first_frame: info.first_frame as usize,
+            downscale: info.downscale as usize,
+            frame_rate: f64::from(info.frame_rate),
+            bytes: length,
+            layout: Arc::clone(scene.layout()),
+            content: Content::File(Box::new(FileContent { info: info.clone(), loss, file: Mutex::new(scene) })),
+        })
+    }
+
+    /// The scene in the bytes of a `.tcgs` file.
+    ///
+    /// - `path`: of the file, for messages
+    ///
+    /// # Errors
+    /// [`PipelineError::Decode`] if the bytes are not those of a whole file.
+    pub fn decode(path: &Path, bytes: &[u8]) -> Result<Self, PipelineError> {
+        let compact = CompactFile::decode(bytes, &DecodeLimits::default())
+            .map_err(|error| PipelineError::Decode { path: path.into(), error })?;
+        let info = &compact.info;
+        Ok(Self {
+            path: path.into(),
+            first_frame: info.first_frame as usize,
+            downscale: info.downscale as usize,
+            frame_rate: f64::from(info.frame_rate),
+            bytes: bytes.len() as u64,
+            layout: compact.layout(),
+            content: Content::Symbols(Box::new(compact)),
+        })
+    }
+
+    fn open_run(path: &Path) -> Result<Self, PipelineError> {
+        if !Run::is_run(path) {
+            let found = "a folder without config.toml and without PLY files";
+            return Err(PipelineError::input(path.display(), found, EXPECTED));
+        }
+        let run = Run::open(path)?;
+        let num_timesteps = run.timesteps();
+        if num_timesteps == 0 {
+            let (culprit, expected) = (path.join("checkpoints"), "a run with at least one finished timestep");
+            return Err(PipelineError::input(culprit.display(), "no checkpoint", expected));
+        }
+        let first = run.checkpoint(0, None)?;
+        let data = &run.config().data;
+        Ok(Self {
+            path: path.into(),
+            first_frame: data.first_frame,
+            downscale: data.downscale,
+            frame_rate: data.frame_rate,
+            bytes: first.parameters.gaussians.layout().raw_bytes(first.parameters.num_gaussians(), num_timesteps),
+            layout: Arc::clone(first.parameters.gaussians.layout()),
+            content: Content::Run(Box::new(RunContent { run, first, num_timesteps })),
+        })
+    }
+}
+
+enum Kind {
+    Tcgs,
+    Npz,
+    Ply,
+}
+
+/// By its name; else by its first bytes.
+fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
+    let mut start = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
+    read.map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+    match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
+        "tcgs" => Ok(Kind::Tcgs),
+        "npz" => Ok(Kind::Npz),
+        "ply" => Ok(Kind::Ply),
+        _ if start == b"TCGS" => Ok(Kind::Tcgs),
+        _ if start == b"PK\x03\x04" => Ok(Kind::Npz),
+        _ if start.starts_with(b"ply") => Ok(Kind::Ply),
+        _ => Err(PipelineError::input(path.display(), "a file of another kind", EXPECTED)),
+    }
+}
+
+/// Whether a folder holds PLY files.
+fn is_ply_folder(path: &Path) -> bool {
+    let Ok(entries) = fs::read_dir(path) else { return false };
+    entries.flatten().any(|entry| entry.path().extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")))
+}

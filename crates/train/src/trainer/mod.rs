@@ -1,0 +1,331 @@
+//! A training run in progress: how it starts, resumes, and is stored. What does not live here: the iterations of a
+//! timestep and the events between them (`timestep`), when an event is due (`schedule`), and how an iteration is computed
+//! (`engine`).
+
+mod timestep;
+
+use tcgs_core::{Camera, PointCloud, View};
+use tcgs_metrics::psnr;
+
+pub use self::timestep::Progress;
+use crate::TrainError;
+use crate::checkpoint::Checkpoint;
+use crate::config::TrainConfig;
+use crate::engine::Engine;
+use crate::engine::cpu::CpuEngine;
+use crate::gate::{Gate, GateRecord, Trained};
+use crate::motion::{Past, Pose};
+use crate::parameters::{Parameters, extent};
+use crate::schedule::{Phase, Schedule};
+use crate::state::State;
+
+/// A training run in progress: settings, schedule, and an engine with the state after the last finished timestep.
+///
+/// ```
+/// use std::ops::ControlFlow;
+/// use tcgs_core::{Camera, Image, PointCloud, View};
+/// use tcgs_train::{Preset, TrainConfig, Trainer};
+///
+/// let views = [-1.0, 1.0].map(|x| View {
+///     camera: Camera::look_at([x, 0.0, -2.0], [0.0; 3], [0.0, -1.0, 0.0], 14.0, 16, 12),
+///     image: Image::filled(16, 12, 3, 0.5),
+///     segmentation: None,
+///     frame: 0,
+///     camera_id: usize::from(x > 0.0),
+/// });
+/// let cameras = views.each_ref().map(|view| view.camera.clone());
+/// let points = vec![[0.0; 3], [0.5, 0.0, 0.0]];
+/// let cloud = PointCloud { points, colors: vec![[0.5; 3]; 2], foreground: vec![true; 2] };
+/// let mut config = TrainConfig::preset(Preset::D3dgs);
+/// config.schedule.first_iterations = 3;
+///
+/// let mut trainer = Trainer::new(&config, &cloud, &cameras)?;
+/// let mut losses = Vec::new();
+/// trainer.fit(&views, &mut |progress| {
+///     losses.push(progress.loss);
+///     ControlFlow::Continue(())
+/// })?;
+/// assert_eq!((trainer.timesteps(), losses.len()), (1, 3));
+/// # Ok::<(), tcgs_train::TrainError>(())
+/// ```
+#[derive(Debug)]
+pub struct Trainer {
+    config: TrainConfig,
+    schedule: Schedule,
+    scene_radius: f32,
+    engine: Box<dyn Engine>,
+    /// As in the engine's state, which may be far away.
+    num_gaussians: usize,
+    /// Timesteps finished.
+    timestep: usize,
+    camera_ids: Vec<usize>,
+    /// Whether [`Self::fit`] ended within a timestep.
+    is_unfinished: bool,
+    /// Finds what later timesteps train; none if they train everything.
+    gate: Option<Gate>,
+    trained: Trained,
+    /// Whether the run continues another one's state, so that its first timestep is trained as a later one.
+    continues: bool,
+}
+
+impl Trainer {
+    /// Starts a run on the CPU, from one Gaussian per point.
+    ///
+    /// - `cloud`: initial points, positions in scene units, colours in `[0, 1]`
+    /// - `cameras`: the cameras of the first timestep's training views, in the order of the views
+    ///
+    /// # Errors
+    /// [`TrainError::Input`] if `cloud` or `cameras` is empty.
+    pub fn new(config: &TrainConfig, cloud: &PointCloud, cameras: &[Camera]) -> Result<Self, TrainError> {
+        Self::with_engine(config, cloud, cameras, |state| Box::new(CpuEngine::new(state)))
+    }
+
+    /// Starts a run on an engine of the caller's choice; otherwise as [`Self::new`].
+    ///
+    /// - `make`: makes the engine from the initial state
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_engine(
+        config: &TrainConfig,
+        cloud: &PointCloud,
+        cameras: &[Camera],
+        make: impl FnOnce(State) -> Box<dyn Engine>,
+    ) -> Result<Self, TrainError> {
+        if cloud.points.is_empty() {
+            return Err(none("points of the initial cloud"));
+        }
+        let parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
+        Self::from_parameters(config, parameters, cameras, make)
+    }
+
+    /// Starts a run from existing Gaussians, of any layout.
+    ///
+    /// - `parameters`: the Gaussians in stored form, and one gain and offset for each of `cameras`
+    /// - `cameras`, `make`: as for [`Self::with_engine`]
+    ///
+    /// # Errors
+    /// [`TrainError::Input`] if there is no Gaussian or no camera.
+    pub fn from_parameters(
+        config: &TrainConfig,
+        parameters: Parameters,
+        cameras: &[Camera],
+        make: impl FnOnce(State) -> Box<dyn Engine>,
+    ) -> Result<Self, TrainError> {
+        if parameters.num_gaussians() == 0 {
+            return Err(none("Gaussians to start from"));
+        }
+        if cameras.is_empty() {
+            return Err(none("training cameras"));
+        }
+        let radius = extent(cameras, parameters.gaussians.means());
+        let num_gaussians = parameters.num_gaussians();
+        let engine = make(State::new(parameters));
+        Ok(Self {
+            config: config.clone(),
+            schedule: Schedule::new(config, radius),
+            scene_radius: radius,
+            num_gaussians,
+            gate: gate(config, &*engine, GateRecord::default()),
+            engine,
+            timestep: 0,
+            camera_ids: Vec::new(),
+            is_unfinished: false,
+            trained: Trained::ALL,
+            continues: false,
+        })
+    }
+
+    /// Starts a run that continues the state of another one: its first timestep is trained as a later one, without
+    /// density control, and the losses on motion compare with the neighbours in that state.
+    ///
+    /// - `start`: the state, with a gain and an offset for each training camera
+    /// - `make`: makes the engine from the state
+    pub fn continued(config: &TrainConfig, start: &Checkpoint, make: impl FnOnce(State) -> Box<dyn Engine>) -> Self {
+        Self::restored(config, start, None, 0, true, make)
+    }
+
+    /// Resumes a run from its checkpoints. [`Run::resume_with`](crate::Run::resume_with) reads them from a run folder.
+    ///
+    /// - `first`, `before_last`, `last`: checkpoints of the first timestep and of the last two finished timesteps; with
+    ///   one finished timestep all three are the same
+    /// - `timesteps`: number of finished timesteps, at least 1
+    /// - `make`: makes the engine from the resumed state
+    pub fn resume(
+        config: &TrainConfig,
+        first: &Checkpoint,
+        before_last: &Checkpoint,
+        last: &Checkpoint,
+        timesteps: usize,
+        make: impl FnOnce(State) -> Box<dyn Engine>,
+    ) -> Self {
+        let past = (timesteps > 1).then_some((first, before_last));
+        Self::restored(config, last, past, timesteps, false, make)
+    }
+
+    /// Resumes a run that began by [`Self::continued`]; otherwise as [`Self::resume`].
+    ///
+    /// - `start`: the state that the run began from
+    /// - `before_last`, `last`: checkpoints of the last two finished timesteps; with one finished timestep the first of
+    ///   them is `start`
+    pub fn resume_continued(
+        config: &TrainConfig,
+        start: &Checkpoint,
+        before_last: &Checkpoint,
+        last: &Checkpoint,
+        timesteps: usize,
+        make: impl FnOnce(State) -> Box<dyn Engine>,
+    ) -> Self {
+        Self::restored(config, last, Some((start, before_last)), timesteps, true, make)
+    }
+
+    /// - `past`: where everything stood at first, and before `last`; none before the first motion
+    fn restored(
+        config: &TrainConfig,
+        last: &Checkpoint,
+        past: Option<(&Checkpoint, &Checkpoint)>,
+        timesteps: usize,
+        continues: bool,
+        make: impl FnOnce(State) -> Box<dyn Engine>,
+    ) -> Self {
+        let mut state = State::new(last.parameters.clone());
+        state.quantizers = last.quantizers.clone();
+        state.lifetimes = last.lifetimes.clone();
+        state.optimizer = last.optimizer.clone();
+        state.timestep = timesteps.saturating_sub(1);
+        state.past = past.map(|(first, before_last)| {
+            let first = Pose::of(&first.parameters.gaussians);
+            Past::new(first, before_last.parameters.gaussians.clone(), &state.parameters.foreground)
+        });
+        let num_gaussians = state.parameters.num_gaussians();
+        let engine = make(state);
+        Self {
+            config: config.clone(),
+            schedule: Schedule::new(config, last.scene_radius),
+            scene_radius: last.scene_radius,
+            num_gaussians,
+            gate: gate(config, &*engine, last.gate.clone()),
+            engine,
+            timestep: timesteps,
+            camera_ids: Vec::new(),
+            is_unfinished: false,
+            trained: Trained::ALL,
+            continues,
+        }
+    }
+
+    /// How the next timestep is trained.
+    pub fn phase(&self) -> Phase {
+        if self.continues { Phase::Rest } else { Phase::of(self.timestep) }
+    }
+
+    /// Number of finished timesteps.
+    pub fn timesteps(&self) -> usize {
+        self.timestep
+    }
+
+    /// Current number of Gaussians.
+    pub fn num_gaussians(&self) -> usize {
+        self.num_gaussians
+    }
+
+    /// The state of the optimisation, in the host's memory. A GPU engine first finishes and downloads its iterations.
+    ///
+    /// # Errors
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn state(&mut self) -> Result<&State, TrainError> {
+        self.engine.state()
+    }
+
+    /// How much of the scene and of its views the timestep that was finished last trained.
+    pub fn trained(&self) -> Trained {
+        self.trained
+    }
+
+    /// Whether a resumed run needs [`Self::recall`] to go on as if it had never stopped: whether its gate compares the
+    /// next images with those before.
+    pub fn needs_recall(&self) -> bool {
+        self.timestep > 0 && self.gate.as_ref().is_some_and(Gate::forgot)
+    }
+
+    /// Takes the views of the timestep that was finished last, after a run was resumed. Without it the next timestep
+    /// trains everything, which is slower and gives other bytes than a run that never stopped.
+    ///
+    /// - `views`: as [`Self::fit`] was given them for that timestep
+    ///
+    /// # Errors
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn recall(&mut self, views: &[View]) -> Result<(), TrainError> {
+        if let Some(gate) = &mut self.gate {
+            gate.recall(self.engine.state()?, views, all_segmented(views));
+        }
+        Ok(())
+    }
+
+    fn check_finished(&self) -> Result<(), TrainError> {
+        if self.is_unfinished {
+            return Err(TrainError::Input {
+                what: format!("timestep {} of the trainer", self.timestep),
+                found: "a timestep that ended half-way".into(),
+                expected: "a trainer resumed from the last checkpoint".into(),
+            });
+        }
+        Ok(())
+    }
+
+    /// The checkpoint of the timestep that [`Self::fit`] finished last.
+    ///
+    /// # Errors
+    /// [`TrainError::Input`] if the last timestep was interrupted; [`TrainError::Gpu`] if the engine failed.
+    pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
+        self.check_finished()?;
+        let state = self.engine.state()?;
+        Ok(Checkpoint {
+            parameters: state.parameters.clone(),
+            lifetimes: state.lifetimes.clone(),
+            quantizers: state.quantizers.clone(),
+            optimizer: state.optimizer.carried_over(),
+            scene_radius: self.scene_radius,
+            gate: self.gate.as_ref().map(|gate| gate.record().clone()).unwrap_or_default(),
+        })
+    }
+
+    /// Mean PSNR in dB over views of the timestep that was finished last, with masks and quantisation applied. The
+    /// learned gain and offset of a training camera are applied to the rendering of that camera.
+    ///
+    /// - `views`: training or test views; 0 dB is returned for no views
+    ///
+    /// # Errors
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn mean_psnr(&mut self, views: &[View]) -> Result<f64, TrainError> {
+        let mut sum = 0.0;
+        for view in views {
+            let mut image = self.engine.draw(&self.config.mask, &view.camera)?;
+            if let Some(camera) = self.camera_ids.iter().position(|&id| id == view.camera_id) {
+                let p = &self.engine.state()?.parameters;
+                let (gain, offset) = (p.camera_gains[camera], p.camera_offsets[camera]);
+                for channel in 0..3 {
+                    for value in image.plane_mut(channel) {
+                        *value = gain[channel].exp() * *value + offset[channel];
+                    }
+                }
+            }
+            sum += psnr(&image, &view.image);
+        }
+        Ok(sum / views.len().max(1) as f64)
+    }
+}
+
+/// The gate of a run; none where it is off, or the engine trains everything in any case.
+fn gate(config: &TrainConfig, engine: &dyn Engine, record: GateRecord) -> Option<Gate> {
+    (config.gate.enabled && engine.takes_scenery()).then(|| Gate::new(&config.gate, &config.mask, record))
+}
+
+fn all_segmented(views: &[View]) -> bool {
+    views.iter().all(|view| view.segmentation.is_some())
+}
+
+/// That something is missing.
+fn none(what: &str) -> TrainError {
+    TrainError::Input { what: what.into(), found: "none".into(), expected: "at least 1".into() }
+}
