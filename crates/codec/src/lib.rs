@@ -62,7 +62,7 @@ pub use bitstream::{
 };
 #[cfg(feature = "encode")]
 pub use bitstream::{FileWriter, encode, encode_cohorts, encode_to, encode_with};
-pub use cache::{Eviction, Playback, SegmentCache};
+pub use cache::SegmentCache;
 pub use compact::{ColorSpace, CompactScene, SceneInfo, Tracks, UpAxis};
 pub use compact_file::CompactFile;
 #[cfg(feature = "encode")]

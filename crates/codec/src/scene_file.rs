@@ -11,7 +11,7 @@ use std::sync::Arc;
 use tcgs_core::{Gaussians, Layout, SceneReader};
 
 use crate::bitstream::{Archive, Cohort, Opening, Sampler, Segment, end_of_file, other_attributes};
-use crate::cache::{Eviction, SegmentCache};
+use crate::cache::SegmentCache;
 use crate::compact::SceneInfo;
 use crate::error::{DecodeError, ENDS_EARLY};
 use crate::limits::DecodeLimits;
@@ -213,7 +213,7 @@ impl<R: Read + Seek> SceneFile<R> {
         let mut cohort = self.archive.open_cohort(index, &bytes)?;
         let shared = cohort.shared_range(cohort.num_layers()).start - start.start;
         cohort.read_shared(bytes.get(shared as usize..).unwrap_or(&[]))?;
-        let cache = SegmentCache::new(cohort.num_segments(), self.max_segment_bytes);
+        let cache = SegmentCache::new(self.max_segment_bytes);
         self.cohorts.insert(index, OpenCohort { cohort, cache, sampler: None });
         Ok(())
     }
@@ -274,9 +274,9 @@ impl<R: Read + Seek> SceneFile<R> {
         }
         let layers = self.num_layers.unwrap_or(open.cohort.num_layers());
         let bytes = read(&mut self.source, open.cohort.segment_range(segment, layers))?;
-        open.cache.make_room(segment, Eviction::LeastRecentlyUsed);
+        open.cache.make_room();
         let decoded = Arc::new(open.cohort.read_segment(segment, &bytes)?);
-        open.cache.insert(decoded.clone(), Eviction::LeastRecentlyUsed);
+        open.cache.insert(decoded.clone());
         Ok(decoded)
     }
 

@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use proptest::prelude::*;
 use tcgs_codec::{
-    Archive, Cohort, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Eviction, Opening, Playback,
-    Sampler, SceneFile, SceneInfo, SegmentCache, compress, decode, encode, encode_with,
+    Archive, Cohort, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Opening, Sampler, SceneFile,
+    SceneInfo, SegmentCache, compress, decode, encode, encode_with,
 };
 use tcgs_core::Gaussians;
 
@@ -377,7 +377,7 @@ fn a_file_is_decoded_where_it_is_read() {
 }
 
 #[test]
-fn playback_keeps_and_prefetches_what_comes_next() {
+fn the_least_recently_used_segment_goes_first() {
     let scene = scenes::room(200, 40);
     let settings = CompressSettings { segment_length: Some(10), ..CompressSettings::default() };
     let compact = compress(&scene, &scenes::mixed_widths(200), None, SceneInfo::of(&scene), &settings).unwrap();
@@ -385,17 +385,16 @@ fn playback_keeps_and_prefetches_what_comes_next() {
     let mut reader = SceneFile::open(file, &DecodeLimits::default(), 0).unwrap();
     let segments: Vec<_> = (0..4).map(|i| reader.segment(0, i).unwrap()).collect();
     let largest = segments.iter().map(|s| s.bytes()).max().unwrap();
-    let playback = |now| Playback { now, is_backwards: false, is_looping: true };
-    let mut cache = SegmentCache::new(4, 2 * largest);
-    assert_eq!(cache.prefetch(playback(2)), Some(2));
-    for i in [2, 3, 0] {
-        cache.insert(segments[i].clone(), Eviction::FarthestAhead(playback(2)));
-    }
-    // Segment 0 comes after both that are held.
-    assert!(cache.get(2).is_some() && cache.get(3).is_some() && cache.get(0).is_none());
-    assert_eq!(cache.prefetch(playback(2)), None);
-    assert_eq!(cache.prefetch(Playback { is_backwards: true, ..playback(2) }), Some(1));
-    assert_eq!(cache.prefetch(Playback { is_looping: false, ..playback(3) }), None);
-    cache.insert(segments[0].clone(), Eviction::FarthestAhead(playback(3)));
-    assert!(cache.get(2).is_none() && cache.get(0).is_some());
+    let mut cache = SegmentCache::new(2 * largest);
+    cache.insert(segments[0].clone());
+    cache.insert(segments[1].clone());
+    assert!(cache.recall(0).is_some());
+    cache.insert(segments[2].clone());
+    assert!(cache.recall(0).is_some() && cache.recall(1).is_none() && cache.recall(2).is_some());
+    cache.make_room();
+    assert!(cache.bytes() <= largest && cache.recall(2).is_some());
+    // One alone may exceed the bound.
+    let mut cache = SegmentCache::new(1);
+    cache.insert(segments[3].clone());
+    assert!(cache.recall(3).is_some());
 }

@@ -9,8 +9,8 @@ use tcgs_play::{BytesSource, Player, PlayerSettings};
 #[path = "../tests/support/mod.rs"]
 mod support;
 
-/// Gaussians of a demo's scene, and of a room with two people; 150 timesteps are five seconds.
-const SIZES: [usize; 2] = [11_000, 60_000];
+/// Gaussians of a demo's scene, of a room with two people, and of a large scene; 150 timesteps are five seconds.
+const SIZES: [usize; 3] = [11_000, 60_000, 200_000];
 const NUM_TIMESTEPS: usize = 150;
 
 fn seeks(criterion: &mut Criterion) {
@@ -26,8 +26,9 @@ fn seeks(criterion: &mut Criterion) {
             player
         };
         let mut player = open();
-        let (segment, timestep) = player.current().expect("a segment");
-        assert_eq!((timestep, segment.num_gaussians()), (80, num_gaussians));
+        let moment = player.current().expect("a moment");
+        let segment = &moment.segments[0];
+        assert_eq!((moment.timestep, segment.num_gaussians()), (80, num_gaussians));
         println!(
             "{num_gaussians} Gaussians, {NUM_TIMESTEPS} timesteps: {} bytes, a segment of {} timesteps holds {} bytes",
             file.len(),
@@ -42,6 +43,18 @@ fn seeks(criterion: &mut Criterion) {
         let mut group = criterion.benchmark_group(format!("{num_gaussians} Gaussians, {NUM_TIMESTEPS} timesteps"));
         group.sample_size(10);
         group.bench_function("open at a timestep", |b| b.iter(|| one_thread.install(open).segment_bytes()));
+        group.bench_function("something to show of a timestep", |b| {
+            b.iter(|| {
+                one_thread.install(|| {
+                    let mut player =
+                        Player::new(BytesSource::new(file.clone()), PlayerSettings::default(), black_box(80));
+                    while player.current().is_none() {
+                        player.update(0.0).expect("a file");
+                    }
+                    player.segment_bytes()
+                })
+            });
+        });
         // Goes on from sample to sample: the same timestep twice would be there already.
         let mut timestep = 0;
         group.bench_function("seek to another segment", |b| {

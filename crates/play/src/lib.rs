@@ -1,9 +1,9 @@
 //! The player of `.tcgs` scenes, natively and in a browser.
 //!
 //! - `source`: where the bytes of a file come from; `download`: what servers answer
-//! - `player`: which bytes are fetched next, as prefetch too; the `clock`
-//! - `reconstruct`, `segment_renderer`, `blit`: from a timestep of a segment to a picture, with the renderer that training
-//!   uses
+//! - `player`: from bytes to a timestep that can be drawn; the `clock`
+//! - `holdings`: what is fetched next, what is kept
+//! - `reconstruct`, `segment_renderer`, `blit`: from a timestep to a picture, with the renderer that training uses
 //! - `start_view`, `controls`: from where the scene is seen
 //! - `viewer`: all of these together; `web`: the same as a page sees it
 //!
@@ -18,9 +18,9 @@
 //! let mut now_ms = 0.0;
 //! let gaussians = loop {
 //!     player.update(now_ms)?;
-//!     if let Some((segment, timestep)) = player.current() {
-//!         assert_eq!(timestep, 0);
-//!         break segment.first();
+//!     if let Some(moment) = player.current() {
+//!         assert_eq!(moment.timestep, 0);
+//!         break moment.gaussians();
 //!     }
 //!     now_ms += 10.0;
 //! };
@@ -38,6 +38,7 @@ mod controls;
 #[cfg(any(target_family = "wasm", test))]
 mod download;
 mod error;
+mod holdings;
 mod player;
 mod reconstruct;
 mod segment_renderer;
@@ -50,6 +51,7 @@ mod web;
 pub use clock::Clock;
 pub use controls::Controls;
 pub use error::{BadCamera, ErrorCode, PlayError};
+pub use holdings::Moment;
 pub use player::{Player, PlayerSettings};
 pub use reconstruct::Reconstruction;
 pub use segment_renderer::{PictureRequest, SegmentRenderer, Still};

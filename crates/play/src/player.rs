@@ -1,23 +1,25 @@
 //! From a source of bytes to the segment and timestep that are to be drawn.
 //!
-//! A state machine fetches in this order: the tables at the start of the file, what all segments share, the segment that
-//! is due, and as prefetch the segments that are due next, as long as there is room. One request is under way at a time.
-//! Nothing here blocks: [`Player::update`] does what can be done with the bytes that have arrived.
+//! A state machine fetches in this order: the tables at the start of the file; of the cohorts that live at the due timestep
+//! the first layer, so that there is something to show, and then all; as prefetch what is due next, as long as there is
+//! room. One request is under way at a time. Nothing here blocks: [`Player::update`] does what can be done with the bytes
+//! that have arrived.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
-use std::sync::Arc;
 
-use tcgs_codec::{Archive, Cohort, DecodeLimits, Eviction, MAGIC, Opening, Playback, Segment, SegmentCache};
+use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening, SegmentCache};
 
 use crate::clock::Clock;
 use crate::error::PlayError;
+use crate::holdings::{Holdings, Moment, Part};
 use crate::source::{Piece, RangeSource, SourceError};
 
 /// How much memory a player uses, and how it begins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlayerSettings {
-    /// Bound on the memory of decoded segments, bytes. The due segment is held even if it alone is larger.
-    /// Default 256 MiB.
+    /// Bound on the memory of decoded segments, bytes, and of the Gaussians that do not live at the due timestep. What is
+    /// due is held even if it alone takes more. Default 256 MiB.
     pub max_segment_bytes: usize,
     /// What a file may ask for before it is refused. Default: 1 GiB of memory, which a browser's tab has, and otherwise
     /// [`DecodeLimits::default`].
@@ -42,24 +44,13 @@ const MAX_RETRIES: u32 = 4;
 /// Milliseconds before the first repetition; each further one waits twice as long (exponential backoff).
 const RETRY_MS: f64 = 250.0;
 
-/// Data of applications that lie before the shared part are fetched together with it if they are no longer than this.
+/// Data of applications are read if they lie within so many bytes after the start of the file.
 const MAX_APPLICATION_BYTES: u64 = 1 << 18;
-
-/// A part of the file that is fetched as one range.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum FilePart {
-    /// The tables at the start of the file.
-    Tables,
-    /// What all segments share.
-    Shared,
-    /// The segment of this index.
-    Segment(usize),
-}
 
 /// A request that is under way.
 #[derive(Debug)]
 struct Fetch {
-    part: FilePart,
+    part: Part,
     /// Where the part lies in the file.
     range: Range<u64>,
     /// What has arrived of the range.
@@ -89,40 +80,70 @@ pub struct Player<S> {
 #[derive(Debug)]
 struct OpenFile {
     archive: Archive,
-    cohort: Cohort,
-    cache: SegmentCache,
+    holdings: Holdings,
     clock: Clock,
     application_data: Vec<(String, Vec<u8>)>,
+    /// By offset in the file: segments of which only the first layers were fetched.
+    begun: BTreeMap<u64, Vec<u8>>,
 }
 
 impl OpenFile {
-    fn playback(&self) -> Playback {
-        Playback {
-            now: self.cohort.segment_at(self.clock.timestep()),
-            is_backwards: self.clock.is_backwards(),
-            is_looping: self.clock.is_looping(),
+    /// Where a part lies in the file.
+    fn range(&self, part: Part) -> Range<u64> {
+        match part {
+            Part::Tables => 0..0,
+            Part::Head(cohort) => self.archive.head_range(cohort),
+            Part::Start(cohort) => self.archive.start_range(cohort),
+            Part::Shared(cohort, layers) => {
+                self.holdings.cohort(cohort).map_or(0..0, |cohort| cohort.shared_range(layers))
+            }
+            Part::Segment { cohort, segment, layers } => {
+                self.holdings.cohort(cohort).map_or(0..0, |cohort| cohort.segment_range(segment, layers))
+            }
         }
     }
 
-    /// Reads what all segments share, and the data of applications that came with it.
+    /// Decodes a part.
     ///
-    /// - `range`: where `bytes` lie in the file; it ends where the shared part ends
-    fn read_shared(&mut self, range: &Range<u64>, bytes: &[u8]) -> Result<(), PlayError> {
-        let at = |position: u64| (position - range.start) as usize;
-        let shared = self.cohort.shared_range(self.cohort.num_layers());
-        for (index, data) in self.archive.application_ranges().into_iter().enumerate() {
-            if range.start <= data.start && data.end <= shared.start {
-                let read = self.archive.read_application(index, &bytes[at(data.start)..at(data.end)])?;
-                self.application_data.extend(read.map(|(name, bytes)| (name, bytes.to_vec())));
+    /// - `start`: where it lies in the file
+    fn read(&mut self, part: Part, start: u64, bytes: Vec<u8>) -> Result<(), PlayError> {
+        let Self { archive, holdings, clock, begun, .. } = self;
+        match part {
+            Part::Tables => {}
+            Part::Head(index) => {
+                let cohort = archive.open_cohort(index, &bytes)?;
+                holdings.insert_cohort(archive, clock, index, cohort);
+            }
+            Part::Start(index) => {
+                let mut cohort = archive.open_cohort(index, &bytes)?;
+                let shared = cohort.shared_range(cohort.num_layers()).start - start;
+                cohort.read_shared(&bytes[shared as usize..])?;
+                holdings.insert_cohort(archive, clock, index, cohort);
+            }
+            Part::Shared(index, _) => {
+                if let Some(mut cohort) = holdings.take_cohort(index) {
+                    cohort.read_shared(&bytes)?;
+                    holdings.insert_cohort(archive, clock, index, cohort);
+                }
+            }
+            Part::Segment { cohort: index, segment, layers } => {
+                holdings.make_room(archive, clock);
+                if let Some(cohort) = holdings.cohort(index) {
+                    let (decoded, all) = (cohort.read_segment(segment, &bytes)?, cohort.num_layers());
+                    if layers < all {
+                        begun.insert(start, bytes);
+                    } else {
+                        begun.remove(&start);
+                    }
+                    holdings.insert_segment(archive, clock, decoded);
+                }
             }
         }
-        self.cohort.read_shared(&bytes[at(shared.start)..])?;
         Ok(())
     }
 
-    fn current(&self) -> Option<(&Arc<Segment>, usize)> {
-        let timestep = self.clock.timestep();
-        self.cache.get(self.cohort.segment_at(timestep)).map(|segment| (segment, timestep))
+    fn current(&self) -> Option<Moment> {
+        self.holdings.moment(&self.archive, self.clock.timestep())
     }
 }
 
@@ -150,8 +171,7 @@ impl<S: RangeSource> Player<S> {
         self.file.as_ref().map(|file| &file.archive)
     }
 
-    /// Names and bytes of the data that applications put between the tables and the shared part; empty before the shared
-    /// part has arrived.
+    /// Names and bytes of the data that applications put near the start of the file, once its tables have arrived.
     pub fn application_data(&self) -> &[(String, Vec<u8>)] {
         self.file.as_ref().map_or(&[], |file| &file.application_data)
     }
@@ -166,8 +186,8 @@ impl<S: RangeSource> Player<S> {
         self.file.as_mut().map(|file| &mut file.clock)
     }
 
-    /// What to draw: the due timestep and the segment that holds it, if that segment has arrived.
-    pub fn current(&self) -> Option<(&Arc<Segment>, usize)> {
+    /// What to draw: the due timestep, if something of all that lives at it has arrived.
+    pub fn current(&self) -> Option<Moment> {
         self.file.as_ref().and_then(OpenFile::current)
     }
 
@@ -178,13 +198,13 @@ impl<S: RangeSource> Player<S> {
 
     /// Memory of the decoded segments, bytes.
     pub fn segment_bytes(&self) -> usize {
-        self.file.as_ref().map_or(0, |file| file.cache.bytes())
+        self.file.as_ref().map_or(0, |file| file.holdings.segment_bytes())
     }
 
     /// Lets time pass, takes the bytes that have arrived, decodes, and requests what is needed next.
     ///
     /// One call decodes at most one segment, so that no picture waits for the decoding of segments that are due later.
-    /// Time stands still while the due segment is missing.
+    /// Time stands still while something of the due timestep is missing.
     ///
     /// - `now_ms`: real time, milliseconds since an origin that never changes
     ///
@@ -195,7 +215,8 @@ impl<S: RangeSource> Player<S> {
             return Err(failure.clone());
         }
         if let Some(file) = &mut self.file {
-            if file.current().is_some() { file.clock.advance(now_ms) } else { file.clock.hold(now_ms) }
+            let is_whole = file.current().is_some_and(|moment| moment.is_whole);
+            if is_whole { file.clock.advance(now_ms) } else { file.clock.hold(now_ms) }
         }
         let result = self.work(now_ms);
         if let Err(error) = &result {
@@ -237,22 +258,19 @@ impl<S: RangeSource> Player<S> {
             let Some(mut fetch) = self.fetch.take() else { return Ok(()) };
             let is_short = fetch.bytes.len() < needed;
             fetch.bytes.truncate(needed);
-            if is_short && fetch.part != FilePart::Tables {
+            if is_short && fetch.part != Part::Tables {
                 let found = fetch.range.start + fetch.bytes.len() as u64;
                 let expected = self.archive().map_or(fetch.range.end, Archive::file_bytes);
                 return Err(PlayError::Truncated { found: self.source.length().unwrap_or(found), expected });
             }
-            match fetch.part {
-                FilePart::Tables => self.read_tables(&fetch.bytes, is_short, now_ms)?,
-                FilePart::Shared => {
-                    if let Some(file) = &mut self.file {
-                        file.read_shared(&fetch.range, &fetch.bytes)?;
+            match (&mut self.file, fetch.part) {
+                (None, _) => self.read_tables(&fetch.bytes, is_short, now_ms)?,
+                (Some(file), part) => {
+                    file.read(part, fetch.range.start, fetch.bytes)?;
+                    if matches!(part, Part::Segment { .. }) || file.current().is_some() {
+                        // The next part is requested now and decoded in a later call.
+                        return self.ask();
                     }
-                }
-                FilePart::Segment(segment) => {
-                    self.read_segment(segment, &fetch.bytes)?;
-                    // The next segment is requested now and decoded in a later call.
-                    return self.ask();
                 }
             }
         }
@@ -261,21 +279,23 @@ impl<S: RangeSource> Player<S> {
     fn read_tables(&mut self, bytes: &[u8], is_all: bool, now_ms: f64) -> Result<(), PlayError> {
         self.start.extend_from_slice(bytes);
         self.start_is_all = is_all;
-        let Opening::Ready(mut archive) = self.open_archive()? else { return Ok(()) };
-        if archive.version() > 1 {
-            return Err(PlayError::NewerVersion { found: archive.version(), expected: 1 });
-        }
+        let Opening::Ready(archive) = self.open_archive()? else { return Ok(()) };
         let (expected, found) = (archive.file_bytes(), self.source.length());
         if let Some(found) = found.filter(|&found| found < expected) {
             return Err(PlayError::Truncated { found, expected });
+        }
+        let mut application_data = Vec::new();
+        for (index, range) in application_ranges(&archive) {
+            let Some(data) = self.start.get(range.start as usize..range.end as usize) else { return Ok(()) };
+            let read = archive.read_application(index, data)?;
+            application_data.extend(read.map(|(name, bytes)| (name, bytes.to_vec())));
         }
         let info = archive.info();
         let mut clock = Clock::new(info.num_timesteps as usize, info.frame_rate.into());
         clock.seek(self.first_timestep);
         clock.hold(now_ms);
-        let cohort = archive.open_cohort(0, &[])?;
-        let cache = SegmentCache::new(cohort.num_segments(), self.settings.max_segment_bytes);
-        self.file = Some(OpenFile { archive: *archive, cohort, cache, clock, application_data: Vec::new() });
+        let holdings = Holdings::new(self.settings.max_segment_bytes);
+        self.file = Some(OpenFile { archive: *archive, holdings, clock, application_data, begun: BTreeMap::new() });
         Ok(())
     }
 
@@ -288,30 +308,23 @@ impl<S: RangeSource> Player<S> {
         Ok(Archive::open(&self.start, &self.settings.limits)?)
     }
 
-    fn read_segment(&mut self, segment: usize, bytes: &[u8]) -> Result<(), PlayError> {
-        let Some(file) = &mut self.file else { return Ok(()) };
-        let eviction = Eviction::FarthestAhead(file.playback());
-        file.cache.make_room(segment, eviction);
-        let segment = file.cohort.read_segment(segment, bytes)?;
-        file.cache.insert(Arc::new(segment), eviction);
-        Ok(())
-    }
-
     /// Makes sure that the part which is needed most is under way.
     fn ask(&mut self) -> Result<(), PlayError> {
-        let Some((part, range)) = self.next_part()? else {
+        let Some((part, range, is_due)) = self.next_part()? else {
             // What is under way is not needed any more.
             return Ok(());
         };
         if let Some(fetch) = &self.fetch {
-            // A prefetch goes on, unless the due segment is missing.
-            let is_needed_now = self.file.as_ref().is_some_and(|file| part == FilePart::Segment(file.playback().now));
-            if fetch.part == part || !is_needed_now {
+            // A cohort's start, begun as prefetch, has its head in it. Other prefetches go on unless something is due.
+            let has_head = matches!((fetch.part, part), (Part::Start(a), Part::Head(b)) if a == b);
+            if fetch.part == part || has_head || !is_due {
                 return Ok(());
             }
         }
-        // The first request may have brought the beginning of the part, or all of it.
-        let known = self.start.get(range.start as usize..).unwrap_or_default();
+        // Earlier requests may have brought the beginning of the part, or all of it.
+        let at_start = self.start.get(range.start as usize..).unwrap_or_default();
+        let begun = self.file.as_ref().and_then(|file| file.begun.get(&range.start));
+        let known = begun.map_or(at_start, |begun| begun);
         let bytes = known[..known.len().min((range.end - range.start) as usize)].to_vec();
         let rest = range.start + bytes.len() as u64..range.end;
         if !rest.is_empty() {
@@ -321,34 +334,28 @@ impl<S: RangeSource> Player<S> {
         Ok(())
     }
 
-    /// The part that is needed most, and where it lies in the file; none if there is nothing to fetch.
-    fn next_part(&self) -> Result<Option<(FilePart, Range<u64>)>, PlayError> {
-        let Some(OpenFile { archive, cohort, cache, .. }) = &self.file else {
-            let known = self.start.len() as u64;
-            let needed = match self.open_archive()? {
-                Opening::More(needed) => needed,
-                Opening::Ready(_) => known,
-            };
-            if self.start_is_all {
-                return Err(PlayError::Truncated { found: known, expected: needed });
-            }
-            let end = if known == 0 { self.settings.opening_bytes.max(needed) } else { needed };
-            return Ok(Some((FilePart::Tables, known..end)));
-        };
-        let layers = cohort.num_layers();
-        if cohort.layers_read() < layers {
-            let mut range = cohort.shared_range(layers);
-            // The data of applications, which lie between the tables and the shared part, come along.
-            let before = archive.application_ranges().into_iter().map(|data| data.start).min();
-            if let Some(before) =
-                before.filter(|before| (1..=MAX_APPLICATION_BYTES).contains(&(range.start.saturating_sub(*before))))
-            {
-                range.start = before;
-            }
-            return Ok(Some((FilePart::Shared, range)));
+    /// The part that is needed most, where it lies in the file, and whether the due timestep lacks it; none if there is
+    /// nothing to fetch.
+    fn next_part(&self) -> Result<Option<(Part, Range<u64>, bool)>, PlayError> {
+        if let Some(file) = &self.file {
+            let next = file.holdings.next_part(&file.archive, &file.clock);
+            return Ok(next.map(|(part, is_due)| (part, file.range(part), is_due)));
         }
-        let playback = self.file.as_ref().map(OpenFile::playback);
-        let segment = playback.and_then(|playback| cache.prefetch(playback));
-        Ok(segment.map(|segment| (FilePart::Segment(segment), cohort.segment_range(segment, layers))))
+        let known = self.start.len() as u64;
+        let needed = match self.open_archive()? {
+            Opening::More(needed) => needed,
+            Opening::Ready(archive) => application_ranges(&archive).map(|(_, range)| range.end).max().unwrap_or(known),
+        };
+        if self.start_is_all {
+            return Err(PlayError::Truncated { found: known, expected: needed });
+        }
+        let end = if known == 0 { self.settings.opening_bytes.max(needed) } else { needed };
+        Ok(Some((Part::Tables, known..end, true)))
     }
+}
+
+/// Index and range of the data of applications that are read.
+fn application_ranges(archive: &Archive) -> impl Iterator<Item = (usize, Range<u64>)> {
+    let ranges = archive.application_ranges().into_iter().enumerate();
+    ranges.filter(|(_, range)| range.end <= MAX_APPLICATION_BYTES)
 }

@@ -4,7 +4,6 @@
 //! buffers grow before they are full. Where a picture needs more pairs at once than there is room for, it stays empty for
 //! the few frames until that is known ([`SegmentRenderer::is_whole`]); a [`Still`] is drawn again until it is whole.
 
-use tcgs_codec::Segment;
 use tcgs_core::Camera;
 use tcgs_render::RenderSettings;
 use tcgs_render::device::Capacity;
@@ -12,6 +11,7 @@ use tcgs_render::gpu::raw::{GpuRenderer, Staged};
 use tcgs_render::gpu::{Gpu, GpuError};
 
 use crate::blit::{self, Blit};
+use crate::holdings::Moment;
 use crate::reconstruct::Reconstruction;
 
 /// Pairs of tile and splat per Gaussian that the first buffers have room for: a picture of full size has two to seven.
@@ -24,17 +24,15 @@ const ROW_BYTES: usize = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize;
 /// A picture to draw: which timestep, from where, over which background.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureRequest<'a> {
-    /// A segment of the renderer's scene.
-    pub segment: &'a Segment,
-    /// A timestep of the scene that lies in the segment.
-    pub timestep: usize,
+    /// A timestep of the renderer's scene.
+    pub moment: &'a Moment,
     /// Camera; its image size is the size of the picture.
     pub camera: &'a Camera,
     /// Colour behind all Gaussians, sRGB in `[0, 1]`.
     pub background: [f32; 3],
 }
 
-/// Draws the timesteps of one scene, whose segments are uploaded as they are needed.
+/// Draws the timesteps of one scene, whose cohorts and segments are uploaded as they are needed.
 #[derive(Debug)]
 pub struct SegmentRenderer {
     gpu: Gpu,
@@ -65,17 +63,16 @@ impl Still {
 }
 
 impl SegmentRenderer {
-    /// Uploads what all segments of a scene share.
+    /// A renderer that has uploaded nothing yet.
     ///
     /// - `format`: of the textures that [`Self::draw`] draws to; not one that encodes sRGB
-    /// - `segment`: any segment of the scene
     ///
     /// # Errors
-    /// [`GpuError::Memory`] if the scene does not fit.
-    pub fn new(gpu: &Gpu, format: wgpu::TextureFormat, segment: &Segment) -> Result<Self, GpuError> {
+    /// [`GpuError::Memory`] if nothing at all fits.
+    pub fn new(gpu: &Gpu, format: wgpu::TextureFormat) -> Result<Self, GpuError> {
         Ok(Self {
             gpu: gpu.clone(),
-            reconstruction: Reconstruction::new(gpu, segment)?,
+            reconstruction: Reconstruction::new(gpu)?,
             renderer: None,
             num_pairs: 0,
             counts: None,
@@ -185,8 +182,7 @@ impl SegmentRenderer {
 
     /// Records everything up to the renderer's image.
     fn render(&mut self, request: &PictureRequest<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<(), GpuError> {
-        self.reconstruction.load(request.segment)?;
-        self.reconstruction.set_timestep(request.timestep);
+        self.reconstruction.load(request.moment, request.camera.center())?;
         self.make_room(request.camera)?;
         let Some(renderer) = &mut self.renderer else { return Ok(()) };
         let mut settings = RenderSettings::default();
@@ -203,15 +199,12 @@ impl SegmentRenderer {
 
     /// Makes the renderer anew if its buffers are too small for a picture.
     fn make_room(&mut self, camera: &Camera) -> Result<(), GpuError> {
-        let n = self.reconstruction.num_gaussians();
+        let n = self.reconstruction.num_rows();
         let mut capacity = Capacity::new(n, 3, [camera], false);
         capacity.num_pairs = self.num_pairs.max(FIRST_PAIRS * n + 16 * capacity.num_tiles);
         if let Some(renderer) = &self.renderer {
             let held = renderer.capacity();
-            if held.num_pixels >= capacity.num_pixels
-                && held.num_tiles >= capacity.num_tiles
-                && held.num_pairs >= capacity.num_pairs
-            {
+            if held.serves(&capacity) {
                 return Ok(());
             }
             // A window that is drawn larger should not need new buffers with every pixel.

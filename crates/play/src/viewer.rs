@@ -1,12 +1,13 @@
 //! A player, a camera and a renderer: all of a viewer but the window in which it shows a scene.
 
-use tcgs_codec::{Archive, FileCamera, SceneInfo, read_views};
+use tcgs_codec::{Archive, FileCamera, SceneInfo, UpAxis, read_views};
 use tcgs_core::Camera;
 use tcgs_render::gpu::Gpu;
 
 use crate::clock::Clock;
 use crate::controls::Controls;
 use crate::error::PlayError;
+use crate::holdings::Moment;
 use crate::player::{Player, PlayerSettings};
 use crate::segment_renderer::{self, PictureRequest, SegmentRenderer, Still};
 use crate::source::RangeSource;
@@ -21,7 +22,8 @@ pub struct FrameReport {
     pub timestep: usize,
     /// Whether time passes.
     pub is_playing: bool,
-    /// Whether the segment of the due timestep has not arrived. The picture then shows an earlier timestep.
+    /// Whether something of the due timestep has not arrived. The picture then shows an earlier timestep, or the first
+    /// layers of this one.
     pub is_buffering: bool,
     /// Whether the picture shows the due timestep, with all its splats.
     pub is_drawn: bool,
@@ -62,7 +64,7 @@ pub struct Viewer<S> {
 #[derive(Debug)]
 struct Session<S> {
     player: Player<S>,
-    /// There once the first segment has arrived.
+    /// There once something of the first due timestep has arrived.
     display: Option<Display>,
 }
 
@@ -71,8 +73,8 @@ struct Session<S> {
 struct Display {
     renderer: SegmentRenderer,
     controls: Controls,
-    /// Segment and timestep that are drawn until the next due timestep has arrived.
-    shown: (std::sync::Arc<tcgs_codec::Segment>, usize),
+    /// What is drawn until the next due timestep has arrived.
+    shown: Moment,
 }
 
 impl<S: RangeSource> Viewer<S> {
@@ -105,21 +107,17 @@ impl<S: RangeSource> Viewer<S> {
     pub fn update(&mut self, now_ms: f64) -> Result<bool, PlayError> {
         let Some(session) = &mut self.session else { return Ok(false) };
         session.player.update(now_ms)?;
-        if let Some((segment, timestep)) = session.player.current() {
+        if let Some(moment) = session.player.current() {
             match &mut session.display {
-                Some(display) => {
-                    if display.shown.1 != timestep {
-                        display.shown = (segment.clone(), timestep);
-                    }
-                }
+                Some(display) => display.shown = moment,
                 None => {
-                    let first = segment.first();
-                    let up = segment.info().up.direction();
-                    let (camera, pivot) = start_view(first.means(), up);
+                    let info = session.player.archive().map(Archive::info);
+                    let up = info.map_or_else(UpAxis::default, |info| info.up).direction();
+                    let (camera, pivot) = start_view(moment.gaussians().means(), up);
                     session.display = Some(Display {
-                        renderer: SegmentRenderer::new(&self.gpu, self.format, segment)?,
+                        renderer: SegmentRenderer::new(&self.gpu, self.format)?,
                         controls: Controls::new(&camera, up, pivot),
-                        shown: (segment.clone(), timestep),
+                        shown: moment,
                     });
                 }
             }
@@ -142,11 +140,10 @@ impl<S: RangeSource> Viewer<S> {
             return Ok(None);
         };
         let camera = display.controls.camera(size);
-        let (segment, timestep) = &display.shown;
-        let request = PictureRequest { segment, timestep: *timestep, camera: &camera, background: self.background };
+        let request = PictureRequest { moment: &display.shown, camera: &camera, background: self.background };
         display.renderer.draw(&request, target)?;
         Ok(player.clock().map(|clock| {
-            let is_buffering = player.current().is_none();
+            let is_buffering = player.current().is_none_or(|moment| !moment.is_whole);
             FrameReport {
                 time: clock.position(),
                 timestep: clock.timestep(),
@@ -166,9 +163,9 @@ impl<S: RangeSource> Viewer<S> {
     /// [`PlayError::Gpu`] if the GPU fails.
     pub fn begin_still(&mut self, size: [usize; 2]) -> Result<Option<Still>, PlayError> {
         let Some(Session { player, display: Some(display) }) = &mut self.session else { return Ok(None) };
-        let Some((segment, timestep)) = player.current() else { return Ok(None) };
+        let Some(moment) = player.current().filter(|moment| moment.is_whole) else { return Ok(None) };
         let camera = display.controls.camera(size);
-        let request = PictureRequest { segment, timestep, camera: &camera, background: self.background };
+        let request = PictureRequest { moment: &moment, camera: &camera, background: self.background };
         Ok(Some(display.renderer.begin_still(&request)?))
     }
 
@@ -200,7 +197,7 @@ impl<S: RangeSource> Viewer<S> {
         self.session.as_ref()?.player.archive()
     }
 
-    /// Cameras that the file brings along; none before its first segment has arrived.
+    /// Cameras that the file brings along; none before its tables have arrived.
     pub fn cameras(&self) -> Vec<FileCamera> {
         self.session.as_ref().map_or_else(Vec::new, |session| read_views(session.player.application_data()))
     }

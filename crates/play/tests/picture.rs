@@ -7,10 +7,12 @@ mod support;
 
 use std::io::Write;
 
-use support::{room_file, scenes, settings, wait};
-use tcgs_codec::{BitMap, CompressSettings, Sampler, SceneInfo, Segment, UpAxis, compress, encode};
-use tcgs_core::{Attribute, Camera, DynamicGaussians, activate};
-use tcgs_play::{BytesSource, ErrorCode, PictureRequest, Player, Reconstruction, SegmentRenderer, Viewer, start_view};
+use support::{cohorts_file, room_file, scenes, settings, wait};
+use tcgs_codec::{BitMap, CompressSettings, SceneInfo, UpAxis, compress, encode};
+use tcgs_core::{Attribute, Camera, Drawable, DynamicGaussians, Layout};
+use tcgs_play::{
+    BytesSource, ErrorCode, Moment, PictureRequest, Player, Reconstruction, SegmentRenderer, Viewer, start_view,
+};
 use tcgs_render::device::pack;
 use tcgs_render::gpu::{Gpu, GpuChoice};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
@@ -28,11 +30,15 @@ fn gpu() -> Option<Gpu> {
         .ok()
 }
 
-/// The segment that holds a timestep.
-fn segment(file: &[u8], timestep: usize) -> std::sync::Arc<Segment> {
+/// A timestep of a file.
+fn moment(file: &[u8], timestep: usize) -> Moment {
     let mut player = Player::new(BytesSource::new(file), settings(1 << 30), timestep);
     wait(&mut player, &mut 0.0);
-    player.current().unwrap().0.clone()
+    player.current().unwrap()
+}
+
+fn num_timesteps(file: &[u8]) -> usize {
+    moment(file, 0).segments[0].info().num_timesteps as usize
 }
 
 fn still(gpu: &Gpu, renderer: &mut SegmentRenderer, request: &PictureRequest<'_>) -> Vec<u8> {
@@ -48,10 +54,10 @@ fn still(gpu: &Gpu, renderer: &mut SegmentRenderer, request: &PictureRequest<'_>
 }
 
 /// As `tcgs render` writes it, with an alpha of 255.
-fn expected(segment: &Segment, timestep: usize, camera: &Camera, background: [f32; 3]) -> Vec<u8> {
+fn expected(moment: &Moment, camera: &Camera, background: [f32; 3]) -> Vec<u8> {
     let mut settings = RenderSettings::default();
     settings.background[..3].copy_from_slice(&background);
-    let drawn = activate(Sampler::new(segment).at(timestep));
+    let drawn = Drawable::new(&moment.gaussians()).seen_by(camera);
     let (output, _) = CpuRasterizer.forward(&drawn, camera, &settings).unwrap();
     output.image.to_rgb8().chunks_exact(3).flat_map(|pixel| [pixel[0], pixel[1], pixel[2], 255]).collect()
 }
@@ -96,27 +102,82 @@ fn grow(log_scales: &mut [[f32; 3]], by: f32) {
     log_scales.iter_mut().flatten().for_each(|x| *x += by);
 }
 
+/// What is reconstructed of a moment, as far as it is seen, and what the codec and the CPU make of it.
+fn reconstructed(
+    gpu: &Gpu,
+    reconstruction: &mut Reconstruction,
+    moment: &Moment,
+    camera: &Camera,
+) -> [Vec<Vec<f32>>; 2] {
+    reconstruction.load(moment, camera.center()).unwrap();
+    let mut encoder = gpu.encoder();
+    reconstruction.record(&mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
+    gpu.submit(encoder);
+    let rows = reconstruction.num_rows();
+    let found: Vec<f32> = gpu.read(reconstruction.activated(), 14 * rows).unwrap();
+    let drawn = Drawable::new(&moment.gaussians()).seen_by(camera);
+    [by_gaussian(&found, rows), by_gaussian(&pack(&drawn), drawn.num_gaussians())]
+}
+
+/// Of `[14 N]` the values of each Gaussian with an opacity.
+fn by_gaussian(values: &[f32], n: usize) -> Vec<Vec<f32>> {
+    let row = |i: usize| {
+        let columns = Attribute::BASE.map(|a| {
+            let (at, components) = (Layout::base().offset(a) * n, a.components());
+            values[at + i * components..][..components].to_vec()
+        });
+        columns.concat()
+    };
+    (0..n).map(row).filter(|row| row[10] > 0.0).collect()
+}
+
+fn assert_alike([found, expected]: [Vec<Vec<f32>>; 2], context: &str) {
+    assert_eq!(found.len(), expected.len(), "{context}");
+    for (i, (a, b)) in found.iter().flatten().zip(expected.iter().flatten()).enumerate() {
+        assert!((a - b).abs() <= 1e-5 * b.abs().max(0.1), "{context}: value {i} is {a}, not {b}");
+    }
+}
+
+fn any_camera() -> Camera {
+    Camera::look_at([0.3, -0.7, -4.0], [0.1, 0.2, 0.3], [0.0, -1.0, 0.0], 80.0, 128, 72)
+}
+
 #[test]
 fn reconstruction_equals_the_codecs() {
     let Some(gpu) = gpu() else { return };
     for (name, file) in files() {
-        let first = segment(&file, 0);
-        let n = first.num_gaussians();
-        let mut reconstruction = Reconstruction::new(&gpu, &first).unwrap();
-        let num_timesteps = first.info().num_timesteps as usize;
+        let mut reconstruction = Reconstruction::new(&gpu).unwrap();
+        let num_timesteps = num_timesteps(&file);
         // Not in order, and from one segment to the other and back.
         for timestep in (0..num_timesteps).map(|i| i * 7 % num_timesteps) {
-            let segment = segment(&file, timestep);
-            reconstruction.load(&segment).unwrap();
-            reconstruction.set_timestep(timestep);
-            let mut encoder = gpu.encoder();
-            reconstruction.record(&mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
-            gpu.submit(encoder);
-            let found: Vec<f32> = gpu.read(reconstruction.activated(), 14 * n).unwrap();
-            let expected = pack(&activate(&segment.at(timestep)));
-            for (i, (a, b)) in found.iter().zip(&expected).enumerate() {
-                assert!((a - b).abs() <= 1e-5 * b.abs().max(0.1), "{name}, {timestep}: value {i} is {a}, not {b}");
-            }
+            let both = reconstructed(&gpu, &mut reconstruction, &moment(&file, timestep), &any_camera());
+            assert_alike(both, &format!("{name}, {timestep}"));
+        }
+    }
+}
+
+/// Cohorts, lives, harmonics, some of which move, and attributes that nobody knows.
+#[test]
+fn reconstruction_equals_the_codecs_in_version_2() {
+    let Some(gpu) = gpu() else { return };
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/bitstream/v2");
+    let vector = |name: &str| (name.to_owned(), std::fs::read(folder.join(name).with_extension("tcgs")).unwrap());
+    let mut files: Vec<_> =
+        ["cohorts", "lives", "sparse", "harmonics", "shared_plan", "layers", "flip_book"].map(vector).into();
+    files.extend((0..4).map(|degree| (format!("room of degree {degree}"), cohorts_file(160, degree))));
+    for (name, file) in files {
+        let mut player = Player::new(BytesSource::new(&file[..]), settings(1 << 30), 0);
+        let mut now = 0.0;
+        while player.clock().is_none() {
+            player.update(now).unwrap();
+        }
+        for timestep in 0..player.archive().unwrap().info().num_timesteps as usize {
+            player.clock_mut().unwrap().seek(timestep);
+            wait(&mut player, &mut now);
+            // One that has reconstructed nothing yet, so that rows are in the order of the cohorts.
+            let mut reconstruction = Reconstruction::new(&gpu).unwrap();
+            let both = reconstructed(&gpu, &mut reconstruction, &player.current().unwrap(), &any_camera());
+            assert_alike(both, &format!("{name}, {timestep}"));
         }
     }
 }
@@ -125,19 +186,15 @@ fn reconstruction_equals_the_codecs() {
 fn a_frame_uploads_no_gaussians() {
     let Some(gpu) = gpu() else { return };
     let file = room_file(500, 10, &CompressSettings::default());
-    let segment = segment(&file, 0);
-    assert_eq!(segment.timesteps(), 0..10);
-    let mut reconstruction = Reconstruction::new(&gpu, &segment).unwrap();
-    reconstruction.load(&segment).unwrap();
-    // Of this segment another one's bytes would not do: only the keypoints that lie there can give these values.
-    let before: Vec<f32> = gpu.read(reconstruction.activated(), 14 * 500).unwrap();
+    let now = moment(&file, 0);
+    assert_eq!(now.segments[0].timesteps(), 0..10);
+    let mut reconstruction = Reconstruction::new(&gpu).unwrap();
+    let [before, _] = reconstructed(&gpu, &mut reconstruction, &now, &any_camera());
+    let buffer = reconstruction.activated().clone();
     for timestep in [9, 3] {
-        reconstruction.set_timestep(timestep);
-        let mut encoder = gpu.encoder();
-        reconstruction.record(&mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
-        gpu.submit(encoder);
-        let now: Vec<f32> = gpu.read(reconstruction.activated(), 14 * 500).unwrap();
-        assert_ne!(before, now);
+        let [after, _] = reconstructed(&gpu, &mut reconstruction, &Moment { timestep, ..now.clone() }, &any_camera());
+        assert_ne!(before, after);
+        assert_eq!(&buffer, reconstruction.activated());
     }
 }
 
@@ -147,24 +204,42 @@ fn pictures_equal_the_cpu_renderers() {
     let room = room_file(6000, 12, &CompressSettings { segment_length: Some(5), ..Default::default() });
     let mut files = files();
     files.push(("room", room));
+    files.push(("cohorts", cohorts_file(2000, 0)));
+    files.push(("harmonics", cohorts_file(2000, 3)));
     for (name, file) in &files {
-        let mut renderer = SegmentRenderer::new(&gpu, FORMAT, &segment(file, 0)).unwrap();
-        let num_timesteps = segment(file, 0).info().num_timesteps as usize;
-        let (start, _) = start_view(segment(file, 0).first().means(), UpAxis::default().direction());
+        let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
+        let num_timesteps = num_timesteps(file);
+        let (start, _) = start_view(moment(file, 0).gaussians().means(), UpAxis::default().direction());
         // Rows of a texture are copied in multiples of 256 bytes: sizes that are and are not.
         for (timestep, width, height) in [(0, 128, 72), (num_timesteps - 1, 101, 67), (num_timesteps / 2, 320, 180)] {
-            let segment = segment(file, timestep);
+            let moment = moment(file, timestep);
             let camera = start.resized(width, height);
             let background = [0.1, 0.4, 0.25];
-            let request = PictureRequest { segment: &segment, timestep, camera: &camera, background };
+            let request = PictureRequest { moment: &moment, camera: &camera, background };
             let found = still(&gpu, &mut renderer, &request);
-            let expected = expected(&segment, timestep, &camera, background);
+            let expected = expected(&moment, &camera, background);
             let share = share_alike(&found, &expected);
             let of_background = share_alike(&vec![[26, 102, 64, 255]; width * height].concat(), &expected);
             eprintln!("{name}, timestep {timestep}, {width}x{height}: {share}; {of_background} of background");
             assert!(share >= 0.999, "{name}, timestep {timestep}, {width}x{height}: {share} of the pixels alike");
             assert!(of_background < 0.8, "there is something to see");
         }
+    }
+}
+
+/// What has gone leaves nothing, and what comes finds room, in whatever order timesteps are shown.
+#[test]
+fn cohorts_take_each_others_place() {
+    let Some(gpu) = gpu() else { return };
+    let file = cohorts_file(400, 2);
+    let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
+    let (start, _) = start_view(moment(&file, 0).gaussians().means(), UpAxis::default().direction());
+    let camera = start.resized(96, 54);
+    for timestep in [0, 1, 2, 3, 4, 5, 8, 9, 11, 0, 6, 2, 7, 10, 3] {
+        let moment = moment(&file, timestep);
+        let request = PictureRequest { moment: &moment, camera: &camera, background: [0.0; 3] };
+        let share = share_alike(&still(&gpu, &mut renderer, &request), &expected(&moment, &camera, [0.0; 3]));
+        assert!(share >= 0.999, "timestep {timestep}: {share} of the pixels alike");
     }
 }
 
@@ -178,11 +253,11 @@ fn more_pairs_than_expected_are_drawn_again() {
     let bits = BitMap::uniform(300, 16, 8);
     let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default());
     let file = encode(&compact.unwrap()).unwrap();
-    let segment = segment(&file, 1);
-    let (start, _) = start_view(segment.first().means(), UpAxis::default().direction());
+    let moment = moment(&file, 1);
+    let (start, _) = start_view(moment.gaussians().means(), UpAxis::default().direction());
     let camera = start.resized(400, 300);
-    let request = PictureRequest { segment: &segment, timestep: 1, camera: &camera, background: [0.0; 3] };
-    let mut renderer = SegmentRenderer::new(&gpu, FORMAT, &segment).unwrap();
+    let request = PictureRequest { moment: &moment, camera: &camera, background: [0.0; 3] };
+    let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
     let texture = texture(&gpu, 400, 300);
     renderer.draw(&request, &texture).unwrap();
     gpu.wait().unwrap();
@@ -192,8 +267,8 @@ fn more_pairs_than_expected_are_drawn_again() {
     gpu.wait().unwrap();
     renderer.draw(&request, &texture).unwrap();
     assert!(renderer.is_whole());
-    let found = still(&gpu, &mut SegmentRenderer::new(&gpu, FORMAT, &segment).unwrap(), &request);
-    assert!(share_alike(&found, &expected(&segment, 1, &camera, [0.0; 3])) >= 0.999);
+    let found = still(&gpu, &mut SegmentRenderer::new(&gpu, FORMAT).unwrap(), &request);
+    assert!(share_alike(&found, &expected(&moment, &camera, [0.0; 3])) >= 0.999);
 }
 
 fn texture(gpu: &Gpu, width: u32, height: u32) -> wgpu::TextureView {
@@ -233,7 +308,7 @@ fn a_viewer_plays_pauses_and_takes_stills() {
     gpu.wait().unwrap();
     let pixels = viewer.finish_still(&begun).unwrap().unwrap();
     let camera = viewer.camera([96, 64]).unwrap();
-    let expected = expected(&segment(&file, 10), 10, &camera, [0.2, 0.3, 0.4]);
+    let expected = expected(&moment(&file, 10), &camera, [0.2, 0.3, 0.4]);
     assert!(share_alike(&pixels, &expected) >= 0.999);
 
     // Another file takes its place; one that is none leaves nothing.

@@ -4,8 +4,11 @@
 
 mod support;
 
-use support::{Behaviour, Network, room_file, settings, small_file, wait};
-use tcgs_codec::{Archive, Cohort, CompressSettings, DecodeLimits, Opening, decode};
+use std::io::Cursor;
+use std::path::Path;
+
+use support::{Behaviour, Network, cohorts_file, room_file, settings, small_file, wait};
+use tcgs_codec::{Archive, Cohort, CompressSettings, DecodeLimits, Opening, SceneFile, decode};
 use tcgs_core::Gaussians;
 use tcgs_play::{BytesSource, FileSource, PlayError, Player, PlayerSettings, RangeSource, SourceError};
 
@@ -19,8 +22,8 @@ fn cohort(file: &[u8]) -> Cohort {
 
 /// What is shown now, as floats.
 fn shown<S: RangeSource>(player: &Player<S>) -> (usize, Gaussians) {
-    let (segment, timestep) = player.current().unwrap();
-    (timestep, segment.at(timestep))
+    let moment = player.current().unwrap();
+    (moment.timestep, moment.gaussians())
 }
 
 fn seek<S: RangeSource>(player: &mut Player<S>, timestep: usize) {
@@ -194,7 +197,7 @@ fn the_memory_bound_holds_over_a_long_loop() {
             .map(|s| {
                 seek(wait_in(&mut player, &mut now), 5 * s);
                 wait(&mut player, &mut now);
-                player.current().unwrap().0.bytes()
+                player.current().unwrap().segments[0].bytes()
             })
             .max()
             .unwrap()
@@ -219,6 +222,132 @@ fn the_memory_bound_holds_over_a_long_loop() {
         // Two segments are enough to have the next one in time.
         assert!(missing <= 4, "{missing} of 20000 updates without a picture");
     }
+}
+
+/// Vectors of version 2, and a room of several cohorts.
+fn files_of_cohorts() -> Vec<(String, Vec<u8>)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/bitstream/v2");
+    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut files: Vec<_> = paths
+        .filter(|path| path.extension().is_some_and(|extension| extension == "tcgs"))
+        .map(|path| (path.file_name().unwrap().to_string_lossy().into_owned(), std::fs::read(path).unwrap()))
+        .collect();
+    assert!(files.len() > 8);
+    files.push(("room".into(), cohorts_file(160, 1)));
+    files
+}
+
+#[test]
+fn cohorts_come_and_go_as_they_are_due() {
+    for (name, file) in files_of_cohorts() {
+        let mut expected = SceneFile::open(Cursor::new(&file[..]), &DecodeLimits::default(), 1 << 20).unwrap();
+        let num_timesteps = expected.info().num_timesteps as usize;
+        let expected: Vec<Gaussians> = (0..num_timesteps).map(|t| expected.at(t).unwrap()).collect();
+        for bound in [1 << 30, 20_000, 1] {
+            let mut now = 0.0;
+            let mut player = Player::new(BytesSource::new(&file[..]), settings(bound), 0);
+            for timestep in (0..num_timesteps).chain((0..num_timesteps).map(|i| i * 5 % num_timesteps)) {
+                wait_for_tables(&mut player, &mut now);
+                seek(&mut player, timestep);
+                wait(&mut player, &mut now);
+                let (found, gaussians) = shown(&player);
+                assert_eq!(found, timestep, "{name}");
+                assert_eq!(gaussians.num_gaussians(), expected[timestep].num_gaussians(), "{name}, {timestep}");
+                for column in gaussians.layout().attributes() {
+                    assert_eq!(gaussians.values(column), expected[timestep].values(column), "{name}, {timestep}");
+                }
+            }
+            // Backwards around the end, without a stall where there is room for all.
+            player.clock_mut().unwrap().set_speed(-1.0);
+            (0..200).for_each(|_| player.update(now).unwrap());
+            player.clock_mut().unwrap().play();
+            for _ in 0..200 {
+                now += 10.0;
+                player.update(now).unwrap();
+                if bound == 1 << 30 {
+                    let (found, gaussians) = shown(&player);
+                    assert_eq!(gaussians.means(), expected[found].means(), "{name}, {found}");
+                } else {
+                    wait(&mut player, &mut now);
+                }
+            }
+        }
+    }
+}
+
+fn wait_for_tables<S: RangeSource>(player: &mut Player<S>, now: &mut f64) {
+    while player.clock().is_none() {
+        player.update(*now).unwrap();
+        *now += 1.0;
+    }
+}
+
+#[test]
+fn a_timestep_fetches_what_lives_at_it_and_nothing_else() {
+    let file = cohorts_file(160, 1);
+    let network = Network::new(&file, Behaviour::default());
+    let log = network.log.clone();
+    let mut player = Player::new(network, settings(1), 11);
+    let mut now = 0.0;
+    wait(&mut player, &mut now);
+    for _ in 0..100 {
+        player.update(now).unwrap();
+    }
+    let archive = player.archive().unwrap();
+    let alive: Vec<usize> = archive.cohorts_at(11).collect();
+    assert_eq!(alive.len(), 2, "the room, and the last flash");
+    let starts: u64 =
+        alive.iter().map(|&cohort| archive.start_range(cohort)).map(|range| range.end - range.start).sum();
+    let fetched: u64 = log.ranges().iter().map(|range| range.end - range.start).sum();
+    let tables = archive.head_range(0).start;
+    assert!(
+        fetched < tables + starts + (file.len() as u64 - tables) / 8,
+        "{fetched} of {}: {:?}",
+        file.len(),
+        log.ranges()
+    );
+    assert_eq!(player.bytes_loaded(), fetched);
+}
+
+#[test]
+fn the_first_layer_of_a_long_file_is_shown_first() {
+    let file = room_file(40_000, 30, &CompressSettings { segment_length: Some(10), ..Default::default() });
+    let cohort = cohort(&file);
+    let (layers, first) = (cohort.num_layers(), cohort.layers()[0] as usize);
+    assert!(layers == 3 && cohort.shared_range(layers).end > 1 << 17);
+    let network = Network::new(&file, Behaviour { piece: 10_000, stalls: 1, ..Default::default() });
+    let log = network.log.clone();
+    let mut player = Player::new(network, PlayerSettings::default(), 15);
+    let mut now = 0.0;
+    let coarse = loop {
+        player.update(now).unwrap();
+        now += 1.0;
+        if let Some(moment) = player.current() {
+            break moment;
+        }
+    };
+    assert_eq!((coarse.timestep, coarse.is_whole, coarse.gaussians().num_gaussians()), (15, false, first));
+    let so_far = player.bytes_loaded();
+    assert!(so_far < file.len() as u64 / 5, "{so_far} of {}", file.len());
+    // Time waits for the rest.
+    player.clock_mut().unwrap().play();
+    now += 200.0;
+    player.update(now).unwrap();
+    assert_eq!(player.clock().unwrap().timestep(), 15);
+    player.clock_mut().unwrap().pause();
+    wait(&mut player, &mut now);
+    let expected = decode(&file, &DecodeLimits::default()).unwrap().at(15);
+    assert_eq!(shown(&player), (15, expected.clone()));
+    for attribute in expected.layout().attributes() {
+        let n = first * attribute.components();
+        assert_eq!(coarse.gaussians().values(attribute), &expected.values(attribute)[..n], "{attribute:?}");
+    }
+    // With the rest of the file no byte comes twice.
+    for _ in 0..100_000 {
+        now += 1.0;
+        player.update(now).unwrap();
+    }
+    assert_eq!(player.bytes_loaded(), file.len() as u64, "{:?}", log.ranges());
 }
 
 fn wait_in<'a, S: RangeSource>(player: &'a mut Player<S>, now: &mut f64) -> &'a mut Player<S> {

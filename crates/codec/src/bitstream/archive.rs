@@ -207,6 +207,26 @@ impl Archive {
         (0..begun).filter(move |&cohort| self.timesteps_of(cohort).contains(&timestep))
     }
 
+    /// The timesteps around one in which the same cohorts live as in it.
+    ///
+    /// # Panics
+    /// If the scene has no such timestep.
+    pub fn span_at(&self, timestep: usize) -> Range<usize> {
+        let num_timesteps = self.info().num_timesteps as usize;
+        assert!(timestep < num_timesteps, "timestep {timestep} of {num_timesteps}");
+        let mut span = 0..num_timesteps;
+        for cohort in 0..self.num_cohorts() {
+            for change in [self.timesteps_of(cohort).start, self.timesteps_of(cohort).end] {
+                if change <= timestep {
+                    span.start = span.start.max(change);
+                } else {
+                    span.end = span.end.min(change);
+                }
+            }
+        }
+        span
+    }
+
     /// Range of the file that [`Self::open_cohort`] needs.
     ///
     /// # Panics

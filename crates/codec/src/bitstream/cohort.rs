@@ -242,6 +242,11 @@ impl Cohort {
         Ok(reader.finish(self))
     }
 
+    /// Memory of the shared layers that were read, bytes, at most.
+    pub fn bytes(&self) -> usize {
+        self.head.plan.bytes_per_gaussian() * self.shared.num_gaussians()
+    }
+
     pub(super) fn head(&self) -> &Arc<Head> {
         &self.head
     }

@@ -7,7 +7,8 @@ use std::cell::RefCell;
 use std::ops::Range;
 use std::rc::Rc;
 
-use tcgs_codec::{CompressSettings, SceneInfo, compress, encode};
+use tcgs_codec::{BitMap, CompactScene, CompressSettings, SceneInfo, compress, encode, encode_cohorts};
+use tcgs_core::{DynamicGaussians, Gaussians, Layout};
 use tcgs_play::{BytesSource, Piece, Player, PlayerSettings, RangeSource, SourceError};
 
 #[path = "../../../codec/tests/scenes/mod.rs"]
@@ -23,6 +24,45 @@ pub fn room_file(num_gaussians: usize, num_timesteps: usize, settings: &Compress
 /// A file of many small segments.
 pub fn small_file() -> Vec<u8> {
     room_file(400, 40, &CompressSettings { segment_length: Some(5), ..Default::default() })
+}
+
+/// Part of a room with harmonics up to a degree, moved sideways.
+fn shining_room(num_gaussians: usize, num_timesteps: usize, degree: usize, aside: f32) -> DynamicGaussians {
+    let layout = Layout::with_harmonics(degree);
+    let room = scenes::room(num_gaussians, num_timesteps);
+    let mut scene = DynamicGaussians::new(layout.clone());
+    for timestep in 0..num_timesteps {
+        let mut now: Gaussians = room.at(timestep).extended(&layout);
+        now.means_mut().iter_mut().for_each(|mean| mean[0] += aside);
+        for band in layout.harmonics() {
+            let values = now.values_mut(band).iter_mut().enumerate();
+            values.for_each(|(i, value)| *value = 0.3 * (0.7 * i as f32 + band.components() as f32).sin());
+        }
+        scene.push(now);
+    }
+    scene
+}
+
+/// Twelve timesteps of version 2: a room with harmonics up to a degree that lives throughout, in segments of five
+/// timesteps; another one that lives from timestep 3 to 8, in which half of the Gaussians come and go; and at each
+/// timestep some Gaussians of its own, more and more.
+pub fn cohorts_file(num_gaussians: usize, degree: usize) -> Vec<u8> {
+    let cohort = |n: usize, start: u32, num_timesteps: usize, aside: f32| {
+        let scene = shining_room(n, num_timesteps, degree, aside);
+        let bits = BitMap::uniform_of(scene.layout(), n, 16, 8);
+        let settings = CompressSettings { segment_length: Some(5), ..CompressSettings::default() };
+        CompactScene { start, ..compress(&scene, &bits, None, SceneInfo::of(&scene), &settings).unwrap() }
+    };
+    let n = num_gaussians;
+    let mut cohorts = vec![cohort(n, 0, 12, 0.0)];
+    let lives = (0..n / 2).map(|g| [[0, 5], [1, 3], [2, 2], [0, 5]][g % 4]).collect();
+    let brief = cohort(n / 2, 3, 6, 1.0).with_lives(lives);
+    cohorts.extend((0..12).map(|t| cohort(n / 8 + 10 * t as usize, t, 1, 0.1 * t as f32 - 2.0)));
+    cohorts.push(brief);
+    cohorts.sort_by_key(|cohort| cohort.start);
+    let num_gaussians = cohorts.iter().map(|cohort| cohort.info.num_gaussians).sum();
+    let info = SceneInfo { num_gaussians, num_timesteps: 12, ..cohorts[0].info.clone() };
+    encode_cohorts(&info, &cohorts, &[]).unwrap()
 }
 
 /// How a network behaves.
@@ -104,11 +144,11 @@ impl RangeSource for Network {
     }
 }
 
-/// Updates until the timestep that is due is there; asserts that this ends.
+/// Updates until the timestep that is due is there, with all layers; asserts that this ends.
 pub fn wait<S: RangeSource>(player: &mut Player<S>, now_ms: &mut f64) {
     for _ in 0..10_000_000 {
         player.update(*now_ms).unwrap();
-        if player.current().is_some() {
+        if player.current().is_some_and(|moment| moment.is_whole) {
             return;
         }
         *now_ms += 1.0;

@@ -3,16 +3,20 @@
 //   interpolate       a thread per unit that moves: finds its two keypoints by bisection, dequantises, interpolates
 //                     linearly, activates
 //   normalize_quats   a thread per Gaussian: gives unit length to rotations whose components have times of their own
+//   hide              a thread per Gaussian: takes the opacity of those that do not live at the timestep
 //
 // A unit is UNIT components that share their keypoint times: all components of an attribute, or one. The host puts the
-// constants before this source: UNIT; ACTIVATION, that of the interpolated values; its values EXP, SIGMOID, NORMALIZE.
+// constants before this source: UNIT; ACTIVATION, that of the interpolated values; its values EXP, SIGMOID, NORMALIZE;
+// MOVES.
 
-struct TimestepUniform {
+struct FrameUniform {
+    eye: vec3<f32>,
+    // Counted from the first timestep of the cohort, as keypoint times and lives are.
     timestep: u32,
 }
 
 struct TrackUniform {
-    // Units that move; for normalize_quats, Gaussians.
+    // Units that move; for normalize_quats and hide, Gaussians.
     count: u32,
     // Index of the attribute's first value in values.
     base: u32,
@@ -21,9 +25,10 @@ struct TrackUniform {
     codes_at: u32,
 }
 
-@group(0) @binding(0) var<uniform> frame: TimestepUniform;
+@group(0) @binding(0) var<uniform> frame: FrameUniform;
 @group(0) @binding(1) var<uniform> tracks: TrackUniform;
 // [units]: index of the unit's first value within the attribute, index of its first quantizer
+// for hide, [N]: first and last timestep of its life, 16 bits each, and its opacity, or MOVES
 @group(0) @binding(2) var<storage, read> units: array<vec2<u32>>;
 // step, offset
 @group(0) @binding(3) var<storage, read> quantizers: array<vec2<f32>>;
@@ -57,9 +62,12 @@ fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     if i >= tracks.count {
         return;
     }
-    // The last keypoint that is not after the timestep.
+    // The last keypoint that is not after the timestep; none if the Gaussian does not live in the segment.
     var before = keypoints[i];
     var end = keypoints[i + 1u];
+    if before == end {
+        return;
+    }
     while end - before > 1u {
         let middle = (before + end) / 2u;
         if time_of(middle) <= frame.timestep {
@@ -110,5 +118,20 @@ fn normalize_quats(@builtin(global_invocation_id) id: vec3<u32>) {
     let at = tracks.base + 4u * id.x;
     for (var c = 0u; c < 4u; c++) {
         values[at + c] = unit[c];
+    }
+}
+
+@compute @workgroup_size(WORKGROUP)
+fn hide(@builtin(global_invocation_id) id: vec3<u32>) {
+    let i = id.x;
+    if i >= tracks.count {
+        return;
+    }
+    let unit = units[i];
+    let lives = frame.timestep >= extractBits(unit.x, 0u, 16u) && frame.timestep <= extractBits(unit.x, 16u, 16u);
+    if !lives {
+        values[tracks.base + i] = 0.0;
+    } else if unit.y != MOVES {
+        values[tracks.base + i] = bitcast<f32>(unit.y);
     }
 }
