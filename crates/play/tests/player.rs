@@ -408,7 +408,7 @@ fn what_is_no_scene_is_told_apart() {
     limits.limits.max_gaussians = 100;
     let mut player = Player::new(BytesSource::new(&file[..]), limits, 0);
     assert_eq!(player.update(0.0).unwrap_err().code().as_str(), "out-of-memory");
-    let absent = FileSource::open(std::path::Path::new("/no/such/scene.tcgs")).unwrap_err();
+    let absent = FileSource::open(Path::new("/no/such/scene.tcgs")).unwrap_err();
     assert!(absent.to_string().starts_with("/no/such/scene.tcgs cannot be read: "), "{absent}");
 }
 
