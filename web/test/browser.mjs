@@ -11,7 +11,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 
-import { compare, drop, launch, serve, settled } from "./support.mjs";
+import { compare, drop, launch, plyOfSpheres, serve, settled } from "./support.mjs";
 
 const { TCGS = "target/release/tcgs", SCENE = "tcgs-demo/scene.tcgs", SHOTS } = process.env;
 const bytes = readFileSync(SCENE);
@@ -75,10 +75,10 @@ async function goTo(page, timestep) {
 }
 
 /** Pictures of `tcgs render`, one a frame, along a path in a file. */
-function rendered(path, size) {
+function rendered(path, size, scene = SCENE) {
   const out = mkdtempSync(join(scratch, "frames-"));
   const options = ["--path", path, "--size", size, "--out", out, "--backend", "cpu"];
-  execFileSync(TCGS, ["render", SCENE, ...options], { stdio: ["ignore", "ignore", "inherit"] });
+  execFileSync(TCGS, ["render", scene, ...options], { stdio: ["ignore", "ignore", "inherit"] });
   return (timestep) => readFileSync(join(out, `${String(timestep).padStart(6, "0")}.png`));
 }
 
@@ -243,6 +243,42 @@ test("what shows is what tcgs renders, at views and between them", async (t) => 
   await saved.saveAs(join(scratch, "still.png"));
   const { near } = await compare(page, readFileSync(join(scratch, "still.png")), expected(20));
   assert.ok(near >= 0.99, `the still: ${near}`);
+});
+
+test("Gaussians of another program that shine, come and go show as tcgs renders them", async (t) => {
+  const folder = mkdtempSync(join(scratch, "plys-"));
+  const counts = [500, 560, 530, 500];
+  counts.forEach((count, timestep) => writeFileSync(join(folder, `${timestep}.ply`), plyOfSpheres(count, timestep)));
+  const scene = join(scratch, "of-plys.tcgs");
+  execFileSync(TCGS, ["compress", folder, "--out", scene], { stdio: ["ignore", "ignore", "inherit"] });
+  const server = await serve(TCGS, scene);
+  t.after(() => server.stop());
+  const page = await loaded(await open(t, `${EXACT}&controls=0`, { from: server, viewport: { width: 320, height: 240 } }));
+  await page.mouse.move(150, 120);
+  await page.mouse.wheel(0, 900);
+  await page.keyboard.press("k");
+  await page.mouse.down();
+  await page.mouse.move(230, 140);
+  await page.mouse.up();
+  await goTo(page, 3);
+  await page.keyboard.press("k");
+  const file = join(scratch, "around.json");
+  const download = page.waitForEvent("download");
+  await page.evaluate(() => document.querySelector("#path-save").click());
+  await (await download).saveAs(file);
+  await drop(page, "around.json", readFileSync(file));
+  await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
+  const expected = rendered(file, "320x240", scene);
+  for (const timestep of [0, 1, 2, 3, 1]) {
+    const found = await goTo(page, timestep);
+    if (SHOTS) writeFileSync(join(SHOTS, `of-plys-${timestep}.png`), found);
+    const { near, covered } = await compare(page, found, expected(timestep));
+    assert.ok(covered >= 0.2, `timestep ${timestep}: the scene covers ${covered}`);
+    assert.ok(near >= 0.99, `timestep ${timestep}: ${near} of the pixels within 3`);
+  }
+  // What moves and what comes, and from where it is seen, is to be seen.
+  const { near } = await compare(page, expected(0), expected(3));
+  assert.ok(near < 0.9, `timesteps 0 and 3: ${near} alike`);
 });
 
 test("bad files are told apart, and a good one opens after them", async (t) => {

@@ -94,3 +94,29 @@ export async function drop(page, name, bytes) {
     { name, text: bytes.toString("base64") },
   );
 }
+
+/**
+ * A PLY file as 3D Gaussian splatting writes it, with harmonics of degree 3: spheres on a ball that turns. Those beyond 500
+ * are others at each timestep.
+ * @param {number} count
+ * @param {number} timestep
+ */
+export function plyOfSpheres(count, timestep) {
+  const rest = Array.from({ length: 45 }, (_, i) => `f_rest_${i}`);
+  const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", ...rest, "opacity"];
+  names.push("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3");
+  const header = ["ply", "format binary_little_endian 1.0", `element vertex ${count}`];
+  header.push(...names.map((name) => `property float ${name}`), "end_header", "");
+  const values = new Float32Array(count * names.length);
+  for (let i = 0; i < count; i++) {
+    const id = i < 500 ? i : i + 1000 * timestep;
+    const height = 1 - (2 * ((id * 0.618) % 500)) / 500;
+    const angle = 2.4 * id + (i < 500 ? 0.05 * timestep : 0);
+    const radius = (i < 500 ? 1 : 1.6) * Math.sqrt(Math.max(0, 1 - height * height));
+    const shine = rest.map((_, k) => (id % 4 === 0 ? 0.25 * Math.sin(1.3 * k + id) : 0));
+    const color = [0, 1, 2].map((c) => 1.2 * Math.sin(3 * height + c));
+    const row = [radius * Math.cos(angle), height, radius * Math.sin(angle), ...color, ...shine, 2.5];
+    values.set([...row, -2.6, -2.6, -2.6, 1, 0, 0, 0], i * names.length);
+  }
+  return Buffer.concat([Buffer.from(header.join("\n")), Buffer.from(values.buffer)]);
+}
