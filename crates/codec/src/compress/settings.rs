@@ -67,6 +67,10 @@ pub struct CompressSettings {
     /// the width of positions is that of the bit map, and the codes cover the range along each axis. Default 11; 0 in
     /// the paper.
     pub position_fineness: f32,
+    /// By [`Attribute::index`]: whether quantizers cover all values, and are fitted anew. Where not, learned ones stay, and
+    /// outliers may be cut off for a smaller mean error, so that the largest error has no bound. Those of positions cover
+    /// all in any case. Default false.
+    pub covers_outliers: [bool; 5],
 }
 
 impl Default for CompressSettings {
@@ -84,6 +88,7 @@ impl Default for CompressSettings {
             coarser: [0.0, 2.0, 0.0, 1.0, 0.0],
             harmonic_error: 0.004,
             position_fineness: 11.0,
+            covers_outliers: [false; 5],
         }
     }
 }
@@ -105,6 +110,7 @@ impl CompressSettings {
             coarser: [0.0; 5],
             harmonic_error: 0.0,
             position_fineness: 0.0,
+            covers_outliers: [false; 5],
         }
     }
 
@@ -162,6 +168,36 @@ impl CompressSettings {
         self.harmonic_error *= 2.0_f32.powf(-quality * pace[Attribute::Color.index()].bits);
         self.position_fineness *= 2.0_f32.powf(quality * pace[Attribute::Mean.index()].bits);
         self.coarser[Attribute::Mean.index()] = 0.0;
+        self
+    }
+
+    /// These settings with smaller largest errors of one attribute ([`attribute_error`](crate::attribute_error)), and of
+    /// the others that share its entries. How much smaller depends on the scene; many times over the error becomes as
+    /// small as 16 bits make it.
+    ///
+    /// - `factor`: by which errors should fall, at least 1
+    ///
+    /// ```
+    /// use tcgs_codec::CompressSettings;
+    /// use tcgs_core::{Attribute, Column};
+    /// let settings = CompressSettings::default();
+    /// let finer = settings.clone().with_smaller_errors(&Column::like(Attribute::Color), 4.0);
+    /// assert_eq!(finer.coarser[4], settings.coarser[4] - 2.0);
+    /// ```
+    pub fn with_smaller_errors(mut self, column: &Column, factor: f32) -> Self {
+        let place = Self::place_of(column);
+        self.max_mse[place] /= factor * factor;
+        self.max_keypoints = usize::MAX;
+        self.covers_outliers[place] = true;
+        if matches!(column.attribute, Attribute::Extra { .. }) {
+            // What does not show is an error nevertheless.
+            self.harmonic_error = 0.0;
+        }
+        if column.attribute == Attribute::Mean && self.position_fineness > 0.0 {
+            self.position_fineness *= factor;
+        } else {
+            self.coarser[place] -= factor.log2();
+        }
         self
     }
 }
