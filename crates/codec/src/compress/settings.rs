@@ -196,7 +196,8 @@ impl CompressSettings {
         if column.attribute == Attribute::Mean && self.position_fineness > 0.0 {
             self.position_fineness *= factor;
         } else {
-            self.coarser[place] -= factor.log2();
+            // A part of a bit would go to a part of the Gaussians.
+            self.coarser[place] -= factor.log2().ceil();
         }
         self
     }
