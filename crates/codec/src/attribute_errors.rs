@@ -248,7 +248,10 @@ mod tests {
     fn what_is_declared_is_no_smaller() {
         for error in [1e-30, 1e-7, 0.1, 0.3, 1.0 / 3.0, 7e5, f64::from(f32::MAX) / 2.0] {
             let declared = f64::from(rounded_up(error));
-            assert!(declared >= error * (1.0 + MARGIN.0) && declared <= error * 1.000_002 + 2e-12, "{error}: {declared}");
+            assert!(
+                declared >= error * (1.0 + MARGIN.0) && declared <= error * 1.000_002 + 2e-12,
+                "{error}: {declared}"
+            );
         }
         assert_eq!((rounded_up(0.0), rounded_up(f64::from(f32::MAX))), (0.0, f32::INFINITY));
     }

@@ -57,13 +57,15 @@ fn what_is_declared_holds_for_what_is_decoded_and_no_less_would() {
     assert_eq!(inspect(&file, &DecodeLimits::default()).unwrap().declared_errors, compact.declared_errors);
     assert_eq!(CompactFile::decode(&file, &DecodeLimits::default()).unwrap(), compact);
 
-    let mut decoded = SceneFile::open(Cursor::new(file), &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).unwrap();
+    let mut decoded =
+        SceneFile::open(Cursor::new(file), &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).unwrap();
     let mut found = AttributeErrors::none(&layout);
     for timestep in 0..14 {
         found.add(&scene.at(timestep).select(&order), &decoded.at(timestep).unwrap());
     }
     assert_eq!(decoded.archive().declared_errors().len(), layout.columns().len());
-    for ((name, found), (declared_name, declared)) in found.by_name().into_iter().zip(decoded.archive().declared_errors())
+    for ((name, found), (declared_name, declared)) in
+        found.by_name().into_iter().zip(decoded.archive().declared_errors())
     {
         let declared = f64::from(*declared);
         assert_eq!(name, declared_name);
@@ -80,9 +82,8 @@ fn gaussians_count_while_they_live() {
     let scene = scene(9, 8, &Layout::base());
     let (compact, order) = compress(&scene, &settings());
     let compact = compact.cohorts[0].clone().with_lives(order.iter().map(|&g| [0, 7 - (g % 3) as u16]).collect());
-    let error_of = |original: &DynamicGaussians| {
-        AttributeErrors::of(&compact, &mut &*original, &order).unwrap().by_name()[0].1
-    };
+    let error_of =
+        |original: &DynamicGaussians| AttributeErrors::of(&compact, &mut &*original, &order).unwrap().by_name()[0].1;
     let errors = error_of(&scene);
     let mut other = scene.clone();
     for g in (0..9).filter(|g| g % 3 == 2) {
@@ -98,9 +99,7 @@ fn gaussians_count_while_they_live() {
 fn errors_become_as_small_as_is_asked() {
     let scene = scene(60, 14, &Layout::with_harmonics(1));
     let layout = scene.layout();
-    for (attribute, goal) in
-        layout.attributes().zip([1e-3, 2e-3, 1e-3, 1e-3, 1e-3, 1e-3])
-    {
+    for (attribute, goal) in layout.attributes().zip([1e-3, 2e-3, 1e-3, 1e-3, 1e-3, 1e-3]) {
         let mut settings = settings();
         let mut errors = Vec::new();
         for _ in 0..6 {

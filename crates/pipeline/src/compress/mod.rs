@@ -212,7 +212,7 @@ impl<'a> PrunedScene<'a> {
         let segment_length = settings.segment_length.or(self.segment_length);
         let settings = &CompressSettings { segment_length, ..settings.clone() };
         let version_of = |compact: &CompactFile| self.version.unwrap_or_else(|| compact.oldest_version());
-        let compact = match &self.content {
+        let mut compact = match &self.content {
             Pruned::Whole { kept, bit_map, learned } => {
                 let (compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
                 let mut compact = CompactFile::of(compact);
@@ -225,6 +225,9 @@ impl<'a> PrunedScene<'a> {
         };
         let views = self.views.iter().map(|json| (VIEWS, &json[..]));
         let version = version_of(&compact);
+        if version == 1 {
+            compact.declared_errors.clear();
+        }
         let file = compact.encode(version, &views.collect::<Vec<_>>())?;
         Ok((compact, file))
     }

@@ -3,9 +3,7 @@
 
 use std::sync::Arc;
 
-use tcgs_codec::{
-    AttributeErrors, BitMap, CompactFile, CompressSettings, FollowedParts, SceneInfo, compress_ordered,
-};
+use tcgs_codec::{AttributeErrors, BitMap, CompactFile, CompressSettings, FollowedParts, SceneInfo, compress_ordered};
 use tcgs_core::{Gaussians, Layout, SceneReader};
 
 use super::bits::measured_bits;

@@ -201,8 +201,7 @@ fn typical_difference(column: &Column, source: &Gaussians) -> f64 {
         (Attribute::Mean, _) => {
             let mut sizes: Vec<f32> = source.log_scales().iter().map(|of| of[0].max(of[1]).max(of[2])).collect();
             let half = sizes.len() / 2;
-            let typical =
-                if sizes.is_empty() { 0.0 } else { *sizes.select_nth_unstable_by(half, f32::total_cmp).1 };
+            let typical = if sizes.is_empty() { 0.0 } else { *sizes.select_nth_unstable_by(half, f32::total_cmp).1 };
             f64::from(typical).exp().clamp(1e-30, 1e30)
         }
         (Attribute::Quat, _) => rotation,

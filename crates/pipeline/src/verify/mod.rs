@@ -76,11 +76,7 @@ impl Comparison {
 /// # Errors
 /// [`PipelineError::Input`] if the source has other attributes or another number of timesteps than the file;
 /// [`PipelineError`] if a timestep cannot be read; [`PipelineError::Stopped`] if the observer broke off.
-pub fn compare(
-    file: &OpenScene,
-    source: &OpenScene,
-    observer: &mut dyn Observer,
-) -> Result<Comparison, PipelineError> {
+pub fn compare(file: &OpenScene, source: &OpenScene, observer: &mut dyn Observer) -> Result<Comparison, PipelineError> {
     let (layout, num_timesteps) = (SceneReader::layout(file).clone(), file.num_timesteps());
     let expected_as = |what: String| format!("{what} as {}", file.path.display());
     // The layout of a file of no Gaussians says nothing.
@@ -119,8 +115,7 @@ pub fn compare(
         tell(observer, Event::Frame(file.first_frame + timestep))?;
     }
     let declared = |name: &str| declared.iter().find(|(of, _)| of == name).map(|(_, error)| *error);
-    let compared =
-        |(name, found): (&str, f64)| Compared { name: name.to_owned(), declared: declared(name), found };
+    let compared = |(name, found): (&str, f64)| Compared { name: name.to_owned(), declared: declared(name), found };
     comparison.attributes = errors.by_name().into_iter().map(compared).collect();
     Ok(comparison)
 }
