@@ -89,8 +89,8 @@ fn print(comparison: &Comparison) -> anyhow::Result<()> {
     say("attribute         declared      found")?;
     for compared in &comparison.attributes {
         let Compared { name, declared, found } = compared;
+        let verdict = if declared.is_some() && !compared.holds() { ", more than declared" } else { "" };
         let declared = declared.map_or("-".into(), |declared| show(f64::from(declared)));
-        let verdict = if compared.holds() { "" } else { ", more than declared" };
         say(&format!("{:<15}  {declared:>9}  {:>9}  {}{verdict}", word(name), show(*found), unit(name)))?;
     }
     let [least, most] = comparison.num_pruned;

@@ -108,7 +108,7 @@ fn errors_become_as_small_as_is_asked() {
             if error <= goal {
                 break;
             }
-            settings = settings.with_smaller_errors(layout.column(attribute), 1.25 * (error / goal) as f32);
+            settings = settings.with_smaller_errors(&[(layout.column(attribute), 1.25 * (error / goal) as f32)]);
         }
         assert!(errors.len() > 1 && errors[errors.len() - 1] <= goal, "{attribute:?}: {errors:?}");
     }
@@ -170,8 +170,13 @@ fn what_cannot_be_declared_is_refused() {
 fn settings_for_smaller_errors_leave_other_attributes_alone() {
     let before = CompressSettings::default();
     let column = tcgs_core::Column::like(Attribute::Mean);
-    let after = before.clone().with_smaller_errors(&column, 8.0);
+    let after = before.clone().with_smaller_errors(&[(&column, 8.0)]);
     assert_eq!(after.position_fineness, 8.0 * before.position_fineness);
     assert_eq!((after.coarser, after.covers_outliers), (before.coarser, [true, false, false, false, false]));
     assert_eq!(after.max_mse[1..], before.max_mse[1..]);
+    // Attributes that share entries are made finer together, once.
+    let layout = Layout::with_harmonics(2);
+    let shared: Vec<_> = layout.columns()[4..].iter().zip([4.0, 16.0, 2.0]).collect();
+    let after = before.clone().with_smaller_errors(&shared);
+    assert_eq!((after.coarser[4], after.harmonic_error), (before.coarser[4] - 4.0, 0.0));
 }

@@ -171,33 +171,40 @@ impl CompressSettings {
         self
     }
 
-    /// These settings with smaller largest errors of one attribute ([`attribute_error`](crate::attribute_error)), and of
-    /// the others that share its entries. How much smaller depends on the scene; many times over the error becomes as
-    /// small as 16 bits make it.
+    /// These settings with smaller largest errors of some attributes ([`attribute_error`](crate::attribute_error)), and of
+    /// all that share their entries; where several do, the largest factor counts. How much smaller depends on the scene;
+    /// many times over the errors become as small as 16 bits make them.
     ///
-    /// - `factor`: by which errors should fall, at least 1
+    /// - `factors`: by which the errors should fall, at least 1. With 1 quantizers cover all values, so that errors have a
+    ///   bound, and every Gaussian keeps its harmonics if one of these is among the attributes
     ///
     /// ```
     /// use tcgs_codec::CompressSettings;
     /// use tcgs_core::{Attribute, Column};
     /// let settings = CompressSettings::default();
-    /// let finer = settings.clone().with_smaller_errors(&Column::like(Attribute::Color), 4.0);
+    /// let finer = settings.clone().with_smaller_errors(&[(&Column::like(Attribute::Color), 4.0)]);
     /// assert_eq!(finer.coarser[4], settings.coarser[4] - 2.0);
     /// ```
-    pub fn with_smaller_errors(mut self, column: &Column, factor: f32) -> Self {
-        let place = Self::place_of(column);
-        self.max_mse[place] /= factor * factor;
-        self.max_keypoints = usize::MAX;
-        self.covers_outliers[place] = true;
-        if matches!(column.attribute, Attribute::Extra { .. }) {
-            // What does not show is an error nevertheless.
-            self.harmonic_error = 0.0;
+    pub fn with_smaller_errors(mut self, factors: &[(&Column, f32)]) -> Self {
+        let mut of_places = [1.0_f32; 5];
+        for (column, factor) in factors {
+            let place = Self::place_of(column);
+            of_places[place] = of_places[place].max(*factor);
+            self.covers_outliers[place] = true;
+            if matches!(column.attribute, Attribute::Extra { .. }) {
+                // What does not show is an error nevertheless.
+                self.harmonic_error = 0.0;
+            }
         }
-        if column.attribute == Attribute::Mean && self.position_fineness > 0.0 {
-            self.position_fineness *= factor;
-        } else {
-            // A part of a bit would go to a part of the Gaussians.
-            self.coarser[place] -= factor.log2().ceil();
+        self.max_keypoints = usize::MAX;
+        for (place, factor) in of_places.into_iter().enumerate() {
+            self.max_mse[place] /= factor * factor;
+            if place == Attribute::Mean.index() && self.position_fineness > 0.0 {
+                self.position_fineness *= factor;
+            } else {
+                // A part of a bit would go to a part of the Gaussians.
+                self.coarser[place] -= factor.log2().ceil();
+            }
         }
         self
     }

@@ -2,6 +2,7 @@
 //! bits is what is left.
 
 use tcgs_codec::{CompactFile, CompressSettings};
+use tcgs_core::Attribute;
 
 use super::PrunedScene;
 use crate::observe::tell;
@@ -37,6 +38,8 @@ struct Bounded<'a> {
     smallest: f64,
     /// In the setting tried last.
     last: f64,
+    /// Whether quantizers cover all of its values: the errors of outliers that were cut off say nothing of the others.
+    is_covered: bool,
     /// By which it is finer than at first.
     factor: f64,
     /// How often in a row that did not help.
@@ -77,35 +80,39 @@ pub fn search_errors(
         let trial = ErrorTrial { bytes: file.len() as u64, errors };
         tell(observer, Event::Measured(&trial))?;
         trials.push(trial);
-        let mut is_met = true;
+        let mut factors = Vec::new();
         for bound in &mut bounded {
             let error = declared(bound.name);
             bound.smallest = bound.smallest.min(error);
             if error > bound.wanted {
-                is_met = false;
                 if bound.factor >= MAX_FACTOR || trials.len() == MAX_TRIALS {
                     return Err(bound.out_of_reach());
                 }
                 let finer = bound.next_factor(error);
                 let column = layout.find(bound.name).map(|attribute| layout.column(attribute));
-                settings = column.map_or(settings.clone(), |c| settings.with_smaller_errors(c, finer as f32));
+                factors.extend(column.map(|column| (column, finer as f32)));
             }
-            // What quantizers that cut outliers off leave says nothing of the others.
-            bound.last = if trials.len() > 1 { error } else { f64::INFINITY };
+            bound.last = error;
         }
-        if is_met {
+        if factors.is_empty() {
             return Ok(ErrorSearch { trials, compact, file });
         }
+        settings = settings.with_smaller_errors(&factors);
     }
 }
 
 impl<'a> Bounded<'a> {
     fn new(name: &'a str, wanted: f64) -> Self {
-        Self { name, wanted, smallest: f64::INFINITY, last: f64::INFINITY, factor: 1.0, num_stuck: 0 }
+        let is_covered = name == Attribute::Mean.name();
+        Self { name, wanted, smallest: f64::INFINITY, last: f64::INFINITY, is_covered, factor: 1.0, num_stuck: 0 }
     }
 
     /// By which to make it finer now.
     fn next_factor(&mut self, error: f64) -> f64 {
+        if !self.is_covered {
+            self.is_covered = true;
+            return 1.0;
+        }
         let is_stuck = self.factor > 1.0 && error > LEAST_FALL * self.last;
         self.num_stuck = if is_stuck { self.num_stuck + 1 } else { 0 };
         let finer = (MARGIN * error / self.wanted).max(STRIDE.powi(self.num_stuck)).min(MAX_FACTOR / self.factor);
