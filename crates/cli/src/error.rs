@@ -9,7 +9,7 @@ use tcgs_pipeline::{Fault, HasFault, PipelineError};
 use tcgs_reproduce::ReproduceError;
 use tcgs_train::TrainError;
 
-use crate::interrupt;
+use crate::{attribute_errors, interrupt};
 
 /// Wrong usage or input, as against a computer that fails: one line that names the culprit, what was
 /// found and what was expected.
@@ -78,6 +78,12 @@ pub fn message(error: &anyhow::Error) -> String {
         }
         Some(PipelineError::TargetPsnr { target, best, of }) => {
             format!("--target-psnr {target}: the best against {of} is {best:.2} dB, expected that or less")
+        }
+        Some(PipelineError::MaxError { attribute, wanted, smallest }) => {
+            let word = attribute_errors::word(attribute);
+            format!(
+                "--max-error {word}={wanted}: the smallest error that is found is {smallest:.3e}, expected that or more"
+            )
         }
         Some(PipelineError::NoCameras { path, split: Split::Test }) => {
             format!("{}: has no test cameras, expected one that has, or --cameras train", path.display())

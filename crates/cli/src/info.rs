@@ -12,6 +12,7 @@ use tcgs_codec::{
     inspect_cut,
 };
 
+use crate::attribute_errors;
 use crate::error::wrong_input;
 use crate::options::JobOptions;
 use crate::output::show_bytes;
@@ -104,7 +105,12 @@ fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
         let (bytes, shares) = (show_bytes(*bytes), shares(histogram));
         say(&format!("{name:<15}  {bytes:>9}  {keypoints:>17.2}  {shares}"))?;
     }
-    say("")
+    say("")?;
+    if !info.declared_errors.is_empty() {
+        attribute_errors::print(&info.declared_errors)?;
+        say("")?;
+    }
+    Ok(())
 }
 
 /// Such as `4: 81.2%  5: 18.8%`.
@@ -227,6 +233,7 @@ fn machine_readable(info: &FileInfo) -> Value {
                 "attributes": cohort.layout.columns().iter().map(|column| &column.name).collect::<Vec<_>>(),
             })
         };
+        result["declared_errors"] = attribute_errors::machine_readable(&info.declared_errors);
         result["cohorts"] = info.cohorts.iter().map(cohort).collect();
     }
     result

@@ -3,6 +3,7 @@
 //! What lives here: arguments, progress, messages, files that appear whole. What does not: the method.
 //! An error is printed once, below, as one line.
 
+mod attribute_errors;
 mod backend;
 mod bench;
 mod compress;
@@ -22,6 +23,7 @@ mod scene;
 mod teller;
 mod terminal;
 mod train;
+mod verify;
 mod view;
 
 use std::process::ExitCode;
@@ -53,6 +55,7 @@ enum Command {
     Train(train::Arguments),
     Compress(compress::Arguments),
     Info(info::Arguments),
+    Verify(verify::Arguments),
     Render(render::Arguments),
     Eval(eval::Arguments),
     Export(export::Arguments),
@@ -73,6 +76,7 @@ fn main() -> ExitCode {
         Command::Train(arguments) => train::run(&arguments),
         Command::Compress(arguments) => compress::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
+        Command::Verify(arguments) => verify::run(&arguments),
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),

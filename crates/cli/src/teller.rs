@@ -2,8 +2,9 @@
 
 use std::ops::ControlFlow;
 
-use tcgs_pipeline::{Event, Observer, TimestepSummary, Trial};
+use tcgs_pipeline::{ErrorTrial, Event, Observer, TimestepSummary, Trial};
 
+use crate::attribute_errors::{show, word};
 use crate::interrupt;
 use crate::output::show_bytes;
 use crate::progress::Progress;
@@ -88,6 +89,7 @@ impl Observer for Teller {
                 return self.go_on(told);
             }
             Event::Tried(trial) => return self.go_on(say(&line(trial))),
+            Event::Measured(trial) => return self.go_on(say(&error_line(trial))),
             Event::Frame(frame) => self.step(|| format!("frame {frame}")),
             _ => {}
         }
@@ -98,6 +100,12 @@ impl Observer for Teller {
 /// A line of the table of settings tried.
 pub fn line(trial: &Trial) -> String {
     format!("{:>7.2}  {:>11}  {:>8}", trial.quality(), show_bytes(trial.bytes), show_psnr(trial.psnr))
+}
+
+/// A line of the table of settings tried for small errors.
+fn error_line(trial: &ErrorTrial) -> String {
+    let errors = trial.errors.iter().map(|(name, error)| format!("{} {}", word(name), show(*error)));
+    format!("{:>11}  {}", show_bytes(trial.bytes), errors.collect::<Vec<_>>().join("  "))
 }
 
 pub fn show_psnr(psnr: Option<f64>) -> String {

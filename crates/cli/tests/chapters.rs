@@ -57,6 +57,10 @@ fn chapters_are_joined_at_a_border_of_segments() {
     let other_order = compress([&two, &one], "order.tcgs", &["--segment-length", "2"]);
     assert!(fs::read(&short).unwrap() == fs::read(other_order).unwrap());
     compress([&one, &two], "long.tcgs", &[]);
+    for segments in [&["--segment-length", "2"][..], &[]] {
+        let declared = compress([&one, &two], "declared.tcgs", &[segments, &["--format", "2", "--force"]].concat());
+        succeed(&["verify", text(&declared), text(&two), text(&one)]);
+    }
     let score = |scene: &Path, frames: &str| {
         let json_file = out("eval.json");
         let capture = text(capture());

@@ -307,13 +307,18 @@ impl CompactScene {
         Gaussians::new(Arc::clone(&self.layout), self.num_gaussians(), values)
     }
 
+    /// Whether a Gaussian lives at a timestep of this scene.
+    pub(crate) fn is_alive(&self, gaussian: usize, timestep: usize) -> bool {
+        let life = self.lives.as_ref().map(|lives| lives[gaussian].map(usize::from));
+        life.is_none_or(|[first, last]| (first..=last).contains(&timestep))
+    }
+
     /// Those of the Gaussians that live at a timestep of the whole scene, as [`Self::at`] gives them; none if the cohort
     /// does not reach to it.
     pub fn alive_at(&self, timestep: usize) -> Option<Gaussians> {
         let now = timestep.checked_sub(self.start as usize).filter(|&now| now < self.num_timesteps())?;
         let all = self.at(now);
-        let is_alive = |life: &[u16; 2]| (usize::from(life[0])..=usize::from(life[1])).contains(&now);
-        let alive = self.lives.as_ref().map(|lives| (0..lives.len()).filter(|&g| is_alive(&lives[g])).collect());
+        let alive = self.lives.as_ref().map(|lives| (0..lives.len()).filter(|&g| self.is_alive(g, now)).collect());
         Some(alive.map_or(all.clone(), |alive: Vec<usize>| all.select(&alive)))
     }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Layout};
 
-use crate::bitstream::decode_cohorts;
+use crate::bitstream::decode_archive;
 use crate::compact::{CompactScene, SceneInfo};
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
@@ -29,12 +29,15 @@ pub struct CompactFile {
     pub info: SceneInfo,
     /// By ascending [`CompactScene::start`], all with the same layout.
     pub cohorts: Vec<CompactScene>,
+    /// By name of the attribute: the largest error against what was compressed, as
+    /// [`AttributeErrors::declared`](crate::AttributeErrors::declared) gives it. Version 1 of the format does not hold them.
+    pub declared_errors: Vec<(String, f32)>,
 }
 
 impl CompactFile {
     /// One scene, all of whose Gaussians are described together.
     pub fn of(scene: CompactScene) -> Self {
-        Self { info: scene.info.clone(), cohorts: vec![scene] }
+        Self { info: scene.info.clone(), cohorts: vec![scene], declared_errors: Vec::new() }
     }
 
     /// Decodes a whole `.tcgs` file of any version.
@@ -45,8 +48,8 @@ impl CompactFile {
     /// # Errors
     /// As [`decode`](crate::decode()).
     pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<Self, DecodeError> {
-        let (info, cohorts) = decode_cohorts(file, limits)?;
-        Ok(Self { info, cohorts })
+        let (archive, cohorts) = decode_archive(file, limits)?;
+        Ok(Self { info: archive.info().clone(), cohorts, declared_errors: archive.declared_errors().to_vec() })
     }
 
     /// Encodes a `.tcgs` file.
@@ -56,7 +59,7 @@ impl CompactFile {
     ///
     /// # Errors
     /// [`CompressError::Unsupported`](crate::CompressError::Unsupported) if the version does not hold the scene; else as
-    /// [`encode_with`](crate::encode_with()) and [`encode_cohorts`](crate::encode_cohorts()).
+    /// [`encode_with`](crate::encode_with()) and [`FileWriter::declaring`](crate::FileWriter::declaring).
     #[cfg(feature = "encode")]
     pub fn encode(&self, version: u16, data: &[(&str, &[u8])]) -> Result<Vec<u8>, crate::CompressError> {
         match (version, &self.cohorts[..]) {
@@ -65,7 +68,14 @@ impl CompactFile {
                 let found = format!("{} cohorts", self.cohorts.len());
                 Err(crate::CompressError::Unsupported { version: 1, found })
             }
-            _ => crate::encode_cohorts(&self.info, &self.cohorts, data),
+            _ => {
+                let mut file = std::io::Cursor::new(Vec::new());
+                let (info, errors) = (&self.info, &self.declared_errors);
+                let mut writer = crate::FileWriter::declaring(&mut file, info, errors, data, self.cohorts.len())?;
+                self.cohorts.iter().try_for_each(|cohort| writer.add(cohort))?;
+                writer.finish()?;
+                Ok(file.into_inner())
+            }
         }
     }
 

@@ -39,6 +39,7 @@
 #![cfg_attr(not(feature = "encode"), allow(dead_code))]
 
 mod accounting;
+mod attribute_errors;
 mod bits;
 mod bitstream;
 mod cache;
@@ -55,6 +56,7 @@ mod quantize;
 mod scene_file;
 mod views;
 
+pub use attribute_errors::{AttributeErrors, attribute_error};
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 pub use bitstream::{
     Archive, Cohort, CohortInfo, Contents, Decoder, Event, FORMAT_VERSION, FileInfo, Keypoints, MAGIC, Opening,

@@ -83,6 +83,16 @@ pub enum PipelineError {
         /// The images that were compared with, in words.
         of: String,
     },
+    /// No setting makes an error as small as wanted.
+    #[error("an error of {attribute} of {wanted}: the smallest is {smallest:.3e}, expected that or more")]
+    MaxError {
+        /// Name of the attribute.
+        attribute: String,
+        /// As wanted, in the unit of [`tcgs_codec::attribute_error`].
+        wanted: f64,
+        /// The smallest that was found, rounded up to the digits that are said.
+        smallest: f64,
+    },
     /// A capture has no cameras of the split that was asked for.
     #[error("{}: has no {} cameras, expected one that has, or another choice of cameras", path.display(), split_name(*split))]
     NoCameras {
@@ -183,6 +193,7 @@ impl HasFault for PipelineError {
             | Self::NoCameras { .. }
             | Self::TargetBytes { .. }
             | Self::TargetPsnr { .. }
+            | Self::MaxError { .. }
             | Self::NotBuilt { .. } => Fault::Input,
             Self::Unwritable { .. } => Fault::Machine,
             Self::Stopped => Fault::Stopped,

@@ -3,8 +3,8 @@
 //! What lives here: opening a scene of any kind ([`OpenScene`]), and the steps that need several crates at once:
 //! training a run with prefetched images ([`fit`]), pruning and compressing ([`PrunedScene`], [`compress_scene`]),
 //! searching a size or a quality ([`search`] with a [`Judge`]), comparing with a capture ([`evaluate`]),
-//! rendering ([`render`]) and writing for other programs ([`Export`]). What does
-//! not: arguments, progress bars and words for people (the command line), and the maths of each step (the crates below).
+//! comparing a file with what was compressed ([`compare`]), rendering ([`render`]) and writing for other programs
+//! ([`Export`]). What does not: arguments, progress bars and words for people (the command line), and the maths of each step (the crates below).
 //!
 //! Every input that is wrong is a [`PipelineError`]; [`HasFault::fault`] says whether the input or the machine failed. A
 //! long call tells an [`Observer`] what it does, and the observer may stop it.
@@ -58,19 +58,22 @@ mod path_file;
 mod render;
 mod scene;
 mod train;
+mod verify;
 
 pub use backend::Backend;
 pub use compress::{
-    CompressOptions, CompressPreset, Compressed, Judge, JudgeImages, PrunedScene, QUALITY_RANGE, SearchResult,
-    SizeStep, Target, compress_scene, kept_gaussians, position_step_remark, search, settings_of,
+    CompressOptions, CompressPreset, Compressed, ErrorSearch, Judge, JudgeImages, PrunedScene, QUALITY_RANGE,
+    SearchResult, SizeStep, Target, compress_scene, kept_gaussians, position_step_remark, search, search_errors,
+    settings_of,
 };
 pub use error::{Fault, HasFault, PipelineError};
 pub use evaluate::{
     COLUMNS, EvaluateSettings, Evaluation, ImageScore, MetricColumn, evaluate, evaluation_json, protocol_mean,
 };
 pub use export::{Export, ExportedParams};
-pub use observe::{Event, Observer, TimestepSummary, Trial, Unobserved, Work};
+pub use observe::{ErrorTrial, Event, Observer, TimestepSummary, Trial, Unobserved, Work};
 pub use path_file::read_camera_path;
 pub use render::{CameraAt, render};
 pub use scene::{CutFiles, OpenScene, OpenSettings};
 pub use train::{RunFolder, continued_trainer, fit, new_trainer, settings_for, start_state};
+pub use verify::{Compared, Comparison, compare};

@@ -48,7 +48,9 @@ pub enum Event<'a> {
     },
     /// A search for a target tried a setting.
     Tried(&'a Trial),
-    /// A step of any other work: an image of this frame is done.
+    /// A search for small errors tried a setting.
+    Measured(&'a ErrorTrial),
+    /// A step of any other work: this frame, or an image of it, is done.
     Frame(usize),
 }
 
@@ -90,6 +92,15 @@ impl Trial {
     }
 }
 
+/// One setting and the errors that it left.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ErrorTrial {
+    /// Length of the file.
+    pub bytes: u64,
+    /// By name of each attribute that has a bound: its largest error, as the file declares it; infinite if it cannot.
+    pub errors: Vec<(String, f64)>,
+}
+
 /// A part of a long call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -103,6 +114,8 @@ pub enum Work {
     Rendering,
     /// Timesteps are written for other programs. A step is a timestep.
     Exporting,
+    /// Timesteps are compared. A step is a timestep.
+    Verifying,
 }
 
 impl Work {
@@ -113,6 +126,7 @@ impl Work {
             Self::Evaluating => "evaluating",
             Self::Rendering => "rendering",
             Self::Exporting => "exporting",
+            Self::Verifying => "verifying",
         }
     }
 }

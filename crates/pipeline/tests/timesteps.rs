@@ -11,7 +11,7 @@ use support::{files, open};
 use tcgs_codec::{CompressSettings, DecodeLimits, inspect};
 use tcgs_core::SceneReader;
 use tcgs_interchange::{ParamsExtras, write_params_npz};
-use tcgs_pipeline::{CompressOptions, OpenScene, compress_scene};
+use tcgs_pipeline::{CompressOptions, OpenScene, Unobserved, compare, compress_scene};
 
 /// A copy of the run, to be spoilt.
 fn copy_of_run(to: &Path) {
@@ -68,11 +68,21 @@ fn floats_compress_to_the_same_bytes_from_memory_and_from_the_disk() {
     let params = open(&params);
     assert_eq!((params.bytes, params.layout()), (run.bytes, run.layout()));
     assert!((0..3).all(|t| params.at(t).unwrap() == run.at(t).unwrap()));
-    for (scene, bits) in [(&run, None), (&run, Some((4, 8))), (&params, None), (&params, Some((4, 8)))] {
-        let options = |max_float_bytes| CompressOptions { max_float_bytes, bits, ..CompressOptions::default() };
+    let bits = Some((4, 8));
+    for (scene, bits, version) in [(&run, None, 1), (&run, bits, 2), (&params, None, 2), (&params, bits, 1)] {
+        let options = |max_float_bytes| CompressOptions {
+            max_float_bytes,
+            bits,
+            version: Some(version),
+            ..CompressOptions::default()
+        };
         let (memory, disk) = (options(u64::MAX), options(0));
         let (memory, disk) = (compress_scene(scene, &memory).unwrap(), compress_scene(scene, &disk).unwrap());
         assert!(memory.file == disk.file, "{}, bits {bits:?}", scene.kind());
-        assert_eq!((memory.compact, memory.stages), (disk.compact, disk.stages));
+        assert_eq!((&memory.compact, memory.stages), (&disk.compact, disk.stages));
+        // Version 2 declares errors, and those of the disk are the same.
+        assert_eq!(disk.compact.declared_errors.len(), if version == 1 { 0 } else { 5 });
+        let file = scene.with_symbols(disk.compact);
+        assert_eq!(compare(&file, scene, &mut Unobserved).unwrap().holds(), version == 2);
     }
 }

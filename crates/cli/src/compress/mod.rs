@@ -9,11 +9,12 @@ use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::UpAxis;
 use tcgs_pipeline::{
-    CompressOptions, CompressPreset, Compressed, Judge, JudgeImages, OpenScene, PrunedScene, Target,
-    position_step_remark, search, settings_of,
+    CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, OpenScene, PrunedScene, Target,
+    position_step_remark, search, search_errors, settings_of,
 };
 use tcgs_train::Run;
 
+use crate::attribute_errors::{self, Bounds};
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::interrupt;
@@ -39,6 +40,7 @@ Example:
   tcgs compress my_run --target-bytes 2MB --capture my_capture
   tcgs compress params.npz --capture my_capture --bits 4,8 --out small.tcgs
   tcgs compress my_plys --frame-rate 24 --out scene.tcgs
+  tcgs compress my_plys --max-error mean=0.001,rotation=0.01,color=0.02
   tcgs compress chapter0 chapter1 chapter2 --out scene.tcgs")]
 pub struct Arguments {
     /// Run folder, params.npz of Dynamic 3D Gaussians, or folder of PLY files; several run folders that are chapters of
@@ -102,6 +104,12 @@ pub struct Arguments {
     #[arg(long, value_name = "DB", value_parser = decibels, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "quality")]
     target_psnr: Option<f64>,
+    /// Keep the largest error of attributes over all Gaussians and timesteps within bounds: mean in scene units, rotation in
+    /// radians, scale of the natural logarithm, opacity and color of 1, sh1 to sh3. Settings get finer until it is so.
+    /// The file declares its errors, which takes version 2, and `tcgs verify` checks them
+    #[arg(long, value_name = "ATTRIBUTE=ERROR,...")]
+    #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "target")]
+    max_error: Option<Bounds>,
     /// With a target: cameras of --capture to measure on [default: test]
     #[arg(long, requires = "capture", requires = "target")]
     cameras: Option<Cameras>,
@@ -177,9 +185,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     interrupt::catch()?;
     let target = arguments.target_bytes.map(Target::Bytes).or(arguments.target_psnr.map(Target::Psnr));
-    if arguments.preset == PresetName::Paper && (target.is_some() || arguments.quality.is_some()) {
-        let problem = "has its own settings, expected --preset default with --quality, --target-bytes or --target-psnr";
+    let is_searched = target.is_some() || arguments.quality.is_some() || arguments.max_error.is_some();
+    if arguments.preset == PresetName::Paper && is_searched {
+        let problem = "has its own settings, expected --preset default with --quality, --target-bytes, --target-psnr or --max-error";
         return Err(wrong_input(format!("--preset paper: {problem}")));
+    }
+    if arguments.format == Some(1) && arguments.max_error.is_some() {
+        return Err(wrong_input("--format 1: declares no errors, expected --format 2 with --max-error"));
     }
     let out = match (&arguments.out, &arguments.sources[..]) {
         (Some(out), _) => out.clone(),
@@ -198,18 +210,25 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let options = options(arguments, &scene)?;
     let pruned = PrunedScene::new(&scene, &options)?;
     say(&pruned.bits_from)?;
-    let (compressed, result) = match target {
-        None => {
+    let (compressed, result) = match (target, &arguments.max_error) {
+        (None, None) => {
             let (compact, file) = pruned.compress(&options.keypoints)?;
             (pruned.account(&options, compact, file)?, None)
         }
-        Some(target) => {
+        (None, Some(Bounds(bounds))) => {
+            say("       size  largest errors")?;
+            let found = Teller::default().watch(|teller| search_errors(&pruned, &options.keypoints, bounds, teller))?;
+            let result = describe_search(bounds, &found.trials);
+            (pruned.account(&options, found.compact, found.file)?, Some(result))
+        }
+        (Some(target), _) => {
             let judge = judge(arguments, &scene)?;
             say(&format!("measuring against {}", judge.of))?;
             say("quality         size      PSNR")?;
             let found =
                 Teller::default().watch(|teller| search(&pruned, &options.keypoints, target, &judge, teller))?;
-            let result = target::describe(&found, target, &judge);
+            let (text, of_target) = target::describe(&found, target, &judge);
+            let result = Found { text, name: "target", value: of_target };
             (pruned.account(&options, found.compact, found.file)?, Some(result))
         }
     };
@@ -222,6 +241,23 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     interrupt::check()?;
     write_file(&out, &compressed.file, arguments.job.force)?;
     report(arguments, &compressed, result, &out)
+}
+
+/// What a search found, in words and for machines.
+struct Found {
+    text: String,
+    /// In the result for machines.
+    name: &'static str,
+    value: Value,
+}
+
+fn describe_search(bounds: &[(String, f64)], trials: &[ErrorTrial]) -> Found {
+    let step = |trial: &ErrorTrial| json!({ "bytes": trial.bytes, "errors": attribute_errors::machine_readable(&trial.errors) });
+    let value = json!({
+        "wanted": attribute_errors::machine_readable(bounds),
+        "steps": trials.iter().map(step).collect::<Vec<_>>(),
+    });
+    Found { text: format!("within the bounds; {} settings tried", trials.len()), name: "max_error", value }
 }
 
 fn judge(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Judge> {
@@ -293,18 +329,13 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         capture: arguments.capture.clone(),
         plain: arguments.storage == Storage::Plain,
         up: arguments.up,
-        version: arguments.format,
+        version: arguments.format.or(arguments.max_error.as_ref().map(|_| 2)),
         views: arguments.views,
         ..CompressOptions::default()
     })
 }
 
-fn report(
-    arguments: &Arguments,
-    compressed: &Compressed,
-    target: Option<(String, Value)>,
-    out: &Path,
-) -> anyhow::Result<()> {
+fn report(arguments: &Arguments, compressed: &Compressed, found: Option<Found>, out: &Path) -> anyhow::Result<()> {
     let raw = compressed.stages[0].bytes;
     let ratio = |bytes: u64| raw as f64 / bytes as f64;
     say(&format!("{:<15} {:>11}  {:>9}  {:>8}", "stage", "bytes", "", "ratio"))?;
@@ -318,6 +349,7 @@ fn report(
     for ((name, bytes), keypoints) in compressed.bytes_by_attribute.iter().zip(keypoints) {
         say(&format!("{name:<15} {bytes:>11}  {:>9}  {keypoints:>18.2}", show_bytes(*bytes)))?;
     }
+    attribute_errors::print(&compact.declared_errors)?;
     let (before, after) = (compressed.num_gaussians_before, compact.num_gaussians());
     let size = compressed.file.len() as u64;
     say(&format!(
@@ -334,9 +366,12 @@ fn report(
         "stages": compressed.stages.iter().map(|s| json!({ "name": s.name, "bytes": s.bytes })).collect::<Vec<_>>(),
         "ratio": ratio(size),
     });
-    if let Some((text, target)) = target {
+    if !compact.declared_errors.is_empty() {
+        result["declared_errors"] = attribute_errors::machine_readable(&compact.declared_errors);
+    }
+    if let Some(Found { text, name, value }) = found {
         say(&text)?;
-        result["target"] = target;
+        result[name] = value;
     }
     arguments.job.write_json(&result)
 }

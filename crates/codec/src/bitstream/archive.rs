@@ -154,8 +154,8 @@ impl Archive {
         self.info.bounds
     }
 
-    /// By name of the attribute: the largest difference to what was compressed, in stored form, as the file declares it;
-    /// empty if it does not.
+    /// By name of the attribute: the largest error against what was compressed, as
+    /// [`attribute_error`](crate::attribute_error) measures it, as the file declares it; empty if it does not.
     pub fn declared_errors(&self) -> &[(String, f32)] {
         &self.info.errors
     }

@@ -57,6 +57,12 @@ pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<CompactScene, Decode
 /// # Errors
 /// As [`decode`].
 pub fn decode_cohorts(file: &[u8], limits: &DecodeLimits) -> Result<(SceneInfo, Vec<CompactScene>), DecodeError> {
+    let (archive, cohorts) = decode_archive(file, limits)?;
+    Ok((archive.info().clone(), cohorts))
+}
+
+/// [`decode_cohorts`] with all that the start of the file says.
+pub(crate) fn decode_archive(file: &[u8], limits: &DecodeLimits) -> Result<(Archive, Vec<CompactScene>), DecodeError> {
     let mut archive = open_whole(file, limits)?;
     archive.check_optional(0, file)?;
     let cohorts = open_cohorts(&mut archive, file)?;
@@ -64,7 +70,7 @@ pub fn decode_cohorts(file: &[u8], limits: &DecodeLimits) -> Result<(SceneInfo, 
         check_cover(&archive, &cohorts, file.len() as u64)?;
     }
     let cohorts = parallel::map(cohorts, |mut cohort| decode_cohort(&mut cohort, file));
-    Ok((archive.info().clone(), cohorts.into_iter().collect::<Result<_, _>>()?))
+    Ok((archive, cohorts.into_iter().collect::<Result<_, _>>()?))
 }
 
 /// All cohorts of a file, without their layers.

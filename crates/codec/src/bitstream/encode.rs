@@ -192,8 +192,27 @@ impl<'a, W: Write + Seek> FileWriter<'a, W> {
         data: &[(&str, &[u8])],
         num_cohorts: usize,
     ) -> Result<Self, CompressError> {
+        Self::declaring(file, info, &[], data, num_cohorts)
+    }
+
+    /// A file that declares by how much decoded values differ from those that were compressed.
+    ///
+    /// - `errors`: by name of the attribute, as [`AttributeErrors::declared`](crate::AttributeErrors::declared) gives them
+    /// - all else as in [`Self::new`]
+    ///
+    /// # Errors
+    /// As [`Self::new`]; also [`CompressError::Value`] if an error is negative or not finite, and [`CompressError::Count`]
+    /// if there are more than 255 errors.
+    pub fn declaring(
+        file: &'a mut W,
+        info: &SceneInfo,
+        errors: &[(String, f32)],
+        data: &[(&str, &[u8])],
+        num_cohorts: usize,
+    ) -> Result<Self, CompressError> {
         info.check(2)?;
-        let info = Info { scene: info.clone(), bounds: [[0.0; 3]; 2], errors: Vec::new() };
+        check_errors(errors)?;
+        let info = Info { scene: info.clone(), bounds: [[0.0; 3]; 2], errors: errors.to_vec() };
         Ok(Self { writer: Writer2::new(file, info, &application(data)?, num_cohorts)?, num_gaussians: 0 })
     }
 
@@ -247,6 +266,21 @@ impl<'a, W: Write + Seek> FileWriter<'a, W> {
         }
         self.writer.finish()
     }
+}
+
+/// Checks what a file is to declare.
+fn check_errors(errors: &[(String, f32)]) -> Result<(), CompressError> {
+    let count = |what: &str, found: usize, expected: usize| {
+        let what = what.into();
+        if found > expected { Err(CompressError::Count { what, found, expected }) } else { Ok(()) }
+    };
+    count("declared errors", errors.len(), u8::MAX.into())?;
+    errors.iter().try_for_each(|(name, _)| count("bytes of a name", name.len(), u16::MAX.into()))?;
+    let wrong = errors.iter().find(|(_, error)| !(error.is_finite() && *error >= 0.0));
+    let expected = "a finite number, 0 or more";
+    wrong.map_or(Ok(()), |(_, error)| {
+        Err(CompressError::Value { what: "declared error", found: f64::from(*error), expected })
+    })
 }
 
 /// Sections of application data.

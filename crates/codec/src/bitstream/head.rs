@@ -18,7 +18,7 @@ pub(super) struct Info {
     pub(super) scene: SceneInfo,
     /// Smallest and largest coordinates of means.
     pub(super) bounds: [[f32; 3]; 2],
-    /// By attribute name, the largest difference to what was compressed.
+    /// By attribute name, the largest error against what was compressed.
     pub(super) errors: Vec<(String, f32)>,
 }
 

@@ -30,6 +30,9 @@ pub struct FileInfo {
     /// Axis-aligned bounding box of all means at all timesteps, in scene units: the smallest and the largest
     /// coordinates.
     pub bounds: [[f32; 3]; 2],
+    /// By name of the attribute: the largest error against what was compressed, as the file declares it
+    /// ([`Archive::declared_errors`]).
+    pub declared_errors: Vec<(String, f32)>,
     /// Statistics of the decoded scene; none if a section is damaged or missing.
     pub contents: Option<Contents>,
 }
@@ -192,6 +195,7 @@ fn inspect_archive(file: &[u8], limits: &DecodeLimits, mut archive: Archive) -> 
         sections,
         cohorts: cohorts.iter().map(describe_cohort).collect(),
         bounds: archive.bounds(),
+        declared_errors: archive.declared_errors().to_vec(),
         contents: None,
     };
     if is_whole && file_info.checksums_ok() {

@@ -39,7 +39,7 @@ pub use archive::{Archive, Opening};
 pub use cohort::Cohort;
 pub use container::MAGIC;
 pub use decode::{decode, decode_cohorts};
-pub(crate) use decode::{end_of_file, other_attributes};
+pub(crate) use decode::{decode_archive, end_of_file, other_attributes};
 #[cfg(feature = "encode")]
 pub use encode::{FileWriter, encode, encode_cohorts, encode_to, encode_with};
 pub use inspect::{CohortInfo, Contents, FileInfo, SectionInfo, application_data, inspect, inspect_cut};

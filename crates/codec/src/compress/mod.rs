@@ -201,12 +201,13 @@ fn compress_columns<R: SceneReader>(
     }
 
     let mut quantizers = Quantizers::none(&layout);
-    for (attribute, reduced) in layout.attributes().zip(&reduced) {
+    for (column, reduced) in layout.columns().iter().zip(&reduced) {
         let values = |gaussian: usize, channel: usize, values: &mut Vec<f32>| {
             reduced.append(gaussian, channel, None, values);
         };
-        let widths = &bit_map.widths[attribute.index()];
-        quantizers.attributes[attribute.index()] = quantizers_for(attribute, values, widths, learned, position_step)?;
+        let a = column.attribute.index();
+        let widths = &bit_map.widths[a];
+        quantizers.attributes[a] = quantizers_for(column, values, widths, learned, position_step, settings)?;
     }
     let means = Attribute::Mean.index();
     let order = morton_order(&reduced[means], &bit_map.widths[means], &quantizers);

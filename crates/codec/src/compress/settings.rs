@@ -67,6 +67,10 @@ pub struct CompressSettings {
     /// the width of positions is that of the bit map, and the codes cover the range along each axis. Default 11; 0 in
     /// the paper.
     pub position_fineness: f32,
+    /// By [`Attribute::index`]: whether quantizers cover all values, and are fitted anew. Where not, learned ones stay, and
+    /// outliers may be cut off for a smaller mean error, so that the largest error has no bound. Those of positions cover
+    /// all in any case. Default false.
+    pub covers_outliers: [bool; 5],
 }
 
 impl Default for CompressSettings {
@@ -84,6 +88,7 @@ impl Default for CompressSettings {
             coarser: [0.0, 2.0, 0.0, 1.0, 0.0],
             harmonic_error: 0.004,
             position_fineness: 11.0,
+            covers_outliers: [false; 5],
         }
     }
 }
@@ -105,6 +110,7 @@ impl CompressSettings {
             coarser: [0.0; 5],
             harmonic_error: 0.0,
             position_fineness: 0.0,
+            covers_outliers: [false; 5],
         }
     }
 
@@ -162,6 +168,44 @@ impl CompressSettings {
         self.harmonic_error *= 2.0_f32.powf(-quality * pace[Attribute::Color.index()].bits);
         self.position_fineness *= 2.0_f32.powf(quality * pace[Attribute::Mean.index()].bits);
         self.coarser[Attribute::Mean.index()] = 0.0;
+        self
+    }
+
+    /// These settings with smaller largest errors of some attributes ([`attribute_error`](crate::attribute_error)), and of
+    /// all that share their entries; where several do, the largest factor counts. How much smaller depends on the scene;
+    /// many times over the errors become as small as 16 bits make them.
+    ///
+    /// - `factors`: by which the errors should fall, at least 1. With 1 quantizers cover all values, so that errors have a
+    ///   bound, and every Gaussian keeps its harmonics if one of these is among the attributes
+    ///
+    /// ```
+    /// use tcgs_codec::CompressSettings;
+    /// use tcgs_core::{Attribute, Column};
+    /// let settings = CompressSettings::default();
+    /// let finer = settings.clone().with_smaller_errors(&[(&Column::like(Attribute::Color), 4.0)]);
+    /// assert_eq!(finer.coarser[4], settings.coarser[4] - 2.0);
+    /// ```
+    pub fn with_smaller_errors(mut self, factors: &[(&Column, f32)]) -> Self {
+        let mut of_places = [1.0_f32; 5];
+        for (column, factor) in factors {
+            let place = Self::place_of(column);
+            of_places[place] = of_places[place].max(*factor);
+            self.covers_outliers[place] = true;
+            if matches!(column.attribute, Attribute::Extra { .. }) {
+                // What does not show is an error nevertheless.
+                self.harmonic_error = 0.0;
+            }
+        }
+        self.max_keypoints = usize::MAX;
+        for (place, factor) in of_places.into_iter().enumerate() {
+            self.max_mse[place] /= factor * factor;
+            if place == Attribute::Mean.index() && self.position_fineness > 0.0 {
+                self.position_fineness *= factor;
+            } else {
+                // A part of a bit would go to a part of the Gaussians.
+                self.coarser[place] -= factor.log2().ceil();
+            }
+        }
         self
     }
 }

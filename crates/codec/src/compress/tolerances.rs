@@ -41,7 +41,7 @@ impl<'a> Tolerances<'a> {
             let values = |gaussian: usize, channel: usize, values: &mut Vec<f32>| {
                 values.extend(samples[gaussian * components + channel]);
             };
-            for (width, quantizers) in quantizers_for(attribute, values, widths, learned, position_step)? {
+            for (width, quantizers) in quantizers_for(column, values, widths, learned, position_step, settings)? {
                 by_width[usize::from(width)] = quantizers.iter().map(|q| (max_mse, (q.step / 4.0).powi(2))).collect();
             }
         }
@@ -64,12 +64,15 @@ const LEARNED_ERROR_RATIO: f64 = 2.0;
 ///
 /// - `append_values`: appends the values of a Gaussian's channel that are to be quantised
 pub(super) fn quantizers_for(
-    attribute: Attribute,
+    column: &Column,
     append_values: impl Fn(usize, usize, &mut Vec<f32>) + Sync,
     widths: &[u8],
     learned: Option<&Quantizers>,
     position_step: Option<f64>,
+    settings: &CompressSettings,
 ) -> Result<BTreeMap<u8, Vec<Quantizer>>, CompressError> {
+    let attribute = column.attribute;
+    let covers = attribute == Attribute::Mean || settings.covers_outliers[CompressSettings::place_of(column)];
     let mut groups: BTreeMap<u8, Vec<usize>> = BTreeMap::new();
     // What a Gaussian lacks has the width 0.
     for (gaussian, &width) in widths.iter().enumerate().filter(|(_, width)| **width > 0) {
@@ -82,10 +85,11 @@ pub(super) fn quantizers_for(
             let quantizers = (0..attribute.components()).into_par_iter().map(|channel| {
                 let mut values = Vec::new();
                 gaussians.iter().for_each(|&gaussian| append_values(gaussian, channel, &mut values));
-                if attribute == Attribute::Mean {
+                if covers {
                     let (min, max) = values.iter().fold((f32::MAX, f32::MIN), |(a, b), &x| (a.min(x), b.max(x)));
                     let covering = Quantizer::covering(min, max, width)?;
-                    let step = position_step.filter(|&step| step > f64::from(covering.step));
+                    let step = position_step.filter(|_| attribute == Attribute::Mean);
+                    let step = step.filter(|&step| step > f64::from(covering.step));
                     return step.map_or(Ok(covering), |step| Quantizer::from_lowest(min, step, width));
                 }
                 let fitted = Quantizer::fit(&values, width)?;

@@ -3,7 +3,9 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use tcgs_codec::{BitMap, CompactScene, CompressSettings, Quantizers, SceneInfo, compress, compress_reader};
+use tcgs_codec::{
+    AttributeErrors, BitMap, CompactScene, CompressSettings, Quantizers, SceneInfo, compress_ordered, compress_reader,
+};
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
 
 use crate::{OpenScene, PipelineError};
@@ -32,6 +34,13 @@ impl Kept<'_> {
         }
     }
 
+    pub fn layout(&self) -> Arc<Layout> {
+        match self {
+            Self::InMemory(floats) => Arc::clone(floats.layout()),
+            Self::OnDisk { scene, .. } => Arc::clone(SceneReader::layout(*scene)),
+        }
+    }
+
     pub fn raw_bytes(&self) -> u64 {
         match self {
             Self::InMemory(floats) => floats.raw_bytes(),
@@ -50,18 +59,25 @@ impl Kept<'_> {
         }
     }
 
-    /// The symbols; the same from memory and from the disk.
+    /// The symbols, and which of these Gaussians each of theirs is; the same from memory and from the disk.
     pub fn compress(
         &self,
         bit_map: &BitMap,
         learned: Option<&Quantizers>,
         info: SceneInfo,
         settings: &CompressSettings,
-    ) -> Result<CompactScene, PipelineError> {
+    ) -> Result<(CompactScene, Vec<usize>), PipelineError> {
         Ok(match self {
-            Self::InMemory(floats) => compress(floats, bit_map, learned, info, settings)?,
-            Self::OnDisk { .. } => compress_reader(&mut Reader(self), bit_map, learned, info, settings)?.0,
+            Self::InMemory(floats) => compress_ordered(floats, bit_map, learned, info, settings)?,
+            Self::OnDisk { .. } => compress_reader(&mut Reader(self), bit_map, learned, info, settings)?,
         })
+    }
+
+    /// Errors of the symbols against these floats, which are read once more.
+    ///
+    /// - `order`: as [`Self::compress`] gave it
+    pub fn errors_of(&self, compact: &CompactScene, order: &[usize]) -> Result<AttributeErrors, PipelineError> {
+        Ok(AttributeErrors::of(compact, &mut Reader(self), order)?)
     }
 }
 

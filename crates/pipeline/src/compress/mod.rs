@@ -3,18 +3,20 @@
 mod bits;
 mod judge;
 mod kept;
+mod max_error;
 mod parts;
 mod settings;
 mod target;
 mod views;
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use tcgs_codec::{
     BitMap, BitMapping, CompactFile, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS,
     inspect,
 };
-use tcgs_core::{Attribute, DynamicGaussians, SceneReader};
+use tcgs_core::{Attribute, DynamicGaussians, Layout, SceneReader};
 
 use self::bits::measured_bits;
 use self::kept::Kept;
@@ -22,6 +24,7 @@ use self::parts::Parts;
 use crate::{OpenScene, PipelineError};
 
 pub use judge::{Judge, JudgeImages};
+pub use max_error::{ErrorSearch, search_errors};
 pub use settings::{CompressPreset, position_step_remark, settings_of};
 pub use target::{QUALITY_RANGE, SearchResult, Target, search};
 
@@ -192,21 +195,39 @@ impl<'a> PrunedScene<'a> {
         Ok(pruned)
     }
 
-    /// The scene as symbols, and the bytes of its file.
+    /// Which columns its Gaussians have.
+    pub(crate) fn layout(&self) -> Arc<Layout> {
+        match &self.content {
+            Pruned::Whole { kept, .. } => kept.layout(),
+            Pruned::Parts(parts) => parts.layout(),
+        }
+    }
+
+    /// The scene as symbols, and the bytes of its file. A file of version 2 declares its errors, which are measured for it:
+    /// the floats are read once more.
     ///
     /// # Errors
     /// [`PipelineError`] if the codec refuses the scene or the settings.
     pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactFile, Vec<u8>), PipelineError> {
         let segment_length = settings.segment_length.or(self.segment_length);
         let settings = &CompressSettings { segment_length, ..settings.clone() };
-        let compact = match &self.content {
+        let version_of = |compact: &CompactFile| self.version.unwrap_or_else(|| compact.oldest_version());
+        let mut compact = match &self.content {
             Pruned::Whole { kept, bit_map, learned } => {
-                CompactFile::of(kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?)
+                let (compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
+                let mut compact = CompactFile::of(compact);
+                if version_of(&compact) > 1 {
+                    compact.declared_errors = kept.errors_of(&compact.cohorts[0], &order)?.declared();
+                }
+                compact
             }
             Pruned::Parts(parts) => parts.compress(&self.info, settings)?,
         };
         let views = self.views.iter().map(|json| (VIEWS, &json[..]));
-        let version = self.version.unwrap_or_else(|| compact.oldest_version());
+        let version = version_of(&compact);
+        if version == 1 {
+            compact.declared_errors.clear();
+        }
         let file = compact.encode(version, &views.collect::<Vec<_>>())?;
         Ok((compact, file))
     }

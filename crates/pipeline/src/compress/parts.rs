@@ -1,8 +1,10 @@
 //! Scenes whose Gaussians change in number or order from timestep to timestep, as programs write them that make one file
 //! a frame: part by part, with the Gaussians that are found again followed within a part.
 
-use tcgs_codec::{BitMap, CompactFile, CompressSettings, FollowedParts, SceneInfo, compress_ordered};
-use tcgs_core::{Gaussians, SceneReader};
+use std::sync::Arc;
+
+use tcgs_codec::{AttributeErrors, BitMap, CompactFile, CompressSettings, FollowedParts, SceneInfo, compress_ordered};
+use tcgs_core::{Gaussians, Layout, SceneReader};
 
 use super::bits::measured_bits;
 use super::kept::Kept;
@@ -77,11 +79,16 @@ impl<'a> Parts<'a> {
         Ok(parts)
     }
 
-    /// The symbols of all parts.
+    pub fn layout(&self) -> Arc<Layout> {
+        Arc::clone(SceneReader::layout(self.scene))
+    }
+
+    /// The symbols of all parts, with their errors.
     ///
     /// - `info`: of the whole scene, but for its counts
     pub fn compress(&self, info: &SceneInfo, settings: &CompressSettings) -> Result<CompactFile, PipelineError> {
         let mut cohorts = Vec::new();
+        let mut errors = AttributeErrors::none(SceneReader::layout(self.scene));
         let mut reader = Reader(self.scene);
         for (part, bit_map) in FollowedParts::new(&mut reader, self.max_timesteps).zip(&self.bit_maps) {
             let part = part?;
@@ -97,12 +104,14 @@ impl<'a> Parts<'a> {
             if !part.all_live() {
                 compact = compact.with_lives(order.iter().map(|&g| part.lives[g]).collect());
             }
+            errors.extend(&AttributeErrors::of(&compact, &mut &part.scene, &order)?);
             compact.start = part.start as u32;
             cohorts.push(compact);
         }
         let num_gaussians = cohorts.iter().map(|cohort| cohort.info.num_gaussians).sum();
         let num_timesteps = self.scene.num_timesteps() as u32;
-        Ok(CompactFile { info: SceneInfo { num_gaussians, num_timesteps, ..info.clone() }, cohorts })
+        let info = SceneInfo { num_gaussians, num_timesteps, ..info.clone() };
+        Ok(CompactFile { info, cohorts, declared_errors: errors.declared() })
     }
 }
 
@@ -111,7 +120,7 @@ struct Reader<'a>(&'a OpenScene);
 impl SceneReader for Reader<'_> {
     type Error = PipelineError;
 
-    fn layout(&self) -> &std::sync::Arc<tcgs_core::Layout> {
+    fn layout(&self) -> &Arc<Layout> {
         SceneReader::layout(self.0)
     }
 

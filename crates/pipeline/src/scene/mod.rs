@@ -204,6 +204,16 @@ impl OpenScene {
         }
     }
 
+    /// By name of the attribute the largest error against what was compressed, as a `.tcgs` file declares it
+    /// ([`tcgs_codec::attribute_error`]); empty of anything else.
+    pub fn declared_errors(&self) -> Vec<(String, f32)> {
+        match &self.content {
+            Content::File(file) => file.file().archive().declared_errors().to_vec(),
+            Content::Symbols(compact) => compact.declared_errors.clone(),
+            _ => Vec::new(),
+        }
+    }
+
     /// The run, if the scene is one; of chapters the first.
     pub fn run(&self) -> Option<&Run> {
         match &self.content {

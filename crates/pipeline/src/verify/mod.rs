@@ -1,0 +1,121 @@
+//! Compares a `.tcgs` file with the scene that was compressed: whether its errors are those that it declares. What does
+//! not live here: what an error is (`tcgs_codec::attribute_error`).
+
+mod matching;
+mod tree;
+
+use tcgs_codec::AttributeErrors;
+use tcgs_core::SceneReader;
+
+use self::matching::{Bounds, Pairs};
+use crate::observe::tell;
+use crate::{Event, Observer, OpenScene, PipelineError, Work};
+
+/// What a comparison found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Comparison {
+    /// In the order of the layout.
+    pub attributes: Vec<Compared>,
+    /// Timesteps that were compared: all.
+    pub num_timesteps: usize,
+    /// Gaussians of the file, those of all timesteps together.
+    pub num_gaussians: u64,
+    /// Of these, those to which no Gaussian of the source is within the declared errors.
+    pub num_beyond: u64,
+    /// Fewest and most Gaussians of the source at a timestep of which the file has none: they were pruned.
+    pub num_pruned: [usize; 2],
+}
+
+/// An attribute in a comparison.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compared {
+    /// Its name.
+    pub name: String,
+    /// Its largest error as the file declares it; none if it does not.
+    pub declared: Option<f32>,
+    /// The largest that was found, in the unit of [`tcgs_codec::attribute_error`].
+    pub found: f64,
+}
+
+impl Compared {
+    /// Whether an error is declared, and none that was found is larger.
+    pub fn holds(&self) -> bool {
+        self.declared.is_some_and(|declared| self.found <= f64::from(declared))
+    }
+}
+
+impl Comparison {
+    /// Whether the file declares an error of every attribute, and every Gaussian of it is one of the source within these.
+    pub fn holds(&self) -> bool {
+        self.num_beyond == 0 && self.attributes.iter().all(Compared::holds)
+    }
+}
+
+/// Compares a file with what was compressed, timestep by timestep. Each Gaussian of the file is paired with one of the
+/// source, no two with the same: one within the declared errors in all attributes if there is one, else the nearest
+/// that is left. Every timestep is told as [`Event::Frame`].
+///
+/// ```
+/// use tcgs_core::{DynamicGaussians, Gaussians};
+/// use tcgs_interchange::{ParamsExtras, write_params_npz};
+/// use tcgs_pipeline::{CompressOptions, OpenScene, OpenSettings, Unobserved, compare, compress_scene};
+///
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("params.npz");
+/// let mut floats = DynamicGaussians::default();
+/// floats.push(Gaussians::zeros(5));
+/// write_params_npz(&path, &floats, &ParamsExtras::default())?;
+///
+/// let source = OpenScene::open(&path, OpenSettings::default())?;
+/// let compressed = compress_scene(&source, &CompressOptions { version: Some(2), ..CompressOptions::default() })?;
+/// let file = source.with_symbols(compressed.compact);
+/// assert!(compare(&file, &source, &mut Unobserved)?.holds());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`PipelineError::Input`] if the source has other attributes or another number of timesteps than the file;
+/// [`PipelineError`] if a timestep cannot be read; [`PipelineError::Stopped`] if the observer broke off.
+pub fn compare(file: &OpenScene, source: &OpenScene, observer: &mut dyn Observer) -> Result<Comparison, PipelineError> {
+    let (layout, num_timesteps) = (SceneReader::layout(file).clone(), file.num_timesteps());
+    let expected_as = |what: String| format!("{what} as {}", file.path.display());
+    // The layout of a file of no Gaussians says nothing.
+    if *SceneReader::layout(source) != layout && file.num_gaussians() > 0 {
+        let found = format!("has the columns {}", SceneReader::layout(source));
+        return Err(PipelineError::input(source.path.display(), found, expected_as(layout.to_string())));
+    }
+    if source.num_timesteps() != num_timesteps {
+        let found = format!("has {} timesteps", source.num_timesteps());
+        return Err(PipelineError::input(source.path.display(), found, expected_as(num_timesteps.to_string())));
+    }
+    tell(observer, Event::Begun { work: Work::Verifying, num_steps: num_timesteps })?;
+    let declared = file.declared_errors();
+    let bounds = Bounds::new(layout.columns(), &declared);
+    let (mut errors, mut before) = (AttributeErrors::none(&layout), Pairs::default());
+    let mut comparison = Comparison {
+        attributes: Vec::new(),
+        num_timesteps,
+        num_gaussians: 0,
+        num_beyond: 0,
+        num_pruned: [usize::MAX, 0],
+    };
+    for timestep in 0..num_timesteps {
+        let (original, decoded) = (source.at(timestep)?, file.at(timestep)?);
+        let num_decoded = decoded.num_gaussians();
+        if num_decoded > 0 {
+            let pairs = bounds.pairs(&original, &decoded, &before);
+            let rows = pairs.partners.iter().enumerate();
+            errors.add_rows(&original, &decoded, rows.filter_map(|(row, of)| of.map(|of| (of as usize, row))));
+            comparison.num_beyond += pairs.num_beyond as u64;
+            before = pairs;
+        }
+        let pruned = original.num_gaussians().saturating_sub(num_decoded);
+        comparison.num_gaussians += num_decoded as u64;
+        comparison.num_pruned = [comparison.num_pruned[0].min(pruned), comparison.num_pruned[1].max(pruned)];
+        tell(observer, Event::Frame(file.first_frame + timestep))?;
+    }
+    let declared = |name: &str| declared.iter().find(|(of, _)| of == name).map(|(_, error)| *error);
+    let compared = |(name, found): (&str, f64)| Compared { name: name.to_owned(), declared: declared(name), found };
+    comparison.attributes = errors.by_name().into_iter().map(compared).collect();
+    Ok(comparison)
+}
