@@ -1,4 +1,4 @@
-//! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or PLY files. What does not live here: how one is
+//! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or a file a timestep. What does not live here: how one is
 //! opened (`open`).
 
 mod chapters;
@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tcgs_codec::{BitMap, CompactFile, Loss, Quantizers, SceneFile, SceneInfo, UpAxis};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
-use tcgs_interchange::{ParamsNpz, PlyFiles};
+use tcgs_interchange::{ParamsNpz, TimestepFiles};
 use tcgs_train::{Checkpoint, Parameters, Run};
 
 use self::chapters::Chapters;
@@ -56,7 +56,7 @@ pub struct OpenScene {
     content: Content,
 }
 
-/// What a scene is made of. Of a run, of PLY files and of a `params.npz` a timestep is read when it is asked for.
+/// What a scene is made of. Of a run, of a file a timestep and of a `params.npz` a timestep is read when it is asked for.
 #[derive(Debug)]
 enum Content {
     /// A file, of which segments are decoded when they are asked for; an LRU keeps some.
@@ -72,7 +72,8 @@ enum Content {
     },
     /// A `params.npz`, of which a timestep is read when it is asked for.
     Params(Box<ParamsContent>),
-    Ply(PlyFiles),
+    /// PLY, SPZ or glTF.
+    TimestepFiles(TimestepFiles),
 }
 
 struct FileContent {
@@ -162,7 +163,7 @@ impl OpenScene {
     /// Whether the scene has a file for each timestep, written by a program that need not say which Gaussian of one is which
     /// of the next.
     pub(crate) fn is_one_file_a_timestep(&self) -> bool {
-        matches!(&self.content, Content::Ply(_))
+        matches!(&self.content, Content::TimestepFiles(_))
     }
 
     /// Whether the scene is a `params.npz`.
@@ -232,7 +233,7 @@ impl OpenScene {
             Content::Chapters(chapters) => chapters.first().num_gaussians(),
             Content::Floats { scene, .. } => scene.num_gaussians(),
             Content::Params(params) => params.num_gaussians,
-            Content::Ply(files) => files.num_gaussians(),
+            Content::TimestepFiles(files) => files.num_gaussians(),
         }
     }
 
@@ -243,7 +244,7 @@ impl OpenScene {
     pub fn num_gaussians_at(&self, timestep: usize) -> usize {
         match &self.content {
             Content::File(file) => file.file().num_gaussians_at(timestep),
-            Content::Ply(files) => files.num_gaussians_at(timestep),
+            Content::TimestepFiles(files) => files.num_gaussians_at(timestep),
             _ => self.num_gaussians(),
         }
     }
@@ -257,7 +258,7 @@ impl OpenScene {
             Content::Chapters(chapters) => chapters.num_timesteps(),
             Content::Floats { scene, .. } => scene.num_timesteps(),
             Content::Params(params) => params.num_timesteps,
-            Content::Ply(files) => files.num_timesteps(),
+            Content::TimestepFiles(files) => files.num_timesteps(),
         }
     }
 
@@ -301,7 +302,7 @@ impl OpenScene {
             Content::Floats { scene, .. } => scene.at(timestep),
             // What a panic elsewhere leaves is a file at another place, and every read begins by seeking its own.
             Content::Params(params) => params.file.lock().unwrap_or_else(PoisonError::into_inner).at(timestep)?,
-            Content::Ply(files) => files.at(timestep)?,
+            Content::TimestepFiles(files) => files.at(timestep)?,
         })
     }
 
@@ -335,10 +336,10 @@ impl OpenScene {
         Err(PipelineError::input(self.path.display(), found, expected))
     }
 
-    /// All timesteps of a scene of floats. PLY files are checked to continue one another.
+    /// All timesteps of a scene of floats. Files of a timestep each are checked to continue one another.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged, or PLY files differ in
+    /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged, or files of a timestep each differ in
     /// their number of Gaussians.
     pub fn floats(&self) -> Result<Cow<'_, DynamicGaussians>, PipelineError> {
         match &self.content {
@@ -355,7 +356,7 @@ impl OpenScene {
             }
             Content::Floats { scene, .. } => Ok(Cow::Borrowed(scene)),
             Content::Params(_) => Ok(Cow::Owned(tcgs_interchange::read_params_npz(&self.path)?)),
-            Content::Ply(files) => Ok(Cow::Owned(files.read(0..files.num_timesteps())?)),
+            Content::TimestepFiles(files) => Ok(Cow::Owned(files.read(0..files.num_timesteps())?)),
         }
     }
 
@@ -403,7 +404,7 @@ impl OpenScene {
             Content::Chapters(_) => "run folders",
             Content::Floats { kind, .. } => kind,
             Content::Params(_) => "Dynamic 3D Gaussians parameters",
-            Content::Ply(_) => "PLY files",
+            Content::TimestepFiles(files) => files.kind(),
         }
     }
 }
