@@ -18,7 +18,8 @@ use crate::terminal::{note, say};
 ///
 /// A params.npz is what Dynamic 3D Gaussians writes and its viewer reads; it holds scales and opacities once, and no
 /// spherical harmonics. A PLY file is what 3D Gaussian splatting writes and most viewers read, a .glb file what viewers of
-/// glTF read that know KHR_gaussian_splatting: one timestep each, named by its frame in a folder of many. A .f32 file holds plain floats, bit for bit: for each frame all means, quats,
+/// glTF read that know KHR_gaussian_splatting: one timestep each, named by its frame in a folder of many. A .4dgs file holds
+/// all timesteps, quantised as finely as its format offers. A .f32 file holds plain floats, bit for bit: for each frame all means, quats,
 /// log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in floats, without the
 /// Gaussians that its masks leave out over time: such files have no place for masks.
 #[derive(clap::Args)]
@@ -27,13 +28,14 @@ Example:
   tcgs export my_run --to params.npz
   tcgs export scene.tcgs --to plys
   tcgs export scene.tcgs --to glbs --files glb
+  tcgs export scene.tcgs --to scene.4dgs
   tcgs export scene.tcgs --frames 7..8 --to frame_7.ply")]
 pub struct Arguments {
-    /// .tcgs file, run folder, params.npz, or PLY, SPZ or glTF files
+    /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
     scene: PathBuf,
     #[command(flatten)]
     reading: SceneOptions,
-    /// File or folder to write; its ending says what: .npz, .f32, .ply or .glb for one timestep, none for a folder of these
+    /// File or folder to write; its ending says what: .npz, .4dgs, .f32, .ply or .glb for one timestep, none for a folder of these
     #[arg(long, value_name = "FILE|DIR")]
     to: PathBuf,
     /// Which files a folder gets
@@ -59,6 +61,7 @@ enum Files {
 enum Target {
     ParamsNpz,
     Timestep(TimestepKind),
+    Fourdgs,
     Floats,
     Folder(TimestepKind, NewFolder),
 }
@@ -97,6 +100,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             write_file_with(to, force, export.timestep(kind, frames.start)?)?;
             length(to)
         }
+        Target::Fourdgs => {
+            let bytes = export.fourdgs(frames)?;
+            interrupt::check()?;
+            write_file_with(to, force, |mut file| file.write_all(&bytes))?;
+            length(to)
+        }
         Target::Floats => {
             let mut failed = None;
             let floats = export.floats(frames)?;
@@ -132,6 +141,7 @@ fn target(to: &Path, files: Files, force: bool) -> anyhow::Result<Target> {
         Some("npz") => check_file(to, force).map(|()| Target::ParamsNpz),
         Some("ply") => check_file(to, force).map(|()| Target::Timestep(TimestepKind::Ply)),
         Some("glb") => check_file(to, force).map(|()| Target::Timestep(TimestepKind::Glb)),
+        Some("4dgs") => check_file(to, force).map(|()| Target::Fourdgs),
         Some("f32") => check_file(to, force).map(|()| Target::Floats),
         other if other.is_none() || to.is_dir() => {
             let kind = match files {
@@ -143,7 +153,7 @@ fn target(to: &Path, files: Files, force: bool) -> anyhow::Result<Target> {
         }
         _ => {
             let problem = "not a kind of file that this version writes";
-            let expected = "NAME.npz, NAME.ply, NAME.glb, NAME.f32, or a folder's name without an ending";
+            let expected = "NAME.npz, NAME.ply, NAME.glb, NAME.4dgs, NAME.f32, or a folder's name without an ending";
             Err(wrong_input(format!("{}: {problem}, expected {expected}", to.display())))
         }
     }

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 use support::*;
 use tcgs_core::SceneReader;
-use tcgs_interchange::{HigherHarmonics, TimestepFiles, read_gaussians};
+use tcgs_interchange::{FourdgsFile, HigherHarmonics, TimestepFiles, read_gaussians};
 use tempfile::tempdir;
 
 fn file(name: &str) -> PathBuf {
@@ -35,16 +35,15 @@ fn a_folder_of_several_kinds_becomes_a_file_and_glb_files() {
     // Out as glTF, in again.
     for scene in ["source", "scene.tcgs"] {
         let glbs = path(&format!("{scene}.glbs"));
-        let frames = ["--frames", "1..4"];
         // A name with an ending is that of a file, unless it is a folder's.
         fs::create_dir(&glbs).unwrap();
-        succeed(&[&["export", text(&path(scene)), "--to", text(&glbs), "--files", "glb"][..], &frames].concat());
+        succeed(&["export", text(&path(scene)), "--to", text(&glbs), "--files", "glb", "--frames", "1..4"]);
         let files = TimestepFiles::open(&glbs, HigherHarmonics::Keep).unwrap();
         assert_eq!((files.kind(), files.num_timesteps(), files.first_frame()), ("glTF files", 3, Some(1)));
         assert_eq!((files.num_gaussians(), files.layout().sh_degree()), (260, 3));
     }
-    let one = path("one.glb");
-    let arguments = ["export", text(&path("source")), "--frames", "1..2", "--to", text(&one)];
+    let (one, source) = (path("one.glb"), path("source"));
+    let arguments = ["export", text(&source), "--frames", "1..2", "--to", text(&one)];
     succeed(&arguments);
     let (found, expected) = (
         read_gaussians(&one, HigherHarmonics::Keep).unwrap(),
@@ -89,4 +88,34 @@ fn what_cannot_be_read_is_one_line() {
     let message = fail(2, &["compress", text(&file("spz_degree_4.spz")), "--out", text(&out)]);
     assert!(message.contains("has spherical harmonics of degree 4, expected 0 to 3"), "{message}");
     assert!(!out.exists());
+}
+
+#[test]
+fn scenes_over_time_go_to_4dgs_and_back() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    for (name, number) in [
+        ("fourdgs_births.4dgs", "35 to 50 Gaussians with harmonics of degree 3"),
+        ("fourdgs_states.4dgs", "35 to 50 Gaussians"),
+    ] {
+        let (scene, back, result) = (path(name).with_extension("tcgs"), path(name), path("result.json"));
+        let said = succeed(&["compress", text(&file(name)), "--bits", "8,8", "--out", text(&scene)]);
+        assert!(said.contains(&format!("(.4dgs file): {number}, 3 timesteps")), "{said}");
+        succeed(&["info", text(&scene), "--json", text(&result), "--force"]);
+        assert!((json(&result)["frame_rate"].as_f64().unwrap() - 10.0).abs() < 1e-3);
+        succeed(&["render", text(&file(name)), "--out", text(&path(&format!("{name}.frames"))), "--size", "64x48"]);
+
+        succeed(&["export", text(&scene), "--to", text(&back)]);
+        let read = FourdgsFile::open(&back, HigherHarmonics::Keep).unwrap();
+        assert_eq!([0, 1, 2].map(|t| read.num_gaussians_at(t)), [40, 50, 35], "{name}");
+        assert!((read.frame_rate() - 10.0).abs() < 1e-3);
+        let message = fail(2, &["export", text(&scene), "--to", text(&back)]);
+        assert!(message.contains("exists already"), "{message}");
+    }
+    let cut = path("cut.4dgs");
+    let bytes = fs::read(file("fourdgs_births.4dgs")).unwrap();
+    fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    let message = fail(2, &["compress", text(&cut)]);
+    assert!(message.contains("cut.4dgs: ends early, expected a whole .4dgs file"), "{message}");
+    assert!(!path("cut.tcgs").exists());
 }

@@ -8,6 +8,7 @@
 //! | compressed PLY of `SuperSplat` and splat-transform | [`read_ply`] | – |
 //! | SPZ, versions 2 to 4 | [`read_gaussians`] | – |
 //! | glTF with `KHR_gaussian_splatting`, `.glb` and `.gltf` | [`read_gaussians`] | [`write_glb_to`], `.glb` |
+//! | `.4dgs`, a whole scene | [`FourdgsFile`] | [`fourdgs_bytes`] |
 //! | PLY of points | [`read_ply_points`] | – |
 //! | npz archives and npy arrays of any content | [`NpzReader`], [`read_npy`] | [`NpzWriter`] |
 //!
@@ -16,6 +17,7 @@
 
 mod axes;
 mod error;
+mod fourdgs;
 mod gaussian_file;
 mod gltf;
 mod npy;
@@ -29,6 +31,7 @@ mod timestep_files;
 mod unfinished;
 
 pub use error::InterchangeError;
+pub use fourdgs::{FourdgsFile, fourdgs_bytes};
 pub use gaussian_file::read_gaussians;
 pub use gltf::write_glb_to;
 pub use npy::{NpyArray, NpyValue, read_npy};

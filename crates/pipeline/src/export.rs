@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use tcgs_core::{Attribute, Column, Gaussians, Layout, SceneReader};
-use tcgs_interchange::{ParamsExtras, ParamsOrigin, write_glb_to, write_params_npz_from, write_ply_to};
+use tcgs_interchange::{ParamsExtras, ParamsOrigin, fourdgs_bytes, write_glb_to, write_params_npz_from, write_ply_to};
 
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work, kept_gaussians};
@@ -31,6 +31,14 @@ impl TimestepKind {
         match self {
             Self::Ply => ".ply",
             Self::Glb => ".glb",
+        }
+    }
+
+    /// What such a file is called.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Ply => "a PLY file",
+            Self::Glb => "a glTF file",
         }
     }
 
@@ -123,8 +131,8 @@ impl<'a> Export<'a> {
         PipelineError::input(self.scene.path.display(), found, expected)
     }
 
-    /// Refuses what files of one timestep have no place for: no Gaussians, and columns of other kinds.
-    fn check_columns(&self, kind: TimestepKind) -> Result<(), PipelineError> {
+    /// Refuses what files of other programs have no place for: no Gaussians, and columns of other kinds.
+    fn check_columns(&self, kind: &str) -> Result<(), PipelineError> {
         self.check_some()?;
         let layout = self.scene.layout();
         let harmonics = layout.harmonics();
@@ -132,10 +140,6 @@ impl<'a> Export<'a> {
         match further.iter().find(|column| !harmonics.contains(&column.attribute)) {
             Some(column) => {
                 let expected = "means, quats, log_scales, logit_opacities, colors and spherical harmonics";
-                let kind = match kind {
-                    TimestepKind::Ply => "a PLY file",
-                    TimestepKind::Glb => "a glTF file",
-                };
                 Err(self.refuse_column(column, kind, expected))
             }
             None => Ok(()),
@@ -205,9 +209,21 @@ impl<'a> Export<'a> {
         kind: TimestepKind,
         frame: usize,
     ) -> Result<impl Fn(&File) -> io::Result<()> + use<>, PipelineError> {
-        self.check_columns(kind)?;
+        self.check_columns(kind.name())?;
         let gaussians = self.some_gaussians(frame)?;
         Ok(move |file: &File| kind.write(file, &gaussians))
+    }
+
+    /// The bytes of a `.4dgs` file of some frames ([`fourdgs_bytes`]). Reads a timestep at a time, but the file is made in memory.
+    ///
+    /// # Errors
+    /// As [`Self::timestep`]; [`PipelineError::Input`] if the format cannot hold the scene.
+    pub fn fourdgs(&self, frames: Range<usize>) -> Result<Vec<u8>, PipelineError> {
+        self.check_columns("a .4dgs file")?;
+        let frames = self.scene.choose_frames(Some(&frames))?;
+        let frame_rate = if self.scene.frame_rate > 0.0 { self.scene.frame_rate } else { 30.0 };
+        fourdgs_bytes(frames.map(|frame| self.gaussians(frame)), frame_rate)?
+            .map_err(|problem| PipelineError::input(self.scene.path.display(), problem, "what a .4dgs file can hold"))
     }
 
     /// Plain floats, bit for bit as they are stored: for each frame all means, quats, log_scales, logit_opacities and
@@ -243,7 +259,7 @@ impl<'a> Export<'a> {
         folder: &Path,
         observer: &mut dyn Observer,
     ) -> Result<u64, PipelineError> {
-        self.check_columns(kind)?;
+        self.check_columns(kind.name())?;
         let frames = self.scene.choose_frames(Some(&frames))?;
         tell(observer, Event::Begun { work: Work::Exporting, num_steps: frames.len() })?;
         let mut bytes = 0;

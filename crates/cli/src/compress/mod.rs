@@ -42,8 +42,8 @@ Example:
   tcgs compress my_plys --frame-rate 24 --out scene.tcgs
   tcgs compress chapter0 chapter1 chapter2 --out scene.tcgs")]
 pub struct Arguments {
-    /// Run folder, params.npz of Dynamic 3D Gaussians, or folder of PLY, SPZ or glTF files; several run folders that are
-    /// chapters of one capture (train --start-from) are joined
+    /// Run folder, params.npz of Dynamic 3D Gaussians, .4dgs file, or folder of PLY, SPZ or glTF files; several
+    /// run folders that are chapters of one capture (train --start-from) are joined
     #[arg(required = true)]
     sources: Vec<PathBuf>,
     /// File to write [default: RUN/scene.tcgs, or the name of SOURCE with .tcgs]
@@ -242,7 +242,8 @@ fn default_out(source: &Path) -> PathBuf {
 fn check_source(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<()> {
     let source = scene.path.display();
     if scene.is_compressed() {
-        let problem = "is compressed already, expected a run folder, a params.npz, or PLY, SPZ or glTF files";
+        let problem =
+            "is compressed already, expected a run folder, a params.npz, a .4dgs file, or PLY, SPZ or glTF files";
         return Err(wrong_input(format!("{source}: {problem}")));
     }
     match scene.run() {

@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tcgs_codec::{BitMap, CompactFile, Loss, Quantizers, SceneFile, SceneInfo, UpAxis};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
-use tcgs_interchange::{ParamsNpz, TimestepFiles};
+use tcgs_interchange::{FourdgsFile, ParamsNpz, TimestepFiles};
 use tcgs_train::{Checkpoint, Parameters, Run};
 
 use self::chapters::Chapters;
@@ -74,6 +74,8 @@ enum Content {
     Params(Box<ParamsContent>),
     /// PLY, SPZ or glTF.
     TimestepFiles(TimestepFiles),
+    /// A `.4dgs` file, in memory.
+    Fourdgs(Box<FourdgsFile>),
 }
 
 struct FileContent {
@@ -160,10 +162,9 @@ impl OpenScene {
         }
     }
 
-    /// Whether the scene has a file for each timestep, written by a program that need not say which Gaussian of one is which
-    /// of the next.
-    pub(crate) fn is_one_file_a_timestep(&self) -> bool {
-        matches!(&self.content, Content::TimestepFiles(_))
+    /// Whether the timesteps come from a program that need not say which Gaussian of one is which of the next.
+    pub(crate) fn has_loose_timesteps(&self) -> bool {
+        matches!(&self.content, Content::TimestepFiles(_) | Content::Fourdgs(_))
     }
 
     /// Whether the scene is a `params.npz`.
@@ -234,6 +235,7 @@ impl OpenScene {
             Content::Floats { scene, .. } => scene.num_gaussians(),
             Content::Params(params) => params.num_gaussians,
             Content::TimestepFiles(files) => files.num_gaussians(),
+            Content::Fourdgs(file) => file.num_gaussians(),
         }
     }
 
@@ -245,6 +247,7 @@ impl OpenScene {
         match &self.content {
             Content::File(file) => file.file().num_gaussians_at(timestep),
             Content::TimestepFiles(files) => files.num_gaussians_at(timestep),
+            Content::Fourdgs(file) => file.num_gaussians_at(timestep),
             _ => self.num_gaussians(),
         }
     }
@@ -259,6 +262,7 @@ impl OpenScene {
             Content::Floats { scene, .. } => scene.num_timesteps(),
             Content::Params(params) => params.num_timesteps,
             Content::TimestepFiles(files) => files.num_timesteps(),
+            Content::Fourdgs(file) => file.num_timesteps(),
         }
     }
 
@@ -303,6 +307,7 @@ impl OpenScene {
             // What a panic elsewhere leaves is a file at another place, and every read begins by seeking its own.
             Content::Params(params) => params.file.lock().unwrap_or_else(PoisonError::into_inner).at(timestep)?,
             Content::TimestepFiles(files) => files.at(timestep)?,
+            Content::Fourdgs(file) => file.at(timestep)?,
         })
     }
 
@@ -347,7 +352,11 @@ impl OpenScene {
                 Err(PipelineError::input(self.path.display(), "is compressed already", "a scene of floats"))
             }
             Content::Run(run) => Ok(Cow::Owned(run.run.trained()?.scene)),
-            Content::Chapters(_) => {
+            Content::Fourdgs(_) if !self.has_constant_number() => {
+                let expected = "the same Gaussians at every timestep";
+                Err(PipelineError::input(self.path.display(), "has a changing number of Gaussians", expected))
+            }
+            Content::Chapters(_) | Content::Fourdgs(_) => {
                 let mut floats = DynamicGaussians::new(Arc::clone(&self.layout));
                 for timestep in 0..self.num_timesteps() {
                     floats.push(self.at(timestep)?);
@@ -405,6 +414,7 @@ impl OpenScene {
             Content::Floats { kind, .. } => kind,
             Content::Params(_) => "Dynamic 3D Gaussians parameters",
             Content::TimestepFiles(files) => files.kind(),
+            Content::Fourdgs(_) => ".4dgs file",
         }
     }
 }

@@ -7,19 +7,19 @@ use std::sync::{Arc, Mutex};
 
 use tcgs_codec::{CompactFile, DecodeLimits, SceneFile, SegmentCache};
 use tcgs_core::SceneReader;
-use tcgs_interchange::{HigherHarmonics, ParamsNpz, ParamsOrigin, TimestepFiles};
+use tcgs_interchange::{FourdgsFile, HigherHarmonics, ParamsNpz, ParamsOrigin, TimestepFiles};
 use tcgs_train::Run;
 
 use super::{Content, FileContent, OpenScene, ParamsContent, RunContent};
 use crate::PipelineError;
 
 /// What a scene may be, for messages.
-const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz, or PLY, SPZ or glTF files";
+const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz, a .4dgs file, or PLY, SPZ or glTF files";
 
 /// How a scene is read.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OpenSettings {
-    /// What to do with the spherical harmonics of PLY, SPZ and glTF files. Default: keep.
+    /// What to do with the spherical harmonics of other programs' files. Default: keep.
     pub higher_harmonics: HigherHarmonics,
     /// What to do with a `.tcgs` file that was cut. Default: refuse.
     pub cut_files: CutFiles,
@@ -41,7 +41,8 @@ impl OpenScene {
     ///
     /// Of a run the first timestep is read now, of a file a timestep its header, and the rest when it is asked for; of a
     /// `.tcgs` file a segment is decoded when one of its timesteps is asked for. A `params.npz` is read through and checked now, and a
-    /// timestep of it is read again when it is asked for; one that is compressed is held in memory ([`ParamsNpz`]).
+    /// timestep of it is read again when it is asked for; one that is compressed is held in memory ([`ParamsNpz`]), and so is a
+    /// `.4dgs` file.
     ///
     /// # Errors
     /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.
@@ -79,6 +80,18 @@ impl OpenScene {
                 })
             }
             Kind::Timestep => Self::open_timestep_files(path, settings),
+            Kind::Fourdgs => {
+                let file = FourdgsFile::open(path, settings.higher_harmonics)?;
+                Ok(Self {
+                    path: path.into(),
+                    bytes: file.raw_bytes(),
+                    first_frame: 0,
+                    downscale: 1,
+                    frame_rate: file.frame_rate(),
+                    layout: Arc::clone(file.layout()),
+                    content: Content::Fourdgs(Box::new(file)),
+                })
+            }
         }
     }
 
@@ -177,6 +190,7 @@ enum Kind {
     Npz,
     /// One of [`TimestepFiles`].
     Timestep,
+    Fourdgs,
 }
 
 /// By its name; else by its first bytes.
@@ -187,8 +201,10 @@ fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
         "tcgs" => Ok(Kind::Tcgs),
         "npz" => Ok(Kind::Npz),
+        "4dgs" => Ok(Kind::Fourdgs),
         "ply" | "spz" | "glb" | "gltf" => Ok(Kind::Timestep),
         _ if start == b"TCGS" => Ok(Kind::Tcgs),
+        _ if start == b"\x894DG" => Ok(Kind::Fourdgs),
         _ if start == b"PK\x03\x04" => Ok(Kind::Npz),
         _ if [&b"ply"[..], b"NGSP", b"\x1F\x8B", b"glTF"].iter().any(|known| start.starts_with(known)) => {
             Ok(Kind::Timestep)
