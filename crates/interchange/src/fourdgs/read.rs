@@ -79,7 +79,7 @@ impl FourdgsFile {
             let scene = ::fourdgs::stream_reader::read_from(&bytes[..], &options).map_err(refused)?;
             let length = frame_secs(&scene.windows);
             let count = (scene.duration_sec / length).round().max(1.0);
-            if !(count <= MAX_TIMESTEPS) {
+            if count > MAX_TIMESTEPS {
                 return Err(invalid(format!(
                     "lasts {} s, expected at most {MAX_TIMESTEPS} timesteps",
                     scene.duration_sec
@@ -205,7 +205,7 @@ struct Row {
 fn frame_secs(windows: &[(f64, f64)]) -> f64 {
     let lengths = || windows.iter().map(|(from, to)| to - from).filter(|length| *length > 0.0);
     let shortest = lengths().fold(f64::INFINITY, f64::min);
-    if !(shortest <= LONGEST_FRAME_SECS) {
+    if shortest > LONGEST_FRAME_SECS {
         return 1.0 / USUAL_RATE;
     }
     let frames = lengths().filter(|length| *length <= 1.5 * shortest);

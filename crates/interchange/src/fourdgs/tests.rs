@@ -113,6 +113,17 @@ fn what_is_written_is_read_again() {
     std::fs::write(&path, bytes(&plain, 30.0)).unwrap();
     assert!(open(&path).unwrap().layout().is_base());
 
+    // Values in the middle between two steps are written too, at any distance from the origin.
+    let mut middle = Gaussians::zeros(1000);
+    for i in 0..1000 {
+        middle.means_mut()[i] = [i as f32 * 0.02, 1000.0 + i as f32 * 1e-4, 0.0];
+        middle.quats_mut()[i] = [1.0, 0.0, 0.0, 0.0];
+        middle.log_scales_mut()[i] = [-4.0; 3];
+        middle.colors_mut()[i] = [0.5, 0.1, i as f32 / 1000.0];
+    }
+    std::fs::write(&path, bytes(&[middle], 30.0)).unwrap();
+    assert_eq!(open(&path).unwrap().num_gaussians(), 1000);
+
     let mut infinite = expected(0);
     infinite.means_mut()[3][0] = f32::INFINITY;
     assert!(fourdgs_bytes([Ok::<_, String>(infinite)], 30.0).unwrap().is_err());
