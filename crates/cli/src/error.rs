@@ -62,7 +62,8 @@ pub fn message(error: &anyhow::Error) -> String {
     }
     match error.downcast_ref::<PipelineError>() {
         Some(PipelineError::Compress(error @ CompressError::Unsupported { found, .. })) => {
-            let hint = if is_harmonics(found) { ", and --drop-sh leaves harmonics of PLY files out" } else { "" };
+            let hint =
+                if is_harmonics(found) { ", and --drop-sh leaves harmonics of other programs' files out" } else { "" };
             format!("{error}; --format 2 holds it{hint}")
         }
         Some(PipelineError::Frames { path, wanted, has }) => format!(

@@ -4,7 +4,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
-use tcgs_pipeline::Export;
+use tcgs_pipeline::{Export, TimestepKind};
 
 use crate::error::wrong_input;
 use crate::interrupt;
@@ -17,8 +17,9 @@ use crate::terminal::{note, say};
 /// Export a scene for other programs
 ///
 /// A params.npz is what Dynamic 3D Gaussians writes and its viewer reads; it holds scales and opacities once, and no
-/// spherical harmonics. A PLY file is what 3D Gaussian splatting writes and most viewers read: one timestep, named by
-/// its frame in a folder of many. A .f32 file holds plain floats, bit for bit: for each frame all means, quats,
+/// spherical harmonics. A PLY file is what 3D Gaussian splatting writes and most viewers read, a .glb file what viewers of
+/// glTF read that know KHR_gaussian_splatting: one timestep each, named by its frame in a folder of many. A .4dgs file holds
+/// all timesteps, quantised as finely as its format offers. A .f32 file holds plain floats, bit for bit: for each frame all means, quats,
 /// log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in floats, without the
 /// Gaussians that its masks leave out over time: such files have no place for masks.
 #[derive(clap::Args)]
@@ -26,15 +27,20 @@ use crate::terminal::{note, say};
 Example:
   tcgs export my_run --to params.npz
   tcgs export scene.tcgs --to plys
+  tcgs export scene.tcgs --to glbs --files glb
+  tcgs export scene.tcgs --to scene.4dgs
   tcgs export scene.tcgs --frames 7..8 --to frame_7.ply")]
 pub struct Arguments {
-    /// .tcgs file, run folder, params.npz or folder of PLY files
+    /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
     scene: PathBuf,
     #[command(flatten)]
     reading: SceneOptions,
-    /// File or folder to write; its ending says what: .npz, .f32, .ply for one timestep, none for a folder of PLY files
+    /// File or folder to write; its ending says what: .npz, .4dgs, .f32, .ply or .glb for one timestep, none for a folder of these
     #[arg(long, value_name = "FILE|DIR")]
     to: PathBuf,
+    /// Which files a folder gets
+    #[arg(long, value_name = "KIND", default_value = "ply")]
+    files: Files,
     /// Frames of the capture, from A up to but not including B [default: all of the scene]
     #[arg(long, value_name = "A..B")]
     frames: Option<Frames>,
@@ -42,12 +48,22 @@ pub struct Arguments {
     job: JobOptions,
 }
 
+/// Kinds of files in a folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Files {
+    /// PLY of 3D Gaussian splatting
+    Ply,
+    /// glTF with KHR_gaussian_splatting
+    Glb,
+}
+
 /// What is written.
 enum Target {
     ParamsNpz,
-    Ply,
+    Timestep(TimestepKind),
+    Fourdgs,
     Floats,
-    PlyFolder(NewFolder),
+    Folder(TimestepKind, NewFolder),
 }
 
 /// Runs the command.
@@ -55,7 +71,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     interrupt::catch()?;
     let (to, force) = (&arguments.to, arguments.job.force);
-    let target = target(to, force)?;
+    let target = target(to, arguments.files, force)?;
     let scene = arguments.reading.open(&arguments.scene)?;
     let frames = scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?;
     say(&describe(&scene))?;
@@ -75,13 +91,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
             length(to)
         }
-        Target::Ply if frames.len() > 1 => {
+        Target::Timestep(_) if frames.len() > 1 => {
             let (count, start) = (frames.len(), frames.start);
             let expected = format!("--frames {start}..{} for one, or a folder", start + 1);
             return Err(wrong_input(format!("{}: a file for {count} timesteps, expected {expected}", to.display())));
         }
-        Target::Ply => {
-            write_file_with(to, force, export.ply(frames.start)?)?;
+        Target::Timestep(kind) => {
+            write_file_with(to, force, export.timestep(kind, frames.start)?)?;
+            length(to)
+        }
+        Target::Fourdgs => {
+            let bytes = export.fourdgs(frames)?;
+            interrupt::check()?;
+            write_file_with(to, force, |mut file| file.write_all(&bytes))?;
             length(to)
         }
         Target::Floats => {
@@ -103,8 +125,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             written?;
             length(to)
         }
-        Target::PlyFolder(folder) => {
-            let bytes = Teller::default().watch(|teller| export.write_ply_folder(frames, folder.path(), teller))?;
+        Target::Folder(kind, folder) => {
+            let bytes = Teller::default().watch(|teller| export.write_folder(kind, frames, folder.path(), teller))?;
             folder.finish()?;
             bytes
         }
@@ -114,17 +136,24 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// By the ending. Refuses early what could not be written at the end.
-fn target(to: &Path, force: bool) -> anyhow::Result<Target> {
+fn target(to: &Path, files: Files, force: bool) -> anyhow::Result<Target> {
     match to.extension().map(|extension| extension.to_string_lossy().to_lowercase()).as_deref() {
         Some("npz") => check_file(to, force).map(|()| Target::ParamsNpz),
-        Some("ply") => check_file(to, force).map(|()| Target::Ply),
+        Some("ply") => check_file(to, force).map(|()| Target::Timestep(TimestepKind::Ply)),
+        Some("glb") => check_file(to, force).map(|()| Target::Timestep(TimestepKind::Glb)),
+        Some("4dgs") => check_file(to, force).map(|()| Target::Fourdgs),
         Some("f32") => check_file(to, force).map(|()| Target::Floats),
         other if other.is_none() || to.is_dir() => {
-            NewFolder::begin(to, force, |path| is_numbered(path, ".ply")).map(Target::PlyFolder)
+            let kind = match files {
+                Files::Ply => TimestepKind::Ply,
+                Files::Glb => TimestepKind::Glb,
+            };
+            let is_ours = |path: &Path| [".ply", ".glb"].iter().any(|ending| is_numbered(path, ending));
+            NewFolder::begin(to, force, is_ours).map(|folder| Target::Folder(kind, folder))
         }
         _ => {
             let problem = "not a kind of file that this version writes";
-            let expected = "NAME.npz, NAME.ply, NAME.f32, or a folder's name without an ending";
+            let expected = "NAME.npz, NAME.ply, NAME.glb, NAME.4dgs, NAME.f32, or a folder's name without an ending";
             Err(wrong_input(format!("{}: {problem}, expected {expected}", to.display())))
         }
     }

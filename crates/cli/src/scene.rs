@@ -15,7 +15,7 @@ use crate::terminal::note;
 /// How a SCENE that is to be compressed is read.
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct SourceOptions {
-    /// Of PLY files, leave out spherical harmonics above degree 0: colours stop depending on the view
+    /// Of PLY, SPZ, glTF and .4dgs files, leave out spherical harmonics above degree 0: colours stop depending on the view
     #[arg(long)]
     pub drop_sh: bool,
 }

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use support::*;
 use tcgs_core::{Attribute, Gaussians};
-use tcgs_interchange::{HigherHarmonics, read_params_npz, read_ply, read_ply_sequence, write_ply_to};
+use tcgs_interchange::{HigherHarmonics, TimestepFiles, read_params_npz, read_ply, write_ply_to};
 use tempfile::{TempDir, tempdir};
 
 /// A sequence of 300 Gaussians on a turning globe; every third fades, some grow.
@@ -59,13 +59,14 @@ fn a_run_goes_to_ply_files_and_from_there_to_a_file_that_renders() {
 
     // The same floats as in a params.npz; colours but for their offset.
     succeed(&["export", text(&run), "--to", text(&params)]);
-    let (floats, sequence) =
-        (read_params_npz(&params).unwrap(), read_ply_sequence(&plys, HigherHarmonics::Keep).unwrap());
-    assert_eq!(sequence.first_frame, Some(1));
+    let (floats, files) =
+        (read_params_npz(&params).unwrap(), TimestepFiles::open(&plys, HigherHarmonics::Keep).unwrap());
+    assert_eq!(files.first_frame(), Some(1));
+    let scene = files.read(0..3).unwrap();
     for attribute in Attribute::BASE {
-        assert_eq!(floats.num_samples(attribute), sequence.scene.num_samples(attribute), "{attribute:?}");
+        assert_eq!(floats.num_samples(attribute), scene.num_samples(attribute), "{attribute:?}");
         for timestep in 0..3 {
-            let pairs = floats.values(attribute, timestep).iter().zip(sequence.scene.values(attribute, timestep));
+            let pairs = floats.values(attribute, timestep).iter().zip(scene.values(attribute, timestep));
             for (a, b) in pairs {
                 let same = match attribute {
                     Attribute::Color => (a.max(0.0) - b).abs() <= 3e-8 * a.abs().max(1.0),

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::{DynamicGaussians, Gaussians, Layout};
 
-/// A scene over time that is read a timestep at a time: a run, PLY files, a `.tcgs` file, or floats in memory. What
+/// A scene over time that is read a timestep at a time: a run, a file a timestep, a `.tcgs` file, or floats in memory. What
 /// reads through it needs memory for some timesteps, not for all.
 pub trait SceneReader {
     /// What reading fails with; [`Infallible`] for what lies in memory.

@@ -30,10 +30,10 @@ pub enum InterchangeError {
         /// The message of the zip reader.
         problem: String,
     },
-    /// A PLY file is damaged, lacks a property or holds a number that is not finite; or the files of a folder are no
-    /// sequence.
+    /// A file of Gaussians or points is damaged, lacks something or holds a number that is not finite; or the files of a
+    /// folder are no sequence.
     #[error("{}: {problem}", path.display())]
-    Ply {
+    File {
         /// The first file that is wrong, or the folder.
         path: PathBuf,
         /// What was found, and what was expected.

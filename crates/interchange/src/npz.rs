@@ -336,7 +336,7 @@ mod tests {
         assert_eq!(npz.array_of::<u64>("u8").unwrap().values, [u64::MAX]);
         assert_eq!(npz.array_of::<i64>("i8").unwrap().values, [i64::MIN, -1]);
         assert_eq!(npz.array_of::<bool>("b1").unwrap().values, [true, false]);
-        assert_eq!(npz.array_of::<u8>("none").unwrap().values, []);
+        assert!(npz.array_of::<u8>("none").unwrap().values.is_empty());
         assert_eq!(["f4", "u8", "b1"].map(|key| npz.type_of(key).unwrap()), ["<f4", "<u8", "|b1"]);
         let error = npz.array_of::<f32>("f8").unwrap_err().to_string();
         assert!(error.ends_with(": f8 has the type <f8, expected <f4"), "{error}");

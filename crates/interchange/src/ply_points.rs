@@ -31,11 +31,11 @@ struct Vertex {
 /// - returns: positions in the file's unit, colours in `[0, 1]`
 ///
 /// # Errors
-/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::Ply`] if the file is not a complete PLY
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete PLY
 /// file, has no points, or holds a number that is not finite.
 pub fn read_ply_points(path: &Path) -> Result<PointCloud, InterchangeError> {
     let failed = |error| InterchangeError::Read { path: path.into(), error };
-    let invalid = |problem| InterchangeError::Ply { path: path.into(), problem };
+    let invalid = |problem| InterchangeError::File { path: path.into(), problem };
     let damaged = |DeserializeError(error)| match error.kind() {
         ErrorKind::UnexpectedEof => invalid("ends early, expected a whole PLY file".into()),
         ErrorKind::InvalidData => invalid(format!("{error}, expected a PLY file of points")),

@@ -1,4 +1,4 @@
-//! A scene for other programs: `params.npz`, PLY files and plain floats.
+//! A scene for other programs: `params.npz`, files of one timestep and plain floats.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use tcgs_core::{Attribute, Column, Gaussians, Layout, SceneReader};
-use tcgs_interchange::{ParamsExtras, ParamsOrigin, write_params_npz_from, write_ply_to};
+use tcgs_interchange::{ParamsExtras, ParamsOrigin, fourdgs_bytes, write_glb_to, write_params_npz_from, write_ply_to};
 
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work, kept_gaussians};
@@ -15,13 +15,50 @@ use crate::{Event, Observer, OpenScene, PipelineError, Work, kept_gaussians};
 /// `params.npz` holds floats, of which the whole numbers end here.
 const MAX_FRAME_OF_PARAMS: usize = 1 << 24;
 
+/// Kinds of files for one timestep.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TimestepKind {
+    /// PLY of 3D Gaussian splatting.
+    #[default]
+    Ply,
+    /// glTF with `KHR_gaussian_splatting`, in one file.
+    Glb,
+}
+
+impl TimestepKind {
+    /// The ending of such a file's name, with its dot.
+    pub fn ending(self) -> &'static str {
+        match self {
+            Self::Ply => ".ply",
+            Self::Glb => ".glb",
+        }
+    }
+
+    /// What such a file is called.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Ply => "a PLY file",
+            Self::Glb => "a glTF file",
+        }
+    }
+
+    fn write(self, file: &File, gaussians: &Gaussians) -> io::Result<()> {
+        let mut writer = BufWriter::new(file);
+        match self {
+            Self::Ply => write_ply_to(&mut writer, gaussians)?,
+            Self::Glb => write_glb_to(&mut writer, gaussians)?,
+        }
+        writer.flush()
+    }
+}
+
 /// Writes a scene for other programs, in floats. Of a run the Gaussians that its masks leave out over time are left out:
 /// such files have no place for masks.
 ///
 /// ```
 /// use tcgs_core::{DynamicGaussians, Gaussians};
 /// use tcgs_interchange::{ParamsExtras, write_params_npz};
-/// use tcgs_pipeline::{Export, OpenScene, OpenSettings, Unobserved};
+/// use tcgs_pipeline::{Export, OpenScene, OpenSettings, TimestepKind, Unobserved};
 ///
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("params.npz");
@@ -31,7 +68,7 @@ const MAX_FRAME_OF_PARAMS: usize = 1 << 24;
 ///
 /// let scene = OpenScene::open(&path, OpenSettings::default())?;
 /// let export = Export::new(&scene)?;
-/// let bytes = export.write_ply_folder(scene.frames(), folder.path(), &mut Unobserved)?;
+/// let bytes = export.write_folder(TimestepKind::Ply, scene.frames(), folder.path(), &mut Unobserved)?;
 /// assert_eq!(bytes, std::fs::metadata(folder.path().join("000000.ply"))?.len());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -94,8 +131,8 @@ impl<'a> Export<'a> {
         PipelineError::input(self.scene.path.display(), found, expected)
     }
 
-    /// Refuses what PLY files have no place for: no Gaussians, and columns of other kinds.
-    fn check_ply(&self) -> Result<(), PipelineError> {
+    /// Refuses what files of other programs have no place for: no Gaussians, and columns of other kinds.
+    fn check_columns(&self, kind: &str) -> Result<(), PipelineError> {
         self.check_some()?;
         let layout = self.scene.layout();
         let harmonics = layout.harmonics();
@@ -103,7 +140,7 @@ impl<'a> Export<'a> {
         match further.iter().find(|column| !harmonics.contains(&column.attribute)) {
             Some(column) => {
                 let expected = "means, quats, log_scales, logit_opacities, colors and spherical harmonics";
-                Err(self.refuse_column(column, "a PLY file", expected))
+                Err(self.refuse_column(column, kind, expected))
             }
             None => Ok(()),
         }
@@ -162,15 +199,31 @@ impl<'a> Export<'a> {
         Ok(ExportedParams { export: self, frames, num_gaussians: first.num_gaussians(), foreground })
     }
 
-    /// Writes one frame as a PLY file.
+    /// Writes one frame as a file of its own.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if there are no Gaussians, or the scene has a column that PLY files do not hold;
+    /// [`PipelineError::Input`] if there are no Gaussians, or the scene has a column that such files do not hold;
     /// [`PipelineError`] if the frame is missing or cannot be read.
-    pub fn ply(&self, frame: usize) -> Result<impl Fn(&File) -> io::Result<()> + use<>, PipelineError> {
-        self.check_ply()?;
+    pub fn timestep(
+        &self,
+        kind: TimestepKind,
+        frame: usize,
+    ) -> Result<impl Fn(&File) -> io::Result<()> + use<>, PipelineError> {
+        self.check_columns(kind.name())?;
         let gaussians = self.some_gaussians(frame)?;
-        Ok(move |file: &File| write_ply(file, &gaussians))
+        Ok(move |file: &File| kind.write(file, &gaussians))
+    }
+
+    /// The bytes of a `.4dgs` file of some frames ([`fourdgs_bytes`]). Reads a timestep at a time, but the file is made in memory.
+    ///
+    /// # Errors
+    /// As [`Self::timestep`]; [`PipelineError::Input`] if the format cannot hold the scene.
+    pub fn fourdgs(&self, frames: Range<usize>) -> Result<Vec<u8>, PipelineError> {
+        self.check_columns("a .4dgs file")?;
+        let frames = self.scene.choose_frames(Some(&frames))?;
+        let frame_rate = if self.scene.frame_rate > 0.0 { self.scene.frame_rate } else { 30.0 };
+        fourdgs_bytes(frames.map(|frame| self.gaussians(frame)), frame_rate)?
+            .map_err(|problem| PipelineError::input(self.scene.path.display(), problem, "what a .4dgs file can hold"))
     }
 
     /// Plain floats, bit for bit as they are stored: for each frame all means, quats, log_scales, logit_opacities and
@@ -192,28 +245,29 @@ impl<'a> Export<'a> {
         Ok(self.scene.choose_frames(Some(&frames))?.map(move |frame| self.gaussians(frame).map(bytes)))
     }
 
-    /// Writes a PLY file a frame, named by its number: `000012.ply`.
+    /// Writes a file a frame, named by its number: `000012.ply`.
     ///
     /// - `folder`: exists; what is in it stays
     /// - returns: bytes written
     ///
     /// # Errors
-    /// As [`Self::ply`]; [`PipelineError::Unwritable`] if a file cannot be written; [`PipelineError::Stopped`] if the observer broke off.
-    pub fn write_ply_folder(
+    /// As [`Self::timestep`]; [`PipelineError::Unwritable`] if a file cannot be written; [`PipelineError::Stopped`] if the observer broke off.
+    pub fn write_folder(
         &self,
+        kind: TimestepKind,
         frames: Range<usize>,
         folder: &Path,
         observer: &mut dyn Observer,
     ) -> Result<u64, PipelineError> {
-        self.check_ply()?;
+        self.check_columns(kind.name())?;
         let frames = self.scene.choose_frames(Some(&frames))?;
         tell(observer, Event::Begun { work: Work::Exporting, num_steps: frames.len() })?;
         let mut bytes = 0;
         for frame in frames {
-            let path = folder.join(format!("{frame:06}.ply"));
+            let path = folder.join(format!("{frame:06}{}", kind.ending()));
             let gaussians = self.some_gaussians(frame)?;
             let written = File::create(&path).and_then(|file| {
-                write_ply(&file, &gaussians)?;
+                kind.write(&file, &gaussians)?;
                 Ok(file.metadata()?.len())
             });
             bytes += written.map_err(|error| PipelineError::Unwritable { path, error })?;
@@ -277,10 +331,4 @@ impl ExportedParams<'_> {
         };
         write_params_npz_from(writer, &mut Frames(self), &extras)
     }
-}
-
-fn write_ply(file: &File, gaussians: &Gaussians) -> io::Result<()> {
-    let mut writer = BufWriter::new(file);
-    write_ply_to(&mut writer, gaussians)?;
-    writer.flush()
 }

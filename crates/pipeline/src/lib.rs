@@ -70,7 +70,7 @@ pub use error::{Fault, HasFault, PipelineError};
 pub use evaluate::{
     COLUMNS, EvaluateSettings, Evaluation, ImageScore, MetricColumn, evaluate, evaluation_json, protocol_mean,
 };
-pub use export::{Export, ExportedParams};
+pub use export::{Export, ExportedParams, TimestepKind};
 pub use observe::{ErrorTrial, Event, Observer, TimestepSummary, Trial, Unobserved, Work};
 pub use path_file::read_camera_path;
 pub use render::{CameraAt, render};

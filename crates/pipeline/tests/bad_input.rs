@@ -16,8 +16,8 @@ use tcgs_core::{Attribute, Column, DynamicGaussians, Gaussians, Layout, Tour};
 use tcgs_interchange::write_ply_to;
 use tcgs_pipeline::{
     Backend, CameraAt, CompressOptions, EvaluateSettings, Event, Export, Fault, HasFault, Judge, JudgeImages,
-    OpenScene, OpenSettings, PipelineError, PrunedScene, Target, Unobserved, compress_scene, evaluate, fit,
-    new_trainer, read_camera_path, render, search, settings_for,
+    OpenScene, OpenSettings, PipelineError, PrunedScene, Target, TimestepKind, Unobserved, compress_scene, evaluate,
+    fit, new_trainer, read_camera_path, render, search, settings_for,
 };
 use tcgs_train::{Checkpoint, Optimizer, Preset, Run, TrainConfig};
 
@@ -125,7 +125,8 @@ fn a_scene_that_cannot_be_compressed_is_refused() {
     let empty = scene.with_floats(DynamicGaussians::default(), "floats");
     refused(compress_scene(&empty, &options()), &[]);
     refused(Export::new(&empty).unwrap().params(0..1), &["has no Gaussians"]);
-    refused(Export::new(&empty).unwrap().ply(0), &["has no Gaussians"]);
+    refused(Export::new(&empty).unwrap().timestep(TimestepKind::Ply, 0), &["has no Gaussians"]);
+    refused(Export::new(&empty).unwrap().fourdgs(0..1), &["has no Gaussians"]);
 }
 
 #[test]
@@ -284,7 +285,9 @@ fn a_run_with_a_column_that_no_format_holds_is_refused_by_name() {
     assert_eq!(*scene.at(0).unwrap().layout(), Arc::new(layout));
     let export = Export::new(&scene).unwrap();
     refused(export.params(0..1), &["wetness", "params.npz"]);
-    refused(export.ply(0), &["wetness", "a PLY file"]);
+    refused(export.timestep(TimestepKind::Ply, 0), &["wetness", "a PLY file"]);
+    refused(export.timestep(TimestepKind::Glb, 0), &["wetness", "a glTF file"]);
+    refused(export.fourdgs(0..1), &["wetness", "a .4dgs file"]);
     assert_eq!(export.floats(0..1).unwrap().next().unwrap().unwrap().len(), checkpoint.parameters.num_gaussians() * 64);
     let options = CompressOptions { bits: Some((6, 6)), version: Some(1), ..CompressOptions::default() };
     let error = compress_scene(&scene, &options).err().unwrap().to_string();

@@ -29,9 +29,10 @@ use crate::terminal::say;
 /// A run is pruned by its masks and quantised with its learned bits. Of a scene without them, how much the
 /// images depend on each parameter is measured with the capture's cameras, or with cameras around it.
 ///
-/// PLY files are those of 3D Gaussian splatting, one a timestep, in the natural order of their names, with spherical
-/// harmonics or without. Names that are numbers and count up, such as 000012.ply, are frames. Where the number or the
-/// order of Gaussians changes from file to file, those that are found again are followed, and the others come and go.
+/// A folder has one file a timestep, in the natural order of their names: PLY of 3D Gaussian splatting, compressed PLY of
+/// SuperSplat, SPZ of versions 2 to 4, or glTF with KHR_gaussian_splatting, with spherical harmonics or without. Names that
+/// are numbers and count up, such as 000012.ply, are frames. Where the number or the order of Gaussians changes from file
+/// to file, those that are found again are followed, and the others come and go.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("target").args(["target_bytes", "target_psnr"]))]
 #[command(after_help = "\
@@ -43,8 +44,8 @@ Example:
   tcgs compress my_plys --max-error mean=0.001,rotation=0.01,color=0.02
   tcgs compress chapter0 chapter1 chapter2 --out scene.tcgs")]
 pub struct Arguments {
-    /// Run folder, params.npz of Dynamic 3D Gaussians, or folder of PLY files; several run folders that are chapters of
-    /// one capture (train --start-from) are joined
+    /// Run folder, params.npz of Dynamic 3D Gaussians, .4dgs file, or folder of PLY, SPZ or glTF files; several
+    /// run folders that are chapters of one capture (train --start-from) are joined
     #[arg(required = true)]
     sources: Vec<PathBuf>,
     /// File to write [default: RUN/scene.tcgs, or the name of SOURCE with .tcgs]
@@ -270,14 +271,15 @@ fn judge(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Judge> {
 }
 
 fn default_out(source: &Path) -> PathBuf {
-    // A folder of PLY files holds nothing else.
+    // A folder of files a timestep holds nothing else.
     if Run::is_run(source) { source.join("scene.tcgs") } else { source.with_extension("tcgs") }
 }
 
 fn check_source(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<()> {
     let source = scene.path.display();
     if scene.is_compressed() {
-        let problem = "is compressed already, expected a run folder, a params.npz or PLY files";
+        let problem =
+            "is compressed already, expected a run folder, a params.npz, a .4dgs file, or PLY, SPZ or glTF files";
         return Err(wrong_input(format!("{source}: {problem}")));
     }
     match scene.run() {

@@ -37,7 +37,7 @@ Example:
   tcgs render scene.tcgs --out clip.mp4 --path camera-path.json
   tcgs render my_run --out frames --cameras my_capture --frames 0..10")]
 pub struct Arguments {
-    /// .tcgs file, run folder, params.npz or folder of PLY files
+    /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
     scene: PathBuf,
     #[command(flatten)]
     reading: SceneOptions,

@@ -51,7 +51,7 @@ pub struct Arguments {
     /// Initial points, .npz, .ply or points3D.bin of COLMAP, instead of the capture's own
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
-    /// Continue the state of SCENE at timestep T (default: its last): a run folder, .tcgs, params.npz or PLY folder.
+    /// Continue the state of SCENE at timestep T (default: its last): a run folder, .tcgs, params.npz or a folder of PLY, SPZ or glTF.
     /// The first timestep is trained as a later one, from there. From a run masks, quantizers and, at its last two
     /// timesteps, the optimizer's state carry over
     #[arg(long, value_name = "SCENE@T", conflicts_with = "points")]

@@ -1,4 +1,5 @@
-//! One PLY file of 3D Gaussian splatting (Kerbl et al. 2023): one timestep.
+//! One PLY file of 3D Gaussian splatting (Kerbl et al. 2023): one timestep. What does not live here: the numbers of
+//! compressed files, which the same functions read (`compressed`).
 //!
 //! | property of `vertex` | here |
 //! |---|---|
@@ -17,39 +18,22 @@
 //! of its offset. In a file without `f_rest` a negative colour is read as zero, since renderers of such files clamp
 //! colours at zero; with them they clamp the sum.
 
+mod compressed;
 mod vertex;
 
 use std::fs::File;
 use std::io::{self, BufReader, ErrorKind, Write};
 use std::path::Path;
 
-use serde_ply::{DeserializeError, ElementDef, PlyFormat, PlyReader, PropertyType, ScalarType};
-use tcgs_core::{Gaussians, HARMONIC_0, Layout, MAX_SH_DEGREE};
+use serde_ply::{DeserializeError, ElementDef, PlyFormat, PlyHeader, PlyReader, PropertyType, ScalarType};
+use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 
 use self::vertex::{PROPERTIES, REQUIRED, Vertex};
-use crate::InterchangeError;
+use crate::stored::{Head, checked, color_from_sh0, sh0_from_color};
+use crate::{HigherHarmonics, InterchangeError};
 
-/// What [`read_ply`] does with spherical harmonics above degree 0, with which colours depend on the direction of view.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum HigherHarmonics {
-    /// They become the columns of [`Layout::with_harmonics`].
-    #[default]
-    Keep,
-    /// The properties `f_rest_…` are ignored: each Gaussian keeps its colour of degree 0.
-    Drop,
-}
-
-/// What the header of a file says of its Gaussians.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct PlyHead {
-    /// `N`, at least 1, and not more than the file's length has room for.
-    pub num_gaussians: usize,
-    /// Degree of the harmonics that are read.
-    pub sh_degree: usize,
-}
-
-/// Reads the Gaussians of one PLY file, in stored form: binary of either byte order, or ASCII. Unknown properties are
-/// ignored.
+/// Reads the Gaussians of one PLY file, in stored form: binary of either byte order, or ASCII; as 3D Gaussian splatting
+/// writes them, or compressed. Unknown properties are ignored.
 ///
 /// ```
 /// use tcgs_core::{Gaussians, Layout};
@@ -65,33 +49,28 @@ pub(crate) struct PlyHead {
 /// ```
 ///
 /// # Errors
-/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::Ply`] if the file is not a complete PLY
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete PLY
 /// file, lacks a property, has harmonics of no known degree, holds a number that is not finite, or has no Gaussian.
 pub fn read_ply(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, InterchangeError> {
     let (mut ply, head) = open(path, harmonics)?;
-    let gaussians = match head.sh_degree {
-        0 => read_rows::<REQUIRED>(&mut ply, 0),
-        1 => read_rows::<{ REQUIRED + 9 }>(&mut ply, 1),
-        2 => read_rows::<{ REQUIRED + 24 }>(&mut ply, 2),
-        _ => read_rows::<{ REQUIRED + 45 }>(&mut ply, MAX_SH_DEGREE),
-    };
-    let gaussians = gaussians.map_err(|error| damaged(path, error))?;
-    for column in gaussians.layout().columns() {
-        let values = gaussians.values(column.attribute);
-        if let Some(i) = values.iter().position(|x| !x.is_finite()) {
-            let (name, gaussian) = (&column.name, i / column.components());
-            let problem = format!("{name} of Gaussian {gaussian}: {}, expected a finite number", values[i]);
-            return Err(InterchangeError::Ply { path: path.into(), problem });
+    let gaussians = if is_compressed(&ply) {
+        compressed::read(&mut ply, head.sh_degree)
+    } else {
+        match head.sh_degree {
+            0 => read_rows::<REQUIRED>(&mut ply, 0),
+            1 => read_rows::<{ REQUIRED + 9 }>(&mut ply, 1),
+            2 => read_rows::<{ REQUIRED + 24 }>(&mut ply, 2),
+            _ => read_rows::<{ REQUIRED + 45 }>(&mut ply, MAX_SH_DEGREE),
         }
-    }
-    Ok(gaussians)
+    };
+    checked(path, gaussians.map_err(|error| damaged(path, error))?)
 }
 
 /// Reads the header of a PLY file.
 ///
 /// # Errors
 /// As [`read_ply`], but for what only the numbers show.
-pub(crate) fn read_head(path: &Path, harmonics: HigherHarmonics) -> Result<PlyHead, InterchangeError> {
+pub(crate) fn read_head(path: &Path, harmonics: HigherHarmonics) -> Result<Head, InterchangeError> {
     Ok(open(path, harmonics)?.1)
 }
 
@@ -115,7 +94,7 @@ pub fn write_ply_to(mut writer: impl Write, gaussians: &Gaussians) -> io::Result
         let mut row = Vec::with_capacity(17 + num_rest);
         row.extend(gaussians.means()[i]);
         row.extend([0.0; 3]);
-        row.extend(gaussians.colors()[i].map(|c| ((f64::from(c) - 0.5) / HARMONIC_0) as f32));
+        row.extend(gaussians.colors()[i].map(sh0_from_color));
         for channel in 0..3 {
             for &band in &bands {
                 let of_gaussian = &gaussians.values(band)[i * band.components()..][..band.components()];
@@ -136,33 +115,47 @@ const fn num_rest(sh_degree: usize) -> usize {
     3 * ((sh_degree + 1) * (sh_degree + 1) - 1)
 }
 
+/// Which `f_rest` the coefficients of one degree are, in the order of the column.
+///
+/// - `sh_degree`: of the file's harmonics
+/// - `l`: from 1 to that
+fn rest_of_band(sh_degree: usize, l: usize) -> impl Iterator<Item = usize> {
+    let per_channel = num_rest(sh_degree) / 3;
+    (l * l - 1..(l + 1) * (l + 1) - 1).flat_map(move |k| [0, 1, 2].map(|channel| channel * per_channel + k))
+}
+
 /// Opens a file, and checks what its header says.
-fn open(path: &Path, harmonics: HigherHarmonics) -> Result<(PlyReader<BufReader<File>>, PlyHead), InterchangeError> {
+fn open(path: &Path, harmonics: HigherHarmonics) -> Result<(PlyReader<BufReader<File>>, Head), InterchangeError> {
     let failed = |error| InterchangeError::Read { path: path.into(), error };
-    let invalid = |problem| InterchangeError::Ply { path: path.into(), problem };
+    let invalid = |problem| InterchangeError::File { path: path.into(), problem };
     let file = File::open(path).map_err(failed)?;
     let metadata = file.metadata().map_err(failed)?;
     let ply = PlyReader::from_reader(BufReader::new(file)).map_err(|error| damaged(path, error))?;
-    let Some(element) = ply.current_element().filter(|element| element.name == "vertex") else {
-        let found = ply.current_element().map_or("nothing", |element| &element.name);
-        return Err(invalid(format!("holds {found} first, expected the element vertex")));
+    let (element, harmonic) = if is_compressed(&ply) {
+        compressed::check(ply.header()).map_err(invalid)?
+    } else {
+        let Some(element) = ply.current_element().filter(|element| element.name == "vertex") else {
+            let found = ply.current_element().map_or("nothing", |element| &element.name);
+            return Err(invalid(format!("holds {found} first, expected the element vertex")));
+        };
+        if let Some(missing) = PROPERTIES[..REQUIRED].iter().find(|name| !element.has_property(name)) {
+            let expected = PROPERTIES[..REQUIRED].join(", ");
+            return Err(invalid(format!("has no property {missing}, expected {expected}")));
+        }
+        (element, Some(element))
     };
-    if let Some(missing) = PROPERTIES[..REQUIRED].iter().find(|name| !element.has_property(name)) {
-        let expected = PROPERTIES[..REQUIRED].join(", ");
-        return Err(invalid(format!("has no property {missing}, expected {expected}")));
-    }
-    let sh_degree = match harmonics {
-        HigherHarmonics::Keep => sh_degree(element).map_err(invalid)?,
-        HigherHarmonics::Drop => 0,
+    let sh_degree = match (harmonics, harmonic) {
+        (HigherHarmonics::Keep, Some(element)) => sh_degree(element).map_err(invalid)?,
+        _ => 0,
     };
     if element.count == 0 {
         return Err(invalid("holds no Gaussian, expected at least one".into()));
     }
-    let least = least_row_bytes(ply.header().format, element).checked_mul(element.count as u64);
+    let least = least_bytes(ply.header());
     if metadata.is_file() && least.is_none_or(|least| least > metadata.len()) {
         return Err(ends_early(path));
     }
-    let head = PlyHead { num_gaussians: element.count, sh_degree };
+    let head = Head { num_gaussians: element.count, sh_degree };
     Ok((ply, head))
 }
 
@@ -181,11 +174,16 @@ fn sh_degree(element: &ElementDef) -> Result<usize, String> {
     }
 }
 
-/// Fewest bytes that a row takes, from which follows how many rows a file can hold.
-fn least_row_bytes(format: PlyFormat, element: &ElementDef) -> u64 {
+/// Whether the next element is that of compressed files.
+fn is_compressed(ply: &PlyReader<BufReader<File>>) -> bool {
+    ply.current_element().is_some_and(|element| element.name == "chunk")
+}
+
+/// Fewest bytes that the rows which are read take, from which follows how many a file can hold; none beyond `u64`.
+fn least_bytes(header: &PlyHeader) -> Option<u64> {
     let bytes = |property: &PropertyType| match property {
         // A digit and a space.
-        _ if format == PlyFormat::Ascii => 2,
+        _ if header.format == PlyFormat::Ascii => 2,
         // A count of bytes, which is zero.
         PropertyType::List { .. } => 1,
         PropertyType::Scalar(ScalarType::I8 | ScalarType::U8) => 1,
@@ -193,11 +191,17 @@ fn least_row_bytes(format: PlyFormat, element: &ElementDef) -> u64 {
         PropertyType::Scalar(ScalarType::I32 | ScalarType::U32 | ScalarType::F32) => 4,
         PropertyType::Scalar(ScalarType::F64) => 8,
     };
-    element.properties.iter().map(|property| bytes(&property.property_type)).sum()
+    let known = header.elem_defs.iter().filter(|element| ["chunk", "vertex", "sh"].contains(&&*element.name));
+    known
+        .map(|element| {
+            let row: u64 = element.properties.iter().map(|property| bytes(&property.property_type)).sum();
+            row.checked_mul(element.count as u64)
+        })
+        .try_fold(0_u64, |sum, bytes| sum.checked_add(bytes?))
 }
 
 fn ends_early(path: &Path) -> InterchangeError {
-    InterchangeError::Ply { path: path.into(), problem: "ends early, expected a whole PLY file".into() }
+    InterchangeError::File { path: path.into(), problem: "ends early, expected a whole PLY file".into() }
 }
 
 fn damaged(path: &Path, DeserializeError(error): DeserializeError) -> InterchangeError {
@@ -205,7 +209,7 @@ fn damaged(path: &Path, DeserializeError(error): DeserializeError) -> Interchang
         ErrorKind::UnexpectedEof => ends_early(path),
         ErrorKind::InvalidData => {
             let problem = format!("{error}, expected a PLY file of 3D Gaussians");
-            InterchangeError::Ply { path: path.into(), problem }
+            InterchangeError::File { path: path.into(), problem }
         }
         _ => InterchangeError::Read { path: path.into(), error },
     }
@@ -218,27 +222,20 @@ fn read_rows<const LEN: usize>(
     ply: &mut PlyReader<BufReader<File>>,
     sh_degree: usize,
 ) -> Result<Gaussians, DeserializeError> {
-    let rows: Vec<Vertex<LEN>> = ply.next_element()?;
+    let rows: Vec<Vertex<0, LEN>> = ply.next_element()?;
     let columns = |places: &[usize]| -> Vec<f32> {
         rows.iter().flat_map(|Vertex(row)| places.iter().map(|&place| row[place])).collect()
-    };
-    let color = |dc: f32| match (0.5 + HARMONIC_0 * f64::from(dc)) as f32 {
-        negative if negative < 0.0 && sh_degree == 0 => 0.0,
-        color => color,
     };
     let mut values = vec![
         columns(&[0, 1, 2]),
         columns(&[10, 11, 12, 13]),
         columns(&[7, 8, 9]),
         columns(&[6]),
-        columns(&[3, 4, 5]).into_iter().map(color).collect(),
+        columns(&[3, 4, 5]).into_iter().map(color_from_sh0).collect(),
     ];
-    let per_channel = num_rest(sh_degree) / 3;
-    for l in 1..=sh_degree {
-        let coefficients = l * l - 1..(l + 1) * (l + 1) - 1;
-        let place = |k: usize| [0, 1, 2].map(|channel| REQUIRED + channel * per_channel + k);
-        values.push(columns(&coefficients.flat_map(place).collect::<Vec<_>>()));
-    }
+    values.extend(
+        (1..=sh_degree).map(|l| columns(&rest_of_band(sh_degree, l).map(|k| REQUIRED + k).collect::<Vec<_>>())),
+    );
     Ok(Gaussians::new(Layout::with_harmonics(sh_degree), rows.len(), values))
 }
 

@@ -212,7 +212,8 @@ fn what_is_wrong_is_named() {
     assert_eq!(edited("vertex 3", "vertex 4"), "ends early, expected a whole PLY file");
     assert_eq!(edited("vertex 3", "vertex 18446744073709551615"), "ends early, expected a whole PLY file");
     assert_eq!(edited("vertex 3", "vertex 0"), "holds no Gaussian, expected at least one");
-    assert_eq!(edited("element vertex", "element chunk"), "holds chunk first, expected the element vertex");
+    assert_eq!(edited("element vertex", "element face"), "holds face first, expected the element vertex");
+    assert_eq!(edited("element vertex", "element chunk"), "holds the element chunk alone, expected chunk and vertex");
     let message = edited("property float x", "property list uchar float x");
     assert!(message.ends_with("expected a PLY file of 3D Gaussians"), "{message}");
     let message = problem(b"glTF\n");
@@ -229,4 +230,43 @@ fn what_is_wrong_is_named() {
     std::fs::write(path.path(), [many.as_bytes(), &whole[end..]].concat()).unwrap();
     assert!(read_head(path.path(), HigherHarmonics::Keep).unwrap_err().to_string().contains("ends early"));
     assert!(matches!(read_ply(Path::new("/nowhere.ply"), HigherHarmonics::Drop), Err(InterchangeError::Read { .. })));
+}
+
+#[test]
+fn what_is_wrong_with_a_compressed_file_is_named() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange");
+    let whole = std::fs::read(folder.join("splat_transform.compressed.ply")).unwrap();
+    let end = whole.windows(10).position(|w| w == b"end_header").unwrap();
+    let edited = |from: &str, to: &str| {
+        let header = String::from_utf8(whole[..end].to_vec()).unwrap();
+        assert!(header.contains(from));
+        read(&[header.replacen(from, to, 1).as_bytes(), &whole[end..]].concat(), HigherHarmonics::Keep).unwrap_err()
+    };
+    assert_eq!(edited("vertex 260", "vertex 600"), "has 2 chunks for 600 Gaussians, expected 3");
+    assert_eq!(edited("vertex 260", "vertex 300"), "has harmonics of 260 Gaussians, expected 300");
+    assert_eq!(edited("chunk 2", "chunk 9"), "has 9 chunks for 260 Gaussians, expected 2");
+    assert_eq!(edited("element vertex", "element point"), "holds point after chunk, expected the element vertex");
+    assert!(edited("packed_scale", "packed").starts_with("has no property packed_scale, expected packed_position"));
+    assert!(edited("min_scale_y", "least").starts_with("has no property min_scale_y, expected min_x"));
+    assert!(edited("f_rest_44", "other").starts_with("has 44 properties f_rest, expected 0, 9, 24 or 45"));
+    for length in [whole.len() - 1, whole.len() / 2, end + 11] {
+        let message = read(&whole[..length], HigherHarmonics::Keep).unwrap_err();
+        assert_eq!(message, "ends early, expected a whole PLY file", "{length}");
+    }
+    let mut spoilt = whole.clone();
+    spoilt[end + 11..][..4].copy_from_slice(&f32::NAN.to_le_bytes());
+    let message = read(&spoilt, HigherHarmonics::Keep).unwrap_err();
+    assert_eq!(message, "means of Gaussian 0: NaN, expected a finite number");
+    let dropped = read(&whole, HigherHarmonics::Drop).unwrap();
+    assert!(dropped.layout().is_base() && dropped.num_gaussians() == 260);
+    // Before there were ranges of colours they lay between 0 and 1.
+    let header = String::from_utf8(whole[..end].to_vec()).unwrap();
+    let older = ["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"]
+        .iter()
+        .fold(header, |header, name| header.replace(&format!("property float {name}\n"), ""));
+    let chunks = whole[end + 11..][..2 * 72].chunks(72).flat_map(|row| row[..48].to_vec()).collect::<Vec<_>>();
+    let older = [older.as_bytes(), b"end_header\n", &chunks, &whole[end + 11 + 144..]].concat();
+    let found = read(&older, HigherHarmonics::Keep).unwrap();
+    assert_eq!(found.means(), read(&whole, HigherHarmonics::Keep).unwrap().means());
+    assert!(found.colors().as_flattened().iter().all(|c| (0.0..=1.0).contains(c)));
 }

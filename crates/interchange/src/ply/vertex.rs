@@ -1,5 +1,6 @@
-//! One row of the element `vertex` in a PLY file of 3D Gaussian splatting, as `serde_ply` reads it: binary of either byte
-//! order, or ASCII, with properties in any order. What does not live here: what the numbers mean.
+//! One row of the element `vertex` in a PLY file of 3D Gaussian splatting, or of `sh` in a compressed one, as `serde_ply`
+//! reads it: binary of either byte order, or ASCII, with properties in any order. What does not live here: what the
+//! numbers mean.
 
 use std::fmt;
 
@@ -21,68 +22,68 @@ pub const PROPERTIES: [&str; 59] = [
     "f_rest_42", "f_rest_43", "f_rest_44",
 ];
 
-/// The values of the first `LEN` of [`PROPERTIES`] of one Gaussian. Other properties are ignored.
-pub struct Vertex<const LEN: usize>(pub [f32; LEN]);
+/// The values of `LEN` of [`PROPERTIES`] of one Gaussian, from `START` on. Other properties are ignored.
+pub struct Vertex<const START: usize, const LEN: usize>(pub [f32; LEN]);
 
-impl<'de, const LEN: usize> Deserialize<'de> for Vertex<LEN> {
+impl<'de, const START: usize, const LEN: usize> Deserialize<'de> for Vertex<START, LEN> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_struct("Vertex", &PROPERTIES[..LEN], RowVisitor)
+        deserializer.deserialize_struct("Vertex", &PROPERTIES[START..][..LEN], RowVisitor)
     }
 }
 
-struct RowVisitor<const LEN: usize>;
+struct RowVisitor<const START: usize, const LEN: usize>;
 
-impl<'de, const LEN: usize> Visitor<'de> for RowVisitor<LEN> {
-    type Value = Vertex<LEN>;
+impl<'de, const START: usize, const LEN: usize> Visitor<'de> for RowVisitor<START, LEN> {
+    type Value = Vertex<START, LEN>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("the properties of one Gaussian")
     }
 
     /// Of binary files without lists: `serde_ply` gives the values in the order of [`PROPERTIES`].
-    fn visit_seq<A: SeqAccess<'de>>(self, mut row: A) -> Result<Vertex<LEN>, A::Error> {
+    fn visit_seq<A: SeqAccess<'de>>(self, mut row: A) -> Result<Vertex<START, LEN>, A::Error> {
         let mut values = [0.0; LEN];
         for (i, value) in values.iter_mut().enumerate() {
-            *value = row.next_element()?.ok_or_else(|| Error::missing_field(PROPERTIES[i]))?;
+            *value = row.next_element()?.ok_or_else(|| Error::missing_field(PROPERTIES[START + i]))?;
         }
         Ok(Vertex(values))
     }
 
     /// Of other files: name by name, in the file's order.
-    fn visit_map<A: MapAccess<'de>>(self, mut row: A) -> Result<Vertex<LEN>, A::Error> {
+    fn visit_map<A: MapAccess<'de>>(self, mut row: A) -> Result<Vertex<START, LEN>, A::Error> {
         let mut values = [None; LEN];
-        while let Some(Place(place)) = row.next_key::<Place<LEN>>()? {
+        while let Some(Place(place)) = row.next_key::<Place<START, LEN>>()? {
             match place {
                 Some(place) => values[place] = Some(row.next_value()?),
                 None => _ = row.next_value::<IgnoredAny>()?,
             }
         }
         if let Some(missing) = values.iter().position(Option::is_none) {
-            return Err(Error::missing_field(PROPERTIES[missing]));
+            return Err(Error::missing_field(PROPERTIES[START + missing]));
         }
         Ok(Vertex(values.map(Option::unwrap_or_default)))
     }
 }
 
 /// Where the value of a property goes; none of a property that is ignored.
-struct Place<const LEN: usize>(Option<usize>);
+struct Place<const START: usize, const LEN: usize>(Option<usize>);
 
-impl<'de, const LEN: usize> Deserialize<'de> for Place<LEN> {
+impl<'de, const START: usize, const LEN: usize> Deserialize<'de> for Place<START, LEN> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_identifier(NameVisitor)
     }
 }
 
-struct NameVisitor<const LEN: usize>;
+struct NameVisitor<const START: usize, const LEN: usize>;
 
-impl<const LEN: usize> Visitor<'_> for NameVisitor<LEN> {
-    type Value = Place<LEN>;
+impl<const START: usize, const LEN: usize> Visitor<'_> for NameVisitor<START, LEN> {
+    type Value = Place<START, LEN>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("the name of a property")
     }
 
-    fn visit_bytes<E: Error>(self, name: &[u8]) -> Result<Place<LEN>, E> {
-        Ok(Place(PROPERTIES[..LEN].iter().position(|property| property.as_bytes() == name)))
+    fn visit_bytes<E: Error>(self, name: &[u8]) -> Result<Place<START, LEN>, E> {
+        Ok(Place(PROPERTIES[START..][..LEN].iter().position(|property| property.as_bytes() == name)))
     }
 }

@@ -31,7 +31,7 @@ pub(super) struct Parts<'a> {
 
 /// Whether the Gaussians of successive timesteps are the same, in the same order: in number, and nearly in place.
 pub(super) fn are_followed(scene: &OpenScene) -> Result<bool, PipelineError> {
-    if !scene.is_one_file_a_timestep() || scene.num_timesteps() < 2 {
+    if !scene.has_loose_timesteps() || scene.num_timesteps() < 2 {
         return Ok(true);
     }
     if !scene.has_constant_number() {

@@ -1,4 +1,4 @@
-//! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or PLY files. What does not live here: how one is
+//! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or a file a timestep. What does not live here: how one is
 //! opened (`open`).
 
 mod chapters;
@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tcgs_codec::{BitMap, CompactFile, Loss, Quantizers, SceneFile, SceneInfo, UpAxis};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
-use tcgs_interchange::{ParamsNpz, PlyFiles};
+use tcgs_interchange::{FourdgsFile, ParamsNpz, TimestepFiles};
 use tcgs_train::{Checkpoint, Parameters, Run};
 
 use self::chapters::Chapters;
@@ -56,7 +56,7 @@ pub struct OpenScene {
     content: Content,
 }
 
-/// What a scene is made of. Of a run, of PLY files and of a `params.npz` a timestep is read when it is asked for.
+/// What a scene is made of. Of a run, of a file a timestep and of a `params.npz` a timestep is read when it is asked for.
 #[derive(Debug)]
 enum Content {
     /// A file, of which segments are decoded when they are asked for; an LRU keeps some.
@@ -72,7 +72,10 @@ enum Content {
     },
     /// A `params.npz`, of which a timestep is read when it is asked for.
     Params(Box<ParamsContent>),
-    Ply(PlyFiles),
+    /// PLY, SPZ or glTF.
+    TimestepFiles(TimestepFiles),
+    /// A `.4dgs` file, in memory.
+    Fourdgs(Box<FourdgsFile>),
 }
 
 struct FileContent {
@@ -159,10 +162,9 @@ impl OpenScene {
         }
     }
 
-    /// Whether the scene has a file for each timestep, written by a program that need not say which Gaussian of one is which
-    /// of the next.
-    pub(crate) fn is_one_file_a_timestep(&self) -> bool {
-        matches!(&self.content, Content::Ply(_))
+    /// Whether the timesteps come from a program that need not say which Gaussian of one is which of the next.
+    pub(crate) fn has_loose_timesteps(&self) -> bool {
+        matches!(&self.content, Content::TimestepFiles(_) | Content::Fourdgs(_))
     }
 
     /// Whether the scene is a `params.npz`.
@@ -242,7 +244,8 @@ impl OpenScene {
             Content::Chapters(chapters) => chapters.first().num_gaussians(),
             Content::Floats { scene, .. } => scene.num_gaussians(),
             Content::Params(params) => params.num_gaussians,
-            Content::Ply(files) => files.num_gaussians(),
+            Content::TimestepFiles(files) => files.num_gaussians(),
+            Content::Fourdgs(file) => file.num_gaussians(),
         }
     }
 
@@ -253,7 +256,8 @@ impl OpenScene {
     pub fn num_gaussians_at(&self, timestep: usize) -> usize {
         match &self.content {
             Content::File(file) => file.file().num_gaussians_at(timestep),
-            Content::Ply(files) => files.num_gaussians_at(timestep),
+            Content::TimestepFiles(files) => files.num_gaussians_at(timestep),
+            Content::Fourdgs(file) => file.num_gaussians_at(timestep),
             _ => self.num_gaussians(),
         }
     }
@@ -267,7 +271,8 @@ impl OpenScene {
             Content::Chapters(chapters) => chapters.num_timesteps(),
             Content::Floats { scene, .. } => scene.num_timesteps(),
             Content::Params(params) => params.num_timesteps,
-            Content::Ply(files) => files.num_timesteps(),
+            Content::TimestepFiles(files) => files.num_timesteps(),
+            Content::Fourdgs(file) => file.num_timesteps(),
         }
     }
 
@@ -311,7 +316,8 @@ impl OpenScene {
             Content::Floats { scene, .. } => scene.at(timestep),
             // What a panic elsewhere leaves is a file at another place, and every read begins by seeking its own.
             Content::Params(params) => params.file.lock().unwrap_or_else(PoisonError::into_inner).at(timestep)?,
-            Content::Ply(files) => files.at(timestep)?,
+            Content::TimestepFiles(files) => files.at(timestep)?,
+            Content::Fourdgs(file) => file.at(timestep)?,
         })
     }
 
@@ -345,10 +351,10 @@ impl OpenScene {
         Err(PipelineError::input(self.path.display(), found, expected))
     }
 
-    /// All timesteps of a scene of floats. PLY files are checked to continue one another.
+    /// All timesteps of a scene of floats. Files of a timestep each are checked to continue one another.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged, or PLY files differ in
+    /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged, or files of a timestep each differ in
     /// their number of Gaussians.
     pub fn floats(&self) -> Result<Cow<'_, DynamicGaussians>, PipelineError> {
         match &self.content {
@@ -356,7 +362,11 @@ impl OpenScene {
                 Err(PipelineError::input(self.path.display(), "is compressed already", "a scene of floats"))
             }
             Content::Run(run) => Ok(Cow::Owned(run.run.trained()?.scene)),
-            Content::Chapters(_) => {
+            Content::Fourdgs(_) if !self.has_constant_number() => {
+                let expected = "the same Gaussians at every timestep";
+                Err(PipelineError::input(self.path.display(), "has a changing number of Gaussians", expected))
+            }
+            Content::Chapters(_) | Content::Fourdgs(_) => {
                 let mut floats = DynamicGaussians::new(Arc::clone(&self.layout));
                 for timestep in 0..self.num_timesteps() {
                     floats.push(self.at(timestep)?);
@@ -365,7 +375,7 @@ impl OpenScene {
             }
             Content::Floats { scene, .. } => Ok(Cow::Borrowed(scene)),
             Content::Params(_) => Ok(Cow::Owned(tcgs_interchange::read_params_npz(&self.path)?)),
-            Content::Ply(files) => Ok(Cow::Owned(files.read(0..files.num_timesteps())?)),
+            Content::TimestepFiles(files) => Ok(Cow::Owned(files.read(0..files.num_timesteps())?)),
         }
     }
 
@@ -413,7 +423,8 @@ impl OpenScene {
             Content::Chapters(_) => "run folders",
             Content::Floats { kind, .. } => kind,
             Content::Params(_) => "Dynamic 3D Gaussians parameters",
-            Content::Ply(_) => "PLY files",
+            Content::TimestepFiles(files) => files.kind(),
+            Content::Fourdgs(_) => ".4dgs file",
         }
     }
 }

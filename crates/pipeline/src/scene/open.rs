@@ -1,25 +1,25 @@
 //! Opens scenes: which kind a file or folder is, and what of it is read at once.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use tcgs_codec::{CompactFile, DecodeLimits, SceneFile, SegmentCache};
 use tcgs_core::SceneReader;
-use tcgs_interchange::{HigherHarmonics, ParamsNpz, ParamsOrigin, PlyFiles};
+use tcgs_interchange::{FourdgsFile, HigherHarmonics, ParamsNpz, ParamsOrigin, TimestepFiles};
 use tcgs_train::Run;
 
 use super::{Content, FileContent, OpenScene, ParamsContent, RunContent};
 use crate::PipelineError;
 
 /// What a scene may be, for messages.
-const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz or PLY files";
+const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz, a .4dgs file, or PLY, SPZ or glTF files";
 
 /// How a scene is read.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OpenSettings {
-    /// What to do with the spherical harmonics of PLY files. Default: keep.
+    /// What to do with the spherical harmonics of other programs' files. Default: keep.
     pub higher_harmonics: HigherHarmonics,
     /// What to do with a `.tcgs` file that was cut. Default: refuse.
     pub cut_files: CutFiles,
@@ -39,16 +39,17 @@ impl OpenScene {
     /// Opens a scene. A file is taken for what its ending says, so that a damaged one is judged as what it was meant to
     /// be; one with another ending for what its first bytes say.
     ///
-    /// Of a run the first timestep is read now, of PLY files their headers, and the rest when it is asked for; of a
+    /// Of a run the first timestep is read now, of a file a timestep its header, and the rest when it is asked for; of a
     /// `.tcgs` file a segment is decoded when one of its timesteps is asked for. A `params.npz` is read through and checked now, and a
-    /// timestep of it is read again when it is asked for; one that is compressed is held in memory ([`ParamsNpz`]).
+    /// timestep of it is read again when it is asked for; one that is compressed is held in memory ([`ParamsNpz`]), and so is a
+    /// `.4dgs` file.
     ///
     /// # Errors
     /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.
     pub fn open(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
         if path.is_dir() {
-            return if !Run::is_run(path) && is_ply_folder(path) {
-                Self::open_ply(path, settings)
+            return if !Run::is_run(path) && TimestepFiles::is_folder(path) {
+                Self::open_timestep_files(path, settings)
             } else {
                 Self::open_run(path)
             };
@@ -78,12 +79,24 @@ impl OpenScene {
                     frame_rate: f64::from(origin.frame_rate),
                 })
             }
-            Kind::Ply => Self::open_ply(path, settings),
+            Kind::Timestep => Self::open_timestep_files(path, settings),
+            Kind::Fourdgs => {
+                let file = FourdgsFile::open(path, settings.higher_harmonics)?;
+                Ok(Self {
+                    path: path.into(),
+                    bytes: file.raw_bytes(),
+                    first_frame: 0,
+                    downscale: 1,
+                    frame_rate: file.frame_rate(),
+                    layout: Arc::clone(file.layout()),
+                    content: Content::Fourdgs(Box::new(file)),
+                })
+            }
         }
     }
 
-    fn open_ply(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
-        let files = PlyFiles::open(path, settings.higher_harmonics)?;
+    fn open_timestep_files(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
+        let files = TimestepFiles::open(path, settings.higher_harmonics)?;
         Ok(Self {
             path: path.into(),
             bytes: files.raw_bytes(),
@@ -91,7 +104,7 @@ impl OpenScene {
             downscale: 1,
             frame_rate: 30.0,
             layout: Arc::clone(files.layout()),
-            content: Content::Ply(files),
+            content: Content::TimestepFiles(files),
         })
     }
 
@@ -149,7 +162,7 @@ impl OpenScene {
 
     fn open_run(path: &Path) -> Result<Self, PipelineError> {
         if !Run::is_run(path) {
-            let found = "a folder without config.toml and without PLY files";
+            let found = "a folder without config.toml and without PLY, SPZ or glTF files";
             return Err(PipelineError::input(path.display(), found, EXPECTED));
         }
         let run = Run::open(path)?;
@@ -175,7 +188,9 @@ impl OpenScene {
 enum Kind {
     Tcgs,
     Npz,
-    Ply,
+    /// One of [`TimestepFiles`].
+    Timestep,
+    Fourdgs,
 }
 
 /// By its name; else by its first bytes.
@@ -186,16 +201,14 @@ fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
         "tcgs" => Ok(Kind::Tcgs),
         "npz" => Ok(Kind::Npz),
-        "ply" => Ok(Kind::Ply),
+        "4dgs" => Ok(Kind::Fourdgs),
+        "ply" | "spz" | "glb" | "gltf" => Ok(Kind::Timestep),
         _ if start == b"TCGS" => Ok(Kind::Tcgs),
+        _ if start == b"\x894DG" => Ok(Kind::Fourdgs),
         _ if start == b"PK\x03\x04" => Ok(Kind::Npz),
-        _ if start.starts_with(b"ply") => Ok(Kind::Ply),
+        _ if [&b"ply"[..], b"NGSP", b"\x1F\x8B", b"glTF"].iter().any(|known| start.starts_with(known)) => {
+            Ok(Kind::Timestep)
+        }
         _ => Err(PipelineError::input(path.display(), "a file of another kind", EXPECTED)),
     }
-}
-
-/// Whether a folder holds PLY files.
-fn is_ply_folder(path: &Path) -> bool {
-    let Ok(entries) = fs::read_dir(path) else { return false };
-    entries.flatten().any(|entry| entry.path().extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")))
 }

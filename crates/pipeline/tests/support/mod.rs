@@ -7,8 +7,8 @@ use std::sync::OnceLock;
 use tcgs_capture::{Capture, SyntheticSettings, write_synthetic};
 use tcgs_interchange::{ParamsExtras, write_params_npz};
 use tcgs_pipeline::{
-    Backend, CompressOptions, Export, OpenScene, OpenSettings, Unobserved, compress_scene, fit, new_trainer,
-    settings_for,
+    Backend, CompressOptions, Export, OpenScene, OpenSettings, TimestepKind, Unobserved, compress_scene, fit,
+    new_trainer, settings_for,
 };
 use tcgs_train::{Preset, Run};
 
@@ -42,7 +42,7 @@ pub fn files() -> &'static Path {
             fs::write(path("scene.tcgs"), compressed.file).unwrap();
             write_params_npz(&path("params.npz"), &scene.floats().unwrap(), &ParamsExtras::default()).unwrap();
             fs::create_dir(path("plys")).unwrap();
-            Export::new(&scene).unwrap().write_ply_folder(0..3, &path("plys"), &mut Unobserved).unwrap();
+            Export::new(&scene).unwrap().write_folder(TimestepKind::Ply, 0..3, &path("plys"), &mut Unobserved).unwrap();
             folder
         })
         .path()

@@ -1,9 +1,9 @@
-//! A folder of PLY files, one file per timestep.
+//! A folder with one file a timestep, of any kind that is read.
 //!
-//! Files may differ in their number of Gaussians; the degree of their spherical harmonics is the same. A scene whose
-//! Gaussians are followed through time ([`PlyFiles::read`]) needs more, which the files do not state: the same Gaussians in
-//! the same order. The reader checks what it can: every file has the same number of Gaussians, and Gaussian `i` of one
-//! file is near Gaussian `i` of the next ([`MAX_JUMP`]).
+//! Files may differ in their kind and in their number of Gaussians; the degree of their spherical harmonics is the same. A
+//! scene whose Gaussians are followed through time ([`TimestepFiles::read`]) needs more, which the files do not state: the
+//! same Gaussians in the same order. The reader checks what it can: every file has the same number of Gaussians, and
+//! Gaussian `i` of one file is near Gaussian `i` of the next ([`MAX_JUMP`]).
 
 use std::fs;
 use std::ops::Range;
@@ -12,8 +12,12 @@ use std::sync::Arc;
 
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, natural_key};
 
-use crate::ply::{PlyHead, read_head};
-use crate::{HigherHarmonics, InterchangeError, read_ply};
+use crate::gaussian_file::{FileKind, read_head};
+use crate::stored::Head;
+use crate::{HigherHarmonics, InterchangeError, read_gaussians};
+
+/// Endings of the files that are timesteps. What such a file is its content says.
+const ENDINGS: [&str; 4] = ["ply", "spz", "glb", "gltf"];
 
 /// How far the median Gaussian may move from one file to the next, as a share of the median Gaussian's
 /// distance from the scene's middle; motion that all have in common is not counted.
@@ -22,70 +26,82 @@ use crate::{HigherHarmonics, InterchangeError, read_ply};
 /// frame, and no codec gains anything from tracks that jump like that.
 const MAX_JUMP: f32 = 0.5;
 
-/// The scene that a sequence of PLY files holds, if its Gaussians are the same in all of them.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PlySequence {
-    /// The scene, with one timestep per file.
-    pub scene: DynamicGaussians,
-    /// As [`PlyFiles::first_frame`].
-    pub first_frame: Option<u32>,
-}
-
-/// A sequence of PLY files that is read a timestep at a time. The number of Gaussians may differ between files.
+/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, or glTF. The number of Gaussians may
+/// differ between files.
 ///
 /// ```
 /// use tcgs_core::{Gaussians, SceneReader};
-/// use tcgs_interchange::{HigherHarmonics, PlyFiles, write_ply_to};
+/// use tcgs_interchange::{HigherHarmonics, TimestepFiles, write_ply_to};
 /// let folder = tempfile::tempdir()?;
 /// for (frame, num_gaussians) in [(7, 5), (8, 6)] {
 ///     let file = std::fs::File::create(folder.path().join(format!("{frame:06}.ply")))?;
 ///     write_ply_to(std::io::BufWriter::new(file), &Gaussians::zeros(num_gaussians))?;
 /// }
-/// let files = PlyFiles::open(folder.path(), HigherHarmonics::Keep)?;
+/// let files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep)?;
 /// assert_eq!((files.num_timesteps(), files.first_frame()), (2, Some(7)));
 /// assert_eq!((files.num_gaussians(), files.num_gaussians_at(0)), (6, 5));
 /// assert_eq!(files.at(1)?, Gaussians::zeros(6));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct PlyFiles {
+pub struct TimestepFiles {
     /// In the order of the timesteps, at least one.
     files: Vec<PathBuf>,
     /// Of each file, at least 1.
     numbers: Vec<usize>,
+    /// Of all files; none if they differ.
+    kind: Option<FileKind>,
     first_frame: Option<u32>,
     harmonics: HigherHarmonics,
     layout: Arc<Layout>,
 }
 
-impl PlyFiles {
-    /// Lists the PLY files of a folder in natural order (numbers within names are compared as numbers), and reads their
-    /// headers. Hidden files are left out.
+impl TimestepFiles {
+    /// Lists the files of a folder in natural order (numbers within names are compared as numbers) whose names end in
+    /// `.ply`, `.spz`, `.glb` or `.gltf`, and reads their headers. Hidden files are left out.
     ///
-    /// - `path`: the folder, or a single PLY file, which becomes a sequence of one timestep
+    /// - `path`: the folder, or a single file of any name, which becomes a sequence of one timestep
     ///
     /// # Errors
-    /// [`InterchangeError::Read`] if the folder or a file cannot be read; [`InterchangeError::Ply`] if the folder has no
-    /// PLY file, or names the first file whose header is none of 3D Gaussian splatting or has harmonics of another degree
-    /// than the first file.
+    /// [`InterchangeError::Read`] if the folder or a file cannot be read; [`InterchangeError::File`] if the folder has no
+    /// such file, or names the first file whose header is none of Gaussians or has harmonics of another degree than the
+    /// first file.
     pub fn open(path: &Path, harmonics: HigherHarmonics) -> Result<Self, InterchangeError> {
-        let files = if path.is_dir() { ply_files(path)? } else { vec![path.into()] };
+        let files = if path.is_dir() { timestep_files(path)? } else { vec![path.into()] };
         let mut numbers = Vec::new();
+        let mut kinds = Vec::new();
         let mut degree = None;
         for file in &files {
-            let PlyHead { num_gaussians, sh_degree } = read_head(file, harmonics)?;
+            let (kind, Head { num_gaussians, sh_degree }) = read_head(file, harmonics)?;
+            kinds.push(kind);
             let expected = *degree.get_or_insert(sh_degree);
             if sh_degree != expected {
                 let first = files[0].display();
                 let problem =
                     format!("has spherical harmonics of degree {sh_degree}, expected degree {expected} as in {first}");
-                return Err(InterchangeError::Ply { path: file.clone(), problem });
+                return Err(InterchangeError::File { path: file.clone(), problem });
             }
             numbers.push(num_gaussians);
         }
         let first_frame = first_frame(&files);
         let layout = Layout::with_harmonics(degree.unwrap_or(0));
-        Ok(Self { files, numbers, first_frame, harmonics, layout })
+        let kind = kinds.first().copied().filter(|first| kinds.iter().all(|kind| kind == first));
+        Ok(Self { files, numbers, kind, first_frame, harmonics, layout })
+    }
+
+    /// Whether a path is a folder with a file for [`Self::open`].
+    pub fn is_folder(path: &Path) -> bool {
+        timestep_files(path).is_ok()
+    }
+
+    /// The kind of the files in two words: `PLY files`, `SPZ files`, `glTF files`, or `Gaussian files` of several kinds.
+    pub fn kind(&self) -> &'static str {
+        match self.kind {
+            Some(FileKind::Ply) => "PLY files",
+            Some(FileKind::Spz) => "SPZ files",
+            Some(FileKind::Gltf) => "glTF files",
+            None => "Gaussian files",
+        }
     }
 
     /// The number in the first file's name, if all names are numbers that count up by one, such as `000012.ply`; the
@@ -106,14 +122,14 @@ impl PlyFiles {
     /// The Gaussians of one file, in its order.
     ///
     /// # Errors
-    /// As [`read_ply`]; [`InterchangeError::Ply`] if the file has another number of Gaussians, or harmonics of another
+    /// As [`read_gaussians`]; [`InterchangeError::File`] if the file has another number of Gaussians, or harmonics of another
     /// degree, than when the sequence was opened.
     ///
     /// # Panics
     /// If there is no such timestep.
     pub fn at(&self, timestep: usize) -> Result<Gaussians, InterchangeError> {
         let file = &self.files[timestep];
-        let gaussians = read_ply(file, self.harmonics)?;
+        let gaussians = read_gaussians(file, self.harmonics)?;
         let found = [gaussians.num_gaussians(), gaussians.layout().sh_degree()];
         let expected = [self.numbers[timestep], self.layout.sh_degree()];
         if found != expected {
@@ -121,7 +137,7 @@ impl PlyFiles {
                 "has {} Gaussians and harmonics of degree {}, expected {} and degree {} as when it was opened",
                 found[0], found[1], expected[0], expected[1]
             );
-            return Err(InterchangeError::Ply { path: file.clone(), problem });
+            return Err(InterchangeError::File { path: file.clone(), problem });
         }
         Ok(gaussians)
     }
@@ -130,13 +146,13 @@ impl PlyFiles {
     /// the scene if any bit of them differs between the files.
     ///
     /// # Errors
-    /// As [`Self::at`]; [`InterchangeError::Ply`] names the first file whose number of Gaussians differs from that of the
+    /// As [`Self::at`]; [`InterchangeError::File`] names the first file whose number of Gaussians differs from that of the
     /// first, before any is read, or whose Gaussians are not near those of the file before.
     ///
     /// # Panics
     /// If `timesteps` exceeds the number of files.
     pub fn read(&self, timesteps: Range<usize>) -> Result<DynamicGaussians, InterchangeError> {
-        let invalid = |t: usize, problem| Err(InterchangeError::Ply { path: self.files[t].clone(), problem });
+        let invalid = |t: usize, problem| Err(InterchangeError::File { path: self.files[t].clone(), problem });
         let expected = self.numbers.get(timesteps.start).copied().unwrap_or(0);
         if let Some(t) = timesteps.clone().find(|&t| self.numbers[t] != expected) {
             let (found, first) = (self.numbers[t], self.files[timesteps.start].display());
@@ -163,7 +179,7 @@ impl PlyFiles {
     }
 }
 
-impl SceneReader for PlyFiles {
+impl SceneReader for TimestepFiles {
     type Error = InterchangeError;
 
     fn layout(&self) -> &Arc<Layout> {
@@ -187,32 +203,10 @@ impl SceneReader for PlyFiles {
     }
 }
 
-/// Reads all PLY files of a folder as one scene of the same Gaussians: [`PlyFiles::open`], then [`PlyFiles::read`].
-///
-/// ```
-/// use tcgs_core::Gaussians;
-/// use tcgs_interchange::{HigherHarmonics, read_ply_sequence, write_ply_to};
-/// let folder = tempfile::tempdir()?;
-/// for frame in 7..9 {
-///     let file = std::fs::File::create(folder.path().join(format!("{frame:06}.ply")))?;
-///     write_ply_to(std::io::BufWriter::new(file), &Gaussians::zeros(5))?;
-/// }
-/// let sequence = read_ply_sequence(folder.path(), HigherHarmonics::Keep)?;
-/// assert_eq!((sequence.scene.num_timesteps(), sequence.first_frame), (2, Some(7)));
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
-/// # Errors
-/// As [`PlyFiles::open`] and [`PlyFiles::read`].
-pub fn read_ply_sequence(path: &Path, harmonics: HigherHarmonics) -> Result<PlySequence, InterchangeError> {
-    let files = PlyFiles::open(path, harmonics)?;
-    let scene = files.read(0..files.num_timesteps())?;
-    Ok(PlySequence { scene, first_frame: files.first_frame })
-}
-
 /// Whether a name is that of a file to read. Hidden ones are other programs' notes.
-fn is_ply(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) && !name(path).starts_with('.')
+fn is_timestep(path: &Path) -> bool {
+    let is_known = |ending: &std::ffi::OsStr| ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known));
+    path.extension().is_some_and(is_known) && !name(path).starts_with('.')
 }
 
 fn name(path: &Path) -> String {
@@ -220,18 +214,18 @@ fn name(path: &Path) -> String {
 }
 
 /// The files of a folder in their natural order.
-fn ply_files(folder: &Path) -> Result<Vec<PathBuf>, InterchangeError> {
+fn timestep_files(folder: &Path) -> Result<Vec<PathBuf>, InterchangeError> {
     let failed = |error| InterchangeError::Read { path: folder.into(), error };
     let mut files = Vec::new();
     for entry in fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
-        if is_ply(&path) {
+        if is_timestep(&path) {
             files.push(path);
         }
     }
     if files.is_empty() {
-        let problem = "holds no PLY file, expected one a timestep".into();
-        return Err(InterchangeError::Ply { path: folder.into(), problem });
+        let problem = "holds no PLY, SPZ or glTF file, expected one a timestep".into();
+        return Err(InterchangeError::File { path: folder.into(), problem });
     }
     files.sort_by_cached_key(|path| natural_key(&name(path)));
     Ok(files)

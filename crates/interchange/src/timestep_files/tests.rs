@@ -2,7 +2,7 @@ use tcgs_core::{Attribute, Gaussians};
 use tempfile::TempDir;
 
 use super::*;
-use crate::write_ply_to;
+use crate::{write_glb_to, write_ply_to};
 
 /// A hundred Gaussians on a crumpled sheet, and where they are at a timestep.
 fn at(timestep: usize) -> Gaussians {
@@ -25,8 +25,10 @@ fn write(folder: &TempDir, name: &str, gaussians: &Gaussians) -> PathBuf {
 }
 
 /// What reading gives, and the file and the problem of an error.
-fn read(folder: &TempDir) -> Result<PlySequence, (String, String)> {
-    read_ply_sequence(folder.path(), HigherHarmonics::Keep).map_err(|error| {
+fn read(folder: &TempDir) -> Result<(DynamicGaussians, Option<u32>), (String, String)> {
+    let files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep);
+    let read = files.and_then(|files| Ok((files.read(0..files.num_timesteps())?, files.first_frame())));
+    read.map_err(|error| {
         let message = error.to_string();
         let (file, problem) = message.split_once(": ").unwrap();
         (name(Path::new(file)), problem.to_owned())
@@ -41,7 +43,7 @@ fn files_are_timesteps_in_natural_order() {
     }
     fs::write(folder.path().join("._frame_2.ply"), "a note").unwrap();
     fs::write(folder.path().join("readme.txt"), "").unwrap();
-    let PlySequence { scene, first_frame } = read(&folder).unwrap();
+    let (scene, first_frame) = read(&folder).unwrap();
     assert_eq!((scene.num_timesteps(), first_frame), (3, None));
     assert!(scene.varies(Attribute::LogitOpacity) && !scene.varies(Attribute::LogScale));
     for timestep in 0..3 {
@@ -52,8 +54,8 @@ fn files_are_timesteps_in_natural_order() {
             (&expected.log_scales(), &expected.logit_opacities())
         );
     }
-    let one = read_ply_sequence(&folder.path().join("frame_10.ply"), HigherHarmonics::Keep).unwrap();
-    assert_eq!(one.scene.at(0), scene.at(2));
+    let one = TimestepFiles::open(&folder.path().join("frame_10.ply"), HigherHarmonics::Keep).unwrap();
+    assert_eq!((one.at(0).unwrap(), one.kind()), (scene.at(2), "PLY files"));
 }
 
 #[test]
@@ -69,11 +71,11 @@ fn numbers_that_count_up_are_frames() {
 #[test]
 fn the_first_file_that_does_not_fit_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    assert_eq!(read(&folder).unwrap_err().1, "holds no PLY file, expected one a timestep");
+    assert_eq!(read(&folder).unwrap_err().1, "holds no PLY, SPZ or glTF file, expected one a timestep");
     for timestep in 0..4 {
         write(&folder, &format!("{timestep}.ply"), &at(timestep));
     }
-    assert_eq!(read(&folder).unwrap().first_frame, Some(0));
+    assert_eq!(read(&folder).unwrap().1, Some(0));
 
     let fewer = write(&folder, "2.ply", &at(2).select(&(0..99).collect::<Vec<_>>()));
     write(&folder, "3.ply", &Gaussians::zeros(3));
@@ -90,7 +92,7 @@ fn the_first_file_that_does_not_fit_is_named() {
     // Up to now the rows were mixed; neighbours that changed places are near enough.
     shuffled = (0..100).map(|i| i ^ 1).collect();
     write(&folder, "2.ply", &at(2).select(&shuffled));
-    assert_eq!(read(&folder).unwrap().scene.num_timesteps(), 4);
+    assert_eq!(read(&folder).unwrap().0.num_timesteps(), 4);
 
     let mut infinite = at(1);
     infinite.log_scales_mut()[4][1] = f32::NEG_INFINITY;
@@ -106,7 +108,7 @@ fn the_number_of_gaussians_may_change_in_every_file() {
     for (timestep, n) in numbers.into_iter().enumerate() {
         write(&folder, &format!("{timestep}.ply"), &at(timestep).select(&(0..n).collect::<Vec<_>>()));
     }
-    let mut files = PlyFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
+    let mut files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
     assert_eq!((files.num_gaussians(), files.num_timesteps(), files.has_constant_number()), (100, 4, false));
     assert_eq!([0, 1, 2, 3].map(|t| files.num_gaussians_at(t)), numbers);
     assert_eq!(files.raw_bytes(), (70 + 100 + 3 + 99) * 56);
@@ -142,7 +144,7 @@ fn harmonics_are_held_once_if_they_do_not_vary() {
         for timestep in 0..3 {
             write(&folder, &format!("{timestep}.ply"), &with_harmonics(timestep, 3, turns));
         }
-        let scene = read(&folder).unwrap().scene;
+        let scene = read(&folder).unwrap().0;
         assert_eq!(*scene.layout(), Layout::with_harmonics(3));
         for band in scene.layout().harmonics() {
             assert_eq!(scene.num_samples(band), samples);
@@ -150,9 +152,9 @@ fn harmonics_are_held_once_if_they_do_not_vary() {
                 assert_eq!(bits(&scene.at(timestep), band), bits(&with_harmonics(timestep, 3, turns), band));
             }
         }
-        let files = PlyFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
+        let files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
         assert_eq!(files.raw_bytes(), 100 * (40 * 3 + 16 + 180));
-        let dropped = PlyFiles::open(folder.path(), HigherHarmonics::Drop).unwrap();
+        let dropped = TimestepFiles::open(folder.path(), HigherHarmonics::Drop).unwrap();
         assert_eq!((dropped.layout().is_base(), dropped.raw_bytes()), (true, 100 * (40 * 3 + 16)));
         assert_eq!(dropped.read(0..3).unwrap().means(2), at(2).means());
     }
@@ -168,7 +170,7 @@ fn a_file_of_another_degree_is_named() {
     let first = folder.path().join("0.ply");
     let expected = format!("has spherical harmonics of degree 1, expected degree 2 as in {}", first.display());
     assert_eq!((&*file, problem), ("2.ply", expected));
-    assert!(PlyFiles::open(folder.path(), HigherHarmonics::Drop).is_ok());
+    assert!(TimestepFiles::open(folder.path(), HigherHarmonics::Drop).is_ok());
 }
 
 #[test]
@@ -183,4 +185,21 @@ fn what_all_have_in_common_is_no_jump() {
     assert!(little < MAX_JUMP && MAX_JUMP < much, "{little} {much}");
     assert_eq!(jump(&[[1.0; 3]], &[[9.0; 3]]), 0.0);
     assert_eq!(jump(&[[1.0; 3]; 3], &[[9.0; 3], [1.0; 3], [-4.0; 3]]), 0.0);
+}
+
+#[test]
+fn each_file_is_what_its_content_says() {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder, "000.spz", &at(0));
+    write_glb_to(fs::File::create(folder.path().join("001.ply")).unwrap(), &at(1)).unwrap();
+    let files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
+    assert_eq!((files.kind(), files.num_timesteps(), files.first_frame()), ("Gaussian files", 2, Some(0)));
+    assert_eq!(files.read(0..2).unwrap().means(1), at(1).means());
+    assert_eq!(
+        TimestepFiles::open(&folder.path().join("001.ply"), HigherHarmonics::Keep).unwrap().kind(),
+        "glTF files"
+    );
+    fs::write(folder.path().join("002.glb"), "nothing").unwrap();
+    let (file, problem) = read(&folder).unwrap_err();
+    assert_eq!((&*file, &*problem), ("002.glb", "is none of PLY, SPZ and glTF, expected one of these"));
 }

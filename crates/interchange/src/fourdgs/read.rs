@@ -1,0 +1,277 @@
+//! Reads a `.4dgs` file into memory, and gives its state at each timestep.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use ::fourdgs::keyframe_delta_file::{self, ChunkInfo, DecodedSequence};
+use ::fourdgs::quantization::{dequantize_rotation, rct_inverse, sh_coefficient};
+use ::fourdgs::{ReadOptions, opcode};
+use tcgs_core::{Gaussians, Layout, SceneReader};
+
+use super::one_line;
+use crate::axes::Axes;
+use crate::stored::{checked, logit};
+use crate::{HigherHarmonics, InterchangeError};
+
+/// The longest window that is taken for a frame, seconds: a tenth, and what a float rounds.
+const LONGEST_FRAME_SECS: f64 = 0.1 + 1e-4;
+/// Timesteps a second where nothing says how many.
+const USUAL_RATE: f64 = 30.0;
+/// More timesteps than this are no scene: nine hours at thirty a second.
+const MAX_TIMESTEPS: f64 = 1e6;
+
+/// A scene in a `.4dgs` file, in memory.
+///
+/// ```no_run
+/// use tcgs_core::SceneReader;
+/// use tcgs_interchange::{FourdgsFile, HigherHarmonics};
+/// let file = FourdgsFile::open("scene.4dgs".as_ref(), HigherHarmonics::Keep)?;
+/// println!("{} timesteps, {} a second", file.num_timesteps(), file.frame_rate());
+/// # Ok::<(), tcgs_interchange::InterchangeError>(())
+/// ```
+#[derive(Debug)]
+pub struct FourdgsFile {
+    path: PathBuf,
+    content: Content,
+    /// Of each timestep, seconds.
+    times: Vec<f64>,
+    /// Gaussians at each timestep.
+    numbers: Vec<usize>,
+    frame_rate: f64,
+    layout: Arc<Layout>,
+    axes: Option<Axes>,
+}
+
+#[derive(Debug)]
+enum Content {
+    /// Of the model `gaussian-birth`.
+    Births(Box<::fourdgs::Scene>),
+    /// Of the model `keyframe-delta`.
+    States(Box<DecodedSequence>),
+}
+
+impl FourdgsFile {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is no whole `.4dgs` file, is of
+    /// a model or packed in a way that is not read, or has no Gaussian at any timestep.
+    pub fn open(path: &Path, harmonics: HigherHarmonics) -> Result<Self, InterchangeError> {
+        let invalid = |problem: String| InterchangeError::File { path: path.into(), problem };
+        let refused = |error: ::fourdgs::Error| invalid(format!("{}, expected a whole .4dgs file", one_line(&error)));
+        let bytes = fs::read(path).map_err(|error| InterchangeError::Read { path: path.into(), error })?;
+        // Readers of the crate keep what is whole of a file that was cut.
+        if bytes.starts_with(&::fourdgs::MAGIC) && !bytes.ends_with(&::fourdgs::MAGIC) {
+            return Err(invalid("ends early, expected a whole .4dgs file".into()));
+        }
+        let model = keyframe_delta_file::peek_temporal_model(&bytes).map_err(refused)?;
+        let (content, header, times, frame_rate) = if model == "keyframe-delta" {
+            let sequence = keyframe_delta_file::decode_streamed(&bytes).map_err(refused)?;
+            let times: Vec<f64> = sequence.chunks.iter().map(|chunk| chunk.t0).collect();
+            let rate = times.len() as f64 / sequence.header.duration_sec;
+            let header = sequence.header.clone();
+            (Content::States(Box::new(sequence)), header, times, rate)
+        } else {
+            let max_sh_band = if harmonics == HigherHarmonics::Keep { 3 } else { 0 };
+            let options = ReadOptions { recover_truncated: false, max_sh_band };
+            let scene = ::fourdgs::stream_reader::read_from(&bytes[..], &options).map_err(refused)?;
+            let length = frame_secs(&scene.windows);
+            let count = (scene.duration_sec / length).round().max(1.0);
+            if count > MAX_TIMESTEPS {
+                return Err(invalid(format!(
+                    "lasts {} s, expected at most {MAX_TIMESTEPS} timesteps",
+                    scene.duration_sec
+                )));
+            }
+            let length = scene.duration_sec / count;
+            let times = (0..count as usize).map(|t| (t as f64 + 0.5) * length).collect();
+            let header = scene.header.clone();
+            (Content::Births(Box::new(scene)), header, times, 1.0 / length)
+        };
+        let said = |key: &str| header.attributes.get(key).map(String::as_str);
+        if let Some(space) = said("color_space").filter(|space| !space.starts_with("srgb")) {
+            return Err(invalid(format!("has colours in {space:?}, expected \"srgb-rec709-display\"")));
+        }
+        let axes = match said("coordinate_system") {
+            Some("y-up-right-handed") => Some(Axes::LUF),
+            _ => None,
+        };
+        let sh_degree = match &content {
+            Content::Births(scene) if harmonics == HigherHarmonics::Keep && scene.gaussians.sh.is_some() => {
+                usize::from(scene.gaussians.sh_degree)
+            }
+            _ => 0,
+        };
+        let frame_rate = if frame_rate.is_finite() { frame_rate } else { USUAL_RATE };
+        let layout = Layout::with_harmonics(sh_degree.min(tcgs_core::MAX_SH_DEGREE));
+        let mut file = Self { path: path.into(), content, times, numbers: vec![], frame_rate, layout, axes };
+        for timestep in 0..file.times.len() {
+            file.numbers.push(file.rows(timestep)?.len());
+        }
+        if file.numbers.iter().all(|&number| number == 0) {
+            return Err(invalid("holds no Gaussian, expected at least one".into()));
+        }
+        Ok(file)
+    }
+
+    /// Timesteps a second.
+    pub fn frame_rate(&self) -> f64 {
+        self.frame_rate
+    }
+
+    /// Size as plain 32-bit floats, as [`TimestepFiles::raw_bytes`](crate::TimestepFiles::raw_bytes).
+    pub fn raw_bytes(&self) -> u64 {
+        if self.has_constant_number() {
+            return self.layout.raw_bytes(self.num_gaussians(), self.num_timesteps());
+        }
+        self.layout.raw_bytes_of_changing(self.numbers.iter().copied())
+    }
+
+    /// The Gaussians at a timestep, in stored form and in the axes of PLY files.
+    ///
+    /// # Errors
+    /// [`InterchangeError::File`] if a number is not finite.
+    ///
+    /// # Panics
+    /// If `timestep` is not below [`SceneReader::num_timesteps`].
+    pub fn at(&self, timestep: usize) -> Result<Gaussians, InterchangeError> {
+        let rows = self.rows(timestep)?;
+        let mut gaussians = Gaussians::zeros_of(&self.layout, rows.len());
+        let step = match &self.content {
+            Content::Births(scene) => scene.quantization.step_alpha,
+            Content::States(sequence) => sequence.quantization.step_alpha,
+        };
+        let nearest = [(step / 4.0).clamp(2.0_f64.powi(-25), 0.1); 2];
+        let base = gaussians.views_mut();
+        for (i, row) in rows.iter().enumerate() {
+            base.means[i] = row.mean;
+            let [x, y, z, w] = row.rotation;
+            base.quats[i] = [w, x, y, z];
+            base.log_scales[i] = row.scale.map(f32::ln);
+            base.logit_opacities[i] = logit(row.opacity.clamp(0.0, 1.0), nearest);
+            base.colors[i] = row.color;
+        }
+        if let Content::Births(scene) = &self.content
+            && let Some(sh) = &scene.gaussians.sh
+        {
+            let per_channel = scene.gaussians.sh_coefficients;
+            for (l, band) in (1..).zip(self.layout.harmonics()) {
+                let values = gaussians.values_mut(band).chunks_exact_mut(band.components());
+                for (to, row) in values.zip(&rows) {
+                    let from = &sh[3 * per_channel * row.index..][..3 * per_channel];
+                    for (k, rgb) in to.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                        let place = |channel: usize| from[channel * per_channel + l * l - 1 + k];
+                        *rgb = [0, 1, 2].map(|channel| sh_coefficient(place(channel)) as f32);
+                    }
+                }
+            }
+        }
+        if let Some(axes) = self.axes {
+            axes.turn(&mut gaussians);
+        }
+        checked(&self.path, gaussians)
+    }
+
+    /// What lives at a timestep.
+    fn rows(&self, timestep: usize) -> Result<Vec<Row>, InterchangeError> {
+        let time = self.times[timestep];
+        match &self.content {
+            Content::Births(scene) => births(scene, time).map_err(|error| {
+                let problem = format!("{}, expected a whole .4dgs file", one_line(&error));
+                InterchangeError::File { path: self.path.clone(), problem }
+            }),
+            Content::States(sequence) => Ok(states(sequence, &sequence.chunks[timestep], time)),
+        }
+    }
+}
+
+/// A Gaussian as the file has it at one time.
+struct Row {
+    /// In the file.
+    index: usize,
+    mean: [f32; 3],
+    /// `x, y, z, w`
+    rotation: [f32; 4],
+    scale: [f32; 3],
+    color: [f32; 3],
+    opacity: f64,
+}
+
+/// How long a timestep is, by the windows of a file, seconds.
+///
+/// Borders of windows are floats, so lengths err by more the later they are; the errors of neighbours cancel in the mean.
+fn frame_secs(windows: &[(f64, f64)]) -> f64 {
+    let lengths = || windows.iter().map(|(from, to)| to - from).filter(|length| *length > 0.0);
+    let shortest = lengths().fold(f64::INFINITY, f64::min);
+    if shortest > LONGEST_FRAME_SECS {
+        return 1.0 / USUAL_RATE;
+    }
+    let frames = lengths().filter(|length| *length <= 1.5 * shortest);
+    let (sum, count) = frames.fold((0.0, 0.0), |(sum, count), length| (sum + length, count + 1.0));
+    sum / count
+}
+
+fn births(scene: &::fourdgs::Scene, time: f64) -> Result<Vec<Row>, ::fourdgs::Error> {
+    let state = scene.state_at(time)?;
+    let of = &scene.gaussians;
+    let row = |(i, index): (usize, &u32)| {
+        let index = *index as usize;
+        Row {
+            index,
+            mean: std::array::from_fn(|c| state.centers[3 * i + c]),
+            rotation: std::array::from_fn(|c| state.orientations[4 * i + c]),
+            scale: std::array::from_fn(|c| of.scales[3 * index + c]),
+            color: std::array::from_fn(|c| of.colors[4 * index + c]),
+            opacity: f64::from(state.opacity[i]),
+        }
+    };
+    Ok(state.indices.iter().enumerate().map(row).collect())
+}
+
+fn states(sequence: &DecodedSequence, chunk: &ChunkInfo, time: f64) -> Vec<Row> {
+    let found = keyframe_delta_file::reconstruct_at(sequence, &chunk.state, time);
+    let steps = &sequence.quantization;
+    let index_of: BTreeMap<i64, usize> = chunk.state.ids.iter().enumerate().map(|(i, id)| (*id, i)).collect();
+    let bins = |attribute: u8, index: usize, count: usize| {
+        &chunk.state.bins[&attribute].values[count * index..count * (index + 1)]
+    };
+    let row = |(i, id): (usize, &i64)| {
+        let index = index_of[id];
+        let rotation = bins(opcode::A_ROTATION, index, 3);
+        Row {
+            index,
+            mean: std::array::from_fn(|c| found.centers[3 * i + c] as f32),
+            rotation: dequantize_rotation(bins(opcode::A_ROTATION_INDEX, index, 1)[0], rotation, steps.step_rot),
+            scale: std::array::from_fn(|c| found.scales[3 * i + c] as f32),
+            color: rct_inverse(bins(opcode::A_COLOR, index, 3)).map(|bin| (bin as f64 * steps.step_rgb) as f32),
+            opacity: found.opacity[i],
+        }
+    };
+    found.ids.iter().enumerate().map(row).collect()
+}
+
+impl SceneReader for FourdgsFile {
+    type Error = InterchangeError;
+
+    fn layout(&self) -> &Arc<Layout> {
+        &self.layout
+    }
+
+    fn num_gaussians(&self) -> usize {
+        self.numbers.iter().copied().max().unwrap_or(0)
+    }
+
+    fn num_gaussians_at(&self, timestep: usize) -> usize {
+        self.numbers[timestep]
+    }
+
+    fn num_timesteps(&self) -> usize {
+        self.times.len()
+    }
+
+    fn at(&mut self, timestep: usize) -> Result<Gaussians, InterchangeError> {
+        Self::at(self, timestep)
+    }
+}

@@ -1,0 +1,148 @@
+use std::path::{Path, PathBuf};
+
+use tcgs_core::{Gaussians, Layout, SceneReader, normalize, sigmoid};
+
+use super::*;
+use crate::HigherHarmonics;
+
+fn file(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange").join(name)
+}
+
+fn open(path: &Path) -> Result<FourdgsFile, String> {
+    FourdgsFile::open(path, HigherHarmonics::Keep).map_err(|error| {
+        let message = error.to_string();
+        assert!(!message.contains('\n'), "{message}");
+        message.strip_prefix(&format!("{}: ", path.display())).unwrap().to_owned()
+    })
+}
+
+/// The timesteps that `make_4dgs.py` writes.
+fn expected(timestep: usize) -> Gaussians {
+    let original = crate::read_ply(&file("original.ply"), HigherHarmonics::Keep).unwrap();
+    let rows: Vec<usize> = [0..40, 0..50, 10..45][timestep].clone().collect();
+    let mut gaussians = original.select(&rows);
+    gaussians.means_mut().iter_mut().for_each(|mean| mean[0] += 0.1 * timestep as f32);
+    gaussians
+}
+
+/// Fails where values are further apart than the finest profile promises: positions 2 % of the median scale, scales 0.5 %,
+/// colours and opacities half of 1/255, a component of a rotation 0.0005, harmonics half of their 8 bits.
+fn compare(found: &Gaussians, expected: &Gaussians) {
+    assert_eq!(found.num_gaussians(), expected.num_gaussians());
+    let mut scales: Vec<f32> = expected.log_scales().as_flattened().iter().map(|s| s.exp()).collect();
+    scales.sort_by(f32::total_cmp);
+    // The median of this timestep need not be that of the scene.
+    let position = 0.02 * 1.5 * scales[scales.len() / 2];
+    // The writer sorts by place.
+    for (i, mean) in found.means().iter().enumerate() {
+        let distance = |j: &usize| -> f32 { (0..3).map(|c| (mean[c] - expected.means()[*j][c]).powi(2)).sum() };
+        let j = (0..expected.num_gaussians()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap();
+        for c in 0..3 {
+            assert!((mean[c] - expected.means()[j][c]).abs() <= position, "{mean:?} {:?}", expected.means()[j]);
+            assert!((found.log_scales()[i][c] - expected.log_scales()[j][c]).abs() <= 1.005_f32.ln() + 1e-6);
+            let color = expected.colors()[j][c];
+            // The converter clamps colours, this writer does not.
+            let error = (found.colors()[i][c] - color).abs().min((found.colors()[i][c] - color.clamp(0.0, 1.0)).abs());
+            assert!(error <= 0.5 / 255.0 + 1e-6, "{color}: {error}");
+        }
+        let opacity = |gaussians: &Gaussians, i: usize| sigmoid(gaussians.logit_opacities()[i]);
+        assert!((opacity(found, i) - opacity(expected, j)).abs() <= 0.5 / 255.0 + 1e-6);
+        let (a, b) = (normalize(found.quats()[i]), normalize(expected.quats()[j]));
+        let sign = (0..4).map(|c| a[c] * b[c]).sum::<f32>().signum();
+        assert!((0..4).all(|c| (a[c] - sign * b[c]).abs() <= 2.0 * 3.0_f32.sqrt() * 0.0005), "{a:?} {b:?}");
+        for band in found.layout().harmonics() {
+            let row = |gaussians: &Gaussians, i: usize| {
+                gaussians.values(band)[i * band.components()..][..band.components()].to_vec()
+            };
+            let (a, b) = (row(found, i), row(expected, j));
+            assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() <= 4.0 / 255.0 + 1e-6), "{a:?} {b:?}");
+        }
+    }
+}
+
+#[test]
+fn both_models_of_the_package_are_read() {
+    for (name, degree) in [("fourdgs_births.4dgs", 3), ("fourdgs_states.4dgs", 0)] {
+        let read = open(&file(name)).unwrap();
+        assert_eq!((read.num_timesteps(), read.num_gaussians(), read.layout().sh_degree()), (3, 50, degree), "{name}");
+        assert!((read.frame_rate() - 10.0).abs() < 1e-6);
+        assert_eq!([0, 1, 2].map(|t| read.num_gaussians_at(t)), [40, 50, 35]);
+        for timestep in 0..3 {
+            compare(&read.at(timestep).unwrap(), &expected(timestep));
+        }
+        let dropped = FourdgsFile::open(&file(name), HigherHarmonics::Drop).unwrap();
+        assert!(dropped.layout().is_base() && dropped.at(1).unwrap().means() == read.at(1).unwrap().means());
+    }
+}
+
+#[test]
+fn what_is_written_is_read_again() {
+    let bytes = |timesteps: &[Gaussians], rate: f64| {
+        fourdgs_bytes(timesteps.iter().cloned().map(Ok::<_, String>), rate).unwrap().unwrap()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.4dgs");
+    // Numbers change; the last two timesteps are the same, and so is one Gaussian of the first two.
+    let mut first = expected(1);
+    first.means_mut()[..49].iter_mut().for_each(|mean| mean[1] += 0.05);
+    let scene = [first, expected(1), expected(2), expected(2)];
+    let written = bytes(&scene, 24.0);
+    assert_eq!(written, bytes(&scene, 24.0));
+    std::fs::write(&path, &written).unwrap();
+    let read = open(&path).unwrap();
+    assert_eq!((read.num_timesteps(), read.layout().sh_degree()), (4, 3));
+    assert!((read.frame_rate() - 24.0).abs() < 1e-3);
+    for (timestep, gaussians) in scene.iter().enumerate() {
+        compare(&read.at(timestep).unwrap(), gaussians);
+    }
+    // 49 of one timestep, one of two, 49 more of one, 35 of two.
+    let whole = ::fourdgs::read_bytes(&written).unwrap();
+    assert_eq!(whole.gaussians.count(), 49 + 1 + 49 + 35);
+
+    let plain: Vec<Gaussians> = scene
+        .iter()
+        .map(|g| {
+            let mut plain = Gaussians::zeros_of(&Layout::base(), g.num_gaussians());
+            for attribute in Layout::base().attributes() {
+                plain.values_mut(attribute).copy_from_slice(g.values(attribute));
+            }
+            plain
+        })
+        .collect();
+    std::fs::write(&path, bytes(&plain, 30.0)).unwrap();
+    assert!(open(&path).unwrap().layout().is_base());
+
+    // Values in the middle between two steps are written too, at any distance from the origin.
+    let mut middle = Gaussians::zeros(1000);
+    for i in 0..1000 {
+        middle.means_mut()[i] = [i as f32 * 0.02, 1000.0 + i as f32 * 1e-4, 0.0];
+        middle.quats_mut()[i] = [1.0, 0.0, 0.0, 0.0];
+        middle.log_scales_mut()[i] = [-4.0; 3];
+        middle.colors_mut()[i] = [0.5, 0.1, i as f32 / 1000.0];
+    }
+    std::fs::write(&path, bytes(&[middle], 30.0)).unwrap();
+    assert_eq!(open(&path).unwrap().num_gaussians(), 1000);
+
+    let mut infinite = expected(0);
+    infinite.means_mut()[3][0] = f32::INFINITY;
+    assert!(fourdgs_bytes([Ok::<_, String>(infinite)], 30.0).unwrap().is_err());
+    assert_eq!(fourdgs_bytes([Err::<Gaussians, _>("unreadable")], 30.0), Err("unreadable"));
+}
+
+#[test]
+fn what_is_wrong_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.4dgs");
+    for name in ["fourdgs_births.4dgs", "fourdgs_states.4dgs"] {
+        let bytes = std::fs::read(file(name)).unwrap();
+        for length in [0, 7, 8, 9, 100, bytes.len() / 2, bytes.len() - 1] {
+            std::fs::write(&path, &bytes[..length]).unwrap();
+            let message = open(&path).unwrap_err();
+            assert!(message.ends_with("expected a whole .4dgs file"), "{name}, {length}: {message}");
+        }
+    }
+    std::fs::write(&path, "ply\n").unwrap();
+    assert!(open(&path).unwrap_err().ends_with("expected a whole .4dgs file"));
+    assert!(open(&folder.path().join("none.4dgs")).unwrap_err().starts_with("reading failed"));
+}

@@ -1,0 +1,72 @@
+//! One file of Gaussians at one timestep, of any kind that is read. Its content says which.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use tcgs_core::Gaussians;
+
+use crate::stored::Head;
+use crate::{HigherHarmonics, InterchangeError, gltf, ply, spz};
+
+/// Kinds of files that hold one timestep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum FileKind {
+    /// PLY, compressed or not.
+    Ply,
+    Spz,
+    Gltf,
+}
+
+impl FileKind {
+    /// By the first bytes.
+    fn of(path: &Path) -> Result<Self, InterchangeError> {
+        let mut start = Vec::new();
+        let read = File::open(path).and_then(|file| file.take(64).read_to_end(&mut start));
+        read.map_err(|error| InterchangeError::Read { path: path.into(), error })?;
+        match &start[..] {
+            start if start.starts_with(b"ply") => Ok(Self::Ply),
+            start if start.starts_with(b"NGSP") || start.starts_with(&[0x1F, 0x8B]) => Ok(Self::Spz),
+            start if gltf::is_gltf(start) => Ok(Self::Gltf),
+            _ => {
+                let problem = "is none of PLY, SPZ and glTF, expected one of these".into();
+                Err(InterchangeError::File { path: path.into(), problem })
+            }
+        }
+    }
+}
+
+/// Reads the Gaussians of one file in stored form: a PLY file of 3D Gaussian splatting or a compressed one, an SPZ file, or
+/// a glTF file with `KHR_gaussian_splatting`. All come in the axes of PLY files: x right, y down, z forward where the file's
+/// kind says so.
+///
+/// ```no_run
+/// use tcgs_interchange::{HigherHarmonics, read_gaussians};
+/// let gaussians = read_gaussians("garden.spz".as_ref(), HigherHarmonics::Keep)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not complete, has
+/// no Gaussian, or holds a number that is not finite.
+pub fn read_gaussians(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, InterchangeError> {
+    match FileKind::of(path)? {
+        FileKind::Ply => ply::read_ply(path, harmonics),
+        FileKind::Spz => spz::read_spz(path, harmonics),
+        FileKind::Gltf => gltf::read_gltf(path, harmonics),
+    }
+}
+
+/// The kind of a file, and what its header says.
+///
+/// # Errors
+/// As [`read_gaussians`], but for what only the numbers show.
+pub(crate) fn read_head(path: &Path, harmonics: HigherHarmonics) -> Result<(FileKind, Head), InterchangeError> {
+    let kind = FileKind::of(path)?;
+    let head = match kind {
+        FileKind::Ply => ply::read_head(path, harmonics),
+        FileKind::Spz => spz::read_head(path, harmonics),
+        FileKind::Gltf => gltf::read_head(path, harmonics),
+    };
+    Ok((kind, head?))
+}

@@ -1,0 +1,88 @@
+//! What readers of one timestep share: from the numbers of a file to values as they are stored here, and the refusal of
+//! those that are not finite.
+
+use std::path::Path;
+
+use tcgs_core::{Gaussians, HARMONIC_0};
+
+use crate::InterchangeError;
+
+/// What a reader does with spherical harmonics above degree 0, with which colours depend on the direction of view.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum HigherHarmonics {
+    /// They become the columns of [`Layout::with_harmonics`](tcgs_core::Layout::with_harmonics).
+    #[default]
+    Keep,
+    /// They are ignored: each Gaussian keeps its colour of degree 0.
+    Drop,
+}
+
+/// What the start of a file says of its Gaussians.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Head {
+    /// `N`, at least 1, and not more than the file's length has room for.
+    pub num_gaussians: usize,
+    /// Degree of the harmonics that are read.
+    pub sh_degree: usize,
+}
+
+/// sRGB of the coefficient of degree 0.
+pub(crate) fn color_from_sh0(sh0: f32) -> f32 {
+    (0.5 + HARMONIC_0 * f64::from(sh0)) as f32
+}
+
+/// The coefficient of degree 0 of an sRGB channel.
+pub(crate) fn sh0_from_color(color: f32) -> f32 {
+    ((f64::from(color) - 0.5) / HARMONIC_0) as f32
+}
+
+/// Inverse logistic of an opacity. Exactly 0 and 1 have none, so those and what is nearer to them than `nearest` are
+/// taken for what is `nearest` to them.
+///
+/// - `opacity`: in `[0, 1]`
+/// - `nearest`: above 0; a quarter of the step of a file's numbers is the middle of what such a file writes as 0 or 1
+pub(crate) fn logit(opacity: f64, nearest: [f64; 2]) -> f32 {
+    let (opacity, rest) = (opacity.max(nearest[0]), (1.0 - opacity).max(nearest[1]));
+    (opacity / rest).ln() as f32
+}
+
+/// [`logit`] of an opacity of 8 bits.
+pub(crate) fn logit_of_byte(byte: u8) -> f32 {
+    logit(f64::from(byte) / 255.0, [0.25 / 255.0; 2])
+}
+
+/// Refuses numbers that are not finite. Without harmonics negative colours become zero, since renderers of such files clamp
+/// colours at zero; with them they clamp the sum.
+pub(crate) fn checked(path: &Path, mut gaussians: Gaussians) -> Result<Gaussians, InterchangeError> {
+    if gaussians.layout().is_base() {
+        for color in gaussians.colors_mut().as_flattened_mut().iter_mut().filter(|color| **color < 0.0) {
+            *color = 0.0;
+        }
+    }
+    for column in gaussians.layout().columns() {
+        let values = gaussians.values(column.attribute);
+        if let Some(i) = values.iter().position(|x| !x.is_finite()) {
+            let (name, gaussian) = (&column.name, i / column.components());
+            let problem = format!("{name} of Gaussian {gaussian}: {}, expected a finite number", values[i]);
+            return Err(InterchangeError::File { path: path.into(), problem });
+        }
+    }
+    Ok(gaussians)
+}
+
+#[cfg(test)]
+mod tests {
+    use tcgs_core::sigmoid;
+
+    use super::*;
+
+    #[test]
+    fn opacities_come_back_within_half_a_step() {
+        for byte in 0..=255 {
+            let opacity = f64::from(sigmoid(logit_of_byte(byte)));
+            assert!((opacity - f64::from(byte) / 255.0).abs() <= 0.5 / 255.0, "{byte}: {opacity}");
+        }
+        assert_eq!(logit(0.5, [0.1; 2]), 0.0);
+        assert_eq!(logit(1.0, [0.1; 2]), -logit(0.0, [0.1; 2]));
+    }
+}

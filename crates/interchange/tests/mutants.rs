@@ -1,0 +1,100 @@
+//! Damaged files: whatever bytes change, reading gives finite numbers or one line, and never panics.
+
+#![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
+
+use std::path::{Path, PathBuf};
+
+use tcgs_core::{Gaussians, SceneReader};
+use tcgs_interchange::{FourdgsFile, HigherHarmonics, InterchangeError, read_gaussians};
+
+/// A linear congruential generator.
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, end: usize) -> usize {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) as usize % end.max(1)
+    }
+
+    /// Some bytes changed, most of them near the start, where headers are; some cut away.
+    fn mutant(&mut self, bytes: &[u8]) -> Vec<u8> {
+        let mut bytes = bytes.to_vec();
+        for _ in 0..=self.below(4) {
+            let end = if self.below(3) == 0 { bytes.len() } else { bytes.len().min(1500) };
+            let at = self.below(end);
+            bytes[at] = match self.below(3) {
+                0 => [0, 1, 127, 128, 255][self.below(5)],
+                1 => bytes[at] ^ (1 << self.below(8)),
+                _ => b"0123456789"[self.below(10)],
+            };
+        }
+        if self.below(8) == 0 {
+            bytes.truncate(self.below(bytes.len()).max(1));
+        }
+        bytes
+    }
+}
+
+/// What must hold of every answer; whether there was a scene.
+fn is_right(answer: Result<Gaussians, InterchangeError>) -> bool {
+    match answer {
+        Ok(gaussians) => {
+            let is_finite = |a| gaussians.values(a).iter().all(|x: &f32| x.is_finite());
+            assert!(gaussians.layout().attributes().all(is_finite));
+            true
+        }
+        Err(error) => {
+            assert!(!error.to_string().contains('\n'), "{error}");
+            false
+        }
+    }
+}
+
+fn file(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange").join(name)
+}
+
+#[test]
+fn damaged_files_of_one_timestep_do_no_harm() {
+    let target = tempfile::NamedTempFile::new().unwrap();
+    let names = [
+        "original.ply",
+        "splat_transform.compressed.ply",
+        "splat_transform.glb",
+        "splat_transform_v3.spz",
+        "splat_transform_v4.spz",
+        "spz_v2.spz",
+    ];
+    for (seed, name) in names.into_iter().enumerate() {
+        let (bytes, mut random) = (std::fs::read(file(name)).unwrap(), Random(seed as u64));
+        let mut refused = 0;
+        for _ in 0..400 {
+            std::fs::write(target.path(), random.mutant(&bytes)).unwrap();
+            refused += usize::from(!is_right(read_gaussians(target.path(), HigherHarmonics::Keep)));
+        }
+        assert!(refused > 0, "{name}: no mutant was refused");
+    }
+}
+
+#[test]
+fn damaged_files_of_whole_scenes_do_no_harm() {
+    let target = tempfile::NamedTempFile::new().unwrap();
+    for (seed, name) in ["fourdgs_births.4dgs", "fourdgs_states.4dgs"].into_iter().enumerate() {
+        let (bytes, mut random) = (std::fs::read(file(name)).unwrap(), Random(seed as u64));
+        let mut refused = 0;
+        for _ in 0..150 {
+            std::fs::write(target.path(), random.mutant(&bytes)).unwrap();
+            match FourdgsFile::open(target.path(), HigherHarmonics::Keep) {
+                Ok(mut scene) => {
+                    let last = scene.num_timesteps() - 1;
+                    for timestep in [0, last] {
+                        let gaussians = SceneReader::at(&mut scene, timestep);
+                        is_right(gaussians);
+                    }
+                }
+                Err(error) => refused += usize::from(!is_right(Err(error))),
+            }
+        }
+        assert!(refused > 0, "{name}: no mutant was refused");
+    }
+}
