@@ -21,7 +21,8 @@ use crate::terminal::{note, say};
 
 /// Show what is in a .tcgs file, and whether it is whole
 ///
-/// Every checksum is verified; a damaged file exits with 2, and so does one that was cut, without --recover.
+/// Every checksum is verified; a damaged file exits with 2, and so does one that was cut, without --recover. Of a file of more
+/// than 64 MB only the tables are read: tcgs verify reads all of it.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -35,6 +36,9 @@ pub struct Arguments {
     job: JobOptions,
 }
 
+/// Of a longer file only the tables are read, bytes.
+const MOST_READ: u64 = 64_000_000;
+
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
@@ -42,47 +46,75 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.file.is_dir() {
         return Err(wrong_input(format!("{path}: is a folder, expected a .tcgs file")));
     }
-    let bytes = fs::read(&arguments.file).map_err(|error| unreadable(&arguments.file, error, "a .tcgs file"))?;
+    let unreadable = |error| unreadable(&arguments.file, error, "a .tcgs file");
+    let limits = DecodeLimits::default();
     let damaged =
         |error: DecodeError| arguments.recover.advise(&error, format!("{path}: {error}, expected a whole .tcgs file"));
-    let limits = DecodeLimits::default();
-    let inspect = if arguments.recover.recover { inspect_cut } else { inspect };
-    let info = inspect(&bytes, &limits).map_err(damaged)?;
-    let mut first_frame = info.contents.as_ref().map_or(0, |c| c.info.first_frame);
-    if info.bytes < info.bytes_before {
-        let left = SceneFile::recover(Cursor::new(&bytes), &limits, 0).map_err(damaged)?;
-        if let Some(loss) = left.loss() {
-            let (num_gaussians, num_timesteps) = (left.info().num_gaussians, left.info().num_timesteps);
-            note(&describe_loss(&arguments.file, loss, num_gaussians as usize, num_timesteps as usize));
+    let length = fs::metadata(&arguments.file).map_err(unreadable)?.len();
+    let (info, data) = if length > MOST_READ {
+        let file = fs::File::open(&arguments.file).map_err(unreadable)?;
+        let open = if arguments.recover.recover { SceneFile::recover } else { SceneFile::open };
+        let mut file = open(file, &limits, 0).map_err(damaged)?;
+        tell_loss(arguments, &file);
+        (file.outline().map_err(damaged)?, Vec::new())
+    } else {
+        let bytes = fs::read(&arguments.file).map_err(unreadable)?;
+        let inspect = if arguments.recover.recover { inspect_cut } else { inspect };
+        let info = inspect(&bytes, &limits).map_err(damaged)?;
+        if info.bytes < info.bytes_before {
+            tell_loss(arguments, &SceneFile::recover(Cursor::new(&bytes), &limits, 0).map_err(damaged)?);
         }
-        first_frame = left.info().first_frame;
-    }
+        let data = if info.checksums_ok() { application_data(&bytes, &limits).map_err(damaged)? } else { Vec::new() };
+        (info, data.into_iter().map(|(name, data)| (name, data.len() as u64)).collect())
+    };
     say(&format!("{path}: version {}, {} ({} bytes)", info.version, show_bytes(info.bytes), info.bytes))?;
+    if is_known(&info) {
+        print_scene(&info)?;
+    }
     if let Some(contents) = &info.contents {
         print_contents(&info, contents)?;
     }
-    if let [cohort] = &info.cohorts[..] {
-        print_segments(&info, cohort, first_frame as usize)?;
-    } else {
-        print_cohorts(&info, first_frame as usize)?;
+    if is_known(&info) && !info.declared_errors.is_empty() {
+        attribute_errors::print(&info.declared_errors)?;
+        say("")?;
     }
-    if info.checksums_ok() {
-        for (name, data) in application_data(&bytes, &limits).map_err(damaged)? {
-            say(&format!("application data: {name}, {}", show_bytes(data.len() as u64)))?;
-        }
+    let first_frame = info.scene.first_frame as usize;
+    if let [cohort] = &info.cohorts[..] {
+        print_segments(&info, cohort, first_frame)?;
+    } else {
+        print_cohorts(&info, first_frame)?;
+    }
+    for (name, bytes) in data {
+        say(&format!("application data: {name}, {}", show_bytes(bytes)))?;
     }
     arguments.job.write_json(&machine_readable(&info))?;
-    let damaged = info.sections.iter().filter(|s| s.is_whole && !s.checksum_ok);
+    let damaged = info.sections.iter().filter(|s| s.is_whole && s.checksum_ok == Some(false));
     let damaged: Vec<String> = damaged.map(|s| described(s, info.cohorts.len())).collect();
     if !damaged.is_empty() {
         let problem = format!("the checksum of {} is wrong, expected a whole file", damaged.join(", "));
         return Err(wrong_input(format!("{path}: {problem}")));
     }
+    if length > MOST_READ {
+        say("only the tables were read; tcgs verify reads all")?;
+    }
     Ok(())
 }
 
-fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
-    let scene = &contents.info;
+/// Says what is left of a file that was cut.
+fn tell_loss<R>(arguments: &Arguments, file: &SceneFile<R>) {
+    if let Some(loss) = file.loss() {
+        let (num_gaussians, num_timesteps) = (file.info().num_gaussians, file.info().num_timesteps);
+        note(&describe_loss(&arguments.file, loss, num_gaussians as usize, num_timesteps as usize));
+    }
+}
+
+/// Whether nothing contradicts what the file says of its scene.
+fn is_known(info: &FileInfo) -> bool {
+    info.contents.is_some() || info.sections.iter().all(|section| section.is_whole && section.checksum_ok.is_none())
+}
+
+fn print_scene(info: &FileInfo) -> anyhow::Result<()> {
+    let scene = &info.scene;
     let name = if scene.name.is_empty() { "-" } else { &scene.name };
     let (first, last) =
         (u64::from(scene.first_frame), u64::from(scene.first_frame) + u64::from(scene.num_timesteps - 1));
@@ -94,7 +126,10 @@ fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
         rate => format!("frame rate    {rate} a second"),
     })?;
     say(&format!("downscale     {}", scene.downscale))?;
-    say(&format!("up            {}", scene.up.name()))?;
+    say(&format!("up            {}", scene.up.name()))
+}
+
+fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
     let (raw, plain) = (contents.raw_bytes, contents.plain_bytes);
     say(&format!("as floats     {} ({:.1} times as much)", show_bytes(raw), raw as f64 / info.bytes as f64))?;
     say(&format!("not packed    {} ({:.1} times as much)", show_bytes(plain), plain as f64 / info.bytes as f64))?;
@@ -105,12 +140,7 @@ fn print_contents(info: &FileInfo, contents: &Contents) -> anyhow::Result<()> {
         let (bytes, shares) = (show_bytes(*bytes), shares(histogram));
         say(&format!("{name:<15}  {bytes:>9}  {keypoints:>17.2}  {shares}"))?;
     }
-    say("")?;
-    if !info.declared_errors.is_empty() {
-        attribute_errors::print(&info.declared_errors)?;
-        say("")?;
-    }
-    Ok(())
+    say("")
 }
 
 /// Such as `4: 81.2%  5: 18.8%`.
@@ -131,8 +161,10 @@ fn described(section: &SectionInfo, num_cohorts: usize) -> String {
 /// Size and state of some sections together.
 fn summed<'a>(sections: impl Iterator<Item = &'a SectionInfo>) -> (String, &'static str) {
     let sections: Vec<_> = sections.collect();
-    let checksums = if sections.iter().any(|s| s.is_whole && !s.checksum_ok) {
+    let checksums = if sections.iter().any(|s| s.is_whole && s.checksum_ok == Some(false)) {
         "WRONG"
+    } else if sections.iter().any(|s| s.is_whole && s.checksum_ok.is_none()) {
+        "not read"
     } else if sections.iter().all(|s| s.is_whole) {
         "right"
     } else if sections.iter().any(|s| s.is_whole) {
@@ -191,7 +223,8 @@ fn print_cohorts(info: &FileInfo, first: usize) -> anyhow::Result<()> {
 
 fn machine_readable(info: &FileInfo) -> Value {
     let contents = info.contents.as_ref();
-    let scene = contents.map(|c| &c.info);
+    let scene = is_known(info).then_some(&info.scene);
+    let was_read = info.sections.iter().all(|section| section.checksum_ok.is_some());
     let histogram = |bits: &BTreeMap<u8, usize>| {
         bits.iter().map(|(bits, &count)| (bits.to_string(), json!(count))).collect::<Map<_, _>>()
     };
@@ -220,7 +253,7 @@ fn machine_readable(info: &FileInfo) -> Value {
         "segments": segments,
         "bits_histogram": contents.map(|c| by_name(&c.bits_histogram, &|bits| json!(histogram(bits)))),
         "keypoints_mean": contents.map(|c| by_name(&c.keypoints_mean, &|mean| json!(mean))),
-        "checksums_ok": info.checksums_ok(),
+        "checksums_ok": was_read.then_some(info.checksums_ok()),
     });
     if has_cohorts {
         let cohort = |cohort: &CohortInfo| {

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Layout, SceneReader};
 
-use crate::bitstream::{Archive, Cohort, Opening, Sampler, Segment, end_of_file, other_attributes};
+use crate::bitstream::{Archive, Cohort, FileInfo, Opening, Sampler, Segment, end_of_file, other_attributes};
 use crate::cache::SegmentCache;
 use crate::compact::SceneInfo;
 use crate::error::{DecodeError, ENDS_EARLY};
@@ -256,6 +256,26 @@ impl<R: Read + Seek> SceneFile<R> {
             }
         }
         Ok((num_timesteps > 0).then_some((None, num_timesteps)))
+    }
+
+    /// Describes the file without reading shared layers or segments: of a long scene that is a small part of it. Checksums
+    /// are not verified but those of the tables and heads.
+    ///
+    /// # Errors
+    /// [`DecodeError`] if a head cannot be read or is damaged.
+    pub fn outline(&mut self) -> Result<FileInfo, DecodeError> {
+        let length = self.loss.map_or(self.archive.file_bytes(), |loss| loss.bytes);
+        let mut info = FileInfo::new(&self.archive, length, None);
+        for index in 0..self.archive.num_cohorts() {
+            let range = self.archive.head_range(index);
+            if range.end > length {
+                break;
+            }
+            let head = read(&mut self.source, range)?;
+            let cohort = self.archive.open_cohort(index, &head)?;
+            info.add(&self.archive, &cohort, None);
+        }
+        Ok(info)
     }
 
     /// A segment of a cohort, from the cache or else read and decoded.

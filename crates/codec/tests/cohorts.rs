@@ -266,3 +266,17 @@ fn parts_out_of_place_are_refused() {
     reseal(&mut gap);
     assert!(matches!(refused(&gap), DecodeError::Format { .. }), "{}", refused(&gap));
 }
+
+/// The outline of a file says what its description says, but for what only its sections tell.
+#[test]
+fn an_outline_is_a_description_without_contents() {
+    for count in 0..5 {
+        let (info, cohorts) = any_cohorts(count, 5 + count as u64);
+        let file = encode_cohorts(&info, &cohorts, &[("notes", b"a red ball")]).unwrap();
+        let mut described = inspect(&file, &DecodeLimits::default()).unwrap();
+        let mut scene = SceneFile::open(Cursor::new(&file), &DecodeLimits::default(), 0).unwrap();
+        described.contents = None;
+        described.sections.iter_mut().for_each(|section| section.checksum_ok = None);
+        assert_eq!(scene.outline().unwrap(), described);
+    }
+}

@@ -14,7 +14,7 @@ use crate::compact::{CompactScene, SceneInfo};
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 
-/// Description of a file, made by [`inspect`].
+/// Description of a file, made by [`inspect`], or without its contents by [`SceneFile::outline`](crate::SceneFile::outline).
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileInfo {
     /// Version of the format.
@@ -23,6 +23,8 @@ pub struct FileInfo {
     pub bytes: u64,
     /// Length of the file in bytes as its table of contents says; more than [`Self::bytes`] if the file was cut.
     pub bytes_before: u64,
+    /// Counts and provenance of the scene.
+    pub scene: SceneInfo,
     /// All sections: those of the whole scene, then cohort by cohort; of a file of version 1 in the order of the file.
     pub sections: Vec<SectionInfo>,
     /// All cohorts whose heads are whole.
@@ -33,7 +35,7 @@ pub struct FileInfo {
     /// By name of the attribute: the largest error against what was compressed, as the file declares it
     /// ([`Archive::declared_errors`]).
     pub declared_errors: Vec<(String, f32)>,
-    /// Statistics of the decoded scene; none if a section is damaged or missing.
+    /// Statistics of the decoded scene; none if a section is damaged or missing, or was not read.
     pub contents: Option<Contents>,
 }
 
@@ -65,15 +67,14 @@ pub struct SectionInfo {
     pub bytes: u64,
     /// Whether all bytes of the section are there; false only of a file that was cut.
     pub is_whole: bool,
-    /// Whether the CRC-32 of the section agrees with the table of contents; false if the section is not whole.
-    pub checksum_ok: bool,
+    /// Whether the CRC-32 of the section agrees with the table of contents; false if the section is not whole, none if it was
+    /// not read.
+    pub checksum_ok: Option<bool>,
 }
 
 /// Statistics of the scene in an undamaged file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contents {
-    /// Counts and provenance of the scene.
-    pub info: SceneInfo,
     /// By name of the attribute: the number of Gaussians of each width in use; width 0 of those that lack it.
     pub bits_histogram: Vec<(String, BTreeMap<u8, usize>)>,
     /// By name of the attribute: mean number of keypoints of a track.
@@ -85,9 +86,9 @@ pub struct Contents {
 }
 
 impl FileInfo {
-    /// Whether the checksums of all sections are right.
+    /// Whether all sections were read, and their checksums are right.
     pub fn checksums_ok(&self) -> bool {
-        self.sections.iter().all(|s| s.checksum_ok)
+        self.sections.iter().all(|s| s.checksum_ok == Some(true))
     }
 
     /// By name of the attribute: total length of the sections with codes of the attribute, in bytes. Bit widths and all
@@ -153,19 +154,6 @@ pub fn inspect_cut(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, Decod
 }
 
 fn inspect_archive(file: &[u8], limits: &DecodeLimits, mut archive: Archive) -> Result<FileInfo, DecodeError> {
-    let describe = |entry: &Entry, name: &str, cohort: Option<usize>| {
-        let bytes = file.get(entry.range.start as usize..entry.range.end as usize);
-        SectionInfo {
-            name: name.into(),
-            cohort,
-            segment: (entry.segment != SHARED).then_some(entry.segment.into()),
-            layer: entry.layer.into(),
-            bytes: entry.range.end - entry.range.start,
-            is_whole: bytes.is_some(),
-            checksum_ok: bytes.is_some_and(|bytes| entry.open(bytes).is_ok()),
-        }
-    };
-    let mut sections: Vec<_> = archive.entries().iter().map(|e| describe(e, name(e.tag), None)).collect();
     let is_whole = file.len() as u64 == archive.file_bytes();
     let cohorts: Vec<Cohort> = if is_whole {
         open_cohorts(&mut archive, file)?
@@ -176,40 +164,72 @@ fn inspect_archive(file: &[u8], limits: &DecodeLimits, mut archive: Archive) -> 
         let head = |archive: &Archive, i| archive.head_range(i).start as usize..archive.head_range(i).end as usize;
         whole.into_iter().map(|i| archive.open_cohort(i, &file[head(&archive, i)])).collect::<Result<_, _>>()?
     };
-    for (index, cohort) in cohorts.iter().enumerate().filter(|_| archive.version() > 1) {
-        let names = cohort.entry_names();
-        sections.extend(cohort.entries().iter().zip(names).map(|(e, name)| describe(e, &name, Some(index))));
+    let mut info = FileInfo::new(&archive, file.len() as u64, Some(file));
+    cohorts.iter().for_each(|cohort| info.add(&archive, cohort, Some(file)));
+    if is_whole && info.checksums_ok() {
+        info.contents = Some(contents(&decode_cohorts(file, limits)?.1));
     }
-    let describe_cohort = |cohort: &Cohort| CohortInfo {
-        timesteps: cohort.timesteps(),
-        layers: cohort.layers().to_vec(),
-        segments: (0..cohort.num_segments())
-            .map(|i| (cohort.timesteps_of(i), cohort.segment_range(i, cohort.num_layers())))
-            .collect(),
-        layout: Arc::clone(cohort.layout()),
-    };
-    let mut file_info = FileInfo {
-        version: archive.version(),
-        bytes: file.len() as u64,
-        bytes_before: archive.file_bytes(),
-        sections,
-        cohorts: cohorts.iter().map(describe_cohort).collect(),
-        bounds: archive.bounds(),
-        declared_errors: archive.declared_errors().to_vec(),
-        contents: None,
-    };
-    if is_whole && file_info.checksums_ok() {
-        file_info.contents = Some(contents(archive.info(), &decode_cohorts(file, limits)?.1));
+    Ok(info)
+}
+
+impl FileInfo {
+    /// What the start of a file says.
+    ///
+    /// - `length`: bytes of the file, which may have been cut
+    /// - `file`: all of these bytes; none: sections are not read
+    pub(crate) fn new(archive: &Archive, length: u64, file: Option<&[u8]>) -> Self {
+        let sections = archive.entries().iter();
+        Self {
+            version: archive.version(),
+            bytes: length,
+            bytes_before: archive.file_bytes(),
+            scene: archive.info().clone(),
+            sections: sections.map(|entry| describe(entry, name(entry.tag), None, length, file)).collect(),
+            cohorts: Vec::new(),
+            bounds: archive.bounds(),
+            declared_errors: archive.declared_errors().to_vec(),
+            contents: None,
+        }
     }
-    Ok(file_info)
+
+    /// Adds the next cohort.
+    pub(crate) fn add(&mut self, archive: &Archive, cohort: &Cohort, file: Option<&[u8]>) {
+        // The table of version 1 has the sections of its only cohort.
+        if archive.version() > 1 {
+            let (index, length) = (Some(self.cohorts.len()), self.bytes);
+            let named = cohort.entries().iter().zip(cohort.entry_names());
+            self.sections.extend(named.map(|(entry, name)| describe(entry, &name, index, length, file)));
+        }
+        let all = cohort.num_layers();
+        let segments = (0..cohort.num_segments()).map(|i| (cohort.timesteps_of(i), cohort.segment_range(i, all)));
+        self.cohorts.push(CohortInfo {
+            timesteps: cohort.timesteps(),
+            layers: cohort.layers().to_vec(),
+            segments: segments.collect(),
+            layout: Arc::clone(cohort.layout()),
+        });
+    }
+}
+
+fn describe(entry: &Entry, name: &str, cohort: Option<usize>, length: u64, file: Option<&[u8]>) -> SectionInfo {
+    let Range { start, end } = entry.range;
+    let is_right = |file: &[u8]| file.get(start as usize..end as usize).is_some_and(|bytes| entry.open(bytes).is_ok());
+    SectionInfo {
+        name: name.into(),
+        cohort,
+        segment: (entry.segment != SHARED).then_some(entry.segment.into()),
+        layer: entry.layer.into(),
+        bytes: end - start,
+        is_whole: end <= length,
+        checksum_ok: file.map(is_right),
+    }
 }
 
 /// Statistics of all cohorts together.
-fn contents(info: &SceneInfo, cohorts: &[CompactScene]) -> Contents {
+fn contents(cohorts: &[CompactScene]) -> Contents {
     let layout = cohorts.iter().map(|cohort| &cohort.layout).max_by_key(|layout| layout.columns().len());
     let columns = layout.map_or(&[][..], |layout| layout.columns());
     let mut contents = Contents {
-        info: info.clone(),
         bits_histogram: columns.iter().map(|column| (column.name.clone(), BTreeMap::new())).collect(),
         keypoints_mean: Vec::new(),
         raw_bytes: cohorts.iter().map(CompactScene::raw_bytes).sum(),
