@@ -13,28 +13,7 @@ use tcgs_core::Gaussians;
 
 #[allow(dead_code)] // Each test uses some of it.
 mod any_scene;
-use any_scene::{Numbers, any_cohort, any_scene};
-
-/// Cohorts at random, by ascending start, and what describes them together.
-fn any_cohorts(count: usize, seed: u64) -> (SceneInfo, Vec<CompactScene>) {
-    let random = &mut Numbers(seed);
-    let info = any_scene(1, 1, seed).info;
-    let mut start = 0;
-    let mut cohorts = Vec::new();
-    for i in 0..count {
-        start += random.below(8) as u32;
-        let [num_gaussians, num_timesteps] = [1 + random.below(9), 1 + random.below(30)].map(|n| n as usize);
-        let mut cohort = any_cohort(num_gaussians, num_timesteps, start, seed ^ i as u64);
-        // What describes the whole scene is said once.
-        cohort.info =
-            SceneInfo { num_gaussians: num_gaussians as u32, num_timesteps: num_timesteps as u32, ..info.clone() };
-        cohorts.push(cohort);
-    }
-    let num_gaussians = cohorts.iter().map(|cohort| cohort.info.num_gaussians).sum();
-    let end = cohorts.iter().map(|cohort| cohort.start + cohort.info.num_timesteps).max();
-    let num_timesteps = end.unwrap_or(0) + 1 + random.below(3) as u32;
-    (SceneInfo { num_gaussians, num_timesteps, ..info }, cohorts)
-}
+use any_scene::{any_cohort, any_cohorts, any_scene};
 
 /// What lives at a timestep, by the definition.
 fn alive(cohorts: &[CompactScene], timestep: usize) -> Vec<Gaussians> {

@@ -354,8 +354,14 @@ fn report(arguments: &Arguments, compressed: &Compressed, found: Option<Found>, 
     attribute_errors::print(&compact.declared_errors)?;
     let (before, after) = (compressed.num_gaussians_before, compact.num_gaussians());
     let size = compressed.file.len() as u64;
+    // Those that come and go are more in all than at any time.
+    let counts = if after > before {
+        format!("{after} Gaussians, at most {before} at a time")
+    } else {
+        format!("{after} of {before} Gaussians")
+    };
     say(&format!(
-        "{}: {after} of {before} Gaussians, {:.2} bits a parameter, {}, {:.1} times smaller",
+        "{}: {counts}, {:.2} bits a parameter, {}, {:.1} times smaller",
         out.display(),
         compact.mean_bits(),
         show_bytes(size),
