@@ -233,8 +233,8 @@ const fn pace(tolerance: f32, bits: f32) -> Pace {
 /// basketball and on a ray-traced room: at half the bytes 0.5 dB more than at one pace for all, since colours are what
 /// one sees.
 const COARSER: [Pace; 5] = [pace(0.75, 1.0), pace(1.0, 1.4), pace(1.0, 1.4), pace(1.0, 1.2), pace(0.25, 0.4)];
-/// Above it: rotations and scales are soon exact enough.
-const FINER: [Pace; 5] = [pace(1.2, 0.85), pace(1.0, 0.75), pace(1.0, 0.75), pace(1.0, 1.0), pace(1.0, 1.05)];
+/// Above it: scales and opacities are soon exact enough, rotations later.
+const FINER: [Pace; 5] = [pace(1.2, 0.75), pace(1.0, 1.0), pace(1.0, 0.4), pace(1.0, 0.5), pace(1.0, 1.05)];
 
 impl CompressSettings {
     /// The bit map with what the settings change in it.
