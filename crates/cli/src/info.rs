@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -26,10 +26,14 @@ use crate::terminal::{note, say};
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
-  tcgs info scene.tcgs --json info.json")]
+  tcgs info scene.tcgs --json info.json
+  tcgs info scene.tcgs --data tcgs.credits > credits.json")]
 pub struct Arguments {
     /// .tcgs file
     file: PathBuf,
+    /// Write data that an application put into the file, such as tcgs.credits, to the standard output, and nothing else
+    #[arg(long, value_name = "NAME")]
+    data: Option<String>,
     #[command(flatten)]
     recover: RecoverOption,
     #[command(flatten)]
@@ -50,13 +54,30 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let limits = DecodeLimits::default();
     let damaged =
         |error: DecodeError| arguments.recover.advise(&error, format!("{path}: {error}, expected a whole .tcgs file"));
-    let length = fs::metadata(&arguments.file).map_err(unreadable)?.len();
-    let (info, data) = if length > MOST_READ {
+    let open = || {
         let file = fs::File::open(&arguments.file).map_err(unreadable)?;
         let open = if arguments.recover.recover { SceneFile::recover } else { SceneFile::open };
-        let mut file = open(file, &limits, 0).map_err(damaged)?;
+        open(file, &limits, 0).map_err(damaged)
+    };
+    if let Some(name) = &arguments.data {
+        let data = open()?.application_data().map_err(damaged)?;
+        let Some((_, bytes)) = data.iter().find(|(found, _)| found == name) else {
+            let names: Vec<&str> = data.iter().map(|(name, _)| &name[..]).collect();
+            let found = if names.is_empty() {
+                "has no data of applications".into()
+            } else {
+                format!("has {}", names.join(", "))
+            };
+            return Err(wrong_input(format!("{path}: {found}, expected {name}")));
+        };
+        return Ok(std::io::stdout().write_all(bytes)?);
+    }
+    let length = fs::metadata(&arguments.file).map_err(unreadable)?.len();
+    let (info, data) = if length > MOST_READ {
+        let mut file = open()?;
         tell_loss(arguments, &file);
-        (file.outline().map_err(damaged)?, Vec::new())
+        let data = file.application_data().map_err(damaged)?;
+        (file.outline().map_err(damaged)?, data.into_iter().map(|(name, data)| (name, data.len() as u64)).collect())
     } else {
         let bytes = fs::read(&arguments.file).map_err(unreadable)?;
         let inspect = if arguments.recover.recover { inspect_cut } else { inspect };
@@ -65,7 +86,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             tell_loss(arguments, &SceneFile::recover(Cursor::new(&bytes), &limits, 0).map_err(damaged)?);
         }
         let data = if info.checksums_ok() { application_data(&bytes, &limits).map_err(damaged)? } else { Vec::new() };
-        (info, data.into_iter().map(|(name, data)| (name, data.len() as u64)).collect())
+        (info, data.into_iter().map(|(name, data)| (name, data.len() as u64)).collect::<Vec<_>>())
     };
     say(&format!("{path}: version {}, {} ({} bytes)", info.version, show_bytes(info.bytes), info.bytes))?;
     if is_known(&info) {

@@ -189,6 +189,43 @@ fn what_does_not_fit_is_one_line() {
     assert!(!Path::new(&out).exists() && !path("back").exists() && !path("a.ply").exists());
 }
 
+/// What is attached to a file comes out again, byte for byte; what is not what it is said to be is refused.
+#[test]
+fn data_of_applications_go_in_and_come_out() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let plys = write_globe(&folder, 2);
+    let file = path("scene.tcgs");
+    let (credits, notes) = (br#"{ "licence": "CC-BY-4.0" }"#, b"any\0bytes");
+    fs::write(path("credits.json"), credits).unwrap();
+    fs::write(path("notes.bin"), notes).unwrap();
+    let attach = |name: &str, of: &str| format!("{name}={}", text(&path(of)));
+    let compress = ["compress", text(&plys), "--bits", "6,6", "--out", text(&file), "--force"];
+    for version in ["1", "2"] {
+        let words = ["--attach", &attach("credits", "credits.json"), "--attach", &attach("myapp.notes", "notes.bin")];
+        succeed(&[&compress[..], &words, &["--format", version]].concat());
+        for (name, expected) in [("tcgs.credits", &credits[..]), ("myapp.notes", notes)] {
+            let output = run(&["info", text(&file), "--data", name]);
+            assert!(output.status.success());
+            assert_eq!(output.stdout, expected, "{name}");
+        }
+    }
+    let message = fail(2, &["info", text(&file), "--data", "tcgs.sound"]);
+    assert!(message.contains("has tcgs.credits, myapp.notes, expected tcgs.sound"), "{message}");
+    fs::remove_file(&file).unwrap();
+    for (name, of, expected) in [
+        ("credits", "notes.bin", "notes.bin: "),
+        ("sound", "credits.json", "credits.json: no Ogg stream, expected Opus in Ogg"),
+        ("credits", "absent.json", "absent.json: "),
+        ("tcgs.views", "credits.json", "names that begin with tcgs."),
+        ("creditz", "credits.json", "expected credits, units, paths"),
+    ] {
+        let message = fail(2, &[&compress[..], &["--attach", &attach(name, of)]].concat());
+        assert!(message.contains(expected), "{name}: {message}");
+        assert!(!file.exists());
+    }
+}
+
 /// Plain floats are those of the decoder, bit for bit; also infinite ones, and none.
 #[test]
 fn plain_floats_are_those_of_the_file() {

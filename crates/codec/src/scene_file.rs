@@ -278,6 +278,24 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(info)
     }
 
+    /// Names and content of the application data, in the order of the file, without those that lack a name in UTF-8 or, of a
+    /// file that was cut, are not whole.
+    ///
+    /// # Errors
+    /// [`DecodeError::Format`] if data are damaged.
+    pub fn application_data(&mut self) -> Result<Vec<(String, Vec<u8>)>, DecodeError> {
+        let length = self.loss.map_or(self.archive.file_bytes(), |loss| loss.bytes);
+        let mut all = Vec::new();
+        for (index, range) in self.archive.application_ranges().into_iter().enumerate() {
+            if range.end <= length {
+                let bytes = read(&mut self.source, range)?;
+                let data = self.archive.read_application(index, &bytes)?;
+                all.extend(data.map(|(name, data)| (name, data.to_vec())));
+            }
+        }
+        Ok(all)
+    }
+
     /// A segment of a cohort, from the cache or else read and decoded.
     ///
     /// # Errors

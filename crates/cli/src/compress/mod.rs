@@ -1,5 +1,6 @@
 //! `tcgs compress`: floats become a `.tcgs` file.
 
+mod attachment;
 pub mod target;
 
 use std::path::{Path, PathBuf};
@@ -14,6 +15,7 @@ use tcgs_pipeline::{
 };
 use tcgs_train::Run;
 
+use self::attachment::Attachment;
 use crate::attribute_errors::{self, Bounds};
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
@@ -128,6 +130,10 @@ pub struct Arguments {
     /// Most cameras of --capture or of the run's capture that the file gives players to start from
     #[arg(long, value_name = "N", default_value_t = 8)]
     views: usize,
+    /// Put a file's content into the .tcgs file, for programs that read it: credits, units, paths, labels, sound or times,
+    /// as docs/FORMAT.md describes them, or data of an application under its own name; may be repeated
+    #[arg(long, value_name = "NAME=FILE")]
+    attach: Vec<Attachment>,
     #[command(flatten)]
     backend: BackendOptions,
     #[command(flatten)]
@@ -333,6 +339,7 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         up: arguments.up,
         version: arguments.format.or(arguments.max_error.as_ref().map(|_| 2)),
         views: arguments.views,
+        data: arguments.attach.iter().map(Attachment::read).collect::<Result<_, _>>()?,
         ..CompressOptions::default()
     })
 }

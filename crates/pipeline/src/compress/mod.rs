@@ -51,6 +51,8 @@ pub struct CompressOptions {
     pub version: Option<u16>,
     /// Most cameras that the file gives players to start from.
     pub views: usize,
+    /// Names and content of further application data (`docs/FORMAT.md`, "Application data").
+    pub data: Vec<(String, Vec<u8>)>,
     /// Raw size above which the timesteps of a run or of a `params.npz` are read from the disk, several times, instead of
     /// held in memory, bytes. The file is the same. Default: half a gigabyte.
     pub max_float_bytes: u64,
@@ -70,6 +72,7 @@ impl Default for CompressOptions {
             up: None,
             version: None,
             views: 8,
+            data: Vec::new(),
             max_float_bytes: 1 << 29,
         }
     }
@@ -134,8 +137,8 @@ pub struct PrunedScene<'a> {
     raw_bytes: u64,
     /// Of chapters, unless the settings say another.
     segment_length: Option<u32>,
-    /// For players.
-    views: Option<Vec<u8>>,
+    /// Application data: cameras for players first, then what was attached.
+    data: Vec<(String, Vec<u8>)>,
     /// Where the bits come from, in words.
     pub bits_from: String,
 }
@@ -165,7 +168,11 @@ impl<'a> PrunedScene<'a> {
         let mut pruned = Self {
             info: info(scene, up),
             version: options.version,
-            views: views::views(&cameras, options),
+            data: views::views(&cameras, options)
+                .map(|json| (VIEWS.into(), json))
+                .into_iter()
+                .chain(options.data.clone())
+                .collect(),
             num_gaussians_before: scene.num_gaussians(),
             raw_bytes: scene.bytes,
             segment_length: scene.segment_length(),
@@ -223,12 +230,12 @@ impl<'a> PrunedScene<'a> {
             }
             Pruned::Parts(parts) => parts.compress(&self.info, settings)?,
         };
-        let views = self.views.iter().map(|json| (VIEWS, &json[..]));
+        let data: Vec<_> = self.data.iter().map(|(name, data)| (&name[..], &data[..])).collect();
         let version = version_of(&compact);
         if version == 1 {
             compact.declared_errors.clear();
         }
-        let file = compact.encode(version, &views.collect::<Vec<_>>())?;
+        let file = compact.encode(version, &data)?;
         Ok((compact, file))
     }
 
