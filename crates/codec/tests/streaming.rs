@@ -398,3 +398,17 @@ fn the_least_recently_used_segment_goes_first() {
     cache.insert(segments[3].clone());
     assert!(cache.recall(3).is_some());
 }
+
+/// A header of version 1 without sections is shorter than any of version 2; found by fuzzing.
+#[test]
+fn a_short_header_is_refused_however_it_arrives() {
+    let mut header = b"TCGS".to_vec();
+    header.extend([1, 0, 0, 0, 0, 0, 0, 0]);
+    let checksum = crc32fast::hash(&header);
+    header.extend(checksum.to_le_bytes());
+    for cut in 0..=header.len() {
+        let mut decoder = Decoder::new(DecodeLimits::default());
+        let events = decoder.push(&header[..cut]).and_then(|_| decoder.push(&header[cut..]));
+        assert!(events.is_err(), "cut at {cut}: {events:?}");
+    }
+}

@@ -115,7 +115,7 @@ impl Archive {
     /// - [`DecodeError::Limit`] if the counts exceed `limits`
     pub fn open(start: &[u8], limits: &DecodeLimits) -> Result<Opening, DecodeError> {
         let Some((version, header)) = container::length_of_header(start)? else {
-            return Ok(Opening::More(container::FIXED_BYTES as u64));
+            return Ok(Opening::More(container::fixed_bytes(start) as u64));
         };
         let Some(header) = start.get(..header) else { return Ok(Opening::More(header as u64)) };
         if version == 1 { version_1::open(header, start, limits) } else { version_2::open(header, start, limits) }

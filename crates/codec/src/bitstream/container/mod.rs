@@ -9,8 +9,13 @@ use crate::error::DecodeError;
 
 /// The first four bytes of every `.tcgs` file.
 pub const MAGIC: Tag = *b"TCGS";
-/// Bytes from which the length of the header follows, of either version.
-pub(super) const FIXED_BYTES: usize = 20;
+/// Bytes from which the length of the header follows; of a version that is not known yet those of the shortest.
+pub(super) fn fixed_bytes(start: &[u8]) -> usize {
+    match start.get(MAGIC.len()..MAGIC.len() + 2) {
+        Some([2, 0]) => version_2::FIXED_BYTES,
+        _ => version_1::FIXED_BYTES,
+    }
+}
 
 /// A checksum that a fuzzer need not guess.
 fn agrees(checksum: u32, hash: u32) -> bool {

@@ -13,7 +13,7 @@ use crate::error::{CompressError, DecodeError};
 use crate::limits::{Budget, DecodeLimits};
 
 /// Magic, version, reserved, number of sections, checksum.
-const FIXED_BYTES: usize = 16;
+pub(super) const FIXED_BYTES: usize = 16;
 /// Tag, segment, layer, length, checksum.
 const ENTRY_BYTES: usize = 16;
 /// Where the checksum of the header lies.

@@ -10,10 +10,12 @@ use super::super::cohort::Cohort;
 use super::super::head::{Head, Info, read_info_2, read_layers, write_info_2, write_layers};
 use super::super::plan::{Plan, read_plan_2, write_plan_2};
 use super::super::section::{self, COHORTS, Cursor, Entry, INFO, MAPS, SHARED, Tag};
-use super::{FIXED_BYTES, MAGIC, agrees};
+use super::{MAGIC, agrees};
 use crate::error::{CompressError, DecodeError};
 use crate::limits::DecodeLimits;
 
+/// Magic, version, number of sections, length of the file, checksum.
+pub(super) const FIXED_BYTES: usize = 20;
 /// Tag, checksum, offset, length.
 const ENTRY_BYTES: usize = 24;
 /// An entry of `COHO`.
