@@ -31,8 +31,8 @@ or none is declared; 2 wrong usage, a damaged file, or another scene than SOURCE
 pub struct Arguments {
     /// .tcgs file
     file: PathBuf,
-    /// What was compressed: run folder, params.npz of Dynamic 3D Gaussians, folder of PLY files, or .tcgs file; several
-    /// run folders where chapters were joined
+    /// What was compressed: run folder, params.npz, .4dgs file, PLY, SPZ or glTF files, or .tcgs file; several run folders
+    /// where chapters were joined
     sources: Vec<PathBuf>,
     #[command(flatten)]
     reading: SourceOptions,
