@@ -254,9 +254,8 @@ test("Gaussians of another program that shine, come and go show as tcgs renders 
   const server = await serve(TCGS, scene);
   t.after(() => server.stop());
   const page = await loaded(await open(t, `${EXACT}&controls=0`, { from: server, viewport: { width: 320, height: 240 } }));
-  await page.mouse.move(150, 120);
-  await page.mouse.wheel(0, 900);
   await page.keyboard.press("k");
+  await page.mouse.move(150, 120);
   await page.mouse.down();
   await page.mouse.move(230, 140);
   await page.mouse.up();
