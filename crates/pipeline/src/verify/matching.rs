@@ -151,7 +151,7 @@ impl<'a> Matching<'a> {
         self.tree = Some(tree);
     }
 
-    /// Finds partners for those that are left by giving others another partner within the bounds: augmenting paths, breadth
+    /// Finds partners for those that are left by giving others another partner within the bounds: augmenting paths, depth
     /// first. As many pairs result as there can be.
     fn augment(&mut self) {
         let Some(tree) = self.tree.take() else { return };
