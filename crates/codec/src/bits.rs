@@ -83,6 +83,25 @@ impl BitMap {
         Self { layout: Arc::clone(&self.layout), widths: self.widths.iter().map(select).collect() }
     }
 
+    /// The bit map with so many more Gaussians at its end, which have the most frequent width of each column, of two as
+    /// frequent ones the larger.
+    ///
+    /// ```
+    /// use tcgs_codec::BitMap;
+    /// assert_eq!(BitMap::uniform(3, 16, 6).with_more(2), BitMap::uniform(5, 16, 6));
+    /// ```
+    ///
+    /// # Panics
+    /// If the bit map has no Gaussian.
+    pub fn with_more(&self, count: usize) -> Self {
+        let mut widths = self.widths.clone();
+        for (widths, of_width) in widths.iter_mut().zip(self.histogram()) {
+            let (&usual, _) = of_width.iter().max_by_key(|(_, count)| **count).expect("a bit map of some Gaussians");
+            widths.resize(widths.len() + count, usual);
+        }
+        Self { layout: Arc::clone(&self.layout), widths }
+    }
+
     /// By [`Attribute::index`]: the number of Gaussians of each width in use.
     pub fn histogram(&self) -> Vec<BTreeMap<u8, usize>> {
         let count = |widths: &Vec<u8>| {

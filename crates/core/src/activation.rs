@@ -43,6 +43,19 @@ impl Activated {
             num_channels: self.num_channels,
         }
     }
+
+    /// Appends other Gaussians.
+    ///
+    /// # Panics
+    /// If they have another number of channels.
+    pub fn extend(&mut self, others: &Self) {
+        assert_eq!(self.num_channels, others.num_channels, "channels of what is appended");
+        self.means.extend_from_slice(&others.means);
+        self.quats.extend_from_slice(&others.quats);
+        self.scales.extend_from_slice(&others.scales);
+        self.opacities.extend_from_slice(&others.opacities);
+        self.colors.extend_from_slice(&others.colors);
+    }
 }
 
 /// Gradients with respect to the fields of [`Activated`].

@@ -37,6 +37,11 @@ impl TileMask {
         self.grid
     }
 
+    /// The tile that holds a pixel.
+    pub fn of_pixel(&self, [x, y]: [usize; 2]) -> usize {
+        y / TILE * self.grid[0] + x / TILE
+    }
+
     /// Whether the set holds a tile.
     ///
     /// # Panics

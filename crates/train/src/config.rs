@@ -29,6 +29,8 @@ pub struct TrainConfig {
     pub quantize: QuantizeConfig,
     /// Which Gaussians and tiles a timestep after the first trains.
     pub gate: GateConfig,
+    /// Births after the first timestep.
+    pub births: BirthConfig,
 }
 
 /// 64 bits as the signed integers that TOML has.
@@ -254,6 +256,32 @@ impl GateConfig {
     pub const OFF: Self = Self { enabled: false, ..Self::ON };
 }
 
+/// Settings of births: Gaussians that later timesteps add.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BirthConfig {
+    /// Whether timesteps after the first add Gaussians where the scene does not explain what is seen. Needs the gate.
+    /// Default true; false in `d3dgs` and `paper`.
+    pub enabled: bool,
+    /// A block of 4x4 pixels is not explained if its mean absolute error is above one and a half times that of its tile when last
+    /// explained, the camera's noise, and this much; in units of colour. Default 0.01.
+    pub contrast: f32,
+    /// Most Gaussians that are born at a timestep, as a share of those that there are. Default 0.02.
+    pub share: f32,
+    /// Iterations in which they learn all their attributes, if all views see them. Default 200.
+    pub iterations: usize,
+    /// Opacity below which they are dropped afterwards. Default 0.1.
+    pub opacity: f32,
+}
+
+impl BirthConfig {
+    /// The settings of presets `default` and `fast`.
+    pub const ON: Self = Self { enabled: true, contrast: 0.01, share: 0.02, iterations: 200, opacity: 0.1 };
+
+    /// The settings of presets that add none, and of runs whose `config.toml` knows of no births.
+    pub const OFF: Self = Self { enabled: false, ..Self::ON };
+}
+
 /// Why [`TrainConfig::merge`] or [`TrainConfig::set`] refused settings.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -362,6 +390,7 @@ impl TrainConfig {
                 learned_offset: true,
             },
             gate: GateConfig::OFF,
+            births: BirthConfig::OFF,
         };
         let mut config = reference;
         match preset {
@@ -385,6 +414,7 @@ impl TrainConfig {
                 config.weights.mask_consistency = 0.5;
                 config.mask.prune_end = 6000;
                 config.gate = GateConfig::ON;
+                config.births = BirthConfig::ON;
             }
         }
         if preset == Preset::Fast {

@@ -172,6 +172,18 @@ impl FakeQuantizers {
         );
     }
 
+    /// The same quantizers for so many more Gaussians, of the widths that [`BitMap::with_more`] gives them.
+    pub fn append(&mut self, count: usize) {
+        let bit_map = self.bit_map.with_more(count);
+        *self = Self::restore(
+            bit_map,
+            std::mem::take(&mut self.groups),
+            std::mem::take(&mut self.quantizers),
+            std::mem::take(&mut self.initial_steps),
+            self.learned_offset,
+        );
+    }
+
     /// The quantizers as the codec takes them, by attribute and bit width.
     pub fn table(&self) -> Quantizers {
         let mut table = Quantizers::none(self.bit_map.layout());

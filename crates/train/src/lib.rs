@@ -31,7 +31,7 @@ mod trainer;
 pub use adam::{Moments, adam};
 pub use checkpoint::Checkpoint;
 pub use config::{
-    BitMapKind, ConfigError, DataConfig, DensifyConfig, GateConfig, MaskConfig, Preset, QuantizeConfig,
+    BirthConfig, BitMapKind, ConfigError, DataConfig, DensifyConfig, GateConfig, MaskConfig, Preset, QuantizeConfig,
     REFERENCE_ITERATIONS, RateConfig, ScheduleConfig, TrainConfig,
 };
 pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
@@ -45,7 +45,7 @@ pub use motion::{Past, Pose, predict};
 pub use neighbors::{NEIGHBOR_FALLOFF, NUM_NEIGHBORS, Neighbors};
 pub use parameters::{Parameters, scene_radius};
 pub use row::Row;
-pub use run::{Run, TrainedScene};
+pub use run::{Run, TrainedScene, with_unborn};
 pub use schedule::{Phase, Rates, Schedule};
 pub use sensitivity::sensitivity;
 pub use state::{GradientStatistic, Optimizer, State};

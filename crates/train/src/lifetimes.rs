@@ -4,7 +4,7 @@ use crate::row::Row;
 
 /// A stable identity, the timestep of birth and the timestep of death of each Gaussian.
 ///
-/// Today every Gaussian that the first timestep leaves lives at all timesteps.
+/// What the first timestep leaves was born at 0. Gaussians born later follow in the order of their births; none dies.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Lifetimes {
     /// `[N]` an identity that stays while rows are reordered and removed, and is not given twice.
@@ -46,6 +46,22 @@ impl Lifetimes {
             id as usize == i && birth == 0 && death == Self::NEVER
         };
         self.ids.iter().zip(&self.births).zip(&self.deaths).enumerate().all(whole)
+    }
+
+    /// Number of Gaussians that were born by a timestep, where rows stand in the order of births.
+    pub(crate) fn born_by(&self, timestep: u32) -> usize {
+        self.births.partition_point(|&birth| birth <= timestep)
+    }
+
+    /// Appends Gaussians.
+    ///
+    /// - `timestep`: at which they are born
+    pub(crate) fn append(&mut self, count: usize, timestep: u32) {
+        let ids = self.next_id..self.next_id + u32::try_from(count).expect("fewer than 2^32 Gaussians");
+        self.next_id = ids.end;
+        self.ids.extend(ids);
+        self.births.resize(self.births.len() + count, timestep);
+        self.deaths.resize(self.deaths.len() + count, Self::NEVER);
     }
 
     /// - `timestep`: at which what is new is born

@@ -89,17 +89,17 @@ pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
 /// assert_eq!(tcgs_train::mean_masks([vec![0.0, 40.0], vec![0.0, 40.0]]), [0.5, 1.0]);
 /// ```
 pub fn mean_masks<L: AsRef<[f32]>>(mask_logits: impl IntoIterator<Item = L>) -> Vec<f32> {
-    let (mut sums, mut num_timesteps) = (Vec::new(), 0_usize);
+    let mut sums: Vec<(f32, usize)> = Vec::new();
     for logits in mask_logits {
         let logits = logits.as_ref();
-        if num_timesteps == 0 {
-            sums = vec![0.0; logits.len()];
+        assert!(logits.len() >= sums.len(), "mask logits: [{}] after [{}]", logits.len(), sums.len());
+        sums.resize(logits.len(), (0.0, 0));
+        for ((sum, num_timesteps), &logit) in sums.iter_mut().zip(logits) {
+            *sum += sigmoid(logit);
+            *num_timesteps += 1;
         }
-        assert_eq!(logits.len(), sums.len(), "mask logits: [{}] after [{}]", logits.len(), sums.len());
-        sums.iter_mut().zip(logits).for_each(|(sum, &logit)| *sum += sigmoid(logit));
-        num_timesteps += 1;
     }
-    sums.into_iter().map(|sum: f32| sum / num_timesteps as f32).collect()
+    sums.into_iter().map(|(sum, num_timesteps)| sum / num_timesteps as f32).collect()
 }
 
 #[cfg(test)]

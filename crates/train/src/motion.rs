@@ -1,5 +1,6 @@
 //! The poses of earlier timesteps, and the constant-velocity prediction of the next one.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Real, normalize};
@@ -19,6 +20,16 @@ impl Pose {
     /// Copies the means and quaternions of `gaussians`.
     pub fn of(gaussians: &Gaussians) -> Self {
         Self { means: gaussians.means().to_vec(), quats: gaussians.quats().to_vec() }
+    }
+
+    /// The poses of some rows, one after another.
+    pub(crate) fn range(&self, rows: Range<usize>) -> Self {
+        Self { means: self.means[rows.clone()].to_vec(), quats: self.quats[rows].to_vec() }
+    }
+
+    fn extend(&mut self, others: &Self) {
+        self.means.extend_from_slice(&others.means);
+        self.quats.extend_from_slice(&others.quats);
     }
 
     fn select(&self, indices: &[usize]) -> Self {
@@ -59,6 +70,19 @@ impl Past {
     /// - `is_foreground`: of the rows taken
     pub(crate) fn gather(&mut self, indices: &[usize], is_foreground: &[bool]) {
         *self = self.select(indices, |first| Neighbors::new(&first.means, is_foreground));
+    }
+
+    /// Adds Gaussians that were born together: they have stood where they were born.
+    ///
+    /// - `first`: their poses at birth
+    /// - `previous`: as [`Self::previous`]
+    /// - `is_foreground`: of them
+    pub(crate) fn append(&mut self, first: &Pose, previous: &Gaussians, is_foreground: &[bool]) {
+        let num_before = self.first.means.len();
+        Arc::make_mut(&mut self.neighbors).append(&first.means, is_foreground, num_before);
+        Arc::make_mut(&mut self.first).extend(first);
+        let layout = Arc::clone(previous.layout());
+        self.previous = Gaussians::concat(&layout, &[std::mem::take(&mut self.previous), previous.clone()]);
     }
 
     /// The past of the rows at `indices`.

@@ -100,6 +100,33 @@ impl Neighbors<f32> {
     }
 }
 
+impl Neighbors<f32> {
+    /// Adds the neighbours of Gaussians that were born together, among themselves. Where they are too few, edges of weight 0
+    /// from a node to itself fill its list, since every node has as many edges as the next.
+    ///
+    /// - `means`: `[M, 3]` at their first timestep, finite, scene units
+    /// - `is_foreground`: `[M]`
+    /// - `first`: index of the first of them among all Gaussians
+    pub(crate) fn append(&mut self, means: &[[f32; 3]], is_foreground: &[bool], first: usize) {
+        let own = Self::new(means, is_foreground);
+        let offset = self.foreground.len() as u32;
+        let per_node = if offset == 0 { own.per_node } else { self.per_node };
+        let (mut indices, mut weights, mut distances) =
+            (std::mem::take(&mut self.indices), std::mem::take(&mut self.weights), std::mem::take(&mut self.distances));
+        for node in 0..own.foreground.len() {
+            for edge in 0..per_node {
+                let found = (edge < own.per_node).then_some(node * own.per_node + edge);
+                indices.push(offset + found.map_or(node as u32, |edge| own.indices[edge]));
+                weights.push(found.map_or(0.0, |edge| own.weights[edge]));
+                distances.push(found.map_or(0.0, |edge| own.distances[edge]));
+            }
+        }
+        let mut foreground = std::mem::take(&mut self.foreground);
+        foreground.extend(own.foreground.iter().map(|&i| first as u32 + i));
+        *self = Self::from_edges(foreground, per_node, indices, weights, distances);
+    }
+}
+
 impl<R: Real> Neighbors<R> {
     /// From edges found elsewhere; the fields say what each argument is.
     ///

@@ -1,6 +1,7 @@
 //! The learned parameters, and their initial values from a point cloud.
 
 use std::num::NonZero;
+use std::sync::Arc;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
@@ -63,6 +64,14 @@ impl Parameters {
     /// Number of Gaussians, `N`.
     pub fn num_gaussians(&self) -> usize {
         self.gaussians.num_gaussians()
+    }
+
+    /// Appends the Gaussians of others; cameras stay as they are.
+    pub(crate) fn append(&mut self, others: &Self) {
+        let layout = Arc::clone(self.gaussians.layout());
+        self.gaussians = Gaussians::concat(&layout, &[std::mem::take(&mut self.gaussians), others.gaussians.clone()]);
+        self.mask_logits.extend_from_slice(&others.mask_logits);
+        self.foreground.extend_from_slice(&others.foreground);
     }
 
     /// The Gaussians at `indices`, in that order, repeated where an index is; cameras as they are.

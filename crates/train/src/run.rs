@@ -17,12 +17,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
-use tcgs_core::DynamicGaussians;
+use tcgs_core::{DynamicGaussians, Gaussians};
 use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
-use crate::checkpoint::{Arrays, Chain, Checkpoint, For, MASK_LOGITS, read_single, write_single};
-use crate::config::{GateConfig, TrainConfig};
+use crate::checkpoint::{Arrays, BIRTHS, Chain, Checkpoint, For, MASK_LOGITS, read_single, write_single};
+use crate::config::{BirthConfig, GateConfig, TrainConfig};
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
 use crate::parameters::Parameters;
@@ -46,9 +46,10 @@ pub struct Run {
 /// The result of a run: the finished timesteps of all checkpoints together.
 #[derive(Clone, Debug)]
 pub struct TrainedScene {
-    /// `[T, N]`, the Gaussians of every finished timestep in stored form, neither quantised nor pruned.
+    /// `[T, N]`, the Gaussians of every finished timestep in stored form, neither quantised nor pruned; one that is born
+    /// later is at earlier timesteps as it will be born.
     pub scene: DynamicGaussians,
-    /// `[T][N]`, mask logits `m_{n,t}`; without meaning if the run did not learn masks.
+    /// `[T][N]`, mask logits `m_{n,t}` of those that are born; without meaning if the run did not learn masks.
     pub mask_logits: Vec<Vec<f32>>,
     /// `[N]`, whether each Gaussian belongs to the foreground.
     pub foreground: Vec<bool>,
@@ -84,8 +85,8 @@ impl Run {
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
         let text = fs::read_to_string(&path).map_err(read(&path))?;
-        // A run of before the gate goes on without it.
-        let base = TrainConfig { gate: GateConfig::OFF, ..TrainConfig::default() };
+        // A run of before the gate or births goes on without them.
+        let base = TrainConfig { gate: GateConfig::OFF, births: BirthConfig::OFF, ..TrainConfig::default() };
         let config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         Ok(Self::new(folder, config))
     }
@@ -256,7 +257,49 @@ impl Run {
         self.decode(timestep, &arrays, first)
     }
 
-    /// The mask logits of the finished timesteps in their order, `[N]` each. Reads nothing else of the checkpoints.
+    /// `[N]`, timestep of birth of every Gaussian of the last finished timestep, ascending; none if all were there at
+    /// first. Reads nothing else of the checkpoints.
+    ///
+    /// # Errors
+    /// As [`Self::checkpoint`].
+    pub fn births(&self) -> Result<Option<Vec<u32>>, TrainError> {
+        let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), BIRTHS);
+        let Some(last) = self.timesteps().checked_sub(1) else { return Ok(None) };
+        let births = Checkpoint::births_of(&chain.read(last)?);
+        births.map_err(|problem| TrainError::File { path: chain.path(last), problem })
+    }
+
+    /// The Gaussians that were born after the first timestep, each as it was born, in the order of their births.
+    ///
+    /// - `first`: see [`Self::checkpoint`]
+    ///
+    /// # Errors
+    /// As [`Self::checkpoint`].
+    pub fn newborn(&self, first: &Checkpoint) -> Result<Gaussians, TrainError> {
+        let layout = first.parameters.gaussians.layout();
+        let mut newborn = Vec::new();
+        let births = self.births()?.unwrap_or_default();
+        let mut begin = births.partition_point(|&birth| birth == 0);
+        for together in births[begin..].chunk_by(|a, b| a == b) {
+            let rows: Vec<usize> = (begin..begin + together.len()).collect();
+            let timestep = together[0] as usize;
+            let gaussians = self.parameters(timestep, Some(first))?.gaussians;
+            if gaussians.num_gaussians() < begin + together.len() {
+                let problem = format!(
+                    "holds {} Gaussians, of {} born by then",
+                    gaussians.num_gaussians(),
+                    begin + together.len()
+                );
+                return Err(TrainError::File { path: self.checkpoint_path(timestep), problem });
+            }
+            newborn.push(gaussians.select(&rows));
+            begin += together.len();
+        }
+        Ok(Gaussians::concat(layout, &newborn))
+    }
+
+    /// The mask logits of the finished timesteps in their order, `[N]` each: of those that are born by then. Reads nothing
+    /// else of the checkpoints.
     ///
     /// # Errors
     /// Each as [`Self::checkpoint`].
@@ -288,20 +331,24 @@ impl Run {
         let mut scene = DynamicGaussians::new(Arc::clone(first.parameters.gaussians.layout()));
         let mut mask_logits = Vec::with_capacity(finished);
         let mut quantizers = first.quantizers.clone();
-        scene.push(first.parameters.gaussians.clone());
+        let newborn = self.newborn(&first)?;
+        let num_gaussians = first.parameters.num_gaussians() + newborn.num_gaussians();
+        scene.push(with_unborn(first.parameters.gaussians.clone(), &newborn, num_gaussians));
         mask_logits.push(first.parameters.mask_logits.clone());
         for timestep in 1..finished {
             let later = self.parameters(timestep, Some(&first))?;
-            scene.push(later.gaussians);
+            scene.push(with_unborn(later.gaussians, &newborn, num_gaussians));
             mask_logits.push(later.mask_logits);
         }
+        let mut foreground = first.parameters.foreground;
         if finished > 1 {
-            quantizers = self.checkpoint(finished - 1, Some(&first))?.quantizers;
+            let last = self.checkpoint(finished - 1, Some(&self.checkpoint(0, None)?))?;
+            (quantizers, foreground) = (last.quantizers, last.parameters.foreground);
         }
         Ok(TrainedScene {
             scene,
             mask_logits,
-            foreground: first.parameters.foreground,
+            foreground,
             quantization: quantizers.map(|q| (q.bit_map.clone(), q.table())),
             camera_gains: first.parameters.camera_gains,
             camera_offsets: first.parameters.camera_offsets,
@@ -376,6 +423,22 @@ impl Run {
         let path = self.folder.join(name);
         write_whole(&path, Existing::Replace, |file| file.write_all(bytes)).map_err(write(&path))
     }
+}
+
+/// The Gaussians of one timestep, followed by those that are born later, each as it will be born.
+///
+/// - `newborn`: as [`Run::newborn`] gives them
+///
+/// # Panics
+/// If the timestep has columns of another layout.
+pub fn with_unborn(gaussians: Gaussians, newborn: &Gaussians, num_gaussians: usize) -> Gaussians {
+    let num_unborn = num_gaussians - gaussians.num_gaussians();
+    if num_unborn == 0 {
+        return gaussians;
+    }
+    let rows: Vec<usize> = (newborn.num_gaussians() - num_unborn..newborn.num_gaussians()).collect();
+    let layout = Arc::clone(gaussians.layout());
+    Gaussians::concat(&layout, &[gaussians, newborn.select(&rows)])
 }
 
 fn read(path: &Path) -> impl Fn(io::Error) -> TrainError + use<> {

@@ -43,13 +43,15 @@ impl Rates {
     }
 }
 
-/// The two phases of a run: the first timestep, and all later timesteps.
+/// The phases of a run: the first timestep, all later timesteps, and the births at these.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// The first timestep: all columns are learned, and density control adds and removes Gaussians.
     First,
     /// A later timestep: only the columns that vary with time are learned.
     Rest,
+    /// After a later timestep: those born at it learn all columns, alone.
+    Birth,
 }
 
 impl Phase {
@@ -80,11 +82,13 @@ impl Schedule {
         match phase {
             Phase::First => self.config.schedule.first_iterations,
             Phase::Rest => self.config.schedule.rest_iterations,
+            Phase::Birth => self.config.births.iterations,
         }
     }
 
     /// Reference iterations / actual iterations.
     fn shortening(&self, phase: Phase) -> f32 {
+        // What is born learns what the first timestep taught the others.
         let reference = REFERENCE_ITERATIONS[usize::from(phase == Phase::Rest)];
         reference as f32 / self.iterations(phase) as f32
     }
@@ -105,7 +109,7 @@ impl Schedule {
         let mask = r.mask * self.shortening(phase);
         let mean = r.mean * self.scene_radius;
         match phase {
-            Phase::First => {
+            Phase::First | Phase::Birth => {
                 let scale = if r.first_scale == 0.0 { self.shortening(phase).sqrt() } else { r.first_scale };
                 let decay = cosine(r.first_decay);
                 Rates {
@@ -114,7 +118,8 @@ impl Schedule {
                     color: r.color * decay,
                     logit_opacity: r.logit_opacity * decay,
                     log_scale: r.log_scale * scale * decay,
-                    camera: r.camera * scale * decay,
+                    // All Gaussians share the cameras.
+                    camera: if phase == Phase::First { r.camera * scale * decay } else { 0.0 },
                     mask,
                     step: r.step * decay,
                     moves_constants: true,

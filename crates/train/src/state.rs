@@ -188,6 +188,33 @@ impl State {
         };
     }
 
+    /// Appends Gaussians that are born at the current timestep: with zero moments, and at rest since they were born.
+    pub(crate) fn append(&mut self, born: &Parameters) {
+        let (before, count) = (self.parameters.num_gaussians(), born.num_gaussians());
+        self.parameters.append(born);
+        self.lifetimes.append(count, self.timestep as u32);
+        let rows: Vec<Row> =
+            (0..before + count).map(|i| if i < before { Row::Kept(i) } else { Row::New { parent: 0 } }).collect();
+        self.optimizer.gather(&rows);
+        if let Some(quantizers) = &mut self.quantizers {
+            quantizers.append(count);
+        }
+        if let Some(past) = &mut self.past {
+            past.append(&Pose::of(&born.gaussians), &born.gaussians, &born.foreground);
+            if let Some(logits) = &mut past.previous_mask_logits {
+                logits.extend_from_slice(&born.mask_logits);
+            }
+        }
+        self.statistic.sum.resize(before + count, 0.0);
+        self.statistic.count.resize(before + count, 0);
+    }
+
+    /// Poses at birth of those that were born after the first timestep.
+    pub(crate) fn born(&self) -> Pose {
+        let num_first = self.lifetimes.born_by(0);
+        self.past.as_ref().map_or_else(Pose::default, |past| past.first.range(num_first..past.first.means.len()))
+    }
+
     /// Numbers the Gaussians from 0 in their order: what the first timestep leaves is what there is.
     pub(crate) fn number_anew(&mut self) {
         self.lifetimes = Lifetimes::new(self.parameters.num_gaussians());

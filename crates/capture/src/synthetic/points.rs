@@ -18,8 +18,9 @@ const MOVING_SHARE: usize = 3;
 /// Points, uniformly by area over what moves and over what does not, whether a camera sees them or not.
 pub(super) fn sample(num_points: usize, seed: u64) -> PointCloud {
     let scene = SyntheticScene::at(0);
-    let (moving, fixed): (Vec<usize>, Vec<usize>) =
-        (0..scene.bodies.len()).partition(|&body| scene.bodies[body].moving);
+    let (moving, fixed): (Vec<usize>, Vec<usize>) = (0..scene.bodies.len())
+        .filter(|&body| scene.bodies[body].has_entered())
+        .partition(|&body| scene.bodies[body].moving);
     let surfaces = |bodies: &[usize]| -> Vec<(Option<usize>, f64)> {
         bodies.iter().map(|&body| (Some(body), area(&scene.bodies[body]))).collect()
     };

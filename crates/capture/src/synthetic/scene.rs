@@ -9,6 +9,9 @@ use super::{SYNTHETIC_FRAME_RATE, texture::Texture};
 pub(super) const ROOM: [[f64; 3]; 2] = [[-2.7, -2.7, -2.6], [2.7, 0.0, 2.5]];
 
 const BALL_RADIUS: f64 = 0.29;
+const BALLOON_RADIUS: f64 = 0.24;
+/// Timestep at which the balloon begins to come through the ceiling: a third of the clip of the default settings.
+const BALLOON_ENTERS: f64 = 8.0;
 /// Metres a second squared.
 const GRAVITY: f64 = 9.8;
 /// Seconds from bounce to bounce: 16 frames.
@@ -35,6 +38,11 @@ pub(super) struct Body {
 }
 
 impl Body {
+    /// Whether any of it is below the ceiling: what is not has not entered yet.
+    pub fn has_entered(&self) -> bool {
+        self.center[1] + self.half[1] > ROOM[0][1]
+    }
+
     /// Radius of the smallest sphere around it.
     pub fn reach(&self) -> f64 {
         let [x, y, z] = self.half;
@@ -61,6 +69,7 @@ impl SyntheticScene {
                 ball(timestep),
                 cube(timestep),
                 spinner(timestep),
+                balloon(timestep),
                 fixed(Shape::Box, [0.6, 0.42, 0.32], [-1.75, -0.42, 1.95], Texture::Cabinet),
                 fixed(Shape::Box, [0.3, 0.3, 0.3], [1.85, -0.3, 1.8], Texture::Plinth),
                 fixed(Shape::Ellipsoid, [0.27, 0.3, 0.27], [1.85, -0.9, 1.8], Texture::Vase),
@@ -116,6 +125,22 @@ fn spinner(timestep: usize) -> Body {
     let center = [0.55 * phase.cos(), -1.42 + 0.06 * (2.0 * phase).sin(), 0.3 + 0.4 * phase.sin()];
     let rotation = mul(turn_y(-phase), rotation([0.0, 0.0, 1.0], 0.5));
     Body { shape: Shape::Ellipsoid, half: [0.20, 0.37, 0.20], center, rotation, texture: Texture::Spiral, moving: true }
+}
+
+/// A balloon that comes down through the ceiling, where nothing was before, and sinks ever slower.
+fn balloon(timestep: usize) -> Body {
+    let since = (timestep as f64 - BALLOON_ENTERS).max(-1.0) / SYNTHETIC_FRAME_RATE;
+    let height = ROOM[0][1] - BALLOON_RADIUS + 1.55 * (1.0 - (-5.0 * since).exp());
+    let half = [BALLOON_RADIUS, 1.2 * BALLOON_RADIUS, BALLOON_RADIUS];
+    let rotation = turn_y(0.03 * timestep as f64);
+    Body {
+        shape: Shape::Ellipsoid,
+        half,
+        center: [-1.0, height, 0.9],
+        rotation,
+        texture: Texture::Balloon,
+        moving: true,
+    }
 }
 
 fn turn_y(angle: f64) -> [[f64; 3]; 3] {

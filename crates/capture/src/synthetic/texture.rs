@@ -11,6 +11,7 @@ pub(super) enum Texture {
     BeachBall,
     StripedCube,
     Spiral,
+    Balloon,
     Cabinet,
     Plinth,
     Vase,
@@ -50,6 +51,10 @@ impl Texture {
             Self::Spiral => {
                 let band = smoothstep(-0.3, 0.3, (2.0 * z.atan2(x) + 3.6 * y).sin());
                 mix([0.03, 0.62, 0.32], [0.72, 0.95, 0.18], band)
+            }
+            Self::Balloon => {
+                let band = smoothstep(-0.4, 0.4, (3.0 * z.atan2(x)).sin());
+                mix(mix([0.86, 0.10, 0.30], [0.98, 0.62, 0.70], band), [0.30, 0.02, 0.10], smoothstep(0.75, 0.95, y))
             }
             Self::Cabinet => {
                 let grain = 0.5 + 0.5 * (5.0 * y + 1.5 * (2.0 * x).sin()).sin();

@@ -92,7 +92,7 @@ impl SyntheticScene {
             left *= near(p[i] - ROOM[0][i]) * near(ROOM[1][i] - p[i]);
         }
         if hit.normal[1] < 0.0 {
-            for body in &self.bodies {
+            for body in self.bodies.iter().filter(|body| body.has_entered()) {
                 let gap = -body.center[1] - body.half[1];
                 let reach = 1.5 * body.half[0].max(body.half[2]) + 0.3 * gap;
                 let distance = ((p[0] - body.center[0]).powi(2) + (p[2] - body.center[2]).powi(2)).sqrt();

@@ -7,6 +7,7 @@ use tcgs_codec::{
     AttributeErrors, BitMap, CompactScene, CompressSettings, Quantizers, SceneInfo, compress_ordered, compress_reader,
 };
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
+use tcgs_train::with_unborn;
 
 use crate::{OpenScene, PipelineError};
 
@@ -16,7 +17,12 @@ pub(super) enum Kept<'a> {
     /// All timesteps.
     InMemory(DynamicGaussians),
     /// Timesteps are read, and read again, when the codec asks for them.
-    OnDisk { scene: &'a OpenScene, keep: Vec<usize> },
+    OnDisk {
+        scene: &'a OpenScene,
+        keep: Vec<usize>,
+        /// Those born after the first timestep, as they are born.
+        newborn: Gaussians,
+    },
 }
 
 impl Kept<'_> {
@@ -44,16 +50,16 @@ impl Kept<'_> {
     pub fn raw_bytes(&self) -> u64 {
         match self {
             Self::InMemory(floats) => floats.raw_bytes(),
-            Self::OnDisk { scene, keep } => scene.layout().raw_bytes(keep.len(), scene.num_timesteps()),
+            Self::OnDisk { scene, keep, .. } => scene.layout().raw_bytes(keep.len(), scene.num_timesteps()),
         }
     }
 
-    /// One timestep in stored form.
+    /// One timestep in stored form; what is born later is there as it will be born.
     pub fn at(&self, timestep: usize) -> Result<Gaussians, PipelineError> {
         match self {
             Self::InMemory(floats) => Ok(floats.at(timestep)),
-            Self::OnDisk { scene, keep } => {
-                let gaussians = scene.at(timestep)?;
+            Self::OnDisk { scene, keep, newborn } => {
+                let gaussians = with_unborn(scene.at(timestep)?, newborn, scene.num_gaussians());
                 Ok(if keep.len() < gaussians.num_gaussians() { gaussians.select(keep) } else { gaussians })
             }
         }

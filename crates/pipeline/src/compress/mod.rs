@@ -146,8 +146,14 @@ pub struct PrunedScene<'a> {
 /// What stays of a scene, and its bits.
 #[derive(Clone, Debug)]
 enum Pruned<'a> {
-    /// Gaussians that live in all timesteps.
-    Whole { kept: Kept<'a>, bit_map: BitMap, learned: Option<Quantizers> },
+    /// Gaussians that live in all timesteps, or from a birth on.
+    Whole {
+        kept: Kept<'a>,
+        /// Of those that stay the timestep of birth; none if all live in all timesteps.
+        births: Option<Vec<u16>>,
+        bit_map: BitMap,
+        learned: Option<Quantizers>,
+    },
     /// Gaussians that change in number or order from timestep to timestep: they are followed as far as they can be.
     Parts(Parts<'a>),
 }
@@ -187,7 +193,7 @@ impl<'a> PrunedScene<'a> {
         let learned = scene.learned_bits()?;
         let (kept, keep, raw_bytes) = if scene.is_on_disk() && scene.bytes > options.max_float_bytes {
             let keep = kept_gaussians(scene, options.prune)?;
-            (Kept::OnDisk { scene, keep: keep.clone() }, keep, scene.bytes)
+            (Kept::OnDisk { scene, keep: keep.clone(), newborn: scene.newborn()? }, keep, scene.bytes)
         } else {
             let floats = scene.floats()?;
             check_finite(scene, &floats)?;
@@ -198,7 +204,9 @@ impl<'a> PrunedScene<'a> {
         (pruned.raw_bytes, pruned.bits_from) = (raw_bytes, bits_from);
         (pruned.info.num_gaussians, pruned.info.num_timesteps) =
             (kept.num_gaussians() as u32, kept.num_timesteps() as u32);
-        pruned.content = Pruned::Whole { kept, bit_map, learned: learned.map(|(_, quantizers)| quantizers) };
+        let births = scene.births().map(|births| keep.iter().map(|&i| births[i] as u16).collect::<Vec<_>>());
+        let births = births.filter(|births| births.iter().any(|&birth| birth > 0));
+        pruned.content = Pruned::Whole { kept, births, bit_map, learned: learned.map(|(_, quantizers)| quantizers) };
         Ok(pruned)
     }
 
@@ -220,8 +228,12 @@ impl<'a> PrunedScene<'a> {
         let settings = &CompressSettings { segment_length, ..settings.clone() };
         let version_of = |compact: &CompactFile| self.version.unwrap_or_else(|| compact.oldest_version());
         let mut compact = match &self.content {
-            Pruned::Whole { kept, bit_map, learned } => {
-                let (compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
+            Pruned::Whole { kept, births, bit_map, learned } => {
+                let (mut compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
+                if let Some(births) = births {
+                    let last = (self.info.num_timesteps - 1) as u16;
+                    compact = compact.with_lives(order.iter().map(|&g| [births[g], last]).collect());
+                }
                 let mut compact = CompactFile::of(compact);
                 if version_of(&compact) > 1 {
                     compact.declared_errors = kept.errors_of(&compact.cohorts[0], &order)?.declared();

@@ -109,10 +109,21 @@ struct RunContent {
     run: Run,
     /// What the first checkpoint holds and the others do not repeat.
     first: Checkpoint,
+    /// As [`Run::births`] gives them.
+    births: Option<Vec<u32>>,
     num_timesteps: usize,
 }
 
 impl RunContent {
+    fn num_gaussians(&self) -> usize {
+        self.births.as_ref().map_or(self.first.parameters.num_gaussians(), Vec::len)
+    }
+
+    fn num_gaussians_at(&self, timestep: usize) -> usize {
+        let born = |births: &Vec<u32>| births.partition_point(|&birth| birth as usize <= timestep);
+        self.births.as_ref().map_or(self.first.parameters.num_gaussians(), born)
+    }
+
     fn checkpoint(&self, timestep: usize) -> Result<Checkpoint, PipelineError> {
         if timestep == 0 {
             return Ok(self.first.clone());
@@ -240,7 +251,7 @@ impl OpenScene {
         match &self.content {
             Content::File(file) => file.info.num_gaussians as usize,
             Content::Symbols(compact) => compact.num_gaussians(),
-            Content::Run(run) => run.first.parameters.num_gaussians(),
+            Content::Run(run) => run.num_gaussians(),
             Content::Chapters(chapters) => chapters.first().num_gaussians(),
             Content::Floats { scene, .. } => scene.num_gaussians(),
             Content::Params(params) => params.num_gaussians,
@@ -258,6 +269,7 @@ impl OpenScene {
             Content::File(file) => file.file().num_gaussians_at(timestep),
             Content::TimestepFiles(files) => files.num_gaussians_at(timestep),
             Content::Fourdgs(file) => file.num_gaussians_at(timestep),
+            Content::Run(run) => run.num_gaussians_at(timestep),
             _ => self.num_gaussians(),
         }
     }
@@ -376,6 +388,22 @@ impl OpenScene {
             Content::Floats { scene, .. } => Ok(Cow::Borrowed(scene)),
             Content::Params(_) => Ok(Cow::Owned(tcgs_interchange::read_params_npz(&self.path)?)),
             Content::TimestepFiles(files) => Ok(Cow::Owned(files.read(0..files.num_timesteps())?)),
+        }
+    }
+
+    /// `[N]`, timestep of birth of each Gaussian of a run, ascending; none where all are there at every timestep.
+    pub(crate) fn births(&self) -> Option<&[u32]> {
+        match &self.content {
+            Content::Run(run) => run.births.as_deref(),
+            _ => None,
+        }
+    }
+
+    /// The Gaussians of a run that are born after the first timestep, each as it is born, in the order of their births.
+    pub(crate) fn newborn(&self) -> Result<Gaussians, PipelineError> {
+        match &self.content {
+            Content::Run(run) if run.births.is_some() => Ok(run.run.newborn(&run.first)?),
+            _ => Ok(Gaussians::zeros_of(&self.layout, 0)),
         }
     }
 

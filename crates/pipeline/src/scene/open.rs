@@ -171,16 +171,17 @@ impl OpenScene {
             let (culprit, expected) = (path.join("checkpoints"), "a run with at least one finished timestep");
             return Err(PipelineError::input(culprit.display(), "no checkpoint", expected));
         }
-        let first = run.checkpoint(0, None)?;
-        let data = &run.config().data;
+        let (first, births) = (run.checkpoint(0, None)?, run.births()?);
+        let content = RunContent { run, first, births, num_timesteps };
+        let (data, gaussians) = (&content.run.config().data, &content.first.parameters.gaussians);
         Ok(Self {
             path: path.into(),
             first_frame: data.first_frame,
             downscale: data.downscale,
             frame_rate: data.frame_rate,
-            bytes: first.parameters.gaussians.layout().raw_bytes(first.parameters.num_gaussians(), num_timesteps),
-            layout: Arc::clone(first.parameters.gaussians.layout()),
-            content: Content::Run(Box::new(RunContent { run, first, num_timesteps })),
+            bytes: gaussians.layout().raw_bytes(content.num_gaussians(), num_timesteps),
+            layout: Arc::clone(gaussians.layout()),
+            content: Content::Run(Box::new(content)),
         })
     }
 }

@@ -8,7 +8,7 @@ use std::time::Instant;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureError, Split};
 use tcgs_core::View;
-use tcgs_train::{Phase, Run, Trained, Trainer};
+use tcgs_train::{Phase, Run, Schedule, Trained, Trainer};
 
 use crate::observe::{TimestepSummary, tell};
 use crate::{Event, Observer, PipelineError, Work};
@@ -49,11 +49,8 @@ pub fn fit(
     if trainer.phase() == Phase::First && trainer.num_gaussians() < FEW_POINTS {
         tell(observer, Event::FewPoints { found: trainer.num_gaussians(), expected: FEW_POINTS })?;
     }
-    let schedule = &config.schedule;
-    let iterations_of = |phase| match phase {
-        Phase::First => schedule.first_iterations,
-        Phase::Rest => schedule.rest_iterations,
-    };
+    let schedule = Schedule::new(config, 1.0);
+    let iterations_of = |phase| schedule.iterations(phase);
     let num_steps = iterations_of(trainer.phase()) + (frames.len() - 1) * iterations_of(Phase::Rest);
     tell(observer, Event::Begun { work: Work::Training, num_steps })?;
     let mut num_done = 0;

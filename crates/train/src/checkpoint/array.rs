@@ -84,7 +84,7 @@ impl Array {
         self.shape[1..].iter().product()
     }
 
-    /// Rows whose bits are not those of `before`; none if it is of another shape or type.
+    /// Rows whose bits are not those of `before`, and those that it lacks; none if it is of another shape or type, or longer.
     pub fn changed_rows(&self, before: &Self) -> Option<Vec<usize>> {
         fn compare<T: Value>(values: &[T], before: &Values, row_len: usize) -> Option<Vec<usize>> {
             let before = T::unwrap(before)?;
@@ -92,10 +92,12 @@ impl Array {
             let rows = values.chunks(row_len.max(1)).zip(before.chunks(row_len.max(1)));
             Some(rows.enumerate().filter(|&(_, rows)| differs(rows)).map(|(i, _)| i).collect())
         }
-        if self.shape != before.shape {
+        if self.shape[1..] != before.shape[1..] || self.shape[0] < before.shape[0] {
             return None;
         }
-        with_values!(&self.values, |values| compare(values, &before.values, self.row_len()))
+        let mut rows = with_values!(&self.values, |values| compare(values, &before.values, self.row_len()))?;
+        rows.extend(before.shape[0]..self.shape[0]);
+        Some(rows)
     }
 
     /// Some rows.
@@ -108,21 +110,30 @@ impl Array {
         Self { shape, values: with_values!(&self.values, |values| take(values, rows, self.row_len())) }
     }
 
-    /// Replaces rows.
+    /// Replaces rows, and appends those after the last.
     ///
     /// # Errors
     /// What is wrong with the patch, if it is not one of an array of this shape and type.
     pub fn apply(&mut self, patch: &Patch) -> Result<(), String> {
-        fn put<T: Value>(values: &mut [T], patch: &Patch, row_len: usize) -> Option<()> {
+        fn put<T: Value>(values: &mut Vec<T>, patch: &Patch, row_len: usize) -> Option<()> {
             let new = T::unwrap(&patch.values.values)?;
+            // Those appended are the last ones, and each is overwritten.
+            if let Some(&last) = patch.rows.last()
+                && let Some(&value) = new.first()
+            {
+                values.resize(values.len().max((last + 1) * row_len), value);
+            }
             for (&row, new) in patch.rows.iter().zip(new.chunks(row_len.max(1))) {
                 values[row * row_len..][..row_len].copy_from_slice(new);
             }
             Some(())
         }
         let (num_rows, row_len) = (self.shape[0], self.row_len());
-        if let Some(row) = patch.rows.last().filter(|&&row| row >= num_rows) {
-            return Err(format!("changes row {row}, expected one below {num_rows}"));
+        // What is appended leaves no gap.
+        let num_inside = patch.rows.partition_point(|&row| row < num_rows);
+        let new_rows = num_rows + patch.rows.len() - num_inside;
+        if let Some(row) = patch.rows.last().filter(|&&row| row >= new_rows) {
+            return Err(format!("changes row {row}, expected one below {new_rows}"));
         }
         if patch.values.shape[0] != patch.rows.len() || patch.values.shape[1..] != self.shape[1..] {
             let (found, rows) = (&patch.values.shape, patch.rows.len());
@@ -130,7 +141,9 @@ impl Array {
                 "changes {rows} rows by values of the shape {found:?}, expected rows of {row_len} values"
             ));
         }
-        with_values!(&mut self.values, |values| put(values, patch, row_len)).ok_or_else(|| "changes its type".into())
+        with_values!(&mut self.values, |values| put(values, patch, row_len)).ok_or("changes its type")?;
+        self.shape[0] = new_rows;
+        Ok(())
     }
 
     /// Bytes of the values.

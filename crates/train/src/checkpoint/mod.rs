@@ -19,6 +19,7 @@ use crate::TrainError;
 use crate::fake_quant::FakeQuantizers;
 use crate::gate::GateRecord;
 use crate::lifetimes::Lifetimes;
+use crate::motion::Pose;
 use crate::parameters::{Parameters, extent};
 use crate::state::{Optimizer, goes_on};
 
@@ -40,6 +41,8 @@ pub struct Checkpoint {
     pub scene_radius: f32,
     /// What the gate knows; empty in a run without one.
     pub gate: GateRecord,
+    /// Poses at birth of the Gaussians that were born after the first timestep, which are the last ones.
+    pub born: Pose,
 }
 
 /// Name of the array with the moments of a column.
@@ -78,6 +81,7 @@ impl Checkpoint {
             scene_radius: extent(cameras, parameters.gaussians.means()),
             parameters,
             gate: GateRecord::default(),
+            born: Pose::default(),
         }
     }
 
@@ -115,17 +119,22 @@ impl Checkpoint {
             let table = table_of(layout);
             arrays.add("columns", For::Scene, &[table.len()], table.as_bytes());
         }
-        for column in layout.columns().iter().filter(|column| first || column.varies) {
+        // What is born has values of its own in all columns.
+        let has_births = !self.lifetimes.are_whole();
+        for column in layout.columns().iter().filter(|column| first || has_births || column.varies) {
             let shape = [n, column.components()];
             let shape = if column.components() == 1 { &shape[..1] } else { &shape };
             arrays.add(&values_name(column), For::Scene, shape, p.gaussians.values(column.attribute));
         }
-        if !self.lifetimes.are_whole() {
+        if has_births {
             let l = &self.lifetimes;
             for (name, values) in LIFETIME_NAMES.into_iter().zip([&l.ids, &l.births, &l.deaths]) {
                 let wide: Vec<u64> = values.iter().map(|&value| value.into()).collect();
                 arrays.add(name, For::Scene, &[n], &wide);
             }
+            let count = self.born.means.len();
+            arrays.add(BORN_MEANS, For::Resuming, &[count, 3], self.born.means.as_flattened());
+            arrays.add(BORN_QUATS, For::Resuming, &[count, 4], self.born.quats.as_flattened());
         }
         arrays.add(MASK_LOGITS, For::Scene, &[n], &p.mask_logits);
         let flat = |q: &FakeQuantizers, f: fn(&Quantizer) -> f32| q.quantizers.iter().map(f).collect::<Vec<_>>();
@@ -155,12 +164,14 @@ impl Checkpoint {
             arrays.add("gate_errors", For::Resuming, &[errors.len()], &errors);
             arrays.add("gate_noise", For::Resuming, &[tiles.len(), noise.len() / tiles.len()], &noise);
         }
+        if first || has_births {
+            let foreground: Vec<u8> = p.foreground.iter().map(|&f| u8::from(f)).collect();
+            arrays.add(FOREGROUND, For::Scene, &[n], &foreground);
+        }
         if first {
             let cameras = p.camera_gains.len();
             arrays.add("camera_gains", For::Scene, &[cameras, 3], p.camera_gains.as_flattened());
             arrays.add("camera_offsets", For::Scene, &[cameras, 3], p.camera_offsets.as_flattened());
-            let foreground: Vec<u8> = p.foreground.iter().map(|&f| u8::from(f)).collect();
-            arrays.add("foreground", For::Scene, &[n], &foreground);
             arrays.add("scene_radius", For::Scene, &[1], &[self.scene_radius]);
             if let Some(q) = &self.quantizers {
                 let groups: Vec<u8> = q.groups.iter().flat_map(|&(a, width)| [a.index() as u8, width]).collect();
@@ -219,6 +230,19 @@ impl Checkpoint {
         get(arrays, MASK_LOGITS)
     }
 
+    /// Timesteps of birth among arrays; none if all Gaussians were there at first.
+    ///
+    /// # Errors
+    /// What is wrong with the arrays.
+    pub(crate) fn births_of(arrays: &Arrays) -> Result<Option<Vec<u32>>, String> {
+        if !arrays.contains_key(BIRTHS) {
+            return Ok(None);
+        }
+        let births = get::<u64>(arrays, BIRTHS)?;
+        let births: Vec<u32> = births.iter().map(|&birth| u32::try_from(birth).unwrap_or(u32::MAX)).collect();
+        if births.is_sorted() { Ok(Some(births)) } else { Err(format!("{BIRTHS} are not in their order")) }
+    }
+
     /// Whether arrays hold what the next timestep starts from besides the scene.
     pub(crate) fn can_resume_from(arrays: &Arrays) -> bool {
         arrays.contains_key(STEPS)
@@ -249,7 +273,12 @@ const STEPS: &str = "steps";
 /// Name of the array of mask logits.
 pub(crate) const MASK_LOGITS: &str = "mask_logits";
 const GATE_TILES: &str = "gate_tiles";
-const LIFETIME_NAMES: [&str; 3] = ["ids", "births", "deaths"];
+const FOREGROUND: &str = "foreground";
+/// Name of the array of timesteps of birth.
+pub(crate) const BIRTHS: &str = "births";
+const LIFETIME_NAMES: [&str; 3] = ["ids", BIRTHS, "deaths"];
+const BORN_MEANS: &str = "born_means";
+const BORN_QUATS: &str = "born_quats";
 const QUANTIZER_MOMENT_NAMES: [&str; 2] = ["quantizer_step_moments", "quantizer_offset_moments"];
 
 /// The columns after the first five, a line each: how a checkpoint says its layout.
@@ -312,7 +341,11 @@ fn read_gate(arrays: &Arrays) -> Result<GateRecord, String> {
 /// What is drawn, and by which gains cameras see it.
 fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parameters, String> {
     let means = get::<f32>(arrays, "means")?;
-    let n = first.map_or(means.len() / 3, |f| f.parameters.num_gaussians());
+    // Where none was born there are as many as at first.
+    let n = match first {
+        Some(first) if !has_lifetimes(arrays) => first.parameters.num_gaussians(),
+        _ => means.len() / 3,
+    };
     let layout = match first {
         Some(first) => Arc::clone(first.parameters.gaussians.layout()),
         None if arrays.contains_key("columns") => {
@@ -326,7 +359,7 @@ fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parame
     for column in layout.columns() {
         let (name, values) = (values_name(column), gaussians.values_mut(column.attribute));
         match first {
-            Some(first) if !column.varies => {
+            Some(first) if !column.varies && !has_lifetimes(arrays) => {
                 values.copy_from_slice(first.parameters.gaussians.values(column.attribute))
             }
             _ => fill(&name, values, get::<f32>(arrays, &name)?)?,
@@ -334,12 +367,13 @@ fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parame
     }
     let mut mask_logits = vec![0.0; n];
     fill(MASK_LOGITS, &mut mask_logits, get::<f32>(arrays, MASK_LOGITS)?)?;
-    let (foreground, camera_gains, camera_offsets) = match first {
-        Some(Checkpoint { parameters: p, .. }) => {
-            (p.foreground.clone(), p.camera_gains.clone(), p.camera_offsets.clone())
-        }
+    let foreground: Vec<bool> = match first {
+        Some(first) if !has_lifetimes(arrays) => first.parameters.foreground.clone(),
+        _ => get::<u8>(arrays, FOREGROUND)?.iter().map(|&f| f != 0).collect(),
+    };
+    let (camera_gains, camera_offsets) = match first {
+        Some(Checkpoint { parameters: p, .. }) => (p.camera_gains.clone(), p.camera_offsets.clone()),
         None => (
-            get::<u8>(arrays, "foreground")?.iter().map(|&f| f != 0).collect(),
             get::<f32>(arrays, "camera_gains")?.as_chunks().0.to_vec(),
             get::<f32>(arrays, "camera_offsets")?.as_chunks().0.to_vec(),
         ),
@@ -353,16 +387,13 @@ fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parame
 fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Result<Checkpoint, String> {
     let parameters = read_parameters(arrays, first)?;
     let (n, layout) = (parameters.num_gaussians(), parameters.gaussians.layout());
-    let lifetimes = if LIFETIME_NAMES.iter().any(|name| arrays.contains_key(*name)) {
-        read_lifetimes(arrays, n)?
-    } else {
-        Lifetimes::new(n)
-    };
+    let lifetimes = if has_lifetimes(arrays) { read_lifetimes(arrays, n)? } else { Lifetimes::new(n) };
+    let born = read_born(arrays)?;
     let (scene_radius, bits) = match first {
         Some(first) => {
-            let bits =
-                first.quantizers.as_ref().map(|q| (q.bit_map.clone(), q.groups.clone(), q.initial_steps.clone()));
-            (first.scene_radius, bits)
+            let num_born = n.saturating_sub(first.parameters.num_gaussians());
+            let bits = |q: &FakeQuantizers| (q.bit_map.with_more(num_born), q.groups.clone(), q.initial_steps.clone());
+            (first.scene_radius, first.quantizers.as_ref().map(bits))
         }
         None => {
             let radius = get::<f32>(arrays, "scene_radius")?.first().copied().ok_or("scene_radius is empty")?;
@@ -392,7 +423,24 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
         false => Optimizer::new(&parameters, num_quantizers),
     };
     let gate = if arrays.contains_key(GATE_TILES) { read_gate(arrays)? } else { GateRecord::default() };
-    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, gate })
+    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, gate, born })
+}
+
+/// Whether arrays say who lives when: where not, all live from the first timestep on.
+fn has_lifetimes(arrays: &Arrays) -> bool {
+    LIFETIME_NAMES.iter().any(|name| arrays.contains_key(*name))
+}
+
+fn read_born(arrays: &Arrays) -> Result<Pose, String> {
+    if !arrays.contains_key(BORN_MEANS) {
+        return Ok(Pose::default());
+    }
+    let means = get::<f32>(arrays, BORN_MEANS)?.as_chunks().0.to_vec();
+    let quats = get::<f32>(arrays, BORN_QUATS)?.as_chunks().0.to_vec();
+    if means.len() != quats.len() {
+        return Err(format!("{BORN_QUATS} holds {} rotations, expected {}", quats.len(), means.len()));
+    }
+    Ok(Pose { means, quats })
 }
 
 fn read_lifetimes(arrays: &Arrays, n: usize) -> Result<Lifetimes, String> {
@@ -402,7 +450,11 @@ fn read_lifetimes(arrays: &Arrays, n: usize) -> Result<Lifetimes, String> {
         narrow.filter(|values| values.len() == n).ok_or_else(|| format!("{name} is not {n} values below 2^32"))
     };
     let [ids, births, deaths] = LIFETIME_NAMES;
-    Ok(Lifetimes::from_columns(column(ids)?, column(births)?, column(deaths)?))
+    let births = column(births)?;
+    if !births.is_sorted() {
+        return Err("births are not in their order".into());
+    }
+    Ok(Lifetimes::from_columns(column(ids)?, births, column(deaths)?))
 }
 
 fn read_optimizer(arrays: &Arrays, parameters: &Parameters, num_quantizers: usize) -> Result<Optimizer, String> {

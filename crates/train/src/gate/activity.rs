@@ -219,15 +219,8 @@ impl Activity {
     /// What share of the scene's Gaussians the small state has.
     pub fn shares(&self, state: &State) -> Shares {
         let foreground = &state.parameters.foreground;
-        let rows = self.rows();
-        let share = |part: usize, whole: usize| if whole == 0 { 1.0 } else { part as f64 / whole as f64 };
-        let of_foreground = rows.iter().filter(|&&i| foreground[i]).count();
-        let whole_foreground = foreground.iter().filter(|f| **f).count();
-        Shares {
-            all: share(rows.len(), foreground.len()),
-            foreground: share(of_foreground, whole_foreground),
-            background: share(rows.len() - of_foreground, foreground.len() - whole_foreground),
-        }
+        let rows: Vec<bool> = self.rows().into_iter().map(|i| foreground[i]).collect();
+        Shares::of(&rows, foreground)
     }
 }
 
@@ -255,7 +248,20 @@ pub(crate) struct Shares {
 }
 
 impl Shares {
-    fn of(self, loss: Loss) -> f64 {
+    /// - `rows`: of each Gaussian of the small state, whether it is foreground
+    /// - `scene`: likewise
+    pub fn of(rows: &[bool], scene: &[bool]) -> Self {
+        let share = |part: usize, whole: usize| if whole == 0 { 1.0 } else { part as f64 / whole as f64 };
+        let count = |rows: &[bool]| rows.iter().filter(|foreground| **foreground).count();
+        let (part, whole) = (count(rows), count(scene));
+        Self {
+            all: share(rows.len(), scene.len()),
+            foreground: share(part, whole),
+            background: share(rows.len() - part, scene.len() - whole),
+        }
+    }
+
+    fn of_loss(self, loss: Loss) -> f64 {
         match loss {
             // Sums over the pixels drawn, already divided by those of the whole image.
             Loss::Image | Loss::Segmentation => 1.0,
@@ -268,13 +274,13 @@ impl Shares {
     /// The weights that a small state's losses have.
     pub fn weights(self, weights: &WeightConfig) -> WeightConfig {
         let values = weights.values();
-        WeightConfig::from_values(std::array::from_fn(|i| values[i] * self.of(Loss::ALL[i]) as f32))
+        WeightConfig::from_values(std::array::from_fn(|i| values[i] * self.of_loss(Loss::ALL[i]) as f32))
     }
 
     /// A small state's losses as their parts of the scene's.
     pub fn terms(self, terms: LossTerms) -> LossTerms {
         let values = terms.values();
-        LossTerms::from_values(std::array::from_fn(|i| values[i] * self.of(Loss::ALL[i])))
+        LossTerms::from_values(std::array::from_fn(|i| values[i] * self.of_loss(Loss::ALL[i])))
     }
 }
 

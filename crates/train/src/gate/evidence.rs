@@ -15,7 +15,7 @@ const NORMAL_DEVIATION: f32 = 1.4826;
 
 /// Blocks of an image, of [`BLOCK`] pixels a side; those at the right and lower edge may be cut.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Blocks {
+pub(crate) struct Blocks {
     pub across: usize,
     pub down: usize,
     /// `[down, across]`
@@ -31,6 +31,17 @@ impl Blocks {
     /// Whether the block that holds a pixel is marked.
     pub fn at(&self, x: usize, y: usize) -> bool {
         self.is_marked[y / BLOCK * self.across + x / BLOCK]
+    }
+
+    /// The first pixel of a block.
+    pub fn pixel(&self, index: usize) -> [usize; 2] {
+        [index % self.across * BLOCK, index / self.across * BLOCK]
+    }
+
+    /// The blocks that are marked in both.
+    pub fn and(mut self, other: &Self) -> Self {
+        self.is_marked.iter_mut().zip(&other.is_marked).for_each(|(own, other)| *own &= other);
+        self
     }
 
     /// Marks the blocks that hold pixels of `columns` and `rows`.
@@ -53,7 +64,7 @@ impl Blocks {
     }
 
     /// The blocks that have at least `count` marked ones among themselves and the eight around them.
-    fn with_around(&self, count: usize) -> Self {
+    pub fn with_around(&self, count: usize) -> Self {
         let is_marked = (0..self.is_marked.len()).map(|index| self.around(index) >= count).collect();
         Self { is_marked, ..*self }
     }
@@ -152,7 +163,7 @@ pub(super) fn tile_errors(picture: &Image, target: &Image, gain: [f32; 3], offse
 pub(super) fn tiles_of(blocks: &Blocks, width: usize, height: usize) -> TileMask {
     let mut tiles = TileMask::none(width, height);
     for index in (0..blocks.is_marked.len()).filter(|&index| blocks.is_marked[index]) {
-        let [x, y] = [index % blocks.across * BLOCK, index / blocks.across * BLOCK];
+        let [x, y] = blocks.pixel(index);
         tiles.insert_pixels(x..x + BLOCK, y..y + BLOCK);
     }
     tiles

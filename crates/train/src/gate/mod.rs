@@ -16,6 +16,7 @@
 
 mod activity;
 mod evidence;
+mod nursery;
 mod pace;
 
 use rayon::prelude::*;
@@ -24,7 +25,9 @@ use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
-use self::evidence::{Blocks, changed_blocks, differences, median, noise_level, tile_errors, tiles_of};
+pub(crate) use self::evidence::Blocks;
+use self::evidence::{changed_blocks, differences, median, noise_level, tile_errors, tiles_of};
+pub(crate) use self::nursery::Nursery;
 pub(crate) use self::pace::Pace;
 use crate::config::{GateConfig, MaskConfig};
 use crate::engine::Target;
@@ -36,6 +39,9 @@ const NOISE_ESTIMATES: usize = 9;
 /// Share of the level of noise by which a tile's error may grow without being evidence, beyond [`GateConfig::growth`]: a
 /// tile has sixteen blocks.
 const GROWTH_NOISE: f32 = 0.1;
+/// A block is not explained if its error is above so many times that of its tile when it was last explained, beyond
+/// [`BirthConfig::contrast`](crate::BirthConfig::contrast).
+const UNEXPLAINED_GROWTH: f32 = 1.5;
 /// Share of an error that training could not lower that the gate gets used to in one timestep. Until then the tile stays
 /// one with evidence: what was uncovered is seen by the weights of the next timestep.
 const PATIENCE: f32 = 0.25;
@@ -155,21 +161,68 @@ impl Gate {
         Some(Activity::new(state, &self.mask, targets, evidence, &memory.pictures, config.share))
     }
 
-    /// Takes what a timestep left that trained an activity.
+    /// Draws anew what a timestep changed that trained an activity.
     ///
     /// - `state`: after the timestep
+    pub fn redraw(&mut self, state: &State, views: &[View], activity: &Activity) {
+        self.redraw_rows(state, views, &activity.active, &activity.before);
+    }
+
+    /// Draws what was born at the end of a timestep.
+    ///
+    /// - `count`: how many, the last ones of `state`
+    pub fn welcome(&mut self, state: &State, views: &[View], count: usize) {
+        let n = state.parameters.num_gaussians();
+        let channels = self.memory.as_ref().map_or(3, |memory| memory.pictures[0].num_channels);
+        let nothing = Activated { num_channels: channels, ..Activated::default() };
+        self.redraw_rows(state, views, &(n - count..n).collect::<Vec<_>>(), &nothing);
+    }
+
+    /// - `rows`: the Gaussians that changed
+    /// - `before`: these as they were drawn
+    fn redraw_rows(&mut self, state: &State, views: &[View], rows: &[usize], before: &Activated) {
+        let Some(memory) = self.memory.as_mut().filter(|_| !rows.is_empty()) else { return };
+        let all = drawn(state, &self.mask, memory.pictures[0].num_channels > 3);
+        let after = all.select(rows);
+        for (picture, view) in memory.pictures.iter_mut().zip(views) {
+            let mut tiles = tiles_reached(before, &view.camera);
+            tiles.union(&tiles_reached(&after, &view.camera));
+            redraw(&all, view, &tiles, picture);
+        }
+    }
+
+    /// Blocks of each view that the scene does not explain, among the tiles that a timestep trained: those whose mean
+    /// absolute error is above one and a half times that of their tile when it was last explained, by more than a contrast
+    /// and the camera's noise.
+    ///
+    /// - `state`: after the timestep, of which [`Self::redraw`] drew the pictures
+    /// - `contrast`: units of colour
+    pub fn unexplained(&self, state: &State, views: &[View], activity: &Activity, contrast: f32) -> Vec<Blocks> {
+        let Some(memory) = &self.memory else { return Vec::new() };
+        let p = &state.parameters;
+        let of_view = |(i, view): (usize, &View)| {
+            let (width, height) = (view.image.width, view.image.height);
+            let seen = corrected(&memory.pictures[i], p.camera_gains[i], p.camera_offsets[i]);
+            let mut blocks = Blocks::none(width, height);
+            let differences = differences(&seen, &view.image);
+            let level = median(&self.record.noise[i]) + contrast;
+            for (index, difference) in differences.into_iter().enumerate() {
+                let tile = activity.tiles[i].of_pixel(blocks.pixel(index));
+                let limit = UNEXPLAINED_GROWTH * self.record.errors[i][tile] + level;
+                blocks.is_marked[index] = activity.tiles[i].contains(tile) && difference > limit;
+            }
+            blocks.with_around(2).and(&blocks)
+        };
+        views.par_iter().enumerate().map(of_view).collect()
+    }
+
+    /// Takes what a timestep left that trained an activity.
+    ///
+    /// - `state`: after the timestep, of which [`Self::redraw`] drew the pictures
     pub fn end(&mut self, state: &State, views: &[View], activity: &Activity) {
         let Some(memory) = &mut self.memory else { return };
         memory.images = views.iter().map(|view| view.image.clone()).collect();
-        let channels = memory.pictures[0].num_channels;
-        let all = (!activity.active.is_empty()).then(|| drawn(state, &self.mask, channels > 3));
-        let after = all.as_ref().map(|all| all.select(&activity.active));
-        for (i, (picture, view)) in memory.pictures.iter_mut().zip(views).enumerate() {
-            if let (Some(all), Some(after)) = (&all, &after) {
-                let mut tiles = tiles_reached(&activity.before, &view.camera);
-                tiles.union(&tiles_reached(after, &view.camera));
-                redraw(all, view, &tiles, picture);
-            }
+        for (i, (picture, view)) in memory.pictures.iter().zip(views).enumerate() {
             let reference = &mut self.record.errors[i];
             if !activity.tiles[i].is_empty() {
                 let errors = errors(state, i, picture, &view.image);
@@ -186,6 +239,16 @@ impl Gate {
 fn errors(state: &State, camera: usize, picture: &Image, target: &Image) -> Vec<f32> {
     let p = &state.parameters;
     tile_errors(picture, target, p.camera_gains[camera], p.camera_offsets[camera])
+}
+
+/// A picture as a camera sees it.
+fn corrected(picture: &Image, gain: [f32; 3], offset: [f32; 3]) -> Image {
+    let mut seen = picture.clone();
+    for channel in 0..3 {
+        let factor = gain[channel].exp();
+        seen.plane_mut(channel).iter_mut().for_each(|x| *x = factor * *x + offset[channel]);
+    }
+    seen
 }
 
 fn redraw(drawn: &Activated, view: &View, tiles: &TileMask, picture: &mut Image) {

@@ -2,9 +2,12 @@
 //! timestep and the events between them (`timestep`), when an event is due (`schedule`), and how an iteration is computed
 //! (`engine`).
 
+mod births;
 mod timestep;
 
-use tcgs_core::{Camera, PointCloud, View};
+use std::ops::Range;
+
+use tcgs_core::{Camera, Gaussians, PointCloud, View};
 use tcgs_metrics::psnr;
 
 pub use self::timestep::Progress;
@@ -193,10 +196,7 @@ impl Trainer {
         state.lifetimes = last.lifetimes.clone();
         state.optimizer = last.optimizer.clone();
         state.timestep = timesteps.saturating_sub(1);
-        state.past = past.map(|(first, before_last)| {
-            let first = Pose::of(&first.parameters.gaussians);
-            Past::new(first, before_last.parameters.gaussians.clone(), &state.parameters.foreground)
-        });
+        state.past = past.map(|(first, before_last)| past_of(first, before_last, last));
         let num_gaussians = state.parameters.num_gaussians();
         let engine = make(state);
         Self {
@@ -287,6 +287,7 @@ impl Trainer {
             optimizer: state.optimizer.carried_over(),
             scene_radius: self.scene_radius,
             gate: self.gate.as_ref().map(|gate| gate.record().clone()).unwrap_or_default(),
+            born: state.born(),
         })
     }
 
@@ -314,6 +315,24 @@ impl Trainer {
         }
         Ok(sum / views.len().max(1) as f64)
     }
+}
+
+/// The past of a state that goes on: what is born after the first timestep joins it with those born together.
+fn past_of(first: &Checkpoint, before_last: &Checkpoint, last: &Checkpoint) -> Past {
+    let (before, now) = (&before_last.parameters.gaussians, &last.parameters);
+    let num_first = first.parameters.num_gaussians();
+    let rows = |gaussians: &Gaussians, rows: Range<usize>| gaussians.select(&rows.collect::<Vec<_>>());
+    let mut past =
+        Past::new(Pose::of(&first.parameters.gaussians), rows(before, 0..num_first), &now.foreground[..num_first]);
+    for together in last.lifetimes.births[num_first..].chunk_by(|a, b| a == b) {
+        let begin = past.first.means.len();
+        let all = begin..begin + together.len();
+        let born = last.born.range(begin - num_first..all.end - num_first);
+        // Who is born at the last timestep has not moved yet.
+        let previous = if all.end <= before.num_gaussians() { before } else { &now.gaussians };
+        past.append(&born, &rows(previous, all.clone()), &now.foreground[all]);
+    }
+    past
 }
 
 /// The gate of a run; none where it is off, or the engine trains everything in any case.

@@ -100,6 +100,10 @@ impl Trainer {
                 self.iterate(phase, cameras, pace, None, views, observe)?;
             }
         }
+        if let (Some(gate), Some(activity)) = (&mut self.gate, &activity) {
+            gate.redraw(self.engine.state()?, views, activity);
+            self.give_birth(views, activity)?;
+        }
         if let Some(gate) = &mut self.gate {
             let state = self.engine.state()?;
             match &activity {
@@ -140,7 +144,7 @@ impl Trainer {
     /// - `cameras`: positions of the views that they go round
     /// - `shares`: of the scene that the engine's state holds; none if it holds all of it
     /// - `views`: all views, for what the first timestep does between iterations
-    fn iterate(
+    pub(super) fn iterate(
         &mut self,
         phase: Phase,
         cameras: Vec<usize>,

@@ -1,0 +1,116 @@
+//! Births: Gaussians for what no Gaussian of the first timestep can show.
+//!
+//! Luiten et al. 2024, and the paper with them, move the Gaussians of the first timestep and add none: what enters later,
+//! and what was hidden at first, never appears. Here, after a timestep's motion is trained:
+//!
+//! 1. The gate says which blocks of which views the scene still does not explain ([`crate::gate::Gate::unexplained`]).
+//! 2. `seeds` finds the places that several views agree on.
+//! 3. A Gaussian is born at each. The newborn alone learn all their attributes for a while, in the tiles that they reach,
+//!    among the rest of the scene, which is held.
+//! 4. Those that ended transparent or hidden by the mask are dropped; the others join the state. From the next timestep
+//!    on they move as all others do.
+//!
+//! Newborn Gaussians are neighbours of those born with them, by the poses of their first timestep.
+
+mod seeds;
+
+use std::ops::ControlFlow;
+
+use tcgs_core::{BaseColumns, Gaussians, View, sigmoid};
+
+use self::seeds::{Seed, seeds};
+use super::{Trainer, all_segmented};
+use crate::TrainError;
+use crate::engine::Target;
+use crate::gate::{Activity, Nursery, Pace, Shares};
+use crate::mask::mask;
+use crate::parameters::Parameters;
+use crate::schedule::Phase;
+use crate::state::State;
+
+impl Trainer {
+    /// Gives birth to what a timestep shows and the scene, as the timestep left it, does not.
+    ///
+    /// - `activity`: what the timestep trained; its part of the pictures is drawn anew
+    ///
+    /// # Errors
+    /// As [`Trainer::fit`].
+    pub(super) fn give_birth(&mut self, views: &[View], activity: &Activity) -> Result<(), TrainError> {
+        let config = self.config.births.clone();
+        let Some(gate) = self.gate.as_ref().filter(|_| config.enabled && self.timestep > 0) else { return Ok(()) };
+        let state = self.engine.state()?;
+        let unexplained = gate.unexplained(state, views, activity, config.contrast);
+        let most = (f64::from(config.share) * state.parameters.num_gaussians() as f64).ceil() as usize;
+        let seeds = seeds(views, &unexplained, state.parameters.gaussians.means(), most);
+        if seeds.is_empty() {
+            return Ok(());
+        }
+        let newborn = newborn(&seeds, &state.parameters, self.config.mask.initial_logit);
+        let small = alone(newborn, state);
+        let nursery = Nursery::new(gate, state, &small, views, &unexplained);
+        let shares = Shares::of(&small.parameters.foreground, &state.parameters.foreground);
+        let whole = std::mem::replace(self.engine.state_mut()?, small);
+        let with_segmentation = all_segmented(views);
+        let targets: Vec<Target> = views.iter().map(|view| Target::new(view, with_segmentation)).collect();
+        self.engine.begin(targets, Some(nursery.scenery))?;
+        let length = (self.schedule.iterations(Phase::Birth) * nursery.cameras.len()).div_ceil(views.len());
+        let pace = Pace::even(length, nursery.cameras.len());
+        self.iterate(Phase::Birth, nursery.cameras, pace, Some(shares), &[], &mut |_| ControlFlow::Continue(()))?;
+        let grown = self.engine.state()?.parameters.clone();
+        *self.engine.state_mut()? = whole;
+        let keep = viable(&grown, config.opacity, self.config.mask.enabled.then_some(self.config.mask.threshold));
+        self.engine.state_mut()?.append(&grown.select(&keep));
+        let state = self.engine.state()?;
+        self.num_gaussians = state.parameters.num_gaussians();
+        if let Some(gate) = &mut self.gate {
+            gate.welcome(state, views, keep.len());
+        }
+        Ok(())
+    }
+}
+
+/// A Gaussian at each seed: round, as large as its distance from the next, half opaque.
+fn newborn(seeds: &[Seed], scene: &Parameters, mask_logit: f32) -> Parameters {
+    let n = seeds.len();
+    let base = BaseColumns {
+        means: seeds.iter().map(|seed| seed.position).collect(),
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
+        log_scales: seeds.iter().map(|seed| [(0.5 * seed.spacing).ln(); 3]).collect(),
+        logit_opacities: vec![0.0; n],
+        colors: seeds.iter().map(|seed| seed.color).collect(),
+    };
+    Parameters {
+        gaussians: Gaussians::from(base).extended(scene.gaussians.layout()),
+        mask_logits: vec![mask_logit; n],
+        foreground: seeds.iter().map(|seed| seed.foreground).collect(),
+        camera_gains: scene.camera_gains.clone(),
+        camera_offsets: scene.camera_offsets.clone(),
+    }
+}
+
+/// The state of the newborn without the scene.
+fn alone(newborn: Parameters, scene: &State) -> State {
+    let count = newborn.num_gaussians();
+    let quantizers = scene.quantizers.clone().map(|mut quantizers| {
+        let before = quantizers.bit_map.num_gaussians();
+        quantizers.append(count);
+        quantizers.select(&(before..before + count).collect::<Vec<_>>());
+        quantizers
+    });
+    let mut state = State::new(newborn);
+    state.timestep = scene.timestep;
+    if let Some(quantizers) = quantizers {
+        state.start_quantization(quantizers);
+    }
+    state
+}
+
+/// Those that are worth keeping.
+fn viable(grown: &Parameters, opacity: f32, mask_threshold: Option<f32>) -> Vec<usize> {
+    let opacities = grown.gaussians.logit_opacities();
+    let is_viable = |&i: &usize| {
+        let shown = mask_threshold.is_none_or(|threshold| mask(grown.mask_logits[i], threshold) > 0.0);
+        shown && sigmoid(opacities[i]) >= opacity
+    };
+    (0..grown.num_gaussians()).filter(is_viable).collect()
+}

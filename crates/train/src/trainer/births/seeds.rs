@@ -1,0 +1,173 @@
+//! Where Gaussians are born: points that several views agree on, among the pixels that the scene does not explain.
+//!
+//! A plane sweep (Collins 1996) with evidence: the ray of an unexplained pixel is walked from near to far, and a depth
+//! counts as far as other views see the same colour there and do not explain it either. A view that explains what it
+//! sees at that place says that nothing new is there. So a surface without texture is found on the visual hull of what
+//! is unexplained.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use tcgs_core::{Image, Pinhole, View};
+
+use crate::gate::Blocks;
+
+/// Depths that are looked at on a ray, evenly in their inverse.
+const DEPTHS: usize = 128;
+/// Pixels between two rays, in both directions.
+const STRIDE: usize = 2;
+/// Mean absolute difference of two views' colours up to which they may be of one point.
+const SAME_COLOR: f32 = 0.08;
+/// Views, beside a ray's own, that must agree on a depth.
+const MIN_AGREEING: usize = 2;
+/// Share of the scene's points that may lie beyond the depths looked at, at either end.
+const BEYOND: f64 = 0.005;
+
+/// A place at which a Gaussian is born.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Seed {
+    /// Scene units.
+    pub position: [f32; 3],
+    /// In `[0, 1]`.
+    pub color: [f32; 3],
+    /// Distance between neighbouring rays there, scene units.
+    pub spacing: f32,
+    pub foreground: bool,
+}
+
+/// A view with what the scene does not explain in it.
+struct Sight<'a> {
+    view: &'a View,
+    pinhole: Pinhole<f32>,
+    unexplained: &'a Blocks,
+}
+
+/// Finds the places at which Gaussians are born.
+///
+/// - `views`: one a camera
+/// - `unexplained`: `[views]`
+/// - `means`: `[N, 3]` of the scene, for the depths that it has
+/// - `most`: number of places, about at most
+pub(super) fn seeds(views: &[View], unexplained: &[Blocks], means: &[[f32; 3]], most: usize) -> Vec<Seed> {
+    let sight = |(view, unexplained)| Sight { view, pinhole: Pinhole::new(&view.camera), unexplained };
+    let sights: Vec<Sight<'_>> = views.iter().zip(unexplained).map(sight).collect();
+    let found: Vec<Vec<Seed>> = (0..sights.len()).into_par_iter().map(|of| found_by(&sights, of, means)).collect();
+    thinned(found.concat(), most)
+}
+
+fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
+    let me = &sights[of];
+    if me.unexplained.is_marked.iter().all(|marked| !marked) {
+        return Vec::new();
+    }
+    let Some([near, far]) = range(&me.pinhole, means) else { return Vec::new() };
+    let (width, height) = (me.pinhole.width, me.pinhole.height);
+    let mut seeds = Vec::new();
+    for y in (STRIDE / 2..height).step_by(STRIDE) {
+        for x in (STRIDE / 2..width).step_by(STRIDE).filter(|&x| me.unexplained.at(x, y)) {
+            let color = mean_color(&me.view.image, x, y);
+            let place = [x as f32, y as f32];
+            let depth = |i: usize| {
+                let share = i as f32 / (DEPTHS - 1) as f32;
+                1.0 / (1.0 / near + (1.0 / far - 1.0 / near) * share)
+            };
+            // Of equally good depths the nearest: the hull's surface.
+            let mut best: Option<(f32, f32)> = None;
+            for depth in (0..DEPTHS).map(depth) {
+                let score = score(sights, of, me.pinhole.unproject(place, depth), color);
+                if let Some(score) = score.filter(|score| best.is_none_or(|(highest, _)| *score > highest)) {
+                    best = Some((score, depth));
+                }
+            }
+            if let Some((_, depth)) = best {
+                let segmentation = me.view.segmentation.as_ref();
+                seeds.push(Seed {
+                    position: me.pinhole.unproject(place, depth),
+                    color,
+                    spacing: STRIDE as f32 * depth / me.pinhole.focal[0],
+                    foreground: segmentation.is_none_or(|s| s.foreground[y * width + x]),
+                });
+            }
+        }
+    }
+    seeds
+}
+
+/// How well the other views agree that a point of this colour is new; none if they do not.
+fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3]) -> Option<f32> {
+    let (mut agreeing, mut against, mut difference) = (0, 0, 0.0);
+    for other in sights.iter().enumerate().filter(|(i, _)| *i != of).map(|(_, sight)| sight) {
+        let Some((pixel, _)) = other.pinhole.pixel(point) else { continue };
+        let [x, y] = [pixel % other.pinhole.width, pixel / other.pinhole.width];
+        if !other.unexplained.at(x, y) {
+            against += 1;
+            continue;
+        }
+        let there = mean_color(&other.view.image, x, y);
+        let distance = (0..3).map(|c| (there[c] - color[c]).abs()).sum::<f32>() / 3.0;
+        // Another colour may be the other side of the same thing.
+        if distance < SAME_COLOR {
+            agreeing += 1;
+            difference += distance / SAME_COLOR;
+        }
+    }
+    let is_agreed = agreeing >= MIN_AGREEING && 2 * against <= agreeing;
+    is_agreed.then(|| agreeing as f32 - against as f32 - difference)
+}
+
+/// The nearest and the farthest depth of the scene in a view; none if the view sees nothing of it.
+fn range(pinhole: &Pinhole<f32>, means: &[[f32; 3]]) -> Option<[f32; 2]> {
+    let mut depths: Vec<f32> = means.iter().filter_map(|&mean| Some(pinhole.pixel(mean)?.1)).collect();
+    depths.sort_by(f32::total_cmp);
+    let beyond = (depths.len() as f64 * BEYOND) as usize;
+    let (near, far) = (*depths.get(beyond)?, *depths.get(depths.len() - 1 - beyond)?);
+    Some([0.5 * near, 1.2 * far])
+}
+
+/// The mean of a pixel and of those to the left and above, where there are any: a ray through their corner.
+fn mean_color(image: &Image, x: usize, y: usize) -> [f32; 3] {
+    let (left, above) = (x.saturating_sub(1), y.saturating_sub(1));
+    std::array::from_fn(|channel| {
+        let plane = image.plane(channel);
+        let at = |x: usize, y: usize| plane[y * image.width + x];
+        (at(x, y) + at(left, y) + at(x, above) + at(left, above)) / 4.0
+    })
+}
+
+/// One seed a cell of a grid: first the finest grid whose cells are as wide as rays are apart, then coarser ones until there
+/// are few enough.
+fn thinned(mut seeds: Vec<Seed>, most: usize) -> Vec<Seed> {
+    let mut edge = {
+        let mut spacings: Vec<f32> = seeds.iter().map(|seed| seed.spacing).collect();
+        let middle = spacings.len() / 2;
+        if spacings.is_empty() {
+            return seeds;
+        }
+        *spacings.select_nth_unstable_by(middle, f32::total_cmp).1
+    };
+    loop {
+        let mut cells: BTreeMap<[i64; 3], Vec<&Seed>> = BTreeMap::new();
+        for seed in &seeds {
+            cells.entry(seed.position.map(|x| (x / edge).floor() as i64)).or_default().push(seed);
+        }
+        let merged: Vec<Seed> = cells.into_values().map(|cell| merged(&cell, edge)).collect();
+        seeds = merged;
+        if seeds.len() <= most {
+            return seeds;
+        }
+        edge *= 1.3;
+    }
+}
+
+fn merged(cell: &[&Seed], edge: f32) -> Seed {
+    let mean = |of: &dyn Fn(&Seed) -> [f32; 3]| -> [f32; 3] {
+        std::array::from_fn(|i| cell.iter().map(|seed| of(seed)[i]).sum::<f32>() / cell.len() as f32)
+    };
+    let of_foreground = cell.iter().filter(|seed| seed.foreground).count();
+    Seed {
+        position: mean(&|seed| seed.position),
+        color: mean(&|seed| seed.color),
+        spacing: cell.iter().map(|seed| seed.spacing).fold(edge, f32::max),
+        foreground: 2 * of_foreground >= cell.len(),
+    }
+}
