@@ -45,4 +45,4 @@ pub use error::CaptureError;
 pub use kind::{CaptureFacts, CaptureKind};
 pub use points::{POINTS_FILE, write_points};
 pub use prepare::{Origin, PrepareSettings, Prepared, prepare};
-pub use synthetic::{SYNTHETIC_FRAME_RATE, SyntheticSettings, ball_at, write_synthetic};
+pub use synthetic::{Late, SYNTHETIC_FRAME_RATE, SyntheticSettings, ball_at, write_synthetic};

@@ -264,7 +264,7 @@ pub struct BirthConfig {
     /// Default true; false in `d3dgs` and `paper`.
     pub enabled: bool,
     /// A block of 4x4 pixels is not explained if its mean absolute error is above one and a half times that of its tile when last
-    /// explained, the camera's noise, and this much; in units of colour. Default 0.01.
+    /// explained, the camera's noise, and this much; in units of colour. Default 0.02.
     pub contrast: f32,
     /// Most Gaussians that are born at a timestep, as a share of those that there are. Default 0.02.
     pub share: f32,
@@ -276,7 +276,7 @@ pub struct BirthConfig {
 
 impl BirthConfig {
     /// The settings of presets `default` and `fast`.
-    pub const ON: Self = Self { enabled: true, contrast: 0.01, share: 0.02, iterations: 200, opacity: 0.1 };
+    pub const ON: Self = Self { enabled: true, contrast: 0.02, share: 0.02, iterations: 200, opacity: 0.1 };
 
     /// The settings of presets that add none, and of runs whose `config.toml` knows of no births.
     pub const OFF: Self = Self { enabled: false, ..Self::ON };

@@ -120,7 +120,8 @@ impl Schedule {
                     log_scale: r.log_scale * scale * decay,
                     // All Gaussians share the cameras.
                     camera: if phase == Phase::First { r.camera * scale * decay } else { 0.0 },
-                    mask,
+                    // Who is needed is voted on over the timesteps to come.
+                    mask: if phase == Phase::First { mask } else { 0.0 },
                     step: r.step * decay,
                     moves_constants: true,
                 }

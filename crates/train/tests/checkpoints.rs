@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use tcgs_core::PointCloud;
 use tcgs_interchange::NpzReader;
-use tcgs_train::{Checkpoint, GateRecord, Lifetimes, Optimizer, Parameters, Run, TrainConfig, TrainError};
+use tcgs_train::{Checkpoint, GateRecord, Lifetimes, Optimizer, Parameters, Pose, Run, TrainConfig, TrainError};
 
 /// A run that the first version of checkpoints wrote; see its README.md.
 const OLD: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/run");
@@ -113,6 +113,7 @@ fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
         optimizer,
         scene_radius: 2.0,
         gate: GateRecord::default(),
+        born: Pose::default(),
     }
 }
 

@@ -1,4 +1,4 @@
-//! The synthetic capture: a textured room with three moving objects, with exact cameras and masks, rendered by ray
+//! The synthetic capture: a textured room with three moving objects, and a fourth that enters later, with exact cameras and masks, rendered by ray
 //! casting.
 //!
 //! What lives here: the poses of the cameras, and the files that are written. `scene` places and moves the bodies in
@@ -124,6 +124,43 @@ pub fn write_synthetic(dir: &Path, settings: &SyntheticSettings) -> Result<(), C
         write("ims", &image.to_rgb8(), image::ColorType::Rgb8)?;
         write("seg", &mask.iter().map(|&m| u8::from(m)).collect::<Vec<_>>(), image::ColorType::L8)
     })
+}
+
+/// What a view of the synthetic capture shows that no training camera saw at timestep 0.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Late {
+    /// `[H, W]`, pixels of a thing that was not there.
+    pub arrived: Vec<bool>,
+    /// `[H, W]`, pixels of what stands still and was hidden.
+    pub uncovered: Vec<bool>,
+}
+
+impl Late {
+    /// Looks for what is late in one view of the capture that [`write_synthetic`] writes.
+    ///
+    /// - `camera`: anywhere in the room
+    ///
+    /// ```
+    /// use tcgs_capture::{Late, SyntheticSettings};
+    /// use tcgs_core::Camera;
+    /// let camera = Camera::look_at([0.0, -1.3, -2.3], [-1.0, -1.5, 0.9], [0.0, -1.0, 0.0], 50.0, 64, 48);
+    /// let late = |timestep| Late::in_view(&SyntheticSettings::default(), &camera, timestep);
+    /// assert!(!late(0).arrived.contains(&true) && late(20).arrived.contains(&true));
+    /// ```
+    pub fn in_view(settings: &SyntheticSettings, camera: &Camera, timestep: usize) -> Self {
+        let (before, now) = (SyntheticScene::at(0), SyntheticScene::at(timestep));
+        let cameras: Vec<Camera> = cameras(settings).into_iter().filter(|c| !c.test).map(|c| c.camera).collect();
+        let pinholes: Vec<Pinhole<f64>> = cameras.iter().map(Pinhole::new).collect();
+        let (center, pinhole) = (camera.center(), Pinhole::new(camera));
+        let of_pixel = |pixel: usize| {
+            let hit = now.hit(center, tcgs_core::normalize(pinhole.ray(pinhole.pixel_center(pixel))));
+            let was_seen = |from: &Pinhole<f64>| from.pixel(hit.position()).is_some() && before.sees(from.center, &hit);
+            let is_hidden = || !hit.is_moving(&now) && !pinholes.iter().any(was_seen);
+            [hit.has_arrived(&before), is_hidden()]
+        };
+        let pixels: Vec<[bool; 2]> = (0..camera.width * camera.height).into_par_iter().map(of_pixel).collect();
+        Self { arrived: pixels.iter().map(|p| p[0]).collect(), uncovered: pixels.iter().map(|p| p[1]).collect() }
+    }
 }
 
 struct NumberedCamera {

@@ -13,6 +13,9 @@ const LAMP: [f64; 3] = [0.5, -2.5, -0.9];
 /// background, and a background is expected to keep its colour.
 const BLOB_SHADOW: f64 = 0.15;
 
+/// Two points of a surface so close are one, metres.
+const NEAR: f64 = 1e-3;
+
 /// A point on a surface.
 pub(super) struct Hit {
     /// `None` is the room.
@@ -25,6 +28,11 @@ pub(super) struct Hit {
 impl Hit {
     pub fn is_moving(&self, scene: &SyntheticScene) -> bool {
         self.body.is_some_and(|body| scene.bodies[body].moving)
+    }
+
+    /// Whether its body had not entered in an earlier scene.
+    pub fn has_arrived(&self, earlier: &SyntheticScene) -> bool {
+        self.body.is_some_and(|body| !earlier.bodies[body].has_entered())
     }
 
     /// A known point of a surface; `body` is `None` for the room.
@@ -53,6 +61,14 @@ impl SyntheticScene {
             }
         }
         nearest.1
+    }
+
+    /// Whether nothing stands between a place in the room and a point of a surface.
+    pub fn sees(&self, from: [f64; 3], of: &Hit) -> bool {
+        let way: [f64; 3] = std::array::from_fn(|i| of.position[i] - from[i]);
+        let first = self.hit(from, normalize(way)).position;
+        let short: [f64; 3] = std::array::from_fn(|i| of.position[i] - first[i]);
+        dot(short, short) < NEAR * NEAR
     }
 
     /// Display-referred colour of a surface, matt: the same from everywhere.

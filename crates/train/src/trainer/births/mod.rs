@@ -28,6 +28,9 @@ use crate::parameters::Parameters;
 use crate::schedule::Phase;
 use crate::state::State;
 
+/// Largest scale of a Gaussian that stays, in distances between the rays that found its place.
+const MAX_GROWTH: f32 = 3.0;
+
 impl Trainer {
     /// Gives birth to what a timestep shows and the scene, as the timestep left it, does not.
     ///
@@ -58,7 +61,8 @@ impl Trainer {
         self.iterate(Phase::Birth, nursery.cameras, pace, Some(shares), &[], &mut |_| ControlFlow::Continue(()))?;
         let grown = self.engine.state()?.parameters.clone();
         *self.engine.state_mut()? = whole;
-        let keep = viable(&grown, config.opacity, self.config.mask.enabled.then_some(self.config.mask.threshold));
+        let keep =
+            viable(&grown, &seeds, config.opacity, self.config.mask.enabled.then_some(self.config.mask.threshold));
         self.engine.state_mut()?.append(&grown.select(&keep));
         let state = self.engine.state()?;
         self.num_gaussians = state.parameters.num_gaussians();
@@ -105,12 +109,13 @@ fn alone(newborn: Parameters, scene: &State) -> State {
     state
 }
 
-/// Those that are worth keeping.
-fn viable(grown: &Parameters, opacity: f32, mask_threshold: Option<f32>) -> Vec<usize> {
-    let opacities = grown.gaussians.logit_opacities();
+/// Those that are worth keeping: neither transparent nor hidden, and not grown far beyond where they were seen.
+fn viable(grown: &Parameters, seeds: &[Seed], opacity: f32, mask_threshold: Option<f32>) -> Vec<usize> {
+    let (opacities, scales) = (grown.gaussians.logit_opacities(), grown.gaussians.log_scales());
     let is_viable = |&i: &usize| {
         let shown = mask_threshold.is_none_or(|threshold| mask(grown.mask_logits[i], threshold) > 0.0);
-        shown && sigmoid(opacities[i]) >= opacity
+        let largest = scales[i].into_iter().fold(f32::MIN, f32::max).exp();
+        shown && sigmoid(opacities[i]) >= opacity && largest <= MAX_GROWTH * seeds[i].spacing
     };
     (0..grown.num_gaussians()).filter(is_viable).collect()
 }

@@ -7,6 +7,7 @@
 
 use std::collections::BTreeMap;
 
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use tcgs_core::{Image, Pinhole, View};
 
@@ -20,6 +21,8 @@ const STRIDE: usize = 2;
 const SAME_COLOR: f32 = 0.08;
 /// Views, beside a ray's own, that must agree on a depth.
 const MIN_AGREEING: usize = 2;
+/// How near other views' seeds must be, in distances between rays.
+const SUPPORT: f32 = 2.0;
 /// Share of the scene's points that may lie beyond the depths looked at, at either end.
 const BEYOND: f64 = 0.005;
 
@@ -33,6 +36,8 @@ pub(super) struct Seed {
     /// Distance between neighbouring rays there, scene units.
     pub spacing: f32,
     pub foreground: bool,
+    /// Which view's ray found it.
+    view: usize,
 }
 
 /// A view with what the scene does not explain in it.
@@ -52,7 +57,27 @@ pub(super) fn seeds(views: &[View], unexplained: &[Blocks], means: &[[f32; 3]], 
     let sight = |(view, unexplained)| Sight { view, pinhole: Pinhole::new(&view.camera), unexplained };
     let sights: Vec<Sight<'_>> = views.iter().zip(unexplained).map(sight).collect();
     let found: Vec<Vec<Seed>> = (0..sights.len()).into_par_iter().map(|of| found_by(&sights, of, means)).collect();
-    thinned(found.concat(), most)
+    thinned(supported(found.concat()), most)
+}
+
+/// The seeds near which other views' rays found some, too: within [`SUPPORT`] times their spacing.
+fn supported(seeds: Vec<Seed>) -> Vec<Seed> {
+    let Some(tree) = ImmutableKdTree::new_from_slice(&positions(&seeds)).ok().filter(|_| !seeds.is_empty()) else {
+        return Vec::new();
+    };
+    let is_supported = |seed: &&Seed| {
+        let reach = (SUPPORT * seed.spacing).powi(2);
+        let near = tree.query(&seed.position).within::<SquaredEuclidean<f32>>(reach).execute();
+        let mut views: Vec<usize> = near.iter().map(|found| seeds[found.item as usize].view).collect();
+        views.sort_unstable();
+        views.dedup();
+        views.len() > MIN_AGREEING
+    };
+    seeds.par_iter().filter(is_supported).copied().collect()
+}
+
+fn positions(seeds: &[Seed]) -> Vec<[f32; 3]> {
+    seeds.iter().map(|seed| seed.position).collect()
 }
 
 fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
@@ -86,6 +111,7 @@ fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
                     color,
                     spacing: STRIDE as f32 * depth / me.pinhole.focal[0],
                     foreground: segmentation.is_none_or(|s| s.foreground[y * width + x]),
+                    view: of,
                 });
             }
         }
@@ -150,8 +176,7 @@ fn thinned(mut seeds: Vec<Seed>, most: usize) -> Vec<Seed> {
         for seed in &seeds {
             cells.entry(seed.position.map(|x| (x / edge).floor() as i64)).or_default().push(seed);
         }
-        let merged: Vec<Seed> = cells.into_values().map(|cell| merged(&cell, edge)).collect();
-        seeds = merged;
+        seeds = cells.into_values().map(|cell| merged(&cell, edge)).collect();
         if seeds.len() <= most {
             return seeds;
         }
@@ -165,6 +190,7 @@ fn merged(cell: &[&Seed], edge: f32) -> Seed {
     };
     let of_foreground = cell.iter().filter(|seed| seed.foreground).count();
     Seed {
+        view: cell[0].view,
         position: mean(&|seed| seed.position),
         color: mean(&|seed| seed.color),
         spacing: cell.iter().map(|seed| seed.spacing).fold(edge, f32::max),
