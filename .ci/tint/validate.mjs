@@ -50,9 +50,10 @@ async function validate(device) {
   if (entries.length === 0 && !draws) {
     report('error', path, 'no entry point');
   }
-  // Some limits are those of a pipeline: storage buffers, threads, workgroup memory. Backward kernels never run in a
-  // browser, and may pass them.
-  const forward = entries.filter((entryPoint) => !entryPoint.endsWith('_bwd'));
+  // Some limits are those of a pipeline: storage buffers, threads, workgroup memory. Backward kernels and those of listed
+  // parts never run in a browser, and may pass them.
+  const trains = (entryPoint) => entryPoint.endsWith('_bwd') || file.endsWith('_listed.wgsl');
+  const forward = entries.filter((entryPoint) => !trains(entryPoint));
   const pipelines = forward.map((entryPoint) => ({
     name: entryPoint,
     make: () => device.createComputePipeline({ layout: 'auto', compute: { module, entryPoint } }),

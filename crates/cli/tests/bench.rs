@@ -28,7 +28,7 @@ const STAGES: [&str; 11] = [
     "sums, small Adam",
     "Adam",
 ];
-const SCENE: [&str; 17] = [
+const SCENE: [&str; 23] = [
     "name",
     "files",
     "gaussians",
@@ -44,6 +44,12 @@ const SCENE: [&str; 17] = [
     "render_stages",
     "iteration_ms",
     "stages",
+    "first_iteration_ms",
+    "first_stages",
+    "part_iteration_ms",
+    "part_stages",
+    "part_gaussians",
+    "part_tiles",
     "wall_ms_per_iteration",
     "wall_iterations",
 ];
@@ -81,11 +87,18 @@ fn check_scene(scene: &Value, stages: &[&str]) {
     assert_eq!((&scene["iterations"], &scene["channels"]), (&3.into(), &5.into()));
     let (splats, pairs) = (number(&scene["splats"]), number(&scene["pairs"]));
     assert!(0.0 < splats && splats <= number(&scene["gaussians"]) && splats <= pairs, "{splats} {pairs}");
-    for total in [&scene["forward_backward_ms"], &scene["iteration_ms"]] {
-        check_spread(total);
+    for total in ["forward_backward_ms", "iteration_ms", "first_iteration_ms", "part_iteration_ms"] {
+        check_spread(&scene[total]);
     }
+    assert_eq!(scene["part_gaussians"], 300, "15 % of 2000");
+    let tiles = number(&scene["part_tiles"]);
+    assert!(0.0 < tiles && tiles <= 1.0, "{tiles}");
     check_stages(&scene["render_stages"], &RENDER_STAGES);
     check_stages(&scene["stages"], stages);
+    check_stages(&scene["part_stages"], stages);
+    // Without losses on motion their stage may take no time at all.
+    let first = scene["first_stages"].as_array().unwrap();
+    assert_eq!(first.iter().map(|stage| stage["name"].as_str().unwrap()).collect::<Vec<_>>(), stages);
 }
 
 /// Asserts that stages are all that there is to a whole. Of one sample: medians of several need not add up.

@@ -1,6 +1,10 @@
-//! What the gate trains, on made captures whose Gaussians are known: a wall and an object before it.
+//! What the gate trains, on made captures whose Gaussians are known: a wall and an object before it, on each
+//! engine.
 
 #![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
+
+#[cfg(feature = "gpu")]
+mod support;
 
 use std::ops::{ControlFlow, Range};
 
@@ -8,8 +12,9 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_core::{BaseColumns, Camera, Gaussians, View, activate};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::{Parameters, Preset, TrainConfig, Trainer};
+use tcgs_train::{Parameters, Preset, State, TrainConfig, Trainer};
 
 const WALL: [usize; 2] = [24, 16];
 /// The object's Gaussians come after the wall's.
@@ -72,8 +77,52 @@ fn settings() -> TrainConfig {
     config
 }
 
+/// Makes an engine.
+type Make<'a> = &'a dyn Fn(State) -> Box<dyn Engine>;
+
+/// The scenarios as tests on one engine.
+macro_rules! tests_on {
+    ($engine:ident, $($scenario:ident),+ $(,)?) => {
+        mod $engine {
+            $(#[test]
+            fn $scenario() {
+                super::$engine(&super::$scenario);
+            })+
+        }
+    };
+}
+
+tests_on!(
+    on_cpu,
+    noise_wakes_nothing,
+    a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on,
+    a_lamp_wakes_all_that_it_lights,
+    what_an_occluder_uncovers_wakes_though_nothing_moves_there_any_more,
+    a_resumed_gate_goes_on_as_if_it_had_never_stopped,
+);
+// The occluder takes two minutes on a software GPU, and what wakes is not the engine's to say.
+#[cfg(feature = "gpu")]
+tests_on!(
+    on_gpu,
+    noise_wakes_nothing,
+    a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on,
+    a_lamp_wakes_all_that_it_lights,
+    a_resumed_gate_goes_on_as_if_it_had_never_stopped,
+);
+
+fn on_cpu(scenario: &dyn Fn(Make<'_>)) {
+    scenario(&|state| Box::new(CpuEngine::new(state)));
+}
+
+#[cfg(feature = "gpu")]
+fn on_gpu(scenario: &dyn Fn(Make<'_>)) {
+    use tcgs_train::engine::gpu::GpuEngine;
+    let Some(gpu) = support::gpu() else { return };
+    scenario(&|state| Box::new(GpuEngine::new(&gpu, state)));
+}
+
 /// A run whose first timestep has seen `truth`, and started from `start`.
-fn trainer(start: &Gaussians, truth: &Gaussians, sigma: f32) -> Trainer {
+fn trainer(make: Make<'_>, start: &Gaussians, truth: &Gaussians, sigma: f32) -> Trainer {
     let n = start.num_gaussians();
     let parameters = Parameters {
         gaussians: start.clone(),
@@ -82,7 +131,6 @@ fn trainer(start: &Gaussians, truth: &Gaussians, sigma: f32) -> Trainer {
         camera_gains: vec![[0.0; 3]; 4],
         camera_offsets: vec![[0.0; 3]; 4],
     };
-    let make = |state| Box::new(CpuEngine::new(state)) as Box<_>;
     let mut trainer = Trainer::from_parameters(&settings(), parameters, &cameras(), make).unwrap();
     fit(&mut trainer, &views(truth, 1, sigma));
     trainer
@@ -115,11 +163,10 @@ fn changed(before: &Gaussians, after: &Gaussians) -> Vec<usize> {
     (0..before.num_gaussians()).filter(differs).collect()
 }
 
-#[test]
-fn noise_wakes_nothing() {
+fn noise_wakes_nothing(make: Make<'_>) {
     let sigma = 2.0 / 255.0;
     let truth = scene(CENTER);
-    let mut trainer = trainer(&truth, &truth, sigma);
+    let mut trainer = trainer(make, &truth, &truth, sigma);
     let first = now(&mut trainer);
     for t in 1..8 {
         assert_eq!(fit(&mut trainer, &views(&truth, 10 + t, sigma)), 0, "iterations of timestep {t}");
@@ -127,11 +174,10 @@ fn noise_wakes_nothing() {
     assert_eq!(changed(&first, &now(&mut trainer)), [0_usize; 0]);
 }
 
-#[test]
-fn a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on() {
+fn a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on(make: Make<'_>) {
     let sigma = 1.0 / 255.0;
     let truth = scene(CENTER);
-    let mut trainer = trainer(&truth, &truth, sigma);
+    let mut trainer = trainer(make, &truth, &truth, sigma);
     let first = now(&mut trainer);
     for t in 1..9_u8 {
         let by = f32::from(t.saturating_sub(4)) * 0.05;
@@ -152,11 +198,10 @@ fn a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on() {
     assert!((way - 0.2).abs() < 0.05, "the object moved by {way} of 0.2");
 }
 
-#[test]
-fn a_lamp_wakes_all_that_it_lights() {
+fn a_lamp_wakes_all_that_it_lights(make: Make<'_>) {
     let sigma = 1.0 / 255.0;
     let truth = scene(CENTER);
-    let mut trainer = trainer(&truth, &truth, sigma);
+    let mut trainer = trainer(make, &truth, &truth, sigma);
     let mut lit = truth.clone();
     lit.colors_mut().iter_mut().for_each(|color| *color = color.map(|c| 1.2 * c));
     for t in 1..5 {
@@ -175,15 +220,14 @@ fn a_lamp_wakes_all_that_it_lights() {
     assert!(gain > 1.05, "colours are {gain} times as bright");
 }
 
-#[test]
-fn what_an_occluder_uncovers_wakes_though_nothing_moves_there_any_more() {
+fn what_an_occluder_uncovers_wakes_though_nothing_moves_there_any_more(make: Make<'_>) {
     let truth = scene(CENTER);
     // The object hides a part of the wall from all cameras, which starts in a wrong colour.
     let hidden = |mean: &[f32; 3]| (mean[0] + 0.39).abs() < 0.16 && mean[1].abs() < 0.16;
     let mut start = truth.clone();
     let indices: Vec<usize> = (0..OBJECT.start).filter(|&i| hidden(&truth.means()[i])).collect();
     indices.iter().for_each(|&i| start.colors_mut()[i] = [0.0, 0.0, 1.0]);
-    let mut trainer = trainer(&start, &truth, 0.0);
+    let mut trainer = trainer(make, &start, &truth, 0.0);
     let error = |gaussians: &Gaussians| {
         let of = |&i: &usize| (gaussians.colors()[i][2] - truth.colors()[i][2]).abs();
         indices.iter().map(of).sum::<f32>() / indices.len() as f32
@@ -204,14 +248,13 @@ fn what_an_occluder_uncovers_wakes_though_nothing_moves_there_any_more() {
     assert!(before > 0.3 && after < 0.9 * before, "{before} to {after} in {iterations:?}");
 }
 
-#[test]
-fn a_resumed_gate_goes_on_as_if_it_had_never_stopped() {
+fn a_resumed_gate_goes_on_as_if_it_had_never_stopped(make: Make<'_>) {
     let (sigma, folder) = (1.0 / 255.0, tempfile::tempdir().unwrap());
     let shots: Vec<Vec<View>> = (0..4_u8)
         .map(|t| views(&scene([CENTER[0] + 0.04 * f32::from(t), CENTER[1], CENTER[2]]), u64::from(t), sigma))
         .collect();
     let whole = {
-        let mut trainer = trainer(&scene(CENTER), &scene(CENTER), sigma);
+        let mut trainer = trainer(make, &scene(CENTER), &scene(CENTER), sigma);
         let run = tcgs_train::Run::create(&folder.path().join("run"), &settings()).unwrap();
         run.save(0, &trainer.checkpoint().unwrap()).unwrap();
         for (t, shot) in shots.iter().enumerate().skip(1) {
@@ -223,7 +266,7 @@ fn a_resumed_gate_goes_on_as_if_it_had_never_stopped() {
         trainer.checkpoint().unwrap()
     };
     let run = tcgs_train::Run::open(&folder.path().join("run")).unwrap();
-    let mut resumed = run.resume().unwrap().unwrap();
+    let mut resumed = run.resume_with(make).unwrap().unwrap();
     assert!(resumed.needs_recall());
     resumed.recall(&shots[2]).unwrap();
     assert!(!resumed.needs_recall());

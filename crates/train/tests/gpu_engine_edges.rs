@@ -4,77 +4,14 @@
 
 mod support;
 
-use std::sync::Arc;
-
+use support::engines::{assert_same, bits, config, quantized, state, step, target, with_past};
 use support::{Random, further_layout, gpu, relative_l2};
-use tcgs_codec::BitMap;
-use tcgs_core::{Attribute, Camera, Gaussians, Image, PointCloud};
+use tcgs_core::{Attribute, Camera, Gaussians};
 use tcgs_render::gpu::{Gpu, GpuError};
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::gpu::GpuEngine;
-use tcgs_train::engine::{Engine, Step, Target};
-use tcgs_train::{
-    FakeQuantizers, LossTerms, Optimizer, Parameters, Past, Phase, Pose, Rates, Row, Schedule, State, TrainConfig,
-    TrainError,
-};
-
-fn config() -> TrainConfig {
-    TrainConfig::default()
-}
-
-fn state(n: usize, cameras: usize, is_foreground: impl Fn(usize) -> bool) -> State {
-    let mut random = Random::new(n as u64);
-    let cloud = PointCloud {
-        points: (0..n).map(|_| random.row(1.0)).collect(),
-        colors: (0..n).map(|_| random.row::<3>(0.5).map(|c| c + 0.5)).collect(),
-        foreground: (0..n).map(is_foreground).collect(),
-    };
-    let mut state = State::new(Parameters::from_cloud(&cloud, cameras, 1.0));
-    for i in 0..n {
-        let g = &mut state.parameters.gaussians;
-        g.log_scales_mut()[i] = random.row::<3>(1.0).map(|s| s - 2.0);
-        g.quats_mut()[i] = random.row(1.0);
-        g.logit_opacities_mut()[i] = random.within(3.0);
-    }
-    state
-}
-
-fn target([width, height]: [usize; 2], channels: usize, seed: u64) -> Target {
-    let mut random = Random::new(seed);
-    let x = random.within(1.0).into();
-    let camera =
-        Camera::look_at([x, 0.2, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 1.2 * width.max(height) as f64, width, height);
-    let mut image = Image::filled(width, height, channels, 0.0);
-    for value in &mut image.data {
-        *value = random.below(256) as f32 / 255.0;
-    }
-    if channels == 5 {
-        for i in 0..width * height {
-            let f = f32::from(u8::from(random.below(2) == 0));
-            image.plane_mut(3)[i] = f;
-            image.plane_mut(4)[i] = 1.0 - f;
-        }
-    }
-    Target { camera, image }
-}
-
-/// Adds a past to `state`: everything was a little elsewhere.
-fn with_past(mut state: State) -> State {
-    let mut random = Random::new(99);
-    let g = &state.parameters.gaussians;
-    let first = Pose::of(g);
-    let mut previous = g.clone();
-    previous.means_mut().iter_mut().for_each(|mean| *mean = mean.map(|x| x + random.within(0.01)));
-    let previous_mask_logits = Some(vec![0.5; g.num_gaussians()]);
-    let past = Past::new(first, previous, &state.parameters.foreground);
-    state.past = Some(Past { previous_mask_logits, ..past });
-    state
-}
-
-fn step(camera: usize, rates: Rates, config: &TrainConfig) -> Step<'_> {
-    let (weights, mask) = (&config.weights, &config.mask);
-    Step { camera, rates, weights, mask, counts_gradients: true, moves_gaussians: true }
-}
+use tcgs_train::engine::{Engine, Target};
+use tcgs_train::{LossTerms, Phase, Row, Schedule, State, TrainConfig, TrainError};
 
 /// One iteration on each of `cameras`.
 fn run(
@@ -106,35 +43,7 @@ fn compare(
     let (mut a, mut b) = (CpuEngine::new(start.clone()), GpuEngine::new(gpu, start.clone()));
     let expected = run(&mut a, targets, cameras, config, phase).unwrap();
     let found = run(&mut b, targets, cameras, config, phase).unwrap();
-    assert_eq!(found.len(), expected.len(), "{name}");
-    for (i, (f, e)) in found.iter().zip(&expected).enumerate() {
-        for ((term, f, _), (_, e, _)) in f.terms(&config.weights).into_iter().zip(e.terms(&config.weights)) {
-            assert!((f - e).abs() <= 2e-3 * e.abs() + 1e-5, "{name}: {term} of iteration {i}: {f} against {e}");
-        }
-    }
-    let (e, f) = (a.state().unwrap(), b.state().unwrap());
-    let counts = e.statistic.count.iter().zip(&f.statistic.count).filter(|(a, b)| a != b).count();
-    assert!(counts * 100 <= e.statistic.count.len(), "{name}: {counts} counts differ");
-    let layout = Arc::clone(e.parameters.gaussians.layout());
-    for attribute in layout.attributes() {
-        let [m, n] = [e, f].map(|s| &s.optimizer);
-        assert_eq!(m.steps[attribute.index()], n.steps[attribute.index()]);
-        let error = relative_l2(n.first.values(attribute), m.first.values(attribute));
-        assert!(error < 2e-2, "{name}: first moments of {}: {error}", layout.name(attribute));
-        let (m, n) = (e.parameters.gaussians.values(attribute), f.parameters.gaussians.values(attribute));
-        let error = relative_l2(n, m);
-        assert!(error < 1e-3, "{name}: {}: {error}", layout.name(attribute));
-    }
-    let quantizers = [f, e].map(|s| -> Vec<f32> {
-        s.quantizers.iter().flat_map(|q| &q.quantizers).flat_map(|q| [q.step, q.offset]).collect()
-    });
-    assert!(relative_l2(&quantizers[0], &quantizers[1]) < 1e-3, "{name}: quantizers");
-    let [m, n] = [e, f].map(|s| &s.optimizer);
-    let counts = |o: &Optimizer| [&o.quantizer_steps, &o.quantizer_offsets].map(|m| m.step);
-    assert_eq!(counts(n), counts(m), "{name}");
-    assert_eq!([m.mask.step, m.gains.step, m.offsets.step], [n.mask.step, n.gains.step, n.offsets.step], "{name}");
-    assert!(relative_l2(&n.mask.first, &m.mask.first) < 2e-2, "{name}: masks");
-    assert!(relative_l2(&n.gains.first, &m.gains.first) < 2e-3, "{name}: gains");
+    assert_same(name, config, (&expected, a.state().unwrap()), (&found, b.state().unwrap()));
 }
 
 #[test]
@@ -234,35 +143,6 @@ fn a_lost_gpu_is_an_error() {
             assert!(matches!(error, TrainError::Gpu(GpuError::Lost(_))), "{error:?}");
         }
     }
-}
-
-/// Everything that outlives an iteration, bit for bit.
-fn bits(state: &State) -> Vec<u32> {
-    let (p, o) = (&state.parameters, &state.optimizer);
-    let mut values: Vec<f32> = Attribute::BASE.iter().flat_map(|&a| p.gaussians.values(a).to_vec()).collect();
-    values.extend(p.camera_gains.iter().chain(&p.camera_offsets).flatten());
-    values.extend(p.mask_logits.iter().chain(&state.statistic.sum));
-    let others = [&o.mask, &o.gains, &o.offsets, &o.quantizer_steps, &o.quantizer_offsets];
-    for attribute in Attribute::BASE {
-        values.extend(o.first.values(attribute).iter().chain(o.second.values(attribute)));
-        values.push(o.steps[attribute.index()] as f32);
-    }
-    for moments in others {
-        values.extend(moments.first.iter().chain(&moments.second));
-        values.push(moments.step as f32);
-    }
-    values.extend(state.quantizers.iter().flat_map(|q| &q.quantizers).flat_map(|q| [q.step, q.offset]));
-    values.iter().map(|v| v.to_bits()).chain(state.statistic.count.iter().copied()).collect()
-}
-
-fn quantized(mut state: State, learned_offset: bool) -> State {
-    state.canonicalize_quats();
-    let gaussians = &state.parameters.gaussians;
-    let mut bit_map = BitMap::uniform_of(gaussians.layout(), gaussians.num_gaussians(), 16, 6);
-    bit_map.widths[1].iter_mut().step_by(3).for_each(|width| *width = 8);
-    let quantizers = FakeQuantizers::new(bit_map, gaussians, learned_offset).unwrap();
-    state.start_quantization(quantizers);
-    state
 }
 
 /// A camera from which the splats of [`state`] are the larger the nearer it is.
@@ -381,11 +261,11 @@ fn timesteps_of_other_sizes_and_channels_follow_each_other() {
         let targets = [0, 1].map(|i| target([size[0] + 3 * i, size[1]], channels, (10 * timestep + i) as u64));
         let mut losses = Vec::new();
         for engine in [&mut cpu as &mut dyn Engine, &mut on_gpu] {
-            let state = engine.state_mut().unwrap();
+            let now = engine.state_mut().unwrap();
             // Not what was learned: two engines are to start from the same.
-            state.parameters = with_past(self::state(80, 2, |i| i % 2 == 0)).parameters;
-            state.parameters.mask_logits[timestep] = -6.0;
-            let past = state.past.as_mut().unwrap();
+            now.parameters = with_past(state(80, 2, |i| i % 2 == 0)).parameters;
+            now.parameters.mask_logits[timestep] = -6.0;
+            let past = now.past.as_mut().unwrap();
             past.previous.colors_mut().iter_mut().for_each(|color| color[timestep % 3] += 0.1);
             losses.push(run(engine, &targets, &[0, 1, 0], &config, Phase::Rest).unwrap());
         }

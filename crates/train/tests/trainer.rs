@@ -153,22 +153,17 @@ fn threads_and_resuming_do_not_change_a_bit() {
 struct Late {
     cpu: CpuEngine,
     known: Vec<LossTerms>,
-    takes_scenery: bool,
 }
 
 impl Late {
-    fn boxed(state: State, takes_scenery: bool) -> Box<dyn Engine> {
-        Box::new(Self { cpu: CpuEngine::new(state), known: Vec::new(), takes_scenery })
+    fn boxed(state: State) -> Box<dyn Engine> {
+        Box::new(Self { cpu: CpuEngine::new(state), known: Vec::new() })
     }
 }
 
 impl Engine for Late {
     fn name(&self) -> String {
         "late".into()
-    }
-
-    fn takes_scenery(&self) -> bool {
-        self.takes_scenery
     }
 
     fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError> {
@@ -229,12 +224,12 @@ fn an_engine_may_run_behind() {
     };
     let (told, checkpoint) = fit(trainer(&config));
     assert_eq!(told.len(), 135);
-    let behind = fit(Trainer::with_engine(&config, &cloud, &cameras, |state| Late::boxed(state, true)).unwrap());
+    let behind = fit(Trainer::with_engine(&config, &cloud, &cameras, Late::boxed).unwrap());
     assert!(behind == (told, checkpoint));
 }
 
 #[test]
-fn an_engine_that_trains_everything_has_no_gate() {
+fn a_checkpoint_holds_a_record_of_the_gate_where_there_is_one() {
     let mut gated = config();
     (gated.schedule.first_iterations, gated.schedule.rest_iterations) = (60, 15);
     assert!(gated.gate.enabled);
@@ -242,22 +237,20 @@ fn an_engine_that_trains_everything_has_no_gate() {
     ungated.gate.enabled = false;
     let cameras: Vec<Camera> = views(0).into_iter().map(|v| v.camera).collect();
     let cloud = capture().point_cloud().unwrap();
-    let trained = |config: &TrainConfig, takes_scenery: bool| {
-        let make = |state| Late::boxed(state, takes_scenery);
-        let mut trainer = Trainer::with_engine(config, &cloud, &cameras, make).unwrap();
+    let trained = |config: &TrainConfig| {
+        let mut trainer = Trainer::with_engine(config, &cloud, &cameras, Late::boxed).unwrap();
         let checkpoints = [0, 1].map(|frame| {
             trainer.fit(&views(frame), &mut |_| ControlFlow::Continue(())).unwrap();
             trainer.checkpoint().unwrap()
         });
         let [first, last] = &checkpoints;
-        let needs_recall = Trainer::resume(config, first, first, last, 2, make).needs_recall();
+        let needs_recall = Trainer::resume(config, first, first, last, 2, Late::boxed).needs_recall();
         (trainer.trained(), needs_recall, checkpoints)
     };
-    let (everything, needs_recall, checkpoints) = trained(&gated, false);
+    let (everything, needs_recall, checkpoints) = trained(&ungated);
     assert_eq!((everything, needs_recall), (Trained::ALL, false));
     assert!(checkpoints.iter().all(|checkpoint| checkpoint.gate == GateRecord::default()));
-    assert!(trained(&ungated, true) == (everything, needs_recall, checkpoints));
-    let (_, needs_recall, checkpoints) = trained(&gated, true);
+    let (_, needs_recall, checkpoints) = trained(&gated);
     assert!(needs_recall && checkpoints.iter().all(|checkpoint| checkpoint.gate != GateRecord::default()));
 }
 

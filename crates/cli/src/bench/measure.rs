@@ -6,9 +6,10 @@ use anyhow::bail;
 use tcgs_core::{Activated, Camera, Image, activate};
 use tcgs_pipeline::Backend;
 use tcgs_render::{CpuRasterizer, Laps, PairCounts, RenderSettings, StageTimes};
-use tcgs_train::engine::Step;
-use tcgs_train::{Phase, Rates, Schedule, TrainConfig};
+use tcgs_train::engine::{Scenery, Step};
+use tcgs_train::{Phase, Rates, Schedule, State, TrainConfig};
 
+use super::part::Part;
 use super::scene::BenchScene;
 
 /// How often things are done.
@@ -33,6 +34,14 @@ pub struct Measured {
     pub forward_backward: Samples,
     /// One iteration of training.
     pub iteration: Samples,
+    /// One of the first timestep, before quantisation starts.
+    pub first_iteration: Samples,
+    /// One that trains a part of the scene.
+    pub part_iteration: Samples,
+    /// Gaussians of this part.
+    pub part_gaussians: usize,
+    /// Share of the tiles of all views that it draws.
+    pub part_tiles: f64,
     /// Of one iteration among many, milliseconds by the clock on the wall.
     pub wall_ms: f64,
     /// Means over the samples of `forward`.
@@ -93,13 +102,23 @@ pub fn measure(
     step("forward");
     let (forward_backward, _) = render(backend, &drawn, &cameras, true, counts)?;
     step("forward and backward");
-    let (iteration, wall_ms) = iterate(backend, scene, counts)?;
+    let (iteration, wall_ms) = iterate(backend, Case::later(scene), counts)?;
     step("iterations");
+    let (first_iteration, _) = iterate(backend, Case::first(scene), counts)?;
+    step("first timestep");
+    let part = Part::new(backend, scene)?;
+    let (part_gaussians, part_tiles) = (part.scenery.num_active, part.tiles);
+    let (part_iteration, _) = iterate(backend, Case::part(scene, part), counts)?;
+    step("a part");
     let mean = |of: fn(&PairCounts) -> usize| found.iter().map(|c| of(c) as f64).sum::<f64>() / found.len() as f64;
     Ok(Measured {
         forward: Samples(forward),
         forward_backward: Samples(forward_backward),
         iteration: Samples(iteration),
+        first_iteration: Samples(first_iteration),
+        part_iteration: Samples(part_iteration),
+        part_gaussians,
+        part_tiles,
         wall_ms,
         pairs: mean(|c| c.pairs),
         splats: mean(|c| c.splats),
@@ -107,7 +126,7 @@ pub fn measure(
 }
 
 /// Parts of [`measure`].
-pub const STEPS: usize = 3;
+pub const STEPS: usize = 5;
 
 /// Draws, with one camera after another.
 fn render(
@@ -160,27 +179,60 @@ fn render_on_cpu(drawn: &Activated, camera: &Camera, backward: bool) -> (StageTi
     (laps.finish(), saved.counts())
 }
 
+/// Iterations of one kind.
+struct Case<'a> {
+    scene: &'a BenchScene,
+    state: State,
+    scenery: Option<Scenery>,
+    /// Positions of the views that they go round.
+    cameras: Vec<usize>,
+    phase: Phase,
+}
+
+impl<'a> Case<'a> {
+    fn later(scene: &'a BenchScene) -> Self {
+        let cameras = (0..scene.targets.len()).collect();
+        Self { scene, state: scene.state.clone(), scenery: None, cameras, phase: Phase::Rest }
+    }
+
+    fn first(scene: &'a BenchScene) -> Self {
+        Self { state: State::new(scene.state.parameters.clone()), phase: Phase::First, ..Self::later(scene) }
+    }
+
+    fn part(scene: &'a BenchScene, part: Part) -> Self {
+        let Part { state, scenery, cameras, .. } = part;
+        Self { scene, state, scenery: Some(scenery), cameras, phase: Phase::Rest }
+    }
+}
+
 /// Trains, one camera after another; also returns the mean of many iterations by the clock on the wall.
-fn iterate(backend: &Backend, scene: &BenchScene, counts: Counts) -> anyhow::Result<(Vec<StageTimes>, f64)> {
+fn iterate(backend: &Backend, case: Case<'_>, counts: Counts) -> anyhow::Result<(Vec<StageTimes>, f64)> {
+    let Case { scene, state, scenery, cameras, phase } = case;
+    if cameras.is_empty() {
+        bail!("{}: no camera sees the Gaussians in the middle of the scene, expected at least one", scene.name);
+    }
     let config = TrainConfig::default();
-    let rates = Schedule::new(&config, 1.0).rates(Phase::Rest, 0);
+    let rates = Schedule::new(&config, 1.0).rates(phase, 0);
     let step = |i: usize| Step {
-        camera: i % scene.targets.len(),
+        camera: cameras[i % cameras.len()],
         rates: Rates {
             mean: rates.mean * RATE_SHARE,
             quat: rates.quat * RATE_SHARE,
+            log_scale: rates.log_scale * RATE_SHARE,
+            logit_opacity: rates.logit_opacity * RATE_SHARE,
             color: rates.color * RATE_SHARE,
             mask: rates.mask * RATE_SHARE,
-            step: rates.step * RATE_SHARE,
+            camera: rates.camera * RATE_SHARE,
+            step: if scenery.is_some() { 0.0 } else { rates.step * RATE_SHARE },
             ..rates
         },
         weights: &config.weights,
         mask: &config.mask,
-        counts_gradients: false,
+        counts_gradients: phase == Phase::First,
         moves_gaussians: true,
     };
-    let mut engine = backend.engine(scene.state.clone());
-    engine.begin(scene.targets.clone(), None)?;
+    let mut engine = backend.engine(state);
+    engine.begin(scene.targets.clone(), scenery.clone())?;
     for i in 0..counts.warm_up {
         engine.step(&step(i))?;
     }

@@ -104,7 +104,7 @@ pub fn of_capture(capture: &Capture, downscale: usize, seed: u64) -> anyhow::Res
 }
 
 /// A state between whose timesteps everything has moved a little, quantised to mixed bit widths.
-fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> anyhow::Result<State> {
+pub fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> anyhow::Result<State> {
     let q = TrainConfig::default().quantize;
     let mut state = State::new(parameters);
     state.canonicalize_quats();

@@ -50,6 +50,9 @@ pub fn text(scene: &BenchScene, measured: &Measured, counts: Counts) -> String {
     part("forward + backward, 3 channels", &m.forward_backward);
     let channels = scene.targets[0].image.num_channels;
     part(&format!("training iteration, {channels} channels"), &m.iteration);
+    part(&format!("of the first timestep, {channels} channels"), &m.first_iteration);
+    let share = 100.0 * m.part_tiles;
+    part(&format!("of {} Gaussians, {share:.0} % of tiles", m.part_gaussians), &m.part_iteration);
     let name = format!("an iteration of {} in a row", counts.in_a_row);
     table + &format!("{name:<34}{:>10.3}", m.wall_ms)
 }
@@ -84,6 +87,12 @@ pub fn scene_json(scene: &BenchScene, measured: &Measured, counts: Counts, files
         "render_stages": stages_json(&m.forward_backward),
         "iteration_ms": spread_json(m.iteration.total()),
         "stages": stages_json(&m.iteration),
+        "first_iteration_ms": spread_json(m.first_iteration.total()),
+        "first_stages": stages_json(&m.first_iteration),
+        "part_iteration_ms": spread_json(m.part_iteration.total()),
+        "part_stages": stages_json(&m.part_iteration),
+        "part_gaussians": m.part_gaussians,
+        "part_tiles": m.part_tiles,
         "wall_ms_per_iteration": m.wall_ms,
         "wall_iterations": counts.in_a_row,
     })

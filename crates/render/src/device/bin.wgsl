@@ -5,10 +5,11 @@
 //   bin_scan     one workgroup: block_sums become offsets; their total decides whether the iteration can go on
 //   bin_emit     one thread a place in the order: writes its pairs (tile, number of the pair), splat by splat in depth order
 //                (a stable sort by tile then keeps that order within a tile)
-//   bin_ranges   one thread a tile: where its pairs begin, after the sort
+//   bin_ranges   one thread a tile that is drawn: where its pairs begin, after the sort
 //   bin_buckets  one workgroup: where its buckets begin
 //
-// tiles [2 (T + 1) + buckets]: first pair of each tile | first bucket of each tile | tile of each bucket, DEAD where
+// Tiles that are drawn have slots, 0 to T; keys of pairs and tables count slots.
+// tiles [2 (T + 1) + buckets]: first pair of each slot | first bucket of each slot | slot of each bucket, DEAD where
 // forward ended before it. status: (halted, most pairs needed when too many, pairs needed last, 0). arguments: of dispatches, three each: sort, buckets.
 
 @group(0) @binding(1) var<storage, read> splats: array<vec4<u32>>;
@@ -49,7 +50,7 @@ fn scan(lane: u32, value: u32) -> u32 {
 }
 
 fn count_at(place: u32) -> u32 {
-    if place >= view.num_gaussians {
+    if place >= view.num_listed {
         return 0u;
     }
     return tile_counts[order[place]] & ~VISIBLE;
@@ -69,7 +70,7 @@ fn bin_count(
 
 @compute @workgroup_size(WORKGROUP)
 fn bin_scan(@builtin(local_invocation_index) lane: u32) {
-    let blocks = (view.num_gaussians + WORKGROUP - 1u) / WORKGROUP;
+    let blocks = (view.num_listed + WORKGROUP - 1u) / WORKGROUP;
     var total = 0u;
     for (var first = 0u; first < blocks; first += WORKGROUP) {
         let block = first + lane;
@@ -123,13 +124,18 @@ fn bin_emit(
     // up for by the last tiles, in which nothing will be seen of it.
     var pair = first;
     let end = first + count;
-    var left = ((rest.w >> 16u) - (rest.w & 0xffffu)) * ((rest.z >> 16u) - (rest.z & 0xffffu));
+    var left = num_slots(vec2<u32>(rest.z & 0xffffu, rest.z >> 16u), vec2<u32>(rest.w & 0xffffu, rest.w >> 16u));
     for (var row = rest.w & 0xffffu; row < (rest.w >> 16u); row++) {
         for (var column = rest.z & 0xffffu; column < (rest.z >> 16u); column++) {
+            let tile = vec2<u32>(column, row);
+            let slot = slot_of(tile);
+            if slot >= view.num_tiles {
+                continue;
+            }
             let is_needed = left <= end - pair;
             left--;
-            if pair < end && (is_needed || reaches_tile(shape.xy, conic, limit, vec2<u32>(column, row))) {
-                pair_keys[pair] = row * view.grid.x + column;
+            if pair < end && (is_needed || reaches_tile(shape.xy, conic, limit, tile)) {
+                pair_keys[pair] = slot;
                 pair_values[pair] = pair;
                 pair_gaussian[pair] = i;
                 pair++;
@@ -140,37 +146,37 @@ fn bin_emit(
 
 @compute @workgroup_size(WORKGROUP)
 fn bin_ranges(@builtin(global_invocation_id) id: vec3<u32>) {
-    let tile = id.x;
-    if tile > num_tiles() {
+    let slot = id.x;
+    if slot > view.num_tiles {
         return;
     }
-    // First pair whose tile is not below this one.
+    // First pair whose slot is not below this one.
     var low = 0u;
     var high = num_pairs[0];
     while low < high {
         let middle = (low + high) / 2u;
-        if pair_keys[middle] < tile {
+        if pair_keys[middle] < slot {
             low = middle + 1u;
         } else {
             high = middle;
         }
     }
-    tiles[tile] = low;
+    tiles[slot] = low;
 }
 
 @compute @workgroup_size(WORKGROUP)
 fn bin_buckets(@builtin(local_invocation_index) lane: u32) {
-    let count = num_tiles();
+    let count = view.num_tiles;
     var total = 0u;
     for (var first = 0u; first < count; first += WORKGROUP) {
-        let tile = first + lane;
+        let slot = first + lane;
         var value = 0u;
-        if tile < count {
-            value = (tiles[tile + 1u] - tiles[tile] + BUCKET - 1u) / BUCKET;
+        if slot < count {
+            value = (tiles[slot + 1u] - tiles[slot] + BUCKET - 1u) / BUCKET;
         }
         let before = scan(lane, value);
-        if tile < count {
-            tiles[count + 1u + tile] = total + before;
+        if slot < count {
+            tiles[count + 1u + slot] = total + before;
         }
         total += sums[WORKGROUP - 1u];
     }

@@ -1,13 +1,14 @@
 // Projection of Gaussians to splats, and its vector-Jacobian product.
 //
-// project_fwd: one thread a Gaussian.
+// project_fwd: one thread a listed Gaussian; keys and values are by its place in the list.
 //   reads   activated [(11 + C) N]: means, unit quats (w, x, y, z), scales, opacities, colors
 //   writes  splats [2 N]: (mean2d, conic xx, xy), (conic yy, opacity, tile columns, tile rows); ranges are first | end << 16
-//           keys [N]: bits of the depth, NO_DEPTH where no tile is reached; values [N]: the Gaussian's index
-//           tile_counts [N]: tiles reached, and VISIBLE where the splat's bounds hold a pixel
-// project_bwd: one thread a Gaussian; adds up its pairs and takes the sums back through the projection.
+//           keys [L]: bits of the depth, NO_DEPTH where no tile is reached; values [L]: the Gaussian's index
+//           tile_counts [N]: tiles reached that are drawn, and VISIBLE where the splat's bounds hold a pixel
+// project_bwd: one thread a row of gradients (R of them, those of the first Gaussians); adds up its pairs and takes the
+// sums back through the projection.
 //   reads   activated; tile_counts; pair_first [N]; v_pairs [pairs, PAIR_GRADS + C]
-//   writes  v_activated [(11 + C) N]; v_means2d_ndc [3 N]: the statistic's x, y, and 1 where visible
+//   writes  v_activated [(11 + C) R]; v_means2d_ndc [3 R]: the statistic's x, y, and 1 where visible
 
 @group(0) @binding(1) var<storage, read> activated: array<f32>;
 @group(0) @binding(2) var<storage, read_write> splats: array<vec4<u32>>;
@@ -100,13 +101,14 @@ fn pixel_range(center: f32, extent: f32, size: u32) -> vec2<u32> {
 
 @compute @workgroup_size(WORKGROUP)
 fn project_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
-    let i = id.x;
+    let place = id.x;
     let n = view.num_gaussians;
-    if i >= n {
+    if place >= view.num_listed {
         return;
     }
-    keys[i] = NO_DEPTH;
-    values[i] = i;
+    let i = gaussian_at(place);
+    keys[place] = NO_DEPTH;
+    values[place] = i;
     tile_counts[i] = 0u;
     let opacity = activated[OPACITIES_AT * n + i];
     if !(opacity >= MIN_ALPHA) || !is_finite(opacity) {
@@ -132,7 +134,8 @@ fn project_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
     var count = 0u;
     for (var row = tile_rows.x; row < tile_rows.y; row++) {
         for (var column = tile_columns.x; column < tile_columns.y; column++) {
-            count += u32(reaches_tile(mean2d, c.conic, limit, vec2<u32>(column, row)));
+            let tile = vec2<u32>(column, row);
+            count += u32(slot_of(tile) < view.num_tiles && reaches_tile(mean2d, c.conic, limit, tile));
         }
     }
     splats[2u * i] = bitcast<vec4<u32>>(vec4<f32>(mean2d, c.conic.xy));
@@ -144,7 +147,7 @@ fn project_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
     );
     tile_counts[i] = count | VISIBLE;
     if count > 0u {
-        keys[i] = bitcast<u32>(c.point.z);
+        keys[place] = bitcast<u32>(c.point.z);
     }
 }
 
@@ -152,12 +155,15 @@ fn project_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
 fn project_bwd(@builtin(global_invocation_id) id: vec3<u32>) {
     let i = id.x;
     let n = view.num_gaussians;
-    if i >= n {
+    if i >= view.num_rows {
         return;
     }
     let visible = (tile_counts[i] & VISIBLE) != 0u;
     var count = tile_counts[i] & ~VISIBLE;
     var first = 0u;
+    if i >= view.num_active {
+        count = 0u; // a row that is held
+    }
     if count > 0u {
         first = pair_first[i];
         if first > view.pair_capacity || count > view.pair_capacity - first {
@@ -241,16 +247,17 @@ fn project_bwd(@builtin(global_invocation_id) id: vec3<u32>) {
         }
     }
 
+    let rows = view.num_rows;
     for (var d = 0u; d < 3u; d++) {
         v_activated[3u * i + d] = v_mean[d];
-        v_activated[SCALES_AT * n + 3u * i + d] = v_scale[d];
+        v_activated[SCALES_AT * rows + 3u * i + d] = v_scale[d];
     }
     for (var d = 0u; d < 4u; d++) {
-        v_activated[QUATS_AT * n + 4u * i + d] = v_quat[d];
+        v_activated[QUATS_AT * rows + 4u * i + d] = v_quat[d];
     }
-    v_activated[OPACITIES_AT * n + i] = v_opacity;
+    v_activated[OPACITIES_AT * rows + i] = v_opacity;
     for (var c = 0u; c < CHANNELS; c++) {
-        v_activated[COLORS_AT * n + CHANNELS * i + c] = v_color[c];
+        v_activated[COLORS_AT * rows + CHANNELS * i + c] = v_color[c];
     }
     let ndc = statistic * 0.5 * vec2<f32>(view.size);
     v_means2d_ndc[3u * i] = ndc.x;

@@ -1,7 +1,8 @@
 // Backward of blending. One workgroup a bucket, one thread a splat: pixels pass from thread to thread, so that each
 // meets the bucket's splats front to back, and every thread sums its own splat's gradients in registers.
 //   reads   splats, activated (colors), pair_gaussian, pair_values, tiles, image, v_image [C, H, W], checkpoints
-//   writes  v_pairs [pairs, PAIR_GRADS + C]: gradients to mean2d, conic, opacity, the statistic's mean2d, colors
+//   writes  v_pairs [pairs, PAIR_GRADS + C]: gradients to mean2d, conic, opacity, the statistic's mean2d, colors; none of a
+//           bucket without an active Gaussian
 //
 // What lies behind a splat is the finished image less what was blended up to it.
 
@@ -19,18 +20,20 @@ var<workgroup> transmittances: array<f32, PIXELS>;
 // Sum over channels of image * v_image behind the splats met so far: all channels, the statistic's alone.
 var<workgroup> behinds: array<vec2<f32>, PIXELS>;
 var<workgroup> v_pixels: array<f32, PIXELS * CHANNELS>;
+var<workgroup> num_active: atomic<u32>;
+var<workgroup> any_active: u32;
 
 @compute @workgroup_size(BUCKET)
 fn rasterize_bwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3<u32>) {
     let bucket = group.y * MAX_GROUPS_X + group.x;
-    let count = num_tiles();
+    let count = view.num_tiles;
     if bucket >= tiles[2u * count + 1u] {
         return;
     }
     let marked = tiles[2u * (count + 1u) + bucket];
-    let tile = marked & ~DEAD;
-    let place = tiles[tile] + (bucket - tiles[count + 1u + tile]) * BUCKET + lane;
-    let is_splat = place < tiles[tile + 1u];
+    let slot = marked & ~DEAD;
+    let place = tiles[slot] + (bucket - tiles[count + 1u + slot]) * BUCKET + lane;
+    let is_splat = place < tiles[slot + 1u];
     var pair = 0u;
     if is_splat {
         pair = pair_values[place];
@@ -45,7 +48,28 @@ fn rasterize_bwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_
         return;
     }
 
-    let origin = vec2<u32>(tile % view.grid.x, tile / view.grid.x) * TILE;
+    var gaussian = 0u;
+    if is_splat {
+        gaussian = pair_gaussian[pair];
+    }
+    if LISTED {
+        if lane == 0u {
+            atomicStore(&num_active, 0u);
+        }
+        workgroupBarrier();
+        if is_splat && gaussian < view.num_active {
+            atomicAdd(&num_active, 1u);
+        }
+        workgroupBarrier();
+        if lane == 0u {
+            any_active = atomicLoad(&num_active);
+        }
+        if workgroupUniformLoad(&any_active) == 0u {
+            return;
+        }
+    }
+
+    let origin = tile_of(slot) * TILE;
     let plane = view.size.x * view.size.y;
     for (var p = lane; p < PIXELS; p += BUCKET) {
         let pixel = origin + vec2<u32>(p % TILE, p / TILE);
@@ -74,7 +98,6 @@ fn rasterize_bwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_
         v_color[c] = 0.0;
     }
     if is_splat {
-        let gaussian = pair_gaussian[pair];
         let shape = bitcast<vec4<f32>>(splats[2u * gaussian]);
         let rest = bitcast<vec2<f32>>(splats[2u * gaussian + 1u].xy);
         mean2d = shape.xy;

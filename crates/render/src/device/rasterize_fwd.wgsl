@@ -1,8 +1,8 @@
-// Blending of each tile's splats, front to back. One workgroup a tile, one thread a pixel.
+// Blending of each tile's splats, front to back. One workgroup a tile that is drawn, one thread a pixel.
 //   reads   splats, activated (colors), pair_gaussian [pairs], pair_values [pairs] (numbers of pairs, sorted by tile, then depth)
-//   writes  image [C + 1, H, W]: colours, then transmittance
+//   writes  image [C + 1, H, W]: colours, then transmittance; only in tiles that are drawn
 //           with KEEPS: checkpoints [buckets, 1 + C, PIXELS]: transmittance (not above 0 where the pixel was finished) and
-//           what was blended before each bucket; tiles: the tile of each bucket
+//           what was blended before each bucket that holds an active Gaussian; tiles: the slot of each bucket
 
 @group(0) @binding(1) var<storage, read> splats: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> activated: array<f32>;
@@ -18,18 +18,19 @@ var<workgroup> colors: array<f32, PIXELS * CHANNELS>;
 var<workgroup> bounds: vec3<u32>;               // first pair, end, first bucket
 var<workgroup> live: atomic<u32>;
 var<workgroup> any_live: u32;
+var<workgroup> active_buckets: atomic<u32>;     // of a batch: a bit each
 
 @compute @workgroup_size(PIXELS)
 fn rasterize_fwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3<u32>) {
-    let tile = group.y * MAX_GROUPS_X + group.x;
-    if tile >= num_tiles() {
+    let slot = group.y * MAX_GROUPS_X + group.x;
+    if slot >= view.num_tiles {
         return;
     }
-    let pixel = vec2<u32>(tile % view.grid.x, tile / view.grid.x) * TILE + vec2<u32>(lane % TILE, lane / TILE);
+    let pixel = tile_of(slot) * TILE + vec2<u32>(lane % TILE, lane / TILE);
     let inside = all(pixel < view.size);
     let center = vec2<f32>(pixel) + 0.5;
     if lane == 0u {
-        bounds = vec3<u32>(tiles[tile], tiles[tile + 1u], tiles[num_tiles() + 1u + tile]);
+        bounds = vec3<u32>(tiles[slot], tiles[slot + 1u], tiles[view.num_tiles + 1u + slot]);
     }
     let range = workgroupUniformLoad(&bounds);
 
@@ -42,6 +43,9 @@ fn rasterize_fwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_
     for (; first < range.y; first += PIXELS) {
         if lane == 0u {
             atomicStore(&live, 0u);
+            if KEEPS && LISTED {
+                atomicStore(&active_buckets, 0u);
+            }
         }
         workgroupBarrier();
         if transmittance > 0.0 {
@@ -63,11 +67,18 @@ fn rasterize_fwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_
             for (var c = 0u; c < CHANNELS; c++) {
                 colors[CHANNELS * lane + c] = activated[at + c];
             }
+            if KEEPS && LISTED && gaussian < view.num_active {
+                atomicOr(&active_buckets, 1u << (lane / BUCKET));
+            }
         }
         workgroupBarrier();
         let count = min(range.y - first, PIXELS);
+        var kept_buckets = 0xffffffffu;
+        if KEEPS && LISTED {
+            kept_buckets = atomicLoad(&active_buckets);
+        }
         for (var j = 0u; j < count; j++) {
-            if KEEPS && j % BUCKET == 0u {
+            if KEEPS && j % BUCKET == 0u && ((kept_buckets >> (j / BUCKET)) & 1u) != 0u {
                 let bucket = range.z + (first - range.x + j) / BUCKET;
                 let at = bucket * (1u + CHANNELS) * PIXELS + lane;
                 checkpoints[at] = transmittance;
@@ -112,7 +123,7 @@ fn rasterize_fwd(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_
         let buckets = (range.y - range.x + BUCKET - 1u) / BUCKET;
         let reached = min((first - range.x) / BUCKET, buckets);
         for (var b = lane; b < buckets; b += PIXELS) {
-            tiles[2u * (num_tiles() + 1u) + range.z + b] = select(tile, tile | DEAD, b >= reached);
+            tiles[2u * (view.num_tiles + 1u) + range.z + b] = select(slot, slot | DEAD, b >= reached);
         }
     }
 }

@@ -24,7 +24,7 @@ pub struct Capacity {
     pub num_channels: usize,
     /// Pixels of an image.
     pub num_pixels: usize,
-    /// Tiles of an image.
+    /// Tiles of an image that are drawn.
     pub num_tiles: usize,
     /// Combinations of a tile and a splat that reaches it.
     pub num_pairs: usize,
@@ -96,6 +96,22 @@ impl Capacity {
     }
 }
 
+/// What of a scene and of an image a view draws, and what of it gets a gradient.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct ViewPart {
+    /// Gaussians that may be drawn.
+    pub num_listed: u32,
+    /// Rows of gradients: those of the first Gaussians.
+    pub num_rows: u32,
+    /// Of these rows the first ones, which get a gradient; the others get zeros.
+    pub num_active: u32,
+    /// Tiles that are drawn.
+    pub num_tiles: u32,
+    /// Where the view's lists begin; `listed.wgsl` says what they hold.
+    pub lists_at: u32,
+}
+
 /// One view: the camera and the sizes, as `View` in `view.wgsl` reads them.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -120,24 +136,48 @@ pub struct ViewUniform {
     pub pair_capacity: u32,
     /// Leading channels that the densification statistic counts.
     pub statistic_channels: u32,
-    /// Not read.
-    pub padding: u32,
+    /// What of the scene and of the image is drawn.
+    pub part: ViewPart,
     /// Colour behind everything, one value a channel.
     pub background: [f32; MAX_CHANNELS],
 }
 
 impl ViewUniform {
-    /// A view by `camera` with a renderer of `capacity`.
+    /// A view of everything by `camera` with a renderer of `capacity`.
     ///
     /// # Panics
     /// If the image is larger than there is room for.
     pub fn new(camera: &Camera, settings: &RenderSettings, capacity: &Capacity) -> Self {
+        let [columns, rows] = tile_grid(camera.width, camera.height);
+        let num_gaussians = capacity.num_gaussians as u32;
+        let part = ViewPart {
+            num_listed: num_gaussians,
+            num_rows: num_gaussians,
+            num_active: num_gaussians,
+            num_tiles: (columns * rows) as u32,
+            lists_at: 0,
+        };
+        Self::of_part(camera, settings, capacity, part)
+    }
+
+    /// A view of a part by `camera` with a renderer of `capacity`.
+    ///
+    /// # Panics
+    /// If the image or the part is larger than there is room for.
+    pub fn of_part(camera: &Camera, settings: &RenderSettings, capacity: &Capacity, part: ViewPart) -> Self {
         let (width, height) = (camera.width, camera.height);
         let grid = tile_grid(width, height);
         assert!(
-            width * height <= capacity.num_pixels && grid[0] * grid[1] <= capacity.num_tiles,
-            "an image of {width}x{height}, room for {} pixels",
+            width * height <= capacity.num_pixels && part.num_tiles as usize <= capacity.num_tiles,
+            "{} tiles of an image of {width}x{height}, room for {} tiles and {} pixels",
+            part.num_tiles,
+            capacity.num_tiles,
             capacity.num_pixels
+        );
+        assert!(
+            part.num_active <= part.num_rows && part.num_rows.max(part.num_listed) as usize <= capacity.num_gaussians,
+            "{part:?}, room for {} Gaussians",
+            capacity.num_gaussians
         );
         let SplatCamera { pinhole, slope_min, slope_max } = SplatCamera::<f32>::new(camera);
         let row = |i: usize| {
@@ -155,14 +195,9 @@ impl ViewUniform {
             num_gaussians: capacity.num_gaussians as u32,
             pair_capacity: capacity.num_pairs as u32,
             statistic_channels: settings.statistic_channels as u32,
-            padding: 0,
+            part,
             background: settings.background,
         }
-    }
-
-    /// Tiles of the image.
-    pub fn num_tiles(&self) -> usize {
-        (self.grid[0] * self.grid[1]) as usize
     }
 }
 
@@ -203,13 +238,26 @@ pub struct RenderSources {
     pub rasterize_bwd: String,
 }
 
+/// Of which Gaussians and tiles shaders make an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Coverage {
+    /// Of all.
+    Whole,
+    /// Of those that a view's lists name: [`ViewPart`].
+    Listed,
+}
+
 impl RenderSources {
     /// Puts the shaders together.
     ///
     /// - `num_channels`: of the colours, 1 to 8
     /// - `keeps`: whether forward keeps what backward needs
-    pub fn new(num_channels: usize, keeps: bool) -> Self {
-        let source = || source(num_channels).part(include_str!("view.wgsl"));
+    pub fn new(num_channels: usize, keeps: bool, coverage: Coverage) -> Self {
+        let coverage = match coverage {
+            Coverage::Whole => include_str!("whole.wgsl"),
+            Coverage::Listed => include_str!("listed.wgsl"),
+        };
+        let source = || source(num_channels).part(include_str!("view.wgsl")).part(coverage);
         let reach = include_str!("reach.wgsl");
         Self {
             project: source().part(reach).part(include_str!("project.wgsl")).finish(),
@@ -221,15 +269,16 @@ impl RenderSources {
 }
 
 /// Every shader of the renderer with its name, as a device gets it; where the channels count, once for colour (3) and
-/// once for colour with segmentation (5).
+/// once for colour with segmentation (5); those for lists, which train, with segmentation alone.
 pub fn sources() -> Vec<(String, String)> {
     let mut sources = vec![("radix".into(), sort_source())];
-    for num_channels in [3, 5] {
+    let kinds = [(3, Coverage::Whole, "3"), (5, Coverage::Whole, "5"), (5, Coverage::Listed, "listed")];
+    for (num_channels, coverage, kind) in kinds {
         let RenderSources { project, bin, rasterize_fwd, rasterize_bwd } =
-            RenderSources::new(num_channels, num_channels == 5);
+            RenderSources::new(num_channels, num_channels == 5, coverage);
         let named =
             [("project", project), ("bin", bin), ("rasterize_fwd", rasterize_fwd), ("rasterize_bwd", rasterize_bwd)];
-        sources.extend(named.map(|(name, source)| (format!("{name}_{num_channels}"), source)));
+        sources.extend(named.map(|(name, source)| (format!("{name}_{kind}"), source)));
     }
     sources
 }

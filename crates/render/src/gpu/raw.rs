@@ -10,7 +10,7 @@ use super::device::lock;
 use super::{Gpu, GpuError};
 
 pub use super::kernel::{Bound, Kernel};
-pub use super::renderer::{GpuRenderer, RenderBuffers};
+pub use super::renderer::{GpuRenderer, PartLists, RenderBuffers};
 pub use super::timing::StageTimer;
 
 #[doc(hidden)]

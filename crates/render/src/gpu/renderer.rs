@@ -21,9 +21,15 @@ use tcgs_core::Camera;
 use super::radix::{Dispatch, Radix};
 use super::raw::Bound;
 use super::{Gpu, GpuError};
-use crate::device::{Capacity, MAX_THREADS, RenderSources, SORT_BLOCK, VISIBLE, ViewUniform, WORKGROUP};
+use crate::device::{
+    Capacity, Coverage, MAX_THREADS, RenderSources, SORT_BLOCK, VISIBLE, ViewPart, ViewUniform, WORKGROUP,
+    activated_len,
+};
 use crate::settings::MAX_CHANNELS;
 use crate::{PairCounts, RenderSettings};
+
+/// Binding of the lists of parts.
+const LISTS: u32 = 13;
 
 /// Buffers of a renderer that other operations fill or read.
 #[derive(Clone, Debug)]
@@ -34,13 +40,22 @@ pub struct RenderBuffers {
     pub image: wgpu::Buffer,
     /// `[C, H, W]` gradient to the image.
     pub v_image: wgpu::Buffer,
-    /// `[(11 + C) N]` gradient to `activated`.
+    /// `[(11 + C) R]` gradient to `activated`, or to its first rows where a view draws a part.
     pub v_activated: wgpu::Buffer,
-    /// `[N, 3]` the densification statistic's x and y, and 1 where the Gaussian is visible.
+    /// `[R, 3]` the densification statistic's x and y, and 1 where the Gaussian is visible.
     pub v_means2d_ndc: wgpu::Buffer,
     /// `u32 [4]`: not 0 once an iteration needed more pairs than there is room for; most pairs needed then; pairs that
     /// the last one needed. It stays set until the host clears it: nothing that was computed since is valid.
     pub status: wgpu::Buffer,
+}
+
+/// Where a renderer of parts finds which Gaussians and tiles a view draws.
+#[derive(Clone, Copy, Debug)]
+pub struct PartLists<'a> {
+    /// `u32`, the lists of all views; `listed.wgsl` says what they hold, [`ViewPart`] where a view's begin.
+    pub lists: &'a wgpu::Buffer,
+    /// `R`, rows of gradients.
+    pub num_rows: usize,
 }
 
 /// Kernels and buffers of the renderer, for one number of Gaussians and channels. Its methods record the stages of an
@@ -53,8 +68,10 @@ pub struct GpuRenderer {
     view: wgpu::Buffer,
     arguments: wgpu::Buffer,
     tile_counts: wgpu::Buffer,
-    /// Tiles of the image.
-    num_tiles: usize,
+    /// `[1]` Gaussians that the next view lists: how many depths are sorted.
+    count: wgpu::Buffer,
+    /// What the next view draws.
+    part: ViewPart,
     project: Bound,
     sort_depths: Radix,
     bin_count: Bound,
@@ -90,6 +107,33 @@ impl GpuRenderer {
     /// # Panics
     /// As [`Self::new`].
     pub fn of_gaussians(gpu: &Gpu, capacity: Capacity, activated: &wgpu::Buffer) -> Result<Self, GpuError> {
+        Self::build(gpu, capacity, activated, None)
+    }
+
+    /// The same, of views that draw parts: [`Self::set_part`].
+    ///
+    /// - `capacity`: its number of tiles is the most that one view draws
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    ///
+    /// # Panics
+    /// As [`Self::new`].
+    pub fn of_parts(
+        gpu: &Gpu,
+        capacity: Capacity,
+        activated: &wgpu::Buffer,
+        lists: PartLists<'_>,
+    ) -> Result<Self, GpuError> {
+        Self::build(gpu, capacity, activated, Some(lists))
+    }
+
+    fn build(
+        gpu: &Gpu,
+        capacity: Capacity,
+        activated: &wgpu::Buffer,
+        parts: Option<PartLists<'_>>,
+    ) -> Result<Self, GpuError> {
         let Capacity { num_gaussians: n, num_channels: c, num_pixels, num_pairs: p, backward, .. } = capacity;
         assert!((1..=MAX_CHANNELS).contains(&c), "{c} channels, expected 1 to {MAX_CHANNELS}");
         if n > MAX_THREADS {
@@ -97,13 +141,14 @@ impl GpuRenderer {
             return Err(GpuError::Unfit { name: gpu.info().name.clone(), problem });
         }
         let if_backward = |len: usize| if backward { len } else { 1 };
+        let num_rows = parts.map_or(n, |parts| parts.num_rows);
         let view = gpu.uniform("the view", size_of::<ViewUniform>())?;
         let buffers = RenderBuffers {
             activated: activated.clone(),
             image: gpu.storage("the image", capacity.image_len())?,
             v_image: gpu.storage("the image's gradient", if_backward(c * num_pixels))?,
-            v_activated: gpu.storage("gradients of activated Gaussians", if_backward(capacity.activated_len()))?,
-            v_means2d_ndc: gpu.storage("the statistic's gradients", if_backward(3 * n))?,
+            v_activated: gpu.storage("gradients of activated Gaussians", if_backward(activated_len(num_rows, c)))?,
+            v_means2d_ndc: gpu.storage("the statistic's gradients", if_backward(3 * num_rows))?,
             status: gpu.storage("status", 4)?,
         };
         let splats = gpu.storage("splats", 8 * n)?;
@@ -134,15 +179,22 @@ impl GpuRenderer {
         )?;
         let sorted = sort_tiles.result_index();
 
-        let RenderSources { project, bin, rasterize_fwd: fwd, rasterize_bwd: bwd } = RenderSources::new(c, backward);
+        let coverage = if parts.is_some() { Coverage::Listed } else { Coverage::Whole };
+        let RenderSources { project, bin, rasterize_fwd: fwd, rasterize_bwd: bwd } =
+            RenderSources::new(c, backward, coverage);
         let device = gpu.device();
         let bind = |source: &str, entry, buffers: &[(u32, &wgpu::Buffer)]| {
             let with_view: Vec<_> = std::iter::once((0, &view)).chain(buffers.iter().copied()).collect();
             gpu.kernel(source, entry).bind(device, &with_view)
         };
+        // As `bind`, of a kernel that looks into the lists where there are any.
+        let bind_listed = |source: &str, entry, buffers: &[(u32, &wgpu::Buffer)]| {
+            let lists = parts.map(|parts| (LISTS, parts.lists));
+            bind(source, entry, &buffers.iter().copied().chain(lists).collect::<Vec<_>>())
+        };
         let activated = &buffers.activated;
         let renderer = Self {
-            project: bind(
+            project: bind_listed(
                 &project,
                 "project_fwd",
                 &[(1, activated), (2, &splats), (3, &keys[0]), (4, &values[0]), (5, &tile_counts)],
@@ -153,7 +205,7 @@ impl GpuRenderer {
                 "bin_scan",
                 &[(4, &block_sums), (9, &buffers.status), (10, &num_pairs), (11, &arguments)],
             ),
-            bin_emit: bind(
+            bin_emit: bind_listed(
                 &bin,
                 "bin_emit",
                 &[
@@ -169,7 +221,7 @@ impl GpuRenderer {
             ),
             bin_ranges: bind(&bin, "bin_ranges", &[(5, &pair_keys[sorted]), (10, &num_pairs), (12, &tiles)]),
             bin_buckets: bind(&bin, "bin_buckets", &[(11, &arguments), (12, &tiles)]),
-            rasterize: bind(
+            rasterize: bind_listed(
                 &fwd,
                 "rasterize_fwd",
                 &[
@@ -183,7 +235,7 @@ impl GpuRenderer {
                 ],
             ),
             backward: backward.then(|| {
-                let rasterize = bind(
+                let rasterize = bind_listed(
                     &bwd,
                     "rasterize_bwd",
                     &[
@@ -219,7 +271,8 @@ impl GpuRenderer {
             view,
             arguments,
             tile_counts,
-            num_tiles: 0,
+            count,
+            part: ViewPart { num_listed: 0, num_rows: 0, num_active: 0, num_tiles: 0, lists_at: 0 },
             buffers,
         };
         gpu.check()?;
@@ -251,31 +304,48 @@ impl GpuRenderer {
     /// # Panics
     /// If its image is larger than there is room for.
     pub fn set_view(&mut self, camera: &Camera, settings: &RenderSettings) {
-        let uniform = ViewUniform::new(camera, settings, &self.capacity);
-        self.num_tiles = uniform.num_tiles();
-        self.gpu.queue().write_buffer(&self.view, 0, bytemuck::bytes_of(&uniform));
+        self.set(&ViewUniform::new(camera, settings, &self.capacity));
+    }
+
+    /// Sets the camera of the passes that are submitted from now on, and what of the scene and of the image they draw. All
+    /// other pixels keep what they have.
+    ///
+    /// # Panics
+    /// If its image or the part is larger than there is room for.
+    pub fn set_part(&mut self, camera: &Camera, settings: &RenderSettings, part: ViewPart) {
+        self.set(&ViewUniform::of_part(camera, settings, &self.capacity, part));
+    }
+
+    fn set(&mut self, uniform: &ViewUniform) {
+        self.part = uniform.part;
+        self.gpu.queue().write_buffer(&self.view, 0, bytemuck::bytes_of(uniform));
+        self.gpu.queue().write_buffer(&self.count, 0, &uniform.part.num_listed.to_le_bytes());
+    }
+
+    fn num_listed(&self) -> usize {
+        self.part.num_listed as usize
     }
 
     /// Records *project*: `activated` to splats, with the tiles that each reaches.
     pub fn project(&self, pass: &mut wgpu::ComputePass<'_>) {
-        self.project.dispatch_over(pass, self.capacity.num_gaussians);
+        self.project.dispatch_over(pass, self.num_listed());
     }
 
     /// Records *sort*: splats to each tile's list, front to back.
     pub fn sort(&self, pass: &mut wgpu::ComputePass<'_>) {
-        let n = self.capacity.num_gaussians;
+        let n = self.num_listed();
         self.sort_depths.record(pass, Dispatch::Blocks(n.div_ceil(SORT_BLOCK) as u32));
         self.bin_count.dispatch_over(pass, n);
         self.bin_scan.dispatch(pass, [1, 1, 1]);
         self.bin_emit.dispatch_over(pass, n);
         self.sort_tiles.record(pass, Dispatch::Indirect(&self.arguments, 0));
-        self.bin_ranges.dispatch_over(pass, self.num_tiles + 1);
+        self.bin_ranges.dispatch_over(pass, self.part.num_tiles as usize + 1);
         self.bin_buckets.dispatch(pass, [1, 1, 1]);
     }
 
     /// Records *rasterize*: overwrites `image` with each tile's list, blended.
     pub fn rasterize(&self, pass: &mut wgpu::ComputePass<'_>) {
-        self.rasterize.dispatch_groups(pass, self.num_tiles);
+        self.rasterize.dispatch_groups(pass, self.part.num_tiles as usize);
     }
 
     /// Records *rasterize backward*, after the forward stages: `v_image` to the gradients of pairs.
@@ -293,6 +363,6 @@ impl GpuRenderer {
     /// If the capacity has no room for backward.
     pub fn project_bwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         let (_, project) = self.backward.as_ref().expect("a renderer with backward");
-        project.dispatch_over(pass, self.capacity.num_gaussians);
+        project.dispatch_over(pass, self.part.num_rows as usize);
     }
 }

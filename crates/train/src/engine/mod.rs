@@ -82,9 +82,6 @@ pub trait Engine: Send + Debug {
     ///   whole scene
     fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError>;
 
-    /// Whether [`Self::begin`] takes a scenery.
-    fn takes_scenery(&self) -> bool;
-
     /// Computes or submits one iteration: losses and gradients on one image, then one update of the parameters. May
     /// return before the iteration is computed.
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError>;

@@ -12,6 +12,11 @@ use tcgs_render::TileMask;
 pub struct Scenery {
     /// Number of active rows: the first ones of the state.
     pub num_active: usize,
+    /// The Gaussians of the scene that reach a tile that is drawn, in any view, as drawn, in the scene's order; all rows
+    /// of the state are among them, and each iteration draws these as the state has them. `D`, with 3 or 5 channels.
+    pub drawn: Activated,
+    /// `[rows]`, where in `drawn` each row of the state stands.
+    pub places: Vec<u32>,
     /// `[cameras]`, in the order of the targets.
     pub views: Vec<ViewScenery>,
 }
@@ -21,35 +26,10 @@ pub struct Scenery {
 pub struct ViewScenery {
     /// The tiles that are drawn, compared and differentiated.
     pub tiles: TileMask,
-    /// The Gaussians of the scene that reach these tiles, as drawn, in the scene's order, and all rows of the state
-    /// among them; those rows' own values are overwritten by each iteration. `N`, with 3 or 5 channels.
-    pub drawn: Activated,
-    /// `[rows]`, where in `drawn` each row of the state stands.
-    pub places: Vec<u32>,
+    /// Positions in [`Scenery::drawn`] of the Gaussians that reach these tiles, and of all rows of the state, ascending; none
+    /// if there are no tiles.
+    pub gaussians: Vec<u32>,
     /// `[C, H, W]`, the picture at the start of the timestep, before the camera's gain and offset: what is seen outside
-    /// of the tiles.
+    /// of the tiles. Empty if there are no tiles.
     pub picture: Image,
-}
-
-impl ViewScenery {
-    /// Overwrites the values of the state's rows.
-    ///
-    /// - `rows`: the state's Gaussians, as drawn; as many channels as [`Self::drawn`] has
-    ///
-    /// # Panics
-    /// If there are other numbers of rows or channels.
-    pub fn place(&mut self, rows: &Activated) {
-        assert_eq!(rows.num_gaussians(), self.places.len(), "rows to place");
-        let channels = self.drawn.num_channels;
-        assert_eq!(rows.num_channels, channels, "channels of the rows");
-        for (row, &place) in self.places.iter().enumerate() {
-            let place = place as usize;
-            self.drawn.means[place] = rows.means[row];
-            self.drawn.quats[place] = rows.quats[row];
-            self.drawn.scales[place] = rows.scales[row];
-            self.drawn.opacities[place] = rows.opacities[row];
-            self.drawn.colors[place * channels..][..channels]
-                .copy_from_slice(&rows.colors[row * channels..][..channels]);
-        }
-    }
 }

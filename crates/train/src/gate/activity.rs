@@ -93,7 +93,9 @@ impl Activity {
         }
         activity.cameras = (0..targets.len()).filter(|&i| !activity.tiles[i].is_empty()).collect();
         activity.before = all.select(&activity.active);
-        activity.scenery = Some(activity.scenery_of(&all, pictures, targets));
+        let cameras: Vec<&Camera> = targets.iter().map(|target| &target.camera).collect();
+        let (rows, num_active) = (activity.rows(), activity.active.len());
+        activity.scenery = Some(scenery_of(&all, &rows, num_active, &activity.tiles, pictures, &cameras));
         activity
     }
 
@@ -188,39 +190,55 @@ impl Activity {
         o.mask.step = small.optimizer.mask.step;
     }
 
-    /// - `all`: the scene as drawn
-    /// - `pictures`: `[cameras]`, of the scene
-    fn scenery_of(&self, all: &Activated, pictures: &[Image], targets: &[Target]) -> Scenery {
-        let rows = self.rows();
-        let mut row_of: Vec<Option<u32>> = vec![None; all.num_gaussians()];
-        rows.iter().enumerate().for_each(|(row, &i)| row_of[i] = Some(row as u32));
-        let view = |camera: usize| {
-            let tiles = self.tiles[camera].clone();
-            if !self.cameras.contains(&camera) {
-                let drawn = Activated { num_channels: all.num_channels, ..Activated::default() };
-                return ViewScenery { tiles, drawn, places: Vec::new(), picture: Image::default() };
-            }
-            let mut is_drawn: Vec<bool> = row_of.iter().map(Option::is_some).collect();
-            for i in gaussians_reaching(all, &targets[camera].camera, &tiles) {
-                is_drawn[i as usize] = true;
-            }
-            let indices: Vec<usize> = (0..is_drawn.len()).filter(|&i| is_drawn[i]).collect();
-            let mut places = vec![0; rows.len()];
-            for (place, &i) in indices.iter().enumerate() {
-                if let Some(row) = row_of[i] {
-                    places[row as usize] = place as u32;
-                }
-            }
-            ViewScenery { tiles, drawn: all.select(&indices), places, picture: pictures[camera].clone() }
-        };
-        Scenery { num_active: self.active.len(), views: (0..pictures.len()).map(view).collect() }
-    }
-
     /// What share of the scene's Gaussians the small state has.
     pub fn shares(&self, state: &State) -> Shares {
         let foreground = &state.parameters.foreground;
         let rows: Vec<bool> = self.rows().into_iter().map(|i| foreground[i]).collect();
         Shares::of(&rows, foreground)
+    }
+}
+
+/// What some rows are drawn with in some tiles.
+///
+/// - `all`: the scene as drawn, with these rows
+/// - `rows`: indices into the scene; the first `num_active` are trained
+/// - `tiles`, `pictures`, `cameras`: `[cameras]`; the pictures are of the scene
+pub(super) fn scenery_of(
+    all: &Activated,
+    rows: &[usize],
+    num_active: usize,
+    tiles: &[TileMask],
+    pictures: &[Image],
+    cameras: &[&Camera],
+) -> Scenery {
+    let mut is_row = vec![false; all.num_gaussians()];
+    rows.iter().for_each(|&i| is_row[i] = true);
+    // Indices into the scene, of each view.
+    let reaching: Vec<Vec<u32>> = (tiles.iter().zip(cameras))
+        .map(|(tiles, camera)| {
+            if tiles.is_empty() {
+                return Vec::new();
+            }
+            let mut is_drawn = is_row.clone();
+            gaussians_reaching(all, camera, tiles).iter().for_each(|&i| is_drawn[i as usize] = true);
+            (0..all.num_gaussians() as u32).filter(|&i| is_drawn[i as usize]).collect()
+        })
+        .collect();
+    let mut is_drawn = is_row;
+    reaching.iter().flatten().for_each(|&i| is_drawn[i as usize] = true);
+    let drawn: Vec<usize> = (0..all.num_gaussians()).filter(|&i| is_drawn[i]).collect();
+    let mut place_of = vec![u32::MAX; all.num_gaussians()];
+    drawn.iter().enumerate().for_each(|(place, &i)| place_of[i] = place as u32);
+    let view = |(camera, indices): (usize, Vec<u32>)| ViewScenery {
+        tiles: tiles[camera].clone(),
+        picture: if indices.is_empty() { Image::default() } else { pictures[camera].clone() },
+        gaussians: indices.iter().map(|&i| place_of[i as usize]).collect(),
+    };
+    Scenery {
+        num_active,
+        drawn: all.select(&drawn),
+        places: rows.iter().map(|&i| place_of[i]).collect(),
+        views: reaching.into_iter().enumerate().map(view).collect(),
     }
 }
 

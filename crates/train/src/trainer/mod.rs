@@ -129,7 +129,7 @@ impl Trainer {
             schedule: Schedule::new(config, radius),
             scene_radius: radius,
             num_gaussians,
-            gate: gate(config, &*engine, GateRecord::default()),
+            gate: gate(config, GateRecord::default()),
             engine,
             timestep: 0,
             camera_ids: Vec::new(),
@@ -204,7 +204,7 @@ impl Trainer {
             schedule: Schedule::new(config, last.scene_radius),
             scene_radius: last.scene_radius,
             num_gaussians,
-            gate: gate(config, &*engine, last.gate.clone()),
+            gate: gate(config, last.gate.clone()),
             engine,
             timestep: timesteps,
             camera_ids: Vec::new(),
@@ -335,9 +335,9 @@ fn past_of(first: &Checkpoint, before_last: &Checkpoint, last: &Checkpoint) -> P
     past
 }
 
-/// The gate of a run; none where it is off, or the engine trains everything in any case.
-fn gate(config: &TrainConfig, engine: &dyn Engine, record: GateRecord) -> Option<Gate> {
-    (config.gate.enabled && engine.takes_scenery()).then(|| Gate::new(&config.gate, &config.mask, record))
+/// The gate of a run; none where it is off.
+fn gate(config: &TrainConfig, record: GateRecord) -> Option<Gate> {
+    config.gate.enabled.then(|| Gate::new(&config.gate, &config.mask, record))
 }
 
 fn all_segmented(views: &[View]) -> bool {

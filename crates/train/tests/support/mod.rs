@@ -1,6 +1,9 @@
 //! What tests on a GPU share.
 
 #![allow(dead_code)] // every test uses a part of it
+#![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
+
+pub mod engines;
 
 use std::io::Write;
 use std::sync::Arc;

@@ -2,6 +2,7 @@
 
 mod image_loss;
 mod motion_prior;
+mod stage;
 
 pub use image_loss::{ImageLoss, image_loss, image_loss_in};
 pub use motion_prior::{MotionPrior, PriorGrads};
@@ -14,7 +15,8 @@ use tcgs_core::{
 };
 use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderGrads, RenderSettings, StageTimes};
 
-use super::{Engine, Scenery, Step, Target, ViewScenery};
+use self::stage::Stage;
+use super::{Engine, Scenery, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
 use crate::losses::{LossTerms, WeightConfig};
@@ -34,6 +36,13 @@ pub struct StepGrads {
     v_gain: [f32; 3],
     v_offset: [f32; 3],
     quantizers: Option<(Vec<f32>, Vec<f32>)>,
+}
+
+/// A timestep that trains a part of the scene.
+#[derive(Clone, Debug)]
+struct Staged {
+    num_active: usize,
+    views: Vec<Stage>,
 }
 
 /// What one forward chain leaves for the backward one.
@@ -92,7 +101,7 @@ pub struct CpuEngine {
     /// Losses on motion, after the first timestep.
     prior: Option<MotionPrior<f32>>,
     /// What the state is drawn with, where it does not hold the whole scene.
-    scenery: Option<Scenery>,
+    staged: Option<Staged>,
     /// The gradient of the image that was rendered last in some tiles; without meaning in the others.
     v_image: Image,
     /// Not asked for yet.
@@ -102,7 +111,7 @@ pub struct CpuEngine {
 impl CpuEngine {
     /// An engine that continues from `state`.
     pub fn new(state: State) -> Self {
-        Self { state, targets: Vec::new(), prior: None, scenery: None, v_image: Image::default(), losses: Vec::new() }
+        Self { state, targets: Vec::new(), prior: None, staged: None, v_image: Image::default(), losses: Vec::new() }
     }
 
     /// Computes the losses and gradients on one image, without updating the parameters; adds to the densification
@@ -120,11 +129,10 @@ impl CpuEngine {
         let DrawnChain { quantized, drawn, unmasked } = chain(&self.state, step.mask, with_segmentation);
         let p = &self.state.parameters;
         laps.lap("activate");
-        let (loss, v_drawn) = match &mut self.scenery {
-            Some(scenery) => {
+        let (loss, v_drawn) = match &mut self.staged {
+            Some(staged) => {
                 assert!(!step.counts_gradients, "density control acts in the first timestep, which has no scenery");
-                let view = &mut scenery.views[step.camera];
-                render_in(view, &drawn, target, p, step, &mut self.v_image, laps)
+                staged.views[step.camera].render(&drawn, target, p, step, &mut self.v_image, laps)
             }
             None => {
                 let (loss, grads) = render_whole(&drawn, target, p, step, laps);
@@ -207,7 +215,7 @@ impl CpuEngine {
 
     /// Number of Gaussians that are trained: the first rows of the state.
     fn num_active(&self) -> usize {
-        self.scenery.as_ref().map_or(self.state.parameters.num_gaussians(), |scenery| scenery.num_active)
+        self.staged.as_ref().map_or(self.state.parameters.num_gaussians(), |staged| staged.num_active)
     }
 
     /// Updates the parameters by one step of Adam.
@@ -251,13 +259,9 @@ impl Engine for CpuEngine {
         format!("the CPU, {} threads", rayon::current_num_threads())
     }
 
-    fn takes_scenery(&self) -> bool {
-        true
-    }
-
     fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError> {
         self.targets = targets;
-        self.scenery = scenery;
+        self.staged = scenery.map(|scenery| Staged { num_active: scenery.num_active, views: Stage::all(scenery) });
         let foreground = &self.state.parameters.foreground;
         self.prior = self.state.past.as_ref().map(|past| {
             let (first, now) = (&past.first, &past.previous);
@@ -349,37 +353,6 @@ fn count_gradients(grads: &RenderGrads, statistic: &mut GradientStatistic) {
             }
         },
     );
-}
-
-/// Renders the state's rows among their scenery, in the tiles of the view, and takes the losses back to the rows.
-///
-/// - `v_image`: memory for the gradient of the image; overwritten in the tiles drawn
-/// - returns: the losses, and the gradients to `rows`
-fn render_in(
-    view: &mut ViewScenery,
-    rows: &Activated,
-    target: &Target,
-    p: &Parameters,
-    step: &Step<'_>,
-    v_image: &mut Image,
-    laps: &mut Laps,
-) -> (ImageLoss, ActivatedGrads) {
-    let (settings, camera) = (settings_of(step), &target.camera);
-    view.place(rows);
-    let ViewScenery { tiles, drawn, picture, places } = view;
-    let sorted = CpuRasterizer.forward_in(drawn, camera, &settings, tiles, picture, laps);
-    let [gain, offset] = [p.camera_gains[step.camera], p.camera_offsets[step.camera]];
-    let weights = step.weights;
-    let shape = |i: &Image| [i.num_channels, i.height, i.width];
-    if shape(v_image) != shape(picture) {
-        *v_image = Image::filled(picture.width, picture.height, picture.num_channels, 0.0);
-    }
-    let (image, segmentation) = (weights.image, weights.segmentation);
-    let loss = image_loss_in(picture, &target.image, tiles, gain, offset, image, segmentation, v_image);
-    laps.lap("image losses");
-    let grads = CpuRasterizer.backward_in(drawn, camera, &settings, &sorted, picture, v_image, laps);
-    let places: Vec<usize> = places.iter().map(|&place| place as usize).collect();
-    (loss, grads.activated.select(&places, drawn.num_channels))
 }
 
 /// Drops the gradients of channels beyond the colours: segmentation is not learned.

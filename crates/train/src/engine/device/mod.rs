@@ -9,6 +9,7 @@ mod mirror;
 mod neighbor_lists;
 mod packing;
 mod quantizer_lists;
+mod scenery_lists;
 mod step;
 
 pub(crate) use in_flight::InFlight;
@@ -16,7 +17,8 @@ pub(crate) use mirror::Mirror;
 pub(crate) use neighbor_lists::{NeighborLists, constants as neighbor_constants};
 pub use packing::Packing;
 pub(crate) use quantizer_lists::{QuantizerLists, quantizer_rows};
+pub(crate) use scenery_lists::{ListedView, NO_SLOT, SceneryLists, target_word};
 pub use step::StepUniform;
 #[cfg(test)]
 pub(crate) use step::adam_rates;
-pub(crate) use step::{LOSS_VALUES, ViewPlace, count_updates, losses_of, source};
+pub(crate) use step::{LOSS_VALUES, PartPlace, ViewPlace, count_updates, losses_of, source};

@@ -1,8 +1,10 @@
 //! What one iteration is asked for, as the shaders read it, and the text that every shader starts with.
 
-use tcgs_render::device::Wgsl;
+use tcgs_render::TILE;
+use tcgs_render::device::{ViewPart, Wgsl};
 
 use super::packing::{Packing, SmallGroup};
+use super::scenery_lists::ListedView;
 use crate::adam::{BETA1, BETA2, EPSILON, adam_factors};
 use crate::engine::Step;
 use crate::fake_quant::MIN_STEP_SHARE;
@@ -45,6 +47,18 @@ pub struct StepUniform {
     pub num_quantizers: u32,
     /// Position of this view's first value in the targets.
     pub target_offset: u32,
+    /// Gaussians that move: the first ones.
+    pub num_active: u32,
+    /// Gaussians that are drawn, the state's first.
+    pub num_drawn: u32,
+    /// Tiles of this view's image that are drawn.
+    pub num_tiles: u32,
+    /// Blocks of this view's image that are compared: these tiles and those around them.
+    pub num_blocks: u32,
+    /// Position of this view's first slot in the lists.
+    pub slots_at: u32,
+    /// Position of this view's first value in the pictures.
+    pub pictures_at: u32,
     /// `ε` of the masks.
     pub mask_threshold: f32,
     /// A quantizer's step never falls below this share of where it started.
@@ -64,6 +78,17 @@ pub(crate) struct ViewPlace {
     pub target_offset: u32,
     /// Whether all images have a segmentation.
     pub segmented: bool,
+    /// What is drawn of it; none if everything is.
+    pub part: Option<PartPlace>,
+}
+
+/// A part of a scene and of an image, and where its lists lie in the device's memory.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PartPlace {
+    /// As in [`StepUniform`].
+    pub num_drawn: u32,
+    /// The view's lists.
+    pub view: ListedView,
 }
 
 impl StepUniform {
@@ -83,9 +108,11 @@ impl StepUniform {
     pub const HAS_PRIOR: u32 = 64;
     /// Quantizers' offsets are learned.
     pub const LEARNED_OFFSET: u32 = 128;
+    /// A part of the scene is trained.
+    pub const LISTED: u32 = 256;
 
     /// Names of the flags in the shaders.
-    const FLAGS: [(&str, u32); 8] = [
+    const FLAGS: [(&str, u32); 9] = [
         ("MASKED", Self::MASKED),
         ("COUNTS", Self::COUNTS),
         ("MOVES", Self::MOVES),
@@ -94,6 +121,7 @@ impl StepUniform {
         ("SEGMENTED", Self::SEGMENTED),
         ("HAS_PRIOR", Self::HAS_PRIOR),
         ("LEARNED_OFFSET", Self::LEARNED_OFFSET),
+        ("LISTED", Self::LISTED),
     ];
 
     /// What `step` asks for, of a state of this shape. The slot is 0.
@@ -111,7 +139,18 @@ impl StepUniform {
             (view.segmented, Self::SEGMENTED),
             (past.is_some(), Self::HAS_PRIOR),
             (quantizers.is_some_and(|q| q.learned_offset), Self::LEARNED_OFFSET),
+            (view.part.is_some(), Self::LISTED),
         ];
+        let whole = num_gaussians as u32;
+        let tiles = view.width.div_ceil(TILE as u32) * view.height.div_ceil(TILE as u32);
+        let part = view.part.map(|part| (part.num_drawn, part.view));
+        let [num_active, num_drawn, num_tiles, num_blocks, slots_at, pictures_at] = match part {
+            Some((num_drawn, view)) => {
+                let ViewPart { num_active, num_tiles, .. } = view.part;
+                [num_active, num_drawn, num_tiles, view.num_near, view.slots_at, view.pictures_at]
+            }
+            None => [whole, whole, tiles, tiles, 0, 0],
+        };
         // Without segmentation nothing tells the foreground, which alone stands on the floor.
         let floor = if view.segmented { step.weights.floor } else { 0.0 };
         Self {
@@ -127,6 +166,12 @@ impl StepUniform {
             height: view.height,
             num_quantizers: quantizers.map_or(0, |q| q.quantizers.len() as u32),
             target_offset: view.target_offset,
+            num_active,
+            num_drawn,
+            num_tiles,
+            num_blocks,
+            slots_at,
+            pictures_at,
             mask_threshold: step.mask.threshold,
             step_min_share: MIN_STEP_SHARE,
             weights: WeightConfig { floor, ..*step.weights }.values(),

@@ -12,6 +12,12 @@ struct Step {
     height: u32,
     num_quantizers: u32,
     target_offset: u32,
+    num_active: u32,
+    num_drawn: u32,
+    num_tiles: u32,
+    num_blocks: u32,
+    slots_at: u32,
+    pictures_at: u32,
     mask_threshold: f32,
     step_min_share: f32,
     WEIGHTS

@@ -26,9 +26,9 @@ pub struct ActivateBuffers<'a> {
     pub group_starts: &'a wgpu::Buffer,
     /// `[Q, 4]` step, offset, lowest code, highest code.
     pub quantizers: &'a wgpu::Buffer,
-    /// `[(11 + C) N]` overwritten: means, unit quats, scales, opacities, colors with `C` channels.
+    /// `[(11 + C) D]` means, unit quats, scales, opacities, colors with `C` channels; the first `N` of each overwritten.
     pub activated: &'a wgpu::Buffer,
-    /// As `activated`: gradients to it.
+    /// `[(11 + C) N]` gradients to these.
     pub v_activated: &'a wgpu::Buffer,
     /// `[N]` of the timestep before; read only where masks are compared.
     pub previous_mask_logits: &'a wgpu::Buffer,
@@ -278,6 +278,7 @@ mod tests {
                 let v = random(6, (11 + channels) * n, -1.0, 1.0);
                 let step = StepUniform {
                     num_gaussians: n as u32,
+                    num_drawn: n as u32,
                     flags,
                     mask_threshold: THRESHOLD,
                     weights: WEIGHTS.values(),
@@ -352,7 +353,8 @@ mod tests {
         let Some(gpu) = gpu() else { return };
         let n = 20_000;
         let scene = delicate(n);
-        let step = StepUniform { num_gaussians: n as u32, flags: StepUniform::QUANTIZED, ..StepUniform::default() };
+        let (num, flags) = (n as u32, StepUniform::QUANTIZED);
+        let step = StepUniform { num_gaussians: num, num_drawn: num, flags, ..StepUniform::default() };
         let found = on_gpu(&gpu, &scene, &step, &vec![0.0; 14 * n], &vec![0.0; 3 * n], 0);
         run(&gpu, |pass| found.kernels.record_fwd(pass));
         let activated: Vec<f32> = gpu.read(&found.activated, 14 * n).unwrap();

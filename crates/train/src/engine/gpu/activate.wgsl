@@ -2,8 +2,9 @@
 // From stored values to what is drawn, and back.
 //
 // params, grads: columns of the stored form, then mask logits; column X begins at X_AT times N, see packing.rs
-// activated, v_activated [(11 + C) N]: means, unit quats, scales, opacities, colors [N, C]; column X begins at X_AT times
-//     N, see activated.rs of tcgs-render; C = 5 with segmentation (foreground, background after the colours), else 3
+// activated [(11 + C) D], v_activated [(11 + C) N]: means, unit quats, scales, opacities, colors [N, C]; column X begins at
+//     X_AT times D or N, see activated.rs of tcgs-render; C = 5 with segmentation (foreground, background after the
+//     colours), else 3. D Gaussians are drawn, of which the state's N are the first.
 // flags [N]: bit 0 is foreground
 // quantizer_groups [words, N]: bytes are groups of the quantised columns; that of column X is X_BYTE
 // group_starts [256]: a group's first quantizer, that of its first component
@@ -72,6 +73,7 @@ fn num_channels() -> u32 {
 @compute @workgroup_size(256)
 fn activate_fwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocation_index) local: u32) {
     let num = step.num_gaussians;
+    let drawn = step.num_drawn;
     let first = block.x * 256u;
     let n = first + local;
     if (n < num) {
@@ -83,22 +85,22 @@ fn activate_fwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocati
             mask = select(0.0, 1.0, sigmoid(params[MASK_AT * num + n]) > step.mask_threshold);
         }
         masks[local] = mask;
-        activated[OPACITIES_AT * num + n] = mask * sigmoid(stored(LOGIT_OPACITY_AT * num + n, n, LOGIT_OPACITY_BYTE, 0u));
+        activated[OPACITIES_AT * drawn + n] = mask * sigmoid(stored(LOGIT_OPACITY_AT * num + n, n, LOGIT_OPACITY_BYTE, 0u));
     }
     workgroupBarrier();
     for (var j = local; j < 768u; j += 256u) {
         let i = 3u * first + j;
         let row = j / 3u;
         if (i < 3u * num) {
-            activated[MEANS_AT * num + i] = params[MEAN_AT * num + i];
+            activated[MEANS_AT * drawn + i] = params[MEAN_AT * num + i];
             let log_scale = stored(LOG_SCALE_AT * num + i, first + row, LOG_SCALE_BYTE, j % 3u);
-            activated[SCALES_AT * num + i] = masks[row] * exp(log_scale);
+            activated[SCALES_AT * drawn + i] = masks[row] * exp(log_scale);
         }
     }
     for (var j = local; j < 1024u; j += 256u) {
         let i = 4u * first + j;
         if (i < 4u * num) {
-            activated[QUATS_AT * num + i] = quats[j / 4u][j % 4u];
+            activated[QUATS_AT * drawn + i] = quats[j / 4u][j % 4u];
         }
     }
     let channels = num_channels();
@@ -113,7 +115,7 @@ fn activate_fwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocati
             } else {
                 value = select(0.0, 1.0, (flags[row] & 1u) == 4u - channel);
             }
-            activated[COLORS_AT * num + i] = value;
+            activated[COLORS_AT * drawn + i] = value;
         }
     }
 }

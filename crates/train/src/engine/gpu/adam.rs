@@ -39,9 +39,11 @@ pub struct AdamKernel {
 impl AdamKernel {
     /// Binds the kernel.
     ///
+    /// - `num_active`: Gaussians that move, as the uniform says
+    ///
     /// # Errors
     /// What has gone wrong with the GPU before, or compiling the shader.
-    pub fn new(gpu: &Gpu, packing: &Packing, buffers: AdamBuffers<'_>, num_gaussians: usize) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, packing: &Packing, buffers: AdamBuffers<'_>, num_active: usize) -> Result<Self, GpuError> {
         let adam = gpu.kernel(&shader(packing), "adam").bind(
             gpu.device(),
             &[
@@ -54,7 +56,7 @@ impl AdamKernel {
             ],
         );
         gpu.check()?;
-        Ok(Self { adam, num_groups: packing.group_components().map(|c| (c * num_gaussians).div_ceil(BLOCK)).sum() })
+        Ok(Self { adam, num_groups: packing.group_components().map(|c| (c * num_active).div_ceil(BLOCK)).sum() })
     }
 
     /// Records one update, then the normalisation of quaternions if quantisation is on.
@@ -122,7 +124,12 @@ mod tests {
         for turn in 0..5 {
             let v = random(10 + turn, 15 * n, -1e-3, 1e-3);
             let mut rates = [[0.0; 4]; 10];
-            let now = StepUniform { num_gaussians: n as u32, flags: case.flags, ..StepUniform::default() };
+            let now = StepUniform {
+                num_gaussians: n as u32,
+                num_active: n as u32,
+                flags: case.flags,
+                ..StepUniform::default()
+            };
             for group in 0..6 {
                 rates[group] = adam_rates(RATES[group], moments[group].step + 1);
                 let range = starts[group]..starts[group] + COMPONENTS[group] * n;

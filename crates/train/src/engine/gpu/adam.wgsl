@@ -1,5 +1,5 @@
 
-// Adam of all values of the Gaussians, in place.
+// Adam of all values of the active Gaussians, the first ones, in place.
 //
 // params, first_moments, second_moments, grads: columns of COMPONENTS values a Gaussian, the last one mask logits; see
 //     packing.rs
@@ -21,12 +21,12 @@ fn adam(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) l
     var which = 0u;
     var before = 0u;
     var block = id.y * MAX_GROUPS_X + id.x;
-    var len = COMPONENTS[0] * step.num_gaussians;
+    var len = COMPONENTS[0] * step.num_active;
     while (which < ADAM_MASK && block >= (len + BLOCK - 1u) / BLOCK) {
         block -= (len + BLOCK - 1u) / BLOCK;
-        before += len;
+        before += COMPONENTS[which] * step.num_gaussians;
         which += 1u;
-        len = COMPONENTS[which] * step.num_gaussians;
+        len = COMPONENTS[which] * step.num_active;
     }
     let rates = step.adam[which].xy;
     let needed = select(MOVES, MOVES | MASKED, which == ADAM_MASK);

@@ -6,11 +6,11 @@
 //! Arithmetic: about 250 operations forward, 120 backward, and 100 and 70 reads of workgroup memory.
 
 use tcgs_metrics::{SSIM_C1, SSIM_C2, SSIM_WINDOW};
-use tcgs_render::device::Wgsl;
+use tcgs_render::device::{Coverage, MAX_GROUPS_X, Wgsl, groups_in_rows};
 use tcgs_render::gpu::raw::Bound;
 use tcgs_render::gpu::{Gpu, GpuError};
 
-use crate::engine::device::{Packing, source};
+use crate::engine::device::{NO_SLOT, Packing, StepUniform, source};
 use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 
 /// Pixels along a block's side.
@@ -23,12 +23,15 @@ pub struct ImageLossBuffers<'a> {
     pub step: &'a wgpu::Buffer,
     /// `[C, H, W]` before the camera's colours.
     pub rendered: &'a wgpu::Buffer,
-    /// `[views, H, W]` bytes red, green, blue, foreground.
+    /// `[views, H, W]` bytes red, green, blue, foreground; `[slots, 256]` where a part is drawn.
     pub targets: &'a wgpu::Buffer,
     /// `[2, K, 3]` logarithms of gains, then offsets; what follows is not read.
     pub cameras: &'a wgpu::Buffer,
-    /// `[C, H, W]` overwritten.
+    /// `[C, H, W]` overwritten, in the tiles that are drawn.
     pub v_image: &'a wgpu::Buffer,
+    /// Where a part is drawn: the lists of its views and the pixels around its tiles, as
+    /// [`SceneryLists`](crate::engine::device::SceneryLists) has them.
+    pub part: Option<[&'a wgpu::Buffer; 2]>,
 }
 
 /// Forward and backward of the image losses, bound to their buffers, and the maps that pass between them.
@@ -36,7 +39,7 @@ pub struct ImageLossBuffers<'a> {
 pub struct ImageLossKernels {
     fwd: Bound,
     bwd: Bound,
-    /// `[C, blocks, 4]` sums over each block of 16x16 pixels, row by row: `1 − SSIM`, `|x − y|`, gradients to
+    /// `[C, blocks, 4]` sums over each block of 16x16 pixels, in the order of the blocks: `1 − SSIM`, `|x − y|`, gradients to
     /// the gain and to the offset. The last two say nothing for channels of segmentation.
     pub partials: wgpu::Buffer,
 }
@@ -45,6 +48,7 @@ impl ImageLossKernels {
     /// Binds both kernels, and makes room for the maps of the largest image.
     ///
     /// - `max_shape`: `[C, H, W]` of the largest image
+    /// - `max_blocks`: most blocks of an image that are compared
     ///
     /// # Errors
     /// If memory for the maps or partial sums cannot be had.
@@ -53,29 +57,34 @@ impl ImageLossKernels {
         packing: &Packing,
         buffers: ImageLossBuffers<'_>,
         max_shape: [usize; 3],
+        max_blocks: usize,
     ) -> Result<Self, GpuError> {
         let [channels, height, width] = max_shape;
         let maps = gpu.storage("derivatives of SSIM", 3 * channels * height * width)?;
-        let blocks = height.div_ceil(SIDE) * width.div_ceil(SIDE);
-        let partials = gpu.storage("sums of the image loss", 4 * channels * blocks)?;
-        let source = shader(packing);
-        let inputs = [(0, buffers.step), (1, buffers.rendered), (2, buffers.targets), (3, buffers.cameras)];
-        let kept = [(4, &maps), (5, &partials)];
-        let fwd = gpu.kernel(&source, "image_loss_fwd").bind(gpu.device(), &[&inputs[..], &kept].concat());
-        let outputs = [(6, buffers.v_image)];
-        let bwd = gpu.kernel(&source, "image_loss_bwd").bind(gpu.device(), &[&inputs[..], &kept, &outputs].concat());
+        let partials = gpu.storage("sums of the image loss", 4 * channels * max_blocks)?;
+        let coverage = if buffers.part.is_some() { Coverage::Listed } else { Coverage::Whole };
+        let source = shader(packing, coverage);
+        let mut inputs = vec![(0, buffers.step), (1, buffers.rendered), (2, buffers.targets), (3, buffers.cameras)];
+        inputs.extend([(4, &maps), (5, &partials)]);
+        inputs.extend(buffers.part.iter().flat_map(|&[lists, pictures]| [(7, lists), (8, pictures)]));
+        let fwd = gpu.kernel(&source, "image_loss_fwd").bind(gpu.device(), &inputs);
+        inputs.push((6, buffers.v_image));
+        let bwd = gpu.kernel(&source, "image_loss_bwd").bind(gpu.device(), &inputs);
         gpu.check()?;
         Ok(Self { fwd, bwd, partials })
     }
 
     /// Records forward, then backward.
     ///
-    /// - `shape`: `[C, H, W]` of this image, as the uniform says
-    pub fn record(&self, pass: &mut wgpu::ComputePass<'_>, shape: [usize; 3]) {
-        let [channels, height, width] = shape;
-        let groups = [width.div_ceil(SIDE) as u32, height.div_ceil(SIDE) as u32, channels as u32];
-        self.fwd.dispatch(pass, groups);
-        self.bwd.dispatch(pass, groups);
+    /// - `step`: the iteration's uniform
+    pub fn record(&self, pass: &mut wgpu::ComputePass<'_>, step: &StepUniform) {
+        let channels = if step.has(StepUniform::SEGMENTED) { 5 } else { 3 };
+        let groups = |blocks: u32| {
+            let [x, y, _] = groups_in_rows(blocks as usize);
+            [x, y, channels]
+        };
+        self.fwd.dispatch(pass, groups(step.num_blocks));
+        self.bwd.dispatch(pass, groups(step.num_tiles));
     }
 }
 
@@ -84,22 +93,31 @@ pub(super) fn constants() -> Wgsl {
     Wgsl::new().constant("L1_SHARE", L1_SHARE).constant("COUNTED_CHANNELS", COUNTED_CHANNELS).constant("SIDE", SIDE)
 }
 
-pub(super) fn shader(packing: &Packing) -> String {
-    let mut constants = constants().constant("C1", SSIM_C1).constant("C2", SSIM_C2);
+pub(super) fn shader(packing: &Packing, coverage: Coverage) -> String {
+    let mut constants = constants()
+        .constant("C1", SSIM_C1)
+        .constant("C2", SSIM_C2)
+        .constant("MAX_GROUPS_X", MAX_GROUPS_X)
+        .constant("NO_SLOT", NO_SLOT);
+    let pixels = match coverage {
+        Coverage::Whole => include_str!("image_whole.wgsl"),
+        Coverage::Listed => include_str!("image_listed.wgsl"),
+    };
     for (distance, weight) in SSIM_WINDOW.into_iter().enumerate() {
         constants = constants.constant(&format!("WINDOW{distance}"), weight);
     }
-    source(packing, constants).part(include_str!("image_loss.wgsl")).finish()
+    source(packing, constants).part(include_str!("image_loss.wgsl")).part(pixels).finish()
 }
 
 #[cfg(test)]
 mod tests {
-    use tcgs_core::{Image, Layout};
+    use tcgs_core::{Activated, Camera, Image, Layout, activate};
+    use tcgs_render::TileMask;
 
     use super::*;
-    use crate::engine::cpu;
-    use crate::engine::device::StepUniform;
-    use crate::engine::gpu::test_support::{assert_close, gpu, random, run, uniform};
+    use crate::engine::device::SceneryLists;
+    use crate::engine::gpu::test_support::{assert_close, gpu, random, random_gaussians, run, uniform};
+    use crate::engine::{Scenery, Target, ViewScenery, cpu};
     use crate::losses::WeightConfig;
 
     const GAIN: [f32; 3] = [0.1, -0.2, 0.05];
@@ -132,7 +150,8 @@ mod tests {
     fn values_and_gradients_are_those_of_the_cpu() {
         let Some(gpu) = gpu() else { return };
         for shape in [[3, 3, 5], [3, 16, 16], [5, 23, 37], [3, 70, 131], [5, 48, 64]] {
-            let [channels, height, width] = shape;
+            let [channels, height, width]: [usize; 3] = shape;
+            let blocks = height.div_ceil(SIDE) * width.div_ceil(SIDE);
             let (packed, target) = target(1, shape);
             // Near the target in every other row.
             let noise = random(2, target.data.len(), -0.1, 1.1);
@@ -150,6 +169,9 @@ mod tests {
                 width: width as u32,
                 height: height as u32,
                 target_offset: (width * height) as u32,
+                num_tiles: blocks as u32,
+                num_blocks: blocks as u32,
+                flags: if channels == 5 { StepUniform::SEGMENTED } else { 0 },
                 weights: WeightConfig { image: 1.5, segmentation: 3.0, ..WeightConfig::NONE }.values(),
                 ..StepUniform::default()
             };
@@ -160,13 +182,13 @@ mod tests {
                 targets: &gpu.upload("targets", &packed).unwrap(),
                 cameras: &gpu.upload("cameras", &cameras).unwrap(),
                 v_image: &v_image,
+                part: None,
             };
-            let kernels = ImageLossKernels::new(&gpu, &Packing::new(&Layout::base()), buffers, shape).unwrap();
-            run(&gpu, |pass| kernels.record(pass, shape));
+            let kernels = ImageLossKernels::new(&gpu, &Packing::new(&Layout::base()), buffers, shape, blocks).unwrap();
+            run(&gpu, |pass| kernels.record(pass, &step));
 
             let found: Vec<f32> = gpu.read(&v_image, rendered.data.len()).unwrap();
             assert_close(&format!("v_image of {shape:?}"), &found, &expected.v_image.data, 1e-5);
-            let blocks = height.div_ceil(SIDE) * width.div_ceil(SIDE);
             let partials: Vec<[f32; 4]> =
                 gpu.read::<f32>(&kernels.partials, 4 * channels * blocks).unwrap().as_chunks::<4>().0.to_vec();
             let sum = |channels: std::ops::Range<usize>, i: usize| -> f64 {
@@ -182,6 +204,98 @@ mod tests {
             let along = |i| [0, 1, 2].map(|c| sum(c..c + 1, i) as f32);
             assert_close("v_gain", &along(2), &expected.v_gain, 1e-5);
             assert_close("v_offset", &along(3), &expected.v_offset, 1e-5);
+        }
+    }
+
+    /// The gradient of the image and the sums of the blocks, of a whole image or of a part.
+    fn on_gpu(
+        gpu: &Gpu,
+        step: &StepUniform,
+        rendered: &Image,
+        targets: &[u32],
+        part: Option<&SceneryLists>,
+    ) -> (Vec<f32>, Vec<f32>) {
+        let [channels, height, width] = [rendered.num_channels, rendered.height, rendered.width];
+        let v_image = gpu.storage("v_image", rendered.data.len()).unwrap();
+        let lists =
+            part.map(|p| [gpu.upload("lists", &p.lists).unwrap(), gpu.upload("pictures", &p.pictures).unwrap()]);
+        // Around the tiles that are drawn the image is nothing to go by.
+        let mut drawn = rendered.clone();
+        if let Some(lists) = part {
+            let [columns, at] = [width.div_ceil(SIDE), step.slots_at as usize];
+            for (i, value) in drawn.data.iter_mut().enumerate() {
+                let (x, y) = (i % width, i / width % height);
+                if lists.lists[at + y / SIDE * columns + x / SIDE] >= step.num_tiles {
+                    *value = f32::NAN;
+                }
+            }
+        }
+        let buffers = ImageLossBuffers {
+            step: &uniform(gpu, step, &[]),
+            rendered: &gpu.upload("rendered", &drawn.data).unwrap(),
+            targets: &gpu.upload("targets", targets).unwrap(),
+            cameras: &gpu.upload("cameras", &[&GAIN[..], &OFFSET].concat()).unwrap(),
+            v_image: &v_image,
+            part: lists.as_ref().map(|[lists, pictures]| [lists, pictures]),
+        };
+        let (shape, blocks) = ([channels, height, width], step.num_blocks as usize);
+        let kernels = ImageLossKernels::new(gpu, &Packing::new(&Layout::base()), buffers, shape, blocks).unwrap();
+        run(gpu, |pass| kernels.record(pass, step));
+        let partials = gpu.read(&kernels.partials, 4 * channels * blocks).unwrap();
+        (gpu.read(&v_image, rendered.data.len()).unwrap(), partials)
+    }
+
+    #[test]
+    fn some_tiles_have_the_gradient_of_the_whole_image_to_the_bit() {
+        let Some(gpu) = gpu() else { return };
+        let (width, height) = (120, 91);
+        let mut some = TileMask::none(width, height);
+        for (x, y) in [(0, 0), (40, 20), (56, 20), (40, 36), (119, 90), (70, 70)] {
+            some.insert_pixels(x..x + 1, y..y + 1);
+        }
+        for (channels, tiles) in [(3, some.clone()), (5, some), (5, TileMask::all(width, height))] {
+            let (packed, image) = target(3, [channels, height, width]);
+            let rendered = Image { data: random(4, image.data.len(), 0.0, 1.0), ..image.clone() };
+            let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, width, height);
+            let drawn = Activated { num_channels: channels, ..activate(&random_gaussians(1, 1)) };
+            let drawn = Activated { colors: vec![0.5; channels], ..drawn };
+            let view = ViewScenery { tiles: tiles.clone(), gaussians: vec![0], picture: rendered.clone() };
+            let scenery = Scenery { num_active: 1, drawn, places: vec![0], views: vec![view] };
+            let lists = SceneryLists::new(&scenery, &[Target { camera, image }]);
+            let blocks = (height.div_ceil(SIDE) * width.div_ceil(SIDE)) as u32;
+            let whole = StepUniform {
+                num_cameras: 1,
+                width: width as u32,
+                height: height as u32,
+                num_tiles: blocks,
+                num_blocks: blocks,
+                flags: if channels == 5 { StepUniform::SEGMENTED } else { 0 },
+                weights: WeightConfig { image: 1.5, segmentation: 3.0, ..WeightConfig::NONE }.values(),
+                ..StepUniform::default()
+            };
+            let view = lists.views[0];
+            let part = StepUniform {
+                num_tiles: view.part.num_tiles,
+                num_blocks: view.num_near,
+                slots_at: view.slots_at,
+                flags: whole.flags | StepUniform::LISTED,
+                ..whole
+            };
+            let (expected, expected_sums) = on_gpu(&gpu, &whole, &rendered, &packed[width * height..], None);
+            let (found, sums) = on_gpu(&gpu, &part, &rendered, &lists.targets, Some(&lists));
+            for tile in tiles.iter() {
+                let [columns, rows] = tiles.pixels(tile, width, height);
+                for (channel, y) in (0..channels).flat_map(|c| rows.clone().map(move |y| (c, y))) {
+                    let at = (channel * height + y) * width;
+                    let range = at + columns.start..at + columns.end;
+                    assert_eq!(found[range.clone()], expected[range], "tile {tile}, channel {channel}, row {y}");
+                }
+            }
+            if tiles == TileMask::all(width, height) {
+                assert_eq!(sums, expected_sums);
+            } else {
+                assert!(sums.iter().all(|sum| sum.is_finite()) && view.num_near < blocks);
+            }
         }
     }
 }

@@ -1,12 +1,13 @@
 
 // 0.8 L1 + 0.2 (1 - SSIM) of the rendered image against a target, forward and backward.
 //
-// rendered, v_image [C, H, W]; targets [views, H, W]: bytes red, green, blue, foreground, each / 255
+// rendered, v_image [C, H, W]; targets: bytes red, green, blue, foreground, each / 255
 // cameras [2, K, 3]: logarithms of gains, then offsets; the camera's image is exp(gain) * rendered + offset
 // maps [C, 3, H, W]: derivatives of the SSIM map to mean_x, square_x and product (see ssim.rs of tcgs-metrics)
 // partials [C, blocks, 4]: sums over a block of 1 - SSIM, |x - y|, v_gain and v_offset
 //
-// A workgroup has a block of 16x16 pixels of one channel. The window is 11x11 and separable: what lies
+// A workgroup has a block of 16x16 pixels of one channel, which is a tile of the renderer. Which blocks there are, and where
+// their pixels lie, says image_whole.wgsl or image_listed.wgsl. The window is 11x11 and separable: what lies
 // under the windows of a block is loaded once, filtered along rows, then down columns.
 
 @group(0) @binding(0) var<uniform> step: Step;
@@ -42,8 +43,9 @@ fn correction(channel: u32) -> vec2<f32> {
     return vec2(exp(cameras[at]), cameras[3u * step.num_cameras + at]);
 }
 
-fn target_value(pixel: u32, channel: u32) -> f32 {
-    let values = unpack4x8unorm(targets[step.target_offset + pixel]);
+// A word of the targets, in one channel.
+fn target_value(word: u32, channel: u32) -> f32 {
+    let values = unpack4x8unorm(word);
     if (channel == 4u) {
         return 1.0 - values.w;
     }
@@ -54,12 +56,13 @@ fn weight(channel: u32) -> f32 {
     return select(step.segmentation_weight, step.image_weight, channel < 3u);
 }
 
-// The pixel at place `i` of a block's SEEN x SEEN, or -1 beyond the image.
-fn seen_pixel(block: vec3<u32>, i: u32) -> i32 {
-    let x = i32(block.x * SIDE + i % SEEN) - i32(RADIUS);
-    let y = i32(block.y * SIDE + i / SEEN) - i32(RADIUS);
-    let inside = x >= 0 && y >= 0 && x < i32(step.width) && y < i32(step.height);
-    return select(-1, y * i32(step.width) + x, inside);
+// The pixel at place `i` of a block's SEEN x SEEN.
+fn seen_pixel(block: vec2<u32>, i: u32) -> vec2<i32> {
+    return vec2<i32>(block * SIDE + vec2(i % SEEN, i / SEEN)) - i32(RADIUS);
+}
+
+fn is_inside(pixel: vec2<i32>) -> bool {
+    return all(pixel >= vec2(0)) && all(pixel < vec2<i32>(vec2(step.width, step.height)));
 }
 
 // The row that a thread filters, in turns of 16. Half a warp has a row, the other half the eighth after it:
@@ -143,26 +146,30 @@ fn write_sums(at: u32, local: u32) {
     }
 }
 
-fn partial_index(block: vec3<u32>, blocks: vec3<u32>) -> u32 {
-    return 4u * ((block.z * blocks.y + block.y) * blocks.x + block.x);
+fn partial_index(channel: u32, block: u32) -> u32 {
+    return 4u * (channel * step.num_blocks + block);
 }
 
 // Overwrites `maps` and the first pair of `partials`.
 @compute @workgroup_size(256)
 fn image_loss_fwd(
-    @builtin(workgroup_id) block: vec3<u32>,
-    @builtin(num_workgroups) blocks: vec3<u32>,
+    @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let channel = block.z;
+    let number = group.y * MAX_GROUPS_X + group.x;
+    if (number >= step.num_blocks) {
+        return;
+    }
+    let block = block_at(number);
+    let channel = group.z;
     let pixels = step.width * step.height;
     let corrected = correction(channel);
     for (var i = local; i < SEEN * SEEN; i += 256u) {
         let pixel = seen_pixel(block, i);
         var pair = vec2(0.0);
-        if (pixel >= 0) {
-            let raw = rendered[channel * pixels + u32(pixel)];
-            pair = vec2(corrected.x * raw + corrected.y, target_value(u32(pixel), channel));
+        if (is_inside(pixel)) {
+            let values = raw_and_target(vec2<u32>(pixel), channel);
+            pair = vec2(corrected.x * values.x + corrected.y, values.y);
         }
         seen[i] = pair;
     }
@@ -178,7 +185,7 @@ fn image_loss_fwd(
     let x_pixel = block.x * SIDE + local % SIDE;
     let y_pixel = block.y * SIDE + local / SIDE;
     var losses = vec2(0.0);
-    if (x_pixel < step.width && y_pixel < step.height) {
+    if (x_pixel < step.width && y_pixel < step.height && is_compared(vec2(x_pixel, y_pixel))) {
         let x = column(0u, local);
         let y = column(1u, local);
         let covariance = column(4u, local) - x * y;
@@ -198,25 +205,29 @@ fn image_loss_fwd(
         losses = vec2(1.0 - ssim, abs(pair.x - pair.y));
     }
     sums[local] = losses;
-    write_sums(partial_index(block, blocks), local);
+    write_sums(partial_index(channel, number), local);
 }
 
 // Overwrites `v_image`, the gradient to the rendered image before the camera's correction, and the second
 // pair of `partials`.
 @compute @workgroup_size(256)
 fn image_loss_bwd(
-    @builtin(workgroup_id) block: vec3<u32>,
-    @builtin(num_workgroups) blocks: vec3<u32>,
+    @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let channel = block.z;
+    let number = group.y * MAX_GROUPS_X + group.x;
+    if (number >= step.num_tiles) {
+        return;
+    }
+    let block = block_at(number);
+    let channel = group.z;
     let pixels = step.width * step.height;
     for (var i = local; i < SEEN * SEEN; i += 256u) {
         let pixel = seen_pixel(block, i);
         for (var quantity = 0u; quantity < 3u; quantity += 1u) {
             var value = 0.0;
-            if (pixel >= 0) {
-                value = maps[(3u * channel + quantity) * pixels + u32(pixel)];
+            if (is_inside(pixel)) {
+                value = maps[(3u * channel + quantity) * pixels + u32(pixel.y) * step.width + u32(pixel.x)];
             }
             seen_maps[quantity * SEEN * SEEN + i] = value;
         }
@@ -247,9 +258,10 @@ fn image_loss_bwd(
         let pixel = y_pixel * step.width + x_pixel;
         let at = channel * pixels + pixel;
         let corrected = correction(channel);
-        let raw = rendered[at];
+        let values = raw_and_target(vec2(x_pixel, y_pixel), channel);
+        let raw = values.x;
         let x = corrected.x * raw + corrected.y;
-        let y = target_value(pixel, channel);
+        let y = values.y;
         let v_map = -(1.0 - L1_SHARE) * weight(channel) / COUNTED_CHANNELS / f32(pixels);
         let slope = L1_SHARE * weight(channel) / (COUNTED_CHANNELS * f32(pixels));
         let v = v_map * (map_column(0u, local) + 2.0 * x * map_column(1u, local) + y * map_column(2u, local))
@@ -258,5 +270,5 @@ fn image_loss_bwd(
         v_correction = vec2(corrected.x * v * raw, v);
     }
     sums[local] = v_correction;
-    write_sums(partial_index(block, blocks) + 2u, local);
+    write_sums(partial_index(channel, number) + 2u, local);
 }

@@ -6,6 +6,7 @@ use tcgs_render::device::Capacity;
 use tcgs_render::gpu::{Gpu, GpuError};
 
 use super::motion_prior::{MotionPriorKernels, PriorBuffers, prior_rows};
+use super::parts::Parts;
 use super::passes::Passes;
 use super::state_buffers::StateBuffers;
 use super::targets::Targets;
@@ -69,6 +70,7 @@ impl Memory {
 
     /// Binds the kernels of an iteration, unless they are bound.
     ///
+    /// - `parts`: what is drawn, where it is not everything
     /// - `num_pairs`: room for pairs of tiles and splats; 0 leaves it to a guess
     ///
     /// # Errors
@@ -76,18 +78,27 @@ impl Memory {
     ///
     /// # Panics
     /// If no state was uploaded.
-    pub fn bind(&mut self, gpu: &Gpu, targets: &Targets, num_pairs: usize) -> Result<(), GpuError> {
+    pub fn bind(
+        &mut self,
+        gpu: &Gpu,
+        targets: &Targets,
+        parts: Option<&Parts>,
+        num_pairs: usize,
+    ) -> Result<(), GpuError> {
         if let Self::Ready(..) = self {
             return Ok(());
         }
         let loaded = self.loaded();
         let mut capacity = Capacity::new(loaded.model.num_gaussians, targets.num_channels(), &targets.cameras, true);
+        if let Some(parts) = parts {
+            capacity = parts.capacity(capacity);
+        }
         if num_pairs > 0 {
             capacity.num_pairs = num_pairs;
         }
         // Without losses on motion their sums are not read, but something must be bound.
         let partials = loaded.motion.as_ref().map_or(&loaded.model.flags, |motion| &motion.partials);
-        let passes = Box::new(Passes::new(gpu, &loaded.model, targets, capacity, partials)?);
+        let passes = Box::new(Passes::new(gpu, &loaded.model, targets, parts, capacity, partials)?);
         if let Self::Loaded(loaded) = std::mem::take(self) {
             *self = Self::Ready(loaded, passes);
         }

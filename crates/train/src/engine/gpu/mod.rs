@@ -16,6 +16,7 @@ mod fake_quant;
 mod image_loss;
 mod memory;
 mod motion_prior;
+mod parts;
 mod passes;
 mod state_buffers;
 mod sums;
@@ -32,6 +33,7 @@ use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
 
 use self::memory::Memory;
+use self::parts::Parts;
 use self::passes::STAGES;
 use self::state_buffers::REPORT;
 use self::targets::Targets;
@@ -59,6 +61,15 @@ const MAX_REPORTS: usize = 2;
 /// Room that is given beyond the pairs that were found to be needed.
 const SPARE_PAIRS: f64 = 1.25;
 
+/// Room for pairs of tiles and splats; grows only. 0 before it is known to be too small.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Room {
+    /// Where everything is trained.
+    whole: usize,
+    /// Where a part is.
+    part: usize,
+}
+
 /// What one iteration was asked for. It may be submitted more than once.
 #[derive(Clone, Debug)]
 struct Request {
@@ -79,8 +90,9 @@ pub struct GpuEngine {
     memory: Memory,
     /// The timestep's images.
     targets: Option<Targets>,
-    /// Room for pairs of tiles and splats; grows only. 0 before it is known to be too small.
-    num_pairs: usize,
+    /// What the timestep is drawn with, where it trains a part of the scene.
+    parts: Option<Parts>,
+    room: Room,
     in_flight: InFlight<Request, Staged>,
     /// Known, and not asked for yet.
     losses: Vec<LossTerms>,
@@ -100,7 +112,8 @@ impl GpuEngine {
             state: Mirror::new(state),
             memory: Memory::default(),
             targets: None,
-            num_pairs: 0,
+            parts: None,
+            room: Room::default(),
             in_flight: InFlight::new(REPORT),
             losses: Vec::new(),
             timer: None,
@@ -113,7 +126,7 @@ impl GpuEngine {
     /// changes no result.
     #[must_use]
     pub fn with_room_for(mut self, num_pairs: usize) -> Self {
-        self.num_pairs = num_pairs;
+        self.room = Room { whole: num_pairs, part: num_pairs };
         self
     }
 
@@ -130,18 +143,24 @@ impl GpuEngine {
     fn prepare(&mut self) -> Result<(), TrainError> {
         self.state.upload(|state| self.memory.upload(&self.gpu, state))?;
         let targets = self.targets.as_ref().expect("a step comes after its timestep's begin");
-        Ok(self.memory.bind(&self.gpu, targets, self.num_pairs)?)
+        let (parts, room) = (self.parts.as_ref(), self.room);
+        Ok(self.memory.bind(&self.gpu, targets, parts, if parts.is_some() { room.part } else { room.whole })?)
     }
 
     /// Takes note of an iteration, for the GPU's words and for Adam's counts. Everything is prepared.
     fn request(&mut self, step: &Step<'_>) -> Request {
         let targets = self.targets();
         let camera = &targets.cameras[step.camera];
+        assert!(
+            self.parts.is_none() || !step.counts_gradients,
+            "density control acts in the first timestep, which has no scenery"
+        );
         let view = ViewPlace {
             width: camera.width as u32,
             height: camera.height as u32,
             target_offset: targets.offsets[step.camera],
             segmented: targets.segmented,
+            part: self.parts.as_ref().map(|parts| parts.place(step.camera)),
         };
         let uniform = StepUniform::of(step, view, self.state.host());
         self.state.advance();
@@ -155,14 +174,19 @@ impl GpuEngine {
     fn submit(&mut self, request: Request, timer: Option<&StageTimer>) -> Result<Option<Staged>, TrainError> {
         let targets = self.targets.as_ref().expect("a step comes after its timestep's begin");
         let camera = &targets.cameras[request.camera];
-        let shape = [targets.num_channels(), camera.height, camera.width];
         let uniform = StepUniform { slot: self.in_flight.slot() as u32, ..request.uniform };
         let (loaded, passes) = self.memory.ready();
-        passes.renderer.set_view(camera, &RenderSettings::default());
+        match &self.parts {
+            Some(parts) => {
+                let part = parts.place(request.camera).view.part;
+                passes.renderer.set_part(camera, &RenderSettings::default(), part);
+            }
+            None => passes.renderer.set_view(camera, &RenderSettings::default()),
+        }
         self.gpu.queue().write_buffer(&loaded.model.step, 0, &uniform.bytes(&request.rates));
         let mut encoder = self.gpu.encoder();
         let motion = loaded.motion.as_ref().filter(|_| uniform.has(StepUniform::HAS_PRIOR));
-        passes.record(&mut encoder, shape, motion.map(|motion| &motion.kernels), timer);
+        passes.record(&mut encoder, &uniform, motion.map(|motion| &motion.kernels), timer);
         let times = timer.map(|timer| timer.stage(&self.gpu, &mut encoder)).transpose()?;
         let is_full = self.in_flight.submitted(request);
         let report = if is_full { Some(self.stage_losses(&mut encoder)?) } else { None };
@@ -215,12 +239,16 @@ impl GpuEngine {
         Ok(())
     }
 
+    fn room_mut(&mut self) -> &mut usize {
+        if self.parts.is_some() { &mut self.room.part } else { &mut self.room.whole }
+    }
+
     /// Enlarges the buffers and submits `requests`, from the one on that they were too small for.
     fn repeat(&mut self, requests: Vec<Request>) -> Result<(), TrainError> {
         self.gpu.wait()?;
         let status = &self.memory.ready().1.renderer.buffers().status;
         let needed = self.gpu.read::<u32>(status, 2)?[1];
-        self.num_pairs = (f64::from(needed) * SPARE_PAIRS) as usize;
+        *self.room_mut() = (f64::from(needed) * SPARE_PAIRS) as usize;
         self.memory.unbind();
         self.prepare()?;
         for request in requests {
@@ -242,15 +270,21 @@ impl Engine for GpuEngine {
         self.gpu.info().name.clone()
     }
 
-    fn takes_scenery(&self) -> bool {
-        false
-    }
-
-    fn begin(&mut self, targets: Vec<Target>, _: Option<Scenery>) -> Result<(), TrainError> {
+    fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError> {
         self.wait()?;
         let before = self.targets.take();
-        let old = before.as_ref().map(Targets::shape);
-        let targets = Targets::new(&self.gpu, &targets, before)?;
+        let old = before.as_ref().map(Targets::shape).filter(|_| self.parts.is_none());
+        self.parts = None;
+        let targets = match scenery {
+            Some(scenery) => {
+                // Kernels are bound to the scenery of one timestep.
+                self.memory.unbind();
+                let (parts, words, offsets) = Parts::new(&self.gpu, &scenery, &targets)?;
+                self.parts = Some(parts);
+                Targets::of_words(&self.gpu, &targets, &words, offsets, before)?
+            }
+            None => Targets::new(&self.gpu, &targets, before)?,
+        };
         if old != Some(targets.shape()) {
             self.memory.unbind();
         }
@@ -276,7 +310,7 @@ impl Engine for GpuEngine {
             self.timer = StageTimer::new(&self.gpu, &STAGES)?;
         }
         loop {
-            let room = self.num_pairs;
+            let room = self.room;
             let request = self.request(step);
             let timer = self.timer.take();
             let begin = Instant::now();
@@ -291,7 +325,7 @@ impl Engine for GpuEngine {
             };
             self.timer = timer;
             self.wait()?;
-            if self.num_pairs == room {
+            if self.room == room {
                 return Ok(times);
             }
             // It was repeated with more room, without a clock. Another one tells the time.

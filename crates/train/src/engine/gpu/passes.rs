@@ -1,17 +1,20 @@
 //! The kernels of one iteration, bound to their buffers, in their order.
 
 use tcgs_render::device::Capacity;
-use tcgs_render::gpu::raw::{GpuRenderer, StageTimer};
+use tcgs_render::gpu::raw::{GpuRenderer, PartLists, StageTimer};
 use tcgs_render::gpu::{Gpu, GpuError};
+use tcgs_render::tile_grid;
 
 use super::activate::{ActivateBuffers, ActivateKernels};
 use super::adam::{AdamBuffers, AdamKernel};
 use super::fake_quant::FakeQuantKernels;
 use super::image_loss::{ImageLossBuffers, ImageLossKernels};
 use super::motion_prior::MotionPriorKernels;
+use super::parts::Parts;
 use super::state_buffers::StateBuffers;
 use super::sums::{SumsBuffers, SumsKernel};
 use super::targets::Targets;
+use crate::engine::device::StepUniform;
 
 /// Stages of an iteration, in the order in which they run.
 pub(super) const STAGES: [&str; 11] = [
@@ -40,15 +43,23 @@ pub(super) struct Passes {
 }
 
 impl Passes {
+    /// - `parts`: what the timestep is drawn with, where it trains a part of the scene
     /// - `prior_partials`: of the losses on motion; any buffer where there are none
     pub fn new(
         gpu: &Gpu,
         model: &StateBuffers,
         targets: &Targets,
+        parts: Option<&Parts>,
         capacity: Capacity,
         prior_partials: &wgpu::Buffer,
     ) -> Result<Self, GpuError> {
-        let renderer = GpuRenderer::new(gpu, capacity)?;
+        let renderer = match parts {
+            Some(parts) => {
+                let lists = PartLists { lists: &parts.lists, num_rows: parts.num_rows };
+                GpuRenderer::of_parts(gpu, capacity, &parts.activated, lists)?
+            }
+            None => GpuRenderer::new(gpu, capacity)?,
+        };
         let render = renderer.buffers();
         let packing = &model.packing;
         let (step, status) = (&model.step, &render.status);
@@ -74,6 +85,7 @@ impl Passes {
             model.num_gaussians,
         )?;
         let [height, width] = targets.max_size();
+        let [columns, rows] = tile_grid(width, height);
         let image_loss = ImageLossKernels::new(
             gpu,
             packing,
@@ -83,8 +95,10 @@ impl Passes {
                 targets: &targets.buffer,
                 cameras: &model.cameras,
                 v_image: &render.v_image,
+                part: parts.map(|parts| [&parts.lists, &parts.pictures]),
             },
             [targets.num_channels(), height, width],
+            parts.map_or(columns * rows, |parts| parts.max_blocks),
         )?;
         let sums = SumsKernel::new(
             gpu,
@@ -115,7 +129,7 @@ impl Passes {
                 second_moments: &model.second_moments,
                 status,
             },
-            model.num_gaussians,
+            parts.map_or(model.num_gaussians, |parts| parts.num_active),
         )?;
         let fake_quant = FakeQuantKernels::new(gpu, packing, q, &model.params, &model.grads, step);
         gpu.check()?;
@@ -124,24 +138,24 @@ impl Passes {
 
     /// Records one iteration; with a timer each stage is a pass of its own.
     ///
-    /// - `shape`: `[C, H, W]` of the image
+    /// - `step`: the iteration's uniform
     pub fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
-        shape: [usize; 3],
+        step: &StepUniform,
         prior: Option<&MotionPriorKernels>,
         timer: Option<&StageTimer>,
     ) {
         match timer {
             Some(timer) => {
                 for stage in 0..STAGES.len() {
-                    self.stage(stage, &mut timer.pass(encoder, stage), shape, prior);
+                    self.stage(stage, &mut timer.pass(encoder, stage), step, prior);
                 }
             }
             None => {
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
                 for stage in 0..STAGES.len() {
-                    self.stage(stage, &mut pass, shape, prior);
+                    self.stage(stage, &mut pass, step, prior);
                 }
             }
         }
@@ -151,7 +165,7 @@ impl Passes {
         &self,
         stage: usize,
         pass: &mut wgpu::ComputePass<'_>,
-        shape: [usize; 3],
+        step: &StepUniform,
         prior: Option<&MotionPriorKernels>,
     ) {
         match stage {
@@ -159,7 +173,7 @@ impl Passes {
             1 => self.renderer.project(pass),
             2 => self.renderer.sort(pass),
             3 => self.renderer.rasterize(pass),
-            4 => self.image_loss.record(pass, shape),
+            4 => self.image_loss.record(pass, step),
             5 => self.renderer.rasterize_bwd(pass),
             6 => self.renderer.project_bwd(pass),
             7 => {

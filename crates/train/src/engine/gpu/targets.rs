@@ -1,9 +1,11 @@
 //! The images of a timestep, 8 bits a channel, on the GPU.
 
+use rayon::prelude::*;
 use tcgs_core::Camera;
 use tcgs_render::gpu::{Gpu, GpuError};
 
 use crate::engine::Target;
+use crate::engine::device::target_word;
 
 /// All images of a timestep.
 #[derive(Debug)]
@@ -21,23 +23,33 @@ impl Targets {
     ///
     /// - `before`: of the timestep before, whose memory is used again if it is large enough
     pub fn new(gpu: &Gpu, targets: &[Target], before: Option<Self>) -> Result<Self, GpuError> {
-        let segmented = targets.iter().all(|target| target.image.num_channels == 5);
         let mut packed: Vec<u32> = Vec::new();
         let mut offsets = Vec::with_capacity(targets.len());
         for Target { image, .. } in targets {
             offsets.push(packed.len() as u32);
-            let plane = |c: usize| if c < image.num_channels { image.plane(c) } else { &[] };
-            let [r, g, b, foreground] = [0, 1, 2, 3].map(plane);
-            packed.extend((0..image.num_pixels()).map(|i| {
-                let foreground = foreground.get(i).copied().unwrap_or(0.0);
-                u32::from_le_bytes([r[i], g[i], b[i], foreground].map(|v| (v * 255.0).round() as u8))
-            }));
+            packed.par_extend((0..image.num_pixels()).into_par_iter().map(|pixel| target_word(image, pixel)));
         }
+        Self::of_words(gpu, targets, &packed, offsets, before)
+    }
+
+    /// Copies pixels of the images to the GPU.
+    ///
+    /// - `packed`: words of all images
+    /// - `offsets`: position of each image's first word
+    /// - `before`: as in [`Self::new`]
+    pub fn of_words(
+        gpu: &Gpu,
+        targets: &[Target],
+        packed: &[u32],
+        offsets: Vec<u32>,
+        before: Option<Self>,
+    ) -> Result<Self, GpuError> {
+        let segmented = targets.iter().all(|target| target.image.num_channels == 5);
         let (buffer, len) = match before {
             Some(before) if before.len >= packed.len() => (before.buffer, before.len),
             _ => (gpu.storage("images", packed.len())?, packed.len()),
         };
-        gpu.queue().write_buffer(&buffer, 0, bytemuck::cast_slice(&packed));
+        gpu.queue().write_buffer(&buffer, 0, bytemuck::cast_slice(packed));
         let cameras = targets.iter().map(|target| target.camera.clone()).collect();
         Ok(Self { buffer, offsets, cameras, segmented, len })
     }

@@ -5,6 +5,7 @@ use std::io::Write;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs_core::{BaseColumns, Gaussians, Layout};
+use tcgs_render::device::Coverage;
 use tcgs_render::gpu::{Gpu, GpuChoice};
 
 use crate::engine::device::{Packing, StepUniform};
@@ -124,7 +125,8 @@ fn shaders_are_valid_and_within_limits() {
             super::activate::shader(packing),
             super::adam::shader(packing),
             super::sums::shader(packing),
-            super::image_loss::shader(packing),
+            super::image_loss::shader(packing, Coverage::Whole),
+            super::image_loss::shader(packing, Coverage::Listed),
             super::motion_prior::shader(packing),
             super::fake_quant::shader(packing),
         ]

@@ -8,7 +8,7 @@ fn image_row(i: u32, end: u32) -> vec4<f32> {
 }
 
 fn images_and_cameras(local: u32) {
-    let blocks = ((step.width + SIDE - 1u) / SIDE) * ((step.height + SIDE - 1u) / SIDE);
+    let blocks = step.num_blocks;
     let channels = select(3u, 5u, has(SEGMENTED));
     var image = vec2(0.0);
     var segmentation = vec2(0.0);
@@ -48,7 +48,8 @@ fn images_and_cameras(local: u32) {
         let kind = i / num;
         let rates = step.adam[ADAM_GAINS + kind].xy;
         var v = 0.0;
-        if (i % num / 3u == step.camera) {
+        // Where a part of the image is drawn, cameras keep their colours.
+        if (i % num / 3u == step.camera && !has(LISTED)) {
             v = select(v_gain, v_offset, kind == 1u)[i % 3u];
         }
         if (rates.x != 0.0) {

@@ -143,6 +143,7 @@ mod tests {
             flags,
             width: 70,
             height: 33,
+            num_blocks: 15,
             weights: WEIGHTS.values(),
             step_min_share: 0.1,
             ..StepUniform::default()

@@ -1,0 +1,80 @@
+//! A view of a timestep that trains a part of the scene: its rows drawn among all that is locked, in some tiles.
+
+use tcgs_core::{Activated, ActivatedGrads, Image};
+use tcgs_render::{CpuRasterizer, Laps, TileMask};
+
+use super::image_loss::{ImageLoss, image_loss_in};
+use super::settings_of;
+use crate::engine::{Scenery, Step, Target, ViewScenery};
+use crate::parameters::Parameters;
+
+/// One view's part of a [`Scenery`].
+#[derive(Clone, Debug)]
+pub(super) struct Stage {
+    tiles: TileMask,
+    /// What reaches the tiles. The values of the state's rows are overwritten by each iteration.
+    drawn: Activated,
+    /// `[rows]`, where in `drawn` each row of the state stands; empty if there are no tiles.
+    places: Vec<usize>,
+    /// `[C, H, W]`, drawn anew in the tiles.
+    picture: Image,
+}
+
+impl Stage {
+    /// The stages of all views.
+    pub fn all(scenery: Scenery) -> Vec<Self> {
+        let Scenery { drawn, places, views, .. } = scenery;
+        let of = |ViewScenery { tiles, gaussians, picture }: ViewScenery| {
+            let indices: Vec<usize> = gaussians.iter().map(|&i| i as usize).collect();
+            let place = |row: &u32| gaussians.binary_search(row).expect("a view has all rows");
+            let places = if gaussians.is_empty() { Vec::new() } else { places.iter().map(place).collect() };
+            Self { tiles, drawn: drawn.select(&indices), places, picture }
+        };
+        views.into_iter().map(of).collect()
+    }
+
+    /// Overwrites the values of the state's rows.
+    fn place(&mut self, rows: &Activated) {
+        assert_eq!(rows.num_gaussians(), self.places.len(), "rows to place");
+        let channels = self.drawn.num_channels;
+        assert_eq!(rows.num_channels, channels, "channels of the rows");
+        for (row, &place) in self.places.iter().enumerate() {
+            self.drawn.means[place] = rows.means[row];
+            self.drawn.quats[place] = rows.quats[row];
+            self.drawn.scales[place] = rows.scales[row];
+            self.drawn.opacities[place] = rows.opacities[row];
+            self.drawn.colors[place * channels..][..channels]
+                .copy_from_slice(&rows.colors[row * channels..][..channels]);
+        }
+    }
+
+    /// Renders the state's rows among their scenery, in the tiles of the view, and takes the losses back to the rows.
+    ///
+    /// - `v_image`: memory for the gradient of the image; overwritten in the tiles drawn
+    /// - returns: the losses, and the gradients to `rows`
+    pub fn render(
+        &mut self,
+        rows: &Activated,
+        target: &Target,
+        p: &Parameters,
+        step: &Step<'_>,
+        v_image: &mut Image,
+        laps: &mut Laps,
+    ) -> (ImageLoss, ActivatedGrads) {
+        let (settings, camera) = (settings_of(step), &target.camera);
+        self.place(rows);
+        let Self { tiles, drawn, picture, places } = self;
+        let sorted = CpuRasterizer.forward_in(drawn, camera, &settings, tiles, picture, laps);
+        let [gain, offset] = [p.camera_gains[step.camera], p.camera_offsets[step.camera]];
+        let weights = step.weights;
+        let shape = |i: &Image| [i.num_channels, i.height, i.width];
+        if shape(v_image) != shape(picture) {
+            *v_image = Image::filled(picture.width, picture.height, picture.num_channels, 0.0);
+        }
+        let (image, segmentation) = (weights.image, weights.segmentation);
+        let loss = image_loss_in(picture, &target.image, tiles, gain, offset, image, segmentation, v_image);
+        laps.lap("image losses");
+        let grads = CpuRasterizer.backward_in(drawn, camera, &settings, &sorted, picture, v_image, laps);
+        (loss, grads.activated.select(places, drawn.num_channels))
+    }
+}
