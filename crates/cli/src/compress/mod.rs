@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureKind};
-use tcgs_codec::UpAxis;
+use tcgs_codec::{FORMAT_VERSION, UpAxis};
 use tcgs_pipeline::{
     CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, OpenScene, PrunedScene, Target,
     position_step_remark, search, search_errors, settings_of,
@@ -109,7 +109,7 @@ pub struct Arguments {
     target_psnr: Option<f64>,
     /// Keep the largest error of attributes over all Gaussians and timesteps within bounds: mean in scene units, rotation in
     /// radians, scale of the natural logarithm, opacity and color of 1, sh1 to sh3. Settings get finer until it is so.
-    /// The file declares its errors, which takes version 2, and `tcgs verify` checks them
+    /// The file declares its errors, which takes format 2, and `tcgs verify` checks them
     #[arg(long, value_name = "ATTRIBUTE=ERROR,...")]
     #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "target")]
     max_error: Option<Bounds>,
@@ -123,10 +123,11 @@ pub struct Arguments {
     /// which the capture's cameras stand upright, without a capture unknown]
     #[arg(long, value_name = "AXIS", value_parser = up_axis, allow_hyphen_values = true)]
     up: Option<UpAxis>,
-    /// Version of the format: 1, which older programs read, or 2, which holds spherical harmonics and Gaussians that come
-    /// and go [default: 1 where it holds the scene]
-    #[arg(long, value_name = "VERSION", value_parser = clap::value_parser!(u16).range(1..=2))]
-    format: Option<u16>,
+    /// Version of the format: 2, or 1 for older programs, which holds no spherical harmonics, no Gaussians that come and go,
+    /// and no declared errors
+    #[arg(long, value_name = "VERSION", default_value_t = FORMAT_VERSION)]
+    #[arg(value_parser = clap::value_parser!(u16).range(1..=i64::from(FORMAT_VERSION)))]
+    format: u16,
     /// Most cameras of --capture or of the run's capture that the file gives players to start from
     #[arg(long, value_name = "N", default_value_t = 8)]
     views: usize,
@@ -197,7 +198,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let problem = "has its own settings, expected --preset default with --quality, --target-bytes, --target-psnr or --max-error";
         return Err(wrong_input(format!("--preset paper: {problem}")));
     }
-    if arguments.format == Some(1) && arguments.max_error.is_some() {
+    if arguments.format == 1 && arguments.max_error.is_some() {
         return Err(wrong_input("--format 1: declares no errors, expected --format 2 with --max-error"));
     }
     let out = match (&arguments.out, &arguments.sources[..]) {
@@ -337,7 +338,7 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         capture: arguments.capture.clone(),
         plain: arguments.storage == Storage::Plain,
         up: arguments.up,
-        version: arguments.format.or(arguments.max_error.as_ref().map(|_| 2)),
+        version: arguments.format,
         views: arguments.views,
         data: arguments.attach.iter().map(Attachment::read).collect::<Result<_, _>>()?,
         ..CompressOptions::default()

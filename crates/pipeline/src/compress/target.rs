@@ -65,18 +65,19 @@ pub fn search(
 ) -> Result<SearchResult, PipelineError> {
     let (trials, best) = search_with(target, |steps| {
         let of_trial = settings.clone().with_quality(steps as f32 / STEPS as f32);
-        let (compact, file) = pruned.compress(&of_trial)?;
+        let (compact, file) = pruned.try_out(&of_trial)?;
         let psnr = match target {
             Target::Bytes(_) => None,
             Target::Psnr(_) => Some(judge.psnr(&compact)?),
         };
         let trial = Trial { steps, bytes: file.len() as u64, psnr };
         tell(observer, Event::Tried(&trial))?;
-        Ok((trial, (of_trial, compact, file)))
+        Ok((trial, of_trial))
     })?;
-    let Some((mut trial, (settings, compact, file))) = best else {
+    let Some((mut trial, settings)) = best else {
         return Err(unreachable_target(target, &trials, judge));
     };
+    let (compact, file) = pruned.compress(&settings)?;
     if trial.psnr.is_none() {
         trial.psnr = Some(judge.psnr(&compact)?);
         tell(observer, Event::Tried(&trial))?;
