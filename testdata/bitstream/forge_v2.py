@@ -222,8 +222,8 @@ def renamed(file, name, other):
     at = head.index(text(name))
     head[at:at + len(text(name))] = text(other)
 
-def with_skipped(file, name, place, varies, coding=1, optional=True):
-    """An attribute of a coding that nobody knows, in the list of every plan, with sections of any bytes in every layer."""
+def with_skipped(file, name, place, varies, coding=14, optional=True):
+    """An attribute of a coding that never gets a meaning, in the list of every plan, with sections of any bytes in every layer."""
     flags = varies | optional << 3 | coding << 4
     described = text(name) + text('any unit') + bytes([200, 77, flags]) + struct.pack('<I', 5) + b'\1what'
     plans = {}
@@ -307,7 +307,7 @@ def refused():
     # Heads.
     yield 'head_checksum', 'format', 'cohort', 'checksum', 'a bit of the head of the second cohort is flipped', damaged(vector(COHORTS), start_of_second + 30)
     yield 'head_empty', 'format', 'cohort', 'flags', 'a head of no bytes', changed(ONE, (cohort(0), 16, 'I', 0))
-    yield 'flags', 'format', 'cohort', 'flags', 'a flag of a cohort that is not known', changed(ONE, (head, 0, 'B', 2))
+    yield 'flags', 'format', 'cohort', 'flags', 'a flag of a cohort that is not known', changed(ONE, (head, 0, 'B', 0x80))
     yield 'segment_length', 'format', 'cohort', 'segment_length', 'segments of no timesteps', changed(ONE, (head, 1, 'I', 0))
     yield 'layers', 'format', 'cohort', 'layers', 'the layer holds more Gaussians than the cohort', changed(ONE, (head, 7, 'I', 2))
     yield 'empty_layer', 'format', 'cohort', 'layers', 'a layer without Gaussians', changed(LAYERS, (head, 7, 'II', 0, 12))
@@ -319,11 +319,11 @@ def refused():
     yield 'same_name', 'format', 'cohort', 'name of an attribute', 'two attributes of one name', edited(SPARSE, lambda f: renamed(f, 'label', 'means'))
     yield 'no_components', 'format', 'cohort', 'components', 'an attribute of no components', changed(SPARSE, attribute(SPARSE, 'wetness', 0, 'B', 0))
     yield 'components', 'format', 'cohort', 'components', 'an attribute of 33 components', changed(LAYERS, attribute(LAYERS, 'spectrum', 0, 'B', 33))
-    yield 'activation', 'format', 'cohort', 'activation', 'activation 4', changed(SPARSE, attribute(SPARSE, 'glow', 1, 'B', 4))
+    yield 'activation', 'format', 'cohort', 'activation', 'activation 255', changed(SPARSE, attribute(SPARSE, 'glow', 1, 'B', 255))
     yield 'coding', 'format', 'cohort', 'coding of an attribute', 'an attribute that is not optional, of a coding that is not known', edited(SPARSE, lambda f: with_skipped(f, 'later.thing', 6, True, optional=False))
-    yield 'coding_of_means', 'format', 'cohort', 'coding of an attribute', 'means of a coding that is not known, and optional', changed(ONE, attribute(ONE, 'means', 2, 'B', 0x1a))
+    yield 'coding_of_means', 'format', 'cohort', 'coding of an attribute', 'means of a coding that is not known, and optional', changed(ONE, attribute(ONE, 'means', 2, 'B', 0xea))
     yield 'optional_means', 'format', 'cohort', 'flags of an attribute', 'means are optional', changed(ONE, attribute(ONE, 'means', 2, 'B', 0x0a))
-    yield 'length_of_attribute', 'format', 'cohort', 'length of an attribute', 'an attribute to skip that reaches past the end of the head', changed(SPARSE, attribute(SPARSE, 'glow', 2, 'BI', 0x18, 2**32 - 1))
+    yield 'length_of_attribute', 'format', 'cohort', 'length of an attribute', 'an attribute to skip that reaches past the end of the head', changed(SPARSE, attribute(SPARSE, 'glow', 2, 'BI', 0xe8, 2**32 - 1))
     yield 'name_of_skipped', 'format', 'cohort', 'name of an attribute', 'an attribute has the name of one to skip', edited(SPARSE, lambda f: with_skipped(with_skipped(f, 'later.thing', 6, True), 'later.thing', 5, False))
     yield 'skipped_attribute', 'format', 'skipped attribute', 'checksum', 'a bit of a section of an attribute to skip is flipped', damaged(skipped, skipped.index(b'any bytes'))
     yield 'other_coding', 'format', 'cohort', 'attributes', 'an attribute to skip has another coding in a later cohort', edited(PLANS, other_coding)
