@@ -162,7 +162,7 @@ fn a_run_is_verified_with_what_its_masks_prune() {
     );
 
     // Version 1 declares nothing, and says so.
-    compress(&run, &file, &[]);
+    compress(&run, &file, &["--format", "1"]);
     let (said, alone) = verify(&file, &[]);
     assert!(said.ends_with("declares no errors\n") && alone["declared_errors"] == serde_json::json!({}), "{said}");
     let message = fail(1, &["verify", text(&file), text(&run)]);

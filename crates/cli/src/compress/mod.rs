@@ -11,7 +11,7 @@ use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::{FORMAT_VERSION, UpAxis};
 use tcgs_pipeline::{
     CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, OpenScene, PrunedScene, Target,
-    position_step_remark, search, search_errors, settings_of,
+    position_step_remark, search, search_errors, settings_of, tune,
 };
 use tcgs_train::Run;
 
@@ -37,10 +37,12 @@ use crate::terminal::say;
 /// to file, those that are found again are followed, and the others come and go.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("target").args(["target_bytes", "target_psnr"]))]
+#[command(group = clap::ArgGroup::new("measured").args(["target_bytes", "target_psnr", "tune"]).multiple(true))]
 #[command(after_help = "\
 Example:
   tcgs compress my_run
   tcgs compress my_run --target-bytes 2MB --capture my_capture
+  tcgs compress my_run --tune --capture my_capture
   tcgs compress params.npz --capture my_capture --bits 4,8 --out small.tcgs
   tcgs compress my_plys --frame-rate 24 --out scene.tcgs
   tcgs compress my_plys --max-error mean=0.001,rotation=0.01,color=0.02
@@ -113,11 +115,16 @@ pub struct Arguments {
     #[arg(long, value_name = "ATTRIBUTE=ERROR,...")]
     #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "target")]
     max_error: Option<Bounds>,
-    /// With a target: cameras of --capture to measure on [default: test]
-    #[arg(long, requires = "capture", requires = "target")]
+    /// Fit the settings to this scene: the same PSNR in fewer bytes, or of a target the best of all settings. Measured on
+    /// training images of --capture, else on renders of SOURCE. Takes some 100 compressions, and tells each
+    #[arg(long)]
+    #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "max_error")]
+    tune: bool,
+    /// With a target or --tune: cameras of --capture to measure on [default: test; with --tune train]
+    #[arg(long, requires = "capture", requires = "measured")]
     cameras: Option<Cameras>,
-    /// With a target: frames to measure on, from A up to but not including B [default: evenly some of the scene]
-    #[arg(long, value_name = "A..B", requires = "target")]
+    /// With a target or --tune: frames to measure on, from A up to but not including B [default: evenly some of the scene]
+    #[arg(long, value_name = "A..B", requires = "measured")]
     frames: Option<Frames>,
     /// Axis of the scene that points up, for players: x, y, z, -x, -y or -z [default: the one along
     /// which the capture's cameras stand upright, without a capture unknown]
@@ -193,9 +200,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     interrupt::catch()?;
     let target = arguments.target_bytes.map(Target::Bytes).or(arguments.target_psnr.map(Target::Psnr));
-    let is_searched = target.is_some() || arguments.quality.is_some() || arguments.max_error.is_some();
+    let is_searched =
+        target.is_some() || arguments.quality.is_some() || arguments.max_error.is_some() || arguments.tune;
     if arguments.preset == PresetName::Paper && is_searched {
-        let problem = "has its own settings, expected --preset default with --quality, --target-bytes, --target-psnr or --max-error";
+        let problem = "has its own settings, expected --preset default with --quality, --target-bytes, --target-psnr, --max-error or --tune";
         return Err(wrong_input(format!("--preset paper: {problem}")));
     }
     if arguments.format == 1 && arguments.max_error.is_some() {
@@ -219,6 +227,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let pruned = PrunedScene::new(&scene, &options)?;
     say(&pruned.bits_from)?;
     let (compressed, result) = match (target, &arguments.max_error) {
+        _ if arguments.tune => {
+            let judge = judge(arguments, &scene)?;
+            say(&format!("measuring against {}", judge.of))?;
+            say("setting                       size       PSNR    saved")?;
+            let found = Teller::default().watch(|teller| tune(&pruned, &options.keypoints, target, &judge, teller))?;
+            let (text, of_tuning) = target::describe_tuning(&found, target, &judge);
+            let result = Found { text, name: "tuning", value: of_tuning };
+            (pruned.account(&options, found.found.compact, found.found.file)?, Some(result))
+        }
         (None, None) => {
             let (compact, file) = pruned.compress(&options.keypoints)?;
             (pruned.account(&options, compact, file)?, None)
@@ -271,7 +288,7 @@ fn describe_search(bounds: &[(String, f64)], trials: &[ErrorTrial]) -> Found {
 fn judge(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Judge> {
     let images = JudgeImages {
         capture: arguments.capture.clone(),
-        split: arguments.cameras.unwrap_or(Cameras::Test).split(),
+        split: arguments.cameras.unwrap_or(if arguments.tune { Cameras::Train } else { Cameras::Test }).split(),
         frames: arguments.frames.as_ref().map(|frames| frames.0.clone()),
     };
     Ok(Judge::new(scene, &images, arguments.backend.open(BackendName::Auto)?.renderer())?)

@@ -7,6 +7,7 @@ mod max_error;
 mod parts;
 mod settings;
 mod target;
+mod tune;
 mod views;
 
 use std::path::PathBuf;
@@ -27,6 +28,7 @@ pub use judge::{Judge, JudgeImages};
 pub use max_error::{ErrorSearch, search_errors};
 pub use settings::{CompressPreset, position_step_remark, settings_of};
 pub use target::{QUALITY_RANGE, SearchResult, Target, search};
+pub use tune::{Tuning, tune};
 
 /// How a scene is compressed.
 #[derive(Clone, Debug)]

@@ -50,6 +50,15 @@ pub struct SearchResult {
     pub file: Vec<u8>,
 }
 
+impl SearchResult {
+    /// Settings that need no search, since their PSNR in dB is known.
+    pub(super) fn of(pruned: &PrunedScene, settings: CompressSettings, psnr: f64) -> Result<Self, PipelineError> {
+        let (compact, file) = pruned.compress(&settings)?;
+        let trial = Trial { steps: 0, bytes: file.len() as u64, psnr: Some(psnr) };
+        Ok(Self { trial, trials: vec![trial], settings, compact, file })
+    }
+}
+
 /// Searches the setting for a target. Every setting tried is told as [`Event::Tried`].
 ///
 /// - `settings`: those of quality 0
