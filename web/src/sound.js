@@ -23,7 +23,7 @@ export function follow(audio, { seconds, playing, buffering }, speed) {
   if (audio.playbackRate !== speed) audio.playbackRate = speed;
   if (audio.paused || Math.abs(audio.currentTime - seconds) > MOST_APART * Math.max(1, speed)) audio.currentTime = seconds;
   // Browsers play no sound before somebody has touched the page.
-  if (audio.paused && navigator.userActivation?.hasBeenActive !== false) audio.play().catch(() => {});
+  if (audio.paused && globalThis.navigator?.userActivation?.hasBeenActive !== false) audio.play().catch(() => {});
 }
 
 /** @param {import("./player.js").Player} player */
