@@ -66,7 +66,7 @@ def section_name(tag):
     known |= {b'PLAN': 'plan', b'MAPS': 'maps'} | dict(zip(TAGS, NAMES))
     return known.get(tag, 'unknown section')
 
-def name_in_errors(name): return name if name == 'maps' or name in NAMES else 'further attribute'
+def name_in_errors(name): return 'skipped attribute' if name is None else name if name == 'maps' or name in NAMES else 'further attribute'
 
 def version_of(data):
     must(data[:4] == b'TCGS'[:len(data)], 'header', 'magic', 'this is not a .tcgs file')
@@ -88,7 +88,8 @@ class Cohort:
         self.plan, self.start, self.num_timesteps, self.has_lives = plan, start, num_timesteps, has_lives
         self.num_gaussians, self.segment_length = num_gaussians, segment_length
         self.varying = [a for a, varies in enumerate(plan['varies']) if varies]
-        self.length = segment_length if self.varying and num_gaussians > 0 else num_timesteps
+        moves = num_gaussians > 0 and any(varies for _, varies in plan['listed'])
+        self.length = segment_length if moves else num_timesteps
         self.num_segments = (num_timesteps + self.length - 1) // self.length
         must(self.num_segments <= 65535, section, 'segment_length', 'more than 65535 segments')
         starts = [sum(layers[:i]) for i in range(len(layers) + 1)]
@@ -97,7 +98,7 @@ class Cohort:
     def span(self, s):
         """First and last timestep of a segment, counted from the start of the cohort."""
         return s * self.length, min((s + 1) * self.length, self.num_timesteps) - 1
-    def names(self, attributes): return [self.plan['names'][a] for a in attributes]
+    def names_in_segments(self): return [name for name, varies in self.plan['listed'] if varies]
 
 def read_scene(f):
     """The fields of INFO that both versions have."""
@@ -124,7 +125,10 @@ def check_scene(f, s):
 def read_layers(f): return [f.u(4, 'layers') for _ in range(f.u(2, 'number of layers'))]
 
 def new_plan():
-    return {key: [] for key in 'names units components activations varies joint lacking quantizers predictors'.split()}
+    """`listed`: name of every attribute, None of one that is skipped, and whether it varies. `skipped`: what else cohorts
+    must agree in. All else is of those that are not skipped."""
+    keys = 'names units components activations varies joint lacking quantizers predictors listed skipped'
+    return {key: [] for key in keys.split()}
 
 def read_attribute(f, plan, a):
     """What both versions say of an attribute: quantizers and predictors."""
@@ -199,6 +203,7 @@ def read_plan_1(f):
     plan |= {'units': [''] * BASE, 'lacking': [False] * BASE}
     plan['varies'], plan['joint'] = f.flags('varying attributes', BASE), f.flags('joint attributes', BASE)
     for a in range(BASE): read_attribute(f, plan, a)
+    plan['listed'] = list(zip(NAMES, plan['varies']))
     f.end()
     return plan
 
@@ -301,15 +306,19 @@ def read_head(data, place, plan, length):
     segment_length, layers = f.u(4, 'segment_length'), read_layers(f)
     plan = plan or read_plan_2(f)
     cohort = Cohort(plan, place['start'], place['num_timesteps'], place['num_gaussians'], layers, segment_length, has_lives, 'cohort')
-    segments = range(cohort.num_segments if cohort.varying else 0)
-    count = len(layers) * (1 + len(plan['names']) + len(segments) * len(cohort.varying)) + len(segments)
+    in_segments = cohort.names_in_segments()
+    segments = range(cohort.num_segments if in_segments else 0)
+    count = len(layers) * (1 + len(plan['listed']) + len(segments) * len(in_segments)) + len(segments)
     must(len(f.data) - f.at == 8 * count, 'cohort', 'sections', 'not as many as layers, segments and attributes make')
     def section(name):
         nonlocal end
         start, end = end, end + f.u(4, 'length')
         return name, data[start:end], f.u(4, 'checksum')
-    # Checksums of sections are for those who read them.
-    cohort.shared = [[section(name) for name in ['maps'] + plan['names']] for _ in layers]
+    # Checksums of sections are for those who read them; nobody reads what is skipped.
+    def sections(names):
+        found = [section(name) for name in names]
+        return [s for s in found if s[0] is not None or checked(s) is None]
+    cohort.shared = [sections(['maps'] + [name for name, _ in plan['listed']]) for _ in layers]
     wanted = place['offset'] + place['head_bytes'] + place['shared_bytes']
     must(end == wanted, 'cohort', 'length', 'not as many bytes of shared layers as the table of cohorts says')
     pieces = [(0, (at, end))]
@@ -317,7 +326,7 @@ def read_head(data, place, plan, length):
         start = f.u(8, 'offset of a segment')
         must(start >= end, 'cohort', 'offset of a segment', 'not after the one before')
         end = start
-        cohort.segments.append([[section(name) for name in cohort.names(cohort.varying)] for _ in layers])
+        cohort.segments.append([sections(in_segments) for _ in layers])
         pieces.append((cohort.span(s)[0], (start, end)))
     must(end <= length, 'cohort', 'offset of a segment', 'beyond the end of the file')
     f.end()
@@ -326,27 +335,36 @@ def read_head(data, place, plan, length):
 def read_plan_2(f):
     plan = new_plan()
     count = f.u(1, 'number of attributes')
-    for a in range(count):
+    for place in range(count):
+        a = len(plan['names'])
         name, unit = f.text('name of an attribute'), f.text('unit')
-        components, activation = f.u(1, 'components'), f.u(1, 'activation')
+        known = [n for n, _ in plan['listed']] + [n for _, n, *_ in plan['skipped']]
+        must(a < BASE or name not in known, 'cohort', 'name of an attribute', 'that of another attribute')
+        components, activation, flags = f.u(1, 'components'), f.u(1, 'activation'), f.u(1, 'flags of an attribute')
+        varies, joint, lacking, optional = (flags >> i & 1 == 1 for i in range(4))
+        if flags >> 4 != 0:
+            must(optional and place >= BASE, 'cohort', 'coding of an attribute', 'unknown')
+            f.take(f.u(4, 'length of an attribute'), 'length of an attribute')
+            plan['skipped'].append((place, name, unit, components, activation, flags >> 4))
+            plan['listed'].append((None, varies))
+            continue
         must(activation <= 3, 'cohort', 'activation', 'unknown')
-        varies, joint, lacking = f.flags('flags of an attribute', 3)
         if a < BASE:
             due = (NAMES[a], COMPONENTS[a], ACTIVATIONS[a])
             must((name, components, activation) == due, 'cohort', 'name of an attribute', 'not the attribute that is due')
-            must(not lacking, 'cohort', 'flags of an attribute', 'one that every Gaussian has may be lacking')
+            must(not lacking and not optional, 'cohort', 'flags of an attribute', 'one that every Gaussian has may be lacking')
         else:
-            must(name not in plan['names'] + NAMES, 'cohort', 'name of an attribute', 'that of another attribute')
             must(1 <= components <= 32, 'cohort', 'components', 'not within 1 to 32')
         values = name, unit, components, activation, varies, joint, lacking
         for key, value in zip('names units components activations varies joint lacking'.split(), values): plan[key].append(value)
+        plan['listed'].append((name, varies))
         read_attribute(f, plan, a)
     must(count >= BASE, 'cohort', 'number of attributes', 'fewer than every Gaussian has')
     return plan
 
 def described(plan):
     """What all cohorts have in common."""
-    return plan['names'], plan['components'], plan['activations'], plan['units'][BASE:]
+    return plan['names'], plan['components'], plan['activations'], plan['units'][BASE:], plan['skipped']
 
 # --- Symbols -----------------------------------------------------------------------------------------------------------
 

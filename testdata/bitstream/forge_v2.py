@@ -1,5 +1,5 @@
 """Makes files of version 2 that no encoder writes, from the vectors in v2/: those of refused_v2/, each of which breaks one
-rule of docs/FORMAT.md, with their table refused_v2/refused.json; and four vectors that a decoder takes.
+rule of docs/FORMAT.md, with their table refused_v2/refused.json; and six vectors that a decoder takes.
 
 Usage:
   forge_v2.py            write all; a vector that exists keeps its bytes
@@ -64,7 +64,7 @@ class File:
         name, segment, layer, index = place
         cohort = decoder.open_2(self.bytes())[1][index]
         if segment == decoder.SHARED: return self.cohorts[index].shared[layer][(['maps'] + cohort.plan['names']).index(name)]
-        return self.cohorts[index].segments[segment][layer][cohort.names(cohort.varying).index(name)]
+        return self.cohorts[index].segments[segment][layer][cohort.names_in_segments().index(name)]
 
     def bytes(self):
         def table(sections): return b''.join(struct.pack('<II', len(s), zlib.crc32(s)) for s in sections)
@@ -222,6 +222,32 @@ def renamed(file, name, other):
     at = head.index(text(name))
     head[at:at + len(text(name))] = text(other)
 
+def with_skipped(file, name, place, varies, coding=14, optional=True):
+    """An attribute of a coding that never gets a meaning, in the list of every plan, with sections of any bytes in every layer."""
+    flags = varies | optional << 3 | coding << 4
+    described = text(name) + text('any unit') + bytes([200, 77, flags]) + struct.pack('<I', 5) + b'\1what'
+    plans = {}
+    for i, cohort in enumerate(file.cohorts):
+        if cohort.fields[3] == i:
+            layers, = struct.unpack_from('<H', cohort.head, 5)
+            plan = decoder.read_plan_2(decoder.Fields(bytes(cohort.head[7 + 4 * layers:]), 'cohort'))
+            names = [listed for listed, _ in plan['listed']]
+            cohort.head[7 + 4 * layers] += 1
+            at = cohort.head.index(text(names[place])) if place < len(names) else len(cohort.head)
+            cohort.head[at:at] = described
+            plans[i] = sum(other for _, other in plan['listed'][:place])
+        for layer in cohort.shared: layer.insert(1 + place, bytearray(name.encode()))
+        for layer in (layer for segment in cohort.segments for layer in segment):
+            if varies: layer.insert(plans[cohort.fields[3]], bytearray(b'any bytes'))
+    return file
+
+def other_coding(file):
+    """The second plan has another coding of what is skipped."""
+    with_skipped(file, 'later.thing', 6, True)
+    head = [cohort for i, cohort in enumerate(file.cohorts) if cohort.fields[3] == i][1].head
+    at = head.index(text('any unit')) + len(text('any unit'))
+    head[at + 2] += 1 << 4
+
 def section_in_piece(file):
     """An optional section of two bytes lies in the last segment, which begins where it did."""
     file.optional.append(('last', (b'abcd', b'')))
@@ -237,6 +263,7 @@ def refused():
     first = File(COHORTS)
     first.bytes()
     start_of_second = first.at['head', 1]
+    skipped = edited(SPARSE, lambda f: with_skipped(f, 'later.thing', 6, True))
     with_optional = edited(ONE, with_section('last', b'abcd', b'skip me'))
     # The header. An entry of its table: tag, checksum, offset, length.
     yield 'length', 'format', 'file', 'end', 'the header says a byte more than there is', edited(ONE, lambda f: setattr(f, 'more_bytes', 1))
@@ -280,7 +307,7 @@ def refused():
     # Heads.
     yield 'head_checksum', 'format', 'cohort', 'checksum', 'a bit of the head of the second cohort is flipped', damaged(vector(COHORTS), start_of_second + 30)
     yield 'head_empty', 'format', 'cohort', 'flags', 'a head of no bytes', changed(ONE, (cohort(0), 16, 'I', 0))
-    yield 'flags', 'format', 'cohort', 'flags', 'a flag of a cohort that is not known', changed(ONE, (head, 0, 'B', 2))
+    yield 'flags', 'format', 'cohort', 'flags', 'a flag of a cohort that is not known', changed(ONE, (head, 0, 'B', 0x80))
     yield 'segment_length', 'format', 'cohort', 'segment_length', 'segments of no timesteps', changed(ONE, (head, 1, 'I', 0))
     yield 'layers', 'format', 'cohort', 'layers', 'the layer holds more Gaussians than the cohort', changed(ONE, (head, 7, 'I', 2))
     yield 'empty_layer', 'format', 'cohort', 'layers', 'a layer without Gaussians', changed(LAYERS, (head, 7, 'II', 0, 12))
@@ -292,8 +319,14 @@ def refused():
     yield 'same_name', 'format', 'cohort', 'name of an attribute', 'two attributes of one name', edited(SPARSE, lambda f: renamed(f, 'label', 'means'))
     yield 'no_components', 'format', 'cohort', 'components', 'an attribute of no components', changed(SPARSE, attribute(SPARSE, 'wetness', 0, 'B', 0))
     yield 'components', 'format', 'cohort', 'components', 'an attribute of 33 components', changed(LAYERS, attribute(LAYERS, 'spectrum', 0, 'B', 33))
-    yield 'activation', 'format', 'cohort', 'activation', 'activation 4', changed(SPARSE, attribute(SPARSE, 'glow', 1, 'B', 4))
-    yield 'attribute_flags', 'format', 'cohort', 'flags of an attribute', 'a flag of an attribute that is not known', changed(SPARSE, attribute(SPARSE, 'glow', 2, 'B', 8))
+    yield 'activation', 'format', 'cohort', 'activation', 'activation 255', changed(SPARSE, attribute(SPARSE, 'glow', 1, 'B', 255))
+    yield 'coding', 'format', 'cohort', 'coding of an attribute', 'an attribute that is not optional, of a coding that is not known', edited(SPARSE, lambda f: with_skipped(f, 'later.thing', 6, True, optional=False))
+    yield 'coding_of_means', 'format', 'cohort', 'coding of an attribute', 'means of a coding that is not known, and optional', changed(ONE, attribute(ONE, 'means', 2, 'B', 0xea))
+    yield 'optional_means', 'format', 'cohort', 'flags of an attribute', 'means are optional', changed(ONE, attribute(ONE, 'means', 2, 'B', 0x0a))
+    yield 'length_of_attribute', 'format', 'cohort', 'length of an attribute', 'an attribute to skip that reaches past the end of the head', changed(SPARSE, attribute(SPARSE, 'glow', 2, 'BI', 0xe8, 2**32 - 1))
+    yield 'name_of_skipped', 'format', 'cohort', 'name of an attribute', 'an attribute has the name of one to skip', edited(SPARSE, lambda f: with_skipped(with_skipped(f, 'later.thing', 6, True), 'later.thing', 5, False))
+    yield 'skipped_attribute', 'format', 'skipped attribute', 'checksum', 'a bit of a section of an attribute to skip is flipped', damaged(skipped, skipped.index(b'any bytes'))
+    yield 'other_coding', 'format', 'cohort', 'attributes', 'an attribute to skip has another coding in a later cohort', edited(PLANS, other_coding)
     yield 'lacking_means', 'format', 'cohort', 'flags of an attribute', 'Gaussians may lack their means', changed(ONE, attribute(ONE, 'means', 2, 'B', 4))
     yield 'width', 'format', 'cohort', 'quantizer', 'codes of no bits', changed(SPARSE, attribute(SPARSE, 'wetness', 5, 'B', 0))
     yield 'other_attributes', 'format', 'cohort', 'attributes', 'an attribute of another unit in a later cohort', edited(PLANS, other_unit)
@@ -339,6 +372,20 @@ def declared_errors():
     """Largest differences to what was compressed, also of an attribute that there is not."""
     return edited('harmonics', with_errors(('means', 0.0), ('sh1', 0.125), ('colors', 0.01), ('wetness', 3.0)))
 
+def skipped():
+    """Optional attributes of codings that nobody knows, between others and at the end."""
+    return edited(PLANS, lambda f: with_skipped(with_skipped(f, 'later.still', 6, False, coding=15), 'later.thing', 5, True))
+
+def skipped_motion():
+    """Only what is skipped varies, so that there are three segments."""
+    def edit(file):
+        cohort, = file.cohorts
+        length, = struct.unpack_from('<I', cohort.head, 1)
+        cohort.starts = list(range(cohort.fields[0], cohort.fields[0] + cohort.fields[1], length))
+        cohort.segments = [[[] for _ in cohort.shared] for _ in cohort.starts]
+        with_skipped(file, 'later.thing', 5, True)
+    return edited('still', edit)
+
 def symbols_beyond():
     """Symbols beyond those that are said."""
     return forged(SPARSE, (('maps', decoder.SHARED, 0, 0), beyond), (('means', decoder.SHARED, 0, 0), beyond))
@@ -360,5 +407,5 @@ def born_and_gone():
     return forged(LIVES, (('maps', decoder.SHARED, 0, 0), edit))
 
 if __name__ == '__main__':
-    forged_vectors = optional_sections, declared_errors, symbols_beyond, born_and_gone
+    forged_vectors = optional_sections, declared_errors, skipped, skipped_motion, symbols_beyond, born_and_gone
     main(sys.argv[1:], list(refused()), forged_vectors, FOLDER / 'refused_v2', FOLDER / 'v2')

@@ -87,7 +87,7 @@ MUTANTS = [
     ('motion 3 of the line alone', 'if along is None: return 0.0 if line is None else line', 'if along is None: return 0.0'),
     ('motion 3 of the neighbour alone', 'return along if line is None else', 'return 0.0 if line is None else'),
     ('the neighbour is extrapolated', 'if after in (0, len(times)): return float(codes[max(after - 1, 0)][c - c0])', 'if after in (0, len(times)) and len(times) < 2: return float(codes[max(after - 1, 0)][c - c0])\n        after = clamp(after, 1, len(times) - 1)'),
-    ('one segment if nothing varies', 'segment_length if self.varying and num_gaussians > 0 else num_timesteps', 'segment_length'),
+    ('one segment if nothing varies', 'segment_length if moves else num_timesteps', 'segment_length'),
     # Reconstruction.
     ('binary64 throughout', 'return f32(v + f32(f32(value(k + 1) - v) * along))', 'return f32(v + (value(k + 1) - v) * along)'),
     ('weights of both ends', 'return f32(v + f32(f32(value(k + 1) - v) * along))', 'return f32(f32(v * f32(1 - along)) + f32(value(k + 1) * along))'),
@@ -128,6 +128,11 @@ MUTANTS = [
     ('all components before', '+ before[-3:]', '+ before'),
     ('what is lacking has the value of code 0', 'if self.width[a][g] == 0: return 0.0', 'if self.width[a][g] == 0: return self.plan["quantizers"][a][min(self.plan["quantizers"][a])][c][1]'),
     ('unit length of all that is normalised', 'if a == QUATS: rows', 'if self.head.plan["activations"][a] == 1: rows'),
+    ('what is skipped has no sections', "[s for s in found if s[0] is not None or checked(s) is None]", 'found'),
+    ('what is skipped makes no segments', "any(varies for _, varies in plan['listed'])", 'len(self.varying) > 0'),
+    ('what is skipped has no sections in segments', "[name for name, varies in self.plan['listed'] if varies]", "[name for name, varies in self.plan['listed'] if varies and name]"),
+    ('what is skipped has no length', "f.take(f.u(4, 'length of an attribute'), 'length of an attribute')", "f.u(4, 'length of an attribute')"),
+    ('no coding is skipped', 'optional and place >= BASE', 'False'),
     # Version 2: cohorts.
     ('times count from the start of the scene', 'now = t - self.head.start', 'now = t'),
     ('models of the cohort whose plan is shared', 'shared = Shared(plan, head.num_timesteps, head.has_lives)', 'shared = Shared(plan, head.num_timesteps, head.has_lives); shared.maps = plan.setdefault("maps", shared.maps)'),

@@ -7,6 +7,7 @@ import { listenForMoves } from "./input.js";
 import { addToPath, moreMenu, saveStill, showHelp, viewsMenu } from "./menus.js";
 import { readParams } from "./params.js";
 import { Player } from "./player.js";
+import { sound } from "./sound.js";
 import { cards, element, idling, playback, shortcuts, showCard, statistics, toast } from "./ui.js";
 
 const params = readParams(location.search);
@@ -22,6 +23,7 @@ playback(player);
 statistics(player);
 viewsMenu(player);
 const { toggleStatistics } = moreMenu(player, { choose, stats: params.stats, theme: params.theme });
+const { toggle: toggleSound } = sound(player);
 listenForMoves(element("canvas"), player);
 idling(player);
 shortcuts(player, {
@@ -30,6 +32,7 @@ shortcuts(player, {
   "?": showHelp,
   i: toggleStatistics,
   k: () => addToPath(player),
+  m: toggleSound,
   o: choose,
   p: () => saveStill(player),
 });

@@ -8,6 +8,8 @@ import { AdaptiveResolution } from "./resolution.js";
 const SETTLE_MS = 200;
 /** Frames drawn before the page rests: the engine learns some frames later whether its buffers had room for all splats. */
 const STILL_FRAMES = 3;
+/** Longest data of applications that are fetched, bytes. */
+const MAX_ATTACHED = 1 << 26;
 /** Frames by which the GPU may be behind while something moves. */
 const MAX_PENDING = 1;
 
@@ -198,6 +200,28 @@ export class Player extends EventTarget {
     this.#tell("change");
   }
 
+  /**
+   * Data of a name that the file holds. What lies far from the start of the file is fetched.
+   *
+   * @returns {Promise<Uint8Array | null>} null if there are none, or another scene was opened meanwhile
+   */
+  async attached(name) {
+    const [viewer, source, turn] = [this.#viewer, this.#source, this.#turn];
+    const near = viewer.data(name);
+    if (near) return near;
+    // A text of that name begins with its length.
+    const text = new TextEncoder().encode(name);
+    const wanted = [text.length & 255, text.length >> 8, ...text];
+    for (const [index, [start, end]] of viewer.farRanges().entries()) {
+      if (end - start < wanted.length || end - start > MAX_ATTACHED) continue;
+      const head = await rangeOf(source, start, start + wanted.length);
+      if (!head || wanted.some((byte, i) => head[i] !== byte)) continue;
+      const bytes = await rangeOf(source, start, end);
+      return bytes && turn === this.#turn ? (viewer.farData(index, bytes)?.data ?? null) : null;
+    }
+    return null;
+  }
+
   /** Draws a picture at all pixels: `{width, height, timestep, data}`, RGBA. */
   async capture() {
     this.#capturing = true;
@@ -304,6 +328,13 @@ export class Player extends EventTarget {
     this.#size = [width, height];
     this.#viewer.resize(width, height);
   }
+}
+
+/** Bytes of a file or of an address; null where the host gives no ranges. */
+async function rangeOf(source, start, end) {
+  if (source instanceof Blob) return new Uint8Array(await source.slice(start, end).arrayBuffer());
+  const answer = await fetch(addressOf(source), { headers: { Range: `bytes=${start}-${end - 1}` } });
+  return answer.status === 206 ? new Uint8Array(await answer.arrayBuffer()) : null;
 }
 
 /** Resolves the address of a scene against that of the page. */

@@ -48,7 +48,7 @@ export function save(name, blob) {
 export function cards(player, { choose }) {
   player.addEventListener("opening", () => {
     document.body.classList.remove("has-scene");
-    for (const id of ["dock", "name", "stats"]) element(id).hidden = true;
+    for (const id of ["dock", "name", "credits", "stats"]) element(id).hidden = true;
     element("loading-text").textContent = `Opening ${nameOf(player.source)}`;
     showCard("loading");
   });
@@ -65,6 +65,7 @@ export function cards(player, { choose }) {
     document.title = `${name} – tcgs player`;
     element("canvas").setAttribute("aria-label", `${name}: ${info.numGaussians} Gaussians, ${info.numTimesteps} frames`);
     element("name").hidden = false;
+    showCredits(info.credits);
   });
   player.addEventListener("failure", ({ detail }) => {
     const failure = explain(detail);
@@ -76,7 +77,7 @@ export function cards(player, { choose }) {
     element("failure-retry").hidden = !again;
     element("failure-open").hidden = ["no-webgpu", "insecure", "device-lost"].includes(failure.code);
     document.body.classList.remove("has-scene", "idle");
-    for (const id of ["dock", "name", "stats"]) element(id).hidden = true;
+    for (const id of ["dock", "name", "credits", "stats"]) element(id).hidden = true;
     showCard("failure");
     element("failure").querySelector("button:not([hidden])")?.focus();
   });
@@ -90,6 +91,26 @@ export function cards(player, { choose }) {
     event.preventDefault();
     player.open(element("link").value);
   });
+}
+
+/** A line of whose work a scene is, such as `A. Author · CC-BY-4.0 · example.org`. The texts are a stranger's. */
+function showCredits(credits) {
+  const line = element("credits");
+  const { authors = [], licence = null, source = null } = credits ?? {};
+  const parts = [authors.join(", "), licence, source && (linkTo(source) ?? source)].filter(Boolean);
+  line.replaceChildren(...parts.flatMap((part, i) => (i > 0 ? [" · ", part] : [part])));
+  line.hidden = parts.length === 0;
+}
+
+/** A link to an address of the web; null if the text is none. */
+function linkTo(text) {
+  if (!/^https?:/i.test(text) || !URL.canParse(text)) return null;
+  const link = document.createElement("a");
+  link.href = text;
+  link.textContent = new URL(text).host;
+  link.target = "_blank";
+  link.rel = "noopener noreferrer";
+  return link;
 }
 
 /** The name of a scene whose file gives none: that of the file. */
@@ -150,13 +171,13 @@ export function playback(player) {
     const now = `${timestep} ${playing} ${buffering}`;
     if (now === shown) return;
     shown = now;
-    const { numTimesteps, frameRate } = player.info;
+    const { numTimesteps, frameRate, times } = player.info;
     const step = Math.round(timestep);
     timeline.value = String(step);
     timeline.style.setProperty("--played", `${(100 * step) / Math.max(1, numTimesteps - 1)}%`);
     timeline.setAttribute("aria-valuetext", `frame ${step + 1} of ${numTimesteps}`);
-    const seconds = frameRate > 0 ? `${(step / frameRate).toFixed(step / frameRate < 100 ? 2 : 0)} s` : "";
-    element("seconds").textContent = seconds;
+    const seconds = times ? times[step] : frameRate > 0 ? step / frameRate : null;
+    element("seconds").textContent = seconds === null ? "" : `${seconds.toFixed(seconds < 100 ? 2 : 0)} s`;
     element("frame-number").textContent = `${step + 1} / ${numTimesteps}`;
     element("dock").classList.toggle("buffering", buffering);
     const name = playing ? "Pause" : "Play";

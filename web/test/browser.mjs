@@ -280,6 +280,51 @@ test("Gaussians of another program that shine, come and go show as tcgs renders 
   assert.ok(near < 0.9, `timesteps 0 and 3: ${near} alike`);
 });
 
+test("credits show, frames come at their times, and a sound plays along", async (t) => {
+  const file = (name, content) => {
+    writeFileSync(join(scratch, name), content);
+    return join(scratch, name);
+  };
+  const folder = mkdtempSync(join(scratch, "timed-"));
+  for (let timestep = 0; timestep < 4; timestep++) writeFileSync(join(folder, `${timestep}.ply`), plyOfSpheres(300, timestep));
+  const sound = join(scratch, "tone.opus");
+  const tone = ["-f", "lavfi", "-i", "sine=frequency=440:duration=30", "-c:a", "libopus", "-b:a", "96k", sound];
+  execFileSync("ffmpeg", ["-v", "error", "-y", ...tone]);
+  const scene = join(scratch, "attached.tcgs");
+  const credits = { licence: "CC-BY-4.0", authors: ["<b>A. Author</b>"], source: "https://example.org/capture" };
+  const attached = [
+    `credits=${file("credits.json", JSON.stringify(credits))}`,
+    `times=${file("times.json", '{ "seconds": [0, 0.5, 20, 25] }')}`,
+    `sound=${sound}`,
+  ];
+  // Sounds are longer than what comes with the start of a file.
+  assert.ok(readFileSync(sound).length > 1 << 18);
+  execFileSync(TCGS, ["compress", folder, "--out", scene, ...attached.flatMap((word) => ["--attach", word])]);
+  const server = await serve(TCGS, scene);
+  t.after(() => server.stop());
+  const query = "quality=fixed&dpr=1&autoplay=0";
+  const script = () => {
+    const { play } = HTMLMediaElement.prototype;
+    HTMLMediaElement.prototype.play = function () {
+      window.audio = this;
+      return play.call(this);
+    };
+  };
+  const page = await loaded(await open(t, query, { from: server, viewport: { width: 320, height: 240 }, script }));
+  assert.equal(await page.textContent("#credits"), "<b>A. Author</b> · CC-BY-4.0 · example.org");
+  assert.equal(await page.getAttribute("#credits a", "href"), "https://example.org/capture");
+  await page.waitForSelector("#mute:not([hidden])");
+  await goTo(page, 2);
+  assert.equal(await page.textContent("#seconds"), "20.00 s");
+  await page.keyboard.press("Space");
+  await page.waitForFunction(() => window.audio && !window.audio.paused && window.audio.currentTime >= 20);
+  await page.keyboard.press("m");
+  assert.ok(await page.evaluate(() => window.audio.muted));
+  await page.keyboard.press("Space");
+  await page.waitForFunction(() => window.audio.paused);
+  await shot(page, "attached");
+});
+
 test("bad files are told apart, and a good one opens after them", async (t) => {
   const page = await open(t, `${EXACT}&src=missing.tcgs`);
   const failure = async (title) => {

@@ -7,6 +7,7 @@ import { test } from "node:test";
 import { explain } from "../src/failures.js";
 import { readParams } from "../src/params.js";
 import { AdaptiveResolution } from "../src/resolution.js";
+import { follow } from "../src/sound.js";
 import { nameOf, nextSpeed } from "../src/ui.js";
 
 test("addresses say what to show, and nonsense says nothing", () => {
@@ -185,4 +186,34 @@ test("failures are told to people", () => {
   }
   assert.equal(explain("odd").code, "unknown");
   assert.equal(explain(Object.assign(new Error("x"), { code: "toString" })).title, "Something went wrong");
+});
+
+test("a sound follows the clock, and falls silent with it", () => {
+  const audio = {
+    paused: true,
+    currentTime: 0,
+    playbackRate: 1,
+    duration: 10,
+    play() {
+      this.paused = false;
+      return Promise.resolve();
+    },
+    pause() {
+      this.paused = true;
+    },
+  };
+  const at = (seconds, speed = 1, more = {}) => {
+    follow(audio, { seconds, playing: true, buffering: false, ...more }, speed);
+    return [audio.paused, audio.currentTime, audio.playbackRate];
+  };
+  assert.deepEqual(at(3), [false, 3, 1]);
+  assert.deepEqual(at(3.05), [false, 3, 1], "a little apart is left alone");
+  assert.deepEqual(at(3.2), [false, 3.2, 1]);
+  assert.deepEqual(at(3.3, 2), [false, 3.2, 2], "at a higher speed a little is more");
+  assert.deepEqual(at(4, 2, { buffering: true }), [true, 3.2, 2]);
+  assert.deepEqual(at(4), [false, 4, 1]);
+  for (const [seconds, speed, more] of [[4, 1, { playing: false }], [12, 1], [4, 8], [4, 0.1], [4, -1]]) {
+    at(4);
+    assert.equal(at(seconds, speed, more)[0], true, `${seconds} s at ${speed}`);
+  }
 });

@@ -99,6 +99,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         attribute_errors::print(&info.declared_errors)?;
         say("")?;
     }
+    for name in info.cohorts.first().map_or(&[][..], |cohort| &cohort.skipped) {
+        say(&format!("left out: {name}, an optional attribute that only a newer version of this program can decode"))?;
+    }
     let first_frame = info.scene.first_frame as usize;
     if let [cohort] = &info.cohorts[..] {
         print_segments(&info, cohort, first_frame)?;
@@ -285,6 +288,7 @@ fn machine_readable(info: &FileInfo) -> Value {
                 "layers": cohort.layers,
                 "num_segments": cohort.segments.len(),
                 "attributes": cohort.layout.columns().iter().map(|column| &column.name).collect::<Vec<_>>(),
+                "skipped": cohort.skipped,
             })
         };
         result["declared_errors"] = attribute_errors::machine_readable(&info.declared_errors);

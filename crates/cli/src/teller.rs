@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use tcgs_pipeline::{ErrorTrial, Event, Observer, TimestepSummary, Trial};
+use tcgs_pipeline::{ErrorTrial, Event, Observer, TimestepSummary, Trial, TuningTrial};
 
 use crate::attribute_errors::{show, word};
 use crate::interrupt;
@@ -89,6 +89,7 @@ impl Observer for Teller {
                 return self.go_on(told);
             }
             Event::Tried(trial) => return self.go_on(say(&line(trial))),
+            Event::Tuned(trial) => return self.go_on(say(&tuning_line(trial))),
             Event::Measured(trial) => return self.go_on(say(&error_line(trial))),
             Event::Frame(frame) => self.step(|| format!("frame {frame}")),
             _ => {}
@@ -100,6 +101,13 @@ impl Observer for Teller {
 /// A line of the table of settings tried.
 pub fn line(trial: &Trial) -> String {
     format!("{:>7.2}  {:>11}  {:>8}", trial.quality(), show_bytes(trial.bytes), show_psnr(trial.psnr))
+}
+
+/// A line of the table of settings tried by tuning.
+fn tuning_line(trial: &TuningTrial) -> String {
+    let saved = trial.saved.map_or("-".into(), |saved| format!("{:.1} %", 100.0 * saved));
+    let psnr = format!("{:.3} dB", trial.psnr);
+    format!("{:<22}  {:>11}  {psnr:>9}  {saved:>7}", trial.setting, show_bytes(trial.bytes))
 }
 
 /// A line of the table of settings tried for small errors.

@@ -124,7 +124,7 @@ fn judge(comparison: &Comparison, arguments: &Arguments) -> anyhow::Result<()> {
     if comparison.holds() {
         say("within the declared errors")
     } else if !silent.is_empty() {
-        anyhow::bail!("{file}: declares no error of {silent}, expected a file that `tcgs compress --format 2` made")
+        anyhow::bail!("{file}: declares no error of {silent}, expected a file of format 2, as `tcgs compress` makes it")
     } else if larger.is_empty() {
         let (beyond, all) = (comparison.num_beyond, comparison.num_gaussians);
         anyhow::bail!("{file}: {beyond} of {all} Gaussians of all timesteps are none of the source, expected all")

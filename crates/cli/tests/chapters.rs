@@ -58,7 +58,7 @@ fn chapters_are_joined_at_a_border_of_segments() {
     assert!(fs::read(&short).unwrap() == fs::read(other_order).unwrap());
     compress([&one, &two], "long.tcgs", &[]);
     for segments in [&["--segment-length", "2"][..], &[]] {
-        let declared = compress([&one, &two], "declared.tcgs", &[segments, &["--format", "2", "--force"]].concat());
+        let declared = compress([&one, &two], "declared.tcgs", &[segments, &["--force"]].concat());
         succeed(&["verify", text(&declared), text(&two), text(&one)]);
     }
     let score = |scene: &Path, frames: &str| {

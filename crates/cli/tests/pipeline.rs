@@ -125,7 +125,7 @@ fn a_capture_becomes_a_small_file_that_renders() {
     let compressed = json(&result);
     let file = run.join("scene.tcgs");
     let bytes = fs::metadata(&file).unwrap().len();
-    assert_keys(&compressed, &["out", "num_gaussians_before", "num_gaussians", "stages", "ratio"]);
+    assert_keys(&compressed, &["out", "num_gaussians_before", "num_gaussians", "stages", "ratio", "declared_errors"]);
     assert_eq!(compressed["num_gaussians_before"], n);
     let stages = compressed["stages"].as_array().unwrap();
     let names: Vec<&str> = stages.iter().map(|stage| stage["name"].as_str().unwrap()).collect();
@@ -152,6 +152,8 @@ fn a_capture_becomes_a_small_file_that_renders() {
             "keypoints_mean",
             "checksums_ok",
             "bytes_before",
+            "declared_errors",
+            "cohorts",
         ],
     );
     assert_eq!((&info["bytes"], &info["first_frame"], &info["checksums_ok"]), (&bytes.into(), &1.into(), &true.into()));

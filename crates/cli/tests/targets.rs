@@ -65,6 +65,44 @@ fn a_target_is_kept_and_its_setting_gives_the_same_file() {
 }
 
 #[test]
+fn tuning_saves_bytes_at_the_same_psnr() {
+    let folder = tempdir().unwrap();
+    let run = train(&folder, "run", &[]);
+    let (file, result) = (folder.path().join("a.tcgs"), folder.path().join("a.json"));
+    let given = ["compress", text(&run), "--out", text(&file), "--json", text(&result), "--force"];
+    succeed(&given);
+    let plain = fs::metadata(&file).unwrap().len();
+    let tune = |more: &[&str]| {
+        let said = succeed(&[&given[..], &["--tune"], more].concat());
+        let tuning = json(&result)["tuning"].clone();
+        assert_eq!(tuning["bytes"], fs::metadata(&file).unwrap().len());
+        (said, tuning)
+    };
+    let (said, tuning) = tune(&["--capture", text(capture())]);
+    assert_eq!(tuning["bytes_before"], plain);
+    assert!(number(&tuning["psnr"]) >= number(&tuning["psnr_before"]), "{said}");
+    assert!(number(&tuning["bytes"]) < 0.99 * number(&tuning["bytes_before"]), "{said}");
+    assert!(said.contains("tolerance of positions ") && said.contains("\ntuned: "), "{said}");
+    assert!(tuning["steps"].as_array().unwrap().iter().any(|step| !step["saved"].is_null()), "{said}");
+    // On the training cameras, as eval measures them.
+    let measured = folder.path().join("eval.json");
+    succeed(&["eval", text(&file), "--capture", text(capture()), "--cameras", "train", "--json", text(&measured)]);
+    assert!((number(&json(&measured)["psnr"]) - number(&tuning["psnr"])).abs() < 1e-6);
+
+    // With a target it is kept, by renders of the source where there is no capture.
+    let (said, tuning) = tune(&["--target-psnr", "30", "--frames", "1..2"]);
+    assert!(number(&tuning["psnr"]) >= 30.0 && tuning["target_psnr"] == 30.0, "{said}");
+    assert!(tuning["measured_against"] == "source" && said.contains(" renders of "), "{said}");
+    for (more, message) in [
+        (&["--bits", "4,8"][..], "cannot be used with"),
+        (&["--max-error", "mean=0.1"], "cannot be used with"),
+        (&["--preset", "paper"], "expected --preset default with"),
+    ] {
+        assert!(fail(2, &[&given[..], &["--tune"], more].concat()).contains(message), "{more:?}");
+    }
+}
+
+#[test]
 fn what_is_out_of_reach_leaves_nothing() {
     let folder = tempdir().unwrap();
     let run = train(&folder, "run", &[]);

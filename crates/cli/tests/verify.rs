@@ -152,7 +152,7 @@ fn gaussians_that_come_go_and_change_their_order_are_found() {
 fn a_run_is_verified_with_what_its_masks_prune() {
     let folder = tempdir().unwrap();
     let (run, file) = (train(&folder, "run", &[]), folder.path().join("scene.tcgs"));
-    let (_, result) = compress(&run, &file, &["--format", "2", "--prune", "0.02"]);
+    let (_, result) = compress(&run, &file, &["--prune", "0.02"]);
     let (before, after) = (number(&result["num_gaussians_before"]), number(&result["num_gaussians"]));
     let (_, compared) = verify(&file, &[&run]);
     assert_tight(&compared);
@@ -162,7 +162,7 @@ fn a_run_is_verified_with_what_its_masks_prune() {
     );
 
     // Version 1 declares nothing, and says so.
-    compress(&run, &file, &[]);
+    compress(&run, &file, &["--format", "1"]);
     let (said, alone) = verify(&file, &[]);
     assert!(said.ends_with("declares no errors\n") && alone["declared_errors"] == serde_json::json!({}), "{said}");
     let message = fail(1, &["verify", text(&file), text(&run)]);

@@ -79,7 +79,7 @@ impl CompactFile {
         }
     }
 
-    /// The oldest version of the format that holds the scene.
+    /// The oldest version of the format that holds the scene, though without its declared errors.
     pub fn oldest_version(&self) -> u16 {
         match &self.cohorts[..] {
             [only] if only.layout.is_base() && only.lives.is_none() && only.start == 0 => 1,

@@ -47,12 +47,20 @@ pub enum DecodeError {
 
 /// Problem of a file that was cut.
 pub(crate) const ENDS_EARLY: &str = "the file ends early";
+/// Problem of a value that a later addition to the format may give a meaning.
+pub(crate) const NEWER: &str = "not known to this decoder; a newer one may read the file";
 
 impl DecodeError {
     /// Whether the file ends before its last section does. [`SceneFile::recover`](crate::SceneFile::recover) reads what is
     /// whole of such a file.
     pub fn is_cut(&self) -> bool {
         matches!(self, Self::Format { problem: ENDS_EARLY, .. })
+    }
+
+    /// Whether the file is of a version, or uses an addition to one, that this decoder does not know: a newer one may read
+    /// it.
+    pub fn is_newer(&self) -> bool {
+        matches!(self, Self::Version { .. } | Self::Format { problem: NEWER, .. })
     }
 }
 

@@ -39,6 +39,7 @@
 #![cfg_attr(not(feature = "encode"), allow(dead_code))]
 
 mod accounting;
+mod attached;
 mod attribute_errors;
 mod bits;
 mod bitstream;
@@ -56,6 +57,7 @@ mod quantize;
 mod scene_file;
 mod views;
 
+pub use attached::{CREDITS, Credits, SOUND, TIMES, read_credits, read_times};
 pub use attribute_errors::{AttributeErrors, attribute_error};
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 pub use bitstream::{

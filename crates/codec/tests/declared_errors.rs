@@ -180,3 +180,22 @@ fn settings_for_smaller_errors_leave_other_attributes_alone() {
     let after = before.clone().with_smaller_errors(&shared);
     assert_eq!((after.coarser[4], after.harmonic_error), (before.coarser[4] - 4.0, 0.0));
 }
+
+/// Errors that were measured while the cohorts were written take the place of those that were declared first.
+#[test]
+fn errors_may_be_declared_once_all_cohorts_are_written() {
+    let scene = scene(20, 6, &Layout::base());
+    let (compact, _) = compress(&scene, &settings());
+    let errors = compact.declared_errors.clone();
+    let unknown: Vec<(String, f32)> = errors.iter().map(|(name, _)| (name.clone(), 0.0)).collect();
+    let mut file = Cursor::new(Vec::new());
+    let mut writer = FileWriter::declaring(&mut file, &compact.info, &unknown, &[], 1).unwrap();
+    writer.add(&compact.cohorts[0]).unwrap();
+    let others = [&errors[..4], &[("glow".to_owned(), 1.0)]].concat();
+    for wrong in [&errors[1..], &others, &[(errors[0].0.clone(), f32::NAN)]] {
+        assert!(writer.declare(wrong).is_err(), "{wrong:?}");
+    }
+    writer.declare(&errors).unwrap();
+    writer.finish().unwrap();
+    assert!(file.into_inner() == compact.encode(2, &[]).unwrap());
+}

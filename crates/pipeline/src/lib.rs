@@ -63,15 +63,15 @@ mod verify;
 pub use backend::Backend;
 pub use compress::{
     CompressOptions, CompressPreset, Compressed, ErrorSearch, Judge, JudgeImages, PrunedScene, QUALITY_RANGE,
-    SearchResult, SizeStep, Target, compress_scene, kept_gaussians, position_step_remark, search, search_errors,
-    settings_of,
+    SearchResult, SizeStep, Target, Tuning, compress_scene, kept_gaussians, position_step_remark, search,
+    search_errors, settings_of, tune,
 };
 pub use error::{Fault, HasFault, PipelineError};
 pub use evaluate::{
     COLUMNS, EvaluateSettings, Evaluation, ImageScore, MetricColumn, evaluate, evaluation_json, protocol_mean,
 };
 pub use export::{Export, ExportedParams, TimestepKind};
-pub use observe::{ErrorTrial, Event, Observer, TimestepSummary, Trial, Unobserved, Work};
+pub use observe::{ErrorTrial, Event, Observer, TimestepSummary, Trial, TuningTrial, Unobserved, Work};
 pub use path_file::read_camera_path;
 pub use render::{CameraAt, render};
 pub use scene::{CutFiles, OpenScene, OpenSettings};

@@ -48,6 +48,8 @@ pub enum Event<'a> {
     },
     /// A search for a target tried a setting.
     Tried(&'a Trial),
+    /// Tuning tried a setting.
+    Tuned(&'a TuningTrial),
     /// A search for small errors tried a setting.
     Measured(&'a ErrorTrial),
     /// A step of any other work: this frame, or an image of it, is done.
@@ -99,6 +101,20 @@ pub struct ErrorTrial {
     pub bytes: u64,
     /// By name of each attribute that has a bound: its largest error, as the file declares it; infinite if it cannot.
     pub errors: Vec<(String, f64)>,
+}
+
+/// A setting that tuning tried.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TuningTrial {
+    /// The setting that was moved, in words.
+    pub setting: &'static str,
+    /// Length of the file.
+    pub bytes: u64,
+    /// Mean PSNR, dB.
+    pub psnr: f64,
+    /// Fewer bytes at equal PSNR than at the start, as a share, if it is better than all before; estimated by the curve of
+    /// qualities. None if it is not better.
+    pub saved: Option<f64>,
 }
 
 /// A part of a long call.

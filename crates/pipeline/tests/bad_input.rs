@@ -289,9 +289,9 @@ fn a_run_with_a_column_that_no_format_holds_is_refused_by_name() {
     refused(export.timestep(TimestepKind::Glb, 0), &["wetness", "a glTF file"]);
     refused(export.fourdgs(0..1), &["wetness", "a .4dgs file"]);
     assert_eq!(export.floats(0..1).unwrap().next().unwrap().unwrap().len(), checkpoint.parameters.num_gaussians() * 64);
-    let options = CompressOptions { bits: Some((6, 6)), version: Some(1), ..CompressOptions::default() };
+    let options = CompressOptions { bits: Some((6, 6)), version: 1, ..CompressOptions::default() };
     let error = compress_scene(&scene, &options).err().unwrap().to_string();
     assert!(error.contains("wetness") && error.contains("version 1 of the format"), "{error}");
-    let file = compress_scene(&scene, &CompressOptions { version: None, ..options }).unwrap();
+    let file = compress_scene(&scene, &CompressOptions { version: 2, ..options }).unwrap();
     assert_eq!(file.compact.oldest_version(), 2);
 }

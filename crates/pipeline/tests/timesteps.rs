@@ -70,12 +70,8 @@ fn floats_compress_to_the_same_bytes_from_memory_and_from_the_disk() {
     assert!((0..3).all(|t| params.at(t).unwrap() == run.at(t).unwrap()));
     let bits = Some((4, 8));
     for (scene, bits, version) in [(&run, None, 1), (&run, bits, 2), (&params, None, 2), (&params, bits, 1)] {
-        let options = |max_float_bytes| CompressOptions {
-            max_float_bytes,
-            bits,
-            version: Some(version),
-            ..CompressOptions::default()
-        };
+        let options =
+            |max_float_bytes| CompressOptions { max_float_bytes, bits, version, ..CompressOptions::default() };
         let (memory, disk) = (options(u64::MAX), options(0));
         let (memory, disk) = (compress_scene(scene, &memory).unwrap(), compress_scene(scene, &disk).unwrap());
         assert!(memory.file == disk.file, "{}, bits {bits:?}", scene.kind());

@@ -5,7 +5,8 @@ const DEFAULT_FRAME_RATE: f64 = 30.0;
 
 /// A position in a scene's time that moves on at some speed, in a loop or not.
 ///
-/// Positions are in timesteps: timestep `t` is due from position `t` up to, not including, `t + 1`.
+/// Positions are in timesteps: timestep `t` is due from position `t` up to, not including, `t + 1`. Real time moves them on
+/// by the frame rate or, where timesteps are not evenly apart, by the times of timesteps.
 ///
 /// ```
 /// let mut clock = tcgs_play::Clock::new(24, 30.0);
@@ -18,6 +19,8 @@ const DEFAULT_FRAME_RATE: f64 = 30.0;
 pub struct Clock {
     num_timesteps: usize,
     frame_rate: f64,
+    /// `[num_timesteps]` seconds from the first timestep, if these are not evenly apart.
+    times: Option<Vec<f64>>,
     position: f64,
     is_playing: bool,
     is_looping: bool,
@@ -35,12 +38,55 @@ impl Clock {
         Self {
             num_timesteps,
             frame_rate,
+            times: None,
             position: 0.0,
             is_playing: false,
             is_looping: true,
             speed: 1.0,
             last_ms: None,
         }
+    }
+
+    /// The same clock for timesteps that are not evenly apart. The last one lasts as long as the frame rate says.
+    ///
+    /// - `times`: `[num_timesteps]` seconds, strictly ascending from 0
+    ///
+    /// # Panics
+    /// If there is another number of times than of timesteps.
+    #[must_use]
+    pub fn with_times(self, times: Vec<f64>) -> Self {
+        assert_eq!(times.len(), self.num_timesteps, "times against timesteps");
+        Self { times: Some(times), ..self }
+    }
+
+    /// The position in seconds from the first timestep, at speed 1.
+    pub fn seconds(&self) -> f64 {
+        let Some(times) = &self.times else { return self.position / self.frame_rate };
+        let timestep = self.timestep();
+        times[timestep] + (self.position - timestep as f64) * self.duration(times, timestep)
+    }
+
+    /// Seconds from the first timestep to the end of the last one, at speed 1.
+    fn length(&self) -> f64 {
+        let frame = 1.0 / self.frame_rate;
+        self.times
+            .as_ref()
+            .and_then(|times| times.last())
+            .map_or(self.num_timesteps as f64 * frame, |last| last + frame)
+    }
+
+    /// How long a timestep is due, seconds.
+    fn duration(&self, times: &[f64], timestep: usize) -> f64 {
+        times.get(timestep + 1).map_or(1.0 / self.frame_rate, |next| next - times[timestep])
+    }
+
+    /// Position of a time.
+    ///
+    /// - `seconds`: from 0 up to [`Self::length`]
+    fn position_at(&self, seconds: f64) -> f64 {
+        let Some(times) = &self.times else { return seconds * self.frame_rate };
+        let timestep = times.partition_point(|&time| time <= seconds).max(1) - 1;
+        timestep as f64 + (seconds - times[timestep]) / self.duration(times, timestep)
     }
 
     /// The timestep that is due.
@@ -128,16 +174,14 @@ impl Clock {
         if !self.is_playing || elapsed_ms.is_nan() || elapsed_ms <= 0.0 {
             return;
         }
-        let end = self.num_timesteps as f64;
-        let position = self.position + elapsed_ms * 1e-3 * self.frame_rate * self.speed;
-        if (0.0..end).contains(&position) {
-            self.position = position;
-        } else if self.is_looping {
+        let end = self.length();
+        let seconds = self.seconds() + elapsed_ms * 1e-3 * self.speed;
+        if (0.0..end).contains(&seconds) || self.is_looping {
             // Rounding may give the end itself.
-            let wrapped = position.rem_euclid(end);
-            self.position = if wrapped < end { wrapped } else { 0.0 };
+            let position = self.position_at(seconds.rem_euclid(end).min(end));
+            self.position = if position < self.num_timesteps as f64 { position } else { 0.0 };
         } else {
-            self.seek(if position < 0.0 { 0 } else { self.num_timesteps - 1 });
+            self.seek(if seconds < 0.0 { 0 } else { self.num_timesteps - 1 });
             self.is_playing = false;
         }
     }
@@ -207,6 +251,36 @@ mod tests {
         assert_eq!((clock.timestep(), clock.is_playing()), (0, false));
         clock.play();
         assert_eq!(clock.timestep(), 9);
+    }
+
+    /// Timesteps at 0, 0.1, 0.5 and 0.6 seconds, the last one for a twentieth.
+    #[test]
+    fn timesteps_are_due_at_their_times() {
+        let mut clock = Clock::new(4, 20.0).with_times(vec![0.0, 0.1, 0.5, 0.6]);
+        clock.advance(0.0);
+        clock.play();
+        let mut at = |now_ms: f64| {
+            clock.advance(now_ms);
+            (clock.timestep(), (clock.seconds() * 1e6).round() / 1e6)
+        };
+        assert_eq!(at(99.0), (0, 0.099));
+        assert_eq!(at(101.0), (1, 0.101));
+        assert_eq!(at(499.0), (1, 0.499));
+        assert_eq!(at(501.0), (2, 0.501));
+        assert_eq!(at(649.0), (3, 0.649));
+        // Around the end, and a whole turn later.
+        assert_eq!(at(700.0), (0, 0.05));
+        assert_eq!(at(700.0 + 650.0 + 250.0), (1, 0.3));
+        clock.set_speed(-2.0);
+        // Backwards from 0.3 s by 0.4 s, around the start to 0.55 s.
+        clock.advance(1600.0 + 200.0);
+        assert_eq!(clock.timestep(), 2);
+        clock.seek(2);
+        assert!((clock.seconds() - 0.5).abs() < 1e-12);
+        clock.set_looping(false);
+        clock.set_speed(1.0);
+        clock.advance(10_000.0);
+        assert_eq!((clock.timestep(), clock.is_playing()), (3, false));
     }
 
     #[test]

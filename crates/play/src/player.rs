@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening, SegmentCache};
+use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening, SegmentCache, read_times};
 
 use crate::clock::Clock;
 use crate::error::PlayError;
@@ -292,6 +292,9 @@ impl<S: RangeSource> Player<S> {
         }
         let info = archive.info();
         let mut clock = Clock::new(info.num_timesteps as usize, info.frame_rate.into());
+        if let Some(times) = read_times(&application_data, info.num_timesteps as usize) {
+            clock = clock.with_times(times);
+        }
         clock.seek(self.first_timestep);
         clock.hold(now_ms);
         let holdings = Holdings::new(self.settings.max_segment_bytes);
@@ -354,8 +357,8 @@ impl<S: RangeSource> Player<S> {
     }
 }
 
-/// Index and range of the data of applications that are read.
-fn application_ranges(archive: &Archive) -> impl Iterator<Item = (usize, Range<u64>)> {
+/// Index and range of the data of applications that are read with the start of the file: the first ones.
+pub(crate) fn application_ranges(archive: &Archive) -> impl Iterator<Item = (usize, Range<u64>)> {
     let ranges = archive.application_ranges().into_iter().enumerate();
-    ranges.filter(|(_, range)| range.end <= MAX_APPLICATION_BYTES)
+    ranges.take_while(|(_, range)| range.end <= MAX_APPLICATION_BYTES)
 }

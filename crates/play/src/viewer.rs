@@ -18,6 +18,8 @@ use crate::start_view::start_view;
 pub struct FrameReport {
     /// Position of the clock, timesteps; between two whole numbers while time passes.
     pub time: f64,
+    /// The same in seconds from the first timestep, at speed 1.
+    pub seconds: f64,
     /// The timestep that is due.
     pub timestep: usize,
     /// Whether time passes.
@@ -146,6 +148,7 @@ impl<S: RangeSource> Viewer<S> {
             let is_buffering = player.current().is_none_or(|moment| !moment.is_whole);
             FrameReport {
                 time: clock.position(),
+                seconds: clock.seconds(),
                 timestep: clock.timestep(),
                 is_playing: clock.is_playing(),
                 is_buffering,
@@ -197,9 +200,14 @@ impl<S: RangeSource> Viewer<S> {
         self.session.as_ref()?.player.archive()
     }
 
+    /// Names and bytes of the data that applications put near the start of the file.
+    pub fn application_data(&self) -> &[(String, Vec<u8>)] {
+        self.session.as_ref().map_or(&[], |session| session.player.application_data())
+    }
+
     /// Cameras that the file brings along; none before its tables have arrived.
     pub fn cameras(&self) -> Vec<FileCamera> {
-        self.session.as_ref().map_or_else(Vec::new, |session| read_views(session.player.application_data()))
+        read_views(self.application_data())
     }
 
     /// Number of bytes that have arrived of the open scene.

@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureKind};
-use tcgs_codec::UpAxis;
+use tcgs_codec::{FORMAT_VERSION, UpAxis};
 use tcgs_pipeline::{
     CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, OpenScene, PrunedScene, Target,
-    position_step_remark, search, search_errors, settings_of,
+    position_step_remark, search, search_errors, settings_of, tune,
 };
 use tcgs_train::Run;
 
@@ -37,10 +37,12 @@ use crate::terminal::say;
 /// to file, those that are found again are followed, and the others come and go.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("target").args(["target_bytes", "target_psnr"]))]
+#[command(group = clap::ArgGroup::new("measured").args(["target_bytes", "target_psnr", "tune"]).multiple(true))]
 #[command(after_help = "\
 Example:
   tcgs compress my_run
   tcgs compress my_run --target-bytes 2MB --capture my_capture
+  tcgs compress my_run --tune --capture my_capture
   tcgs compress params.npz --capture my_capture --bits 4,8 --out small.tcgs
   tcgs compress my_plys --frame-rate 24 --out scene.tcgs
   tcgs compress my_plys --max-error mean=0.001,rotation=0.01,color=0.02
@@ -109,24 +111,30 @@ pub struct Arguments {
     target_psnr: Option<f64>,
     /// Keep the largest error of attributes over all Gaussians and timesteps within bounds: mean in scene units, rotation in
     /// radians, scale of the natural logarithm, opacity and color of 1, sh1 to sh3. Settings get finer until it is so.
-    /// The file declares its errors, which takes version 2, and `tcgs verify` checks them
+    /// The file declares its errors, which takes format 2, and `tcgs verify` checks them
     #[arg(long, value_name = "ATTRIBUTE=ERROR,...")]
     #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "target")]
     max_error: Option<Bounds>,
-    /// With a target: cameras of --capture to measure on [default: test]
-    #[arg(long, requires = "capture", requires = "target")]
+    /// Fit the settings to this scene: the same PSNR in fewer bytes, or of a target the best of all settings. Measured on
+    /// training images of --capture, else on renders of SOURCE. Takes some 100 compressions, and tells each
+    #[arg(long)]
+    #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "max_error")]
+    tune: bool,
+    /// With a target or --tune: cameras of --capture to measure on [default: test; with --tune train]
+    #[arg(long, requires = "capture", requires = "measured")]
     cameras: Option<Cameras>,
-    /// With a target: frames to measure on, from A up to but not including B [default: evenly some of the scene]
-    #[arg(long, value_name = "A..B", requires = "target")]
+    /// With a target or --tune: frames to measure on, from A up to but not including B [default: evenly some of the scene]
+    #[arg(long, value_name = "A..B", requires = "measured")]
     frames: Option<Frames>,
     /// Axis of the scene that points up, for players: x, y, z, -x, -y or -z [default: the one along
     /// which the capture's cameras stand upright, without a capture unknown]
     #[arg(long, value_name = "AXIS", value_parser = up_axis, allow_hyphen_values = true)]
     up: Option<UpAxis>,
-    /// Version of the format: 1, which older programs read, or 2, which holds spherical harmonics and Gaussians that come
-    /// and go [default: 1 where it holds the scene]
-    #[arg(long, value_name = "VERSION", value_parser = clap::value_parser!(u16).range(1..=2))]
-    format: Option<u16>,
+    /// Version of the format: 2, or 1 for older programs, which holds no spherical harmonics, no Gaussians that come and go,
+    /// and no declared errors
+    #[arg(long, value_name = "VERSION", default_value_t = FORMAT_VERSION)]
+    #[arg(value_parser = clap::value_parser!(u16).range(1..=i64::from(FORMAT_VERSION)))]
+    format: u16,
     /// Most cameras of --capture or of the run's capture that the file gives players to start from
     #[arg(long, value_name = "N", default_value_t = 8)]
     views: usize,
@@ -192,12 +200,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     interrupt::catch()?;
     let target = arguments.target_bytes.map(Target::Bytes).or(arguments.target_psnr.map(Target::Psnr));
-    let is_searched = target.is_some() || arguments.quality.is_some() || arguments.max_error.is_some();
+    let is_searched =
+        target.is_some() || arguments.quality.is_some() || arguments.max_error.is_some() || arguments.tune;
     if arguments.preset == PresetName::Paper && is_searched {
-        let problem = "has its own settings, expected --preset default with --quality, --target-bytes, --target-psnr or --max-error";
+        let problem = "has its own settings, expected --preset default with --quality, --target-bytes, --target-psnr, --max-error or --tune";
         return Err(wrong_input(format!("--preset paper: {problem}")));
     }
-    if arguments.format == Some(1) && arguments.max_error.is_some() {
+    if arguments.format == 1 && arguments.max_error.is_some() {
         return Err(wrong_input("--format 1: declares no errors, expected --format 2 with --max-error"));
     }
     let out = match (&arguments.out, &arguments.sources[..]) {
@@ -218,6 +227,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let pruned = PrunedScene::new(&scene, &options)?;
     say(&pruned.bits_from)?;
     let (compressed, result) = match (target, &arguments.max_error) {
+        _ if arguments.tune => {
+            let judge = judge(arguments, &scene)?;
+            say(&format!("measuring against {}", judge.of))?;
+            say("setting                       size       PSNR    saved")?;
+            let found = Teller::default().watch(|teller| tune(&pruned, &options.keypoints, target, &judge, teller))?;
+            let (text, of_tuning) = target::describe_tuning(&found, target, &judge);
+            let result = Found { text, name: "tuning", value: of_tuning };
+            (pruned.account(&options, found.found.compact, found.found.file)?, Some(result))
+        }
         (None, None) => {
             let (compact, file) = pruned.compress(&options.keypoints)?;
             (pruned.account(&options, compact, file)?, None)
@@ -270,7 +288,7 @@ fn describe_search(bounds: &[(String, f64)], trials: &[ErrorTrial]) -> Found {
 fn judge(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Judge> {
     let images = JudgeImages {
         capture: arguments.capture.clone(),
-        split: arguments.cameras.unwrap_or(Cameras::Test).split(),
+        split: arguments.cameras.unwrap_or(if arguments.tune { Cameras::Train } else { Cameras::Test }).split(),
         frames: arguments.frames.as_ref().map(|frames| frames.0.clone()),
     };
     Ok(Judge::new(scene, &images, arguments.backend.open(BackendName::Auto)?.renderer())?)
@@ -337,7 +355,7 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         capture: arguments.capture.clone(),
         plain: arguments.storage == Storage::Plain,
         up: arguments.up,
-        version: arguments.format.or(arguments.max_error.as_ref().map(|_| 2)),
+        version: arguments.format,
         views: arguments.views,
         data: arguments.attach.iter().map(Attachment::read).collect::<Result<_, _>>()?,
         ..CompressOptions::default()

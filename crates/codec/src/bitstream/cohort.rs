@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::head::Head;
 use super::reader::{SegmentReader, SharedModels};
-use super::section::{self, Cursor, Entry, MAPS};
+use super::section::{self, Cursor, Entry, MAPS, SKIPPED};
 use super::segment::Segment;
 use super::shared::Shared;
 use crate::error::{DecodeError, ENDS_EARLY};
@@ -38,7 +38,7 @@ impl Cohort {
     pub(super) fn new(head: Head, sections: Vec<Entry>, budget: Arc<Budget>) -> Self {
         debug_assert_eq!(sections.len(), Self::num_sections(&head));
         Self {
-            of_segment: head.plan.varying().count(),
+            of_segment: head.plan.listed_varying().count(),
             models: None,
             shared: Arc::new(Shared::new(&head.plan, head.has_lives)),
             layers_read: 0,
@@ -50,7 +50,7 @@ impl Cohort {
 
     /// Sections of a cohort: those of every shared layer, then those of every layer of every segment.
     pub(super) fn num_sections(head: &Head) -> usize {
-        let of_layer = sections_of_layer(head) + head.num_segments() * head.plan.varying().count();
+        let of_layer = sections_of_layer(head) + head.num_segments() * head.plan.listed_varying().count();
         head.layers.len() * of_layer
     }
 
@@ -87,6 +87,23 @@ impl Cohort {
     /// Whether some Gaussians live for a part of the cohort's timesteps only; see [`Segment::lives`].
     pub fn has_lives(&self) -> bool {
         self.head.has_lives
+    }
+
+    /// Names of optional attributes that are left out, since a newer version of this crate coded them.
+    pub fn skipped(&self) -> impl Iterator<Item = &str> {
+        self.head.plan.skipped.iter().map(|skipped| skipped.name.as_str())
+    }
+
+    /// Whether another cohort has the same attributes, as all cohorts of a file must.
+    pub(crate) fn has_attributes_of(&self, other: &Self) -> bool {
+        let [own, others] = [self, other].map(|cohort| &cohort.head.plan.skipped);
+        let skips_same = own.len() == others.len() && own.iter().zip(others).all(|(own, other)| own.is_like(other));
+        self.layout() == other.layout() && skips_same
+    }
+
+    /// Whether there are sections in segments.
+    pub(super) fn has_segments(&self) -> bool {
+        self.of_segment > 0
     }
 
     /// Number of shared layers that [`Self::read_shared`] has read so far.
@@ -169,7 +186,7 @@ impl Cohort {
         self.num_layers() * (1 + self.num_segments())
     }
 
-    /// Sections of a group with their bytes.
+    /// Sections of a group with their bytes, without those of skipped attributes, whose checksums are verified alone.
     ///
     /// - `bytes`: from `offset` of the file
     pub(super) fn sections<'a>(
@@ -178,16 +195,17 @@ impl Cohort {
         offset: u64,
         bytes: &'a [u8],
     ) -> Result<Vec<Cursor<'a>>, DecodeError> {
-        let sections = self.sections[self.group(group)].iter();
-        sections
-            .map(|entry| {
-                let range = (entry.range.start - offset) as usize..(entry.range.end - offset) as usize;
-                let section = bytes.get(range);
-                let early =
-                    || Cursor::new(section::name(entry.tag), entry.range.start, &[]).invalid("length", ENDS_EARLY);
-                entry.open(section.ok_or_else(early)?)
-            })
-            .collect()
+        let mut cursors = Vec::new();
+        for entry in &self.sections[self.group(group)] {
+            let range = (entry.range.start - offset) as usize..(entry.range.end - offset) as usize;
+            let section = bytes.get(range);
+            let early = || Cursor::new(section::name(entry.tag), entry.range.start, &[]).invalid("length", ENDS_EARLY);
+            let cursor = entry.open(section.ok_or_else(early)?)?;
+            if entry.tag != SKIPPED {
+                cursors.push(cursor);
+            }
+        }
+        Ok(cursors)
     }
 
     /// Reads the shared layers that follow those read so far.
@@ -262,9 +280,9 @@ impl Cohort {
     /// Names of all sections, in the order of [`Self::entries`].
     pub(super) fn entry_names(&self) -> impl Iterator<Item = String> {
         let plan = &self.head.plan;
-        let layer: Vec<&str> =
-            std::iter::once(section::name(MAPS)).chain(plan.layout.columns().iter().map(|c| c.name.as_str())).collect();
-        let varying: Vec<&str> = plan.varying().map(|a| plan.layout.name(a)).collect();
+        let name_of = |listed| plan.name_of(listed);
+        let layer: Vec<&str> = std::iter::once(section::name(MAPS)).chain(plan.listed().map(name_of)).collect();
+        let varying: Vec<&str> = plan.listed_varying().map(name_of).collect();
         let of_layers = layer.len() * self.num_layers();
         (0..self.sections.len()).map(move |i| {
             if i < of_layers { layer[i % layer.len()] } else { varying[(i - of_layers) % varying.len()] }.to_owned()
@@ -279,5 +297,5 @@ impl Cohort {
 
 /// Sections of a shared layer: its maps, and the first codes of every attribute.
 fn sections_of_layer(head: &Head) -> usize {
-    1 + head.plan.layout.columns().len()
+    1 + head.plan.num_listed()
 }

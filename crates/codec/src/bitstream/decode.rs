@@ -81,7 +81,7 @@ pub(super) fn open_cohorts(archive: &mut Archive, file: &[u8]) -> Result<Vec<Coh
         archive.open_cohort(cohort, file.get(head.start as usize..head.end as usize).unwrap_or(&[]))
     };
     let cohorts: Vec<Cohort> = (0..num_cohorts).map(open).collect::<Result<_, _>>()?;
-    let is_other = |pair: &[Cohort]| pair[0].layout() != pair[1].layout();
+    let is_other = |pair: &[Cohort]| !pair[0].has_attributes_of(&pair[1]);
     if let Some(at) = cohorts.windows(2).position(is_other) {
         return Err(other_attributes(archive.head_range(at + 1).start));
     }
@@ -110,7 +110,7 @@ fn check_cover(archive: &Archive, cohorts: &[Cohort], length: u64) -> Result<(),
         let shared = cohort.shared_range(cohort.num_layers());
         let start = archive.head_range(index).start..shared.end.max(archive.head_range(index).end);
         pieces.push((cohort.timesteps().start, index, 0, start));
-        if cohort.varies().contains(&true) {
+        if cohort.has_segments() {
             for segment in 0..cohort.num_segments() {
                 let range = cohort.segment_range(segment, cohort.num_layers());
                 pieces.push((cohort.timesteps_of(segment).start, index, 1 + segment, range));

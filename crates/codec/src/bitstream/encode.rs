@@ -216,6 +216,24 @@ impl<'a, W: Write + Seek> FileWriter<'a, W> {
         Ok(Self { writer: Writer2::new(file, info, &application(data)?, num_cohorts)?, num_gaussians: 0 })
     }
 
+    /// Declares other errors of the same attributes, such as those that were measured cohort by cohort while the file was
+    /// written. They count once the file is [finished](Self::finish).
+    ///
+    /// # Errors
+    /// As [`Self::declaring`]; also [`CompressError::Count`] if these are not the attributes that it was given, in their
+    /// order: the place for their names is fixed from then on.
+    pub fn declare(&mut self, errors: &[(String, f32)]) -> Result<(), CompressError> {
+        check_errors(errors)?;
+        let declared = &mut self.writer.info_mut().errors;
+        let agree = declared.iter().zip(errors).take_while(|(before, now)| before.0 == now.0).count();
+        if agree < declared.len().max(errors.len()) {
+            let what = "attributes with the names declared first".into();
+            return Err(CompressError::Count { what, found: agree, expected: declared.len() });
+        }
+        declared.clone_from_slice(errors);
+        Ok(())
+    }
+
     /// Adds the next cohort.
     ///
     /// # Errors

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::plan::Plan;
 use super::section::{Cursor, SHARED};
 use crate::compact::{ColorSpace, SceneInfo, UpAxis, Violation, check_division};
-use crate::error::DecodeError;
+use crate::error::{DecodeError, NEWER};
 use crate::limits::DecodeLimits;
 
 /// Most segments of a cohort.
@@ -48,7 +48,7 @@ impl Head {
     /// Length of the segments in timesteps. A cohort without Gaussians or without an attribute that varies has one
     /// segment of all timesteps: otherwise a few bytes could claim 65,536 segments.
     pub(super) fn segment_length(&self) -> usize {
-        let moves = self.num_gaussians > 0 && self.plan.varies.contains(&true);
+        let moves = self.num_gaussians > 0 && self.plan.listed_varying().next().is_some();
         if moves { self.segment_length as usize } else { self.num_timesteps }
     }
 
@@ -154,9 +154,9 @@ fn read_scene(cursor: &mut Cursor<'_>, limits: &DecodeLimits) -> Result<Info, De
         return Err(cursor.invalid("bounds", "not finite or not ascending"));
     }
     let color_space = ColorSpace::ALL.get(usize::from(cursor.u8("color_space")?)).copied();
-    let color_space = color_space.ok_or_else(|| cursor.invalid("color_space", "unknown"))?;
+    let color_space = color_space.ok_or_else(|| cursor.invalid("color_space", NEWER))?;
     let up = UpAxis::ALL.get(usize::from(cursor.u8("up")?)).copied();
-    let up = up.ok_or_else(|| cursor.invalid("up", "unknown"))?;
+    let up = up.ok_or_else(|| cursor.invalid("up", NEWER))?;
     let (name, generator) = (cursor.text("name")?, cursor.text("generator")?);
     let scene = SceneInfo {
         num_gaussians,

@@ -50,6 +50,8 @@ pub struct CohortInfo {
     pub segments: Vec<(Range<usize>, Range<u64>)>,
     /// Which columns the Gaussians have.
     pub layout: Arc<Layout>,
+    /// Names of optional attributes that this version of the crate cannot decode, and leaves out.
+    pub skipped: Vec<String>,
 }
 
 /// One section of a file.
@@ -207,6 +209,7 @@ impl FileInfo {
             layers: cohort.layers().to_vec(),
             segments: segments.collect(),
             layout: Arc::clone(cohort.layout()),
+            skipped: cohort.skipped().map(str::to_owned).collect(),
         });
     }
 }

@@ -7,8 +7,8 @@ use tcgs_core::{Activation, Attribute, Column, Layout};
 
 use super::head::write_text;
 use super::neighbors::Neighbors;
-use super::section::Cursor;
-use crate::error::DecodeError;
+use super::section::{Cursor, SKIPPED, Tag, of_attribute};
+use crate::error::{DecodeError, NEWER};
 use crate::quantize::{Quantizer, Quantizers};
 
 /// Most components of an attribute.
@@ -17,6 +17,10 @@ pub(super) const MAX_COMPONENTS: usize = 32;
 pub(super) const RECENT: usize = 3;
 /// Interpolation between keypoints; only linear is known.
 const LINEAR: u8 = 0;
+/// Flags of an attribute below its coding: it varies, is joint, may be lacking, is optional.
+const NUM_FLAGS: u8 = 4;
+/// The only coding that is known: codes of tracks, with quantizers and predictors in the plan.
+const OF_TRACKS: u8 = 0;
 
 /// How the tracks of a cohort are described, the same for all layers.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,6 +35,44 @@ pub(super) struct Plan {
     pub(super) quantizers: Quantizers,
     /// By attribute: how first codes are predicted; none of means.
     pub(super) predictors: Vec<Vec<Predictor>>,
+    /// Optional attributes of codings that are not known, by ascending place.
+    pub(super) skipped: Vec<Skipped>,
+}
+
+/// An optional attribute of a coding that this decoder does not know: its sections are passed over.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Skipped {
+    /// Place in the list of attributes of the file.
+    pub(super) place: usize,
+    pub(super) name: String,
+    pub(super) unit: String,
+    /// Components, activation and coding, as the file has them.
+    pub(super) described: [u8; 3],
+    /// Whether it has sections in segments.
+    pub(super) varies: bool,
+}
+
+impl Skipped {
+    /// Whether another cohort describes the same attribute.
+    pub(super) fn is_like(&self, other: &Self) -> bool {
+        Self { varies: other.varies, ..self.clone() } == *other
+    }
+}
+
+/// An attribute in the list of a plan.
+pub(super) enum Listed<'a> {
+    Known(Attribute),
+    Skipped(&'a Skipped),
+}
+
+impl Listed<'_> {
+    /// Tag of its sections.
+    pub(super) fn tag(&self) -> Tag {
+        match self {
+            Self::Known(attribute) => of_attribute(*attribute),
+            Self::Skipped(_) => SKIPPED,
+        }
+    }
 }
 
 impl Plan {
@@ -43,7 +85,38 @@ impl Plan {
             sparse: vec![false; num_columns],
             quantizers: Quantizers::none(&layout),
             predictors: vec![Vec::new(); num_columns],
+            skipped: Vec::new(),
             layout,
+        }
+    }
+
+    /// All attributes in the order of the file, also those that are skipped.
+    pub(super) fn listed(&self) -> impl Iterator<Item = Listed<'_>> {
+        let (mut known, mut skipped) = (self.layout.attributes(), self.skipped.iter().peekable());
+        (0..self.num_listed()).map(move |place| match skipped.next_if(|skipped| skipped.place == place) {
+            Some(skipped) => Listed::Skipped(skipped),
+            None => Listed::Known(known.next().expect("an attribute at every place that is not skipped")),
+        })
+    }
+
+    /// Number of all attributes in the file.
+    pub(super) fn num_listed(&self) -> usize {
+        self.layout.columns().len() + self.skipped.len()
+    }
+
+    /// Those of [`Self::listed`] that have sections in segments.
+    pub(super) fn listed_varying(&self) -> impl Iterator<Item = Listed<'_>> {
+        self.listed().filter(|listed| match listed {
+            Listed::Known(attribute) => self.varies[attribute.index()],
+            Listed::Skipped(skipped) => skipped.varies,
+        })
+    }
+
+    /// Name of an attribute of the list.
+    pub(super) fn name_of<'a>(&'a self, listed: Listed<'a>) -> &'a str {
+        match listed {
+            Listed::Known(attribute) => self.layout.name(attribute),
+            Listed::Skipped(skipped) => &skipped.name,
         }
     }
 
@@ -166,19 +239,31 @@ pub(super) fn read_plan_1(mut cursor: Cursor<'_>) -> Result<Plan, DecodeError> {
 
 /// The plan of a cohort of version 2.
 pub(super) fn read_plan_2(cursor: &mut Cursor<'_>) -> Result<Plan, DecodeError> {
-    let num_columns = usize::from(cursor.u8("number of attributes")?);
+    let num_listed = usize::from(cursor.u8("number of attributes")?);
     let mut layout = Layout::default();
     let mut plan = Plan::new(Layout::base());
-    for a in 0..num_columns {
+    for place in 0..num_listed {
         let (name, unit) = (cursor.text("name of an attribute")?, cursor.text("unit")?);
-        let components = usize::from(cursor.u8("components")?);
-        let activation = Activation::ALL.get(usize::from(cursor.u8("activation")?)).copied();
-        let activation = activation.ok_or_else(|| cursor.invalid("activation", "unknown"))?;
-        let flags = cursor.u8("flags of an attribute")?;
-        if flags >> 3 > 0 {
-            return Err(cursor.invalid("flags of an attribute", "unknown"));
+        let is_base = place < Attribute::BASE.len();
+        if !is_base && (layout.find(&name).is_some() || plan.skipped.iter().any(|skipped| skipped.name == name)) {
+            return Err(cursor.invalid("name of an attribute", "that of another attribute"));
         }
-        let [varies, joint, sparse] = [0, 1, 2].map(|i| flags >> i & 1 > 0);
+        let [components, activation] = [cursor.u8("components")?, cursor.u8("activation")?];
+        let flags = cursor.u8("flags of an attribute")?;
+        let [varies, joint, sparse, optional] = [0, 1, 2, 3].map(|i| flags >> i & 1 > 0);
+        let coding = flags >> NUM_FLAGS;
+        if coding != OF_TRACKS {
+            if !optional || is_base {
+                return Err(cursor.invalid("coding of an attribute", NEWER));
+            }
+            let bytes = cursor.u32("length of an attribute")?;
+            cursor.take("length of an attribute", bytes as usize)?;
+            plan.skipped.push(Skipped { place, name, unit, described: [components, activation, coding], varies });
+            continue;
+        }
+        let (a, components) = (place - plan.skipped.len(), usize::from(components));
+        let activation = Activation::ALL.get(usize::from(activation)).copied();
+        let activation = activation.ok_or_else(|| cursor.invalid("activation", NEWER))?;
         let attribute = match Attribute::BASE.get(a) {
             Some(&attribute) => {
                 let known = Column::like(attribute);
@@ -187,15 +272,13 @@ pub(super) fn read_plan_2(cursor: &mut Cursor<'_>) -> Result<Plan, DecodeError> 
                 {
                     return Err(cursor.invalid("name of an attribute", "not the attribute that is due"));
                 }
-                if sparse {
-                    return Err(cursor.invalid("flags of an attribute", "one that every Gaussian has may be lacking"));
+                if sparse || optional {
+                    let problem = "one that every Gaussian has may be lacking or left out";
+                    return Err(cursor.invalid("flags of an attribute", problem));
                 }
                 attribute
             }
             None => {
-                if layout.find(&name).is_some() {
-                    return Err(cursor.invalid("name of an attribute", "that of another attribute"));
-                }
                 if !(1..=MAX_COMPONENTS).contains(&components) {
                     return Err(cursor.invalid("components", "not within 1 to 32"));
                 }
@@ -212,7 +295,7 @@ pub(super) fn read_plan_2(cursor: &mut Cursor<'_>) -> Result<Plan, DecodeError> 
         (plan.varies[a], plan.joint[a], plan.sparse[a]) = (varies, joint, sparse);
         read_attribute(cursor, &mut plan, attribute)?;
     }
-    if num_columns < Attribute::BASE.len() {
+    if num_listed < Attribute::BASE.len() {
         return Err(cursor.invalid("number of attributes", "fewer than every Gaussian has"));
     }
     plan.layout = Arc::new(layout);
@@ -223,7 +306,7 @@ pub(super) fn read_plan_2(cursor: &mut Cursor<'_>) -> Result<Plan, DecodeError> 
 fn read_attribute(cursor: &mut Cursor<'_>, plan: &mut Plan, attribute: Attribute) -> Result<(), DecodeError> {
     let (a, components) = (attribute.index(), attribute.components());
     if cursor.u8("interpolation")? != LINEAR {
-        return Err(cursor.invalid("interpolation", "unknown"));
+        return Err(cursor.invalid("interpolation", NEWER));
     }
     let by_width = &mut plan.quantizers.attributes[a];
     for _ in 0..cursor.u8("number of widths")? {
@@ -244,7 +327,7 @@ fn read_attribute(cursor: &mut Cursor<'_>, plan: &mut Plan, attribute: Attribute
     if attribute != Attribute::Mean {
         for channel in 0..components {
             let mode = Mode::ALL.get(usize::from(cursor.u8("mode")?)).copied();
-            let mode = mode.ok_or_else(|| cursor.invalid("mode", "unknown"))?;
+            let mode = mode.ok_or_else(|| cursor.invalid("mode", NEWER))?;
             let mut weights = Vec::with_capacity(num_weights(attribute, channel));
             for _ in 0..weights.capacity() {
                 weights.push(cursor.f32("weight")?);

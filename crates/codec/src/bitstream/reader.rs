@@ -12,7 +12,7 @@ use super::plan::Plan;
 use super::section::Cursor;
 use super::segment::Segment;
 use super::shared::{CurveModels, FirstModels, MapModels, Shared};
-use crate::error::DecodeError;
+use crate::error::{DecodeError, NEWER};
 use crate::limits::Budget;
 use crate::parallel;
 
@@ -115,7 +115,7 @@ impl SegmentReader {
         let jobs = self.attributes.iter_mut().zip(sections).collect();
         let results = parallel::map(jobs, |((attribute, models, units), mut cursor)| {
             let motion = Motion::ALL.get(usize::from(cursor.u8("motion")?)).copied();
-            let motion = motion.ok_or_else(|| cursor.invalid("motion", "unknown"))?;
+            let motion = motion.ok_or_else(|| cursor.invalid("motion", NEWER))?;
             let place = Scope {
                 plan: &cohort.head().plan,
                 shared: cohort.shared(),

@@ -34,6 +34,9 @@ pub(super) fn of_attribute(attribute: Attribute) -> Tag {
     }
 }
 
+/// Content of an attribute that is skipped. In a head there are no tags: this one is for the table of its sections.
+pub(super) const SKIPPED: Tag = *b"skip";
+
 /// Name of a section in messages.
 pub(super) fn name(tag: Tag) -> &'static str {
     match &tag {
@@ -42,6 +45,7 @@ pub(super) fn name(tag: Tag) -> &'static str {
         b"MAPS" => "maps",
         b"COHO" => "cohorts",
         b"MORE" => "further attribute",
+        b"skip" => "skipped attribute",
         b"appl" => "application data",
         _ => Attribute::BASE.into_iter().find(|&a| of_attribute(a) == tag).map_or("unknown section", Attribute::name),
     }

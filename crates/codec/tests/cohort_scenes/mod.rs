@@ -22,13 +22,16 @@ struct Shape {
     has_lives: bool,
     /// Of ten Gaussians so many lack a further attribute, about.
     lacking: u64,
+    /// Whether no attribute varies.
+    is_still: bool,
 }
 
 impl Shape {
     /// Timesteps `start..start + num_timesteps`, one layer, five attributes, which all live throughout.
     fn new(num_gaussians: u32, start: u32, num_timesteps: u32) -> Self {
         let layers = vec![num_gaussians];
-        Self { start, num_timesteps, segment_length: 4, layers, layout: Layout::base(), has_lives: false, lacking: 0 }
+        let layout = Layout::base();
+        Self { start, num_timesteps, segment_length: 4, layers, layout, has_lives: false, lacking: 0, is_still: false }
     }
 }
 
@@ -72,7 +75,8 @@ fn cohort(shape: &Shape, random: &mut Numbers) -> CompactScene {
     let num_gaussians = shape.layers.iter().sum::<u32>() as usize;
     let layout = &shape.layout;
     let is_further = |a: Attribute| matches!(a, Attribute::Extra { .. });
-    let varies = |a| if is_further(a) { layout.column(a).varies } else { a != Attribute::LogScale };
+    let varies_by_name = |a| if is_further(a) { layout.column(a).varies } else { a != Attribute::LogScale };
+    let varies = |a| !shape.is_still && shape.num_timesteps > 1 && varies_by_name(a);
     let mut scene = CompactScene {
         layout: Arc::clone(layout),
         info: info(num_gaussians as u32, shape.num_timesteps),
@@ -80,7 +84,7 @@ fn cohort(shape: &Shape, random: &mut Numbers) -> CompactScene {
         lives: shape.has_lives.then(|| lives_of(num_gaussians, shape.num_timesteps, random)),
         bit_map: BitMap::default(),
         quantizers: Quantizers { attributes: Vec::new() },
-        varies: layout.attributes().map(|a| shape.num_timesteps > 1 && varies(a)).collect(),
+        varies: layout.attributes().map(varies).collect(),
         layers: shape.layers.clone(),
         segment_length: shape.segment_length,
         tracks: Vec::new(),
@@ -218,6 +222,13 @@ pub fn layers() -> File {
     let layout = with_columns(&[("spectrum", 32, Activation::Identity, true)]);
     let shape = Shape { layout, has_lives: true, lacking: 3, layers: vec![4, 8, 12], ..Shape::new(0, 1, 9) };
     file(vec![cohort(&shape, random)], 0)
+}
+
+/// Nothing varies in two layers, so that there is one segment, whatever its length. `forge_v2.py` adds an attribute to
+/// skip, which varies.
+pub fn still() -> File {
+    let random = &mut Numbers(37);
+    file(vec![cohort(&Shape { is_still: true, layers: vec![2, 3], ..Shape::new(0, 1, 10) }, random)], 0)
 }
 
 /// Frames of a flip-book: a cohort a timestep, each of another number of Gaussians, and one of none.

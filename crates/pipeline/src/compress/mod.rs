@@ -7,14 +7,15 @@ mod max_error;
 mod parts;
 mod settings;
 mod target;
+mod tune;
 mod views;
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use tcgs_codec::{
-    BitMap, BitMapping, CompactFile, CompressSettings, DecodeLimits, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS,
-    inspect,
+    AttributeErrors, BitMap, BitMapping, CompactFile, CompressSettings, DecodeLimits, FORMAT_VERSION, MAX_BITS,
+    Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians, Layout, SceneReader};
 
@@ -27,6 +28,7 @@ pub use judge::{Judge, JudgeImages};
 pub use max_error::{ErrorSearch, search_errors};
 pub use settings::{CompressPreset, position_step_remark, settings_of};
 pub use target::{QUALITY_RANGE, SearchResult, Target, search};
+pub use tune::{Tuning, tune};
 
 /// How a scene is compressed.
 #[derive(Clone, Debug)]
@@ -47,8 +49,9 @@ pub struct CompressOptions {
     pub plain: bool,
     /// What points up; none: found by the capture's cameras.
     pub up: Option<UpAxis>,
-    /// Version of the format; none: the oldest that holds the scene.
-    pub version: Option<u16>,
+    /// Version of the format: 1 or 2. Default: 2; version 1, for older readers, holds neither further columns nor Gaussians
+    /// that come and go, and declares no errors.
+    pub version: u16,
     /// Most cameras that the file gives players to start from.
     pub views: usize,
     /// Names and content of further application data (`docs/FORMAT.md`, "Application data").
@@ -70,7 +73,7 @@ impl Default for CompressOptions {
             capture: None,
             plain: false,
             up: None,
-            version: None,
+            version: FORMAT_VERSION,
             views: 8,
             data: Vec::new(),
             max_float_bytes: 1 << 29,
@@ -131,8 +134,8 @@ pub struct Compressed {
 pub struct PrunedScene<'a> {
     content: Pruned<'a>,
     info: SceneInfo,
-    /// Of the format; none: the oldest that holds the scene.
-    version: Option<u16>,
+    /// Of the format.
+    version: u16,
     num_gaussians_before: usize,
     raw_bytes: u64,
     /// Of chapters, unless the settings say another.
@@ -141,6 +144,15 @@ pub struct PrunedScene<'a> {
     data: Vec<(String, Vec<u8>)>,
     /// Where the bits come from, in words.
     pub bits_from: String,
+}
+
+/// What a file declares of its errors.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Errors {
+    /// What they are: the floats are read once more.
+    Measured,
+    /// 0 for all, while settings are searched.
+    Zeros,
 }
 
 /// What stays of a scene, and its bits.
@@ -224,9 +236,24 @@ impl<'a> PrunedScene<'a> {
     /// # Errors
     /// [`PipelineError`] if the codec refuses the scene or the settings.
     pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactFile, Vec<u8>), PipelineError> {
+        self.compress_with(settings, Errors::Measured)
+    }
+
+    /// [`Self::compress`] for a search: what it declares is 0 instead of measured, and its file is as long.
+    ///
+    /// # Errors
+    /// As there.
+    fn try_out(&self, settings: &CompressSettings) -> Result<(CompactFile, Vec<u8>), PipelineError> {
+        self.compress_with(settings, Errors::Zeros)
+    }
+
+    fn compress_with(
+        &self,
+        settings: &CompressSettings,
+        errors: Errors,
+    ) -> Result<(CompactFile, Vec<u8>), PipelineError> {
         let segment_length = settings.segment_length.or(self.segment_length);
         let settings = &CompressSettings { segment_length, ..settings.clone() };
-        let version_of = |compact: &CompactFile| self.version.unwrap_or_else(|| compact.oldest_version());
         let mut compact = match &self.content {
             Pruned::Whole { kept, births, bit_map, learned } => {
                 let (mut compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
@@ -235,19 +262,21 @@ impl<'a> PrunedScene<'a> {
                     compact = compact.with_lives(order.iter().map(|&g| [births[g], last]).collect());
                 }
                 let mut compact = CompactFile::of(compact);
-                if version_of(&compact) > 1 {
-                    compact.declared_errors = kept.errors_of(&compact.cohorts[0], &order)?.declared();
+                if self.version > 1 {
+                    compact.declared_errors = match errors {
+                        Errors::Measured => kept.errors_of(&compact.cohorts[0], &order)?.declared(),
+                        Errors::Zeros => AttributeErrors::none(&kept.layout()).declared(),
+                    };
                 }
                 compact
             }
-            Pruned::Parts(parts) => parts.compress(&self.info, settings)?,
+            Pruned::Parts(parts) => parts.compress(&self.info, settings, errors)?,
         };
         let data: Vec<_> = self.data.iter().map(|(name, data)| (&name[..], &data[..])).collect();
-        let version = version_of(&compact);
-        if version == 1 {
+        if self.version == 1 {
             compact.declared_errors.clear();
         }
-        let file = compact.encode(version, &data)?;
+        let file = compact.encode(self.version, &data)?;
         Ok((compact, file))
     }
 

@@ -8,7 +8,7 @@ use tcgs_core::{Gaussians, Layout, SceneReader};
 
 use super::bits::measured_bits;
 use super::kept::Kept;
-use super::{CompressOptions, bits};
+use super::{CompressOptions, Errors, bits};
 use crate::{OpenScene, PipelineError};
 
 /// Most timesteps of a part.
@@ -86,7 +86,12 @@ impl<'a> Parts<'a> {
     /// The symbols of all parts, with their errors.
     ///
     /// - `info`: of the whole scene, but for its counts
-    pub fn compress(&self, info: &SceneInfo, settings: &CompressSettings) -> Result<CompactFile, PipelineError> {
+    pub fn compress(
+        &self,
+        info: &SceneInfo,
+        settings: &CompressSettings,
+        declared: Errors,
+    ) -> Result<CompactFile, PipelineError> {
         let mut cohorts = Vec::new();
         let mut errors = AttributeErrors::none(SceneReader::layout(self.scene));
         let mut reader = Reader(self.scene);
@@ -104,7 +109,9 @@ impl<'a> Parts<'a> {
             if !part.all_live() {
                 compact = compact.with_lives(order.iter().map(|&g| part.lives[g]).collect());
             }
-            errors.extend(&AttributeErrors::of(&compact, &mut &part.scene, &order)?);
+            if declared == Errors::Measured {
+                errors.extend(&AttributeErrors::of(&compact, &mut &part.scene, &order)?);
+            }
             compact.start = part.start as u32;
             cohorts.push(compact);
         }

@@ -50,6 +50,15 @@ pub struct SearchResult {
     pub file: Vec<u8>,
 }
 
+impl SearchResult {
+    /// Settings that need no search, since their PSNR in dB is known.
+    pub(super) fn of(pruned: &PrunedScene, settings: CompressSettings, psnr: f64) -> Result<Self, PipelineError> {
+        let (compact, file) = pruned.compress(&settings)?;
+        let trial = Trial { steps: 0, bytes: file.len() as u64, psnr: Some(psnr) };
+        Ok(Self { trial, trials: vec![trial], settings, compact, file })
+    }
+}
+
 /// Searches the setting for a target. Every setting tried is told as [`Event::Tried`].
 ///
 /// - `settings`: those of quality 0
@@ -65,18 +74,19 @@ pub fn search(
 ) -> Result<SearchResult, PipelineError> {
     let (trials, best) = search_with(target, |steps| {
         let of_trial = settings.clone().with_quality(steps as f32 / STEPS as f32);
-        let (compact, file) = pruned.compress(&of_trial)?;
+        let (compact, file) = pruned.try_out(&of_trial)?;
         let psnr = match target {
             Target::Bytes(_) => None,
             Target::Psnr(_) => Some(judge.psnr(&compact)?),
         };
         let trial = Trial { steps, bytes: file.len() as u64, psnr };
         tell(observer, Event::Tried(&trial))?;
-        Ok((trial, (of_trial, compact, file)))
+        Ok((trial, of_trial))
     })?;
-    let Some((mut trial, (settings, compact, file))) = best else {
+    let Some((mut trial, settings)) = best else {
         return Err(unreachable_target(target, &trials, judge));
     };
+    let (compact, file) = pruned.compress(&settings)?;
     if trial.psnr.is_none() {
         trial.psnr = Some(judge.psnr(&compact)?);
         tell(observer, Event::Tried(&trial))?;

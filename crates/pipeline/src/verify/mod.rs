@@ -67,7 +67,7 @@ impl Comparison {
 /// write_params_npz(&path, &floats, &ParamsExtras::default())?;
 ///
 /// let source = OpenScene::open(&path, OpenSettings::default())?;
-/// let compressed = compress_scene(&source, &CompressOptions { version: Some(2), ..CompressOptions::default() })?;
+/// let compressed = compress_scene(&source, &CompressOptions::default())?;
 /// let file = source.with_symbols(compressed.compact);
 /// assert!(compare(&file, &source, &mut Unobserved)?.holds());
 /// # Ok::<(), Box<dyn std::error::Error>>(())

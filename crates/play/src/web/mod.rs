@@ -3,6 +3,7 @@
 //! The state of a `Viewer` lies behind one `RefCell`, which is never borrowed across an `await`, so that the page may call
 //! any method while a promise of another one is pending.
 
+mod attached;
 mod camera_path;
 mod object;
 mod source;
@@ -29,7 +30,6 @@ use source::WebSource;
 const LOOK_MS: i32 = 2;
 
 /// What a `Viewer` shares with its pending promises.
-
 struct ViewerState {
     viewer: Viewer<WebSource>,
     gpu: Gpu,
@@ -146,8 +146,9 @@ impl WebViewer {
     }
 
     /// What the file says of its scene: `{name, generator, numGaussians, numTimesteps, firstFrame, frameRate, bytes,
-    /// cameras}`, where each camera is in the form of `camera()`, with `name` and `position` besides; null while no scene
-    /// is open.
+    /// cameras, credits, times}`, where each camera is in the form of `camera()`, with `name` and `position` besides, `credits`
+    /// are `{licence, authors, source}` or null, and `times` are the seconds of timesteps that are not evenly apart, or null;
+    /// null while no scene is open.
     pub fn info(&self) -> JsValue {
         let state = self.state.borrow();
         let Some(archive) = state.viewer.archive().filter(|_| state.is_open) else { return JsValue::NULL };
@@ -162,14 +163,17 @@ impl WebViewer {
             ("frameRate", f64::from(info.frame_rate).into()),
             ("bytes", (archive.file_bytes() as f64).into()),
             ("cameras", cameras.into()),
+            ("credits", state.credits()),
+            ("times", state.times()),
         ])
     }
 
     /// Lets time pass and draws once. A page calls this for every frame that the browser shows.
     ///
     /// - `now_ms`: as `requestAnimationFrame` gives it
-    /// - returns: `{time, timestep, playing, buffering, drawn, gaussians, bytesLoaded, width, height}`; `time` is the
-    ///   clock's position in timesteps, `drawn` whether the picture shows the due timestep with all its splats
+    /// - returns: `{time, seconds, timestep, playing, buffering, drawn, gaussians, bytesLoaded, width, height}`; `time` is the
+    ///   clock's position in timesteps and `seconds` in seconds from the first one, `drawn` whether the picture shows the due
+    ///   timestep with all its splats
     ///
     /// Throws errors with a `code`. Errors of a scene that is still being opened reject the promise of `open` instead.
     pub fn frame(&self, now_ms: f64) -> Result<JsValue, JsValue> {
@@ -186,6 +190,7 @@ impl WebViewer {
         let frame = drawn.as_ref();
         Ok(object([
             ("time", frame.map_or(0.0, |frame| frame.time).into()),
+            ("seconds", frame.map_or(0.0, |frame| frame.seconds).into()),
             ("timestep", frame.map_or(0, |frame| frame.timestep as u32).into()),
             ("playing", frame.is_some_and(|frame| frame.is_playing).into()),
             ("buffering", frame.is_none_or(|frame| frame.is_buffering).into()),

@@ -9,9 +9,9 @@ use super::super::archive::{Archive, Opening, Place};
 use super::super::cohort::Cohort;
 use super::super::head::{Head, Info, read_info_2, read_layers, write_info_2, write_layers};
 use super::super::plan::{Plan, read_plan_2, write_plan_2};
-use super::super::section::{self, COHORTS, Cursor, Entry, INFO, MAPS, SHARED, Tag};
+use super::super::section::{COHORTS, Cursor, Entry, INFO, MAPS, SHARED, Tag};
 use super::{MAGIC, agrees};
-use crate::error::{CompressError, DecodeError};
+use crate::error::{CompressError, DecodeError, NEWER};
 use crate::limits::DecodeLimits;
 
 /// Magic, version, number of sections, length of the file, checksum.
@@ -72,7 +72,7 @@ pub(in super::super) fn open(header: &[u8], start: &[u8], limits: &DecodeLimits)
         end = offset + bytes;
         let entry = Entry { tag, segment: SHARED, layer: 0, range: offset..end, checksum };
         if ![INFO, COHORTS].contains(&tag) && !entry.is_optional() {
-            return Err(cursor.invalid("tag", "a section that this decoder does not know and may not skip"));
+            return Err(cursor.invalid("tag", NEWER));
         }
         entries.push(entry);
     }
@@ -187,7 +187,7 @@ pub(in super::super) fn read_head(
     }
     let flags = cursor.u8("flags")?;
     if flags & !HAS_LIVES > 0 {
-        return Err(cursor.invalid("flags", "unknown"));
+        return Err(cursor.invalid("flags", NEWER));
     }
     let segment_length = cursor.u32("segment_length")?;
     let layers = read_layers(&mut cursor)?;
@@ -209,7 +209,8 @@ pub(in super::super) fn read_head(
     head.check().map_err(|violation| cursor.invalid(violation.field, violation.problem))?;
     let num_layers = head.layers.len();
     // The rest of the head has eight bytes for each section, and eight more for each segment.
-    let varying: Vec<Tag> = head.plan.varying().map(section::of_attribute).collect();
+    let of_shared: Vec<Tag> = head.plan.listed().map(|listed| listed.tag()).collect();
+    let varying: Vec<Tag> = head.plan.listed_varying().map(|listed| listed.tag()).collect();
     let has_segments = !varying.is_empty();
     let left = place.head_bytes as u64 - cursor.position();
     let needed = 8 * (Cohort::num_sections(&head) as u64 + u64::from(has_segments) * head.num_segments() as u64);
@@ -227,8 +228,8 @@ pub(in super::super) fn read_head(
     };
     for layer in 0..num_layers {
         entry(&mut cursor, MAPS, SHARED.into(), layer, &mut offset)?;
-        for attribute in head.plan.layout.attributes() {
-            entry(&mut cursor, section::of_attribute(attribute), SHARED.into(), layer, &mut offset)?;
+        for &tag in &of_shared {
+            entry(&mut cursor, tag, SHARED.into(), layer, &mut offset)?;
         }
     }
     if offset != place.offset + u64::from(place.head_bytes) + u64::from(place.shared_bytes) {
@@ -343,6 +344,11 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     /// What holds for the whole scene.
     pub(in super::super) fn info(&self) -> &Info {
         &self.info
+    }
+
+    /// The same, to be changed before [`Self::finish`] writes it; its length must stay.
+    pub(in super::super) fn info_mut(&mut self) -> &mut Info {
+        &mut self.info
     }
 
     /// Extends the bounding box of the scene to that of a cohort.

@@ -1,7 +1,7 @@
 //! Prints of each `.tcgs` file a checksum of all its floats, to compare machines: decoders agree bit for bit.
 //!
 //! ```sh
-//! cargo run --release -p tcgs-codec --example checksum -- testdata/bitstream/v2/*.tcgs
+//! cargo run --release --manifest-path .ci/checksum/Cargo.toml -- testdata/bitstream/v2/*.tcgs
 //! ```
 
 use std::io::Cursor;

@@ -1,0 +1,44 @@
+//! Any bytes as a file of another program: no panic, and what is read can be written and read again.
+#![no_main]
+
+use std::path::PathBuf;
+
+use libfuzzer_sys::fuzz_target;
+use tcgs_core::SceneReader;
+use tcgs_interchange::{
+    FourdgsFile, HigherHarmonics, NpzReader, read_gaussians, read_npy, read_ply, read_ply_points, write_ply_to,
+};
+
+/// Readers take paths. One file a process.
+fn path(ending: &str) -> PathBuf {
+    std::env::temp_dir().join(format!("tcgs-fuzz-{}.{ending}", std::process::id()))
+}
+
+fuzz_target!(|bytes: &[u8]| {
+    let given = path("given");
+    std::fs::write(&given, bytes).expect("a temporary file");
+    if let Ok(gaussians) = read_gaussians(&given, HigherHarmonics::Keep) {
+        assert!(gaussians.num_gaussians() > 0 && gaussians.means().as_flattened().iter().all(|x| x.is_finite()));
+        let mut ply = Vec::new();
+        if write_ply_to(&mut ply, &gaussians).is_ok() {
+            let again = path("ply");
+            std::fs::write(&again, ply).expect("a temporary file");
+            let again = read_ply(&again, HigherHarmonics::Keep).expect("a file just written");
+            assert_eq!(again.num_gaussians(), gaussians.num_gaussians());
+        }
+    }
+    let _ = read_ply_points(&given);
+    let _ = read_npy(&given);
+    if let Ok(mut archive) = NpzReader::open(&given) {
+        let names: Vec<String> = archive.array_names().collect();
+        for name in names {
+            let _ = archive.type_of(&name);
+            let _ = archive.array(&name);
+        }
+    }
+    if let Ok(file) = FourdgsFile::open(&given, HigherHarmonics::Keep) {
+        for timestep in 0..file.num_timesteps().min(8) {
+            let _ = file.at(timestep);
+        }
+    }
+});
