@@ -1,5 +1,6 @@
 //! `tcgs demo`: the whole pipeline on a capture that it synthesises itself.
 
+mod late;
 mod page;
 
 use std::fs;
@@ -16,6 +17,7 @@ use tcgs_pipeline::{
 };
 use tcgs_train::{Run, TrainConfig};
 
+use self::late::LateQuality;
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::interrupt;
@@ -33,7 +35,7 @@ const OURS: [&str; 6] = [MARKER, "capture", "run", "scene.tcgs", "frames", "repo
 
 /// Run everything on a small synthetic capture: no data, no GPU, under a minute on two cores
 ///
-/// Ray-traces moving objects in a room, trains on the images, compresses, and measures on held-out cameras.
+/// Ray-traces moving objects in a room, one of which enters later, trains on the images, compresses, and measures on held-out cameras.
 /// The folder then holds capture/, run/, scene.tcgs, frames/ (ground truth beside render) and report.html.
 #[derive(clap::Args)]
 #[command(mut_arg("backend", |backend| backend.help("What computes [default: cpu; with --device: gpu]")))]
@@ -84,6 +86,7 @@ struct Outcome {
     uncompressed: Evaluation,
     final_: Evaluation,
     frozen: Evaluation,
+    late: LateQuality,
     seconds: Vec<(&'static str, f64)>,
 }
 
@@ -170,10 +173,11 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
     let final_ = score(&decoded, false)?;
     let frozen = score(&scene, true)?;
     let stages = measure_stages(&scene, &compressed, quantized, &uncompressed, &final_, |s| score(s, false))?;
+    let late = LateQuality::measure(&decoded, &capture, &settings, &*renderer)?;
     lap("evaluate");
 
     let frames = page::write_frames(&decoded, &capture, &*renderer, &folder.join("frames"))?;
-    let mut outcome = Outcome { stages, compressed, uncompressed, final_, frozen, seconds: Vec::new() };
+    let mut outcome = Outcome { stages, compressed, uncompressed, final_, frozen, late, seconds: Vec::new() };
     lap("pictures");
     outcome.seconds = seconds;
     let html = page::html(&outcome, &run, frames)?;
@@ -233,6 +237,7 @@ fn print_table(arguments: &Arguments, outcome: &Outcome) -> anyhow::Result<()> {
     }
     let (moving, frozen) = (outcome.quality().psnr_foreground, Quality::of(&outcome.frozen).psnr_foreground);
     say(&format!("foreground {moving:.2} dB; with the first timestep frozen {frozen:.2} dB"))?;
+    say(&outcome.late.words())?;
     let seconds: Vec<String> = outcome.seconds.iter().map(|(name, s)| format!("{name} {s:.1} s")).collect();
     say(&format!("{}; {:.1} s in all", seconds.join(", "), outcome.seconds_total()))?;
     say(&format!("open {}", arguments.out.join("report.html").display()))
@@ -258,6 +263,7 @@ fn write_json(arguments: &Arguments, outcome: &Outcome) -> anyhow::Result<()> {
         "psnr_foreground": quality.psnr_foreground,
         "psnr_frozen_foreground": Quality::of(&outcome.frozen).psnr_foreground,
         "ssim": quality.ssim,
+        "late": outcome.late.json(),
         "stages": stages,
         "ratio": outcome.ratio(),
         "seconds": seconds,

@@ -92,6 +92,8 @@ pub fn html(outcome: &Outcome, run: &Run, pictures: Vec<Picture>) -> anyhow::Res
         ("smaller than raw", format!("{:.0} times", outcome.ratio())),
         ("raw", show_bytes(raw)),
         ("moving objects", format!("{:.2} dB (frozen {:.2})", quality.psnr_foreground, frozen.psnr_foreground)),
+        ("arrives later", format!("{:.2} dB", outcome.late.arrived)),
+        ("uncovered later", format!("{:.2} dB", outcome.late.uncovered)),
         ("SSIM", format!("{:.4}", quality.ssim)),
         (
             "Gaussians",
