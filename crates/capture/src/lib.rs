@@ -14,11 +14,14 @@
 //! images and videos out of the programs that only play scenes.
 
 mod builder;
+mod calibration;
 mod capture;
 mod checked;
+mod clocks;
 mod colmap;
 mod contents;
 mod decode;
+mod description;
 mod doctor;
 mod error;
 mod files;
@@ -31,6 +34,8 @@ mod names;
 mod points;
 mod points_in_view;
 mod prepare;
+mod raw;
+mod recording;
 mod synthetic;
 #[cfg(feature = "video")]
 mod video;
@@ -39,10 +44,14 @@ mod video;
 mod video;
 
 pub use builder::{CameraBuilder, CaptureBuilder};
+pub use calibration::{CalibratedCamera, Calibration};
 pub use capture::{Capture, Split};
+pub use clocks::{Clocks, ClocksFrom};
+pub use description::{CalibrationSource, CaptureDescription, ClockSource, DESCRIPTION_FILE, DescribedCamera, Role};
 pub use doctor::{CameraFit, Diagnosis, Finding, FindingKind, check};
 pub use error::CaptureError;
 pub use kind::{CaptureFacts, CaptureKind};
 pub use points::{POINTS_FILE, write_points};
-pub use prepare::{Origin, PrepareSettings, Prepared, prepare};
+pub use prepare::{Origin, PrepareSettings, Prepared, prepare, spread_points};
+pub use raw::{DescribeSettings, PlacedCameras, RawCamera, RawFootage};
 pub use synthetic::{SYNTHETIC_FRAME_RATE, SyntheticSettings, ball_at, write_synthetic};

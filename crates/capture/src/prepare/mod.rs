@@ -14,6 +14,7 @@ mod fuse;
 pub(crate) mod hull;
 mod patchmatch;
 mod shell;
+mod spread;
 mod thin;
 pub(crate) mod vantage;
 
@@ -147,6 +148,26 @@ pub fn prepare(
     Ok(prepared)
 }
 
+/// Strews points through what the training cameras of the first frame look at, for cameras that stand too far apart for
+/// [`prepare`]: no depth is known, but training has something to move.
+///
+/// - `capture`: with at least two training cameras, whose own points, if there are any, are not used
+/// - returns: at most about as many points as the settings say, all of them foreground
+///
+/// Equal captures and settings give equal points, whatever the number of threads.
+///
+/// # Errors
+/// [`CaptureError`] if there is one camera only, if an image cannot be decoded, or if the cameras do not look at one place.
+pub fn spread_points(capture: &Capture, settings: &PrepareSettings) -> Result<PointCloud, CaptureError> {
+    let views = capture.views(Split::Train, 0, 1)?;
+    if views.len() < 2 {
+        return Err(CaptureError::invalid(&capture.path, "has 1 training camera, expected at least 2"));
+    }
+    spread::spread(&views, settings).ok_or_else(|| {
+        CaptureError::invalid(&capture.path, "has no place that the cameras look at, expected cameras around a scene")
+    })
+}
+
 /// Whether there is enough to see depth in.
 pub(crate) fn check_enough(capture: &Capture, views: &[View]) -> Result<(), CaptureError> {
     let small = views.iter().map(|view| &view.camera).find(|camera| camera.width.min(camera.height) < MIN_SIDE);
@@ -168,12 +189,8 @@ pub(crate) fn check_comparable(capture: &Capture, views: &[View]) -> Result<(), 
     if (0..pinholes.len()).any(|i| patchmatch::neighbors(&pinholes, i, MIN_CAMERAS - 1).len() == MIN_CAMERAS - 1) {
         return Ok(());
     }
-    let degrees = patchmatch::MIN_DIRECTION_COSINE.acos().to_degrees();
-    let problem = format!(
-        "has no training camera with two others within {degrees:.0} degrees of its direction and away from its place, \
-         expected cameras closer together, or points from elsewhere"
-    );
-    Err(CaptureError::invalid(&capture.path, problem))
+    let degrees = patchmatch::MIN_DIRECTION_COSINE.acos().to_degrees().round() as usize;
+    Err(CaptureError::FarApart { path: capture.path.clone(), degrees })
 }
 
 fn pinholes(views: &[View]) -> Vec<Pinhole<f32>> {
