@@ -2,12 +2,14 @@
 //!
 //! - [`Capture::open`] recognises a folder's kind and reads its cameras; [`Capture::views`] decodes one frame.
 //! - [`CaptureBuilder`] makes a capture of cameras and images that a program already has.
+//! - [`RawFootage`], [`Calibration`] and [`Clocks`] turn a folder of videos into a [`CaptureDescription`], which
+//!   [`Capture::open`] opens.
 //! - [`prepare`] makes initial points by multi-view stereo, for a capture that has none.
 //! - [`check`] looks for wrong cameras, masks and clocks.
 //! - [`write_synthetic`] renders a small capture with known cameras, for tests and examples.
 //!
-//! The feature `video`, on by default, decodes H.264 videos; the decoder needs a C++ compiler. Without the feature a
-//! capture of videos is an error that names the feature.
+//! The feature `video`, on by default, decodes H.264 videos; the decoder needs a C++ compiler. Without the feature only a
+//! described capture has videos, which `ffmpeg` then decodes; any other is an error that names the feature.
 //!
 //! What lives here: the way from files of images, videos, masks, cameras and points to [`tcgs_core::View`] and
 //! [`tcgs_core::PointCloud`]. What does not: training and evaluation on the views. The split keeps the decoders of

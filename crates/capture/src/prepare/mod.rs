@@ -23,6 +23,8 @@ use tcgs_core::{Pinhole, PointCloud, View};
 
 use crate::{Capture, CaptureError, Split};
 
+pub use spread::spread_points;
+
 use fuse::{Belief, Point, Rule, SureDepths, agreed, num_hidden_from};
 use hull::{Hull, Silhouette};
 use patchmatch::{DepthMap, MAX_SOURCES, Plane, Range, Search, SourceView};
@@ -146,26 +148,6 @@ pub fn prepare(
         return Err(CaptureError::NoDepth { path: capture.path.clone() });
     }
     Ok(prepared)
-}
-
-/// Strews points through what the training cameras of the first frame look at, for cameras that stand too far apart for
-/// [`prepare`]: no depth is known, but training has something to move.
-///
-/// - `capture`: with at least two training cameras, whose own points, if there are any, are not used
-/// - returns: at most about as many points as the settings say, all of them foreground
-///
-/// Equal captures and settings give equal points, whatever the number of threads.
-///
-/// # Errors
-/// [`CaptureError`] if there is one camera only, if an image cannot be decoded, or if the cameras do not look at one place.
-pub fn spread_points(capture: &Capture, settings: &PrepareSettings) -> Result<PointCloud, CaptureError> {
-    let views = capture.views(Split::Train, 0, 1)?;
-    if views.len() < 2 {
-        return Err(CaptureError::invalid(&capture.path, "has 1 training camera, expected at least 2"));
-    }
-    spread::spread(&views, settings).ok_or_else(|| {
-        CaptureError::invalid(&capture.path, "has no place that the cameras look at, expected cameras around a scene")
-    })
 }
 
 /// Whether there is enough to see depth in.

@@ -11,6 +11,7 @@ use super::shell::Shell;
 use super::thin;
 use super::vantage::{Vantage, length, sub};
 use super::{Hull, Point, PrepareSettings, Stereo, median, solve};
+use crate::{Capture, CaptureError, Split};
 
 /// Points that are tried for each that stays.
 const TRIALS: usize = 12;
@@ -21,8 +22,28 @@ const SHELL_SHARE: f32 = 2.0;
 /// Share of the points that are on the shell.
 const ON_SHELL: f64 = 0.3;
 
+/// Strews points through what the training cameras of the first frame look at, for cameras that stand too far apart for
+/// [`prepare`](super::prepare): no depth is known, but training has something to move.
+///
+/// - `capture`: with at least two training cameras, whose own points, if there are any, are not used
+/// - returns: at most about as many points as the settings say, all of them foreground
+///
+/// Equal captures and settings give equal points, whatever the number of threads.
+///
+/// # Errors
+/// [`CaptureError`] if there is one camera only, if an image cannot be decoded, or if the cameras do not look at one place.
+pub fn spread_points(capture: &Capture, settings: &PrepareSettings) -> Result<PointCloud, CaptureError> {
+    let views = capture.views(Split::Train, 0, 1)?;
+    if views.len() < 2 {
+        return Err(CaptureError::invalid(&capture.path, "has 1 training camera, expected at least 2"));
+    }
+    spread(&views, settings).ok_or_else(|| {
+        CaptureError::invalid(&capture.path, "has no place that the cameras look at, expected cameras around a scene")
+    })
+}
+
 /// Strews points, if the cameras look at one place from several sides.
-pub(super) fn spread(views: &[View], settings: &PrepareSettings) -> Option<PointCloud> {
+fn spread(views: &[View], settings: &PrepareSettings) -> Option<PointCloud> {
     let widest = views.iter().map(|view| view.camera.width).max().unwrap_or(1);
     let factor = widest.div_ceil(settings.image_width).max(1);
     let (place, distance) = looked_at(views)?;

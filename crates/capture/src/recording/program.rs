@@ -32,6 +32,8 @@ pub(crate) struct ProgramVideo {
     pub quarter_turns: u8,
     /// Where the file's clock begins, which `ffmpeg` counts from when it seeks.
     begin_secs: f64,
+    /// Whether `ffmpeg` can begin at a frame: the file says when each is shown.
+    can_seek: bool,
     state: Mutex<State>,
 }
 
@@ -132,8 +134,9 @@ impl ProgramVideo {
             shown.iter().map(|packet| of(packet).as_ref().and_then(number)).collect()
         };
         // AVI says when frames are decoded, not when they are shown. In order both are the same but for a delay.
-        let mut times =
-            times(|packet| &packet.pts_time).or_else(|| times(|packet| &packet.dts_time)).unwrap_or_default();
+        let shown_at = times(|packet| &packet.pts_time);
+        let can_seek = shown_at.is_some();
+        let mut times = shown_at.or_else(|| times(|packet| &packet.dts_time)).unwrap_or_default();
         times.sort_by(f64::total_cmp);
         if times.is_empty() {
             return Err(invalid("has no frames with a time, expected some".into()));
@@ -147,6 +150,7 @@ impl ProgramVideo {
             codec: stream.codec_name.unwrap_or_else(|| "unknown".into()),
             quarter_turns: (degrees / 90.0).round().rem_euclid(4.0) as u8,
             begin_secs: probe.format.and_then(|format| format.start_time.as_ref().and_then(number)).unwrap_or(0.0),
+            can_seek,
             state: Mutex::default(),
         };
         Ok((video, Times::listed(times)))
@@ -182,10 +186,11 @@ impl ProgramVideo {
         Ok(image)
     }
 
-    /// Starts `ffmpeg` so that `frame` comes out first.
+    /// Starts `ffmpeg` so that `frame` comes out first, or where it cannot seek, the first of all.
     fn start(&self, frame: usize, times: &Times) -> Result<Running, CaptureError> {
         let mut command = Command::new("ffmpeg");
         command.args(["-v", "error", "-nostdin", "-threads", "2", "-noautorotate"]);
+        let frame = if self.can_seek { frame } else { 0 };
         if frame > 0 {
             // Between this frame and the one before.
             let secs = 0.5 * (times.secs(frame - 1) + times.secs(frame)) - self.begin_secs;

@@ -46,15 +46,30 @@ pub fn make(capture: &Capture, arguments: &Arguments) -> anyhow::Result<(Prepare
     Ok((prepared, told))
 }
 
-/// Strews points where cameras stand too far apart to be compared; another error stays one.
-pub fn spread(capture: &Capture, arguments: &Arguments, error: anyhow::Error) -> anyhow::Result<(PointCloud, Value)> {
-    let Some(CaptureError::FarApart { degrees, .. }) = error.downcast_ref() else { return Err(error) };
-    let degrees = *degrees;
+/// Points for a capture of few cameras: as [`make`], or strewn where the cameras stand too far apart to be compared, or
+/// hardly agree on any depth. Another error stays one.
+pub fn make_or_strew(capture: &Capture, arguments: &Arguments) -> anyhow::Result<(PointCloud, Value)> {
+    let why = match make(capture, arguments) {
+        Ok((prepared, told)) => {
+            let sure = prepared.count(Origin::Triangulated) + prepared.count(Origin::Hull);
+            if sure as f64 >= MIN_SURE * prepared.cloud.points.len() as f64 {
+                return Ok((prepared.cloud, told));
+            }
+            format!("only {sure} points have a depth that three cameras agree on")
+        }
+        Err(error) => match error.downcast_ref() {
+            Some(CaptureError::FarApart { degrees, .. }) => {
+                format!("no three cameras are within {degrees} degrees of each other, so no depth can be seen")
+            }
+            Some(CaptureError::NoDepth { .. }) => "no three cameras agree on any depth".into(),
+            _ => return Err(error),
+        },
+    };
     let cloud = tcgs_capture::spread_points(capture, &settings(arguments))?;
     let num_points = cloud.points.len();
     say(&format!(
-        "{num_points} points, strewn where the cameras agree in colour: no three cameras are within {degrees} degrees of each \
-         other, so no depth can be seen; views between them will be poor"
+        "{num_points} points, strewn where the cameras agree in colour: {why}; views between the cameras will be poor, and \
+         `tcgs prepare --check` looks for a wrong calibration"
     ))?;
     let told = json!({ "num_points": num_points, "num_foreground": num_points, "strewn": true });
     Ok((cloud, told))
