@@ -8,9 +8,9 @@ type Transform = [[f64; 4]; 3];
 
 /// Cameras that it takes to tell.
 const MIN_CAMERAS: usize = 3;
-/// Mean cosine between where cameras look and where the place is that they would all look at: this much is certain.
+/// Least cosine of any camera between where it looks and where the place is that all would look at: this much is certain.
 const SURE: f64 = 0.9;
-/// As given, this little is a mistake.
+/// As given, this little is a mistake. Inverted cameras around a scene all stand near one place and look anywhere.
 const WRONG: f64 = 0.5;
 
 /// Whether the cameras look at one place if their transforms are inverted, and do not as they are given. Cameras side by
@@ -22,7 +22,7 @@ pub(super) fn are_inverted(poses: &[Transform]) -> bool {
     poses.len() >= MIN_CAMERAS && agreement(&inverted) > SURE && agreement(poses) < WRONG
 }
 
-/// Mean cosine between each camera's direction and the way to the point that is nearest to all lines of sight.
+/// Least cosine between each camera's direction and the way to the point that is nearest to all lines of sight.
 fn agreement(poses: &[Transform]) -> f64 {
     let rays: Vec<([f64; 3], [f64; 3])> = poses.iter().map(|pose| (center(pose), forward(pose))).collect();
     let Some(place) = nearest_to(&rays) else { return 0.0 };
@@ -30,7 +30,7 @@ fn agreement(poses: &[Transform]) -> f64 {
         let way: [f64; 3] = std::array::from_fn(|i| place[i] - center[i]);
         dot(way, *forward) / dot(way, way).sqrt().max(f64::MIN_POSITIVE)
     });
-    cosines.sum::<f64>() / rays.len() as f64
+    cosines.fold(1.0, f64::min)
 }
 
 /// The point with the least sum of squared distances to lines, by Cramer's rule; `None` if the lines are parallel.
