@@ -19,8 +19,6 @@ use std::path::{Path, PathBuf};
 
 use crate::{CaptureError, files};
 
-pub(crate) use numbers::inverse;
-
 /// The cameras of one calibration.
 #[derive(Clone, Debug)]
 pub struct Calibration {

@@ -95,7 +95,7 @@ pub(super) fn rotmat_from_vector(vector: [f64; 3]) -> [[f64; 3]; 3] {
 }
 
 /// The transform the other way.
-pub(crate) fn inverse(transform: [[f64; 4]; 3]) -> [[f64; 4]; 3] {
+pub(super) fn inverse(transform: [[f64; 4]; 3]) -> [[f64; 4]; 3] {
     std::array::from_fn(|i| {
         let row: [f64; 3] = std::array::from_fn(|j| transform[j][i]);
         [row[0], row[1], row[2], -tcgs_core::dot(row, std::array::from_fn(|j| transform[j][3]))]

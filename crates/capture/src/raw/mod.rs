@@ -1,11 +1,9 @@
 //! From a folder of recordings as people have it to a description of a capture.
 //!
-//! What lives here: finding the recordings, looking at them, giving each its camera of a calibration (`matching`, `fit`,
-//! `facing`), and putting clocks and cameras together to a [`CaptureDescription`]. What does not: the formats of
+//! What lives here: finding the recordings, looking at them, giving each its camera of a calibration (`matching`, `fit`), and putting clocks and cameras together to a [`CaptureDescription`]. What does not: the formats of
 //! calibrations (`calibration`), how clocks are found (`clocks`), and the order of steps with their words for people,
 //! which a program decides.
 
-mod facing;
 mod fit;
 mod looked;
 mod matching;
@@ -14,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::calibration::{CalibratedCamera, Calibration, inverse};
+use crate::calibration::Calibration;
 use crate::clocks::Clocks;
 use crate::description::{CalibrationSource, CaptureDescription, ClockSource, DescribedCamera, Role};
 use crate::recording::{Recording, VIDEO_ENDINGS, turned};
@@ -173,8 +171,8 @@ impl RawFootage {
     /// images.
     ///
     /// # Errors
-    /// [`CaptureError`] if a recording has no camera, if several images of one camera have different poses, if the
-    /// calibration is of another resolution, or if its transforms are inverted and it cannot be told for certain.
+    /// [`CaptureError`] if a recording has no camera, if several images of one camera have different poses, or if the
+    /// calibration is of another resolution.
     pub fn place(&self, calibration: &Calibration) -> Result<PlacedCameras, CaptureError> {
         let invalid = |problem: String| CaptureError::invalid(&calibration.path, problem);
         let names: Vec<String> = self.recordings.iter().map(|recording| name_of(&recording.path)).collect();
@@ -183,21 +181,11 @@ impl RawFootage {
         if !unused.is_empty() {
             changes.push(format!("has no recording for {}, which are left out", unused.join(", ")));
         }
-        let mut poses: Vec<[[f64; 4]; 3]> = of_recording.iter().map(|camera| camera.camera_from_world).collect();
-        if facing::are_inverted(&poses) {
-            poses = poses.into_iter().map(inverse).collect();
-            changes.push(
-                "its transforms are world_from_camera where camera_from_world is expected: all cameras look at one \
-                 place once they are inverted, as they were"
-                    .into(),
-            );
-        }
         let mut cameras = Vec::new();
-        for (((camera, pose), name), (recording, looked)) in
-            of_recording.into_iter().zip(poses).zip(&names).zip(self.recordings.iter().zip(&self.looked))
+        for ((camera, name), (recording, looked)) in
+            of_recording.into_iter().zip(&names).zip(self.recordings.iter().zip(&self.looked))
         {
-            let posed = CalibratedCamera { camera_from_world: pose, ..camera.clone() };
-            let (fitted, change) = fit::fitted(&posed, recording, looked)
+            let (fitted, change) = fit::fitted(camera, recording, looked)
                 .map_err(|problem| invalid(format!("camera {name}: {problem}")))?;
             changes.extend(change.map(|change| format!("{name}: {change}")));
             cameras.push(fitted);

@@ -1,8 +1,8 @@
-//! Matching, fitting and facing on numbers alone; recordings are tested on real ones.
+//! Matching on numbers alone; recordings are tested on real ones.
 
-use super::facing::are_inverted;
 use super::matching::{matched, number_in};
 use super::*;
+use crate::calibration::CalibratedCamera;
 
 fn camera(names: &[&str], shift: f64) -> CalibratedCamera {
     CalibratedCamera {
@@ -58,24 +58,4 @@ fn the_last_number_in_a_name_counts() {
     assert_eq!(found, [Some(1), Some(12), Some(7), None, Some(3)]);
     assert_eq!(ids_of(&names(&["cam3", "cam1"])), [3, 1]);
     assert_eq!(ids_of(&names(&["a1", "b1"])), [0, 1]);
-}
-
-#[test]
-fn inverted_transforms_are_known_by_where_cameras_look() {
-    let around: Vec<[[f64; 4]; 3]> = (0..5)
-        .map(|i| {
-            let angle = f64::from(i);
-            let center = [3.0 * angle.cos() + 1.0, -1.0, 3.0 * angle.sin() + 2.0];
-            let camera = tcgs_core::Camera::look_at(center, [1.0, 0.0, 2.0], [0.0, -1.0, 0.0], 100.0, 64, 48);
-            let [x, y, z, _] = camera.camera_from_world;
-            [x, y, z]
-        })
-        .collect();
-    assert!(!are_inverted(&around));
-    let inverted: Vec<_> = around.iter().copied().map(inverse).collect();
-    assert!(are_inverted(&inverted));
-    // Of two cameras, or of such side by side, it cannot be told.
-    assert!(!are_inverted(&inverted[..2]));
-    let side_by_side: Vec<_> = (0..4).map(|i| camera(&["a"], f64::from(i)).camera_from_world).collect();
-    assert!(!are_inverted(&side_by_side));
 }
