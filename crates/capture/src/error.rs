@@ -51,6 +51,19 @@ pub enum CaptureError {
         /// The capture's folder.
         path: PathBuf,
     },
+    /// [`prepare`](crate::prepare) compares cameras, and these stand too far apart, or all in one place.
+    /// [`spread_points`](crate::spread_points) makes points all the same.
+    #[error(
+        "{}: has no training camera with two others within {degrees} degrees of its direction and away from its place, \
+         expected cameras closer together, or points from elsewhere",
+        path.display()
+    )]
+    FarApart {
+        /// The capture's folder.
+        path: PathBuf,
+        /// How far two cameras that are compared may differ in direction, degrees.
+        degrees: usize,
+    },
     /// A PLY, npz or npy file of points or poses cannot be read.
     #[error(transparent)]
     Points(#[from] InterchangeError),

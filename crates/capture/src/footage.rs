@@ -8,7 +8,7 @@ use std::sync::Arc;
 use image::RgbImage;
 use tcgs_core::{Camera, Image, Segmentation, View};
 
-use crate::{CaptureError, decode, lanczos, lens::Lens, names::Files, video::Video};
+use crate::{CaptureError, decode, lanczos, lens::Lens, names::Files, recording::Take, video::Video};
 
 /// One camera over time.
 #[derive(Clone, Debug)]
@@ -58,6 +58,8 @@ pub(crate) enum Pixels {
     },
     /// All in a video, whose frames are those of the capture.
     Video(Arc<Video>),
+    /// A recording of any kind, on a clock of its own.
+    Take(Arc<Take>),
 }
 
 /// Where the foreground masks of a camera are.
@@ -179,6 +181,7 @@ impl Pixels {
             }
             Self::Files { files, .. } => decode::image(&files.path(frame), size),
             Self::Video(video) => video.frame(frame),
+            Self::Take(take) => take.image(frame),
         }
     }
 }

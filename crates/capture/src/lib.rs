@@ -2,23 +2,28 @@
 //!
 //! - [`Capture::open`] recognises a folder's kind and reads its cameras; [`Capture::views`] decodes one frame.
 //! - [`CaptureBuilder`] makes a capture of cameras and images that a program already has.
+//! - [`RawFootage`], [`Calibration`] and [`Clocks`] turn a folder of videos into a [`CaptureDescription`], which
+//!   [`Capture::open`] opens.
 //! - [`prepare`] makes initial points by multi-view stereo, for a capture that has none.
 //! - [`check`] looks for wrong cameras, masks and clocks.
 //! - [`write_synthetic`] renders a small capture with known cameras, for tests and examples.
 //!
-//! The feature `video`, on by default, decodes H.264 videos; the decoder needs a C++ compiler. Without the feature a
-//! capture of videos is an error that names the feature.
+//! The feature `video`, on by default, decodes H.264 videos; the decoder needs a C++ compiler. Without the feature only a
+//! described capture has videos, which `ffmpeg` then decodes; any other is an error that names the feature.
 //!
 //! What lives here: the way from files of images, videos, masks, cameras and points to [`tcgs_core::View`] and
 //! [`tcgs_core::PointCloud`]. What does not: training and evaluation on the views. The split keeps the decoders of
 //! images and videos out of the programs that only play scenes.
 
 mod builder;
+mod calibration;
 mod capture;
 mod checked;
+mod clocks;
 mod colmap;
 mod contents;
 mod decode;
+mod description;
 mod doctor;
 mod error;
 mod files;
@@ -31,6 +36,8 @@ mod names;
 mod points;
 mod points_in_view;
 mod prepare;
+mod raw;
+mod recording;
 mod synthetic;
 #[cfg(feature = "video")]
 mod video;
@@ -39,10 +46,14 @@ mod video;
 mod video;
 
 pub use builder::{CameraBuilder, CaptureBuilder};
+pub use calibration::{CalibratedCamera, Calibration};
 pub use capture::{Capture, Split};
+pub use clocks::{Clocks, ClocksFrom};
+pub use description::{CalibrationSource, CaptureDescription, ClockSource, DESCRIPTION_FILE, DescribedCamera, Role};
 pub use doctor::{CameraFit, Diagnosis, Finding, FindingKind, check};
 pub use error::CaptureError;
 pub use kind::{CaptureFacts, CaptureKind};
 pub use points::{POINTS_FILE, write_points};
-pub use prepare::{Origin, PrepareSettings, Prepared, prepare};
+pub use prepare::{Origin, PrepareSettings, Prepared, prepare, spread_points};
+pub use raw::{DescribeSettings, PlacedCameras, RawCamera, RawFootage};
 pub use synthetic::{Late, SYNTHETIC_FRAME_RATE, SyntheticSettings, ball_at, write_synthetic};

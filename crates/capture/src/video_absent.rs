@@ -10,7 +10,20 @@ use crate::CaptureError;
 #[derive(Debug)]
 pub(crate) enum Video {}
 
+/// What a player does with the frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Shown {
+    pub quarter_turns: u8,
+    pub shift_secs: f64,
+    pub end_secs: f64,
+}
+
 impl Video {
+    /// Refuses every video; a program outside of this one may still read it.
+    pub fn open_if_known(_path: &Path) -> Result<Result<Self, String>, CaptureError> {
+        Ok(Err("is a video, which this program was compiled without (feature `video`)".into()))
+    }
+
     /// Refuses: nothing here decodes videos.
     pub fn open(path: &Path) -> Result<Self, CaptureError> {
         let problem = "is a video, which this program was compiled without (feature `video`), expected a folder of its \
@@ -27,6 +40,14 @@ impl Video {
     }
 
     pub fn num_frames(&self) -> usize {
+        match *self {}
+    }
+
+    pub fn times_secs(&self) -> &[f64] {
+        match *self {}
+    }
+
+    pub fn shown(&self) -> Shown {
         match *self {}
     }
 

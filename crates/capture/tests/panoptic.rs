@@ -135,7 +135,8 @@ fn a_frame_rate_may_be_given() {
 fn what_is_no_capture_is_told_what_one_is() {
     let small = Small::new();
     let problem = small.problem();
-    let expected = ": has no cameras, expected the folder of a capture with one of train_meta.json (Panoptic Sports), ";
+    let expected = ": has no cameras, expected the folder of a capture with one of capture.toml, \
+                    train_meta.json (Panoptic Sports), ";
     assert!(problem.starts_with(expected), "{problem}");
     for mark in ["cam*.mp4 (Neural", "(Technicolor)", "transforms.json", "cameras.bin or .txt (COLMAP)", "*_par.txt"] {
         assert!(problem.contains(mark), "{problem}");

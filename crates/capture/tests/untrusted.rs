@@ -34,6 +34,15 @@ fn transforms(image: &str, fps: &str, points: &str) -> TempDir {
     folder(&[("transforms.json", text)])
 }
 
+fn described(file: &str, frame_rate: &str) -> TempDir {
+    let text = format!(
+        "version = 1\nframe_rate = {frame_rate}\nnum_frames = 1\n[[camera]]\nid = 0\nname = \"a\"\nfile = {file:?}\n\
+         size = [4, 4]\nfocal = [4, 4]\nprincipal = [2, 2]\n\
+         camera_from_world = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]\n"
+    );
+    folder(&[("capture.toml", text)])
+}
+
 /// A capture whose files have the frame rate `fps`; `None` for kinds whose files have none. A video of Neural 3D Video
 /// has a duration, from which no rate but a positive one can follow.
 fn with_fps(kind: CaptureKind, fps: &str) -> Option<(TempDir, &'static str)> {
@@ -47,6 +56,8 @@ fn with_fps(kind: CaptureKind, fps: &str) -> Option<(TempDir, &'static str)> {
             Some((small.folder, "train_meta.json"))
         }
         "nerfstudio" => Some((transforms("a.png", fps, "a.ply"), "transforms.json")),
+        // TOML has numbers that JSON has not, and the field another name: tested below.
+        "described" => None,
         "neural3d" | "technicolor" | "colmap" | "middlebury" => None,
         other => panic!("{other:?} is new: does a file of it have a frame rate?"),
     }
@@ -76,6 +87,7 @@ fn with_image(kind: CaptureKind, name: &str) -> Option<(TempDir, &'static str)> 
             let line = format!("1\n{name} 4 0 2 0 4 2 0 0 1 1 0 0 0 1 0 0 0 1 0 0 0\n");
             Some((folder(&[("a_par.txt", line)]), "a_par.txt"))
         }
+        "described" => Some((described(name, "30"), "capture.toml")),
         "neural3d" | "technicolor" => None,
         other => panic!("{other:?} is new: does a file of it name images?"),
     }
@@ -109,6 +121,14 @@ fn a_frame_rate_without_a_meaning_is_refused() {
 }
 
 #[test]
+fn a_described_frame_rate_without_a_meaning_is_refused() {
+    for (written, found) in [("0.0", "0"), ("-25", "-25"), ("nan", "NaN"), ("inf", "inf"), ("-inf", "-inf")] {
+        let capture = described("a", written);
+        check(capture.path(), "capture.toml", &format!("frame_rate is {found}"), "more than 0");
+    }
+}
+
+#[test]
 fn a_name_that_leads_out_of_the_folder_is_refused() {
     // The file is there: what is refused is the way to it.
     let outside = tempfile::tempdir().unwrap();
@@ -122,7 +142,7 @@ fn a_name_that_leads_out_of_the_folder_is_refused() {
             num_checked += 1;
         }
     }
-    assert_eq!(num_checked, 4 * 4);
+    assert_eq!(num_checked, 5 * 4);
     for points in ["../points.ply", "/points.ply"] {
         let capture = transforms("a.png", "30", points);
         let found = format!("ply_file_path is {points:?}");

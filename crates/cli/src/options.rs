@@ -47,6 +47,18 @@ pub fn positive(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|&n| n > 0).ok_or_else(|| "expected a whole number of 1 or more".into())
 }
 
+/// Seconds, 0 or more.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    let secs = text.parse().ok().filter(|secs: &f64| secs.is_finite() && *secs >= 0.0);
+    secs.ok_or_else(|| "expected seconds, 0 or more".into())
+}
+
+/// A rate per second, above 0.
+pub fn rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok().filter(|rate: &f64| rate.is_finite() && *rate > 0.0);
+    rate.ok_or_else(|| "expected a number above 0".into())
+}
+
 /// Bytes: a number, or one with a unit.
 pub fn size(text: &str) -> Result<u64, String> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());

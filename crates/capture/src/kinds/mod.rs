@@ -3,6 +3,7 @@
 //! A new kind is one file with a constant, and one line in [`CaptureKind::ALL`].
 
 mod colmap;
+mod described;
 mod middlebury;
 mod nerfstudio;
 mod neural3d;
@@ -13,12 +14,24 @@ mod test_cameras;
 
 use std::path::Path;
 
+pub(crate) use nerfstudio::{
+    Frame as NerfstudioFrame, Intrinsics as NerfstudioIntrinsics, Transforms as NerfstudioTransforms,
+    camera_from_world as camera_from_nerfstudio,
+};
+
 use crate::{CaptureError, contents::Contents, files, kind::CaptureKind};
 
 impl CaptureKind {
     /// All kinds of folders, in the order in which [`Capture::open`](crate::Capture::open) tries them.
-    pub const ALL: [Self; 6] =
-        [Self::PANOPTIC, Self::NEURAL3D, Self::TECHNICOLOR, Self::NERFSTUDIO, Self::COLMAP, Self::MIDDLEBURY];
+    pub const ALL: [Self; 7] = [
+        Self::DESCRIBED,
+        Self::PANOPTIC,
+        Self::NEURAL3D,
+        Self::TECHNICOLOR,
+        Self::NERFSTUDIO,
+        Self::COLMAP,
+        Self::MIDDLEBURY,
+    ];
 
     /// The kind whose [`name`](Self::name) is `name`; `None` if [`Self::ALL`] has no such kind.
     ///

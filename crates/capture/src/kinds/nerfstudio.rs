@@ -33,10 +33,10 @@ const INSIDE: &str = "the capture";
 const TIME_STEP: f64 = 1e-6;
 
 #[derive(Debug, Deserialize)]
-struct Transforms {
-    frames: Vec<Frame>,
+pub(crate) struct Transforms {
+    pub frames: Vec<Frame>,
     #[serde(flatten)]
-    intrinsics: Intrinsics,
+    pub intrinsics: Intrinsics,
     ply_file_path: Option<String>,
     val_filenames: Option<BTreeSet<String>>,
     test_filenames: Option<BTreeSet<String>>,
@@ -45,32 +45,32 @@ struct Transforms {
 }
 
 #[derive(Debug, Deserialize)]
-struct Frame {
-    file_path: String,
+pub(crate) struct Frame {
+    pub file_path: String,
     /// `[3 or 4][4]`
-    transform_matrix: Vec<[f64; 4]>,
+    pub transform_matrix: Vec<[f64; 4]>,
     time: Option<f64>,
     #[serde(flatten)]
-    intrinsics: Intrinsics,
+    pub intrinsics: Intrinsics,
 }
 
 /// Of one image, or of all.
 #[derive(Clone, Debug, Default, Deserialize)]
-struct Intrinsics {
-    camera_model: Option<String>,
-    camera_angle_x: Option<f64>,
-    w: Option<f64>,
-    h: Option<f64>,
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
+pub(crate) struct Intrinsics {
+    pub camera_model: Option<String>,
+    pub camera_angle_x: Option<f64>,
+    pub w: Option<f64>,
+    pub h: Option<f64>,
+    pub fl_x: Option<f64>,
+    pub fl_y: Option<f64>,
+    pub cx: Option<f64>,
+    pub cy: Option<f64>,
+    pub k1: Option<f64>,
+    pub k2: Option<f64>,
+    pub k3: Option<f64>,
+    pub k4: Option<f64>,
+    pub p1: Option<f64>,
+    pub p2: Option<f64>,
 }
 
 impl CaptureKind {
@@ -276,7 +276,7 @@ impl Lenses<'_> {
 }
 
 /// - `matrix`: `world_from_camera`, camera axes right, up, backward
-fn camera_from_world(matrix: &[[f64; 4]]) -> Result<[[f64; 4]; 4], String> {
+pub(crate) fn camera_from_world(matrix: &[[f64; 4]]) -> Result<[[f64; 4]; 4], String> {
     let rows = matrix.first_chunk::<3>().filter(|_| matrix.len() <= 4);
     let rows = rows.ok_or_else(|| format!("transform_matrix has {} rows, expected 3 or 4", matrix.len()))?;
     let axis = |column: usize, sign: f64| rows.map(|row| sign * row[column]);

@@ -170,7 +170,7 @@ impl Recording {
     fn frame_rate(&self) -> FrameRate {
         match &self.pixels {
             Pixels::Video(video) => FrameRate::new(video.frame_rate()).unwrap_or(FrameRate::USUAL),
-            Pixels::Files { .. } => FrameRate::USUAL,
+            Pixels::Files { .. } | Pixels::Take(_) => FrameRate::USUAL,
         }
     }
 

@@ -14,6 +14,7 @@ mod fuse;
 pub(crate) mod hull;
 mod patchmatch;
 mod shell;
+mod spread;
 mod thin;
 pub(crate) mod vantage;
 
@@ -21,6 +22,8 @@ use rayon::prelude::*;
 use tcgs_core::{Pinhole, PointCloud, View};
 
 use crate::{Capture, CaptureError, Split};
+
+pub use spread::spread_points;
 
 use fuse::{Belief, Point, Rule, SureDepths, agreed, num_hidden_from};
 use hull::{Hull, Silhouette};
@@ -168,12 +171,8 @@ pub(crate) fn check_comparable(capture: &Capture, views: &[View]) -> Result<(), 
     if (0..pinholes.len()).any(|i| patchmatch::neighbors(&pinholes, i, MIN_CAMERAS - 1).len() == MIN_CAMERAS - 1) {
         return Ok(());
     }
-    let degrees = patchmatch::MIN_DIRECTION_COSINE.acos().to_degrees();
-    let problem = format!(
-        "has no training camera with two others within {degrees:.0} degrees of its direction and away from its place, \
-         expected cameras closer together, or points from elsewhere"
-    );
-    Err(CaptureError::invalid(&capture.path, problem))
+    let degrees = patchmatch::MIN_DIRECTION_COSINE.acos().to_degrees().round() as usize;
+    Err(CaptureError::FarApart { path: capture.path.clone(), degrees })
 }
 
 fn pinholes(views: &[View]) -> Vec<Pinhole<f32>> {

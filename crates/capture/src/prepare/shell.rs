@@ -30,6 +30,11 @@ pub(super) struct Shell {
 }
 
 impl Shell {
+    /// A sphere without a floor.
+    pub fn around(center: [f32; 3], radius: f32) -> Self {
+        Self { center, radius, floor: None }
+    }
+
     /// Fits a shell to points of the background.
     pub fn fit(vantages: &[Vantage], points: &[[f32; 3]]) -> Self {
         let middle = mean(vantages.iter().map(|vantage| vantage.pinhole.center));

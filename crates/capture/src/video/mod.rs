@@ -10,6 +10,7 @@ mod yuv;
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::iter::repeat_n;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -18,7 +19,7 @@ use std::sync::{Mutex, PoisonError};
 use image::RgbImage;
 use openh264::OpenH264API;
 use openh264::decoder::{DecodedYUV, Decoder, DecoderConfig, Flush};
-use re_mp4::{Avc1Box, Mp4, StsdBoxContent, TrackKind};
+use re_mp4::{Avc1Box, Mp4, StblBox, StsdBoxContent, TrackKind, TrakBox};
 
 use crate::CaptureError;
 use sps::Sps;
@@ -35,12 +36,26 @@ pub(crate) struct Video {
     path: PathBuf,
     size: (usize, usize),
     frame_rate: f64,
+    /// By frame in the order of showing: seconds, without what edit lists change.
+    times_secs: Vec<f64>,
+    shown: Shown,
     /// In the order of decoding.
     samples: Vec<Sample>,
     /// By frame in the order of showing: where decoding may begin at the latest.
     begins: Vec<usize>,
     stream: Stream,
     state: Mutex<DecoderState>,
+}
+
+/// What a player does with the frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Shown {
+    /// Clockwise quarter turns.
+    pub quarter_turns: u8,
+    /// What is added to the times of frames, seconds.
+    pub shift_secs: f64,
+    /// From which moment on nothing is shown, seconds after the shift. What comes before 0 is not shown either.
+    pub end_secs: f64,
 }
 
 /// One coded frame.
@@ -82,6 +97,13 @@ struct Running {
 impl Video {
     /// Reads all but the frames.
     pub fn open(path: &Path) -> Result<Self, CaptureError> {
+        Self::open_if_known(path)?.map_err(|problem| CaptureError::invalid(path, problem))
+    }
+
+    /// Reads all but the frames, if the video is of the codec that is built in.
+    ///
+    /// - returns: what is wrong and what was expected, if another program may still read the video
+    pub fn open_if_known(path: &Path) -> Result<Result<Self, String>, CaptureError> {
         let failed = |error| CaptureError::Io { path: path.into(), error };
         let invalid = |problem: String| CaptureError::invalid(path, problem);
         let file = File::open(path).map_err(failed)?;
@@ -91,12 +113,16 @@ impl Video {
             .map_err(|_| invalid("is damaged: its tables contradict each other, expected an MP4 file".into()))?
             .map_err(|error| invalid(format!("cannot be read: {error}, expected a whole MP4 file")))?;
         let track = mp4.tracks().values().find(|track| track.kind == Some(TrackKind::Video));
-        let track = track.ok_or_else(|| invalid("has no video, expected an MP4 file of one".into()))?;
+        // A codec that its reader does not know is taken for no video.
+        let Some(track) = track else { return Ok(Err("has no video, expected an MP4 file of one".into())) };
         let StsdBoxContent::Avc1(avc) = &track.trak(&mp4).mdia.minf.stbl.stsd.contents else {
             let codec = track.codec_string(&mp4).unwrap_or_else(|| "unknown".into());
-            return Err(invalid(format!("has the codec {codec}, {EXPECTED}")));
+            return Ok(Err(format!("has the codec {codec}, {EXPECTED}")));
         };
-        let stream = Stream::new(avc).map_err(|problem| invalid(format!("{problem}, {EXPECTED}")))?;
+        let stream = match Stream::new(avc) {
+            Ok(stream) => stream,
+            Err(problem) => return Ok(Err(format!("{problem}, {EXPECTED}"))),
+        };
         if track.samples.is_empty() {
             return Err(invalid("has no frames, expected at least one".into()));
         }
@@ -125,15 +151,13 @@ impl Video {
         }
         let seconds = track.duration as f64 / track.timescale.max(1) as f64;
         let frame_rate = if seconds > 0.0 { samples.len() as f64 / seconds } else { 0.0 };
-        Ok(Self {
-            path: path.into(),
-            size: (usize::from(avc.width), usize::from(avc.height)),
-            frame_rate,
-            samples,
-            begins,
-            stream,
-            state: Mutex::default(),
-        })
+        let timescale = track.timescale.max(1) as f64;
+        let time = |&sample: &usize| track.samples[sample].composition_timestamp as f64 / timescale;
+        let times_secs = shown.iter().map(time).collect();
+        let size = (usize::from(avc.width), usize::from(avc.height));
+        let shown = shown_of(track.trak(&mp4), timescale, f64::from(mp4.moov.mvhd.timescale.max(1)));
+        let (path, state) = (path.into(), Mutex::default());
+        Ok(Ok(Self { path, size, frame_rate, times_secs, shown, samples, begins, stream, state }))
     }
 
     /// Width and height, pixels.
@@ -148,6 +172,16 @@ impl Video {
 
     pub fn num_frames(&self) -> usize {
         self.samples.len()
+    }
+
+    /// By frame in the order of showing: seconds, before [`Self::shown`] changes anything.
+    pub fn times_secs(&self) -> &[f64] {
+        &self.times_secs
+    }
+
+    /// How a player shows the frames.
+    pub fn shown(&self) -> Shown {
+        self.shown
     }
 
     /// Decodes a frame.
@@ -246,6 +280,53 @@ impl Video {
         }
         Ok(())
     }
+}
+
+/// What the header of a track says about turning its pictures, and its edit list about their times.
+///
+/// ISO/IEC 14496-12, 8.3.2 and 8.6.6. Of several edits the first that shows something counts.
+fn shown_of(track: &TrakBox, timescale: f64, movie_timescale: f64) -> Shown {
+    let matrix = &track.tkhd.matrix;
+    let quarter_turns = match (matrix.a.signum(), matrix.b.signum()) {
+        (0, 1) => 1,
+        (-1, 0) => 2,
+        (0, -1) => 3,
+        _ => 0,
+    };
+    let mut shown = Shown { quarter_turns, shift_secs: 0.0, end_secs: f64::INFINITY };
+    let edits = track.edts.as_ref().and_then(|edits| edits.elst.as_ref());
+    for edit in edits.map_or(&[][..], |list| &list.entries) {
+        let secs = edit.segment_duration as f64 / movie_timescale;
+        // An empty edit has the media time -1, in 32 or 64 bits: nothing is shown for so long.
+        if edit.media_time == u64::from(u32::MAX) || edit.media_time == u64::MAX {
+            shown.shift_secs += secs;
+            continue;
+        }
+        // A duration of 0 stands for all there is. Times of the movie are coarser than those of frames, and rounded.
+        if edit.segment_duration > 0 {
+            shown.end_secs = shown.shift_secs + secs;
+        }
+        shown.shift_secs -= edit.media_time as f64 / timescale;
+        break;
+    }
+    // The reader lets the first frame begin at 0; edits count from before that.
+    shown.shift_secs += first_composition(&track.mdia.minf.stbl) as f64 / timescale;
+    shown
+}
+
+/// The least time of any frame, as the tables have it.
+fn first_composition(tables: &StblBox) -> i64 {
+    let Some(offsets) = &tables.ctts else { return 0 };
+    let offsets =
+        offsets.entries.iter().flat_map(|run| repeat_n(i64::from(run.sample_offset), run.sample_count as usize));
+    let durations = tables.stts.entries.iter();
+    let durations = durations.flat_map(|run| repeat_n(i64::from(run.sample_delta), run.sample_count as usize));
+    let mut begin = 0;
+    let times = durations.zip(offsets).map(|(duration, offset)| {
+        begin += duration;
+        begin - duration + offset
+    });
+    times.min().unwrap_or(0)
 }
 
 /// ITU-T H.264, annex B.

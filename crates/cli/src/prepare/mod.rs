@@ -1,30 +1,32 @@
-//! `tcgs prepare`: initial points for own footage, and a doctor for captures.
+//! `tcgs prepare`: own footage becomes a capture with initial points; and a doctor for captures.
 
 mod check;
 mod link;
+mod points;
+mod raw;
 
-use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use anyhow::Context;
 use serde_json::json;
-use tcgs_capture::{Capture, Origin, POINTS_FILE, PrepareSettings, Prepared, write_points};
+use tcgs_capture::{Capture, DESCRIPTION_FILE, POINTS_FILE, RawFootage};
 use tcgs_interchange::is_unfinished;
 
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{self, JobOptions};
-use crate::output::{NewFolder, check_file, is_empty_folder, parent, write_file_with, write_json};
-use crate::progress::Progress;
+use crate::output::{NewFolder, check_file, is_empty_folder, parent, write_json};
 use crate::terminal::say;
 
 /// Written into every capture that this command makes: how it was made, and that it may be replaced.
 const RECORD: &str = "prepare.json";
-/// Steps of making points, for the progress bar.
-const NUM_STEPS: usize = 7;
 
-/// Make initial points for a capture from its images alone, or check a capture
+/// Make a capture of videos, make initial points for a capture, or check a capture
+///
+/// Of a folder of videos, one for each camera, and a calibration, this makes a capture that tcgs train reads. It reads
+/// any video that ffmpeg reads, finds the offsets between the cameras' clocks by sound or motion, and writes what it
+/// found to capture.toml, where any line may be changed by hand. What the output holds already is not made again; to have
+/// a step run again, delete its result or use --force.
 ///
 /// Training starts from a cloud of coloured points. For a capture that has none, this finds the depth of every pixel
 /// of the first frame's training images (multi-view stereo), keeps what three views or more agree on, limits the
@@ -35,14 +37,17 @@ const NUM_STEPS: usize = 7;
 /// says what would mend them.
 #[derive(clap::Args)]
 #[command(after_help = "\
-Example:
-  tcgs prepare my_footage --out my_capture
+Examples:
+  tcgs prepare my_videos --out my_capture                       videos and a calibration become a capture
+  tcgs prepare my_videos --out my_capture --dry-run             says what would be done
+  tcgs prepare my_videos --out my_capture --from 12.5 --to 20   a part of long videos, seconds
+  tcgs prepare my_footage --out my_capture                      points for a capture without
   tcgs prepare --check my_capture --sheet check.png
 
 Exit codes of --check: 0 the capture is healthy or it cannot be told, 1 something was found, 2 wrong usage or input.")]
 #[command(group = clap::ArgGroup::new("what").required(true).args(["out", "points_only", "check"]))]
 pub struct Arguments {
-    /// Folder of a capture with calibrated cameras, in any layout that tcgs train reads
+    /// Folder of videos with a calibration, or of a capture in any layout that tcgs train reads
     source: PathBuf,
     /// Capture to make: the source's files, linked where the file system can, else copied, and the points
     #[arg(long, value_name = "CAPTURE")]
@@ -63,8 +68,43 @@ pub struct Arguments {
     /// Average images down to at most this width; smaller is faster, larger finds finer things [default: 400]
     #[arg(long, value_name = "PIXELS", value_parser = options::positive, conflicts_with = "check")]
     width: Option<usize>,
+    /// Of videos: the calibration, if it is not in their folder or there are several [formats: OpenCV/EasyMocap, caliscope,
+    /// Pose2Sim/aniposelib, Qualisys, COLMAP, nerfstudio]
+    #[arg(long, value_name = "FILE", conflicts_with = "check")]
+    calibration: Option<PathBuf>,
+    /// Of videos: a text file with a line NAME SECONDS for each camera, the moment of one and the same event in its video
+    #[arg(long, value_name = "FILE", conflicts_with = "check")]
+    offsets: Option<PathBuf>,
+    /// Of videos: begin so many seconds after the moment at which all cameras run
+    #[arg(long, value_name = "SECONDS", value_parser = options::seconds, conflicts_with = "check")]
+    from: Option<f64>,
+    /// Of videos: end so many seconds after the moment at which all cameras run
+    #[arg(long, value_name = "SECONDS", value_parser = options::seconds, conflicts_with = "check")]
+    to: Option<f64>,
+    /// Of videos: use every so many frames
+    #[arg(long, value_name = "N", value_parser = options::positive, conflicts_with = "check")]
+    every: Option<usize>,
+    /// Of folders of images: frames per second [default: 30]
+    #[arg(long, value_name = "RATE", value_parser = options::rate, conflicts_with = "check")]
+    fps: Option<f64>,
+    /// Of videos: a camera that is for judging and not for training; may be given several times [default: every eighth, of
+    /// fewer than eight none]
+    #[arg(long, value_name = "CAMERA", conflicts_with = "check")]
+    hold_out: Vec<String>,
+    /// Say which steps would run, and write nothing
+    #[arg(long, conflicts_with = "check")]
+    dry_run: bool,
     #[command(flatten)]
     job: JobOptions,
+}
+
+impl Arguments {
+    /// Whether the source is a folder of videos and not a capture.
+    fn is_raw(&self) -> anyhow::Result<bool> {
+        let asked = self.calibration.is_some() || self.offsets.is_some() || !self.hold_out.is_empty();
+        let asked = asked || self.from.is_some() || self.to.is_some() || self.every.is_some() || self.fps.is_some();
+        Ok(asked || RawFootage::is_in(&self.source)?)
+    }
 }
 
 /// Runs the command.
@@ -73,9 +113,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.check {
         return check::run(&arguments.source, arguments.sheet.as_deref(), &arguments.job);
     }
+    if arguments.is_raw()? {
+        return raw::run(arguments);
+    }
     let force = arguments.job.force;
     if let Some(file) = &arguments.points_only {
         check_points_file(file, force)?;
+    }
+    if arguments.dry_run {
+        return say("points: would be made; cameras and clocks are taken as the capture has them");
     }
     if arguments.out.is_some() {
         interrupt::catch()?;
@@ -89,43 +135,22 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         say("the points that the source has are not used")?;
     }
 
-    let defaults = PrepareSettings::default();
-    let settings = PrepareSettings {
-        num_points: arguments.points.unwrap_or(defaults.num_points),
-        image_width: arguments.width.unwrap_or(defaults.image_width),
-        seed: arguments.job.seed.unwrap_or(defaults.seed),
-    };
-    let begin = Instant::now();
-    let mut progress = Progress::new("preparing", NUM_STEPS);
-    let prepared = tcgs_capture::prepare(&capture, &settings, &mut |step| progress.step(|| step.into()))?;
-    drop(progress);
-    let seconds = begin.elapsed().as_secs_f64();
-    say(&describe(&prepared, seconds))?;
-
-    let count = |origin| prepared.count(origin);
-    let result = json!({
+    let (prepared, told) = points::make(&capture, arguments)?;
+    let mut result = json!({
         "source": arguments.source.display().to_string(),
         "out": arguments.out.as_ref().or(arguments.points_only.as_ref()).map(|out| out.display().to_string()),
-        "num_points": prepared.cloud.points.len(),
-        "num_foreground": num_foreground(&prepared),
-        "origins": {
-            "triangulated": count(Origin::Triangulated),
-            "hull": count(Origin::Hull),
-            "filled": count(Origin::Filled),
-            "shell": count(Origin::Shell),
-        },
-        "agreement": prepared.agreement,
-        "seconds": seconds,
     });
-    let write = |file: &std::fs::File| write_points(BufWriter::new(file), &prepared.cloud);
+    for (key, value) in told.as_object().into_iter().flatten() {
+        result[key] = value.clone();
+    }
     if let Some(folder) = folder {
         link::link_tree(&arguments.source, folder.path(), &[POINTS_FILE, RECORD])?;
-        write_file_with(&folder.path().join(POINTS_FILE), false, write)?;
+        points::write(&folder.path().join(POINTS_FILE), &prepared.cloud, false)?;
         write_json(&folder.path().join(RECORD), &result, false)?;
         folder.finish()?;
     }
     if let Some(file) = &arguments.points_only {
-        write_file_with(file, force, write)?;
+        points::write(file, &prepared.cloud, force)?;
     }
     arguments.job.write_json(&result)?;
     match (&arguments.out, &arguments.points_only) {
@@ -159,7 +184,7 @@ fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFo
         }
         for entry in std::fs::read_dir(out).with_context(|| format!("reading {}", out.display()))? {
             let name = entry?.file_name();
-            let ours = [POINTS_FILE, RECORD].iter().any(|ours| name == *ours);
+            let ours = [POINTS_FILE, RECORD, DESCRIPTION_FILE].iter().any(|ours| name == *ours);
             if !ours && !is_unfinished(&name) && source.join(&name).symlink_metadata().is_err() {
                 let problem = "is neither of the source nor of prepare, expected it to be moved away first";
                 return Err(wrong_input(format!("{}: {problem}", out.join(name).display())));
@@ -167,25 +192,4 @@ fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFo
         }
     }
     NewFolder::begin(out, force, |_| true)
-}
-
-fn num_foreground(prepared: &Prepared) -> usize {
-    prepared.cloud.foreground.iter().filter(|&&foreground| foreground).count()
-}
-
-fn describe(prepared: &Prepared, seconds: f64) -> String {
-    let parts = [
-        (Origin::Triangulated, "triangulated"),
-        (Origin::Hull, "on the visual hull"),
-        (Origin::Filled, "between them"),
-        (Origin::Shell, "on a shell around"),
-    ];
-    let parts: Vec<String> = parts
-        .into_iter()
-        .map(|(origin, name)| (prepared.count(origin), name))
-        .filter(|&(count, _)| count > 0)
-        .map(|(count, name)| format!("{count} {name}"))
-        .collect();
-    let (points, foreground) = (prepared.cloud.points.len(), num_foreground(prepared));
-    format!("{points} points, {foreground} of them foreground: {}; {seconds:.1} s", parts.join(", "))
 }

@@ -34,7 +34,8 @@ A long capture in chapters, on as many machines; see README.md:
   tcgs train my_capture --out chapter1 --config base/config.toml --frames 95..202 --start-from base@0
   tcgs compress chapter0 chapter1 --out scene.tcgs")]
 pub struct Arguments {
-    /// Folder of the capture: Panoptic Sports, Neural 3D Video, Technicolor, nerfstudio, COLMAP or Middlebury
+    /// Folder of the capture: Panoptic Sports, Neural 3D Video, Technicolor, nerfstudio, COLMAP, Middlebury, or what tcgs
+    /// prepare made of videos
     capture: PathBuf,
     /// Folder of the run
     #[arg(long, value_name = "RUN")]

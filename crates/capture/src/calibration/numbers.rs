@@ -1,0 +1,108 @@
+//! From matrices and vectors as calibrations write them to a camera, with every check that all formats need.
+
+use tcgs_core::rotmat_from_quat;
+
+use super::CalibratedCamera;
+
+/// How far `R Rᵀ` may be from the identity: calibrations are stored with a few decimals.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+/// Largest skew that is taken for rounding, as a share of the focal length.
+const SKEW_TOLERANCE: f64 = 1e-4;
+
+/// The numbers of one camera in the conventions of OpenCV.
+pub(super) struct OpenCvCamera {
+    pub names: Vec<String>,
+    pub size: Option<(usize, usize)>,
+    /// `[3][3]` row-major, pixels; the centre of the first pixel is `(0, 0)`.
+    pub matrix: [[f64; 3]; 3],
+    /// In OpenCV's order; 0, 4, 5 or 8 numbers.
+    pub distortion: Vec<f64>,
+    /// `[3][3]` row-major, `camera_from_world`
+    pub rotation: [[f64; 3]; 3],
+    pub translation: [f64; 3],
+}
+
+impl OpenCvCamera {
+    /// Checks the numbers, and moves the origin of pixels from the centre of the first one to its corner.
+    ///
+    /// - returns: what is wrong, to be put behind the camera's name
+    pub fn checked(self) -> Result<CalibratedCamera, String> {
+        let [[fx, skew, cx], [zero, fy, cy], bottom] = self.matrix;
+        if self.matrix.as_flattened().iter().any(|x| !x.is_finite()) {
+            return Err(format!("its matrix is {:?}, expected finite numbers", self.matrix));
+        }
+        if fx <= 0.0 || fy <= 0.0 {
+            return Err(format!("has the focal lengths {fx} and {fy}, expected more than 0"));
+        }
+        if skew.abs() > SKEW_TOLERANCE * fx || zero != 0.0 || bottom != [0.0, 0.0, 1.0] {
+            return Err(format!("its matrix is {:?}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", self.matrix));
+        }
+        Ok(CalibratedCamera {
+            names: self.names,
+            size: self.size,
+            focal: [fx, fy],
+            principal: [cx + 0.5, cy + 0.5],
+            distortion: distortion(&self.distortion)?,
+            camera_from_world: rigid(self.rotation, self.translation)?,
+        })
+    }
+}
+
+/// Distortion of OpenCV, with zeros for the coefficients that a shorter list leaves out.
+pub(super) fn distortion(coefficients: &[f64]) -> Result<[f64; 8], String> {
+    if coefficients.iter().any(|k| !k.is_finite()) {
+        return Err(format!("its distortion is {coefficients:?}, expected finite numbers"));
+    }
+    // A thin prism and a tilted sensor follow; most files that have room for them hold zeros.
+    let (known, others) = coefficients.split_at(coefficients.len().min(8));
+    if ![0, 4, 5, 8, 12, 14].contains(&coefficients.len()) || others.iter().any(|&k| k != 0.0) {
+        let found = coefficients.len();
+        return Err(format!("has {found} distortion coefficients, expected 4, 5 or 8: k1 k2 p1 p2 k3 k4 k5 k6"));
+    }
+    Ok(std::array::from_fn(|i| known.get(i).copied().unwrap_or(0.0)))
+}
+
+/// A rigid transform `[3][4]`.
+///
+/// - returns: what is wrong, by name where it is a usual mistake: an axis that points the other way
+pub(super) fn rigid(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> Result<[[f64; 4]; 3], String> {
+    if rotation.as_flattened().iter().chain(&translation).any(|x| !x.is_finite()) {
+        return Err(format!("its pose is {rotation:?}, {translation:?}, expected finite numbers"));
+    }
+    for i in 0..3 {
+        for j in 0..3 {
+            let dot = tcgs_core::dot(rotation[i], rotation[j]);
+            if (dot - f64::from(u8::from(i == j))).abs() > ROTATION_TOLERANCE {
+                return Err(format!("its rotation is {rotation:?}, expected rows of length 1 at right angles"));
+            }
+        }
+    }
+    let [a, b, c] = rotation;
+    let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    if tcgs_core::dot(cross, c) < 0.0 {
+        return Err("its rotation has the determinant -1, expected 1: the axes are left-handed".into());
+    }
+    Ok(std::array::from_fn(|i| [rotation[i][0], rotation[i][1], rotation[i][2], translation[i]]))
+}
+
+/// Rotation matrix of a rotation vector: the axis, as long as the angle in radians (Rodrigues).
+pub(super) fn rotmat_from_vector(vector: [f64; 3]) -> [[f64; 3]; 3] {
+    let angle = tcgs_core::dot(vector, vector).sqrt();
+    // sin(a / 2) / a, which is 1 / 2 where there is no turn.
+    let share = if angle < 1e-12 { 0.5 } else { (0.5 * angle).sin() / angle };
+    let [x, y, z] = vector.map(|v| share * v);
+    rotmat_from_quat([(0.5 * angle).cos(), x, y, z])
+}
+
+/// The transform the other way.
+pub(super) fn inverse(transform: [[f64; 4]; 3]) -> [[f64; 4]; 3] {
+    std::array::from_fn(|i| {
+        let row: [f64; 3] = std::array::from_fn(|j| transform[j][i]);
+        [row[0], row[1], row[2], -tcgs_core::dot(row, std::array::from_fn(|j| transform[j][3]))]
+    })
+}
+
+/// A pixel size as a file has it: whole and positive, though some programs write it with a point.
+pub(super) fn side(value: f64) -> Option<usize> {
+    (value.fract() == 0.0 && (1.0..=crate::lens::MAX_SIDE as f64).contains(&value)).then_some(value as usize)
+}

@@ -1,0 +1,123 @@
+//! When one event happened on the clock of each camera: from sound, from motion, from a file, or assumed.
+//!
+//! What lives here: the result, and the file that says it by hand. `sound` and `motion` find it. What does not: what a
+//! capture makes of it (`raw`).
+
+mod motion;
+mod sound;
+
+use std::path::Path;
+
+use crate::CaptureError;
+use crate::recording::Recording;
+
+/// The clocks of the cameras of one scene against each other.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Clocks {
+    /// How they were found.
+    pub from: ClocksFrom,
+    /// The moment of one and the same event in each recording, seconds by its presentation times.
+    pub event_secs: Vec<f64>,
+}
+
+/// How clocks were found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClocksFrom {
+    /// By cross-correlation of the sound.
+    Sound,
+    /// By what moves and how bright it is over time.
+    Motion,
+    /// A file says so.
+    File,
+    /// Nothing was found: all recordings are taken to begin at the same moment.
+    Assumed,
+}
+
+impl ClocksFrom {
+    /// The word in `capture.toml`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sound => "sound",
+            Self::Motion => "motion",
+            Self::File => "file",
+            Self::Assumed => "assumed",
+        }
+    }
+}
+
+impl Clocks {
+    /// All recordings begin at the same moment.
+    pub fn assumed(num_cameras: usize) -> Self {
+        Self { from: ClocksFrom::Assumed, event_secs: vec![0.0; num_cameras] }
+    }
+
+    /// Reads the moment of one event in each recording: a line for each, `NAME SECONDS`; `#` begins a comment.
+    ///
+    /// - `names`: of the cameras
+    ///
+    /// # Errors
+    /// [`CaptureError`] that names the line, or the camera that no line is about.
+    pub fn read(path: &Path, names: &[String]) -> Result<Self, CaptureError> {
+        let text = std::fs::read_to_string(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+        let event_secs = parse(&text, names).map_err(|problem| CaptureError::invalid(path, problem))?;
+        Ok(Self { from: ClocksFrom::File, event_secs })
+    }
+}
+
+/// Finds the clocks of recordings against each other: by sound, else by motion, else assumed.
+pub(crate) fn measure(recordings: &[Recording]) -> Result<Clocks, CaptureError> {
+    // Files of images have no clock, and folders of them are by custom exported together.
+    if recordings.iter().all(Recording::is_images) {
+        return Ok(Clocks::assumed(recordings.len()));
+    }
+    let paths: Vec<&Path> = recordings.iter().map(|recording| recording.path.as_path()).collect();
+    if let Some(event_secs) = sound::event_secs(&paths) {
+        return Ok(Clocks { from: ClocksFrom::Sound, event_secs });
+    }
+    Ok(match motion::event_secs(recordings)? {
+        Some(event_secs) => Clocks { from: ClocksFrom::Motion, event_secs },
+        None => Clocks::assumed(recordings.len()),
+    })
+}
+
+fn parse(text: &str, names: &[String]) -> Result<Vec<f64>, String> {
+    let mut found: Vec<Option<f64>> = vec![None; names.len()];
+    for (i, line) in text.lines().enumerate() {
+        let line = line.split('#').next().unwrap_or_default().trim();
+        if line.is_empty() {
+            continue;
+        }
+        let problem = |problem: String| format!("line {}: {problem}", i + 1);
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let &[name, secs] = words.as_slice() else {
+            return Err(problem(format!("is {line:?}, expected the name of a camera and seconds")));
+        };
+        let camera = names.iter().position(|known| known == name);
+        let camera = camera.ok_or_else(|| problem(format!("found {name}, expected one of {}", names.join(", "))))?;
+        let secs: Option<f64> = secs.parse().ok().filter(|secs: &f64| secs.is_finite());
+        let secs = secs.ok_or_else(|| problem(format!("found {:?}, expected seconds", words[1])))?;
+        if found[camera].replace(secs).is_some() {
+            return Err(problem(format!("names {name} again, expected one line for each camera")));
+        }
+    }
+    let lacks = |i: usize| format!("has no line for {}, expected one for each camera", names[i]);
+    found.into_iter().enumerate().map(|(i, secs)| secs.ok_or_else(|| lacks(i))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_events_has_a_line_for_each_camera() {
+        let names = ["a", "b"].map(String::from);
+        assert_eq!(parse("# clap\nb 1.5\n\na -0.25 # early\n", &names), Ok(vec![-0.25, 1.5]));
+        let problem = |text: &str| parse(text, &names).unwrap_err();
+        assert_eq!(problem("a 1"), "has no line for b, expected one for each camera");
+        assert_eq!(problem("a 1\nc 2"), "line 2: found c, expected one of a, b");
+        assert_eq!(problem("a 1\na 2"), "line 2: names a again, expected one line for each camera");
+        assert_eq!(problem("a one"), "line 1: found \"one\", expected seconds");
+        assert!(problem("a 1 2").starts_with("line 1: is \"a 1 2\""));
+    }
+}

@@ -1,0 +1,132 @@
+//! Captures that `capture.toml` describes: videos of any kind or folders of images, with clocks, calibration and gains.
+//!
+//! ```text
+//! capture.toml         the description, docs/CAPTURE.md
+//! cam01.mp4 …          what it names
+//! init_pt_cld.npz …    points
+//! ```
+//!
+//! What lives here: from the description and the files that it names to a capture. Images are turned, cropped, evened out
+//! (`recording::Take`) and straightened, one at a time, when they are asked for.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+use tcgs_core::Camera;
+
+use crate::checked::{FrameRate, InnerPath};
+use crate::contents::{CameraSet, Contents};
+use crate::description::{CaptureDescription, DESCRIPTION_FILE, DescribedCamera, Role};
+use crate::footage::{ByFrame, Change, Footage, Images, Masks, Pixels};
+use crate::kind::{CaptureFacts, CaptureKind};
+use crate::lens::{Crop, Lens, MAX_SIDE};
+use crate::recording::{Active, Recording, Take, turned};
+use crate::{CaptureError, points};
+
+impl CaptureKind {
+    /// `capture.toml`, which says everything about the files beside it.
+    pub const DESCRIBED: Self = Self {
+        name: "described",
+        mark: "capture.toml",
+        facts: CaptureFacts { has_floor: false, in_metres: false, labels_motion: false },
+        recognises: |path| Ok(path.join(DESCRIPTION_FILE).exists()),
+        open,
+    };
+}
+
+fn open(path: &Path) -> Result<Contents, CaptureError> {
+    let file = path.join(DESCRIPTION_FILE);
+    let description = CaptureDescription::read(&file)?;
+    let frame_rate = FrameRate::new(description.frame_rate)
+        .map_err(|problem| CaptureError::invalid(&file, format!("frame_rate {problem}")))?;
+    // Collected before the first error is looked for, so that it is always the same one.
+    let footage: Vec<_> = description.cameras.par_iter().map(|camera| footage(path, &description, camera)).collect();
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for (camera, footage) in description.cameras.iter().zip(footage) {
+        match camera.role {
+            Role::Train => train.push(footage?),
+            Role::Test => test.push(footage?),
+        }
+    }
+    Ok(Contents {
+        num_frames: description.num_frames,
+        frame_rate,
+        usual_frames: 0..description.num_frames,
+        train: CameraSet::constant(train),
+        test: CameraSet::constant(test),
+        cameras_files: [file.clone(), file],
+        points: points::find(path, None),
+    })
+}
+
+fn footage(folder: &Path, description: &CaptureDescription, camera: &DescribedCamera) -> Result<Footage, CaptureError> {
+    let file = folder.join(DESCRIPTION_FILE);
+    let invalid = |problem: String| CaptureError::invalid(&file, format!("camera {}: {problem}", camera.name));
+    let inner = InnerPath::new(&camera.file, "the capture").map_err(|problem| invalid(format!("file {problem}")))?;
+    let recording = Recording::open(&inner.below(folder), camera.images_per_sec.unwrap_or(description.frame_rate))?;
+    check_times(&recording, description, camera)?;
+
+    let quarter_turns = (camera.turn_degrees / 90) as u8;
+    let whole = turned(recording.size, quarter_turns);
+    let active =
+        camera.crop.map_or(Active::whole(whole), |[left, top, width, height]| Active { left, top, width, height });
+    if !active.is_within(whole) {
+        return Err(invalid(format!("crop {:?} exceeds the image of {}x{} pixels", camera.crop, whole.0, whole.1)));
+    }
+    let [width, height] = camera.size;
+    if (active.width, active.height) != (width, height) || width.max(height) > MAX_SIDE {
+        let (found, cropped) = ((active.width, active.height), if camera.crop.is_some() { ", cropped" } else { "" });
+        return Err(invalid(format!(
+            "size is {width}x{height} pixels, but {} has {}x{}{cropped}, expected the same",
+            camera.file, found.0, found.1
+        )));
+    }
+    let k: [f64; 8] = std::array::from_fn(|i| camera.distortion.get(i).copied().unwrap_or(0.0));
+    let mut lens = Lens {
+        width,
+        height,
+        focal: camera.focal,
+        principal: camera.principal,
+        radial: [k[0], k[1], k[4], k[5], k[6], k[7]],
+        tangential: [k[2], k[3]],
+        crop: Crop::default(),
+    };
+    lens.find_crop().map_err(invalid)?;
+    let [x, y, z] = camera.camera_from_world;
+    let pinhole =
+        Camera::new(lens.crop.width, lens.crop.height, lens.straight_intrinsics(), [x, y, z, [0.0, 0.0, 0.0, 1.0]]);
+    let pinhole = pinhole.map_err(|error| invalid(error.to_string()))?;
+    let (start_secs, fps, gains) = (camera.start_secs, description.frame_rate, camera.gains);
+    let take = Take { recording, quarter_turns, active, gains, start_secs, fps };
+    let changes = ByFrame::constant(Change::for_lens(&Arc::new(lens)));
+    Ok(Footage {
+        camera_id: camera.id,
+        cameras: ByFrame::constant(pinhole),
+        images: Images::Stored { pixels: Pixels::Take(Arc::new(take)), changes },
+        masks: Masks::None,
+    })
+}
+
+/// Checks that the recording runs while the capture does.
+fn check_times(
+    recording: &Recording,
+    description: &CaptureDescription,
+    camera: &DescribedCamera,
+) -> Result<(), CaptureError> {
+    let times = &recording.times;
+    let begin = camera.start_secs;
+    let end = begin + (description.num_frames - 1) as f64 / description.frame_rate;
+    // A frame is shown until the next one; rounding moves both.
+    let slack = 1.0 / times.fps().unwrap_or(description.frame_rate).min(description.frame_rate);
+    let (first, last) = (times.first_secs(), times.last_secs());
+    if begin < first - slack || end > last + slack {
+        let problem = format!(
+            "has frames from {first:.3} s to {last:.3} s, expected frames from {begin:.3} s to {end:.3} s: \
+             {} frames at {} a second from start_secs on",
+            description.num_frames, description.frame_rate
+        );
+        return Err(CaptureError::invalid(&recording.path, problem));
+    }
+    Ok(())
+}

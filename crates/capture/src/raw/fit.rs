@@ -1,0 +1,122 @@
+//! The intrinsics of a calibration on images of another size: scaled where this is exact, else refused.
+//!
+//! In this order, the first that fits: the size as players show it; the size as stored, where the file asks players to
+//! turn the image by a quarter; either scaled; what is left within black bars, scaled.
+
+use crate::calibration::CalibratedCamera;
+use crate::recording::{Active, Recording, turned};
+
+use super::looked::Looked;
+
+/// A camera on the images that it belongs to.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Fitted {
+    pub quarter_turns: u8,
+    /// `left, top, width, height` of the turned image, if not all of it is used.
+    pub crop: Option<[usize; 4]>,
+    pub size: [usize; 2],
+    pub focal: [f64; 2],
+    pub principal: [f64; 2],
+    pub distortion: [f64; 8],
+    pub camera_from_world: [[f64; 4]; 3],
+}
+
+/// - returns: the camera, and in words what was changed; or what is wrong
+pub(super) fn fitted(
+    camera: &CalibratedCamera,
+    recording: &Recording,
+    looked: &Looked,
+) -> Result<(Fitted, Option<String>), String> {
+    let turns = recording.quarter_turns;
+    let shown = turned(recording.size, turns);
+    let Some(size) = camera.size else {
+        return with_size_of_video(camera, turns, shown);
+    };
+    let all = |quarter_turns| (quarter_turns, None, turned(recording.size, quarter_turns));
+    let mut candidates = vec![all(turns)];
+    if turns % 2 == 1 {
+        candidates.push(all(0));
+    }
+    let bars = turned_within(looked.within_bars, recording.size, turns);
+    if (bars.width, bars.height) != shown {
+        candidates.push((turns, Some(bars), (bars.width, bars.height)));
+    }
+    for (quarter_turns, active, (width, height)) in candidates {
+        if !is_scaled((width, height), size) {
+            continue;
+        }
+        let scale = [width as f64 / size.0 as f64, height as f64 / size.1 as f64];
+        let fitted = Fitted {
+            quarter_turns,
+            crop: active.map(|active| [active.left, active.top, active.width, active.height]),
+            size: [width, height],
+            focal: [camera.focal[0] * scale[0], camera.focal[1] * scale[1]],
+            principal: [camera.principal[0] * scale[0], camera.principal[1] * scale[1]],
+            distortion: camera.distortion,
+            camera_from_world: camera.camera_from_world,
+        };
+        let mut changes = Vec::new();
+        if let Some(active) = active {
+            changes.push(format!(
+                "black bars are cropped, which leaves {}x{} of {}x{} pixels",
+                active.width, active.height, shown.0, shown.1
+            ));
+        }
+        if quarter_turns != turns {
+            changes.push("the calibration is of the image as stored, so it is not turned".into());
+        }
+        if (width, height) != size {
+            changes.push(format!("the calibration of {}x{} pixels is scaled to {width}x{height}", size.0, size.1));
+        }
+        return Ok((fitted, (!changes.is_empty()).then(|| changes.join("; "))));
+    }
+    Err(format!(
+        "is calibrated at {}x{} pixels, expected {}x{} as the recording has, or a size of which that is a scaled copy",
+        size.0, size.1, shown.0, shown.1
+    ))
+}
+
+/// A calibration that does not say its size is of the size of the video, if its principal point allows that.
+fn with_size_of_video(
+    camera: &CalibratedCamera,
+    quarter_turns: u8,
+    (width, height): (usize, usize),
+) -> Result<(Fitted, Option<String>), String> {
+    let [cx, cy] = camera.principal;
+    // Lenses are mounted to within some per cent of the middle of the sensor.
+    let is_near_middle = |center: f64, side: usize| (0.25..0.75).contains(&(center / side as f64));
+    if !is_near_middle(cx, width) || !is_near_middle(cy, height) {
+        return Err(format!(
+            "has its principal point at {cx:.1} {cy:.1}, expected one near the middle of {width}x{height} pixels; the \
+             calibration does not say of which size it is, and seems to be of another"
+        ));
+    }
+    let fitted = Fitted {
+        quarter_turns,
+        crop: None,
+        size: [width, height],
+        focal: camera.focal,
+        principal: camera.principal,
+        distortion: camera.distortion,
+        camera_from_world: camera.camera_from_world,
+    };
+    Ok((fitted, None))
+}
+
+/// Whether one size is the other, scaled, but for rounding to whole or even pixels.
+fn is_scaled((width, height): (usize, usize), of: (usize, usize)) -> bool {
+    let (by_width, by_height) = (width as f64 / of.0 as f64, height as f64 / of.1 as f64);
+    (by_width - by_height).abs() * of.0.max(of.1) as f64 <= by_width.max(by_height)
+}
+
+/// A rectangle of the stored image on the turned one.
+fn turned_within(active: Active, (width, height): (usize, usize), quarter_turns: u8) -> Active {
+    let Active { left, top, width: w, height: h } = active;
+    let (right, bottom) = (width - left - w, height - top - h);
+    match quarter_turns {
+        1 => Active { left: bottom, top: left, width: h, height: w },
+        2 => Active { left: right, top: bottom, width: w, height: h },
+        3 => Active { left: top, top: right, width: h, height: w },
+        _ => active,
+    }
+}

@@ -1,0 +1,81 @@
+//! The part of a recording that a capture uses: from which moment on, at which rate, turned, cropped, with gains.
+
+use image::{RgbImage, imageops};
+
+use super::Recording;
+use crate::CaptureError;
+
+/// A recording on the clock of its capture.
+#[derive(Debug)]
+pub(crate) struct Take {
+    pub recording: Recording,
+    /// Clockwise, applied to the stored image.
+    pub quarter_turns: u8,
+    /// The part of the turned image that shows something.
+    pub active: Active,
+    /// Factors of red, green and blue.
+    pub gains: [f32; 3],
+    /// The time in the recording at which the capture begins.
+    pub start_secs: f64,
+    /// Frames per second of the capture.
+    pub fps: f64,
+}
+
+/// A rectangle of pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Active {
+    pub left: usize,
+    pub top: usize,
+    pub width: usize,
+    pub height: usize,
+}
+
+impl Active {
+    /// All of an image.
+    pub fn whole((width, height): (usize, usize)) -> Self {
+        Self { left: 0, top: 0, width, height }
+    }
+
+    /// Whether it lies in an image of that size.
+    pub fn is_within(self, (width, height): (usize, usize)) -> bool {
+        let fits = |begin: usize, length: usize, size: usize| {
+            length > 0 && begin.checked_add(length).is_some_and(|end| end <= size)
+        };
+        fits(self.left, self.width, width) && fits(self.top, self.height, height)
+    }
+}
+
+/// A size after quarter turns.
+pub(crate) fn turned((width, height): (usize, usize), quarter_turns: u8) -> (usize, usize) {
+    if quarter_turns % 2 == 1 { (height, width) } else { (width, height) }
+}
+
+impl Take {
+    /// The stored frame that the capture shows.
+    pub fn stored_frame(&self, frame: usize) -> usize {
+        self.recording.times.nearest(self.start_secs + frame as f64 / self.fps)
+    }
+
+    /// Decodes a frame of the capture.
+    pub fn image(&self, frame: usize) -> Result<RgbImage, CaptureError> {
+        let stored = self.recording.frame(self.stored_frame(frame))?;
+        let mut image = match self.quarter_turns {
+            1 => imageops::rotate90(&stored),
+            2 => imageops::rotate180(&stored),
+            3 => imageops::rotate270(&stored),
+            _ => stored,
+        };
+        let Active { left, top, width, height } = self.active;
+        if (width, height) != (image.width() as usize, image.height() as usize) {
+            image = imageops::crop_imm(&image, left as u32, top as u32, width as u32, height as u32).to_image();
+        }
+        if self.gains != [1.0; 3] {
+            for pixel in image.pixels_mut() {
+                for (value, gain) in pixel.0.iter_mut().zip(self.gains) {
+                    *value = (f32::from(*value) * gain).round().clamp(0.0, 255.0) as u8;
+                }
+            }
+        }
+        Ok(image)
+    }
+}

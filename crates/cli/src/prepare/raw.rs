@@ -1,0 +1,223 @@
+//! `tcgs prepare` on a folder of videos as people have it: which cameras, which clocks, and then points.
+//!
+//! What lives here: the order of the steps, what each says, and which are skipped because the output holds their result.
+//! What does not: the steps themselves (`tcgs_capture`).
+
+use std::path::Path;
+
+use anyhow::Context;
+use serde_json::{Value, json};
+use tcgs_capture::{
+    Calibration, Capture, CaptureDescription, Clocks, ClocksFrom, DESCRIPTION_FILE, DescribeSettings, POINTS_FILE,
+    PlacedCameras, RawCamera, RawFootage, Role,
+};
+
+use super::{Arguments, RECORD, begin_capture, link, points};
+use crate::error::wrong_input;
+use crate::interrupt;
+use crate::output::{write_file, write_json};
+use crate::terminal::say;
+
+/// Runs the steps.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let Some(out) = arguments.out.as_deref() else {
+        let problem = "is a folder of videos, expected --out CAPTURE: its points need cameras and clocks";
+        return Err(wrong_input(format!("{}: {problem}", arguments.source.display())));
+    };
+    interrupt::catch()?;
+    let description = match found_description(out, arguments)? {
+        Some(description) => {
+            say(&format!("cameras and clocks: as {} says", out.join(DESCRIPTION_FILE).display()))?;
+            description
+        }
+        None => match describe(arguments, out)? {
+            Some(description) => description,
+            None => return Ok(()), // a dry run
+        },
+    };
+    let mut result = json!({
+        "source": arguments.source.display().to_string(),
+        "out": out.display().to_string(),
+        "cameras": description.cameras.iter().map(camera_json).collect::<Vec<_>>(),
+        "num_frames": description.num_frames,
+        "frame_rate": description.frame_rate,
+        "calibration": description.calibration.as_ref().map(|source| json!({
+            "file": source.file, "format": source.format, "changes": source.changes,
+        })),
+        "clock": description.clock.as_ref().map(|clock| &clock.from),
+    });
+    let capture = Capture::open_unseen(out)?;
+    if capture.has_points() {
+        say("points: the capture has some already")?;
+    } else if arguments.dry_run {
+        return say("points: would be made");
+    } else {
+        let (cloud, of_points) = points::make_or_strew(&capture, arguments)?;
+        points::write(&out.join(POINTS_FILE), &cloud, false)?;
+        for (key, value) in of_points.as_object().into_iter().flatten() {
+            result[key] = value.clone();
+        }
+    }
+    if !arguments.dry_run {
+        write_json(&out.join(RECORD), &result, true)?;
+        arguments.job.write_json(&result)?;
+        say(&format!("next: tcgs train {} --out RUN", out.display()))?;
+    }
+    Ok(())
+}
+
+/// The description that an earlier run of the same command left.
+fn found_description(out: &Path, arguments: &Arguments) -> anyhow::Result<Option<CaptureDescription>> {
+    let record = out.join(RECORD);
+    if arguments.job.force || !record.is_file() || !out.join(DESCRIPTION_FILE).is_file() {
+        return Ok(None);
+    }
+    let text = std::fs::read(&record).with_context(|| format!("reading {}", record.display()))?;
+    let source = serde_json::from_slice::<Value>(&text).unwrap_or_default()["source"].clone();
+    if source != json!(arguments.source.display().to_string()) {
+        return Ok(None);
+    }
+    Ok(Some(CaptureDescription::read(&out.join(DESCRIPTION_FILE))?))
+}
+
+/// The steps before the points.
+///
+/// - returns: nothing if this is a dry run
+fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<CaptureDescription>> {
+    let source = &arguments.source;
+    let folder = match arguments.dry_run {
+        true => None,
+        false => Some(begin_capture(out, source, arguments.job.force)?),
+    };
+    if let Some(folder) = &folder {
+        interrupt::remove_at_end(folder.temporary())?;
+    }
+    let raw = RawFootage::find(source, arguments.fps)?;
+    let raw = raw.ok_or_else(|| wrong_input(format!("{}: has no videos, expected one a camera", source.display())))?;
+    let cameras = raw.cameras();
+    for line in recordings_in_words(&cameras) {
+        say(&line)?;
+    }
+    interrupt::check()?;
+
+    let calibration = match &arguments.calibration {
+        Some(path) => Some(Calibration::read(path)?),
+        None => Calibration::find(source)?,
+    };
+    let calibration = calibration.ok_or_else(|| {
+        let problem = format!("has no calibration, expected {}; or --calibration FILE", Calibration::marks());
+        wrong_input(format!("{}: {problem}", source.display()))
+    })?;
+    let placed = raw.place(&calibration)?;
+    for line in calibration_in_words(&placed, cameras.len()) {
+        say(&line)?;
+    }
+    interrupt::check()?;
+
+    if arguments.dry_run {
+        say(match arguments.offsets {
+            Some(_) => "clocks: would be read from --offsets",
+            None => "clocks: would be measured by sound, else by motion",
+        })?;
+        say("points: would be made")?;
+        return Ok(None);
+    }
+    let names: Vec<String> = cameras.iter().map(|camera| camera.name.clone()).collect();
+    let clocks = match &arguments.offsets {
+        Some(file) => Clocks::read(file, &names)?,
+        None => raw.measure_clocks()?,
+    };
+    let settings = DescribeSettings {
+        from_secs: arguments.from.unwrap_or(0.0),
+        to_secs: arguments.to,
+        every: arguments.every.unwrap_or(1),
+        frame_rate: None,
+        test_cameras: (!arguments.hold_out.is_empty()).then(|| arguments.hold_out.clone()),
+    };
+    let description = raw.describe(&placed, &clocks, &settings)?;
+    for line in clocks_in_words(&clocks, &names, &description) {
+        say(&line)?;
+    }
+    interrupt::check()?;
+
+    if let Some(folder) = folder {
+        link::link_tree(source, folder.path(), &[POINTS_FILE, RECORD, DESCRIPTION_FILE])?;
+        let beside = folder.path().join(&placed.source.file);
+        if calibration.path.is_file() && !beside.exists() {
+            std::fs::copy(&calibration.path, &beside).with_context(|| format!("writing {}", beside.display()))?;
+        }
+        write_file(&folder.path().join(DESCRIPTION_FILE), description.to_toml().as_bytes(), false)?;
+        // A capture that does not open is not left behind.
+        Capture::open_unseen(folder.path())?;
+        write_json(&folder.path().join(RECORD), &json!({ "source": source.display().to_string() }), false)?;
+        folder.finish()?;
+    }
+    Ok(Some(description))
+}
+
+fn recordings_in_words(cameras: &[RawCamera]) -> Vec<String> {
+    let mut lines = vec![format!("recordings: {} cameras", cameras.len())];
+    for camera in cameras {
+        let (width, height) = camera.size;
+        let rate = match camera.frame_rate {
+            Some(rate) if camera.is_variable => format!("about {rate:.2} frames a second, unevenly"),
+            Some(rate) => format!("{rate:.2} frames a second"),
+            None => "one frame".into(),
+        };
+        let turned = match camera.turn_degrees {
+            0 => String::new(),
+            degrees => format!(", turned by {degrees} degrees"),
+        };
+        lines.push(format!(
+            "  {}: {}, {width}x{height}{turned}, {} frames, {rate}",
+            camera.name, camera.codec, camera.num_frames
+        ));
+    }
+    lines
+}
+
+fn calibration_in_words(placed: &PlacedCameras, num_cameras: usize) -> Vec<String> {
+    let source = &placed.source;
+    let mut lines = vec![format!("calibration: {} ({}), {num_cameras} cameras", source.file, source.format)];
+    lines.extend(source.changes.iter().map(|change| format!("  {change}")));
+    lines
+}
+
+fn clocks_in_words(clocks: &Clocks, names: &[String], description: &CaptureDescription) -> Vec<String> {
+    let how = match clocks.from {
+        ClocksFrom::Sound => "clocks: by sound, each camera skips",
+        ClocksFrom::Motion => "clocks: by motion, each camera skips",
+        ClocksFrom::File => "clocks: as --offsets says, each camera skips",
+        ClocksFrom::Assumed => {
+            "clocks: neither sound nor motion tells; all recordings are taken to begin at once (--offsets FILE says \
+             otherwise), each camera skips"
+        }
+    };
+    let skips: Vec<String> = names
+        .iter()
+        .zip(&description.cameras)
+        .map(|(name, camera)| format!("{name} {:.3} s", camera.start_secs))
+        .collect();
+    let num_test = description.cameras.iter().filter(|camera| camera.role == Role::Test).count();
+    vec![
+        format!("{how} {}", skips.join(", ")),
+        format!(
+            "capture: {} frames at {:.2} a second, {} cameras for training, {num_test} held out",
+            description.num_frames,
+            description.frame_rate,
+            names.len() - num_test
+        ),
+    ]
+}
+
+fn camera_json(camera: &tcgs_capture::DescribedCamera) -> Value {
+    json!({
+        "id": camera.id,
+        "name": camera.name,
+        "file": camera.file,
+        "held_out": camera.role == Role::Test,
+        "start_secs": camera.start_secs,
+        "turn_degrees": camera.turn_degrees,
+        "size": camera.size,
+    })
+}
