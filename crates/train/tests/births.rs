@@ -15,7 +15,6 @@ use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::{Parameters, Preset, Run, State, TrainConfig, Trainer, with_unborn};
 
 #[cfg(feature = "gpu")]
-#[expect(dead_code, reason = "other tests share the rest of it")]
 mod support;
 
 const WALL: [usize; 2] = [30, 20];

@@ -215,8 +215,7 @@ fn measure_stages(
     final_: &Evaluation,
     score: impl Fn(&OpenScene) -> anyhow::Result<Evaluation>,
 ) -> anyhow::Result<Vec<Measured>> {
-    let pruned = scene.floats()?.select(&kept_gaussians(scene, None)?);
-    let pruned = score(&scene.with_floats(pruned, "pruned"))?;
+    let pruned = score(&scene.pruned(&kept_gaussians(scene, None)?)?)?;
     let quantized = score(&scene.with_symbols(quantized.compact))?;
     let stages = &compressed.stages;
     let of_stage = [uncompressed, &pruned, &quantized, final_, final_];

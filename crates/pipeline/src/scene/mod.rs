@@ -68,6 +68,8 @@ enum Content {
     Chapters(Box<Chapters>),
     Floats {
         scene: Box<DynamicGaussians>,
+        /// `[N]`, timestep of birth of each Gaussian, ascending; none where all are there at every timestep.
+        births: Option<Vec<u32>>,
         kind: &'static str,
     },
     /// A `params.npz`, of which a timestep is read when it is asked for.
@@ -120,8 +122,8 @@ impl RunContent {
     }
 
     fn num_gaussians_at(&self, timestep: usize) -> usize {
-        let born = |births: &Vec<u32>| births.partition_point(|&birth| birth as usize <= timestep);
-        self.births.as_ref().map_or(self.first.parameters.num_gaussians(), born)
+        let births = self.births.as_ref();
+        births.map_or(self.first.parameters.num_gaussians(), |births| born_by(births, timestep))
     }
 
     fn checkpoint(&self, timestep: usize) -> Result<Checkpoint, PipelineError> {
@@ -188,7 +190,19 @@ impl OpenScene {
     /// - `kind`: as [`Self::kind`] shall say
     pub fn with_floats(&self, scene: DynamicGaussians, kind: &'static str) -> Self {
         let layout = Arc::clone(scene.layout());
-        self.with(layout, Content::Floats { scene: Box::new(scene), kind })
+        self.with(layout, Content::Floats { scene: Box::new(scene), births: None, kind })
+    }
+
+    /// Some Gaussians of a scene of floats, in memory: what pruning leaves.
+    ///
+    /// - `keep`: their indices, ascending
+    ///
+    /// # Errors
+    /// As [`Self::floats`].
+    pub fn pruned(&self, keep: &[usize]) -> Result<Self, PipelineError> {
+        let scene = Box::new(self.floats()?.select(keep));
+        let births = self.births().map(|births| keep.iter().map(|&i| births[i]).collect());
+        Ok(self.with(Arc::clone(scene.layout()), Content::Floats { scene, births, kind: "pruned" }))
     }
 
     /// The same scene with the symbols of a compression.
@@ -270,6 +284,7 @@ impl OpenScene {
             Content::TimestepFiles(files) => files.num_gaussians_at(timestep),
             Content::Fourdgs(file) => file.num_gaussians_at(timestep),
             Content::Run(run) => run.num_gaussians_at(timestep),
+            Content::Floats { births: Some(births), .. } => born_by(births, timestep),
             _ => self.num_gaussians(),
         }
     }
@@ -325,6 +340,9 @@ impl OpenScene {
                 let (chapter, timestep) = chapters.place(timestep);
                 chapter.at(timestep)?
             }
+            Content::Floats { scene, births: Some(births), .. } => {
+                scene.at(timestep).select(&(0..born_by(births, timestep)).collect::<Vec<_>>())
+            }
             Content::Floats { scene, .. } => scene.at(timestep),
             // What a panic elsewhere leaves is a file at another place, and every read begins by seeking its own.
             Content::Params(params) => params.file.lock().unwrap_or_else(PoisonError::into_inner).at(timestep)?,
@@ -363,7 +381,8 @@ impl OpenScene {
         Err(PipelineError::input(self.path.display(), found, expected))
     }
 
-    /// All timesteps of a scene of floats. Files of a timestep each are checked to continue one another.
+    /// All timesteps of a scene of floats; who is born later stands at earlier timesteps as it will be born. Files of a timestep
+    /// each are checked to continue one another.
     ///
     /// # Errors
     /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged, or files of a timestep each differ in
@@ -395,6 +414,7 @@ impl OpenScene {
     pub(crate) fn births(&self) -> Option<&[u32]> {
         match &self.content {
             Content::Run(run) => run.births.as_deref(),
+            Content::Floats { births, .. } => births.as_deref(),
             _ => None,
         }
     }
@@ -455,6 +475,11 @@ impl OpenScene {
             Content::Fourdgs(_) => ".4dgs file",
         }
     }
+}
+
+/// - `births`: ascending
+fn born_by(births: &[u32], timestep: usize) -> usize {
+    births.partition_point(|&birth| birth as usize <= timestep)
 }
 
 /// Timesteps are read when they are asked for, as by [`OpenScene::at`].

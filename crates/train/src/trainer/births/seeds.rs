@@ -138,7 +138,7 @@ fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3]) -> O
         }
     }
     let is_agreed = agreeing >= MIN_AGREEING && 2 * against <= agreeing;
-    is_agreed.then(|| agreeing as f32 - against as f32 - difference)
+    is_agreed.then_some(agreeing as f32 - against as f32 - difference)
 }
 
 /// The nearest and the farthest depth of the scene in a view; none if the view sees nothing of it.
