@@ -260,7 +260,8 @@ impl GateConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BirthConfig {
-    /// Whether timesteps after the first add Gaussians where the scene does not explain what is seen. Needs the gate.
+    /// Whether timesteps after the first add Gaussians where the scene does not explain what is seen. Needs the gate;
+    /// a run that continues another one's state adds none.
     /// Default true; false in `d3dgs` and `paper`.
     pub enabled: bool,
     /// A block of 4x4 pixels is not explained if its mean absolute error is above one and a half times that of its tile when last
@@ -527,6 +528,13 @@ impl TrainConfig {
         if self.gate.pace < 1.0 {
             return refuse("gate.pace", self.gate.pace.to_string(), "1 or more");
         }
+        if self.births.iterations == 0 || self.births.share == 0.0 {
+            return refuse(
+                "births.iterations or births.share",
+                "0".into(),
+                "more than 0 (births.enabled turns births off)",
+            );
+        }
         if self.densify.interval == 0 || self.mask.prune_interval == 0 {
             return refuse("densify.interval or mask.prune_interval", "0".into(), "at least 1");
         }
@@ -593,6 +601,11 @@ mod tests {
             ("weights.rigid", "nan", "weights.rigid is NaN, expected a finite number"),
             ("rates.mean", "-1.0", "rates.mean is -1, expected"),
             ("gate.pace", "0.5", "gate.pace is 0.5, expected 1 or more"),
+            (
+                "births.share",
+                "0.0",
+                "births.iterations or births.share is 0, expected more than 0 (births.enabled turns births off)",
+            ),
         ] {
             let error = config.clone().set(key, value).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");

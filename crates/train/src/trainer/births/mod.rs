@@ -40,7 +40,9 @@ impl Trainer {
     /// As [`Trainer::fit`].
     pub(super) fn give_birth(&mut self, views: &[View], activity: &Activity) -> Result<(), TrainError> {
         let config = self.config.births.clone();
-        let Some(gate) = self.gate.as_ref().filter(|_| config.enabled && self.timestep > 0) else { return Ok(()) };
+        // Chapters of one scene have the same Gaussians.
+        let is_due = config.enabled && self.timestep > 0 && !self.continues;
+        let Some(gate) = self.gate.as_ref().filter(|_| is_due) else { return Ok(()) };
         let state = self.engine.state()?;
         let unexplained = gate.unexplained(state, views, activity, config.contrast);
         let most = (f64::from(config.share) * state.parameters.num_gaussians() as f64).ceil() as usize;
