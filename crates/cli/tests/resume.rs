@@ -311,8 +311,8 @@ fn a_write_that_fails_leaves_nothing_half_done() {
     let (code, message) = with_file_limit(1, &["compress", text(&run)]);
     assert_eq!(code, Some(1), "{message}");
     assert!(message.contains("scene.tcgs") && !file.exists(), "{message}");
-    let exported = folder.path().join("params.npz");
-    let (code, message) = with_file_limit(8, &["export", text(&run), "--to", text(&exported)]);
+    let exported = folder.path().join("plys");
+    let (code, message) = with_file_limit(1, &["export", text(&run), "--to", text(&exported)]);
     assert_eq!(code, Some(1), "{message}");
     assert!(!exported.exists());
     let frames = folder.path().join("frames");

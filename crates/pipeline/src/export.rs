@@ -101,10 +101,10 @@ impl<'a> Export<'a> {
     pub fn gaussians(&self, frame: usize) -> Result<Gaussians, PipelineError> {
         self.scene.choose_frames(Some(&(frame..frame + 1)))?;
         let gaussians = self.scene.at(frame - self.scene.first_frame)?;
-        Ok(match &self.keep {
-            Some(keep) if keep.len() < gaussians.num_gaussians() => gaussians.select(keep),
-            _ => gaussians,
-        })
+        let Some(keep) = &self.keep else { return Ok(gaussians) };
+        // Those that are born by then are the first ones.
+        let born = &keep[..keep.partition_point(|&i| i < gaussians.num_gaussians())];
+        Ok(if born.len() < gaussians.num_gaussians() { gaussians.select(born) } else { gaussians })
     }
 
     /// Refuses a scene without Gaussians, which other programs do not read.

@@ -257,16 +257,26 @@ impl Run {
         self.decode(timestep, &arrays, first)
     }
 
-    /// `[N]`, timestep of birth of every Gaussian of the last finished timestep, ascending; none if all were there at
-    /// first. Reads nothing else of the checkpoints.
+    /// `[N]`, timestep of birth of every Gaussian of the last finished timestep that can be read, ascending; none if all were
+    /// there at first. Reads nothing else of the checkpoints.
     ///
     /// # Errors
     /// As [`Self::checkpoint`].
     pub fn births(&self) -> Result<Option<Vec<u32>>, TrainError> {
         let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), BIRTHS);
-        let Some(last) = self.timesteps().checked_sub(1) else { return Ok(None) };
-        let births = Checkpoint::births_of(&chain.read(last)?);
-        births.map_err(|problem| TrainError::File { path: chain.path(last), problem })
+        let mut births_at = |timestep: usize| {
+            let births = Checkpoint::births_of(&chain.read(timestep)?);
+            births.map_err(|problem| TrainError::File { path: chain.path(timestep), problem })
+        };
+        // A damaged checkpoint is no reason not to read those before it.
+        let mut found = Ok(None);
+        for timestep in (0..self.timesteps()).rev() {
+            found = births_at(timestep);
+            if found.is_ok() {
+                break;
+            }
+        }
+        found
     }
 
     /// The Gaussians that were born after the first timestep, each as it was born, in the order of their births.

@@ -32,6 +32,7 @@ pub fn files() -> &'static Path {
             let capture = Capture::open(&path("capture")).unwrap();
             let mut config = settings_for(Preset::Fast, &capture);
             (config.schedule.first_iterations, config.schedule.rest_iterations) = (12, 6);
+            config.births.enabled = false;
             config.data.capture = path("capture").display().to_string();
             let run = Run::create(&path("run"), &config).unwrap();
             let trainer = new_trainer(&config, &capture, &Backend::Cpu).unwrap();

@@ -259,11 +259,18 @@ mod tests {
         assert_eq!(after.changed_rows(&patched), Some(vec![]));
         assert_eq!(after.changed_rows(&Array::new(&[8], vec![0.0_f32; 8])), None);
         assert_eq!(after.changed_rows(&Array::new(&[4, 2], vec![0_u8; 8])), None);
-        let too_far = Patch { rows: vec![4], values: after.select(&[0]) };
-        assert_eq!(patched.apply(&too_far).unwrap_err(), "changes row 4, expected one below 4");
+        let too_far = Patch { rows: vec![5], values: after.select(&[0]) };
+        assert_eq!(patched.apply(&too_far).unwrap_err(), "changes row 5, expected one below 5");
         let narrow = Patch { rows: vec![1], values: Array::new(&[1, 1], vec![0.0_f32]) };
         assert!(patched.apply(&narrow).unwrap_err().contains("expected rows of 2 values"));
         let bytes = Patch { rows: vec![1], values: Array::new(&[1, 2], vec![0_u8; 2]) };
         assert_eq!(patched.apply(&bytes).unwrap_err(), "changes its type");
+        // Rows that are new follow the others.
+        let longer = Array::new(&[6, 2], (0..12).map(|i| i as f32).collect());
+        let rows = longer.changed_rows(&patched).unwrap();
+        assert_eq!(rows[rows.len() - 2..], [4, 5]);
+        patched.apply(&Patch { values: longer.select(&rows), rows }).unwrap();
+        assert_eq!((longer.changed_rows(&patched), patched.changed_rows(&after).is_some()), (Some(vec![]), true));
+        assert_eq!(after.changed_rows(&patched), None);
     }
 }

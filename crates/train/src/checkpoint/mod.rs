@@ -164,14 +164,16 @@ impl Checkpoint {
             arrays.add("gate_errors", For::Resuming, &[errors.len()], &errors);
             arrays.add("gate_noise", For::Resuming, &[tiles.len(), noise.len() / tiles.len()], &noise);
         }
+        if first {
+            let cameras = p.camera_gains.len();
+            arrays.add("camera_gains", For::Scene, &[cameras, 3], p.camera_gains.as_flattened());
+            arrays.add("camera_offsets", For::Scene, &[cameras, 3], p.camera_offsets.as_flattened());
+        }
         if first || has_births {
             let foreground: Vec<u8> = p.foreground.iter().map(|&f| u8::from(f)).collect();
             arrays.add(FOREGROUND, For::Scene, &[n], &foreground);
         }
         if first {
-            let cameras = p.camera_gains.len();
-            arrays.add("camera_gains", For::Scene, &[cameras, 3], p.camera_gains.as_flattened());
-            arrays.add("camera_offsets", For::Scene, &[cameras, 3], p.camera_offsets.as_flattened());
             arrays.add("scene_radius", For::Scene, &[1], &[self.scene_radius]);
             if let Some(q) = &self.quantizers {
                 let groups: Vec<u8> = q.groups.iter().flat_map(|&(a, width)| [a.index() as u8, width]).collect();
