@@ -390,11 +390,15 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
     let parameters = read_parameters(arrays, first)?;
     let (n, layout) = (parameters.num_gaussians(), parameters.gaussians.layout());
     let lifetimes = if has_lifetimes(arrays) { read_lifetimes(arrays, n)? } else { Lifetimes::new(n) };
-    let born = read_born(arrays)?;
+    let born = read_born(arrays, &lifetimes)?;
+    let num_first = lifetimes.born_by(0);
+    if let Some(first) = first.map(|first| first.parameters.num_gaussians()).filter(|&first| first != num_first) {
+        return Err(format!("{BIRTHS} has {num_first} Gaussians of the first timestep, expected {first}"));
+    }
     let (scene_radius, bits) = match first {
         Some(first) => {
-            let num_born = n.saturating_sub(first.parameters.num_gaussians());
-            let bits = |q: &FakeQuantizers| (q.bit_map.with_more(num_born), q.groups.clone(), q.initial_steps.clone());
+            let bits =
+                |q: &FakeQuantizers| (q.bit_map.with_more(n - num_first), q.groups.clone(), q.initial_steps.clone());
             (first.scene_radius, first.quantizers.as_ref().map(bits))
         }
         None => {
@@ -433,14 +437,17 @@ fn has_lifetimes(arrays: &Arrays) -> bool {
     LIFETIME_NAMES.iter().any(|name| arrays.contains_key(*name))
 }
 
-fn read_born(arrays: &Arrays) -> Result<Pose, String> {
-    if !arrays.contains_key(BORN_MEANS) {
+fn read_born(arrays: &Arrays, lifetimes: &Lifetimes) -> Result<Pose, String> {
+    let num_born = lifetimes.births.len() - lifetimes.born_by(0);
+    // Only resuming needs them.
+    if num_born == 0 || !Checkpoint::can_resume_from(arrays) {
         return Ok(Pose::default());
     }
     let means = get::<f32>(arrays, BORN_MEANS)?.as_chunks().0.to_vec();
     let quats = get::<f32>(arrays, BORN_QUATS)?.as_chunks().0.to_vec();
-    if means.len() != quats.len() {
-        return Err(format!("{BORN_QUATS} holds {} rotations, expected {}", quats.len(), means.len()));
+    if [means.len(), quats.len()] != [num_born; 2] {
+        let found = [means.len(), quats.len()];
+        return Err(format!("{BORN_MEANS} and {BORN_QUATS} hold {found:?} poses, expected {num_born}"));
     }
     Ok(Pose { means, quats })
 }

@@ -109,7 +109,7 @@ pub(super) fn noise_level(differences: &[f32], deviations: f32) -> f32 {
 }
 
 /// The upper median; 0 of no values.
-pub(super) fn median(values: &[f32]) -> f32 {
+pub(crate) fn median(values: &[f32]) -> f32 {
     let mut values = values.to_vec();
     let middle = values.len() / 2;
     match values.is_empty() {

@@ -25,8 +25,8 @@ use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
-pub(crate) use self::evidence::Blocks;
-use self::evidence::{changed_blocks, differences, median, noise_level, tile_errors, tiles_of};
+pub(crate) use self::evidence::{Blocks, median};
+use self::evidence::{changed_blocks, differences, noise_level, tile_errors, tiles_of};
 pub(crate) use self::nursery::Nursery;
 pub(crate) use self::pace::Pace;
 use crate::config::{GateConfig, MaskConfig};

@@ -11,7 +11,7 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use tcgs_core::{Image, Pinhole, View};
 
-use crate::gate::Blocks;
+use crate::gate::{Blocks, median};
 
 /// Depths that are looked at on a ray, evenly in their inverse.
 const DEPTHS: usize = 128;
@@ -36,8 +36,6 @@ pub(super) struct Seed {
     /// Distance between neighbouring rays there, scene units.
     pub spacing: f32,
     pub foreground: bool,
-    /// Which view's ray found it.
-    view: usize,
 }
 
 /// A view with what the scene does not explain in it.
@@ -57,27 +55,30 @@ pub(super) fn seeds(views: &[View], unexplained: &[Blocks], means: &[[f32; 3]], 
     let sight = |(view, unexplained)| Sight { view, pinhole: Pinhole::new(&view.camera), unexplained };
     let sights: Vec<Sight<'_>> = views.iter().zip(unexplained).map(sight).collect();
     let found: Vec<Vec<Seed>> = (0..sights.len()).into_par_iter().map(|of| found_by(&sights, of, means)).collect();
-    thinned(supported(found.concat()), most)
+    thinned(supported(&found), most)
 }
 
 /// The seeds near which other views' rays found some, too: within [`SUPPORT`] times their spacing.
-fn supported(seeds: Vec<Seed>) -> Vec<Seed> {
-    let Some(tree) = ImmutableKdTree::new_from_slice(&positions(&seeds)).ok().filter(|_| !seeds.is_empty()) else {
-        return Vec::new();
-    };
+///
+/// - `found`: `[views]`
+fn supported(found: &[Vec<Seed>]) -> Vec<Seed> {
+    let seeds = found.concat();
+    let view_of: Vec<usize> =
+        found.iter().enumerate().flat_map(|(view, seeds)| std::iter::repeat_n(view, seeds.len())).collect();
+    let positions: Vec<[f32; 3]> = seeds.iter().map(|seed| seed.position).collect();
+    if positions.is_empty() {
+        return seeds;
+    }
+    let tree = ImmutableKdTree::new_from_slice(&positions).expect("finite points make a tree");
     let is_supported = |seed: &&Seed| {
         let reach = (SUPPORT * seed.spacing).powi(2);
         let near = tree.query(&seed.position).within::<SquaredEuclidean<f32>>(reach).execute();
-        let mut views: Vec<usize> = near.iter().map(|found| seeds[found.item as usize].view).collect();
+        let mut views: Vec<usize> = near.iter().map(|found| view_of[found.item as usize]).collect();
         views.sort_unstable();
         views.dedup();
         views.len() > MIN_AGREEING
     };
     seeds.par_iter().filter(is_supported).copied().collect()
-}
-
-fn positions(seeds: &[Seed]) -> Vec<[f32; 3]> {
-    seeds.iter().map(|seed| seed.position).collect()
 }
 
 fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
@@ -111,7 +112,6 @@ fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
                     color,
                     spacing: STRIDE as f32 * depth / me.pinhole.focal[0],
                     foreground: segmentation.is_none_or(|s| s.foreground[y * width + x]),
-                    view: of,
                 });
             }
         }
@@ -162,23 +162,25 @@ fn mean_color(image: &Image, x: usize, y: usize) -> [f32; 3] {
 
 /// One seed a cell of a grid: first the finest grid whose cells are as wide as rays are apart, then coarser ones until there
 /// are few enough.
-fn thinned(mut seeds: Vec<Seed>, most: usize) -> Vec<Seed> {
-    let mut edge = {
-        let mut spacings: Vec<f32> = seeds.iter().map(|seed| seed.spacing).collect();
-        let middle = spacings.len() / 2;
-        if spacings.is_empty() {
-            return seeds;
-        }
-        *spacings.select_nth_unstable_by(middle, f32::total_cmp).1
-    };
+///
+/// - `most`: at least 1
+fn thinned(seeds: Vec<Seed>, most: usize) -> Vec<Seed> {
+    if seeds.is_empty() {
+        return seeds;
+    }
+    let spacings: Vec<f32> = seeds.iter().map(|seed| seed.spacing).collect();
+    let mut edge = median(&spacings);
+    // From their corner: a grid that is as wide as the seeds has a single cell.
+    let corner: [f32; 3] =
+        std::array::from_fn(|i| seeds.iter().map(|seed| seed.position[i]).fold(f32::INFINITY, f32::min));
     loop {
-        let mut cells: BTreeMap<[i64; 3], Vec<&Seed>> = BTreeMap::new();
+        let mut cells: BTreeMap<[u64; 3], Vec<&Seed>> = BTreeMap::new();
         for seed in &seeds {
-            cells.entry(seed.position.map(|x| (x / edge).floor() as i64)).or_default().push(seed);
+            let cell = std::array::from_fn(|i| ((seed.position[i] - corner[i]) / edge) as u64);
+            cells.entry(cell).or_default().push(seed);
         }
-        seeds = cells.into_values().map(|cell| merged(&cell, edge)).collect();
-        if seeds.len() <= most {
-            return seeds;
+        if cells.len() <= most {
+            return cells.values().map(|cell| merged(cell, edge)).collect();
         }
         edge *= 1.3;
     }
@@ -190,10 +192,29 @@ fn merged(cell: &[&Seed], edge: f32) -> Seed {
     };
     let of_foreground = cell.iter().filter(|seed| seed.foreground).count();
     Seed {
-        view: cell[0].view,
         position: mean(&|seed| seed.position),
         color: mean(&|seed| seed.color),
         spacing: cell.iter().map(|seed| seed.spacing).fold(edge, f32::max),
         foreground: 2 * of_foreground >= cell.len(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_seeds_stay_wherever_they_lie() {
+        let at = |i: usize| [i as f32 - 20.0, 0.5 - (i % 2) as f32, (i % 7) as f32 - 3.0];
+        let seed = |i| Seed { position: at(i), color: [0.5; 3], spacing: 0.1, foreground: i < 10 };
+        let seeds: Vec<Seed> = (0..40).map(seed).collect();
+        assert_eq!(thinned(seeds.clone(), 40).len(), 40);
+        for most in [1, 2, 7] {
+            let few = thinned(seeds.clone(), most);
+            assert!((1..=most).contains(&few.len()), "{} of at most {most}", few.len());
+            // No larger than what they stand for.
+            assert!(few.iter().all(|seed| seed.spacing < 60.0), "{few:?}");
+        }
+        assert!(!thinned(seeds, 1)[0].foreground);
     }
 }
