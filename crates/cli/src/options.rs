@@ -3,10 +3,12 @@
 use std::ops::Range;
 use std::path::PathBuf;
 use std::str::FromStr;
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use tcgs_capture::Split;
+use tcgs_pipeline::RefineBudget;
 
 use crate::output;
 
@@ -79,6 +81,27 @@ pub fn size(text: &str) -> Result<u64, String> {
         .map(|bytes| bytes as u64)
         .ok_or_else(|| "expected bytes, such as 500000, 500k, 2MB (units of 1000) or 2MiB (units of 1024)".into())
 }
+
+/// How long to refine: a time with a unit, or a number of iterations.
+pub fn refine_budget(text: &str) -> Result<RefineBudget, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let seconds = match &text[digits.len()..] {
+        "" => {
+            let count = digits.parse().ok().filter(|&count: &usize| count > 0);
+            return count.map(RefineBudget::Iterations).ok_or_else(|| EXPECTED_BUDGET.into());
+        }
+        "s" => 1.0,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err(EXPECTED_BUDGET.into()),
+    };
+    let number = digits.parse().ok().filter(|number: &f64| *number > 0.0 && *number * seconds < 1e7);
+    number
+        .map(|number| RefineBudget::Time(Duration::from_secs_f64(number * seconds)))
+        .ok_or_else(|| EXPECTED_BUDGET.into())
+}
+
+const EXPECTED_BUDGET: &str = "expected a time, such as 90s, 5m or 1h, or a number of iterations";
 
 /// Frames `A..B`, half-open.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -203,6 +203,14 @@ impl<V: Copy> Tracks<V> {
         (&self.times[range.clone()], &self.values[range])
     }
 
+    /// All tracks, one after another, with values to change.
+    ///
+    /// - returns: `[tracks + 1]`, keypoints of track `i` are `starts[i]..starts[i + 1]`; `[keypoints]` timesteps;
+    ///   `[keypoints]` values
+    pub fn parts_mut(&mut self) -> (&[usize], &[u16], &mut [V]) {
+        (&self.starts, &self.times, &mut self.values)
+    }
+
     /// Appends a track.
     ///
     /// - `times`: `[keypoints]` timesteps, strictly increasing from 0; [`encode`](crate::encode()) checks them
@@ -308,7 +316,7 @@ impl CompactScene {
     }
 
     /// Whether a Gaussian lives at a timestep of this scene.
-    pub(crate) fn is_alive(&self, gaussian: usize, timestep: usize) -> bool {
+    pub fn is_alive(&self, gaussian: usize, timestep: usize) -> bool {
         let life = self.lives.as_ref().map(|lives| lives[gaussian].map(usize::from));
         life.is_none_or(|[first, last]| (first..=last).contains(&timestep))
     }

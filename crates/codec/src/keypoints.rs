@@ -175,7 +175,7 @@ fn index_of_largest(values: &[f64]) -> usize {
 /// Index of the last keypoint at or before a timestep, and the fraction in `[0, 1)` of the way to the next keypoint.
 ///
 /// - `times`: strictly increasing, not empty; a `timestep` outside them gives the nearest keypoint and fraction 0
-fn locate(times: &[u16], timestep: usize) -> (usize, f32) {
+pub fn locate(times: &[u16], timestep: usize) -> (usize, f32) {
     let before = times.partition_point(|&t| usize::from(t) <= timestep).saturating_sub(1);
     (before, fraction(times, before, timestep))
 }

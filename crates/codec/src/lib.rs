@@ -75,7 +75,7 @@ pub use compress::{
     contemporaries,
 };
 pub use error::{CompressError, DecodeError};
-pub use keypoints::{interpolate, select as select_keypoints};
+pub use keypoints::{interpolate, locate, select as select_keypoints};
 pub use limits::DecodeLimits;
 pub use quantize::{MAX_BITS, Quantizer, Quantizers, lsq_step};
 pub use scene_file::{Loss, SceneFile};

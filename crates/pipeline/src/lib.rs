@@ -63,8 +63,8 @@ mod verify;
 pub use backend::Backend;
 pub use compress::{
     CompressOptions, CompressPreset, Compressed, ErrorSearch, Judge, JudgeImages, PrunedScene, QUALITY_RANGE,
-    SearchResult, SizeStep, Target, Tuning, compress_scene, kept_gaussians, position_step_remark, search,
-    search_errors, settings_of, tune,
+    RefineBudget, RefineOptions, Refined, SearchResult, SizeStep, Target, Tuning, compress_scene, kept_gaussians,
+    position_step_remark, refine, search, search_errors, settings_of, tune,
 };
 pub use error::{Fault, HasFault, PipelineError};
 pub use evaluate::{

@@ -132,6 +132,8 @@ pub enum Work {
     Exporting,
     /// Timesteps are compared. A step is a timestep.
     Verifying,
+    /// The codes of a compressed scene are trained. A step is an iteration.
+    Refining,
 }
 
 impl Work {
@@ -143,6 +145,7 @@ impl Work {
             Self::Rendering => "rendering",
             Self::Exporting => "exporting",
             Self::Verifying => "verifying",
+            Self::Refining => "refining",
         }
     }
 }

@@ -21,6 +21,7 @@ mod mask;
 mod motion;
 mod neighbors;
 mod parameters;
+mod refine;
 mod row;
 mod run;
 mod schedule;
@@ -44,6 +45,7 @@ pub use mask::{mask, mask_consistency_loss, mask_loss, mask_vjp, masked_out, mea
 pub use motion::{Past, Pose, predict};
 pub use neighbors::{NEIGHBOR_FALLOFF, NUM_NEIGHBORS, Neighbors};
 pub use parameters::{Parameters, scene_radius};
+pub use refine::{RefineConfig, Refiner, refine_order};
 pub use row::Row;
 pub use run::{Run, TrainedScene, with_unborn};
 pub use schedule::{Phase, Rates, Schedule};

@@ -5,6 +5,7 @@ mod judge;
 mod kept;
 mod max_error;
 mod parts;
+mod refine;
 mod settings;
 mod target;
 mod tune;
@@ -14,8 +15,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use tcgs_codec::{
-    AttributeErrors, BitMap, BitMapping, CompactFile, CompressSettings, DecodeLimits, FORMAT_VERSION, MAX_BITS,
-    Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
+    AttributeErrors, BitMap, BitMapping, CompactFile, CompactScene, CompressSettings, DecodeLimits, FORMAT_VERSION,
+    MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians, Layout, SceneReader};
 
@@ -26,6 +27,7 @@ use crate::{OpenScene, PipelineError};
 
 pub use judge::{Judge, JudgeImages};
 pub use max_error::{ErrorSearch, search_errors};
+pub use refine::{RefineBudget, RefineOptions, Refined, refine};
 pub use settings::{CompressPreset, position_step_remark, settings_of};
 pub use target::{QUALITY_RANGE, SearchResult, Target, search};
 pub use tune::{Tuning, tune};
@@ -236,7 +238,7 @@ impl<'a> PrunedScene<'a> {
     /// # Errors
     /// [`PipelineError`] if the codec refuses the scene or the settings.
     pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactFile, Vec<u8>), PipelineError> {
-        self.compress_with(settings, Errors::Measured)
+        self.compress_with(settings, Errors::Measured, Ok)
     }
 
     /// [`Self::compress`] for a search: what it declares is 0 instead of measured, and its file is as long.
@@ -244,13 +246,15 @@ impl<'a> PrunedScene<'a> {
     /// # Errors
     /// As there.
     fn try_out(&self, settings: &CompressSettings) -> Result<(CompactFile, Vec<u8>), PipelineError> {
-        self.compress_with(settings, Errors::Zeros)
+        self.compress_with(settings, Errors::Zeros, Ok)
     }
 
+    /// - `change`: what happens to the symbols before they are encoded; not for [`Pruned::Parts`]
     fn compress_with(
         &self,
         settings: &CompressSettings,
         errors: Errors,
+        change: impl FnOnce(CompactScene) -> Result<CompactScene, PipelineError>,
     ) -> Result<(CompactFile, Vec<u8>), PipelineError> {
         let segment_length = settings.segment_length.or(self.segment_length);
         let settings = &CompressSettings { segment_length, ..settings.clone() };
@@ -261,7 +265,7 @@ impl<'a> PrunedScene<'a> {
                     let last = (self.info.num_timesteps - 1) as u16;
                     compact = compact.with_lives(order.iter().map(|&g| [births[g], last]).collect());
                 }
-                let mut compact = CompactFile::of(compact);
+                let mut compact = CompactFile::of(change(compact)?);
                 if self.version > 1 {
                     compact.declared_errors = match errors {
                         Errors::Measured => kept.errors_of(&compact.cohorts[0], &order)?.declared(),

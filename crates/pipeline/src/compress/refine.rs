@@ -1,0 +1,221 @@
+//! Refinement: the codes of a compressed scene are trained on the images of its capture before the file is written.
+
+use std::path::PathBuf;
+use std::sync::mpsc::sync_channel;
+use std::time::{Duration, Instant};
+
+use tcgs_capture::{Capture, Split};
+use tcgs_codec::{CompactFile, CompactScene, CompressSettings};
+use tcgs_core::View;
+use tcgs_render::device::GpuError;
+use tcgs_render::{CpuRasterizer, Rasterizer};
+use tcgs_train::{RefineConfig, Refiner, refine_order};
+
+use super::{Errors, Pruned, PrunedScene};
+use crate::observe::tell;
+use crate::{Backend, Event, Observer, OpenScene, PipelineError, Work};
+
+/// How long a scene is refined.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RefineBudget {
+    /// So many images.
+    Iterations(usize),
+    /// About so long: a few iterations are timed first, and as many are done as then fit. The same number of iterations gives
+    /// the same file.
+    Time(Duration),
+}
+
+/// How a scene is refined.
+#[derive(Clone, Debug)]
+pub struct RefineOptions {
+    /// Whose training images.
+    pub capture: PathBuf,
+    /// How long.
+    pub budget: RefineBudget,
+    /// Of the training.
+    pub config: RefineConfig,
+}
+
+/// A refined scene.
+#[derive(Clone, Debug)]
+pub struct Refined {
+    /// Bytes of the `.tcgs` file.
+    pub file: Vec<u8>,
+    /// The same as symbols.
+    pub compact: CompactFile,
+    /// Iterations that were done.
+    pub iterations: usize,
+    /// Mean loss of the images over the first and over the last pass through the timesteps, or as much as there was of it.
+    pub losses: [f64; 2],
+}
+
+/// Share of a budget of time in which iterations are timed.
+const TIMED_SHARE: f64 = 0.05;
+
+/// Compresses a scene as [`PrunedScene::compress`] does, with codes that were trained on the images of its capture.
+///
+/// - `scene`: of which `pruned` is
+///
+/// # Errors
+/// [`PipelineError::Input`] if the Gaussians of the scene change in number or order; [`PipelineError::Stopped`] if the observer
+/// broke off; [`PipelineError`] if the capture lacks a frame of the scene, an image cannot be read or the GPU fails.
+pub fn refine(
+    scene: &OpenScene,
+    pruned: &PrunedScene<'_>,
+    settings: &CompressSettings,
+    options: &RefineOptions,
+    backend: &Backend,
+    observer: &mut dyn Observer,
+) -> Result<Refined, PipelineError> {
+    if matches!(pruned.content, Pruned::Parts(_)) {
+        let found = "Gaussians that change in number or order from timestep to timestep";
+        return Err(PipelineError::input(scene.path.display(), found, "those of a run or of a params.npz to refine"));
+    }
+    let images = Images::open(scene, options)?;
+    let (mut iterations, mut losses) = (0, [0.0; 2]);
+    let mut change = |compact: CompactScene| {
+        let refined = match backend {
+            Backend::Cpu => images.refine(&CpuRasterizer, compact, options, observer),
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(gpu) => images.refine(&tcgs_render::gpu::GpuRasterizer::new(gpu), compact, options, observer),
+        };
+        let (compact, done) = refined?;
+        iterations = done.len();
+        losses = done.ends(images.of_a_pass());
+        Ok(compact)
+    };
+    let (compact, file) = pruned.compress_with(settings, Errors::Measured, &mut change)?;
+    Ok(Refined { file, compact, iterations, losses })
+}
+
+/// The images that a scene is refined on.
+struct Images<'a> {
+    capture: Capture,
+    scene: &'a OpenScene,
+    num_timesteps: usize,
+    num_views: usize,
+    /// `[cameras]` gain and offset of each.
+    corrections: Vec<[[f32; 3]; 2]>,
+}
+
+/// Losses of all iterations.
+struct Losses(Vec<f64>);
+
+impl Losses {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Means of the first and of the last `count`.
+    fn ends(&self, count: usize) -> [f64; 2] {
+        let count = count.clamp(1, self.0.len().max(1)).min(self.0.len());
+        let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
+        [mean(&self.0[..count]), mean(&self.0[self.0.len() - count..])]
+    }
+}
+
+impl<'a> Images<'a> {
+    fn open(scene: &'a OpenScene, options: &RefineOptions) -> Result<Self, PipelineError> {
+        let capture = Capture::open(&options.capture)?;
+        let num_timesteps = scene.num_timesteps();
+        // The last frame is looked for before the first is decoded.
+        capture.cameras(Split::Train, scene.first_frame + num_timesteps - 1, scene.downscale)?;
+        let num_views = capture.cameras(Split::Train, scene.first_frame, scene.downscale)?.len();
+        if num_views == 0 {
+            return Err(PipelineError::NoCameras { path: options.capture.clone(), split: Split::Train });
+        }
+        let parameters = scene.first_checkpoint().map(|first| &first.parameters);
+        let learned = parameters.filter(|p| p.camera_gains.len() == num_views);
+        let corrections = (0..num_views)
+            .map(|camera| learned.map_or([[0.0; 3]; 2], |p| [p.camera_gains[camera], p.camera_offsets[camera]]))
+            .collect();
+        Ok(Self { capture, scene, num_timesteps, num_views, corrections })
+    }
+
+    /// Iterations in which every timestep is visited once.
+    fn of_a_pass(&self) -> usize {
+        self.num_timesteps * refine_order(0, 1, self.num_views).next().map_or(1, |(_, views)| views.len())
+    }
+
+    fn refine<R: Rasterizer>(
+        &self,
+        rasterizer: &R,
+        compact: CompactScene,
+        options: &RefineOptions,
+        observer: &mut dyn Observer,
+    ) -> Result<(CompactScene, Losses), PipelineError>
+    where
+        GpuError: From<R::Error>,
+    {
+        let num_iterations = match options.budget {
+            RefineBudget::Iterations(count) => count,
+            RefineBudget::Time(budget) => {
+                let begin = Instant::now();
+                let enough = budget.mul_f64(TIMED_SHARE);
+                let mut timed = Refiner::new(compact.clone(), options.config);
+                let done =
+                    self.iterate(rasterizer, &mut timed, usize::MAX, &mut |_, _| Ok(begin.elapsed() < enough))?;
+                let taken = begin.elapsed();
+                let left = budget.saturating_sub(taken).as_secs_f64();
+                ((left * done.len() as f64 / taken.as_secs_f64()) as usize).max(1)
+            }
+        };
+        tell(observer, Event::Begun { work: Work::Refining, num_steps: num_iterations })?;
+        let mut refiner = Refiner::new(compact, options.config);
+        let losses = self.iterate(rasterizer, &mut refiner, num_iterations, &mut |frame, _| {
+            tell(observer, Event::Frame(frame)).map(|()| true)
+        })?;
+        Ok((refiner.into_scene(), losses))
+    }
+
+    /// - `go_on`: hears after every iteration of the frame and the loss, and says whether there is another
+    fn iterate<R: Rasterizer>(
+        &self,
+        rasterizer: &R,
+        refiner: &mut Refiner,
+        num_iterations: usize,
+        go_on: &mut dyn FnMut(usize, f64) -> Result<bool, PipelineError>,
+    ) -> Result<Losses, PipelineError>
+    where
+        GpuError: From<R::Error>,
+    {
+        let mut losses = Vec::new();
+        std::thread::scope(|scope| {
+            // Holds nothing: the loader is one visit ahead, waiting to hand it over.
+            let (send, receive) = sync_channel(0);
+            scope.spawn(move || {
+                for (timestep, views) in refine_order(0, self.num_timesteps, self.num_views) {
+                    let loaded = self.load(timestep, &views);
+                    let failed = loaded.is_err();
+                    if send.send(loaded).is_err() || failed {
+                        break;
+                    }
+                }
+            });
+            while let Ok(visit) = receive.recv() {
+                let (timestep, views) = visit?;
+                for (camera, view) in views {
+                    if losses.len() == num_iterations {
+                        return Ok(Losses(losses));
+                    }
+                    let progress = losses.len() as f32 / num_iterations as f32;
+                    let loss = refiner.step(rasterizer, timestep, &view, self.corrections[camera], progress);
+                    let loss = loss.map_err(GpuError::from)?;
+                    losses.push(loss);
+                    if !go_on(view.frame, loss)? {
+                        return Ok(Losses(losses));
+                    }
+                }
+            }
+            Ok(Losses(losses))
+        })
+    }
+
+    /// Some views of a timestep, each with its number.
+    fn load(&self, timestep: usize, chosen: &[usize]) -> Result<(usize, Vec<(usize, View)>), PipelineError> {
+        let views = self.capture.views(Split::Train, self.scene.first_frame + timestep, self.scene.downscale)?;
+        let mut views: Vec<Option<View>> = views.into_iter().map(Some).collect();
+        let of = |&camera: &usize| Some((camera, views.get_mut(camera)?.take()?));
+        Ok((timestep, chosen.iter().filter_map(of).collect()))
+    }
+}

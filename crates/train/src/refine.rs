@@ -1,0 +1,404 @@
+//! Refinement of what a file stores: the codes of a compressed scene are trained through the renderer.
+//!
+//! A timestep is drawn as a decoder reconstructs it: codes are rounded and dequantised, tracks interpolated between their
+//! keypoints. The gradient of the image then goes back to the keypoints before and after the timestep, each by its share,
+//! and to the codes as if rounding were the identity (straight-through, as in training). A keypoint that never moves is
+//! trained by the images of all timesteps. Which keypoints there are, their quantizers and bits stay.
+
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+use tcgs_codec::{CompactScene, MAX_BITS, Quantizer, Tracks, locate};
+use tcgs_core::{Activated, Attribute, Camera, Drawable, GaussianGrads, Image, View, activate_bwd};
+use tcgs_render::{Rasterizer, RenderSettings};
+
+use crate::adam::BETA1;
+use crate::engine::cpu::image_loss;
+
+/// Decay of the second moments: a keypoint is trained in a few of the timesteps only, so they settle faster than those of a
+/// whole training.
+const BETA2: f32 = 0.99;
+/// Tracks' Gaussians that one task updates.
+const CHUNK: usize = 1 << 11;
+
+/// Settings of a refinement.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RefineConfig {
+    /// Learning rate of Adam, in steps of the quantizer.
+    pub rate: f32,
+    /// Share of the rate that is left at the end, reached along a cosine.
+    pub decay: f32,
+    /// What is added to the root of a keypoint's second moment, as a share of the root mean square over its attribute. It
+    /// leaves codes in place that hardly change an image: their gradients are mostly noise, and every move costs bits.
+    pub damping: f32,
+}
+
+impl Default for RefineConfig {
+    fn default() -> Self {
+        Self { rate: 0.02, decay: 0.05, damping: 0.5 }
+    }
+}
+
+/// What is known of one code between two iterations.
+#[derive(Clone, Copy, Debug, Default)]
+struct Latent {
+    /// Before rounding, in steps of the quantizer.
+    code: f32,
+    /// Moments of the gradient.
+    first: f32,
+    second: f32,
+    /// Updates so far.
+    count: u32,
+}
+
+/// Trains the codes of a compressed scene.
+#[derive(Clone, Debug)]
+pub struct Refiner {
+    scene: CompactScene,
+    config: RefineConfig,
+    /// By [`Attribute::index`], of [`Attribute::BASE`]: one for each keypoint.
+    latents: Vec<Vec<Latent>>,
+    /// By [`Attribute::index`]: mean second moment of the keypoints that the last iteration moved.
+    mean_second: Vec<f32>,
+}
+
+impl Refiner {
+    /// A refinement that starts from the scene as it is.
+    pub fn new(mut scene: CompactScene, config: RefineConfig) -> Self {
+        let latent = |&code: &i16| Latent { code: f32::from(code), ..Latent::default() };
+        let latents = Attribute::BASE
+            .map(|attribute| scene.tracks[attribute.index()].parts_mut().2.iter().map(latent).collect())
+            .to_vec();
+        Self { mean_second: vec![0.0; latents.len()], latents, scene, config }
+    }
+
+    /// The scene with the codes trained so far.
+    pub fn into_scene(self) -> CompactScene {
+        self.scene
+    }
+
+    /// One iteration on one view.
+    ///
+    /// - `timestep`: of the scene, which the view shows
+    /// - `gain`, `offset`: the camera's, as for [`image_loss`]
+    /// - `progress`: share of the refinement that is done, 0 to 1
+    /// - returns: the loss before the iteration
+    ///
+    /// # Errors
+    /// What the renderer fails with.
+    pub fn step<R: Rasterizer>(
+        &mut self,
+        rasterizer: &R,
+        timestep: usize,
+        view: &View,
+        [gain, offset]: [[f32; 3]; 2],
+        progress: f32,
+    ) -> Result<f64, R::Error> {
+        let (loss, grads) = gradients(rasterizer, &self.scene, timestep, &view.camera, &view.image, [gain, offset])?;
+        let decay = self.config.decay;
+        let rate = self.config.rate * (decay + (1.0 - decay) * 0.5 * (1.0 + (std::f32::consts::PI * progress).cos()));
+        for attribute in Attribute::BASE {
+            self.update(attribute, timestep, grads.values(attribute), rate);
+        }
+        Ok(loss)
+    }
+
+    /// One step of Adam for the keypoints of an attribute around a timestep.
+    ///
+    /// - `v_values`: `[N * components]` gradient to the values at the timestep
+    fn update(&mut self, attribute: Attribute, timestep: usize, v_values: &[f32], rate: f32) {
+        let (index, components) = (attribute.index(), attribute.components());
+        let quantizers = &self.scene.quantizers.attributes[index];
+        let by_width: [&[Quantizer]; MAX_BITS as usize + 1] =
+            std::array::from_fn(|width| quantizers.get(&(width as u8)).map_or(&[][..], Vec::as_slice));
+        let widths = &self.scene.bit_map.widths[index];
+        let epsilon = self.config.damping * self.mean_second[index].sqrt() + f32::MIN_POSITIVE;
+        let pieces = pieces(&mut self.scene.tracks[index], &mut self.latents[index], CHUNK * components);
+        let sums: Vec<(f64, usize)> = pieces
+            .into_par_iter()
+            .map(|piece| {
+                let mut sum = (0.0, 0);
+                for i in 0..piece.starts.len() - 1 {
+                    let track = piece.first_track + i;
+                    let quantizers = by_width[usize::from(widths[track / components])];
+                    let Some(quantizer) = quantizers.get(track % components) else { continue };
+                    let range = piece.starts[i] - piece.starts[0]..piece.starts[i + 1] - piece.starts[0];
+                    let (before, fraction) = locate(&piece.times[range.clone()], timestep);
+                    let v_code = v_values[track] * quantizer.step;
+                    for (keypoint, share) in [(before, 1.0 - fraction), (before + 1, fraction)] {
+                        if share > 0.0 {
+                            let latent = &mut piece.latents[range.start + keypoint];
+                            latent.update(v_code * share, rate, epsilon);
+                            let bounds = [quantizer.min_code() as f32, quantizer.max_code() as f32];
+                            latent.code = latent.code.clamp(bounds[0], bounds[1]);
+                            piece.codes[range.start + keypoint] = latent.code.round() as i16;
+                            sum = (sum.0 + f64::from(latent.second), sum.1 + 1);
+                        }
+                    }
+                }
+                sum
+            })
+            .collect();
+        let sum = sums.iter().fold((0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+        self.mean_second[index] = (sum.0 / sum.1.max(1) as f64) as f32;
+    }
+}
+
+impl Latent {
+    fn update(&mut self, v_code: f32, rate: f32, epsilon: f32) {
+        self.count += 1;
+        self.first = BETA1 * self.first + (1.0 - BETA1) * v_code;
+        self.second = BETA2 * self.second + (1.0 - BETA2) * v_code * v_code;
+        let corrected = |moment: f32, beta: f32| moment / (1.0 - beta.powi(self.count as i32));
+        self.code -= rate * corrected(self.first, BETA1) / (corrected(self.second, BETA2).sqrt() + epsilon);
+    }
+}
+
+/// Neighbouring tracks that one task updates.
+struct Piece<'a> {
+    first_track: usize,
+    /// `[tracks + 1]`, among all tracks.
+    starts: &'a [usize],
+    times: &'a [u16],
+    codes: &'a mut [i16],
+    latents: &'a mut [Latent],
+}
+
+/// Cuts tracks into pieces of `length` tracks.
+fn pieces<'a>(tracks: &'a mut Tracks<i16>, mut latents: &'a mut [Latent], length: usize) -> Vec<Piece<'a>> {
+    let (starts, times, mut codes) = tracks.parts_mut();
+    let num_tracks = starts.len() - 1;
+    (0..num_tracks)
+        .step_by(length)
+        .map(|first_track| {
+            let starts = &starts[first_track..=(first_track + length).min(num_tracks)];
+            let range = starts[0]..starts[starts.len() - 1];
+            let (piece, rest) = std::mem::take(&mut codes).split_at_mut(range.len());
+            codes = rest;
+            let (of_piece, rest) = std::mem::take(&mut latents).split_at_mut(range.len());
+            latents = rest;
+            Piece { first_track, starts, times: &times[range], codes: piece, latents: of_piece }
+        })
+        .collect()
+}
+
+/// Loss of a timestep's picture, and its gradient to the values at that timestep.
+///
+/// A quaternion is interpolated, then divided by its length, which is 1 to within a percent: the gradient leaves out that
+/// last factor.
+fn gradients<R: Rasterizer>(
+    rasterizer: &R,
+    scene: &CompactScene,
+    timestep: usize,
+    camera: &Camera,
+    image: &Image,
+    [gain, offset]: [[f32; 3]; 2],
+) -> Result<(f64, GaussianGrads), R::Error> {
+    let gaussians = scene.at(timestep);
+    let drawable = Drawable::new(&gaussians);
+    let mut drawn = Activated::clone(&drawable.seen_by(camera));
+    if scene.lives.is_some() {
+        drawn.opacities.par_iter_mut().enumerate().for_each(|(i, opacity)| {
+            if !scene.is_alive(i, timestep) {
+                *opacity = 0.0;
+            }
+        });
+    }
+    let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
+    let (output, saved) = rasterizer.forward(&drawn, camera, &settings)?;
+    let loss = image_loss(&output.image, image, gain, offset, 1.0, 0.0);
+    let grads = rasterizer.backward(&drawn, camera, &settings, &saved, &loss.v_image)?;
+    Ok((loss.image, activate_bwd(&gaussians, &drawn, &grads.activated)))
+}
+
+/// Share of a timestep's views that are trained on at one visit to it: decoding its images costs about as much.
+const VIEWS_SHARE: f64 = 1.0 / 3.0;
+
+/// The order of a refinement, without end: a timestep, and which of its views to train on. All timesteps are visited equally
+/// often, and so are their views in the mean.
+///
+/// - `num_timesteps`, `num_views`: at least 1
+pub fn refine_order(seed: u64, num_timesteps: usize, num_views: usize) -> impl Iterator<Item = (usize, Vec<usize>)> {
+    let num_at_once = (num_views as f64 * VIEWS_SHARE).ceil() as usize;
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    (0..).flat_map(move |_| {
+        let mut timesteps: Vec<usize> = (0..num_timesteps).collect();
+        timesteps.shuffle(&mut random);
+        let mut views: Vec<usize> = (0..num_views).collect();
+        let visit = |timestep| {
+            views.shuffle(&mut random);
+            (timestep, views[..num_at_once].to_vec())
+        };
+        timesteps.into_iter().map(visit).collect::<Vec<_>>()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress};
+    use tcgs_core::{BaseColumns, DynamicGaussians, Gaussians};
+    use tcgs_render::CpuRasterizer;
+
+    use super::*;
+
+    const NUM_TIMESTEPS: usize = 9;
+
+    fn camera() -> Camera {
+        Camera::look_at([0.3, -0.4, -3.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 48, 40)
+    }
+
+    /// Gaussians of which every other one moves to and fro and turns.
+    fn floats(num_gaussians: usize) -> DynamicGaussians {
+        let at = |t: usize| {
+            let mut columns = BaseColumns::default();
+            for i in 0..num_gaussians {
+                let (x, turn) = (
+                    6.0 * i as f32 / num_gaussians as f32,
+                    if i % 2 == 0 { 0.3 * (t as f32 - 4.0).abs() } else { 0.0 },
+                );
+                columns.means.push([0.3 * x - 0.8 + 0.2 * turn, 0.25 * (x * 2.1).sin(), 0.1 * x]);
+                columns.quats.push([1.0, 0.2 * x, turn, 0.1]);
+                columns.log_scales.push([-2.0 + 0.1 * x, -1.6, -2.2]);
+                columns.logit_opacities.push(0.3 * x - 0.5);
+                columns.colors.push([0.1 + 0.1 * x, 0.7 - 0.1 * x, 0.5]);
+            }
+            Gaussians::from(columns)
+        };
+        let mut scene = DynamicGaussians::default();
+        (0..NUM_TIMESTEPS).for_each(|t| scene.push(at(t)));
+        scene
+    }
+
+    fn compact(num_gaussians: usize, bits: u8) -> CompactScene {
+        let floats = floats(num_gaussians);
+        let settings = CompressSettings { position_fineness: 0.0, coarser: [0.0; 5], ..CompressSettings::default() };
+        compress(&floats, &BitMap::uniform(num_gaussians, 16, bits), None, SceneInfo::of(&floats), &settings).unwrap()
+    }
+
+    #[test]
+    fn gradients_to_codes_match_central_differences() {
+        let scene = compact(6, 14);
+        // Brighter than anything drawn, away from the kink of L1.
+        let image = Image::filled(48, 40, 3, 1.5);
+        let timestep = 2;
+        let correction = [[0.05, -0.1, 0.0], [0.01, 0.0, -0.02]];
+        let loss = |scene: &CompactScene| {
+            let Ok((loss, _)) = gradients(&CpuRasterizer, scene, timestep, &camera(), &image, correction);
+            loss
+        };
+        let view = View { camera: camera(), image: image.clone(), segmentation: None, frame: 0, camera_id: 0 };
+        let config = RefineConfig { rate: 0.0, ..RefineConfig::default() };
+        let mut refiner = Refiner::new(scene.clone(), config);
+        let Ok(_) = refiner.step(&CpuRasterizer, timestep, &view, correction, 0.0);
+        let (mut num_shared, mut num_compared) = (0, 0);
+        for attribute in Attribute::BASE {
+            let components = attribute.components();
+            let latents = &refiner.latents[attribute.index()];
+            let starts = scene.tracks[attribute.index()].clone().parts_mut().0.to_vec();
+            for track in 0..6 * components {
+                let width = scene.bit_map.widths[attribute.index()][track / components];
+                let quantizer = scene.quantizers.get(attribute, width, track % components).unwrap();
+                let step = quantizer.step;
+                // About a hundredth of what the attribute ranges over.
+                let by = (0.01 / step).ceil().max(1.0) as i16;
+                let moved = |keypoint: usize, by: i16| {
+                    let mut scene = scene.clone();
+                    scene.tracks[attribute.index()].parts_mut().2[keypoint] += by;
+                    loss(&scene)
+                };
+                let near: Vec<usize> = (starts[track]..starts[track + 1]).filter(|&k| latents[k].count > 0).collect();
+                assert!((1..=2).contains(&near.len()), "{attribute:?} {track}: {} keypoints are trained", near.len());
+                num_shared += usize::from(near.len() == 2);
+                for keypoint in near {
+                    let code = scene.tracks[attribute.index()].clone().parts_mut().2[keypoint];
+                    let legal = quantizer.min_code()..=quantizer.max_code();
+                    if [-by, by].iter().any(|&by| !legal.contains(&(i32::from(code) + i32::from(by)))) {
+                        continue;
+                    }
+                    num_compared += 1;
+                    let difference = (moved(keypoint, by) - moved(keypoint, -by)) / (2.0 * f64::from(by));
+                    let found = f64::from(latents[keypoint].first / (1.0 - BETA1));
+                    let scale = f64::from(step);
+                    assert!(
+                        (difference - found).abs() < 0.05 * difference.abs() + 2e-4 * scale,
+                        "{attribute:?} {track}: {:.3e} against {:.3e}",
+                        difference / scale,
+                        found / scale
+                    );
+                }
+            }
+        }
+        assert!(num_compared > 40, "{num_compared} codes are compared");
+        assert!(num_shared > 5, "{num_shared} tracks lie between two keypoints");
+    }
+
+    #[test]
+    fn codes_that_are_off_come_back_and_on_any_number_of_threads_alike() {
+        let (truth, mut off) = (floats(60), compact(60, 7));
+        for (attribute, by) in [(Attribute::Color, 8), (Attribute::LogitOpacity, -9), (Attribute::LogScale, 7)] {
+            let most = off.quantizers.get(attribute, 7, 0).unwrap().max_code() as i16;
+            let codes = off.tracks[attribute.index()].parts_mut().2;
+            codes.iter_mut().for_each(|code| *code = (*code + by).clamp(-most, most));
+        }
+        let cameras: Vec<Camera> = [-0.9, -0.3, 0.3, 0.9]
+            .map(|x| Camera::look_at([x, -0.4, -3.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 48, 40))
+            .to_vec();
+        let drawn = |gaussians: &Gaussians, camera: &Camera| {
+            let seen = Drawable::new(gaussians).seen_by(camera);
+            let Ok((output, _)) = CpuRasterizer.forward(&seen, camera, &RenderSettings::default());
+            output.image
+        };
+        let view = |t: usize, of: usize| View {
+            camera: cameras[of].clone(),
+            image: drawn(&truth.at(t), &cameras[of]),
+            segmentation: None,
+            frame: t,
+            camera_id: of,
+        };
+        // The last camera is held out.
+        let error = |scene: &CompactScene| -> f64 {
+            let of = |t| {
+                let (a, b) = (drawn(&scene.at(t), &cameras[3]), view(t, 3).image);
+                a.data.iter().zip(&b.data).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>()
+            };
+            (0..NUM_TIMESTEPS).map(of).sum()
+        };
+        let refined = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let mut refiner = Refiner::new(off.clone(), RefineConfig::default());
+                let order = refine_order(1, NUM_TIMESTEPS, 3).take(400).enumerate();
+                for (i, (t, views)) in order {
+                    for of in views {
+                        let step = refiner.step(&CpuRasterizer, t, &view(t, of), [[0.0; 3]; 2], i as f32 / 400.0);
+                        let Ok(_) = step;
+                    }
+                }
+                refiner.into_scene()
+            })
+        };
+        let one = refined(1);
+        assert!(error(&one) < 0.4 * error(&off), "{} from {}", error(&one), error(&off));
+        assert_eq!(one, refined(3));
+        assert_eq!(one.bit_map, off.bit_map);
+        for (after, before) in one.tracks.iter().zip(&off.tracks) {
+            assert_eq!(after.len(), before.len());
+            assert!((0..after.len()).all(|i| after.track(i).0 == before.track(i).0), "keypoints stay where they are");
+        }
+    }
+
+    #[test]
+    fn every_timestep_and_view_has_its_turn() {
+        let visits: Vec<(usize, Vec<usize>)> = refine_order(5, 4, 7).take(400).collect();
+        assert_eq!(visits, refine_order(5, 4, 7).take(400).collect::<Vec<_>>());
+        for t in 0..4 {
+            assert_eq!(visits.iter().filter(|(timestep, _)| *timestep == t).count(), 100);
+            for view in 0..7 {
+                let turns = visits.iter().filter(|(timestep, views)| *timestep == t && views.contains(&view)).count();
+                assert!((25..60).contains(&turns), "view {view} of timestep {t}: {turns} of 100");
+            }
+        }
+        assert_eq!(refine_order(0, 1, 1).next(), Some((0, vec![0])));
+    }
+}
