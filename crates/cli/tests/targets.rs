@@ -153,3 +153,42 @@ fn a_file_says_which_way_is_up_and_where_cameras_stood() {
     let said = succeed(&["info", text(&out)]);
     assert!(said.contains("\nup            -y\n"), "found by the cameras: {said}");
 }
+
+#[test]
+fn refining_comes_closer_to_the_images_and_repeats() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let run = train(&folder, "run", &[]);
+    let compress = |name: &str, more: &[&str]| {
+        let (file, result) = (path(&format!("{name}.tcgs")), path(&format!("{name}.json")));
+        let given = ["compress", text(&run), "--out", text(&file), "--json", text(&result)];
+        let said = succeed(&[&given[..], more].concat());
+        (said, json(&result), file)
+    };
+    let psnr = |file: &std::path::Path| {
+        let measured = path("eval.json");
+        succeed(&["eval", text(file), "--capture", text(capture()), "--json", text(&measured), "--force"]);
+        number(&json(&measured)["psnr"])
+    };
+    let (_, _, plain) = compress("plain", &[]);
+    let (said, result, refined) = compress("refined", &["--refine", "240", "--backend", "cpu"]);
+    assert!(said.contains("refined in 240 iterations, which --refine 240 repeats"), "{said}");
+    assert_eq!(result["refined"]["iterations"], 240);
+    assert!(number(&result["refined"]["loss_after"]) < number(&result["refined"]["loss_before"]));
+    assert!(psnr(&refined) > psnr(&plain) + 0.05, "{} from {}", psnr(&refined), psnr(&plain));
+    // What it declares is measured against the floats, from which it moved away.
+    let report = path("verify.json");
+    succeed(&["verify", text(&refined), text(&run), "--json", text(&report)]);
+
+    let (_, result, timed) = compress("timed", &["--refine", "1s", "--backend", "cpu"]);
+    let iterations = result["refined"]["iterations"].to_string();
+    let (_, _, again) = compress("again", &["--refine", &iterations, "--backend", "cpu"]);
+    assert!(fs::read(timed).unwrap() == fs::read(again).unwrap(), "other bytes in {iterations} iterations");
+
+    let message = fail(2, &["compress", text(&run), "--refine", "5x"]);
+    assert!(message.contains("expected a time, such as 90s, 5m or 1h, or a number of iterations"), "{message}");
+    let params = path("params.npz");
+    succeed(&["export", text(&plain), "--to", text(&params)]);
+    let message = fail(2, &["compress", text(&params), "--refine", "5"]);
+    assert!(message.contains("params.npz: has no capture of its own, expected --capture with"), "{message}");
+}

@@ -19,7 +19,9 @@ use crate::engine::cpu::image_loss;
 /// Decay of the second moments: a keypoint is trained in a few of the timesteps only, so they settle faster than those of a
 /// whole training.
 const BETA2: f32 = 0.99;
-/// Tracks' Gaussians that one task updates.
+/// Updates after which a moment has no bias left, to a float's precision.
+const NUM_CORRECTIONS: usize = 2048;
+/// Gaussians whose tracks one task updates.
 const CHUNK: usize = 1 << 11;
 
 /// Settings of a refinement.
@@ -61,6 +63,8 @@ pub struct Refiner {
     latents: Vec<Vec<Latent>>,
     /// By [`Attribute::index`]: mean second moment of the keypoints that the last iteration moved.
     mean_second: Vec<f32>,
+    /// By the number of updates less 1: what corrects the bias of both moments.
+    corrections: Vec<[f32; 2]>,
 }
 
 impl Refiner {
@@ -70,7 +74,9 @@ impl Refiner {
         let latents = Attribute::BASE
             .map(|attribute| scene.tracks[attribute.index()].parts_mut().2.iter().map(latent).collect())
             .to_vec();
-        Self { mean_second: vec![0.0; latents.len()], latents, scene, config }
+        let correction = |count: i32| [BETA1, BETA2].map(|beta| 1.0 / (1.0 - beta.powi(count)));
+        let corrections = (1..=NUM_CORRECTIONS as i32).map(correction).collect();
+        Self { mean_second: vec![0.0; latents.len()], corrections, latents, scene, config }
     }
 
     /// The scene with the codes trained so far.
@@ -114,6 +120,7 @@ impl Refiner {
             std::array::from_fn(|width| quantizers.get(&(width as u8)).map_or(&[][..], Vec::as_slice));
         let widths = &self.scene.bit_map.widths[index];
         let epsilon = self.config.damping * self.mean_second[index].sqrt() + f32::MIN_POSITIVE;
+        let corrections = &self.corrections;
         let pieces = pieces(&mut self.scene.tracks[index], &mut self.latents[index], CHUNK * components);
         let sums: Vec<(f64, usize)> = pieces
             .into_par_iter()
@@ -126,10 +133,14 @@ impl Refiner {
                     let range = piece.starts[i] - piece.starts[0]..piece.starts[i + 1] - piece.starts[0];
                     let (before, fraction) = locate(&piece.times[range.clone()], timestep);
                     let v_code = v_values[track] * quantizer.step;
+                    // What the view does not show is left alone.
+                    if v_code == 0.0 {
+                        continue;
+                    }
                     for (keypoint, share) in [(before, 1.0 - fraction), (before + 1, fraction)] {
                         if share > 0.0 {
                             let latent = &mut piece.latents[range.start + keypoint];
-                            latent.update(v_code * share, rate, epsilon);
+                            latent.update(v_code * share, rate, epsilon, corrections);
                             let bounds = [quantizer.min_code() as f32, quantizer.max_code() as f32];
                             latent.code = latent.code.clamp(bounds[0], bounds[1]);
                             piece.codes[range.start + keypoint] = latent.code.round() as i16;
@@ -146,12 +157,12 @@ impl Refiner {
 }
 
 impl Latent {
-    fn update(&mut self, v_code: f32, rate: f32, epsilon: f32) {
+    fn update(&mut self, v_code: f32, rate: f32, epsilon: f32, corrections: &[[f32; 2]]) {
         self.count += 1;
         self.first = BETA1 * self.first + (1.0 - BETA1) * v_code;
         self.second = BETA2 * self.second + (1.0 - BETA2) * v_code * v_code;
-        let corrected = |moment: f32, beta: f32| moment / (1.0 - beta.powi(self.count as i32));
-        self.code -= rate * corrected(self.first, BETA1) / (corrected(self.second, BETA2).sqrt() + epsilon);
+        let [first, second] = corrections[(self.count as usize).min(NUM_CORRECTIONS) - 1];
+        self.code -= rate * self.first * first / ((self.second * second).sqrt() + epsilon);
     }
 }
 

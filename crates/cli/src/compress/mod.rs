@@ -43,6 +43,7 @@ Example:
   tcgs compress my_run
   tcgs compress my_run --target-bytes 2MB --capture my_capture
   tcgs compress my_run --tune --capture my_capture
+  tcgs compress my_run --quality -1 --refine 5m
   tcgs compress params.npz --capture my_capture --bits 4,8 --out small.tcgs
   tcgs compress my_plys --frame-rate 24 --out scene.tcgs
   tcgs compress my_plys --max-error mean=0.001,rotation=0.01,color=0.02
