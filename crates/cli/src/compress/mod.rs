@@ -317,14 +317,7 @@ fn refine_options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Re
         return Err(wrong_input(format!("{}: {problem}", scene.path.display())));
     };
     let budget = arguments.refine.expect("asked for");
-    let mut config = RefineConfig::default();
-    if let Ok(text) = std::env::var("TCGS_R") {
-        let v: Vec<f32> = text.split(',').map(|x| x.parse().unwrap()).collect();
-        config.rate = v[0];
-        config.decay = v[1];
-        config.damping = v[2];
-    }
-    Ok(RefineOptions { capture, budget, config })
+    Ok(RefineOptions { capture, budget, config: RefineConfig::default() })
 }
 
 fn judge(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Judge> {

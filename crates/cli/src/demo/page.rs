@@ -87,7 +87,7 @@ pub fn html(outcome: &Outcome, run: &Run, pictures: Vec<Picture>) -> anyhow::Res
     let frozen = super::Quality::of(&outcome.frozen);
     let summary = [
         ("PSNR, held-out cameras", format!("{:.2} dB", quality.psnr)),
-        ("lost by compression", format!("{:.2} dB", outcome.uncompressed_quality().psnr - quality.psnr)),
+        ("before compressing and refining", format!("{:.2} dB", outcome.uncompressed_quality().psnr)),
         ("size", show_bytes(outcome.compressed.file.len() as u64)),
         ("smaller than raw", format!("{:.0} times", outcome.ratio())),
         ("raw", show_bytes(raw)),
