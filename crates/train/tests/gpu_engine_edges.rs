@@ -6,12 +6,14 @@ mod support;
 
 use support::engines::{assert_same, bits, config, quantized, state, step, target, with_past};
 use support::{Random, further_layout, gpu, relative_l2};
-use tcgs_core::{Attribute, Camera, Gaussians};
-use tcgs_render::gpu::{Gpu, GpuError};
+use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress};
+use tcgs_core::{Attribute, Camera, DynamicGaussians, Gaussians, View};
+use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer};
+use tcgs_render::{CpuRasterizer, Rasterizer};
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::gpu::GpuEngine;
 use tcgs_train::engine::{Engine, Target};
-use tcgs_train::{LossTerms, Phase, Row, Schedule, State, TrainConfig, TrainError};
+use tcgs_train::{LossTerms, Phase, RefineConfig, Refiner, Row, Schedule, State, TrainConfig, TrainError};
 
 /// One iteration on each of `cameras`.
 fn run(
@@ -337,5 +339,39 @@ fn columns_that_nothing_draws_are_carried() {
                 assert_eq!(a, b, "{}", attribute.name());
             }
         }
+    }
+}
+
+#[test]
+fn refinement_on_the_gpu_follows_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let n = 300;
+    let mut gaussians = state(n, 1, |_| true).parameters.gaussians;
+    let mut floats = DynamicGaussians::default();
+    for _ in 0..5 {
+        gaussians.means_mut().iter_mut().step_by(3).for_each(|mean| mean[0] += 0.05);
+        floats.push(gaussians.clone());
+    }
+    let (bits, info) = (BitMap::uniform(n, 12, 7), SceneInfo::of(&floats));
+    let compact = compress(&floats, &bits, None, info, &CompressSettings::default()).unwrap();
+    let views: Vec<View> = (0..2)
+        .map(|seed| target([60, 45], 3, seed))
+        .map(|t| View { camera: t.camera, image: t.image, segmentation: None, frame: 0, camera_id: 0 })
+        .collect();
+    fn refined<R: Rasterizer>(rasterizer: &R, mut refiner: Refiner, views: &[View]) -> (Vec<f64>, Vec<Vec<f32>>) {
+        let step = |i: usize| refiner.step(rasterizer, i % 5, &views[i % 2], [[0.1; 3], [0.0; 3]], i as f32 / 20.0);
+        let losses = (0..20).map(step).collect::<Result<_, _>>().unwrap();
+        let last = refiner.into_scene().at(2);
+        (losses, Attribute::BASE.iter().map(|&attribute| last.values(attribute).to_vec()).collect())
+    }
+    let refiner = Refiner::new(compact, RefineConfig::default());
+    let (expected_losses, expected) = refined(&CpuRasterizer, refiner.clone(), &views);
+    let (losses, found) = refined(&GpuRasterizer::new(&gpu), refiner, &views);
+    for (found, expected) in losses.iter().zip(&expected_losses) {
+        assert!((found - expected).abs() < 1e-3 * expected, "{losses:?} against {expected_losses:?}");
+    }
+    for ((found, expected), attribute) in found.iter().zip(&expected).zip(Attribute::BASE) {
+        // A code that lies between two may be rounded either way.
+        assert!(relative_l2(found, expected) < 0.02, "{attribute:?}: {}", relative_l2(found, expected));
     }
 }
