@@ -251,7 +251,7 @@ fn report(arguments: &Arguments, run: &Run, trainer: &Trainer) -> anyhow::Result
         seconds.iter().sum::<f64>()
     ))?;
     let (run, capture) = (arguments.out.display(), arguments.capture.display());
-    say(&format!("next: tcgs compress {run}; tcgs eval {run} --capture {capture}"))?;
+    say(&format!("next: tcgs compress {run} --refine 5m; tcgs eval {run}/scene.tcgs --capture {capture}"))?;
     let described =
         |(t, [psnr, seconds]): (usize, &[Value; 2])| json!({ "timestep": t, "psnr": psnr, "seconds": seconds });
     arguments.job.write_json(&json!({
