@@ -64,7 +64,7 @@ pub use backend::Backend;
 pub use compress::{
     CompressOptions, CompressPreset, Compressed, ErrorSearch, Judge, JudgeImages, PrunedScene, QUALITY_RANGE,
     RefineBudget, RefineOptions, Refined, SearchResult, SizeStep, Target, Tuning, compress_scene, kept_gaussians,
-    position_step_remark, refine, search, search_errors, settings_of, tune,
+    position_step_remark, refine, refine_within, search, search_errors, settings_of, tune,
 };
 pub use error::{Fault, HasFault, PipelineError};
 pub use evaluate::{

@@ -11,7 +11,8 @@ use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::{FORMAT_VERSION, UpAxis};
 use tcgs_pipeline::{
     CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, OpenScene, PrunedScene, RefineBudget,
-    RefineOptions, Refined, Target, position_step_remark, refine, search, search_errors, settings_of, tune,
+    RefineOptions, Refined, Target, position_step_remark, refine, refine_within, search, search_errors, settings_of,
+    tune,
 };
 use tcgs_train::{RefineConfig, Run};
 
@@ -129,9 +130,9 @@ pub struct Arguments {
     frames: Option<Frames>,
     /// Train what the file stores on the training images of --capture, or of the run's capture, for a time (90s, 5m, 1h) or a
     /// number of iterations: more PSNR in about as many bytes. A number of iterations gives the same file whenever it is
-    /// repeated; a time is turned into one, which is printed
+    /// repeated; a time is turned into one, which is printed. With --target-bytes the refined file keeps the target
     #[arg(long, value_name = "BUDGET", value_parser = options::refine_budget)]
-    #[arg(conflicts_with_all = ["target", "max_error", "tune"])]
+    #[arg(conflicts_with_all = ["target_psnr", "max_error", "tune"])]
     refine: Option<RefineBudget>,
     /// Axis of the scene that points up, for players: x, y, z, -x, -y or -z [default: the one along
     /// which the capture's cameras stand upright, without a capture unknown]
@@ -233,7 +234,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let options = options(arguments, &scene)?;
     let pruned = PrunedScene::new(&scene, &options)?;
     say(&pruned.bits_from)?;
-    let (compressed, result) = match (target, &arguments.max_error) {
+    let (compressed, results) = match (target, &arguments.max_error) {
         _ if arguments.tune => {
             let judge = judge(arguments, &scene)?;
             say(&format!("measuring against {}", judge.of))?;
@@ -241,7 +242,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let found = Teller::default().watch(|teller| tune(&pruned, &options.keypoints, target, &judge, teller))?;
             let (text, of_tuning) = target::describe_tuning(&found, target, &judge);
             let result = Found { text, name: "tuning", value: of_tuning };
-            (pruned.account(&options, found.found.compact, found.found.file)?, Some(result))
+            (pruned.account(&options, found.found.compact, found.found.file)?, vec![result])
         }
         (None, None) if arguments.refine.is_some() => {
             let options_of_refining = refine_options(arguments, &scene)?;
@@ -249,17 +250,30 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let refined = Teller::default()
                 .watch(|teller| refine(&scene, &pruned, &options.keypoints, &options_of_refining, &backend, teller))?;
             let result = describe_refining(&refined);
-            (pruned.account(&options, refined.compact, refined.file)?, Some(result))
+            (pruned.account(&options, refined.compact, refined.file)?, vec![result])
         }
         (None, None) => {
             let (compact, file) = pruned.compress(&options.keypoints)?;
-            (pruned.account(&options, compact, file)?, None)
+            (pruned.account(&options, compact, file)?, Vec::new())
         }
         (None, Some(Bounds(bounds))) => {
             say("       size  largest errors")?;
             let found = Teller::default().watch(|teller| search_errors(&pruned, &options.keypoints, bounds, teller))?;
             let result = describe_search(bounds, &found.trials);
-            (pruned.account(&options, found.compact, found.file)?, Some(result))
+            (pruned.account(&options, found.compact, found.file)?, vec![result])
+        }
+        (Some(Target::Bytes(bytes)), _) if arguments.refine.is_some() => {
+            let judge = judge(arguments, &scene)?;
+            let refining = refine_options(arguments, &scene)?;
+            let backend = arguments.backend.open(BackendName::Auto)?;
+            say("quality         size      PSNR")?;
+            let (found, refined) = Teller::default().watch(|teller| {
+                refine_within(&scene, &pruned, &options.keypoints, bytes, &judge, &refining, &backend, teller)
+            })?;
+            let (text, value) = target::describe(&found, Target::Bytes(bytes), &judge);
+            let before = Found { text: format!("before refining: {text}"), name: "target", value };
+            let results = vec![before, describe_refining(&refined)];
+            (pruned.account(&options, refined.compact, refined.file)?, results)
         }
         (Some(target), _) => {
             let judge = judge(arguments, &scene)?;
@@ -269,7 +283,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 Teller::default().watch(|teller| search(&pruned, &options.keypoints, target, &judge, teller))?;
             let (text, of_target) = target::describe(&found, target, &judge);
             let result = Found { text, name: "target", value: of_target };
-            (pruned.account(&options, found.compact, found.file)?, Some(result))
+            (pruned.account(&options, found.compact, found.file)?, vec![result])
         }
     };
     if let Some((step, radius)) = position_step_remark(&scene, &compressed.compact)? {
@@ -280,7 +294,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     interrupt::check()?;
     write_file(&out, &compressed.file, arguments.job.force)?;
-    report(arguments, &compressed, result, &out)
+    report(arguments, &compressed, results, &out)
 }
 
 /// What a search found, in words and for machines.
@@ -397,7 +411,7 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
     })
 }
 
-fn report(arguments: &Arguments, compressed: &Compressed, found: Option<Found>, out: &Path) -> anyhow::Result<()> {
+fn report(arguments: &Arguments, compressed: &Compressed, found: Vec<Found>, out: &Path) -> anyhow::Result<()> {
     let raw = compressed.stages[0].bytes;
     let ratio = |bytes: u64| raw as f64 / bytes as f64;
     say(&format!("{:<15} {:>11}  {:>9}  {:>8}", "stage", "bytes", "", "ratio"))?;
@@ -437,7 +451,7 @@ fn report(arguments: &Arguments, compressed: &Compressed, found: Option<Found>, 
     if !compact.declared_errors.is_empty() {
         result["declared_errors"] = attribute_errors::machine_readable(&compact.declared_errors);
     }
-    if let Some(Found { text, name, value }) = found {
+    for Found { text, name, value } in found {
         say(&text)?;
         result[name] = value;
     }

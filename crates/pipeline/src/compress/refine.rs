@@ -11,7 +11,7 @@ use tcgs_render::device::GpuError;
 use tcgs_render::{CpuRasterizer, Rasterizer};
 use tcgs_train::{RefineConfig, Refiner, refine_order};
 
-use super::{Errors, Pruned, PrunedScene};
+use super::{Errors, Judge, Pruned, PrunedScene, SearchResult, Target, search};
 use crate::observe::tell;
 use crate::{Backend, Event, Observer, OpenScene, PipelineError, Work};
 
@@ -86,6 +86,48 @@ pub fn refine(
     };
     let (compact, file) = pruned.compress_with(settings, Errors::Measured, &mut change)?;
     Ok(Refined { file, compact, iterations, losses })
+}
+
+/// What a file is expected to have before refining, as a share of what it may have afterwards: codes that are trained are a
+/// little harder to predict.
+const EXPECTED_SHARE: f64 = 0.92;
+/// Further tries come so close below what the last one says, as a share.
+const MARGIN: f64 = 0.99;
+/// Tries of [`refine_within`] at most.
+const MAX_TRIES: usize = 4;
+
+/// [`refine`] at the best quality whose refined file has at most so many bytes: a quality is searched for somewhat fewer bytes,
+/// and for fewer again if the refined file turns out too large.
+///
+/// - `settings`: those of quality 0
+/// - returns: what was refined, which tells the quality and the size before, and the refined scene
+///
+/// # Errors
+/// As [`search`] and [`refine`]; [`PipelineError::TargetBytes`] if four refined files were too large.
+#[allow(clippy::too_many_arguments, reason = "the arguments of search and of refine")]
+pub fn refine_within(
+    scene: &OpenScene,
+    pruned: &PrunedScene<'_>,
+    settings: &CompressSettings,
+    bytes: u64,
+    judge: &Judge,
+    options: &RefineOptions,
+    backend: &Backend,
+    observer: &mut dyn Observer,
+) -> Result<(SearchResult, Refined), PipelineError> {
+    let mut aim = EXPECTED_SHARE * bytes as f64;
+    let mut smallest = u64::MAX;
+    for _ in 0..MAX_TRIES {
+        let found = search(pruned, settings, Target::Bytes(aim as u64), judge, observer)?;
+        let refined = refine(scene, pruned, &found.settings, options, backend, observer)?;
+        let size = refined.file.len() as u64;
+        if size <= bytes {
+            return Ok((found, refined));
+        }
+        smallest = smallest.min(size);
+        aim = MARGIN * found.file.len() as f64 * bytes as f64 / size as f64;
+    }
+    Err(PipelineError::TargetBytes { target: bytes, smallest })
 }
 
 /// The images that a scene is refined on.
