@@ -110,7 +110,7 @@ pub fn sigmoid_vjp<R: Real>(value: R, v_value: R) -> R {
 }
 
 /// Activates one timestep for drawing with its three colour channels. Colours are those of degree 0, whatever the
-/// direction of view: [`Drawable`](crate::Drawable) adds spherical harmonics of higher degree.
+/// direction of view: [`seen_colors`](crate::seen_colors()) adds spherical harmonics of higher degree.
 ///
 /// ```
 /// use tcgs_core::{Gaussians, activate};

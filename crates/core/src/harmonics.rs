@@ -4,13 +4,23 @@
 //! the coefficients ([`Layout::with_harmonics`](crate::Layout::with_harmonics)), and the colours of a whole timestep
 //! ([`Drawable`](crate::Drawable)).
 
-use crate::Real;
+use crate::{Real, dot};
 
 /// Highest degree of the harmonics: that of 3D Gaussian splatting.
 pub const MAX_SH_DEGREE: usize = 3;
 
 /// Value of the harmonic of degree 0 in every direction: `1 / (2 √π)`.
 pub const HARMONIC_0: f64 = 0.282_094_791_773_878_14;
+
+// The factors of the harmonics, without their signs.
+const C1: f64 = 0.488_602_511_902_919_9; // √(3 / 4π)
+const C20: f64 = 0.315_391_565_252_520_05; // ¼ √(5 / π)
+const C21: f64 = 1.092_548_430_592_079_2; // ½ √(15 / π)
+const C22: f64 = 0.546_274_215_296_039_6; // ¼ √(15 / π)
+const C30: f64 = 0.373_176_332_590_115_4; // ¼ √(7 / π)
+const C31: f64 = 0.457_045_799_464_465_8; // ¼ √(21 / 2π)
+const C32: f64 = 1.445_305_721_320_277; // ¼ √(105 / π)
+const C33: f64 = 0.590_043_589_926_643_5; // ¼ √(35 / 2π)
 
 /// The harmonics of degrees 0 to 3 in a direction.
 ///
@@ -33,14 +43,8 @@ pub fn harmonics<R: Real>(direction: [R; 3]) -> [R; 16] {
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let of = R::of;
     let (two, three, four) = (of(2.0), of(3.0), of(4.0));
-    let c1 = of(0.488_602_511_902_919_9); // √(3 / 4π)
-    let c20 = of(0.315_391_565_252_520_05); // ¼ √(5 / π)
-    let c21 = of(1.092_548_430_592_079_2); // ½ √(15 / π)
-    let c22 = of(0.546_274_215_296_039_6); // ¼ √(15 / π)
-    let c30 = of(0.373_176_332_590_115_4); // ¼ √(7 / π)
-    let c31 = of(0.457_045_799_464_465_8); // ¼ √(21 / 2π)
-    let c32 = of(1.445_305_721_320_277); // ¼ √(105 / π)
-    let c33 = of(0.590_043_589_926_643_5); // ¼ √(35 / 2π)
+    let (c1, c20, c21, c22) = (of(C1), of(C20), of(C21), of(C22));
+    let (c30, c31, c32, c33) = (of(C30), of(C31), of(C32), of(C33));
     [
         of(HARMONIC_0),
         -c1 * y,
@@ -61,6 +65,42 @@ pub fn harmonics<R: Real>(direction: [R; 3]) -> [R; 16] {
     ]
 }
 
+/// VJP of [`harmonics`].
+///
+/// - `direction`: as given to `harmonics`
+/// - `v_values`: `∂L/∂Y_lm`, in the order of `harmonics`
+/// - returns: `∂L/∂direction`, without the constraint of unit length
+#[inline]
+pub fn harmonics_vjp<R: Real>(direction: [R; 3], v_values: &[R; 16]) -> [R; 3] {
+    let [x, y, z] = direction;
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    let of = R::of;
+    let (two, three, four, six, eight) = (of(2.0), of(3.0), of(4.0), of(6.0), of(8.0));
+    let (c1, c20, c21, c22) = (of(C1), of(C20), of(C21), of(C22));
+    let (c30, c31, c32, c33) = (of(C30), of(C31), of(C32), of(C33));
+    let v = v_values;
+    let degree_1 = [-c1 * v[3], -c1 * v[1], c1 * v[2]];
+    let degree_2 = [
+        c21 * (y * v[4] - z * v[7]) + two * x * (c22 * v[8] - c20 * v[6]),
+        c21 * (x * v[4] - z * v[5]) - two * y * (c22 * v[8] + c20 * v[6]),
+        four * c20 * z * v[6] - c21 * (y * v[5] + x * v[7]),
+    ];
+    let degree_3 = [
+        two * c32 * z * (y * v[10] + x * v[14]) + two * c31 * x * y * v[11]
+            - six * (c33 * x * y * v[9] + c30 * x * z * v[12])
+            - c31 * (four * zz - three * xx - yy) * v[13]
+            - three * c33 * (xx - yy) * v[15],
+        two * c32 * z * (x * v[10] - y * v[14])
+            + two * c31 * x * y * v[13]
+            + six * (c33 * x * y * v[15] - c30 * y * z * v[12])
+            - c31 * (four * zz - xx - three * yy) * v[11]
+            - three * c33 * (xx - yy) * v[9],
+        c32 * (two * x * y * v[10] + (xx - yy) * v[14]) - eight * c31 * z * (y * v[11] + x * v[13])
+            + three * c30 * (two * zz - xx - yy) * v[12],
+    ];
+    std::array::from_fn(|axis| degree_1[axis] + degree_2[axis] + degree_3[axis])
+}
+
 /// Colour of a Gaussian with harmonics as seen in a direction: `max(0, color + Σ Y_lm(direction) sh_lm)`.
 ///
 /// - `color`: `[3]`, sRGB, what the harmonic of degree 0 gives and half a unit
@@ -72,7 +112,38 @@ pub fn harmonics<R: Real>(direction: [R; 3]) -> [R; 16] {
 /// # Panics
 /// If `sh` has more than 15 rows.
 pub fn color_in_direction<R: Real>(color: [R; 3], sh: &[[R; 3]], direction: [R; 3]) -> [R; 3] {
-    let values = &harmonics(direction)[1..];
+    sum_in_direction(color, sh, &harmonics(direction)).map(|x| x.max(R::zero()))
+}
+
+/// VJP of [`color_in_direction`]: nothing passes a channel that is clamped.
+///
+/// - `color`, `sh`, `direction`: as given to `color_in_direction`
+/// - `v_seen`: `∂L/∂` the colour that it returned
+/// - returns: `(v_sum, v_direction)`. `v_sum` is `∂L/∂color`, and `Y_lm(direction) v_sum` is `∂L/∂sh_lm`;
+///   `v_direction` is without the constraint of unit length
+///
+/// # Panics
+/// As `color_in_direction`.
+pub fn color_in_direction_vjp<R: Real>(
+    color: [R; 3],
+    sh: &[[R; 3]],
+    direction: [R; 3],
+    v_seen: [R; 3],
+) -> ([R; 3], [R; 3]) {
+    let sum = sum_in_direction(color, sh, &harmonics(direction));
+    let v_sum = std::array::from_fn(|c| if sum[c] > R::zero() { v_seen[c] } else { R::zero() });
+    let mut v_values = [R::zero(); 16];
+    for (v_value, &sh) in v_values[1..].iter_mut().zip(sh) {
+        *v_value = dot(sh, v_sum);
+    }
+    (v_sum, harmonics_vjp(direction, &v_values))
+}
+
+/// `color + Σ Y_lm sh_lm`.
+///
+/// - `values`: of [`harmonics`]
+fn sum_in_direction<R: Real>(color: [R; 3], sh: &[[R; 3]], values: &[R; 16]) -> [R; 3] {
+    let values = &values[1..];
     assert!(sh.len() <= values.len(), "{} coefficients a channel, expected at most {}", sh.len(), values.len());
     let mut sum = color;
     for (value, sh) in values.iter().zip(sh) {
@@ -80,7 +151,7 @@ pub fn color_in_direction<R: Real>(color: [R; 3], sh: &[[R; 3]], direction: [R; 
             sum[channel] = sum[channel] + *value * sh[channel];
         }
     }
-    sum.map(|x| x.max(R::zero()))
+    sum
 }
 
 #[cfg(test)]
@@ -88,7 +159,6 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::*;
-    use crate::dot;
 
     fn unit(v: [f64; 3]) -> [f64; 3] {
         let length = dot(v, v).sqrt();
@@ -241,5 +311,52 @@ mod tests {
         near(color_in_direction([0.5; 3], &sh, [1.0, 0.0, 0.0]), [0.5, 0.5 - 0.3 * y, 0.5]);
         near(color_in_direction([0.5; 3], &sh, [0.0; 3]), [0.5; 3]);
         near(color_in_direction([-0.1, 0.2, 1.5], &[], [0.0, 0.0, 1.0]), [0.0, 0.2, 1.5]);
+    }
+
+    #[test]
+    fn backward_matches_central_differences() {
+        let h = 1e-6;
+        for direction in some_directions() {
+            for index in 0..16 {
+                let mut v_values = [0.0; 16];
+                v_values[index] = 1.0;
+                let gradient = harmonics_vjp(direction, &v_values);
+                for axis in 0..3 {
+                    let at = |by: f64| {
+                        let mut moved = direction;
+                        moved[axis] += by;
+                        harmonics(moved)[index]
+                    };
+                    let difference = (at(h) - at(-h)) / (2.0 * h);
+                    assert!((gradient[axis] - difference).abs() < 1e-8, "{index}, {axis}, {direction:?}");
+                }
+            }
+        }
+
+        // A colour: green is clamped here.
+        let direction = unit([0.3, -0.4, 0.5]);
+        let sh: Vec<[f64; 3]> = (0..15).map(|i| [0, 1, 2].map(|c| 0.2 * (f64::from(3 * i + c) + 0.5).sin())).collect();
+        let (color, v_seen) = ([0.5, -3.0, 0.7], [0.3, -0.8, 1.1]);
+        let loss = |color, sh: &[[f64; 3]], direction| dot(color_in_direction(color, sh, direction), v_seen);
+        let (v_sum, v_direction) = color_in_direction_vjp(color, &sh, direction, v_seen);
+        assert_eq!(v_sum, [0.3, 0.0, 1.1]);
+        for axis in 0..3 {
+            let at = |by: f64| {
+                let mut moved = direction;
+                moved[axis] += by;
+                loss(color, &sh, moved)
+            };
+            assert!((v_direction[axis] - (at(h) - at(-h)) / (2.0 * h)).abs() < 1e-8, "direction {axis}");
+        }
+        let values = harmonics(direction);
+        for (index, channel) in (0..15).flat_map(|i| [0, 1, 2].map(|c| (i, c))) {
+            let at = |by: f64| {
+                let mut moved = sh.clone();
+                moved[index][channel] += by;
+                loss(color, &moved, direction)
+            };
+            let difference = (at(h) - at(-h)) / (2.0 * h);
+            assert!((values[index + 1] * v_sum[channel] - difference).abs() < 1e-8, "{index}, {channel}");
+        }
     }
 }

@@ -23,6 +23,7 @@ mod parallel;
 mod quat;
 mod reader;
 mod real;
+mod seen_colors;
 mod tour;
 mod view;
 
@@ -34,7 +35,7 @@ pub use columns::{BaseColumns, BaseViewsMut, Columns, GaussianGrads, Gaussians, 
 pub use drawable::Drawable;
 pub use dynamic::DynamicGaussians;
 pub use extent::Extent;
-pub use harmonics::{HARMONIC_0, MAX_SH_DEGREE, color_in_direction, harmonics};
+pub use harmonics::{HARMONIC_0, MAX_SH_DEGREE, color_in_direction, color_in_direction_vjp, harmonics, harmonics_vjp};
 pub use image::Image;
 pub use layout::{Activation, Column, Layout, RateGroup};
 pub use natural_key::natural_key;
@@ -44,5 +45,6 @@ pub use quat::{
 };
 pub use reader::SceneReader;
 pub use real::Real;
+pub use seen_colors::{seen_colors, seen_colors_bwd};
 pub use tour::{Tour, upright_axes};
 pub use view::{Segmentation, View};

@@ -22,3 +22,17 @@ pub(crate) fn map_pairs<A: Sync, B: Sync, R: Send>(a: &[A], b: &[B], f: impl Fn(
     #[cfg(not(feature = "parallel"))]
     return a.iter().zip(b).map(|(a, b)| f(a, b)).collect();
 }
+
+/// Fewest rows that one task handles.
+#[cfg(feature = "parallel")]
+const CHUNK: usize = 1 << 10;
+
+/// `f` of every row of a flat array and its index.
+///
+/// - `values`: `[rows * components]`
+pub(crate) fn for_each_row(values: &mut [f32], components: usize, f: impl Fn(usize, &mut [f32]) + Sync + Send) {
+    #[cfg(feature = "parallel")]
+    values.par_chunks_exact_mut(components).with_min_len(CHUNK).enumerate().for_each(|(i, row)| f(i, row));
+    #[cfg(not(feature = "parallel"))]
+    values.chunks_exact_mut(components).enumerate().for_each(|(i, row)| f(i, row));
+}

@@ -1,6 +1,7 @@
 //! All settings of a training run, as `config.toml` holds them, and the presets.
 
 use serde::{Deserialize, Serialize};
+use tcgs_core::MAX_SH_DEGREE;
 
 use crate::losses::WeightConfig;
 
@@ -31,6 +32,8 @@ pub struct TrainConfig {
     pub gate: GateConfig,
     /// Births after the first timestep.
     pub births: BirthConfig,
+    /// Colours that depend on the direction of view.
+    pub color: ColorConfig,
 }
 
 /// 64 bits as the signed integers that TOML has.
@@ -107,6 +110,8 @@ pub struct RateConfig {
     pub mean: f32,
     /// Colours. Default 2.5e-3 (reference).
     pub color: f32,
+    /// Coefficients of spherical harmonics, first timestep only. Default 1.25e-4, a twentieth of `color` (Kerbl et al. 2023).
+    pub harmonic: f32,
     /// Colours after the first timestep. Reference 2.5e-3; default 5e-4, so that colours do not
     /// wander and their tracks stay simple.
     pub color_rest: f32,
@@ -283,6 +288,14 @@ impl BirthConfig {
     pub const OFF: Self = Self { enabled: false, ..Self::ON };
 }
 
+/// Settings of colours that depend on the direction of view.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ColorConfig {
+    /// Highest degree of spherical harmonics, 0 to 3; 0: a colour is the same from everywhere. Default 0 (reference).
+    pub degree: usize,
+}
+
 /// Why [`TrainConfig::merge`] or [`TrainConfig::set`] refused settings.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -344,6 +357,7 @@ impl TrainConfig {
             rates: RateConfig {
                 mean: 1.6e-4,
                 color: 2.5e-3,
+                harmonic: 1.25e-4,
                 color_rest: 2.5e-3,
                 quat: 1e-3,
                 logit_opacity: 0.05,
@@ -392,6 +406,7 @@ impl TrainConfig {
             },
             gate: GateConfig::OFF,
             births: BirthConfig::OFF,
+            color: ColorConfig { degree: 0 },
         };
         let mut config = reference;
         match preset {
@@ -525,6 +540,9 @@ impl TrainConfig {
         if self.data.downscale == 0 {
             return refuse("data.downscale", "0".into(), "at least 1");
         }
+        if self.color.degree > MAX_SH_DEGREE {
+            return refuse("color.degree", self.color.degree.to_string(), "0 to 3");
+        }
         if self.gate.pace < 1.0 {
             return refuse("gate.pace", self.gate.pace.to_string(), "1 or more");
         }
@@ -601,6 +619,7 @@ mod tests {
             ("weights.rigid", "nan", "weights.rigid is NaN, expected a finite number"),
             ("rates.mean", "-1.0", "rates.mean is -1, expected"),
             ("gate.pace", "0.5", "gate.pace is 0.5, expected 1 or more"),
+            ("color.degree", "4", "color.degree is 4, expected 0 to 3"),
             (
                 "births.share",
                 "0.0",

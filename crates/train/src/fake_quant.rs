@@ -5,7 +5,7 @@
 use multiversion::multiversion;
 use rayon::prelude::*;
 use tcgs_codec::{BitMap, BitMapping, BitSettings, CompressError, Quantizer, Quantizers};
-use tcgs_core::{Attribute, GaussianGrads, Gaussians, Layout};
+use tcgs_core::{Attribute, Column, GaussianGrads, Gaussians, Layout};
 
 use crate::adam::Moments;
 use crate::config::{BitMapKind, TrainConfig};
@@ -72,9 +72,12 @@ pub fn bit_settings(config: &TrainConfig) -> BitSettings {
     }
 }
 
-/// The columns that are quantised while training; positions are quantised afterwards.
+/// The columns that are quantised while training. Positions are quantised afterwards, and so are harmonics: compression
+/// decides who keeps which band and with how many bits, and rounding here would make bands that are zero differ from it.
 fn quantized(layout: &Layout) -> impl Iterator<Item = Attribute> {
-    layout.columns().iter().filter(|column| column.quantized).map(|column| column.attribute)
+    let harmonics = layout.harmonics();
+    let is_quantized = move |column: &&Column| column.quantized && !harmonics.contains(&column.attribute);
+    layout.columns().iter().filter(is_quantized).map(|column| column.attribute)
 }
 
 /// The learned quantizers, and the bit width of each Gaussian's attributes, which selects a quantizer.

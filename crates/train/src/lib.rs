@@ -32,8 +32,8 @@ mod trainer;
 pub use adam::{Moments, adam};
 pub use checkpoint::Checkpoint;
 pub use config::{
-    BirthConfig, BitMapKind, ConfigError, DataConfig, DensifyConfig, GateConfig, MaskConfig, Preset, QuantizeConfig,
-    REFERENCE_ITERATIONS, RateConfig, ScheduleConfig, TrainConfig,
+    BirthConfig, BitMapKind, ColorConfig, ConfigError, DataConfig, DensifyConfig, GateConfig, MaskConfig, Preset,
+    QuantizeConfig, REFERENCE_ITERATIONS, RateConfig, ScheduleConfig, TrainConfig,
 };
 pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
 pub use error::TrainError;

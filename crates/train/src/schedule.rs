@@ -13,6 +13,8 @@ pub struct Rates {
     pub quat: f32,
     /// Rate of the colours.
     pub color: f32,
+    /// Rate of colours that do not vary with time: the coefficients of spherical harmonics.
+    pub harmonic: f32,
     /// Rate of the logit opacities; 0 after the first timestep.
     pub logit_opacity: f32,
     /// Rate of the log scales; 0 after the first timestep.
@@ -38,7 +40,8 @@ impl Rates {
             RateGroup::Quat => self.quat,
             RateGroup::LogScale => self.log_scale,
             RateGroup::LogitOpacity => self.logit_opacity,
-            RateGroup::Color => self.color,
+            RateGroup::Color if column.varies => self.color,
+            RateGroup::Color => self.harmonic,
         }
     }
 }
@@ -116,6 +119,7 @@ impl Schedule {
                     mean: mean * scale * decay,
                     quat: r.quat * scale * decay,
                     color: r.color * decay,
+                    harmonic: r.harmonic * decay,
                     logit_opacity: r.logit_opacity * decay,
                     log_scale: r.log_scale * scale * decay,
                     // All Gaussians share the cameras.
@@ -134,6 +138,7 @@ impl Schedule {
                     mean: mean * motion,
                     quat: r.quat * motion,
                     color: r.color_rest * cosine(r.motion_decay),
+                    harmonic: 0.0,
                     logit_opacity: 0.0,
                     log_scale: 0.0,
                     camera: 0.0,

@@ -1,7 +1,7 @@
 //! How much each parameter moves the pictures: `S(θ)`, paper Eq. 7.
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, Gaussians, Image, Sensitivity, activate, activate_bwd};
+use tcgs_core::{Camera, Gaussians, Image, Sensitivity, activate, activate_bwd, seen_colors, seen_colors_bwd};
 use tcgs_render::{Rasterizer, RenderSettings};
 
 /// `S(θ) = Σ_k |∂Q_k/∂θ| / Σ_k N_k`: `Q_k` the sum of all colour values of image `k` over black,
@@ -21,14 +21,21 @@ pub fn sensitivity<R: Rasterizer>(
     gaussians: &Gaussians,
     cameras: &[Camera],
 ) -> Result<Sensitivity, R::Error> {
-    let activated = activate(gaussians);
+    let mut activated = activate(gaussians);
+    let has_harmonics = gaussians.layout().sh_degree() > 0;
     let settings = RenderSettings::default();
     let mut sum = Sensitivity::zeros_of(gaussians.layout(), gaussians.num_gaussians());
     for camera in cameras {
+        if has_harmonics {
+            activated.colors = seen_colors(gaussians, camera);
+        }
         let (_, saved) = rasterizer.forward(&activated, camera, &settings)?;
         let ones = Image::filled(camera.width, camera.height, 3, 1.0);
         let render = rasterizer.backward(&activated, camera, &settings, &saved, &ones)?;
-        let v = activate_bwd(gaussians, &activated, &render.activated);
+        let mut v = activate_bwd(gaussians, &activated, &render.activated);
+        if has_harmonics {
+            seen_colors_bwd(gaussians, camera, &mut v);
+        }
         for attribute in gaussians.layout().attributes() {
             sum.values_mut(attribute).par_iter_mut().zip(v.values(attribute)).for_each(|(s, v)| *s += v.abs());
         }

@@ -89,7 +89,7 @@ fn a_part_has_the_gradients_of_the_whole_to_the_bit() {
             let tiles = with_margin(&tiles_reached(&active, &target.camera), &target.image);
             num_tiles = [num_tiles[0] + tiles.len(), num_tiles[1] + tiles.grid()[0] * tiles.grid()[1]];
             let picture = Image::filled(target.image.width, target.image.height, channels, 0.0);
-            ViewScenery { tiles, gaussians: (0..N as u32).collect(), picture }
+            ViewScenery { tiles, gaussians: (0..N as u32).collect(), colors: None, picture }
         });
         let views = views.collect();
         assert!(4 * num_tiles[0] < 3 * num_tiles[1], "{num_tiles:?} are not a part");
@@ -167,7 +167,7 @@ fn part_of_a_scene(
         }
         // Now and then one of the locked ones is in no list.
         let gaussians = (0..4 * n as u32).filter(|i| i % 4 == 3 || i % 11 != 0).collect();
-        ViewScenery { tiles, gaussians, picture: target.image.clone() }
+        ViewScenery { tiles, gaussians, colors: None, picture: target.image.clone() }
     };
     let views = targets.iter().map(&mut view).collect();
     Scenery { num_active, drawn: joined.select(&order), places: (0..n).map(place_of).collect(), views }

@@ -52,7 +52,7 @@ impl Part {
                 gaussians.dedup();
                 picture = renderer.draw(&all, &camera, &RenderSettings::default())?.0.image;
             }
-            views.push(ViewScenery { tiles, gaussians, picture });
+            views.push(ViewScenery { tiles, gaussians, colors: None, picture });
         }
         let cameras = (0..views.len()).filter(|&i| !views[i].tiles.is_empty()).collect();
         let places = rows.iter().map(|&i| i as u32).collect();

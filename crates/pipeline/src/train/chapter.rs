@@ -15,19 +15,23 @@ use crate::{Backend, OpenScene, PipelineError};
 ///
 /// # Errors
 /// [`PipelineError::Input`] if the scene has no such timestep, no Gaussian or spherical harmonics, or was trained with
-/// another number of cameras; [`PipelineError`] if a file of the scene or the capture's cameras cannot be read.
+/// another number of cameras, or the settings ask for spherical harmonics; [`PipelineError`] if a file of the scene or the capture's cameras cannot be read.
 pub fn start_state(
     scene: &OpenScene,
     timestep: usize,
     config: &TrainConfig,
     capture: &Capture,
 ) -> Result<Checkpoint, PipelineError> {
+    if config.color.degree > 0 {
+        let expected = "0 in a run that continues the state of another scene";
+        return Err(PipelineError::input("color.degree", config.color.degree.to_string(), expected));
+    }
     let gaussians = scene.at(timestep)?;
     if gaussians.num_gaussians() == 0 {
         return Err(PipelineError::input(scene.path.display(), "has no Gaussians", "at least one"));
     }
     if gaussians.layout().sh_degree() > 0 {
-        let expected = "colours that do not depend on the direction of view, since training has no others";
+        let expected = "colours that do not depend on the direction of view, which alone are continued";
         return Err(PipelineError::input(scene.path.display(), "has spherical harmonics", expected));
     }
     let cameras = training_cameras(config, capture)?;

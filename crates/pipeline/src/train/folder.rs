@@ -146,7 +146,8 @@ impl RunFolder {
     /// - `run`: the run in this folder
     ///
     /// # Errors
-    /// [`PipelineError::Train`] if another checkpoint than the last is damaged; [`PipelineError::Stopped`] if the
+    /// [`PipelineError::Input`] if `backend` does not train what the run's settings ask for; [`PipelineError::Train`] if
+    /// another checkpoint than the last is damaged; [`PipelineError::Stopped`] if the
     /// observer broke off.
     pub fn resume(
         &self,
@@ -154,6 +155,7 @@ impl RunFolder {
         backend: &Backend,
         observer: &mut dyn Observer,
     ) -> Result<Option<Trainer>, PipelineError> {
+        backend.check(run.config())?;
         loop {
             let error = match run.resume_with(|state| backend.engine(state)) {
                 Ok(trainer) => return Ok(trainer),

@@ -29,6 +29,9 @@ pub struct ViewScenery {
     /// Positions in [`Scenery::drawn`] of the Gaussians that reach these tiles, and of all rows of the state, ascending; none
     /// if there are no tiles.
     pub gaussians: Vec<u32>,
+    /// `[gaussians, C]`, their colours as this camera sees them; none where every camera sees those of
+    /// [`Scenery::drawn`].
+    pub colors: Option<Vec<f32>>,
     /// `[C, H, W]`, the picture at the start of the timestep, before the camera's gain and offset: what is seen outside
     /// of the tiles. Empty if there are no tiles.
     pub picture: Image,

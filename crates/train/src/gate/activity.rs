@@ -8,7 +8,7 @@ use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, TileMask, gaussians
 
 use super::{Blocks, Evidence};
 use crate::config::MaskConfig;
-use crate::engine::cpu::drawn;
+use crate::engine::cpu::Drawn;
 use crate::engine::{Scenery, Target, ViewScenery};
 use crate::losses::{Loss, LossTerms, WeightConfig};
 use crate::motion::Past;
@@ -65,8 +65,9 @@ impl Activity {
         if evidence.iter().all(|e| e.tiles.is_empty()) {
             return activity;
         }
-        let all = drawn(state, mask, channels > 3);
-        let weights = weights(&all, targets, &evidence);
+        let drawn = Drawn::new(state, mask, channels > 3);
+        let all = drawn.activated();
+        let weights = weights(all, targets, &evidence);
         let is_seen: Vec<bool> = weights.iter().map(|[_, whole]| *whole > MIN_WEIGHT).collect();
         let mut is_active: Vec<bool> =
             weights.iter().map(|&[changed, whole]| changed > MIN_WEIGHT && changed >= share * whole).collect();
@@ -95,7 +96,7 @@ impl Activity {
         activity.before = all.select(&activity.active);
         let cameras: Vec<&Camera> = targets.iter().map(|target| &target.camera).collect();
         let (rows, num_active) = (activity.rows(), activity.active.len());
-        activity.scenery = Some(scenery_of(&all, &rows, num_active, &activity.tiles, pictures, &cameras));
+        activity.scenery = Some(scenery_of(&drawn, &rows, num_active, &activity.tiles, pictures, &cameras));
         activity
     }
 
@@ -200,17 +201,19 @@ impl Activity {
 
 /// What some rows are drawn with in some tiles.
 ///
-/// - `all`: the scene as drawn, with these rows
+/// - `drawn`: the scene, with these rows
 /// - `rows`: indices into the scene; the first `num_active` are trained
 /// - `tiles`, `pictures`, `cameras`: `[cameras]`; the pictures are of the scene
 pub(super) fn scenery_of(
-    all: &Activated,
+    drawn: &Drawn,
     rows: &[usize],
     num_active: usize,
     tiles: &[TileMask],
     pictures: &[Image],
     cameras: &[&Camera],
 ) -> Scenery {
+    let all = drawn.activated();
+    let channels = all.num_channels;
     let mut is_row = vec![false; all.num_gaussians()];
     rows.iter().for_each(|&i| is_row[i] = true);
     // Indices into the scene, of each view.
@@ -226,17 +229,23 @@ pub(super) fn scenery_of(
         .collect();
     let mut is_drawn = is_row;
     reaching.iter().flatten().for_each(|&i| is_drawn[i as usize] = true);
-    let drawn: Vec<usize> = (0..all.num_gaussians()).filter(|&i| is_drawn[i]).collect();
+    let reached: Vec<usize> = (0..all.num_gaussians()).filter(|&i| is_drawn[i]).collect();
     let mut place_of = vec![u32::MAX; all.num_gaussians()];
-    drawn.iter().enumerate().for_each(|(place, &i)| place_of[i] = place as u32);
+    reached.iter().enumerate().for_each(|(place, &i)| place_of[i] = place as u32);
+    let colors = |camera: usize, indices: &[u32]| {
+        let all = drawn.colors_seen_by(cameras[camera]).filter(|_| !indices.is_empty())?;
+        let row = |&i: &u32| &all[i as usize * channels..][..channels];
+        Some(indices.iter().flat_map(row).copied().collect())
+    };
     let view = |(camera, indices): (usize, Vec<u32>)| ViewScenery {
         tiles: tiles[camera].clone(),
         picture: if indices.is_empty() { Image::default() } else { pictures[camera].clone() },
         gaussians: indices.iter().map(|&i| place_of[i as usize]).collect(),
+        colors: colors(camera, &indices),
     };
     Scenery {
         num_active,
-        drawn: all.select(&drawn),
+        drawn: all.select(&reached),
         places: rows.iter().map(|&i| place_of[i]).collect(),
         views: reaching.into_iter().enumerate().map(view).collect(),
     }

@@ -31,7 +31,7 @@ pub(crate) use self::nursery::Nursery;
 pub(crate) use self::pace::Pace;
 use crate::config::{GateConfig, MaskConfig};
 use crate::engine::Target;
-use crate::engine::cpu::drawn;
+use crate::engine::cpu::Drawn;
 use crate::state::State;
 
 /// Estimates of a camera's noise of which the median counts.
@@ -111,10 +111,10 @@ impl Gate {
     }
 
     fn remember(&mut self, state: &State, views: &[View], with_segmentation: bool) {
-        let drawn = drawn(state, &self.mask, with_segmentation);
+        let drawn = Drawn::new(state, &self.mask, with_segmentation);
         let pictures = views.iter().map(|view| {
             let (width, height) = (view.image.width, view.image.height);
-            let mut picture = Image::filled(width, height, drawn.num_channels, 0.0);
+            let mut picture = Image::filled(width, height, drawn.activated().num_channels, 0.0);
             redraw(&drawn, view, &TileMask::all(width, height), &mut picture);
             picture
         });
@@ -182,8 +182,8 @@ impl Gate {
     /// - `before`: these as they were drawn
     fn redraw_rows(&mut self, state: &State, views: &[View], rows: &[usize], before: &Activated) {
         let Some(memory) = self.memory.as_mut().filter(|_| !rows.is_empty()) else { return };
-        let all = drawn(state, &self.mask, memory.pictures[0].num_channels > 3);
-        let after = all.select(rows);
+        let all = Drawn::new(state, &self.mask, memory.pictures[0].num_channels > 3);
+        let after = all.activated().select(rows);
         for (picture, view) in memory.pictures.iter_mut().zip(views) {
             let mut tiles = tiles_reached(before, &view.camera);
             tiles.union(&tiles_reached(&after, &view.camera));
@@ -251,9 +251,10 @@ fn corrected(picture: &Image, gain: [f32; 3], offset: [f32; 3]) -> Image {
     seen
 }
 
-fn redraw(drawn: &Activated, view: &View, tiles: &TileMask, picture: &mut Image) {
+fn redraw(drawn: &Drawn, view: &View, tiles: &TileMask, picture: &mut Image) {
     if !tiles.is_empty() {
+        let drawn = drawn.seen_by(&view.camera);
         let (settings, laps) = (RenderSettings::default(), &mut Laps::begin());
-        CpuRasterizer.forward_in(drawn, &view.camera, &settings, tiles, picture, laps);
+        CpuRasterizer.forward_in(&drawn, &view.camera, &settings, tiles, picture, laps);
     }
 }

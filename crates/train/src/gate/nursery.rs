@@ -6,7 +6,7 @@ use tcgs_render::{TileMask, tiles_reached};
 use super::activity::scenery_of;
 use super::{Blocks, Gate, tiles_of};
 use crate::engine::Scenery;
-use crate::engine::cpu::drawn;
+use crate::engine::cpu::Drawn;
 use crate::state::State;
 
 /// The surroundings of newborn Gaussians.
@@ -23,13 +23,14 @@ impl Nursery {
     pub fn new(gate: &Gate, scene: &State, small: &State, views: &[View], unexplained: &[Blocks]) -> Self {
         let pictures = gate.memory.as_ref().map_or(&[][..], |memory| &memory.pictures);
         let with_segmentation = pictures.first().is_some_and(|picture| picture.num_channels > 3);
-        let born = drawn(small, &gate.mask, with_segmentation);
-        let mut all = drawn(scene, &gate.mask, with_segmentation);
-        let rows: Vec<usize> = (all.num_gaussians()..all.num_gaussians() + born.num_gaussians()).collect();
+        let born = Drawn::new(small, &gate.mask, with_segmentation);
+        let mut all = Drawn::new(scene, &gate.mask, with_segmentation);
+        let num_before = all.activated().num_gaussians();
+        let rows: Vec<usize> = (num_before..num_before + born.activated().num_gaussians()).collect();
         all.extend(&born);
         let of_view = |(view, unexplained): (&View, &Blocks)| {
             let mut tiles = tiles_of(unexplained, view.image.width, view.image.height);
-            tiles.union(&tiles_reached(&born, &view.camera));
+            tiles.union(&tiles_reached(born.activated(), &view.camera));
             tiles
         };
         let tiles: Vec<TileMask> = views.iter().zip(unexplained).map(of_view).collect();

@@ -7,7 +7,7 @@ mod timestep;
 
 use std::ops::Range;
 
-use tcgs_core::{Camera, Gaussians, PointCloud, View};
+use tcgs_core::{Camera, Gaussians, Layout, PointCloud, View};
 use tcgs_metrics::psnr;
 
 pub use self::timestep::Progress;
@@ -83,7 +83,8 @@ impl Trainer {
         Self::with_engine(config, cloud, cameras, |state| Box::new(CpuEngine::new(state)))
     }
 
-    /// Starts a run on an engine of the caller's choice; otherwise as [`Self::new`].
+    /// Starts a run on an engine of the caller's choice; otherwise as [`Self::new`]. The Gaussians carry spherical harmonics
+    /// up to `color.degree`, which begin at 0.
     ///
     /// - `make`: makes the engine from the initial state
     ///
@@ -98,7 +99,9 @@ impl Trainer {
         if cloud.points.is_empty() {
             return Err(none("points of the initial cloud"));
         }
-        let parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
+        let mut parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
+        let layout = Layout::with_harmonics(config.color.degree);
+        parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
         Self::from_parameters(config, parameters, cameras, make)
     }
 

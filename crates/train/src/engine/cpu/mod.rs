@@ -7,11 +7,13 @@ mod stage;
 pub use image_loss::{ImageLoss, image_loss, image_loss_in};
 pub use motion_prior::{MotionPrior, PriorGrads};
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 use tcgs_core::{
     Activated, ActivatedGrads, Camera, GaussianGrads, Gaussians, Image, Sensitivity, activate, activate_bwd, normalize,
+    seen_colors, seen_colors_bwd,
 };
 use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderGrads, RenderSettings, StageTimes};
 
@@ -57,16 +59,72 @@ struct DrawnChain {
 /// on.
 ///
 /// - `with_segmentation`: whether to append two channels to the colours: foreground, background, each 0 or 1
-/// - returns: `[N]`, activated
+/// - returns: `[N]`, activated; with the colours of degree 0, whatever the direction of view
 pub fn drawn(state: &State, mask: &MaskConfig, with_segmentation: bool) -> Activated {
-    chain(state, mask, with_segmentation).drawn
+    chain(state, mask, with_segmentation, None).drawn
+}
+
+/// The Gaussians that a state renders, and their colours as each camera sees them.
+#[derive(Clone, Debug)]
+pub(crate) struct Drawn {
+    /// With the colours of degree 0.
+    activated: Activated,
+    /// As quantised; none without harmonics.
+    seen: Option<Gaussians>,
+}
+
+impl Drawn {
+    /// - `with_segmentation`: as for [`drawn`]
+    pub fn new(state: &State, mask: &MaskConfig, with_segmentation: bool) -> Self {
+        let DrawnChain { quantized, drawn, .. } = chain(state, mask, with_segmentation, None);
+        let gaussians = &state.parameters.gaussians;
+        let has_harmonics = gaussians.layout().sh_degree() > 0;
+        Self { activated: drawn, seen: has_harmonics.then(|| quantized.unwrap_or_else(|| gaussians.clone())) }
+    }
+
+    /// With the colours of degree 0: for what does not depend on colours.
+    pub fn activated(&self) -> &Activated {
+        &self.activated
+    }
+
+    /// What a camera sees.
+    pub fn seen_by(&self, camera: &Camera) -> Cow<'_, Activated> {
+        match self.colors_seen_by(camera) {
+            Some(colors) => Cow::Owned(Activated { colors, ..self.activated.clone() }),
+            None => Cow::Borrowed(&self.activated),
+        }
+    }
+
+    /// The colours that a camera sees, with the channels of segmentation; none if all cameras see the same.
+    pub fn colors_seen_by(&self, camera: &Camera) -> Option<Vec<f32>> {
+        let seen = seen_colors(self.seen.as_ref()?, camera);
+        let mut colors = self.activated.colors.clone();
+        let rows = colors.par_chunks_exact_mut(self.activated.num_channels).zip(seen.par_chunks_exact(3));
+        rows.with_min_len(CHUNK).for_each(|(row, seen)| row[..3].copy_from_slice(seen));
+        Some(colors)
+    }
+
+    /// Appends other Gaussians of the same columns.
+    pub fn extend(&mut self, others: &Self) {
+        self.activated.extend(&others.activated);
+        if let (Some(own), Some(others)) = (&mut self.seen, &others.seen) {
+            let layout = Arc::clone(own.layout());
+            *own = Gaussians::concat(&layout, &[std::mem::take(own), others.clone()]);
+        }
+    }
 }
 
 /// The forward chain: quantised (if on), activated, and what is drawn.
-fn chain(state: &State, mask_config: &MaskConfig, with_segmentation: bool) -> DrawnChain {
+///
+/// - `camera`: whose direction gives the colours where there are harmonics; none for those of degree 0
+fn chain(state: &State, mask_config: &MaskConfig, with_segmentation: bool, camera: Option<&Camera>) -> DrawnChain {
     let p = &state.parameters;
     let quantized = state.quantizers.as_ref().map(|q| q.forward(&p.gaussians));
-    let mut drawn = activate(quantized.as_ref().unwrap_or(&p.gaussians));
+    let gaussians = quantized.as_ref().unwrap_or(&p.gaussians);
+    let mut drawn = activate(gaussians);
+    if let Some(camera) = camera.filter(|_| gaussians.layout().sh_degree() > 0) {
+        drawn.colors = seen_colors(gaussians, camera);
+    }
     let unmasked = mask_config.enabled.then(|| (drawn.scales.clone(), drawn.opacities.clone()));
     if mask_config.enabled {
         (&mut drawn.scales, &mut drawn.opacities, &p.mask_logits).into_par_iter().for_each(
@@ -126,7 +184,8 @@ impl CpuEngine {
     fn timed_forward_backward(&mut self, step: &Step<'_>, laps: &mut Laps) -> (LossTerms, StepGrads) {
         let target = &self.targets[step.camera];
         let with_segmentation = target.image.num_channels == 5;
-        let DrawnChain { quantized, drawn, unmasked } = chain(&self.state, step.mask, with_segmentation);
+        let DrawnChain { quantized, drawn, unmasked } =
+            chain(&self.state, step.mask, with_segmentation, Some(&target.camera));
         let p = &self.state.parameters;
         laps.lap("activate");
         let (loss, v_drawn) = match &mut self.staged {
@@ -154,7 +213,11 @@ impl CpuEngine {
         if step.mask.enabled {
             self.mask_bwd(step, &activated, &mut v_activated, &mut v_mask_logits, &mut terms);
         }
-        let mut v_gaussians = activate_bwd(quantized.as_ref().unwrap_or(&p.gaussians), &activated, &v_activated);
+        let gaussians = quantized.as_ref().unwrap_or(&p.gaussians);
+        let mut v_gaussians = activate_bwd(gaussians, &activated, &v_activated);
+        if gaussians.layout().sh_degree() > 0 {
+            seen_colors_bwd(gaussians, &target.camera, &mut v_gaussians);
+        }
         let quantizers = self.state.quantizers.as_ref().map(|q| q.backward(&p.gaussians, &mut v_gaussians));
         laps.lap("activate backward");
         if let Some(prior) = &self.prior {
@@ -310,7 +373,7 @@ impl Engine for CpuEngine {
     }
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
-        let drawn = drawn(&self.state, mask, false);
+        let drawn = chain(&self.state, mask, false, Some(camera)).drawn;
         let Ok((output, _)) = CpuRasterizer.forward(&drawn, camera, &RenderSettings::default());
         Ok(output.image)
     }

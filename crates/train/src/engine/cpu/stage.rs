@@ -24,11 +24,16 @@ impl Stage {
     /// The stages of all views.
     pub fn all(scenery: Scenery) -> Vec<Self> {
         let Scenery { drawn, places, views, .. } = scenery;
-        let of = |ViewScenery { tiles, gaussians, picture }: ViewScenery| {
+        let of = |ViewScenery { tiles, gaussians, colors, picture }: ViewScenery| {
             let indices: Vec<usize> = gaussians.iter().map(|&i| i as usize).collect();
             let place = |row: &u32| gaussians.binary_search(row).expect("a view has all rows");
             let places = if gaussians.is_empty() { Vec::new() } else { places.iter().map(place).collect() };
-            Self { tiles, drawn: drawn.select(&indices), places, picture }
+            let mut drawn = drawn.select(&indices);
+            if let Some(colors) = colors {
+                assert_eq!(colors.len(), drawn.colors.len(), "colours that a camera sees");
+                drawn.colors = colors;
+            }
+            Self { tiles, drawn, places, picture }
         };
         views.into_iter().map(of).collect()
     }

@@ -193,9 +193,13 @@ mod tests {
         let image = Image { data: picture.data.iter().map(|v| (v % 256.0) / 255.0).collect(), ..picture.clone() };
         let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, width, height);
         let target = Target { camera, image };
-        let none =
-            ViewScenery { tiles: TileMask::none(width, height), gaussians: Vec::new(), picture: Image::default() };
-        let view = ViewScenery { tiles, gaussians: vec![0, 1, 2, 4, 5], picture };
+        let none = ViewScenery {
+            tiles: TileMask::none(width, height),
+            gaussians: Vec::new(),
+            colors: None,
+            picture: Image::default(),
+        };
+        let view = ViewScenery { tiles, gaussians: vec![0, 1, 2, 4, 5], colors: None, picture };
         let views = vec![none, view.clone(), ViewScenery { gaussians: (0..6).collect(), ..view }];
         let scenery = Scenery { num_active: 1, drawn: activate(&gaussians), places: vec![4, 1], views };
         (scenery, vec![target; 3])

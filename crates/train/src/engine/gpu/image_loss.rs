@@ -259,7 +259,8 @@ mod tests {
             let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, width, height);
             let drawn = Activated { num_channels: channels, ..activate(&random_gaussians(1, 1)) };
             let drawn = Activated { colors: vec![0.5; channels], ..drawn };
-            let view = ViewScenery { tiles: tiles.clone(), gaussians: vec![0], picture: rendered.clone() };
+            let view =
+                ViewScenery { tiles: tiles.clone(), gaussians: vec![0], colors: None, picture: rendered.clone() };
             let scenery = Scenery { num_active: 1, drawn, places: vec![0], views: vec![view] };
             let lists = SceneryLists::new(&scenery, &[Target { camera, image }]);
             let blocks = (height.div_ceil(SIDE) * width.div_ceil(SIDE)) as u32;

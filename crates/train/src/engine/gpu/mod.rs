@@ -106,7 +106,12 @@ pub struct GpuEngine {
 
 impl GpuEngine {
     /// An engine that goes on from `state`. The GPU's memory is asked for at the first iteration.
+    ///
+    /// # Panics
+    /// If the Gaussians have spherical harmonics, which the CPU alone trains.
     pub fn new(gpu: &Gpu, state: State) -> Self {
+        let degree = state.parameters.gaussians.layout().sh_degree();
+        assert_eq!(degree, 0, "harmonics of degree {degree} on a GPU, which trains none");
         Self {
             gpu: gpu.clone(),
             state: Mirror::new(state),
