@@ -10,7 +10,7 @@ use rand::seq::SliceRandom;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use tcgs_codec::{CompactScene, MAX_BITS, Quantizer, Tracks, locate};
-use tcgs_core::{Activated, Attribute, Camera, Drawable, GaussianGrads, Image, View, activate_bwd};
+use tcgs_core::{Attribute, Camera, GaussianGrads, Image, View, activate, activate_bwd, seen_colors, seen_colors_bwd};
 use tcgs_render::{Rasterizer, RenderSettings};
 
 use crate::adam::BETA1;
@@ -59,7 +59,7 @@ struct Latent {
 pub struct Refiner {
     scene: CompactScene,
     config: RefineConfig,
-    /// By [`Attribute::index`], of [`Attribute::BASE`]: one for each keypoint.
+    /// By [`Attribute::index`]: one for each keypoint.
     latents: Vec<Vec<Latent>>,
     /// By [`Attribute::index`]: mean second moment of the keypoints that the last iteration moved.
     mean_second: Vec<f32>,
@@ -71,9 +71,8 @@ impl Refiner {
     /// A refinement that starts from the scene as it is.
     pub fn new(mut scene: CompactScene, config: RefineConfig) -> Self {
         let latent = |&code: &i16| Latent { code: f32::from(code), ..Latent::default() };
-        let latents = Attribute::BASE
-            .map(|attribute| scene.tracks[attribute.index()].parts_mut().2.iter().map(latent).collect())
-            .to_vec();
+        let of_tracks = |tracks: &mut Tracks<i16>| tracks.parts_mut().2.iter().map(latent).collect();
+        let latents: Vec<Vec<Latent>> = scene.tracks.iter_mut().map(of_tracks).collect();
         let correction = |count: i32| [BETA1, BETA2].map(|beta| 1.0 / (1.0 - beta.powi(count)));
         let corrections = (1..=NUM_CORRECTIONS as i32).map(correction).collect();
         Self { mean_second: vec![0.0; latents.len()], corrections, latents, scene, config }
@@ -104,7 +103,7 @@ impl Refiner {
         let (loss, grads) = gradients(rasterizer, &self.scene, timestep, &view.camera, &view.image, [gain, offset])?;
         let decay = self.config.decay;
         let rate = self.config.rate * (decay + (1.0 - decay) * 0.5 * (1.0 + (std::f32::consts::PI * progress).cos()));
-        for attribute in Attribute::BASE {
+        for attribute in grads.layout().attributes() {
             self.update(attribute, timestep, grads.values(attribute), rate);
         }
         Ok(loss)
@@ -207,8 +206,11 @@ fn gradients<R: Rasterizer>(
     [gain, offset]: [[f32; 3]; 2],
 ) -> Result<(f64, GaussianGrads), R::Error> {
     let gaussians = scene.at(timestep);
-    let drawable = Drawable::new(&gaussians);
-    let mut drawn = Activated::clone(&drawable.seen_by(camera));
+    let has_harmonics = gaussians.layout().sh_degree() > 0;
+    let mut drawn = activate(&gaussians);
+    if has_harmonics {
+        drawn.colors = seen_colors(&gaussians, camera);
+    }
     if scene.lives.is_some() {
         drawn.opacities.par_iter_mut().enumerate().for_each(|(i, opacity)| {
             if !scene.is_alive(i, timestep) {
@@ -220,7 +222,11 @@ fn gradients<R: Rasterizer>(
     let (output, saved) = rasterizer.forward(&drawn, camera, &settings)?;
     let loss = image_loss(&output.image, image, gain, offset, 1.0, 0.0);
     let grads = rasterizer.backward(&drawn, camera, &settings, &saved, &loss.v_image)?;
-    Ok((loss.image, activate_bwd(&gaussians, &drawn, &grads.activated)))
+    let mut v_gaussians = activate_bwd(&gaussians, &drawn, &grads.activated);
+    if has_harmonics {
+        seen_colors_bwd(&gaussians, camera, &mut v_gaussians);
+    }
+    Ok((loss.image, v_gaussians))
 }
 
 /// Share of a timestep's views that are trained on at one visit to it: decoding its images costs about as much.
@@ -247,8 +253,10 @@ pub fn refine_order(seed: u64, num_timesteps: usize, num_views: usize) -> impl I
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress};
-    use tcgs_core::{BaseColumns, DynamicGaussians, Gaussians};
+    use tcgs_core::{BaseColumns, DynamicGaussians, Gaussians, Layout};
     use tcgs_render::CpuRasterizer;
 
     use super::*;
@@ -261,6 +269,7 @@ mod tests {
 
     /// Gaussians of which every other one moves to and fro and turns.
     fn floats(num_gaussians: usize) -> DynamicGaussians {
+        let layout = Layout::with_harmonics(1);
         let at = |t: usize| {
             let mut columns = BaseColumns::default();
             for i in 0..num_gaussians {
@@ -274,17 +283,33 @@ mod tests {
                 columns.logit_opacities.push(0.3 * x - 0.5);
                 columns.colors.push([0.1 + 0.1 * x, 0.7 - 0.1 * x, 0.5]);
             }
-            Gaussians::from(columns)
+            let mut gaussians = Gaussians::from(columns).extended(&layout);
+            for band in layout.harmonics() {
+                gaussians.values_mut(band).iter_mut().enumerate().for_each(|(i, sh)| *sh = 0.2 * (i as f32).sin());
+            }
+            gaussians
         };
-        let mut scene = DynamicGaussians::default();
+        let mut scene = DynamicGaussians::new(Arc::clone(&layout));
         (0..NUM_TIMESTEPS).for_each(|t| scene.push(at(t)));
         scene
     }
 
     fn compact(num_gaussians: usize, bits: u8) -> CompactScene {
         let floats = floats(num_gaussians);
-        let settings = CompressSettings { position_fineness: 0.0, coarser: [0.0; 5], ..CompressSettings::default() };
-        compress(&floats, &BitMap::uniform(num_gaussians, 16, bits), None, SceneInfo::of(&floats), &settings).unwrap()
+        let settings = CompressSettings {
+            position_fineness: 0.0,
+            coarser: [0.0; 5],
+            harmonic_error: 0.0,
+            ..CompressSettings::default()
+        };
+        compress(
+            &floats,
+            &BitMap::uniform_of(floats.layout(), num_gaussians, 16, bits),
+            None,
+            SceneInfo::of(&floats),
+            &settings,
+        )
+        .unwrap()
     }
 
     #[test]
@@ -303,7 +328,7 @@ mod tests {
         let mut refiner = Refiner::new(scene.clone(), config);
         let Ok(_) = refiner.step(&CpuRasterizer, timestep, &view, correction, 0.0);
         let (mut num_shared, mut num_compared) = (0, 0);
-        for attribute in Attribute::BASE {
+        for attribute in scene.layout.attributes() {
             let components = attribute.components();
             let latents = &refiner.latents[attribute.index()];
             let starts = scene.tracks[attribute.index()].clone().parts_mut().0.to_vec();
@@ -356,7 +381,7 @@ mod tests {
             .map(|x| Camera::look_at([x, -0.4, -3.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 48, 40))
             .to_vec();
         let drawn = |gaussians: &Gaussians, camera: &Camera| {
-            let seen = Drawable::new(gaussians).seen_by(camera);
+            let seen = tcgs_core::Drawable::new(gaussians).seen_by(camera);
             let Ok((output, _)) = CpuRasterizer.forward(&seen, camera, &RenderSettings::default());
             output.image
         };
