@@ -1,0 +1,234 @@
+//! The groups of settings: what each field means, and its default.
+
+use serde::{Deserialize, Serialize};
+
+/// The capture that a run trains on: folder, frames, resolution.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DataConfig {
+    /// The capture's folder, as given.
+    pub capture: String,
+    /// Name of the capture's kind, by which evaluation follows the conventions of publications. Default `panoptic`.
+    pub layout: String,
+    /// File of the initial points; empty: the capture's own. Default empty.
+    pub points: String,
+    /// Scene and timestep whose state the run starts from, as `/path/of/scene@12`; the first timestep is then trained as a
+    /// later one. Empty: from points. Default empty.
+    pub start_from: String,
+    /// Index of the capture's frame that timestep 0 shows.
+    pub first_frame: usize,
+    /// One past the last frame.
+    pub end_frame: usize,
+    /// Images are averaged over this many pixels in both directions. Default 1.
+    pub downscale: usize,
+    /// Frames a second, for players.
+    pub frame_rate: f64,
+}
+
+/// Numbers of iterations for which the constants of the reference are written: of the first timestep, and of each later
+/// timestep.
+pub const REFERENCE_ITERATIONS: [usize; 2] = [10_000, 2_000];
+
+/// Numbers of iterations.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScheduleConfig {
+    /// Iterations of the first timestep. Default 10000 (reference).
+    pub first_iterations: usize,
+    /// Iterations of every later timestep. Default 2000 (reference).
+    pub rest_iterations: usize,
+}
+
+/// Learning rates of Adam.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RateConfig {
+    /// Means, times the scene's radius. Default 1.6e-4 (reference).
+    pub mean: f32,
+    /// Colours. Default 2.5e-3 (reference).
+    pub color: f32,
+    /// Coefficients of spherical harmonics, first timestep only. Default 1.25e-4, a twentieth of `color` (Kerbl et al. 2023).
+    pub harmonic: f32,
+    /// Colours after the first timestep. Reference 2.5e-3; default 5e-4, so that colours do not
+    /// wander and their tracks stay simple.
+    pub color_rest: f32,
+    /// Rotations. Default 1e-3 (reference).
+    pub quat: f32,
+    /// Opacities, first timestep only. Default 0.05 (reference).
+    pub logit_opacity: f32,
+    /// Scales, first timestep only. Default 1e-3 (reference).
+    pub log_scale: f32,
+    /// Per-camera gain and offset, first timestep only. Default 1e-4 (reference).
+    pub camera: f32,
+    /// Mask logits, at the reference's number of iterations; multiplied by reference / actual. Default 0.01.
+    pub mask: f32,
+    /// Learned steps, times the step they start from. Paper 0.02; default 0.002, with which values keep
+    /// up with their steps: the faster rate costs 0.2 dB.
+    pub step: f32,
+    /// What the means' and rotations' rates are multiplied by after the first timestep; 0: reference
+    /// iterations / actual, so that a short schedule can still follow fast motion. Default 0.
+    pub motion_scale: f32,
+    /// Whether Adam's bias correction starts anew at every timestep. Reference false: the first steps
+    /// are then about three times the rate. Default true, which follows motion better and drifts less.
+    pub reset_steps: bool,
+    /// Share of the rates of means, rotations, colours and steps left at the end of every timestep after
+    /// the first, reached along a cosine. Reference 1: constant; default 0.02.
+    pub motion_decay: f32,
+    /// Likewise for every rate of the first timestep but the mask's. Reference 1; default 0.1.
+    pub first_decay: f32,
+    /// What the rates of scales, rotations, means and cameras of the first timestep are multiplied by; 0: the
+    /// square root of reference iterations / actual. Reference 1; default 0.
+    pub first_scale: f32,
+}
+
+/// Adaptive density control of the first timestep. Iterations are those of a 10000-iteration
+/// schedule and scale with it; the interval does not.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DensifyConfig {
+    /// First event. Default 500.
+    pub start: usize,
+    /// Last event. Default 5000.
+    pub end: usize,
+    /// Iterations between events. Default 100.
+    pub interval: usize,
+    /// Mean NDC gradient from which a Gaussian is cloned or split. Default 2e-4.
+    pub gradient_threshold: f32,
+    /// Largest scale, as a share of the scene's radius, up to which it is cloned rather than split. Default 0.01.
+    pub clone_scale: f32,
+    /// Children of a split. Default 2.
+    pub split_children: usize,
+    /// Children's scales are divided by this. Default 1.6.
+    pub split_shrink: f32,
+    /// Opacity below which a Gaussian is removed. Default 0.005.
+    pub prune_opacity: f32,
+    /// The same at the last event. Default 0.25.
+    pub prune_opacity_end: f32,
+    /// At this iteration opacities are reset, once; from it on Gaussians of a scale over `prune_scale` are
+    /// removed. Default 3000.
+    pub reset: usize,
+    /// Share of the scene's radius. Default 0.1.
+    pub prune_scale: f32,
+    /// Opacity after the reset. Default 0.01.
+    pub reset_opacity: f32,
+}
+
+/// Learned masks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MaskConfig {
+    /// Whether masks are learned.
+    pub enabled: bool,
+    /// `ε` of Eq. 1 and of the final pruning. Default 0.01.
+    pub threshold: f32,
+    /// Logit that masks start from. Default 1.
+    pub initial_logit: f32,
+    /// Start every timestep from `initial_logit` (the authors' fork) instead of the timestep before. Default false.
+    pub reset: bool,
+    /// Iterations, of 10000, between prunings in the first timestep; scales with the schedule. Default 1000.
+    pub prune_interval: usize,
+    /// Last such pruning, of 10000; what is masked later stays until all timesteps have voted. Reference
+    /// 10000; default 6000, where quantisation starts.
+    pub prune_end: usize,
+}
+
+/// The map from sensitivities to bit widths.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BitMapKind {
+    /// Least expected change of the images for `mean_bits` (`tcgs_codec::BitMapping::Log`).
+    Log,
+    /// The paper's min-max normalisation to `[min_bits, max_bits]` (`tcgs_codec::BitMapping::Linear`).
+    Linear,
+}
+
+/// Quantisation inside the optimisation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct QuantizeConfig {
+    /// Whether attributes are fake-quantised from `start` on.
+    pub enabled: bool,
+    /// Iteration, of 10000, at which sensitivities are measured and quantisation starts. Default 6000 (paper).
+    pub start: usize,
+    /// Fewest bits. Default 4 (paper).
+    pub min_bits: u8,
+    /// Most bits. Default 8 (paper).
+    pub max_bits: u8,
+    /// Mean bits of each attribute that the logarithmic map aims at. Default 5, about where the paper's [4, 8] ends up.
+    pub mean_bits: f32,
+    /// Sensitivity to bits. Default `log`; the paper's is `linear`.
+    pub bit_map: BitMapKind,
+    /// Bits of positions, quantised after training. Default 16 (paper).
+    pub position_bits: u8,
+    /// Whether quantizers learn an offset too (LSQ has none). Default true.
+    pub learned_offset: bool,
+}
+
+/// Settings of the gate: what a timestep after the first trains.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GateConfig {
+    /// Whether timesteps after the first train only what changes. Default true; false in `d3dgs` and `paper`.
+    pub enabled: bool,
+    /// A block of 4x4 pixels has changed if its mean absolute difference from the image before exceeds the median of all
+    /// blocks of the view by so many standard deviations, estimated robustly, and by `contrast`. Default 6.
+    pub noise: f32,
+    /// See `noise`; in units of colour, of which white has 1. Default 0.006, one and a half of 255 levels.
+    pub contrast: f32,
+    /// A tile has evidence, too, if its mean absolute error has grown by more than this since it was last trained, in
+    /// units of colour. Default 0.006.
+    pub growth: f32,
+    /// A Gaussian is active if at least this share of its blending weight, over all views, falls on changed blocks.
+    /// Default 0.4; 0 makes every Gaussian active that a changed block shows.
+    pub share: f32,
+    /// A timestep has settled when its losses fell, over the last pass through its views, by less than this share of
+    /// the most that they fell over one pass. Default 0.05.
+    pub settle: f32,
+    /// How many times as fast a timestep goes through the rest of its schedule once it has settled. Default 3; 1 to give
+    /// every timestep all of its iterations.
+    pub pace: f32,
+}
+
+impl GateConfig {
+    /// The settings of presets `default` and `fast`.
+    pub const ON: Self =
+        Self { enabled: true, noise: 6.0, contrast: 0.006, growth: 0.006, share: 0.4, settle: 0.05, pace: 3.0 };
+
+    /// The settings of presets that train everything, and of runs whose `config.toml` knows of no gate.
+    pub const OFF: Self = Self { enabled: false, ..Self::ON };
+}
+
+/// Settings of births: Gaussians that later timesteps add.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BirthConfig {
+    /// Whether timesteps after the first add Gaussians where the scene does not explain what is seen. Needs the gate;
+    /// a run that continues another one's state adds none.
+    /// Default true; false in `d3dgs` and `paper`.
+    pub enabled: bool,
+    /// A block of 4x4 pixels is not explained if its mean absolute error is above one and a half times that of its tile when last
+    /// explained, the camera's noise, and this much; in units of colour. Default 0.02.
+    pub contrast: f32,
+    /// Most Gaussians that are born at a timestep, as a share of those that there are. Default 0.02.
+    pub share: f32,
+    /// Iterations in which they learn all their attributes, if all views see them. Default 200.
+    pub iterations: usize,
+    /// Opacity below which they are dropped afterwards. Default 0.1.
+    pub opacity: f32,
+}
+
+impl BirthConfig {
+    /// The settings of presets `default` and `fast`.
+    pub const ON: Self = Self { enabled: true, contrast: 0.02, share: 0.02, iterations: 200, opacity: 0.1 };
+
+    /// The settings of presets that add none, and of runs whose `config.toml` knows of no births.
+    pub const OFF: Self = Self { enabled: false, ..Self::ON };
+}
+
+/// Settings of colours that depend on the direction of view.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ColorConfig {
+    /// Highest degree of spherical harmonics, 0 to 3; 0: a colour is the same from everywhere. Default 0 (reference).
+    pub degree: usize,
+}
