@@ -118,7 +118,20 @@ pub fn refine_within(
     let mut aim = EXPECTED_SHARE * bytes as f64;
     let mut smallest = u64::MAX;
     for _ in 0..MAX_TRIES {
-        let found = search(pruned, settings, Target::Bytes(aim as u64), judge, observer)?;
+        let found = match search(pruned, settings, Target::Bytes(aim as u64), judge, observer) {
+            // The coarsest codes there are may still do.
+            Err(PipelineError::TargetBytes { smallest: coarsest, .. }) if coarsest <= bytes && smallest == u64::MAX => {
+                aim = coarsest as f64;
+                continue;
+            }
+            Err(PipelineError::TargetBytes { smallest: coarsest, .. }) => {
+                return Err(PipelineError::TargetBytes {
+                    target: bytes,
+                    smallest: smallest.min(coarsest.max(bytes + 1)),
+                });
+            }
+            found => found?,
+        };
         let refined = refine(scene, pruned, &found.settings, options, backend, observer)?;
         let size = refined.file.len() as u64;
         if size <= bytes {
