@@ -190,9 +190,34 @@ impl Capture {
     /// its camera's size; [`CaptureError::Made`] if a closure that makes images fails.
     pub fn views(&self, split: Split, frame: usize, downscale: usize) -> Result<Vec<View>, CaptureError> {
         let footage = self.footage(split, frame, downscale)?;
-        // Collected before the first error is looked for, so that it is always the same one.
-        let views: Vec<_> = footage.par_iter().map(|of| of.view(frame, downscale)).collect();
-        views.into_iter().collect()
+        views_of(&footage, frame, downscale)
+    }
+
+    /// [`Self::views`] of some of the cameras; nothing is decoded of the others.
+    ///
+    /// - `chosen`: by their place among the cameras of the split, below the number of [`Self::cameras`]
+    /// - returns: in the order of `chosen`
+    ///
+    /// # Errors
+    /// As [`Self::views`].
+    ///
+    /// # Panics
+    /// If there is no such camera.
+    pub fn some_views(
+        &self,
+        split: Split,
+        frame: usize,
+        downscale: usize,
+        chosen: &[usize],
+    ) -> Result<Vec<View>, CaptureError> {
+        let footage = self.footage(split, frame, downscale)?;
+        views_of(&chosen.iter().map(|&i| footage[i]).collect::<Vec<_>>(), frame, downscale)
+    }
+
+    /// Whether images of the training cameras are decoded from videos: in the order of their frames much faster than in any
+    /// other.
+    pub fn is_video(&self) -> bool {
+        self.contents.train.at(0).any(Footage::is_video)
     }
 
     /// Reads the points that training starts from: positions in scene units, colours in `[0, 1]`, foreground labels.
@@ -231,4 +256,10 @@ impl Capture {
             None => Ok(footage),
         }
     }
+}
+
+fn views_of(footage: &[&Footage], frame: usize, downscale: usize) -> Result<Vec<View>, CaptureError> {
+    // Collected before the first error is looked for, so that it is always the same one.
+    let views: Vec<_> = footage.par_iter().map(|of| of.view(frame, downscale)).collect();
+    views.into_iter().collect()
 }

@@ -124,6 +124,15 @@ impl Footage {
         self.cameras.at(frame)
     }
 
+    /// Whether its images are decoded from a video.
+    pub fn is_video(&self) -> bool {
+        match &self.images {
+            Images::Stored { pixels: Pixels::Video(_), .. } => true,
+            Images::Stored { pixels: Pixels::Take(take), .. } => take.recording.is_video(),
+            _ => false,
+        }
+    }
+
     /// Decodes or makes the image of a frame, and its mask.
     ///
     /// - `downscale`: the image is averaged over that many pixels squared, the mask by majority

@@ -236,12 +236,25 @@ const VIEWS_SHARE: f64 = 1.0 / 3.0;
 /// often, and so are their views in the mean.
 ///
 /// - `num_timesteps`, `num_views`: at least 1
-pub fn refine_order(seed: u64, num_timesteps: usize, num_views: usize) -> impl Iterator<Item = (usize, Vec<usize>)> {
+/// - `num_iterations`: as many as will be done, if timesteps are to be visited in their order, as videos are decoded fastest:
+///   where that is less than one pass, every second, third or further timestep. None for a random order
+pub fn refine_order(
+    seed: u64,
+    num_timesteps: usize,
+    num_views: usize,
+    num_iterations: Option<usize>,
+) -> impl Iterator<Item = (usize, Vec<usize>)> {
     let num_at_once = (num_views as f64 * VIEWS_SHARE).ceil() as usize;
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     (0..).flat_map(move |_| {
         let mut timesteps: Vec<usize> = (0..num_timesteps).collect();
-        timesteps.shuffle(&mut random);
+        match num_iterations {
+            Some(count) => {
+                let stride = (num_timesteps * num_at_once).div_ceil(count.max(1));
+                timesteps = timesteps.into_iter().step_by(stride).collect();
+            }
+            None => timesteps.shuffle(&mut random),
+        }
         let mut views: Vec<usize> = (0..num_views).collect();
         let visit = |timestep| {
             views.shuffle(&mut random);
@@ -404,7 +417,7 @@ mod tests {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
                 let mut refiner = Refiner::new(off.clone(), RefineConfig::default());
-                let order = refine_order(1, NUM_TIMESTEPS, 3).take(400).enumerate();
+                let order = refine_order(1, NUM_TIMESTEPS, 3, None).take(400).enumerate();
                 for (i, (t, views)) in order {
                     for of in views {
                         let step = refiner.step(&CpuRasterizer, t, &view(t, of), [[0.0; 3]; 2], i as f32 / 400.0);
@@ -426,8 +439,8 @@ mod tests {
 
     #[test]
     fn every_timestep_and_view_has_its_turn() {
-        let visits: Vec<(usize, Vec<usize>)> = refine_order(5, 4, 7).take(400).collect();
-        assert_eq!(visits, refine_order(5, 4, 7).take(400).collect::<Vec<_>>());
+        let visits: Vec<(usize, Vec<usize>)> = refine_order(5, 4, 7, None).take(400).collect();
+        assert_eq!(visits, refine_order(5, 4, 7, None).take(400).collect::<Vec<_>>());
         for t in 0..4 {
             assert_eq!(visits.iter().filter(|(timestep, _)| *timestep == t).count(), 100);
             for view in 0..7 {
@@ -435,6 +448,15 @@ mod tests {
                 assert!((25..60).contains(&turns), "view {view} of timestep {t}: {turns} of 100");
             }
         }
-        assert_eq!(refine_order(0, 1, 1).next(), Some((0, vec![0])));
+        assert_eq!(refine_order(0, 1, 1, None).next(), Some((0, vec![0])));
+        // In order: whole passes, or one that leaves timesteps out. Two views are used at a time.
+        let in_order = |num_iterations| -> Vec<usize> {
+            refine_order(0, 10, 6, Some(num_iterations))
+                .map(|(timestep, _)| timestep)
+                .take(num_iterations / 2)
+                .collect()
+        };
+        assert_eq!(in_order(30), (0..10).chain(0..5).collect::<Vec<_>>());
+        assert_eq!(in_order(7), [0, 3, 6]);
     }
 }

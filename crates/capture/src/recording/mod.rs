@@ -45,6 +45,11 @@ enum Source {
 }
 
 impl Recording {
+    /// Whether it is a video rather than a folder of images.
+    pub fn is_video(&self) -> bool {
+        !matches!(self.pixels, Source::Images(_))
+    }
+
     /// Reads all but the frames.
     ///
     /// - `path`: a file of any format that `ffmpeg` reads, or a folder of images, one a frame, in the natural order of

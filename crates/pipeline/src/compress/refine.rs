@@ -189,7 +189,7 @@ impl<'a> Images<'a> {
 
     /// Iterations in which every timestep is visited once.
     fn of_a_pass(&self) -> usize {
-        self.num_timesteps * refine_order(0, 1, self.num_views).next().map_or(1, |(_, views)| views.len())
+        self.num_timesteps * refine_order(0, 1, self.num_views, None).next().map_or(1, |(_, views)| views.len())
     }
 
     fn refine<R: Rasterizer>(
@@ -239,7 +239,8 @@ impl<'a> Images<'a> {
             // Holds nothing: the loader is one visit ahead, waiting to hand it over.
             let (send, receive) = sync_channel(0);
             scope.spawn(move || {
-                for (timestep, views) in refine_order(0, self.num_timesteps, self.num_views) {
+                let in_order = self.capture.is_video().then_some(num_iterations);
+                for (timestep, views) in refine_order(0, self.num_timesteps, self.num_views, in_order) {
                     let loaded = self.load(timestep, &views);
                     let failed = loaded.is_err();
                     if send.send(loaded).is_err() || failed {
@@ -268,9 +269,8 @@ impl<'a> Images<'a> {
 
     /// Some views of a timestep, each with its number.
     fn load(&self, timestep: usize, chosen: &[usize]) -> Result<(usize, Vec<(usize, View)>), PipelineError> {
-        let views = self.capture.views(Split::Train, self.scene.first_frame + timestep, self.scene.downscale)?;
-        let mut views: Vec<Option<View>> = views.into_iter().map(Some).collect();
-        let of = |&camera: &usize| Some((camera, views.get_mut(camera)?.take()?));
-        Ok((timestep, chosen.iter().filter_map(of).collect()))
+        let frame = self.scene.first_frame + timestep;
+        let views = self.capture.some_views(Split::Train, frame, self.scene.downscale, chosen)?;
+        Ok((timestep, chosen.iter().copied().zip(views).collect()))
     }
 }
