@@ -61,17 +61,11 @@ impl Backend {
     /// # Errors
     /// [`PipelineError::Input`] that names the setting.
     pub fn check(&self, config: &TrainConfig) -> Result<(), PipelineError> {
-        match self {
-            #[cfg(feature = "gpu")]
-            Self::Gpu(_) if config.color.degree > 0 => {
-                let expected = "0 on a GPU, or training on the CPU, which alone trains spherical harmonics";
-                Err(PipelineError::input("color.degree", config.color.degree.to_string(), expected))
-            }
-            _ => {
-                let _ = config;
-                Ok(())
-            }
+        if config.color.degree > 0 && self.gpu_info().is_some() {
+            let expected = "0 on a GPU, or training on the CPU, which alone trains spherical harmonics";
+            return Err(PipelineError::input("color.degree", config.color.degree.to_string(), expected));
         }
+        Ok(())
     }
 
     /// An engine that trains from `state` on.

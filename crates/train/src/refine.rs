@@ -15,6 +15,7 @@ use tcgs_render::{Rasterizer, RenderSettings};
 
 use crate::adam::BETA1;
 use crate::engine::cpu::image_loss;
+use crate::schedule::cosine;
 
 /// Decay of the second moments: a keypoint is trained in a few of the timesteps only, so they settle faster than those of a
 /// whole training.
@@ -101,8 +102,7 @@ impl Refiner {
         progress: f32,
     ) -> Result<f64, R::Error> {
         let (loss, grads) = gradients(rasterizer, &self.scene, timestep, &view.camera, &view.image, [gain, offset])?;
-        let decay = self.config.decay;
-        let rate = self.config.rate * (decay + (1.0 - decay) * 0.5 * (1.0 + (std::f32::consts::PI * progress).cos()));
+        let rate = self.config.rate * cosine(self.config.decay, progress);
         for attribute in grads.layout().attributes() {
             self.update(attribute, timestep, grads.values(attribute), rate);
         }
@@ -229,7 +229,7 @@ fn gradients<R: Rasterizer>(
     Ok((loss.image, v_gaussians))
 }
 
-/// Share of a timestep's views that are trained on at one visit to it: decoding its images costs about as much.
+/// Share of a timestep's views that are trained on at one visit to it.
 const VIEWS_SHARE: f64 = 1.0 / 3.0;
 
 /// The order of a refinement, without end: a timestep, and which of its views to train on. All timesteps are visited equally

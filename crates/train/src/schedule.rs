@@ -108,7 +108,7 @@ impl Schedule {
     pub fn rates(&self, phase: Phase, iteration: usize) -> Rates {
         let r = &self.config.rates;
         let progress = iteration as f32 / self.iterations(phase) as f32;
-        let cosine = |end: f32| end + (1.0 - end) * 0.5 * (1.0 + (std::f32::consts::PI * progress).cos());
+        let cosine = |end: f32| cosine(end, progress);
         let mask = r.mask * self.shortening(phase);
         let mean = r.mean * self.scene_radius;
         match phase {
@@ -199,6 +199,13 @@ impl Schedule {
         self.config.quantize.enabled
             && iteration == self.scaled(self.config.quantize.start).min(self.iterations(Phase::First) - 1)
     }
+}
+
+/// From 1 along half a cosine to `end`.
+///
+/// - `progress`: 0 to 1
+pub(crate) fn cosine(end: f32, progress: f32) -> f32 {
+    end + (1.0 - end) * 0.5 * (1.0 + (std::f32::consts::PI * progress).cos())
 }
 
 #[cfg(test)]

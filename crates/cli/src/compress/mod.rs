@@ -232,9 +232,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     say(&describe(&scene))?;
 
     let options = options(arguments, &scene)?;
+    let refining = arguments.refine.map(|budget| refine_options(arguments, &scene, budget)).transpose()?;
     let pruned = PrunedScene::new(&scene, &options)?;
     say(&pruned.bits_from)?;
-    let (compressed, results) = match (target, &arguments.max_error) {
+    let (compressed, results) = match (target, &arguments.max_error, refining) {
         _ if arguments.tune => {
             let judge = judge(arguments, &scene)?;
             say(&format!("measuring against {}", judge.of))?;
@@ -244,27 +245,25 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let result = Found { text, name: "tuning", value: of_tuning };
             (pruned.account(&options, found.found.compact, found.found.file)?, vec![result])
         }
-        (None, None) if arguments.refine.is_some() => {
-            let options_of_refining = refine_options(arguments, &scene)?;
+        (None, None, Some(refining)) => {
             let backend = arguments.backend.open(BackendName::Auto)?;
             let refined = Teller::default()
-                .watch(|teller| refine(&scene, &pruned, &options.keypoints, &options_of_refining, &backend, teller))?;
+                .watch(|teller| refine(&scene, &pruned, &options.keypoints, &refining, &backend, teller))?;
             let result = describe_refining(&refined);
             (pruned.account(&options, refined.compact, refined.file)?, vec![result])
         }
-        (None, None) => {
+        (None, None, None) => {
             let (compact, file) = pruned.compress(&options.keypoints)?;
             (pruned.account(&options, compact, file)?, Vec::new())
         }
-        (None, Some(Bounds(bounds))) => {
+        (None, Some(Bounds(bounds)), _) => {
             say("       size  largest errors")?;
             let found = Teller::default().watch(|teller| search_errors(&pruned, &options.keypoints, bounds, teller))?;
             let result = describe_search(bounds, &found.trials);
             (pruned.account(&options, found.compact, found.file)?, vec![result])
         }
-        (Some(Target::Bytes(bytes)), _) if arguments.refine.is_some() => {
+        (Some(Target::Bytes(bytes)), _, Some(refining)) => {
             let judge = judge(arguments, &scene)?;
-            let refining = refine_options(arguments, &scene)?;
             let backend = arguments.backend.open(BackendName::Auto)?;
             say("quality         size      PSNR")?;
             let (found, refined) = Teller::default().watch(|teller| {
@@ -275,7 +274,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let results = vec![before, describe_refining(&refined)];
             (pruned.account(&options, refined.compact, refined.file)?, results)
         }
-        (Some(target), _) => {
+        (Some(target), _, _) => {
             let judge = judge(arguments, &scene)?;
             say(&format!("measuring against {}", judge.of))?;
             say("quality         size      PSNR")?;
@@ -324,13 +323,12 @@ fn describe_refining(refined: &Refined) -> Found {
     Found { text, name: "refined", value }
 }
 
-fn refine_options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<RefineOptions> {
+fn refine_options(arguments: &Arguments, scene: &OpenScene, budget: RefineBudget) -> anyhow::Result<RefineOptions> {
     let of_run = || scene.run().map(|run| PathBuf::from(&run.config().data.capture));
     let Some(capture) = arguments.capture.clone().or_else(of_run) else {
         let problem = "has no capture of its own, expected --capture with the images to refine on";
         return Err(wrong_input(format!("{}: {problem}", scene.path.display())));
     };
-    let budget = arguments.refine.expect("asked for");
     Ok(RefineOptions { capture, budget, config: RefineConfig::default() })
 }
 

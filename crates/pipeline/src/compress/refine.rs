@@ -81,7 +81,8 @@ pub fn refine(
         };
         let (compact, done) = refined?;
         iterations = done.len();
-        losses = done.ends(images.of_a_pass());
+        let count = images.of_a_pass().min(done.len());
+        losses = [mean(&done[..count]), mean(&done[done.len() - count..])];
         Ok(compact)
     };
     let (compact, file) = pruned.compress_with(settings, Errors::Measured, &mut change)?;
@@ -147,26 +148,13 @@ pub fn refine_within(
 struct Images<'a> {
     capture: Capture,
     scene: &'a OpenScene,
-    num_timesteps: usize,
     num_views: usize,
     /// `[cameras]` gain and offset of each.
     corrections: Vec<[[f32; 3]; 2]>,
 }
 
-/// Losses of all iterations.
-struct Losses(Vec<f64>);
-
-impl Losses {
-    fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    /// Means of the first and of the last `count`.
-    fn ends(&self, count: usize) -> [f64; 2] {
-        let count = count.clamp(1, self.0.len().max(1)).min(self.0.len());
-        let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
-        [mean(&self.0[..count]), mean(&self.0[self.0.len() - count..])]
-    }
+fn mean(losses: &[f64]) -> f64 {
+    losses.iter().sum::<f64>() / losses.len().max(1) as f64
 }
 
 impl<'a> Images<'a> {
@@ -184,12 +172,12 @@ impl<'a> Images<'a> {
         let corrections = (0..num_views)
             .map(|camera| learned.map_or([[0.0; 3]; 2], |p| [p.camera_gains[camera], p.camera_offsets[camera]]))
             .collect();
-        Ok(Self { capture, scene, num_timesteps, num_views, corrections })
+        Ok(Self { capture, scene, num_views, corrections })
     }
 
     /// Iterations in which every timestep is visited once.
     fn of_a_pass(&self) -> usize {
-        self.num_timesteps * refine_order(0, 1, self.num_views, None).next().map_or(1, |(_, views)| views.len())
+        self.scene.num_timesteps() * refine_order(0, 1, self.num_views, None).next().map_or(1, |(_, views)| views.len())
     }
 
     fn refine<R: Rasterizer>(
@@ -198,7 +186,7 @@ impl<'a> Images<'a> {
         compact: CompactScene,
         options: &RefineOptions,
         observer: &mut dyn Observer,
-    ) -> Result<(CompactScene, Losses), PipelineError>
+    ) -> Result<(CompactScene, Vec<f64>), PipelineError>
     where
         GpuError: From<R::Error>,
     {
@@ -208,8 +196,7 @@ impl<'a> Images<'a> {
                 let begin = Instant::now();
                 let enough = budget.mul_f64(TIMED_SHARE);
                 let mut timed = Refiner::new(compact.clone(), options.config);
-                let done =
-                    self.iterate(rasterizer, &mut timed, usize::MAX, &mut |_, _| Ok(begin.elapsed() < enough))?;
+                let done = self.iterate(rasterizer, &mut timed, usize::MAX, &mut |_| Ok(begin.elapsed() < enough))?;
                 let taken = begin.elapsed();
                 let left = budget.saturating_sub(taken).as_secs_f64();
                 ((left * done.len() as f64 / taken.as_secs_f64()) as usize).max(1)
@@ -217,20 +204,21 @@ impl<'a> Images<'a> {
         };
         tell(observer, Event::Begun { work: Work::Refining, num_steps: num_iterations })?;
         let mut refiner = Refiner::new(compact, options.config);
-        let losses = self.iterate(rasterizer, &mut refiner, num_iterations, &mut |frame, _| {
+        let losses = self.iterate(rasterizer, &mut refiner, num_iterations, &mut |frame| {
             tell(observer, Event::Frame(frame)).map(|()| true)
         })?;
         Ok((refiner.into_scene(), losses))
     }
 
-    /// - `go_on`: hears after every iteration of the frame and the loss, and says whether there is another
+    /// - `go_on`: hears of the frame after every iteration, and says whether there is another
+    /// - returns: the loss before each iteration
     fn iterate<R: Rasterizer>(
         &self,
         rasterizer: &R,
         refiner: &mut Refiner,
         num_iterations: usize,
-        go_on: &mut dyn FnMut(usize, f64) -> Result<bool, PipelineError>,
-    ) -> Result<Losses, PipelineError>
+        go_on: &mut dyn FnMut(usize) -> Result<bool, PipelineError>,
+    ) -> Result<Vec<f64>, PipelineError>
     where
         GpuError: From<R::Error>,
     {
@@ -240,7 +228,7 @@ impl<'a> Images<'a> {
             let (send, receive) = sync_channel(0);
             scope.spawn(move || {
                 let in_order = self.capture.is_video().then_some(num_iterations);
-                for (timestep, views) in refine_order(0, self.num_timesteps, self.num_views, in_order) {
+                for (timestep, views) in refine_order(0, self.scene.num_timesteps(), self.num_views, in_order) {
                     let loaded = self.load(timestep, &views);
                     let failed = loaded.is_err();
                     if send.send(loaded).is_err() || failed {
@@ -252,18 +240,18 @@ impl<'a> Images<'a> {
                 let (timestep, views) = visit?;
                 for (camera, view) in views {
                     if losses.len() == num_iterations {
-                        return Ok(Losses(losses));
+                        return Ok(losses);
                     }
                     let progress = losses.len() as f32 / num_iterations as f32;
                     let loss = refiner.step(rasterizer, timestep, &view, self.corrections[camera], progress);
                     let loss = loss.map_err(GpuError::from)?;
                     losses.push(loss);
-                    if !go_on(view.frame, loss)? {
-                        return Ok(Losses(losses));
+                    if !go_on(view.frame)? {
+                        return Ok(losses);
                     }
                 }
             }
-            Ok(Losses(losses))
+            Ok(losses)
         })
     }
 
