@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use libfuzzer_sys::fuzz_target;
 use tcgs_core::SceneReader;
 use tcgs_interchange::{
-    FourdgsFile, HigherHarmonics, NpzReader, read_gaussians, read_npy, read_ply, read_ply_points, write_ply_to,
+    FourdgsFile, HigherHarmonics, NpzReader, read_gaussians, read_npy, read_ply_points, write_glb_to, write_ply_to,
 };
 
 /// Readers take paths. One file a process.
@@ -19,11 +19,13 @@ fuzz_target!(|bytes: &[u8]| {
     std::fs::write(&given, bytes).expect("a temporary file");
     if let Ok(gaussians) = read_gaussians(&given, HigherHarmonics::Keep) {
         assert!(gaussians.num_gaussians() > 0 && gaussians.means().as_flattened().iter().all(|x| x.is_finite()));
-        let mut ply = Vec::new();
-        if write_ply_to(&mut ply, &gaussians).is_ok() {
-            let again = path("ply");
-            std::fs::write(&again, ply).expect("a temporary file");
-            let again = read_ply(&again, HigherHarmonics::Keep).expect("a file just written");
+        let (mut ply, mut glb) = (Vec::new(), Vec::new());
+        write_ply_to(&mut ply, &gaussians).expect("memory");
+        write_glb_to(&mut glb, &gaussians).expect("memory");
+        for written in [ply, glb] {
+            let again = path("again");
+            std::fs::write(&again, written).expect("a temporary file");
+            let again = read_gaussians(&again, HigherHarmonics::Keep).expect("a file just written");
             assert_eq!(again.num_gaussians(), gaussians.num_gaussians());
         }
     }

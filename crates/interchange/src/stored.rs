@@ -31,9 +31,11 @@ pub(crate) fn color_from_sh0(sh0: f32) -> f32 {
     (0.5 + HARMONIC_0 * f64::from(sh0)) as f32
 }
 
-/// The coefficient of degree 0 of an sRGB channel.
+/// The coefficient of degree 0 of an sRGB channel: the largest finite one of a colour for which it would be infinite,
+/// which readers refuse.
 pub(crate) fn sh0_from_color(color: f32) -> f32 {
-    ((f64::from(color) - 0.5) / HARMONIC_0) as f32
+    let largest = f64::from(f32::MAX);
+    ((f64::from(color) - 0.5) / HARMONIC_0).clamp(-largest, largest) as f32
 }
 
 /// Inverse logistic of an opacity. Exactly 0 and 1 have none, so those and what is nearer to them than `nearest` are
@@ -75,6 +77,14 @@ mod tests {
     use tcgs_core::sigmoid;
 
     use super::*;
+
+    #[test]
+    fn every_finite_color_has_a_finite_coefficient() {
+        for color in [f32::MAX, 1.2e38, 0.0, -1.2e38, f32::MIN] {
+            let sh0 = sh0_from_color(color);
+            assert!(sh0.is_finite() && color_from_sh0(sh0).is_finite(), "{color}: {sh0}");
+        }
+    }
 
     #[test]
     fn opacities_come_back_within_half_a_step() {
