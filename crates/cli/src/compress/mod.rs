@@ -160,9 +160,6 @@ pub struct Arguments {
     job: JobOptions,
 }
 
-/// Gaussians of smaller shares of the images are left out before a refinement, which makes up for them.
-const REFINED_MIN_SHARE: f32 = 1e-6;
-
 /// Options that a quality stands for.
 const SINGLE_SETTINGS: [&str; 5] = ["max_keypoints", "max_mse", "no_keypoints", "bits", "position_bits"];
 
@@ -406,7 +403,7 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         bits: arguments.bits.map(|Pair(min, max)| (min, max)),
         position_bits: arguments.position_bits,
         prune: arguments.prune,
-        min_share: arguments.min_share.unwrap_or(if arguments.refine.is_some() { REFINED_MIN_SHARE } else { 0.0 }),
+        min_share: arguments.min_share.unwrap_or(if arguments.refine.is_some() { RefineOptions::MIN_SHARE } else { 0.0 }),
         capture: arguments.capture.clone(),
         plain: arguments.storage == Storage::Plain,
         up: arguments.up,
