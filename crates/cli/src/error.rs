@@ -48,7 +48,6 @@ pub fn message(error: &anyhow::Error) -> String {
         _ => {}
     }
     match error.downcast_ref::<ReproduceError>() {
-        Some(ReproduceError::NoScene { .. }) => return format!("--scenes {error:#}"),
         Some(ReproduceError::NoCaptures { present, .. }) if present.is_empty() => {
             return format!("{error:#}, or --scenes with those that are there");
         }
@@ -149,8 +148,6 @@ mod tests {
         let expected = "x: has no captures named a, expected a folder for each, or --scenes";
         assert_eq!(message(missing(&[])), format!("{expected} with those that are there"));
         assert_eq!(message(missing(&["b", "c"])), format!("{expected} b,c"));
-        let no_scene = ReproduceError::NoScene { scene: "a".into(), known: vec!["b".into(), "c".into()] };
-        assert_eq!(message(no_scene.into()), "--scenes a: no scene of the paper, expected some of b, c");
         let (found, expected) = (Box::new("a".into()), Box::new("b".into()));
         let other = message(ReproduceError::OtherArguments { path: "x".into(), found, expected }.into());
         assert!(other.ends_with("expected \"b\"; choose another --out, or --force to make it anew"), "{other}");

@@ -38,7 +38,7 @@ pub struct Arguments {
     /// Folder for runs and tables
     #[arg(long, value_name = "OUT", required_unless_present = "list")]
     out: Option<PathBuf>,
-    /// Scenes, with commas between [default: the paper's]
+    /// Scenes, with commas between; any that DIR has a folder for [default: the paper's]
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     scenes: Option<Vec<String>>,
     /// How long is trained, and on what

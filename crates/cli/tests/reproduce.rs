@@ -150,14 +150,14 @@ fn what_is_missing_or_wrong_is_named() {
         |more: &[&'static str]| [&["reproduce", "ablation", "--data", data_text, "--out", out_text], more].concat();
     refuse(&of(&[]), &["has no captures named cook_spinach", "--scenes basketball"]);
     refuse(&of(&["--scenes", "juggle"]), &["has no captures named juggle", "a folder for each"]);
-    refuse(&of(&["--scenes", "garden"]), &["--scenes garden: no scene of the paper", "sear_steak"]);
+    refuse(&of(&["--scenes", "garden"]), &["has no captures named garden", "--scenes basketball"]);
     refuse(&of(&["--scenes", "basketball", "--only", "a/b"]), &["--only a/b: no run", "basketball/tc3dgs"]);
     refuse(&of(&["--size", "tiny"]), &["'tiny'", "full, small"]);
     refuse(&["reproduce", "abblation", "--data", data_text, "--out", out_text], &["abblation: no table", "ablation"]);
     refuse(&["reproduce", "ablation"], &["--data", "--out"]);
     assert!(!out.exists());
     let list = succeed(&["reproduce", "--list"]);
-    assert_eq!(list.lines().count(), 13);
+    assert_eq!(list.lines().count(), 14);
     assert!(list.contains("ablation      Contributions of masks"), "{list}");
 
     // A step that is refused says so, and the line above has its reason.

@@ -15,14 +15,6 @@ pub enum ReproduceError {
     /// An argument, a capture, or what lies in the output folder is wrong: the culprit, what was found and expected.
     #[error("{0}")]
     Input(String),
-    /// No dataset of the paper has a scene of this name.
-    #[error("{scene}: no scene of the paper, expected some of {}", known.join(", "))]
-    NoScene {
-        /// The name that was asked for.
-        scene: String,
-        /// All scenes of the paper, sorted.
-        known: Vec<String>,
-    },
     /// The folder of captures lacks a folder for some scenes of the table.
     #[error("{}: has no captures named {}, expected a folder for each", data.display(), missing.join(", "))]
     NoCaptures {
@@ -72,9 +64,7 @@ pub enum ReproduceError {
 impl HasFault for ReproduceError {
     fn fault(&self) -> Fault {
         match self {
-            Self::Input(_) | Self::NoScene { .. } | Self::NoCaptures { .. } | Self::OtherArguments { .. } => {
-                Fault::Input
-            }
+            Self::Input(_) | Self::NoCaptures { .. } | Self::OtherArguments { .. } => Fault::Input,
             Self::Pipeline(error) => error.fault(),
             Self::File { .. } | Self::Step { .. } | Self::Table(_) => Fault::Machine,
         }

@@ -100,7 +100,7 @@ fn figures(plan: &TablePlan, plot: &Plot, results: &Results) -> Result<Vec<Figur
     let result = |scene: &str, row: &Row| key(scene, row).and_then(|key| results.get(&key));
     if plot.kind == PlotKind::Points {
         let (Some((x_name, x)), Some((y_name, y))) = (x, y) else { return Ok(figures) };
-        for (name, place, scenes) in groups(plan)? {
+        for (name, place, scenes) in groups(plan) {
             let mut points = Vec::new();
             for row in &plan.table.rows {
                 let mean = |column| {
@@ -152,14 +152,14 @@ fn figures(plan: &TablePlan, plot: &Plot, results: &Results) -> Result<Vec<Figur
 /// Scenes whose numbers are shown as one mark: their name, where the paper's numbers are, and which they are.
 type SceneGroup<'a> = (String, String, Vec<&'a String>);
 
-fn groups(plan: &TablePlan) -> Result<Vec<SceneGroup<'_>>, ReproduceError> {
-    Ok(match plan.table.layout {
+fn groups(plan: &TablePlan) -> Vec<SceneGroup<'_>> {
+    match plan.table.layout {
         TableLayout::Rows => plan.scenes.iter().map(|scene| (scene.clone(), scene.clone(), vec![scene])).collect(),
         TableLayout::Scenes => vec![("mean".into(), "mean".into(), plan.scenes.iter().collect())],
         TableLayout::Means => {
             let mut groups: Vec<SceneGroup<'_>> = Vec::new();
             for scene in &plan.scenes {
-                let dataset = plan.dataset(scene)?;
+                let dataset = plan.dataset(scene);
                 match groups.iter_mut().find(|group| group.0 == dataset) {
                     Some(group) => group.2.push(scene),
                     None => groups.push((dataset.into(), dataset.into(), vec![scene])),
@@ -167,7 +167,7 @@ fn groups(plan: &TablePlan) -> Result<Vec<SceneGroup<'_>>, ReproduceError> {
             }
             groups
         }
-    })
+    }
 }
 
 /// Mean over a timestep's images.

@@ -3,7 +3,7 @@
 //! What lives here: the words of those files, and what they come to for the scenes and the size asked for. Nothing
 //! here runs anything.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
@@ -11,7 +11,7 @@ use crate::ReproduceError;
 use crate::error::wrong_input;
 
 /// Tables there are: name and file.
-const TABLES: [(&str, &str); 13] = [
+const TABLES: [(&str, &str); 14] = [
     ("main", include_str!("tables/main.toml")),
     ("panoptic", include_str!("tables/panoptic.toml")),
     ("n3dv", include_str!("tables/n3dv.toml")),
@@ -25,6 +25,7 @@ const TABLES: [(&str, &str); 13] = [
     ("selection", include_str!("tables/selection.toml")),
     ("polynomials", include_str!("tables/polynomials.toml")),
     ("pictures", include_str!("tables/pictures.toml")),
+    ("departures", include_str!("tables/departures.toml")),
 ];
 const SHARED: &str = include_str!("tables/shared.toml");
 
@@ -240,11 +241,11 @@ fn missing(what: String) -> ReproduceError {
 /// The plan of a table.
 ///
 /// - `name`: one of [`tables`]
-/// - `scenes`: the scenes that are wanted; `None`: all of the paper's table
+/// - `scenes`: the scenes that are wanted, also such as the paper does not have; `None`: all of the paper's table
 /// - `over`: arguments of `tcgs train` that replace those of the table's files
 ///
 /// # Errors
-/// [`ReproduceError::Input`] if there is no such table or scene.
+/// [`ReproduceError::Input`] if there is no such table.
 pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) -> Result<TablePlan, ReproduceError> {
     let Some((_, text)) = TABLES.iter().find(|table| table.0 == name) else {
         let names: Vec<&str> = TABLES.iter().map(|table| table.0).collect();
@@ -282,9 +283,9 @@ impl TablePlan {
     fn find_jobs(&self, size: Size, over: &[String]) -> Result<Vec<Job>, ReproduceError> {
         let mut jobs: Vec<Job> = Vec::new();
         for scene in &self.scenes {
-            let dataset = &self.shared.datasets[self.dataset(scene)?];
+            let dataset = self.shared.datasets.get(self.dataset(scene));
             let of_size = |full: &[String], small: &[String]| (if size == Size::Full { full } else { small }).to_vec();
-            let of_data = of_size(&dataset.full, &dataset.small);
+            let of_data = dataset.map_or_else(Vec::new, |dataset| of_size(&dataset.full, &dataset.small));
             let of_table = of_size(&self.table.full, &self.table.small);
             for row in self.table.rows.iter().chain(&self.table.analyses) {
                 let (Some(run), Some(measure)) = (&row.run, &row.measure) else { continue };
@@ -306,13 +307,10 @@ impl TablePlan {
         Ok(jobs)
     }
 
-    /// Which dataset a scene belongs to.
-    pub fn dataset(&self, scene: &str) -> Result<&str, ReproduceError> {
+    /// The dataset that a scene belongs to: of the paper's, or one of its own.
+    pub fn dataset<'a>(&'a self, scene: &'a str) -> &'a str {
         let found = self.shared.datasets.iter().find(|(_, dataset)| dataset.scenes.iter().any(|s| s == scene));
-        found.map(|(name, _)| name.as_str()).ok_or_else(|| {
-            let known: BTreeSet<&String> = self.shared.datasets.values().flat_map(|d| &d.scenes).collect();
-            ReproduceError::NoScene { scene: scene.into(), known: known.into_iter().cloned().collect() }
-        })
+        found.map_or(scene, |(name, _)| name)
     }
 }
 
@@ -414,9 +412,14 @@ mod tests {
     fn what_does_not_exist_is_named() {
         let error = plan("abblation", None, Size::Full, &[]).unwrap_err().to_string();
         assert!(error.starts_with("abblation: no table of this name, expected one of main, panoptic"), "{error}");
-        let scenes = ["garden".to_owned()];
-        let error = plan("ablation", Some(&scenes), Size::Full, &[]).unwrap_err().to_string();
-        assert!(error.starts_with("garden: no scene of the paper, expected some of Birthday, Fabien"), "{error}");
+    }
+
+    #[test]
+    fn a_scene_that_the_paper_does_not_have_is_trained_as_it_is() {
+        let plan = plan("main", Some(&["garden".to_owned()]), Size::Full, &words("--downscale 4")).unwrap();
+        assert_eq!(plan.dataset("garden"), "garden");
+        assert!(plan.jobs.iter().all(|job| job.scene == "garden" && !job.arguments.contains(&"--frames".to_owned())));
+        assert!(plan.jobs[0].arguments.join(" ").ends_with("--downscale 4"));
     }
 
     #[test]

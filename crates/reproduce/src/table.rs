@@ -144,7 +144,7 @@ pub fn sheets(plan: &TablePlan, results: &Results) -> Result<Vec<Sheet>, Reprodu
         TableLayout::Means => {
             let mut datasets: BTreeMap<&str, Vec<&String>> = BTreeMap::new();
             for scene in &plan.scenes {
-                datasets.entry(plan.dataset(scene)?).or_default().push(scene);
+                datasets.entry(plan.dataset(scene)).or_default().push(scene);
             }
             for (dataset, scenes) in datasets {
                 let cells = |row: &Row| plan.columns.iter().map(|c| mean(&scenes, row, dataset, c)).collect();
