@@ -6,6 +6,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tcgs_pipeline::{Backend, PipelineError};
 
+use crate::detached::detached;
 use crate::errors::exception;
 
 type Name = (String, Option<String>);
@@ -29,7 +30,7 @@ pub fn backend(py: Python<'_>, name: &str, device: Option<&str>) -> PyResult<Arc
             "device: is a GPU's name, found backend cpu, expected one without the other",
         ));
     }
-    py.detach(|| {
+    detached(py, || {
         let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (name.to_owned(), device.map(str::to_owned));
         if let Some((_, backend)) = open.iter().find(|(known, _)| *known == key) {

@@ -10,6 +10,7 @@ use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 
 use crate::arrays::{array, pixels};
 use crate::camera::PyCamera;
+use crate::detached::detached;
 use crate::errors::exception;
 
 /// Images of synchronized cameras: a folder of one of the kinds that `tcgs train` takes. Images are decoded when they are
@@ -44,7 +45,7 @@ impl CaptureLike<'_> {
     pub fn open(&self, py: Python<'_>) -> PyResult<Capture> {
         match self {
             Self::Open(capture) => Ok(capture.capture.clone()),
-            Self::Path(path) => py.detach(|| Capture::open(path)).map_err(exception),
+            Self::Path(path) => detached(py, || Capture::open(path)).map_err(exception),
         }
     }
 }
@@ -66,7 +67,7 @@ pub fn split(cameras: &str) -> PyResult<Split> {
 impl PyCapture {
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let capture = py.detach(|| Capture::open(&path)).map_err(exception)?;
+        let capture = detached(py, || Capture::open(&path)).map_err(exception)?;
         Ok(Self { capture, path })
     }
 
@@ -116,7 +117,7 @@ impl PyCapture {
         downscale: usize,
     ) -> PyResult<BTreeMap<usize, Bound<'py, PyArrayDyn<f32>>>> {
         let split = split(which)?;
-        let views = py.detach(|| self.capture.views(split, frame, downscale)).map_err(exception)?;
+        let views = detached(py, || self.capture.views(split, frame, downscale)).map_err(exception)?;
         let image = |image: &tcgs_core::Image| array(py, pixels(image), &[image.height, image.width, 3]);
         Ok(views.iter().map(|view| (view.camera_id, image(&view.image))).collect())
     }
@@ -153,5 +154,5 @@ pub fn make_demo_capture(
     }
     let settings =
         SyntheticSettings { width, height, num_timesteps: frames, num_points: points, seed, ..Default::default() };
-    py.detach(|| write_synthetic(&path, &settings)).map_err(exception)
+    detached(py, || write_synthetic(&path, &settings)).map_err(exception)
 }

@@ -1,25 +1,22 @@
-//! `tcgs.compress` and `Scene.save`: scenes become files.
+//! `tcgs.compress`.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::io::Write;
+use std::path::PathBuf;
 use std::time::Duration;
 
-use pyo3::exceptions::{PyFileExistsError, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tcgs_capture::Split;
-use tcgs_interchange::{Existing, Unfinished, write_whole};
 use tcgs_pipeline::{
-    Backend, CompressOptions, CompressPreset, Export, Judge, JudgeImages, OpenScene, OpenSettings, PipelineError,
-    PrunedScene, QUALITY_RANGE, RefineBudget, RefineOptions, Target, TimestepKind, capture_kind_of, refine,
-    refine_within, search, search_errors, settings_of, tune,
+    Backend, CompressOptions, CompressPreset, Judge, JudgeImages, OpenScene, OpenSettings, PipelineError, PrunedScene,
+    QUALITY_RANGE, RefineBudget, RefineOptions, Target, capture_kind_of, refine, refine_within, search, search_errors,
+    settings_of, tune,
 };
 use tcgs_train::RefineConfig;
 
-use crate::backend::backend;
 use crate::capture::CaptureLike;
-use crate::errors::exception;
+use crate::save::{check_out, write, wrong};
 use crate::scene::{PyScene, SceneLike};
 use crate::watch::Watch;
 
@@ -105,7 +102,7 @@ pub fn compress(
     wanted.check(target_bytes.is_some() && target_psnr.is_some())?;
     // What needs no images needs no GPU.
     let draws = wanted.target.is_some() || wanted.refine.is_some() || wanted.tune;
-    let backend = self::backend(py, if draws { backend } else { "cpu" }, device.filter(|_| draws))?;
+    let backend = crate::backend::backend(py, if draws { backend } else { "cpu" }, device.filter(|_| draws))?;
     let scene = source.open(py)?;
     let opened = Watch::call(py, callback, progress, |watch| {
         let file = wanted.compress(&scene, &backend, watch)?;
@@ -201,97 +198,4 @@ impl Wanted {
         };
         Ok(RefineOptions { capture, budget, config: RefineConfig::default() })
     }
-}
-
-/// Writes a scene in the format that the ending of `path` names.
-pub fn save(scene: &OpenScene, path: &Path, overwrite: bool, watch: &mut Watch) -> Result<(), PipelineError> {
-    let frames = scene.frames();
-    let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
-    let kind = match ending.as_deref() {
-        Some("tcgs") if scene.path.is_file() && scene.is_compressed() => {
-            let unreadable =
-                |error| PipelineError::Unreadable { path: scene.path.clone(), error, expected: "a .tcgs file" };
-            let mut file = fs::File::open(&scene.path).map_err(unreadable)?;
-            return write(path, overwrite, |mut to| io::copy(&mut file, &mut to).map(drop));
-        }
-        Some("tcgs") => {
-            let wanted = Wanted {
-                quality: None,
-                target: None,
-                max_error: None,
-                refine: None,
-                tune: false,
-                capture: None,
-                preset: CompressPreset::Default,
-                segment_length: None,
-            };
-            let file = wanted.compress(scene, &Backend::Cpu, watch)?;
-            watch.check()?;
-            return write(path, overwrite, |mut to| to.write_all(&file));
-        }
-        Some("npz") => {
-            let export = Export::new(scene)?;
-            let params = export.params(frames)?;
-            return write(path, overwrite, |to| params.write(BufWriter::new(to))?.flush());
-        }
-        Some("4dgs") => {
-            let bytes = Export::new(scene)?.fourdgs(frames)?;
-            return write(path, overwrite, |mut to| to.write_all(&bytes));
-        }
-        Some("ply") => TimestepKind::Ply,
-        Some("glb") => TimestepKind::Glb,
-        None => return save_folder(scene, path, watch),
-        Some(_) => {
-            let expected = ".tcgs, .npz, .4dgs, .ply or .glb, or a new folder for PLY files";
-            return Err(wrong(path, "has an unknown ending", expected));
-        }
-    };
-    if frames.len() > 1 {
-        let found = format!("is a file of one timestep, and the scene has {}", frames.len());
-        return Err(wrong(path, &found, "the name of a new folder"));
-    }
-    let fill = Export::new(scene)?.timestep(kind, frames.start)?;
-    write(path, overwrite, |to| fill(to))
-}
-
-/// A PLY file for each timestep in a new folder, whole or not at all.
-fn save_folder(scene: &OpenScene, path: &Path, watch: &mut Watch) -> Result<(), PipelineError> {
-    let unwritable = |error| PipelineError::Unwritable { path: path.into(), error };
-    if path.exists() {
-        return Err(unwritable(io::ErrorKind::AlreadyExists.into()));
-    }
-    let export = Export::new(scene)?;
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let unfinished = Unfinished::begin(parent).map_err(unwritable)?;
-    let new = unfinished.path().join("new");
-    fs::create_dir(&new).map_err(unwritable)?;
-    export.write_folder(TimestepKind::Ply, scene.frames(), &new, watch)?;
-    fs::rename(&new, path).map_err(unwritable)
-}
-
-/// Refuses early what could not be written at the end.
-pub fn check_out(out: &Path, overwrite: bool) -> PyResult<()> {
-    if out.is_dir() {
-        return Err(exception(wrong(out, "is a folder", "the name of a file")));
-    }
-    if out.exists() && !overwrite {
-        let message = format!("{}: exists already, expected a new name or overwrite=True", out.display());
-        return Err(PyFileExistsError::new_err(message));
-    }
-    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if !parent.is_dir() {
-        let error = io::ErrorKind::NotFound.into();
-        return Err(exception(PipelineError::Unwritable { path: out.into(), error }));
-    }
-    Ok(())
-}
-
-fn write(path: &Path, overwrite: bool, fill: impl FnOnce(&fs::File) -> io::Result<()>) -> Result<(), PipelineError> {
-    let existing = if overwrite { Existing::Replace } else { Existing::Keep };
-    write_whole(path, existing, |file| fill(file))
-        .map_err(|error| PipelineError::Unwritable { path: path.into(), error })
-}
-
-fn wrong(path: &Path, found: &str, expected: &str) -> PipelineError {
-    PipelineError::Input { culprit: path.display().to_string(), found: found.into(), expected: expected.into() }
 }

@@ -12,6 +12,7 @@ use tcgs_render::RenderSettings;
 use crate::arrays::{array, pixels};
 use crate::camera::PyCamera;
 use crate::capture::{CaptureLike, split};
+use crate::detached::detached;
 use crate::errors::exception;
 use crate::scene::{PyScene, SceneLike};
 use crate::watch::Watch;
@@ -47,7 +48,7 @@ pub fn render<'py>(
         let seen = scene.drawn(timestep)?.seen_by(camera);
         Ok(pixels(&backend.renderer().draw(&seen, camera, &settings)?.0.image))
     };
-    Ok(array(py, py.detach(draw).map_err(exception)?, &[camera.height, camera.width, 3]))
+    Ok(array(py, detached(py, draw).map_err(exception)?, &[camera.height, camera.width, 3]))
 }
 
 /// Renders every camera of a capture at every frame of a scene, and compares with the capture's images.

@@ -7,6 +7,7 @@ use pyo3::types::PyDict;
 use tcgs_core::{Activated, Attribute, Gaussians, activate};
 
 use crate::arrays::frozen;
+use crate::detached::detached;
 
 type Array = Py<PyArrayDyn<f32>>;
 
@@ -34,7 +35,7 @@ impl PyGaussians {
     }
 
     fn activated(&self, py: Python<'_>) -> &Activated {
-        self.activated.get_or_init(py, || py.detach(|| activate(&self.stored)))
+        self.activated.get_or_init(py, || detached(py, || activate(&self.stored)))
     }
 
     /// The array at `place`, made when it is first asked for.

@@ -8,19 +8,25 @@ mod backend;
 mod camera;
 mod capture;
 mod compress;
+mod detached;
 mod errors;
 mod evaluate;
+mod floats;
 mod gaussians;
 mod rasterize;
+mod save;
 mod scene;
+mod show;
 mod train;
 mod watch;
 
-use pyo3::prelude::*;
+use pyo3::pymodule;
 
 /// The compiled part of the package `tcgs`, which re-exports it.
 #[pymodule(name = "_tcgs")]
 mod module {
+    use pyo3::prelude::*;
+
     #[pymodule_export]
     use crate::camera::PyCamera;
     #[pymodule_export]
@@ -36,7 +42,15 @@ mod module {
     #[pymodule_export]
     use crate::scene::{PyScene, open};
     #[pymodule_export]
+    use crate::show::serve;
+    #[pymodule_export]
     use crate::train::train;
     #[pymodule_export]
     use crate::watch::PyProgress;
+
+    #[pymodule_init]
+    fn init(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+        crate::detached::remember_process();
+        Ok(())
+    }
 }

@@ -9,6 +9,7 @@ use tcgs_render::{CpuRasterizer, CpuSaved, Rasterizer, RenderOutput, RenderSetti
 
 use crate::arrays::{ArrayLike, array, frozen, pixels, planes, values, values_of};
 use crate::camera::camera;
+use crate::detached::detached;
 
 /// What `rasterize` returns: an image, its alpha, and the way back. `image, alpha = tcgs.rasterize(...)` unpacks it.
 #[pyclass(name = "Rasterized", module = "tcgs", frozen)]
@@ -94,7 +95,7 @@ pub fn rasterize(
     }
     let unit = quats.iter().map(|&quat| normalize(quat)).collect();
     let activated = Activated { means, quats: unit, scales, opacities, colors, num_channels };
-    let (RenderOutput { image, transmittance }, saved) = py.detach(|| forward(&activated, &camera, &settings));
+    let (RenderOutput { image, transmittance }, saved) = detached(py, || forward(&activated, &camera, &settings));
     let alpha = transmittance.iter().map(|transmittance| 1.0 - transmittance).collect();
     Ok(PyRasterized {
         image: frozen(py, pixels(&image), &[height, width, num_channels]),
@@ -138,7 +139,7 @@ impl PyRasterized {
         let channels = self.activated.num_channels;
         let v_image = values_of("v_image", &v_image, &[height, width, channels])?;
         let v_alpha = v_alpha.map(|v_alpha| values_of("v_alpha", &v_alpha, &[height, width, 1])).transpose()?;
-        let (grads, v_background) = py.detach(|| self.backward(&v_image, v_alpha));
+        let (grads, v_background) = detached(py, || self.backward(&v_image, v_alpha));
         let n = grads.v_means.len();
         let of = |values: Vec<f32>, shape: &[usize]| array(py, values, shape).unbind();
         Ok(PyRasterizeGrads {

@@ -6,22 +6,24 @@ use std::sync::Arc;
 
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyString;
-use tcgs_core::{DynamicGaussians, Layout, SceneReader, Tour};
+use pyo3::types::{PyRange, PyString};
+use tcgs_core::{SceneReader, Tour};
 use tcgs_interchange::HigherHarmonics;
 use tcgs_pipeline::{CutFiles, OpenScene, OpenSettings};
 
-use crate::arrays::{ArrayLike, values};
+use crate::arrays::ArrayLike;
 use crate::camera::PyCamera;
-use crate::compress::{check_out, save};
+use crate::detached::detached;
 use crate::errors::exception;
+use crate::floats::floats;
 use crate::gaussians::PyGaussians;
+use crate::save::{check_out, save};
 use crate::watch::Watch;
 
 /// A scene over time: Gaussians at every timestep. `tcgs.open` opens one, `Scene.from_arrays` makes one.
 ///
 /// Timesteps are read, and segments of a .tcgs file decoded, when one is asked for.
-#[pyclass(name = "Scene", module = "tcgs", frozen)]
+#[pyclass(name = "Scene", module = "tcgs", frozen, weakref)]
 pub struct PyScene(pub Arc<OpenScene>);
 
 /// A scene, or the name of a file or folder that holds one.
@@ -48,7 +50,7 @@ fn open_path(py: Python<'_>, path: &Path, settings: OpenSettings) -> PyResult<Op
         let expected = "a file or folder of this machine; urllib.request.urlretrieve downloads one";
         return Err(PyValueError::new_err(format!("{}: is an address, expected {expected}", path.display())));
     }
-    py.detach(|| OpenScene::open(path, settings)).map_err(exception)
+    detached(py, || OpenScene::open(path, settings)).map_err(exception)
 }
 
 /// Opens a scene: a .tcgs file, a run folder, a params.npz of Dynamic 3D Gaussians, a .4dgs file, a file of Gaussians (PLY,
@@ -109,38 +111,10 @@ impl PyScene {
         fps: f64,
         name: &str,
     ) -> PyResult<Self> {
-        let (means, shape) = values(&means);
-        let &[num_timesteps @ 1..=usize::MAX, num_gaussians, 3] = &shape[..] else {
-            let message = format!("means: has shape {shape:?}, expected [T, N, 3] with T of 1 or more");
-            return Err(PyValueError::new_err(message));
-        };
         let fps = check_fps(fps)?;
-        let size = [num_timesteps, num_gaussians];
-        let quats = samples("quats", &quats, size, &[4], true)?;
-        let colors = samples("colors", &colors, size, &[3], true)?;
-        let log_scales = either(
-            ["log_scales", "scales"],
-            [log_scales, scales],
-            |name, array| samples(name, array, size, &[3], false),
-            f32::ln,
-        )?;
-        let logit_opacities = either(
-            ["logit_opacities", "opacities"],
-            [logit_opacities, opacities],
-            |name, array| samples(name, array, size, &[], false),
-            |opacity| (opacity / (1.0 - opacity)).ln(),
-        )?;
-        let means = means.chunks_exact((3 * num_gaussians).max(1)).map(<[f32]>::to_vec).collect();
-        let means = if num_gaussians == 0 { vec![Vec::new(); num_timesteps] } else { means };
-        let mut all = vec![means, quats, log_scales, logit_opacities, colors];
-        let mut layout = Layout::base();
-        if let Some(harmonics) = harmonics {
-            let count = harmonics_count(&harmonics)?;
-            let degree = [3, 8, 15].iter().position(|&k| k == count).map_or(0, |place| place + 1);
-            layout = Layout::with_harmonics(degree);
-            all.extend(bands(samples("harmonics", &harmonics, size, &[count, 3], false)?, degree));
-        }
-        let floats = DynamicGaussians::from_samples(layout, num_timesteps, all);
+        let scales = [log_scales, scales];
+        let opacities = [logit_opacities, opacities];
+        let floats = floats(&means, &quats, &colors, scales, opacities, harmonics)?;
         Ok(Self(Arc::new(OpenScene::of_floats(Path::new(name), floats, fps))))
     }
 
@@ -153,7 +127,12 @@ impl PyScene {
     /// - timestep: from 0; negative ones count from the end
     fn at(&self, py: Python<'_>, timestep: isize) -> PyResult<PyGaussians> {
         let timestep = self.timestep(timestep)?;
-        py.detach(|| self.0.at(timestep)).map(PyGaussians::new).map_err(exception)
+        detached(py, || self.0.at(timestep)).map(PyGaussians::new).map_err(exception)
+    }
+
+    fn __iter__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        let timesteps = PyRange::new(slf.py(), 0, slf.get().0.num_timesteps() as isize)?;
+        slf.py().import("builtins")?.call_method1("map", (slf.getattr("at")?, timesteps))
     }
 
     fn __getitem__(&self, py: Python<'_>, timestep: isize) -> PyResult<PyGaussians> {
@@ -235,7 +214,7 @@ impl PyScene {
     /// Cameras of the capture that a .tcgs file gives players to start from, by name; empty of anything else.
     #[getter]
     fn cameras(&self, py: Python<'_>) -> PyResult<BTreeMap<String, PyCamera>> {
-        let cameras = py.detach(|| self.0.cameras()).map_err(exception)?;
+        let cameras = detached(py, || self.0.cameras()).map_err(exception)?;
         Ok(cameras.into_iter().map(|named| (named.name, PyCamera(named.camera))).collect())
     }
 
@@ -247,7 +226,7 @@ impl PyScene {
         if width == 0 || height == 0 {
             return Err(PyValueError::new_err(format!("orbit: images of {width}x{height}, expected at least 1x1")));
         }
-        let first = py.detach(|| self.0.at(0)).map_err(exception)?;
+        let first = detached(py, || self.0.at(0)).map_err(exception)?;
         let cameras = Tour::Orbit.cameras(first.means(), self.0.up().direction(), count, [width, height]);
         Ok(cameras.into_iter().map(PyCamera).collect())
     }
@@ -270,6 +249,17 @@ impl PyScene {
         Watch::call(py, callback, progress, |watch| save(&self.0, &path, overwrite, watch))
     }
 
+    /// The player in a cell of Jupyter, served by this process until it ends; of a scene that is not compressed, a compressed
+    /// copy. It takes a browser with WebGPU on this machine; a kernel elsewhere takes the port of `address` forwarded.
+    ///
+    /// - height: of the cell, pixels
+    ///
+    /// Raises RuntimeError if this package was built without the player.
+    #[pyo3(signature = (*, height = 480))]
+    fn show<'py>(slf: Bound<'py, Self>, height: u32) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("tcgs._show")?.call_method1("show", (slf, height))
+    }
+
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let path = PyString::new(py, &self.0.path.to_string_lossy()).repr()?.to_string();
         let (kind, n, t) = (self.0.kind(), self.0.num_gaussians(), self.0.num_timesteps());
@@ -287,77 +277,4 @@ impl PyScene {
             PyIndexError::new_err(format!("{path}: no timestep {timestep}, expected one below {count}"))
         })
     }
-}
-
-/// Samples of an attribute: of every timestep, or one for all.
-///
-/// - `size`: timesteps and Gaussians
-/// - `row`: shape of a Gaussian's values
-/// - `varies`: whether every timestep must have its own
-fn samples(name: &str, array: &ArrayLike, size: [usize; 2], row: &[usize], varies: bool) -> PyResult<Vec<Vec<f32>>> {
-    let [num_timesteps, num_gaussians] = size;
-    let of_one = [&size[1..], row].concat();
-    let of_all = [&size[..], row].concat();
-    let (values, found) = values(array);
-    let count = match found {
-        _ if found == of_all => num_timesteps,
-        _ if found == of_one && !varies => 1,
-        _ => {
-            let expected = if varies { format!("{of_all:?}") } else { format!("{of_one:?} or {of_all:?}") };
-            return Err(PyValueError::new_err(format!("{name}: has shape {found:?}, expected {expected}")));
-        }
-    };
-    let length = num_gaussians * row.iter().product::<usize>();
-    Ok((0..count).map(|t| values[t * length..(t + 1) * length].to_vec()).collect())
-}
-
-/// The stored form of one of two arguments: as given, or from the activated form.
-///
-/// - `names`: of the stored form, of the activated form
-fn either(
-    names: [&str; 2],
-    arrays: [Option<ArrayLike>; 2],
-    read: impl Fn(&str, &ArrayLike) -> PyResult<Vec<Vec<f32>>>,
-    stored: impl Fn(f32) -> f32,
-) -> PyResult<Vec<Vec<f32>>> {
-    let [of_stored, of_activated] = names;
-    match arrays {
-        [Some(array), None] => read(of_stored, &array),
-        [None, Some(array)] => {
-            let mut samples = read(of_activated, &array)?;
-            samples.iter_mut().flatten().for_each(|value| *value = stored(*value));
-            Ok(samples)
-        }
-        [given, _] => {
-            let found = if given.is_some() { "both given" } else { "neither given" };
-            Err(PyValueError::new_err(format!("{of_activated} and {of_stored}: {found}, expected one of the two")))
-        }
-    }
-}
-
-/// `K` of `[…, K, 3]`.
-fn harmonics_count(array: &ArrayLike) -> PyResult<usize> {
-    let (_, shape) = values(array);
-    match shape[..] {
-        [.., k @ (3 | 8 | 15), 3] => Ok(k),
-        _ => {
-            let expected = "[N, K, 3] or [T, N, K, 3] with K of 3, 8 or 15";
-            Err(PyValueError::new_err(format!("harmonics: has shape {shape:?}, expected {expected}")))
-        }
-    }
-}
-
-/// Coefficients side by side to the columns of the degrees.
-///
-/// - `samples`: `[1 or T][N * ((degree + 1)² - 1) * 3]`
-/// - returns: by degree `[1 or T][N * (2 l + 1) * 3]`
-fn bands(samples: Vec<Vec<f32>>, degree: usize) -> Vec<Vec<Vec<f32>>> {
-    let count = 3 * ((degree + 1).pow(2) - 1);
-    let band = |l: usize| {
-        let (start, end) = (3 * (l * l - 1), 3 * ((l + 1).pow(2) - 1));
-        let of_sample =
-            |sample: &Vec<f32>| sample.chunks_exact(count).flat_map(|row| row[start..end].to_vec()).collect();
-        samples.iter().map(of_sample).collect()
-    };
-    (1..=degree).map(band).collect()
 }

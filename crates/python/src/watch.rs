@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use pyo3::prelude::*;
 use tcgs_pipeline::{Event, Observer, PipelineError};
 
+use crate::detached::refuse_fork;
 use crate::errors::exception;
 
 /// Least time between two looks at what Python has to say: taking the lock of the interpreter may wait for other threads.
@@ -68,6 +69,7 @@ impl Watch {
         progress: bool,
         call: impl FnOnce(&mut Self) -> Result<T, PipelineError> + Send,
     ) -> PyResult<T> {
+        refuse_fork()?;
         let callback = match callback {
             None if progress => {
                 let bar = py.import("tcgs._progress")?.call_method0("bar")?;

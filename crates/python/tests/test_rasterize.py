@@ -16,7 +16,7 @@ def camera() -> tcgs.Camera:
     return tcgs.Camera.look_at([0.2, -0.3, -3.0], [0, 0, 0], focal=36.0, width=WIDTH, height=HEIGHT)
 
 
-def gaussians(n: int, seed: int) -> list[Any]:
+def gaussians(n: int, seed: int) -> Any:
     """Means, quats that are not unit, scales, opacities, colours: in and around the view of `camera`."""
     rng = np.random.default_rng(seed)
     quats = rng.uniform(-1, 1, (n, 4)) + [0.8, 0, 0, 0]
@@ -24,12 +24,12 @@ def gaussians(n: int, seed: int) -> list[Any]:
     return [rng.uniform(-0.8, 0.8, (n, 3)), quats, scales, opacities, colors]
 
 
-def drawn(arrays: list[Any], **options: Any) -> tcgs.Rasterized:
+def drawn(arrays: Any, **options: Any) -> tcgs.Rasterized:
     at = camera()
-    return tcgs.rasterize(*arrays, at.viewmat, at.K, at.width, at.height, **options)
+    return tcgs.rasterize(*[*arrays, at.viewmat, at.K, at.width, at.height], **options)
 
 
-def oracle(arrays: list[Any], background: Any, reached: list[Any] | None = None) -> tuple[Any, Any, list[Any]]:
+def oracle(arrays: Any, background: Any, reached: list[Any] | None = None) -> tuple[Any, Any, list[Any]]:
     """Image and alpha in float64 from the equations (Kerbl et al. 2023), every Gaussian at every pixel.
 
     - reached: of each Gaussian from front to back the pixels that it reaches, as an earlier call returned them; alpha has
@@ -53,7 +53,7 @@ def oracle(arrays: list[Any], background: Any, reached: list[Any] | None = None)
         splats.append((z, focal * np.array([x, y]) / z + k[:2, 2], conic, opacity, color))
     columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     image, transmittance = np.zeros((HEIGHT, WIDTH, len(background))), np.ones((HEIGHT, WIDTH, 1))
-    reaching = []
+    reaching: list[Any] = []
     for _, center, conic, opacity, color in sorted(splats, key=lambda splat: splat[0]):
         d = np.stack([columns, rows], axis=-1) - center
         alpha = opacity * np.exp(-0.5 * np.einsum("hwi,ij,hwj->hw", d, conic, d))[..., None]
@@ -127,7 +127,7 @@ def test_wrong_shapes_are_named() -> None:
     with pytest.raises(ValueError, match=r"v_image: has shape"):
         drawn(arrays).vjp(np.ones((3, 3)))
     with pytest.raises(ValueError, match="viewmat is not a rotation"):
-        tcgs.rasterize(*arrays, 2 * at.viewmat, at.K, WIDTH, HEIGHT)
+        tcgs.rasterize(*[*arrays, 2 * at.viewmat, at.K, WIDTH, HEIGHT])
 
 
 def test_a_scene_is_drawn_as_its_arrays() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -15,9 +17,9 @@ from tcgs.torch import rasterize  # noqa: E402
 def test_gradients_flow_to_every_tensor() -> None:
     arrays = gaussians(8, 2)
     at = camera()
-    tensors = [torch.tensor(array, requires_grad=True) for array in [*arrays, BACKGROUND]]
+    tensors: Any = [torch.tensor(array, requires_grad=True) for array in [*arrays, BACKGROUND]]
     view, k = torch.tensor(at.viewmat), torch.tensor(at.K)
-    image, alpha = rasterize(*tensors[:5], view, k, WIDTH, HEIGHT, background=tensors[5])
+    image, alpha = rasterize(*[*tensors[:5], view, k, WIDTH, HEIGHT], background=tensors[5])
     rng = np.random.default_rng(3)
     v_image, v_alpha = rng.normal(size=(HEIGHT, WIDTH, 3)), rng.normal(size=(HEIGHT, WIDTH, 1))
     (torch.sum(image * torch.tensor(v_image)) + torch.sum(alpha * torch.tensor(v_alpha))).backward()
@@ -33,12 +35,13 @@ def test_gradients_flow_to_every_tensor() -> None:
 def test_a_scene_is_fitted_to_an_image() -> None:
     at = camera()
     goal = torch.tensor(drawn(gaussians(6, 7)).image)
-    tensors = [torch.tensor(array, dtype=torch.float32) for array in gaussians(6, 7)]
+    tensors: Any = [torch.tensor(array, dtype=torch.float32) for array in gaussians(6, 7)]
     tensors[4] = torch.full((6, 3), 0.5, requires_grad=True)
+    view, k = torch.tensor(at.viewmat), torch.tensor(at.K)
     optimizer = torch.optim.Adam([tensors[4]], lr=0.05)
     losses = []
     for _ in range(60):
-        image, _ = rasterize(*tensors, torch.tensor(at.viewmat), torch.tensor(at.K), WIDTH, HEIGHT)
+        image, _ = rasterize(*[*tensors, view, k, WIDTH, HEIGHT])
         loss = torch.mean((image - goal) ** 2)
         optimizer.zero_grad()
         loss.backward()
@@ -49,7 +52,7 @@ def test_a_scene_is_fitted_to_an_image() -> None:
 
 def test_a_camera_that_asks_for_gradients_is_refused() -> None:
     at = camera()
-    tensors = [torch.tensor(array) for array in gaussians(2, 1)]
+    tensors: Any = [torch.tensor(array) for array in gaussians(2, 1)]
     view = torch.tensor(at.viewmat, requires_grad=True)
     with pytest.raises(ValueError, match="viewmat and K"):
-        rasterize(*tensors, view, torch.tensor(at.K), WIDTH, HEIGHT)
+        rasterize(*[*tensors, view, torch.tensor(at.K), WIDTH, HEIGHT])

@@ -7,6 +7,7 @@
 `tcgs.rasterize` is a differentiable rasterizer on the CPU; `tcgs.torch` makes a function of torch of it.
 """
 
+from tcgs._show import Player
 from tcgs._tcgs import (
     Camera,
     Capture,
@@ -28,6 +29,7 @@ __all__ = [
     "Camera",
     "Capture",
     "Gaussians",
+    "Player",
     "Progress",
     "RasterizeGrads",
     "Rasterized",

@@ -14,8 +14,8 @@ class _Rasterize(torch.autograd.Function):
         *tensors, width, height, background = arguments
         if ctx.needs_input_grad[5] or ctx.needs_input_grad[6]:
             raise ValueError("viewmat and K: require a gradient, expected none: cameras are constant here")
-        behind = None if background is None else background.detach().cpu().numpy()
-        ctx.drawn = _rasterize(*(t.detach().cpu().numpy() for t in tensors), width, height, background=behind)
+        arrays: Any = [None if t is None else t.detach().cpu().numpy() for t in (*tensors, background)]
+        ctx.drawn = _rasterize(*[*arrays[:7], width, height], background=arrays[7])
         ctx.set_materialize_grads(False)
         ctx.like = [*tensors[:5], background]
         return tuple(torch.tensor(array).to(tensors[0]) for array in ctx.drawn)
