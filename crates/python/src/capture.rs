@@ -1,17 +1,18 @@
 //! Captures: cameras and images.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use std::collections::BTreeMap;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 
 use crate::arrays::{array, pixels};
 use crate::camera::PyCamera;
 use crate::detached::detached;
 use crate::errors::exception;
+use crate::save::write_folder;
 
 /// Images of synchronized cameras: a folder of one of the kinds that `tcgs train` takes. Images are decoded when they are
 /// asked for.
@@ -148,11 +149,8 @@ pub fn make_demo_capture(
     if [width, height, frames, points].contains(&0) {
         return Err(PyValueError::new_err("width, height, frames and points: one is 0, expected 1 or more of each"));
     }
-    if path.read_dir().is_ok_and(|mut inside| inside.next().is_some()) {
-        let message = format!("{}: a folder with things in it, expected an empty one or a new name", path.display());
-        return Err(pyo3::exceptions::PyFileExistsError::new_err(message));
-    }
     let settings =
         SyntheticSettings { width, height, num_timesteps: frames, num_points: points, seed, ..Default::default() };
-    detached(py, || write_synthetic(&path, &settings)).map_err(exception)
+    let write = || write_folder(&path, |new| Ok(write_synthetic(new, &settings)?));
+    detached(py, write).map_err(exception)
 }

@@ -62,18 +62,25 @@ pub fn save(scene: &OpenScene, path: &Path, overwrite: bool, watch: &mut Watch) 
     write(path, overwrite, |to| fill(to))
 }
 
-/// A PLY file for each timestep in a new folder, whole or not at all.
+/// A PLY file for each timestep in a new folder.
 fn save_folder(scene: &OpenScene, path: &Path, watch: &mut Watch) -> Result<(), PipelineError> {
+    let export = Export::new(scene)?;
+    write_folder(path, |new| export.write_folder(TimestepKind::Ply, scene.frames(), new, watch).map(drop))
+}
+
+/// Makes a new folder, whole or not at all.
+///
+/// - `fill`: fills the folder, which has another name until it is done
+pub fn write_folder(path: &Path, fill: impl FnOnce(&Path) -> Result<(), PipelineError>) -> Result<(), PipelineError> {
     let unwritable = |error| PipelineError::Unwritable { path: path.into(), error };
     if path.exists() {
         return Err(unwritable(io::ErrorKind::AlreadyExists.into()));
     }
-    let export = Export::new(scene)?;
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let unfinished = Unfinished::begin(parent).map_err(unwritable)?;
     let new = unfinished.path().join("new");
     fs::create_dir(&new).map_err(unwritable)?;
-    export.write_folder(TimestepKind::Ply, scene.frames(), &new, watch)?;
+    fill(&new)?;
     fs::rename(&new, path).map_err(unwritable)
 }
 

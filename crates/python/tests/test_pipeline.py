@@ -165,6 +165,15 @@ def test_quality_is_measured(run: Path, capture: Path) -> None:
     assert frozen["psnr"] < result["psnr"]
 
 
+def test_a_capture_is_made_whole_and_over_nothing(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    with pytest.raises(FileExistsError, match="there"):
+        tcgs.make_demo_capture(tmp_path / "there")
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        tcgs.make_demo_capture(tmp_path / "nowhere" / "capture")
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
 def test_wrong_settings_are_named(capture: Path, tmp_path: Path) -> None:
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"settings": {"weights.rigit": 2}}, "unknown setting weights.rigit"),

@@ -11,7 +11,10 @@ import numpy.typing as npt
 
 from tcgs._show import Player
 
+__version__: str
+
 __all__ = [
+    "__version__",
     "Camera",
     "Capture",
     "Gaussians",
