@@ -49,6 +49,8 @@ impl From<Budget> for RefineBudget {
 /// - refine: train what the file stores on the training images of `capture`, or of the run's: a number of iterations, or a
 ///   datetime.timedelta
 /// - tune: fit the settings to the scene; takes some 100 compressions
+/// - min_share: leave out Gaussians that at every timestep make up less than this share of the pixels of all training
+///   images together; 1e-6 with `refine`, else 0
 /// - capture: a Capture or the name of its folder, whose cameras tell how much each parameter matters
 /// - preset: "default" or "paper"
 /// - segment_length: timesteps of a segment, which decodes alone
@@ -61,7 +63,7 @@ impl From<Budget> for RefineBudget {
 /// Nothing half-written is left.
 #[pyfunction]
 #[pyo3(signature = (source, out, *, quality = None, target_bytes = None, target_psnr = None, max_error = None,
-    refine = None, tune = false, capture = None, preset = "default", segment_length = None, overwrite = false,
+    refine = None, tune = false, min_share = None, capture = None, preset = "default", segment_length = None, overwrite = false,
     backend = "auto", device = None, progress = true, callback = None))]
 #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
 pub fn compress(
@@ -74,6 +76,7 @@ pub fn compress(
     max_error: Option<BTreeMap<String, f64>>,
     refine: Option<Budget>,
     tune: bool,
+    min_share: Option<f32>,
     capture: Option<CaptureLike>,
     preset: &str,
     segment_length: Option<u32>,
@@ -93,6 +96,7 @@ pub fn compress(
         quality,
         target: target_bytes.map(Target::Bytes).or(target_psnr.map(Target::Psnr)),
         max_error: max_error.map(|bounds| bounds.into_iter().collect()),
+        min_share: min_share.unwrap_or(if refine.is_some() { RefineOptions::MIN_SHARE } else { 0.0 }),
         refine: refine.map(RefineBudget::from),
         tune,
         capture: capture.as_ref().map(|capture| capture.path().to_path_buf()),
@@ -120,6 +124,7 @@ struct Wanted {
     max_error: Option<Vec<(String, f64)>>,
     refine: Option<RefineBudget>,
     tune: bool,
+    min_share: f32,
     capture: Option<PathBuf>,
     preset: CompressPreset,
     segment_length: Option<u32>,
@@ -168,8 +173,13 @@ impl Wanted {
         if let Some(quality) = self.quality {
             keypoints = keypoints.with_quality(quality);
         }
-        let options =
-            CompressOptions { keypoints, mapping, capture: self.capture.clone(), ..CompressOptions::default() };
+        let options = CompressOptions {
+            keypoints,
+            mapping,
+            min_share: self.min_share,
+            capture: self.capture.clone(),
+            ..CompressOptions::default()
+        };
         let settings = &options.keypoints;
         let refining = self.refine.map(|budget| self.refine_options(scene, budget)).transpose()?;
         let pruned = PrunedScene::new(scene, &options)?;

@@ -394,7 +394,11 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         bits: arguments.bits.map(|Pair(min, max)| (min, max)),
         position_bits: arguments.position_bits,
         prune: arguments.prune,
-        min_share: arguments.min_share.unwrap_or(if arguments.refine.is_some() { RefineOptions::MIN_SHARE } else { 0.0 }),
+        min_share: arguments.min_share.unwrap_or(if arguments.refine.is_some() {
+            RefineOptions::MIN_SHARE
+        } else {
+            0.0
+        }),
         capture: arguments.capture.clone(),
         plain: arguments.storage == Storage::Plain,
         up: arguments.up,

@@ -240,6 +240,7 @@ def compress(
     max_error: Mapping[str, float] | None = None,
     refine: int | datetime.timedelta | None = None,
     tune: bool = False,
+    min_share: float | None = None,
     capture: Capture | _Path | None = None,
     preset: Literal["default", "paper"] = "default",
     segment_length: int | None = None,
