@@ -250,7 +250,7 @@ fn nothing_is_overwritten_without_force() {
     assert!(before == checkpoints(&run));
     let shorter = ["train", capture, "--out", text(&run), "--resume", "--frames", "0..1"];
     let config = fs::read(run.join("config.toml")).unwrap();
-    refuse(&shorter, &["run: has trained the frames 0..2", "--frames 0..1", "no earlier end"]);
+    refuse(&shorter, &["run: has trained the frames 0..2", "found 0..1", "no earlier end"]);
     assert!(before == checkpoints(&run) && config == fs::read(run.join("config.toml")).unwrap());
     fs::write(run.join("notes.txt"), b"precious").unwrap();
     // A wrong input is found before anything is replaced.

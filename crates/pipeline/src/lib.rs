@@ -63,8 +63,8 @@ mod verify;
 pub use backend::Backend;
 pub use compress::{
     CompressOptions, CompressPreset, Compressed, ErrorSearch, Judge, JudgeImages, PrunedScene, QUALITY_RANGE,
-    RefineBudget, RefineOptions, Refined, SearchResult, SizeStep, Target, Tuning, compress_scene, kept_gaussians,
-    position_step_remark, refine, refine_within, search, search_errors, settings_of, tune,
+    RefineBudget, RefineOptions, Refined, SearchResult, SizeStep, Target, Tuning, capture_kind_of, compress_scene,
+    kept_gaussians, position_step_remark, refine, refine_within, search, search_errors, settings_of, tune,
 };
 pub use error::{Fault, HasFault, PipelineError};
 pub use evaluate::{
@@ -75,5 +75,5 @@ pub use observe::{ErrorTrial, Event, Observer, TimestepSummary, Trial, TuningTri
 pub use path_file::read_camera_path;
 pub use render::{CameraAt, render};
 pub use scene::{CutFiles, OpenScene, OpenSettings};
-pub use train::{RunFolder, continued_trainer, fit, new_trainer, settings_for, start_state};
+pub use train::{ReadyRun, RunFolder, continued_trainer, fit, new_trainer, settings_for, start_state};
 pub use verify::{Compared, Comparison, compare};

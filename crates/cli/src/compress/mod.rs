@@ -7,12 +7,11 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
-use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::{FORMAT_VERSION, UpAxis};
 use tcgs_pipeline::{
     CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, OpenScene, PrunedScene, RefineBudget,
-    RefineOptions, Refined, Target, position_step_remark, refine, refine_within, search, search_errors, settings_of,
-    tune,
+    RefineOptions, Refined, Target, capture_kind_of, position_step_remark, refine, refine_within, search,
+    search_errors, settings_of, tune,
 };
 use tcgs_train::{RefineConfig, Run};
 
@@ -368,18 +367,10 @@ fn check_source(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<()> 
     }
 }
 
-/// The layout of what the scene was trained on; where nothing is known, the paper's main one.
-fn kind(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CaptureKind> {
-    if let Some(capture) = &arguments.capture {
-        return Ok(Capture::open(capture)?.kind());
-    }
-    let of_run = scene.run().and_then(|run| CaptureKind::named(&run.config().data.layout));
-    Ok(of_run.unwrap_or(CaptureKind::PANOPTIC))
-}
-
 /// What the command line says, over the preset.
 fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressOptions> {
-    let (mut keypoints, mapping) = settings_of(arguments.preset.into(), kind(arguments, scene)?, scene)?;
+    let (mut keypoints, mapping) =
+        settings_of(arguments.preset.into(), capture_kind_of(scene, arguments.capture.as_deref())?, scene)?;
     keypoints.keypoints = !arguments.no_keypoints;
     keypoints.segment_length = arguments.segment_length;
     if arguments.bits.is_some() {

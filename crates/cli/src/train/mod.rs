@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_pipeline::{PipelineError, RunFolder, continued_trainer, fit, new_trainer, start_state};
+use tcgs_pipeline::{PipelineError, ReadyRun, RunFolder, fit, start_state};
 use tcgs_train::{Checkpoint, Preset, Run, TrainConfig, TrainError, Trainer};
 
 use crate::backend::{BackendName, BackendOptions};
@@ -122,28 +122,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return Err(wrong_input(format!("{}: {problem}", arguments.out.display())));
     }
 
-    // Everything that can be wrong with the input is found before a run is begun or replaced.
-    let (run, trainer, folder);
-    if goes_on {
-        folder = RunFolder::lock(&arguments.out)?;
-        let mut stored = Run::open(&arguments.out)?;
-        let config = settings::resumed(arguments, &capture, stored.config())?;
-        folder.remove_leftovers()?;
-        let resumed = Teller::default().watch(|teller| folder.resume(&stored, &backend, teller))?;
-        settings::check_end(arguments, &config, resumed.as_ref().map_or(0, Trainer::timesteps))?;
-        stored.truncate_metrics(resumed.as_ref().map_or(0, Trainer::timesteps))?;
-        if &config != stored.config() {
-            stored.set_config(&config)?;
-        }
-        trainer = match resumed {
-            Some(trainer) => trainer,
-            None => match stored.start()? {
-                Some(start) => continued_trainer(&config, &start, &backend),
-                None => new_trainer(&config, &capture, &backend)?,
-            },
-        };
-        run = stored;
-        report_resumption(&run, &trainer)?;
+    let ready = if goes_on {
+        let change = |stored: &TrainConfig| settings::resumed(arguments, &capture, stored);
+        let ready =
+            Teller::default().watch(|teller| ReadyRun::resume(&arguments.out, change, &capture, &backend, teller))?;
+        report_resumption(&ready.run, &ready.trainer)?;
+        ready
     } else {
         let config = settings::fresh(arguments, &capture)?;
         say(&describe(&capture, &config)?)?;
@@ -151,17 +135,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             Some(start) => Some(open_start(start, &config, &capture)?),
             None => None,
         };
-        trainer = match &start {
-            Some(start) => continued_trainer(&config, start, &backend),
-            None => new_trainer(&config, &capture, &backend)?,
-        };
-        folder = RunFolder::make(&arguments.out)?;
-        folder.clear()?;
-        if let Some(start) = &start {
-            Run::save_start(&arguments.out, start)?;
-        }
-        run = Run::create(&arguments.out, &config)?;
-    }
+        ReadyRun::begin(&arguments.out, &config, &capture, start.as_ref(), &backend)?
+    };
+    let ReadyRun { run, trainer, folder } = ready;
     let trainer =
         Teller::default().watch(|teller| fit(&capture, &run, trainer, teller)).map_err(|e| with_advice(e, &run))?;
     drop(folder);

@@ -20,36 +20,15 @@ pub fn fresh(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainCo
     Ok(config)
 }
 
-/// Settings of a run to go on with: those stored, with another end if asked for.
-///
-/// What the command line says of anything else must be what is stored.
+/// Settings of a run to go on with: those stored, and what the command line says over them.
 pub fn resumed(arguments: &Arguments, capture: &Capture, stored: &TrainConfig) -> anyhow::Result<TrainConfig> {
     let mut base = stored.clone();
     if let Some(preset) = arguments.preset {
         base.preset = preset.into();
     }
-    let mut config = apply(arguments, capture, base)?;
-    let end_frame = std::mem::replace(&mut config.data.end_frame, stored.data.end_frame);
-    if let Some(key) = config.first_difference(stored) {
-        let run = arguments.out.display();
-        let problem = format!("{key} differs from the run's, expected only the end of --frames to change");
-        return Err(wrong_input(format!("{run}: {problem}; or --force instead of --resume to begin anew")));
-    }
-    config.data.end_frame = end_frame;
+    let config = apply(arguments, capture, base)?;
     check_frames(capture, &config)?;
     Ok(config)
-}
-
-/// A run is not made shorter.
-pub fn check_end(arguments: &Arguments, config: &TrainConfig, num_timesteps: usize) -> anyhow::Result<()> {
-    let (first, end) = (config.data.first_frame, config.data.end_frame);
-    let trained = first + num_timesteps;
-    if end < trained {
-        let run = arguments.out.display();
-        let problem = format!("has trained the frames {first}..{trained}, found --frames {first}..{end}");
-        return Err(wrong_input(format!("{run}: {problem}, expected no earlier end")));
-    }
-    Ok(())
 }
 
 /// What the command line says, over `base`.

@@ -1,6 +1,8 @@
 //! Settings of the codec by preset and kind of capture, and tolerances by the extent of the scene.
 
-use tcgs_capture::CaptureKind;
+use std::path::Path;
+
+use tcgs_capture::{Capture, CaptureKind};
 use tcgs_codec::{BitMapping, CompactFile, CompressSettings};
 use tcgs_core::{Attribute, Extent};
 
@@ -20,6 +22,19 @@ pub enum CompressPreset {
     Paper,
     /// What measured better.
     Default,
+}
+
+/// The kind of capture that a scene was trained on: that of the capture given, else what the run says; where nothing is
+/// known, the paper's main one.
+///
+/// # Errors
+/// [`PipelineError::Capture`] if the capture cannot be opened.
+pub fn capture_kind_of(scene: &OpenScene, capture: Option<&Path>) -> Result<CaptureKind, PipelineError> {
+    if let Some(capture) = capture {
+        return Ok(Capture::open(capture)?.kind());
+    }
+    let of_run = scene.run().and_then(|run| CaptureKind::named(&run.config().data.layout));
+    Ok(of_run.unwrap_or(CaptureKind::PANOPTIC))
 }
 
 /// The settings of a preset for a scene that was trained on a kind of capture, and how bits follow from sensitivity.

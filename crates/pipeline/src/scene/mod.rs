@@ -8,10 +8,10 @@ use std::borrow::Cow;
 use std::fmt;
 use std::fs::File;
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tcgs_codec::{BitMap, CompactFile, Loss, Quantizers, SceneFile, SceneInfo, UpAxis};
+use tcgs_codec::{BitMap, CompactFile, FileCamera, Loss, Quantizers, SceneFile, SceneInfo, UpAxis, read_views};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{FourdgsFile, ParamsNpz, TimestepFiles};
 use tcgs_train::{Checkpoint, Parameters, Run};
@@ -185,6 +185,27 @@ impl OpenScene {
         matches!(&self.content, Content::Params(_))
     }
 
+    /// A scene of Gaussians in memory.
+    ///
+    /// - `name`: as messages call it
+    /// - `frame_rate`: timesteps a second; 0 if unknown
+    ///
+    /// ```
+    /// use std::path::Path;
+    /// use tcgs_core::{DynamicGaussians, Gaussians};
+    /// use tcgs_pipeline::OpenScene;
+    ///
+    /// let mut floats = DynamicGaussians::default();
+    /// floats.push(Gaussians::zeros(5));
+    /// let scene = OpenScene::of_floats(Path::new("made here"), floats, 30.0);
+    /// assert_eq!((scene.num_gaussians(), scene.kind()), (5, "floats"));
+    /// ```
+    pub fn of_floats(name: &Path, floats: DynamicGaussians, frame_rate: f64) -> Self {
+        let (path, bytes, layout) = (name.into(), floats.raw_bytes(), Arc::clone(floats.layout()));
+        let content = Content::Floats { scene: Box::new(floats), births: None, kind: "floats" };
+        Self { path, first_frame: 0, downscale: 1, frame_rate, bytes, layout, content }
+    }
+
     /// The same scene with other Gaussians in memory: what a step between this one and a file leaves.
     ///
     /// - `kind`: as [`Self::kind`] shall say
@@ -212,6 +233,25 @@ impl OpenScene {
 
     fn with(&self, layout: Arc<Layout>, content: Content) -> Self {
         Self { path: self.path.clone(), layout, content, ..*self }
+    }
+
+    /// Name of the capture, as a `.tcgs` file says it; none of anything else.
+    pub fn name(&self) -> Option<&str> {
+        match &self.content {
+            Content::File(file) => Some(&file.info.name),
+            Content::Symbols(compact) => Some(&compact.info.name),
+            _ => None,
+        }
+    }
+
+    /// Cameras of the capture that a `.tcgs` file gives players to start from; empty of anything else.
+    ///
+    /// # Errors
+    /// [`PipelineError::Decode`] if the file cannot be read.
+    pub fn cameras(&self) -> Result<Vec<FileCamera>, PipelineError> {
+        let Content::File(file) = &self.content else { return Ok(Vec::new()) };
+        let data = file.file().application_data();
+        data.map(|data| read_views(&data)).map_err(|error| PipelineError::Decode { path: self.path.clone(), error })
     }
 
     /// The axis that points up, as a `.tcgs` file says it; unknown of anything else.

@@ -3,6 +3,7 @@
 mod chapter;
 mod fit;
 mod folder;
+mod ready;
 mod settings;
 
 use std::path::Path;
@@ -15,6 +16,7 @@ use crate::{Backend, PipelineError};
 pub use chapter::{continued_trainer, start_state};
 pub use fit::fit;
 pub use folder::RunFolder;
+pub use ready::ReadyRun;
 pub use settings::settings_for;
 
 /// A trainer before the first timestep of the frames that the settings name.

@@ -8,8 +8,7 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, UNIX_EPOCH};
 
-use super::http::{HttpRequest, RequestedRange};
-use crate::terminal::note;
+use crate::http::{HttpRequest, RequestedRange};
 
 /// Path at which the scene is served.
 const SCENE: &str = "/scene.tcgs";
@@ -27,16 +26,42 @@ pub struct PageFile {
     pub bytes: &'static [u8],
 }
 
+/// Whose pages may show the player in a frame of theirs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FrameAncestors {
+    /// This server's alone.
+    #[default]
+    Own,
+    /// Those of any server of this machine, such as one of notebooks.
+    ThisMachine,
+}
+
+impl FrameAncestors {
+    /// As a content security policy.
+    fn policy(self) -> &'static str {
+        match self {
+            Self::Own => "frame-ancestors 'self'",
+            Self::ThisMachine => {
+                "frame-ancestors 'self' http://127.0.0.1:* http://localhost:* https://127.0.0.1:* https://localhost:* \
+                 vscode-webview:"
+            }
+        }
+    }
+}
+
 /// A server that listens on a port of 127.0.0.1.
+#[derive(Debug)]
 pub struct Server {
     listener: TcpListener,
     site: Arc<Site>,
 }
 
 /// The files that are served.
+#[derive(Debug)]
 struct Site {
     scene: PathBuf,
     page: &'static [PageFile],
+    ancestors: FrameAncestors,
 }
 
 impl Server {
@@ -50,7 +75,13 @@ impl Server {
     /// If the port is taken or not allowed.
     pub fn bind(port: u16, scene: &Path, page: &'static [PageFile]) -> io::Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
-        Ok(Self { listener, site: Arc::new(Site { scene: scene.into(), page }) })
+        Ok(Self { listener, site: Arc::new(Site { scene: scene.into(), page, ancestors: FrameAncestors::Own }) })
+    }
+
+    /// The same server, whose page others may show in a frame.
+    pub fn framed_by(self, ancestors: FrameAncestors) -> Self {
+        let site = Site { scene: self.site.scene.clone(), page: self.site.page, ancestors };
+        Self { site: Arc::new(site), ..self }
     }
 
     /// The address of the page, to type into a browser.
@@ -63,14 +94,16 @@ impl Server {
 
     /// Serves for ever, a thread per connection. A browser that breaks off or sends what is no request loses its connection
     /// and disturbs no other.
-    pub fn run(self) -> ! {
+    ///
+    /// - `failed`: hears of a connection that could not be begun
+    pub fn run(self, failed: impl Fn(&io::Error)) -> ! {
         loop {
             let begun = self.listener.accept().and_then(|(connection, _)| {
                 let site = Arc::clone(&self.site);
                 thread::Builder::new().spawn(move || site.serve_connection(&connection))
             });
             if let Err(error) = begun {
-                note(&format!("a connection failed: {error}"));
+                failed(&error);
                 thread::sleep(Duration::from_millis(100));
             }
         }
@@ -86,7 +119,8 @@ impl Site {
         let mut incoming = BufReader::new(connection);
         while let Some(request) = HttpRequest::read(&mut incoming)? {
             let with_body = request.method != "HEAD";
-            self.answer(&request)?.send(&mut &*connection, with_body)?;
+            let answer = self.answer(&request)?.with("Content-Security-Policy", self.ancestors.policy());
+            answer.send(&mut &*connection, with_body)?;
             if request.header("connection").is_some_and(|value| value.eq_ignore_ascii_case("close")) {
                 break;
             }
@@ -187,7 +221,6 @@ impl HttpAnswer {
             .with("Content-Length", &length.to_string())
             .with("Cache-Control", "no-cache")
             .with("X-Content-Type-Options", "nosniff")
-            .with("Content-Security-Policy", "frame-ancestors 'self'")
     }
 
     fn plain(status: &str, text: &str) -> Self {
@@ -233,7 +266,7 @@ mod tests {
         std::fs::write(&scene, b"0123456789").unwrap();
         let server = Server::bind(0, &scene, PAGE).unwrap();
         let port = server.listener.local_addr().unwrap().port();
-        thread::spawn(move || server.run());
+        thread::spawn(move || server.run(|_| {}));
         (port, folder)
     }
 
@@ -288,6 +321,20 @@ mod tests {
         for path in ["/missing", "/../Cargo.toml", "//etc/passwd", "/engine"] {
             assert!(ask(port, "GET", path, &[]).0.starts_with("HTTP/1.1 404 "), "{path}");
         }
+    }
+
+    #[test]
+    fn a_page_is_framed_by_whom_it_allows() {
+        let policy = |ancestors| {
+            let server = Server::bind(0, Path::new("scene.tcgs"), PAGE).unwrap().framed_by(ancestors);
+            let port = server.listener.local_addr().unwrap().port();
+            thread::spawn(move || server.run(|_| {}));
+            let head = ask(port, "GET", "/", &[]).0;
+            head.lines().find_map(|line| line.strip_prefix("Content-Security-Policy: ")).unwrap().to_owned()
+        };
+        assert_eq!(policy(FrameAncestors::Own), "frame-ancestors 'self'");
+        let framed = policy(FrameAncestors::ThisMachine);
+        assert!(framed.contains(" http://localhost:* ") && !framed.contains(" * "), "{framed}");
     }
 
     #[test]

@@ -1,8 +1,5 @@
 //! `tcgs view`: shows a scene of this machine in a browser.
 
-mod http;
-mod server;
-
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -10,14 +7,11 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, anyhow};
 use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening};
+use tcgs_serve::{NO_PAGE, PAGE, Server};
 
 use crate::error::wrong_input;
 use crate::scene::unreadable;
 use crate::terminal::{note, say};
-use server::{PageFile, Server};
-
-/// Files of the built page; empty if the page was not built before this program.
-const PAGE: &[PageFile] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
 
 /// Show a scene in a browser
 ///
@@ -43,7 +37,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     check_scene(&arguments.scene)?;
     if PAGE.is_empty() {
-        return Err(anyhow!("this program was built without the player: run web/build.sh, then build tcgs again"));
+        return Err(anyhow!(NO_PAGE));
     }
     let server = Server::bind(arguments.port, &arguments.scene, PAGE)
         .with_context(|| format!("serving at port {} of 127.0.0.1", arguments.port))?;
@@ -52,7 +46,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if !arguments.no_open {
         open_browser(&address);
     }
-    server.run()
+    server.run(|error| note(&format!("a connection failed: {error}")))
 }
 
 /// Refuses a file that the player could not open: one without the tables of a `.tcgs` file. The player itself tells of

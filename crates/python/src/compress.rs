@@ -1,0 +1,211 @@
+//! `tcgs.compress`.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use tcgs_capture::Split;
+use tcgs_pipeline::{
+    Backend, CompressOptions, CompressPreset, Judge, JudgeImages, OpenScene, OpenSettings, PipelineError, PrunedScene,
+    QUALITY_RANGE, RefineBudget, RefineOptions, Target, capture_kind_of, refine, refine_within, search, search_errors,
+    settings_of, tune,
+};
+use tcgs_train::RefineConfig;
+
+use crate::capture::CaptureLike;
+use crate::save::{check_out, write, wrong};
+use crate::scene::{PyScene, SceneLike};
+use crate::watch::Watch;
+
+/// Iterations as a whole number, or a time as a `datetime.timedelta`.
+#[derive(FromPyObject)]
+pub enum Budget {
+    Iterations(usize),
+    Time(Duration),
+}
+
+impl From<Budget> for RefineBudget {
+    fn from(budget: Budget) -> Self {
+        match budget {
+            Budget::Iterations(count) => Self::Iterations(count),
+            Budget::Time(time) => Self::Time(time),
+        }
+    }
+}
+
+/// Compresses a scene into a .tcgs file.
+///
+/// - source: a Scene, or the name of what `open` opens
+/// - out: file to write
+/// - quality: -6 to 8; 1 more about halves the errors and takes a fourth to a third more bytes; 0 if None
+/// - target_bytes: the best quality whose file has at most so many bytes
+/// - target_psnr: the smallest file of at least this mean PSNR in dB, on test images of `capture`, else on renders of
+///   `source`
+/// - max_error: bounds on the largest errors over all Gaussians and timesteps, by attribute: means in scene units, quats in
+///   radians, log_scales as stored, logit_opacities as opacity, colors of 1
+/// - refine: train what the file stores on the training images of `capture`, or of the run's: a number of iterations, or a
+///   datetime.timedelta
+/// - tune: fit the settings to the scene; takes some 100 compressions
+/// - min_share: leave out Gaussians that at every timestep make up less than this share of the pixels of all training
+///   images together; 1e-6 with `refine`, else 0
+/// - capture: a Capture or the name of its folder, whose cameras tell how much each parameter matters
+/// - preset: "default" or "paper"
+/// - segment_length: timesteps of a segment, which decodes alone
+/// - overwrite: replace `out`
+/// - backend, device, progress, callback: as of `train`
+///
+/// Returns the Scene of the file.
+///
+/// Raises ValueError or OSError if an input is wrong or a target cannot be reached, FileExistsError if `out` exists.
+/// Nothing half-written is left.
+#[pyfunction]
+#[pyo3(signature = (source, out, *, quality = None, target_bytes = None, target_psnr = None, max_error = None,
+    refine = None, tune = false, min_share = None, capture = None, preset = "default", segment_length = None, overwrite = false,
+    backend = "auto", device = None, progress = true, callback = None))]
+#[allow(clippy::too_many_arguments, reason = "keywords of Python")]
+pub fn compress(
+    py: Python<'_>,
+    source: SceneLike,
+    out: PathBuf,
+    quality: Option<f32>,
+    target_bytes: Option<u64>,
+    target_psnr: Option<f64>,
+    max_error: Option<BTreeMap<String, f64>>,
+    refine: Option<Budget>,
+    tune: bool,
+    min_share: Option<f32>,
+    capture: Option<CaptureLike>,
+    preset: &str,
+    segment_length: Option<u32>,
+    overwrite: bool,
+    backend: &str,
+    device: Option<&str>,
+    progress: bool,
+    callback: Option<Py<PyAny>>,
+) -> PyResult<PyScene> {
+    check_out(&out, overwrite)?;
+    let preset = match preset {
+        "default" => CompressPreset::Default,
+        "paper" => CompressPreset::Paper,
+        other => return Err(PyValueError::new_err(format!("preset: is {other}, expected default or paper"))),
+    };
+    let wanted = Wanted {
+        quality,
+        target: target_bytes.map(Target::Bytes).or(target_psnr.map(Target::Psnr)),
+        max_error: max_error.map(|bounds| bounds.into_iter().collect()),
+        min_share: min_share.unwrap_or(if refine.is_some() { RefineOptions::MIN_SHARE } else { 0.0 }),
+        refine: refine.map(RefineBudget::from),
+        tune,
+        capture: capture.as_ref().map(|capture| capture.path().to_path_buf()),
+        preset,
+        segment_length,
+    };
+    wanted.check(target_bytes.is_some() && target_psnr.is_some())?;
+    // What needs no images needs no GPU.
+    let draws = wanted.target.is_some() || wanted.refine.is_some() || wanted.tune;
+    let backend = crate::backend::backend(py, if draws { backend } else { "cpu" }, device.filter(|_| draws))?;
+    let scene = source.open(py)?;
+    let opened = Watch::call(py, callback, progress, |watch| {
+        let file = wanted.compress(&scene, &backend, watch)?;
+        watch.check()?;
+        write(&out, overwrite, |mut to| to.write_all(&file))?;
+        OpenScene::open(&out, OpenSettings::default())
+    })?;
+    Ok(PyScene(opened.into()))
+}
+
+/// How a scene is to be compressed.
+struct Wanted {
+    quality: Option<f32>,
+    target: Option<Target>,
+    max_error: Option<Vec<(String, f64)>>,
+    refine: Option<RefineBudget>,
+    tune: bool,
+    min_share: f32,
+    capture: Option<PathBuf>,
+    preset: CompressPreset,
+    segment_length: Option<u32>,
+}
+
+impl Wanted {
+    /// Refuses arguments that exclude one another.
+    fn check(&self, two_targets: bool) -> PyResult<()> {
+        let refuse = |message: &str| Err(PyValueError::new_err(message.to_owned()));
+        let has_target = self.target.is_some();
+        if two_targets {
+            return refuse("target_bytes and target_psnr: both given, expected one of the two");
+        }
+        if self.quality.is_some_and(|quality| !QUALITY_RANGE.contains(&quality)) {
+            let (least, most) = (QUALITY_RANGE.start(), QUALITY_RANGE.end());
+            return refuse(&format!("quality: expected a number from {least} to {most}"));
+        }
+        if self.quality.is_some() && (has_target || self.tune || self.max_error.is_some()) {
+            return refuse(
+                "quality: is what target_bytes, target_psnr, max_error and tune find, expected it without these",
+            );
+        }
+        if self.max_error.is_some() && (has_target || self.tune || self.refine.is_some()) {
+            return refuse("max_error: expected it without target_bytes, target_psnr, tune and refine");
+        }
+        if self.refine.is_some() && (self.tune || matches!(self.target, Some(Target::Psnr(_)))) {
+            return refuse("refine: expected it without target_psnr and tune");
+        }
+        let is_searched = has_target || self.tune || self.quality.is_some() || self.max_error.is_some();
+        if self.preset == CompressPreset::Paper && is_searched {
+            return refuse(
+                "preset: paper has its own settings, expected default with a quality, target, tune or max_error",
+            );
+        }
+        Ok(())
+    }
+
+    /// The bytes of the file.
+    fn compress(&self, scene: &OpenScene, backend: &Backend, watch: &mut Watch) -> Result<Vec<u8>, PipelineError> {
+        if scene.is_compressed() {
+            return Err(wrong(&scene.path, "is compressed already", "a scene of floats"));
+        }
+        let kind = capture_kind_of(scene, self.capture.as_deref())?;
+        let (mut keypoints, mapping) = settings_of(self.preset, kind, scene)?;
+        keypoints.segment_length = self.segment_length;
+        if let Some(quality) = self.quality {
+            keypoints = keypoints.with_quality(quality);
+        }
+        let options = CompressOptions {
+            keypoints,
+            mapping,
+            min_share: self.min_share,
+            capture: self.capture.clone(),
+            ..CompressOptions::default()
+        };
+        let settings = &options.keypoints;
+        let refining = self.refine.map(|budget| self.refine_options(scene, budget)).transpose()?;
+        let pruned = PrunedScene::new(scene, &options)?;
+        watch.check()?;
+        let judge = |split| {
+            let images = JudgeImages { capture: self.capture.clone(), split, frames: None };
+            Judge::new(scene, &images, backend.renderer())
+        };
+        Ok(match (self.target, &self.max_error, refining) {
+            _ if self.tune => tune(&pruned, settings, self.target, &judge(Split::Train)?, watch)?.found.file,
+            (_, Some(bounds), _) => search_errors(&pruned, settings, bounds, watch)?.file,
+            (Some(Target::Bytes(bytes)), _, Some(refining)) => {
+                let judge = judge(Split::Test)?;
+                refine_within(scene, &pruned, settings, bytes, &judge, &refining, backend, watch)?.1.file
+            }
+            (Some(target), ..) => search(&pruned, settings, target, &judge(Split::Test)?, watch)?.file,
+            (None, _, Some(refining)) => refine(scene, &pruned, settings, &refining, backend, watch)?.file,
+            (None, _, None) => pruned.compress(settings)?.1,
+        })
+    }
+
+    fn refine_options(&self, scene: &OpenScene, budget: RefineBudget) -> Result<RefineOptions, PipelineError> {
+        let of_run = || scene.run().map(|run| PathBuf::from(&run.config().data.capture));
+        let Some(capture) = self.capture.clone().or_else(of_run) else {
+            return Err(wrong(&scene.path, "has no capture of its own", "capture with the images to refine on"));
+        };
+        Ok(RefineOptions { capture, budget, config: RefineConfig::default() })
+    }
+}

@@ -1,0 +1,56 @@
+//! From errors of the library to exceptions of Python, each with its one-line message.
+
+use std::io::{self, ErrorKind};
+
+use pyo3::PyErr;
+use pyo3::exceptions::{
+    PyFileExistsError, PyFileNotFoundError, PyKeyboardInterrupt, PyOSError, PyPermissionError, PyRuntimeError,
+    PyValueError,
+};
+use tcgs_capture::CaptureError;
+use tcgs_codec::DecodeError;
+use tcgs_interchange::InterchangeError;
+use tcgs_metrics::MetricsError;
+use tcgs_pipeline::{Fault, HasFault, PipelineError};
+use tcgs_train::TrainError;
+
+/// What the system said about a file becomes an `OSError`, other wrong input a `ValueError`, and what the machine did wrong a
+/// `RuntimeError`.
+pub fn exception(error: impl Into<PipelineError>) -> PyErr {
+    let error = error.into();
+    let message = error.to_string();
+    match (cause(&error), error.fault()) {
+        (Some(cause), _) if !matches!(cause.kind(), ErrorKind::InvalidData | ErrorKind::UnexpectedEof) => {
+            of_system(cause.kind(), message)
+        }
+        (_, Fault::Input) => PyValueError::new_err(message),
+        (_, Fault::Stopped) => PyKeyboardInterrupt::new_err(message),
+        _ => PyRuntimeError::new_err(message),
+    }
+}
+
+/// The exception of an answer of the system.
+///
+/// - `message`: names the file
+pub fn of_system(kind: ErrorKind, message: String) -> PyErr {
+    match kind {
+        ErrorKind::NotFound => PyFileNotFoundError::new_err(message),
+        ErrorKind::AlreadyExists => PyFileExistsError::new_err(message),
+        ErrorKind::PermissionDenied => PyPermissionError::new_err(message),
+        _ => PyOSError::new_err(message),
+    }
+}
+
+/// The answer of the system that an error reports, if there is one.
+fn cause(error: &PipelineError) -> Option<&io::Error> {
+    match error {
+        PipelineError::Unreadable { error, .. }
+        | PipelineError::Unwritable { error, .. }
+        | PipelineError::Capture(CaptureError::Io { error, .. })
+        | PipelineError::Train(TrainError::Read { error, .. } | TrainError::Write { error, .. })
+        | PipelineError::Interchange(InterchangeError::Read { error, .. } | InterchangeError::Write { error, .. })
+        | PipelineError::Metrics(MetricsError::Io { error, .. })
+        | PipelineError::Decode { error: DecodeError::Io(error), .. } => Some(error),
+        _ => None,
+    }
+}

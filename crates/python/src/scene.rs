@@ -1,0 +1,280 @@
+//! Scenes over time.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use pyo3::exceptions::{PyIndexError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::{PyRange, PyString};
+use tcgs_core::{SceneReader, Tour};
+use tcgs_interchange::HigherHarmonics;
+use tcgs_pipeline::{CutFiles, OpenScene, OpenSettings};
+
+use crate::arrays::ArrayLike;
+use crate::camera::PyCamera;
+use crate::detached::detached;
+use crate::errors::exception;
+use crate::floats::floats;
+use crate::gaussians::PyGaussians;
+use crate::save::{check_out, save};
+use crate::watch::Watch;
+
+/// A scene over time: Gaussians at every timestep. `tcgs.open` opens one, `Scene.from_arrays` makes one.
+///
+/// Timesteps are read, and segments of a .tcgs file decoded, when one is asked for.
+#[pyclass(name = "Scene", module = "tcgs", frozen, weakref)]
+pub struct PyScene(pub Arc<OpenScene>);
+
+/// A scene, or the name of a file or folder that holds one.
+#[derive(FromPyObject)]
+pub enum SceneLike<'py> {
+    /// Open already.
+    Open(PyRef<'py, PyScene>),
+    /// `str` or `os.PathLike`.
+    Path(PathBuf),
+}
+
+impl SceneLike<'_> {
+    /// The scene, opened if need be.
+    pub fn open(&self, py: Python<'_>) -> PyResult<Arc<OpenScene>> {
+        match self {
+            Self::Open(scene) => Ok(Arc::clone(&scene.0)),
+            Self::Path(path) => open_path(py, path, OpenSettings::default()).map(Arc::new),
+        }
+    }
+}
+
+fn open_path(py: Python<'_>, path: &Path, settings: OpenSettings) -> PyResult<OpenScene> {
+    if ["http://", "https://"].iter().any(|scheme| path.to_string_lossy().starts_with(scheme)) {
+        let expected = "a file or folder of this machine; urllib.request.urlretrieve downloads one";
+        return Err(PyValueError::new_err(format!("{}: is an address, expected {expected}", path.display())));
+    }
+    detached(py, || OpenScene::open(path, settings)).map_err(exception)
+}
+
+/// Opens a scene: a .tcgs file, a run folder, a params.npz of Dynamic 3D Gaussians, a .4dgs file, a file of Gaussians (PLY,
+/// SPZ, glTF), or a folder with a file of Gaussians for each frame.
+///
+/// - path: str or os.PathLike
+/// - drop_sh: of other programs' files, leave out spherical harmonics above degree 0
+/// - recover: of a .tcgs file that was cut, read what is whole
+/// - fps: timesteps a second, where the source says none or another
+///
+/// Raises OSError if the file cannot be read, ValueError if it is no scene or damaged.
+#[pyfunction]
+#[pyo3(signature = (path, *, drop_sh = false, recover = false, fps = None))]
+pub fn open(py: Python<'_>, path: PathBuf, drop_sh: bool, recover: bool, fps: Option<f64>) -> PyResult<PyScene> {
+    let settings = OpenSettings {
+        higher_harmonics: if drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Keep },
+        cut_files: if recover { CutFiles::Recover } else { CutFiles::Refuse },
+    };
+    let mut scene = open_path(py, &path, settings)?;
+    if let Some(fps) = fps {
+        scene.frame_rate = check_fps(fps)?;
+    }
+    Ok(PyScene(scene.into()))
+}
+
+fn check_fps(fps: f64) -> PyResult<f64> {
+    if fps.is_finite() && fps >= 0.0 {
+        return Ok(fps);
+    }
+    Err(PyValueError::new_err(format!("fps: is {fps}, expected 0 or more")))
+}
+
+#[pymethods]
+impl PyScene {
+    /// A scene from arrays, in memory. T is the number of timesteps, N that of Gaussians.
+    ///
+    /// - means: [T, N, 3], scene units
+    /// - quats: [T, N, 4], w, x, y, z, of any length but zero
+    /// - colors: [T, N, 3], sRGB
+    /// - scales or log_scales: [N, 3] or [T, N, 3], standard deviations in scene units, or their natural logarithms
+    /// - opacities or logit_opacities: [N] or [T, N], in (0, 1), or their inverse logistic
+    /// - harmonics: [N, K, 3] or [T, N, K, 3] with K of 3, 8 or 15: coefficients of degrees 1 to 1, 2 or 3
+    /// - fps: timesteps a second; 0: unknown
+    /// - name: as messages call the scene
+    #[staticmethod]
+    #[pyo3(signature = (means, quats, colors, *, scales = None, log_scales = None, opacities = None,
+        logit_opacities = None, harmonics = None, fps = 30.0, name = "arrays"))]
+    #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
+    fn from_arrays(
+        means: ArrayLike,
+        quats: ArrayLike,
+        colors: ArrayLike,
+        scales: Option<ArrayLike>,
+        log_scales: Option<ArrayLike>,
+        opacities: Option<ArrayLike>,
+        logit_opacities: Option<ArrayLike>,
+        harmonics: Option<ArrayLike>,
+        fps: f64,
+        name: &str,
+    ) -> PyResult<Self> {
+        let fps = check_fps(fps)?;
+        let scales = [log_scales, scales];
+        let opacities = [logit_opacities, opacities];
+        let floats = floats(&means, &quats, &colors, scales, opacities, harmonics)?;
+        Ok(Self(Arc::new(OpenScene::of_floats(Path::new(name), floats, fps))))
+    }
+
+    fn __len__(&self) -> usize {
+        self.0.num_timesteps()
+    }
+
+    /// The Gaussians of one timestep; of a run all of them, also those that its masks leave out.
+    ///
+    /// - timestep: from 0; negative ones count from the end
+    fn at(&self, py: Python<'_>, timestep: isize) -> PyResult<PyGaussians> {
+        let timestep = self.timestep(timestep)?;
+        detached(py, || self.0.at(timestep)).map(PyGaussians::new).map_err(exception)
+    }
+
+    fn __iter__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        let timesteps = PyRange::new(slf.py(), 0, slf.get().0.num_timesteps() as isize)?;
+        slf.py().import("builtins")?.call_method1("map", (slf.getattr("at")?, timesteps))
+    }
+
+    fn __getitem__(&self, py: Python<'_>, timestep: isize) -> PyResult<PyGaussians> {
+        self.at(py, timestep)
+    }
+
+    /// Number of Gaussians at a timestep.
+    fn num_gaussians_at(&self, timestep: isize) -> PyResult<usize> {
+        Ok(self.0.num_gaussians_at(self.timestep(timestep)?))
+    }
+
+    /// Number of Gaussians; the most at any timestep where the number changes.
+    #[getter]
+    fn num_gaussians(&self) -> usize {
+        self.0.num_gaussians()
+    }
+
+    /// Timesteps a second; 0: unknown.
+    #[getter]
+    fn fps(&self) -> f64 {
+        self.0.frame_rate
+    }
+
+    /// File or folder as it was named.
+    #[getter]
+    fn path(&self) -> PathBuf {
+        self.0.path.clone()
+    }
+
+    /// What the scene is, in words, such as "compressed file".
+    #[getter]
+    fn kind(&self) -> &'static str {
+        self.0.kind()
+    }
+
+    /// Name of the capture as a .tcgs file says it; empty of anything else.
+    #[getter]
+    fn name(&self) -> String {
+        self.0.name().unwrap_or_default().into()
+    }
+
+    /// Length of a .tcgs file; of anything else the size of the scene as plain float32, bytes.
+    #[getter]
+    fn bytes(&self) -> u64 {
+        self.0.bytes
+    }
+
+    /// Frame of the capture that timestep 0 shows.
+    #[getter]
+    fn first_frame(&self) -> usize {
+        self.0.first_frame
+    }
+
+    /// Factor by which the capture's images were shrunk for training.
+    #[getter]
+    fn downscale(&self) -> usize {
+        self.0.downscale
+    }
+
+    /// Highest degree of the spherical harmonics; 0 without any.
+    #[getter]
+    fn sh_degree(&self) -> usize {
+        self.0.layout().sh_degree()
+    }
+
+    /// The axis of the world that points up: x, y, z, -x, -y, -z; empty if unknown.
+    #[getter]
+    fn up(&self) -> &'static str {
+        if self.0.up() == tcgs_codec::UpAxis::Unknown { "" } else { self.0.up().name() }
+    }
+
+    /// By attribute the largest error against what was compressed, as a .tcgs file declares it: means in scene units, quats in
+    /// radians, log_scales as stored, logit_opacities as opacity, colors of 1. Empty of anything else.
+    #[getter]
+    fn declared_errors(&self) -> BTreeMap<String, f32> {
+        self.0.declared_errors().into_iter().collect()
+    }
+
+    /// Cameras of the capture that a .tcgs file gives players to start from, by name; empty of anything else.
+    #[getter]
+    fn cameras(&self, py: Python<'_>) -> PyResult<BTreeMap<String, PyCamera>> {
+        let cameras = detached(py, || self.0.cameras()).map_err(exception)?;
+        Ok(cameras.into_iter().map(|named| (named.name, PyCamera(named.camera))).collect())
+    }
+
+    /// Cameras at equal steps on one turn around the scene.
+    ///
+    /// - width, height: of their images, pixels
+    #[pyo3(signature = (count, *, width = 640, height = 360))]
+    fn orbit(&self, py: Python<'_>, count: usize, width: usize, height: usize) -> PyResult<Vec<PyCamera>> {
+        if width == 0 || height == 0 {
+            return Err(PyValueError::new_err(format!("orbit: images of {width}x{height}, expected at least 1x1")));
+        }
+        let first = detached(py, || self.0.at(0)).map_err(exception)?;
+        let cameras = Tour::Orbit.cameras(first.means(), self.0.up().direction(), count, [width, height]);
+        Ok(cameras.into_iter().map(PyCamera).collect())
+    }
+
+    /// Writes the scene in the format that the ending of `path` names: .tcgs (compressed as by `compress`; a copy of what is
+    /// compressed already), .npz (params.npz of Dynamic 3D Gaussians), .4dgs, .ply or .glb (one timestep), or a new
+    /// folder with a PLY file for each timestep. Of a run without the Gaussians that its masks leave out over time.
+    ///
+    /// - overwrite: replace a file that exists; folders are never replaced
+    #[pyo3(signature = (path, *, overwrite = false, progress = true, callback = None))]
+    fn save(
+        &self,
+        py: Python<'_>,
+        path: PathBuf,
+        overwrite: bool,
+        progress: bool,
+        callback: Option<Py<PyAny>>,
+    ) -> PyResult<()> {
+        check_out(&path, overwrite)?;
+        Watch::call(py, callback, progress, |watch| save(&self.0, &path, overwrite, watch))
+    }
+
+    /// The player in a cell of Jupyter, served by this process until it ends; of a scene that is not compressed, a compressed
+    /// copy. It takes a browser with WebGPU on this machine; a kernel elsewhere takes the port of `address` forwarded.
+    ///
+    /// - height: of the cell, pixels
+    ///
+    /// Raises RuntimeError if this package was built without the player.
+    #[pyo3(signature = (*, height = 480))]
+    fn show<'py>(slf: Bound<'py, Self>, height: u32) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("tcgs._show")?.call_method1("show", (slf, height))
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let path = PyString::new(py, &self.0.path.to_string_lossy()).repr()?.to_string();
+        let (kind, n, t) = (self.0.kind(), self.0.num_gaussians(), self.0.num_timesteps());
+        Ok(format!("Scene({path}, {kind}: {n} Gaussians, {t} timesteps, {} fps)", self.0.frame_rate))
+    }
+}
+
+impl PyScene {
+    /// A timestep that there is.
+    pub fn timestep(&self, timestep: isize) -> PyResult<usize> {
+        let count = self.0.num_timesteps();
+        let from_start = if timestep < 0 { timestep.saturating_add_unsigned(count) } else { timestep };
+        usize::try_from(from_start).ok().filter(|&found| found < count).ok_or_else(|| {
+            let path = self.0.path.display();
+            PyIndexError::new_err(format!("{path}: no timestep {timestep}, expected one below {count}"))
+        })
+    }
+}

@@ -1,0 +1,186 @@
+//! `tcgs.train`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use pyo3::exceptions::{PyFileExistsError, PyValueError};
+use pyo3::prelude::*;
+use tcgs_capture::Capture;
+use tcgs_pipeline::{OpenScene, OpenSettings, PipelineError, ReadyRun, RunFolder, fit, settings_for};
+use tcgs_train::{Preset, TrainConfig};
+
+use crate::capture::CaptureLike;
+use crate::errors::{exception, of_system};
+use crate::scene::PyScene;
+use crate::watch::Watch;
+
+/// Trains a dynamic scene on a capture, one timestep after another, into a run folder.
+///
+/// - capture: a Capture or the name of its folder
+/// - out: folder of the run
+/// - preset: "default", "fast", "paper" or "d3dgs"
+/// - frames: first frame and the one after the last, such as (0, 20); those that publications use, else all
+/// - downscale: average images over n x n pixels
+/// - iterations: of the first and of every later timestep
+/// - settings: by their names in the run's config.toml, such as {"weights.rigid": 2, "gate.enabled": False}
+/// - config: file of settings, as another run's config.toml
+/// - points: file of initial points instead of the capture's own
+/// - seed: of random choices
+/// - resume: go on with the run in `out` after its last whole checkpoint, or begin it if there is none; what is not given
+///   keeps the run's settings
+/// - overwrite: replace the run in `out`
+/// - backend: "auto" (the GPU if there is one), "gpu" or "cpu"
+/// - device: a part of the name of the GPU to compute on
+/// - progress: show a line in a terminal or notebook
+/// - callback: called with a Progress instead; what it raises ends the training
+///
+/// Returns the Scene of the run. Ctrl-C, as what the callback raises, leaves a run of the timesteps that are finished:
+/// `resume=True` goes on after them, with the same result as without interruption.
+///
+/// Raises ValueError or OSError if an input is wrong, FileExistsError if `out` holds a run.
+#[pyfunction]
+#[pyo3(signature = (capture, out, *, preset = None, frames = None, downscale = None, iterations = None, settings = None,
+    config = None, points = None, seed = None, resume = false, overwrite = false, backend = "auto", device = None,
+    progress = true, callback = None))]
+#[allow(clippy::too_many_arguments, reason = "keywords of Python")]
+pub fn train(
+    py: Python<'_>,
+    capture: CaptureLike,
+    out: PathBuf,
+    preset: Option<&str>,
+    frames: Option<(usize, usize)>,
+    downscale: Option<usize>,
+    iterations: Option<(usize, usize)>,
+    settings: Option<BTreeMap<String, Bound<'_, PyAny>>>,
+    config: Option<PathBuf>,
+    points: Option<PathBuf>,
+    seed: Option<u64>,
+    resume: bool,
+    overwrite: bool,
+    backend: &str,
+    device: Option<&str>,
+    progress: bool,
+    callback: Option<Py<PyAny>>,
+) -> PyResult<PyScene> {
+    let backend = crate::backend::backend(py, backend, device)?;
+    let preset = preset.map(preset_named).transpose()?;
+    let mut settings: Vec<(String, String)> =
+        settings.iter().flatten().map(|(key, value)| toml(key, value)).collect::<PyResult<_>>()?;
+    // Through their names, so that their ranges are checked.
+    let mut set = |key: &str, value: Option<usize>| settings.extend(value.map(|value| (key.into(), value.to_string())));
+    set("data.first_frame", frames.map(|frames| frames.0));
+    set("data.end_frame", frames.map(|frames| frames.1));
+    set("data.downscale", downscale);
+    set("schedule.first_iterations", iterations.map(|iterations| iterations.0));
+    set("schedule.rest_iterations", iterations.map(|iterations| iterations.1));
+    let folder = capture.path().to_path_buf();
+    let capture = capture.open(py)?;
+    let wanted = Wanted { folder, preset, config, points, seed, settings };
+    let holds_run = RunFolder::holds_run(&out).map_err(exception)?;
+    if holds_run && !resume && !overwrite {
+        let expected = "expected resume=True to go on with it or overwrite=True to replace it";
+        return Err(PyFileExistsError::new_err(format!("{}: holds a run, {expected}", out.display())));
+    }
+    let fresh = if holds_run && resume {
+        None
+    } else {
+        Some(wanted.over(settings_for(preset.unwrap_or(Preset::Default), &capture), &capture)?)
+    };
+    let mut refused = None;
+    let trained = Watch::call(py, callback, progress, |watch| {
+        let ready = match fresh {
+            Some(config) => ReadyRun::begin(&out, &config, &capture, None, &backend)?,
+            None => {
+                let change = |stored: &TrainConfig| {
+                    wanted.over(stored.clone(), &capture).map_err(|error| {
+                        refused = Some(error);
+                        PipelineError::Stopped
+                    })
+                };
+                ReadyRun::resume(&out, change, &capture, &backend, watch)?
+            }
+        };
+        fit(&capture, &ready.run, ready.trainer, watch)?;
+        OpenScene::open(&out, OpenSettings::default())
+    });
+    match refused {
+        Some(refused) => Err(refused),
+        None => trained.map(|scene| PyScene(scene.into())),
+    }
+}
+
+fn preset_named(name: &str) -> PyResult<Preset> {
+    match name {
+        "default" => Ok(Preset::Default),
+        "fast" => Ok(Preset::Fast),
+        "paper" => Ok(Preset::Paper),
+        "d3dgs" => Ok(Preset::D3dgs),
+        other => Err(PyValueError::new_err(format!("preset: is {other}, expected default, fast, paper or d3dgs"))),
+    }
+}
+
+/// A setting as TOML: `True` is `true` there, and what Python prints of numbers is the same.
+fn toml(key: &str, value: &Bound<'_, PyAny>) -> PyResult<(String, String)> {
+    let text = value.str()?.to_string();
+    let is_bool = value.is_instance_of::<pyo3::types::PyBool>();
+    Ok((key.into(), if is_bool { text.to_lowercase() } else { text }))
+}
+
+/// What differs from a preset's or a run's settings.
+struct Wanted {
+    /// Of the capture.
+    folder: PathBuf,
+    preset: Option<Preset>,
+    config: Option<PathBuf>,
+    points: Option<PathBuf>,
+    seed: Option<u64>,
+    /// Names and values in TOML.
+    settings: Vec<(String, String)>,
+}
+
+impl Wanted {
+    fn over(&self, mut base: TrainConfig, capture: &Capture) -> PyResult<TrainConfig> {
+        if let Some(preset) = self.preset {
+            base.preset = preset;
+        }
+        // A file may be that of a run that continues another one.
+        let start_from = base.data.start_from.clone();
+        if let Some(path) = &self.config {
+            let text = std::fs::read_to_string(path)
+                .map_err(|error| of_system(error.kind(), format!("{}: {error}", path.display())))?;
+            let merged = base.merge(&text);
+            base = merged.map_err(|error| PyValueError::new_err(format!("{}: {error}", path.display())))?;
+        }
+        // A file may be another run's; the capture is the one that was named.
+        base.data.capture = absolute(&self.folder)?;
+        base.data.layout = capture.kind().name.into();
+        if let Some(points) = &self.points {
+            base.data.points = absolute(points)?;
+        }
+        base.data.start_from = start_from;
+        let named = base.data.clone();
+        for (key, value) in &self.settings {
+            base.set(key, value).map_err(|error| PyValueError::new_err(format!("settings: {error}")))?;
+        }
+        if (&base.data.capture, &base.data.layout, &base.data.start_from)
+            != (&named.capture, &named.layout, &named.start_from)
+        {
+            let message =
+                "settings: data.capture, data.layout or data.start_from: is what capture says, expected no other";
+            return Err(PyValueError::new_err(message));
+        }
+        if let Some(seed) = self.seed {
+            base.seed = seed;
+        }
+        Ok(base)
+    }
+}
+
+/// So that a run finds its capture and points from any folder.
+fn absolute(path: &Path) -> PyResult<String> {
+    let found = path.canonicalize().map_err(|error| of_system(error.kind(), format!("{}: {error}", path.display())))?;
+    found.into_os_string().into_string().map_err(|path| {
+        let expected = "expected one that config.toml can hold";
+        PyValueError::new_err(format!("{}: not a name in UTF-8, {expected}", path.display()))
+    })
+}

@@ -1,0 +1,58 @@
+"""The rasterizer as a function of torch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed, expected it to test tcgs.torch")
+
+from test_rasterize import BACKGROUND, HEIGHT, WIDTH, camera, drawn, gaussians  # noqa: E402
+
+from tcgs.torch import rasterize  # noqa: E402
+
+
+def test_gradients_flow_to_every_tensor() -> None:
+    arrays = gaussians(8, 2)
+    at = camera()
+    tensors: Any = [torch.tensor(array, requires_grad=True) for array in [*arrays, BACKGROUND]]
+    view, k = torch.tensor(at.viewmat), torch.tensor(at.K)
+    image, alpha = rasterize(*[*tensors[:5], view, k, WIDTH, HEIGHT], background=tensors[5])
+    rng = np.random.default_rng(3)
+    v_image, v_alpha = rng.normal(size=(HEIGHT, WIDTH, 3)), rng.normal(size=(HEIGHT, WIDTH, 1))
+    (torch.sum(image * torch.tensor(v_image)) + torch.sum(alpha * torch.tensor(v_alpha))).backward()
+    reference = drawn(arrays, background=BACKGROUND)
+    assert np.array_equal(image.detach().numpy().astype(np.float32), reference.image)
+    v = reference.vjp(v_image, v_alpha)
+    expected = [v.v_means, v.v_quats, v.v_scales, v.v_opacities, v.v_colors, v.v_background]
+    for tensor, grad in zip(tensors, expected):
+        assert tensor.grad.dtype == tensor.dtype
+        np.testing.assert_array_equal(tensor.grad.numpy().astype(np.float32), grad)
+
+
+def test_a_scene_is_fitted_to_an_image() -> None:
+    at = camera()
+    goal = torch.tensor(drawn(gaussians(6, 7)).image)
+    tensors: Any = [torch.tensor(array, dtype=torch.float32) for array in gaussians(6, 7)]
+    tensors[4] = torch.full((6, 3), 0.5, requires_grad=True)
+    view, k = torch.tensor(at.viewmat), torch.tensor(at.K)
+    optimizer = torch.optim.Adam([tensors[4]], lr=0.05)
+    losses = []
+    for _ in range(60):
+        image, _ = rasterize(*[*tensors, view, k, WIDTH, HEIGHT])
+        loss = torch.mean((image - goal) ** 2)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.01 * losses[0]
+
+
+def test_a_camera_that_asks_for_gradients_is_refused() -> None:
+    at = camera()
+    tensors: Any = [torch.tensor(array) for array in gaussians(2, 1)]
+    view = torch.tensor(at.viewmat, requires_grad=True)
+    with pytest.raises(ValueError, match="viewmat and K"):
+        rasterize(*[*tensors, view, torch.tensor(at.K), WIDTH, HEIGHT])

@@ -1,0 +1,24 @@
+//! The player's page in a program, and a web server that shows a scene with it on this machine.
+//!
+//! What lives here: the built page (`web/dist`), which the build puts into the program, and the part of HTTP that serving
+//! it and one scene takes. What does not: the player itself, which is `tcgs-play` in the page. The command line and the
+//! Python package show scenes with it.
+//!
+//! ```
+//! use std::path::Path;
+//! use tcgs_serve::Server;
+//! let server = Server::bind(0, Path::new("scene.tcgs"), tcgs_serve::PAGE)?;
+//! assert!(server.address()?.starts_with("http://127.0.0.1:"));
+//! # Ok::<(), std::io::Error>(())
+//! ```
+
+mod http;
+mod server;
+
+pub use server::{FrameAncestors, PageFile, Server};
+
+/// Files of the built page; empty if the page was not built before this program.
+pub const PAGE: &[PageFile] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
+
+/// What to do where [`PAGE`] is empty.
+pub const NO_PAGE: &str = "this program was built without the player: run web/build.sh, then build tcgs again";
