@@ -61,13 +61,6 @@ impl RigCamera {
         Some(self.lens.bend([fx * x / z + cx, fy * y / z + cy]))
     }
 
-    /// The camera with its pose the other way round.
-    pub fn inverted(&self) -> Self {
-        let (m, center) = (self.camera_from_world, self.center());
-        let pose = [0, 1, 2].map(|i| [m[0][i], m[1][i], m[2][i], center[i]]);
-        Self { lens: self.lens.clone(), camera_from_world: pose }
-    }
-
     /// Optical centre in the world.
     pub fn center(&self) -> [f64; 3] {
         let m = self.camera_from_world;

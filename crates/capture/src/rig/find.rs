@@ -51,7 +51,7 @@ impl FoundCameras {
 
 /// Finds poses, focal lengths and distortion of all cameras of a description from their images, by the program `colmap`.
 ///
-/// The middle frame of the capture is used; if that does not place all cameras, three others too. Images of one camera have
+/// The middle frame of the capture is used; if that places some cameras and not all, others too. Images of one camera have
 /// the same intrinsics, and in the end the same pose. The world's y axis is then what the cameras' images have below, its
 /// origin the middle of what they see, its unit unknown.
 ///
@@ -76,10 +76,13 @@ pub fn find_cameras(
     chosen.extend(moments(description.num_frames, NUM_MOMENTS).into_iter().filter(|frame| *frame != first));
     let mut best = attempt(&mut colmap, &frames, &chosen[..1], num_cameras)?;
     let num_placed = |found: &Option<Found>| found.as_ref().map_or(0, Found::num_placed);
-    if num_placed(&best) < num_cameras && chosen.len() > 1 {
+    // Where no two cameras fit at one moment, more moments take long and have not helped.
+    if (2..num_cameras).contains(&num_placed(&best)) && chosen.len() > 1 {
         let more = attempt(&mut colmap, &frames, &chosen, num_cameras)?;
         best = if num_placed(&more) > num_placed(&best) { more } else { best };
     }
+    // The images of one camera alone are no rig.
+    best = best.filter(|found| found.num_placed() >= 2);
     let names: Vec<String> = description.cameras.iter().map(|camera| camera.name.clone()).collect();
     let Found { cameras, mut tracks } = best.ok_or_else(|| not_placed(folder, &names, &[]))?;
     let is_placed: Vec<bool> = cameras.iter().map(Option::is_some).collect();

@@ -32,12 +32,10 @@ const REGIONS: f64 = 12.0;
 const TOUCHING: f64 = 0.004;
 /// A camera that fewer fitted tracks reach stays where it is.
 const MIN_TRACKS: usize = 12;
-/// If fewer of the corners match, it is tried whether more do with all poses the other way round.
-const DOUBTFUL: f64 = 0.1;
 /// With fewer held-out tracks nothing can be judged.
 const MIN_JUDGES: usize = 20;
-/// The new calibration replaces the old if the median error of held-out tracks falls to this share, and no camera's
-/// rises above this one.
+/// The new calibration replaces the old if the median errors of held-out tracks, averaged over cameras, fall to this share,
+/// and no camera's rises above this one.
 const BETTER: f64 = 0.9;
 const NO_WORSE: f64 = 1.2;
 /// Errors are not known better than this, pixels.
@@ -49,15 +47,13 @@ const EXACT_PX: f64 = 0.1;
 pub struct Refinement {
     /// Whether the new calibration was better, and taken.
     pub is_taken: bool,
-    /// Whether all poses were the wrong way round (world from camera), and were inverted: several times as many places
-    /// then match.
-    pub is_inverted: bool,
     /// Number of tracks that the cameras were fitted to, and of those that judge.
     pub num_tracks: [usize; 2],
-    /// Median distance in pixels between where a track is seen and where it should be, before and after; of a
-    /// calibration that was not replaced after is what it would have been.
+    /// Mean of [`Self::camera_error_px`].
     pub error_px: [f64; 2],
-    /// The same of each camera, in the description's order; `None` where too few tracks judge.
+    /// Of each camera, in the description's order, the median distance in pixels between where a track is seen and where it
+    /// should be, before and after; of a calibration that was not replaced after is what it would have been. `None` where
+    /// too few tracks judge.
     pub camera_error_px: Vec<Option<[f64; 2]>>,
 }
 
@@ -78,7 +74,7 @@ pub fn refine_cameras(
     description: &mut CaptureDescription,
     tell: &mut dyn FnMut(&str) -> ControlFlow<()>,
 ) -> Result<Option<Refinement>, CaptureError> {
-    let mut before: Vec<RigCamera> = description.cameras.iter().map(RigCamera::new).collect();
+    let before: Vec<RigCamera> = description.cameras.iter().map(RigCamera::new).collect();
     if before.len() < 2 || tell("reading images").is_break() {
         return Ok(None);
     }
@@ -86,20 +82,7 @@ pub fn refine_cameras(
     if tell("matching").is_break() {
         return Ok(None);
     }
-    let mut first = tracks(&before, &shots, BANDS[0]);
-    let num_corners: usize = shots[0].iter().map(|shot| shot.corners.len()).sum();
-    let is_doubtful = |found: &[Vec<Track>]| (found[0].len() as f64) < DOUBTFUL * num_corners as f64;
-    let mut is_inverted = false;
-    if is_doubtful(&first) {
-        let inverse: Vec<RigCamera> = before.iter().map(RigCamera::inverted).collect();
-        let others = tracks(&inverse, &shots[..1], BANDS[0]);
-        if !is_doubtful(&others) && others[0].len() > 2 * first[0].len() {
-            is_inverted = true;
-            before = inverse;
-            first = tracks(&before, &shots, BANDS[0]);
-        }
-    }
-    let (judges, fitted) = held_out(first, &before);
+    let (judges, fitted) = held_out(tracks(&before, &shots, BANDS[0]), &before);
     let num_judges: usize = judges.iter().map(Vec::len).sum();
     if num_judges < MIN_JUDGES {
         return Ok(None);
@@ -115,10 +98,8 @@ pub fn refine_cameras(
     }
     let mut refinement = judge(&before, &after, &judges);
     refinement.num_tracks = [num_fitted, num_judges];
-    refinement.is_inverted = is_inverted;
-    if refinement.is_taken || is_inverted {
-        let better = if refinement.is_taken { &after } else { &before };
-        for (camera, rig) in description.cameras.iter_mut().zip(better) {
+    if refinement.is_taken {
+        for (camera, rig) in description.cameras.iter_mut().zip(&after) {
             rig.put_into(camera);
         }
     }
@@ -218,15 +199,15 @@ fn judge(before: &[RigCamera], after: &[RigCamera], judges: &[Vec<Track>]) -> Re
         errors
     };
     let (old, new) = (errors(before), errors(after));
-    let all = |errors: &[Vec<f64>]| median(errors.concat());
-    let error_px = [all(&old), all(&new)];
     let of_camera = |(old, new): (&Vec<f64>, &Vec<f64>)| {
         (old.len() >= MIN_TRACKS).then(|| [median(old.clone()), median(new.clone())])
     };
     let camera_error_px: Vec<Option<[f64; 2]>> = old.iter().zip(&new).map(of_camera).collect();
+    // Every camera counts alike: two that see much in common must not outvote the others.
+    let judged: Vec<[f64; 2]> = camera_error_px.iter().flatten().copied().collect();
+    let mean = |which: usize| judged.iter().map(|error| error[which]).sum::<f64>() / judged.len().max(1) as f64;
+    let error_px = [mean(0), mean(1)];
     let is_no_worse = |[old, new]: &[f64; 2]| *new <= NO_WORSE * old.max(EXACT_PX);
-    let is_taken = error_px[1] < BETTER * error_px[0]
-        && error_px[0] > EXACT_PX
-        && camera_error_px.iter().flatten().all(is_no_worse);
-    Refinement { is_taken, is_inverted: false, num_tracks: [0; 2], error_px, camera_error_px }
+    let is_taken = error_px[1] < BETTER * error_px[0] && error_px[0] > EXACT_PX && judged.iter().all(is_no_worse);
+    Refinement { is_taken, num_tracks: [0; 2], error_px, camera_error_px }
 }

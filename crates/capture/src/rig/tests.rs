@@ -132,12 +132,10 @@ fn spoilt_cameras_come_back() {
     let truth = described(folder.path(), 2);
     let mut description = spoilt(&truth, 0.006, 0.01);
     let (degrees, length) = apart(&description, &truth);
-    assert!(degrees > 0.3 && length > 0.01, "{degrees} degrees, {length}");
+    assert!(degrees > 0.3 && length > 0.005, "{degrees} degrees, {length}");
     let refinement = refine_cameras(folder.path(), &mut description, &mut |_| ControlFlow::Continue(())).unwrap();
     let refinement = refinement.unwrap();
-    eprintln!("{refinement:?}");
     let (degrees, length) = apart(&description, &truth);
-    eprintln!("{degrees} degrees, {length}");
     assert!(refinement.is_taken && refinement.error_px[1] < 0.3, "{refinement:?}");
     assert!(degrees < 0.1 && length < 0.005, "{degrees} degrees, {length}");
 }
@@ -148,24 +146,10 @@ fn right_cameras_stay_what_they_are() {
     let truth = described(folder.path(), 1);
     let mut description = truth.clone();
     let refinement = refine_cameras(folder.path(), &mut description, &mut |_| ControlFlow::Continue(())).unwrap();
-    eprintln!("{refinement:?}");
+    assert!(refinement.is_some_and(|refinement| !refinement.is_taken));
     for (found, expected) in description.cameras.iter().zip(&truth.cameras) {
         assert_eq!((&found.camera_from_world, &found.focal), (&expected.camera_from_world, &expected.focal));
     }
-}
-
-#[test]
-fn inverted_poses_are_found() {
-    let folder = tempfile::tempdir().unwrap();
-    let truth = described(folder.path(), 1);
-    let mut description = truth.clone();
-    for camera in &mut description.cameras {
-        RigCamera::new(camera).inverted().put_into(camera);
-    }
-    let refinement = refine_cameras(folder.path(), &mut description, &mut |_| ControlFlow::Continue(())).unwrap();
-    assert!(refinement.is_some_and(|refinement| refinement.is_inverted));
-    let (degrees, length) = apart(&description, &truth);
-    assert!(degrees < 0.1 && length < 0.005, "{degrees} degrees, {length}");
 }
 
 #[test]

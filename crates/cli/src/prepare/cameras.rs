@@ -108,16 +108,10 @@ pub fn refinement_json(refinement: &Refinement, description: &CaptureDescription
 fn in_words(refinement: &Refinement, description: &CaptureDescription) -> Vec<String> {
     let ([before, after], [fitted, judging]) = (refinement.error_px, refinement.num_tracks);
     let kept = if refinement.is_taken { "refined" } else { "not refined, since that does not make it clearly better" };
-    let mut lines = Vec::new();
-    if refinement.is_inverted {
-        lines.push(
-            "all poses were the wrong way round (world from camera) and are inverted: far more places match so".into(),
-        );
-    }
-    lines.push(format!(
-        "{kept}: the median error of {judging} places that were held out is {before:.2} pixels before and {after:.2} \
-         after a fit to {fitted} others"
-    ));
+    let mut lines = vec![format!(
+        "{kept}: {judging} places that were held out are off by {before:.2} pixels before and {after:.2} after a fit to \
+         {fitted} others, medians of the cameras on average"
+    )];
     let of_camera = |(camera, errors): (&tcgs_capture::DescribedCamera, &Option<[f64; 2]>)| match errors {
         Some([before, after]) => format!("{}: {before:.2} pixels before, {after:.2} after", camera.name),
         None => format!("{}: too few places to judge", camera.name),
