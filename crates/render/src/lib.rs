@@ -17,6 +17,7 @@ pub mod settings;
 mod stage_times;
 mod tile_mask;
 mod tiling;
+mod weights;
 
 #[cfg(feature = "cpu")]
 pub use cpu::{CpuRasterizer, CpuSaved, CpuTiles, gaussians_reaching, tiles_reached};
@@ -26,3 +27,4 @@ pub use settings::RenderSettings;
 pub use stage_times::{Laps, PairCounts, RENDER_STAGES, StageTimes};
 pub use tile_mask::TileMask;
 pub use tiling::{TILE, tile_grid};
+pub use weights::blending_weights;

@@ -1,10 +1,10 @@
-//! The synthetic capture: a textured room with three moving objects, and a fourth that enters later, with exact cameras and masks, rendered by ray
-//! casting.
+//! The synthetic capture: a textured room with a glossy vase, three moving objects, and a fourth that enters later, with
+//! exact cameras and masks, rendered by ray casting.
 //!
 //! What lives here: the poses of the cameras, and the files that are written. `scene` places and moves the bodies in
 //! the room, `texture` colours them, `trace` intersects rays with them, `points` samples their surfaces. The scene is
-//! soft (low-frequency textures, matt surfaces, weak moving shadows), so that a few thousand Gaussians can represent
-//! it.
+//! soft (low-frequency textures, one wide reflection, weak moving shadows), so that a few thousand Gaussians can
+//! represent it.
 
 mod points;
 mod scene;
@@ -201,12 +201,12 @@ fn render(scene: &SyntheticScene, camera: &Camera) -> (Image, Vec<bool>) {
     for (pixel, mask) in mask.iter_mut().enumerate() {
         let corner = [(pixel % camera.width) as f64, (pixel / camera.width) as f64];
         let ray = |dx: f64, dy: f64| tcgs_core::normalize(pinhole.ray([corner[0] + dx, corner[1] + dy]));
-        let hit_at = |dx: f64, dy: f64| scene.hit(center, ray(dx, dy));
-        *mask = hit_at(0.5, 0.5).is_moving(scene);
+        *mask = scene.hit(center, ray(0.5, 0.5)).is_moving(scene);
         let mut sum = [0.0; 3];
         for sample in 0..SUPERSAMPLES * SUPERSAMPLES {
             let at = |i: usize| (i as f64 + 0.5) / SUPERSAMPLES as f64;
-            let color = scene.color(&hit_at(at(sample % SUPERSAMPLES), at(sample / SUPERSAMPLES)));
+            let direction = ray(at(sample % SUPERSAMPLES), at(sample / SUPERSAMPLES));
+            let color = scene.color_along(direction, &scene.hit(center, direction));
             sum = std::array::from_fn(|i| sum[i] + color[i]);
         }
         for (channel, sum) in sum.into_iter().enumerate() {

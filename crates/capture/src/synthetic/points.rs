@@ -39,7 +39,7 @@ pub(super) fn sample(num_points: usize, seed: u64) -> PointCloud {
         };
         let position = hit.position();
         cloud.points.push(std::array::from_fn(|axis| (position[axis] + NOISE * random.normal()) as f32));
-        cloud.colors.push(scene.color(&hit).map(|c| c as f32));
+        cloud.colors.push(scene.matt_color(&hit).map(|c| c as f32));
         cloud.foreground.push(foreground);
     }
     cloud

@@ -118,6 +118,30 @@ fn color_differences(capture: &Capture, mirror: bool) -> Vec<f32> {
 }
 
 #[test]
+fn the_vase_shines_where_the_lamp_reflects_and_nothing_else_does() {
+    let scene = SyntheticScene::at(0);
+    // How much brighter than without reflections the scene is from a camera, in the image's brightest such place.
+    let shines: Vec<[f64; 2]> = cameras(&SyntheticSettings::default())
+        .iter()
+        .map(|camera| {
+            let (center, pinhole) = (camera.camera.center(), Pinhole::new(&camera.camera));
+            let (mut vase, mut rest) = (0.0_f64, 0.0_f64);
+            for pixel in 0..128 * 96 {
+                let at = [(pixel % 128) as f64 + 0.5, (pixel / 128) as f64 + 0.5];
+                let direction = tcgs_core::normalize(pinhole.ray(at));
+                let hit = scene.hit(center, direction);
+                let more = scene.color_along(direction, &hit)[2] - scene.matt_color(&hit)[2];
+                let place = if hit.texture(&scene) == Some(texture::Texture::Vase) { &mut vase } else { &mut rest };
+                *place = place.max(more);
+            }
+            [vase, rest]
+        })
+        .collect();
+    assert!(shines.iter().all(|[_, rest]| *rest == 0.0));
+    assert!(shines.iter().any(|[vase, _]| *vase > 0.3), "{shines:?}");
+}
+
+#[test]
 fn points_fall_on_pixels_of_their_colour() {
     let (_dir, capture) = written(&SyntheticSettings { num_timesteps: 1, ..small() });
     let differences = color_differences(&capture, false);

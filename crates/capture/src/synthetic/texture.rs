@@ -18,6 +18,11 @@ pub(super) enum Texture {
 }
 
 impl Texture {
+    /// Strength of the lamp's reflection; 0 is matt.
+    pub fn gloss(self) -> f64 {
+        if self == Self::Vase { 0.6 } else { 0.0 }
+    }
+
     /// Colour at a point of the surface.
     ///
     /// - `unit`: local position over half extents: on the unit sphere, or on the cube from -1 to 1

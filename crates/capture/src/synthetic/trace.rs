@@ -4,7 +4,7 @@ use tcgs_core::{dot, normalize};
 
 use super::{
     scene::{Body, ROOM, Shape, SyntheticScene},
-    texture::{room_color, smoothstep},
+    texture::{Texture, room_color, smoothstep},
 };
 
 /// A lamp under the ceiling, towards the cameras.
@@ -12,6 +12,9 @@ const LAMP: [f64; 3] = [0.5, -2.5, -0.9];
 /// How much the floor darkens below a moving object that touches it. Weak: a mask calls the floor
 /// background, and a background is expected to keep its colour.
 const BLOB_SHADOW: f64 = 0.15;
+
+/// How narrow reflections of the lamp are. Wide, so that the smallest images show them.
+const SHININESS: i32 = 12;
 
 /// Two points of a surface so close are one, metres.
 const NEAR: f64 = 1e-3;
@@ -33,6 +36,11 @@ impl Hit {
     /// Whether its body had not entered in an earlier scene.
     pub fn has_arrived(&self, earlier: &SyntheticScene) -> bool {
         self.body.is_some_and(|body| !earlier.bodies[body].has_entered())
+    }
+
+    /// What its body looks like; none of the room.
+    pub fn texture(&self, scene: &SyntheticScene) -> Option<Texture> {
+        self.body.map(|body| scene.bodies[body].texture)
     }
 
     /// A known point of a surface; `body` is `None` for the room.
@@ -71,8 +79,21 @@ impl SyntheticScene {
         dot(short, short) < NEAR * NEAR
     }
 
-    /// Display-referred colour of a surface, matt: the same from everywhere.
-    pub fn color(&self, hit: &Hit) -> [f64; 3] {
+    /// Display-referred colour of a surface along a ray: what is the same from everywhere, and the lamp's reflection
+    /// (Blinn 1977) on what is glossy.
+    ///
+    /// - `direction`: unit, towards the surface
+    pub fn color_along(&self, direction: [f64; 3], hit: &Hit) -> [f64; 3] {
+        let matt = self.matt_color(hit);
+        let gloss = hit.texture(self).map_or(0.0, Texture::gloss);
+        let to_lamp: [f64; 3] = normalize(std::array::from_fn(|i| LAMP[i] - hit.position[i]));
+        let between: [f64; 3] = normalize(std::array::from_fn(|i| to_lamp[i] - direction[i]));
+        let reflection = gloss * dot(hit.normal, between).max(0.0).powi(SHININESS);
+        matt.map(|c| (c + reflection).min(1.0))
+    }
+
+    /// Display-referred colour of a surface without reflections: the same from everywhere.
+    pub fn matt_color(&self, hit: &Hit) -> [f64; 3] {
         let albedo = match hit.body {
             Some(body) => self.bodies[body].color(hit.position),
             None => {

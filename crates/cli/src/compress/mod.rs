@@ -90,6 +90,10 @@ pub struct Arguments {
     /// Leave out Gaussians whose mean mask is not above this [default: the run's mask.threshold]
     #[arg(long, value_name = "EPS", value_parser = share, allow_negative_numbers = true)]
     prune: Option<f32>,
+    /// Leave out Gaussians that at every timestep make up less than this share of the pixels of all training images together
+    /// [default: with --refine 1e-6, else 0]
+    #[arg(long, value_name = "SHARE", value_parser = share, allow_negative_numbers = true)]
+    min_share: Option<f32>,
     /// Capture whose training cameras tell how much each parameter matters [default: the run's], and on whose
     /// images a target is measured
     #[arg(long, value_name = "CAPTURE")]
@@ -399,6 +403,11 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         bits: arguments.bits.map(|Pair(min, max)| (min, max)),
         position_bits: arguments.position_bits,
         prune: arguments.prune,
+        min_share: arguments.min_share.unwrap_or(if arguments.refine.is_some() {
+            RefineOptions::MIN_SHARE
+        } else {
+            0.0
+        }),
         capture: arguments.capture.clone(),
         plain: arguments.storage == Storage::Plain,
         up: arguments.up,

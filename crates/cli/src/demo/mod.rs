@@ -214,7 +214,7 @@ fn compress_options(folder: &Path, keypoints: bool) -> CompressOptions {
 
 /// The file that the demo leaves.
 fn compress_refined(scene: &OpenScene, folder: &Path, backend: &Backend) -> anyhow::Result<Compressed> {
-    let options = compress_options(folder, true);
+    let options = CompressOptions { min_share: RefineOptions::MIN_SHARE, ..compress_options(folder, true) };
     let pruned = PrunedScene::new(scene, &options)?;
     let settings = options.keypoints.clone().with_quality(REFINED_QUALITY);
     let budget = RefineBudget::Iterations(REFINE_ITERATIONS);

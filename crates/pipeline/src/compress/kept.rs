@@ -33,6 +33,16 @@ impl Kept<'_> {
         }
     }
 
+    /// Some of them.
+    pub fn select(self, rows: &[usize]) -> Self {
+        match self {
+            Self::InMemory(floats) => Self::InMemory(floats.select(rows)),
+            Self::OnDisk { scene, keep, newborn } => {
+                Self::OnDisk { scene, keep: rows.iter().map(|&row| keep[row]).collect(), newborn }
+            }
+        }
+    }
+
     pub fn num_timesteps(&self) -> usize {
         match self {
             Self::InMemory(floats) => floats.num_timesteps(),

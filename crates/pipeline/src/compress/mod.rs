@@ -6,6 +6,7 @@ mod kept;
 mod max_error;
 mod parts;
 mod refine;
+mod seen;
 mod settings;
 mod target;
 mod tune;
@@ -18,11 +19,12 @@ use tcgs_codec::{
     AttributeErrors, BitMap, BitMapping, CompactFile, CompactScene, CompressSettings, DecodeLimits, FORMAT_VERSION,
     MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
 };
-use tcgs_core::{Attribute, DynamicGaussians, Layout, SceneReader};
+use tcgs_core::{Attribute, Camera, DynamicGaussians, Layout, SceneReader};
 
 use self::bits::measured_bits;
 use self::kept::Kept;
 use self::parts::Parts;
+use self::seen::{Seen, seen};
 use crate::{OpenScene, PipelineError};
 
 pub use judge::{Judge, JudgeImages};
@@ -45,6 +47,10 @@ pub struct CompressOptions {
     pub position_bits: Option<u8>,
     /// Mean mask from which on a Gaussian stays; none: the run's threshold.
     pub prune: Option<f32>,
+    /// Share of the pixels of a timestep's training images below which a Gaussian is not seen. One that is never seen is left
+    /// out; in version 2 one that is seen no more dies. 0: all stay. Not for Gaussians that change in number or order from
+    /// timestep to timestep, of which all stay. Default 0.
+    pub min_share: f32,
     /// Capture for measuring sensitivities; none: the run's, or cameras around the scene.
     pub capture: Option<PathBuf>,
     /// Whether the paper's form without entropy coding is a stage of its own.
@@ -72,6 +78,7 @@ impl Default for CompressOptions {
             bits: None,
             position_bits: None,
             prune: None,
+            min_share: 0.0,
             capture: None,
             plain: false,
             up: None,
@@ -96,6 +103,10 @@ impl CompressOptions {
             && !(1..=MAX_BITS).contains(&bits)
         {
             return Err(PipelineError::input("bits of a position", bits.to_string(), expected));
+        }
+        if !(0.0..1.0).contains(&self.min_share) {
+            let found = self.min_share.to_string();
+            return Err(PipelineError::input("least share of the images", found, "a number from 0 to less than 1"));
         }
         match self.prune {
             Some(share) if !(0.0..=1.0).contains(&share) => {
@@ -163,8 +174,8 @@ enum Pruned<'a> {
     /// Gaussians that live in all timesteps, or from a birth on.
     Whole {
         kept: Kept<'a>,
-        /// Of those that stay the timestep of birth; none if all live in all timesteps.
-        births: Option<Vec<u16>>,
+        /// First and last timestep of those that stay; none if all live in all timesteps.
+        lives: Option<Vec<[u16; 2]>>,
         bit_map: BitMap,
         learned: Option<Quantizers>,
     },
@@ -214,13 +225,27 @@ impl<'a> PrunedScene<'a> {
             let keep = kept_gaussians(scene, options.prune)?;
             (Kept::InMemory(floats.select(&keep)), keep, floats.raw_bytes())
         };
+        let last = (kept.num_timesteps() - 1) as u16;
+        let mut lives: Vec<[u16; 2]> = match scene.births() {
+            Some(births) => keep.iter().map(|&i| [births[i] as u16, last]).collect(),
+            None => vec![[0, last]; keep.len()],
+        };
+        let (kept, keep) = if options.min_share > 0.0 {
+            let seen = seen_by_cameras(scene, &kept, options)?;
+            let rows: Vec<usize> = (0..keep.len()).filter(|&row| seen[row].share >= options.min_share).collect();
+            // Version 1 holds no lives.
+            let last_of = |row: usize| if options.version > 1 { seen[row].last.max(lives[row][0]) } else { last };
+            lives = rows.iter().map(|&row| [lives[row][0], last_of(row)]).collect();
+            (kept.select(&rows), rows.iter().map(|&row| keep[row]).collect())
+        } else {
+            (kept, keep)
+        };
         let (bit_map, bits_from) = bits(scene, &kept, &keep, options, learned.as_ref())?;
         (pruned.raw_bytes, pruned.bits_from) = (raw_bytes, bits_from);
         (pruned.info.num_gaussians, pruned.info.num_timesteps) =
             (kept.num_gaussians() as u32, kept.num_timesteps() as u32);
-        let births = scene.births().map(|births| keep.iter().map(|&i| births[i] as u16).collect::<Vec<_>>());
-        let births = births.filter(|births| births.iter().any(|&birth| birth > 0));
-        pruned.content = Pruned::Whole { kept, births, bit_map, learned: learned.map(|(_, quantizers)| quantizers) };
+        let lives = lives.iter().any(|&life| life != [0, last]).then_some(lives);
+        pruned.content = Pruned::Whole { kept, lives, bit_map, learned: learned.map(|(_, quantizers)| quantizers) };
         Ok(pruned)
     }
 
@@ -259,11 +284,10 @@ impl<'a> PrunedScene<'a> {
         let segment_length = settings.segment_length.or(self.segment_length);
         let settings = &CompressSettings { segment_length, ..settings.clone() };
         let mut compact = match &self.content {
-            Pruned::Whole { kept, births, bit_map, learned } => {
+            Pruned::Whole { kept, lives, bit_map, learned } => {
                 let (mut compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
-                if let Some(births) = births {
-                    let last = (self.info.num_timesteps - 1) as u16;
-                    compact = compact.with_lives(order.iter().map(|&g| [births[g], last]).collect());
+                if let Some(lives) = lives {
+                    compact = compact.with_lives(order.iter().map(|&g| lives[g]).collect());
                 }
                 let mut compact = CompactFile::of(change(compact)?);
                 if self.version > 1 {
@@ -349,6 +373,23 @@ pub fn kept_gaussians(scene: &OpenScene, threshold: Option<f32>) -> Result<Vec<u
         return Err(PipelineError::input(scene.path.display(), found, format!("one above the threshold {threshold}")));
     }
     Ok(keep)
+}
+
+/// What the training cameras see of Gaussians.
+fn seen_by_cameras(scene: &OpenScene, kept: &Kept, options: &CompressOptions) -> Result<Vec<Seen>, PipelineError> {
+    let cameras: Vec<Camera> =
+        views::cameras(scene, options)?.iter().map(|(_, camera)| camera.downscaled(scene.downscale)).collect();
+    if cameras.is_empty() {
+        let (found, expected) = ("no training cameras", "a capture, whose cameras tell what is seen");
+        return Err(PipelineError::input(scene.path.display(), found, expected));
+    }
+    let seen = seen(kept, &cameras, options.min_share)?;
+    let largest = seen.iter().fold(0.0_f32, |largest, seen| largest.max(seen.share));
+    if largest < options.min_share {
+        let found = format!("its largest Gaussian makes up {largest:.1e} of the images");
+        return Err(PipelineError::input(scene.path.display(), found, format!("{} or more", options.min_share)));
+    }
+    Ok(seen)
 }
 
 /// Bits of the Gaussians that stay, and where they come from.

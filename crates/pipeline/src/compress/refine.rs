@@ -36,6 +36,12 @@ pub struct RefineOptions {
     pub config: RefineConfig,
 }
 
+impl RefineOptions {
+    /// For [`CompressOptions::min_share`](super::CompressOptions::min_share) of a scene that is refined, which makes up for
+    /// what it leaves out.
+    pub const MIN_SHARE: f32 = 1e-6;
+}
+
 /// A refined scene.
 #[derive(Clone, Debug)]
 pub struct Refined {

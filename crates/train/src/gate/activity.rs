@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image};
-use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, TileMask, gaussians_reaching};
+use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, TileMask, blending_weights, gaussians_reaching};
 
 use super::{Blocks, Evidence};
 use crate::config::MaskConfig;
@@ -313,24 +313,18 @@ impl Shares {
 
 /// The blending weight of every Gaussian, summed over all views: on changed pixels, and on all.
 ///
-/// The gradient of `Σ pixels v · picture` to a Gaussian's colour is `Σ pixels v · weight`.
-///
 /// - `drawn`: `[N]`
 /// - returns: `[N]`, in pixels of the resolution that is looked at
 fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<[f32; 2]> {
-    let n = drawn.num_gaussians();
-    let two = Activated { colors: vec![0.0; 2 * n], num_channels: 2, ..drawn.clone() };
-    let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
-    let mut sums = vec![[0.0_f32; 2]; n];
+    let mut sums = vec![[0.0_f32; 2]; drawn.num_gaussians()];
     for (target, evidence) in targets.iter().zip(evidence) {
         let camera = &target.camera;
         let step = step(camera);
         let camera = camera.downscaled(step);
-        let mut v_image = Image::filled(camera.width, camera.height, 2, 1.0);
-        mark(&evidence.blocks, step, camera.width, v_image.plane_mut(0));
-        let Ok((_, saved)) = CpuRasterizer.forward(&two, &camera, &settings);
-        let Ok(grads) = CpuRasterizer.backward(&two, &camera, &settings, &saved, &v_image);
-        for (sum, weights) in sums.iter_mut().zip(grads.activated.v_colors.as_chunks::<2>().0) {
+        let mut shares = Image::filled(camera.width, camera.height, 2, 1.0);
+        mark(&evidence.blocks, step, camera.width, shares.plane_mut(0));
+        let Ok(weights) = blending_weights(&CpuRasterizer, drawn, &camera, &shares);
+        for (sum, weights) in sums.iter_mut().zip(weights.as_chunks::<2>().0) {
             *sum = [sum[0] + weights[0], sum[1] + weights[1]];
         }
     }
