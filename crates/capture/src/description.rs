@@ -115,6 +115,10 @@ pub struct DescribedCamera {
     pub distortion: Vec<f64>,
     /// `[3][4]` row-major, camera axes x right, y down, z forward.
     pub camera_from_world: [[f64; 4]; 3],
+    /// Median distance in pixels between where places are seen and where the camera should see them; for people, nothing
+    /// is computed from it.
+    #[serde(default)]
+    pub error_px: Option<f64>,
 }
 
 fn no_gains() -> [f32; 3] {
@@ -249,6 +253,9 @@ impl DescribedCamera {
         let _ = writeln!(text, "distortion = {:?}  # k1 k2 p1 p2 k3 k4 k5 k6", self.distortion);
         let rows: String = self.camera_from_world.iter().map(|row| format!("    {row:?},\n")).collect();
         let _ = writeln!(text, "camera_from_world = [\n{rows}]");
+        if let Some(error) = self.error_px {
+            let _ = writeln!(text, "error_px = {error:?}  # median; nothing is computed from this");
+        }
     }
 }
 
@@ -277,9 +284,11 @@ mod tests {
             principal: [540.0, 953.25],
             distortion: vec![0.1, -0.2, 1e-9, 0.0, 0.3],
             camera_from_world: [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, -1e-12], [0.0, 0.0, 1.0, 3e20]],
+            error_px: Some(0.25),
         };
         let mut other = camera.clone();
         (other.id, other.role, other.crop, other.images_per_sec) = (4, Role::Train, None, None);
+        other.error_px = None;
         let mut description = CaptureDescription::new(59.94, 100);
         let changes = vec!["scaled".into(), "turned\tround".into()];
         description.calibration =

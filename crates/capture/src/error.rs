@@ -64,6 +64,12 @@ pub enum CaptureError {
         /// How far two cameras that are compared may differ in direction, degrees.
         degrees: usize,
     },
+    /// A program that finds cameras could not be run, or failed, or was stopped.
+    #[error("{problem}")]
+    Program {
+        /// What happened, and what was expected.
+        problem: String,
+    },
     /// A PLY, npz or npy file of points or poses cannot be read.
     #[error(transparent)]
     Points(#[from] InterchangeError),

@@ -4,6 +4,7 @@
 //! - [`CaptureBuilder`] makes a capture of cameras and images that a program already has.
 //! - [`RawFootage`], [`Calibration`] and [`Clocks`] turn a folder of videos into a [`CaptureDescription`], which
 //!   [`Capture::open`] opens.
+//! - [`find_cameras`] has COLMAP place the cameras of a description, [`refine_cameras`] mends a calibration.
 //! - [`prepare`] makes initial points by multi-view stereo, for a capture that has none.
 //! - [`check`] looks for wrong cameras, masks and clocks.
 //! - [`write_synthetic`] renders a small capture with known cameras, for tests and examples.
@@ -38,6 +39,7 @@ mod points_in_view;
 mod prepare;
 mod raw;
 mod recording;
+mod rig;
 mod synthetic;
 #[cfg(feature = "video")]
 mod video;
@@ -56,4 +58,5 @@ pub use kind::{CaptureFacts, CaptureKind};
 pub use points::{POINTS_FILE, write_points};
 pub use prepare::{Origin, PrepareSettings, Prepared, prepare, spread_points};
 pub use raw::{DescribeSettings, PlacedCameras, RawCamera, RawFootage};
+pub use rig::{FoundCameras, Refinement, find_cameras, has_colmap, moving_cameras, refine_cameras, scale_cameras};
 pub use synthetic::{Late, SYNTHETIC_FRAME_RATE, SyntheticSettings, ball_at, write_synthetic};

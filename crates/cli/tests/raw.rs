@@ -97,7 +97,7 @@ fn videos_become_a_capture_that_trains() {
         assert!(said.contains(expected), "{expected:?} in {said}");
     }
     let result = json(&result);
-    let keys = ["source", "out", "cameras", "num_frames", "frame_rate", "calibration", "clock"];
+    let keys = ["source", "out", "cameras", "num_frames", "frame_rate", "calibration", "refinement", "clock"];
     let of_points = ["num_points", "num_foreground", "origins", "agreement", "seconds"];
     assert_keys(&result, &[&keys[..], &of_points].concat());
     assert_eq!((result["clock"].as_str(), result["num_frames"].as_u64()), (Some("file"), Some(6)));
@@ -146,6 +146,8 @@ fn footage_that_cannot_be_prepared_leaves_nothing() {
     };
     assert!(refused(&["--from", "100"]).contains("expected a span within"));
     assert!(refused(&["--hold-out", "cam99"]).contains("has no camera cam99 to hold out"));
+    assert!(refused(&["--scale", "cam0,cam99,2"]).contains("has no camera cam99"));
+    assert!(fail(2, &[&prepare[..], &["--scale", "cam0,cam1"]].concat()).contains("such as cam1,cam5,2.4"));
     assert!(refused(&["--offsets", text(&source.join("Calib.toml"))]).contains("Calib.toml: line 1: "));
     assert!(refused(&["--calibration", text(&source.join("none.toml"))]).contains("none.toml: no such file"));
     let message = fail(2, &["prepare", text(&source), "--points-only", text(&folder.path().join("p.npz"))]);
@@ -160,11 +162,16 @@ fn footage_that_cannot_be_prepared_leaves_nothing() {
     let message = refused(&[]);
     assert!(message.contains("camera cam0: is calibrated at 100x72 pixels, expected 96x72"), "{message}");
     std::fs::remove_file(&calibration).unwrap();
-    let message = refused(&[]);
+    let output = tcgs().env("PATH", folder.path().join("nowhere")).args(prepare).output().unwrap();
+    let message = String::from_utf8(output.stderr).unwrap();
     assert!(
-        message.contains("has no calibration, expected intri.yml") && message.contains("--calibration"),
+        output.status.code() == Some(2)
+            && message.lines().count() == 1
+            && message.contains("has no calibration, expected intri.yml")
+            && message.contains("--calibration FILE; or the program colmap"),
         "{message}"
     );
+    assert_eq!(entries(folder.path()), before);
 
     // Without the program only H.264 in MP4 is read.
     std::fs::write(&calibration, given).unwrap();

@@ -86,7 +86,7 @@ pub(super) fn rigid(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> Result<[[
 }
 
 /// Rotation matrix of a rotation vector: the axis, as long as the angle in radians (Rodrigues).
-pub(super) fn rotmat_from_vector(vector: [f64; 3]) -> [[f64; 3]; 3] {
+pub(crate) fn rotmat_from_vector(vector: [f64; 3]) -> [[f64; 3]; 3] {
     let angle = tcgs_core::dot(vector, vector).sqrt();
     // sin(a / 2) / a, which is 1 / 2 where there is no turn.
     let share = if angle < 1e-12 { 0.5 } else { (0.5 * angle).sin() / angle };

@@ -60,9 +60,15 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
     })
 }
 
-fn footage(folder: &Path, description: &CaptureDescription, camera: &DescribedCamera) -> Result<Footage, CaptureError> {
-    let file = folder.join(DESCRIPTION_FILE);
-    let invalid = |problem: String| CaptureError::invalid(&file, format!("camera {}: {problem}", camera.name));
+/// The recording of a camera, on the clock of its description.
+///
+/// - `folder`: what the camera's file is relative to
+pub(crate) fn take(
+    folder: &Path,
+    description: &CaptureDescription,
+    camera: &DescribedCamera,
+) -> Result<Take, CaptureError> {
+    let invalid = |problem: String| invalid(folder, camera, problem);
     let inner = InnerPath::new(&camera.file, "the capture").map_err(|problem| invalid(format!("file {problem}")))?;
     let recording = Recording::open(&inner.below(folder), camera.images_per_sec.unwrap_or(description.frame_rate))?;
     check_times(&recording, description, camera)?;
@@ -82,6 +88,18 @@ fn footage(folder: &Path, description: &CaptureDescription, camera: &DescribedCa
             camera.file, found.0, found.1
         )));
     }
+    let (start_secs, fps, gains) = (camera.start_secs, description.frame_rate, camera.gains);
+    Ok(Take { recording, quarter_turns, active, gains, start_secs, fps })
+}
+
+fn invalid(folder: &Path, camera: &DescribedCamera, problem: String) -> CaptureError {
+    CaptureError::invalid(folder.join(DESCRIPTION_FILE), format!("camera {}: {problem}", camera.name))
+}
+
+fn footage(folder: &Path, description: &CaptureDescription, camera: &DescribedCamera) -> Result<Footage, CaptureError> {
+    let invalid = |problem: String| invalid(folder, camera, problem);
+    let take = take(folder, description, camera)?;
+    let [width, height] = camera.size;
     let k: [f64; 8] = std::array::from_fn(|i| camera.distortion.get(i).copied().unwrap_or(0.0));
     let mut lens = Lens {
         width,
@@ -97,8 +115,6 @@ fn footage(folder: &Path, description: &CaptureDescription, camera: &DescribedCa
     let pinhole =
         Camera::new(lens.crop.width, lens.crop.height, lens.straight_intrinsics(), [x, y, z, [0.0, 0.0, 0.0, 1.0]]);
     let pinhole = pinhole.map_err(|error| invalid(error.to_string()))?;
-    let (start_secs, fps, gains) = (camera.start_secs, description.frame_rate, camera.gains);
-    let take = Take { recording, quarter_turns, active, gains, start_secs, fps };
     let changes = ByFrame::constant(Change::for_lens(&Arc::new(lens)));
     Ok(Footage {
         camera_id: camera.id,

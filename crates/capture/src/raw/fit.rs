@@ -76,6 +76,25 @@ pub(super) fn fitted(
     ))
 }
 
+/// A camera of which nothing is known: what is left within black bars, behind a lens as most cameras have it.
+pub(super) fn unplaced(recording: &Recording, looked: &Looked) -> Fitted {
+    /// Focal length over the longer side, as COLMAP assumes it, too.
+    const USUAL_FOCAL: f64 = 1.2;
+    let turns = recording.quarter_turns;
+    let bars = turned_within(looked.within_bars, recording.size, turns);
+    let size = [bars.width, bars.height];
+    let is_whole = (bars.width, bars.height) == turned(recording.size, turns);
+    Fitted {
+        quarter_turns: turns,
+        crop: (!is_whole).then_some([bars.left, bars.top, bars.width, bars.height]),
+        size,
+        focal: [USUAL_FOCAL * bars.width.max(bars.height) as f64; 2],
+        principal: size.map(|side| 0.5 * side as f64),
+        distortion: [0.0; 8],
+        camera_from_world: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
+    }
+}
+
 /// A calibration that does not say its size is of the size of the video, if its principal point allows that.
 fn with_size_of_video(
     camera: &CalibratedCamera,

@@ -195,6 +195,14 @@ impl RawFootage {
         Ok(PlacedCameras { source, in_metres: calibration.in_metres, cameras })
     }
 
+    /// Cameras of which nothing is known but the size of their images, for [`find_cameras`](crate::find_cameras) to place:
+    /// all at the origin, with a usual lens. Black bars are cropped.
+    pub fn unplaced(&self) -> PlacedCameras {
+        let placed = |(recording, looked): (&Recording, &Looked)| fit::unplaced(recording, looked);
+        let cameras = self.recordings.iter().zip(&self.looked).map(placed).collect();
+        PlacedCameras { source: CalibrationSource::default(), in_metres: false, cameras }
+    }
+
     /// Puts cameras and clocks together.
     ///
     /// # Errors
@@ -250,6 +258,7 @@ impl RawFootage {
                 principal: fitted.principal,
                 distortion: fitted.distortion.to_vec(),
                 camera_from_world: fitted.camera_from_world,
+                error_px: None,
             });
         }
         Ok(description)

@@ -1,5 +1,6 @@
 //! `tcgs prepare`: own footage becomes a capture with initial points; and a doctor for captures.
 
+mod cameras;
 mod check;
 mod link;
 mod points;
@@ -21,12 +22,18 @@ use crate::terminal::say;
 /// Written into every capture that this command makes: how it was made, and that it may be replaced.
 const RECORD: &str = "prepare.json";
 
+/// Folder of the cameras and points that COLMAP found, in its text format.
+const MODEL: &str = "colmap";
+
 /// Make a capture of videos, make initial points for a capture, or check a capture
 ///
-/// Of a folder of videos, one for each camera, and a calibration, this makes a capture that tcgs train reads. It reads
-/// any video that ffmpeg reads, finds the offsets between the cameras' clocks by sound or motion, and writes what it
-/// found to capture.toml, where any line may be changed by hand. What the output holds already is not made again; to have
-/// a step run again, delete its result or use --force.
+/// Of a folder of videos, one for each camera, this makes a capture that tcgs train reads. It reads any video that ffmpeg
+/// reads, finds the offsets between the cameras' clocks by sound or motion, and writes what it found to capture.toml,
+/// where any line may be changed by hand. What the output holds already is not made again; to have a step run again,
+/// delete its result or use --force.
+///
+/// A calibration in the folder is read, and refined by what several cameras see if that makes it better. Without one the
+/// program colmap finds the cameras from their images, if it is installed.
 ///
 /// Training starts from a cloud of coloured points. For a capture that has none, this finds the depth of every pixel
 /// of the first frame's training images (multi-view stereo), keeps what three views or more agree on, limits the
@@ -38,7 +45,8 @@ const RECORD: &str = "prepare.json";
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
-  tcgs prepare my_videos --out my_capture                       videos and a calibration become a capture
+  tcgs prepare my_videos --out my_capture                       videos, perhaps with a calibration, become a capture
+  tcgs prepare my_videos --out my_capture --scale cam1,cam5,2.4 the lenses of cam1 and cam5 are 2.4 m apart
   tcgs prepare my_videos --out my_capture --dry-run             says what would be done
   tcgs prepare my_videos --out my_capture --from 12.5 --to 20   a part of long videos, seconds
   tcgs prepare my_footage --out my_capture                      points for a capture without
@@ -72,6 +80,14 @@ pub struct Arguments {
     /// Pose2Sim/aniposelib, Qualisys, COLMAP, nerfstudio]
     #[arg(long, value_name = "FILE", conflicts_with = "check")]
     calibration: Option<PathBuf>,
+    /// Of videos: the distance between the lenses of two cameras, metres, as measured with a tape; all lengths are scaled
+    /// to it [default: lengths as the calibration has them; in an unknown unit if colmap finds the cameras]
+    #[arg(long, value_name = "CAMERA,CAMERA,METRES", conflicts_with = "check")]
+    scale: Option<Scale>,
+    /// Of videos: whether poses, focal lengths and distortion of the calibration are refined by what several cameras see,
+    /// where that lowers the errors of places that were held out: yes, no
+    #[arg(long, value_name = "YES", default_value = "yes", value_parser = yes_or_no, action = clap::ArgAction::Set)]
+    refine_calibration: bool,
     /// Of videos: a text file with a line NAME SECONDS for each camera, the moment of one and the same event in its video
     #[arg(long, value_name = "FILE", conflicts_with = "check")]
     offsets: Option<PathBuf>,
@@ -98,11 +114,40 @@ pub struct Arguments {
     job: JobOptions,
 }
 
+/// Two cameras and how far apart they are.
+#[derive(Clone)]
+struct Scale {
+    cameras: [String; 2],
+    metres: f64,
+}
+
+impl std::str::FromStr for Scale {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let problem = || "expected the names of two cameras and their distance in metres, such as cam1,cam5,2.4".into();
+        let parts: Vec<&str> = text.split(',').map(str::trim).collect();
+        let &[a, b, metres] = parts.as_slice() else { return Err(problem()) };
+        let metres = metres.parse().ok().filter(|metres: &f64| metres.is_finite() && *metres > 0.0);
+        let metres = metres.filter(|_| !a.is_empty() && !b.is_empty() && a != b).ok_or_else(problem)?;
+        Ok(Self { cameras: [a.into(), b.into()], metres })
+    }
+}
+
+fn yes_or_no(text: &str) -> Result<bool, String> {
+    match text {
+        "yes" => Ok(true),
+        "no" => Ok(false),
+        _ => Err("expected yes or no".into()),
+    }
+}
+
 impl Arguments {
     /// Whether the source is a folder of videos and not a capture.
     fn is_raw(&self) -> anyhow::Result<bool> {
         let asked = self.calibration.is_some() || self.offsets.is_some() || !self.hold_out.is_empty();
         let asked = asked || self.from.is_some() || self.to.is_some() || self.every.is_some() || self.fps.is_some();
+        let asked = asked || self.scale.is_some();
         Ok(asked || RawFootage::is_in(&self.source)?)
     }
 }
@@ -184,7 +229,7 @@ fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFo
         }
         for entry in std::fs::read_dir(out).with_context(|| format!("reading {}", out.display()))? {
             let name = entry?.file_name();
-            let ours = [POINTS_FILE, RECORD, DESCRIPTION_FILE].iter().any(|ours| name == *ours);
+            let ours = [POINTS_FILE, RECORD, DESCRIPTION_FILE, MODEL].iter().any(|ours| name == *ours);
             if !ours && !is_unfinished(&name) && source.join(&name).symlink_metadata().is_err() {
                 let problem = "is neither of the source nor of prepare, expected it to be moved away first";
                 return Err(wrong_input(format!("{}: {problem}", out.join(name).display())));

@@ -9,10 +9,10 @@ use anyhow::Context;
 use serde_json::{Value, json};
 use tcgs_capture::{
     Calibration, Capture, CaptureDescription, Clocks, ClocksFrom, DESCRIPTION_FILE, DescribeSettings, POINTS_FILE,
-    PlacedCameras, RawCamera, RawFootage, Role,
+    PlacedCameras, RawCamera, RawFootage, Refinement, Role, has_colmap,
 };
 
-use super::{Arguments, RECORD, begin_capture, link, points};
+use super::{Arguments, MODEL, RECORD, begin_capture, cameras, link, points};
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::output::{write_file, write_json};
@@ -25,13 +25,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return Err(wrong_input(format!("{}: {problem}", arguments.source.display())));
     };
     interrupt::catch()?;
-    let description = match found_description(out, arguments)? {
+    let (description, refinement) = match found_description(out, arguments)? {
         Some(description) => {
             say(&format!("cameras and clocks: as {} says", out.join(DESCRIPTION_FILE).display()))?;
-            description
+            (description, None)
         }
         None => match describe(arguments, out)? {
-            Some(description) => description,
+            Some(described) => described,
             None => return Ok(()), // a dry run
         },
     };
@@ -44,6 +44,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         "calibration": description.calibration.as_ref().map(|source| json!({
             "file": source.file, "format": source.format, "changes": source.changes,
         })),
+        "refinement": refinement.map(|refinement| cameras::refinement_json(&refinement, &description)),
         "clock": description.clock.as_ref().map(|clock| &clock.from),
     });
     let capture = Capture::open_unseen(out)?;
@@ -82,8 +83,8 @@ fn found_description(out: &Path, arguments: &Arguments) -> anyhow::Result<Option
 
 /// The steps before the points.
 ///
-/// - returns: nothing if this is a dry run
-fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<CaptureDescription>> {
+/// - returns: nothing if this is a dry run; else also what became of the calibration, if it was to be refined
+fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<(CaptureDescription, Option<Refinement>)>> {
     let source = &arguments.source;
     let folder = match arguments.dry_run {
         true => None,
@@ -94,8 +95,8 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<CaptureD
     }
     let raw = RawFootage::find(source, arguments.fps)?;
     let raw = raw.ok_or_else(|| wrong_input(format!("{}: has no videos, expected one a camera", source.display())))?;
-    let cameras = raw.cameras();
-    for line in recordings_in_words(&cameras) {
+    let recorded = raw.cameras();
+    for line in recordings_in_words(&recorded) {
         say(&line)?;
     }
     interrupt::check()?;
@@ -104,14 +105,27 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<CaptureD
         Some(path) => Some(Calibration::read(path)?),
         None => Calibration::find(source)?,
     };
-    let calibration = calibration.ok_or_else(|| {
-        let problem = format!("has no calibration, expected {}; or --calibration FILE", Calibration::marks());
-        wrong_input(format!("{}: {problem}", source.display()))
-    })?;
-    let placed = raw.place(&calibration)?;
-    for line in calibration_in_words(&placed, cameras.len()) {
-        say(&line)?;
-    }
+    let placed = match &calibration {
+        Some(calibration) => {
+            let placed = raw.place(calibration)?;
+            for line in calibration_in_words(&placed, recorded.len()) {
+                say(&line)?;
+            }
+            placed
+        }
+        None if has_colmap() => {
+            say("calibration: none, so colmap is to find the cameras")?;
+            raw.unplaced()
+        }
+        None => {
+            let problem = format!(
+                "has no calibration, expected {}; or --calibration FILE; or the program colmap, which finds cameras from \
+                 their images (apt install colmap)",
+                Calibration::marks()
+            );
+            return Err(wrong_input(format!("{}: {problem}", source.display())));
+        }
+    };
     interrupt::check()?;
 
     if arguments.dry_run {
@@ -119,10 +133,15 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<CaptureD
             Some(_) => "clocks: would be read from --offsets",
             None => "clocks: would be measured by sound, else by motion",
         })?;
+        say(match &calibration {
+            None => "cameras: would be found by colmap",
+            Some(_) if arguments.refine_calibration => "calibration: would be refined, where that makes it better",
+            Some(_) => "calibration: would be taken as it is",
+        })?;
         say("points: would be made")?;
         return Ok(None);
     }
-    let names: Vec<String> = cameras.iter().map(|camera| camera.name.clone()).collect();
+    let names: Vec<String> = recorded.iter().map(|camera| camera.name.clone()).collect();
     let clocks = match &arguments.offsets {
         Some(file) => Clocks::read(file, &names)?,
         None => raw.measure_clocks()?,
@@ -134,25 +153,48 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<CaptureD
         frame_rate: None,
         test_cameras: (!arguments.hold_out.is_empty()).then(|| arguments.hold_out.clone()),
     };
-    let description = raw.describe(&placed, &clocks, &settings)?;
+    let mut description = raw.describe(&placed, &clocks, &settings)?;
     for line in clocks_in_words(&clocks, &names, &description) {
         say(&line)?;
     }
     interrupt::check()?;
 
-    if let Some(folder) = folder {
-        link::link_tree(source, folder.path(), &[POINTS_FILE, RECORD, DESCRIPTION_FILE])?;
+    let Some(folder) = folder else { return Ok(None) };
+    cameras::check_still(source, &description)?;
+    interrupt::check()?;
+    let (found, refinement) = match &calibration {
+        None => (Some(cameras::find(source, &mut description, folder.temporary())?), None),
+        Some(_) if arguments.refine_calibration => (None, cameras::refine(source, &mut description)?),
+        Some(_) => (None, None),
+    };
+    let scale = arguments.scale.as_ref().map(|scale| cameras::scale(source, &mut description, scale)).transpose()?;
+    let model = found.map(|mut found| {
+        found.scale(scale.unwrap_or(1.0));
+        found.model(&description)
+    });
+
+    let mut without = vec![POINTS_FILE, RECORD, DESCRIPTION_FILE];
+    without.extend(model.as_ref().map(|_| MODEL));
+    link::link_tree(source, folder.path(), &without)?;
+    if let Some(model) = model {
+        let place = folder.path().join(MODEL);
+        std::fs::create_dir(&place).with_context(|| format!("writing {}", place.display()))?;
+        for (name, text) in model {
+            write_file(&place.join(name), text.as_bytes(), false)?;
+        }
+    }
+    if let Some(calibration) = calibration.filter(|calibration| calibration.path.is_file()) {
         let beside = folder.path().join(&placed.source.file);
-        if calibration.path.is_file() && !beside.exists() {
+        if !beside.exists() {
             std::fs::copy(&calibration.path, &beside).with_context(|| format!("writing {}", beside.display()))?;
         }
-        write_file(&folder.path().join(DESCRIPTION_FILE), description.to_toml().as_bytes(), false)?;
-        // A capture that does not open is not left behind.
-        Capture::open_unseen(folder.path())?;
-        write_json(&folder.path().join(RECORD), &json!({ "source": source.display().to_string() }), false)?;
-        folder.finish()?;
     }
-    Ok(Some(description))
+    write_file(&folder.path().join(DESCRIPTION_FILE), description.to_toml().as_bytes(), false)?;
+    // A capture that does not open is not left behind.
+    Capture::open_unseen(folder.path())?;
+    write_json(&folder.path().join(RECORD), &json!({ "source": source.display().to_string() }), false)?;
+    folder.finish()?;
+    Ok(Some((description, refinement)))
 }
 
 fn recordings_in_words(cameras: &[RawCamera]) -> Vec<String> {
@@ -219,5 +261,6 @@ fn camera_json(camera: &tcgs_capture::DescribedCamera) -> Value {
         "start_secs": camera.start_secs,
         "turn_degrees": camera.turn_degrees,
         "size": camera.size,
+        "error_px": camera.error_px,
     })
 }

@@ -1,0 +1,211 @@
+//! Cameras of which nothing is known: found by COLMAP from their images.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use tcgs_core::{dot, normalize};
+
+use super::bundle::{self, Freedom, Track};
+use super::camera::{RigCamera, cross, median, minus};
+use super::frames::{Frames, moments};
+use super::model::{Found, to_text};
+use super::program::{Colmap, image_name};
+use super::similarity::Similarity;
+use crate::CaptureError;
+use crate::description::CaptureDescription;
+
+/// Moments that are used if the first does not place all cameras: what moves has then been in more places.
+const NUM_MOMENTS: usize = 4;
+/// Once the program has put the images of one camera nearly at one place.
+const FREEDOM: Freedom = Freedom { turn: 0.05, shift: 0.1, log_focal: 0.05, k1: 0.05 };
+
+/// Cameras that were found, and what they were found by.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct FoundCameras {
+    /// Median distance in pixels between where a point is seen and where it should be.
+    pub error_px: f64,
+    tracks: Vec<Track>,
+}
+
+impl FoundCameras {
+    /// Number of points that the cameras were placed by.
+    pub fn num_points(&self) -> usize {
+        self.tracks.len()
+    }
+
+    /// Multiplies all lengths, as [`scale_cameras`] did with those of the description.
+    pub fn scale(&mut self, factor: f64) {
+        for x in self.tracks.iter_mut().flat_map(|track| &mut track.point) {
+            *x *= factor;
+        }
+    }
+
+    /// A text model of COLMAP with the cameras of a description and the points: names and contents of its files.
+    pub fn model(&self, description: &CaptureDescription) -> Vec<(&'static str, String)> {
+        let cameras: Vec<RigCamera> = description.cameras.iter().map(RigCamera::new).collect();
+        let names: Vec<&str> = description.cameras.iter().map(|camera| camera.name.as_str()).collect();
+        to_text(&cameras, &self.tracks, &names)
+    }
+}
+
+/// Finds poses, focal lengths and distortion of all cameras of a description from their images, by the program `colmap`.
+///
+/// The middle frame of the capture is used; if that places some cameras and not all, others too. Images of one camera have
+/// the same intrinsics, and in the end the same pose. The world's y axis is then what the cameras' images have below, its
+/// origin the middle of what they see, its unit unknown.
+///
+/// - `folder`: what the description's files are relative to
+/// - `work`: an empty folder for COLMAP's files, which the caller removes
+/// - `tell`: called with what is done; what it returns ends the work
+///
+/// # Errors
+/// [`CaptureError`] if the program is not installed or fails, if cameras remain whose place was not found, or if `tell`
+/// ended the work; the description is then as it was.
+pub fn find_cameras(
+    folder: &Path,
+    description: &mut CaptureDescription,
+    work: &Path,
+    tell: &mut dyn FnMut(&str) -> ControlFlow<()>,
+) -> Result<FoundCameras, CaptureError> {
+    let mut colmap = Colmap::find(work, tell)?;
+    let frames = Frames::open(folder, description)?;
+    let num_cameras = description.cameras.len();
+    let mut chosen = moments(description.num_frames, 1);
+    let first = chosen[0];
+    chosen.extend(moments(description.num_frames, NUM_MOMENTS).into_iter().filter(|frame| *frame != first));
+    let mut best = attempt(&mut colmap, &frames, &chosen[..1], num_cameras)?;
+    let num_placed = |found: &Option<Found>| found.as_ref().map_or(0, Found::num_placed);
+    // Where no two cameras fit at one moment, more moments take long and have not helped.
+    if (2..num_cameras).contains(&num_placed(&best)) && chosen.len() > 1 {
+        let more = attempt(&mut colmap, &frames, &chosen, num_cameras)?;
+        best = if num_placed(&more) > num_placed(&best) { more } else { best };
+    }
+    // The images of one camera alone are no rig.
+    best = best.filter(|found| found.num_placed() >= 2);
+    let names: Vec<String> = description.cameras.iter().map(|camera| camera.name.clone()).collect();
+    let Found { cameras, mut tracks } = best.ok_or_else(|| not_placed(folder, &names, &[]))?;
+    let is_placed: Vec<bool> = cameras.iter().map(Option::is_some).collect();
+    let mut cameras: Vec<RigCamera> = cameras.into_iter().flatten().collect();
+    if cameras.len() < num_cameras {
+        return Err(not_placed(folder, &names, &is_placed));
+    }
+    colmap.tell("adjusting the cameras")?;
+    bundle::bundle(&mut cameras, &mut tracks, &vec![true; num_cameras], FREEDOM, bundle::MIN_SCALE_PX);
+    upright(&cameras, &tracks).apply(&mut cameras, &mut tracks);
+    let mut of_camera = vec![Vec::new(); num_cameras];
+    for track in &tracks {
+        for (&(camera, _), error) in track.seen.iter().zip(bundle::errors(&cameras, track)) {
+            of_camera[camera].push(error);
+        }
+    }
+    for ((camera, rig), errors) in description.cameras.iter_mut().zip(&cameras).zip(&of_camera) {
+        rig.put_into(camera);
+        camera.error_px = Some((1e3 * median(errors.clone())).round() / 1e3);
+    }
+    let error_px = median(of_camera.concat());
+    Ok(FoundCameras { error_px, tracks })
+}
+
+/// Runs the program on the images of some moments.
+///
+/// - returns: the model that places most cameras, if there is one
+fn attempt(
+    colmap: &mut Colmap<'_>,
+    frames: &Frames,
+    chosen: &[usize],
+    num_cameras: usize,
+) -> Result<Option<Found>, CaptureError> {
+    colmap.tell("reading images")?;
+    for (moment, &frame) in chosen.iter().enumerate() {
+        colmap.store(&frames.at(frame)?, moment)?;
+    }
+    let num_images = num_cameras * chosen.len();
+    colmap.find_features(num_images)?;
+    let mut pairs = Vec::new();
+    for moment in 0..chosen.len() {
+        for a in 0..num_cameras {
+            pairs.extend((a + 1..num_cameras).map(|b| (image_name(a, moment), image_name(b, moment))));
+            // The images of one camera hold moments together.
+            pairs.extend((0..moment).map(|earlier| (image_name(a, earlier), image_name(a, moment))));
+        }
+    }
+    colmap.match_images(&pairs)?;
+    let models = colmap.place(num_images)?;
+    let mut best: Option<Found> = None;
+    for model in models {
+        let found = Found::read(&model, num_cameras)?;
+        if best.as_ref().is_none_or(|best| best.num_placed() < found.num_placed()) {
+            best = Some(found);
+        }
+    }
+    Ok(best)
+}
+
+fn not_placed(folder: &Path, names: &[String], is_placed: &[bool]) -> CaptureError {
+    let helps = "what helps: neighbouring cameras within about 30 degrees of each other that see the same things, images \
+                 of 1000 pixels or more with texture in focus, or a calibration made with a board (--calibration)";
+    let missing: Vec<&str> =
+        names.iter().zip(is_placed).filter(|(_, placed)| !**placed).map(|(name, _)| name.as_str()).collect();
+    let problem = if is_placed.iter().any(|&placed| placed) {
+        let (placed, all) = (names.len() - missing.len(), names.len());
+        format!(
+            "COLMAP places {placed} of {all} cameras, but not {}; {helps}, or to leave these out",
+            missing.join(", ")
+        )
+    } else {
+        format!("COLMAP finds no two cameras of which it is sure that they see the same things; {helps}")
+    };
+    CaptureError::invalid(folder, problem)
+}
+
+/// Turns a rig so that down in its images is down, and moves the middle of what it sees to the origin.
+fn upright(cameras: &[RigCamera], tracks: &[Track]) -> Similarity {
+    let sum = |row: usize| -> [f64; 3] {
+        std::array::from_fn(|i| cameras.iter().map(|camera| camera.camera_from_world[row][i]).sum())
+    };
+    let down = normalize(sum(1));
+    let ahead = [sum(2), cameras[0].forward(), [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]];
+    let level = |v: [f64; 3]| {
+        let along = dot(v, down);
+        minus(v, down.map(|x| along * x))
+    };
+    // Cameras all around look in no direction on average.
+    let forward = ahead.map(level).into_iter().find(|v| dot(*v, *v) > 0.01).unwrap_or([0.0, 0.0, 1.0]);
+    let forward = normalize(forward);
+    let rotation = [cross(down, forward), down, forward];
+    let middle: [f64; 3] = std::array::from_fn(|i| median(tracks.iter().map(|track| track.point[i]).collect()));
+    let shift = rotation.map(|row| -dot(row, middle));
+    Similarity { scale: 1.0, rotation, shift }
+}
+
+/// Scales a description so that two cameras are as far apart as somebody measured.
+///
+/// - `cameras`: their names
+/// - `metres`: between their lenses, above 0
+///
+/// - returns: by how much lengths were multiplied
+///
+/// # Errors
+/// A camera that does not exist, or two at one place, in words.
+pub fn scale_cameras(description: &mut CaptureDescription, cameras: [&str; 2], metres: f64) -> Result<f64, String> {
+    let center = |name: &str| {
+        let camera = description.cameras.iter().find(|camera| camera.name == name);
+        camera.map(|camera| RigCamera::new(camera).center()).ok_or_else(|| {
+            let names: Vec<&str> = description.cameras.iter().map(|camera| camera.name.as_str()).collect();
+            format!("has no camera {name}, expected one of {}", names.join(", "))
+        })
+    };
+    let apart = super::camera::distance(center(cameras[0])?, center(cameras[1])?);
+    if apart < 1e-9 {
+        return Err(format!("has {} and {} at one place, expected two that are apart", cameras[0], cameras[1]));
+    }
+    let factor = metres / apart;
+    for camera in &mut description.cameras {
+        for row in &mut camera.camera_from_world {
+            row[3] *= factor;
+        }
+    }
+    description.in_metres = true;
+    Ok(factor)
+}

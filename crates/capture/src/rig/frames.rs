@@ -1,0 +1,37 @@
+//! The images of a description's cameras, as they are before lenses are straightened.
+
+use std::path::Path;
+
+use image::RgbImage;
+use rayon::prelude::*;
+
+use crate::CaptureError;
+use crate::description::CaptureDescription;
+use crate::kinds::take;
+use crate::recording::Take;
+
+/// All cameras of a description.
+pub(super) struct Frames {
+    takes: Vec<Take>,
+}
+
+impl Frames {
+    /// - `folder`: what the files are relative to
+    pub fn open(folder: &Path, description: &CaptureDescription) -> Result<Self, CaptureError> {
+        let takes: Vec<_> = description.cameras.par_iter().map(|camera| take(folder, description, camera)).collect();
+        Ok(Self { takes: takes.into_iter().collect::<Result<_, _>>()? })
+    }
+
+    /// One image of every camera.
+    pub fn at(&self, frame: usize) -> Result<Vec<RgbImage>, CaptureError> {
+        let images: Vec<_> = self.takes.par_iter().map(|take| take.image(frame)).collect();
+        images.into_iter().collect()
+    }
+}
+
+/// Frames spread over a capture, at most so many.
+pub(super) fn moments(num_frames: usize, count: usize) -> Vec<usize> {
+    let mut frames: Vec<usize> = (0..count).map(|i| (2 * i + 1) * num_frames / (2 * count)).collect();
+    frames.dedup();
+    frames
+}

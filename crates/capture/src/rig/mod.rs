@@ -1,0 +1,27 @@
+//! Where cameras stand, found or mended from their own images.
+//!
+//! What lives here: `find` has COLMAP place cameras of which nothing is known (`program`, `model`), `refine` mends a calibration by bundle adjustment (`bundle`) of places that `matches` finds in several
+//! cameras, `still` finds cameras that move. What does not: reading the calibrations that other programs wrote (`calibration`), and which camera a
+//! recording belongs to (`raw`).
+
+mod bundle;
+mod camera;
+mod corners;
+mod find;
+mod frames;
+mod matches;
+mod model;
+mod normal;
+mod patch;
+mod program;
+mod refine;
+mod similarity;
+mod still;
+
+pub use find::{FoundCameras, find_cameras, scale_cameras};
+pub use program::has_colmap;
+pub use refine::{Refinement, refine_cameras};
+pub use still::moving_cameras;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,213 @@
+//! Mending a calibration by what its own cameras see.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::bundle::{self, Freedom, Track};
+use super::camera::{RigCamera, median};
+use super::frames::{Frames, moments};
+use super::matches::{self, Shot};
+use super::patch::likeness;
+use crate::CaptureError;
+use crate::description::CaptureDescription;
+
+/// Moments whose images are matched.
+const NUM_MOMENTS: usize = 4;
+/// Correlation from which on a place has not changed over time.
+const STILL: f32 = 0.95;
+/// How far from where the calibration says a place is looked for, share of the image's longer side: first, and as
+/// it is mended. Calibrations that are further off are not mended but wrong.
+const BANDS: [f64; 3] = [0.01, 0.005, 0.003];
+/// Errors of calibrations, share of the image's longer side.
+const COARSE: f64 = 0.005;
+/// Calibrations err by about so much where they err.
+const FREEDOM: Freedom = Freedom { turn: 0.03, shift: 0.05, log_focal: 0.02, k1: 0.03 };
+/// One of so many regions of each image is held out: its tracks judge and are not fitted.
+const HELD_OUT: usize = 4;
+/// Regions along the longer side of an image.
+const REGIONS: f64 = 12.0;
+/// Tracks that touch a held-out one are not fitted; closer than this is touching, share of the longer side.
+const TOUCHING: f64 = 0.004;
+/// A camera that fewer fitted tracks reach stays where it is.
+const MIN_TRACKS: usize = 12;
+/// With fewer held-out tracks nothing can be judged.
+const MIN_JUDGES: usize = 20;
+/// The new calibration replaces the old if the median errors of held-out tracks, averaged over cameras, fall to this share,
+/// and no camera's rises above this one.
+const BETTER: f64 = 0.9;
+const NO_WORSE: f64 = 1.2;
+/// Errors are not known better than this, pixels.
+const EXACT_PX: f64 = 0.1;
+
+/// What became of a calibration, judged by tracks that were not fitted.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Refinement {
+    /// Whether the new calibration was better, and taken.
+    pub is_taken: bool,
+    /// Number of tracks that the cameras were fitted to, and of those that judge.
+    pub num_tracks: [usize; 2],
+    /// Mean of [`Self::camera_error_px`].
+    pub error_px: [f64; 2],
+    /// Of each camera, in the description's order, the median distance in pixels between where a track is seen and where it
+    /// should be, before and after; of a calibration that was not replaced after is what it would have been. `None` where
+    /// too few tracks judge.
+    pub camera_error_px: Vec<Option<[f64; 2]>>,
+}
+
+/// Refines poses, focal lengths and the first coefficient of distortion of a description's cameras, where that is better.
+///
+/// Corners are matched between neighbouring cameras at several moments, a quarter of the regions of every image is held
+/// out, and a robust bundle adjustment fits the cameras to the rest. The rig as a whole keeps place, direction and size.
+///
+/// - `folder`: what the description's files are relative to
+/// - `tell`: called with what is done; what it returns ends the work
+/// - returns: `None` if too little is seen by several cameras to judge, or if `tell` ended the work; the description is
+///   then as it was
+///
+/// # Errors
+/// [`CaptureError`] if an image cannot be decoded.
+pub fn refine_cameras(
+    folder: &Path,
+    description: &mut CaptureDescription,
+    tell: &mut dyn FnMut(&str) -> ControlFlow<()>,
+) -> Result<Option<Refinement>, CaptureError> {
+    let before: Vec<RigCamera> = description.cameras.iter().map(RigCamera::new).collect();
+    if before.len() < 2 || tell("reading images").is_break() {
+        return Ok(None);
+    }
+    let shots = shots(&Frames::open(folder, description)?, description.num_frames)?;
+    if tell("matching").is_break() {
+        return Ok(None);
+    }
+    let (judges, fitted) = held_out(tracks(&before, &shots, BANDS[0]), &before);
+    let num_judges: usize = judges.iter().map(Vec::len).sum();
+    if num_judges < MIN_JUDGES {
+        return Ok(None);
+    }
+    let mut after = before.clone();
+    let mut num_fitted = fit(&mut after, fitted);
+    for band in &BANDS[1..] {
+        if tell("matching again").is_break() {
+            return Ok(None);
+        }
+        let more = apart_from(tracks(&after, &shots, *band), &judges, &before);
+        num_fitted = fit(&mut after, more);
+    }
+    let mut refinement = judge(&before, &after, &judges);
+    refinement.num_tracks = [num_fitted, num_judges];
+    if refinement.is_taken {
+        for (camera, rig) in description.cameras.iter_mut().zip(&after) {
+            rig.put_into(camera);
+        }
+    }
+    for (camera, errors) in description.cameras.iter_mut().zip(&refinement.camera_error_px) {
+        let shown = if refinement.is_taken { errors.map(|[_, after]| after) } else { errors.map(|[before, _]| before) };
+        camera.error_px = shown.map(|px| (1e3 * px).round() / 1e3);
+    }
+    Ok(Some(refinement))
+}
+
+/// Pictures at several moments; of later ones only the corners that were not there before.
+fn shots(frames: &Frames, num_frames: usize) -> Result<Vec<Vec<Shot>>, CaptureError> {
+    let mut all: Vec<Vec<Shot>> = Vec::new();
+    for frame in moments(num_frames, NUM_MOMENTS) {
+        let mut shots: Vec<Shot> = frames.at(frame)?.par_iter().map(Shot::new).collect();
+        for earlier in &all {
+            shots.par_iter_mut().zip(earlier).for_each(|(shot, earlier)| {
+                let Shot { pyramid, corners } = shot;
+                corners.retain(|corner| likeness(pyramid, &earlier.pyramid, corner) < STILL);
+            });
+        }
+        all.push(shots);
+    }
+    Ok(all)
+}
+
+/// The tracks of each moment.
+fn tracks(cameras: &[RigCamera], shots: &[Vec<Shot>], band: f64) -> Vec<Vec<Track>> {
+    shots.iter().map(|shots| matches::find(cameras, shots, band)).collect()
+}
+
+/// Tracks that judge and those that are fitted, of each moment.
+fn held_out(tracks: Vec<Vec<Track>>, cameras: &[RigCamera]) -> (Vec<Vec<Track>>, Vec<Vec<Track>>) {
+    let is_judge = |track: &Track| {
+        let (camera, pixel) = track.seen[0];
+        let region = pixel.map(|p| (p / (longer_side(&cameras[camera]) / REGIONS)) as usize);
+        (region[0] + 2 * region[1] + camera) % HELD_OUT == 0
+    };
+    let judges: Vec<Vec<Track>> =
+        tracks.iter().map(|of_moment| of_moment.iter().filter(|t| is_judge(t)).cloned().collect()).collect();
+    let fitted = apart_from(tracks, &judges, cameras);
+    (judges, fitted)
+}
+
+fn longer_side(camera: &RigCamera) -> f64 {
+    camera.lens.width.max(camera.lens.height) as f64
+}
+
+/// The tracks that share no place of an image with those that judge.
+fn apart_from(tracks: Vec<Vec<Track>>, judges: &[Vec<Track>], cameras: &[RigCamera]) -> Vec<Vec<Track>> {
+    let apart = |(mut tracks, judges): (Vec<Track>, &Vec<Track>)| {
+        let mut judged: Vec<Vec<[f64; 2]>> = vec![Vec::new(); cameras.len()];
+        for &(camera, pixel) in judges.iter().flat_map(|judge| &judge.seen) {
+            judged[camera].push(pixel);
+        }
+        let touches = |&(camera, [x, y]): &(usize, [f64; 2])| {
+            let reach = TOUCHING * longer_side(&cameras[camera]);
+            judged[camera].iter().any(|[u, v]| (x - u).abs() < reach && (y - v).abs() < reach)
+        };
+        tracks.retain(|track| !track.seen.iter().any(touches));
+        tracks
+    };
+    tracks.into_iter().zip(judges).map(apart).collect()
+}
+
+/// - returns: number of tracks that were fitted
+fn fit(cameras: &mut [RigCamera], tracks: Vec<Vec<Track>>) -> usize {
+    let mut tracks: Vec<Track> = tracks.into_iter().flatten().collect();
+    let mut counts = vec![0; cameras.len()];
+    for &(camera, _) in tracks.iter().flat_map(|track| &track.seen) {
+        counts[camera] += 1;
+    }
+    let is_free: Vec<bool> = counts.iter().map(|&count| count >= MIN_TRACKS).collect();
+    // First as if all errors were of the calibration: one bad camera among good ones looks like mismatches.
+    let coarse = COARSE * cameras.iter().map(longer_side).fold(0.0, f64::max);
+    for min_scale in [coarse, bundle::MIN_SCALE_PX] {
+        bundle::bundle(cameras, &mut tracks, &is_free, FREEDOM, min_scale);
+    }
+    tracks.len()
+}
+
+/// Compares two calibrations on tracks that neither was fitted to.
+fn judge(before: &[RigCamera], after: &[RigCamera], judges: &[Vec<Track>]) -> Refinement {
+    let errors = |cameras: &[RigCamera]| -> Vec<Vec<f64>> {
+        let mut errors = vec![Vec::new(); cameras.len()];
+        for track in judges.iter().flatten() {
+            // What no longer meets before the cameras is as far off as anything that was matched.
+            let found = bundle::triangulate(cameras, &track.seen);
+            let of_track = match found {
+                Some(point) => bundle::errors(cameras, &Track { point, seen: track.seen.clone() }),
+                None => vec![f64::INFINITY; track.seen.len()],
+            };
+            for (&(camera, _), error) in track.seen.iter().zip(of_track) {
+                errors[camera].push(error);
+            }
+        }
+        errors
+    };
+    let (old, new) = (errors(before), errors(after));
+    let of_camera = |(old, new): (&Vec<f64>, &Vec<f64>)| {
+        (old.len() >= MIN_TRACKS).then(|| [median(old.clone()), median(new.clone())])
+    };
+    let camera_error_px: Vec<Option<[f64; 2]>> = old.iter().zip(&new).map(of_camera).collect();
+    // Every camera counts alike: two that see much in common must not outvote the others.
+    let judged: Vec<[f64; 2]> = camera_error_px.iter().flatten().copied().collect();
+    let mean = |which: usize| judged.iter().map(|error| error[which]).sum::<f64>() / judged.len().max(1) as f64;
+    let error_px = [mean(0), mean(1)];
+    let is_no_worse = |[old, new]: &[f64; 2]| *new <= NO_WORSE * old.max(EXACT_PX);
+    let is_taken = error_px[1] < BETTER * error_px[0] && error_px[0] > EXACT_PX && judged.iter().all(is_no_worse);
+    Refinement { is_taken, num_tracks: [0; 2], error_px, camera_error_px }
+}

@@ -1,0 +1,63 @@
+//! Cameras that move, which nothing after this can use.
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::corners::{Corner, Pyramid};
+use super::frames::{Frames, moments};
+use super::patch::likeness;
+use crate::CaptureError;
+use crate::description::CaptureDescription;
+
+/// Moments that are compared.
+const NUM_MOMENTS: usize = 4;
+/// Fewer corners say nothing.
+const MIN_CORNERS: usize = 40;
+/// Share of the corners that a camera on a tripod shows at the same place, at least, whatever moves before it.
+const MOVING: f64 = 0.05;
+/// Share of the corners that any camera shows in the next frame at nearly the same place, unless there is only noise.
+const FLOWING: f64 = 0.3;
+/// Correlation of a place with itself, also where it is shifted a little.
+const STILL: f32 = 0.7;
+/// Level on which frames are compared: a few pixels of shaking are none there, and noise is averaged.
+const LEVEL: usize = 2;
+/// Cells of a picture along its longer side.
+const CELLS: usize = 12;
+
+/// The names of cameras that move: what they show stays the same from one frame to the next, and is elsewhere later.
+///
+/// - `folder`: what the description's files are relative to
+///
+/// # Errors
+/// [`CaptureError`] if an image cannot be decoded.
+pub fn moving_cameras(folder: &Path, description: &CaptureDescription) -> Result<Vec<String>, CaptureError> {
+    let chosen = moments(description.num_frames, NUM_MOMENTS);
+    let Some((&first, later)) = chosen.split_first() else { return Ok(Vec::new()) };
+    let frames = Frames::open(folder, description)?;
+    let pyramids = |frame: usize| -> Result<Vec<Pyramid>, CaptureError> {
+        Ok(frames.at(frame)?.par_iter().map(Pyramid::new).collect())
+    };
+    let begin = pyramids(first)?;
+    let corners: Vec<Vec<Corner>> = begin
+        .iter()
+        .map(|pyramid| {
+            let level = LEVEL.min(pyramid.levels.len() - 1);
+            pyramid.corners_of_level(level, CELLS)
+        })
+        .collect();
+    let next = pyramids((first + 1).min(description.num_frames - 1))?;
+    let later = later.iter().map(|&frame| pyramids(frame)).collect::<Result<Vec<_>, _>>()?;
+    let moves = |camera: usize| {
+        let share = |other: &Pyramid| {
+            let still = corners[camera].iter().filter(|corner| likeness(&begin[camera], other, corner) > STILL).count();
+            still as f64 / corners[camera].len() as f64
+        };
+        corners[camera].len() >= MIN_CORNERS
+            && share(&next[camera]) > FLOWING
+            && later.iter().all(|moment| share(&moment[camera]) < MOVING)
+            && !later.is_empty()
+    };
+    let cameras = description.cameras.iter().enumerate();
+    Ok(cameras.filter(|(i, _)| moves(*i)).map(|(_, camera)| camera.name.clone()).collect())
+}
