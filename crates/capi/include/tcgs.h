@@ -64,17 +64,17 @@ typedef struct TcgsSceneInfo {
 typedef struct TcgsArrays {
   // Rows that each array has room for; `max_gaussians` is enough for every timestep.
   size_t capacity;
-  // [capacity][3] centres, scene units.
+  // `[capacity, 3]` centres, scene units.
   float *means;
-  // [capacity][4] unit rotations: w, x, y, z.
+  // `[capacity, 4]` unit rotations: w, x, y, z.
   float *quats;
-  // [capacity][3] standard deviations along the axes, scene units.
+  // `[capacity, 3]` standard deviations along the axes, scene units.
   float *scales;
-  // [capacity] opacities, 0 to 1.
+  // `[capacity]` opacities, 0 to 1.
   float *opacities;
-  // [capacity][3] colours: red, green, blue; of harmonics what does not depend on the direction.
+  // `[capacity, 3]` colours: red, green, blue; of harmonics what does not depend on the direction.
   float *colors;
-  // [capacity][(sh_degree + 1)^2 - 1][3] coefficients of the harmonics from degree 1 on, in the order of 3D Gaussian
+  // `[capacity, (sh_degree + 1)^2 - 1, 3]` coefficients of the harmonics from degree 1 on, in the order of 3D Gaussian
   // splatting; unused where `sh_degree` is 0.
   float *harmonics;
 } TcgsArrays;

@@ -50,17 +50,17 @@ pub struct SceneInfo {
 pub struct Arrays {
     /// Rows that each array has room for; `max_gaussians` is enough for every timestep.
     pub capacity: usize,
-    /// [capacity][3] centres, scene units.
+    /// `[capacity, 3]` centres, scene units.
     pub means: *mut f32,
-    /// [capacity][4] unit rotations: w, x, y, z.
+    /// `[capacity, 4]` unit rotations: w, x, y, z.
     pub quats: *mut f32,
-    /// [capacity][3] standard deviations along the axes, scene units.
+    /// `[capacity, 3]` standard deviations along the axes, scene units.
     pub scales: *mut f32,
-    /// [capacity] opacities, 0 to 1.
+    /// `[capacity]` opacities, 0 to 1.
     pub opacities: *mut f32,
-    /// [capacity][3] colours: red, green, blue; of harmonics what does not depend on the direction.
+    /// `[capacity, 3]` colours: red, green, blue; of harmonics what does not depend on the direction.
     pub colors: *mut f32,
-    /// [capacity][(sh_degree + 1)^2 - 1][3] coefficients of the harmonics from degree 1 on, in the order of 3D Gaussian
+    /// `[capacity, (sh_degree + 1)^2 - 1, 3]` coefficients of the harmonics from degree 1 on, in the order of 3D Gaussian
     /// splatting; unused where `sh_degree` is 0.
     pub harmonics: *mut f32,
 }

@@ -260,9 +260,8 @@ impl Lenses<'_> {
         if let Some(number) = numbers.into_iter().find(|x| !x.is_finite()) {
             return Err(invalid(format!("holds {number} among its intrinsics, expected finite numbers")));
         }
-        if let [fx, fy] = lens.focal
-            && (fx <= 0.0 || fy <= 0.0)
-        {
+        let [fx, fy] = lens.focal;
+        if fx <= 0.0 || fy <= 0.0 {
             return Err(invalid(format!("has the focal lengths {fx} and {fy}, expected more than 0")));
         }
         if let Some(known) = self.known.get(&key) {
