@@ -150,7 +150,7 @@ fn what_is_missing_or_wrong_is_named() {
         |more: &[&'static str]| [&["reproduce", "ablation", "--data", data_text, "--out", out_text], more].concat();
     refuse(&of(&[]), &["has no captures named cook_spinach", "--scenes basketball"]);
     refuse(&of(&["--scenes", "juggle"]), &["has no captures named juggle", "a folder for each"]);
-    refuse(&of(&["--scenes", "garden"]), &["has no captures named garden", "--scenes basketball"]);
+    refuse(&of(&["--scenes", "garden"]), &["has no captures named garden", "--scenes with those that are there"]);
     refuse(&of(&["--scenes", "basketball", "--only", "a/b"]), &["--only a/b: no run", "basketball/tc3dgs"]);
     refuse(&of(&["--size", "tiny"]), &["'tiny'", "full, small"]);
     refuse(&["reproduce", "abblation", "--data", data_text, "--out", out_text], &["abblation: no table", "ablation"]);
