@@ -31,20 +31,18 @@ impl Seek for Source {
     }
 }
 
+type ReadRange = unsafe extern "C" fn(*mut c_void, u64, *mut u8, usize) -> i32;
+
 /// A function of the caller that fills a buffer with a range of bytes.
 pub struct Callback {
-    read: unsafe extern "C" fn(*mut c_void, u64, *mut u8, usize) -> i32,
+    read: ReadRange,
     user: *mut c_void,
     size: u64,
     place: u64,
 }
 
 impl Callback {
-    pub fn new(
-        read: unsafe extern "C" fn(*mut c_void, u64, *mut u8, usize) -> i32,
-        user: *mut c_void,
-        size: u64,
-    ) -> Self {
+    pub fn new(read: ReadRange, user: *mut c_void, size: u64) -> Self {
         Self { read, user, size, place: 0 }
     }
 }

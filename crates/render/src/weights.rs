@@ -4,6 +4,14 @@ use tcgs_core::{Activated, Camera, Image};
 
 use crate::{Rasterizer, RenderSettings};
 
+/// Cameras are looked at in half their resolution if their shorter side has at least this many pixels.
+const MIN_HALVED: usize = 128;
+
+/// Pixels of a camera for one, in either direction, at which it is enough to look at weights: 1 or 2.
+pub fn weights_step(camera: &Camera) -> usize {
+    1 + usize::from(camera.width.min(camera.height) >= MIN_HALVED)
+}
+
 /// The blending weight of every Gaussian, summed over pixels: how many of them it would fill alone.
 ///
 /// The gradient of `Σ pixels v · picture` to a Gaussian's colour is `Σ pixels v · weight`.

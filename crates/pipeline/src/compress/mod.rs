@@ -231,7 +231,7 @@ impl<'a> PrunedScene<'a> {
             None => vec![[0, last]; keep.len()],
         };
         let (kept, keep) = if options.min_share > 0.0 {
-            let seen = seen_by_cameras(scene, &kept, options)?;
+            let seen = seen_by_cameras(scene, &kept, &cameras, options.min_share)?;
             let rows: Vec<usize> = (0..keep.len()).filter(|&row| seen[row].share >= options.min_share).collect();
             // Version 1 holds no lives.
             let last_of = |row: usize| if options.version > 1 { seen[row].last.max(lives[row][0]) } else { last };
@@ -376,18 +376,24 @@ pub fn kept_gaussians(scene: &OpenScene, threshold: Option<f32>) -> Result<Vec<u
 }
 
 /// What the training cameras see of Gaussians.
-fn seen_by_cameras(scene: &OpenScene, kept: &Kept, options: &CompressOptions) -> Result<Vec<Seen>, PipelineError> {
-    let cameras: Vec<Camera> =
-        views::cameras(scene, options)?.iter().map(|(_, camera)| camera.downscaled(scene.downscale)).collect();
+///
+/// - `cameras`: at the capture's full size
+fn seen_by_cameras(
+    scene: &OpenScene,
+    kept: &Kept,
+    cameras: &[(usize, Camera)],
+    min_share: f32,
+) -> Result<Vec<Seen>, PipelineError> {
+    let refused = |found: String, expected: String| PipelineError::input(scene.path.display(), found, expected);
     if cameras.is_empty() {
-        let (found, expected) = ("no training cameras", "a capture, whose cameras tell what is seen");
-        return Err(PipelineError::input(scene.path.display(), found, expected));
+        return Err(refused("no training cameras".into(), "a capture, whose cameras tell what is seen".into()));
     }
-    let seen = seen(kept, &cameras, options.min_share)?;
+    let cameras: Vec<Camera> = cameras.iter().map(|(_, camera)| camera.downscaled(scene.downscale)).collect();
+    let seen = seen(kept, &cameras, min_share)?;
     let largest = seen.iter().fold(0.0_f32, |largest, seen| largest.max(seen.share));
-    if largest < options.min_share {
+    if largest < min_share {
         let found = format!("its largest Gaussian makes up {largest:.1e} of the images");
-        return Err(PipelineError::input(scene.path.display(), found, format!("{} or more", options.min_share)));
+        return Err(refused(found, format!("{min_share} or more")));
     }
     Ok(seen)
 }

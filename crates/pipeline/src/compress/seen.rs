@@ -5,15 +5,13 @@
 //! up for them.
 
 use tcgs_core::{Camera, Image, activate};
-use tcgs_render::{CpuRasterizer, blending_weights};
+use tcgs_render::{CpuRasterizer, blending_weights, weights_step};
 
 use super::kept::Kept;
 use crate::PipelineError;
 
 /// Timesteps at which is looked, at most.
 const NUM_TIMESTEPS: usize = 30;
-/// Images are looked at in half their resolution if their shorter side has at least this many pixels.
-const MIN_HALVED: usize = 128;
 
 /// What the training cameras see of a Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -34,10 +32,7 @@ pub struct Seen {
 /// # Errors
 /// [`PipelineError`] if a timestep cannot be read.
 pub fn seen(kept: &Kept, cameras: &[Camera], least: f32) -> Result<Vec<Seen>, PipelineError> {
-    let cameras: Vec<Camera> = cameras
-        .iter()
-        .map(|camera| camera.downscaled(1 + usize::from(camera.width.min(camera.height) >= MIN_HALVED)))
-        .collect();
+    let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.downscaled(weights_step(camera))).collect();
     let num_pixels: usize = cameras.iter().map(|camera| camera.width * camera.height).sum();
     let num_timesteps = kept.num_timesteps();
     let stride = num_timesteps.div_ceil(NUM_TIMESTEPS);

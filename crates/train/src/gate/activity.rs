@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image};
-use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, TileMask, blending_weights, gaussians_reaching};
+use tcgs_render::{
+    CpuRasterizer, Rasterizer, RenderSettings, TileMask, blending_weights, gaussians_reaching, weights_step,
+};
 
 use super::{Blocks, Evidence};
 use crate::config::MaskConfig;
@@ -16,8 +18,6 @@ use crate::neighbors::Neighbors;
 use crate::row::Row;
 use crate::state::{GradientStatistic, State};
 
-/// Images are looked at in half their resolution if their shorter side has at least this many pixels.
-const MIN_HALVED: usize = 128;
 /// Blending weight, summed over views, below which a Gaussian is not seen.
 const MIN_WEIGHT: f32 = 1e-3;
 /// Rounds in which neighbours wake each other.
@@ -319,7 +319,7 @@ fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<
     let mut sums = vec![[0.0_f32; 2]; drawn.num_gaussians()];
     for (target, evidence) in targets.iter().zip(evidence) {
         let camera = &target.camera;
-        let step = step(camera);
+        let step = weights_step(camera);
         let camera = camera.downscaled(step);
         let mut shares = Image::filled(camera.width, camera.height, 2, 1.0);
         mark(&evidence.blocks, step, camera.width, shares.plane_mut(0));
@@ -336,7 +336,7 @@ fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<
 /// - `shares`: all Gaussians, with one channel: 1 of those, 0 of all others
 fn tiles_shown(shares: &Activated, camera: &Camera) -> TileMask {
     let mut tiles = TileMask::none(camera.width, camera.height);
-    let step = step(camera);
+    let step = weights_step(camera);
     let camera = camera.downscaled(step);
     let Ok((output, _)) = CpuRasterizer.forward(shares, &camera, &RenderSettings::default());
     for (i, _) in output.image.data.iter().enumerate().filter(|(_, share)| **share > MIN_SHARE) {
@@ -344,11 +344,6 @@ fn tiles_shown(shares: &Activated, camera: &Camera) -> TileMask {
         tiles.insert_pixels(x..x + step, y..y + step);
     }
     tiles
-}
-
-/// Pixels of a view for one of the resolution that is looked at.
-fn step(camera: &Camera) -> usize {
-    1 + usize::from(camera.width.min(camera.height) >= MIN_HALVED)
 }
 
 /// 1 at pixels of marked blocks, 0 elsewhere.
