@@ -83,20 +83,20 @@ macro_rules! losses {
 losses! {
     /// Colour image, `0.8 L1 + 0.2 (1 − SSIM)`. Weight 1 (reference).
     Image image = 1.0;
-    /// Segmentation image, likewise. Weight 3 (reference).
+    /// Segmentation image, likewise. Weight 3 (reference); default 0.5, since more of it gathers Gaussians at outlines.
     Segmentation segmentation = 3.0;
-    /// Local rigidity: `mean sqrt(w ‖Rᵢᵀ(x_k − x_i) − previous offset‖²)`. Weight 4 (reference).
+    /// Local rigidity: `mean sqrt(w ‖Rᵢᵀ(x_k − x_i) − previous offset‖²)`. Weight 4 (reference); default 2.
     Rigid rigid = 4.0;
-    /// Rotation similarity of neighbours: `mean sqrt(w ‖relative rotation of k − of i‖²)`. Weight 4 (reference).
+    /// Rotation similarity of neighbours: `mean sqrt(w ‖relative rotation of k − of i‖²)`. Weight 4 (reference); default 2.
     Rot rot = 4.0;
-    /// Distances of neighbours: `mean sqrt(w (‖x_k − x_i‖ − first distance)²)`. Weight 2 (reference).
+    /// Distances of neighbours: `mean sqrt(w (‖x_k − x_i‖ − first distance)²)`. Weight 2 (reference); default 1.
     Iso iso = 2.0;
-    /// Foreground below the floor: `mean max(y, 0)`; y points down, the floor is `y = 0`. Weight 2 (reference).
+    /// Foreground below the floor: `mean max(y, 0)`; y points down, the floor is `y = 0`. Weight 2 (reference); default 1.
     Floor floor = 2.0;
-    /// Background that moves: `mean ‖x − first x‖₁ + mean ‖q − first q‖₁`. Weight 20 (reference).
+    /// Background that moves: `mean ‖x − first x‖₁ + mean ‖q − first q‖₁`. Weight 20 (reference); default 10.
     Background background = 20.0;
     /// Colours that change with time: `mean ‖colour − previous colour‖₁`. Weight 0.01 (reference, where a bug makes it
-    /// inactive).
+    /// inactive); default 0.005.
     SoftColor soft_color = 0.01;
     /// `L_mask`, a mean. Weight 0.01 (paper); default 0.05: half the Gaussians for 0.1 dB.
     Mask mask = 0.01;

@@ -105,7 +105,7 @@ pub struct DensifyConfig {
     /// The same at the last event. Default 0.25.
     pub prune_opacity_end: f32,
     /// At this iteration opacities are reset, once; from it on Gaussians of a scale over `prune_scale` are
-    /// removed. Default 3000.
+    /// removed. 0: neither. Reference 3000; default 0.
     pub reset: usize,
     /// Share of the scene's radius. Default 0.1.
     pub prune_scale: f32,

@@ -201,9 +201,21 @@ impl TrainConfig {
                 config.rates.reset_steps = true;
                 config.rates.step = 0.002;
                 config.rates.color_rest = 5e-4;
-                config.weights.mask = 0.05;
-                config.weights.mask_consistency = 0.5;
+                // Less of what holds motion together, and much less of outlines, at which Gaussians would gather.
+                config.weights = WeightConfig {
+                    image: 1.0,
+                    segmentation: 0.5,
+                    rigid: 2.0,
+                    rot: 2.0,
+                    iso: 1.0,
+                    floor: 1.0,
+                    background: 10.0,
+                    soft_color: 0.005,
+                    mask: 0.05,
+                    mask_consistency: 0.5,
+                };
                 config.mask.prune_end = 6000;
+                config.densify.reset = 0;
                 config.gate = GateConfig::ON;
                 config.births = BirthConfig::ON;
             }
