@@ -86,7 +86,10 @@ impl Capture {
         if contents.num_frames == 0 {
             return Err(CaptureError::invalid(path, "has no frames, expected at least one"));
         }
-        Ok(Self::of_contents(path.into(), kind, kind.facts, contents))
+        let mut capture = Self::of_contents(path.into(), kind, kind.facts, contents);
+        // Masks beside `capture.toml` mark what moves, docs/CAPTURE.md.
+        capture.facts.labels_motion |= kind == CaptureKind::DESCRIBED && capture.has_segmentation;
+        Ok(capture)
     }
 
     pub(crate) fn of_contents(path: PathBuf, kind: CaptureKind, facts: CaptureFacts, contents: Contents) -> Self {
@@ -162,6 +165,18 @@ impl Capture {
     /// Whether every image of the training cameras, at every frame, has a foreground mask.
     pub fn has_segmentation(&self) -> bool {
         self.has_segmentation
+    }
+
+    /// Where the masks of one frame are, or would be looked for if there were any.
+    ///
+    /// - `frame`: index of the frame, from 0
+    /// - returns: camera id and file, in the order of [`Self::cameras`]; no file for captures that have no place for masks
+    ///
+    /// # Errors
+    /// [`CaptureError::NoFrame`] if the capture has no such frame.
+    pub fn mask_files(&self, split: Split, frame: usize) -> Result<Vec<(usize, Option<PathBuf>)>, CaptureError> {
+        let footage = self.footage(split, frame, 1)?;
+        Ok(footage.into_iter().map(|of| (of.camera_id, of.masks.file(frame))).collect())
     }
 
     /// The cameras of one frame with their ids, in the capture's order. Decodes no image.

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
 use tcgs_core::Camera;
 
 use crate::CaptureError;
@@ -153,5 +154,52 @@ pub(crate) fn check_images(cameras: &CameraSet, num_frames: usize, named_by: &Pa
             Err(CaptureError::invalid(path, problem))
         }
         None => Ok(()),
+    }
+}
+
+/// Finds which images have a mask.
+///
+/// - `files`: where the masks of a camera would be, of the camera and the frames that it has; nothing if it has no place
+///   for any
+pub(crate) fn find_masks(
+    cameras: &mut CameraSet,
+    num_frames: usize,
+    files: impl Fn(&Footage, &[usize]) -> Option<Files> + Sync,
+) {
+    // Of each camera: the frames that it has.
+    let mut frames: Vec<Vec<usize>> = vec![Vec::new(); cameras.footage.len()];
+    for frame in 0..num_frames {
+        cameras.order.at(frame).iter().for_each(|&i| frames[i].push(frame));
+    }
+    cameras.footage.par_iter_mut().zip(&frames).for_each(|(footage, frames)| {
+        let Some(files) = files(footage, frames) else { return };
+        let (mut listings, mut present) = (Listings::default(), ByFrame::default());
+        frames.iter().for_each(|&frame| present.push(frame, listings.has_file(&files.path(frame))));
+        footage.masks = Masks::Files { files, present };
+    });
+}
+
+/// Checks that all training images have a mask, or none has: that only some have is an error, for then one is lost.
+pub(crate) fn check_train_masks(train: &CameraSet, num_frames: usize) -> Result<(), CaptureError> {
+    let mut first_missing = None;
+    let (mut num_images, mut found) = (0, 0);
+    for frame in 0..num_frames {
+        for footage in train.at(frame) {
+            let Masks::Files { files, present } = &footage.masks else { continue };
+            num_images += 1;
+            if *present.at(frame) {
+                found += 1;
+            } else if first_missing.is_none() {
+                first_missing = Some(files.path(frame));
+            }
+        }
+    }
+    match first_missing {
+        Some(missing) if found > 0 => {
+            let problem =
+                format!("no such file, expected masks of all {num_images} training images or of none, found {found}");
+            Err(CaptureError::invalid(missing, problem))
+        }
+        _ => Ok(()),
     }
 }

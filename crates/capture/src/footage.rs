@@ -3,6 +3,7 @@
 //! What lives here: from a frame's number to a [`View`]. What does not: which cameras there are and in which order
 //! (`contents`), and what a kind of capture says about its files (`kinds`).
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use image::RgbImage;
@@ -202,6 +203,14 @@ impl Masks {
             Self::None => false,
             Self::Files { present, .. } => *present.at(frame),
             Self::InMemory(_) | Self::Made(_) => true,
+        }
+    }
+
+    /// The file of a frame's mask, whether or not there is one.
+    pub fn file(&self, frame: usize) -> Option<PathBuf> {
+        match self {
+            Self::Files { files, .. } => Some(files.path(frame)),
+            _ => None,
         }
     }
 

@@ -33,6 +33,7 @@ mod kind;
 mod kinds;
 mod lanczos;
 mod lens;
+mod masks;
 mod names;
 mod points;
 mod points_in_view;
@@ -55,6 +56,8 @@ pub use description::{CalibrationSource, CaptureDescription, ClockSource, DESCRI
 pub use doctor::{CameraFit, Diagnosis, Finding, FindingKind, check};
 pub use error::CaptureError;
 pub use kind::{CaptureFacts, CaptureKind};
+pub use kinds::MASKS_FOLDER;
+pub use masks::{MaskSettings, make_masks};
 pub use points::{POINTS_FILE, write_points};
 pub use prepare::{Origin, PrepareSettings, Prepared, prepare, spread_points};
 pub use raw::{DescribeSettings, PlacedCameras, RawCamera, RawFootage};

@@ -124,3 +124,40 @@ fn the_doctor_says_healthy_or_what_is_wrong() {
     assert_eq!(result["cameras"].as_array().unwrap().len(), 14);
     assert!(image::open(&sheet).unwrap().width() > 500);
 }
+
+#[test]
+fn masks_are_made_where_there_are_none() {
+    let folder = tempdir().unwrap();
+    let source = folder.path().join("footage");
+    let settings = SyntheticSettings { width: 96, height: 72, num_timesteps: 10, ..SyntheticSettings::default() };
+    write_synthetic(&source, &settings).unwrap();
+    std::fs::remove_dir_all(source.join("seg")).unwrap();
+    let (out, result) = (folder.path().join("capture"), folder.path().join("result.json"));
+    let prepare = ["prepare", text(&source), "--points", "2000", "--masks", "yes", "--out"];
+    let said = succeed(&[&prepare[..], &[text(&out), "--dry-run"]].concat());
+    assert!(said.contains("masks: would be made") && !out.exists(), "{said}");
+    let said = succeed(&[&prepare[..], &[text(&out), "--json", text(&result)]].concat());
+    assert!(said.contains("masks: 140, ") && said.contains("on the visual hull"), "{said}");
+    let told = &json(&result)["masks"];
+    assert_keys(told, &["num_masks", "foreground", "seconds"]);
+    assert!((0.02..0.4).contains(&told["foreground"].as_f64().unwrap()), "{told}");
+    assert!(!source.join("seg").exists(), "the source is not touched");
+    let capture = Capture::open(&out).unwrap();
+    let foreground = &capture.point_cloud().unwrap().foreground;
+    assert!(capture.has_segmentation() && foreground.contains(&true) && foreground.contains(&false));
+
+    // A person may mend a mask; what is there is taken.
+    let mask = std::fs::read(out.join("seg/3/000004.png")).unwrap();
+    let again = folder.path().join("again");
+    let said = succeed(
+        &[&prepare[..], &[text(&again)]]
+            .concat()
+            .iter()
+            .map(|&word| if word == text(&source) { text(&out) } else { word })
+            .collect::<Vec<_>>(),
+    );
+    assert!(said.contains("masks: taken as the capture has them"), "{said}");
+    assert_eq!(std::fs::read(again.join("seg/3/000004.png")).unwrap(), mask);
+    let message = fail(2, &["prepare", text(&source), "--points-only", "p.npz", "--masks", "yes"]);
+    assert!(message.contains("--masks"), "{message}");
+}

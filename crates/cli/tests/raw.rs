@@ -124,6 +124,30 @@ fn videos_become_a_capture_that_trains() {
     let said = succeed(&prepare[..prepare.len() - 2]);
     assert!(said.contains("points: the capture has some already"), "{said}");
 
+    // Masks are made of no fewer than eight frames; those that others made are taken, all or none.
+    let masked = [&prepare[..prepare.len() - 2], &["--masks", "yes"]].concat();
+    let message = fail(2, &masked);
+    assert!(message.contains("has 5 frames, expected at least 8 to tell what moves"), "{message}");
+    assert!(!out.join("masks").exists() && !Capture::open(&out).unwrap().has_segmentation());
+    for (camera, frame) in (0..12).flat_map(|camera| (0..5).map(move |frame| (camera, frame))) {
+        let file = out.join(format!("masks/cam{camera}/{frame:06}.png"));
+        std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+        image::GrayImage::from_fn(96, 72, |x, _| image::Luma([255 * u8::from(x > 40)])).save(file).unwrap();
+    }
+    let said = succeed(&masked);
+    assert!(said.contains("masks: taken as the capture has them"), "{said}");
+    let capture = Capture::open(&out).unwrap();
+    let mask = capture.views(Split::Test, 4, 1).unwrap().remove(0).segmentation.unwrap();
+    assert!(capture.has_segmentation() && capture.facts().labels_motion && mask.foreground[41] && !mask.foreground[40]);
+    let missing = out.join("masks/cam7/000003.png");
+    std::fs::rename(&missing, folder.path().join("mask.png")).unwrap();
+    let problem = Capture::open(&out).unwrap_err().to_string();
+    assert!(
+        problem.contains("000003.png: no such file, expected masks of all 55 training images or of none"),
+        "{problem}"
+    );
+    std::fs::rename(folder.path().join("mask.png"), &missing).unwrap();
+
     let run = folder.path().join("run");
     succeed(&["train", text(&out), "--out", text(&run), "--iterations", "30,10", "--backend", "cpu"]);
     succeed(&["eval", text(&run), "--capture", text(&out), "--backend", "cpu"]);

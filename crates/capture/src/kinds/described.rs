@@ -3,6 +3,7 @@
 //! ```text
 //! capture.toml         the description, docs/CAPTURE.md
 //! cam01.mp4 …          what it names
+//! masks/cam01/000000.png …  masks of what moves, of the training cameras at least, or none
 //! init_pt_cld.npz …    points
 //! ```
 //!
@@ -16,13 +17,17 @@ use rayon::prelude::*;
 use tcgs_core::Camera;
 
 use crate::checked::{FrameRate, InnerPath};
-use crate::contents::{CameraSet, Contents};
+use crate::contents::{CameraSet, Contents, check_train_masks, find_masks};
 use crate::description::{CaptureDescription, DESCRIPTION_FILE, DescribedCamera, Role};
 use crate::footage::{ByFrame, Change, Footage, Images, Masks, Pixels};
 use crate::kind::{CaptureFacts, CaptureKind};
 use crate::lens::{Crop, Lens, MAX_SIDE};
+use crate::names::{Files, Names};
 use crate::recording::{Active, Recording, Take, turned};
 use crate::{CaptureError, points};
+
+/// Folder of a described capture that holds the masks, a folder for each camera.
+pub const MASKS_FOLDER: &str = "masks";
 
 impl CaptureKind {
     /// `capture.toml`, which says everything about the files beside it.
@@ -49,12 +54,17 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
             Role::Test => test.push(footage?),
         }
     }
+    let (mut train, mut test) = (CameraSet::constant(train), CameraSet::constant(test));
+    let masks = |footage: &Footage, frames: &[usize]| masks_beside(path, &description, footage, frames);
+    find_masks(&mut train, description.num_frames, masks);
+    check_train_masks(&train, description.num_frames)?;
+    find_masks(&mut test, description.num_frames, masks);
     Ok(Contents {
         num_frames: description.num_frames,
         frame_rate,
         usual_frames: 0..description.num_frames,
-        train: CameraSet::constant(train),
-        test: CameraSet::constant(test),
+        train,
+        test,
         cameras_files: [file.clone(), file],
         points: points::find(path, None),
     })
@@ -94,6 +104,16 @@ pub(crate) fn take(
 
 fn invalid(folder: &Path, camera: &DescribedCamera, problem: String) -> CaptureError {
     CaptureError::invalid(folder.join(DESCRIPTION_FILE), format!("camera {}: {problem}", camera.name))
+}
+
+/// Where the masks of a camera are, if there are any.
+fn masks_beside(folder: &Path, description: &CaptureDescription, footage: &Footage, frames: &[usize]) -> Option<Files> {
+    let camera = description.cameras.iter().find(|camera| camera.id == footage.camera_id)?;
+    // A camera may have any name; masks stay in their folder.
+    InnerPath::new(&camera.name, "the masks").ok()?;
+    let names: Vec<(usize, String)> =
+        frames.iter().map(|&frame| (frame, format!("{}/{frame:06}.png", camera.name))).collect();
+    Some(Files { folder: folder.join(MASKS_FOLDER), names: Names::of(&names) })
 }
 
 fn footage(folder: &Path, description: &CaptureDescription, camera: &DescribedCamera) -> Result<Footage, CaptureError> {

@@ -14,6 +14,7 @@ mod test_cameras;
 
 use std::path::Path;
 
+pub use described::MASKS_FOLDER;
 pub(crate) use described::take;
 pub(crate) use nerfstudio::{
     Frame as NerfstudioFrame, Intrinsics as NerfstudioIntrinsics, Transforms as NerfstudioTransforms,

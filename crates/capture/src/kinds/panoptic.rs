@@ -9,14 +9,12 @@
 
 use std::path::Path;
 
-use rayon::prelude::*;
 use tcgs_core::Camera;
 
 use super::panoptic_meta::Meta;
 use crate::checked::{FrameRate, InnerPath, read_json};
-use crate::contents::{CameraSet, CameraSetOfFiles, Contents, missing_image};
-use crate::files::Listings;
-use crate::footage::{ByFrame, Change, Images, Masks, Pixels};
+use crate::contents::{CameraSet, CameraSetOfFiles, Contents, check_train_masks, find_masks, missing_image};
+use crate::footage::{Change, Footage, Images, Pixels};
 use crate::kind::{CaptureFacts, CaptureKind};
 use crate::names::Files;
 use crate::{CaptureError, points};
@@ -74,9 +72,9 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
             return Err(CaptureError::invalid(image, problem));
         }
     }
-    find_masks(path, &mut train, num_frames);
+    find_masks(&mut train, num_frames, |footage, frames| masks_beside(path, footage, frames));
     check_train_masks(&train, num_frames)?;
-    find_masks(path, &mut test, num_frames);
+    find_masks(&mut test, num_frames, |footage, frames| masks_beside(path, footage, frames));
 
     Ok(Contents {
         num_frames,
@@ -119,44 +117,9 @@ fn cameras(path: &Path, meta_name: &str, meta: &Meta) -> Result<CameraSet, Captu
     Ok(cameras.finish())
 }
 
-/// Finds which images have a mask.
-fn find_masks(path: &Path, cameras: &mut CameraSet, num_frames: usize) {
-    // Of each camera: the frames that it has.
-    let mut frames: Vec<Vec<usize>> = vec![Vec::new(); cameras.footage.len()];
-    for frame in 0..num_frames {
-        cameras.order.at(frame).iter().for_each(|&i| frames[i].push(frame));
-    }
-    cameras.footage.par_iter_mut().zip(&frames).for_each(|(footage, frames)| {
-        let Images::Stored { pixels: Pixels::Files { files, .. }, .. } = &footage.images else { return };
-        let names = files.names.with_extension("png", frames.iter().copied());
-        let files = Files { folder: path.join(MASKS), names };
-        let (mut listings, mut present) = (Listings::default(), ByFrame::default());
-        frames.iter().for_each(|&frame| present.push(frame, listings.has_file(&files.path(frame))));
-        footage.masks = Masks::Files { files, present };
-    });
-}
-
-/// Checks that all training images have a mask, or none has: that only some have is an error, for then one is lost.
-fn check_train_masks(train: &CameraSet, num_frames: usize) -> Result<(), CaptureError> {
-    let mut first_missing = None;
-    let (mut num_images, mut found) = (0, 0);
-    for frame in 0..num_frames {
-        for footage in train.at(frame) {
-            let Masks::Files { files, present } = &footage.masks else { continue };
-            num_images += 1;
-            if *present.at(frame) {
-                found += 1;
-            } else if first_missing.is_none() {
-                first_missing = Some(files.path(frame));
-            }
-        }
-    }
-    match first_missing {
-        Some(missing) if found > 0 => {
-            let problem =
-                format!("no such file, expected masks of all {num_images} training images or of none, found {found}");
-            Err(CaptureError::invalid(missing, problem))
-        }
-        _ => Ok(()),
-    }
+/// Where the masks of a camera are, if there are any.
+fn masks_beside(path: &Path, footage: &Footage, frames: &[usize]) -> Option<Files> {
+    let Images::Stored { pixels: Pixels::Files { files, .. }, .. } = &footage.images else { return None };
+    let names = files.names.with_extension("png", frames.iter().copied());
+    Some(Files { folder: path.join(MASKS), names })
 }

@@ -38,6 +38,13 @@ impl Hull {
     ///
     /// - `finest_px`: cubes are halved until they are about that many pixels wide, or there are enough
     pub fn carve(silhouettes: &[Silhouette], finest_px: f32) -> Self {
+        Self::carve_despite(silhouettes, finest_px, MISS_SHARE)
+    }
+
+    /// [`Self::carve`] where masks miss much.
+    ///
+    /// - `miss_share`: share of the masks with a place in view that may call it empty
+    pub fn carve_despite(silhouettes: &[Silhouette], finest_px: f32, miss_share: f32) -> Self {
         let pinholes: Vec<&Pinhole<f32>> = silhouettes.iter().map(|silhouette| silhouette.pinhole).collect();
         let Some((focus, reach)) = focus(&pinholes) else { return Self::default() };
         let counts: Vec<Counts> = silhouettes.iter().map(Counts::new).collect();
@@ -48,7 +55,7 @@ impl Hull {
                 .map(|i| [i / (FIRST_GRID * FIRST_GRID), i / FIRST_GRID % FIRST_GRID, i % FIRST_GRID])
                 .collect(),
         };
-        hull.keep(&counts);
+        hull.keep(&counts, miss_share);
         // A pixel's width at the middle of things.
         let pixel = pinholes
             .iter()
@@ -59,20 +66,20 @@ impl Hull {
             let halves =
                 |&[x, y, z]: &[i32; 3]| (0..8).map(move |i| [2 * x + (i & 1), 2 * y + (i >> 1 & 1), 2 * z + (i >> 2)]);
             hull.cubes = hull.cubes.iter().flat_map(halves).collect();
-            hull.keep(&counts);
+            hull.keep(&counts, miss_share);
         }
         hull.cubes.sort_unstable();
         hull
     }
 
     /// Drops cubes that too many masks call empty, or too few see.
-    fn keep(&mut self, counts: &[Counts]) {
-        let kept: Vec<bool> = self.cubes.par_iter().map(|&cube| self.allowed(cube, counts)).collect();
+    fn keep(&mut self, counts: &[Counts], miss_share: f32) {
+        let kept: Vec<bool> = self.cubes.par_iter().map(|&cube| self.allowed(cube, counts, miss_share)).collect();
         let mut kept = kept.into_iter();
         self.cubes.retain(|_| kept.next().unwrap_or_default());
     }
 
-    fn allowed(&self, cube: [i32; 3], counts: &[Counts]) -> bool {
+    fn allowed(&self, cube: [i32; 3], counts: &[Counts], miss_share: f32) -> bool {
         let center = self.center(cube);
         let reach = 0.75_f32.sqrt() * self.edge;
         let (mut seen, mut missed) = (0, 0);
@@ -84,7 +91,7 @@ impl Hull {
             }
         }
         let enough = ((MIN_SEEN_SHARE * counts.len() as f32).ceil() as usize).max(2);
-        seen >= enough && missed <= (MISS_SHARE * seen as f32) as usize
+        seen >= enough && missed <= (miss_share * seen as f32) as usize
     }
 
     /// Middle of a cube.

@@ -3,14 +3,15 @@
 mod cameras;
 mod check;
 mod link;
+mod masks;
 mod points;
 mod raw;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use serde_json::json;
-use tcgs_capture::{Capture, DESCRIPTION_FILE, POINTS_FILE, RawFootage};
+use serde_json::{Value, json};
+use tcgs_capture::{Capture, DESCRIPTION_FILE, MASKS_FOLDER, POINTS_FILE, RawFootage};
 use tcgs_interchange::is_unfinished;
 
 use crate::error::wrong_input;
@@ -38,6 +39,11 @@ const MODEL: &str = "colmap";
 /// Training starts from a cloud of coloured points. For a capture that has none, this finds the depth of every pixel
 /// of the first frame's training images (multi-view stereo), keeps what three views or more agree on, limits the
 /// foreground to what all masks allow, continues surfaces without texture, and puts a shell around the rest.
+///
+/// With --masks yes it also marks in every image what moves, if the cameras stand still and the capture has no masks: what
+/// differs from what a camera sees most of the time, and what the other cameras' differences allow there. The masks are
+/// images that can be looked at and mended: masks/CAMERA/FRAME.png beside capture.toml, seg/CAMERA/FRAME.png of Panoptic
+/// Sports. Masks that others made, in the same place, are taken as they are.
 ///
 /// With --check nothing is made: a doctor looks for matrices the wrong way round, cameras in another order than their
 /// images, wrong focal lengths and principal points, empty and inverted masks, and cameras whose clocks are wrong, and
@@ -107,6 +113,10 @@ pub struct Arguments {
     /// fewer than eight none]
     #[arg(long, value_name = "CAMERA", conflicts_with = "check")]
     hold_out: Vec<String>,
+    /// Whether masks of what moves are made, where the capture has none: yes, no
+    #[arg(long, value_name = "YES", default_value = "no", value_parser = yes_or_no, action = clap::ArgAction::Set,
+        conflicts_with_all = ["points_only", "check"])]
+    masks: bool,
     /// Say which steps would run, and write nothing
     #[arg(long, conflicts_with = "check")]
     dry_run: bool,
@@ -166,6 +176,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         check_points_file(file, force)?;
     }
     if arguments.dry_run {
+        if arguments.masks {
+            say("masks: would be made, if the capture has none")?;
+        }
         return say("points: would be made; cameras and clocks are taken as the capture has them");
     }
     if arguments.out.is_some() {
@@ -175,9 +188,22 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(folder) = &folder {
         interrupt::remove_at_end(folder.temporary())?;
     }
-    let capture = Capture::open_unseen(&arguments.source)?;
+    let mut capture = Capture::open_unseen(&arguments.source)?;
     if capture.has_points() {
         say("the points that the source has are not used")?;
+    }
+
+    if let Some(folder) = &folder {
+        link::link_tree(&arguments.source, folder.path(), &[POINTS_FILE, RECORD])?;
+    }
+    let mut told_of_masks = Value::Null;
+    if let Some(folder) = folder.as_ref().filter(|_| arguments.masks) {
+        if capture.has_segmentation() {
+            say("masks: taken as the capture has them")?;
+        } else {
+            told_of_masks = masks::make(&capture, &arguments.source, folder.path())?;
+            capture = Capture::open_unseen(folder.path())?;
+        }
     }
 
     let (prepared, told) = points::make(&capture, arguments)?;
@@ -188,8 +214,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for (key, value) in told.as_object().into_iter().flatten() {
         result[key] = value.clone();
     }
+    if !told_of_masks.is_null() {
+        result["masks"] = told_of_masks;
+    }
     if let Some(folder) = folder {
-        link::link_tree(&arguments.source, folder.path(), &[POINTS_FILE, RECORD])?;
         points::write(&folder.path().join(POINTS_FILE), &prepared.cloud, false)?;
         write_json(&folder.path().join(RECORD), &result, false)?;
         folder.finish()?;
@@ -229,7 +257,8 @@ fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFo
         }
         for entry in std::fs::read_dir(out).with_context(|| format!("reading {}", out.display()))? {
             let name = entry?.file_name();
-            let ours = [POINTS_FILE, RECORD, DESCRIPTION_FILE, MODEL].iter().any(|ours| name == *ours);
+            let ours =
+                [POINTS_FILE, RECORD, DESCRIPTION_FILE, MODEL, MASKS_FOLDER, "seg"].iter().any(|ours| name == *ours);
             if !ours && !is_unfinished(&name) && source.join(&name).symlink_metadata().is_err() {
                 let problem = "is neither of the source nor of prepare, expected it to be moved away first";
                 return Err(wrong_input(format!("{}: {problem}", out.join(name).display())));

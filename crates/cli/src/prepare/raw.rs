@@ -12,7 +12,7 @@ use tcgs_capture::{
     PlacedCameras, RawCamera, RawFootage, Refinement, Role, has_colmap,
 };
 
-use super::{Arguments, MODEL, RECORD, begin_capture, cameras, link, points};
+use super::{Arguments, MODEL, RECORD, begin_capture, cameras, link, masks, points};
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::output::{write_file, write_json};
@@ -47,7 +47,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         "refinement": refinement.map(|refinement| cameras::refinement_json(&refinement, &description)),
         "clock": description.clock.as_ref().map(|clock| &clock.from),
     });
-    let capture = Capture::open_unseen(out)?;
+    let mut capture = Capture::open_unseen(out)?;
+    if capture.has_segmentation() {
+        say("masks: taken as the capture has them")?;
+    } else if arguments.masks && arguments.dry_run {
+        say("masks: would be made")?;
+    } else if arguments.masks {
+        result["masks"] = masks::make_beside(&capture, out)?;
+        capture = Capture::open_unseen(out)?;
+    }
     if capture.has_points() {
         say("points: the capture has some already")?;
     } else if arguments.dry_run {
@@ -138,6 +146,9 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<(Capture
             Some(_) if arguments.refine_calibration => "calibration: would be refined, where that makes it better",
             Some(_) => "calibration: would be taken as it is",
         })?;
+        if arguments.masks {
+            say("masks: would be made")?;
+        }
         say("points: would be made")?;
         return Ok(None);
     }

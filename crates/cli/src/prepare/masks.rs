@@ -1,0 +1,94 @@
+//! Foreground masks of what moves: made, counted, written where the capture's kind looks for them.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::Context;
+use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use serde_json::{Value, json};
+use tcgs_capture::{Capture, MASKS_FOLDER, MaskSettings, Split, make_masks};
+use tcgs_core::Segmentation;
+
+use crate::error::wrong_input;
+use crate::interrupt;
+use crate::output::{NewFolder, write_file};
+use crate::progress::Progress;
+use crate::terminal::say;
+
+/// Makes the masks of a capture that `capture.toml` describes, all of them or none.
+///
+/// - `folder`: the capture's
+/// - returns: what is told of them as JSON
+pub fn make_beside(capture: &Capture, folder: &Path) -> anyhow::Result<Value> {
+    let masks = folder.join(MASKS_FOLDER);
+    let new = NewFolder::begin(&masks, false, |_| false)?;
+    interrupt::remove_at_end(new.temporary())?;
+    let told = make(capture, &masks, new.path())?;
+    new.finish()?;
+    Ok(told)
+}
+
+/// Makes the masks of a capture.
+///
+/// - `from`, `to`: a mask that the capture looks for in `from` is written to the same place in `to`; one that is there
+///   stays
+pub fn make(capture: &Capture, from: &Path, to: &Path) -> anyhow::Result<Value> {
+    if capture.mask_files(Split::All, 0)?.iter().any(|(_, file)| file.is_none()) {
+        let problem =
+            format!("is a {} capture, which has no place for masks, expected --masks no", capture.kind().name);
+        return Err(wrong_input(format!("{}: {problem}", capture.name())));
+    }
+    let begin = Instant::now();
+    let mut progress = Progress::new("masks", 100);
+    let (mut num_masks, mut covered, mut pixels) = (0, 0, 0);
+    let mut failed = None;
+    let mut write = |frame: usize, camera_id: usize, mask: &Segmentation| {
+        num_masks += 1;
+        covered += mask.foreground.iter().filter(|&&marked| marked).count();
+        pixels += mask.foreground.len();
+        let written = write_mask(capture, [from, to], frame, camera_id, mask);
+        match written {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(error) => {
+                failed = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    };
+    make_masks(capture, &MaskSettings::default(), &mut write, &mut |step, share| {
+        progress.advance_to((100.0 * share) as usize, || step.into());
+    })?;
+    drop(progress);
+    if let Some(error) = failed {
+        return Err(error);
+    }
+    let (seconds, share) = (begin.elapsed().as_secs_f64(), covered as f64 / pixels.max(1) as f64);
+    say(&format!("masks: {num_masks}, {:.1} % of the pixels move; {seconds:.1} s", 100.0 * share))?;
+    Ok(json!({ "num_masks": num_masks, "foreground": share, "seconds": seconds }))
+}
+
+fn write_mask(
+    capture: &Capture,
+    [from, to]: [&Path; 2],
+    frame: usize,
+    camera_id: usize,
+    mask: &Segmentation,
+) -> anyhow::Result<()> {
+    let files = capture.mask_files(Split::All, frame)?;
+    let file = files.into_iter().find(|(id, _)| *id == camera_id).and_then(|(_, file)| file);
+    let file = file.context("a camera without a mask's place")?;
+    let file = to.join(file.strip_prefix(from).context("a mask outside of its folder")?);
+    if file.exists() {
+        return Ok(());
+    }
+    if let Some(folder) = file.parent() {
+        std::fs::create_dir_all(folder).with_context(|| format!("writing {}", folder.display()))?;
+    }
+    let white: Vec<u8> = mask.foreground.iter().map(|&marked| if marked { 255 } else { 0 }).collect();
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes)
+        .write_image(&white, mask.width as u32, mask.height as u32, ExtendedColorType::L8)
+        .context("encoding a mask")?;
+    write_file(&file, &bytes, false)
+}
