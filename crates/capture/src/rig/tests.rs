@@ -156,6 +156,7 @@ fn right_cameras_stay_what_they_are() {
 
 #[test]
 fn poses_in_another_convention_are_told_from_the_images_and_mended() {
+    type Spoil<'a> = &'a dyn Fn([[f64; 4]; 3]) -> [[f64; 4]; 3];
     let folder = tempfile::tempdir().unwrap();
     let truth = described(folder.path(), 1);
     let inverted = |m: [[f64; 4]; 3]| {
@@ -163,7 +164,7 @@ fn poses_in_another_convention_are_told_from_the_images_and_mended() {
         [0, 1, 2].map(|i| [m[0][i], m[1][i], m[2][i], center(i)])
     };
     let turned = |[x, y, z]: [[f64; 4]; 3]| [x, y.map(|v| -v), z.map(|v| -v)];
-    let wrong: [(&str, &dyn Fn([[f64; 4]; 3]) -> [[f64; 4]; 3]); 3] = [
+    let wrong: [(&str, Spoil<'_>); 3] = [
         ("wrong way round (world from camera), and are inverted: ", &inverted),
         ("for camera axes y up and z backward, and are turned: ", &turned),
         ("and are inverted and turned: ", &|m| inverted(turned(m))),
