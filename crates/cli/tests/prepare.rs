@@ -133,6 +133,6 @@ fn the_doctor_says_healthy_or_what_is_wrong() {
     let marked =
         page.split("<section").skip(1).filter(|text| text.lines().next().is_some_and(|line| line.contains("bad")));
     assert_eq!(marked.count(), 2, "two cameras are marked");
-    assert!(page.contains("<li>cameras 1, 9: the image is what is seen from another camera's place"), "{page}");
+    assert!(page.contains("<li>cameras 1, 11: the image is what is seen from another camera's place"), "{page}");
     assert!(!page.contains("src=\"http") && !page.contains("href=\"http"), "it needs no other file");
 }
