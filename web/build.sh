@@ -12,7 +12,8 @@ trap 'rm -rf "$made"' EXIT
 chmod 755 "$made"
 cp src/* "$made"
 ../scripts/build_wasm.sh "$made/engine"
-# For programmers alone.
+../scripts/build_wasm.sh "$made/decoder" js
+# For programmers of the page alone.
 rm -f "$made"/engine/*.d.ts
 
 total=0

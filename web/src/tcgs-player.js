@@ -3,6 +3,17 @@
 const PAGE = new URL("./index.html", import.meta.url);
 
 /**
+ * A camera: pixels, and a matrix row by row that takes a point of the world to the camera, whose axes are x right, y down, z
+ * forward.
+ * @typedef {{ width: number, height: number, fx: number, fy: number, cx: number, cy: number, cameraFromWorld: number[] }} Camera
+ */
+
+/**
+ * What the file says of its scene.
+ * @typedef {{ name: string, numGaussians: number, numTimesteps: number, frameRate: number, bytes: number, cameras: string[] }} Info
+ */
+
+/**
  * Events: `ready`, `load`, `error`, `play`, `pause`, `timestep`; `detail` says more.
  *
  * ```js
@@ -13,13 +24,14 @@ const PAGE = new URL("./index.html", import.meta.url);
  * ```
  */
 export class TcgsPlayer extends EventTarget {
+  /** Calls that have no answer yet. @type {Map<number, { resolve: (result: any) => void, reject: (error: Error) => void }>} */
   #waiting = new Map();
   #next = 1;
   #ready;
   #stop = new AbortController();
 
   /**
-   * @param {Element} container gets the <iframe> as its child
+   * @param {ParentNode & Node} container gets the <iframe> as its child
    * @param {Record<string, string | number | boolean>} [params] of the page's address: src, autoplay, controls, …
    */
   constructor(container, params = {}) {
@@ -27,7 +39,7 @@ export class TcgsPlayer extends EventTarget {
     const address = new URL(PAGE);
     for (const [name, value] of Object.entries(params)) {
       // The <iframe> would resolve the address against its own, not against this page's.
-      address.searchParams.set(name, name === "src" ? new URL(value, document.baseURI).href : String(value));
+      address.searchParams.set(name, name === "src" ? new URL(String(value), document.baseURI).href : String(value));
     }
     this.frame = document.createElement("iframe");
     this.frame.src = address.href;
@@ -38,7 +50,11 @@ export class TcgsPlayer extends EventTarget {
     container.append(this.frame);
   }
 
-  /** Opens an address or a file. Resolves to `info()` when the first picture shows. */
+  /**
+   * Opens an address or a file. Resolves to `info()` when the first picture shows.
+   * @param {string | URL | Blob} source
+   * @returns {Promise<Info>}
+   */
   load(source) {
     return this.#ask("load", source instanceof Blob ? source : new URL(source, document.baseURI).href);
   }
@@ -66,7 +82,7 @@ export class TcgsPlayer extends EventTarget {
     return this.#ask("setLoop", loop);
   }
 
-  /** @param {{width, height, fx, fy, cx, cy, cameraFromWorld: number[]}} camera the matrix row by row */
+  /** @param {Camera} camera */
   setCamera(camera) {
     return this.#ask("setCamera", camera);
   }
@@ -80,7 +96,7 @@ export class TcgsPlayer extends EventTarget {
     return this.#ask("resetCamera");
   }
 
-  /** The current camera, in the form that `setCamera` takes. */
+  /** The current camera, in the form that `setCamera` takes. @returns {Promise<Camera>} */
   camera() {
     return this.#ask("camera");
   }
@@ -90,7 +106,7 @@ export class TcgsPlayer extends EventTarget {
     return this.#ask("state");
   }
 
-  /** What the file says of its scene: `{name, numGaussians, numTimesteps, frameRate, bytes, cameras}`. */
+  /** What the file says of its scene; null before one is open. @returns {Promise<Info | null>} */
   info() {
     return this.#ask("info");
   }
@@ -101,15 +117,17 @@ export class TcgsPlayer extends EventTarget {
     this.frame.remove();
   }
 
+  /** @param {string} method @param {unknown[]} args @returns {Promise<any>} */
   async #ask(method, ...args) {
     await this.#ready;
     const id = this.#next++;
     return new Promise((resolve, reject) => {
       this.#waiting.set(id, { resolve, reject });
-      this.frame.contentWindow.postMessage({ tcgs: 1, id, method, args }, PAGE.origin);
+      this.frame.contentWindow?.postMessage({ tcgs: 1, id, method, args }, PAGE.origin);
     });
   }
 
+  /** @param {MessageEvent} event */
   #hear({ source, origin, data }) {
     if (source !== this.frame.contentWindow || origin !== PAGE.origin || data?.tcgs !== 1) return;
     if (data.event) {

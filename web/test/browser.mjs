@@ -411,6 +411,54 @@ test("another page embeds the player and speaks with it", async (t) => {
   assert.equal(result.missing, "network");
 });
 
+test("an element opens what its attribute names, and passes events on", async (t) => {
+  const page = await open(t, "example.html", { standIn: true });
+  const heard = await page.evaluate(async () => {
+    const element = document.createElement("tcgs-player");
+    Object.assign(element, { id: "second", title: "A room" });
+    element.setAttribute("src", "scene.tcgs");
+    element.setAttribute("controls", "false");
+    const next = (name) => new Promise((resolve) => element.addEventListener(name, ({ detail }) => resolve(detail), { once: true }));
+    const loaded = next("load");
+    document.body.append(element);
+    const { numTimesteps } = await loaded;
+    const again = next("load");
+    element.setAttribute("src", "other.tcgs");
+    await again;
+    const { width, height } = element.getBoundingClientRect();
+    const { title } = element.player.frame;
+    element.remove();
+    return { numTimesteps, shape: width / height, title, left: element.player };
+  });
+  assert.ok(heard.numTimesteps > 0 && Math.abs(heard.shape - 16 / 9) < 0.01);
+  assert.deepEqual([heard.title, heard.left], ["A room", null]);
+});
+
+test("three.js shows a scene that moves", async (t) => {
+  const page = await open(t, "example.html", { standIn: true });
+  // Everything of the package, as a server of it would give it.
+  const type = { html: "text/html", js: "text/javascript", wasm: "application/wasm", tcgs: "application/octet-stream" };
+  await page.route("http://package.test/**", (route) => {
+    const { pathname } = new URL(route.request().url());
+    const path = pathname.endsWith("scene.tcgs") ? SCENE : new URL(`..${pathname}`, import.meta.url).pathname;
+    return route.fulfill({ path, contentType: type[path.split(".").pop()] });
+  });
+  await page.goto("http://package.test/examples/three.html");
+  const said = () => page.textContent("#said");
+  await page.waitForFunction(() => /^frame /.test(document.querySelector("#said").textContent));
+  const first = await said();
+  await page.waitForFunction((text) => document.querySelector("#said").textContent !== text, first);
+  if (SHOTS) await page.screenshot({ path: join(SHOTS, "three.png") });
+  const lit = await page.evaluate(() => {
+    const canvas = document.querySelector("canvas");
+    const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
+    copy.drawImage(canvas, 0, 0);
+    const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+    return data.filter((value, i) => i % 4 === 0 && value > 60).length / (data.length / 4);
+  });
+  assert.ok(lit > 0.1, `${lit} of the picture is lit`);
+});
+
 test("help opens and closes, menus and themes work, everything has a name", async (t) => {
   const page = await loaded(await open(t, EXACT, { viewport: { width: 800, height: 560 } }));
   const nameless = await page.evaluate(() =>

@@ -52,7 +52,7 @@ typedef struct TcgsSceneInfo {
   float frame_rate;
   // Degree of the spherical harmonics, 0 to 3; 0: a colour is the same from everywhere.
   uint32_t sh_degree;
-  // World axis that points up: 0 unknown, 1 to 6 for +x, -x, +y, -y, +z, -z. Axes are right-handed.
+  // World axis that points up: 0 unknown, 1 to 6 for x, y, z, -x, -y, -z. Axes are right-handed.
   uint32_t up;
   // Smallest coordinates of all centres at all timesteps, scene units.
   float bounds_min[3];

@@ -36,7 +36,7 @@ pub struct SceneInfo {
     pub frame_rate: f32,
     /// Degree of the spherical harmonics, 0 to 3; 0: a colour is the same from everywhere.
     pub sh_degree: u32,
-    /// World axis that points up: 0 unknown, 1 to 6 for +x, -x, +y, -y, +z, -z. Axes are right-handed.
+    /// World axis that points up: 0 unknown, 1 to 6 for x, y, z, -x, -y, -z. Axes are right-handed.
     pub up: u32,
     /// Smallest coordinates of all centres at all timesteps, scene units.
     pub bounds_min: [f32; 3],
@@ -274,13 +274,7 @@ unsafe fn fill(gaussians: &Gaussians, to: &Arrays) {
     copy(drawn.scales.as_flattened(), to.scales);
     copy(&drawn.opacities, to.opacities);
     copy(&drawn.colors, to.colors);
-    let bands = gaussians.layout().harmonics();
-    if to.harmonics.is_null() || bands.is_empty() {
-        return;
+    if !to.harmonics.is_null() {
+        copy(&gaussians.harmonic_rows(), to.harmonics);
     }
-    let of_gaussian = |i: usize| {
-        bands.iter().flat_map(move |&band| gaussians.values(band)[i * band.components()..][..band.components()].iter())
-    };
-    let rows: Vec<f32> = (0..gaussians.num_gaussians()).flat_map(of_gaussian).copied().collect();
-    copy(&rows, to.harmonics);
 }

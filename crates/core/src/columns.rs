@@ -212,6 +212,25 @@ impl<Role> Columns<Role> {
         selected
     }
 
+    /// The coefficients of spherical harmonics from degree 1 on, as other programs hold them: `[N, (degree + 1)² - 1, 3]` with
+    /// those of all degrees of one Gaussian together; empty where there are none.
+    ///
+    /// ```
+    /// use tcgs_core::{Gaussians, Layout};
+    /// let mut gaussians = Gaussians::zeros_of(&Layout::with_harmonics(2), 2);
+    /// for band in gaussians.layout().harmonics() {
+    ///     gaussians.values_mut(band).fill(band.components() as f32);
+    /// }
+    /// let rows = gaussians.harmonic_rows();
+    /// assert_eq!((rows.len(), &rows[7..11], rows[24]), (2 * 8 * 3, &[9.0, 9.0, 15.0, 15.0][..], 9.0));
+    /// ```
+    pub fn harmonic_rows(&self) -> Vec<f32> {
+        let bands: Vec<(&[f32], usize)> =
+            self.layout.harmonics().into_iter().map(|band| (self.values(band), band.components())).collect();
+        let of_gaussian = |i: usize| bands.iter().flat_map(move |(values, size)| &values[i * size..(i + 1) * size]);
+        (0..self.num_gaussians).flat_map(of_gaussian).copied().collect()
+    }
+
     /// The five columns of [`Attribute::BASE`], to change in place together.
     pub fn views_mut(&mut self) -> BaseViewsMut<'_> {
         let [means, quats, log_scales, logit_opacities, colors, ..] = self.values.as_mut_slice() else {

@@ -1,0 +1,100 @@
+// Tests of the decoder alone, in Node. Run, after web/build.sh: node --test web/test/decoder.mjs
+
+import assert from "node:assert/strict";
+import { once } from "node:events";
+import { readFileSync, readdirSync } from "node:fs";
+import { createServer } from "node:http";
+import { test } from "node:test";
+
+import { open } from "../dist/decoder.js";
+
+const VECTORS = new URL("../../testdata/bitstream/", import.meta.url);
+const files = (folder) => {
+  const names = readdirSync(new URL(folder, VECTORS)).filter((name) => name.endsWith(".tcgs"));
+  return names.map((name) => [`${folder}${name}`, readFileSync(new URL(folder + name, VECTORS))]);
+};
+
+/** Serves bytes, with ranges or without; counts requests. */
+async function serve(bytes, knowsRanges) {
+  const asked = [];
+  const server = createServer((request, response) => {
+    const [, start, end] = /bytes=(\d+)-(\d+)/.exec(request.headers.range ?? "") ?? [];
+    asked.push(request.headers.range);
+    if (request.url !== "/scene.tcgs") return response.writeHead(404).end();
+    if (!knowsRanges) return response.writeHead(200).end(bytes);
+    const part = bytes.subarray(Number(start), Number(end) + 1);
+    const range = `bytes ${start}-${Number(start) + part.length - 1}/${bytes.length}`;
+    return response.writeHead(206, { "Content-Range": range }).end(part);
+  });
+  server.listen(0, "127.0.0.1");
+  await once(server, "listening");
+  return { address: `http://127.0.0.1:${server.address().port}/scene.tcgs`, asked, stop: () => server.close() };
+}
+
+test("every vector is decoded, to plausible Gaussians within what the file says", async () => {
+  // One has values that no float holds.
+  const vectors = [...files("v1/"), ...files("v2/")].filter(([name]) => !name.includes("beyond_floats"));
+  assert.ok(vectors.length > 10);
+  let withHarmonics = 0;
+  for (const [name, bytes] of vectors) {
+    const scene = await open(bytes);
+    const { numTimesteps, maxGaussians, shDegree, boundsMin, boundsMax } = scene.info;
+    assert.ok(boundsMin.every((least, i) => least <= boundsMax[i]), name);
+    withHarmonics += shDegree > 0;
+    for (let t = 0; t < numTimesteps; t += Math.max(1, numTimesteps >> 3)) {
+      const { numGaussians: n, means, quats, scales, opacities, colors, harmonics } = await scene.at(t);
+      const sizes = [means, quats, scales, opacities, colors, harmonics].map((values) => values.length);
+      assert.deepEqual(sizes, [3 * n, 4 * n, 3 * n, n, 3 * n, 3 * n * ((shDegree + 1) ** 2 - 1)], name);
+      assert.ok(n <= maxGaussians && scales.every((s) => s >= 0) && opacities.every((o) => o >= 0 && o <= 1), name);
+      assert.ok([...means, ...colors, ...harmonics].every(Number.isFinite), name);
+      for (let i = 0; i < n; i++) assert.ok(Math.abs(Math.hypot(...quats.subarray(4 * i, 4 * i + 4)) - 1) < 1e-4, name);
+    }
+    scene.close();
+  }
+  assert.ok(withHarmonics > 0);
+});
+
+test("bytes, files and addresses give the same", async () => {
+  const [, bytes] = files("v2/").sort(([, a], [, b]) => b.length - a.length)[0];
+  const [ranges, whole] = [await serve(bytes, true), await serve(bytes, false)];
+  const copy = bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length);
+  const sources = [bytes, copy, new Blob([bytes]), ranges.address, new URL(ranges.address), whole.address];
+  const scenes = await Promise.all(sources.map((source) => open(source)));
+  const last = scenes[0].info.numTimesteps - 1;
+  const expected = [await scenes[0].at(0), await scenes[0].at(last)];
+  for (const scene of scenes) {
+    assert.deepEqual(scene.info, scenes[0].info);
+    // Two at once, without waiting for the first.
+    assert.deepEqual(await Promise.all([scene.at(0), scene.at(last)]), expected);
+    scene.close();
+  }
+  assert.equal(whole.asked.length, 1);
+  ranges.stop();
+  whole.stop();
+});
+
+test("what cannot be opened says why", async () => {
+  const accepted = [];
+  for (const [name, bytes] of [...files("refused/"), ...files("refused_v2/")]) {
+    const failure = await open(bytes)
+      .then(async (scene) => {
+        for (let t = 0; t < scene.info.numTimesteps; t++) await scene.at(t);
+      })
+      .then(() => null, (error) => error);
+    if (failure) assert.ok(failure instanceof Error && /^[^\n]{10,}$/.test(failure.message), `${name}: ${failure}`);
+    else accepted.push(name);
+  }
+  // What is wrong with the others lies between or behind what a timestep needs.
+  const elsewhere = /disagreement|skipped_checksum|gap|order|overlap|other_coding|section_in_piece/;
+  assert.deepEqual(accepted.filter((name) => !elsewhere.test(name)), []);
+  const [, bytes] = files("v1/")[0];
+  await assert.rejects(open(bytes.subarray(0, 40)), /ends early/);
+  await assert.rejects(open(new TextEncoder().encode("# A text, which is no scene at all\n")), /invalid/);
+  const scene = await open(bytes);
+  await assert.rejects(scene.at(scene.info.numTimesteps), /expected an integer from 0 to/);
+  await assert.rejects(scene.at(0.5), RangeError);
+  scene.close();
+  const { address, stop } = await serve(bytes, true);
+  await assert.rejects(open(address.replace("scene", "other")), /the server answered 404/);
+  stop();
+});
