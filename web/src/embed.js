@@ -21,7 +21,7 @@ function commands(player) {
     setLoop: (loop) => player.setLoop(loop),
     setCamera: (camera) => player.setCamera(camera),
     useCamera: (index) => player.useCamera(index),
-    resetCamera: () => player.move("reset"),
+    resetCamera: () => player.reset(),
     camera: () => player.camera(),
     state: () => player.state,
     info: () => describe(player),

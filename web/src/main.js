@@ -3,6 +3,7 @@
 import { pathFromJson } from "./camera_path.js";
 import { listenToEmbedder } from "./embed.js";
 import { explain } from "./failures.js";
+import { frusta } from "./frusta.js";
 import { listenForMoves } from "./input.js";
 import { addToPath, moreMenu, saveStill, showHelp, viewsMenu } from "./menus.js";
 import { readParams } from "./params.js";
@@ -24,12 +25,17 @@ statistics(player);
 viewsMenu(player);
 const { toggleStatistics } = moreMenu(player, { choose, stats: params.stats, theme: params.theme });
 const { toggle: toggleSound } = sound(player);
+const named = (what) => document.querySelector(`meta[name=tcgs-${what}]`).content;
+// Those that the page names belong to the scene that it names.
+const cameras = params.cameras ?? (params.src === null ? named("cameras") : "");
+const { toggle: toggleFrusta } = frusta(player, cameras || null, params.view === null);
 listenForMoves(element("canvas"), player);
 idling(player);
 shortcuts(player, {
   camera: (index) => index < player.info.cameras.length && player.useCamera(index),
   h: showHelp,
   "?": showHelp,
+  c: toggleFrusta,
   i: toggleStatistics,
   k: () => addToPath(player),
   m: toggleSound,
@@ -84,6 +90,6 @@ window.addEventListener("drop", (event) => {
   take(event.dataTransfer.files[0]);
 });
 
-const source = params.src ?? document.querySelector("meta[name=tcgs-src]").content;
+const source = params.src ?? named("src");
 if (source) player.open(source, params.timestep);
 else showCard("welcome");

@@ -6,7 +6,7 @@ import { element, nameOf, save, toast } from "./ui.js";
 
 /** @param {import("./player.js").Player} player */
 export function viewsMenu(player) {
-  element("reset").addEventListener("click", () => player.move("reset"));
+  element("reset").addEventListener("click", () => player.reset());
   element("path-add").addEventListener("click", () => addToPath(player));
   element("path-follow").addEventListener("click", () => player.follow(!player.following));
   element("path-clear").addEventListener("click", () => player.setPath(new CameraPath()));

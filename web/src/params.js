@@ -13,6 +13,7 @@ export function readParams(query) {
   const theme = given.get("theme");
   return {
     src: given.get("src"),
+    cameras: given.get("cameras"),
     autoplay: flag(given.get("autoplay"), true),
     loop: flag(given.get("loop"), true),
     controls: flag(given.get("controls"), true),

@@ -27,6 +27,8 @@ export class Player extends EventTarget {
   loop = true;
   /** What the engine says of the scene; null: no scene. */
   info = null;
+  /** Camera of the start view; null: the engine's. */
+  home = null;
   /** What the engine says of the last frame. */
   state = null;
   /** Frames drawn in the last second; null while nothing moves. */
@@ -157,6 +159,12 @@ export class Player extends EventTarget {
   move(how, ...amounts) {
     if (this.following) this.follow(false);
     this.#do((viewer) => viewer[how](...amounts));
+  }
+
+  /** Moves to the start view. */
+  reset() {
+    if (this.home) this.setCamera(this.home);
+    else this.move("reset");
   }
 
   camera() {

@@ -230,7 +230,7 @@ export function shortcuts(player, actions) {
     "]": speed(1),
     l: () => player.setLoop(!player.loop),
     f: toggleFull,
-    r: () => player.move("reset"),
+    r: () => player.reset(),
     ...actions,
   };
   window.addEventListener("keydown", (event) => {

@@ -8,7 +8,7 @@ import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
 import { mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { join } from "node:path";
+import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
 
 import { compare, drop, launch, plyOfSpheres, serve, settled } from "./support.mjs";
@@ -36,11 +36,15 @@ after(async () => {
   rmSync(scratch, { recursive: true, force: true });
 });
 
-/** Opens the page. An error in its scripts fails the test. `standIn`: with the stand-in for the engine, which is fast. */
-async function open(t, query = EXACT, { from = tiny, script, standIn = false, ...options } = {}) {
+/**
+ * Opens the page. An error in its scripts fails the test. `standIn`: with the stand-in for the engine, which is fast.
+ * `prepare`: gets the browser's context before the page is opened.
+ */
+async function open(t, query = EXACT, { from = tiny, script, standIn = false, prepare, ...options } = {}) {
   const viewport = { width: 480, height: 300 };
   const context = await browser.newContext({ viewport, colorScheme: "dark", reducedMotion: "reduce", ...options });
   context.setDefaultTimeout(PATIENCE_MS);
+  await prepare?.(context);
   const page = await context.newPage();
   const errors = [];
   page.on("pageerror", (error) => errors.push(error.stack ?? String(error)));
@@ -567,4 +571,71 @@ test("the timeline plays on when it is let go, and tells of each scene anew", as
   await page.evaluate(() => (window.given.timesteps = 7));
   await drop(page, "other.tcgs", Buffer.from("another scene"));
   await page.waitForFunction(() => document.querySelector("#frame-number").textContent === "1 / 7");
+});
+
+test("cameras of a capture are drawn where they are, and key C hides them", async (t) => {
+  const numbers = { width: 480, height: 300, fx: 300, fy: 300, cx: 240, cy: 150 };
+  const at = (x, z) => ({ ...numbers, cameraFromWorld: [1, 0, 0, -x, 0, 1, 0, 0, 0, 0, 1, -z, 0, 0, 0, 1] });
+  const image = "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' width='16' height='10'/%3E";
+  // One where the viewer is, one a unit to the right, one behind the viewer.
+  const cameras = [at(0, 0), at(1, 0), at(0, -2)].map((camera, i) => ({ ...camera, name: `cam${i}`, image }));
+  const file = { depth: 1, start: at(0, 0), cameras };
+  const give = (body) => (context) => context.route("**/cameras.json", (route) => route.fulfill({ json: body }));
+  const shown = async (body) => {
+    const page = await open(t, `${EXACT}&cameras=cameras.json`, { standIn: true, prepare: give(body) });
+    await page.waitForSelector("body.has-scene");
+    return page;
+  };
+  const page = await shown(file);
+  await page.waitForSelector("#frusta[data-cameras='3']");
+  await settled(page);
+  const boxes = await page.evaluate(() =>
+    [...document.querySelectorAll("#frusta img")].map((image) => {
+      const { left, top, width, height } = image.getBoundingClientRect();
+      return image.hidden ? null : [left, top, width, height].map(Math.round);
+    }),
+  );
+  assert.deepEqual(boxes, [[0, 0, 480, 300], [300, 0, 480, 300], null]);
+  assert.deepEqual(await page.$$eval("#frusta img", (all) => all.map((image) => image.classList.contains("through"))), [true, false, false]);
+  // The left side of the second one's image, and its apex far outside on the right.
+  const ink = () =>
+    page.evaluate(() => {
+      const { data } = document.querySelector("#frusta-lines").getContext("2d").getImageData(299, 100, 3, 1);
+      return Math.max(...data);
+    });
+  assert.ok((await ink()) > 100, "lines");
+  await page.keyboard.press("c");
+  assert.equal(await page.locator("#frusta img:not([hidden])").count(), 0, "without images");
+  assert.ok((await ink()) > 100, "lines");
+  await page.keyboard.press("c");
+  assert.ok(await page.isHidden("#frusta"));
+  await page.keyboard.press("c");
+  assert.equal(await page.locator("#frusta img:not([hidden])").count(), 2);
+  // They are of the scene that was opened first.
+  await drop(page, "other.tcgs", Buffer.from("another scene"));
+  await page.waitForSelector("#frusta[data-cameras='0']", { state: "attached" });
+  assert.ok(await page.isHidden("#toggle-frusta"));
+
+  const wrong = await shown({ cameras: [{ name: "no camera" }] });
+  await wrong.waitForFunction(() => /cannot be shown/.test(document.querySelector("#toast").textContent));
+});
+
+test("tcgs view shows a capture: its points, and its cameras with their images", async (t) => {
+  const capture = await serve(TCGS, join(dirname(SCENE), "capture"));
+  t.after(() => capture.stop());
+  const page = await open(t, EXACT, { from: capture });
+  await page.waitForSelector("#frusta:not([data-cameras='0'])");
+  await loaded(page);
+  await shot(page, "capture");
+  const images = await page.$$eval("#frusta img", (all) => all.map((image) => [image.complete, image.naturalWidth > 0]));
+  assert.ok(images.length > 8 && images.every(([complete, decoded]) => complete && decoded), JSON.stringify(images));
+  const count = await page.locator("#cameras button").count();
+  assert.equal(count, images.length, "each camera is a view");
+  const inside = await page.evaluate(() =>
+    [...document.querySelectorAll("#frusta img:not([hidden])")].filter((image) => {
+      const { left, top, right, bottom } = image.getBoundingClientRect();
+      return right > 0 && bottom > 0 && left < innerWidth && top < innerHeight;
+    }).length,
+  );
+  assert.equal(inside, images.length, "all are in sight");
 });

@@ -13,6 +13,7 @@ export class Viewer {
   #timestep = 0;
   #playing = false;
   #size = [1, 1];
+  #camera = null;
 
   static async create() {
     return new Viewer();
@@ -38,8 +39,13 @@ export class Viewer {
     return { width, height, timestep, data: new Uint8ClampedArray(4 * width * height) };
   }
 
-  setCamera({ cameraFromWorld }) {
-    if (!cameraFromWorld.every(Number.isFinite)) throw new Error("this is no camera");
+  setCamera(camera) {
+    if (!camera.cameraFromWorld.every(Number.isFinite)) throw new Error("this is no camera");
+    this.#camera = camera;
+  }
+
+  camera() {
+    return this.#camera;
   }
 
   resize(...size) {

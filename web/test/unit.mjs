@@ -16,9 +16,10 @@ test("addresses say what to show, and nonsense says nothing", () => {
     [nothing.src, nothing.autoplay, nothing.loop, nothing.controls, nothing.speed, nothing.timestep, nothing.view],
     [null, true, true, true, 1, 0, null],
   );
-  const all = readParams("?src=a%20b.tcgs&autoplay=0&loop=false&controls=off&speed=0.5&timestep=7&view=0&theme=dark&quality=fixed&dpr=1");
+  const all = readParams("?src=a%20b.tcgs&cameras=c.json&autoplay=0&loop=false&controls=off&speed=0.5&timestep=7&view=0&theme=dark&quality=fixed&dpr=1");
   assert.deepEqual(all, {
     src: "a b.tcgs",
+    cameras: "c.json",
     autoplay: false,
     loop: false,
     controls: false,

@@ -53,7 +53,7 @@ pub use calibration::{CalibratedCamera, Calibration};
 pub use capture::{Capture, Split};
 pub use clocks::{Clocks, ClocksFrom};
 pub use description::{CalibrationSource, CaptureDescription, ClockSource, DESCRIPTION_FILE, DescribedCamera, Role};
-pub use doctor::{CameraFit, Diagnosis, Finding, FindingKind, check};
+pub use doctor::{CameraFit, CameraPictures, Diagnosis, Finding, FindingKind, check};
 pub use error::CaptureError;
 pub use kind::{CaptureFacts, CaptureKind};
 pub use kinds::MASKS_FOLDER;

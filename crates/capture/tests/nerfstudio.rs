@@ -217,3 +217,31 @@ fn what_is_wrong_is_named() {
     let message = shorten(folder.path(), &capture.views(Split::Train, 1, 1).unwrap_err());
     assert_eq!(message, "images/cam2_1.png: is 16x12 pixels, expected 32x24 as its camera has");
 }
+
+#[test]
+fn cameras_of_blender_lie_in_two_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let angle = 2.0 * (0.5 * 32.0 / 28.0_f64).atan();
+    for (split, ids) in [("train", 0..5), ("test", 5..8)] {
+        let frames: Vec<Value> = ids
+            .clone()
+            .map(|id| json!({ "file_path": format!("./{split}/r_{id}"), "rotation": 0.01, "transform_matrix": matrix(id) }))
+            .collect();
+        let file = folder.path().join(format!("transforms_{split}.json"));
+        fs::write(file, json!({ "camera_angle_x": angle, "frames": frames }).to_string()).unwrap();
+        for id in ids {
+            write_image(&folder.path().join(format!("{split}/r_{id}.png")), 32, 24, [id as u8, 0, 0]);
+        }
+    }
+    let capture = Capture::open(folder.path()).unwrap();
+    assert_eq!((capture.kind(), capture.num_frames()), (CaptureKind::NERFSTUDIO, 1));
+    let all = capture.views(Split::All, 0, 1).unwrap();
+    assert_eq!((ids(&capture, Split::Train).len(), ids(&capture, Split::Test).len()), (5, 3));
+    for view in all {
+        // Which camera it is says its image.
+        assert_close(&view.camera, &camera_of(usize::from(view.image.to_rgb8()[0]), NUM_CAMERAS, 32, 24));
+    }
+    // Without the second file every eighth camera is for judging, of fewer than eight none.
+    fs::remove_file(folder.path().join("transforms_test.json")).unwrap();
+    assert_eq!(ids(&Capture::open(folder.path()).unwrap(), Split::Test), [0; 0]);
+}

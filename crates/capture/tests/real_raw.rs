@@ -121,7 +121,13 @@ fn uneven_kitchen(source: &Path, sound: Option<&[i16]>) -> (TempDir, Vec<usize>)
 /// By how many frames of kitchen each camera begins after the first, rounded, and how far the worst is from whole.
 fn measured(folder: &TempDir, expected: ClocksFrom) -> (Vec<i64>, f64) {
     let raw = RawFootage::find(folder.path(), None).unwrap().unwrap();
-    let clocks = raw.measure_clocks().unwrap();
+    let most = std::sync::Mutex::new(0.0_f64);
+    let clocks = raw.measure_clocks(&|share| {
+        let mut most = most.lock().unwrap();
+        *most = most.max(share);
+    });
+    let clocks = clocks.unwrap();
+    assert_eq!(most.into_inner().unwrap(), 1.0, "it says how far it is, to the end");
     assert_eq!(clocks.from, expected);
     let frames: Vec<f64> = clocks.event_secs.iter().map(|secs| 30.0 * (clocks.event_secs[0] - secs)).collect();
     let worst = frames.iter().map(|frames| (frames - frames.round()).abs()).fold(0.0, f64::max);

@@ -15,6 +15,7 @@ mod info;
 mod interrupt;
 mod options;
 mod output;
+mod pictures;
 mod prepare;
 mod progress;
 mod render;

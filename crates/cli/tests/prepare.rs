@@ -33,7 +33,12 @@ fn footage_becomes_a_capture_that_trains() {
     assert!(said.contains("triangulated") && said.contains("next: tcgs train"), "{said}");
 
     let result = json(&result);
-    assert_keys(&result, &["source", "out", "num_points", "num_foreground", "origins", "agreement", "seconds"]);
+    let expected = ["source", "out", "num_points", "num_foreground", "origins", "agreement", "seconds", "check"];
+    assert_keys(&result, &expected);
+    assert_eq!(result["check"]["healthy"], true);
+    let page = std::fs::read_to_string(out.join("check.html")).unwrap();
+    let images = page.matches("data:image/jpeg;base64,").count();
+    assert!(page.contains("healthy, 14 cameras fit") && images == 3 * 14, "{images}");
     assert_keys(&result["origins"], &["triangulated", "hull", "filled", "shell"]);
     let cloud = Capture::open(&out).unwrap().point_cloud().unwrap();
     let foreground = cloud.foreground.iter().filter(|&&foreground| foreground).count();
@@ -103,7 +108,7 @@ fn what_cannot_be_prepared_is_named() {
 #[test]
 fn the_doctor_says_healthy_or_what_is_wrong() {
     let folder = tempdir().unwrap();
-    let (source, sheet) = (footage(&folder), folder.path().join("check.png"));
+    let (source, sheet, page) = (footage(&folder), folder.path().join("check.png"), folder.path().join("check.html"));
     let said = succeed(&["prepare", "--check", text(&source)]);
     assert!(said.contains("healthy, 14 cameras fit"), "{said}");
 
@@ -111,7 +116,8 @@ fn the_doctor_says_healthy_or_what_is_wrong() {
     meta["fn"].as_array_mut().unwrap().iter_mut().for_each(|names| names.as_array_mut().unwrap().swap(1, 9));
     std::fs::write(source.join("train_meta.json"), meta.to_string()).unwrap();
     let result = folder.path().join("result.json");
-    let output = run(&["prepare", text(&source), "--check", "--sheet", text(&sheet), "--json", text(&result)]);
+    let files = ["--sheet", text(&sheet), "--page", text(&page), "--json", text(&result)];
+    let output = run(&[&["prepare", text(&source), "--check"], &files[..]].concat());
     let (said, complaint) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
     assert_eq!(output.status.code(), Some(1), "{complaint}");
     assert!(said.contains("the image is what is seen from another camera's place"), "{said}");
@@ -123,6 +129,12 @@ fn the_doctor_says_healthy_or_what_is_wrong() {
     assert_keys(&result["findings"][0], &["kind", "cameras", "problem", "fix"]);
     assert_eq!(result["cameras"].as_array().unwrap().len(), 14);
     assert!(image::open(&sheet).unwrap().width() > 500);
+    let page = std::fs::read_to_string(&page).unwrap();
+    let marked =
+        page.split("<section").skip(1).filter(|text| text.lines().next().is_some_and(|line| line.contains("bad")));
+    assert_eq!(marked.count(), 2, "two cameras are marked");
+    assert!(page.contains("<li>cameras 1, 11: the image is what is seen from another camera's place"), "{page}");
+    assert!(!page.contains("src=\"http") && !page.contains("href=\"http"), "it needs no other file");
 }
 
 #[test]

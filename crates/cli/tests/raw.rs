@@ -82,7 +82,8 @@ fn videos_become_a_capture_that_trains() {
     let prepare = [&prepare[..], &["--hold-out", "cam3", "--json", text(&result)]].concat();
 
     let said = succeed(&[&prepare[..], &["--dry-run"]].concat());
-    assert!(said.contains("points: would be made") && !out.exists() && !result.exists(), "{said}");
+    let steps = ["recordings: ", "calibration: ", "clocks: would", "would be refined", "points: would", "check: would"];
+    assert!(steps.iter().all(|step| said.contains(step)) && !out.exists() && !result.exists(), "{said}");
 
     let said = succeed(&prepare);
     for expected in [
@@ -98,7 +99,7 @@ fn videos_become_a_capture_that_trains() {
     }
     let result = json(&result);
     let keys = ["source", "out", "cameras", "num_frames", "frame_rate", "calibration", "refinement", "clock"];
-    let of_points = ["num_points", "num_foreground", "origins", "agreement", "seconds"];
+    let of_points = ["num_points", "num_foreground", "origins", "agreement", "seconds", "check"];
     assert_keys(&result, &[&keys[..], &of_points].concat());
     assert_eq!((result["clock"].as_str(), result["num_frames"].as_u64()), (Some("file"), Some(6)));
 
@@ -214,4 +215,51 @@ fn footage_that_cannot_be_prepared_leaves_nothing() {
             && message.contains("other videos are read by the programs ffmpeg and ffprobe"),
         "{message}"
     );
+}
+
+/// Runs `ffmpeg`.
+fn ffmpeg(arguments: &[&str]) {
+    assert!(Command::new("ffmpeg").args(["-v", "error", "-y"]).args(arguments).status().unwrap().success());
+}
+
+#[test]
+fn bad_recordings_are_named_and_leave_nothing() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let folder = tempdir().unwrap();
+    let (source, out) = (videos(&folder), folder.path().join("capture"));
+    let (offsets, before) = (folder.path().join("offsets.txt"), entries(folder.path()));
+    let prepare = ["prepare", text(&source), "--out", text(&out), "--offsets", text(&offsets)];
+    let refused = |expected: &str| {
+        let message = fail(2, &prepare);
+        assert!(message.contains(expected), "{message}, expected {expected:?}");
+        assert_eq!(entries(folder.path()), before);
+    };
+    let (spoilt, whole) = (source.join("cam3.mp4"), folder.path().join("truth/whole.mp4"));
+    std::fs::rename(&spoilt, &whole).unwrap();
+
+    ffmpeg(&["-f", "lavfi", "-i", "color=black:size=96x72:rate=20:duration=0.4", "-pix_fmt", "yuv420p", text(&spoilt)]);
+    refused("cam3.mp4: is black in all frames that were looked at, expected pictures");
+
+    // Cut in a copy, with the table of contents at the end, which is then lost, and at the start, which then promises more.
+    let cut = |options: &[&str]| {
+        ffmpeg(&[&["-i", text(&whole), "-c", "copy"], options, &[text(&spoilt)]].concat());
+        let bytes = std::fs::read(&spoilt).unwrap();
+        std::fs::write(&spoilt, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    };
+    cut(&[]);
+    refused("cam3.mp4: ");
+    cut(&["-movflags", "+faststart"]);
+    refused("cam3.mp4: ");
+
+    // The first three cameras, then two, then one.
+    std::fs::rename(&whole, &spoilt).unwrap();
+    for id in 2..12 {
+        std::fs::remove_file(source.join(format!("cam{id}.mp4"))).unwrap();
+    }
+    std::fs::write(&offsets, "cam0 0\ncam1 0\n").unwrap();
+    refused("has 2 cameras for training and no points, expected at least 3");
+    std::fs::remove_file(source.join("cam1.mp4")).unwrap();
+    refused("has one recording (cam0.mp4), expected one for each of several cameras");
 }

@@ -3,8 +3,8 @@
 //! What lives here: opening a scene of any kind ([`OpenScene`]), and the steps that need several crates at once:
 //! training a run with prefetched images ([`fit`]), pruning and compressing ([`PrunedScene`], [`compress_scene`]),
 //! searching a size or a quality ([`search`] with a [`Judge`]), comparing with a capture ([`evaluate`]),
-//! comparing a file with what was compressed ([`compare`]), rendering ([`render`]) and writing for other programs
-//! ([`Export`]). What does not: arguments, progress bars and words for people (the command line), and the maths of each step (the crates below).
+//! comparing a file with what was compressed ([`compare`]), rendering ([`render`]), writing for other programs
+//! ([`Export`]), and showing a capture before training ([`points_scene`]). What does not: arguments, progress bars and words for people (the command line), and the maths of each step (the crates below).
 //!
 //! Every input that is wrong is a [`PipelineError`]; [`HasFault::fault`] says whether the input or the machine failed. A
 //! long call tells an [`Observer`] what it does, and the observer may stop it.
@@ -55,6 +55,7 @@ mod evaluate;
 mod export;
 mod observe;
 mod path_file;
+mod preview;
 mod render;
 mod scene;
 mod train;
@@ -73,6 +74,7 @@ pub use evaluate::{
 pub use export::{Export, ExportedParams, TimestepKind};
 pub use observe::{ErrorTrial, Event, Observer, TimestepSummary, Trial, TuningTrial, Unobserved, Work};
 pub use path_file::read_camera_path;
+pub use preview::points_scene;
 pub use render::{CameraAt, render};
 pub use scene::{CutFiles, OpenScene, OpenSettings};
 pub use train::{ReadyRun, RunFolder, continued_trainer, fit, new_trainer, settings_for, start_state};

@@ -33,7 +33,7 @@ fn address(path: &Path) -> PyResult<String> {
     if let Some(address) = served.get(&path) {
         return Ok(address.clone());
     }
-    let server = Server::bind(0, &path, PAGE).map_err(failed)?.framed_by(FrameAncestors::ThisMachine);
+    let server = Server::bind(0, path.as_path(), PAGE).map_err(failed)?.framed_by(FrameAncestors::ThisMachine);
     let address = server.address().map_err(failed)?;
     thread::Builder::new().spawn(move || server.run(|_| {})).map_err(failed)?;
     served.insert(path, address.clone());

@@ -12,8 +12,11 @@ use crate::http::{HttpRequest, RequestedRange};
 
 /// Path at which the scene is served.
 const SCENE: &str = "/scene.tcgs";
-/// The element of `index.html` that names the scene to open, as built: none.
+/// Path at which the cameras of the scene's capture are served, if there are any.
+const CAMERAS: &str = "/cameras.json";
+/// The elements of `index.html` that name the scene and the cameras to open, as built: none.
 const NO_SCENE: &str = r#"<meta name="tcgs-src" content="">"#;
+const NO_CAMERAS: &str = r#"<meta name="tcgs-cameras" content="">"#;
 /// A connection on which nothing arrives for so long is closed.
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -24,6 +27,21 @@ pub struct PageFile {
     pub name: &'static str,
     /// Content of the file.
     pub bytes: &'static [u8],
+}
+
+/// Where the scene is that a server shows.
+#[derive(Debug)]
+pub enum SceneSource {
+    /// A `.tcgs` file, which is opened anew for every request.
+    File(PathBuf),
+    /// The bytes of one.
+    Bytes(Vec<u8>),
+}
+
+impl From<&Path> for SceneSource {
+    fn from(path: &Path) -> Self {
+        Self::File(path.into())
+    }
 }
 
 /// Whose pages may show the player in a frame of theirs.
@@ -53,13 +71,15 @@ impl FrameAncestors {
 #[derive(Debug)]
 pub struct Server {
     listener: TcpListener,
-    site: Arc<Site>,
+    site: Site,
 }
 
 /// The files that are served.
 #[derive(Debug)]
 struct Site {
-    scene: PathBuf,
+    scene: SceneSource,
+    /// As `docs/PLAYER.md` says, "Cameras".
+    cameras: Option<Vec<u8>>,
     page: &'static [PageFile],
     ancestors: FrameAncestors,
 }
@@ -68,20 +88,29 @@ impl Server {
     /// Listens on a port of 127.0.0.1.
     ///
     /// - `port`: 0 for any port that is free
-    /// - `scene`: a `.tcgs` file; it is opened anew for every request
+    /// - `scene`: the path of a `.tcgs` file, or the bytes of one
     /// - `page`: the built page of the player
     ///
     /// # Errors
     /// If the port is taken or not allowed.
-    pub fn bind(port: u16, scene: &Path, page: &'static [PageFile]) -> io::Result<Self> {
+    pub fn bind(port: u16, scene: impl Into<SceneSource>, page: &'static [PageFile]) -> io::Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
-        Ok(Self { listener, site: Arc::new(Site { scene: scene.into(), page, ancestors: FrameAncestors::Own }) })
+        let site = Site { scene: scene.into(), cameras: None, page, ancestors: FrameAncestors::Own };
+        Ok(Self { listener, site })
     }
 
     /// The same server, whose page others may show in a frame.
-    pub fn framed_by(self, ancestors: FrameAncestors) -> Self {
-        let site = Site { scene: self.site.scene.clone(), page: self.site.page, ancestors };
-        Self { site: Arc::new(site), ..self }
+    pub fn framed_by(mut self, ancestors: FrameAncestors) -> Self {
+        self.site.ancestors = ancestors;
+        self
+    }
+
+    /// The same server, whose page shows the cameras of the scene's capture, too.
+    ///
+    /// - `cameras`: JSON as `docs/PLAYER.md` says, "Cameras"
+    pub fn with_cameras(mut self, cameras: Vec<u8>) -> Self {
+        self.site.cameras = Some(cameras);
+        self
     }
 
     /// The address of the page, to type into a browser.
@@ -97,9 +126,10 @@ impl Server {
     ///
     /// - `failed`: hears of a connection that could not be begun
     pub fn run(self, failed: impl Fn(&io::Error)) -> ! {
+        let shared = Arc::new(self.site);
         loop {
             let begun = self.listener.accept().and_then(|(connection, _)| {
-                let site = Arc::clone(&self.site);
+                let site = Arc::clone(&shared);
                 thread::Builder::new().spawn(move || site.serve_connection(&connection))
             });
             if let Err(error) = begun {
@@ -140,7 +170,16 @@ impl Site {
             return Ok(HttpAnswer::plain("405 Method Not Allowed", "expected GET or HEAD").with("Allow", "GET, HEAD"));
         }
         if request.path == SCENE {
-            return self.answer_scene(request);
+            return match &self.scene {
+                SceneSource::File(path) => answer_file(path, request),
+                // It is small, so ranges of it are not worth their while: a host may answer with the whole.
+                SceneSource::Bytes(bytes) => {
+                    Ok(HttpAnswer::new("200 OK", "application/octet-stream", AnswerBody::Bytes(bytes.clone())))
+                }
+            };
+        }
+        if let Some(cameras) = self.cameras.as_ref().filter(|_| request.path == CAMERAS) {
+            return Ok(HttpAnswer::new("200 OK", "application/json", AnswerBody::Bytes(cameras.clone())));
         }
         let name = match request.path.trim_start_matches('/') {
             "" => "index.html",
@@ -149,42 +188,46 @@ impl Site {
         let Some(file) = self.page.iter().find(|file| file.name == name) else {
             return Ok(HttpAnswer::plain("404 Not Found", "no such file"));
         };
-        let bytes = if name == "index.html" { with_scene(file.bytes) } else { file.bytes.into() };
+        let bytes = if name == "index.html" { self.filled_in(file.bytes) } else { file.bytes.into() };
         Ok(HttpAnswer::new("200 OK", mime(name), AnswerBody::Bytes(bytes)))
     }
 
-    /// Opens the scene anew for every request, so that a scene which was compressed again shows after a reload.
-    fn answer_scene(&self, request: &HttpRequest) -> io::Result<HttpAnswer> {
-        let Ok(mut file) = File::open(&self.scene) else {
-            return Ok(HttpAnswer::plain("404 Not Found", "the scene is no longer there"));
-        };
-        let metadata = file.metadata()?;
-        let length = metadata.len();
-        let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-        let tag = format!("\"{length:x}-{:x}\"", changed.unwrap_or_default().as_nanos());
-        // A part of a file that has changed meanwhile would not fit the parts that the page has.
-        let unchanged = request.header("if-range").is_none_or(|known| known == tag);
-        let wanted = request.header("range").filter(|_| unchanged);
-        let kind = "application/octet-stream";
-        let answer = match RequestedRange::of(wanted, length) {
-            RequestedRange::Whole => HttpAnswer::new("200 OK", kind, AnswerBody::File(file, length)),
-            RequestedRange::Bytes(range) => {
-                file.seek(SeekFrom::Start(range.start))?;
-                let place = format!("bytes {}-{}/{length}", range.start, range.end - 1);
-                HttpAnswer::new("206 Partial Content", kind, AnswerBody::File(file, range.end - range.start))
-                    .with("Content-Range", &place)
-            }
-            RequestedRange::Beyond => HttpAnswer::plain("416 Range Not Satisfiable", "no such bytes")
-                .with("Content-Range", &format!("bytes */{length}")),
-        };
-        Ok(answer.with("Accept-Ranges", "bytes").with("ETag", &tag))
+    /// `index.html` with the paths of the scene and the cameras that it is to open.
+    fn filled_in(&self, page: &[u8]) -> Vec<u8> {
+        let told = |element: &str, path: &str| element.replace(r#"content="""#, &format!("content=\"{path}\""));
+        let mut text = String::from_utf8_lossy(page).replace(NO_SCENE, &told(NO_SCENE, SCENE));
+        if self.cameras.is_some() {
+            text = text.replace(NO_CAMERAS, &told(NO_CAMERAS, CAMERAS));
+        }
+        text.into_bytes()
     }
 }
 
-/// `index.html` with the path of the scene that it is to open.
-fn with_scene(page: &[u8]) -> Vec<u8> {
-    let told = NO_SCENE.replace(r#"content="""#, &format!("content=\"{SCENE}\""));
-    String::from_utf8_lossy(page).replace(NO_SCENE, &told).into_bytes()
+/// Opens the scene anew for every request, so that a scene which was compressed again shows after a reload.
+fn answer_file(path: &Path, request: &HttpRequest) -> io::Result<HttpAnswer> {
+    let Ok(mut file) = File::open(path) else {
+        return Ok(HttpAnswer::plain("404 Not Found", "the scene is no longer there"));
+    };
+    let metadata = file.metadata()?;
+    let length = metadata.len();
+    let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    let tag = format!("\"{length:x}-{:x}\"", changed.unwrap_or_default().as_nanos());
+    // A part of a file that has changed meanwhile would not fit the parts that the page has.
+    let unchanged = request.header("if-range").is_none_or(|known| known == tag);
+    let wanted = request.header("range").filter(|_| unchanged);
+    let kind = "application/octet-stream";
+    let answer = match RequestedRange::of(wanted, length) {
+        RequestedRange::Whole => HttpAnswer::new("200 OK", kind, AnswerBody::File(file, length)),
+        RequestedRange::Bytes(range) => {
+            file.seek(SeekFrom::Start(range.start))?;
+            let place = format!("bytes {}-{}/{length}", range.start, range.end - 1);
+            HttpAnswer::new("206 Partial Content", kind, AnswerBody::File(file, range.end - range.start))
+                .with("Content-Range", &place)
+        }
+        RequestedRange::Beyond => HttpAnswer::plain("416 Range Not Satisfiable", "no such bytes")
+            .with("Content-Range", &format!("bytes */{length}")),
+    };
+    Ok(answer.with("Accept-Ranges", "bytes").with("ETag", &tag))
 }
 
 fn mime(name: &str) -> &'static str {
@@ -255,7 +298,10 @@ mod tests {
     use super::*;
 
     const PAGE: &[PageFile] = &[
-        PageFile { name: "index.html", bytes: br#"<head><meta name="tcgs-src" content=""></head>"# },
+        PageFile {
+            name: "index.html",
+            bytes: br#"<head><meta name="tcgs-src" content=""><meta name="tcgs-cameras" content=""></head>"#,
+        },
         PageFile { name: "engine/a.wasm", bytes: b"\0asm" },
     ];
 
@@ -264,7 +310,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let scene = folder.path().join("scene.tcgs");
         std::fs::write(&scene, b"0123456789").unwrap();
-        let server = Server::bind(0, &scene, PAGE).unwrap();
+        let server = Server::bind(0, scene.as_path(), PAGE).unwrap();
         let port = server.listener.local_addr().unwrap().port();
         thread::spawn(move || server.run(|_| {}));
         (port, folder)
@@ -321,6 +367,26 @@ mod tests {
         for path in ["/missing", "/../Cargo.toml", "//etc/passwd", "/engine"] {
             assert!(ask(port, "GET", path, &[]).0.starts_with("HTTP/1.1 404 "), "{path}");
         }
+    }
+
+    #[test]
+    fn scenes_in_memory_have_cameras_beside_them() {
+        let server = Server::bind(0, SceneSource::Bytes(b"scene".to_vec()), PAGE).unwrap();
+        let server = server.with_cameras(b"{}".to_vec());
+        let port = server.listener.local_addr().unwrap().port();
+        thread::spawn(move || server.run(|_| {}));
+        let (head, body) = ask(port, "GET", SCENE, &["Range: bytes=1-2"]);
+        assert!(head.starts_with("HTTP/1.1 200 "), "{head}");
+        assert_eq!(body, "scene");
+        let (head, body) = ask(port, "GET", CAMERAS, &[]);
+        assert!(head.contains("application/json"), "{head}");
+        assert_eq!(body, "{}");
+        let page = ask(port, "GET", "/", &[]).1;
+        assert!(page.contains(r#"<meta name="tcgs-cameras" content="/cameras.json">"#), "{page}");
+
+        let (port, _folder) = serve();
+        assert!(ask(port, "GET", CAMERAS, &[]).0.starts_with("HTTP/1.1 404 "));
+        assert!(ask(port, "GET", "/", &[]).1.contains(r#"<meta name="tcgs-cameras" content="">"#));
     }
 
     #[test]

@@ -56,6 +56,7 @@ fn read(path: &Path) -> Result<Vec<CalibratedCamera>, CaptureError> {
         Ok(CalibratedCamera {
             names: names_of(&image.name),
             size: Some(lens.size()),
+            angle_x: None,
             focal: lens.focal,
             principal: lens.principal,
             distortion: [k1, k2, p1, p2, k3, k4, k5, k6],

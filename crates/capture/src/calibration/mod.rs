@@ -40,6 +40,9 @@ pub struct CalibratedCamera {
     pub names: Vec<String>,
     /// Width and height in pixels of the images that the calibration was made with, if the file says.
     pub size: Option<(usize, usize)>,
+    /// Horizontal angle of view in radians, where the file gives this and no size; focal lengths and principal point are then
+    /// zeros, which follow from the size of the images.
+    pub angle_x: Option<f64>,
     /// Focal lengths `fx, fy`, pixels.
     pub focal: [f64; 2],
     /// Principal point `cx, cy`, pixels; pixel centres at +0.5.

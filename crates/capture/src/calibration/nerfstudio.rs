@@ -8,6 +8,9 @@
 //! | distortion | `k1 k2 k3 k4`, `p1 p2`, by name |
 //! | unit | unknown |
 //!
+//! Blender's cameras as they are exported for NeRF are the same in `transforms_train.json` and `transforms_test.json`, without
+//! the size of images: the focal length follows from `camera_angle_x` and the width of the video.
+//!
 //! A video is meant by the name of an image without its ending, and by the folder that the image lies in.
 
 use std::path::Path;
@@ -17,21 +20,27 @@ use super::numbers::{rigid, side};
 use super::{CalibratedCamera, Format, files_named};
 use crate::CaptureError;
 use crate::checked::read_json;
-use crate::kinds::{NerfstudioFrame, NerfstudioIntrinsics, NerfstudioTransforms, camera_from_nerfstudio};
+use crate::files;
+use crate::kinds::{
+    NerfstudioFrame, NerfstudioIntrinsics, NerfstudioTransforms, camera_from_nerfstudio, read_transforms,
+};
 
-const FILE: &str = "transforms.json";
+const FILES: [&str; 2] = ["transforms.json", "transforms_train.json"];
 
 pub(super) const FORMAT: Format = Format {
     name: "nerfstudio",
-    mark: "transforms.json (nerfstudio)",
-    find: |folder| files_named(folder, |name| name == FILE),
-    is: |path| crate::files::has_extension(path, &["json"]),
+    mark: "transforms.json (nerfstudio) or transforms_train.json (Blender)",
+    find: |folder| Ok(files_named(folder, |name| FILES.contains(&name))?.into_iter().take(1).collect()),
+    is: |path| files::has_extension(path, &["json"]),
     read,
     in_metres: false,
 };
 
 fn read(path: &Path) -> Result<Vec<CalibratedCamera>, CaptureError> {
-    let transforms: NerfstudioTransforms = read_json(path)?;
+    let transforms: NerfstudioTransforms = match path.parent().filter(|_| files::name(path) == FILES[1]) {
+        Some(folder) if !folder.join(FILES[0]).exists() => read_transforms(folder)?.1,
+        _ => read_json(path)?,
+    };
     let camera = |frame: &NerfstudioFrame| {
         camera(frame, &transforms.intrinsics)
             .map_err(|problem| CaptureError::invalid(path, format!("{}: {problem}", frame.file_path)))
@@ -47,19 +56,29 @@ fn camera(frame: &NerfstudioFrame, all: &NerfstudioIntrinsics) -> Result<Calibra
     }
     let get = |of: fn(&NerfstudioIntrinsics) -> Option<f64>| of(own).or(of(all));
     let size = get(|i| i.w).and_then(side).zip(get(|i| i.h).and_then(side));
-    let (width, height) = size.ok_or("has no w and h, expected the size of its image in pixels")?;
-    let angle = get(|i| i.camera_angle_x);
-    let fx = get(|i| i.fl_x).or(angle.map(|angle| 0.5 * width as f64 / (0.5 * angle).tan()));
-    let fx = fx.filter(|fx| *fx > 0.0 && fx.is_finite());
-    let fx = fx.ok_or("has neither fl_x nor camera_angle_x, expected a focal length in pixels")?;
+    let angle_x = get(|i| i.camera_angle_x).filter(|angle| *angle > 0.0 && *angle < std::f64::consts::PI);
+    let is_known = |x: &f64| *x > 0.0 && x.is_finite();
+    let (focal, principal) = match (size, get(|i| i.fl_x).filter(is_known), angle_x) {
+        (Some((width, height)), fl_x, angle) if fl_x.is_some() || angle.is_some() => {
+            let fx = fl_x.or(angle.map(|angle| 0.5 * width as f64 / (0.5 * angle).tan())).unwrap_or_default();
+            let middle = [width, height].map(|side| side as f64 / 2.0);
+            let principal = [get(|i| i.cx).unwrap_or(middle[0]), get(|i| i.cy).unwrap_or(middle[1])];
+            ([fx, get(|i| i.fl_y).unwrap_or(fx)], principal)
+        }
+        (Some(_), ..) => return Err("has neither fl_x nor camera_angle_x, expected a focal length in pixels".into()),
+        // Whoever knows the size of the images fills these in.
+        (None, _, Some(_)) => ([0.0; 2], [0.0; 2]),
+        (None, ..) => return Err("has no w and h, expected the size of its image in pixels, or camera_angle_x".into()),
+    };
     let or_zero = |of: fn(&NerfstudioIntrinsics) -> Option<f64>| get(of).unwrap_or(0.0);
     let [right, down, forward, _] = camera_from_nerfstudio(&frame.transform_matrix)?;
     let rotation = [right, down, forward].map(|[a, b, c, _]| [a, b, c]);
     Ok(CalibratedCamera {
         names: names_of(&frame.file_path),
-        size: Some((width, height)),
-        focal: [fx, get(|i| i.fl_y).unwrap_or(fx)],
-        principal: [get(|i| i.cx).unwrap_or(width as f64 / 2.0), get(|i| i.cy).unwrap_or(height as f64 / 2.0)],
+        size,
+        angle_x: angle_x.filter(|_| size.is_none()),
+        focal,
+        principal,
         distortion: [
             or_zero(|i| i.k1),
             or_zero(|i| i.k2),

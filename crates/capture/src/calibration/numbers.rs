@@ -40,6 +40,7 @@ impl OpenCvCamera {
         Ok(CalibratedCamera {
             names: self.names,
             size: self.size,
+            angle_x: None,
             focal: [fx, fy],
             principal: [cx + 0.5, cy + 0.5],
             distortion: distortion(&self.distortion)?,

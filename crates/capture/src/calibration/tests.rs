@@ -251,7 +251,34 @@ fn nerfstudio_files_have_poses_of_cameras() {
     let found = found(&[("transforms.json", TRANSFORMS)], "nerfstudio");
     check(&found.cameras[0]);
     let without = problem(&[("transforms.json", &TRANSFORMS.replace("\"w\"", "\"wide\""))]);
-    assert_eq!(without, "transforms.json: images/left.png: has no w and h, expected the size of its image in pixels");
+    assert_eq!(
+        without,
+        "transforms.json: images/left.png: has no w and h, expected the size of its image in pixels, or \
+                         camera_angle_x"
+    );
+}
+
+/// The first camera of the scene "Lego" of NeRF (Mildenhall et al. 2020), as Blender exported it.
+const BLENDER: &str = "{ \"camera_angle_x\": 0.6911112070083618, \"frames\": [ {
+    \"file_path\": \"./train/r_0\", \"rotation\": 0.012566370614359171, \"transform_matrix\": [
+    [-0.9999021887779236, 0.004192245192825794, -0.013345719315111637, -0.05379832163453102],
+    [-0.013988681137561798, -0.2996590733528137, 0.95394366979599, 3.845470428466797],
+    [-4.656612873077393e-10, 0.9540371894836426, 0.29968830943107605, 1.2080823183059692], [0.0, 0.0, 0.0, 1.0]] } ] }";
+
+#[test]
+fn cameras_of_blender_have_an_angle_and_look_at_the_middle() {
+    let test = BLENDER.replace("./train/r_0", "./test/r_7");
+    let found = found(&[("transforms_train.json", BLENDER), ("transforms_test.json", &test)], "nerfstudio");
+    let [camera, of_test] = found.cameras.as_slice() else { panic!("{found:?}") };
+    assert_eq!((camera.size, camera.angle_x), (None, Some(0.6911112070083618)));
+    assert!(camera.names.contains(&"r_0".to_owned()) && of_test.names.contains(&"r_7".to_owned()), "{found:?}");
+    // Blender's cameras of this scene look at the origin, from a distance of 4.03.
+    let origin = camera.camera_from_world.map(|row| row[3]);
+    assert!(origin[0].abs() < 1e-3 && origin[1].abs() < 1e-3 && (origin[2] - 4.031).abs() < 1e-3, "{origin:?}");
+    // The world's z is up, which is against y in the image.
+    assert!(camera.camera_from_world[1][2] < -0.9, "{camera:?}");
+    let without = problem(&[("transforms_train.json", &BLENDER.replace("camera_angle_x", "angle"))]);
+    assert!(without.starts_with("transforms_train.json: ./train/r_0: has no w and h"), "{without}");
 }
 
 #[test]

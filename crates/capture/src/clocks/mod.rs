@@ -66,7 +66,9 @@ impl Clocks {
 }
 
 /// Finds the clocks of recordings against each other: by sound, else by motion, else assumed.
-pub(crate) fn measure(recordings: &[Recording]) -> Result<Clocks, CaptureError> {
+///
+/// - `report`: called with the share of the work that is done, in `[0, 1]`, by any thread
+pub(crate) fn measure(recordings: &[Recording], report: &(dyn Fn(f64) + Sync)) -> Result<Clocks, CaptureError> {
     // Files of images have no clock, and folders of them are by custom exported together.
     if recordings.iter().all(Recording::is_images) {
         return Ok(Clocks::assumed(recordings.len()));
@@ -75,7 +77,7 @@ pub(crate) fn measure(recordings: &[Recording]) -> Result<Clocks, CaptureError> 
     if let Some(event_secs) = sound::event_secs(&paths) {
         return Ok(Clocks { from: ClocksFrom::Sound, event_secs });
     }
-    Ok(match motion::event_secs(recordings)? {
+    Ok(match motion::event_secs(recordings, report)? {
         Some(event_secs) => Clocks { from: ClocksFrom::Motion, event_secs },
         None => Clocks::assumed(recordings.len()),
     })

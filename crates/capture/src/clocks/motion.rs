@@ -5,6 +5,8 @@
 //! all cameras together, and taken only if most pairs alone agree with what all say together, and if all say nothing else
 //! nearly as loud.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use rayon::prelude::*;
 
 use crate::CaptureError;
@@ -32,12 +34,20 @@ const MIN_AGREEING: f64 = 0.5;
 pub(super) struct Curves(Vec<Vec<f32>>);
 
 /// The moment of one event in each recording, seconds, to the nearest frame; `None` if motion does not tell.
-pub(super) fn event_secs(recordings: &[Recording]) -> Result<Option<Vec<f64>>, CaptureError> {
+///
+/// - `report`: called with the share of the frames that are decoded
+pub(super) fn event_secs(
+    recordings: &[Recording],
+    report: &(dyn Fn(f64) + Sync),
+) -> Result<Option<Vec<f64>>, CaptureError> {
     let rate = recordings.iter().filter_map(|recording| recording.times.fps()).fold(0.0, f64::max);
     if rate == 0.0 {
         return Ok(None);
     }
-    let curves: Vec<_> = recordings.par_iter().map(|recording| curves(recording, rate)).collect();
+    let num_frames: usize = recordings.iter().map(|recording| recording.num_frames().min(MAX_FRAMES)).sum();
+    let num_done = AtomicUsize::new(0);
+    let decoded = || report((num_done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / num_frames as f64);
+    let curves: Vec<_> = recordings.par_iter().map(|recording| curves(recording, rate, &decoded)).collect();
     let curves = curves.into_iter().collect::<Result<Vec<_>, _>>()?;
     let lates = offsets(&curves);
     let begins = recordings.iter().map(|recording| recording.times.first_secs());
@@ -47,7 +57,8 @@ pub(super) fn event_secs(recordings: &[Recording]) -> Result<Option<Vec<f64>>, C
 /// Decodes the first frames and measures them.
 ///
 /// - `rate`: of the grid, per second
-fn curves(recording: &Recording, rate: f64) -> Result<Curves, CaptureError> {
+/// - `decoded`: called after each frame
+fn curves(recording: &Recording, rate: f64, decoded: &(dyn Fn() + Sync)) -> Result<Curves, CaptureError> {
     let num_frames = recording.num_frames().min(MAX_FRAMES);
     let mut before: Option<Vec<f32>> = None;
     // Between frames: when, how much moved, by how much it became brighter.
@@ -62,6 +73,7 @@ fn curves(recording: &Recording, rate: f64) -> Result<Curves, CaptureError> {
             changes.push((recording.times.secs(frame), (energy + NOISE).ln(), brighter));
         }
         before = Some(blocks);
+        decoded();
     }
     Ok(Curves::on_grid(&changes, recording.times.first_secs(), rate))
 }

@@ -3,11 +3,12 @@
 //! What lives here: checks that [`Capture::open`] cannot make from numbers alone. *geometry* draws the points from
 //! every camera and compares the drawing with the image, for the given camera and for the usual mistakes; *masks*
 //! compares masks with the points' foreground; *sync* compares each camera's silhouettes with those of the others at
-//! other frames; *sheet* draws the overview. What does not: files that are missing or damaged, which `open` and `views`
+//! other frames; *sheet* draws the overview, *pictures* each camera for a page. What does not: files that are missing or damaged, which `open` and `views`
 //! report.
 
 mod geometry;
 mod masks;
+mod pictures;
 mod sheet;
 mod splat;
 mod sync;
@@ -18,12 +19,16 @@ use crate::{Capture, CaptureError, PrepareSettings, Split, points_in_view, prepa
 use geometry::{Judged, Verdict};
 use splat::Splats;
 
+pub use pictures::CameraPictures;
+
 /// Images are compared at this width at most, pixels.
 const WIDTH: usize = 200;
 /// Images are searched for depth at this width at most, pixels, where only the agreement matters.
 const AGREEMENT_WIDTH: usize = 100;
 /// Share of pixels on whose depth views agree, below which cameras may be wrong altogether.
 const FEW_AGREE: f64 = 0.1;
+/// Width of a camera's pictures at most, pixels.
+const PICTURE_WIDTH: usize = 480;
 /// Points, where the capture has none.
 const NUM_POINTS: usize = 30_000;
 
@@ -125,6 +130,27 @@ pub struct Diagnosis {
     /// Overview `[3, H, W]`: for each camera a tile with the projected points over the image, and below it the points
     /// drawn from the camera.
     pub sheet: Image,
+    /// The points that were compared.
+    splats: Splats,
+}
+
+impl Diagnosis {
+    /// The pictures of one camera, at most 480 pixels wide. Its image is read again.
+    ///
+    /// - `capture`: the one that was examined
+    /// - `place`: among [`Self::cameras`]
+    ///
+    /// # Errors
+    /// [`CaptureError`] if the image cannot be read.
+    ///
+    /// # Panics
+    /// If there is no such camera.
+    pub fn pictures(&self, capture: &Capture, place: usize) -> Result<CameraPictures, CaptureError> {
+        let (_, camera) = &capture.cameras(Split::All, 0, 1)?[place];
+        let downscale = camera.width.div_ceil(PICTURE_WIDTH).min(camera.height);
+        let view = &capture.some_views(Split::All, 0, downscale, &[place])?[0];
+        Ok(pictures::draw(view, &self.splats))
+    }
 }
 
 /// Looks for wrong cameras, masks and clocks. Cameras and masks are compared with the points at the first frame, clocks
@@ -186,7 +212,7 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     let undecided = |judged: &&Judged| judged.verdict == Verdict::Undecided;
     let undecided = views.iter().zip(judged.iter()).filter(|(_, j)| undecided(j)).map(|(v, _)| v.camera_id).collect();
     let sheet = sheet::draw(&views, &splats, &findings);
-    Ok(Diagnosis { findings, undecided, cameras, made_points, sheet })
+    Ok(Diagnosis { findings, undecided, cameras, made_points, sheet, splats })
 }
 
 /// The views as they agree with each other best: as they are, or with all matrices inverted.

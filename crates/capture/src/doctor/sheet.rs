@@ -51,7 +51,7 @@ pub(super) fn draw(views: &[View], splats: &Splats, findings: &[Finding]) -> Ima
         for pixel in 0..view.image.num_pixels() {
             let (x, y) = (left + FRAME + pixel % width, pixel / width);
             let color = std::array::from_fn(|channel| view.image.plane(channel)[pixel]);
-            put(&mut sheet, [x, top + FRAME + y], dot(&drawing, pixel).unwrap_or(color));
+            put(&mut sheet, [x, top + FRAME + y], dot(&drawing, pixel, [DOT_SPACING, 1]).unwrap_or(color));
             put(&mut sheet, [x, below + y], drawing.colors[pixel]);
         }
         label(&mut sheet, [left + 2 * FRAME, top + 2 * FRAME], view.camera_id, frame);
@@ -60,9 +60,11 @@ pub(super) fn draw(views: &[View], splats: &Splats, findings: &[Finding]) -> Ima
 }
 
 /// Colour of the dot at a pixel, if there is one.
-fn dot(drawing: &Drawing, pixel: usize) -> Option<[f32; 3]> {
+///
+/// - `[spacing, side]`: pixels from one dot to the next, and along a side of it
+pub(super) fn dot(drawing: &Drawing, pixel: usize, [spacing, side]: [usize; 2]) -> Option<[f32; 3]> {
     let (x, y) = (pixel % drawing.width, pixel / drawing.width);
-    let on_grid = x.is_multiple_of(DOT_SPACING) && y.is_multiple_of(DOT_SPACING);
+    let on_grid = x % spacing < side && y % spacing < side;
     let color = || if drawing.foreground[pixel] { DOT_FOREGROUND } else { DOT_BACKGROUND };
     (on_grid && drawing.is_drawn(pixel)).then(color)
 }

@@ -18,6 +18,7 @@ pub(super) const MIN_COVERAGE: f64 = 0.1;
 const MIN_VARIANCE: f64 = 1e-5;
 
 /// Points to draw.
+#[derive(Clone, Debug)]
 pub(crate) struct Splats {
     points: Vec<[f32; 3]>,
     colors: Vec<[f32; 3]>,

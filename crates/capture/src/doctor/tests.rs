@@ -123,6 +123,23 @@ fn a_healthy_capture_is_healthy_with_and_without_points() {
 }
 
 #[test]
+fn pictures_show_image_points_and_mask() {
+    let capture = Capture::open(healthy()).unwrap();
+    let diagnosis = check(&capture, &mut |_| ()).unwrap();
+    let view = &capture.views(Split::All, 0, 1).unwrap()[1];
+    let CameraPictures { image, points, mask } = diagnosis.pictures(&capture, 1).unwrap();
+    assert_eq!((image.width, points.height), (view.image.width, view.image.height));
+    let same = |a: &Image, pixel: usize| (0..3).all(|c| a.plane(c)[pixel] == view.image.plane(c)[pixel]);
+    let num_dots = (0..image.num_pixels()).filter(|&pixel| !same(&image, pixel)).count();
+    assert!((20..=image.num_pixels() / 20).contains(&num_dots), "{num_dots}");
+    let seen = (0..points.num_pixels()).filter(|&pixel| (0..3).any(|c| points.plane(c)[pixel] > 0.0)).count();
+    assert!(seen > points.num_pixels() / 2, "{seen}");
+    let (mask, truth) = (mask.unwrap(), &view.segmentation.as_ref().unwrap().foreground);
+    assert!((0..mask.num_pixels()).all(|pixel| !truth[pixel] || same(&mask, pixel)), "foreground stays");
+    assert!((0..mask.num_pixels()).any(|pixel| !truth[pixel] && !same(&mask, pixel)), "background does not");
+}
+
+#[test]
 fn a_matrix_the_wrong_way_round_is_found() {
     let mut patient = Patient::new();
     patient.invert(3);

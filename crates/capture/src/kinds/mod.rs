@@ -18,7 +18,7 @@ pub use described::MASKS_FOLDER;
 pub(crate) use described::take;
 pub(crate) use nerfstudio::{
     Frame as NerfstudioFrame, Intrinsics as NerfstudioIntrinsics, Transforms as NerfstudioTransforms,
-    camera_from_world as camera_from_nerfstudio,
+    camera_from_world as camera_from_nerfstudio, read as read_transforms,
 };
 
 use crate::{CaptureError, contents::Contents, files, kind::CaptureKind};

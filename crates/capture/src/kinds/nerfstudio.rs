@@ -1,4 +1,6 @@
-//! `transforms.json` of nerfstudio (Tancik et al. 2023), with a `time` for each image where the scene moves.
+//! `transforms.json` of nerfstudio (Tancik et al. 2023), with a `time` for each image where the scene moves; and what
+//! Blender's cameras are exported to for NeRF (Mildenhall et al. 2020): the same in two files, `transforms_train.json` and
+//! `transforms_test.json`, whose images have no ending, and only an angle of view.
 //!
 //! ```text
 //! transforms.json    frames[]: file_path, transform_matrix, time; for all or each: w h fl_x fl_y cx cy k1 k2 k3 k4 p1 p2
@@ -11,7 +13,7 @@
 //! given, every eighth camera of the first timestep.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::Deserialize;
@@ -26,6 +28,8 @@ use crate::lens::{Crop, Lens, MAX_SIDE};
 use crate::{CaptureError, decode, points};
 
 const TRANSFORMS: &str = "transforms.json";
+/// Of Blender: images for training, and for judging.
+const OF_BLENDER: [&str; 2] = ["transforms_train.json", "transforms_test.json"];
 /// What the names of files are relative to.
 const INSIDE: &str = "the capture";
 
@@ -77,17 +81,40 @@ impl CaptureKind {
     /// `transforms.json` of nerfstudio, with a time for each image if there are several timesteps.
     pub const NERFSTUDIO: Self = Self {
         name: "nerfstudio",
-        mark: "transforms.json (nerfstudio)",
+        mark: "transforms.json (nerfstudio) or transforms_train.json (Blender)",
         facts: CaptureFacts { has_floor: false, in_metres: false, labels_motion: false },
-        recognises: |path| Ok(path.join(TRANSFORMS).exists()),
+        recognises: |path| Ok([TRANSFORMS, OF_BLENDER[0]].iter().any(|file| path.join(file).exists())),
         open,
     };
 }
 
-fn open(path: &Path) -> Result<Contents, CaptureError> {
+/// Reads the cameras of a folder.
+///
+/// - returns: the file, and what it says; of Blender's files the one of training with the images of both
+pub(crate) fn read(path: &Path) -> Result<(PathBuf, Transforms), CaptureError> {
     let file = path.join(TRANSFORMS);
+    if file.exists() {
+        return Ok((file.clone(), read_json(&file)?));
+    }
+    let [file, other] = OF_BLENDER.map(|name| path.join(name));
+    let mut transforms: Transforms = read_json(&file)?;
+    if other.exists() {
+        let for_test: Transforms = read_json(&other)?;
+        let mut names = BTreeSet::new();
+        for mut frame in for_test.frames {
+            let angle = &mut frame.intrinsics.camera_angle_x;
+            *angle = angle.or(for_test.intrinsics.camera_angle_x);
+            names.insert(frame.file_path.clone());
+            transforms.frames.push(frame);
+        }
+        transforms.test_filenames = Some(names);
+    }
+    Ok((file, transforms))
+}
+
+fn open(path: &Path) -> Result<Contents, CaptureError> {
+    let (file, transforms) = read(path)?;
     let invalid = |problem: String| CaptureError::invalid(&file, problem);
-    let transforms: Transforms = read_json(&file)?;
     let frame_rate = FrameRate::of_file(transforms.fps, &file)?;
     let own_points = transforms.ply_file_path.as_deref().map(|path| InnerPath::new(path, INSIDE));
     let own_points = own_points.transpose().map_err(|problem| invalid(format!("ply_file_path {problem}")))?;

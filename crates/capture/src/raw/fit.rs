@@ -29,6 +29,12 @@ pub(super) fn fitted(
 ) -> Result<(Fitted, Option<String>), String> {
     let turns = recording.quarter_turns;
     let shown = turned(recording.size, turns);
+    let of_angle = camera.angle_x.map(|angle| {
+        let focal = 0.5 * shown.0 as f64 / (0.5 * angle).tan();
+        let principal = [shown.0, shown.1].map(|side| side as f64 / 2.0);
+        CalibratedCamera { size: Some(shown), focal: [focal; 2], principal, ..camera.clone() }
+    });
+    let camera = of_angle.as_ref().unwrap_or(camera);
     let Some(size) = camera.size else {
         return with_size_of_video(camera, turns, shown);
     };

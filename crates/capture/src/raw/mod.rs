@@ -161,10 +161,12 @@ impl RawFootage {
     /// Finds the clocks of the recordings against each other: by sound if all have it, else by motion; else they are
     /// assumed to begin at once.
     ///
+    /// - `report`: called with the share of the work that is done, in `[0, 1]`, by any thread
+    ///
     /// # Errors
     /// [`CaptureError`] if a recording cannot be decoded.
-    pub fn measure_clocks(&self) -> Result<Clocks, CaptureError> {
-        crate::clocks::measure(&self.recordings)
+    pub fn measure_clocks(&self, report: &(dyn Fn(f64) + Sync)) -> Result<Clocks, CaptureError> {
+        crate::clocks::measure(&self.recordings, report)
     }
 
     /// Gives each recording its camera of a calibration, by name or number, and fits the intrinsics to the size of its

@@ -8,6 +8,7 @@ fn camera(names: &[&str], shift: f64) -> CalibratedCamera {
     CalibratedCamera {
         names: names.iter().map(|name| (*name).to_owned()).collect(),
         size: None,
+        angle_x: None,
         focal: [1.0; 2],
         principal: [0.0; 2],
         distortion: [0.0; 8],

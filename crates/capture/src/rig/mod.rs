@@ -1,7 +1,7 @@
 //! Where cameras stand, found or mended from their own images.
 //!
 //! What lives here: `find` has COLMAP place cameras of which nothing is known (`program`, `model`), `refine` mends a calibration by bundle adjustment (`bundle`) of places that `matches` finds in several
-//! cameras, `still` finds cameras that move. What does not: reading the calibrations that other programs wrote (`calibration`), and which camera a
+//! cameras, after `meant` has found in which convention its poses are written, `still` finds cameras that move. What does not: reading the calibrations that other programs wrote (`calibration`), and which camera a
 //! recording belongs to (`raw`).
 
 mod bundle;
@@ -10,6 +10,7 @@ mod corners;
 mod find;
 mod frames;
 mod matches;
+mod meant;
 mod model;
 mod normal;
 mod patch;

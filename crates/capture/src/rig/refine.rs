@@ -9,6 +9,7 @@ use super::bundle::{self, Freedom, Track};
 use super::camera::{RigCamera, median};
 use super::frames::{Frames, moments};
 use super::matches::{self, Shot};
+use super::meant;
 use super::patch::likeness;
 use crate::CaptureError;
 use crate::description::CaptureDescription;
@@ -32,6 +33,8 @@ const REGIONS: f64 = 12.0;
 const TOUCHING: f64 = 0.004;
 /// A camera that fewer fitted tracks reach stays where it is.
 const MIN_TRACKS: usize = 12;
+/// A camera is alone if others have this many times as many tracks.
+const ALONE: usize = 20;
 /// With fewer held-out tracks nothing can be judged.
 const MIN_JUDGES: usize = 20;
 /// The new calibration replaces the old if the median errors of held-out tracks, averaged over cameras, fall to this share,
@@ -55,9 +58,13 @@ pub struct Refinement {
     /// should be, before and after; of a calibration that was not replaced after is what it would have been. `None` where
     /// too few tracks judge.
     pub camera_error_px: Vec<Option<[f64; 2]>>,
+    /// In words, what was done to all poses before, if they were written down in another convention than their format has.
+    pub mended: Option<String>,
+    /// The cameras, by their place in the description, that share hardly any place with the others, which share many.
+    pub alone: Vec<usize>,
 }
 
-/// Refines poses, focal lengths and the first coefficient of distortion of a description's cameras, where that is better.
+/// Mends poses in a wrong convention where this is certain, and refines poses, focal lengths and the first coefficient of distortion of a description's cameras, where that is better.
 ///
 /// Corners are matched between neighbouring cameras at several moments, a quarter of the regions of every image is held
 /// out, and a robust bundle adjustment fits the cameras to the rest. The rig as a whole keeps place, direction and size.
@@ -74,7 +81,7 @@ pub fn refine_cameras(
     description: &mut CaptureDescription,
     tell: &mut dyn FnMut(&str) -> ControlFlow<()>,
 ) -> Result<Option<Refinement>, CaptureError> {
-    let before: Vec<RigCamera> = description.cameras.iter().map(RigCamera::new).collect();
+    let mut before: Vec<RigCamera> = description.cameras.iter().map(RigCamera::new).collect();
     if before.len() < 2 || tell("reading images").is_break() {
         return Ok(None);
     }
@@ -82,7 +89,15 @@ pub fn refine_cameras(
     if tell("matching").is_break() {
         return Ok(None);
     }
-    let (judges, fitted) = held_out(tracks(&before, &shots, BANDS[0]), &before);
+    let mut first = tracks(&before, &shots, BANDS[0]);
+    let meant = meant::meant(&before, &first[0], &shots[0], BANDS[0]);
+    let mended = meant.map(|(cameras, words)| {
+        first = tracks(&cameras, &shots, BANDS[0]);
+        before = cameras;
+        words
+    });
+    let alone = alone(&first, before.len());
+    let (judges, fitted) = held_out(first, &before);
     let num_judges: usize = judges.iter().map(Vec::len).sum();
     if num_judges < MIN_JUDGES {
         return Ok(None);
@@ -98,11 +113,13 @@ pub fn refine_cameras(
     }
     let mut refinement = judge(&before, &after, &judges);
     refinement.num_tracks = [num_fitted, num_judges];
-    if refinement.is_taken {
-        for (camera, rig) in description.cameras.iter_mut().zip(&after) {
+    if refinement.is_taken || mended.is_some() {
+        let best = if refinement.is_taken { &after } else { &before };
+        for (camera, rig) in description.cameras.iter_mut().zip(best) {
             rig.put_into(camera);
         }
     }
+    (refinement.mended, refinement.alone) = (mended, alone);
     for (camera, errors) in description.cameras.iter_mut().zip(&refinement.camera_error_px) {
         let shown = if refinement.is_taken { errors.map(|[_, after]| after) } else { errors.map(|[before, _]| before) };
         camera.error_px = shown.map(|px| (1e3 * px).round() / 1e3);
@@ -129,6 +146,19 @@ fn shots(frames: &Frames, num_frames: usize) -> Result<Vec<Vec<Shot>>, CaptureEr
 /// The tracks of each moment.
 fn tracks(cameras: &[RigCamera], shots: &[Vec<Shot>], band: f64) -> Vec<Vec<Track>> {
     shots.iter().map(|shots| matches::find(cameras, shots, band)).collect()
+}
+
+/// The cameras that hardly any track reaches, where the others have many.
+fn alone(tracks: &[Vec<Track>], num_cameras: usize) -> Vec<usize> {
+    let mut counts = vec![0_usize; num_cameras];
+    for &(camera, _) in tracks.iter().flatten().flat_map(|track| &track.seen) {
+        counts[camera] += 1;
+    }
+    let mut sorted = counts.clone();
+    sorted.sort_unstable();
+    let usual = sorted[num_cameras / 2];
+    let is_alone = |&camera: &usize| counts[camera] < MIN_TRACKS && counts[camera] * ALONE < usual;
+    (0..num_cameras).filter(is_alone).collect()
 }
 
 /// Tracks that judge and those that are fitted, of each moment.
@@ -209,5 +239,5 @@ fn judge(before: &[RigCamera], after: &[RigCamera], judges: &[Vec<Track>]) -> Re
     let error_px = [mean(0), mean(1)];
     let is_no_worse = |[old, new]: &[f64; 2]| *new <= NO_WORSE * old.max(EXACT_PX);
     let is_taken = error_px[1] < BETTER * error_px[0] && error_px[0] > EXACT_PX && judged.iter().all(is_no_worse);
-    Refinement { is_taken, num_tracks: [0; 2], error_px, camera_error_px }
+    Refinement { is_taken, num_tracks: [0; 2], error_px, camera_error_px, mended: None, alone: Vec::new() }
 }

@@ -7,6 +7,8 @@ use std::path::Path;
 use tcgs_core::{Camera, Pinhole, dot};
 
 use super::camera::{PARAMETERS, RigCamera, distance};
+use super::matches::{self, Shot};
+use super::meant;
 use super::similarity;
 use crate::Calibration;
 use crate::description::{CaptureDescription, DescribedCamera, Role};
@@ -150,6 +152,66 @@ fn right_cameras_stay_what_they_are() {
     for (found, expected) in description.cameras.iter().zip(&truth.cameras) {
         assert_eq!((&found.camera_from_world, &found.focal), (&expected.camera_from_world, &expected.focal));
     }
+}
+
+#[test]
+fn poses_in_another_convention_are_told_from_the_images_and_mended() {
+    type Spoil<'a> = &'a dyn Fn([[f64; 4]; 3]) -> [[f64; 4]; 3];
+    let folder = tempfile::tempdir().unwrap();
+    let truth = described(folder.path(), 1);
+    let inverted = |m: [[f64; 4]; 3]| {
+        let center = |j: usize| -(0..3).map(|i| m[i][j] * m[i][3]).sum::<f64>();
+        [0, 1, 2].map(|i| [m[0][i], m[1][i], m[2][i], center(i)])
+    };
+    let turned = |[x, y, z]: [[f64; 4]; 3]| [x, y.map(|v| -v), z.map(|v| -v)];
+    let wrong: [(&str, Spoil<'_>); 3] = [
+        ("wrong way round (world from camera), and are inverted: ", &inverted),
+        ("for camera axes y up and z backward, and are turned: ", &turned),
+        ("and are inverted and turned: ", &|m| inverted(turned(m))),
+    ];
+    let shots: Vec<Shot> = truth
+        .cameras
+        .iter()
+        .map(|camera| Shot::new(&image::open(folder.path().join(&camera.file).join("000000.png")).unwrap().to_rgb8()))
+        .collect();
+    let meant_by = |cameras: &[RigCamera]| {
+        let tracks = matches::find(cameras, &shots, 0.01);
+        (meant::confirmed(cameras, &tracks, 0.01), meant::meant(cameras, &tracks, &shots, 0.01))
+    };
+    let (num_right, nothing) = meant_by(&rigs(&truth));
+    assert!(nothing.is_none(), "right poses stay");
+    for (words, spoil) in wrong {
+        let mut description = truth.clone();
+        description.cameras.iter_mut().for_each(|camera| camera.camera_from_world = spoil(camera.camera_from_world));
+        let (num_wrong, found) = meant_by(&rigs(&description));
+        let (cameras, line) = found.unwrap_or_else(|| panic!("{words}: {num_wrong} places, {num_right} if right"));
+        assert!(line.contains(words), "{line}, expected {words:?}");
+        for (camera, expected) in cameras.iter().zip(rigs(&truth)) {
+            let pairs = camera.camera_from_world.as_flattened().iter().zip(expected.camera_from_world.as_flattened());
+            assert!(pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) < 1e-9, "{words}");
+        }
+        if words.contains("y up") && !words.contains("inverted") {
+            let refined = refine_cameras(folder.path(), &mut description, &mut |_| ControlFlow::Continue(())).unwrap();
+            assert!(refined.is_some_and(|refinement| refinement.mended.is_some()));
+            let (degrees, length) = apart(&description, &truth);
+            assert!(degrees < 0.1 && length < 0.01, "{degrees} degrees, {length}");
+        }
+    }
+}
+
+#[test]
+fn a_camera_of_another_scene_is_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut description = described(folder.path(), 1);
+    let refined = |description: &mut CaptureDescription| {
+        let refined = refine_cameras(folder.path(), description, &mut |_| ControlFlow::Continue(())).unwrap();
+        refined.unwrap()
+    };
+    assert_eq!(refined(&mut description.clone()).alone, [0; 0]);
+    let other = |x: u32, y: u32| image::Rgb([texture(f64::from(x) / 40.0, f64::from(y) / 40.0, 9) as u8; 3]);
+    image::RgbImage::from_fn(320, 240, other).save(folder.path().join("ims/3/000000.png")).unwrap();
+    let refinement = refined(&mut description);
+    assert_eq!((refinement.alone, refinement.mended), (vec![3], None));
 }
 
 #[test]

@@ -102,16 +102,25 @@ pub fn refinement_json(refinement: &Refinement, description: &CaptureDescription
         "num_fitted": fitted,
         "num_judging": judging,
         "cameras": of_camera,
+        "mended": refinement.mended,
+        "alone": refinement.alone.iter().map(|&i| &description.cameras[i].name).collect::<Vec<_>>(),
     })
 }
 
 fn in_words(refinement: &Refinement, description: &CaptureDescription) -> Vec<String> {
     let ([before, after], [fitted, judging]) = (refinement.error_px, refinement.num_tracks);
     let kept = if refinement.is_taken { "refined" } else { "not refined, since that does not make it clearly better" };
-    let mut lines = vec![format!(
+    let mut lines: Vec<String> = refinement.mended.iter().cloned().collect();
+    for &camera in &refinement.alone {
+        let name = &description.cameras[camera].name;
+        lines.push(format!(
+            "{name} shares hardly any place with the other cameras: is it of another scene, or its pose wrong?"
+        ));
+    }
+    lines.push(format!(
         "{kept}: {judging} places that were held out are off by {before:.2} pixels before and {after:.2} after a fit to \
          {fitted} others, medians of the cameras on average"
-    )];
+    ));
     let of_camera = |(camera, errors): (&tcgs_capture::DescribedCamera, &Option<[f64; 2]>)| match errors {
         Some([before, after]) => format!("{}: {before:.2} pixels before, {after:.2} after", camera.name),
         None => format!("{}: too few places to judge", camera.name),

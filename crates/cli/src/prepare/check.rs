@@ -1,4 +1,4 @@
-//! `tcgs prepare --check`: what the doctor found, in words, numbers and a picture.
+//! `tcgs prepare --check`: what the doctor found, in words, numbers, a picture and a page.
 
 use std::path::Path;
 
@@ -8,25 +8,30 @@ use serde_json::{Value, json};
 use tcgs_capture::{Capture, Diagnosis};
 use tcgs_core::Image;
 
+use super::page;
 use crate::options::JobOptions;
 use crate::output::{check_file, write_file};
 use crate::progress::Progress;
 use crate::terminal::say;
 
+/// The page that a prepared capture holds.
+pub const PAGE: &str = "check.html";
+
+/// What a dry run says of the last step.
+pub const WOULD: &str = "check: would be made, with a page";
+
 /// Steps of a check, for the progress bar.
 const NUM_STEPS: usize = 5;
 
 /// Checks a capture. What is found is an error, for the exit code.
-pub fn run(path: &Path, sheet: Option<&Path>, job: &JobOptions) -> anyhow::Result<()> {
-    if let Some(sheet) = sheet {
-        check_file(sheet, job.force)?;
+pub fn run(path: &Path, sheet: Option<&Path>, page: Option<&Path>, job: &JobOptions) -> anyhow::Result<()> {
+    for file in [sheet, page].into_iter().flatten() {
+        check_file(file, job.force)?;
     }
     let capture = Capture::open_unseen(path)?;
-    let mut progress = Progress::new("checking", NUM_STEPS);
-    let diagnosis = tcgs_capture::check(&capture, &mut |step| progress.step(|| step.into()))?;
-    drop(progress);
-    if diagnosis.made_points {
-        say("the capture has no points; some were made to check with")?;
+    let diagnosis = examined(&capture)?;
+    for line in remarks(&diagnosis) {
+        say(&line)?;
     }
     for finding in &diagnosis.findings {
         say(&finding.to_string())?;
@@ -34,28 +39,73 @@ pub fn run(path: &Path, sheet: Option<&Path>, job: &JobOptions) -> anyhow::Resul
     if let Some(sheet) = sheet {
         write_file(sheet, &png(&diagnosis.sheet)?, job.force)?;
     }
+    if let Some(page) = page {
+        write_file(page, page::html(path, &capture, &diagnosis)?.as_bytes(), job.force)?;
+    }
     job.write_json(&json(path, &diagnosis))?;
-    let num_cameras = diagnosis.cameras.len();
+    let verdict = verdict(path, &diagnosis);
+    if diagnosis.findings.is_empty() {
+        return say(&verdict);
+    }
+    let hint = if page.is_none() && sheet.is_none() { ", --page FILE shows it" } else { "" };
+    anyhow::bail!("{verdict}{hint}")
+}
+
+/// Checks a capture that was just prepared, and leaves the page in it. What is found is said, and no error.
+///
+/// - returns: what was found, for machines
+pub fn after_preparing(path: &Path) -> anyhow::Result<Value> {
+    let capture = Capture::open_unseen(path)?;
+    let diagnosis = examined(&capture)?;
+    for line in remarks(&diagnosis) {
+        say(&format!("check: {line}"))?;
+    }
+    for finding in &diagnosis.findings {
+        say(&format!("check: {finding}"))?;
+    }
+    let file = path.join(PAGE);
+    write_file(&file, page::html(path, &capture, &diagnosis)?.as_bytes(), true)?;
+    say(&format!("check: {}; {} shows it", verdict(path, &diagnosis), file.display()))?;
+    Ok(json(path, &diagnosis))
+}
+
+fn examined(capture: &Capture) -> anyhow::Result<Diagnosis> {
+    let mut progress = Progress::new("checking", NUM_STEPS);
+    Ok(tcgs_capture::check(capture, &mut |step| progress.step(|| step.into()))?)
+}
+
+/// What restricts a diagnosis, a sentence each.
+pub fn remarks(diagnosis: &Diagnosis) -> Vec<String> {
+    let mut lines = Vec::new();
+    if diagnosis.made_points {
+        lines.push("the capture has no points; some were made to check with".into());
+    }
     if !diagnosis.undecided.is_empty() {
         let ids: Vec<String> = diagnosis.undecided.iter().map(usize::to_string).collect();
-        say(&format!(
-            "cannot tell of {} of {num_cameras} cameras ({}): too little texture, or too few points in sight, for a \
-             right camera to stand out from a wrong one; the picture of --sheet shows images and points",
+        lines.push(format!(
+            "cannot tell of {} of {} cameras ({}): too little texture, or too few points in sight, for a right camera to \
+             stand out from a wrong one; the pictures show images and points",
             ids.len(),
+            diagnosis.cameras.len(),
             ids.join(", ")
-        ))?;
+        ));
     }
-    if diagnosis.findings.is_empty() {
-        let num_fit = num_cameras - diagnosis.undecided.len();
-        let verdict = if num_fit == num_cameras { "healthy" } else { "nothing wrong was found" };
-        return say(&format!("{}: {verdict}, {num_fit} cameras fit", path.display()));
-    }
-    let found = match diagnosis.findings.len() {
-        1 => "1 finding".to_owned(),
-        count => format!("{count} findings"),
+    lines
+}
+
+/// The diagnosis in a line.
+pub fn verdict(path: &Path, diagnosis: &Diagnosis) -> String {
+    let num_cameras = diagnosis.cameras.len();
+    let words = match diagnosis.findings.len() {
+        0 => {
+            let num_fit = num_cameras - diagnosis.undecided.len();
+            let verdict = if num_fit == num_cameras { "healthy" } else { "nothing wrong was found" };
+            format!("{verdict}, {num_fit} cameras fit")
+        }
+        1 => "1 finding, expected a healthy capture".into(),
+        count => format!("{count} findings, expected a healthy capture"),
     };
-    let hint = if sheet.is_none() { ", --sheet FILE makes a picture" } else { "" };
-    anyhow::bail!("{}: {found}, expected a healthy capture{hint}", path.display())
+    format!("{}: {words}", path.display())
 }
 
 fn json(path: &Path, diagnosis: &Diagnosis) -> Value {

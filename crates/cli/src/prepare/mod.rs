@@ -4,6 +4,7 @@ mod cameras;
 mod check;
 mod link;
 mod masks;
+mod page;
 mod points;
 mod raw;
 
@@ -47,7 +48,8 @@ const MODEL: &str = "colmap";
 ///
 /// With --check nothing is made: a doctor looks for matrices the wrong way round, cameras in another order than their
 /// images, wrong focal lengths and principal points, empty and inverted masks, and cameras whose clocks are wrong, and
-/// says what would mend them.
+/// says what would mend them. The same is done with what was made, as its last step: check.html in the capture shows every
+/// camera.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -56,7 +58,7 @@ Examples:
   tcgs prepare my_videos --out my_capture --dry-run             says what would be done
   tcgs prepare my_videos --out my_capture --from 12.5 --to 20   a part of long videos, seconds
   tcgs prepare my_footage --out my_capture                      points for a capture without
-  tcgs prepare --check my_capture --sheet check.png
+  tcgs prepare --check my_capture --page check.html
 
 Exit codes of --check: 0 the capture is healthy or it cannot be told, 1 something was found, 2 wrong usage or input.")]
 #[command(group = clap::ArgGroup::new("what").required(true).args(["out", "points_only", "check"]))]
@@ -76,6 +78,10 @@ pub struct Arguments {
     /// the points look like from there
     #[arg(long, value_name = "FILE", conflicts_with_all = ["out", "points_only"])]
     sheet: Option<PathBuf>,
+    /// Write a page (HTML, with all images in it) of what was checked: every camera with its image, the points, masks,
+    /// clocks and errors
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["out", "points_only"])]
+    page: Option<PathBuf>,
     /// Points at most, about [default: 80000]
     #[arg(long, value_name = "N", value_parser = options::positive, conflicts_with = "check")]
     points: Option<usize>,
@@ -166,7 +172,7 @@ impl Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     if arguments.check {
-        return check::run(&arguments.source, arguments.sheet.as_deref(), &arguments.job);
+        return check::run(&arguments.source, arguments.sheet.as_deref(), arguments.page.as_deref(), &arguments.job);
     }
     if arguments.is_raw()? {
         return raw::run(arguments);
@@ -179,7 +185,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         if arguments.masks {
             say("masks: would be made, if the capture has none")?;
         }
-        return say("points: would be made; cameras and clocks are taken as the capture has them");
+        say("points: would be made; cameras and clocks are taken as the capture has them")?;
+        return if arguments.out.is_some() { say(check::WOULD) } else { Ok(()) };
     }
     if arguments.out.is_some() {
         interrupt::catch()?;
@@ -194,7 +201,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
 
     if let Some(folder) = &folder {
-        link::link_tree(&arguments.source, folder.path(), &[POINTS_FILE, RECORD])?;
+        link::link_tree(&arguments.source, folder.path(), &[POINTS_FILE, RECORD, check::PAGE])?;
     }
     let mut told_of_masks = Value::Null;
     if let Some(folder) = folder.as_ref().filter(|_| arguments.masks) {
@@ -224,6 +231,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     if let Some(file) = &arguments.points_only {
         points::write(file, &prepared.cloud, force)?;
+    }
+    if let Some(out) = &arguments.out {
+        result["check"] = check::after_preparing(out)?;
     }
     arguments.job.write_json(&result)?;
     match (&arguments.out, &arguments.points_only) {
@@ -257,8 +267,8 @@ fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFo
         }
         for entry in std::fs::read_dir(out).with_context(|| format!("reading {}", out.display()))? {
             let name = entry?.file_name();
-            let ours =
-                [POINTS_FILE, RECORD, DESCRIPTION_FILE, MODEL, MASKS_FOLDER, "seg"].iter().any(|ours| name == *ours);
+            let ours = [POINTS_FILE, RECORD, DESCRIPTION_FILE, MODEL, MASKS_FOLDER, "seg", check::PAGE];
+            let ours = ours.iter().any(|ours| name == *ours);
             if !ours && !is_unfinished(&name) && source.join(&name).symlink_metadata().is_err() {
                 let problem = "is neither of the source nor of prepare, expected it to be moved away first";
                 return Err(wrong_input(format!("{}: {problem}", out.join(name).display())));

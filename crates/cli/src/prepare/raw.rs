@@ -4,6 +4,7 @@
 //! What does not: the steps themselves (`tcgs_capture`).
 
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::Context;
 use serde_json::{Value, json};
@@ -12,11 +13,15 @@ use tcgs_capture::{
     PlacedCameras, RawCamera, RawFootage, Refinement, Role, has_colmap,
 };
 
-use super::{Arguments, MODEL, RECORD, begin_capture, cameras, link, masks, points};
+use super::{Arguments, MODEL, RECORD, begin_capture, cameras, check, link, masks, points};
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::output::{write_file, write_json};
+use crate::progress::Progress;
 use crate::terminal::say;
+
+/// Fewer cameras see no depth that another one confirms.
+const MIN_CAMERAS: usize = 3;
 
 /// Runs the steps.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
@@ -59,7 +64,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if capture.has_points() {
         say("points: the capture has some already")?;
     } else if arguments.dry_run {
-        return say("points: would be made");
+        say("points: would be made")?;
     } else {
         let (cloud, of_points) = points::make_or_strew(&capture, arguments)?;
         points::write(&out.join(POINTS_FILE), &cloud, false)?;
@@ -67,8 +72,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             result[key] = value.clone();
         }
     }
-    if !arguments.dry_run {
+    if arguments.dry_run {
+        say(check::WOULD)?;
+    } else {
         write_json(&out.join(RECORD), &result, true)?;
+        result["check"] = check::after_preparing(out)?;
         arguments.job.write_json(&result)?;
         say(&format!("next: tcgs train {} --out RUN", out.display()))?;
     }
@@ -150,12 +158,13 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<(Capture
             say("masks: would be made")?;
         }
         say("points: would be made")?;
+        say(check::WOULD)?;
         return Ok(None);
     }
     let names: Vec<String> = recorded.iter().map(|camera| camera.name.clone()).collect();
     let clocks = match &arguments.offsets {
         Some(file) => Clocks::read(file, &names)?,
-        None => raw.measure_clocks()?,
+        None => measure_clocks(&raw)?,
     };
     let settings = DescribeSettings {
         from_secs: arguments.from.unwrap_or(0.0),
@@ -184,7 +193,7 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<(Capture
         found.model(&description)
     });
 
-    let mut without = vec![POINTS_FILE, RECORD, DESCRIPTION_FILE];
+    let mut without = vec![POINTS_FILE, RECORD, DESCRIPTION_FILE, check::PAGE];
     without.extend(model.as_ref().map(|_| MODEL));
     link::link_tree(source, folder.path(), &without)?;
     if let Some(model) = model {
@@ -201,11 +210,27 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<(Capture
         }
     }
     write_file(&folder.path().join(DESCRIPTION_FILE), description.to_toml().as_bytes(), false)?;
-    // A capture that does not open is not left behind.
-    Capture::open_unseen(folder.path())?;
+    // A capture that does not open, or for which no points can be made, is not left behind.
+    let capture = Capture::open_unseen(folder.path())?;
+    let num_train = description.cameras.iter().filter(|camera| camera.role == Role::Train).count();
+    if num_train < MIN_CAMERAS && !capture.has_points() {
+        let problem = format!("has {num_train} cameras for training and no points, expected at least {MIN_CAMERAS}");
+        return Err(wrong_input(format!("{}: {problem}, which points are made of", source.display())));
+    }
     write_json(&folder.path().join(RECORD), &json!({ "source": source.display().to_string() }), false)?;
     folder.finish()?;
     Ok(Some((description, refinement)))
+}
+
+/// Clocks by sound or motion, with a bar: motion decodes a minute of every video.
+fn measure_clocks(raw: &RawFootage) -> anyhow::Result<Clocks> {
+    const STEPS: usize = 1000;
+    let progress = Mutex::new(Progress::new("clocks", STEPS));
+    let report = |share: f64| {
+        let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
+        progress.advance_to((share * STEPS as f64) as usize, || "comparing motion".into());
+    };
+    Ok(raw.measure_clocks(&report)?)
 }
 
 fn recordings_in_words(cameras: &[RawCamera]) -> Vec<String> {

@@ -33,6 +33,7 @@ pub use refine::{RefineBudget, RefineOptions, Refined, refine, refine_within};
 pub use settings::{CompressPreset, capture_kind_of, position_step_remark, settings_of};
 pub use target::{QUALITY_RANGE, SearchResult, Target, search};
 pub use tune::{Tuning, tune};
+pub(crate) use views::up_axis;
 
 /// How a scene is compressed.
 #[derive(Clone, Debug)]
@@ -195,7 +196,7 @@ impl<'a> PrunedScene<'a> {
             return Err(PipelineError::input(scene.path.display(), "no timestep", "at least one"));
         }
         let cameras = views::cameras(scene, options)?;
-        let up = options.up.unwrap_or_else(|| views::up_axis(&cameras));
+        let up = options.up.unwrap_or_else(|| up_axis(&cameras));
         let mut pruned = Self {
             info: info(scene, up),
             version: options.version,

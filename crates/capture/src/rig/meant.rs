@@ -1,0 +1,77 @@
+//! Poses that are written down in another convention than their format has: told from what the cameras see.
+//!
+//! Two cameras agree on a place by chance, three do not: under poses that are wrong hardly any place is where three cameras see
+//! it. So a convention under which many places are is the one that was meant.
+
+use super::bundle::{self, Track};
+use super::camera::RigCamera;
+use super::matches::{self, Shot};
+
+/// Cameras that share fewer places than this on average may be written down otherwise.
+const FEW: usize = 5;
+/// Of the convention that was meant there are this many times as many places as of the one that the format has.
+const CLEARLY: usize = 4;
+
+/// How a pose may be written down.
+type Reading = (&'static str, fn(&RigCamera) -> RigCamera);
+
+/// What people mistake. Axes that are left-handed are refused where a calibration is read.
+const READINGS: [Reading; 3] = [
+    ("the wrong way round (world from camera), and are inverted", inverted),
+    ("for camera axes y up and z backward, and are turned", turned),
+    (
+        "the wrong way round (world from camera), for camera axes y up and z backward, and are inverted and turned",
+        |c| turned(&inverted(c)),
+    ),
+];
+
+/// Finds the convention that was meant.
+///
+/// - `tracks`: found with the cameras as they are
+/// - `shots`: of one moment
+/// - returns: the cameras as meant and, in words, what is done to them; `None` if the poses are right, or if it is not
+///   certain what was meant
+pub(super) fn meant(
+    cameras: &[RigCamera],
+    tracks: &[Track],
+    shots: &[Shot],
+    band: f64,
+) -> Option<(Vec<RigCamera>, String)> {
+    let given = confirmed(cameras, tracks, band);
+    if given >= FEW * cameras.len() {
+        return None;
+    }
+    let with = |(words, read): &Reading| {
+        let cameras: Vec<RigCamera> = cameras.iter().map(read).collect();
+        let count = confirmed(&cameras, &matches::find(&cameras, shots, band), band);
+        (count, cameras, *words)
+    };
+    let (count, read, words) = READINGS.iter().map(with).max_by_key(|(count, ..)| *count)?;
+    (count >= FEW * cameras.len() && count >= CLEARLY * given).then(|| {
+        let line = format!(
+            "all poses are {words}: {count} places then fit that three cameras see or more, {given} as they were"
+        );
+        (read, line)
+    })
+}
+
+/// Number of the places that three cameras or more see where they should.
+pub(super) fn confirmed(cameras: &[RigCamera], tracks: &[Track], band: f64) -> usize {
+    let side = |camera: usize| cameras[camera].lens.width.max(cameras[camera].lens.height) as f64;
+    let fits = |track: &&Track| {
+        let errors = bundle::errors(cameras, track);
+        track.seen.len() >= 3 && track.seen.iter().zip(errors).all(|(&(camera, _), error)| error < band * side(camera))
+    };
+    tracks.iter().filter(fits).count()
+}
+
+fn inverted(camera: &RigCamera) -> RigCamera {
+    let (m, center) = (&camera.camera_from_world, camera.center());
+    let camera_from_world = [0, 1, 2].map(|i| [m[0][i], m[1][i], m[2][i], center[i]]);
+    RigCamera { camera_from_world, ..camera.clone() }
+}
+
+fn turned(camera: &RigCamera) -> RigCamera {
+    let [x, y, z] = camera.camera_from_world;
+    RigCamera { camera_from_world: [x, y.map(|v| -v), z.map(|v| -v)], ..camera.clone() }
+}

@@ -1,0 +1,155 @@
+//! The cameras of a capture with their images, in the form that the player draws them (`docs/PLAYER.md`, "Cameras").
+
+use serde_json::{Value, json};
+use tcgs_capture::{Capture, Split};
+use tcgs_core::{Camera, dot, normalize, upright_axes};
+
+use crate::pictures::jpeg_uri;
+use crate::progress::Progress;
+
+/// Width of the images, pixels, at most.
+const WIDTH: usize = 320;
+/// Depth of a frustum: a share of the distance between neighbouring cameras, within shares of the rig's radius.
+const DEPTH: f64 = 0.5;
+const DEPTH_OF_RIG: [f64; 2] = [0.06, 0.25];
+/// Points whose median depth says how far away the things are that a camera looks at.
+const NUM_POINTS: usize = 2000;
+/// Height from which the rig is seen first, radians above its middle.
+const ELEVATION: f64 = 0.45;
+/// Distance of that place from the middle, radii of the rig.
+const FAR: f64 = 2.6;
+/// Length of the mean of the directions of view below which the cameras stand around what they look at.
+const SAME_WAY: f64 = 0.3;
+
+/// Cameras and images of the first frame as JSON.
+///
+/// - `names`: of all cameras, in the order of [`Split::All`]
+pub fn cameras_file(capture: &Capture, names: &[String]) -> anyhow::Result<Vec<u8>> {
+    let cameras: Vec<Camera> = capture.cameras(Split::All, 0, 1)?.into_iter().map(|(_, camera)| camera).collect();
+    let rig = Rig::of(capture, &cameras)?;
+    let mut progress = Progress::new("reading images", cameras.len());
+    let mut entries = Vec::new();
+    for (i, camera) in cameras.iter().enumerate() {
+        progress.step(|| names[i].clone());
+        let downscale = camera.width.div_ceil(WIDTH).min(camera.height);
+        let mut views = capture.some_views(Split::All, 0, downscale, &[i])?;
+        let view = views.swap_remove(0);
+        let mut entry = camera_json(&view.camera);
+        entry["name"] = names[i].as_str().into();
+        entry["image"] = jpeg_uri(&view.image)?.into();
+        entries.push(entry);
+    }
+    Ok(json!({ "depth": rig.depth, "start": camera_json(&rig.overview), "cameras": entries }).to_string().into_bytes())
+}
+
+/// A camera as the player's page has it.
+fn camera_json(camera: &Camera) -> Value {
+    json!({
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.focal[0],
+        "fy": camera.focal[1],
+        "cx": camera.principal[0],
+        "cy": camera.principal[1],
+        "cameraFromWorld": camera.camera_from_world.as_flattened(),
+    })
+}
+
+/// How large cameras are drawn, and from where all of them are seen.
+struct Rig {
+    /// Length of a frustum, scene units.
+    depth: f64,
+    overview: Camera,
+}
+
+impl Rig {
+    fn of(capture: &Capture, cameras: &[Camera]) -> anyhow::Result<Self> {
+        let centers: Vec<[f64; 3]> = cameras.iter().map(Camera::center).collect();
+        let spread = centers.iter().flat_map(|a| centers.iter().map(|b| distance(*a, *b))).fold(0.0, f64::max);
+        // Where the cameras look: at the median depth of the points that each sees.
+        let points = if capture.has_points() { capture.point_cloud()?.points } else { Vec::new() };
+        let step = points.len().div_ceil(NUM_POINTS).max(1);
+        let usual_depth = |camera: &Camera| {
+            let seen = points.iter().step_by(step).filter_map(|point| {
+                let ([x, y], depth) = camera.project(point.map(f64::from))?;
+                let is_inside = (0.0..camera.width as f64).contains(&x) && (0.0..camera.height as f64).contains(&y);
+                is_inside.then_some(depth)
+            });
+            median(seen.collect()).unwrap_or(spread.max(1e-3))
+        };
+        let ahead = |camera: &Camera| add(camera.center(), camera.forward(), usual_depth(camera));
+        let [from, to] = [mean(centers.iter().copied()), mean(cameras.iter().map(ahead))];
+        let middle = mean([from, to].into_iter());
+        let radius = centers.iter().chain([&to]).map(|&place| distance(place, middle)).fold(1e-3, f64::max);
+
+        let nearest = |(i, &a): (usize, &[f64; 3])| {
+            let others = centers.iter().enumerate().filter(|&(j, _)| j != i);
+            others.map(|(_, &b)| distance(a, b)).reduce(f64::min)
+        };
+        let apart = median(centers.iter().enumerate().filter_map(nearest).collect()).unwrap_or(radius);
+        let [least, most] = DEPTH_OF_RIG.map(|share| share * radius);
+        Ok(Self { depth: (DEPTH * apart).clamp(least, most), overview: overview(cameras, middle, radius) })
+    }
+}
+
+/// A camera that sees a whole rig: from behind it, or where it stands all around from one side; and from above.
+fn overview(cameras: &[Camera], middle: [f64; 3], radius: f64) -> Camera {
+    let up = mean(cameras.iter().map(|camera| [0, 1, 2].map(|i| -camera.camera_from_world[1][i])));
+    let up = if dot(up, up).sqrt() > SAME_WAY { normalize(up) } else { [0.0, -1.0, 0.0] };
+    let forward = mean(cameras.iter().map(Camera::forward));
+    let level = add(forward, up, -dot(forward, up));
+    let level = if dot(level, level).sqrt() > SAME_WAY { normalize(level) } else { upright_axes(up)[2] };
+    let back = add(middle, level, -FAR * radius * ELEVATION.cos());
+    let eye = add(back, up, FAR * radius * ELEVATION.sin());
+    Camera::look_at(eye, middle, up, 520.0, 640, 400)
+}
+
+fn add(a: [f64; 3], b: [f64; 3], factor: f64) -> [f64; 3] {
+    std::array::from_fn(|i| a[i] + factor * b[i])
+}
+
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    let between = add(a, b, -1.0);
+    dot(between, between).sqrt()
+}
+
+fn mean(places: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
+    let (mut sum, mut count) = ([0.0; 3], 0.0_f64);
+    for place in places {
+        (sum, count) = (add(sum, place, 1.0), count + 1.0);
+    }
+    sum.map(|x| x / count.max(1.0))
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_view_shows_every_camera() {
+        let up = [0.0, 0.0, 1.0];
+        let around: Vec<Camera> = (0..12)
+            .map(|i| f64::from(i) * 0.524)
+            .map(|turn| Camera::look_at([3.0 * turn.cos(), 3.0 * turn.sin(), 1.0], [0.0; 3], up, 50.0, 64, 48))
+            .collect();
+        let in_a_row: Vec<Camera> = (0..5)
+            .map(|i| Camera::look_at([f64::from(i), 0.0, 1.0], [f64::from(i), 5.0, 1.0], up, 50.0, 64, 48))
+            .collect();
+        for cameras in [around, in_a_row] {
+            let middle = mean(cameras.iter().map(Camera::center));
+            let radius = cameras.iter().map(|camera| distance(camera.center(), middle)).fold(0.0, f64::max);
+            let view = overview(&cameras, middle, radius);
+            for camera in &cameras {
+                let ([x, y], depth) = view.project(camera.center()).unwrap();
+                assert!(depth > 0.0 && (0.0..640.0).contains(&x) && (0.0..400.0).contains(&y), "{x} {y}");
+            }
+            let ([_, above], _) = view.project(add(middle, up, 0.5)).unwrap();
+            assert!(above < 200.0, "up is up");
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! `tcgs view`: shows a scene of this machine in a browser, or the cameras and points of a capture.
+
+mod cameras;
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, anyhow};
+use tcgs_capture::{Capture, CaptureError, RawFootage};
+use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening};
+use tcgs_pipeline::points_scene;
+use tcgs_serve::{NO_PAGE, PAGE, SceneSource, Server};
+
+use crate::error::wrong_input;
+use crate::pictures::{camera_names, description};
+use crate::scene::unreadable;
+use crate::terminal::{note, say};
+
+/// Show a scene or a capture in a browser
+///
+/// Serves the player on this machine alone (127.0.0.1), prints its address, opens a browser if there is one, and
+/// serves until it is stopped (Ctrl-C).
+///
+/// Of a capture it shows the cameras, each with its image of the first frame, and the points that training starts from:
+/// whether these fit together shows before training whether cameras are right. Key C shows cameras without images, and
+/// hides them.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Example:
+  tcgs view scene.tcgs
+  tcgs view my_capture                           before training
+  tcgs view scene.tcgs --capture my_capture      the scene among the cameras that saw it
+  tcgs view scene.tcgs --no-open --port 8000")]
+pub struct Arguments {
+    /// .tcgs file, or the folder of a capture
+    scene: PathBuf,
+    /// Capture of the scene, whose cameras and images are shown in it
+    #[arg(long, value_name = "CAPTURE")]
+    capture: Option<PathBuf>,
+    /// Port to serve at; 0: any that is free
+    #[arg(long, value_name = "PORT", default_value_t = 0)]
+    port: u16,
+    /// Open no browser
+    #[arg(long)]
+    no_open: bool,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let (scene, cameras) = shown(arguments)?;
+    if PAGE.is_empty() {
+        return Err(anyhow!(NO_PAGE));
+    }
+    let mut server = Server::bind(arguments.port, scene, PAGE)
+        .with_context(|| format!("serving at port {} of 127.0.0.1", arguments.port))?;
+    if let Some(cameras) = cameras {
+        server = server.with_cameras(cameras);
+    }
+    let address = server.address()?;
+    say(&address)?;
+    if !arguments.no_open {
+        open_browser(&address);
+    }
+    server.run(|error| note(&format!("a connection failed: {error}")))
+}
+
+/// The scene, and the cameras that are shown in it.
+fn shown(arguments: &Arguments) -> anyhow::Result<(SceneSource, Option<Vec<u8>>)> {
+    let path = &arguments.scene;
+    if path.is_dir() {
+        let capture = opened(path)?;
+        if let Some(other) = &arguments.capture {
+            let problem = format!("is a capture, expected a scene beside --capture {}", other.display());
+            return Err(wrong_input(format!("{}: {problem}", path.display())));
+        }
+        let names = camera_names(&capture, description(path, &capture)?.as_ref())?;
+        if !capture.has_points() {
+            note("the capture has no points yet, so only its cameras are shown; tcgs prepare makes points");
+        }
+        let file = cameras::cameras_file(&capture, &names)?;
+        return Ok((SceneSource::Bytes(points_scene(&capture, &names)?), Some(file)));
+    }
+    check_scene(path)?;
+    let cameras = match &arguments.capture {
+        Some(folder) => {
+            let capture = Capture::open_unseen(folder)?;
+            let names = camera_names(&capture, description(folder, &capture)?.as_ref())?;
+            Some(cameras::cameras_file(&capture, &names)?)
+        }
+        None => None,
+    };
+    Ok((path.as_path().into(), cameras))
+}
+
+/// The capture in a folder. Its cameras may be wrong: that is what one looks for.
+fn opened(path: &Path) -> anyhow::Result<Capture> {
+    if RawFootage::is_in(path)? {
+        let problem = "is a folder of videos, expected a capture, which `tcgs prepare` makes of it";
+        return Err(wrong_input(format!("{}: {problem}", path.display())));
+    }
+    match Capture::open_unseen(path) {
+        Err(CaptureError::NotCapture { .. }) => {
+            Err(wrong_input(format!("{}: is a folder of no capture, expected {EXPECTED}", path.display())))
+        }
+        other => Ok(other?),
+    }
+}
+
+/// What can be shown.
+const EXPECTED: &str = "a .tcgs file, which `tcgs compress` makes of other scenes, or a capture";
+
+/// Refuses a file that the player could not open: one without the tables of a `.tcgs` file. The player itself tells of
+/// damage behind the tables.
+fn check_scene(path: &Path) -> anyhow::Result<()> {
+    let refuse = |found: String| Err(wrong_input(format!("{}: {found}, expected {EXPECTED}", path.display())));
+    let mut file = File::open(path).map_err(|error| unreadable(path, error, EXPECTED))?;
+    let (mut start, mut needed) = (Vec::new(), MAGIC.len() as u64);
+    loop {
+        let missing = needed - start.len() as u64;
+        let read = (&mut file).take(missing).read_to_end(&mut start);
+        read.map_err(|error| unreadable(path, error, EXPECTED))?;
+        if !start.starts_with(&MAGIC) {
+            return refuse("a file of another kind".into());
+        }
+        if (start.len() as u64) < needed {
+            return refuse(format!("ends after {} bytes, within its header", start.len()));
+        }
+        match Archive::open(&start, &DecodeLimits::default()) {
+            Ok(Opening::Ready(_)) => return Ok(()),
+            Ok(Opening::More(more)) => needed = more,
+            Err(error) => return Err(wrong_input(format!("{}: {error}, expected a whole .tcgs file", path.display()))),
+        }
+    }
+}
+
+/// Asks the desktop, if there is one, to show an address. On other machines the printed address must do.
+fn open_browser(address: &str) {
+    let program = if cfg!(target_os = "macos") {
+        "open"
+    } else if cfg!(windows) {
+        "explorer"
+    } else if ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some()) {
+        "xdg-open"
+    } else {
+        return;
+    };
+    let mut command = Command::new(program);
+    command.arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    if let Err(error) = command.spawn() {
+        note(&format!("{program}: {error}; open the address yourself"));
+    }
+}
