@@ -37,6 +37,10 @@ const MIN_TRACKS: usize = 12;
 const ALONE: usize = 20;
 /// With fewer held-out tracks nothing can be judged.
 const MIN_JUDGES: usize = 20;
+/// Cameras that see the same have at least so many times as many tracks as there are by chance.
+const BEYOND_CHANCE: usize = 2;
+/// Each camera is turned by so much more than the one before, radians, to see what matches by chance.
+const ASIDE: f64 = 0.15;
 /// The new calibration replaces the old if the median errors of held-out tracks, averaged over cameras, fall to this share,
 /// and no camera's rises above this one.
 const BETTER: f64 = 0.9;
@@ -71,8 +75,8 @@ pub struct Refinement {
 ///
 /// - `folder`: what the description's files are relative to
 /// - `tell`: called with what is done; what it returns ends the work
-/// - returns: `None` if too little is seen by several cameras to judge, or if `tell` ended the work; the description is
-///   then as it was
+/// - returns: `None` if too little is seen by several cameras to judge, no more than matches by chance, or if `tell` ended
+///   the work; the description is then as it was
 ///
 /// # Errors
 /// [`CaptureError`] if an image cannot be decoded.
@@ -96,6 +100,10 @@ pub fn refine_cameras(
         before = cameras;
         words
     });
+    let by_chance = matches::find(&turned_aside(&before), &shots[0], BANDS[0]).len();
+    if first[0].len() < BEYOND_CHANCE * by_chance {
+        return Ok(None);
+    }
     let alone = alone(&first, before.len());
     let (judges, fitted) = held_out(first, &before);
     let num_judges: usize = judges.iter().map(Vec::len).sum();
@@ -146,6 +154,17 @@ fn shots(frames: &Frames, num_frames: usize) -> Result<Vec<Vec<Shot>>, CaptureEr
 /// The tracks of each moment.
 fn tracks(cameras: &[RigCamera], shots: &[Vec<Shot>], band: f64) -> Vec<Vec<Track>> {
     shots.iter().map(|shots| matches::find(cameras, shots, band)).collect()
+}
+
+/// Cameras that would see hardly any place where they do, whatever they see: each turned about where it looks.
+fn turned_aside(cameras: &[RigCamera]) -> Vec<RigCamera> {
+    let turned = |(i, camera): (usize, &RigCamera)| {
+        let (sin, cos) = (ASIDE * (i + 1) as f64).sin_cos();
+        let [x, y, z] = camera.camera_from_world;
+        let mix = |a: f64, b: f64| std::array::from_fn(|k| a * x[k] + b * y[k]);
+        RigCamera { camera_from_world: [mix(cos, -sin), mix(sin, cos), z], ..camera.clone() }
+    };
+    cameras.iter().enumerate().map(turned).collect()
 }
 
 /// The cameras that hardly any track reaches, where the others have many.

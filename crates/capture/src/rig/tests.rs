@@ -98,6 +98,22 @@ fn rigs(description: &CaptureDescription) -> Vec<RigCamera> {
     description.cameras.iter().map(RigCamera::new).collect()
 }
 
+#[test]
+fn cameras_that_see_nothing_in_common_are_left_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut description = described(folder.path(), 1);
+    for id in 0..NUM_CAMERAS {
+        let noise = image::GrayImage::from_fn(SIZE[0] as u32, SIZE[1] as u32, |x, y| {
+            let place = [0.02 * f64::from(x), 0.02 * f64::from(y)];
+            image::Luma([texture(place[0], place[1], 40 + id as u64) as u8])
+        });
+        noise.save(folder.path().join(format!("ims/{id}/000000.png"))).unwrap();
+    }
+    let given = description.clone();
+    let refinement = refine_cameras(folder.path(), &mut description, &mut |_| ControlFlow::Continue(())).unwrap();
+    assert_eq!((refinement, description), (None, given));
+}
+
 /// The largest angle in degrees and distance in scene units between cameras of two rigs, after a similarity.
 fn apart(found: &CaptureDescription, expected: &CaptureDescription) -> (f64, f64) {
     let (found, expected) = (rigs(found), rigs(expected));
