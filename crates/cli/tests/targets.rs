@@ -182,9 +182,9 @@ fn refining_comes_closer_to_the_images_and_repeats() {
         number(&json(&measured)["psnr"])
     };
     let (_, _, plain) = compress("plain", &[]);
-    let (said, result, refined) = compress("refined", &["--refine", "240", "--backend", "cpu"]);
-    assert!(said.contains("refined in 240 iterations, which --refine 240 repeats"), "{said}");
-    assert_eq!(result["refined"]["iterations"], 240);
+    let (said, result, refined) = compress("refined", &["--refine", "480", "--backend", "cpu"]);
+    assert!(said.contains("refined in 480 iterations, which --refine 480 repeats"), "{said}");
+    assert_eq!(result["refined"]["iterations"], 480);
     assert!(number(&result["refined"]["loss_after"]) < number(&result["refined"]["loss_before"]));
     assert!(psnr(&refined) > psnr(&plain) + 0.5, "{} from {}", psnr(&refined), psnr(&plain));
     // What it declares is measured against the floats, from which it moved away.

@@ -75,6 +75,7 @@ pub(crate) fn measure(recordings: &[Recording], report: &(dyn Fn(f64) + Sync)) -
     }
     let paths: Vec<&Path> = recordings.iter().map(|recording| recording.path.as_path()).collect();
     if let Some(event_secs) = sound::event_secs(&paths) {
+        report(1.0);
         return Ok(Clocks { from: ClocksFrom::Sound, event_secs });
     }
     Ok(match motion::event_secs(recordings, report)? {
