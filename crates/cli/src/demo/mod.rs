@@ -15,7 +15,7 @@ use tcgs_pipeline::{
     Backend, CompressOptions, Compressed, EvaluateSettings, Evaluation, OpenScene, OpenSettings, PrunedScene,
     RefineBudget, RefineOptions, compress_scene, evaluate, fit, kept_gaussians, new_trainer, refine,
 };
-use tcgs_train::{RefineConfig, Run, TrainConfig};
+use tcgs_train::{Preset, RefineConfig, Run, TrainConfig};
 
 use self::late::LateQuality;
 use crate::backend::{BackendName, BackendOptions};
@@ -195,6 +195,8 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
 fn config(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfig> {
     let mut config = TrainConfig { seed: arguments.job.seed.unwrap_or(0), ..TrainConfig::default() };
     [config.schedule.first_iterations, config.schedule.rest_iterations] = ITERATIONS;
+    // In so few iterations the reset is what makes density control add enough.
+    config.densify.reset = TrainConfig::preset(Preset::Paper).densify.reset;
     config.data.end_frame = capture.num_frames();
     config.data.frame_rate = capture.frame_rate();
     // Where the capture will be once the folder has its name.
