@@ -258,7 +258,7 @@ fn nerfstudio_files_have_poses_of_cameras() {
     );
 }
 
-/// The first camera of the scene "Lego" of NeRF (Mildenhall et al. 2020), as Blender exported it.
+/// A camera in the form in which Blender's are exported for NeRF (Mildenhall et al. 2020).
 const BLENDER: &str = "{ \"camera_angle_x\": 0.6911112070083618, \"frames\": [ {
     \"file_path\": \"./train/r_0\", \"rotation\": 0.012566370614359171, \"transform_matrix\": [
     [-0.9999021887779236, 0.004192245192825794, -0.013345719315111637, -0.05379832163453102],
@@ -272,7 +272,7 @@ fn cameras_of_blender_have_an_angle_and_look_at_the_middle() {
     let [camera, of_test] = found.cameras.as_slice() else { panic!("{found:?}") };
     assert_eq!((camera.size, camera.angle_x), (None, Some(0.6911112070083618)));
     assert!(camera.names.contains(&"r_0".to_owned()) && of_test.names.contains(&"r_7".to_owned()), "{found:?}");
-    // Blender's cameras of this scene look at the origin, from a distance of 4.03.
+    // It looks at the origin, from a distance of 4.03.
     let origin = camera.camera_from_world.map(|row| row[3]);
     assert!(origin[0].abs() < 1e-3 && origin[1].abs() < 1e-3 && (origin[2] - 4.031).abs() < 1e-3, "{origin:?}");
     // The world's z is up, which is against y in the image.
