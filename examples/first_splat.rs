@@ -2,8 +2,8 @@
 //!
 //! `cargo run --release --example first_splat` writes `first_splat.png`.
 
-use tcgs_core::{BaseColumns, Camera, Gaussians, Image, activate, activate_bwd};
-use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+use tcgs::core::{BaseColumns, Camera, Gaussians, Image, activate, activate_bwd};
+use tcgs::render::{CpuRasterizer, Rasterizer, RenderSettings};
 
 fn main() -> anyhow::Result<()> {
     // As stored: logarithms of the standard deviations, the opacities before the logistic function.

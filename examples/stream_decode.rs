@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::Read;
 
 use anyhow::Context;
-use tcgs_codec::{DecodeLimits, Decoder, Event, Sampler};
+use tcgs::codec::{DecodeLimits, Decoder, Event, Sampler};
 
 fn main() -> anyhow::Result<()> {
     let path = std::env::args().nth(1).context("expected a .tcgs file")?;

@@ -5,10 +5,10 @@
 
 use std::ops::ControlFlow;
 
-use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
-use tcgs_codec::{CompressSettings, SceneInfo, compress, encode};
-use tcgs_core::DynamicGaussians;
-use tcgs_train::{TrainConfig, Trainer};
+use tcgs::capture::{Capture, Split, SyntheticSettings, write_synthetic};
+use tcgs::codec::{CompressSettings, SceneInfo, compress, encode};
+use tcgs::core::DynamicGaussians;
+use tcgs::train::{TrainConfig, Trainer};
 
 fn main() -> anyhow::Result<()> {
     let folder = tempfile::tempdir()?;
@@ -34,7 +34,7 @@ fn main() -> anyhow::Result<()> {
     }
 
     // A run's folder has the bits that training gave each Gaussian; here all have the same.
-    let bits = tcgs_codec::BitMap::uniform(scene.num_gaussians(), 14, 8);
+    let bits = tcgs::codec::BitMap::uniform(scene.num_gaussians(), 14, 8);
     let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default())?;
     let file = encode(&compact)?;
     println!("{} bytes of floats, {} in train_synthetic.tcgs", scene.raw_bytes(), file.len());

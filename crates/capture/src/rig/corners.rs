@@ -12,6 +12,8 @@ const CELLS: usize = 28;
 const PER_CELL: usize = 2;
 /// The smaller eigenvalue of a corner's structure, per pixel of its window, grey values of 255 squared.
 const MIN_CORNER: f32 = 6.0;
+/// The smallest of these cells, pixels of the level: about a patch, or neighbours would show the same.
+const MIN_CELL: usize = 16;
 /// Half of the window in which corners are judged, pixels of the level.
 const WINDOW: usize = 3;
 /// Distance of corners from the edge, pixels of the level.
@@ -100,9 +102,11 @@ impl Pyramid {
 
     /// Corners, spread over the picture; in the order of levels and cells.
     pub fn corners(&self) -> Vec<Corner> {
-        (0..CORNER_LEVELS.min(self.levels.len()))
-            .flat_map(|level| self.corners_of_level(level, CELLS >> level))
-            .collect()
+        let cells = |level: usize| {
+            let Gray { width, height, .. } = self.levels[level];
+            (CELLS >> level).min(width.max(height) / MIN_CELL)
+        };
+        (0..CORNER_LEVELS.min(self.levels.len())).flat_map(|level| self.corners_of_level(level, cells(level))).collect()
     }
 
     /// Corners of one level.
