@@ -48,17 +48,22 @@ impl Gray {
     ///
     /// - `x`, `y`: pixels; centres at +0.5
     pub fn at(&self, x: f32, y: f32) -> f32 {
+        self.with_slopes(x, y)[0]
+    }
+
+    /// The value, and its derivatives by `x` and `y`, of which there are two where pixels meet.
+    #[inline]
+    pub fn with_slopes(&self, x: f32, y: f32) -> [f32; 3] {
         let x = (x - 0.5).clamp(0.0, (self.width - 1) as f32);
         let y = (y - 0.5).clamp(0.0, (self.height - 1) as f32);
         let (left, top) = (x as usize, y as usize);
-        let (right, below) = ((left + 1).min(self.width - 1), (top + 1).min(self.height - 1));
+        let right = usize::from(left + 1 < self.width);
+        let below = usize::from(top + 1 < self.height) * self.width;
         let (fx, fy) = (x - left as f32, y - top as f32);
-        let row = |y: usize| {
-            let (a, b) = (self.data[y * self.width + left], self.data[y * self.width + right]);
-            a + fx * (b - a)
-        };
-        let (a, b) = (row(top), row(below));
-        a + fy * (b - a)
+        let data = &self.data[top * self.width + left..];
+        let ([a, b], [c, d]) = ([data[0], data[right]], [data[below], data[below + right]]);
+        let (upper, lower) = (a + fx * (b - a), c + fx * (d - c));
+        [upper + fy * (lower - upper), (b - a) + fy * (d - c - (b - a)), lower - upper]
     }
 
     /// Averages of squares of pixels; what is left over at the right and at the bottom is dropped.

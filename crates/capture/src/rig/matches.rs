@@ -16,6 +16,8 @@ use super::patch::{NUM_MIDDLE, Patch, Plane, shifted};
 /// Correlation from which on two patches are of one place, and from which on one is worth a closer look.
 const MIN_CORRELATION: f32 = 0.8;
 const PROMISING: f32 = 0.45;
+/// Correlations of the plane that faces both cameras, and the best of those near it, below which no other is tried.
+const UNLIKE: [f32; 2] = [-0.1, 0.2];
 /// The distance of the best from perfect, at most this share of the second best's: repeated patterns match nothing.
 const MAX_RATIO: f32 = 0.75;
 /// Angle between two rays below which they say nothing about depth, and above which nothing looks alike; radians.
@@ -199,9 +201,14 @@ fn best_match(
         let target = shot.corners[other].pixel;
         let judge = |plane: &Plane| patch.likeness(&plane.place((from, to), patch, &shot.pyramid, target)?, [0.0; 2]);
         let mut best: Option<(f32, Plane)> = None;
-        for (i, plane) in Plane::directions(from, to, point).into_iter().enumerate() {
+        for (i, plane) in Plane::directions(from, to, point).enumerate() {
             // What is not alike at all in the middle directions is not in the others.
-            if i == NUM_MIDDLE && best.is_none_or(|(correlation, _)| correlation < 0.1) {
+            let least = match i {
+                1 => UNLIKE[0],
+                NUM_MIDDLE => UNLIKE[1],
+                _ => f32::NEG_INFINITY,
+            };
+            if i > 0 && best.is_none_or(|(correlation, _)| correlation < least) {
                 break;
             }
             if let Some(correlation) = judge(&plane)
