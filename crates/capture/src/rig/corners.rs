@@ -48,12 +48,6 @@ impl Gray {
     ///
     /// - `x`, `y`: pixels; centres at +0.5
     pub fn at(&self, x: f32, y: f32) -> f32 {
-        self.with_slopes(x, y)[0]
-    }
-
-    /// The value, and its derivatives by `x` and `y`, of which there are two where pixels meet.
-    #[inline]
-    pub fn with_slopes(&self, x: f32, y: f32) -> [f32; 3] {
         let x = (x - 0.5).clamp(0.0, (self.width - 1) as f32);
         let y = (y - 0.5).clamp(0.0, (self.height - 1) as f32);
         let (left, top) = (x as usize, y as usize);
@@ -63,7 +57,7 @@ impl Gray {
         let data = &self.data[top * self.width + left..];
         let ([a, b], [c, d]) = ([data[0], data[right]], [data[below], data[below + right]]);
         let (upper, lower) = (a + fx * (b - a), c + fx * (d - c));
-        [upper + fy * (lower - upper), (b - a) + fy * (d - c - (b - a)), lower - upper]
+        upper + fy * (lower - upper)
     }
 
     /// Averages of squares of pixels; what is left over at the right and at the bottom is dropped.

@@ -13,12 +13,9 @@ const COARSE: usize = HALF as usize + 1;
 /// Directions of planes that are tried first.
 pub(super) const NUM_MIDDLE: usize = 7;
 
-/// Grey values of a patch, row by row.
-type Values = [f32; SIDE * SIDE];
-
 /// Grey values around a corner, of mean 0 and length 1.
 pub(super) struct Patch {
-    values: Values,
+    values: [f32; SIDE * SIDE],
     coarse: [f32; COARSE * COARSE],
     /// Pixels of the camera's image for one of the patch.
     pub unit: f64,
@@ -39,7 +36,7 @@ impl Patch {
         Some(Self { values: around(pyramid, corner)?, coarse: normalized(2, value)?, unit, rays })
     }
 
-    fn correlation(&self, other: &Values) -> f32 {
+    fn correlation(&self, other: &[f32; SIDE * SIDE]) -> f32 {
         product(&self.values, other)
     }
 
@@ -60,7 +57,7 @@ pub(super) fn likeness(pyramid: &Pyramid, other: &Pyramid, corner: &Corner) -> f
 }
 
 /// The patch of a corner, every pixel.
-fn around(pyramid: &Pyramid, corner: &Corner) -> Option<Values> {
+fn around(pyramid: &Pyramid, corner: &Corner) -> Option<[f32; SIDE * SIDE]> {
     let [x, y] = corner.pixel.map(|p| (p / pyramid.unit_of(corner.level)) as f32);
     normalized(1, |i, j| pyramid.levels[corner.level].at(x + i, y + j))
 }
@@ -75,25 +72,19 @@ fn normalized<const N: usize>(step: usize, value: impl Fn(f32, f32) -> f32) -> O
             *slot = value((column * step) as f32 - HALF as f32, (row * step) as f32 - HALF as f32);
         }
     }
-    normalize_values(&mut values)?;
-    Some(values)
-}
-
-/// - returns: what the values were divided by, after their mean was taken off
-fn normalize_values(values: &mut [f32]) -> Option<f32> {
     let mean = values.iter().sum::<f32>() / values.len() as f32;
-    for v in &mut *values {
+    for v in &mut values {
         *v -= mean;
     }
     let length = values.iter().map(|v| v * v).sum::<f32>().sqrt();
     // Less than two grey values of contrast is noise.
-    if length < 2.0 * (values.len() as f32).sqrt() {
+    if length < 2.0 * (N as f32).sqrt() {
         return None;
     }
-    for v in &mut *values {
+    for v in &mut values {
         *v /= length;
     }
-    Some(length)
+    Some(values)
 }
 
 /// Where a patch lies in another image: one level of it, a place, and what a step of the patch is there.
@@ -108,22 +99,8 @@ pub(super) struct Place<'a> {
 }
 
 impl Place<'_> {
-    /// The values, of mean 0 and length 1, and what a shift right or down adds to them.
-    fn with_slopes(&self, shift: [f32; 2]) -> Option<(Values, [Values; 2])> {
-        let ([x, y], [[a, b], [c, d]]) = (self.middle, self.steps);
-        let (x, y) = (x + shift[0], y + shift[1]);
-        let mut slopes = [[0.0_f32; SIDE * SIDE]; 2];
-        let mut values = [0.0_f32; SIDE * SIDE];
-        for (index, value) in values.iter_mut().enumerate() {
-            let (i, j) = ((index % SIDE) as f32 - HALF as f32, (index / SIDE) as f32 - HALF as f32);
-            [*value, slopes[0][index], slopes[1][index]] = self.gray.with_slopes(x + a * i + b * j, y + c * i + d * j);
-        }
-        let length = normalize_values(&mut values)?;
-        for slope in &mut slopes {
-            let mean = slope.iter().sum::<f32>() / slope.len() as f32;
-            slope.iter_mut().for_each(|s| *s = (*s - mean) / length);
-        }
-        Some((values, slopes))
+    fn values(&self, shift: [f32; 2]) -> Option<[f32; SIDE * SIDE]> {
+        self.every(1, shift)
     }
 
     fn every<const N: usize>(&self, step: usize, shift: [f32; 2]) -> Option<[f32; N]> {
@@ -135,12 +112,15 @@ impl Place<'_> {
 
 /// Shifts a place to the largest correlation: Gauss–Newton on the difference of normalised patches.
 pub(super) fn shifted(patch: &Patch, place: &Place<'_>, mut shift: [f32; 2]) -> Option<([f32; 2], f32)> {
-    let (mut best, mut slopes) = {
-        let (values, slopes) = place.with_slopes(shift)?;
-        ((shift, patch.correlation(&values)), (values, slopes))
-    };
+    let mut best = (shift, patch.correlation(&place.values(shift)?));
     for _ in 0..4 {
-        let (now, [sx, sy]) = &slopes;
+        let now = place.values(shift)?;
+        let slope = |dx: f32, dy: f32| -> Option<[f32; SIDE * SIDE]> {
+            let ahead = place.values([shift[0] + dx, shift[1] + dy])?;
+            let back = place.values([shift[0] - dx, shift[1] - dy])?;
+            Some(std::array::from_fn(|i| ahead[i] - back[i]))
+        };
+        let (sx, sy) = (slope(0.5, 0.0)?, slope(0.0, 0.5)?);
         let (mut xx, mut xy, mut yy, mut rx, mut ry) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for i in 0..now.len() {
             let error = patch.values[i] - now[i];
@@ -156,8 +136,7 @@ pub(super) fn shifted(patch: &Patch, place: &Place<'_>, mut shift: [f32; 2]) -> 
         }
         let step = [(yy * rx - xy * ry) / determinant, (xx * ry - xy * rx) / determinant];
         shift = [0, 1].map(|i| (shift[i] + step[i].clamp(-1.0, 1.0)).clamp(-3.0, 3.0));
-        slopes = place.with_slopes(shift)?;
-        let correlation = patch.correlation(&slopes.0);
+        let correlation = patch.correlation(&place.values(shift)?);
         if correlation > best.1 {
             best = (shift, correlation);
         }
