@@ -25,7 +25,7 @@ for place in "web/package.json \"version\": \"$version\"" "CITATION.cff version:
         { echo "scripts/publish.sh: ${place%% *} has no '${place#* }', which Cargo.toml has" >&2; exit 1; }
 done
 
-[[ -e web/dist/index.html ]] || web/build.sh
+web/build.sh
 trap 'rm -rf crates/serve/page' EXIT
 cp -r web/dist crates/serve/page
 # The page is not committed.

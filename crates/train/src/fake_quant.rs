@@ -320,6 +320,33 @@ fn backward_rows(
 mod tests {
     use super::*;
 
+    /// Central differences of what straight-through differentiates: the value with the error of its rounding held.
+    #[test]
+    fn gradients_are_those_of_the_value_with_its_rounding_held() {
+        let (step, offset) = (0.3, 0.1);
+        let quantizer = Quantizer::new(step as f32, offset as f32, 3).unwrap();
+        let (low, high) = (f64::from(quantizer.min_code()), f64::from(quantizer.max_code()));
+        for x in [-3.0, -1.2, -0.85, -0.2, 0.0, 0.13, 0.5, 0.7, 1.4, 9.0] {
+            let scaled: f64 = (x - offset) / step;
+            let rounding = scaled.round() - scaled;
+            let held = |x: f64, step: f64, offset: f64| {
+                let scaled = (x - offset) / step;
+                let code = if (low..=high).contains(&scaled) { scaled + rounding } else { scaled.clamp(low, high) };
+                code * step + offset
+            };
+            let slope = |at: &dyn Fn(f64) -> f64| 0.5 * (at(1e-6) - at(-1e-6)) / 1e-6;
+            let expected = [
+                slope(&|h| held(x + h, step, offset)),
+                slope(&|h| held(x, step + h, offset)),
+                slope(&|h| held(x, step, offset + h)),
+            ];
+            let (v_x, v_step, v_offset) = fake_quant_vjp(x as f32, &quantizer, 2.0);
+            for (found, expected) in [v_x, v_step, v_offset].into_iter().zip(expected) {
+                assert!((f64::from(found) - 2.0 * expected).abs() < 1e-4, "{x}: {found}, expected {}", 2.0 * expected);
+            }
+        }
+    }
+
     #[test]
     fn the_range_of_a_lone_gaussian_is_that_of_all() {
         let mut gaussians = Gaussians::zeros(100);
