@@ -7,11 +7,13 @@ export { TcgsPlayer };
 /** Events of the player, which the element passes on. */
 const EVENTS = ["ready", "load", "error", "play", "pause", "timestep"];
 
-const STYLE = `
+// A constructed sheet, because a page's Content-Security-Policy may forbid <style>.
+const STYLE = new CSSStyleSheet();
+STYLE.replaceSync(`
   :host { display: block; aspect-ratio: 16 / 9; }
   :host([hidden]) { display: none; }
   iframe { display: block; width: 100%; height: 100%; border: 0; }
-`;
+`);
 
 /**
  * Attributes are those of the page's address, such as `src`, `controls="false"`, `autoplay="false"`, `theme="dark"`; a `src`
@@ -25,9 +27,8 @@ export class TcgsPlayerElement extends HTMLElement {
 
   constructor() {
     super();
-    const style = document.createElement("style");
-    style.textContent = STYLE;
-    this.attachShadow({ mode: "open" }).append(style);
+    // With `delegatesFocus`, `focus()` of the element gives the keys to the player.
+    this.attachShadow({ mode: "open", delegatesFocus: true }).adoptedStyleSheets = [STYLE];
   }
 
   connectedCallback() {
