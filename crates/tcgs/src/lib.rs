@@ -26,7 +26,7 @@
 //! use tcgs::codec::{DecodeLimits, SceneFile, SegmentCache};
 //! use tcgs::core::activate;
 //!
-//! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/bitstream/v2/room_default.tcgs");
+//! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/bitstream/v1/room_default.tcgs");
 //! let file = std::io::BufReader::new(std::fs::File::open(path)?);
 //! let mut scene = SceneFile::open(file, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES)?;
 //! let timestep = scene.info().num_timesteps - 1;
