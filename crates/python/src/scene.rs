@@ -47,21 +47,13 @@ impl SceneLike<'_> {
 
 fn open_path(py: Python<'_>, path: &Path, settings: OpenSettings) -> PyResult<OpenScene> {
     if ["http://", "https://"].iter().any(|scheme| path.to_string_lossy().starts_with(scheme)) {
-        let expected = "a file or folder of this machine; urllib.request.urlretrieve downloads one";
+        let expected = "a file or folder of this machine; tcgs.open opens an address";
         return Err(PyValueError::new_err(format!("{}: is an address, expected {expected}", path.display())));
     }
     detached(py, || OpenScene::open(path, settings)).map_err(exception)
 }
 
-/// Opens a scene: a .tcgs file, a run folder, a params.npz of Dynamic 3D Gaussians, a .4dgs file, a file of Gaussians (PLY,
-/// SPZ, glTF), or a folder with a file of Gaussians for each frame.
-///
-/// - path: str or os.PathLike
-/// - drop_sh: of other programs' files, leave out spherical harmonics above degree 0
-/// - recover: of a .tcgs file that was cut, read what is whole
-/// - fps: timesteps a second, where the source says none or another
-///
-/// Raises OSError if the file cannot be read, ValueError if it is no scene or damaged.
+/// Opens a scene of this machine; `tcgs.open` has the rest.
 #[pyfunction]
 #[pyo3(signature = (path, *, drop_sh = false, recover = false, fps = None))]
 pub fn open(py: Python<'_>, path: PathBuf, drop_sh: bool, recover: bool, fps: Option<f64>) -> PyResult<PyScene> {

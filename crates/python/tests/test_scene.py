@@ -99,8 +99,8 @@ def test_arrays_become_a_scene_and_come_back() -> None:
 def test_wrong_input_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no_such.tcgs: .*expected a .tcgs file"):
         tcgs.open(tmp_path / "no_such.tcgs")
-    with pytest.raises(ValueError, match="is an address"):
-        tcgs.open("https://example.org/scene.tcgs")
+    with pytest.raises(ValueError, match="is an address, expected .* tcgs.open opens an address"):
+        tcgs.compress("https://example.org/scene.tcgs", tmp_path / "scene.tcgs")
     cut = tmp_path / "cut.tcgs"
     cut.write_bytes((TESTDATA / "bitstream/v1/room_default.tcgs").read_bytes()[:-100])
     with pytest.raises(ValueError, match="cut.tcgs: .*expected a whole .tcgs file"):

@@ -26,12 +26,11 @@
 //! use tcgs::codec::{DecodeLimits, SceneFile, SegmentCache};
 //! use tcgs::core::activate;
 //!
-//! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/bitstream/v2/room_default.tcgs");
+//! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/bitstream/v1/room_default.tcgs");
 //! let file = std::io::BufReader::new(std::fs::File::open(path)?);
 //! let mut scene = SceneFile::open(file, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES)?;
-//! let timestep = scene.info().num_timesteps - 1;
-//! let gaussians = activate(&scene.at(timestep)?);     // standard deviations, opacities between 0 and 1
-//! assert_eq!(gaussians.means.len(), gaussians.colors.len());
+//! let gaussians = activate(&scene.at(7)?); // standard deviations, opacities between 0 and 1
+//! assert_eq!(gaussians.means.len(), gaussians.scales.len());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
@@ -49,10 +48,10 @@
 //! # let (my_capture, run_folder) = (folder.path().join("capture"), folder.path().join("run"));
 //! # let small = SyntheticSettings { width: 48, height: 36, num_timesteps: 2, num_points: 300, ..Default::default() };
 //! # write_synthetic(&my_capture, &small)?;
-//! let capture = Capture::open(&my_capture)?;              // a folder of images or videos with cameras
+//! let capture = Capture::open(&my_capture)?; // a folder of images or videos with cameras
 //! let mut config = settings_for(Preset::Fast, &capture);
 //! # (config.schedule.first_iterations, config.schedule.rest_iterations) = (20, 5);
-//! config.set("schedule.rest_iterations", "5")?;           // every setting of config.toml
+//! config.set("schedule.rest_iterations", "5")?; // every setting of config.toml
 //! let run = Run::create(&run_folder, &config)?;
 //! let trainer = new_trainer(&config, &capture, &Backend::Cpu)?;
 //! fit(&capture, &run, trainer, &mut Unobserved)?;

@@ -7,6 +7,7 @@
 `tcgs.rasterize` is a differentiable rasterizer on the CPU; `tcgs.torch` makes a function of torch of it.
 """
 
+from tcgs._open import open
 from tcgs._show import Player
 from tcgs._tcgs import (
     Camera,
@@ -20,7 +21,6 @@ from tcgs._tcgs import (
     compress,
     evaluate,
     make_demo_capture,
-    open,
     rasterize,
     render,
     train,

@@ -1,0 +1,58 @@
+"""Scenes of this machine, and those behind addresses."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import urllib.error
+import urllib.parse
+import urllib.request
+import weakref
+from pathlib import Path, PurePosixPath
+
+from tcgs import _tcgs
+from tcgs._tcgs import Scene
+
+
+def open(
+    path: str | os.PathLike[str], *, drop_sh: bool = False, recover: bool = False, fps: float | None = None
+) -> Scene:
+    """Opens a scene: a .tcgs file, a run folder, a params.npz of Dynamic 3D Gaussians, a .4dgs file, a file of Gaussians
+    (PLY, SPZ, glTF), or a folder with a file of Gaussians for each frame.
+
+    - path: str or os.PathLike; or the address of a file (http, https), which is downloaded whole and kept as long as the
+      Scene is
+    - drop_sh: of other programs' files, leave out spherical harmonics above degree 0
+    - recover: of a .tcgs file that was cut, read what is whole
+    - fps: timesteps a second, where the source says none or another
+
+    Raises OSError if the file cannot be read or fetched, ValueError if it is no scene or damaged.
+    """
+    if not isinstance(path, str) or not path.startswith(("http://", "https://")):
+        return _tcgs.open(path, drop_sh=drop_sh, recover=recover, fps=fps)
+    folder = tempfile.TemporaryDirectory(prefix="tcgs-", ignore_cleanup_errors=True)
+    try:
+        scene = _tcgs.open(_download(path, Path(folder.name)), drop_sh=drop_sh, recover=recover, fps=fps)
+    except BaseException:
+        folder.cleanup()
+        raise
+    weakref.finalize(scene, folder.cleanup)
+    return scene
+
+
+def _download(address: str, folder: Path) -> Path:
+    name = PurePosixPath(urllib.parse.unquote(urllib.parse.urlsplit(address).path)).name
+    file = folder / (name or "scene.tcgs")
+    try:
+        with urllib.request.urlopen(address) as answer, file.open("xb") as out:
+            shutil.copyfileobj(answer, out)
+            expected = answer.headers["Content-Length"]
+    except urllib.error.HTTPError as error:
+        raise OSError(f"{address}: the server answers {error.code} {error.reason}, expected a scene") from None
+    except urllib.error.URLError as error:
+        raise OSError(f"{address}: {error.reason}, expected a server") from None
+    found = file.stat().st_size
+    if expected is not None and found != int(expected):
+        raise OSError(f"{address}: ended after {found} bytes, expected {expected}")
+    return file
