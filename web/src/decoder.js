@@ -58,8 +58,24 @@ export class Scene {
     if (!Number.isInteger(timestep) || timestep < 0 || timestep >= numTimesteps) {
       return Promise.reject(new RangeError(`timestep is ${timestep}, expected an integer from 0 to ${numTimesteps - 1}`));
     }
+    return this.#patiently(() => this.#decoder.at(timestep));
+  }
+
+  /**
+   * What programs attached to the scene, by name: `tcgs.credits` and `tcgs.views` are JSON in UTF-8, for one (docs/FORMAT.md).
+   * @returns {Promise<Map<string, Uint8Array>>} empty if there is nothing
+   */
+  async data() {
+    return new Map(await this.#patiently(() => this.#decoder.data()));
+  }
+
+  /**
+   * @param {() => object | undefined} call
+   * @returns {Promise<any>}
+   */
+  #patiently(call) {
     // One after the other: the decoder says what it lacks of the last call alone.
-    const done = this.#turn.then(() => patiently(this.#decoder, this.#read, () => this.#decoder.at(timestep)));
+    const done = this.#turn.then(() => patiently(this.#decoder, this.#read, call));
     this.#turn = done.then(
       () => {},
       () => {},

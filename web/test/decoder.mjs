@@ -73,6 +73,23 @@ test("bytes, files and addresses give the same", async () => {
   whole.stop();
 });
 
+test("what is attached to a scene comes by name, from an address too", async (t) => {
+  const bytes = readFileSync(new URL("../../docs/site/scenes/toss.tcgs", import.meta.url));
+  const server = await serve(bytes, true);
+  t.after(server.stop);
+  for (const source of [bytes, server.address]) {
+    const scene = await open(source);
+    const [data, { means }] = await Promise.all([scene.data(), scene.at(1)]);
+    const json = (name) => JSON.parse(new TextDecoder().decode(data.get(name)));
+    assert.match(json("tcgs.credits").authors.join(), /MakeHuman/);
+    assert.ok(data.has("tcgs.views") && means.length > 0);
+    scene.close();
+  }
+  const [, bare] = files("v1/").find(([name]) => name.includes("room_default"));
+  const scene = await open(bare);
+  assert.equal((await scene.data()).size, 0);
+});
+
 test("what cannot be opened says why", async () => {
   const accepted = [];
   for (const [name, bytes] of [...files("refused/"), ...files("refused_v2/")]) {

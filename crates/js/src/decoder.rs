@@ -1,6 +1,6 @@
 //! What JavaScript calls.
 
-use js_sys::{Error, Float32Array, Object, Reflect};
+use js_sys::{Array, Error, Float32Array, Object, Reflect, Uint8Array};
 use tcgs_codec::{DecodeError, DecodeLimits, SceneFile, SegmentCache};
 use tcgs_core::{SceneReader, activate};
 use wasm_bindgen::prelude::wasm_bindgen;
@@ -56,12 +56,18 @@ impl Decoder {
         ])))
     }
 
+    /// What programs attached to the scene: pairs of a name and bytes.
+    pub fn data(&mut self) -> Result<Option<Array>, JsValue> {
+        let Some(data) = patient(self.opened()?.application_data())? else { return Ok(None) };
+        let pair = |(name, bytes): (String, Vec<u8>)| Array::of2(&name.into(), &Uint8Array::from(&bytes[..]).into());
+        Ok(Some(data.into_iter().map(pair).collect()))
+    }
+
     /// The Gaussians that live at a timestep, ready to be drawn.
     ///
     /// - `timestep`: below that of `info`, which has been called
     pub fn at(&mut self, timestep: u32) -> Result<Option<Object>, JsValue> {
-        let file = self.file.as_mut().ok_or_else(|| JsValue::from(Error::new("call info first")))?;
-        let Some(gaussians) = patient(file.at(timestep as usize))? else { return Ok(None) };
+        let Some(gaussians) = patient(self.opened()?.at(timestep as usize))? else { return Ok(None) };
         if self.arrived.held() > MAX_HELD {
             self.arrived.forget();
         }
@@ -76,6 +82,12 @@ impl Decoder {
             ("colors", floats(&drawn.colors)),
             ("harmonics", floats(&gaussians.harmonic_rows())),
         ])))
+    }
+}
+
+impl Decoder {
+    fn opened(&mut self) -> Result<&mut SceneFile<Arrived>, JsValue> {
+        self.file.as_mut().ok_or_else(|| Error::new("call info first").into())
     }
 }
 
