@@ -29,8 +29,9 @@ FRAMES = 90
 MAX_FILM_BYTES = 190_000
 MAX_README_BYTES = 1_500_000
 
-# Degrees: `angle`, `sway`, `view` (horizontal). Where the camera of a film stands: on a circle of `radius` around `target`, swaying `sway` degrees to either side of `angle`
-# (0: +z), `rise` above the target (y points down in all three). `timesteps`: at most so many, from the first.
+# Where the camera of a film stands: on a circle of `radius` around `target`, `rise` above it (y points down in all three
+# scenes), swaying `sway` to either side of `angle` (0: +z). `angle`, `sway` and the horizontal `view` are degrees.
+# `timesteps`: at most so many, from the first.
 FILMS = {
     "toss": {"target": (0.0, -0.95, 0.0), "radius": 3.6, "rise": 0.7, "angle": 0, "sway": 26, "view": 68, "timesteps": 48},
     "kitchen": {"target": (0.0, -1.28, 0.1), "radius": 1.75, "rise": 0.3, "angle": 180, "sway": 20, "view": 76, "timesteps": 60},
@@ -56,7 +57,7 @@ def credited(name, file, folder):
         shutil.copyfile(file, scene)
     else:
         cargo = ["cargo", "run", "--quiet", "--release", "--locked", "--manifest-path", HERE.parents[1] / "Cargo.toml"]
-        run([*cargo, "-p", "tcgs-codec", "--example", "attach", "--", file, "tcgs.credits", credits, scene])
+        run([*cargo, "--example", "attach", "--", file, "tcgs.credits", credits, scene])
     return scene
 
 

@@ -1,15 +1,17 @@
 //! Puts application data into a `.tcgs` file that exists, in place of data of the same name; the scene's bytes stay as they are.
 //!
 //! ```sh
-//! cargo run --release --example attach -p tcgs-codec -- scene.tcgs tcgs.credits credits.json out.tcgs
+//! cargo run --release --example attach -- scene.tcgs tcgs.credits credits.json out.tcgs
 //! ```
 //!
 //! Arguments: file, name of the data (`docs/FORMAT.md`, "Application data"), file with the data, new file.
 
 use std::error::Error;
 use std::fs;
+use std::io::Write;
 
-use tcgs_codec::{CompactFile, DecodeLimits, application_data, inspect};
+use tcgs::codec::{CompactFile, DecodeLimits, application_data, inspect};
+use tcgs::interchange::{Existing, write_whole};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -23,12 +25,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let all: Vec<(&str, &[u8])> = others.chain([(&name[..], &data[..])]).collect();
     let version = inspect(&bytes, &limits)?.version;
     let made = compact.encode(version, &all)?;
-    // The new file may replace the old one, so it is written beside it first.
-    let unfinished = format!("{out}.unfinished");
-    fs::write(&unfinished, &made).and_then(|()| fs::rename(&unfinished, out)).map_err(|error| {
-        let _ = fs::remove_file(&unfinished);
-        format!("{out}: {error}")
-    })?;
+    // It may be the old file.
+    write_whole(out.as_ref(), Existing::Replace, |file| file.write_all(&made))
+        .map_err(|error| format!("{out}: {error}"))?;
     println!("{out}: {} bytes, before {}", made.len(), bytes.len());
     Ok(())
 }
