@@ -13,6 +13,7 @@ use crate::contents::{CameraSet, Contents};
 use crate::footage::Footage;
 use crate::kind::{CaptureFacts, CaptureKind};
 use crate::points::{self, Points};
+use crate::recording::ColorChange;
 use crate::{CaptureError, kinds, points_in_view};
 
 /// Selects the training cameras, the test cameras, or both.
@@ -233,6 +234,21 @@ impl Capture {
     /// other.
     pub fn is_video(&self) -> bool {
         self.contents.train.at(0).any(Footage::is_video)
+    }
+
+    /// Whether the colours of some camera's images are changed, by gains and offsets of `capture.toml`.
+    pub fn changes_colors(&self) -> bool {
+        let Contents { train, test, .. } = &self.contents;
+        let footage = train.footage.iter().chain(&test.footage);
+        footage.into_iter().any(|of| of.color_change() != ColorChange::NONE)
+    }
+
+    /// The same capture with colours as they were recorded, which is what publications compare with.
+    pub fn with_recorded_colors(&self) -> Self {
+        let mut capture = self.clone();
+        let Contents { train, test, .. } = &mut capture.contents;
+        train.footage.iter_mut().chain(&mut test.footage).for_each(Footage::keep_recorded_colors);
+        capture
     }
 
     /// Reads the points that training starts from: positions in scene units, colours in `[0, 1]`, foreground labels.

@@ -36,6 +36,9 @@ pub struct CaptureDescription {
     /// How the clocks of the cameras were found.
     #[serde(default)]
     pub clock: Option<ClockSource>,
+    /// Whether gains and offsets are used, and what was found about them.
+    #[serde(default)]
+    pub colors: Option<ColorSource>,
     /// The cameras, in the capture's order.
     #[serde(rename = "camera")]
     pub cameras: Vec<DescribedCamera>,
@@ -62,6 +65,25 @@ pub struct CalibrationSource {
 pub struct ClockSource {
     /// `sound`, `motion`, `file`, or `assumed`.
     pub from: String,
+}
+
+/// What is known about differences in colour between the cameras.
+#[derive(Clone, Debug, Deserialize, PartialEq, Eq)]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct ColorSource {
+    /// Whether the cameras' gains and offsets are used; without this table they are.
+    #[serde(default = "yes")]
+    pub used: bool,
+    /// How they were found, a sentence each; for people, nothing is computed from it.
+    #[serde(default)]
+    pub found: Vec<String>,
+}
+
+impl Default for ColorSource {
+    fn default() -> Self {
+        Self { used: true, found: Vec::new() }
+    }
 }
 
 /// Whether a camera's images are for training or for judging.
@@ -104,6 +126,9 @@ pub struct DescribedCamera {
     /// Factors of red, green and blue.
     #[serde(default = "no_gains")]
     pub gains: [f32; 3],
+    /// Added to red, green and blue after the gains, of values in `[0, 1]`.
+    #[serde(default)]
+    pub offsets: [f32; 3],
     /// Width and height in pixels of the image, turned and cropped.
     pub size: [usize; 2],
     /// Focal lengths `fx, fy`, pixels.
@@ -125,14 +150,18 @@ fn no_gains() -> [f32; 3] {
     [1.0; 3]
 }
 
+fn yes() -> bool {
+    true
+}
+
 impl CaptureDescription {
     /// An empty description: no cameras yet.
     ///
     /// - `frame_rate`: frames per second of the capture's clock
     /// - `num_frames`: number of frames
     pub fn new(frame_rate: f64, num_frames: usize) -> Self {
-        let (in_metres, calibration, clock, cameras) = (false, None, None, Vec::new());
-        Self { version: VERSION, frame_rate, num_frames, in_metres, calibration, clock, cameras }
+        let (calibration, clock, colors, cameras) = (None, None, None, Vec::new());
+        Self { version: VERSION, frame_rate, num_frames, in_metres: false, calibration, clock, colors, cameras }
     }
 
     /// Reads a description.
@@ -191,15 +220,16 @@ impl CaptureDescription {
         if let Some(source) = &self.calibration {
             let _ = writeln!(text, "\n[calibration]  # where the cameras come from; nothing is computed from this");
             let _ = writeln!(text, "file = {}\nformat = {}", quoted(&source.file), quoted(&source.format));
-            let changes: String = source.changes.iter().map(|change| format!("\n    {},", quoted(change))).collect();
-            let _ = match changes.is_empty() {
-                true => writeln!(text, "changes = []"),
-                false => writeln!(text, "changes = [{changes}\n]"),
-            };
+            let _ = writeln!(text, "changes = {}", listed(&source.changes));
         }
         if let Some(source) = &self.clock {
             let _ = writeln!(text, "\n[clock]  # how start_secs was found; nothing is computed from this");
             let _ = writeln!(text, "from = {}", quoted(&source.from));
+        }
+        if let Some(colors) = &self.colors {
+            let _ = writeln!(text, "\n[colors]  # differences in exposure and white balance between the cameras");
+            let _ = writeln!(text, "used = {}  # whether gains and offsets below are used", colors.used);
+            let _ = writeln!(text, "found = {}", listed(&colors.found));
         }
         for camera in &self.cameras {
             camera.append_to(&mut text);
@@ -221,6 +251,9 @@ impl DescribedCamera {
         }
         if let Some(gain) = self.gains.iter().find(|gain| !(gain.is_finite() && **gain > 0.0)) {
             return Err(format!("gains has {gain}, expected numbers above 0"));
+        }
+        if let Some(offset) = self.offsets.iter().find(|offset| !(-1.0..=1.0).contains(*offset)) {
+            return Err(format!("offsets has {offset}, expected numbers from -1 to 1"));
         }
         if self.focal.iter().any(|f| !(f.is_finite() && *f > 0.0)) {
             return Err(format!("focal is {:?}, expected numbers above 0", self.focal));
@@ -248,7 +281,11 @@ impl DescribedCamera {
         if let Some(crop) = self.crop {
             let _ = writeln!(text, "crop = {crop:?}  # left, top, width, height");
         }
-        let _ = writeln!(text, "gains = {:?}\nsize = {:?}", self.gains, self.size);
+        let _ = writeln!(text, "gains = {:?}  # of red, green and blue", self.gains);
+        if self.offsets != [0.0; 3] {
+            let _ = writeln!(text, "offsets = {:?}  # added to red, green and blue", self.offsets);
+        }
+        let _ = writeln!(text, "size = {:?}", self.size);
         let _ = writeln!(text, "focal = {:?}\nprincipal = {:?}", self.focal, self.principal);
         let _ = writeln!(text, "distortion = {:?}  # k1 k2 p1 p2 k3 k4 k5 k6", self.distortion);
         let rows: String = self.camera_from_world.iter().map(|row| format!("    {row:?},\n")).collect();
@@ -257,6 +294,12 @@ impl DescribedCamera {
             let _ = writeln!(text, "error_px = {error:?}  # median; nothing is computed from this");
         }
     }
+}
+
+/// Sentences as TOML has them, one a line.
+fn listed(sentences: &[String]) -> String {
+    let lines: String = sentences.iter().map(|sentence| format!("\n    {},", quoted(sentence))).collect();
+    if lines.is_empty() { "[]".into() } else { format!("[{lines}\n]") }
 }
 
 /// A text as TOML has it.
@@ -279,6 +322,7 @@ mod tests {
             turn_degrees: 270,
             crop: Some([0, 7, 1080, 1906]),
             gains: [1.0, 0.9, 1.1],
+            offsets: [0.0, -0.02, 0.015],
             size: [1080, 1906],
             focal: [1e3, 1e-7 + 1000.0],
             principal: [540.0, 953.25],
@@ -288,12 +332,13 @@ mod tests {
         };
         let mut other = camera.clone();
         (other.id, other.role, other.crop, other.images_per_sec) = (4, Role::Train, None, None);
-        other.error_px = None;
+        (other.error_px, other.offsets) = (None, [0.0; 3]);
         let mut description = CaptureDescription::new(59.94, 100);
         let changes = vec!["scaled".into(), "turned\tround".into()];
         description.calibration =
             Some(CalibrationSource { file: "a.qca.txt".into(), format: "qualisys".into(), changes });
         description.clock = Some(ClockSource { from: "sound".into() });
+        description.colors = Some(ColorSource { used: false, found: vec!["a \"warm\" camera".into()] });
         description.cameras = vec![camera, other];
         description
     }
@@ -321,5 +366,6 @@ mod tests {
         assert!(problem("start_secs = 0.", "start_secs = nan # ").contains("start_secs is NaN"));
         assert!(problem("role = \"train\"", "role = \"test\"").contains("of the role test alone"));
         assert!(problem("gains = [1.0", "gains = [-1.0").contains("gains has -1"));
+        assert!(problem("offsets = [0.0", "offsets = [7.0").contains("offsets has 7, expected numbers from -1 to 1"));
     }
 }

@@ -9,7 +9,13 @@ use std::sync::Arc;
 use image::RgbImage;
 use tcgs_core::{Camera, Image, Segmentation, View};
 
-use crate::{CaptureError, decode, lanczos, lens::Lens, names::Files, recording::Take, video::Video};
+use crate::{
+    CaptureError, decode, lanczos,
+    lens::Lens,
+    names::Files,
+    recording::{ColorChange, Take},
+    video::Video,
+};
 
 /// One camera over time.
 #[derive(Clone, Debug)]
@@ -131,6 +137,21 @@ impl Footage {
             Images::Stored { pixels: Pixels::Video(_), .. } => true,
             Images::Stored { pixels: Pixels::Take(take), .. } => take.recording.is_video(),
             _ => false,
+        }
+    }
+
+    /// What is done to its colours.
+    pub fn color_change(&self) -> ColorChange {
+        match &self.images {
+            Images::Stored { pixels: Pixels::Take(take), .. } => take.colors,
+            _ => ColorChange::NONE,
+        }
+    }
+
+    /// Leaves colours from now on as they are recorded.
+    pub fn keep_recorded_colors(&mut self) {
+        if let Images::Stored { pixels: Pixels::Take(take), .. } = &mut self.images {
+            *take = Arc::new(Take { colors: ColorChange::NONE, ..Take::clone(take) });
         }
     }
 

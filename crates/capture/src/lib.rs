@@ -4,7 +4,8 @@
 //! - [`CaptureBuilder`] makes a capture of cameras and images that a program already has.
 //! - [`RawFootage`], [`Calibration`] and [`Clocks`] turn a folder of videos into a [`CaptureDescription`], which
 //!   [`Capture::open`] opens.
-//! - [`find_cameras`] has COLMAP place the cameras of a description, [`refine_cameras`] mends a calibration.
+//! - [`find_cameras`] has COLMAP place the cameras of a description, [`refine_cameras`] mends a calibration,
+//!   [`balance_colors`] measures how the cameras differ in exposure and white balance.
 //! - [`prepare`] makes initial points by multi-view stereo, for a capture that has none.
 //! - [`check`] looks for wrong cameras, masks and clocks.
 //! - [`write_synthetic`] renders a small capture with known cameras, for tests and examples.
@@ -52,7 +53,9 @@ pub use builder::{CameraBuilder, CaptureBuilder};
 pub use calibration::{CalibratedCamera, Calibration};
 pub use capture::{Capture, Split};
 pub use clocks::{Clocks, ClocksFrom};
-pub use description::{CalibrationSource, CaptureDescription, ClockSource, DESCRIPTION_FILE, DescribedCamera, Role};
+pub use description::{
+    CalibrationSource, CaptureDescription, ClockSource, ColorSource, DESCRIPTION_FILE, DescribedCamera, Role,
+};
 pub use doctor::{CameraFit, CameraPictures, Diagnosis, Finding, FindingKind, check};
 pub use error::CaptureError;
 pub use kind::{CaptureFacts, CaptureKind};
@@ -61,5 +64,8 @@ pub use masks::{MaskSettings, make_masks};
 pub use points::{POINTS_FILE, write_points};
 pub use prepare::{Origin, PrepareSettings, Prepared, prepare, spread_points};
 pub use raw::{DescribeSettings, PlacedCameras, RawCamera, RawFootage};
-pub use rig::{FoundCameras, Refinement, find_cameras, has_colmap, moving_cameras, refine_cameras, scale_cameras};
+pub use rig::{
+    ColorBalance, FoundCameras, Refinement, balance_colors, find_cameras, has_colmap, moving_cameras, refine_cameras,
+    scale_cameras,
+};
 pub use synthetic::{Late, SYNTHETIC_FRAME_RATE, SyntheticSettings, ball_at, write_synthetic};

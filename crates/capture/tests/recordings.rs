@@ -189,14 +189,32 @@ fn pictures_are_turned_cropped_and_evened_out() {
     encode(0..4, &[&["-vf", "pad=160:80:10:4"], H264].concat(), &path("framed.mp4"));
     describe(folder.path(), 4, &[("framed.mp4", "crop = [10, 4, 128, 64]")]);
     assert_eq!(shown(folder.path(), &[3]), [3]);
+    let shown = |capture: &Capture| {
+        let views = capture.views(Split::Train, 0, 1).unwrap();
+        [0, 1, 2].map(|channel| views[0].image.plane(channel)[60 * 128 + 5])
+    };
     let at = |gains: &str| {
         describe(folder.path(), 4, &[("framed.mp4", &format!("crop = [10, 4, 128, 64]\ngains = {gains}"))]);
-        let views = Capture::open(folder.path()).unwrap().views(Split::Train, 0, 1).unwrap();
-        [0, 1, 2].map(|channel| views[0].image.plane(channel)[60 * 128 + 5])
+        shown(&Capture::open(folder.path()).unwrap())
     };
     let (plain, gained) = (at("[1, 1, 1]"), at("[2, 0.5, 9]"));
     let expected = [2.0 * plain[0], 0.5 * plain[1], 1.0];
     assert!(gained.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 0.003), "{gained:?}");
+    let moved = at("[1, 0.5, 1]\noffsets = [0.1, 0.2, -1]");
+    let expected = [plain[0] + 0.1, 0.5 * plain[1] + 0.2, 0.0];
+    assert!(moved.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 0.003), "{moved:?}");
+
+    // What publications compare with; and one key turns everything off.
+    let capture = Capture::open(folder.path()).unwrap();
+    let recorded = capture.with_recorded_colors();
+    assert!(capture.changes_colors() && !recorded.changes_colors());
+    assert_eq!((shown(&capture), shown(&recorded)), (moved, plain));
+    let file = folder.path().join("capture.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    std::fs::write(&file, text.replacen("[[camera]]", "[colors]\nused = false\n[[camera]]", 1)).unwrap();
+    let capture = Capture::open(folder.path()).unwrap();
+    assert!(!capture.changes_colors());
+    assert_eq!(shown(&capture), plain);
 }
 
 /// Why a folder cannot be opened, without its name.

@@ -4,64 +4,13 @@
 
 mod support;
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::path::Path;
+use std::process::Command;
 
+use support::videos::*;
 use support::*;
-use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
-use tempfile::{TempDir, tempdir};
-
-const RATE: u32 = 20;
-
-fn has_ffmpeg() -> bool {
-    let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).status().is_ok();
-    assert!(found || std::env::var_os("REQUIRE_FFMPEG").is_none(), "REQUIRE_FFMPEG is set, and there is no ffmpeg");
-    if !found {
-        // Past the capture of passing tests: a skip is to be seen.
-        let _ = writeln!(std::io::stderr(), "skipped: there is no ffmpeg");
-    }
-    found
-}
-
-/// Videos `cam0.mp4` … of a synthetic capture of 8 frames, camera `i` without its first `i % 3` frames, with a calibration
-/// and a file of offsets.
-fn videos(folder: &TempDir) -> PathBuf {
-    let (truth, path) = (folder.path().join("truth"), folder.path().join("videos"));
-    let settings = SyntheticSettings { width: 96, height: 72, num_timesteps: 8, ..SyntheticSettings::default() };
-    write_synthetic(&truth, &settings).unwrap();
-    std::fs::create_dir(&path).unwrap();
-    let capture = Capture::open(&truth).unwrap();
-    let (mut calibration, mut offsets) = (String::new(), String::from("# when the ball is thrown\n"));
-    for (i, (_, camera)) in capture.cameras(Split::Train, 0, 1).unwrap().into_iter().enumerate() {
-        let ([fx, fy], [cx, cy]) = (camera.focal, camera.principal.map(|c| c - 0.5));
-        let rows = camera.camera_from_world.map(|[a, b, c, _]| [a, b, c]);
-        let translation = [0, 1, 2].map(|row| camera.camera_from_world[row][3]);
-        calibration += &format!(
-            "[cam{i}]\nsize = [96, 72]\nmatrix = [[{fx:?}, 0, {cx:?}], [0, {fy:?}, {cy:?}], [0, 0, 1]]\n\
-             rotation = {:?}\ntranslation = {translation:?}\n",
-            &rows[..3]
-        );
-        offsets += &format!("cam{i} {}\n", 1.0 - (i % 3) as f64 / f64::from(RATE));
-        let mut child = Command::new("ffmpeg")
-            .args(["-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "96x72", "-r", &RATE.to_string(), "-i"])
-            .args(["pipe:0", "-c:v", "libx264", "-crf", "8", "-pix_fmt", "yuv420p"])
-            .arg(path.join(format!("cam{i}.mp4")))
-            .stdin(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut pipe = child.stdin.take().unwrap();
-        for frame in i % 3..8 {
-            let views = capture.views(Split::Train, frame, 1).unwrap();
-            pipe.write_all(&views[i].image.to_rgb8()).unwrap();
-        }
-        drop(pipe);
-        assert!(child.wait().unwrap().success());
-    }
-    std::fs::write(path.join("Calib.toml"), calibration).unwrap();
-    std::fs::write(folder.path().join("offsets.txt"), offsets).unwrap();
-    path
-}
+use tcgs_capture::{Capture, Split};
+use tempfile::tempdir;
 
 fn entries(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> =
@@ -76,7 +25,7 @@ fn videos_become_a_capture_that_trains() {
         return;
     }
     let folder = tempdir().unwrap();
-    let (source, offsets) = (videos(&folder), folder.path().join("offsets.txt"));
+    let (source, offsets) = (videos(&folder, 8), folder.path().join("offsets.txt"));
     let (out, result) = (folder.path().join("capture"), folder.path().join("result.json"));
     let prepare = ["prepare", text(&source), "--out", text(&out), "--points", "3000", "--offsets", text(&offsets)];
     let prepare = [&prepare[..], &["--hold-out", "cam3", "--json", text(&result)]].concat();
@@ -98,7 +47,7 @@ fn videos_become_a_capture_that_trains() {
         assert!(said.contains(expected), "{expected:?} in {said}");
     }
     let result = json(&result);
-    let keys = ["source", "out", "cameras", "num_frames", "frame_rate", "calibration", "refinement", "clock"];
+    let keys = ["source", "out", "cameras", "num_frames", "frame_rate", "calibration", "refinement", "colors", "clock"];
     let of_points = ["num_points", "num_foreground", "origins", "agreement", "seconds", "check"];
     assert_keys(&result, &[&keys[..], &of_points].concat());
     assert_eq!((result["clock"].as_str(), result["num_frames"].as_u64()), (Some("file"), Some(6)));
@@ -160,7 +109,7 @@ fn footage_that_cannot_be_prepared_leaves_nothing() {
         return;
     }
     let folder = tempdir().unwrap();
-    let (source, out) = (videos(&folder), folder.path().join("capture"));
+    let (source, out) = (videos(&folder, 8), folder.path().join("capture"));
     let before = entries(folder.path());
     let prepare = ["prepare", text(&source), "--out", text(&out)];
     let refused = |more: &[&str]| {
@@ -217,18 +166,13 @@ fn footage_that_cannot_be_prepared_leaves_nothing() {
     );
 }
 
-/// Runs `ffmpeg`.
-fn ffmpeg(arguments: &[&str]) {
-    assert!(Command::new("ffmpeg").args(["-v", "error", "-y"]).args(arguments).status().unwrap().success());
-}
-
 #[test]
 fn bad_recordings_are_named_and_leave_nothing() {
     if !has_ffmpeg() {
         return;
     }
     let folder = tempdir().unwrap();
-    let (source, out) = (videos(&folder), folder.path().join("capture"));
+    let (source, out) = (videos(&folder, 8), folder.path().join("capture"));
     let (offsets, before) = (folder.path().join("offsets.txt"), entries(folder.path()));
     let prepare = ["prepare", text(&source), "--out", text(&out), "--offsets", text(&offsets)];
     let refused = |expected: &str| {

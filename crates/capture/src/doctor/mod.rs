@@ -2,10 +2,11 @@
 //!
 //! What lives here: checks that [`Capture::open`] cannot make from numbers alone. *geometry* draws the points from
 //! every camera and compares the drawing with the image, for the given camera and for the usual mistakes; *masks*
-//! compares masks with the points' foreground; *sync* compares each camera's silhouettes with those of the others at
+//! compares masks with the points' foreground; *colors* compares the cameras' colours with each other; *sync* compares each camera's silhouettes with those of the others at
 //! other frames; *sheet* draws the overview, *pictures* each camera for a page. What does not: files that are missing or damaged, which `open` and `views`
 //! report.
 
+mod colors;
 mod geometry;
 mod masks;
 mod pictures;
@@ -52,6 +53,8 @@ pub enum FindingKind {
     EmptyMask,
     /// The mask marks the background instead of the foreground.
     InvertedMask,
+    /// The camera's colours are brighter or darker than those of the others.
+    UnevenColors,
     /// The camera's frames are earlier or later than those of the other cameras.
     Unsynchronised,
 }
@@ -68,6 +71,7 @@ impl FindingKind {
             Self::NoFit => "no_fit",
             Self::EmptyMask => "empty_mask",
             Self::InvertedMask => "inverted_mask",
+            Self::UnevenColors => "uneven_colors",
             Self::Unsynchronised => "unsynchronised",
         }
     }
@@ -113,6 +117,9 @@ pub struct CameraFit {
     /// are above 0.5. `None` where too few points or too little texture is in sight, and where all cameras share a
     /// mistake and were therefore not compared one by one.
     pub fit: Option<f64>,
+    /// How bright the camera's red, green and blue are, over those of the camera in the middle, after the gains of
+    /// `capture.toml`. `None` where too little is seen to compare, and of cameras that do not fit.
+    pub brightness: Option<[f64; 3]>,
 }
 
 /// The result of [`check`].
@@ -204,10 +211,17 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     let suspects: Vec<usize> = findings.iter().flat_map(|finding| finding.cameras.iter().copied()).collect();
     report("comparing clocks");
     findings.extend(sync::findings(capture, &suspects)?);
+    report("comparing colours");
+    let brightness = colors::factors(&views, &splats, &judged);
+    findings.extend(colors::findings(&views, &brightness));
 
     report("drawing the picture");
     let cameras = (0..views.len())
-        .map(|i| CameraFit { camera_id: views[i].camera_id, fit: judged.get(i).and_then(|judged| judged.fit) })
+        .map(|i| CameraFit {
+            camera_id: views[i].camera_id,
+            fit: judged.get(i).and_then(|judged| judged.fit),
+            brightness: brightness[i],
+        })
         .collect();
     let undecided = |judged: &&Judged| judged.verdict == Verdict::Undecided;
     let undecided = views.iter().zip(judged.iter()).filter(|(_, j)| undecided(j)).map(|(v, _)| v.camera_id).collect();

@@ -1,4 +1,5 @@
-//! Captures that `capture.toml` describes: videos of any kind or folders of images, with clocks, calibration and gains.
+//! Captures that `capture.toml` describes: videos of any kind or folders of images, with clocks, calibration and gains of
+//! colours.
 //!
 //! ```text
 //! capture.toml         the description, docs/CAPTURE.md
@@ -23,7 +24,7 @@ use crate::footage::{ByFrame, Change, Footage, Images, Masks, Pixels};
 use crate::kind::{CaptureFacts, CaptureKind};
 use crate::lens::{Crop, Lens, MAX_SIDE};
 use crate::names::{Files, Names};
-use crate::recording::{Active, Recording, Take, turned};
+use crate::recording::{Active, ColorChange, Recording, Take, turned};
 use crate::{CaptureError, points};
 
 /// Folder of a described capture that holds the masks, a folder for each camera.
@@ -98,8 +99,12 @@ pub(crate) fn take(
             camera.file, found.0, found.1
         )));
     }
-    let (start_secs, fps, gains) = (camera.start_secs, description.frame_rate, camera.gains);
-    Ok(Take { recording, quarter_turns, active, gains, start_secs, fps })
+    let colors = match description.colors.as_ref().is_none_or(|colors| colors.used) {
+        true => ColorChange { gains: camera.gains, offsets: camera.offsets },
+        false => ColorChange::NONE,
+    };
+    let (start_secs, fps) = (camera.start_secs, description.frame_rate);
+    Ok(Take { recording: Arc::new(recording), quarter_turns, active, colors, start_secs, fps })
 }
 
 fn invalid(folder: &Path, camera: &DescribedCamera, problem: String) -> CaptureError {

@@ -255,6 +255,7 @@ impl RawFootage {
                 turn_degrees: 90 * u16::from(fitted.quarter_turns),
                 crop: fitted.crop,
                 gains: [1.0; 3],
+                offsets: [0.0; 3],
                 size: fitted.size,
                 focal: fitted.focal,
                 principal: fitted.principal,

@@ -17,7 +17,7 @@ use crate::video::Video;
 use crate::{CaptureError, decode, files};
 
 pub(crate) use program::{ProgramVideo, audio};
-pub(crate) use take::{Active, Take, turned};
+pub(crate) use take::{Active, ColorChange, Take, turned};
 pub(crate) use times::Times;
 
 /// Endings of files that are taken for videos when a folder is searched. A file that is named may have any ending.

@@ -1,4 +1,6 @@
-//! The part of a recording that a capture uses: from which moment on, at which rate, turned, cropped, with gains.
+//! The part of a recording that a capture uses: from which moment on, at which rate, turned, cropped, with gains and offsets.
+
+use std::sync::Arc;
 
 use image::{RgbImage, imageops};
 
@@ -6,19 +8,48 @@ use super::Recording;
 use crate::CaptureError;
 
 /// A recording on the clock of its capture.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Take {
-    pub recording: Recording,
+    pub recording: Arc<Recording>,
     /// Clockwise, applied to the stored image.
     pub quarter_turns: u8,
     /// The part of the turned image that shows something.
     pub active: Active,
-    /// Factors of red, green and blue.
-    pub gains: [f32; 3],
+    pub colors: ColorChange,
     /// The time in the recording at which the capture begins.
     pub start_secs: f64,
     /// Frames per second of the capture.
     pub fps: f64,
+}
+
+/// What brings the colours of a camera to those of the others: `gain * value + offset`, channel by channel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ColorChange {
+    /// Factors of red, green and blue, above 0.
+    pub gains: [f32; 3],
+    /// Added to red, green and blue, of values in `[0, 1]`.
+    pub offsets: [f32; 3],
+}
+
+impl ColorChange {
+    /// Colours as they are recorded.
+    pub const NONE: Self = Self { gains: [1.0; 3], offsets: [0.0; 3] };
+
+    /// Changes an image, rounding to 8 bits.
+    fn apply(self, image: &mut RgbImage) {
+        if self == Self::NONE {
+            return;
+        }
+        let changed: [[u8; 256]; 3] = std::array::from_fn(|channel| {
+            let (gain, offset) = (self.gains[channel], 255.0 * self.offsets[channel]);
+            std::array::from_fn(|value| (value as f32 * gain + offset).round().clamp(0.0, 255.0) as u8)
+        });
+        for pixel in image.pixels_mut() {
+            for (value, changed) in pixel.0.iter_mut().zip(&changed) {
+                *value = changed[usize::from(*value)];
+            }
+        }
+    }
 }
 
 /// A rectangle of pixels.
@@ -69,13 +100,7 @@ impl Take {
         if (width, height) != (image.width() as usize, image.height() as usize) {
             image = imageops::crop_imm(&image, left as u32, top as u32, width as u32, height as u32).to_image();
         }
-        if self.gains != [1.0; 3] {
-            for pixel in image.pixels_mut() {
-                for (value, gain) in pixel.0.iter_mut().zip(self.gains) {
-                    *value = (f32::from(*value) * gain).round().clamp(0.0, 255.0) as u8;
-                }
-            }
-        }
+        self.colors.apply(&mut image);
         Ok(image)
     }
 }

@@ -74,16 +74,20 @@ pub fn find_cameras(
     let mut chosen = moments(description.num_frames, 1);
     let first = chosen[0];
     chosen.extend(moments(description.num_frames, NUM_MOMENTS).into_iter().filter(|frame| *frame != first));
-    let mut best = attempt(&mut colmap, &frames, &chosen[..1], num_cameras)?;
-    let num_placed = |found: &Option<Found>| found.as_ref().map_or(0, Found::num_placed);
+    let mut models = attempt(&mut colmap, &frames, &chosen[..1], num_cameras)?;
+    let num_placed = |models: &[Found]| models.first().map_or(0, Found::num_placed);
     // Where no two cameras fit at one moment, more moments take long and have not helped.
-    if (2..num_cameras).contains(&num_placed(&best)) && chosen.len() > 1 {
+    if (2..num_cameras).contains(&num_placed(&models)) && chosen.len() > 1 {
         let more = attempt(&mut colmap, &frames, &chosen, num_cameras)?;
-        best = if num_placed(&more) > num_placed(&best) { more } else { best };
+        models = if num_placed(&more) > num_placed(&models) { more } else { models };
     }
     // The images of one camera alone are no rig.
-    best = best.filter(|found| found.num_placed() >= 2);
+    models.retain(|found| found.num_placed() >= 2);
     let names: Vec<String> = description.cameras.iter().map(|camera| camera.name.clone()).collect();
+    if let Some(problem) = two_scenes(&models, &names) {
+        return Err(CaptureError::invalid(folder, problem));
+    }
+    let best = models.into_iter().next();
     let Found { cameras, mut tracks } = best.ok_or_else(|| not_placed(folder, &names, &[]))?;
     let is_placed: Vec<bool> = cameras.iter().map(Option::is_some).collect();
     let mut cameras: Vec<RigCamera> = cameras.into_iter().flatten().collect();
@@ -109,13 +113,13 @@ pub fn find_cameras(
 
 /// Runs the program on the images of some moments.
 ///
-/// - returns: the model that places most cameras, if there is one
+/// - returns: the models that were found, the one that places most cameras first
 fn attempt(
     colmap: &mut Colmap<'_>,
     frames: &Frames,
     chosen: &[usize],
     num_cameras: usize,
-) -> Result<Option<Found>, CaptureError> {
+) -> Result<Vec<Found>, CaptureError> {
     colmap.tell("reading images")?;
     for (moment, &frame) in chosen.iter().enumerate() {
         colmap.store(&frames.at(frame)?, moment)?;
@@ -132,14 +136,30 @@ fn attempt(
     }
     colmap.match_images(&pairs)?;
     let models = colmap.place(num_images)?;
-    let mut best: Option<Found> = None;
-    for model in models {
-        let found = Found::read(&model, num_cameras)?;
-        if best.as_ref().is_none_or(|best| best.num_placed() < found.num_placed()) {
-            best = Some(found);
-        }
-    }
-    Ok(best)
+    let mut models =
+        models.iter().map(|model| Found::read(model, num_cameras)).collect::<Result<Vec<_>, CaptureError>>()?;
+    // Stable, so that of two that place as many the first is kept.
+    models.sort_by_key(|found| std::cmp::Reverse(found.num_placed()));
+    Ok(models)
+}
+
+/// What is wrong if two models place several cameras each, and none in common.
+fn two_scenes(models: &[Found], names: &[String]) -> Option<String> {
+    /// A model of fewer is hardly a scene.
+    const MIN_CAMERAS: usize = 3;
+    let placed = |model: &Found| (0..names.len()).filter(|&i| model.cameras[i].is_some()).collect::<Vec<_>>();
+    let first = placed(models.first()?);
+    let others = models[1..].iter().map(placed);
+    let second = others.into_iter().find(|other| other.iter().all(|camera| !first.contains(camera)))?;
+    let named = |cameras: &[usize]| cameras.iter().map(|&i| names[i].as_str()).collect::<Vec<_>>().join(", ");
+    (first.len() >= MIN_CAMERAS && second.len() >= MIN_CAMERAS).then(|| {
+        format!(
+            "COLMAP finds two groups of cameras that see nothing in common: {} and {}; expected the videos of one scene \
+             in a folder",
+            named(&first),
+            named(&second)
+        )
+    })
 }
 
 fn not_placed(folder: &Path, names: &[String], is_placed: &[bool]) -> CaptureError {

@@ -189,7 +189,7 @@ pub(super) fn inverse(m: [[f64; 3]; 3]) -> Option<[[f64; 3]; 3]> {
 }
 
 /// Solves `matrix x = right` of a positive definite matrix by Cholesky's decomposition, in place.
-fn solve_positive(matrix: &mut [f64], mut right: Vec<f64>, num: usize) -> Option<Vec<f64>> {
+pub(super) fn solve_positive(matrix: &mut [f64], mut right: Vec<f64>, num: usize) -> Option<Vec<f64>> {
     for j in 0..num {
         for k in 0..j {
             let factor = matrix[j * num + k];

@@ -20,7 +20,7 @@ const NUM_MOMENTS: usize = 4;
 const STILL: f32 = 0.95;
 /// How far from where the calibration says a place is looked for, share of the image's longer side: first, and as
 /// it is mended. Calibrations that are further off are not mended but wrong.
-const BANDS: [f64; 3] = [0.01, 0.005, 0.003];
+pub(super) const BANDS: [f64; 3] = [0.01, 0.005, 0.003];
 /// Errors of calibrations, share of the image's longer side.
 const COARSE: f64 = 0.005;
 /// Calibrations err by about so much where they err.
@@ -32,19 +32,22 @@ const REGIONS: f64 = 12.0;
 /// Tracks that touch a held-out one are not fitted; closer than this is touching, share of the longer side.
 const TOUCHING: f64 = 0.004;
 /// A camera that fewer fitted tracks reach stays where it is.
-const MIN_TRACKS: usize = 12;
+pub(super) const MIN_TRACKS: usize = 12;
 /// A camera is alone if others have this many times as many tracks.
 const ALONE: usize = 20;
+/// Two cameras belong together if they share at least one of so many of the tracks that each shares with the camera it
+/// shares most with. In rendered rooms with two papers cameras share a twentieth by chance.
+const WEAK: usize = 8;
 /// With fewer held-out tracks nothing can be judged.
-const MIN_JUDGES: usize = 20;
+pub(super) const MIN_JUDGES: usize = 20;
 /// Cameras that see the same have at least so many times as many tracks as there are by chance.
 const BEYOND_CHANCE: usize = 2;
 /// Each camera is turned by so much more than the one before, radians, to see what matches by chance.
 const ASIDE: f64 = 0.15;
 /// The new calibration replaces the old if the median errors of held-out tracks, averaged over cameras, fall to this share,
 /// and no camera's rises above this one.
-const BETTER: f64 = 0.9;
-const NO_WORSE: f64 = 1.2;
+pub(super) const BETTER: f64 = 0.9;
+pub(super) const NO_WORSE: f64 = 1.2;
 /// Errors are not known better than this, pixels.
 const EXACT_PX: f64 = 0.1;
 
@@ -66,6 +69,9 @@ pub struct Refinement {
     pub mended: Option<String>,
     /// The cameras, by their place in the description, that share hardly any place with the others, which share many.
     pub alone: Vec<usize>,
+    /// Groups of cameras, by their places in the description, that share hardly any place with each other: fewer than two
+    /// groups if all see one scene. Those of [`Self::alone`] are in none.
+    pub groups: Vec<Vec<usize>>,
 }
 
 /// Mends poses in a wrong convention where this is certain, and refines poses, focal lengths and the first coefficient of distortion of a description's cameras, where that is better.
@@ -100,11 +106,11 @@ pub fn refine_cameras(
         before = cameras;
         words
     });
-    let by_chance = matches::find(&turned_aside(&before), &shots[0], BANDS[0]).len();
-    if first[0].len() < BEYOND_CHANCE * by_chance {
+    if !is_beyond_chance(&before, &first, &shots, BANDS[0]) {
         return Ok(None);
     }
     let alone = alone(&first, before.len());
+    let groups = groups(&first, before.len(), &alone);
     let (judges, fitted) = held_out(first, &before);
     let num_judges: usize = judges.iter().map(Vec::len).sum();
     if num_judges < MIN_JUDGES {
@@ -127,7 +133,7 @@ pub fn refine_cameras(
             rig.put_into(camera);
         }
     }
-    (refinement.mended, refinement.alone) = (mended, alone);
+    (refinement.mended, refinement.alone, refinement.groups) = (mended, alone, groups);
     for (camera, errors) in description.cameras.iter_mut().zip(&refinement.camera_error_px) {
         let shown = if refinement.is_taken { errors.map(|[_, after]| after) } else { errors.map(|[before, _]| before) };
         camera.error_px = shown.map(|px| (1e3 * px).round() / 1e3);
@@ -135,10 +141,23 @@ pub fn refine_cameras(
     Ok(Some(refinement))
 }
 
+/// Whether the first moment has clearly more tracks than match by chance.
+///
+/// - `band`: with which they were found
+pub(super) fn is_beyond_chance(cameras: &[RigCamera], tracks: &[Vec<Track>], shots: &[Vec<Shot>], band: f64) -> bool {
+    let by_chance = matches::find(&turned_aside(cameras), &shots[0], band).len();
+    tracks[0].len() >= BEYOND_CHANCE * by_chance
+}
+
+/// The frames whose images are matched.
+pub(super) fn moments_of(num_frames: usize) -> Vec<usize> {
+    moments(num_frames, NUM_MOMENTS)
+}
+
 /// Pictures at several moments; of later ones only the corners that were not there before.
-fn shots(frames: &Frames, num_frames: usize) -> Result<Vec<Vec<Shot>>, CaptureError> {
+pub(super) fn shots(frames: &Frames, num_frames: usize) -> Result<Vec<Vec<Shot>>, CaptureError> {
     let mut all: Vec<Vec<Shot>> = Vec::new();
-    for frame in moments(num_frames, NUM_MOMENTS) {
+    for frame in moments_of(num_frames) {
         let mut shots: Vec<Shot> = frames.at(frame)?.par_iter().map(Shot::new).collect();
         for earlier in &all {
             shots.par_iter_mut().zip(earlier).for_each(|(shot, earlier)| {
@@ -152,7 +171,7 @@ fn shots(frames: &Frames, num_frames: usize) -> Result<Vec<Vec<Shot>>, CaptureEr
 }
 
 /// The tracks of each moment.
-fn tracks(cameras: &[RigCamera], shots: &[Vec<Shot>], band: f64) -> Vec<Vec<Track>> {
+pub(super) fn tracks(cameras: &[RigCamera], shots: &[Vec<Shot>], band: f64) -> Vec<Vec<Track>> {
     shots.iter().map(|shots| matches::find(cameras, shots, band)).collect()
 }
 
@@ -180,8 +199,39 @@ fn alone(tracks: &[Vec<Track>], num_cameras: usize) -> Vec<usize> {
     (0..num_cameras).filter(is_alone).collect()
 }
 
+/// Groups of at least two cameras each that share places, directly or through others.
+///
+/// - `alone`: cameras that are in no group
+/// - returns: nothing if all are one group
+pub(super) fn groups(tracks: &[Vec<Track>], num_cameras: usize, alone: &[usize]) -> Vec<Vec<usize>> {
+    let mut shared = vec![vec![0_usize; num_cameras]; num_cameras];
+    for track in tracks.iter().flatten() {
+        for &(a, _) in &track.seen {
+            for &(b, _) in &track.seen {
+                shared[a][b] += 1;
+            }
+        }
+    }
+    // Some places match by chance, the more the more there are.
+    let strongest = |a: usize| (0..num_cameras).filter(|&b| b != a).map(|b| shared[a][b]).max().unwrap_or_default();
+    let is_tied = |a: usize, b: usize| shared[a][b] >= MIN_TRACKS.max(strongest(a).min(strongest(b)) / WEAK);
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for camera in (0..num_cameras).filter(|camera| !alone.contains(camera)) {
+        let (tied, mut others): (Vec<_>, Vec<_>) =
+            groups.into_iter().partition(|group| group.iter().any(|&other| is_tied(camera, other)));
+        let mut group = tied.concat();
+        group.push(camera);
+        group.sort_unstable();
+        others.push(group);
+        groups = others;
+    }
+    groups.retain(|group| group.len() >= 2);
+    groups.sort();
+    if groups.len() < 2 { Vec::new() } else { groups }
+}
+
 /// Tracks that judge and those that are fitted, of each moment.
-fn held_out(tracks: Vec<Vec<Track>>, cameras: &[RigCamera]) -> (Vec<Vec<Track>>, Vec<Vec<Track>>) {
+pub(super) fn held_out(tracks: Vec<Vec<Track>>, cameras: &[RigCamera]) -> (Vec<Vec<Track>>, Vec<Vec<Track>>) {
     let is_judge = |track: &Track| {
         let (camera, pixel) = track.seen[0];
         let region = pixel.map(|p| (p / (longer_side(&cameras[camera]) / REGIONS)) as usize);
@@ -193,7 +243,7 @@ fn held_out(tracks: Vec<Vec<Track>>, cameras: &[RigCamera]) -> (Vec<Vec<Track>>,
     (judges, fitted)
 }
 
-fn longer_side(camera: &RigCamera) -> f64 {
+pub(super) fn longer_side(camera: &RigCamera) -> f64 {
     camera.lens.width.max(camera.lens.height) as f64
 }
 
@@ -258,5 +308,5 @@ fn judge(before: &[RigCamera], after: &[RigCamera], judges: &[Vec<Track>]) -> Re
     let error_px = [mean(0), mean(1)];
     let is_no_worse = |[old, new]: &[f64; 2]| *new <= NO_WORSE * old.max(EXACT_PX);
     let is_taken = error_px[1] < BETTER * error_px[0] && error_px[0] > EXACT_PX && judged.iter().all(is_no_worse);
-    Refinement { is_taken, num_tracks: [0; 2], error_px, camera_error_px, mended: None, alone: Vec::new() }
+    Refinement { is_taken, num_tracks: [0; 2], error_px, camera_error_px, mended: None, alone: vec![], groups: vec![] }
 }

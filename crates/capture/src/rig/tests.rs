@@ -9,11 +9,12 @@ use tcgs_core::{Camera, Pinhole, dot};
 use super::camera::{PARAMETERS, RigCamera, distance};
 use super::matches::{self, Shot};
 use super::meant;
+use super::refine;
 use super::similarity;
 use crate::Calibration;
 use crate::description::{CaptureDescription, DescribedCamera, Role};
 
-use super::{find_cameras, has_colmap, moving_cameras, refine_cameras, scale_cameras};
+use super::{balance_colors, find_cameras, has_colmap, moving_cameras, refine_cameras, scale_cameras};
 
 /// Width and height of the tests' images.
 const SIZE: [usize; 2] = [320, 240];
@@ -33,6 +34,11 @@ fn texture(u: f64, v: f64, seed: u64) -> f64 {
 
 /// A room of a floor, a wall, and a panel before it, as a camera sees it; four samples a pixel.
 fn picture(camera: &Camera) -> image::RgbImage {
+    picture_of(camera, 0)
+}
+
+/// - `paper`: another number is another texture
+fn picture_of(camera: &Camera, paper: u64) -> image::RgbImage {
     let pinhole = Pinhole::<f64>::new(camera);
     let center = camera.center();
     let sample = |x: f64, y: f64| {
@@ -43,12 +49,12 @@ fn picture(camera: &Camera) -> image::RgbImage {
         let panel = hit([0.6, 0.0, 0.8], 0.3);
         let [x, y, _] = at(panel);
         if panel > 0.0 && (-0.6..0.5).contains(&x) && (-0.9..0.0).contains(&y) {
-            return texture(x, y, 1);
+            return texture(x, y, 1 + paper);
         }
         let (floor, wall) = (hit([0.0, 1.0, 0.0], 0.3), hit([0.0, 0.0, 1.0], 1.5));
         match floor > 0.0 && (wall <= 0.0 || floor < wall) {
-            true => texture(at(floor)[0], at(floor)[2], 2),
-            false => texture(at(wall)[0], at(wall)[1], 3),
+            true => texture(at(floor)[0], at(floor)[2], 2 + paper),
+            false => texture(at(wall)[0], at(wall)[1], 3 + paper),
         }
     };
     image::RgbImage::from_fn(camera.width as u32, camera.height as u32, |x, y| {
@@ -83,6 +89,7 @@ fn described(folder: &Path, num_frames: usize) -> CaptureDescription {
             turn_degrees: 0,
             crop: None,
             gains: [1.0; 3],
+            offsets: [0.0; 3],
             size: SIZE,
             focal: camera.focal,
             principal: camera.principal,
@@ -228,6 +235,36 @@ fn a_camera_of_another_scene_is_alone() {
     assert_eq!((refinement.alone, refinement.mended), (vec![3], None));
 }
 
+/// Shows another scene in some cameras: the same room, papered otherwise.
+fn repapered(folder: &Path, description: &CaptureDescription, cameras: std::ops::Range<usize>) {
+    for camera in &description.cameras[cameras] {
+        let [x, y, z] = camera.camera_from_world;
+        let matrix = [x, y, z, [0.0, 0.0, 0.0, 1.0]];
+        let intrinsics = [[camera.focal[0], 0.0, camera.principal[0]], [0.0, camera.focal[1], camera.principal[1]]];
+        let seen = Camera::new(SIZE[0], SIZE[1], [intrinsics[0], intrinsics[1], [0.0, 0.0, 1.0]], matrix).unwrap();
+        picture_of(&seen, 20).save(folder.join(&camera.file).join("000000.png")).unwrap();
+    }
+}
+
+#[test]
+fn two_scenes_in_one_folder_are_two_groups() {
+    let folder = tempfile::tempdir().unwrap();
+    let description = described(folder.path(), 1);
+    let groups = || {
+        let shots: Vec<Shot> = description
+            .cameras
+            .iter()
+            .map(|camera| {
+                Shot::new(&image::open(folder.path().join(&camera.file).join("000000.png")).unwrap().to_rgb8())
+            })
+            .collect();
+        refine::groups(&[matches::find(&rigs(&description), &shots, 0.01)], NUM_CAMERAS, &[])
+    };
+    assert_eq!(groups(), [[0; 0]; 0]);
+    repapered(folder.path(), &description, 3..6);
+    assert_eq!(groups(), [[0, 1, 2], [3, 4, 5]]);
+}
+
 #[test]
 fn a_camera_that_moves_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -306,4 +343,90 @@ fn images_that_have_nothing_in_common_place_no_cameras() {
     let problem = find_cameras(folder.path(), &mut description, work.path(), tell).unwrap_err().to_string();
     assert!(problem.contains("what helps: ") && !problem.contains('\n'), "{problem}");
     assert_eq!(description, before);
+}
+
+/// Changes the colours of all images of a camera.
+fn recolored(folder: &Path, camera: &DescribedCamera, change: impl Fn(usize, f64) -> f64) {
+    for entry in std::fs::read_dir(folder.join(&camera.file)).unwrap() {
+        let path = entry.unwrap().path();
+        let mut image = image::open(&path).unwrap().to_rgb8();
+        for pixel in image.pixels_mut() {
+            for (channel, value) in pixel.0.iter_mut().enumerate() {
+                *value = change(channel, f64::from(*value)).round().clamp(0.0, 255.0) as u8;
+            }
+        }
+        image.save(&path).unwrap();
+    }
+}
+
+/// What the cameras' colours were changed by.
+const GAINS: [[f64; 3]; NUM_CAMERAS] =
+    [[1.0; 3], [0.8, 0.85, 0.9], [1.0, 1.1, 1.15], [1.0; 3], [1.2, 1.15, 1.1], [0.9, 0.95, 0.85]];
+
+#[test]
+fn gains_between_cameras_are_found_and_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut description = described(folder.path(), 2);
+    for (camera, gains) in description.cameras.iter().zip(GAINS) {
+        // Values stay below 255, beyond which nothing tells how bright it was.
+        recolored(folder.path(), camera, |channel, value| gains[channel] * (20.0 + 0.7 * value));
+    }
+    let tell = &mut |_: &str| ControlFlow::Continue(());
+    let balance = balance_colors(folder.path(), &mut description, tell).unwrap().unwrap();
+    let [before, after] = balance.error_levels;
+    assert!(balance.is_taken && !balance.has_offsets && after < 0.5 * before, "{balance:?}");
+    for (camera, gains) in description.cameras.iter().zip(GAINS) {
+        for (found, gain) in camera.gains.iter().zip(gains) {
+            assert!(
+                (f64::from(*found) * gain - 1.0).abs() < 0.01,
+                "{}: {:?}, not {gains:?}",
+                camera.name,
+                camera.gains
+            );
+        }
+    }
+
+    // Offsets, where they explain what gains do not.
+    let offsets = [0.0, 25.0, -15.0, 0.0, 10.0, -20.0];
+    for (camera, offset) in description.cameras.iter().zip(offsets) {
+        recolored(folder.path(), camera, |_, value| value + offset);
+    }
+    let balance = balance_colors(folder.path(), &mut description, tell).unwrap().unwrap();
+    assert!(balance.is_taken && balance.has_offsets, "{balance:?}");
+    for ((camera, gains), offset) in description.cameras.iter().zip(GAINS).zip(offsets) {
+        for channel in 0..3 {
+            // At a value in the middle of what is seen.
+            let seen = gains[channel] * 120.0 + offset;
+            let found = f64::from(camera.gains[channel]) * seen + 255.0 * f64::from(camera.offsets[channel]);
+            assert!((found - 120.0).abs() < 2.5, "{}: {found} of channel {channel}", camera.name);
+        }
+    }
+}
+
+#[test]
+fn colours_that_are_alike_are_left_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut description = described(folder.path(), 1);
+    description.cameras[2].gains = [2.0; 3];
+    let tell = &mut |_: &str| ControlFlow::Continue(());
+    let balance = balance_colors(folder.path(), &mut description, tell).unwrap().unwrap();
+    assert!(!balance.is_taken && balance.num_places[1] > 20, "{balance:?}");
+    assert!(description.cameras.iter().all(|camera| (camera.gains, camera.offsets) == ([1.0; 3], [0.0; 3])));
+}
+
+#[test]
+fn colmap_tells_two_scenes_in_one_folder() {
+    if !has_colmap() {
+        let _ = writeln!(std::io::stderr(), "skipped: there is no colmap");
+        return;
+    }
+    let (folder, work) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mut description = described(folder.path(), 1);
+    repapered(folder.path(), &description, 3..6);
+    let before = description.clone();
+    let tell = &mut |_: &str| ControlFlow::Continue(());
+    let problem = find_cameras(folder.path(), &mut description, work.path(), tell).unwrap_err().to_string();
+    let named = ["cam0, cam1, cam2", "cam3, cam4, cam5"].iter().all(|group| problem.contains(group));
+    assert!(named && problem.contains("two groups of cameras that see nothing in common"), "{problem}");
+    assert!(!problem.contains('\n') && description == before);
 }

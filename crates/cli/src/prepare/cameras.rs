@@ -95,6 +95,7 @@ pub fn refinement_json(refinement: &Refinement, description: &CaptureDescription
         .map(|(name, errors)| json!({ "name": name, "before_px": errors.map(|e| e[0]), "after_px": errors.map(|e| e[1]) }))
         .collect();
     let ([before, after], [fitted, judging]) = (refinement.error_px, refinement.num_tracks);
+    let names = |group: &Vec<usize>| group.iter().map(|&i| &description.cameras[i].name).collect::<Vec<_>>();
     json!({
         "taken": refinement.is_taken,
         "before_px": before,
@@ -103,7 +104,8 @@ pub fn refinement_json(refinement: &Refinement, description: &CaptureDescription
         "num_judging": judging,
         "cameras": of_camera,
         "mended": refinement.mended,
-        "alone": refinement.alone.iter().map(|&i| &description.cameras[i].name).collect::<Vec<_>>(),
+        "groups": refinement.groups.iter().map(names).collect::<Vec<_>>(),
+        "alone": names(&refinement.alone),
     })
 }
 
@@ -115,6 +117,15 @@ fn in_words(refinement: &Refinement, description: &CaptureDescription) -> Vec<St
         let name = &description.cameras[camera].name;
         lines.push(format!(
             "{name} shares hardly any place with the other cameras: is it of another scene, or its pose wrong?"
+        ));
+    }
+    if !refinement.groups.is_empty() {
+        let named = |group: &Vec<usize>| -> String {
+            group.iter().map(|&i| description.cameras[i].name.as_str()).collect::<Vec<_>>().join(", ")
+        };
+        lines.push(format!(
+            "these cameras share hardly any place with those: {}; are they of two scenes, or is the calibration wrong?",
+            refinement.groups.iter().map(named).collect::<Vec<_>>().join(" | ")
         ));
     }
     lines.push(format!(
@@ -132,7 +143,7 @@ fn in_words(refinement: &Refinement, description: &CaptureDescription) -> Vec<St
 /// Runs something that tells what it does, and ends it on Ctrl-C.
 ///
 /// - `num_steps`: of different names, up to a comma, that are usually told
-fn with_progress<T>(
+pub fn with_progress<T>(
     name: &'static str,
     num_steps: usize,
     run: impl FnOnce(&mut dyn FnMut(&str) -> ControlFlow<()>) -> Result<T, CaptureError>,

@@ -21,7 +21,7 @@ pub const PAGE: &str = "check.html";
 pub const WOULD: &str = "check: would be made, with a page";
 
 /// Steps of a check, for the progress bar.
-const NUM_STEPS: usize = 5;
+const NUM_STEPS: usize = 6;
 
 /// Checks a capture. What is found is an error, for the exit code.
 pub fn run(path: &Path, sheet: Option<&Path>, page: Option<&Path>, job: &JobOptions) -> anyhow::Result<()> {
@@ -121,8 +121,11 @@ fn json(path: &Path, diagnosis: &Diagnosis) -> Value {
             })
         })
         .collect();
-    let cameras: Vec<Value> =
-        diagnosis.cameras.iter().map(|camera| json!({ "camera": camera.camera_id, "fit": camera.fit })).collect();
+    let cameras: Vec<Value> = diagnosis
+        .cameras
+        .iter()
+        .map(|camera| json!({ "camera": camera.camera_id, "fit": camera.fit, "brightness": camera.brightness }))
+        .collect();
     json!({
         "capture": path.display().to_string(),
         "healthy": diagnosis.findings.is_empty() && diagnosis.undecided.is_empty(),

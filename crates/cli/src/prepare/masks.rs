@@ -1,7 +1,8 @@
 //! Foreground masks of what moves: made, counted, written where the capture's kind looks for them.
 
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context;
@@ -43,11 +44,16 @@ pub fn make(capture: &Capture, from: &Path, to: &Path) -> anyhow::Result<Value> 
     let mut progress = Progress::new("masks", 100);
     let (mut num_masks, mut covered, mut pixels) = (0, 0, 0);
     let mut failed = None;
+    // Where the masks of a frame belong, by camera.
+    let mut places: (usize, BTreeMap<usize, PathBuf>) = (usize::MAX, BTreeMap::new());
     let mut write = |frame: usize, camera_id: usize, mask: &Segmentation| {
         num_masks += 1;
         covered += mask.foreground.iter().filter(|&&marked| marked).count();
         pixels += mask.foreground.len();
-        let written = write_mask(capture, [from, to], frame, camera_id, mask);
+        let written = places_at(capture, frame, &mut places).and_then(|()| {
+            let place = places.1.get(&camera_id).context("a camera without a mask's place")?;
+            write_mask(&to.join(place.strip_prefix(from).context("a mask outside of its folder")?), mask)
+        });
         match written {
             Ok(()) => ControlFlow::Continue(()),
             Err(error) => {
@@ -68,17 +74,17 @@ pub fn make(capture: &Capture, from: &Path, to: &Path) -> anyhow::Result<Value> 
     Ok(json!({ "num_masks": num_masks, "foreground": share, "seconds": seconds }))
 }
 
-fn write_mask(
-    capture: &Capture,
-    [from, to]: [&Path; 2],
-    frame: usize,
-    camera_id: usize,
-    mask: &Segmentation,
-) -> anyhow::Result<()> {
-    let files = capture.mask_files(Split::All, frame)?;
-    let file = files.into_iter().find(|(id, _)| *id == camera_id).and_then(|(_, file)| file);
-    let file = file.context("a camera without a mask's place")?;
-    let file = to.join(file.strip_prefix(from).context("a mask outside of its folder")?);
+/// Goes on to the places of a frame, if they are those of another.
+fn places_at(capture: &Capture, frame: usize, places: &mut (usize, BTreeMap<usize, PathBuf>)) -> anyhow::Result<()> {
+    if places.0 != frame {
+        let files = capture.mask_files(Split::All, frame)?;
+        *places = (frame, files.into_iter().filter_map(|(id, file)| Some((id, file?))).collect());
+    }
+    Ok(())
+}
+
+/// Writes a mask where there is none.
+fn write_mask(file: &Path, mask: &Segmentation) -> anyhow::Result<()> {
     if file.exists() {
         return Ok(());
     }
@@ -90,5 +96,5 @@ fn write_mask(
     PngEncoder::new(&mut bytes)
         .write_image(&white, mask.width as u32, mask.height as u32, ExtendedColorType::L8)
         .context("encoding a mask")?;
-    write_file(&file, &bytes, false)
+    write_file(file, &bytes, false)
 }

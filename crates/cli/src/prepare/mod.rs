@@ -2,6 +2,7 @@
 
 mod cameras;
 mod check;
+mod colors;
 mod link;
 mod masks;
 mod page;
@@ -36,6 +37,8 @@ const MODEL: &str = "colmap";
 ///
 /// A calibration in the folder is read, and refined by what several cameras see if that makes it better. Without one the
 /// program colmap finds the cameras from their images, if it is installed.
+///
+/// Cameras that differ in exposure or white balance get gains, if places that several of them see then agree better.
 ///
 /// Training starts from a cloud of coloured points. For a capture that has none, this finds the depth of every pixel
 /// of the first frame's training images (multi-view stereo), keeps what three views or more agree on, limits the
@@ -100,6 +103,10 @@ pub struct Arguments {
     /// where that lowers the errors of places that were held out: yes, no
     #[arg(long, value_name = "YES", default_value = "yes", value_parser = yes_or_no, action = clap::ArgAction::Set)]
     refine_calibration: bool,
+    /// Of videos: whether differences in exposure and white balance between the cameras are measured, and evened out where
+    /// places that were held out then agree better: yes, no
+    #[arg(long, value_name = "YES", default_value = "yes", value_parser = yes_or_no, action = clap::ArgAction::Set)]
+    colors: bool,
     /// Of videos: a text file with a line NAME SECONDS for each camera, the moment of one and the same event in its video
     #[arg(long, value_name = "FILE", conflicts_with = "check")]
     offsets: Option<PathBuf>,

@@ -20,6 +20,7 @@ struct Entry<'a> {
     findings: Vec<&'a Finding>,
     is_undecided: bool,
     fit: Option<f64>,
+    brightness: Option<[f64; 3]>,
 }
 
 impl Entry<'_> {
@@ -42,8 +43,13 @@ impl Entry<'_> {
             if has_gains {
                 let [r, g, b] = camera.gains;
                 numbers.push(("gains", format!("{r:.3} {g:.3} {b:.3}")));
+                let [r, g, b] = camera.offsets;
+                numbers.push(("offsets", format!("{r:.3} {g:.3} {b:.3}")));
             }
         }
+        let percent = |factor: f64| format!("{:+.0}", 100.0 * (factor - 1.0));
+        let brightness = self.brightness.map(|factors| format!("{} %", factors.map(percent).join(" ")));
+        numbers.push(("brightness", shown(brightness)));
         numbers.push(("likeness", shown(self.fit.map(|fit| format!("{fit:.2}")))));
         numbers
     }
@@ -55,7 +61,9 @@ impl Entry<'_> {
 pub fn html(path: &Path, capture: &Capture, diagnosis: &Diagnosis) -> anyhow::Result<String> {
     let description = description(path, capture)?;
     let entries = entries(capture, diagnosis, description.as_ref())?;
-    let has_gains = entries.iter().any(|entry| entry.described.is_some_and(|camera| camera.gains != [1.0; 3]));
+    let has_gains = entries
+        .iter()
+        .any(|entry| entry.described.is_some_and(|camera| camera.gains != [1.0; 3] || camera.offsets != [0.0; 3]));
     let mut page = String::new();
     // Writing to a string does not fail.
     let _ = write!(
@@ -130,6 +138,7 @@ fn entries<'a>(
             findings: diagnosis.findings.iter().filter(|finding| finding.cameras.contains(&id)).collect(),
             is_undecided: diagnosis.undecided.contains(&id),
             fit: camera.fit,
+            brightness: camera.brightness,
         }
     };
     Ok(names.into_iter().zip(&diagnosis.cameras).enumerate().map(entry).collect())
@@ -161,6 +170,11 @@ fn sources(page: &mut String, description: &CaptureDescription) {
     if let Some(clock) = &description.clock {
         let _ = writeln!(page, "<p>Clocks: {}.</p>", escaped(&clock.from));
     }
+    if let Some(colors) = &description.colors {
+        let used = if colors.used { "" } else { " Gains and offsets are not used." };
+        let found: Vec<String> = colors.found.iter().map(|found| escaped(found)).collect();
+        let _ = writeln!(page, "<p>Colours: {}.{used}</p>", found.join("; "));
+    }
     if let Some(source) = &description.calibration {
         let (file, format) = (escaped(&source.file), escaped(&source.format));
         let _ = writeln!(page, "<details><summary>Calibration: {file} ({format})</summary>\n<ul>");
@@ -190,7 +204,7 @@ fn overview(page: &mut String, entries: &[Entry<'_>], has_gains: bool) {
         *page += "Starts at: when the capture begins in the camera's file. Error: median distance between where places are \
                   seen and where the camera should see them. ";
     }
-    *page += "Likeness: correlation of the image with the points, above 0.5 of most right cameras, 1 at most.</p>\n";
+    *page += "Brightness: of red, green and blue against the camera in the middle. Likeness: correlation of the image with the points, above 0.5 of most right cameras, 1 at most.</p>\n";
 }
 
 /// A text as HTML has it.

@@ -9,11 +9,11 @@ use std::sync::{Mutex, PoisonError};
 use anyhow::Context;
 use serde_json::{Value, json};
 use tcgs_capture::{
-    Calibration, Capture, CaptureDescription, Clocks, ClocksFrom, DESCRIPTION_FILE, DescribeSettings, POINTS_FILE,
-    PlacedCameras, RawCamera, RawFootage, Refinement, Role, has_colmap,
+    Calibration, Capture, CaptureDescription, Clocks, ClocksFrom, ColorBalance, DESCRIPTION_FILE, DescribeSettings,
+    POINTS_FILE, PlacedCameras, RawCamera, RawFootage, Refinement, Role, has_colmap,
 };
 
-use super::{Arguments, MODEL, RECORD, begin_capture, cameras, check, link, masks, points};
+use super::{Arguments, MODEL, RECORD, begin_capture, cameras, check, colors, link, masks, points};
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::output::{write_file, write_json};
@@ -23,6 +23,15 @@ use crate::terminal::say;
 /// Fewer cameras see no depth that another one confirms.
 const MIN_CAMERAS: usize = 3;
 
+/// What the steps before the masks and points find.
+struct Described {
+    description: CaptureDescription,
+    /// What became of the calibration, if it was to be refined.
+    refinement: Option<Refinement>,
+    /// What became of the colours, if they were to be compared.
+    balance: Option<ColorBalance>,
+}
+
 /// Runs the steps.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let Some(out) = arguments.out.as_deref() else {
@@ -30,10 +39,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return Err(wrong_input(format!("{}: {problem}", arguments.source.display())));
     };
     interrupt::catch()?;
-    let (description, refinement) = match found_description(out, arguments)? {
+    let Described { description, refinement, balance } = match found_description(out, arguments)? {
         Some(description) => {
             say(&format!("cameras and clocks: as {} says", out.join(DESCRIPTION_FILE).display()))?;
-            (description, None)
+            Described { description, refinement: None, balance: None }
         }
         None => match describe(arguments, out)? {
             Some(described) => described,
@@ -50,6 +59,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "file": source.file, "format": source.format, "changes": source.changes,
         })),
         "refinement": refinement.map(|refinement| cameras::refinement_json(&refinement, &description)),
+        "colors": balance.map(|balance| colors::balance_json(&balance, &description)),
         "clock": description.clock.as_ref().map(|clock| &clock.from),
     });
     let mut capture = Capture::open_unseen(out)?;
@@ -97,10 +107,10 @@ fn found_description(out: &Path, arguments: &Arguments) -> anyhow::Result<Option
     Ok(Some(CaptureDescription::read(&out.join(DESCRIPTION_FILE))?))
 }
 
-/// The steps before the points.
+/// The steps before masks and points.
 ///
-/// - returns: nothing if this is a dry run; else also what became of the calibration, if it was to be refined
-fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<(CaptureDescription, Option<Refinement>)>> {
+/// - returns: nothing if this is a dry run
+fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Described>> {
     let source = &arguments.source;
     let folder = match arguments.dry_run {
         true => None,
@@ -154,6 +164,9 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<(Capture
             Some(_) if arguments.refine_calibration => "calibration: would be refined, where that makes it better",
             Some(_) => "calibration: would be taken as it is",
         })?;
+        if arguments.colors {
+            say("colours: would be compared, and evened out where that makes them more alike")?;
+        }
         if arguments.masks {
             say("masks: would be made")?;
         }
@@ -192,6 +205,7 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<(Capture
         found.scale(scale.unwrap_or(1.0));
         found.model(&description)
     });
+    let balance = if arguments.colors { colors::balance(source, &mut description)? } else { None };
 
     let mut without = vec![POINTS_FILE, RECORD, DESCRIPTION_FILE, check::PAGE];
     without.extend(model.as_ref().map(|_| MODEL));
@@ -219,7 +233,7 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<(Capture
     }
     write_json(&folder.path().join(RECORD), &json!({ "source": source.display().to_string() }), false)?;
     folder.finish()?;
-    Ok(Some((description, refinement)))
+    Ok(Some(Described { description, refinement, balance }))
 }
 
 /// Clocks by sound or motion, with a bar: motion decodes a minute of every video.

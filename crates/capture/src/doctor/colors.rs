@@ -1,0 +1,75 @@
+//! Do all cameras show the same colours? Each image is compared with the points as they are seen from there, and each
+//! camera with the one in the middle, so that it does not matter where the points have their colours from.
+
+use rayon::prelude::*;
+use tcgs_core::{Pinhole, View};
+
+use super::geometry::{Judged, Verdict};
+use super::splat::Splats;
+use super::{Finding, FindingKind};
+use crate::prepare::vantage::Vantage;
+
+/// A camera is uneven if a channel is so much brighter or darker than that of the camera in the middle. Training learns a gain
+/// of each camera, so that what sound captures have (a quarter on Panoptic Sports) is no fault.
+const UNEVEN: f64 = 0.4;
+/// Values of image and points that are compared: outside of it sensors are saturated, or dark.
+const COMPARED: std::ops::Range<f32> = 0.06..0.94;
+/// Pixels that it takes.
+const MIN_PIXELS: usize = 200;
+/// Cameras that it takes for one to be in the middle.
+const MIN_CAMERAS: usize = 3;
+
+/// How bright each camera's red, green and blue are, over those of the camera in the middle.
+///
+/// - `judged`: of each view; only those that fit are compared
+/// - returns: `None` of cameras that cannot be compared
+pub(super) fn factors(views: &[View], splats: &Splats, judged: &[Judged]) -> Vec<Option<[f64; 3]>> {
+    let fits = |i: usize| judged.get(i).is_some_and(|judged| judged.verdict == Verdict::Fits);
+    let of_view = |i: usize| if fits(i) { from_points(&views[i], splats) } else { None };
+    let logarithms: Vec<Option<[f64; 3]>> = (0..views.len()).into_par_iter().map(of_view).collect();
+    let known: Vec<[f64; 3]> = logarithms.iter().flatten().copied().collect();
+    if known.len() < MIN_CAMERAS {
+        return vec![None; views.len()];
+    }
+    let middle = [0, 1, 2].map(|channel| median(known.iter().map(|of| of[channel]).collect()));
+    let relative = |of: [f64; 3]| std::array::from_fn(|channel| (of[channel] - middle[channel]).exp());
+    logarithms.into_iter().map(|of| of.map(relative)).collect()
+}
+
+/// Logarithms of how much brighter an image is than the points are from there.
+fn from_points(view: &View, splats: &Splats) -> Option<[f64; 3]> {
+    let drawing = splats.draw(&Pinhole::new(&view.camera));
+    let image = Vantage::new(view, 1).colors;
+    let mut ratios: [Vec<f64>; 3] = Default::default();
+    for pixel in (0..image.len()).filter(|&pixel| drawing.is_drawn(pixel)) {
+        for (channel, ratios) in ratios.iter_mut().enumerate() {
+            let (seen, drawn) = (image[pixel][channel], drawing.colors[pixel][channel]);
+            if COMPARED.contains(&seen) && COMPARED.contains(&drawn) {
+                ratios.push(f64::from(seen / drawn).ln());
+            }
+        }
+    }
+    ratios.iter().all(|ratios| ratios.len() >= MIN_PIXELS).then(|| ratios.map(median))
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// What is said of cameras whose colours differ.
+pub(super) fn findings(views: &[View], factors: &[Option<[f64; 3]>]) -> Vec<Finding> {
+    let uneven = |(view, factors): (&View, &Option<[f64; 3]>)| {
+        let factors = factors.filter(|of| of.iter().any(|factor| factor.ln().abs() > UNEVEN.ln_1p()))?;
+        let shares = factors.map(|factor| format!("{:+.0} %", 100.0 * (factor - 1.0)));
+        let problem =
+            format!("red, green and blue differ by {} from those of the camera in the middle", shares.join(", "));
+        let gains = factors.map(|factor| format!("{:.2}", 1.0 / factor));
+        let fix = format!(
+            "multiply by {} (gains in capture.toml), or let `tcgs prepare` measure gains on the videos",
+            gains.join(", ")
+        );
+        Some(Finding::new(FindingKind::UnevenColors, vec![view.camera_id], problem, fix))
+    };
+    views.iter().zip(factors).filter_map(uneven).collect()
+}
