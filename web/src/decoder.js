@@ -11,6 +11,7 @@ import initialise, { Decoder } from "./decoder/tcgs_js.js";
  * @property {number} maxGaussians most Gaussians that live at one timestep
  * @property {number} frameRate timesteps per second; 0 if the file does not say
  * @property {number} shDegree degree of the spherical harmonics, 0 to 3
+ * @property {boolean} antialiased whether a splat that is widened by a pixel's extent gives up as much opacity
  * @property {Float32Array} up unit vector that points up, -y where the file does not say; axes are right-handed
  * @property {Float32Array} boundsMin smallest coordinates of all centres at all timesteps, scene units
  * @property {Float32Array} boundsMax largest coordinates

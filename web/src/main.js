@@ -9,6 +9,7 @@ import { addToPath, moreMenu, saveStill, showHelp, viewsMenu } from "./menus.js"
 import { readParams } from "./params.js";
 import { Player } from "./player.js";
 import { sound } from "./sound.js";
+import { training } from "./training.js";
 import { cards, element, idling, playback, shortcuts, showCard, statistics, toast } from "./ui.js";
 
 const params = readParams(location.search);
@@ -29,6 +30,9 @@ const named = (what) => document.querySelector(`meta[name=tcgs-${what}]`).conten
 // Those that the page names belong to the scene that it names.
 const cameras = params.cameras ?? (params.src === null ? named("cameras") : "");
 const { toggle: toggleFrusta } = frusta(player, cameras || null, params.view === null);
+// A training that the page belongs to, unless the address names another scene.
+const train = params.src === null && named("train");
+const { toggle: toggleCurves } = train ? training(player, train, params) : { toggle: () => {} };
 listenForMoves(element("canvas"), player);
 idling(player);
 shortcuts(player, {
@@ -41,6 +45,7 @@ shortcuts(player, {
   m: toggleSound,
   o: choose,
   p: () => saveStill(player),
+  t: toggleCurves,
 });
 listenToEmbedder(player);
 
@@ -92,4 +97,4 @@ window.addEventListener("drop", (event) => {
 
 const source = params.src ?? named("src");
 if (source) player.open(source, params.timestep);
-else showCard("welcome");
+else if (!train) showCard("welcome");

@@ -14,7 +14,8 @@ const MAX_ATTACHED = 1 << 26;
 const MAX_PENDING = 1;
 
 /**
- * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (the first picture of a scene can be drawn), `frame` (a
+ * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (the first picture of a scene can be drawn), `replace`
+ * (likewise, of a scene that took another one's place), `frame` (a
  * frame was drawn; its state is `player.state`), `change` (of settings, of playing, or of the path), `lost` (the path has
  * no camera at the timestep and is followed no longer), `failure` (`detail`: the error).
  */
@@ -39,6 +40,7 @@ export class Player extends EventTarget {
   #viewer = null;
   #starting = null;
   #opening = false;
+  #replacing = false;
   /** Number of calls of `open`: a scene that was replaced while it was opened is dropped. */
   #turn = 0;
   #source = null;
@@ -81,6 +83,7 @@ export class Player extends EventTarget {
     const turn = ++this.#turn;
     this.#source = given;
     this.#opening = true;
+    this.#replacing = false;
     this.info = null;
     this.state = null;
     this.path = null;
@@ -99,6 +102,39 @@ export class Player extends EventTarget {
       this.#resolution.forget();
       this.touch();
       this.#tell("load");
+      return true;
+    } catch (error) {
+      if (turn === this.#turn) this.#fail(error);
+      return false;
+    }
+  }
+
+  /**
+   * Opens another state of the scene in its place: camera, path, frame and playing stay, and the picture stays until there is
+   * another. Resolves as `open` does.
+   *
+   * @param {Blob} file
+   */
+  async replace(file) {
+    if (!this.info) return this.open(file);
+    const turn = ++this.#turn;
+    const { camera, info, playing } = { camera: this.camera(), info: this.info, playing: this.playing };
+    const frame = info.firstFrame + (this.state?.timestep ?? 0);
+    this.#source = file;
+    this.#replacing = true;
+    const viewer = this.#viewer;
+    try {
+      await viewer.open(file, 0);
+      if (turn !== this.#turn) return false;
+      this.info = viewer.info();
+      viewer.setLoop(this.loop);
+      viewer.setSpeed(this.speed);
+      if (camera) viewer.setCamera(camera);
+      viewer.seek(Math.min(Math.max(0, frame - this.info.firstFrame), this.info.numTimesteps - 1));
+      if (playing) viewer.play();
+      this.#replacing = false;
+      this.touch();
+      this.#tell("replace");
       return true;
     } catch (error) {
       if (turn === this.#turn) this.#fail(error);
@@ -168,7 +204,7 @@ export class Player extends EventTarget {
   }
 
   camera() {
-    return this.info && this.#viewer.camera();
+    return this.info && !this.#replacing ? this.#viewer.camera() : null;
   }
 
   /** Cameras of the path by increasing timestep: `[{timestep, camera}]`. */
@@ -191,7 +227,7 @@ export class Player extends EventTarget {
 
   /** Adds the current camera to the path, at the current timestep. */
   addToPath() {
-    if (!this.state) return;
+    if (!this.state || this.#replacing) return;
     this.path.insert(this.state.timestep, this.camera());
     this.#tell("change");
   }
@@ -250,7 +286,7 @@ export class Player extends EventTarget {
   }
 
   #do(action) {
-    if (!this.info) return;
+    if (!this.info || this.#replacing) return;
     action(this.#viewer);
     this.touch();
   }
@@ -261,7 +297,7 @@ export class Player extends EventTarget {
 
   #fail(error) {
     this.info = null;
-    this.#opening = false;
+    this.#opening = this.#replacing = false;
     if (error?.code === "device-lost") this.#stopped = true;
     this.#tell("failure", error);
   }
@@ -270,7 +306,7 @@ export class Player extends EventTarget {
     requestAnimationFrame(this.#tick);
     if (this.#stopped) return;
     if (this.#opening && this.#viewer) return this.#watch(now);
-    if (!this.info) return;
+    if (!this.info || this.#replacing) return;
     const incomplete = this.state === null || this.state.buffering || !this.state.drawn;
     const moving = incomplete || this.playing || now - this.#changed < SETTLE_MS;
     if (this.#viewer.pending() > (moving ? MAX_PENDING : 0)) return;

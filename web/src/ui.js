@@ -155,11 +155,13 @@ export function playback(player) {
   element("full").hidden = !document.fullscreenEnabled;
 
   let shown = "";
-  player.addEventListener("load", () => {
-    shown = "";
-    timeline.max = String(player.info.numTimesteps - 1);
-    element("track").hidden = player.info.numTimesteps < 2;
-  });
+  for (const event of ["load", "replace"]) {
+    player.addEventListener(event, () => {
+      shown = "";
+      timeline.max = String(player.info.numTimesteps - 1);
+      element("track").hidden = player.info.numTimesteps < 2;
+    });
+  }
   player.addEventListener("change", () => {
     element("loop").setAttribute("aria-pressed", String(player.loop));
     const known = SPEEDS.includes(player.speed);

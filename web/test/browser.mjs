@@ -573,6 +573,24 @@ test("the timeline plays on when it is let go, and tells of each scene anew", as
   await page.waitForFunction(() => document.querySelector("#frame-number").textContent === "1 / 7");
 });
 
+test("in the narrowest windows all controls of playback are within reach", async (t) => {
+  const page = await open(t, EXACT, { standIn: true, viewport: { width: 280, height: 480 }, hasTouch: true, isMobile: true });
+  await page.waitForSelector("body.has-scene");
+  // As of a scene with a sound.
+  await page.evaluate(() => (document.querySelector("#mute").hidden = false));
+  const boxes = await page.$$eval("#dock button, #dock select", (all) =>
+    all.filter((control) => control.checkVisibility()).map((control) => [control.id, control.getBoundingClientRect().toJSON()]),
+  );
+  assert.equal(boxes.length, 7);
+  const outside = boxes.filter(([, { left, right, bottom }]) => left < 12 || right > 268 || bottom > 480);
+  assert.deepEqual(outside, []);
+  const overlaps = boxes.flatMap(([a, p], i) =>
+    boxes.slice(i + 1).filter(([, q]) => p.left < q.right && q.left < p.right && p.top < q.bottom && q.top < p.bottom).map(([b]) => [a, b]),
+  );
+  assert.deepEqual(overlaps, []);
+  await shot(page, "narrow");
+});
+
 test("cameras of a capture are drawn where they are, and key C hides them", async (t) => {
   const numbers = { width: 480, height: 300, fx: 300, fy: 300, cx: 240, cy: 150 };
   const at = (x, z) => ({ ...numbers, cameraFromWorld: [1, 0, 0, -x, 0, 1, 0, 0, 0, 0, 1, -z, 0, 0, 0, 1] });

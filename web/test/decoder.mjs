@@ -38,7 +38,8 @@ test("every vector is decoded, to plausible Gaussians within what the file says"
   let withHarmonics = 0;
   for (const [name, bytes] of vectors) {
     const scene = await open(bytes);
-    const { numTimesteps, maxGaussians, shDegree, boundsMin, boundsMax } = scene.info;
+    const { numTimesteps, maxGaussians, shDegree, antialiased, boundsMin, boundsMax } = scene.info;
+    assert.equal(antialiased, name.includes("antialiased"), name);
     assert.ok(boundsMin.every((least, i) => least <= boundsMax[i]), name);
     withHarmonics += shDegree > 0;
     for (let t = 0; t < numTimesteps; t += Math.max(1, numTimesteps >> 3)) {

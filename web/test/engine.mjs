@@ -1,6 +1,6 @@
 // A stand-in for the engine's viewer, which opens any file as a scene at once and needs no GPU. Camera paths are those of the
 // engine. A test sets `window.given`: how many timesteps scenes have (`timesteps`) and what a picture waits for (`picture`, a
-// promise).
+// promise). It finds there how many scenes were opened (`opened`), and by which viewer (`viewer`).
 
 import init, { CameraPath } from "./tcgs_play.js?real";
 
@@ -20,11 +20,12 @@ export class Viewer {
   }
 
   async open(source, timestep) {
-    [this.#timestep, this.#playing] = [timestep, false];
+    [this.#timestep, this.#playing, this.#camera] = [timestep, false, null];
+    [given.viewer, given.opened] = [this, (given.opened ?? 0) + 1];
   }
 
   info() {
-    return { name: "", numGaussians: 1, numTimesteps: given.timesteps ?? 24, frameRate: 30, bytes: 1, cameras: [] };
+    return { name: "", numGaussians: 1, numTimesteps: given.timesteps ?? 24, firstFrame: 0, frameRate: 30, bytes: 1, cameras: [] };
   }
 
   frame() {

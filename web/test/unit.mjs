@@ -4,11 +4,31 @@ import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
 import { test } from "node:test";
 
+import { digits, line } from "../src/chart.js";
 import { explain } from "../src/failures.js";
 import { readParams } from "../src/params.js";
 import { AdaptiveResolution } from "../src/resolution.js";
 import { follow } from "../src/sound.js";
+import { describe } from "../src/training.js";
 import { nameOf, nextSpeed } from "../src/ui.js";
+
+test("a curve fills its box, and a single point is a short line", () => {
+  assert.equal(line([[0, 1], [5, 3], [10, 2]]), "0.0,45.0 120.0,3.0 240.0,24.0");
+  assert.equal(line([[0, 1], [1, 10], [2, 100]], { log: true }), "0.0,45.0 120.0,24.0 240.0,3.0");
+  assert.equal(line([[1, 0], [2, 0.5]], { log: true, range: [0, 1] }), "0.0,45.0 240.0,24.0", "no logarithm of 0");
+  assert.equal(line([[7, 2]]), "120.0,24.0 124.0,24.0");
+  assert.deepEqual([0.012345, 31.26, 0, 12345].map(digits), ["0.0123", "31.3", "0", "12300"]);
+});
+
+test("a training is told in a line", () => {
+  const state = { has_ended: false, num_timesteps: 24, num_gaussians: 8123, running: null, timesteps: { psnr: [] } };
+  assert.equal(describe(state), "About to begin");
+  assert.equal(describe({ ...state, timesteps: { psnr: [30] } }), "After timestep 1 of 24");
+  const running = { timestep: 1, iterations: 20, of_iterations: 300 };
+  assert.equal(describe({ ...state, running }), "Timestep 2 of 24, iteration 20 of 300, 8\u202f123 Gaussians");
+  const ended = { ...state, has_ended: true, timesteps: { psnr: [30, 31] } };
+  assert.equal(describe(ended), "The training has ended: 2 timesteps, mean PSNR 30.50 dB");
+});
 
 test("addresses say what to show, and nonsense says nothing", () => {
   const nothing = readParams("");

@@ -2,56 +2,18 @@
 
 #![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
 
+#[path = "support/server.rs"]
+mod server;
 mod support;
 
 use std::fs;
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
-use std::process::{Child, ChildStdout, Stdio};
+use std::io::Read;
 
 use serde_json::Value;
+use server::*;
 use support::*;
 use tcgs_capture::{Capture, Split, write_synthetic};
 use tempfile::tempdir;
-
-/// Whether this program was built with the page.
-fn has_page() -> bool {
-    let built = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../web/dist/index.html").is_file();
-    assert!(built || std::env::var_os("REQUIRE_PLAYER").is_none(), "REQUIRE_PLAYER is set, and web/dist is not built");
-    built
-}
-
-/// Ends with the test; the rest of what it says.
-struct Running(Child, BufReader<ChildStdout>);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-/// Starts a server, and reads its port from the only line that it says.
-fn start(arguments: &[&str]) -> (Running, u16) {
-    let mut child = tcgs().args(arguments).stdout(Stdio::piped()).spawn().unwrap();
-    let lines = BufReader::new(child.stdout.take().unwrap());
-    let mut running = Running(child, lines);
-    let mut line = String::new();
-    running.1.read_line(&mut line).unwrap();
-    let port = line.strip_prefix("http://127.0.0.1:").and_then(|rest| rest.strip_suffix("/\n"));
-    let port = port.unwrap_or_else(|| panic!("{line}")).parse().unwrap();
-    (running, port)
-}
-
-/// Head and body of an answer.
-fn ask(port: u16, path: &str, range: &str) -> (String, Vec<u8>) {
-    let mut connection = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    write!(connection, "GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n{range}\r\n").unwrap();
-    let mut answer = Vec::new();
-    connection.read_to_end(&mut answer).unwrap();
-    let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n").unwrap();
-    (String::from_utf8(answer[..end].to_vec()).unwrap(), answer[end + 4..].to_vec())
-}
 
 #[test]
 fn what_is_no_tcgs_file_is_refused_by_name() {

@@ -4,7 +4,8 @@
 //! training a run with prefetched images ([`fit`]), pruning and compressing ([`PrunedScene`], [`compress_scene`]),
 //! searching a size or a quality ([`search`] with a [`Judge`]), comparing with a capture ([`evaluate`]),
 //! comparing a file with what was compressed ([`compare`]), rendering ([`render`]), writing for other programs
-//! ([`Export`]), and showing a capture before training ([`points_scene`]). What does not: arguments, progress bars and words for people (the command line), and the maths of each step (the crates below).
+//! ([`Export`]), showing a capture before training ([`points_scene`]), and
+//! looking at a run while it is trained ([`LiveRun`]). What does not: arguments, progress bars and words for people (the command line), and the maths of each step (the crates below).
 //!
 //! Every input that is wrong is a [`PipelineError`]; [`HasFault::fault`] says whether the input or the machine failed. A
 //! long call tells an [`Observer`] what it does, and the observer may stop it.
@@ -53,6 +54,7 @@ mod compress;
 mod error;
 mod evaluate;
 mod export;
+mod live;
 mod observe;
 mod path_file;
 mod preview;
@@ -64,14 +66,16 @@ mod verify;
 pub use backend::Backend;
 pub use compress::{
     CompressOptions, CompressPreset, Compressed, ErrorSearch, Judge, JudgeImages, PrunedScene, QUALITY_RANGE,
-    RefineBudget, RefineOptions, Refined, SearchResult, SizeStep, Target, Tuning, capture_kind_of, compress_scene,
-    kept_gaussians, position_step_remark, refine, refine_within, search, search_errors, settings_of, tune,
+    RefineBudget, RefineOptions, Refined, RefinedWithin, SearchResult, SizeStep, Target, Tuning, capture_kind_of,
+    compress_scene, kept_gaussians, position_step_remark, refine, refine_within, search, search_errors, settings_of,
+    tune,
 };
 pub use error::{Fault, HasFault, PipelineError};
 pub use evaluate::{
     COLUMNS, EvaluateSettings, Evaluation, ImageScore, MetricColumn, evaluate, evaluation_json, protocol_mean,
 };
 pub use export::{Export, ExportedParams, TimestepKind};
+pub use live::{LiveFile, LiveRun};
 pub use observe::{ErrorTrial, Event, Observer, TimestepSummary, Trial, TuningTrial, Unobserved, Work};
 pub use path_file::read_camera_path;
 pub use preview::points_scene;

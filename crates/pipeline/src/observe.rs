@@ -2,8 +2,10 @@
 
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::Arc;
 
-use tcgs_train::Progress;
+use tcgs_core::View;
+use tcgs_train::{Progress, Trained};
 
 use crate::error::PipelineError;
 
@@ -31,6 +33,17 @@ pub enum Event<'a> {
         checkpoint: &'a Path,
         /// What is wrong with it.
         problem: &'a str,
+    },
+    /// A timestep is about to be trained.
+    TimestepBegun {
+        /// Counted from the run's first.
+        timestep: usize,
+        /// Of the capture.
+        frame: usize,
+        /// The views that its PSNR is measured on.
+        judged: &'a Arc<[View]>,
+        /// As [`TimestepSummary::held_out`].
+        held_out: bool,
     },
     /// An iteration of [`Work::Training`] is computed.
     Iteration {
@@ -65,6 +78,10 @@ pub struct TimestepSummary {
     pub frame: usize,
     /// Gaussians after it.
     pub num_gaussians: usize,
+    /// How much of the scene and of its views it trained.
+    pub trained: Trained,
+    /// Weighted sum of the losses, mean over its last 50 iterations; 0 if it had none.
+    pub loss: f64,
     /// Mean over the views, in dB.
     pub psnr: f64,
     /// Whether the views were held out from training; without such they are the training views.

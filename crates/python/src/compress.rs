@@ -150,9 +150,6 @@ impl Wanted {
         if self.max_error.is_some() && (has_target || self.tune || self.refine.is_some()) {
             return refuse("max_error: expected it without target_bytes, target_psnr, tune and refine");
         }
-        if self.refine.is_some() && (self.tune || matches!(self.target, Some(Target::Psnr(_)))) {
-            return refuse("refine: expected it without target_psnr and tune");
-        }
         let is_searched = has_target || self.tune || self.quality.is_some() || self.max_error.is_some();
         if self.preset == CompressPreset::Paper && is_searched {
             return refuse(
@@ -188,12 +185,21 @@ impl Wanted {
             let images = JudgeImages { capture: self.capture.clone(), split, frames: None };
             Judge::new(scene, &images, backend.renderer())
         };
+        let split = if self.tune { Split::Train } else { Split::Test };
+        let mut settings = settings.clone();
+        if self.tune {
+            let tuned = tune(&pruned, &settings, self.target, &judge(split)?, watch)?.found;
+            if refining.is_none() {
+                return Ok(tuned.file);
+            }
+            settings = tuned.settings;
+        }
+        let settings = &settings;
         Ok(match (self.target, &self.max_error, refining) {
-            _ if self.tune => tune(&pruned, settings, self.target, &judge(Split::Train)?, watch)?.found.file,
             (_, Some(bounds), _) => search_errors(&pruned, settings, bounds, watch)?.file,
-            (Some(Target::Bytes(bytes)), _, Some(refining)) => {
-                let judge = judge(Split::Test)?;
-                refine_within(scene, &pruned, settings, bytes, &judge, &refining, backend, watch)?.1.file
+            (Some(target), _, Some(refining)) => {
+                let judge = judge(split)?;
+                refine_within(scene, &pruned, settings, target, &judge, &refining, backend, watch)?.refined.file
             }
             (Some(target), ..) => search(&pruned, settings, target, &judge(Split::Test)?, watch)?.file,
             (None, _, Some(refining)) => refine(scene, &pruned, settings, &refining, backend, watch)?.file,

@@ -94,7 +94,7 @@ pub fn rasterize(
         settings.background[..num_channels].copy_from_slice(&background);
     }
     let unit = quats.iter().map(|&quat| normalize(quat)).collect();
-    let activated = Activated { means, quats: unit, scales, opacities, colors, num_channels };
+    let activated = Activated { means, quats: unit, scales, opacities, colors, num_channels, is_antialiased: false };
     let (RenderOutput { image, transmittance }, saved) = detached(py, || forward(&activated, &camera, &settings));
     let alpha = transmittance.iter().map(|transmittance| 1.0 - transmittance).collect();
     Ok(PyRasterized {

@@ -53,15 +53,43 @@ fn open_path(py: Python<'_>, path: &Path, settings: OpenSettings) -> PyResult<Op
     detached(py, || OpenScene::open(path, settings)).map_err(exception)
 }
 
+/// A file or folder, or several that are chapters of one scene.
+#[derive(FromPyObject)]
+pub enum OneOrMore {
+    /// `str` or `os.PathLike`.
+    One(PathBuf),
+    /// A sequence of these.
+    More(Vec<PathBuf>),
+}
+
 /// Opens a scene of this machine; `tcgs.open` has the rest.
 #[pyfunction]
-#[pyo3(signature = (path, *, drop_sh = false, recover = false, fps = None))]
-pub fn open(py: Python<'_>, path: PathBuf, drop_sh: bool, recover: bool, fps: Option<f64>) -> PyResult<PyScene> {
+#[pyo3(signature = (path, *, drop_sh = false, recover = false, fps = None, segment_length = None))]
+pub fn open(
+    py: Python<'_>,
+    path: OneOrMore,
+    drop_sh: bool,
+    recover: bool,
+    fps: Option<f64>,
+    segment_length: Option<u32>,
+) -> PyResult<PyScene> {
     let settings = OpenSettings {
         higher_harmonics: if drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Keep },
         cut_files: if recover { CutFiles::Recover } else { CutFiles::Refuse },
     };
-    let mut scene = open_path(py, &path, settings)?;
+    if segment_length == Some(0) {
+        return Err(PyValueError::new_err("segment_length: is 0, expected 1 or more"));
+    }
+    let mut scene = match path {
+        OneOrMore::One(path) => open_path(py, &path, settings)?,
+        OneOrMore::More(paths) if paths.is_empty() => {
+            return Err(PyValueError::new_err("open: no path, expected at least one"));
+        }
+        OneOrMore::More(paths) => {
+            let chapters = paths.iter().map(|path| open_path(py, path, settings)).collect::<PyResult<_>>()?;
+            detached(py, || OpenScene::join(chapters, segment_length)).map_err(exception)?
+        }
+    };
     if let Some(fps) = fps {
         scene.frame_rate = check_fps(fps)?;
     }
@@ -182,6 +210,12 @@ impl PyScene {
     #[getter]
     fn downscale(&self) -> usize {
         self.0.downscale
+    }
+
+    /// Whether the scene is drawn with antialiasing: a splat that is widened by a pixel's extent gives up as much opacity.
+    #[getter]
+    fn antialiased(&self) -> bool {
+        self.0.layout().is_antialiased()
     }
 
     /// Highest degree of the spherical harmonics; 0 without any.

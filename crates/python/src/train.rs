@@ -2,17 +2,26 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use pyo3::exceptions::{PyFileExistsError, PyValueError};
 use pyo3::prelude::*;
 use tcgs_capture::Capture;
-use tcgs_pipeline::{OpenScene, OpenSettings, PipelineError, ReadyRun, RunFolder, fit, settings_for};
+use tcgs_pipeline::{OpenScene, OpenSettings, PipelineError, ReadyRun, RunFolder, fit, settings_for, start_state};
 use tcgs_train::{Preset, TrainConfig};
 
 use crate::capture::CaptureLike;
 use crate::errors::{exception, of_system};
-use crate::scene::PyScene;
+use crate::scene::{PyScene, SceneLike};
 use crate::watch::Watch;
+
+/// The state that a run continues: a scene and a timestep of it, or a scene, whose last timestep counts.
+#[derive(FromPyObject)]
+pub enum StartFrom<'py> {
+    /// Negative timesteps count from the end.
+    At(SceneLike<'py>, isize),
+    Last(SceneLike<'py>),
+}
 
 /// Trains a dynamic scene on a capture, one timestep after another, into a run folder.
 ///
@@ -25,6 +34,9 @@ use crate::watch::Watch;
 /// - settings: by their names in the run's config.toml, such as {"weights.rigid": 2, "gate.enabled": False}
 /// - config: file of settings, as another run's config.toml
 /// - points: file of initial points instead of the capture's own
+/// - start_from: continue the state of a Scene, or of the file or folder of one, at its last timestep; or of a pair of that and
+///   a timestep, such as ("base", 0). The first timestep is trained as a later one, and no Gaussian is added, so runs that
+///   start from the same state are chapters of one scene: `tcgs.open(["chapter0", "chapter1"])` joins them
 /// - seed: of random choices
 /// - resume: go on with the run in `out` after its last whole checkpoint, or begin it if there is none; what is not given
 ///   keeps the run's settings
@@ -40,7 +52,7 @@ use crate::watch::Watch;
 /// Raises ValueError or OSError if an input is wrong, FileExistsError if `out` holds a run.
 #[pyfunction]
 #[pyo3(signature = (capture, out, *, preset = None, frames = None, downscale = None, iterations = None, settings = None,
-    config = None, points = None, seed = None, resume = false, overwrite = false, backend = "auto", device = None,
+    config = None, points = None, start_from = None, seed = None, resume = false, overwrite = false, backend = "auto", device = None,
     progress = true, callback = None))]
 #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
 pub fn train(
@@ -54,6 +66,7 @@ pub fn train(
     settings: Option<BTreeMap<String, Bound<'_, PyAny>>>,
     config: Option<PathBuf>,
     points: Option<PathBuf>,
+    start_from: Option<StartFrom<'_>>,
     seed: Option<u64>,
     resume: bool,
     overwrite: bool,
@@ -73,9 +86,14 @@ pub fn train(
     set("data.downscale", downscale);
     set("schedule.first_iterations", iterations.map(|iterations| iterations.0));
     set("schedule.rest_iterations", iterations.map(|iterations| iterations.1));
+    if points.is_some() && start_from.is_some() {
+        return Err(PyValueError::new_err("points: given with start_from, expected one of them"));
+    }
+    let start = start_from.map(|start_from| Start::open(py, start_from)).transpose()?;
     let folder = capture.path().to_path_buf();
     let capture = capture.open(py)?;
-    let wanted = Wanted { folder, preset, config, points, seed, settings };
+    let start_from = start.as_ref().map(Start::name).transpose()?;
+    let wanted = Wanted { folder, preset, config, points, start_from, seed, settings };
     let holds_run = RunFolder::holds_run(&out).map_err(exception)?;
     if holds_run && !resume && !overwrite {
         let expected = "expected resume=True to go on with it or overwrite=True to replace it";
@@ -84,12 +102,19 @@ pub fn train(
     let fresh = if holds_run && resume {
         None
     } else {
+        let mut wanted = wanted.clone();
+        // A file of settings may be that of a run that continues another one.
+        wanted.start_from.get_or_insert_default();
         Some(wanted.over(settings_for(preset.unwrap_or(Preset::Default), &capture), &capture)?)
     };
     let mut refused = None;
     let trained = Watch::call(py, callback, progress, |watch| {
         let ready = match fresh {
-            Some(config) => ReadyRun::begin(&out, &config, &capture, None, &backend)?,
+            Some(config) => {
+                let state =
+                    start.map(|start| start_state(&start.scene, start.timestep, &config, &capture)).transpose()?;
+                ReadyRun::begin(&out, &config, &capture, state.as_ref(), &backend)?
+            }
             None => {
                 let change = |stored: &TrainConfig| {
                     wanted.over(stored.clone(), &capture).map_err(|error| {
@@ -126,13 +151,41 @@ fn toml(key: &str, value: &Bound<'_, PyAny>) -> PyResult<(String, String)> {
     Ok((key.into(), if is_bool { text.to_lowercase() } else { text }))
 }
 
+/// An opened scene, and the timestep that a run continues.
+struct Start {
+    scene: Arc<OpenScene>,
+    timestep: usize,
+    is_last: bool,
+}
+
+impl Start {
+    fn open(py: Python<'_>, start_from: StartFrom) -> PyResult<Self> {
+        let (scene, timestep) = match start_from {
+            StartFrom::At(scene, timestep) => (scene, Some(timestep)),
+            StartFrom::Last(scene) => (scene, None),
+        };
+        let scene = scene.open(py)?;
+        let found = PyScene(Arc::clone(&scene)).timestep(timestep.unwrap_or(-1))?;
+        Ok(Self { scene, timestep: found, is_last: timestep.is_none() })
+    }
+
+    /// As a run's `config.toml` names it.
+    fn name(&self) -> PyResult<String> {
+        let path = absolute(&self.scene.path)?;
+        Ok(if self.is_last { path } else { format!("{path}@{}", self.timestep) })
+    }
+}
+
 /// What differs from a preset's or a run's settings.
+#[derive(Clone)]
 struct Wanted {
     /// Of the capture.
     folder: PathBuf,
     preset: Option<Preset>,
     config: Option<PathBuf>,
     points: Option<PathBuf>,
+    /// As `config.toml` names it; empty: none; `None`: as the run has it.
+    start_from: Option<String>,
     seed: Option<u64>,
     /// Names and values in TOML.
     settings: Vec<(String, String)>,
@@ -157,7 +210,7 @@ impl Wanted {
         if let Some(points) = &self.points {
             base.data.points = absolute(points)?;
         }
-        base.data.start_from = start_from;
+        base.data.start_from = self.start_from.clone().unwrap_or(start_from);
         let named = base.data.clone();
         for (key, value) in &self.settings {
             base.set(key, value).map_err(|error| PyValueError::new_err(format!("settings: {error}")))?;
@@ -165,8 +218,7 @@ impl Wanted {
         if (&base.data.capture, &base.data.layout, &base.data.start_from)
             != (&named.capture, &named.layout, &named.start_from)
         {
-            let message =
-                "settings: data.capture, data.layout or data.start_from: is what capture says, expected no other";
+            let message = "settings: data.capture, data.layout or data.start_from: is what capture and start_from say, expected no other";
             return Err(PyValueError::new_err(message));
         }
         if let Some(seed) = self.seed {

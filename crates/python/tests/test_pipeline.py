@@ -72,6 +72,48 @@ def test_a_callback_ends_a_training_that_can_be_resumed(capture: Path, run: Path
     assert files(out) == files(run)
 
 
+def test_chapters_start_from_a_scene_and_are_joined(capture: Path, run: Path, tmp_path: Path) -> None:
+    chapters = [tmp_path / "late", tmp_path / "early"]
+    options: dict[str, Any] = {**TRAIN, "config": run / "config.toml"}
+    late = tcgs.train(capture, chapters[0], frames=(1, 3), start_from=(tcgs.open(run), 0), **options)
+    tcgs.train(capture, chapters[1], frames=(0, 2), start_from=(run, 0), **options)
+    assert late.num_gaussians == tcgs.open(run).num_gaussians_at(0)
+    joined = tcgs.open(chapters, segment_length=2)
+    assert (len(joined), joined.first_frame) == (3, 0)
+    np.testing.assert_array_equal(joined.at(-1).means, late.at(-1).means)
+    tcgs.compress(joined, tmp_path / "python.tcgs", progress=False)
+
+    by_command = [tmp_path / "late_by_command", tmp_path / "early_by_command"]
+    for out, frames in zip(by_command, ["1..3", "0..2"]):
+        settings = ["--preset", "fast", "--iterations", "200,50", "--backend", "cpu", "--config", run / "config.toml"]
+        command("train", capture, "--out", out, "--frames", frames, "--start-from", f"{run}@0", *settings)
+    command("compress", *by_command, "--out", tmp_path / "command.tcgs", "--segment-length", 2)
+    assert [files(out) for out in chapters] == [files(out) for out in by_command]
+    assert (tmp_path / "python.tcgs").read_bytes() == (tmp_path / "command.tcgs").read_bytes()
+
+
+def test_what_is_no_chapter_is_refused(capture: Path, run: Path, tmp_path: Path) -> None:
+    scene = tcgs.open(run)
+    arrays = tcgs.Scene.from_arrays(scene.at(0).means[None], scene.at(0).quats[None], scene.at(0).colors[None],
+                                    log_scales=scene.at(0).log_scales, logit_opacities=scene.at(0).logit_opacities)
+    refused: list[tuple[Any, type[Exception], str]] = [
+        ((run, 7), IndexError, "no timestep 7"),
+        (tmp_path / "nowhere", OSError, "nowhere"),
+        (arrays, OSError, "arrays"),
+    ]
+    for start_from, exception, message in refused:
+        with pytest.raises(exception, match=message):
+            tcgs.train(capture, tmp_path / "run", start_from=start_from, **TRAIN)
+    with pytest.raises(ValueError, match="points: given with start_from"):
+        tcgs.train(capture, tmp_path / "run", start_from=run, points=capture / "init_pt_cld.npz", **TRAIN)
+    assert not (tmp_path / "run").exists()
+    for paths, message in [([], "no path"), ([run, run], "expected")]:
+        with pytest.raises(ValueError, match=message):
+            tcgs.open(paths)
+    with pytest.raises(ValueError, match="segment_length: is 0"):
+        tcgs.open([run], segment_length=0)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX does")
 def test_ctrl_c_leaves_a_run_that_can_be_resumed(capture: Path, tmp_path: Path) -> None:
     program = textwrap.dedent("""

@@ -1,7 +1,7 @@
 //! The player's page in a program, and a web server that shows a scene with it on this machine.
 //!
 //! What lives here: the built page (`web/dist`), which the build puts into the program, and the part of HTTP that serving
-//! it, one scene and the cameras of its capture takes. What does not: the player itself, which is `tcgs-play` in the page. The command line and the
+//! it, one scene and the cameras of its capture, or what a training makes takes. What does not: the player itself, which is `tcgs-play` in the page. The command line and the
 //! Python package show scenes with it.
 //!
 //! ```
@@ -14,8 +14,10 @@
 
 mod http;
 mod server;
+mod training;
 
 pub use server::{FrameAncestors, PageFile, SceneSource, Server};
+pub use training::{TRAINING_FILES, Training, TrainingFile};
 
 /// Files of the built page; empty if the page was not built before this program.
 pub const PAGE: &[PageFile] = include!(concat!(env!("OUT_DIR"), "/page.rs"));

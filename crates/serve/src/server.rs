@@ -9,6 +9,7 @@ use std::thread;
 use std::time::{Duration, UNIX_EPOCH};
 
 use crate::http::{HttpRequest, RequestedRange};
+use crate::training::{TRAINING_FILES, Training};
 
 /// Path at which the scene is served.
 const SCENE: &str = "/scene.tcgs";
@@ -17,6 +18,8 @@ const CAMERAS: &str = "/cameras.json";
 /// The elements of `index.html` that name the scene and the cameras to open, as built: none.
 const NO_SCENE: &str = r#"<meta name="tcgs-src" content="">"#;
 const NO_CAMERAS: &str = r#"<meta name="tcgs-cameras" content="">"#;
+/// Likewise the element that names the state of a training.
+const NO_TRAINING: &str = r#"<meta name="tcgs-train" content="">"#;
 /// A connection on which nothing arrives for so long is closed.
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -36,6 +39,8 @@ pub enum SceneSource {
     File(PathBuf),
     /// The bytes of one.
     Bytes(Vec<u8>),
+    /// A training that goes on, which makes files when they are asked for.
+    Training(Arc<dyn Training>),
 }
 
 impl From<&Path> for SceneSource {
@@ -169,6 +174,11 @@ impl Site {
         if !["GET", "HEAD"].contains(&request.method.as_str()) {
             return Ok(HttpAnswer::plain("405 Method Not Allowed", "expected GET or HEAD").with("Allow", "GET, HEAD"));
         }
+        if let SceneSource::Training(training) = &self.scene
+            && TRAINING_FILES.contains(&request.path.as_str())
+        {
+            return Ok(answer_training(&**training, request));
+        }
         if request.path == SCENE {
             return match &self.scene {
                 SceneSource::File(path) => answer_file(path, request),
@@ -176,6 +186,7 @@ impl Site {
                 SceneSource::Bytes(bytes) => {
                     Ok(HttpAnswer::new("200 OK", "application/octet-stream", AnswerBody::Bytes(bytes.clone())))
                 }
+                SceneSource::Training(_) => Ok(HttpAnswer::plain("404 Not Found", "no such file")),
             };
         }
         if let Some(cameras) = self.cameras.as_ref().filter(|_| request.path == CAMERAS) {
@@ -195,7 +206,11 @@ impl Site {
     /// `index.html` with the paths of the scene and the cameras that it is to open.
     fn filled_in(&self, page: &[u8]) -> Vec<u8> {
         let told = |element: &str, path: &str| element.replace(r#"content="""#, &format!("content=\"{path}\""));
-        let mut text = String::from_utf8_lossy(page).replace(NO_SCENE, &told(NO_SCENE, SCENE));
+        let (element, path) = match self.scene {
+            SceneSource::Training(_) => (NO_TRAINING, TRAINING_FILES[0]),
+            _ => (NO_SCENE, SCENE),
+        };
+        let mut text = String::from_utf8_lossy(page).replace(element, &told(element, path));
         if self.cameras.is_some() {
             text = text.replace(NO_CAMERAS, &told(NO_CAMERAS, CAMERAS));
         }
@@ -228,6 +243,20 @@ fn answer_file(path: &Path, request: &HttpRequest) -> io::Result<HttpAnswer> {
             .with("Content-Range", &format!("bytes */{length}")),
     };
     Ok(answer.with("Accept-Ranges", "bytes").with("ETag", &tag))
+}
+
+/// Answers with what is newer than what the page has, by the tag that `If-None-Match` names.
+fn answer_training(training: &dyn Training, request: &HttpRequest) -> HttpAnswer {
+    let known = request.header("if-none-match").map(|tag| tag.trim_matches('"'));
+    match training.answer(&request.path, known) {
+        Ok(Some(file)) => {
+            let kind = if request.path.ends_with(".json") { "application/json" } else { "application/octet-stream" };
+            HttpAnswer::new("200 OK", kind, AnswerBody::Bytes(file.bytes.to_vec()))
+                .with("ETag", &format!("\"{}\"", file.tag))
+        }
+        Ok(None) => HttpAnswer::new("204 No Content", "text/plain", AnswerBody::Bytes(Vec::new())),
+        Err(problem) => HttpAnswer::plain("500 Internal Server Error", &problem),
+    }
 }
 
 fn mime(name: &str) -> &'static str {
@@ -296,11 +325,12 @@ impl HttpAnswer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::training::TrainingFile;
 
     const PAGE: &[PageFile] = &[
         PageFile {
             name: "index.html",
-            bytes: br#"<head><meta name="tcgs-src" content=""><meta name="tcgs-cameras" content=""></head>"#,
+            bytes: br#"<head><meta name="tcgs-src" content=""><meta name="tcgs-cameras" content=""><meta name="tcgs-train" content=""></head>"#,
         },
         PageFile { name: "engine/a.wasm", bytes: b"\0asm" },
     ];
@@ -387,6 +417,41 @@ mod tests {
         let (port, _folder) = serve();
         assert!(ask(port, "GET", CAMERAS, &[]).0.starts_with("HTTP/1.1 404 "));
         assert!(ask(port, "GET", "/", &[]).1.contains(r#"<meta name="tcgs-cameras" content="">"#));
+    }
+
+    #[derive(Debug)]
+    struct Count;
+
+    impl Training for Count {
+        fn answer(&self, path: &str, known: Option<&str>) -> Result<Option<TrainingFile>, String> {
+            let file = |bytes: &[u8]| TrainingFile { tag: "second".into(), bytes: bytes.into() };
+            match path {
+                "/train.json" => Ok(Some(file(b"{}"))),
+                "/running.tcgs" => Ok(Some(file(b"TCGS")).filter(|file| known != Some(&file.tag))),
+                _ => Err("a damaged checkpoint".into()),
+            }
+        }
+    }
+
+    #[test]
+    fn a_training_is_asked_for_what_is_newer() {
+        let server = Server::bind(0, SceneSource::Training(Arc::new(Count)), PAGE).unwrap();
+        let port = server.listener.local_addr().unwrap().port();
+        thread::spawn(move || server.run(|_| {}));
+        let page = ask(port, "GET", "/", &[]).1;
+        assert!(page.contains(r#"<meta name="tcgs-train" content="/train.json">"#), "{page}");
+        assert!(page.contains(r#"<meta name="tcgs-src" content="">"#), "{page}");
+        let (head, body) = ask(port, "GET", "/train.json", &[]);
+        assert!(head.contains("application/json") && body == "{}", "{head}");
+        let (head, body) = ask(port, "GET", "/running.tcgs", &["If-None-Match: \"first\""]);
+        assert!(head.starts_with("HTTP/1.1 200 ") && head.contains("ETag: \"second\"") && body == "TCGS", "{head}");
+        let (head, body) = ask(port, "GET", "/running.tcgs", &["If-None-Match: \"second\""]);
+        assert!(head.starts_with("HTTP/1.1 204 ") && body.is_empty(), "{head}");
+        let (head, body) = ask(port, "GET", "/finished.tcgs", &[]);
+        assert!(head.starts_with("HTTP/1.1 500 ") && body == "a damaged checkpoint\n", "{head}");
+        assert!(ask(port, "GET", SCENE, &[]).0.starts_with("HTTP/1.1 404 "));
+        let (port, _folder) = serve();
+        assert!(ask(port, "GET", "/train.json", &[]).0.starts_with("HTTP/1.1 404 "));
     }
 
     #[test]

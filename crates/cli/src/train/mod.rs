@@ -1,13 +1,14 @@
 //! `tcgs train`: a capture becomes a run folder.
 
 mod settings;
+mod view;
 
 use std::path::PathBuf;
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_pipeline::{PipelineError, ReadyRun, RunFolder, fit, start_state};
+use tcgs_pipeline::{Event, LiveRun, Observer, PipelineError, ReadyRun, RunFolder, fit, start_state};
 use tcgs_train::{Checkpoint, Preset, Run, TrainConfig, TrainError, Trainer};
 
 use crate::backend::{BackendName, BackendOptions};
@@ -18,6 +19,8 @@ use crate::scene::SourceOptions;
 use crate::teller::Teller;
 use crate::terminal::say;
 
+use self::view::View;
+
 /// Train a dynamic scene on a multi-view capture, one timestep after another
 ///
 /// Writes a run folder: config.toml with everything needed to repeat it, a checkpoint a timestep, and
@@ -27,6 +30,8 @@ use crate::terminal::say;
 Example:
   tcgs train my_capture --out my_run --preset fast --frames 0..20
   tcgs train my_capture --out my_run --preset fast --frames 0..40 --resume
+  tcgs train my_capture --out my_run --view            prints an address that shows the training in a browser
+  tcgs train my_capture --out my_run --view=127.0.0.1:8000
 
 A long capture in chapters, on as many machines; see README.md:
   tcgs train my_capture --out base --preset fast --frames 0..1
@@ -80,6 +85,12 @@ pub struct Arguments {
     /// given keep the run's settings; only the end of --frames may change
     #[arg(long)]
     resume: bool,
+    /// Show the training in a browser of this machine while it goes on: the scene as it is, what is finished, curves of
+    /// loss and PSNR, and how much is trained. Prints the address; without ADDRESS any port that is free. The trained bits are
+    /// the same. After the training it shows the whole run until the page is closed
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:0",
+        value_parser = view::port)]
+    view: Option<u16>,
     #[command(flatten)]
     backend: BackendOptions,
     #[command(flatten)]
@@ -122,6 +133,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return Err(wrong_input(format!("{}: {problem}", arguments.out.display())));
     }
 
+    let view = arguments.view.map(View::begin).transpose()?;
     let ready = if goes_on {
         let change = |stored: &TrainConfig| settings::resumed(arguments, &capture, stored);
         let ready =
@@ -137,11 +149,25 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         };
         ReadyRun::begin(&arguments.out, &config, &capture, start.as_ref(), &backend)?
     };
-    let ReadyRun { run, trainer, folder } = ready;
-    let trainer =
-        Teller::default().watch(|teller| fit(&capture, &run, trainer, teller)).map_err(|e| with_advice(e, &run))?;
+    let ReadyRun { run, mut trainer, folder } = ready;
+    let live = view.as_ref().map(|_| LiveRun::new(&run, &capture, &mut trainer)).transpose()?;
+    if let Some((view, live)) = view.as_ref().zip(live.clone()) {
+        view.show(live);
+    }
+    let watched = Teller::default().watch(|teller| match live {
+        Some(live) => fit(&capture, &run, trainer, &mut |event: &Event| {
+            live.hear(event);
+            teller.hear(event)
+        }),
+        None => fit(&capture, &run, trainer, teller),
+    });
+    let trainer = watched.map_err(|e| with_advice(e, &run))?;
     drop(folder);
-    report(arguments, &run, &trainer)
+    report(arguments, &run, &trainer)?;
+    if let Some(view) = view {
+        view.finish();
+    }
+    Ok(())
 }
 
 /// The state that a chapter starts from, told in words.

@@ -2,13 +2,14 @@
 
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::time::Instant;
 
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureError, Split};
 use tcgs_core::View;
-use tcgs_train::{Phase, Run, Schedule, Trained, Trainer};
+use tcgs_train::{Phase, Run, Schedule, Trainer};
 
 use crate::observe::{TimestepSummary, tell};
 use crate::{Event, Observer, PipelineError, Work};
@@ -72,6 +73,9 @@ pub fn fit(
             let loaded = receive.recv().map_err(|_| loader_ended(capture, frame))??;
             let timestep = trainer.timesteps();
             let steps = iterations_of(trainer.phase());
+            let held_out = !loaded.test.is_empty();
+            let judged = if held_out { &loaded.test } else { &loaded.train };
+            tell(observer, Event::TimestepBegun { timestep, frame, judged, held_out })?;
             if trainer.needs_recall() {
                 trainer.recall(&capture.views(Split::Train, frame - 1, downscale)?)?;
             }
@@ -85,11 +89,10 @@ pub fn fit(
             })?;
             num_done += steps;
             let seconds = begin.elapsed().as_secs_f64();
-            let held_out = !loaded.test.is_empty();
-            let psnr = trainer.mean_psnr(if held_out { &loaded.test } else { &loaded.train })?;
-            let num_gaussians = trainer.num_gaussians();
-            let summary = TimestepSummary { timestep, frame, num_gaussians, psnr, held_out, seconds };
-            run.append_metrics(&record.metrics(&summary, trainer.trained()))?;
+            let psnr = trainer.mean_psnr(judged)?;
+            let (num_gaussians, trained, loss) = (trainer.num_gaussians(), trainer.trained(), record.loss());
+            let summary = TimestepSummary { timestep, frame, num_gaussians, trained, loss, psnr, held_out, seconds };
+            run.append_metrics(&record.metrics(&summary))?;
             run.save(timestep, &trainer.checkpoint()?)?;
             tell(observer, Event::Timestep { summary: &summary, num_done })?;
         }
@@ -104,13 +107,13 @@ fn loader_ended(capture: &Capture, frame: usize) -> PipelineError {
 
 /// What one timestep is trained on, and judged by.
 struct LoadedFrame {
-    train: Vec<View>,
-    test: Vec<View>,
+    train: Arc<[View]>,
+    test: Arc<[View]>,
 }
 
 impl LoadedFrame {
     fn load(capture: &Capture, frame: usize, downscale: usize) -> Result<Self, CaptureError> {
-        let views = |split| capture.views(split, frame, downscale);
+        let views = |split| capture.views(split, frame, downscale).map(Arc::from);
         Ok(Self { train: views(Split::Train)?, test: views(Split::Test)? })
     }
 }
@@ -156,23 +159,30 @@ impl Record {
         }
     }
 
-    fn metrics(mut self, summary: &TimestepSummary, trained: Trained) -> Value {
-        self.close();
+    /// Mean of a loss over the last iterations.
+    fn mean(&self, loss: impl Fn(&Losses) -> f64) -> f64 {
         // A timestep in which nothing changed has no iterations, and no losses.
-        let averaged = self.last.len().max(1) as f64;
-        let mean = |value: &dyn Fn(&Losses) -> f64| self.last.iter().map(value).sum::<f64>() / averaged;
+        self.last.iter().map(loss).sum::<f64>() / self.last.len().max(1) as f64
+    }
+
+    fn loss(&self) -> f64 {
+        self.mean(|last| last.0)
+    }
+
+    fn metrics(mut self, summary: &TimestepSummary) -> Value {
+        self.close();
         let losses: serde_json::Map<String, Value> =
-            self.names.iter().enumerate().map(|(i, &name)| (name.into(), json!(mean(&|last| last.1[i])))).collect();
+            self.names.iter().enumerate().map(|(i, &name)| (name.into(), json!(self.mean(|last| last.1[i])))).collect();
         json!({
             "timestep": summary.timestep,
             "frame": summary.frame,
             "psnr": summary.psnr,
             "seconds": summary.seconds,
             "iterations": self.iterations,
-            "active_gaussians": trained.gaussians,
-            "active_tiles": trained.tiles,
+            "active_gaussians": summary.trained.gaussians,
+            "active_tiles": summary.trained.tiles,
             "num_gaussians": summary.num_gaussians,
-            "loss": mean(&|last| last.0),
+            "loss": summary.loss,
             "losses": losses,
             "loss_curve": self.curve,
         })

@@ -9,6 +9,7 @@ import urllib.error
 import urllib.parse
 import urllib.request
 import weakref
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from tcgs import _tcgs
@@ -16,21 +17,28 @@ from tcgs._tcgs import Scene
 
 
 def open(
-    path: str | os.PathLike[str], *, drop_sh: bool = False, recover: bool = False, fps: float | None = None
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    drop_sh: bool = False,
+    recover: bool = False,
+    fps: float | None = None,
+    segment_length: int | None = None,
 ) -> Scene:
     """Opens a scene: a .tcgs file, a run folder, a params.npz of Dynamic 3D Gaussians, a .4dgs file, a file of Gaussians
     (PLY, SPZ, glTF), or a folder with a file of Gaussians for each frame.
 
     - path: str or os.PathLike; or the address of a file (http, https), which is downloaded whole and kept as long as the
-      Scene is
+      Scene is; or run folders that are chapters of one scene (`tcgs.train`, `start_from`), in any order
     - drop_sh: of other programs' files, leave out spherical harmonics above degree 0
     - recover: of a .tcgs file that was cut, read what is whole
     - fps: timesteps a second, where the source says none or another
+    - segment_length: of chapters, timesteps between the places at which they are joined; `tcgs.compress` makes segments of
+      that length, 50 by default and fewer of more than 60,000 Gaussians
 
     Raises OSError if the file cannot be read or fetched, ValueError if it is no scene or damaged.
     """
     if not isinstance(path, str) or not path.startswith(("http://", "https://")):
-        return _tcgs.open(path, drop_sh=drop_sh, recover=recover, fps=fps)
+        return _tcgs.open(path, drop_sh=drop_sh, recover=recover, fps=fps, segment_length=segment_length)
     folder = tempfile.TemporaryDirectory(prefix="tcgs-", ignore_cleanup_errors=True)
     try:
         scene = _tcgs.open(_download(path, Path(folder.name)), drop_sh=drop_sh, recover=recover, fps=fps)

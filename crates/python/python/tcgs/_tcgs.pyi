@@ -188,6 +188,8 @@ class Scene:
     @property
     def downscale(self) -> int: ...
     @property
+    def antialiased(self) -> bool: ...
+    @property
     def sh_degree(self) -> int: ...
     @property
     def up(self) -> str: ...
@@ -207,7 +209,14 @@ class Scene:
 
     def show(self, *, height: int = 480) -> Player: ...
 
-def open(path: _Path, *, drop_sh: bool = False, recover: bool = False, fps: float | None = None) -> Scene: ...
+def open(
+    path: _Path | Sequence[_Path],
+    *,
+    drop_sh: bool = False,
+    recover: bool = False,
+    fps: float | None = None,
+    segment_length: int | None = None,
+) -> Scene: ...
 def rasterize(
     means: npt.ArrayLike,
     quats: npt.ArrayLike,
@@ -276,6 +285,7 @@ def train(
     settings: Mapping[str, bool | int | float | str] | None = None,
     config: _Path | None = None,
     points: _Path | None = None,
+    start_from: Scene | _Path | tuple[Scene | _Path, int] | None = None,
     seed: int | None = None,
     resume: bool = False,
     overwrite: bool = False,

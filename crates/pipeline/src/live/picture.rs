@@ -1,0 +1,126 @@
+//! Small files and pictures of a scene that is trained: made quickly, and not for keeping.
+
+use tcgs_capture::Capture;
+use tcgs_codec::{
+    BitMap, CompactFile, CompressSettings, FileCamera, SceneInfo, UpAxis, VIEWS, compress_ordered, write_views,
+};
+use tcgs_core::{Camera, Drawable, DynamicGaussians, Gaussians, View};
+use tcgs_metrics::psnr;
+use tcgs_render::{CpuRasterizer, Draw, RenderSettings};
+use tcgs_train::{Parameters, TrainConfig, masked_out};
+
+use crate::PipelineError;
+use crate::compress::{spread, up_axis};
+
+/// Bits of a position's coordinate, and of any other number.
+const POSITION_BITS: u8 = 16;
+const BITS: u8 = 10;
+/// Most cameras that a file gives players to start from.
+const MAX_VIEWS: usize = 8;
+
+/// Makes files and pictures of a run's scene.
+#[derive(Debug)]
+pub(super) struct Picture {
+    name: String,
+    up: UpAxis,
+    first_frame: usize,
+    frame_rate: f64,
+    downscale: usize,
+    /// Cameras of players.
+    views: Vec<u8>,
+    /// The capture's names of the training cameras, in the order of their gains.
+    camera_ids: Vec<usize>,
+    /// Below it a Gaussian is not drawn; none without masks.
+    mask_threshold: Option<f32>,
+}
+
+impl Picture {
+    /// - `cameras`: for training, with the capture's names
+    pub fn new(config: &TrainConfig, capture: &Capture, cameras: &[(usize, Camera)]) -> Self {
+        let view = |i: usize| FileCamera { name: cameras[i].0.to_string(), camera: cameras[i].1.clone() };
+        Self {
+            name: capture.name(),
+            up: up_axis(cameras),
+            first_frame: config.data.first_frame,
+            frame_rate: config.data.frame_rate,
+            downscale: config.data.downscale,
+            views: write_views(&spread(cameras.len(), MAX_VIEWS).map(view).collect::<Vec<_>>()),
+            camera_ids: cameras.iter().map(|(id, _)| *id).collect(),
+            mask_threshold: config.mask.enabled.then_some(config.mask.threshold),
+        }
+    }
+
+    /// Rows that are drawn.
+    fn shown(&self, parameters: &Parameters) -> Vec<bool> {
+        match self.mask_threshold {
+            Some(threshold) => masked_out(&parameters.mask_logits, threshold).iter().map(|hidden| !hidden).collect(),
+            None => vec![true; parameters.num_gaussians()],
+        }
+    }
+
+    /// A `.tcgs` file of timesteps without keypoints, which are slow to choose. It has the Gaussians that at least one of the
+    /// timesteps draws.
+    ///
+    /// - `begin`: the first of the timesteps
+    /// - `timesteps`: at least one; each has the Gaussians of the one before, then those that were born
+    pub fn file(&self, begin: usize, timesteps: &[Parameters]) -> Result<Vec<u8>, PipelineError> {
+        let last = timesteps.len() - 1;
+        let n = timesteps[last].num_gaussians();
+        let mut is_shown = vec![false; n];
+        for parameters in timesteps {
+            let shown = self.shown(parameters);
+            is_shown.iter_mut().zip(shown).for_each(|(is_shown, shown)| *is_shown |= shown);
+        }
+        let keep: Vec<usize> = (0..n).filter(|&i| is_shown[i]).collect();
+        // Who is not born yet waits as it will be.
+        let mut all: Vec<Gaussians> = Vec::with_capacity(timesteps.len());
+        for parameters in timesteps.iter().rev() {
+            let here = parameters.num_gaussians();
+            let whole = match all.last() {
+                Some(later) if here < n => {
+                    let unborn = later.select(&(here..n).collect::<Vec<_>>());
+                    Gaussians::concat(later.layout(), &[parameters.gaussians.clone(), unborn])
+                }
+                _ => parameters.gaussians.clone(),
+            };
+            all.push(whole);
+        }
+        let mut scene = DynamicGaussians::new(all[0].layout().clone());
+        all.into_iter().rev().for_each(|gaussians| scene.push(gaussians.select(&keep)));
+        let birth = |i: usize| timesteps.partition_point(|parameters| parameters.num_gaussians() <= i) as u16;
+        let lives: Vec<[u16; 2]> = keep.iter().map(|&i| [birth(i), last as u16]).collect();
+
+        let info = SceneInfo {
+            name: self.name.clone(),
+            up: self.up,
+            first_frame: (self.first_frame + begin) as u32,
+            frame_rate: self.frame_rate as f32,
+            downscale: self.downscale as u32,
+            ..SceneInfo::of(&scene)
+        };
+        let bits = BitMap::uniform_of(scene.layout(), keep.len(), POSITION_BITS, BITS);
+        let settings = CompressSettings { keypoints: false, ..CompressSettings::default() };
+        let (compact, order) = compress_ordered(&scene, &bits, None, info, &settings)?;
+        let compact = match lives.iter().any(|life| life[0] > 0) {
+            true => compact.with_lives(order.iter().map(|&i| lives[i]).collect()),
+            false => compact,
+        };
+        Ok(CompactFile::of(compact).encode(tcgs_codec::FORMAT_VERSION, &[(VIEWS, &self.views)])?)
+    }
+
+    /// PSNR in a view, dB; in one of a training camera with what that camera's colours differ by.
+    pub fn psnr(&self, parameters: &Parameters, view: &View) -> f64 {
+        let shown = self.shown(parameters);
+        let rows: Vec<usize> = (0..shown.len()).filter(|&i| shown[i]).collect();
+        let drawn = Drawable::new(&parameters.gaussians.select(&rows)).seen_by(&view.camera);
+        let Ok(output) = CpuRasterizer.draw(&drawn, &view.camera, &RenderSettings::default());
+        let mut image = output.0.image;
+        if let Some(camera) = self.camera_ids.iter().position(|&id| id == view.camera_id) {
+            let (gain, offset) = (parameters.camera_gains[camera], parameters.camera_offsets[camera]);
+            for channel in 0..3 {
+                image.plane_mut(channel).iter_mut().for_each(|x| *x = gain[channel].exp() * *x + offset[channel]);
+            }
+        }
+        psnr(&image, &view.image)
+    }
+}

@@ -1,0 +1,102 @@
+//! A look into a training: the scene as it is between two iterations, for whoever asks.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::Trainer;
+use crate::TrainError;
+use crate::gate::Shares;
+use crate::parameters::Parameters;
+
+/// The scene of a training between two iterations.
+#[derive(Clone, Debug)]
+pub struct Glimpsed {
+    /// Counted from the run's first.
+    pub timestep: usize,
+    /// Iterations of the timestep that are computed.
+    pub iterations: usize,
+    /// The whole scene, in stored form.
+    pub parameters: Parameters,
+    /// Time that the copy took from the training, in seconds.
+    pub seconds: f64,
+}
+
+/// Lets other threads ask a training for its scene ([`Trainer::show_to`]). As long as nobody asks nothing is copied, and
+/// whether somebody asks does not change a bit of what is trained.
+#[derive(Debug, Default)]
+pub struct Glimpse {
+    /// Locked by whoever asks: one after another.
+    asking: Mutex<()>,
+    is_wanted: AtomicBool,
+    taken: Mutex<Option<Glimpsed>>,
+    arrived: Condvar,
+}
+
+impl Glimpse {
+    /// The scene after the next iteration; none if no iteration ends within `patience`, as between two timesteps.
+    pub fn ask(&self, patience: Duration) -> Option<Glimpsed> {
+        let _turn = self.asking.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut taken = self.taken();
+        *taken = None;
+        self.is_wanted.store(true, Ordering::Release);
+        let waited = self.arrived.wait_timeout_while(taken, patience, |taken| taken.is_none());
+        let (mut taken, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        self.is_wanted.store(false, Ordering::Release);
+        taken.take()
+    }
+
+    fn is_wanted(&self) -> bool {
+        self.is_wanted.load(Ordering::Acquire)
+    }
+
+    fn give(&self, glimpsed: Glimpsed) {
+        *self.taken() = Some(glimpsed);
+        self.is_wanted.store(false, Ordering::Release);
+        self.arrived.notify_all();
+    }
+
+    fn taken(&self) -> MutexGuard<'_, Option<Glimpsed>> {
+        // What a panic elsewhere leaves is a scene or none.
+        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What the engine's state holds where that is not the whole scene.
+pub(super) struct Part<'a> {
+    /// Of the scene.
+    pub shares: Shares,
+    /// The scene before the timestep, and which of its Gaussians the first rows of the engine's state are; none where the
+    /// state's Gaussians are not part of the scene yet.
+    pub of: Option<(&'a Parameters, &'a [usize])>,
+}
+
+impl Trainer {
+    /// Shows the scene between iterations to whoever asks `glimpse`.
+    pub fn show_to(&mut self, glimpse: Arc<Glimpse>) {
+        self.glimpse = Some(glimpse);
+    }
+
+    /// Gives the scene to whoever asked for it.
+    ///
+    /// - `iterations`: submitted so far in this timestep
+    pub(super) fn give_glimpse(&mut self, part: Option<&Part>, iterations: usize) -> Result<(), TrainError> {
+        let Some(glimpse) = self.glimpse.clone().filter(|glimpse| glimpse.is_wanted()) else { return Ok(()) };
+        // Iterations that are under way would have taken this time anyway.
+        self.engine.wait()?;
+        let begin = Instant::now();
+        let trained = &self.engine.state()?.parameters;
+        let parameters = match part.map(|part| part.of) {
+            None => trained.clone(),
+            Some(Some((whole, rows))) => {
+                let mut parameters = whole.clone();
+                parameters.put(rows, trained);
+                parameters
+            }
+            Some(None) => return Ok(()),
+        };
+        let seconds = begin.elapsed().as_secs_f64();
+        glimpse.give(Glimpsed { timestep: self.timestep, iterations, parameters, seconds });
+        Ok(())
+    }
+}
