@@ -242,7 +242,7 @@ def open_2(data):
     cohorts, pieces = [], []
     for place in places:
         plan = cohorts[place['plan']].plan if place['plan'] < len(cohorts) else None
-        cohort, of_cohort = read_head(data, place, plan, length)
+        cohort, of_cohort = read_head(data, place, plan, length, cohorts)
         pieces += [(cohort.start + t, len(cohorts), i, part) for i, (t, part) in enumerate(of_cohort)]
         cohorts.append(cohort)
     for before, cohort in zip(cohorts, cohorts[1:]):
@@ -292,20 +292,23 @@ def read_cohorts(f, info, end, length):
     f.end()
     return places
 
-def read_head(data, place, plan, length):
+def read_head(data, place, plan, length, known):
     """A cohort, and its pieces: the first timestep at which each is needed, and its first byte and that after its last.
 
     - `plan`: the one that it shares with a cohort before
+    - `known`: any cohort before
     - `length`: of the file
     """
     at = place['offset']
     end = at + place['head_bytes']
     must(zlib.crc32(data[at:end]) == place['head_checksum'], 'cohort', 'checksum', 'the head is damaged')
     f = Fields(data[at:end], 'cohort')
-    has_lives, = f.flags('flags', 1)
+    has_lives, antialiased = f.flags('flags', 2)
+    must(not known or known[0].antialiased == antialiased, 'cohort', 'flags', 'antialiased, unlike another cohort')
     segment_length, layers = f.u(4, 'segment_length'), read_layers(f)
     plan = plan or read_plan_2(f)
     cohort = Cohort(plan, place['start'], place['num_timesteps'], place['num_gaussians'], layers, segment_length, has_lives, 'cohort')
+    cohort.antialiased = antialiased
     in_segments = cohort.names_in_segments()
     segments = range(cohort.num_segments if in_segments else 0)
     count = len(layers) * (1 + len(plan['listed']) + len(segments) * len(in_segments)) + len(segments)
@@ -812,6 +815,7 @@ def cohort_differences(cohort, expected):
     head, shared, plan = cohort.head, cohort.shared, cohort.head.plan
     found = {'start': head.start, 'num_timesteps': head.num_timesteps, 'num_gaussians': head.num_gaussians}
     found |= {'segment_length': head.segment_length, 'layers': [len(layer) for layer in head.layers]}
+    if expected.get('antialiased', False) != getattr(head, 'antialiased', False): yield 'antialiased'
     found['lives'] = [list(life) for life in shared.lives] if head.has_lives else None
     for key in found:
         if key in expected and found[key] != expected[key]: yield f'{key}: {found[key]}, expected {expected[key]}'

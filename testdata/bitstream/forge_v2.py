@@ -308,6 +308,7 @@ def refused():
     yield 'head_checksum', 'format', 'cohort', 'checksum', 'a bit of the head of the second cohort is flipped', damaged(vector(COHORTS), start_of_second + 30)
     yield 'head_empty', 'format', 'cohort', 'flags', 'a head of no bytes', changed(ONE, (cohort(0), 16, 'I', 0))
     yield 'flags', 'format', 'cohort', 'flags', 'a flag of a cohort that is not known', changed(ONE, (head, 0, 'B', 0x80))
+    yield 'mixed_antialiasing', 'format', 'cohort', 'flags', 'the second cohort is antialiased, the first is not', changed(COHORTS, (('head', 1), 0, 'B', 2))
     yield 'segment_length', 'format', 'cohort', 'segment_length', 'segments of no timesteps', changed(ONE, (head, 1, 'I', 0))
     yield 'layers', 'format', 'cohort', 'layers', 'the layer holds more Gaussians than the cohort', changed(ONE, (head, 7, 'I', 2))
     yield 'empty_layer', 'format', 'cohort', 'layers', 'a layer without Gaussians', changed(LAYERS, (head, 7, 'II', 0, 12))

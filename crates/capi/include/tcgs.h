@@ -52,6 +52,9 @@ typedef struct TcgsSceneInfo {
   float frame_rate;
   // Degree of the spherical harmonics, 0 to 3; 0: a colour is the same from everywhere.
   uint32_t sh_degree;
+  // 1 if splats are antialiased: a renderer that widens a splat by a pixel's extent, as 3D Gaussian splatting does, multiplies
+  // its opacity by the root of the quotient of the determinants of its covariance before and after. Else 0.
+  uint32_t antialiased;
   // World axis that points up: 0 unknown, 1 to 6 for x, y, z, -x, -y, -z. Axes are right-handed.
   uint32_t up;
   // Smallest coordinates of all centres at all timesteps, scene units.

@@ -36,6 +36,9 @@ pub struct SceneInfo {
     pub frame_rate: f32,
     /// Degree of the spherical harmonics, 0 to 3; 0: a colour is the same from everywhere.
     pub sh_degree: u32,
+    /// 1 if splats are antialiased: a renderer that widens a splat by a pixel's extent, as 3D Gaussian splatting does, multiplies
+    /// its opacity by the root of the quotient of the determinants of its covariance before and after. Else 0.
+    pub antialiased: u32,
     /// World axis that points up: 0 unknown, 1 to 6 for x, y, z, -x, -y, -z. Axes are right-handed.
     pub up: u32,
     /// Smallest coordinates of all centres at all timesteps, scene units.
@@ -175,6 +178,7 @@ pub unsafe extern "C" fn tcgs_scene_info(scene: *const Scene, info: *mut SceneIn
             max_gaussians: scene.file.num_gaussians() as u32,
             frame_rate: of_file.frame_rate,
             sh_degree: scene.file.layout().sh_degree() as u32,
+            antialiased: u32::from(scene.file.layout().is_antialiased()),
             up: of_file.up as u32,
             bounds_min,
             bounds_max,

@@ -4,6 +4,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
+use tcgs_core::SceneReader;
 use tcgs_pipeline::{Export, TimestepKind};
 
 use crate::error::wrong_input;
@@ -78,6 +79,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let export = Export::new(&scene)?;
     if export.num_gaussians() < scene.num_gaussians() {
         say(&format!("{} of {} Gaussians are not masked out", export.num_gaussians(), scene.num_gaussians()))?;
+    }
+    if scene.layout().is_antialiased() && !matches!(target, Target::Floats) {
+        note(
+            "the scene is antialiased: programs that draw it without show what is small too large, so set them to antialiasing",
+        );
     }
     let length = |path: &Path| std::fs::metadata(path).map_or(0, |written| written.len());
     let bytes = match target {

@@ -137,6 +137,11 @@ fn is_known(info: &FileInfo) -> bool {
     info.contents.is_some() || info.sections.iter().all(|section| section.is_whole && section.checksum_ok.is_none())
 }
 
+/// All cohorts are, or none.
+fn is_antialiased(info: &FileInfo) -> bool {
+    info.cohorts.first().is_some_and(|cohort| cohort.layout.is_antialiased())
+}
+
 fn print_scene(info: &FileInfo) -> anyhow::Result<()> {
     let scene = &info.scene;
     let name = if scene.name.is_empty() { "-" } else { &scene.name };
@@ -150,6 +155,9 @@ fn print_scene(info: &FileInfo) -> anyhow::Result<()> {
         rate => format!("frame rate    {rate} a second"),
     })?;
     say(&format!("downscale     {}", scene.downscale))?;
+    if is_antialiased(info) {
+        say("antialiased   yes")?;
+    }
     say(&format!("up            {}", scene.up.name()))
 }
 
@@ -271,6 +279,7 @@ fn machine_readable(info: &FileInfo) -> Value {
         "num_timesteps": scene.map(|s| s.num_timesteps),
         "first_frame": scene.map(|s| s.first_frame),
         "frame_rate": scene.map(|s| s.frame_rate),
+        "antialiased": scene.map(|_| is_antialiased(info)),
         "bytes": info.bytes,
         "bytes_before": info.bytes_before,
         "bytes_by_attribute": info.bytes_by_attribute().into_iter().collect::<BTreeMap<_, _>>(),

@@ -103,7 +103,8 @@ pub fn describe(scene: &OpenScene) -> String {
         0 => String::new(),
         degree => format!(" with harmonics of degree {degree}"),
     };
-    format!("{path} ({kind}): {number} Gaussians{harmonics}, {num_timesteps} timesteps, {size}")
+    let antialiased = if scene.layout().is_antialiased() { ", antialiased" } else { "" };
+    format!("{path} ({kind}): {number} Gaussians{harmonics}{antialiased}, {num_timesteps} timesteps, {size}")
 }
 
 /// A file given by the user that cannot be read.

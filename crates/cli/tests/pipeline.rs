@@ -13,7 +13,7 @@ use tcgs_interchange::read_params_npz;
 use tempfile::tempdir;
 
 const ATTRIBUTES: [&str; 5] = ["means", "quats", "log_scales", "logit_opacities", "colors"];
-const EVAL: [&str; 17] = [
+const EVAL: [&str; 18] = [
     "scene",
     "protocol",
     "num_gaussians",
@@ -29,6 +29,7 @@ const EVAL: [&str; 17] = [
     "flicker",
     "fps",
     "fps_device",
+    "changed_colors",
     "protocol_metrics",
     "images",
 ];
@@ -145,6 +146,7 @@ fn a_capture_becomes_a_small_file_that_renders() {
             "num_timesteps",
             "first_frame",
             "frame_rate",
+            "antialiased",
             "bytes",
             "bytes_by_attribute",
             "segments",
@@ -353,4 +355,30 @@ fn every_protocol_has_its_names_and_lpips_where_there_are_weights() {
         let header = fs::read_to_string(csv).unwrap().lines().next().unwrap().to_owned();
         assert!(names.iter().all(|name| header.contains(&format!(",{protocol}_{name}"))), "{header}");
     }
+}
+
+/// Antialiasing goes from the settings of a training into the file, and is what the file is drawn with.
+#[test]
+fn an_antialiased_training_gives_an_antialiased_file() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let run = train(&folder, "run", &["--set", "render.antialiased=true", "--frames", "0..2"]);
+    // What is read from the disk goes on as it was.
+    let resumed = ["train", text(capture()), "--out", text(&run), "--resume", "--frames", "0..3"];
+    succeed(&[&resumed[..], &["--iterations", "30,10"], &["--set", "births.enabled=false"]].concat());
+    let (file, result) = (path("scene.tcgs"), path("result.json"));
+    let said = succeed(&["compress", text(&run), "--quality", "4", "--out", text(&file)]);
+    assert!(said.contains("Gaussians, antialiased, "), "{said}");
+    succeed(&["info", text(&file), "--json", text(&result)]);
+    assert_eq!((&json(&result)["antialiased"], &json(&result)["version"]), (&true.into(), &2.into()));
+    let psnr = |scene: &std::path::Path| {
+        let given = ["eval", text(scene), "--capture", text(capture()), "--cameras", "train", "--json", text(&result)];
+        succeed(&[&given[..], &["--force"]].concat());
+        json(&result)["psnr"].as_f64().unwrap()
+    };
+    let (of_run, of_file) = (psnr(&run), psnr(&file));
+    assert!((of_run - of_file).abs() < 0.1, "{of_run} dB of the run, {of_file} dB of the file");
+    // The oldest version does not hold it.
+    let message = fail(2, &["compress", text(&run), "--format", "1", "--out", text(&path("1.tcgs"))]);
+    assert!(message.contains("antialiasing"), "{message}");
 }

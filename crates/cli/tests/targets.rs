@@ -204,6 +204,25 @@ fn refining_comes_closer_to_the_images_and_repeats() {
     assert!(bytes <= most && bytes as f64 > 0.8 * most as f64, "{bytes} of {most}: {said}");
     assert_eq!((&result["refined"]["iterations"], &result["target"]["target_bytes"]), (&100.into(), &most.into()));
 
+    let of_capture = ["--capture", text(capture()), "--cameras", "train", "--refine", "240", "--backend", "cpu"];
+    let wanted = psnr(&refined) - 0.6;
+    let target = format!("{wanted:.3}");
+    let (said, result, small) = compress("as-good", &[&of_capture[..], &["--target-psnr", &target]].concat());
+    let (before, after) = (number(&result["target"]["psnr"]), number(&result["refined"]["psnr"]));
+    assert!((psnr(&small) - after).abs() < 1e-3 && after >= wanted - 1e-3 && after > before, "{said}");
+    assert!(fs::metadata(&small).unwrap().len() < fs::metadata(&refined).unwrap().len(), "{said}");
+    let message = fail(2, &[&["compress", text(&run), "--target-psnr", "90"], &of_capture[..]].concat());
+    assert!(message.contains("--target-psnr 90: the best against"), "{message}");
+
+    // What is tuned is refined.
+    let out = path("tuned.tcgs");
+    let found = path("tuned.json");
+    let tuned = ["compress", text(&run), "--tune", "--out", text(&out), "--json", text(&found)];
+    succeed(&[&tuned[..], &of_capture].concat());
+    let result = json(&found);
+    assert!(number(&result["tuning"]["bytes"]) < number(&result["tuning"]["bytes_before"]), "{result}");
+    assert!(psnr(&out) > number(&result["tuning"]["psnr"]) + 0.2, "{result}");
+
     let message = fail(2, &["compress", text(&run), "--refine", "5x"]);
     assert!(message.contains("expected a time, such as 90s, 5m or 1h, or a number of iterations"), "{message}");
     let params = path("params.npz");

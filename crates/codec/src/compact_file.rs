@@ -82,7 +82,10 @@ impl CompactFile {
     /// The oldest version of the format that holds the scene, though without its declared errors.
     pub fn oldest_version(&self) -> u16 {
         match &self.cohorts[..] {
-            [only] if only.layout.is_base() && only.lives.is_none() && only.start == 0 => 1,
+            [only] => {
+                let is_of_1 = only.layout.is_base() && !only.layout.is_antialiased();
+                if is_of_1 && only.lives.is_none() && only.start == 0 { 1 } else { 2 }
+            }
             _ => 2,
         }
     }

@@ -145,7 +145,7 @@ pub enum CompressError {
     /// The scene has a column that the version of the format does not hold, or Gaussians that come and go.
     #[error(
         "version {version} of the format holds means, quats, log_scales, logit_opacities and colors of Gaussians that \
-         live in all timesteps; found {found}"
+         live in all timesteps and are drawn without antialiasing; found {found}"
     )]
     Unsupported {
         /// Version of the format.

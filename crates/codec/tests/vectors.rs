@@ -54,7 +54,7 @@ fn vectors() -> Vec<(&'static str, CompactScene)> {
 }
 
 /// Every vector of version 2 but those of `forge_v2.py`: its name and what it holds.
-fn vectors_v2() -> [(&'static str, cohort_scenes::File); 10] {
+fn vectors_v2() -> [(&'static str, cohort_scenes::File); 11] {
     [
         ("one_gaussian", cohort_scenes::one_gaussian()),
         ("no_cohorts", cohort_scenes::no_cohorts()),
@@ -66,6 +66,7 @@ fn vectors_v2() -> [(&'static str, cohort_scenes::File); 10] {
         ("layers", cohort_scenes::layers()),
         ("flip_book", cohort_scenes::flip_book()),
         ("still", cohort_scenes::still()),
+        ("antialiased", cohort_scenes::antialiased()),
     ]
 }
 
@@ -150,6 +151,10 @@ fn describe_v2(file: &[u8]) -> Value {
                 "names": cohort.layout.columns().iter().map(|column| &column.name).collect::<Vec<_>>(),
             }),
         );
+        // Said where it is so: the words of older vectors stay.
+        if cohort.layout.is_antialiased() {
+            described["antialiased"] = json!(true);
+        }
         for column in cohort.layout.columns() {
             let activation = Activation::ALL.iter().position(|&known| known == column.activation);
             let more = json!({ "unit": column.unit, "components": column.components(), "activation": activation });

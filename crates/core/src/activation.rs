@@ -21,6 +21,9 @@ pub struct Activated {
     pub colors: Vec<f32>,
     /// Channels of a Gaussian in `colors`.
     pub num_channels: usize,
+    /// Whether a splat's opacity is multiplied by the root of the quotient of its determinants before and after it is widened by
+    /// a pixel's extent, so that small splats do not grow beyond what they cover (Yu et al. 2024, Mip-Splatting, Eq. 10).
+    pub is_antialiased: bool,
 }
 
 impl Activated {
@@ -41,6 +44,7 @@ impl Activated {
             opacities: indices.iter().map(|&i| self.opacities[i]).collect(),
             colors: select_rows(&self.colors, self.num_channels, indices),
             num_channels: self.num_channels,
+            is_antialiased: self.is_antialiased,
         }
     }
 
@@ -127,6 +131,7 @@ pub fn activate(gaussians: &Gaussians) -> Activated {
         opacities: map(gaussians.logit_opacities(), |&o| sigmoid(o)),
         colors: gaussians.values(Attribute::Color).to_vec(),
         num_channels: 3,
+        is_antialiased: gaussians.layout().is_antialiased(),
     }
 }
 

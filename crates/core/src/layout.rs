@@ -80,6 +80,7 @@ pub struct Column {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Layout {
     columns: Vec<Column>,
+    is_antialiased: bool,
 }
 
 impl Column {
@@ -109,7 +110,7 @@ impl Column {
 impl Default for Layout {
     /// The five columns of [`Attribute::BASE`].
     fn default() -> Self {
-        Self { columns: Attribute::BASE.map(Column::like).into() }
+        Self { columns: Attribute::BASE.map(Column::like).into(), is_antialiased: false }
     }
 }
 
@@ -180,6 +181,27 @@ impl Layout {
         let attribute = Attribute::Extra { place, components };
         self.columns.push(Column { attribute, name: name.into(), ..column });
         attribute
+    }
+
+    /// The same columns, of Gaussians that are drawn with antialiasing or without ([`Self::is_antialiased`]).
+    ///
+    /// ```
+    /// use tcgs_core::Layout;
+    /// let layout = Layout::base().antialiased(true);
+    /// assert!(layout.is_antialiased() && layout.is_base() && !layout.antialiased(false).is_antialiased());
+    /// ```
+    #[must_use]
+    pub fn antialiased(self: &Arc<Self>, is_antialiased: bool) -> Arc<Self> {
+        if self.is_antialiased == is_antialiased {
+            return Arc::clone(self);
+        }
+        Arc::new(Self { is_antialiased, ..Self::clone(self) })
+    }
+
+    /// Whether a splat that is widened by a pixel's extent gives up as much opacity, so that it covers as much as before, at any
+    /// resolution ([`Activated::is_antialiased`](crate::Activated)). Gaussians are to be drawn as they were trained.
+    pub fn is_antialiased(&self) -> bool {
+        self.is_antialiased
     }
 
     /// All columns, in storage order.
@@ -256,7 +278,7 @@ impl Layout {
 
     /// Whether there is no column but those of [`Attribute::BASE`].
     pub fn is_base(&self) -> bool {
-        *self == *Self::base()
+        self.further().is_none()
     }
 }
 

@@ -50,6 +50,7 @@ impl Decoder {
             ("maxGaussians", (file.num_gaussians() as u32).into()),
             ("frameRate", info.frame_rate.into()),
             ("shDegree", (file.layout().sh_degree() as u32).into()),
+            ("antialiased", file.layout().is_antialiased().into()),
             ("up", Float32Array::from(&info.up.direction().map(|x| x as f32)[..]).into()),
             ("boundsMin", Float32Array::from(&bounds[0][..]).into()),
             ("boundsMax", Float32Array::from(&bounds[1][..]).into()),

@@ -24,6 +24,11 @@ pub struct Moment {
 }
 
 impl Moment {
+    /// Whether the scene is drawn with antialiasing ([`Layout::is_antialiased`]).
+    pub fn is_antialiased(&self) -> bool {
+        self.segments.first().is_some_and(|segment| segment.layout().is_antialiased())
+    }
+
     /// The Gaussians that live at the timestep, as floats in stored form; with the columns of the first cohort.
     pub fn gaussians(&self) -> Gaussians {
         let of_segment = |segment: &Arc<Segment>| {

@@ -187,7 +187,7 @@ impl SegmentRenderer {
         let Some(renderer) = &mut self.renderer else { return Ok(()) };
         let mut settings = RenderSettings::default();
         settings.background[..3].copy_from_slice(&request.background);
-        renderer.set_view(request.camera, &settings);
+        renderer.set_view(request.camera, &settings, request.moment.is_antialiased());
         self.gpu.queue().write_buffer(&renderer.buffers().status, 0, &[0; 16]);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         self.reconstruction.record(&mut pass);

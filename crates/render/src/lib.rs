@@ -21,7 +21,7 @@ mod weights;
 
 #[cfg(feature = "cpu")]
 pub use cpu::{CpuRasterizer, CpuSaved, CpuTiles, gaussians_reaching, tiles_reached};
-pub use project::{Projection, SplatCamera, project, project_vjp};
+pub use project::{Projection, SplatCamera, kept_opacity_vjp, project, project_vjp};
 pub use rasterizer::{Draw, DrawAny, Rasterizer, RenderGrads, RenderOutput, draw_any};
 pub use settings::RenderSettings;
 pub use stage_times::{Laps, PairCounts, RENDER_STAGES, StageTimes};

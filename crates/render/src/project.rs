@@ -39,6 +39,18 @@ pub struct Projection<R> {
     pub conic: [R; 3],
     /// Camera z, scene units.
     pub depth: R,
+    /// Determinant of the covariance without the pixel's blur, px⁴.
+    pub sharp_determinant: R,
+}
+
+impl<R: Real> Projection<R> {
+    /// Share of its opacity that an antialiased splat keeps: the root of the quotient of the determinants of its covariance
+    /// before and after the blur, 0 to 1. Yu et al. 2024 (Mip-Splatting), Eq. 10.
+    #[inline(always)]
+    pub fn kept_opacity(&self) -> R {
+        let [xx, xy, yy] = self.covariance2d;
+        (self.sharp_determinant / (xx * yy - xy * xy)).min(R::one()).sqrt()
+    }
 }
 
 /// What forward and backward share: camera-space centre, Jacobian, and the factors of the covariance.
@@ -104,7 +116,26 @@ pub fn project<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], camera: &Spla
     let conic = invert_symmetric(covariance2d)?;
     let mean2d =
         [pinhole.focal[0] * x / depth + pinhole.principal[0], pinhole.focal[1] * y / depth + pinhole.principal[1]];
-    (mean2d[0].is_finite() && mean2d[1].is_finite()).then_some(Projection { mean2d, covariance2d, conic, depth })
+    // |U × V|² is the determinant of UUᵀ without the difference of two large numbers.
+    let normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    let sharp_determinant = dot(normal, normal);
+    let is_finite = mean2d[0].is_finite() && mean2d[1].is_finite();
+    is_finite.then_some(Projection { mean2d, covariance2d, conic, depth, sharp_determinant })
+}
+
+/// VJP of [`Projection::kept_opacity`]: gradient to `conic` (its `xy` counted once); zero where nothing is kept.
+///
+/// With `B` the blur's variance and `C` the conic, `|Σ| / |Σ + B|` is `1 − B tr C + B² |C|`.
+///
+/// - `kept`: the share that is kept
+#[inline(always)]
+pub fn kept_opacity_vjp<R: Real>([xx, xy, yy]: [R; 3], kept: R, v_kept: R) -> [R; 3] {
+    if kept <= R::zero() {
+        return [R::zero(); 3];
+    }
+    let blur = R::of(BLUR_VARIANCE);
+    let v = v_kept / (R::of(2.0) * kept) * blur;
+    [v * (blur * yy - R::one()), -R::of(2.0) * v * blur * xy, v * (blur * xx - R::one())]
 }
 
 /// VJP of [`project`] for a Gaussian that was not culled; zero for one that was.
@@ -203,6 +234,34 @@ mod tests {
         assert!(project([0.3, -0.4, -2.85], quat, [0.1; 3], &splat_camera()).is_none());
         assert!(project([f64::NAN, 0.0, 0.0], quat, [0.1; 3], &splat_camera()).is_none());
         assert!(project([0.0; 3], quat, [f64::INFINITY; 3], &splat_camera()).is_none());
+    }
+
+    #[test]
+    fn a_splat_keeps_the_quotient_of_its_determinants() {
+        let quat = tcgs_core::normalize([0.8, 0.3, -0.4, 0.2]);
+        for scale in [[0.2, 0.05, 0.4], [0.01, 0.02, 0.005], [1e-4, 0.3, 0.2]] {
+            let splat = project([0.2, 0.1, 0.5], quat, scale, &splat_camera()).unwrap();
+            let [xx, xy, yy] = splat.covariance2d;
+            let determinant = |blur: f64| (xx - blur) * (yy - blur) - xy * xy;
+            let kept = splat.kept_opacity();
+            let expected = (determinant(BLUR_VARIANCE) / determinant(0.0)).sqrt();
+            assert!((kept - expected).abs() < 1e-9, "{kept} against {expected}");
+            let found = kept_opacity_vjp(splat.conic, kept, 0.7);
+            for i in 0..3 {
+                let at = |h: f64| {
+                    let mut conic = splat.conic;
+                    conic[i] += h;
+                    let determinant = conic[0] * conic[2] - conic[1] * conic[1];
+                    let kept = 1.0 - BLUR_VARIANCE * (conic[0] + conic[2]) + BLUR_VARIANCE.powi(2) * determinant;
+                    0.7 * kept.sqrt()
+                };
+                let difference = (at(1e-7) - at(-1e-7)) / 2e-7;
+                assert!((difference - found[i]).abs() < 1e-5 * difference.abs().max(1.0), "{difference} {found:?}");
+            }
+        }
+        // Nothing is left of what has no extent.
+        let flat = project([0.2, 0.1, 0.5], quat, [0.0; 3], &splat_camera()).unwrap();
+        assert_eq!((flat.kept_opacity(), kept_opacity_vjp(flat.conic, 0.0, 1.0)), (0.0, [0.0; 3]));
     }
 
     #[test]

@@ -32,6 +32,7 @@ pub fn weights_step(camera: &Camera) -> usize {
 ///     opacities: vec![0.9; 2],
 ///     colors: vec![0.0; 6],
 ///     num_channels: 3,
+///     is_antialiased: false,
 /// };
 /// let ones = Image::filled(64, 48, 1, 1.0);
 /// let Ok(weights) = blending_weights(&CpuRasterizer, &two, &camera, &ones);

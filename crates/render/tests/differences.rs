@@ -4,7 +4,7 @@ mod support;
 
 use support::oracle::{self, Scene};
 use support::{random_scene, test_camera};
-use tcgs_core::Image;
+use tcgs_core::{Activated, Image};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 
 fn background() -> RenderSettings {
@@ -24,7 +24,8 @@ fn v_image(width: usize, height: usize, channels: usize) -> Image {
 fn forward_equals_the_oracle_for_every_number_of_channels() {
     let camera = test_camera(37, 29);
     for channels in 1..=8 {
-        let gaussians = random_scene(60, channels, channels as u64);
+        let is_antialiased = channels % 2 == 0;
+        let gaussians = Activated { is_antialiased, ..random_scene(60, channels, channels as u64) };
         let (output, _) = CpuRasterizer.forward(&gaussians, &camera, &background()).unwrap();
         let expected = oracle::render(&Scene::new(&gaussians), &camera, &background().background);
         let off = output.image.data.iter().zip(&expected.image).filter(|(a, b)| (f64::from(**a) - **b).abs() > 2e-5);
@@ -35,14 +36,27 @@ fn forward_equals_the_oracle_for_every_number_of_channels() {
 
 #[test]
 fn backward_equals_central_differences_of_the_oracle() {
+    compare_with_differences(&random_scene(30, 5, 77), 50);
+}
+
+#[test]
+fn backward_of_antialiased_splats_equals_central_differences_of_the_oracle() {
+    let mut gaussians = Activated { is_antialiased: true, ..random_scene(30, 5, 78) };
+    // Of a pixel's extent, and far below in one direction.
+    gaussians.scales.iter_mut().for_each(|scale| *scale = scale.map(|s| 0.2 * s));
+    gaussians.scales[3][0] = 0.002;
+    compare_with_differences(&gaussians, 20);
+}
+
+/// - `most_skipped`: one of so many samples may cross a cut-off
+fn compare_with_differences(gaussians: &Activated, most_skipped: usize) {
     let camera = test_camera(37, 29);
-    let channels = 5;
+    let channels = gaussians.num_channels;
     let settings = background();
-    let gaussians = random_scene(30, channels, 77);
-    let (_, saved) = CpuRasterizer.forward(&gaussians, &camera, &settings).unwrap();
+    let (_, saved) = CpuRasterizer.forward(gaussians, &camera, &settings).unwrap();
     let v = v_image(37, 29, channels);
-    let grads = CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v).unwrap();
-    let scene = Scene::new(&gaussians);
+    let grads = CpuRasterizer.backward(gaussians, &camera, &settings, &saved, &v).unwrap();
+    let scene = Scene::new(gaussians);
 
     let g = &grads.activated;
     let found = |i: usize, component: usize| match component {
@@ -76,7 +90,7 @@ fn backward_equals_central_differences_of_the_oracle() {
             group.1 += difference.powi(2);
         }
     }
-    assert!(skipped * 50 <= total, "{skipped} of {total} samples crossed a cut-off");
+    assert!(skipped * most_skipped <= total, "{skipped} of {total} samples crossed a cut-off");
     for (component, (error, norm)) in groups.iter().enumerate() {
         let relative = (error / norm).sqrt();
         assert!(relative < 2e-4, "component {component}: relative L2 {relative:.1e}");

@@ -42,6 +42,7 @@ fn more_pairs_than_32_bits_count_are_too_many() {
         opacities: vec![0.5; 65_540],
         colors: vec![0.5; 65_540],
         num_channels: 1,
+        is_antialiased: false,
     };
     let error = GpuRasterizer::new(&gpu).forward(&scene, &wide(32_767), &RenderSettings::default()).unwrap_err();
     assert!(matches!(error, GpuError::Memory { .. } | GpuError::Unfit { .. }), "{error:?}");

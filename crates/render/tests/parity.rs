@@ -66,6 +66,9 @@ fn random_scenes() {
     for (n, channels, width, height) in [(1, 1, 16, 16), (40, 3, 50, 37), (700, 5, 97, 61), (3000, 8, 64, 48)] {
         let scene = random_scene(n, channels, n as u64);
         compare(&format!("{n} x {channels}"), &rasterizer, &scene, &test_camera(width, height));
+        // Another scene: in this one a pixel of the last size ends at a cut-off.
+        let antialiased = Activated { is_antialiased: true, ..random_scene(n, channels, n as u64 + 1) };
+        compare(&format!("{n} x {channels}, antialiased"), &rasterizer, &antialiased, &test_camera(width, height));
     }
 }
 
@@ -80,6 +83,8 @@ fn small_splats_near_and_beside_the_camera() {
         scene.opacities[i] = if i % 7 == 0 { 0.003 } else { random.range(0.004, 1.0) };
     }
     compare("needles", &GpuRasterizer::new(&gpu), &scene, &test_camera(160, 90));
+    scene.is_antialiased = true;
+    compare("antialiased needles", &GpuRasterizer::new(&gpu), &scene, &test_camera(160, 90));
 }
 
 #[test]

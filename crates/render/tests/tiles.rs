@@ -64,6 +64,7 @@ fn no_gaussian_changes_a_tile_that_it_does_not_reach() {
             opacities: vec![scene.opacities[i]],
             colors: vec![1.0],
             num_channels: 1,
+            is_antialiased: false,
         };
         let is_outside = outside(&tiles_reached(&alone, &camera));
         let Ok((output, _)) = CpuRasterizer.forward(&alone, &camera, &settings);

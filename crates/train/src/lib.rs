@@ -33,7 +33,7 @@ pub use adam::{Moments, adam};
 pub use checkpoint::Checkpoint;
 pub use config::{
     BirthConfig, BitMapKind, ColorConfig, ConfigError, DataConfig, DensifyConfig, GateConfig, MaskConfig, Preset,
-    QuantizeConfig, REFERENCE_ITERATIONS, RateConfig, ScheduleConfig, TrainConfig,
+    QuantizeConfig, REFERENCE_ITERATIONS, RateConfig, RenderConfig, ScheduleConfig, TrainConfig,
 };
 pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
 pub use error::TrainError;
@@ -51,4 +51,4 @@ pub use run::{Run, TrainedScene, with_unborn};
 pub use schedule::{Phase, Rates, Schedule};
 pub use sensitivity::sensitivity;
 pub use state::{GradientStatistic, Optimizer, State};
-pub use trainer::{Progress, Trainer};
+pub use trainer::{Glimpse, Glimpsed, Progress, Trainer};

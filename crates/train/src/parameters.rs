@@ -74,6 +74,15 @@ impl Parameters {
         self.foreground.extend_from_slice(&others.foreground);
     }
 
+    /// Overwrites the Gaussians at `indices` by the first ones of `others`, in that order; cameras stay as they are.
+    pub(crate) fn put(&mut self, indices: &[usize], others: &Self) {
+        for column in Arc::clone(self.gaussians.layout()).columns() {
+            let (a, components) = (column.attribute, column.components());
+            scatter(indices, others.gaussians.values(a), self.gaussians.values_mut(a), components);
+        }
+        scatter(indices, &others.mask_logits, &mut self.mask_logits, 1);
+    }
+
     /// The Gaussians at `indices`, in that order, repeated where an index is; cameras as they are.
     pub fn select(&self, indices: &[usize]) -> Self {
         Self {
@@ -83,6 +92,16 @@ impl Parameters {
             camera_gains: self.camera_gains.clone(),
             camera_offsets: self.camera_offsets.clone(),
         }
+    }
+}
+
+/// Copies the first rows of one flat array to places of another.
+///
+/// - `indices`: row of `to` for each of the first rows of `from`
+/// - `components`: numbers of a row
+pub(crate) fn scatter(indices: &[usize], from: &[f32], to: &mut [f32], components: usize) {
+    for (row, &i) in indices.iter().enumerate() {
+        to[i * components..][..components].copy_from_slice(&from[row * components..][..components]);
     }
 }
 

@@ -7,6 +7,9 @@
 mod support;
 
 use std::ops::{ControlFlow, Range};
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -14,7 +17,7 @@ use tcgs_core::{BaseColumns, Camera, Gaussians, View, activate};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::{Parameters, Preset, State, TrainConfig, Trainer};
+use tcgs_train::{Glimpse, Glimpsed, Parameters, Preset, State, TrainConfig, Trainer};
 
 const WALL: [usize; 2] = [24, 16];
 /// The object's Gaussians come after the wall's.
@@ -99,6 +102,7 @@ tests_on!(
     a_lamp_wakes_all_that_it_lights,
     what_an_occluder_uncovers_wakes_though_nothing_moves_there_any_more,
     a_resumed_gate_goes_on_as_if_it_had_never_stopped,
+    a_glimpse_shows_the_whole_scene_and_changes_nothing,
 );
 // The occluder takes two minutes on a software GPU, and what wakes is not the engine's to say.
 #[cfg(feature = "gpu")]
@@ -108,6 +112,7 @@ tests_on!(
     a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on,
     a_lamp_wakes_all_that_it_lights,
     a_resumed_gate_goes_on_as_if_it_had_never_stopped,
+    a_glimpse_shows_the_whole_scene_and_changes_nothing,
 );
 
 fn on_cpu(scenario: &dyn Fn(Make<'_>)) {
@@ -272,4 +277,51 @@ fn a_resumed_gate_goes_on_as_if_it_had_never_stopped(make: Make<'_>) {
     assert!(!resumed.needs_recall());
     fit(&mut resumed, &shots[3]);
     assert_eq!(resumed.checkpoint().unwrap(), whole);
+}
+
+fn a_glimpse_shows_the_whole_scene_and_changes_nothing(make: Make<'_>) {
+    let sigma = 1.0 / 255.0;
+    let shots: Vec<Vec<View>> = (1..3_u8)
+        .map(|t| views(&scene([CENTER[0] + 0.05 * f32::from(t), CENTER[1], CENTER[2]]), u64::from(t), sigma))
+        .collect();
+    let alone = {
+        let mut trainer = trainer(make, &scene(CENTER), &scene(CENTER), sigma);
+        for shot in &shots {
+            fit(&mut trainer, shot);
+        }
+        trainer.checkpoint().unwrap()
+    };
+    let mut trainer = trainer(make, &scene(CENTER), &scene(CENTER), sigma);
+    let glimpse = Arc::new(Glimpse::default());
+    trainer.show_to(Arc::clone(&glimpse));
+    assert!(glimpse.ask(Duration::from_millis(1)).is_none(), "between two timesteps");
+    for (t, shot) in shots.iter().enumerate() {
+        let before = now(&mut trainer);
+        let (mut iterations, mut asking) = (0, Vec::<thread::JoinHandle<Option<Glimpsed>>>::new());
+        let mut observe = |_: &tcgs_train::Progress| {
+            iterations += 1;
+            if iterations % 20 == 5 && asking.last().is_none_or(thread::JoinHandle::is_finished) {
+                let glimpse = Arc::clone(&glimpse);
+                asking.push(thread::spawn(move || glimpse.ask(Duration::from_secs(10))));
+                // Until it has asked, most likely.
+                thread::sleep(Duration::from_millis(50));
+            }
+            ControlFlow::Continue(())
+        };
+        trainer.fit(shot, &mut observe).unwrap();
+        let seen: Vec<Glimpsed> = asking.into_iter().filter_map(|asking| asking.join().unwrap()).collect();
+        let after = now(&mut trainer);
+        let moved = changed(&before, &after);
+        assert!(!moved.is_empty() && !seen.is_empty(), "timestep {t}: {iterations} iterations");
+        for glimpsed in seen {
+            assert_eq!(glimpsed.timestep, t + 1);
+            assert!((1..=iterations).contains(&glimpsed.iterations), "{} of {iterations}", glimpsed.iterations);
+            let gaussians = &glimpsed.parameters.gaussians;
+            assert_eq!(gaussians.num_gaussians(), before.num_gaussians());
+            // What is locked is as before, and what moves is on its way.
+            let on_their_way = changed(&before, gaussians);
+            assert!(!on_their_way.is_empty() && on_their_way.iter().all(|i| moved.contains(i)), "timestep {t}");
+        }
+    }
+    assert!(trainer.checkpoint().unwrap() == alone, "asking changed what is trained");
 }

@@ -193,6 +193,7 @@ fn sensitivities_equal_the_reference() {
         opacities: scene.get("opacities"),
         colors: scene.get("colors"),
         num_channels: 3,
+        is_antialiased: false,
     };
     // The vectors are with respect to activated values, so the stored-form function is followed here
     // step by step.

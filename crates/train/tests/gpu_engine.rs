@@ -126,8 +126,18 @@ fn a_training_follows_that_on_the_cpu() {
 
 #[test]
 fn a_training_with_the_gate_follows_that_on_the_cpu() {
-    let Some(gpu) = gpu() else { return };
+    follows_with_the_gate(config(120, 40));
+}
+
+#[test]
+fn an_antialiased_training_with_the_gate_follows_that_on_the_cpu() {
     let mut config = config(120, 40);
+    config.render.antialiased = true;
+    follows_with_the_gate(config);
+}
+
+fn follows_with_the_gate(mut config: TrainConfig) {
+    let Some(gpu) = gpu() else { return };
     config.gate.enabled = true;
     // Gaussians that density control adds fall to either side of its thresholds.
     config.densify.start = 1000;

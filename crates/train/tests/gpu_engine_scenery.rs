@@ -181,6 +181,7 @@ fn joined(a: &Activated, b: &Activated) -> Activated {
         opacities: [&a.opacities[..], &b.opacities].concat(),
         colors: [&a.colors[..], &b.colors].concat(),
         num_channels: a.num_channels,
+        is_antialiased: a.is_antialiased,
     }
 }
 

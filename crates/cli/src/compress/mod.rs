@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
-use tcgs_codec::{FORMAT_VERSION, UpAxis};
+use tcgs_codec::{CompactFile, CompressSettings, FORMAT_VERSION, UpAxis};
 use tcgs_pipeline::{
     CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, OpenScene, PrunedScene, RefineBudget,
     RefineOptions, Refined, Target, capture_kind_of, position_step_remark, refine, refine_within, search,
@@ -44,6 +44,7 @@ Example:
   tcgs compress my_run --target-bytes 2MB --capture my_capture
   tcgs compress my_run --tune --capture my_capture
   tcgs compress my_run --quality -1 --refine 5m
+  tcgs compress my_run --target-psnr 30 --refine 5m --capture my_capture
   tcgs compress params.npz --capture my_capture --bits 4,8 --out small.tcgs
   tcgs compress my_plys --frame-rate 24 --out scene.tcgs
   tcgs compress my_plys --max-error mean=0.001,rotation=0.01,color=0.02
@@ -133,9 +134,10 @@ pub struct Arguments {
     frames: Option<Frames>,
     /// Train what the file stores on the training images of --capture, or of the run's capture, for a time (90s, 5m, 1h) or a
     /// number of iterations: more PSNR in about as many bytes. A number of iterations gives the same file whenever it is
-    /// repeated; a time is turned into one, which is printed. With --target-bytes the refined file keeps the target
+    /// repeated; a time is turned into one, which is printed. With a target the refined file meets it, which may take up to
+    /// four refinements; with --tune the settings are fitted before
     #[arg(long, value_name = "BUDGET", value_parser = options::refine_budget)]
-    #[arg(conflicts_with_all = ["target_psnr", "max_error", "tune"])]
+    #[arg(conflicts_with = "max_error")]
     refine: Option<RefineBudget>,
     /// Axis of the scene that points up, for players: x, y, z, -x, -y or -z [default: the one along
     /// which the capture's cameras stand upright, without a capture unknown]
@@ -210,9 +212,8 @@ fn share(text: &str) -> Result<f32, String> {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     interrupt::catch()?;
-    let target = arguments.target_bytes.map(Target::Bytes).or(arguments.target_psnr.map(Target::Psnr));
     let is_searched =
-        target.is_some() || arguments.quality.is_some() || arguments.max_error.is_some() || arguments.tune;
+        arguments.target().is_some() || arguments.quality.is_some() || arguments.max_error.is_some() || arguments.tune;
     if arguments.preset == PresetName::Paper && is_searched {
         let problem = "has its own settings, expected --preset default with --quality, --target-bytes, --target-psnr, --max-error or --tune";
         return Err(wrong_input(format!("--preset paper: {problem}")));
@@ -235,59 +236,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     say(&describe(&scene))?;
 
     let options = options(arguments, &scene)?;
-    let refining = arguments.refine.map(|budget| refine_options(arguments, &scene, budget)).transpose()?;
+    if arguments.refine.is_some() {
+        capture_to_refine_on(arguments, &scene)?;
+    }
     let pruned = PrunedScene::new(&scene, &options)?;
     say(&pruned.bits_from)?;
-    let (compressed, results) = match (target, &arguments.max_error, refining) {
-        _ if arguments.tune => {
-            let judge = judge(arguments, &scene)?;
-            say(&format!("measuring against {}", judge.of))?;
-            say("setting                       size       PSNR    saved")?;
-            let found = Teller::default().watch(|teller| tune(&pruned, &options.keypoints, target, &judge, teller))?;
-            let (text, of_tuning) = target::describe_tuning(&found, target, &judge);
-            let result = Found { text, name: "tuning", value: of_tuning };
-            (pruned.account(&options, found.found.compact, found.found.file)?, vec![result])
-        }
-        (None, None, Some(refining)) => {
-            let backend = arguments.backend.open(BackendName::Auto)?;
-            let refined = Teller::default()
-                .watch(|teller| refine(&scene, &pruned, &options.keypoints, &refining, &backend, teller))?;
-            let result = describe_refining(&refined);
-            (pruned.account(&options, refined.compact, refined.file)?, vec![result])
-        }
-        (None, None, None) => {
-            let (compact, file) = pruned.compress(&options.keypoints)?;
-            (pruned.account(&options, compact, file)?, Vec::new())
-        }
-        (None, Some(Bounds(bounds)), _) => {
-            say("       size  largest errors")?;
-            let found = Teller::default().watch(|teller| search_errors(&pruned, &options.keypoints, bounds, teller))?;
-            let result = describe_search(bounds, &found.trials);
-            (pruned.account(&options, found.compact, found.file)?, vec![result])
-        }
-        (Some(Target::Bytes(bytes)), _, Some(refining)) => {
-            let judge = judge(arguments, &scene)?;
-            let backend = arguments.backend.open(BackendName::Auto)?;
-            say("quality         size      PSNR")?;
-            let (found, refined) = Teller::default().watch(|teller| {
-                refine_within(&scene, &pruned, &options.keypoints, bytes, &judge, &refining, &backend, teller)
-            })?;
-            let (text, value) = target::describe(&found, Target::Bytes(bytes), &judge);
-            let before = Found { text: format!("before refining: {text}"), name: "target", value };
-            let results = vec![before, describe_refining(&refined)];
-            (pruned.account(&options, refined.compact, refined.file)?, results)
-        }
-        (Some(target), _, _) => {
-            let judge = judge(arguments, &scene)?;
-            say(&format!("measuring against {}", judge.of))?;
-            say("quality         size      PSNR")?;
-            let found =
-                Teller::default().watch(|teller| search(&pruned, &options.keypoints, target, &judge, teller))?;
-            let (text, of_target) = target::describe(&found, target, &judge);
-            let result = Found { text, name: "target", value: of_target };
-            (pruned.account(&options, found.compact, found.file)?, vec![result])
-        }
-    };
+    let (compact, file, results) = compress(arguments, &scene, &pruned, &options.keypoints)?;
+    let compressed = pruned.account(&options, compact, file)?;
     if let Some((step, radius)) = position_step_remark(&scene, &compressed.compact)? {
         say(&format!(
             "positions are rounded to {step:.2e}, and most of the scene lies within {radius:.2e} of its middle: \
@@ -297,6 +252,77 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     interrupt::check()?;
     write_file(&out, &compressed.file, arguments.job.force)?;
     report(arguments, &compressed, results, &out)
+}
+
+impl Arguments {
+    fn target(&self) -> Option<Target> {
+        self.target_bytes.map(Target::Bytes).or(self.target_psnr.map(Target::Psnr))
+    }
+}
+
+/// Compresses as the command line asks: fits the settings to the scene, then meets a target, bounds errors or refines.
+///
+/// - `settings`: to start from
+/// - returns: the scene as symbols, the file, and what was found on the way
+fn compress(
+    arguments: &Arguments,
+    scene: &OpenScene,
+    pruned: &PrunedScene<'_>,
+    settings: &CompressSettings,
+) -> anyhow::Result<(CompactFile, Vec<u8>, Vec<Found>)> {
+    let target = arguments.target();
+    let judge = (target.is_some() || arguments.tune).then(|| judge(arguments, scene)).transpose()?;
+    if let Some(judge) = &judge {
+        say(&format!("measuring against {}", judge.of))?;
+    }
+    let (mut settings, mut results) = (settings.clone(), Vec::new());
+    if let Some(judge) = judge.as_ref().filter(|_| arguments.tune) {
+        say("setting                       size       PSNR    saved")?;
+        let tuned = Teller::default().watch(|teller| tune(pruned, &settings, target, judge, teller))?;
+        let (text, value) = target::describe_tuning(&tuned, target, judge);
+        results.push(Found { text, name: "tuning", value });
+        if arguments.refine.is_none() {
+            return Ok((tuned.found.compact, tuned.found.file, results));
+        }
+        settings = tuned.found.settings;
+    }
+    if let Some(Bounds(bounds)) = &arguments.max_error {
+        say("       size  largest errors")?;
+        let found = Teller::default().watch(|teller| search_errors(pruned, &settings, bounds, teller))?;
+        results.push(describe_search(bounds, &found.trials));
+        return Ok((found.compact, found.file, results));
+    }
+    let refining = arguments.refine.map(|budget| refine_options(arguments, scene, budget)).transpose()?;
+    Ok(match (target.zip(judge), refining) {
+        (None, None) => {
+            let (compact, file) = pruned.compress(&settings)?;
+            (compact, file, results)
+        }
+        (None, Some(refining)) => {
+            let backend = arguments.backend.open(BackendName::Auto)?;
+            let refined =
+                Teller::default().watch(|teller| refine(scene, pruned, &settings, &refining, &backend, teller))?;
+            results.push(describe_refining(&refined, None));
+            (refined.compact, refined.file, results)
+        }
+        (Some((target, judge)), None) => {
+            say("quality         size      PSNR")?;
+            let found = Teller::default().watch(|teller| search(pruned, &settings, target, &judge, teller))?;
+            let (text, value) = target::describe(&found, target, &judge);
+            results.push(Found { text, name: "target", value });
+            (found.compact, found.file, results)
+        }
+        (Some((target, judge)), Some(refining)) => {
+            let backend = arguments.backend.open(BackendName::Auto)?;
+            say("quality         size      PSNR")?;
+            let found = Teller::default()
+                .watch(|teller| refine_within(scene, pruned, &settings, target, &judge, &refining, &backend, teller))?;
+            let (text, value) = target::describe(&found.before, target, &judge);
+            results.push(Found { text: format!("before refining: {text}"), name: "target", value });
+            results.push(describe_refining(&found.refined, Some(found.psnr)));
+            (found.refined.compact, found.refined.file, results)
+        }
+    })
 }
 
 /// What a search found, in words and for machines.
@@ -316,22 +342,33 @@ fn describe_search(bounds: &[(String, f64)], trials: &[ErrorTrial]) -> Found {
     Found { text: format!("within the bounds; {} settings tried", trials.len()), name: "max_error", value }
 }
 
-fn describe_refining(refined: &Refined) -> Found {
+/// - `psnr`: afterwards, dB, where it was measured
+fn describe_refining(refined: &Refined, psnr: Option<f64>) -> Found {
     let [before, after] = refined.losses;
     let iterations = refined.iterations;
+    let measured =
+        psnr.map_or(String::new(), |psnr| format!(", {}, {psnr:.2} dB", show_bytes(refined.file.len() as u64)));
     let text = format!(
-        "refined in {iterations} iterations, which --refine {iterations} repeats: loss {before:.4} at first, {after:.4} at last"
+        "refined in {iterations} iterations, which --refine {iterations} repeats{measured}: loss {before:.4} at first, \
+         {after:.4} at last"
     );
-    let value = json!({ "iterations": iterations, "loss_before": before, "loss_after": after });
+    let mut value = json!({ "iterations": iterations, "loss_before": before, "loss_after": after });
+    if let Some(psnr) = psnr {
+        value["psnr"] = json!(psnr);
+    }
     Found { text, name: "refined", value }
 }
 
-fn refine_options(arguments: &Arguments, scene: &OpenScene, budget: RefineBudget) -> anyhow::Result<RefineOptions> {
+fn capture_to_refine_on(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<PathBuf> {
     let of_run = || scene.run().map(|run| PathBuf::from(&run.config().data.capture));
-    let Some(capture) = arguments.capture.clone().or_else(of_run) else {
+    arguments.capture.clone().or_else(of_run).ok_or_else(|| {
         let problem = "has no capture of its own, expected --capture with the images to refine on";
-        return Err(wrong_input(format!("{}: {problem}", scene.path.display())));
-    };
+        wrong_input(format!("{}: {problem}", scene.path.display()))
+    })
+}
+
+fn refine_options(arguments: &Arguments, scene: &OpenScene, budget: RefineBudget) -> anyhow::Result<RefineOptions> {
+    let capture = capture_to_refine_on(arguments, scene)?;
     Ok(RefineOptions { capture, budget, config: RefineConfig::default() })
 }
 

@@ -45,7 +45,8 @@ pub struct Arguments {
     /// Average images over N x N pixels [default: as the scene was trained]
     #[arg(long, value_name = "N", value_parser = options::positive)]
     downscale: Option<usize>,
-    /// Also measure as publications do that evaluate this way, under their names
+    /// Also measure as publications do that evaluate this way, under their names; colours are then those that were recorded,
+    /// without the gains of capture.toml
     #[arg(long)]
     protocol: Option<ProtocolName>,
     /// Weights of LPIPS, as scripts/fetch_lpips_weights.py makes them [default: the file that TCGS_LPIPS_WEIGHTS names;

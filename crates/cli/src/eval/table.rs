@@ -42,6 +42,9 @@ pub fn text(evaluation: &Evaluation, has_weights: bool) -> String {
         Some(flicker) => write!(table, "\nflicker {flicker:.5}: mean error of changes where the scene stands still"),
         None => write!(table, "\nflicker: not measured, expected two frames of a camera with parts that stand still"),
     };
+    if evaluation.changed_colors {
+        table += "\ncolours: compared as capture.toml evens them out; a --protocol compares with what was recorded";
+    }
     let ms = evaluation.median_render_ms;
     table + &format!("\n{:.1} frames a second ({ms:.2} ms an image, {})", 1000.0 / ms, evaluation.device)
 }

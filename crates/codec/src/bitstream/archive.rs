@@ -8,7 +8,7 @@ use super::cohort::Cohort;
 use super::container::{self, version_1, version_2};
 use super::head::{Head, Info};
 use super::plan::Plan;
-use super::section::{APPLICATION, Entry};
+use super::section::{APPLICATION, Cursor, Entry};
 use crate::compact::SceneInfo;
 use crate::error::DecodeError;
 use crate::limits::{Budget, DecodeLimits};
@@ -291,6 +291,10 @@ impl Archive {
                 let info = Arc::clone(&self.info);
                 let (head, sections): (Head, _) =
                     version_2::read_head(cohort, place, info, shared, bytes, self.length, &self.limits)?;
+                let known = plans.iter().flatten().next().map(|plan| plan.layout.is_antialiased());
+                if known.is_some_and(|known| known != head.plan.layout.is_antialiased()) {
+                    return Err(Cursor::new("cohort", place.offset, bytes).invalid("flags", version_2::MIXED));
+                }
                 if place.plan as usize == cohort {
                     plans[cohort] = Some(Arc::clone(&head.plan));
                 }

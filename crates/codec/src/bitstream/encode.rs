@@ -103,6 +103,9 @@ pub fn encode_to<W: Write + Seek>(
     if scene.lives.is_some() || scene.start > 0 {
         return Err(unsupported("Gaussians that come and go"));
     }
+    if scene.layout.is_antialiased() {
+        return Err(unsupported("antialiasing"));
+    }
     let (info, bounds) = (scene.info.clone(), bounds(scene)?);
     let Prepared { head, mut shared } = Prepared::new(scene, Info { scene: info, bounds, errors: Vec::new() }, &[])?;
     let mut parts =

@@ -231,6 +231,14 @@ pub fn still() -> File {
     file(vec![cohort(&Shape { is_still: true, layers: vec![2, 3], ..Shape::new(0, 1, 10) }, random)], 0)
 }
 
+/// Drawn with antialiasing: two cohorts, one with lives.
+pub fn antialiased() -> File {
+    let random = &mut Numbers(38);
+    let shape =
+        |start, has_lives| Shape { layout: Layout::base().antialiased(true), has_lives, ..Shape::new(6, start, 7) };
+    file(vec![cohort(&shape(0, true), random), cohort(&shape(5, false), random)], 0)
+}
+
 /// Frames of a flip-book: a cohort a timestep, each of another number of Gaussians, and one of none.
 pub fn flip_book() -> File {
     let random = &mut Numbers(36);

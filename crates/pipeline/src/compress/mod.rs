@@ -27,9 +27,10 @@ use self::parts::Parts;
 use self::seen::{Seen, seen};
 use crate::{OpenScene, PipelineError};
 
+pub(crate) use judge::spread;
 pub use judge::{Judge, JudgeImages};
 pub use max_error::{ErrorSearch, search_errors};
-pub use refine::{RefineBudget, RefineOptions, Refined, refine, refine_within};
+pub use refine::{RefineBudget, RefineOptions, Refined, RefinedWithin, refine, refine_within};
 pub use settings::{CompressPreset, capture_kind_of, position_step_remark, settings_of};
 pub use target::{QUALITY_RANGE, SearchResult, Target, search};
 pub use tune::{Tuning, tune};

@@ -98,56 +98,99 @@ pub fn refine(
 /// What a file is expected to have before refining, as a share of what it may have afterwards: codes that are trained are a
 /// little harder to predict.
 const EXPECTED_SHARE: f64 = 0.92;
-/// Further tries come so close below what the last one says, as a share.
-const MARGIN: f64 = 0.99;
+/// PSNR in dB that refining is expected to gain.
+const EXPECTED_GAIN: f64 = 0.5;
+/// Further tries come so close to what the last one says: below it as a share of the bytes, above it in dB.
+const MARGIN_SHARE: f64 = 0.99;
+const MARGIN_DB: f64 = 0.02;
+/// A refined PSNR so close above a target is close enough: every try takes as long as a refinement.
+const CLOSE_DB: f64 = 0.1;
 /// Tries of [`refine_within`] at most.
 const MAX_TRIES: usize = 4;
 
-/// [`refine`] at the best quality whose refined file has at most so many bytes: a quality is searched for somewhat fewer bytes,
-/// and for fewer again if the refined file turns out too large.
+/// A scene that was refined to meet a target.
+#[derive(Clone, Debug)]
+pub struct RefinedWithin {
+    /// Quality, size and PSNR before refining.
+    pub before: SearchResult,
+    /// What came of it.
+    pub refined: Refined,
+    /// Mean PSNR in dB of the refined scene on the judge's images.
+    pub psnr: f64,
+}
+
+/// [`refine`] so that the refined file meets a target: a quality is searched for what refining is expected to make of it, and
+/// searched again for more or less if it makes something else.
 ///
 /// - `settings`: those of quality 0
-/// - returns: what was refined, which tells the quality and the size before, and the refined scene
+/// - `judge`: whose images the PSNR is of
 ///
 /// # Errors
-/// As [`search`] and [`refine`]; [`PipelineError::TargetBytes`] if four refined files were too large.
+/// As [`search`] and [`refine`]; [`PipelineError::TargetBytes`] or [`PipelineError::TargetPsnr`] if none of four refined files
+/// met the target.
 #[allow(clippy::too_many_arguments, reason = "the arguments of search and of refine")]
 pub fn refine_within(
     scene: &OpenScene,
     pruned: &PrunedScene<'_>,
     settings: &CompressSettings,
-    bytes: u64,
+    target: Target,
     judge: &Judge,
     options: &RefineOptions,
     backend: &Backend,
     observer: &mut dyn Observer,
-) -> Result<(SearchResult, Refined), PipelineError> {
-    let mut aim = EXPECTED_SHARE * bytes as f64;
-    let mut smallest = u64::MAX;
+) -> Result<RefinedWithin, PipelineError> {
+    let mut aim = match target {
+        Target::Bytes(bytes) => Target::Bytes((EXPECTED_SHARE * bytes as f64) as u64),
+        Target::Psnr(psnr) => Target::Psnr(psnr - EXPECTED_GAIN),
+    };
+    let mut best: Option<RefinedWithin> = None;
+    // What the tries came to: the fewest bytes, the highest PSNR.
+    let (mut smallest, mut highest) = (u64::MAX, f64::MIN);
+    let mut is_at_the_end = false;
     for _ in 0..MAX_TRIES {
-        let found = match search(pruned, settings, Target::Bytes(aim as u64), judge, observer) {
-            // The coarsest codes there are may still do.
-            Err(PipelineError::TargetBytes { smallest: coarsest, .. }) if coarsest <= bytes && smallest == u64::MAX => {
-                aim = coarsest as f64;
+        let before = match search(pruned, settings, aim, judge, observer) {
+            // The coarsest or the finest codes there are may still do.
+            Err(PipelineError::TargetBytes { smallest: coarsest, .. }) if !is_at_the_end => {
+                (is_at_the_end, aim) = (true, Target::Bytes(coarsest));
                 continue;
             }
-            Err(PipelineError::TargetBytes { smallest: coarsest, .. }) => {
-                return Err(PipelineError::TargetBytes {
-                    target: bytes,
-                    smallest: smallest.min(coarsest.max(bytes + 1)),
-                });
+            Err(PipelineError::TargetPsnr { best: finest, .. }) if !is_at_the_end => {
+                (is_at_the_end, aim) = (true, Target::Psnr(finest));
+                continue;
             }
+            Err(PipelineError::TargetBytes { .. } | PipelineError::TargetPsnr { .. }) => break,
             found => found?,
         };
-        let refined = refine(scene, pruned, &found.settings, options, backend, observer)?;
+        let refined = refine(scene, pruned, &before.settings, options, backend, observer)?;
         let size = refined.file.len() as u64;
-        if size <= bytes {
-            return Ok((found, refined));
+        let psnr = judge.psnr(&refined.compact)?;
+        (smallest, highest) = (smallest.min(size), highest.max(psnr));
+        let (is_met, is_close) = match target {
+            // The first that fits has the expected size, within some percent.
+            Target::Bytes(bytes) => (size <= bytes, true),
+            Target::Psnr(wanted) => (psnr >= wanted, psnr <= wanted + CLOSE_DB),
+        };
+        let before_refining = (before.file.len() as f64, before.trial.psnr.unwrap_or(psnr));
+        if is_met && best.as_ref().is_none_or(|best| size < best.refined.file.len() as u64) {
+            best = Some(RefinedWithin { before, refined, psnr });
         }
-        smallest = smallest.min(size);
-        aim = MARGIN * found.file.len() as f64 * bytes as f64 / size as f64;
+        if (is_met && is_close) || is_at_the_end {
+            break;
+        }
+        aim = match target {
+            Target::Bytes(bytes) => {
+                Target::Bytes((MARGIN_SHARE * before_refining.0 * bytes as f64 / size as f64) as u64)
+            }
+            Target::Psnr(wanted) => Target::Psnr(before_refining.1 + wanted - psnr + MARGIN_DB),
+        };
     }
-    Err(PipelineError::TargetBytes { target: bytes, smallest })
+    best.ok_or_else(|| match target {
+        Target::Bytes(target) => PipelineError::TargetBytes { target, smallest },
+        Target::Psnr(target) => {
+            // Rounded down, so that what is named can be reached.
+            PipelineError::TargetPsnr { target, best: (100.0 * highest).floor() / 100.0, of: judge.of.clone() }
+        }
+    })
 }
 
 /// The images that a scene is refined on.

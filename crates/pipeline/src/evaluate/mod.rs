@@ -86,6 +86,9 @@ pub struct Evaluation {
     pub median_render_ms: f64,
     /// What rendered.
     pub device: String,
+    /// Whether colours of the capture's images were changed by its gains and offsets. A protocol compares with what the
+    /// cameras recorded.
+    pub changed_colors: bool,
 }
 
 impl Evaluation {
@@ -120,6 +123,8 @@ pub fn evaluate(
     renderer: &DrawAny,
     observer: &mut dyn Observer,
 ) -> Result<Evaluation, PipelineError> {
+    let recorded = (settings.protocol.is_some() && capture.changes_colors()).then(|| capture.with_recorded_colors());
+    let capture = recorded.as_ref().unwrap_or(capture);
     let EvaluateSettings { split, ref frames, downscale, frozen, .. } = *settings;
     scene.choose_frames(Some(frames))?;
     // The last frame is looked for before the first is rendered.
@@ -171,6 +176,7 @@ pub fn evaluate(
         size: [camera.width, camera.height],
         median_render_ms: times_ms[times_ms.len() / 2],
         device: renderer.name(),
+        changed_colors: capture.changes_colors(),
     })
 }
 

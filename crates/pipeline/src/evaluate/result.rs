@@ -52,6 +52,7 @@ pub fn evaluation_json(scene: &OpenScene, evaluation: &Evaluation, protocol: Opt
         "flicker": evaluation.flicker,
         "fps": 1000.0 / evaluation.median_render_ms,
         "fps_device": evaluation.device,
+        "changed_colors": evaluation.changed_colors,
         "protocol_metrics": protocol_metrics,
         "images": images.collect::<Vec<_>>(),
     });

@@ -16,7 +16,7 @@ use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 use self::rasterize::{TileImage, rasterize_bwd, rasterize_fwd};
 use self::tiles::Tiles;
 pub use self::tiles::{gaussians_reaching, tiles_reached};
-use crate::project::{SplatCamera, project_vjp};
+use crate::project::{SplatCamera, kept_opacity_vjp, project_vjp};
 use crate::settings::MAX_CHANNELS;
 use crate::tiling::{PAIR_GRADS, TILE, tile_grid};
 use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, RenderSettings, TileMask};
@@ -356,8 +356,16 @@ fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[Vec<
             for (i, _) in splats.iter().enumerate().filter(|(_, splat)| **splat != u32::MAX) {
                 let gaussian = chunk * GATHERED + i;
                 let [x, y, xx, xy, yy, opacity, statistic_x, statistic_y] = sums[i];
+                let (mut v_conic, mut v_opacity) = ([xx, xy, yy], opacity);
+                if gaussians.is_antialiased {
+                    let splat = &tiles.splats[splat_of[gaussian] as usize];
+                    let kept = splat.opacity / gaussians.opacities[gaussian];
+                    let v = kept_opacity_vjp(splat.conic, kept, v_opacity * gaussians.opacities[gaussian]);
+                    (0..3).for_each(|d| v_conic[d] += v[d]);
+                    v_opacity *= kept;
+                }
                 visible[i] = true;
-                v_opacities[i] = opacity;
+                v_opacities[i] = v_opacity;
                 v_ndc[i] = [statistic_x * half_size[0], statistic_y * half_size[1]];
                 (v_means[i], v_quats[i], v_scales[i]) = project_vjp(
                     gaussians.means[gaussian],
@@ -365,7 +373,7 @@ fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[Vec<
                     gaussians.scales[gaussian],
                     &splat_camera,
                     [x, y],
-                    [xx, xy, yy],
+                    v_conic,
                 );
             }
         });

@@ -78,6 +78,10 @@ fn splat(gaussians: &Activated, index: usize, camera: &Camera, splat_camera: &Sp
         return None;
     }
     let p = project(gaussians.means[index], gaussians.quats[index], gaussians.scales[index], splat_camera)?;
+    let opacity = if gaussians.is_antialiased { opacity * p.kept_opacity() } else { opacity };
+    if opacity < MIN_ALPHA as f32 {
+        return None;
+    }
     // alpha >= MIN_ALPHA  <=>  exponent <= ln(opacity / MIN_ALPHA), an ellipse.
     let reach = 2.0 * (opacity / MIN_ALPHA as f32).ln().max(0.0);
     let extent = |variance: f32| (reach * variance).sqrt() * EXTENT_FACTOR + EXTENT_MARGIN_PX;

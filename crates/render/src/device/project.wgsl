@@ -99,6 +99,16 @@ fn pixel_range(center: f32, extent: f32, size: u32) -> vec2<u32> {
     return vec2<u32>(u32(first), u32(end));
 }
 
+// Share of its opacity that a splat keeps; see project.rs.
+fn kept_opacity(c: Chain) -> f32 {
+    if view.antialiased == 0u {
+        return 1.0;
+    }
+    let normal = cross(c.u, c.v);
+    let determinant = c.covariance.x * c.covariance.z - c.covariance.y * c.covariance.y;
+    return sqrt(min(dot(normal, normal) / determinant, 1.0));
+}
+
 @compute @workgroup_size(WORKGROUP)
 fn project_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
     let place = id.x;
@@ -110,12 +120,16 @@ fn project_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
     keys[place] = NO_DEPTH;
     values[place] = i;
     tile_counts[i] = 0u;
-    let opacity = activated[OPACITIES_AT * n + i];
-    if !(opacity >= MIN_ALPHA) || !is_finite(opacity) {
+    let full_opacity = activated[OPACITIES_AT * n + i];
+    if !(full_opacity >= MIN_ALPHA) || !is_finite(full_opacity) {
         return;
     }
     let c = project(load3(3u * i), load_quat(i), load3(SCALES_AT * n + 3u * i));
     if !c.ok {
+        return;
+    }
+    let opacity = full_opacity * kept_opacity(c);
+    if opacity < MIN_ALPHA {
         return;
     }
     let mean2d = view.focal * c.point.xy / c.point.z + view.principal;
@@ -197,6 +211,18 @@ fn project_bwd(@builtin(global_invocation_id) id: vec3<u32>) {
         let scale = load3(SCALES_AT * n + 3u * i);
         let k = project(load3(3u * i), quat, scale);
         if k.ok {
+            if view.antialiased != 0u {
+                let kept = kept_opacity(k);
+                if kept > 0.0 {
+                    let v = v_opacity * activated[OPACITIES_AT * n + i] / (2.0 * kept) * BLUR_VARIANCE;
+                    v_conic += v * vec3<f32>(
+                        BLUR_VARIANCE * k.conic.z - 1.0,
+                        -2.0 * BLUR_VARIANCE * k.conic.y,
+                        BLUR_VARIANCE * k.conic.x - 1.0,
+                    );
+                }
+                v_opacity *= kept;
+            }
             // The covariance: its inverse differentiated, incoming gradient as a symmetric matrix.
             let a = k.conic.x;
             let b = k.conic.y;

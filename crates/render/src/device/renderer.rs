@@ -138,6 +138,10 @@ pub struct ViewUniform {
     pub statistic_channels: u32,
     /// What of the scene and of the image is drawn.
     pub part: ViewPart,
+    /// 1 if splats are antialiased, else 0.
+    pub antialiased: u32,
+    /// Up to a multiple of 16 bytes.
+    pub padding: [u32; 3],
     /// Colour behind everything, one value a channel.
     pub background: [f32; MAX_CHANNELS],
 }
@@ -145,9 +149,11 @@ pub struct ViewUniform {
 impl ViewUniform {
     /// A view of everything by `camera` with a renderer of `capacity`.
     ///
+    /// - `antialiased`: [`Activated::is_antialiased`](tcgs_core::Activated) of what is drawn
+    ///
     /// # Panics
     /// If the image is larger than there is room for.
-    pub fn new(camera: &Camera, settings: &RenderSettings, capacity: &Capacity) -> Self {
+    pub fn new(camera: &Camera, settings: &RenderSettings, antialiased: bool, capacity: &Capacity) -> Self {
         let [columns, rows] = tile_grid(camera.width, camera.height);
         let num_gaussians = capacity.num_gaussians as u32;
         let part = ViewPart {
@@ -157,14 +163,20 @@ impl ViewUniform {
             num_tiles: (columns * rows) as u32,
             lists_at: 0,
         };
-        Self::of_part(camera, settings, capacity, part)
+        Self::of_part(camera, settings, antialiased, capacity, part)
     }
 
-    /// A view of a part by `camera` with a renderer of `capacity`.
+    /// A view of a part by `camera` with a renderer of `capacity`; otherwise as [`Self::new`].
     ///
     /// # Panics
     /// If the image or the part is larger than there is room for.
-    pub fn of_part(camera: &Camera, settings: &RenderSettings, capacity: &Capacity, part: ViewPart) -> Self {
+    pub fn of_part(
+        camera: &Camera,
+        settings: &RenderSettings,
+        antialiased: bool,
+        capacity: &Capacity,
+        part: ViewPart,
+    ) -> Self {
         let (width, height) = (camera.width, camera.height);
         let grid = tile_grid(width, height);
         assert!(
@@ -196,6 +208,8 @@ impl ViewUniform {
             pair_capacity: capacity.num_pairs as u32,
             statistic_channels: settings.statistic_channels as u32,
             part,
+            antialiased: u32::from(antialiased),
+            padding: [0; 3],
             background: settings.background,
         }
     }

@@ -15,6 +15,7 @@ struct View {
     num_active: u32,                    // of these, the first ones that get a gradient
     num_tiles: u32,                     // tiles that are drawn
     lists_at: u32,                      // where this view's lists begin
+    antialiased: u32,                   // 1 if a splat gives up opacity for the blur, else 0
     background: array<vec4<f32>, 2>,    // one value a channel
 }
 

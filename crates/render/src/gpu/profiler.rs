@@ -18,6 +18,7 @@ pub struct RenderProfiler {
     gpu: Gpu,
     renderer: GpuRenderer,
     packed: Vec<f32>,
+    is_antialiased: bool,
     timer: Option<StageTimer>,
     backward: bool,
 }
@@ -43,6 +44,7 @@ impl RenderProfiler {
             timer: StageTimer::new(gpu, stages)?,
             gpu: gpu.clone(),
             packed,
+            is_antialiased: gaussians.is_antialiased,
             backward,
         })
     }
@@ -66,7 +68,7 @@ impl RenderProfiler {
     }
 
     fn attempt(&mut self, camera: &Camera) -> Result<StageTimes, GpuError> {
-        self.renderer.set_view(camera, &RenderSettings::default());
+        self.renderer.set_view(camera, &RenderSettings::default(), self.is_antialiased);
         let renderer = &self.renderer;
         let stages: [fn(&GpuRenderer, &mut wgpu::ComputePass<'_>); RENDER_STAGES.len()] = [
             GpuRenderer::project,

@@ -301,10 +301,12 @@ impl GpuRenderer {
 
     /// Sets the camera of the passes that are submitted from now on.
     ///
+    /// - `antialiased`: [`Activated::is_antialiased`](tcgs_core::Activated) of what is drawn
+    ///
     /// # Panics
     /// If its image is larger than there is room for.
-    pub fn set_view(&mut self, camera: &Camera, settings: &RenderSettings) {
-        self.set(&ViewUniform::new(camera, settings, &self.capacity));
+    pub fn set_view(&mut self, camera: &Camera, settings: &RenderSettings, antialiased: bool) {
+        self.set(&ViewUniform::new(camera, settings, antialiased, &self.capacity));
     }
 
     /// Sets the camera of the passes that are submitted from now on, and what of the scene and of the image they draw. All
@@ -312,8 +314,8 @@ impl GpuRenderer {
     ///
     /// # Panics
     /// If its image or the part is larger than there is room for.
-    pub fn set_part(&mut self, camera: &Camera, settings: &RenderSettings, part: ViewPart) {
-        self.set(&ViewUniform::of_part(camera, settings, &self.capacity, part));
+    pub fn set_part(&mut self, camera: &Camera, settings: &RenderSettings, antialiased: bool, part: ViewPart) {
+        self.set(&ViewUniform::of_part(camera, settings, antialiased, &self.capacity, part));
     }
 
     fn set(&mut self, uniform: &ViewUniform) {

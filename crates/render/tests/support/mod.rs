@@ -68,6 +68,7 @@ impl Arrays {
             opacities: self.f32("opacities"),
             colors: self.f32("colors"),
             num_channels: 3,
+            is_antialiased: false,
         };
         (gaussians, camera(size[0] as usize, size[1] as usize, &k, &camera_from_world))
     }

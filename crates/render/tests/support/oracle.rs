@@ -8,6 +8,7 @@ use tcgs_render::settings::*;
 pub struct Scene {
     pub values: Vec<Vec<f64>>,
     pub num_channels: usize,
+    pub is_antialiased: bool,
 }
 
 pub const MEAN: usize = 0;
@@ -29,7 +30,7 @@ impl Scene {
                 v
             })
             .collect();
-        Self { values, num_channels: c }
+        Self { values, num_channels: c, is_antialiased: gaussians.is_antialiased }
     }
 }
 
@@ -60,8 +61,17 @@ fn rotation(q: &[f64]) -> M3 {
     ]
 }
 
-/// Centre, conic and depth of every Gaussian that is not culled.
-fn splats(scene: &Scene, camera: &Camera) -> Vec<(usize, [f64; 2], [f64; 3], f64)> {
+/// A Gaussian as a camera sees it.
+struct Splat {
+    index: usize,
+    mean2d: [f64; 2],
+    conic: [f64; 3],
+    depth: f64,
+    opacity: f64,
+}
+
+/// The splats of all Gaussians that are not culled, by depth.
+fn splats(scene: &Scene, camera: &Camera) -> Vec<Splat> {
     let m = &camera.camera_from_world;
     let w: M3 = std::array::from_fn(|i| std::array::from_fn(|j| m[i][j]));
     let size = [camera.width as f64, camera.height as f64];
@@ -87,10 +97,13 @@ fn splats(scene: &Scene, camera: &Camera) -> Vec<(usize, [f64; 2], [f64; 3], f64
         let c2 = mul(&mul(&t, &covariance), &transpose(&t));
         let (xx, xy, yy) = (c2[0][0] + BLUR_VARIANCE, c2[0][1], c2[1][1] + BLUR_VARIANCE);
         let determinant = xx * yy - xy * xy;
-        let center = std::array::from_fn(|i| camera.focal[i] * p[i] / p[2] + camera.principal[i]);
-        out.push((index, center, [yy / determinant, -xy / determinant, xx / determinant], p[2]));
+        let mean2d = std::array::from_fn(|i| camera.focal[i] * p[i] / p[2] + camera.principal[i]);
+        let conic = [yy / determinant, -xy / determinant, xx / determinant];
+        let before = c2[0][0] * c2[1][1] - c2[0][1] * c2[0][1];
+        let opacity = v[OPACITY] * if scene.is_antialiased { (before / determinant).sqrt() } else { 1.0 };
+        out.push(Splat { index, mean2d, conic, depth: p[2], opacity });
     }
-    out.sort_by(|a, b| a.3.total_cmp(&b.3));
+    out.sort_by(|a, b| a.depth.total_cmp(&b.depth));
     out
 }
 
@@ -102,11 +115,11 @@ pub fn render(scene: &Scene, camera: &Camera, background: &[f32]) -> Render {
     for pixel in 0..num_pixels {
         let center = [(pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5];
         let mut transmittance = 1.0;
-        for (index, mean2d, conic, _) in &splats {
+        for Splat { index, mean2d, conic, opacity, .. } in &splats {
             let (dx, dy) = (center[0] - mean2d[0], center[1] - mean2d[1]);
             let exponent = 0.5 * (conic[0] * dx * dx + conic[2] * dy * dy) + conic[1] * dx * dy;
             let v = &scene.values[*index];
-            let alpha = (v[OPACITY] * (-exponent).exp()).min(MAX_ALPHA);
+            let alpha = (opacity * (-exponent).exp()).min(MAX_ALPHA);
             if alpha < MIN_ALPHA {
                 continue;
             }

@@ -119,6 +119,9 @@ impl Checkpoint {
             let table = table_of(layout);
             arrays.add("columns", For::Scene, &[table.len()], table.as_bytes());
         }
+        if first && layout.is_antialiased() {
+            arrays.add(ANTIALIASED, For::Scene, &[1], &[1_u8]);
+        }
         // What is born has values of its own in all columns.
         let has_births = !self.lifetimes.are_whole();
         for column in layout.columns().iter().filter(|column| first || has_births || column.varies) {
@@ -270,6 +273,8 @@ impl List {
     }
 }
 
+/// Name of the array that says, where it is there, that the Gaussians are drawn with antialiasing.
+const ANTIALIASED: &str = "antialiased";
 /// Name of the array of all counts of updates; every state of an optimizer has it.
 const STEPS: &str = "steps";
 /// Name of the array of mask logits.
@@ -357,6 +362,7 @@ fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parame
         }
         None => Layout::base(),
     };
+    let layout = if arrays.contains_key(ANTIALIASED) { layout.antialiased(true) } else { layout };
     let mut gaussians = Gaussians::zeros_of(&layout, n);
     for column in layout.columns() {
         let (name, values) = (values_name(column), gaussians.values_mut(column.attribute));

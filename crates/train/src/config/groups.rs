@@ -232,3 +232,13 @@ pub struct ColorConfig {
     /// Highest degree of spherical harmonics, 0 to 3; 0: a colour is the same from everywhere. Default 0 (reference).
     pub degree: usize,
 }
+
+/// Settings of what drawing does with the Gaussians, in training and ever after.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RenderConfig {
+    /// Whether splats are antialiased: one that is widened to a pixel's extent gives up as much opacity, so that the scene looks
+    /// the same at other resolutions than that of training (Yu et al. 2024, Mip-Splatting). A run that continues another
+    /// scene's state is drawn as that one. Default false (reference).
+    pub antialiased: bool,
+}

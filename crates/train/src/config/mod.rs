@@ -7,7 +7,7 @@ use tcgs_core::MAX_SH_DEGREE;
 
 pub use self::groups::{
     BirthConfig, BitMapKind, ColorConfig, DataConfig, DensifyConfig, GateConfig, MaskConfig, QuantizeConfig,
-    REFERENCE_ITERATIONS, RateConfig, ScheduleConfig,
+    REFERENCE_ITERATIONS, RateConfig, RenderConfig, ScheduleConfig,
 };
 use crate::losses::WeightConfig;
 
@@ -40,6 +40,8 @@ pub struct TrainConfig {
     pub births: BirthConfig,
     /// Colours that depend on the direction of view.
     pub color: ColorConfig,
+    /// What drawing does with the Gaussians.
+    pub render: RenderConfig,
 }
 
 /// 64 bits as the signed integers that TOML has.
@@ -182,6 +184,7 @@ impl TrainConfig {
             gate: GateConfig::OFF,
             births: BirthConfig::OFF,
             color: ColorConfig { degree: 0 },
+            render: RenderConfig { antialiased: false },
         };
         let mut config = reference;
         match preset {

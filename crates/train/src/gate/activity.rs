@@ -1,7 +1,5 @@
 //! Which Gaussians a timestep trains, and what it needs beside them.
 
-use std::sync::Arc;
-
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image};
 use tcgs_render::{
@@ -15,6 +13,7 @@ use crate::engine::{Scenery, Target, ViewScenery};
 use crate::losses::{Loss, LossTerms, WeightConfig};
 use crate::motion::Past;
 use crate::neighbors::Neighbors;
+use crate::parameters::scatter;
 use crate::row::Row;
 use crate::state::{GradientStatistic, State};
 
@@ -172,19 +171,14 @@ impl Activity {
     ///
     /// - `small`: the state that [`Self::excerpt`] made, trained
     pub fn put_back(&self, small: &State, state: &mut State) {
-        let scatter = |from: &[f32], to: &mut [f32], components: usize| {
-            for (row, &i) in self.active.iter().enumerate() {
-                to[i * components..][..components].copy_from_slice(&from[row * components..][..components]);
-            }
-        };
-        let (p, o) = (&mut state.parameters, &mut state.optimizer);
-        for column in Arc::clone(p.gaussians.layout()).columns() {
+        let scatter = |from: &[f32], to: &mut [f32], components: usize| scatter(&self.active, from, to, components);
+        state.parameters.put(&self.active, &small.parameters);
+        let o = &mut state.optimizer;
+        for column in state.parameters.gaussians.layout().columns() {
             let (a, components) = (column.attribute, column.components());
-            scatter(small.parameters.gaussians.values(a), p.gaussians.values_mut(a), components);
             scatter(small.optimizer.first.values(a), o.first.values_mut(a), components);
             scatter(small.optimizer.second.values(a), o.second.values_mut(a), components);
         }
-        scatter(&small.parameters.mask_logits, &mut p.mask_logits, 1);
         scatter(&small.optimizer.mask.first, &mut o.mask.first, 1);
         scatter(&small.optimizer.mask.second, &mut o.mask.second, 1);
         o.steps.clone_from(&small.optimizer.steps);

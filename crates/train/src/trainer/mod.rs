@@ -3,13 +3,16 @@
 //! (`engine`).
 
 mod births;
+mod glimpse;
 mod timestep;
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use tcgs_core::{Camera, Gaussians, Layout, PointCloud, View};
 use tcgs_metrics::psnr;
 
+pub use self::glimpse::{Glimpse, Glimpsed};
 pub use self::timestep::Progress;
 use crate::TrainError;
 use crate::checkpoint::Checkpoint;
@@ -69,6 +72,8 @@ pub struct Trainer {
     trained: Trained,
     /// Whether the run continues another one's state, so that its first timestep is trained as a later one.
     continues: bool,
+    /// By which other threads ask for the scene.
+    glimpse: Option<Arc<Glimpse>>,
 }
 
 impl Trainer {
@@ -84,7 +89,7 @@ impl Trainer {
     }
 
     /// Starts a run on an engine of the caller's choice; otherwise as [`Self::new`]. The Gaussians carry spherical harmonics
-    /// up to `color.degree`, which begin at 0.
+    /// up to `color.degree`, which begin at 0, and are antialiased as `render.antialiased` says.
     ///
     /// - `make`: makes the engine from the initial state
     ///
@@ -100,7 +105,7 @@ impl Trainer {
             return Err(none("points of the initial cloud"));
         }
         let mut parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
-        let layout = Layout::with_harmonics(config.color.degree);
+        let layout = Layout::with_harmonics(config.color.degree).antialiased(config.render.antialiased);
         parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
         Self::from_parameters(config, parameters, cameras, make)
     }
@@ -139,6 +144,7 @@ impl Trainer {
             is_unfinished: false,
             trained: Trained::ALL,
             continues: false,
+            glimpse: None,
         })
     }
 
@@ -214,6 +220,7 @@ impl Trainer {
             is_unfinished: false,
             trained: Trained::ALL,
             continues,
+            glimpse: None,
         }
     }
 

@@ -7,6 +7,7 @@ use rand_pcg::Pcg64Mcg;
 use tcgs_codec::assign_bits;
 use tcgs_core::{Camera, View};
 
+use super::glimpse::Part;
 use super::{Trainer, all_segmented};
 use crate::TrainError;
 use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
@@ -33,6 +34,8 @@ pub struct Progress {
     pub loss: f64,
     /// Number of Gaussians during the iteration.
     pub num_gaussians: usize,
+    /// How much of the scene and of its views the timestep trains.
+    pub trained: Trained,
 }
 
 /// How far the reports of a timestep's iterations have come.
@@ -133,7 +136,8 @@ impl Trainer {
         // Every view has as many iterations as it would have if all views changed.
         let length = (self.schedule.iterations(Phase::Rest) * activity.cameras.len()).div_ceil(num_views);
         let pace = Pace::new(&self.config.gate, length, activity.cameras.len());
-        self.iterate(Phase::Rest, activity.cameras.clone(), pace, Some(shares), &[], observe)?;
+        let part = Part { shares, of: Some((&whole.parameters, &activity.active)) };
+        self.iterate(Phase::Rest, activity.cameras.clone(), pace, Some(&part), &[], observe)?;
         activity.put_back(self.engine.state()?, &mut whole);
         *self.engine.state_mut()? = whole;
         Ok(())
@@ -142,18 +146,19 @@ impl Trainer {
     /// The iterations of a timestep.
     ///
     /// - `cameras`: positions of the views that they go round
-    /// - `shares`: of the scene that the engine's state holds; none if it holds all of it
+    /// - `part`: of the scene that the engine's state holds; none if it holds all of it
     /// - `views`: all views, for what the first timestep does between iterations
     pub(super) fn iterate(
         &mut self,
         phase: Phase,
         cameras: Vec<usize>,
         mut pace: Pace,
-        shares: Option<Shares>,
+        part: Option<&Part>,
         views: &[View],
         observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<(), TrainError> {
         let config = self.config.clone();
+        let shares = part.map(|part| part.shares);
         let weights = shares.map_or(config.weights, |shares| shares.weights(&config.weights));
         let mut report = Report { iterations: pace.length(), shares, reported: 0 };
         let mut order = Vec::new();
@@ -195,6 +200,7 @@ impl Trainer {
                 }
                 pace.decide();
             }
+            self.give_glimpse(part, pace.begun())?;
             if phase == Phase::First {
                 let seed = random.random();
                 if reshapes {
@@ -216,7 +222,8 @@ impl Trainer {
         observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<(), TrainError> {
         let weights = &self.config.weights;
-        let (timestep, num_gaussians, iterations) = (self.timestep, self.num_gaussians, report.iterations);
+        let (timestep, num_gaussians, trained) = (self.timestep, self.num_gaussians, self.trained);
+        let iterations = report.iterations;
         for terms in self.engine.losses()? {
             let iteration = report.reported;
             let terms = report.shares.map_or(terms, |shares| shares.terms(terms));
@@ -226,7 +233,7 @@ impl Trainer {
             let loss = terms.total(weights);
             pace.hear(loss);
             report.reported += 1;
-            if observe(&Progress { timestep, iteration, iterations, terms, loss, num_gaussians }).is_break() {
+            if observe(&Progress { timestep, iteration, iterations, terms, loss, num_gaussians, trained }).is_break() {
                 return Err(TrainError::Stopped { timestep, iteration });
             }
         }

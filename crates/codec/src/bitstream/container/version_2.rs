@@ -26,6 +26,10 @@ const CHECKSUM_AT: usize = 16;
 const MAX_COHORTS: usize = 1 << 20;
 /// Flag of a cohort in which Gaussians have first and last timesteps of their own.
 const HAS_LIVES: u8 = 1;
+/// Flag of a cohort: drawn with antialiasing, as all others of the file.
+const IS_ANTIALIASED: u8 = 2;
+/// What is wrong if only some are.
+pub(in super::super) const MIXED: &str = "antialiased, unlike another cohort, or the other way round";
 
 /// Length of the header, if the bytes reach far enough to tell.
 ///
@@ -186,14 +190,22 @@ pub(in super::super) fn read_head(
         return Err(DecodeError::Limit { what: "cohort", unit: "Gaussians", needed, limit });
     }
     let flags = cursor.u8("flags")?;
-    if flags & !HAS_LIVES > 0 {
+    if flags & !(HAS_LIVES | IS_ANTIALIASED) > 0 {
         return Err(cursor.invalid("flags", NEWER));
+    }
+    let is_antialiased = flags & IS_ANTIALIASED > 0;
+    if shared.as_ref().is_some_and(|plan| plan.layout.is_antialiased() != is_antialiased) {
+        return Err(cursor.invalid("flags", MIXED));
     }
     let segment_length = cursor.u32("segment_length")?;
     let layers = read_layers(&mut cursor)?;
     let plan = match shared {
         Some(plan) => plan,
-        None => Arc::new(read_plan_2(&mut cursor)?),
+        None => {
+            let mut plan = read_plan_2(&mut cursor)?;
+            plan.layout = plan.layout.antialiased(is_antialiased);
+            Arc::new(plan)
+        }
     };
     let head = Head {
         index,
@@ -382,7 +394,12 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         let earlier = (0..index).find(|&earlier| has_own(earlier) && *self.plans[earlier] == *head.plan);
         let plan = earlier.unwrap_or(index);
 
-        let mut bytes = vec![if head.has_lives { HAS_LIVES } else { 0 }];
+        let is_antialiased = head.plan.layout.is_antialiased();
+        if self.plans.first().is_some_and(|first| first.layout.is_antialiased() != is_antialiased) {
+            return Err(CompressError::Scene { section: "cohort", field: "flags", problem: MIXED });
+        }
+        let flag = |is_set, flag: u8| if is_set { flag } else { 0 };
+        let mut bytes = vec![flag(head.has_lives, HAS_LIVES) | flag(is_antialiased, IS_ANTIALIASED)];
         bytes.extend(head.segment_length.to_le_bytes());
         write_layers(&mut bytes, &head.layers);
         if plan == index {

@@ -19,6 +19,7 @@ use std::ops::ControlFlow;
 use tcgs_core::{BaseColumns, Gaussians, View, sigmoid};
 
 use self::seeds::{Seed, seeds};
+use super::glimpse::Part;
 use super::{Trainer, all_segmented};
 use crate::TrainError;
 use crate::engine::Target;
@@ -53,14 +54,14 @@ impl Trainer {
         let newborn = newborn(&seeds, &state.parameters, self.config.mask.initial_logit);
         let small = alone(newborn, state);
         let nursery = Nursery::new(gate, state, &small, views, &unexplained);
-        let shares = Shares::of(&small.parameters.foreground, &state.parameters.foreground);
+        let part = Part { shares: Shares::of(&small.parameters.foreground, &state.parameters.foreground), of: None };
         let whole = std::mem::replace(self.engine.state_mut()?, small);
         let with_segmentation = all_segmented(views);
         let targets: Vec<Target> = views.iter().map(|view| Target::new(view, with_segmentation)).collect();
         self.engine.begin(targets, Some(nursery.scenery))?;
         let length = (self.schedule.iterations(Phase::Birth) * nursery.cameras.len()).div_ceil(views.len());
         let pace = Pace::even(length, nursery.cameras.len());
-        self.iterate(Phase::Birth, nursery.cameras, pace, Some(shares), &[], &mut |_| ControlFlow::Continue(()))?;
+        self.iterate(Phase::Birth, nursery.cameras, pace, Some(&part), &[], &mut |_| ControlFlow::Continue(()))?;
         let grown = self.engine.state()?.parameters.clone();
         *self.engine.state_mut()? = whole;
         let keep =
