@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""How much does a training lose with the masks that `tcgs prepare --masks yes` makes?
+"""How much does a training lose with the masks that `tcgs prepare` makes?
 
     scripts/prove_masks.py CAPTURE OUT [--tcgs target/release/tcgs] [--frames 5] [--downscale 2] [--iterations 600,150]
 

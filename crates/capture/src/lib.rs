@@ -60,7 +60,7 @@ pub use doctor::{CameraFit, CameraPictures, Diagnosis, Finding, FindingKind, che
 pub use error::CaptureError;
 pub use kind::{CaptureFacts, CaptureKind};
 pub use kinds::MASKS_FOLDER;
-pub use masks::{MaskSettings, make_masks};
+pub use masks::{MaskSettings, make_masks, obstacle_to_masks};
 pub use points::{POINTS_FILE, write_points};
 pub use prepare::{Origin, PrepareSettings, Prepared, prepare, spread_points};
 pub use raw::{DescribeSettings, PlacedCameras, RawCamera, RawFootage};

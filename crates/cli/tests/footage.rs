@@ -5,11 +5,16 @@
 mod support;
 
 use std::fs;
+use std::path::Path;
 
 use support::videos::*;
 use support::*;
 use tcgs_capture::{Capture, Split};
 use tempfile::tempdir;
+
+fn train(capture: &Path, run: &Path, more: &[&str]) {
+    succeed(&[&["train", text(capture), "--out", text(run), "--backend", "cpu"][..], more].concat());
+}
 
 #[test]
 fn masks_are_made_of_videos_and_trained_with() {
@@ -20,7 +25,7 @@ fn masks_are_made_of_videos_and_trained_with() {
     let (source, offsets) = (videos(&folder, 12), folder.path().join("offsets.txt"));
     let (out, result) = (folder.path().join("capture"), folder.path().join("result.json"));
     let prepare = ["prepare", text(&source), "--out", text(&out), "--offsets", text(&offsets), "--points", "3000"];
-    let masked = ["--masks", "yes", "--hold-out", "cam3", "--json", text(&result)];
+    let masked = ["--hold-out", "cam3", "--json", text(&result)];
     let said = succeed(&[&prepare[..], &masked].concat());
     assert!(said.contains("capture: 10 frames") && said.contains("masks: 120, "), "{said}");
     assert_keys(&json(&result)["masks"], &["num_masks", "foreground", "seconds"]);
@@ -47,18 +52,7 @@ fn masks_are_made_of_videos_and_trained_with() {
     assert!(overlap > 0.3, "intersection over union {overlap}");
 
     let run = folder.path().join("run");
-    succeed(&[
-        "train",
-        text(&out),
-        "--out",
-        text(&run),
-        "--iterations",
-        "30,10",
-        "--frames",
-        "0..2",
-        "--backend",
-        "cpu",
-    ]);
+    train(&out, &run, &["--iterations", "30,10", "--frames", "0..2"]);
     let said = succeed(&["eval", text(&run), "--capture", text(&out), "--backend", "cpu"]);
     assert!(said.contains("PSNR of foreground") && !said.contains("colours: "), "{said}");
 }
@@ -102,20 +96,7 @@ fn colours_are_evened_out_but_not_where_a_protocol_compares() {
     );
 
     let run = folder.path().join("run");
-    succeed(&[
-        "train",
-        text(&out),
-        "--out",
-        text(&run),
-        "--iterations",
-        "60,10",
-        "--downscale",
-        "4",
-        "--frames",
-        "0..1",
-        "--backend",
-        "cpu",
-    ]);
+    train(&out, &run, &["--iterations", "60,10", "--frames", "0..1", "--downscale", "4"]);
     let eval = ["eval", text(&run), "--capture", text(&out), "--backend", "cpu", "--force", "--json", text(&result)];
     let psnr = |more: &[&str], is_changed: bool| {
         let said = succeed(&[&eval[..], more].concat());

@@ -145,7 +145,7 @@ fn masks_are_made_where_there_are_none() {
     write_synthetic(&source, &settings).unwrap();
     std::fs::remove_dir_all(source.join("seg")).unwrap();
     let (out, result) = (folder.path().join("capture"), folder.path().join("result.json"));
-    let prepare = ["prepare", text(&source), "--points", "2000", "--masks", "yes", "--out"];
+    let prepare = ["prepare", text(&source), "--points", "2000", "--out"];
     let said = succeed(&[&prepare[..], &[text(&out), "--dry-run"]].concat());
     assert!(said.contains("masks: would be made") && !out.exists(), "{said}");
     let said = succeed(&[&prepare[..], &[text(&out), "--json", text(&result)]].concat());
@@ -172,4 +172,21 @@ fn masks_are_made_where_there_are_none() {
     assert_eq!(std::fs::read(again.join("seg/3/000004.png")).unwrap(), mask);
     let message = fail(2, &["prepare", text(&source), "--points-only", "p.npz", "--masks", "yes"]);
     assert!(message.contains("--masks"), "{message}");
+}
+
+#[test]
+fn masks_are_not_made_of_a_few_frames() {
+    let folder = tempdir().unwrap();
+    let source = folder.path().join("footage");
+    let settings = SyntheticSettings { width: 96, height: 72, num_timesteps: 4, ..SyntheticSettings::default() };
+    write_synthetic(&source, &settings).unwrap();
+    std::fs::remove_dir_all(source.join("seg")).unwrap();
+    let out = folder.path().join("capture");
+    let prepare = ["prepare", text(&source), "--points", "2000", "--out", text(&out)];
+    let problem = "has 4 frames, expected at least 8";
+    let message = fail(2, &[&prepare[..], &["--masks", "yes"]].concat());
+    assert!(message.contains(problem) && !out.exists(), "{message}");
+    let said = succeed(&prepare);
+    assert!(said.contains("masks: none are made") && said.contains(problem), "{said}");
+    assert!(!Capture::open(&out).unwrap().has_segmentation());
 }

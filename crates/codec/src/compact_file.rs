@@ -82,9 +82,13 @@ impl CompactFile {
     /// The oldest version of the format that holds the scene, though without its declared errors.
     pub fn oldest_version(&self) -> u16 {
         match &self.cohorts[..] {
-            [only] => {
-                let is_of_1 = only.layout.is_base() && !only.layout.is_antialiased();
-                if is_of_1 && only.lives.is_none() && only.start == 0 { 1 } else { 2 }
+            [only]
+                if only.layout.is_base()
+                    && !only.layout.is_antialiased()
+                    && only.lives.is_none()
+                    && only.start == 0 =>
+            {
+                1
             }
             _ => 2,
         }

@@ -142,7 +142,7 @@ pub enum CompressError {
         /// Columns of the scene.
         expected: String,
     },
-    /// The scene has a column that the version of the format does not hold, or Gaussians that come and go.
+    /// The scene has a column that the version of the format does not hold, Gaussians that come and go, or antialiased ones.
     #[error(
         "version {version} of the format holds means, quats, log_scales, logit_opacities and colors of Gaussians that \
          live in all timesteps and are drawn without antialiasing; found {found}"

@@ -164,7 +164,9 @@ fn reconstruction_equals_the_codecs_in_version_2() {
     let vector = |name: &str| (name.to_owned(), std::fs::read(folder.join(name).with_extension("tcgs")).unwrap());
     let mut files: Vec<_> =
         ["cohorts", "lives", "sparse", "harmonics", "shared_plan", "layers", "flip_book"].map(vector).into();
-    files.extend((0..4).map(|degree| (format!("room of degree {degree}"), cohorts_file(160, degree))));
+    files.extend(
+        (0..4).map(|degree| (format!("room of degree {degree}"), cohorts_file(160, &Layout::with_harmonics(degree)))),
+    );
     for (name, file) in files {
         let mut player = Player::new(BytesSource::new(&file[..]), settings(1 << 30), 0);
         let mut now = 0.0;
@@ -204,8 +206,9 @@ fn pictures_equal_the_cpu_renderers() {
     let room = room_file(6000, 12, &CompressSettings { segment_length: Some(5), ..Default::default() });
     let mut files = files();
     files.push(("room", room));
-    files.push(("cohorts", cohorts_file(2000, 0)));
-    files.push(("harmonics", cohorts_file(2000, 3)));
+    files.push(("cohorts", cohorts_file(2000, &Layout::base())));
+    files.push(("harmonics", cohorts_file(2000, &Layout::with_harmonics(3))));
+    files.push(("antialiased", cohorts_file(2000, &Layout::base().antialiased(true))));
     for (name, file) in &files {
         let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
         let num_timesteps = num_timesteps(file);
@@ -227,11 +230,22 @@ fn pictures_equal_the_cpu_renderers() {
     }
 }
 
+/// Or the test above would prove nothing of antialiasing.
+#[test]
+fn antialiasing_is_seen() {
+    let of = |is_antialiased: bool| {
+        let moment = moment(&cohorts_file(2000, &Layout::base().antialiased(is_antialiased)), 0);
+        let (start, _) = start_view(moment.gaussians().means(), UpAxis::default().direction());
+        expected(&moment, &start.resized(128, 72), [0.0; 3])
+    };
+    assert!(share_alike(&of(true), &of(false)) < 0.9);
+}
+
 /// What has gone leaves nothing, and what comes finds room, in whatever order timesteps are shown.
 #[test]
 fn cohorts_take_each_others_place() {
     let Some(gpu) = gpu() else { return };
-    let file = cohorts_file(400, 2);
+    let file = cohorts_file(400, &Layout::with_harmonics(2));
     let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
     let (start, _) = start_view(moment(&file, 0).gaussians().means(), UpAxis::default().direction());
     let camera = start.resized(96, 54);

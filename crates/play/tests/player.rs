@@ -9,7 +9,7 @@ use std::path::Path;
 
 use support::{Behaviour, Network, cohorts_file, room_file, settings, small_file, wait};
 use tcgs_codec::{Archive, Cohort, CompressSettings, DecodeLimits, Opening, SceneFile, decode};
-use tcgs_core::Gaussians;
+use tcgs_core::{Gaussians, Layout};
 use tcgs_play::{BytesSource, FileSource, PlayError, Player, PlayerSettings, RangeSource, SourceError};
 
 /// The only cohort of a file of version 1.
@@ -233,7 +233,7 @@ fn files_of_cohorts() -> Vec<(String, Vec<u8>)> {
         .map(|path| (path.file_name().unwrap().to_string_lossy().into_owned(), std::fs::read(path).unwrap()))
         .collect();
     assert!(files.len() > 8);
-    files.push(("room".into(), cohorts_file(160, 1)));
+    files.push(("room".into(), cohorts_file(160, &Layout::with_harmonics(1))));
     files
 }
 
@@ -284,7 +284,7 @@ fn wait_for_tables<S: RangeSource>(player: &mut Player<S>, now: &mut f64) {
 
 #[test]
 fn a_timestep_fetches_what_lives_at_it_and_nothing_else() {
-    let file = cohorts_file(160, 1);
+    let file = cohorts_file(160, &Layout::with_harmonics(1));
     let network = Network::new(&file, Behaviour::default());
     let log = network.log.clone();
     let mut player = Player::new(network, settings(1), 11);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
-use tcgs_core::{BaseColumns, Camera, Gaussians, PointCloud};
+use tcgs_core::{BaseColumns, Camera, Gaussians, Image, PointCloud};
 
 /// All learned parameters at one timestep, in stored form.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -64,6 +64,18 @@ impl Parameters {
     /// Number of Gaussians, `N`.
     pub fn num_gaussians(&self) -> usize {
         self.gaussians.num_gaussians()
+    }
+
+    /// A rendered picture in a training camera's colours, which differ by its gain and its offset. Outside of `[0, 1]` they stay.
+    ///
+    /// - `camera`: index among the training cameras
+    pub fn seen_by_camera(&self, camera: usize, mut picture: Image) -> Image {
+        let (gains, offsets) = (self.camera_gains[camera], self.camera_offsets[camera]);
+        for channel in 0..3 {
+            let (gain, offset) = (gains[channel].exp(), offsets[channel]);
+            picture.plane_mut(channel).iter_mut().for_each(|value| *value = gain * *value + offset);
+        }
+        picture
     }
 
     /// Appends the Gaussians of others; cameras stay as they are.

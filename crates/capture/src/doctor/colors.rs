@@ -8,10 +8,11 @@ use super::geometry::{Judged, Verdict};
 use super::splat::Splats;
 use super::{Finding, FindingKind};
 use crate::prepare::vantage::Vantage;
+use crate::rig::median;
 
 /// A camera is uneven if a channel is so much brighter or darker than that of the camera in the middle. Training learns a gain
-/// of each camera, so that what sound captures have (a quarter on Panoptic Sports) is no fault.
-const UNEVEN: f64 = 0.4;
+/// of each camera and absorbs small differences: up to 23 % on basketball cost 0.08 dB of PSNR, up to 43 % on kitchen 1.7 dB.
+const UNEVEN: f64 = 0.35;
 /// Values of image and points that are compared: outside of it sensors are saturated, or dark.
 const COMPARED: std::ops::Range<f32> = 0.06..0.94;
 /// Pixels that it takes.
@@ -50,11 +51,6 @@ fn from_points(view: &View, splats: &Splats) -> Option<[f64; 3]> {
         }
     }
     ratios.iter().all(|ratios| ratios.len() >= MIN_PIXELS).then(|| ratios.map(median))
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// What is said of cameras whose colours differ.

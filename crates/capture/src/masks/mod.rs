@@ -60,6 +60,28 @@ const ABOVE_STILL: f32 = 2.0;
 /// A sample of the background is so many pixels away from the hull.
 const MARGIN_PX: usize = 2;
 
+/// Why [`make_masks`] refuses a capture, if it does: too few frames, cameras that move, or images that are missing.
+///
+/// - returns: what the capture has and what was expected, to follow its name
+///
+/// # Errors
+/// [`CaptureError`] if the cameras of a frame cannot be told.
+pub fn obstacle_to_masks(capture: &Capture) -> Result<Option<String>, CaptureError> {
+    let num_frames = capture.num_frames();
+    if num_frames < MIN_FRAMES {
+        return Ok(Some(format!("has {num_frames} frames, expected at least {MIN_FRAMES} to tell what moves")));
+    }
+    let cameras = capture.cameras(Split::All, 0, 1)?;
+    for frame in 1..num_frames {
+        let found = capture.cameras(Split::All, frame, 1)?;
+        if let Some((id, _)) = cameras.iter().find(|camera| !found.contains(camera)) {
+            let problem = format!("moves or has no image at frame {frame}, expected cameras that stand still");
+            return Ok(Some(format!("camera {id} {problem}")));
+        }
+    }
+    Ok(None)
+}
+
 /// Marks what moves in every image of a capture whose cameras stand still.
 ///
 /// - `write`: called with frame, camera id and mask, `[H, W]` of the camera's size, frame by frame in the order of
@@ -86,20 +108,17 @@ const MARGIN_PX: usize = 2;
 /// ```
 ///
 /// # Errors
-/// [`CaptureError`] if the capture has fewer than 8 frames, if a camera moves or has no image of some frame, or if an image
-/// cannot be decoded.
+/// [`CaptureError`] if there is an [obstacle](obstacle_to_masks), or if an image cannot be decoded.
 pub fn make_masks(
     capture: &Capture,
     settings: &MaskSettings,
     write: &mut dyn FnMut(usize, usize, &Segmentation) -> ControlFlow<()>,
     report: &mut dyn FnMut(&str, f64),
 ) -> Result<(), CaptureError> {
-    let num_frames = capture.num_frames();
-    if num_frames < MIN_FRAMES {
-        let problem = format!("has {num_frames} frames, expected at least {MIN_FRAMES} to tell what moves");
+    if let Some(problem) = obstacle_to_masks(capture)? {
         return Err(CaptureError::invalid(&capture.path, problem));
     }
-    let cameras = capture.cameras(Split::All, 0, 1)?;
+    let (num_frames, cameras) = (capture.num_frames(), capture.cameras(Split::All, 0, 1)?);
     let widest = cameras.iter().map(|(_, camera)| camera.width).max().unwrap_or(1);
     let narrowest = cameras.iter().map(|(_, camera)| camera.width.min(camera.height)).min().unwrap_or(1);
     let factor = widest.div_ceil(settings.image_width.max(1)).clamp(1, narrowest);
@@ -161,10 +180,6 @@ fn images(
     factor: usize,
 ) -> Result<Vec<Pixels>, CaptureError> {
     let found = capture.cameras(Split::All, frame, 1)?;
-    if let Some((id, _)) = cameras.iter().find(|camera| !found.contains(camera)) {
-        let problem = format!("camera {id} moves or has no image at frame {frame}, expected cameras that stand still");
-        return Err(CaptureError::invalid(&capture.path, problem));
-    }
     let places: Vec<usize> =
         cameras.iter().filter_map(|camera| found.iter().position(|other| other == camera)).collect();
     let mut images = Vec::new();

@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::Context;
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde_json::{Value, json};
-use tcgs_capture::{Capture, MASKS_FOLDER, MaskSettings, Split, make_masks};
+use tcgs_capture::{Capture, MASKS_FOLDER, MaskSettings, Split, make_masks, obstacle_to_masks};
 use tcgs_core::Segmentation;
 
 use crate::error::wrong_input;
@@ -16,6 +16,45 @@ use crate::interrupt;
 use crate::output::{NewFolder, write_file};
 use crate::progress::Progress;
 use crate::terminal::say;
+
+/// What is said of them in a dry run.
+pub const WOULD: &str = "masks: would be made";
+
+/// Whether masks are made of what moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Masks {
+    /// Where they can be
+    Auto,
+    /// It is an error if they cannot be
+    Yes,
+    No,
+}
+
+impl Masks {
+    /// Whether masks are to be made of a capture that has none. Where they cannot be, `auto` says why.
+    pub fn are_wanted(self, capture: &Capture) -> anyhow::Result<bool> {
+        if self == Self::No {
+            return Ok(false);
+        }
+        match obstacle(capture)? {
+            None => Ok(true),
+            Some(problem) if self == Self::Auto => {
+                say(&format!("masks: none are made; {}: {problem}", capture.name()))?;
+                Ok(false)
+            }
+            Some(problem) => Err(wrong_input(format!("{}: {problem}; or --masks no", capture.name()))),
+        }
+    }
+}
+
+/// Why masks cannot be made of a capture, if they cannot.
+fn obstacle(capture: &Capture) -> anyhow::Result<Option<String>> {
+    if capture.mask_files(Split::All, 0)?.iter().any(|(_, file)| file.is_none()) {
+        let kind = capture.kind().name;
+        return Ok(Some(format!("is a {kind} capture, which has no place for masks, expected another layout")));
+    }
+    Ok(obstacle_to_masks(capture)?)
+}
 
 /// Makes the masks of a capture that `capture.toml` describes, all of them or none.
 ///
@@ -30,16 +69,11 @@ pub fn make_beside(capture: &Capture, folder: &Path) -> anyhow::Result<Value> {
     Ok(told)
 }
 
-/// Makes the masks of a capture.
+/// Makes the masks of a capture that has a place for them.
 ///
 /// - `from`, `to`: a mask that the capture looks for in `from` is written to the same place in `to`; one that is there
 ///   stays
 pub fn make(capture: &Capture, from: &Path, to: &Path) -> anyhow::Result<Value> {
-    if capture.mask_files(Split::All, 0)?.iter().any(|(_, file)| file.is_none()) {
-        let problem =
-            format!("is a {} capture, which has no place for masks, expected --masks no", capture.kind().name);
-        return Err(wrong_input(format!("{}: {problem}", capture.name())));
-    }
     let begin = Instant::now();
     let mut progress = Progress::new("masks", 100);
     let (mut num_masks, mut covered, mut pixels) = (0, 0, 0);

@@ -44,7 +44,7 @@ const MODEL: &str = "colmap";
 /// of the first frame's training images (multi-view stereo), keeps what three views or more agree on, limits the
 /// foreground to what all masks allow, continues surfaces without texture, and puts a shell around the rest.
 ///
-/// With --masks yes it also marks in every image what moves, if the cameras stand still and the capture has no masks: what
+/// In every image it marks what moves, if the cameras stand still and the capture has no masks (--masks): what
 /// differs from what a camera sees most of the time, and what the other cameras' differences allow there. The masks are
 /// images that can be looked at and mended: masks/CAMERA/FRAME.png beside capture.toml, seg/CAMERA/FRAME.png of Panoptic
 /// Sports. Masks that others made, in the same place, are taken as they are.
@@ -126,10 +126,10 @@ pub struct Arguments {
     /// fewer than eight none]
     #[arg(long, value_name = "CAMERA", conflicts_with = "check")]
     hold_out: Vec<String>,
-    /// Whether masks of what moves are made, where the capture has none: yes, no
-    #[arg(long, value_name = "YES", default_value = "no", value_parser = yes_or_no, action = clap::ArgAction::Set,
-        conflicts_with_all = ["points_only", "check"])]
-    masks: bool,
+    /// Whether masks of what moves are made, where the capture has none; auto: if the cameras stand still, there are eight
+    /// frames or more, and the layout has a place for masks
+    #[arg(long, value_name = "WHETHER", default_value = "auto", conflicts_with_all = ["points_only", "check"])]
+    masks: masks::Masks,
     /// Say which steps would run, and write nothing
     #[arg(long, conflicts_with = "check")]
     dry_run: bool,
@@ -189,8 +189,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         check_points_file(file, force)?;
     }
     if arguments.dry_run {
-        if arguments.masks {
-            say("masks: would be made, if the capture has none")?;
+        let capture = Capture::open_unseen(&arguments.source)?;
+        if arguments.out.is_some() && !capture.has_segmentation() && arguments.masks.are_wanted(&capture)? {
+            say(masks::WOULD)?;
         }
         say("points: would be made; cameras and clocks are taken as the capture has them")?;
         return if arguments.out.is_some() { say(check::WOULD) } else { Ok(()) };
@@ -211,10 +212,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         link::link_tree(&arguments.source, folder.path(), &[POINTS_FILE, RECORD, check::PAGE])?;
     }
     let mut told_of_masks = Value::Null;
-    if let Some(folder) = folder.as_ref().filter(|_| arguments.masks) {
+    if let Some(folder) = &folder {
         if capture.has_segmentation() {
             say("masks: taken as the capture has them")?;
-        } else {
+        } else if arguments.masks.are_wanted(&capture)? {
             told_of_masks = masks::make(&capture, &arguments.source, folder.path())?;
             capture = Capture::open_unseen(folder.path())?;
         }

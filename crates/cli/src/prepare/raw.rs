@@ -65,11 +65,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut capture = Capture::open_unseen(out)?;
     if capture.has_segmentation() {
         say("masks: taken as the capture has them")?;
-    } else if arguments.masks && arguments.dry_run {
-        say("masks: would be made")?;
-    } else if arguments.masks {
-        result["masks"] = masks::make_beside(&capture, out)?;
-        capture = Capture::open_unseen(out)?;
+    } else if arguments.masks.are_wanted(&capture)? {
+        if arguments.dry_run {
+            say(masks::WOULD)?;
+        } else {
+            result["masks"] = masks::make_beside(&capture, out)?;
+            capture = Capture::open_unseen(out)?;
+        }
     }
     if capture.has_points() {
         say("points: the capture has some already")?;
@@ -167,8 +169,8 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Describe
         if arguments.colors {
             say("colours: would be compared, and evened out where that makes them more alike")?;
         }
-        if arguments.masks {
-            say("masks: would be made")?;
+        if arguments.masks != masks::Masks::No {
+            say(masks::WOULD)?;
         }
         say("points: would be made")?;
         say(check::WOULD)?;

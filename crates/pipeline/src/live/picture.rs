@@ -116,10 +116,7 @@ impl Picture {
         let Ok(output) = CpuRasterizer.draw(&drawn, &view.camera, &RenderSettings::default());
         let mut image = output.0.image;
         if let Some(camera) = self.camera_ids.iter().position(|&id| id == view.camera_id) {
-            let (gain, offset) = (parameters.camera_gains[camera], parameters.camera_offsets[camera]);
-            for channel in 0..3 {
-                image.plane_mut(channel).iter_mut().for_each(|x| *x = gain[channel].exp() * *x + offset[channel]);
-            }
+            image = parameters.seen_by_camera(camera, image);
         }
         psnr(&image, &view.image)
     }

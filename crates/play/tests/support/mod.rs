@@ -6,6 +6,7 @@
 use std::cell::RefCell;
 use std::ops::Range;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use tcgs_codec::{BitMap, CompactScene, CompressSettings, SceneInfo, compress, encode, encode_cohorts};
 use tcgs_core::{DynamicGaussians, Gaussians, Layout};
@@ -26,13 +27,12 @@ pub fn small_file() -> Vec<u8> {
     room_file(400, 40, &CompressSettings { segment_length: Some(5), ..Default::default() })
 }
 
-/// Part of a room with harmonics up to a degree, moved sideways.
-fn shining_room(num_gaussians: usize, num_timesteps: usize, degree: usize, aside: f32) -> DynamicGaussians {
-    let layout = Layout::with_harmonics(degree);
+/// Part of a room with the columns of a layout, moved sideways.
+fn room_like(layout: &Arc<Layout>, num_gaussians: usize, num_timesteps: usize, aside: f32) -> DynamicGaussians {
     let room = scenes::room(num_gaussians, num_timesteps);
-    let mut scene = DynamicGaussians::new(layout.clone());
+    let mut scene = DynamicGaussians::new(Arc::clone(layout));
     for timestep in 0..num_timesteps {
-        let mut now: Gaussians = room.at(timestep).extended(&layout);
+        let mut now: Gaussians = room.at(timestep).extended(layout);
         now.means_mut().iter_mut().for_each(|mean| mean[0] += aside);
         for band in layout.harmonics() {
             let values = now.values_mut(band).iter_mut().enumerate();
@@ -43,12 +43,12 @@ fn shining_room(num_gaussians: usize, num_timesteps: usize, degree: usize, aside
     scene
 }
 
-/// Twelve timesteps of version 2: a room with harmonics up to a degree that lives throughout, in segments of five
+/// Twelve timesteps of version 2: a room with the columns of a layout that lives throughout, in segments of five
 /// timesteps; another one that lives from timestep 3 to 8, in which half of the Gaussians come and go; and at each
 /// timestep some Gaussians of its own, more and more.
-pub fn cohorts_file(num_gaussians: usize, degree: usize) -> Vec<u8> {
+pub fn cohorts_file(num_gaussians: usize, layout: &Arc<Layout>) -> Vec<u8> {
     let cohort = |n: usize, start: u32, num_timesteps: usize, aside: f32| {
-        let scene = shining_room(n, num_timesteps, degree, aside);
+        let scene = room_like(layout, n, num_timesteps, aside);
         let bits = BitMap::uniform_of(scene.layout(), n, 16, 8);
         let settings = CompressSettings { segment_length: Some(5), ..CompressSettings::default() };
         CompactScene { start, ..compress(&scene, &bits, None, SceneInfo::of(&scene), &settings).unwrap() }

@@ -202,7 +202,7 @@ impl Gate {
         let p = &state.parameters;
         let of_view = |(i, view): (usize, &View)| {
             let (width, height) = (view.image.width, view.image.height);
-            let seen = corrected(&memory.pictures[i], p.camera_gains[i], p.camera_offsets[i]);
+            let seen = p.seen_by_camera(i, memory.pictures[i].clone());
             let mut blocks = Blocks::none(width, height);
             let differences = differences(&seen, &view.image);
             let level = median(&self.record.noise[i]) + contrast;
@@ -239,16 +239,6 @@ impl Gate {
 fn errors(state: &State, camera: usize, picture: &Image, target: &Image) -> Vec<f32> {
     let p = &state.parameters;
     tile_errors(picture, target, p.camera_gains[camera], p.camera_offsets[camera])
-}
-
-/// A picture as a camera sees it.
-fn corrected(picture: &Image, gain: [f32; 3], offset: [f32; 3]) -> Image {
-    let mut seen = picture.clone();
-    for channel in 0..3 {
-        let factor = gain[channel].exp();
-        seen.plane_mut(channel).iter_mut().for_each(|x| *x = factor * *x + offset[channel]);
-    }
-    seen
 }
 
 fn redraw(drawn: &Drawn, view: &View, tiles: &TileMask, picture: &mut Image) {

@@ -313,13 +313,7 @@ impl Trainer {
         for view in views {
             let mut image = self.engine.draw(&self.config.mask, &view.camera)?;
             if let Some(camera) = self.camera_ids.iter().position(|&id| id == view.camera_id) {
-                let p = &self.engine.state()?.parameters;
-                let (gain, offset) = (p.camera_gains[camera], p.camera_offsets[camera]);
-                for channel in 0..3 {
-                    for value in image.plane_mut(channel) {
-                        *value = gain[channel].exp() * *value + offset[channel];
-                    }
-                }
+                image = self.engine.state()?.parameters.seen_by_camera(camera, image);
             }
             sum += psnr(&image, &view.image);
         }
