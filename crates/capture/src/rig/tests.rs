@@ -17,7 +17,7 @@ use crate::description::{CaptureDescription, DescribedCamera, Role};
 use super::{balance_colors, find_cameras, has_colmap, moving_cameras, refine_cameras, scale_cameras};
 
 /// Width and height of the tests' images.
-const SIZE: [usize; 2] = [320, 240];
+const SIZE: [usize; 2] = [240, 180];
 const NUM_CAMERAS: usize = 6;
 
 /// What is seen at a place of a surface: noise in cells of two sizes, with values in `[0, 255]`.
@@ -72,7 +72,7 @@ fn described(folder: &Path, num_frames: usize) -> CaptureDescription {
     for id in 0..NUM_CAMERAS {
         let angle = 0.13 * (id as f64 - 2.5);
         let center = [2.4 * angle.sin(), -0.7 - 0.15 * (id % 3) as f64, -2.4 * angle.cos()];
-        let camera = Camera::look_at(center, [0.0, -0.3, 0.3], [0.0, -1.0, 0.0], 280.0, width, height);
+        let camera = Camera::look_at(center, [0.0, -0.3, 0.3], [0.0, -1.0, 0.0], 0.875 * width as f64, width, height);
         let images = folder.join(format!("ims/{id}"));
         std::fs::create_dir_all(&images).unwrap();
         let picture = picture(&camera);
@@ -230,7 +230,9 @@ fn a_camera_of_another_scene_is_alone() {
     };
     assert_eq!(refined(&mut description.clone()).alone, [0; 0]);
     let other = |x: u32, y: u32| image::Rgb([texture(f64::from(x) / 40.0, f64::from(y) / 40.0, 9) as u8; 3]);
-    image::RgbImage::from_fn(320, 240, other).save(folder.path().join("ims/3/000000.png")).unwrap();
+    image::RgbImage::from_fn(SIZE[0] as u32, SIZE[1] as u32, other)
+        .save(folder.path().join("ims/3/000000.png"))
+        .unwrap();
     let refinement = refined(&mut description);
     assert_eq!((refinement.alone, refinement.mended), (vec![3], None));
 }
@@ -274,8 +276,9 @@ fn a_camera_that_moves_is_named() {
     let paths: Vec<_> = (0..16).map(|t| folder.path().join(format!("ims/3/{t:06}.png"))).collect();
     for (t, path) in paths.iter().enumerate() {
         let image = image::open(path).unwrap().to_rgb8();
-        let wide = image::imageops::crop_imm(&image, 3 * t as u32, 0, 320 - 45, 240).to_image();
-        image::imageops::resize(&wide, 320, 240, image::imageops::FilterType::Triangle).save(path).unwrap();
+        let (width, height) = image.dimensions();
+        let wide = image::imageops::crop_imm(&image, 3 * t as u32, 0, width - 45, height).to_image();
+        image::imageops::resize(&wide, width, height, image::imageops::FilterType::Triangle).save(path).unwrap();
     }
     assert_eq!(moving_cameras(folder.path(), &description).unwrap(), ["cam3"]);
 }
@@ -292,7 +295,7 @@ fn colmap_places_cameras_of_which_nothing_is_known() {
     let truth = described(folder.path(), 2);
     let mut description = truth.clone();
     for camera in &mut description.cameras {
-        camera.focal = [1.2 * 320.0; 2];
+        camera.focal = [1.2 * SIZE[0] as f64; 2];
         camera.camera_from_world = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
     }
     let mut told = Vec::new();
@@ -317,7 +320,7 @@ fn colmap_places_cameras_of_which_nothing_is_known() {
         let same = read.cameras.iter().find(|other| other.names.contains(&camera.name)).unwrap();
         let pairs = same.camera_from_world.as_flattened().iter().zip(camera.camera_from_world.as_flattened());
         assert!(pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) < 1e-6, "{same:?}, expected {camera:?}");
-        assert_eq!((same.focal, same.size), (camera.focal, Some((320, 240))));
+        assert_eq!((same.focal, same.size), (camera.focal, Some((SIZE[0], SIZE[1]))));
     }
     let centers: Vec<[f64; 3]> = rigs(&description).iter().map(RigCamera::center).collect();
     assert!((distance(centers[0], centers[1]) - 2.0).abs() < 1e-9);
@@ -336,7 +339,7 @@ fn images_that_have_nothing_in_common_place_no_cameras() {
         let seed = camera.id as u32;
         let noise = |x: u32, y: u32| image::Rgb([((x ^ (y * (3 + seed))) * 37 % 251) as u8; 3]);
         let path = folder.path().join(format!("{}/000000.png", camera.file));
-        image::RgbImage::from_fn(320, 240, noise).save(path).unwrap();
+        image::RgbImage::from_fn(SIZE[0] as u32, SIZE[1] as u32, noise).save(path).unwrap();
     }
     let before = description.clone();
     let tell = &mut |_: &str| ControlFlow::Continue(());
