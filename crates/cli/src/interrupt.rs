@@ -58,6 +58,12 @@ pub fn remove_at_end(unfinished: &Path) -> anyhow::Result<()> {
     check()
 }
 
+/// Takes back [`remove_at_end`], before what is finished is moved to its place. Where Ctrl-C is removing it already, this waits for
+/// the end of the process.
+pub fn keep() {
+    *UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner) = None;
+}
+
 /// An error after Ctrl-C.
 pub fn check() -> anyhow::Result<()> {
     if asked().is_break() { Err(tcgs_pipeline::PipelineError::Stopped.into()) } else { Ok(()) }

@@ -11,6 +11,7 @@ use serde_json::Value;
 use tcgs_interchange::{Existing, Unfinished, is_unfinished, remove_unfinished, write_whole};
 
 use crate::error::wrong_input;
+use crate::interrupt;
 use crate::terminal::note;
 
 /// How long nothing has changed in what a killed process left, before it is removed. A day is more than a person needs
@@ -135,6 +136,7 @@ impl NewFolder {
         let Self { place, making, new, inside } = self;
         let context = format!("writing {}", place.display());
         // From here on the unfinished folder may hold the only copy of something: it is no longer one to be cleaned up.
+        interrupt::keep();
         let making = making.keep();
         let before = making.join("before");
         let moved = match inside {

@@ -16,7 +16,7 @@ use crate::description::{CaptureDescription, DescribedCamera, Role};
 
 use super::{balance_colors, find_cameras, has_colmap, moving_cameras, refine_cameras, scale_cameras};
 
-/// Width and height of the tests' images.
+/// Width and height of most tests' images.
 const SIZE: [usize; 2] = [240, 180];
 const NUM_CAMERAS: usize = 6;
 
@@ -67,7 +67,11 @@ fn picture_of(camera: &Camera, paper: u64) -> image::RgbImage {
 
 /// A described capture whose cameras are right: they stand on an arc and look at a room of rich texture.
 fn described(folder: &Path, num_frames: usize) -> CaptureDescription {
-    let [width, height] = SIZE;
+    described_at(folder, num_frames, SIZE)
+}
+
+fn described_at(folder: &Path, num_frames: usize, size: [usize; 2]) -> CaptureDescription {
+    let [width, height] = size;
     let mut description = CaptureDescription::new(30.0, num_frames);
     for id in 0..NUM_CAMERAS {
         let angle = 0.13 * (id as f64 - 2.5);
@@ -90,7 +94,7 @@ fn described(folder: &Path, num_frames: usize) -> CaptureDescription {
             crop: None,
             gains: [1.0; 3],
             offsets: [0.0; 3],
-            size: SIZE,
+            size,
             focal: camera.focal,
             principal: camera.principal,
             distortion: vec![0.0; 8],
@@ -270,7 +274,7 @@ fn two_scenes_in_one_folder_are_two_groups() {
 #[test]
 fn a_camera_that_moves_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    let description = described(folder.path(), 16);
+    let description = described_at(folder.path(), 16, [320, 240]);
     assert_eq!(moving_cameras(folder.path(), &description).unwrap(), [""; 0]);
     // Camera 3 turns: each frame shows what is three pixels further to the right.
     let paths: Vec<_> = (0..16).map(|t| folder.path().join(format!("ims/3/{t:06}.png"))).collect();
