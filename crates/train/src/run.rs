@@ -22,7 +22,7 @@ use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
 use crate::checkpoint::{Arrays, BIRTHS, Chain, Checkpoint, For, MASK_LOGITS, read_single, write_single};
-use crate::config::{BirthConfig, GateConfig, RenderConfig, TrainConfig};
+use crate::config::{BirthConfig, GateConfig, TrainConfig};
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
 use crate::parameters::Parameters;
@@ -85,9 +85,8 @@ impl Run {
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
         let text = fs::read_to_string(&path).map_err(read(&path))?;
-        // A run of before the gate, births or antialiasing goes on without them.
-        let render = RenderConfig { antialiased: false };
-        let base = TrainConfig { gate: GateConfig::OFF, births: BirthConfig::OFF, render, ..TrainConfig::default() };
+        // A run of before the gate or births goes on without them.
+        let base = TrainConfig { gate: GateConfig::OFF, births: BirthConfig::OFF, ..TrainConfig::default() };
         let config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         Ok(Self::new(folder, config))
     }

@@ -2,9 +2,9 @@
 //!
 //! What lives here: checks that [`Capture::open`] cannot make from numbers alone. *geometry* draws the points from
 //! every camera and compares the drawing with the image, for the given camera and for the usual mistakes; *masks*
-//! compares masks with the points' foreground; *colors* compares the cameras' colours with each other; *sync* compares each camera's silhouettes with those of the others at
-//! other frames; *sheet* draws the overview, *pictures* each camera for a page. What does not: files that are missing or damaged, which `open` and `views`
-//! report.
+//! compares masks with the points' foreground; *colors* compares the cameras' colours with each other; *sync* compares each
+//! camera's silhouettes with those of the others at other frames; *sheet* draws the overview, *pictures* each camera for a
+//! page. What does not: files that are missing or damaged, which `open` and `views` report.
 
 mod colors;
 mod geometry;
