@@ -200,7 +200,7 @@ fn what_is_not_of_one_scene_is_named() {
     let out = folder.path().join("frames");
     let render = ["render", text(&plys), "--out", text(&out)];
     let message = fail(2, &render);
-    let expected = "000001.ply: has spherical harmonics of degree 0, expected degree 3 as in ";
+    let expected = "000001.ply: has spherical harmonics of degree 0, expected spherical harmonics of degree 3 as in ";
     assert!(message.contains(expected), "{message}");
     // A tenth coefficient belongs to no degree.
     let first = plys.join("000000.ply");

@@ -2,8 +2,9 @@
 //! those that are not finite.
 
 use std::path::Path;
+use std::sync::Arc;
 
-use tcgs_core::{Gaussians, HARMONIC_0};
+use tcgs_core::{Gaussians, HARMONIC_0, Layout};
 
 use crate::InterchangeError;
 
@@ -18,12 +19,12 @@ pub enum HigherHarmonics {
 }
 
 /// What the start of a file says of its Gaussians.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub(crate) struct Head {
     /// `N`, at least 1, and not more than the file's length has room for.
     pub num_gaussians: usize,
-    /// Degree of the harmonics that are read.
-    pub sh_degree: usize,
+    /// With the harmonics that are read.
+    pub layout: Arc<Layout>,
 }
 
 /// sRGB of the coefficient of degree 0.

@@ -29,13 +29,12 @@ pub(crate) fn read_gltf(path: &Path, harmonics: HigherHarmonics) -> Result<Gauss
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
     let (document, chunk) = open(path, Wanted::All)?;
     let placed = document.placed().map_err(problem)?;
-    let Head { sh_degree, .. } = head(&document, &placed, harmonics).map_err(problem)?;
+    let Head { layout, .. } = head(&document, &placed, harmonics).map_err(problem)?;
     let buffers = Buffers::open(&document, path, chunk).map_err(problem)?;
-    let layout = Layout::with_harmonics(sh_degree);
     let mut parts = Vec::new();
     let mut num_gaussians = 0;
     for Placed { primitive, placement } in &placed {
-        let mut part = gaussians(&buffers, primitive, sh_degree).map_err(problem)?;
+        let mut part = gaussians(&buffers, primitive, layout.sh_degree()).map_err(problem)?;
         // A mesh may be shown often; a Gaussian takes 32 bytes or more.
         num_gaussians += part.num_gaussians();
         if num_gaussians > buffers.num_bytes() {
@@ -72,7 +71,7 @@ fn head(document: &Document, placed: &[Placed], harmonics: HigherHarmonics) -> R
     if num_gaussians == 0 {
         return Err("holds no Gaussian, expected at least one".into());
     }
-    Ok(Head { num_gaussians, sh_degree })
+    Ok(Head { num_gaussians, layout: Layout::with_harmonics(sh_degree) })
 }
 
 /// The Gaussians of one primitive in its own axes, or what is wrong.

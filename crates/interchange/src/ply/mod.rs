@@ -53,10 +53,11 @@ use crate::{HigherHarmonics, InterchangeError};
 /// file, lacks a property, has harmonics of no known degree, holds a number that is not finite, or has no Gaussian.
 pub fn read_ply(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, InterchangeError> {
     let (mut ply, head) = open(path, harmonics)?;
+    let sh_degree = head.layout.sh_degree();
     let gaussians = if is_compressed(&ply) {
-        compressed::read(&mut ply, head.sh_degree)
+        compressed::read(&mut ply, sh_degree)
     } else {
-        match head.sh_degree {
+        match sh_degree {
             0 => read_rows::<REQUIRED>(&mut ply, 0),
             1 => read_rows::<{ REQUIRED + 9 }>(&mut ply, 1),
             2 => read_rows::<{ REQUIRED + 24 }>(&mut ply, 2),
@@ -155,7 +156,7 @@ fn open(path: &Path, harmonics: HigherHarmonics) -> Result<(PlyReader<BufReader<
     if metadata.is_file() && least.is_none_or(|least| least > metadata.len()) {
         return Err(ends_early(path));
     }
-    let head = Head { num_gaussians: element.count, sh_degree };
+    let head = Head { num_gaussians: element.count, layout: Layout::with_harmonics(sh_degree) };
     Ok((ply, head))
 }
 

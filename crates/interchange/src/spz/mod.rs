@@ -10,7 +10,7 @@
 //! | 8–11 | number of Gaussians | at least 1 |
 //! | 12 | degree of the harmonics | 0 to 3; version 4 allows 4 |
 //! | 13 | fractional bits of positions | at most 24 |
-//! | 14 | flags | 1: trained with antialiasing, which is not kept; 2: has extensions |
+//! | 14 | flags | 1: drawn with antialiasing ([`Layout::is_antialiased`]); 2: has extensions |
 //! | 15 | version 4: number of streams | 6, or 5 without harmonics |
 //! | 16–19 | version 4: place of the streams' table | at least 32 |
 //! | 20–31 | version 4: reserved | not read |
@@ -30,10 +30,11 @@ mod unpack;
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::Path;
+use std::sync::Arc;
 
 use flate2::read::GzDecoder;
 use ruzstd::decoding::StreamingDecoder;
-use tcgs_core::{Gaussians, MAX_SH_DEGREE};
+use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 
 use self::unpack::{Arrays, Encoding};
 use crate::axes::Axes;
@@ -59,9 +60,18 @@ struct Header {
     num_gaussians: usize,
     sh_degree: usize,
     fractional_bits: u8,
+    is_antialiased: bool,
     has_extensions: bool,
     /// Of version 4.
     num_streams: u8,
+}
+
+impl Header {
+    /// Of what is read.
+    fn layout(&self, harmonics: HigherHarmonics) -> Arc<Layout> {
+        let sh_degree = if harmonics == HigherHarmonics::Keep { self.sh_degree } else { 0 };
+        Layout::with_harmonics(sh_degree).antialiased(self.is_antialiased)
+    }
 }
 
 /// Reads the Gaussians of one SPZ file, in stored form and in the axes of PLY files.
@@ -81,8 +91,7 @@ pub(crate) fn read_spz(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussi
     };
     let axes = axes(&extensions).map_err(problem)?;
     let encoding = Encoding { version: header.version, fractional_bits: header.fractional_bits };
-    let read_degree = if harmonics == HigherHarmonics::Keep { header.sh_degree } else { 0 };
-    let mut gaussians = unpack::unpack(&arrays, encoding, header.num_gaussians, read_degree);
+    let mut gaussians = unpack::unpack(&arrays, encoding, header.num_gaussians, &header.layout(harmonics));
     axes.turn(&mut gaussians);
     checked(path, gaussians)
 }
@@ -92,9 +101,8 @@ pub(crate) fn read_spz(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussi
 /// # Errors
 /// As [`read_spz`], but for what only the rest of the file shows.
 pub(crate) fn read_head(path: &Path, harmonics: HigherHarmonics) -> Result<Head, InterchangeError> {
-    let Header { num_gaussians, sh_degree, .. } = open(path, harmonics)?;
-    let sh_degree = if harmonics == HigherHarmonics::Keep { sh_degree } else { 0 };
-    Ok(Head { num_gaussians, sh_degree })
+    let header = open(path, harmonics)?;
+    Ok(Head { num_gaussians: header.num_gaussians, layout: header.layout(harmonics) })
 }
 
 /// Reads and checks the header.
@@ -122,6 +130,7 @@ fn open(path: &Path, harmonics: HigherHarmonics) -> Result<Header, InterchangeEr
         num_gaussians: number(8) as usize,
         sh_degree: usize::from(fields[12]),
         fractional_bits: fields[13],
+        is_antialiased: fields[14] & 1 != 0,
         has_extensions: fields[14] & 2 != 0,
         num_streams: fields[15],
     };

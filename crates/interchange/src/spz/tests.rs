@@ -73,6 +73,23 @@ fn extensions_say_which_axes_a_file_has() {
 }
 
 #[test]
+fn the_flag_of_antialiasing_is_of_the_layout() {
+    let plain = gunzip(&file("splat_transform_v3.spz"));
+    let as_is = read(&gzip(&plain)).unwrap();
+    assert!(!as_is.layout().is_antialiased());
+    for gaussians in
+        [read(&gzip(&with(&plain, 14, &[1]))).unwrap(), read(&with(&file("splat_transform_v4.spz"), 14, &[1])).unwrap()]
+    {
+        assert!(gaussians.layout().is_antialiased());
+        assert_eq!((gaussians.means(), gaussians.layout().sh_degree()), (as_is.means(), 3));
+    }
+    let named = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(named.path(), gzip(&with(&plain, 14, &[1]))).unwrap();
+    let layout = read_head(named.path(), HigherHarmonics::Drop).unwrap().layout;
+    assert!(layout.is_antialiased() && layout.is_base());
+}
+
+#[test]
 fn what_is_wrong_is_named() {
     let ends_early = "ends early, expected a whole SPZ file";
     for name in ["splat_transform_v3.spz", "splat_transform_v4.spz", "spz_v2.spz"] {

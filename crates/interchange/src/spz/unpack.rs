@@ -11,6 +11,7 @@
 //! | harmonics | 9, 24, 45 or 72 | `(byte - 128) / 128` |
 
 use std::f64::consts::FRAC_1_SQRT_2;
+use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Layout};
 
@@ -28,13 +29,12 @@ pub struct Encoding {
 
 /// The Gaussians in the axes of the file.
 ///
-/// - `arrays`: of `num_gaussians`, with harmonics of at least `sh_degree`
-pub fn unpack(arrays: &[Vec<u8>], encoding: Encoding, num_gaussians: usize, sh_degree: usize) -> Gaussians {
+/// - `arrays`: of `num_gaussians`, with harmonics of at least the layout's degree
+pub fn unpack(arrays: &[Vec<u8>], encoding: Encoding, num_gaussians: usize, layout: &Arc<Layout>) -> Gaussians {
     let [positions, opacities, colors, scales, rotations, harmonics] = arrays else {
         unreachable!("readers give six arrays, found {}", arrays.len());
     };
-    let layout = Layout::with_harmonics(sh_degree);
-    let mut gaussians = Gaussians::zeros_of(&layout, num_gaussians);
+    let mut gaussians = Gaussians::zeros_of(layout, num_gaussians);
     let step = 1.0 / f64::from(1_u32 << encoding.fractional_bits);
     let base = gaussians.views_mut();
     let means = base.means.as_flattened_mut().iter_mut();

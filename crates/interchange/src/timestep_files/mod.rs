@@ -1,7 +1,7 @@
 //! A folder with one file a timestep, of any kind that is read.
 //!
-//! Files may differ in their kind and in their number of Gaussians; the degree of their spherical harmonics is the same. A
-//! scene whose Gaussians are followed through time ([`TimestepFiles::read`]) needs more, which the files do not state: the
+//! Files may differ in their kind and in their number of Gaussians; the degree of their spherical harmonics is the same, and
+//! so is whether they are drawn with antialiasing, which SPZ files alone say. A scene whose Gaussians are followed through time ([`TimestepFiles::read`]) needs more, which the files do not state: the
 //! same Gaussians in the same order. The reader checks what it can: every file has the same number of Gaussians, and
 //! Gaussian `i` of one file is near Gaussian `i` of the next ([`MAX_JUMP`]).
 
@@ -13,7 +13,6 @@ use std::sync::Arc;
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, natural_key};
 
 use crate::gaussian_file::{FileKind, read_head};
-use crate::stored::Head;
 use crate::{HigherHarmonics, InterchangeError, read_gaussians};
 
 /// Endings of the files that are timesteps. What such a file is its content says.
@@ -64,27 +63,26 @@ impl TimestepFiles {
     ///
     /// # Errors
     /// [`InterchangeError::Read`] if the folder or a file cannot be read; [`InterchangeError::File`] if the folder has no
-    /// such file, or names the first file whose header is none of Gaussians or has harmonics of another degree than the
-    /// first file.
+    /// such file, or names the first file whose header is none of Gaussians, or that has harmonics of another degree than the
+    /// first file or is antialiased unlike it.
     pub fn open(path: &Path, harmonics: HigherHarmonics) -> Result<Self, InterchangeError> {
         let files = if path.is_dir() { timestep_files(path)? } else { vec![path.into()] };
         let mut numbers = Vec::new();
         let mut kinds = Vec::new();
-        let mut degree = None;
+        let mut first = None;
         for file in &files {
-            let (kind, Head { num_gaussians, sh_degree }) = read_head(file, harmonics)?;
+            let (kind, head) = read_head(file, harmonics)?;
             kinds.push(kind);
-            let expected = *degree.get_or_insert(sh_degree);
-            if sh_degree != expected {
-                let first = files[0].display();
-                let problem =
-                    format!("has spherical harmonics of degree {sh_degree}, expected degree {expected} as in {first}");
+            let expected = first.get_or_insert_with(|| Arc::clone(&head.layout));
+            if head.layout != *expected {
+                let (found, expected, first) = (look(&head.layout), look(expected), files[0].display());
+                let problem = format!("has {found}, expected {expected} as in {first}");
                 return Err(InterchangeError::File { path: file.clone(), problem });
             }
-            numbers.push(num_gaussians);
+            numbers.push(head.num_gaussians);
         }
         let first_frame = first_frame(&files);
-        let layout = Layout::with_harmonics(degree.unwrap_or(0));
+        let layout = first.unwrap_or_default();
         let kind = kinds.first().copied().filter(|first| kinds.iter().all(|kind| kind == first));
         Ok(Self { files, numbers, kind, first_frame, harmonics, layout })
     }
@@ -130,12 +128,11 @@ impl TimestepFiles {
     pub fn at(&self, timestep: usize) -> Result<Gaussians, InterchangeError> {
         let file = &self.files[timestep];
         let gaussians = read_gaussians(file, self.harmonics)?;
-        let found = [gaussians.num_gaussians(), gaussians.layout().sh_degree()];
-        let expected = [self.numbers[timestep], self.layout.sh_degree()];
-        if found != expected {
+        let (found, expected) = (gaussians.num_gaussians(), self.numbers[timestep]);
+        if found != expected || gaussians.layout() != &self.layout {
+            let (look_found, look_expected) = (look(gaussians.layout()), look(&self.layout));
             let problem = format!(
-                "has {} Gaussians and harmonics of degree {}, expected {} and degree {} as when it was opened",
-                found[0], found[1], expected[0], expected[1]
+                "has {found} Gaussians with {look_found}, expected {expected} with {look_expected} as when it was opened"
             );
             return Err(InterchangeError::File { path: file.clone(), problem });
         }
@@ -201,6 +198,12 @@ impl SceneReader for TimestepFiles {
     fn at(&mut self, timestep: usize) -> Result<Gaussians, InterchangeError> {
         Self::at(self, timestep)
     }
+}
+
+/// How Gaussians of a layout are drawn, in words.
+fn look(layout: &Layout) -> String {
+    let antialiased = if layout.is_antialiased() { ", antialiased" } else { "" };
+    format!("spherical harmonics of degree {}{antialiased}", layout.sh_degree())
 }
 
 /// Whether a name is that of a file to read. Hidden ones are other programs' notes.

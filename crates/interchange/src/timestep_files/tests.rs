@@ -119,7 +119,8 @@ fn the_number_of_gaussians_may_change_in_every_file() {
     // What changes after the headers were read is noticed.
     write(&folder, "2.ply", &at(2));
     let problem = files.at(2).unwrap_err().to_string();
-    let expected = "has 100 Gaussians and harmonics of degree 0, expected 3 and degree 0 as when it was opened";
+    let expected = "has 100 Gaussians with spherical harmonics of degree 0, \
+                    expected 3 with spherical harmonics of degree 0 as when it was opened";
     assert!(problem.ends_with(expected), "{problem}");
 }
 
@@ -168,7 +169,10 @@ fn a_file_of_another_degree_is_named() {
     }
     let (file, problem) = read(&folder).unwrap_err();
     let first = folder.path().join("0.ply");
-    let expected = format!("has spherical harmonics of degree 1, expected degree 2 as in {}", first.display());
+    let expected = format!(
+        "has spherical harmonics of degree 1, expected spherical harmonics of degree 2 as in {}",
+        first.display()
+    );
     assert_eq!((&*file, problem), ("2.ply", expected));
     assert!(TimestepFiles::open(folder.path(), HigherHarmonics::Drop).is_ok());
 }
