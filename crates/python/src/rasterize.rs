@@ -55,15 +55,19 @@ pub struct PyRasterizeGrads {
 /// - K: [3, 3], intrinsics in pixels
 /// - width, height: of the image, pixels
 /// - background: [C], behind everything; black if None
+/// - rasterize_mode: "classic", or "antialiased" as the scene's own flag says (`Scene.antialiased`): a splat that is widened
+///   by a pixel's extent gives up as much opacity
 ///
 /// Returns a Rasterized: `image` [height, width, C] and `alpha` [height, width, 1], float32, not clamped; `vjp` gives the
 /// gradients. The image has the same bits for any number of threads.
 ///
 /// Gaussians nearer than 0.2 scene units are not drawn, and an alpha is at most 0.99; gsplat has 0.01 and 0.999.
 ///
-/// Raises ValueError if a shape or a number is wrong.
+/// Raises ValueError if a shape, a number or the mode is wrong.
 #[pyfunction]
-#[pyo3(signature = (means, quats, scales, opacities, colors, viewmat, K, width, height, *, background = None))]
+#[pyo3(signature = (
+    means, quats, scales, opacities, colors, viewmat, K, width, height, *, background = None, rasterize_mode = "classic"
+))]
 #[allow(clippy::too_many_arguments, non_snake_case, reason = "the signature of gsplat")]
 pub fn rasterize(
     py: Python<'_>,
@@ -77,7 +81,16 @@ pub fn rasterize(
     width: usize,
     height: usize,
     background: Option<ArrayLike>,
+    rasterize_mode: &str,
 ) -> PyResult<PyRasterized> {
+    let is_antialiased = match rasterize_mode {
+        "classic" => false,
+        "antialiased" => true,
+        _ => {
+            let message = format!("rasterize_mode: {rasterize_mode:?}, expected \"classic\" or \"antialiased\"");
+            return Err(PyValueError::new_err(message));
+        }
+    };
     let camera = camera(&viewmat, &K, width, height)?;
     let (colors, shape) = values(&colors);
     let &[n, num_channels @ 1..=MAX_CHANNELS] = &shape[..] else {
@@ -94,7 +107,7 @@ pub fn rasterize(
         settings.background[..num_channels].copy_from_slice(&background);
     }
     let unit = quats.iter().map(|&quat| normalize(quat)).collect();
-    let activated = Activated { means, quats: unit, scales, opacities, colors, num_channels, is_antialiased: false };
+    let activated = Activated { means, quats: unit, scales, opacities, colors, num_channels, is_antialiased };
     let (RenderOutput { image, transmittance }, saved) = detached(py, || forward(&activated, &camera, &settings));
     let alpha = transmittance.iter().map(|transmittance| 1.0 - transmittance).collect();
     Ok(PyRasterized {

@@ -29,9 +29,10 @@ def drawn(arrays: Any, **options: Any) -> tcgs.Rasterized:
     return tcgs.rasterize(*[*arrays, at.viewmat, at.K, at.width, at.height], **options)
 
 
-def oracle(arrays: Any, background: Any, reached: list[Any] | None = None) -> tuple[Any, Any, list[Any]]:
+def oracle(arrays: Any, background: Any, mode: str, reached: list[Any] | None = None) -> tuple[Any, Any, list[Any]]:
     """Image and alpha in float64 from the equations (Kerbl et al. 2023), every Gaussian at every pixel.
 
+    - mode: with "antialiased" opacities shrink as splats are widened (Yu et al. 2024, Eq. 10)
     - reached: of each Gaussian from front to back the pixels that it reaches, as an earlier call returned them; alpha has
       a cutoff, and what a gradient means is the change where nothing crosses it
     """
@@ -49,7 +50,10 @@ def oracle(arrays: Any, background: Any, reached: list[Any] | None = None) -> tu
         focal = k[0, 0]
         jacobian = focal / z * np.array([[1, 0, -x / z], [0, 1, -y / z]])
         root = jacobian @ view[:3, :3] @ rotation @ np.diag(scale)
-        conic = np.linalg.inv(root @ root.T + 0.3 * np.eye(2))
+        narrow, wide = root @ root.T, root @ root.T + 0.3 * np.eye(2)
+        conic = np.linalg.inv(wide)
+        if mode == "antialiased":
+            opacity = opacity * np.sqrt(np.linalg.det(narrow) / np.linalg.det(wide))
         splats.append((z, focal * np.array([x, y]) / z + k[:2, 2], conic, opacity, color))
     columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     image, transmittance = np.zeros((HEIGHT, WIDTH, len(background))), np.ones((HEIGHT, WIDTH, 1))
@@ -64,10 +68,11 @@ def oracle(arrays: Any, background: Any, reached: list[Any] | None = None) -> tu
     return image + transmittance * background, 1 - transmittance, reaching
 
 
-def test_the_image_is_that_of_the_equations() -> None:
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_the_image_is_that_of_the_equations(mode: str) -> None:
     arrays = gaussians(12, 1)
-    image, alpha = drawn(arrays, background=BACKGROUND)
-    expected_image, expected_alpha, _ = oracle(arrays, BACKGROUND)
+    image, alpha = drawn(arrays, background=BACKGROUND, rasterize_mode=mode)
+    expected_image, expected_alpha, _ = oracle(arrays, BACKGROUND, mode)
     assert image.shape == (HEIGHT, WIDTH, 3) and alpha.shape == (HEIGHT, WIDTH, 1)
     assert 0.05 < alpha.mean() < 0.95
     # At the cutoff of alpha a pixel may fall on either side, by 1/255 of a colour.
@@ -76,20 +81,20 @@ def test_the_image_is_that_of_the_equations() -> None:
         assert np.mean(error > 1e-5) < 2e-3 and error.max() < 1 / 255
 
 
-@pytest.mark.parametrize("channels", [1, 3, 8])
-def test_gradients_agree_with_central_differences(channels: int) -> None:
+@pytest.mark.parametrize(("channels", "mode"), [(1, "classic"), (3, "classic"), (3, "antialiased"), (8, "classic")])
+def test_gradients_agree_with_central_differences(channels: int, mode: str) -> None:
     rng = np.random.default_rng(3)
     arrays = gaussians(8, 2)
     arrays[4] = rng.uniform(0, 1, (8, channels))
     everything = [*arrays, rng.uniform(0, 1, channels)]
     v_image, v_alpha = rng.normal(size=(HEIGHT, WIDTH, channels)), rng.normal(size=(HEIGHT, WIDTH, 1))
-    reached = oracle(arrays, everything[5])[2]
+    reached = oracle(arrays, everything[5], mode)[2]
 
     def loss() -> float:
-        image, alpha, _ = oracle(everything[:5], everything[5], reached)
+        image, alpha, _ = oracle(everything[:5], everything[5], mode, reached)
         return float(np.sum(image * v_image) + np.sum(alpha * v_alpha))
 
-    v = drawn(arrays, background=everything[5]).vjp(v_image, v_alpha)
+    v = drawn(arrays, background=everything[5], rasterize_mode=mode).vjp(v_image, v_alpha)
     grads = [v.v_means, v.v_quats, v.v_scales, v.v_opacities, v.v_colors, v.v_background]
     for array, grad in zip(everything, grads):
         assert grad.shape == array.shape and grad.dtype == np.float32
@@ -126,6 +131,8 @@ def test_wrong_shapes_are_named() -> None:
         drawn([*arrays[:4], np.ones((3, 9))])
     with pytest.raises(ValueError, match=r"v_image: has shape"):
         drawn(arrays).vjp(np.ones((3, 3)))
+    with pytest.raises(ValueError, match='rasterize_mode: "RGB", expected "classic" or "antialiased"'):
+        drawn(arrays, rasterize_mode="RGB")
     with pytest.raises(ValueError, match="viewmat is not a rotation"):
         tcgs.rasterize(*[*arrays, 2 * at.viewmat, at.K, WIDTH, HEIGHT])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -14,16 +14,17 @@ from test_rasterize import BACKGROUND, HEIGHT, WIDTH, camera, drawn, gaussians  
 from tcgs.torch import rasterize  # noqa: E402
 
 
-def test_gradients_flow_to_every_tensor() -> None:
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_gradients_flow_to_every_tensor(mode: Literal["classic", "antialiased"]) -> None:
     arrays = gaussians(8, 2)
     at = camera()
     tensors: Any = [torch.tensor(array, requires_grad=True) for array in [*arrays, BACKGROUND]]
     view, k = torch.tensor(at.viewmat), torch.tensor(at.K)
-    image, alpha = rasterize(*[*tensors[:5], view, k, WIDTH, HEIGHT], background=tensors[5])
+    image, alpha = rasterize(*[*tensors[:5], view, k, WIDTH, HEIGHT], background=tensors[5], rasterize_mode=mode)
     rng = np.random.default_rng(3)
     v_image, v_alpha = rng.normal(size=(HEIGHT, WIDTH, 3)), rng.normal(size=(HEIGHT, WIDTH, 1))
     (torch.sum(image * torch.tensor(v_image)) + torch.sum(alpha * torch.tensor(v_alpha))).backward()
-    reference = drawn(arrays, background=BACKGROUND)
+    reference = drawn(arrays, background=BACKGROUND, rasterize_mode=mode)
     assert np.array_equal(image.detach().numpy().astype(np.float32), reference.image)
     v = reference.vjp(v_image, v_alpha)
     expected = [v.v_means, v.v_quats, v.v_scales, v.v_opacities, v.v_colors, v.v_background]

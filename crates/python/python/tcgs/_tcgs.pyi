@@ -229,6 +229,7 @@ def rasterize(
     height: int,
     *,
     background: npt.ArrayLike | None = None,
+    rasterize_mode: Literal["classic", "antialiased"] = "classic",
 ) -> Rasterized: ...
 def render(
     scene: Scene,
