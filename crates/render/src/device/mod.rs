@@ -12,6 +12,6 @@ mod wgsl;
 pub use activated::{ACTIVATED_VALUES, activated_len, pack};
 pub use dispatch::{MAX_GROUPS_X, MAX_THREADS, WORKGROUP, groups_in_rows, groups_over};
 pub use gpu_error::{GpuError, GpuInfo};
-pub use radix::{MAX_KEYS, NUM_DIGITS, SORT_BLOCK, SortUniform, sort_passes, sort_source};
+pub use radix::{FEW_BLOCKS, MAX_KEYS, NUM_DIGITS, SORT_BLOCK, SortUniform, sort_passes, sort_source};
 pub use renderer::{BUCKET, Capacity, Coverage, RenderSources, VISIBLE, ViewPart, ViewUniform, sources};
 pub use wgsl::{Wgsl, WgslValue};

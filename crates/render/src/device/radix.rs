@@ -14,6 +14,10 @@ const DIGIT_BITS: u32 = 8;
 /// Values of a digit, and threads of a workgroup.
 pub const NUM_DIGITS: usize = 1 << DIGIT_BITS;
 
+/// Up to so many blocks one workgroup scans the counts of all of them: a workgroup a digit with its barriers would take longer, on
+/// a processor that acts as a GPU many times as long as all else.
+pub const FEW_BLOCKS: usize = 32;
+
 /// Most keys that can be sorted: a workgroup a block, along x.
 pub const MAX_KEYS: usize = MAX_GROUPS * SORT_BLOCK;
 
@@ -46,5 +50,5 @@ pub fn sort_passes(capacity: usize, bits: u32) -> Vec<SortUniform> {
 
 /// The source of the kernels `radix_count`, `radix_scan` and `radix_scatter`.
 pub fn sort_source() -> String {
-    source(1).constant("DIGITS", NUM_DIGITS).part(include_str!("radix.wgsl")).finish()
+    source(1).constant("DIGITS", NUM_DIGITS).constant("FEW", FEW_BLOCKS).part(include_str!("radix.wgsl")).finish()
 }

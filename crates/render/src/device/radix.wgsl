@@ -32,6 +32,7 @@ struct Sort {
 const WORDS: u32 = DIGITS / 32u;
 // Blocks that a thread of radix_scan adds up by itself.
 const RUN: u32 = 4u;
+// Up to FEW blocks the first workgroup scans all rows, a thread each.
 
 var<workgroup> counts: array<atomic<u32>, DIGITS>;
 var<workgroup> sums: array<u32, 2u * DIGITS>;
@@ -85,6 +86,18 @@ fn radix_count(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
 @compute @workgroup_size(DIGITS)
 fn radix_scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let num_blocks = (num_keys() + SORT_BLOCK - 1u) / SORT_BLOCK;
+    if (num_blocks <= FEW) {
+        if (group.x == 0u) {
+            var at = 0u;
+            for (var i = thread * sort.stride; i < thread * sort.stride + num_blocks; i++) {
+                let number = table[i];
+                table[i] = at;
+                at += number;
+            }
+            totals[thread] = at;
+        }
+        return;
+    }
     let row = group.x * sort.stride;
     var before = 0u;
     for (var first = 0u; first < num_blocks; first += RUN * DIGITS) {

@@ -11,7 +11,7 @@
 
 use super::raw::Bound;
 use super::{Gpu, GpuError};
-use crate::device::{MAX_KEYS, NUM_DIGITS, SORT_BLOCK, sort_passes, sort_source};
+use crate::device::{FEW_BLOCKS, MAX_KEYS, NUM_DIGITS, SORT_BLOCK, sort_passes, sort_source};
 
 /// How many blocks of `SORT_BLOCK` keys a sort covers; more than there are keys for cost a workgroup each.
 #[derive(Clone, Copy, Debug)]
@@ -26,6 +26,7 @@ pub enum Dispatch<'a> {
 #[derive(Clone, Debug)]
 pub struct Radix {
     passes: Vec<Pass>,
+    scan_groups: u32,
 }
 
 #[derive(Clone, Debug)]
@@ -89,7 +90,8 @@ impl Radix {
                 ),
             });
         }
-        Ok(Self { passes })
+        let scan_groups = if capacity <= FEW_BLOCKS * SORT_BLOCK { 1 } else { NUM_DIGITS as u32 };
+        Ok(Self { passes, scan_groups })
     }
 
     /// Which of the two buffers of keys and values holds the sorted ones.
@@ -107,7 +109,7 @@ impl Radix {
         };
         for Pass { count, scan, scatter } in &self.passes {
             over_blocks(count, pass);
-            scan.dispatch(pass, [NUM_DIGITS as u32, 1, 1]);
+            scan.dispatch(pass, [self.scan_groups, 1, 1]);
             over_blocks(scatter, pass);
         }
     }
@@ -185,10 +187,12 @@ mod tests {
     #[test]
     fn sorts_any_number_of_keys() {
         let Some(gpu) = gpu() else { return };
-        for num_keys in [0, 1, 255, 256, 1023, 1024, 1025, 100_000] {
+        for num_keys in [0, 1, 255, 256, 1023, 1024, 1025, 32_768, 32_769, 100_000] {
             let keys: Vec<u32> = (0..num_keys).map(hash).collect();
             check(&gpu, &keys, 100_000, 32, false);
             check(&gpu, &keys, 100_000, 32, true);
+            // As few blocks as the buffers hold.
+            check(&gpu, &keys, num_keys.max(1) as usize, 32, true);
         }
         check(&gpu, &(0..2500).map(hash).collect::<Vec<_>>(), 2500, 32, true);
     }
