@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds a crate's WebAssembly: OUTDIR/tcgs_CRATE.js, tcgs_CRATE_bg.wasm and their TypeScript declarations; CRATE is play (the
 # player) or js (the decoder alone).
-# Needs rustup or the target wasm32-unknown-unknown; installs the matching wasm-bindgen below the target folder.
+# Needs rustup or the target wasm32-unknown-unknown.
 # Makes the module smaller with wasm-opt where that is on the PATH.
 set -euo pipefail
 
@@ -18,17 +18,10 @@ if ! [[ -d $(rustc --print sysroot)/lib/rustlib/wasm32-unknown-unknown ]]; then
     rustup target add wasm32-unknown-unknown
 fi
 
-# The program must be of the very version that the crate is.
-version=$(awk '/^name = "wasm-bindgen"$/ { getline; gsub(/"/, "", $3); print $3 }' Cargo.lock)
-bindgen=$target/tools/bin/wasm-bindgen
-if [[ $("$bindgen" --version 2>/dev/null) != "wasm-bindgen $version" ]]; then
-    # Not with --locked: a mirror may lack one of the very newest versions that its lock file names.
-    cargo install wasm-bindgen-cli --version "$version" --bin wasm-bindgen --root "$target/tools" \
-        --target-dir "$target/tools/build"
-fi
-
+# Compiled without optimisation it takes less than a second for the player.
+cargo build --locked --manifest-path web/bindgen/Cargo.toml --target-dir "$target/tools"
 cargo build --locked -p "tcgs-$crate" --lib --target wasm32-unknown-unknown --profile web
-"$bindgen" --target web --remove-name-section --remove-producers-section --out-dir "$out" "$target/wasm32-unknown-unknown/web/tcgs_$crate.wasm"
+"$target/tools/debug/bindgen" "$target/wasm32-unknown-unknown/web/tcgs_$crate.wasm" "$out"
 if command -v wasm-opt >/dev/null; then
     wasm-opt -O --all-features "$out/tcgs_${crate}_bg.wasm" -o "$out/tcgs_${crate}_bg.wasm.smaller"
     mv "$out/tcgs_${crate}_bg.wasm.smaller" "$out/tcgs_${crate}_bg.wasm"

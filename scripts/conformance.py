@@ -12,7 +12,7 @@ Examples:
   scripts/conformance.py --decoder "python3 testdata/bitstream/decode.py {file} {out}"
   scripts/conformance.py --decoder "tcgs info {file} && tcgs export {file} --to {out}"
 """
-import argparse, json, math, pathlib, shlex, struct, subprocess, sys, tempfile
+import argparse, concurrent.futures, json, math, os, pathlib, shlex, struct, subprocess, sys, tempfile
 
 FOLDER = pathlib.Path(__file__).resolve().parent.parent / 'testdata' / 'bitstream'
 sys.path.insert(0, str(FOLDER))
@@ -48,7 +48,8 @@ class Runner:
         self.command, self.seconds, self.folder = command, seconds, folder
     def run(self, file):
         """The exit code, or None after too long; the floats; the last line that was said."""
-        out = self.folder / (file.stem + '.f32')
+        # A file to refuse may have the name of one to decode.
+        out = self.folder / f'{file.parent.name}-{file.stem}.f32'
         command = self.command.replace('{file}', shlex.quote(str(file))).replace('{out}', shlex.quote(str(out)))
         try: done = subprocess.run(command, shell=True, capture_output=True, timeout=self.seconds)
         except subprocess.TimeoutExpired: return None, None, ''
@@ -72,26 +73,31 @@ class Runner:
         if code == 0: return 'was decoded'
         return None if 0 < code < 126 else f'crashed: exit code {code}: {said}'
 
+    def problem(self, what, file): return (self.vector if what == 'decodes' else self.refused)(file)
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--decoder', required=True, metavar='COMMAND', help='with {file} and {out}')
     parser.add_argument('--version', type=int, choices=[1, 2], help='of the format [default: both]')
     parser.add_argument('--seconds', type=float, default=60, help='that a file may take [default: 60]')
+    parser.add_argument('--jobs', type=int, default=os.cpu_count(), help='files at a time [default: one a processor]')
     parser.add_argument('--json', type=pathlib.Path, metavar='FILE', help='also write the result to this file')
     options = parser.parse_args()
     # Files of a version to decode, and to refuse.
     folders = {1: ('v1', 'refused'), 2: ('v2', 'refused_v2')}
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
+    # What a decoder has to do, the file, and what is wrong with it.
+    tasks = []
+    for version in [options.version] if options.version else folders:
+        vectors, refused = (FOLDER / name for name in folders[version])
+        files = sorted(vectors.glob('*.tcgs'))
+        table = json.loads((refused / 'refused.json').read_text())['files']
+        if not files or not table: sys.exit(f'{FOLDER}: no vectors, expected the whole repository')
+        tasks += [('decodes', file, '') for file in files]
+        tasks += [('refuses', refused / row['file'], row['wrong']) for row in table]
+    with tempfile.TemporaryDirectory() as folder, concurrent.futures.ProcessPoolExecutor(options.jobs) as pool:
         runner = Runner(options.decoder, options.seconds, pathlib.Path(folder))
-        for version in [options.version] if options.version else folders:
-            vectors, refused = (FOLDER / name for name in folders[version])
-            files = sorted(vectors.glob('*.tcgs'))
-            table = json.loads((refused / 'refused.json').read_text())['files']
-            if not files or not table: sys.exit(f'{FOLDER}: no vectors, expected the whole repository')
-            for file in files: rows.append(('decodes', f'{vectors.name}/{file.name}', runner.vector(file), ''))
-            for row in table:
-                rows.append(('refuses', f'{refused.name}/{row["file"]}', runner.refused(refused / row['file']), row['wrong']))
+        problems = list(pool.map(runner.problem, *zip(*[task[:2] for task in tasks])))
+    rows = [(what, f'{file.parent.name}/{file.name}', problem, wrong) for (what, file, wrong), problem in zip(tasks, problems)]
     for what, name, problem, wrong in rows:
         print(f'{"FAIL" if problem else "ok":<4}  {what}  {name:<40}  {problem or wrong}'.rstrip())
     failed = sum(problem is not None for *_, problem, _ in rows)

@@ -166,9 +166,9 @@ def main(paths):
             if before not in source: sys.exit(f'{mistake}: decode.py does not say {before!r}')
             source = source.replace(before, after)
         mutant = decoder(source)
-        caught = [path for data, path in vectors if differs(mutant, data, expected[path])]
-        if not caught: alive.append(mistake)
-        print(f'{"CAUGHT BY NONE" if not caught else pathlib.Path(caught[0]).stem:>24}  {mistake}')
+        by = next((path for data, path in vectors if differs(mutant, data, expected[path])), None)
+        if by is None: alive.append(mistake)
+        print(f'{pathlib.Path(by).stem if by else "CAUGHT BY NONE":>24}  {mistake}')
     if alive: sys.exit(f'{len(alive)} of {len(MUTANTS)} mistakes pass all vectors')
     print(f'all {len(MUTANTS)} mistakes are caught')
 
