@@ -10,6 +10,7 @@
 //! | `seg_colors` | `(N, 3)`: foreground, 0, background | [`ParamsExtras::foreground`], written only |
 //! | `cam_m`, `cam_c` | `(50, 3)`: image = exp(cam_m) * render + cam_c | [`ParamsExtras`], written only |
 //! | `tcgs_first_frame`, `tcgs_downscale`, `tcgs_frame_rate` | `(1,)` each, ours alone, optional | [`ParamsOrigin`] |
+//! | `tcgs_antialiased` | `(1,)`: 1, ours alone, of antialiased scenes | [`Layout::is_antialiased`](tcgs_core::Layout::is_antialiased) |
 //!
 //! The format has no field for the frame of the capture that its first timestep shows. Other programs number the
 //! timesteps from 0 and ignore the arrays whose names begin with `tcgs_`: a scene of the frames 7 to 9 has the
@@ -28,6 +29,8 @@ pub use self::write::{ParamsExtras, write_params_npz, write_params_npz_from, wri
 const FIRST_FRAME: &str = "tcgs_first_frame";
 const DOWNSCALE: &str = "tcgs_downscale";
 const FRAME_RATE: &str = "tcgs_frame_rate";
+/// Key of an array that antialiased scenes have.
+const ANTIALIASED: &str = "tcgs_antialiased";
 
 /// Which frames of a capture a scene shows, and at which resolution it was trained. The format of Dynamic 3D Gaussians
 /// has no such fields; other programs ignore these arrays.

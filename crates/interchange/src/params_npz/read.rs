@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
 
-use super::{DOWNSCALE, FIRST_FRAME, FRAME_RATE, ParamsOrigin};
+use super::{ANTIALIASED, DOWNSCALE, FIRST_FRAME, FRAME_RATE, ParamsOrigin};
 use crate::npy::show_shape;
 use crate::npz::NpzRows;
 use crate::{InterchangeError, NpzReader};
@@ -155,7 +155,7 @@ fn open_params(path: &Path) -> Result<ParamsNpz, InterchangeError> {
         Ok(array.values)
     };
     let (log_scales, logit_opacities) = (constant("log_scales", 3)?, constant("logit_opacities", 1)?);
-    let layout = Layout::base();
+    let layout = Layout::base().antialiased(npz.contains(ANTIALIASED));
     Ok(ParamsNpz { npz, num_timesteps, num_gaussians, layout, means, quats, log_scales, logit_opacities, colors })
 }
 

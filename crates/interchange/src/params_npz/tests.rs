@@ -1,6 +1,7 @@
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::Path;
+use std::sync::Arc;
 
 use tcgs_core::{Attribute, DynamicGaussians, Layout, SceneReader};
 
@@ -10,6 +11,10 @@ use crate::{NpzReader, NpzWriter};
 
 /// Two timesteps of three Gaussians, every value different.
 fn scene() -> DynamicGaussians {
+    scene_of(Layout::base())
+}
+
+fn scene_of(layout: Arc<Layout>) -> DynamicGaussians {
     let mut counter = 0.0;
     let mut next = || {
         counter += 0.25;
@@ -21,7 +26,7 @@ fn scene() -> DynamicGaussians {
     let log_scales = vec![values(9)];
     let quats = vec![values(12), values(12)];
     let samples = vec![means, quats, log_scales, vec![vec![-1.0, 0.5, 2.0]], colors];
-    DynamicGaussians::from_samples(Layout::base(), 2, samples)
+    DynamicGaussians::from_samples(layout, 2, samples)
 }
 
 fn bytes(scene: &DynamicGaussians, extras: &ParamsExtras) -> Vec<u8> {
@@ -73,6 +78,11 @@ fn a_scene_survives_the_round_trip_and_gives_the_same_bytes() {
     assert_eq!(read_params_npz(&path).unwrap(), scene());
     assert_eq!(std::fs::read(&path).unwrap(), bytes(&scene(), &ParamsExtras::default()));
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file was left behind");
+    // Antialiased scenes stay so.
+    let antialiased = scene_of(Layout::base().antialiased(true));
+    write_params_npz(&path, &antialiased, &ParamsExtras::default()).unwrap();
+    let read = read_params_npz(&path).unwrap();
+    assert!(read == antialiased && read.layout().is_antialiased());
 }
 
 /// [`arrays`] as [`Array`]s, compressed or not, in an archive.

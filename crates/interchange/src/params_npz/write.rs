@@ -6,7 +6,7 @@ use std::path::Path;
 
 use tcgs_core::{Attribute, DynamicGaussians, SceneReader};
 
-use super::{DOWNSCALE, FIRST_FRAME, FRAME_RATE, ParamsOrigin};
+use super::{ANTIALIASED, DOWNSCALE, FIRST_FRAME, FRAME_RATE, ParamsOrigin};
 use crate::{Existing, InterchangeError, NpzWriter, write_whole};
 
 /// Rows of `cam_m` and `cam_c`: the source always has 50, whatever the number of cameras.
@@ -112,6 +112,9 @@ pub fn write_params_npz_from<W: Write + Seek, R: SceneReader>(
         for (key, value) in [FIRST_FRAME, DOWNSCALE, FRAME_RATE].into_iter().zip(values) {
             npz.array(key, &[1], [[value].as_slice()])?;
         }
+    }
+    if scene.layout().is_antialiased() {
+        npz.array(ANTIALIASED, &[1], [[1.0].as_slice()])?;
     }
     npz.finish()
 }
