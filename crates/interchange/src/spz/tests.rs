@@ -83,10 +83,17 @@ fn the_flag_of_antialiasing_is_of_the_layout() {
         assert!(gaussians.layout().is_antialiased());
         assert_eq!((gaussians.means(), gaussians.layout().sh_degree()), (as_is.means(), 3));
     }
-    let named = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(named.path(), gzip(&with(&plain, 14, &[1]))).unwrap();
-    let layout = read_head(named.path(), HigherHarmonics::Drop).unwrap().layout;
+    let folder = tempfile::tempdir().unwrap();
+    let named = folder.path().join("1.spz");
+    std::fs::write(&named, gzip(&with(&plain, 14, &[1]))).unwrap();
+    let layout = read_head(&named, HigherHarmonics::Drop).unwrap().layout;
     assert!(layout.is_antialiased() && layout.is_base());
+    // A sequence is of one kind.
+    std::fs::write(folder.path().join("0.spz"), gzip(&plain)).unwrap();
+    let problem = crate::TimestepFiles::open(folder.path(), HigherHarmonics::Keep).unwrap_err().to_string();
+    let expected =
+        "1.spz: has spherical harmonics of degree 3, antialiased, expected spherical harmonics of degree 3 as in ";
+    assert!(problem.contains(expected), "{problem}");
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! A folder with one file a timestep, of any kind that is read.
 //!
-//! Files may differ in their kind and in their number of Gaussians; the degree of their spherical harmonics is the same, and
-//! so is whether they are drawn with antialiasing, which SPZ files alone say. A scene whose Gaussians are followed through time ([`TimestepFiles::read`]) needs more, which the files do not state: the
-//! same Gaussians in the same order. The reader checks what it can: every file has the same number of Gaussians, and
-//! Gaussian `i` of one file is near Gaussian `i` of the next ([`MAX_JUMP`]).
+//! Files may differ in their kind and in their number of Gaussians; the degree of their spherical harmonics is the same,
+//! and so is whether they are drawn with antialiasing, which SPZ files alone say. A scene whose Gaussians are followed
+//! through time ([`TimestepFiles::read`]) needs more, which the files do not state: the same Gaussians in the same order.
+//! The reader checks what it can: every file has the same number of Gaussians, and Gaussian `i` of one file is near
+//! Gaussian `i` of the next ([`MAX_JUMP`]).
 
 use std::fs;
 use std::ops::Range;
