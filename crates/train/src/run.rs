@@ -263,15 +263,20 @@ impl Run {
     /// # Errors
     /// As [`Self::checkpoint`].
     pub fn births(&self) -> Result<Option<Vec<u32>>, TrainError> {
+        Ok(self.last_births()?.1)
+    }
+
+    /// The last finished timestep that can be read, with what [`Self::births`] returns.
+    fn last_births(&self) -> Result<(usize, Option<Vec<u32>>), TrainError> {
         let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), BIRTHS);
         let mut births_at = |timestep: usize| {
             let births = Checkpoint::births_of(&chain.read(timestep)?);
             births.map_err(|problem| TrainError::File { path: chain.path(timestep), problem })
         };
         // A damaged checkpoint is no reason not to read those before it.
-        let mut found = Ok(None);
+        let mut found = Ok((0, None));
         for timestep in (0..self.timesteps()).rev() {
-            found = births_at(timestep);
+            found = births_at(timestep).map(|births| (timestep, births));
             if found.is_ok() {
                 break;
             }
@@ -279,7 +284,8 @@ impl Run {
         found
     }
 
-    /// The Gaussians that were born after the first timestep, each as it was born, in the order of their births.
+    /// The Gaussians that were born after the first timestep, in the order of their births: each where and how it was born,
+    /// with the values that it settled with in the columns that do not vary over time.
     ///
     /// - `first`: see [`Self::checkpoint`]
     ///
@@ -288,7 +294,8 @@ impl Run {
     pub fn newborn(&self, first: &Checkpoint) -> Result<Gaussians, TrainError> {
         let layout = first.parameters.gaussians.layout();
         let mut newborn = Vec::new();
-        let births = self.births()?.unwrap_or_default();
+        let (last, births) = self.last_births()?;
+        let births = births.unwrap_or_default();
         let mut begin = births.partition_point(|&birth| birth == 0);
         for together in births[begin..].chunk_by(|a, b| a == b) {
             let rows: Vec<usize> = (begin..begin + together.len()).collect();
@@ -305,7 +312,16 @@ impl Run {
             newborn.push(gaussians.select(&rows));
             begin += together.len();
         }
-        Ok(Gaussians::concat(layout, &newborn))
+        let mut newborn = Gaussians::concat(layout, &newborn);
+        if newborn.num_gaussians() > 0 {
+            let settled = self.parameters(last, Some(first))?.gaussians;
+            for column in layout.columns().iter().filter(|column| !column.varies) {
+                let values = newborn.values_mut(column.attribute);
+                let settled = settled.values(column.attribute);
+                values.copy_from_slice(&settled[settled.len() - values.len()..]);
+            }
+        }
+        Ok(newborn)
     }
 
     /// The mask logits of the finished timesteps in their order, `[N]` each: of those that are born by then. Reads nothing
@@ -435,19 +451,25 @@ impl Run {
     }
 }
 
-/// The Gaussians of one timestep, followed by those that are born later, each as it will be born.
+/// The Gaussians of one timestep as those of a scene, which has all of them at every timestep: followed by those that are born
+/// later, each as it will be born; and in columns that do not vary over time with the values that the born settle with.
 ///
 /// - `newborn`: as [`Run::newborn`] gives them
 ///
 /// # Panics
 /// If the timestep has columns of another layout.
-pub fn with_unborn(gaussians: Gaussians, newborn: &Gaussians, num_gaussians: usize) -> Gaussians {
+pub fn with_unborn(mut gaussians: Gaussians, newborn: &Gaussians, num_gaussians: usize) -> Gaussians {
+    let layout = Arc::clone(gaussians.layout());
+    let num_first = num_gaussians - newborn.num_gaussians();
+    for column in layout.columns().iter().filter(|column| !column.varies) {
+        let born = &mut gaussians.values_mut(column.attribute)[num_first * column.components()..];
+        born.copy_from_slice(&newborn.values(column.attribute)[..born.len()]);
+    }
     let num_unborn = num_gaussians - gaussians.num_gaussians();
     if num_unborn == 0 {
         return gaussians;
     }
     let rows: Vec<usize> = (newborn.num_gaussians() - num_unborn..newborn.num_gaussians()).collect();
-    let layout = Arc::clone(gaussians.layout());
     Gaussians::concat(&layout, &[gaussians, newborn.select(&rows)])
 }
 

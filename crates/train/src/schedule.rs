@@ -4,6 +4,10 @@ use tcgs_core::{Column, RateGroup};
 
 use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 
+/// Rate at which the young learn what is the same at all timesteps, by that of the newborn: the timesteps since their birth are
+/// shown with it, too.
+const YOUTH_RATE: f32 = 0.5;
+
 /// Learning rates of one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
@@ -15,9 +19,9 @@ pub struct Rates {
     pub color: f32,
     /// Rate of colours that do not vary with time: the coefficients of spherical harmonics.
     pub harmonic: f32,
-    /// Rate of the logit opacities; 0 after the first timestep.
+    /// Rate of the logit opacities; 0 in [`Phase::Rest`].
     pub logit_opacity: f32,
-    /// Rate of the log scales; 0 after the first timestep.
+    /// Rate of the log scales; 0 in [`Phase::Rest`].
     pub log_scale: f32,
     /// Rate of the cameras' gains and offsets; 0 after the first timestep.
     pub camera: f32,
@@ -25,7 +29,7 @@ pub struct Rates {
     pub mask: f32,
     /// Rate of the quantizers' steps and offsets, as a multiple of each quantizer's initial step.
     pub step: f32,
-    /// Whether columns that do not vary with time are learned: true in the first timestep alone.
+    /// Whether columns that do not vary with time are learned: false in [`Phase::Rest`].
     pub moves_constants: bool,
 }
 
@@ -46,7 +50,7 @@ impl Rates {
     }
 }
 
-/// The phases of a run: the first timestep, all later timesteps, and the births at these.
+/// The phases of a run: the first timestep, all later timesteps, and at these what the newborn and the young learn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// The first timestep: all columns are learned, and density control adds and removes Gaussians.
@@ -55,6 +59,8 @@ pub enum Phase {
     Rest,
     /// After a later timestep: those born at it learn all columns, alone.
     Birth,
+    /// After a later timestep: those born at the timesteps just before it learn all columns, alone.
+    Youth,
 }
 
 impl Phase {
@@ -85,7 +91,7 @@ impl Schedule {
         match phase {
             Phase::First => self.config.schedule.first_iterations,
             Phase::Rest => self.config.schedule.rest_iterations,
-            Phase::Birth => self.config.births.iterations,
+            Phase::Birth | Phase::Youth => self.config.births.iterations,
         }
     }
 
@@ -112,16 +118,17 @@ impl Schedule {
         let mask = r.mask * self.shortening(phase);
         let mean = r.mean * self.scene_radius;
         match phase {
-            Phase::First | Phase::Birth => {
+            Phase::First | Phase::Birth | Phase::Youth => {
+                let constant = if phase == Phase::Youth { YOUTH_RATE } else { 1.0 };
                 let scale = if r.first_scale == 0.0 { self.shortening(phase).sqrt() } else { r.first_scale };
                 let decay = cosine(r.first_decay);
                 Rates {
                     mean: mean * scale * decay,
                     quat: r.quat * scale * decay,
                     color: r.color * decay,
-                    harmonic: r.harmonic * decay,
-                    logit_opacity: r.logit_opacity * decay,
-                    log_scale: r.log_scale * scale * decay,
+                    harmonic: r.harmonic * decay * constant,
+                    logit_opacity: r.logit_opacity * decay * constant,
+                    log_scale: r.log_scale * scale * decay * constant,
                     // All Gaussians share the cameras.
                     camera: if phase == Phase::First { r.camera * scale * decay } else { 0.0 },
                     // Who is needed is voted on over the timesteps to come.

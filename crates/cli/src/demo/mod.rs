@@ -28,8 +28,8 @@ use crate::terminal::say;
 
 /// Iterations of the first and of every later timestep: what two cores do in half a minute.
 const ITERATIONS: [usize; 2] = [1000, 80];
-/// Of the refinement: what two cores do in some ten seconds. The codes are coarser than the default's, since they are trained.
-const REFINE_ITERATIONS: usize = 1500;
+/// Of the refinement: what two cores do in a quarter of a minute. The codes are coarser than the default's, since they are trained.
+const REFINE_ITERATIONS: usize = 2500;
 const REFINED_QUALITY: f32 = -1.0;
 /// Marks a folder as made by this command.
 const MARKER: &str = ".tcgs-demo";

@@ -161,6 +161,12 @@ impl Gate {
         Some(Activity::new(state, &self.mask, targets, evidence, &memory.pictures, config.share))
     }
 
+    /// A state with the channels of the pictures.
+    pub fn drawn(&self, state: &State) -> Drawn {
+        let with_segmentation = self.memory.as_ref().is_some_and(|memory| memory.pictures[0].num_channels > 3);
+        Drawn::new(state, &self.mask, with_segmentation)
+    }
+
     /// Draws anew what a timestep changed that trained an activity.
     ///
     /// - `state`: after the timestep
@@ -178,11 +184,16 @@ impl Gate {
         self.redraw_rows(state, views, &(n - count..n).collect::<Vec<_>>(), &nothing);
     }
 
-    /// - `rows`: the Gaussians that changed
-    /// - `before`: these as they were drawn
-    fn redraw_rows(&mut self, state: &State, views: &[View], rows: &[usize], before: &Activated) {
-        let Some(memory) = self.memory.as_mut().filter(|_| !rows.is_empty()) else { return };
-        let all = Drawn::new(state, &self.mask, memory.pictures[0].num_channels > 3);
+    /// Draws anew what some Gaussians changed.
+    ///
+    /// - `rows`: these
+    /// - `before`: as they were drawn
+    pub fn redraw_rows(&mut self, state: &State, views: &[View], rows: &[usize], before: &Activated) {
+        if rows.is_empty() {
+            return;
+        }
+        let all = self.drawn(state);
+        let Some(memory) = &mut self.memory else { return };
         let after = all.activated().select(rows);
         for (picture, view) in memory.pictures.iter_mut().zip(views) {
             let mut tiles = tiles_reached(before, &view.camera);

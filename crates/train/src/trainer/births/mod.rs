@@ -10,6 +10,11 @@
 //! 4. Those that ended transparent or hidden by the mask are dropped; the others join the state. From the next timestep
 //!    on they move as all others do.
 //!
+//! What enters is first seen by few views, or from one side. So for some timesteps the young go on learning all their
+//! attributes after each timestep that trained them. Then they settle: opacity, scales and harmonics stay, as those of all
+//! others. A checkpoint holds what its timestep learned; a scene has the values that a Gaussian settled with at all
+//! timesteps ([`crate::with_unborn`]).
+//!
 //! Newborn Gaussians are neighbours of those born with them, by the poses of their first timestep.
 
 mod seeds;
@@ -33,17 +38,24 @@ use crate::state::State;
 const MAX_GROWTH: f32 = 3.0;
 
 impl Trainer {
-    /// Gives birth to what a timestep shows and the scene, as the timestep left it, does not.
+    /// Gives birth to what a timestep shows and the scene, as the timestep left it, does not; then lets the young learn.
     ///
     /// - `activity`: what the timestep trained; its part of the pictures is drawn anew
     ///
     /// # Errors
     /// As [`Trainer::fit`].
     pub(super) fn give_birth(&mut self, views: &[View], activity: &Activity) -> Result<(), TrainError> {
-        let config = self.config.births.clone();
         // Chapters of one scene have the same Gaussians.
-        let is_due = config.enabled && self.timestep > 0 && !self.continues;
-        let Some(gate) = self.gate.as_ref().filter(|_| is_due) else { return Ok(()) };
+        if !self.config.births.enabled || self.timestep == 0 || self.continues {
+            return Ok(());
+        }
+        self.add_newborn(views, activity)?;
+        self.raise_young(views, activity)
+    }
+
+    fn add_newborn(&mut self, views: &[View], activity: &Activity) -> Result<(), TrainError> {
+        let config = self.config.births.clone();
+        let Some(gate) = &self.gate else { return Ok(()) };
         let state = self.engine.state()?;
         let unexplained = gate.unexplained(state, views, activity, config.contrast);
         let most = (f64::from(config.share) * state.parameters.num_gaussians() as f64).ceil() as usize;
@@ -51,19 +63,13 @@ impl Trainer {
         if seeds.is_empty() {
             return Ok(());
         }
-        let newborn = newborn(&seeds, &state.parameters, self.config.mask.initial_logit);
-        let small = alone(newborn, state);
-        let nursery = Nursery::new(gate, state, &small, views, &unexplained);
-        let part = Part { shares: Shares::of(&small.parameters.foreground, &state.parameters.foreground), of: None };
-        let whole = std::mem::replace(self.engine.state_mut()?, small);
-        let with_segmentation = all_segmented(views);
-        let targets: Vec<Target> = views.iter().map(|view| Target::new(view, with_segmentation)).collect();
-        self.engine.begin(targets, Some(nursery.scenery))?;
-        let length = (self.schedule.iterations(Phase::Birth) * nursery.cameras.len()).div_ceil(views.len());
-        let pace = Pace::even(length, nursery.cameras.len());
-        self.iterate(Phase::Birth, nursery.cameras, pace, Some(&part), &[], &mut |_| ControlFlow::Continue(()))?;
-        let grown = self.engine.state()?.parameters.clone();
-        *self.engine.state_mut()? = whole;
+        let small = alone(newborn(&seeds, &state.parameters, self.config.mask.initial_logit), state);
+        let mut all = gate.drawn(state);
+        all.extend(&gate.drawn(&small));
+        let num_before = state.parameters.num_gaussians();
+        let rows: Vec<usize> = (num_before..num_before + seeds.len()).collect();
+        let nursery = Nursery::new(gate, &all, &rows, views, Some(&unexplained));
+        let grown = self.nurse(Phase::Birth, nursery, small, None, views)?;
         let keep =
             viable(&grown, &seeds, config.opacity, self.config.mask.enabled.then_some(self.config.mask.threshold));
         self.engine.state_mut()?.append(&grown.select(&keep));
@@ -73,6 +79,57 @@ impl Trainer {
             gate.welcome(state, views, keep.len());
         }
         Ok(())
+    }
+
+    /// Lets those born at the timesteps just before learn all their attributes, as far as this timestep trained them.
+    fn raise_young(&mut self, views: &[View], activity: &Activity) -> Result<(), TrainError> {
+        let config = &self.config.births;
+        let Some(gate) = &self.gate else { return Ok(()) };
+        let state = self.engine.state()?;
+        let births = &state.lifetimes.births;
+        let is_young = |&i: &usize| births[i] > 0 && births[i] as usize + config.youth >= self.timestep;
+        let young: Vec<usize> = activity.active.iter().copied().filter(is_young).collect();
+        if young.is_empty() {
+            return Ok(());
+        }
+        let small = alone(state.parameters.select(&young), state);
+        let all = gate.drawn(state);
+        let before = all.activated().select(&young);
+        let nursery = Nursery::new(gate, &all, &young, views, None);
+        let raised = self.nurse(Phase::Youth, nursery, small, Some(&young), views)?;
+        self.engine.state_mut()?.parameters.put(&young, &raised);
+        let state = self.engine.state()?;
+        if let Some(gate) = &mut self.gate {
+            gate.redraw_rows(state, views, &young, &before);
+        }
+        Ok(())
+    }
+
+    /// Trains all attributes of a few Gaussians, and leaves the engine's state as it was.
+    ///
+    /// - `small`: these alone
+    /// - `rows`: their indices in the scene; none of those that are not in it yet
+    /// - returns: what they have learned
+    fn nurse(
+        &mut self,
+        phase: Phase,
+        nursery: Nursery,
+        small: State,
+        rows: Option<&[usize]>,
+        views: &[View],
+    ) -> Result<Parameters, TrainError> {
+        let shares = Shares::of(&small.parameters.foreground, &self.engine.state()?.parameters.foreground);
+        let whole = std::mem::replace(self.engine.state_mut()?, small);
+        let part = Part { shares, of: rows.map(|rows| (&whole.parameters, rows)) };
+        let with_segmentation = all_segmented(views);
+        let targets: Vec<Target> = views.iter().map(|view| Target::new(view, with_segmentation)).collect();
+        self.engine.begin(targets, Some(nursery.scenery))?;
+        let length = (self.schedule.iterations(phase) * nursery.cameras.len()).div_ceil(views.len());
+        let pace = Pace::even(length, nursery.cameras.len());
+        self.iterate(phase, nursery.cameras, pace, Some(&part), &[], &mut |_| ControlFlow::Continue(()))?;
+        let learned = self.engine.state()?.parameters.clone();
+        *self.engine.state_mut()? = whole;
+        Ok(learned)
     }
 }
 
@@ -95,16 +152,16 @@ fn newborn(seeds: &[Seed], scene: &Parameters, mask_logit: f32) -> Parameters {
     }
 }
 
-/// The state of the newborn without the scene.
-fn alone(newborn: Parameters, scene: &State) -> State {
-    let count = newborn.num_gaussians();
+/// A state of the newborn or the young without the scene.
+fn alone(few: Parameters, scene: &State) -> State {
+    let count = few.num_gaussians();
     let quantizers = scene.quantizers.clone().map(|mut quantizers| {
         let before = quantizers.bit_map.num_gaussians();
         quantizers.append(count);
         quantizers.select(&(before..before + count).collect::<Vec<_>>());
         quantizers
     });
-    let mut state = State::new(newborn);
+    let mut state = State::new(few);
     state.timestep = scene.timestep;
     if let Some(quantizers) = quantizers {
         state.start_quantization(quantizers);

@@ -15,8 +15,6 @@ use crate::gate::{Blocks, median};
 
 /// Depths that are looked at on a ray, evenly in their inverse.
 const DEPTHS: usize = 128;
-/// Pixels between two rays, in both directions.
-const STRIDE: usize = 2;
 /// Mean absolute difference of two views' colours up to which they may be of one point.
 const SAME_COLOR: f32 = 0.08;
 /// Views, beside a ray's own, that must agree on a depth.
@@ -33,7 +31,7 @@ pub(super) struct Seed {
     pub position: [f32; 3],
     /// In `[0, 1]`.
     pub color: [f32; 3],
-    /// Distance between neighbouring rays there, scene units.
+    /// Distance between the rays of neighbouring pixels there, scene units.
     pub spacing: f32,
     pub foreground: bool,
 }
@@ -89,8 +87,8 @@ fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
     let Some([near, far]) = range(&me.pinhole, means) else { return Vec::new() };
     let (width, height) = (me.pinhole.width, me.pinhole.height);
     let mut seeds = Vec::new();
-    for y in (STRIDE / 2..height).step_by(STRIDE) {
-        for x in (STRIDE / 2..width).step_by(STRIDE).filter(|&x| me.unexplained.at(x, y)) {
+    for y in 0..height {
+        for x in (0..width).filter(|&x| me.unexplained.at(x, y)) {
             let color = mean_color(&me.view.image, x, y);
             let place = [x as f32, y as f32];
             let depth = |i: usize| {
@@ -110,7 +108,7 @@ fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
                 seeds.push(Seed {
                     position: me.pinhole.unproject(place, depth),
                     color,
-                    spacing: STRIDE as f32 * depth / me.pinhole.focal[0],
+                    spacing: depth / me.pinhole.focal[0],
                     foreground: segmentation.is_none_or(|s| s.foreground[y * width + x]),
                 });
             }
