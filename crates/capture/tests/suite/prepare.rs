@@ -1,0 +1,55 @@
+//! Real and rendered captures, where they are at hand: the doctor finds nothing, and points come from images alone.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use tcgs_capture::{Capture, Origin, PrepareSettings, prepare};
+
+/// The folder of a capture, or nothing, which skips the test unless `REQUIRE_GOLDEN=1`.
+fn folder(name: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
+    if path.is_dir() {
+        return Some(path);
+    }
+    assert!(std::env::var("REQUIRE_GOLDEN").as_deref() != Ok("1"), "{} is absent", path.display());
+    // Past the capture of passing tests: a skip is to be seen.
+    let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
+    None
+}
+
+#[test]
+fn real_captures_are_healthy() {
+    for name in ["panoptic_basketball", "toss"] {
+        let Some(path) = folder(name) else { return };
+        let diagnosis = tcgs_capture::check(&Capture::open(&path).unwrap(), &mut |_| ()).unwrap();
+        assert_eq!(diagnosis.findings, [], "{name}");
+        assert!(diagnosis.cameras.iter().all(|camera| camera.fit.unwrap() > 0.5), "{name}: {:?}", diagnosis.cameras);
+    }
+}
+
+#[test]
+fn basketball_is_prepared_from_its_images() {
+    let Some(path) = folder("panoptic_basketball") else { return };
+    let capture = Capture::open(&path).unwrap();
+    // Coarser than by default, for the sake of time.
+    let settings = PrepareSettings { image_width: 160, ..PrepareSettings::default() };
+    let prepared = prepare(&capture, &settings, &mut |_| ()).unwrap();
+    assert!((60_000..=80_000).contains(&prepared.cloud.points.len()), "{}", prepared.cloud.points.len());
+    // The given points are made of stereo, a fitted dome and the floor.
+    let given = capture.point_cloud().unwrap();
+    for (foreground, origin, limit) in [(true, Origin::Triangulated, 0.02), (false, Origin::Triangulated, 0.1)] {
+        let chosen = |i: &usize| prepared.cloud.foreground[*i] == foreground && prepared.origins[*i] == origin;
+        let points: Vec<[f32; 3]> =
+            (0..prepared.origins.len()).filter(chosen).step_by(50).map(|i| prepared.cloud.points[i]).collect();
+        let mut distances: Vec<f32> = points
+            .iter()
+            .map(|p| {
+                let alike = (0..given.points.len()).filter(|&i| given.foreground[i] == foreground);
+                let squares = alike.map(|i| (0..3).map(|k| (given.points[i][k] - p[k]).powi(2)).sum::<f32>());
+                squares.fold(f32::INFINITY, f32::min).sqrt()
+            })
+            .collect();
+        distances.sort_by(f32::total_cmp);
+        assert!(distances.len() > 200 && distances[distances.len() / 2] < limit, "{}", distances[distances.len() / 2]);
+    }
+}

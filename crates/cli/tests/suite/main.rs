@@ -1,0 +1,31 @@
+//! The command line, as people type it.
+
+// What helps a test may unwrap as a test may.
+#![allow(clippy::unwrap_used)]
+
+#[cfg(feature = "gpu")]
+mod bench;
+mod chapters;
+mod footage;
+mod force;
+mod foreign;
+mod interchange;
+mod layouts;
+#[cfg(target_os = "linux")]
+mod memory;
+mod pipeline;
+mod ply;
+mod prepare;
+mod raw;
+mod recover;
+#[cfg(feature = "gpu")]
+mod refusals;
+mod reproduce;
+mod resume;
+mod support;
+mod targets;
+mod train_view;
+mod verify;
+#[cfg(unix)]
+mod video;
+mod view;

@@ -1,0 +1,257 @@
+//! Tables of the paper, on a capture so small that nothing is learned: what is run, kept, written and refused.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant, SystemTime};
+
+use crate::support::*;
+use tempfile::{TempDir, tempdir};
+
+const TRAINING: &str = "--train-args=--frames 0..4 --iterations 30,10 --downscale 1";
+
+/// A folder with the capture of one scene of the paper.
+fn data() -> TempDir {
+    let folder = tempdir().unwrap();
+    tcgs_capture::write_synthetic(&folder.path().join("basketball"), &SETTINGS).unwrap();
+    folder
+}
+
+/// Arguments for a table.
+fn table<'a>(name: &'a str, data: &'a TempDir, out: &'a Path) -> Vec<&'a str> {
+    let (data, out) = (text(data.path()), text(out));
+    vec!["reproduce", name, "--data", data, "--out", out, "--scenes", "basketball", "--size", "small", TRAINING]
+}
+
+/// When each result below a folder was written.
+fn results(out: &Path) -> Vec<(PathBuf, SystemTime)> {
+    let mut found = Vec::new();
+    let mut open = vec![out.to_owned()];
+    while let Some(folder) = open.pop() {
+        for entry in fs::read_dir(folder).into_iter().flatten() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                open.push(path);
+            } else if path.ends_with("result.json") {
+                let time = fs::metadata(&path).unwrap().modified().unwrap();
+                found.push((path, time));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn tables_are_made_once_and_only_of_what_was_asked_for() {
+    let data = data();
+    let folder = tempdir().unwrap();
+    let out = folder.path().join("out");
+    let ablation = table("ablation", &data, &out);
+    let said = succeed(&ablation);
+    assert!(said.contains("basketball\n") && said.contains("Dynamic 3DGS") && said.contains("(28.20)"), "{said}");
+    for ending in ["txt", "csv", "tex", "json", "html"] {
+        assert!(out.join(format!("ablation.{ending}")).is_file(), "{ending}");
+    }
+    for plot in ["ablation-quality-over-size-basketball.svg", "ablation-psnr-over-time-basketball.svg"] {
+        let svg = fs::read_to_string(out.join(plot)).unwrap();
+        assert!(svg.starts_with("<svg ") && svg.contains("xmlns=") && svg.trim_end().ends_with("</svg>"), "{plot}");
+    }
+
+    // Every number says what made it.
+    let json = json(&out.join("ablation.json"));
+    let rows = json["blocks"][0]["lines"].as_array().unwrap();
+    assert_eq!(rows.len(), 8);
+    for row in rows {
+        let cell = &row["cells"][0];
+        assert!(cell["value"].as_f64().unwrap() > 5.0, "{row}");
+        let source = &json["sources"][cell["sources"][0].as_str().unwrap()];
+        assert!(!source["commits"][0].as_str().unwrap().is_empty());
+        let commands: Vec<&str> = source["commands"].as_array().unwrap().iter().map(|c| c.as_str().unwrap()).collect();
+        assert!(commands[0].starts_with("tcgs train ") && commands.last().unwrap().starts_with("tcgs eval "));
+    }
+    // Masks remove, codes are smaller than floats; keypoints need more timesteps to be fewer than these.
+    let value = |row: usize, column: &str| {
+        let head = json["blocks"][0]["head"].as_array().unwrap();
+        let at = head.iter().position(|name| name == column).unwrap();
+        rows[row]["cells"][at]["value"].as_f64().unwrap()
+    };
+    assert!(value(2, "storage, MB") < value(1, "storage, MB") && value(1, "storage, MB") < value(0, "storage, MB"));
+    assert_eq!(value(2, "Gaussians, k"), value(3, "Gaussians, k"));
+
+    // Done is done; what is missing is done, and nothing else.
+    let before = results(&out);
+    assert_eq!(before.len(), 8);
+    assert_eq!(succeed(&[&ablation[..], &["--print-commands"]].concat()), "");
+    assert_eq!(succeed(&ablation), said);
+    assert_eq!(results(&out), before);
+    let lost = out.join("runs/basketball/tc3dgs/final/result.json");
+    fs::remove_file(&lost).unwrap();
+    let commands = succeed(&[&ablation[..], &["--print-commands"]].concat());
+    assert_eq!(commands.lines().count(), 1);
+    assert!(commands.contains("--only basketball/tc3dgs"), "{commands}");
+    assert_eq!(first_cells(&succeed(&ablation)), first_cells(&said));
+    let after = results(&out);
+    let changed: Vec<&PathBuf> = after.iter().zip(&before).filter(|(a, b)| a != b).map(|(a, _)| &a.0).collect();
+    assert_eq!(changed, [&lost]);
+
+    // Other arguments are another experiment.
+    let others: Vec<&str> =
+        ablation.iter().map(|&a| if a == TRAINING { "--train-args=--frames 0..3" } else { a }).collect();
+    let message = fail(2, &others);
+    for part in ["result.json: was made by the arguments", "0..4", "0..3", "choose another --out", "--force"] {
+        assert!(message.contains(part), "{message}");
+    }
+    assert_eq!(results(&out), after);
+
+    // Other tables take what is there.
+    for (name, expected) in [
+        ("selection", "Algorithm 1"),
+        ("polynomials", "degree 1"),
+        ("keypoints", "errors and keypoints by limit"),
+        ("tolerance", "rotations"),
+        ("mask-values", "switched, %"),
+        ("pictures", "Dynamic 3DGS"),
+    ] {
+        let said = succeed(&table(name, &data, &out));
+        assert!(said.contains(expected), "{name}: {said}");
+        assert!(out.join(format!("{name}.html")).is_file());
+    }
+    let picture = image::open(out.join("pictures-basketball.png")).unwrap();
+    // Ground truth and eight rows, 48 pixels seven times.
+    assert_eq!((picture.width(), picture.height()), (9 * 336 + 8 * 4, 3 * 252 + 2 * 4));
+    let trained = results(&out).iter().filter(|(path, _)| path.ends_with("masked/selection/result.json")).count();
+    assert_eq!(trained, 1);
+
+    let anew = [&others[..], &["--force"]].concat();
+    succeed(&anew);
+    assert!(results(&out).iter().filter(|x| before.iter().any(|b| b.0 == x.0)).all(|x| !before.contains(x)));
+    assert_eq!(checkpoints(&out.join("runs/basketball/ours/train")).len(), 3);
+}
+
+#[test]
+fn what_is_missing_or_wrong_is_named() {
+    let data = data();
+    let folder = tempdir().unwrap();
+    let out = folder.path().join("out");
+    let refuse = |arguments: &[&str], expected: &[&str]| {
+        let message = fail(2, arguments);
+        for part in expected {
+            assert!(message.contains(part), "{arguments:?}: {message}\nexpected: {part}");
+        }
+    };
+    let (data_text, out_text) = (text(data.path()), text(&out));
+    let of =
+        |more: &[&'static str]| [&["reproduce", "ablation", "--data", data_text, "--out", out_text], more].concat();
+    refuse(&of(&[]), &["has no captures named cook_spinach", "--scenes basketball"]);
+    refuse(&of(&["--scenes", "juggle"]), &["has no captures named juggle", "a folder for each"]);
+    refuse(&of(&["--scenes", "garden"]), &["has no captures named garden", "--scenes with those that are there"]);
+    refuse(&of(&["--scenes", "basketball", "--only", "a/b"]), &["--only a/b: no run", "basketball/tc3dgs"]);
+    refuse(&of(&["--size", "tiny"]), &["'tiny'", "full, small"]);
+    refuse(&["reproduce", "abblation", "--data", data_text, "--out", out_text], &["abblation: no table", "ablation"]);
+    refuse(&["reproduce", "ablation"], &["--data", "--out"]);
+    assert!(!out.exists());
+    let list = succeed(&["reproduce", "--list"]);
+    assert_eq!(list.lines().count(), 14);
+    assert!(list.contains("ablation      Contributions of masks"), "{list}");
+
+    // A step that is refused says so, and the line above has its reason.
+    let output = run(&of(&["--scenes", "basketball", "--train-args=--frames 0..99"]));
+    assert_eq!(output.status.code(), Some(2));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("has the frames 0..4, found --frames 0..99"), "{said}");
+    assert!(said.lines().last().unwrap().contains("wrong input, see the line above"), "{said}");
+    // And it left nothing that stands in the way of the right one.
+    let runs: Vec<_> = fs::read_dir(out.join("runs/basketball")).unwrap().map(|run| run.unwrap().path()).collect();
+    assert!(!runs.is_empty() && runs.iter().all(|run| !run.join("steps.jsonl").exists()), "{runs:?}");
+    refuse(&of(&["--list", "--json", "x.json"]), &["cannot be used with"]);
+}
+
+#[test]
+fn a_killed_command_goes_on_where_it_was() {
+    let data = data();
+    let folder = tempdir().unwrap();
+    let (calm, rough) = (folder.path().join("calm"), folder.path().join("rough"));
+    let arguments = |out| [table("ablation", &data, out), vec!["--only", "basketball/tc3dgs"]].concat();
+    let begin = Instant::now();
+    succeed(&arguments(&calm));
+    let duration = begin.elapsed();
+    let mut kills = 0;
+    for attempt in 1..100 {
+        let mut child = tcgs().args(arguments(&rough)).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        // Later and later, so that it ends.
+        let end = Instant::now() + duration.mul_f64(0.15 * f64::from(attempt));
+        while Instant::now() < end && child.try_wait().unwrap().is_none() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        if child.try_wait().unwrap().is_some_and(|status| status.success()) {
+            break;
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        // The step that it had begun is not killed with it, and nobody takes its place before it ends.
+        let run = rough.join("runs/basketball/tc3dgs/train");
+        while is_locked(&run) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        kills += 1;
+    }
+    assert!(kills >= 2, "only {kills} kills came in time");
+    let eval = |out: &Path| json(&out.join("runs/basketball/tc3dgs/final/result.json"))["eval"]["psnr"].clone();
+    assert_eq!(eval(&calm), eval(&rough));
+}
+
+/// Whether a process is training into a run.
+fn is_locked(run: &Path) -> bool {
+    fs::File::open(run).is_ok_and(|folder| matches!(folder.try_lock(), Err(fs::TryLockError::WouldBlock)))
+}
+
+#[test]
+fn schedulers_can_run_it() {
+    let data = data();
+    let folder = tempdir().unwrap();
+    let expected = succeed(&table("ablation", &data, &folder.path().join("alone")));
+
+    let slurm = folder.path().join("slurm");
+    let commands = succeed(&[&table("ablation", &data, &slurm)[..], &["--print-commands"]].concat());
+    assert_eq!(commands.lines().count(), 6);
+    let file = folder.path().join("commands.txt");
+    fs::write(&file, &commands).unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scripts/reproduce_slurm.sh");
+    let task = |index: usize| {
+        let mut command = Command::new("bash");
+        command.arg(&script).arg(&file).env("SLURM_ARRAY_TASK_ID", index.to_string()).output().unwrap()
+    };
+    // Out of order, and one of them twice.
+    for index in [6, 1, 3, 2, 5, 4, 3] {
+        let output = task(index);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    assert_eq!(task(7).status.code(), Some(2));
+    let before = results(&slurm);
+    assert_eq!(before.len(), 8);
+    let said = succeed(&table("ablation", &data, &slurm));
+    assert_eq!(results(&slurm), before, "the table is made of what the tasks left");
+    assert_eq!(first_cells(&said), first_cells(&expected));
+
+    if Command::new("parallel").arg("--version").output().is_err() {
+        let _ = writeln!(std::io::stderr(), "skipped: GNU parallel is not installed");
+        return;
+    }
+    let parallel = folder.path().join("parallel");
+    let commands = succeed(&[&table("ablation", &data, &parallel)[..], &["--print-commands"]].concat());
+    // Every command twice at the same time: the second waits and finds it done.
+    let twice: String = commands.lines().map(|line| format!("{line}\n{line}\n")).collect();
+    fs::write(&file, twice).unwrap();
+    let status = Command::new("parallel").args(["-j", "4", "-a"]).arg(&file).stderr(Stdio::null()).status().unwrap();
+    assert!(status.success(), "{status}");
+    assert_eq!(results(&parallel).len(), 8);
+    assert_eq!(first_cells(&succeed(&table("ablation", &data, &parallel))), first_cells(&expected));
+}
+
+/// Labels and qualities of the first block: what does not depend on time.
+fn first_cells(text: &str) -> Vec<String> {
+    let rows = text.lines().skip(4).take(8);
+    rows.map(|line| line.split_whitespace().take(7).collect::<Vec<_>>().join(" ")).collect()
+}

@@ -1,0 +1,116 @@
+//! Running the command, and the small capture it runs on.
+
+pub mod server;
+pub mod videos;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+use serde_json::Value;
+use tcgs_capture::{SyntheticSettings, write_synthetic};
+use tempfile::TempDir;
+
+/// Settings of [`capture`].
+pub const SETTINGS: SyntheticSettings = SyntheticSettings {
+    width: 48,
+    height: 36,
+    num_train_cameras: 4,
+    num_test_cameras: 1,
+    num_timesteps: 4,
+    num_points: 400,
+    seed: 0,
+};
+
+/// A capture for all tests of a file; nobody writes to it.
+pub fn capture() -> &'static Path {
+    static CAPTURE: OnceLock<TempDir> = OnceLock::new();
+    CAPTURE
+        .get_or_init(|| {
+            let folder = tempfile::tempdir().unwrap();
+            write_synthetic(folder.path(), &SETTINGS).unwrap();
+            folder
+        })
+        .path()
+}
+
+/// The command.
+pub fn tcgs() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tcgs"));
+    // A layer of Mesa's Vulkan drivers, which writes to standard error where there is no desktop.
+    command.env("NODEVICE_SELECT", "1");
+    // Tests say themselves whether LPIPS is measured.
+    command.env_remove("TCGS_LPIPS_WEIGHTS");
+    command
+}
+
+/// An argument for [`run`].
+pub fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// What the command says and how it ends.
+pub fn run(arguments: &[&str]) -> Output {
+    tcgs().args(arguments).output().unwrap()
+}
+
+/// Runs what must succeed, and returns its standard output.
+pub fn succeed(arguments: &[&str]) -> String {
+    let output = run(arguments);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments:?}: {:?}: {message}", output.status);
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Runs what must fail with an exit code, and returns its message: one line.
+pub fn fail(code: i32, arguments: &[&str]) -> String {
+    let output = run(arguments);
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+    let is_remark = |line: &&str| line.starts_with("computing on ") || line.starts_with("warning: ");
+    let lines: Vec<&str> = message.lines().filter(|line| !is_remark(line)).collect();
+    let [line] = lines[..] else { panic!("{arguments:?}: expected one line, found {message}") };
+    assert!(line.starts_with("tcgs: "), "{line}");
+    line.to_owned()
+}
+
+/// Trains a short run in `folder` and returns its path. So short a training leaves much unexplained: without births the number
+/// of Gaussians stays the same, which some formats ask for.
+pub fn train(folder: &TempDir, name: &str, more: &[&str]) -> PathBuf {
+    let run = folder.path().join(name);
+    let whole = ["train", text(capture()), "--out", text(&run), "--iterations", "30,10"];
+    let arguments = [&whole[..], &["--set", "births.enabled=false"]].concat();
+    succeed(&[&arguments[..], more].concat());
+    run
+}
+
+/// A result for machines.
+pub fn json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+/// Names of an object's fields, sorted.
+pub fn keys(value: &Value) -> Vec<&str> {
+    let mut keys: Vec<&str> = value.as_object().unwrap().keys().map(String::as_str).collect();
+    keys.sort_unstable();
+    keys
+}
+
+/// Asserts that an object has these fields and no others.
+pub fn assert_keys(value: &Value, expected: &[&str]) {
+    let mut expected = expected.to_vec();
+    expected.sort_unstable();
+    assert_eq!(keys(value), expected);
+}
+
+/// Files of a run's checkpoints, by name.
+pub fn checkpoints(run: &Path) -> Vec<(String, Vec<u8>)> {
+    let Ok(entries) = std::fs::read_dir(run.join("checkpoints")) else { return Vec::new() };
+    let mut files: Vec<(String, Vec<u8>)> = entries
+        .map(|entry| entry.unwrap())
+        .filter(|entry| !entry.file_name().to_string_lossy().starts_with('.'))
+        .map(|entry| (entry.file_name().into_string().unwrap(), std::fs::read(entry.path()).unwrap()))
+        .collect();
+    files.sort();
+    files
+}

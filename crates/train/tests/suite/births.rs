@@ -1,0 +1,265 @@
+//! What is born, on a made capture whose Gaussians are known: a wall, and a ball that enters before it at timestep 2.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use tcgs_core::{BaseColumns, Camera, Gaussians, Segmentation, View, activate};
+use tcgs_metrics::psnr;
+use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+use tcgs_train::engine::Engine;
+use tcgs_train::engine::cpu::CpuEngine;
+use tcgs_train::{Parameters, Preset, Run, State, TrainConfig, Trainer, with_unborn};
+
+const WALL: [usize; 2] = [30, 20];
+const NUM_WALL: usize = WALL[0] * WALL[1];
+const SIGMA: f32 = 2.0 / 255.0;
+/// Where the ball is at the timestep at which it enters.
+const CENTER: [f32; 3] = [-0.3, 0.0, -1.0];
+
+/// Six for training, the last held out.
+fn cameras() -> Vec<Camera> {
+    [[-0.9, -0.5], [0.9, -0.4], [0.8, 0.5], [-0.8, 0.4], [0.0, -0.8], [0.1, 0.8], [0.2, 0.1]]
+        .map(|[x, y]| Camera::look_at([x, y, -4.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 110.0, 96, 64))
+        .to_vec()
+}
+
+/// The wall at depth 0 with a pattern, and the ball, if it is there.
+fn scene(ball: Option<[f32; 3]>) -> Gaussians {
+    let mut columns = BaseColumns::default();
+    let mut add = |mean: [f32; 3], scale: f32, color: [f32; 3]| {
+        columns.means.push(mean);
+        columns.quats.push([1.0, 0.0, 0.0, 0.0]);
+        columns.log_scales.push([scale.ln(); 3]);
+        columns.logit_opacities.push(2.5);
+        columns.colors.push(color);
+    };
+    for i in 0..NUM_WALL {
+        let (x, y) = (i % WALL[0], i / WALL[0]);
+        let shade = 0.25 + 0.3 * ((x * 7 + y * 5) % 4) as f32 / 3.0;
+        add([(x as f32 - 14.5) * 0.14, (y as f32 - 9.5) * 0.14, 0.0], 0.08, [shade, 0.9 * shade, 0.5]);
+    }
+    for (i, center) in (0..64).filter_map(|i| Some((i, ball?))) {
+        let at = [i % 4, i / 4 % 4, i / 16].map(|k| (k as f32 - 1.5) * 0.1);
+        let mean = std::array::from_fn(|d| center[d] + at[d]);
+        add(mean, 0.06, [0.9, 0.15 + 0.2 * (i % 4) as f32, 0.1]);
+    }
+    Gaussians::from(columns)
+}
+
+/// The ball's centre at a timestep.
+fn ball(timestep: usize) -> Option<[f32; 3]> {
+    let since = timestep.checked_sub(2)? as f32;
+    Some([CENTER[0] + 0.05 * since, CENTER[1], CENTER[2]])
+}
+
+/// Images of all cameras, with noise and rounded to 8 bits; with masks where asked for.
+fn views(timestep: usize, with_masks: bool) -> Vec<View> {
+    let mut random = Pcg64Mcg::seed_from_u64(timestep as u64);
+    let truth = scene(ball(timestep));
+    let drawn = activate(&truth);
+    let mut of_ball = drawn.clone();
+    for (i, color) in of_ball.colors.iter_mut().enumerate() {
+        *color = f32::from(u8::from(i / 3 >= NUM_WALL));
+    }
+    let shoot = |(camera_id, camera): (usize, Camera)| {
+        let Ok((output, _)) = CpuRasterizer.forward(&drawn, &camera, &RenderSettings::default());
+        let Ok((masked, _)) = CpuRasterizer.forward(&of_ball, &camera, &RenderSettings::default());
+        let mut image = output.image;
+        for value in &mut image.data {
+            let normal = (0..12).map(|_| random.random_range(0.0..1.0_f32)).sum::<f32>() - 6.0;
+            *value = ((*value + SIGMA * normal).clamp(0.0, 1.0) * 255.0).round() / 255.0;
+        }
+        let foreground = masked.image.plane(0).iter().map(|share| *share > 0.5).collect();
+        let segmentation = with_masks.then_some(Segmentation { width: 96, height: 64, foreground });
+        View { camera, image, segmentation, frame: timestep, camera_id }
+    };
+    cameras().into_iter().enumerate().map(shoot).collect()
+}
+
+fn settings() -> TrainConfig {
+    let mut config = TrainConfig::preset(Preset::Fast);
+    config.schedule.first_iterations = 60;
+    config.schedule.rest_iterations = 60;
+    config.mask.prune_end = 0;
+    config.quantize.start = 5000;
+    config.densify.start = 10_000;
+    config.births.iterations = 120;
+    config.births.share = 0.5;
+    config
+}
+
+/// A run that starts from the wall as it is.
+fn trainer(config: &TrainConfig) -> Trainer {
+    trainer_on(config, |state| Box::new(CpuEngine::new(state)))
+}
+
+fn trainer_on(config: &TrainConfig, make: impl FnOnce(State) -> Box<dyn Engine>) -> Trainer {
+    let parameters = Parameters {
+        gaussians: scene(None),
+        mask_logits: vec![1.0; NUM_WALL],
+        foreground: vec![false; NUM_WALL],
+        camera_gains: vec![[0.0; 3]; 6],
+        camera_offsets: vec![[0.0; 3]; 6],
+    };
+    Trainer::from_parameters(config, parameters, &cameras()[..6], make).unwrap()
+}
+
+/// Trains timesteps and returns the held-out PSNR of each.
+fn fit(trainer: &mut Trainer, timesteps: std::ops::Range<usize>, with_masks: bool, run: Option<&Run>) -> Vec<f64> {
+    timesteps
+        .map(|timestep| {
+            let views = views(timestep, with_masks);
+            trainer.fit(&views[..6], &mut |_| ControlFlow::Continue(())).unwrap();
+            if let Some(run) = run {
+                run.save(timestep, &trainer.checkpoint().unwrap()).unwrap();
+            }
+            trainer.mean_psnr(&views[6..]).unwrap()
+        })
+        .collect()
+}
+
+#[test]
+fn what_enters_is_born_where_it_is_and_moves_on() {
+    for with_masks in [false, true] {
+        let mut with = trainer(&settings());
+        let psnr = fit(&mut with, 0..5, with_masks, None);
+        let mut config = settings();
+        config.births.enabled = false;
+        let without = fit(&mut trainer(&config), 0..5, with_masks, None);
+        assert_eq!(psnr[..2], without[..2]);
+        assert!(psnr[2] > without[2] + 1.5 && psnr[4] > without[4] + 1.5, "{psnr:?} against {without:?}");
+        assert!(psnr[4] > psnr[2] - 2.0, "{psnr:?}");
+
+        let state = with.state().unwrap();
+        let newborn = NUM_WALL..state.parameters.num_gaussians();
+        assert!(newborn.len() > 20, "{} are born", newborn.len());
+        assert!(state.lifetimes.births[..NUM_WALL].iter().all(|&birth| birth == 0));
+        assert_eq!(state.lifetimes.births[NUM_WALL], 2);
+        // Most at the ball, which has gone on by 0.1.
+        let center = ball(4).unwrap();
+        let near = |mean: &[f32; 3]| (0..3).all(|d| (mean[d] - center[d]).abs() < 0.35);
+        let at_ball = state.parameters.gaussians.means()[newborn.clone()].iter().filter(|mean| near(mean)).count();
+        assert!(10 * at_ball > 8 * newborn.len(), "{at_ball} of {} are at the ball", newborn.len());
+        if with_masks {
+            let foreground = state.parameters.foreground[newborn.clone()].iter().filter(|f| **f).count();
+            assert!(10 * foreground > 7 * newborn.len(), "{foreground} of {} are foreground", newborn.len());
+        }
+    }
+}
+
+#[test]
+#[cfg(feature = "gpu")]
+fn the_gpu_gives_birth_to_the_same() {
+    use tcgs_train::engine::gpu::GpuEngine;
+    let Some(gpu) = crate::support::gpu() else { return };
+    let mut config = settings();
+    config.births.share = 0.1;
+    let mut on_cpu = trainer(&config);
+    let mut on_gpu = trainer_on(&config, |state| Box::new(GpuEngine::new(&gpu, state)));
+    // Those born at 2 are young at 3.
+    let (expected, found) = (fit(&mut on_cpu, 0..4, true, None), fit(&mut on_gpu, 0..4, true, None));
+    assert!(expected.iter().zip(&found).all(|(a, b)| (a - b).abs() < 0.2), "{found:?} against {expected:?}");
+    let [a, b] = [on_cpu.num_gaussians(), on_gpu.num_gaussians()].map(|n| n - NUM_WALL);
+    assert!(a > 20 && a.abs_diff(b) * 10 <= a, "{b} are born, {a} on the CPU");
+}
+
+#[test]
+fn noise_and_motion_alone_give_birth_to_nothing() {
+    let mut config = settings();
+    config.births.share = 1.0;
+    let mut trainer = trainer(&config);
+    for seed in 0..4 {
+        let mut views = views(0, false);
+        let mut random = Pcg64Mcg::seed_from_u64(100 + seed);
+        for value in views.iter_mut().flat_map(|view| &mut view.image.data) {
+            *value += SIGMA * (random.random_range(0.0..1.0_f32) - 0.5);
+        }
+        trainer.fit(&views[..6], &mut |_| ControlFlow::Continue(())).unwrap();
+    }
+    assert_eq!(trainer.num_gaussians(), NUM_WALL);
+}
+
+#[test]
+fn the_young_go_on_learning_and_then_settle() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = settings();
+    config.births.youth = 1;
+    // Of a wall of equal Gaussians, whose quantizers have no room for other values.
+    config.quantize.enabled = false;
+    let run = Run::create(folder.path(), &config).unwrap();
+    let psnr = fit(&mut trainer(&config), 0..5, true, Some(&run));
+    let first = run.checkpoint(0, None).unwrap();
+    // What does not vary over time, of those born at 2.
+    let num_born = run.births().unwrap().unwrap().iter().filter(|birth| **birth == 2).count();
+    let constants = |gaussians: &Gaussians| {
+        let rows = NUM_WALL..NUM_WALL + num_born;
+        (gaussians.logit_opacities()[rows.clone()].to_vec(), gaussians.log_scales()[rows].to_vec())
+    };
+    let [born, young, settled] = [2, 3, 4].map(|t| run.parameters(t, Some(&first)).unwrap().gaussians);
+    let num_changed = constants(&born).0.iter().zip(constants(&young).0).filter(|(a, b)| **a != *b).count();
+    assert!(2 * num_changed > num_born, "{num_changed} of {num_born} learned when they were young");
+    assert!(constants(&young) == constants(&settled));
+    // The wall keeps its own, and a scene has what was settled with at all timesteps.
+    assert_eq!(born.log_scales()[..NUM_WALL], settled.log_scales()[..NUM_WALL]);
+    let scene = run.trained().unwrap().scene;
+    assert!((0..5).all(|timestep| constants(&scene.at(timestep)) == constants(&settled)));
+
+    config.births.youth = 0;
+    let without = fit(&mut trainer(&config), 0..5, true, None);
+    assert_eq!(psnr[..3], without[..3]);
+    assert!(psnr[3] > without[3] + 0.1, "{psnr:?} against {without:?}");
+}
+
+/// Bytes of all checkpoints and of the state to resume from.
+fn bytes(folder: &Path, num_timesteps: usize) -> Vec<Vec<u8>> {
+    let run = Run::open(folder).unwrap();
+    let paths = (0..num_timesteps).map(|t| run.checkpoint_path(t)).chain((0..2).map(|t| run.resume_path(t)));
+    paths.map(|path| std::fs::read(path).unwrap()).collect()
+}
+
+#[test]
+fn a_run_with_births_resumes_with_the_same_bytes_and_reads_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = settings();
+    let run = Run::create(&folder.path().join("whole"), &config).unwrap();
+    let mut trainer = trainer(&config);
+    fit(&mut trainer, 0..5, true, Some(&run));
+    let expected = bytes(run.folder(), 5);
+
+    // Right after births, and later.
+    for stopped in [3, 4] {
+        let cut = folder.path().join(format!("cut{stopped}"));
+        let again = Run::create(&cut, &config).unwrap();
+        let mut before = self::trainer(&config);
+        fit(&mut before, 0..stopped, true, Some(&again));
+        let mut resumed = Run::open(&cut).unwrap().resume().unwrap().unwrap();
+        assert!(resumed.needs_recall());
+        resumed.recall(&views(stopped - 1, true)[..6]).unwrap();
+        fit(&mut resumed, stopped..5, true, Some(&again));
+        assert!(bytes(&cut, 5) == expected, "stopped after {stopped}");
+    }
+
+    let run = Run::open(run.folder()).unwrap();
+    let first = run.checkpoint(0, None).unwrap();
+    let (births, newborn) = (run.births().unwrap().unwrap(), run.newborn(&first).unwrap());
+    let state = trainer.state().unwrap();
+    assert_eq!(births, state.lifetimes.births);
+    assert_eq!(newborn.num_gaussians(), births.len() - NUM_WALL);
+    let trained = run.trained().unwrap();
+    assert_eq!((trained.scene.num_gaussians(), &trained.foreground), (births.len(), &state.parameters.foreground));
+    for timestep in 0..5 {
+        let now = run.parameters(timestep, Some(&first).filter(|_| timestep > 0)).unwrap().gaussians;
+        assert_eq!(now.num_gaussians(), births.partition_point(|&birth| birth as usize <= timestep));
+        assert_eq!(trained.mask_logits[timestep].len(), now.num_gaussians());
+        assert!(trained.scene.at(timestep) == with_unborn(now, &newborn, births.len()), "timestep {timestep}");
+    }
+    assert!(trained.scene.at(4) == state.parameters.gaussians);
+    // Nothing but what varies by the layout does.
+    assert_eq!(trained.scene.num_samples(tcgs_core::Attribute::LogScale), 1);
+    let image = views(4, true).remove(6);
+    let Ok((output, _)) =
+        CpuRasterizer.forward(&activate(&trained.scene.at(4)), &image.camera, &RenderSettings::default());
+    assert!(psnr(&output.image, &image.image) > 20.0);
+}

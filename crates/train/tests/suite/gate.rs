@@ -1,0 +1,319 @@
+//! What the gate trains, on made captures whose Gaussians are known: a wall and an object before it, on each
+//! engine.
+
+use std::ops::{ControlFlow, Range};
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use tcgs_core::{BaseColumns, Camera, Gaussians, View, activate};
+use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+use tcgs_train::engine::Engine;
+use tcgs_train::engine::cpu::CpuEngine;
+use tcgs_train::{Glimpse, Glimpsed, Parameters, Preset, State, TrainConfig, Trainer};
+
+const WALL: [usize; 2] = [24, 16];
+/// The object's Gaussians come after the wall's.
+const OBJECT: Range<usize> = WALL[0] * WALL[1]..WALL[0] * WALL[1] + 27;
+
+fn cameras() -> Vec<Camera> {
+    [[-0.5, -0.3], [0.5, -0.2], [0.4, 0.3], [-0.4, 0.2]]
+        .map(|[x, y]| Camera::look_at([x, y, -4.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 150.0, 128, 80))
+        .to_vec()
+}
+
+/// A wall at depth 0 with a pattern, and a ball of Gaussians before it.
+fn scene(center: [f32; 3]) -> Gaussians {
+    let mut columns = BaseColumns::default();
+    let mut add = |mean: [f32; 3], scale: f32, color: [f32; 3]| {
+        columns.means.push(mean);
+        columns.quats.push([1.0, 0.0, 0.0, 0.0]);
+        columns.log_scales.push([scale.ln(); 3]);
+        columns.logit_opacities.push(2.5);
+        columns.colors.push(color);
+    };
+    for i in 0..WALL[0] * WALL[1] {
+        let (x, y) = (i % WALL[0], i / WALL[0]);
+        let shade = 0.25 + 0.3 * ((x * 7 + y * 5) % 4) as f32 / 3.0;
+        add([(x as f32 - 11.5) * 0.14, (y as f32 - 7.5) * 0.14, 0.0], 0.08, [shade, 0.9 * shade, 0.5]);
+    }
+    for i in 0..27 {
+        let at = [i % 3, i / 3 % 3, i / 9].map(|k| (k as f32 - 1.0) * 0.1);
+        let mean = std::array::from_fn(|d| center[d] + at[d]);
+        add(mean, 0.06, [0.9, 0.15 + 0.2 * (i % 4) as f32, 0.1]);
+    }
+    Gaussians::from(columns)
+}
+
+const CENTER: [f32; 3] = [-0.3, 0.0, -1.0];
+
+/// Images of a scene, with noise of standard deviation `sigma` and rounded to 8 bits.
+fn views(truth: &Gaussians, seed: u64, sigma: f32) -> Vec<View> {
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    let drawn = activate(truth);
+    let shoot = |(camera_id, camera): (usize, Camera)| {
+        let Ok((output, _)) = CpuRasterizer.forward(&drawn, &camera, &RenderSettings::default());
+        let mut image = output.image;
+        for value in &mut image.data {
+            let normal = (0..12).map(|_| random.random_range(0.0..1.0_f32)).sum::<f32>() - 6.0;
+            *value = ((*value + sigma * normal).clamp(0.0, 1.0) * 255.0).round() / 255.0;
+        }
+        View { camera, image, segmentation: None, frame: 0, camera_id }
+    };
+    cameras().into_iter().enumerate().map(shoot).collect()
+}
+
+fn settings() -> TrainConfig {
+    let mut config = TrainConfig::preset(Preset::Fast);
+    config.schedule.first_iterations = 40;
+    config.schedule.rest_iterations = 120;
+    config.mask.enabled = false;
+    config.quantize.enabled = false;
+    config.densify.start = 10_000;
+    config
+}
+
+/// Makes an engine.
+type Make<'a> = &'a dyn Fn(State) -> Box<dyn Engine>;
+
+/// The scenarios as tests on one engine.
+macro_rules! tests_on {
+    ($engine:ident, $($scenario:ident),+ $(,)?) => {
+        mod $engine {
+            $(#[test]
+            fn $scenario() {
+                super::$engine(&super::$scenario);
+            })+
+        }
+    };
+}
+
+tests_on!(
+    on_cpu,
+    noise_wakes_nothing,
+    a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on,
+    a_lamp_wakes_all_that_it_lights,
+    what_an_occluder_uncovers_wakes_though_nothing_moves_there_any_more,
+    a_resumed_gate_goes_on_as_if_it_had_never_stopped,
+    a_glimpse_shows_the_whole_scene_and_changes_nothing,
+);
+// The occluder and the lamp take minutes on a software GPU, and what wakes is not the engine's to say.
+#[cfg(feature = "gpu")]
+tests_on!(
+    on_gpu,
+    noise_wakes_nothing,
+    a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on,
+    a_resumed_gate_goes_on_as_if_it_had_never_stopped,
+    a_glimpse_shows_the_whole_scene_and_changes_nothing,
+);
+
+fn on_cpu(scenario: &dyn Fn(Make<'_>)) {
+    scenario(&|state| Box::new(CpuEngine::new(state)));
+}
+
+#[cfg(feature = "gpu")]
+fn on_gpu(scenario: &dyn Fn(Make<'_>)) {
+    use tcgs_train::engine::gpu::GpuEngine;
+    let Some(gpu) = crate::support::gpu() else { return };
+    scenario(&|state| Box::new(GpuEngine::new(&gpu, state)));
+}
+
+/// A run whose first timestep has seen `truth`, and started from `start`.
+fn trainer(make: Make<'_>, start: &Gaussians, truth: &Gaussians, sigma: f32) -> Trainer {
+    let n = start.num_gaussians();
+    let parameters = Parameters {
+        gaussians: start.clone(),
+        mask_logits: vec![1.0; n],
+        foreground: vec![true; n],
+        camera_gains: vec![[0.0; 3]; 4],
+        camera_offsets: vec![[0.0; 3]; 4],
+    };
+    let mut trainer = Trainer::from_parameters(&settings(), parameters, &cameras(), make).unwrap();
+    fit(&mut trainer, &views(truth, 1, sigma));
+    trainer
+}
+
+/// Trains a timestep; returns its iterations.
+fn fit(trainer: &mut Trainer, views: &[View]) -> usize {
+    let mut iterations = 0;
+    trainer
+        .fit(views, &mut |_| {
+            iterations += 1;
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+    iterations
+}
+
+fn now(trainer: &mut Trainer) -> Gaussians {
+    trainer.state().unwrap().parameters.gaussians.clone()
+}
+
+/// Which Gaussians differ in a bit.
+fn changed(before: &Gaussians, after: &Gaussians) -> Vec<usize> {
+    let differs = |i: &usize| {
+        before.layout().columns().iter().any(|column| {
+            let (a, k) = (column.attribute, column.components());
+            before.values(a)[i * k..][..k] != after.values(a)[i * k..][..k]
+        })
+    };
+    (0..before.num_gaussians()).filter(differs).collect()
+}
+
+fn noise_wakes_nothing(make: Make<'_>) {
+    let sigma = 2.0 / 255.0;
+    let truth = scene(CENTER);
+    let mut trainer = trainer(make, &truth, &truth, sigma);
+    let first = now(&mut trainer);
+    for t in 1..8 {
+        assert_eq!(fit(&mut trainer, &views(&truth, 10 + t, sigma)), 0, "iterations of timestep {t}");
+    }
+    assert_eq!(changed(&first, &now(&mut trainer)), [0_usize; 0]);
+}
+
+fn a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on(make: Make<'_>) {
+    let sigma = 1.0 / 255.0;
+    let truth = scene(CENTER);
+    let mut trainer = trainer(make, &truth, &truth, sigma);
+    let first = now(&mut trainer);
+    for t in 1..9_u8 {
+        let by = f32::from(t.saturating_sub(4)) * 0.05;
+        let truth = scene([CENTER[0] + by, CENTER[1], CENTER[2]]);
+        let before = now(&mut trainer);
+        let iterations = fit(&mut trainer, &views(&truth, u64::from(t) + 10, sigma));
+        let moved = changed(&before, &now(&mut trainer));
+        if t < 5 {
+            assert_eq!((iterations, moved.len()), (0, 0), "timestep {t}");
+        } else {
+            let of_object = moved.iter().filter(|i| OBJECT.contains(*i)).count();
+            assert!(of_object >= 25, "timestep {t}: {of_object} of the object move");
+            assert!(moved.len() - of_object < OBJECT.start / 3, "timestep {t}: {} move", moved.len());
+        }
+    }
+    let last = now(&mut trainer);
+    let way = OBJECT.map(|i| last.means()[i][0] - first.means()[i][0]).sum::<f32>() / OBJECT.len() as f32;
+    assert!((way - 0.2).abs() < 0.05, "the object moved by {way} of 0.2");
+}
+
+fn a_lamp_wakes_all_that_it_lights(make: Make<'_>) {
+    let sigma = 1.0 / 255.0;
+    let truth = scene(CENTER);
+    let mut trainer = trainer(make, &truth, &truth, sigma);
+    let mut lit = truth.clone();
+    lit.colors_mut().iter_mut().for_each(|color| *color = color.map(|c| 1.2 * c));
+    for t in 1..5 {
+        assert_eq!(fit(&mut trainer, &views(&truth, 10 + t, sigma)), 0, "timestep {t}");
+    }
+    let before = now(&mut trainer);
+    for t in 5..9 {
+        let iterations = fit(&mut trainer, &views(&lit, 10 + t, sigma));
+        assert!(t > 5 || iterations > 0);
+    }
+    let after = now(&mut trainer);
+    let woken = changed(&before, &after).len();
+    assert!(woken * 10 > 9 * before.num_gaussians(), "{woken} of {}", before.num_gaussians());
+    let light = |gaussians: &Gaussians| gaussians.colors().as_flattened().iter().sum::<f32>();
+    let gain = light(&after) / light(&before);
+    assert!(gain > 1.05, "colours are {gain} times as bright");
+}
+
+fn what_an_occluder_uncovers_wakes_though_nothing_moves_there_any_more(make: Make<'_>) {
+    let truth = scene(CENTER);
+    // The object hides a part of the wall from all cameras, which starts in a wrong colour.
+    let hidden = |mean: &[f32; 3]| (mean[0] + 0.39).abs() < 0.16 && mean[1].abs() < 0.16;
+    let mut start = truth.clone();
+    let indices: Vec<usize> = (0..OBJECT.start).filter(|&i| hidden(&truth.means()[i])).collect();
+    indices.iter().for_each(|&i| start.colors_mut()[i] = [0.0, 0.0, 1.0]);
+    let mut trainer = trainer(make, &start, &truth, 0.0);
+    let error = |gaussians: &Gaussians| {
+        let of = |&i: &usize| (gaussians.colors()[i][2] - truth.colors()[i][2]).abs();
+        indices.iter().map(of).sum::<f32>() / indices.len() as f32
+    };
+    let uncovered = now(&mut trainer);
+    let before = error(&uncovered);
+    let mut iterations = Vec::new();
+    for t in 1..14_u8 {
+        let by = 0.05 * f32::from(t.min(10));
+        let truth = scene([CENTER[0] + by, CENTER[1], CENTER[2]]);
+        iterations.push(fit(&mut trainer, &views(&truth, u64::from(t) + 10, 0.0)));
+    }
+    let after = error(&now(&mut trainer));
+    assert!(iterations[10] > 0, "iterations {iterations:?}: work goes on where the error stayed");
+    let woken = changed(&uncovered, &now(&mut trainer));
+    let found = indices.iter().filter(|i| woken.contains(i)).count();
+    assert!(indices.len() >= 4 && 10 * found >= 8 * indices.len(), "{found} of {} woke", indices.len());
+    assert!(before > 0.3 && after < 0.9 * before, "{before} to {after} in {iterations:?}");
+}
+
+fn a_resumed_gate_goes_on_as_if_it_had_never_stopped(make: Make<'_>) {
+    let (sigma, folder) = (1.0 / 255.0, tempfile::tempdir().unwrap());
+    let shots: Vec<Vec<View>> = (0..4_u8)
+        .map(|t| views(&scene([CENTER[0] + 0.04 * f32::from(t), CENTER[1], CENTER[2]]), u64::from(t), sigma))
+        .collect();
+    let whole = {
+        let mut trainer = trainer(make, &scene(CENTER), &scene(CENTER), sigma);
+        let run = tcgs_train::Run::create(&folder.path().join("run"), &settings()).unwrap();
+        run.save(0, &trainer.checkpoint().unwrap()).unwrap();
+        for (t, shot) in shots.iter().enumerate().skip(1) {
+            fit(&mut trainer, shot);
+            if t < 3 {
+                run.save(t, &trainer.checkpoint().unwrap()).unwrap();
+            }
+        }
+        trainer.checkpoint().unwrap()
+    };
+    let run = tcgs_train::Run::open(&folder.path().join("run")).unwrap();
+    let mut resumed = run.resume_with(make).unwrap().unwrap();
+    assert!(resumed.needs_recall());
+    resumed.recall(&shots[2]).unwrap();
+    assert!(!resumed.needs_recall());
+    fit(&mut resumed, &shots[3]);
+    assert_eq!(resumed.checkpoint().unwrap(), whole);
+}
+
+fn a_glimpse_shows_the_whole_scene_and_changes_nothing(make: Make<'_>) {
+    let sigma = 1.0 / 255.0;
+    let shots = [views(&scene([CENTER[0] + 0.05, CENTER[1], CENTER[2]]), 1, sigma)];
+    let alone = {
+        let mut trainer = trainer(make, &scene(CENTER), &scene(CENTER), sigma);
+        for shot in &shots {
+            fit(&mut trainer, shot);
+        }
+        trainer.checkpoint().unwrap()
+    };
+    let mut trainer = trainer(make, &scene(CENTER), &scene(CENTER), sigma);
+    let glimpse = Arc::new(Glimpse::default());
+    trainer.show_to(Arc::clone(&glimpse));
+    assert!(glimpse.ask(Duration::from_millis(1)).is_none(), "between two timesteps");
+    for (t, shot) in shots.iter().enumerate() {
+        let before = now(&mut trainer);
+        let (mut iterations, mut asking) = (0, Vec::<thread::JoinHandle<Option<Glimpsed>>>::new());
+        let mut observe = |_: &tcgs_train::Progress| {
+            iterations += 1;
+            if iterations % 20 == 5 && asking.last().is_none_or(thread::JoinHandle::is_finished) {
+                let glimpse = Arc::clone(&glimpse);
+                asking.push(thread::spawn(move || glimpse.ask(Duration::from_secs(10))));
+                // Until it has asked, most likely.
+                thread::sleep(Duration::from_millis(50));
+            }
+            ControlFlow::Continue(())
+        };
+        trainer.fit(shot, &mut observe).unwrap();
+        let seen: Vec<Glimpsed> = asking.into_iter().filter_map(|asking| asking.join().unwrap()).collect();
+        let after = now(&mut trainer);
+        let moved = changed(&before, &after);
+        assert!(!moved.is_empty() && !seen.is_empty(), "timestep {t}: {iterations} iterations");
+        for glimpsed in seen {
+            assert_eq!(glimpsed.timestep, t + 1);
+            assert!((1..=iterations).contains(&glimpsed.iterations), "{} of {iterations}", glimpsed.iterations);
+            let gaussians = &glimpsed.parameters.gaussians;
+            assert_eq!(gaussians.num_gaussians(), before.num_gaussians());
+            // What is locked is as before, and what moves is on its way.
+            let on_their_way = changed(&before, gaussians);
+            assert!(!on_their_way.is_empty() && on_their_way.iter().all(|i| moved.contains(i)), "timestep {t}");
+        }
+    }
+    assert!(trainer.checkpoint().unwrap() == alone, "asking changed what is trained");
+}

@@ -1,0 +1,152 @@
+//! Colours that depend on the direction of view: a wall with a sheen and an object before it, made of Gaussians whose
+//! harmonics are known.
+
+use std::ops::{ControlFlow, Range};
+use std::sync::Arc;
+
+use tcgs_core::{BaseColumns, Camera, Drawable, Gaussians, Layout, View};
+use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
+use tcgs_train::engine::Engine;
+use tcgs_train::engine::cpu::CpuEngine;
+use tcgs_train::{Parameters, Preset, Run, State, TrainConfig, Trainer};
+
+const WALL: [usize; 2] = [24, 16];
+/// The object's Gaussians come after the wall's.
+const OBJECT: Range<usize> = WALL[0] * WALL[1]..WALL[0] * WALL[1] + 27;
+
+/// The last one is not trained on.
+fn cameras() -> Vec<Camera> {
+    [[-2.0, -0.8], [2.0, -0.7], [1.6, 0.9], [-1.7, 0.8], [0.0, -0.9], [0.1, 0.9], [-0.9, 0.1]]
+        .map(|[x, y]| Camera::look_at([x, y, -3.5], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 130.0, 128, 80))
+        .to_vec()
+}
+
+/// A wall with a pattern and a sheen at depth 0, and a ball of Gaussians before it.
+fn scene(center: [f32; 3], degree: usize) -> Gaussians {
+    let mut columns = BaseColumns::default();
+    let mut add = |mean: [f32; 3], scale: f32, color: [f32; 3]| {
+        columns.means.push(mean);
+        columns.quats.push([1.0, 0.0, 0.0, 0.0]);
+        columns.log_scales.push([scale.ln(); 3]);
+        columns.logit_opacities.push(2.5);
+        columns.colors.push(color);
+    };
+    for i in 0..WALL[0] * WALL[1] {
+        let (x, y) = (i % WALL[0], i / WALL[0]);
+        let shade = 0.25 + 0.3 * ((x * 7 + y * 5) % 4) as f32 / 3.0;
+        add([(x as f32 - 11.5) * 0.14, (y as f32 - 7.5) * 0.14, 0.0], 0.08, [shade, 0.9 * shade, 0.5]);
+    }
+    for i in 0..27 {
+        let at = [i % 3, i / 3 % 3, i / 9].map(|k| (k as f32 - 1.0) * 0.1);
+        add(std::array::from_fn(|d| center[d] + at[d]), 0.06, [0.9, 0.15 + 0.2 * (i % 4) as f32, 0.1]);
+    }
+    let mut gaussians = Gaussians::from(columns).extended(&Layout::with_harmonics(degree));
+    // Of each band the same coefficient of all Gaussians: that along x, and that of x² - y².
+    for (band, coefficient) in gaussians.layout().harmonics().into_iter().zip([2, 4]) {
+        let components = band.components();
+        for row in gaussians.values_mut(band).chunks_exact_mut(components) {
+            row[3 * coefficient..][..3].copy_from_slice(&[0.6, 0.3, -0.5]);
+        }
+    }
+    gaussians
+}
+
+const CENTER: [f32; 3] = [-0.3, 0.0, -1.0];
+
+fn views(truth: &Gaussians) -> Vec<View> {
+    let drawable = Drawable::new(truth);
+    let shoot = |(camera_id, camera): (usize, Camera)| {
+        let Ok((output, _)) = CpuRasterizer.forward(&drawable.seen_by(&camera), &camera, &RenderSettings::default());
+        View { camera, image: output.image, segmentation: None, frame: 0, camera_id }
+    };
+    cameras().into_iter().enumerate().map(shoot).collect()
+}
+
+fn settings(degree: usize) -> TrainConfig {
+    let mut config = TrainConfig::preset(Preset::Fast);
+    config.schedule.first_iterations = 300;
+    config.schedule.rest_iterations = 120;
+    config.rates.harmonic = 5e-3;
+    config.color.degree = degree;
+    config.mask.enabled = false;
+    config.densify.start = 10_000;
+    config
+}
+
+/// A trainer that begins with a scene whose colours are the same from everywhere.
+fn trainer(config: &TrainConfig) -> Trainer {
+    let gaussians = scene(CENTER, 0).extended(&Layout::with_harmonics(config.color.degree));
+    let cameras = &cameras()[..6];
+    let parameters = Parameters {
+        mask_logits: vec![1.0; gaussians.num_gaussians()],
+        foreground: (0..gaussians.num_gaussians()).map(|i| OBJECT.contains(&i)).collect(),
+        camera_gains: vec![[0.0; 3]; cameras.len()],
+        camera_offsets: vec![[0.0; 3]; cameras.len()],
+        gaussians,
+    };
+    let on_cpu = |state: State| -> Box<dyn Engine> { Box::new(CpuEngine::new(state)) };
+    Trainer::from_parameters(config, parameters, cameras, on_cpu).unwrap()
+}
+
+fn fit(trainer: &mut Trainer, views: &[View]) {
+    trainer.fit(&views[..6], &mut |_| ControlFlow::Continue(())).unwrap();
+}
+
+#[test]
+fn what_depends_on_the_direction_is_learned_and_seen_from_elsewhere() {
+    let views = views(&scene(CENTER, 2));
+    let held_out = |degree| {
+        let mut trainer = trainer(&settings(degree));
+        fit(&mut trainer, &views);
+        trainer.mean_psnr(&views[6..]).unwrap()
+    };
+    let [plain, first, second] = [0, 1, 2].map(held_out);
+    eprintln!("held out: {plain:.2} dB without harmonics, {first:.2} dB of degree 1, {second:.2} dB of degree 2");
+    assert!(first > plain + 2.0 && second > first + 0.5);
+}
+
+#[test]
+fn a_part_is_trained_among_the_colours_that_each_camera_sees() {
+    let config = settings(2);
+    let mut trainer = trainer(&config);
+    fit(&mut trainer, &views(&scene(CENTER, 2)));
+    let before = trainer.state().unwrap().parameters.gaussians.clone();
+    let moved = views(&scene([CENTER[0] + 0.06, CENTER[1], CENTER[2]], 2));
+    fit(&mut trainer, &moved);
+    let trained = trainer.trained();
+    assert!(trained.gaussians < 0.5 && trained.tiles < 0.9, "{trained:?}");
+    let after = trainer.state().unwrap().parameters.gaussians.clone();
+    let still = (0..OBJECT.start).filter(|&i| before.means()[i] == after.means()[i]).count();
+    assert!(still > OBJECT.start / 2, "{still} of the wall's Gaussians kept every bit");
+    assert!(OBJECT.clone().any(|i| before.means()[i] != after.means()[i]));
+    for band in after.layout().harmonics() {
+        assert_eq!(before.values(band), after.values(band), "constant after the first timestep");
+    }
+    let psnr = trainer.mean_psnr(&moved[6..]).unwrap();
+    assert!(psnr > 25.0, "{psnr} dB");
+}
+
+#[test]
+fn a_run_with_harmonics_resumes_with_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = settings(1);
+    (config.schedule.first_iterations, config.schedule.rest_iterations) = (40, 20);
+    let run = Run::create(&folder.path().join("run"), &config).unwrap();
+    let frames = [0.0, 0.05, 0.1].map(|x| views(&scene([CENTER[0] + x, CENTER[1], CENTER[2]], 1)));
+    let mut trainer = trainer(&config);
+    for (timestep, views) in frames[..2].iter().enumerate() {
+        fit(&mut trainer, views);
+        run.save(timestep, &trainer.checkpoint().unwrap()).unwrap();
+    }
+    fit(&mut trainer, &frames[2]);
+    let mut resumed = run.resume().unwrap().unwrap();
+    resumed.recall(&frames[1][..6]).unwrap();
+    fit(&mut resumed, &frames[2]);
+    let (last, found) = (trainer.checkpoint().unwrap(), resumed.checkpoint().unwrap());
+    assert!(found == last, "resuming changed something");
+    let (gaussians, bands) = (&last.parameters.gaussians, last.parameters.gaussians.layout().harmonics());
+    assert_eq!(Arc::clone(gaussians.layout()), Layout::with_harmonics(1));
+    assert!(gaussians.values(bands[0]).iter().any(|&x| x != 0.0));
+    let groups = last.quantizers.as_ref().unwrap().groups.iter();
+    assert!(groups.clone().count() > 0 && groups.clone().all(|&(attribute, _)| attribute != bands[0]));
+}
