@@ -1,26 +1,13 @@
 //! Real and rendered captures, where they are at hand: the doctor finds nothing, and points come from images alone.
 
-use std::io::Write;
-use std::path::PathBuf;
-
 use tcgs_capture::{Capture, Origin, PrepareSettings, prepare};
 
-/// The folder of a capture, or nothing, which skips the test unless `REQUIRE_GOLDEN=1`.
-fn folder(name: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
-    if path.is_dir() {
-        return Some(path);
-    }
-    assert!(std::env::var("REQUIRE_GOLDEN").as_deref() != Ok("1"), "{} is absent", path.display());
-    // Past the capture of passing tests: a skip is to be seen.
-    let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
-    None
-}
+use crate::support::real_folder;
 
 #[test]
 fn real_captures_are_healthy() {
     for name in ["panoptic_basketball", "toss"] {
-        let Some(path) = folder(name) else { return };
+        let Some(path) = real_folder(name) else { return };
         let diagnosis = tcgs_capture::check(&Capture::open(&path).unwrap(), &mut |_| ()).unwrap();
         assert_eq!(diagnosis.findings, [], "{name}");
         assert!(diagnosis.cameras.iter().all(|camera| camera.fit.unwrap() > 0.5), "{name}: {:?}", diagnosis.cameras);
@@ -29,7 +16,7 @@ fn real_captures_are_healthy() {
 
 #[test]
 fn basketball_is_prepared_from_its_images() {
-    let Some(path) = folder("panoptic_basketball") else { return };
+    let Some(path) = real_folder("panoptic_basketball") else { return };
     let capture = Capture::open(&path).unwrap();
     // Coarser than by default, for the sake of time.
     let settings = PrepareSettings { image_width: 160, ..PrepareSettings::default() };

@@ -1,33 +1,22 @@
 //! Real and rendered captures, where they are at hand.
 
-use std::io::Write;
-use std::{ops::Range, path::PathBuf};
+use std::ops::Range;
 
 use tcgs_capture::{Capture, CaptureKind, Split};
 #[cfg(feature = "video")]
 use tcgs_core::Image;
 use tcgs_core::{Camera, Pinhole, PointCloud, View};
 
-const TEST_CAMERAS: [usize; 4] = [0, 10, 15, 30];
+use crate::support::real_folder;
 
-/// The folder of a capture, or nothing, which skips the test unless `REQUIRE_GOLDEN=1`.
-fn folder(name: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
-    if path.is_dir() {
-        return Some(path);
-    }
-    assert!(std::env::var("REQUIRE_GOLDEN").as_deref() != Ok("1"), "{} is absent", path.display());
-    // Past the capture of passing tests: a skip is to be seen.
-    let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
-    None
-}
+const TEST_CAMERAS: [usize; 4] = [0, 10, 15, 30];
 
 /// Opens a capture and checks what both have in common.
 ///
 /// - `num_masks`: masks of one frame; those of the test cameras are not published for basketball
 /// - `foreground_share`: of the pixels that have a mask
 fn check(name: &str, num_frames: usize, size: (usize, usize), num_masks: usize, foreground_share: Range<f64>) {
-    let Some(path) = folder(name) else { return };
+    let Some(path) = real_folder(name) else { return };
     let capture = Capture::open(&path).unwrap();
     assert_eq!((capture.name().as_str(), capture.num_frames(), capture.frame_rate()), (name, num_frames, 30.0));
     assert!(capture.has_segmentation());
@@ -119,7 +108,7 @@ fn psnr(a: &Image, b: &Image) -> f64 {
 #[cfg(feature = "video")]
 #[test]
 fn kitchen_opens() {
-    let Some(path) = folder("kitchen") else { return };
+    let Some(path) = real_folder("kitchen") else { return };
     let capture = Capture::open(&path).unwrap();
     assert_eq!((capture.kind(), capture.num_frames(), capture.frame_rate()), (CaptureKind::NEURAL3D, 100, 30.0));
     let exact: serde_json::Value = serde_json::from_slice(&std::fs::read(path.join("cameras.json")).unwrap()).unwrap();
@@ -152,7 +141,7 @@ fn kitchen_opens() {
 
 #[test]
 fn beercan_opens() {
-    let Some(path) = folder("beercan_colmap") else { return };
+    let Some(path) = real_folder("beercan_colmap") else { return };
     let capture = Capture::open(&path).unwrap();
     assert_eq!((capture.kind(), capture.num_frames()), (CaptureKind::COLMAP, 1));
     let views = capture.views(Split::All, 0, 1).unwrap();
@@ -184,7 +173,7 @@ fn beercan_opens() {
 
 #[test]
 fn temple_opens() {
-    let Some(path) = folder("temple_sparse_ring") else { return };
+    let Some(path) = real_folder("temple_sparse_ring") else { return };
     let capture = Capture::open(&path).unwrap();
     assert_eq!((capture.kind(), capture.num_frames(), capture.has_points()), (CaptureKind::MIDDLEBURY, 1, false));
     let views = capture.views(Split::All, 0, 1).unwrap();

@@ -8,21 +8,21 @@ use rand::{RngExt, SeedableRng};
 use tcgs_capture::{Calibration, Capture, Clocks, ClocksFrom, DescribeSettings, RawFootage, Split};
 use tempfile::TempDir;
 
+use crate::support::real_folder;
+
 /// The folder of some footage, or nothing, which skips the test unless what is needed is required.
 fn folder(name: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
+    let path = real_folder(name)?;
     let has_ffmpeg = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).status().is_ok();
     assert!(
         has_ffmpeg || std::env::var_os("REQUIRE_FFMPEG").is_none(),
         "REQUIRE_FFMPEG is set, and there is no ffmpeg"
     );
-    if path.is_dir() && has_ffmpeg {
-        return Some(path);
+    if !has_ffmpeg {
+        // Past the capture of passing tests: a skip is to be seen.
+        let _ = writeln!(std::io::stderr(), "skipped: ffmpeg is absent");
     }
-    assert!(path.is_dir() || std::env::var("REQUIRE_GOLDEN").as_deref() != Ok("1"), "{} is absent", path.display());
-    // Past the capture of passing tests: a skip is to be seen.
-    let _ = writeln!(std::io::stderr(), "skipped: {} or ffmpeg is absent", path.display());
-    None
+    has_ffmpeg.then_some(path)
 }
 
 /// A folder with links to the files of another.

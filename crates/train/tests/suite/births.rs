@@ -5,18 +5,18 @@ use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use tcgs_core::{BaseColumns, Camera, Gaussians, Segmentation, View, activate};
+use tcgs_core::{Camera, Gaussians, Segmentation, View, activate};
 use tcgs_metrics::psnr;
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::{Parameters, Preset, Run, State, TrainConfig, Trainer, with_unborn};
 
+use crate::wall::{CENTER, add_ball, wall};
+
 const WALL: [usize; 2] = [30, 20];
 const NUM_WALL: usize = WALL[0] * WALL[1];
 const SIGMA: f32 = 2.0 / 255.0;
-/// Where the ball is at the timestep at which it enters.
-const CENTER: [f32; 3] = [-0.3, 0.0, -1.0];
 
 /// Six for training, the last held out.
 fn cameras() -> Vec<Camera> {
@@ -27,23 +27,9 @@ fn cameras() -> Vec<Camera> {
 
 /// The wall at depth 0 with a pattern, and the ball, if it is there.
 fn scene(ball: Option<[f32; 3]>) -> Gaussians {
-    let mut columns = BaseColumns::default();
-    let mut add = |mean: [f32; 3], scale: f32, color: [f32; 3]| {
-        columns.means.push(mean);
-        columns.quats.push([1.0, 0.0, 0.0, 0.0]);
-        columns.log_scales.push([scale.ln(); 3]);
-        columns.logit_opacities.push(2.5);
-        columns.colors.push(color);
-    };
-    for i in 0..NUM_WALL {
-        let (x, y) = (i % WALL[0], i / WALL[0]);
-        let shade = 0.25 + 0.3 * ((x * 7 + y * 5) % 4) as f32 / 3.0;
-        add([(x as f32 - 14.5) * 0.14, (y as f32 - 9.5) * 0.14, 0.0], 0.08, [shade, 0.9 * shade, 0.5]);
-    }
-    for (i, center) in (0..64).filter_map(|i| Some((i, ball?))) {
-        let at = [i % 4, i / 4 % 4, i / 16].map(|k| (k as f32 - 1.5) * 0.1);
-        let mean = std::array::from_fn(|d| center[d] + at[d]);
-        add(mean, 0.06, [0.9, 0.15 + 0.2 * (i % 4) as f32, 0.1]);
+    let mut columns = wall(WALL);
+    if let Some(center) = ball {
+        add_ball(&mut columns, center, 4);
     }
     Gaussians::from(columns)
 }

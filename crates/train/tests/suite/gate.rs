@@ -8,11 +8,13 @@ use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use tcgs_core::{BaseColumns, Camera, Gaussians, View, activate};
+use tcgs_core::{Camera, Gaussians, View, activate};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::{Glimpse, Glimpsed, Parameters, Preset, State, TrainConfig, Trainer};
+
+use crate::wall::{CENTER, add_ball, wall};
 
 const WALL: [usize; 2] = [24, 16];
 /// The object's Gaussians come after the wall's.
@@ -26,28 +28,10 @@ fn cameras() -> Vec<Camera> {
 
 /// A wall at depth 0 with a pattern, and a ball of Gaussians before it.
 fn scene(center: [f32; 3]) -> Gaussians {
-    let mut columns = BaseColumns::default();
-    let mut add = |mean: [f32; 3], scale: f32, color: [f32; 3]| {
-        columns.means.push(mean);
-        columns.quats.push([1.0, 0.0, 0.0, 0.0]);
-        columns.log_scales.push([scale.ln(); 3]);
-        columns.logit_opacities.push(2.5);
-        columns.colors.push(color);
-    };
-    for i in 0..WALL[0] * WALL[1] {
-        let (x, y) = (i % WALL[0], i / WALL[0]);
-        let shade = 0.25 + 0.3 * ((x * 7 + y * 5) % 4) as f32 / 3.0;
-        add([(x as f32 - 11.5) * 0.14, (y as f32 - 7.5) * 0.14, 0.0], 0.08, [shade, 0.9 * shade, 0.5]);
-    }
-    for i in 0..27 {
-        let at = [i % 3, i / 3 % 3, i / 9].map(|k| (k as f32 - 1.0) * 0.1);
-        let mean = std::array::from_fn(|d| center[d] + at[d]);
-        add(mean, 0.06, [0.9, 0.15 + 0.2 * (i % 4) as f32, 0.1]);
-    }
+    let mut columns = wall(WALL);
+    add_ball(&mut columns, center, 3);
     Gaussians::from(columns)
 }
-
-const CENTER: [f32; 3] = [-0.3, 0.0, -1.0];
 
 /// Images of a scene, with noise of standard deviation `sigma` and rounded to 8 bits.
 fn views(truth: &Gaussians, seed: u64, sigma: f32) -> Vec<View> {

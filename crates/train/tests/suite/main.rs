@@ -23,3 +23,4 @@ mod harmonics;
 #[cfg(feature = "gpu")]
 mod support;
 mod trainer;
+mod wall;

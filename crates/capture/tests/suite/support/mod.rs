@@ -1,5 +1,6 @@
-//! A small capture written to a temporary folder, for tests to spoil.
+//! A small capture written to a temporary folder, for tests to spoil, and where real captures lie.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
@@ -11,6 +12,18 @@ use tempfile::TempDir;
 pub const WIDTH: u32 = 16;
 pub const HEIGHT: u32 = 12;
 pub const NUM_FRAMES: usize = 2;
+
+/// The folder of a real or rendered capture, or nothing, which skips the test unless `REQUIRE_GOLDEN=1`.
+pub fn real_folder(name: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
+    if path.is_dir() {
+        return Some(path);
+    }
+    assert!(std::env::var("REQUIRE_GOLDEN").as_deref() != Ok("1"), "{} is absent", path.display());
+    // Past the capture of passing tests: a skip is to be seen.
+    let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
+    None
+}
 
 /// Training cameras 1, 2, 4, 5; test camera 3. Two frames of 16x12 pixels.
 pub struct Small {
