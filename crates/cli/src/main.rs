@@ -35,7 +35,7 @@ use clap::{Parser, Subcommand};
 /// Temporally compressed 3D Gaussian splatting: from synchronized videos to dynamic scenes that are small
 /// enough to stream.
 #[derive(Parser)]
-#[command(name = "tcgs", version, after_help = EXAMPLE, max_term_width = 120)]
+#[command(name = "tcgs", bin_name = "tcgs", version, after_help = EXAMPLE, max_term_width = 120)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,

@@ -176,9 +176,11 @@ fn newest_change(path: &Path) -> Option<SystemTime> {
 mod tests {
     use super::*;
 
+    #[cfg(unix)]
     const DAY: Duration = Duration::from_secs(24 * 3600);
 
     /// What a killed process leaves, as old as told.
+    #[cfg(unix)]
     fn abandoned(folder: &Path, age: Duration) -> PathBuf {
         let path = folder.join(format!("{PREFIX}{}", age.as_secs()));
         fs::create_dir_all(path.join("new/3")).unwrap();
@@ -189,6 +191,7 @@ mod tests {
     }
 
     /// Sets the age of a folder and of all in it.
+    #[cfg(unix)]
     fn set_age(path: &Path, age: Duration) {
         if path.is_dir() {
             fs::read_dir(path).unwrap().for_each(|entry| set_age(&entry.unwrap().path(), age));

@@ -5,6 +5,7 @@
 mod support;
 
 use std::fs;
+use std::io;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -43,7 +44,7 @@ fn what_is_no_scene_is_refused() {
         fs::write(&path, bytes).unwrap();
         path
     };
-    refused(open(&folder.path().join("none.tcgs")), &["none.tcgs", "No such file"]);
+    refused(open(&folder.path().join("none.tcgs")), &[&format!("none.tcgs: {}", io::Error::from_raw_os_error(2))]);
     refused(open(&write("empty/notes.txt", b"x").with_file_name("")), &["without config.toml"]);
     refused(open(&write("a.txt", b"hello")), &["a.txt", "another kind"]);
     refused(open(&write("b.npz", b"PK\x03\x04")), &["b.npz"]);

@@ -1,5 +1,7 @@
 //! Each format on a small text that holds what its writer's documentation says, by the place where a known point is seen.
 
+use std::path::MAIN_SEPARATOR;
+
 use super::*;
 use crate::lens::{Crop, Lens};
 
@@ -58,7 +60,7 @@ fn found(files: &[(&str, &str)], format: &str) -> Calibration {
 fn problem(files: &[(&str, &str)]) -> String {
     let folder = folder(files);
     let message = Calibration::find(folder.path()).unwrap_err().to_string();
-    message.strip_prefix(&format!("{}/", folder.path().display())).unwrap_or(&message).to_owned()
+    message.strip_prefix(&format!("{}{MAIN_SEPARATOR}", folder.path().display())).unwrap_or(&message).to_owned()
 }
 
 /// `R` of the camera is `[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]`, a quarter turn about -z; `T = -R C = (-2, 1, 5)`.

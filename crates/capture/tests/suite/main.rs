@@ -11,7 +11,8 @@ mod neural3d;
 mod panoptic;
 mod prepare;
 mod real;
-#[cfg(feature = "video")]
+// Its folders are made of symbolic links.
+#[cfg(all(feature = "video", unix))]
 mod real_raw;
 #[cfg(feature = "video")]
 mod recordings;

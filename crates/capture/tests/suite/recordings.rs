@@ -2,7 +2,7 @@
 //! program `ffmpeg`; every frame shows its number, so that no frame can be taken for another.
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{MAIN_SEPARATOR, Path};
 use std::process::{Command, Stdio};
 
 use image::{Rgb, RgbImage};
@@ -218,7 +218,7 @@ fn pictures_are_turned_cropped_and_evened_out() {
 fn problem(folder: &TempDir) -> String {
     let message = Capture::open(folder.path()).unwrap_err().to_string();
     assert!(!message.contains('\n'), "{message}");
-    message.replace(&format!("{}/", folder.path().display()), "")
+    message.replace(&format!("{}{MAIN_SEPARATOR}", folder.path().display()), "")
 }
 
 #[test]
@@ -342,7 +342,7 @@ fn raw_footage_that_makes_no_capture_is_named() {
         return;
     }
     let short = |folder: &TempDir, error: tcgs_capture::CaptureError| {
-        error.to_string().replace(&format!("{}/", folder.path().display()), "")
+        error.to_string().replace(&format!("{}{MAIN_SEPARATOR}", folder.path().display()), "")
     };
     let folder = raw(&["a", "b"], [128, 96], H264);
     let found = short(&folder, prepared(&folder, "a 0\nb 0").unwrap_err());

@@ -266,9 +266,22 @@ fn signal(child: &std::process::Child, name: &str) {
 fn set_age(path: &Path, age: Duration) {
     let times = SystemTime::now() - age;
     for entry in entries(path) {
-        File::open(entry).unwrap().set_modified(times).unwrap();
+        open_for_times(&entry).set_modified(times).unwrap();
     }
-    File::open(path).unwrap().set_modified(times).unwrap();
+    open_for_times(path).set_modified(times).unwrap();
+}
+
+#[cfg(not(windows))]
+fn open_for_times(path: &Path) -> File {
+    File::open(path).unwrap()
+}
+
+/// Windows sets times only through what is opened to be written, and opens folders only on demand.
+#[cfg(windows)]
+fn open_for_times(path: &Path) -> File {
+    use std::os::windows::fs::OpenOptionsExt;
+    const FILE_FLAG_BACKUP_SEMANTICS: u32 = 0x0200_0000;
+    File::options().write(true).custom_flags(FILE_FLAG_BACKUP_SEMANTICS).open(path).unwrap()
 }
 
 #[test]

@@ -1,9 +1,8 @@
 //! Tables of the paper, on a capture so small that nothing is learned: what is run, kept, written and refused.
 
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::support::*;
@@ -207,8 +206,12 @@ fn is_locked(run: &Path) -> bool {
     fs::File::open(run).is_ok_and(|folder| matches!(folder.try_lock(), Err(fs::TryLockError::WouldBlock)))
 }
 
+// The script is of bash.
+#[cfg(unix)]
 #[test]
 fn schedulers_can_run_it() {
+    use std::io::Write;
+    use std::process::Command;
     let data = data();
     let folder = tempdir().unwrap();
     let expected = succeed(&table("ablation", &data, &folder.path().join("alone")));

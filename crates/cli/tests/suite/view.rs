@@ -1,7 +1,7 @@
 //! The server of the player, as a program and a browser see it.
 
 use std::fs;
-use std::io::Read;
+use std::io::{self, Read};
 
 use crate::support::server::*;
 use crate::support::*;
@@ -17,10 +17,12 @@ fn what_is_no_tcgs_file_is_refused_by_name() {
     succeed(&["export", text(&run), "--to", text(&params)]);
     let cut = folder.path().join("cut.tcgs");
     fs::write(&cut, b"TCGS").unwrap();
+    // In the words of the system.
+    let absent = format!("nowhere.tcgs: {}", io::Error::from_raw_os_error(2));
     let cases = [
         (text(&run), "run: is a folder of no capture"),
         (text(&params), "params.npz: a file of another kind"),
-        ("nowhere.tcgs", "nowhere.tcgs: No such file"),
+        ("nowhere.tcgs", &absent),
         (text(&cut), "cut.tcgs: ends after 4 bytes"),
     ];
     for (scene, problem) in cases {

@@ -16,6 +16,32 @@ const OURS: [&str; 6] = ["scene.tcgs", "metrics.jsonl", "resume0.npz", "resume1.
 /// How the names of checkpoints end that were set aside.
 const DAMAGED: &str = ".damaged";
 
+/// A folder that is open and locked as long as the file lives, or none if another process has locked it.
+#[cfg(not(windows))]
+fn open_locked(folder: &Path) -> io::Result<Option<File>> {
+    let file = File::open(folder)?;
+    // A drive may know no locks: any other error is as good as a lock.
+    let is_taken = matches!(file.try_lock(), Err(fs::TryLockError::WouldBlock));
+    Ok((!is_taken).then_some(file))
+}
+
+/// The same on Windows, which has no locks of folders: whoever opens the folder itself to write, and lets nobody else, is
+/// alone. Listing it, and opening what is in it, ask for no such right.
+#[cfg(windows)]
+fn open_locked(folder: &Path) -> io::Result<Option<File>> {
+    use std::os::windows::fs::OpenOptionsExt;
+    const FILE_ADD_FILE: u32 = 2;
+    const FILE_SHARE_READ_AND_DELETE: u32 = 1 | 4;
+    const FILE_FLAG_BACKUP_SEMANTICS: u32 = 0x0200_0000;
+    const ERROR_SHARING_VIOLATION: i32 = 32;
+    let mut options = File::options();
+    options.access_mode(FILE_ADD_FILE).share_mode(FILE_SHARE_READ_AND_DELETE).custom_flags(FILE_FLAG_BACKUP_SEMANTICS);
+    match options.open(folder) {
+        Err(error) if error.raw_os_error() == Some(ERROR_SHARING_VIOLATION) => Ok(None),
+        opened => opened.map(Some),
+    }
+}
+
 /// A run folder, locked: a run is written by one process at a time.
 ///
 /// ```
@@ -33,7 +59,7 @@ const DAMAGED: &str = ".damaged";
 pub struct RunFolder {
     path: PathBuf,
     /// Open as long as it is locked.
-    _lock: Option<File>,
+    _lock: File,
 }
 
 impl RunFolder {
@@ -68,23 +94,18 @@ impl RunFolder {
         Ok(false)
     }
 
-    /// Locks a run folder until dropped. Where folders cannot be opened like files, and on network drives without locks,
-    /// it is taken without a lock.
+    /// Locks a run folder until dropped. On network drives without locks it is taken without one.
     ///
     /// # Errors
     /// [`PipelineError::Input`] if another process has locked it; [`PipelineError::Unreadable`] if there is none.
     pub fn lock(folder: &Path) -> Result<Self, PipelineError> {
         let path = folder.to_path_buf();
-        if cfg!(not(unix)) {
-            return Ok(Self { path, _lock: None });
-        }
-        let file = File::open(folder).map_err(|error| PipelineError::unreadable(folder, error, "a run folder"))?;
-        match file.try_lock() {
-            Err(fs::TryLockError::WouldBlock) => {
+        match open_locked(folder).map_err(|error| PipelineError::unreadable(folder, error, "a run folder"))? {
+            Some(lock) => Ok(Self { path, _lock: lock }),
+            None => {
                 let found = "another process is training into it";
                 Err(PipelineError::input(folder.display(), found, "that to end first"))
             }
-            _ => Ok(Self { path, _lock: Some(file) }),
         }
     }
 
@@ -250,7 +271,6 @@ mod tests {
         assert!(theirs.iter().all(|name| path(name).exists()));
     }
 
-    #[cfg(unix)]
     #[test]
     fn a_run_has_one_writer() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
 //! A small capture written to a temporary folder, for tests to spoil, and where real captures lie.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::{MAIN_SEPARATOR, Path, PathBuf};
 
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureError};
@@ -106,7 +106,10 @@ pub fn shorten(folder: &Path, error: &CaptureError) -> String {
     let message = error.to_string();
     assert!(!message.contains('\n'), "{message}");
     let short = message.strip_prefix(&folder.display().to_string());
-    short.unwrap_or_else(|| panic!("{message}")).trim_start_matches('/').to_owned()
+    let short = short.unwrap_or_else(|| panic!("{message}")).trim_start_matches(MAIN_SEPARATOR);
+    // Windows has another separator, which the file's name alone may hold.
+    let end_of_name = short.find(": ").unwrap_or(0);
+    format!("{}{}", short[..end_of_name].replace(MAIN_SEPARATOR, "/"), &short[end_of_name..])
 }
 
 /// Why a folder cannot be opened.
