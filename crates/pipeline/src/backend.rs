@@ -2,9 +2,9 @@
 
 use tcgs_render::device::GpuInfo;
 use tcgs_render::{CpuRasterizer, DrawAny, draw_any};
+use tcgs_train::State;
 use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::{State, TrainConfig};
 
 use crate::PipelineError;
 
@@ -56,22 +56,7 @@ impl Backend {
         }
     }
 
-    /// Refuses settings that this does not train: a GPU trains no spherical harmonics.
-    ///
-    /// # Errors
-    /// [`PipelineError::Input`] that names the setting.
-    pub fn check(&self, config: &TrainConfig) -> Result<(), PipelineError> {
-        if config.color.degree > 0 && self.gpu_info().is_some() {
-            let expected = "0 on a GPU, or training on the CPU, which alone trains spherical harmonics";
-            return Err(PipelineError::input("color.degree", config.color.degree.to_string(), expected));
-        }
-        Ok(())
-    }
-
     /// An engine that trains from `state` on.
-    ///
-    /// # Panics
-    /// If the state has spherical harmonics and this is a GPU; [`Self::check`] refuses that in words.
     pub fn engine(&self, state: State) -> Box<dyn Engine> {
         match self {
             Self::Cpu => Box::new(CpuEngine::new(state)),

@@ -74,7 +74,7 @@ pub fn bit_settings(config: &TrainConfig) -> BitSettings {
 
 /// The columns that are quantised while training. Positions are quantised afterwards, and so are harmonics: compression
 /// decides who keeps which band and with how many bits, and rounding here would make bands that are zero differ from it.
-fn quantized(layout: &Layout) -> impl Iterator<Item = Attribute> {
+pub(crate) fn quantized(layout: &Layout) -> impl Iterator<Item = Attribute> {
     let harmonics = layout.harmonics();
     let is_quantized = move |column: &&Column| column.quantized && !harmonics.contains(&column.attribute);
     layout.columns().iter().filter(is_quantized).map(|column| column.attribute)

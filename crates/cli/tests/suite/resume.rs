@@ -325,6 +325,7 @@ fn a_write_that_fails_leaves_nothing_half_done() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_disk_ends_a_run_whose_checkpoints_stay_right() {
+    use std::io::Write;
     struct Mounted(tempfile::TempDir);
     impl Drop for Mounted {
         fn drop(&mut self) {

@@ -167,16 +167,14 @@ impl RunFolder {
     /// - `run`: the run in this folder
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if `backend` does not train what the run's settings ask for; [`PipelineError::Train`] if
-    /// another checkpoint than the last is damaged; [`PipelineError::Stopped`] if the
-    /// observer broke off.
+    /// [`PipelineError::Train`] if another checkpoint than the last is damaged; [`PipelineError::Stopped`] if the observer
+    /// broke off.
     pub fn resume(
         &self,
         run: &Run,
         backend: &Backend,
         observer: &mut dyn Observer,
     ) -> Result<Option<Trainer>, PipelineError> {
-        backend.check(run.config())?;
         loop {
             let error = match run.resume_with(|state| backend.engine(state)) {
                 Ok(trainer) => return Ok(trainer),

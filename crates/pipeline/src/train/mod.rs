@@ -22,9 +22,8 @@ pub use settings::settings_for;
 /// A trainer before the first timestep of the frames that the settings name.
 ///
 /// # Errors
-/// [`PipelineError::Input`] if `backend` does not train what the settings ask for; [`PipelineError`] if the capture lacks the first frame or training cameras, or there are no points to start from.
+/// [`PipelineError`] if the capture lacks the first frame or training cameras, or there are no points to start from.
 pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -> Result<Trainer, PipelineError> {
-    backend.check(config)?;
     let cameras = capture.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
     let cameras: Vec<_> = cameras.into_iter().map(|(_, camera)| camera).collect();
     let cloud = match config.data.points.as_str() {

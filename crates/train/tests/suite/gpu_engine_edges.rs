@@ -1,6 +1,6 @@
 //! The two engines side by side where sizes and numbers are odd, and what the one on the GPU does when it fails.
 
-use crate::support::engines::{assert_same, bits, config, quantized, state, step, target, with_past};
+use crate::support::engines::{assert_same, bits, config, quantized, state, step, target, with_harmonics, with_past};
 use crate::support::{Random, further_layout, gpu, relative_l2};
 use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress};
 use tcgs_core::{Attribute, Camera, DynamicGaussians, Gaussians, View};
@@ -83,6 +83,40 @@ fn quantised_with_and_without_offsets() {
         // One iteration: in the next a code may be rounded the other way.
         compare(&name, &gpu, &start, &targets, &[1], &config, Phase::First);
         compare(&format!("{name}, later"), &gpu, &with_past(start), &targets, &[1], &config, Phase::Rest);
+    }
+}
+
+#[test]
+fn harmonics_of_every_degree() {
+    let Some(gpu) = gpu() else { return };
+    let mut config = config();
+    config.rates.harmonic = 5e-3;
+    for (degree, channels) in [(1, 3), (2, 5), (3, 3)] {
+        let targets = [target([40, 30], channels, 4), target([33, 20], channels, 5)];
+        let start = with_harmonics(state(150, 2, |i| i % 2 == 0), degree);
+        let name = format!("degree {degree}");
+        compare(&name, &gpu, &start, &targets, &[1, 0, 1], &config, Phase::First);
+        compare(&format!("{name}, later"), &gpu, &with_past(start.clone()), &targets, &[1, 0], &config, Phase::Rest);
+        let start = quantized(start, true);
+        compare(&format!("{name}, quantised"), &gpu, &start, &targets, &[1], &config, Phase::First);
+
+        let (mut engine, bands) =
+            (GpuEngine::new(&gpu, start.clone()), start.parameters.gaussians.layout().harmonics());
+        run(&mut engine, &targets, &[0, 1], &config, Phase::First).unwrap();
+        for band in bands {
+            let [before, after] = [&start, engine.state().unwrap()].map(|s| s.parameters.gaussians.values(band));
+            assert!(
+                before.iter().zip(after).filter(|(a, b)| a != b).count() > before.len() / 2,
+                "degree {degree} rests"
+            );
+        }
+        // Pictures have the colours that their camera sees.
+        let mut cpu = CpuEngine::new(engine.state().unwrap().clone());
+        for target in &targets {
+            let [expected, found] = [&mut cpu as &mut dyn Engine, &mut engine]
+                .map(|engine| engine.draw(&config.mask, &target.camera).unwrap().data);
+            assert!(relative_l2(&found, &expected) < 1e-4, "degree {degree}");
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The GPU engine where a part of the scene is trained: against itself where everything is, and against the CPU engine.
 
-use crate::support::engines::{assert_same, bits, config, quantized, state, target, with_past};
+use crate::support::engines::{assert_same, bits, config, quantized, state, target, with_harmonics, with_past};
 use crate::support::{Random, gpu, relative_l2};
 use tcgs_core::{Activated, Attribute, Image};
 use tcgs_render::gpu::Gpu;
@@ -162,8 +162,11 @@ fn part_of_a_scene(
             Tiles::Rectangle => tiles.insert_pixels(17..width * 2 / 3, 20..height),
         }
         // Now and then one of the locked ones is in no list.
-        let gaussians = (0..4 * n as u32).filter(|i| i % 4 == 3 || i % 11 != 0).collect();
-        ViewScenery { tiles, gaussians, colors: None, picture: target.image.clone() }
+        let gaussians: Vec<u32> = (0..4 * n as u32).filter(|i| i % 4 == 3 || i % 11 != 0).collect();
+        // Each camera sees the locked ones in other colours.
+        let has_harmonics = start.parameters.gaussians.layout().sh_degree() > 0;
+        let colors = has_harmonics.then(|| (0..channels * gaussians.len()).map(|_| 0.5 + random.within(0.5)).collect());
+        ViewScenery { tiles, gaussians, colors, picture: target.image.clone() }
     };
     let views = targets.iter().map(&mut view).collect();
     Scenery { num_active, drawn: joined.select(&order), places: (0..n).map(place_of).collect(), views }
@@ -183,13 +186,13 @@ fn joined(a: &Activated, b: &Activated) -> Activated {
 
 const CAMERAS: [usize; 5] = [1, 0, 2, 1, 0];
 
-fn compare(name: &str, gpu: &Gpu, start: &State, channels: usize, num_active: usize, which: Tiles) {
+fn compare(name: &str, gpu: &Gpu, start: &State, channels: usize, num_active: usize, which: Tiles, cameras: &[usize]) {
     let config = config();
     let targets: Vec<Target> = (0..3).map(|i| target(SIZES[i], channels, i as u64)).collect();
     let scenery = part_of_a_scene(start, &targets, &config, num_active, which);
     let (mut a, mut b) = (CpuEngine::new(start.clone()), GpuEngine::new(gpu, start.clone()));
-    let expected = run(&mut a, &targets, Some(scenery.clone()), &CAMERAS, &config);
-    let mut found = run(&mut b, &targets, Some(scenery), &CAMERAS, &config);
+    let expected = run(&mut a, &targets, Some(scenery.clone()), cameras, &config);
+    let mut found = run(&mut b, &targets, Some(scenery), cameras, &config);
     if which == Tiles::Scattered {
         // The CPU engine counts a pixel once for each rectangle of tiles that it is near.
         for (found, expected) in found.iter_mut().zip(&expected) {
@@ -216,8 +219,21 @@ fn both_engines_train_a_part_alike() {
             let start = with_past(state(n, 3, |i| i % 3 != 0));
             for which in [Tiles::Scattered, Tiles::Rectangle] {
                 let name = format!("{n} rows, {channels} channels, {which:?}");
-                compare(&name, &gpu, &start, channels, num_active, which);
+                compare(&name, &gpu, &start, channels, num_active, which, &CAMERAS);
             }
+        }
+    }
+}
+
+#[test]
+fn both_engines_train_a_part_among_the_colours_that_each_camera_sees() {
+    let Some(gpu) = gpu() else { return };
+    for (degree, channels) in [(1, 5), (3, 3)] {
+        let start = with_past(with_harmonics(state(120, 3, |i| i % 3 != 0), degree));
+        let name = format!("degree {degree}, {channels} channels");
+        // One iteration each: Adam's step is as long where a gradient is nothing but rounding.
+        for camera in 0..3 {
+            compare(&format!("{name}, view {camera}"), &gpu, &start, channels, 50, Tiles::Rectangle, &[camera]);
         }
     }
 }

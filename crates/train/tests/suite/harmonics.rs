@@ -59,7 +59,7 @@ fn settings(degree: usize) -> TrainConfig {
 }
 
 /// A trainer that begins with a scene whose colours are the same from everywhere.
-fn trainer(config: &TrainConfig) -> Trainer {
+fn trainer(config: &TrainConfig, make: Make<'_>) -> Trainer {
     let gaussians = scene(CENTER, 0).extended(&Layout::with_harmonics(config.color.degree));
     let cameras = &cameras()[..6];
     let parameters = Parameters {
@@ -69,8 +69,13 @@ fn trainer(config: &TrainConfig) -> Trainer {
         camera_offsets: vec![[0.0; 3]; cameras.len()],
         gaussians,
     };
-    let on_cpu = |state: State| -> Box<dyn Engine> { Box::new(CpuEngine::new(state)) };
-    Trainer::from_parameters(config, parameters, cameras, on_cpu).unwrap()
+    Trainer::from_parameters(config, parameters, cameras, make).unwrap()
+}
+
+type Make<'a> = &'a dyn Fn(State) -> Box<dyn Engine>;
+
+fn on_cpu(state: State) -> Box<dyn Engine> {
+    Box::new(CpuEngine::new(state))
 }
 
 fn fit(trainer: &mut Trainer, views: &[View]) {
@@ -81,7 +86,7 @@ fn fit(trainer: &mut Trainer, views: &[View]) {
 fn what_depends_on_the_direction_is_learned_and_seen_from_elsewhere() {
     let views = views(&scene(CENTER, 2));
     let held_out = |degree| {
-        let mut trainer = trainer(&settings(degree));
+        let mut trainer = trainer(&settings(degree), &on_cpu);
         fit(&mut trainer, &views);
         trainer.mean_psnr(&views[6..]).unwrap()
     };
@@ -92,8 +97,20 @@ fn what_depends_on_the_direction_is_learned_and_seen_from_elsewhere() {
 
 #[test]
 fn a_part_is_trained_among_the_colours_that_each_camera_sees() {
+    a_part_is_trained(&on_cpu);
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+fn a_part_is_trained_on_a_gpu_too() {
+    use tcgs_train::engine::gpu::GpuEngine;
+    let Some(gpu) = crate::support::gpu() else { return };
+    a_part_is_trained(&|state| Box::new(GpuEngine::new(&gpu, state)));
+}
+
+fn a_part_is_trained(make: Make<'_>) {
     let config = settings(2);
-    let mut trainer = trainer(&config);
+    let mut trainer = trainer(&config, make);
     fit(&mut trainer, &views(&scene(CENTER, 2)));
     let before = trainer.state().unwrap().parameters.gaussians.clone();
     let moved = views(&scene([CENTER[0] + 0.06, CENTER[1], CENTER[2]], 2));
@@ -118,7 +135,7 @@ fn a_run_with_harmonics_resumes_with_the_same_bits() {
     (config.schedule.first_iterations, config.schedule.rest_iterations) = (40, 20);
     let run = Run::create(&folder.path().join("run"), &config).unwrap();
     let frames = [0.0, 0.05, 0.1].map(|x| views(&scene([CENTER[0] + x, CENTER[1], CENTER[2]], 1)));
-    let mut trainer = trainer(&config);
+    let mut trainer = trainer(&config, &on_cpu);
     for (timestep, views) in frames[..2].iter().enumerate() {
         fit(&mut trainer, views);
         run.save(timestep, &trainer.checkpoint().unwrap()).unwrap();

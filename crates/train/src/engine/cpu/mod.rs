@@ -7,7 +7,6 @@ mod stage;
 pub use image_loss::{ImageLoss, image_loss, image_loss_in};
 pub use motion_prior::{MotionPrior, PriorGrads};
 
-use std::borrow::Cow;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -68,7 +67,7 @@ pub fn drawn(state: &State, mask: &MaskConfig, with_segmentation: bool) -> Activ
 #[derive(Clone, Debug)]
 pub(crate) struct Drawn {
     /// With the colours of degree 0.
-    activated: Activated,
+    activated: Arc<Activated>,
     /// As quantised; none without harmonics.
     seen: Option<Gaussians>,
 }
@@ -79,7 +78,7 @@ impl Drawn {
         let DrawnChain { quantized, drawn, .. } = chain(state, mask, with_segmentation, None);
         let gaussians = &state.parameters.gaussians;
         let has_harmonics = gaussians.layout().sh_degree() > 0;
-        Self { activated: drawn, seen: has_harmonics.then(|| quantized.unwrap_or_else(|| gaussians.clone())) }
+        Self { activated: Arc::new(drawn), seen: has_harmonics.then(|| quantized.unwrap_or_else(|| gaussians.clone())) }
     }
 
     /// With the colours of degree 0: for what does not depend on colours.
@@ -88,10 +87,10 @@ impl Drawn {
     }
 
     /// What a camera sees.
-    pub fn seen_by(&self, camera: &Camera) -> Cow<'_, Activated> {
+    pub fn seen_by(&self, camera: &Camera) -> Arc<Activated> {
         match self.colors_seen_by(camera) {
-            Some(colors) => Cow::Owned(Activated { colors, ..self.activated.clone() }),
-            None => Cow::Borrowed(&self.activated),
+            Some(colors) => Arc::new(Activated { colors, ..Activated::clone(&self.activated) }),
+            None => Arc::clone(&self.activated),
         }
     }
 
@@ -106,7 +105,7 @@ impl Drawn {
 
     /// Appends other Gaussians of the same columns.
     pub fn extend(&mut self, others: &Self) {
-        self.activated.extend(&others.activated);
+        Arc::make_mut(&mut self.activated).extend(&others.activated);
         if let (Some(own), Some(others)) = (&mut self.seen, &others.seen) {
             let layout = Arc::clone(own.layout());
             *own = Gaussians::concat(&layout, &[std::mem::take(own), others.clone()]);

@@ -119,7 +119,7 @@ impl Packing {
 
     /// The columns that training quantises, in the order of the bytes that name their groups of quantizers.
     pub(crate) fn quantized(&self) -> impl Iterator<Item = Attribute> {
-        self.layout.columns().iter().filter(|column| column.quantized).map(|column| column.attribute)
+        crate::fake_quant::quantized(&self.layout)
     }
 
     /// Words that hold a byte for each quantised column of one Gaussian.

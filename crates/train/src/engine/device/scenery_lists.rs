@@ -32,6 +32,8 @@ pub(crate) struct ListedView {
     pub targets_at: u32,
     /// In [`SceneryLists::pictures`].
     pub pictures_at: u32,
+    /// In [`SceneryLists::colors`].
+    pub colors_at: u32,
 }
 
 /// A scenery in arrays.
@@ -50,6 +52,9 @@ pub(crate) struct SceneryLists {
     pub targets: Vec<u32>,
     /// View after view, `[ring, C, 256]`: pixels of the picture; 0 beyond the image.
     pub pictures: Vec<f32>,
+    /// View after view, `[L, C]`: colours of the listed Gaussians as the view's camera sees them; empty where all cameras see
+    /// those of `activated`.
+    pub colors: Vec<f32>,
     /// `[cameras]`
     pub views: Vec<ListedView>,
 }
@@ -68,6 +73,7 @@ impl SceneryLists {
             lists: Vec::new(),
             targets: Vec::new(),
             pictures: Vec::new(),
+            colors: Vec::new(),
             views: Vec::with_capacity(views.len()),
         };
         let pixels: Vec<Near> =
@@ -87,7 +93,9 @@ impl SceneryLists {
                 slots_at: lists_at + num_listed,
                 targets_at: all.targets.len() as u32,
                 pictures_at: all.pictures.len() as u32,
+                colors_at: all.colors.len() as u32,
             });
+            all.colors.extend(view.colors.iter().flatten());
             all.lists.extend(view.gaussians.iter().map(|&i| number_of[i as usize]));
             all.lists.extend(near.slots);
             all.lists.extend(near.tiles);
@@ -95,6 +103,11 @@ impl SceneryLists {
             all.pictures.extend(near.pictures);
         }
         all
+    }
+
+    /// Most Gaussians that one view lists.
+    pub fn max_listed(&self) -> usize {
+        self.views.iter().map(|view| view.part.num_listed).max().unwrap_or(0) as usize
     }
 
     /// Most tiles that one view draws, and most with the ring.

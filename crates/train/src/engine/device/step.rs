@@ -59,6 +59,18 @@ pub struct StepUniform {
     pub slots_at: u32,
     /// Position of this view's first value in the pictures.
     pub pictures_at: u32,
+    /// Gaussians in this view's list.
+    pub num_listed: u32,
+    /// Position of this view's list in the lists.
+    pub lists_at: u32,
+    /// Position of this view's first value in the colours that views see.
+    pub colors_at: u32,
+    /// Of this view's camera, in the world.
+    pub eye_x: f32,
+    /// Of this view's camera, in the world.
+    pub eye_y: f32,
+    /// Of this view's camera, in the world.
+    pub eye_z: f32,
     /// `ε` of the masks.
     pub mask_threshold: f32,
     /// A quantizer's step never falls below this share of where it started.
@@ -74,6 +86,8 @@ pub(crate) struct ViewPlace {
     pub width: u32,
     /// Pixels.
     pub height: u32,
+    /// Of the camera, in the world.
+    pub eye: [f32; 3],
     /// Position of the image's first value.
     pub target_offset: u32,
     /// Whether all images have a segmentation.
@@ -144,13 +158,15 @@ impl StepUniform {
         let whole = num_gaussians as u32;
         let tiles = view.width.div_ceil(TILE as u32) * view.height.div_ceil(TILE as u32);
         let part = view.part.map(|part| (part.num_drawn, part.view));
-        let [num_active, num_drawn, num_tiles, num_blocks, slots_at, pictures_at] = match part {
-            Some((num_drawn, view)) => {
-                let ViewPart { num_active, num_tiles, .. } = view.part;
-                [num_active, num_drawn, num_tiles, view.num_near, view.slots_at, view.pictures_at]
-            }
-            None => [whole, whole, tiles, tiles, 0, 0],
+        let [num_active, num_drawn, num_tiles, num_blocks] = match part {
+            Some((num_drawn, view)) => [view.part.num_active, num_drawn, view.part.num_tiles, view.num_near],
+            None => [whole, whole, tiles, tiles],
         };
+        let [num_listed, lists_at, slots_at, pictures_at, colors_at] = part.map_or([0; 5], |(_, view)| {
+            let ViewPart { num_listed, lists_at, .. } = view.part;
+            [num_listed, lists_at, view.slots_at, view.pictures_at, view.colors_at]
+        });
+        let [eye_x, eye_y, eye_z] = view.eye;
         // Without segmentation nothing tells the foreground, which alone stands on the floor.
         let floor = if view.segmented { step.weights.floor } else { 0.0 };
         Self {
@@ -172,6 +188,12 @@ impl StepUniform {
             num_blocks,
             slots_at,
             pictures_at,
+            num_listed,
+            lists_at,
+            colors_at,
+            eye_x,
+            eye_y,
+            eye_z,
             mask_threshold: step.mask.threshold,
             step_min_share: MIN_STEP_SHARE,
             weights: WeightConfig { floor, ..*step.weights }.values(),

@@ -18,6 +18,12 @@ struct Step {
     num_blocks: u32,
     slots_at: u32,
     pictures_at: u32,
+    num_listed: u32,
+    lists_at: u32,
+    colors_at: u32,
+    eye_x: f32,
+    eye_y: f32,
+    eye_z: f32,
     mask_threshold: f32,
     step_min_share: f32,
     WEIGHTS

@@ -18,16 +18,16 @@ mod memory;
 mod motion_prior;
 mod parts;
 mod passes;
+mod seen;
 mod state_buffers;
 mod sums;
 mod targets;
 #[cfg(test)]
 mod test_support;
 
-use std::sync::Arc;
 use std::time::Instant;
 
-use tcgs_core::{Activated, Camera, Image, Sensitivity};
+use tcgs_core::{Camera, Image, Sensitivity};
 use tcgs_render::gpu::raw::{StageTimer, Staged};
 use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
@@ -37,7 +37,7 @@ use self::parts::Parts;
 use self::passes::STAGES;
 use self::state_buffers::REPORT;
 use self::targets::Targets;
-use super::cpu::drawn;
+use super::cpu::Drawn;
 use super::device::{InFlight, LOSS_VALUES, Mirror, StepUniform, ViewPlace, count_updates, losses_of};
 use super::{Engine, Scenery, Step, Target};
 use crate::TrainError;
@@ -101,17 +101,12 @@ pub struct GpuEngine {
     /// Draws what is not trained on.
     rasterizer: GpuRasterizer,
     /// What a state draws with a mask: its version, the mask, and the Gaussians.
-    drawn: Option<(u64, MaskConfig, Arc<Activated>)>,
+    drawn: Option<(u64, MaskConfig, Drawn)>,
 }
 
 impl GpuEngine {
     /// An engine that goes on from `state`. The GPU's memory is asked for at the first iteration.
-    ///
-    /// # Panics
-    /// If the Gaussians have spherical harmonics, which the CPU alone trains.
     pub fn new(gpu: &Gpu, state: State) -> Self {
-        let degree = state.parameters.gaussians.layout().sh_degree();
-        assert_eq!(degree, 0, "harmonics of degree {degree} on a GPU, which trains none");
         Self {
             gpu: gpu.clone(),
             state: Mirror::new(state),
@@ -163,6 +158,7 @@ impl GpuEngine {
         let view = ViewPlace {
             width: camera.width as u32,
             height: camera.height as u32,
+            eye: camera.center().map(|x| x as f32),
             target_offset: targets.offsets[step.camera],
             segmented: targets.segmented,
             part: self.parts.as_ref().map(|parts| parts.place(step.camera)),
@@ -371,14 +367,11 @@ impl Engine for GpuEngine {
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
         let version = self.state.version();
-        let gaussians = match &self.drawn {
-            Some((of, with, gaussians)) if *of == version && with == mask => Arc::clone(gaussians),
-            _ => {
-                let gaussians = Arc::new(drawn(self.read()?, mask, false));
-                self.drawn = Some((version, mask.clone(), Arc::clone(&gaussians)));
-                gaussians
-            }
-        };
-        Ok(self.rasterizer.draw(&gaussians, camera, &RenderSettings::default())?.0.image)
+        if !self.drawn.as_ref().is_some_and(|(of, with, _)| *of == version && with == mask) {
+            let drawn = Drawn::new(self.read()?, mask, false);
+            self.drawn = Some((version, mask.clone(), drawn));
+        }
+        let (_, _, drawn) = self.drawn.as_ref().expect("it was just made");
+        Ok(self.rasterizer.draw(&drawn.seen_by(camera), camera, &RenderSettings::default())?.0.image)
     }
 }

@@ -16,6 +16,10 @@ pub(super) struct Parts {
     pub lists: wgpu::Buffer,
     /// [`SceneryLists::pictures`]
     pub pictures: wgpu::Buffer,
+    /// [`SceneryLists::colors`]; room for one where there are none.
+    pub colors: wgpu::Buffer,
+    /// Most Gaussians that a view draws.
+    pub max_listed: usize,
     /// Most blocks of an image that are compared.
     pub max_blocks: usize,
     pub num_rows: usize,
@@ -37,6 +41,11 @@ impl Parts {
             activated: gpu.upload("activated Gaussians", &all.activated)?,
             lists: gpu.upload("lists of what is drawn", &all.lists)?,
             pictures: gpu.upload("pixels around what is drawn", &all.pictures)?,
+            colors: match all.colors.is_empty() {
+                true => gpu.storage("colours that views see", 1)?,
+                false => gpu.upload("colours that views see", &all.colors)?,
+            },
+            max_listed: all.max_listed(),
             max_blocks,
             num_rows: all.num_rows,
             num_active: scenery.num_active,

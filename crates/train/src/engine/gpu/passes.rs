@@ -11,6 +11,7 @@ use super::fake_quant::FakeQuantKernels;
 use super::image_loss::{ImageLossBuffers, ImageLossKernels};
 use super::motion_prior::MotionPriorKernels;
 use super::parts::Parts;
+use super::seen::{SeenBuffers, SeenKernels};
 use super::state_buffers::StateBuffers;
 use super::sums::{SumsBuffers, SumsKernel};
 use super::targets::Targets;
@@ -36,6 +37,8 @@ pub(super) const STAGES: [&str; 11] = [
 pub(super) struct Passes {
     pub renderer: GpuRenderer,
     activate: ActivateKernels,
+    /// None without harmonics.
+    seen: Option<SeenKernels>,
     image_loss: ImageLossKernels,
     fake_quant: FakeQuantKernels,
     sums: SumsKernel,
@@ -84,6 +87,19 @@ impl Passes {
             },
             model.num_gaussians,
         )?;
+        let seen = SeenKernels::new(
+            gpu,
+            packing,
+            SeenBuffers {
+                step,
+                params: &model.params,
+                activated: &render.activated,
+                grads: &model.grads,
+                part: parts.map(|parts| [&parts.lists, &parts.colors]),
+            },
+            model.num_gaussians,
+            parts.map_or(0, |parts| parts.max_listed),
+        );
         let [height, width] = targets.max_size();
         let [columns, rows] = tile_grid(width, height);
         let image_loss = ImageLossKernels::new(
@@ -133,7 +149,7 @@ impl Passes {
         )?;
         let fake_quant = FakeQuantKernels::new(gpu, packing, q, &model.params, &model.grads, step);
         gpu.check()?;
-        Ok(Self { renderer, activate, image_loss, fake_quant, sums, adam })
+        Ok(Self { renderer, activate, seen, image_loss, fake_quant, sums, adam })
     }
 
     /// Records one iteration; with a timer each stage is a pass of its own.
@@ -169,7 +185,12 @@ impl Passes {
         prior: Option<&MotionPriorKernels>,
     ) {
         match stage {
-            0 => self.activate.record_fwd(pass),
+            0 => {
+                self.activate.record_fwd(pass);
+                if let Some(seen) = &self.seen {
+                    seen.record_fwd(pass);
+                }
+            }
             1 => self.renderer.project(pass),
             2 => self.renderer.sort(pass),
             3 => self.renderer.rasterize(pass),
@@ -178,6 +199,9 @@ impl Passes {
             6 => self.renderer.project_bwd(pass),
             7 => {
                 self.activate.record_bwd(pass);
+                if let Some(seen) = &self.seen {
+                    seen.record_bwd(pass);
+                }
                 self.activate.record_count(pass);
                 self.fake_quant.record(pass);
             }

@@ -63,10 +63,14 @@ pub(super) fn run(gpu: &Gpu, record: impl FnOnce(&mut wgpu::ComputePass<'_>)) {
 
 /// The uniform of an iteration of the base layout; rates that are not given are 0.
 pub(super) fn uniform(gpu: &Gpu, step: &StepUniform, rates: &[[f32; 4]]) -> wgpu::Buffer {
-    let packing = Packing::new(&Layout::base());
+    uniform_of(gpu, &Packing::new(&Layout::base()), step, rates)
+}
+
+/// The same of any layout.
+pub(super) fn uniform_of(gpu: &Gpu, packing: &Packing, step: &StepUniform, rates: &[[f32; 4]]) -> wgpu::Buffer {
     let mut all = rates.to_vec();
     all.resize(packing.num_groups(), [0.0; 4]);
-    let buffer = gpu.uniform("step", StepUniform::size(&packing)).expect("memory");
+    let buffer = gpu.uniform("step", StepUniform::size(packing)).expect("memory");
     gpu.queue().write_buffer(&buffer, 0, &step.bytes(&all));
     buffer
 }
@@ -132,7 +136,8 @@ fn shaders_are_valid_and_within_limits() {
         ]
     };
     let packings = [Layout::base(), std::sync::Arc::new(layout)].map(|layout| Packing::new(&layout));
-    let shaders = packings.iter().flat_map(of);
+    let seen = (0..=3).map(|degree| super::seen::shader(&Packing::new(&Layout::with_harmonics(degree))));
+    let shaders = packings.iter().flat_map(of).chain(seen);
     for shader in shaders {
         let module = front::wgsl::parse_str(&shader).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&shader)));
         let info = valid::Validator::new(valid::ValidationFlags::all(), valid::Capabilities::empty())

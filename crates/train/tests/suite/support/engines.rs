@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tcgs_codec::BitMap;
-use tcgs_core::{Attribute, Camera, Image, PointCloud};
+use tcgs_core::{Attribute, Camera, Image, Layout, PointCloud};
 use tcgs_train::engine::{Step, Target};
 use tcgs_train::{FakeQuantizers, LossTerms, Optimizer, Parameters, Past, Pose, Rates, State, TrainConfig};
 
@@ -29,6 +29,17 @@ pub fn state(n: usize, cameras: usize, is_foreground: impl Fn(usize) -> bool) ->
         g.logit_opacities_mut()[i] = random.within(3.0);
     }
     state
+}
+
+/// `state` with random harmonics up to `degree`.
+pub fn with_harmonics(mut state: State, degree: usize) -> State {
+    let mut random = Random::new(71);
+    let mut gaussians = state.parameters.gaussians.extended(&Layout::with_harmonics(degree));
+    for band in gaussians.layout().harmonics() {
+        gaussians.values_mut(band).fill_with(|| random.within(0.3));
+    }
+    state.parameters.gaussians = gaussians;
+    State::new(state.parameters)
 }
 
 /// A random image, by a camera that sees what [`state`] makes.

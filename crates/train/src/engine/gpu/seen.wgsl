@@ -1,0 +1,183 @@
+
+// The colours in which a camera sees Gaussians with spherical harmonics, and back.
+//
+// params, grads: as in activate.wgsl; band l of the harmonics begins at SHl_AT times N
+// activated: the colours of the N rows come in as stored ones, and go out as seen ones
+// lists, seen_elsewhere: the Gaussians of each view, see parts.rs, and the colours [L, C] in which it sees them
+//
+// Functions and signs are those of `core/src/harmonics.rs`. A thread has a Gaussian.
+
+@group(0) @binding(0) var<uniform> step: Step;
+@group(0) @binding(1) var<storage, read> params: array<f32>;
+@group(0) @binding(2) var<storage, read_write> activated: array<f32>;
+@group(0) @binding(3) var<storage, read_write> grads: array<f32>;
+@group(0) @binding(4) var<storage, read> lists: array<u32>;
+@group(0) @binding(5) var<storage, read> seen_elsewhere: array<f32>;
+
+const C1 = 0.4886025119029199;
+const C20 = 0.31539156525252005;
+const C21 = 1.0925484305920792;
+const C22 = 0.5462742152960396;
+const C30 = 0.3731763325901154;
+const C31 = 0.4570457994644658;
+const C32 = 1.445305721320277;
+const C33 = 0.5900435899266435;
+
+fn num_channels() -> u32 {
+    return select(3u, 5u, (step.flags & SEGMENTED) != 0u);
+}
+
+// From the camera to the centre of Gaussian `n`.
+fn offset(n: u32) -> vec3<f32> {
+    let at = MEAN_AT * step.num_gaussians + 3u * n;
+    return vec3(params[at] - step.eye_x, params[at + 1u] - step.eye_y, params[at + 2u] - step.eye_z);
+}
+
+// Where coefficient `k` of Gaussian `n` lies, from 0 on for the first of degree 1.
+fn coefficient_at(k: u32, n: u32) -> u32 {
+    let num = step.num_gaussians;
+    if (k < 3u) {
+        return SH1_AT * num + 9u * n + 3u * k;
+    }
+    if (k < 8u) {
+        return SH2_AT * num + 15u * n + 3u * (k - 3u);
+    }
+    return SH3_AT * num + 21u * n + 3u * (k - 8u);
+}
+
+fn coefficient(k: u32, n: u32) -> vec3<f32> {
+    let at = coefficient_at(k, n);
+    return vec3(params[at], params[at + 1u], params[at + 2u]);
+}
+
+// Of degrees 1 to 3.
+fn harmonics(d: vec3<f32>) -> array<f32, 15> {
+    let x = d.x;
+    let y = d.y;
+    let z = d.z;
+    let xx = x * x;
+    let yy = y * y;
+    let zz = z * z;
+    return array(
+        -C1 * y,
+        C1 * z,
+        -C1 * x,
+        C21 * x * y,
+        -C21 * y * z,
+        C20 * (2.0 * zz - xx - yy),
+        -C21 * x * z,
+        C22 * (xx - yy),
+        -C33 * y * (3.0 * xx - yy),
+        2.0 * C32 * x * y * z,
+        -C31 * y * (4.0 * zz - xx - yy),
+        C30 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+        -C31 * x * (4.0 * zz - xx - yy),
+        C32 * z * (xx - yy),
+        -C33 * x * (xx - 3.0 * yy),
+    );
+}
+
+// Gradient to the direction, without the constraint of unit length.
+fn harmonics_vjp(d: vec3<f32>, v: array<f32, 15>) -> vec3<f32> {
+    let x = d.x;
+    let y = d.y;
+    let z = d.z;
+    let xx = x * x;
+    let yy = y * y;
+    let zz = z * z;
+    let degree_1 = vec3(-C1 * v[2], -C1 * v[0], C1 * v[1]);
+    let degree_2 = vec3(
+        C21 * (y * v[3] - z * v[6]) + 2.0 * x * (C22 * v[7] - C20 * v[5]),
+        C21 * (x * v[3] - z * v[4]) - 2.0 * y * (C22 * v[7] + C20 * v[5]),
+        4.0 * C20 * z * v[5] - C21 * (y * v[4] + x * v[6]),
+    );
+    let degree_3 = vec3(
+        2.0 * C32 * z * (y * v[9] + x * v[13]) + 2.0 * C31 * x * y * v[10] - 6.0 * (C33 * x * y * v[8] + C30 * x * z * v[11])
+            - C31 * (4.0 * zz - 3.0 * xx - yy) * v[12] - 3.0 * C33 * (xx - yy) * v[14],
+        2.0 * C32 * z * (x * v[9] - y * v[13]) + 2.0 * C31 * x * y * v[12] + 6.0 * (C33 * x * y * v[14] - C30 * y * z * v[11])
+            - C31 * (4.0 * zz - xx - 3.0 * yy) * v[10] - 3.0 * C33 * (xx - yy) * v[8],
+        C32 * (2.0 * x * y * v[9] + (xx - yy) * v[13]) - 8.0 * C31 * z * (y * v[10] + x * v[12])
+            + 3.0 * C30 * (2.0 * zz - xx - yy) * v[11],
+    );
+    return degree_1 + degree_2 + degree_3;
+}
+
+// Overwrites the colours in `activated` of what the view draws and the state has no rows of: they are constant.
+@compute @workgroup_size(256)
+fn place_seen(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= step.num_listed) {
+        return;
+    }
+    let n = lists[step.lists_at + id.x];
+    if (n < step.num_gaussians) {
+        return;
+    }
+    let channels = num_channels();
+    for (var c = 0u; c < channels; c += 1u) {
+        let value = seen_elsewhere[step.colors_at + channels * id.x + c];
+        activated[COLORS_AT * step.num_drawn + channels * n + c] = value;
+    }
+}
+
+// Overwrites the colours of the rows in `activated`, which come in as stored ones.
+@compute @workgroup_size(256)
+fn seen_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
+    let n = id.x;
+    if (n >= step.num_gaussians) {
+        return;
+    }
+    let at = COLORS_AT * step.num_drawn + num_channels() * n;
+    var sum = vec3(activated[at], activated[at + 1u], activated[at + 2u]);
+    let to = offset(n);
+    let distance = length(to);
+    var values = harmonics(select(vec3(0.0), to / distance, distance > 0.0));
+    for (var k = 0u; k < NUM_COEFFICIENTS; k += 1u) {
+        sum += values[k] * coefficient(k, n);
+    }
+    let color = max(sum, vec3(0.0));
+    activated[at] = color.x;
+    activated[at + 1u] = color.y;
+    activated[at + 2u] = color.z;
+}
+
+// Overwrites the gradients of the harmonics and of the colours, which come in as those of the colours seen, and accumulates to
+// those of the means, on which the direction depends.
+@compute @workgroup_size(256)
+fn seen_bwd(@builtin(global_invocation_id) id: vec3<u32>) {
+    let n = id.x;
+    let num = step.num_gaussians;
+    if (n >= num) {
+        return;
+    }
+    let at = COLOR_AT * num + 3u * n;
+    let seen_at = COLORS_AT * step.num_drawn + num_channels() * n;
+    // Nothing passes a channel that is clamped.
+    var v_sum = vec3(0.0);
+    for (var c = 0u; c < 3u; c += 1u) {
+        if (activated[seen_at + c] > 0.0) {
+            v_sum[c] = grads[at + c];
+        }
+        grads[at + c] = v_sum[c];
+    }
+    let to = offset(n);
+    let distance = length(to);
+    let direction = select(vec3(0.0), to / distance, distance > 0.0);
+    var values = harmonics(direction);
+    var v_values = array<f32, 15>();
+    for (var k = 0u; k < NUM_COEFFICIENTS; k += 1u) {
+        v_values[k] = dot(coefficient(k, n), v_sum);
+        let v_coefficient = values[k] * v_sum;
+        let place = coefficient_at(k, n);
+        grads[place] = v_coefficient.x;
+        grads[place + 1u] = v_coefficient.y;
+        grads[place + 2u] = v_coefficient.z;
+    }
+    if (distance > 0.0) {
+        let v_direction = harmonics_vjp(direction, v_values);
+        let v_mean = (v_direction - direction * dot(direction, v_direction)) / distance;
+        let mean_at = MEAN_AT * num + 3u * n;
+        grads[mean_at] += v_mean.x;
+        grads[mean_at + 1u] += v_mean.y;
+        grads[mean_at + 2u] += v_mean.z;
+    }
+}
