@@ -1,7 +1,8 @@
 //! Colours that depend on the direction of view, and back: spherical harmonics.
 //!
-//! As [`tcgs_core::seen_colors()`] and its backward do on the CPU. The floor is memory: forward reads a Gaussian's mean and
-//! coefficients and reads and writes its colour, 36 + 36, 96 or 180 bytes; backward reads these and writes as many.
+//! As [`tcgs_core::seen_colors()`] and its backward do on the CPU. The floor is memory, for every
+//! Gaussian: forward reads its mean (12 bytes), its coefficients (36, 96 or 180) and its colour, and writes the colour (12);
+//! backward reads all of these and the gradients of mean and colour, and writes gradients of all.
 
 use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::Gpu;
