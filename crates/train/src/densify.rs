@@ -9,8 +9,8 @@ use crate::config::DensifyConfig;
 use crate::row::Row;
 use crate::state::{GradientStatistic, State};
 
-/// Counts of what one call of [`densify`] did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// What one call of [`densify`] did.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Densified {
     /// Number of small Gaussians of large gradient that were cloned.
     pub cloned: usize,
@@ -18,6 +18,8 @@ pub struct Densified {
     pub split: usize,
     /// Number of Gaussians that were removed, since they were nearly transparent or too large.
     pub removed: usize,
+    /// `[N]` the index that each Gaussian had before, or its parent if it is new.
+    pub sources: Vec<usize>,
 }
 
 /// The inputs of one call of [`densify`] other than the state.
@@ -90,9 +92,11 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let removed = if keep.is_empty() { 0 } else { rows.len() - keep.len() };
     if removed > 0 {
         remove_others(state, &keep);
+        rows = keep.iter().map(|&i| rows[i]).collect();
     }
     state.statistic = GradientStatistic::new(state.parameters.num_gaussians());
-    Densified { cloned: cloned.len(), split: split.len(), removed }
+    let sources = rows.iter().map(|row| row.source()).collect();
+    Densified { cloned: cloned.len(), split: split.len(), removed, sources }
 }
 
 /// Removes all Gaussians but those at `keep`. The Gaussians that stay keep their moments, their part of the gradient

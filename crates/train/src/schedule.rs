@@ -86,11 +86,12 @@ impl Schedule {
         Self { config: config.clone(), scene_radius }
     }
 
-    /// Number of iterations of a timestep.
+    /// Number of iterations of a timestep; of the newborn before they are divided, and as many after it.
     pub fn iterations(&self, phase: Phase) -> usize {
         match phase {
             Phase::First => self.config.schedule.first_iterations,
             Phase::Rest => self.config.schedule.rest_iterations,
+            Phase::Birth if self.config.births.gradient_threshold > 0.0 => self.config.births.iterations.div_ceil(2),
             Phase::Birth | Phase::Youth => self.config.births.iterations,
         }
     }
@@ -157,16 +158,21 @@ impl Schedule {
         }
     }
 
-    /// Whether gradients are still counted for densification.
-    pub fn counts_gradients(&self, iteration: usize) -> bool {
-        iteration <= self.scaled(self.config.densify.end)
+    /// Whether gradients are counted for densification: until its last one at the first timestep; of the newborn, which are
+    /// densified afterwards, in the last half of their iterations.
+    pub fn counts_gradients(&self, phase: Phase, iteration: usize) -> bool {
+        match phase {
+            Phase::First => iteration <= self.scaled(self.config.densify.end),
+            Phase::Birth => self.config.births.gradient_threshold > 0.0 && 2 * iteration >= self.iterations(phase),
+            Phase::Rest | Phase::Youth => false,
+        }
     }
 
     /// Whether Gaussians are cloned, split and removed at this iteration.
     pub fn densifies(&self, iteration: usize) -> bool {
         let d = &self.config.densify;
         iteration >= self.scaled(d.start)
-            && self.counts_gradients(iteration)
+            && self.counts_gradients(Phase::First, iteration)
             && iteration > 0
             && iteration.is_multiple_of(d.interval)
     }

@@ -209,23 +209,34 @@ pub struct BirthConfig {
     /// A block of 4x4 pixels is not explained if its mean absolute error is above one and a half times that of its tile when last
     /// explained, the camera's noise, and this much; in units of colour. Default 0.02.
     pub contrast: f32,
-    /// Most Gaussians that are born at a timestep, as a share of those that there are. Default 0.02.
+    /// Most places at which Gaussians are born at a timestep, as a share of the Gaussians that there are. Default 0.02.
     pub share: f32,
     /// Iterations of a timestep in which they learn all their attributes, if all views see them. Default 200.
     pub iterations: usize,
     /// Timesteps after that of their birth in which they go on doing so, as far as the gate finds that they move or change.
     /// After these, opacity, scales and harmonics stay. Default 16.
     pub youth: usize,
+    /// Mean NDC gradient from which a newborn is cloned or split after half of its iterations, with the other settings of
+    /// `densify`. Default 2e-4; 0 to divide none.
+    pub gradient_threshold: f32,
     /// Opacity below which they are dropped afterwards. Default 0.1.
     pub opacity: f32,
 }
 
 impl BirthConfig {
     /// The settings of presets `default` and `fast`.
-    pub const ON: Self = Self { enabled: true, contrast: 0.02, share: 0.02, iterations: 200, youth: 16, opacity: 0.1 };
+    pub const ON: Self = Self {
+        enabled: true,
+        contrast: 0.02,
+        share: 0.02,
+        iterations: 200,
+        youth: 16,
+        gradient_threshold: 2e-4,
+        opacity: 0.1,
+    };
 
     /// The settings of presets that add none, and of runs whose `config.toml` knows of no births.
-    pub const OFF: Self = Self { enabled: false, youth: 0, ..Self::ON };
+    pub const OFF: Self = Self { enabled: false, youth: 0, gradient_threshold: 0.0, ..Self::ON };
 }
 
 /// Settings of colours that depend on the direction of view.

@@ -185,7 +185,7 @@ impl Trainer {
                 rates,
                 weights: &weights,
                 mask: &config.mask,
-                counts_gradients: phase == Phase::First && self.schedule.counts_gradients(iteration),
+                counts_gradients: self.schedule.counts_gradients(phase, iteration),
                 moves_gaussians: !reshapes,
             };
             self.engine.step(&step)?;

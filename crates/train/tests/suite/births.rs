@@ -136,6 +136,26 @@ fn what_enters_is_born_where_it_is_and_moves_on() {
 }
 
 #[test]
+fn newborn_of_large_gradients_are_divided() {
+    let mut config = settings();
+    // Fewer places than the ball needs Gaussians.
+    config.births.share = 0.01;
+    config.births.iterations = 240;
+    // Of a wall of equal Gaussians, whose quantizers have no room for other values.
+    config.quantize.enabled = false;
+    let mut divided = trainer(&config);
+    let psnr = fit(&mut divided, 0..3, false, None);
+    config.births.gradient_threshold = 0.0;
+    let mut whole = trainer(&config);
+    let without = fit(&mut whole, 0..3, false, None);
+    let [more, fewer] = [&divided, &whole].map(|trainer| trainer.num_gaussians() - NUM_WALL);
+    assert!(more > fewer && fewer > 0, "{more} are born, {fewer} without dividing");
+    assert!(psnr[2] > without[2] + 1.0, "{psnr:?} against {without:?}");
+    let births = &divided.state().unwrap().lifetimes.births[NUM_WALL..];
+    assert!(births.iter().all(|&birth| birth == 2), "{births:?}");
+}
+
+#[test]
 #[cfg(feature = "gpu")]
 fn the_gpu_gives_birth_to_the_same() {
     use tcgs_train::engine::gpu::GpuEngine;

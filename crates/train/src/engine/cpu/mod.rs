@@ -187,22 +187,16 @@ impl CpuEngine {
             chain(&self.state, step.mask, with_segmentation, Some(&target.camera));
         let p = &self.state.parameters;
         laps.lap("activate");
-        let (loss, v_drawn) = match &mut self.staged {
-            Some(staged) => {
-                assert!(!step.counts_gradients, "density control acts in the first timestep, which has no scenery");
-                staged.views[step.camera].render(&drawn, target, p, step, &mut self.v_image, laps)
-            }
-            None => {
-                let (loss, grads) = render_whole(&drawn, target, p, step, laps);
-                if step.counts_gradients {
-                    count_gradients(&grads, &mut self.state.statistic);
-                }
-                (loss, grads.activated)
-            }
+        let (loss, grads) = match &mut self.staged {
+            Some(staged) => staged.views[step.camera].render(&drawn, target, p, step, &mut self.v_image, laps),
+            None => render_whole(&drawn, target, p, step, laps),
         };
+        if step.counts_gradients {
+            count_gradients(&grads, &mut self.state.statistic);
+        }
 
         let mut terms = LossTerms { image: loss.image, segmentation: loss.segmentation, ..LossTerms::default() };
-        let mut v_activated = colors_alone(v_drawn, drawn.num_channels);
+        let mut v_activated = colors_alone(grads.activated, drawn.num_channels);
         // Drawing is over: from here on scales and opacities are those before the mask.
         let activated = match unmasked {
             Some((scales, opacities)) => Activated { scales, opacities, ..drawn },

@@ -1,7 +1,7 @@
 //! A view of a timestep that trains a part of the scene: its rows drawn among all that is locked, in some tiles.
 
-use tcgs_core::{Activated, ActivatedGrads, Image};
-use tcgs_render::{CpuRasterizer, Laps, TileMask};
+use tcgs_core::{Activated, Image};
+use tcgs_render::{CpuRasterizer, Laps, RenderGrads, TileMask};
 
 use super::image_loss::{ImageLoss, image_loss_in};
 use super::settings_of;
@@ -65,7 +65,7 @@ impl Stage {
         step: &Step<'_>,
         v_image: &mut Image,
         laps: &mut Laps,
-    ) -> (ImageLoss, ActivatedGrads) {
+    ) -> (ImageLoss, RenderGrads) {
         let (settings, camera) = (settings_of(step), &target.camera);
         self.place(rows);
         let Self { tiles, drawn, picture, places } = self;
@@ -80,6 +80,11 @@ impl Stage {
         let loss = image_loss_in(picture, &target.image, tiles, gain, offset, image, segmentation, v_image);
         laps.lap("image losses");
         let grads = CpuRasterizer.backward_in(drawn, camera, &settings, &sorted, picture, v_image, laps);
-        (loss, grads.activated.select(places, drawn.num_channels))
+        let of_rows = RenderGrads {
+            activated: grads.activated.select(places, drawn.num_channels),
+            v_means2d_ndc: places.iter().map(|&i| grads.v_means2d_ndc[i]).collect(),
+            visible: places.iter().map(|&i| grads.visible[i]).collect(),
+        };
+        (loss, of_rows)
     }
 }

@@ -151,10 +151,6 @@ impl GpuEngine {
     fn request(&mut self, step: &Step<'_>) -> Request {
         let targets = self.targets();
         let camera = &targets.cameras[step.camera];
-        assert!(
-            self.parts.is_none() || !step.counts_gradients,
-            "density control acts in the first timestep, which has no scenery"
-        );
         let view = ViewPlace {
             width: camera.width as u32,
             height: camera.height as u32,

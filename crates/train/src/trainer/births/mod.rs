@@ -7,8 +7,9 @@
 //! 2. `seeds` finds the places that several views agree on.
 //! 3. A Gaussian is born at each. The newborn alone learn all their attributes for a while, in the tiles that they reach,
 //!    among the rest of the scene, which is held.
-//! 4. Those that ended transparent or hidden by the mask are dropped; the others join the state. From the next timestep
-//!    on they move as all others do.
+//! 4. Those that ended transparent or hidden by the mask are dropped. Those whose gradients stayed large are cloned or split, as
+//!    at the first timestep ([`crate::densify()`]), and the newborn learn for as long again.
+//! 5. They join the state. From the next timestep on they move as all others do.
 //!
 //! What enters is first seen by few views, or from one side. So for some timesteps the young go on learning all their
 //! attributes after each timestep that trained them. Then they settle: opacity, scales and harmonics stay, as those of all
@@ -27,8 +28,10 @@ use self::seeds::{Seed, seeds};
 use super::glimpse::Part;
 use super::{Trainer, all_segmented};
 use crate::TrainError;
+use crate::config::DensifyConfig;
+use crate::densify::{DensifyStep, densify, remove_others};
 use crate::engine::Target;
-use crate::gate::{Activity, Nursery, Pace, Shares};
+use crate::gate::{Activity, Blocks, Nursery, Pace, Shares};
 use crate::mask::mask;
 use crate::parameters::Parameters;
 use crate::schedule::Phase;
@@ -60,25 +63,65 @@ impl Trainer {
         let unexplained = gate.unexplained(state, views, activity, config.contrast);
         let most = (f64::from(config.share) * state.parameters.num_gaussians() as f64).ceil() as usize;
         let seeds = seeds(views, &unexplained, state.parameters.gaussians.means(), most);
-        if seeds.is_empty() {
+        let mut born = alone(newborn(&seeds, &state.parameters, self.config.mask.initial_logit), state);
+        let mut spacings: Vec<f32> = seeds.iter().map(|seed| seed.spacing).collect();
+        self.grow(&mut born, &mut spacings, views, &unexplained)?;
+        if config.gradient_threshold > 0.0 && self.divide(&mut born, &mut spacings) {
+            self.grow(&mut born, &mut spacings, views, &unexplained)?;
+        }
+        if spacings.is_empty() {
             return Ok(());
         }
-        let small = alone(newborn(&seeds, &state.parameters, self.config.mask.initial_logit), state);
-        let mut all = gate.drawn(state);
-        all.extend(&gate.drawn(&small));
-        let num_before = state.parameters.num_gaussians();
-        let rows: Vec<usize> = (num_before..num_before + seeds.len()).collect();
-        let nursery = Nursery::new(gate, &all, &rows, views, Some(&unexplained));
-        let grown = self.nurse(Phase::Birth, nursery, small, None, views)?;
-        let keep =
-            viable(&grown, &seeds, config.opacity, self.config.mask.enabled.then_some(self.config.mask.threshold));
-        self.engine.state_mut()?.append(&grown.select(&keep));
+        self.engine.state_mut()?.append(&born.parameters);
         let state = self.engine.state()?;
         self.num_gaussians = state.parameters.num_gaussians();
         if let Some(gate) = &mut self.gate {
-            gate.welcome(state, views, keep.len());
+            gate.welcome(state, views, born.parameters.num_gaussians());
         }
         Ok(())
+    }
+
+    /// Trains the newborn and drops those that are not worth keeping.
+    ///
+    /// - `born`: these alone
+    /// - `spacings`: `[born]` distance between the rays that found each, scene units
+    fn grow(
+        &mut self,
+        born: &mut State,
+        spacings: &mut Vec<f32>,
+        views: &[View],
+        unexplained: &[Blocks],
+    ) -> Result<(), TrainError> {
+        let Some(gate) = self.gate.as_ref().filter(|_| !spacings.is_empty()) else { return Ok(()) };
+        let state = self.engine.state()?;
+        let mut all = gate.drawn(state);
+        all.extend(&gate.drawn(born));
+        let num_before = state.parameters.num_gaussians();
+        let rows: Vec<usize> = (num_before..num_before + spacings.len()).collect();
+        let nursery = Nursery::new(gate, &all, &rows, views, Some(unexplained));
+        *born = self.nurse(Phase::Birth, nursery, born.clone(), None, views)?;
+        let mask_threshold = self.config.mask.enabled.then_some(self.config.mask.threshold);
+        let keep = viable(&born.parameters, spacings, self.config.births.opacity, mask_threshold);
+        remove_others(born, &keep);
+        *spacings = keep.iter().map(|&i| spacings[i]).collect();
+        Ok(())
+    }
+
+    /// Clones and splits the newborn whose gradients stayed large, by the rules of the first timestep.
+    ///
+    /// - returns: whether there were any
+    fn divide(&self, born: &mut State, spacings: &mut Vec<f32>) -> bool {
+        let gradient_threshold = self.config.births.gradient_threshold;
+        let step = DensifyStep {
+            config: &DensifyConfig { gradient_threshold, ..self.config.densify.clone() },
+            scene_radius: self.scene_radius,
+            last: false,
+            removes_large: false,
+            seed: self.config.seed ^ self.timestep as u64,
+        };
+        let done = densify(born, &step);
+        *spacings = done.sources.iter().map(|&i| spacings[i]).collect();
+        done.cloned + done.split > 0
     }
 
     /// Lets those born at the timesteps just before learn all their attributes, as far as this timestep trained them.
@@ -97,7 +140,7 @@ impl Trainer {
         let before = all.activated().select(&young);
         let nursery = Nursery::new(gate, &all, &young, views, None);
         let raised = self.nurse(Phase::Youth, nursery, small, Some(&young), views)?;
-        self.engine.state_mut()?.parameters.put(&young, &raised);
+        self.engine.state_mut()?.parameters.put(&young, &raised.parameters);
         let state = self.engine.state()?;
         if let Some(gate) = &mut self.gate {
             gate.redraw_rows(state, views, &young, &before);
@@ -109,7 +152,7 @@ impl Trainer {
     ///
     /// - `small`: these alone
     /// - `rows`: their indices in the scene; none of those that are not in it yet
-    /// - returns: what they have learned
+    /// - returns: what they have become
     fn nurse(
         &mut self,
         phase: Phase,
@@ -117,7 +160,7 @@ impl Trainer {
         small: State,
         rows: Option<&[usize]>,
         views: &[View],
-    ) -> Result<Parameters, TrainError> {
+    ) -> Result<State, TrainError> {
         let shares = Shares::of(&small.parameters.foreground, &self.engine.state()?.parameters.foreground);
         let whole = std::mem::replace(self.engine.state_mut()?, small);
         let part = Part { shares, of: rows.map(|rows| (&whole.parameters, rows)) };
@@ -127,9 +170,7 @@ impl Trainer {
         let length = (self.schedule.iterations(phase) * nursery.cameras.len()).div_ceil(views.len());
         let pace = Pace::even(length, nursery.cameras.len());
         self.iterate(phase, nursery.cameras, pace, Some(&part), &[], &mut |_| ControlFlow::Continue(()))?;
-        let learned = self.engine.state()?.parameters.clone();
-        *self.engine.state_mut()? = whole;
-        Ok(learned)
+        Ok(std::mem::replace(self.engine.state_mut()?, whole))
     }
 }
 
@@ -170,12 +211,14 @@ fn alone(few: Parameters, scene: &State) -> State {
 }
 
 /// Those that are worth keeping: neither transparent nor hidden, and not grown far beyond where they were seen.
-fn viable(grown: &Parameters, seeds: &[Seed], opacity: f32, mask_threshold: Option<f32>) -> Vec<usize> {
+///
+/// - `spacings`: `[grown]` distance between the rays that found each, scene units
+fn viable(grown: &Parameters, spacings: &[f32], opacity: f32, mask_threshold: Option<f32>) -> Vec<usize> {
     let (opacities, scales) = (grown.gaussians.logit_opacities(), grown.gaussians.log_scales());
     let is_viable = |&i: &usize| {
         let shown = mask_threshold.is_none_or(|threshold| mask(grown.mask_logits[i], threshold) > 0.0);
         let largest = scales[i].into_iter().fold(f32::MIN, f32::max).exp();
-        shown && sigmoid(opacities[i]) >= opacity && largest <= MAX_GROWTH * seeds[i].spacing
+        shown && sigmoid(opacities[i]) >= opacity && largest <= MAX_GROWTH * spacings[i]
     };
     (0..grown.num_gaussians()).filter(is_viable).collect()
 }
