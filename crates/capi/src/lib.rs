@@ -225,7 +225,7 @@ pub unsafe extern "C" fn tcgs_read(
         if timestep >= num_timesteps {
             return Err(Failure::argument("timestep", timestep, format!("one below {num_timesteps}")));
         }
-        let gaussians = scene.file.at(timestep as usize)?;
+        let gaussians = scene.file.lit(timestep as usize)?;
         let n = gaussians.num_gaussians();
         if n > to.capacity {
             return Err(Failure::argument("capacity", to.capacity, format!("{n} rows or more")));

@@ -1,7 +1,9 @@
-//! What is attached to a file for players (`docs/FORMAT.md`, "Application data"): times of timesteps, credits, sound. No decoder
-//! needs these data, and a reader goes on without data that it finds wrong.
+//! What is attached to a file for players (`docs/FORMAT.md`, "Application data"): times of timesteps, light, credits, sound. No
+//! decoder needs these data, and a reader goes on without data that it finds wrong.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
+
+use crate::keypoints::{Selector, fit_values};
 
 /// Name of the application data that hold the times of timesteps that are not evenly apart.
 pub const TIMES: &str = "tcgs.times";
@@ -10,8 +12,16 @@ pub const CREDITS: &str = "tcgs.credits";
 /// Name of the application data that are a sound to play along, an Ogg Opus stream.
 pub const SOUND: &str = "tcgs.sound";
 
+/// Name of the application data that say how the light on a scene changes.
+pub const LIGHT: &str = "tcgs.light";
+
+/// Gains that differ from 1 by less count as 1. Half of it is the root mean square error that the choice of keypoints allows.
+const LEAST_CHANGE: f32 = 0.004;
+/// Decimal places of gains in a file.
+const PLACES: f64 = 1e4;
+
 /// Longer texts are passed over: 65,536 times in microseconds take as much, and parsed JSON takes a multiple of its text.
-const MAX_BYTES: usize = 1 << 20;
+pub(crate) const MAX_BYTES: usize = 1 << 20;
 
 /// Whose work a scene is. What the file does not say is none or empty.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -23,6 +33,91 @@ pub struct Credits {
     pub authors: Vec<String>,
     /// Where the scene comes from: any text, often an address. It is a stranger's.
     pub source: Option<String>,
+}
+
+/// How the light on a scene changes over time: one gain for red, green and blue, by which a renderer multiplies all colours.
+/// Gains are interpolated linearly between keypoints.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Light {
+    /// `[K]` timesteps of the scene, strictly ascending; empty where the light does not change.
+    timesteps: Vec<usize>,
+    /// `[K]` red, green and blue, above 0.
+    gains: Vec<[f32; 3]>,
+}
+
+impl Light {
+    /// Chooses keypoints for the gains of all timesteps by the paper's Algorithm 1. There are none if all gains are within 0.4 % of
+    /// 1.
+    ///
+    /// - `gains`: `[T]`, finite and above 0
+    ///
+    /// ```
+    /// use tcgs_codec::Light;
+    /// let gains: Vec<[f32; 3]> = (0..9).map(|t| [1.0, 1.0, 1.0 - t as f32 / 64.0]).collect();
+    /// let light = Light::through(&gains);
+    /// assert_eq!(light.keypoints(), [(0, [1.0, 1.0, 1.0]), (8, [1.0, 1.0, 0.875])]);
+    /// assert_eq!(light.at(4), [1.0, 1.0, 0.9375]);
+    /// assert!(Light::through(&[[1.001; 3]; 9]).keypoints().is_empty());
+    /// ```
+    pub fn through(gains: &[[f32; 3]]) -> Self {
+        if gains.as_flattened().iter().all(|gain| (gain - 1.0).abs() < LEAST_CHANGE) {
+            return Self::default();
+        }
+        let channels: [Vec<f32>; 3] = [0, 1, 2].map(|c| gains.iter().map(|gain| gain[c]).collect());
+        let max_error = f64::from(0.5 * LEAST_CHANGE).powi(2);
+        let timesteps = Selector::default()
+            .select_joint(&channels.each_ref().map(Vec::as_slice), &[1.0 / 3.0; 3], gains.len(), max_error)
+            .to_vec();
+        let values = channels.map(|channel| fit_values(&channel, &timesteps));
+        let rounded = |value: f32| ((f64::from(value) * PLACES).round().max(1.0) / PLACES) as f32;
+        let gains = (0..timesteps.len()).map(|k| [0, 1, 2].map(|c| rounded(values[c][k]))).collect();
+        Self { timesteps, gains }
+    }
+
+    /// Timesteps and gains of the keypoints, ascending; none where the light does not change.
+    pub fn keypoints(&self) -> Vec<(usize, [f32; 3])> {
+        self.timesteps.iter().copied().zip(self.gains.iter().copied()).collect()
+    }
+
+    /// The gains at a timestep of the scene; 1 if there are no keypoints. Before the first and after the last keypoint gains are
+    /// constant.
+    pub fn at(&self, timestep: usize) -> [f32; 3] {
+        let after = self.timesteps.partition_point(|&t| t <= timestep);
+        match (after.checked_sub(1), self.timesteps.get(after)) {
+            (None, None) => [1.0; 3],
+            (None, Some(_)) => self.gains[0],
+            (Some(before), None) => self.gains[before],
+            (Some(before), Some(&next)) => {
+                let share = (timestep - self.timesteps[before]) as f32 / (next - self.timesteps[before]) as f32;
+                let (from, to) = (self.gains[before], self.gains[after]);
+                std::array::from_fn(|c| from[c] + share * (to[c] - from[c]))
+            }
+        }
+    }
+
+    /// The data that a file holds.
+    pub fn to_json(&self) -> Vec<u8> {
+        serde_json::to_vec(self).expect("numbers are JSON")
+    }
+}
+
+/// How the light on a scene changes; without keypoints, and so constant, if the data are missing or wrong.
+///
+/// - `data`: names and bytes of application data, in the order of the file
+///
+/// ```
+/// use tcgs_codec::{LIGHT, read_light};
+/// let json = br#"{ "timesteps": [0, 10], "gains": [[1, 1, 1], [0.9, 1, 1]] }"#;
+/// assert_eq!(read_light(&[(LIGHT.to_owned(), json.to_vec())]).at(5), [0.95, 1.0, 1.0]);
+/// assert_eq!(read_light(&[]).at(5), [1.0; 3]);
+/// ```
+pub fn read_light(data: &[(String, Vec<u8>)]) -> Light {
+    let is_right = |light: &Light| {
+        light.timesteps.len() == light.gains.len()
+            && light.timesteps.is_sorted_by(|a, b| a < b)
+            && light.gains.as_flattened().iter().all(|gain| gain.is_finite() && *gain > 0.0)
+    };
+    parse(data, LIGHT).filter(is_right).unwrap_or_default()
 }
 
 /// Times of the timesteps of a scene, in seconds from the first one; none if the file gives none that are right, which are
@@ -91,6 +186,38 @@ mod tests {
             assert_eq!(times(wrong, 3), None, "{wrong}");
         }
         assert_eq!(times(&format!("{}{}", r#"{ "seconds": [0] }"#, " ".repeat(MAX_BYTES)), 1), None);
+    }
+
+    #[test]
+    fn light_that_is_wrong_does_not_change() {
+        let light = |json: &str| read_light(&[(LIGHT.into(), json.as_bytes().to_vec())]);
+        assert_eq!(light(r#"{ "timesteps": [3], "gains": [[2, 1, 0.5]], "more": 1 }"#).at(0), [2.0, 1.0, 0.5]);
+        for wrong in [
+            r#"{ "timesteps": [0, 3], "gains": [[2, 1, 1]] }"#,
+            r#"{ "timesteps": [3, 3], "gains": [[2, 1, 1], [1, 1, 1]] }"#,
+            r#"{ "timesteps": [-1], "gains": [[2, 1, 1]] }"#,
+            r#"{ "timesteps": [0], "gains": [[2, 1, 0]] }"#,
+            r#"{ "timesteps": [0], "gains": [[2, 1, 1e99]] }"#,
+            r#"{ "timesteps": [0], "gains": [[2, 1]] }"#,
+            r#"{ "gains": [] }"#,
+            "",
+        ] {
+            assert_eq!(light(wrong), Light::default(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn light_goes_through_its_gains_and_through_a_file() {
+        // It flickers, then fades.
+        let gains: Vec<[f32; 3]> = (0..60)
+            .map(|t| if t < 20 { [1.0 + 0.1 * (t % 2) as f32, 1.0, 1.0] } else { [1.0 - 0.004 * (t - 20) as f32; 3] })
+            .collect();
+        let light = Light::through(&gains);
+        assert!(light.keypoints().len() < 30, "{light:?}");
+        let error = |t: usize| (0..3).map(|c| (light.at(t)[c] - gains[t][c]).abs()).fold(0.0, f32::max);
+        assert!((0..60).all(|t| error(t) < 3.0 * LEAST_CHANGE), "{light:?}");
+        assert_eq!(read_light(&[(LIGHT.into(), light.to_json())]), light);
+        assert_eq!(Light::through(&[[0.5; 3]]).at(7), [0.5; 3]);
     }
 
     #[test]

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Layout};
 
-use crate::bitstream::decode_archive;
+use crate::attached::{LIGHT, Light, read_light};
+use crate::bitstream::{application_data, decode_archive};
 use crate::compact::{CompactScene, SceneInfo};
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
@@ -32,12 +33,14 @@ pub struct CompactFile {
     /// By name of the attribute: the largest error against what was compressed, as
     /// [`AttributeErrors::declared`](crate::AttributeErrors::declared) gives it. Version 1 of the format does not hold them.
     pub declared_errors: Vec<(String, f32)>,
+    /// Gains of all colours over time. [`Self::at`] does not apply them.
+    pub light: Light,
 }
 
 impl CompactFile {
     /// One scene, all of whose Gaussians are described together.
     pub fn of(scene: CompactScene) -> Self {
-        Self { info: scene.info.clone(), cohorts: vec![scene], declared_errors: Vec::new() }
+        Self { info: scene.info.clone(), cohorts: vec![scene], declared_errors: Vec::new(), light: Light::default() }
     }
 
     /// Decodes a whole `.tcgs` file of any version.
@@ -49,19 +52,24 @@ impl CompactFile {
     /// As [`decode`](crate::decode()).
     pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<Self, DecodeError> {
         let (archive, cohorts) = decode_archive(file, limits)?;
-        Ok(Self { info: archive.info().clone(), cohorts, declared_errors: archive.declared_errors().to_vec() })
+        let (info, declared_errors) = (archive.info().clone(), archive.declared_errors().to_vec());
+        let data: Vec<_> =
+            application_data(file, limits)?.into_iter().map(|(name, data)| (name, data.to_vec())).collect();
+        Ok(Self { info, cohorts, declared_errors, light: read_light(&data) })
     }
 
     /// Encodes a `.tcgs` file.
     ///
     /// - `version`: of the format, 1 or 2
-    /// - `data`: name and content of each piece of application data
+    /// - `data`: name and content of each piece of application data; those of the light are added
     ///
     /// # Errors
     /// [`CompressError::Unsupported`](crate::CompressError::Unsupported) if the version does not hold the scene; else as
     /// [`encode_with`](crate::encode_with()) and [`FileWriter::declaring`](crate::FileWriter::declaring).
     #[cfg(feature = "encode")]
     pub fn encode(&self, version: u16, data: &[(&str, &[u8])]) -> Result<Vec<u8>, crate::CompressError> {
+        let light = (self.light != Light::default()).then(|| self.light.to_json());
+        let data = &[data, light.as_deref().map(|json| (LIGHT, json)).as_slice()].concat();
         match (version, &self.cohorts[..]) {
             (1, [only]) => crate::encode_with(only, data),
             (1, _) => {
@@ -140,5 +148,38 @@ impl CompactFile {
     /// Sum of [`CompactScene::quantized_bytes`].
     pub fn quantized_bytes(&self) -> u64 {
         self.cohorts.iter().map(CompactScene::quantized_bytes).sum()
+    }
+}
+
+#[cfg(all(test, feature = "encode"))]
+mod tests {
+    use std::io::Cursor;
+
+    use tcgs_core::{DynamicGaussians, Gaussians};
+
+    use super::*;
+    use crate::{BitMap, CompressSettings, SceneFile, SegmentCache, compress};
+
+    #[test]
+    fn a_file_holds_its_light() {
+        let mut floats = DynamicGaussians::default();
+        (0..6).for_each(|_| floats.push(Gaussians::zeros(3)));
+        let (map, info, settings) = (BitMap::uniform(3, 16, 6), SceneInfo::of(&floats), CompressSettings::default());
+        let plain = CompactFile::of(compress(&floats, &map, None, info, &settings).unwrap());
+        let gains: Vec<[f32; 3]> = (0..6).map(|t| [1.0, 1.0 + 0.03 * t as f32, 0.5]).collect();
+        let lit = CompactFile { light: Light::through(&gains), ..plain.clone() };
+        let other = ("x.notes", &b"a red ball"[..]);
+        for version in [1, 2] {
+            let file = lit.encode(version, &[other]).unwrap();
+            let decoded = CompactFile::decode(&file, &DecodeLimits::none()).unwrap();
+            assert_eq!(decoded, lit);
+            assert_eq!(decoded.at(4), plain.at(4));
+            let mut read =
+                SceneFile::open(Cursor::new(file), &DecodeLimits::none(), SegmentCache::DEFAULT_BYTES).unwrap();
+            assert_eq!(read.light().unwrap().at(5), [1.0, 1.15, 0.5]);
+            assert_eq!(read.application_data().unwrap()[0], (other.0.to_owned(), other.1.to_vec()));
+            let plain = plain.encode(version, &[other]).unwrap();
+            assert_eq!(CompactFile::decode(&plain, &DecodeLimits::none()).unwrap().light, Light::default());
+        }
     }
 }

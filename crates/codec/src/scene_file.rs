@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Layout, SceneReader};
 
+use crate::attached::{Light, MAX_BYTES, read_light};
 use crate::bitstream::{Archive, Cohort, FileInfo, Opening, Sampler, Segment, end_of_file, other_attributes};
 use crate::cache::SegmentCache;
 use crate::compact::SceneInfo;
@@ -54,6 +55,8 @@ pub struct SceneFile<R> {
     most_gaussians: usize,
     /// Those that live at the timestep read last.
     cohorts: BTreeMap<usize, OpenCohort>,
+    /// Once it was read.
+    light: Option<Light>,
 }
 
 /// A cohort with its shared layers.
@@ -175,6 +178,7 @@ impl<R: Read + Seek> SceneFile<R> {
             archive,
             max_segment_bytes,
             cohorts: BTreeMap::new(),
+            light: None,
         };
         if length < file.archive.file_bytes() {
             file.loss = Some(Loss {
@@ -284,10 +288,35 @@ impl<R: Read + Seek> SceneFile<R> {
     /// # Errors
     /// [`DecodeError::Format`] if data are damaged.
     pub fn application_data(&mut self) -> Result<Vec<(String, Vec<u8>)>, DecodeError> {
+        self.application_data_of(u64::MAX)
+    }
+
+    /// Gains of all colours over time, which [`Self::at`] does not apply. Application data of more than 1 MiB are not read.
+    ///
+    /// # Errors
+    /// As [`Self::application_data`].
+    pub fn light(&mut self) -> Result<&Light, DecodeError> {
+        if self.light.is_none() {
+            self.light = Some(read_light(&self.application_data_of(MAX_BYTES as u64)?));
+        }
+        Ok(self.light.get_or_insert_default())
+    }
+
+    /// [`Self::at`], with colours multiplied by the gains of the timestep ([`Self::light`]): what a renderer draws.
+    ///
+    /// # Errors
+    /// As [`Self::at`] and [`Self::light`].
+    pub fn lit(&mut self, timestep: usize) -> Result<Gaussians, DecodeError> {
+        let gains = self.light()?.at(timestep);
+        Ok(self.at(timestep)?.lit(gains))
+    }
+
+    /// - `most`: longest section that is read, bytes
+    fn application_data_of(&mut self, most: u64) -> Result<Vec<(String, Vec<u8>)>, DecodeError> {
         let length = self.loss.map_or(self.archive.file_bytes(), |loss| loss.bytes);
         let mut all = Vec::new();
         for (index, range) in self.archive.application_ranges().into_iter().enumerate() {
-            if range.end <= length {
+            if range.end <= length && range.end - range.start <= most {
                 let bytes = read(&mut self.source, range)?;
                 let data = self.archive.read_application(index, &bytes)?;
                 all.extend(data.map(|(name, data)| (name, data.to_vec())));

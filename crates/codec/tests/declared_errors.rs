@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use tcgs_codec::{
     AttributeErrors, BitMap, CompactFile, CompactScene, CompressError, CompressSettings, DecodeLimits, FileWriter,
-    FollowedParts, SceneFile, SceneInfo, SegmentCache, compress_ordered, inspect,
+    FollowedParts, Light, SceneFile, SceneInfo, SegmentCache, compress_ordered, inspect,
 };
 use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout};
 
@@ -136,7 +136,7 @@ fn parts_of_a_sequence_declare_theirs() {
         num_timesteps: 6,
         ..cohorts[0].info.clone()
     };
-    let compact = CompactFile { info, cohorts, declared_errors: errors.declared() };
+    let compact = CompactFile { info, cohorts, declared_errors: errors.declared(), light: Light::default() };
     let file = CompactFile::decode(&compact.encode(2, &[]).unwrap(), &DecodeLimits::default()).unwrap();
     assert_eq!(file, compact);
     // Every mean that was compressed has a decoded one as near as is declared.

@@ -294,6 +294,27 @@ impl<Role> Columns<Role> {
     pub fn colors_mut(&mut self) -> &mut [[f32; 3]] {
         self.values[4].as_chunks_mut().0
     }
+
+    /// The same Gaussians in another light: colours and the coefficients of spherical harmonics are multiplied by one gain for
+    /// each of red, green and blue.
+    ///
+    /// ```
+    /// use tcgs_core::Gaussians;
+    /// let mut gaussians = Gaussians::zeros(1);
+    /// gaussians.colors_mut()[0] = [0.5, 0.5, 0.5];
+    /// assert_eq!(gaussians.lit([1.0, 0.5, 2.0]).colors()[0], [0.5, 0.25, 1.0]);
+    /// ```
+    pub fn lit(mut self, gains: [f32; 3]) -> Self {
+        if gains != [1.0; 3] {
+            let bands = self.layout.harmonics();
+            for attribute in std::iter::once(Attribute::Color).chain(bands) {
+                for color in self.values_mut(attribute).as_chunks_mut::<3>().0 {
+                    *color = std::array::from_fn(|channel| color[channel] * gains[channel]);
+                }
+            }
+        }
+        self
+    }
 }
 
 /// Rows of a flat array, in the order of `indices`.

@@ -68,7 +68,7 @@ impl Decoder {
     ///
     /// - `timestep`: below that of `info`, which has been called
     pub fn at(&mut self, timestep: u32) -> Result<Option<Object>, JsValue> {
-        let Some(gaussians) = patient(self.opened()?.at(timestep as usize))? else { return Ok(None) };
+        let Some(gaussians) = patient(self.opened()?.lit(timestep as usize))? else { return Ok(None) };
         if self.arrived.held() > MAX_HELD {
             self.arrived.forget();
         }

@@ -100,7 +100,7 @@ impl<'a> Export<'a> {
     /// [`PipelineError`] if the scene lacks the frame, or it cannot be read.
     pub fn gaussians(&self, frame: usize) -> Result<Gaussians, PipelineError> {
         self.scene.choose_frames(Some(&(frame..frame + 1)))?;
-        let gaussians = self.scene.at(frame - self.scene.first_frame)?;
+        let gaussians = self.scene.lit(frame - self.scene.first_frame)?;
         let Some(keep) = &self.keep else { return Ok(gaussians) };
         // Those that are born by then are the first ones.
         let born = &keep[..keep.partition_point(|&i| i < gaussians.num_gaussians())];

@@ -1,15 +1,25 @@
 //! From the image in the renderer's buffer to a texture that a window can show.
 
+use bytemuck::{Pod, Zeroable};
 use tcgs_render::gpu::{Gpu, GpuError};
 
 /// WGSL of the shaders.
 pub(crate) const SOURCE: &str = include_str!("blit.wgsl");
 
+/// Of the same name in the shaders.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+struct Picture {
+    light: [f32; 3],
+    size: [u32; 2],
+    unused: [u32; 3],
+}
+
 /// Copies images to textures of one format.
 #[derive(Debug)]
 pub struct Blit {
     pipeline: wgpu::RenderPipeline,
-    size: wgpu::Buffer,
+    picture: wgpu::Buffer,
 }
 
 impl Blit {
@@ -43,27 +53,30 @@ impl Blit {
             multiview_mask: None,
             cache: None,
         });
-        Ok(Self { pipeline, size: gpu.uniform("size of the picture", 16)? })
+        Ok(Self { pipeline, picture: gpu.uniform("picture", size_of::<Picture>())? })
     }
 
     /// Records a pass that copies an image to a texture.
     ///
     /// - `image`: `[C + 1, H, W]`, as the renderer leaves it
     /// - `size`: width and height of both the image and `target`, pixels
+    /// - `light`: by which red, green and blue are multiplied
     pub fn record(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         image: &wgpu::Buffer,
-        [width, height]: [usize; 2],
+        size: [usize; 2],
+        light: [f32; 3],
         target: &wgpu::TextureView,
     ) {
-        gpu.queue().write_buffer(&self.size, 0, bytemuck::cast_slice(&[width as u32, height as u32, 0, 0]));
+        let picture = Picture { light, size: size.map(|pixels| pixels as u32), unused: [0; 3] };
+        gpu.queue().write_buffer(&self.picture, 0, bytemuck::bytes_of(&picture));
         let group = gpu.device().create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("blit"),
             layout: &self.pipeline.get_bind_group_layout(0),
             entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: self.size.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 0, resource: self.picture.as_entire_binding() },
                 wgpu::BindGroupEntry { binding: 1, resource: image.as_entire_binding() },
             ],
         });

@@ -1,11 +1,12 @@
-// Copies the renderer's image to a texture of the same size: colours as stored, pixel by pixel.
+// Copies the renderer's image to a texture of the same size, pixel by pixel, and multiplies by the gains of the light.
 
-struct Size {
+struct Picture {
+    light: vec3<f32>,
     width: u32,
     height: u32,
 }
 
-@group(0) @binding(0) var<uniform> size: Size;
+@group(0) @binding(0) var<uniform> picture: Picture;
 // [C + 1, H, W]
 @group(0) @binding(1) var<storage, read> image: array<f32>;
 
@@ -17,8 +18,8 @@ fn cover(@builtin(vertex_index) i: u32) -> @builtin(position) vec4<f32> {
 
 @fragment
 fn show(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
-    let pixel = min(vec2<u32>(position.xy), vec2<u32>(size.width - 1u, size.height - 1u));
-    let at = pixel.y * size.width + pixel.x;
-    let plane = size.width * size.height;
-    return vec4<f32>(image[at], image[plane + at], image[2u * plane + at], 1.0);
+    let pixel = min(vec2<u32>(position.xy), vec2<u32>(picture.width - 1u, picture.height - 1u));
+    let at = pixel.y * picture.width + pixel.x;
+    let plane = picture.width * picture.height;
+    return vec4<f32>(picture.light * vec3<f32>(image[at], image[plane + at], image[2u * plane + at]), 1.0);
 }

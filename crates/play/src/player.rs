@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening, SegmentCache, read_times};
+use tcgs_codec::{Archive, DecodeLimits, Light, MAGIC, Opening, SegmentCache, read_light, read_times};
 
 use crate::clock::Clock;
 use crate::error::PlayError;
@@ -83,6 +83,7 @@ struct OpenFile {
     holdings: Holdings,
     clock: Clock,
     application_data: Vec<(String, Vec<u8>)>,
+    light: Light,
     /// By offset in the file: segments of which only the first layers were fetched.
     begun: BTreeMap<u64, Vec<u8>>,
 }
@@ -174,6 +175,11 @@ impl<S: RangeSource> Player<S> {
     /// Names and bytes of the data that applications put near the start of the file, once its tables have arrived.
     pub fn application_data(&self) -> &[(String, Vec<u8>)] {
         self.file.as_ref().map_or(&[], |file| &file.application_data)
+    }
+
+    /// Gains of red, green and blue at a timestep ([`Light`]); 1 before the file's tables have arrived.
+    pub fn light(&self, timestep: usize) -> [f32; 3] {
+        self.file.as_ref().map_or([1.0; 3], |file| file.light.at(timestep))
     }
 
     /// The clock, once the tables of the file have arrived.
@@ -298,7 +304,9 @@ impl<S: RangeSource> Player<S> {
         clock.seek(self.first_timestep);
         clock.hold(now_ms);
         let holdings = Holdings::new(self.settings.max_segment_bytes);
-        self.file = Some(OpenFile { archive: *archive, holdings, clock, application_data, begun: BTreeMap::new() });
+        let light = read_light(&application_data);
+        self.file =
+            Some(OpenFile { archive: *archive, holdings, clock, application_data, light, begun: BTreeMap::new() });
         Ok(())
     }
 

@@ -28,8 +28,10 @@ pub struct PictureRequest<'a> {
     pub moment: &'a Moment,
     /// Camera; its image size is the size of the picture.
     pub camera: &'a Camera,
-    /// Colour behind all Gaussians, sRGB in `[0, 1]`.
+    /// Colour behind all Gaussians, sRGB in `[0, 1]`; not multiplied by `light`.
     pub background: [f32; 3],
+    /// Gains of the Gaussians' red, green and blue ([`tcgs_codec::Light`]), above 0.
+    pub light: [f32; 3],
 }
 
 /// Draws the timesteps of one scene, whose cohorts and segments are uploaded as they are needed.
@@ -99,7 +101,7 @@ impl SegmentRenderer {
         self.render(request, &mut encoder)?;
         let Some(renderer) = &self.renderer else { return Ok(()) };
         let size = [request.camera.width, request.camera.height];
-        self.blit.record(&self.gpu, &mut encoder, &renderer.buffers().image, size, target);
+        self.blit.record(&self.gpu, &mut encoder, &renderer.buffers().image, size, request.light, target);
         let counts = match &self.counts {
             None => Some(self.gpu.stage(&mut encoder, &renderer.buffers().status, 4)?),
             Some(_) => None,
@@ -141,7 +143,7 @@ impl SegmentRenderer {
             return Err(GpuError::Lost("there is no renderer".into()));
         };
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-        blit.record(&self.gpu, &mut encoder, &renderer.buffers().image, size, &view);
+        blit.record(&self.gpu, &mut encoder, &renderer.buffers().image, size, request.light, &view);
         let layout = wgpu::TexelCopyBufferLayout {
             offset: 0,
             bytes_per_row: Some(row_bytes as u32),
@@ -186,7 +188,10 @@ impl SegmentRenderer {
         self.make_room(request.camera)?;
         let Some(renderer) = &mut self.renderer else { return Ok(()) };
         let mut settings = RenderSettings::default();
-        settings.background[..3].copy_from_slice(&request.background);
+        // The whole picture is multiplied by the light in the end.
+        for channel in 0..3 {
+            settings.background[channel] = request.background[channel] / request.light[channel];
+        }
         renderer.set_view(request.camera, &settings, request.moment.is_antialiased());
         self.gpu.queue().write_buffer(&renderer.buffers().status, 0, &[0; 16]);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());

@@ -142,7 +142,8 @@ impl<S: RangeSource> Viewer<S> {
             return Ok(None);
         };
         let camera = display.controls.camera(size);
-        let request = PictureRequest { moment: &display.shown, camera: &camera, background: self.background };
+        let (moment, background, light) = (&display.shown, self.background, player.light(display.shown.timestep));
+        let request = PictureRequest { moment, camera: &camera, background, light };
         display.renderer.draw(&request, target)?;
         Ok(player.clock().map(|clock| {
             let is_buffering = player.current().is_none_or(|moment| !moment.is_whole);
@@ -168,7 +169,8 @@ impl<S: RangeSource> Viewer<S> {
         let Some(Session { player, display: Some(display) }) = &mut self.session else { return Ok(None) };
         let Some(moment) = player.current().filter(|moment| moment.is_whole) else { return Ok(None) };
         let camera = display.controls.camera(size);
-        let request = PictureRequest { moment: &moment, camera: &camera, background: self.background };
+        let (background, light) = (self.background, player.light(moment.timestep));
+        let request = PictureRequest { moment: &moment, camera: &camera, background, light };
         Ok(Some(display.renderer.begin_still(&request)?))
     }
 

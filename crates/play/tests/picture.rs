@@ -55,9 +55,13 @@ fn still(gpu: &Gpu, renderer: &mut SegmentRenderer, request: &PictureRequest<'_>
 
 /// As `tcgs render` writes it, with an alpha of 255.
 fn expected(moment: &Moment, camera: &Camera, background: [f32; 3]) -> Vec<u8> {
+    expected_in(moment, camera, background, [1.0; 3])
+}
+
+fn expected_in(moment: &Moment, camera: &Camera, background: [f32; 3], light: [f32; 3]) -> Vec<u8> {
     let mut settings = RenderSettings::default();
     settings.background[..3].copy_from_slice(&background);
-    let drawn = Drawable::new(&moment.gaussians()).seen_by(camera);
+    let drawn = Drawable::new(&moment.gaussians().lit(light)).seen_by(camera);
     let (output, _) = CpuRasterizer.forward(&drawn, camera, &settings).unwrap();
     output.image.to_rgb8().chunks_exact(3).flat_map(|pixel| [pixel[0], pixel[1], pixel[2], 255]).collect()
 }
@@ -218,7 +222,7 @@ fn pictures_equal_the_cpu_renderers() {
             let moment = moment(file, timestep);
             let camera = start.resized(width, height);
             let background = [0.1, 0.4, 0.25];
-            let request = PictureRequest { moment: &moment, camera: &camera, background };
+            let request = PictureRequest { moment: &moment, camera: &camera, background, light: [1.0; 3] };
             let found = still(&gpu, &mut renderer, &request);
             let expected = expected(&moment, &camera, background);
             let share = share_alike(&found, &expected);
@@ -230,7 +234,23 @@ fn pictures_equal_the_cpu_renderers() {
     }
 }
 
-/// Or the test above would prove nothing of antialiasing.
+/// Colours are multiplied by the light, the background is not.
+#[test]
+fn a_picture_is_drawn_in_its_light() {
+    let Some(gpu) = gpu() else { return };
+    let file = room_file(6000, 12, &CompressSettings::default());
+    let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
+    let moment = moment(&file, 3);
+    let (start, _) = start_view(moment.gaussians().means(), UpAxis::default().direction());
+    let camera = start.resized(128, 72);
+    let (background, light) = ([0.1, 0.4, 0.25], [0.7, 1.0, 1.2]);
+    let found = still(&gpu, &mut renderer, &PictureRequest { moment: &moment, camera: &camera, background, light });
+    let share = |light| share_alike(&found, &expected_in(&moment, &camera, background, light));
+    assert!(share(light) >= 0.999, "{} of the pixels alike", share(light));
+    assert!(share([1.0; 3]) < 0.5, "{} alike without the light", share([1.0; 3]));
+}
+
+/// Or the first test would prove nothing of antialiasing.
 #[test]
 fn antialiasing_is_seen() {
     let of = |is_antialiased: bool| {
@@ -251,7 +271,7 @@ fn cohorts_take_each_others_place() {
     let camera = start.resized(96, 54);
     for timestep in [0, 1, 2, 3, 4, 5, 8, 9, 11, 0, 6, 2, 7, 10, 3] {
         let moment = moment(&file, timestep);
-        let request = PictureRequest { moment: &moment, camera: &camera, background: [0.0; 3] };
+        let request = PictureRequest { moment: &moment, camera: &camera, background: [0.0; 3], light: [1.0; 3] };
         let share = share_alike(&still(&gpu, &mut renderer, &request), &expected(&moment, &camera, [0.0; 3]));
         assert!(share >= 0.999, "timestep {timestep}: {share} of the pixels alike");
     }
@@ -270,7 +290,7 @@ fn more_pairs_than_expected_are_drawn_again() {
     let moment = moment(&file, 1);
     let (start, _) = start_view(moment.gaussians().means(), UpAxis::default().direction());
     let camera = start.resized(400, 300);
-    let request = PictureRequest { moment: &moment, camera: &camera, background: [0.0; 3] };
+    let request = PictureRequest { moment: &moment, camera: &camera, background: [0.0; 3], light: [1.0; 3] };
     let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
     let texture = texture(&gpu, 400, 300);
     renderer.draw(&request, &texture).unwrap();

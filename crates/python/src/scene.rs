@@ -142,12 +142,12 @@ impl PyScene {
         self.0.num_timesteps()
     }
 
-    /// The Gaussians of one timestep; of a run all of them, also those that its masks leave out.
+    /// The Gaussians of one timestep, with colours as they are drawn; of a run all of them, also those that its masks leave out.
     ///
     /// - timestep: from 0; negative ones count from the end
     fn at(&self, py: Python<'_>, timestep: isize) -> PyResult<PyGaussians> {
         let timestep = self.timestep(timestep)?;
-        detached(py, || self.0.at(timestep)).map(PyGaussians::new).map_err(exception)
+        detached(py, || self.0.lit(timestep)).map(PyGaussians::new).map_err(exception)
     }
 
     fn __iter__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {

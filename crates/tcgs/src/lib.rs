@@ -29,7 +29,7 @@
 //! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/bitstream/v1/room_default.tcgs");
 //! let file = std::io::BufReader::new(std::fs::File::open(path)?);
 //! let mut scene = SceneFile::open(file, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES)?;
-//! let gaussians = activate(&scene.at(7)?); // standard deviations, opacities between 0 and 1
+//! let gaussians = activate(&scene.lit(7)?); // standard deviations, opacities between 0 and 1
 //! assert_eq!(gaussians.means.len(), gaussians.scales.len());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

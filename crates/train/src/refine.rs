@@ -4,17 +4,20 @@
 //! keypoints. The gradient of the image then goes back to the keypoints before and after the timestep, each by its share,
 //! and to the codes as if rounding were the identity (straight-through, as in training). A keypoint that never moves is
 //! trained by the images of all timesteps. Which keypoints there are, their quantizers and bits stay.
+//!
+//! One gain for red, green and blue at each timestep is trained with them, for the whole scene. If all cameras record a
+//! timestep darker, these gains show it, and no Gaussian needs another colour.
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
-use tcgs_codec::{CompactScene, MAX_BITS, Quantizer, Tracks, locate};
+use tcgs_codec::{CompactScene, Light, MAX_BITS, Quantizer, Tracks, locate};
 use tcgs_core::{Attribute, Camera, GaussianGrads, Image, View, activate, activate_bwd, seen_colors, seen_colors_bwd};
 use tcgs_render::{Rasterizer, RenderSettings};
 
 use crate::adam::BETA1;
-use crate::engine::cpu::image_loss;
+use crate::engine::cpu::{ImageLoss, image_loss};
 use crate::schedule::cosine;
 
 /// Decay of the second moments: a keypoint is trained in a few of the timesteps only, so they settle faster than those of a
@@ -22,6 +25,8 @@ use crate::schedule::cosine;
 const BETA2: f32 = 0.99;
 /// Updates after which a moment has no bias left, to a float's precision.
 const NUM_CORRECTIONS: usize = 2048;
+/// Learning rate of the light's gains, in their logarithms.
+const LIGHT_RATE: f32 = 2e-3;
 /// Gaussians whose tracks one task updates.
 const CHUNK: usize = 1 << 11;
 
@@ -43,11 +48,11 @@ impl Default for RefineConfig {
     }
 }
 
-/// What is known of one code between two iterations.
+/// What is known of one code, or of one gain of the light, between two iterations.
 #[derive(Clone, Copy, Debug, Default)]
 struct Latent {
-    /// Before rounding, in steps of the quantizer.
-    code: f32,
+    /// The code before rounding, in steps of the quantizer; the logarithm of the gain.
+    value: f32,
     /// Moments of the gradient.
     first: f32,
     second: f32,
@@ -64,6 +69,8 @@ pub struct Refiner {
     latents: Vec<Vec<Latent>>,
     /// By [`Attribute::index`]: mean second moment of the keypoints that the last iteration moved.
     mean_second: Vec<f32>,
+    /// `[T, 3]` logarithms of gains by which the picture of a timestep is multiplied.
+    light: Vec<[Latent; 3]>,
     /// By the number of updates less 1: what corrects the bias of both moments.
     corrections: Vec<[f32; 2]>,
 }
@@ -71,12 +78,19 @@ pub struct Refiner {
 impl Refiner {
     /// A refinement that starts from the scene as it is.
     pub fn new(mut scene: CompactScene, config: RefineConfig) -> Self {
-        let latent = |&code: &i16| Latent { code: f32::from(code), ..Latent::default() };
+        let latent = |&code: &i16| Latent { value: f32::from(code), ..Latent::default() };
         let of_tracks = |tracks: &mut Tracks<i16>| tracks.parts_mut().2.iter().map(latent).collect();
         let latents: Vec<Vec<Latent>> = scene.tracks.iter_mut().map(of_tracks).collect();
         let correction = |count: i32| [BETA1, BETA2].map(|beta| 1.0 / (1.0 - beta.powi(count)));
         let corrections = (1..=NUM_CORRECTIONS as i32).map(correction).collect();
-        Self { mean_second: vec![0.0; latents.len()], corrections, latents, scene, config }
+        let light = vec![[Latent::default(); 3]; scene.num_timesteps()];
+        Self { mean_second: vec![0.0; latents.len()], light, corrections, latents, scene, config }
+    }
+
+    /// The gains trained so far, which [`Self::into_scene`] does not apply.
+    pub fn light(&self) -> Light {
+        let gains: Vec<[f32; 3]> = self.light.iter().map(|gains| gains.map(|gain| gain.value.exp())).collect();
+        Light::through(&gains)
     }
 
     /// The scene with the codes trained so far.
@@ -101,12 +115,18 @@ impl Refiner {
         [gain, offset]: [[f32; 3]; 2],
         progress: f32,
     ) -> Result<f64, R::Error> {
+        let light = &mut self.light[timestep];
+        let gain = std::array::from_fn(|channel| gain[channel] + light[channel].value);
         let (loss, grads) = gradients(rasterizer, &self.scene, timestep, &view.camera, &view.image, [gain, offset])?;
-        let rate = self.config.rate * cosine(self.config.decay, progress);
+        let decay = cosine(self.config.decay, progress);
+        for (light, v_gain) in light.iter_mut().zip(loss.v_gain) {
+            light.update(v_gain, LIGHT_RATE * decay, f32::MIN_POSITIVE, &self.corrections);
+        }
+        let rate = self.config.rate * decay;
         for attribute in grads.layout().attributes() {
             self.update(attribute, timestep, grads.values(attribute), rate);
         }
-        Ok(loss)
+        Ok(loss.image)
     }
 
     /// One step of Adam for the keypoints of an attribute around a timestep.
@@ -141,8 +161,8 @@ impl Refiner {
                             let latent = &mut piece.latents[range.start + keypoint];
                             latent.update(v_code * share, rate, epsilon, corrections);
                             let bounds = [quantizer.min_code() as f32, quantizer.max_code() as f32];
-                            latent.code = latent.code.clamp(bounds[0], bounds[1]);
-                            piece.codes[range.start + keypoint] = latent.code.round() as i16;
+                            latent.value = latent.value.clamp(bounds[0], bounds[1]);
+                            piece.codes[range.start + keypoint] = latent.value.round() as i16;
                             sum = (sum.0 + f64::from(latent.second), sum.1 + 1);
                         }
                     }
@@ -156,12 +176,12 @@ impl Refiner {
 }
 
 impl Latent {
-    fn update(&mut self, v_code: f32, rate: f32, epsilon: f32, corrections: &[[f32; 2]]) {
+    fn update(&mut self, v: f32, rate: f32, epsilon: f32, corrections: &[[f32; 2]]) {
         self.count += 1;
-        self.first = BETA1 * self.first + (1.0 - BETA1) * v_code;
-        self.second = BETA2 * self.second + (1.0 - BETA2) * v_code * v_code;
+        self.first = BETA1 * self.first + (1.0 - BETA1) * v;
+        self.second = BETA2 * self.second + (1.0 - BETA2) * v * v;
         let [first, second] = corrections[(self.count as usize).min(NUM_CORRECTIONS) - 1];
-        self.code -= rate * self.first * first / ((self.second * second).sqrt() + epsilon);
+        self.value -= rate * self.first * first / ((self.second * second).sqrt() + epsilon);
     }
 }
 
@@ -204,7 +224,7 @@ fn gradients<R: Rasterizer>(
     camera: &Camera,
     image: &Image,
     [gain, offset]: [[f32; 3]; 2],
-) -> Result<(f64, GaussianGrads), R::Error> {
+) -> Result<(ImageLoss, GaussianGrads), R::Error> {
     let gaussians = scene.at(timestep);
     let has_harmonics = gaussians.layout().sh_degree() > 0;
     let mut drawn = activate(&gaussians);
@@ -226,7 +246,7 @@ fn gradients<R: Rasterizer>(
     if has_harmonics {
         seen_colors_bwd(&gaussians, camera, &mut v_gaussians);
     }
-    Ok((loss.image, v_gaussians))
+    Ok((loss, v_gaussians))
 }
 
 /// Share of a timestep's views that are trained on at one visit to it.
@@ -269,7 +289,7 @@ mod tests {
     use std::sync::Arc;
 
     use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress};
-    use tcgs_core::{BaseColumns, DynamicGaussians, Gaussians, Layout};
+    use tcgs_core::{Activated, BaseColumns, DynamicGaussians, Gaussians, Layout};
     use tcgs_render::CpuRasterizer;
 
     use super::*;
@@ -334,7 +354,7 @@ mod tests {
         let correction = [[0.05, -0.1, 0.0], [0.01, 0.0, -0.02]];
         let loss = |scene: &CompactScene| {
             let Ok((loss, _)) = gradients(&CpuRasterizer, scene, timestep, &camera(), &image, correction);
-            loss
+            loss.image
         };
         let view = View { camera: camera(), image: image.clone(), segmentation: None, frame: 0, camera_id: 0 };
         let config = RefineConfig { rate: 0.0, ..RefineConfig::default() };
@@ -435,6 +455,30 @@ mod tests {
             assert_eq!(after.len(), before.len());
             assert!((0..after.len()).all(|i| after.track(i).0 == before.track(i).0), "keypoints stay where they are");
         }
+    }
+
+    #[test]
+    fn what_all_images_of_a_timestep_have_darker_becomes_light() {
+        let scene = compact(20, 12);
+        let dark = |t: usize| [1.0 - 0.006 * t as f32, 1.0, 1.0 + 0.004 * t as f32];
+        let view = |t: usize| {
+            let lit = scene.at(t).lit(dark(t));
+            let drawn = Activated { colors: seen_colors(&lit, &camera()), ..activate(&lit) };
+            let Ok((output, _)) = CpuRasterizer.forward(&drawn, &camera(), &RenderSettings::default());
+            View { camera: camera(), image: output.image, segmentation: None, frame: t, camera_id: 0 }
+        };
+        let views: Vec<View> = (0..NUM_TIMESTEPS).map(view).collect();
+        let mut refiner = Refiner::new(scene.clone(), RefineConfig { rate: 0.0, ..RefineConfig::default() });
+        let count = 60 * NUM_TIMESTEPS;
+        for (i, t) in (0..NUM_TIMESTEPS).cycle().take(count).enumerate() {
+            let Ok(_) = refiner.step(&CpuRasterizer, t, &views[t], [[0.0; 3]; 2], i as f32 / count as f32);
+        }
+        let light = refiner.light();
+        for t in 0..NUM_TIMESTEPS {
+            let (found, expected) = (light.at(t), dark(t));
+            assert!((0..3).all(|c| (found[c] - expected[c]).abs() < 0.005), "{t}: {found:?} for {expected:?}");
+        }
+        assert_eq!(refiner.into_scene(), scene);
     }
 
     #[test]

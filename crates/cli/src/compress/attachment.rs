@@ -7,7 +7,7 @@ use std::str::FromStr;
 use crate::error::wrong_input;
 
 /// Data on which the format agrees, without the prefix of their names; all but sound are JSON.
-const AGREED: [&str; 6] = ["credits", "units", "paths", "labels", "sound", "times"];
+const AGREED: [&str; 7] = ["credits", "units", "light", "paths", "labels", "sound", "times"];
 /// The prefix, which is kept for the format.
 const PREFIX: &str = "tcgs.";
 /// Every stream of Ogg begins so.

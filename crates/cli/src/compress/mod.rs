@@ -151,7 +151,7 @@ pub struct Arguments {
     /// Most cameras of --capture or of the run's capture that the file gives players to start from
     #[arg(long, value_name = "N", default_value_t = 8)]
     views: usize,
-    /// Put a file's content into the .tcgs file, for programs that read it: credits, units, paths, labels, sound or times,
+    /// Put a file's content into the .tcgs file, for programs that read it: credits, units, light, paths, labels, sound or times,
     /// as docs/FORMAT.md describes them, or data of an application under its own name; may be repeated
     #[arg(long, value_name = "NAME=FILE")]
     attach: Vec<Attachment>,

@@ -113,7 +113,8 @@ impl Judge {
         }
         let mut sum = 0.0;
         for of_timestep in self.goals.chunk_by(|a, b| a.timestep == b.timestep) {
-            let drawn = Drawable::new(&compact.at(of_timestep[0].timestep));
+            let timestep = of_timestep[0].timestep;
+            let drawn = Drawable::new(&compact.at(timestep).lit(compact.light.at(timestep)));
             for goal in of_timestep {
                 let (output, _) =
                     self.renderer.draw(&drawn.seen_by(&goal.camera), &goal.camera, &RenderSettings::default())?;

@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use tcgs_codec::{
     AttributeErrors, BitMap, BitMapping, CompactFile, CompactScene, CompressSettings, DecodeLimits, FORMAT_VERSION,
-    MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
+    Light, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
 };
 use tcgs_core::{Attribute, Camera, DynamicGaussians, Layout, SceneReader};
 
@@ -265,7 +265,7 @@ impl<'a> PrunedScene<'a> {
     /// # Errors
     /// [`PipelineError`] if the codec refuses the scene or the settings.
     pub fn compress(&self, settings: &CompressSettings) -> Result<(CompactFile, Vec<u8>), PipelineError> {
-        self.compress_with(settings, Errors::Measured, Ok)
+        self.compress_with(settings, Errors::Measured, unchanged)
     }
 
     /// [`Self::compress`] for a search: what it declares is 0 instead of measured, and its file is as long.
@@ -273,15 +273,15 @@ impl<'a> PrunedScene<'a> {
     /// # Errors
     /// As there.
     fn try_out(&self, settings: &CompressSettings) -> Result<(CompactFile, Vec<u8>), PipelineError> {
-        self.compress_with(settings, Errors::Zeros, Ok)
+        self.compress_with(settings, Errors::Zeros, unchanged)
     }
 
-    /// - `change`: what happens to the symbols before they are encoded; not for [`Pruned::Parts`]
+    /// - `change`: what happens to the symbols before they are encoded, and the light on them; not for [`Pruned::Parts`]
     fn compress_with(
         &self,
         settings: &CompressSettings,
         errors: Errors,
-        change: impl FnOnce(CompactScene) -> Result<CompactScene, PipelineError>,
+        change: impl FnOnce(CompactScene) -> Result<(CompactScene, Light), PipelineError>,
     ) -> Result<(CompactFile, Vec<u8>), PipelineError> {
         let segment_length = settings.segment_length.or(self.segment_length);
         let settings = &CompressSettings { segment_length, ..settings.clone() };
@@ -291,7 +291,8 @@ impl<'a> PrunedScene<'a> {
                 if let Some(lives) = lives {
                     compact = compact.with_lives(order.iter().map(|&g| lives[g]).collect());
                 }
-                let mut compact = CompactFile::of(change(compact)?);
+                let (compact, light) = change(compact)?;
+                let mut compact = CompactFile { light, ..CompactFile::of(compact) };
                 if self.version > 1 {
                     compact.declared_errors = match errors {
                         Errors::Measured => kept.errors_of(&compact.cohorts[0], &order)?.declared(),
@@ -345,6 +346,10 @@ impl<'a> PrunedScene<'a> {
             .bytes_by_attribute();
         Ok(Compressed { bytes_by_attribute, file, compact, num_gaussians_before: self.num_gaussians_before, stages })
     }
+}
+
+fn unchanged(compact: CompactScene) -> Result<(CompactScene, Light), PipelineError> {
+    Ok((compact, Light::default()))
 }
 
 /// Compresses a scene of floats: [`PrunedScene::new`], [`PrunedScene::compress`] and [`PrunedScene::account`] in one.

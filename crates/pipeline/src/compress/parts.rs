@@ -3,7 +3,9 @@
 
 use std::sync::Arc;
 
-use tcgs_codec::{AttributeErrors, BitMap, CompactFile, CompressSettings, FollowedParts, SceneInfo, compress_ordered};
+use tcgs_codec::{
+    AttributeErrors, BitMap, CompactFile, CompressSettings, FollowedParts, Light, SceneInfo, compress_ordered,
+};
 use tcgs_core::{Gaussians, Layout, SceneReader};
 
 use super::bits::measured_bits;
@@ -118,7 +120,7 @@ impl<'a> Parts<'a> {
         let num_gaussians = cohorts.iter().map(|cohort| cohort.info.num_gaussians).sum();
         let num_timesteps = self.scene.num_timesteps() as u32;
         let info = SceneInfo { num_gaussians, num_timesteps, ..info.clone() };
-        Ok(CompactFile { info, cohorts, declared_errors: errors.declared() })
+        Ok(CompactFile { info, cohorts, declared_errors: errors.declared(), light: Light::default() })
     }
 }
 

@@ -1,11 +1,12 @@
-//! Refinement: the codes of a compressed scene are trained on the images of its capture before the file is written.
+//! Refinement: the codes of a compressed scene, and the light on it, are trained on the images of its capture before the file is
+//! written.
 
 use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
 use tcgs_capture::{Capture, Split};
-use tcgs_codec::{CompactFile, CompactScene, CompressSettings};
+use tcgs_codec::{CompactFile, CompactScene, CompressSettings, Light};
 use tcgs_core::View;
 use tcgs_render::device::GpuError;
 use tcgs_render::{CpuRasterizer, Rasterizer};
@@ -85,11 +86,11 @@ pub fn refine(
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpu) => images.refine(&tcgs_render::gpu::GpuRasterizer::new(gpu), compact, options, observer),
         };
-        let (compact, done) = refined?;
+        let (compact, light, done) = refined?;
         iterations = done.len();
         let count = images.of_a_pass().min(done.len());
         losses = [mean(&done[..count]), mean(&done[done.len() - count..])];
-        Ok(compact)
+        Ok((compact, light))
     };
     let (compact, file) = pruned.compress_with(settings, Errors::Measured, &mut change)?;
     Ok(Refined { file, compact, iterations, losses })
@@ -235,7 +236,7 @@ impl<'a> Images<'a> {
         compact: CompactScene,
         options: &RefineOptions,
         observer: &mut dyn Observer,
-    ) -> Result<(CompactScene, Vec<f64>), PipelineError>
+    ) -> Result<(CompactScene, Light, Vec<f64>), PipelineError>
     where
         GpuError: From<R::Error>,
     {
@@ -256,7 +257,8 @@ impl<'a> Images<'a> {
         let losses = self.iterate(rasterizer, &mut refiner, num_iterations, &mut |frame| {
             tell(observer, Event::Frame(frame)).map(|()| true)
         })?;
-        Ok((refiner.into_scene(), losses))
+        let light = refiner.light();
+        Ok((refiner.into_scene(), light, losses))
     }
 
     /// - `go_on`: hears of the frame after every iteration, and says whether there is another

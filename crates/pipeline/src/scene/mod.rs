@@ -11,7 +11,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tcgs_codec::{BitMap, CompactFile, FileCamera, Loss, Quantizers, SceneFile, SceneInfo, UpAxis, read_views};
+use tcgs_codec::{BitMap, CompactFile, FileCamera, Light, Loss, Quantizers, SceneFile, SceneInfo, UpAxis, read_views};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{FourdgsFile, ParamsNpz, TimestepFiles};
 use tcgs_train::{Checkpoint, Parameters, Run};
@@ -83,6 +83,7 @@ enum Content {
 struct FileContent {
     info: SceneInfo,
     loss: Option<Loss>,
+    light: Light,
     file: Mutex<SceneFile<File>>,
 }
 
@@ -263,6 +264,16 @@ impl OpenScene {
         }
     }
 
+    /// Gains of red, green and blue at a timestep, by which a renderer multiplies colours ([`Light`]); 1 of anything but a `.tcgs`
+    /// file.
+    pub fn light(&self, timestep: usize) -> [f32; 3] {
+        match &self.content {
+            Content::File(file) => file.light.at(timestep),
+            Content::Symbols(compact) => compact.light.at(timestep),
+            _ => [1.0; 3],
+        }
+    }
+
     /// What a `.tcgs` file that was cut has lost; none of anything else.
     pub fn loss(&self) -> Option<&Loss> {
         match &self.content {
@@ -363,7 +374,7 @@ impl OpenScene {
         }
     }
 
-    /// All Gaussians of one timestep, in stored form; of a run also those that its masks leave out. Reads no other
+    /// All Gaussians of one timestep, in stored form, before [`Self::light`] is applied; of a run also those that its masks leave out. Reads no other
     /// timestep.
     ///
     /// # Errors
@@ -391,6 +402,14 @@ impl OpenScene {
         })
     }
 
+    /// [`Self::at`], with colours multiplied by [`Self::light`]: what a renderer draws.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn lit(&self, timestep: usize) -> Result<Gaussians, PipelineError> {
+        Ok(self.at(timestep)?.lit(self.light(timestep)))
+    }
+
     /// One timestep activated, as every camera draws it: of a run without the Gaussians that its masks leave out then.
     ///
     /// # Errors
@@ -409,7 +428,7 @@ impl OpenScene {
             let shown: Vec<usize> = (0..masked.len()).filter(|&i| !masked[i]).collect();
             return Ok(Drawable::new(&parameters.gaussians.select(&shown)));
         }
-        Ok(Drawable::new(&self.at(timestep)?))
+        Ok(Drawable::new(&self.lit(timestep)?))
     }
 
     fn check_timestep(&self, timestep: usize) -> Result<(), PipelineError> {

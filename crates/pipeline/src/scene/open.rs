@@ -115,7 +115,7 @@ impl OpenScene {
             CutFiles::Refuse => SceneFile::open,
             CutFiles::Recover => SceneFile::recover,
         };
-        let scene = open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
+        let mut scene = open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
         let loss = scene.loss().copied();
         let length = loss.map_or(scene.archive().file_bytes(), |loss| loss.bytes);
         // Data of applications are small, and no segment is: their checksums are verified now.
@@ -127,6 +127,7 @@ impl OpenScene {
                 .map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
             scene.archive().read_application(index, &bytes).map_err(decode_error)?;
         }
+        let light = scene.light().map_err(decode_error)?.clone();
         let info = scene.info();
         Ok(Self {
             path: path.into(),
@@ -135,7 +136,7 @@ impl OpenScene {
             frame_rate: f64::from(info.frame_rate),
             bytes: length,
             layout: Arc::clone(scene.layout()),
-            content: Content::File(Box::new(FileContent { info: info.clone(), loss, file: Mutex::new(scene) })),
+            content: Content::File(Box::new(FileContent { info: info.clone(), loss, light, file: Mutex::new(scene) })),
         })
     }
 

@@ -26,7 +26,7 @@ pub fn start_state(
         let expected = "0 in a run that continues the state of another scene";
         return Err(PipelineError::input("color.degree", config.color.degree.to_string(), expected));
     }
-    let gaussians = scene.at(timestep)?;
+    let gaussians = scene.lit(timestep)?;
     if gaussians.num_gaussians() == 0 {
         return Err(PipelineError::input(scene.path.display(), "has no Gaussians", "at least one"));
     }
