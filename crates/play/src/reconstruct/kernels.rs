@@ -51,7 +51,8 @@ pub(super) fn interpolate(unit: usize, activation: Activation) -> String {
 
 /// Colours from harmonics up to a degree.
 pub(super) fn shade(degree: usize) -> String {
-    Wgsl::new().constant("DEGREE", degree).constant("WORKGROUP", WORKGROUP).part(include_str!("shade.wgsl")).finish()
+    let constants = Wgsl::new().constant("DEGREE", degree).constant("WORKGROUP", WORKGROUP);
+    constants.harmonics().part(include_str!("shade.wgsl")).finish()
 }
 
 /// Name and WGSL of every shader of the reconstruction, as the GPU gets it.

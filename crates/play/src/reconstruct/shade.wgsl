@@ -2,7 +2,7 @@
 //
 //   shade   a thread per Gaussian: the harmonics in the direction from the camera to its centre, times its coefficients
 //
-// The host puts the constants before this source: DEGREE, 1 to 3. Functions and signs are those of `core/src/harmonics.rs`.
+// The host puts the constants before this source: DEGREE, 1 to 3; and the function `harmonics`.
 
 struct FrameUniform {
     eye: vec3<f32>,
@@ -22,11 +22,11 @@ struct TrackUniform {
 @group(0) @binding(0) var<uniform> frame: FrameUniform;
 @group(0) @binding(1) var<uniform> tracks: TrackUniform;
 // colors [N, 3] | degree 1 [N, 3, 3] | degree 2 [N, 5, 3] | degree 3 [N, 7, 3]
-@group(0) @binding(2) var<storage, read> harmonics: array<f32>;
+@group(0) @binding(2) var<storage, read> coefficients: array<f32>;
 @group(0) @binding(5) var<storage, read_write> values: array<f32>;
 
 fn triple(at: u32) -> vec3<f32> {
-    return vec3<f32>(harmonics[at], harmonics[at + 1u], harmonics[at + 2u]);
+    return vec3<f32>(coefficients[at], coefficients[at + 1u], coefficients[at + 2u]);
 }
 
 @compute @workgroup_size(WORKGROUP)
@@ -41,34 +41,19 @@ fn shade(@builtin(global_invocation_id) id: vec3<u32>) {
     let squares = dot(offset, offset);
     // A Gaussian around the camera has no direction; it is nearer than anything that is drawn.
     let direction = select(vec3<f32>(0.0), offset * inverseSqrt(max(squares, 1e-37)), squares > 1e-37);
-    let x = direction.x;
-    let y = direction.y;
-    let z = direction.z;
+    var basis = harmonics(direction);
     var color = triple(3u * i);
-    var at = 3u * n + 9u * i;
-    let c1 = 0.4886025119029199;
-    color += -c1 * y * triple(at);
-    color += c1 * z * triple(at + 3u);
-    color += -c1 * x * triple(at + 6u);
+    for (var k = 0u; k < 3u; k += 1u) {
+        color += basis[k] * triple(3u * n + 9u * i + 3u * k);
+    }
     if DEGREE >= 2u {
-        let xx = x * x;
-        let yy = y * y;
-        let zz = z * z;
-        at = 12u * n + 15u * i;
-        color += 1.0925484305920792 * x * y * triple(at);
-        color += -1.0925484305920792 * y * z * triple(at + 3u);
-        color += 0.31539156525252005 * (2.0 * zz - xx - yy) * triple(at + 6u);
-        color += -1.0925484305920792 * x * z * triple(at + 9u);
-        color += 0.5462742152960396 * (xx - yy) * triple(at + 12u);
-        if DEGREE >= 3u {
-            at = 27u * n + 21u * i;
-            color += -0.5900435899266435 * y * (3.0 * xx - yy) * triple(at);
-            color += 2.890611442640554 * x * y * z * triple(at + 3u);
-            color += -0.4570457994644658 * y * (4.0 * zz - xx - yy) * triple(at + 6u);
-            color += 0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy) * triple(at + 9u);
-            color += -0.4570457994644658 * x * (4.0 * zz - xx - yy) * triple(at + 12u);
-            color += 1.445305721320277 * z * (xx - yy) * triple(at + 15u);
-            color += -0.5900435899266435 * x * (xx - 3.0 * yy) * triple(at + 18u);
+        for (var k = 0u; k < 5u; k += 1u) {
+            color += basis[3u + k] * triple(12u * n + 15u * i + 3u * k);
+        }
+    }
+    if DEGREE >= 3u {
+        for (var k = 0u; k < 7u; k += 1u) {
+            color += basis[8u + k] * triple(27u * n + 21u * i + 3u * k);
         }
     }
     color = max(color, vec3<f32>(0.0));

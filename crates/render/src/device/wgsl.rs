@@ -74,6 +74,13 @@ impl Wgsl {
         self
     }
 
+    /// Declares `harmonics(direction: vec3<f32>) -> array<f32, 15>`, the real spherical harmonics of degrees 1 to 3, and the
+    /// constants in them.
+    #[must_use]
+    pub fn harmonics(self) -> Self {
+        self.part(include_str!("harmonics.wgsl"))
+    }
+
     /// Appends declarations as they are.
     #[must_use]
     pub fn part(mut self, text: &str) -> Self {

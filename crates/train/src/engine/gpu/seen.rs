@@ -80,7 +80,10 @@ pub(super) fn shader(packing: &Packing) -> String {
         constants = constants.constant(name, bands.get(place).map_or(0, |&band| packing.offset(band)));
     }
     let num_coefficients = (bands.len() + 1).pow(2) - 1;
-    source(packing, constants.constant("NUM_COEFFICIENTS", num_coefficients)).part(include_str!("seen.wgsl")).finish()
+    source(packing, constants.constant("NUM_COEFFICIENTS", num_coefficients))
+        .harmonics()
+        .part(include_str!("seen.wgsl"))
+        .finish()
 }
 
 #[cfg(test)]

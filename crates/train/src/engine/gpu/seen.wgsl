@@ -5,7 +5,7 @@
 // activated: the colours of the N rows come in as stored ones, and go out as seen ones
 // lists, seen_elsewhere: the Gaussians of each view, see parts.rs, and the colours [L, C] in which it sees them
 //
-// Functions and signs are those of `core/src/harmonics.rs`. A thread has a Gaussian.
+// A thread has a Gaussian.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> params: array<f32>;
@@ -13,15 +13,6 @@
 @group(0) @binding(3) var<storage, read_write> grads: array<f32>;
 @group(0) @binding(4) var<storage, read> lists: array<u32>;
 @group(0) @binding(5) var<storage, read> seen_elsewhere: array<f32>;
-
-const C1 = 0.4886025119029199;
-const C20 = 0.31539156525252005;
-const C21 = 1.0925484305920792;
-const C22 = 0.5462742152960396;
-const C30 = 0.3731763325901154;
-const C31 = 0.4570457994644658;
-const C32 = 1.445305721320277;
-const C33 = 0.5900435899266435;
 
 fn num_channels() -> u32 {
     return select(3u, 5u, (step.flags & SEGMENTED) != 0u);
@@ -48,33 +39,6 @@ fn coefficient_at(k: u32, n: u32) -> u32 {
 fn coefficient(k: u32, n: u32) -> vec3<f32> {
     let at = coefficient_at(k, n);
     return vec3(params[at], params[at + 1u], params[at + 2u]);
-}
-
-// Of degrees 1 to 3.
-fn harmonics(d: vec3<f32>) -> array<f32, 15> {
-    let x = d.x;
-    let y = d.y;
-    let z = d.z;
-    let xx = x * x;
-    let yy = y * y;
-    let zz = z * z;
-    return array(
-        -C1 * y,
-        C1 * z,
-        -C1 * x,
-        C21 * x * y,
-        -C21 * y * z,
-        C20 * (2.0 * zz - xx - yy),
-        -C21 * x * z,
-        C22 * (xx - yy),
-        -C33 * y * (3.0 * xx - yy),
-        2.0 * C32 * x * y * z,
-        -C31 * y * (4.0 * zz - xx - yy),
-        C30 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
-        -C31 * x * (4.0 * zz - xx - yy),
-        C32 * z * (xx - yy),
-        -C33 * x * (xx - 3.0 * yy),
-    );
 }
 
 // Gradient to the direction, without the constraint of unit length.
