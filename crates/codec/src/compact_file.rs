@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Layout};
 
-use crate::attached::{LIGHT, Light, read_light};
+use crate::attached::{Light, read_light};
 use crate::bitstream::{application_data, decode_archive};
 use crate::compact::{CompactScene, SceneInfo};
 use crate::error::DecodeError;
@@ -69,7 +69,7 @@ impl CompactFile {
     #[cfg(feature = "encode")]
     pub fn encode(&self, version: u16, data: &[(&str, &[u8])]) -> Result<Vec<u8>, crate::CompressError> {
         let light = (self.light != Light::default()).then(|| self.light.to_json());
-        let data = &[data, light.as_deref().map(|json| (LIGHT, json)).as_slice()].concat();
+        let data = &[data, light.as_deref().map(|json| (crate::LIGHT, json)).as_slice()].concat();
         match (version, &self.cohorts[..]) {
             (1, [only]) => crate::encode_with(only, data),
             (1, _) => {
