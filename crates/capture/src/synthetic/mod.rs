@@ -37,10 +37,8 @@ const CAMERA_HEIGHTS: [f64; 2] = [0.95, 1.75];
 const TARGET: [f64; 3] = [0.0, -0.82, 0.2];
 /// Focal length over image width: a horizontal field of view of 63 degrees.
 const FOCAL_PER_WIDTH: f64 = 0.82;
-/// Colour samples of a pixel: one in each row and each column of as many, so that an edge through it has as many shades.
-const SAMPLES: usize = 8;
-/// Columns from the sample of one row to that of the next, around. Has no factor in common with [`SAMPLES`].
-const SAMPLE_STRIDE: usize = 3;
+/// Colour samples along each side of a pixel.
+const SUPERSAMPLES: usize = 2;
 
 /// Settings of [`write_synthetic`].
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -205,14 +203,14 @@ fn render(scene: &SyntheticScene, camera: &Camera) -> (Image, Vec<bool>) {
         let ray = |dx: f64, dy: f64| tcgs_core::normalize(pinhole.ray([corner[0] + dx, corner[1] + dy]));
         *mask = scene.hit(center, ray(0.5, 0.5)).is_moving(scene);
         let mut sum = [0.0; 3];
-        for row in 0..SAMPLES {
-            let at = |i: usize| (i as f64 + 0.5) / SAMPLES as f64;
-            let direction = ray(at(SAMPLE_STRIDE * row % SAMPLES), at(row));
+        for sample in 0..SUPERSAMPLES * SUPERSAMPLES {
+            let at = |i: usize| (i as f64 + 0.5) / SUPERSAMPLES as f64;
+            let direction = ray(at(sample % SUPERSAMPLES), at(sample / SUPERSAMPLES));
             let color = scene.color_along(direction, &scene.hit(center, direction));
             sum = std::array::from_fn(|i| sum[i] + color[i]);
         }
         for (channel, sum) in sum.into_iter().enumerate() {
-            image.data[channel * num_pixels + pixel] = (sum / SAMPLES as f64) as f32;
+            image.data[channel * num_pixels + pixel] = (sum / (SUPERSAMPLES * SUPERSAMPLES) as f64) as f32;
         }
     }
     (image, mask)
