@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Layout};
 
-use crate::attached::{Light, read_light};
-use crate::bitstream::{application_data, decode_archive};
+use crate::attached::{Light, MAX_BYTES, read_light};
+use crate::bitstream::decode_archive;
 use crate::compact::{CompactScene, SceneInfo};
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
@@ -53,8 +53,14 @@ impl CompactFile {
     pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<Self, DecodeError> {
         let (archive, cohorts) = decode_archive(file, limits)?;
         let (info, declared_errors) = (archive.info().clone(), archive.declared_errors().to_vec());
-        let data: Vec<_> =
-            application_data(file, limits)?.into_iter().map(|(name, data)| (name, data.to_vec())).collect();
+        let mut data = Vec::new();
+        for (index, range) in archive.application_ranges().into_iter().enumerate() {
+            // Sounds are longer than light ever is.
+            if range.end - range.start <= MAX_BYTES as u64 {
+                let named = archive.read_application(index, &file[range.start as usize..range.end as usize])?;
+                data.extend(named.map(|(name, bytes)| (name, bytes.to_vec())));
+            }
+        }
         Ok(Self { info, cohorts, declared_errors, light: read_light(&data) })
     }
 

@@ -143,6 +143,7 @@ fn newborn_of_large_gradients_are_divided() {
     config.births.iterations = 240;
     // Of a wall of equal Gaussians, whose quantizers have no room for other values.
     config.quantize.enabled = false;
+    config.births.gradient_threshold = 2e-4;
     let mut divided = trainer(&config);
     let psnr = fit(&mut divided, 0..3, false, None);
     config.births.gradient_threshold = 0.0;
@@ -162,6 +163,7 @@ fn the_gpu_gives_birth_to_the_same() {
     let Some(gpu) = crate::support::gpu() else { return };
     let mut config = settings();
     config.births.share = 0.1;
+    config.births.gradient_threshold = 2e-4;
     let mut on_cpu = trainer(&config);
     let mut on_gpu = trainer_on(&config, |state| Box::new(GpuEngine::new(&gpu, state)));
     // Those born at 2 are young at 3.
