@@ -11,7 +11,6 @@ pub const TIMES: &str = "tcgs.times";
 pub const CREDITS: &str = "tcgs.credits";
 /// Name of the application data that are a sound to play along, an Ogg Opus stream.
 pub const SOUND: &str = "tcgs.sound";
-
 /// Name of the application data that say how the light on a scene changes.
 pub const LIGHT: &str = "tcgs.light";
 

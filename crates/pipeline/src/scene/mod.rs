@@ -374,8 +374,8 @@ impl OpenScene {
         }
     }
 
-    /// All Gaussians of one timestep, in stored form, before [`Self::light`] is applied; of a run also those that its masks leave out. Reads no other
-    /// timestep.
+    /// All Gaussians of one timestep, in stored form, before [`Self::light`] is applied; of a run also those that its masks leave
+    /// out. Reads no other timestep.
     ///
     /// # Errors
     /// [`PipelineError::Input`] if there is no such timestep; [`PipelineError`] if its file is damaged.
