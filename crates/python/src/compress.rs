@@ -38,7 +38,7 @@ impl From<Budget> for RefineBudget {
 
 /// Compresses a scene into a .tcgs file.
 ///
-/// - source: a Scene, or the name of what `open` opens
+/// - source: a Scene, a dict of arrays (`Scene.from_arrays`), or the name of what `open` opens
 /// - out: file to write
 /// - quality: -6 to 8; 1 more about halves the errors and takes a fourth to a third more bytes; 0 if None
 /// - target_bytes: the best quality whose file has at most so many bytes

@@ -53,7 +53,7 @@ pub fn render<'py>(
 
 /// Renders every camera of a capture at every frame of a scene, and compares with the capture's images.
 ///
-/// - scene: a Scene, or the name of what `open` opens
+/// - scene: a Scene, a dict of arrays (`Scene.from_arrays`), or the name of what `open` opens
 /// - capture: a Capture, or the name of its folder
 /// - cameras: "test" (held out from training), "train" or "all"
 /// - frames: first frame and the one after the last; all of the scene

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyRange, PyString};
+use pyo3::types::{PyDict, PyRange, PyString};
 use tcgs_core::{SceneReader, Tour};
 use tcgs_interchange::HigherHarmonics;
 use tcgs_pipeline::{CutFiles, OpenScene, OpenSettings};
@@ -26,11 +26,13 @@ use crate::watch::Watch;
 #[pyclass(name = "Scene", module = "tcgs", frozen, weakref)]
 pub struct PyScene(pub Arc<OpenScene>);
 
-/// A scene, or the name of a file or folder that holds one.
+/// A scene, its arrays, or the name of a file or folder that holds one.
 #[derive(FromPyObject)]
 pub enum SceneLike<'py> {
     /// Open already.
     Open(PyRef<'py, PyScene>),
+    /// By the names that `Scene.from_arrays` gives them.
+    Arrays(Bound<'py, PyDict>),
     /// `str` or `os.PathLike`.
     Path(PathBuf),
 }
@@ -40,6 +42,10 @@ impl SceneLike<'_> {
     pub fn open(&self, py: Python<'_>) -> PyResult<Arc<OpenScene>> {
         match self {
             Self::Open(scene) => Ok(Arc::clone(&scene.0)),
+            Self::Arrays(arrays) => {
+                let scene = py.get_type::<PyScene>().call_method("from_arrays", (), Some(arrays))?;
+                Ok(Arc::clone(&scene.extract::<PyRef<'_, PyScene>>()?.0))
+            }
             Self::Path(path) => open_path(py, path, OpenSettings::default()).map(Arc::new),
         }
     }

@@ -175,11 +175,16 @@ def test_arrays_are_compressed(tmp_path: Path) -> None:
     start = rng.uniform(-1, 1, (50, 3))
     means = start + np.linspace(0, 1, 10)[:, None, None] * [1, 0, 0]
     quats, colors = np.tile([1.0, 0, 0, 0], (10, 50, 1)), np.tile(rng.uniform(size=(50, 3)), (10, 1, 1))
-    scene = tcgs.Scene.from_arrays(means, quats, colors, scales=np.full((50, 3), 0.05), opacities=np.full(50, 0.8), fps=24)
+    arrays = {"means": means, "quats": quats, "colors": colors, "scales": np.full((50, 3), 0.05), "opacities": np.full(50, 0.8)}
+    scene = tcgs.Scene.from_arrays(**arrays, fps=24)
     with pytest.raises(FileNotFoundError):
         tcgs.compress(scene, tmp_path / "nowhere" / "scene.tcgs", progress=False)
     out = tcgs.compress(scene, tmp_path / "scene.tcgs", progress=False)
     assert (len(out), out.num_gaussians, out.fps) == (10, 50, 24)
+    tcgs.compress({**arrays, "fps": 24}, tmp_path / "of_arrays.tcgs", progress=False)
+    assert (tmp_path / "of_arrays.tcgs").read_bytes() == (tmp_path / "scene.tcgs").read_bytes()
+    with pytest.raises(TypeError, match="weights"):
+        tcgs.compress({**arrays, "weights": colors}, tmp_path / "weights.tcgs", progress=False)
     bound = out.declared_errors["means"]
     # A file orders its Gaussians anew.
     for timestep in (0, 4, 9):

@@ -1,6 +1,5 @@
 //! How well the demo shows what no camera saw at the first timestep.
 
-use serde_json::{Value, json};
 use tcgs_capture::{Capture, Late, Split, SyntheticSettings};
 use tcgs_core::Image;
 use tcgs_metrics::psnr_masked;
@@ -45,13 +44,5 @@ impl LateQuality {
         }
         let mean = |scores: Vec<f64>| scores.iter().sum::<f64>() / scores.len() as f64;
         Ok(Self { arrived: mean(arrived), uncovered: mean(uncovered) })
-    }
-
-    pub fn words(self) -> String {
-        format!("what arrives later {:.2} dB, what is uncovered {:.2} dB", self.arrived, self.uncovered)
-    }
-
-    pub fn json(self) -> Value {
-        json!({ "psnr_arrived": self.arrived, "psnr_uncovered": self.uncovered })
     }
 }

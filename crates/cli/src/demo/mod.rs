@@ -70,37 +70,44 @@ struct Quality {
     psnr: f64,
     ssim: f64,
     psnr_foreground: f64,
+    late: LateQuality,
 }
 
 impl Quality {
-    fn of(evaluation: &Evaluation) -> Self {
+    fn of(evaluation: &Evaluation, late: LateQuality) -> Self {
         let mean = |value: Option<f64>| value.unwrap_or(f64::NAN);
         Self {
             psnr: mean(evaluation.mean(|i| Some(i.psnr))),
             ssim: mean(evaluation.mean(|i| Some(i.ssim))),
-            psnr_foreground: mean(evaluation.mean(|i| i.psnr_foreground)),
+            psnr_foreground: psnr_foreground(evaluation),
+            late,
         }
     }
 }
 
+/// Over the pixels of moving objects.
+fn psnr_foreground(evaluation: &Evaluation) -> f64 {
+    evaluation.mean(|i| i.psnr_foreground).unwrap_or(f64::NAN)
+}
+
 /// Everything that the table, the page and the JSON tell.
 struct Outcome {
+    /// From the run's floats to the file.
     stages: Vec<Measured>,
     compressed: Compressed,
     uncompressed: Evaluation,
     final_: Evaluation,
     frozen: Evaluation,
-    late: LateQuality,
     seconds: Vec<(&'static str, f64)>,
 }
 
 impl Outcome {
     fn uncompressed_quality(&self) -> Quality {
-        Quality::of(&self.uncompressed)
+        self.stages[0].quality
     }
 
     fn quality(&self) -> Quality {
-        Quality::of(&self.final_)
+        self.stages[self.stages.len() - 1].quality
     }
 
     fn ratio(&self) -> f64 {
@@ -174,16 +181,20 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
         let settings = EvaluateSettings { downscale: 1, frozen, ..EvaluateSettings::of(scene, Split::Test) };
         Teller::default().watch(|teller| evaluate(scene, &capture, &settings, &*renderer, teller))
     };
+    let quality = |scene: &OpenScene, evaluation: &Evaluation| {
+        LateQuality::measure(scene, &capture, &settings, &*renderer).map(|late| Quality::of(evaluation, late))
+    };
     let uncompressed = score(&scene, false)?;
     let final_ = score(&decoded, false)?;
     let frozen = score(&scene, true)?;
-    let mut stages = measure_stages(&scene, unrefined, quantized, &uncompressed, |s| score(s, false))?;
-    stages.push(Measured { name: "refined", bytes: compressed.file.len() as u64, quality: Quality::of(&final_) });
-    let late = LateQuality::measure(&decoded, &capture, &settings, &*renderer)?;
+    let raw = quality(&scene, &uncompressed)?;
+    let mut stages = measure_stages(&scene, unrefined, quantized, raw, |scene| quality(scene, &score(scene, false)?))?;
+    let refined = quality(&decoded, &final_)?;
+    stages.push(Measured { name: "refined", bytes: compressed.file.len() as u64, quality: refined });
     lap("evaluate");
 
     let frames = page::write_frames(&decoded, &capture, &*renderer, &folder.join("frames"))?;
-    let mut outcome = Outcome { stages, compressed, uncompressed, final_, frozen, late, seconds: Vec::new() };
+    let mut outcome = Outcome { stages, compressed, uncompressed, final_, frozen, seconds: Vec::new() };
     lap("pictures");
     outcome.seconds = seconds;
     let html = page::html(&outcome, &run, frames)?;
@@ -231,30 +242,30 @@ fn measure_stages(
     scene: &OpenScene,
     unrefined: Compressed,
     quantized: Compressed,
-    uncompressed: &Evaluation,
-    score: impl Fn(&OpenScene) -> anyhow::Result<Evaluation>,
+    raw: Quality,
+    quality: impl Fn(&OpenScene) -> anyhow::Result<Quality>,
 ) -> anyhow::Result<Vec<Measured>> {
-    let pruned = score(&scene.pruned(&kept_gaussians(scene, None)?)?)?;
-    let quantized = score(&scene.with_symbols(quantized.compact))?;
-    let file = score(&scene.with_symbols(unrefined.compact))?;
-    let of_stage = [uncompressed, &pruned, &quantized, &file, &file];
-    let measured = unrefined.stages.iter().zip(of_stage);
-    Ok(measured
-        .map(|(stage, evaluation)| Measured { name: stage.name, bytes: stage.bytes, quality: Quality::of(evaluation) })
-        .collect())
+    let pruned = quality(&scene.pruned(&kept_gaussians(scene, None)?)?)?;
+    let quantized = quality(&scene.with_symbols(quantized.compact))?;
+    let file = quality(&scene.with_symbols(unrefined.compact))?;
+    let stages = unrefined.stages.iter().zip([raw, pruned, quantized, file, file]);
+    Ok(stages.map(|(stage, quality)| Measured { name: stage.name, bytes: stage.bytes, quality }).collect())
 }
 
 fn print_table(arguments: &Arguments, outcome: &Outcome) -> anyhow::Result<()> {
     say("")?;
-    say("stage            size   ratio     PSNR    SSIM   (held-out cameras)")?;
+    say("                                       PSNR on the held-out cameras, dB")?;
+    say("stage            size   ratio    SSIM    whole   moving  arrived  uncovered")?;
     let raw = outcome.stages[0].bytes as f64;
-    for Measured { name, bytes, quality } in &outcome.stages {
+    for Measured { name, bytes, quality: Quality { psnr, ssim, psnr_foreground, late } } in &outcome.stages {
         let (size, ratio) = (show_bytes(*bytes), raw / *bytes as f64);
-        say(&format!("{name:<10} {size:>10}  {ratio:>6.1}  {:>7.2}  {:>6.4}", quality.psnr, quality.ssim))?;
+        let LateQuality { arrived, uncovered } = late;
+        say(&format!(
+            "{name:<10} {size:>10}  {ratio:>6.1}  {ssim:>6.4}  {psnr:>7.2}  {psnr_foreground:>7.2}  {arrived:>7.2}  {uncovered:>9.2}"
+        ))?;
     }
-    let (moving, frozen) = (outcome.quality().psnr_foreground, Quality::of(&outcome.frozen).psnr_foreground);
-    say(&format!("foreground {moving:.2} dB; with the first timestep frozen {frozen:.2} dB"))?;
-    say(&outcome.late.words())?;
+    let frozen = psnr_foreground(&outcome.frozen);
+    say(&format!("moving, if every timestep shows the first one: {frozen:.2} dB"))?;
     let seconds: Vec<String> = outcome.seconds.iter().map(|(name, s)| format!("{name} {s:.1} s")).collect();
     say(&format!("{}; {:.1} s in all", seconds.join(", "), outcome.seconds_total()))?;
     say(&format!("open {}", arguments.out.join("report.html").display()))
@@ -266,7 +277,17 @@ fn write_json(arguments: &Arguments, outcome: &Outcome) -> anyhow::Result<()> {
     let stages: Vec<_> = outcome
         .stages
         .iter()
-        .map(|s| json!({ "name": s.name, "bytes": s.bytes, "psnr": s.quality.psnr, "ssim": s.quality.ssim }))
+        .map(|Measured { name, bytes, quality: Quality { psnr, ssim, psnr_foreground, late } }| {
+            json!({
+                "name": name,
+                "bytes": bytes,
+                "psnr": psnr,
+                "ssim": ssim,
+                "psnr_foreground": psnr_foreground,
+                "psnr_arrived": late.arrived,
+                "psnr_uncovered": late.uncovered,
+            })
+        })
         .collect();
     let seconds: serde_json::Map<_, _> =
         outcome.seconds.iter().map(|(name, s)| ((*name).to_owned(), json!(s))).collect();
@@ -278,9 +299,10 @@ fn write_json(arguments: &Arguments, outcome: &Outcome) -> anyhow::Result<()> {
         "psnr_uncompressed": outcome.uncompressed_quality().psnr,
         "psnr": quality.psnr,
         "psnr_foreground": quality.psnr_foreground,
-        "psnr_frozen_foreground": Quality::of(&outcome.frozen).psnr_foreground,
+        "psnr_frozen_foreground": psnr_foreground(&outcome.frozen),
+        "psnr_arrived": quality.late.arrived,
+        "psnr_uncovered": quality.late.uncovered,
         "ssim": quality.ssim,
-        "late": outcome.late.json(),
         "stages": stages,
         "ratio": outcome.ratio(),
         "seconds": seconds,

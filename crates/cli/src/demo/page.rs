@@ -84,16 +84,16 @@ fn enlarged(image: &RgbImage) -> RgbImage {
 pub fn html(outcome: &Outcome, run: &Run, pictures: Vec<Picture>) -> anyhow::Result<String> {
     let quality = outcome.quality();
     let raw = outcome.stages[0].bytes;
-    let frozen = super::Quality::of(&outcome.frozen);
+    let frozen = super::psnr_foreground(&outcome.frozen);
     let summary = [
         ("PSNR, held-out cameras", format!("{:.2} dB", quality.psnr)),
         ("before compressing and refining", format!("{:.2} dB", outcome.uncompressed_quality().psnr)),
         ("size", show_bytes(outcome.compressed.file.len() as u64)),
         ("smaller than raw", format!("{:.0} times", outcome.ratio())),
         ("raw", show_bytes(raw)),
-        ("moving objects", format!("{:.2} dB (frozen {:.2})", quality.psnr_foreground, frozen.psnr_foreground)),
-        ("arrives later", format!("{:.2} dB", outcome.late.arrived)),
-        ("uncovered later", format!("{:.2} dB", outcome.late.uncovered)),
+        ("moving objects", format!("{:.2} dB (frozen {:.2})", quality.psnr_foreground, frozen)),
+        ("arrives later", format!("{:.2} dB", quality.late.arrived)),
+        ("uncovered later", format!("{:.2} dB", quality.late.uncovered)),
         ("SSIM", format!("{:.4}", quality.ssim)),
         (
             "Gaussians",

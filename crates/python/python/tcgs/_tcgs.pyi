@@ -33,6 +33,7 @@ __all__ = [
 ]
 
 _Path = str | PathLike[str]
+_Arrays = dict[str, Any]
 _Float32 = npt.NDArray[np.float32]
 _Float64 = npt.NDArray[np.float64]
 _Backend = Literal["auto", "gpu", "cpu"]
@@ -241,7 +242,7 @@ def render(
     device: str | None = None,
 ) -> _Float32: ...
 def compress(
-    source: Scene | _Path,
+    source: Scene | _Arrays | _Path,
     out: _Path,
     *,
     quality: float | None = None,
@@ -261,7 +262,7 @@ def compress(
     callback: Callable[[Progress], object] | None = None,
 ) -> Scene: ...
 def evaluate(
-    scene: Scene | _Path,
+    scene: Scene | _Arrays | _Path,
     capture: Capture | _Path,
     *,
     cameras: _Cameras = "test",
