@@ -83,8 +83,8 @@ impl BitMap {
         Self { layout: Arc::clone(&self.layout), widths: self.widths.iter().map(select).collect() }
     }
 
-    /// The bit map with so many more Gaussians at its end, which have the most frequent width of each column, of two as
-    /// frequent ones the larger.
+    /// The bit map with so many more Gaussians at its end, of which nobody knows how much their parameters matter: they have the
+    /// largest width in use of each column.
     ///
     /// ```
     /// use tcgs_codec::BitMap;
@@ -96,8 +96,8 @@ impl BitMap {
     pub fn with_more(&self, count: usize) -> Self {
         let mut widths = self.widths.clone();
         for (widths, of_width) in widths.iter_mut().zip(self.histogram()) {
-            let (&usual, _) = of_width.iter().max_by_key(|(_, count)| **count).expect("a bit map of some Gaussians");
-            widths.resize(widths.len() + count, usual);
+            let (&largest, _) = of_width.last_key_value().expect("a bit map of some Gaussians");
+            widths.resize(widths.len() + count, largest);
         }
         Self { layout: Arc::clone(&self.layout), widths }
     }

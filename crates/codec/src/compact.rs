@@ -52,6 +52,7 @@ pub struct SceneInfo {
 /// Colour space of a scene's colours. Colours are blended as stored in either.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
+#[non_exhaustive]
 pub enum ColorSpace {
     /// Display-referred sRGB.
     #[default]

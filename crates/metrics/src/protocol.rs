@@ -14,6 +14,7 @@ use crate::{dssim, ms_ssim, psnr, psnr_per_channel, ssim, uniform_ssim};
 
 /// A published way to evaluate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Protocol {
     /// *Temporally Compressed 3D Gaussian Splatting*: the evaluation in its authors' development fork.
     Tc3dgs,
@@ -66,6 +67,7 @@ pub struct ProtocolMetric {
 
 /// A metric as it is computed, whatever a protocol calls it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Measure {
     /// [`psnr`](crate::psnr): dB over all channels together.
     Psnr,

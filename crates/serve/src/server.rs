@@ -34,6 +34,7 @@ pub struct PageFile {
 
 /// Where the scene is that a server shows.
 #[derive(Debug)]
+#[non_exhaustive]
 pub enum SceneSource {
     /// A `.tcgs` file, which is opened anew for every request.
     File(PathBuf),

@@ -38,13 +38,13 @@ pub struct RefineConfig {
     /// Share of the rate that is left at the end, reached along a cosine. Default 0.002: a rate that stays makes codes jump to and fro between neighbouring values.
     pub decay: f32,
     /// What is added to the root of a keypoint's second moment, as a share of the root mean square over its attribute. It
-    /// leaves codes in place that hardly change an image: their gradients are mostly noise, and every move costs bits. Default 2.
+    /// leaves codes in place that hardly change an image: their gradients are mostly noise, and every move costs bits. Default 0.5.
     pub damping: f32,
 }
 
 impl Default for RefineConfig {
     fn default() -> Self {
-        Self { rate: 0.2, decay: 0.002, damping: 2.0 }
+        Self { rate: 0.2, decay: 0.002, damping: 0.5 }
     }
 }
 

@@ -52,6 +52,7 @@ impl Rates {
 
 /// The phases of a run: the first timestep, all later timesteps, and at these what the newborn and the young learn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Phase {
     /// The first timestep: all columns are learned, and density control adds and removes Gaussians.
     First,

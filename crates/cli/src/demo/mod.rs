@@ -30,7 +30,7 @@ use crate::terminal::say;
 const ITERATIONS: [usize; 2] = [1000, 80];
 /// Of the refinement: what two cores do in a quarter of a minute. The codes are coarser than the default's, since they are trained.
 const REFINE_ITERATIONS: usize = 2500;
-const REFINED_QUALITY: f32 = -1.0;
+const REFINED_QUALITY: f32 = -1.25;
 /// Marks a folder as made by this command.
 const MARKER: &str = ".tcgs-demo";
 /// What the folder holds; anything else in it is somebody's, and stays when the demo runs again.

@@ -18,6 +18,7 @@ use crate::{Backend, Event, Observer, OpenScene, PipelineError, Work};
 
 /// How long a scene is refined.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum RefineBudget {
     /// So many images.
     Iterations(usize),

@@ -17,6 +17,7 @@ const MAX_POSITION_STEP: f32 = 3e-3;
 
 /// Settings to start from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum CompressPreset {
     /// The paper's: linear bits, two keypoints at least.
     Paper,

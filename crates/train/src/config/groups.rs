@@ -217,7 +217,7 @@ pub struct BirthConfig {
     /// After these, opacity, scales and harmonics stay. Default 16.
     pub youth: usize,
     /// Mean NDC gradient from which a newborn is cloned or split after half of its iterations, with the other settings of
-    /// `densify`. Default 0: none is, since it did not pay on the captures measured; 2e-4 is the value of `densify`.
+    /// `densify`; 0: none is. Default 2e-4, as there.
     pub gradient_threshold: f32,
     /// Opacity below which they are dropped afterwards. Default 0.1.
     pub opacity: f32,
@@ -231,12 +231,12 @@ impl BirthConfig {
         share: 0.02,
         iterations: 200,
         youth: 16,
-        gradient_threshold: 0.0,
+        gradient_threshold: 2e-4,
         opacity: 0.1,
     };
 
     /// The settings of presets that add none, and of runs whose `config.toml` knows of no births.
-    pub const OFF: Self = Self { enabled: false, youth: 0, ..Self::ON };
+    pub const OFF: Self = Self { enabled: false, youth: 0, gradient_threshold: 0.0, ..Self::ON };
 }
 
 /// Settings of colours that depend on the direction of view.

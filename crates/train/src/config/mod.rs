@@ -60,6 +60,7 @@ mod signed {
 /// A named set of settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Preset {
     /// Dynamic 3D Gaussians (Luiten et al. 2024): no masks, no quantisation, and the weight of the soft colour loss is
     /// 0, since a bug makes that loss inactive in the released code.

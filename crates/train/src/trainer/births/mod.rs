@@ -7,8 +7,8 @@
 //! 2. `seeds` finds the places that several views agree on.
 //! 3. A Gaussian is born at each. The newborn alone learn all their attributes for a while, in the tiles that they reach,
 //!    among the rest of the scene, which is held.
-//! 4. Those that ended transparent or hidden by the mask are dropped. If asked for, those whose gradients stayed large are
-//!    cloned or split, as at the first timestep ([`crate::densify()`]), and the newborn learn for as long again.
+//! 4. Those that ended transparent or hidden by the mask are dropped. Those whose gradients stayed large are cloned or split, as
+//!    at the first timestep ([`crate::densify()`]), and the newborn learn for as long again.
 //! 5. They join the state. From the next timestep on they move as all others do.
 //!
 //! What enters is first seen by few views, or from one side. So for some timesteps the young go on learning all their
