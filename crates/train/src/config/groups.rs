@@ -217,7 +217,7 @@ pub struct BirthConfig {
     /// After these, opacity, scales and harmonics stay. Default 16.
     pub youth: usize,
     /// Mean NDC gradient from which a newborn is cloned or split after half of its iterations, with the other settings of
-    /// `densify`; 0: none is. Default 2e-4, as there.
+    /// `densify`; 0: none is. Default 6e-4.
     pub gradient_threshold: f32,
     /// Opacity below which they are dropped afterwards. Default 0.1.
     pub opacity: f32,
@@ -231,7 +231,7 @@ impl BirthConfig {
         share: 0.02,
         iterations: 200,
         youth: 16,
-        gradient_threshold: 2e-4,
+        gradient_threshold: 6e-4,
         opacity: 0.1,
     };
 
