@@ -194,6 +194,8 @@ fn the_young_go_on_learning_and_then_settle() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = settings();
     config.births.youth = 1;
+    // What is divided learns more while it is newborn, and leaves less to the young.
+    config.births.gradient_threshold = 0.0;
     // Of a wall of equal Gaussians, whose quantizers have no room for other values.
     config.quantize.enabled = false;
     let run = Run::create(folder.path(), &config).unwrap();
