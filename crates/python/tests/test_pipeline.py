@@ -183,6 +183,7 @@ def test_arrays_are_compressed(tmp_path: Path) -> None:
     assert (len(out), out.num_gaussians, out.fps) == (10, 50, 24)
     tcgs.compress({**arrays, "fps": 24}, tmp_path / "of_arrays.tcgs", progress=False)
     assert (tmp_path / "of_arrays.tcgs").read_bytes() == (tmp_path / "scene.tcgs").read_bytes()
+    (tmp_path / "of_arrays.tcgs").unlink()
     with pytest.raises(TypeError, match="weights"):
         tcgs.compress({**arrays, "weights": colors}, tmp_path / "weights.tcgs", progress=False)
     bound = out.declared_errors["means"]
