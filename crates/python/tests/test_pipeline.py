@@ -175,7 +175,8 @@ def test_arrays_are_compressed(tmp_path: Path) -> None:
     start = rng.uniform(-1, 1, (50, 3))
     means = start + np.linspace(0, 1, 10)[:, None, None] * [1, 0, 0]
     quats, colors = np.tile([1.0, 0, 0, 0], (10, 50, 1)), np.tile(rng.uniform(size=(50, 3)), (10, 1, 1))
-    arrays: dict[str, Any] = {"means": means, "quats": quats, "colors": colors, "scales": np.full((50, 3), 0.05), "opacities": np.full(50, 0.8)}
+    arrays: dict[str, Any] = {"means": means, "quats": quats, "colors": colors}
+    arrays |= {"scales": np.full((50, 3), 0.05), "opacities": np.full(50, 0.8)}
     scene = tcgs.Scene.from_arrays(**arrays, fps=24)
     with pytest.raises(FileNotFoundError):
         tcgs.compress(scene, tmp_path / "nowhere" / "scene.tcgs", progress=False)
