@@ -53,14 +53,10 @@ impl CompactFile {
     pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<Self, DecodeError> {
         let (archive, cohorts) = decode_archive(file, limits)?;
         let (info, declared_errors) = (archive.info().clone(), archive.declared_errors().to_vec());
-        let mut data = Vec::new();
-        for (index, range) in archive.application_ranges().into_iter().enumerate() {
-            // Sounds are longer than light ever is.
-            if range.end - range.start <= MAX_BYTES as u64 {
-                let named = archive.read_application(index, &file[range.start as usize..range.end as usize])?;
-                data.extend(named.map(|(name, bytes)| (name, bytes.to_vec())));
-            }
-        }
+        // Sounds are longer than light ever is.
+        let is_short = |(_, data): &(String, &[u8])| data.len() <= MAX_BYTES;
+        let of_light = archive.application_data_in(file)?.into_iter().filter(is_short);
+        let data: Vec<_> = of_light.map(|(name, data)| (name, data.to_vec())).collect();
         Ok(Self { info, cohorts, declared_errors, light: read_light(&data) })
     }
 

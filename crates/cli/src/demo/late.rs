@@ -1,13 +1,16 @@
 //! How well the demo shows what no camera saw at the first timestep.
 
 use tcgs_capture::{Capture, Late, Split, SyntheticSettings};
-use tcgs_core::Image;
+use tcgs_core::{Image, View};
 use tcgs_metrics::psnr_masked;
 use tcgs_pipeline::OpenScene;
 use tcgs_render::{DrawAny, RenderSettings};
 
 /// Fewer pixels of an image say little.
 const MIN_PIXELS: usize = 20;
+
+/// The images of held-out cameras, in the order of their frames, and which of their pixels are late.
+pub struct LateViews(Vec<(View, Late)>);
 
 /// Mean PSNR over the images of held-out cameras that show some of it, dB; not a number if none does.
 #[derive(Clone, Copy)]
@@ -18,23 +21,29 @@ pub struct LateQuality {
     pub uncovered: f64,
 }
 
-impl LateQuality {
+impl LateViews {
     /// - `settings`: of the capture, as it was synthesised
-    pub fn measure(
-        scene: &OpenScene,
-        capture: &Capture,
-        settings: &SyntheticSettings,
-        renderer: &DrawAny,
-    ) -> anyhow::Result<Self> {
-        let (mut arrived, mut uncovered) = (Vec::new(), Vec::new());
-        for frame in scene.frames() {
-            let drawn = scene.drawn(frame - scene.first_frame)?;
+    pub fn of(capture: &Capture, settings: &SyntheticSettings) -> anyhow::Result<Self> {
+        let mut all = Vec::new();
+        for frame in 0..capture.num_frames() {
             for view in capture.views(Split::Test, frame, 1)? {
+                let late = Late::in_view(settings, &view.camera, frame);
+                all.push((view, late));
+            }
+        }
+        Ok(Self(all))
+    }
+
+    /// - `scene`: of all frames of the capture
+    pub fn measure(&self, scene: &OpenScene, renderer: &DrawAny) -> anyhow::Result<LateQuality> {
+        let (mut arrived, mut uncovered) = (Vec::new(), Vec::new());
+        for of_frame in self.0.chunk_by(|(a, _), (b, _)| a.frame == b.frame) {
+            let drawn = scene.drawn(of_frame[0].0.frame)?;
+            for (view, late) in of_frame {
                 let (output, _) =
                     renderer.draw(&drawn.seen_by(&view.camera), &view.camera, &RenderSettings::default())?;
                 let image =
                     Image { data: output.image.data.iter().map(|x| x.clamp(0.0, 1.0)).collect(), ..output.image };
-                let late = Late::in_view(settings, &view.camera, frame);
                 for (mask, scores) in [(&late.arrived, &mut arrived), (&late.uncovered, &mut uncovered)] {
                     if mask.iter().filter(|late| **late).count() >= MIN_PIXELS {
                         scores.extend(psnr_masked(&image, &view.image, mask));
@@ -43,6 +52,6 @@ impl LateQuality {
             }
         }
         let mean = |scores: Vec<f64>| scores.iter().sum::<f64>() / scores.len() as f64;
-        Ok(Self { arrived: mean(arrived), uncovered: mean(uncovered) })
+        Ok(LateQuality { arrived: mean(arrived), uncovered: mean(uncovered) })
     }
 }

@@ -17,7 +17,7 @@ use tcgs_pipeline::{
 };
 use tcgs_train::{Preset, RefineConfig, Run, TrainConfig};
 
-use self::late::LateQuality;
+use self::late::{LateQuality, LateViews};
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::interrupt;
@@ -181,8 +181,9 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
         let settings = EvaluateSettings { downscale: 1, frozen, ..EvaluateSettings::of(scene, Split::Test) };
         Teller::default().watch(|teller| evaluate(scene, &capture, &settings, &*renderer, teller))
     };
+    let late = LateViews::of(&capture, &settings)?;
     let quality = |scene: &OpenScene, evaluation: &Evaluation| {
-        LateQuality::measure(scene, &capture, &settings, &*renderer).map(|late| Quality::of(evaluation, late))
+        late.measure(scene, &*renderer).map(|late| Quality::of(evaluation, late))
     };
     let uncompressed = score(&scene, false)?;
     let final_ = score(&decoded, false)?;

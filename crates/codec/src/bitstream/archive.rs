@@ -355,6 +355,16 @@ impl Archive {
         Ok(cursor.text("name").ok().map(|name| (name, cursor.rest())))
     }
 
+    /// Names and bytes of all application data, in the order of the file.
+    ///
+    /// - `file`: whole
+    pub(crate) fn application_data_in<'a>(&self, file: &'a [u8]) -> Result<Vec<(String, &'a [u8])>, DecodeError> {
+        let of_range = |(index, range): (usize, Range<u64>)| {
+            self.read_application(index, &file[range.start as usize..range.end as usize]).transpose()
+        };
+        self.application_ranges().into_iter().enumerate().filter_map(of_range).collect()
+    }
+
     /// Entries of the table of contents for application data.
     fn application(&self) -> impl Iterator<Item = &Entry> {
         self.entries.iter().filter(|e| e.tag == APPLICATION)

@@ -277,9 +277,5 @@ fn contents(cohorts: &[CompactScene]) -> Contents {
 /// # Errors
 /// As [`inspect`] for the start of the file; also [`DecodeError::Format`] if a section of application data is damaged.
 pub fn application_data<'a>(file: &'a [u8], limits: &DecodeLimits) -> Result<Vec<(String, &'a [u8])>, DecodeError> {
-    let archive = open_whole(file, limits)?;
-    let of_range = |(index, range): (usize, Range<u64>)| {
-        archive.read_application(index, &file[range.start as usize..range.end as usize]).transpose()
-    };
-    archive.application_ranges().into_iter().enumerate().filter_map(of_range).collect()
+    open_whole(file, limits)?.application_data_in(file)
 }
