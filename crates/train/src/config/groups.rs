@@ -187,15 +187,26 @@ pub struct GateConfig {
     /// How many times as fast a timestep goes through the rest of its schedule once it has settled. Default 3; 1 to give
     /// every timestep all of its iterations.
     pub pace: f32,
+    /// Whether active Gaussians start where matches between a timestep's images and those before find them, instead of where
+    /// they would be at constant velocity, if these explain the images much better. Default true.
+    pub matches: bool,
 }
 
 impl GateConfig {
     /// The settings of presets `default` and `fast`.
-    pub const ON: Self =
-        Self { enabled: true, noise: 6.0, contrast: 0.006, growth: 0.006, share: 0.4, settle: 0.05, pace: 3.0 };
+    pub const ON: Self = Self {
+        enabled: true,
+        noise: 6.0,
+        contrast: 0.006,
+        growth: 0.006,
+        share: 0.4,
+        settle: 0.05,
+        pace: 3.0,
+        matches: true,
+    };
 
     /// The settings of presets that train everything, and of runs whose `config.toml` knows of no gate.
-    pub const OFF: Self = Self { enabled: false, ..Self::ON };
+    pub const OFF: Self = Self { enabled: false, matches: false, ..Self::ON };
 }
 
 /// Settings of births: Gaussians that later timesteps add.

@@ -1,7 +1,7 @@
 //! Which Gaussians a timestep trains, and what it needs beside them.
 
 use rayon::prelude::*;
-use tcgs_core::{Activated, Camera, Image};
+use tcgs_core::{Activated, Camera, Image, Pinhole};
 use tcgs_render::{
     CpuRasterizer, Rasterizer, RenderSettings, TileMask, blending_weights, gaussians_reaching, weights_step,
 };
@@ -21,6 +21,8 @@ use crate::state::{GradientStatistic, State};
 const MIN_WEIGHT: f32 = 1e-3;
 /// Rounds in which neighbours wake each other.
 const MAX_VOTES: usize = 10;
+/// How far behind what a picture shows a Gaussian is still a part of it, in pixels' extents.
+const BEHIND: f32 = 4.0;
 /// Share of a pixel's colour from which on active Gaussians answer for it.
 const MIN_SHARE: f32 = 0.1;
 
@@ -39,6 +41,10 @@ pub(crate) struct Activity {
     pub before: Activated,
     /// What the timestep is drawn with; none if no Gaussian is active.
     pub scenery: Option<Scenery>,
+    /// `[cameras][active]` blending weights before the timestep, in pixels; 0 where the centre is hidden.
+    pub weights: Vec<Vec<f32>>,
+    /// `[active, 3]` what to add to where they would be at constant velocity, scene units; empty for nothing.
+    pub corrections: Vec<[f32; 3]>,
 }
 
 impl Activity {
@@ -60,13 +66,21 @@ impl Activity {
             before: Activated { num_channels: channels, ..Activated::default() },
             tiles: evidence.iter().map(|e| e.tiles.clone()).collect(),
             scenery: None,
+            weights: Vec::new(),
+            corrections: Vec::new(),
         };
         if evidence.iter().all(|e| e.tiles.is_empty()) {
             return activity;
         }
         let drawn = Drawn::new(state, mask, channels > 3);
         let all = drawn.activated();
-        let weights = weights(all, targets, &evidence);
+        let of_views = weights(all, targets, &evidence);
+        let mut weights = vec![[0.0_f32; 2]; all.num_gaussians()];
+        for of_view in &of_views {
+            for (sum, weights) in weights.iter_mut().zip(of_view) {
+                *sum = [sum[0] + weights[0], sum[1] + weights[1]];
+            }
+        }
         let is_seen: Vec<bool> = weights.iter().map(|[_, whole]| *whole > MIN_WEIGHT).collect();
         let mut is_active: Vec<bool> =
             weights.iter().map(|&[changed, whole]| changed > MIN_WEIGHT && changed >= share * whole).collect();
@@ -83,6 +97,12 @@ impl Activity {
         if activity.active.is_empty() {
             return activity;
         }
+        let means = state.parameters.gaussians.means();
+        let shown = |(target, of_view): (&Target, &Vec<[f32; 2]>)| {
+            let is_shown = shown(all, means, &target.camera);
+            activity.active.iter().map(|&i| if is_shown[i] { of_view[i][1] } else { 0.0 }).collect()
+        };
+        activity.weights = targets.iter().zip(&of_views).map(shown).collect();
         activity.active.iter().for_each(|&i| is_held[i] = false);
         activity.held = indices(&is_held);
         // Where they are seen, active Gaussians answer for it, changed or not.
@@ -305,24 +325,38 @@ impl Shares {
     }
 }
 
-/// The blending weight of every Gaussian, summed over all views: on changed pixels, and on all.
+/// The blending weight of every Gaussian in each view: on changed pixels, and on all.
 ///
 /// - `drawn`: `[N]`
-/// - returns: `[N]`, in pixels of the resolution that is looked at
-fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<[f32; 2]> {
-    let mut sums = vec![[0.0_f32; 2]; drawn.num_gaussians()];
-    for (target, evidence) in targets.iter().zip(evidence) {
-        let camera = &target.camera;
-        let step = weights_step(camera);
-        let camera = camera.downscaled(step);
+/// - returns: `[views][N]`, in pixels of the resolution that is looked at
+fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<Vec<[f32; 2]>> {
+    let of_view = |(target, evidence): (&Target, &Evidence)| {
+        let step = weights_step(&target.camera);
+        let camera = target.camera.downscaled(step);
         let mut shares = Image::filled(camera.width, camera.height, 2, 1.0);
         mark(&evidence.blocks, step, camera.width, shares.plane_mut(0));
         let Ok(weights) = blending_weights(&CpuRasterizer, drawn, &camera, &shares);
-        for (sum, weights) in sums.iter_mut().zip(weights.as_chunks::<2>().0) {
-            *sum = [sum[0] + weights[0], sum[1] + weights[1]];
-        }
-    }
-    sums
+        weights.as_chunks::<2>().0.to_vec()
+    };
+    targets.iter().zip(evidence).map(of_view).collect()
+}
+
+/// Which Gaussians have their centre no further than what the picture shows there.
+///
+/// - `all`, `means`: `[N]`
+/// - returns: `[N]`
+fn shown(all: &Activated, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
+    let camera = camera.downscaled(weights_step(camera));
+    let pinhole = Pinhole::<f32>::new(&camera);
+    let depths = means.iter().flat_map(|&mean| [pinhole.camera_point(mean)[2], 1.0]);
+    let drawn = Activated { colors: depths.collect(), num_channels: 2, ..all.clone() };
+    let Ok((output, _)) = CpuRasterizer.forward(&drawn, &camera, &RenderSettings::default());
+    let is_shown = |&mean: &[f32; 3]| {
+        let Some((pixel, depth)) = pinhole.pixel(mean) else { return false };
+        let [sum, weight] = [0, 1].map(|channel| output.image.plane(channel)[pixel]);
+        depth * weight <= sum + BEHIND * weight * depth / pinhole.focal[0]
+    };
+    means.iter().map(is_shown).collect()
 }
 
 /// The tiles in which some Gaussians make up a visible part of the picture.

@@ -8,25 +8,28 @@
 //! 2. **Activity** (`activity`): a Gaussian is *active* if enough of what it contributes to all pictures falls on blocks
 //!    with evidence; every other Gaussian is *locked* and keeps every bit. What a Gaussian contributes is its blending
 //!    weight, which is the gradient of a picture to a colour.
-//! 3. The timestep then trains a small state, the active Gaussians, in the tiles with evidence, against the `Scenery` of
+//! 3. **Matches** (`matches`): where active Gaussians start that went elsewhere than their velocity says.
+//! 4. The timestep then trains a small state, the active Gaussians, in the tiles with evidence, against the `Scenery` of
 //!    all else ([`crate::engine::Scenery`]).
-//! 4. The iterations follow need (`pace`).
+//! 5. The iterations follow need (`pace`).
 //!
 //! The reference, and the presets `d3dgs` and `paper`, train everything everywhere.
 
 mod activity;
 mod evidence;
+mod matches;
 mod nursery;
 mod pace;
 
 use rayon::prelude::*;
-use tcgs_core::{Activated, Image, View};
+use tcgs_core::{Activated, Camera, Image, View};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
 pub(crate) use self::evidence::{Blocks, median};
 use self::evidence::{changed_blocks, differences, noise_level, tile_errors, tiles_of};
+use self::matches::{Matches, Mover};
 pub(crate) use self::nursery::Nursery;
 pub(crate) use self::pace::Pace;
 use crate::config::{GateConfig, MaskConfig};
@@ -158,7 +161,11 @@ impl Gate {
                     Evidence { tiles: tiles_of(&blocks, width, height), blocks }
                 })
                 .collect();
-        Some(Activity::new(state, &self.mask, targets, evidence, &memory.pictures, config.share))
+        let mut activity = Activity::new(state, &self.mask, targets, evidence, &memory.pictures, config.share);
+        if config.matches {
+            activity.corrections = corrections(state, &activity, &memory.images, targets);
+        }
+        Some(activity)
     }
 
     /// A state with the channels of the pictures.
@@ -244,6 +251,25 @@ impl Gate {
             }
         }
     }
+}
+
+/// What matches between the images of two timesteps add to where active Gaussians would be at constant velocity.
+///
+/// - `state`: as the timestep before left it, with its past
+/// - `before`: `[cameras]` images of that timestep
+/// - returns: `[active, 3]`, scene units
+fn corrections(state: &State, activity: &Activity, before: &[Image], targets: &[Target]) -> Vec<[f32; 3]> {
+    let Some(past) = &state.past else { return Vec::new() };
+    let (means, earlier) = (state.parameters.gaussians.means(), past.previous.means());
+    let mover = |&i: &usize| Mover {
+        mean: means[i],
+        velocity: std::array::from_fn(|a| means[i][a] - earlier[i][a]),
+        foreground: state.parameters.foreground[i],
+    };
+    let movers: Vec<Mover> = activity.active.iter().map(mover).collect();
+    let cameras: Vec<&Camera> = targets.iter().map(|target| &target.camera).collect();
+    let now: Vec<&Image> = targets.iter().map(|target| &target.image).collect();
+    Matches::new(&movers, &activity.weights, &cameras, before, &now).corrections()
 }
 
 /// See [`tile_errors`].

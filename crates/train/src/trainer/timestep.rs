@@ -300,6 +300,9 @@ impl Trainer {
             Some(activity) => activity.active.iter().for_each(|&i| goes_on(i)),
             None => (0..before_means.len()).for_each(goes_on),
         }
+        for (&i, correction) in activity.iter().flat_map(|activity| activity.active.iter().zip(&activity.corrections)) {
+            v.means[i] = std::array::from_fn(|axis| v.means[i][axis] + correction[axis]);
+        }
         if self.config.mask.enabled {
             // Paper Eq. 5 compares with the timestep before.
             past.previous_mask_logits = Some(p.mask_logits.clone());
