@@ -36,8 +36,6 @@ const UNEXPLAINED: f32 = 0.1;
 const MIN_UNEXPLAINED: f32 = 0.02;
 /// A group is moved if its difference of colours is below this share of that at the start.
 const BETTER: f32 = 0.7;
-/// And below this: else nothing is found, as where the depths of newborn Gaussians are still wrong.
-const EXPLAINED: f32 = 0.05;
 /// Difference of colours by which a Gaussian of a group that is moved may itself be worse.
 const TOLERANCE: f32 = 0.02;
 /// Pixels in each direction that are searched at the lowest resolution.
@@ -370,7 +368,7 @@ impl Comparison<'_> {
             }
         }
         group.displacement = at;
-        group.is_off = best.0 < EXPLAINED.min(BETTER * at_start);
+        group.is_off = best.0 < BETTER * at_start;
     }
 }
 

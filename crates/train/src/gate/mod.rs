@@ -49,6 +49,10 @@ const UNEXPLAINED_GROWTH: f32 = 1.5;
 /// one with evidence: what was uncovered is seen by the weights of the next timestep.
 const PATIENCE: f32 = 0.25;
 
+/// Timesteps after that of their birth in which newborn Gaussians start at constant velocity. What enters is first seen in
+/// part, and where it ends, at the edge of what hides it, nothing moves.
+const ENTRY: u32 = 2;
+
 /// What the gate knows at the end of a timestep and cannot see again: part of a checkpoint.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GateRecord {
@@ -269,7 +273,14 @@ fn corrections(state: &State, activity: &Activity, before: &[Image], targets: &[
     let movers: Vec<Mover> = activity.active.iter().map(mover).collect();
     let cameras: Vec<&Camera> = targets.iter().map(|target| &target.camera).collect();
     let now: Vec<&Image> = targets.iter().map(|target| &target.image).collect();
-    Matches::new(&movers, &activity.weights, &cameras, before, &now).corrections()
+    let mut corrections = Matches::new(&movers, &activity.weights, &cameras, before, &now).corrections();
+    for (correction, &i) in corrections.iter_mut().zip(&activity.active) {
+        let birth = state.lifetimes.births[i];
+        if birth > 0 && (state.timestep as u32) < birth + ENTRY {
+            *correction = [0.0; 3];
+        }
+    }
+    corrections
 }
 
 /// See [`tile_errors`].
