@@ -22,6 +22,8 @@ def main():
             meta = json.loads((capture / name).read_text())
         except OSError as error:
             sys.exit(f"{capture / name}: {error.strerror}, expected a capture of the layout of Panoptic Sports")
+        except ValueError as error:
+            sys.exit(f"{capture / name}: {error}, expected JSON")
         # Lists have an entry a frame.
         metas[name] = {key: value[::every] if isinstance(value, list) else value for key, value in meta.items()}
     try:

@@ -7,7 +7,7 @@ use tcgs_render::{
 };
 
 use super::{Blocks, Evidence};
-use crate::config::MaskConfig;
+use crate::config::{GateConfig, MaskConfig};
 use crate::engine::cpu::Drawn;
 use crate::engine::{Scenery, Target, ViewScenery};
 use crate::losses::{Loss, LossTerms, WeightConfig};
@@ -41,7 +41,7 @@ pub(crate) struct Activity {
     pub before: Activated,
     /// What the timestep is drawn with; none if no Gaussian is active.
     pub scenery: Option<Scenery>,
-    /// `[cameras][active]` blending weights before the timestep, in pixels; 0 where the centre is hidden.
+    /// `[cameras][active]` blending weights before the timestep, in pixels; 0 where the centre is hidden. Empty without matches.
     pub weights: Vec<Vec<f32>>,
     /// `[active, 3]` what to add to where they would be at constant velocity, scene units; empty for nothing.
     pub corrections: Vec<[f32; 3]>,
@@ -56,7 +56,7 @@ impl Activity {
         targets: &[Target],
         evidence: Vec<Evidence>,
         pictures: &[Image],
-        share: f32,
+        config: &GateConfig,
     ) -> Self {
         let channels = pictures[0].num_channels;
         let mut activity = Self {
@@ -83,7 +83,7 @@ impl Activity {
         }
         let is_seen: Vec<bool> = weights.iter().map(|[_, whole]| *whole > MIN_WEIGHT).collect();
         let mut is_active: Vec<bool> =
-            weights.iter().map(|&[changed, whole]| changed > MIN_WEIGHT && changed >= share * whole).collect();
+            weights.iter().map(|&[changed, whole]| changed > MIN_WEIGHT && changed >= config.share * whole).collect();
         let mut is_held = vec![false; is_active.len()];
         if let Some(past) = &state.past {
             vote(&past.neighbors, &is_seen, &mut is_active);
@@ -97,12 +97,14 @@ impl Activity {
         if activity.active.is_empty() {
             return activity;
         }
-        let means = state.parameters.gaussians.means();
-        let shown = |(target, of_view): (&Target, &Vec<[f32; 2]>)| {
-            let is_shown = shown(all, means, &target.camera);
-            activity.active.iter().map(|&i| if is_shown[i] { of_view[i][1] } else { 0.0 }).collect()
-        };
-        activity.weights = targets.iter().zip(&of_views).map(shown).collect();
+        if config.matches {
+            let means = state.parameters.gaussians.means();
+            let shown = |(target, of_view): (&Target, &Vec<[f32; 2]>)| {
+                let is_shown = shown(all, means, &target.camera);
+                activity.active.iter().map(|&i| if is_shown[i] { of_view[i][1] } else { 0.0 }).collect()
+            };
+            activity.weights = targets.iter().zip(&of_views).map(shown).collect();
+        }
         activity.active.iter().for_each(|&i| is_held[i] = false);
         activity.held = indices(&is_held);
         // Where they are seen, active Gaussians answer for it, changed or not.

@@ -165,7 +165,7 @@ impl Gate {
                     Evidence { tiles: tiles_of(&blocks, width, height), blocks }
                 })
                 .collect();
-        let mut activity = Activity::new(state, &self.mask, targets, evidence, &memory.pictures, config.share);
+        let mut activity = Activity::new(state, &self.mask, targets, evidence, &memory.pictures, config);
         if config.matches {
             activity.corrections = corrections(state, &activity, &memory.images, targets);
         }
