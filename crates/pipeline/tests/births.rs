@@ -1,64 +1,96 @@
-//! A run in which Gaussians are born, from its checkpoints to a file.
+//! A run in which Gaussians are born and die, from its checkpoints to a file.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 
+mod support;
+
 use std::path::Path;
 
+use support::{files, open};
+use tcgs_capture::Capture;
 use tcgs_codec::UpAxis;
-use tcgs_core::{PointCloud, SceneReader};
-use tcgs_pipeline::{CompressOptions, OpenScene, OpenSettings, compress_scene, kept_gaussians};
-use tcgs_train::{Checkpoint, Parameters, Run, TrainConfig};
+use tcgs_core::{Attribute, PointCloud, SceneReader};
+use tcgs_pipeline::{CompressOptions, OpenScene, OpenSettings, compress_scene, kept_gaussians, start_state};
+use tcgs_train::{Checkpoint, Lifetimes, Lives, Parameters, Run, TrainConfig};
 
 const NUM_TIMESTEPS: usize = 12;
-/// How many Gaussians there are at a timestep.
-fn count(timestep: usize) -> usize {
-    200 + if timestep >= 4 { 30 } else { 0 } + if timestep >= 9 { 5 } else { 0 }
+const NUM_GAUSSIANS: usize = 235;
+
+/// Some are born at timesteps 4 and 9; ten of those of the start and five of those born at 4 die at 7.
+fn lives() -> Lives {
+    let birth = |i: usize| if i < 200 { 0 } else { 4 + 5 * u32::from(i >= 230) };
+    let death = |i: usize| if (10..20).contains(&i) || (205..210).contains(&i) { 7 } else { Lives::NEVER };
+    Lives { births: (0..NUM_GAUSSIANS).map(birth).collect(), deaths: (0..NUM_GAUSSIANS).map(death).collect() }
 }
 
-/// A run whose Gaussians all move, and of which some are born at timesteps 4 and 9.
-fn run(folder: &Path) -> Run {
-    let config = TrainConfig::default();
+/// How many Gaussians there are at a timestep.
+fn count(timestep: usize) -> usize {
+    match timestep {
+        0..4 => 200,
+        4..7 => 230,
+        7..9 => 215,
+        _ => 220,
+    }
+}
+
+/// A run whose Gaussians all move, with [`lives`], of four training cameras.
+fn run(folder: &Path, first_frame: usize) -> Run {
+    let mut config = TrainConfig::default();
+    config.data.first_frame = first_frame;
     let run = Run::create(folder, &config).unwrap();
-    let last = count(NUM_TIMESTEPS);
-    let points: Vec<[f32; 3]> = (0..last).map(|i| [i as f32 % 17.0, i as f32 % 5.0, i as f32 / 40.0]).collect();
-    let cloud = PointCloud { colors: vec![[0.5, 0.25, 0.75]; last], foreground: vec![true; last], points };
-    let whole = Parameters::from_cloud(&cloud, 2, 1.0);
+    let n = NUM_GAUSSIANS;
+    let points: Vec<[f32; 3]> = (0..n).map(|i| [i as f32 % 17.0, i as f32 % 5.0, i as f32 / 40.0]).collect();
+    let cloud = PointCloud { colors: vec![[0.5, 0.25, 0.75]; n], foreground: vec![true; n], points };
+    let whole = Parameters::from_cloud(&cloud, 4, 1.0);
     let camera = tcgs_core::Camera::look_at([0.0, 0.0, -9.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
     for timestep in 0..NUM_TIMESTEPS {
-        let rows: Vec<usize> = (0..count(timestep)).collect();
-        let mut parameters = whole.select(&rows);
-        for (i, mean) in parameters.gaussians.means_mut().iter_mut().enumerate() {
+        let living = lives().living(timestep);
+        let mut parameters = whole.select(&living);
+        for (&i, mean) in living.iter().zip(parameters.gaussians.means_mut()) {
             mean[0] += 0.3 * (timestep as f32 + i as f32).sin();
         }
+        for (&i, opacity) in living.iter().zip(parameters.gaussians.values_mut(Attribute::LogitOpacity)) {
+            // The young settle at timestep 6.
+            *opacity = i as f32 / 50.0 + if i >= 200 && timestep < 6 { 0.5 } else { 0.0 };
+        }
         let mut checkpoint = Checkpoint::of_parameters(parameters, std::slice::from_ref(&camera));
-        let births = rows.iter().map(|&i| {
-            if i < 200 {
-                0
-            } else if i < 230 {
-                4
-            } else {
-                9
-            }
-        });
-        let (births, deaths) = (births.collect(), vec![u32::MAX; rows.len()]);
-        checkpoint.lifetimes = tcgs_train::Lifetimes::from_columns((0..rows.len() as u32).collect(), births, deaths);
+        // What a timestep knows: who was born by then, and who has died.
+        let mut known = lives();
+        known.births.retain(|&birth| birth as usize <= timestep);
+        known.deaths.truncate(known.births.len());
+        known.deaths.iter_mut().filter(|death| **death as usize > timestep).for_each(|death| *death = Lives::NEVER);
+        checkpoint.lifetimes = Lifetimes { ids: living.iter().map(|&i| i as u32).collect(), lives: known };
         run.save(timestep, &checkpoint).unwrap();
     }
     run
 }
 
 #[test]
-fn a_file_shows_each_gaussian_from_its_birth_on() {
+fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
     let folder = tempfile::tempdir().unwrap();
-    let run = run(folder.path());
+    let run = run(folder.path(), 0);
     let mut scene = OpenScene::open(run.folder(), OpenSettings::default()).unwrap();
     assert_eq!((scene.num_gaussians(), scene.num_gaussians_at(3)), (235, 200));
+    let (whole, first) = (run.trained().unwrap(), run.checkpoint(0, None).unwrap());
+    assert_eq!(whole.lives, Some(lives()));
     let pruned = scene.pruned(&kept_gaussians(&scene, None).unwrap()).unwrap();
     for timestep in 0..NUM_TIMESTEPS {
         let now = SceneReader::at(&mut scene, timestep).unwrap();
         assert_eq!(now.num_gaussians(), count(timestep));
         assert_eq!(OpenScene::num_gaussians_at(&scene, timestep), count(timestep));
-        assert!(OpenScene::at(&pruned, timestep).unwrap() == now, "timestep {timestep}");
+        let kept = OpenScene::at(&pruned, timestep).unwrap();
+        // The young have in a scene what they settled with.
+        assert!(kept.means() == now.means() && (timestep < 6 || kept == now), "timestep {timestep}");
+        // Before its birth each stands as it is born, after its death as it died.
+        let all = whole.scene.at(timestep);
+        for i in 0..NUM_GAUSSIANS {
+            let death = lives().deaths[i].min(NUM_TIMESTEPS as u32) as usize;
+            let shown = timestep.clamp(lives().births[i] as usize, death - 1);
+            let row = lives().living(shown).binary_search(&i).unwrap();
+            let own = run.parameters(shown, Some(&first).filter(|_| shown > 0)).unwrap().gaussians;
+            assert_eq!(all.means()[i], own.means()[row], "Gaussian {i} at timestep {timestep}");
+            assert_eq!(all.logit_opacities()[i], i as f32 / 50.0, "Gaussian {i} at timestep {timestep}");
+        }
     }
 
     let options =
@@ -80,4 +112,20 @@ fn a_file_shows_each_gaussian_from_its_birth_on() {
         let near = |a: &[f32; 3]| truth.means().iter().any(|b| (0..3).all(|d| (a[d] - b[d]).abs() <= largest));
         assert!(found.means().iter().all(near), "timestep {timestep}");
     }
+}
+
+#[test]
+fn a_chapter_has_those_that_live_when_it_starts_at_all_timesteps_and_runs_with_lives_are_not_joined() {
+    let folder = tempfile::tempdir().unwrap();
+    let [before, after] = [0, NUM_TIMESTEPS].map(|first| run(&folder.path().join(first.to_string()), first));
+    let [before, after] = [before, after].map(|run| open(run.folder()));
+    let (capture, config) = (Capture::open(&files().join("capture")).unwrap(), TrainConfig::default());
+    let start = start_state(&before, 8, &config, &capture).unwrap();
+    assert_eq!(start.lifetimes, Lifetimes::new(count(8)));
+    let path = folder.path().join("start.npz");
+    start.save(&path, true).unwrap();
+    assert!(Checkpoint::load(&path, None, false).unwrap().lifetimes.are_whole());
+
+    let error = OpenScene::join(vec![before, after], None).unwrap_err().to_string();
+    assert!(error.contains("has Gaussians that are born or die, expected"), "{error}");
 }

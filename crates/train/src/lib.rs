@@ -32,14 +32,14 @@ mod trainer;
 pub use adam::{Moments, adam};
 pub use checkpoint::Checkpoint;
 pub use config::{
-    BirthConfig, BitMapKind, ColorConfig, ConfigError, DataConfig, DensifyConfig, GateConfig, MaskConfig, Preset,
-    QuantizeConfig, REFERENCE_ITERATIONS, RateConfig, RenderConfig, ScheduleConfig, TrainConfig,
+    BirthConfig, BitMapKind, ColorConfig, ConfigError, DataConfig, DeathConfig, DensifyConfig, GateConfig, MaskConfig,
+    Preset, QuantizeConfig, REFERENCE_ITERATIONS, RateConfig, RenderConfig, ScheduleConfig, TrainConfig,
 };
 pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
 pub use error::TrainError;
 pub use fake_quant::{FakeQuantizers, bit_settings, fake_quant, fake_quant_vjp, step_gradient_scale};
 pub use gate::{GateRecord, Trained};
-pub use lifetimes::Lifetimes;
+pub use lifetimes::{Lifetimes, Lives};
 pub use losses::{Loss, LossTerms, WeightConfig};
 pub use mask::{mask, mask_consistency_loss, mask_loss, mask_vjp, masked_out, mean_masks};
 pub use motion::{Past, Pose, predict};
@@ -47,7 +47,7 @@ pub use neighbors::{NEIGHBOR_FALLOFF, NUM_NEIGHBORS, Neighbors};
 pub use parameters::{Parameters, scene_radius};
 pub use refine::{RefineConfig, Refiner, refine_order};
 pub use row::Row;
-pub use run::{Run, TrainedScene, with_unborn};
+pub use run::{Run, StandIns, TrainedScene};
 pub use schedule::{Phase, Rates, Schedule};
 pub use sensitivity::sensitivity;
 pub use state::{GradientStatistic, Optimizer, State};

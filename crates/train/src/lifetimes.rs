@@ -2,84 +2,99 @@
 
 use crate::row::Row;
 
-/// A stable identity, the timestep of birth and the timestep of death of each Gaussian.
+/// When each Gaussian lives that a run ever had, by identity.
 ///
-/// What the first timestep leaves was born at 0. Gaussians born later follow in the order of their births; none dies.
+/// What the first timestep leaves was born at 0. Identities count up in the order of births.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Lives {
+    /// `[identities]` first timestep at which it lives.
+    pub births: Vec<u32>,
+    /// `[identities]` first timestep at which it lives no more; [`Self::NEVER`] of one that has not died.
+    pub deaths: Vec<u32>,
+}
+
+impl Lives {
+    /// The value in [`deaths`](Self::deaths) of a Gaussian that has not died.
+    pub const NEVER: u32 = u32::MAX;
+
+    /// Number of Gaussians that ever lived.
+    pub fn len(&self) -> usize {
+        self.births.len()
+    }
+
+    /// Whether none ever lived.
+    pub fn is_empty(&self) -> bool {
+        self.births.is_empty()
+    }
+
+    /// Identities of those that live at a timestep, ascending: the rows of its checkpoint.
+    pub fn living(&self, timestep: usize) -> Vec<usize> {
+        let lives = |id: &usize| (self.births[*id] as usize..self.deaths[*id] as usize).contains(&timestep);
+        (0..self.len()).filter(lives).collect()
+    }
+
+    fn push(&mut self, birth: u32) -> u32 {
+        self.births.push(birth);
+        self.deaths.push(Self::NEVER);
+        u32::try_from(self.births.len() - 1).expect("fewer than 2^32 Gaussians")
+    }
+}
+
+/// A stable identity for each Gaussian of a state, and the lives of all that the run ever had.
+///
+/// Between timesteps rows stand in the order of identities, and thereby of births.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Lifetimes {
     /// `[N]` an identity that stays while rows are reordered and removed, and is not given twice.
     pub ids: Vec<u32>,
-    /// `[N]` first timestep at which it lives.
-    pub births: Vec<u32>,
-    /// `[N]` first timestep at which it lives no more; [`Self::NEVER`] of one that has not died.
-    pub deaths: Vec<u32>,
-    /// The next identity to give.
-    next_id: u32,
+    /// By identity, those of the dead too.
+    pub lives: Lives,
 }
 
 impl Lifetimes {
-    /// The value in [`deaths`](Self::deaths) of a Gaussian that has not died.
-    pub const NEVER: u32 = u32::MAX;
-
     /// `num_gaussians` that live from the first timestep on, numbered from 0 in their order.
     pub fn new(num_gaussians: usize) -> Self {
-        let next_id = u32::try_from(num_gaussians).expect("fewer than 2^32 Gaussians");
-        let (births, deaths) = (vec![0; num_gaussians], vec![Self::NEVER; num_gaussians]);
-        Self { ids: (0..next_id).collect(), births, deaths, next_id }
+        let mut lifetimes = Self::default();
+        lifetimes.append(num_gaussians, 0);
+        lifetimes
     }
 
-    /// Lifetimes as a file holds them.
-    ///
-    /// - `ids`, `births`, `deaths`: `[N]`; see the fields
-    ///
-    /// # Panics
-    /// If lengths differ.
-    pub fn from_columns(ids: Vec<u32>, births: Vec<u32>, deaths: Vec<u32>) -> Self {
-        assert_eq!([births.len(), deaths.len()], [ids.len(); 2], "births and deaths against identities");
-        let next_id = ids.iter().max().map_or(0, |&id| id.saturating_add(1));
-        Self { ids, births, deaths, next_id }
-    }
-
-    /// Whether all live from the first timestep on, have not died, and are numbered in their order.
+    /// Whether all that ever lived live from the first timestep on and have not died.
     pub fn are_whole(&self) -> bool {
-        let whole = |(i, ((&id, &birth), &death)): (usize, ((&u32, &u32), &u32))| {
-            id as usize == i && birth == 0 && death == Self::NEVER
-        };
-        self.ids.iter().zip(&self.births).zip(&self.deaths).enumerate().all(whole)
+        let Lives { births, deaths } = &self.lives;
+        self.ids.len() == births.len()
+            && births.iter().all(|&birth| birth == 0)
+            && deaths.iter().all(|&death| death == Lives::NEVER)
     }
 
-    /// Number of Gaussians that were born by a timestep, where rows stand in the order of births.
-    pub(crate) fn born_by(&self, timestep: u32) -> usize {
-        self.births.partition_point(|&birth| birth <= timestep)
+    /// `[N]` timestep of birth.
+    pub fn births(&self) -> Vec<u32> {
+        self.ids.iter().map(|&id| self.lives.births[id as usize]).collect()
+    }
+
+    /// Number of Gaussians that were there at first.
+    pub(crate) fn num_first(&self) -> usize {
+        self.ids.partition_point(|&id| self.lives.births[id as usize] == 0)
     }
 
     /// Appends Gaussians.
     ///
     /// - `timestep`: at which they are born
     pub(crate) fn append(&mut self, count: usize, timestep: u32) {
-        let ids = self.next_id..self.next_id + u32::try_from(count).expect("fewer than 2^32 Gaussians");
-        self.next_id = ids.end;
-        self.ids.extend(ids);
-        self.births.resize(self.births.len() + count, timestep);
-        self.deaths.resize(self.deaths.len() + count, Self::NEVER);
+        for _ in 0..count {
+            self.ids.push(self.lives.push(timestep));
+        }
     }
 
     /// - `timestep`: at which what is new is born
     pub(crate) fn gather(&mut self, rows: &[Row], timestep: u32) {
-        let old = std::mem::take(self);
-        self.next_id = old.next_id;
-        for row in rows {
-            let (id, birth, death) = match row.kept() {
-                Some(i) => (old.ids[i], old.births[i], old.deaths[i]),
-                None => {
-                    self.next_id += 1;
-                    (self.next_id - 1, timestep, Self::NEVER)
-                }
-            };
-            self.ids.push(id);
-            self.births.push(birth);
-            self.deaths.push(death);
-        }
+        let ids = std::mem::take(&mut self.ids);
+        self.ids = rows.iter().map(|row| row.kept().map_or_else(|| self.lives.push(timestep), |i| ids[i])).collect();
+    }
+
+    /// Writes down that some rows die at a timestep; they are still to be removed.
+    pub(crate) fn end(&mut self, rows: &[usize], timestep: u32) {
+        rows.iter().for_each(|&row| self.lives.deaths[self.ids[row] as usize] = timestep);
     }
 }
 
@@ -90,13 +105,19 @@ mod tests {
     #[test]
     fn identities_stay_with_their_rows_and_are_not_given_twice() {
         let mut lifetimes = Lifetimes::new(3);
-        lifetimes.gather(&[Row::Kept(2), Row::New { parent: 2 }, Row::Kept(0)], 5);
-        assert_eq!((&lifetimes.ids[..], &lifetimes.births[..]), (&[2, 3, 0][..], &[0, 5, 0][..]));
-        assert!(!lifetimes.are_whole() && lifetimes.deaths == [Lifetimes::NEVER; 3]);
-        // The last one is removed, and its number is not used again.
-        lifetimes.gather(&[Row::Kept(0)], 6);
-        lifetimes.gather(&[Row::New { parent: 0 }], 6);
-        assert_eq!((&lifetimes.ids[..], &lifetimes.births[..]), (&[4][..], &[6][..]));
-        assert!(Lifetimes::new(2).are_whole());
+        assert!(lifetimes.are_whole() && lifetimes.num_first() == 3);
+        lifetimes.append(1, 5);
+        assert_eq!((&lifetimes.births()[..], lifetimes.num_first()), (&[0, 0, 0, 5][..], 3));
+        lifetimes.end(&[0, 3], 7);
+        lifetimes.gather(&[Row::Kept(1), Row::Kept(2)], 7);
+        // The last one is gone, and its number is not used again.
+        lifetimes.append(1, 8);
+        assert_eq!((&lifetimes.ids[..], &lifetimes.births()[..]), (&[1, 2, 4][..], &[0, 0, 8][..]));
+        let living = [4, 5, 6, 7, 8].map(|timestep| lifetimes.lives.living(timestep));
+        let expected = [&[0, 1, 2][..], &[0, 1, 2, 3], &[0, 1, 2, 3], &[1, 2], &[1, 2, 4]];
+        assert!(living.iter().zip(expected).all(|(a, b)| a == b), "{living:?}");
+        lifetimes.gather(&[Row::Kept(2), Row::New { parent: 2 }, Row::Kept(0)], 9);
+        assert_eq!(lifetimes.ids, [4, 5, 1]);
+        assert!(!lifetimes.are_whole());
     }
 }

@@ -2,6 +2,8 @@
 
 use tcgs_core::{Real, sigmoid, sigmoid_vjp};
 
+use crate::lifetimes::Lives;
+
 /// Binary mask of one Gaussian, paper Eq. 1.
 ///
 /// - `logit`: `m_{n,t}`, unbounded
@@ -79,27 +81,31 @@ pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
 
 /// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. 6.
 ///
-/// - `mask_logits`: of every timestep `[N]`; taken one after another, so that none but the last has to be in memory
-/// - returns: `[N]`, in (0, 1); empty of no timesteps
+/// - `mask_logits`: of every timestep those of the Gaussians that live; taken one after another, so that none but the last
+///   has to be in memory
+/// - `lives`: who lives when; none if all `N` do at all timesteps
+/// - returns: `[N]`, in (0, 1), over the timesteps at which each lives; 0 where that is none
 ///
 /// # Panics
-/// If the timesteps have different numbers of Gaussians.
+/// If a timestep has another number of Gaussians than live then.
 ///
 /// ```
-/// assert_eq!(tcgs_train::mean_masks([vec![0.0, 40.0], vec![0.0, 40.0]]), [0.5, 1.0]);
+/// assert_eq!(tcgs_train::mean_masks([vec![0.0, 40.0], vec![0.0, 40.0]], None), [0.5, 1.0]);
 /// ```
-pub fn mean_masks<L: AsRef<[f32]>>(mask_logits: impl IntoIterator<Item = L>) -> Vec<f32> {
-    let mut sums: Vec<(f32, usize)> = Vec::new();
-    for logits in mask_logits {
+pub fn mean_masks<L: AsRef<[f32]>>(mask_logits: impl IntoIterator<Item = L>, lives: Option<&Lives>) -> Vec<f32> {
+    let mut sums = vec![(0.0, 0); lives.map_or(0, Lives::len)];
+    for (timestep, logits) in mask_logits.into_iter().enumerate() {
         let logits = logits.as_ref();
-        assert!(logits.len() >= sums.len(), "mask logits: [{}] after [{}]", logits.len(), sums.len());
-        sums.resize(logits.len(), (0.0, 0));
-        for ((sum, num_timesteps), &logit) in sums.iter_mut().zip(logits) {
-            *sum += sigmoid(logit);
-            *num_timesteps += 1;
+        if lives.is_none() && timestep == 0 {
+            sums.resize(logits.len(), (0.0, 0));
+        }
+        let living = lives.map_or_else(|| (0..sums.len()).collect(), |lives| lives.living(timestep));
+        assert_eq!(logits.len(), living.len(), "mask logits of timestep {timestep} against those that live");
+        for (&id, &logit) in living.iter().zip(logits) {
+            sums[id] = (sums[id].0 + sigmoid(logit), sums[id].1 + 1);
         }
     }
-    sums.into_iter().map(|(sum, num_timesteps)| sum / num_timesteps as f32).collect()
+    sums.into_iter().map(|(sum, num_timesteps)| sum / num_timesteps.max(1) as f32).collect()
 }
 
 #[cfg(test)]

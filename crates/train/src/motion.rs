@@ -65,11 +65,11 @@ impl Past {
         Self { first: Arc::new(first), neighbors, previous, previous_mask_logits: None }
     }
 
-    /// Rows taken from `indices`; neighbours are found anew among them.
+    /// Rows taken from `indices`; neighbours are found anew among those of them that were born together.
     ///
-    /// - `is_foreground`: of the rows taken
-    pub(crate) fn gather(&mut self, indices: &[usize], is_foreground: &[bool]) {
-        *self = self.select(indices, |first| Neighbors::new(&first.means, is_foreground));
+    /// - `is_foreground`, `births`: of the rows taken
+    pub(crate) fn gather(&mut self, indices: &[usize], is_foreground: &[bool], births: &[u32]) {
+        *self = self.select(indices, |first| Neighbors::among(&first.means, is_foreground, births));
     }
 
     /// Adds Gaussians that were born together: they have stood where they were born.

@@ -101,6 +101,22 @@ impl Neighbors<f32> {
 }
 
 impl Neighbors<f32> {
+    /// Finds the neighbours among those of the foreground that were born together.
+    ///
+    /// - `means`, `is_foreground`: as for [`Self::new`]
+    /// - `births`: `[N]` timesteps of birth; those born together stand together
+    pub(crate) fn among(means: &[[f32; 3]], is_foreground: &[bool], births: &[u32]) -> Self {
+        let mut cohorts = births.chunk_by(|a, b| a == b).map(<[u32]>::len);
+        let mut end = cohorts.next().unwrap_or_default();
+        let mut neighbors = Self::new(&means[..end], &is_foreground[..end]);
+        for count in cohorts {
+            let begin = end;
+            end += count;
+            neighbors.append(&means[begin..end], &is_foreground[begin..end], begin);
+        }
+        neighbors
+    }
+
     /// Adds the neighbours of Gaussians that were born together, among themselves. Where they are too few, edges of weight 0
     /// from a node to itself fill its list, since every node has as many edges as the next.
     ///

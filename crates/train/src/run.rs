@@ -10,6 +10,7 @@
 //!
 //! What does not live here: the content of a checkpoint (`checkpoint`).
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -17,14 +18,16 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
-use tcgs_core::{DynamicGaussians, Gaussians};
+use tcgs_core::{DynamicGaussians, Gaussians, Layout};
 use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
-use crate::checkpoint::{Arrays, BIRTHS, Chain, Checkpoint, For, MASK_LOGITS, read_single, write_single};
-use crate::config::{BirthConfig, GateConfig, TrainConfig};
+use crate::checkpoint::{Arrays, Chain, Checkpoint, For, LIVES, MASK_LOGITS, read_single, write_single};
+use crate::config::{BirthConfig, DeathConfig, GateConfig, TrainConfig};
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
+use crate::fake_quant::FakeQuantizers;
+use crate::lifetimes::Lives;
 use crate::parameters::Parameters;
 use crate::state::State;
 use crate::trainer::Trainer;
@@ -46,10 +49,12 @@ pub struct Run {
 /// The result of a run: the finished timesteps of all checkpoints together.
 #[derive(Clone, Debug)]
 pub struct TrainedScene {
-    /// `[T, N]`, the Gaussians of every finished timestep in stored form, neither quantised nor pruned; one that is born
-    /// later is at earlier timesteps as it will be born.
+    /// `[T, N]`, the Gaussians of every finished timestep in stored form, neither quantised nor pruned; one that does not live
+    /// at a timestep is there as it was born or died ([`StandIns`]).
     pub scene: DynamicGaussians,
-    /// `[T][N]`, mask logits `m_{n,t}` of those that are born; without meaning if the run did not learn masks.
+    /// When each lives; none if all do at all timesteps.
+    pub lives: Option<Lives>,
+    /// `[T][N]`, mask logits `m_{n,t}` of those that live; without meaning if the run did not learn masks.
     pub mask_logits: Vec<Vec<f32>>,
     /// `[N]`, whether each Gaussian belongs to the foreground.
     pub foreground: Vec<bool>,
@@ -85,8 +90,9 @@ impl Run {
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
         let text = fs::read_to_string(&path).map_err(read(&path))?;
-        // A run of before the gate or births goes on without them.
-        let base = TrainConfig { gate: GateConfig::OFF, births: BirthConfig::OFF, ..TrainConfig::default() };
+        // A run of before the gate, births or deaths goes on without them.
+        let (gate, births, deaths) = (GateConfig::OFF, BirthConfig::OFF, DeathConfig::OFF);
+        let base = TrainConfig { gate, births, deaths, ..TrainConfig::default() };
         let config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         Ok(Self::new(folder, config))
     }
@@ -257,26 +263,26 @@ impl Run {
         self.decode(timestep, &arrays, first)
     }
 
-    /// `[N]`, timestep of birth of every Gaussian of the last finished timestep that can be read, ascending; none if all were
-    /// there at first. Reads nothing else of the checkpoints.
+    /// The lives of all Gaussians up to the last finished timestep that can be read; none if all were there at first and have
+    /// not died. Reads nothing else of the checkpoints.
     ///
     /// # Errors
     /// As [`Self::checkpoint`].
-    pub fn births(&self) -> Result<Option<Vec<u32>>, TrainError> {
-        Ok(self.last_births()?.1)
+    pub fn lives(&self) -> Result<Option<Lives>, TrainError> {
+        Ok(self.last_lives()?.1)
     }
 
-    /// The last finished timestep that can be read, with what [`Self::births`] returns.
-    fn last_births(&self) -> Result<(usize, Option<Vec<u32>>), TrainError> {
-        let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), BIRTHS);
-        let mut births_at = |timestep: usize| {
-            let births = Checkpoint::births_of(&chain.read(timestep)?);
-            births.map_err(|problem| TrainError::File { path: chain.path(timestep), problem })
+    /// The last finished timestep that can be read, with what [`Self::lives`] returns.
+    fn last_lives(&self) -> Result<(usize, Option<Lives>), TrainError> {
+        let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), &LIVES);
+        let mut lives_at = |timestep: usize| {
+            let lives = Checkpoint::lives_of(&chain.read(timestep)?);
+            lives.map_err(|problem| TrainError::File { path: chain.path(timestep), problem })
         };
         // A damaged checkpoint is no reason not to read those before it.
         let mut found = Ok((0, None));
         for timestep in (0..self.timesteps()).rev() {
-            found = births_at(timestep).map(|births| (timestep, births));
+            found = lives_at(timestep).map(|lives| (timestep, lives));
             if found.is_ok() {
                 break;
             }
@@ -284,53 +290,48 @@ impl Run {
         found
     }
 
-    /// The Gaussians that were born after the first timestep, in the order of their births: each where and how it was born,
-    /// with the values that it settled with in the columns that do not vary over time.
+    /// What stands in for the Gaussians of the run at the timesteps at which they do not live.
     ///
     /// - `first`: see [`Self::checkpoint`]
     ///
     /// # Errors
     /// As [`Self::checkpoint`].
-    pub fn newborn(&self, first: &Checkpoint) -> Result<Gaussians, TrainError> {
+    pub fn stand_ins(&self, first: &Checkpoint) -> Result<StandIns, TrainError> {
         let layout = first.parameters.gaussians.layout();
-        let mut newborn = Vec::new();
-        let (last, births) = self.last_births()?;
-        let births = births.unwrap_or_default();
-        let mut begin = births.partition_point(|&birth| birth == 0);
-        for together in births[begin..].chunk_by(|a, b| a == b) {
-            let rows: Vec<usize> = (begin..begin + together.len()).collect();
-            let timestep = together[0] as usize;
+        let (last, Some(lives)) = self.last_lives()? else { return Ok(StandIns::none(layout)) };
+        let num_first = first.parameters.num_gaussians();
+        let at = |timestep: usize, of: &dyn Fn(usize) -> bool| -> Result<Gaussians, TrainError> {
             let gaussians = self.parameters(timestep, Some(first))?.gaussians;
-            if gaussians.num_gaussians() < begin + together.len() {
-                let problem = format!(
-                    "holds {} Gaussians, of {} born by then",
-                    gaussians.num_gaussians(),
-                    begin + together.len()
-                );
+            let living = lives.living(timestep);
+            if living.len() != gaussians.num_gaussians() {
+                let problem = format!("holds {} Gaussians, expected {}", gaussians.num_gaussians(), living.len());
                 return Err(TrainError::File { path: self.checkpoint_path(timestep), problem });
             }
-            newborn.push(gaussians.select(&rows));
-            begin += together.len();
+            Ok(gaussians.select(&(0..living.len()).filter(|&row| of(living[row])).collect::<Vec<_>>()))
+        };
+        let mut newborn = Vec::new();
+        for birth in distinct(&lives.births[num_first..]) {
+            newborn.push(at(birth as usize, &|id| lives.births[id] == birth)?);
         }
-        let mut newborn = Gaussians::concat(layout, &newborn);
-        if newborn.num_gaussians() > 0 {
-            let settled = self.parameters(last, Some(first))?.gaussians;
-            for column in layout.columns().iter().filter(|column| !column.varies) {
-                let values = newborn.values_mut(column.attribute);
-                let settled = settled.values(column.attribute);
-                values.copy_from_slice(&settled[settled.len() - values.len()..]);
-            }
+        let (mut dead, mut departed) = (Vec::new(), Vec::new());
+        for death in distinct(&lives.deaths).filter(|&death| death as usize <= last) {
+            dead.extend((0..lives.len()).filter(|&id| lives.deaths[id] == death));
+            departed.push(at(death as usize - 1, &|id| lives.deaths[id] == death)?);
         }
-        Ok(newborn)
+        let now = at(last, &|_| true)?;
+        let [newborn, departed] = [newborn, departed].map(|of| Gaussians::concat(layout, &of));
+        let mut stand_ins = StandIns { newborn, departed, dead, num_first, lives: Some(lives) };
+        stand_ins.settle(&now, last);
+        Ok(stand_ins)
     }
 
-    /// The mask logits of the finished timesteps in their order, `[N]` each: of those that are born by then. Reads nothing
+    /// The mask logits of the finished timesteps in their order, `[N]` each: of those that live then. Reads nothing
     /// else of the checkpoints.
     ///
     /// # Errors
     /// Each as [`Self::checkpoint`].
     pub fn mask_logits(&self) -> impl Iterator<Item = Result<Vec<f32>, TrainError>> + use<> {
-        let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), MASK_LOGITS);
+        let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), &[MASK_LOGITS]);
         (0..self.timesteps()).map(move |timestep| {
             let arrays = chain.read(timestep)?;
             let logits = Checkpoint::mask_logits_of(&arrays);
@@ -356,26 +357,27 @@ impl Run {
         let first = self.checkpoint(0, None)?;
         let mut scene = DynamicGaussians::new(Arc::clone(first.parameters.gaussians.layout()));
         let mut mask_logits = Vec::with_capacity(finished);
-        let mut quantizers = first.quantizers.clone();
-        let newborn = self.newborn(&first)?;
-        let num_gaussians = first.parameters.num_gaussians() + newborn.num_gaussians();
-        scene.push(with_unborn(first.parameters.gaussians.clone(), &newborn, num_gaussians));
-        mask_logits.push(first.parameters.mask_logits.clone());
-        for timestep in 1..finished {
-            let later = self.parameters(timestep, Some(&first))?;
-            scene.push(with_unborn(later.gaussians, &newborn, num_gaussians));
-            mask_logits.push(later.mask_logits);
+        let stand_ins = self.stand_ins(&first)?;
+        let num_gaussians = stand_ins.lives.as_ref().map_or(first.parameters.num_gaussians(), Lives::len);
+        let mut foreground = vec![false; num_gaussians];
+        for timestep in 0..finished {
+            let now = self.parameters(timestep, Some(&first).filter(|_| timestep > 0))?;
+            let rows = stand_ins.living(timestep, now.gaussians.num_gaussians());
+            rows.iter().zip(&now.foreground).for_each(|(&id, &is_foreground)| foreground[id] = is_foreground);
+            scene.push(stand_ins.complete(now.gaussians, timestep));
+            mask_logits.push(now.mask_logits);
         }
-        let mut foreground = first.parameters.foreground;
-        if finished > 1 {
-            let last = self.checkpoint(finished - 1, Some(&self.checkpoint(0, None)?))?;
-            (quantizers, foreground) = (last.quantizers, last.parameters.foreground);
-        }
+        let quantizers = match finished {
+            1 => first.quantizers.clone(),
+            _ => self.checkpoint(finished - 1, Some(&first))?.quantizers,
+        };
+        let widths = |first: &FakeQuantizers| first.bit_map.with_more(num_gaussians - first.bit_map.num_gaussians());
         Ok(TrainedScene {
             scene,
             mask_logits,
             foreground,
-            quantization: quantizers.map(|q| (q.bit_map.clone(), q.table())),
+            lives: stand_ins.lives,
+            quantization: first.quantizers.as_ref().map(widths).zip(quantizers.map(|q| q.table())),
             camera_gains: first.parameters.camera_gains,
             camera_offsets: first.parameters.camera_offsets,
         })
@@ -451,26 +453,93 @@ impl Run {
     }
 }
 
-/// The Gaussians of one timestep as those of a scene, which has all of them at every timestep: followed by those that are born
-/// later, each as it will be born; and in columns that do not vary over time with the values that the born settle with.
-///
-/// - `newborn`: as [`Run::newborn`] gives them
-///
-/// # Panics
-/// If the timestep has columns of another layout.
-pub fn with_unborn(mut gaussians: Gaussians, newborn: &Gaussians, num_gaussians: usize) -> Gaussians {
-    let layout = Arc::clone(gaussians.layout());
-    let num_first = num_gaussians - newborn.num_gaussians();
-    for column in layout.columns().iter().filter(|column| !column.varies) {
-        let born = &mut gaussians.values_mut(column.attribute)[num_first * column.components()..];
-        born.copy_from_slice(&newborn.values(column.attribute)[..born.len()]);
+/// What stands in for the Gaussians of a run at the timesteps at which they do not live, so that a scene has all of them at every
+/// timestep: before its birth each stands as it is born, after its death as it was at the last timestep of its life.
+#[derive(Clone, Debug)]
+pub struct StandIns {
+    /// When each Gaussian lives; none if all do at all timesteps.
+    lives: Option<Lives>,
+    /// Number of Gaussians that were there at first.
+    num_first: usize,
+    /// Those born later, by identity: each where and how it was born, with the values that it settled with in the columns that do
+    /// not vary over time.
+    newborn: Gaussians,
+    /// Identities of those that died, in the order of their deaths.
+    dead: Vec<usize>,
+    /// `[dead]` as they were.
+    departed: Gaussians,
+}
+
+impl StandIns {
+    /// Of a scene whose Gaussians all live at all timesteps.
+    pub fn none(layout: &Arc<Layout>) -> Self {
+        let nobody = Gaussians::zeros_of(layout, 0);
+        Self { lives: None, num_first: 0, newborn: nobody.clone(), dead: Vec::new(), departed: nobody }
     }
-    let num_unborn = num_gaussians - gaussians.num_gaussians();
-    if num_unborn == 0 {
-        return gaussians;
+
+    /// Gives the newborn the constants of the last timestep of their lives.
+    ///
+    /// - `now`: those that live at `timestep`
+    fn settle(&mut self, now: &Gaussians, timestep: usize) {
+        let num_first = self.num_first;
+        let of_now = self.living(timestep, now.num_gaussians());
+        let mut settled = vec![None; self.newborn.num_gaussians()];
+        for (ids, of) in [(&of_now, now), (&self.dead, &self.departed)] {
+            for (row, &id) in ids.iter().enumerate().filter(|(_, id)| **id >= num_first) {
+                settled[id - num_first] = Some((of, row));
+            }
+        }
+        for column in now.layout().columns().iter().filter(|column| !column.varies) {
+            let values = self.newborn.values_mut(column.attribute).chunks_mut(column.components());
+            for (values, settled) in values.zip(&settled) {
+                if let Some((of, row)) = settled {
+                    let own = &of.values(column.attribute)[row * column.components()..];
+                    values.copy_from_slice(&own[..values.len()]);
+                }
+            }
+        }
     }
-    let rows: Vec<usize> = (newborn.num_gaussians() - num_unborn..newborn.num_gaussians()).collect();
-    Gaussians::concat(&layout, &[gaussians, newborn.select(&rows)])
+
+    /// Identities of those that live at a timestep, which has `count` Gaussians.
+    fn living(&self, timestep: usize, count: usize) -> Vec<usize> {
+        self.lives.as_ref().map_or_else(|| (0..count).collect(), |lives| lives.living(timestep))
+    }
+
+    /// All Gaussians of the scene at a timestep; in columns that do not vary over time the born have the values that they
+    /// settled with.
+    ///
+    /// - `gaussians`: of the timestep, those that live
+    ///
+    /// # Panics
+    /// If they are not as many as live then, or of another layout.
+    pub fn complete(&self, gaussians: Gaussians, timestep: usize) -> Gaussians {
+        let Some(lives) = &self.lives else { return gaussians };
+        let layout = Arc::clone(gaussians.layout());
+        let living = lives.living(timestep);
+        assert_eq!(gaussians.num_gaussians(), living.len(), "Gaussians that live at timestep {timestep}");
+        // Where each stands among the living, the newborn and the dead.
+        let unborn = living.len()..living.len() + self.newborn.num_gaussians();
+        let mut rows: Vec<usize> = (0..self.num_first).chain(unborn.clone()).collect();
+        for (row, &id) in self.dead.iter().enumerate().filter(|(_, id)| lives.deaths[**id] as usize <= timestep) {
+            rows[id] = unborn.end + row;
+        }
+        living.iter().enumerate().for_each(|(row, &id)| rows[id] = row);
+        let mut all = gaussians;
+        if living.len() < lives.len() {
+            all = Gaussians::concat(&layout, &[all, self.newborn.clone(), self.departed.clone()]).select(&rows);
+        }
+        for column in layout.columns().iter().filter(|column| !column.varies) {
+            let born = &mut all.values_mut(column.attribute)[self.num_first * column.components()..];
+            born.copy_from_slice(self.newborn.values(column.attribute));
+        }
+        all
+    }
+}
+
+/// Each value once, ascending, without [`Lives::NEVER`].
+fn distinct(timesteps: &[u32]) -> impl Iterator<Item = u32> + use<> {
+    let all: BTreeSet<u32> = timesteps.iter().copied().filter(|&timestep| timestep != Lives::NEVER).collect();
+    all.into_iter()
 }
 
 fn read(path: &Path) -> impl Fn(io::Error) -> TrainError + use<> {

@@ -179,7 +179,7 @@ impl State {
             quantizers.select(&indices);
         }
         if let Some(past) = &mut self.past {
-            past.gather(&indices, &self.parameters.foreground);
+            past.gather(&indices, &self.parameters.foreground, &self.lifetimes.births());
         }
         let old = &self.statistic;
         self.statistic = GradientStatistic {
@@ -209,9 +209,19 @@ impl State {
         self.statistic.count.resize(before + count, 0);
     }
 
+    /// Lets Gaussians die at the current timestep: removes them, with everything that belongs to them.
+    ///
+    /// - `dead`: their indices, ascending
+    pub(crate) fn bury(&mut self, dead: &[usize]) {
+        self.lifetimes.end(dead, self.timestep as u32);
+        let lives = |i: &usize| dead.binary_search(i).is_err();
+        let rows: Vec<Row> = (0..self.parameters.num_gaussians()).filter(lives).map(Row::Kept).collect();
+        self.gather(&rows);
+    }
+
     /// Poses at birth of those that were born after the first timestep.
     pub(crate) fn born(&self) -> Pose {
-        let num_first = self.lifetimes.born_by(0);
+        let num_first = self.lifetimes.num_first();
         self.past.as_ref().map_or_else(Pose::default, |past| past.first.range(num_first..past.first.means.len()))
     }
 
@@ -266,7 +276,7 @@ mod tests {
         assert_eq!(numbers(&state.parameters.gaussians), expected);
         assert_eq!(state.parameters.mask_logits, expected);
         assert_eq!(state.statistic.count, [3, 1, 3]);
-        assert_eq!((&state.lifetimes.ids[..], &state.lifetimes.births[..]), (&[3, 1, 4][..], &[0, 0, 7][..]));
+        assert_eq!((&state.lifetimes.ids[..], &state.lifetimes.births()[..]), (&[3, 1, 4][..], &[0, 0, 7][..]));
         // What is new starts without moments.
         assert_eq!(state.optimizer.first.means(), [[3.0; 3], [1.0; 3], [0.0; 3]]);
         assert_eq!(state.optimizer.mask.first, [3.0, 1.0, 0.0]);
@@ -274,6 +284,10 @@ mod tests {
         assert_eq!(numbers(&past.previous), expected);
         assert_eq!(past.first.means.iter().map(|mean| mean[0]).collect::<Vec<_>>(), expected);
         assert_eq!(past.previous_mask_logits.unwrap(), expected);
-        assert_eq!((past.neighbors.foreground.len(), past.neighbors.indices[0]), (3, 2), "a clone is the nearest");
+        assert_eq!(
+            (past.neighbors.foreground.len(), past.neighbors.indices[0]),
+            (3, 1),
+            "the other one of those born at 0"
+        );
     }
 }

@@ -7,7 +7,7 @@ use tcgs_codec::{
     AttributeErrors, BitMap, CompactScene, CompressSettings, Quantizers, SceneInfo, compress_ordered, compress_reader,
 };
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
-use tcgs_train::with_unborn;
+use tcgs_train::StandIns;
 
 use crate::{OpenScene, PipelineError};
 
@@ -17,12 +17,7 @@ pub(super) enum Kept<'a> {
     /// All timesteps.
     InMemory(DynamicGaussians),
     /// Timesteps are read, and read again, when the codec asks for them.
-    OnDisk {
-        scene: &'a OpenScene,
-        keep: Vec<usize>,
-        /// Those born after the first timestep, as they are born.
-        newborn: Gaussians,
-    },
+    OnDisk { scene: &'a OpenScene, keep: Vec<usize>, stand_ins: StandIns },
 }
 
 impl Kept<'_> {
@@ -37,8 +32,8 @@ impl Kept<'_> {
     pub fn select(self, rows: &[usize]) -> Self {
         match self {
             Self::InMemory(floats) => Self::InMemory(floats.select(rows)),
-            Self::OnDisk { scene, keep, newborn } => {
-                Self::OnDisk { scene, keep: rows.iter().map(|&row| keep[row]).collect(), newborn }
+            Self::OnDisk { scene, keep, stand_ins } => {
+                Self::OnDisk { scene, keep: rows.iter().map(|&row| keep[row]).collect(), stand_ins }
             }
         }
     }
@@ -64,12 +59,12 @@ impl Kept<'_> {
         }
     }
 
-    /// One timestep in stored form; what is born later is there as it will be born.
+    /// One timestep in stored form; who does not live then is there as it was born or died.
     pub fn at(&self, timestep: usize) -> Result<Gaussians, PipelineError> {
         match self {
             Self::InMemory(floats) => Ok(floats.at(timestep)),
-            Self::OnDisk { scene, keep, newborn } => {
-                let gaussians = with_unborn(scene.at(timestep)?, newborn, scene.num_gaussians());
+            Self::OnDisk { scene, keep, stand_ins } => {
+                let gaussians = stand_ins.complete(scene.at(timestep)?, timestep);
                 Ok(if keep.len() < gaussians.num_gaussians() { gaussians.select(keep) } else { gaussians })
             }
         }

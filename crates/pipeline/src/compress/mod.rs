@@ -20,6 +20,7 @@ use tcgs_codec::{
     Light, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
 };
 use tcgs_core::{Attribute, Camera, DynamicGaussians, Layout, SceneReader};
+use tcgs_train::Lives;
 
 use self::bits::measured_bits;
 use self::kept::Kept;
@@ -220,7 +221,7 @@ impl<'a> PrunedScene<'a> {
         let learned = scene.learned_bits()?;
         let (kept, keep, raw_bytes) = if scene.is_on_disk() && scene.bytes > options.max_float_bytes {
             let keep = kept_gaussians(scene, options.prune)?;
-            (Kept::OnDisk { scene, keep: keep.clone(), newborn: scene.newborn()? }, keep, scene.bytes)
+            (Kept::OnDisk { scene, keep: keep.clone(), stand_ins: scene.stand_ins()? }, keep, scene.bytes)
         } else {
             let floats = scene.floats()?;
             check_finite(scene, &floats)?;
@@ -228,15 +229,18 @@ impl<'a> PrunedScene<'a> {
             (Kept::InMemory(floats.select(&keep)), keep, floats.raw_bytes())
         };
         let last = (kept.num_timesteps() - 1) as u16;
-        let mut lives: Vec<[u16; 2]> = match scene.births() {
-            Some(births) => keep.iter().map(|&i| [births[i] as u16, last]).collect(),
+        let life =
+            |lives: &Lives, i: usize| [lives.births[i], (lives.deaths[i] - 1).min(last.into())].map(|t| t as u16);
+        let mut lives: Vec<[u16; 2]> = match scene.lives() {
+            Some(lives) => keep.iter().map(|&i| life(lives, i)).collect(),
             None => vec![[0, last]; keep.len()],
         };
         let (kept, keep) = if options.min_share > 0.0 {
             let seen = seen_by_cameras(scene, &kept, &cameras, options.min_share)?;
             let rows: Vec<usize> = (0..keep.len()).filter(|&row| seen[row].share >= options.min_share).collect();
             // Version 1 holds no lives.
-            let last_of = |row: usize| if options.version > 1 { seen[row].last.max(lives[row][0]) } else { last };
+            let seen_to = |row: usize| seen[row].last.clamp(lives[row][0], lives[row][1]);
+            let last_of = |row: usize| if options.version > 1 { seen_to(row) } else { last };
             lives = rows.iter().map(|&row| [lives[row][0], last_of(row)]).collect();
             (kept.select(&rows), rows.iter().map(|&row| keep[row]).collect())
         } else {

@@ -91,6 +91,11 @@ fn check(scenes: &[OpenScene]) -> Result<(), PipelineError> {
             let expected = format!("more, since {} ends there or later", before.path.display());
             return refuse(scene, format!("ends with frame {}", frames.end - 1), expected);
         }
+        if let Some(scene) = [before, scene].into_iter().find(|scene| scene.lives().is_some()) {
+            let expected = "the same at all timesteps where runs are joined: chapters that start from a run of one frame, or \
+                            births.enabled=false and deaths.patience=0";
+            return refuse(scene, "has Gaussians that are born or die".into(), expected.into());
+        }
         let (found, expected) = (scene.num_gaussians(), first.num_gaussians());
         let as_first = format!(
             "those of {} in the same order, since a .tcgs file has the same Gaussians at all timesteps: \

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tcgs_codec::{BitMap, CompactFile, FileCamera, Light, Loss, Quantizers, SceneFile, SceneInfo, UpAxis, read_views};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{FourdgsFile, ParamsNpz, TimestepFiles};
-use tcgs_train::{Checkpoint, Parameters, Run};
+use tcgs_train::{Checkpoint, Lives, Parameters, Run, StandIns};
 
 use self::chapters::Chapters;
 pub use self::open::{CutFiles, OpenSettings};
@@ -68,8 +68,8 @@ enum Content {
     Chapters(Box<Chapters>),
     Floats {
         scene: Box<DynamicGaussians>,
-        /// `[N]`, timestep of birth of each Gaussian, ascending; none where all are there at every timestep.
-        births: Option<Vec<u32>>,
+        /// When each Gaussian lives; none where all do at every timestep.
+        lives: Option<Lives>,
         kind: &'static str,
     },
     /// A `params.npz`, of which a timestep is read when it is asked for.
@@ -112,19 +112,19 @@ struct RunContent {
     run: Run,
     /// What the first checkpoint holds and the others do not repeat.
     first: Checkpoint,
-    /// As [`Run::births`] gives them.
-    births: Option<Vec<u32>>,
+    /// As [`Run::lives`] gives them.
+    lives: Option<Lives>,
     num_timesteps: usize,
 }
 
 impl RunContent {
     fn num_gaussians(&self) -> usize {
-        self.births.as_ref().map_or(self.first.parameters.num_gaussians(), Vec::len)
+        self.lives.as_ref().map_or(self.first.parameters.num_gaussians(), Lives::len)
     }
 
     fn num_gaussians_at(&self, timestep: usize) -> usize {
-        let births = self.births.as_ref();
-        births.map_or(self.first.parameters.num_gaussians(), |births| born_by(births, timestep))
+        let lives = self.lives.as_ref();
+        lives.map_or(self.first.parameters.num_gaussians(), |lives| lives.living(timestep).len())
     }
 
     fn checkpoint(&self, timestep: usize) -> Result<Checkpoint, PipelineError> {
@@ -203,7 +203,7 @@ impl OpenScene {
     /// ```
     pub fn of_floats(name: &Path, floats: DynamicGaussians, frame_rate: f64) -> Self {
         let (path, bytes, layout) = (name.into(), floats.raw_bytes(), Arc::clone(floats.layout()));
-        let content = Content::Floats { scene: Box::new(floats), births: None, kind: "floats" };
+        let content = Content::Floats { scene: Box::new(floats), lives: None, kind: "floats" };
         Self { path, first_frame: 0, downscale: 1, frame_rate, bytes, layout, content }
     }
 
@@ -212,7 +212,7 @@ impl OpenScene {
     /// - `kind`: as [`Self::kind`] shall say
     pub fn with_floats(&self, scene: DynamicGaussians, kind: &'static str) -> Self {
         let layout = Arc::clone(scene.layout());
-        self.with(layout, Content::Floats { scene: Box::new(scene), births: None, kind })
+        self.with(layout, Content::Floats { scene: Box::new(scene), lives: None, kind })
     }
 
     /// Some Gaussians of a scene of floats, in memory: what pruning leaves.
@@ -223,8 +223,9 @@ impl OpenScene {
     /// As [`Self::floats`].
     pub fn pruned(&self, keep: &[usize]) -> Result<Self, PipelineError> {
         let scene = Box::new(self.floats()?.select(keep));
-        let births = self.births().map(|births| keep.iter().map(|&i| births[i]).collect());
-        Ok(self.with(Arc::clone(scene.layout()), Content::Floats { scene, births, kind: "pruned" }))
+        let of = |column: &[u32]| keep.iter().map(|&i| column[i]).collect();
+        let lives = self.lives().map(|lives| Lives { births: of(&lives.births), deaths: of(&lives.deaths) });
+        Ok(self.with(Arc::clone(scene.layout()), Content::Floats { scene, lives, kind: "pruned" }))
     }
 
     /// The same scene with the symbols of a compression.
@@ -335,7 +336,7 @@ impl OpenScene {
             Content::TimestepFiles(files) => files.num_gaussians_at(timestep),
             Content::Fourdgs(file) => file.num_gaussians_at(timestep),
             Content::Run(run) => run.num_gaussians_at(timestep),
-            Content::Floats { births: Some(births), .. } => born_by(births, timestep),
+            Content::Floats { lives: Some(lives), .. } => lives.living(timestep).len(),
             _ => self.num_gaussians(),
         }
     }
@@ -391,9 +392,7 @@ impl OpenScene {
                 let (chapter, timestep) = chapters.place(timestep);
                 chapter.at(timestep)?
             }
-            Content::Floats { scene, births: Some(births), .. } => {
-                scene.at(timestep).select(&(0..born_by(births, timestep)).collect::<Vec<_>>())
-            }
+            Content::Floats { scene, lives: Some(lives), .. } => scene.at(timestep).select(&lives.living(timestep)),
             Content::Floats { scene, .. } => scene.at(timestep),
             // What a panic elsewhere leaves is a file at another place, and every read begins by seeking its own.
             Content::Params(params) => params.file.lock().unwrap_or_else(PoisonError::into_inner).at(timestep)?,
@@ -440,7 +439,7 @@ impl OpenScene {
         Err(PipelineError::input(self.path.display(), found, expected))
     }
 
-    /// All timesteps of a scene of floats; who is born later stands at earlier timesteps as it will be born. Files of a timestep
+    /// All timesteps of a scene of floats; who does not live at one stands there as it was born or died. Files of a timestep
     /// each are checked to continue one another.
     ///
     /// # Errors
@@ -469,20 +468,20 @@ impl OpenScene {
         }
     }
 
-    /// `[N]`, timestep of birth of each Gaussian of a run, ascending; none where all are there at every timestep.
-    pub(crate) fn births(&self) -> Option<&[u32]> {
+    /// When each Gaussian of a run lives; none where all do at every timestep.
+    pub(crate) fn lives(&self) -> Option<&Lives> {
         match &self.content {
-            Content::Run(run) => run.births.as_deref(),
-            Content::Floats { births, .. } => births.as_deref(),
+            Content::Run(run) => run.lives.as_ref(),
+            Content::Floats { lives, .. } => lives.as_ref(),
             _ => None,
         }
     }
 
-    /// The Gaussians of a run that are born after the first timestep, each as it is born, in the order of their births.
-    pub(crate) fn newborn(&self) -> Result<Gaussians, PipelineError> {
+    /// What stands in for the Gaussians of a run at the timesteps at which they do not live.
+    pub(crate) fn stand_ins(&self) -> Result<StandIns, PipelineError> {
         match &self.content {
-            Content::Run(run) if run.births.is_some() => Ok(run.run.newborn(&run.first)?),
-            _ => Ok(Gaussians::zeros_of(&self.layout, 0)),
+            Content::Run(run) => Ok(run.run.stand_ins(&run.first)?),
+            _ => Ok(StandIns::none(&self.layout)),
         }
     }
 
@@ -493,8 +492,11 @@ impl OpenScene {
             return chapters.first().learned_bits();
         }
         let Content::Run(run) = &self.content else { return Ok(None) };
+        // Those of the dead, too: who was born later has the same widths as all born.
+        let Some(first) = &run.first.quantizers else { return Ok(None) };
+        let bit_map = first.bit_map.with_more(run.num_gaussians() - first.bit_map.num_gaussians());
         let last = run.checkpoint(run.num_timesteps - 1)?;
-        Ok(last.quantizers.map(|q| (q.bit_map.clone(), q.table())))
+        Ok(last.quantizers.map(|q| (bit_map, q.table())))
     }
 
     /// The first checkpoint of a run.
@@ -518,7 +520,7 @@ impl OpenScene {
             _ => Box::new(self.run().into_iter().flat_map(Run::mask_logits)),
         };
         let logits = logits.map_while(|logits| logits.map_err(|error| failed = Some(error)).ok());
-        let means = tcgs_train::mean_masks(logits);
+        let means = tcgs_train::mean_masks(logits, self.lives());
         failed.map_or(Ok(Some(means)), |error| Err(error.into()))
     }
 
@@ -534,11 +536,6 @@ impl OpenScene {
             Content::Fourdgs(_) => ".4dgs file",
         }
     }
-}
-
-/// - `births`: ascending
-fn born_by(births: &[u32], timestep: usize) -> usize {
-    births.partition_point(|&birth| birth as usize <= timestep)
 }
 
 /// Timesteps are read when they are asked for, as by [`OpenScene::at`].

@@ -3,7 +3,7 @@
 use tcgs_capture::{Capture, Split};
 use tcgs_core::Camera;
 use tcgs_interchange::read_params_foreground;
-use tcgs_train::{Checkpoint, Parameters, Run, TrainConfig, TrainError, Trainer};
+use tcgs_train::{Checkpoint, Lifetimes, Parameters, Pose, Run, TrainConfig, TrainError, Trainer};
 
 use crate::{Backend, OpenScene, PipelineError};
 
@@ -57,6 +57,10 @@ pub fn start_state(
     if !config.quantize.enabled {
         start.quantizers = None;
     }
+    // All that live now are there from the chapter's first timestep to its last.
+    start.lifetimes = Lifetimes::new(start.parameters.num_gaussians());
+    start.born = Pose::default();
+    start.gate.unseen.clear();
     Ok(start)
 }
 

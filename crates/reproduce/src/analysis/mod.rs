@@ -41,7 +41,7 @@ pub fn analyse(name: &str, run: &Path) -> Result<Value, ReproduceError> {
         "tracks" => tracks::analyse(&kept(&run, &trained).0),
         "selection" => selection::analyse(&foreground(&run, &trained)),
         "polynomials" => polynomials::analyse(&foreground(&run, &trained)),
-        "masks" => masks::analyse(&trained.mask_logits, run.config().mask.threshold),
+        "masks" => masks::analyse(&throughout(&trained), run.config().mask.threshold),
         _ => return Err(ReproduceError::Table(format!("{name}: no analysis of this name"))),
     };
     serde_json::to_value(findings)
@@ -51,9 +51,21 @@ pub fn analyse(name: &str, run: &Path) -> Result<Value, ReproduceError> {
 /// Without what is masked over time; and which of them are foreground.
 fn kept(run: &Run, trained: &TrainedScene) -> (DynamicGaussians, Vec<bool>) {
     let threshold = if run.config().mask.enabled { run.config().mask.threshold } else { -1.0 };
-    let means = mean_masks(&trained.mask_logits);
+    let means = mean_masks(&trained.mask_logits, trained.lives.as_ref());
     let keep: Vec<usize> = (0..means.len()).filter(|&i| means[i] > threshold).collect();
     (trained.scene.select(&keep), keep.iter().map(|&i| trained.foreground[i]).collect())
+}
+
+/// Mask logits `[T][N]` of the Gaussians that live at all timesteps.
+fn throughout(trained: &TrainedScene) -> Vec<Vec<f32>> {
+    let Some(lives) = &trained.lives else { return trained.mask_logits.clone() };
+    let last = trained.mask_logits.len().saturating_sub(1);
+    let whole = |id: &usize| lives.births[*id] == 0 && lives.deaths[*id] as usize > last;
+    let of_timestep = |(timestep, logits): (usize, &Vec<f32>)| {
+        let living = lives.living(timestep);
+        living.iter().zip(logits).filter(|(id, _)| whole(id)).map(|(_, &logit)| logit).collect()
+    };
+    trained.mask_logits.iter().enumerate().map(of_timestep).collect()
 }
 
 /// Positions of what may move: `[N][3][T]`; of everything where nothing is foreground.

@@ -45,7 +45,7 @@ impl Form {
 #[derive(Debug)]
 pub(crate) struct Chain {
     folder: PathBuf,
-    only: Option<&'static str>,
+    only: Option<&'static [&'static str]>,
     last: Option<(usize, Arrays)>,
 }
 
@@ -55,9 +55,9 @@ impl Chain {
         Self { folder: folder.into(), only: None, last: None }
     }
 
-    /// For reading a single array of every timestep.
-    pub fn of(folder: &Path, name: &'static str) -> Self {
-        Self { only: Some(name), ..Self::new(folder) }
+    /// For reading some arrays of every timestep.
+    pub fn of(folder: &Path, names: &'static [&'static str]) -> Self {
+        Self { only: Some(names), ..Self::new(folder) }
     }
 
     pub fn path(&self, timestep: usize) -> PathBuf {
@@ -112,7 +112,7 @@ impl Chain {
             }
             let mut link = Link::open(&path, at).map_err(continued)?;
             if at == timestep {
-                let wanted = |name: &&String| self.only.is_none_or(|only| *name == only);
+                let wanted = |name: &&String| self.only.is_none_or(|only| only.contains(&name.as_str()));
                 pending = link.forms.keys().filter(wanted).map(|name| (name.clone(), Vec::new())).collect();
             }
             for name in pending.keys().cloned().collect::<Vec<_>>() {

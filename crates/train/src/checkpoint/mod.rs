@@ -6,6 +6,7 @@
 mod array;
 mod chain;
 
+use std::collections::BTreeSet;
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 use std::sync::Arc;
@@ -18,7 +19,7 @@ use self::array::{Array, Value, get, problem_of};
 use crate::TrainError;
 use crate::fake_quant::FakeQuantizers;
 use crate::gate::GateRecord;
-use crate::lifetimes::Lifetimes;
+use crate::lifetimes::{Lifetimes, Lives};
 use crate::motion::Pose;
 use crate::parameters::{Parameters, extent};
 use crate::state::{Optimizer, goes_on};
@@ -131,9 +132,8 @@ impl Checkpoint {
         }
         if has_births {
             let l = &self.lifetimes;
-            for (name, values) in LIFETIME_NAMES.into_iter().zip([&l.ids, &l.births, &l.deaths]) {
-                let wide: Vec<u64> = values.iter().map(|&value| value.into()).collect();
-                arrays.add(name, For::Scene, &[n], &wide);
+            for (name, values) in LIFETIME_NAMES.into_iter().zip([&l.ids, &l.lives.births, &l.lives.deaths]) {
+                arrays.add(name, For::Scene, &[values.len()], &wide(values));
             }
             let count = self.born.means.len();
             arrays.add(BORN_MEANS, For::Resuming, &[count, 3], self.born.means.as_flattened());
@@ -166,6 +166,9 @@ impl Checkpoint {
             arrays.add(GATE_TILES, For::Resuming, &[tiles.len()], &tiles);
             arrays.add("gate_errors", For::Resuming, &[errors.len()], &errors);
             arrays.add("gate_noise", For::Resuming, &[tiles.len(), noise.len() / tiles.len()], &noise);
+            if !g.unseen.is_empty() {
+                arrays.add(GATE_UNSEEN, For::Resuming, &[n], &wide(&g.unseen));
+            }
         }
         if first {
             let cameras = p.camera_gains.len();
@@ -235,17 +238,12 @@ impl Checkpoint {
         get(arrays, MASK_LOGITS)
     }
 
-    /// Timesteps of birth among arrays; none if all Gaussians were there at first.
+    /// The lives among arrays; none if all Gaussians were there at first and have not died.
     ///
     /// # Errors
     /// What is wrong with the arrays.
-    pub(crate) fn births_of(arrays: &Arrays) -> Result<Option<Vec<u32>>, String> {
-        if !arrays.contains_key(BIRTHS) {
-            return Ok(None);
-        }
-        let births = get::<u64>(arrays, BIRTHS)?;
-        let births: Vec<u32> = births.iter().map(|&birth| u32::try_from(birth).unwrap_or(u32::MAX)).collect();
-        if births.is_sorted() { Ok(Some(births)) } else { Err(format!("{BIRTHS} are not in their order")) }
+    pub(crate) fn lives_of(arrays: &Arrays) -> Result<Option<Lives>, String> {
+        if has_lifetimes(arrays) { read_lives(arrays).map(Some) } else { Ok(None) }
     }
 
     /// Whether arrays hold what the next timestep starts from besides the scene.
@@ -280,10 +278,11 @@ const STEPS: &str = "steps";
 /// Name of the array of mask logits.
 pub(crate) const MASK_LOGITS: &str = "mask_logits";
 const GATE_TILES: &str = "gate_tiles";
+const GATE_UNSEEN: &str = "gate_unseen";
 const FOREGROUND: &str = "foreground";
-/// Name of the array of timesteps of birth.
-pub(crate) const BIRTHS: &str = "births";
-const LIFETIME_NAMES: [&str; 3] = ["ids", BIRTHS, "deaths"];
+/// Names of the arrays of [`Lives`].
+pub(crate) const LIVES: [&str; 2] = ["births", "deaths"];
+const LIFETIME_NAMES: [&str; 3] = ["ids", LIVES[0], LIVES[1]];
 const BORN_MEANS: &str = "born_means";
 const BORN_QUATS: &str = "born_quats";
 const QUANTIZER_MOMENT_NAMES: [&str; 2] = ["quantizer_step_moments", "quantizer_offset_moments"];
@@ -325,7 +324,12 @@ fn layout_of(table: &str) -> Option<Layout> {
     Some(layout)
 }
 
-fn read_gate(arrays: &Arrays) -> Result<GateRecord, String> {
+/// - `n`: number of Gaussians
+fn read_gate(arrays: &Arrays, n: usize) -> Result<GateRecord, String> {
+    let unseen = if arrays.contains_key(GATE_UNSEEN) { narrow(arrays, GATE_UNSEEN)? } else { Vec::new() };
+    if !unseen.is_empty() && unseen.len() != n {
+        return Err(format!("{GATE_UNSEEN} holds {} values, expected {n}", unseen.len()));
+    }
     let tiles = get::<u64>(arrays, GATE_TILES)?;
     let (errors, noise) = (get::<f32>(arrays, "gate_errors")?, get::<f32>(arrays, "gate_noise")?);
     let sum = tiles.iter().try_fold(0_u64, |sum, &count| sum.checked_add(count));
@@ -342,6 +346,7 @@ fn read_gate(arrays: &Arrays) -> Result<GateRecord, String> {
     Ok(GateRecord {
         errors: tiles.iter().map(|&count| take(count)).collect(),
         noise: (0..tiles.len()).map(|i| noise[i * per_camera..][..per_camera].to_vec()).collect(),
+        unseen,
     })
 }
 
@@ -397,15 +402,17 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
     let (n, layout) = (parameters.num_gaussians(), parameters.gaussians.layout());
     let lifetimes = if has_lifetimes(arrays) { read_lifetimes(arrays, n)? } else { Lifetimes::new(n) };
     let born = read_born(arrays, &lifetimes)?;
-    let num_first = lifetimes.born_by(0);
+    let num_first = lifetimes.lives.births.partition_point(|&birth| birth == 0);
     if let Some(first) = first.map(|first| first.parameters.num_gaussians()).filter(|&first| first != num_first) {
-        return Err(format!("{BIRTHS} has {num_first} Gaussians of the first timestep, expected {first}"));
+        return Err(format!("{} has {num_first} Gaussians of the first timestep, expected {first}", LIVES[0]));
     }
     let (scene_radius, bits) = match first {
         Some(first) => {
-            let bits =
-                |q: &FakeQuantizers| (q.bit_map.with_more(n - num_first), q.groups.clone(), q.initial_steps.clone());
-            (first.scene_radius, first.quantizers.as_ref().map(bits))
+            let bits = |q: &FakeQuantizers| {
+                let bit_map = bit_map_after(&q.bit_map, &lifetimes)?;
+                Ok::<_, String>((bit_map, q.groups.clone(), q.initial_steps.clone()))
+            };
+            (first.scene_radius, first.quantizers.as_ref().map(bits).transpose()?)
         }
         None => {
             let radius = get::<f32>(arrays, "scene_radius")?.first().copied().ok_or("scene_radius is empty")?;
@@ -434,7 +441,7 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
         true => read_optimizer(arrays, &parameters, num_quantizers)?,
         false => Optimizer::new(&parameters, num_quantizers),
     };
-    let gate = if arrays.contains_key(GATE_TILES) { read_gate(arrays)? } else { GateRecord::default() };
+    let gate = if arrays.contains_key(GATE_TILES) { read_gate(arrays, n)? } else { GateRecord::default() };
     Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, gate, born })
 }
 
@@ -444,7 +451,7 @@ fn has_lifetimes(arrays: &Arrays) -> bool {
 }
 
 fn read_born(arrays: &Arrays, lifetimes: &Lifetimes) -> Result<Pose, String> {
-    let num_born = lifetimes.births.len() - lifetimes.born_by(0);
+    let num_born = lifetimes.ids.len() - lifetimes.num_first();
     // Only resuming needs them.
     if num_born == 0 || !Checkpoint::can_resume_from(arrays) {
         return Ok(Pose::default());
@@ -459,17 +466,62 @@ fn read_born(arrays: &Arrays, lifetimes: &Lifetimes) -> Result<Pose, String> {
 }
 
 fn read_lifetimes(arrays: &Arrays, n: usize) -> Result<Lifetimes, String> {
-    let column = |name: &str| -> Result<Vec<u32>, String> {
-        let values = get::<u64>(arrays, name)?;
-        let narrow: Option<Vec<u32>> = values.iter().map(|&value| u32::try_from(value).ok()).collect();
-        narrow.filter(|values| values.len() == n).ok_or_else(|| format!("{name} is not {n} values below 2^32"))
-    };
-    let [ids, births, deaths] = LIFETIME_NAMES;
-    let births = column(births)?;
+    let (ids, lives) = (narrow(arrays, LIFETIME_NAMES[0])?, read_lives(arrays)?);
+    if ids.len() != n || !ids.is_sorted_by(|a, b| a < b) || ids.last().is_some_and(|&id| id as usize >= lives.len()) {
+        return Err(format!("ids are not {n} ascending ones of {}", lives.len()));
+    }
+    Ok(Lifetimes { ids, lives })
+}
+
+fn read_lives(arrays: &Arrays) -> Result<Lives, String> {
+    let [births, deaths] = LIVES.map(|name| narrow(arrays, name));
+    let (births, deaths) = (births?, deaths?);
     if !births.is_sorted() {
         return Err("births are not in their order".into());
     }
-    Ok(Lifetimes::from_columns(column(ids)?, births, column(deaths)?))
+    if births.len() != deaths.len() || births.iter().zip(&deaths).any(|(birth, death)| birth >= death) {
+        return Err("deaths do not fit births".into());
+    }
+    Ok(Lives { births, deaths })
+}
+
+fn narrow(arrays: &Arrays, name: &str) -> Result<Vec<u32>, String> {
+    let values = get::<u64>(arrays, name)?.iter().map(|&value| u32::try_from(value).ok());
+    values.collect::<Option<_>>().ok_or_else(|| format!("{name} is not below 2^32"))
+}
+
+fn wide(values: &[u32]) -> Vec<u64> {
+    values.iter().map(|&value| value.into()).collect()
+}
+
+/// The widths of those that live, found as training found them: who is born has the largest width in use at that time.
+///
+/// - `first`: of those that were there at first
+///
+/// # Errors
+/// If the lives are not those of these identities.
+fn bit_map_after(first: &BitMap, lifetimes: &Lifetimes) -> Result<BitMap, String> {
+    let Lives { births, deaths } = &lifetimes.lives;
+    let (mut bit_map, mut ids) = (first.clone(), (0..first.num_gaussians()).collect::<Vec<_>>());
+    let mut num_known = ids.len();
+    let burials: BTreeSet<u32> = deaths.iter().copied().filter(|&death| death != Lives::NEVER).collect();
+    for burial in burials {
+        let born = births.partition_point(|&birth| birth < burial);
+        bit_map = bit_map.with_more(born - num_known);
+        ids.extend(num_known..born);
+        num_known = born;
+        let rows: Vec<usize> = (0..ids.len()).filter(|&row| deaths[ids[row]] != burial).collect();
+        if rows.is_empty() {
+            return Err("deaths leave no Gaussian".into());
+        }
+        bit_map = bit_map.select(&rows);
+        ids.retain(|&id| deaths[id] != burial);
+    }
+    ids.extend(num_known..births.len());
+    if !ids.iter().copied().eq(lifetimes.ids.iter().map(|&id| id as usize)) {
+        return Err("ids are not those that births and deaths leave".into());
+    }
+    Ok(bit_map.with_more(births.len() - num_known))
 }
 
 fn read_optimizer(arrays: &Arrays, parameters: &Parameters, num_quantizers: usize) -> Result<Optimizer, String> {

@@ -250,6 +250,27 @@ impl BirthConfig {
     pub const OFF: Self = Self { enabled: false, youth: 0, gradient_threshold: 0.0, ..Self::ON };
 }
 
+/// Settings of deaths: Gaussians that later timesteps remove.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeathConfig {
+    /// Timesteps in which no training camera sees a Gaussian, after which it dies; it is looked for once in as many timesteps.
+    /// What others hide where it was born lives on, since it may be uncovered. Needs the gate; in a run that continues another
+    /// one's state none dies. 0: none dies. Default 20; 0 in `d3dgs` and `paper`.
+    pub patience: usize,
+    /// A Gaussian is not seen if it makes up less than this share of the pixels of all training images of a timestep. Default
+    /// 1e-6, below which `tcgs compress --refine` leaves it out of a file.
+    pub share: f32,
+}
+
+impl DeathConfig {
+    /// The settings of presets `default` and `fast`.
+    pub const ON: Self = Self { patience: 20, share: 1e-6 };
+
+    /// The settings of presets that remove none, and of runs whose `config.toml` knows of no deaths.
+    pub const OFF: Self = Self { patience: 0, ..Self::ON };
+}
+
 /// Settings of colours that depend on the direction of view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use tcgs_core::MAX_SH_DEGREE;
 
 pub use self::groups::{
-    BirthConfig, BitMapKind, ColorConfig, DataConfig, DensifyConfig, GateConfig, MaskConfig, QuantizeConfig,
-    REFERENCE_ITERATIONS, RateConfig, RenderConfig, ScheduleConfig,
+    BirthConfig, BitMapKind, ColorConfig, DataConfig, DeathConfig, DensifyConfig, GateConfig, MaskConfig,
+    QuantizeConfig, REFERENCE_ITERATIONS, RateConfig, RenderConfig, ScheduleConfig,
 };
 use crate::losses::WeightConfig;
 
@@ -38,6 +38,8 @@ pub struct TrainConfig {
     pub gate: GateConfig,
     /// Births after the first timestep.
     pub births: BirthConfig,
+    /// Deaths after the first timestep.
+    pub deaths: DeathConfig,
     /// Colours that depend on the direction of view.
     pub color: ColorConfig,
     /// What drawing does with the Gaussians.
@@ -184,6 +186,7 @@ impl TrainConfig {
             },
             gate: GateConfig::OFF,
             births: BirthConfig::OFF,
+            deaths: DeathConfig::OFF,
             color: ColorConfig { degree: 0 },
             render: RenderConfig { antialiased: false },
         };
@@ -222,6 +225,7 @@ impl TrainConfig {
                 config.densify.reset = 0;
                 config.gate = GateConfig::ON;
                 config.births = BirthConfig::ON;
+                config.deaths = DeathConfig::ON;
             }
         }
         if preset == Preset::Fast {
@@ -344,6 +348,9 @@ impl TrainConfig {
                 "more than 0 (births.enabled turns births off)",
             );
         }
+        if !(0.0..1.0).contains(&self.deaths.share) {
+            return refuse("deaths.share", self.deaths.share.to_string(), "0 or more, below 1");
+        }
         if self.densify.interval == 0 || self.mask.prune_interval == 0 {
             return refuse("densify.interval or mask.prune_interval", "0".into(), "at least 1");
         }
@@ -410,6 +417,7 @@ mod tests {
             ("weights.rigid", "nan", "weights.rigid is NaN, expected a finite number"),
             ("rates.mean", "-1.0", "rates.mean is -1, expected"),
             ("gate.pace", "0.5", "gate.pace is 0.5, expected 1 or more"),
+            ("deaths.share", "1.0", "deaths.share is 1, expected 0 or more, below 1"),
             ("color.degree", "4", "color.degree is 4, expected 0 to 3"),
             (
                 "births.share",

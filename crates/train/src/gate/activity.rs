@@ -33,6 +33,8 @@ pub(crate) struct Activity {
     pub active: Vec<usize>,
     /// Indices of the Gaussians that are held because the losses on motion tie them to active ones, ascending.
     pub held: Vec<usize>,
+    /// `[N]` share of the pixels of all views that each Gaussian makes up; empty if nothing has changed in any.
+    pub pixels: Vec<f32>,
     /// `[cameras]`, the tiles that are drawn.
     pub tiles: Vec<TileMask>,
     /// Positions of the views that have such tiles; none if no Gaussian is active.
@@ -62,6 +64,7 @@ impl Activity {
         let mut activity = Self {
             active: Vec::new(),
             held: Vec::new(),
+            pixels: Vec::new(),
             cameras: Vec::new(),
             before: Activated { num_channels: channels, ..Activated::default() },
             tiles: evidence.iter().map(|e| e.tiles.clone()).collect(),
@@ -81,6 +84,9 @@ impl Activity {
                 *sum = [sum[0] + weights[0], sum[1] + weights[1]];
             }
         }
+        let num_pixels: usize =
+            targets.iter().map(|target| looked_at(&target.camera)).map(|c| c.width * c.height).sum();
+        activity.pixels = weights.iter().map(|[_, whole]| whole / num_pixels as f32).collect();
         let is_seen: Vec<bool> = weights.iter().map(|[_, whole]| *whole > MIN_WEIGHT).collect();
         let mut is_active: Vec<bool> =
             weights.iter().map(|&[changed, whole]| changed > MIN_WEIGHT && changed >= config.share * whole).collect();
@@ -333,8 +339,7 @@ impl Shares {
 /// - returns: `[views][N]`, in pixels of the resolution that is looked at
 fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<Vec<[f32; 2]>> {
     let of_view = |(target, evidence): (&Target, &Evidence)| {
-        let step = weights_step(&target.camera);
-        let camera = target.camera.downscaled(step);
+        let (step, camera) = (weights_step(&target.camera), looked_at(&target.camera));
         let mut shares = Image::filled(camera.width, camera.height, 2, 1.0);
         mark(&evidence.blocks, step, camera.width, shares.plane_mut(0));
         let Ok(weights) = blending_weights(&CpuRasterizer, drawn, &camera, &shares);
@@ -343,12 +348,17 @@ fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<
     targets.iter().zip(evidence).map(of_view).collect()
 }
 
+/// A camera at the resolution at which weights are looked at.
+fn looked_at(camera: &Camera) -> Camera {
+    camera.downscaled(weights_step(camera))
+}
+
 /// Which Gaussians have their centre no further than what the picture shows there.
 ///
 /// - `all`, `means`: `[N]`
 /// - returns: `[N]`
 fn shown(all: &Activated, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
-    let camera = camera.downscaled(weights_step(camera));
+    let camera = looked_at(camera);
     let pinhole = Pinhole::<f32>::new(&camera);
     let depths = means.iter().flat_map(|&mean| [pinhole.camera_point(mean)[2], 1.0]);
     let drawn = Activated { colors: depths.collect(), num_channels: 2, ..all.clone() };
@@ -366,8 +376,7 @@ fn shown(all: &Activated, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
 /// - `shares`: all Gaussians, with one channel: 1 of those, 0 of all others
 fn tiles_shown(shares: &Activated, camera: &Camera) -> TileMask {
     let mut tiles = TileMask::none(camera.width, camera.height);
-    let step = weights_step(camera);
-    let camera = camera.downscaled(step);
+    let (step, camera) = (weights_step(camera), looked_at(camera));
     let Ok((output, _)) = CpuRasterizer.forward(shares, &camera, &RenderSettings::default());
     for (i, _) in output.image.data.iter().enumerate().filter(|(_, share)| **share > MIN_SHARE) {
         let [x, y] = [i % camera.width * step, i / camera.width * step];

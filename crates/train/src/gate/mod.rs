@@ -23,7 +23,7 @@ mod pace;
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image, View};
-use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
+use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, gaussians_reaching, tiles_reached};
 
 pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
@@ -32,9 +32,10 @@ use self::evidence::{changed_blocks, differences, noise_level, tile_errors, tile
 use self::matches::{Matches, Mover};
 pub(crate) use self::nursery::Nursery;
 pub(crate) use self::pace::Pace;
-use crate::config::{GateConfig, MaskConfig};
+use crate::config::{DeathConfig, GateConfig, MaskConfig};
 use crate::engine::Target;
 use crate::engine::cpu::Drawn;
+use crate::lifetimes::Lives;
 use crate::state::State;
 
 /// Estimates of a camera's noise of which the median counts.
@@ -61,6 +62,9 @@ pub struct GateRecord {
     pub noise: Vec<Vec<f32>>,
     /// `[cameras][tiles]` mean absolute error of the scene's picture in each tile, as it was when last trained.
     pub errors: Vec<Vec<f32>>,
+    /// `[N]` first of the timesteps, up to now, before which no camera saw a Gaussian; [`Lives::NEVER`] of one that was seen
+    /// last. Empty where none dies.
+    pub unseen: Vec<u32>,
 }
 
 /// What the gate remembers of each view from one timestep to the next.
@@ -77,6 +81,7 @@ struct Memory {
 pub(crate) struct Gate {
     config: GateConfig,
     mask: MaskConfig,
+    deaths: DeathConfig,
     record: GateRecord,
     memory: Option<Memory>,
 }
@@ -89,8 +94,9 @@ struct Evidence {
 
 impl Gate {
     /// - `record`: of the checkpoint that a run goes on from; empty at its start
-    pub fn new(config: &GateConfig, mask: &MaskConfig, record: GateRecord) -> Self {
-        Self { config: config.clone(), mask: mask.clone(), record, memory: None }
+    pub fn new(config: &GateConfig, mask: &MaskConfig, deaths: &DeathConfig, record: GateRecord) -> Self {
+        let (config, mask, deaths) = (config.clone(), mask.clone(), deaths.clone());
+        Self { config, mask, deaths, record, memory: None }
     }
 
     /// Whether it has a record and lacks the images that go with it.
@@ -111,7 +117,7 @@ impl Gate {
 
     /// Takes what a timestep left that trained everything.
     pub fn begin(&mut self, state: &State, views: &[View], with_segmentation: bool) {
-        self.record = GateRecord { noise: vec![Vec::new(); views.len()], errors: Vec::new() };
+        self.record = GateRecord { noise: vec![Vec::new(); views.len()], ..GateRecord::default() };
         self.remember(state, views, with_segmentation);
         let pictures = self.memory.iter().flat_map(|memory| &memory.pictures);
         self.record.errors = pictures.zip(views).enumerate().map(|(i, (p, v))| errors(state, i, p, &v.image)).collect();
@@ -169,6 +175,13 @@ impl Gate {
         if config.matches {
             activity.corrections = corrections(state, &activity, &memory.images, targets);
         }
+        if self.deaths.patience > 0 {
+            self.record.unseen.resize(state.parameters.num_gaussians(), Lives::NEVER);
+            let timestep = state.timestep as u32 + 1;
+            for (unseen, share) in self.record.unseen.iter_mut().zip(&activity.pixels) {
+                *unseen = if *share >= self.deaths.share { Lives::NEVER } else { (*unseen).min(timestep) };
+            }
+        }
         Some(activity)
     }
 
@@ -193,6 +206,9 @@ impl Gate {
         let channels = self.memory.as_ref().map_or(3, |memory| memory.pictures[0].num_channels);
         let nothing = Activated { num_channels: channels, ..Activated::default() };
         self.redraw_rows(state, views, &(n - count..n).collect::<Vec<_>>(), &nothing);
+        if self.deaths.patience > 0 {
+            self.record.unseen.resize(n, Lives::NEVER);
+        }
     }
 
     /// Draws anew what some Gaussians changed.
@@ -200,7 +216,7 @@ impl Gate {
     /// - `rows`: these
     /// - `before`: as they were drawn
     pub fn redraw_rows(&mut self, state: &State, views: &[View], rows: &[usize], before: &Activated) {
-        if rows.is_empty() {
+        if rows.is_empty() && before.num_gaussians() == 0 {
             return;
         }
         let all = self.drawn(state);
@@ -238,6 +254,50 @@ impl Gate {
         views.par_iter().enumerate().map(of_view).collect()
     }
 
+    /// Gaussians that die: those that no camera has seen for long, and that stand outside of all views or went to where others
+    /// hide them. What is hidden where it was born may be uncovered.
+    ///
+    /// - `state`: after the timestep
+    /// - returns: indices, ascending
+    pub fn dying(&self, state: &State, views: &[View]) -> Vec<usize> {
+        let (patience, timestep) = (self.deaths.patience, state.timestep);
+        let Some(past) = state.past.as_ref().filter(|_| patience > 0 && timestep.is_multiple_of(patience)) else {
+            return Vec::new();
+        };
+        let unseen = &self.record.unseen;
+        let due: Vec<usize> = (0..unseen.len()).filter(|&i| unseen[i] as usize + patience <= timestep).collect();
+        let few = self.drawn(state).activated().select(&due);
+        let mut is_in_view = vec![false; due.len()];
+        for view in views {
+            let whole = TileMask::all(view.image.width, view.image.height);
+            gaussians_reaching(&few, &view.camera, &whole).iter().for_each(|&i| is_in_view[i as usize] = true);
+        }
+        let (means, log_scales) = (state.parameters.gaussians.means(), state.parameters.gaussians.log_scales());
+        let is_away = |i: usize| {
+            let distance = (0..3).map(|axis| (means[i][axis] - past.first.means[i][axis]).powi(2)).sum::<f32>().sqrt();
+            distance > log_scales[i].into_iter().fold(f32::MIN, f32::max).exp()
+        };
+        let dying: Vec<usize> = due
+            .into_iter()
+            .zip(is_in_view)
+            .filter(|&(i, is_in_view)| !is_in_view || is_away(i))
+            .map(|(i, _)| i)
+            .collect();
+        // A scene has at least one Gaussian.
+        if dying.len() < means.len() { dying } else { Vec::new() }
+    }
+
+    /// Forgets Gaussians that died.
+    ///
+    /// - `state`: without them
+    /// - `dead`: their indices before
+    /// - `before`: as they were drawn
+    pub fn forget(&mut self, state: &State, views: &[View], dead: &[usize], before: &Activated) {
+        let mut row = 0..;
+        self.record.unseen.retain(|_| row.next().is_some_and(|row| dead.binary_search(&row).is_err()));
+        self.redraw_rows(state, views, &[], before);
+    }
+
     /// Takes what a timestep left that trained an activity.
     ///
     /// - `state`: after the timestep, of which [`Self::redraw`] drew the pictures
@@ -273,9 +333,10 @@ fn corrections(state: &State, activity: &Activity, before: &[Image], targets: &[
     let movers: Vec<Mover> = activity.active.iter().map(mover).collect();
     let cameras: Vec<&Camera> = targets.iter().map(|target| &target.camera).collect();
     let now: Vec<&Image> = targets.iter().map(|target| &target.image).collect();
+    let births = state.lifetimes.births();
     let mut corrections = Matches::new(&movers, &activity.weights, &cameras, before, &now).corrections();
     for (correction, &i) in corrections.iter_mut().zip(&activity.active) {
-        let birth = state.lifetimes.births[i];
+        let birth = births[i];
         if birth > 0 && (state.timestep as u32) < birth + ENTRY {
             *correction = [0.0; 3];
         }
@@ -294,5 +355,63 @@ fn redraw(drawn: &Drawn, view: &View, tiles: &TileMask, picture: &mut Image) {
         let drawn = drawn.seen_by(&view.camera);
         let (settings, laps) = (RenderSettings::default(), &mut Laps::begin());
         CpuRasterizer.forward_in(&drawn, &view.camera, &settings, tiles, picture, laps);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tcgs_core::{BaseColumns, Gaussians};
+
+    use super::*;
+    use crate::config::{Preset, TrainConfig};
+    use crate::motion::{Past, Pose};
+    use crate::parameters::Parameters;
+
+    /// A board, and before or behind it one Gaussian each way of being unseen.
+    #[test]
+    fn who_dies_is_unseen_for_long_and_outside_of_all_views_or_elsewhere_than_where_it_was_born() {
+        let behind = [0.1, 0.2, 1.0];
+        let means = vec![[0.0; 3], [0.5, 0.0, -1.0], [9.0, 0.0, 0.0], behind, behind, behind];
+        let n = means.len();
+        let mut log_scales = vec![[-3.0; 3]; n];
+        log_scales[0] = [1.0, 1.0, -6.0];
+        let mut logit_opacities = vec![2.0; n];
+        logit_opacities[0] = 12.0;
+        let (quats, colors) = (vec![[1.0, 0.0, 0.0, 0.0]; n], vec![[0.5; 3]; n]);
+        let gaussians = Gaussians::from(BaseColumns { means, quats, log_scales, logit_opacities, colors });
+        let mut born = gaussians.clone();
+        // The fourth stood before the board when it was born; the fifth has moved by less than its size.
+        born.means_mut()[3] = [0.1, 0.2, -1.0];
+        born.means_mut()[4] = [0.1, 0.22, 1.0];
+        let mut state = State::new(Parameters {
+            gaussians: gaussians.clone(),
+            mask_logits: vec![1.0; n],
+            foreground: vec![true; n],
+            camera_gains: vec![[0.0; 3]; 2],
+            camera_offsets: vec![[0.0; 3]; 2],
+        });
+        state.past = Some(Past::new(Pose::of(&born), gaussians, &vec![true; n]));
+        let view = |x: f64| View {
+            camera: Camera::look_at([x, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 48, 32),
+            image: Image::filled(48, 32, 3, 0.5),
+            segmentation: None,
+            frame: 0,
+            camera_id: 0,
+        };
+        let views = [view(-0.3), view(0.3)];
+        let config = TrainConfig::preset(Preset::Fast);
+        let dying = |patience: usize, timestep: usize, unseen: [u32; 6]| {
+            let record = GateRecord { unseen: unseen.to_vec(), ..GateRecord::default() };
+            let mut state = state.clone();
+            state.timestep = timestep;
+            Gate::new(&config.gate, &config.mask, &DeathConfig { patience, ..DeathConfig::ON }, record)
+                .dying(&state, &views)
+        };
+        let never = Lives::NEVER;
+        assert_eq!(dying(4, 8, [never, never, 4, 4, 4, 4]), [2, 3]);
+        // One was seen five timesteps ago, and the others are looked for at another time or not at all.
+        assert_eq!(dying(4, 8, [never, never, 5, 2, 1, 1]), [3]);
+        assert!(dying(4, 9, [never, never, 1, 1, 1, 1]).is_empty());
+        assert!(dying(0, 8, [never, never, 1, 1, 1, 1]).is_empty());
     }
 }

@@ -6,17 +6,16 @@ mod births;
 mod glimpse;
 mod timestep;
 
-use std::ops::Range;
 use std::sync::Arc;
 
-use tcgs_core::{Camera, Gaussians, Layout, PointCloud, View};
+use tcgs_core::{Camera, Layout, PointCloud, View};
 use tcgs_metrics::psnr;
 
 pub use self::glimpse::{Glimpse, Glimpsed};
 pub use self::timestep::Progress;
 use crate::TrainError;
 use crate::checkpoint::Checkpoint;
-use crate::config::TrainConfig;
+use crate::config::{DeathConfig, TrainConfig};
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
 use crate::gate::{Gate, GateRecord, Trained};
@@ -137,7 +136,7 @@ impl Trainer {
             schedule: Schedule::new(config, radius),
             scene_radius: radius,
             num_gaussians,
-            gate: gate(config, GateRecord::default()),
+            gate: gate(config, GateRecord::default(), &config.deaths),
             engine,
             timestep: 0,
             camera_ids: Vec::new(),
@@ -213,7 +212,8 @@ impl Trainer {
             schedule: Schedule::new(config, last.scene_radius),
             scene_radius: last.scene_radius,
             num_gaussians,
-            gate: gate(config, last.gate.clone()),
+            // Chapters of one scene have the same Gaussians.
+            gate: gate(config, last.gate.clone(), if continues { &DeathConfig::OFF } else { &config.deaths }),
             engine,
             timestep: timesteps,
             camera_ids: Vec::new(),
@@ -323,25 +323,31 @@ impl Trainer {
 
 /// The past of a state that goes on: what is born after the first timestep joins it with those born together.
 fn past_of(first: &Checkpoint, before_last: &Checkpoint, last: &Checkpoint) -> Past {
-    let (before, now) = (&before_last.parameters.gaussians, &last.parameters);
-    let num_first = first.parameters.num_gaussians();
-    let rows = |gaussians: &Gaussians, rows: Range<usize>| gaussians.select(&rows.collect::<Vec<_>>());
-    let mut past =
-        Past::new(Pose::of(&first.parameters.gaussians), rows(before, 0..num_first), &now.foreground[..num_first]);
-    for together in last.lifetimes.births[num_first..].chunk_by(|a, b| a == b) {
+    let (now, ids) = (&last.parameters, &last.lifetimes.ids);
+    let rows_of = |of: &Checkpoint, ids: &[u32]| -> Option<Vec<usize>> {
+        ids.iter().map(|id| of.lifetimes.ids.binary_search(id).ok()).collect()
+    };
+    let num_first = ids.partition_point(|&id| (id as usize) < first.lifetimes.lives.len());
+    let select = |of: &Checkpoint, ids: &[u32]| rows_of(of, ids).map(|rows| of.parameters.gaussians.select(&rows));
+    let known = "who lives on was there before";
+    let of_first = Pose::of(&select(first, &ids[..num_first]).expect(known));
+    let previous = select(before_last, &ids[..num_first]).expect(known);
+    let mut past = Past::new(of_first, previous, &now.foreground[..num_first]);
+    for together in last.lifetimes.births()[num_first..].chunk_by(|a, b| a == b) {
         let begin = past.first.means.len();
         let all = begin..begin + together.len();
         let born = last.born.range(begin - num_first..all.end - num_first);
         // Who is born at the last timestep has not moved yet.
-        let previous = if all.end <= before.num_gaussians() { before } else { &now.gaussians };
-        past.append(&born, &rows(previous, all.clone()), &now.foreground[all]);
+        let previous = select(before_last, &ids[all.clone()])
+            .unwrap_or_else(|| now.gaussians.select(&all.clone().collect::<Vec<_>>()));
+        past.append(&born, &previous, &now.foreground[all]);
     }
     past
 }
 
 /// The gate of a run; none where it is off.
-fn gate(config: &TrainConfig, record: GateRecord) -> Option<Gate> {
-    config.gate.enabled.then(|| Gate::new(&config.gate, &config.mask, record))
+fn gate(config: &TrainConfig, record: GateRecord, deaths: &DeathConfig) -> Option<Gate> {
+    config.gate.enabled.then(|| Gate::new(&config.gate, &config.mask, deaths, record))
 }
 
 fn all_segmented(views: &[View]) -> bool {

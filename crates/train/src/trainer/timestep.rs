@@ -106,6 +106,7 @@ impl Trainer {
         if let (Some(gate), Some(activity)) = (&mut self.gate, &activity) {
             gate.redraw(self.engine.state()?, views, activity);
             self.give_birth(views, activity)?;
+            self.bury(views)?;
         }
         if let Some(gate) = &mut self.gate {
             let state = self.engine.state()?;
@@ -116,6 +117,22 @@ impl Trainer {
         }
         self.timestep += 1;
         self.is_unfinished = false;
+        Ok(())
+    }
+
+    /// Removes what no camera has seen for long.
+    fn bury(&mut self, views: &[View]) -> Result<(), TrainError> {
+        let Some(gate) = &mut self.gate else { return Ok(()) };
+        let state = self.engine.state()?;
+        let dead = gate.dying(state, views);
+        if dead.is_empty() {
+            return Ok(());
+        }
+        let before = gate.drawn(state).activated().select(&dead);
+        self.engine.state_mut()?.bury(&dead);
+        let state = self.engine.state()?;
+        self.num_gaussians = state.parameters.num_gaussians();
+        gate.forget(state, views, &dead, &before);
         Ok(())
     }
 

@@ -10,7 +10,7 @@ use tcgs_metrics::psnr;
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::{Parameters, Preset, Run, State, TrainConfig, Trainer, with_unborn};
+use tcgs_train::{Parameters, Preset, Run, State, TrainConfig, Trainer};
 
 use crate::wall::{CENTER, add_ball, wall};
 
@@ -121,8 +121,8 @@ fn what_enters_is_born_where_it_is_and_moves_on() {
         let state = with.state().unwrap();
         let newborn = NUM_WALL..state.parameters.num_gaussians();
         assert!(newborn.len() > 20, "{} are born", newborn.len());
-        assert!(state.lifetimes.births[..NUM_WALL].iter().all(|&birth| birth == 0));
-        assert_eq!(state.lifetimes.births[NUM_WALL], 2);
+        assert!(state.lifetimes.births()[..NUM_WALL].iter().all(|&birth| birth == 0));
+        assert_eq!(state.lifetimes.births()[NUM_WALL], 2);
         // Most at the ball, which has gone on by 0.1.
         let center = ball(4).unwrap();
         let near = |mean: &[f32; 3]| (0..3).all(|d| (mean[d] - center[d]).abs() < 0.35);
@@ -152,8 +152,8 @@ fn newborn_of_large_gradients_are_divided() {
     let [more, fewer] = [&divided, &whole].map(|trainer| trainer.num_gaussians() - NUM_WALL);
     assert!(more > fewer && fewer > 0, "{more} are born, {fewer} without dividing");
     assert!(psnr[2] > without[2] + 1.0, "{psnr:?} against {without:?}");
-    let births = &divided.state().unwrap().lifetimes.births[NUM_WALL..];
-    assert!(births.iter().all(|&birth| birth == 2), "{births:?}");
+    let births = divided.state().unwrap().lifetimes.births();
+    assert!(births[NUM_WALL..].iter().all(|&birth| birth == 2), "{births:?}");
 }
 
 #[test]
@@ -202,7 +202,7 @@ fn the_young_go_on_learning_and_then_settle() {
     let psnr = fit(&mut trainer(&config), 0..5, true, Some(&run));
     let first = run.checkpoint(0, None).unwrap();
     // What does not vary over time, of those born at 2.
-    let num_born = run.births().unwrap().unwrap().iter().filter(|birth| **birth == 2).count();
+    let num_born = run.lives().unwrap().unwrap().births.iter().filter(|birth| **birth == 2).count();
     let constants = |gaussians: &Gaussians| {
         let rows = NUM_WALL..NUM_WALL + num_born;
         (gaussians.logit_opacities()[rows.clone()].to_vec(), gaussians.log_scales()[rows].to_vec())
@@ -253,17 +253,16 @@ fn a_run_with_births_resumes_with_the_same_bytes_and_reads_back() {
 
     let run = Run::open(run.folder()).unwrap();
     let first = run.checkpoint(0, None).unwrap();
-    let (births, newborn) = (run.births().unwrap().unwrap(), run.newborn(&first).unwrap());
+    let (births, stand_ins) = (run.lives().unwrap().unwrap().births, run.stand_ins(&first).unwrap());
     let state = trainer.state().unwrap();
-    assert_eq!(births, state.lifetimes.births);
-    assert_eq!(newborn.num_gaussians(), births.len() - NUM_WALL);
+    assert_eq!(births, state.lifetimes.births());
     let trained = run.trained().unwrap();
     assert_eq!((trained.scene.num_gaussians(), &trained.foreground), (births.len(), &state.parameters.foreground));
     for timestep in 0..5 {
         let now = run.parameters(timestep, Some(&first).filter(|_| timestep > 0)).unwrap().gaussians;
         assert_eq!(now.num_gaussians(), births.partition_point(|&birth| birth as usize <= timestep));
         assert_eq!(trained.mask_logits[timestep].len(), now.num_gaussians());
-        assert!(trained.scene.at(timestep) == with_unborn(now, &newborn, births.len()), "timestep {timestep}");
+        assert!(trained.scene.at(timestep) == stand_ins.complete(now, timestep), "timestep {timestep}");
     }
     assert!(trained.scene.at(4) == state.parameters.gaussians);
     // Nothing but what varies by the layout does.

@@ -6,6 +6,7 @@
 mod births;
 mod checkpoints;
 mod columns;
+mod deaths;
 mod differences;
 mod gate;
 mod golden;

@@ -129,7 +129,7 @@ impl Trainer {
         let config = &self.config.births;
         let Some(gate) = &self.gate else { return Ok(()) };
         let state = self.engine.state()?;
-        let births = &state.lifetimes.births;
+        let births = state.lifetimes.births();
         let is_young = |&i: &usize| births[i] > 0 && births[i] as usize + config.youth >= self.timestep;
         let young: Vec<usize> = activity.active.iter().copied().filter(is_young).collect();
         if young.is_empty() {
