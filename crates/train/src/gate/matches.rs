@@ -7,6 +7,7 @@
 //! that all views decide together. Who is explained where it starts has no say, and where no other place explains the
 //! others much better, nothing is moved.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::num::NonZero;
 
@@ -216,24 +217,20 @@ struct Colors {
 }
 
 fn pyramid(image: &Image) -> Vec<Colors> {
-    let planes = [0, 1, 2].map(|channel| image.plane(channel));
-    let pixels = (0..image.num_pixels()).map(|pixel| planes.map(|plane| plane[pixel])).collect();
-    let mut levels = vec![Colors { width: image.width, height: image.height, pixels }];
-    while let Some(last) = levels.last().filter(|last| last.width.min(last.height) >= 2 * SMALLEST) {
-        levels.push(last.halved());
+    let mut levels = vec![Colors::of(image)];
+    let mut image = Cow::Borrowed(image);
+    while image.width.min(image.height) >= 2 * SMALLEST {
+        image = Cow::Owned(image.downscaled(2));
+        levels.push(Colors::of(&image));
     }
     levels
 }
 
 impl Colors {
-    fn halved(&self) -> Self {
-        let (width, height) = (self.width / 2, self.height / 2);
-        let mean = |i: usize| {
-            let at = i / width * 2 * self.width + i % width * 2;
-            let four = [at, at + 1, at + self.width, at + self.width + 1].map(|at| self.pixels[at]);
-            std::array::from_fn(|c| 0.25 * four.iter().map(|color| color[c]).sum::<f32>())
-        };
-        Self { width, height, pixels: (0..width * height).map(mean).collect() }
+    fn of(image: &Image) -> Self {
+        let planes = [0, 1, 2].map(|channel| image.plane(channel));
+        let pixels = (0..image.num_pixels()).map(|pixel| planes.map(|plane| plane[pixel])).collect();
+        Self { width: image.width, height: image.height, pixels }
     }
 
     /// The colour at a place between pixels; none outside the image.

@@ -62,8 +62,8 @@ pub struct GateRecord {
     pub noise: Vec<Vec<f32>>,
     /// `[cameras][tiles]` mean absolute error of the scene's picture in each tile, as it was when last trained.
     pub errors: Vec<Vec<f32>>,
-    /// `[N]` first of the timesteps, up to now, before which no camera saw a Gaussian; [`Lives::NEVER`] of one that was seen
-    /// last. Empty where none dies.
+    /// `[N]` first of the timesteps, up to the last one looked at, at which no camera saw a Gaussian; [`Lives::NEVER`] of one
+    /// that was seen then. Empty where none dies.
     pub unseen: Vec<u32>,
 }
 
@@ -177,7 +177,7 @@ impl Gate {
         }
         if self.deaths.patience > 0 {
             self.record.unseen.resize(state.parameters.num_gaussians(), Lives::NEVER);
-            let timestep = state.timestep as u32 + 1;
+            let timestep = state.timestep as u32;
             for (unseen, share) in self.record.unseen.iter_mut().zip(&activity.pixels) {
                 *unseen = if *share >= self.deaths.share { Lives::NEVER } else { (*unseen).min(timestep) };
             }
