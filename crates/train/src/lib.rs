@@ -26,6 +26,7 @@ mod row;
 mod run;
 mod schedule;
 mod sensitivity;
+mod stand_ins;
 mod state;
 mod trainer;
 
@@ -47,8 +48,9 @@ pub use neighbors::{NEIGHBOR_FALLOFF, NUM_NEIGHBORS, Neighbors};
 pub use parameters::{Parameters, scene_radius};
 pub use refine::{RefineConfig, Refiner, refine_order};
 pub use row::Row;
-pub use run::{Run, StandIns, TrainedScene};
+pub use run::{Run, TrainedScene};
 pub use schedule::{Phase, Rates, Schedule};
 pub use sensitivity::sensitivity;
+pub use stand_ins::StandIns;
 pub use state::{GradientStatistic, Optimizer, State};
 pub use trainer::{Glimpse, Glimpsed, Progress, Trainer};

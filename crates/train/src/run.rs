@@ -10,7 +10,6 @@
 //!
 //! What does not live here: the content of a checkpoint (`checkpoint`).
 
-use std::collections::BTreeSet;
 use std::fs;
 use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -18,7 +17,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
-use tcgs_core::{DynamicGaussians, Gaussians, Layout};
+use tcgs_core::DynamicGaussians;
 use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
@@ -29,6 +28,7 @@ use crate::engine::cpu::CpuEngine;
 use crate::fake_quant::FakeQuantizers;
 use crate::lifetimes::Lives;
 use crate::parameters::Parameters;
+use crate::stand_ins::StandIns;
 use crate::state::State;
 use crate::trainer::Trainer;
 
@@ -290,6 +290,33 @@ impl Run {
         found
     }
 
+    /// As [`Self::parameters`], checked to be of those that live.
+    ///
+    /// - `lives`: as [`Self::lives`] gives them
+    ///
+    /// # Errors
+    /// As there; [`TrainError::File`] if the checkpoint has another number of Gaussians.
+    pub fn living(
+        &self,
+        timestep: usize,
+        first: Option<&Checkpoint>,
+        lives: Option<&Lives>,
+    ) -> Result<Parameters, TrainError> {
+        let parameters = self.parameters(timestep, first)?;
+        self.check_living(timestep, parameters.num_gaussians(), lives)?;
+        Ok(parameters)
+    }
+
+    /// - `found`: number of Gaussians of a timestep
+    fn check_living(&self, timestep: usize, found: usize, lives: Option<&Lives>) -> Result<(), TrainError> {
+        let expected = lives.map_or(found, |lives| lives.living(timestep).len());
+        if found == expected {
+            return Ok(());
+        }
+        let problem = format!("holds {found} Gaussians, expected {expected}");
+        Err(TrainError::File { path: self.checkpoint_path(timestep), problem })
+    }
+
     /// What stands in for the Gaussians of the run at the timesteps at which they do not live.
     ///
     /// - `first`: see [`Self::checkpoint`]
@@ -299,30 +326,9 @@ impl Run {
     pub fn stand_ins(&self, first: &Checkpoint) -> Result<StandIns, TrainError> {
         let layout = first.parameters.gaussians.layout();
         let (last, Some(lives)) = self.last_lives()? else { return Ok(StandIns::none(layout)) };
-        let num_first = first.parameters.num_gaussians();
-        let at = |timestep: usize, of: &dyn Fn(usize) -> bool| -> Result<Gaussians, TrainError> {
-            let gaussians = self.parameters(timestep, Some(first))?.gaussians;
-            let living = lives.living(timestep);
-            if living.len() != gaussians.num_gaussians() {
-                let problem = format!("holds {} Gaussians, expected {}", gaussians.num_gaussians(), living.len());
-                return Err(TrainError::File { path: self.checkpoint_path(timestep), problem });
-            }
-            Ok(gaussians.select(&(0..living.len()).filter(|&row| of(living[row])).collect::<Vec<_>>()))
-        };
-        let mut newborn = Vec::new();
-        for birth in distinct(&lives.births[num_first..]) {
-            newborn.push(at(birth as usize, &|id| lives.births[id] == birth)?);
-        }
-        let (mut dead, mut departed) = (Vec::new(), Vec::new());
-        for death in distinct(&lives.deaths).filter(|&death| death as usize <= last) {
-            dead.extend((0..lives.len()).filter(|&id| lives.deaths[id] == death));
-            departed.push(at(death as usize - 1, &|id| lives.deaths[id] == death)?);
-        }
-        let now = at(last, &|_| true)?;
-        let [newborn, departed] = [newborn, departed].map(|of| Gaussians::concat(layout, &of));
-        let mut stand_ins = StandIns { newborn, departed, dead, num_first, lives: Some(lives) };
-        stand_ins.settle(&now, last);
-        Ok(stand_ins)
+        self.check_living(0, first.parameters.num_gaussians(), Some(&lives))?;
+        let at = |timestep, lives: &Lives| Ok(self.living(timestep, Some(first), Some(lives))?.gaussians);
+        StandIns::gather(lives, layout, last, at)
     }
 
     /// The mask logits of the finished timesteps in their order, `[N]` each: of those that live then. Reads nothing
@@ -358,12 +364,12 @@ impl Run {
         let mut scene = DynamicGaussians::new(Arc::clone(first.parameters.gaussians.layout()));
         let mut mask_logits = Vec::with_capacity(finished);
         let stand_ins = self.stand_ins(&first)?;
-        let num_gaussians = stand_ins.lives.as_ref().map_or(first.parameters.num_gaussians(), Lives::len);
+        let num_gaussians = stand_ins.lives().map_or(first.parameters.num_gaussians(), Lives::len);
         let mut foreground = vec![false; num_gaussians];
         for timestep in 0..finished {
-            let now = self.parameters(timestep, Some(&first).filter(|_| timestep > 0))?;
-            let rows = stand_ins.living(timestep, now.gaussians.num_gaussians());
-            rows.iter().zip(&now.foreground).for_each(|(&id, &is_foreground)| foreground[id] = is_foreground);
+            let now = self.living(timestep, Some(&first).filter(|_| timestep > 0), stand_ins.lives())?;
+            let ids = stand_ins.lives().map_or_else(|| (0..num_gaussians).collect(), |lives| lives.living(timestep));
+            ids.iter().zip(&now.foreground).for_each(|(&id, &is_foreground)| foreground[id] = is_foreground);
             scene.push(stand_ins.complete(now.gaussians, timestep));
             mask_logits.push(now.mask_logits);
         }
@@ -376,7 +382,7 @@ impl Run {
             scene,
             mask_logits,
             foreground,
-            lives: stand_ins.lives,
+            lives: stand_ins.lives().cloned(),
             quantization: first.quantizers.as_ref().map(widths).zip(quantizers.map(|q| q.table())),
             camera_gains: first.parameters.camera_gains,
             camera_offsets: first.parameters.camera_offsets,
@@ -451,95 +457,6 @@ impl Run {
         let path = self.folder.join(name);
         write_whole(&path, Existing::Replace, |file| file.write_all(bytes)).map_err(write(&path))
     }
-}
-
-/// What stands in for the Gaussians of a run at the timesteps at which they do not live, so that a scene has all of them at every
-/// timestep: before its birth each stands as it is born, after its death as it was at the last timestep of its life.
-#[derive(Clone, Debug)]
-pub struct StandIns {
-    /// When each Gaussian lives; none if all do at all timesteps.
-    lives: Option<Lives>,
-    /// Number of Gaussians that were there at first.
-    num_first: usize,
-    /// Those born later, by identity: each where and how it was born, with the values that it settled with in the columns that do
-    /// not vary over time.
-    newborn: Gaussians,
-    /// Identities of those that died, in the order of their deaths.
-    dead: Vec<usize>,
-    /// `[dead]` as they were.
-    departed: Gaussians,
-}
-
-impl StandIns {
-    /// Of a scene whose Gaussians all live at all timesteps.
-    pub fn none(layout: &Arc<Layout>) -> Self {
-        let nobody = Gaussians::zeros_of(layout, 0);
-        Self { lives: None, num_first: 0, newborn: nobody.clone(), dead: Vec::new(), departed: nobody }
-    }
-
-    /// Gives the newborn the constants of the last timestep of their lives.
-    ///
-    /// - `now`: those that live at `timestep`
-    fn settle(&mut self, now: &Gaussians, timestep: usize) {
-        let num_first = self.num_first;
-        let of_now = self.living(timestep, now.num_gaussians());
-        let mut settled = vec![None; self.newborn.num_gaussians()];
-        for (ids, of) in [(&of_now, now), (&self.dead, &self.departed)] {
-            for (row, &id) in ids.iter().enumerate().filter(|(_, id)| **id >= num_first) {
-                settled[id - num_first] = Some((of, row));
-            }
-        }
-        for column in now.layout().columns().iter().filter(|column| !column.varies) {
-            let values = self.newborn.values_mut(column.attribute).chunks_mut(column.components());
-            for (values, settled) in values.zip(&settled) {
-                if let Some((of, row)) = settled {
-                    let own = &of.values(column.attribute)[row * column.components()..];
-                    values.copy_from_slice(&own[..values.len()]);
-                }
-            }
-        }
-    }
-
-    /// Identities of those that live at a timestep, which has `count` Gaussians.
-    fn living(&self, timestep: usize, count: usize) -> Vec<usize> {
-        self.lives.as_ref().map_or_else(|| (0..count).collect(), |lives| lives.living(timestep))
-    }
-
-    /// All Gaussians of the scene at a timestep; in columns that do not vary over time the born have the values that they
-    /// settled with.
-    ///
-    /// - `gaussians`: of the timestep, those that live
-    ///
-    /// # Panics
-    /// If they are not as many as live then, or of another layout.
-    pub fn complete(&self, gaussians: Gaussians, timestep: usize) -> Gaussians {
-        let Some(lives) = &self.lives else { return gaussians };
-        let layout = Arc::clone(gaussians.layout());
-        let living = lives.living(timestep);
-        assert_eq!(gaussians.num_gaussians(), living.len(), "Gaussians that live at timestep {timestep}");
-        // Where each stands among the living, the newborn and the dead.
-        let unborn = living.len()..living.len() + self.newborn.num_gaussians();
-        let mut rows: Vec<usize> = (0..self.num_first).chain(unborn.clone()).collect();
-        for (row, &id) in self.dead.iter().enumerate().filter(|(_, id)| lives.deaths[**id] as usize <= timestep) {
-            rows[id] = unborn.end + row;
-        }
-        living.iter().enumerate().for_each(|(row, &id)| rows[id] = row);
-        let mut all = gaussians;
-        if living.len() < lives.len() {
-            all = Gaussians::concat(&layout, &[all, self.newborn.clone(), self.departed.clone()]).select(&rows);
-        }
-        for column in layout.columns().iter().filter(|column| !column.varies) {
-            let born = &mut all.values_mut(column.attribute)[self.num_first * column.components()..];
-            born.copy_from_slice(self.newborn.values(column.attribute));
-        }
-        all
-    }
-}
-
-/// Each value once, ascending, without [`Lives::NEVER`].
-fn distinct(timesteps: &[u32]) -> impl Iterator<Item = u32> + use<> {
-    let all: BTreeSet<u32> = timesteps.iter().copied().filter(|&timestep| timestep != Lives::NEVER).collect();
-    all.into_iter()
 }
 
 fn read(path: &Path) -> impl Fn(io::Error) -> TrainError + use<> {

@@ -138,7 +138,7 @@ impl RunContent {
         if timestep == 0 {
             return Ok(self.first.parameters.clone());
         }
-        Ok(self.run.parameters(timestep, Some(&self.first))?)
+        Ok(self.run.living(timestep, Some(&self.first), self.lives.as_ref())?)
     }
 }
 

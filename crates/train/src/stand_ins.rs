@@ -1,0 +1,131 @@
+//! Gaussians that do not live at all timesteps, in a scene that has all of them at every timestep.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use tcgs_core::{Gaussians, Layout};
+
+use crate::lifetimes::Lives;
+
+/// What stands in for the Gaussians of a run at the timesteps at which they do not live: before its birth each stands as it is
+/// born, after its death as it was at the last timestep of its life.
+#[derive(Clone, Debug)]
+pub struct StandIns {
+    /// None if all live at all timesteps.
+    lives: Option<Lives>,
+    /// Those born after the first timestep, by identity: each where and how it was born, with the values that it settled with
+    /// in the columns that do not vary over time.
+    newborn: Gaussians,
+    /// Identities of those that died, in the order of their deaths.
+    dead: Vec<usize>,
+    /// `[dead]` as they were.
+    departed: Gaussians,
+}
+
+impl StandIns {
+    /// Of a scene whose Gaussians all live at all timesteps.
+    pub fn none(layout: &Arc<Layout>) -> Self {
+        let nobody = Gaussians::zeros_of(layout, 0);
+        Self { lives: None, newborn: nobody.clone(), dead: Vec::new(), departed: nobody }
+    }
+
+    /// Of a run.
+    ///
+    /// - `lives`: up to timestep `last`
+    /// - `at`: gives those that live at a timestep, in the order of identities
+    ///
+    /// # Errors
+    /// As `at`.
+    pub(crate) fn gather<E>(
+        lives: Lives,
+        layout: &Arc<Layout>,
+        last: usize,
+        at: impl Fn(usize, &Lives) -> Result<Gaussians, E>,
+    ) -> Result<Self, E> {
+        // Some of those that live at a timestep.
+        let some = |timestep: u32, of: &dyn Fn(usize) -> bool| -> Result<Gaussians, E> {
+            let living = lives.living(timestep as usize);
+            let rows: Vec<usize> = (0..living.len()).filter(|&row| of(living[row])).collect();
+            Ok(at(timestep as usize, &lives)?.select(&rows))
+        };
+        let mut newborn = Vec::new();
+        for birth in distinct(&lives.births).filter(|&birth| birth > 0) {
+            newborn.push(some(birth, &|id| lives.births[id] == birth)?);
+        }
+        let (mut dead, mut departed) = (Vec::new(), Vec::new());
+        for death in distinct(&lives.deaths) {
+            dead.extend((0..lives.len()).filter(|&id| lives.deaths[id] == death));
+            departed.push(some(death - 1, &|id| lives.deaths[id] == death)?);
+        }
+        let now = at(last, &lives)?;
+        let [newborn, departed] = [newborn, departed].map(|of| Gaussians::concat(layout, &of));
+        let mut stand_ins = Self { lives: Some(lives), newborn, dead, departed };
+        stand_ins.settle(&now, last);
+        Ok(stand_ins)
+    }
+
+    /// When each Gaussian lives; none if all do at all timesteps.
+    pub fn lives(&self) -> Option<&Lives> {
+        self.lives.as_ref()
+    }
+
+    /// Gives the newborn the constants of the last timestep of their lives.
+    ///
+    /// - `now`: those that live at timestep `last`
+    fn settle(&mut self, now: &Gaussians, last: usize) {
+        let Some(lives) = &self.lives else { return };
+        let living = lives.living(last);
+        let num_first = lives.len() - self.newborn.num_gaussians();
+        let mut settled = vec![None; self.newborn.num_gaussians()];
+        for (ids, of) in [(&living, now), (&self.dead, &self.departed)] {
+            for (row, &id) in ids.iter().enumerate().filter(|(_, id)| **id >= num_first) {
+                settled[id - num_first] = Some((of, row));
+            }
+        }
+        for column in now.layout().columns().iter().filter(|column| !column.varies) {
+            let components = column.components();
+            let values = self.newborn.values_mut(column.attribute).chunks_mut(components);
+            for (values, settled) in values.zip(&settled) {
+                let (of, row) = settled.expect("who was born lives, or has died");
+                values.copy_from_slice(&of.values(column.attribute)[row * components..][..components]);
+            }
+        }
+    }
+
+    /// All Gaussians of the scene at a timestep; in columns that do not vary over time the born have the values that they
+    /// settled with.
+    ///
+    /// - `gaussians`: of the timestep, those that live
+    ///
+    /// # Panics
+    /// If they are not as many as live then, or of another layout.
+    pub fn complete(&self, gaussians: Gaussians, timestep: usize) -> Gaussians {
+        let Some(lives) = &self.lives else { return gaussians };
+        let layout = Arc::clone(gaussians.layout());
+        let living = lives.living(timestep);
+        assert_eq!(gaussians.num_gaussians(), living.len(), "Gaussians that live at timestep {timestep}");
+        let num_first = lives.len() - self.newborn.num_gaussians();
+        let mut all = gaussians;
+        if living.len() < lives.len() {
+            // Where each stands among the living, the newborn and the dead.
+            let unborn = living.len()..living.len() + self.newborn.num_gaussians();
+            let mut rows: Vec<usize> = (0..num_first).chain(unborn.clone()).collect();
+            for (row, &id) in self.dead.iter().enumerate().filter(|(_, id)| lives.deaths[**id] as usize <= timestep) {
+                rows[id] = unborn.end + row;
+            }
+            living.iter().enumerate().for_each(|(row, &id)| rows[id] = row);
+            all = Gaussians::concat(&layout, &[all, self.newborn.clone(), self.departed.clone()]).select(&rows);
+        }
+        for column in layout.columns().iter().filter(|column| !column.varies) {
+            let born = &mut all.values_mut(column.attribute)[num_first * column.components()..];
+            born.copy_from_slice(self.newborn.values(column.attribute));
+        }
+        all
+    }
+}
+
+/// Each timestep once, ascending, without [`Lives::NEVER`].
+fn distinct(timesteps: &[u32]) -> impl Iterator<Item = u32> + use<> {
+    let all: BTreeSet<u32> = timesteps.iter().copied().filter(|&timestep| timestep != Lives::NEVER).collect();
+    all.into_iter()
+}
