@@ -79,12 +79,13 @@ pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
     mask_logits.iter().map(|&m| mask(m, threshold) == 0.0).collect()
 }
 
-/// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. 6.
+/// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. 6: from its birth to the end, and after its death with
+/// the value that it died with.
 ///
 /// - `mask_logits`: of every timestep those of the Gaussians that live; taken one after another, so that none but the last
 ///   has to be in memory
 /// - `lives`: who lives when; none if all `N` do at all timesteps
-/// - returns: `[N]`, in (0, 1), over the timesteps at which each lives; 0 where that is none
+/// - returns: `[N]`, in (0, 1); 0 of one that is not born yet
 ///
 /// # Panics
 /// If a timestep has another number of Gaussians than live then.
@@ -93,19 +94,26 @@ pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
 /// assert_eq!(tcgs_train::mean_masks([vec![0.0, 40.0], vec![0.0, 40.0]], None), [0.5, 1.0]);
 /// ```
 pub fn mean_masks<L: AsRef<[f32]>>(mask_logits: impl IntoIterator<Item = L>, lives: Option<&Lives>) -> Vec<f32> {
-    let mut sums = vec![(0.0, 0); lives.map_or(0, Lives::len)];
+    // Value, sum of values, and number of timesteps.
+    let mut all = vec![(0.0, 0.0, 0); lives.map_or(0, Lives::len)];
     for (timestep, logits) in mask_logits.into_iter().enumerate() {
         let logits = logits.as_ref();
         if lives.is_none() && timestep == 0 {
-            sums.resize(logits.len(), (0.0, 0));
+            all.resize(logits.len(), (0.0, 0.0, 0));
         }
-        let living = lives.map_or_else(|| (0..sums.len()).collect(), |lives| lives.living(timestep));
+        let living = lives.map_or_else(|| (0..all.len()).collect(), |lives| lives.living(timestep));
         assert_eq!(logits.len(), living.len(), "mask logits of timestep {timestep} against those that live");
         for (&id, &logit) in living.iter().zip(logits) {
-            sums[id] = (sums[id].0 + sigmoid(logit), sums[id].1 + 1);
+            all[id].0 = sigmoid(logit);
+        }
+        let num_born =
+            lives.map_or(all.len(), |lives| lives.births.partition_point(|&birth| birth as usize <= timestep));
+        for (value, sum, num_timesteps) in &mut all[..num_born] {
+            *sum += *value;
+            *num_timesteps += 1;
         }
     }
-    sums.into_iter().map(|(sum, num_timesteps)| sum / num_timesteps.max(1) as f32).collect()
+    all.into_iter().map(|(_, sum, num_timesteps)| sum / num_timesteps.max(1) as f32).collect()
 }
 
 #[cfg(test)]
@@ -118,6 +126,14 @@ mod tests {
         let (m, h) = (-5.0_f64, 1e-6);
         let surrogate = (sigmoid(m + h) - sigmoid(m - h)) / (2.0 * h);
         assert!((mask_vjp(m, 3.0) - 3.0 * surrogate).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_mean_begins_with_the_birth_and_goes_on_after_the_death() {
+        let lives = Lives { births: vec![0, 0, 1], deaths: vec![Lives::NEVER, 2, Lives::NEVER] };
+        let logits = [vec![0.0, 40.0], vec![0.0, -40.0, 0.0], vec![0.0, 40.0], vec![40.0, 0.0]];
+        let means = mean_masks(logits, Some(&lives));
+        assert_eq!(means, [2.5 / 4.0, 0.25, 2.0 / 3.0]);
     }
 
     #[test]

@@ -12,6 +12,7 @@
 //! 4. The timestep then trains a small state, the active Gaussians, in the tiles with evidence, against the `Scenery` of
 //!    all else ([`crate::engine::Scenery`]).
 //! 5. The iterations follow need (`pace`).
+//! 6. Gaussians die that no camera has seen for long ([`Gate::dying`]).
 //!
 //! The reference, and the presets `d3dgs` and `paper`, train everything everywhere.
 
