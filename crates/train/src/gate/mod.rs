@@ -24,7 +24,7 @@ mod pace;
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image, View};
-use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, gaussians_reaching, tiles_reached};
+use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
@@ -37,6 +37,7 @@ use crate::config::{DeathConfig, GateConfig, MaskConfig};
 use crate::engine::Target;
 use crate::engine::cpu::Drawn;
 use crate::lifetimes::Lives;
+use crate::mask::mask;
 use crate::state::State;
 
 /// Estimates of a camera's noise of which the median counts.
@@ -255,35 +256,26 @@ impl Gate {
         views.par_iter().enumerate().map(of_view).collect()
     }
 
-    /// Gaussians that die: those that no camera has seen for long, and that stand outside of all views or went to where others
-    /// hide them. What is hidden where it was born may be uncovered.
+    /// Gaussians that die: those that no camera has seen for long, and that their masks hide or that stand elsewhere than where
+    /// they were born. What is at rest where it was born may be uncovered, and cameras may move.
     ///
     /// - `state`: after the timestep
     /// - returns: indices, ascending
-    pub fn dying(&self, state: &State, views: &[View]) -> Vec<usize> {
+    pub fn dying(&self, state: &State) -> Vec<usize> {
         let (patience, timestep) = (self.deaths.patience, state.timestep);
         let Some(past) = state.past.as_ref().filter(|_| patience > 0 && timestep.is_multiple_of(patience)) else {
             return Vec::new();
         };
-        let unseen = &self.record.unseen;
-        let due: Vec<usize> = (0..unseen.len()).filter(|&i| unseen[i] as usize + patience <= timestep).collect();
-        let few = self.drawn(state).activated().select(&due);
-        let mut is_in_view = vec![false; due.len()];
-        for view in views {
-            let whole = TileMask::all(view.image.width, view.image.height);
-            gaussians_reaching(&few, &view.camera, &whole).iter().for_each(|&i| is_in_view[i as usize] = true);
-        }
-        let (means, log_scales) = (state.parameters.gaussians.means(), state.parameters.gaussians.log_scales());
+        let p = &state.parameters;
+        let (means, log_scales) = (p.gaussians.means(), p.gaussians.log_scales());
         let is_away = |i: usize| {
             let distance = (0..3).map(|axis| (means[i][axis] - past.first.means[i][axis]).powi(2)).sum::<f32>().sqrt();
             distance > log_scales[i].into_iter().fold(f32::MIN, f32::max).exp()
         };
-        let dying: Vec<usize> = due
-            .into_iter()
-            .zip(is_in_view)
-            .filter(|&(i, is_in_view)| !is_in_view || is_away(i))
-            .map(|(i, _)| i)
-            .collect();
+        let is_masked = |i: usize| self.mask.enabled && mask(p.mask_logits[i], self.mask.threshold) == 0.0;
+        let is_due = |&i: &usize| self.record.unseen[i] as usize + patience <= timestep;
+        let dies = |i: &usize| is_due(i) && (is_masked(*i) || is_away(*i));
+        let dying: Vec<usize> = (0..self.record.unseen.len()).filter(dies).collect();
         // A scene has at least one Gaussian.
         if dying.len() < means.len() { dying } else { Vec::new() }
     }
@@ -368,51 +360,44 @@ mod tests {
     use crate::motion::{Past, Pose};
     use crate::parameters::Parameters;
 
-    /// A board, and before or behind it one Gaussian each way of being unseen.
     #[test]
-    fn who_dies_is_unseen_for_long_and_outside_of_all_views_or_elsewhere_than_where_it_was_born() {
-        let behind = [0.1, 0.2, 1.0];
-        let means = vec![[0.0; 3], [0.5, 0.0, -1.0], [9.0, 0.0, 0.0], behind, behind, behind];
-        let n = means.len();
-        let mut log_scales = vec![[-3.0; 3]; n];
-        log_scales[0] = [1.0, 1.0, -6.0];
-        let mut logit_opacities = vec![2.0; n];
-        logit_opacities[0] = 12.0;
-        let (quats, colors) = (vec![[1.0, 0.0, 0.0, 0.0]; n], vec![[0.5; 3]; n]);
-        let gaussians = Gaussians::from(BaseColumns { means, quats, log_scales, logit_opacities, colors });
+    fn who_dies_is_unseen_for_long_and_masked_or_elsewhere_than_where_it_was_born() {
+        let n = 5;
+        let gaussians = Gaussians::from(BaseColumns {
+            means: (0..n).map(|i| [i as f32, 0.0, 0.0]).collect(),
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            log_scales: vec![[-3.0, -4.0, -5.0]; n],
+            logit_opacities: vec![2.0; n],
+            colors: vec![[0.5; 3]; n],
+        });
         let mut born = gaussians.clone();
-        // The fourth stood before the board when it was born; the fifth has moved by less than its size.
-        born.means_mut()[3] = [0.1, 0.2, -1.0];
-        born.means_mut()[4] = [0.1, 0.22, 1.0];
+        // The first two have moved, the third by less than its size, and the last one is masked.
+        born.means_mut()[0][1] = 1.0;
+        born.means_mut()[1][1] = 0.06;
+        born.means_mut()[2][1] = 0.04;
         let mut state = State::new(Parameters {
             gaussians: gaussians.clone(),
-            mask_logits: vec![1.0; n],
+            mask_logits: vec![1.0, 1.0, 1.0, 1.0, -9.0],
             foreground: vec![true; n],
             camera_gains: vec![[0.0; 3]; 2],
             camera_offsets: vec![[0.0; 3]; 2],
         });
         state.past = Some(Past::new(Pose::of(&born), gaussians, &vec![true; n]));
-        let view = |x: f64| View {
-            camera: Camera::look_at([x, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 48, 32),
-            image: Image::filled(48, 32, 3, 0.5),
-            segmentation: None,
-            frame: 0,
-            camera_id: 0,
-        };
-        let views = [view(-0.3), view(0.3)];
-        let config = TrainConfig::preset(Preset::Fast);
-        let dying = |patience: usize, timestep: usize, unseen: [u32; 6]| {
+        let mut config = TrainConfig::preset(Preset::Fast);
+        let dying = |config: &TrainConfig, timestep: usize, unseen: [u32; 5]| {
             let record = GateRecord { unseen: unseen.to_vec(), ..GateRecord::default() };
             let mut state = state.clone();
             state.timestep = timestep;
-            Gate::new(&config.gate, &config.mask, &DeathConfig { patience, ..DeathConfig::ON }, record)
-                .dying(&state, &views)
+            Gate::new(&config.gate, &config.mask, &config.deaths, record).dying(&state)
         };
-        let never = Lives::NEVER;
-        assert_eq!(dying(4, 8, [never, never, 4, 4, 4, 4]), [2, 3]);
-        // One was seen five timesteps ago, and the others are looked for at another time or not at all.
-        assert_eq!(dying(4, 8, [never, never, 5, 2, 1, 1]), [3]);
-        assert!(dying(4, 9, [never, never, 1, 1, 1, 1]).is_empty());
-        assert!(dying(0, 8, [never, never, 1, 1, 1, 1]).is_empty());
+        config.deaths.patience = 4;
+        assert_eq!(dying(&config, 8, [4, 4, 4, 4, 4]), [0, 1, 4]);
+        // One was seen last, one is unseen for three timesteps, and the others are looked for at another timestep.
+        assert_eq!(dying(&config, 8, [Lives::NEVER, 5, 1, 1, 1]), [4]);
+        assert!(dying(&config, 9, [1; 5]).is_empty());
+        config.mask.enabled = false;
+        assert_eq!(dying(&config, 8, [4, 5, 4, 4, 4]), [0]);
+        config.deaths.patience = 0;
+        assert!(dying(&config, 8, [1; 5]).is_empty());
     }
 }

@@ -124,7 +124,7 @@ impl Trainer {
     fn bury(&mut self, views: &[View]) -> Result<(), TrainError> {
         let Some(gate) = &mut self.gate else { return Ok(()) };
         let state = self.engine.state()?;
-        let dead = gate.dying(state, views);
+        let dead = gate.dying(state);
         if dead.is_empty() {
             return Ok(());
         }
