@@ -10,7 +10,9 @@ use support::{files, open};
 use tcgs_capture::Capture;
 use tcgs_codec::UpAxis;
 use tcgs_core::{Attribute, PointCloud, SceneReader};
-use tcgs_pipeline::{CompressOptions, OpenScene, OpenSettings, compress_scene, kept_gaussians, start_state};
+use tcgs_pipeline::{
+    CompressOptions, OpenScene, OpenSettings, PrunedScene, compress_scene, kept_gaussians, start_state,
+};
 use tcgs_train::{Checkpoint, Lifetimes, Lives, Parameters, Run, TrainConfig};
 
 const NUM_TIMESTEPS: usize = 12;
@@ -99,6 +101,10 @@ fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
     // From the disk the same bytes.
     let from_disk = CompressOptions { max_float_bytes: 0, ..options };
     assert!(compress_scene(&scene, &from_disk).unwrap().file == compressed.file);
+
+    // The run has no capture, whose cameras would tell how much each parameter matters.
+    let measured = PrunedScene::new(&scene, &CompressOptions::default()).unwrap();
+    assert!(measured.bits_from.contains("cameras around the scene"), "{}", measured.bits_from);
 
     let path = folder.path().join("scene.tcgs");
     std::fs::write(&path, &compressed.file).unwrap();

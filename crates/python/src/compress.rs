@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use pyo3::exceptions::PyValueError;
@@ -208,8 +208,7 @@ impl Wanted {
     }
 
     fn refine_options(&self, scene: &OpenScene, budget: RefineBudget) -> Result<RefineOptions, PipelineError> {
-        let of_run = || scene.run().map(|run| PathBuf::from(&run.config().data.capture));
-        let Some(capture) = self.capture.clone().or_else(of_run) else {
+        let Some(capture) = self.capture.clone().or_else(|| scene.capture().map(Path::to_path_buf)) else {
             return Err(wrong(&scene.path, "has no capture of its own", "capture with the images to refine on"));
         };
         Ok(RefineOptions { capture, budget, config: RefineConfig::default() })

@@ -360,8 +360,7 @@ fn describe_refining(refined: &Refined, psnr: Option<f64>) -> Found {
 }
 
 fn capture_to_refine_on(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<PathBuf> {
-    let of_run = || scene.run().map(|run| PathBuf::from(&run.config().data.capture));
-    arguments.capture.clone().or_else(of_run).ok_or_else(|| {
+    arguments.capture.clone().or_else(|| scene.capture().map(Path::to_path_buf)).ok_or_else(|| {
         let problem = "has no capture of its own, expected --capture with the images to refine on";
         wrong_input(format!("{}: {problem}", scene.path.display()))
     })

@@ -15,7 +15,7 @@ use crate::options::{self, Cameras, Frames, JobOptions};
 use crate::output::{check_file, write_file};
 use crate::scene::{SceneOptions, describe};
 use crate::teller::Teller;
-use crate::terminal::say;
+use crate::terminal::{note, say};
 
 /// Names the weights of LPIPS where no option does; none if it is empty.
 const WEIGHTS_VARIABLE: &str = "TCGS_LPIPS_WEIGHTS";
@@ -94,7 +94,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let weights = arguments.lpips_weights.clone();
     let weights =
         weights.or_else(|| std::env::var_os(WEIGHTS_VARIABLE).filter(|name| !name.is_empty()).map(Into::into));
-    let lpips = weights.map(|path| Lpips::read(&path)).transpose()?;
+    let lpips = weights.as_ref().map(|path| Lpips::read(path)).transpose()?;
+    if let Some(path) = &weights {
+        note(&format!("measuring LPIPS with {}, which takes most of the time", path.display()));
+    }
     let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
     let capture = Capture::open(&arguments.capture)?;
     let scene = arguments.reading.open(&arguments.scene)?;

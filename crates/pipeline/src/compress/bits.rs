@@ -1,6 +1,5 @@
 //! Bits of a scene that learned none, from how much its images depend on each parameter.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use tcgs_capture::{Capture, Split};
@@ -73,12 +72,11 @@ fn cameras(
     gaussians: &Gaussians,
     options: &CompressOptions,
 ) -> Result<(Vec<Camera>, String), PipelineError> {
-    let of_run = scene.run().map(|run| PathBuf::from(&run.config().data.capture));
-    let Some(path) = options.capture.clone().or(of_run) else {
+    let Some(path) = options.capture.as_deref().or(scene.capture()) else {
         let cameras = Tour::Orbit.cameras(gaussians.means(), scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE);
         return Ok((cameras, "cameras around the scene (a capture would give the real ones)".into()));
     };
-    let capture = Capture::open(&path)?;
+    let capture = Capture::open(path)?;
     let cameras = capture.cameras(Split::Train, scene.first_frame, scene.downscale)?;
     let cameras = cameras.into_iter().map(|(_, camera)| camera).collect();
     Ok((cameras, format!("training cameras of {}", path.display())))

@@ -127,8 +127,8 @@ impl Judge {
 
 /// The training cameras of a run, evenly; cameras around any other scene, or where the run's capture is gone.
 fn cameras(scene: &OpenScene) -> Result<Vec<Camera>, PipelineError> {
-    if let Some(run) = scene.run()
-        && let Ok(capture) = Capture::open(run.config().data.capture.as_ref())
+    if let Some(path) = scene.capture()
+        && let Ok(capture) = Capture::open(path)
         && let Ok(cameras) = capture.cameras(Split::Train, scene.first_frame, scene.downscale)
         && !cameras.is_empty()
     {

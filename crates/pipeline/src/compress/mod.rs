@@ -12,7 +12,7 @@ mod target;
 mod tune;
 mod views;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tcgs_codec::{
@@ -434,10 +434,7 @@ fn bits(
 
 /// What describes a scene, but for its counts.
 fn info(scene: &OpenScene, up: UpAxis) -> SceneInfo {
-    let source = match scene.run() {
-        Some(run) => PathBuf::from(&run.config().data.capture),
-        None => scene.path.with_extension(""),
-    };
+    let source = scene.capture().map_or_else(|| scene.path.with_extension(""), Path::to_path_buf);
     SceneInfo {
         first_frame: scene.first_frame as u32,
         downscale: scene.downscale as u32,

@@ -13,9 +13,9 @@ use crate::{OpenScene, PipelineError};
 /// The training cameras of the capture given, or of the run's if it is still there; none without.
 pub fn cameras(scene: &OpenScene, options: &CompressOptions) -> Result<Vec<(usize, Camera)>, PipelineError> {
     let of = |path: &Path| Capture::open(path)?.cameras(Split::Train, scene.first_frame, 1);
-    Ok(match (&options.capture, scene.run()) {
+    Ok(match (&options.capture, scene.capture()) {
         (Some(path), _) => of(path)?,
-        (None, Some(run)) => of(Path::new(&run.config().data.capture)).unwrap_or_default(),
+        (None, Some(path)) => of(path).unwrap_or_default(),
         (None, None) => Vec::new(),
     })
 }

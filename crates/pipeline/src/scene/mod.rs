@@ -302,6 +302,13 @@ impl OpenScene {
         }
     }
 
+    /// Folder of the capture that the run was trained on; `None` if the scene is no run, or if a program trained it on images of its
+    /// own.
+    pub fn capture(&self) -> Option<&Path> {
+        let capture = &self.run()?.config().data.capture;
+        (!capture.is_empty()).then(|| Path::new(capture))
+    }
+
     /// Whether the scene is one of floats whose timesteps are read from the disk, and were checked to be of one scene.
     pub(crate) fn is_on_disk(&self) -> bool {
         matches!(self.content, Content::Run(_) | Content::Chapters(_) | Content::Params(_))
