@@ -504,9 +504,13 @@ fn bit_map_after(first: &BitMap, lifetimes: &Lifetimes) -> Result<BitMap, String
     let Lives { births, deaths } = &lifetimes.lives;
     let (mut bit_map, mut ids) = (first.clone(), (0..first.num_gaussians()).collect::<Vec<_>>());
     let mut num_known = ids.len();
+    if births.partition_point(|&birth| birth == 0) != num_known {
+        return Err(format!("births are not of {num_known} Gaussians at first"));
+    }
     let burials: BTreeSet<u32> = deaths.iter().copied().filter(|&death| death != Lives::NEVER).collect();
     for burial in burials {
-        let born = births.partition_point(|&birth| birth < burial);
+        // Who is born at the timestep of a burial was there before it.
+        let born = births.partition_point(|&birth| birth <= burial);
         bit_map = bit_map.with_more(born - num_known);
         ids.extend(num_known..born);
         num_known = born;
@@ -591,4 +595,29 @@ fn fill(name: &str, into: &mut [f32], values: &[f32]) -> Result<(), String> {
     }
     into.copy_from_slice(values);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn widths_of_the_newborn_are_those_in_use_when_they_were_born() {
+        let mut first = BitMap::uniform(3, 16, 4);
+        first.widths[Attribute::LogScale.index()][1] = 8;
+        let after = |ids: &[u32], births: &[u32], deaths: &[u32]| {
+            let lives = Lives { births: births.to_vec(), deaths: deaths.to_vec() };
+            let bit_map = bit_map_after(&first, &Lifetimes { ids: ids.to_vec(), lives })?;
+            Ok::<_, String>(bit_map.widths[Attribute::LogScale.index()].clone())
+        };
+        const NEVER: u32 = Lives::NEVER;
+        // Who has eight bits dies at the end of the timestep at which the fourth is born, which has them from it.
+        assert_eq!(after(&[0, 2, 3], &[0, 0, 0, 7], &[NEVER, 7, NEVER, NEVER]), Ok(vec![4, 4, 8]));
+        let (births, deaths) = ([0, 0, 0, 7, 9], [NEVER, 7, NEVER, 8, NEVER]);
+        assert_eq!(after(&[0, 2, 4], &births, &deaths), Ok(vec![4, 4, 4]));
+
+        after(&[0, 2, 3], &births, &deaths).unwrap_err();
+        after(&[0, 1], &[0, 0], &[NEVER; 2]).unwrap_err();
+        after(&[], &[0, 0, 0], &[7; 3]).unwrap_err();
+    }
 }
