@@ -496,7 +496,7 @@ fn wide(values: &[u32]) -> Vec<u64> {
 
 /// The widths of those that live, found as training found them: who is born has the largest width in use at that time.
 ///
-/// - `first`: of those that were there at first
+/// - `first`: of those that were there at first, as many as have birth 0
 ///
 /// # Errors
 /// If the lives are not those of these identities.
@@ -504,9 +504,6 @@ fn bit_map_after(first: &BitMap, lifetimes: &Lifetimes) -> Result<BitMap, String
     let Lives { births, deaths } = &lifetimes.lives;
     let (mut bit_map, mut ids) = (first.clone(), (0..first.num_gaussians()).collect::<Vec<_>>());
     let mut num_known = ids.len();
-    if births.partition_point(|&birth| birth == 0) != num_known {
-        return Err(format!("births are not of {num_known} Gaussians at first"));
-    }
     let burials: BTreeSet<u32> = deaths.iter().copied().filter(|&death| death != Lives::NEVER).collect();
     for burial in burials {
         // Who is born at the timestep of a burial was there before it.
@@ -617,7 +614,6 @@ mod tests {
         assert_eq!(after(&[0, 2, 4], &births, &deaths), Ok(vec![4, 4, 4]));
 
         after(&[0, 2, 3], &births, &deaths).unwrap_err();
-        after(&[0, 1], &[0, 0], &[NEVER; 2]).unwrap_err();
         after(&[], &[0, 0, 0], &[7; 3]).unwrap_err();
     }
 }
