@@ -100,11 +100,24 @@ impl<'a> Export<'a> {
     /// [`PipelineError`] if the scene lacks the frame, or it cannot be read.
     pub fn gaussians(&self, frame: usize) -> Result<Gaussians, PipelineError> {
         self.scene.choose_frames(Some(&(frame..frame + 1)))?;
-        let gaussians = self.scene.lit(frame - self.scene.first_frame)?;
-        let Some(keep) = &self.keep else { return Ok(gaussians) };
-        // Those that are born by then are the first ones.
-        let born = &keep[..keep.partition_point(|&i| i < gaussians.num_gaussians())];
-        Ok(if born.len() < gaussians.num_gaussians() { gaussians.select(born) } else { gaussians })
+        let timestep = frame - self.scene.first_frame;
+        let gaussians = self.scene.lit(timestep)?;
+        let rows = self.rows(timestep);
+        Ok(rows.map_or_else(|| gaussians.clone(), |rows| gaussians.select(&rows)))
+    }
+
+    /// Rows of those that stay among those that live at a timestep; none: all.
+    fn rows(&self, timestep: usize) -> Option<Vec<usize>> {
+        let keep = self.keep.as_ref()?;
+        let Some(lives) = self.scene.lives() else { return Some(keep.clone()) };
+        let living = lives.living(timestep);
+        Some((0..living.len()).filter(|&row| keep.binary_search(&living[row]).is_ok()).collect())
+    }
+
+    /// Whether those that stay are the same at two timesteps.
+    fn are_the_same(&self, a: usize, b: usize) -> bool {
+        let (Some(keep), Some(lives)) = (&self.keep, self.scene.lives()) else { return true };
+        keep.iter().all(|&id| lives.is_alive(id, a) == lives.is_alive(id, b))
     }
 
     /// Refuses a scene without Gaussians, which other programs do not read.
@@ -165,9 +178,10 @@ impl<'a> Export<'a> {
         for frame in frames.start + 1..frames.end {
             let gaussians = self.gaussians(frame)?;
             let [found, expected] = [&gaussians, &first].map(Gaussians::num_gaussians);
-            if found != expected {
+            if found != expected || !self.are_the_same(frames.start - scene.first_frame, frame - scene.first_frame) {
                 let found = format!(
-                    "has {expected} Gaussians at frame {} and {found} at frame {frame}, which a params.npz cannot hold",
+                    "has {expected} Gaussians at frame {} and {found}, not all of them the same, at frame {frame}, which a \
+                     params.npz cannot hold",
                     frames.start
                 );
                 return Err(PipelineError::input(scene.path.display(), found, "a folder of PLY files to export to"));
@@ -189,12 +203,10 @@ impl<'a> Export<'a> {
             let expected = format!("a frame below {MAX_FRAME_OF_PARAMS}, or a folder of PLY files to export to");
             return Err(PipelineError::input(scene.path.display(), found, expected));
         }
-        let foreground = scene.first_checkpoint().map(|first| {
-            let foreground = &first.parameters.foreground;
-            match &self.keep {
-                Some(keep) => keep.iter().map(|&i| foreground[i]).collect(),
-                None => foreground.clone(),
-            }
+        let timestep = frames.start - scene.first_frame;
+        let foreground = scene.foreground(timestep)?.map(|foreground| match self.rows(timestep) {
+            Some(rows) => rows.iter().map(|&row| foreground[row]).collect(),
+            None => foreground,
         });
         Ok(ExportedParams { export: self, frames, num_gaussians: first.num_gaussians(), foreground })
     }

@@ -11,7 +11,7 @@ use tcgs_capture::Capture;
 use tcgs_codec::UpAxis;
 use tcgs_core::{Attribute, PointCloud, SceneReader};
 use tcgs_pipeline::{
-    CompressOptions, OpenScene, OpenSettings, PrunedScene, compress_scene, kept_gaussians, start_state,
+    CompressOptions, Export, OpenScene, OpenSettings, PrunedScene, compress_scene, kept_gaussians, start_state,
 };
 use tcgs_train::{Checkpoint, Lifetimes, Lives, Parameters, Run, TrainConfig};
 
@@ -36,7 +36,9 @@ fn count(timestep: usize) -> usize {
 }
 
 /// A run whose Gaussians all move, with [`lives`], of four training cameras.
-fn run(folder: &Path, first_frame: usize) -> Run {
+///
+/// - `hidden`: by their masks
+fn run(folder: &Path, first_frame: usize, hidden: &[usize]) -> Run {
     let mut config = TrainConfig::default();
     config.data.first_frame = first_frame;
     let run = Run::create(folder, &config).unwrap();
@@ -55,6 +57,9 @@ fn run(folder: &Path, first_frame: usize) -> Run {
             // The young settle at timestep 6.
             *opacity = i as f32 / 50.0 + if i >= 200 && timestep < 6 { 0.5 } else { 0.0 };
         }
+        for (i, logit) in living.iter().zip(&mut parameters.mask_logits) {
+            *logit = if hidden.contains(i) { -20.0 } else { 20.0 };
+        }
         let mut checkpoint = Checkpoint::of_parameters(parameters, std::slice::from_ref(&camera));
         // What a timestep knows: who was born by then, and who has died.
         let mut known = lives();
@@ -70,7 +75,7 @@ fn run(folder: &Path, first_frame: usize) -> Run {
 #[test]
 fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
     let folder = tempfile::tempdir().unwrap();
-    let run = run(folder.path(), 0);
+    let run = run(folder.path(), 0, &[]);
     let mut scene = OpenScene::open(run.folder(), OpenSettings::default()).unwrap();
     assert_eq!((scene.num_gaussians(), scene.num_gaussians_at(3)), (235, 200));
     let (whole, first) = (run.trained().unwrap(), run.checkpoint(0, None).unwrap());
@@ -121,9 +126,30 @@ fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
 }
 
 #[test]
+fn other_programs_files_have_who_lives_and_is_not_masked() {
+    let folder = tempfile::tempdir().unwrap();
+    // Before and after those that die at 7.
+    let hidden = [3, 15, 100, 232];
+    let scene = open(run(folder.path(), 0, &hidden).folder());
+    let export = Export::new(&scene).unwrap();
+    for timestep in 0..NUM_TIMESTEPS {
+        let living = lives().living(timestep);
+        let rows: Vec<usize> = (0..living.len()).filter(|&row| !hidden.contains(&living[row])).collect();
+        let expected = scene.at(timestep).unwrap().select(&rows);
+        assert!(export.gaussians(timestep).unwrap() == expected, "timestep {timestep}");
+    }
+    let params = export.params(9..12).unwrap();
+    let path = folder.path().join("params.npz");
+    params.write(&mut std::fs::File::create(&path).unwrap()).unwrap();
+    assert_eq!(open(&path).num_gaussians(), count(9) - 3);
+    let error = export.params(6..8).err().unwrap().to_string();
+    assert!(error.contains("227 Gaussians at frame 6 and 213"), "{error}");
+}
+
+#[test]
 fn a_chapter_has_those_that_live_when_it_starts_at_all_timesteps_and_runs_with_lives_are_not_joined() {
     let folder = tempfile::tempdir().unwrap();
-    let [before, after] = [0, NUM_TIMESTEPS].map(|first| run(&folder.path().join(first.to_string()), first));
+    let [before, after] = [0, NUM_TIMESTEPS].map(|first| run(&folder.path().join(first.to_string()), first, &[]));
     let [before, after] = [before, after].map(|run| open(run.folder()));
     let (capture, config) = (Capture::open(&files().join("capture")).unwrap(), TrainConfig::default());
     let start = start_state(&before, 8, &config, &capture).unwrap();

@@ -29,8 +29,12 @@ impl Lives {
 
     /// Identities of those that live at a timestep, ascending: the rows of its checkpoint.
     pub fn living(&self, timestep: usize) -> Vec<usize> {
-        let lives = |id: &usize| (self.births[*id] as usize..self.deaths[*id] as usize).contains(&timestep);
-        (0..self.len()).filter(lives).collect()
+        (0..self.len()).filter(|&id| self.is_alive(id, timestep)).collect()
+    }
+
+    /// Whether a Gaussian lives at a timestep.
+    pub fn is_alive(&self, id: usize, timestep: usize) -> bool {
+        (self.births[id] as usize..self.deaths[id] as usize).contains(&timestep)
     }
 
     fn push(&mut self, birth: u32) -> u32 {

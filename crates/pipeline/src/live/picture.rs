@@ -62,7 +62,8 @@ impl Picture {
     /// timesteps draws.
     ///
     /// - `begin`: the first of the timesteps
-    /// - `timesteps`: at least one; each has the Gaussians of the one before, then those that were born
+    /// - `timesteps`: at least one; each has the Gaussians of the one before, of which none has died, then those
+    ///   that were born
     pub fn file(&self, begin: usize, timesteps: &[Parameters]) -> Result<Vec<u8>, PipelineError> {
         let last = timesteps.len() - 1;
         let n = timesteps[last].num_gaussians();

@@ -484,6 +484,14 @@ impl OpenScene {
         }
     }
 
+    /// Which of the Gaussians that live at a timestep of a run belong to the foreground; none if the scene is no run.
+    pub(crate) fn foreground(&self, timestep: usize) -> Result<Option<Vec<bool>>, PipelineError> {
+        match &self.content {
+            Content::Run(run) if run.lives.is_some() => Ok(Some(run.checkpoint(timestep)?.parameters.foreground)),
+            _ => Ok(self.first_checkpoint().map(|first| first.parameters.foreground.clone())),
+        }
+    }
+
     /// What stands in for the Gaussians of a run at the timesteps at which they do not live.
     pub(crate) fn stand_ins(&self) -> Result<StandIns, PipelineError> {
         match &self.content {
