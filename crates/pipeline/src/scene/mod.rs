@@ -532,7 +532,8 @@ impl OpenScene {
         let mut failed = None;
         let logits: Box<dyn Iterator<Item = _>> = match &self.content {
             Content::Chapters(chapters) => Box::new(chapters.mask_logits()),
-            _ => Box::new(self.run().into_iter().flat_map(Run::mask_logits)),
+            // A run that is still trained has more by now.
+            _ => Box::new(self.run().into_iter().flat_map(Run::mask_logits).take(self.num_timesteps())),
         };
         let logits = logits.map_while(|logits| logits.map_err(|error| failed = Some(error)).ok());
         let means = tcgs_train::mean_masks(logits, self.lives());

@@ -273,7 +273,7 @@ impl Gate {
             distance > log_scales[i].into_iter().fold(f32::MIN, f32::max).exp()
         };
         let is_masked = |i: usize| self.mask.enabled && mask(p.mask_logits[i], self.mask.threshold) == 0.0;
-        let is_due = |&i: &usize| self.record.unseen[i] as usize + patience <= timestep;
+        let is_due = |&i: &usize| timestep.checked_sub(self.record.unseen[i] as usize).is_some_and(|t| t >= patience);
         let dies = |i: &usize| is_due(i) && (is_masked(*i) || is_away(*i));
         let dying: Vec<usize> = (0..self.record.unseen.len()).filter(dies).collect();
         // A scene has at least one Gaussian.

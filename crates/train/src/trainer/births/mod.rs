@@ -14,7 +14,7 @@
 //! What enters is first seen by few views, or from one side. So for some timesteps the young go on learning all their
 //! attributes after each timestep that trained them. Then they settle: opacity, scales and harmonics stay, as those of all
 //! others. A checkpoint holds what its timestep learned; a scene has the values that a Gaussian settled with at all
-//! timesteps ([`crate::with_unborn`]).
+//! timesteps ([`crate::StandIns`]).
 //!
 //! Newborn Gaussians are neighbours of those born with them, by the poses of their first timestep.
 
