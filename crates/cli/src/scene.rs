@@ -94,11 +94,15 @@ pub fn describe_loss(path: &Path, loss: &Loss, num_gaussians: usize, num_timeste
 pub fn describe(scene: &OpenScene) -> String {
     let (path, kind, size) = (scene.path.display(), scene.kind(), show_bytes(scene.bytes));
     let num_timesteps = scene.num_timesteps();
-    let (least, most) = (
-        (0..num_timesteps).map(|t| scene.num_gaussians_at(t)).min().unwrap_or(scene.num_gaussians()),
-        scene.num_gaussians(),
-    );
-    let number = if least == most { most.to_string() } else { format!("{least} to {most}") };
+    let all = scene.num_gaussians();
+    let at_timesteps = || (0..num_timesteps).map(|timestep| scene.num_gaussians_at(timestep));
+    let (least, most) = (at_timesteps().min().unwrap_or(all), at_timesteps().max().unwrap_or(all));
+    let number = match (least == most, most == all) {
+        (true, true) => all.to_string(),
+        (true, false) => format!("{most} of {all}"),
+        (false, true) => format!("{least} to {most}"),
+        (false, false) => format!("{least} to {most} of {all}"),
+    };
     let harmonics = match scene.layout().sh_degree() {
         0 => String::new(),
         degree => format!(" with harmonics of degree {degree}"),

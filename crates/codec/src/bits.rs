@@ -83,25 +83,6 @@ impl BitMap {
         Self { layout: Arc::clone(&self.layout), widths: self.widths.iter().map(select).collect() }
     }
 
-    /// The bit map with so many more Gaussians at its end, of which nobody knows how much their parameters matter: they have the
-    /// largest width in use of each column.
-    ///
-    /// ```
-    /// use tcgs_codec::BitMap;
-    /// assert_eq!(BitMap::uniform(3, 16, 6).with_more(2), BitMap::uniform(5, 16, 6));
-    /// ```
-    ///
-    /// # Panics
-    /// If the bit map has no Gaussian.
-    pub fn with_more(&self, count: usize) -> Self {
-        let mut widths = self.widths.clone();
-        for (widths, of_width) in widths.iter_mut().zip(self.histogram()) {
-            let (&largest, _) = of_width.last_key_value().expect("a bit map of some Gaussians");
-            widths.resize(widths.len() + count, largest);
-        }
-        Self { layout: Arc::clone(&self.layout), widths }
-    }
-
     /// By [`Attribute::index`]: the number of Gaussians of each width in use.
     pub fn histogram(&self) -> Vec<BTreeMap<u8, usize>> {
         let count = |widths: &Vec<u8>| {

@@ -178,10 +178,14 @@ impl<'a> Export<'a> {
         for frame in frames.start + 1..frames.end {
             let gaussians = self.gaussians(frame)?;
             let [found, expected] = [&gaussians, &first].map(Gaussians::num_gaussians);
-            if found != expected || !self.are_the_same(frames.start - scene.first_frame, frame - scene.first_frame) {
+            let now = match found {
+                found if found != expected => Some(found.to_string()),
+                _ if self.are_the_same(frames.start - scene.first_frame, frame - scene.first_frame) => None,
+                _ => Some("as many others".to_owned()),
+            };
+            if let Some(now) = now {
                 let found = format!(
-                    "has {expected} Gaussians at frame {} and {found}, not all of them the same, at frame {frame}, which a \
-                     params.npz cannot hold",
+                    "has {expected} Gaussians at frame {} and {now} at frame {frame}, which a params.npz cannot hold",
                     frames.start
                 );
                 return Err(PipelineError::input(scene.path.display(), found, "a folder of PLY files to export to"));

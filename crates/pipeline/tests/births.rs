@@ -6,12 +6,14 @@ mod support;
 
 use std::path::Path;
 
+use serde_json::json;
 use support::{files, open};
 use tcgs_capture::Capture;
 use tcgs_codec::UpAxis;
 use tcgs_core::{Attribute, PointCloud, SceneReader};
 use tcgs_pipeline::{
-    CompressOptions, Export, OpenScene, OpenSettings, PrunedScene, compress_scene, kept_gaussians, start_state,
+    Backend, CompressOptions, Export, LiveRun, OpenScene, OpenSettings, PrunedScene, compress_scene, kept_gaussians,
+    new_trainer, start_state,
 };
 use tcgs_train::{Checkpoint, Lifetimes, Lives, Parameters, Run, TrainConfig};
 
@@ -144,6 +146,32 @@ fn other_programs_files_have_who_lives_and_is_not_masked() {
     assert_eq!(open(&path).num_gaussians(), count(9) - 3);
     let error = export.params(6..8).err().unwrap().to_string();
     assert!(error.contains("227 Gaussians at frame 6 and 213"), "{error}");
+}
+
+#[test]
+fn who_watches_a_training_sees_those_that_live_since_the_last_death() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run(folder.path(), 0, &[3, 100]);
+    let capture = Capture::open(&files().join("capture")).unwrap();
+    let mut trainer = new_trainer(run.config(), &capture, &Backend::Cpu).unwrap();
+    let metrics =
+        json!({ "psnr": 30.0, "loss": 0.1, "num_gaussians": 200, "active_gaussians": 1.0, "active_tiles": 1.0 });
+    for end in 1..=NUM_TIMESTEPS {
+        run.append_metrics(&metrics).unwrap();
+        let live = LiveRun::new(&run, &capture, &mut trainer).unwrap();
+        let file = live.finished(None).unwrap().unwrap();
+        let file = OpenScene::decode(Path::new("live"), &file.bytes).unwrap();
+        let begin = if end > 7 { 7 } else { 0 };
+        assert_eq!(file.frames(), begin..end);
+        let first = run.checkpoint(0, None).unwrap();
+        for timestep in begin..end {
+            let now = run.parameters(timestep, Some(&first).filter(|_| timestep > 0)).unwrap().gaussians;
+            let shown = OpenScene::at(&file, timestep - begin).unwrap();
+            assert_eq!(shown.num_gaussians(), count(timestep) - 2, "timestep {timestep} until {end}");
+            let near = |a: &[f32; 3]| now.means().iter().any(|b| (0..3).all(|d| (a[d] - b[d]).abs() < 1e-3));
+            assert!(shown.means().iter().all(near), "timestep {timestep} until {end}");
+        }
+    }
 }
 
 #[test]

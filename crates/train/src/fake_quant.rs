@@ -175,9 +175,24 @@ impl FakeQuantizers {
         );
     }
 
-    /// The same quantizers for so many more Gaussians, of the widths that [`BitMap::with_more`] gives them.
+    /// The bit map with further Gaussians at its end, of which nobody knows how much their parameters matter: they have the
+    /// largest width that each column has a quantizer for.
+    ///
+    /// - `num_gaussians`: how many it then has, no fewer than now
+    pub fn bit_map_of(&self, num_gaussians: usize) -> BitMap {
+        let mut bit_map = self.bit_map.clone();
+        for (column, widths) in bit_map.widths.iter_mut().enumerate() {
+            let own = self.groups.iter().filter(|(attribute, _)| attribute.index() == column);
+            // Who has no quantizers has one width.
+            let width = own.map(|&(_, width)| width).max().unwrap_or(widths[0]);
+            widths.resize(num_gaussians, width);
+        }
+        bit_map
+    }
+
+    /// The same quantizers for so many more Gaussians, of the widths that [`Self::bit_map_of`] gives them.
     pub fn append(&mut self, count: usize) {
-        let bit_map = self.bit_map.with_more(count);
+        let bit_map = self.bit_map_of(self.bit_map.num_gaussians() + count);
         *self = Self::restore(
             bit_map,
             std::mem::take(&mut self.groups),
@@ -345,6 +360,21 @@ mod tests {
                 assert!((f64::from(found) - 2.0 * expected).abs() < 1e-4, "{x}: {found}, expected {}", 2.0 * expected);
             }
         }
+    }
+
+    #[test]
+    fn the_newborn_have_the_largest_width_even_when_all_others_that_had_it_died() {
+        let mut bit_map = BitMap::uniform(3, 16, 4);
+        bit_map.widths[Attribute::LogScale.index()][1] = 8;
+        let mut quantizers = FakeQuantizers::new(bit_map.clone(), &Gaussians::zeros(3), true).unwrap();
+        quantizers.select(&[0, 2]);
+        quantizers.append(2);
+        let widths = |attribute: Attribute| &quantizers.bit_map.widths[attribute.index()];
+        assert_eq!(widths(Attribute::LogScale), &[4, 4, 8, 8]);
+        assert_eq!((widths(Attribute::Color), widths(Attribute::Mean)), (&vec![4; 4], &vec![16; 4]));
+        // As from the first ones and all identities.
+        let first = FakeQuantizers::new(bit_map, &Gaussians::zeros(3), true).unwrap();
+        assert_eq!(quantizers.bit_map, first.bit_map_of(5).select(&[0, 2, 3, 4]));
     }
 
     #[test]

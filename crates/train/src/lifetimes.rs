@@ -2,7 +2,7 @@
 
 use crate::row::Row;
 
-/// When each Gaussian lives that a run ever had, by identity.
+/// Birth and death of every Gaussian that a run ever had, by identity.
 ///
 /// What the first timestep leaves was born at 0. Identities count up in the order of births.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

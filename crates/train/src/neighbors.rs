@@ -19,8 +19,8 @@ pub(crate) const LEAVES: u32 = 1 << 31;
 /// A link stands for an edge that arrives at the list's node.
 pub(crate) const ARRIVES: u32 = 1 << 30;
 
-/// The graph of nearest neighbours among the foreground Gaussians at the first timestep: `F` nodes with `per_node`
-/// edges each.
+/// The graph of nearest neighbours among the foreground Gaussians at the first timestep, or at the one at which they were born
+/// together: `F` nodes with `per_node` edges each.
 ///
 /// Every node also has a list of the nodes that share an edge with it, whichever way the edge runs. So a node finds all
 /// of its gradient in one walk, and nothing is written for a far end. Where two nodes are each other's neighbours, which
@@ -29,7 +29,7 @@ pub(crate) const ARRIVES: u32 = 1 << 30;
 pub struct Neighbors<R> {
     /// `[F]` indices of the foreground Gaussians, ascending.
     pub foreground: Vec<u32>,
-    /// Number of edges of each node: `min(NUM_NEIGHBORS, F − 1)`.
+    /// Number of edges of each node: [`NUM_NEIGHBORS`], or where fewer were born together, one less than the most that were.
     pub per_node: usize,
     /// `[F, per_node]`, the neighbours of each node, as positions in `foreground`.
     pub indices: Vec<u32>,
@@ -106,40 +106,46 @@ impl Neighbors<f32> {
     /// - `means`, `is_foreground`: as for [`Self::new`]
     /// - `births`: `[N]` timesteps of birth; those born together stand together
     pub(crate) fn among(means: &[[f32; 3]], is_foreground: &[bool], births: &[u32]) -> Self {
-        let mut cohorts = births.chunk_by(|a, b| a == b).map(<[u32]>::len);
-        let mut end = cohorts.next().unwrap_or_default();
-        let mut neighbors = Self::new(&means[..end], &is_foreground[..end]);
-        for count in cohorts {
-            let begin = end;
-            end += count;
+        let mut neighbors = Self::new(&[], &[]);
+        let mut begin = 0;
+        for together in births.chunk_by(|a, b| a == b) {
+            let end = begin + together.len();
             neighbors.append(&means[begin..end], &is_foreground[begin..end], begin);
+            begin = end;
         }
         neighbors
     }
 
-    /// Adds the neighbours of Gaussians that were born together, among themselves. Where they are too few, edges of weight 0
-    /// from a node to itself fill its list, since every node has as many edges as the next.
+    /// Adds the neighbours of Gaussians that were born together, among themselves. Every node has as many edges as the next:
+    /// where those born together are too few, edges of weight 0 from a node to itself fill its list.
     ///
     /// - `means`: `[M, 3]` at their first timestep, finite, scene units
     /// - `is_foreground`: `[M]`
     /// - `first`: index of the first of them among all Gaussians
     pub(crate) fn append(&mut self, means: &[[f32; 3]], is_foreground: &[bool], first: usize) {
         let own = Self::new(means, is_foreground);
+        let per_node = self.per_node.max(own.per_node);
         let offset = self.foreground.len() as u32;
-        let per_node = if offset == 0 { own.per_node } else { self.per_node };
-        let (mut indices, mut weights, mut distances) =
-            (std::mem::take(&mut self.indices), std::mem::take(&mut self.weights), std::mem::take(&mut self.distances));
-        for node in 0..own.foreground.len() {
-            for edge in 0..per_node {
-                let found = (edge < own.per_node).then_some(node * own.per_node + edge);
-                indices.push(offset + found.map_or(node as u32, |edge| own.indices[edge]));
-                weights.push(found.map_or(0.0, |edge| own.weights[edge]));
-                distances.push(found.map_or(0.0, |edge| own.distances[edge]));
-            }
-        }
-        let mut foreground = std::mem::take(&mut self.foreground);
-        foreground.extend(own.foreground.iter().map(|&i| first as u32 + i));
-        *self = Self::from_edges(foreground, per_node, indices, weights, distances);
+        let mut edges = self.padded(per_node);
+        edges.extend(own.padded(per_node).into_iter().map(|(end, weight, distance)| (offset + end, weight, distance)));
+        let foreground = self.foreground.iter().copied().chain(own.foreground.iter().map(|&i| first as u32 + i));
+        *self = Self::from_edges(
+            foreground.collect(),
+            per_node,
+            edges.iter().map(|edge| edge.0).collect(),
+            edges.iter().map(|edge| edge.1).collect(),
+            edges.iter().map(|edge| edge.2).collect(),
+        );
+    }
+
+    /// Far end, weight and distance of the edges, `per_node` of each node: its own, then ones of weight 0 to itself.
+    fn padded(&self, per_node: usize) -> Vec<(u32, f32, f32)> {
+        let of_node = |node: usize| {
+            let own = node * self.per_node..(node + 1) * self.per_node;
+            let own = own.map(|edge| (self.indices[edge], self.weights[edge], self.distances[edge]));
+            own.chain(std::iter::repeat((node as u32, 0.0, 0.0))).take(per_node)
+        };
+        (0..self.foreground.len()).flat_map(of_node).collect()
     }
 }
 
@@ -239,4 +245,37 @@ fn merged<R: Real>(mut links: Vec<Link<R>>) -> Vec<Link<R>> {
         same
     });
     links
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Ends of each node's edges that weigh something.
+    fn ends(neighbors: &Neighbors<f32>) -> Vec<Vec<u32>> {
+        let edges = neighbors.indices.iter().zip(&neighbors.weights).collect::<Vec<_>>();
+        let of_node = |node: &[(&u32, &f32)]| node.iter().filter(|(_, w)| **w > 0.0).map(|(end, _)| **end).collect();
+        edges.chunks(neighbors.per_node).map(of_node).collect()
+    }
+
+    #[test]
+    fn few_that_are_left_of_those_born_together_do_not_cut_the_neighbours_of_others() {
+        // Of the first timestep one is left, or three; then four are born, then two.
+        let means: Vec<[f32; 3]> = (0..9).map(|i| [0.001 * (i * i) as f32, 0.0, 0.0]).collect();
+        let found = Neighbors::among(&means[2..], &[true; 7], &[0, 4, 4, 4, 4, 6, 6]);
+        assert_eq!(found.per_node, 3);
+        assert_eq!(
+            ends(&found),
+            [vec![], vec![2, 3, 4], vec![1, 3, 4], vec![2, 4, 1], vec![3, 2, 1], vec![6], vec![5]]
+        );
+        let found = Neighbors::among(&means, &[true; 9], &[0, 0, 0, 4, 4, 4, 4, 6, 6]);
+        let first = [vec![1, 2], vec![0, 2], vec![1, 0]];
+        let then = [vec![4, 5, 6], vec![3, 5, 6], vec![4, 6, 3], vec![5, 4, 3], vec![8], vec![7]];
+        assert_eq!(ends(&found), [&first[..], &then].concat());
+        // Who has no foreground beside it has no part.
+        let mut is_foreground = [true; 9];
+        is_foreground[..3].fill(false);
+        let found = Neighbors::among(&means, &is_foreground, &[0, 0, 0, 4, 4, 4, 4, 6, 6]);
+        assert_eq!((found.foreground.len(), found.per_node, ends(&found).len()), (6, 3, 6));
+    }
 }

@@ -209,6 +209,12 @@ impl Run {
             _ => self.checkpoint(finished - 2, Some(&first).filter(|_| finished > 2))?,
         };
         let last = self.resumable(finished - 1, Some(&first).filter(|_| finished > 1))?;
+        let known = |id: &u32| before_last.lifetimes.ids.binary_search(id).is_ok();
+        let before = last.lifetimes.lives.births.partition_point(|&birth| (birth as usize) < finished - 1);
+        if !last.lifetimes.ids.iter().take_while(|id| (**id as usize) < before).all(known) {
+            let problem = format!("lacks Gaussians that live at timestep {}, and before it", finished - 1);
+            return Err(TrainError::File { path: self.checkpoint_path(finished - 2), problem });
+        }
         Ok(Some(match self.start()? {
             None => Trainer::resume(&self.config, &first, &before_last, &last, finished, make),
             Some(start) => {
@@ -263,17 +269,19 @@ impl Run {
         self.decode(timestep, &arrays, first)
     }
 
-    /// The lives of all Gaussians up to the last finished timestep that can be read; none if all were there at first and have
+    /// The lives of all Gaussians up to the last of some timesteps that can be read; none if all were there at first and have
     /// not died. Reads nothing else of the checkpoints.
+    ///
+    /// - `num_timesteps`: the first of the finished ones: a run that goes on has more by the time it is read
     ///
     /// # Errors
     /// As [`Self::checkpoint`].
-    pub fn lives(&self) -> Result<Option<Lives>, TrainError> {
-        Ok(self.last_lives()?.1)
+    pub fn lives(&self, num_timesteps: usize) -> Result<Option<Lives>, TrainError> {
+        Ok(self.last_lives(num_timesteps)?.1)
     }
 
-    /// The last finished timestep that can be read, with what [`Self::lives`] returns.
-    fn last_lives(&self) -> Result<(usize, Option<Lives>), TrainError> {
+    /// The last of some timesteps that can be read, with what [`Self::lives`] returns.
+    fn last_lives(&self, num_timesteps: usize) -> Result<(usize, Option<Lives>), TrainError> {
         let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), &LIVES);
         let mut lives_at = |timestep: usize| {
             let lives = Checkpoint::lives_of(&chain.read(timestep)?);
@@ -281,7 +289,7 @@ impl Run {
         };
         // A damaged checkpoint is no reason not to read those before it.
         let mut found = Ok((0, None));
-        for timestep in (0..self.timesteps()).rev() {
+        for timestep in (0..num_timesteps).rev() {
             found = lives_at(timestep).map(|lives| (timestep, lives));
             if found.is_ok() {
                 break;
@@ -320,28 +328,42 @@ impl Run {
     /// What stands in for the Gaussians of the run at the timesteps at which they do not live.
     ///
     /// - `first`: see [`Self::checkpoint`]
+    /// - `num_timesteps`: see [`Self::lives`]
     ///
     /// # Errors
     /// As [`Self::checkpoint`].
-    pub fn stand_ins(&self, first: &Checkpoint) -> Result<StandIns, TrainError> {
+    pub fn stand_ins(&self, first: &Checkpoint, num_timesteps: usize) -> Result<StandIns, TrainError> {
         let layout = first.parameters.gaussians.layout();
-        let (last, Some(lives)) = self.last_lives()? else { return Ok(StandIns::none(layout)) };
+        let (last, Some(lives)) = self.last_lives(num_timesteps)? else { return Ok(StandIns::none(layout)) };
         self.check_living(0, first.parameters.num_gaussians(), Some(&lives))?;
         let at = |timestep, lives: &Lives| Ok(self.living(timestep, Some(first), Some(lives))?.gaussians);
         StandIns::gather(lives, layout, last, at)
     }
 
-    /// The mask logits of the finished timesteps in their order, `[N]` each: of those that live then. Reads nothing
-    /// else of the checkpoints.
+    /// The mask logits of timesteps in their order, `[N]` each: of those that live then. Reads nothing else of the
+    /// checkpoints.
+    ///
+    /// - `num_timesteps`: see [`Self::lives`]
+    /// - `first`, `lives`: as [`Self::checkpoint`] and [`Self::lives`] give them
     ///
     /// # Errors
-    /// Each as [`Self::checkpoint`].
-    pub fn mask_logits(&self) -> impl Iterator<Item = Result<Vec<f32>, TrainError>> + use<> {
+    /// Each as [`Self::checkpoint`]; [`TrainError::File`] if there are not as many as live.
+    pub fn mask_logits(
+        &self,
+        num_timesteps: usize,
+        first: &Checkpoint,
+        lives: Option<&Lives>,
+    ) -> impl Iterator<Item = Result<Vec<f32>, TrainError>> {
         let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), &[MASK_LOGITS]);
-        (0..self.timesteps()).map(move |timestep| {
+        (0..num_timesteps).map(move |timestep| {
             let arrays = chain.read(timestep)?;
-            let logits = Checkpoint::mask_logits_of(&arrays);
-            logits.map(<[f32]>::to_vec).map_err(|problem| TrainError::File { path: chain.path(timestep), problem })
+            let failed = |problem| TrainError::File { path: chain.path(timestep), problem };
+            let logits = Checkpoint::mask_logits_of(&arrays).map_err(failed)?.to_vec();
+            let expected = lives.map_or(first.parameters.num_gaussians(), |lives| lives.living(timestep).len());
+            if logits.len() != expected {
+                return Err(failed(format!("{MASK_LOGITS} holds {} values, expected {expected}", logits.len())));
+            }
+            Ok(logits)
         })
     }
 
@@ -363,7 +385,7 @@ impl Run {
         let first = self.checkpoint(0, None)?;
         let mut scene = DynamicGaussians::new(Arc::clone(first.parameters.gaussians.layout()));
         let mut mask_logits = Vec::with_capacity(finished);
-        let stand_ins = self.stand_ins(&first)?;
+        let stand_ins = self.stand_ins(&first, finished)?;
         let num_gaussians = stand_ins.lives().map_or(first.parameters.num_gaussians(), Lives::len);
         let mut foreground = vec![false; num_gaussians];
         for timestep in 0..finished {
@@ -377,7 +399,7 @@ impl Run {
             1 => first.quantizers.clone(),
             _ => self.checkpoint(finished - 1, Some(&first))?.quantizers,
         };
-        let widths = |first: &FakeQuantizers| first.bit_map.with_more(num_gaussians - first.bit_map.num_gaussians());
+        let widths = |first: &FakeQuantizers| first.bit_map_of(num_gaussians);
         Ok(TrainedScene {
             scene,
             mask_logits,

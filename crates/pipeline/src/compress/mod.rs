@@ -236,7 +236,7 @@ impl<'a> PrunedScene<'a> {
             None => vec![[0, last]; keep.len()],
         };
         let (kept, keep) = if options.min_share > 0.0 {
-            let seen = seen_by_cameras(scene, &kept, &cameras, options.min_share)?;
+            let seen = seen_by_cameras(scene, &kept, &lives, &cameras, options.min_share)?;
             let rows: Vec<usize> = (0..keep.len()).filter(|&row| seen[row].share >= options.min_share).collect();
             // Version 1 holds no lives.
             let seen_to = |row: usize| seen[row].last.clamp(lives[row][0], lives[row][1]);
@@ -388,10 +388,12 @@ pub fn kept_gaussians(scene: &OpenScene, threshold: Option<f32>) -> Result<Vec<u
 
 /// What the training cameras see of Gaussians.
 ///
+/// - `lives`: as [`seen`] takes them
 /// - `cameras`: at the capture's full size
 fn seen_by_cameras(
     scene: &OpenScene,
     kept: &Kept,
+    lives: &[[u16; 2]],
     cameras: &[(usize, Camera)],
     min_share: f32,
 ) -> Result<Vec<Seen>, PipelineError> {
@@ -400,7 +402,7 @@ fn seen_by_cameras(
         return Err(refused("no training cameras".into(), "a capture, whose cameras tell what is seen".into()));
     }
     let cameras: Vec<Camera> = cameras.iter().map(|(_, camera)| camera.downscaled(scene.downscale)).collect();
-    let seen = seen(kept, &cameras, min_share)?;
+    let seen = seen(kept, lives, &cameras, min_share)?;
     let largest = seen.iter().fold(0.0_f32, |largest, seen| largest.max(seen.share));
     if largest < min_share {
         let found = format!("its largest Gaussian makes up {largest:.1e} of the images");

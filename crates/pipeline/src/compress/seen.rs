@@ -22,33 +22,37 @@ pub struct Seen {
     pub last: u16,
 }
 
-/// Looks at timesteps spread evenly, of which the first is one.
+/// Looks at timesteps spread evenly, of which the first is one. What is drawn at each are those that live then or before the
+/// next look.
 ///
 /// - `kept`: of at least one timestep
+/// - `lives`: `[N]` first and last timestep of each one's life
 /// - `cameras`: of the images; at least one
 /// - `least`: share below which a Gaussian is not seen
 /// - returns: `[N]`
 ///
 /// # Errors
 /// [`PipelineError`] if a timestep cannot be read.
-pub fn seen(kept: &Kept, cameras: &[Camera], least: f32) -> Result<Vec<Seen>, PipelineError> {
+pub fn seen(kept: &Kept, lives: &[[u16; 2]], cameras: &[Camera], least: f32) -> Result<Vec<Seen>, PipelineError> {
     let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.downscaled(weights_step(camera))).collect();
     let num_pixels: usize = cameras.iter().map(|camera| camera.width * camera.height).sum();
     let num_timesteps = kept.num_timesteps();
     let stride = num_timesteps.div_ceil(NUM_TIMESTEPS);
     let mut seen = vec![Seen::default(); kept.num_gaussians()];
     for timestep in (0..num_timesteps).step_by(stride) {
-        let drawn = activate(&kept.at(timestep)?);
-        let mut weights = vec![0.0_f32; seen.len()];
+        // It is not known when between two looks it vanished.
+        let last = (timestep + stride).min(num_timesteps) - 1;
+        let is_alive = |&row: &usize| usize::from(lives[row][0]) <= last && usize::from(lives[row][1]) >= timestep;
+        let living: Vec<usize> = (0..seen.len()).filter(is_alive).collect();
+        let drawn = activate(&kept.at(timestep)?.select(&living));
+        let mut weights = vec![0.0_f32; living.len()];
         for camera in &cameras {
             let ones = Image::filled(camera.width, camera.height, 1, 1.0);
             let Ok(of_view) = blending_weights(&CpuRasterizer, &drawn, camera, &ones);
             weights.iter_mut().zip(of_view).for_each(|(sum, weight)| *sum += weight);
         }
-        // It is not known when between two looks it vanished.
-        let last = (timestep + stride).min(num_timesteps) - 1;
-        for (seen, weight) in seen.iter_mut().zip(weights) {
-            let share = weight / num_pixels as f32;
+        for (row, weight) in living.into_iter().zip(weights) {
+            let (seen, share) = (&mut seen[row], weight / num_pixels as f32);
             seen.share = seen.share.max(share);
             if share >= least {
                 seen.last = last as u16;
@@ -56,4 +60,37 @@ pub fn seen(kept: &Kept, cameras: &[Camera], least: f32) -> Result<Vec<Seen>, Pi
         }
     }
     Ok(seen)
+}
+
+#[cfg(test)]
+mod tests {
+    use tcgs_core::{BaseColumns, DynamicGaussians, Gaussians};
+
+    use super::*;
+
+    #[test]
+    fn the_dead_hide_nobody_and_who_lives_between_two_looks_is_seen() {
+        // One behind the other; then one beside them.
+        let gaussians = Gaussians::from(BaseColumns {
+            means: vec![[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [2.0, 0.0, 0.0]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 3],
+            log_scales: vec![[0.0, 0.0, -5.0], [-1.0, -1.0, -5.0], [-2.0; 3]],
+            logit_opacities: vec![20.0; 3],
+            colors: vec![[0.5; 3]; 3],
+        });
+        let mut scene = DynamicGaussians::default();
+        (0..60).for_each(|_| scene.push(gaussians.clone()));
+        let kept = Kept::InMemory(scene);
+        let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
+        let look = |lives: [[u16; 2]; 3]| seen(&kept, &lives, std::slice::from_ref(&camera), 1e-3).unwrap();
+        let hidden = look([[0, 59], [0, 59], [0, 59]]);
+        assert!(hidden[0].share > 0.01 && hidden[1].share < 1e-3 && hidden[1].last == 0, "{hidden:?}");
+        // The first dies before the last look, and the third is born after it.
+        let found = look([[0, 57], [0, 59], [59, 59]]);
+        assert_eq!(found.iter().map(|seen| seen.last).collect::<Vec<_>>(), [57, 59, 59]);
+        assert!(found.iter().all(|seen| seen.share > 1e-3), "{found:?}");
+        // Nor does one that is not born yet.
+        let found = look([[30, 59], [0, 59], [0, 59]]);
+        assert_eq!((found[0].last, found[1].last), (59, 29));
+    }
 }

@@ -205,7 +205,7 @@ impl LiveRun {
         let values = gaussians.layout().raw_bytes(gaussians.num_gaussians().max(1), 1) as usize / size_of::<f32>();
         let begin = end - end.min(MAX_TIMESTEPS).min(MAX_VALUES / values).max(1);
         // From the last death on: before it there were others.
-        let deaths = run.lives()?.map(|lives| lives.deaths).unwrap_or_default();
+        let deaths = run.lives(end)?.map(|lives| lives.deaths).unwrap_or_default();
         let begin = deaths.into_iter().map(|death| death as usize).filter(|&death| death < end).fold(begin, usize::max);
         let at = |timestep| match timestep {
             0 => Ok(first.parameters.clone()),

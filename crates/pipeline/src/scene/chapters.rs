@@ -5,8 +5,9 @@ use std::ops::Range;
 
 use tcgs_codec::CompressSettings;
 use tcgs_core::{Gaussians, Layout};
-use tcgs_train::{Run, TrainError};
+use tcgs_train::TrainError;
 
+use super::Content;
 use crate::{OpenScene, PipelineError};
 
 /// Chapters and what counts of each.
@@ -66,8 +67,11 @@ impl Chapters {
     /// Mask logits of every timestep, one after another.
     pub fn mask_logits(&self) -> impl Iterator<Item = Result<Vec<f32>, TrainError>> {
         self.scenes.iter().zip(&self.frames).flat_map(|(scene, frames)| {
-            let logits = scene.run().into_iter().flat_map(Run::mask_logits);
-            logits.skip(frames.start - scene.first_frame).take(frames.len())
+            let logits = match &scene.content {
+                Content::Run(run) => Some(run.mask_logits()),
+                _ => None,
+            };
+            logits.into_iter().flatten().skip(frames.start - scene.first_frame).take(frames.len())
         })
     }
 }
@@ -80,6 +84,11 @@ fn check(scenes: &[OpenScene]) -> Result<(), PipelineError> {
     if let Some(scene) = scenes.iter().find(|scene| scene.run().is_none()) {
         return refuse(scene, format!("is a {}", scene.kind()), "run folders where several are joined".into());
     }
+    if let Some(scene) = scenes.iter().find(|scene| scene.lives().is_some()) {
+        let expected = "the same at all timesteps where runs are joined: chapters that start from a run of one frame, or \
+                        births.enabled=false and deaths.patience=0";
+        return refuse(scene, "has Gaussians that are born or die".into(), expected.into());
+    }
     for pair in scenes.windows(2) {
         let (before, scene, first) = (&pair[0], &pair[1], &scenes[0]);
         let (frames, end) = (scene.frames(), before.frames().end);
@@ -90,11 +99,6 @@ fn check(scenes: &[OpenScene]) -> Result<(), PipelineError> {
         if frames.end <= end {
             let expected = format!("more, since {} ends there or later", before.path.display());
             return refuse(scene, format!("ends with frame {}", frames.end - 1), expected);
-        }
-        if let Some(scene) = [before, scene].into_iter().find(|scene| scene.lives().is_some()) {
-            let expected = "the same at all timesteps where runs are joined: chapters that start from a run of one frame, or \
-                            births.enabled=false and deaths.patience=0";
-            return refuse(scene, "has Gaussians that are born or die".into(), expected.into());
         }
         let (found, expected) = (scene.num_gaussians(), first.num_gaussians());
         let as_first = format!(

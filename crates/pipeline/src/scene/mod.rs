@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tcgs_codec::{BitMap, CompactFile, FileCamera, Light, Loss, Quantizers, SceneFile, SceneInfo, UpAxis, read_views};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{FourdgsFile, ParamsNpz, TimestepFiles};
-use tcgs_train::{Checkpoint, Lives, Parameters, Run, StandIns};
+use tcgs_train::{Checkpoint, Lives, Parameters, Run, StandIns, TrainError};
 
 use self::chapters::Chapters;
 pub use self::open::{CutFiles, OpenSettings};
@@ -139,6 +139,10 @@ impl RunContent {
             return Ok(self.first.parameters.clone());
         }
         Ok(self.run.living(timestep, Some(&self.first), self.lives.as_ref())?)
+    }
+
+    fn mask_logits(&self) -> impl Iterator<Item = Result<Vec<f32>, TrainError>> {
+        self.run.mask_logits(self.num_timesteps, &self.first, self.lives.as_ref())
     }
 }
 
@@ -319,7 +323,8 @@ impl OpenScene {
         matches!(self.content, Content::File(_) | Content::Symbols(_))
     }
 
-    /// `N`, of a run before pruning; the most at any timestep where the number changes.
+    /// `N`, of a run before pruning. Where Gaussians come and go, all that the scene ever has; of files that do not say which
+    /// Gaussian of one timestep is which of the next, the most at any timestep.
     pub fn num_gaussians(&self) -> usize {
         match &self.content {
             Content::File(file) => file.info.num_gaussians as usize,
@@ -495,7 +500,7 @@ impl OpenScene {
     /// What stands in for the Gaussians of a run at the timesteps at which they do not live.
     pub(crate) fn stand_ins(&self) -> Result<StandIns, PipelineError> {
         match &self.content {
-            Content::Run(run) => Ok(run.run.stand_ins(&run.first)?),
+            Content::Run(run) => Ok(run.run.stand_ins(&run.first, run.num_timesteps)?),
             _ => Ok(StandIns::none(&self.layout)),
         }
     }
@@ -507,9 +512,9 @@ impl OpenScene {
             return chapters.first().learned_bits();
         }
         let Content::Run(run) = &self.content else { return Ok(None) };
-        // Those of the dead, too: who was born later has the same widths as all born.
+        // Those of the dead, too.
         let Some(first) = &run.first.quantizers else { return Ok(None) };
-        let bit_map = first.bit_map.with_more(run.num_gaussians() - first.bit_map.num_gaussians());
+        let bit_map = first.bit_map_of(run.num_gaussians());
         let last = run.checkpoint(run.num_timesteps - 1)?;
         Ok(last.quantizers.map(|q| (bit_map, q.table())))
     }
@@ -532,8 +537,8 @@ impl OpenScene {
         let mut failed = None;
         let logits: Box<dyn Iterator<Item = _>> = match &self.content {
             Content::Chapters(chapters) => Box::new(chapters.mask_logits()),
-            // A run that is still trained has more by now.
-            _ => Box::new(self.run().into_iter().flat_map(Run::mask_logits).take(self.num_timesteps())),
+            Content::Run(run) => Box::new(run.mask_logits()),
+            _ => return Ok(None),
         };
         let logits = logits.map_while(|logits| logits.map_err(|error| failed = Some(error)).ok());
         let means = tcgs_train::mean_masks(logits, self.lives());

@@ -172,7 +172,7 @@ impl OpenScene {
             let (culprit, expected) = (path.join("checkpoints"), "a run with at least one finished timestep");
             return Err(PipelineError::input(culprit.display(), "no checkpoint", expected));
         }
-        let (first, lives) = (run.checkpoint(0, None)?, run.lives()?);
+        let (first, lives) = (run.checkpoint(0, None)?, run.lives(num_timesteps)?);
         let content = RunContent { run, first, lives, num_timesteps };
         let (data, gaussians) = (&content.run.config().data, &content.first.parameters.gaussians);
         Ok(Self {

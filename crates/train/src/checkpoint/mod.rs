@@ -6,7 +6,6 @@
 mod array;
 mod chain;
 
-use std::collections::BTreeSet;
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 use std::sync::Arc;
@@ -123,14 +122,14 @@ impl Checkpoint {
         if first && layout.is_antialiased() {
             arrays.add(ANTIALIASED, For::Scene, &[1], &[1_u8]);
         }
-        // What is born has values of its own in all columns.
-        let has_births = !self.lifetimes.are_whole();
-        for column in layout.columns().iter().filter(|column| first || has_births || column.varies) {
+        // Who is born has values of its own in all columns, and who dies takes theirs away.
+        let has_lifetimes = !self.lifetimes.are_whole();
+        for column in layout.columns().iter().filter(|column| first || has_lifetimes || column.varies) {
             let shape = [n, column.components()];
             let shape = if column.components() == 1 { &shape[..1] } else { &shape };
             arrays.add(&values_name(column), For::Scene, shape, p.gaussians.values(column.attribute));
         }
-        if has_births {
+        if has_lifetimes {
             let l = &self.lifetimes;
             for (name, values) in LIFETIME_NAMES.into_iter().zip([&l.ids, &l.lives.births, &l.lives.deaths]) {
                 arrays.add(name, For::Scene, &[values.len()], &wide(values));
@@ -175,7 +174,7 @@ impl Checkpoint {
             arrays.add("camera_gains", For::Scene, &[cameras, 3], p.camera_gains.as_flattened());
             arrays.add("camera_offsets", For::Scene, &[cameras, 3], p.camera_offsets.as_flattened());
         }
-        if first || has_births {
+        if first || has_lifetimes {
             let foreground: Vec<u8> = p.foreground.iter().map(|&f| u8::from(f)).collect();
             arrays.add(FOREGROUND, For::Scene, &[n], &foreground);
         }
@@ -353,7 +352,7 @@ fn read_gate(arrays: &Arrays, n: usize) -> Result<GateRecord, String> {
 /// What is drawn, and by which gains cameras see it.
 fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parameters, String> {
     let means = get::<f32>(arrays, "means")?;
-    // Where none was born there are as many as at first.
+    // Where none was born and none died there are as many as at first.
     let n = match first {
         Some(first) if !has_lifetimes(arrays) => first.parameters.num_gaussians(),
         _ => means.len() / 3,
@@ -408,11 +407,12 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
     }
     let (scene_radius, bits) = match first {
         Some(first) => {
+            let living: Vec<usize> = lifetimes.ids.iter().map(|&id| id as usize).collect();
             let bits = |q: &FakeQuantizers| {
-                let bit_map = bit_map_after(&q.bit_map, &lifetimes)?;
-                Ok::<_, String>((bit_map, q.groups.clone(), q.initial_steps.clone()))
+                let bit_map = q.bit_map_of(lifetimes.lives.len()).select(&living);
+                (bit_map, q.groups.clone(), q.initial_steps.clone())
             };
-            (first.scene_radius, first.quantizers.as_ref().map(bits).transpose()?)
+            (first.scene_radius, first.quantizers.as_ref().map(bits))
         }
         None => {
             let radius = get::<f32>(arrays, "scene_radius")?.first().copied().ok_or("scene_radius is empty")?;
@@ -467,8 +467,12 @@ fn read_born(arrays: &Arrays, lifetimes: &Lifetimes) -> Result<Pose, String> {
 
 fn read_lifetimes(arrays: &Arrays, n: usize) -> Result<Lifetimes, String> {
     let (ids, lives) = (narrow(arrays, LIFETIME_NAMES[0])?, read_lives(arrays)?);
-    if ids.len() != n || !ids.is_sorted_by(|a, b| a < b) || ids.last().is_some_and(|&id| id as usize >= lives.len()) {
-        return Err(format!("ids are not {n} ascending ones of {}", lives.len()));
+    let living = (0_u32..).zip(&lives.deaths).filter(|(_, death)| **death == Lives::NEVER).map(|(id, _)| id);
+    if !living.eq(ids.iter().copied()) {
+        return Err("ids are not those that births and deaths leave".into());
+    }
+    if n == 0 || ids.len() != n {
+        return Err(format!("{} Gaussians live, and there are values of {n}", ids.len()));
     }
     Ok(Lifetimes { ids, lives })
 }
@@ -492,37 +496,6 @@ fn narrow(arrays: &Arrays, name: &str) -> Result<Vec<u32>, String> {
 
 fn wide(values: &[u32]) -> Vec<u64> {
     values.iter().map(|&value| value.into()).collect()
-}
-
-/// The widths of those that live, found as training found them: who is born has the largest width in use at that time.
-///
-/// - `first`: of those that were there at first, as many as have birth 0
-///
-/// # Errors
-/// If the lives are not those of these identities.
-fn bit_map_after(first: &BitMap, lifetimes: &Lifetimes) -> Result<BitMap, String> {
-    let Lives { births, deaths } = &lifetimes.lives;
-    let (mut bit_map, mut ids) = (first.clone(), (0..first.num_gaussians()).collect::<Vec<_>>());
-    let mut num_known = ids.len();
-    let burials: BTreeSet<u32> = deaths.iter().copied().filter(|&death| death != Lives::NEVER).collect();
-    for burial in burials {
-        // Who is born at the timestep of a burial was there before it.
-        let born = births.partition_point(|&birth| birth <= burial);
-        bit_map = bit_map.with_more(born - num_known);
-        ids.extend(num_known..born);
-        num_known = born;
-        let rows: Vec<usize> = (0..ids.len()).filter(|&row| deaths[ids[row]] != burial).collect();
-        if rows.is_empty() {
-            return Err("deaths leave no Gaussian".into());
-        }
-        bit_map = bit_map.select(&rows);
-        ids.retain(|&id| deaths[id] != burial);
-    }
-    ids.extend(num_known..births.len());
-    if !ids.iter().copied().eq(lifetimes.ids.iter().map(|&id| id as usize)) {
-        return Err("ids are not those that births and deaths leave".into());
-    }
-    Ok(bit_map.with_more(births.len() - num_known))
 }
 
 fn read_optimizer(arrays: &Arrays, parameters: &Parameters, num_quantizers: usize) -> Result<Optimizer, String> {
@@ -592,28 +565,4 @@ fn fill(name: &str, into: &mut [f32], values: &[f32]) -> Result<(), String> {
     }
     into.copy_from_slice(values);
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn widths_of_the_newborn_are_those_in_use_when_they_were_born() {
-        let mut first = BitMap::uniform(3, 16, 4);
-        first.widths[Attribute::LogScale.index()][1] = 8;
-        let after = |ids: &[u32], births: &[u32], deaths: &[u32]| {
-            let lives = Lives { births: births.to_vec(), deaths: deaths.to_vec() };
-            let bit_map = bit_map_after(&first, &Lifetimes { ids: ids.to_vec(), lives })?;
-            Ok::<_, String>(bit_map.widths[Attribute::LogScale.index()].clone())
-        };
-        const NEVER: u32 = Lives::NEVER;
-        // Who has eight bits dies at the end of the timestep at which the fourth is born, which has them from it.
-        assert_eq!(after(&[0, 2, 3], &[0, 0, 0, 7], &[NEVER, 7, NEVER, NEVER]), Ok(vec![4, 4, 8]));
-        let (births, deaths) = ([0, 0, 0, 7, 9], [NEVER, 7, NEVER, 8, NEVER]);
-        assert_eq!(after(&[0, 2, 4], &births, &deaths), Ok(vec![4, 4, 4]));
-
-        after(&[0, 2, 3], &births, &deaths).unwrap_err();
-        after(&[], &[0, 0, 0], &[7; 3]).unwrap_err();
-    }
 }

@@ -98,6 +98,9 @@ impl Gate {
     /// - `record`: of the checkpoint that a run goes on from; empty at its start
     pub fn new(config: &GateConfig, mask: &MaskConfig, deaths: &DeathConfig, record: GateRecord) -> Self {
         let (config, mask, deaths) = (config.clone(), mask.clone(), deaths.clone());
+        // A run may go on without deaths.
+        let unseen = if deaths.patience > 0 { record.unseen } else { Vec::new() };
+        let record = GateRecord { unseen, ..record };
         Self { config, mask, deaths, record, memory: None }
     }
 
@@ -259,6 +262,9 @@ impl Gate {
     /// Gaussians that die: those that no camera has seen for long, and that their masks hide or that stand elsewhere than where
     /// they were born. What is at rest where it was born may be uncovered, and cameras may move.
     ///
+    /// Who was seen is known from where all stood when the timestep began: one that came into view in this very timestep dies,
+    /// and births make up for it.
+    ///
     /// - `state`: after the timestep
     /// - returns: indices, ascending
     pub fn dying(&self, state: &State) -> Vec<usize> {
@@ -392,7 +398,7 @@ mod tests {
         };
         config.deaths.patience = 4;
         assert_eq!(dying(&config, 8, [4, 4, 4, 4, 4]), [0, 1, 4]);
-        // One was seen last, one is unseen for three timesteps, and the others are looked for at another timestep.
+        // The first was seen at the last timestep, the second is unseen for three; and nobody dies between two burials.
         assert_eq!(dying(&config, 8, [Lives::NEVER, 5, 1, 1, 1]), [4]);
         assert!(dying(&config, 9, [1; 5]).is_empty());
         config.mask.enabled = false;

@@ -162,6 +162,9 @@ impl Trainer {
     ///   one finished timestep all three are the same
     /// - `timesteps`: number of finished timesteps, at least 1
     /// - `make`: makes the engine from the resumed state
+    ///
+    /// # Panics
+    /// If they are not of one run, so that who lives on was not there before.
     pub fn resume(
         config: &TrainConfig,
         first: &Checkpoint,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use tcgs_core::PointCloud;
 use tcgs_interchange::NpzReader;
-use tcgs_train::{Checkpoint, GateRecord, Lifetimes, Optimizer, Parameters, Pose, Run, TrainConfig, TrainError};
+use tcgs_train::{Checkpoint, GateRecord, Lifetimes, Lives, Optimizer, Parameters, Pose, Run, TrainConfig, TrainError};
 
 /// A run that the first version of checkpoints wrote; see its README.md.
 const OLD: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/run");
@@ -115,6 +115,84 @@ fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
     }
 }
 
+/// The checkpoint of a timestep before which some died and others were born: of six, the third died at 1 and two were born.
+fn with_lives(timestep: usize) -> Checkpoint {
+    let mut checkpoint = sleeping(7, timestep);
+    let (births, mut deaths) = (vec![0, 0, 0, 0, 0, 0, 1, 1], vec![Lives::NEVER; 8]);
+    deaths[2] = 1;
+    checkpoint.lifetimes = Lifetimes { ids: vec![0, 1, 3, 4, 5, 6, 7], lives: Lives { births, deaths } };
+    checkpoint.born = Pose { means: vec![[0.0; 3]; 2], quats: vec![[0.0; 4]; 2] };
+    checkpoint.gate = GateRecord { noise: vec![vec![0.1]], errors: vec![vec![0.0; 4]], unseen: vec![1; 7] };
+    checkpoint
+}
+
+#[test]
+fn lives_that_fit_nothing_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("000001.npz");
+    let first = sleeping(6, 0);
+    let read = |change: &dyn Fn(&mut Checkpoint)| {
+        let mut checkpoint = with_lives(1);
+        change(&mut checkpoint);
+        checkpoint.save(&path, false).unwrap();
+        load(&path, Some(&first)).map_err(|error| error.to_string())
+    };
+    assert!(read(&|_| {}).unwrap() == with_lives(1));
+    let refused = |said: &str, change: &dyn Fn(&mut Checkpoint)| {
+        let error = read(change).err().unwrap();
+        assert!(error.contains("000001.npz: ") && error.contains(said), "{error}");
+    };
+    let not_left = "ids are not those that births and deaths leave";
+    refused(not_left, &|c| c.lifetimes.ids[2] = 2);
+    refused(not_left, &|c| c.lifetimes.ids.swap(0, 1));
+    refused(not_left, &|c| c.lifetimes.ids[6] = 8);
+    refused(not_left, &|c| c.lifetimes.ids.truncate(6));
+    refused(not_left, &|c| c.lifetimes.lives.deaths[0] = 1);
+    refused("deaths do not fit births", &|c| c.lifetimes.lives.deaths[0] = 0);
+    refused("deaths do not fit births", &|c| c.lifetimes.lives.deaths.truncate(7));
+    refused("births are not in their order", &|c| c.lifetimes.lives.births.swap(5, 6));
+    refused("births has 5 Gaussians of the first timestep, expected 6", &|c| c.lifetimes.lives.births[5] = 1);
+    refused("gate_unseen holds 3 values, expected 7", &|c| c.gate.unseen.truncate(3));
+    refused("born_means and born_quats hold [1, 1] poses, expected 2", &|c| {
+        c.born.means.truncate(1);
+        c.born.quats.truncate(1);
+    });
+    refused("6 Gaussians live, and there are values of 7", &|c| {
+        c.lifetimes.lives.deaths[0] = 1;
+        c.lifetimes.ids.remove(0);
+        c.born = Pose { means: vec![[0.0; 3]; 2], quats: vec![[0.0; 4]; 2] };
+    });
+}
+
+#[test]
+fn a_checkpoint_of_another_run_is_named_where_a_run_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = Run::create(folder.path(), &TrainConfig::default()).unwrap();
+    let save = |timestep: usize, checkpoint: &Checkpoint| {
+        checkpoint.save(&run.checkpoint_path(timestep), timestep == 0).unwrap();
+    };
+    save(0, &sleeping(6, 0));
+    save(1, &with_lives(1));
+    save(2, &with_lives(2));
+    assert!(Run::open(run.folder()).unwrap().resume().unwrap().is_some());
+    // There nobody was born.
+    save(1, &sleeping(6, 1));
+    let error = Run::open(run.folder()).unwrap().resume().err().unwrap().to_string();
+    assert!(error.contains("000001.npz: lacks Gaussians that live at timestep 2"), "{error}");
+
+    // What a checkpoint says of masks fits who lives.
+    save(1, &with_lives(1));
+    let (first, lives) = (run.checkpoint(0, None).unwrap(), run.lives(3).unwrap());
+    let logits = |lives: Option<&Lives>| {
+        run.mask_logits(3, &first, lives).collect::<Result<Vec<_>, _>>().map_err(|error| error.to_string())
+    };
+    assert_eq!(logits(lives.as_ref()).unwrap().iter().map(Vec::len).collect::<Vec<_>>(), [6, 7, 7]);
+    let error = logits(None).unwrap_err();
+    assert!(error.contains("000001.npz: mask_logits holds 7 values, expected 6"), "{error}");
+    // Of the timesteps that were asked for.
+    assert!(run.lives(1).unwrap().is_none());
+}
+
 /// A run of such timesteps.
 fn sleeping_run(folder: &Path, num_gaussians: usize, num_timesteps: usize) -> Run {
     let run = Run::create(folder, &TrainConfig::default()).unwrap();
@@ -151,7 +229,7 @@ fn what_sleeps_costs_nothing_and_every_timestep_reads_back() {
         }
     }
     let run = Run::open(folder.path()).unwrap();
-    let logits: Vec<Vec<f32>> = run.mask_logits().map(Result::unwrap).collect();
+    let logits: Vec<Vec<f32>> = run.mask_logits(num_timesteps, &first, None).map(Result::unwrap).collect();
     assert!(logits == vec![vec![1.0; n]; num_timesteps]);
 
     // A whole archive each, as earlier versions wrote them.

@@ -17,6 +17,8 @@ const AT_REST: Range<usize> = 225..252;
 const LEAVES: Range<usize> = 252..279;
 const PATIENCE: usize = 4;
 const NUM_TIMESTEPS: usize = 13;
+/// When another ball enters, where asked for: others die at that timestep.
+const ENTERS: usize = 8;
 
 fn cameras() -> Vec<Camera> {
     [[-0.9, -0.5], [0.9, -0.4], [0.8, 0.5], [-0.8, 0.4], [0.0, -0.8], [0.1, 0.8]]
@@ -24,7 +26,7 @@ fn cameras() -> Vec<Camera> {
         .to_vec()
 }
 
-/// What there is at a timestep, and a ball that enters at timestep 5 where asked for.
+/// What there is at a timestep, and a ball that enters where asked for.
 fn scene(timestep: usize, enters: bool) -> Gaussians {
     let time = timestep as f32;
     let mut columns = wall(WALL);
@@ -36,7 +38,7 @@ fn scene(timestep: usize, enters: bool) -> Gaussians {
     columns.colors.push([0.3, 0.3, 0.3]);
     add_ball(&mut columns, [0.6, -0.7, 0.6], 3);
     add_ball(&mut columns, [-0.5, 0.3 + 0.2 * time, -1.0], 3);
-    if enters && timestep >= 5 {
+    if enters && timestep >= ENTERS {
         add_ball(&mut columns, [-0.3, -0.3, -1.0], 3);
     }
     Gaussians::from(columns)
@@ -151,13 +153,13 @@ fn a_run_with_births_and_deaths_resumes_with_the_same_bytes_and_reads_back() {
     let run = Run::create(&folder.path().join("whole"), &config).unwrap();
     let mut trainer = on_cpu(&config);
     fit(&mut trainer, 0..NUM_TIMESTEPS, true, Some(&run));
-    let lives = run.lives().unwrap().unwrap();
+    let lives = run.lives(NUM_TIMESTEPS).unwrap().unwrap();
     assert_eq!(lives, trainer.state().unwrap().lifetimes.lives);
     let burials: Vec<usize> = (0..NUM_TIMESTEPS).filter(|&t| lives.deaths.contains(&(t as u32))).collect();
-    assert!(!burials.is_empty() && lives.births.contains(&5), "{burials:?}, {:?}", lives.births);
+    assert!(burials.contains(&ENTERS) && lives.births.contains(&(ENTERS as u32)), "{burials:?}, {:?}", lives.births);
 
-    // Right after births and after deaths, and later.
-    for stopped in [6, burials[0] + 1, NUM_TIMESTEPS - 1] {
+    // Before births and deaths, right after them, and later.
+    for stopped in [ENTERS, ENTERS + 1, NUM_TIMESTEPS - 1] {
         let cut = folder.path().join(format!("cut{stopped}"));
         let again = Run::create(&cut, &config).unwrap();
         let mut before = on_cpu(&config);
