@@ -168,7 +168,8 @@ fn who_watches_a_training_sees_those_that_live_since_the_last_death() {
             let now = run.parameters(timestep, Some(&first).filter(|_| timestep > 0)).unwrap().gaussians;
             let shown = OpenScene::at(&file, timestep - begin).unwrap();
             assert_eq!(shown.num_gaussians(), count(timestep) - 2, "timestep {timestep} until {end}");
-            let near = |a: &[f32; 3]| now.means().iter().any(|b| (0..3).all(|d| (a[d] - b[d]).abs() < 1e-3));
+            // They are stored to a small part of their size, which is about 1.
+            let near = |a: &[f32; 3]| now.means().iter().any(|b| (0..3).all(|d| (a[d] - b[d]).abs() < 0.1));
             assert!(shown.means().iter().all(near), "timestep {timestep} until {end}");
         }
     }

@@ -70,11 +70,11 @@ mod tests {
 
     #[test]
     fn the_dead_hide_nobody_and_who_lives_between_two_looks_is_seen() {
-        // One behind the other; then one beside them.
+        // One that fills the view, one behind it, and one before them.
         let gaussians = Gaussians::from(BaseColumns {
-            means: vec![[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [2.0, 0.0, 0.0]],
+            means: vec![[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.0, -1.0]],
             quats: vec![[1.0, 0.0, 0.0, 0.0]; 3],
-            log_scales: vec![[0.0, 0.0, -5.0], [-1.0, -1.0, -5.0], [-2.0; 3]],
+            log_scales: vec![[2.0, 2.0, -5.0], [-1.5, -1.5, -5.0], [-2.0; 3]],
             logit_opacities: vec![20.0; 3],
             colors: vec![[0.5; 3]; 3],
         });
