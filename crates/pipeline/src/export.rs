@@ -89,7 +89,7 @@ impl<'a> Export<'a> {
         Ok(Self { scene, keep })
     }
 
-    /// How many Gaussians stay; the most at any timestep where the number changes.
+    /// How many Gaussians stay of all that the scene has, as [`OpenScene::num_gaussians`] counts them.
     pub fn num_gaussians(&self) -> usize {
         self.keep.as_ref().map_or(self.scene.num_gaussians(), Vec::len)
     }

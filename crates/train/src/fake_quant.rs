@@ -93,6 +93,9 @@ pub struct FakeQuantizers {
     pub initial_steps: Vec<f32>,
     /// Whether offsets are learned.
     pub learned_offset: bool,
+    /// By column: width of those that are born, the largest that any Gaussian of the first timestep has. Nobody knows how much
+    /// their parameters matter.
+    pub(crate) newborn_widths: Vec<u8>,
     /// By attribute and width: position of the first channel in `quantizers`.
     first: Vec<[u16; 17]>,
     /// Scale of each step's gradient.
@@ -139,7 +142,7 @@ impl FakeQuantizers {
         Ok(Self::restore(bit_map, groups, quantizers, initial_steps, learned_offset))
     }
 
-    /// Quantizers from saved fields; the fields of this struct describe the arguments.
+    /// Quantizers of the first timestep from saved fields; the fields of this struct describe the arguments.
     ///
     /// # Panics
     /// If `quantizers` and `initial_steps` do not have one entry for each channel of each group.
@@ -160,12 +163,15 @@ impl FakeQuantizers {
             gradient_scales.extend(vec![step_gradient_scale(width, count * components); components]);
         }
         assert_eq!([quantizers.len(), initial_steps.len()], [gradient_scales.len(); 2], "quantizers against groups");
-        Self { bit_map, groups, quantizers, initial_steps, learned_offset, first, gradient_scales }
+        // Without a Gaussian there are no widths, and any will do.
+        let largest = |widths: &Vec<u8>| widths.iter().copied().max().unwrap_or(16);
+        let newborn_widths = bit_map.widths.iter().map(largest).collect();
+        Self { bit_map, groups, quantizers, initial_steps, learned_offset, newborn_widths, first, gradient_scales }
     }
 
-    /// Keeps the Gaussians at `indices`, in that order.
-    pub fn select(&mut self, indices: &[usize]) {
-        let bit_map = self.bit_map.select(indices);
+    /// The same quantizers for other Gaussians.
+    fn set_bit_map(&mut self, bit_map: BitMap) {
+        let newborn_widths = std::mem::take(&mut self.newborn_widths);
         *self = Self::restore(
             bit_map,
             std::mem::take(&mut self.groups),
@@ -173,33 +179,28 @@ impl FakeQuantizers {
             std::mem::take(&mut self.initial_steps),
             self.learned_offset,
         );
+        self.newborn_widths = newborn_widths;
     }
 
-    /// The bit map with further Gaussians at its end, of which nobody knows how much their parameters matter: they have the
-    /// largest width that each column has a quantizer for.
+    /// Keeps the Gaussians at `indices`, in that order.
+    pub fn select(&mut self, indices: &[usize]) {
+        self.set_bit_map(self.bit_map.select(indices));
+    }
+
+    /// The bit map with further Gaussians at its end, which were born: they have the largest widths of the first timestep.
     ///
     /// - `num_gaussians`: how many it then has, no fewer than now
     pub fn bit_map_of(&self, num_gaussians: usize) -> BitMap {
         let mut bit_map = self.bit_map.clone();
-        for (column, widths) in bit_map.widths.iter_mut().enumerate() {
-            let own = self.groups.iter().filter(|(attribute, _)| attribute.index() == column);
-            // Who has no quantizers has one width.
-            let width = own.map(|&(_, width)| width).max().unwrap_or(widths[0]);
-            widths.resize(num_gaussians, width);
+        for (widths, &largest) in bit_map.widths.iter_mut().zip(&self.newborn_widths) {
+            widths.resize(num_gaussians, largest);
         }
         bit_map
     }
 
     /// The same quantizers for so many more Gaussians, of the widths that [`Self::bit_map_of`] gives them.
     pub fn append(&mut self, count: usize) {
-        let bit_map = self.bit_map_of(self.bit_map.num_gaussians() + count);
-        *self = Self::restore(
-            bit_map,
-            std::mem::take(&mut self.groups),
-            std::mem::take(&mut self.quantizers),
-            std::mem::take(&mut self.initial_steps),
-            self.learned_offset,
-        );
+        self.set_bit_map(self.bit_map_of(self.bit_map.num_gaussians() + count));
     }
 
     /// The quantizers as the codec takes them, by attribute and bit width.

@@ -209,13 +209,23 @@ impl Run {
             _ => self.checkpoint(finished - 2, Some(&first).filter(|_| finished > 2))?,
         };
         let last = self.resumable(finished - 1, Some(&first).filter(|_| finished > 1))?;
+        // Of those that a run begins with none has died, and all have their place in each of its checkpoints.
+        let start = self.start()?;
+        let number = first.parameters.num_gaussians();
+        let begins_alike =
+            |start: &Checkpoint| start.lifetimes.are_whole() && start.parameters.num_gaussians() == number;
+        if !first.lifetimes.are_whole() || !start.as_ref().is_none_or(begins_alike) {
+            let path = if start.is_some() { self.folder.join(START) } else { self.checkpoint_path(0) };
+            let problem = format!("does not begin with the {number} Gaussians that the first checkpoint is to have");
+            return Err(TrainError::File { path, problem });
+        }
         let known = |id: &u32| before_last.lifetimes.ids.binary_search(id).is_ok();
         let before = last.lifetimes.lives.births.partition_point(|&birth| (birth as usize) < finished - 1);
         if !last.lifetimes.ids.iter().take_while(|id| (**id as usize) < before).all(known) {
             let problem = format!("lacks Gaussians that live at timestep {}, and before it", finished - 1);
             return Err(TrainError::File { path: self.checkpoint_path(finished - 2), problem });
         }
-        Ok(Some(match self.start()? {
+        Ok(Some(match start {
             None => Trainer::resume(&self.config, &first, &before_last, &last, finished, make),
             Some(start) => {
                 let before_last = if finished == 1 { &start } else { &before_last };
@@ -311,13 +321,27 @@ impl Run {
         lives: Option<&Lives>,
     ) -> Result<Parameters, TrainError> {
         let parameters = self.parameters(timestep, first)?;
-        self.check_living(timestep, parameters.num_gaussians(), lives)?;
+        let number = parameters.num_gaussians();
+        self.check_living(timestep, number, first.map_or(number, |first| first.parameters.num_gaussians()), lives)?;
         Ok(parameters)
     }
 
-    /// - `found`: number of Gaussians of a timestep
-    fn check_living(&self, timestep: usize, found: usize, lives: Option<&Lives>) -> Result<(), TrainError> {
-        let expected = lives.map_or(found, |lives| lives.living(timestep).len());
+    /// Checks that a timestep has as many Gaussians as live then.
+    ///
+    /// - `found`: how many it has
+    /// - `at_first`: how many the first checkpoint has
+    /// - `lives`: as [`Self::lives`] gives them
+    ///
+    /// # Errors
+    /// [`TrainError::File`] if it has another number.
+    pub fn check_living(
+        &self,
+        timestep: usize,
+        found: usize,
+        at_first: usize,
+        lives: Option<&Lives>,
+    ) -> Result<(), TrainError> {
+        let expected = lives.map_or(at_first, |lives| lives.living(timestep).len());
         if found == expected {
             return Ok(());
         }
@@ -335,7 +359,8 @@ impl Run {
     pub fn stand_ins(&self, first: &Checkpoint, num_timesteps: usize) -> Result<StandIns, TrainError> {
         let layout = first.parameters.gaussians.layout();
         let (last, Some(lives)) = self.last_lives(num_timesteps)? else { return Ok(StandIns::none(layout)) };
-        self.check_living(0, first.parameters.num_gaussians(), Some(&lives))?;
+        let number = first.parameters.num_gaussians();
+        self.check_living(0, number, number, Some(&lives))?;
         let at = |timestep, lives: &Lives| Ok(self.living(timestep, Some(first), Some(lives))?.gaussians);
         StandIns::gather(lives, layout, last, at)
     }
@@ -377,7 +402,16 @@ impl Run {
     /// # Errors
     /// [`TrainError::File`] if no timestep is finished, or a checkpoint is damaged.
     pub fn trained(&self) -> Result<TrainedScene, TrainError> {
-        let finished = self.timesteps();
+        self.trained_until(self.timesteps())
+    }
+
+    /// Reads the checkpoints of some finished timesteps into one scene.
+    ///
+    /// - `finished`: as `num_timesteps` of [`Self::lives`]
+    ///
+    /// # Errors
+    /// [`TrainError::File`] if there are none, or a checkpoint is damaged.
+    pub fn trained_until(&self, finished: usize) -> Result<TrainedScene, TrainError> {
         if finished == 0 {
             let problem = "no checkpoint, expected a run with at least one finished timestep".into();
             return Err(TrainError::File { path: self.folder.join(CHECKPOINTS), problem });

@@ -238,9 +238,9 @@ impl<'a> PrunedScene<'a> {
         let (kept, keep) = if options.min_share > 0.0 {
             let seen = seen_by_cameras(scene, &kept, &lives, &cameras, options.min_share)?;
             let rows: Vec<usize> = (0..keep.len()).filter(|&row| seen[row].share >= options.min_share).collect();
-            // Version 1 holds no lives.
             let seen_to = |row: usize| seen[row].last.clamp(lives[row][0], lives[row][1]);
-            let last_of = |row: usize| if options.version > 1 { seen_to(row) } else { last };
+            // Version 1 holds no lives: there only what the run says ends one.
+            let last_of = |row: usize| if options.version > 1 { seen_to(row) } else { lives[row][1] };
             lives = rows.iter().map(|&row| [lives[row][0], last_of(row)]).collect();
             (kept.select(&rows), rows.iter().map(|&row| keep[row]).collect())
         } else {

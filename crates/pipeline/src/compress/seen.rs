@@ -4,6 +4,8 @@
 //! or smaller than a pixel: each costs as much as any other, and together they matter little enough for refinement to make
 //! up for them.
 
+use std::ops::RangeInclusive;
+
 use tcgs_core::{Camera, Image, activate};
 use tcgs_render::{CpuRasterizer, blending_weights, weights_step};
 
@@ -22,8 +24,8 @@ pub struct Seen {
     pub last: u16,
 }
 
-/// Looks at timesteps spread evenly, of which the first is one. What is drawn at each are those that live then or before the
-/// next look.
+/// Looks at timesteps spread evenly, of which the first is one. At each those are drawn that live then; those born before the
+/// next look are looked at as they are born, among the others.
 ///
 /// - `kept`: of at least one timestep
 /// - `lives`: `[N]` first and last timestep of each one's life
@@ -42,21 +44,34 @@ pub fn seen(kept: &Kept, lives: &[[u16; 2]], cameras: &[Camera], least: f32) -> 
     for timestep in (0..num_timesteps).step_by(stride) {
         // It is not known when between two looks it vanished.
         let last = (timestep + stride).min(num_timesteps) - 1;
-        let is_alive = |&row: &usize| usize::from(lives[row][0]) <= last && usize::from(lives[row][1]) >= timestep;
-        let living: Vec<usize> = (0..seen.len()).filter(is_alive).collect();
-        let drawn = activate(&kept.at(timestep)?.select(&living));
-        let mut weights = vec![0.0_f32; living.len()];
-        for camera in &cameras {
-            let ones = Image::filled(camera.width, camera.height, 1, 1.0);
-            let Ok(of_view) = blending_weights(&CpuRasterizer, &drawn, camera, &ones);
-            weights.iter_mut().zip(of_view).for_each(|(sum, weight)| *sum += weight);
-        }
-        for (row, weight) in living.into_iter().zip(weights) {
-            let (seen, share) = (&mut seen[row], weight / num_pixels as f32);
-            seen.share = seen.share.max(share);
-            if share >= least {
-                seen.last = last as u16;
+        let gaussians = kept.at(timestep)?;
+        let born_within = |born: RangeInclusive<usize>| {
+            let lives_then = |&row: &usize| {
+                let [birth, end] = lives[row].map(usize::from);
+                born.contains(&birth) && end >= timestep
+            };
+            (0..lives.len()).filter(lives_then).collect::<Vec<usize>>()
+        };
+        let mut look = |rows: &[usize], is_judged: &dyn Fn(usize) -> bool| {
+            let drawn = activate(&gaussians.select(rows));
+            let mut weights = vec![0.0_f32; rows.len()];
+            for camera in &cameras {
+                let ones = Image::filled(camera.width, camera.height, 1, 1.0);
+                let Ok(of_view) = blending_weights(&CpuRasterizer, &drawn, camera, &ones);
+                weights.iter_mut().zip(of_view).for_each(|(sum, weight)| *sum += weight);
             }
+            for (&row, weight) in rows.iter().zip(weights).filter(|(row, _)| is_judged(**row)) {
+                let (seen, share) = (&mut seen[row], weight / num_pixels as f32);
+                seen.share = seen.share.max(share);
+                if share >= least {
+                    seen.last = last as u16;
+                }
+            }
+        };
+        let (living, with_newborn) = (born_within(0..=timestep), born_within(0..=last));
+        look(&living, &|_| true);
+        if with_newborn.len() > living.len() {
+            look(&with_newborn, &|row| usize::from(lives[row][0]) > timestep);
         }
     }
     Ok(seen)
@@ -85,12 +100,12 @@ mod tests {
         let look = |lives: [[u16; 2]; 3]| seen(&kept, &lives, std::slice::from_ref(&camera), 1e-3).unwrap();
         let hidden = look([[0, 59], [0, 59], [0, 59]]);
         assert!(hidden[0].share > 0.01 && hidden[1].share < 1e-3 && hidden[1].last == 0, "{hidden:?}");
-        // The first dies before the last look, and the third is born after it.
+        // The first dies at the last look, and the third is born after it.
         let found = look([[0, 57], [0, 59], [59, 59]]);
         assert_eq!(found.iter().map(|seen| seen.last).collect::<Vec<_>>(), [57, 59, 59]);
         assert!(found.iter().all(|seen| seen.share > 1e-3), "{found:?}");
         // Nor does one that is not born yet.
-        let found = look([[30, 59], [0, 59], [0, 59]]);
-        assert_eq!((found[0].last, found[1].last), (59, 29));
+        let found = look([[31, 59], [0, 59], [0, 59]]);
+        assert_eq!((found[0].last, found[1].last), (59, 31));
     }
 }

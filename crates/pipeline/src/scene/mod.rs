@@ -462,7 +462,7 @@ impl OpenScene {
             Content::File(_) | Content::Symbols(_) => {
                 Err(PipelineError::input(self.path.display(), "is compressed already", "a scene of floats"))
             }
-            Content::Run(run) => Ok(Cow::Owned(run.run.trained()?.scene)),
+            Content::Run(run) => Ok(Cow::Owned(run.run.trained_until(run.num_timesteps)?.scene)),
             Content::Fourdgs(_) if !self.has_constant_number() => {
                 let expected = "the same Gaussians at every timestep";
                 Err(PipelineError::input(self.path.display(), "has a changing number of Gaussians", expected))

@@ -166,7 +166,7 @@ impl Checkpoint {
             arrays.add("gate_errors", For::Resuming, &[errors.len()], &errors);
             arrays.add("gate_noise", For::Resuming, &[tiles.len(), noise.len() / tiles.len()], &noise);
             if !g.unseen.is_empty() {
-                arrays.add(GATE_UNSEEN, For::Resuming, &[n], &wide(&g.unseen));
+                arrays.add(GATE_UNSEEN, For::Resuming, &[g.unseen.len()], &wide(&g.unseen));
             }
         }
         if first {
@@ -400,11 +400,11 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
     let parameters = read_parameters(arrays, first)?;
     let (n, layout) = (parameters.num_gaussians(), parameters.gaussians.layout());
     let lifetimes = if has_lifetimes(arrays) { read_lifetimes(arrays, n)? } else { Lifetimes::new(n) };
-    let born = read_born(arrays, &lifetimes)?;
     let num_first = lifetimes.lives.births.partition_point(|&birth| birth == 0);
     if let Some(first) = first.map(|first| first.parameters.num_gaussians()).filter(|&first| first != num_first) {
         return Err(format!("{} has {num_first} Gaussians of the first timestep, expected {first}", LIVES[0]));
     }
+    let born = read_born(arrays, &lifetimes)?;
     let (scene_radius, bits) = match first {
         Some(first) => {
             let living: Vec<usize> = lifetimes.ids.iter().map(|&id| id as usize).collect();
@@ -433,7 +433,11 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
             if let Some(problem) = quantizers.iter().find_map(Quantizer::problem) {
                 return Err(format!("a quantizer is damaged: {problem}"));
             }
-            Some(FakeQuantizers::restore(bit_map, groups, quantizers, initial_steps, learned_offset))
+            let mut restored = FakeQuantizers::restore(bit_map, groups, quantizers, initial_steps, learned_offset);
+            if let Some(first) = first.and_then(|first| first.quantizers.as_ref()) {
+                restored.newborn_widths.clone_from(&first.newborn_widths);
+            }
+            Some(restored)
         }
     };
     let num_quantizers = quantizers.as_ref().map_or(0, |q| q.quantizers.len());

@@ -404,7 +404,9 @@ fn vote(neighbors: &Neighbors<f32>, is_seen: &[bool], is_active: &mut [bool]) {
     for _ in 0..MAX_VOTES {
         let woken: Vec<u32> = (foreground.par_iter().enumerate())
             .filter(|(node, i)| {
-                let ends = indices[node * per_node..(node + 1) * per_node].iter().map(|&end| foreground[end as usize]);
+                // Who lacks neighbours has edges to itself.
+                let ends = indices[node * per_node..(node + 1) * per_node].iter().filter(|end| **end as usize != *node);
+                let ends = ends.map(|&end| foreground[end as usize]);
                 let (mut active, mut still) = (0, 0);
                 for end in ends {
                     active += usize::from(is_active[end as usize]);

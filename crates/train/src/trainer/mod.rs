@@ -182,6 +182,9 @@ impl Trainer {
     /// - `start`: the state that the run began from
     /// - `before_last`, `last`: checkpoints of the last two finished timesteps; with one finished timestep the first of
     ///   them is `start`
+    ///
+    /// # Panics
+    /// As [`Self::resume`].
     pub fn resume_continued(
         config: &TrainConfig,
         start: &Checkpoint,

@@ -160,7 +160,6 @@ fn lives_that_fit_nothing_are_refused() {
     refused("6 Gaussians live, and there are values of 7", &|c| {
         c.lifetimes.lives.deaths[0] = 1;
         c.lifetimes.ids.remove(0);
-        c.born = Pose { means: vec![[0.0; 3]; 2], quats: vec![[0.0; 4]; 2] };
     });
 }
 
