@@ -209,22 +209,8 @@ impl Run {
             _ => self.checkpoint(finished - 2, Some(&first).filter(|_| finished > 2))?,
         };
         let last = self.resumable(finished - 1, Some(&first).filter(|_| finished > 1))?;
-        // Of those that a run begins with none has died, and all have their place in each of its checkpoints.
         let start = self.start()?;
-        let number = first.parameters.num_gaussians();
-        let begins_alike =
-            |start: &Checkpoint| start.lifetimes.are_whole() && start.parameters.num_gaussians() == number;
-        if !first.lifetimes.are_whole() || !start.as_ref().is_none_or(begins_alike) {
-            let path = if start.is_some() { self.folder.join(START) } else { self.checkpoint_path(0) };
-            let problem = format!("does not begin with the {number} Gaussians that the first checkpoint is to have");
-            return Err(TrainError::File { path, problem });
-        }
-        let known = |id: &u32| before_last.lifetimes.ids.binary_search(id).is_ok();
-        let before = last.lifetimes.lives.births.partition_point(|&birth| (birth as usize) < finished - 1);
-        if !last.lifetimes.ids.iter().take_while(|id| (**id as usize) < before).all(known) {
-            let problem = format!("lacks Gaussians that live at timestep {}, and before it", finished - 1);
-            return Err(TrainError::File { path: self.checkpoint_path(finished - 2), problem });
-        }
+        self.check_one_run(start.as_ref(), &first, &before_last, &last, finished)?;
         Ok(Some(match start {
             None => Trainer::resume(&self.config, &first, &before_last, &last, finished, make),
             Some(start) => {
@@ -232,6 +218,37 @@ impl Run {
                 Trainer::resume_continued(&self.config, &start, before_last, &last, finished, make)
             }
         }))
+    }
+
+    /// Whether what a run goes on from is of one run: of those that it begins with none has died, and who lives at the last
+    /// timestep and was born before was there at the one before.
+    fn check_one_run(
+        &self,
+        start: Option<&Checkpoint>,
+        first: &Checkpoint,
+        before_last: &Checkpoint,
+        last: &Checkpoint,
+        finished: usize,
+    ) -> Result<(), TrainError> {
+        let refuse = |path: PathBuf, problem: String| Err(TrainError::File { path, problem });
+        if !first.lifetimes.are_whole() {
+            return refuse(self.checkpoint_path(0), "has births or deaths, expected none at the first timestep".into());
+        }
+        let number = first.parameters.num_gaussians();
+        if let Some(start) = start.filter(|start| start.lifetimes != first.lifetimes) {
+            let found = start.parameters.num_gaussians();
+            return refuse(
+                self.folder.join(START),
+                format!("holds {found} Gaussians, expected {number} that all live"),
+            );
+        }
+        let before = last.lifetimes.lives.births.partition_point(|&birth| (birth as usize) < finished - 1);
+        let mut known = last.lifetimes.ids.iter().take_while(|id| (**id as usize) < before);
+        if !known.all(|id| before_last.lifetimes.ids.binary_search(id).is_ok()) {
+            let problem = format!("lacks Gaussians that live at timestep {}, and before it", finished - 1);
+            return refuse(self.checkpoint_path(finished - 2), problem);
+        }
+        Ok(())
     }
 
     /// Reads the checkpoint of one finished timestep. Reading timesteps in their order reads each file once; reading any

@@ -179,6 +179,16 @@ fn a_checkpoint_of_another_run_is_named_where_a_run_goes_on() {
     let error = Run::open(run.folder()).unwrap().resume().err().unwrap().to_string();
     assert!(error.contains("000001.npz: lacks Gaussians that live at timestep 2"), "{error}");
 
+    // The first one is to have all that the run begins with.
+    let mut first = sleeping(6, 0);
+    let mut deaths = vec![Lives::NEVER; 7];
+    deaths[2] = 1;
+    first.lifetimes = Lifetimes { ids: vec![0, 1, 3, 4, 5, 6], lives: Lives { births: vec![0; 7], deaths } };
+    save(0, &first);
+    let error = Run::open(run.folder()).unwrap().resume().err().unwrap().to_string();
+    assert!(error.contains("000000.npz: has births or deaths, expected none at the first timestep"), "{error}");
+    save(0, &sleeping(6, 0));
+
     // What a checkpoint says of masks fits who lives.
     save(1, &with_lives(1));
     let (first, lives) = (run.checkpoint(0, None).unwrap(), run.lives(3).unwrap());
