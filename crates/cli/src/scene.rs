@@ -95,8 +95,8 @@ pub fn describe(scene: &OpenScene) -> String {
     let (path, kind, size) = (scene.path.display(), scene.kind(), show_bytes(scene.bytes));
     let num_timesteps = scene.num_timesteps();
     let all = scene.num_gaussians();
-    let at_timesteps = || (0..num_timesteps).map(|timestep| scene.num_gaussians_at(timestep));
-    let (least, most) = (at_timesteps().min().unwrap_or(all), at_timesteps().max().unwrap_or(all));
+    let counts: Vec<usize> = (0..num_timesteps).map(|timestep| scene.num_gaussians_at(timestep)).collect();
+    let [least, most] = [counts.iter().min(), counts.iter().max()].map(|count| count.copied().unwrap_or(all));
     let number = match (least == most, most == all) {
         (true, true) => all.to_string(),
         (true, false) => format!("{most} of {all}"),

@@ -178,10 +178,12 @@ impl<'a> Export<'a> {
         for frame in frames.start + 1..frames.end {
             let gaussians = self.gaussians(frame)?;
             let [found, expected] = [&gaussians, &first].map(Gaussians::num_gaussians);
-            let now = match found {
-                found if found != expected => Some(found.to_string()),
-                _ if self.are_the_same(frames.start - scene.first_frame, frame - scene.first_frame) => None,
-                _ => Some("as many others".to_owned()),
+            let now = if found != expected {
+                Some(found.to_string())
+            } else if self.are_the_same(frames.start - scene.first_frame, frame - scene.first_frame) {
+                None
+            } else {
+                Some("as many others".to_owned())
             };
             if let Some(now) = now {
                 let found = format!(

@@ -327,40 +327,19 @@ impl Run {
 
     /// As [`Self::parameters`], checked to be of those that live.
     ///
+    /// - `first`: the checkpoint of timestep 0
     /// - `lives`: as [`Self::lives`] gives them
     ///
     /// # Errors
     /// As there; [`TrainError::File`] if the checkpoint has another number of Gaussians.
-    pub fn living(
-        &self,
-        timestep: usize,
-        first: Option<&Checkpoint>,
-        lives: Option<&Lives>,
-    ) -> Result<Parameters, TrainError> {
-        let parameters = self.parameters(timestep, first)?;
-        let number = parameters.num_gaussians();
-        self.check_living(timestep, number, first.map_or(number, |first| first.parameters.num_gaussians()), lives)?;
-        Ok(parameters)
-    }
-
-    /// Checks that a timestep has as many Gaussians as live then.
-    ///
-    /// - `found`: how many it has
-    /// - `at_first`: how many the first checkpoint has
-    /// - `lives`: as [`Self::lives`] gives them
-    ///
-    /// # Errors
-    /// [`TrainError::File`] if it has another number.
-    pub fn check_living(
-        &self,
-        timestep: usize,
-        found: usize,
-        at_first: usize,
-        lives: Option<&Lives>,
-    ) -> Result<(), TrainError> {
-        let expected = lives.map_or(at_first, |lives| lives.living(timestep).len());
+    pub fn living(&self, timestep: usize, first: &Checkpoint, lives: Option<&Lives>) -> Result<Parameters, TrainError> {
+        let parameters = match timestep {
+            0 => first.parameters.clone(),
+            _ => self.parameters(timestep, Some(first))?,
+        };
+        let (found, expected) = (parameters.num_gaussians(), num_living(timestep, first, lives));
         if found == expected {
-            return Ok(());
+            return Ok(parameters);
         }
         let problem = format!("holds {found} Gaussians, expected {expected}");
         Err(TrainError::File { path: self.checkpoint_path(timestep), problem })
@@ -376,9 +355,7 @@ impl Run {
     pub fn stand_ins(&self, first: &Checkpoint, num_timesteps: usize) -> Result<StandIns, TrainError> {
         let layout = first.parameters.gaussians.layout();
         let (last, Some(lives)) = self.last_lives(num_timesteps)? else { return Ok(StandIns::none(layout)) };
-        let number = first.parameters.num_gaussians();
-        self.check_living(0, number, number, Some(&lives))?;
-        let at = |timestep, lives: &Lives| Ok(self.living(timestep, Some(first), Some(lives))?.gaussians);
+        let at = |timestep, lives: &Lives| Ok(self.living(timestep, first, Some(lives))?.gaussians);
         StandIns::gather(lives, layout, last, at)
     }
 
@@ -401,7 +378,7 @@ impl Run {
             let arrays = chain.read(timestep)?;
             let failed = |problem| TrainError::File { path: chain.path(timestep), problem };
             let logits = Checkpoint::mask_logits_of(&arrays).map_err(failed)?.to_vec();
-            let expected = lives.map_or(first.parameters.num_gaussians(), |lives| lives.living(timestep).len());
+            let expected = num_living(timestep, first, lives);
             if logits.len() != expected {
                 return Err(failed(format!("{MASK_LOGITS} holds {} values, expected {expected}", logits.len())));
             }
@@ -440,7 +417,7 @@ impl Run {
         let num_gaussians = stand_ins.lives().map_or(first.parameters.num_gaussians(), Lives::len);
         let mut foreground = vec![false; num_gaussians];
         for timestep in 0..finished {
-            let now = self.living(timestep, Some(&first).filter(|_| timestep > 0), stand_ins.lives())?;
+            let now = self.living(timestep, &first, stand_ins.lives())?;
             let ids = stand_ins.lives().map_or_else(|| (0..num_gaussians).collect(), |lives| lives.living(timestep));
             ids.iter().zip(&now.foreground).for_each(|(&id, &is_foreground)| foreground[id] = is_foreground);
             scene.push(stand_ins.complete(now.gaussians, timestep));
@@ -530,6 +507,11 @@ impl Run {
         let path = self.folder.join(name);
         write_whole(&path, Existing::Replace, |file| file.write_all(bytes)).map_err(write(&path))
     }
+}
+
+/// How many Gaussians a timestep is to have.
+fn num_living(timestep: usize, first: &Checkpoint, lives: Option<&Lives>) -> usize {
+    lives.map_or(first.parameters.num_gaussians(), |lives| lives.living(timestep).len())
 }
 
 fn read(path: &Path) -> impl Fn(io::Error) -> TrainError + use<> {

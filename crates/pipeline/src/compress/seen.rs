@@ -6,7 +6,7 @@
 
 use std::ops::RangeInclusive;
 
-use tcgs_core::{Camera, Image, activate};
+use tcgs_core::{Camera, Gaussians, Image, activate};
 use tcgs_render::{CpuRasterizer, blending_weights, weights_step};
 
 use super::kept::Kept;
@@ -45,41 +45,44 @@ pub fn seen(kept: &Kept, lives: &[[u16; 2]], cameras: &[Camera], least: f32) -> 
         // It is not known when between two looks it vanished.
         let last = (timestep + stride).min(num_timesteps) - 1;
         let gaussians = kept.at(timestep)?;
-        let born_within = |born: RangeInclusive<usize>| {
-            let lives_then = |&row: &usize| {
-                let [birth, end] = lives[row].map(usize::from);
-                born.contains(&birth) && end >= timestep
-            };
-            (0..lives.len()).filter(lives_then).collect::<Vec<usize>>()
+        let rows_of = |births: RangeInclusive<usize>| {
+            let is_due =
+                |&row: &usize| births.contains(&usize::from(lives[row][0])) && usize::from(lives[row][1]) >= timestep;
+            (0..lives.len()).filter(is_due).collect::<Vec<usize>>()
         };
-        let mut look = |rows: &[usize], is_judged: &dyn Fn(usize) -> bool| {
-            let drawn = activate(&gaussians.select(rows));
-            let mut weights = vec![0.0_f32; rows.len()];
-            for camera in &cameras {
-                let ones = Image::filled(camera.width, camera.height, 1, 1.0);
-                let Ok(of_view) = blending_weights(&CpuRasterizer, &drawn, camera, &ones);
-                weights.iter_mut().zip(of_view).for_each(|(sum, weight)| *sum += weight);
+        let (mut rows, newborn) = (rows_of(0..=timestep), rows_of(timestep + 1..=last));
+        let mut weights = weights_of(&gaussians.select(&rows), &cameras);
+        if !newborn.is_empty() {
+            rows.extend(newborn);
+            let with_newborn = weights_of(&gaussians.select(&rows), &cameras);
+            weights.extend_from_slice(&with_newborn[weights.len()..]);
+        }
+        for (row, weight) in rows.into_iter().zip(weights) {
+            let (seen, share) = (&mut seen[row], weight / num_pixels as f32);
+            seen.share = seen.share.max(share);
+            if share >= least {
+                seen.last = last as u16;
             }
-            for (&row, weight) in rows.iter().zip(weights).filter(|(row, _)| is_judged(**row)) {
-                let (seen, share) = (&mut seen[row], weight / num_pixels as f32);
-                seen.share = seen.share.max(share);
-                if share >= least {
-                    seen.last = last as u16;
-                }
-            }
-        };
-        let (living, with_newborn) = (born_within(0..=timestep), born_within(0..=last));
-        look(&living, &|_| true);
-        if with_newborn.len() > living.len() {
-            look(&with_newborn, &|row| usize::from(lives[row][0]) > timestep);
         }
     }
     Ok(seen)
 }
 
+/// Blending weights of Gaussians, `[N]` pixels, summed over the images of all cameras.
+fn weights_of(gaussians: &Gaussians, cameras: &[Camera]) -> Vec<f32> {
+    let drawn = activate(gaussians);
+    let mut weights = vec![0.0_f32; gaussians.num_gaussians()];
+    for camera in cameras {
+        let ones = Image::filled(camera.width, camera.height, 1, 1.0);
+        let Ok(of_view) = blending_weights(&CpuRasterizer, &drawn, camera, &ones);
+        weights.iter_mut().zip(of_view).for_each(|(sum, weight)| *sum += weight);
+    }
+    weights
+}
+
 #[cfg(test)]
 mod tests {
-    use tcgs_core::{BaseColumns, DynamicGaussians, Gaussians};
+    use tcgs_core::{BaseColumns, DynamicGaussians};
 
     use super::*;
 

@@ -135,10 +135,7 @@ impl RunContent {
     }
 
     fn parameters(&self, timestep: usize) -> Result<Parameters, PipelineError> {
-        if timestep == 0 {
-            return Ok(self.first.parameters.clone());
-        }
-        Ok(self.run.living(timestep, Some(&self.first), self.lives.as_ref())?)
+        Ok(self.run.living(timestep, &self.first, self.lives.as_ref())?)
     }
 
     fn mask_logits(&self) -> impl Iterator<Item = Result<Vec<f32>, TrainError>> {

@@ -173,8 +173,6 @@ impl OpenScene {
             return Err(PipelineError::input(culprit.display(), "no checkpoint", expected));
         }
         let (first, lives) = (run.checkpoint(0, None)?, run.lives(num_timesteps)?);
-        let number = first.parameters.num_gaussians();
-        run.check_living(0, number, number, lives.as_ref())?;
         let content = RunContent { run, first, lives, num_timesteps };
         let (data, gaussians) = (&content.run.config().data, &content.first.parameters.gaussians);
         Ok(Self {

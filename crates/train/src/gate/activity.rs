@@ -429,3 +429,21 @@ fn links(neighbors: &Neighbors<f32>) -> impl Iterator<Item = (usize, usize)> + '
     (neighbors.indices.iter().enumerate())
         .map(|(edge, &end)| (foreground[edge / neighbors.per_node] as usize, foreground[end as usize] as usize))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_was_born_with_few_others_is_woken_by_them() {
+        // So many at first that six others lack most of the edges that each has.
+        let means: Vec<[f32; 3]> = (0..36).map(|i| [0.001 * i as f32, 0.0, 0.0]).collect();
+        let births: Vec<u32> = (0..36).map(|i| if i < 30 { 0 } else { 4 }).collect();
+        let neighbors = Neighbors::among(&means, &[true; 36], &births);
+        assert_eq!(neighbors.per_node, 20);
+        let mut is_active = [false; 36];
+        is_active[30..35].fill(true);
+        vote(&neighbors, &[true; 36], &mut is_active);
+        assert!(is_active[35] && !is_active[..30].contains(&true));
+    }
+}

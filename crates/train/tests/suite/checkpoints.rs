@@ -198,6 +198,10 @@ fn a_checkpoint_of_another_run_is_named_where_a_run_goes_on() {
     assert_eq!(logits(lives.as_ref()).unwrap().iter().map(Vec::len).collect::<Vec<_>>(), [6, 7, 7]);
     let error = logits(None).unwrap_err();
     assert!(error.contains("000001.npz: mask_logits holds 7 values, expected 6"), "{error}");
+    let number = |first: &Checkpoint| run.living(0, first, lives.as_ref()).map(|p| p.num_gaussians());
+    assert_eq!(number(&first).unwrap(), 6);
+    let error = number(&sleeping(7, 0)).unwrap_err().to_string();
+    assert!(error.contains("000000.npz: holds 7 Gaussians, expected 6"), "{error}");
     // Of the timesteps that were asked for.
     assert!(run.lives(1).unwrap().is_none());
 }
