@@ -37,10 +37,15 @@ fn count(timestep: usize) -> usize {
     }
 }
 
-/// A run whose Gaussians all move, with [`lives`], of four training cameras.
+/// A run with [`lives`].
 ///
 /// - `hidden`: by their masks
 fn run(folder: &Path, first_frame: usize, hidden: &[usize]) -> Run {
+    run_of(&lives(), folder, first_frame, hidden)
+}
+
+/// A run whose Gaussians all move, of four training cameras.
+fn run_of(lives: &Lives, folder: &Path, first_frame: usize, hidden: &[usize]) -> Run {
     let mut config = TrainConfig::default();
     config.data.first_frame = first_frame;
     let run = Run::create(folder, &config).unwrap();
@@ -50,7 +55,7 @@ fn run(folder: &Path, first_frame: usize, hidden: &[usize]) -> Run {
     let whole = Parameters::from_cloud(&cloud, 4, 1.0);
     let camera = tcgs_core::Camera::look_at([0.0, 0.0, -9.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
     for timestep in 0..NUM_TIMESTEPS {
-        let living = lives().living(timestep);
+        let living = lives.living(timestep);
         let mut parameters = whole.select(&living);
         for (&i, mean) in living.iter().zip(parameters.gaussians.means_mut()) {
             mean[0] += 0.3 * (timestep as f32 + i as f32).sin();
@@ -64,7 +69,7 @@ fn run(folder: &Path, first_frame: usize, hidden: &[usize]) -> Run {
         }
         let mut checkpoint = Checkpoint::of_parameters(parameters, std::slice::from_ref(&camera));
         // What a timestep knows: who was born by then, and who has died.
-        let mut known = lives();
+        let mut known = lives.clone();
         known.births.retain(|&birth| birth as usize <= timestep);
         known.deaths.truncate(known.births.len());
         known.deaths.iter_mut().filter(|death| **death as usize > timestep).for_each(|death| *death = Lives::NEVER);
@@ -124,6 +129,20 @@ fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
         // Each is where one of the truth is, as near as the file says.
         let near = |a: &[f32; 3]| truth.means().iter().any(|b| (0..3).all(|d| (a[d] - b[d]).abs() <= largest));
         assert!(found.means().iter().all(near), "timestep {timestep}");
+    }
+}
+
+#[test]
+fn a_file_of_version_1_is_refused_where_somebody_dies_although_nobody_is_born() {
+    let folder = tempfile::tempdir().unwrap();
+    let lives = Lives { births: vec![0; NUM_GAUSSIANS], ..lives() };
+    let scene = open(run_of(&lives, folder.path(), 0, &[]).folder());
+    let capture = Some(files().join("capture"));
+    for min_share in [0.0, 1e-9] {
+        let options = CompressOptions { version: 1, min_share, capture: capture.clone(), ..CompressOptions::default() };
+        let error = compress_scene(&scene, &options).unwrap_err().to_string();
+        assert!(error.ends_with("found Gaussians that come and go"), "{min_share}: {error}");
+        assert!(compress_scene(&scene, &CompressOptions { version: 2, ..options }).is_ok());
     }
 }
 
