@@ -40,6 +40,9 @@ fn gaussian(id: u64, timestep: usize, layout: &Arc<Layout>) -> Gaussians {
     one
 }
 
+/// Error of harmonics at which each coefficient stays within 0.03.
+const FINE: f32 = 0.004;
+
 /// A sequence in memory, of any numbers.
 struct Sequence {
     layout: Arc<Layout>,
@@ -86,7 +89,8 @@ fn cohorts(source: &mut Sequence, max_timesteps: usize) -> Vec<CompactScene> {
         .map(|part| {
             let part = part.unwrap();
             let bits = BitMap::uniform_of(part.scene.layout(), part.lives.len(), 16, 8);
-            let settings = CompressSettings { coarser: [0.0; 5], ..CompressSettings::default() };
+            let settings =
+                CompressSettings { coarser: [0.0; 5], harmonic_error: FINE, ..CompressSettings::default() };
             let info = SceneInfo::of(&part.scene);
             let (compact, order) = tcgs_codec::compress_ordered(&part.scene, &bits, None, info, &settings).unwrap();
             let lives = order.iter().map(|&g| part.lives[g]).collect();
@@ -135,7 +139,8 @@ fn harmonics_cost_what_they_show() {
     let mut scene = DynamicGaussians::new(source.layout.clone());
     scene.push(source.timesteps[0].clone());
     let bits = BitMap::uniform_of(&source.layout, 600, 16, 8);
-    let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default()).unwrap();
+    let settings = CompressSettings { harmonic_error: FINE, ..CompressSettings::default() };
+    let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &settings).unwrap();
     let of_degree_1 = &compact.bit_map.widths[Attribute::BASE.len()];
     let kept = of_degree_1.iter().filter(|&&width| width > 0).count();
     assert!((100..=150).contains(&kept), "{kept} of 600");
@@ -146,6 +151,30 @@ fn harmonics_cost_what_they_show() {
         file(&source, &cohorts).len()
     });
     assert!(lengths[0] < 3 * lengths[1], "{lengths:?}");
+}
+
+#[test]
+fn harmonics_err_less_where_images_depend_more_on_them() {
+    let source = sequence(1, 1, |_| (0..600).map(|id| 4 * id).collect());
+    let mut scene = DynamicGaussians::new(source.layout.clone());
+    scene.push(source.timesteps[0].clone());
+    let band = source.layout.harmonics()[0].index();
+    let mut bits = BitMap::uniform_of(&source.layout, 600, 16, 8);
+    bits.widths[band].iter_mut().step_by(2).for_each(|width| *width = 4);
+    // Those of 4 bits, and those of 8: how many keep the band, and with how many bits.
+    let kept = |importance: f32| {
+        let settings = CompressSettings { harmonic_error: 0.028, importance, ..CompressSettings::default() };
+        let (compact, order) =
+            tcgs_codec::compress_ordered(&scene, &bits, None, SceneInfo::of(&scene), &settings).unwrap();
+        [0, 1].map(|odd| {
+            let widths = || order.iter().zip(&compact.bit_map.widths[band]).filter(|(g, w)| *g % 2 == odd && **w > 0);
+            (widths().count(), widths().map(|(_, width)| *width).max().unwrap())
+        })
+    };
+    let [(few, coarse), (many, fine)] = kept(0.5);
+    assert!(few < 60 && many > 200 && coarse < fine, "{few} of {coarse} bits, {many} of {fine}");
+    let [(even, coarse), (odd, fine)] = kept(0.0);
+    assert!(even.abs_diff(odd) < 40 && even > 100 && coarse == fine, "{even} of {coarse} bits, {odd} of {fine}");
 }
 
 #[test]

@@ -209,6 +209,8 @@ fn config(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfi
     [config.schedule.first_iterations, config.schedule.rest_iterations] = ITERATIONS;
     // In so few iterations the reset is what makes density control add enough.
     config.densify.reset = TrainConfig::preset(Preset::Paper).densify.reset;
+    // What arrives is to be as good as what was there: it is cloned and split by the same threshold.
+    config.births.gradient_threshold = config.densify.gradient_threshold;
     config.data.end_frame = capture.num_frames();
     config.data.frame_rate = capture.frame_rate();
     // Where the capture will be once the folder has its name.

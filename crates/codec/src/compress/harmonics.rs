@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use tcgs_core::{Attribute, Gaussians, sigmoid};
+use tcgs_core::{Attribute, Gaussians};
 
 use super::CompressSettings;
 use super::statistics::Statistics;
@@ -12,35 +12,50 @@ use crate::quantize::MAX_BITS;
 /// Of the coefficients of a band so many may lie beyond the range that the bits are counted for.
 const BEYOND: f64 = 0.001;
 
-/// Sets the widths of all bands of harmonics: 0 for a Gaussian that looks alike without the band, and for all others as
-/// many bits as make the error of rounding [`CompressSettings::harmonic_error`]. If that is 0, all keep the widths of
-/// the bit map.
+/// Sets the widths of all bands of harmonics, by the error that each Gaussian may have: that of
+/// [`CompressSettings::harmonic_error`], divided by a power of the sensitivity of the images to the band. A Gaussian that
+/// would err less without the band has the width 0, and each other one as many bits as make the error of rounding no larger.
+/// Without a positive `harmonic_error` all keep the widths of the bit map.
 ///
 /// The root mean square over all directions of `Σ Y_lm c_lm` is `√(Σ c_lm² / 4π)`, since harmonics are orthonormal.
-pub(super) fn set_widths(bit_map: &mut BitMap, statistics: &Statistics, settings: &CompressSettings) {
+///
+/// - `measured`: the widths by sensitivity, one bit more where it doubles ([`assign_bits`](crate::assign_bits))
+pub(super) fn set_widths(
+    bit_map: &mut BitMap,
+    measured: &BitMap,
+    statistics: &Statistics,
+    settings: &CompressSettings,
+) {
     let error = f64::from(settings.harmonic_error);
     if error <= 0.0 {
         return;
     }
     for attribute in statistics.first.layout().harmonics() {
         let samples = samples(statistics, attribute);
-        let widths = &mut bit_map.widths[attribute.index()];
         let components = attribute.components();
-        let mut kept: Vec<f32> = Vec::new();
-        for (g, width) in widths.iter_mut().enumerate() {
-            let opacity = f64::from(sigmoid(statistics.first.logit_opacities()[g]));
-            let most = samples.iter().map(|of| rms(&of[g * components..][..components])).fold(0.0, f64::max);
-            if opacity * most < error {
-                *width = 0;
-            } else {
-                kept.extend(samples.iter().flat_map(|of| &of[g * components..][..components]).map(|x| x.abs()));
-            }
-        }
-        // Rounding to steps errs by step / √12 in each of 2l + 1 coefficients of a channel.
-        let step = error * (4.0 * PI * 12.0 / (components as f64 / 3.0)).sqrt();
-        let bits = (2.0 * range(kept) / step + 1.0).log2().ceil().clamp(1.0, f64::from(MAX_BITS));
-        widths.iter_mut().filter(|width| **width > 0).for_each(|width| *width = bits as u8);
+        let bits_of = |range: f64, error: f64| {
+            // Rounding to steps errs by step / √12 in each of 2l + 1 coefficients of a channel.
+            let step = error * (4.0 * PI * 12.0 / (components as f64 / 3.0)).sqrt();
+            (2.0 * range / step + 1.0).log2().ceil().clamp(1.0, f64::from(MAX_BITS)) as u8
+        };
+        let errors = errors(&measured.widths[attribute.index()], error, settings.importance.into());
+        let of = |g: usize| samples.iter().map(move |values| &values[g * components..][..components]);
+        let keeps = |g: usize| of(g).map(rms).fold(0.0, f64::max) >= errors[g];
+        let kept: Vec<usize> = (0..errors.len()).filter(|&g| keeps(g)).collect();
+        let range = range(kept.iter().flat_map(|&g| of(g).flatten()).map(|x| x.abs()).collect());
+        let widths = &mut bit_map.widths[attribute.index()];
+        widths.fill(0);
+        kept.into_iter().for_each(|g| widths[g] = bits_of(range, errors[g]));
     }
+}
+
+/// `[N]` errors that Gaussians may have, `error` where the sensitivity is a typical one.
+///
+/// An error squared and summed over the pixels of a splat grows with about the sensitivity, so that the power of the
+/// squared error that [`CompressSettings::importance`] is half of it is of the error.
+fn errors(widths: &[u8], error: f64, importance: f64) -> Vec<f64> {
+    let mean = widths.iter().map(|&w| f64::from(w)).sum::<f64>() / widths.len().max(1) as f64;
+    widths.iter().map(|&w| error * (0.5 * importance * (mean - f64::from(w))).exp2()).collect()
 }
 
 /// `[N * components]` values at some timesteps.

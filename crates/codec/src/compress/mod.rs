@@ -175,8 +175,9 @@ fn compress_columns<R: SceneReader>(
     }
     let statistics = Statistics::read(reader, varies)?;
     let (first, varies) = (&statistics.first, |a: Attribute| statistics.columns[a.index()].varies);
-    let mut bit_map = settings.adjusted(bit_map, first, statistics.bounds);
-    harmonics::set_widths(&mut bit_map, &statistics, settings);
+    let measured = bit_map;
+    let mut bit_map = settings.adjusted(measured, first, statistics.bounds);
+    harmonics::set_widths(&mut bit_map, measured, &statistics, settings);
     let bit_map = &bit_map;
     let position_step = settings.position_step(first);
     let segment_length = settings.segment_length_of(first.num_gaussians(), num_timesteps);
