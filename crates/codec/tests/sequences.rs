@@ -89,8 +89,7 @@ fn cohorts(source: &mut Sequence, max_timesteps: usize) -> Vec<CompactScene> {
         .map(|part| {
             let part = part.unwrap();
             let bits = BitMap::uniform_of(part.scene.layout(), part.lives.len(), 16, 8);
-            let settings =
-                CompressSettings { coarser: [0.0; 5], harmonic_error: FINE, ..CompressSettings::default() };
+            let settings = CompressSettings { coarser: [0.0; 5], harmonic_error: FINE, ..CompressSettings::default() };
             let info = SceneInfo::of(&part.scene);
             let (compact, order) = tcgs_codec::compress_ordered(&part.scene, &bits, None, info, &settings).unwrap();
             let lives = order.iter().map(|&g| part.lives[g]).collect();
