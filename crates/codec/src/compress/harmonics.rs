@@ -13,8 +13,8 @@ use crate::quantize::MAX_BITS;
 const BEYOND: f64 = 0.001;
 
 /// Sets the widths of all bands of harmonics, by the error that each Gaussian may have: that of
-/// [`CompressSettings::harmonic_error`], divided by a power of the sensitivity of the images to the band. A Gaussian that
-/// would err less without the band has the width 0, and each other one as many bits as make the error of rounding no larger.
+/// [`CompressSettings::harmonic_error`], divided by a power of the sensitivity of the images to the Gaussian's band. If leaving
+/// the band out makes a smaller error, its width is 0; else it has as many bits as keep the error of rounding below that.
 /// Without a positive `harmonic_error` all keep the widths of the bit map.
 ///
 /// The root mean square over all directions of `Σ Y_lm c_lm` is `√(Σ c_lm² / 4π)`, since harmonics are orthonormal.
@@ -33,26 +33,26 @@ pub(super) fn set_widths(
     for attribute in statistics.first.layout().harmonics() {
         let samples = samples(statistics, attribute);
         let components = attribute.components();
-        let bits_of = |range: f64, error: f64| {
-            // Rounding to steps errs by step / √12 in each of 2l + 1 coefficients of a channel.
-            let step = error * (4.0 * PI * 12.0 / (components as f64 / 3.0)).sqrt();
-            (2.0 * range / step + 1.0).log2().ceil().clamp(1.0, f64::from(MAX_BITS)) as u8
-        };
         let errors = errors(&measured.widths[attribute.index()], error, settings.importance.into());
         let of = |g: usize| samples.iter().map(move |values| &values[g * components..][..components]);
         let keeps = |g: usize| of(g).map(rms).fold(0.0, f64::max) >= errors[g];
         let kept: Vec<usize> = (0..errors.len()).filter(|&g| keeps(g)).collect();
         let range = range(kept.iter().flat_map(|&g| of(g).flatten()).map(|x| x.abs()).collect());
+        let bits = |error: f64| {
+            // Rounding to steps errs by step / √12 in each of 2l + 1 coefficients of a channel.
+            let step = error * (4.0 * PI * 12.0 / (components as f64 / 3.0)).sqrt();
+            (2.0 * range / step + 1.0).log2().ceil().clamp(1.0, f64::from(MAX_BITS)) as u8
+        };
         let widths = &mut bit_map.widths[attribute.index()];
         widths.fill(0);
-        kept.into_iter().for_each(|g| widths[g] = bits_of(range, errors[g]));
+        kept.into_iter().for_each(|g| widths[g] = bits(errors[g]));
     }
 }
 
-/// `[N]` errors that Gaussians may have, `error` where the sensitivity is a typical one.
+/// `[N]` errors that Gaussians may have: `error` divided by the power `importance / 2` of the sensitivity, relative to its
+/// geometric mean over Gaussians. [`CompressSettings::importance`] is a power for squared errors, hence the half.
 ///
-/// An error squared and summed over the pixels of a splat grows with about the sensitivity, so that the power of the
-/// squared error that [`CompressSettings::importance`] is half of it is of the error.
+/// - `widths`: `[N]` by sensitivity, one bit more where it doubles
 fn errors(widths: &[u8], error: f64, importance: f64) -> Vec<f64> {
     let mean = widths.iter().map(|&w| f64::from(w)).sum::<f64>() / widths.len().max(1) as f64;
     widths.iter().map(|&w| error * (0.5 * importance * (mean - f64::from(w))).exp2()).collect()

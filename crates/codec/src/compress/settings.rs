@@ -58,10 +58,10 @@ pub struct CompressSettings {
     /// whose widths in training equal those of colours: on basketball that saves 6 percent of the file for 0.01 dB.
     pub coarser: [f32; 5],
     /// If positive, the error of colours, a root mean square over all directions of view, below which a Gaussian does
-    /// without a band of spherical harmonics, and which rounding the coefficients may make; colours are from 0 to 1. A
-    /// Gaussian's own error is this one, divided by the power `p/2` of how sensitive images are to the band, for the `p` of
-    /// `importance`. If 0, all Gaussians keep all bands with the widths of the bit map. Default 0.014, the root of the
-    /// tolerance of colours.
+    /// without a band of spherical harmonics, and which rounding the coefficients may make; colours are from 0 to 1. For
+    /// each Gaussian it is divided by the power `p/2` of the sensitivity of the images to its band, relative to that of the
+    /// others, for the `p` of `importance`. If 0, all Gaussians keep all bands with the widths of the bit map. Default
+    /// 0.014, the root of the tolerance of colours.
     pub harmonic_error: f32,
     /// If positive, the number of steps of positions to a length typical of the scene's Gaussians: the step along all
     /// axes is the median over Gaussians of the second largest scale (one standard deviation, in scene units) divided
