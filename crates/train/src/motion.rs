@@ -52,6 +52,8 @@ pub struct Past {
     pub previous: Gaussians,
     /// `[N]` mask logits of the timestep before, where masks are on.
     pub previous_mask_logits: Option<Vec<f32>>,
+    /// `[N]` how little the images of this timestep show each Gaussian to change, 0 to 1; empty where nothing is known of it.
+    pub stillness: Vec<f32>,
 }
 
 impl Past {
@@ -62,7 +64,7 @@ impl Past {
     /// - `is_foreground`: `[N]`
     pub fn new(first: Pose, previous: Gaussians, is_foreground: &[bool]) -> Self {
         let neighbors = Arc::new(Neighbors::new(&first.means, is_foreground));
-        Self { first: Arc::new(first), neighbors, previous, previous_mask_logits: None }
+        Self { first: Arc::new(first), neighbors, previous, previous_mask_logits: None, stillness: Vec::new() }
     }
 
     /// Rows taken from `indices`; neighbours are found anew among those of them that were born together.
@@ -85,7 +87,7 @@ impl Past {
         self.previous = Gaussians::concat(&layout, &[std::mem::take(&mut self.previous), previous.clone()]);
     }
 
-    /// The past of the rows at `indices`.
+    /// The past of the rows at `indices`, of whose stillness nothing is known.
     ///
     /// - `neighbors`: finds neighbours among these rows, by their poses at the first timestep
     pub(crate) fn select(&self, indices: &[usize], neighbors: impl FnOnce(&Pose) -> Neighbors<f32>) -> Self {
@@ -96,6 +98,7 @@ impl Past {
             first: Arc::new(first),
             previous: self.previous.select(indices),
             previous_mask_logits: logits.map(|logits| indices.iter().map(|&i| logits[i]).collect()),
+            stillness: Vec::new(),
         }
     }
 }

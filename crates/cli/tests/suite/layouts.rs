@@ -91,10 +91,10 @@ fn as_technicolor(capture: &Capture, folder: &Path) {
 fn the_layout_does_not_matter() {
     let source = synthetic();
     let capture = Capture::open(source.path()).unwrap();
-    let zero = ["floor", "background", "segmentation"].map(|weight| format!("weights.{weight}=0"));
-    let zero: Vec<&str> = zero.iter().flat_map(|set| ["--set", set]).collect();
+    let weights = ["floor=0", "background=0", "segmentation=0", "stillness=0.5"].map(|of| format!("weights.{of}"));
+    let weights: Vec<&str> = weights.iter().flat_map(|set| ["--set", set]).collect();
     let iterations = ["--iterations", "120,30"];
-    let (said, psnr) = train_and_judge(source.path(), &[&iterations[..], &zero].concat());
+    let (said, psnr) = train_and_judge(source.path(), &[&iterations[..], &weights].concat());
     assert!(said.contains("panoptic capture: 15 cameras (held out: "), "{said}");
     assert!(psnr > 18.0, "{psnr} dB");
     for (name, write) in [("nerfstudio", as_nerfstudio as fn(&Capture, &Path)), ("technicolor", as_technicolor)] {
@@ -153,7 +153,9 @@ fn the_papers_settings_follow_the_layout() {
     assert_eq!((config.data.layout.as_str(), config.rates.log_scale), ("technicolor", 0.005));
     assert_eq!((config.weights.floor, config.weights.segmentation, config.weights.background), (0.0, 0.0, 0.0));
     assert_eq!(config.data.points, text(&points.canonicalize().unwrap()));
-    assert_eq!(tcgs_train::Run::open(&train("default")).unwrap().config().rates.log_scale, 0.001);
+    assert_eq!(config.weights.stillness, 0.0);
+    let config = tcgs_train::Run::open(&train("default")).unwrap().config().clone();
+    assert_eq!((config.rates.log_scale, config.weights.stillness), (0.001, 0.5));
     succeed(&["compress", text(&run), "--preset", "paper"]);
     // A run is gone on with on its own points.
     let more = ["--resume", "--frames", "0..2"];

@@ -7,6 +7,9 @@ use tcgs_train::{Preset, TrainConfig};
 /// depth cameras; see `docs/PAPER.md`.
 const LOG_SCALE_RATE: f32 = 0.005;
 
+/// Weight of the loss that holds what shows no change, where nothing else says what moves.
+const STILLNESS: f32 = 0.5;
+
 /// The settings of a preset, as a capture of this kind needs them: its frames and frame rate, and no losses on what it
 /// does not have (a floor, masks).
 ///
@@ -24,6 +27,9 @@ pub fn settings_for(preset: Preset, capture: &Capture) -> TrainConfig {
         // Nothing says what moves.
         config.weights.segmentation = 0.0;
         config.weights.background = 0.0;
+        if config.gate.enabled {
+            config.weights.stillness = STILLNESS;
+        }
         if matches!(config.preset, Preset::D3dgs | Preset::Paper) {
             config.rates.log_scale = LOG_SCALE_RATE;
         }

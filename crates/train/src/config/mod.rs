@@ -217,6 +217,7 @@ impl TrainConfig {
                     iso: 1.0,
                     floor: 1.0,
                     background: 10.0,
+                    stillness: 0.0,
                     soft_color: 0.005,
                     mask: 0.05,
                     mask_consistency: 0.5,

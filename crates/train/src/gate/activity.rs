@@ -33,6 +33,9 @@ pub(crate) struct Activity {
     pub active: Vec<usize>,
     /// Indices of the Gaussians that are held because the losses on motion tie them to active ones, ascending.
     pub held: Vec<usize>,
+    /// `[N]` share of each Gaussian's blending weight on what has not changed in any view, 0 to 1; 0 of one that is not seen.
+    /// Empty if nothing has changed in any.
+    pub stillness: Vec<f32>,
     /// `[N]` share of the pixels of all views that each Gaussian makes up; empty if nothing has changed in any.
     pub pixels: Vec<f32>,
     /// `[cameras]`, the tiles that are drawn.
@@ -64,6 +67,7 @@ impl Activity {
         let mut activity = Self {
             active: Vec::new(),
             held: Vec::new(),
+            stillness: Vec::new(),
             pixels: Vec::new(),
             cameras: Vec::new(),
             before: Activated { num_channels: channels, ..Activated::default() },
@@ -87,6 +91,9 @@ impl Activity {
         let num_pixels: usize =
             targets.iter().map(|target| looked_at(&target.camera)).map(|c| c.width * c.height).sum();
         activity.pixels = weights.iter().map(|[_, whole]| whole / num_pixels as f32).collect();
+        let unchanged = |&[changed, whole]: &[f32; 2]| (1.0 - changed / whole).max(0.0);
+        let stillness = |weights: &[f32; 2]| if weights[1] > MIN_WEIGHT { unchanged(weights) } else { 0.0 };
+        activity.stillness = weights.iter().map(stillness).collect();
         let is_seen: Vec<bool> = weights.iter().map(|[_, whole]| *whole > MIN_WEIGHT).collect();
         let mut is_active: Vec<bool> =
             weights.iter().map(|&[changed, whole]| changed > MIN_WEIGHT && changed >= config.share * whole).collect();
@@ -155,7 +162,8 @@ impl Activity {
             quantizers.select(&rows);
         }
         let neighbors = |past: &Past| self.neighbors(&past.neighbors, state.parameters.num_gaussians());
-        let past = state.past.as_ref().map(|past| past.select(&rows, |_| neighbors(past)));
+        let stillness: Vec<f32> = rows.iter().map(|&i| self.stillness[i]).collect();
+        let past = state.past.as_ref().map(|past| Past { stillness, ..past.select(&rows, |_| neighbors(past)) });
         let statistic = GradientStatistic::new(rows.len());
         State { parameters, lifetimes, optimizer, quantizers, past, statistic, timestep: state.timestep }
     }
@@ -316,7 +324,7 @@ impl Shares {
             Loss::Image | Loss::Segmentation => 1.0,
             Loss::Rigid | Loss::Rot | Loss::Iso | Loss::Floor => self.foreground,
             Loss::Background => self.background,
-            Loss::SoftColor | Loss::Mask | Loss::MaskConsistency => self.all,
+            Loss::Stillness | Loss::SoftColor | Loss::Mask | Loss::MaskConsistency => self.all,
         }
     }
 
@@ -432,7 +440,38 @@ fn links(neighbors: &Neighbors<f32>) -> impl Iterator<Item = (usize, usize)> + '
 
 #[cfg(test)]
 mod tests {
+    use tcgs_core::PointCloud;
+
     use super::*;
+    use crate::motion::Pose;
+    use crate::parameters::Parameters;
+
+    #[test]
+    fn who_lies_on_what_has_changed_is_not_still_and_who_is_unseen_is_unknown() {
+        // Before the camera on the left and on the right, and behind it.
+        let points = vec![[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.0, -9.0]];
+        let cloud = PointCloud { colors: vec![[0.5; 3]; 3], foreground: vec![true; 3], points };
+        let mut parameters = Parameters::from_cloud(&cloud, 1, 1.0);
+        parameters.gaussians.log_scales_mut().fill([-2.5; 3]);
+        let mut state = State::new(parameters);
+        let first = state.parameters.gaussians.clone();
+        state.past = Some(Past::new(Pose::of(&first), first, &[true; 3]));
+        let camera = Camera::look_at([0.0, 0.0, -2.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
+        let target = Target { camera, image: Image::filled(64, 48, 3, 0.0) };
+        // The left half of the image, and what of the middle the right one still reaches.
+        let (mut blocks, mut tiles) = (Blocks::none(64, 48), TileMask::none(64, 48));
+        blocks.mark(0..44, 0..48);
+        tiles.insert_pixels(0..44, 0..48);
+        let evidence = vec![Evidence { blocks, tiles }];
+        let (config, mask) = (GateConfig { matches: false, ..GateConfig::ON }, crate::TrainConfig::default().mask);
+        let pictures = [Image::filled(64, 48, 3, 0.0)];
+        let activity = Activity::new(&state, &mask, &[target], evidence, &pictures, &config);
+        let [left, right, behind] = activity.stillness[..] else { panic!("{:?}", activity.stillness) };
+        assert!(left < 1e-3 && (0.2..0.9).contains(&right) && behind == 0.0, "{:?}", activity.stillness);
+        let small = activity.excerpt(&state);
+        let expected: Vec<f32> = activity.rows().into_iter().map(|i| activity.stillness[i]).collect();
+        assert_eq!(small.past.unwrap().stillness, expected);
+    }
 
     #[test]
     fn who_was_born_with_few_others_is_woken_by_them() {

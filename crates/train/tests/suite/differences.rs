@@ -29,6 +29,7 @@ fn total(l: &LossTerms, w: &WeightConfig) -> f64 {
         (l.floor, w.floor),
         (l.background, w.background),
         (l.soft_color, w.soft_color),
+        (l.stillness, w.stillness),
     ];
     pairs.iter().map(|&(value, weight)| value * f64::from(weight)).sum()
 }
@@ -43,7 +44,9 @@ fn every_prior_matches_central_differences() {
     let distances = (0..f * per_node).map(|e| 0.1 + 0.01 * (e % 5) as f64).collect();
     let neighbors = Neighbors::from_edges(members, per_node, indices, weights, distances);
     let (first, before, now) = (state(1), state(2), state(3));
-    let prior = MotionPrior::new(neighbors.into(), &foreground, &first.0, &first.1, &before.0, &before.1, &before.2);
+    let stillness: Vec<f64> = (0..14).map(|i| f64::from(i) / 13.0).collect();
+    let prior = MotionPrior::new(neighbors.into(), &foreground, &first.0, &first.1, &before.0, &before.1, &before.2)
+        .with_stillness(&stillness, &before.0, &before.1);
 
     let all = WeightConfig {
         rigid: 4.0,
@@ -52,6 +55,7 @@ fn every_prior_matches_central_differences() {
         floor: 2.0,
         background: 20.0,
         soft_color: 0.5,
+        stillness: 0.3,
         ..WeightConfig::NONE
     };
     let one = |field: usize| {
@@ -63,10 +67,11 @@ fn every_prior_matches_central_differences() {
             floor: on(3, all.floor),
             background: on(4, all.background),
             soft_color: on(5, all.soft_color),
+            stillness: on(6, all.stillness),
             ..WeightConfig::NONE
         }
     };
-    for field in 0..6 {
+    for field in 0..7 {
         let weights = one(field);
         let evaluate = |s: &State| {
             let n = s.0.len();

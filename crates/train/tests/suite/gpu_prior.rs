@@ -18,6 +18,7 @@ const ALL: WeightConfig = WeightConfig {
     floor: 5.0,
     background: 20.0,
     soft_color: 0.01,
+    stillness: 0.3,
     ..WeightConfig::NONE
 };
 
@@ -56,6 +57,11 @@ impl Motion {
     }
 }
 
+/// Of each Gaussian.
+fn stillness(num_gaussians: usize) -> Vec<f32> {
+    (0..num_gaussians).map(|i| (i % 5) as f32 / 4.0).collect()
+}
+
 fn cpu_losses(motion: &Motion, weights: &WeightConfig) -> (LossTerms, GaussianGrads) {
     let Motion { is_foreground, first, previous, now } = motion;
     let prior = MotionPrior::new(
@@ -67,6 +73,7 @@ fn cpu_losses(motion: &Motion, weights: &WeightConfig) -> (LossTerms, GaussianGr
         previous.quats(),
         previous.colors(),
     );
+    let prior = prior.with_stillness(&stillness(now.num_gaussians()), previous.means(), previous.quats());
     let mut v = GaussianGrads::zeros(now.num_gaussians());
     let views = v.views_mut();
     let grads = PriorGrads { v_means: views.means, v_quats: views.quats, v_colors: views.colors };
@@ -98,7 +105,7 @@ fn gpu_losses(gpu: &Gpu, motion: &Motion, weights: &WeightConfig, start: f32, ti
     let buffers = PriorBuffers { params: &params, grads: &grads, step: &step, partials: &partials };
     let first = &motion.first;
     let kernels = MotionPriorKernels::new(gpu, &packing, &neighbors, first.means(), first.quats(), &buffers).unwrap();
-    kernels.begin(gpu, &motion.previous).unwrap();
+    kernels.begin(gpu, &motion.previous, &stillness(n)).unwrap();
     for _ in 0..times {
         let mut encoder = gpu.encoder();
         kernels.record(&mut encoder.begin_compute_pass(&Default::default()));
@@ -117,14 +124,16 @@ fn gpu_losses(gpu: &Gpu, motion: &Motion, weights: &WeightConfig, start: f32, ti
         floor: sum(3, num_foreground),
         background: sum(4, n - num_foreground),
         soft_color: sum(5, n),
+        stillness: sum(6, n),
         ..LossTerms::default()
     };
-    assert_eq!((sum(6, 1), sum(7, 1)), (0.0, 0.0));
+    assert_eq!(sum(7, 1), 0.0);
     (losses, gpu.read(&grads, 15 * n).unwrap())
 }
 
-fn values(losses: &LossTerms) -> [f64; 6] {
-    [losses.rigid, losses.rot, losses.iso, losses.floor, losses.background, losses.soft_color]
+fn values(losses: &LossTerms) -> [f64; 7] {
+    let LossTerms { rigid, rot, iso, floor, background, stillness, soft_color, .. } = *losses;
+    [rigid, rot, iso, floor, background, soft_color, stillness]
 }
 
 /// Compares losses and gradients with the CPU's, the latter of each attribute, of foreground and background apart;
@@ -225,7 +234,8 @@ fn a_weight_of_zero_leaves_a_loss_out() {
     for weights in [
         WeightConfig { rigid: 0.0, rot: 0.0, ..ALL },
         WeightConfig { rigid: 0.0, rot: 0.0, iso: 0.0, ..ALL },
-        WeightConfig { floor: 0.0, background: 0.0, soft_color: 0.0, ..ALL },
+        WeightConfig { floor: 0.0, background: 0.0, soft_color: 0.0, stillness: 0.0, ..ALL },
+        WeightConfig { stillness: 0.0, ..ALL },
         WeightConfig::NONE,
     ] {
         let errors = compare(&gpu, &motion, &weights);

@@ -319,12 +319,14 @@ impl Engine for CpuEngine {
         self.targets = targets;
         self.staged = scenery.map(|scenery| Staged { num_active: scenery.num_active, views: Stage::all(scenery) });
         let foreground = &self.state.parameters.foreground;
-        self.prior = self.state.past.as_ref().map(|past| {
-            let (first, now) = (&past.first, &past.previous);
-            let neighbors = Arc::clone(&past.neighbors);
-            let (means, quats, colors) = (now.means(), now.quats(), now.colors());
-            MotionPrior::new(neighbors, foreground, &first.means, &first.quats, means, quats, colors)
-        });
+        self.prior =
+            self.state.past.as_ref().map(|past| {
+                let (first, now) = (&past.first, &past.previous);
+                let neighbors = Arc::clone(&past.neighbors);
+                let (means, quats, colors) = (now.means(), now.quats(), now.colors());
+                MotionPrior::new(neighbors, foreground, &first.means, &first.quats, means, quats, colors)
+                    .with_stillness(&past.stillness, means, quats)
+            });
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! Losses that keep motion plausible after the first timestep: `rigid`, `rot`, `iso` among
 //! neighbours of the foreground, `floor`, `bg`, and `soft_col_cons`. Luiten et al. 2024, §3.3 and
-//! the released code.
+//! the released code. And `stillness`, which is ours.
 //!
 //! Every loss is a mean over its set; an empty set contributes nothing. Sums are taken over runs of a fixed length and
 //! then in order, so that the number of threads does not show in them.
@@ -47,6 +47,8 @@ pub struct MotionPrior<R> {
     background: Vec<u32>,
     /// `[B]` where they were and how they stood first.
     first_background: Vec<([R; 3], [R; 4])>,
+    /// `[N]` how much each is to stay, and where it was and how it stood at the timestep before; empty for nothing.
+    still: Vec<(R, [R; 3], [R; 4])>,
     /// `[N]` colours at the timestep before.
     previous_colors: Vec<[R; 3]>,
 }
@@ -87,9 +89,20 @@ impl<R: Real> MotionPrior<R> {
             previous: neighbors.foreground.iter().map(pose).collect(),
             first_background: background.iter().map(first).collect(),
             background,
+            still: Vec::new(),
             previous_colors: colors.to_vec(),
             neighbors,
         }
+    }
+
+    /// Tells how little each Gaussian is seen to change, for [`Loss::Stillness`](crate::Loss::Stillness).
+    ///
+    /// - `stillness`: `[N]`, 0 to 1; empty leaves the loss out
+    /// - `means`, `quats`: `[N]`, at the timestep before; rotations in any length
+    pub fn with_stillness(mut self, stillness: &[R], means: &[[R; 3]], quats: &[[R; 4]]) -> Self {
+        let poses = means.iter().zip(quats);
+        self.still = stillness.iter().zip(poses).map(|(&s, (&mean, &quat))| (s, mean, normalize(quat))).collect();
+        self
     }
 
     /// Values of the losses on motion, the others 0; *accumulates* the gradient of their weighted sum.
@@ -129,6 +142,15 @@ impl<R: Real> MotionPrior<R> {
                 .map(|(indices, first, rows)| background_rows(indices, first, means, quats, share, rows))
                 .collect();
             losses.background = sums.into_iter().map(to_f64).sum::<f64>() / self.background.len() as f64;
+        }
+        if !self.still.is_empty() && weights.stillness != 0.0 {
+            let share = share_of(weights.stillness, self.still.len());
+            let rows = (v_means.par_chunks_mut(CHUNK), v_quats.par_chunks_mut(CHUNK));
+            let sums: Vec<R> = (self.still.par_chunks(CHUNK), means.par_chunks(CHUNK), quats.par_chunks(CHUNK), rows)
+                .into_par_iter()
+                .map(|(still, means, quats, rows)| still_rows(still, means, quats, share, rows))
+                .collect();
+            losses.stillness = sums.into_iter().map(to_f64).sum::<f64>() / self.still.len() as f64;
         }
         if !colors.is_empty() && weights.soft_color != 0.0 {
             let share = share_of(weights.soft_color, colors.len());
@@ -399,6 +421,28 @@ fn background_rows<R: Real>(
         let mut v_unit = [R::zero(); 4];
         sum = sum + l1(normalize(quats[i]), first_quat, share, &mut v_unit);
         add(&mut v_quats[row], normalize_vjp(quats[i], v_unit));
+    }
+    sum
+}
+
+/// `stillness` of some Gaussians: the sum of distances, each times its stillness, before any weight. *Accumulates* their
+/// gradients.
+#[multiversion(targets("x86_64+avx2"))]
+fn still_rows<R: Real>(
+    still: &[(R, [R; 3], [R; 4])],
+    means: &[[R; 3]],
+    quats: &[[R; 4]],
+    share: R,
+    (v_means, v_quats): Rows<'_, R>,
+) -> R {
+    let mut sum = R::zero();
+    for (row, &(stillness, mean, quat)) in still.iter().enumerate() {
+        let share = share * stillness;
+        let moved = l1(means[row], mean, share, &mut v_means[row]);
+        let mut v_unit = [R::zero(); 4];
+        let turned = l1(normalize(quats[row]), quat, share, &mut v_unit);
+        add(&mut v_quats[row], normalize_vjp(quats[row], v_unit));
+        sum = sum + stillness * (moved + turned);
     }
     sum
 }

@@ -157,7 +157,7 @@ impl Loaded {
             self.motion = Some(Motion { neighbors, kernels, partials });
         }
         if let Some(motion) = &self.motion {
-            motion.kernels.begin(gpu, &past.previous)?;
+            motion.kernels.begin(gpu, &past.previous, &past.stillness)?;
         }
         Ok(has_new_motion)
     }

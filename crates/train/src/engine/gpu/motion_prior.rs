@@ -2,7 +2,7 @@
 //! [`crate::engine::cpu::MotionPrior`].
 //!
 //! Two dispatches an iteration: `prior_gaussians` takes what concerns a Gaussian alone (`floor`,
-//! `background`, `soft_color`) and packs where the foreground is now; `prior_edges` walks the lists of
+//! `background`, `soft_color`, `stillness`) and packs where the foreground is now; `prior_edges` walks the lists of
 //! [`NeighborLists`]. One dispatch a timestep, `prior_begin`, prepares what the losses compare with.
 //!
 //! # The floor
@@ -44,8 +44,8 @@ pub struct PriorBuffers<'a> {
     /// [`super::StepUniform`], a uniform; of it the weights and the numbers of Gaussians, foreground and background, and
     /// `per_node`.
     pub step: &'a wgpu::Buffer,
-    /// [`prior_rows`] rows of 8 f32, overwritten: sums of rigid, rot, iso, floor, background, soft_color, 0, 0
-    /// before any weight, not yet divided by their counts.
+    /// [`prior_rows`] rows of 8 f32, overwritten: sums of rigid, rot, iso, floor, background, soft_color,
+    /// stillness, 0 before any weight, not yet divided by their counts.
     pub partials: &'a wgpu::Buffer,
 }
 
@@ -62,7 +62,8 @@ pub struct MotionPriorKernels {
     places: wgpu::Buffer,
     previous_means: wgpu::Buffer,
     previous_inverse_quats: wgpu::Buffer,
-    previous_colors: wgpu::Buffer,
+    /// `[11 N]`: means, rotations, colours, stillness
+    before: wgpu::Buffer,
     gaussians: Bound,
     edges: Bound,
     num_gaussians: usize,
@@ -112,7 +113,7 @@ impl MotionPriorKernels {
         let first = gpu.upload("first background", &first)?;
         let previous_means = rows("previous means", num_foreground)?;
         let previous_inverse_quats = rows("previous rotations", num_foreground)?;
-        let previous_colors = gpu.storage("previous colours", 3 * num_gaussians)?;
+        let before = gpu.storage("the timestep before", 11 * num_gaussians)?;
         let moving = rows("moving foreground", 2 * num_foreground)?;
 
         let source = shader(packing);
@@ -130,7 +131,7 @@ impl MotionPriorKernels {
                     (4, &places),
                     (5, &first),
                     (7, &previous_inverse_quats),
-                    (8, &previous_colors),
+                    (8, &before),
                     (18, &moving),
                 ],
             ),
@@ -150,7 +151,7 @@ impl MotionPriorKernels {
             places,
             previous_means,
             previous_inverse_quats,
-            previous_colors,
+            before,
             num_gaussians,
             num_foreground,
         })
@@ -159,16 +160,18 @@ impl MotionPriorKernels {
     /// Starts a timestep: from now on the losses compare with `previous`. Iterations submitted before are not affected.
     ///
     /// - `previous`: `[N]` the timestep before, stored form
+    /// - `stillness`: `[N]` how little each is seen to change, 0 to 1; empty if nothing is known of it
     ///
     /// # Errors
     /// [`GpuError::Memory`] if the upload does not fit.
-    pub fn begin(&self, gpu: &Gpu, previous: &Gaussians) -> Result<(), GpuError> {
-        gpu.queue().write_buffer(&self.previous_colors, 0, bytemuck::cast_slice(previous.colors()));
-        let poses = [previous.means().as_flattened(), previous.quats().as_flattened()].concat();
-        let poses = gpu.upload("previous poses", &poses)?;
+    pub fn begin(&self, gpu: &Gpu, previous: &Gaussians, stillness: &[f32]) -> Result<(), GpuError> {
+        let (means, quats, colors) = (previous.means(), previous.quats(), previous.colors());
+        let mut before = [means.as_flattened(), quats.as_flattened(), colors.as_flattened(), stillness].concat();
+        before.resize(11 * self.num_gaussians, 0.0);
+        gpu.queue().write_buffer(&self.before, 0, bytemuck::cast_slice(&before));
         let begin = self.begin.bind(
             gpu.device(),
-            &[(4, &self.places), (12, &poses), (16, &self.previous_means), (17, &self.previous_inverse_quats)],
+            &[(4, &self.places), (8, &self.before), (16, &self.previous_means), (17, &self.previous_inverse_quats)],
         );
         let mut encoder = gpu.encoder();
         begin.dispatch_over(

@@ -2,10 +2,10 @@
 // of `nodes`), B background ones.
 //
 // prior_begin, once a timestep: reads where everything was at the timestep before; writes what the losses compare with.
-// prior_gaussians, a thread a Gaussian: floor, background, soft_color; packs where nodes are for prior_edges.
+// prior_gaussians, a thread a Gaussian: floor, background, soft_color, stillness; packs where nodes are for prior_edges.
 // prior_edges, a thread a node: rigid, rot, iso along every edge that leaves or arrives.
 // The last two accumulate into grads and write partials [ceil(F / 256) + ceil(N / 256), 8]:
-// rigid, rot, iso, floor, background, soft_color, 0, 0, sums before any share or weight; rows of prior_edges first.
+// rigid, rot, iso, floor, background, soft_color, stillness, 0, sums before any share or weight; rows of prior_edges first.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> params: array<f32>; // [values * N], see packing.rs
@@ -15,7 +15,7 @@
 @group(0) @binding(5) var<storage, read> first: array<vec4<f32>>; // [B, 2] mean and 0; unit rotation
 @group(0) @binding(6) var<storage, read> previous_means: array<vec4<f32>>; // [F] mean and 0
 @group(0) @binding(7) var<storage, read> previous_inverse_quats: array<vec4<f32>>; // [F] unit
-@group(0) @binding(8) var<storage, read> previous_colors: array<f32>; // [N, 3]
+@group(0) @binding(8) var<storage, read> before: array<f32>; // [11 N] means 3N, quats 4N, colours 3N, stillness N
 @group(0) @binding(9) var<storage, read> moving: array<vec4<f32>>; // [F, 2] mean and 1 / |quat|; relative rotation
 @group(0) @binding(10) var<storage, read> nodes: array<vec4<u32>>; // [F] Gaussian, first link, number of links, 0
 @group(0) @binding(11) var<storage, read> links: array<u32>; // see neighbor_lists.rs
@@ -30,9 +30,6 @@ const NODE: u32 = ~(LEAVES | ARRIVES);
 
 // Of unit rotations that differ by less only their rounding differs.
 const ROUNDING: f32 = 5e-7;
-
-// Where everything was at the timestep before, as it was stored: [7 N] means 3N, quats 4N.
-@group(0) @binding(12) var<storage, read> previous_poses: array<f32>;
 
 var<workgroup> sums: array<vec4<f32>, 256>;
 
@@ -81,6 +78,28 @@ fn quat_of(gaussian: u32) -> vec4<f32> {
     return vec4<f32>(params[at], params[at + 1u], params[at + 2u], params[at + 3u]);
 }
 
+// At the timestep before.
+fn mean_before(gaussian: u32) -> vec3<f32> {
+    let at = 3u * gaussian;
+    return vec3<f32>(before[at], before[at + 1u], before[at + 2u]);
+}
+
+// At the timestep before.
+fn unit_quat_before(gaussian: u32, num_gaussians: u32) -> vec4<f32> {
+    let at = 3u * num_gaussians + 4u * gaussian;
+    let quat = vec4<f32>(before[at], before[at + 1u], before[at + 2u], before[at + 3u]);
+    return quat * inverse_length(quat);
+}
+
+// The sum of the absolute differences of a pose from another. Adds `share` times its gradient.
+fn pose_l1(gaussian: u32, moved: vec3<f32>, unit: vec4<f32>, other: vec4<f32>, inverse: f32, share: f32) -> f32 {
+    let turned = unit - other;
+    add_to_mean(gaussian, share * sign(moved));
+    let v_unit = select(vec4<f32>(0.0), share * sign(turned), abs(turned) > vec4<f32>(ROUNDING));
+    add_to_quat(gaussian, (v_unit - unit * dot(unit, v_unit)) * inverse);
+    return dot(abs(moved), vec3<f32>(1.0)) + dot(abs(turned), vec4<f32>(1.0));
+}
+
 fn add_to_mean(gaussian: u32, v: vec3<f32>) {
     let at = MEAN_AT * step.num_gaussians + 3u * gaussian;
     grads[at] = grads[at] + v.x;
@@ -99,23 +118,14 @@ fn add_to_quat(gaussian: u32, v: vec4<f32>) {
 @compute @workgroup_size(256)
 fn prior_begin(@builtin(global_invocation_id) id: vec3<u32>) {
     let gaussian = id.x;
-    let num_gaussians = arrayLength(&previous_poses) / 7u;
+    let num_gaussians = arrayLength(&before) / 11u;
     if (gaussian >= num_gaussians) {
         return;
     }
     let place = places[gaussian];
     if ((place & BACKGROUND) == 0u) {
-        let mean = 3u * gaussian;
-        let at = 3u * num_gaussians + 4u * gaussian;
-        let quat = vec4<f32>(
-            previous_poses[at],
-            previous_poses[at + 1u],
-            previous_poses[at + 2u],
-            previous_poses[at + 3u],
-        );
-        previous_means_out[place] =
-            vec4<f32>(previous_poses[mean], previous_poses[mean + 1u], previous_poses[mean + 2u], 0.0);
-        previous_inverse_quats_out[place] = quat_conjugate(quat * inverse_length(quat));
+        previous_means_out[place] = vec4<f32>(mean_before(gaussian), 0.0);
+        previous_inverse_quats_out[place] = quat_conjugate(unit_quat_before(gaussian, num_gaussians));
     }
 }
 
@@ -126,7 +136,7 @@ fn prior_gaussians(
     @builtin(local_invocation_index) local: u32,
 ) {
     let gaussian = id.x;
-    var losses = vec4<f32>(0.0); // floor, background, soft_color
+    var losses = vec4<f32>(0.0); // floor, background, soft_color, stillness
     if (gaussian < step.num_gaussians) {
         let place = places[gaussian];
         let mean = mean_of(gaussian);
@@ -147,18 +157,21 @@ fn prior_gaussians(
             let position = place & ~BACKGROUND;
             let share = step.background_weight / f32(step.num_background);
             let moved = mean - first[2u * position].xyz;
-            let turned = unit - first[2u * position + 1u];
-            losses.y = dot(abs(moved), vec3<f32>(1.0)) + dot(abs(turned), vec4<f32>(1.0));
-            add_to_mean(gaussian, share * sign(moved));
-            let v_unit = select(vec4<f32>(0.0), share * sign(turned), abs(turned) > vec4<f32>(ROUNDING));
-            add_to_quat(gaussian, (v_unit - unit * dot(unit, v_unit)) * inverse);
+            losses.y = pose_l1(gaussian, moved, unit, first[2u * position + 1u], inverse, share);
+        }
+        if (step.stillness_weight != 0.0) {
+            let stillness = before[10u * step.num_gaussians + gaussian];
+            let share = stillness * step.stillness_weight / f32(step.num_gaussians);
+            let moved = mean - mean_before(gaussian);
+            let other = unit_quat_before(gaussian, step.num_gaussians);
+            losses.w = stillness * pose_l1(gaussian, moved, unit, other, inverse, share);
         }
         if (step.soft_color_weight != 0.0) {
             let share = step.soft_color_weight / f32(step.num_gaussians);
             for (var channel = 0u; channel < 3u; channel++) {
                 let at = 3u * gaussian + channel;
                 let stored = COLOR_AT * step.num_gaussians + at;
-                let changed = params[stored] - previous_colors[at];
+                let changed = params[stored] - before[7u * step.num_gaussians + at];
                 losses.z += abs(changed);
                 grads[stored] = grads[stored] + share * sign(changed);
             }
@@ -168,7 +181,7 @@ fn prior_gaussians(
     if (local == 0u) {
         let row = (step.num_foreground + 255u) / 256u + group.x;
         partials[2u * row] = vec4<f32>(0.0, 0.0, 0.0, total.x);
-        partials[2u * row + 1u] = vec4<f32>(total.yz, 0.0, 0.0);
+        partials[2u * row + 1u] = vec4<f32>(total.yzw, 0.0);
     }
 }
 

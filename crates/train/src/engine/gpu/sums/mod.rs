@@ -21,7 +21,7 @@ pub struct SumsBuffers<'a> {
     pub image_partials: &'a wgpu::Buffer,
     /// [`super::ActivateKernels::mask_partials`]
     pub mask_partials: &'a wgpu::Buffer,
-    /// `[ceil(F / 256) + ceil(N / 256), 8]` raw sums: rigid, rot, iso, floor, background, soft_color, 0, 0.
+    /// `[ceil(F / 256) + ceil(N / 256), 8]` raw sums: rigid, rot, iso, floor, background, soft_color, stillness, 0.
     pub prior_partials: &'a wgpu::Buffer,
     /// `[rows, 2]` sums of the gradients to steps and offsets, not yet scaled.
     pub quantizer_partials: &'a wgpu::Buffer,
@@ -116,7 +116,7 @@ mod tests {
     const CAMERAS: usize = 3;
     const SLOTS: usize = 4;
     const WEIGHTS: WeightConfig =
-        WeightConfig { rot: 4.0, floor: 2.0, background: 20.0, soft_color: 0.01, ..WeightConfig::NONE };
+        WeightConfig { rot: 4.0, floor: 2.0, background: 20.0, soft_color: 0.01, stillness: 0.3, ..WeightConfig::NONE };
 
     /// Everything that the kernel touches, on the host.
     struct State {
@@ -250,6 +250,7 @@ mod tests {
                 floor: prior_mean(3, 300.0),
                 background: prior_mean(4, 700.0),
                 soft_color: prior_mean(5, 1000.0),
+                stillness: prior_mean(6, 1000.0),
                 mask: on(masked, sum(&state.mask_partials, 0, 2) / 1000.0),
                 mask_consistency: on(masked | compares, sum(&state.mask_partials, 1, 2) / 1000.0),
             };

@@ -34,6 +34,7 @@ fn motion(local: u32) {
         write_loss(LOSS_ISO, mean(low.z, num_edges, among_neighbors));
         write_loss(LOSS_FLOOR, mean(low.w, step.num_foreground, step.floor_weight != 0.0));
         write_loss(LOSS_BACKGROUND, mean(high.x, step.num_background, step.background_weight != 0.0));
+        write_loss(LOSS_STILLNESS, mean(high.z, step.num_gaussians, step.stillness_weight != 0.0));
         write_loss(LOSS_SOFT_COLOR, mean(high.y, step.num_gaussians, step.soft_color_weight != 0.0));
     }
 }

@@ -3,7 +3,7 @@
 //
 // image_partials [C, blocks]: sums of 1 - SSIM, |x - y|, v_gain, v_offset
 // mask_partials [groups]: sums of sigmoid(mask logit), |mask logit - previous one|
-// prior_partials [rows, 2]: raw sums rigid, rot, iso, floor; background, soft_color, 0, 0
+// prior_partials [rows, 2]: raw sums rigid, rot, iso, floor; background, soft_color, stillness, 0
 // quantizer_partials [rows]: sums of v_step, v_offset; quantizer_rows [Q + 1]: first row of each quantizer, and the end
 // quantizers [Q]: step, offset, lowest code, highest code
 // quantizer_state [6, Q]: initial steps, gradient scales, moments (step first, second, offset first, second)
