@@ -11,7 +11,7 @@ const LOG_SCALE_RATE: f32 = 0.005;
 const STILLNESS: f32 = 0.5;
 
 /// The settings of a preset, as a capture of this kind needs them: its frames and frame rate, and no losses on what it
-/// does not have (a floor, masks).
+/// does not have (a floor, masks). Where no masks say what moves, what shows no change is held (`weights.stillness`).
 ///
 /// - returns: settings whose `data.capture` is still empty
 pub fn settings_for(preset: Preset, capture: &Capture) -> TrainConfig {

@@ -23,7 +23,8 @@
 //! takes about 120 operations and 5 roots, 0.5 G in all. On a GPU of 4.8 TB/s and 30 T operations a second memory
 //! takes 14 µs and arithmetic 17 µs, at the same time.
 //!
-//! `prior_gaussians` moves 80 bytes a Gaussian, 48 more of the foreground and 88 more of the background: 51 MB.
+//! `prior_gaussians` moves 80 bytes a Gaussian, 48 more of the foreground and 88 more of the background: 51 MB. `stillness`
+//! adds 32 bytes a Gaussian, 11 MB.
 
 use tcgs_core::{Gaussians, normalize};
 use tcgs_render::device::WORKGROUP;
