@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use libfuzzer_sys::fuzz_target;
 use tcgs_core::SceneReader;
 use tcgs_interchange::{
-    FourdgsFile, HigherHarmonics, NpzReader, read_gaussians, read_npy, read_ply_points, write_glb_to, write_ply_to,
+    FourdgsFile, NpzReader, ReadSettings, read_gaussians, read_npy, read_ply_points, write_glb_to, write_ply_to,
 };
 
 /// Readers take paths. One file a process.
@@ -17,7 +17,7 @@ fn path(ending: &str) -> PathBuf {
 fuzz_target!(|bytes: &[u8]| {
     let given = path("given");
     std::fs::write(&given, bytes).expect("a temporary file");
-    if let Ok(gaussians) = read_gaussians(&given, HigherHarmonics::Keep) {
+    if let Ok(gaussians) = read_gaussians(&given, ReadSettings::default()) {
         assert!(gaussians.num_gaussians() > 0 && gaussians.means().as_flattened().iter().all(|x| x.is_finite()));
         let (mut ply, mut glb) = (Vec::new(), Vec::new());
         write_ply_to(&mut ply, &gaussians).expect("memory");
@@ -25,7 +25,7 @@ fuzz_target!(|bytes: &[u8]| {
         for written in [ply, glb] {
             let again = path("again");
             std::fs::write(&again, written).expect("a temporary file");
-            let again = read_gaussians(&again, HigherHarmonics::Keep).expect("a file just written");
+            let again = read_gaussians(&again, ReadSettings::default()).expect("a file just written");
             assert_eq!(again.num_gaussians(), gaussians.num_gaussians());
         }
     }
@@ -38,7 +38,7 @@ fuzz_target!(|bytes: &[u8]| {
             let _ = archive.array(&name);
         }
     }
-    if let Ok(file) = FourdgsFile::open(&given, HigherHarmonics::Keep) {
+    if let Ok(file) = FourdgsFile::open(&given, ReadSettings::default()) {
         for timestep in 0..file.num_timesteps().min(8) {
             let _ = file.at(timestep);
         }

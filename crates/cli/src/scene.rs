@@ -5,7 +5,7 @@ use std::path::Path;
 use clap::Args;
 use tcgs_codec::{DecodeError, Loss};
 use tcgs_core::SceneReader;
-use tcgs_interchange::HigherHarmonics;
+use tcgs_interchange::{HigherHarmonics, ReadSettings};
 use tcgs_pipeline::{CutFiles, Fault, HasFault, OpenScene, OpenSettings, PipelineError};
 
 use crate::error::wrong_input;
@@ -28,7 +28,7 @@ impl SourceOptions {
 
     fn settings(self) -> OpenSettings {
         let higher_harmonics = if self.drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Keep };
-        OpenSettings { higher_harmonics, ..OpenSettings::default() }
+        OpenSettings { read: ReadSettings { higher_harmonics, ..ReadSettings::default() }, ..OpenSettings::default() }
     }
 }
 

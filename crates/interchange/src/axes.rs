@@ -4,27 +4,41 @@
 //! them as its files do. SPZ means RUB, glTF LUF (`y` is up, a model looks along `z`). Letters say where an axis points:
 //! right or left, up or down, forward or back.
 
+use std::fmt;
+use std::str::FromStr;
+
 use tcgs_core::{Gaussians, harmonics};
 
-/// Which axes point against those of PLY files.
+/// Directions of a file's axes, as three letters: right or left, up or down, forward or back.
+///
+/// ```
+/// use tcgs_interchange::Axes;
+/// assert_eq!("rub".parse(), Ok(Axes::RUB));
+/// assert_eq!(Axes::RDF.to_string(), "rdf");
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Axes([bool; 3]);
+pub struct Axes([bool; 3]);
+
+/// Letter of an axis that points as that of PLY files, and of one that points against it.
+const LETTERS: [[char; 2]; 3] = [['r', 'l'], ['d', 'u'], ['f', 'b']];
 
 impl Axes {
+    /// Right, down, forward: PLY files, and scenes here.
+    pub const RDF: Self = Self([false; 3]);
     /// Left, up, forward: glTF.
     pub const LUF: Self = Self([true, true, false]);
     /// Right, up, back: SPZ and OpenGL.
     pub const RUB: Self = Self([false, true, true]);
 
     /// - `left`, `up`, `back`: whether x, y and z point there
-    pub fn new(left: bool, up: bool, back: bool) -> Self {
+    pub(crate) fn new(left: bool, up: bool, back: bool) -> Self {
         Self([left, up, back])
     }
 
     /// Turns Gaussians from these axes into those of PLY files, or from these into those: the same signs.
     ///
     /// Nothing is rounded. The axes of a Gaussian itself turn too, which does not change its shape.
-    pub fn turn(self, gaussians: &mut Gaussians) {
+    pub(crate) fn turn(self, gaussians: &mut Gaussians) {
         let signs = self.0.map(|against| if against { -1.0_f32 } else { 1.0 });
         let [x, y, z] = signs;
         let base = gaussians.views_mut();
@@ -48,6 +62,24 @@ impl Axes {
                 }
             }
         }
+    }
+}
+
+impl fmt::Display for Axes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let letters = self.0.iter().zip(LETTERS).map(|(against, [along, other])| if *against { other } else { along });
+        f.write_str(&letters.collect::<String>())
+    }
+}
+
+impl FromStr for Axes {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        (0..8)
+            .map(|bits| Self([bits & 1 != 0, bits & 2 != 0, bits & 4 != 0]))
+            .find(|axes| axes.to_string().eq_ignore_ascii_case(text))
+            .ok_or_else(|| format!("{text:?} is no set of axes, expected three letters such as rdf, rub or luf"))
     }
 }
 

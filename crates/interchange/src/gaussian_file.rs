@@ -7,7 +7,7 @@ use std::path::Path;
 use tcgs_core::Gaussians;
 
 use crate::stored::Head;
-use crate::{HigherHarmonics, InterchangeError, gltf, ply, spz};
+use crate::{InterchangeError, ReadSettings, gltf, ply, spz};
 
 /// Kinds of files that hold one timestep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,19 +41,19 @@ impl FileKind {
 /// kind says so.
 ///
 /// ```no_run
-/// use tcgs_interchange::{HigherHarmonics, read_gaussians};
-/// let gaussians = read_gaussians("garden.spz".as_ref(), HigherHarmonics::Keep)?;
+/// use tcgs_interchange::{ReadSettings, read_gaussians};
+/// let gaussians = read_gaussians("garden.spz".as_ref(), ReadSettings::default())?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not complete, has
 /// no Gaussian, or holds a number that is not finite.
-pub fn read_gaussians(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, InterchangeError> {
+pub fn read_gaussians(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     match FileKind::of(path)? {
-        FileKind::Ply => ply::read_ply(path, harmonics),
-        FileKind::Spz => spz::read_spz(path, harmonics),
-        FileKind::Gltf => gltf::read_gltf(path, harmonics),
+        FileKind::Ply => ply::read_ply(path, settings),
+        FileKind::Spz => spz::read_spz(path, settings),
+        FileKind::Gltf => gltf::read_gltf(path, settings),
     }
 }
 
@@ -61,12 +61,12 @@ pub fn read_gaussians(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussia
 ///
 /// # Errors
 /// As [`read_gaussians`], but for what only the numbers show.
-pub(crate) fn read_head(path: &Path, harmonics: HigherHarmonics) -> Result<(FileKind, Head), InterchangeError> {
+pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<(FileKind, Head), InterchangeError> {
     let kind = FileKind::of(path)?;
     let head = match kind {
-        FileKind::Ply => ply::read_head(path, harmonics),
-        FileKind::Spz => spz::read_head(path, harmonics),
-        FileKind::Gltf => gltf::read_head(path, harmonics),
+        FileKind::Ply => ply::read_head(path, settings),
+        FileKind::Spz => spz::read_head(path, settings),
+        FileKind::Gltf => gltf::read_head(path, settings),
     };
     Ok((kind, head?))
 }

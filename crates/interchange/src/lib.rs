@@ -25,11 +25,13 @@ mod npz;
 mod params_npz;
 mod ply;
 mod ply_points;
+mod settings;
 mod spz;
 mod stored;
 mod timestep_files;
 mod unfinished;
 
+pub use axes::Axes;
 pub use error::InterchangeError;
 pub use fourdgs::{FourdgsFile, fourdgs_bytes};
 pub use gaussian_file::read_gaussians;
@@ -42,6 +44,6 @@ pub use params_npz::{
 };
 pub use ply::{read_ply, write_ply_to};
 pub use ply_points::read_ply_points;
-pub use stored::HigherHarmonics;
+pub use settings::{HigherHarmonics, ReadLimits, ReadSettings};
 pub use timestep_files::TimestepFiles;
 pub use unfinished::{Existing, Unfinished, is_unfinished, remove_unfinished, write_whole};

@@ -8,16 +8,6 @@ use tcgs_core::{Gaussians, HARMONIC_0, Layout};
 
 use crate::InterchangeError;
 
-/// What a reader does with spherical harmonics above degree 0, with which colours depend on the direction of view.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum HigherHarmonics {
-    /// They become the columns of [`Layout::with_harmonics`](tcgs_core::Layout::with_harmonics).
-    #[default]
-    Keep,
-    /// They are ignored: each Gaussian keeps its colour of degree 0.
-    Drop,
-}
-
 /// What the start of a file says of its Gaussians.
 #[derive(Clone, Debug)]
 pub(crate) struct Head {

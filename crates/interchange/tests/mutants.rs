@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use tcgs_core::{Gaussians, SceneReader};
-use tcgs_interchange::{FourdgsFile, HigherHarmonics, InterchangeError, read_gaussians};
+use tcgs_interchange::{FourdgsFile, InterchangeError, ReadSettings, read_gaussians};
 
 /// A linear congruential generator.
 struct Random(u64);
@@ -70,7 +70,7 @@ fn damaged_files_of_one_timestep_do_no_harm() {
         let mut refused = 0;
         for _ in 0..400 {
             std::fs::write(target.path(), random.mutant(&bytes)).unwrap();
-            refused += usize::from(!is_right(read_gaussians(target.path(), HigherHarmonics::Keep)));
+            refused += usize::from(!is_right(read_gaussians(target.path(), ReadSettings::default())));
         }
         assert!(refused > 0, "{name}: no mutant was refused");
     }
@@ -84,7 +84,7 @@ fn damaged_files_of_whole_scenes_do_no_harm() {
         let mut refused = 0;
         for _ in 0..150 {
             std::fs::write(target.path(), random.mutant(&bytes)).unwrap();
-            match FourdgsFile::open(target.path(), HigherHarmonics::Keep) {
+            match FourdgsFile::open(target.path(), ReadSettings::default()) {
                 Ok(mut scene) => {
                     let last = scene.num_timesteps() - 1;
                     for timestep in [0, last] {

@@ -6,14 +6,14 @@
 use std::path::PathBuf;
 
 use tcgs_core::{Attribute, Gaussians, HARMONIC_0, SceneReader, normalize, rotmat_from_quat, sigmoid};
-use tcgs_interchange::{HigherHarmonics, TimestepFiles, read_gaussians};
+use tcgs_interchange::{HigherHarmonics, ReadSettings, TimestepFiles, read_gaussians};
 
 fn path(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange").join(name)
 }
 
 fn read(name: &str) -> Gaussians {
-    read_gaussians(&path(name), HigherHarmonics::Keep).unwrap()
+    read_gaussians(&path(name), ReadSettings::default()).unwrap()
 }
 
 /// Half a step of each attribute: what a kind of file may err.
@@ -137,15 +137,15 @@ fn spz_of_splat_transform_and_of_its_library() {
     // Written from what was read of version 4.
     let may = HalfSteps { quat: 0.5 / 127.5, ..spz([8, 8]) };
     compare(&read("spz_v2.spz"), &read("splat_transform_v4.spz"), &may);
-    let dropped = read_gaussians(&path("splat_transform_v4.spz"), HigherHarmonics::Drop).unwrap();
+    let dropped = read_gaussians(&path("splat_transform_v4.spz"), HigherHarmonics::Drop.into()).unwrap();
     assert!(dropped.layout().is_base() && dropped.means() == read("splat_transform_v4.spz").means());
 }
 
 #[test]
 fn spz_of_degree_4_is_read_without_harmonics() {
-    let problem = read_gaussians(&path("spz_degree_4.spz"), HigherHarmonics::Keep).unwrap_err().to_string();
+    let problem = read_gaussians(&path("spz_degree_4.spz"), ReadSettings::default()).unwrap_err().to_string();
     assert!(problem.ends_with("has spherical harmonics of degree 4, expected 0 to 3"), "{problem}");
-    let found = read_gaussians(&path("spz_degree_4.spz"), HigherHarmonics::Drop).unwrap();
+    let found = read_gaussians(&path("spz_degree_4.spz"), HigherHarmonics::Drop.into()).unwrap();
     assert_eq!(found.means(), &read("splat_transform_v4.spz").means()[..1]);
 }
 
@@ -190,7 +190,7 @@ fn a_folder_of_several_kinds_is_one_sequence() {
         let ending = name.rsplit('.').next().unwrap();
         std::fs::copy(path(name), folder.path().join(format!("{i}.{ending}"))).unwrap();
     }
-    let files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
+    let files = TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap();
     assert_eq!((files.num_timesteps(), files.num_gaussians(), files.kind()), (4, 260, "Gaussian files"));
     let scene = files.read(0..4).unwrap();
     assert_eq!(scene.at(3), read("splat_transform_v4.spz"));

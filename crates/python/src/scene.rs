@@ -8,7 +8,7 @@ use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyRange, PyString};
 use tcgs_core::{SceneReader, Tour};
-use tcgs_interchange::HigherHarmonics;
+use tcgs_interchange::{HigherHarmonics, ReadSettings};
 use tcgs_pipeline::{CutFiles, OpenScene, OpenSettings};
 
 use crate::arrays::ArrayLike;
@@ -80,7 +80,7 @@ pub fn open(
     segment_length: Option<u32>,
 ) -> PyResult<PyScene> {
     let settings = OpenSettings {
-        higher_harmonics: if drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Keep },
+        read: if drop_sh { HigherHarmonics::Drop.into() } else { ReadSettings::default() },
         cut_files: if recover { CutFiles::Recover } else { CutFiles::Refuse },
     };
     if segment_length == Some(0) {

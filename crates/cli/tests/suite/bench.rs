@@ -5,7 +5,7 @@ use std::io::Write;
 use crate::support::*;
 use serde_json::Value;
 use tcgs_core::{Camera, activate};
-use tcgs_interchange::{HigherHarmonics, NpzReader, read_ply};
+use tcgs_interchange::{NpzReader, ReadSettings, read_ply};
 use tcgs_render::gpu::{Gpu, GpuChoice};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tempfile::tempdir;
@@ -153,7 +153,7 @@ fn a_scene_is_written_as_it_is_drawn() {
     for (i, (width, height)) in [(64, 48), (32, 24)].into_iter().enumerate() {
         let files = place.join(format!("random-{width}x{height}"));
         assert_eq!(result["scenes"][i]["files"], text(&files));
-        let gaussians = read_ply(&files.join("gaussians.ply"), HigherHarmonics::Keep).unwrap();
+        let gaussians = read_ply(&files.join("gaussians.ply"), ReadSettings::default()).unwrap();
         assert_eq!(gaussians.num_gaussians(), 500);
         let camera = json(&files.join("camera.json"));
         let pair = |name: &str| [0, 1].map(|i| number(&camera[name][i]));

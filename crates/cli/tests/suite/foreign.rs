@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::support::*;
 use tcgs_core::{Gaussians, Layout};
-use tcgs_interchange::{HigherHarmonics, read_ply, write_ply_to};
+use tcgs_interchange::{ReadSettings, read_ply, write_ply_to};
 use tempfile::tempdir;
 
 /// Some Gaussians on a turning sphere around the origin, where the test capture looks.
@@ -88,7 +88,7 @@ fn harmonics_are_drawn_measured_and_written() {
     let said = succeed(&["export", text(&plys), "--to", text(&path("back"))]);
     assert!(said.contains("200 Gaussians with harmonics of degree 3, 3 timesteps"), "{said}");
     for (t, gaussians) in scene.iter().enumerate() {
-        let back = read_ply(&path("back").join(format!("{t:06}.ply")), HigherHarmonics::Keep).unwrap();
+        let back = read_ply(&path("back").join(format!("{t:06}.ply")), ReadSettings::default()).unwrap();
         for band in gaussians.layout().harmonics() {
             assert_eq!(back.values(band), gaussians.values(band));
         }
@@ -163,7 +163,7 @@ fn the_number_of_gaussians_may_change_in_every_file() {
     succeed(&["export", text(&plys), "--to", text(&path("back")), "--frames", "1..4"]);
     assert_eq!(contents(&path("back")).len(), 3);
     for t in 1..4 {
-        let back = read_ply(&path("back").join(format!("{t:06}.ply")), HigherHarmonics::Keep).unwrap();
+        let back = read_ply(&path("back").join(format!("{t:06}.ply")), ReadSettings::default()).unwrap();
         assert_eq!((back.means(), back.quats()), (scene[t].means(), scene[t].quats()));
         for band in back.layout().harmonics() {
             assert_eq!(back.values(band), scene[t].values(band));
@@ -182,7 +182,7 @@ fn the_number_of_gaussians_may_change_in_every_file() {
     assert!(said.contains("frames 0 to"), "{said}");
     succeed(&["export", text(&file), "--to", text(&path("decoded"))]);
     let decoded = path("decoded").join("000002.ply");
-    assert_eq!(read_ply(&decoded, HigherHarmonics::Keep).unwrap().num_gaussians(), 90);
+    assert_eq!(read_ply(&decoded, ReadSettings::default()).unwrap().num_gaussians(), 90);
     let message = fail(2, &["export", text(&plys), "--drop-sh", "--to", text(&path("params.npz"))]);
     let expected = "has 150 Gaussians at frame 0 and 201 at frame 1, which a params.npz cannot hold";
     assert!(message.contains(expected), "{message}");

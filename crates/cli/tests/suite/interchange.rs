@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use crate::support::*;
 use tcgs_core::SceneReader;
-use tcgs_interchange::{FourdgsFile, HigherHarmonics, TimestepFiles, read_gaussians};
+use tcgs_interchange::{FourdgsFile, ReadSettings, TimestepFiles, read_gaussians};
 use tempfile::tempdir;
 
 fn file(name: &str) -> PathBuf {
@@ -34,7 +34,7 @@ fn a_folder_of_several_kinds_becomes_a_file_and_glb_files() {
         // A name with an ending is that of a file, unless it is a folder's.
         fs::create_dir(&glbs).unwrap();
         succeed(&["export", text(&path(scene)), "--to", text(&glbs), "--files", "glb", "--frames", "1..4"]);
-        let files = TimestepFiles::open(&glbs, HigherHarmonics::Keep).unwrap();
+        let files = TimestepFiles::open(&glbs, ReadSettings::default()).unwrap();
         assert_eq!((files.kind(), files.num_timesteps(), files.first_frame()), ("glTF files", 3, Some(1)));
         assert_eq!((files.num_gaussians(), files.layout().sh_degree()), (260, 3));
     }
@@ -42,8 +42,8 @@ fn a_folder_of_several_kinds_becomes_a_file_and_glb_files() {
     let arguments = ["export", text(&source), "--frames", "1..2", "--to", text(&one)];
     succeed(&arguments);
     let (found, expected) = (
-        read_gaussians(&one, HigherHarmonics::Keep).unwrap(),
-        read_gaussians(&file("splat_transform_v3.spz"), HigherHarmonics::Keep).unwrap(),
+        read_gaussians(&one, ReadSettings::default()).unwrap(),
+        read_gaussians(&file("splat_transform_v3.spz"), ReadSettings::default()).unwrap(),
     );
     assert_eq!(found.means(), expected.means());
     let again = fs::read(&one).unwrap();
@@ -102,7 +102,7 @@ fn scenes_over_time_go_to_4dgs_and_back() {
         succeed(&["render", text(&file(name)), "--out", text(&path(&format!("{name}.frames"))), "--size", "64x48"]);
 
         succeed(&["export", text(&scene), "--to", text(&back)]);
-        let read = FourdgsFile::open(&back, HigherHarmonics::Keep).unwrap();
+        let read = FourdgsFile::open(&back, ReadSettings::default()).unwrap();
         assert_eq!([0, 1, 2].map(|t| read.num_gaussians_at(t)), [40, 50, 35], "{name}");
         assert!((read.frame_rate() - 10.0).abs() < 1e-3);
         let message = fail(2, &["export", text(&scene), "--to", text(&back)]);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::support::*;
 use tcgs_core::{Attribute, Gaussians};
-use tcgs_interchange::{HigherHarmonics, TimestepFiles, read_params_npz, read_ply, write_ply_to};
+use tcgs_interchange::{ReadSettings, TimestepFiles, read_params_npz, read_ply, write_ply_to};
 use tempfile::{TempDir, tempdir};
 
 /// A sequence of 300 Gaussians on a turning globe; every third fades, some grow.
@@ -56,7 +56,7 @@ fn a_run_goes_to_ply_files_and_from_there_to_a_file_that_renders() {
     // The same floats as in a params.npz; colours but for their offset.
     succeed(&["export", text(&run), "--to", text(&params)]);
     let (floats, files) =
-        (read_params_npz(&params).unwrap(), TimestepFiles::open(&plys, HigherHarmonics::Keep).unwrap());
+        (read_params_npz(&params).unwrap(), TimestepFiles::open(&plys, ReadSettings::default()).unwrap());
     assert_eq!(files.first_frame(), Some(1));
     let scene = files.read(0..3).unwrap();
     for attribute in Attribute::BASE {
@@ -94,7 +94,7 @@ fn a_run_goes_to_ply_files_and_from_there_to_a_file_that_renders() {
 
     let one = path("one.ply");
     succeed(&["export", text(&file), "--frames", "2..3", "--to", text(&one)]);
-    assert_eq!(read_ply(&one, HigherHarmonics::Keep).unwrap().num_gaussians(), floats.num_gaussians());
+    assert_eq!(read_ply(&one, ReadSettings::default()).unwrap().num_gaussians(), floats.num_gaussians());
     succeed(&["render", text(&one), "--out", text(&path("frames")), "--size", "40x20"]);
     succeed(&["export", text(&file), "--frames", "2..4", "--to", text(&plys), "--force"]);
     assert_eq!(names(&plys), ["000002.ply", "000003.ply"]);
@@ -112,7 +112,7 @@ fn opacities_and_scales_that_vary_survive() {
     let (file, back) = (path("globe.tcgs"), path("back"));
     succeed(&["export", text(&file), "--to", text(&back)]);
     assert_eq!(names(&back).len(), 12);
-    let last = read_ply(&back.join("000011.ply"), HigherHarmonics::Keep).unwrap();
+    let last = read_ply(&back.join("000011.ply"), ReadSettings::default()).unwrap();
     let sorted = |values: &[f32]| {
         let mut values = values.to_vec();
         values.sort_by(f32::total_cmp);

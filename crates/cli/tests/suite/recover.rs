@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::support::*;
 use tcgs_codec::{Archive, Cohort, DecodeLimits, Opening, decode, encode};
-use tcgs_interchange::{HigherHarmonics, read_ply};
+use tcgs_interchange::{ReadSettings, read_ply};
 use tempfile::{TempDir, tempdir};
 
 /// A file of four frames in segments of one timestep, of two layers.
@@ -102,9 +102,9 @@ fn what_is_whole_of_a_cut_file_is_read() {
     let first_layer = cohort.layers()[0];
     let said = warning(&["export", text(&one), "--recover", "--to", text(&place("one.ply"))]);
     assert!(said.ends_with(&format!("1 of 4 timesteps and {first_layer} of {all} Gaussians are whole")), "{said}");
-    let left = read_ply(&place("one.ply"), HigherHarmonics::Keep).unwrap();
+    let left = read_ply(&place("one.ply"), ReadSettings::default()).unwrap();
     let name = names[0].to_str().unwrap();
-    let whole = read_ply(&place("whole").join(name), HigherHarmonics::Keep).unwrap();
+    let whole = read_ply(&place("whole").join(name), ReadSettings::default()).unwrap();
     assert_eq!(left, whole.select(&(0..first_layer as usize).collect::<Vec<_>>()));
 
     // Before the first layer of the first segment, and in the table of contents: nothing is left.

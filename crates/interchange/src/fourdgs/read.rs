@@ -13,7 +13,7 @@ use tcgs_core::{Gaussians, Layout, SceneReader};
 use super::one_line;
 use crate::axes::Axes;
 use crate::stored::{checked, logit};
-use crate::{HigherHarmonics, InterchangeError};
+use crate::{HigherHarmonics, InterchangeError, ReadSettings};
 
 /// The longest window that is taken for a frame, seconds: a tenth, and what a float rounds.
 const LONGEST_FRAME_SECS: f64 = 0.1 + 1e-4;
@@ -26,8 +26,8 @@ const MAX_TIMESTEPS: f64 = 1e6;
 ///
 /// ```no_run
 /// use tcgs_core::SceneReader;
-/// use tcgs_interchange::{FourdgsFile, HigherHarmonics};
-/// let file = FourdgsFile::open("scene.4dgs".as_ref(), HigherHarmonics::Keep)?;
+/// use tcgs_interchange::{FourdgsFile, ReadSettings};
+/// let file = FourdgsFile::open("scene.4dgs".as_ref(), ReadSettings::default())?;
 /// println!("{} timesteps, {} a second", file.num_timesteps(), file.frame_rate());
 /// # Ok::<(), tcgs_interchange::InterchangeError>(())
 /// ```
@@ -58,7 +58,7 @@ impl FourdgsFile {
     /// # Errors
     /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is no whole `.4dgs` file, is of
     /// a model or packed in a way that is not read, or has no Gaussian at any timestep.
-    pub fn open(path: &Path, harmonics: HigherHarmonics) -> Result<Self, InterchangeError> {
+    pub fn open(path: &Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
         let invalid = |problem: String| InterchangeError::File { path: path.into(), problem };
         let refused = |error: ::fourdgs::Error| invalid(format!("{}, expected a whole .4dgs file", one_line(&error)));
         let bytes = fs::read(path).map_err(|error| InterchangeError::Read { path: path.into(), error })?;
@@ -74,7 +74,7 @@ impl FourdgsFile {
             let header = sequence.header.clone();
             (Content::States(Box::new(sequence)), header, times, rate)
         } else {
-            let max_sh_band = if harmonics == HigherHarmonics::Keep { 3 } else { 0 };
+            let max_sh_band = if settings.higher_harmonics == HigherHarmonics::Keep { 3 } else { 0 };
             let options = ReadOptions { recover_truncated: false, max_sh_band };
             let scene = ::fourdgs::stream_reader::read_from(&bytes[..], &options).map_err(refused)?;
             let length = frame_secs(&scene.windows);
@@ -99,7 +99,9 @@ impl FourdgsFile {
             _ => None,
         };
         let sh_degree = match &content {
-            Content::Births(scene) if harmonics == HigherHarmonics::Keep && scene.gaussians.sh.is_some() => {
+            Content::Births(scene)
+                if settings.higher_harmonics == HigherHarmonics::Keep && scene.gaussians.sh.is_some() =>
+            {
                 usize::from(scene.gaussians.sh_degree)
             }
             _ => 0,

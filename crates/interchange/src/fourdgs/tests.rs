@@ -3,14 +3,14 @@ use std::path::{Path, PathBuf};
 use tcgs_core::{Gaussians, Layout, SceneReader, normalize, sigmoid};
 
 use super::*;
-use crate::HigherHarmonics;
+use crate::{HigherHarmonics, ReadSettings};
 
 fn file(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange").join(name)
 }
 
 fn open(path: &Path) -> Result<FourdgsFile, String> {
-    FourdgsFile::open(path, HigherHarmonics::Keep).map_err(|error| {
+    FourdgsFile::open(path, ReadSettings::default()).map_err(|error| {
         let message = error.to_string();
         assert!(!message.contains('\n'), "{message}");
         message.strip_prefix(&format!("{}: ", path.display())).unwrap().to_owned()
@@ -19,7 +19,7 @@ fn open(path: &Path) -> Result<FourdgsFile, String> {
 
 /// The timesteps that `make_4dgs.py` writes.
 fn expected(timestep: usize) -> Gaussians {
-    let original = crate::read_ply(&file("original.ply"), HigherHarmonics::Keep).unwrap();
+    let original = crate::read_ply(&file("original.ply"), ReadSettings::default()).unwrap();
     let rows: Vec<usize> = [0..40, 0..50, 10..45][timestep].clone().collect();
     let mut gaussians = original.select(&rows);
     gaussians.means_mut().iter_mut().for_each(|mean| mean[0] += 0.1 * timestep as f32);
@@ -71,7 +71,7 @@ fn both_models_of_the_package_are_read() {
         for timestep in 0..3 {
             compare(&read.at(timestep).unwrap(), &expected(timestep));
         }
-        let dropped = FourdgsFile::open(&file(name), HigherHarmonics::Drop).unwrap();
+        let dropped = FourdgsFile::open(&file(name), HigherHarmonics::Drop.into()).unwrap();
         assert!(dropped.layout().is_base() && dropped.at(1).unwrap().means() == read.at(1).unwrap().means());
     }
 }

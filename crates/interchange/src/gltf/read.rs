@@ -11,7 +11,7 @@ use super::document::{Document, Placed, Primitive};
 use super::{BIN, JSON, attribute, harmonic};
 use crate::axes::Axes;
 use crate::stored::{Head, checked, color_from_sh0, logit};
-use crate::{HigherHarmonics, InterchangeError};
+use crate::{HigherHarmonics, InterchangeError, ReadSettings};
 
 /// Whether bytes are those with which a glTF file begins: of a `.glb`, or of JSON.
 pub(crate) fn is_gltf(start: &[u8]) -> bool {
@@ -25,11 +25,11 @@ pub(crate) fn is_gltf(start: &[u8]) -> bool {
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not complete, shows no
 /// Gaussians, has them in a way that is not read, or holds a number that is not finite or out of range.
-pub(crate) fn read_gltf(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, InterchangeError> {
+pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
     let (document, chunk) = open(path, Wanted::All)?;
     let placed = document.placed().map_err(problem)?;
-    let Head { layout, .. } = head(&document, &placed, harmonics).map_err(problem)?;
+    let Head { layout, .. } = head(&document, &placed, settings).map_err(problem)?;
     let buffers = Buffers::open(&document, path, chunk).map_err(problem)?;
     let mut parts = Vec::new();
     let mut num_gaussians = 0;
@@ -52,19 +52,19 @@ pub(crate) fn read_gltf(path: &Path, harmonics: HigherHarmonics) -> Result<Gauss
 ///
 /// # Errors
 /// As [`read_gltf`], but for what only the numbers show.
-pub(crate) fn read_head(path: &Path, harmonics: HigherHarmonics) -> Result<Head, InterchangeError> {
+pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
     let (document, _) = open(path, Wanted::Document)?;
-    head(&document, &document.placed().map_err(problem)?, harmonics).map_err(problem)
+    head(&document, &document.placed().map_err(problem)?, settings).map_err(problem)
 }
 
-fn head(document: &Document, placed: &[Placed], harmonics: HigherHarmonics) -> Result<Head, String> {
+fn head(document: &Document, placed: &[Placed], settings: ReadSettings) -> Result<Head, String> {
     let (mut num_gaussians, mut sh_degree) = (0_usize, 0);
     for Placed { primitive, .. } in placed {
         let position = *primitive.attributes.get("POSITION").ok_or_else(|| missing("POSITION"))?;
         let count = document.accessors.get(position).map_or(0, |accessor| accessor.count);
         num_gaussians = num_gaussians.checked_add(count).ok_or("holds too many Gaussians, expected fewer")?;
-        if harmonics == HigherHarmonics::Keep {
+        if settings.higher_harmonics == HigherHarmonics::Keep {
             sh_degree = sh_degree.max(primitive.sh_degree());
         }
     }

@@ -4,8 +4,8 @@ use serde_json::{Value, json};
 use tcgs_core::{Attribute, Gaussians, Layout, sigmoid};
 
 use super::*;
-use crate::HigherHarmonics;
 use crate::axes::Axes;
+use crate::{HigherHarmonics, ReadSettings};
 
 /// Some Gaussians, all values different.
 fn some(num_gaussians: usize, sh_degree: usize) -> Gaussians {
@@ -25,10 +25,10 @@ fn glb(gaussians: &Gaussians) -> Vec<u8> {
     bytes
 }
 
-fn read_as(bytes: &[u8], harmonics: HigherHarmonics) -> Result<Gaussians, String> {
+fn read_as(bytes: &[u8], settings: ReadSettings) -> Result<Gaussians, String> {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
-    read_gltf(file.path(), harmonics).map_err(|error| {
+    read_gltf(file.path(), settings).map_err(|error| {
         let message = error.to_string();
         assert!(!message.contains('\n'), "{message}");
         message.strip_prefix(&format!("{}: ", file.path().display())).unwrap().to_owned()
@@ -37,7 +37,7 @@ fn read_as(bytes: &[u8], harmonics: HigherHarmonics) -> Result<Gaussians, String
 
 /// What reading gives, or what is wrong: one line.
 fn read(bytes: &[u8]) -> Result<Gaussians, String> {
-    read_as(bytes, HigherHarmonics::Keep)
+    read_as(bytes, ReadSettings::default())
 }
 
 /// The JSON and the buffer of a `.glb` file.
@@ -80,7 +80,7 @@ fn gaussians_come_back_up_to_activation() {
         assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 2e-7));
         let (a, b) = (found.values(Attribute::Color), gaussians.values(Attribute::Color));
         assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-7));
-        let dropped = read_as(&bytes, HigherHarmonics::Drop).unwrap();
+        let dropped = read_as(&bytes, HigherHarmonics::Drop.into()).unwrap();
         assert!(dropped.layout().is_base() && dropped.means() == gaussians.means());
     }
 }
@@ -88,7 +88,7 @@ fn gaussians_come_back_up_to_activation() {
 #[test]
 fn attributes_are_those_of_splat_transform() {
     let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange");
-    let original = crate::read_ply(&folder.join("original.ply"), HigherHarmonics::Keep).unwrap();
+    let original = crate::read_ply(&folder.join("original.ply"), ReadSettings::default()).unwrap();
     // Degree 1, as the other program was told.
     let mut gaussians = Gaussians::zeros_of(&Layout::with_harmonics(1), original.num_gaussians());
     for attribute in Layout::with_harmonics(1).attributes() {
@@ -142,12 +142,12 @@ fn other_forms_of_a_file_are_read() {
     for uri in [&*inside, "a.bin"] {
         document["buffers"][0]["uri"] = uri.into();
         std::fs::write(&path, document.to_string()).unwrap();
-        assert_eq!(read_gltf(&path, HigherHarmonics::Keep).unwrap(), as_is);
+        assert_eq!(read_gltf(&path, ReadSettings::default()).unwrap(), as_is);
     }
     for uri in ["../a.bin", "/etc/passwd", "http://a/b", "b.bin"] {
         document["buffers"][0]["uri"] = uri.into();
         std::fs::write(&path, document.to_string()).unwrap();
-        assert!(read_gltf(&path, HigherHarmonics::Keep).is_err(), "{uri}");
+        assert!(read_gltf(&path, ReadSettings::default()).is_err(), "{uri}");
     }
     document["buffers"][0].as_object_mut().unwrap().remove("uri");
 

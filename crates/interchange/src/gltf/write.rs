@@ -26,14 +26,14 @@ struct Written {
 ///
 /// ```
 /// use tcgs_core::Gaussians;
-/// use tcgs_interchange::{HigherHarmonics, read_gaussians, write_glb_to};
+/// use tcgs_interchange::{ReadSettings, read_gaussians, write_glb_to};
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("a.glb");
 /// let mut gaussians = Gaussians::zeros(5);
 /// gaussians.quats_mut().fill([1.0, 0.0, 0.0, 0.0]);
 /// gaussians.means_mut()[3] = [1.0, 2.0, 3.0];
 /// write_glb_to(std::fs::File::create(&path)?, &gaussians)?;
-/// assert_eq!(read_gaussians(&path, HigherHarmonics::Keep)?.means(), gaussians.means());
+/// assert_eq!(read_gaussians(&path, ReadSettings::default())?.means(), gaussians.means());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///

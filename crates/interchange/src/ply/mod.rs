@@ -30,29 +30,29 @@ use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 
 use self::vertex::{PROPERTIES, REQUIRED, Vertex};
 use crate::stored::{Head, checked, color_from_sh0, sh0_from_color};
-use crate::{HigherHarmonics, InterchangeError};
+use crate::{HigherHarmonics, InterchangeError, ReadSettings};
 
 /// Reads the Gaussians of one PLY file, in stored form: binary of either byte order, or ASCII; as 3D Gaussian splatting
 /// writes them, or compressed. Unknown properties are ignored.
 ///
 /// ```
 /// use tcgs_core::{Gaussians, Layout};
-/// use tcgs_interchange::{HigherHarmonics, read_ply, write_ply_to};
+/// use tcgs_interchange::{HigherHarmonics, ReadSettings, read_ply, write_ply_to};
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("a.ply");
 /// let mut gaussians = Gaussians::zeros_of(&Layout::with_harmonics(3), 5);
 /// gaussians.colors_mut().fill([0.5; 3]);
 /// write_ply_to(std::fs::File::create(&path)?, &gaussians)?;
-/// assert_eq!(read_ply(&path, HigherHarmonics::Keep)?, gaussians);
-/// assert_eq!(*read_ply(&path, HigherHarmonics::Drop)?.layout(), Layout::base());
+/// assert_eq!(read_ply(&path, ReadSettings::default())?, gaussians);
+/// assert_eq!(*read_ply(&path, HigherHarmonics::Drop.into())?.layout(), Layout::base());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete PLY
 /// file, lacks a property, has harmonics of no known degree, holds a number that is not finite, or has no Gaussian.
-pub fn read_ply(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, InterchangeError> {
-    let (mut ply, head) = open(path, harmonics)?;
+pub fn read_ply(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
+    let (mut ply, head) = open(path, settings)?;
     let sh_degree = head.layout.sh_degree();
     let gaussians = if is_compressed(&ply) {
         compressed::read(&mut ply, sh_degree)
@@ -71,8 +71,8 @@ pub fn read_ply(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, In
 ///
 /// # Errors
 /// As [`read_ply`], but for what only the numbers show.
-pub(crate) fn read_head(path: &Path, harmonics: HigherHarmonics) -> Result<Head, InterchangeError> {
-    Ok(open(path, harmonics)?.1)
+pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, InterchangeError> {
+    Ok(open(path, settings)?.1)
 }
 
 /// Writes the Gaussians of one timestep as a PLY file for viewers of 3D Gaussian splatting: binary little-endian, with
@@ -126,7 +126,7 @@ fn rest_of_band(sh_degree: usize, l: usize) -> impl Iterator<Item = usize> {
 }
 
 /// Opens a file, and checks what its header says.
-fn open(path: &Path, harmonics: HigherHarmonics) -> Result<(PlyReader<BufReader<File>>, Head), InterchangeError> {
+fn open(path: &Path, settings: ReadSettings) -> Result<(PlyReader<BufReader<File>>, Head), InterchangeError> {
     let failed = |error| InterchangeError::Read { path: path.into(), error };
     let invalid = |problem| InterchangeError::File { path: path.into(), problem };
     let file = File::open(path).map_err(failed)?;
@@ -145,7 +145,7 @@ fn open(path: &Path, harmonics: HigherHarmonics) -> Result<(PlyReader<BufReader<
         }
         (element, Some(element))
     };
-    let sh_degree = match (harmonics, harmonic) {
+    let sh_degree = match (settings.higher_harmonics, harmonic) {
         (HigherHarmonics::Keep, Some(element)) => sh_degree(element).map_err(invalid)?,
         _ => 0,
     };

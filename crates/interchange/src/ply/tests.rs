@@ -39,10 +39,10 @@ fn little_endian(names: &[String]) -> Vec<u8> {
     original("binary_little_endian", names, |x| x.to_le_bytes().to_vec())
 }
 
-fn read(bytes: &[u8], harmonics: HigherHarmonics) -> Result<Gaussians, String> {
+fn read(bytes: &[u8], settings: ReadSettings) -> Result<Gaussians, String> {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
-    read_ply(file.path(), harmonics).map_err(|error| {
+    read_ply(file.path(), settings).map_err(|error| {
         let message = error.to_string();
         assert!(!message.contains('\n'), "{message}");
         message.strip_prefix(&format!("{}: ", file.path().display())).unwrap().to_owned()
@@ -76,8 +76,8 @@ fn files_of_the_original_are_read_in_every_encoding() {
             original("ascii", &names, |x| format!("{x} ").into_bytes()),
         ];
         for file in files {
-            check(&read(&file, HigherHarmonics::Drop).unwrap(), num_rest);
-            let kept = read(&file, HigherHarmonics::Keep).unwrap();
+            check(&read(&file, HigherHarmonics::Drop.into()).unwrap(), num_rest);
+            let kept = read(&file, ReadSettings::default()).unwrap();
             check(&kept, num_rest);
             assert_eq!(*kept.layout(), Layout::with_harmonics(degree));
             // Property 9 is f_rest_0; all of red come first, then all of green.
@@ -102,7 +102,7 @@ fn harmonics_come_back_with_their_bits_in_the_order_of_the_original() {
     for num_rest in [9, 24, 45] {
         let names = names(num_rest);
         let file = little_endian(&names);
-        let gaussians = read(&file, HigherHarmonics::Keep).unwrap();
+        let gaussians = read(&file, ReadSettings::default()).unwrap();
         let mut written = Vec::new();
         write_ply_to(&mut written, &gaussians).unwrap();
         assert_eq!(written.len(), file.len());
@@ -124,14 +124,14 @@ fn harmonics_come_back_with_their_bits_in_the_order_of_the_original() {
 fn other_numbers_of_harmonics_are_refused() {
     for num_rest in [1, 8, 10, 27, 48] {
         let file = little_endian(&names(num_rest));
-        let message = read(&file, HigherHarmonics::Keep).unwrap_err();
+        let message = read(&file, ReadSettings::default()).unwrap_err();
         let expected = "expected 0, 9, 24 or 45: spherical harmonics of degree 0 to 3";
         assert_eq!(message, format!("has {num_rest} properties f_rest, {expected}"));
-        check(&read(&file, HigherHarmonics::Drop).unwrap(), num_rest);
+        check(&read(&file, HigherHarmonics::Drop.into()).unwrap(), num_rest);
     }
     let mut odd = names(9);
     odd[9 + 4] = "f_rest_9".into();
-    let message = read(&little_endian(&odd), HigherHarmonics::Keep).unwrap_err();
+    let message = read(&little_endian(&odd), ReadSettings::default()).unwrap_err();
     assert_eq!(message, "has no property f_rest_4, expected f_rest_0 to f_rest_8");
 }
 
@@ -149,19 +149,19 @@ fn order_and_company_of_properties_do_not_matter() {
             _ => bytes.extend(value(0, property).to_le_bytes()),
         }
     }
-    let one = read(&bytes, HigherHarmonics::Keep).unwrap();
-    assert_eq!(one, read(&file, HigherHarmonics::Keep).unwrap().select(&[0]));
+    let one = read(&bytes, ReadSettings::default()).unwrap();
+    assert_eq!(one, read(&file, ReadSettings::default()).unwrap().select(&[0]));
 }
 
 #[test]
 fn gaussians_come_back_with_their_bits() {
-    let mut gaussians = read(&little_endian(&names(0)), HigherHarmonics::Keep).unwrap();
+    let mut gaussians = read(&little_endian(&names(0)), ReadSettings::default()).unwrap();
     gaussians.means_mut()[1] = [-0.0, f32::MIN_POSITIVE / 8.0, 1e30];
     gaussians.quats_mut()[2] = [-0.0, 3.0, -7e-20, 0.0];
     gaussians.colors_mut().copy_from_slice(&[[0.0, 1.0, 0.5], [1e-3, 0.1, 0.249_99], [2.0, 0.999_999, 1.0 / 3.0]]);
     let mut first = Vec::new();
     write_ply_to(&mut first, &gaussians).unwrap();
-    let found = read(&first, HigherHarmonics::Keep).unwrap();
+    let found = read(&first, ReadSettings::default()).unwrap();
     for attribute in Attribute::BASE {
         for (a, b) in gaussians.values(attribute).iter().zip(found.values(attribute)) {
             if attribute == Attribute::Color {
@@ -184,21 +184,21 @@ fn colours_below_zero_are_black() {
     gaussians.colors_mut()[0] = [-0.3, 0.0, 1.7];
     let mut bytes = Vec::new();
     write_ply_to(&mut bytes, &gaussians).unwrap();
-    let found = read(&bytes, HigherHarmonics::Keep).unwrap().colors()[0];
+    let found = read(&bytes, ReadSettings::default()).unwrap().colors()[0];
     assert_eq!((found[0], found[1]), (0.0, 0.0));
     assert!((found[2] - 1.7).abs() < 1e-6);
 
     // With harmonics the sum is what may not be negative; without those that were dropped it is the colour again.
     let mut bytes = Vec::new();
     write_ply_to(&mut bytes, &gaussians.extended(&Layout::with_harmonics(1))).unwrap();
-    assert!((read(&bytes, HigherHarmonics::Keep).unwrap().colors()[0][0] + 0.3).abs() < 3e-8);
-    assert_eq!(read(&bytes, HigherHarmonics::Drop).unwrap().colors()[0], found);
+    assert!((read(&bytes, ReadSettings::default()).unwrap().colors()[0][0] + 0.3).abs() < 3e-8);
+    assert_eq!(read(&bytes, HigherHarmonics::Drop.into()).unwrap().colors()[0], found);
 }
 
 #[test]
 fn what_is_wrong_is_named() {
     let whole = little_endian(&names(0));
-    let problem = |bytes: &[u8]| read(bytes, HigherHarmonics::Keep).unwrap_err();
+    let problem = |bytes: &[u8]| read(bytes, ReadSettings::default()).unwrap_err();
     let edited = |from: &str, to: &str| {
         let end = whole.windows(10).position(|w| w == b"end_header").unwrap();
         let header = String::from_utf8(whole[..end].to_vec()).unwrap();
@@ -228,8 +228,11 @@ fn what_is_wrong_is_named() {
     let end = whole.windows(10).position(|w| w == b"end_header").unwrap();
     let many = String::from_utf8(whole[..end].to_vec()).unwrap().replace("vertex 3", "vertex 1000");
     std::fs::write(path.path(), [many.as_bytes(), &whole[end..]].concat()).unwrap();
-    assert!(read_head(path.path(), HigherHarmonics::Keep).unwrap_err().to_string().contains("ends early"));
-    assert!(matches!(read_ply(Path::new("/nowhere.ply"), HigherHarmonics::Drop), Err(InterchangeError::Read { .. })));
+    assert!(read_head(path.path(), ReadSettings::default()).unwrap_err().to_string().contains("ends early"));
+    assert!(matches!(
+        read_ply(Path::new("/nowhere.ply"), HigherHarmonics::Drop.into()),
+        Err(InterchangeError::Read { .. })
+    ));
 }
 
 #[test]
@@ -240,7 +243,7 @@ fn what_is_wrong_with_a_compressed_file_is_named() {
     let edited = |from: &str, to: &str| {
         let header = String::from_utf8(whole[..end].to_vec()).unwrap();
         assert!(header.contains(from));
-        read(&[header.replacen(from, to, 1).as_bytes(), &whole[end..]].concat(), HigherHarmonics::Keep).unwrap_err()
+        read(&[header.replacen(from, to, 1).as_bytes(), &whole[end..]].concat(), ReadSettings::default()).unwrap_err()
     };
     assert_eq!(edited("vertex 260", "vertex 600"), "has 2 chunks for 600 Gaussians, expected 3");
     assert_eq!(edited("vertex 260", "vertex 300"), "has harmonics of 260 Gaussians, expected 300");
@@ -250,14 +253,14 @@ fn what_is_wrong_with_a_compressed_file_is_named() {
     assert!(edited("min_scale_y", "least").starts_with("has no property min_scale_y, expected min_x"));
     assert!(edited("f_rest_44", "other").starts_with("has 44 properties f_rest, expected 0, 9, 24 or 45"));
     for length in [whole.len() - 1, whole.len() / 2, end + 11] {
-        let message = read(&whole[..length], HigherHarmonics::Keep).unwrap_err();
+        let message = read(&whole[..length], ReadSettings::default()).unwrap_err();
         assert_eq!(message, "ends early, expected a whole PLY file", "{length}");
     }
     let mut spoilt = whole.clone();
     spoilt[end + 11..][..4].copy_from_slice(&f32::NAN.to_le_bytes());
-    let message = read(&spoilt, HigherHarmonics::Keep).unwrap_err();
+    let message = read(&spoilt, ReadSettings::default()).unwrap_err();
     assert_eq!(message, "means of Gaussian 0: NaN, expected a finite number");
-    let dropped = read(&whole, HigherHarmonics::Drop).unwrap();
+    let dropped = read(&whole, HigherHarmonics::Drop.into()).unwrap();
     assert!(dropped.layout().is_base() && dropped.num_gaussians() == 260);
     // Before there were ranges of colours they lay between 0 and 1.
     let header = String::from_utf8(whole[..end].to_vec()).unwrap();
@@ -266,7 +269,7 @@ fn what_is_wrong_with_a_compressed_file_is_named() {
         .fold(header, |header, name| header.replace(&format!("property float {name}\n"), ""));
     let chunks = whole[end + 11..][..2 * 72].chunks(72).flat_map(|row| row[..48].to_vec()).collect::<Vec<_>>();
     let older = [older.as_bytes(), b"end_header\n", &chunks, &whole[end + 11 + 144..]].concat();
-    let found = read(&older, HigherHarmonics::Keep).unwrap();
-    assert_eq!(found.means(), read(&whole, HigherHarmonics::Keep).unwrap().means());
+    let found = read(&older, ReadSettings::default()).unwrap();
+    assert_eq!(found.means(), read(&whole, ReadSettings::default()).unwrap().means());
     assert!(found.colors().as_flattened().iter().all(|c| (0.0..=1.0).contains(c)));
 }

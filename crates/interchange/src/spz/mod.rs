@@ -39,7 +39,7 @@ use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 use self::unpack::{Arrays, Encoding};
 use crate::axes::Axes;
 use crate::stored::{Head, checked};
-use crate::{HigherHarmonics, InterchangeError};
+use crate::{HigherHarmonics, InterchangeError, ReadSettings};
 
 /// Length of the header of versions 2 and 3.
 const HEADER: usize = 16;
@@ -68,8 +68,8 @@ struct Header {
 
 impl Header {
     /// Of what is read.
-    fn layout(&self, harmonics: HigherHarmonics) -> Arc<Layout> {
-        let sh_degree = if harmonics == HigherHarmonics::Keep { self.sh_degree } else { 0 };
+    fn layout(&self, settings: ReadSettings) -> Arc<Layout> {
+        let sh_degree = if settings.higher_harmonics == HigherHarmonics::Keep { self.sh_degree } else { 0 };
         Layout::with_harmonics(sh_degree).antialiased(self.is_antialiased)
     }
 }
@@ -79,9 +79,9 @@ impl Header {
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete SPZ file of
 /// a version from 2 to 4, is in axes that are turned by a quarter, or has no Gaussian.
-pub(crate) fn read_spz(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussians, InterchangeError> {
+pub(crate) fn read_spz(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
-    let header = open(path, harmonics)?;
+    let header = open(path, settings)?;
     let (arrays, extensions) = if header.version >= 4 {
         let bytes = std::fs::read(path).map_err(|error| InterchangeError::Read { path: path.into(), error })?;
         streams(&bytes, &header).map_err(problem)?
@@ -91,7 +91,7 @@ pub(crate) fn read_spz(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussi
     };
     let axes = axes(&extensions).map_err(problem)?;
     let encoding = Encoding { version: header.version, fractional_bits: header.fractional_bits };
-    let mut gaussians = unpack::unpack(&arrays, encoding, header.num_gaussians, &header.layout(harmonics));
+    let mut gaussians = unpack::unpack(&arrays, encoding, header.num_gaussians, &header.layout(settings));
     axes.turn(&mut gaussians);
     checked(path, gaussians)
 }
@@ -100,13 +100,13 @@ pub(crate) fn read_spz(path: &Path, harmonics: HigherHarmonics) -> Result<Gaussi
 ///
 /// # Errors
 /// As [`read_spz`], but for what only the rest of the file shows.
-pub(crate) fn read_head(path: &Path, harmonics: HigherHarmonics) -> Result<Head, InterchangeError> {
-    let header = open(path, harmonics)?;
-    Ok(Head { num_gaussians: header.num_gaussians, layout: header.layout(harmonics) })
+pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, InterchangeError> {
+    let header = open(path, settings)?;
+    Ok(Head { num_gaussians: header.num_gaussians, layout: header.layout(settings) })
 }
 
 /// Reads and checks the header.
-fn open(path: &Path, harmonics: HigherHarmonics) -> Result<Header, InterchangeError> {
+fn open(path: &Path, settings: ReadSettings) -> Result<Header, InterchangeError> {
     let failed = |error| InterchangeError::Read { path: path.into(), error };
     let invalid = |problem: String| InterchangeError::File { path: path.into(), problem };
     let file = File::open(path).map_err(failed)?;
@@ -146,7 +146,8 @@ fn open(path: &Path, harmonics: HigherHarmonics) -> Result<Header, InterchangeEr
         let bits = header.fractional_bits;
         return Err(invalid(format!("has {bits} fractional bits of positions, expected at most 24")));
     }
-    if header.sh_degree > 4 || (header.sh_degree > MAX_SH_DEGREE && harmonics == HigherHarmonics::Keep) {
+    if header.sh_degree > 4 || (header.sh_degree > MAX_SH_DEGREE && settings.higher_harmonics == HigherHarmonics::Keep)
+    {
         let degree = header.sh_degree;
         return Err(invalid(format!("has spherical harmonics of degree {degree}, expected 0 to {MAX_SH_DEGREE}")));
     }

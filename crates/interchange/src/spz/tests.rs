@@ -12,7 +12,7 @@ fn file(name: &str) -> Vec<u8> {
 fn read(bytes: &[u8]) -> Result<Gaussians, String> {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
-    read_spz(file.path(), HigherHarmonics::Keep).map_err(|error| {
+    read_spz(file.path(), ReadSettings::default()).map_err(|error| {
         let message = error.to_string();
         assert!(!message.contains('\n'), "{message}");
         message.strip_prefix(&format!("{}: ", file.path().display())).unwrap().to_owned()
@@ -86,11 +86,11 @@ fn the_flag_of_antialiasing_is_of_the_layout() {
     let folder = tempfile::tempdir().unwrap();
     let named = folder.path().join("1.spz");
     std::fs::write(&named, gzip(&with(&plain, 14, &[1]))).unwrap();
-    let layout = read_head(&named, HigherHarmonics::Drop).unwrap().layout;
+    let layout = read_head(&named, HigherHarmonics::Drop.into()).unwrap().layout;
     assert!(layout.is_antialiased() && layout.is_base());
     // A sequence is of one kind.
     std::fs::write(folder.path().join("0.spz"), gzip(&plain)).unwrap();
-    let problem = crate::TimestepFiles::open(folder.path(), HigherHarmonics::Keep).unwrap_err().to_string();
+    let problem = crate::TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap_err().to_string();
     let expected =
         "1.spz: has spherical harmonics of degree 3, antialiased, expected spherical harmonics of degree 3 as in ";
     assert!(problem.contains(expected), "{problem}");

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, natural_key};
 
 use crate::gaussian_file::{FileKind, read_head};
-use crate::{HigherHarmonics, InterchangeError, read_gaussians};
+use crate::{InterchangeError, ReadSettings, read_gaussians};
 
 /// Endings of the files that are timesteps. What such a file is its content says.
 const ENDINGS: [&str; 4] = ["ply", "spz", "glb", "gltf"];
@@ -31,13 +31,13 @@ const MAX_JUMP: f32 = 0.5;
 ///
 /// ```
 /// use tcgs_core::{Gaussians, SceneReader};
-/// use tcgs_interchange::{HigherHarmonics, TimestepFiles, write_ply_to};
+/// use tcgs_interchange::{ReadSettings, TimestepFiles, write_ply_to};
 /// let folder = tempfile::tempdir()?;
 /// for (frame, num_gaussians) in [(7, 5), (8, 6)] {
 ///     let file = std::fs::File::create(folder.path().join(format!("{frame:06}.ply")))?;
 ///     write_ply_to(std::io::BufWriter::new(file), &Gaussians::zeros(num_gaussians))?;
 /// }
-/// let files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep)?;
+/// let files = TimestepFiles::open(folder.path(), ReadSettings::default())?;
 /// assert_eq!((files.num_timesteps(), files.first_frame()), (2, Some(7)));
 /// assert_eq!((files.num_gaussians(), files.num_gaussians_at(0)), (6, 5));
 /// assert_eq!(files.at(1)?, Gaussians::zeros(6));
@@ -52,7 +52,7 @@ pub struct TimestepFiles {
     /// Of all files; none if they differ.
     kind: Option<FileKind>,
     first_frame: Option<u32>,
-    harmonics: HigherHarmonics,
+    settings: ReadSettings,
     layout: Arc<Layout>,
 }
 
@@ -66,13 +66,13 @@ impl TimestepFiles {
     /// [`InterchangeError::Read`] if the folder or a file cannot be read; [`InterchangeError::File`] if the folder has no
     /// such file, or names the first file whose header is none of Gaussians, or that has harmonics of another degree than the
     /// first file or is antialiased unlike it.
-    pub fn open(path: &Path, harmonics: HigherHarmonics) -> Result<Self, InterchangeError> {
+    pub fn open(path: &Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
         let files = if path.is_dir() { timestep_files(path)? } else { vec![path.into()] };
         let mut numbers = Vec::new();
         let mut kinds = Vec::new();
         let mut first = None;
         for file in &files {
-            let (kind, head) = read_head(file, harmonics)?;
+            let (kind, head) = read_head(file, settings)?;
             kinds.push(kind);
             let expected = first.get_or_insert_with(|| Arc::clone(&head.layout));
             if head.layout != *expected {
@@ -85,7 +85,7 @@ impl TimestepFiles {
         let first_frame = first_frame(&files);
         let layout = first.unwrap_or_default();
         let kind = kinds.first().copied().filter(|first| kinds.iter().all(|kind| kind == first));
-        Ok(Self { files, numbers, kind, first_frame, harmonics, layout })
+        Ok(Self { files, numbers, kind, first_frame, settings, layout })
     }
 
     /// Whether a path is a folder with a file for [`Self::open`].
@@ -128,7 +128,7 @@ impl TimestepFiles {
     /// If there is no such timestep.
     pub fn at(&self, timestep: usize) -> Result<Gaussians, InterchangeError> {
         let file = &self.files[timestep];
-        let gaussians = read_gaussians(file, self.harmonics)?;
+        let gaussians = read_gaussians(file, self.settings)?;
         let (found, expected) = (gaussians.num_gaussians(), self.numbers[timestep]);
         if found != expected || gaussians.layout() != &self.layout {
             let (look_found, look_expected) = (look(gaussians.layout()), look(&self.layout));

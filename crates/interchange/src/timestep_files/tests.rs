@@ -2,6 +2,7 @@ use tcgs_core::{Attribute, Gaussians};
 use tempfile::TempDir;
 
 use super::*;
+use crate::HigherHarmonics;
 use crate::{write_glb_to, write_ply_to};
 
 /// A hundred Gaussians on a crumpled sheet, and where they are at a timestep.
@@ -26,7 +27,7 @@ fn write(folder: &TempDir, name: &str, gaussians: &Gaussians) -> PathBuf {
 
 /// What reading gives, and the file and the problem of an error.
 fn read(folder: &TempDir) -> Result<(DynamicGaussians, Option<u32>), (String, String)> {
-    let files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep);
+    let files = TimestepFiles::open(folder.path(), ReadSettings::default());
     let read = files.and_then(|files| Ok((files.read(0..files.num_timesteps())?, files.first_frame())));
     read.map_err(|error| {
         let message = error.to_string();
@@ -54,7 +55,7 @@ fn files_are_timesteps_in_natural_order() {
             (&expected.log_scales(), &expected.logit_opacities())
         );
     }
-    let one = TimestepFiles::open(&folder.path().join("frame_10.ply"), HigherHarmonics::Keep).unwrap();
+    let one = TimestepFiles::open(&folder.path().join("frame_10.ply"), ReadSettings::default()).unwrap();
     assert_eq!((one.at(0).unwrap(), one.kind()), (scene.at(2), "PLY files"));
 }
 
@@ -108,7 +109,7 @@ fn the_number_of_gaussians_may_change_in_every_file() {
     for (timestep, n) in numbers.into_iter().enumerate() {
         write(&folder, &format!("{timestep}.ply"), &at(timestep).select(&(0..n).collect::<Vec<_>>()));
     }
-    let mut files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
+    let mut files = TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap();
     assert_eq!((files.num_gaussians(), files.num_timesteps(), files.has_constant_number()), (100, 4, false));
     assert_eq!([0, 1, 2, 3].map(|t| files.num_gaussians_at(t)), numbers);
     assert_eq!(files.raw_bytes(), (70 + 100 + 3 + 99) * 56);
@@ -153,9 +154,9 @@ fn harmonics_are_held_once_if_they_do_not_vary() {
                 assert_eq!(bits(&scene.at(timestep), band), bits(&with_harmonics(timestep, 3, turns), band));
             }
         }
-        let files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
+        let files = TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap();
         assert_eq!(files.raw_bytes(), 100 * (40 * 3 + 16 + 180));
-        let dropped = TimestepFiles::open(folder.path(), HigherHarmonics::Drop).unwrap();
+        let dropped = TimestepFiles::open(folder.path(), HigherHarmonics::Drop.into()).unwrap();
         assert_eq!((dropped.layout().is_base(), dropped.raw_bytes()), (true, 100 * (40 * 3 + 16)));
         assert_eq!(dropped.read(0..3).unwrap().means(2), at(2).means());
     }
@@ -174,7 +175,7 @@ fn a_file_of_another_degree_is_named() {
         first.display()
     );
     assert_eq!((&*file, problem), ("2.ply", expected));
-    assert!(TimestepFiles::open(folder.path(), HigherHarmonics::Drop).is_ok());
+    assert!(TimestepFiles::open(folder.path(), HigherHarmonics::Drop.into()).is_ok());
 }
 
 #[test]
@@ -196,11 +197,11 @@ fn each_file_is_what_its_content_says() {
     let folder = tempfile::tempdir().unwrap();
     write(&folder, "000.spz", &at(0));
     write_glb_to(fs::File::create(folder.path().join("001.ply")).unwrap(), &at(1)).unwrap();
-    let files = TimestepFiles::open(folder.path(), HigherHarmonics::Keep).unwrap();
+    let files = TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap();
     assert_eq!((files.kind(), files.num_timesteps(), files.first_frame()), ("Gaussian files", 2, Some(0)));
     assert_eq!(files.read(0..2).unwrap().means(1), at(1).means());
     assert_eq!(
-        TimestepFiles::open(&folder.path().join("001.ply"), HigherHarmonics::Keep).unwrap().kind(),
+        TimestepFiles::open(&folder.path().join("001.ply"), ReadSettings::default()).unwrap().kind(),
         "glTF files"
     );
     fs::write(folder.path().join("002.glb"), "nothing").unwrap();

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 
 use tcgs_codec::{CompactFile, DecodeLimits, SceneFile, SegmentCache};
 use tcgs_core::SceneReader;
-use tcgs_interchange::{FourdgsFile, HigherHarmonics, ParamsNpz, ParamsOrigin, TimestepFiles};
+use tcgs_interchange::{FourdgsFile, ParamsNpz, ParamsOrigin, ReadSettings, TimestepFiles};
 use tcgs_train::Run;
 
 use super::{Content, FileContent, OpenScene, ParamsContent, RunContent};
@@ -19,8 +19,8 @@ const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz, a .4dgs file, 
 /// How a scene is read.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OpenSettings {
-    /// What to do with the spherical harmonics of other programs' files. Default: keep.
-    pub higher_harmonics: HigherHarmonics,
+    /// How files of other programs are read.
+    pub read: ReadSettings,
     /// What to do with a `.tcgs` file that was cut. Default: refuse.
     pub cut_files: CutFiles,
 }
@@ -81,7 +81,7 @@ impl OpenScene {
             }
             Kind::Timestep => Self::open_timestep_files(path, settings),
             Kind::Fourdgs => {
-                let file = FourdgsFile::open(path, settings.higher_harmonics)?;
+                let file = FourdgsFile::open(path, settings.read)?;
                 Ok(Self {
                     path: path.into(),
                     bytes: file.raw_bytes(),
@@ -96,7 +96,7 @@ impl OpenScene {
     }
 
     fn open_timestep_files(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
-        let files = TimestepFiles::open(path, settings.higher_harmonics)?;
+        let files = TimestepFiles::open(path, settings.read)?;
         Ok(Self {
             path: path.into(),
             bytes: files.raw_bytes(),
