@@ -304,7 +304,7 @@ impl CameraBuilder {
                 Masks::InMemory(masks.into())
             }
         };
-        Ok(Footage { camera_id, cameras, images, masks })
+        Ok(Footage { camera_id, name: camera_id.to_string(), cameras, images, masks })
     }
 }
 

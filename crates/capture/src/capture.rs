@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use tcgs_core::{Camera, PointCloud, View};
 
 use crate::contents::{CameraSet, Contents};
-use crate::footage::Footage;
+use crate::footage::{ByFrame, Footage};
 use crate::kind::{CaptureFacts, CaptureKind};
 use crate::points::{self, Points};
 use crate::recording::ColorChange;
@@ -228,6 +228,55 @@ impl Capture {
     ) -> Result<Vec<View>, CaptureError> {
         let footage = self.footage(split, frame, downscale)?;
         views_of(&chosen.iter().map(|&i| footage[i]).collect::<Vec<_>>(), frame, downscale)
+    }
+
+    /// Names of the cameras of one frame, in the order of [`Self::cameras`]: those of their videos or images where they
+    /// have any, else their ids.
+    ///
+    /// # Errors
+    /// [`CaptureError::NoFrame`] if the capture has no such frame.
+    pub fn camera_names(&self, split: Split, frame: usize) -> Result<Vec<String>, CaptureError> {
+        Ok(self.footage(split, frame, 1)?.into_iter().map(|of| of.name.clone()).collect())
+    }
+
+    /// The same capture with other test cameras. Training uses none of these; test cameras that are not among them are left
+    /// out.
+    ///
+    /// - `names`: names or ids of training and test cameras
+    ///
+    /// # Errors
+    /// [`CaptureError::Invalid`] if a name is that of no camera.
+    pub fn with_test_cameras(&self, names: &[String]) -> Result<Self, CaptureError> {
+        let Contents { train, test, .. } = &self.contents;
+        let all: Vec<&Footage> = train.footage.iter().chain(&test.footage).collect();
+        let mut is_test = vec![false; all.len()];
+        for name in names {
+            let by_name = all.iter().position(|of| of.name == *name);
+            let by_id = || all.iter().position(|of| of.camera_id.to_string() == *name);
+            let Some(found) = by_name.or_else(by_id) else {
+                let known: Vec<&str> = all.iter().map(|of| of.name.as_str()).collect();
+                let problem = format!("has no camera {name}, expected some of {}", known.join(", "));
+                return Err(CaptureError::invalid(&self.path, problem));
+            };
+            is_test[found] = true;
+        }
+        let chosen = |wanted: bool, set: &CameraSet, offset: usize, frame: usize| -> Vec<usize> {
+            let places = set.order.at(frame).iter().map(|&i| offset + i);
+            places.filter(|&i| is_test[i] == wanted).collect()
+        };
+        let num_train = train.footage.len();
+        let (mut train_order, mut test_order) = (ByFrame::default(), ByFrame::default());
+        for frame in 0..self.num_frames() {
+            train_order.push(frame, chosen(false, train, 0, frame));
+            test_order.push(frame, [chosen(true, train, 0, frame), chosen(true, test, num_train, frame)].concat());
+        }
+        let footage: Vec<Footage> = all.into_iter().cloned().collect();
+        let contents = Contents {
+            train: CameraSet { footage: train.footage.clone(), order: train_order },
+            test: CameraSet { footage, order: test_order },
+            ..self.contents.clone()
+        };
+        Ok(Self::of_contents(self.path.clone(), self.kind, self.facts, contents))
     }
 
     /// Whether images of the training cameras are decoded from videos: in the order of their frames much faster than in any

@@ -1,7 +1,7 @@
 //! What a capture holds, whatever its kind: both splits' cameras with their footage, the frame rate, where the points
 //! are.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -110,19 +110,30 @@ impl<'a> CameraSetOfFiles<'a> {
         }
     }
 
-    /// The cameras, without masks.
+    /// The cameras, without masks. A camera of one image is called as its file, any other by its id.
     pub fn finish(self) -> CameraSet {
+        let named_by_images = self.order.len() == 1;
         let footage = |camera: CameraOfFiles| {
+            let name = match camera.names.first() {
+                Some((_, image)) if named_by_images => files::stem(image.as_ref()),
+                _ => camera.id.to_string(),
+            };
             let files = Files { folder: self.folder.into(), names: Names::of(&camera.names) };
             let pixels = Pixels::Files { files, cut_frame: camera.cut_frame };
             let images = Images::Stored { pixels, changes: camera.changes };
-            Footage { camera_id: camera.id, cameras: camera.cameras, images, masks: Masks::None }
+            Footage { camera_id: camera.id, name, cameras: camera.cameras, images, masks: Masks::None }
         };
         let mut by_frame = ByFrame::default();
         for (frame, order) in self.order.into_iter().enumerate() {
             by_frame.push(frame, order);
         }
-        CameraSet { footage: self.cameras.into_iter().map(footage).collect(), order: by_frame }
+        let mut footage: Vec<Footage> = self.cameras.into_iter().map(footage).collect();
+        // A folder of images for each camera, and one frame: all files have one name.
+        let names: BTreeSet<&str> = footage.iter().map(|of| of.name.as_str()).collect();
+        if names.len() < footage.len() {
+            footage.iter_mut().for_each(|of| of.name = of.camera_id.to_string());
+        }
+        CameraSet { footage, order: by_frame }
     }
 }
 

@@ -21,6 +21,8 @@ use crate::{
 #[derive(Clone, Debug)]
 pub(crate) struct Footage {
     pub camera_id: usize,
+    /// As people call the camera, unique in the capture.
+    pub name: String,
     /// Of the images as they are given out.
     pub cameras: ByFrame<Camera>,
     pub images: Images,

@@ -1,5 +1,6 @@
 //! Options that several commands share, and how their values are read.
 
+use std::convert::Infallible;
 use std::ops::Range;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -7,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use tcgs_capture::Split;
+use tcgs_capture::{Capture, CaptureError, Split};
 use tcgs_pipeline::RefineBudget;
 
 use crate::output;
@@ -179,6 +180,39 @@ impl Cameras {
             Self::Test => Split::Test,
             Self::Train => Split::Train,
             Self::All => Split::All,
+        }
+    }
+}
+
+/// Cameras of a capture: one of its splits, or some by their names or ids.
+#[derive(Clone, PartialEq, Eq)]
+pub enum CameraChoice {
+    /// One of the capture's splits.
+    Split(Split),
+    /// Names or ids.
+    Named(Vec<String>),
+}
+
+impl FromStr for CameraChoice {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        Ok(match Cameras::from_str(text, false) {
+            Ok(cameras) => Self::Split(cameras.split()),
+            Err(_) => Self::Named(text.split(',').map(|name| name.trim().to_owned()).collect()),
+        })
+    }
+}
+
+impl CameraChoice {
+    /// The capture whose split these cameras are, and the split.
+    ///
+    /// # Errors
+    /// [`CaptureError::Invalid`] if a name is that of no camera.
+    pub fn choose(&self, capture: Capture) -> Result<(Capture, Split), CaptureError> {
+        match self {
+            Self::Split(split) => Ok((capture, *split)),
+            Self::Named(names) => Ok((capture.with_test_cameras(names)?, Split::Test)),
         }
     }
 }

@@ -81,5 +81,5 @@ pub use path_file::read_camera_path;
 pub use preview::points_scene;
 pub use render::{CameraAt, render};
 pub use scene::{CutFiles, OpenScene, OpenSettings};
-pub use train::{ReadyRun, RunFolder, continued_trainer, fit, new_trainer, settings_for, start_state};
+pub use train::{ReadyRun, RunFolder, capture_for, continued_trainer, fit, new_trainer, settings_for, start_state};
 pub use verify::{Compared, Comparison, compare};

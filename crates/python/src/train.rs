@@ -125,7 +125,7 @@ pub fn train(
                 ReadyRun::resume(&out, change, &capture, &backend, watch)?
             }
         };
-        fit(&capture, &ready.run, ready.trainer, watch)?;
+        fit(&ready.capture, &ready.run, ready.trainer, watch)?;
         OpenScene::open(&out, OpenSettings::default())
     });
     match refused {

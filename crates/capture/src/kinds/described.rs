@@ -143,6 +143,7 @@ fn footage(folder: &Path, description: &CaptureDescription, camera: &DescribedCa
     let changes = ByFrame::constant(Change::for_lens(&Arc::new(lens)));
     Ok(Footage {
         camera_id: camera.id,
+        name: camera.name.clone(),
         cameras: ByFrame::constant(pinhole),
         images: Images::Stored { pixels: Pixels::Take(Arc::new(take)), changes },
         masks: Masks::None,

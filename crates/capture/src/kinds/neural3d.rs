@@ -180,7 +180,8 @@ impl Recording {
             _ => (camera, Change::Nothing),
         };
         let images = Images::Stored { pixels: self.pixels, changes: ByFrame::constant(change) };
-        Footage { camera_id, cameras: ByFrame::constant(camera), images, masks: Masks::None }
+        let name = files::stem(&self.path);
+        Footage { camera_id, name, cameras: ByFrame::constant(camera), images, masks: Masks::None }
     }
 }
 

@@ -165,3 +165,21 @@ fn what_does_not_fit_together_is_named() {
     // Behind the camera.
     assert!(with_points(vec![[9.0, 0.0, 0.0]]).starts_with("lamp: the "));
 }
+
+#[test]
+fn cameras_are_held_out_by_name_or_id() {
+    let of = |id: usize| CameraBuilder::new(id, camera(0)).images(vec![image(0.25), image(0.5)]);
+    let capture = builder().train_camera(of(3)).train_camera(of(5)).train_camera(of(8)).test_camera(of(9));
+    let capture = capture.build().unwrap();
+    let ids = |capture: &Capture, split| -> Vec<usize> {
+        capture.cameras(split, 1, 1).unwrap().into_iter().map(|(id, _)| id).collect()
+    };
+    assert_eq!(capture.camera_names(Split::All, 0).unwrap(), ["3", "5", "8", "9"]);
+    let chosen = capture.with_test_cameras(&["8".into(), "3".into()]).unwrap();
+    assert_eq!((ids(&chosen, Split::Train), ids(&chosen, Split::Test)), (vec![5], vec![3, 8]));
+    assert_eq!(chosen.views(Split::Test, 1, 1).unwrap().len(), 2);
+    let chosen = capture.with_test_cameras(&["9".into(), "5".into()]).unwrap();
+    assert_eq!((ids(&chosen, Split::Train), ids(&chosen, Split::Test)), (vec![3, 8], vec![5, 9]));
+    let error = capture.with_test_cameras(&["4".into()]).unwrap_err().to_string();
+    assert_eq!(error, "lamp: has no camera 4, expected some of 3, 5, 8, 9");
+}

@@ -11,7 +11,7 @@ use tcgs_pipeline::{EvaluateSettings, Evaluation, PipelineError, evaluate, evalu
 
 use crate::backend::{BackendName, BackendOptions};
 use crate::interrupt;
-use crate::options::{self, Cameras, Frames, JobOptions};
+use crate::options::{self, CameraChoice, Frames, JobOptions};
 use crate::output::{check_file, write_file};
 use crate::scene::{SceneOptions, describe};
 use crate::teller::Teller;
@@ -36,9 +36,9 @@ pub struct Arguments {
     /// Folder of the capture to compare with
     #[arg(long, value_name = "CAPTURE")]
     capture: PathBuf,
-    /// Which cameras
-    #[arg(long, default_value = "test")]
-    cameras: Cameras,
+    /// Which cameras: test (held out from training), train, all, or some by their names, such as cam03,cam07
+    #[arg(long, default_value = "test", value_name = "CAMERAS")]
+    cameras: CameraChoice,
     /// Frames of the capture, from A up to but not including B [default: all of the scene]
     #[arg(long, value_name = "A..B")]
     frames: Option<Frames>,
@@ -99,10 +99,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         note(&format!("measuring LPIPS with {}, which takes most of the time", path.display()));
     }
     let renderer = arguments.backend.open(BackendName::Auto)?.renderer();
-    let capture = Capture::open(&arguments.capture)?;
+    let (capture, split) = arguments.cameras.choose(Capture::open(&arguments.capture)?)?;
     let scene = arguments.reading.open(&arguments.scene)?;
     let settings = EvaluateSettings {
-        split: arguments.cameras.split(),
+        split,
         frames: scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?,
         downscale: arguments.downscale.unwrap_or(scene.downscale),
         frozen: false,
@@ -117,7 +117,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     say(&table::text(&evaluation, lpips.is_some()))?;
     if let Some(protocol) = settings.protocol {
         say(&protocol.describe())?;
-        say(&format!("  {:<10}  {}", "here", here(&capture, &settings, &evaluation)))?;
+        say(&format!("  {:<10}  {}", "here", here(&arguments.cameras, &capture, &settings, &evaluation)))?;
         say(&table::protocol_line(protocol, &evaluation))?;
     }
     if let Some(csv) = &arguments.csv {
@@ -127,15 +127,16 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// What was evaluated, to be held against what a protocol prescribes.
-fn here(capture: &Capture, settings: &EvaluateSettings, evaluation: &Evaluation) -> String {
+fn here(chosen: &CameraChoice, capture: &Capture, settings: &EvaluateSettings, evaluation: &Evaluation) -> String {
     let mut cameras: Vec<usize> = evaluation.images.iter().map(|image| image.camera).collect();
     cameras.sort_unstable();
     cameras.dedup();
     let cameras: Vec<String> = cameras.iter().map(usize::to_string).collect();
-    let held_out = match settings.split {
-        Split::Test => "held out",
-        Split::Train => "NOT held out: trained on",
-        Split::All => "NOT held out: all",
+    let held_out = match chosen {
+        CameraChoice::Split(Split::Test) => "held out",
+        CameraChoice::Split(Split::Train) => "NOT held out: trained on",
+        CameraChoice::Split(Split::All) => "NOT held out: all",
+        CameraChoice::Named(_) => "chosen by name",
     };
     let (frames, [width, height]) = (&settings.frames, evaluation.size);
     let size = match settings.downscale {

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_pipeline::{Event, LiveRun, Observer, PipelineError, ReadyRun, RunFolder, fit, start_state};
+use tcgs_pipeline::{Event, LiveRun, Observer, PipelineError, ReadyRun, RunFolder, capture_for, fit, start_state};
 use tcgs_train::{Checkpoint, Preset, Run, TrainConfig, TrainError, Trainer};
 
 use crate::backend::{BackendName, BackendOptions};
@@ -71,6 +71,10 @@ pub struct Arguments {
     /// Fewest and most bits of a parameter; equal ones give all the same
     #[arg(long, value_name = "MIN,MAX", value_parser = options::bits)]
     bits: Option<Pair<u8>>,
+    /// Cameras to leave out of the training, so that they can judge it: their names, such as cam03,cam07, or ids. Test cameras
+    /// of the capture are then neither trained on nor judged
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
+    hold_out: Vec<String>,
     /// Frames of the capture, from A up to but not including B [default: those that
     /// publications use, else all]
     #[arg(long, value_name = "A..B")]
@@ -142,14 +146,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         ready
     } else {
         let config = settings::fresh(arguments, &capture)?;
-        say(&describe(&capture, &config)?)?;
+        say(&describe(&*capture_for(&config, &capture)?, &config)?)?;
         let start = match &arguments.start_from {
             Some(start) => Some(open_start(start, &config, &capture)?),
             None => None,
         };
         ReadyRun::begin(&arguments.out, &config, &capture, start.as_ref(), &backend)?
     };
-    let ReadyRun { run, mut trainer, folder } = ready;
+    let ReadyRun { capture, run, mut trainer, folder } = ready;
     let live = view.as_ref().map(|_| LiveRun::new(&run, &capture, &mut trainer)).transpose()?;
     if let Some((view, live)) = view.as_ref().zip(live.clone()) {
         view.show(live);
@@ -188,14 +192,11 @@ fn open_start(start: &str, config: &TrainConfig, capture: &Capture) -> anyhow::R
 fn describe(capture: &Capture, config: &TrainConfig) -> anyhow::Result<String> {
     let data = &config.data;
     let cameras = |split| capture.cameras(split, data.first_frame, data.downscale);
-    let (train, test) = (cameras(Split::Train)?, cameras(Split::Test)?);
+    let (train, test) = (cameras(Split::Train)?, capture.camera_names(Split::Test, data.first_frame)?);
     let size = train.first().map_or((0, 0), |(_, camera)| (camera.width, camera.height));
     let held_out = match test.as_slice() {
         [] => "none held out".into(),
-        test => {
-            let ids: Vec<String> = test.iter().map(|(id, _)| id.to_string()).collect();
-            format!("held out: {}", ids.join(", "))
-        }
+        names => format!("held out: {}", names.join(", ")),
     };
     let (first, end) = (data.first_frame, data.end_frame);
     let (count, layout) = (train.len(), capture.kind().name);

@@ -85,6 +85,9 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
     if let Some(Frames(frames)) = &arguments.frames {
         (base.data.first_frame, base.data.end_frame) = (frames.start, frames.end);
     }
+    if !arguments.hold_out.is_empty() {
+        base.data.hold_out.clone_from(&arguments.hold_out);
+    }
     if let Some(downscale) = arguments.downscale {
         base.data.downscale = downscale;
     }

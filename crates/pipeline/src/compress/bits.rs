@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use tcgs_capture::{Capture, Split};
+use tcgs_capture::Split;
 use tcgs_codec::{BitMap, BitSettings, assign_bits};
 use tcgs_core::{Camera, Gaussians, Sensitivity, Tour};
 
@@ -76,7 +76,7 @@ fn cameras(
         let cameras = Tour::Orbit.cameras(gaussians.means(), scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE);
         return Ok((cameras, "cameras around the scene (a capture would give the real ones)".into()));
     };
-    let capture = Capture::open(path)?;
+    let capture = scene.open_capture(path)?;
     let cameras = capture.cameras(Split::Train, scene.first_frame, scene.downscale)?;
     let cameras = cameras.into_iter().map(|(_, camera)| camera).collect();
     Ok((cameras, format!("training cameras of {}", path.display())))

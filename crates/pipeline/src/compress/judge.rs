@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use tcgs_capture::{Capture, Split};
+use tcgs_capture::Split;
 use tcgs_codec::CompactFile;
 use tcgs_core::{Camera, Drawable, Image, Tour};
 use tcgs_metrics::psnr;
@@ -63,7 +63,7 @@ impl Judge {
         images: &JudgeImages,
         renderer: Box<DrawAny>,
     ) -> Result<Self, PipelineError> {
-        let capture = Capture::open(path)?;
+        let capture = scene.open_capture(path)?;
         let frames = scene.choose_frames(images.frames.as_ref())?;
         // The last frame is looked for before the first is decoded.
         capture.cameras(images.split, frames.end - 1, scene.downscale)?;
@@ -128,7 +128,7 @@ impl Judge {
 /// The training cameras of a run, evenly; cameras around any other scene, or where the run's capture is gone.
 fn cameras(scene: &OpenScene) -> Result<Vec<Camera>, PipelineError> {
     if let Some(path) = scene.capture()
-        && let Ok(capture) = Capture::open(path)
+        && let Ok(capture) = scene.open_capture(path)
         && let Ok(cameras) = capture.cameras(Split::Train, scene.first_frame, scene.downscale)
         && !cameras.is_empty()
     {

@@ -210,7 +210,7 @@ fn mean(losses: &[f64]) -> f64 {
 
 impl<'a> Images<'a> {
     fn open(scene: &'a OpenScene, options: &RefineOptions) -> Result<Self, PipelineError> {
-        let capture = Capture::open(&options.capture)?;
+        let capture = scene.open_capture(&options.capture)?;
         let num_timesteps = scene.num_timesteps();
         // The last frame is looked for before the first is decoded.
         capture.cameras(Split::Train, scene.first_frame + num_timesteps - 1, scene.downscale)?;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use tcgs_capture::{Capture, Split};
+use tcgs_capture::Split;
 use tcgs_codec::{FileCamera, UpAxis, write_views};
 use tcgs_core::Camera;
 
@@ -12,7 +12,9 @@ use crate::{OpenScene, PipelineError};
 
 /// The training cameras of the capture given, or of the run's if it is still there; none without.
 pub fn cameras(scene: &OpenScene, options: &CompressOptions) -> Result<Vec<(usize, Camera)>, PipelineError> {
-    let of = |path: &Path| Capture::open(path)?.cameras(Split::Train, scene.first_frame, 1);
+    let of = |path: &Path| -> Result<_, PipelineError> {
+        Ok(scene.open_capture(path)?.cameras(Split::Train, scene.first_frame, 1)?)
+    };
     Ok(match (&options.capture, scene.capture()) {
         (Some(path), _) => of(path)?,
         (None, Some(path)) => of(path).unwrap_or_default(),

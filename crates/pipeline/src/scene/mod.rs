@@ -11,6 +11,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use tcgs_capture::Capture;
 use tcgs_codec::{BitMap, CompactFile, FileCamera, Light, Loss, Quantizers, SceneFile, SceneInfo, UpAxis, read_views};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{FourdgsFile, ParamsNpz, TimestepFiles};
@@ -18,7 +19,7 @@ use tcgs_train::{Checkpoint, Lives, Parameters, Run, StandIns, TrainError};
 
 use self::chapters::Chapters;
 pub use self::open::{CutFiles, OpenSettings};
-use crate::PipelineError;
+use crate::{PipelineError, capture_for};
 
 /// A scene over time, whatever kind of file or folder it lies in.
 ///
@@ -308,6 +309,20 @@ impl OpenScene {
     pub fn capture(&self) -> Option<&Path> {
         let capture = &self.run()?.config().data.capture;
         (!capture.is_empty()).then(|| Path::new(capture))
+    }
+
+    /// A capture to compare this scene with, or to train it on. Cameras that the scene's run held out are held out here, too.
+    ///
+    /// - `path`: the capture's folder
+    ///
+    /// # Errors
+    /// [`PipelineError::Capture`] if it cannot be opened, or lacks a camera that was held out.
+    pub(crate) fn open_capture(&self, path: &Path) -> Result<Capture, PipelineError> {
+        let capture = Capture::open(path)?;
+        match self.run() {
+            Some(run) => Ok(capture_for(run.config(), &capture)?.into_owned()),
+            None => Ok(capture),
+        }
     }
 
     /// Whether the scene is one of floats whose timesteps are read from the disk, and were checked to be of one scene.

@@ -5,6 +5,7 @@ use tcgs_core::Camera;
 use tcgs_interchange::read_params_foreground;
 use tcgs_train::{Checkpoint, Lifetimes, Parameters, Pose, Run, TrainConfig, TrainError, Trainer};
 
+use super::capture_for;
 use crate::{Backend, OpenScene, PipelineError};
 
 /// The state of a scene at a timestep, as a run starts from it ([`continued_trainer`]).
@@ -81,7 +82,8 @@ pub fn continued_trainer(config: &TrainConfig, start: &Checkpoint, backend: &Bac
 }
 
 fn training_cameras(config: &TrainConfig, capture: &Capture) -> Result<Vec<Camera>, PipelineError> {
-    let cameras = capture.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
+    let cameras =
+        capture_for(config, capture)?.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
     if cameras.is_empty() {
         return Err(PipelineError::input(capture.name(), "no training cameras", "at least one"));
     }

@@ -17,18 +17,19 @@ pub use chapter::{continued_trainer, start_state};
 pub use fit::fit;
 pub use folder::RunFolder;
 pub use ready::ReadyRun;
-pub use settings::settings_for;
+pub use settings::{capture_for, settings_for};
 
 /// A trainer before the first timestep of the frames that the settings name.
 ///
 /// # Errors
 /// [`PipelineError`] if the capture lacks the first frame or training cameras, or there are no points to start from.
 pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -> Result<Trainer, PipelineError> {
+    let capture = capture_for(config, capture)?;
     let cameras = capture.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
     let cameras: Vec<_> = cameras.into_iter().map(|(_, camera)| camera).collect();
     let cloud = match config.data.points.as_str() {
         "" => capture.point_cloud()?,
-        points => capture.clone().with_points(Path::new(points))?.point_cloud()?,
+        points => capture.into_owned().with_points(Path::new(points))?.point_cloud()?,
     };
     Ok(Trainer::with_engine(config, &cloud, &cameras, |state| backend.engine(state))?)
 }

@@ -5,12 +5,14 @@ use std::path::Path;
 use tcgs_capture::Capture;
 use tcgs_train::{Checkpoint, Run, TrainConfig, Trainer};
 
-use super::{RunFolder, continued_trainer, new_trainer};
+use super::{RunFolder, capture_for, continued_trainer, new_trainer};
 use crate::{Backend, Observer, PipelineError};
 
 /// A run that is ready for [`fit`](crate::fit). Its folder is locked as long as this lives.
 #[derive(Debug)]
 pub struct ReadyRun {
+    /// What [`fit`](crate::fit) trains it on: the cameras of `data.hold_out` are test cameras.
+    pub capture: Capture,
     /// The run.
     pub run: Run,
     /// After the timesteps that the run has.
@@ -45,7 +47,8 @@ impl ReadyRun {
         if let Some(start) = start {
             Run::save_start(path, start)?;
         }
-        Ok(Self { run: Run::create(path, config)?, trainer, folder })
+        let capture = capture_for(config, capture)?.into_owned();
+        Ok(Self { capture, run: Run::create(path, config)?, trainer, folder })
     }
 
     /// Goes on with a run after its last whole checkpoint ([`RunFolder::resume`]).
@@ -104,7 +107,8 @@ impl ReadyRun {
                 None => new_trainer(config, capture, backend)?,
             },
         };
-        Ok(Self { run, trainer, folder })
+        let capture = capture_for(config, capture)?.into_owned();
+        Ok(Self { capture, run, trainer, folder })
     }
 }
 

@@ -12,6 +12,8 @@ pub struct DataConfig {
     pub layout: String,
     /// File of the initial points; empty: the capture's own. Default empty.
     pub points: String,
+    /// Names of cameras that training leaves out, so that they can judge it. Default none.
+    pub hold_out: Vec<String>,
     /// Scene and timestep whose state the run starts from, as `/path/of/scene@12`; the first timestep is then trained as a
     /// later one. Empty: from points. Default empty.
     pub start_from: String,

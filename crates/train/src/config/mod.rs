@@ -124,6 +124,7 @@ impl TrainConfig {
                 capture: String::new(),
                 layout: "panoptic".into(),
                 points: String::new(),
+                hold_out: Vec::new(),
                 start_from: String::new(),
                 first_frame: 0,
                 end_frame: 0,

@@ -1,0 +1,94 @@
+//! Which captures there are, and what a variant is.
+
+use std::convert::Infallible;
+use std::str::FromStr;
+
+use serde::Deserialize;
+
+/// A capture, and what is trained of it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CaptureEntry {
+    /// As the table calls it.
+    pub name: String,
+    /// In the folder of captures.
+    pub folder: Option<String>,
+    /// Seed of `tcgs demo`, where that makes the capture.
+    pub demo_seed: Option<u64>,
+    /// Every so many-th frame.
+    pub every: Option<usize>,
+    /// Whether `tcgs prepare` makes the capture.
+    #[serde(default)]
+    pub prepare: bool,
+    /// Option of `tcgs train`.
+    pub frames: Option<String>,
+    /// Likewise.
+    #[serde(default = "one")]
+    pub downscale: usize,
+    /// Likewise.
+    pub iterations: String,
+    /// Stride of the training cameras that are trained with.
+    pub r#use: Option<usize>,
+    /// Names of the cameras that judge.
+    pub hold_out: Vec<String>,
+    /// Whether the short form has it.
+    #[serde(default)]
+    pub short: bool,
+}
+
+fn one() -> usize {
+    1
+}
+
+/// All captures, in the order of `captures.toml`.
+pub fn captures() -> anyhow::Result<Vec<CaptureEntry>> {
+    #[derive(Deserialize)]
+    struct File {
+        captures: Vec<CaptureEntry>,
+    }
+    Ok(toml::from_str::<File>(include_str!("../../captures.toml"))?.captures)
+}
+
+/// Options that are compared.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Variant {
+    /// As the table calls it.
+    pub name: String,
+    /// Options of `tcgs train`.
+    pub train: Vec<String>,
+    /// Options of `tcgs compress`.
+    pub compress: Vec<String>,
+}
+
+impl FromStr for Variant {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        let (name, options) = text.split_once(':').unwrap_or((text, ""));
+        let mut parts = options.split_whitespace().map(str::to_owned);
+        let train = parts.by_ref().take_while(|part| part != "/").collect();
+        Ok(Self { name: name.trim().into(), train, compress: parts.collect() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn variants_are_options_of_two_commands() {
+        let parsed: Variant = "less: --set weights.mask=0.01 / --quality -1".parse().unwrap();
+        assert_eq!(parsed.train, ["--set", "weights.mask=0.01"]);
+        assert_eq!(parsed.compress, ["--quality", "-1"]);
+        let plain: Variant = "default".parse().unwrap();
+        assert!(plain.train.is_empty() && plain.compress.is_empty());
+    }
+
+    #[test]
+    fn captures_have_names_of_their_own() {
+        let captures = captures().unwrap();
+        let names: std::collections::BTreeSet<&str> = captures.iter().map(|entry| entry.name.as_str()).collect();
+        assert_eq!(names.len(), captures.len());
+        assert!(captures.iter().all(|entry| entry.folder.is_some() != entry.demo_seed.is_some()));
+    }
+}
