@@ -39,6 +39,18 @@ pub enum InterchangeError {
         /// What was found, and what was expected.
         problem: String,
     },
+    /// A file claims more than [`ReadLimits`](crate::ReadLimits) allow. Nothing was allocated for the claim.
+    #[error("{}: needs {needed} {unit}, limit is {limit}", path.display())]
+    Limit {
+        /// The file.
+        path: PathBuf,
+        /// What is limited: bytes of memory, or timesteps.
+        unit: &'static str,
+        /// What the file claims.
+        needed: u64,
+        /// What a file of its length may have.
+        limit: u64,
+    },
     /// A `.npy` file is damaged, of a type that is not supported, or holds a number that is not finite.
     #[error("{}: {problem}", path.display())]
     Npy {

@@ -1,7 +1,7 @@
 //! Reads a `.4dgs` file into memory, and gives its state at each timestep.
 
 use std::collections::BTreeMap;
-use std::fs;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -10,16 +10,16 @@ use ::fourdgs::quantization::{dequantize_rotation, rct_inverse, sh_coefficient};
 use ::fourdgs::{ReadOptions, opcode};
 use tcgs_core::{Gaussians, Layout, SceneReader};
 
-use super::one_line;
+use super::{Y_UP, bounds, one_line};
 use crate::axes::Axes;
 use crate::stored::{checked, logit};
-use crate::{HigherHarmonics, InterchangeError, ReadSettings};
+use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
 
 /// The longest window that is taken for a frame, seconds: a tenth, and what a float rounds.
 const LONGEST_FRAME_SECS: f64 = 0.1 + 1e-4;
 /// Timesteps a second where nothing says how many.
 const USUAL_RATE: f64 = 30.0;
-/// More timesteps than this are no scene: nine hours at thirty a second.
+/// More timesteps than this are no scene, under whatever limits: nine hours at thirty a second.
 const MAX_TIMESTEPS: f64 = 1e6;
 
 /// A scene in a `.4dgs` file, in memory.
@@ -57,18 +57,25 @@ impl FourdgsFile {
     ///
     /// # Errors
     /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is no whole `.4dgs` file, is of
-    /// a model or packed in a way that is not read, or has no Gaussian at any timestep.
+    /// a model or packed in a way that is not read, or has no Gaussian at any timestep; [`InterchangeError::Limit`] if it claims
+    /// more memory or timesteps than the settings allow.
     pub fn open(path: &Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
         let invalid = |problem: String| InterchangeError::File { path: path.into(), problem };
         let refused = |error: ::fourdgs::Error| invalid(format!("{}, expected a whole .4dgs file", one_line(&error)));
-        let bytes = fs::read(path).map_err(|error| InterchangeError::Read { path: path.into(), error })?;
+        let (file, length) = input::open(path)?;
+        let mut bytes = Vec::new();
+        let read = file.take(length).read_to_end(&mut bytes);
+        read.map_err(|error| InterchangeError::Read { path: path.into(), error })?;
         // Readers of the crate keep what is whole of a file that was cut.
         if bytes.starts_with(&::fourdgs::MAGIC) && !bytes.ends_with(&::fourdgs::MAGIC) {
             return Err(invalid("ends early, expected a whole .4dgs file".into()));
         }
         let model = keyframe_delta_file::peek_temporal_model(&bytes).map_err(refused)?;
+        let needed = bounds::held_bytes(&bytes, settings.limits.bytes(length)).map_err(refused)?;
+        settings.limits.check_bytes(path, length, needed)?;
         let (content, header, times, frame_rate) = if model == "keyframe-delta" {
             let sequence = keyframe_delta_file::decode_streamed(&bytes).map_err(refused)?;
+            settings.limits.check_timesteps(path, sequence.chunks.len() as u64)?;
             let times: Vec<f64> = sequence.chunks.iter().map(|chunk| chunk.t0).collect();
             let rate = times.len() as f64 / sequence.header.duration_sec;
             let header = sequence.header.clone();
@@ -85,8 +92,9 @@ impl FourdgsFile {
                     scene.duration_sec
                 )));
             }
+            settings.limits.check_timesteps(path, count as u64)?;
             let length = scene.duration_sec / count;
-            let times = (0..count as usize).map(|t| (t as f64 + 0.5) * length).collect();
+            let times: Vec<f64> = (0..count as usize).map(|t| (t as f64 + 0.5) * length).collect();
             let header = scene.header.clone();
             (Content::Births(Box::new(scene)), header, times, 1.0 / length)
         };
@@ -95,7 +103,7 @@ impl FourdgsFile {
             return Err(invalid(format!("has colours in {space:?}, expected \"srgb-rec709-display\"")));
         }
         let axes = match said("coordinate_system") {
-            Some("y-up-right-handed") => Some(Axes::LUF),
+            Some(Y_UP) => Some(Axes::LUF),
             _ => None,
         };
         let sh_degree = match &content {
@@ -109,9 +117,13 @@ impl FourdgsFile {
         let frame_rate = if frame_rate.is_finite() { frame_rate } else { USUAL_RATE };
         let layout = Layout::with_harmonics(sh_degree.min(tcgs_core::MAX_SH_DEGREE));
         let mut file = Self { path: path.into(), content, times, numbers: vec![], frame_rate, layout, axes };
-        for timestep in 0..file.times.len() {
-            file.numbers.push(file.rows(timestep)?.len());
-        }
+        file.numbers = match &file.content {
+            Content::Births(scene) => living(scene, &file.times),
+            Content::States(sequence) => {
+                let chunks = sequence.chunks.iter().zip(&file.times);
+                chunks.map(|(chunk, time)| states(sequence, chunk, *time).len()).collect()
+            }
+        };
         if file.numbers.iter().all(|&number| number == 0) {
             return Err(invalid("holds no Gaussian, expected at least one".into()));
         }
@@ -213,6 +225,40 @@ fn frame_secs(windows: &[(f64, f64)]) -> f64 {
     let frames = lengths().filter(|length| *length <= 1.5 * shortest);
     let (sum, count) = frames.fold((0.0, 0.0), |(sum, count), length| (sum + length, count + 1.0));
     sum / count
+}
+
+/// How many Gaussians live at each time, as [`births`] has it, without a look at each at every time.
+///
+/// - `times`: ascending
+fn living(scene: &::fourdgs::Scene, times: &[f64]) -> Vec<usize> {
+    let of = &scene.gaussians;
+    // Of each time, how many more there are than at the time before.
+    let mut changes = vec![0_i64; times.len() + 1];
+    for i in 0..of.count() {
+        let (from, until) = (f64::from(of.win_lo[i]), f64::from(of.win_hi[i]));
+        let from = times.partition_point(|&t| t < from);
+        let window = &times[from..times.partition_point(|&t| t < until).max(from)];
+        let (mu, sigma) = (f64::from(of.mu_t[i]), f64::from(of.sigma_t[i]));
+        // It fades to both sides of its middle; the term is that of the crate.
+        let is_visible = |t: f64| {
+            let z = (t - mu) / sigma.max(1e-30);
+            let share = if sigma.is_finite() { (-0.5 * z * z).exp() } else { 1.0 };
+            !(share < scene.header.cutoff)
+        };
+        let middle = window.partition_point(|&t| t < mu);
+        let first = window[..middle].partition_point(|&t| !is_visible(t));
+        let last = middle + window[middle..].partition_point(|&t| is_visible(t));
+        if last > first {
+            changes[from + first] += 1;
+            changes[from + last] -= 1;
+        }
+    }
+    let mut alive = 0;
+    let sums = changes[..times.len()].iter().map(|change| {
+        alive += change;
+        alive as usize
+    });
+    sums.collect()
 }
 
 fn births(scene: &::fourdgs::Scene, time: f64) -> Result<Vec<Row>, ::fourdgs::Error> {
