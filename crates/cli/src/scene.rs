@@ -18,7 +18,7 @@ pub struct SourceOptions {
     /// Of PLY, SPZ, glTF and .4dgs files, leave out spherical harmonics above degree 0: colours stop depending on the view
     #[arg(long)]
     pub drop_sh: bool,
-    /// Of other programs' files, read those that claim more memory than their length warrants, or more than 65,536 timesteps
+    /// Read files of other programs that claim more memory than their length warrants, or over 65,536 timesteps
     #[arg(long)]
     pub no_limits: bool,
 }

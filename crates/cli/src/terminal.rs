@@ -1,4 +1,5 @@
-//! Words for the person or the program that called. Texts of files do not control a terminal: all words go through here.
+//! Words for the person or the program that called. All go through here, so that texts of files do not control a
+//! terminal.
 
 use std::io::{self, ErrorKind, Write};
 

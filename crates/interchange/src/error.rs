@@ -44,11 +44,11 @@ pub enum InterchangeError {
     Limit {
         /// The file.
         path: PathBuf,
-        /// What is limited: bytes of memory, or timesteps.
+        /// `bytes of memory` or `timesteps`.
         unit: &'static str,
-        /// What the file claims.
+        /// The file's claim.
         needed: u64,
-        /// What a file of its length may have.
+        /// The most for a file of its length.
         limit: u64,
     },
     /// A `.npy` file is damaged, of a type that is not supported, or holds a number that is not finite.

@@ -47,8 +47,8 @@ impl FileKind {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not complete, has
-/// no Gaussian, or holds a number that is not finite; [`InterchangeError::Limit`] if it claims more memory than the settings
-/// allow.
+/// no Gaussian, or holds a number that is not finite; [`InterchangeError::Limit`] if it claims more memory than the
+/// settings allow.
 pub fn read_gaussians(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     match FileKind::of(path)? {
         FileKind::Ply => ply::read_ply(path, settings),

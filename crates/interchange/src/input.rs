@@ -8,8 +8,8 @@ use crate::InterchangeError;
 /// Opens a regular file, and tells its length.
 ///
 /// # Errors
-/// [`InterchangeError::Read`] if the file cannot be opened; [`InterchangeError::File`] if it is a device or a pipe, which may
-/// never end.
+/// [`InterchangeError::Read`] if the file cannot be opened; [`InterchangeError::File`] if it is a device or a pipe,
+/// which may never end.
 pub(crate) fn open(path: &Path) -> Result<(File, u64), InterchangeError> {
     let failed = |error| InterchangeError::Read { path: path.into(), error };
     // Opening a pipe waits for a writer.

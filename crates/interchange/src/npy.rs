@@ -80,8 +80,8 @@ impl NpyValue for bool {
     }
 }
 
-/// Reads a `.npy` file of float32 or float64, stored in C or Fortran order, as float32 in C order. Nothing in such a file is
-/// compressed, so its length bounds the memory.
+/// Reads a `.npy` file of float32 or float64, stored in C or Fortran order, as float32 in C order. Nothing in such a
+/// file is compressed, so its length bounds the memory.
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::Npy`] if the array is of another type or

@@ -21,8 +21,8 @@ const MAX_DEFLATE_RATIO: u64 = 1032;
 
 /// Reads the arrays of an npz archive, one array per call: an array's values are in memory only once it is asked for.
 ///
-/// Limits are compared with the sizes of all arrays together when an archive is opened, since a caller may keep all. An archive
-/// that is not compressed takes no more than its length, so limits never refuse a checkpoint of a run.
+/// Limits are compared with the sizes of all arrays together when an archive is opened, since a caller may keep all. An
+/// archive that is not compressed takes no more than its length, so limits never refuse a checkpoint of a run.
 ///
 /// ```
 /// use tcgs_interchange::{NpzReader, NpzWriter};
@@ -96,8 +96,8 @@ impl NpzReader {
     /// - `key`: name of the array, without `.npy`
     ///
     /// # Errors
-    /// [`InterchangeError::Array`] if the array is missing, of another type, or damaged; [`InterchangeError::Limit`] as of
-    /// [`Self::array`].
+    /// [`InterchangeError::Array`] if the array is missing, of another type, or damaged; [`InterchangeError::Limit`] as
+    /// of [`Self::array`].
     pub fn array_of<T: NpyValue>(&mut self, key: &str) -> Result<NpyArray<T>, InterchangeError> {
         self.check_order(key)?;
         self.read(key, |header, entry| header.read_values(entry))

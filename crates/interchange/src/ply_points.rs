@@ -37,15 +37,15 @@ struct ColoredPoint {
 }
 
 /// Reads a point cloud from the element `vertex` of a PLY file: the properties `x`, `y`, `z`, and `red`, `green`,
-/// `blue` if all are present, as bytes (0 to 255) or floats (0 to 1). Points without colours are grey (0.5). All points are
-/// foreground, since such files do not tell what moves.
+/// `blue` if all are present, as bytes (0 to 255) or floats (0 to 1). Points without colours are grey (0.5). All points
+/// are foreground, since such files do not tell what moves.
 ///
 /// - returns: positions in the file's unit, colours in `[0, 1]`
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete PLY
-/// file, has no points, or holds a number that is not finite; [`InterchangeError::Limit`] if its header claims more memory
-/// than `limits` allow.
+/// file, has no points, or holds a number that is not finite; [`InterchangeError::Limit`] if its header claims more
+/// memory than `limits` allow.
 pub fn read_ply_points(path: &Path, limits: ReadLimits) -> Result<PointCloud, InterchangeError> {
     let invalid = |problem| InterchangeError::File { path: path.into(), problem };
     let ends_early = || invalid("ends early, expected a whole PLY file".into());
@@ -173,7 +173,8 @@ mod tests {
 
     #[test]
     fn claims_of_headers_are_bounded() {
-        let claimed = |count: &str| header("binary_little_endian", &PLACE).replace("vertex 2", &format!("vertex {count}"));
+        let claimed =
+            |count: &str| header("binary_little_endian", &PLACE).replace("vertex 2", &format!("vertex {count}"));
         let message = read(&[claimed("4000000000").as_bytes(), &[0; 100]].concat()).unwrap_err();
         assert_eq!(message, "ends early, expected a whole PLY file");
         let floods = [

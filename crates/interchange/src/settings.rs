@@ -33,8 +33,8 @@ pub enum HigherHarmonics {
 
 /// What a reader may allocate for a file, whatever the file claims. Readers compare before they allocate.
 ///
-/// Real files expand little: an SPZ file to ten times its length, a compressed npz to four. Files made to exhaust memory
-/// expand a thousandfold. A file of 1 MB takes at most 131 MB with the default.
+/// Real files expand little: an SPZ file to ten times its length, a compressed npz to four. Files made to exhaust
+/// memory expand a thousandfold. A file of 1 MB takes at most 131 MB with the default.
 ///
 /// ```
 /// use tcgs_interchange::ReadLimits;

@@ -1,4 +1,5 @@
-//! Limits of readers: every kind of file is refused below what it takes, and read under the usual limits and without any.
+//! Limits of readers: every kind of file is refused below what it takes, and read under the usual limits and without
+//! any.
 
 #![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
 

@@ -62,7 +62,7 @@ pub struct Arguments {
     /// timesteps, the optimizer's state carry over
     #[arg(long, value_name = "SCENE@T", conflicts_with = "points")]
     start_from: Option<String>,
-    /// Read a SCENE of another program that claims more memory than its length warrants, or more than 65,536 timesteps
+    /// Read a SCENE of another program that claims more memory than its length warrants, or over 65,536 timesteps
     #[arg(long, requires = "start_from")]
     no_limits: bool,
     /// Learn no masks
@@ -176,12 +176,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// The state that a chapter starts from, told in words.
 ///
 /// - `no_limits`: [`SourceOptions::no_limits`]
-fn open_start(
-    start: &str,
-    no_limits: bool,
-    config: &TrainConfig,
-    capture: &Capture,
-) -> anyhow::Result<Checkpoint> {
+fn open_start(start: &str, no_limits: bool, config: &TrainConfig, capture: &Capture) -> anyhow::Result<Checkpoint> {
     let (path, timestep) = settings::scene_and_timestep(start)?;
     let scene = SourceOptions { no_limits, ..SourceOptions::default() }.open(&path)?;
     let timestep = timestep.unwrap_or(scene.num_timesteps() - 1);

@@ -1,7 +1,7 @@
-//! What decoding a `.4dgs` file takes of memory, from the headers of its records, before anything is decoded.
+//! Computes how much memory decoding a `.4dgs` file takes, from the headers of its records. Nothing is decoded.
 //!
-//! The crate `fourdgs` bounds a chunk by 512 MiB and decodes all chunks. A stream of few bytes may stand for any number of
-//! Gaussians: a constant is written once, and a chunk of differences repeats the state that it refers to.
+//! The crate `fourdgs` bounds each chunk by 512 MiB and decodes all chunks. A stream of few bytes may stand for any
+//! number of Gaussians: a constant is written once, and a chunk of differences repeats the state that it refers to.
 
 use std::collections::BTreeMap;
 
@@ -10,11 +10,11 @@ use ::fourdgs::records::{ChunkHeader, parse_chunk, parse_delta_chunk_records};
 use ::fourdgs::serialization::{Cursor, Records};
 use ::fourdgs::{MAGIC, Result, opcode};
 
-/// Of a decoded symbol, as the crate holds it.
+/// Size of a decoded symbol in the crate, an `i64`.
 const SYMBOL_BYTES: u64 = 8;
-/// Of a Gaussian of `gaussian-birth`: its columns in the chunk, and in the scene.
+/// Size of a Gaussian of `gaussian-birth`: its columns in the chunk, and in the scene.
 const GAUSSIAN_BYTES: u64 = 80 + 96;
-/// Of a chunk, of a stream and of a state besides their numbers, roughly.
+/// Rough size of a chunk, a stream or a state without its numbers.
 const RECORD_BYTES: u64 = 1024;
 
 /// Bytes that decoding a file holds at once, the file's own included.
@@ -153,6 +153,7 @@ impl Stream {
 
     /// As packed symbols and decoded.
     fn bytes(&self) -> u64 {
-        (self.width + SYMBOL_BYTES).saturating_mul(self.channels).saturating_mul(self.count).saturating_add(RECORD_BYTES)
+        let symbols = self.channels.saturating_mul(self.count);
+        (self.width + SYMBOL_BYTES).saturating_mul(symbols).saturating_add(RECORD_BYTES)
     }
 }

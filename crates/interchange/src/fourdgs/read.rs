@@ -57,8 +57,8 @@ impl FourdgsFile {
     ///
     /// # Errors
     /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is no whole `.4dgs` file, is of
-    /// a model or packed in a way that is not read, or has no Gaussian at any timestep; [`InterchangeError::Limit`] if it claims
-    /// more memory or timesteps than the settings allow.
+    /// a model or packed in a way that is not read, or has no Gaussian at any timestep; [`InterchangeError::Limit`] if
+    /// it claims more memory or timesteps than the settings allow.
     pub fn open(path: &Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
         let invalid = |problem: String| InterchangeError::File { path: path.into(), problem };
         let refused = |error: ::fourdgs::Error| invalid(format!("{}, expected a whole .4dgs file", one_line(&error)));
@@ -232,7 +232,7 @@ fn frame_secs(windows: &[(f64, f64)]) -> f64 {
 /// - `times`: ascending
 fn living(scene: &::fourdgs::Scene, times: &[f64]) -> Vec<usize> {
     let of = &scene.gaussians;
-    // Of each time, how many more there are than at the time before.
+    // Differences between the number at a time and that at the time before.
     let mut changes = vec![0_i64; times.len() + 1];
     for i in 0..of.count() {
         let (from, until) = (f64::from(of.win_lo[i]), f64::from(of.win_hi[i]));

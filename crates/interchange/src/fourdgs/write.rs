@@ -9,8 +9,8 @@ use crate::axes::Axes;
 
 /// The bytes of a `.4dgs` file, of its finest profile. Up to the rounding of floats positions are within 2 % of the median
 /// scale, rotations within 0.0005, scales within 0.5 %, colours and opacities within half of 1/255, harmonics within half
-/// of 8/255. Colours are clamped to what the format holds, 0 to 1, harmonics to -4 to 4. The axes are those of glTF, and the
-/// file says so. At `t = k / frame_rate`, and until the next, a reader sees timestep `k`.
+/// of 8/255. Colours are clamped to what the format holds, 0 to 1, harmonics to -4 to 4. The axes are those of glTF,
+/// and the file says so. At `t = k / frame_rate`, and until the next, a reader sees timestep `k`.
 ///
 /// - `timesteps`: stored form, in the axes of PLY files, all of one layout; their number of Gaussians may change. Where it
 ///   does not, row `i` is the same Gaussian.
@@ -69,8 +69,13 @@ pub fn fourdgs_bytes<E>(
     let library = concat!("tcgs ", env!("CARGO_PKG_VERSION"));
     let metadata = [("coordinate_system".into(), Y_UP.into())].into();
     // The crate's check allows 1e-9 beyond half a step, which is less than a float rounds: it would refuse most scenes.
-    let options =
-        WriteOptions { profile: Profile::Fine, verify: false, library: library.into(), metadata, ..WriteOptions::default() };
+    let options = WriteOptions {
+        profile: Profile::Fine,
+        verify: false,
+        library: library.into(),
+        metadata,
+        ..WriteOptions::default()
+    };
     let bytes = ::fourdgs::write_to_vec(&set, count as f64 / frame_rate, &options, &SceneExtras::default());
     Ok(bytes.map_err(|error| one_line(&error)))
 }

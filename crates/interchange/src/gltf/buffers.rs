@@ -104,7 +104,7 @@ fn inline(uri: &str) -> Option<&str> {
 
 /// The files that a document names, each once.
 pub struct Files {
-    /// Of each name the file and its length.
+    /// The file and its length, by its name in the document.
     by_name: BTreeMap<String, (PathBuf, u64)>,
 }
 

@@ -54,7 +54,7 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
 /// Memory that a primitive takes besides its numbers, roughly: what it is called and a dozen arrays.
 const PRIMITIVE_BYTES: u64 = 1024;
 
-/// What a document says of its Gaussians, within the limits; and the files that it names.
+/// Counts the Gaussians of a document, finds the files that it names, and compares both with the limits.
 ///
 /// - `length`: of the document's file
 fn head(
@@ -154,7 +154,7 @@ struct Opened {
     document: Document,
     /// The buffer that lies in the file.
     chunk: Option<Vec<u8>>,
-    /// Of the file, bytes.
+    /// Bytes of the file.
     length: u64,
 }
 

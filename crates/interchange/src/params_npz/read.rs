@@ -73,7 +73,8 @@ impl ParamsNpz {
     /// Opens a `params.npz`, and checks all of it.
     ///
     /// # Errors
-    /// As [`read_params_npz`]; [`InterchangeError::Limit`] if its arrays are larger, or its timesteps more, than `limits` allow.
+    /// As [`read_params_npz`]; [`InterchangeError::Limit`] if its arrays are larger, or its timesteps more, than
+    /// `limits` allow.
     pub fn open(path: &Path, limits: ReadLimits) -> Result<Self, InterchangeError> {
         open_params(path, limits)
     }
@@ -199,10 +200,7 @@ pub fn read_params_origin(path: &Path, limits: ReadLimits) -> Result<Option<Para
 ///
 /// # Errors
 /// [`InterchangeError`] if the file cannot be read or the array is damaged.
-pub fn read_params_foreground(
-    path: &Path,
-    limits: ReadLimits,
-) -> Result<Option<Vec<bool>>, InterchangeError> {
+pub fn read_params_foreground(path: &Path, limits: ReadLimits) -> Result<Option<Vec<bool>>, InterchangeError> {
     let mut npz = NpzReader::open_with(path, limits)?;
     if !npz.contains("seg_colors") {
         return Ok(None);

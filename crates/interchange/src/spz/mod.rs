@@ -77,8 +77,8 @@ impl Header {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete SPZ file of
-/// a version from 2 to 4, is in axes that are turned by a quarter, or has no Gaussian; [`InterchangeError::Limit`] if its header
-/// claims more than the settings allow.
+/// a version from 2 to 4, is in axes that are turned by a quarter, or has no Gaussian; [`InterchangeError::Limit`] if
+/// its header claims more than the settings allow.
 pub(crate) fn read_spz(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
     let header = open(path, settings)?;
