@@ -10,12 +10,26 @@ use ::fourdgs::records::{ChunkHeader, parse_chunk, parse_delta_chunk_records};
 use ::fourdgs::serialization::{Cursor, Records};
 use ::fourdgs::{MAGIC, Result, opcode};
 
+use super::states::last_uses;
+
 /// Size of a decoded symbol in the crate, an `i64`.
 const SYMBOL_BYTES: u64 = 8;
 /// Size of a Gaussian of `gaussian-birth`: its columns in the chunk, and in the scene.
 const GAUSSIAN_BYTES: u64 = 80 + 96;
+/// Size of a Gaussian at a timestep of `keyframe-delta`, in stored form and while it is made.
+const STORED_BYTES: u64 = 56;
+const MAKING_BYTES: u64 = 256;
 /// Rough size of a chunk, a stream or a state without its numbers.
 const RECORD_BYTES: u64 = 1024;
+
+/// Temporal models of these files.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Model {
+    /// `gaussian-birth`
+    Births,
+    /// `keyframe-delta`
+    States,
+}
 
 /// Bytes that decoding a file holds at once, the file's own included.
 ///
@@ -23,43 +37,49 @@ const RECORD_BYTES: u64 = 1024;
 ///
 /// # Errors
 /// If a record is damaged.
-pub fn held_bytes(file: &[u8], most: u64) -> Result<u64> {
+pub fn held_bytes(file: &[u8], model: Model, most: u64) -> Result<u64> {
+    let last_uses = last_uses(file)?;
+    let (stored, making) = match model {
+        Model::Births => (GAUSSIAN_BYTES, 0),
+        Model::States => (STORED_BYTES, MAKING_BYTES),
+    };
     let mut kept = file.len() as u64;
-    // Streams are dropped after their chunk.
-    let mut largest_chunk = 0;
-    let mut states = BTreeMap::new();
+    let mut largest = kept;
+    let mut states: BTreeMap<u64, State> = BTreeMap::new();
+    // Of these.
+    let mut live = 0_u64;
     for record in Records::new(file, MAGIC.len()) {
         let record = record?;
         let place = record.offset as u64;
+        // What is dropped after the chunk.
+        let mut streams = Streams::default();
+        let mut state = State::default();
+        let mut released = 0;
         match record.opcode {
             opcode::CHUNK => {
                 let (head, packed) = parse_chunk(record.content)?;
-                let mut streams = Streams::default();
                 streams.add_chunk(&head, packed, most, Streams::add)?;
-                let state = State { count: head.count.into(), symbols: streams.symbols };
-                kept = kept.saturating_add(state.bytes().max(GAUSSIAN_BYTES.saturating_mul(state.count)));
-                largest_chunk = largest_chunk.max(streams.bytes);
-                states.insert(place, state);
+                state = State { count: head.count.into(), symbols: streams.symbols };
+                kept = kept.saturating_add(stored.saturating_mul(state.count));
             }
             opcode::DELTA_CHUNK => {
                 let (delta, packed) = parse_delta_chunk_records(record.content)?;
                 let (compression, uncompressed_size) = (delta.compression, delta.uncompressed_size);
                 let head = ChunkHeader { compression, uncompressed_size, ..ChunkHeader::default() };
-                let mut streams = Streams::default();
                 streams.add_chunk(&head, packed, most, |streams, groups| {
                     // Updates, births, deaths.
                     let mut groups = Cursor::new(groups);
                     (0..3).try_for_each(|_| streams.add(groups.blob()?))
                 })?;
-                let before: State = states.get(&delta.reference_offset).copied().unwrap_or_default();
-                let state = State {
+                let before = states.get(&delta.reference_offset).copied().unwrap_or_default();
+                state = State {
                     count: before.count.saturating_add(delta.birth_count.into()),
                     symbols: before.symbols.max(streams.symbols),
                 };
-                kept = kept.saturating_add(state.bytes());
-                // The state that it refers to is composed with it.
-                largest_chunk = largest_chunk.max(streams.bytes.saturating_add(state.bytes()));
-                states.insert(place, state);
+                kept = kept.saturating_add(stored.saturating_mul(state.count));
+                if last_uses.get(&delta.reference_offset) == Some(&place) {
+                    released = states.remove(&delta.reference_offset).map_or(0, |state| state.bytes());
+                }
             }
             opcode::SH_BAND_STREAM => {
                 // The band, then a stream.
@@ -69,14 +89,23 @@ pub fn held_bytes(file: &[u8], most: u64) -> Result<u64> {
             _ => {}
         }
         kept = kept.saturating_add(RECORD_BYTES);
-        if kept.saturating_add(largest_chunk) > most {
+        let state_bytes = if model == Model::States { state.bytes() } else { 0 };
+        let now = [live, streams.bytes, state_bytes, making.saturating_mul(state.count)];
+        let now = now.into_iter().fold(kept, u64::saturating_add);
+        largest = largest.max(now);
+        if largest > most {
             break;
         }
+        live = live.saturating_sub(released);
+        if last_uses.contains_key(&place) {
+            live = live.saturating_add(state.bytes());
+            states.insert(place, state);
+        }
     }
-    Ok(kept.saturating_add(largest_chunk))
+    Ok(largest)
 }
 
-/// A state of `keyframe-delta`, which the decoder keeps twice: for chunks that refer to it, and for its time.
+/// A state of `keyframe-delta`, which is kept for the chunks that refer to it.
 #[derive(Clone, Copy, Default)]
 struct State {
     /// Gaussians, at most.
@@ -87,7 +116,7 @@ struct State {
 
 impl State {
     fn bytes(&self) -> u64 {
-        (self.symbols + 1).saturating_mul(2 * SYMBOL_BYTES).saturating_mul(self.count)
+        (self.symbols + 1).saturating_mul(SYMBOL_BYTES).saturating_mul(self.count)
     }
 }
 

@@ -23,6 +23,7 @@
 
 mod bounds;
 mod read;
+mod states;
 mod write;
 
 pub use read::FourdgsFile;

@@ -1,16 +1,16 @@
 //! Reads a `.4dgs` file into memory, and gives its state at each timestep.
 
-use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use ::fourdgs::keyframe_delta_file::{self, ChunkInfo, DecodedSequence};
-use ::fourdgs::quantization::{dequantize_rotation, rct_inverse, sh_coefficient};
-use ::fourdgs::{ReadOptions, opcode};
+use ::fourdgs::ReadOptions;
+use ::fourdgs::keyframe_delta_file::peek_temporal_model;
+use ::fourdgs::quantization::sh_coefficient;
 use tcgs_core::{Gaussians, Layout, SceneReader};
 
-use super::{Y_UP, bounds, one_line};
+use super::bounds::{self, Model};
+use super::{Y_UP, one_line, states};
 use crate::axes::Axes;
 use crate::stored::{checked, logit};
 use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
@@ -49,7 +49,7 @@ enum Content {
     /// Of the model `gaussian-birth`.
     Births(Box<::fourdgs::Scene>),
     /// Of the model `keyframe-delta`.
-    States(Box<DecodedSequence>),
+    States(Vec<Gaussians>),
 }
 
 impl FourdgsFile {
@@ -70,16 +70,17 @@ impl FourdgsFile {
         if bytes.starts_with(&::fourdgs::MAGIC) && !bytes.ends_with(&::fourdgs::MAGIC) {
             return Err(invalid("ends early, expected a whole .4dgs file".into()));
         }
-        let model = keyframe_delta_file::peek_temporal_model(&bytes).map_err(refused)?;
-        let needed = bounds::held_bytes(&bytes, settings.limits.bytes(length)).map_err(refused)?;
+        let model = match &*peek_temporal_model(&bytes).map_err(refused)? {
+            "keyframe-delta" => Model::States,
+            _ => Model::Births,
+        };
+        let needed = bounds::held_bytes(&bytes, model, settings.limits.bytes(length)).map_err(refused)?;
         settings.limits.check_bytes(path, length, needed)?;
-        let (content, header, times, frame_rate) = if model == "keyframe-delta" {
-            let sequence = keyframe_delta_file::decode_streamed(&bytes).map_err(refused)?;
-            settings.limits.check_timesteps(path, sequence.chunks.len() as u64)?;
-            let times: Vec<f64> = sequence.chunks.iter().map(|chunk| chunk.t0).collect();
-            let rate = times.len() as f64 / sequence.header.duration_sec;
-            let header = sequence.header.clone();
-            (Content::States(Box::new(sequence)), header, times, rate)
+        let (content, header, times, frame_rate) = if model == Model::States {
+            let states::States { header, times, timesteps } = states::decode(&bytes).map_err(refused)?;
+            settings.limits.check_timesteps(path, times.len() as u64)?;
+            let rate = times.len() as f64 / header.duration_sec;
+            (Content::States(timesteps), header, times, rate)
         } else {
             let max_sh_band = if settings.higher_harmonics == HigherHarmonics::Keep { 3 } else { 0 };
             let options = ReadOptions { recover_truncated: false, max_sh_band };
@@ -119,10 +120,7 @@ impl FourdgsFile {
         let mut file = Self { path: path.into(), content, times, numbers: vec![], frame_rate, layout, axes };
         file.numbers = match &file.content {
             Content::Births(scene) => living(scene, &file.times),
-            Content::States(sequence) => {
-                let chunks = sequence.chunks.iter().zip(&file.times);
-                chunks.map(|(chunk, time)| states(sequence, chunk, *time).len()).collect()
-            }
+            Content::States(timesteps) => timesteps.iter().map(Gaussians::num_gaussians).collect(),
         };
         if file.numbers.iter().all(|&number| number == 0) {
             return Err(invalid("holds no Gaussian, expected at least one".into()));
@@ -151,66 +149,67 @@ impl FourdgsFile {
     /// # Panics
     /// If `timestep` is not below [`SceneReader::num_timesteps`].
     pub fn at(&self, timestep: usize) -> Result<Gaussians, InterchangeError> {
-        let rows = self.rows(timestep)?;
-        let mut gaussians = Gaussians::zeros_of(&self.layout, rows.len());
-        let step = match &self.content {
-            Content::Births(scene) => scene.quantization.step_alpha,
-            Content::States(sequence) => sequence.quantization.step_alpha,
+        let mut gaussians = match &self.content {
+            Content::Births(scene) => self.born(scene, self.times[timestep])?,
+            Content::States(timesteps) => timesteps[timestep].clone(),
         };
-        let nearest = [(step / 4.0).clamp(2.0_f64.powi(-25), 0.1); 2];
-        let base = gaussians.views_mut();
-        for (i, row) in rows.iter().enumerate() {
-            base.means[i] = row.mean;
-            let [x, y, z, w] = row.rotation;
-            base.quats[i] = [w, x, y, z];
-            base.log_scales[i] = row.scale.map(f32::ln);
-            base.logit_opacities[i] = logit(row.opacity.clamp(0.0, 1.0), nearest);
-            base.colors[i] = row.color;
-        }
-        if let Content::Births(scene) = &self.content
-            && let Some(sh) = &scene.gaussians.sh
-        {
-            let per_channel = scene.gaussians.sh_coefficients;
-            for (l, band) in (1..).zip(self.layout.harmonics()) {
-                let values = gaussians.values_mut(band).chunks_exact_mut(band.components());
-                for (to, row) in values.zip(&rows) {
-                    let from = &sh[3 * per_channel * row.index..][..3 * per_channel];
-                    for (k, rgb) in to.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-                        let place = |channel: usize| from[channel * per_channel + l * l - 1 + k];
-                        *rgb = [0, 1, 2].map(|channel| sh_coefficient(place(channel)) as f32);
-                    }
-                }
-            }
-        }
         if let Some(axes) = self.axes {
             axes.turn(&mut gaussians);
         }
         checked(&self.path, gaussians)
     }
 
-    /// What lives at a timestep.
-    fn rows(&self, timestep: usize) -> Result<Vec<Row>, InterchangeError> {
-        let time = self.times[timestep];
-        match &self.content {
-            Content::Births(scene) => births(scene, time).map_err(|error| {
-                let problem = format!("{}, expected a whole .4dgs file", one_line(&error));
-                InterchangeError::File { path: self.path.clone(), problem }
-            }),
-            Content::States(sequence) => Ok(states(sequence, &sequence.chunks[timestep], time)),
+    /// What lives at a time, in the axes of the file.
+    fn born(&self, scene: &::fourdgs::Scene, time: f64) -> Result<Gaussians, InterchangeError> {
+        let rows = births(scene, time).map_err(|error| {
+            let problem = format!("{}, expected a whole .4dgs file", one_line(&error));
+            InterchangeError::File { path: self.path.clone(), problem }
+        })?;
+        let mut gaussians = gaussians_of(&rows, &self.layout, scene.quantization.step_alpha);
+        let Some(sh) = &scene.gaussians.sh else { return Ok(gaussians) };
+        let per_channel = scene.gaussians.sh_coefficients;
+        for (l, band) in (1..).zip(self.layout.harmonics()) {
+            let values = gaussians.values_mut(band).chunks_exact_mut(band.components());
+            for (to, row) in values.zip(&rows) {
+                let from = &sh[3 * per_channel * row.index..][..3 * per_channel];
+                for (k, rgb) in to.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                    let place = |channel: usize| from[channel * per_channel + l * l - 1 + k];
+                    *rgb = [0, 1, 2].map(|channel| sh_coefficient(place(channel)) as f32);
+                }
+            }
         }
+        Ok(gaussians)
     }
 }
 
 /// A Gaussian as the file has it at one time.
-struct Row {
+pub(super) struct Row {
     /// In the file.
-    index: usize,
-    mean: [f32; 3],
+    pub index: usize,
+    pub mean: [f32; 3],
     /// `x, y, z, w`
-    rotation: [f32; 4],
-    scale: [f32; 3],
-    color: [f32; 3],
-    opacity: f64,
+    pub rotation: [f32; 4],
+    pub scale: [f32; 3],
+    pub color: [f32; 3],
+    pub opacity: f64,
+}
+
+/// Gaussians in stored form and in the axes of the file; harmonics are zero.
+///
+/// - `step_alpha`: between opacities
+pub(super) fn gaussians_of(rows: &[Row], layout: &Arc<Layout>, step_alpha: f64) -> Gaussians {
+    let mut gaussians = Gaussians::zeros_of(layout, rows.len());
+    let nearest = [(step_alpha / 4.0).clamp(2.0_f64.powi(-25), 0.1); 2];
+    let base = gaussians.views_mut();
+    for (i, row) in rows.iter().enumerate() {
+        base.means[i] = row.mean;
+        let [x, y, z, w] = row.rotation;
+        base.quats[i] = [w, x, y, z];
+        base.log_scales[i] = row.scale.map(f32::ln);
+        base.logit_opacities[i] = logit(row.opacity.clamp(0.0, 1.0), nearest);
+        base.colors[i] = row.color;
+    }
+    gaussians
 }
 
 /// How long a timestep is, by the windows of a file, seconds.
@@ -276,28 +275,6 @@ fn births(scene: &::fourdgs::Scene, time: f64) -> Result<Vec<Row>, ::fourdgs::Er
         }
     };
     Ok(state.indices.iter().enumerate().map(row).collect())
-}
-
-fn states(sequence: &DecodedSequence, chunk: &ChunkInfo, time: f64) -> Vec<Row> {
-    let found = keyframe_delta_file::reconstruct_at(sequence, &chunk.state, time);
-    let steps = &sequence.quantization;
-    let index_of: BTreeMap<i64, usize> = chunk.state.ids.iter().enumerate().map(|(i, id)| (*id, i)).collect();
-    let bins = |attribute: u8, index: usize, count: usize| {
-        &chunk.state.bins[&attribute].values[count * index..count * (index + 1)]
-    };
-    let row = |(i, id): (usize, &i64)| {
-        let index = index_of[id];
-        let rotation = bins(opcode::A_ROTATION, index, 3);
-        Row {
-            index,
-            mean: std::array::from_fn(|c| found.centers[3 * i + c] as f32),
-            rotation: dequantize_rotation(bins(opcode::A_ROTATION_INDEX, index, 1)[0], rotation, steps.step_rot),
-            scale: std::array::from_fn(|c| found.scales[3 * i + c] as f32),
-            color: rct_inverse(bins(opcode::A_COLOR, index, 3)).map(|bin| (bin as f64 * steps.step_rgb) as f32),
-            opacity: found.opacity[i],
-        }
-    };
-    found.ids.iter().enumerate().map(row).collect()
 }
 
 impl SceneReader for FourdgsFile {
