@@ -1,4 +1,4 @@
-//! Files that were made to exhaust memory or time are refused within little of both, in one line; and their texts do not
+//! Files that were made to exhaust memory or time are refused in one line, within little of both. Their texts do not
 //! control the terminal.
 
 use std::fs;
@@ -88,11 +88,11 @@ fn spz_header(version: u32, num_gaussians: u32, num_streams: u8) -> Vec<u8> {
 #[test]
 fn spz_files_that_unpack_to_gigabytes() {
     let place = Place::new();
-    let n = 10_000_000;
-    let plain = spz_header(3, n, 0).chain(std::io::repeat(0).take(20 * u64::from(n)));
+    let n = 5_000_000;
+    let plain = std::io::Cursor::new(spz_header(3, n, 0)).chain(std::io::repeat(0).take(20 * u64::from(n)));
     let mut packed = Vec::new();
-    flate2::read::GzEncoder::new(plain, Compression::fast()).read_to_end(&mut packed).unwrap();
-    no_command_reads(&place.write("gzip.spz", &packed), "needs 760000000 bytes of memory, limit is");
+    flate2::read::GzEncoder::new(plain, Compression::default()).read_to_end(&mut packed).unwrap();
+    no_command_reads(&place.write("gzip.spz", &packed), "needs 380000000 bytes of memory, limit is");
 
     // A Zstandard frame of blocks that repeat one byte.
     let n = 40_000_000_u64;
@@ -203,9 +203,10 @@ fn npz_of_zeros(arrays: &[(&str, &[usize])]) -> Vec<u8> {
     for (name, shape) in arrays {
         let shape_text = shape.iter().map(|n| format!("{n}, ")).collect::<String>();
         let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape_text}), }}\n");
-        let start = [b"\x93NUMPY\x01\0", &(header.len() as u16).to_le_bytes()[..], header.as_bytes()].concat();
+        let start = [&b"\x93NUMPY\x01\0"[..], &(header.len() as u16).to_le_bytes()[..], header.as_bytes()].concat();
         let num_values = 4 * shape.iter().product::<usize>();
-        let (mut crc, mut packed) = (Crc::new(), flate2::write::DeflateEncoder::new(Vec::new(), Compression::fast()));
+        let (mut crc, mut packed) =
+            (Crc::new(), flate2::write::DeflateEncoder::new(Vec::new(), Compression::default()));
         let zeros = vec![0; 1 << 20];
         let rest = (0..num_values).step_by(1 << 20).map(|at| &zeros[..(num_values - at).min(1 << 20)]);
         for bytes in std::iter::once(&start[..]).chain(rest) {
@@ -217,19 +218,19 @@ fn npz_of_zeros(arrays: &[(&str, &[usize])]) -> Vec<u8> {
         // Version 2.0, no flags, deflated, no time; then the sizes, the length of the name, nothing further.
         let common = [&b"\x14\0\0\0\x08\0\0\0\0\0"[..], sizes.as_flattened(), &[file.len() as u8, 0, 0, 0]].concat();
         let at = (files.len() as u32).to_le_bytes();
-        table.extend([b"PK\x01\x02\x14\0", &common[..], &[0; 10], &at, file.as_bytes()].concat());
-        files.extend([b"PK\x03\x04", &common[..], file.as_bytes(), &packed].concat());
+        table.extend([&b"PK\x01\x02\x14\0"[..], &common[..], &[0; 10], &at, file.as_bytes()].concat());
+        files.extend([&b"PK\x03\x04"[..], &common[..], file.as_bytes(), &packed].concat());
     }
     let (count, place) =
         ((arrays.len() as u16).to_le_bytes(), [table.len() as u32, files.len() as u32].map(u32::to_le_bytes));
-    let end = [b"PK\x05\x06\0\0\0\0", &count[..], &count, place.as_flattened(), &[0, 0]].concat();
+    let end = [&b"PK\x05\x06\0\0\0\0"[..], &count[..], &count, place.as_flattened(), &[0, 0]].concat();
     [files, table, end].concat()
 }
 
 #[test]
 fn archives_of_zeros() {
     let place = Place::new();
-    let n = 6_000_000;
+    let n = 3_000_000;
     let scene: [(&str, &[usize]); 5] = [
         ("means3D", &[1, n, 3]),
         ("rgb_colors", &[1, n, 3]),
@@ -247,7 +248,7 @@ fn archives_of_zeros() {
     ];
     no_command_reads(&place.write("steps.npz", npz_of_zeros(&steps)), "needs 500000 timesteps, limit is 65536");
 
-    let points = place.write("points.npz", npz_of_zeros(&[("data", &[10_000_000, 7])]));
+    let points = place.write("points.npz", npz_of_zeros(&[("data", &[4_000_000, 7])]));
     let run = place.0.path().join("run");
     is_refused(&["train", text(capture()), "--out", text(&run), "--points", text(&points)], LIMIT);
     // The array alone is within the limit, the points made of it are not.
@@ -361,12 +362,9 @@ fn texts_of_files_do_not_control_the_terminal() {
     // A capture of Panoptic Sports.
     let folder = place.0.path().join("capture");
     fs::create_dir_all(folder.join("ims")).unwrap();
-    let meta = json!({ "w": 8, "h": 8, "k": [], "w2c": [], "fn": [[format!("{escape}{bell}.jpg")]], "cam_id": [[0]] });
-    fs::write(folder.join("train_meta.json"), meta.to_string()).unwrap();
-    fs::write(folder.join("test_meta.json"), meta.to_string()).unwrap();
-    is_printable(&["train", text(&folder), "--out", text(&place.0.path().join("run"))], "tcgs: ");
     let meta = json!({
-        "w": 8, "h": 8, "k": [[[[8, 0, 4], [0, 8, 4], [0, 0, 1]]]], "cam_id": [[0]], "fn": [[format!("{escape}{bell}.jpg")]],
+        "w": 8, "h": 8, "cam_id": [[0]], "fn": [[format!("{escape}{bell}.jpg")]],
+        "k": [[[[8, 0, 4], [0, 8, 4], [0, 0, 1]]]],
         "w2c": [[[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]]],
     });
     fs::write(folder.join("train_meta.json"), meta.to_string()).unwrap();
