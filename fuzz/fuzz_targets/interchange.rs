@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use libfuzzer_sys::fuzz_target;
 use tcgs_core::SceneReader;
 use tcgs_interchange::{
-    FourdgsFile, NpzReader, ReadSettings, read_gaussians, read_npy, read_ply_points, write_glb_to, write_ply_to,
+    FourdgsFile, NpzReader, ReadLimits, ReadSettings, read_gaussians, read_npy, read_ply_points, write_glb_to,
+    write_ply_to,
 };
 
 /// Readers take paths. One file a process.
@@ -29,7 +30,7 @@ fuzz_target!(|bytes: &[u8]| {
             assert_eq!(again.num_gaussians(), gaussians.num_gaussians());
         }
     }
-    let _ = read_ply_points(&given);
+    let _ = read_ply_points(&given, ReadLimits::default());
     let _ = read_npy(&given);
     if let Ok(mut archive) = NpzReader::open(&given) {
         let names: Vec<String> = archive.array_names().collect();

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tcgs_core::PointCloud;
-use tcgs_interchange::{NpzReader, NpzWriter, read_ply_points};
+use tcgs_interchange::{NpzReader, NpzWriter, ReadLimits, read_ply_points};
 
 use crate::{CaptureError, colmap, files};
 
@@ -48,7 +48,7 @@ pub(crate) fn read(path: &Path) -> Result<PointCloud, CaptureError> {
     }
     match files::name(path).rsplit('.').next().unwrap_or_default() {
         "npz" => read_npz(path),
-        "ply" => Ok(read_ply_points(path)?),
+        "ply" => Ok(read_ply_points(path, ReadLimits::default())?),
         "bin" | "txt" => colmap::read_points(path),
         _ => Err(CaptureError::invalid(
             path,
@@ -93,7 +93,10 @@ pub fn write_points(writer: impl Write + Seek, cloud: &PointCloud) -> io::Result
 
 /// Reads the array `data` `[P, 7]`: `x, y, z` in scene units, `r, g, b` in `[0, 1]`, foreground 0 or 1.
 fn read_npz(path: &Path) -> Result<PointCloud, CaptureError> {
-    let data = NpzReader::open(path)?.array("data")?;
+    let mut npz = NpzReader::open(path)?;
+    // The array, and the points made of it.
+    npz.check_copies("data", 2)?;
+    let data = npz.array("data")?;
     let invalid = |problem: String| CaptureError::invalid(path, format!("data {problem}"));
     let &[num_points, COLUMNS] = data.shape.as_slice() else {
         return Err(invalid(format!("has the shape {:?}, expected [points, {COLUMNS}]: x y z r g b seg", data.shape)));

@@ -85,6 +85,7 @@ pub fn message(error: &anyhow::Error) -> String {
                 "--max-error {word}={wanted}: the smallest error that is found is {smallest:.3e}, expected that or more"
             )
         }
+        Some(PipelineError::Interchange(InterchangeError::Limit { .. })) => format!("{error:#}; --no-limits lifts it"),
         Some(PipelineError::NoCameras { path, split: Split::Test }) => {
             format!("{}: has no test cameras, expected one that has, or --cameras train", path.display())
         }

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use tcgs_core::printable;
 
 use crate::terminal::{note, say};
 
@@ -49,7 +50,7 @@ impl Progress {
             }
         } else if self.last.elapsed() >= Duration::from_millis(100) {
             self.last = Instant::now();
-            self.bar.set_message(detail());
+            self.bar.set_message(printable(&detail()).into_owned());
         }
     }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use clap::Args;
 use tcgs_codec::{DecodeError, Loss};
 use tcgs_core::SceneReader;
-use tcgs_interchange::{HigherHarmonics, ReadSettings};
+use tcgs_interchange::{HigherHarmonics, ReadLimits, ReadSettings};
 use tcgs_pipeline::{CutFiles, Fault, HasFault, OpenScene, OpenSettings, PipelineError};
 
 use crate::error::wrong_input;
@@ -18,6 +18,9 @@ pub struct SourceOptions {
     /// Of PLY, SPZ, glTF and .4dgs files, leave out spherical harmonics above degree 0: colours stop depending on the view
     #[arg(long)]
     pub drop_sh: bool,
+    /// Read files of other programs that claim more memory than their length warrants, or over 65,536 timesteps
+    #[arg(long)]
+    pub no_limits: bool,
 }
 
 impl SourceOptions {
@@ -28,7 +31,9 @@ impl SourceOptions {
 
     fn settings(self) -> OpenSettings {
         let higher_harmonics = if self.drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Keep };
-        OpenSettings { read: ReadSettings { higher_harmonics, ..ReadSettings::default() }, ..OpenSettings::default() }
+        let limits = if self.no_limits { ReadLimits::NONE } else { ReadLimits::default() };
+        let read = ReadSettings { higher_harmonics, limits, ..ReadSettings::default() };
+        OpenSettings { read, ..OpenSettings::default() }
     }
 }
 

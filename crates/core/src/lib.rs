@@ -2,7 +2,7 @@
 //!
 //! What lives here: the data types that pass between crates, and maths on single elements
 //! (quaternions, activations, spherical harmonics), generic over [`Real`] so that one source is both run in `f32` and
-//! differentiated in `f64`; the order of numbered names. What does not: files, rendering, optimisation, compression.
+//! differentiated in `f64`; the order of numbered names, and text made safe for a terminal. What does not: files, rendering, optimisation, compression.
 //!
 //! Conventions: camera space is x right, y down, z forward; pixel centres lie at +0.5; quaternions
 //! are `w, x, y, z`; colours are display-referred sRGB in `[0, 1]`, blended as stored.
@@ -20,6 +20,7 @@ mod image;
 mod layout;
 mod natural_key;
 mod parallel;
+mod printable;
 mod quat;
 mod reader;
 mod real;
@@ -39,6 +40,7 @@ pub use harmonics::{HARMONIC_0, MAX_SH_DEGREE, color_in_direction, color_in_dire
 pub use image::Image;
 pub use layout::{Activation, Column, Layout, RateGroup};
 pub use natural_key::natural_key;
+pub use printable::printable;
 pub use quat::{
     dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
     rotmat_from_unit_quat, rotmat_from_unit_quat_vjp,

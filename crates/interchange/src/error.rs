@@ -39,6 +39,18 @@ pub enum InterchangeError {
         /// What was found, and what was expected.
         problem: String,
     },
+    /// A file claims more than [`ReadLimits`](crate::ReadLimits) allow. Nothing was allocated for the claim.
+    #[error("{}: needs {needed} {unit}, limit is {limit}", path.display())]
+    Limit {
+        /// The file.
+        path: PathBuf,
+        /// `bytes of memory` or `timesteps`.
+        unit: &'static str,
+        /// The file's claim.
+        needed: u64,
+        /// The most for a file of its length.
+        limit: u64,
+    },
     /// A `.npy` file is damaged, of a type that is not supported, or holds a number that is not finite.
     #[error("{}: {problem}", path.display())]
     Npy {

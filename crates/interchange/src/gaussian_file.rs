@@ -1,13 +1,12 @@
 //! One file of Gaussians at one timestep, of any kind that is read. Its content says which.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use tcgs_core::Gaussians;
 
 use crate::stored::Head;
-use crate::{InterchangeError, ReadSettings, gltf, ply, spz};
+use crate::{InterchangeError, ReadSettings, gltf, input, ply, spz};
 
 /// Kinds of files that hold one timestep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,7 +21,7 @@ impl FileKind {
     /// By the first bytes.
     fn of(path: &Path) -> Result<Self, InterchangeError> {
         let mut start = Vec::new();
-        let read = File::open(path).and_then(|file| file.take(64).read_to_end(&mut start));
+        let read = input::open(path)?.0.take(64).read_to_end(&mut start);
         read.map_err(|error| InterchangeError::Read { path: path.into(), error })?;
         match &start[..] {
             start if start.starts_with(b"ply") => Ok(Self::Ply),
@@ -48,7 +47,8 @@ impl FileKind {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not complete, has
-/// no Gaussian, or holds a number that is not finite.
+/// no Gaussian, or holds a number that is not finite; [`InterchangeError::Limit`] if it claims more memory than the
+/// settings allow.
 pub fn read_gaussians(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     match FileKind::of(path)? {
         FileKind::Ply => ply::read_ply(path, settings),

@@ -20,6 +20,7 @@ mod error;
 mod fourdgs;
 mod gaussian_file;
 mod gltf;
+mod input;
 mod npy;
 mod npz;
 mod params_npz;

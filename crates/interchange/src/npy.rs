@@ -8,7 +8,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::Path;
 
-use crate::InterchangeError;
+use crate::{InterchangeError, input};
 
 /// Longest header that is read. Those of plain arrays have 128 bytes.
 const MAX_HEADER_BYTES: usize = 4096;
@@ -80,15 +80,14 @@ impl NpyValue for bool {
     }
 }
 
-/// Reads a `.npy` file of float32 or float64, stored in C or Fortran order, as float32 in C order.
+/// Reads a `.npy` file of float32 or float64, stored in C or Fortran order, as float32 in C order. Nothing in such a
+/// file is compressed, so its length bounds the memory.
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::Npy`] if the array is of another type or
 /// damaged, or holds a number that is not finite.
 pub fn read_npy(path: &Path) -> Result<NpyArray, InterchangeError> {
-    let failed = |error| InterchangeError::Read { path: path.into(), error };
-    let file = File::open(path).map_err(failed)?;
-    let held = file.metadata().map_err(failed)?.len();
+    let (file, held) = input::open(path)?;
     let mut reader = BufReader::new(file);
     let read = |reader: &mut BufReader<File>| {
         let header = Header::read(reader)?;

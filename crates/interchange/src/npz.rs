@@ -9,12 +9,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use zip::{
-    CompressionMethod, DateTime, ZipArchive, ZipWriter, read::ZipFile, result::ZipError, write::SimpleFileOptions,
-};
+use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, read::ZipFile, write::SimpleFileOptions};
 
 use crate::{
-    InterchangeError, NpyArray,
+    InterchangeError, NpyArray, ReadLimits, input,
     npy::{Header, NpyValue, header_bytes},
 };
 
@@ -22,6 +20,9 @@ use crate::{
 const MAX_DEFLATE_RATIO: u64 = 1032;
 
 /// Reads the arrays of an npz archive, one array per call: an array's values are in memory only once it is asked for.
+///
+/// Limits are compared with the sizes of all arrays together when an archive is opened, since a caller may keep all. An
+/// archive that is not compressed takes no more than its length, so limits never refuse a checkpoint of a run.
 ///
 /// ```
 /// use tcgs_interchange::{NpzReader, NpzWriter};
@@ -40,22 +41,42 @@ const MAX_DEFLATE_RATIO: u64 = 1032;
 pub struct NpzReader {
     path: PathBuf,
     file_bytes: u64,
+    limits: ReadLimits,
     archive: ZipArchive<BufReader<File>>,
 }
 
 impl NpzReader {
+    /// Opens an archive under the default [`ReadLimits`], and reads its table of contents.
+    ///
+    /// # Errors
+    /// As [`Self::open_with`].
+    pub fn open(path: &Path) -> Result<Self, InterchangeError> {
+        Self::open_with(path, ReadLimits::default())
+    }
+
     /// Opens an archive and reads its table of contents.
     ///
     /// # Errors
     /// [`InterchangeError::Read`] if the file cannot be opened; [`InterchangeError::Archive`] if the file is not a
-    /// complete zip archive.
-    pub fn open(path: &Path) -> Result<Self, InterchangeError> {
-        let failed = |error| InterchangeError::Read { path: path.into(), error };
-        let file = File::open(path).map_err(failed)?;
-        let file_bytes = file.metadata().map_err(failed)?.len();
-        let archive = ZipArchive::new(BufReader::new(file))
+    /// complete zip archive; [`InterchangeError::Limit`] if its arrays together are larger than `limits` allow.
+    pub fn open_with(path: &Path, limits: ReadLimits) -> Result<Self, InterchangeError> {
+        let (file, file_bytes) = input::open(path)?;
+        let mut archive = ZipArchive::new(BufReader::new(file))
             .map_err(|error| InterchangeError::Archive { path: path.into(), problem: lowercase(&error.to_string()) })?;
-        Ok(Self { path: path.into(), file_bytes, archive })
+        let sizes = (0..archive.len()).filter_map(|index| Some(archive.by_index_raw(index).ok()?.size()));
+        limits.check_bytes(path, file_bytes, sizes.fold(0, u64::saturating_add))?;
+        Ok(Self { path: path.into(), file_bytes, limits, archive })
+    }
+
+    /// Refuses an array of which several copies do not fit the limits: for a caller that makes something else of it.
+    ///
+    /// - `copies`: how often the array's bytes are held at once
+    ///
+    /// # Errors
+    /// [`InterchangeError::Limit`]; [`InterchangeError::Array`] if the array is missing or its header is damaged.
+    pub fn check_copies(&mut self, key: &str, copies: u64) -> Result<(), InterchangeError> {
+        let bytes = self.read(key, |header, _| header.value_bytes())?;
+        self.limits.check_bytes(&self.path, self.file_bytes, bytes.saturating_mul(copies))
     }
 
     /// Reads one array of float32 or float64, stored in C or Fortran order, as float32 in C order.
@@ -64,8 +85,9 @@ impl NpzReader {
     ///
     /// # Errors
     /// [`InterchangeError::Array`] if the array is missing, of another type or damaged, or holds a number that is not
-    /// finite.
+    /// finite; [`InterchangeError::Limit`] if it is in Fortran order and too large to be sorted.
     pub fn array(&mut self, key: &str) -> Result<NpyArray, InterchangeError> {
+        self.check_order(key)?;
         self.read(key, |header, entry| header.read_floats(entry))
     }
 
@@ -74,8 +96,10 @@ impl NpzReader {
     /// - `key`: name of the array, without `.npy`
     ///
     /// # Errors
-    /// [`InterchangeError::Array`] if the array is missing, of another type, or damaged.
+    /// [`InterchangeError::Array`] if the array is missing, of another type, or damaged; [`InterchangeError::Limit`] as
+    /// of [`Self::array`].
     pub fn array_of<T: NpyValue>(&mut self, key: &str) -> Result<NpyArray<T>, InterchangeError> {
+        self.check_order(key)?;
         self.read(key, |header, entry| header.read_values(entry))
     }
 
@@ -90,6 +114,7 @@ impl NpzReader {
     /// # Errors
     /// As [`Self::array`].
     pub(crate) fn rows(&mut self, key: &str) -> Result<NpzRows, InterchangeError> {
+        self.check_order(key)?;
         self.read(key, |header, entry| {
             if entry.compression() != CompressionMethod::Stored || header.fortran_order {
                 let NpyArray { shape, values } = header.read_floats(entry)?;
@@ -140,6 +165,12 @@ impl NpzReader {
         self.archive.file_names().flatten().filter_map(|name| name.strip_suffix(".npy").map(str::to_owned))
     }
 
+    /// An array in Fortran order is held twice while it is sorted.
+    fn check_order(&mut self, key: &str) -> Result<(), InterchangeError> {
+        let is_fortran = self.read(key, |header, _| Ok(header.fortran_order))?;
+        if is_fortran { self.check_copies(key, 2) } else { Ok(()) }
+    }
+
     fn read<T>(
         &mut self,
         key: &str,
@@ -154,11 +185,11 @@ impl NpzReader {
         key: &str,
         read: impl FnOnce(Header, &mut ZipFile<'_, BufReader<File>>) -> Result<T, String>,
     ) -> Result<T, String> {
-        let keys: Vec<String> = self.array_names().collect();
-        let mut entry = self.archive.by_name(&format!("{key}.npy")).map_err(|error| match error {
-            ZipError::FileNotFound => format!("is missing, found {}", keys.join(", ")),
-            other => format!("is damaged: {}", lowercase(&other.to_string())),
-        })?;
+        if !self.contains(key) {
+            return Err(format!("is missing, found {}", self.array_names().collect::<Vec<_>>().join(", ")));
+        }
+        let entry = self.archive.by_name(&format!("{key}.npy"));
+        let mut entry = entry.map_err(|error| format!("is damaged: {}", lowercase(&error.to_string())))?;
         let header = Header::read(&mut entry)?;
         let (held, promised) = (entry.size().saturating_sub(header.header_bytes as u64), header.value_bytes()?);
         let possible = entry.compressed_size().min(self.file_bytes).saturating_mul(MAX_DEFLATE_RATIO);

@@ -9,6 +9,7 @@ use pyo3::exceptions::{
 };
 use tcgs_capture::CaptureError;
 use tcgs_codec::DecodeError;
+use tcgs_core::printable;
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_pipeline::{Fault, HasFault, PipelineError};
@@ -18,7 +19,12 @@ use tcgs_train::TrainError;
 /// `RuntimeError`.
 pub fn exception(error: impl Into<PipelineError>) -> PyErr {
     let error = error.into();
-    let message = error.to_string();
+    let lifted = if matches!(error, PipelineError::Interchange(InterchangeError::Limit { .. })) {
+        "; no_limits=True lifts it"
+    } else {
+        ""
+    };
+    let message = format!("{}{lifted}", printable(&error.to_string()));
     match (cause(&error), error.fault()) {
         (Some(cause), _) if !matches!(cause.kind(), ErrorKind::InvalidData | ErrorKind::UnexpectedEof) => {
             of_system(cause.kind(), message)

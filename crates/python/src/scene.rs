@@ -8,7 +8,7 @@ use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyRange, PyString};
 use tcgs_core::{SceneReader, Tour};
-use tcgs_interchange::{HigherHarmonics, ReadSettings};
+use tcgs_interchange::{HigherHarmonics, ReadLimits, ReadSettings};
 use tcgs_pipeline::{CutFiles, OpenScene, OpenSettings};
 
 use crate::arrays::ArrayLike;
@@ -70,17 +70,22 @@ pub enum OneOrMore {
 
 /// Opens a scene of this machine; `tcgs.open` has the rest.
 #[pyfunction]
-#[pyo3(signature = (path, *, drop_sh = false, recover = false, fps = None, segment_length = None))]
+#[pyo3(signature = (path, *, drop_sh = false, recover = false, no_limits = false, fps = None, segment_length = None))]
 pub fn open(
     py: Python<'_>,
     path: OneOrMore,
     drop_sh: bool,
     recover: bool,
+    no_limits: bool,
     fps: Option<f64>,
     segment_length: Option<u32>,
 ) -> PyResult<PyScene> {
     let settings = OpenSettings {
-        read: if drop_sh { HigherHarmonics::Drop.into() } else { ReadSettings::default() },
+        read: ReadSettings {
+            higher_harmonics: if drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Keep },
+            limits: if no_limits { ReadLimits::NONE } else { ReadLimits::default() },
+            ..ReadSettings::default()
+        },
         cut_files: if recover { CutFiles::Recover } else { CutFiles::Refuse },
     };
     if segment_length == Some(0) {

@@ -96,6 +96,19 @@ def test_arrays_become_a_scene_and_come_back() -> None:
         np.testing.assert_allclose(gaussians.opacities, opacities[timestep], rtol=1e-5)
 
 
+def test_limits_are_lifted_for_files_of_a_known_source(tmp_path: Path) -> None:
+    # One window of 2300 seconds becomes thirty timesteps a second.
+    long = tmp_path / "long.4dgs"
+    ones = np.ones((1, 2, 3))
+    scene = tcgs.Scene.from_arrays(
+        ones, np.ones((1, 2, 4)), ones, scales=ones[0], opacities=np.full((1, 2), 0.5), fps=1 / 2300
+    )
+    scene.save(long)
+    with pytest.raises(ValueError, match="needs 69000 timesteps, limit is 65536; no_limits=True lifts it"):
+        tcgs.open(long)
+    assert len(tcgs.open(long, no_limits=True)) == 69000
+
+
 def test_wrong_input_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no_such.tcgs: .*expected a .tcgs file"):
         tcgs.open(tmp_path / "no_such.tcgs")
@@ -106,6 +119,11 @@ def test_wrong_input_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cut.tcgs: .*expected a whole .tcgs file"):
         tcgs.open(cut)
     assert len(tcgs.open(cut, recover=True)) < 9
+    # A name that would colour a terminal.
+    (tmp_path / "\x1b[31mred.ply").write_text("ply\n")
+    with pytest.raises(ValueError, match=r"\\u\{1b\}\[31mred.ply: ") as refused:
+        tcgs.open(tmp_path / "\x1b[31mred.ply")
+    assert "\x1b" not in str(refused.value)
     ones = np.ones
     with pytest.raises(ValueError, match=r"quats: has shape \[2, 5, 3\], expected \[2, 5, 4\]"):
         tcgs.Scene.from_arrays(ones((2, 5, 3)), ones((2, 5, 3)), ones((2, 5, 3)), scales=ones((5, 3)), opacities=ones(5) / 2)

@@ -62,6 +62,9 @@ pub struct Arguments {
     /// timesteps, the optimizer's state carry over
     #[arg(long, value_name = "SCENE@T", conflicts_with = "points")]
     start_from: Option<String>,
+    /// Read a SCENE of another program that claims more memory than its length warrants, or over 65,536 timesteps
+    #[arg(long, requires = "start_from")]
+    no_limits: bool,
     /// Learn no masks
     #[arg(long)]
     no_mask: bool,
@@ -148,7 +151,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let config = settings::fresh(arguments, &capture)?;
         say(&describe(&*capture_for(&config, &capture)?, &config)?)?;
         let start = match &arguments.start_from {
-            Some(start) => Some(open_start(start, &config, &capture)?),
+            Some(start) => Some(open_start(start, arguments.no_limits, &config, &capture)?),
             None => None,
         };
         ReadyRun::begin(&arguments.out, &config, &capture, start.as_ref(), &backend)?
@@ -175,9 +178,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// The state that a chapter starts from, told in words.
-fn open_start(start: &str, config: &TrainConfig, capture: &Capture) -> anyhow::Result<Checkpoint> {
+///
+/// - `no_limits`: [`SourceOptions::no_limits`]
+fn open_start(start: &str, no_limits: bool, config: &TrainConfig, capture: &Capture) -> anyhow::Result<Checkpoint> {
     let (path, timestep) = settings::scene_and_timestep(start)?;
-    let scene = SourceOptions::default().open(&path)?;
+    let scene = SourceOptions { no_limits, ..SourceOptions::default() }.open(&path)?;
     let timestep = timestep.unwrap_or(scene.num_timesteps() - 1);
     let state = start_state(&scene, timestep, config, capture)?;
     let (path, n) = (path.display(), state.parameters.num_gaussians());

@@ -18,14 +18,19 @@
 //! less, as in sequences of frames; else a thirtieth of a second, and the state is that of its middle. Writing uses
 //! `gaussian-birth`, the model that every reader has and that holds harmonics.
 //!
-//! A file that says `y-up-right-handed` has the axes of glTF; any other those of PLY files, as its converter does. Streams
-//! packed by Zstandard are not read.
+//! A file that says `y-up-right-handed` has the axes of glTF; any other those of PLY files, as its converter does.
+//! Written files say it. Streams packed by Zstandard are not read.
 
+mod bounds;
 mod read;
+mod states;
 mod write;
 
 pub use read::FourdgsFile;
 pub use write::fourdgs_bytes;
+
+/// The coordinate system of glTF, by its name in these files.
+const Y_UP: &str = "y-up-right-handed";
 
 /// One line of what the crate says.
 fn one_line(error: &::fourdgs::Error) -> String {

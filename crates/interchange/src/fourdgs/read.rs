@@ -1,25 +1,25 @@
 //! Reads a `.4dgs` file into memory, and gives its state at each timestep.
 
-use std::collections::BTreeMap;
-use std::fs;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use ::fourdgs::keyframe_delta_file::{self, ChunkInfo, DecodedSequence};
-use ::fourdgs::quantization::{dequantize_rotation, rct_inverse, sh_coefficient};
-use ::fourdgs::{ReadOptions, opcode};
+use ::fourdgs::ReadOptions;
+use ::fourdgs::keyframe_delta_file::peek_temporal_model;
+use ::fourdgs::quantization::sh_coefficient;
 use tcgs_core::{Gaussians, Layout, SceneReader};
 
-use super::one_line;
+use super::bounds::{self, Model};
+use super::{Y_UP, one_line, states};
 use crate::axes::Axes;
 use crate::stored::{checked, logit};
-use crate::{HigherHarmonics, InterchangeError, ReadSettings};
+use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
 
 /// The longest window that is taken for a frame, seconds: a tenth, and what a float rounds.
 const LONGEST_FRAME_SECS: f64 = 0.1 + 1e-4;
 /// Timesteps a second where nothing says how many.
 const USUAL_RATE: f64 = 30.0;
-/// More timesteps than this are no scene: nine hours at thirty a second.
+/// More timesteps than this are no scene, under whatever limits: nine hours at thirty a second.
 const MAX_TIMESTEPS: f64 = 1e6;
 
 /// A scene in a `.4dgs` file, in memory.
@@ -49,7 +49,7 @@ enum Content {
     /// Of the model `gaussian-birth`.
     Births(Box<::fourdgs::Scene>),
     /// Of the model `keyframe-delta`.
-    States(Box<DecodedSequence>),
+    States(Vec<Gaussians>),
 }
 
 impl FourdgsFile {
@@ -57,22 +57,30 @@ impl FourdgsFile {
     ///
     /// # Errors
     /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is no whole `.4dgs` file, is of
-    /// a model or packed in a way that is not read, or has no Gaussian at any timestep.
+    /// a model or packed in a way that is not read, or has no Gaussian at any timestep; [`InterchangeError::Limit`] if
+    /// it claims more memory or timesteps than the settings allow.
     pub fn open(path: &Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
         let invalid = |problem: String| InterchangeError::File { path: path.into(), problem };
         let refused = |error: ::fourdgs::Error| invalid(format!("{}, expected a whole .4dgs file", one_line(&error)));
-        let bytes = fs::read(path).map_err(|error| InterchangeError::Read { path: path.into(), error })?;
+        let (file, length) = input::open(path)?;
+        let mut bytes = Vec::new();
+        let read = file.take(length).read_to_end(&mut bytes);
+        read.map_err(|error| InterchangeError::Read { path: path.into(), error })?;
         // Readers of the crate keep what is whole of a file that was cut.
         if bytes.starts_with(&::fourdgs::MAGIC) && !bytes.ends_with(&::fourdgs::MAGIC) {
             return Err(invalid("ends early, expected a whole .4dgs file".into()));
         }
-        let model = keyframe_delta_file::peek_temporal_model(&bytes).map_err(refused)?;
-        let (content, header, times, frame_rate) = if model == "keyframe-delta" {
-            let sequence = keyframe_delta_file::decode_streamed(&bytes).map_err(refused)?;
-            let times: Vec<f64> = sequence.chunks.iter().map(|chunk| chunk.t0).collect();
-            let rate = times.len() as f64 / sequence.header.duration_sec;
-            let header = sequence.header.clone();
-            (Content::States(Box::new(sequence)), header, times, rate)
+        let model = match &*peek_temporal_model(&bytes).map_err(refused)? {
+            "keyframe-delta" => Model::States,
+            _ => Model::Births,
+        };
+        let needed = bounds::held_bytes(&bytes, model, settings.limits.bytes(length)).map_err(refused)?;
+        settings.limits.check_bytes(path, length, needed)?;
+        let (content, header, times, frame_rate) = if model == Model::States {
+            let states::States { header, times, timesteps } = states::decode(&bytes).map_err(refused)?;
+            settings.limits.check_timesteps(path, times.len() as u64)?;
+            let rate = times.len() as f64 / header.duration_sec;
+            (Content::States(timesteps), header, times, rate)
         } else {
             let max_sh_band = if settings.higher_harmonics == HigherHarmonics::Keep { 3 } else { 0 };
             let options = ReadOptions { recover_truncated: false, max_sh_band };
@@ -85,8 +93,9 @@ impl FourdgsFile {
                     scene.duration_sec
                 )));
             }
+            settings.limits.check_timesteps(path, count as u64)?;
             let length = scene.duration_sec / count;
-            let times = (0..count as usize).map(|t| (t as f64 + 0.5) * length).collect();
+            let times: Vec<f64> = (0..count as usize).map(|t| (t as f64 + 0.5) * length).collect();
             let header = scene.header.clone();
             (Content::Births(Box::new(scene)), header, times, 1.0 / length)
         };
@@ -95,7 +104,7 @@ impl FourdgsFile {
             return Err(invalid(format!("has colours in {space:?}, expected \"srgb-rec709-display\"")));
         }
         let axes = match said("coordinate_system") {
-            Some("y-up-right-handed") => Some(Axes::LUF),
+            Some(Y_UP) => Some(Axes::LUF),
             _ => None,
         };
         let sh_degree = match &content {
@@ -109,9 +118,10 @@ impl FourdgsFile {
         let frame_rate = if frame_rate.is_finite() { frame_rate } else { USUAL_RATE };
         let layout = Layout::with_harmonics(sh_degree.min(tcgs_core::MAX_SH_DEGREE));
         let mut file = Self { path: path.into(), content, times, numbers: vec![], frame_rate, layout, axes };
-        for timestep in 0..file.times.len() {
-            file.numbers.push(file.rows(timestep)?.len());
-        }
+        file.numbers = match &file.content {
+            Content::Births(scene) => living(scene, &file.times),
+            Content::States(timesteps) => timesteps.iter().map(Gaussians::num_gaussians).collect(),
+        };
         if file.numbers.iter().all(|&number| number == 0) {
             return Err(invalid("holds no Gaussian, expected at least one".into()));
         }
@@ -139,66 +149,67 @@ impl FourdgsFile {
     /// # Panics
     /// If `timestep` is not below [`SceneReader::num_timesteps`].
     pub fn at(&self, timestep: usize) -> Result<Gaussians, InterchangeError> {
-        let rows = self.rows(timestep)?;
-        let mut gaussians = Gaussians::zeros_of(&self.layout, rows.len());
-        let step = match &self.content {
-            Content::Births(scene) => scene.quantization.step_alpha,
-            Content::States(sequence) => sequence.quantization.step_alpha,
+        let mut gaussians = match &self.content {
+            Content::Births(scene) => self.born(scene, self.times[timestep])?,
+            Content::States(timesteps) => timesteps[timestep].clone(),
         };
-        let nearest = [(step / 4.0).clamp(2.0_f64.powi(-25), 0.1); 2];
-        let base = gaussians.views_mut();
-        for (i, row) in rows.iter().enumerate() {
-            base.means[i] = row.mean;
-            let [x, y, z, w] = row.rotation;
-            base.quats[i] = [w, x, y, z];
-            base.log_scales[i] = row.scale.map(f32::ln);
-            base.logit_opacities[i] = logit(row.opacity.clamp(0.0, 1.0), nearest);
-            base.colors[i] = row.color;
-        }
-        if let Content::Births(scene) = &self.content
-            && let Some(sh) = &scene.gaussians.sh
-        {
-            let per_channel = scene.gaussians.sh_coefficients;
-            for (l, band) in (1..).zip(self.layout.harmonics()) {
-                let values = gaussians.values_mut(band).chunks_exact_mut(band.components());
-                for (to, row) in values.zip(&rows) {
-                    let from = &sh[3 * per_channel * row.index..][..3 * per_channel];
-                    for (k, rgb) in to.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-                        let place = |channel: usize| from[channel * per_channel + l * l - 1 + k];
-                        *rgb = [0, 1, 2].map(|channel| sh_coefficient(place(channel)) as f32);
-                    }
-                }
-            }
-        }
         if let Some(axes) = self.axes {
             axes.turn(&mut gaussians);
         }
         checked(&self.path, gaussians)
     }
 
-    /// What lives at a timestep.
-    fn rows(&self, timestep: usize) -> Result<Vec<Row>, InterchangeError> {
-        let time = self.times[timestep];
-        match &self.content {
-            Content::Births(scene) => births(scene, time).map_err(|error| {
-                let problem = format!("{}, expected a whole .4dgs file", one_line(&error));
-                InterchangeError::File { path: self.path.clone(), problem }
-            }),
-            Content::States(sequence) => Ok(states(sequence, &sequence.chunks[timestep], time)),
+    /// What lives at a time, in the axes of the file.
+    fn born(&self, scene: &::fourdgs::Scene, time: f64) -> Result<Gaussians, InterchangeError> {
+        let rows = births(scene, time).map_err(|error| {
+            let problem = format!("{}, expected a whole .4dgs file", one_line(&error));
+            InterchangeError::File { path: self.path.clone(), problem }
+        })?;
+        let mut gaussians = gaussians_of(&rows, &self.layout, scene.quantization.step_alpha);
+        let Some(sh) = &scene.gaussians.sh else { return Ok(gaussians) };
+        let per_channel = scene.gaussians.sh_coefficients;
+        for (l, band) in (1..).zip(self.layout.harmonics()) {
+            let values = gaussians.values_mut(band).chunks_exact_mut(band.components());
+            for (to, row) in values.zip(&rows) {
+                let from = &sh[3 * per_channel * row.index..][..3 * per_channel];
+                for (k, rgb) in to.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                    let place = |channel: usize| from[channel * per_channel + l * l - 1 + k];
+                    *rgb = [0, 1, 2].map(|channel| sh_coefficient(place(channel)) as f32);
+                }
+            }
         }
+        Ok(gaussians)
     }
 }
 
 /// A Gaussian as the file has it at one time.
-struct Row {
+pub(super) struct Row {
     /// In the file.
-    index: usize,
-    mean: [f32; 3],
+    pub index: usize,
+    pub mean: [f32; 3],
     /// `x, y, z, w`
-    rotation: [f32; 4],
-    scale: [f32; 3],
-    color: [f32; 3],
-    opacity: f64,
+    pub rotation: [f32; 4],
+    pub scale: [f32; 3],
+    pub color: [f32; 3],
+    pub opacity: f64,
+}
+
+/// Gaussians in stored form and in the axes of the file; harmonics are zero.
+///
+/// - `step_alpha`: between opacities
+pub(super) fn gaussians_of(rows: &[Row], layout: &Arc<Layout>, step_alpha: f64) -> Gaussians {
+    let mut gaussians = Gaussians::zeros_of(layout, rows.len());
+    let nearest = [(step_alpha / 4.0).clamp(2.0_f64.powi(-25), 0.1); 2];
+    let base = gaussians.views_mut();
+    for (i, row) in rows.iter().enumerate() {
+        base.means[i] = row.mean;
+        let [x, y, z, w] = row.rotation;
+        base.quats[i] = [w, x, y, z];
+        base.log_scales[i] = row.scale.map(f32::ln);
+        base.logit_opacities[i] = logit(row.opacity.clamp(0.0, 1.0), nearest);
+        base.colors[i] = row.color;
+    }
+    gaussians
 }
 
 /// How long a timestep is, by the windows of a file, seconds.
@@ -213,6 +224,40 @@ fn frame_secs(windows: &[(f64, f64)]) -> f64 {
     let frames = lengths().filter(|length| *length <= 1.5 * shortest);
     let (sum, count) = frames.fold((0.0, 0.0), |(sum, count), length| (sum + length, count + 1.0));
     sum / count
+}
+
+/// How many Gaussians live at each time, as [`births`] has it, without a look at each at every time.
+///
+/// - `times`: ascending
+fn living(scene: &::fourdgs::Scene, times: &[f64]) -> Vec<usize> {
+    let of = &scene.gaussians;
+    // Differences between the number at a time and that at the time before.
+    let mut changes = vec![0_i64; times.len() + 1];
+    for i in 0..of.count() {
+        let (from, until) = (f64::from(of.win_lo[i]), f64::from(of.win_hi[i]));
+        let from = times.partition_point(|&t| t < from);
+        let window = &times[from..times.partition_point(|&t| t < until).max(from)];
+        let (mu, sigma) = (f64::from(of.mu_t[i]), f64::from(of.sigma_t[i]));
+        // It fades to both sides of its middle; the term is that of the crate.
+        let is_visible = |t: f64| {
+            let z = (t - mu) / sigma.max(1e-30);
+            let share = if sigma.is_finite() { (-0.5 * z * z).exp() } else { 1.0 };
+            !(share < scene.header.cutoff)
+        };
+        let middle = window.partition_point(|&t| t < mu);
+        let first = window[..middle].partition_point(|&t| !is_visible(t));
+        let last = middle + window[middle..].partition_point(|&t| is_visible(t));
+        if last > first {
+            changes[from + first] += 1;
+            changes[from + last] -= 1;
+        }
+    }
+    let mut alive = 0;
+    let sums = changes[..times.len()].iter().map(|change| {
+        alive += change;
+        alive as usize
+    });
+    sums.collect()
 }
 
 fn births(scene: &::fourdgs::Scene, time: f64) -> Result<Vec<Row>, ::fourdgs::Error> {
@@ -230,28 +275,6 @@ fn births(scene: &::fourdgs::Scene, time: f64) -> Result<Vec<Row>, ::fourdgs::Er
         }
     };
     Ok(state.indices.iter().enumerate().map(row).collect())
-}
-
-fn states(sequence: &DecodedSequence, chunk: &ChunkInfo, time: f64) -> Vec<Row> {
-    let found = keyframe_delta_file::reconstruct_at(sequence, &chunk.state, time);
-    let steps = &sequence.quantization;
-    let index_of: BTreeMap<i64, usize> = chunk.state.ids.iter().enumerate().map(|(i, id)| (*id, i)).collect();
-    let bins = |attribute: u8, index: usize, count: usize| {
-        &chunk.state.bins[&attribute].values[count * index..count * (index + 1)]
-    };
-    let row = |(i, id): (usize, &i64)| {
-        let index = index_of[id];
-        let rotation = bins(opcode::A_ROTATION, index, 3);
-        Row {
-            index,
-            mean: std::array::from_fn(|c| found.centers[3 * i + c] as f32),
-            rotation: dequantize_rotation(bins(opcode::A_ROTATION_INDEX, index, 1)[0], rotation, steps.step_rot),
-            scale: std::array::from_fn(|c| found.scales[3 * i + c] as f32),
-            color: rct_inverse(bins(opcode::A_COLOR, index, 3)).map(|bin| (bin as f64 * steps.step_rgb) as f32),
-            opacity: found.opacity[i],
-        }
-    };
-    found.ids.iter().enumerate().map(row).collect()
 }
 
 impl SceneReader for FourdgsFile {

@@ -96,6 +96,7 @@ fn what_is_written_is_read_again() {
     for (timestep, gaussians) in scene.iter().enumerate() {
         compare(&read.at(timestep).unwrap(), gaussians);
     }
+    assert_eq!(::fourdgs::read_bytes(&written).unwrap().header.attributes["coordinate_system"], "y-up-right-handed");
     // 49 of one timestep, one of two, 49 more of one, 35 of two.
     let whole = ::fourdgs::read_bytes(&written).unwrap();
     assert_eq!(whole.gaussians.count(), 49 + 1 + 49 + 35);
@@ -128,6 +129,58 @@ fn what_is_written_is_read_again() {
     infinite.means_mut()[3][0] = f32::INFINITY;
     assert!(fourdgs_bytes([Ok::<_, String>(infinite)], 30.0).unwrap().is_err());
     assert_eq!(fourdgs_bytes([Err::<Gaussians, _>("unreadable")], 30.0), Err("unreadable"));
+}
+
+#[test]
+fn at_its_time_a_reader_sees_the_timestep() {
+    for rate in [10.0, 24.0, 25.0, 29.97, 30.0, 60.0] {
+        let timesteps = (0..400).map(|timestep| {
+            let mut gaussians = Gaussians::zeros(1);
+            gaussians.means_mut()[0] = [timestep as f32, 1.0, 0.0];
+            gaussians.quats_mut()[0] = [1.0, 0.0, 0.0, 0.0];
+            Ok::<_, String>(gaussians)
+        });
+        let bytes = fourdgs_bytes(timesteps, rate).unwrap().unwrap();
+        let scene = ::fourdgs::read_bytes(&bytes).unwrap();
+        for timestep in 0..400 {
+            let state = scene.state_at(f64::from(timestep) / rate).unwrap();
+            // The axes of glTF: x to the left, y up.
+            let [x, y, _] = state.centers[..] else { panic!("{} of one", state.centers.len()) };
+            assert!((x + timestep as f32).abs() < 0.1 && (y + 1.0).abs() < 0.1, "{timestep} at {rate}: {x} {y}");
+        }
+    }
+}
+
+/// Bytes with a number at a place.
+fn with_number(mut bytes: Vec<u8>, at: usize, number: u32) -> Vec<u8> {
+    bytes[at..at + 4].copy_from_slice(&number.to_le_bytes());
+    bytes
+}
+
+#[test]
+fn constants_of_few_bytes_that_stand_for_many_are_refused() {
+    let mut gaussians = Gaussians::zeros(2);
+    gaussians.quats_mut().fill([1.0, 0.0, 0.0, 0.0]);
+    let mut bytes = fourdgs_bytes([Ok::<_, String>(gaussians)], 30.0).unwrap().unwrap();
+    let chunk = ::fourdgs::serialization::Records::new(&bytes, 8).map(Result::unwrap).find(|r| r.opcode == 5).unwrap();
+    // The chunk's own count, then that of each stream.
+    let content = chunk.offset + 9;
+    let mut counts = vec![content + 20];
+    let end = content + chunk.content.len();
+    let mut at = content + 44;
+    while at < end {
+        assert_eq!(bytes[at + 2], 2, "a stream of equal values is a constant");
+        counts.push(at + 5);
+        at += 17 + u64::from_le_bytes(bytes[at + 9..at + 17].try_into().unwrap()) as usize;
+    }
+    for at in counts {
+        bytes = with_number(bytes, at, 3_000_000);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.4dgs");
+    std::fs::write(&path, &bytes).unwrap();
+    let message = open(&path).unwrap_err();
+    assert!(message.starts_with("needs ") && message.contains(" bytes of memory, limit is "), "{message}");
 }
 
 #[test]

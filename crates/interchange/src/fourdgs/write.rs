@@ -4,11 +4,13 @@ use ::fourdgs::quantization::{Profile, SH_QUANT_HI, SH_QUANT_LO};
 use ::fourdgs::{GaussianSet, SceneExtras, WriteOptions};
 use tcgs_core::{Attribute, Gaussians, normalize, sigmoid};
 
-use super::one_line;
+use super::{Y_UP, one_line};
+use crate::axes::Axes;
 
 /// The bytes of a `.4dgs` file, of its finest profile. Up to the rounding of floats positions are within 2 % of the median
 /// scale, rotations within 0.0005, scales within 0.5 %, colours and opacities within half of 1/255, harmonics within half
-/// of 8/255. Colours are clamped to what the format holds, 0 to 1, harmonics to -4 to 4.
+/// of 8/255. Colours are clamped to what the format holds, 0 to 1, harmonics to -4 to 4. The axes are those of glTF,
+/// and the file says so. At `t = k / frame_rate`, and until the next, a reader sees timestep `k`.
 ///
 /// - `timesteps`: stored form, in the axes of PLY files, all of one layout; their number of Gaussians may change. Where it
 ///   does not, row `i` is the same Gaussian.
@@ -36,7 +38,8 @@ pub fn fourdgs_bytes<E>(
     let mut alive: Option<(Gaussians, Vec<usize>)> = None;
     let mut count = 0;
     for gaussians in timesteps {
-        let gaussians = gaussians?;
+        let mut gaussians = gaussians?;
+        Axes::LUF.turn(&mut gaussians);
         let born = match alive.take() {
             Some((before, born)) if before.num_gaussians() == gaussians.num_gaussians() => {
                 let renewed = |(i, born): (usize, usize)| {
@@ -64,9 +67,15 @@ pub fn fourdgs_bytes<E>(
         set.sh = None;
     }
     let library = concat!("tcgs ", env!("CARGO_PKG_VERSION"));
+    let metadata = [("coordinate_system".into(), Y_UP.into())].into();
     // The crate's check allows 1e-9 beyond half a step, which is less than a float rounds: it would refuse most scenes.
-    let options =
-        WriteOptions { profile: Profile::Fine, verify: false, library: library.into(), ..WriteOptions::default() };
+    let options = WriteOptions {
+        profile: Profile::Fine,
+        verify: false,
+        library: library.into(),
+        metadata,
+        ..WriteOptions::default()
+    };
     let bytes = ::fourdgs::write_to_vec(&set, count as f64 / frame_rate, &options, &SceneExtras::default());
     Ok(bytes.map_err(|error| one_line(&error)))
 }
@@ -79,6 +88,12 @@ fn is_same(before: &Gaussians, now: &Gaussians, i: usize) -> bool {
         values.iter().map(|x| x.to_bits()).collect::<Vec<_>>()
     };
     now.layout().attributes().all(|attribute| row(before, attribute) == row(now, attribute))
+}
+
+/// The largest float that is not above a time. A window that began above its time would show the timestep before.
+fn not_above(time: f64) -> f32 {
+    let nearest = time as f32;
+    if f64::from(nearest) > time { nearest.next_down() } else { nearest }
 }
 
 fn push_all(set: &mut GaussianSet, alive: Option<(Gaussians, Vec<usize>)>, until: usize, frame_rate: f64) {
@@ -101,8 +116,8 @@ fn push(set: &mut GaussianSet, gaussians: &Gaussians, i: usize, from: usize, unt
     set.motions.extend([0.0; 3]);
     set.mu_t.push(((from + until) / 2.0) as f32);
     set.sigma_t.push(f32::INFINITY);
-    set.win_lo.push(from as f32);
-    set.win_hi.push(until as f32);
+    set.win_lo.push(not_above(from));
+    set.win_hi.push(not_above(until));
     let byte = |x: f32| {
         let share = (f64::from(x) - SH_QUANT_LO) / (SH_QUANT_HI - SH_QUANT_LO);
         (share * 255.0).round().clamp(0.0, 255.0) as u8

@@ -1,35 +1,43 @@
 //! The numbers of a glTF file: its buffers, and what accessors say of them. All places and counts are checked against the
 //! bytes that are there.
 
-use std::fs;
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 
 use super::document::Document;
+use crate::input;
 
 /// The bytes of all buffers of a document.
 pub struct Buffers<'a> {
     document: &'a Document,
-    bytes: Vec<Vec<u8>>,
+    bytes: Vec<Rc<Vec<u8>>>,
 }
 
 impl<'a> Buffers<'a> {
     /// Reads the buffers, or says what is wrong.
     ///
-    /// - `path`: of the document, beside which its other files lie
+    /// - `files`: those that the document names
     /// - `chunk`: the buffer inside a `.glb` file
-    pub fn open(document: &'a Document, path: &Path, mut chunk: Option<Vec<u8>>) -> Result<Self, String> {
-        let mut bytes = Vec::new();
+    pub fn open(document: &'a Document, files: &Files, mut chunk: Option<Vec<u8>>) -> Result<Self, String> {
+        let mut bytes: Vec<Rc<Vec<u8>>> = Vec::new();
+        let mut read = BTreeMap::new();
         for (i, buffer) in document.buffers.iter().enumerate() {
             let content = match &buffer.uri {
-                None => chunk.take().ok_or_else(|| format!("has no bytes for buffer {i}, expected a chunk BIN"))?,
-                Some(uri) => match uri.split_once(";base64,") {
-                    Some((start, text)) if start.starts_with("data:") => {
-                        BASE64_STANDARD.decode(text).map_err(|error| format!("buffer {i}: {error}, expected base64"))?
+                None => {
+                    let chunk = chunk.take();
+                    chunk.ok_or_else(|| format!("has no bytes for buffer {i}, expected a chunk BIN"))?.into()
+                }
+                Some(uri) => match inline(uri) {
+                    Some(text) => {
+                        let decoded = BASE64_STANDARD.decode(text);
+                        decoded.map_err(|error| format!("buffer {i}: {error}, expected base64"))?.into()
                     }
-                    _ => beside(path, uri)?,
+                    None => files.read(uri, &mut read)?,
                 },
             };
             if content.len() < buffer.byte_length {
@@ -39,11 +47,6 @@ impl<'a> Buffers<'a> {
             bytes.push(content);
         }
         Ok(Self { document, bytes })
-    }
-
-    /// Length of all buffers together.
-    pub fn num_bytes(&self) -> usize {
-        self.bytes.iter().map(Vec::len).sum()
     }
 
     /// The numbers of an accessor, or what is wrong with it.
@@ -94,12 +97,65 @@ impl<'a> Buffers<'a> {
     }
 }
 
-/// A file that a document names, which lies beside it or in a folder there.
-fn beside(path: &Path, uri: &str) -> Result<Vec<u8>, String> {
-    let is_inside = |part: &str| !part.is_empty() && part != "." && part != "..";
-    if uri.contains([':', '\\']) || !uri.split('/').all(is_inside) {
-        return Err(format!("has its numbers at {uri:?}, expected the name of a file beside it"));
+/// The text of a buffer that lies in the document itself.
+fn inline(uri: &str) -> Option<&str> {
+    uri.split_once(";base64,").filter(|(start, _)| start.starts_with("data:")).map(|(_, text)| text)
+}
+
+/// The files that a document names, each once.
+pub struct Files {
+    /// The file and its length, by its name in the document.
+    by_name: BTreeMap<String, (PathBuf, u64)>,
+}
+
+impl Files {
+    /// Finds the files, which lie beside the document or in a folder there, and reads none; or says what is wrong.
+    ///
+    /// - `path`: of the document
+    pub fn find(document: &Document, path: &Path) -> Result<Self, String> {
+        let mut by_name = BTreeMap::new();
+        for (i, buffer) in document.buffers.iter().enumerate() {
+            let Some(uri) = buffer.uri.as_ref().filter(|uri| inline(uri).is_none()) else { continue };
+            if by_name.contains_key(uri) {
+                continue;
+            }
+            let is_inside = |part: &str| !part.is_empty() && part != "." && part != "..";
+            if uri.contains([':', '\\']) || !uri.split('/').all(is_inside) {
+                return Err(format!("has its numbers at {uri:?}, expected the name of a file beside it"));
+            }
+            let file = path.parent().unwrap_or(Path::new("")).join(uri);
+            let failed = |error| format!("{}: {error}, expected a buffer", file.display());
+            // Several names may lead to one file.
+            let place = file.canonicalize().map_err(failed)?;
+            if path.canonicalize().is_ok_and(|document| document == place) {
+                return Err(format!("names itself as buffer {i}, expected another file"));
+            }
+            let length = place.metadata().map_err(failed)?.len();
+            by_name.insert(uri.clone(), (place, length));
+        }
+        Ok(Self { by_name })
     }
-    let file = path.parent().unwrap_or(Path::new("")).join(uri);
-    fs::read(&file).map_err(|error| format!("{}: {error}, expected a buffer", file.display()))
+
+    /// Length of all files together.
+    pub fn num_bytes(&self) -> u64 {
+        let places: BTreeMap<&PathBuf, u64> = self.by_name.values().map(|(place, length)| (place, *length)).collect();
+        places.values().sum()
+    }
+
+    /// The bytes of a file.
+    ///
+    /// - `read`: files that were read before
+    fn read<'a>(&'a self, name: &str, read: &mut BTreeMap<&'a Path, Rc<Vec<u8>>>) -> Result<Rc<Vec<u8>>, String> {
+        let (place, length) = &self.by_name[name];
+        if let Some(bytes) = read.get(&**place) {
+            return Ok(Rc::clone(bytes));
+        }
+        let (file, _) = input::open(place).map_err(|error| error.to_string())?;
+        let mut bytes = Vec::new();
+        let taken = file.take(*length).read_to_end(&mut bytes);
+        taken.map_err(|error| format!("{}: {error}, expected a buffer", place.display()))?;
+        let bytes = Rc::new(bytes);
+        read.insert(place, Rc::clone(&bytes));
+        Ok(bytes)
+    }
 }

@@ -119,7 +119,9 @@ impl Primitive {
 
 impl Document {
     /// The primitives of Gaussians that the scene shows, or what is wrong.
-    pub fn placed(&self) -> Result<Vec<Placed<'_>>, String> {
+    ///
+    /// - `most`: as many at most, since each node may show each
+    pub fn placed(&self, most: usize) -> Result<Vec<Placed<'_>>, String> {
         // Quantised positions are read; other extensions could change what numbers mean.
         let known = |name: &&String| [EXTENSION, "KHR_mesh_quantization"].contains(&&***name);
         if let Some(other) = self.extensions_required.iter().find(|name| !known(name)) {
@@ -128,6 +130,11 @@ impl Document {
         let Some(scene) = self.scenes.get(self.scene.unwrap_or(0)) else {
             return Err("has no scene, expected one".into());
         };
+        let of_gaussians = |mesh: &'_ Mesh| -> Vec<usize> {
+            let primitives = mesh.primitives.iter().enumerate();
+            primitives.filter(|(_, primitive)| primitive.extensions.gaussians.is_some()).map(|(i, _)| i).collect()
+        };
+        let of_meshes: Vec<Vec<usize>> = self.meshes.iter().map(of_gaussians).collect();
         let mut found = Vec::new();
         let mut is_met = vec![false; self.nodes.len()];
         let mut waiting: Vec<(usize, Placement)> = Vec::new();
@@ -140,8 +147,11 @@ impl Document {
             let placement = parent.then(&node.placement).map_err(|problem| format!("node {index} {problem}"))?;
             waiting.extend(node.children.iter().rev().map(|&child| (child, placement)));
             let Some(mesh) = node.mesh else { continue };
-            let mesh = self.meshes.get(mesh).ok_or_else(|| format!("has no mesh {mesh}, expected one"))?;
-            for primitive in &mesh.primitives {
+            let shown = of_meshes.get(mesh).ok_or_else(|| format!("has no mesh {mesh}, expected one"))?;
+            if shown.len() > most - found.len() {
+                return Err(format!("shows more than {most} primitives, expected fewer"));
+            }
+            for primitive in shown.iter().map(|&i| &self.meshes[mesh].primitives[i]) {
                 if let Some(gaussians) = &primitive.extensions.gaussians {
                     check(primitive, gaussians)?;
                     found.push(Placed { primitive, placement });

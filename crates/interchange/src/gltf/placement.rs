@@ -9,7 +9,8 @@ const TOLERANCE: f64 = 1e-4;
 /// A node's transform as it is in the file.
 #[derive(Deserialize)]
 pub struct Given {
-    matrix: Option<[f64; 16]>,
+    /// Apart, since most nodes have none.
+    matrix: Option<Box<[f64; 16]>>,
     rotation: Option<[f64; 4]>,
     scale: Option<[f64; 3]>,
     translation: Option<[f64; 3]>,

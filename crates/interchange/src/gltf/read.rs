@@ -1,17 +1,16 @@
 //! Reads the Gaussians that the scene of a glTF file shows.
 
-use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
 use tcgs_core::{Gaussians, Layout};
 
-use super::buffers::Buffers;
+use super::buffers::{Buffers, Files};
 use super::document::{Document, Placed, Primitive};
 use super::{BIN, JSON, attribute, harmonic};
 use crate::axes::Axes;
 use crate::stored::{Head, checked, color_from_sh0, logit};
-use crate::{HigherHarmonics, InterchangeError, ReadSettings};
+use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
 
 /// Whether bytes are those with which a glTF file begins: of a `.glb`, or of JSON.
 pub(crate) fn is_gltf(start: &[u8]) -> bool {
@@ -24,22 +23,17 @@ pub(crate) fn is_gltf(start: &[u8]) -> bool {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not complete, shows no
-/// Gaussians, has them in a way that is not read, or holds a number that is not finite or out of range.
+/// Gaussians, has them in a way that is not read, or holds a number that is not finite or out of range;
+/// [`InterchangeError::Limit`] if it claims more memory than the settings allow.
 pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
-    let (document, chunk) = open(path, Wanted::All)?;
-    let placed = document.placed().map_err(problem)?;
-    let Head { layout, .. } = head(&document, &placed, settings).map_err(problem)?;
-    let buffers = Buffers::open(&document, path, chunk).map_err(problem)?;
+    let Opened { document, chunk, length } = open(path, Wanted::All)?;
+    let (Head { layout, .. }, files) = head(path, &document, length, settings)?;
+    let placed = document.placed(usize::MAX).map_err(problem)?;
+    let buffers = Buffers::open(&document, &files, chunk).map_err(problem)?;
     let mut parts = Vec::new();
-    let mut num_gaussians = 0;
     for Placed { primitive, placement } in &placed {
         let mut part = gaussians(&buffers, primitive, layout.sh_degree()).map_err(problem)?;
-        // A mesh may be shown often; a Gaussian takes 32 bytes or more.
-        num_gaussians += part.num_gaussians();
-        if num_gaussians > buffers.num_bytes() {
-            return Err(problem("shows more Gaussians than it has bytes for, expected fewer".into()));
-        }
         placement.apply(&mut part);
         parts.push(part.extended(&layout));
     }
@@ -53,12 +47,37 @@ pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians
 /// # Errors
 /// As [`read_gltf`], but for what only the numbers show.
 pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, InterchangeError> {
-    let problem = |problem| InterchangeError::File { path: path.into(), problem };
-    let (document, _) = open(path, Wanted::Document)?;
-    head(&document, &document.placed().map_err(problem)?, settings).map_err(problem)
+    let Opened { document, length, .. } = open(path, Wanted::Document)?;
+    Ok(head(path, &document, length, settings)?.0)
 }
 
-fn head(document: &Document, placed: &[Placed], settings: ReadSettings) -> Result<Head, String> {
+/// Memory that a primitive takes besides its numbers, roughly: what it is called and a dozen arrays.
+const PRIMITIVE_BYTES: u64 = 1024;
+
+/// Counts the Gaussians of a document, finds the files that it names, and compares both with the limits.
+///
+/// - `length`: of the document's file
+fn head(
+    path: &Path,
+    document: &Document,
+    length: u64,
+    settings: ReadSettings,
+) -> Result<(Head, Files), InterchangeError> {
+    let problem = |problem| InterchangeError::File { path: path.into(), problem };
+    let files = Files::find(document, path).map_err(problem)?;
+    let file_bytes = length.saturating_add(files.num_bytes());
+    let most = usize::try_from(settings.limits.bytes(file_bytes) / PRIMITIVE_BYTES).unwrap_or(usize::MAX).max(1);
+    let placed = document.placed(most).map_err(problem)?;
+    let head = count(document, &placed, settings).map_err(problem)?;
+    // The file, its buffers, the numbers of accessors, the parts, and the whole.
+    let gaussians = (head.num_gaussians as u64).saturating_mul(head.layout.raw_bytes(1, 1)).saturating_mul(3);
+    let parts = PRIMITIVE_BYTES.saturating_mul(placed.len() as u64);
+    let needed = file_bytes.saturating_mul(2).saturating_add(gaussians).saturating_add(parts);
+    settings.limits.check_bytes(path, file_bytes, needed)?;
+    Ok((head, files))
+}
+
+fn count(document: &Document, placed: &[Placed], settings: ReadSettings) -> Result<Head, String> {
     let (mut num_gaussians, mut sh_degree) = (0_usize, 0);
     for Placed { primitive, .. } in placed {
         let position = *primitive.attributes.get("POSITION").ok_or_else(|| missing("POSITION"))?;
@@ -130,11 +149,21 @@ enum Wanted {
     All,
 }
 
-/// The JSON of a file, and the buffer that lies in it.
-fn open(path: &Path, wanted: Wanted) -> Result<(Document, Option<Vec<u8>>), InterchangeError> {
+/// A file as far as it was read.
+struct Opened {
+    document: Document,
+    /// The buffer that lies in the file.
+    chunk: Option<Vec<u8>>,
+    /// Bytes of the file.
+    length: u64,
+}
+
+/// Reads the JSON of a file, and the buffer that lies in it.
+fn open(path: &Path, wanted: Wanted) -> Result<Opened, InterchangeError> {
     let failed = |error| InterchangeError::Read { path: path.into(), error };
     let invalid = |problem: String| InterchangeError::File { path: path.into(), problem };
-    let mut file = BufReader::new(File::open(path).map_err(failed)?);
+    let (file, length) = input::open(path)?;
+    let mut file = BufReader::new(file);
     let mut next = |length: u64| -> Result<Vec<u8>, InterchangeError> {
         let mut bytes = Vec::new();
         file.by_ref().take(length).read_to_end(&mut bytes).map_err(failed)?;
@@ -167,5 +196,5 @@ fn open(path: &Path, wanted: Wanted) -> Result<(Document, Option<Vec<u8>>), Inte
     };
     let json = json.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(&json);
     let document = serde_json::from_slice(json).map_err(|error| invalid(format!("{error}, expected a glTF file")))?;
-    Ok((document, chunk))
+    Ok(Opened { document, chunk, length })
 }

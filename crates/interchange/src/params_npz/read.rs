@@ -8,7 +8,7 @@ use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
 use super::{ANTIALIASED, DOWNSCALE, FIRST_FRAME, FRAME_RATE, ParamsOrigin};
 use crate::npy::show_shape;
 use crate::npz::NpzRows;
-use crate::{InterchangeError, NpzReader};
+use crate::{InterchangeError, NpzReader, ReadLimits};
 
 /// Reads the scene of a `params.npz` that Dynamic 3D Gaussians, or [`write_params_npz`](crate::write_params_npz), wrote.
 ///
@@ -31,7 +31,7 @@ use crate::{InterchangeError, NpzReader};
 /// [`InterchangeError`] if the file cannot be read or is incomplete, an array is missing, shapes disagree, a number is
 /// not finite, or the scene has no timestep or no Gaussian.
 pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError> {
-    ParamsNpz::open(path)?.read_all()
+    ParamsNpz::open(path, ReadLimits::default())?.read_all()
 }
 
 /// A scene in a `params.npz` that is read a timestep at a time.
@@ -43,14 +43,14 @@ pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError
 ///
 /// ```
 /// use tcgs_core::{DynamicGaussians, Gaussians, SceneReader};
-/// use tcgs_interchange::{ParamsExtras, ParamsNpz, write_params_npz};
+/// use tcgs_interchange::{ParamsExtras, ParamsNpz, ReadLimits, write_params_npz};
 /// let mut scene = DynamicGaussians::default();
 /// scene.push(Gaussians::zeros(5));
 /// scene.push(Gaussians::zeros(5));
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("params.npz");
 /// write_params_npz(&path, &scene, &ParamsExtras::default())?;
-/// let mut params = ParamsNpz::open(&path)?;
+/// let mut params = ParamsNpz::open(&path, ReadLimits::default())?;
 /// assert_eq!((params.num_timesteps(), params.at(1)?), (2, scene.at(1)));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -73,9 +73,10 @@ impl ParamsNpz {
     /// Opens a `params.npz`, and checks all of it.
     ///
     /// # Errors
-    /// As [`read_params_npz`].
-    pub fn open(path: &Path) -> Result<Self, InterchangeError> {
-        open_params(path)
+    /// As [`read_params_npz`]; [`InterchangeError::Limit`] if its arrays are larger, or its timesteps more, than
+    /// `limits` allow.
+    pub fn open(path: &Path, limits: ReadLimits) -> Result<Self, InterchangeError> {
+        open_params(path, limits)
     }
 
     /// All timesteps.
@@ -115,8 +116,8 @@ impl SceneReader for ParamsNpz {
     }
 }
 
-fn open_params(path: &Path) -> Result<ParamsNpz, InterchangeError> {
-    let mut npz = NpzReader::open(path)?;
+fn open_params(path: &Path, limits: ReadLimits) -> Result<ParamsNpz, InterchangeError> {
+    let mut npz = NpzReader::open_with(path, limits)?;
     let invalid = |key: &str, problem| InterchangeError::Array { path: path.into(), key: key.into(), problem };
 
     let means = npz.rows("means3D")?;
@@ -128,6 +129,7 @@ fn open_params(path: &Path) -> Result<ParamsNpz, InterchangeError> {
         let problem = format!("has {num_timesteps} timesteps of {num_gaussians} gaussians, expected at least one each");
         return Err(invalid("means3D", problem));
     }
+    limits.check_timesteps(path, num_timesteps as u64)?;
 
     let mut varying = |key: &str, components: usize| {
         let array = npz.rows(key)?;
@@ -165,8 +167,8 @@ fn open_params(path: &Path) -> Result<ParamsNpz, InterchangeError> {
 /// # Errors
 /// [`InterchangeError`] if the file cannot be read, one of the three arrays is missing, or a number is out of its
 /// range.
-pub fn read_params_origin(path: &Path) -> Result<Option<ParamsOrigin>, InterchangeError> {
-    let mut npz = NpzReader::open(path)?;
+pub fn read_params_origin(path: &Path, limits: ReadLimits) -> Result<Option<ParamsOrigin>, InterchangeError> {
+    let mut npz = NpzReader::open_with(path, limits)?;
     if !npz.contains(FIRST_FRAME) {
         return Ok(None);
     }
@@ -198,8 +200,8 @@ pub fn read_params_origin(path: &Path) -> Result<Option<ParamsOrigin>, Interchan
 ///
 /// # Errors
 /// [`InterchangeError`] if the file cannot be read or the array is damaged.
-pub fn read_params_foreground(path: &Path) -> Result<Option<Vec<bool>>, InterchangeError> {
-    let mut npz = NpzReader::open(path)?;
+pub fn read_params_foreground(path: &Path, limits: ReadLimits) -> Result<Option<Vec<bool>>, InterchangeError> {
+    let mut npz = NpzReader::open_with(path, limits)?;
     if !npz.contains("seg_colors") {
         return Ok(None);
     }

@@ -7,7 +7,7 @@ use tcgs_core::{Attribute, DynamicGaussians, Layout, SceneReader};
 
 use super::*;
 use crate::npz::NpzRows;
-use crate::{NpzReader, NpzWriter};
+use crate::{NpzReader, NpzWriter, ReadLimits};
 
 /// Two timesteps of three Gaussians, every value different.
 fn scene() -> DynamicGaussians {
@@ -109,7 +109,7 @@ fn a_timestep_is_read_alone_whether_compressed_or_not() {
     let path = folder.path().join("params.npz");
     for compressed in [&[][..], &["rgb_colors"], &["means3D", "unnorm_rotations", "rgb_colors", "log_scales"]] {
         write_compressed(&path, compressed);
-        let mut params = ParamsNpz::open(&path).unwrap();
+        let mut params = ParamsNpz::open(&path, ReadLimits::default()).unwrap();
         let on_disk = [&params.means, &params.quats, &params.colors].map(NpzRows::is_on_disk);
         let stored = ["means3D", "unnorm_rotations", "rgb_colors"].map(|key| !compressed.contains(&key));
         assert_eq!(on_disk, stored);
@@ -126,7 +126,7 @@ fn a_file_that_is_written_to_while_it_is_open_is_no_other_scene() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("params.npz");
     write_params_npz(&path, &scene(), &ParamsExtras::default()).unwrap();
-    let mut params = ParamsNpz::open(&path).unwrap();
+    let mut params = ParamsNpz::open(&path, ReadLimits::default()).unwrap();
     // Into the open file, not beside it: the first value of the second timestep.
     let mut bytes = std::fs::read(&path).unwrap();
     let second = scene().means(1)[0][0].to_le_bytes();
@@ -158,7 +158,7 @@ fn extras_are_stored_as_the_source_stores_them() {
     // Windows replaces no file that is open.
     drop(npz);
 
-    assert_eq!(read_params_origin(&path).unwrap(), extras.origin);
+    assert_eq!(read_params_origin(&path, ReadLimits::default()).unwrap(), extras.origin);
     assert_eq!(read_params_npz(&path).unwrap(), scene());
 
     let many = ParamsExtras { log_gains: &[[1.0; 3]; 60], ..extras };
@@ -166,7 +166,7 @@ fn extras_are_stored_as_the_source_stores_them() {
     assert_eq!(NpzReader::open(&path).unwrap().array("cam_c").unwrap().shape, [60, 3]);
 
     write_params_npz(&path, &scene(), &ParamsExtras::default()).unwrap();
-    assert_eq!(read_params_origin(&path).unwrap(), None);
+    assert_eq!(read_params_origin(&path, ReadLimits::default()).unwrap(), None);
     let all = NpzReader::open(&path).unwrap().array("seg_colors").unwrap();
     assert_eq!(all.values, [1.0, 0.0, 0.0].repeat(3));
 }
@@ -181,7 +181,7 @@ fn an_origin_out_of_range_is_named() {
             npz.array(key, &[values.len()], [*values]).unwrap();
         }
         npz.finish().unwrap();
-        let message = read_params_origin(&path).unwrap_err().to_string();
+        let message = read_params_origin(&path, ReadLimits::default()).unwrap_err().to_string();
         message.strip_prefix(&format!("{}: ", path.display())).unwrap().to_owned()
     };
     let origin = |first_frame, downscale, frame_rate| {

@@ -19,15 +19,17 @@
 //! colours at zero; with them they clamp the sum.
 
 mod compressed;
+mod header;
 mod vertex;
 
 use std::fs::File;
 use std::io::{self, BufReader, ErrorKind, Write};
 use std::path::Path;
 
-use serde_ply::{DeserializeError, ElementDef, PlyFormat, PlyHeader, PlyReader, PropertyType, ScalarType};
+use serde_ply::{DeserializeError, ElementDef, PlyReader};
 use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 
+pub(crate) use self::header::{least_bytes, open_header};
 use self::vertex::{PROPERTIES, REQUIRED, Vertex};
 use crate::stored::{Head, checked, color_from_sh0, sh0_from_color};
 use crate::{HigherHarmonics, InterchangeError, ReadSettings};
@@ -50,7 +52,8 @@ use crate::{HigherHarmonics, InterchangeError, ReadSettings};
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete PLY
-/// file, lacks a property, has harmonics of no known degree, holds a number that is not finite, or has no Gaussian.
+/// file, lacks a property, has harmonics of no known degree, holds a number that is not finite, or has no Gaussian;
+/// [`InterchangeError::Limit`] if its header claims more memory than the settings allow.
 pub fn read_ply(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let (mut ply, head) = open(path, settings)?;
     let sh_degree = head.layout.sh_degree();
@@ -127,11 +130,8 @@ fn rest_of_band(sh_degree: usize, l: usize) -> impl Iterator<Item = usize> {
 
 /// Opens a file, and checks what its header says.
 fn open(path: &Path, settings: ReadSettings) -> Result<(PlyReader<BufReader<File>>, Head), InterchangeError> {
-    let failed = |error| InterchangeError::Read { path: path.into(), error };
     let invalid = |problem| InterchangeError::File { path: path.into(), problem };
-    let file = File::open(path).map_err(failed)?;
-    let metadata = file.metadata().map_err(failed)?;
-    let ply = PlyReader::from_reader(BufReader::new(file)).map_err(|error| damaged(path, error))?;
+    let (ply, length) = open_header(path, |error| damaged(path, error))?;
     let (element, harmonic) = if is_compressed(&ply) {
         compressed::check(ply.header()).map_err(invalid)?
     } else {
@@ -152,11 +152,12 @@ fn open(path: &Path, settings: ReadSettings) -> Result<(PlyReader<BufReader<File
     if element.count == 0 {
         return Err(invalid("holds no Gaussian, expected at least one".into()));
     }
-    let least = least_bytes(ply.header());
-    if metadata.is_file() && least.is_none_or(|least| least > metadata.len()) {
+    if least_bytes(ply.header()).is_none_or(|least| least > length) {
         return Err(ends_early(path));
     }
     let head = Head { num_gaussians: element.count, layout: Layout::with_harmonics(sh_degree) };
+    // The rows as they are read, and the columns of the Gaussians.
+    settings.limits.check_bytes(path, length, 2 * head.layout.raw_bytes(head.num_gaussians, 1))?;
     Ok((ply, head))
 }
 
@@ -178,27 +179,6 @@ fn sh_degree(element: &ElementDef) -> Result<usize, String> {
 /// Whether the next element is that of compressed files.
 fn is_compressed(ply: &PlyReader<BufReader<File>>) -> bool {
     ply.current_element().is_some_and(|element| element.name == "chunk")
-}
-
-/// Fewest bytes that the rows which are read take, from which follows how many a file can hold; none beyond `u64`.
-fn least_bytes(header: &PlyHeader) -> Option<u64> {
-    let bytes = |property: &PropertyType| match property {
-        // A digit and a space.
-        _ if header.format == PlyFormat::Ascii => 2,
-        // A count of bytes, which is zero.
-        PropertyType::List { .. } => 1,
-        PropertyType::Scalar(ScalarType::I8 | ScalarType::U8) => 1,
-        PropertyType::Scalar(ScalarType::I16 | ScalarType::U16) => 2,
-        PropertyType::Scalar(ScalarType::I32 | ScalarType::U32 | ScalarType::F32) => 4,
-        PropertyType::Scalar(ScalarType::F64) => 8,
-    };
-    let known = header.elem_defs.iter().filter(|element| ["chunk", "vertex", "sh"].contains(&&*element.name));
-    known
-        .map(|element| {
-            let row: u64 = element.properties.iter().map(|property| bytes(&property.property_type)).sum();
-            row.checked_mul(element.count as u64)
-        })
-        .try_fold(0_u64, |sum, bytes| sum.checked_add(bytes?))
 }
 
 fn ends_early(path: &Path) -> InterchangeError {

@@ -27,7 +27,6 @@
 
 mod unpack;
 
-use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::Path;
 use std::sync::Arc;
@@ -39,7 +38,7 @@ use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 use self::unpack::{Arrays, Encoding};
 use crate::axes::Axes;
 use crate::stored::{Head, checked};
-use crate::{HigherHarmonics, InterchangeError, ReadSettings};
+use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
 
 /// Length of the header of versions 2 and 3.
 const HEADER: usize = 16;
@@ -78,7 +77,8 @@ impl Header {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete SPZ file of
-/// a version from 2 to 4, is in axes that are turned by a quarter, or has no Gaussian.
+/// a version from 2 to 4, is in axes that are turned by a quarter, or has no Gaussian; [`InterchangeError::Limit`] if
+/// its header claims more than the settings allow.
 pub(crate) fn read_spz(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
     let header = open(path, settings)?;
@@ -86,8 +86,7 @@ pub(crate) fn read_spz(path: &Path, settings: ReadSettings) -> Result<Gaussians,
         let bytes = std::fs::read(path).map_err(|error| InterchangeError::Read { path: path.into(), error })?;
         streams(&bytes, &header).map_err(problem)?
     } else {
-        let file = File::open(path).map_err(|error| InterchangeError::Read { path: path.into(), error })?;
-        one_stream(BufReader::new(file), &header).map_err(problem)?
+        one_stream(BufReader::new(input::open(path)?.0), &header).map_err(problem)?
     };
     let axes = axes(&extensions).map_err(problem)?;
     let encoding = Encoding { version: header.version, fractional_bits: header.fractional_bits };
@@ -109,14 +108,13 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
 fn open(path: &Path, settings: ReadSettings) -> Result<Header, InterchangeError> {
     let failed = |error| InterchangeError::Read { path: path.into(), error };
     let invalid = |problem: String| InterchangeError::File { path: path.into(), problem };
-    let file = File::open(path).map_err(failed)?;
-    let length = file.metadata().map_err(failed)?.len();
+    let (file, length) = input::open(path)?;
     let mut file = BufReader::new(file);
     let mut bytes = Vec::new();
     file.by_ref().take(HEADER_4 as u64).read_to_end(&mut bytes).map_err(failed)?;
     let is_gzip = bytes.starts_with(&[0x1F, 0x8B]);
     if is_gzip {
-        let again = BufReader::new(File::open(path).map_err(failed)?);
+        let again = BufReader::new(input::open(path)?.0);
         bytes.clear();
         GzDecoder::new(again).take(HEADER as u64).read_to_end(&mut bytes).map_err(|error| invalid(damaged(&error)))?;
     }
@@ -155,7 +153,16 @@ fn open(path: &Path, settings: ReadSettings) -> Result<Header, InterchangeError>
     if plain > length.saturating_mul(max_ratio) {
         return Err(invalid(ends_early()));
     }
+    settings.limits.check_bytes(path, length, held(&header, length, settings))?;
     Ok(header)
+}
+
+/// Bytes that reading holds at once: the file, its arrays, the window of a Zstandard frame, and the Gaussians.
+fn held(header: &Header, file_bytes: u64, settings: ReadSettings) -> u64 {
+    let sizes = sizes(header);
+    let (packed, window) = if header.version >= 4 { (file_bytes, sizes.into_iter().max()) } else { (0, None) };
+    let floats = header.layout(settings).raw_bytes(header.num_gaussians, 1);
+    packed + sizes.iter().sum::<u64>() + window.unwrap_or(0) + floats
 }
 
 /// Lengths of the six arrays, in the order of the file.

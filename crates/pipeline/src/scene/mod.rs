@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tcgs_capture::Capture;
 use tcgs_codec::{BitMap, CompactFile, FileCamera, Light, Loss, Quantizers, SceneFile, SceneInfo, UpAxis, read_views};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
-use tcgs_interchange::{FourdgsFile, ParamsNpz, TimestepFiles};
+use tcgs_interchange::{FourdgsFile, ParamsNpz, ReadLimits, TimestepFiles};
 use tcgs_train::{Checkpoint, Lives, Parameters, Run, StandIns, TrainError};
 
 use self::chapters::Chapters;
@@ -92,6 +92,8 @@ struct FileContent {
 struct ParamsContent {
     num_gaussians: usize,
     num_timesteps: usize,
+    /// Under which the file was opened.
+    limits: ReadLimits,
     file: Mutex<ParamsNpz>,
 }
 
@@ -183,9 +185,12 @@ impl OpenScene {
         matches!(&self.content, Content::TimestepFiles(_) | Content::Fourdgs(_))
     }
 
-    /// Whether the scene is a `params.npz`.
-    pub(crate) fn is_params(&self) -> bool {
-        matches!(&self.content, Content::Params(_))
+    /// Of a `params.npz`, the limits under which it was opened.
+    pub(crate) fn params_limits(&self) -> Option<ReadLimits> {
+        match &self.content {
+            Content::Params(params) => Some(params.limits),
+            _ => None,
+        }
     }
 
     /// A scene of Gaussians in memory.
@@ -487,7 +492,7 @@ impl OpenScene {
                 Ok(Cow::Owned(floats))
             }
             Content::Floats { scene, .. } => Ok(Cow::Borrowed(scene)),
-            Content::Params(_) => Ok(Cow::Owned(tcgs_interchange::read_params_npz(&self.path)?)),
+            Content::Params(params) => Ok(Cow::Owned(ParamsNpz::open(&self.path, params.limits)?.read_all()?)),
             Content::TimestepFiles(files) => Ok(Cow::Owned(files.read(0..files.num_timesteps())?)),
         }
     }

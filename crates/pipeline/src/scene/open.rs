@@ -60,11 +60,11 @@ impl OpenScene {
                 Self::open_file(path, file, settings.cut_files)
             }
             Kind::Npz => {
-                let params = ParamsNpz::open(path)?;
+                let params = ParamsNpz::open(path, settings.read.limits)?;
                 let (num_gaussians, num_timesteps) = (params.num_gaussians(), params.num_timesteps());
                 let layout = Arc::clone(params.layout());
                 let unknown = ParamsOrigin { first_frame: 0, downscale: 1, frame_rate: 30.0 };
-                let origin = tcgs_interchange::read_params_origin(path)?.unwrap_or(unknown);
+                let origin = tcgs_interchange::read_params_origin(path, settings.read.limits)?.unwrap_or(unknown);
                 Ok(Self {
                     path: path.into(),
                     bytes: layout.raw_bytes(num_gaussians, num_timesteps),
@@ -72,6 +72,7 @@ impl OpenScene {
                     content: Content::Params(Box::new(ParamsContent {
                         num_gaussians,
                         num_timesteps,
+                        limits: settings.read.limits,
                         file: Mutex::new(params),
                     })),
                     first_frame: origin.first_frame as usize,
@@ -198,8 +199,12 @@ enum Kind {
 /// By its name; else by its first bytes.
 fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
     let mut start = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
-    read.map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+    let failed = |error| PipelineError::unreadable(path, error, EXPECTED);
+    // A device may never end, and opening a pipe waits for a writer.
+    if !std::fs::metadata(path).map_err(failed)?.is_file() {
+        return Err(PipelineError::input(path.display(), "a device or a pipe", EXPECTED));
+    }
+    File::open(path).and_then(|file| file.take(4).read_to_end(&mut start)).map_err(failed)?;
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
         "tcgs" => Ok(Kind::Tcgs),
         "npz" => Ok(Kind::Npz),

@@ -38,7 +38,10 @@ pub fn start_state(
     let cameras = training_cameras(config, capture)?;
     let Some(run) = scene.run() else {
         let n = gaussians.num_gaussians();
-        let foreground = if scene.is_params() { read_params_foreground(&scene.path)? } else { None };
+        let foreground = match scene.params_limits() {
+            Some(limits) => read_params_foreground(&scene.path, limits)?,
+            None => None,
+        };
         let parameters = Parameters {
             mask_logits: vec![config.mask.initial_logit; n],
             foreground: foreground.unwrap_or_else(|| vec![true; n]),

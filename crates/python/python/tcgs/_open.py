@@ -21,6 +21,7 @@ def open(
     *,
     drop_sh: bool = False,
     recover: bool = False,
+    no_limits: bool = False,
     fps: float | None = None,
     segment_length: int | None = None,
 ) -> Scene:
@@ -31,6 +32,8 @@ def open(
       Scene is; or run folders that are chapters of one scene (`tcgs.train`, `start_from`), in any order
     - drop_sh: of other programs' files, leave out spherical harmonics above degree 0
     - recover: of a .tcgs file that was cut, read what is whole
+    - no_limits: of other programs' files, read those that claim more memory than their length warrants, or more than 65,536
+      timesteps; for files of a known source
     - fps: timesteps a second, where the source says none or another
     - segment_length: of chapters, timesteps between the places at which they are joined; `tcgs.compress` makes segments of
       that length, 50 by default and fewer of more than 60,000 Gaussians
@@ -38,10 +41,13 @@ def open(
     Raises OSError if the file cannot be read or fetched, ValueError if it is no scene or damaged.
     """
     if not isinstance(path, str) or not path.startswith(("http://", "https://")):
-        return _tcgs.open(path, drop_sh=drop_sh, recover=recover, fps=fps, segment_length=segment_length)
+        return _tcgs.open(
+            path, drop_sh=drop_sh, recover=recover, no_limits=no_limits, fps=fps, segment_length=segment_length
+        )
     folder = tempfile.TemporaryDirectory(prefix="tcgs-", ignore_cleanup_errors=True)
     try:
-        scene = _tcgs.open(_download(path, Path(folder.name)), drop_sh=drop_sh, recover=recover, fps=fps)
+        file = _download(path, Path(folder.name))
+        scene = _tcgs.open(file, drop_sh=drop_sh, recover=recover, no_limits=no_limits, fps=fps)
     except BaseException:
         folder.cleanup()
         raise

@@ -215,6 +215,7 @@ def open(
     *,
     drop_sh: bool = False,
     recover: bool = False,
+    no_limits: bool = False,
     fps: float | None = None,
     segment_length: int | None = None,
 ) -> Scene: ...
