@@ -10,7 +10,7 @@ use super::buffers::Buffers;
 use super::document::{Document, Placed, Primitive};
 use super::{BIN, JSON, attribute, harmonic};
 use crate::axes::Axes;
-use crate::stored::{Head, checked, color_from_sh0, logit};
+use crate::stored::{Head, color_from_sh0, logit};
 use crate::{HigherHarmonics, InterchangeError, ReadSettings};
 
 /// Whether bytes are those with which a glTF file begins: of a `.glb`, or of JSON.
@@ -24,7 +24,7 @@ pub(crate) fn is_gltf(start: &[u8]) -> bool {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not complete, shows no
-/// Gaussians, has them in a way that is not read, or holds a number that is not finite or out of range.
+/// Gaussians, has them in a way that is not read, or holds a number out of range.
 pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
     let (document, chunk) = open(path, Wanted::All)?;
@@ -44,8 +44,8 @@ pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians
         parts.push(part.extended(&layout));
     }
     let mut gaussians = Gaussians::concat(&layout, &parts);
-    Axes::LUF.turn(&mut gaussians);
-    checked(path, gaussians)
+    settings.axes.unwrap_or(Axes::LUF).turn(&mut gaussians);
+    Ok(gaussians)
 }
 
 /// Reads how many Gaussians a glTF file shows.

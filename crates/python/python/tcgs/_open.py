@@ -20,6 +20,7 @@ def open(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
     drop_sh: bool = False,
+    axes: str | None = None,
     recover: bool = False,
     fps: float | None = None,
     segment_length: int | None = None,
@@ -30,6 +31,8 @@ def open(
     - path: str or os.PathLike; or the address of a file (http, https), which is downloaded whole and kept as long as the
       Scene is; or run folders that are chapters of one scene (`tcgs.train`, `start_from`), in any order
     - drop_sh: of other programs' files, leave out spherical harmonics above degree 0
+    - axes: of other programs' files, as three letters: right or left, up or down, forward or back, such as "rub"; by default
+      those that the file declares, else "luf" of glTF and "rdf" of all others. Scenes are in "rdf"
     - recover: of a .tcgs file that was cut, read what is whole
     - fps: timesteps a second, where the source says none or another
     - segment_length: of chapters, timesteps between the places at which they are joined; `tcgs.compress` makes segments of
@@ -38,10 +41,13 @@ def open(
     Raises OSError if the file cannot be read or fetched, ValueError if it is no scene or damaged.
     """
     if not isinstance(path, str) or not path.startswith(("http://", "https://")):
-        return _tcgs.open(path, drop_sh=drop_sh, recover=recover, fps=fps, segment_length=segment_length)
+        return _tcgs.open(
+            path, drop_sh=drop_sh, axes=axes, recover=recover, fps=fps, segment_length=segment_length
+        )
     folder = tempfile.TemporaryDirectory(prefix="tcgs-", ignore_cleanup_errors=True)
     try:
-        scene = _tcgs.open(_download(path, Path(folder.name)), drop_sh=drop_sh, recover=recover, fps=fps)
+        file = _download(path, Path(folder.name))
+        scene = _tcgs.open(file, drop_sh=drop_sh, axes=axes, recover=recover, fps=fps)
     except BaseException:
         folder.cleanup()
         raise
