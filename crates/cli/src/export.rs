@@ -11,7 +11,7 @@ use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{Frames, JobOptions};
 use crate::output::{NewFolder, check_file, is_numbered, show_bytes, write_file_with};
-use crate::scene::{SceneOptions, describe};
+use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
 
@@ -138,6 +138,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
     };
     say(&format!("{}: {}", to.display(), show_bytes(bytes)))?;
+    note_replaced(&scene);
     arguments.job.write_json(&json!({ "out": to.display().to_string(), "bytes": bytes }))
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use clap::Args;
 use tcgs_codec::{DecodeError, Loss};
 use tcgs_core::SceneReader;
-use tcgs_interchange::{HigherHarmonics, ReadLimits, ReadSettings};
+use tcgs_interchange::{Axes, HigherHarmonics, ReadLimits, ReadNote, ReadSettings};
 use tcgs_pipeline::{CutFiles, Fault, HasFault, OpenScene, OpenSettings, PipelineError};
 
 use crate::error::wrong_input;
@@ -21,18 +21,24 @@ pub struct SourceOptions {
     /// Read files of other programs that claim more memory than their length warrants, or over 65,536 timesteps
     #[arg(long)]
     pub no_limits: bool,
+    /// Axes of PLY, SPZ, glTF and .4dgs files, as three letters: right or left, up or down, forward or back. Scenes are in rdf
+    /// [default: those that the file declares, else luf of glTF and rdf of all others]
+    #[arg(long, value_name = "XYZ")]
+    pub axes: Option<Axes>,
 }
 
 impl SourceOptions {
-    /// Opens a scene.
+    /// Opens a scene, and says what readers assumed.
     pub fn open(self, path: &Path) -> Result<OpenScene, PipelineError> {
-        OpenScene::open(path, self.settings())
+        let scene = OpenScene::open(path, self.settings())?;
+        note_assumed(&scene);
+        Ok(scene)
     }
 
     fn settings(self) -> OpenSettings {
         let higher_harmonics = if self.drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Keep };
         let limits = if self.no_limits { ReadLimits::NONE } else { ReadLimits::default() };
-        let read = ReadSettings { higher_harmonics, limits, ..ReadSettings::default() };
+        let read = ReadSettings { higher_harmonics, axes: self.axes, limits };
         OpenSettings { read, ..OpenSettings::default() }
     }
 }
@@ -70,7 +76,7 @@ impl RecoverOption {
 }
 
 impl SceneOptions {
-    /// Opens a scene, and says what a file that was cut has lost.
+    /// Opens a scene, and says what readers assumed and what a file that was cut has lost.
     pub fn open(self, path: &Path) -> anyhow::Result<OpenScene> {
         let cut_files = if self.recover.recover { CutFiles::Recover } else { CutFiles::Refuse };
         let opened = OpenScene::open(path, OpenSettings { cut_files, ..self.source.settings() });
@@ -81,7 +87,27 @@ impl SceneOptions {
         if let Some(loss) = scene.loss() {
             note(&describe_loss(path, loss, scene.num_gaussians(), scene.num_timesteps()));
         }
+        note_assumed(&scene);
         Ok(scene)
+    }
+}
+
+/// Says what readers of another program's files assumed.
+fn note_assumed(scene: &OpenScene) {
+    for assumed in scene.notes() {
+        if let ReadNote::AssumedAxes(_) = assumed {
+            note(&format!("note: {}: {assumed}; --axes rub if it is upside down", scene.path.display()));
+        }
+    }
+}
+
+/// Says what readers of another program's files replaced at the timesteps that were read. A command says so at its end: a
+/// timestep is read when it is needed.
+pub fn note_replaced(scene: &OpenScene) {
+    for replaced in scene.notes() {
+        if let ReadNote::Replaced { .. } = replaced {
+            note(&format!("note: {}: {replaced}", scene.path.display()));
+        }
     }
 }
 

@@ -11,7 +11,7 @@ use crate::attribute_errors::{self, show, unit, word};
 use crate::interrupt;
 use crate::options::JobOptions;
 use crate::output::show_bytes;
-use crate::scene::{SourceOptions, describe, unreadable};
+use crate::scene::{SourceOptions, describe, note_replaced, unreadable};
 use crate::teller::Teller;
 use crate::terminal::say;
 
@@ -79,6 +79,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let file = arguments.reading.open(path)?;
     let comparison = Teller::default().watch(|teller| compare(&file, &source, teller))?;
     print(&comparison)?;
+    note_replaced(&source);
     result["source"] = json!(arguments.sources.iter().map(|source| source.display().to_string()).collect::<Vec<_>>());
     add(&mut result, &comparison);
     arguments.job.write_json(&result)?;

@@ -1,8 +1,8 @@
 //! Directions of the axes: files of other programs in the axes of PLY files, and back.
 //!
 //! PLY files of 3D Gaussian splatting have the axes of COLMAP's cameras, x right, y down, z forward (RDF), and a scene has
-//! them as its files do. SPZ means RUB, glTF LUF (`y` is up, a model looks along `z`). Letters say where an axis points:
-//! right or left, up or down, forward or back.
+//! them as its files do. glTF has LUF (`y` is up, a model looks along `z`), OpenGL RUB. SPZ files have any. Letters say where an
+//! axis points: right or left, up or down, forward or back.
 
 use std::fmt;
 use std::str::FromStr;
@@ -27,7 +27,7 @@ impl Axes {
     pub const RDF: Self = Self([false; 3]);
     /// Left, up, forward: glTF.
     pub const LUF: Self = Self([true, true, false]);
-    /// Right, up, back: SPZ and OpenGL.
+    /// Right, up, back: OpenGL, and SPZ as its README has it.
     pub const RUB: Self = Self([false, true, true]);
 
     /// - `left`, `up`, `back`: whether x, y and z point there
@@ -39,6 +39,9 @@ impl Axes {
     ///
     /// Nothing is rounded. The axes of a Gaussian itself turn too, which does not change its shape.
     pub(crate) fn turn(self, gaussians: &mut Gaussians) {
+        if self == Self::RDF {
+            return;
+        }
         let signs = self.0.map(|against| if against { -1.0_f32 } else { 1.0 });
         let [x, y, z] = signs;
         let base = gaussians.views_mut();

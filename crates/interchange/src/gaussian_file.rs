@@ -5,7 +5,8 @@ use std::path::Path;
 
 use tcgs_core::Gaussians;
 
-use crate::stored::Head;
+use crate::notes::Replaced;
+use crate::stored::{Head, checked};
 use crate::{InterchangeError, ReadSettings, gltf, input, ply, spz};
 
 /// Kinds of files that hold one timestep.
@@ -36,8 +37,8 @@ impl FileKind {
 }
 
 /// Reads the Gaussians of one file in stored form: a PLY file of 3D Gaussian splatting or a compressed one, an SPZ file, or
-/// a glTF file with `KHR_gaussian_splatting`. All come in the axes of PLY files: x right, y down, z forward where the file's
-/// kind says so.
+/// a glTF file with `KHR_gaussian_splatting`. All come in the axes of PLY files: x right, y down, z forward. A file's own axes
+/// are those of the settings, else those that it declares, else those of its kind ([`ReadSettings::axes`]).
 ///
 /// ```no_run
 /// use tcgs_interchange::{ReadSettings, read_gaussians};
@@ -47,14 +48,20 @@ impl FileKind {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not complete, has
-/// no Gaussian, or holds a number that is not finite; [`InterchangeError::Limit`] if it claims more memory than the
-/// settings allow.
+/// no Gaussian, or holds a number that is not finite and not the logit of an opacity of 0 or 1 or the logarithm of a scale of 0;
+/// [`InterchangeError::Limit`] if it claims more memory than the settings allow.
 pub fn read_gaussians(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
-    match FileKind::of(path)? {
-        FileKind::Ply => ply::read_ply(path, settings),
+    Ok(read_and_count(path, settings)?.0)
+}
+
+/// [`read_gaussians`], and how many numbers were replaced.
+pub(crate) fn read_and_count(path: &Path, settings: ReadSettings) -> Result<(Gaussians, Replaced), InterchangeError> {
+    let gaussians = match FileKind::of(path)? {
+        FileKind::Ply => ply::read_unchecked(path, settings),
         FileKind::Spz => spz::read_spz(path, settings),
         FileKind::Gltf => gltf::read_gltf(path, settings),
-    }
+    };
+    checked(path, gaussians?)
 }
 
 /// The kind of a file, and what its header says.

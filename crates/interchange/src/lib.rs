@@ -21,6 +21,7 @@ mod fourdgs;
 mod gaussian_file;
 mod gltf;
 mod input;
+mod notes;
 mod npy;
 mod npz;
 mod params_npz;
@@ -37,6 +38,7 @@ pub use error::InterchangeError;
 pub use fourdgs::{FourdgsFile, fourdgs_bytes};
 pub use gaussian_file::read_gaussians;
 pub use gltf::write_glb_to;
+pub use notes::ReadNote;
 pub use npy::{NpyArray, NpyValue, read_npy};
 pub use npz::{NpzReader, NpzWriter};
 pub use params_npz::{

@@ -15,7 +15,8 @@ use crate::{Axes, InterchangeError};
 pub struct ReadSettings {
     /// What to do with spherical harmonics above degree 0. Default: keep.
     pub higher_harmonics: HigherHarmonics,
-    /// Axes of the Gaussians in the file. Default: those that the file declares, else those of its format.
+    /// Axes of the Gaussians in the file. Default: those that the file declares, else those of its format: LUF of glTF, else
+    /// RDF. Scenes are in RDF.
     pub axes: Option<Axes>,
     /// What a file may take of memory and time.
     pub limits: ReadLimits,

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use tcgs_core::{Gaussians, HARMONIC_0, Layout};
 
 use crate::InterchangeError;
+use crate::notes::Replaced;
 
 /// What the start of a file says of its Gaussians.
 #[derive(Clone, Debug)]
@@ -44,9 +45,29 @@ pub(crate) fn logit_of_byte(byte: u8) -> f32 {
     logit(f64::from(byte) / 255.0, [0.25 / 255.0; 2])
 }
 
-/// Refuses numbers that are not finite. Without harmonics negative colours become zero, since renderers of such files clamp
-/// colours at zero; with them they clamp the sum.
-pub(crate) fn checked(path: &Path, mut gaussians: Gaussians) -> Result<Gaussians, InterchangeError> {
+/// Shares of an opacity that a float can be told from: half of the step below 1.
+const NEAREST_OF_FLOATS: [f64; 2] = [1.0 / (1 << 25) as f64; 2];
+
+/// Log scale that an infinite one is read as: 2e-9 scene units, much thinner than what any picture shows. Not the smallest of
+/// a float, -87: a quantizer spans all scales of a scene, and its step would grow tenfold.
+const LEAST_LOG_SCALE: f32 = -20.0;
+
+/// Replaces the infinite numbers that programs write for opacities of exactly 0 and 1 and for scales of exactly 0, and refuses
+/// all others that are not finite. A Gaussian of infinite scale cannot be drawn.
+///
+/// Without harmonics negative colours become zero, since renderers of such files clamp colours at zero; with them they clamp
+/// the sum.
+pub(crate) fn checked(path: &Path, mut gaussians: Gaussians) -> Result<(Gaussians, Replaced), InterchangeError> {
+    let mut replaced = Replaced::default();
+    for x in gaussians.logit_opacities_mut().iter_mut().filter(|x| x.is_infinite()) {
+        *x = logit(if *x > 0.0 { 1.0 } else { 0.0 }, NEAREST_OF_FLOATS);
+        replaced.opacities += 1;
+    }
+    let scales = gaussians.log_scales_mut().as_flattened_mut().iter_mut();
+    for x in scales.filter(|x| **x == f32::NEG_INFINITY) {
+        *x = LEAST_LOG_SCALE;
+        replaced.scales += 1;
+    }
     if gaussians.layout().is_base() {
         for color in gaussians.colors_mut().as_flattened_mut().iter_mut().filter(|color| **color < 0.0) {
             *color = 0.0;
@@ -60,7 +81,7 @@ pub(crate) fn checked(path: &Path, mut gaussians: Gaussians) -> Result<Gaussians
             return Err(InterchangeError::File { path: path.into(), problem });
         }
     }
-    Ok(gaussians)
+    Ok((gaussians, replaced))
 }
 
 #[cfg(test)]

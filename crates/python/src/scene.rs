@@ -70,21 +70,24 @@ pub enum OneOrMore {
 
 /// Opens a scene of this machine; `tcgs.open` has the rest.
 #[pyfunction]
-#[pyo3(signature = (path, *, drop_sh = false, recover = false, no_limits = false, fps = None, segment_length = None))]
+#[pyo3(signature = (path, *, drop_sh = false, axes = None, recover = false, no_limits = false, fps = None,
+    segment_length = None))]
 pub fn open(
     py: Python<'_>,
     path: OneOrMore,
     drop_sh: bool,
+    axes: Option<&str>,
     recover: bool,
     no_limits: bool,
     fps: Option<f64>,
     segment_length: Option<u32>,
 ) -> PyResult<PyScene> {
+    let axes = axes.map(|letters| letters.parse().map_err(|error| PyValueError::new_err(format!("axes: {error}"))));
     let settings = OpenSettings {
         read: ReadSettings {
             higher_harmonics: if drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Keep },
+            axes: axes.transpose()?,
             limits: if no_limits { ReadLimits::NONE } else { ReadLimits::default() },
-            ..ReadSettings::default()
         },
         cut_files: if recover { CutFiles::Recover } else { CutFiles::Refuse },
     };
@@ -239,6 +242,13 @@ impl PyScene {
     #[getter]
     fn up(&self) -> &'static str {
         if self.0.up() == tcgs_codec::UpAxis::Unknown { "" } else { self.0.up().name() }
+    }
+
+    /// What was assumed when a file of another program was opened, and replaced at the timesteps that were read so far; empty of
+    /// anything else.
+    #[getter]
+    fn notes(&self) -> Vec<String> {
+        self.0.notes().iter().map(ToString::to_string).collect()
     }
 
     /// By attribute the largest error against what was compressed, as a .tcgs file declares it: means in scene units, quats in

@@ -22,7 +22,7 @@ use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{self, Cameras, Frames, JobOptions, Pair};
 use crate::output::{check_file, show_bytes, write_file};
-use crate::scene::{SourceOptions, describe};
+use crate::scene::{SourceOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::say;
 
@@ -251,6 +251,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     interrupt::check()?;
     write_file(&out, &compressed.file, arguments.job.force)?;
+    note_replaced(&scene);
     report(arguments, &compressed, results, &out)
 }
 

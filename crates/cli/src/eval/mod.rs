@@ -13,7 +13,7 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::interrupt;
 use crate::options::{self, CameraChoice, Frames, JobOptions};
 use crate::output::{check_file, write_file};
-use crate::scene::{SceneOptions, describe};
+use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
 
@@ -120,6 +120,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         say(&format!("  {:<10}  {}", "here", here(&arguments.cameras, &capture, &settings, &evaluation)))?;
         say(&table::protocol_line(protocol, &evaluation))?;
     }
+    note_replaced(&scene);
     if let Some(csv) = &arguments.csv {
         write_file(csv, table::csv(&evaluation, settings.protocol).as_bytes(), arguments.job.force)?;
     }

@@ -17,7 +17,7 @@ use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{Frames, JobOptions, Size};
 use crate::output::{NewFolder, is_numbered};
-use crate::scene::{SceneOptions, describe};
+use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::say;
 use video::Video;
@@ -104,6 +104,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output.finish()?;
     let out = arguments.out.display().to_string();
     say(&format!("{out}: {} pictures", cameras.len()))?;
+    note_replaced(&scene);
     arguments.job.write_json(&json!({ "out": out, "pictures": cameras.len() }))
 }
 

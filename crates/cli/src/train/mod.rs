@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
+use tcgs_interchange::Axes;
 use tcgs_pipeline::{Event, LiveRun, Observer, PipelineError, ReadyRun, RunFolder, capture_for, fit, start_state};
 use tcgs_train::{Checkpoint, Preset, Run, TrainConfig, TrainError, Trainer};
 
@@ -15,7 +16,7 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::error::{stopped, wrong_input};
 use crate::interrupt;
 use crate::options::{self, Frames, JobOptions, Pair};
-use crate::scene::SourceOptions;
+use crate::scene::{SourceOptions, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::say;
 
@@ -62,7 +63,12 @@ pub struct Arguments {
     /// timesteps, the optimizer's state carry over
     #[arg(long, value_name = "SCENE@T", conflicts_with = "points")]
     start_from: Option<String>,
-    /// Read a SCENE of another program that claims more memory than its length warrants, or over 65,536 timesteps
+    /// With --start-from: axes of PLY, SPZ, glTF and .4dgs files, such as rub [default: those that the file declares, else luf of
+    /// glTF and rdf of all others]
+    #[arg(long, value_name = "XYZ", requires = "start_from")]
+    axes: Option<Axes>,
+    /// With --start-from: read a file of another program that claims more memory than its length warrants, or over 65,536
+    /// timesteps
     #[arg(long, requires = "start_from")]
     no_limits: bool,
     /// Learn no masks
@@ -151,7 +157,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let config = settings::fresh(arguments, &capture)?;
         say(&describe(&*capture_for(&config, &capture)?, &config)?)?;
         let start = match &arguments.start_from {
-            Some(start) => Some(open_start(start, arguments.no_limits, &config, &capture)?),
+            Some(start) => {
+                let reading =
+                    SourceOptions { axes: arguments.axes, no_limits: arguments.no_limits, ..SourceOptions::default() };
+                Some(open_start(start, reading, &config, &capture)?)
+            }
             None => None,
         };
         ReadyRun::begin(&arguments.out, &config, &capture, start.as_ref(), &backend)?
@@ -178,13 +188,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// The state that a chapter starts from, told in words.
-///
-/// - `no_limits`: [`SourceOptions::no_limits`]
-fn open_start(start: &str, no_limits: bool, config: &TrainConfig, capture: &Capture) -> anyhow::Result<Checkpoint> {
+fn open_start(
+    start: &str,
+    reading: SourceOptions,
+    config: &TrainConfig,
+    capture: &Capture,
+) -> anyhow::Result<Checkpoint> {
     let (path, timestep) = settings::scene_and_timestep(start)?;
-    let scene = SourceOptions { no_limits, ..SourceOptions::default() }.open(&path)?;
+    let scene = reading.open(&path)?;
     let timestep = timestep.unwrap_or(scene.num_timesteps() - 1);
     let state = start_state(&scene, timestep, config, capture)?;
+    note_replaced(&scene);
     let (path, n) = (path.display(), state.parameters.num_gaussians());
     say(&format!(
         "starting from {path} at timestep {timestep}, frame {}: {n} Gaussians",

@@ -12,8 +12,9 @@ use tcgs_core::{Gaussians, Layout, SceneReader};
 use super::bounds::{self, Model};
 use super::{Y_UP, one_line, states};
 use crate::axes::Axes;
+use crate::notes::ReplacedByTimestep;
 use crate::stored::{checked, logit};
-use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
+use crate::{HigherHarmonics, InterchangeError, ReadNote, ReadSettings, input};
 
 /// The longest window that is taken for a frame, seconds: a tenth, and what a float rounds.
 const LONGEST_FRAME_SECS: f64 = 0.1 + 1e-4;
@@ -41,7 +42,8 @@ pub struct FourdgsFile {
     numbers: Vec<usize>,
     frame_rate: f64,
     layout: Arc<Layout>,
-    axes: Option<Axes>,
+    axes: Axes,
+    replaced: ReplacedByTimestep,
 }
 
 #[derive(Debug)]
@@ -103,10 +105,11 @@ impl FourdgsFile {
         if let Some(space) = said("color_space").filter(|space| !space.starts_with("srgb")) {
             return Err(invalid(format!("has colours in {space:?}, expected \"srgb-rec709-display\"")));
         }
-        let axes = match said("coordinate_system") {
-            Some(Y_UP) => Some(Axes::LUF),
-            _ => None,
+        let declared = match said("coordinate_system") {
+            Some(Y_UP) => Axes::LUF,
+            _ => Axes::RDF,
         };
+        let axes = settings.axes.unwrap_or(declared);
         let sh_degree = match &content {
             Content::Births(scene)
                 if settings.higher_harmonics == HigherHarmonics::Keep && scene.gaussians.sh.is_some() =>
@@ -117,7 +120,8 @@ impl FourdgsFile {
         };
         let frame_rate = if frame_rate.is_finite() { frame_rate } else { USUAL_RATE };
         let layout = Layout::with_harmonics(sh_degree.min(tcgs_core::MAX_SH_DEGREE));
-        let mut file = Self { path: path.into(), content, times, numbers: vec![], frame_rate, layout, axes };
+        let (path, numbers, replaced) = (path.into(), vec![], ReplacedByTimestep::default());
+        let mut file = Self { path, content, times, numbers, frame_rate, layout, axes, replaced };
         file.numbers = match &file.content {
             Content::Births(scene) => living(scene, &file.times),
             Content::States(timesteps) => timesteps.iter().map(Gaussians::num_gaussians).collect(),
@@ -131,6 +135,11 @@ impl FourdgsFile {
     /// Timesteps a second.
     pub fn frame_rate(&self) -> f64 {
         self.frame_rate
+    }
+
+    /// What was replaced at the timesteps that were read so far.
+    pub fn notes(&self) -> Vec<ReadNote> {
+        self.replaced.note().into_iter().collect()
     }
 
     /// Size as plain 32-bit floats, as [`TimestepFiles::raw_bytes`](crate::TimestepFiles::raw_bytes).
@@ -153,10 +162,10 @@ impl FourdgsFile {
             Content::Births(scene) => self.born(scene, self.times[timestep])?,
             Content::States(timesteps) => timesteps[timestep].clone(),
         };
-        if let Some(axes) = self.axes {
-            axes.turn(&mut gaussians);
-        }
-        checked(&self.path, gaussians)
+        self.axes.turn(&mut gaussians);
+        let (gaussians, replaced) = checked(&self.path, gaussians)?;
+        self.replaced.record(timestep, replaced);
+        Ok(gaussians)
     }
 
     /// What lives at a time, in the axes of the file.

@@ -9,7 +9,7 @@ use super::buffers::{Buffers, Files};
 use super::document::{Document, Placed, Primitive};
 use super::{BIN, JSON, attribute, harmonic};
 use crate::axes::Axes;
-use crate::stored::{Head, checked, color_from_sh0, logit};
+use crate::stored::{Head, color_from_sh0, logit};
 use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
 
 /// Whether bytes are those with which a glTF file begins: of a `.glb`, or of JSON.
@@ -23,8 +23,8 @@ pub(crate) fn is_gltf(start: &[u8]) -> bool {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not complete, shows no
-/// Gaussians, has them in a way that is not read, or holds a number that is not finite or out of range;
-/// [`InterchangeError::Limit`] if it claims more memory than the settings allow.
+/// Gaussians, has them in a way that is not read, or holds a number out of range; [`InterchangeError::Limit`] if it claims more
+/// memory than the settings allow.
 pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
     let Opened { document, chunk, length } = open(path, Wanted::All)?;
@@ -38,8 +38,8 @@ pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians
         parts.push(part.extended(&layout));
     }
     let mut gaussians = Gaussians::concat(&layout, &parts);
-    Axes::LUF.turn(&mut gaussians);
-    checked(path, gaussians)
+    settings.axes.unwrap_or(Axes::LUF).turn(&mut gaussians);
+    Ok(gaussians)
 }
 
 /// Reads how many Gaussians a glTF file shows.

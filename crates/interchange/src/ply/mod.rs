@@ -11,6 +11,11 @@
 //! | `scale_0` to `scale_2` | `log_scales` |
 //! | `rot_0` to `rot_3` | `quats`, `w, x, y, z` |
 //!
+//! | comment | here |
+//! |---|---|
+//! | `SplatRenderMode: mip`, of Brush and splat-transform | [`Layout::is_antialiased`]; written for such Gaussians |
+//! | `antialiased 1` or `true`, of Postshot | the same; not written |
+//!
 //! Files hold all `f_rest` of red, then of green, then of blue: coefficient `k` of channel `c` is `f_rest_{c K + k}` with
 //! `K` of 3, 8 or 15. The columns hold red, green and blue of each coefficient together.
 //!
@@ -32,10 +37,14 @@ use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 pub(crate) use self::header::{least_bytes, open_header};
 use self::vertex::{PROPERTIES, REQUIRED, Vertex};
 use crate::stored::{Head, checked, color_from_sh0, sh0_from_color};
-use crate::{HigherHarmonics, InterchangeError, ReadSettings};
+use crate::{Axes, HigherHarmonics, InterchangeError, ReadSettings};
+
+/// The comment of files whose Gaussians are drawn with antialiasing.
+const ANTIALIASED: &str = "comment SplatRenderMode: mip\n";
 
 /// Reads the Gaussians of one PLY file, in stored form: binary of either byte order, or ASCII; as 3D Gaussian splatting
-/// writes them, or compressed. Unknown properties are ignored.
+/// writes them, or compressed. Unknown properties are ignored. Comments may say that the Gaussians are drawn with
+/// antialiasing ([`Layout::is_antialiased`]).
 ///
 /// ```
 /// use tcgs_core::{Gaussians, Layout};
@@ -52,9 +61,15 @@ use crate::{HigherHarmonics, InterchangeError, ReadSettings};
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete PLY
-/// file, lacks a property, has harmonics of no known degree, holds a number that is not finite, or has no Gaussian;
-/// [`InterchangeError::Limit`] if its header claims more memory than the settings allow.
+/// file, lacks a property, has harmonics of no known degree, holds a number that is not finite and not the logit of an
+/// opacity of 0 or 1 or the logarithm of a scale of 0, or has no Gaussian; [`InterchangeError::Limit`] if its header claims more
+/// memory than the settings allow.
 pub fn read_ply(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
+    Ok(checked(path, read_unchecked(path, settings)?)?.0)
+}
+
+/// [`read_ply`] of numbers that need not be finite.
+pub(crate) fn read_unchecked(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let (mut ply, head) = open(path, settings)?;
     let sh_degree = head.layout.sh_degree();
     let gaussians = if is_compressed(&ply) {
@@ -67,7 +82,9 @@ pub fn read_ply(path: &Path, settings: ReadSettings) -> Result<Gaussians, Interc
             _ => read_rows::<{ REQUIRED + 45 }>(&mut ply, MAX_SH_DEGREE),
         }
     };
-    checked(path, gaussians.map_err(|error| damaged(path, error))?)
+    let mut gaussians = gaussians.map_err(|error| damaged(path, error))?.extended(&head.layout);
+    settings.axes.unwrap_or(Axes::RDF).turn(&mut gaussians);
+    Ok(gaussians)
 }
 
 /// Reads the header of a PLY file.
@@ -79,7 +96,8 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
 }
 
 /// Writes the Gaussians of one timestep as a PLY file for viewers of 3D Gaussian splatting: binary little-endian, with
-/// the harmonics that their layout has. Further columns are left out. Equal Gaussians give equal bytes.
+/// the harmonics that their layout has, and a comment where they are drawn with antialiasing. Further columns are left out.
+/// Equal Gaussians give equal bytes.
 ///
 /// - `writer`: should be buffered
 /// - `gaussians`: `[N]`, stored form
@@ -93,7 +111,8 @@ pub fn write_ply_to(mut writer: impl Write, gaussians: &Gaussians) -> io::Result
     let names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].into_iter().chain(rest);
     let names = names.chain(["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]);
     let properties: String = names.map(|name| format!("property float {name}\n")).collect();
-    write!(writer, "ply\nformat binary_little_endian 1.0\nelement vertex {n}\n{properties}end_header\n")?;
+    let comment = if gaussians.layout().is_antialiased() { ANTIALIASED } else { "" };
+    write!(writer, "ply\nformat binary_little_endian 1.0\n{comment}element vertex {n}\n{properties}end_header\n")?;
     for i in 0..n {
         let mut row = Vec::with_capacity(17 + num_rest);
         row.extend(gaussians.means()[i]);
@@ -155,10 +174,27 @@ fn open(path: &Path, settings: ReadSettings) -> Result<(PlyReader<BufReader<File
     if least_bytes(ply.header()).is_none_or(|least| least > length) {
         return Err(ends_early(path));
     }
-    let head = Head { num_gaussians: element.count, layout: Layout::with_harmonics(sh_degree) };
+    let layout = Layout::with_harmonics(sh_degree).antialiased(is_antialiased(&ply.header().comments));
+    let head = Head { num_gaussians: element.count, layout };
     // The rows as they are read, and the columns of the Gaussians.
     settings.limits.check_bytes(path, length, 2 * head.layout.raw_bytes(head.num_gaussians, 1))?;
     Ok((ply, head))
+}
+
+/// Whether comments of a header say that the Gaussians are drawn with antialiasing: those of Brush, or that of Postshot. The
+/// last one counts, as in other readers.
+fn is_antialiased(comments: &[String]) -> bool {
+    let says = |comment: &String| {
+        let (key, value) = comment.trim().split_once([' ', ':'])?;
+        let value = value.trim_start_matches(':').trim().to_ascii_lowercase();
+        match (&*key.to_ascii_lowercase(), &*value) {
+            ("splatrendermode", mode) => Some(mode == "mip"),
+            ("antialiased", "1" | "true") => Some(true),
+            ("antialiased", "0" | "false") => Some(false),
+            _ => None,
+        }
+    };
+    comments.iter().rev().find_map(says).unwrap_or(false)
 }
 
 /// The degree of a file's harmonics, or what is wrong with them.

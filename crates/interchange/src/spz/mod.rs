@@ -20,8 +20,12 @@
 //! compressed and the plain length of each in 64 bits, and the frames lie behind the table.
 //!
 //! Extensions are records of a type, a length and so many bytes, in version 4 between header and table, before that
-//! behind the arrays. The one of type 0xADBE0003 says in which axes the file is: RUB without it. Others do not change the
-//! numbers and are ignored.
+//! behind the arrays. The one of type 0xADBE0003 says in which axes the file is. Others do not change the numbers and are
+//! ignored.
+//!
+//! Without that extension, or where it says 0 (unspecified), the axes are assumed to be RDF, those of PLY files. The README of
+//! the format says RUB, and its library converts where a program asks for it. But the format's own `ply_to_spz` does not
+//! ask, nor do splat-transform 3, gsply, `GaussForge` and spz-js convert. splat-transform 2.7 did.
 //!
 //! Facts: README, `load-spz.cc` and `extensions/` of the format's library (MIT), release 3.0.
 
@@ -37,7 +41,7 @@ use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 
 use self::unpack::{Arrays, Encoding};
 use crate::axes::Axes;
-use crate::stored::{Head, checked};
+use crate::stored::Head;
 use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
 
 /// Length of the header of versions 2 and 3.
@@ -46,6 +50,8 @@ const HEADER: usize = 16;
 const HEADER_4: usize = 32;
 /// Beyond this a file's extensions are no extensions.
 const MAX_EXTENSIONS: u64 = 1 << 20;
+/// Axes of a file that declares none.
+pub(crate) const ASSUMED_AXES: Axes = Axes::RDF;
 /// The extension that says in which axes a file is.
 const COORDINATE_SYSTEM: u32 = 0xADBE_0003;
 /// Bytes that a byte of gzip can stand for: 258 for two bits.
@@ -73,7 +79,7 @@ impl Header {
     }
 }
 
-/// Reads the Gaussians of one SPZ file, in stored form and in the axes of PLY files.
+/// Reads the Gaussians of one SPZ file, in stored form and in the axes of PLY files. Every number is finite.
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete SPZ file of
@@ -82,17 +88,15 @@ impl Header {
 pub(crate) fn read_spz(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
     let header = open(path, settings)?;
-    let (arrays, extensions) = if header.version >= 4 {
-        let bytes = std::fs::read(path).map_err(|error| InterchangeError::Read { path: path.into(), error })?;
-        streams(&bytes, &header).map_err(problem)?
-    } else {
-        one_stream(BufReader::new(input::open(path)?.0), &header).map_err(problem)?
-    };
-    let axes = axes(&extensions).map_err(problem)?;
+    let (arrays, extensions) = read_arrays(path, &header)?;
     let encoding = Encoding { version: header.version, fractional_bits: header.fractional_bits };
     let mut gaussians = unpack::unpack(&arrays, encoding, header.num_gaussians, &header.layout(settings));
+    let axes = match settings.axes {
+        Some(axes) => axes,
+        None => declared_axes(&extensions).map_err(problem)?.unwrap_or(ASSUMED_AXES),
+    };
     axes.turn(&mut gaussians);
-    checked(path, gaussians)
+    Ok(gaussians)
 }
 
 /// Reads the header of an SPZ file.
@@ -102,6 +106,31 @@ pub(crate) fn read_spz(path: &Path, settings: ReadSettings) -> Result<Gaussians,
 pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, InterchangeError> {
     let header = open(path, settings)?;
     Ok(Head { num_gaussians: header.num_gaussians, layout: header.layout(settings) })
+}
+
+/// Whether a file declares its axes. Without extensions its header answers; else the file is read.
+///
+/// # Errors
+/// As [`read_spz`].
+pub(crate) fn declares_axes(path: &Path, settings: ReadSettings) -> Result<bool, InterchangeError> {
+    let header = open(path, settings)?;
+    if !header.has_extensions {
+        return Ok(false);
+    }
+    let (_, extensions) = read_arrays(path, &header)?;
+    let axes = declared_axes(&extensions).map_err(|problem| InterchangeError::File { path: path.into(), problem })?;
+    Ok(axes.is_some())
+}
+
+/// The arrays and the extensions of a file.
+fn read_arrays(path: &Path, header: &Header) -> Result<(Arrays, Vec<u8>), InterchangeError> {
+    let problem = |problem| InterchangeError::File { path: path.into(), problem };
+    if header.version >= 4 {
+        let bytes = std::fs::read(path).map_err(|error| InterchangeError::Read { path: path.into(), error })?;
+        streams(&bytes, header).map_err(problem)
+    } else {
+        one_stream(BufReader::new(input::open(path)?.0), header).map_err(problem)
+    }
 }
 
 /// Reads and checks the header.
@@ -237,9 +266,9 @@ fn streams(bytes: &[u8], header: &Header) -> Result<(Arrays, Vec<u8>), String> {
     Ok((arrays, if header.has_extensions { extensions.to_vec() } else { vec![] }))
 }
 
-/// In which axes a file is, by its extensions, or what is wrong.
-fn axes(mut records: &[u8]) -> Result<Axes, String> {
-    let mut axes = Axes::RUB;
+/// In which axes a file is, by its extensions; none if they do not say; or what is wrong.
+fn declared_axes(mut records: &[u8]) -> Result<Option<Axes>, String> {
+    let mut axes = None;
     while let Some((head, rest)) = records.split_first_chunk::<8>() {
         let [kind, length] = [0, 4].map(|at| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]));
         let content = rest.get(..length as usize).ok_or("has an extension that ends early, expected a whole one")?;
@@ -249,9 +278,10 @@ fn axes(mut records: &[u8]) -> Result<Axes, String> {
         }
         let system = content.first_chunk().map_or(u32::MAX, |system| u32::from_le_bytes(*system));
         axes = match system {
-            0 => Axes::RUB,
+            // Unspecified, which the format's library takes for a file without the extension.
+            0 => None,
             // LDB, RDB, LUB, RUB, LDF, RDF, LUF, RUF: each letter is a bit.
-            1..=8 => Axes::new((system - 1) & 1 == 0, (system - 1) & 2 != 0, (system - 1) & 4 == 0),
+            1..=8 => Some(Axes::new((system - 1) & 1 == 0, (system - 1) & 2 != 0, (system - 1) & 4 == 0)),
             _ => {
                 return Err(format!("is in coordinate system {system}, expected one of 1 to 8, whose y is up or down"));
             }

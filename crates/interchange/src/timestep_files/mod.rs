@@ -1,7 +1,7 @@
 //! A folder with one file a timestep, of any kind that is read.
 //!
 //! Files may differ in their kind and in their number of Gaussians; the degree of their spherical harmonics is the same,
-//! and so is whether they are drawn with antialiasing, which SPZ files alone say. A scene whose Gaussians are followed
+//! and so is whether they are drawn with antialiasing, which SPZ and PLY files can say. A scene whose Gaussians are followed
 //! through time ([`TimestepFiles::read`]) needs more, which the files do not state: the same Gaussians in the same order.
 //! The reader checks what it can: every file has the same number of Gaussians, and Gaussian `i` of one file is near
 //! Gaussian `i` of the next ([`MAX_JUMP`]).
@@ -13,8 +13,9 @@ use std::sync::Arc;
 
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, natural_key};
 
-use crate::gaussian_file::{FileKind, read_head};
-use crate::{InterchangeError, ReadSettings, read_gaussians};
+use crate::gaussian_file::{FileKind, read_and_count, read_head};
+use crate::notes::ReplacedByTimestep;
+use crate::{InterchangeError, ReadNote, ReadSettings, spz};
 
 /// Endings of the files that are timesteps. What such a file is its content says.
 const ENDINGS: [&str; 4] = ["ply", "spz", "glb", "gltf"];
@@ -54,6 +55,9 @@ pub struct TimestepFiles {
     first_frame: Option<u32>,
     settings: ReadSettings,
     layout: Arc<Layout>,
+    /// Whether the axes of any file were assumed.
+    has_assumed_axes: bool,
+    replaced: ReplacedByTimestep,
 }
 
 impl TimestepFiles {
@@ -71,9 +75,12 @@ impl TimestepFiles {
         let mut numbers = Vec::new();
         let mut kinds = Vec::new();
         let mut first = None;
+        let mut has_assumed_axes = false;
         for file in &files {
             let (kind, head) = read_head(file, settings)?;
             kinds.push(kind);
+            has_assumed_axes = has_assumed_axes
+                || (kind == FileKind::Spz && settings.axes.is_none() && !spz::declares_axes(file, settings)?);
             let expected = first.get_or_insert_with(|| Arc::clone(&head.layout));
             if head.layout != *expected {
                 let (found, expected, first) = (look(&head.layout), look(expected), files[0].display());
@@ -85,7 +92,14 @@ impl TimestepFiles {
         let first_frame = first_frame(&files);
         let layout = first.unwrap_or_default();
         let kind = kinds.first().copied().filter(|first| kinds.iter().all(|kind| kind == first));
-        Ok(Self { files, numbers, kind, first_frame, settings, layout })
+        let replaced = ReplacedByTimestep::default();
+        Ok(Self { files, numbers, kind, first_frame, settings, layout, has_assumed_axes, replaced })
+    }
+
+    /// What was assumed when the files were opened, and what was replaced in those that were read so far.
+    pub fn notes(&self) -> Vec<ReadNote> {
+        let axes = self.has_assumed_axes.then_some(ReadNote::AssumedAxes(spz::ASSUMED_AXES));
+        axes.into_iter().chain(self.replaced.note()).collect()
     }
 
     /// Whether a path is a folder with a file for [`Self::open`].
@@ -121,14 +135,14 @@ impl TimestepFiles {
     /// The Gaussians of one file, in its order.
     ///
     /// # Errors
-    /// As [`read_gaussians`]; [`InterchangeError::File`] if the file has another number of Gaussians, or harmonics of another
+    /// As [`crate::read_gaussians`]; [`InterchangeError::File`] if the file has another number of Gaussians, or harmonics of another
     /// degree, than when the sequence was opened.
     ///
     /// # Panics
     /// If there is no such timestep.
     pub fn at(&self, timestep: usize) -> Result<Gaussians, InterchangeError> {
         let file = &self.files[timestep];
-        let gaussians = read_gaussians(file, self.settings)?;
+        let (gaussians, replaced) = read_and_count(file, self.settings)?;
         let (found, expected) = (gaussians.num_gaussians(), self.numbers[timestep]);
         if found != expected || gaussians.layout() != &self.layout {
             let (look_found, look_expected) = (look(gaussians.layout()), look(&self.layout));
@@ -137,6 +151,7 @@ impl TimestepFiles {
             );
             return Err(InterchangeError::File { path: file.clone(), problem });
         }
+        self.replaced.record(timestep, replaced);
         Ok(gaussians)
     }
 

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tcgs_capture::Capture;
 use tcgs_codec::{BitMap, CompactFile, FileCamera, Light, Loss, Quantizers, SceneFile, SceneInfo, UpAxis, read_views};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
-use tcgs_interchange::{FourdgsFile, ParamsNpz, ReadLimits, TimestepFiles};
+use tcgs_interchange::{FourdgsFile, ParamsNpz, ReadLimits, ReadNote, TimestepFiles};
 use tcgs_train::{Checkpoint, Lives, Parameters, Run, StandIns, TrainError};
 
 use self::chapters::Chapters;
@@ -287,6 +287,33 @@ impl OpenScene {
         match &self.content {
             Content::File(file) => file.loss.as_ref(),
             _ => None,
+        }
+    }
+
+    /// What readers of another program's files assumed when the scene was opened, and replaced at the timesteps that were read
+    /// so far; empty of anything else.
+    ///
+    /// ```
+    /// use tcgs_core::Gaussians;
+    /// use tcgs_interchange::write_ply_to;
+    /// use tcgs_pipeline::{OpenScene, OpenSettings};
+    ///
+    /// let folder = tempfile::tempdir()?;
+    /// let path = folder.path().join("a.ply");
+    /// let mut gaussians = Gaussians::zeros(5);
+    /// gaussians.logit_opacities_mut()[0] = f32::INFINITY;
+    /// write_ply_to(std::fs::File::create(&path)?, &gaussians)?;
+    ///
+    /// let scene = OpenScene::open(&path, OpenSettings::default())?;
+    /// assert!(scene.notes().is_empty() && scene.at(0)?.logit_opacities()[0].is_finite());
+    /// assert!(scene.notes()[0].to_string().contains("opacities 1, scales 0"));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn notes(&self) -> Vec<ReadNote> {
+        match &self.content {
+            Content::TimestepFiles(files) => files.notes(),
+            Content::Fourdgs(file) => file.notes(),
+            _ => Vec::new(),
         }
     }
 

@@ -20,6 +20,7 @@ def open(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
     drop_sh: bool = False,
+    axes: str | None = None,
     recover: bool = False,
     no_limits: bool = False,
     fps: float | None = None,
@@ -31,6 +32,8 @@ def open(
     - path: str or os.PathLike; or the address of a file (http, https), which is downloaded whole and kept as long as the
       Scene is; or run folders that are chapters of one scene (`tcgs.train`, `start_from`), in any order
     - drop_sh: of other programs' files, leave out spherical harmonics above degree 0
+    - axes: of other programs' files, as three letters: right or left, up or down, forward or back, such as "rub"; by default
+      those that the file declares, else "luf" of glTF and "rdf" of all others. Scenes are in "rdf"
     - recover: of a .tcgs file that was cut, read what is whole
     - no_limits: of other programs' files, read those that claim more memory than their length warrants, or more than 65,536
       timesteps; for files of a known source
@@ -42,12 +45,18 @@ def open(
     """
     if not isinstance(path, str) or not path.startswith(("http://", "https://")):
         return _tcgs.open(
-            path, drop_sh=drop_sh, recover=recover, no_limits=no_limits, fps=fps, segment_length=segment_length
+            path,
+            drop_sh=drop_sh,
+            axes=axes,
+            recover=recover,
+            no_limits=no_limits,
+            fps=fps,
+            segment_length=segment_length,
         )
     folder = tempfile.TemporaryDirectory(prefix="tcgs-", ignore_cleanup_errors=True)
     try:
         file = _download(path, Path(folder.name))
-        scene = _tcgs.open(file, drop_sh=drop_sh, recover=recover, no_limits=no_limits, fps=fps)
+        scene = _tcgs.open(file, drop_sh=drop_sh, axes=axes, recover=recover, no_limits=no_limits, fps=fps)
     except BaseException:
         folder.cleanup()
         raise

@@ -195,6 +195,8 @@ class Scene:
     @property
     def up(self) -> str: ...
     @property
+    def notes(self) -> list[str]: ...
+    @property
     def declared_errors(self) -> dict[str, float]: ...
     @property
     def cameras(self) -> dict[str, Camera]: ...
@@ -214,6 +216,7 @@ def open(
     path: _Path | Sequence[_Path],
     *,
     drop_sh: bool = False,
+    axes: str | None = None,
     recover: bool = False,
     no_limits: bool = False,
     fps: float | None = None,
