@@ -13,6 +13,7 @@ mod interchange;
 mod layouts;
 #[cfg(target_os = "linux")]
 mod memory;
+mod params;
 mod pipeline;
 mod ply;
 mod prepare;
@@ -22,6 +23,7 @@ mod recover;
 mod refusals;
 mod reproduce;
 mod resume;
+mod scenes;
 mod support;
 mod targets;
 mod train_view;
