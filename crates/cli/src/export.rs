@@ -17,8 +17,10 @@ use crate::terminal::{note, say};
 
 /// Export a scene for other programs
 ///
-/// A params.npz is what Dynamic 3D Gaussians writes and its viewer reads; it holds scales and opacities once, and no
-/// spherical harmonics. A PLY file is what 3D Gaussian splatting writes and most viewers read, a .glb file what viewers of
+/// A params.npz is what Dynamic 3D Gaussians writes and its viewer reads. It holds the same Gaussians at all timesteps, scales
+/// and opacities once, and no spherical harmonics. Runs of the presets d3dgs and paper are so. Of a scene in which Gaussians are
+/// born or die, such as a run of the presets default and fast, it can hold frames between two births or deaths (--frames); the
+/// other kinds of files hold all. A PLY file is what 3D Gaussian splatting writes and most viewers read, a .glb file what viewers of
 /// glTF read that know KHR_gaussian_splatting: one timestep each, named by its frame in a folder of many. A .4dgs file holds
 /// all timesteps, quantised as finely as its format offers. A .f32 file holds plain floats, bit for bit: for each frame all means, quats,
 /// log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in floats, without the
@@ -26,8 +28,8 @@ use crate::terminal::{note, say};
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
-  tcgs export my_run --to params.npz
-  tcgs export scene.tcgs --to plys
+  tcgs export my_run --to plys
+  tcgs export my_d3dgs_run --to params.npz
   tcgs export scene.tcgs --to glbs --files glb
   tcgs export scene.tcgs --to scene.4dgs
   tcgs export scene.tcgs --frames 7..8 --to frame_7.ply")]
@@ -89,6 +91,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let bytes = match target {
         Target::ParamsNpz => {
             let params = export.params(frames.clone())?;
+            if !params.has_background() {
+                note("no Gaussian is marked as background: a viewer that hides the background hides nothing");
+            }
             interrupt::check()?;
             write_file_with(to, force, |file| params.write(BufWriter::new(file))?.flush())?;
             if frames.start > 0 {

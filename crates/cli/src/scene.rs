@@ -30,7 +30,16 @@ pub struct SourceOptions {
 impl SourceOptions {
     /// Opens a scene, and says what readers assumed.
     pub fn open(self, path: &Path) -> Result<OpenScene, PipelineError> {
-        let scene = OpenScene::open(path, self.settings())?;
+        self.open_with(path, CutFiles::Refuse)
+    }
+
+    /// Opens a scene, and says which file was found below a folder.
+    fn open_with(self, path: &Path, cut_files: CutFiles) -> Result<OpenScene, PipelineError> {
+        let scene = OpenScene::open(path, OpenSettings { cut_files, ..self.settings() })?;
+        let is_below = scene.path != path && scene.path.parent() != Some(path);
+        if is_below {
+            note(&format!("{}: reading its highest iteration, {}", path.display(), scene.path.display()));
+        }
         note_assumed(&scene);
         Ok(scene)
     }
@@ -79,8 +88,7 @@ impl SceneOptions {
     /// Opens a scene, and says what readers assumed and what a file that was cut has lost.
     pub fn open(self, path: &Path) -> anyhow::Result<OpenScene> {
         let cut_files = if self.recover.recover { CutFiles::Recover } else { CutFiles::Refuse };
-        let opened = OpenScene::open(path, OpenSettings { cut_files, ..self.source.settings() });
-        let scene = opened.map_err(|error| match &error {
+        let scene = self.source.open_with(path, cut_files).map_err(|error| match &error {
             PipelineError::Decode { error: cause, .. } => self.recover.advise(cause, error.to_string()),
             _ => error.into(),
         })?;
@@ -125,9 +133,7 @@ pub fn describe_loss(path: &Path, loss: &Loss, num_gaussians: usize, num_timeste
 pub fn describe(scene: &OpenScene) -> String {
     let (path, kind, size) = (scene.path.display(), scene.kind(), show_bytes(scene.bytes));
     let num_timesteps = scene.num_timesteps();
-    let all = scene.num_gaussians();
-    let counts: Vec<usize> = (0..num_timesteps).map(|timestep| scene.num_gaussians_at(timestep)).collect();
-    let [least, most] = [counts.iter().min(), counts.iter().max()].map(|count| count.copied().unwrap_or(all));
+    let (all, [least, most]) = (scene.num_gaussians(), numbers(scene));
     let number = match (least == most, most == all) {
         (true, true) => all.to_string(),
         (true, false) => format!("{most} of {all}"),
@@ -140,6 +146,12 @@ pub fn describe(scene: &OpenScene) -> String {
     };
     let antialiased = if scene.layout().is_antialiased() { ", antialiased" } else { "" };
     format!("{path} ({kind}): {number} Gaussians{harmonics}{antialiased}, {num_timesteps} timesteps, {size}")
+}
+
+/// The least and the most Gaussians of a scene at a timestep.
+pub fn numbers(scene: &OpenScene) -> [usize; 2] {
+    let counts: Vec<usize> = (0..scene.num_timesteps()).map(|timestep| scene.num_gaussians_at(timestep)).collect();
+    [counts.iter().min(), counts.iter().max()].map(|count| count.copied().unwrap_or(scene.num_gaussians()))
 }
 
 /// A file given by the user that cannot be read.

@@ -50,6 +50,7 @@ mod compact_file;
 mod compress;
 mod error;
 mod keypoints;
+mod labels;
 mod limits;
 mod morton;
 mod parallel;
@@ -76,6 +77,7 @@ pub use compress::{
 };
 pub use error::{CompressError, DecodeError};
 pub use keypoints::{interpolate, locate, select as select_keypoints};
+pub use labels::{FOREGROUND, LABELS, Labels, read_labels};
 pub use limits::DecodeLimits;
 pub use quantize::{MAX_BITS, Quantizer, Quantizers, lsq_step};
 pub use scene_file::{Loss, SceneFile};

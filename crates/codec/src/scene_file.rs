@@ -356,10 +356,7 @@ impl<R: Read + Seek> SceneFile<R> {
     /// # Panics
     /// If `timestep` is not below [`SceneInfo::num_timesteps`].
     pub fn at(&mut self, timestep: usize) -> Result<Gaussians, DecodeError> {
-        let num_timesteps = self.info.num_timesteps as usize;
-        assert!(timestep < num_timesteps, "timestep {timestep} of {num_timesteps}");
-        let alive: Vec<usize> = self.archive.cohorts_at(timestep).collect();
-        self.cohorts.retain(|cohort, _| alive.contains(cohort));
+        let alive = self.cohorts_at(timestep);
         let mut parts = Vec::with_capacity(alive.len());
         for cohort in alive {
             parts.push(self.of_cohort(cohort, timestep)?);
@@ -368,6 +365,38 @@ impl<R: Read + Seek> SceneFile<R> {
             return Ok(parts.pop().expect("one part"));
         }
         Ok(Gaussians::concat(&self.layout, &parts))
+    }
+
+    /// Which Gaussians [`Self::at`] gives: their indices among all of the file, cohort by cohort, ascending.
+    ///
+    /// # Errors
+    /// As [`Self::segment`].
+    ///
+    /// # Panics
+    /// As [`Self::at`].
+    pub fn living(&mut self, timestep: usize) -> Result<Vec<usize>, DecodeError> {
+        let (mut living, mut counted, mut before) = (Vec::new(), 0, 0);
+        for cohort in self.cohorts_at(timestep) {
+            before += (counted..cohort).map(|other| self.archive.num_gaussians_of(other)).sum::<usize>();
+            counted = cohort;
+            self.open_cohort(cohort)?;
+            let index = self.cohorts[&cohort].cohort.segment_at(timestep);
+            let segment = self.segment(cohort, index)?;
+            match segment.alive(timestep) {
+                Some(alive) => living.extend(alive.iter().map(|gaussian| before + gaussian)),
+                None => living.extend(before..before + segment.num_gaussians()),
+            }
+        }
+        Ok(living)
+    }
+
+    /// The cohorts that live at a timestep, ascending. Forgets the others.
+    fn cohorts_at(&mut self, timestep: usize) -> Vec<usize> {
+        let num_timesteps = self.info.num_timesteps as usize;
+        assert!(timestep < num_timesteps, "timestep {timestep} of {num_timesteps}");
+        let alive: Vec<usize> = self.archive.cohorts_at(timestep).collect();
+        self.cohorts.retain(|cohort, _| alive.contains(cohort));
+        alive
     }
 
     /// The Gaussians of a cohort that live at a timestep.

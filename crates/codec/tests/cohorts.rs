@@ -15,10 +15,12 @@ use tcgs_core::Gaussians;
 mod any_scene;
 use any_scene::{any_cohort, any_cohorts, any_scene};
 
-/// What lives at a timestep, by the definition.
-fn alive(cohorts: &[CompactScene], timestep: usize) -> Vec<Gaussians> {
-    let mut parts = Vec::new();
+/// What lives at a timestep, by the definition, and its indices among all.
+fn alive(cohorts: &[CompactScene], timestep: usize) -> (Vec<Gaussians>, Vec<usize>) {
+    let (mut parts, mut indices, mut before) = (Vec::new(), Vec::new(), 0);
     for cohort in cohorts {
+        let first = before;
+        before += cohort.num_gaussians();
         let start = cohort.start as usize;
         if !(start..start + cohort.num_timesteps()).contains(&timestep) {
             continue;
@@ -32,8 +34,9 @@ fn alive(cohorts: &[CompactScene], timestep: usize) -> Vec<Gaussians> {
         };
         let living: Vec<usize> = (0..cohort.num_gaussians()).filter(|&g| lives(g)).collect();
         parts.push(cohort.at(now).select(&living));
+        indices.extend(living.iter().map(|g| first + g));
     }
-    parts
+    (parts, indices)
 }
 
 proptest! {
@@ -56,8 +59,9 @@ proptest! {
         prop_assert_eq!(reader.info(), &info);
         let layout = cohorts.first().map_or_else(tcgs_core::Layout::base, |cohort| cohort.layout.clone());
         for timestep in (0..info.num_timesteps as usize).rev().chain(0..info.num_timesteps as usize) {
-            let parts = alive(&cohorts, timestep);
+            let (parts, indices) = alive(&cohorts, timestep);
             prop_assert_eq!(reader.at(timestep).unwrap(), Gaussians::concat(&layout, &parts), "{}", timestep);
+            prop_assert_eq!(reader.living(timestep).unwrap(), indices, "{}", timestep);
         }
     }
 
@@ -104,7 +108,7 @@ proptest! {
             for timestep in 0..left.num_timesteps as usize {
                 let now = reader.at(timestep).unwrap();
                 if left.num_gaussians == info.num_gaussians {
-                    prop_assert_eq!(now, Gaussians::concat(&layout, &alive(&cohorts, timestep)));
+                    prop_assert_eq!(now, Gaussians::concat(&layout, &alive(&cohorts, timestep).0));
                 }
             }
         }

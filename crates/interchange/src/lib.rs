@@ -11,6 +11,7 @@
 //! | `.4dgs`, a whole scene | [`FourdgsFile`] | [`fourdgs_bytes`] |
 //! | PLY of points | [`read_ply_points`] | – |
 //! | npz archives and npy arrays of any content | [`NpzReader`], [`read_npy`] | [`NpzWriter`] |
+//! | SOG, `.splat`, `.ksplat`, other archives | recognised alone: [`UnreadKind`] | – |
 //!
 //! What lives here: these formats, and atomic writing of files ([`write_whole`], [`Unfinished`]) for every crate that
 //! writes any. What does not: the format `.tcgs` (the codec), images and cameras (the capture).
@@ -32,6 +33,7 @@ mod spz;
 mod stored;
 mod timestep_files;
 mod unfinished;
+mod unread;
 
 pub use axes::Axes;
 pub use error::InterchangeError;
@@ -50,3 +52,4 @@ pub use ply_points::read_ply_points;
 pub use settings::{HigherHarmonics, ReadLimits, ReadSettings};
 pub use timestep_files::TimestepFiles;
 pub use unfinished::{Existing, Unfinished, is_unfinished, remove_unfinished, write_whole};
+pub use unread::UnreadKind;

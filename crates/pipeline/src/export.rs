@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use tcgs_core::{Attribute, Column, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{ParamsExtras, ParamsOrigin, fourdgs_bytes, write_glb_to, write_params_npz_from, write_ply_to};
+use tcgs_train::StandIns;
 
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work, kept_gaussians};
@@ -114,10 +115,25 @@ impl<'a> Export<'a> {
         Some((0..living.len()).filter(|&row| keep.binary_search(&living[row]).is_ok()).collect())
     }
 
-    /// Whether those that stay are the same at two timesteps.
-    fn are_the_same(&self, a: usize, b: usize) -> bool {
-        let (Some(keep), Some(lives)) = (&self.keep, self.scene.lives()) else { return true };
-        keep.iter().all(|&id| lives.is_alive(id, a) == lives.is_alive(id, b))
+    /// Which of all Gaussians stay at a frame; none if the scene does not tell one from another.
+    fn identities(&self, frame: usize) -> Result<Option<Vec<usize>>, PipelineError> {
+        let living = self.scene.living(frame - self.scene.first_frame)?;
+        Ok(match (living, &self.keep) {
+            (Some(living), Some(keep)) => {
+                Some(living.into_iter().filter(|gaussian| keep.binary_search(gaussian).is_ok()).collect())
+            }
+            (living, keep) => living.or_else(|| keep.clone()),
+        })
+    }
+
+    /// [`Self::gaussians`], of which there must be some, with the constants that the newborn of a run settled with: those that its
+    /// compressed file has.
+    fn settled(&self, frame: usize, stand_ins: &StandIns) -> Result<Gaussians, PipelineError> {
+        let gaussians = self.some_gaussians(frame)?;
+        let identities = self.identities(frame)?.filter(|_| stand_ins.lives().is_some());
+        let Some(identities) = identities else { return Ok(gaussians) };
+        let timestep = frame - self.scene.first_frame;
+        Ok(stand_ins.complete(self.scene.lit(timestep)?, timestep).select(&identities))
     }
 
     /// Refuses a scene without Gaussians, which other programs do not read.
@@ -162,8 +178,8 @@ impl<'a> Export<'a> {
     /// The arrays of a `params.npz` of some frames.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if there are no Gaussians, or if something is not as a `params.npz` holds it: their number
-    /// changes, there are spherical harmonics, scales or opacities vary with time, or the first frame's number is too
+    /// [`PipelineError::Input`] if there are no Gaussians, or if something is not as a `params.npz` holds it: a Gaussian is born
+    /// or dies, there are spherical harmonics, scales or opacities vary with time, or the first frame's number is too
     /// large; [`PipelineError`] if a frame is missing or cannot be read.
     pub fn params(&self, frames: Range<usize>) -> Result<ExportedParams<'_>, PipelineError> {
         let scene = self.scene;
@@ -174,23 +190,27 @@ impl<'a> Export<'a> {
             return Err(self.refuse_column(column, "a params.npz", expected));
         }
         let frames = scene.choose_frames(Some(&frames))?;
-        let first = self.some_gaussians(frames.start)?;
+        let stand_ins = scene.stand_ins()?;
+        let (first, identities) = (self.settled(frames.start, &stand_ins)?, self.identities(frames.start)?);
         for frame in frames.start + 1..frames.end {
-            let gaussians = self.gaussians(frame)?;
+            let gaussians = self.settled(frame, &stand_ins)?;
             let [found, expected] = [&gaussians, &first].map(Gaussians::num_gaussians);
             let now = if found != expected {
                 Some(found.to_string())
-            } else if self.are_the_same(frames.start - scene.first_frame, frame - scene.first_frame) {
+            } else if self.identities(frame)? == identities {
                 None
             } else {
                 Some("as many others".to_owned())
             };
             if let Some(now) = now {
+                let start = frames.start;
                 let found = format!(
-                    "has {expected} Gaussians at frame {} and {now} at frame {frame}, which a params.npz cannot hold",
-                    frames.start
+                    "has {expected} Gaussians at frame {start} and {now} at frame {frame}, which a params.npz cannot hold"
                 );
-                return Err(PipelineError::input(scene.path.display(), found, "a folder of PLY files to export to"));
+                let expected = format!(
+                    "a folder of PLY or .glb files or a .4dgs file to export to, or the frames {start}..{frame} alone"
+                );
+                return Err(PipelineError::input(scene.path.display(), found, expected));
             }
             for attribute in [Attribute::LogScale, Attribute::LogitOpacity] {
                 if gaussians.values(attribute) != first.values(attribute) {
@@ -214,7 +234,7 @@ impl<'a> Export<'a> {
             Some(rows) => rows.iter().map(|&row| foreground[row]).collect(),
             None => foreground,
         });
-        Ok(ExportedParams { export: self, frames, num_gaussians: first.num_gaussians(), foreground })
+        Ok(ExportedParams { export: self, frames, num_gaussians: first.num_gaussians(), foreground, stand_ins })
     }
 
     /// Writes one frame as a file of its own.
@@ -301,8 +321,9 @@ pub struct ExportedParams<'a> {
     export: &'a Export<'a>,
     frames: Range<usize>,
     num_gaussians: usize,
-    /// `[N]`, of a run.
+    /// `[N]`, of a scene that says so.
     foreground: Option<Vec<bool>>,
+    stand_ins: StandIns,
 }
 
 /// The frames of an export that are asked for.
@@ -324,11 +345,16 @@ impl SceneReader for Frames<'_> {
     }
 
     fn at(&mut self, timestep: usize) -> Result<Gaussians, PipelineError> {
-        self.0.export.gaussians(self.0.frames.start + timestep)
+        self.0.export.settled(self.0.frames.start + timestep, &self.0.stand_ins)
     }
 }
 
 impl ExportedParams<'_> {
+    /// Whether any Gaussian is marked as background. Without, programs that hide the background hide nothing.
+    pub fn has_background(&self) -> bool {
+        self.foreground.as_ref().is_some_and(|foreground| foreground.contains(&false))
+    }
+
     /// Writes the archive. Reads every timestep three times, and holds one.
     ///
     /// # Errors

@@ -65,7 +65,7 @@ mod verify;
 
 pub use backend::Backend;
 pub use compress::{
-    CompressOptions, CompressPreset, Compressed, ErrorSearch, Judge, JudgeImages, PrunedScene, QUALITY_RANGE,
+    CompressOptions, CompressPreset, Compressed, ErrorSearch, Judge, JudgeImages, Marks, PrunedScene, QUALITY_RANGE,
     RefineBudget, RefineOptions, Refined, RefinedWithin, SearchResult, SizeStep, Target, Tuning, capture_kind_of,
     compress_scene, kept_gaussians, position_step_remark, refine, refine_within, search, search_errors, settings_of,
     tune,

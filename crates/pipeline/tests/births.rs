@@ -9,10 +9,11 @@ use std::path::Path;
 use serde_json::json;
 use support::{files, open};
 use tcgs_capture::Capture;
-use tcgs_codec::UpAxis;
+use tcgs_codec::{CompressSettings, UpAxis};
 use tcgs_core::{Attribute, PointCloud, SceneReader};
+use tcgs_interchange::{read_params_foreground, read_params_npz};
 use tcgs_pipeline::{
-    Backend, CompressOptions, Export, LiveRun, OpenScene, OpenSettings, PrunedScene, compress_scene, kept_gaussians,
+    Backend, CompressOptions, Export, LiveRun, Marks, OpenScene, OpenSettings, PrunedScene, compress_scene, kept_gaussians,
     new_trainer, start_state,
 };
 use tcgs_train::{Checkpoint, Lifetimes, Lives, Parameters, Run, TrainConfig};
@@ -37,6 +38,11 @@ fn count(timestep: usize) -> usize {
     }
 }
 
+/// Mark of a Gaussian by its identity.
+fn is_foreground(id: usize) -> bool {
+    id * 7919 % 10 < 6
+}
+
 /// A run with [`lives`].
 ///
 /// - `hidden`: by their masks
@@ -51,7 +57,8 @@ fn run_of(lives: &Lives, folder: &Path, first_frame: usize, hidden: &[usize]) ->
     let run = Run::create(folder, &config).unwrap();
     let n = NUM_GAUSSIANS;
     let points: Vec<[f32; 3]> = (0..n).map(|i| [i as f32 % 17.0, i as f32 % 5.0, i as f32 / 40.0]).collect();
-    let cloud = PointCloud { colors: vec![[0.5, 0.25, 0.75]; n], foreground: vec![true; n], points };
+    let foreground = (0..n).map(is_foreground).collect();
+    let cloud = PointCloud { colors: vec![[0.5, 0.25, 0.75]; n], foreground, points };
     let whole = Parameters::from_cloud(&cloud, 4, 1.0);
     let camera = tcgs_core::Camera::look_at([0.0, 0.0, -9.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
     for timestep in 0..NUM_TIMESTEPS {
@@ -163,8 +170,81 @@ fn other_programs_files_have_who_lives_and_is_not_masked() {
     let path = folder.path().join("params.npz");
     params.write(&mut std::fs::File::create(&path).unwrap()).unwrap();
     assert_eq!(open(&path).num_gaussians(), count(9) - 3);
-    let error = export.params(6..8).err().unwrap().to_string();
-    assert!(error.contains("227 Gaussians at frame 6 and 213"), "{error}");
+    let error = export.params(5..8).err().unwrap().to_string();
+    assert!(error.contains("227 Gaussians at frame 5 and 213 at frame 7"), "{error}");
+    assert!(error.ends_with("or the frames 5..7 alone"), "{error}");
+
+    // The young have the opacities that they settle with.
+    let params = export.params(4..7).unwrap();
+    params.write(&mut std::fs::File::create(&path).unwrap()).unwrap();
+    let written = read_params_npz(&path).unwrap();
+    let shown: Vec<usize> = lives().living(4).into_iter().filter(|id| !hidden.contains(id)).collect();
+    let opacities: Vec<f32> = shown.iter().map(|&id| id as f32 / 50.0).collect();
+    assert_eq!(written.at(0).logit_opacities(), opacities);
+    for timestep in 4..7 {
+        assert_eq!(written.means(timestep - 4), export.gaussians(timestep).unwrap().means());
+    }
+    let marks: Vec<bool> = shown.into_iter().map(is_foreground).collect();
+    assert_eq!(read_params_foreground(&path).unwrap().unwrap(), marks);
+}
+
+#[test]
+fn a_file_says_which_gaussians_are_foreground() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = open(run(folder.path(), 0, &[3, 15, 100, 232]).folder());
+    let truth = Export::new(&scene).unwrap();
+    let options = CompressOptions {
+        keypoints: CompressSettings { keypoints: false, ..CompressSettings::default() },
+        bits: Some((8, 8)),
+        position_bits: Some(16),
+        views: 0,
+        ..CompressOptions::default()
+    };
+    let files = [folder.path().join("scene.tcgs"), folder.path().join("params.npz")];
+    let [file, params] = &files;
+    let from_disk = CompressOptions { max_float_bytes: 0, ..options.clone() };
+    for options in [CompressOptions { marks: Marks::Keep, ..from_disk }, CompressOptions { marks: Marks::Keep, ..options.clone() }, options] {
+        std::fs::write(file, compress_scene(&scene, &options).unwrap().file).unwrap();
+        let compressed = open(file);
+        let export = Export::new(&compressed).unwrap();
+        for frames in [0..4, 4..7, 7..9, 9..12] {
+            let exported = export.params(frames.clone()).unwrap();
+            assert_eq!(exported.has_background(), options.marks == Marks::Keep);
+            exported.write(&mut std::fs::File::create(params).unwrap()).unwrap();
+            let marks = read_params_foreground(params).unwrap().unwrap();
+            let (written, expected) = (read_params_npz(params).unwrap(), truth.gaussians(frames.start).unwrap());
+            let living = lives().living(frames.start);
+            let ids: Vec<usize> = living.into_iter().filter(|id| ![3, 15, 100, 232].contains(id)).collect();
+            for (mean, mark) in written.means(0).iter().zip(marks) {
+                let distance = |other: &[f32; 3]| (0..3).map(|c| (mean[c] - other[c]).powi(2)).sum::<f32>();
+                let distances: Vec<f32> = expected.means().iter().map(distance).collect();
+                let nearest = (0..distances.len()).min_by(|&a, &b| distances[a].total_cmp(&distances[b])).unwrap();
+                assert!(distances[nearest] < 1e-6, "{}", distances[nearest]);
+                assert_eq!(mark, options.marks == Marks::Drop || is_foreground(ids[nearest]));
+            }
+        }
+    }
+}
+
+#[test]
+fn who_is_born_when_another_dies_is_not_taken_for_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let birth = |i: usize| if i < 225 { 0 } else { 4 };
+    let death = |i: usize| if (10..20).contains(&i) { 4 } else { Lives::NEVER };
+    let lives = Lives {
+        births: (0..NUM_GAUSSIANS).map(birth).collect(),
+        deaths: (0..NUM_GAUSSIANS).map(death).collect(),
+    };
+    let scene = open(run_of(&lives, folder.path(), 0, &[]).folder());
+    let options = CompressOptions { bits: Some((8, 8)), views: 0, ..CompressOptions::default() };
+    let file = folder.path().join("scene.tcgs");
+    std::fs::write(&file, compress_scene(&scene, &options).unwrap().file).unwrap();
+    for scene in [scene, open(&file)] {
+        let export = Export::new(&scene).unwrap();
+        let error = export.params(0..6).err().unwrap().to_string();
+        assert!(error.contains("has 225 Gaussians at frame 0 and as many others at frame 4"), "{error}");
+        assert!(export.params(0..4).is_ok() && export.params(4..12).is_ok());
+    }
 }
 
 #[test]

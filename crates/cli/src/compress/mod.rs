@@ -9,8 +9,8 @@ use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_codec::{CompactFile, CompressSettings, FORMAT_VERSION, UpAxis};
 use tcgs_pipeline::{
-    CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, OpenScene, PrunedScene, RefineBudget,
-    RefineOptions, Refined, Target, capture_kind_of, position_step_remark, refine, refine_within, search,
+    CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, Marks, OpenScene, PrunedScene,
+    RefineBudget, RefineOptions, Refined, Target, capture_kind_of, position_step_remark, refine, refine_within, search,
     search_errors, settings_of, tune,
 };
 use tcgs_train::{RefineConfig, Run};
@@ -24,7 +24,7 @@ use crate::options::{self, Cameras, Frames, JobOptions, Pair};
 use crate::output::{check_file, show_bytes, write_file};
 use crate::scene::{SourceOptions, describe, note_replaced};
 use crate::teller::Teller;
-use crate::terminal::say;
+use crate::terminal::{note, say};
 
 /// Compress a trained scene into a .tcgs file
 ///
@@ -155,6 +155,10 @@ pub struct Arguments {
     /// as docs/FORMAT.md describes them, or data of an application under its own name; may be repeated
     #[arg(long, value_name = "NAME=FILE")]
     attach: Vec<Attachment>,
+    /// Keep in the file which Gaussians are foreground, as labels: of a run as the masks of its capture say, of a params.npz as
+    /// seg_colors says. tcgs export writes them into a params.npz again
+    #[arg(long)]
+    keep_foreground: bool,
     #[command(flatten)]
     backend: BackendOptions,
     #[command(flatten)]
@@ -241,6 +245,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let pruned = PrunedScene::new(&scene, &options)?;
     say(&pruned.bits_from)?;
+    if arguments.keep_foreground && !pruned.has_marks() {
+        note(&format!("{}: no Gaussian is marked as background, so the file gets no marks", scene.path.display()));
+    }
     let (compact, file, results) = compress(arguments, &scene, &pruned, &options.keypoints)?;
     let compressed = pruned.account(&options, compact, file)?;
     if let Some((step, radius)) = position_step_remark(&scene, &compressed.compact)? {
@@ -442,6 +449,7 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         version: arguments.format,
         views: arguments.views,
         data: arguments.attach.iter().map(Attachment::read).collect::<Result<_, _>>()?,
+        marks: if arguments.keep_foreground { Marks::Keep } else { Marks::Drop },
         ..CompressOptions::default()
     })
 }

@@ -15,6 +15,7 @@ mod interchange;
 mod layouts;
 #[cfg(target_os = "linux")]
 mod memory;
+mod params;
 mod pipeline;
 mod ply;
 mod prepare;
@@ -24,6 +25,7 @@ mod recover;
 mod refusals;
 mod reproduce;
 mod resume;
+mod scenes;
 mod support;
 mod targets;
 mod train_view;

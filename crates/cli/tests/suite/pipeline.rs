@@ -137,12 +137,16 @@ fn a_capture_becomes_a_small_file_that_renders() {
     assert_keys(
         &info,
         &[
+            "kind",
             "version",
             "num_gaussians",
             "num_timesteps",
             "first_frame",
             "frame_rate",
+            "sh_degree",
             "antialiased",
+            "bounds",
+            "raw_bytes",
             "bytes",
             "bytes_by_attribute",
             "segments",

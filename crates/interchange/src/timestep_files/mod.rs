@@ -71,7 +71,7 @@ impl TimestepFiles {
     /// such file, or names the first file whose header is none of Gaussians, or that has harmonics of another degree than the
     /// first file or is antialiased unlike it.
     pub fn open(path: &Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
-        let files = if path.is_dir() { timestep_files(path)? } else { vec![path.into()] };
+        let files = if path.is_dir() { Self::list(path)? } else { vec![path.into()] };
         let mut numbers = Vec::new();
         let mut kinds = Vec::new();
         let mut first = None;
@@ -104,7 +104,33 @@ impl TimestepFiles {
 
     /// Whether a path is a folder with a file for [`Self::open`].
     pub fn is_folder(path: &Path) -> bool {
-        timestep_files(path).is_ok()
+        Self::list(path).is_ok()
+    }
+
+    /// The files of a folder that [`Self::open`] reads, in their natural order. Reads none of them.
+    ///
+    /// # Errors
+    /// [`InterchangeError::Read`] if the folder cannot be read; [`InterchangeError::File`] if it has no such file.
+    pub fn list(folder: &Path) -> Result<Vec<PathBuf>, InterchangeError> {
+        let failed = |error| InterchangeError::Read { path: folder.into(), error };
+        let mut files = Vec::new();
+        for entry in fs::read_dir(folder).map_err(failed)? {
+            let path = entry.map_err(failed)?.path();
+            if is_timestep(&path) {
+                files.push(path);
+            }
+        }
+        if files.is_empty() {
+            let problem = "holds no PLY, SPZ or glTF file, expected one a timestep".into();
+            return Err(InterchangeError::File { path: folder.into(), problem });
+        }
+        files.sort_by_cached_key(|path| natural_key(&name(path)));
+        Ok(files)
+    }
+
+    /// The files, in the order of the timesteps.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.files
     }
 
     /// The kind of the files in two words: `PLY files`, `SPZ files`, `glTF files`, or `Gaussian files` of several kinds.
@@ -230,24 +256,6 @@ fn is_timestep(path: &Path) -> bool {
 
 fn name(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
-}
-
-/// The files of a folder in their natural order.
-fn timestep_files(folder: &Path) -> Result<Vec<PathBuf>, InterchangeError> {
-    let failed = |error| InterchangeError::Read { path: folder.into(), error };
-    let mut files = Vec::new();
-    for entry in fs::read_dir(folder).map_err(failed)? {
-        let path = entry.map_err(failed)?.path();
-        if is_timestep(&path) {
-            files.push(path);
-        }
-    }
-    if files.is_empty() {
-        let problem = "holds no PLY, SPZ or glTF file, expected one a timestep".into();
-        return Err(InterchangeError::File { path: folder.into(), problem });
-    }
-    files.sort_by_cached_key(|path| natural_key(&name(path)));
-    Ok(files)
 }
 
 /// The number of the first file, if each is named by the number after the one before.

@@ -3,6 +3,7 @@
 mod bits;
 mod judge;
 mod kept;
+mod marks;
 mod max_error;
 mod parts;
 mod refine;
@@ -17,7 +18,7 @@ use std::sync::Arc;
 
 use tcgs_codec::{
     AttributeErrors, BitMap, BitMapping, CompactFile, CompactScene, CompressSettings, DecodeLimits, FORMAT_VERSION,
-    Light, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
+    LABELS, Light, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
 };
 use tcgs_core::{Attribute, Camera, DynamicGaussians, Layout, SceneReader};
 use tcgs_train::Lives;
@@ -30,6 +31,7 @@ use crate::{OpenScene, PipelineError};
 
 pub(crate) use judge::spread;
 pub use judge::{Judge, JudgeImages};
+pub use marks::Marks;
 pub use max_error::{ErrorSearch, search_errors};
 pub use refine::{RefineBudget, RefineOptions, Refined, RefinedWithin, refine, refine_within};
 pub use settings::{CompressPreset, capture_kind_of, position_step_remark, settings_of};
@@ -67,6 +69,8 @@ pub struct CompressOptions {
     pub views: usize,
     /// Names and content of further application data (`docs/FORMAT.md`, "Application data").
     pub data: Vec<(String, Vec<u8>)>,
+    /// What becomes of the marks that say which Gaussians are foreground. Default: none is kept.
+    pub marks: Marks,
     /// Raw size above which the timesteps of a run or of a `params.npz` are read from the disk, several times, instead of
     /// held in memory, bytes. The file is the same. Default: half a gigabyte.
     pub max_float_bytes: u64,
@@ -88,6 +92,7 @@ impl Default for CompressOptions {
             version: FORMAT_VERSION,
             views: 8,
             data: Vec::new(),
+            marks: Marks::Drop,
             max_float_bytes: 1 << 29,
         }
     }
@@ -111,6 +116,7 @@ impl CompressOptions {
             let found = self.min_share.to_string();
             return Err(PipelineError::input("least share of the images", found, "a number from 0 to less than 1"));
         }
+        Marks::check(self)?;
         match self.prune {
             Some(share) if !(0.0..=1.0).contains(&share) => {
                 Err(PipelineError::input("threshold of masks", share.to_string(), "a number from 0 to 1"))
@@ -181,6 +187,8 @@ enum Pruned<'a> {
         lives: Option<Vec<[u16; 2]>>,
         bit_map: BitMap,
         learned: Option<Quantizers>,
+        /// Of those that stay, whether each is foreground; none if that is not kept.
+        foreground: Option<Vec<bool>>,
     },
     /// Gaussians that change in number or order from timestep to timestep: they are followed as far as they can be.
     Parts(Parts<'a>),
@@ -251,8 +259,15 @@ impl<'a> PrunedScene<'a> {
         (pruned.info.num_gaussians, pruned.info.num_timesteps) =
             (kept.num_gaussians() as u32, kept.num_timesteps() as u32);
         let lives = lives.iter().any(|&life| life != [0, last]).then_some(lives);
-        pruned.content = Pruned::Whole { kept, lives, bit_map, learned: learned.map(|(_, quantizers)| quantizers) };
+        let foreground = options.marks.of(scene, &keep)?;
+        let learned = learned.map(|(_, quantizers)| quantizers);
+        pruned.content = Pruned::Whole { kept, lives, bit_map, learned, foreground };
         Ok(pruned)
+    }
+
+    /// Whether the file will say which Gaussians are foreground.
+    pub fn has_marks(&self) -> bool {
+        matches!(&self.content, Pruned::Whole { foreground: Some(_), .. })
     }
 
     /// Which columns its Gaussians have.
@@ -289,12 +304,14 @@ impl<'a> PrunedScene<'a> {
     ) -> Result<(CompactFile, Vec<u8>), PipelineError> {
         let segment_length = settings.segment_length.or(self.segment_length);
         let settings = &CompressSettings { segment_length, ..settings.clone() };
+        let mut labels = None;
         let mut compact = match &self.content {
-            Pruned::Whole { kept, lives, bit_map, learned } => {
+            Pruned::Whole { kept, lives, bit_map, learned, foreground } => {
                 let (mut compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
                 if let Some(lives) = lives {
                     compact = compact.with_lives(order.iter().map(|&g| lives[g]).collect());
                 }
+                labels = foreground.as_ref().map(|foreground| marks::labels(foreground, &order));
                 let (compact, light) = change(compact)?;
                 let mut compact = CompactFile { light, ..CompactFile::of(compact) };
                 if self.version > 1 {
@@ -307,7 +324,8 @@ impl<'a> PrunedScene<'a> {
             }
             Pruned::Parts(parts) => parts.compress(&self.info, settings, errors)?,
         };
-        let data: Vec<_> = self.data.iter().map(|(name, data)| (&name[..], &data[..])).collect();
+        let data = self.data.iter().map(|(name, data)| (&name[..], &data[..]));
+        let data: Vec<_> = data.chain(labels.as_deref().map(|json| (LABELS, json))).collect();
         if self.version == 1 {
             compact.declared_errors.clear();
         }

@@ -45,6 +45,10 @@ impl Chapters {
         &self.scenes[0]
     }
 
+    pub fn scenes(&self) -> &[OpenScene] {
+        &self.scenes
+    }
+
     pub fn segment_length(&self) -> u32 {
         self.segment_length
     }

@@ -1,7 +1,9 @@
 //! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or a file a timestep. What does not live here: how one is
-//! opened (`open`).
+//! found (`found`) and opened (`open`), and what its files declare beside Gaussians (`declared`).
 
 mod chapters;
+mod declared;
+mod found;
 mod open;
 
 use std::borrow::Cow;
@@ -41,7 +43,7 @@ use crate::{PipelineError, capture_for};
 /// ```
 #[derive(Debug)]
 pub struct OpenScene {
-    /// As given.
+    /// As given, or the file that was found below a folder ([`Self::open`]).
     pub path: PathBuf,
     /// Frame of the capture that timestep 0 shows.
     pub first_frame: usize,
@@ -92,6 +94,8 @@ struct FileContent {
 struct ParamsContent {
     num_gaussians: usize,
     num_timesteps: usize,
+    /// Whether the file says which frames it shows.
+    has_origin: bool,
     /// Under which the file was opened.
     limits: ReadLimits,
     file: Mutex<ParamsNpz>,
@@ -530,14 +534,6 @@ impl OpenScene {
             Content::Run(run) => run.lives.as_ref(),
             Content::Floats { lives, .. } => lives.as_ref(),
             _ => None,
-        }
-    }
-
-    /// Which of the Gaussians that live at a timestep of a run belong to the foreground; none if the scene is no run.
-    pub(crate) fn foreground(&self, timestep: usize) -> Result<Option<Vec<bool>>, PipelineError> {
-        match &self.content {
-            Content::Run(run) if run.lives.is_some() => Ok(Some(run.checkpoint(timestep)?.parameters.foreground)),
-            _ => Ok(self.first_checkpoint().map(|first| first.parameters.foreground.clone())),
         }
     }
 

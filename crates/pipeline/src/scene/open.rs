@@ -7,9 +7,10 @@ use std::sync::{Arc, Mutex};
 
 use tcgs_codec::{CompactFile, DecodeLimits, SceneFile, SegmentCache};
 use tcgs_core::SceneReader;
-use tcgs_interchange::{FourdgsFile, ParamsNpz, ParamsOrigin, ReadSettings, TimestepFiles};
+use tcgs_interchange::{FourdgsFile, ParamsNpz, ParamsOrigin, ReadSettings, TimestepFiles, UnreadKind};
 use tcgs_train::Run;
 
+use super::found::trained_file;
 use super::{Content, FileContent, OpenScene, ParamsContent, RunContent};
 use crate::PipelineError;
 
@@ -44,14 +45,18 @@ impl OpenScene {
     /// timestep of it is read again when it is asked for; one that is compressed is held in memory ([`ParamsNpz`]), and so is a
     /// `.4dgs` file.
     ///
+    /// Of the output folder of a program that trains 3D Gaussian splatting, and of the folder `point_cloud` in it, the file
+    /// `iteration_N/point_cloud.ply` of the highest iteration is opened: [`OpenScene::path`] is that of the file.
+    ///
     /// # Errors
     /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.
     pub fn open(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
         if path.is_dir() {
-            return if !Run::is_run(path) && TimestepFiles::is_folder(path) {
-                Self::open_timestep_files(path, settings)
-            } else {
-                Self::open_run(path)
+            return match trained_file(path) {
+                _ if Run::is_run(path) => Self::open_run(path),
+                Some(file) => Self::open_timestep_files(&file, settings),
+                None if TimestepFiles::is_folder(path) => Self::open_timestep_files(path, settings),
+                None => Self::open_run(path),
             };
         }
         match kind_of_file(path)? {
@@ -64,7 +69,8 @@ impl OpenScene {
                 let (num_gaussians, num_timesteps) = (params.num_gaussians(), params.num_timesteps());
                 let layout = Arc::clone(params.layout());
                 let unknown = ParamsOrigin { first_frame: 0, downscale: 1, frame_rate: 30.0 };
-                let origin = tcgs_interchange::read_params_origin(path, settings.read.limits)?.unwrap_or(unknown);
+                let declared = tcgs_interchange::read_params_origin(path, settings.read.limits)?;
+                let origin = declared.unwrap_or(unknown);
                 Ok(Self {
                     path: path.into(),
                     bytes: layout.raw_bytes(num_gaussians, num_timesteps),
@@ -72,6 +78,7 @@ impl OpenScene {
                     content: Content::Params(Box::new(ParamsContent {
                         num_gaussians,
                         num_timesteps,
+                        has_origin: declared.is_some(),
                         limits: settings.read.limits,
                         file: Mutex::new(params),
                     })),
@@ -94,6 +101,11 @@ impl OpenScene {
                 })
             }
         }
+    }
+
+    /// Whether [`Self::open`] takes a path for a `.tcgs` file, by the ending of its name or by its first bytes.
+    pub fn is_tcgs(path: &Path) -> bool {
+        !path.is_dir() && kind_of_file(path).is_ok_and(|kind| matches!(kind, Kind::Tcgs))
     }
 
     fn open_timestep_files(path: &Path, settings: OpenSettings) -> Result<Self, PipelineError> {
@@ -164,6 +176,7 @@ impl OpenScene {
 
     fn open_run(path: &Path) -> Result<Self, PipelineError> {
         if !Run::is_run(path) {
+            refuse_unread(path)?;
             let found = "a folder without config.toml and without PLY, SPZ or glTF files";
             return Err(PipelineError::input(path.display(), found, EXPECTED));
         }
@@ -196,6 +209,14 @@ enum Kind {
     Fourdgs,
 }
 
+/// A file or folder of a kind that is known but not read.
+fn refuse_unread(path: &Path) -> Result<(), PipelineError> {
+    UnreadKind::of(path).map_or(Ok(()), |kind| {
+        let found = format!("{}, which is not read yet", kind.name);
+        Err(PipelineError::input(path.display(), found, kind.expected))
+    })
+}
+
 /// By its name; else by its first bytes.
 fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
     let mut start = Vec::new();
@@ -207,15 +228,20 @@ fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
     File::open(path).and_then(|file| file.take(4).read_to_end(&mut start)).map_err(failed)?;
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
         "tcgs" => Ok(Kind::Tcgs),
-        "npz" => Ok(Kind::Npz),
+        "npz" => refuse_unread(path).map(|()| Kind::Npz),
         "4dgs" => Ok(Kind::Fourdgs),
         "ply" | "spz" | "glb" | "gltf" => Ok(Kind::Timestep),
         _ if start == b"TCGS" => Ok(Kind::Tcgs),
         _ if start == b"\x894DG" => Ok(Kind::Fourdgs),
-        _ if start == b"PK\x03\x04" => Ok(Kind::Npz),
-        _ if [&b"ply"[..], b"NGSP", b"\x1F\x8B", b"glTF"].iter().any(|known| start.starts_with(known)) => {
-            Ok(Kind::Timestep)
+        _ => {
+            // The first bytes of a .splat file are a position, and may be any.
+            refuse_unread(path)?;
+            let is_known = |known: &&[u8]| start.starts_with(known);
+            match &start[..] {
+                b"PK\x03\x04" => Ok(Kind::Npz),
+                _ if [&b"ply"[..], b"NGSP", b"\x1F\x8B", b"glTF"].iter().any(is_known) => Ok(Kind::Timestep),
+                _ => Err(PipelineError::input(path.display(), "a file of another kind", EXPECTED)),
+            }
         }
-        _ => Err(PipelineError::input(path.display(), "a file of another kind", EXPECTED)),
     }
 }

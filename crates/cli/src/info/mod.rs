@@ -1,4 +1,6 @@
-//! `tcgs info`: what is in a `.tcgs` file.
+//! `tcgs info`: what is in a `.tcgs` file, and the basics of any other scene.
+
+mod basics;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -11,7 +13,9 @@ use tcgs_codec::{
     CohortInfo, Contents, DecodeError, DecodeLimits, FileInfo, SceneFile, SectionInfo, application_data, inspect,
     inspect_cut,
 };
+use tcgs_pipeline::OpenScene;
 
+use self::basics::Bounds;
 use crate::attribute_errors;
 use crate::error::wrong_input;
 use crate::options::JobOptions;
@@ -19,19 +23,24 @@ use crate::output::show_bytes;
 use crate::scene::{RecoverOption, describe_loss, unreadable};
 use crate::terminal::{note, say};
 
-/// Show what is in a .tcgs file, and whether it is whole
+/// Show what is in a .tcgs file, and whether it is whole; of any other scene its basics
 ///
-/// Every checksum is verified; a damaged file exits with 2, and so does one that was cut, without --recover. Of a file of more
-/// than 64 MB only the tables are read: tcgs verify reads all of it.
+/// Every checksum of a .tcgs file is verified; a damaged file exits with 2, and so does one that was cut, without --recover. Of a
+/// file of more than 64 MB only the tables are read: tcgs verify reads all of it.
+///
+/// Of a run folder, a params.npz, a .4dgs file and PLY, SPZ or glTF files: the kind, how many Gaussians and timesteps, frame rate,
+/// degree of the spherical harmonics, antialiasing, axes, bounds of the means at the first timestep, and sizes.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
   tcgs info scene.tcgs --json info.json
+  tcgs info my_plys
   tcgs info scene.tcgs --data tcgs.credits > credits.json")]
 pub struct Arguments {
-    /// .tcgs file
+    /// .tcgs file; or run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
+    #[arg(value_name = "SCENE")]
     file: PathBuf,
-    /// Write data that an application put into the file, such as tcgs.credits, to the standard output, and nothing else
+    /// Of a .tcgs file, write data that an application put into the file, such as tcgs.credits, to the standard output, and nothing else
     #[arg(long, value_name = "NAME")]
     data: Option<String>,
     #[command(flatten)]
@@ -47,8 +56,9 @@ const MOST_READ: u64 = 64_000_000;
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     let path = arguments.file.display();
-    if arguments.file.is_dir() {
-        return Err(wrong_input(format!("{path}: is a folder, expected a .tcgs file")));
+    if !OpenScene::is_tcgs(&arguments.file) {
+        let result = basics::print(&arguments.file, arguments.data.as_deref())?;
+        return arguments.job.write_json(&result);
     }
     let unreadable = |error| unreadable(&arguments.file, error, "a .tcgs file");
     let limits = DecodeLimits::default();
@@ -89,8 +99,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (info, data.into_iter().map(|(name, data)| (name, data.len() as u64)).collect::<Vec<_>>())
     };
     say(&format!("{path}: version {}, {} ({} bytes)", info.version, show_bytes(info.bytes), info.bytes))?;
+    let first = |mut file: SceneFile<fs::File>| Bounds::of(file.at(0).ok()?.means());
+    let bounds = open().ok().filter(|_| is_known(&info)).and_then(first);
     if is_known(&info) {
         print_scene(&info)?;
+        bounds.as_ref().map_or(Ok(()), Bounds::print)?;
     }
     if let Some(contents) = &info.contents {
         print_contents(&info, contents)?;
@@ -111,7 +124,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for (name, bytes) in data {
         say(&format!("application data: {name}, {}", show_bytes(bytes)))?;
     }
-    arguments.job.write_json(&machine_readable(&info))?;
+    arguments.job.write_json(&machine_readable(&info, bounds))?;
     let damaged = info.sections.iter().filter(|s| s.is_whole && s.checksum_ok == Some(false));
     let damaged: Vec<String> = damaged.map(|s| described(s, info.cohorts.len())).collect();
     if !damaged.is_empty() {
@@ -253,7 +266,8 @@ fn print_cohorts(info: &FileInfo, first: usize) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn machine_readable(info: &FileInfo) -> Value {
+/// - `bounds`: at the first timestep, if it can be read
+fn machine_readable(info: &FileInfo, bounds: Option<Bounds>) -> Value {
     let contents = info.contents.as_ref();
     let scene = is_known(info).then_some(&info.scene);
     let was_read = info.sections.iter().all(|section| section.checksum_ok.is_some());
@@ -274,12 +288,16 @@ fn machine_readable(info: &FileInfo) -> Value {
     };
     let segments: Vec<Value> = info.cohorts.iter().enumerate().flat_map(of_cohort).collect();
     let mut result = json!({
+        "kind": "compressed file",
         "version": info.version,
         "num_gaussians": scene.map(|s| s.num_gaussians),
         "num_timesteps": scene.map(|s| s.num_timesteps),
         "first_frame": scene.map(|s| s.first_frame),
         "frame_rate": scene.map(|s| s.frame_rate),
+        "sh_degree": info.cohorts.first().filter(|_| scene.is_some()).map(|cohort| cohort.layout.sh_degree()),
         "antialiased": scene.map(|_| is_antialiased(info)),
+        "bounds": bounds.map(Bounds::into_json),
+        "raw_bytes": contents.map(|contents| contents.raw_bytes),
         "bytes": info.bytes,
         "bytes_before": info.bytes_before,
         "bytes_by_attribute": info.bytes_by_attribute().into_iter().collect::<BTreeMap<_, _>>(),

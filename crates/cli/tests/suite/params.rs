@@ -1,0 +1,71 @@
+//! `params.npz` of Dynamic 3D Gaussians: which Gaussians are foreground, and what such a file cannot hold.
+
+use std::fs;
+use std::path::Path;
+
+use crate::support::*;
+use tcgs_interchange::read_params_foreground;
+use tempfile::tempdir;
+
+/// Exports a scene, and counts who is foreground and who is background.
+///
+/// - returns: the counts, and what was said on standard error
+fn exported(scene: &Path, params: &Path) -> ([usize; 2], String) {
+    let output = run(&["export", text(scene), "--to", text(params), "--force"]);
+    let remarks = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{remarks}");
+    let foreground = read_params_foreground(params).unwrap().unwrap();
+    ([true, false].map(|wanted| foreground.iter().filter(|&&found| found == wanted).count()), remarks)
+}
+
+#[test]
+fn the_foreground_survives_compression() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let (trained, params) = (train(&folder, "run", &[]), path("params.npz"));
+    let (expected, remarks) = exported(&trained, &params);
+    assert!(expected.iter().all(|&count| count > 10), "{expected:?}");
+    assert!(!remarks.contains("background"), "{remarks}");
+    assert_eq!(exported(&params, &path("again.npz")).0, expected);
+
+    let (plain, kept) = (path("plain.tcgs"), path("kept.tcgs"));
+    for source in [&trained, &params] {
+        let compress = ["compress", text(source), "--bits", "6,6", "--force", "--out"];
+        succeed(&[&compress[..], &[text(&plain)]].concat());
+        succeed(&[&compress[..], &[text(&kept), "--keep-foreground"]].concat());
+        assert_eq!(exported(&kept, &path("back.npz")).0, expected);
+        let labels: serde_json::Value =
+            serde_json::from_str(&succeed(&["info", text(&kept), "--data", "tcgs.labels"])).unwrap();
+        assert_eq!(labels["objects"], serde_json::json!(["foreground"]));
+        assert!(fs::metadata(&plain).unwrap().len() < fs::metadata(&kept).unwrap().len());
+
+        let (counts, remarks) = exported(&plain, &path("back.npz"));
+        assert_eq!(counts, [expected[0] + expected[1], 0]);
+        assert!(remarks.contains("no Gaussian is marked as background"), "{remarks}");
+    }
+
+    // Where there are no marks, a line says so.
+    succeed(&["export", text(&trained), "--to", text(&path("plys"))]);
+    let output = run(&["compress", text(&path("plys")), "--bits", "6,6", "--keep-foreground"]);
+    let remarks = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && remarks.contains("so the file gets no marks"), "{remarks}");
+    let labels = path("labels.json");
+    fs::write(&labels, r#"{ "objects": [], "runs": [] }"#).unwrap();
+    let attach = format!("labels={}", labels.display());
+    let arguments = ["compress", text(&trained), "--keep-foreground", "--attach", &attach];
+    let message = fail(2, &arguments);
+    assert!(message.contains("tcgs.labels: attached, and marks that are kept, expected one of the two"), "{message}");
+}
+
+#[test]
+fn a_run_with_births_is_refused_with_what_holds_it() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let trained = train(&folder, "run", &["--set", "births.enabled=true"]);
+    let message = fail(2, &["export", text(&trained), "--to", text(&path("params.npz"))]);
+    assert!(message.contains("which a params.npz cannot hold, expected a folder of PLY or .glb files or a .4dgs file"), "{message}");
+    let frames = message.split("or the frames ").nth(1).and_then(|rest| rest.strip_suffix(" alone")).unwrap();
+    succeed(&["export", text(&trained), "--to", text(&path("params.npz")), "--frames", frames]);
+    succeed(&["export", text(&trained), "--to", text(&path("scene.4dgs"))]);
+    succeed(&["export", text(&trained), "--to", text(&path("glbs")), "--files", "glb"]);
+}

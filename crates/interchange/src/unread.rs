@@ -1,0 +1,148 @@
+//! Files of Gaussians that are known and not read: which they are, so that a refusal can name them.
+
+use std::borrow::Cow;
+use std::fs::{self, File};
+use std::io::BufReader;
+use std::path::Path;
+
+use zip::ZipArchive;
+
+/// What turns the files of this table into PLY.
+const SPLAT_TRANSFORM: &str = "a PLY file, which splat-transform makes of it";
+
+/// By the endings of their names, what files are.
+const ENDINGS: [(&str, &str); 3] = [
+    ("sog", SOG),
+    ("splat", "a .splat file of antimatter15's viewer"),
+    ("ksplat", "a .ksplat file of GaussianSplats3D"),
+];
+const SOG: &str = "SOG of SuperSplat";
+
+/// A file, or a folder, that no reader of this crate takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnreadKind {
+    /// What it is.
+    pub name: &'static str,
+    /// What could be read instead.
+    pub expected: &'static str,
+}
+
+impl UnreadKind {
+    const fn of_splats(name: &'static str) -> Self {
+        Self { name, expected: SPLAT_TRANSFORM }
+    }
+
+    /// Recognises a file by the ending of its name, or as a ZIP archive by the names of what is in it; a folder by the names
+    /// of its files. None if it is not known, or if it may be one that is read.
+    ///
+    /// ```
+    /// use tcgs_interchange::UnreadKind;
+    /// let folder = tempfile::tempdir()?;
+    /// let path = folder.path().join("garden.sog");
+    /// std::fs::write(&path, "PK")?;
+    /// assert_eq!(UnreadKind::of(&path).map(|kind| kind.name), Some("SOG of SuperSplat"));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn of(path: &Path) -> Option<Self> {
+        if path.is_dir() {
+            let entries = fs::read_dir(path).ok()?.filter_map(Result::ok);
+            let names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+            return if is_sog(&names) {
+                Some(Self::of_splats(SOG))
+            } else {
+                names.iter().find_map(|name| Self::of_ending(Path::new(name)))
+            };
+        }
+        Self::of_ending(path).or_else(|| Self::of_archive(path)).or_else(|| {
+            let is_table = path.file_name().is_some_and(|name| name == "meta.json");
+            path.parent().filter(|_| is_table).and_then(Self::of).filter(|kind| kind.name == SOG)
+        })
+    }
+
+    fn of_ending(path: &Path) -> Option<Self> {
+        let ending = path.extension()?;
+        ENDINGS.iter().find(|(known, _)| ending.eq_ignore_ascii_case(known)).map(|(_, name)| Self::of_splats(name))
+    }
+
+    /// An archive with an array of `NumPy` may be a `params.npz`; of a damaged one nothing is known.
+    fn of_archive(path: &Path) -> Option<Self> {
+        let archive = ZipArchive::new(BufReader::new(File::open(path).ok()?)).ok()?;
+        let names: Vec<String> = archive.file_names().flatten().map(Cow::into_owned).collect();
+        let ends = |ending: &str| names.iter().any(|name| name.ends_with(ending));
+        if ends(".npy") {
+            None
+        } else if is_sog(&names) {
+            Some(Self::of_splats(SOG))
+        } else if ends("data.pkl") {
+            Some(Self { name: "a checkpoint of PyTorch", expected: "the PLY file or params.npz that its program writes" })
+        } else {
+            Some(Self { name: "a ZIP archive without arrays of NumPy", expected: "a params.npz" })
+        }
+    }
+}
+
+/// A table and images, whose names vary between versions.
+fn is_sog(names: &[String]) -> bool {
+    let is_in_any_folder = |name: &String| name == "meta.json" || name.ends_with("/meta.json");
+    names.iter().any(is_in_any_folder) && names.iter().any(|name| name.ends_with(".webp"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use zip::{ZipWriter, write::SimpleFileOptions};
+
+    use super::*;
+
+    /// An archive with empty files.
+    fn archive(path: &Path, names: &[&str]) {
+        let mut writer = ZipWriter::new(File::create(path).unwrap());
+        for name in names {
+            writer.start_file(*name, SimpleFileOptions::default()).unwrap();
+            writer.write_all(b"").unwrap();
+        }
+        writer.finish().unwrap();
+    }
+
+    #[test]
+    fn files_are_known_by_name_and_by_content() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let name = |path: &Path| UnreadKind::of(path).map(|kind| kind.name);
+        for (file, names, expected) in [
+            ("a.zip", &["meta.json", "means_l.webp"][..], Some(SOG)),
+            ("b.npz", &["scene/meta.json", "scene/quats.webp"], Some(SOG)),
+            ("c.pth", &["archive/data.pkl", "archive/data/0"], Some("a checkpoint of PyTorch")),
+            ("d.zip", &["readme.txt"], Some("a ZIP archive without arrays of NumPy")),
+            ("e.npz", &["means3D.npy", "meta.json"], None),
+        ] {
+            archive(&path(file), names);
+            assert_eq!(name(&path(file)), expected, "{file}");
+        }
+        for (file, expected) in [
+            ("a.SPLAT", Some("a .splat file of antimatter15's viewer")),
+            ("b.ksplat", Some("a .ksplat file of GaussianSplats3D")),
+            ("c.sog", Some(SOG)),
+            ("d.ply", None),
+        ] {
+            fs::write(path(file), "PK\x03\x04").unwrap();
+            assert_eq!(name(&path(file)), expected, "{file}");
+        }
+    }
+
+    #[test]
+    fn folders_are_known_by_their_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let table = folder.path().join("meta.json");
+        fs::write(&table, "{}").unwrap();
+        assert_eq!((UnreadKind::of(folder.path()), UnreadKind::of(&table)), (None, None));
+        fs::write(folder.path().join("means_u.webp"), "").unwrap();
+        for path in [folder.path(), &table] {
+            assert_eq!(UnreadKind::of(path).map(|kind| kind.name), Some(SOG));
+        }
+        let splats = tempfile::tempdir().unwrap();
+        fs::write(splats.path().join("000.splat"), "").unwrap();
+        assert_eq!(UnreadKind::of(splats.path()), Some(UnreadKind::of_splats("a .splat file of antimatter15's viewer")));
+    }
+}

@@ -1,0 +1,115 @@
+//! What the files of a scene declare beside its Gaussians: frames, foreground, identities, and how many bytes they take.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::{fs, io};
+
+use tcgs_codec::{FOREGROUND, read_labels};
+use tcgs_interchange::read_params_foreground;
+
+use super::{Content, OpenScene};
+use crate::PipelineError;
+
+impl OpenScene {
+    /// [`Self::first_frame`], if the files say it.
+    pub fn declared_first_frame(&self) -> Option<usize> {
+        let is_declared = match &self.content {
+            Content::Params(params) => params.has_origin,
+            Content::TimestepFiles(files) => files.first_frame().is_some(),
+            Content::Fourdgs(_) | Content::Floats { .. } => false,
+            Content::File(_) | Content::Symbols(_) | Content::Run(_) | Content::Chapters(_) => true,
+        };
+        is_declared.then_some(self.first_frame)
+    }
+
+    /// [`Self::frame_rate`], if the files say it.
+    pub fn declared_frame_rate(&self) -> Option<f64> {
+        let is_declared = match &self.content {
+            Content::Params(params) => params.has_origin,
+            Content::TimestepFiles(_) => false,
+            _ => self.frame_rate > 0.0,
+        };
+        is_declared.then_some(self.frame_rate)
+    }
+
+    /// Bytes that the files of the scene take: of a run its checkpoints, of a file a timestep all of them without the buffers
+    /// of `.gltf` files. 0 of a scene in memory.
+    ///
+    /// # Errors
+    /// What the operating system says of a file or folder.
+    pub fn file_bytes(&self) -> io::Result<u64> {
+        let length = |path: &Path| Ok::<_, io::Error>(fs::metadata(path)?.len());
+        match &self.content {
+            Content::File(_) | Content::Params(_) | Content::Fourdgs(_) => length(&self.path),
+            Content::Symbols(_) | Content::Floats { .. } => Ok(0),
+            Content::TimestepFiles(files) => files.files().iter().map(|path| length(path)).sum(),
+            Content::Run(run) => (0..run.num_timesteps).map(|t| length(&run.run.checkpoint_path(t))).sum(),
+            Content::Chapters(chapters) => chapters.scenes().iter().map(Self::file_bytes).sum(),
+        }
+    }
+
+    /// Which of all Gaussians live at a timestep, ascending: those that [`Self::at`] gives, in its order. None if all do, or if
+    /// the scene does not say which Gaussian of one timestep is which of another.
+    ///
+    /// # Errors
+    /// [`PipelineError::Decode`] if the file is damaged.
+    pub(crate) fn living(&self, timestep: usize) -> Result<Option<Vec<usize>>, PipelineError> {
+        match &self.content {
+            Content::File(file) => {
+                let living = file.file().living(timestep);
+                living.map(Some).map_err(|error| PipelineError::Decode { path: self.path.clone(), error })
+            }
+            _ => Ok(self.lives().map(|lives| lives.living(timestep))),
+        }
+    }
+
+    /// Which of the Gaussians that live at a timestep belong to the foreground; none if nothing says so.
+    ///
+    /// # Errors
+    /// [`PipelineError`] if a file is damaged.
+    pub(crate) fn foreground(&self, timestep: usize) -> Result<Option<Vec<bool>>, PipelineError> {
+        Ok(match &self.content {
+            Content::Run(run) if run.lives.is_some() => Some(run.parameters(timestep)?.foreground),
+            Content::Params(params) => self.foreground_of_params(params.num_gaussians)?,
+            Content::File(file) => {
+                let decode_error = |error| PipelineError::Decode { path: self.path.clone(), error };
+                let data = file.file().application_data().map_err(decode_error)?;
+                let of_all = read_labels(&data).and_then(|labels| labels.members(FOREGROUND, self.num_gaussians()));
+                let living = self.living(timestep)?;
+                of_all.zip(living).map(|(of_all, living)| living.into_iter().map(|g| of_all[g]).collect())
+            }
+            _ => self.first_checkpoint().map(|first| first.parameters.foreground.clone()),
+        })
+    }
+
+    fn foreground_of_params(&self, num_gaussians: usize) -> Result<Option<Vec<bool>>, PipelineError> {
+        let foreground = read_params_foreground(&self.path)?;
+        match &foreground {
+            Some(marks) if marks.len() != num_gaussians => {
+                let (found, expected) = (format!("seg_colors of {} Gaussians", marks.len()), num_gaussians.to_string());
+                Err(PipelineError::input(self.path.display(), found, expected))
+            }
+            _ => Ok(foreground),
+        }
+    }
+
+    /// Which of all Gaussians of a scene of floats belong to the foreground; none if nothing says so, or if all do.
+    ///
+    /// # Errors
+    /// [`PipelineError`] if a file is damaged.
+    pub(crate) fn foreground_of_all(&self) -> Result<Option<Vec<bool>>, PipelineError> {
+        let foreground = match self.lives() {
+            None => self.foreground(0)?,
+            Some(lives) => {
+                let mut of_all = vec![true; lives.len()];
+                let births: BTreeSet<usize> = lives.births.iter().map(|&birth| birth as usize).collect();
+                for timestep in births.into_iter().take_while(|&timestep| timestep < self.num_timesteps()) {
+                    let Some(now) = self.foreground(timestep)? else { return Ok(None) };
+                    lives.living(timestep).into_iter().zip(now).for_each(|(id, is_foreground)| of_all[id] = is_foreground);
+                }
+                Some(of_all)
+            }
+        };
+        Ok(foreground.filter(|marks| marks.contains(&false)))
+    }
+}
