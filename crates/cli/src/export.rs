@@ -8,9 +8,8 @@ use tcgs_core::SceneReader;
 use tcgs_pipeline::{Export, TimestepKind};
 
 use crate::error::wrong_input;
-use crate::interrupt;
 use crate::options::{Frames, JobOptions};
-use crate::output::{NewFolder, check_file, is_numbered, show_bytes, write_file_with};
+use crate::output::{NewFolder, check_folder, is_numbered, show_bytes, write_file_with};
 use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
@@ -71,10 +70,8 @@ enum Target {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.job.begin()?;
-    interrupt::catch()?;
     let (to, force) = (&arguments.to, arguments.job.force);
-    let target = target(to, arguments.files, force)?;
+    let target = target(arguments)?;
     let scene = arguments.reading.open(&arguments.scene)?;
     let frames = scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?;
     say(&describe(&scene))?;
@@ -94,7 +91,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             if !params.has_background() {
                 note("no Gaussian is marked as background: a viewer that hides the background hides nothing");
             }
-            interrupt::check()?;
             write_file_with(to, force, |file| params.write(BufWriter::new(file))?.flush())?;
             if frames.start > 0 {
                 let start = frames.start;
@@ -113,7 +109,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         Target::Fourdgs => {
             let bytes = export.fourdgs(frames)?;
-            interrupt::check()?;
             write_file_with(to, force, |mut file| file.write_all(&bytes))?;
             length(to)
         }
@@ -148,20 +143,24 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// By the ending. Refuses early what could not be written at the end.
-fn target(to: &Path, files: Files, force: bool) -> anyhow::Result<Target> {
+fn target(arguments: &Arguments) -> anyhow::Result<Target> {
+    let (to, job, scene) = (&arguments.to, &arguments.job, arguments.scene.as_path());
+    let file = |target| job.begin(&[to], &[scene]).map(|()| target);
     match to.extension().map(|extension| extension.to_string_lossy().to_lowercase()).as_deref() {
-        Some("npz") => check_file(to, force).map(|()| Target::ParamsNpz),
-        Some("ply") => check_file(to, force).map(|()| Target::Timestep(TimestepKind::Ply)),
-        Some("glb") => check_file(to, force).map(|()| Target::Timestep(TimestepKind::Glb)),
-        Some("4dgs") => check_file(to, force).map(|()| Target::Fourdgs),
-        Some("f32") => check_file(to, force).map(|()| Target::Floats),
+        Some("npz") => file(Target::ParamsNpz),
+        Some("ply") => file(Target::Timestep(TimestepKind::Ply)),
+        Some("glb") => file(Target::Timestep(TimestepKind::Glb)),
+        Some("4dgs") => file(Target::Fourdgs),
+        Some("f32") => file(Target::Floats),
         other if other.is_none() || to.is_dir() => {
-            let kind = match files {
+            job.begin(&[], &[scene])?;
+            check_folder(to, &[scene])?;
+            let kind = match arguments.files {
                 Files::Ply => TimestepKind::Ply,
                 Files::Glb => TimestepKind::Glb,
             };
             let is_ours = |path: &Path| [".ply", ".glb"].iter().any(|ending| is_numbered(path, ending));
-            NewFolder::begin(to, force, is_ours).map(|folder| Target::Folder(kind, folder))
+            NewFolder::begin(to, job.force, is_ours).map(|folder| Target::Folder(kind, folder))
         }
         _ => {
             let problem = "not a kind of file that this version writes";

@@ -1,70 +1,91 @@
-//! Ctrl-C: the first asks the work to end cleanly, the second ends the process at once.
+//! Signals: Ctrl-C (SIGINT), SIGTERM, which ends services and batch jobs, and SIGHUP of a terminal that closes.
+//!
+//! A signal ends the process at once and removes what is unfinished. A command that can end its work in a better way asks for
+//! that with [`politely`]; a second signal then ends the process at once.
 
-use std::io::ErrorKind;
+use std::io;
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::process::{Command, ExitStatus};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::Context;
+use tcgs_interchange::remove_held;
 
 use crate::terminal::note;
 
 /// As a shell reports a process that SIGINT ended: 128 + 2.
 pub const EXIT_CODE: u8 = 130;
 
-/// Tries to remove a folder; each fails only if a file appears meanwhile; a disk without room or rights fails at once.
-const REMOVALS: usize = 100;
-
 static ASKED: AtomicBool = AtomicBool::new(false);
-/// What the first Ctrl-C removes.
-static UNFINISHED: Mutex<Option<PathBuf>> = Mutex::new(None);
+/// Whether the command asks between its steps.
+static IS_POLITE: AtomicBool = AtomicBool::new(false);
+/// Held while something finished is moved to its place.
+static MOVING: Mutex<()> = Mutex::new(());
 
-/// Catches Ctrl-C (SIGINT) from now on, for commands that ask [`asked`] between steps. Without this Ctrl-C ends the process
-/// at once.
+/// A process to which signals are passed on; 0 if there is none.
+static STEP: AtomicU32 = AtomicU32::new(0);
+
+/// Catches signals from now on.
 pub fn catch() -> anyhow::Result<()> {
+    #[cfg(unix)]
+    let is_detached = unix::prepare();
     let handler = || {
-        if let Some(unfinished) = &*UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner) {
-            remove(unfinished);
-            std::process::exit(i32::from(EXIT_CODE));
-        }
-        if ASKED.swap(true, Ordering::SeqCst) {
-            std::process::exit(i32::from(EXIT_CODE));
+        #[cfg(unix)]
+        unix::terminate(STEP.load(Ordering::SeqCst));
+        if ASKED.swap(true, Ordering::SeqCst) || !IS_POLITE.load(Ordering::SeqCst) {
+            end();
         }
         note("ending cleanly; Ctrl-C again ends at once");
     };
-    ctrlc::set_handler(handler).context("catching Ctrl-C")
-}
-
-/// Removes a folder into which the work, which has not been told to stop, may still write: what appears while the folder is
-/// being emptied is removed by another try. What cannot be removed has a mark by which a later command removes it.
-fn remove(folder: &Path) {
-    for _ in 0..REMOVALS {
-        match std::fs::remove_dir_all(folder) {
-            Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
-            _ => return,
-        }
+    ctrlc::set_handler(handler).context("catching Ctrl-C")?;
+    #[cfg(unix)]
+    if is_detached {
+        unix::ignore_hangup();
     }
+    Ok(())
 }
 
-/// After [`catch`], for commands with one long step: from now on the first Ctrl-C removes a folder and ends the process.
-///
-/// - `unfinished`: holds nothing yet, or what nobody needs
+/// Ends the process and removes what is unfinished.
+fn end() -> ! {
+    let _moved = moving();
+    remove_held();
+    note("tcgs: stopped");
+    std::process::exit(i32::from(EXIT_CODE))
+}
+
+/// Does work that asks [`asked`] between its steps, so that the first signal does not end the process.
+pub fn politely<T>(work: impl FnOnce() -> T) -> T {
+    IS_POLITE.store(true, Ordering::SeqCst);
+    let done = work();
+    IS_POLITE.store(false, Ordering::SeqCst);
+    done
+}
+
+/// Runs this program once more, to its end, and passes signals on to it.
 ///
 /// # Errors
-/// If Ctrl-C came before; the folder is then the caller's to remove.
-pub fn remove_at_end(unfinished: &Path) -> anyhow::Result<()> {
-    *UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner) = Some(unfinished.into());
-    check()
+/// The errors of starting a process; [`io::ErrorKind::Interrupted`] after a signal.
+pub fn run(step: &mut Command) -> io::Result<ExitStatus> {
+    if asked().is_break() {
+        return Err(io::ErrorKind::Interrupted.into());
+    }
+    // Ctrl-C of a terminal goes to this process alone, so that the other one hears of it once.
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(step, 0);
+    let mut child = step.spawn()?;
+    STEP.store(child.id(), Ordering::SeqCst);
+    let status = child.wait();
+    STEP.store(0, Ordering::SeqCst);
+    status
 }
 
-/// Takes back [`remove_at_end`], before what is finished is moved to its place. Where Ctrl-C is removing it already, this waits for
-/// the end of the process.
-pub fn keep() {
-    *UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner) = None;
+/// No signal ends the process as long as the guard lives. To be held while something finished is moved to its place.
+pub fn moving() -> MutexGuard<'static, ()> {
+    MOVING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// An error after Ctrl-C.
+/// An error after a signal.
 pub fn check() -> anyhow::Result<()> {
     if asked().is_break() { Err(tcgs_pipeline::PipelineError::Stopped.into()) } else { Ok(()) }
 }
@@ -72,4 +93,32 @@ pub fn check() -> anyhow::Result<()> {
 /// Whether to go on.
 pub fn asked() -> ControlFlow<()> {
     if ASKED.load(Ordering::SeqCst) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+}
+
+#[cfg(unix)]
+#[allow(unsafe_code)]
+mod unix {
+    /// Ignores SIGXFSZ, so that a write beyond `ulimit -f` fails like one on a full disk.
+    ///
+    /// - returns: whether SIGHUP is ignored, as by `nohup`
+    pub fn prepare() -> bool {
+        // SAFETY: neither action is a function.
+        unsafe {
+            libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
+            libc::signal(libc::SIGHUP, libc::SIG_IGN) == libc::SIG_IGN
+        }
+    }
+
+    /// Asks a process, if there is one, to end.
+    pub fn terminate(process: u32) {
+        if let Some(process) = i32::try_from(process).ok().filter(|&process| process > 0) {
+            // SAFETY: a number is all that it takes.
+            unsafe { libc::kill(process, libc::SIGTERM) };
+        }
+    }
+
+    pub fn ignore_hangup() {
+        // SAFETY: the action is not a function.
+        unsafe { libc::signal(libc::SIGHUP, libc::SIG_IGN) };
+    }
 }

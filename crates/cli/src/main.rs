@@ -47,7 +47,8 @@ Example:
   tcgs compress my_run
   tcgs eval my_run/scene.tcgs --capture my_capture
 
-Exit codes: 0 all that was asked for was done, 2 wrong usage or input, 130 stopped by Ctrl-C, 1 anything else.";
+Exit codes: 0 all that was asked for was done, 2 wrong usage or input, 130 stopped by Ctrl-C or a\n\
+signal that asks for the same (SIGTERM, SIGHUP), 1 anything else.";
 
 #[derive(Subcommand)]
 enum Command {
@@ -71,7 +72,20 @@ fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(error) => return explain(&error),
     };
-    let done = match arguments.command {
+    match interrupt::catch().and_then(|()| run(arguments.command)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // The signal may have gone to a program as well whose end is an error here.
+            let was_stopped = interrupt::asked().is_break() && error::exit_code(&error) != interrupt::EXIT_CODE;
+            let error = if was_stopped { error::stopped(error::message(&error)) } else { error };
+            terminal::note(&format!("tcgs: {}", one_line(&error::message(&error))));
+            ExitCode::from(error::exit_code(&error))
+        }
+    }
+}
+
+fn run(command: Command) -> anyhow::Result<()> {
+    match command {
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Prepare(arguments) => prepare::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
@@ -84,13 +98,6 @@ fn main() -> ExitCode {
         Command::Reproduce(arguments) => reproduce::run(&arguments),
         Command::View(arguments) => view::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
-    };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            terminal::note(&format!("tcgs: {}", one_line(&error::message(&error))));
-            ExitCode::from(error::exit_code(&error))
-        }
     }
 }
 

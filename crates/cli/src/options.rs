@@ -2,7 +2,7 @@
 
 use std::convert::Infallible;
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -32,11 +32,15 @@ pub struct JobOptions {
 }
 
 impl JobOptions {
-    /// Sets the number of threads, and refuses early what could not be written at the end.
-    pub fn begin(&self) -> anyhow::Result<()> {
+    /// Sets the number of threads, and refuses early what could not be written at the end, or would replace what is read.
+    ///
+    /// - `files`: files to be written besides that of `--json`
+    /// - `sources`: files and folders that are read
+    pub fn begin(&self, files: &[&Path], sources: &[&Path]) -> anyhow::Result<()> {
         let threads = rayon::ThreadPoolBuilder::new().num_threads(self.threads.unwrap_or(0));
         threads.build_global().context("starting threads")?;
-        self.json.as_ref().map_or(Ok(()), |path| output::check_file(path, self.force))
+        let files: Vec<&Path> = files.iter().copied().chain(self.json.as_deref()).collect();
+        output::check_files(&files, sources, self.force)
     }
 
     /// Writes the result for machines, if wanted.

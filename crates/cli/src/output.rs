@@ -9,6 +9,7 @@ use std::time::Duration;
 use anyhow::Context;
 use serde_json::Value;
 use tcgs_interchange::{Existing, Unfinished, is_unfinished, remove_unfinished, write_whole};
+use tcgs_train::Run;
 
 use crate::error::wrong_input;
 use crate::interrupt;
@@ -18,19 +19,106 @@ use crate::terminal::note;
 /// to look at it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// Refuses early what [`write_file`] would refuse after all the work.
-pub fn check_file(path: &Path, force: bool) -> anyhow::Result<()> {
+/// How the names of files end that commands write, and never read as a part of a folder.
+const RESULTS: [&str; 3] = ["csv", "html", "tcgs"];
+
+/// Refuses, before the work, files that could not be written after it or would replace what is read.
+///
+/// - `sources`: files and folders that the command reads
+/// - `force`: whether existing files are replaced
+pub fn check_files(files: &[&Path], sources: &[&Path], force: bool) -> anyhow::Result<()> {
+    for (i, file) in files.iter().enumerate() {
+        if let Some(source) = sources.iter().find(|source| is_part_of(file, source)) {
+            let expected = "expected another name for what is written";
+            return Err(wrong_input(format!("{}: is read as {}, {expected}", file.display(), source.display())));
+        }
+        check_file(file, force)?;
+        if files[..i].iter().any(|other| is_same(file, other)) {
+            let problem = "is to be written twice, expected a name for each result";
+            return Err(wrong_input(format!("{}: {problem}", file.display())));
+        }
+        if !is_device(file) {
+            // What cannot begin there cannot end there.
+            let file = file.canonicalize().unwrap_or_else(|_| file.to_path_buf());
+            begin_beside(&file).with_context(|| format!("writing {}", file.display()))?;
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a folder to be written that is a source or holds one.
+pub fn check_folder(folder: &Path, sources: &[&Path]) -> anyhow::Result<()> {
+    let place = resolved(folder);
+    match sources.iter().find(|source| resolved(source).starts_with(&place)) {
+        None => Ok(()),
+        Some(source) => {
+            let problem = format!("holds {}, which is read, expected another folder", source.display());
+            Err(wrong_input(format!("{}: {problem}", folder.display())))
+        }
+    }
+}
+
+/// Whether writing a file would change a source: the file itself, or one of a folder.
+fn is_part_of(file: &Path, source: &Path) -> bool {
+    if is_same(file, source) {
+        return !is_device(file);
+    }
+    let (file, folder) = (resolved(file), resolved(source));
+    match file.strip_prefix(&folder) {
+        Ok(_) if !file.is_file() => false,
+        Ok(name) if Run::is_run(&folder) => Run::has_file(name),
+        Ok(name) => !name.extension().is_some_and(|ending| RESULTS.iter().any(|result| ending == *result)),
+        Err(_) => false,
+    }
+}
+
+/// Whether two paths lead to the same file or folder, which need not exist.
+fn is_same(a: &Path, b: &Path) -> bool {
+    #[cfg(unix)]
+    if let (Ok(a), Ok(b)) = (fs::metadata(a), fs::metadata(b)) {
+        use std::os::unix::fs::MetadataExt;
+        return (a.dev(), a.ino()) == (b.dev(), b.ino());
+    }
+    resolved(a) == resolved(b)
+}
+
+/// An absolute path without links, also of what does not exist in a folder that does.
+fn resolved(path: &Path) -> PathBuf {
+    let in_parent = || Some(parent(path).canonicalize().ok()?.join(path.file_name()?));
+    path.canonicalize().ok().or_else(in_parent).unwrap_or_else(|| path.into())
+}
+
+fn is_device(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir())
+}
+
+/// Refuses what [`write_file`] cannot write.
+fn check_file(path: &Path, force: bool) -> anyhow::Result<()> {
     let parent = parent(path);
     if !parent.is_dir() {
         return Err(wrong_input(format!("{}: no such folder, expected one to write into", parent.display())));
     }
+    if path.file_name().is_none() || path.to_string_lossy().ends_with(std::path::is_separator) {
+        return Err(wrong_input(format!("{}: is the name of a folder, expected that of a file", path.display())));
+    }
+    check_name(path)?;
     match fs::metadata(path) {
         Ok(found) if found.is_dir() => {
             Err(wrong_input(format!("{}: is a folder, expected the name of a file", path.display())))
         }
         Ok(found) if found.is_file() && !force => Err(exists(path)),
-        Err(_) if path.is_symlink() => {
+        _ => Ok(()),
+    }
+}
+
+/// Refuses a link that leads nowhere, and a name that the file system does not take.
+fn check_name(path: &Path) -> anyhow::Result<()> {
+    match (path.symlink_metadata(), path.metadata()) {
+        (Ok(_), Err(error)) if error.kind() == ErrorKind::NotFound => {
             Err(wrong_input(format!("{}: a link to a file that does not exist, expected another name", path.display())))
+        }
+        (_, Err(error)) if error.kind() != ErrorKind::NotFound => {
+            Err(wrong_input(format!("{}: {error}, expected a name that can be written", path.display())))
         }
         _ => Ok(()),
     }
@@ -47,7 +135,7 @@ pub fn write_file(path: &Path, bytes: &[u8], force: bool) -> anyhow::Result<()> 
 pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io::Result<()>) -> anyhow::Result<()> {
     check_file(path, force)?;
     let context = || format!("writing {}", path.display());
-    if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+    if is_device(path) {
         let device = fs::OpenOptions::new().write(true).open(path).with_context(context)?;
         return write(&device).with_context(context);
     }
@@ -63,12 +151,8 @@ pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io
 
 /// Begins a folder for unfinished content beside a place, and removes abandoned ones there.
 pub fn begin_beside(place: &Path) -> io::Result<Unfinished> {
-    begin_in(parent(place))
-}
-
-fn begin_in(folder: &Path) -> io::Result<Unfinished> {
-    remove_unfinished(folder, ABANDONED);
-    Unfinished::begin(folder)
+    remove_unfinished(parent(place), ABANDONED);
+    Unfinished::begin(parent(place))
 }
 
 /// Writes a result for machines.
@@ -91,6 +175,7 @@ impl NewFolder {
     /// - `force`: whether an existing folder is replaced, and only if all its files are called what
     ///   `is_ours` knows: a slip must not cost a home directory
     pub fn begin(place: &Path, force: bool, is_ours: fn(&Path) -> bool) -> anyhow::Result<Self> {
+        check_name(place)?;
         let inside = place.exists();
         if inside && !is_empty_folder(place) {
             if !force {
@@ -108,7 +193,14 @@ impl NewFolder {
         }
         let around = if inside { place } else { parent };
         let context = || format!("writing {}", place.display());
-        let making = begin_in(around).with_context(context)?;
+        remove_unfinished(around, ABANDONED);
+        let making = match Unfinished::begin_alone(around, place.file_name().unwrap_or("folder".as_ref())) {
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                let problem = "another process is writing it, expected that to end first";
+                return Err(wrong_input(format!("{}: {problem}", place.display())));
+            }
+            begun => begun.with_context(context)?,
+        };
         let new = making.path().join("new");
         fs::create_dir(&new).with_context(context)?;
         Ok(Self { place: place.into(), making, new, inside })
@@ -136,7 +228,7 @@ impl NewFolder {
         let Self { place, making, new, inside } = self;
         let context = format!("writing {}", place.display());
         // From here on the unfinished folder may hold the only copy of something: it is no longer one to be cleaned up.
-        interrupt::keep();
+        let _whole = interrupt::moving();
         let making = making.keep();
         let before = making.join("before");
         let moved = match inside {

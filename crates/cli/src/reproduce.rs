@@ -8,6 +8,7 @@ use tcgs_reproduce::{Job, Size, Workplace, check_captures, execute, missing_comm
 
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
+use crate::interrupt;
 use crate::options::JobOptions;
 use crate::terminal::{note, say};
 
@@ -73,7 +74,7 @@ enum SizeName {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.job.begin()?;
+    arguments.job.begin(&[], arguments.data.as_deref().as_slice())?;
     if arguments.list {
         return list();
     }
@@ -97,6 +98,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         force: arguments.job.force,
         command: command(arguments, table)?,
         program: std::env::current_exe().context("finding this program")?,
+        run: interrupt::run,
         commit: env!("TCGS_COMMIT"),
         tell: note,
     };
@@ -111,10 +113,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let problem = format!("no run of the table {table}, expected one of {}", names.join(", "));
             return Err(wrong_input(format!("--only {only}: {problem}")));
         }
-        return Ok(execute(&place, &chosen)?);
+        return Ok(interrupt::politely(|| execute(&place, &chosen))?);
     }
     if !arguments.no_run {
-        execute(&place, &plan.jobs)?;
+        interrupt::politely(|| execute(&place, &plan.jobs))?;
     }
     let renderer = plan.has_pictures().then(|| arguments.backend.open(BackendName::Auto)).transpose()?;
     let renderer = renderer.as_ref().map(|backend| backend.renderer());

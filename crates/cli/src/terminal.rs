@@ -8,7 +8,13 @@ use tcgs_core::printable;
 
 /// Prints a line on standard output. A reader that has gone away has read enough.
 pub fn say(text: &str) -> anyhow::Result<()> {
-    match writeln!(io::stdout().lock(), "{}", printable(text)) {
+    write(format!("{}\n", printable(text)).as_bytes())
+}
+
+/// Writes to standard output all of something, or what its reader wants of it.
+pub fn write(bytes: &[u8]) -> anyhow::Result<()> {
+    let mut output = io::stdout().lock();
+    match output.write_all(bytes).and_then(|()| output.flush()) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("writing to standard output"),
         _ => Ok(()),
     }

@@ -5,7 +5,7 @@
 
 use std::{
     fs::File,
-    io::{self, BufReader, Seek, Write},
+    io::{self, BufReader, ErrorKind, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
 };
 
@@ -237,7 +237,7 @@ enum RowValues {
 /// # Ok::<(), std::io::Error>(())
 /// ```
 pub struct NpzWriter<W: Write + Seek> {
-    zip: ZipWriter<W>,
+    zip: ZipWriter<FailsOnce<W>>,
 }
 
 impl<W: Write + Seek> NpzWriter<W> {
@@ -245,7 +245,7 @@ impl<W: Write + Seek> NpzWriter<W> {
     ///
     /// - `writer`: should be buffered
     pub fn new(writer: W) -> Self {
-        Self { zip: ZipWriter::new(writer) }
+        Self { zip: ZipWriter::new(FailsOnce { writer, failed: None, position: 0 }) }
     }
 
     /// Adds an array, not compressed, as `numpy.savez` does.
@@ -313,7 +313,54 @@ impl<W: Write + Seek> NpzWriter<W> {
     /// # Errors
     /// The errors of the writer.
     pub fn finish(self) -> io::Result<W> {
-        Ok(self.zip.finish()?)
+        let FailsOnce { writer, failed, .. } = self.zip.finish()?;
+        failed.map_or(Ok(writer), |kind| Err(kind.into()))
+    }
+}
+
+/// A writer that reports its first error and from then on discards what it is given. [`ZipWriter`] completes the archive
+/// when it is dropped, and prints an error of that on standard error; the caller has got the error already.
+struct FailsOnce<W> {
+    writer: W,
+    failed: Option<ErrorKind>,
+    /// Where the writer is, bytes.
+    position: u64,
+}
+
+impl<W> FailsOnce<W> {
+    fn note<T>(&mut self, result: io::Result<T>) -> io::Result<T> {
+        if let Err(error) = &result
+            && error.kind() != ErrorKind::Interrupted
+        {
+            self.failed = Some(error.kind());
+        }
+        result
+    }
+}
+
+impl<W: Write> Write for FailsOnce<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = if self.failed.is_some() { Ok(bytes.len()) } else { self.writer.write(bytes) };
+        let written = self.note(written)?;
+        self.position += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        let flushed = if self.failed.is_some() { Ok(()) } else { self.writer.flush() };
+        self.note(flushed)
+    }
+}
+
+impl<W: Seek> Seek for FailsOnce<W> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let sought = match (self.failed, to) {
+            (None, to) => self.writer.seek(to),
+            (Some(_), SeekFrom::Start(position)) => Ok(position),
+            (Some(_), SeekFrom::Current(by) | SeekFrom::End(by)) => Ok(self.position.saturating_add_signed(by)),
+        };
+        self.position = self.note(sought)?;
+        Ok(self.position)
     }
 }
 
@@ -399,6 +446,47 @@ mod tests {
         std::fs::write(file.path(), b"not a zip").unwrap();
         assert!(matches!(NpzReader::open(file.path()), Err(InterchangeError::Archive { .. })));
         assert!(matches!(NpzReader::open(Path::new("/nowhere.npz")), Err(InterchangeError::Read { .. })));
+    }
+
+    /// Of a size, like a full disk.
+    struct Full(io::Cursor<Vec<u8>>, u64);
+
+    impl Write for Full {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let room = (self.1.saturating_sub(self.0.position()) as usize).min(bytes.len());
+            if room == 0 { Err(ErrorKind::StorageFull.into()) } else { self.0.write(&bytes[..room]) }
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Seek for Full {
+        fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+            self.0.seek(to)
+        }
+    }
+
+    /// Whether nothing is printed besides is asked of the command line, which a full disk ends with one line.
+    #[test]
+    fn a_writer_that_fails_is_reported_once() {
+        let write = |room| {
+            let mut npz = NpzWriter::new(Full(io::Cursor::default(), room));
+            npz.array("a", &[8], [[0.5_f32; 8].as_slice()]).and_then(|()| npz.finish().map(drop))
+        };
+        let whole = (0..).find(|&room| write(room).is_ok()).unwrap();
+        assert!((100..1000).contains(&whole), "{whole}");
+        for room in 0..whole {
+            assert_eq!(write(room).unwrap_err().kind(), ErrorKind::StorageFull, "{room}");
+        }
+        let mut npz = NpzWriter::new(Full(io::Cursor::default(), 20));
+        assert!(npz.array("a", &[1], [[0.5_f32].as_slice()]).is_err());
+        assert_eq!(
+            npz.finish().err().map(|error| error.kind()),
+            Some(ErrorKind::StorageFull),
+            "what is lost stays lost"
+        );
     }
 
     #[test]

@@ -7,14 +7,15 @@
 //! program, and by the lock that no process writes into it any more.
 
 use std::{
-    ffi::OsStr,
-    fs::{self, File, OpenOptions},
-    io::{self, Read, Write},
+    ffi::{OsStr, OsString},
+    fs::{self, File, OpenOptions, TryLockError},
+    io::{self, ErrorKind, Read, Write},
     path::{Path, PathBuf},
+    sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, SystemTime},
 };
 
-use tempfile::{TempDir, TempPath};
+use tempfile::TempPath;
 
 /// How the names of folders with unfinished content begin.
 const PREFIX: &str = ".writing-";
@@ -23,6 +24,12 @@ const MARK: &str = "unfinished-by-tcgs";
 /// Content of the mark. Nothing is removed without it, so it must not change.
 const MARK_TEXT: &str = "tcgs writes here what it renames when it is whole. If no tcgs runs, this folder is left over from one\n\
                          that was stopped, and may be removed.\n";
+
+/// Tries to remove a folder; each fails only if a file appears meanwhile; a disk without room or rights fails at once.
+const REMOVALS: usize = 100;
+
+/// The temporary folders of this process.
+static HELD: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// What [`write_whole`] does if the file exists already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,7 +87,31 @@ pub fn write_whole(path: &Path, existing: Existing, write: impl FnOnce(&mut File
 pub struct Unfinished {
     /// Locked as long as it is open; first, so that the folder is removed after the file is closed.
     mark: File,
-    folder: TempDir,
+    folder: Held,
+}
+
+/// A folder that is removed when the value is dropped, and until then an entry of [`HELD`].
+#[derive(Debug)]
+struct Held(PathBuf);
+
+impl Held {
+    fn all() -> MutexGuard<'static, Vec<PathBuf>> {
+        HELD.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn forget(&self, all: &mut Vec<PathBuf>) {
+        all.retain(|path| *path != self.0);
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        let mut all = Self::all();
+        if all.contains(&self.0) {
+            let _ = fs::remove_dir_all(&self.0);
+            self.forget(&mut all);
+        }
+    }
 }
 
 impl Unfinished {
@@ -96,8 +127,11 @@ impl Unfinished {
         // A temporary folder is private unless told; what is made here becomes as readable as any other.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
-        let folder = builder.tempdir_in(folder)?;
-        let mut mark = File::create_new(folder.path().join(MARK))?;
+        let mut all = Held::all();
+        let folder = Held(builder.tempdir_in(folder)?.keep());
+        all.push(folder.0.clone());
+        drop(all);
+        let mut mark = File::create_new(folder.0.join(MARK))?;
         // Some network drives know no locks; there nothing is ever removed.
         let _ = mark.try_lock();
         // The text comes after the lock, so that a mark with text and without a lock is that of a process that ended.
@@ -105,9 +139,49 @@ impl Unfinished {
         Ok(Self { mark, folder })
     }
 
+    /// As [`Self::begin`], for content of which two processes must not make two: the temporary folder is `.writing-NAME`, and
+    /// of two processes that begin the same the second one is refused. Where folders that are in use cannot be renamed, or
+    /// not be locked, both may begin.
+    ///
+    /// - `name`: of the content, the same for all processes
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::WouldBlock`] if another process makes the same; the errors of the file system.
+    pub fn begin_alone(folder: &Path, name: &OsStr) -> io::Result<Self> {
+        let mut begun = Self::begin(folder)?;
+        let mut own = OsString::from(PREFIX);
+        own.push(name);
+        let own = folder.join(own);
+        let Err(error) = begun.rename(&own) else { return Ok(begun) };
+        if matches!(error.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists) {
+            match Mark::open(&own.join(MARK)) {
+                Mark::Locked => return Err(ErrorKind::WouldBlock.into()),
+                Mark::Abandoned(_mark) => {
+                    let _ = fs::remove_dir_all(&own);
+                    // Unless another process was faster.
+                    if begun.rename(&own).is_err() && matches!(Mark::open(&own.join(MARK)), Mark::Locked) {
+                        return Err(ErrorKind::WouldBlock.into());
+                    }
+                }
+                // What a process has kept there is not touched.
+                Mark::Unknown => {}
+            }
+        }
+        Ok(begun)
+    }
+
+    fn rename(&mut self, to: &Path) -> io::Result<()> {
+        let mut all = Held::all();
+        fs::rename(&self.folder.0, to)?;
+        self.folder.forget(&mut all);
+        self.folder.0 = to.into();
+        all.push(to.into());
+        Ok(())
+    }
+
     /// Path of the temporary folder. The caller writes the content into it, under any name but `unfinished-by-tcgs`.
     pub fn path(&self) -> &Path {
-        self.folder.path()
+        &self.folder.0
     }
 
     /// Removes the mark and hands the folder over to the caller: neither dropping nor [`remove_unfinished`] removes the
@@ -116,16 +190,33 @@ impl Unfinished {
     /// - returns: path of the folder
     pub fn keep(self) -> PathBuf {
         let Self { mark, folder } = self;
+        folder.forget(&mut Held::all());
         // Should the mark resist, it is empty at least, and nothing is removed for its sake.
         let _ = mark.set_len(0);
-        let _ = fs::remove_file(folder.path().join(MARK));
-        folder.keep()
+        let _ = fs::remove_file(folder.0.join(MARK));
+        folder.0.clone()
     }
 }
 
 /// Whether a file name is that of a folder with unfinished content: whether it begins with `.writing-`.
 pub fn is_unfinished(name: &OsStr) -> bool {
     name.to_string_lossy().starts_with(PREFIX)
+}
+
+/// Removes every [`Unfinished`] of this process, for a program that a signal ends: values are not dropped then. No other can
+/// be begun, kept or dropped afterwards: a thread that tries to waits for the end of the process.
+pub fn remove_held() {
+    let all = Held::all();
+    for folder in all.iter() {
+        // Threads that have not been told may still write into it.
+        for _ in 0..REMOVALS {
+            match fs::remove_dir_all(folder) {
+                Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
+                _ => break,
+            }
+        }
+    }
+    std::mem::forget(all);
 }
 
 /// Removes the temporary folders that killed processes of this program left inside a folder. A folder without this
@@ -143,7 +234,7 @@ pub fn remove_unfinished(folder: &Path, age: Duration) {
         }
         let path = entry.path();
         // Held until the folder is gone.
-        let Some(_mark) = abandoned_mark(&path.join(MARK)) else { continue };
+        let Mark::Abandoned(_mark) = Mark::open(&path.join(MARK)) else { continue };
         let newest = newest_change(&path).and_then(|time| SystemTime::now().duration_since(time).ok());
         if newest.is_some_and(|unchanged_for| unchanged_for >= age) {
             let _ = fs::remove_dir_all(&path);
@@ -151,13 +242,31 @@ pub fn remove_unfinished(folder: &Path, age: Duration) {
     }
 }
 
-/// The mark, locked; none if it is not this program's, or another process holds it.
-fn abandoned_mark(path: &Path) -> Option<File> {
-    // An exclusive lock of a network drive needs a file that may be written.
-    let mut mark = OpenOptions::new().read(true).write(true).open(path).ok()?;
-    let mut text = Vec::new();
-    (&mut mark).take(MARK_TEXT.len() as u64 + 1).read_to_end(&mut text).ok()?;
-    (text == MARK_TEXT.as_bytes() && mark.try_lock().is_ok()).then_some(mark)
+/// What a mark says of its folder.
+enum Mark {
+    /// The process ended. The mark is locked as long as the file is open.
+    Abandoned(File),
+    /// Another process writes into the folder.
+    Locked,
+    /// The folder is not this program's, or it was kept, or the drive knows no locks.
+    Unknown,
+}
+
+impl Mark {
+    fn open(path: &Path) -> Self {
+        // An exclusive lock of a network drive needs a file that may be written.
+        let Ok(mut mark) = OpenOptions::new().read(true).write(true).open(path) else { return Self::Unknown };
+        let mut text = Vec::new();
+        let read = (&mut mark).take(MARK_TEXT.len() as u64 + 1).read_to_end(&mut text);
+        if read.is_err() || text != MARK_TEXT.as_bytes() {
+            return Self::Unknown;
+        }
+        match mark.try_lock() {
+            Ok(()) => Self::Abandoned(mark),
+            Err(TryLockError::WouldBlock) => Self::Locked,
+            Err(TryLockError::Error(_)) => Self::Unknown,
+        }
+    }
 }
 
 /// When anything in a folder last changed, the folder itself included; none if that cannot be read.
@@ -272,6 +381,36 @@ mod tests {
         remove_unfinished(folder.path(), Duration::ZERO);
         assert!(!young.exists() && !touched.exists() && used.path().is_dir() && unmarked.exists());
         remove_unfinished(&in_folder("no such folder"), DAY);
+    }
+
+    #[test]
+    fn of_two_that_make_the_same_one_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let begin = || Unfinished::begin_alone(folder.path(), "frames".as_ref());
+        let first = begin().unwrap();
+        let refused = begin().err().map(|error| error.kind());
+        if cfg!(windows) {
+            return;
+        }
+        assert_eq!(
+            (first.path().file_name().unwrap(), refused),
+            (".writing-frames".as_ref(), Some(ErrorKind::WouldBlock))
+        );
+        let _other = Unfinished::begin_alone(folder.path(), "other".as_ref()).unwrap();
+        drop(first);
+        let names = || fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect::<Vec<_>>();
+        assert_eq!(names(), [".writing-other"], "the loser left nothing");
+        // What a killed process left gives way at once, what one has kept stays.
+        let left = folder.path().join(".writing-frames");
+        fs::create_dir(&left).unwrap();
+        fs::write(left.join(MARK), MARK_TEXT).unwrap();
+        fs::write(left.join("new"), b"half").unwrap();
+        let again = begin().unwrap();
+        assert!(again.path() == left && !left.join("new").exists());
+        fs::write(left.join("new"), b"precious").unwrap();
+        again.keep();
+        let beside = begin().unwrap();
+        assert!(beside.path() != left && fs::read(left.join("new")).unwrap() == b"precious");
     }
 
     #[test]

@@ -82,4 +82,4 @@ pub use preview::points_scene;
 pub use render::{CameraAt, render};
 pub use scene::{CutFiles, OpenScene, OpenSettings};
 pub use train::{ReadyRun, RunFolder, capture_for, continued_trainer, fit, new_trainer, settings_for, start_state};
-pub use verify::{Compared, Comparison, compare};
+pub use verify::{Compared, Comparison, compare, whole_file_limits};

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use pyo3::exceptions::{PyFileExistsError, PyValueError};
 use pyo3::prelude::*;
 use tcgs_capture::Capture;
+use tcgs_interchange::Existing;
 use tcgs_pipeline::{OpenScene, OpenSettings, PipelineError, ReadyRun, RunFolder, fit, settings_for, start_state};
 use tcgs_train::{Preset, TrainConfig};
 
@@ -113,7 +114,8 @@ pub fn train(
             Some(config) => {
                 let state =
                     start.map(|start| start_state(&start.scene, start.timestep, &config, &capture)).transpose()?;
-                ReadyRun::begin(&out, &config, &capture, state.as_ref(), &backend)?
+                let existing = if overwrite { Existing::Replace } else { Existing::Keep };
+                ReadyRun::begin(&out, existing, &config, &capture, state.as_ref(), &backend)?
             }
             None => {
                 let change = |stored: &TrainConfig| {

@@ -5,19 +5,22 @@
 //! processes take turns at a run.
 
 use std::fs::{self, File, TryLockError};
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::time::Instant;
 
 use serde_json::{Map, Value, json};
 use tcgs_interchange::{Existing, write_whole};
+use tcgs_pipeline::PipelineError;
 
 use super::analysis;
 use super::plan::{Job, Measure};
 use crate::ReproduceError;
 use crate::error::{file, wrong_input};
 
+/// Exit code of a step that was stopped by a signal.
+const STOPPED: i32 = 130;
 /// In the folder of a measurement.
 const RESULT: &str = "result.json";
 
@@ -38,6 +41,9 @@ pub struct Workplace {
     pub command: Vec<String>,
     /// The command line's program, which every step is run with.
     pub program: PathBuf,
+    /// Runs a step to its end; [`io::ErrorKind::Interrupted`] where none is to be begun any more. A step is a process of its
+    /// own, to which a signal may have to be passed on.
+    pub run: fn(&mut Command) -> io::Result<ExitStatus>,
     /// What the program was built from; results name it.
     pub commit: &'static str,
     /// Receives a line for every step and wait, for people.
@@ -319,15 +325,16 @@ fn step_of(place: &Workplace, mut arguments: Vec<String>, command: &str, advice:
         arguments.extend(["--threads".into(), threads.to_string()]);
     }
     (place.tell)(command);
-    let status = Command::new(&place.program)
-        .args(&arguments)
-        .stdin(Stdio::null())
-        .stdout(Stdio::from(std::io::stderr()))
-        .status()
-        .map_err(file("starting", &place.program))?;
+    let mut step = Command::new(&place.program);
+    step.args(&arguments).stdin(Stdio::null()).stdout(Stdio::from(io::stderr()));
+    let status = match (place.run)(&mut step) {
+        Err(error) if error.kind() == io::ErrorKind::Interrupted => return Err(PipelineError::Stopped.into()),
+        status => status.map_err(file("starting", &place.program))?,
+    };
     let failed = |problem| ReproduceError::Step { command: command.into(), problem };
     match status.code() {
         Some(0) => Ok(()),
+        Some(STOPPED) => Err(PipelineError::Stopped.into()),
         Some(2) => Err(wrong_input(format!("{command}: wrong input, see the line above, expected it to be right"))),
         Some(code) => Err(failed(format!("ended with exit code {code}, see the line above; {advice}"))),
         None => Err(failed(format!("was killed; {advice}"))),
@@ -381,7 +388,7 @@ pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), ReproduceError
 
 fn remove(path: &Path) -> Result<(), ReproduceError> {
     match fs::remove_file(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(file("removing", path)(error)),
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(file("removing", path)(error)),
         _ => Ok(()),
     }
 }

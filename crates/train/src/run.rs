@@ -72,6 +72,18 @@ impl Run {
         folder.join(CONFIG).is_file()
     }
 
+    /// Whether a file of a run folder is a part of the run.
+    ///
+    /// - `name`: relative to the run folder
+    pub fn has_file(name: &Path) -> bool {
+        let resume = [0, 1].map(resume_name);
+        name.starts_with(CHECKPOINTS)
+            || [CONFIG, METRICS, START]
+                .into_iter()
+                .chain(resume.iter().map(String::as_str))
+                .any(|ours| name == Path::new(ours))
+    }
+
     /// Creates a run folder and writes its `config.toml`.
     ///
     /// # Errors
@@ -134,7 +146,7 @@ impl Run {
     /// Path of what is needed to resume after a timestep besides its checkpoint. Each timestep overwrites that of the
     /// timestep before the last.
     pub fn resume_path(&self, timestep: usize) -> PathBuf {
-        self.folder.join(format!("resume{}.npz", timestep % 2))
+        self.folder.join(resume_name(timestep))
     }
 
     /// Number of finished timesteps: of checkpoints from timestep 0 on without a gap.
@@ -496,17 +508,26 @@ impl Run {
     /// - `metrics`: a JSON object, written as one line
     ///
     /// # Errors
-    /// [`TrainError::Write`] if `metrics.jsonl` cannot be written.
+    /// [`TrainError::Write`] if `metrics.jsonl` cannot be written; it is then unchanged.
     pub fn append_metrics(&self, metrics: &Value) -> Result<(), TrainError> {
         let path = self.folder.join(METRICS);
         let mut file = fs::OpenOptions::new().create(true).append(true).open(&path).map_err(write(&path))?;
-        file.write_all(format!("{metrics}\n").as_bytes()).map_err(write(&path))
+        let before = file.metadata().map_err(write(&path))?.len();
+        file.write_all(format!("{metrics}\n").as_bytes()).map_err(|error| {
+            // Not half a line.
+            let _ = file.set_len(before);
+            write(&path)(error)
+        })
     }
 
     fn write_whole(&self, name: &str, bytes: &[u8]) -> Result<(), TrainError> {
         let path = self.folder.join(name);
         write_whole(&path, Existing::Replace, |file| file.write_all(bytes)).map_err(write(&path))
     }
+}
+
+fn resume_name(timestep: usize) -> String {
+    format!("resume{}.npz", timestep % 2)
 }
 
 /// How many Gaussians a timestep is to have.

@@ -14,6 +14,7 @@ use tcgs_pipeline::Backend;
 use self::measure::{Counts, STEPS, measure};
 use crate::backend::{BackendName, BackendOptions};
 use crate::options::{self, JobOptions, Size};
+use crate::output::check_folder;
 use crate::progress::Progress;
 use crate::terminal::say;
 
@@ -69,7 +70,11 @@ pub struct Arguments {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.job.begin()?;
+    let sources = arguments.capture.as_deref();
+    arguments.job.begin(&[], sources.as_slice())?;
+    if let Some(folder) = &arguments.write_scene {
+        check_folder(folder, sources.as_slice())?;
+    }
     let capture = arguments.capture.as_deref().map(Capture::open).transpose()?;
     let backend = arguments.backend.open(BackendName::Auto)?;
     say(&table::device_line(&backend))?;

@@ -1,7 +1,7 @@
 //! Application data that `tcgs compress --attach` puts into a file (`docs/FORMAT.md`, "Application data").
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use crate::error::wrong_input;
@@ -43,6 +43,11 @@ impl FromStr for Attachment {
 }
 
 impl Attachment {
+    /// The file with the data.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Name and content, as the format wants them.
     pub fn read(&self) -> anyhow::Result<(String, Vec<u8>)> {
         let path = self.path.display();

@@ -19,9 +19,8 @@ use self::attachment::Attachment;
 use crate::attribute_errors::{self, Bounds};
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
-use crate::interrupt;
 use crate::options::{self, Cameras, Frames, JobOptions, Pair};
-use crate::output::{check_file, show_bytes, write_file};
+use crate::output::{show_bytes, write_file};
 use crate::scene::{SourceOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
@@ -214,8 +213,6 @@ fn share(text: &str) -> Result<f32, String> {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.job.begin()?;
-    interrupt::catch()?;
     let is_searched =
         arguments.target().is_some() || arguments.quality.is_some() || arguments.max_error.is_some() || arguments.tune;
     if arguments.preset == PresetName::Paper && is_searched {
@@ -230,7 +227,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (None, [source]) => default_out(source),
         (None, _) => return Err(wrong_input("compress: several sources, expected --out with the file to write")),
     };
-    check_file(&out, arguments.job.force)?;
+    let read = arguments.sources.iter().chain(&arguments.capture).map(PathBuf::as_path);
+    let read: Vec<&Path> = read.chain(arguments.attach.iter().map(Attachment::path)).collect();
+    arguments.job.begin(&[&out], &read)?;
     let scenes = arguments.sources.iter().map(|source| arguments.reading.open(source));
     let mut scene = OpenScene::join(scenes.collect::<Result<_, _>>()?, arguments.segment_length)?;
     if let Some(frame_rate) = arguments.frame_rate {
@@ -256,7 +255,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
              some Gaussians are far away"
         ))?;
     }
-    interrupt::check()?;
     write_file(&out, &compressed.file, arguments.job.force)?;
     note_replaced(&scene);
     report(arguments, &compressed, results, &out)

@@ -20,7 +20,6 @@ use tcgs_train::{Preset, RefineConfig, Run, TrainConfig};
 use self::late::{LateQuality, LateViews};
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
-use crate::interrupt;
 use crate::options::JobOptions;
 use crate::output::{NewFolder, is_empty_folder, show_bytes};
 use crate::teller::Teller;
@@ -33,6 +32,7 @@ const REFINE_ITERATIONS: usize = 2500;
 const REFINED_QUALITY: f32 = -1.25;
 /// Marks a folder as made by this command.
 const MARKER: &str = ".tcgs-demo";
+const MARKER_TEXT: &str = "made by tcgs demo\n";
 /// What the folder holds; anything else in it is somebody's, and stays when the demo runs again.
 const OURS: [&str; 6] = [MARKER, "capture", "run", "scene.tcgs", "frames", "report.html"];
 
@@ -121,14 +121,13 @@ impl Outcome {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.job.begin()?;
-    interrupt::catch()?;
+    arguments.job.begin(&[], &[])?;
     check_place(&arguments.out)?;
     // The demo says what two cores do.
     let backend = arguments.backend.open(BackendName::Cpu)?;
     let folder = NewFolder::begin(&arguments.out, true, |_| true)?;
     let begun = folder.path().join(MARKER);
-    fs::write(&begun, "made by tcgs demo\n").with_context(|| format!("writing {}", begun.display()))?;
+    fs::write(&begun, MARKER_TEXT).with_context(|| format!("writing {}", begun.display()))?;
     let outcome = pipeline(arguments, &backend, folder.path())?;
     folder.finish_around(|name| OURS.iter().all(|ours| name != *ours))?;
     print_table(arguments, &outcome)?;
@@ -137,7 +136,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// A folder that someone else made is not replaced.
 fn check_place(out: &Path) -> anyhow::Result<()> {
-    if !out.exists() || is_empty_folder(out) || out.join(MARKER).is_file() {
+    let is_ours = || fs::read(out.join(MARKER)).is_ok_and(|text| text == MARKER_TEXT.as_bytes());
+    if !out.exists() || is_empty_folder(out) || is_ours() {
         return Ok(());
     }
     let problem = "exists and was not made by demo, expected a new name or a folder of an earlier demo";

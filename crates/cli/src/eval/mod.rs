@@ -2,7 +2,7 @@
 
 mod table;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use tcgs_capture::{Capture, Split};
@@ -10,9 +10,8 @@ use tcgs_metrics::{Lpips, Protocol};
 use tcgs_pipeline::{EvaluateSettings, Evaluation, PipelineError, evaluate, evaluation_json};
 
 use crate::backend::{BackendName, BackendOptions};
-use crate::interrupt;
 use crate::options::{self, CameraChoice, Frames, JobOptions};
-use crate::output::{check_file, write_file};
+use crate::output::write_file;
 use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
@@ -86,14 +85,12 @@ impl From<ProtocolName> for Protocol {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.job.begin()?;
-    interrupt::catch()?;
-    if let Some(csv) = &arguments.csv {
-        check_file(csv, arguments.job.force)?;
-    }
     let weights = arguments.lpips_weights.clone();
     let weights =
         weights.or_else(|| std::env::var_os(WEIGHTS_VARIABLE).filter(|name| !name.is_empty()).map(Into::into));
+    let csv: Vec<&Path> = arguments.csv.as_deref().into_iter().collect();
+    let sources = [Some(arguments.scene.as_path()), Some(&arguments.capture), weights.as_deref()];
+    arguments.job.begin(&csv, &sources.into_iter().flatten().collect::<Vec<_>>())?;
     let lpips = weights.as_ref().map(|path| Lpips::read(path)).transpose()?;
     if let Some(path) = &weights {
         note(&format!("measuring LPIPS with {}, which takes most of the time", path.display()));

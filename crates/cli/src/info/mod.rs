@@ -4,7 +4,7 @@ mod basics;
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::{Cursor, Write};
+use std::io::Cursor;
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -21,7 +21,7 @@ use crate::error::wrong_input;
 use crate::options::JobOptions;
 use crate::output::show_bytes;
 use crate::scene::{RecoverOption, describe_loss, unreadable};
-use crate::terminal::{note, say};
+use crate::terminal::{note, say, write};
 
 /// Show what is in a .tcgs file, and whether it is whole; of any other scene its basics
 ///
@@ -54,7 +54,7 @@ const MOST_READ: u64 = 64_000_000;
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.job.begin()?;
+    arguments.job.begin(&[], &[&arguments.file])?;
     let path = arguments.file.display();
     if !OpenScene::is_tcgs(&arguments.file) {
         let result = basics::print(&arguments.file, arguments.data.as_deref())?;
@@ -80,7 +80,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             };
             return Err(wrong_input(format!("{path}: {found}, expected {name}")));
         };
-        return Ok(std::io::stdout().write_all(bytes)?);
+        return write(bytes);
     }
     let length = fs::metadata(&arguments.file).map_err(unreadable)?.len();
     let (info, data) = if length > MOST_READ {

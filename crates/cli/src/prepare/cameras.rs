@@ -36,7 +36,9 @@ pub fn check_still(source: &Path, description: &CaptureDescription) -> anyhow::R
 pub fn find(source: &Path, description: &mut CaptureDescription, temporary: &Path) -> anyhow::Result<FoundCameras> {
     let work = temporary.join("work");
     std::fs::create_dir(&work).with_context(|| format!("writing {}", work.display()))?;
-    let found = with_progress("cameras", 6, |tell| find_cameras(source, description, &work, tell));
+    // COLMAP is a process of its own, which is ended first.
+    let found =
+        interrupt::politely(|| with_progress("cameras", 6, |tell| find_cameras(source, description, &work, tell)));
     interrupt::check()?;
     let found = found?;
     let mut calibration = CalibrationSource::default();
@@ -54,9 +56,7 @@ pub fn find(source: &Path, description: &mut CaptureDescription, temporary: &Pat
 
 /// Refines a calibration where that makes it better, and says by how much.
 pub fn refine(source: &Path, description: &mut CaptureDescription) -> anyhow::Result<Option<Refinement>> {
-    let refinement = with_progress("refining", 3, |tell| refine_cameras(source, description, tell));
-    interrupt::check()?;
-    let refinement = refinement?;
+    let refinement = with_progress("refining", 3, |tell| refine_cameras(source, description, tell))?;
     let lines = match &refinement {
         None => {
             vec!["too few places are seen by several cameras to judge the calibration, which is taken as it is".into()]

@@ -10,7 +10,7 @@ use tcgs_core::Image;
 
 use super::page;
 use crate::options::JobOptions;
-use crate::output::{check_file, write_file};
+use crate::output::write_file;
 use crate::progress::Progress;
 use crate::terminal::say;
 
@@ -25,9 +25,6 @@ const NUM_STEPS: usize = 6;
 
 /// Checks a capture. What is found is an error, for the exit code.
 pub fn run(path: &Path, sheet: Option<&Path>, page: Option<&Path>, job: &JobOptions) -> anyhow::Result<()> {
-    for file in [sheet, page].into_iter().flatten() {
-        check_file(file, job.force)?;
-    }
     let capture = Capture::open_unseen(path)?;
     let diagnosis = examined(&capture)?;
     for line in remarks(&diagnosis) {

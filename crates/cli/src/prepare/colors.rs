@@ -6,7 +6,6 @@ use serde_json::{Value, json};
 use tcgs_capture::{CaptureDescription, ColorBalance, ColorSource, balance_colors};
 
 use super::cameras::with_progress;
-use crate::interrupt;
 use crate::terminal::say;
 
 /// A gain that is further from 1 is worth a line of its own.
@@ -14,9 +13,7 @@ const WORTH_A_LINE: f32 = 0.03;
 
 /// Measures gains and offsets, takes them where colours then agree better, and says what came out.
 pub fn balance(source: &Path, description: &mut CaptureDescription) -> anyhow::Result<Option<ColorBalance>> {
-    let balance = with_progress("colours", 3, |tell| balance_colors(source, description, tell));
-    interrupt::check()?;
-    let balance = balance?;
+    let balance = with_progress("colours", 3, |tell| balance_colors(source, description, tell))?;
     let lines = match &balance {
         None => vec!["colours: too few places are seen by several cameras to compare them".into()],
         Some(balance) => in_words(balance, description),

@@ -12,7 +12,6 @@ use tcgs_capture::{Capture, MASKS_FOLDER, MaskSettings, Split, make_masks, obsta
 use tcgs_core::Segmentation;
 
 use crate::error::wrong_input;
-use crate::interrupt;
 use crate::output::{NewFolder, write_file};
 use crate::progress::Progress;
 use crate::terminal::say;
@@ -63,7 +62,6 @@ fn obstacle(capture: &Capture) -> anyhow::Result<Option<String>> {
 pub fn make_beside(capture: &Capture, folder: &Path) -> anyhow::Result<Value> {
     let masks = folder.join(MASKS_FOLDER);
     let new = NewFolder::begin(&masks, false, |_| false)?;
-    interrupt::remove_at_end(new.temporary())?;
     let told = make(capture, &masks, new.path())?;
     new.finish()?;
     Ok(told)

@@ -17,9 +17,8 @@ use tcgs_capture::{Capture, DESCRIPTION_FILE, MASKS_FOLDER, POINTS_FILE, RawFoot
 use tcgs_interchange::is_unfinished;
 
 use crate::error::wrong_input;
-use crate::interrupt;
 use crate::options::{self, JobOptions};
-use crate::output::{NewFolder, check_file, is_empty_folder, parent, write_json};
+use crate::output::{NewFolder, check_files, check_folder, is_empty_folder, parent, write_json};
 use crate::terminal::say;
 
 /// Written into every capture that this command makes: how it was made, and that it may be replaced.
@@ -177,7 +176,10 @@ impl Arguments {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.job.begin()?;
+    let sources = [Some(arguments.source.as_path()), arguments.calibration.as_deref(), arguments.offsets.as_deref()];
+    let sources: Vec<&Path> = sources.into_iter().flatten().collect();
+    let pages: Vec<&Path> = [&arguments.sheet, &arguments.page].into_iter().filter_map(Option::as_deref).collect();
+    arguments.job.begin(&pages, &sources)?;
     if arguments.check {
         return check::run(&arguments.source, arguments.sheet.as_deref(), arguments.page.as_deref(), &arguments.job);
     }
@@ -196,13 +198,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         say("points: would be made; cameras and clocks are taken as the capture has them")?;
         return if arguments.out.is_some() { say(check::WOULD) } else { Ok(()) };
     }
-    if arguments.out.is_some() {
-        interrupt::catch()?;
-    }
     let folder = arguments.out.as_deref().map(|out| begin_capture(out, &arguments.source, force)).transpose()?;
-    if let Some(folder) = &folder {
-        interrupt::remove_at_end(folder.temporary())?;
-    }
     let mut capture = Capture::open_unseen(&arguments.source)?;
     if capture.has_points() {
         say("the points that the source has are not used")?;
@@ -257,11 +253,13 @@ fn check_points_file(file: &Path, force: bool) -> anyhow::Result<()> {
     if file.extension().is_none_or(|extension| extension != "npz") {
         return Err(wrong_input(format!("{}: not a kind of file for points, expected NAME.npz", file.display())));
     }
-    check_file(file, force)
+    // Also that of the capture, which is not used.
+    check_files(&[file], &[], force)
 }
 
 /// A folder in the making, outside its source; one that exists is replaced only if this command made it.
 fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFolder> {
+    check_folder(out, &[source])?;
     if let (Ok(parent), Ok(source)) = (parent(out).canonicalize(), source.canonicalize())
         && parent.starts_with(&source)
     {
@@ -269,7 +267,8 @@ fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFo
         return Err(wrong_input(format!("{}: {problem}", out.display())));
     }
     if force && out.exists() && !is_empty_folder(out) {
-        if !out.join(RECORD).is_file() {
+        let record = std::fs::read(out.join(RECORD)).unwrap_or_default();
+        if !serde_json::from_slice::<Value>(&record).is_ok_and(|record| record["source"].is_string()) {
             let problem = "was not made by prepare, expected a new name or a folder of an earlier prepare";
             return Err(wrong_input(format!("{}: {problem}", out.display())));
         }

@@ -15,7 +15,6 @@ use tcgs_capture::{
 
 use super::{Arguments, MODEL, RECORD, begin_capture, cameras, check, colors, link, masks, points};
 use crate::error::wrong_input;
-use crate::interrupt;
 use crate::output::{write_file, write_json};
 use crate::progress::Progress;
 use crate::terminal::say;
@@ -38,7 +37,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let problem = "is a folder of videos, expected --out CAPTURE: its points need cameras and clocks";
         return Err(wrong_input(format!("{}: {problem}", arguments.source.display())));
     };
-    interrupt::catch()?;
     let Described { description, refinement, balance } = match found_description(out, arguments)? {
         Some(description) => {
             say(&format!("cameras and clocks: as {} says", out.join(DESCRIPTION_FILE).display()))?;
@@ -118,16 +116,12 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Describe
         true => None,
         false => Some(begin_capture(out, source, arguments.job.force)?),
     };
-    if let Some(folder) = &folder {
-        interrupt::remove_at_end(folder.temporary())?;
-    }
     let raw = RawFootage::find(source, arguments.fps)?;
     let raw = raw.ok_or_else(|| wrong_input(format!("{}: has no videos, expected one a camera", source.display())))?;
     let recorded = raw.cameras();
     for line in recordings_in_words(&recorded) {
         say(&line)?;
     }
-    interrupt::check()?;
 
     let calibration = match &arguments.calibration {
         Some(path) => Some(Calibration::read(path)?),
@@ -154,7 +148,6 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Describe
             return Err(wrong_input(format!("{}: {problem}", source.display())));
         }
     };
-    interrupt::check()?;
 
     if arguments.dry_run {
         say(match arguments.offsets {
@@ -192,11 +185,9 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Describe
     for line in clocks_in_words(&clocks, &names, &description) {
         say(&line)?;
     }
-    interrupt::check()?;
 
     let Some(folder) = folder else { return Ok(None) };
     cameras::check_still(source, &description)?;
-    interrupt::check()?;
     let (found, refinement) = match &calibration {
         None => (Some(cameras::find(source, &mut description, folder.temporary())?), None),
         Some(_) if arguments.refine_calibration => (None, cameras::refine(source, &mut description)?),

@@ -16,7 +16,7 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{Frames, JobOptions, Size};
-use crate::output::{NewFolder, is_numbered};
+use crate::output::{NewFolder, check_folder, is_numbered};
 use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::say;
@@ -84,8 +84,22 @@ impl FromStr for PathOption {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.job.begin()?;
-    interrupt::catch()?;
+    let path = match &arguments.path {
+        Some(PathOption::Saved(path)) => Some(path.as_path()),
+        _ => None,
+    };
+    let sources = [Some(arguments.scene.as_path()), arguments.cameras.as_deref(), path];
+    let sources: Vec<&Path> = sources.into_iter().flatten().collect();
+    if video::is_named(&arguments.out) {
+        arguments.job.begin(&[&arguments.out], &sources)?;
+    } else {
+        arguments.job.begin(&[], &sources)?;
+        check_folder(&arguments.out, &sources)?;
+    }
+    interrupt::politely(|| draw(arguments))
+}
+
+fn draw(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = arguments.cameras.as_ref().filter(|path| path.extension().is_some_and(|e| e == "json")) {
         let problem = "no camera files in this version, expected the folder of a capture";
         return Err(wrong_input(format!("{}: {problem}", path.display())));

@@ -1,17 +1,18 @@
 //! Pictures to a video, by the program `ffmpeg`.
 
 use std::ffi::OsStr;
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::thread::{self, JoinHandle};
 
 use anyhow::{Context, anyhow};
 use tcgs_interchange::Unfinished;
 
 use crate::error::wrong_input;
 use crate::options::Size;
-use crate::output::{begin_beside, check_file, write_file_with};
+use crate::output::{begin_beside, write_file_with};
 
 /// Of a scene that does not say how many frames a second it has.
 const FRAME_RATE: f64 = 30.0;
@@ -43,23 +44,46 @@ pub struct Video {
     encoder: &'static [&'static str],
     /// Beside the place: as private as that, and cleaned up by the same rule if this process is killed.
     folder: Unfinished,
-    running: Option<(Child, Size)>,
+    running: Option<Running>,
+}
+
+/// `ffmpeg` at work.
+struct Running {
+    child: Child,
+    size: Size,
+    /// Reads what it says.
+    said: JoinHandle<String>,
+}
+
+/// What encodes a file of this name; none if it is not that of a video.
+fn encoder(place: &Path) -> Option<&'static [&'static str]> {
+    match ending(place).as_str() {
+        "mp4" => Some(MP4),
+        "webm" => Some(WEBM),
+        _ => None,
+    }
+}
+
+fn ending(place: &Path) -> String {
+    place.extension().and_then(OsStr::to_str).unwrap_or_default().to_ascii_lowercase()
+}
+
+/// Whether an output is to be a video.
+pub fn is_named(place: &Path) -> bool {
+    encoder(place).is_some()
 }
 
 impl Video {
     /// Begins a video, if the name of the output asks for one. `ffmpeg` has to be there.
     pub fn begin(place: &Path, force: bool) -> anyhow::Result<Option<Self>> {
-        let ending = place.extension().and_then(OsStr::to_str).unwrap_or_default().to_ascii_lowercase();
-        let encoder = match ending.as_str() {
-            "mp4" => MP4,
-            "webm" => WEBM,
-            "avi" | "gif" | "mkv" | "mov" => {
+        let Some(encoder) = encoder(place) else {
+            let ending = ending(place);
+            if ["avi", "gif", "mkv", "mov"].contains(&&*ending) {
                 let problem = format!("no .{ending} here, expected .mp4, .webm or the name of a folder for PNG files");
                 return Err(wrong_input(format!("{}: {problem}", place.display())));
             }
-            _ => return Ok(None),
+            return Ok(None);
         };
-        check_file(place, force)?;
         let found = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).status();
         if let Err(error) = found {
             let way_out = "expected it on the PATH for a video; PNG frames need none: --out FOLDER";
@@ -82,9 +106,9 @@ impl Video {
     /// - `size`: the same for all
     pub fn add(&mut self, rgb: &[u8], size: Size) -> anyhow::Result<()> {
         let expected = match &self.running {
-            Some((_, size)) => *size,
+            Some(running) => running.size,
             None => {
-                self.running = Some((self.start(size)?, size));
+                self.running = Some(self.start(size)?);
                 size
             }
         };
@@ -93,7 +117,7 @@ impl Video {
             let problem = format!("pictures of {found} after such of {expected}, expected one size: --size");
             return Err(wrong_input(format!("{}: {problem}", self.place.display())));
         }
-        let pipe = self.running.as_mut().and_then(|(child, _)| child.stdin.as_mut());
+        let pipe = self.running.as_mut().and_then(|running| running.child.stdin.as_mut());
         match pipe.map_or(Ok(()), |pipe| pipe.write_all(rgb)) {
             Ok(()) => Ok(()),
             Err(_) => self.end(),
@@ -103,13 +127,16 @@ impl Video {
     /// Puts it in its place.
     pub fn finish(mut self) -> anyhow::Result<()> {
         self.end()?;
-        let mut made = File::open(self.made()).context("reading what ffmpeg wrote")?;
+        let mut made = File::open(self.made()).with_context(|| format!("reading {}", self.made().display()))?;
         write_file_with(&self.place, self.force, |mut file| io::copy(&mut made, &mut file).map(drop))
     }
 
-    fn start(&self, size: Size) -> anyhow::Result<Child> {
-        let log = File::create(self.log()).context("making a file for what ffmpeg says")?;
-        Command::new("ffmpeg")
+    fn start(&self, size: Size) -> anyhow::Result<Running> {
+        let mut command = Command::new("ffmpeg");
+        // Ctrl-C of a terminal goes to this process alone, which ends the other.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let started = command
             .args(["-loglevel", "error", "-nostdin", "-f", "rawvideo", "-pix_fmt", "rgb24"])
             .args([
                 "-s",
@@ -124,21 +151,29 @@ impl Video {
             .arg(self.made())
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
-            .stderr(log)
-            .spawn()
-            .context("starting ffmpeg")
+            .stderr(Stdio::piped())
+            .spawn();
+        let mut child = started.context("starting ffmpeg")?;
+        let stderr = child.stderr.take();
+        let said = thread::spawn(move || {
+            let mut said = Vec::new();
+            // Not to a file: the disk may be full, which is then what it says.
+            let _ = stderr.map(|mut stderr| stderr.read_to_end(&mut said));
+            String::from_utf8_lossy(&said).into_owned()
+        });
+        Ok(Running { child, size, said })
     }
 
     /// Waits until everything is written.
     fn end(&mut self) -> anyhow::Result<()> {
-        let Some((mut child, _)) = self.running.take() else { return Ok(()) };
+        let Some(Running { mut child, said, .. }) = self.running.take() else { return Ok(()) };
         drop(child.stdin.take());
         let status = child.wait().context("waiting for ffmpeg")?;
         if status.success() {
             return Ok(());
         }
-        let log = fs::read_to_string(self.log()).unwrap_or_default();
-        let said = log.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or("nothing");
+        let said = said.join().unwrap_or_default();
+        let said = said.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or("nothing");
         Err(anyhow!("{}: ffmpeg ended with {status} and said: {said}", self.place.display()))
     }
 
@@ -146,16 +181,12 @@ impl Video {
     fn made(&self) -> PathBuf {
         self.folder.path().join("made").with_extension(self.place.extension().unwrap_or_default())
     }
-
-    fn log(&self) -> PathBuf {
-        self.folder.path().join("log.txt")
-    }
 }
 
 impl Drop for Video {
     /// Nothing goes on after an error elsewhere.
     fn drop(&mut self) {
-        if let Some((child, _)) = &mut self.running {
+        if let Some(Running { child, .. }) = &mut self.running {
             let _ = child.kill();
             let _ = child.wait();
         }

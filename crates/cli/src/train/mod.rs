@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_interchange::Axes;
+use tcgs_interchange::{Axes, Existing};
 use tcgs_pipeline::{Event, LiveRun, Observer, PipelineError, ReadyRun, RunFolder, capture_for, fit, start_state};
 use tcgs_train::{Checkpoint, Preset, Run, TrainConfig, TrainError, Trainer};
 
@@ -16,6 +16,7 @@ use crate::backend::{BackendName, BackendOptions};
 use crate::error::{stopped, wrong_input};
 use crate::interrupt;
 use crate::options::{self, Frames, JobOptions, Pair};
+use crate::output::check_folder;
 use crate::scene::{SourceOptions, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::say;
@@ -135,8 +136,17 @@ impl From<PresetName> for Preset {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.job.begin()?;
-    interrupt::catch()?;
+    let start = arguments.start_from.as_deref().map(settings::scene_and_timestep).transpose()?;
+    let start = start.as_ref().map(|(path, _)| path.as_path());
+    let files = [Some(arguments.capture.as_path()), start, arguments.config.as_deref(), arguments.points.as_deref()];
+    arguments.job.begin(&[], &files.into_iter().flatten().collect::<Vec<_>>())?;
+    if !arguments.resume {
+        check_folder(&arguments.out, start.as_slice())?;
+    }
+    interrupt::politely(|| train(arguments))
+}
+
+fn train(arguments: &Arguments) -> anyhow::Result<()> {
     let backend = arguments.backend.open(BackendName::Auto)?;
     let capture = Capture::open(&arguments.capture)?;
     let holds_run = RunFolder::holds_run(&arguments.out)?;
@@ -154,6 +164,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         report_resumption(&ready.run, &ready.trainer)?;
         ready
     } else {
+        let existing = if arguments.job.force { Existing::Replace } else { Existing::Keep };
         let config = settings::fresh(arguments, &capture)?;
         say(&describe(&*capture_for(&config, &capture)?, &config)?)?;
         let start = match &arguments.start_from {
@@ -164,7 +175,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
             None => None,
         };
-        ReadyRun::begin(&arguments.out, &config, &capture, start.as_ref(), &backend)?
+        ReadyRun::begin(&arguments.out, existing, &config, &capture, start.as_ref(), &backend)?
     };
     let ReadyRun { capture, run, mut trainer, folder } = ready;
     let live = view.as_ref().map(|_| LiveRun::new(&run, &capture, &mut trainer)).transpose()?;

@@ -17,8 +17,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tcgs_codec::{
-    AttributeErrors, BitMap, BitMapping, CompactFile, CompactScene, CompressSettings, DecodeLimits, FORMAT_VERSION,
-    LABELS, Light, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
+    AttributeErrors, BitMap, BitMapping, CompactFile, CompactScene, CompressSettings, DecodeError, DecodeLimits,
+    FORMAT_VERSION, LABELS, Light, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
 };
 use tcgs_core::{Attribute, Camera, DynamicGaussians, Layout, SceneReader};
 use tcgs_train::Lives;
@@ -27,6 +27,7 @@ use self::bits::measured_bits;
 use self::kept::Kept;
 use self::parts::Parts;
 use self::seen::{Seen, seen};
+use crate::verify::whole_file_limits;
 use crate::{OpenScene, PipelineError};
 
 pub(crate) use judge::spread;
@@ -155,6 +156,8 @@ pub struct Compressed {
 #[derive(Clone, Debug)]
 pub struct PrunedScene<'a> {
     content: Pruned<'a>,
+    /// Of the scene.
+    path: PathBuf,
     info: SceneInfo,
     /// Of the format.
     version: u16,
@@ -208,6 +211,7 @@ impl<'a> PrunedScene<'a> {
         let cameras = views::cameras(scene, options)?;
         let up = options.up.unwrap_or_else(|| up_axis(&cameras));
         let mut pruned = Self {
+            path: scene.path.clone(),
             info: info(scene, up),
             version: options.version,
             data: views::views(&cameras, options)
@@ -333,18 +337,28 @@ impl<'a> PrunedScene<'a> {
         Ok((compact, file))
     }
 
-    /// The sizes after every step, and by attribute.
+    /// The sizes after every step, and by attribute. Decodes the file: what is handed out can be read.
     ///
     /// - `options`: with which [`Self::compress`] gave the others
     ///
     /// # Errors
-    /// [`PipelineError::Decode`] if `file` is not a whole `.tcgs` file.
+    /// [`PipelineError::Input`] if decoders would refuse `file`, such as for the memory that it takes;
+    /// [`PipelineError::Decode`] if it is not a whole `.tcgs` file.
     pub fn account(
         self,
         options: &CompressOptions,
         compact: CompactFile,
         file: Vec<u8>,
     ) -> Result<Compressed, PipelineError> {
+        let undecodable = |error| match error {
+            DecodeError::Limit { .. } => PipelineError::input(
+                self.path.display(),
+                format!("decoders refuse its file of {} bytes: {error}", file.len()),
+                "Gaussians that differ more, or fewer of them",
+            ),
+            error => PipelineError::Decode { path: self.path.clone(), error },
+        };
+        CompactFile::decode(&file, &whole_file_limits(file.len() as u64)).map_err(undecodable)?;
         let mut stages = vec![
             SizeStep { name: "raw", bytes: self.raw_bytes },
             SizeStep {
@@ -363,9 +377,7 @@ impl<'a> PrunedScene<'a> {
             stages.push(SizeStep { name: "plain", bytes: compact.plain_bytes() });
         }
         stages.push(SizeStep { name: "file", bytes: file.len() as u64 });
-        let bytes_by_attribute = inspect(&file, &DecodeLimits::none())
-            .map_err(|error| PipelineError::Decode { path: self.info.name.clone().into(), error })?
-            .bytes_by_attribute();
+        let bytes_by_attribute = inspect(&file, &DecodeLimits::none()).map_err(undecodable)?.bytes_by_attribute();
         Ok(Compressed { bytes_by_attribute, file, compact, num_gaussians_before: self.num_gaussians_before, stages })
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use tcgs_interchange::is_unfinished;
-use tcgs_train::{Run, TrainError, Trainer};
+use tcgs_train::{Checkpoint, Run, TrainError, Trainer};
 
 use crate::observe::tell;
 use crate::{Backend, Event, Observer, PipelineError};
@@ -58,6 +58,8 @@ fn open_locked(folder: &Path) -> io::Result<Option<File>> {
 #[derive(Debug)]
 pub struct RunFolder {
     path: PathBuf,
+    /// The outermost folder that was made, which goes again unless a run begins.
+    made: Option<PathBuf>,
     /// Open as long as it is locked.
     _lock: File,
 }
@@ -68,12 +70,20 @@ impl RunFolder {
     /// # Errors
     /// [`PipelineError::Input`] if it is a file, or a folder with other things in it.
     pub fn holds_run(folder: &Path) -> Result<bool, PipelineError> {
-        // Other programs have a config.toml, too.
-        if Run::is_run(folder) && (folder.join("checkpoints").is_dir() || Run::open(folder).is_ok()) {
-            return Ok(true);
+        let expected = "a run, an empty folder or a new name";
+        // Other programs have a config.toml and a folder of checkpoints, too. Every run names its frames.
+        if Run::is_run(folder) {
+            return match Run::open(folder) {
+                Ok(run) if run.config().data.end_frame > 0 => Ok(true),
+                Ok(_) => Err(PipelineError::input(folder.display(), "a config.toml of no run", expected)),
+                Err(error) => Err(PipelineError::input(folder.display(), format!("no run: {error}"), expected)),
+            };
         }
         if !folder.exists() {
-            return Ok(false);
+            return match folder.is_symlink() {
+                true => Err(PipelineError::input(folder.display(), "a link to a folder that does not exist", expected)),
+                false => Ok(false),
+            };
         }
         if !folder.is_dir() {
             return Err(PipelineError::input(folder.display(), "is a file", "the name of a folder"));
@@ -82,10 +92,9 @@ impl RunFolder {
         let is_empty = |entry: &fs::DirEntry| {
             let name = entry.file_name();
             is_unfinished(&name)
-                || name == "start.npz"
+                || name == "start.npz" && Checkpoint::load(&entry.path(), None, false).is_ok()
                 || name == "checkpoints" && fs::read_dir(entry.path()).is_ok_and(|mut inside| inside.next().is_none())
         };
-        let expected = "a run, an empty folder or a new name";
         let entries = fs::read_dir(folder).and_then(Iterator::collect::<io::Result<Vec<_>>>);
         let entries = entries.map_err(|error| PipelineError::unreadable(folder, error, expected))?;
         if !entries.iter().all(is_empty) {
@@ -101,7 +110,7 @@ impl RunFolder {
     pub fn lock(folder: &Path) -> Result<Self, PipelineError> {
         let path = folder.to_path_buf();
         match open_locked(folder).map_err(|error| PipelineError::unreadable(folder, error, "a run folder"))? {
-            Some(lock) => Ok(Self { path, _lock: lock }),
+            Some(lock) => Ok(Self { path, made: None, _lock: lock }),
             None => {
                 let found = "another process is training into it";
                 Err(PipelineError::input(folder.display(), found, "that to end first"))
@@ -109,13 +118,17 @@ impl RunFolder {
         }
     }
 
-    /// Makes a run's folder and locks it.
+    /// Makes a run's folder and locks it. Dropped before a run begins in it, a folder that was made is removed.
     ///
     /// # Errors
     /// [`PipelineError::Unwritable`] if it cannot be made; as [`Self::lock`].
     pub fn make(folder: &Path) -> Result<Self, PipelineError> {
+        let is_missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
+        let made = folder.ancestors().take_while(is_missing).last().map(Path::to_path_buf);
         fs::create_dir_all(folder).map_err(|error| PipelineError::Unwritable { path: folder.into(), error })?;
-        Self::lock(folder)
+        let mut locked = Self::lock(folder)?;
+        locked.made = made;
+        Ok(locked)
     }
 
     /// Removes what a run wrote, and nothing else. Stopped half-way it leaves a run that is shorter.
@@ -199,6 +212,20 @@ impl RunFolder {
                     tell(observer, Event::SetAside { checkpoint: &path, problem: &problem })?;
                 }
                 other => return Err(other.into()),
+            }
+        }
+    }
+}
+
+impl Drop for RunFolder {
+    fn drop(&mut self) {
+        let Some(made) = self.made.take().filter(|_| !Run::is_run(&self.path)) else { return };
+        let _ = self.clear();
+        let _ = fs::remove_dir(self.path.join("checkpoints"));
+        for folder in self.path.ancestors() {
+            // One that is not empty is another's by now.
+            if fs::remove_dir(folder).is_err() || folder == made {
+                break;
             }
         }
     }

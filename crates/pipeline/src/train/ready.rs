@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use tcgs_capture::Capture;
+use tcgs_interchange::Existing;
 use tcgs_train::{Checkpoint, Run, TrainConfig, Trainer};
 
 use super::{RunFolder, capture_for, continued_trainer, new_trainer};
@@ -25,13 +26,16 @@ impl ReadyRun {
     /// Begins a run. An earlier run in the folder is removed, after everything that can be wrong with the input was
     /// looked for.
     ///
+    /// - `existing`: whether there may be an earlier run
     /// - `start`: the state that the run continues ([`start_state`](crate::start_state)); none to start from points
     ///
     /// # Errors
+    /// [`PipelineError::Input`] if the folder holds other things, or a run that is to be kept;
     /// [`PipelineError::Frames`] if the capture lacks a frame of the settings; as [`new_trainer`] and
     /// [`RunFolder::make`]; [`PipelineError::Train`] if a file cannot be written.
     pub fn begin(
         path: &Path,
+        existing: Existing,
         config: &TrainConfig,
         capture: &Capture,
         start: Option<&Checkpoint>,
@@ -43,6 +47,10 @@ impl ReadyRun {
             None => new_trainer(config, capture, backend)?,
         };
         let folder = RunFolder::make(path)?;
+        // Another process may have begun and ended one since the caller looked.
+        if RunFolder::holds_run(path)? && existing == Existing::Keep {
+            return Err(PipelineError::input(path.display(), "holds a run by now", "a new name"));
+        }
         folder.clear()?;
         if let Some(start) = start {
             Run::save_start(path, start)?;

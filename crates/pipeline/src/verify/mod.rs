@@ -4,12 +4,25 @@
 mod matching;
 mod tree;
 
-use tcgs_codec::AttributeErrors;
+use tcgs_codec::{AttributeErrors, DecodeLimits};
 use tcgs_core::SceneReader;
 
 use self::matching::{Bounds, Pairs};
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work};
+
+/// Memory for decoding all of a long file, bytes a byte of the file. Scenes of few timesteps with harmonics need twenty.
+const MAX_EXPANSION_OF_LONG: u64 = 32;
+
+/// The limits within which all of a file is decoded at once, by `tcgs verify`, and before a compressed scene is handed out. A
+/// player decodes a segment at a time, within less.
+///
+/// - `file_bytes`: length of the file
+pub fn whole_file_limits(file_bytes: u64) -> DecodeLimits {
+    let limits = DecodeLimits::default();
+    let max_bytes = limits.max_bytes.max(file_bytes.saturating_mul(MAX_EXPANSION_OF_LONG));
+    DecodeLimits { max_bytes, ..limits }
+}
 
 /// What a comparison found.
 #[derive(Clone, Debug, PartialEq)]
