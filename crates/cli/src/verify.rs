@@ -1,10 +1,10 @@
 //! `tcgs verify`: whether a `.tcgs` file is whole, and errs by no more than it declares.
 
-use std::fs;
 use std::path::PathBuf;
 
 use serde_json::{Map, Value, json};
 use tcgs_codec::{CompactFile, DecodeLimits};
+use tcgs_core::read_file;
 use tcgs_pipeline::{Compared, Comparison, OpenScene, PipelineError, compare};
 
 use crate::attribute_errors::{self, show, unit, word};
@@ -45,7 +45,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin()?;
     interrupt::catch()?;
     let path = &arguments.file;
-    let bytes = fs::read(path).map_err(|error| unreadable(path, error, "a .tcgs file"))?;
+    let bytes = read_file(path, u64::MAX).map_err(|error| unreadable(path, error, "a .tcgs file"))?;
     let whole = CompactFile::decode(&bytes, &DecodeLimits::default())
         .map_err(|error| PipelineError::Decode { path: path.clone(), error })?;
     let (info, declared) = (&whole.info, &whole.declared_errors);
