@@ -7,12 +7,11 @@ mod source;
 mod status;
 
 use std::ffi::{CStr, CString, c_char};
-use std::fs::File;
 use std::io::Cursor;
 use std::path::Path;
 
 use tcgs_codec::{DecodeLimits, SceneFile, SegmentCache};
-use tcgs_core::{Gaussians, SceneReader, activate};
+use tcgs_core::{Gaussians, SceneReader, activate, open_file};
 
 use self::source::{Callback, Source};
 pub use self::status::Status;
@@ -95,7 +94,7 @@ pub unsafe extern "C" fn tcgs_open_file(path: *const c_char, scene: *mut *mut Sc
         // Safety: by contract.
         let path = unsafe { CStr::from_ptr(path) };
         let text = path.to_str().map_err(|_| Failure::argument("path", "bytes", "UTF-8"))?;
-        let file = File::open(Path::new(text)).map_err(|error| Failure::new(Status::Io, format!("{text}: {error}")))?;
+        let file = open_file(Path::new(text)).map_err(|error| Failure::new(Status::Io, format!("{text}: {error}")))?;
         *to = open(Source::File(file))?;
         Ok(())
     })

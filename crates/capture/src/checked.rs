@@ -4,13 +4,16 @@
 //!
 //! [`Contents`]: crate::contents::Contents
 
+use std::ops::RangeInclusive;
 use std::path::{Component, Path, PathBuf};
 
 use serde::de::DeserializeOwned;
+use tcgs_core::read_file;
 
 use crate::CaptureError;
+use crate::files::MAX_JSON_BYTES;
 
-/// Frames a second: finite and more than 0.
+/// Frames a second: in [`Self::RANGE`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FrameRate(f64);
 
@@ -19,10 +22,16 @@ impl FrameRate {
     /// Neural 3D Video. Of a static scene, whose only frame has any rate.
     pub const USUAL: Self = Self(30.0);
 
+    /// A picture in eleven days, and a million a second.
+    const RANGE: RangeInclusive<f64> = 1e-6..=1e6;
+
     /// - returns: what is wrong with `fps` if it is no frame rate, to be put behind its name
     pub fn new(fps: f64) -> Result<Self, String> {
-        let is_rate = fps.is_finite() && fps > 0.0;
-        if is_rate { Ok(Self(fps)) } else { Err(format!("is {fps}, expected more than 0")) }
+        match Self::RANGE.contains(&fps) {
+            true => Ok(Self(fps)),
+            false if fps.is_finite() && fps > 0.0 => Err(format!("is {fps:e}, expected 1e-6 to 1e6")),
+            false => Err(format!("is {fps}, expected more than 0")),
+        }
     }
 
     /// The `fps` that a file has or lacks.
@@ -83,7 +92,7 @@ impl InnerPath {
 
 /// Reads a file of JSON; an error names the place in it.
 pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, CaptureError> {
-    let text = std::fs::read(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+    let text = read_file(path, MAX_JSON_BYTES).map_err(|error| CaptureError::Io { path: path.into(), error })?;
     parse_json(&text).map_err(|problem| CaptureError::invalid(path, problem))
 }
 
@@ -125,6 +134,7 @@ mod tests {
             let expected = format!("/x/a.json: fps is {fps}, expected more than 0");
             assert_eq!(FrameRate::of_file(Some(fps), Path::new("/x/a.json")).unwrap_err().to_string(), expected);
         }
+        assert_eq!(FrameRate::new(1e300).unwrap_err(), "is 1e300, expected 1e-6 to 1e6");
         assert_eq!(FrameRate::of_file(Some(29.97), Path::new("a")).unwrap().fps(), 29.97);
         assert_eq!(FrameRate::of_file(None, Path::new("a")).unwrap(), FrameRate::USUAL);
     }

@@ -1,13 +1,12 @@
 //! Image files to pixels.
 
-use std::fs::File;
 use std::io::{BufReader, Cursor};
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
-use tcgs_core::Segmentation;
+use tcgs_core::{Segmentation, open_file};
 
-use crate::CaptureError;
+use crate::{CaptureError, files};
 
 /// Decodes an image of the size that the capture says. What is transparent is black.
 pub(crate) fn image(path: &Path, size: (usize, usize)) -> Result<RgbImage, CaptureError> {
@@ -31,7 +30,7 @@ pub(crate) fn cut_image(path: &Path, before: &Path, size: (usize, usize)) -> Res
     }
     let mut mended = image(before, size)?;
     let damaged = |error: png::DecodingError| CaptureError::invalid(path, format!("cannot be decoded: {error}"));
-    let file = File::open(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+    let file = open_file(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
     let mut decoder = png::Decoder::new(BufReader::new(file));
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().map_err(damaged)?;
@@ -53,8 +52,10 @@ pub(crate) fn cut_image(path: &Path, before: &Path, size: (usize, usize)) -> Res
 
 /// Width and height, without decoding more.
 pub(crate) fn size(path: &Path) -> Result<(usize, usize), CaptureError> {
-    let (width, height) = image::image_dimensions(path).map_err(|error| match error {
-        image::ImageError::IoError(error) => CaptureError::Io { path: path.into(), error },
+    let io = |error| CaptureError::Io { path: path.into(), error };
+    let reader = ImageReader::new(BufReader::new(open_file(path).map_err(io)?)).with_guessed_format().map_err(io)?;
+    let (width, height) = reader.into_dimensions().map_err(|error| match error {
+        image::ImageError::IoError(error) => io(error),
         other => damaged(path, &other),
     })?;
     Ok((width as usize, height as usize))
@@ -79,7 +80,7 @@ pub(crate) fn mask(path: &Path, size: (usize, usize)) -> Result<Segmentation, Ca
 fn decode(path: &Path, (width, height): (usize, usize)) -> Result<DynamicImage, CaptureError> {
     let io = |error| CaptureError::Io { path: path.into(), error };
     let damaged = |error: image::ImageError| damaged(path, &error);
-    let bytes = std::fs::read(path).map_err(io)?;
+    let bytes = files::bytes(path)?;
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(io)?;
     let format = reader.format();
     let decoder = reader.into_decoder().map_err(damaged)?;

@@ -8,13 +8,16 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::CaptureError;
+use crate::{CaptureError, files};
 
 /// File name of a capture's description.
 pub const DESCRIPTION_FILE: &str = "capture.toml";
 
 /// The version that this program writes, and the only one that it reads.
 const VERSION: u32 = 1;
+
+/// Most frames of a capture: 19 hours at 30 a second.
+const MAX_FRAMES: usize = 1 << 21;
 
 /// All that `capture.toml` says.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
@@ -171,7 +174,7 @@ impl CaptureDescription {
     /// # Errors
     /// [`CaptureError`] that names the line or the camera.
     pub fn read(path: &Path) -> Result<Self, CaptureError> {
-        let text = std::fs::read_to_string(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+        let text = files::text(path)?;
         Self::parse(&text).map_err(|problem| CaptureError::invalid(path, problem))
     }
 
@@ -192,6 +195,9 @@ impl CaptureDescription {
         }
         if self.num_frames == 0 {
             return Err("num_frames is 0, expected at least 1".into());
+        }
+        if self.num_frames > MAX_FRAMES {
+            return Err(format!("num_frames is {}, expected at most {MAX_FRAMES}", self.num_frames));
         }
         if self.cameras.is_empty() {
             return Err("has no [[camera]], expected at least one".into());

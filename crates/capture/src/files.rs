@@ -6,9 +6,32 @@ use std::fs::DirEntry;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use tcgs_core::natural_key;
+use tcgs_core::{natural_key, read_file, read_text};
 
 use crate::CaptureError;
+
+/// Most bytes of a JSON file of cameras, which may list half a million images.
+pub(crate) const MAX_JSON_BYTES: u64 = 1 << 28;
+/// Most bytes of the file of an image, a COLMAP model or points. Their readers hold no more than a few times as much.
+const MAX_BYTES: u64 = 1 << 32;
+/// Most bytes of a text of calibrations, clocks or descriptions: a thousand cameras. Parsers of TOML, YAML and XML hold up to a
+/// hundred times as much.
+const MAX_TEXT_BYTES: u64 = 1 << 22;
+
+/// Reads an image, or a file of COLMAP.
+pub(crate) fn bytes(path: &Path) -> Result<Vec<u8>, CaptureError> {
+    read_file(path, MAX_BYTES).map_err(|error| CaptureError::Io { path: path.into(), error })
+}
+
+/// Reads a text that a person or a calibration wrote.
+pub(crate) fn text(path: &Path) -> Result<String, CaptureError> {
+    read_text(path, MAX_TEXT_BYTES).map_err(|error| CaptureError::Io { path: path.into(), error })
+}
+
+/// Reads a text of COLMAP, which lists every feature of every image.
+pub(crate) fn long_text(path: &Path) -> Result<String, CaptureError> {
+    read_text(path, MAX_BYTES).map_err(|error| CaptureError::Io { path: path.into(), error })
+}
 
 /// The visible files and folders of a folder, in the natural order of their names.
 pub(crate) fn list(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {

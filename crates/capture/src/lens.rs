@@ -1,5 +1,7 @@
 //! Lenses that bend straight lines, and taking that out of an image.
 
+use std::ops::Range;
+
 use image::RgbImage;
 use tcgs_core::Image;
 
@@ -33,8 +35,8 @@ pub(crate) struct Crop {
     pub height: usize,
 }
 
-/// Largest width and height, pixels: what a file says may be anything, and crops are searched line by line.
-pub(crate) const MAX_SIDE: usize = 1 << 16;
+/// Largest width and height of a lens, pixels: crops are searched line by line.
+pub(crate) const MAX_SIDE: usize = 1 << 14;
 /// Less of the width or height must not remain.
 const MIN_SHARE: f64 = 0.25;
 
@@ -69,6 +71,13 @@ impl Lens {
         std::array::from_fn(|i| self.focal[i] * bent[i] + self.principal[i])
     }
 
+    /// Whether what a straight image shows at a pixel lies outside of the image with bends.
+    fn bends_outside(&self, x: usize, y: usize) -> bool {
+        let [u, v] = self.bend([x as f64 + 0.5, y as f64 + 0.5]);
+        // Half a pixel beyond the outermost centres the edge's colour still holds.
+        !((0.0..=self.width as f64).contains(&u) && (0.0..=self.height as f64).contains(&v))
+    }
+
     /// Sets the crop to what is left when rows and columns at the edges are dropped until every pixel lies within the
     /// image: no pixel of a straightened image is made up.
     ///
@@ -76,25 +85,40 @@ impl Lens {
     pub fn find_crop(&mut self) -> Result<(), String> {
         let [mut left, mut top, mut right, mut bottom] = [0, 0, self.width, self.height];
         let min = |size: usize| (size as f64 * MIN_SHARE).ceil() as usize;
+        let lens = self.clone();
+        let outside = |x: usize, y: usize| lens.bends_outside(x, y);
+        let in_column = |x: usize, rows: Range<usize>| rows.filter(|&y| outside(x, y)).count();
+        let in_row = |y: usize, columns: Range<usize>| columns.filter(|&x| outside(x, y)).count();
+        // How many pixels of each side lie outside. Dropping a side takes a pixel from each neighbour, and only what comes
+        // behind it is counted anew.
+        let mut counts = [
+            in_column(left, top..bottom),
+            in_row(top, left..right),
+            in_column(right - 1, top..bottom),
+            in_row(bottom - 1, left..right),
+        ];
         loop {
-            let outside = |x: usize, y: usize| {
-                let [u, v] = self.bend([x as f64 + 0.5, y as f64 + 0.5]);
-                // Half a pixel beyond the outermost centres the edge's colour still holds.
-                !((0.0..=self.width as f64).contains(&u) && (0.0..=self.height as f64).contains(&v))
-            };
-            let in_column = |x: usize| (top..bottom).filter(|&y| outside(x, y)).count() as f64 / (bottom - top) as f64;
-            let in_row = |y: usize| (left..right).filter(|&x| outside(x, y)).count() as f64 / (right - left) as f64;
-            let shares = [in_column(left), in_row(top), in_column(right - 1), in_row(bottom - 1)];
+            let lengths = [bottom - top, right - left, bottom - top, right - left];
+            let shares: [f64; 4] = std::array::from_fn(|side| counts[side] as f64 / lengths[side] as f64);
             let worst = (0..4).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).expect("four sides");
             if shares[worst] == 0.0 {
                 self.crop = Crop { left, top, width: right - left, height: bottom - top };
                 return Ok(());
             }
+            let take = |count: &mut usize, x: usize, y: usize| *count -= usize::from(outside(x, y));
             match worst {
-                0 => left += 1,
-                1 => top += 1,
-                2 => right -= 1,
-                _ => bottom -= 1,
+                0 | 2 => {
+                    let x = if worst == 0 { left } else { right - 1 };
+                    take(&mut counts[1], x, top);
+                    take(&mut counts[3], x, bottom - 1);
+                    if worst == 0 { left += 1 } else { right -= 1 }
+                }
+                _ => {
+                    let y = if worst == 1 { top } else { bottom - 1 };
+                    take(&mut counts[0], left, y);
+                    take(&mut counts[2], right - 1, y);
+                    if worst == 1 { top += 1 } else { bottom -= 1 }
+                }
             }
             if right - left < min(self.width) || bottom - top < min(self.height) {
                 let (radial, tangential) = (self.radial, self.tangential);
@@ -103,6 +127,12 @@ impl Lens {
                      a lens that sees straight lines nearly straight"
                 ));
             }
+            counts[worst] = match worst {
+                0 => in_column(left, top..bottom),
+                1 => in_row(top, left..right),
+                2 => in_column(right - 1, top..bottom),
+                _ => in_row(bottom - 1, left..right),
+            };
         }
     }
 
@@ -187,6 +217,49 @@ mod tests {
             }
             assert!(worst < 1.2, "off by {worst} of 255 with k1 {k1}");
         }
+    }
+
+    /// The crop as it is defined: all four sides are counted at every step.
+    fn slow_crop(lens: &Lens) -> Option<[usize; 4]> {
+        let [mut left, mut top, mut right, mut bottom] = [0, 0, lens.width, lens.height];
+        loop {
+            let (columns, rows) = (left..right, top..bottom);
+            let column = |x: usize| {
+                rows.clone().filter(|&y| lens.bends_outside(x, y)).count() as f64 / rows.len() as f64
+            };
+            let row = |y: usize| {
+                columns.clone().filter(|&x| lens.bends_outside(x, y)).count() as f64 / columns.len() as f64
+            };
+            let shares = [column(left), row(top), column(right - 1), row(bottom - 1)];
+            let worst = (0..4).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).unwrap();
+            if shares[worst] == 0.0 {
+                return Some([left, top, right - left, bottom - top]);
+            }
+            match worst {
+                0 => left += 1,
+                1 => top += 1,
+                2 => right -= 1,
+                _ => bottom -= 1,
+            }
+            if 4 * (right - left) < lens.width || 4 * (bottom - top) < lens.height {
+                return None;
+            }
+        }
+    }
+
+    #[test]
+    fn a_crop_is_as_its_definition_says() {
+        let mut num_refused = 0;
+        for k1 in [-3.0, -0.4, -0.2, 0.0, 0.1, 0.3, 2.0] {
+            for p1 in [-0.05, 0.0, 0.02] {
+                let mut lens = lens([k1, -0.1, 0.02, 0.0, 0.1, 0.0], [p1, 0.01 - p1]);
+                let found = lens.find_crop().ok().map(|()| lens.crop);
+                let found = found.map(|crop| [crop.left, crop.top, crop.width, crop.height]);
+                assert_eq!(found, slow_crop(&lens), "{k1} {p1}");
+                num_refused += usize::from(found.is_none());
+            }
+        }
+        assert!((1..=15).contains(&num_refused), "{num_refused}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use tcgs_core::PointCloud;
+use tcgs_core::{MAX_COORDINATE, PointCloud, open_file};
 use tcgs_interchange::{NpzReader, NpzWriter, ReadLimits, read_ply_points};
 
 use crate::{CaptureError, colmap, files};
@@ -40,12 +40,26 @@ pub(crate) fn find(capture: &Path, own: Option<PathBuf>) -> Option<Points> {
 
 /// Reads points, by the kind of the file.
 pub(crate) fn read(path: &Path) -> Result<PointCloud, CaptureError> {
+    let cloud = read_unchecked(path)?;
+    let far = |point: &[f32; 3]| point.iter().copied().find(|x| !(f64::from(x.abs()) <= MAX_COORDINATE));
+    match cloud.points.iter().enumerate().find_map(|(i, point)| Some((i, far(point)?))) {
+        Some((i, found)) => Err(CaptureError::invalid(
+            path,
+            format!("point {i} has the coordinate {found:e}, expected {MAX_COORDINATE:e} or less in magnitude"),
+        )),
+        None => Ok(cloud),
+    }
+}
+
+fn read_unchecked(path: &Path) -> Result<PointCloud, CaptureError> {
     if path.is_dir() {
         let file = colmap::points_in(path).ok_or_else(|| {
             CaptureError::invalid(path, "has no points3D.bin or points3D.txt, expected the folder of a COLMAP model")
         })?;
         return colmap::read_points(&file);
     }
+    // Whatever reads it next does not look.
+    open_file(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
     match files::name(path).rsplit('.').next().unwrap_or_default() {
         "npz" => read_npz(path),
         "ply" => Ok(read_ply_points(path, ReadLimits::default())?),

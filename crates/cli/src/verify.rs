@@ -1,10 +1,10 @@
 //! `tcgs verify`: whether a `.tcgs` file is whole, and errs by no more than it declares.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 use tcgs_codec::CompactFile;
+use tcgs_core::read_file;
 use tcgs_pipeline::{Compared, Comparison, OpenScene, PipelineError, compare, whole_file_limits};
 
 use crate::attribute_errors::{self, show, unit, word};
@@ -44,7 +44,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let path = &arguments.file;
     let sources: Vec<&Path> = std::iter::once(path).chain(&arguments.sources).map(PathBuf::as_path).collect();
     arguments.job.begin(&[], &sources)?;
-    let bytes = fs::read(path).map_err(|error| unreadable(path, error, "a .tcgs file"))?;
+    let bytes = read_file(path, u64::MAX).map_err(|error| unreadable(path, error, "a .tcgs file"))?;
     let whole = CompactFile::decode(&bytes, &whole_file_limits(bytes.len() as u64))
         .map_err(|error| PipelineError::Decode { path: path.clone(), error })?;
     let (info, declared) = (&whole.info, &whole.declared_errors);

@@ -37,6 +37,20 @@ pub enum CameraError {
         /// What stands there.
         value: f64,
     },
+    /// A number of which squares overflow.
+    #[error("{matrix} row {row} column {column} is {value:e}, expected {most:e} or less in magnitude")]
+    TooLarge {
+        /// Which matrix.
+        matrix: &'static str,
+        /// Row, from 0.
+        row: usize,
+        /// Column, from 0.
+        column: usize,
+        /// What stands there.
+        value: f64,
+        /// The largest magnitude.
+        most: f64,
+    },
     /// The upper left 3x3 is not a rotation.
     #[error("the upper left 3x3 of w2c is not a rotation: {0}")]
     NotRotation(String),
@@ -46,7 +60,20 @@ pub enum CameraError {
     /// No pixels.
     #[error("the image is {0}x{1}, expected at least 1x1")]
     NoPixels(usize, usize),
+    /// A side of more than [`MAX_SIDE`].
+    #[error("the image is {0}x{1}, expected at most {MAX_SIDE} pixels a side")]
+    TooManyPixels(usize, usize),
 }
+
+/// Largest width and height of an image, pixels.
+pub const MAX_SIDE: usize = 1 << 16;
+
+/// Largest magnitude of a coordinate of a camera or a point, scene units: with [`MAX_INTRINSIC`] the square of a distance in pixels,
+/// `(2e12 * 1e6)²`, is finite in f32. The earth's radius in millimetres is 6e9.
+pub const MAX_COORDINATE: f64 = 1e12;
+
+/// Largest magnitude of a focal length or a principal point, pixels.
+pub const MAX_INTRINSIC: f64 = 1e6;
 
 /// How far `R Rᵀ` may be from the identity: calibrations are stored with a few decimals.
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -58,7 +85,7 @@ impl Camera {
     /// - `camera_from_world`: `[4][4]` row-major
     ///
     /// # Errors
-    /// [`CameraError`] if a number is not finite, the rotation is not one, or the intrinsics are not
+    /// [`CameraError`] if a number is not finite or beyond [`MAX_COORDINATE`] or [`MAX_INTRINSIC`], a side is beyond [`MAX_SIDE`], the rotation is not one, or the intrinsics are not
     /// those of a pinhole.
     pub fn new(
         width: usize,
@@ -69,8 +96,11 @@ impl Camera {
         if width == 0 || height == 0 {
             return Err(CameraError::NoPixels(width, height));
         }
-        check_finite("k", intrinsics.as_flattened(), 3)?;
-        check_finite("w2c", camera_from_world.as_flattened(), 4)?;
+        if width.max(height) > MAX_SIDE {
+            return Err(CameraError::TooManyPixels(width, height));
+        }
+        check_numbers("k", intrinsics.as_flattened(), 3, MAX_INTRINSIC)?;
+        check_numbers("w2c", camera_from_world.as_flattened(), 4, MAX_COORDINATE)?;
         let [[fx, skew, cx], [zero, fy, cy], bottom] = intrinsics;
         if fx <= 0.0 || fy <= 0.0 {
             return Err(CameraError::NotPinhole(format!("the focal lengths are {fx} and {fy}, expected more than 0")));
@@ -288,11 +318,17 @@ impl<R: Real> Pinhole<R> {
     }
 }
 
-fn check_finite(matrix: &'static str, values: &[f64], columns: usize) -> Result<(), CameraError> {
-    match values.iter().position(|v| !v.is_finite()) {
-        Some(i) => Err(CameraError::NotFinite { matrix, row: i / columns, column: i % columns, value: values[i] }),
-        None => Ok(()),
+fn check_numbers(matrix: &'static str, values: &[f64], columns: usize, most: f64) -> Result<(), CameraError> {
+    for (i, &value) in values.iter().enumerate() {
+        let (row, column) = (i / columns, i % columns);
+        if !value.is_finite() {
+            return Err(CameraError::NotFinite { matrix, row, column, value });
+        }
+        if value.abs() > most {
+            return Err(CameraError::TooLarge { matrix, row, column, value, most });
+        }
     }
+    Ok(())
 }
 
 fn check_rotation(m: &[[f64; 4]; 4]) -> Result<(), CameraError> {
@@ -349,6 +385,17 @@ mod tests {
             Camera::new(64, 48, K, nan).unwrap_err().to_string(),
             "w2c row 1 column 3 is NaN, expected a finite number"
         );
+        let mut far = identity();
+        far[0][3] = -1e300;
+        let expected = "w2c row 0 column 3 is -1e300, expected 1e12 or less in magnitude";
+        assert_eq!(Camera::new(64, 48, K, far).unwrap_err().to_string(), expected);
+        far[0][3] = -MAX_COORDINATE;
+        assert!(Camera::new(64, 48, K, far).is_ok());
+        assert!((12.0 * (MAX_COORDINATE * MAX_INTRINSIC).powi(2)) < f64::from(f32::MAX));
+        let mut long = K;
+        long[1][1] = 1e7;
+        let expected = "k row 1 column 1 is 1e7, expected 1e6 or less in magnitude";
+        assert_eq!(Camera::new(64, 48, long, identity()).unwrap_err().to_string(), expected);
         let mut scaled = identity();
         scaled[0][0] = 1.1;
         assert!(
@@ -360,6 +407,7 @@ mod tests {
         let mut k = K;
         k[0][0] = -1.0;
         assert!(matches!(Camera::new(64, 48, k, identity()), Err(CameraError::NotPinhole(_))));
+        assert!(matches!(Camera::new(1 << 40, 48, K, identity()), Err(CameraError::TooManyPixels(..))));
         assert!(matches!(Camera::new(0, 48, K, identity()), Err(CameraError::NoPixels(0, 48))));
     }
 

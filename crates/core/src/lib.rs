@@ -2,7 +2,8 @@
 //!
 //! What lives here: the data types that pass between crates, and maths on single elements
 //! (quaternions, activations, spherical harmonics), generic over [`Real`] so that one source is both run in `f32` and
-//! differentiated in `f64`; the order of numbered names, and text made safe for a terminal. What does not: files, rendering, optimisation, compression.
+//! differentiated in `f64`; the order of numbered names, text made safe for a terminal, and reading files of bounded size. What
+//! does not: formats of files, rendering, optimisation, compression.
 //!
 //! Conventions: camera space is x right, y down, z forward; pixel centres lie at +0.5; quaternions
 //! are `w, x, y, z`; colours are display-referred sRGB in `[0, 1]`, blended as stored.
@@ -15,6 +16,7 @@ mod columns;
 mod drawable;
 mod dynamic;
 mod extent;
+mod file;
 mod harmonics;
 mod image;
 mod layout;
@@ -30,12 +32,13 @@ mod view;
 
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
 pub use attribute::Attribute;
-pub use camera::{Camera, CameraError, Pinhole};
+pub use camera::{Camera, CameraError, MAX_COORDINATE, MAX_INTRINSIC, MAX_SIDE, Pinhole};
 pub use camera_path::{CameraKeyframe, CameraPath, CameraPathError};
 pub use columns::{BaseColumns, BaseViewsMut, Columns, GaussianGrads, Gaussians, PointCloud, Sensitivity, role};
 pub use drawable::Drawable;
 pub use dynamic::DynamicGaussians;
 pub use extent::Extent;
+pub use file::{open_file, read_file, read_text};
 pub use harmonics::{HARMONIC_0, MAX_SH_DEGREE, color_in_direction, color_in_direction_vjp, harmonics, harmonics_vjp};
 pub use image::Image;
 pub use layout::{Activation, Column, Layout, RateGroup};

@@ -1,15 +1,16 @@
 //! A camera path that was saved from the player, read from its JSON file (docs/PLAYER.md).
 
-use std::fs;
 use std::path::Path;
 
 use serde::Deserialize;
-use tcgs_core::{Camera, CameraPath};
+use tcgs_core::{Camera, CameraPath, read_file};
 
 use crate::PipelineError;
 
 /// Pixels a side at most, as of every image that a path is drawn in.
 const MAX_SIDE: usize = 16384;
+/// Most bytes of a file: twenty thousand keyframes.
+const MAX_BYTES: u64 = 1 << 24;
 const FORMAT: &str = "tcgs-camera-path";
 
 /// The file.
@@ -41,7 +42,7 @@ struct Keyframe {
 /// [`PipelineError::Unreadable`] if there is no such file; [`PipelineError::Input`] if it holds anything else.
 pub fn read_camera_path(path: &Path) -> Result<CameraPath, PipelineError> {
     let expected = "a camera path that the player saved";
-    let bytes = fs::read(path).map_err(|error| PipelineError::unreadable(path, error, expected))?;
+    let bytes = read_file(path, MAX_BYTES).map_err(|error| PipelineError::unreadable(path, error, expected))?;
     parse(&bytes).map_err(|problem| PipelineError::input(path.display(), problem, expected))
 }
 

@@ -8,6 +8,8 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
+use tcgs_core::open_file;
+
 /// What [`RangeSource::poll`] brings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Piece {
@@ -118,7 +120,7 @@ impl FileSource {
     /// [`SourceError::Refused`] if the file does not exist or cannot be read.
     pub fn open(path: &Path) -> Result<Self, SourceError> {
         let name = path.display().to_string();
-        let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
+        let opened = open_file(path).and_then(|file| Ok((file.metadata()?.len(), file)));
         let (length, file) =
             opened.map_err(|error| SourceError::Refused { what: name.clone(), problem: error.to_string() })?;
         Ok(Self { name, file, length, rest: 0..0 })

@@ -201,7 +201,7 @@ impl Wanted {
         // A file may be that of a run that continues another one.
         let start_from = base.data.start_from.clone();
         if let Some(path) = &self.config {
-            let text = std::fs::read_to_string(path)
+            let text = tcgs_core::read_text(path, TrainConfig::MAX_BYTES)
                 .map_err(|error| of_system(error.kind(), format!("{}: {error}", path.display())))?;
             let merged = base.merge(&text);
             base = merged.map_err(|error| PyValueError::new_err(format!("{}: {error}", path.display())))?;

@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
-use tcgs_core::DynamicGaussians;
+use tcgs_core::{DynamicGaussians, read_text};
 use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
@@ -101,7 +101,7 @@ impl Run {
     /// [`TrainError`] if `config.toml` cannot be read or holds invalid settings.
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
-        let text = fs::read_to_string(&path).map_err(read(&path))?;
+        let text = read_text(&path, TrainConfig::MAX_BYTES).map_err(read(&path))?;
         // A run of before the gate, births or deaths goes on without them.
         let (gate, births, deaths) = (GateConfig::OFF, BirthConfig::OFF, DeathConfig::OFF);
         let base = TrainConfig { gate, births, deaths, ..TrainConfig::default() };

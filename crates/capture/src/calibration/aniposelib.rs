@@ -20,8 +20,8 @@ use tcgs_core::natural_key;
 
 use super::caliscope::{Rotation, one_line};
 use super::numbers::{OpenCvCamera, side};
-use super::{CalibratedCamera, Format, files_named, read_text};
-use crate::CaptureError;
+use super::{CalibratedCamera, Format, files_named};
+use crate::{CaptureError, files};
 
 pub(super) const FORMAT: Format = Format {
     name: "aniposelib",
@@ -55,13 +55,12 @@ fn is_camera(value: &toml::Value) -> bool {
 }
 
 fn is(path: &Path) -> bool {
-    let text = std::fs::read_to_string(path).unwrap_or_default();
-    crate::files::has_extension(path, &["toml"])
-        && text.parse::<toml::Table>().is_ok_and(|table| table.values().any(is_camera))
+    let table = || files::text(path).ok()?.parse::<toml::Table>().ok();
+    files::has_extension(path, &["toml"]) && table().is_some_and(|table| table.values().any(is_camera))
 }
 
 fn read(path: &Path) -> Result<Vec<CalibratedCamera>, CaptureError> {
-    let table: toml::Table = read_text(path)?
+    let table: toml::Table = files::text(path)?
         .parse()
         .map_err(|error| CaptureError::invalid(path, format!("is no TOML: {}", one_line(&error))))?;
     let mut entries: Vec<_> = table.into_iter().filter(|(_, value)| is_camera(value)).collect();

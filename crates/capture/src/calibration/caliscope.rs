@@ -21,8 +21,8 @@ use serde::Deserialize;
 use tcgs_core::natural_key;
 
 use super::numbers::{OpenCvCamera, rotmat_from_vector, side};
-use super::{CalibratedCamera, Format, files_named, read_text};
-use crate::CaptureError;
+use super::{CalibratedCamera, Format, files_named};
+use crate::{CaptureError, files};
 
 const FILE: &str = "camera_array.toml";
 
@@ -30,7 +30,7 @@ pub(super) const FORMAT: Format = Format {
     name: "caliscope",
     mark: "camera_array.toml (caliscope)",
     find: |folder| files_named(folder, |name| name == FILE),
-    is: |path| crate::files::name(path) == FILE,
+    is: |path| files::name(path) == FILE,
     read,
     in_metres: true,
 };
@@ -71,7 +71,7 @@ impl Rotation {
 }
 
 fn read(path: &Path) -> Result<Vec<CalibratedCamera>, CaptureError> {
-    let text = read_text(path)?;
+    let text = files::text(path)?;
     let array: CameraArray = toml::from_str(&text)
         .map_err(|error| CaptureError::invalid(path, format!("is no camera_array: {}", one_line(&error))))?;
     let mut entries: Vec<(String, Entry)> = array.cameras.into_iter().filter(|(_, entry)| !entry.ignore).collect();

@@ -134,9 +134,5 @@ fn files_named(folder: &Path, is: impl Fn(&str) -> bool) -> Result<Vec<PathBuf>,
     Ok(paths)
 }
 
-fn read_text(path: &Path) -> Result<String, CaptureError> {
-    std::fs::read_to_string(path).map_err(|error| CaptureError::Io { path: path.into(), error })
-}
-
 #[cfg(test)]
 mod tests;

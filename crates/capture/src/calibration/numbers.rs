@@ -1,6 +1,6 @@
 //! From matrices and vectors as calibrations write them to a camera, with every check that all formats need.
 
-use tcgs_core::rotmat_from_quat;
+use tcgs_core::{MAX_COORDINATE, MAX_INTRINSIC, rotmat_from_quat};
 
 use super::CalibratedCamera;
 
@@ -30,6 +30,9 @@ impl OpenCvCamera {
         let [[fx, skew, cx], [zero, fy, cy], bottom] = self.matrix;
         if self.matrix.as_flattened().iter().any(|x| !x.is_finite()) {
             return Err(format!("its matrix is {:?}, expected finite numbers", self.matrix));
+        }
+        if let Some(large) = self.matrix.as_flattened().iter().find(|x| x.abs() > MAX_INTRINSIC) {
+            return Err(format!("its matrix has {large:e}, expected {MAX_INTRINSIC:e} or less in magnitude"));
         }
         if fx <= 0.0 || fy <= 0.0 {
             return Err(format!("has the focal lengths {fx} and {fy}, expected more than 0"));
@@ -69,6 +72,9 @@ pub(super) fn distortion(coefficients: &[f64]) -> Result<[f64; 8], String> {
 pub(super) fn rigid(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> Result<[[f64; 4]; 3], String> {
     if rotation.as_flattened().iter().chain(&translation).any(|x| !x.is_finite()) {
         return Err(format!("its pose is {rotation:?}, {translation:?}, expected finite numbers"));
+    }
+    if let Some(far) = translation.iter().find(|x| x.abs() > MAX_COORDINATE) {
+        return Err(format!("its translation has {far:e}, expected {MAX_COORDINATE:e} or less in magnitude"));
     }
     for i in 0..3 {
         for j in 0..3 {

@@ -16,11 +16,12 @@
 
 use std::path::{Path, PathBuf};
 
-use yaml_rust2::{Yaml, YamlLoader};
+use yaml_rust2::parser::Parser;
+use yaml_rust2::{Event, Yaml, YamlLoader};
 
 use super::numbers::{OpenCvCamera, rotmat_from_vector, side};
-use super::{CalibratedCamera, Format, read_text};
-use crate::CaptureError;
+use super::{CalibratedCamera, Format};
+use crate::{CaptureError, files};
 
 const INTRINSICS: &str = "intri.yml";
 const EXTRINSICS: &str = "extri.yml";
@@ -29,7 +30,7 @@ pub(super) const FORMAT: Format = Format {
     name: "opencv",
     mark: "intri.yml with extri.yml (OpenCV, EasyMocap)",
     find: |folder| Ok(Vec::from_iter(Some(folder.join(INTRINSICS)).filter(|path| path.is_file()))),
-    is: |path| path.join(INTRINSICS).is_file() || crate::files::name(path) == INTRINSICS,
+    is: |path| path.join(INTRINSICS).is_file() || files::name(path) == INTRINSICS,
     read,
     in_metres: false,
 };
@@ -68,15 +69,16 @@ struct Storage {
 
 impl Storage {
     fn read(path: PathBuf) -> Result<Self, CaptureError> {
-        let text = read_text(&path)?;
+        let text = files::text(&path)?;
         // OpenCV writes `%YAML:1.0`, which is no directive of YAML, and `!!opencv-matrix`, a tag that is never declared.
         let body: String = text
             .lines()
             .filter(|line| !line.starts_with('%') && line.trim_end() != "---")
             .map(|line| line.replace("!!opencv-matrix", "") + "\n")
             .collect();
-        let documents = YamlLoader::load_from_str(&body)
-            .map_err(|error| CaptureError::invalid(&path, format!("is no YAML: {error}")))?;
+        let documents = check_yaml(&body)
+            .and_then(|()| YamlLoader::load_from_str(&body).map_err(|error| format!("is no YAML: {error}")))
+            .map_err(|problem| CaptureError::invalid(&path, problem))?;
         match documents.into_iter().next() {
             Some(root @ Yaml::Hash(_)) => Ok(Self { path, root }),
             _ => Err(CaptureError::invalid(path, "holds nothing, expected matrices of OpenCV")),
@@ -123,6 +125,26 @@ impl Storage {
 
     fn side(&self, key: &str) -> Option<usize> {
         number(&self.root[key]).and_then(side)
+    }
+}
+
+/// Refuses what no matrix of OpenCV has: references, by which few bytes stand for many, and more depth than a matrix in a
+/// list, along which loading recurses.
+fn check_yaml(text: &str) -> Result<(), String> {
+    const MAX_DEPTH: usize = 8;
+    let mut parser = Parser::new_from_str(text);
+    let mut depth = 0_usize;
+    loop {
+        match parser.next_token().map_err(|error| format!("is no YAML: {error}"))?.0 {
+            Event::StreamEnd => return Ok(()),
+            Event::Alias(_) => return Err("has a reference, expected matrices of OpenCV".into()),
+            Event::SequenceStart(..) | Event::MappingStart(..) => depth += 1,
+            Event::SequenceEnd | Event::MappingEnd => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        if depth > MAX_DEPTH {
+            return Err(format!("has lists inside lists, more than {MAX_DEPTH} deep, expected matrices of OpenCV"));
+        }
     }
 }
 

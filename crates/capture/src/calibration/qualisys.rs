@@ -23,8 +23,8 @@ use std::path::Path;
 use roxmltree::{Document, Node};
 
 use super::numbers::{OpenCvCamera, inverse, rigid, side};
-use super::{CalibratedCamera, Format, files_named, read_text};
-use crate::CaptureError;
+use super::{CalibratedCamera, Format, files_named};
+use crate::{CaptureError, files};
 
 /// Parts of a pixel.
 const SUBPIXELS: f64 = 64.0;
@@ -34,13 +34,13 @@ pub(super) const FORMAT: Format = Format {
     name: "qualisys",
     mark: "*.qca.txt (Qualisys)",
     find: |folder| files_named(folder, |name| name.ends_with(".qca.txt")),
-    is: |path| crate::files::name(path).ends_with(".qca.txt"),
+    is: |path| files::name(path).ends_with(".qca.txt"),
     read,
     in_metres: true,
 };
 
 fn read(path: &Path) -> Result<Vec<CalibratedCamera>, CaptureError> {
-    let text = read_text(path)?;
+    let text = files::text(path)?;
     let document =
         Document::parse(&text).map_err(|error| CaptureError::invalid(path, format!("is no XML: {error}")))?;
     let cameras = document.descendants().filter(|node| node.has_tag_name("camera"));

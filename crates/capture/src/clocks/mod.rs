@@ -8,8 +8,8 @@ mod sound;
 
 use std::path::Path;
 
-use crate::CaptureError;
 use crate::recording::Recording;
+use crate::{CaptureError, files};
 
 /// The clocks of the cameras of one scene against each other.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,7 +59,7 @@ impl Clocks {
     /// # Errors
     /// [`CaptureError`] that names the line, or the camera that no line is about.
     pub fn read(path: &Path, names: &[String]) -> Result<Self, CaptureError> {
-        let text = std::fs::read_to_string(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+        let text = files::text(path)?;
         let event_secs = parse(&text, names).map_err(|problem| CaptureError::invalid(path, problem))?;
         Ok(Self { from: ClocksFrom::File, event_secs })
     }

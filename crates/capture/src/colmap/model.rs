@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::bytes::{Bytes, lines, number, numbers};
-use crate::CaptureError;
 use crate::lens::{Crop, Lens, MAX_SIDE};
+use crate::{CaptureError, files};
 
 /// Cameras and images.
 pub(crate) struct ColmapModel {
@@ -113,10 +113,9 @@ fn read<T>(
     binary: impl Fn(Bytes<'_>) -> Result<T, String>,
     text: impl Fn(&str) -> Result<T, String>,
 ) -> Result<(PathBuf, T), CaptureError> {
-    let io = |path: &Path, error| CaptureError::Io { path: path.into(), error };
     let path = folder.join(format!("{name}.bin"));
     if path.is_file() {
-        let bytes = std::fs::read(&path).map_err(|error| io(&path, error))?;
+        let bytes = files::bytes(&path)?;
         let read = binary(Bytes(&bytes)).map_err(|problem| CaptureError::invalid(&path, problem))?;
         return Ok((path, read));
     }
@@ -124,7 +123,7 @@ fn read<T>(
     if !path.is_file() {
         return Err(CaptureError::invalid(folder, format!("has no {name}.bin or {name}.txt, expected a COLMAP model")));
     }
-    let content = std::fs::read_to_string(&path).map_err(|error| io(&path, error))?;
+    let content = files::long_text(&path)?;
     let read = text(&content).map_err(|problem| CaptureError::invalid(&path, problem))?;
     Ok((path, read))
 }

@@ -6,7 +6,7 @@ use tcgs_core::PointCloud;
 
 use super::MODEL_FOLDERS;
 use super::bytes::{Bytes, lines, number, numbers};
-use crate::CaptureError;
+use crate::{CaptureError, files};
 
 /// The points of a model in a capture's folder.
 pub(crate) fn points_file(capture: &Path) -> Option<PathBuf> {
@@ -20,7 +20,7 @@ pub(crate) fn points_in(folder: &Path) -> Option<PathBuf> {
 
 /// Reads points. All are foreground, since a model does not say what moves.
 pub(crate) fn read_points(path: &Path) -> Result<PointCloud, CaptureError> {
-    let bytes = std::fs::read(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+    let bytes = files::bytes(path)?;
     let read = if path.extension().is_some_and(|e| e == "txt") {
         text(&String::from_utf8_lossy(&bytes))
     } else {

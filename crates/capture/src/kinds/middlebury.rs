@@ -37,7 +37,7 @@ fn cameras_file(path: &Path) -> Result<Option<PathBuf>, CaptureError> {
 
 fn open(path: &Path) -> Result<Contents, CaptureError> {
     let file = cameras_file(path)?.ok_or_else(|| CaptureError::invalid(path, "has no *_par.txt"))?;
-    let text = std::fs::read_to_string(&file).map_err(|error| CaptureError::Io { path: file.clone(), error })?;
+    let text = files::text(&file)?;
     let invalid = |problem: String| CaptureError::invalid(&file, problem);
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let count = lines.next().and_then(|(_, line)| line.trim().parse::<usize>().ok());

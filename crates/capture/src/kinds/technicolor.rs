@@ -103,7 +103,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
 /// Numbers of every line after the title.
 fn read_lines(path: &Path) -> Result<Vec<[f64; COLUMNS]>, CaptureError> {
     let invalid = |problem: String| CaptureError::invalid(path, problem);
-    let text = std::fs::read_to_string(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+    let text = files::text(path)?;
     let mut lines = Vec::new();
     for (i, line) in text.lines().enumerate().skip(1).filter(|(_, line)| !line.trim().is_empty()) {
         let expected = "expected 12 numbers: f cu cv ar sk qw qx qy qz tx ty tz";

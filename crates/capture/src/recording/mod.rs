@@ -156,6 +156,6 @@ fn is_mp4(path: &Path) -> Result<bool, CaptureError> {
     use std::io::Read;
     let failed = |error| CaptureError::Io { path: path.into(), error };
     let mut head = Vec::new();
-    std::fs::File::open(path).map_err(failed)?.take(8).read_to_end(&mut head).map_err(failed)?;
+    tcgs_core::open_file(path).map_err(failed)?.take(8).read_to_end(&mut head).map_err(failed)?;
     Ok(head.get(4..8) == Some(b"ftyp"))
 }

@@ -9,7 +9,7 @@ use tcgs_core::rotmat_from_quat;
 use super::bundle::Track;
 use super::camera::RigCamera;
 use super::program::camera_of;
-use crate::CaptureError;
+use crate::{CaptureError, files};
 use crate::colmap::ColmapModel;
 
 /// Cameras and points that belong together.
@@ -68,7 +68,7 @@ type Shown = Vec<(u64, [f64; 2])>;
 
 /// Of each image the points that it shows.
 fn observations(path: &Path) -> Result<BTreeMap<String, Shown>, CaptureError> {
-    let text = std::fs::read_to_string(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+    let text = files::long_text(path)?;
     let mut lines = text.lines().filter(|line| !line.starts_with('#'));
     let mut seen = BTreeMap::new();
     while let (Some(image), Some(points)) = (lines.next(), lines.next()) {
@@ -83,7 +83,7 @@ fn observations(path: &Path) -> Result<BTreeMap<String, Shown>, CaptureError> {
 }
 
 fn points(path: &Path) -> Result<BTreeMap<u64, [f64; 3]>, CaptureError> {
-    let text = std::fs::read_to_string(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+    let text = files::long_text(path)?;
     let point = |line: &str| {
         let mut words = line.split_whitespace();
         let id = words.next()?.parse().ok()?;

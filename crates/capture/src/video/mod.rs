@@ -1,27 +1,28 @@
 //! Videos, frame by frame: MP4 files of H.264.
 //!
-//! What lives here: finding a frame and decoding up to it. `sps` reads how the stream is coded, `yuv` makes colours.
+//! What lives here: finding a frame and decoding up to it. `mp4` lists the frames of a file, `sps` reads how the
+//! stream is coded, `yuv` makes colours.
 //! Frames are decoded in order and mostly asked for in order, so that each costs the decoding of one. A frame asked
 //! for again is kept for a while; an earlier one is decoded again from the last place where that can begin.
 
+mod mp4;
 mod sps;
 mod yuv;
 
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
-use std::iter::repeat_n;
 use std::ops::Range;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use image::RgbImage;
 use openh264::OpenH264API;
 use openh264::decoder::{DecodedYUV, Decoder, DecoderConfig, Flush};
-use re_mp4::{Avc1Box, Mp4, StblBox, StsdBoxContent, TrackKind, TrakBox};
+use tcgs_core::open_file;
 
 use crate::CaptureError;
+use mp4::{Avc, Mp4Error, Track};
 use sps::Sps;
 
 /// Bytes of decoded frames that a video keeps; the last one always.
@@ -106,18 +107,15 @@ impl Video {
     pub fn open_if_known(path: &Path) -> Result<Result<Self, String>, CaptureError> {
         let failed = |error| CaptureError::Io { path: path.into(), error };
         let invalid = |problem: String| CaptureError::invalid(path, problem);
-        let file = File::open(path).map_err(failed)?;
+        let file = open_file(path).map_err(failed)?;
         let file_bytes = file.metadata().map_err(failed)?.len();
-        // Its reader trusts the tables of a file, and those of a damaged one do not fit together.
-        let mp4 = catch_unwind(AssertUnwindSafe(|| Mp4::read(BufReader::new(file), file_bytes)))
-            .map_err(|_| invalid("is damaged: its tables contradict each other, expected an MP4 file".into()))?
-            .map_err(|error| invalid(format!("cannot be read: {error}, expected a whole MP4 file")))?;
-        let track = mp4.tracks().values().find(|track| track.kind == Some(TrackKind::Video));
-        // A codec that its reader does not know is taken for no video.
+        let track = mp4::read(BufReader::new(file), file_bytes).map_err(|error| match error {
+            Mp4Error::Io(error) => failed(error),
+            Mp4Error::Format(problem) => invalid(format!("cannot be read: {problem}, expected a whole MP4 file")),
+        })?;
         let Some(track) = track else { return Ok(Err("has no video, expected an MP4 file of one".into())) };
-        let StsdBoxContent::Avc1(avc) = &track.trak(&mp4).mdia.minf.stbl.stsd.contents else {
-            let codec = track.codec_string(&mp4).unwrap_or_else(|| "unknown".into());
-            return Ok(Err(format!("has the codec {codec}, {EXPECTED}")));
+        let Some(avc) = &track.avc else {
+            return Ok(Err(format!("has the codec {}, {EXPECTED}", track.codec)));
         };
         let stream = match Stream::new(avc) {
             Ok(stream) => stream,
@@ -127,17 +125,18 @@ impl Video {
             return Err(invalid("has no frames, expected at least one".into()));
         }
         let mut shown: Vec<usize> = (0..track.samples.len()).collect();
-        shown.sort_by_key(|&sample| track.samples[sample].composition_timestamp);
-        let mut samples: Vec<Sample> = track
-            .samples
-            .iter()
-            .map(|s| Sample { bytes: s.offset..s.offset.saturating_add(s.size), shown: 0, begins: s.is_sync })
-            .collect();
+        shown.sort_by_key(|&sample| track.samples[sample].composed);
+        let mut samples: Vec<Sample> =
+            track.samples.iter().map(|s| Sample { bytes: s.bytes.clone(), shown: 0, begins: s.begins }).collect();
         for (frame, &sample) in shown.iter().enumerate() {
             samples[sample].shown = frame;
         }
         if let Some(frame) = samples.iter().position(|sample| sample.bytes.end > file_bytes) {
             return Err(invalid(format!("ends inside its frame {frame}, expected {} frames", samples.len())));
+        }
+        let all_bytes: u64 = samples.iter().map(|sample| sample.bytes.end - sample.bytes.start).sum();
+        if all_bytes > file_bytes {
+            return Err(invalid("cannot be read: its frames overlap, expected a whole MP4 file".into()));
         }
         samples[0].begins = true;
         let mut begins = vec![0; samples.len()];
@@ -149,13 +148,16 @@ impl Video {
             }
             begins[frame] = last;
         }
-        let seconds = track.duration as f64 / track.timescale.max(1) as f64;
+        let timescale = f64::from(track.timescale.max(1));
+        let seconds = track.duration as f64 / timescale;
         let frame_rate = if seconds > 0.0 { samples.len() as f64 / seconds } else { 0.0 };
-        let timescale = track.timescale.max(1) as f64;
-        let time = |&sample: &usize| track.samples[sample].composition_timestamp as f64 / timescale;
+        // The first frame is at 0; edits count from before that.
+        let first = track.samples[shown[0]].composed;
+        let time = |&sample: &usize| track.samples[sample].composed.saturating_sub(first) as f64 / timescale;
         let times_secs = shown.iter().map(time).collect();
         let size = (usize::from(avc.width), usize::from(avc.height));
-        let shown = shown_of(track.trak(&mp4), timescale, f64::from(mp4.moov.mvhd.timescale.max(1)));
+        let mut shown = shown_of(&track);
+        shown.shift_secs += first as f64 / timescale;
         let (path, state) = (path.into(), Mutex::default());
         Ok(Ok(Self { path, size, frame_rate, times_secs, shown, samples, begins, stream, state }))
     }
@@ -250,7 +252,7 @@ impl Video {
         let config = DecoderConfig::new().flush_after_decode(Flush::NoFlush);
         let decoder = Decoder::with_api_config(OpenH264API::from_source(), config)
             .map_err(|error| CaptureError::invalid(&self.path, format!("no decoder for it: {error}")))?;
-        let file = File::open(&self.path).map_err(failed)?;
+        let file = open_file(&self.path).map_err(failed)?;
         Ok(Running { decoder, file, next_sample: sample, next_frame: self.samples[sample].shown })
     }
 
@@ -285,62 +287,41 @@ impl Video {
 /// What the header of a track says about turning its pictures, and its edit list about their times.
 ///
 /// ISO/IEC 14496-12, 8.3.2 and 8.6.6. Of several edits the first that shows something counts.
-fn shown_of(track: &TrakBox, timescale: f64, movie_timescale: f64) -> Shown {
-    let matrix = &track.tkhd.matrix;
-    let quarter_turns = match (matrix.a.signum(), matrix.b.signum()) {
-        (0, 1) => 1,
-        (-1, 0) => 2,
-        (0, -1) => 3,
+fn shown_of(track: &Track) -> Shown {
+    let quarter_turns = match track.matrix.map(i32::signum) {
+        [0, 1] => 1,
+        [-1, 0] => 2,
+        [0, -1] => 3,
         _ => 0,
     };
     let mut shown = Shown { quarter_turns, shift_secs: 0.0, end_secs: f64::INFINITY };
-    let edits = track.edts.as_ref().and_then(|edits| edits.elst.as_ref());
-    for edit in edits.map_or(&[][..], |list| &list.entries) {
-        let secs = edit.segment_duration as f64 / movie_timescale;
-        // An empty edit has the media time -1, in 32 or 64 bits: nothing is shown for so long.
-        if edit.media_time == u64::from(u32::MAX) || edit.media_time == u64::MAX {
+    for edit in &track.edits {
+        let secs = edit.duration as f64 / f64::from(track.movie_timescale.max(1));
+        let Some(begin) = edit.begin else {
             shown.shift_secs += secs;
             continue;
-        }
+        };
         // A duration of 0 stands for all there is. Times of the movie are coarser than those of frames, and rounded.
-        if edit.segment_duration > 0 {
+        if edit.duration > 0 {
             shown.end_secs = shown.shift_secs + secs;
         }
-        shown.shift_secs -= edit.media_time as f64 / timescale;
+        shown.shift_secs -= begin as f64 / f64::from(track.timescale.max(1));
         break;
     }
-    // The reader lets the first frame begin at 0; edits count from before that.
-    shown.shift_secs += first_composition(&track.mdia.minf.stbl) as f64 / timescale;
     shown
-}
-
-/// The least time of any frame, as the tables have it.
-fn first_composition(tables: &StblBox) -> i64 {
-    let Some(offsets) = &tables.ctts else { return 0 };
-    let offsets =
-        offsets.entries.iter().flat_map(|run| repeat_n(i64::from(run.sample_offset), run.sample_count as usize));
-    let durations = tables.stts.entries.iter();
-    let durations = durations.flat_map(|run| repeat_n(i64::from(run.sample_delta), run.sample_count as usize));
-    let mut begin = 0;
-    let times = durations.zip(offsets).map(|(duration, offset)| {
-        begin += duration;
-        begin - duration + offset
-    });
-    times.min().unwrap_or(0)
 }
 
 /// ITU-T H.264, annex B.
 const START_CODE: [u8; 4] = [0, 0, 0, 1];
 
 impl Stream {
-    fn new(avc: &Avc1Box) -> Result<Self, String> {
-        let avcc = &avc.avcc;
-        let first = avcc.sequence_parameter_sets.first().ok_or("has no sequence parameter set")?;
-        let sps = Sps::parse(&first.bytes).ok_or("has a damaged sequence parameter set")?;
+    fn new(avc: &Avc) -> Result<Self, String> {
+        let first = avc.sequence_sets.first().ok_or("has no sequence parameter set")?;
+        let sps = Sps::parse(first).ok_or("has a damaged sequence parameter set")?;
         sps.check()?;
-        let sets = avcc.sequence_parameter_sets.iter().chain(&avcc.picture_parameter_sets);
-        let head = sets.flat_map(|set| START_CODE.into_iter().chain(set.bytes.iter().copied())).collect();
-        Ok(Self { head, length_bytes: usize::from(avcc.length_size_minus_one & 3) + 1, color: sps.color })
+        let sets = avc.sequence_sets.iter().chain(&avc.picture_sets);
+        let head = sets.flat_map(|set| START_CODE.into_iter().chain(set.iter().copied())).collect();
+        Ok(Self { head, length_bytes: avc.length_bytes, color: sps.color })
     }
 }
 
@@ -359,3 +340,6 @@ impl std::fmt::Debug for Video {
         f.debug_struct("Video").field("path", &self.path).field("frames", &self.num_frames()).finish_non_exhaustive()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,8 +1,9 @@
 //! Application data that `tcgs compress --attach` puts into a file (`docs/FORMAT.md`, "Application data").
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+
+use tcgs_core::read_file;
 
 use crate::error::wrong_input;
 
@@ -10,6 +11,8 @@ use crate::error::wrong_input;
 const AGREED: [&str; 7] = ["credits", "units", "light", "paths", "labels", "sound", "times"];
 /// The prefix, which is kept for the format.
 const PREFIX: &str = "tcgs.";
+/// Most bytes of the data of one name, which every reader of the file holds.
+const MAX_BYTES: u64 = 1 << 28;
 /// Every stream of Ogg begins so.
 const OGG: &[u8] = b"OggS";
 
@@ -52,7 +55,7 @@ impl Attachment {
     pub fn read(&self) -> anyhow::Result<(String, Vec<u8>)> {
         let path = self.path.display();
         let data =
-            fs::read(&self.path).map_err(|error| wrong_input(format!("{path}: {error}, expected a file to attach")))?;
+            read_file(&self.path, MAX_BYTES).map_err(|error| wrong_input(format!("{path}: {error}, expected a file to attach")))?;
         match self.name.strip_prefix(PREFIX) {
             Some("sound") if !data.starts_with(OGG) => {
                 Err(wrong_input(format!("{path}: no Ogg stream, expected Opus in Ogg")))

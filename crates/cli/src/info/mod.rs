@@ -3,7 +3,6 @@
 mod basics;
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io::Cursor;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -13,6 +12,7 @@ use tcgs_codec::{
     CohortInfo, Contents, DecodeError, DecodeLimits, FileInfo, SceneFile, SectionInfo, application_data, inspect,
     inspect_cut,
 };
+use tcgs_core::{open_file, read_file};
 use tcgs_pipeline::OpenScene;
 
 use self::basics::Bounds;
@@ -65,7 +65,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let damaged =
         |error: DecodeError| arguments.recover.advise(&error, format!("{path}: {error}, expected a whole .tcgs file"));
     let open = || {
-        let file = fs::File::open(&arguments.file).map_err(unreadable)?;
+        let file = open_file(&arguments.file).map_err(unreadable)?;
         let open = if arguments.recover.recover { SceneFile::recover } else { SceneFile::open };
         open(file, &limits, 0).map_err(damaged)
     };
@@ -82,14 +82,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         };
         return write(bytes);
     }
-    let length = fs::metadata(&arguments.file).map_err(unreadable)?.len();
+    let length = open_file(&arguments.file).and_then(|file| file.metadata()).map_err(unreadable)?.len();
     let (info, data) = if length > MOST_READ {
         let mut file = open()?;
         tell_loss(arguments, &file);
         let data = file.application_data().map_err(damaged)?;
         (file.outline().map_err(damaged)?, data.into_iter().map(|(name, data)| (name, data.len() as u64)).collect())
     } else {
-        let bytes = fs::read(&arguments.file).map_err(unreadable)?;
+        let bytes = read_file(&arguments.file, MOST_READ).map_err(unreadable)?;
         let inspect = if arguments.recover.recover { inspect_cut } else { inspect };
         let info = inspect(&bytes, &limits).map_err(damaged)?;
         if info.bytes < info.bytes_before {

@@ -1,9 +1,9 @@
 //! From the command line to a run's settings.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use tcgs_capture::Capture;
+use tcgs_core::read_text;
 use tcgs_pipeline::settings_for;
 use tcgs_train::{Preset, TrainConfig};
 
@@ -35,7 +35,7 @@ pub fn resumed(arguments: &Arguments, capture: &Capture, stored: &TrainConfig) -
 fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> anyhow::Result<TrainConfig> {
     if let Some(path) = &arguments.config {
         let text =
-            fs::read_to_string(path).map_err(|error| unreadable(path, error, "settings as in a run's config.toml"))?;
+            read_text(path, TrainConfig::MAX_BYTES).map_err(|error| unreadable(path, error, "settings as in a run's config.toml"))?;
         base = base.merge(&text).map_err(|error| wrong_input(format!("{}: {error}", path.display())))?;
     }
     // A file may be another run's; the capture is the one that was named.
@@ -97,6 +97,7 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
     if let Some(seed) = arguments.job.seed {
         base.seed = seed;
     }
+    base.check().map_err(|error| wrong_input(error.to_string()))?;
     Ok(base)
 }
 

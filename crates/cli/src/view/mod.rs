@@ -2,7 +2,6 @@
 
 mod cameras;
 
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -10,6 +9,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, anyhow};
 use tcgs_capture::{Capture, CaptureError, RawFootage};
 use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening};
+use tcgs_core::open_file;
 use tcgs_pipeline::points_scene;
 use tcgs_serve::{NO_PAGE, PAGE, SceneSource, Server};
 
@@ -115,7 +115,7 @@ const EXPECTED: &str = "a .tcgs file, which `tcgs compress` makes of other scene
 /// damage behind the tables.
 fn check_scene(path: &Path) -> anyhow::Result<()> {
     let refuse = |found: String| Err(wrong_input(format!("{}: {found}, expected {EXPECTED}", path.display())));
-    let mut file = File::open(path).map_err(|error| unreadable(path, error, EXPECTED))?;
+    let mut file = open_file(path).map_err(|error| unreadable(path, error, EXPECTED))?;
     let (mut start, mut needed) = (Vec::new(), MAGIC.len() as u64);
     loop {
         let missing = needed - start.len() as u64;

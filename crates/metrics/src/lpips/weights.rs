@@ -3,19 +3,22 @@
 //! `<network>.conv<i>.kernel` `[size, size, in, out]`, `<network>.conv<i>.bias` `[out]` and `<network>.head<j>`
 //! `[channels]`, all f32, `<network>` being `vgg` or `alex`. `scripts/fetch_lpips_weights.py` makes such a file.
 
-use std::fs;
 use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors};
+use tcgs_core::read_file;
 
 use super::backbone::{Backbone, Step};
 use super::layers::Convolution;
 use super::network::Network;
 use crate::MetricsError;
 
+/// Most bytes of the file, which has 69 million.
+const MAX_BYTES: u64 = 1 << 28;
+
 /// Reads both networks.
 pub fn read(path: &Path) -> Result<[Network; 2], MetricsError> {
-    let bytes = fs::read(path).map_err(|error| MetricsError::Io { path: path.into(), error })?;
+    let bytes = read_file(path, MAX_BYTES).map_err(|error| MetricsError::Io { path: path.into(), error })?;
     let problem = |problem: String| MetricsError::Weights { path: path.into(), problem };
     let tensors = SafeTensors::deserialize(&bytes).map_err(|error| problem(format!("not safetensors ({error})")))?;
     let [vgg, alex] = Backbone::ALL.map(|backbone| network(backbone, &tensors).map_err(problem));

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use tcgs_codec::{CompactFile, DecodeLimits, SceneFile, SegmentCache};
-use tcgs_core::SceneReader;
+use tcgs_core::{SceneReader, open_file};
 use tcgs_interchange::{FourdgsFile, ParamsNpz, ParamsOrigin, ReadSettings, TimestepFiles, UnreadKind};
 use tcgs_train::Run;
 
@@ -61,7 +61,7 @@ impl OpenScene {
         }
         match kind_of_file(path)? {
             Kind::Tcgs => {
-                let file = File::open(path).map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
+                let file = open_file(path).map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
                 Self::open_file(path, file, settings.cut_files)
             }
             Kind::Npz => {
@@ -220,12 +220,8 @@ fn refuse_unread(path: &Path) -> Result<(), PipelineError> {
 /// By its name; else by its first bytes.
 fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
     let mut start = Vec::new();
-    let failed = |error| PipelineError::unreadable(path, error, EXPECTED);
-    // A device may never end, and opening a pipe waits for a writer.
-    if !std::fs::metadata(path).map_err(failed)?.is_file() {
-        return Err(PipelineError::input(path.display(), "a device or a pipe", EXPECTED));
-    }
-    File::open(path).and_then(|file| file.take(4).read_to_end(&mut start)).map_err(failed)?;
+    let read = open_file(path).and_then(|file| file.take(4).read_to_end(&mut start));
+    read.map_err(|error| PipelineError::unreadable(path, error, EXPECTED))?;
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
         "tcgs" => Ok(Kind::Tcgs),
         "npz" => refuse_unread(path).map(|()| Kind::Npz),

@@ -1,9 +1,9 @@
 //! All settings of a training run, as `config.toml` holds them, and the presets.
 
+mod bounds;
 mod groups;
 
 use serde::{Deserialize, Serialize};
-use tcgs_core::MAX_SH_DEGREE;
 
 pub use self::groups::{
     BirthConfig, BitMapKind, ColorConfig, DataConfig, DeathConfig, DensifyConfig, GateConfig, MaskConfig,
@@ -110,6 +110,9 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
+    /// Most bytes of a `config.toml` that is read. One that [`Self::to_toml`] writes has three thousand.
+    pub const MAX_BYTES: u64 = 1 << 20;
+
     /// The settings of a preset.
     ///
     /// ```
@@ -298,66 +301,24 @@ impl TrainConfig {
     }
 
     fn from_table(table: toml::Table) -> Result<Self, ConfigError> {
+        // Before numbers are rounded to the types of their fields.
+        bounds::check(&table)?;
         let config: Self = table.try_into().map_err(|e: toml::de::Error| ConfigError::Syntax(one_line(&e)))?;
         config.check()?;
         Ok(config)
     }
 
-    fn check(&self) -> Result<(), ConfigError> {
-        let refuse = |key: &str, found: String, expected: &str| {
-            Err(ConfigError::Value { key: key.into(), found, expected: expected.into() })
-        };
-        for (section, values) in self.table() {
-            for (name, value) in values.as_table().into_iter().flatten() {
-                let key = format!("{section}.{name}");
-                if let Some(x) = value.as_float()
-                    && !(x.is_finite() && (x >= 0.0 || key == "mask.initial_logit"))
-                {
-                    return refuse(&key, x.to_string(), "a finite number, 0 or more");
-                }
-            }
-        }
-        if self.densify.split_children == 0 || self.densify.split_shrink == 0.0 {
-            return refuse("densify.split_children or split_shrink", "0".into(), "more than 0");
-        }
+    /// Checks every setting, for fields that were set without [`Self::set`].
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`] for a value that is out of range, or that another setting excludes.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        bounds::check(&self.table())?;
         let q = &self.quantize;
-        if q.min_bits < 1 || q.min_bits > q.max_bits || q.max_bits > 16 {
-            return refuse(
-                "quantize.min_bits,max_bits",
-                format!("{},{}", q.min_bits, q.max_bits),
-                "1 <= min <= max <= 16",
-            );
-        }
-        if !(1..=16).contains(&q.position_bits) {
-            return refuse("quantize.position_bits", q.position_bits.to_string(), "1 to 16");
-        }
-        if self.schedule.first_iterations == 0 || self.schedule.rest_iterations == 0 {
-            return refuse("schedule", "0 iterations".into(), "at least 1");
-        }
-        if self.data.downscale == 0 {
-            return refuse("data.downscale", "0".into(), "at least 1");
-        }
-        if self.color.degree > MAX_SH_DEGREE {
-            return refuse("color.degree", self.color.degree.to_string(), "0 to 3");
-        }
-        if self.gate.pace < 1.0 {
-            return refuse("gate.pace", self.gate.pace.to_string(), "1 or more");
-        }
-        if self.births.iterations == 0 || self.births.share == 0.0 {
-            return refuse(
-                "births.iterations or births.share",
-                "0".into(),
-                "more than 0 (births.enabled turns births off)",
-            );
-        }
-        if !(0.0..1.0).contains(&self.deaths.share) {
-            return refuse("deaths.share", self.deaths.share.to_string(), "0 or more, below 1");
-        }
-        if self.densify.interval == 0 || self.mask.prune_interval == 0 {
-            return refuse("densify.interval or mask.prune_interval", "0".into(), "at least 1");
-        }
-        if !(0.0..1.0).contains(&self.mask.threshold) {
-            return refuse("mask.threshold", self.mask.threshold.to_string(), "0 to 1");
+        if q.min_bits > q.max_bits {
+            let key = "quantize.min_bits,max_bits".into();
+            let (found, expected) = (format!("{},{}", q.min_bits, q.max_bits), "1 <= min <= max <= 16".into());
+            return Err(ConfigError::Value { key, found, expected });
         }
         Ok(())
     }
@@ -416,16 +377,14 @@ mod tests {
             ("mask.threshold", "high", "mask.threshold is \"high\", expected a value of type float"),
             ("quantize.min_bits", "9", "quantize.min_bits,max_bits is 9,8"),
             ("quantize.bit_map", "cubic", "not a configuration"),
-            ("weights.rigid", "nan", "weights.rigid is NaN, expected a finite number"),
+            ("weights.rigid", "nan", "weights.rigid is NaN, expected a number from 0 to 1000000"),
             ("rates.mean", "-1.0", "rates.mean is -1, expected"),
-            ("gate.pace", "0.5", "gate.pace is 0.5, expected 1 or more"),
-            ("deaths.share", "1.0", "deaths.share is 1, expected 0 or more, below 1"),
-            ("color.degree", "4", "color.degree is 4, expected 0 to 3"),
-            (
-                "births.share",
-                "0.0",
-                "births.iterations or births.share is 0, expected more than 0 (births.enabled turns births off)",
-            ),
+            ("gate.pace", "0.5", "gate.pace is 0.5, expected a number from 1 to 1000000"),
+            ("deaths.share", "1.0", "deaths.share is 1, expected a number from 0 to 0.999"),
+            ("color.degree", "4", "color.degree is 4, expected a whole number from 0 to 3"),
+            ("births.share", "0.0", "births.share is 0, expected a number from 0.000001 to 1"),
+            ("densify.split_children", "100000", "split_children is 100000, expected a whole number from 1 to 16"),
+            ("quantize.min_bits", "300", "quantize.min_bits is 300, expected a whole number from 1 to 16"),
         ] {
             let error = config.clone().set(key, value).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");
