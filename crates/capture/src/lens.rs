@@ -224,12 +224,10 @@ mod tests {
         let [mut left, mut top, mut right, mut bottom] = [0, 0, lens.width, lens.height];
         loop {
             let (columns, rows) = (left..right, top..bottom);
-            let column = |x: usize| {
-                rows.clone().filter(|&y| lens.bends_outside(x, y)).count() as f64 / rows.len() as f64
-            };
-            let row = |y: usize| {
-                columns.clone().filter(|&x| lens.bends_outside(x, y)).count() as f64 / columns.len() as f64
-            };
+            let column =
+                |x: usize| rows.clone().filter(|&y| lens.bends_outside(x, y)).count() as f64 / rows.len() as f64;
+            let row =
+                |y: usize| columns.clone().filter(|&x| lens.bends_outside(x, y)).count() as f64 / columns.len() as f64;
             let shares = [column(left), row(top), column(right - 1), row(bottom - 1)];
             let worst = (0..4).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).unwrap();
             if shares[worst] == 0.0 {

@@ -3,6 +3,7 @@
 mod basics;
 
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::io::Cursor;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -99,7 +100,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (info, data.into_iter().map(|(name, data)| (name, data.len() as u64)).collect::<Vec<_>>())
     };
     say(&format!("{path}: version {}, {} ({} bytes)", info.version, show_bytes(info.bytes), info.bytes))?;
-    let first = |mut file: SceneFile<fs::File>| Bounds::of(file.at(0).ok()?.means());
+    let first = |mut file: SceneFile<File>| Bounds::of(file.at(0).ok()?.means());
     let bounds = open().ok().filter(|_| is_known(&info)).and_then(first);
     if is_known(&info) {
         print_scene(&info)?;

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::support::*;
-use tcgs_interchange::read_params_foreground;
+use tcgs_interchange::{ReadLimits, read_params_foreground};
 use tempfile::tempdir;
 
 /// Exports a scene, and counts who is foreground and who is background.
@@ -14,7 +14,7 @@ fn exported(scene: &Path, params: &Path) -> ([usize; 2], String) {
     let output = run(&["export", text(scene), "--to", text(params), "--force"]);
     let remarks = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success(), "{remarks}");
-    let foreground = read_params_foreground(params).unwrap().unwrap();
+    let foreground = read_params_foreground(params, ReadLimits::default()).unwrap().unwrap();
     ([true, false].map(|wanted| foreground.iter().filter(|&&found| found == wanted).count()), remarks)
 }
 
@@ -63,7 +63,10 @@ fn a_run_with_births_is_refused_with_what_holds_it() {
     let path = |name: &str| folder.path().join(name);
     let trained = train(&folder, "run", &["--set", "births.enabled=true"]);
     let message = fail(2, &["export", text(&trained), "--to", text(&path("params.npz"))]);
-    assert!(message.contains("which a params.npz cannot hold, expected a folder of PLY or .glb files or a .4dgs file"), "{message}");
+    assert!(
+        message.contains("which a params.npz cannot hold, expected a folder of PLY or .glb files or a .4dgs file"),
+        "{message}"
+    );
     let frames = message.split("or the frames ").nth(1).and_then(|rest| rest.strip_suffix(" alone")).unwrap();
     succeed(&["export", text(&trained), "--to", text(&path("params.npz")), "--frames", frames]);
     succeed(&["export", text(&trained), "--to", text(&path("scene.4dgs"))]);

@@ -77,7 +77,10 @@ fn info_tells_the_basics_of_runs_and_what_comes_of_them() {
     let (said, of_run) = info(&run);
     assert!(said.contains("run folder") && said.contains("2 (frames 1 to 2)"), "{said}");
     let checkpoints = fs::read_dir(run.join("checkpoints")).unwrap().map(|entry| entry.unwrap().path());
-    let bytes: u64 = checkpoints.filter(|path| path.extension().is_some_and(|e| e == "npz")).map(|p| p.metadata().unwrap().len()).sum();
+    let bytes: u64 = checkpoints
+        .filter(|path| path.extension().is_some_and(|e| e == "npz"))
+        .map(|p| p.metadata().unwrap().len())
+        .sum();
     assert!(of_run["bytes"].as_u64().unwrap() <= bytes && of_run["bytes"].as_u64() > Some(0), "{of_run} {bytes}");
     for name in ["params.npz", "plys"] {
         let (_, basics) = info(&path(name));

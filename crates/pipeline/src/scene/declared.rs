@@ -5,7 +5,7 @@ use std::path::Path;
 use std::{fs, io};
 
 use tcgs_codec::{FOREGROUND, read_labels};
-use tcgs_interchange::read_params_foreground;
+use tcgs_interchange::{ReadLimits, read_params_foreground};
 
 use super::{Content, OpenScene};
 use crate::PipelineError;
@@ -70,7 +70,7 @@ impl OpenScene {
     pub(crate) fn foreground(&self, timestep: usize) -> Result<Option<Vec<bool>>, PipelineError> {
         Ok(match &self.content {
             Content::Run(run) if run.lives.is_some() => Some(run.parameters(timestep)?.foreground),
-            Content::Params(params) => self.foreground_of_params(params.num_gaussians)?,
+            Content::Params(params) => self.foreground_of_params(params.num_gaussians, params.limits)?,
             Content::File(file) => {
                 let decode_error = |error| PipelineError::Decode { path: self.path.clone(), error };
                 let data = file.file().application_data().map_err(decode_error)?;
@@ -82,8 +82,12 @@ impl OpenScene {
         })
     }
 
-    fn foreground_of_params(&self, num_gaussians: usize) -> Result<Option<Vec<bool>>, PipelineError> {
-        let foreground = read_params_foreground(&self.path)?;
+    fn foreground_of_params(
+        &self,
+        num_gaussians: usize,
+        limits: ReadLimits,
+    ) -> Result<Option<Vec<bool>>, PipelineError> {
+        let foreground = read_params_foreground(&self.path, limits)?;
         match &foreground {
             Some(marks) if marks.len() != num_gaussians => {
                 let (found, expected) = (format!("seg_colors of {} Gaussians", marks.len()), num_gaussians.to_string());
@@ -105,7 +109,11 @@ impl OpenScene {
                 let births: BTreeSet<usize> = lives.births.iter().map(|&birth| birth as usize).collect();
                 for timestep in births.into_iter().take_while(|&timestep| timestep < self.num_timesteps()) {
                     let Some(now) = self.foreground(timestep)? else { return Ok(None) };
-                    lives.living(timestep).into_iter().zip(now).for_each(|(id, is_foreground)| of_all[id] = is_foreground);
+                    lives
+                        .living(timestep)
+                        .into_iter()
+                        .zip(now)
+                        .for_each(|(id, is_foreground)| of_all[id] = is_foreground);
                 }
                 Some(of_all)
             }

@@ -189,14 +189,6 @@ impl OpenScene {
         matches!(&self.content, Content::TimestepFiles(_) | Content::Fourdgs(_))
     }
 
-    /// Of a `params.npz`, the limits under which it was opened.
-    pub(crate) fn params_limits(&self) -> Option<ReadLimits> {
-        match &self.content {
-            Content::Params(params) => Some(params.limits),
-            _ => None,
-        }
-    }
-
     /// A scene of Gaussians in memory.
     ///
     /// - `name`: as messages call it

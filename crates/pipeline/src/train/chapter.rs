@@ -2,7 +2,6 @@
 
 use tcgs_capture::{Capture, Split};
 use tcgs_core::Camera;
-use tcgs_interchange::read_params_foreground;
 use tcgs_train::{Checkpoint, Lifetimes, Parameters, Pose, Run, TrainConfig, TrainError, Trainer};
 
 use super::capture_for;
@@ -12,7 +11,7 @@ use crate::{Backend, OpenScene, PipelineError};
 ///
 /// From a run masks, quantizers and the gains of cameras carry over, and the optimizer's state if the timestep is one of
 /// its last two; otherwise the optimizer begins anew. Of any other scene masks begin as the settings say, nothing is
-/// quantised, cameras have no gains, and all Gaussians are foreground unless a `params.npz` says otherwise.
+/// quantised, cameras have no gains, and all Gaussians are foreground unless the scene says otherwise.
 ///
 /// # Errors
 /// [`PipelineError::Input`] if the scene has no such timestep, no Gaussian or spherical harmonics, or was trained with
@@ -38,10 +37,7 @@ pub fn start_state(
     let cameras = training_cameras(config, capture)?;
     let Some(run) = scene.run() else {
         let n = gaussians.num_gaussians();
-        let foreground = match scene.params_limits() {
-            Some(limits) => read_params_foreground(&scene.path, limits)?,
-            None => None,
-        };
+        let foreground = scene.foreground(timestep)?;
         let parameters = Parameters {
             mask_logits: vec![config.mask.initial_logit; n],
             foreground: foreground.unwrap_or_else(|| vec![true; n]),
