@@ -1,5 +1,5 @@
-//! Any bytes as the content of an SPZ file, packed as its version asks for, so that no checksum stands before the reader; zeros
-//! behind them are what bombs are made of.
+//! Any bytes as the content of an SPZ file, packed as its version asks for, so that no checksum stands before the reader.
+//! Zeros behind them make a bomb.
 //!
 //! The first byte says how many zeros, the second how they are packed: as they are, by gzip, or in Zstandard frames.
 #![no_main]
