@@ -13,8 +13,8 @@ use tcgs_codec::{CompressSettings, UpAxis};
 use tcgs_core::{Attribute, PointCloud, SceneReader};
 use tcgs_interchange::{read_params_foreground, read_params_npz};
 use tcgs_pipeline::{
-    Backend, CompressOptions, Export, LiveRun, Marks, OpenScene, OpenSettings, PrunedScene, compress_scene, kept_gaussians,
-    new_trainer, start_state,
+    Backend, CompressOptions, Export, LiveRun, Marks, OpenScene, OpenSettings, PrunedScene, compress_scene,
+    kept_gaussians, new_trainer, start_state,
 };
 use tcgs_train::{Checkpoint, Lifetimes, Lives, Parameters, Run, TrainConfig};
 
@@ -203,7 +203,11 @@ fn a_file_says_which_gaussians_are_foreground() {
     let files = [folder.path().join("scene.tcgs"), folder.path().join("params.npz")];
     let [file, params] = &files;
     let from_disk = CompressOptions { max_float_bytes: 0, ..options.clone() };
-    for options in [CompressOptions { marks: Marks::Keep, ..from_disk }, CompressOptions { marks: Marks::Keep, ..options.clone() }, options] {
+    for options in [
+        CompressOptions { marks: Marks::Keep, ..from_disk },
+        CompressOptions { marks: Marks::Keep, ..options.clone() },
+        options,
+    ] {
         std::fs::write(file, compress_scene(&scene, &options).unwrap().file).unwrap();
         let compressed = open(file);
         let export = Export::new(&compressed).unwrap();
@@ -231,10 +235,8 @@ fn who_is_born_when_another_dies_is_not_taken_for_it() {
     let folder = tempfile::tempdir().unwrap();
     let birth = |i: usize| if i < 225 { 0 } else { 4 };
     let death = |i: usize| if (10..20).contains(&i) { 4 } else { Lives::NEVER };
-    let lives = Lives {
-        births: (0..NUM_GAUSSIANS).map(birth).collect(),
-        deaths: (0..NUM_GAUSSIANS).map(death).collect(),
-    };
+    let lives =
+        Lives { births: (0..NUM_GAUSSIANS).map(birth).collect(), deaths: (0..NUM_GAUSSIANS).map(death).collect() };
     let scene = open(run_of(&lives, folder.path(), 0, &[]).folder());
     let options = CompressOptions { bits: Some((8, 8)), views: 0, ..CompressOptions::default() };
     let file = folder.path().join("scene.tcgs");

@@ -1,4 +1,4 @@
-//! The basics of a scene of any kind but `.tcgs`, and of what is no scene one line that says what it is.
+//! The basics of a scene of any kind but `.tcgs`. One line says what something else is.
 
 use std::path::Path;
 
@@ -76,8 +76,13 @@ fn axes(scene: &OpenScene) -> Option<(&'static str, &'static str)> {
 /// The error of opening; of a capture or of videos one that says what these are.
 fn what_it_is(path: &Path, error: PipelineError) -> anyhow::Error {
     if path.is_dir() && RawFootage::is_in(path).unwrap_or(false) {
-        wrong_input(format!("{}: a folder of videos, expected a scene; tcgs prepare makes a capture of it", path.display()))
-    } else if let Some(capture) = Some(path).filter(|path| path.is_dir()).and_then(|path| Capture::open_unseen(path).ok()) {
+        wrong_input(format!(
+            "{}: a folder of videos, expected a scene; tcgs prepare makes a capture of it",
+            path.display()
+        ))
+    } else if let Some(capture) =
+        Some(path).filter(|path| path.is_dir()).and_then(|path| Capture::open_unseen(path).ok())
+    {
         let kind = capture.kind().name;
         wrong_input(format!("{}: a {kind} capture, expected a scene; tcgs train makes one of it", path.display()))
     } else {

@@ -63,7 +63,10 @@ fn a_run_with_births_is_refused_with_what_holds_it() {
     let path = |name: &str| folder.path().join(name);
     let trained = train(&folder, "run", &["--set", "births.enabled=true"]);
     let message = fail(2, &["export", text(&trained), "--to", text(&path("params.npz"))]);
-    assert!(message.contains("which a params.npz cannot hold, expected a folder of PLY or .glb files or a .4dgs file"), "{message}");
+    assert!(
+        message.contains("which a params.npz cannot hold, expected a folder of PLY or .glb files or a .4dgs file"),
+        "{message}"
+    );
     let frames = message.split("or the frames ").nth(1).and_then(|rest| rest.strip_suffix(" alone")).unwrap();
     succeed(&["export", text(&trained), "--to", text(&path("params.npz")), "--frames", frames]);
     succeed(&["export", text(&trained), "--to", text(&path("scene.4dgs"))]);

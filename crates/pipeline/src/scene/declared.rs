@@ -105,7 +105,11 @@ impl OpenScene {
                 let births: BTreeSet<usize> = lives.births.iter().map(|&birth| birth as usize).collect();
                 for timestep in births.into_iter().take_while(|&timestep| timestep < self.num_timesteps()) {
                     let Some(now) = self.foreground(timestep)? else { return Ok(None) };
-                    lives.living(timestep).into_iter().zip(now).for_each(|(id, is_foreground)| of_all[id] = is_foreground);
+                    lives
+                        .living(timestep)
+                        .into_iter()
+                        .zip(now)
+                        .for_each(|(id, is_foreground)| of_all[id] = is_foreground);
                 }
                 Some(of_all)
             }
