@@ -154,8 +154,8 @@ pub struct Arguments {
     /// as docs/FORMAT.md describes them, or data of an application under its own name; may be repeated
     #[arg(long, value_name = "NAME=FILE")]
     attach: Vec<Attachment>,
-    /// Keep in the file which Gaussians are foreground, as labels: of a run as the masks of its capture say, of a params.npz as
-    /// seg_colors says. tcgs export writes them into a params.npz again
+    /// Keep in the file which Gaussians are foreground. A run knows it from the masks of its capture, a params.npz from its
+    /// seg_colors. The file has it as labels (docs/FORMAT.md), and tcgs export writes it into a params.npz
     #[arg(long)]
     keep_foreground: bool,
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! The basics of a scene of any kind but `.tcgs`, and of what is no scene one line that says what it is.
+//! The basics of a scene of any kind but `.tcgs`. One line says what something else is.
 
 use std::path::Path;
 

@@ -29,8 +29,9 @@ use crate::terminal::{note, say, write};
 /// Every checksum of a .tcgs file is verified; a damaged file exits with 2, and so does one that was cut, without --recover. Of a
 /// file of more than 64 MB only the tables are read: tcgs verify reads all of it.
 ///
-/// Of a run folder, a params.npz, a .4dgs file and PLY, SPZ or glTF files: the kind, how many Gaussians and timesteps, frame rate,
-/// degree of the spherical harmonics, antialiasing, axes, bounds of the means at the first timestep, and sizes.
+/// The basics of a run folder, a params.npz, a .4dgs file, and PLY, SPZ or glTF files are their kind, their numbers of Gaussians and
+/// timesteps, the frame rate, the degree of spherical harmonics, antialiasing, the axes, bounds, and sizes. Bounds are those of the
+/// means at the first timestep.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -41,7 +42,7 @@ pub struct Arguments {
     /// .tcgs file; or run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
     #[arg(value_name = "SCENE")]
     file: PathBuf,
-    /// Of a .tcgs file, write data that an application put into the file, such as tcgs.credits, to the standard output, and nothing else
+    /// Write data that an application put into a .tcgs file, such as tcgs.credits, to the standard output, and nothing else
     #[arg(long, value_name = "NAME")]
     data: Option<String>,
     #[command(flatten)]
