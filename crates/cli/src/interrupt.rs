@@ -24,6 +24,8 @@ static UNFINISHED: Mutex<Option<PathBuf>> = Mutex::new(None);
 /// at once.
 pub fn catch() -> anyhow::Result<()> {
     let handler = || {
+        // Whoever waits for a program that hangs could not end.
+        tcgs_capture::end_programs();
         if let Some(unfinished) = &*UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner) {
             remove(unfinished);
             std::process::exit(i32::from(EXIT_CODE));

@@ -88,6 +88,9 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
+            // Ctrl-C ends programs that decode videos, and whoever reads them finds too few frames.
+            let is_stopped = interrupt::asked().is_break() && error::exit_code(&error) == 2;
+            let error = if is_stopped { tcgs_pipeline::PipelineError::Stopped.into() } else { error };
             terminal::note(&format!("tcgs: {}", one_line(&error::message(&error))));
             ExitCode::from(error::exit_code(&error))
         }

@@ -74,10 +74,10 @@ mod tests {
         fs::write(&path, "four").unwrap();
         assert_eq!(read_text(&path, 4).unwrap(), "four");
         let error = read_file(&path, 3).unwrap_err();
-        assert_eq!((error.kind(), error.to_string().as_str()), (
-            ErrorKind::InvalidData,
-            "has 4 bytes, of which at most 3 are read"
-        ));
+        assert_eq!(
+            (error.kind(), error.to_string().as_str()),
+            (ErrorKind::InvalidData, "has 4 bytes, of which at most 3 are read")
+        );
         fs::write(&path, b"a\xff").unwrap();
         assert_eq!(read_text(&path, 4).unwrap_err().to_string(), "is no text in UTF-8 from byte 1 on");
         // A length alone takes no time.

@@ -9,8 +9,8 @@ use tcgs_core::rotmat_from_quat;
 use super::bundle::Track;
 use super::camera::RigCamera;
 use super::program::camera_of;
-use crate::{CaptureError, files};
 use crate::colmap::ColmapModel;
+use crate::{CaptureError, files};
 
 /// Cameras and points that belong together.
 pub(super) struct Found {

@@ -49,8 +49,8 @@ impl Attachment {
     /// Name and content, as the format wants them.
     pub fn read(&self) -> anyhow::Result<(String, Vec<u8>)> {
         let path = self.path.display();
-        let data =
-            read_file(&self.path, MAX_BYTES).map_err(|error| wrong_input(format!("{path}: {error}, expected a file to attach")))?;
+        let data = read_file(&self.path, MAX_BYTES)
+            .map_err(|error| wrong_input(format!("{path}: {error}, expected a file to attach")))?;
         match self.name.strip_prefix(PREFIX) {
             Some("sound") if !data.starts_with(OGG) => {
                 Err(wrong_input(format!("{path}: no Ogg stream, expected Opus in Ogg")))

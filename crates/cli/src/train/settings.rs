@@ -34,8 +34,8 @@ pub fn resumed(arguments: &Arguments, capture: &Capture, stored: &TrainConfig) -
 /// What the command line says, over `base`.
 fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> anyhow::Result<TrainConfig> {
     if let Some(path) = &arguments.config {
-        let text =
-            read_text(path, TrainConfig::MAX_BYTES).map_err(|error| unreadable(path, error, "settings as in a run's config.toml"))?;
+        let text = read_text(path, TrainConfig::MAX_BYTES)
+            .map_err(|error| unreadable(path, error, "settings as in a run's config.toml"))?;
         base = base.merge(&text).map_err(|error| wrong_input(format!("{}: {error}", path.display())))?;
     }
     // A file may be another run's; the capture is the one that was named.

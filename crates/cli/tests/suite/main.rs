@@ -9,6 +9,8 @@ mod chapters;
 mod footage;
 mod force;
 mod foreign;
+#[cfg(target_os = "linux")]
+mod hostile;
 mod interchange;
 mod layouts;
 #[cfg(target_os = "linux")]

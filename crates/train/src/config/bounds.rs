@@ -130,9 +130,7 @@ pub(super) fn check(table: &toml::Table) -> Result<(), ConfigError> {
         let is_within = match (bounds, value) {
             (Whole(least, most), toml::Value::Integer(found)) => (least..=most).contains(found),
             // A file holds the nearest f32 of an end.
-            (Number(least, most), toml::Value::Float(found)) => {
-                (least as f32..=most as f32).contains(&(*found as f32))
-            }
+            (Number(least, most), toml::Value::Float(found)) => (least as f32..=most as f32).contains(&(*found as f32)),
             _ => true,
         };
         if !is_within {
