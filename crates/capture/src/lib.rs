@@ -64,6 +64,7 @@ pub use masks::{MaskSettings, make_masks, obstacle_to_masks};
 pub use points::{POINTS_FILE, write_points};
 pub use prepare::{Origin, PrepareSettings, Prepared, prepare, spread_points};
 pub use raw::{DescribeSettings, PlacedCameras, RawCamera, RawFootage};
+pub use recording::end_programs;
 pub use rig::{
     ColorBalance, FoundCameras, Refinement, balance_colors, find_cameras, has_colmap, moving_cameras, refine_cameras,
     scale_cameras,

@@ -31,6 +31,8 @@ pub fn catch() -> anyhow::Result<()> {
     #[cfg(unix)]
     let is_detached = unix::prepare();
     let handler = || {
+        // Whoever waits for a program that hangs could not end.
+        tcgs_capture::end_programs();
         #[cfg(unix)]
         unix::terminate(STEP.load(Ordering::SeqCst));
         if ASKED.swap(true, Ordering::SeqCst) || !IS_POLITE.load(Ordering::SeqCst) {

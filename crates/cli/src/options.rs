@@ -9,6 +9,7 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use tcgs_capture::{Capture, CaptureError, Split};
+use tcgs_core::MAX_PIXELS;
 use tcgs_pipeline::RefineBudget;
 
 use crate::output;
@@ -27,7 +28,7 @@ pub struct JobOptions {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// Threads to compute with; results do not depend on it [default: as many as cores]
-    #[arg(long, value_name = "N", value_parser = positive)]
+    #[arg(long, value_name = "N", value_parser = up_to::<MAX_THREADS>)]
     pub threads: Option<usize>,
 }
 
@@ -47,6 +48,15 @@ impl JobOptions {
     pub fn write_json(&self, value: &serde_json::Value) -> anyhow::Result<()> {
         self.json.as_ref().map_or(Ok(()), |path| output::write_json(path, value, self.force))
     }
+}
+
+/// More threads than any machine has processors, each of which waits for the others.
+const MAX_THREADS: usize = 1024;
+
+/// A whole number from 1 on.
+pub fn up_to<const MOST: usize>(text: &str) -> Result<usize, String> {
+    let number = text.parse().ok().filter(|n| (1..=MOST).contains(n));
+    number.ok_or_else(|| format!("expected a whole number from 1 to {MOST}"))
 }
 
 /// A whole number, 1 or more.
@@ -151,7 +161,8 @@ pub struct Size {
 impl Size {
     /// Whether it is an image's. Larger ones are a slip of the keyboard.
     pub fn is_legal(self) -> bool {
-        [self.width, self.height].iter().all(|side| (1..=16384).contains(side))
+        let is_side = |side: &usize| (1..=16384).contains(side);
+        [self.width, self.height].iter().all(is_side) && self.width * self.height <= MAX_PIXELS
     }
 }
 
@@ -161,8 +172,9 @@ impl FromStr for Size {
     fn from_str(text: &str) -> Result<Self, String> {
         let side = |text: &str| text.parse().ok();
         let size = text.split_once('x').and_then(|(w, h)| Some(Self { width: side(w)?, height: side(h)? }));
-        size.filter(|size| size.is_legal())
-            .ok_or_else(|| "expected WIDTHxHEIGHT of 1 to 16384 pixels each, such as 640x360".into())
+        size.filter(|size| size.is_legal()).ok_or_else(|| {
+            format!("expected WIDTHxHEIGHT of 1 to 16384 pixels each, {MAX_PIXELS} at most, such as 640x360")
+        })
     }
 }
 
@@ -243,7 +255,8 @@ mod tests {
             assert_eq!(size(text).ok(), (bytes > 0).then_some(bytes), "{text}");
         }
         assert!(["", "0", "-3", "MB", "2TB", "nan", "inf", "1e300", "2 MB"].iter().all(|text| size(text).is_err()));
+        assert_eq!("8192x8192".parse(), Ok(Size { width: 8192, height: 8192 }));
         assert_eq!("640x360".parse(), Ok(Size { width: 640, height: 360 }));
-        assert!(["640", "0x4", "4x-4", "99999x4"].iter().all(|text| text.parse::<Size>().is_err()));
+        assert!(["640", "0x4", "4x-4", "99999x4", "16384x16384"].iter().all(|text| text.parse::<Size>().is_err()));
     }
 }

@@ -68,6 +68,9 @@ pub enum CameraError {
 /// Largest width and height of an image, pixels.
 pub const MAX_SIDE: usize = 1 << 16;
 
+/// Largest number of pixels of an image that is drawn, 8192 by 8192: drawing holds up to some hundred bytes for each.
+pub const MAX_PIXELS: usize = 1 << 26;
+
 /// Largest magnitude of a coordinate of a camera or a point, scene units: with [`MAX_INTRINSIC`] the square of a distance in pixels,
 /// `(2e12 * 1e6)²`, is finite in f32. The earth's radius in millimetres is 6e9.
 pub const MAX_COORDINATE: f64 = 1e12;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde::Deserialize;
-use tcgs_core::{Camera, CameraPath, read_file};
+use tcgs_core::{Camera, CameraPath, MAX_PIXELS, read_file};
 
 use crate::PipelineError;
 
@@ -56,8 +56,12 @@ fn parse(bytes: &[u8]) -> Result<CameraPath, String> {
         if path.keyframes().last().is_some_and(|before| before.timestep >= keyframe.timestep) {
             return Err(format!("camera {index} has timestep {}, not later than the one before", keyframe.timestep));
         }
-        if ![keyframe.width, keyframe.height].iter().all(|side| (1..=MAX_SIDE).contains(side)) {
-            return Err(format!("camera {index} has {}x{} pixels, more than 16384", keyframe.width, keyframe.height));
+        let (width, height) = (keyframe.width, keyframe.height);
+        let is_drawn = [width, height].iter().all(|side| (1..=MAX_SIDE).contains(side)) && width * height <= MAX_PIXELS;
+        if !is_drawn {
+            return Err(format!(
+                "camera {index} has {width}x{height} pixels, not 1 to {MAX_SIDE} each and {MAX_PIXELS} at most"
+            ));
         }
         let intrinsics = [[keyframe.fx, 0.0, keyframe.cx], [0.0, keyframe.fy, keyframe.cy], [0.0, 0.0, 1.0]];
         let m = keyframe.camera_from_world;

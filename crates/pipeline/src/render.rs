@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Camera, CameraPath, Drawable, Image, Tour};
+use tcgs_core::{Camera, CameraPath, Drawable, Image, MAX_PIXELS, Tour};
 use tcgs_render::{DrawAny, RenderSettings};
 
 use crate::observe::tell;
@@ -97,7 +97,7 @@ impl CameraAt {
 /// - `take`: takes the image `[3, H, W]`, not clamped
 ///
 /// # Errors
-/// What `take` returns; [`PipelineError`] if a frame cannot be read or the GPU fails; [`PipelineError::Stopped`] if the
+/// What `take` returns; [`PipelineError`] if an image has more than [`MAX_PIXELS`], a frame cannot be read or the GPU fails; [`PipelineError::Stopped`] if the
 /// observer broke off.
 pub fn render<E: From<PipelineError>>(
     scene: &OpenScene,
@@ -107,6 +107,12 @@ pub fn render<E: From<PipelineError>>(
     mut take: impl FnMut(&CameraAt, Image) -> Result<(), E>,
 ) -> Result<(), E> {
     tell(observer, Event::Begun { work: Work::Rendering, num_steps: cameras.len() })?;
+    for CameraAt { camera: Camera { width, height, .. }, .. } in cameras {
+        if width.saturating_mul(*height) > MAX_PIXELS {
+            let expected = format!("at most {MAX_PIXELS} pixels");
+            return Err(PipelineError::input("the pictures", format!("{width}x{height}"), expected).into());
+        }
+    }
     let mut drawn: Option<(usize, Drawable)> = None;
     for at in cameras {
         let gaussians = match drawn.take() {

@@ -4,6 +4,7 @@
 //! is turned, cropped and evened out ([`Take`]). `program` reads videos by `ffmpeg`, `times` finds frames by time. What
 //! does not: the decoder that is built in (`video`), lenses, and where cameras stand.
 
+mod child;
 mod program;
 mod take;
 mod times;
@@ -16,6 +17,7 @@ use crate::names::{Files, Names};
 use crate::video::Video;
 use crate::{CaptureError, decode, files};
 
+pub use child::end_programs;
 pub(crate) use program::{ProgramVideo, audio};
 pub(crate) use take::{Active, ColorChange, Take, turned};
 pub(crate) use times::Times;

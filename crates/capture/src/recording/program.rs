@@ -6,17 +6,22 @@
 use std::collections::VecDeque;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{ChildStdout, Command, Stdio};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 use image::RgbImage;
 use serde::Deserialize;
 
 use super::Times;
+use super::child::Program;
 use crate::CaptureError;
 
 /// Bytes of decoded frames that a video keeps; the last one always.
 const KEPT_BYTES: usize = 16 << 20;
+/// Most bytes of a description, in which a frame has a hundred: as many frames as a video that is decoded here may have.
+const MAX_PROBE_BYTES: u64 = 1 << 28;
+/// Largest width and height of a video, pixels.
+const MAX_SIDE: usize = 1 << 14;
 /// Frames that are decoded and thrown away rather than starting `ffmpeg` anew.
 const MAX_SKIPPED: usize = 250;
 
@@ -47,17 +52,11 @@ struct State {
 /// `ffmpeg` at work; dropping it ends the process.
 #[derive(Debug)]
 struct Running {
-    child: Child,
+    /// Held until it is dropped.
+    _program: Program,
     frames: BufReader<ChildStdout>,
     /// Next to come out.
     next_frame: usize,
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }
 
 #[derive(Deserialize)]
@@ -113,20 +112,23 @@ impl ProgramVideo {
                        packet=pts_time,dts_time,flags:format=start_time";
         let mut probe = Command::new("ffprobe");
         probe.args(["-v", "error", "-select_streams", "V:0", "-show_entries", entries, "-of", "json"]);
-        let output = probe.arg(in_place(path)).stdin(Stdio::null()).output();
-        let output = output.map_err(|error| {
+        let output = Program::output(probe.arg(in_place(path)), MAX_PROBE_BYTES);
+        let (is_video, described, complaints) = output.map_err(|error| {
             invalid(format!("{problem}; other videos are read by the programs ffmpeg and ffprobe: {error}"))
         })?;
-        if !output.status.success() {
-            return Err(invalid(format!("is no video: ffprobe said: {}", last_line(&output.stderr))));
+        if !is_video {
+            return Err(invalid(format!("is no video: ffprobe said: {}", last_line(&complaints))));
         }
-        let probe: Probe = serde_json::from_slice(&output.stdout)
+        let probe: Probe = serde_json::from_slice(&described)
             .map_err(|error| invalid(format!("ffprobe described it in an unknown way: {error}")))?;
         let stream = probe.streams.into_iter().next();
         let stream = stream.ok_or_else(|| invalid("has no video, expected a file with one".into()))?;
         let (Some(width), Some(height)) = (stream.width, stream.height) else {
             return Err(invalid("has a video of no size, expected one of at least 1x1 pixels".into()));
         };
+        if [width, height].iter().any(|side| !(1..=MAX_SIDE).contains(side)) {
+            return Err(invalid(format!("is {width}x{height} pixels, expected 1 to {MAX_SIDE} a side")));
+        }
         let number = |text: &String| text.parse::<f64>().ok().filter(|secs| secs.is_finite());
         // What is decoded only because others need it is not shown.
         let shown: Vec<&Packet> = probe.packets.iter().filter(|packet| !packet.flags.contains('D')).collect();
@@ -201,13 +203,10 @@ impl ProgramVideo {
         }
         command.arg("-i").arg(in_place(&self.path)).args(["-map", "0:V:0"]).args(every_frame());
         command.args(["-f", "rawvideo", "-pix_fmt", "rgb24", "-sws_flags", "bicubic+accurate_rnd+full_chroma_int"]);
-        command.arg("pipe:1").stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
+        command.arg("pipe:1").stderr(Stdio::null());
         let failed = |error| CaptureError::invalid(&self.path, format!("cannot be decoded: ffmpeg: {error}"));
-        let mut child = command.spawn().map_err(failed)?;
-        match child.stdout.take() {
-            Some(stdout) => Ok(Running { child, frames: BufReader::new(stdout), next_frame: frame }),
-            None => Err(CaptureError::invalid(&self.path, "cannot be decoded: ffmpeg has no output")),
-        }
+        let (program, stdout) = Program::start(&mut command).map_err(failed)?;
+        Ok(Running { _program: program, frames: BufReader::new(stdout), next_frame: frame })
     }
 }
 
@@ -227,27 +226,27 @@ impl State {
 /// - `max_secs`: at most so much is decoded
 /// - returns: samples in `[-1, 1]`; `None` if there is no sound, or no `ffmpeg`
 pub(crate) fn audio(path: &Path, rate: u32, max_secs: f64) -> Option<Vec<f32>> {
-    let output = Command::new("ffmpeg")
+    let mut command = Command::new("ffmpeg");
+    command
         .args(["-v", "error", "-nostdin", "-i"])
         .arg(in_place(path))
         .args(["-map", "0:a:0", "-vn", "-ac", "1", "-t", &max_secs.to_string()])
         // Sound that begins late is preceded by silence, so that both clocks agree.
-        .args(["-af", &format!("aresample={rate}:async=1:first_pts=0"), "-f", "s16le", "pipe:1"])
-        .stdin(Stdio::null())
-        .stderr(Stdio::null())
-        .output()
-        .ok()?;
+        .args(["-af", &format!("aresample={rate}:async=1:first_pts=0"), "-f", "s16le", "pipe:1"]);
+    // Two bytes a sample, and some slack.
+    let max_bytes = 2 * (f64::from(rate) * (max_secs + 1.0)) as u64;
+    let (is_sound, sound, _) = Program::output(&mut command, max_bytes).ok()?;
     let samples: Vec<f32> =
-        output.stdout.as_chunks::<2>().0.iter().map(|&bytes| f32::from(i16::from_le_bytes(bytes)) / 32768.0).collect();
-    (output.status.success() && !samples.is_empty()).then_some(samples)
+        sound.as_chunks::<2>().0.iter().map(|&bytes| f32::from(i16::from_le_bytes(bytes)) / 32768.0).collect();
+    (is_sound && !samples.is_empty()).then_some(samples)
 }
 
 /// The option that gives out every frame once, whatever its time. Versions before 5.1 call it otherwise.
 fn every_frame() -> [&'static str; 2] {
     static OPTION: OnceLock<[&str; 2]> = OnceLock::new();
     *OPTION.get_or_init(|| {
-        let output = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).output();
-        let text = output.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default();
+        let output = Program::output(Command::new("ffmpeg").arg("-version"), MAX_PROBE_BYTES);
+        let text = output.map(|(_, text, _)| String::from_utf8_lossy(&text).into_owned()).unwrap_or_default();
         let version = text.strip_prefix("ffmpeg version ").unwrap_or_default();
         let mut parts = version.trim_start_matches('n').split(|c: char| !c.is_ascii_digit());
         let mut part = || parts.next().and_then(|part| part.parse::<u32>().ok());

@@ -45,7 +45,7 @@ Example:
   tcgs bench --size 640x360 --write-scene scene")]
 pub struct Arguments {
     /// Gaussians of the built-in scene [default: 300000; 30000 on software that acts as a GPU]
-    #[arg(long, value_name = "N", value_parser = options::positive, conflicts_with = "capture")]
+    #[arg(long, value_name = "N", value_parser = options::up_to::<100_000_000>, conflicts_with = "capture")]
     gaussians: Option<usize>,
     /// Sizes of its image, one or several with commas between [default: 640x360,1352x1014]
     #[arg(long, value_name = "WxH", value_delimiter = ',', conflicts_with = "capture")]
@@ -57,7 +57,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", requires = "capture", value_parser = options::positive)]
     downscale: Option<usize>,
     /// Times that each thing is measured, after a warm-up [default: 20; 5 on the CPU, 3 on software that acts as a GPU]
-    #[arg(long, value_name = "N", value_parser = options::positive)]
+    #[arg(long, value_name = "N", value_parser = options::up_to::<1_000_000>)]
     iterations: Option<usize>,
     /// Also write what is drawn, for other renderers to draw the same: Gaussians (PLY), camera (JSON), image (npz)
     #[arg(long, value_name = "DIR")]

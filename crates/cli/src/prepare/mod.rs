@@ -85,10 +85,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["out", "points_only"])]
     page: Option<PathBuf>,
     /// Points at most, about [default: 80000]
-    #[arg(long, value_name = "N", value_parser = options::positive, conflicts_with = "check")]
+    #[arg(long, value_name = "N", value_parser = options::up_to::<100_000_000>, conflicts_with = "check")]
     points: Option<usize>,
     /// Average images down to at most this width; smaller is faster, larger finds finer things [default: 400]
-    #[arg(long, value_name = "PIXELS", value_parser = options::positive, conflicts_with = "check")]
+    #[arg(long, value_name = "PIXELS", value_parser = options::up_to::<16384>, conflicts_with = "check")]
     width: Option<usize>,
     /// Of videos: the calibration, if it is not in their folder or there are several [formats: OpenCV/EasyMocap, caliscope,
     /// Pose2Sim/aniposelib, Qualisys, COLMAP, nerfstudio]

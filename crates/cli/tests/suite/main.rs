@@ -5,6 +5,7 @@
 
 #[cfg(feature = "gpu")]
 mod bench;
+mod bounds;
 mod chapters;
 mod footage;
 mod force;

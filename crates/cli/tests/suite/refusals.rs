@@ -24,7 +24,7 @@ fn wrong_usage_is_one_line() {
     refuse(&["train", capture, "--out", "r", "--frames", "3..1"], &["'3..1'", "expected A..B with A below B"]);
     refuse(&["train", capture, "--out", "r", "--bits", "8,4"], &["'8,4'", "1 <= MIN <= MAX <= 16"]);
     refuse(&["train", capture, "--out", "r", "--iterations", "0,1"], &["FIRST,REST"]);
-    refuse(&["train", capture, "--out", "r", "--threads", "0"], &["'0'", "1 or more"]);
+    refuse(&["train", capture, "--out", "r", "--threads", "0"], &["'0'", "a whole number from 1 to 1024"]);
     refuse(&["train", capture, "--out", "r", "--preset", "best"], &["'best'", "d3dgs, paper, default, fast"]);
     refuse(&["compress", "x", "--prune", "2"], &["'2'", "0 to 1"]);
     refuse(&["compress", "x", "--prune", "-1"], &["'-1'", "0 to 1"]);
@@ -42,7 +42,7 @@ fn wrong_usage_is_one_line() {
     refuse(&["compress", "x", "--up", "w"], &["'w'", "-x, -y or -z"]);
     refuse(&["render", "x", "--out", "d", "--size", "0x4"], &["WIDTHxHEIGHT"]);
     refuse(&["bench", "--size", "64x48,4"], &["'4'", "WIDTHxHEIGHT"]);
-    refuse(&["bench", "--gaussians", "0"], &["'0'", "1 or more"]);
+    refuse(&["bench", "--gaussians", "0"], &["'0'", "a whole number from 1 to 100000000"]);
     refuse(&["bench", "--capture", capture, "--gaussians", "9"], &["cannot be used with"]);
     refuse(&["bench", "--downscale", "2"], &["--capture <CAPTURE>"]);
     refuse(&["bench", "--capture", "nowhere"], &["nowhere", "no such folder", "train_meta.json"]);

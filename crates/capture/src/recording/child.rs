@@ -1,0 +1,95 @@
+//! Programs that decode videos: `ffmpeg` and `ffprobe` while they work.
+//!
+//! What lives here: starting them, and ending them with whoever started them or with [`end_programs`]. What does not: what
+//! they are asked.
+
+use std::io::{self, Read};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+/// The programs that work now.
+static RUNNING: Mutex<Running> = Mutex::new(Running { children: Vec::new(), is_ended: false });
+
+/// Most bytes that are kept of a program's complaints.
+const MAX_COMPLAINT_BYTES: u64 = 1 << 16;
+
+struct Running {
+    children: Vec<Arc<Mutex<Child>>>,
+    /// Whether no other may start.
+    is_ended: bool,
+}
+
+/// Ends `ffmpeg` and `ffprobe` wherever this process runs them, and starts them no more. Whatever reads a video by them then
+/// returns an error. For a process that is asked to end: such a program may hang, and its reader with it.
+pub fn end_programs() {
+    let mut running = lock(&RUNNING);
+    running.is_ended = true;
+    for child in &running.children {
+        // It may have ended by itself.
+        let _ = lock(child).kill();
+    }
+}
+
+fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
+    of.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A program at work; dropping it ends the process. Nobody holds its lock for long.
+#[derive(Debug)]
+pub(super) struct Program(Arc<Mutex<Child>>);
+
+impl Program {
+    /// - returns: also what it writes
+    pub fn start(command: &mut Command) -> io::Result<(Self, ChildStdout)> {
+        let mut running = lock(&RUNNING);
+        if running.is_ended {
+            return Err(io::Error::other("stopped"));
+        }
+        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
+        let stdout = child.stdout.take().ok_or_else(|| io::Error::other("has no output"))?;
+        let child = Arc::new(Mutex::new(child));
+        running.children.push(Arc::clone(&child));
+        Ok((Self(child), stdout))
+    }
+
+    /// Runs a program to its end.
+    ///
+    /// - `max_bytes`: what it may write
+    /// - returns: whether it succeeded, what it wrote, and what it complained of
+    pub fn output(command: &mut Command, max_bytes: u64) -> io::Result<(bool, Vec<u8>, Vec<u8>)> {
+        let (program, stdout) = Self::start(command.stderr(Stdio::piped()))?;
+        let stderr = lock(&program.0).stderr.take();
+        let complaints = thread::spawn(move || {
+            let mut said = Vec::new();
+            if let Some(mut stderr) = stderr {
+                // A program waits where nobody reads: what is too much is read and dropped.
+                let _ = (&mut stderr).take(MAX_COMPLAINT_BYTES).read_to_end(&mut said);
+                let _ = io::copy(&mut stderr, &mut io::sink());
+            }
+            said
+        });
+        let mut written = Vec::new();
+        stdout.take(max_bytes + 1).read_to_end(&mut written)?;
+        if written.len() as u64 > max_bytes {
+            return Err(io::Error::other(format!("wrote more than {max_bytes} bytes")));
+        }
+        let status = loop {
+            if let Some(status) = lock(&program.0).try_wait()? {
+                break status;
+            }
+            thread::sleep(Duration::from_millis(2));
+        };
+        Ok((status.success(), written, complaints.join().unwrap_or_default()))
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        lock(&RUNNING).children.retain(|child| !Arc::ptr_eq(child, &self.0));
+        let mut child = lock(&self.0);
+        let _ = child.kill();
+        let _ = child.wait();
+    }
+}
