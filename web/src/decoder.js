@@ -30,27 +30,31 @@ import initialise, { Decoder } from "./decoder/tcgs_js.js";
  */
 
 /**
- * Gives the bytes from `start` up to but not including `end`; more is welcome.
- * @typedef {(start: number, end: number) => Promise<{ offset: number, bytes: Uint8Array }>} Read
+ * Bytes that are read in parts.
+ * @typedef {object} Source
+ * @property {string} name of the file, for messages; empty if there is none
+ * @property {number} length of the file, bytes
+ * @property {(start: number, end: number) => Promise<{ offset: number, bytes: Uint8Array }>} read gives the bytes from `start`
+ *   up to but not including `end`; may give more, or the first of them
  */
 
-/** An open scene. */
+/** An open scene, which `open` returns. */
 export class Scene {
   #decoder;
-  #read;
+  #source;
   #turn = Promise.resolve();
 
-  /** @param {Decoder} decoder @param {Read} read @param {SceneInfo} info */
-  constructor(decoder, read, info) {
+  /** @private @param {Decoder} decoder @param {Source} source @param {SceneInfo} info */
+  constructor(decoder, source, info) {
     this.#decoder = decoder;
-    this.#read = read;
+    this.#source = source;
     /** @type {SceneInfo} */
     this.info = info;
   }
 
   /**
-   * The Gaussians at a timestep; fastest if successive calls ask for successive timesteps. Of a file behind an address only the
-   * parts are fetched that this takes.
+   * The Gaussians at a timestep; fastest if successive calls ask for successive timesteps. Of a file only the parts are read, or
+   * fetched, that this takes.
    * @param {number} timestep from 0
    * @returns {Promise<Gaussians>}
    */
@@ -76,7 +80,7 @@ export class Scene {
    */
   #patiently(call) {
     // One after the other: the decoder says what it lacks of the last call alone.
-    const done = this.#turn.then(() => patiently(this.#decoder, this.#read, call));
+    const done = this.#turn.then(() => patiently(this.#decoder, this.#source, call));
     this.#turn = done.then(
       () => {},
       () => {},
@@ -92,16 +96,21 @@ export class Scene {
 
 /**
  * Opens a scene.
- * @param {string | URL | Blob | ArrayBuffer | Uint8Array} source an address, a file, or its bytes
+ * @param {string | URL | Blob | ArrayBuffer | Uint8Array} source an address, a path or `file:` address outside pages, as in Node, a
+ *   File, or its bytes
  * @param {{ signal?: AbortSignal }} [options] `signal` ends the requests to an address
  * @returns {Promise<Scene>}
  */
 export async function open(source, { signal } = {}) {
-  const [{ length, read }] = await Promise.all([reader(source, signal), load()]);
-  const decoder = new Decoder(length);
-  const info = await patiently(decoder, read, () => decoder.info());
-  return new Scene(decoder, read, info);
+  const [file] = await Promise.all([reader(source, signal), load()]);
+  const decoder = new Decoder(file.length);
+  const info = await patiently(decoder, file, () => decoder.info());
+  // @ts-expect-error: the constructor is private to the module.
+  return new Scene(decoder, file, info);
 }
+
+/** Node's files; undefined in browsers. A bundler for browsers would look for the module of an `import`. */
+const files = () => globalThis.process?.getBuiltinModule?.("node:fs/promises");
 
 let loading;
 
@@ -109,9 +118,8 @@ let loading;
 function load() {
   const address = new URL("./decoder/tcgs_js_bg.wasm", import.meta.url);
   // Node's fetch reads no files.
-  const inNode = address.protocol === "file:";
-  const module = async () =>
-    initialise({ module_or_path: inNode ? (await import("node:fs/promises")).readFile(address) : address });
+  const inNode = address.protocol === "file:" && files();
+  const module = async () => initialise({ module_or_path: inNode ? inNode.readFile(address) : address });
   loading ??= module().catch((error) => {
     loading = undefined;
     throw error;
@@ -122,18 +130,23 @@ function load() {
 /**
  * Makes a call again until it lacks no bytes.
  * @param {Decoder} decoder
- * @param {Read} read
+ * @param {Source} source
  * @param {() => object | undefined} call
  * @returns {Promise<any>}
  */
-async function patiently(decoder, read, call) {
+async function patiently(decoder, source, call) {
   for (;;) {
-    const done = call();
-    if (done !== undefined) return done;
+    try {
+      const done = call();
+      if (done !== undefined) return done;
+    } catch (error) {
+      if (!source.name || !(error instanceof Error)) throw error;
+      throw new Error(`${source.name}: ${error.message}`, { cause: error });
+    }
     const [start, end] = decoder.missing() ?? [0, 0];
-    const { offset, bytes } = await read(start, end);
+    const { offset, bytes } = await source.read(start, end);
     if (offset > start || offset + bytes.length <= start) {
-      throw new Error(`the file ends early: bytes ${start} to ${end} cannot be had`);
+      throw new Error(`${source.name || "the file"}: ends early, bytes ${start} to ${end} cannot be had`);
     }
     decoder.arrive(offset, bytes);
   }
@@ -142,25 +155,56 @@ async function patiently(decoder, read, call) {
 /**
  * @param {string | URL | Blob | ArrayBuffer | Uint8Array} source
  * @param {AbortSignal} [signal]
- * @returns {Promise<{ length: number, read: Read }>}
+ * @returns {Promise<Source>}
  */
 async function reader(source, signal) {
   if (source instanceof Blob) {
-    /** @type {Read} */
+    /** @type {Source["read"]} */
     const read = async (start, end) => ({
       offset: start,
       bytes: new Uint8Array(await source.slice(start, end).arrayBuffer()),
     });
-    return { length: source.size, read };
+    return { name: "name" in source ? String(source.name) : "", length: source.size, read };
   }
   if (source instanceof ArrayBuffer || ArrayBuffer.isView(source)) {
     const bytes =
       source instanceof ArrayBuffer
         ? new Uint8Array(source)
         : new Uint8Array(source.buffer, source.byteOffset, source.byteLength);
-    return { length: bytes.length, read: async (start, end) => ({ offset: start, bytes: bytes.subarray(start, end) }) };
+    /** @type {Source["read"]} */
+    const read = async (start, end) => ({ offset: start, bytes: bytes.subarray(start, end) });
+    return { name: "", length: bytes.length, read };
   }
-  return remote(String(source), signal);
+  const address = String(source);
+  // Pages and workers have a location, which addresses may be relative to. Other programs have a working directory.
+  const isRemote = globalThis.location !== undefined || /^(https?|blob|data):/i.test(address);
+  return isRemote ? remote(address, signal) : local(address);
+}
+
+/**
+ * A file of this machine, by ranges. It is open during reads only, so a scene may be left without `close`.
+ * @param {string} path absolute, relative to the working directory, or a `file:` address
+ * @returns {Promise<Source>}
+ */
+async function local(path) {
+  const system = files();
+  if (!system) throw new Error(`${path}: no files can be read here, expected an http address, a Blob or bytes`);
+  const place = /^file:/i.test(path) ? new URL(path) : path;
+  const stat = await system.stat(place);
+  if (!stat.isFile()) throw new Error(`${path}: is a folder or device, expected a .tcgs file`);
+  return {
+    name: path,
+    length: stat.size,
+    read: async (start, end) => {
+      const file = await system.open(place);
+      try {
+        const { buffer, bytesRead } = await file.read(new Uint8Array(end - start), 0, end - start, start);
+        return { offset: start, bytes: buffer.subarray(0, bytesRead) };
+      } finally {
+        await file.close();
+      }
+    },
+  };
 }
 
 /** Bytes that the first request asks for: many files as a whole. */
@@ -170,7 +214,7 @@ const FIRST_BYTES = 1 << 18;
  * A file behind an address: by ranges, or as a whole from a server that knows none.
  * @param {string} address
  * @param {AbortSignal} [signal]
- * @returns {Promise<{ length: number, read: Read }>}
+ * @returns {Promise<Source>}
  */
 async function remote(address, signal) {
   /** @param {number} start @param {number} end */
@@ -185,6 +229,8 @@ async function remote(address, signal) {
   const first = await ask(0, FIRST_BYTES);
   if (!Number.isFinite(first.length)) throw new Error(`${address}: the server does not say how long the file is`);
   return {
+    // A data: address is as long as its file.
+    name: /^data:/i.test(address) ? "" : address,
     length: first.length,
     read: async (start, end) => (start < first.bytes.length ? first : ask(start, end)),
   };

@@ -2,9 +2,13 @@
 
 import assert from "node:assert/strict";
 import { once } from "node:events";
-import { readFileSync, readdirSync } from "node:fs";
+import { mkdtempSync, readFileSync, readdirSync, rmSync, symlinkSync, truncateSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
+import { tmpdir } from "node:os";
+import { join, relative } from "node:path";
 import { test } from "node:test";
+import { fileURLToPath, pathToFileURL } from "node:url";
+import { Worker } from "node:worker_threads";
 
 import { open } from "../dist/decoder.js";
 
@@ -72,6 +76,84 @@ test("bytes, files and addresses give the same", async () => {
   assert.equal(whole.asked.length, 1);
   ranges.stop();
   whole.stop();
+});
+
+/** A new folder, which goes when the test ends. */
+function folder(t) {
+  const made = mkdtempSync(join(tmpdir(), "tcgs-"));
+  t.after(() => rmSync(made, { recursive: true }));
+  return made;
+}
+
+test("a path is that of a file, of which parts are read", async (t) => {
+  const [, bytes] = files("v2/").sort(([, a], [, b]) => b.length - a.length)[0];
+  const expected = await (await open(bytes)).at(1);
+  // As an address it would have an escape and a fragment.
+  const path = join(folder(t), "a %20scene#1.tcgs");
+  writeFileSync(path, bytes);
+  const before = process.cwd();
+  for (const source of [path, relative(before, path), pathToFileURL(path), pathToFileURL(path).href]) {
+    const scene = await open(source);
+    assert.deepEqual(await scene.at(1), expected, String(source));
+    scene.close();
+  }
+  process.chdir(join(path, ".."));
+  t.after(() => process.chdir(before));
+  assert.deepEqual(await (await open("a %20scene#1.tcgs")).at(1), expected);
+
+  // A part is read when it is asked for, and nothing stays open meanwhile.
+  const long = join(folder(t), "long.tcgs");
+  writeFileSync(long, readFileSync(new URL("../../docs/site/scenes/toss.tcgs", import.meta.url)));
+  const scene = await open(long);
+  truncateSync(long, 300_000);
+  await assert.rejects(scene.at(0), (error) => error.message.startsWith(`${long}: ends early`));
+});
+
+test("what no path leads to is named", async (t) => {
+  const made = folder(t);
+  const text = join(made, "text.tcgs");
+  writeFileSync(text, "# A text, which is no scene at all\n");
+  writeFileSync(join(made, "empty.tcgs"), "");
+  symlinkSync("nowhere", join(made, "broken.tcgs"));
+  const named = (name) => (error) => error instanceof Error && error.message.includes(name) && !error.message.includes("\n");
+  await assert.rejects(open(join(made, "missing.tcgs")), { code: "ENOENT", message: /missing\.tcgs/ });
+  await assert.rejects(open(pathToFileURL(join(made, "missing.tcgs"))), { code: "ENOENT", message: /missing\.tcgs/ });
+  await assert.rejects(open(join(made, "broken.tcgs")), { code: "ENOENT", message: /broken\.tcgs/ });
+  await assert.rejects(open(made), /^Error: .*: is a folder or device, expected a \.tcgs file$/);
+  await assert.rejects(open(text), named(`${text}: invalid`));
+  await assert.rejects(open(join(made, "empty.tcgs")), named("empty.tcgs: "));
+  await assert.rejects(open("ftp://example.org/scene.tcgs"), named("ftp://example.org/scene.tcgs"));
+});
+
+test("where there is a location, as in pages, a string is an address", async (t) => {
+  const { address, asked, stop } = await serve(files("v2/")[0][1], true);
+  t.after(stop);
+  // A worker without Node's files, whose fetch knows relative addresses.
+  const page = `
+    const { parentPort, workerData } = require("node:worker_threads");
+    const { pathToFileURL } = require("node:url");
+    const fetched = globalThis.fetch;
+    globalThis.fetch = (address, options) => fetched(new URL(address, workerData.address), options);
+    import(workerData.decoder).then(async ({ open }) => {
+      await open(workerData.address);
+      globalThis.location = new URL(workerData.address);
+      const scene = await open("scene.tcgs");
+      parentPort.postMessage(scene.info.numTimesteps);
+    });`;
+  const decoder = new URL("../dist/decoder.js", import.meta.url).href;
+  const [found] = await once(new Worker(page, { eval: true, workerData: { address, decoder } }), "message");
+  assert.ok(found > 0 && asked.length >= 2);
+});
+
+test("a bundler for browsers finds no module of Node", () => {
+  const dist = fileURLToPath(new URL("../dist/", import.meta.url));
+  const modules = readdirSync(dist, { recursive: true }).filter((name) => name.endsWith(".js"));
+  assert.ok(modules.includes("decoder.js") && modules.length > 10);
+  for (const name of modules) {
+    const code = readFileSync(join(dist, name), "utf8").replace(/\/\*[^]*?\*\/|\/\/.*$/gm, "");
+    const imported = code.matchAll(/\b(?:from|import|require)\s*\(?\s*["'`]([^"'`]+)/g);
+    for (const [, module] of imported) assert.match(module, /^\.\//, `${name} imports ${module}`);
+  }
 });
 
 test("what is attached to a scene comes by name, from an address too", async (t) => {

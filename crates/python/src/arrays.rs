@@ -1,41 +1,133 @@
-//! Arrays of numpy from floats and back. Arrays that a caller gives are converted to `float32` and checked against the
-//! shape that their name stands for.
+//! Arrays of numpy from floats and back. Arrays that a caller gives are checked: real and finite numbers of the shape that
+//! their name stands for.
 
-use numpy::{AllowTypeChange, Element, IxDyn, PyArray, PyArrayDyn, PyArrayLike, PyArrayMethods, PyUntypedArrayMethods};
-use pyo3::exceptions::PyValueError;
+use numpy::{Element, PyArray, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
+use pyo3::exceptions::{PyMemoryError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use tcgs_core::Image;
+use tcgs_core::{Image, Real};
 
-/// Anything that numpy makes an array of `T` of: an array, a list of lists, a tensor of torch on the CPU.
-pub type ArrayLike<'py, T = f32> = PyArrayLike<'py, T, IxDyn, AllowTypeChange>;
+use crate::memory::no_memory;
 
-/// The values of an array in the order of rows, and its shape.
-pub fn values<T: Element + Copy>(array: &ArrayLike<T>) -> (Vec<T>, Vec<usize>) {
-    let values = array.as_array().iter().copied().collect();
-    (values, array.shape().to_vec())
+/// Anything that numpy makes an array of: an array, a list of lists, a tensor of torch on the CPU.
+pub type ArrayLike<'py> = Bound<'py, PyAny>;
+
+/// An argument that is an array of finite numbers.
+#[derive(Clone, Debug)]
+pub struct Numbers<T = f32> {
+    /// Of the argument.
+    pub name: &'static str,
+    /// In the order of rows.
+    pub values: Vec<T>,
+    pub shape: Vec<usize>,
 }
 
-/// The values of an array of `shape`, in the order of rows.
-///
-/// - `name`: of the argument
-///
-/// # Errors
-/// `ValueError` if the shape is another one.
-pub fn values_of<T: Element + Copy>(name: &str, array: &ArrayLike<T>, shape: &[usize]) -> PyResult<Vec<T>> {
-    let (values, found) = values(array);
-    if found == shape {
-        return Ok(values);
+impl<T: Real> Numbers<T> {
+    /// Reads an argument.
+    ///
+    /// # Errors
+    /// That name the argument: `TypeError` if it is no array of real numbers, `ValueError` if one of them is not finite as
+    /// `T`, `MemoryError` if there is no room for a copy.
+    pub fn read(name: &'static str, given: &ArrayLike<'_>) -> PyResult<Self> {
+        let array = as_array(name, given)?;
+        let shape = array.shape().to_vec();
+        let values = match array.cast::<PyArrayDyn<f32>>() {
+            Ok(singles) => copied(name, singles.readonly().as_array().iter().map(|&value| T::of(value.into()))),
+            Err(_) => {
+                let doubles = array.call_method1("astype", ("f8",)).map_err(|error| named(name, given, error))?;
+                let doubles = doubles.cast::<PyArrayDyn<f64>>()?.readonly();
+                copied(name, doubles.as_array().iter().map(|&value| T::of(value)))
+            }
+        }?;
+        let numbers = Self { name, values, shape };
+        numbers.check("finite numbers", |value| value.is_finite())?;
+        Ok(numbers)
     }
-    Err(PyValueError::new_err(format!("{name}: has shape {found:?}, expected {shape:?}")))
+
+    /// Checks every number.
+    ///
+    /// - `expected`: of the numbers, in words
+    ///
+    /// # Errors
+    /// `ValueError` with the first that is not so, and its place.
+    pub fn check(&self, expected: &str, is_so: impl Fn(T) -> bool) -> PyResult<()> {
+        let Some(index) = self.values.iter().position(|&value| !is_so(value)) else { return Ok(()) };
+        let mut place = vec![0; self.shape.len()];
+        let mut rest = index;
+        for (coordinate, size) in place.iter_mut().zip(&self.shape).rev() {
+            (*coordinate, rest) = (rest % size, rest / size);
+        }
+        let (name, found) = (self.name, self.values[index]);
+        Err(PyValueError::new_err(format!("{name}: holds {found:?} at {place:?}, expected {expected}")))
+    }
+
+    /// The values of an array of `shape`.
+    ///
+    /// # Errors
+    /// `ValueError` if the shape is another one.
+    pub fn of_shape(self, shape: &[usize]) -> PyResult<Vec<T>> {
+        if self.shape == shape {
+            return Ok(self.values);
+        }
+        Err(self.wrong_shape(&format!("{shape:?}")))
+    }
+
+    /// The rows of an array of `shape`, whose last size is `C`.
+    ///
+    /// # Errors
+    /// `ValueError` if the shape is another one.
+    pub fn rows<const C: usize>(self, shape: &[usize]) -> PyResult<Vec<[T; C]>> {
+        Ok(self.of_shape(shape)?.as_chunks().0.to_vec())
+    }
+
+    /// - `expected`: shape, in words
+    pub fn wrong_shape(&self, expected: &str) -> PyErr {
+        let Self { name, shape, .. } = self;
+        PyValueError::new_err(format!("{name}: has shape {shape:?}, expected {expected}"))
+    }
 }
 
-/// A matrix of a camera.
+/// A point or direction, or a colour.
 ///
 /// # Errors
-/// `ValueError` if the shape is another one.
-pub fn matrix<const R: usize, const C: usize>(name: &str, array: &ArrayLike<f64>) -> PyResult<[[f64; C]; R]> {
-    let values = values_of(name, array, &[R, C])?;
-    Ok(std::array::from_fn(|row| std::array::from_fn(|column| values[row * C + column])))
+/// As of [`Numbers`].
+pub fn triple<T: Real>(name: &'static str, given: &ArrayLike<'_>) -> PyResult<[T; 3]> {
+    let values = Numbers::read(name, given)?.of_shape(&[3])?;
+    Ok(std::array::from_fn(|i| values[i]))
+}
+
+/// An array of real numbers of any kind.
+fn as_array<'py>(name: &str, given: &ArrayLike<'py>) -> PyResult<Bound<'py, PyUntypedArray>> {
+    let array = given.py().import("numpy")?.call_method1("asarray", (given,));
+    let array = array.map_err(|error| named(name, given, error))?.cast_into::<PyUntypedArray>()?;
+    let kind = array.dtype();
+    if b"biuf".contains(&kind.kind()) {
+        return Ok(array);
+    }
+    Err(PyTypeError::new_err(format!("{name}: is an array of {kind}, expected one of real numbers")))
+}
+
+/// What numpy, or the argument itself, raised.
+fn named(name: &str, given: &ArrayLike<'_>, error: PyErr) -> PyErr {
+    let py = given.py();
+    let message = format!("{name}: {}", error.value(py));
+    let named = if error.is_instance_of::<PyMemoryError>(py) {
+        PyMemoryError::new_err(message)
+    } else if error.is_instance_of::<PyValueError>(py) {
+        PyValueError::new_err(message)
+    } else {
+        PyTypeError::new_err(message)
+    };
+    named.set_cause(py, Some(error));
+    named
+}
+
+/// A copy, if there is room for one: an array of numpy may be a view that repeats a few numbers without end.
+fn copied<T>(name: &str, values: impl ExactSizeIterator<Item = T>) -> PyResult<Vec<T>> {
+    let mut copy = Vec::new();
+    let bytes = values.len().saturating_mul(size_of::<T>());
+    copy.try_reserve_exact(values.len()).map_err(|_| no_memory(name, bytes))?;
+    copy.extend(values);
+    Ok(copy)
 }
 
 /// A new array.
@@ -57,14 +149,20 @@ pub fn frozen(py: Python<'_>, values: Vec<f32>, shape: &[usize]) -> Py<PyArrayDy
 
 /// Planes `[C, H, W]` to pixels `[H, W, C]`.
 pub fn pixels(image: &Image) -> Vec<f32> {
-    let (count, channels) = (image.num_pixels(), image.num_channels);
-    let mut pixels = vec![0.0; count * channels];
+    let mut pixels = Vec::new();
+    add_pixels(image, &mut pixels);
+    pixels
+}
+
+/// Appends the pixels `[H, W, C]` of planes `[C, H, W]`.
+pub fn add_pixels(image: &Image, pixels: &mut Vec<f32>) {
+    let (before, channels) = (pixels.len(), image.num_channels);
+    pixels.resize(before + image.num_pixels() * channels, 0.0);
     for channel in 0..channels {
-        for (pixel, &value) in pixels.chunks_exact_mut(channels).zip(image.plane(channel)) {
+        for (pixel, &value) in pixels[before..].chunks_exact_mut(channels).zip(image.plane(channel)) {
             pixel[channel] = value;
         }
     }
-    pixels
 }
 
 /// Pixels `[H, W, C]` to planes `[C, H, W]`.

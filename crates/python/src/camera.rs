@@ -5,7 +5,9 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tcgs_core::Camera;
 
-use crate::arrays::{ArrayLike, array, matrix};
+use crate::arrays::{ArrayLike, Numbers, array, triple};
+use crate::memory::image_size;
+use crate::numbers::{Number, Whole};
 
 /// A pinhole camera without distortion.
 ///
@@ -19,15 +21,41 @@ use crate::arrays::{ArrayLike, array, matrix};
 #[derive(Clone, PartialEq)]
 pub struct PyCamera(pub Camera);
 
-/// A camera from its matrices, checked.
+/// Cameras of one size from their matrices, checked, and the shape that they have: none of one camera, `[C]` of several.
+///
+/// - `viewmat`, `k`: the names of the arguments, and `[4, 4]` and `[3, 3]`, or `[C, 4, 4]` and `[C, 3, 3]`
 ///
 /// # Errors
-/// `ValueError` that names the number that is wrong.
-pub fn camera(viewmat: &ArrayLike<f64>, k: &ArrayLike<f64>, width: usize, height: usize) -> PyResult<Camera> {
-    let (viewmat, k) = (matrix::<4, 4>("viewmat", viewmat)?, matrix::<3, 3>("K", k)?);
-    Camera::new(width, height, k, viewmat)
-        // Captures call the matrix w2c.
-        .map_err(|error| PyValueError::new_err(error.to_string().replace("w2c", "viewmat")))
+/// `ValueError` or `TypeError` that names the argument.
+pub fn cameras(
+    viewmat: (&'static str, ArrayLike<'_>),
+    k: (&'static str, ArrayLike<'_>),
+    [width, height]: [usize; 2],
+) -> PyResult<(Vec<Camera>, Vec<usize>)> {
+    let [viewmats, ks] = [viewmat, k].map(|(name, array)| Numbers::<f64>::read(name, &array));
+    let (viewmats, ks) = (viewmats?, ks?);
+    let axis = match viewmats.shape[..] {
+        [4, 4] => Vec::new(),
+        [count @ 1..=usize::MAX, 4, 4] => vec![count],
+        _ => return Err(viewmats.wrong_shape("[4, 4], or [C, 4, 4] with C of 1 or more")),
+    };
+    let (name, k_name) = (viewmats.name, ks.name);
+    let viewmats = viewmats.values.as_chunks::<16>().0.iter();
+    let ks = ks.of_shape(&[&axis[..], &[3, 3]].concat())?;
+    let cameras = viewmats.zip(ks.as_chunks::<9>().0).enumerate().map(|(index, (viewmat, k))| {
+        Camera::new(width, height, matrix(k), matrix(viewmat)).map_err(|error| {
+            // Captures call the matrices w2c and k.
+            let message = error.to_string().replace("w2c", name).replace("k is not", &format!("{k_name} is not"));
+            let camera = if axis.is_empty() { String::new() } else { format!("camera {index}: ") };
+            PyValueError::new_err(camera + &message)
+        })
+    });
+    Ok((cameras.collect::<PyResult<_>>()?, axis.clone()))
+}
+
+/// A matrix from its rows.
+fn matrix<const R: usize, const C: usize>(values: &[f64]) -> [[f64; C]; R] {
+    std::array::from_fn(|row| std::array::from_fn(|column| values[row * C + column]))
 }
 
 #[pymethods]
@@ -35,40 +63,47 @@ impl PyCamera {
     #[new]
     #[pyo3(signature = (viewmat, K, width, height))]
     #[allow(non_snake_case, reason = "the usual name of intrinsics")]
-    fn new(viewmat: ArrayLike<f64>, K: ArrayLike<f64>, width: usize, height: usize) -> PyResult<Self> {
-        camera(&viewmat, &K, width, height).map(Self)
+    fn new(viewmat: ArrayLike<'_>, K: ArrayLike<'_>, width: Whole, height: Whole) -> PyResult<Self> {
+        let size = image_size(width, height)?;
+        let (mut cameras, axis) = cameras(("viewmat", viewmat), ("K", K), size)?;
+        match (cameras.pop(), axis.is_empty()) {
+            (Some(camera), true) => Ok(Self(camera)),
+            _ => Err(PyValueError::new_err(format!("viewmat: has shape [{}, 4, 4], expected [4, 4]", axis[0]))),
+        }
     }
 
     /// A camera at `center` that looks at `target`.
     ///
     /// - center, target: [3], world, scene units
-    /// - up: [3], the direction in the world that points up in the image; y points down in most captures
+    /// - up: [3], the direction in the world that points up in the image; -y if None, as y points down in most captures
     /// - focal: focal length in pixels; the principal point is the middle of the image
     #[staticmethod]
-    #[pyo3(signature = (center, target, *, up = [0.0, -1.0, 0.0], focal, width, height))]
+    #[pyo3(signature = (center, target, *, up = None, focal, width, height))]
     fn look_at(
-        center: [f64; 3],
-        target: [f64; 3],
-        up: [f64; 3],
-        focal: f64,
-        width: usize,
-        height: usize,
+        center: ArrayLike<'_>,
+        target: ArrayLike<'_>,
+        up: Option<ArrayLike<'_>>,
+        focal: Number,
+        width: Whole,
+        height: Whole,
     ) -> PyResult<Self> {
+        let (center, target) = (triple("center", &center)?, triple("target", &target)?);
+        let up = up.map_or(Ok([0.0, -1.0, 0.0]), |up| triple("up", &up))?;
+        let focal = focal.such("focal", "a number above 0", |focal| focal > 0.0)?;
+        let [width, height] = image_size(width, height)?;
         let camera = Camera::look_at(center, target, up, focal, width, height);
         let [[fx, fy], [cx, cy]] = [camera.focal, camera.principal];
         let k = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]];
-        // Finite, and `up` not along the line of sight.
         let checked = Camera::new(width, height, k, camera.camera_from_world);
-        checked.map(Self).map_err(|error| PyValueError::new_err(format!("look_at: {error}").replace("w2c", "viewmat")))
+        checked.map(Self).map_err(|_| {
+            let found = format!("center {center:?}, target {target:?} and up {up:?}");
+            PyValueError::new_err(format!("{found}: give no rotation, expected a target away from center, and not along up"))
+        })
     }
 
     /// The same camera with an image of another size; the field of view stays along both axes.
-    fn resized(&self, width: usize, height: usize) -> PyResult<Self> {
-        if width == 0 || height == 0 {
-            return Err(PyValueError::new_err(format!(
-                "resized: the image is {width}x{height}, expected at least 1x1"
-            )));
-        }
+    fn resized(&self, width: Whole, height: Whole) -> PyResult<Self> {
+        let [width, height] = image_size(width, height)?;
         Ok(Self(self.0.resized(width, height)))
     }
 

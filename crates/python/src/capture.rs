@@ -12,6 +12,8 @@ use crate::arrays::{array, pixels};
 use crate::camera::PyCamera;
 use crate::detached::detached;
 use crate::errors::exception;
+use crate::memory::{MAX_SIDE, image_size};
+use crate::numbers::Whole;
 use crate::save::write_folder;
 
 /// Images of synchronized cameras: a folder of one of the kinds that `tcgs train` takes. Images are decoded when they are
@@ -53,15 +55,26 @@ impl CaptureLike<'_> {
 
 /// The cameras of a name.
 ///
+/// - `name`: of the argument
+///
 /// # Errors
 /// `ValueError` for another name.
-pub fn split(cameras: &str) -> PyResult<Split> {
+pub fn split(name: &str, cameras: &str) -> PyResult<Split> {
     match cameras {
         "test" => Ok(Split::Test),
         "train" => Ok(Split::Train),
         "all" => Ok(Split::All),
-        other => Err(PyValueError::new_err(format!("cameras: is {other}, expected test, train or all"))),
+        other => Err(PyValueError::new_err(format!("{name}: is {other}, expected test, train or all"))),
     }
+}
+
+fn check_frame(frame: Whole) -> PyResult<usize> {
+    frame.within("frame", 0..=usize::MAX)
+}
+
+/// Factor by which images are shrunk, which may still be too large for them.
+pub fn check_downscale(downscale: Whole) -> PyResult<usize> {
+    downscale.within("downscale", 1..=MAX_SIDE)
 }
 
 #[pymethods]
@@ -100,24 +113,27 @@ impl PyCapture {
     /// - which: "train", "test" (held out from training) or "all"
     /// - frame: from 0
     /// - downscale: factor by which images are shrunk
-    #[pyo3(signature = (which = "test", *, frame = 0, downscale = 1))]
-    fn cameras(&self, which: &str, frame: usize, downscale: usize) -> PyResult<BTreeMap<usize, PyCamera>> {
-        let cameras = self.capture.cameras(split(which)?, frame, downscale).map_err(exception)?;
+    #[pyo3(signature = (which = "test", *, frame = Whole::of(0), downscale = Whole::of(1)),
+        text_signature = "($self, which='test', *, frame=0, downscale=1)")]
+    fn cameras(&self, which: &str, frame: Whole, downscale: Whole) -> PyResult<BTreeMap<usize, PyCamera>> {
+        let (split, frame, downscale) = (split("which", which)?, check_frame(frame)?, check_downscale(downscale)?);
+        let cameras = self.capture.cameras(split, frame, downscale).map_err(exception)?;
         Ok(cameras.into_iter().map(|(id, camera)| (id, PyCamera(camera))).collect())
     }
 
     /// The images of one frame by the numbers of their cameras, [height, width, 3] float32 in [0, 1].
     ///
     /// Arguments as of `cameras`.
-    #[pyo3(signature = (which = "test", *, frame = 0, downscale = 1))]
+    #[pyo3(signature = (which = "test", *, frame = Whole::of(0), downscale = Whole::of(1)),
+        text_signature = "($self, which='test', *, frame=0, downscale=1)")]
     fn images<'py>(
         &self,
         py: Python<'py>,
         which: &str,
-        frame: usize,
-        downscale: usize,
+        frame: Whole,
+        downscale: Whole,
     ) -> PyResult<BTreeMap<usize, Bound<'py, PyArrayDyn<f32>>>> {
-        let split = split(which)?;
+        let (split, frame, downscale) = (split("which", which)?, check_frame(frame)?, check_downscale(downscale)?);
         let views = detached(py, || self.capture.views(split, frame, downscale)).map_err(exception)?;
         let image = |image: &tcgs_core::Image| array(py, pixels(image), &[image.height, image.width, 3]);
         Ok(views.iter().map(|view| (view.camera_id, image(&view.image))).collect())
@@ -132,25 +148,30 @@ impl PyCapture {
 /// Ray-traces the capture of `tcgs demo` into a new folder: moving objects in a room, seen by 12 training and 2 test cameras.
 ///
 /// - width, height: of the images, pixels
-/// - frames: of every camera
-/// - points: to start training from
+/// - frames: of every camera, up to 65,536
+/// - points: up to 16,777,216, to start training from
 /// - seed: of their positions
 #[pyfunction]
-#[pyo3(signature = (path, *, width = 128, height = 96, frames = 24, points = 8000, seed = 0))]
+#[pyo3(signature = (path, *, width = Whole::of(128), height = Whole::of(96), frames = Whole::of(24), points = Whole::of(8000),
+    seed = Whole::of(0)), text_signature = "(path, *, width=128, height=96, frames=24, points=8000, seed=0)")]
 pub fn make_demo_capture(
     py: Python<'_>,
     path: PathBuf,
-    width: usize,
-    height: usize,
-    frames: usize,
-    points: usize,
-    seed: u64,
+    width: Whole,
+    height: Whole,
+    frames: Whole,
+    points: Whole,
+    seed: Whole,
 ) -> PyResult<()> {
-    if [width, height, frames, points].contains(&0) {
-        return Err(PyValueError::new_err("width, height, frames and points: one is 0, expected 1 or more of each"));
-    }
-    let settings =
-        SyntheticSettings { width, height, num_timesteps: frames, num_points: points, seed, ..Default::default() };
+    let [width, height] = image_size(width, height)?;
+    let settings = SyntheticSettings {
+        width,
+        height,
+        num_timesteps: frames.within("frames", 1..=1 << 16)?,
+        num_points: points.within("points", 1..=1 << 24)?,
+        seed: seed.within("seed", 0..=u64::MAX)?,
+        ..Default::default()
+    };
     let write = || write_folder(&path, |new| Ok(write_synthetic(new, &settings)?));
     detached(py, write).map_err(exception)
 }

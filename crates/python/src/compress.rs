@@ -16,23 +16,24 @@ use tcgs_pipeline::{
 use tcgs_train::RefineConfig;
 
 use crate::capture::CaptureLike;
+use crate::numbers::{Number, Whole};
 use crate::save::{check_out, write, wrong};
-use crate::scene::{PyScene, SceneLike};
+use crate::scene::{PyScene, SceneLike, check_segment_length};
 use crate::watch::Watch;
 
 /// Iterations as a whole number, or a time as a `datetime.timedelta`.
 #[derive(FromPyObject)]
 pub enum Budget {
-    Iterations(usize),
+    Iterations(Whole),
     Time(Duration),
 }
 
-impl From<Budget> for RefineBudget {
-    fn from(budget: Budget) -> Self {
-        match budget {
-            Budget::Iterations(count) => Self::Iterations(count),
-            Budget::Time(time) => Self::Time(time),
-        }
+impl Budget {
+    fn check(self) -> PyResult<RefineBudget> {
+        Ok(match self {
+            Self::Iterations(count) => RefineBudget::Iterations(count.within("refine", 1..=u32::MAX as usize)?),
+            Self::Time(time) => RefineBudget::Time(time),
+        })
     }
 }
 
@@ -70,16 +71,16 @@ pub fn compress(
     py: Python<'_>,
     source: SceneLike,
     out: PathBuf,
-    quality: Option<f32>,
-    target_bytes: Option<u64>,
-    target_psnr: Option<f64>,
-    max_error: Option<BTreeMap<String, f64>>,
+    quality: Option<Number>,
+    target_bytes: Option<Whole>,
+    target_psnr: Option<Number>,
+    max_error: Option<BTreeMap<String, Number>>,
     refine: Option<Budget>,
     tune: bool,
-    min_share: Option<f32>,
-    capture: Option<CaptureLike>,
+    min_share: Option<Number>,
+    capture: Option<CaptureLike<'_>>,
     preset: &str,
-    segment_length: Option<u32>,
+    segment_length: Option<Whole>,
     overwrite: bool,
     backend: &str,
     device: Option<&str>,
@@ -92,16 +93,25 @@ pub fn compress(
         "paper" => CompressPreset::Paper,
         other => return Err(PyValueError::new_err(format!("preset: is {other}, expected default or paper"))),
     };
+    let quality = quality.map(check_quality).transpose()?;
+    let target_bytes = target_bytes.map(|bytes| bytes.within("target_bytes", 1..=u64::MAX)).transpose()?;
+    let target_psnr = target_psnr.map(|psnr| psnr.such("target_psnr", "a number of dB", |_| true)).transpose()?;
+    let refine = refine.map(Budget::check).transpose()?;
+    let min_share = match min_share {
+        Some(share) => share.such("min_share", "a number from 0 to less than 1", |share| (0.0..1.0).contains(&share))? as f32,
+        None if refine.is_some() => RefineOptions::MIN_SHARE,
+        None => 0.0,
+    };
     let wanted = Wanted {
         quality,
         target: target_bytes.map(Target::Bytes).or(target_psnr.map(Target::Psnr)),
-        max_error: max_error.map(|bounds| bounds.into_iter().collect()),
-        min_share: min_share.unwrap_or(if refine.is_some() { RefineOptions::MIN_SHARE } else { 0.0 }),
-        refine: refine.map(RefineBudget::from),
+        max_error: max_error.map(|bounds| bounds.into_iter().map(check_bound).collect()).transpose()?,
+        min_share,
+        refine,
         tune,
         capture: capture.as_ref().map(|capture| capture.path().to_path_buf()),
         preset,
-        segment_length,
+        segment_length: segment_length.map(check_segment_length).transpose()?,
     };
     wanted.check(target_bytes.is_some() && target_psnr.is_some())?;
     // What needs no images needs no GPU.
@@ -115,6 +125,17 @@ pub fn compress(
         OpenScene::open(&out, OpenSettings::default())
     })?;
     Ok(PyScene(opened.into()))
+}
+
+fn check_quality(quality: Number) -> PyResult<f32> {
+    let expected = format!("a number from {} to {}", QUALITY_RANGE.start(), QUALITY_RANGE.end());
+    Ok(quality.such("quality", &expected, |quality| QUALITY_RANGE.contains(&(quality as f32)))? as f32)
+}
+
+/// The bound of an attribute.
+fn check_bound((attribute, bound): (String, Number)) -> PyResult<(String, f64)> {
+    let bound = bound.such(&format!("max_error[{attribute:?}]"), "a number above 0", |bound| bound > 0.0)?;
+    Ok((attribute, bound))
 }
 
 /// How a scene is to be compressed.
@@ -137,10 +158,6 @@ impl Wanted {
         let has_target = self.target.is_some();
         if two_targets {
             return refuse("target_bytes and target_psnr: both given, expected one of the two");
-        }
-        if self.quality.is_some_and(|quality| !QUALITY_RANGE.contains(&quality)) {
-            let (least, most) = (QUALITY_RANGE.start(), QUALITY_RANGE.end());
-            return refuse(&format!("quality: expected a number from {least} to {most}"));
         }
         if self.quality.is_some() && (has_target || self.tune || self.max_error.is_some()) {
             return refuse(

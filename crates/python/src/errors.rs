@@ -4,8 +4,8 @@ use std::io::{self, ErrorKind};
 
 use pyo3::PyErr;
 use pyo3::exceptions::{
-    PyFileExistsError, PyFileNotFoundError, PyKeyboardInterrupt, PyOSError, PyPermissionError, PyRuntimeError,
-    PyValueError,
+    PyFileExistsError, PyFileNotFoundError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyPermissionError,
+    PyRuntimeError, PyValueError,
 };
 use tcgs_capture::CaptureError;
 use tcgs_codec::DecodeError;
@@ -13,10 +13,11 @@ use tcgs_core::printable;
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_pipeline::{Fault, HasFault, PipelineError};
+use tcgs_render::device::GpuError;
 use tcgs_train::TrainError;
 
-/// What the system said about a file becomes an `OSError`, other wrong input a `ValueError`, and what the machine did wrong a
-/// `RuntimeError`.
+/// What the system said about a file becomes an `OSError`, other wrong input a `ValueError`, a GPU without enough memory a
+/// `MemoryError`, and what else the machine did wrong a `RuntimeError`.
 pub fn exception(error: impl Into<PipelineError>) -> PyErr {
     let error = error.into();
     let lifted = if matches!(error, PipelineError::Interchange(InterchangeError::Limit { .. })) {
@@ -25,6 +26,10 @@ pub fn exception(error: impl Into<PipelineError>) -> PyErr {
         ""
     };
     let message = format!("{}{lifted}", printable(&error.to_string()));
+    if let PipelineError::Gpu(GpuError::Memory { .. }) | PipelineError::Train(TrainError::Gpu(GpuError::Memory { .. })) = error
+    {
+        return PyMemoryError::new_err(message);
+    }
     match (cause(&error), error.fault()) {
         (Some(cause), _) if !matches!(cause.kind(), ErrorKind::InvalidData | ErrorKind::UnexpectedEof) => {
             of_system(cause.kind(), message)

@@ -6,14 +6,16 @@ use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tcgs_metrics::{Lpips, Protocol};
-use tcgs_pipeline::{EvaluateSettings, PipelineError};
+use tcgs_pipeline::{Backend, EvaluateSettings, PipelineError};
 use tcgs_render::RenderSettings;
 
-use crate::arrays::{array, pixels};
+use crate::arrays::{ArrayLike, array, pixels, triple};
 use crate::camera::PyCamera;
-use crate::capture::{CaptureLike, split};
+use crate::capture::{CaptureLike, check_downscale, split};
 use crate::detached::detached;
 use crate::errors::exception;
+use crate::memory::{reserve_images, reserve_pairs};
+use crate::numbers::{Whole, check_pair};
 use crate::scene::{PyScene, SceneLike};
 use crate::watch::Watch;
 
@@ -22,33 +24,42 @@ use crate::watch::Watch;
 /// - scene: a Scene
 /// - camera: a Camera
 /// - timestep: from 0; negative ones count from the end
-/// - background: red, green and blue behind everything, sRGB
+/// - background: red, green and blue behind everything, sRGB; black if None
 /// - backend: "auto" (the GPU if there is one), "gpu" or "cpu"
 /// - device: a part of the name of the GPU to compute on
 ///
 /// Returns [height, width, 3] float32, sRGB, not clamped.
+///
+/// Raises MemoryError if the image does not fit into memory.
 #[pyfunction]
-#[pyo3(signature = (scene, camera, timestep = 0, *, background = [0.0, 0.0, 0.0], backend = "auto", device = None))]
+#[pyo3(signature = (scene, camera, timestep = Whole::of(0), *, background = None, backend = "auto", device = None),
+    text_signature = "(scene, camera, timestep=0, *, background=None, backend='auto', device=None)")]
 #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
 pub fn render<'py>(
     py: Python<'py>,
     scene: PyRef<'py, PyScene>,
     camera: PyCamera,
-    timestep: isize,
-    background: [f32; 3],
+    timestep: Whole,
+    background: Option<ArrayLike<'py>>,
     backend: &str,
     device: Option<&str>,
 ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-    let timestep = scene.timestep(timestep)?;
+    let timestep = scene.timestep(timestep.index())?;
+    let mut settings = RenderSettings::default();
+    if let Some(background) = background {
+        settings.background[..3].copy_from_slice(&triple::<f32>("background", &background)?);
+    }
+    reserve_images(1, [camera.0.width, camera.0.height], 3)?;
     let backend = crate::backend::backend(py, backend, device)?;
     let (scene, PyCamera(camera)) = (&*scene.0, &camera);
-    let mut settings = RenderSettings::default();
-    settings.background[..3].copy_from_slice(&background);
-    let draw = || -> Result<_, PipelineError> {
-        let seen = scene.drawn(timestep)?.seen_by(camera);
-        Ok(pixels(&backend.renderer().draw(&seen, camera, &settings)?.0.image))
+    let draw = || -> PyResult<_> {
+        let seen = scene.drawn(timestep).map_err(exception)?.seen_by(camera);
+        if matches!(*backend, Backend::Cpu) {
+            reserve_pairs(&seen, camera)?;
+        }
+        Ok(pixels(&backend.renderer().draw(&seen, camera, &settings).map_err(exception)?.0.image))
     };
-    Ok(array(py, detached(py, draw).map_err(exception)?, &[camera.height, camera.width, 3]))
+    Ok(array(py, detached(py, draw)?, &[camera.height, camera.width, 3]))
 }
 
 /// Renders every camera of a capture at every frame of a scene, and compares with the capture's images.
@@ -74,8 +85,8 @@ pub fn evaluate<'py>(
     scene: SceneLike<'py>,
     capture: CaptureLike<'py>,
     cameras: &str,
-    frames: Option<(usize, usize)>,
-    downscale: Option<usize>,
+    frames: Option<(Whole, Whole)>,
+    downscale: Option<Whole>,
     frozen: bool,
     protocol: Option<&str>,
     lpips_weights: Option<PathBuf>,
@@ -84,7 +95,9 @@ pub fn evaluate<'py>(
     progress: bool,
     callback: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let split = split(cameras)?;
+    let split = split("cameras", cameras)?;
+    let frames = frames.map(|frames| check_pair("frames", frames)).transpose()?;
+    let downscale = downscale.map(check_downscale).transpose()?;
     let protocol = protocol.map(protocol_named).transpose()?;
     let backend = crate::backend::backend(py, backend, device)?;
     let folder = capture.path().to_path_buf();

@@ -4,7 +4,12 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tcgs_core::{DynamicGaussians, Layout};
 
-use crate::arrays::{ArrayLike, values};
+use crate::arrays::{ArrayLike, Numbers};
+
+/// As many as a file can hold. An array without Gaussians may have more timesteps than memory has bytes.
+const MAX_TIMESTEPS: usize = 1 << 16;
+/// As many as indices of 32 bits count.
+const MAX_GAUSSIANS: usize = u32::MAX as usize;
 
 /// All timesteps of a scene. Shapes as of `Scene.from_arrays`.
 ///
@@ -13,46 +18,52 @@ use crate::arrays::{ArrayLike, values};
 /// # Errors
 /// `ValueError` that names the array whose shape is wrong.
 pub fn floats(
-    means: &ArrayLike,
-    quats: &ArrayLike,
-    colors: &ArrayLike,
-    scales: [Option<ArrayLike>; 2],
-    opacities: [Option<ArrayLike>; 2],
-    harmonics: Option<ArrayLike>,
+    means: &ArrayLike<'_>,
+    quats: &ArrayLike<'_>,
+    colors: &ArrayLike<'_>,
+    scales: [Option<ArrayLike<'_>>; 2],
+    opacities: [Option<ArrayLike<'_>>; 2],
+    harmonics: Option<ArrayLike<'_>>,
 ) -> PyResult<DynamicGaussians> {
-    let (means, shape) = values(means);
-    let &[num_timesteps @ 1..=usize::MAX, num_gaussians, 3] = &shape[..] else {
-        let message = format!("means: has shape {shape:?}, expected [T, N, 3] with T of 1 or more");
-        return Err(PyValueError::new_err(message));
+    let means = Numbers::read("means", means)?;
+    let &[num_timesteps @ 1..=MAX_TIMESTEPS, num_gaussians @ 0..=MAX_GAUSSIANS, 3] = &means.shape[..] else {
+        let expected = format!("[T, N, 3] with T of 1 to {MAX_TIMESTEPS} and N up to {MAX_GAUSSIANS}");
+        return Err(means.wrong_shape(&expected));
     };
     let size = [num_timesteps, num_gaussians];
-    let quats = samples("quats", quats, size, &[4], true)?;
-    let colors = samples("colors", colors, size, &[3], true)?;
-    let log_scales = either(
-        ["log_scales", "scales"],
-        scales,
-        |name, array| samples(name, array, size, &[3], false),
-        f32::ln,
-        "numbers above 0",
-    )?;
-    let logit_opacities = either(
-        ["logit_opacities", "opacities"],
-        opacities,
-        |name, array| samples(name, array, size, &[], false),
-        |opacity| (opacity / (1.0 - opacity)).ln(),
-        "numbers between 0 and 1, without these",
-    )?;
-    let means = means.chunks_exact((3 * num_gaussians).max(1)).map(<[f32]>::to_vec).collect();
-    let means = if num_gaussians == 0 { vec![Vec::new(); num_timesteps] } else { means };
+    let quats = Numbers::read("quats", quats)?;
+    check_lengths(&quats)?;
+    let quats = samples(quats, size, &[4], true)?;
+    let colors = samples(Numbers::read("colors", colors)?, size, &[3], true)?;
+    let log_scales = either(["log_scales", "scales"], scales, size, &[3], f32::ln, "numbers above 0")?;
+    let logit = |opacity: f32| (opacity / (1.0 - opacity)).ln();
+    let expected = "numbers between 0 and 1, without these";
+    let logit_opacities = either(["logit_opacities", "opacities"], opacities, size, &[], logit, expected)?;
+    let means = samples(means, size, &[3], true)?;
     let mut all = vec![means, quats, log_scales, logit_opacities, colors];
     let mut layout = Layout::base();
     if let Some(harmonics) = harmonics {
-        let count = harmonics_count(&harmonics)?;
-        let degree = [3, 8, 15].iter().position(|&k| k == count).map_or(0, |place| place + 1);
+        let harmonics = Numbers::read("harmonics", &harmonics)?;
+        let (count, degree) = match harmonics.shape[..] {
+            [.., 3, 3] => (3, 1),
+            [.., 8, 3] => (8, 2),
+            [.., 15, 3] => (15, 3),
+            _ => return Err(harmonics.wrong_shape("[N, K, 3] or [T, N, K, 3] with K of 3, 8 or 15")),
+        };
         layout = Layout::with_harmonics(degree);
-        all.extend(bands(samples("harmonics", &harmonics, size, &[count, 3], false)?, degree));
+        all.extend(bands(samples(harmonics, size, &[count, 3], false)?, degree));
     }
     Ok(DynamicGaussians::from_samples(layout, num_timesteps, all))
+}
+
+/// Refuses quaternions that are no rotation in float32.
+fn check_lengths(quats: &Numbers) -> PyResult<()> {
+    let has_length = |quat: &[f32]| (1e-36..1e36).contains(&quat.iter().map(|x| x * x).sum::<f32>());
+    let rows = if quats.shape.last() == Some(&4) { &quats.values[..] } else { &[] };
+    match rows.chunks_exact(4).find(|quat| !has_length(quat)) {
+        Some(quat) => Err(PyValueError::new_err(format!("quats: holds {quat:?}, expected a length from 1e-18 to 1e18"))),
+        None => Ok(()),
+    }
 }
 
 /// Samples of an attribute: of every timestep, or one for all.
@@ -60,64 +71,44 @@ pub fn floats(
 /// - `size`: timesteps and Gaussians
 /// - `row`: shape of a Gaussian's values
 /// - `varies`: whether every timestep must have its own
-fn samples(name: &str, array: &ArrayLike, size: [usize; 2], row: &[usize], varies: bool) -> PyResult<Vec<Vec<f32>>> {
+fn samples(array: Numbers, size: [usize; 2], row: &[usize], varies: bool) -> PyResult<Vec<Vec<f32>>> {
     let [num_timesteps, num_gaussians] = size;
     let of_one = [&size[1..], row].concat();
     let of_all = [&size[..], row].concat();
-    let (values, found) = values(array);
-    let count = match found {
-        _ if found == of_all => num_timesteps,
-        _ if found == of_one && !varies => 1,
-        _ => {
-            let expected = if varies { format!("{of_all:?}") } else { format!("{of_one:?} or {of_all:?}") };
-            return Err(PyValueError::new_err(format!("{name}: has shape {found:?}, expected {expected}")));
-        }
+    let count = match &array.shape {
+        found if *found == of_all => num_timesteps,
+        found if *found == of_one && !varies => 1,
+        _ if varies => return Err(array.wrong_shape(&format!("{of_all:?}"))),
+        _ => return Err(array.wrong_shape(&format!("{of_one:?} or {of_all:?}"))),
     };
     let length = num_gaussians * row.iter().product::<usize>();
-    Ok((0..count).map(|t| values[t * length..(t + 1) * length].to_vec()).collect())
+    Ok((0..count).map(|t| array.values[t * length..(t + 1) * length].to_vec()).collect())
 }
 
 /// The stored form of one of two arguments: as given, or from the activated form.
 ///
 /// - `names`: of the stored form, of the activated form
+/// - `size`, `row`: as of [`samples`]
 /// - `expected`: values of the activated form, in words
 fn either(
-    names: [&str; 2],
-    arrays: [Option<ArrayLike>; 2],
-    read: impl Fn(&str, &ArrayLike) -> PyResult<Vec<Vec<f32>>>,
+    [of_stored, of_activated]: [&'static str; 2],
+    arrays: [Option<ArrayLike<'_>>; 2],
+    size: [usize; 2],
+    row: &[usize],
     stored: impl Fn(f32) -> f32,
     expected: &str,
 ) -> PyResult<Vec<Vec<f32>>> {
-    let [of_stored, of_activated] = names;
     match arrays {
-        [Some(array), None] => read(of_stored, &array),
+        [Some(array), None] => samples(Numbers::read(of_stored, &array)?, size, row, false),
         [None, Some(array)] => {
-            let mut samples = read(of_activated, &array)?;
-            for value in samples.iter_mut().flatten() {
-                let given = *value;
-                *value = stored(given);
-                if !value.is_finite() {
-                    let message = format!("{of_activated}: holds {given}, expected {expected}");
-                    return Err(PyValueError::new_err(message));
-                }
-            }
-            Ok(samples)
+            let mut array = Numbers::read(of_activated, &array)?;
+            array.check(expected, |value| stored(value).is_finite())?;
+            array.values.iter_mut().for_each(|value| *value = stored(*value));
+            samples(array, size, row, false)
         }
         [given, _] => {
             let found = if given.is_some() { "both given" } else { "neither given" };
             Err(PyValueError::new_err(format!("{of_activated} and {of_stored}: {found}, expected one of the two")))
-        }
-    }
-}
-
-/// `K` of `[…, K, 3]`.
-fn harmonics_count(array: &ArrayLike) -> PyResult<usize> {
-    let (_, shape) = values(array);
-    match shape[..] {
-        [.., k @ (3 | 8 | 15), 3] => Ok(k),
-        _ => {
-            let expected = "[N, K, 3] or [T, N, K, 3] with K of 3, 8 or 15";
-            Err(PyValueError::new_err(format!("harmonics: has shape {shape:?}, expected {expected}")))
         }
     }
 }

@@ -13,11 +13,14 @@ mod errors;
 mod evaluate;
 mod floats;
 mod gaussians;
+mod memory;
+mod numbers;
 mod rasterize;
 mod save;
 mod scene;
 mod show;
 mod train;
+mod views;
 mod watch;
 
 use pyo3::pymodule;

@@ -1,31 +1,58 @@
 //! The differentiable rasterizer on arrays, in the conventions of gsplat.
 
 use numpy::PyArrayDyn;
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use tcgs_core::{Activated, ActivatedGrads, Camera, Image, normalize, normalize_vjp};
+use tcgs_core::{Activated, Image, MAX_SH_DEGREE, normalize};
 use tcgs_render::settings::MAX_CHANNELS;
-use tcgs_render::{CpuRasterizer, CpuSaved, Rasterizer, RenderOutput, RenderSettings};
 
-use crate::arrays::{ArrayLike, array, frozen, pixels, planes, values, values_of};
-use crate::camera::camera;
+use crate::arrays::{ArrayLike, Numbers, add_pixels, array, frozen, planes};
+use crate::camera::cameras;
 use crate::detached::detached;
+use crate::memory::{image_size, reserve, reserve_images, reserve_pairs};
+use crate::numbers::{Number, Whole, one_of};
+use crate::views::{Given, Grads, NearPlane, View};
 
 /// What `rasterize` returns: an image, its alpha, and the way back. `image, alpha = tcgs.rasterize(...)` unpacks it.
 #[pyclass(name = "Rasterized", module = "tcgs", frozen)]
 pub struct PyRasterized {
-    /// As given, `[N, 4]`.
-    quats: Vec<[f32; 4]>,
-    activated: Activated,
-    camera: Camera,
-    settings: RenderSettings,
-    saved: CpuSaved,
-    transmittance: Vec<f32>,
+    given: Given,
+    views: Vec<View>,
+    shapes: Shapes,
     image: Py<PyArrayDyn<f32>>,
     alpha: Py<PyArrayDyn<f32>>,
 }
 
-/// Gradients of a loss to the arguments of `rasterize`, float32 of their shapes.
+/// Shapes of what goes in and out beside the Gaussians.
+#[derive(Clone)]
+struct Shapes {
+    width: usize,
+    height: usize,
+    /// Shape of the cameras: none of one camera, `[C]` of several.
+    cameras: Vec<usize>,
+    /// Of the colours: `[N, C]`, or `[N, K, 3]` of harmonics.
+    colors: Vec<usize>,
+}
+
+impl Shapes {
+    /// Of images of so many channels.
+    fn image(&self, num_channels: usize) -> Vec<usize> {
+        [&self.cameras[..], &[self.height, self.width, num_channels]].concat()
+    }
+
+    /// Of the background.
+    fn background(&self, num_channels: usize) -> Vec<usize> {
+        [&self.cameras[..], &[num_channels]].concat()
+    }
+
+    /// An image for each camera of such an array.
+    fn planes(&self, pixels: &[f32], num_channels: usize) -> Vec<Image> {
+        let images = pixels.chunks_exact(self.width * self.height * num_channels);
+        images.map(|pixels| planes(pixels, self.width, self.height, num_channels)).collect()
+    }
+}
+
+/// Gradients of a loss to the arguments of `rasterize`, float32 of their shapes; of several cameras their sums.
 #[pyclass(name = "RasterizeGrads", module = "tcgs", frozen, get_all)]
 pub struct PyRasterizeGrads {
     /// [N, 3]
@@ -36,51 +63,61 @@ pub struct PyRasterizeGrads {
     v_scales: Py<PyArrayDyn<f32>>,
     /// [N]
     v_opacities: Py<PyArrayDyn<f32>>,
-    /// [N, C]
+    /// [N, D], or [N, K, 3] of harmonics
     v_colors: Py<PyArrayDyn<f32>>,
-    /// [C]
+    /// [D], of several cameras [C, D]
     v_background: Py<PyArrayDyn<f32>>,
 }
 
-/// Renders Gaussians with one camera on the CPU, so that a loss on the image can be taken back to them.
+/// Renders Gaussians on the CPU, so that a loss on the images can be taken back to them.
 ///
-/// Order and meaning of the arguments are those of gsplat, for one camera:
+/// Order and meaning of the arguments are those of gsplat; one camera may come without its axis:
 ///
 /// - means: [N, 3], world, scene units
 /// - quats: [N, 4], w, x, y, z; normalised here
-/// - scales: [N, 3], standard deviations in scene units
+/// - scales: [N, 3], standard deviations in scene units, 0 or more
 /// - opacities: [N], in [0, 1]
-/// - colors: [N, C], 1 to 8 channels of anything that blends like colour
-/// - viewmat: [4, 4], world to camera; camera space has x to the right, y down, z forward
-/// - K: [3, 3], intrinsics in pixels
-/// - width, height: of the image, pixels
-/// - background: [C], behind everything; black if None
+/// - colors: [N, D], 1 to 8 channels of anything that blends like colour; with sh_degree [N, K, 3], coefficients
+/// - viewmat, or viewmats: [4, 4] or [C, 4, 4], world to camera; camera space has x to the right, y down, z forward
+/// - K, or Ks: [3, 3] or [C, 3, 3], intrinsics in pixels
+/// - width, height: of the images, pixels
+/// - background, or backgrounds: [D], of several cameras [C, D], behind everything; black if None
+/// - near_plane: depth up to which Gaussians are not drawn, scene units; gsplat's is 0.01
+/// - sh_degree: 0 to 3: colors are coefficients of spherical harmonics, of which the first (sh_degree + 1)² count. A camera
+///   sees their sum in the direction from its centre to the mean, and 0.5, but no less than 0
 /// - rasterize_mode: "classic", or "antialiased" as the scene's own flag says (`Scene.antialiased`): a splat that is widened
 ///   by a pixel's extent gives up as much opacity
 ///
-/// Returns a Rasterized: `image` [height, width, C] and `alpha` [height, width, 1], float32, not clamped; `vjp` gives the
-/// gradients. The image has the same bits for any number of threads.
+/// Returns a Rasterized: `image` [height, width, D] and `alpha` [height, width, 1], of several cameras [C, height, width, …],
+/// float32, not clamped; `vjp` gives the gradients. The images have the same bits for any number of threads.
 ///
-/// Gaussians nearer than 0.2 scene units are not drawn, and an alpha is at most 0.99; gsplat has 0.01 and 0.999.
+/// An alpha is at most 0.99; gsplat has 0.999.
 ///
-/// Raises ValueError if a shape, a number or the mode is wrong.
+/// Raises ValueError or TypeError if an argument is wrong, MemoryError if the images do not fit into memory.
 #[pyfunction]
 #[pyo3(signature = (
-    means, quats, scales, opacities, colors, viewmat, K, width, height, *, background = None, rasterize_mode = "classic"
-))]
+    means, quats, scales, opacities, colors, viewmat = None, K = None, width = None, height = None, *, viewmats = None,
+    Ks = None, background = None, backgrounds = None, near_plane = Number::of(0.2), sh_degree = None, rasterize_mode = "classic"
+), text_signature = "(means, quats, scales, opacities, colors, viewmat=None, K=None, width=None, height=None, *, \
+    viewmats=None, Ks=None, background=None, backgrounds=None, near_plane=0.2, sh_degree=None, rasterize_mode='classic')")]
 #[allow(clippy::too_many_arguments, non_snake_case, reason = "the signature of gsplat")]
 pub fn rasterize(
     py: Python<'_>,
-    means: ArrayLike,
-    quats: ArrayLike,
-    scales: ArrayLike,
-    opacities: ArrayLike,
-    colors: ArrayLike,
-    viewmat: ArrayLike<f64>,
-    K: ArrayLike<f64>,
-    width: usize,
-    height: usize,
-    background: Option<ArrayLike>,
+    means: ArrayLike<'_>,
+    quats: ArrayLike<'_>,
+    scales: ArrayLike<'_>,
+    opacities: ArrayLike<'_>,
+    colors: ArrayLike<'_>,
+    viewmat: Option<ArrayLike<'_>>,
+    K: Option<ArrayLike<'_>>,
+    width: Option<Whole>,
+    height: Option<Whole>,
+    viewmats: Option<ArrayLike<'_>>,
+    Ks: Option<ArrayLike<'_>>,
+    background: Option<ArrayLike<'_>>,
+    backgrounds: Option<ArrayLike<'_>>,
+    near_plane: Number,
+    sh_degree: Option<Whole>,
     rasterize_mode: &str,
 ) -> PyResult<PyRasterized> {
     let is_antialiased = match rasterize_mode {
@@ -91,46 +128,95 @@ pub fn rasterize(
             return Err(PyValueError::new_err(message));
         }
     };
-    let camera = camera(&viewmat, &K, width, height)?;
-    let (colors, shape) = values(&colors);
-    let &[n, num_channels @ 1..=MAX_CHANNELS] = &shape[..] else {
-        let message = format!("colors: has shape {shape:?}, expected [N, C] with C of 1 to {MAX_CHANNELS}");
-        return Err(PyValueError::new_err(message));
+    let near = format!("a number of {} or more", NearPlane::LEAST);
+    let near = NearPlane::new(near_plane.such("near_plane", &near, |near| near >= NearPlane::LEAST)?);
+    let degree = sh_degree.map(|degree| degree.within("sh_degree", 0..=MAX_SH_DEGREE)).transpose()?;
+    let [width, height] = [("width", width), ("height", height)].map(|(name, size)| missing(name, size));
+    let [width, height] = image_size(width?, height?)?;
+    let viewmat = one_of(["viewmat", "viewmats"], [viewmat, viewmats])?;
+    let (all, axis) = cameras(viewmat, one_of(["K", "Ks"], [K, Ks])?, [width, height])?;
+
+    let colors = Numbers::read("colors", &colors)?;
+    let num_channels = check_colors(&colors, degree)?;
+    let n = colors.shape[0];
+    let shapes = Shapes { width, height, cameras: axis, colors: colors.shape.clone() };
+    let quats = Numbers::read("quats", &quats)?.rows(&[n, 4])?;
+    let means = Numbers::read("means", &means)?.rows(&[n, 3])?;
+    let scales = Numbers::read("scales", &scales)?;
+    scales.check("numbers of 0 or more", |scale| scale >= 0.0)?;
+    let opacities = Numbers::read("opacities", &opacities)?;
+    opacities.check("numbers from 0 to 1", |opacity| (0.0..=1.0).contains(&opacity))?;
+    let background = match [background, backgrounds] {
+        [None, None] => vec![0.0; all.len() * num_channels],
+        given => {
+            let (name, background) = one_of(["background", "backgrounds"], given)?;
+            Numbers::read(name, &background)?.of_shape(&shapes.background(num_channels))?
+        }
     };
-    let quats = rows(values_of("quats", &quats, &[n, 4])?);
-    let means = rows(values_of("means", &means, &[n, 3])?);
-    let scales = rows(values_of("scales", &scales, &[n, 3])?);
-    let opacities = values_of("opacities", &opacities, &[n])?;
-    let mut settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
-    if let Some(background) = background {
-        let background = values_of("background", &background, &[num_channels])?;
-        settings.background[..num_channels].copy_from_slice(&background);
-    }
-    let unit = quats.iter().map(|&quat| normalize(quat)).collect();
-    let activated = Activated { means, quats: unit, scales, opacities, colors, num_channels, is_antialiased };
-    let (RenderOutput { image, transmittance }, saved) = detached(py, || forward(&activated, &camera, &settings));
-    let alpha = transmittance.iter().map(|transmittance| 1.0 - transmittance).collect();
+    let activated = Activated {
+        means,
+        quats: quats.iter().map(|&quat| normalize(quat)).collect(),
+        scales: scales.rows(&[n, 3])?,
+        opacities: opacities.of_shape(&[n])?,
+        colors: if degree.is_none() { colors.values.clone() } else { Vec::new() },
+        num_channels,
+        is_antialiased,
+    };
+    let coefficients = degree.map(|degree| (&colors.values[..], shapes.colors[1], degree));
+    let given = Given::new(activated, quats, coefficients, near);
+    reserve_images(all.len(), [width, height], num_channels)?;
+
+    let (mut image, mut alpha, mut views) = (Vec::new(), Vec::new(), Vec::with_capacity(all.len()));
+    detached(py, || -> PyResult<()> {
+        for (camera, background) in all.into_iter().zip(background.chunks_exact(num_channels)) {
+            let camera = given.camera(camera);
+            let seen = given.seen_by(&camera);
+            reserve_pairs(&seen, &camera)?;
+            let (drawn, view) = Given::forward(&seen, camera, background);
+            add_pixels(&drawn, &mut image);
+            alpha.extend(view.alpha());
+            views.push(view);
+        }
+        Ok(())
+    })?;
     Ok(PyRasterized {
-        image: frozen(py, pixels(&image), &[height, width, num_channels]),
-        alpha: frozen(py, alpha, &[height, width, 1]),
-        quats,
-        activated,
-        camera,
-        settings,
-        saved,
-        transmittance,
+        image: frozen(py, image, &shapes.image(num_channels)),
+        alpha: frozen(py, alpha, &shapes.image(1)),
+        given,
+        views,
+        shapes,
     })
+}
+
+fn missing(name: &str, given: Option<Whole>) -> PyResult<Whole> {
+    given.ok_or_else(|| PyTypeError::new_err(format!("{name}: missing, expected a number of pixels")))
+}
+
+/// Number of channels.
+///
+/// # Errors
+/// `ValueError` for another shape than `[N, D]`, or `[N, K, 3]` of harmonics.
+fn check_colors(colors: &Numbers, degree: Option<usize>) -> PyResult<usize> {
+    let least = degree.map_or(0, |degree| (degree + 1).pow(2));
+    match (degree, &colors.shape[..]) {
+        (None, &[_, num_channels @ 1..=MAX_CHANNELS]) => Ok(num_channels),
+        (None, _) => Err(colors.wrong_shape(&format!("[N, C] with C of 1 to {MAX_CHANNELS}"))),
+        (Some(_), &[_, count, 3]) if count >= least => Ok(3),
+        (Some(degree), _) => {
+            Err(colors.wrong_shape(&format!("[N, K, 3] with K of {least} or more for sh_degree {degree}")))
+        }
+    }
 }
 
 #[pymethods]
 impl PyRasterized {
-    /// [height, width, C] float32, background included, not clamped.
+    /// [height, width, D] float32, of several cameras [C, height, width, D]; background included, not clamped.
     #[getter]
     fn image(&self, py: Python<'_>) -> Py<PyArrayDyn<f32>> {
         self.image.clone_ref(py)
     }
 
-    /// [height, width, 1] float32: 1 less the light that passes all Gaussians.
+    /// [height, width, 1] float32, of several cameras [C, height, width, 1]: 1 less the light that passes all Gaussians.
     #[getter]
     fn alpha(&self, py: Python<'_>) -> Py<PyArrayDyn<f32>> {
         self.alpha.clone_ref(py)
@@ -142,81 +228,43 @@ impl PyRasterized {
 
     /// Vector-Jacobian product: the gradients of a loss whose gradient to the image is `v_image`, and to alpha `v_alpha`.
     ///
-    /// - v_image: [height, width, C]
-    /// - v_alpha: [height, width, 1]; None: alpha is not used. It takes a pass of its own
+    /// - v_image: of the shape of `image`
+    /// - v_alpha: of the shape of `alpha`; None: alpha is not used. It takes a pass of its own
     ///
-    /// Returns a RasterizeGrads.
+    /// Returns a RasterizeGrads. The gradients reach the means also through the directions in which harmonics are seen.
     #[pyo3(signature = (v_image, v_alpha = None))]
-    fn vjp(&self, py: Python<'_>, v_image: ArrayLike, v_alpha: Option<ArrayLike>) -> PyResult<PyRasterizeGrads> {
-        let Camera { width, height, .. } = self.camera;
-        let channels = self.activated.num_channels;
-        let v_image = values_of("v_image", &v_image, &[height, width, channels])?;
-        let v_alpha = v_alpha.map(|v_alpha| values_of("v_alpha", &v_alpha, &[height, width, 1])).transpose()?;
-        let (grads, v_background) = detached(py, || self.backward(&v_image, v_alpha));
-        let n = grads.v_means.len();
+    fn vjp(
+        &self,
+        py: Python<'_>,
+        v_image: ArrayLike<'_>,
+        v_alpha: Option<ArrayLike<'_>>,
+    ) -> PyResult<PyRasterizeGrads> {
+        let (shapes, channels) = (&self.shapes, self.given.num_channels());
+        let v_image = Numbers::read("v_image", &v_image)?.of_shape(&shapes.image(channels))?;
+        let v_alpha = v_alpha.map(|v_alpha| Numbers::read("v_alpha", &v_alpha)?.of_shape(&shapes.image(1)));
+        let v_alpha = v_alpha.transpose()?;
+        let most_pairs = self.views.iter().map(View::num_pairs).max().unwrap_or(0);
+        reserve("gradients", most_pairs.saturating_mul(size_of::<f32>() * (8 + channels)))?;
+        let Grads { gaussians, v_backgrounds } = detached(py, || {
+            let v_alphas = v_alpha.map(|v_alpha| shapes.planes(&v_alpha, 1));
+            self.given.backward(&self.views, &shapes.planes(&v_image, channels), v_alphas)
+        });
+        let n = self.given.num_gaussians();
         let of = |values: Vec<f32>, shape: &[usize]| array(py, values, shape).unbind();
         Ok(PyRasterizeGrads {
-            v_means: of(grads.v_means.into_flattened(), &[n, 3]),
-            v_quats: of(grads.v_quats.into_flattened(), &[n, 4]),
-            v_scales: of(grads.v_scales.into_flattened(), &[n, 3]),
-            v_opacities: of(grads.v_opacities, &[n]),
-            v_colors: of(grads.v_colors, &[n, channels]),
-            v_background: of(v_background, &[channels]),
+            v_means: of(gaussians.v_means.into_flattened(), &[n, 3]),
+            v_quats: of(gaussians.v_quats.into_flattened(), &[n, 4]),
+            v_scales: of(gaussians.v_scales.into_flattened(), &[n, 3]),
+            v_opacities: of(gaussians.v_opacities, &[n]),
+            v_colors: of(gaussians.v_colors, &shapes.colors),
+            v_background: of(v_backgrounds, &shapes.background(channels)),
         })
     }
 
     fn __repr__(&self) -> String {
-        let (Camera { width, height, .. }, channels) = (&self.camera, self.activated.num_channels);
-        format!("Rasterized({} Gaussians, {width}x{height}, {channels} channels)", self.quats.len())
+        let Shapes { width, height, cameras, .. } = &self.shapes;
+        let count = cameras.first().map(|count| format!("{count} images of ")).unwrap_or_default();
+        let (n, channels) = (self.given.num_gaussians(), self.given.num_channels());
+        format!("Rasterized({n} Gaussians, {count}{width}x{height}, {channels} channels)")
     }
-}
-
-impl PyRasterized {
-    /// Gradients to the Gaussians as given, and to the background.
-    fn backward(&self, v_image: &[f32], v_alpha: Option<Vec<f32>>) -> (ActivatedGrads, Vec<f32>) {
-        let (camera, channels) = (&self.camera, self.activated.num_channels);
-        let planes = planes(v_image, camera.width, camera.height, channels);
-        let Ok(grads) = CpuRasterizer.backward(&self.activated, camera, &self.settings, &self.saved, &planes);
-        let mut grads = grads.activated;
-        if let Some(v_alpha) = v_alpha {
-            self.add_alpha(&mut grads, v_alpha);
-        }
-        for (v_quat, &quat) in grads.v_quats.iter_mut().zip(&self.quats) {
-            *v_quat = normalize_vjp(quat, *v_quat);
-        }
-        // The background is seen through what passes all Gaussians.
-        let through = |channel| -> f64 {
-            let pairs = planes.plane(channel).iter().zip(&self.transmittance);
-            pairs.map(|(&v, &transmittance)| f64::from(v) * f64::from(transmittance)).sum()
-        };
-        (grads, (0..channels).map(|channel| through(channel) as f32).collect())
-    }
-
-    /// Accumulates: the gradients of alpha, which is the image of white Gaussians before black.
-    fn add_alpha(&self, grads: &mut ActivatedGrads, v_alpha: Vec<f32>) {
-        let (camera, n) = (&self.camera, self.quats.len());
-        let white = Activated { colors: vec![1.0; n], num_channels: 1, ..self.activated.clone() };
-        let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
-        let (_, saved) = forward(&white, camera, &settings);
-        let v_image = Image { width: camera.width, height: camera.height, num_channels: 1, data: v_alpha };
-        let Ok(more) = CpuRasterizer.backward(&white, camera, &settings, &saved, &v_image);
-        let more = more.activated;
-        add(grads.v_means.as_flattened_mut(), more.v_means.as_flattened());
-        add(grads.v_quats.as_flattened_mut(), more.v_quats.as_flattened());
-        add(grads.v_scales.as_flattened_mut(), more.v_scales.as_flattened());
-        add(&mut grads.v_opacities, &more.v_opacities);
-    }
-}
-
-fn forward(activated: &Activated, camera: &Camera, settings: &RenderSettings) -> (RenderOutput, CpuSaved) {
-    let Ok(drawn) = CpuRasterizer.forward(activated, camera, settings);
-    drawn
-}
-
-fn add(sums: &mut [f32], terms: &[f32]) {
-    sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
-}
-
-fn rows<const C: usize>(values: Vec<f32>) -> Vec<[f32; C]> {
-    values.as_chunks().0.to_vec()
 }

@@ -17,8 +17,13 @@ use crate::detached::detached;
 use crate::errors::exception;
 use crate::floats::floats;
 use crate::gaussians::PyGaussians;
+use crate::memory::image_size;
+use crate::numbers::{Number, Whole};
 use crate::save::{check_out, save};
 use crate::watch::Watch;
+
+/// Most cameras of an orbit: they take some 500 MB as objects of Python.
+const MAX_CAMERAS: usize = 1_000_000;
 
 /// A scene over time: Gaussians at every timestep. `tcgs.open` opens one, `Scene.from_arrays` makes one.
 ///
@@ -79,8 +84,8 @@ pub fn open(
     axes: Option<&str>,
     recover: bool,
     no_limits: bool,
-    fps: Option<f64>,
-    segment_length: Option<u32>,
+    fps: Option<Number>,
+    segment_length: Option<Whole>,
 ) -> PyResult<PyScene> {
     let axes = axes.map(|letters| letters.parse().map_err(|error| PyValueError::new_err(format!("axes: {error}"))));
     let settings = OpenSettings {
@@ -91,9 +96,8 @@ pub fn open(
         },
         cut_files: if recover { CutFiles::Recover } else { CutFiles::Refuse },
     };
-    if segment_length == Some(0) {
-        return Err(PyValueError::new_err("segment_length: is 0, expected 1 or more"));
-    }
+    let fps = fps.map(check_fps).transpose()?;
+    let segment_length = segment_length.map(check_segment_length).transpose()?;
     let mut scene = match path {
         OneOrMore::One(path) => open_path(py, &path, settings)?,
         OneOrMore::More(paths) if paths.is_empty() => {
@@ -105,16 +109,18 @@ pub fn open(
         }
     };
     if let Some(fps) = fps {
-        scene.frame_rate = check_fps(fps)?;
+        scene.frame_rate = fps;
     }
     Ok(PyScene(scene.into()))
 }
 
-fn check_fps(fps: f64) -> PyResult<f64> {
-    if fps.is_finite() && fps >= 0.0 {
-        return Ok(fps);
-    }
-    Err(PyValueError::new_err(format!("fps: is {fps}, expected 0 or more")))
+fn check_fps(fps: Number) -> PyResult<f64> {
+    fps.such("fps", "a number of 0 or more", |fps| fps >= 0.0)
+}
+
+/// Timesteps of a segment, of which a file holds at most so many.
+pub fn check_segment_length(length: Whole) -> PyResult<u32> {
+    length.within("segment_length", 1..=1 << 16)
 }
 
 #[pymethods]
@@ -131,18 +137,20 @@ impl PyScene {
     /// - name: as messages call the scene
     #[staticmethod]
     #[pyo3(signature = (means, quats, colors, *, scales = None, log_scales = None, opacities = None,
-        logit_opacities = None, harmonics = None, fps = 30.0, name = "arrays"))]
+        logit_opacities = None, harmonics = None, fps = Number::of(30.0), name = "arrays"),
+        text_signature = "(means, quats, colors, *, scales=None, log_scales=None, opacities=None, logit_opacities=None, \
+        harmonics=None, fps=30.0, name='arrays')")]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
     fn from_arrays(
-        means: ArrayLike,
-        quats: ArrayLike,
-        colors: ArrayLike,
-        scales: Option<ArrayLike>,
-        log_scales: Option<ArrayLike>,
-        opacities: Option<ArrayLike>,
-        logit_opacities: Option<ArrayLike>,
-        harmonics: Option<ArrayLike>,
-        fps: f64,
+        means: ArrayLike<'_>,
+        quats: ArrayLike<'_>,
+        colors: ArrayLike<'_>,
+        scales: Option<ArrayLike<'_>>,
+        log_scales: Option<ArrayLike<'_>>,
+        opacities: Option<ArrayLike<'_>>,
+        logit_opacities: Option<ArrayLike<'_>>,
+        harmonics: Option<ArrayLike<'_>>,
+        fps: Number,
         name: &str,
     ) -> PyResult<Self> {
         let fps = check_fps(fps)?;
@@ -159,8 +167,8 @@ impl PyScene {
     /// The Gaussians of one timestep, with colours as they are drawn; of a run all of them, also those that its masks leave out.
     ///
     /// - timestep: from 0; negative ones count from the end
-    fn at(&self, py: Python<'_>, timestep: isize) -> PyResult<PyGaussians> {
-        let timestep = self.timestep(timestep)?;
+    fn at(&self, py: Python<'_>, timestep: Whole) -> PyResult<PyGaussians> {
+        let timestep = self.timestep(timestep.index())?;
         detached(py, || self.0.lit(timestep)).map(PyGaussians::new).map_err(exception)
     }
 
@@ -169,13 +177,13 @@ impl PyScene {
         slf.py().import("builtins")?.call_method1("map", (slf.getattr("at")?, timesteps))
     }
 
-    fn __getitem__(&self, py: Python<'_>, timestep: isize) -> PyResult<PyGaussians> {
+    fn __getitem__(&self, py: Python<'_>, timestep: Whole) -> PyResult<PyGaussians> {
         self.at(py, timestep)
     }
 
     /// Number of Gaussians at a timestep.
-    fn num_gaussians_at(&self, timestep: isize) -> PyResult<usize> {
-        Ok(self.0.num_gaussians_at(self.timestep(timestep)?))
+    fn num_gaussians_at(&self, timestep: Whole) -> PyResult<usize> {
+        Ok(self.0.num_gaussians_at(self.timestep(timestep.index())?))
     }
 
     /// Number of Gaussians; the most at any timestep where the number changes.
@@ -267,14 +275,14 @@ impl PyScene {
 
     /// Cameras at equal steps on one turn around the scene.
     ///
+    /// - count: up to 1,000,000
     /// - width, height: of their images, pixels
-    #[pyo3(signature = (count, *, width = 640, height = 360))]
-    fn orbit(&self, py: Python<'_>, count: usize, width: usize, height: usize) -> PyResult<Vec<PyCamera>> {
-        if width == 0 || height == 0 {
-            return Err(PyValueError::new_err(format!("orbit: images of {width}x{height}, expected at least 1x1")));
-        }
+    #[pyo3(signature = (count, *, width = Whole::of(640), height = Whole::of(360)),
+        text_signature = "($self, count, *, width=640, height=360)")]
+    fn orbit(&self, py: Python<'_>, count: Whole, width: Whole, height: Whole) -> PyResult<Vec<PyCamera>> {
+        let (count, size) = (count.within("count", 0..=MAX_CAMERAS)?, image_size(width, height)?);
         let first = detached(py, || self.0.at(0)).map_err(exception)?;
-        let cameras = Tour::Orbit.cameras(first.means(), self.0.up().direction(), count, [width, height]);
+        let cameras = Tour::Orbit.cameras(first.means(), self.0.up().direction(), count, size);
         Ok(cameras.into_iter().map(PyCamera).collect())
     }
 
@@ -302,8 +310,9 @@ impl PyScene {
     /// - height: of the cell, pixels
     ///
     /// Raises RuntimeError if this package was built without the player.
-    #[pyo3(signature = (*, height = 480))]
-    fn show<'py>(slf: Bound<'py, Self>, height: u32) -> PyResult<Bound<'py, PyAny>> {
+    #[pyo3(signature = (*, height = Whole::of(480)), text_signature = "($self, *, height=480)")]
+    fn show<'py>(slf: Bound<'py, Self>, height: Whole) -> PyResult<Bound<'py, PyAny>> {
+        let height = height.within("height", 1..=u32::MAX)?;
         slf.py().import("tcgs._show")?.call_method1("show", (slf, height))
     }
 

@@ -11,8 +11,9 @@ use tcgs_interchange::Existing;
 use tcgs_pipeline::{OpenScene, OpenSettings, PipelineError, ReadyRun, RunFolder, fit, settings_for, start_state};
 use tcgs_train::{Preset, TrainConfig};
 
-use crate::capture::CaptureLike;
+use crate::capture::{CaptureLike, check_downscale};
 use crate::errors::{exception, of_system};
+use crate::numbers::{Whole, check_pair};
 use crate::scene::{PyScene, SceneLike};
 use crate::watch::Watch;
 
@@ -20,7 +21,7 @@ use crate::watch::Watch;
 #[derive(FromPyObject)]
 pub enum StartFrom<'py> {
     /// Negative timesteps count from the end.
-    At(SceneLike<'py>, isize),
+    At(SceneLike<'py>, Whole),
     Last(SceneLike<'py>),
 }
 
@@ -61,14 +62,14 @@ pub fn train(
     capture: CaptureLike,
     out: PathBuf,
     preset: Option<&str>,
-    frames: Option<(usize, usize)>,
-    downscale: Option<usize>,
-    iterations: Option<(usize, usize)>,
+    frames: Option<(Whole, Whole)>,
+    downscale: Option<Whole>,
+    iterations: Option<(Whole, Whole)>,
     settings: Option<BTreeMap<String, Bound<'_, PyAny>>>,
     config: Option<PathBuf>,
     points: Option<PathBuf>,
     start_from: Option<StartFrom<'_>>,
-    seed: Option<u64>,
+    seed: Option<Whole>,
     resume: bool,
     overwrite: bool,
     backend: &str,
@@ -76,6 +77,10 @@ pub fn train(
     progress: bool,
     callback: Option<Py<PyAny>>,
 ) -> PyResult<PyScene> {
+    let frames = frames.map(|frames| check_pair("frames", frames)).transpose()?;
+    let downscale = downscale.map(check_downscale).transpose()?;
+    let iterations = iterations.map(|iterations| check_pair("iterations", iterations)).transpose()?;
+    let seed = seed.map(|seed| seed.within("seed", 0..=u64::MAX)).transpose()?;
     let backend = crate::backend::backend(py, backend, device)?;
     let preset = preset.map(preset_named).transpose()?;
     let mut settings: Vec<(String, String)> =
@@ -167,7 +172,7 @@ impl Start {
             StartFrom::Last(scene) => (scene, None),
         };
         let scene = scene.open(py)?;
-        let found = PyScene(Arc::clone(&scene)).timestep(timestep.unwrap_or(-1))?;
+        let found = PyScene(Arc::clone(&scene)).timestep(timestep.map_or(-1, Whole::index))?;
         Ok(Self { scene, timestep: found, is_last: timestep.is_none() })
     }
 

@@ -23,6 +23,9 @@ class Answers(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         body = FILE.read_bytes()
+        if self.path.startswith("/garbage"):
+            self.wfile.write(b"scene\r\n\r\n")
+            return
         if self.path.startswith("/missing"):
             self.send_error(404)
             return
@@ -68,4 +71,9 @@ def test_what_cannot_be_fetched_is_named_and_leaves_nothing(
         tcgs.open(f"{address}/no.tcgs")
     with pytest.raises(OSError, match="expected a server"):
         tcgs.open("http://127.0.0.1:9/scene.tcgs")
+    with pytest.raises(OSError, match="/garbage.tcgs: BadStatusLine, expected an answer of HTTP"):
+        tcgs.open(f"{address}/garbage.tcgs")
+    for wrong in ("http://[scene.tcgs", "http://127.0.0.1:9/a scene.tcgs", "http://127.0.0.1:9/%00", "http://:port/"):
+        with pytest.raises(ValueError, match=r"^http.*, expected an address"):
+            tcgs.open(wrong)
     assert list(tmp_path.iterdir()) == []

@@ -29,14 +29,17 @@ def drawn(arrays: Any, **options: Any) -> tcgs.Rasterized:
     return tcgs.rasterize(*[*arrays, at.viewmat, at.K, at.width, at.height], **options)
 
 
-def oracle(arrays: Any, background: Any, mode: str, reached: list[Any] | None = None) -> tuple[Any, Any, list[Any]]:
+def oracle(
+    arrays: Any, background: Any, mode: str, reached: list[Any] | None = None, at: tcgs.Camera | None = None
+) -> tuple[Any, Any, list[Any]]:
     """Image and alpha in float64 from the equations (Kerbl et al. 2023), every Gaussian at every pixel.
 
     - mode: with "antialiased" opacities shrink as splats are widened (Yu et al. 2024, Eq. 10)
     - reached: of each Gaussian from front to back the pixels that it reaches, as an earlier call returned them; alpha has
       a cutoff, and what a gradient means is the change where nothing crosses it
+    - at: another camera than `camera`, with an image of the same size
     """
-    at = camera()
+    at = at or camera()
     view, k = at.viewmat, at.K
     splats = []
     for mean, quat, scale, opacity, color in zip(*arrays):

@@ -129,7 +129,7 @@ def test_wrong_input_is_named(tmp_path: Path) -> None:
         tcgs.Scene.from_arrays(ones((2, 5, 3)), ones((2, 5, 3)), ones((2, 5, 3)), scales=ones((5, 3)), opacities=ones(5) / 2)
     with pytest.raises(ValueError, match="scales and log_scales: neither given"):
         tcgs.Scene.from_arrays(ones((2, 5, 3)), ones((2, 5, 4)), ones((2, 5, 3)), opacities=ones(5) / 2)
-    with pytest.raises(ValueError, match="opacities: holds 1, expected numbers between 0 and 1"):
+    with pytest.raises(ValueError, match=r"opacities: holds 1\.0 at \[0\], expected numbers between 0 and 1"):
         tcgs.Scene.from_arrays(ones((2, 5, 3)), ones((2, 5, 4)), ones((2, 5, 3)), scales=ones((5, 3)), opacities=ones(5))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import os
 import shutil
 import tempfile
@@ -65,9 +66,9 @@ def open(
 
 
 def _download(address: str, folder: Path) -> Path:
-    name = PurePosixPath(urllib.parse.unquote(urllib.parse.urlsplit(address).path)).name
-    file = folder / (name or "scene.tcgs")
     try:
+        name = PurePosixPath(urllib.parse.unquote(urllib.parse.urlsplit(address).path)).name
+        file = folder / (name or "scene.tcgs")
         with urllib.request.urlopen(address) as answer, file.open("xb") as out:
             shutil.copyfileobj(answer, out)
             expected = answer.headers["Content-Length"]
@@ -75,6 +76,10 @@ def _download(address: str, folder: Path) -> Path:
         raise OSError(f"{address}: the server answers {error.code} {error.reason}, expected a scene") from None
     except urllib.error.URLError as error:
         raise OSError(f"{address}: {error.reason}, expected a server") from None
+    except (ValueError, http.client.InvalidURL) as error:
+        raise ValueError(f"{address}: {error}, expected an address") from None
+    except http.client.HTTPException as error:
+        raise OSError(f"{address}: {type(error).__name__}, expected an answer of HTTP") from None
     found = file.stat().st_size
     if expected is not None and found != int(expected):
         raise OSError(f"{address}: ended after {found} bytes, expected {expected}")

@@ -44,10 +44,10 @@ class Camera:
     def __new__(cls, viewmat: npt.ArrayLike, K: npt.ArrayLike, width: int, height: int) -> Camera: ...
     @staticmethod
     def look_at(
-        center: Sequence[float],
-        target: Sequence[float],
+        center: npt.ArrayLike,
+        target: npt.ArrayLike,
         *,
-        up: Sequence[float] = ...,
+        up: npt.ArrayLike | None = None,
         focal: float,
         width: int,
         height: int,
@@ -228,12 +228,17 @@ def rasterize(
     scales: npt.ArrayLike,
     opacities: npt.ArrayLike,
     colors: npt.ArrayLike,
-    viewmat: npt.ArrayLike,
-    K: npt.ArrayLike,
-    width: int,
-    height: int,
+    viewmat: npt.ArrayLike | None = None,
+    K: npt.ArrayLike | None = None,
+    width: int | None = None,
+    height: int | None = None,
     *,
+    viewmats: npt.ArrayLike | None = None,
+    Ks: npt.ArrayLike | None = None,
     background: npt.ArrayLike | None = None,
+    backgrounds: npt.ArrayLike | None = None,
+    near_plane: float = 0.2,
+    sh_degree: int | None = None,
     rasterize_mode: Literal["classic", "antialiased"] = "classic",
 ) -> Rasterized: ...
 def render(
@@ -241,7 +246,7 @@ def render(
     camera: Camera,
     timestep: int = 0,
     *,
-    background: Sequence[float] = ...,
+    background: npt.ArrayLike | None = None,
     backend: _Backend = "auto",
     device: str | None = None,
 ) -> _Float32: ...

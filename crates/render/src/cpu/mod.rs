@@ -15,7 +15,7 @@ use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
 use self::rasterize::{TileImage, rasterize_bwd, rasterize_fwd};
 use self::tiles::Tiles;
-pub use self::tiles::{gaussians_reaching, tiles_reached};
+pub use self::tiles::{count_pairs, gaussians_reaching, tiles_reached};
 use crate::project::{SplatCamera, kept_opacity_vjp, project_vjp};
 use crate::settings::MAX_CHANNELS;
 use crate::tiling::{PAIR_GRADS, TILE, tile_grid};

@@ -12,7 +12,7 @@ use tcgs_core::{Activated, Camera};
 use crate::project::{SplatCamera, project};
 use crate::settings::MIN_ALPHA;
 use crate::tiling::{EXTENT_FACTOR, EXTENT_MARGIN_PX, TILE, tile_grid};
-use crate::{Laps, TileMask};
+use crate::{Laps, PairCounts, TileMask};
 
 /// Gaussians that one task projects.
 const CHUNK: usize = 1 << 10;
@@ -152,8 +152,18 @@ pub fn gaussians_reaching(gaussians: &Activated, camera: &Camera, mask: &TileMas
     splats(gaussians, camera, Some(mask)).iter().map(|splat| splat.gaussian).collect()
 }
 
+/// How many splats an image has, and how many pairs of a splat and a tile, without holding these in memory.
+pub fn count_pairs(gaussians: &Activated, camera: &Camera) -> PairCounts {
+    let splats = splats(gaussians, camera, None);
+    let pairs_of = |s: &Splat| Splat::tile_range(s.rows).len() * Splat::tile_range(s.columns).len();
+    PairCounts { pairs: splats.par_iter().map(pairs_of).sum(), splats: splats.len() }
+}
+
 impl Tiles {
     /// - `mask`: the tiles to be drawn, and the only ones with pairs; none for all
+    ///
+    /// # Panics
+    /// If there are more than `u32::MAX` pairs; see [`count_pairs`].
     pub fn new(gaussians: &Activated, camera: &Camera, mask: Option<&TileMask>, laps: &mut Laps) -> Self {
         let splats = splats(gaussians, camera, mask);
         laps.lap("project");
@@ -166,9 +176,9 @@ impl Tiles {
         let grid = tile_grid(camera.width, camera.height);
         let mut starts = vec![0_u32; grid[0] * grid[1] + 1];
         let mut splat_starts = Vec::with_capacity(splats.len() + 1);
-        let mut num_pairs = 0;
+        let mut num_pairs = 0_u64;
         for s in &splats {
-            splat_starts.push(num_pairs);
+            splat_starts.push(num_pairs as u32);
             for row in Splat::tile_range(s.rows) {
                 for column in Splat::tile_range(s.columns) {
                     let tile = row * grid[0] + column;
@@ -179,7 +189,8 @@ impl Tiles {
                 }
             }
         }
-        splat_starts.push(num_pairs);
+        assert!(num_pairs <= u32::MAX.into(), "{num_pairs} pairs of splats and tiles, expected at most {}", u32::MAX);
+        splat_starts.push(num_pairs as u32);
         for i in 1..starts.len() {
             starts[i] += starts[i - 1];
         }
