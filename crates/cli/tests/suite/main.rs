@@ -6,6 +6,8 @@
 #[cfg(feature = "gpu")]
 mod bench;
 mod chapters;
+#[cfg(target_os = "linux")]
+mod faults;
 mod footage;
 mod force;
 mod foreign;
