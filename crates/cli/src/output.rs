@@ -29,8 +29,7 @@ const RESULTS: [&str; 3] = ["csv", "html", "tcgs"];
 pub fn check_files(files: &[&Path], sources: &[&Path], force: bool) -> anyhow::Result<()> {
     for (i, file) in files.iter().enumerate() {
         if let Some(source) = sources.iter().find(|source| is_part_of(file, source)) {
-            let expected = "expected another name for what is written";
-            return Err(wrong_input(format!("{}: is read as {}, {expected}", file.display(), source.display())));
+            return Err(is_read(file, source, "expected another name for what is written"));
         }
         check_file(file, force)?;
         if files[..i].iter().any(|other| is_same(file, other)) {
@@ -51,11 +50,18 @@ pub fn check_folder(folder: &Path, sources: &[&Path]) -> anyhow::Result<()> {
     let place = resolved(folder);
     match sources.iter().find(|source| resolved(source).starts_with(&place)) {
         None => Ok(()),
-        Some(source) => {
-            let problem = format!("holds {}, which is read, expected another folder", source.display());
-            Err(wrong_input(format!("{}: {problem}", folder.display())))
-        }
+        Some(source) => Err(is_read(folder, source, "expected another folder for what is written")),
     }
+}
+
+/// An output that would destroy a source.
+fn is_read(output: &Path, source: &Path, expected: &str) -> anyhow::Error {
+    let (output, source, [o, s]) = (output.display(), source.display(), [output, source].map(resolved));
+    wrong_input(match (s.starts_with(&o), o.starts_with(&s)) {
+        (true, false) => format!("{output}: holds {source}, which this command reads, {expected}"),
+        (false, true) => format!("{output}: is a part of {source}, which this command reads, {expected}"),
+        _ => format!("{output}: is what this command reads, {expected}"),
+    })
 }
 
 /// Whether writing a file would change a source: the file itself, or one of a folder.
@@ -201,6 +207,10 @@ impl NewFolder {
             }
             begun => begun.with_context(context)?,
         };
+        // Another process may have finished it since the first look.
+        if !inside && place.exists() || inside && !force && !is_empty_folder(place) {
+            return Err(exists(place));
+        }
         let new = making.path().join("new");
         fs::create_dir(&new).with_context(context)?;
         Ok(Self { place: place.into(), making, new, inside })
@@ -230,7 +240,7 @@ impl NewFolder {
         // From here on the unfinished folder may hold the only copy of something: it is no longer one to be cleaned up.
         let _whole = interrupt::moving();
         let making = making.keep();
-        let before = making.join("before");
+        let before = making.path().join("before");
         let moved = match inside {
             false => fs::rename(&new, &place).with_context(|| format!("{context}; all of it is in {}", new.display())),
             true => exchange(&place, &new, &before, stays).with_context(|| {
@@ -238,7 +248,8 @@ impl NewFolder {
             }),
         };
         moved?;
-        if let Err(error) = fs::remove_dir_all(&making) {
+        if let Err(error) = fs::remove_dir_all(making.path()) {
+            let making = making.path();
             note(&format!("{}: removing what was there before failed: {error}", making.display()));
         }
         Ok(())

@@ -152,19 +152,22 @@ impl Unfinished {
         let mut own = OsString::from(PREFIX);
         own.push(name);
         let own = folder.join(own);
-        let Err(error) = begun.rename(&own) else { return Ok(begun) };
-        if matches!(error.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists) {
+        // A process may end between a look and the next.
+        for _ in 0..REMOVALS {
+            match begun.rename(&own) {
+                Ok(()) => break,
+                Err(error) if matches!(error.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists) => {}
+                Err(_) => break,
+            }
             match Mark::open(&own.join(MARK)) {
+                Mark::Abandoned(_mark) => drop(fs::remove_dir_all(&own)),
                 Mark::Locked => return Err(ErrorKind::WouldBlock.into()),
-                Mark::Abandoned(_mark) => {
-                    let _ = fs::remove_dir_all(&own);
-                    // Unless another process was faster.
-                    if begun.rename(&own).is_err() && matches!(Mark::open(&own.join(MARK)), Mark::Locked) {
-                        return Err(ErrorKind::WouldBlock.into());
-                    }
+                Mark::Empty(mark) if matches!(mark.try_lock(), Err(TryLockError::WouldBlock)) => {
+                    return Err(ErrorKind::WouldBlock.into());
                 }
                 // What a process has kept there is not touched.
-                Mark::Unknown => {}
+                Mark::Empty(_) | Mark::Unknown if own.exists() => break,
+                Mark::Empty(_) | Mark::Unknown => {}
             }
         }
         Ok(begun)
@@ -184,17 +187,34 @@ impl Unfinished {
         &self.folder.0
     }
 
-    /// Removes the mark and hands the folder over to the caller: neither dropping nor [`remove_unfinished`] removes the
-    /// folder any more.
-    ///
-    /// - returns: path of the folder
-    pub fn keep(self) -> PathBuf {
+    /// Hands the folder over to the caller: neither dropping nor [`remove_unfinished`] nor [`remove_held`] removes it any more.
+    pub fn keep(self) -> Kept {
         let Self { mark, folder } = self;
         folder.forget(&mut Held::all());
-        // Should the mark resist, it is empty at least, and nothing is removed for its sake.
+        // Without its text nothing is removed for its sake.
         let _ = mark.set_len(0);
-        let _ = fs::remove_file(folder.0.join(MARK));
-        folder.0.clone()
+        Kept { _mark: mark, folder: folder.0.clone() }
+    }
+}
+
+/// A folder that was an [`Unfinished`] and is the caller's. As long as the value lives no other process begins the same
+/// ([`Unfinished::begin_alone`]); then the mark is removed.
+#[derive(Debug)]
+pub struct Kept {
+    _mark: File,
+    folder: PathBuf,
+}
+
+impl Kept {
+    /// Path of the folder.
+    pub fn path(&self) -> &Path {
+        &self.folder
+    }
+}
+
+impl Drop for Kept {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(self.folder.join(MARK));
     }
 }
 
@@ -248,7 +268,9 @@ enum Mark {
     Abandoned(File),
     /// Another process writes into the folder.
     Locked,
-    /// The folder is not this program's, or it was kept, or the drive knows no locks.
+    /// The folder is kept.
+    Empty(File),
+    /// The folder is not this program's, or the drive knows no locks.
     Unknown,
 }
 
@@ -258,6 +280,9 @@ impl Mark {
         let Ok(mut mark) = OpenOptions::new().read(true).write(true).open(path) else { return Self::Unknown };
         let mut text = Vec::new();
         let read = (&mut mark).take(MARK_TEXT.len() as u64 + 1).read_to_end(&mut text);
+        if text.is_empty() && read.is_ok() {
+            return Self::Empty(mark);
+        }
         if read.is_err() || text != MARK_TEXT.as_bytes() {
             return Self::Unknown;
         }
@@ -408,7 +433,13 @@ mod tests {
         let again = begin().unwrap();
         assert!(again.path() == left && !left.join("new").exists());
         fs::write(left.join("new"), b"precious").unwrap();
-        again.keep();
+        let kept = again.keep();
+        assert_eq!(
+            begin().err().map(|error| error.kind()),
+            Some(ErrorKind::WouldBlock),
+            "the first one is at it still"
+        );
+        drop(kept);
         let beside = begin().unwrap();
         assert!(beside.path() != left && fs::read(left.join("new")).unwrap() == b"precious");
     }
@@ -418,7 +449,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let unfinished = Unfinished::begin(folder.path()).unwrap();
         fs::write(unfinished.path().join("new"), b"precious").unwrap();
-        let kept = unfinished.keep();
+        let kept = unfinished.keep().path().to_path_buf();
         remove_unfinished(folder.path(), Duration::ZERO);
         assert_eq!(fs::read(kept.join("new")).unwrap(), b"precious");
         assert_eq!(fs::read_dir(&kept).unwrap().count(), 1, "the mark is gone");

@@ -7,6 +7,8 @@
 mod bench;
 mod bounds;
 mod chapters;
+#[cfg(target_os = "linux")]
+mod faults;
 mod footage;
 mod force;
 mod foreign;

@@ -270,14 +270,43 @@ mod tests {
         fs::create_dir_all(folder.join("checkpoints")).unwrap();
         fs::write(folder.join(".writing-abc"), b"").unwrap();
         assert!(!RunFolder::holds_run(&folder).unwrap());
-        fs::write(folder.join("config.toml"), b"").unwrap();
+        fs::write(folder.join("config.toml"), b"data.end_frame = 1").unwrap();
         assert!(RunFolder::holds_run(&folder).unwrap());
-        fs::write(folder.join("config.toml"), b"baseURL = 'https://example.org'").unwrap();
-        fs::remove_dir(folder.join("checkpoints")).unwrap();
-        assert!(RunFolder::holds_run(&folder).err().unwrap().to_string().contains("other things"));
+        for text in ["", "baseURL = 'https://example.org'"] {
+            fs::write(folder.join("config.toml"), text).unwrap();
+            let refused = RunFolder::holds_run(&folder).err().unwrap().to_string();
+            assert!(refused.contains("expected a run, an empty folder"), "{refused}");
+        }
         fs::rename(folder.join("config.toml"), folder.join("thesis.txt")).unwrap();
         assert!(RunFolder::holds_run(&folder).err().unwrap().to_string().contains("other things"));
         assert!(RunFolder::holds_run(&folder.join("thesis.txt")).err().unwrap().to_string().contains("is a file"));
+    }
+
+    #[test]
+    fn what_was_made_for_nothing_goes_again() {
+        let parent = tempfile::tempdir().unwrap();
+        let run = parent.path().join("a/run");
+        let folder = RunFolder::make(&run).unwrap();
+        fs::write(run.join("start.npz"), b"x").unwrap();
+        drop(folder);
+        assert_eq!(fs::read_dir(parent.path()).unwrap().count(), 0);
+        let folder = RunFolder::make(&run).unwrap();
+        fs::write(run.join("config.toml"), b"").unwrap();
+        drop(folder);
+        assert!(run.join("config.toml").exists());
+        // A folder that was there stays.
+        fs::remove_file(run.join("config.toml")).unwrap();
+        drop(RunFolder::make(&run).unwrap());
+        assert!(run.is_dir());
+    }
+
+    /// Other programs call a file so, too. The command line has a test with one that is.
+    #[test]
+    fn a_start_is_a_checkpoint() {
+        let folder = tempfile::tempdir().unwrap();
+        let start = folder.path().join("start.npz");
+        fs::write(&start, b"not a checkpoint").unwrap();
+        assert!(RunFolder::holds_run(folder.path()).err().unwrap().to_string().contains("other things"));
     }
 
     #[test]
