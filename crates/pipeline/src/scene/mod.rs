@@ -184,7 +184,7 @@ impl OpenScene {
         matches!(&self.content, Content::TimestepFiles(_) | Content::Fourdgs(_))
     }
 
-    /// Of a `params.npz`, the limits under which it was opened.
+    /// Limits under which a `params.npz` was opened; none for other scenes.
     pub(crate) fn params_limits(&self) -> Option<ReadLimits> {
         match &self.content {
             Content::Params(params) => Some(params.limits),
