@@ -2,7 +2,7 @@
 //!
 //! What lives here: the data types that pass between crates, and maths on single elements
 //! (quaternions, activations, spherical harmonics), generic over [`Real`] so that one source is both run in `f32` and
-//! differentiated in `f64`; the order of numbered names; text made safe for a terminal. What does not: files, rendering,
+//! differentiated in `f64`; the order of numbered names; text safe for a terminal. What does not: files, rendering,
 //! optimisation, compression.
 //!
 //! Conventions: camera space is x right, y down, z forward; pixel centres lie at +0.5; quaternions
