@@ -51,7 +51,7 @@ pub fn held_bytes(file: &[u8], model: Model, most: u64) -> Result<u64> {
     for record in Records::new(file, MAGIC.len()) {
         let record = record?;
         let place = record.offset as u64;
-        // What is dropped after the chunk.
+        // Dropped after the chunk.
         let mut streams = Streams::default();
         let mut state = State::default();
         let mut released = 0;

@@ -168,7 +168,7 @@ impl FourdgsFile {
         Ok(gaussians)
     }
 
-    /// What lives at a time, in the axes of the file.
+    /// The Gaussians that live at a time, in the axes of the file.
     fn born(&self, scene: &::fourdgs::Scene, time: f64) -> Result<Gaussians, InterchangeError> {
         let rows = births(scene, time).map_err(|error| {
             let problem = format!("{}, expected a whole .4dgs file", one_line(&error));

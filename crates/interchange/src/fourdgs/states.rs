@@ -1,7 +1,7 @@
 //! Decodes a file of the model `keyframe-delta` to the Gaussians of each timestep.
 //!
-//! The crate's own decoder keeps the state of every chunk twice, in numbers of 64 bits. Here a state is kept as long as a later
-//! chunk refers to it.
+//! The crate's own decoder keeps the state of every chunk twice, in numbers of 64 bits. Here a state is kept as long as
+//! a later chunk refers to it.
 
 use std::collections::BTreeMap;
 
@@ -54,13 +54,13 @@ pub fn decode(file: &[u8]) -> Result<States> {
     let mut windows = Vec::new();
     let mut states: BTreeMap<u64, State> = BTreeMap::new();
     let (mut times, mut timesteps) = (Vec::new(), Vec::new());
-    // What reconstruction asks of a sequence.
+    // Reconstruction reads the header, the steps and the windows of a sequence.
     let mut sequence = None;
     for record in Records::new(file, MAGIC.len()) {
         let record = record?;
         let place = record.offset as u64;
         let (state, from, until) = match record.opcode {
-            // What follows a state describes no state.
+            // Records behind a state are not read, as in the crate.
             opcode::HEADER if times.is_empty() => {
                 header = Some(Header::parse(record.content)?);
                 continue;
@@ -117,7 +117,7 @@ fn missing(what: &str) -> Error {
     Error::Malformed(format!("there is no {what}"))
 }
 
-/// What lives in a state at a time.
+/// The Gaussians of a state that live at a time.
 fn rows(sequence: &DecodedSequence, state: &State, time: f64) -> Vec<Row> {
     let found = reconstruct_at(sequence, state, time);
     let steps = &sequence.quantization;

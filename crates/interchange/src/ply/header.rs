@@ -48,7 +48,7 @@ fn header_bytes(file: &mut impl BufRead) -> std::io::Result<u64> {
     }
 }
 
-/// Fewest bytes that the rows which are read take, from which follows how many a file can hold; none beyond `u64`.
+/// Fewest bytes of the rows that are read. A file's length bounds by it how many there are. None beyond `u64`.
 pub(crate) fn least_bytes(header: &PlyHeader) -> Option<u64> {
     let bytes = |property: &PropertyType| match property {
         // A digit and a space.
