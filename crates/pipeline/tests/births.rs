@@ -223,7 +223,8 @@ fn a_file_says_which_gaussians_are_foreground() {
                 let distance = |other: &[f32; 3]| (0..3).map(|c| (mean[c] - other[c]).powi(2)).sum::<f32>();
                 let distances: Vec<f32> = expected.means().iter().map(distance).collect();
                 let nearest = (0..distances.len()).min_by(|&a, &b| distances[a].total_cmp(&distances[b])).unwrap();
-                assert!(distances[nearest] < 1e-6, "{}", distances[nearest]);
+                // They are at least 0.4 apart.
+                assert!(distances[nearest] < 0.02, "{}", distances[nearest]);
                 assert_eq!(mark, options.marks == Marks::Drop || is_foreground(ids[nearest]));
             }
         }
@@ -245,7 +246,7 @@ fn who_is_born_when_another_dies_is_not_taken_for_it() {
         let export = Export::new(&scene).unwrap();
         let error = export.params(0..6).err().unwrap().to_string();
         assert!(error.contains("has 225 Gaussians at frame 0 and as many others at frame 4"), "{error}");
-        assert!(export.params(0..4).is_ok() && export.params(4..12).is_ok());
+        assert!(export.params(0..4).is_ok() && export.params(6..12).is_ok());
     }
 }
 

@@ -36,7 +36,7 @@ pub fn print(path: &Path, data: Option<&str>) -> anyhow::Result<Value> {
     let num_timesteps = scene.num_timesteps();
     let frames = first_frame.map(|first| format!(" (frames {first} to {})", first + num_timesteps - 1));
     say(&format!("timesteps     {num_timesteps}{}", frames.unwrap_or_default()))?;
-    say(&format!("frame rate    {}", frame_rate.map_or("unknown".into(), |rate| format!("{rate} a second"))))?;
+    say(&format!("frame rate    {}", frame_rate.map_or("unknown".into(), |rate| format!("{} a second", rate as f32))))?;
     say(&format!("harmonics     degree {}", layout.sh_degree()))?;
     say(&format!("antialiased   {}", if layout.is_antialiased() { "yes" } else { "no" }))?;
     say(&format!("axes          {}", axes.map_or("unknown", |(_, words)| words)))?;

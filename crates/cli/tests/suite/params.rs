@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::support::*;
-use tcgs_interchange::{ReadLimits, read_params_foreground};
+use tcgs_interchange::{ParamsExtras, ReadLimits, read_params_foreground, read_params_npz, write_params_npz};
 use tempfile::tempdir;
 
 /// Exports a scene, and counts who is foreground and who is background.
@@ -22,14 +22,19 @@ fn exported(scene: &Path, params: &Path) -> ([usize; 2], String) {
 fn the_foreground_survives_compression() {
     let folder = tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let (trained, params) = (train(&folder, "run", &[]), path("params.npz"));
-    let (expected, remarks) = exported(&trained, &params);
-    assert!(expected.iter().all(|&count| count > 10), "{expected:?}");
-    assert!(!remarks.contains("background"), "{remarks}");
-    assert_eq!(exported(&params, &path("again.npz")).0, expected);
+    let trained = train(&folder, "run", &[]);
+    let of_run = exported(&trained, &path("of_run.npz")).0;
+    // With marks of its own.
+    let (params, scene) = (path("params.npz"), read_params_npz(&path("of_run.npz")).unwrap());
+    let foreground: Vec<bool> = (0..scene.num_gaussians()).map(|i| i % 3 == 0).collect();
+    let extras = ParamsExtras { foreground: Some(&foreground), ..ParamsExtras::default() };
+    write_params_npz(&params, &scene, &extras).unwrap();
+    let (of_params, remarks) = exported(&params, &path("again.npz"));
+    assert!(of_params.iter().all(|&count| count > 5) && !remarks.contains("background"), "{of_params:?} {remarks}");
+    assert_eq!(read_params_foreground(&path("again.npz"), ReadLimits::default()).unwrap(), Some(foreground));
 
     let (plain, kept) = (path("plain.tcgs"), path("kept.tcgs"));
-    for source in [&trained, &params] {
+    for (source, expected) in [(&trained, of_run), (&params, of_params)] {
         let compress = ["compress", text(source), "--bits", "6,6", "--force", "--out"];
         succeed(&[&compress[..], &[text(&plain)]].concat());
         succeed(&[&compress[..], &[text(&kept), "--keep-foreground"]].concat());

@@ -39,18 +39,21 @@ const BASICS: [&str; 14] = [
 
 #[test]
 fn info_tells_the_basics_of_files_of_other_programs() {
-    for (name, kind, axes) in [
-        ("original.ply", "PLY files", "rdf"),
-        ("splat_transform.compressed.ply", "PLY files", "rdf"),
-        ("splat_transform_v4.spz", "SPZ files", ""),
-        ("splat_transform.glb", "glTF files", "luf"),
+    for (name, kind, axes, degree) in [
+        ("original.ply", "PLY files", "rdf", 3),
+        ("splat_transform.compressed.ply", "PLY files", "rdf", 3),
+        ("splat_transform_v4.spz", "SPZ files", "", 3),
+        ("splat_transform.glb", "glTF files", "luf", 1),
     ] {
         let (said, basics) = info(&given(name));
         assert_keys(&basics, &BASICS);
-        assert!(said.contains("Gaussians     260\n") && said.contains("harmonics     degree 3\n"), "{said}");
+        assert!(
+            said.contains("Gaussians     260\n") && said.contains(&format!("harmonics     degree {degree}\n")),
+            "{said}"
+        );
         assert_eq!(basics["kind"], kind, "{name}");
         assert!(basics["axes"].as_str().unwrap().starts_with(axes), "{name}: {basics}");
-        let expected = json!([260, 260, 260, 1, 3]);
+        let expected = json!([260, 260, 260, 1, degree]);
         let found = ["num_gaussians", "least_gaussians", "most_gaussians", "num_timesteps", "sh_degree"];
         assert_eq!(json!(found.map(|key| &basics[key])), expected, "{name}");
         for unknown in ["version", "first_frame", "frame_rate"] {
