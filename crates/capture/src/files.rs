@@ -6,7 +6,7 @@ use std::fs::DirEntry;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use tcgs_core::{natural_key, read_file, read_text};
+use tcgs_core::{natural_key, open_file, read_file, read_text};
 
 use crate::CaptureError;
 
@@ -31,6 +31,11 @@ pub(crate) fn text(path: &Path) -> Result<String, CaptureError> {
 /// Reads a text of COLMAP, which lists every feature of every image.
 pub(crate) fn long_text(path: &Path) -> Result<String, CaptureError> {
     read_text(path, MAX_BYTES).map_err(|error| CaptureError::Io { path: path.into(), error })
+}
+
+/// Refuses what is no regular file, before a reader that would wait or go on for ever.
+pub(crate) fn check_regular(path: &Path) -> Result<(), CaptureError> {
+    open_file(path).map(drop).map_err(|error| CaptureError::Io { path: path.into(), error })
 }
 
 /// The visible files and folders of a folder, in the natural order of their names.

@@ -5,7 +5,7 @@ use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use tcgs_core::{MAX_COORDINATE, PointCloud, open_file};
+use tcgs_core::{MAX_COORDINATE, PointCloud};
 use tcgs_interchange::{NpzReader, NpzWriter, ReadLimits, read_ply_points};
 
 use crate::{CaptureError, colmap, files};
@@ -58,8 +58,7 @@ fn read_unchecked(path: &Path) -> Result<PointCloud, CaptureError> {
         })?;
         return colmap::read_points(&file);
     }
-    // Whatever reads it next does not look.
-    open_file(path).map_err(|error| CaptureError::Io { path: path.into(), error })?;
+    files::check_regular(path)?;
     match files::name(path).rsplit('.').next().unwrap_or_default() {
         "npz" => read_npz(path),
         "ply" => Ok(read_ply_points(path, ReadLimits::default())?),

@@ -128,8 +128,8 @@ impl Storage {
     }
 }
 
-/// Refuses what no matrix of OpenCV has: references, by which few bytes stand for many, and more depth than a matrix in a
-/// list, along which loading recurses.
+/// Refuses references and deep lists, which no matrix of OpenCV has. A reference makes much of few bytes, and loading recurses
+/// along the depth.
 fn check_yaml(text: &str) -> Result<(), String> {
     const MAX_DEPTH: usize = 8;
     let mut parser = Parser::new_from_str(text);

@@ -65,6 +65,7 @@ fn recognises(path: &Path) -> Result<bool, CaptureError> {
 
 fn open(path: &Path) -> Result<Contents, CaptureError> {
     let poses_file = path.join(POSES);
+    files::check_regular(&poses_file)?;
     let poses = read_npy(&poses_file)?;
     let invalid = |problem: String| CaptureError::invalid(&poses_file, problem);
     let &[num_poses, COLUMNS] = poses.shape.as_slice() else {

@@ -21,8 +21,8 @@ struct Running {
     is_ended: bool,
 }
 
-/// Ends `ffmpeg` and `ffprobe` wherever this process runs them, and starts them no more. Whatever reads a video by them then
-/// returns an error. For a process that is asked to end: such a program may hang, and its reader with it.
+/// Ends `ffmpeg` and `ffprobe` wherever this process runs them, and starts them no more. Reading a video by them then returns
+/// an error. For a process that is asked to end: such a program may hang, and its reader with it.
 pub fn end_programs() {
     let mut running = lock(&RUNNING);
     running.is_ended = true;
@@ -36,7 +36,7 @@ fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A program at work; dropping it ends the process. Nobody holds its lock for long.
+/// A program at work; dropping it ends the process. Its lock is never held for long.
 #[derive(Debug)]
 pub(super) struct Program(Arc<Mutex<Child>>);
 
@@ -64,7 +64,7 @@ impl Program {
         let complaints = thread::spawn(move || {
             let mut said = Vec::new();
             if let Some(mut stderr) = stderr {
-                // A program waits where nobody reads: what is too much is read and dropped.
+                // A full pipe would stop the program: the rest is read and dropped.
                 let _ = (&mut stderr).take(MAX_COMPLAINT_BYTES).read_to_end(&mut said);
                 let _ = io::copy(&mut stderr, &mut io::sink());
             }

@@ -115,6 +115,12 @@ fn a_box_of_no_size_is_refused() {
 }
 
 #[test]
+fn a_file_that_ends_in_a_long_size_is_refused() {
+    // Found by the fuzz target `mp4`.
+    assert_eq!(read(b"\0\0\0\x01\0\0\x01\0m").unwrap_err(), "ends inside the head of a box");
+}
+
+#[test]
 fn tables_that_contradict_each_other_are_refused() {
     for (kind, offset, number, expected) in [
         (b"stts", 8, 5, "its table stts has the times of 5 of 12 frames"),

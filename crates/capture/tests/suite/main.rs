@@ -16,6 +16,7 @@ mod real;
 mod real_raw;
 #[cfg(feature = "video")]
 mod recordings;
+mod spoilt;
 mod support;
 mod technicolor;
 mod untrusted;

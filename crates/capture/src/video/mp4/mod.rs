@@ -51,7 +51,7 @@ pub(super) struct Track {
     pub samples: Vec<Sample>,
 }
 
-/// What a player shows one after another.
+/// A stretch of time that a player shows.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edit {
     /// In units of the movie's clock.
@@ -81,7 +81,10 @@ pub(super) enum Mp4Error {
 
 impl From<io::Error> for Mp4Error {
     fn from(error: io::Error) -> Self {
-        Self::Io(error)
+        match error.kind() {
+            io::ErrorKind::UnexpectedEof => Self::Format("ends inside the head of a box".into()),
+            _ => Self::Io(error),
+        }
     }
 }
 
@@ -225,7 +228,7 @@ fn of_track(track: Body<'_>, movie_timescale: u32) -> Result<Track, String> {
     entries.u32()?;
     let entry = entries.boxes().next().ok_or_else(|| "its box stsd is empty".to_owned())??;
     let avc = if entry.kind == *b"avc1" { Some(Avc::read(entry)?) } else { None };
-    // Whatever reads another codec reads its tables, too.
+    // Another program reads videos of other codecs, with their tables.
     let (samples, sum) = if avc.is_some() { tables::samples(table)? } else { Default::default() };
     Ok(Track {
         codec: entry.kind.escape_ascii().to_string(),
