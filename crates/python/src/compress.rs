@@ -98,7 +98,9 @@ pub fn compress(
     let target_psnr = target_psnr.map(|psnr| psnr.such("target_psnr", "a number of dB", |_| true)).transpose()?;
     let refine = refine.map(Budget::check).transpose()?;
     let min_share = match min_share {
-        Some(share) => share.such("min_share", "a number from 0 to less than 1", |share| (0.0..1.0).contains(&share))? as f32,
+        Some(share) => {
+            share.such("min_share", "a number from 0 to less than 1", |share| (0.0..1.0).contains(&share))? as f32
+        }
         None if refine.is_some() => RefineOptions::MIN_SHARE,
         None => 0.0,
     };

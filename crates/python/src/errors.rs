@@ -20,7 +20,8 @@ use tcgs_train::TrainError;
 pub fn exception(error: impl Into<PipelineError>) -> PyErr {
     let error = error.into();
     let message = error.to_string();
-    if let PipelineError::Gpu(GpuError::Memory { .. }) | PipelineError::Train(TrainError::Gpu(GpuError::Memory { .. })) = error
+    if let PipelineError::Gpu(GpuError::Memory { .. })
+    | PipelineError::Train(TrainError::Gpu(GpuError::Memory { .. })) = error
     {
         return PyMemoryError::new_err(message);
     }
