@@ -95,7 +95,9 @@ pub fn compress(
     };
     let quality = quality.map(check_quality).transpose()?;
     let target_bytes = target_bytes.map(|bytes| bytes.within("target_bytes", 1..=u64::MAX)).transpose()?;
-    let target_psnr = target_psnr.map(|psnr| psnr.such("target_psnr", "a number of dB", |_| true)).transpose()?;
+    let target_psnr = target_psnr
+        .map(|psnr| psnr.such("target_psnr", "a number from 0 to 100 dB", |psnr| (0.0..=100.0).contains(&psnr)))
+        .transpose()?;
     let refine = refine.map(Budget::check).transpose()?;
     let min_share = match min_share {
         Some(share) => {
