@@ -97,7 +97,9 @@ impl PyCamera {
         let checked = Camera::new(width, height, k, camera.camera_from_world);
         checked.map(Self).map_err(|_| {
             let found = format!("center {center:?}, target {target:?} and up {up:?}");
-            PyValueError::new_err(format!("{found}: give no rotation, expected a target away from center, and not along up"))
+            PyValueError::new_err(format!(
+                "{found}: give no rotation, expected a target away from center, and not along up"
+            ))
         })
     }
 

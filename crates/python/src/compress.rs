@@ -95,10 +95,14 @@ pub fn compress(
     };
     let quality = quality.map(check_quality).transpose()?;
     let target_bytes = target_bytes.map(|bytes| bytes.within("target_bytes", 1..=u64::MAX)).transpose()?;
-    let target_psnr = target_psnr.map(|psnr| psnr.such("target_psnr", "a number of dB", |_| true)).transpose()?;
+    let target_psnr = target_psnr
+        .map(|psnr| psnr.such("target_psnr", "a number from 0 to 100 dB", |psnr| (0.0..=100.0).contains(&psnr)))
+        .transpose()?;
     let refine = refine.map(Budget::check).transpose()?;
     let min_share = match min_share {
-        Some(share) => share.such("min_share", "a number from 0 to less than 1", |share| (0.0..1.0).contains(&share))? as f32,
+        Some(share) => {
+            share.such("min_share", "a number from 0 to less than 1", |share| (0.0..1.0).contains(&share))? as f32
+        }
         None if refine.is_some() => RefineOptions::MIN_SHARE,
         None => 0.0,
     };

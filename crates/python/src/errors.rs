@@ -26,7 +26,8 @@ pub fn exception(error: impl Into<PipelineError>) -> PyErr {
         ""
     };
     let message = format!("{}{lifted}", printable(&error.to_string()));
-    if let PipelineError::Gpu(GpuError::Memory { .. }) | PipelineError::Train(TrainError::Gpu(GpuError::Memory { .. })) = error
+    if let PipelineError::Gpu(GpuError::Memory { .. })
+    | PipelineError::Train(TrainError::Gpu(GpuError::Memory { .. })) = error
     {
         return PyMemoryError::new_err(message);
     }

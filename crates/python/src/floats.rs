@@ -61,7 +61,9 @@ fn check_lengths(quats: &Numbers) -> PyResult<()> {
     let has_length = |quat: &[f32]| (1e-36..1e36).contains(&quat.iter().map(|x| x * x).sum::<f32>());
     let rows = if quats.shape.last() == Some(&4) { &quats.values[..] } else { &[] };
     match rows.chunks_exact(4).find(|quat| !has_length(quat)) {
-        Some(quat) => Err(PyValueError::new_err(format!("quats: holds {quat:?}, expected a length from 1e-18 to 1e18"))),
+        Some(quat) => {
+            Err(PyValueError::new_err(format!("quats: holds {quat:?}, expected a length from 1e-18 to 1e18")))
+        }
         None => Ok(()),
     }
 }

@@ -104,6 +104,8 @@ pub fn one_of<T>([name, other]: [&'static str; 2], given: [Option<T>; 2]) -> PyR
         [Some(given), None] => Ok((name, given)),
         [None, Some(given)] => Ok((other, given)),
         [None, None] => Err(PyTypeError::new_err(format!("{name}: missing, expected {name} or {other}"))),
-        [Some(_), Some(_)] => Err(PyTypeError::new_err(format!("{name} and {other}: both given, expected one of them"))),
+        [Some(_), Some(_)] => {
+            Err(PyTypeError::new_err(format!("{name} and {other}: both given, expected one of them")))
+        }
     }
 }

@@ -200,7 +200,7 @@ fn check_colors(colors: &Numbers, degree: Option<usize>) -> PyResult<usize> {
     let least = degree.map_or(0, |degree| (degree + 1).pow(2));
     match (degree, &colors.shape[..]) {
         (None, &[_, num_channels @ 1..=MAX_CHANNELS]) => Ok(num_channels),
-        (None, _) => Err(colors.wrong_shape(&format!("[N, C] with C of 1 to {MAX_CHANNELS}"))),
+        (None, _) => Err(colors.wrong_shape(&format!("[N, C] with C of 1 to {MAX_CHANNELS}, or a sh_degree"))),
         (Some(_), &[_, count, 3]) if count >= least => Ok(3),
         (Some(degree), _) => {
             Err(colors.wrong_shape(&format!("[N, K, 3] with K of {least} or more for sh_degree {degree}")))

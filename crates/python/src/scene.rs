@@ -65,12 +65,27 @@ fn open_path(py: Python<'_>, path: &Path, settings: OpenSettings) -> PyResult<Op
 }
 
 /// A file or folder, or several that are chapters of one scene.
-#[derive(FromPyObject)]
 pub enum OneOrMore {
     /// `str` or `os.PathLike`.
     One(PathBuf),
-    /// A sequence of these.
+    /// Several of these.
     More(Vec<PathBuf>),
+}
+
+impl FromPyObject<'_, '_> for OneOrMore {
+    type Error = PyErr;
+
+    fn extract(given: Borrowed<'_, '_, PyAny>) -> PyResult<Self> {
+        if let Ok(path) = given.extract() {
+            return Ok(Self::One(path));
+        }
+        // One after the other: the length that an object tells may be that of no memory.
+        let mut paths = Vec::new();
+        for path in given.try_iter()? {
+            paths.push(path?.extract()?);
+        }
+        Ok(Self::More(paths))
+    }
 }
 
 /// Opens a scene of this machine; `tcgs.open` has the rest.

@@ -6,9 +6,11 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+import tcgs
 
 torch = pytest.importorskip("torch", reason="torch is not installed, expected it to test tcgs.torch")
 
+from test_cameras import cameras, matrices, with_coefficients  # noqa: E402
 from test_rasterize import BACKGROUND, HEIGHT, WIDTH, camera, drawn, gaussians  # noqa: E402
 
 from tcgs.torch import rasterize  # noqa: E402
@@ -31,6 +33,38 @@ def test_gradients_flow_to_every_tensor(mode: Literal["classic", "antialiased"])
     for tensor, grad in zip(tensors, expected):
         assert tensor.grad.dtype == tensor.dtype
         np.testing.assert_array_equal(tensor.grad.numpy().astype(np.float32), grad)
+
+
+def test_several_cameras_and_harmonics_are_those_of_the_arrays() -> None:
+    arrays, (viewmats, ks) = with_coefficients(6, 9, 2), matrices(cameras())
+    backgrounds = np.random.default_rng(1).uniform(size=(3, 3))
+    tensors: Any = [torch.tensor(array, requires_grad=True) for array in [*arrays, backgrounds]]
+    options: Any = {"near_plane": 0.01, "sh_degree": 2}
+    image, alpha = rasterize(
+        *tensors[:5], viewmats=torch.tensor(viewmats), Ks=torch.tensor(ks), width=WIDTH, height=HEIGHT,
+        backgrounds=tensors[5], **options,
+    )  # fmt: skip
+    rng = np.random.default_rng(3)
+    v_image, v_alpha = rng.normal(size=image.shape), rng.normal(size=alpha.shape)
+    (torch.sum(image * torch.tensor(v_image)) + torch.sum(alpha * torch.tensor(v_alpha))).backward()
+    reference = tcgs.rasterize(*arrays, viewmats, ks, WIDTH, HEIGHT, backgrounds=backgrounds, **options)
+    assert np.array_equal(image.detach().numpy().astype(np.float32), reference.image)
+    v = reference.vjp(v_image, v_alpha)
+    expected = [v.v_means, v.v_quats, v.v_scales, v.v_opacities, v.v_colors, v.v_background]
+    for tensor, grad in zip(tensors, expected):
+        np.testing.assert_array_equal(tensor.grad.numpy().astype(np.float32), grad)
+
+
+def test_what_is_no_tensor_is_named() -> None:
+    at, arrays = camera(), gaussians(2, 1)
+    tensors: Any = [torch.tensor(array) for array in [*arrays, at.viewmat, at.K]]
+    with pytest.raises(TypeError, match="^K: is ndarray, expected a tensor$"):
+        rasterize(*tensors[:6], at.K, WIDTH, HEIGHT)
+    with pytest.raises(TypeError, match="background and backgrounds: both given"):
+        rasterize(*tensors, WIDTH, HEIGHT, background=tensors[4][0], backgrounds=tensors[4][0])
+    tensors[0][0, 0] = torch.nan
+    with pytest.raises(ValueError, match=r"^means: holds NaN at \[0, 0\]"):
+        rasterize(*tensors, WIDTH, HEIGHT)
 
 
 def test_a_scene_is_fitted_to_an_image() -> None:

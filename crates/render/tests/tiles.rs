@@ -4,7 +4,9 @@ mod support;
 
 use support::{random_scene, test_camera};
 use tcgs_core::{Activated, Image};
-use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderSettings, TileMask, gaussians_reaching, tiles_reached};
+use tcgs_render::{
+    CpuRasterizer, Laps, Rasterizer, RenderSettings, TileMask, count_pairs, gaussians_reaching, tiles_reached,
+};
 
 const SIZE: [usize; 2] = [75, 52];
 
@@ -29,6 +31,7 @@ fn tiles_drawn_alone_have_the_bits_of_the_whole_image_and_its_gradients() {
     let gaussians = random_scene(300, 5, 3);
     let is_outside = outside(&mask);
     let Ok((whole, saved)) = CpuRasterizer.forward(&gaussians, &camera, &settings);
+    assert_eq!(count_pairs(&gaussians, &camera), saved.counts());
     let mut image = Image::filled(SIZE[0], SIZE[1], 5, -7.0);
     let tiles = CpuRasterizer.forward_in(&gaussians, &camera, &settings, &mask, &mut image, &mut Laps::begin());
     for (pixel, (&drawn, &expected)) in image.data.iter().zip(&whole.image.data).enumerate() {
