@@ -4,6 +4,7 @@ use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::Context;
@@ -155,6 +156,17 @@ pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io
     }
 }
 
+/// Where each [`NewFolder`] is meanwhile, and where it will be.
+static MAKING: Mutex<Vec<[PathBuf; 2]>> = Mutex::new(Vec::new());
+
+/// A message that names files in a [`NewFolder`] as they would have been called. What they are called meanwhile is removed by then.
+pub fn by_final_names(mut message: String) -> String {
+    for [new, place] in MAKING.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+        message = message.replace(&new.display().to_string(), &place.display().to_string());
+    }
+    message
+}
+
 /// Begins a folder for unfinished content beside a place, and removes abandoned ones there.
 pub fn begin_beside(place: &Path) -> io::Result<Unfinished> {
     remove_unfinished(parent(place), ABANDONED);
@@ -213,6 +225,7 @@ impl NewFolder {
         }
         let new = making.path().join("new");
         fs::create_dir(&new).with_context(context)?;
+        MAKING.lock().unwrap_or_else(PoisonError::into_inner).push([new.clone(), place.into()]);
         Ok(Self { place: place.into(), making, new, inside })
     }
 
@@ -239,6 +252,7 @@ impl NewFolder {
         let context = format!("writing {}", place.display());
         // From here on the unfinished folder may hold the only copy of something: it is no longer one to be cleaned up.
         let _whole = interrupt::moving();
+        MAKING.lock().unwrap_or_else(PoisonError::into_inner).retain(|[making, _]| *making != new);
         let making = making.keep();
         let before = making.path().join("before");
         let moved = match inside {

@@ -123,6 +123,7 @@ fn a_write_that_fails_is_told_in_one_line() {
         let line = last_line(&output);
         assert_eq!(output.status.code(), Some(1), "{arguments:?}: {line}");
         assert!(line.contains(name) && line.contains("too large"), "{arguments:?}: {line}");
+        assert!(!line.contains(".writing-"), "a name that is gone by then: {line}");
         assert!(contents(folder.path()).is_empty(), "{arguments:?} left {:?}", contents(folder.path()).keys());
     }
     let output = limited(&["train", text(capture()), "--out", "a/run", "--iterations", "3,1", "--backend", "cpu"]);
