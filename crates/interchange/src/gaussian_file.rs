@@ -49,7 +49,7 @@ impl FileKind {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not complete, has
-/// no Gaussian, or holds a number that is not finite and not the logit of an opacity of 0 or 1 or the logarithm of a scale of 0.
+/// no Gaussian, or holds a number that is not finite. Infinite ones that [`ReadNote::Replaced`](crate::ReadNote) names are replaced.
 pub fn read_gaussians(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     Ok(read_and_count(path, settings)?.0)
 }
