@@ -1,4 +1,6 @@
-// Makes the files of this folder but for those of `make_4dgs.py`, by other programs from one PLY file:
+// Makes the original and the files of splat-transform 2.7.1, and `spz_*.spz` by its library. This version turned SPZ files to the axes
+// right, up, back (RUB), and so does this script. `make_4dgs.py` makes the .4dgs files, `scripts/compare_with_programs.py
+// --keep` the others, of the programs and versions that it names.
 //
 //   npm install @playcanvas/splat-transform@2.7.1      (brings @adobe/spz 0.2.2)
 //   node make.mjs NODE_MODULES

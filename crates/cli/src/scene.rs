@@ -109,8 +109,8 @@ fn note_assumed(scene: &OpenScene) {
     }
 }
 
-/// Says what readers of another program's files replaced at the timesteps that were read. A command says so at its end: a
-/// timestep is read when it is needed.
+/// Says what readers of another program's files replaced. A command does so at its end, since a timestep is read when it is
+/// needed.
 pub fn note_replaced(scene: &OpenScene) {
     for replaced in scene.notes() {
         if let ReadNote::Replaced { .. } = replaced {

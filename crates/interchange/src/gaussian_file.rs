@@ -48,8 +48,8 @@ impl FileKind {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not complete, has
-/// no Gaussian, or holds a number that is not finite and not the logit of an opacity of 0 or 1 or the logarithm of a scale of 0;
-/// [`InterchangeError::Limit`] if it claims more memory than the settings allow.
+/// no Gaussian, or holds a number that is not finite; [`InterchangeError::Limit`] if it claims more memory than the settings
+/// allow. Infinite numbers that [`ReadNote::Replaced`](crate::ReadNote) names are replaced.
 pub fn read_gaussians(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     Ok(read_and_count(path, settings)?.0)
 }

@@ -1,4 +1,4 @@
-//! What readers of other programs' files assumed or replaced: remarks for the user, which are no errors.
+//! Remarks by readers of other programs' files, which are no errors: what they assumed or replaced.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -51,7 +51,7 @@ pub(crate) struct Replaced {
     pub scales: usize,
 }
 
-/// What was replaced in the timesteps of a scene that were read so far; each counts once, however often it is read.
+/// Counts of replaced numbers for the timesteps that were read so far. A timestep counts once, however often it is read.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ReplacedByTimestep(Arc<Mutex<BTreeMap<usize, Replaced>>>);
 

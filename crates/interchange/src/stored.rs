@@ -45,15 +45,15 @@ pub(crate) fn logit_of_byte(byte: u8) -> f32 {
     logit(f64::from(byte) / 255.0, [0.25 / 255.0; 2])
 }
 
-/// Shares of an opacity that a float can be told from: half of the step below 1.
+/// What is nearest to 0 and 1 among opacities: half of the step of floats below 1.
 const NEAREST_OF_FLOATS: [f64; 2] = [1.0 / (1 << 25) as f64; 2];
 
-/// Log scale that an infinite one is read as: 2e-9 scene units, much thinner than what any picture shows. Not the smallest of
-/// a float, -87: a quantizer spans all scales of a scene, and its step would grow tenfold.
+/// Log scale that replaces that of a scale of 0: 2e-9 scene units, thinner than any picture shows. The smallest of a float,
+/// -87, would be worse: a quantizer spans all scales of a scene, and its step would grow fivefold.
 const LEAST_LOG_SCALE: f32 = -20.0;
 
-/// Replaces the infinite numbers that programs write for opacities of exactly 0 and 1 and for scales of exactly 0, and refuses
-/// all others that are not finite. A Gaussian of infinite scale cannot be drawn.
+/// Replaces infinite logits, which programs write for opacities of exactly 0 and 1, and log scales of -∞, which they write for
+/// scales of 0. Refuses all other numbers that are not finite: a Gaussian of infinite scale cannot be drawn.
 ///
 /// Without harmonics negative colours become zero, since renderers of such files clamp colours at zero; with them they clamp
 /// the sum.

@@ -6,7 +6,7 @@
 use std::path::PathBuf;
 
 use tcgs_core::{Attribute, Gaussians, HARMONIC_0, SceneReader, normalize, rotmat_from_quat, sigmoid};
-use tcgs_interchange::{HigherHarmonics, ReadSettings, TimestepFiles, read_gaussians};
+use tcgs_interchange::{Axes, HigherHarmonics, ReadSettings, TimestepFiles, read_gaussians};
 
 fn path(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange").join(name)
@@ -14,6 +14,12 @@ fn path(name: &str) -> PathBuf {
 
 fn read(name: &str) -> Gaussians {
     read_gaussians(&path(name), ReadSettings::default()).unwrap()
+}
+
+/// The Gaussians of an SPZ file by splat-transform 2.7.1, which turned them to RUB and declared no axes; or by its library, as
+/// `make.mjs` calls it.
+fn read_rub(name: &str) -> Gaussians {
+    read_gaussians(&path(name), ReadSettings { axes: Some(Axes::RUB), ..ReadSettings::default() }).unwrap()
 }
 
 /// Half a step of each attribute: what a kind of file may err.
@@ -129,16 +135,41 @@ fn spz(bits: [i32; 2]) -> HalfSteps {
 fn spz_of_splat_transform_and_of_its_library() {
     let original = read("original.ply");
     for name in ["splat_transform_v3.spz", "splat_transform_v4.spz"] {
-        let found = read(name);
+        let found = read_rub(name);
         assert_eq!(found.layout(), original.layout());
         compare(&found, &original, &spz([5, 4]));
     }
-    assert_eq!(read("splat_transform_v3.spz"), read("splat_transform_v4.spz"));
+    assert_eq!(read_rub("splat_transform_v3.spz"), read_rub("splat_transform_v4.spz"));
     // Written from what was read of version 4.
     let may = HalfSteps { quat: 0.5 / 127.5, ..spz([8, 8]) };
-    compare(&read("spz_v2.spz"), &read("splat_transform_v4.spz"), &may);
+    compare(&read_rub("spz_v2.spz"), &read_rub("splat_transform_v4.spz"), &may);
     let dropped = read_gaussians(&path("splat_transform_v4.spz"), HigherHarmonics::Drop.into()).unwrap();
     assert!(dropped.layout().is_base() && dropped.means() == read("splat_transform_v4.spz").means());
+}
+
+#[test]
+fn spz_of_other_programs_has_the_axes_of_ply_files_or_declares_others() {
+    let original = read("original.ply");
+    let names = [
+        "niantic_v2.spz",
+        "niantic_v3.spz",
+        "niantic_rub.spz",
+        "splat_transform_37_v3.spz",
+        "splat_transform_37_v4.spz",
+        "gsply_v3.spz",
+        "gsply_v4.spz",
+        "gaussforge_v2.spz",
+        "gaussforge_v3.spz",
+        "spz_js_v2.spz",
+    ];
+    for name in names {
+        let found = read(name);
+        assert_eq!(found.layout(), original.layout(), "{name}");
+        let quat = if name.contains("_v2") { 0.5 / 127.5 } else { 0.5 / 511.0 / 2.0_f64.sqrt() };
+        compare(&found, &original, &HalfSteps { quat, ..spz([5, 4]) });
+        let notes = TimestepFiles::open(&path(name), ReadSettings::default()).unwrap().notes();
+        assert_eq!(notes.is_empty(), name == "niantic_rub.spz", "{name}: {notes:?}");
+    }
 }
 
 #[test]
@@ -184,14 +215,12 @@ fn glb_of_splat_transform() {
 #[test]
 fn a_folder_of_several_kinds_is_one_sequence() {
     let folder = tempfile::tempdir().unwrap();
-    for (i, name) in
-        ["original.ply", "splat_transform_v3.spz", "spz_v2.spz", "splat_transform_v4.spz"].iter().enumerate()
-    {
+    for (i, name) in ["original.ply", "gsply_v3.spz", "spz_js_v2.spz", "niantic_rub.spz"].iter().enumerate() {
         let ending = name.rsplit('.').next().unwrap();
         std::fs::copy(path(name), folder.path().join(format!("{i}.{ending}"))).unwrap();
     }
     let files = TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap();
     assert_eq!((files.num_timesteps(), files.num_gaussians(), files.kind()), (4, 260, "Gaussian files"));
     let scene = files.read(0..4).unwrap();
-    assert_eq!(scene.at(3), read("splat_transform_v4.spz"));
+    assert_eq!(scene.at(3), read("niantic_rub.spz"));
 }

@@ -80,6 +80,18 @@ def test_every_kind_of_file_is_opened(run: Path, tmp_path: Path) -> None:
     assert tcgs.open(TESTDATA / "interchange/original.ply", drop_sh=True, fps=12).fps == 12
 
 
+def test_axes_of_other_programs_files_are_noted_and_given() -> None:
+    original = tcgs.open(TESTDATA / "interchange/original.ply").at(0)
+    assumed = tcgs.open(TESTDATA / "interchange/gsply_v3.spz")
+    assert assumed.notes == ["axes assumed rdf, as PLY files have"]
+    given = tcgs.open(TESTDATA / "interchange/splat_transform_v3.spz", axes="rub")
+    assert given.notes == []
+    for scene in [assumed, given]:
+        np.testing.assert_allclose(scene.at(0).means, original.means, atol=2e-4)
+    with pytest.raises(ValueError, match='axes: "up" is no set of axes, expected three letters'):
+        tcgs.open(TESTDATA / "interchange/original.ply", axes="up")
+
+
 def test_arrays_become_a_scene_and_come_back() -> None:
     rng = np.random.default_rng(0)
     t, n = 4, 7

@@ -4,8 +4,8 @@ use std::fs;
 use std::path::PathBuf;
 
 use crate::support::*;
-use tcgs_core::SceneReader;
-use tcgs_interchange::{FourdgsFile, ReadSettings, TimestepFiles, read_gaussians};
+use tcgs_core::{Gaussians, SceneReader};
+use tcgs_interchange::{FourdgsFile, ReadSettings, TimestepFiles, read_gaussians, write_ply_to};
 use tempfile::tempdir;
 
 fn file(name: &str) -> PathBuf {
@@ -17,7 +17,7 @@ fn a_folder_of_several_kinds_becomes_a_file_and_glb_files() {
     let folder = tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     fs::create_dir(path("source")).unwrap();
-    let kinds = ["original.ply", "splat_transform_v3.spz", "splat_transform.compressed.ply", "splat_transform_v4.spz"];
+    let kinds = ["original.ply", "gsply_v3.spz", "splat_transform.compressed.ply", "splat_transform_37_v4.spz"];
     for (i, name) in kinds.into_iter().enumerate() {
         // Endings do not say what a file is.
         fs::copy(file(name), path("source").join(format!("00000{i}.ply"))).unwrap();
@@ -43,7 +43,7 @@ fn a_folder_of_several_kinds_becomes_a_file_and_glb_files() {
     succeed(&arguments);
     let (found, expected) = (
         read_gaussians(&one, ReadSettings::default()).unwrap(),
-        read_gaussians(&file("splat_transform_v3.spz"), ReadSettings::default()).unwrap(),
+        read_gaussians(&file("gsply_v3.spz"), ReadSettings::default()).unwrap(),
     );
     assert_eq!(found.means(), expected.means());
     let again = fs::read(&one).unwrap();
@@ -66,6 +66,92 @@ fn one_file_is_a_scene_of_one_timestep() {
         assert!(said.contains(kind) && said.contains("1 timesteps"), "{said}");
         succeed(&["info", text(&out)]);
     }
+}
+
+/// The lines that a command prints on standard error; it succeeds.
+fn remarks(arguments: &[&str]) -> Vec<String> {
+    let output = run(arguments);
+    assert!(output.status.success(), "{output:?}");
+    let said = String::from_utf8(output.stderr).unwrap();
+    said.lines().filter(|line| line.starts_with("note: ")).map(Into::into).collect()
+}
+
+#[test]
+fn assumed_axes_are_told_and_an_option_sets_others() {
+    let folder = tempdir().unwrap();
+    let back = |name: &str| folder.path().join(name);
+    let export = |source: &str, axes: &[&str], out: &str| {
+        let (source, out) = (file(source), back(out));
+        let said = remarks(&[&["export", text(&source), "--to", text(&out)][..], axes].concat());
+        (said, read_gaussians(&out, ReadSettings::default()).unwrap())
+    };
+    let original = read_gaussians(&file("original.ply"), ReadSettings::default()).unwrap();
+    let is_near = |found: &Gaussians| {
+        let pairs = found.means().as_flattened().iter().zip(original.means().as_flattened());
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max) < 1e-3
+    };
+    let (said, found) = export("gsply_v3.spz", &[], "a.ply");
+    let path = file("gsply_v3.spz");
+    let expected =
+        format!("note: {}: axes assumed rdf, as PLY files have; --axes rub if it is upside down", path.display());
+    assert_eq!(said, [expected]);
+    assert!(is_near(&found));
+    // Declared, or given.
+    let (said, found) = export("niantic_rub.spz", &[], "b.ply");
+    assert!(said.is_empty() && is_near(&found));
+    let (said, found) = export("splat_transform_v3.spz", &["--axes", "RUB"], "c.ply");
+    assert!(said.is_empty() && is_near(&found));
+    for (name, axes) in [("original.ply", "luf"), ("splat_transform.glb", "rdf")] {
+        let (_, turned) = export(name, &["--axes", axes], &format!("{axes}.ply"));
+        assert!(turned.means().iter().zip(original.means()).all(|(a, b)| *a == [-b[0], -b[1], b[2]]), "{name}");
+    }
+    let (births, out) = (file("fourdgs_births.4dgs"), back("births"));
+    for axes in ["rdf", "rub"] {
+        succeed(&["export", text(&births), "--axes", axes, "--to", text(&out), "--force"]);
+        let first = read_gaussians(&out.join("000000.ply"), ReadSettings::default()).unwrap();
+        let sign = if axes == "rdf" { 1.0 } else { -1.0 };
+        let y = first.means()[0][1] * sign;
+        assert!(original.means()[..40].iter().any(|mean| (mean[1] - y).abs() < 1e-2), "{axes}: {y}");
+    }
+    let message = fail(2, &["export", text(&path), "--axes", "up", "--to", text(&back("d.ply"))]);
+    assert!(message.contains("\"up\" is no set of axes, expected three letters such as rdf, rub or luf"), "{message}");
+}
+
+#[test]
+fn replaced_numbers_are_told_in_one_line() {
+    let folder = tempdir().unwrap();
+    let (source, out) = (folder.path().join("source"), folder.path().join("scene.tcgs"));
+    fs::create_dir(&source).unwrap();
+    for timestep in 0..3 {
+        let mut gaussians = read_gaussians(&file("original.ply"), ReadSettings::default()).unwrap();
+        gaussians.logit_opacities_mut()[..2].copy_from_slice(&[f32::INFINITY, f32::NEG_INFINITY]);
+        gaussians.log_scales_mut()[9][2] = f32::NEG_INFINITY;
+        write_ply_to(fs::File::create(source.join(format!("{timestep}.ply"))).unwrap(), &gaussians).unwrap();
+    }
+    let counts = "infinite numbers were replaced by finite ones: opacities 6, scales 3, in 3 timesteps";
+    let expected = [format!("note: {}: {counts}", source.display())];
+    assert_eq!(remarks(&["compress", text(&source), "--bits", "8,8", "--out", text(&out)]), expected);
+    assert_eq!(remarks(&["verify", text(&out), text(&source)]), expected);
+    let (frames, glbs) = (folder.path().join("frames"), folder.path().join("glbs"));
+    assert_eq!(remarks(&["render", text(&source), "--out", text(&frames), "--size", "64x48"]), expected);
+    assert_eq!(remarks(&["eval", text(&source), "--capture", text(capture())]), expected);
+    let one = ["export", text(&source), "--files", "glb", "--to", text(&glbs), "--frames", "1..2"];
+    assert_eq!(remarks(&one)[0].split(": ").last(), Some("opacities 2, scales 1"));
+}
+
+#[test]
+fn antialiasing_goes_to_ply_files_and_back() {
+    let folder = tempdir().unwrap();
+    let [marked, out, back] = ["marked.ply", "scene.tcgs", "back.ply"].map(|name| folder.path().join(name));
+    let bytes = fs::read(file("original.ply")).unwrap();
+    fs::write(&marked, [&bytes[..4], b"comment antialiased 1\n", &bytes[4..]].concat()).unwrap();
+    let said = succeed(&["compress", text(&marked), "--bits", "8,8", "--out", text(&out)]);
+    assert!(said.contains("of degree 3, antialiased, 1 timesteps"), "{said}");
+    succeed(&["export", text(&out), "--to", text(&back)]);
+    assert!(
+        fs::read(&back).unwrap().starts_with(b"ply\nformat binary_little_endian 1.0\ncomment SplatRenderMode: mip\n")
+    );
+    assert!(read_gaussians(&back, ReadSettings::default()).unwrap().layout().is_antialiased());
 }
 
 #[test]

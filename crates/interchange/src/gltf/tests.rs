@@ -28,7 +28,7 @@ fn glb(gaussians: &Gaussians) -> Vec<u8> {
 fn read_as(bytes: &[u8], settings: ReadSettings) -> Result<Gaussians, String> {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
-    read_gltf(file.path(), settings).map_err(|error| {
+    crate::read_gaussians(file.path(), settings).map_err(|error| {
         let message = error.to_string();
         assert!(!message.contains('\n'), "{message}");
         message.strip_prefix(&format!("{}: ", file.path().display())).unwrap().to_owned()

@@ -61,9 +61,9 @@ const ANTIALIASED: &str = "comment SplatRenderMode: mip\n";
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete PLY
-/// file, lacks a property, has harmonics of no known degree, holds a number that is not finite and not the logit of an
-/// opacity of 0 or 1 or the logarithm of a scale of 0, or has no Gaussian; [`InterchangeError::Limit`] if its header claims more
-/// memory than the settings allow.
+/// file, lacks a property, has harmonics of no known degree, holds a number that is not finite, or has no Gaussian;
+/// [`InterchangeError::Limit`] if its header claims more memory than the settings allow. Infinite numbers that
+/// [`ReadNote::Replaced`](crate::ReadNote) names are replaced.
 pub fn read_ply(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     Ok(checked(path, read_unchecked(path, settings)?)?.0)
 }
@@ -181,8 +181,8 @@ fn open(path: &Path, settings: ReadSettings) -> Result<(PlyReader<BufReader<File
     Ok((ply, head))
 }
 
-/// Whether comments of a header say that the Gaussians are drawn with antialiasing: those of Brush, or that of Postshot. The
-/// last one counts, as in other readers.
+/// Whether comments of a header, by Brush or by Postshot, say that the Gaussians are drawn with antialiasing. The last one
+/// counts, as in other readers.
 fn is_antialiased(comments: &[String]) -> bool {
     let says = |comment: &String| {
         let (key, value) = comment.trim().split_once([' ', ':'])?;

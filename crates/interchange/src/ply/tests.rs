@@ -273,3 +273,63 @@ fn what_is_wrong_with_a_compressed_file_is_named() {
     assert_eq!(found.means(), read(&whole, ReadSettings::default()).unwrap().means());
     assert!(found.colors().as_flattened().iter().all(|c| (0.0..=1.0).contains(c)));
 }
+
+/// A file with a comment behind its first line.
+fn commented(bytes: &[u8], comments: &str) -> Vec<u8> {
+    let end = bytes.iter().position(|&byte| byte == b'\n').unwrap() + 1;
+    [&bytes[..end], comments.as_bytes(), &bytes[end..]].concat()
+}
+
+#[test]
+fn comments_say_whether_gaussians_are_antialiased() {
+    let plain = little_endian(&names(9));
+    for (comments, expected) in [
+        ("", false),
+        ("comment SplatRenderMode: mip\n", true),
+        ("comment splatrendermode:  MIP\n", true),
+        ("comment SplatRenderMode: default\n", false),
+        ("comment antialiased 1\n", true),
+        ("comment antialiased true\n", true),
+        ("comment antialiased 0\n", false),
+        ("comment antialiased: perhaps\ncomment mip\n", false),
+        // The last one counts.
+        ("comment SplatRenderMode: mip\ncomment Vertical axis: y\ncomment antialiased 0\n", false),
+    ] {
+        let bytes = commented(&plain, comments);
+        let found = read(&bytes, ReadSettings::default()).unwrap();
+        assert_eq!((found.layout().is_antialiased(), found.layout().sh_degree()), (expected, 1), "{comments}");
+        check(&found, 9);
+        let target = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(target.path(), &bytes).unwrap();
+        assert_eq!(read_head(target.path(), ReadSettings::default()).unwrap().layout, *found.layout());
+    }
+    let path = std::path::PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("../../testdata/interchange/splat_transform.compressed.ply");
+    let compressed = commented(&std::fs::read(path).unwrap(), "comment SplatRenderMode: mip\n");
+    assert!(read(&compressed, ReadSettings::default()).unwrap().layout().is_antialiased());
+}
+
+#[test]
+fn antialiased_gaussians_are_written_with_a_comment() {
+    let written = |layout: &std::sync::Arc<Layout>| {
+        let mut bytes = Vec::new();
+        write_ply_to(&mut bytes, &Gaussians::zeros_of(layout, 2)).unwrap();
+        bytes
+    };
+    let (plain, layout) = (written(&Layout::with_harmonics(1)), Layout::with_harmonics(1).antialiased(true));
+    let bytes = written(&layout);
+    let comment = b"comment SplatRenderMode: mip\n";
+    let at = bytes.windows(comment.len()).position(|window| window == comment).unwrap();
+    assert_eq!([&bytes[..at], &bytes[at + comment.len()..]].concat(), plain);
+    assert_eq!(*read(&bytes, ReadSettings::default()).unwrap().layout(), layout);
+}
+
+#[test]
+fn a_file_is_turned_from_the_axes_of_the_settings() {
+    let bytes = little_endian(&names(9));
+    let as_is = read(&bytes, ReadSettings::default()).unwrap();
+    let turned = read(&bytes, ReadSettings { axes: Some(Axes::RUB), ..ReadSettings::default() }).unwrap();
+    assert!(turned.means().iter().zip(as_is.means()).all(|(a, b)| *a == [b[0], -b[1], -b[2]]));
+    let [w, x, y, z] = as_is.quats()[0];
+    assert_eq!(turned.quats()[0], [w, x, -y, -z]);
+}

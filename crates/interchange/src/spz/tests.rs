@@ -50,14 +50,15 @@ fn extensions_say_which_axes_a_file_has() {
     let read_with = |records: &[u8]| read(&gzip(&[&flagged, records].concat()));
     assert_eq!(read_with(&[]).unwrap(), as_is);
     assert_eq!(read_with(&other).unwrap(), as_is);
-    assert_eq!(read_with(&system(4)).unwrap(), as_is);
-    // RDF: as PLY files.
-    let rdf = read_with(&[other.clone(), system(6)].concat()).unwrap();
-    assert!(rdf.means().iter().zip(as_is.means()).all(|(a, b)| *a == [b[0], -b[1], -b[2]]));
+    // RDF, as PLY files, and unspecified, which is as without the extension.
+    assert_eq!(read_with(&[other.clone(), system(6)].concat()).unwrap(), as_is);
+    assert_eq!(read_with(&system(0)).unwrap(), as_is);
+    let rub = read_with(&system(4)).unwrap();
+    assert!(rub.means().iter().zip(as_is.means()).all(|(a, b)| *a == [b[0], -b[1], -b[2]]));
     // RUF is a reflection of RUB along z; shapes are reflected with the positions.
     let ruf = read_with(&system(8)).unwrap();
-    let (a, b) = (rotmat_from_quat(ruf.quats()[5]), rotmat_from_quat(as_is.quats()[5]));
-    assert!(ruf.means()[5][2] == -as_is.means()[5][2] && ruf.means()[5][1] == as_is.means()[5][1]);
+    let (a, b) = (rotmat_from_quat(ruf.quats()[5]), rotmat_from_quat(rub.quats()[5]));
+    assert!(ruf.means()[5][2] == -rub.means()[5][2] && ruf.means()[5][1] == rub.means()[5][1]);
     assert!((a[0][0] - b[0][0]).abs() < 1e-6 && (a[0][2] + b[0][2]).abs() < 1e-6);
     let message = read_with(&system(9)).unwrap_err();
     assert_eq!(message, "is in coordinate system 9, expected one of 1 to 8, whose y is up or down");
@@ -66,10 +67,38 @@ fn extensions_say_which_axes_a_file_has() {
 
     // Version 4 has them between header and table.
     let bytes = file("splat_transform_v4.spz");
-    let records = system(6);
+    let records = system(4);
     let head = with(&with(&bytes[..32], 14, &[2]), 16, &(32 + records.len() as u32).to_le_bytes());
     let v4 = read(&[&head, &records, &bytes[32..]].concat()).unwrap();
-    assert_eq!(v4, rdf);
+    assert_eq!(v4, rub);
+}
+
+#[test]
+fn axes_of_the_settings_win_and_assumed_ones_are_noted() {
+    let plain = gunzip(&file("splat_transform_v3.spz"));
+    let declared = [&COORDINATE_SYSTEM.to_le_bytes()[..], &4_u32.to_le_bytes(), &4_u32.to_le_bytes()].concat();
+    let unspecified = [&COORDINATE_SYSTEM.to_le_bytes()[..], &4_u32.to_le_bytes(), &0_u32.to_le_bytes()].concat();
+    let unknown = [&COORDINATE_SYSTEM.to_le_bytes()[..], &4_u32.to_le_bytes(), &9_u32.to_le_bytes()].concat();
+    let flagged = with(&plain, 14, &[2]);
+    let target = tempfile::NamedTempFile::new().unwrap();
+    let notes = |bytes: &[u8], axes: Option<Axes>| {
+        std::fs::write(target.path(), gzip(bytes)).unwrap();
+        let settings = ReadSettings { axes, ..ReadSettings::default() };
+        let files = crate::TimestepFiles::open(target.path(), settings).unwrap();
+        (files.at(0).unwrap(), files.notes())
+    };
+    let assumed = vec![crate::ReadNote::AssumedAxes(Axes::RDF)];
+    let (rdf, noted) = notes(&plain, None);
+    assert_eq!(noted, assumed);
+    assert_eq!(noted[0].to_string(), "axes assumed rdf, as PLY files have");
+    assert_eq!(notes(&[&flagged[..], &unspecified].concat(), None), (rdf.clone(), assumed));
+    let (rub, noted) = notes(&[&flagged[..], &declared].concat(), None);
+    assert!(noted.is_empty() && rub != rdf);
+    assert_eq!(notes(&plain, Some(Axes::RUB)), (rub, vec![]));
+    // Also over what a file declares, even if that is not read.
+    for declared in [declared, unknown] {
+        assert_eq!(notes(&[&flagged[..], &declared].concat(), Some(Axes::RDF)), (rdf.clone(), vec![]));
+    }
 }
 
 #[test]

@@ -96,10 +96,45 @@ fn the_first_file_that_does_not_fit_is_named() {
     assert_eq!(read(&folder).unwrap().0.num_timesteps(), 4);
 
     let mut infinite = at(1);
-    infinite.log_scales_mut()[4][1] = f32::NEG_INFINITY;
+    infinite.log_scales_mut()[4][1] = f32::INFINITY;
     write(&folder, "1.ply", &infinite);
     let (file, problem) = read(&folder).unwrap_err();
-    assert_eq!((&*file, &*problem), ("1.ply", "log_scales of Gaussian 4: -inf, expected a finite number"));
+    assert_eq!((&*file, &*problem), ("1.ply", "log_scales of Gaussian 4: inf, expected a finite number"));
+}
+
+#[test]
+fn infinite_opacities_and_empty_scales_are_replaced_and_counted_once() {
+    let folder = tempfile::tempdir().unwrap();
+    for timestep in 0..4 {
+        let mut gaussians = at(timestep);
+        if timestep > 1 {
+            gaussians.logit_opacities_mut()[3..5].copy_from_slice(&[f32::INFINITY, f32::NEG_INFINITY]);
+            gaussians.log_scales_mut()[4] = [f32::NEG_INFINITY, 1.0, f32::NEG_INFINITY];
+        }
+        write(&folder, &format!("{timestep}.ply"), &gaussians);
+    }
+    let files = TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap();
+    assert_eq!(files.notes(), []);
+    for timestep in [0, 2, 2, 3] {
+        files.at(timestep).unwrap();
+    }
+    let found = files.at(2).unwrap();
+    let [opaque, clear] = [3, 4].map(|i| found.logit_opacities()[i]);
+    assert!(opaque > 17.0 && clear == -opaque && tcgs_core::sigmoid(opaque) == 1.0, "{opaque} {clear}");
+    let [x, y, z] = found.log_scales()[4];
+    assert!(y == 1.0 && x == z && (-21.0..-19.0).contains(&x), "{x} {z}");
+    let note = ReadNote::Replaced { opacities: 4, scales: 4, timesteps: 2 };
+    assert_eq!(files.notes(), [note]);
+    assert_eq!(
+        note.to_string(),
+        "infinite numbers were replaced by finite ones: opacities 4, scales 4, in 2 timesteps"
+    );
+
+    let mut wrong = at(1);
+    wrong.logit_opacities_mut()[7] = f32::NAN;
+    write(&folder, "1.ply", &wrong);
+    let problem = files.at(1).unwrap_err().to_string();
+    assert!(problem.ends_with("logit_opacities of Gaussian 7: NaN, expected a finite number"), "{problem}");
 }
 
 #[test]
