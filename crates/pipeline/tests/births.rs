@@ -11,7 +11,7 @@ use support::{files, open};
 use tcgs_capture::Capture;
 use tcgs_codec::{CompressSettings, UpAxis};
 use tcgs_core::{Attribute, PointCloud, SceneReader};
-use tcgs_interchange::{read_params_foreground, read_params_npz};
+use tcgs_interchange::{ReadLimits, read_params_foreground, read_params_npz};
 use tcgs_pipeline::{
     Backend, CompressOptions, Export, LiveRun, Marks, OpenScene, OpenSettings, PrunedScene, compress_scene,
     kept_gaussians, new_trainer, start_state,
@@ -185,7 +185,7 @@ fn other_programs_files_have_who_lives_and_is_not_masked() {
         assert_eq!(written.means(timestep - 4), export.gaussians(timestep).unwrap().means());
     }
     let marks: Vec<bool> = shown.into_iter().map(is_foreground).collect();
-    assert_eq!(read_params_foreground(&path).unwrap().unwrap(), marks);
+    assert_eq!(read_params_foreground(&path, ReadLimits::default()).unwrap().unwrap(), marks);
 }
 
 #[test]
@@ -215,7 +215,7 @@ fn a_file_says_which_gaussians_are_foreground() {
             let exported = export.params(frames.clone()).unwrap();
             assert_eq!(exported.has_background(), options.marks == Marks::Keep);
             exported.write(&mut std::fs::File::create(params).unwrap()).unwrap();
-            let marks = read_params_foreground(params).unwrap().unwrap();
+            let marks = read_params_foreground(params, ReadLimits::default()).unwrap().unwrap();
             let (written, expected) = (read_params_npz(params).unwrap(), truth.gaussians(frames.start).unwrap());
             let living = lives().living(frames.start);
             let ids: Vec<usize> = living.into_iter().filter(|id| ![3, 15, 100, 232].contains(id)).collect();

@@ -221,7 +221,7 @@ mod tests {
             };
             for end in ends {
                 config.set(key, &end).unwrap_or_else(|error| panic!("{key}={end}: {error}"));
-                assert_eq!(TrainConfig::default().merge(&config.to_toml()), Ok(config.clone()));
+                assert_eq!(TrainConfig::default().merge(&config.to_toml()).unwrap(), config);
             }
         }
     }
