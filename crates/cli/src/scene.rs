@@ -95,7 +95,6 @@ impl SceneOptions {
         if let Some(loss) = scene.loss() {
             note(&describe_loss(path, loss, scene.num_gaussians(), scene.num_timesteps()));
         }
-        note_assumed(&scene);
         Ok(scene)
     }
 }

@@ -14,10 +14,11 @@ use crate::terminal::say;
 
 /// Prints the basics of a scene.
 ///
+/// - `source`: how it is read
 /// - `data`: name of data of an application, which no such scene has
 /// - returns: the same for machines
-pub fn print(path: &Path, data: Option<&str>) -> anyhow::Result<Value> {
-    let scene = SourceOptions::default().open(path).map_err(|error| what_it_is(path, error))?;
+pub fn print(path: &Path, source: SourceOptions, data: Option<&str>) -> anyhow::Result<Value> {
+    let scene = source.open(path).map_err(|error| what_it_is(path, error))?;
     if let Some(name) = data {
         let found = format!("{}, which holds no data of applications", scene.kind());
         return Err(wrong_input(format!("{}: {found}, expected a .tcgs file with {name}", path.display())));
@@ -25,7 +26,7 @@ pub fn print(path: &Path, data: Option<&str>) -> anyhow::Result<Value> {
     let bounds = Bounds::of(scene.at(0)?.means());
     let [least, most] = numbers(&scene);
     let (first_frame, frame_rate) = (scene.declared_first_frame(), scene.declared_frame_rate());
-    let (file_bytes, layout, axes) = (scene.file_bytes().ok(), scene.layout(), axes(&scene));
+    let (file_bytes, layout, axes) = (scene.file_bytes().ok(), scene.layout(), scene.axes().map(|axes| axes.to_string()));
 
     let size = file_bytes.map_or("unknown".into(), show_bytes);
     say(&format!("{}: {}, {size}", scene.path.display(), scene.kind()))?;
@@ -39,7 +40,7 @@ pub fn print(path: &Path, data: Option<&str>) -> anyhow::Result<Value> {
     say(&format!("frame rate    {}", frame_rate.map_or("unknown".into(), |rate| format!("{} a second", rate as f32))))?;
     say(&format!("harmonics     degree {}", layout.sh_degree()))?;
     say(&format!("antialiased   {}", if layout.is_antialiased() { "yes" } else { "no" }))?;
-    say(&format!("axes          {}", axes.map_or("unknown", |(_, words)| words)))?;
+    say(&format!("axes          {}", axes.as_deref().unwrap_or("unknown")))?;
     if let Some(bounds) = &bounds {
         bounds.print()?;
     }
@@ -56,21 +57,11 @@ pub fn print(path: &Path, data: Option<&str>) -> anyhow::Result<Value> {
         "frame_rate": frame_rate,
         "sh_degree": layout.sh_degree(),
         "antialiased": layout.is_antialiased(),
-        "axes": axes.map(|(letters, _)| letters),
+        "axes": axes,
         "bounds": bounds.map(Bounds::into_json),
         "raw_bytes": scene.bytes,
         "bytes": file_bytes,
     }))
-}
-
-/// The axes that a scene was read in, as three letters and in words; none where nothing says them.
-fn axes(scene: &OpenScene) -> Option<(&'static str, &'static str)> {
-    match scene.kind() {
-        "PLY files" => Some(("rdf", "rdf: x right, y down, z forward; assumed, PLY files do not say")),
-        "SPZ files" => Some(("rub", "rub: x right, y up, z back, as SPZ has them; read as rdf")),
-        "glTF files" => Some(("luf", "luf: x left, y up, z forward, as glTF has them; read as rdf")),
-        _ => None,
-    }
 }
 
 /// The error of opening; of a capture or of videos one that says what these are.

@@ -21,7 +21,7 @@ use crate::attribute_errors;
 use crate::error::wrong_input;
 use crate::options::JobOptions;
 use crate::output::show_bytes;
-use crate::scene::{RecoverOption, describe_loss, unreadable};
+use crate::scene::{RecoverOption, SourceOptions, describe_loss, unreadable};
 use crate::terminal::{note, say, write};
 
 /// Show what is in a .tcgs file, and whether it is whole; of any other scene its basics
@@ -46,6 +46,8 @@ pub struct Arguments {
     #[arg(long, value_name = "NAME")]
     data: Option<String>,
     #[command(flatten)]
+    source: SourceOptions,
+    #[command(flatten)]
     recover: RecoverOption,
     #[command(flatten)]
     job: JobOptions,
@@ -59,7 +61,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin(&[], &[&arguments.file])?;
     let path = arguments.file.display();
     if !OpenScene::is_tcgs(&arguments.file) {
-        let result = basics::print(&arguments.file, arguments.data.as_deref())?;
+        let result = basics::print(&arguments.file, arguments.source, arguments.data.as_deref())?;
         return arguments.job.write_json(&result);
     }
     let unreadable = |error| unreadable(&arguments.file, error, "a .tcgs file");

@@ -137,6 +137,11 @@ impl FourdgsFile {
         self.frame_rate
     }
 
+    /// Axes that the Gaussians have in the file. They are turned into those of PLY files.
+    pub fn axes(&self) -> Axes {
+        self.axes
+    }
+
     /// What was replaced at the timesteps that were read so far.
     pub fn notes(&self) -> Vec<ReadNote> {
         self.replaced.note().into_iter().collect()

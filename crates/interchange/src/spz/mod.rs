@@ -108,18 +108,17 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
     Ok(Head { num_gaussians: header.num_gaussians, layout: header.layout(settings) })
 }
 
-/// Whether a file declares its axes. Without extensions its header answers; else the file is read.
+/// The axes that a file declares; none if it does not. Without extensions its header answers; else the file is read.
 ///
 /// # Errors
 /// As [`read_spz`].
-pub(crate) fn declares_axes(path: &Path, settings: ReadSettings) -> Result<bool, InterchangeError> {
+pub(crate) fn read_axes(path: &Path, settings: ReadSettings) -> Result<Option<Axes>, InterchangeError> {
     let header = open(path, settings)?;
     if !header.has_extensions {
-        return Ok(false);
+        return Ok(None);
     }
     let (_, extensions) = read_arrays(path, &header)?;
-    let axes = declared_axes(&extensions).map_err(|problem| InterchangeError::File { path: path.into(), problem })?;
-    Ok(axes.is_some())
+    declared_axes(&extensions).map_err(|problem| InterchangeError::File { path: path.into(), problem })
 }
 
 /// The arrays and the extensions of a file.

@@ -15,7 +15,7 @@ use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, natural_key};
 
 use crate::gaussian_file::{FileKind, read_and_count, read_head};
 use crate::notes::ReplacedByTimestep;
-use crate::{InterchangeError, ReadNote, ReadSettings, spz};
+use crate::{Axes, InterchangeError, ReadNote, ReadSettings, spz};
 
 /// Endings of the files that are timesteps. What such a file is its content says.
 const ENDINGS: [&str; 4] = ["ply", "spz", "glb", "gltf"];
@@ -55,6 +55,8 @@ pub struct TimestepFiles {
     first_frame: Option<u32>,
     settings: ReadSettings,
     layout: Arc<Layout>,
+    /// Of the first file.
+    axes: Axes,
     /// Whether the axes of any file were assumed.
     has_assumed_axes: bool,
     replaced: ReplacedByTimestep,
@@ -75,12 +77,22 @@ impl TimestepFiles {
         let mut numbers = Vec::new();
         let mut kinds = Vec::new();
         let mut first = None;
-        let mut has_assumed_axes = false;
+        let (mut axes, mut has_assumed_axes) = (None, false);
         for file in &files {
             let (kind, head) = read_head(file, settings)?;
             kinds.push(kind);
-            has_assumed_axes = has_assumed_axes
-                || (kind == FileKind::Spz && settings.axes.is_none() && !spz::declares_axes(file, settings)?);
+            let of_file = match (settings.axes, kind) {
+                (Some(axes), _) => axes,
+                (None, FileKind::Ply) => Axes::RDF,
+                (None, FileKind::Gltf) => Axes::LUF,
+                (None, FileKind::Spz) if has_assumed_axes => spz::ASSUMED_AXES,
+                (None, FileKind::Spz) => {
+                    let declared = spz::read_axes(file, settings)?;
+                    has_assumed_axes = declared.is_none();
+                    declared.unwrap_or(spz::ASSUMED_AXES)
+                }
+            };
+            axes.get_or_insert(of_file);
             let expected = first.get_or_insert_with(|| Arc::clone(&head.layout));
             if head.layout != *expected {
                 let (found, expected, first) = (look(&head.layout), look(expected), files[0].display());
@@ -93,7 +105,13 @@ impl TimestepFiles {
         let layout = first.unwrap_or_default();
         let kind = kinds.first().copied().filter(|first| kinds.iter().all(|kind| kind == first));
         let replaced = ReplacedByTimestep::default();
-        Ok(Self { files, numbers, kind, first_frame, settings, layout, has_assumed_axes, replaced })
+        let axes = axes.unwrap_or(Axes::RDF);
+        Ok(Self { files, numbers, kind, first_frame, settings, layout, axes, has_assumed_axes, replaced })
+    }
+
+    /// Axes that the Gaussians of the first file have in it. Readers turn them into those of PLY files.
+    pub fn axes(&self) -> Axes {
+        self.axes
     }
 
     /// What was assumed when the files were opened, and what was replaced in those that were read so far.

@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tcgs_capture::Capture;
 use tcgs_codec::{BitMap, CompactFile, FileCamera, Light, Loss, Quantizers, SceneFile, SceneInfo, UpAxis, read_views};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
-use tcgs_interchange::{FourdgsFile, ParamsNpz, ReadLimits, ReadNote, TimestepFiles};
+use tcgs_interchange::{Axes, FourdgsFile, ParamsNpz, ReadLimits, ReadNote, TimestepFiles};
 use tcgs_train::{Checkpoint, Lives, Parameters, Run, StandIns, TrainError};
 
 use self::chapters::Chapters;
@@ -310,6 +310,15 @@ impl OpenScene {
             Content::TimestepFiles(files) => files.notes(),
             Content::Fourdgs(file) => file.notes(),
             _ => Vec::new(),
+        }
+    }
+
+    /// Axes that the Gaussians have in other programs' files; none of anything else. Scenes are in those of PLY files.
+    pub fn axes(&self) -> Option<Axes> {
+        match &self.content {
+            Content::TimestepFiles(files) => Some(files.axes()),
+            Content::Fourdgs(file) => Some(file.axes()),
+            _ => None,
         }
     }
 
