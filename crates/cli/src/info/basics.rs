@@ -5,7 +5,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, RawFootage};
 use tcgs_core::SceneReader;
-use tcgs_pipeline::{OpenScene, PipelineError};
+use tcgs_pipeline::PipelineError;
 
 use crate::error::wrong_input;
 use crate::output::show_bytes;

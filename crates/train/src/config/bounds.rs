@@ -30,12 +30,13 @@ const RATE: Bounds = Number(0.0, 1e3);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 83] = [
+const BOUNDS: [(&str, Bounds); 84] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
     ("data.layout", Any),
     ("data.points", Any),
+    ("data.hold_out", Any),
     ("data.start_from", Any),
     ("data.first_frame", Whole(0, TIMESTEPS)),
     ("data.end_frame", Whole(0, TIMESTEPS)),
@@ -196,7 +197,9 @@ mod tests {
                 Any => {}
                 Whole(least, most) => {
                     assert!(least < most, "{key}");
-                    [least - 1, most + 1, i64::MIN, i64::MAX].map(|value| refused(key, value.to_string()));
+                    for value in [least - 1, most + 1, i64::MIN, i64::MAX] {
+                        refused(key, value.to_string());
+                    }
                 }
                 Number(least, most) => {
                     assert!(least < most && most.is_finite(), "{key}");
