@@ -347,7 +347,7 @@ mod tests {
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
         write_whole(&path, Existing::Keep, |file| file.write_all(b"one")).unwrap();
         let error = write_whole(&path, Existing::Keep, |file| file.write_all(b"two")).unwrap_err();
-        assert_eq!((error.kind(), fs::read(&path).unwrap()), (io::ErrorKind::AlreadyExists, b"one".to_vec()));
+        assert_eq!((error.kind(), fs::read(&path).unwrap()), (ErrorKind::AlreadyExists, b"one".to_vec()));
         write_whole(&path, Existing::Replace, |file| file.write_all(b"two")).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"two");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);

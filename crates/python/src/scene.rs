@@ -8,7 +8,7 @@ use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyRange, PyString};
 use tcgs_core::{SceneReader, Tour};
-use tcgs_interchange::{HigherHarmonics, ReadLimits, ReadSettings};
+use tcgs_interchange::{Axes, HigherHarmonics, ReadLimits, ReadSettings};
 use tcgs_pipeline::{CutFiles, OpenScene, OpenSettings};
 
 use crate::arrays::ArrayLike;
@@ -102,7 +102,8 @@ pub fn open(
     fps: Option<Number>,
     segment_length: Option<Whole>,
 ) -> PyResult<PyScene> {
-    let axes = axes.map(|letters| letters.parse().map_err(|error| PyValueError::new_err(format!("axes: {error}"))));
+    let axes =
+        axes.map(|letters| letters.parse::<Axes>().map_err(|error| PyValueError::new_err(format!("axes: {error}"))));
     let settings = OpenSettings {
         read: ReadSettings {
             higher_harmonics: if drop_sh { HigherHarmonics::Drop } else { HigherHarmonics::Keep },

@@ -124,7 +124,7 @@ fn gaussians(buffers: &Buffers, primitive: &Primitive, sh_degree: usize) -> Resu
     let mut values = vec![
         means,
         rotations.as_chunks().0.iter().flat_map(|&[x, y, z, w]| [w, x, y, z]).collect(),
-        scales.iter().map(|scale| if scale.is_nan() { *scale } else { scale.max(f32::MIN_POSITIVE).ln() }).collect(),
+        scales.into_iter().map(f32::ln).collect(),
         opacities.iter().map(|&opacity| logit(f64::from(opacity), nearest)).collect(),
         colors.into_iter().map(color_from_sh0).collect(),
     ];

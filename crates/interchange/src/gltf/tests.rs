@@ -294,7 +294,7 @@ fn what_is_wrong_is_named() {
     let scale = attribute("SCALE");
     assert_eq!(with(&scale, -1.5).unwrap_err(), "SCALE of Gaussian 0: -1.5, expected a number that is not negative");
     assert!(with(&scale, f32::NAN).unwrap_err().starts_with("log_scales of Gaussian 0: NaN"));
-    assert!(with(&scale, 0.0).unwrap().log_scales()[0][0].is_finite());
+    assert_eq!(with(&scale, 0.0).unwrap().log_scales()[0][0], -20.0);
     assert_eq!(with(&opacity, 1.5).unwrap_err(), "OPACITY of Gaussian 0: 1.5, expected a number from 0 to 1");
     assert!(with(&opacity, f32::NAN).is_err());
     assert!(with(&opacity, 1.0).unwrap().logit_opacities()[0] > 16.0);
