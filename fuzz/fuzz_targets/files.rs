@@ -11,6 +11,7 @@ use tcgs_interchange::{InterchangeError, ReadLimits, ReadSettings};
 pub const LIMITS: ReadLimits = ReadLimits { base_bytes: 1 << 20, expansion: 16, max_timesteps: 1000 };
 
 /// [`LIMITS`], and else what is usual.
+#[allow(dead_code, reason = "not all targets read Gaussians")]
 pub fn settings() -> ReadSettings {
     ReadSettings { limits: LIMITS, ..ReadSettings::default() }
 }
@@ -74,6 +75,7 @@ pub fn read<T>(
 }
 
 /// What must hold of Gaussians that were read.
+#[allow(dead_code, reason = "not all targets read Gaussians")]
 pub fn check(gaussians: &Gaussians) {
     assert!(gaussians.num_gaussians() > 0);
     assert!(gaussians.layout().attributes().all(|a| gaussians.values(a).iter().all(|x: &f32| x.is_finite())));

@@ -1,5 +1,6 @@
 //! Reads a `.4dgs` file into memory, and gives its state at each timestep.
 
+use std::cmp::Ordering;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -256,7 +257,7 @@ fn living(scene: &::fourdgs::Scene, times: &[f64]) -> Vec<usize> {
         let is_visible = |t: f64| {
             let z = (t - mu) / sigma.max(1e-30);
             let share = if sigma.is_finite() { (-0.5 * z * z).exp() } else { 1.0 };
-            !(share < scene.header.cutoff)
+            share.partial_cmp(&scene.header.cutoff) != Some(Ordering::Less)
         };
         let middle = window.partition_point(|&t| t < mu);
         let first = window[..middle].partition_point(|&t| !is_visible(t));
