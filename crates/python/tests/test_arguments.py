@@ -123,7 +123,7 @@ NAMES = [
 ]  # fmt: skip
 # Arguments whose messages begin with what they name, such as a file or a frame.
 NAMED_OTHERWISE = {
-    "callback", "cameras", "capture", "config", "downscale", "frame", "frames", "lpips_weights", "out", "path", "points",
+    "callback", "cameras", "capture", "config", "downscale", "frame", "frames", "lpips_weights", "max_error", "out", "path", "points",
     "scene", "settings", "source", "start_from", "target_bytes", "target_psnr", "timestep",
 }  # fmt: skip
 
@@ -162,6 +162,27 @@ def test_odd_arguments_raise_what_python_users_expect(
         except BaseException as error:
             pytest.fail(f"{described} raised {type(error).__name__}: {error}")
     assert raised > case.trials // 4
+
+
+@pytest.mark.parametrize("value", [-3e38, -1e30, -1e-40, 0.0, 1e-30, 1e30, 3e38])
+def test_scenes_of_extreme_numbers_are_used_or_refused(value: float, tmp_path: Path) -> None:
+    means, quats, scales, opacities, colors = gaussians(6, 1)
+    names = ["means", "quats", "colors", "log_scales", "logit_opacities", "harmonics"]
+    right = [means[None], quats[None], colors[None], np.log(scales), np.log(opacities / (1 - opacities)), np.ones((6, 3, 3))]
+    for place, name in enumerate(names):
+        for count in (1, right[place].size):
+            arrays = [array.copy() for array in right]
+            arrays[place].flat[:count] = value
+            try:
+                scene = tcgs.Scene.from_arrays(**dict(zip(names, arrays)))
+                assert len(scene.at(0).scales) == 6
+                tcgs.render(scene, scene.orbit(1, width=40, height=30)[0], backend="cpu")
+                tcgs.compress(scene, tmp_path / "scene.tcgs", overwrite=True, progress=False)
+                scene.save(tmp_path / "scene.4dgs", overwrite=True, progress=False)
+            except (ValueError, MemoryError, OSError):
+                pass
+            except BaseException as error:
+                pytest.fail(f"{name} of {value} raised {type(error).__name__}: {error}")
 
 
 @pytest.mark.parametrize(("width", "height"), [(2**16, 2**16), (2**31, 1), (2**62, 2**62), (-1, 5), (5, 0)])
