@@ -107,7 +107,7 @@ def cases(capture: Path, run: Path, folder: Path) -> dict[str, Case]:
         "open": Case(tcgs.open, 60, opened),
         "rasterize": Case(tcgs.rasterize, 400, drawn | {"rasterize_mode": "antialiased"}),
         "rasterize, several": Case(tcgs.rasterize, 300, several),
-        "Rasterized.vjp": Case(tcgs.rasterize(*gaussians(4, 1), at.viewmat, at.K, WIDTH, HEIGHT).vjp, 60, v),
+        "Rasterized.vjp": Case(tcgs.rasterize(*[*gaussians(4, 1), at.viewmat, at.K, WIDTH, HEIGHT]).vjp, 60, v),
         "render": Case(tcgs.render, 80, {"scene": scene, "camera": at, "timestep": 0, "background": [0, 0, 0], "backend": "cpu"}),
         "compress": Case(tcgs.compress, 150, compressed),
         "evaluate": Case(tcgs.evaluate, 60, evaluated),
@@ -217,7 +217,7 @@ def test_what_does_not_fit_into_memory_is_a_memory_error(monkeypatch: pytest.Mon
             tcgs.render(tcgs.open(FILE), at, backend="cpu")
         # A million Gaussians that cover an image of 2000 tiles.
         n, small = 10**6, camera().resized(720, 720)
-        many = [np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)), np.ones((n, 3)), np.full(n, 0.5), np.ones((n, 1))]
+        many: list[Any] = [np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)), np.ones((n, 3)), np.full(n, 0.5), np.ones((n, 1))]
         with pytest.raises(MemoryError, match="splats: needs"):
             tcgs.rasterize(*[*many, small.viewmat, small.K, small.width, small.height])
     finally:
@@ -229,9 +229,10 @@ def test_numbers_out_of_range_are_named_with_their_place() -> None:
     at = camera()
 
     def refused(message: str, **change: Any) -> None:
-        arrays = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors} | change
+        arrays: dict[str, Any] = {"means": means, "quats": quats, "scales": scales, "opacities": opacities}
+        arrays |= {"colors": colors, "viewmat": at.viewmat, "K": at.K, "width": WIDTH, "height": HEIGHT} | change
         with pytest.raises((ValueError, TypeError), match=message):
-            tcgs.rasterize(**({"viewmat": at.viewmat, "K": at.K, "width": WIDTH, "height": HEIGHT} | arrays))
+            tcgs.rasterize(**arrays)
 
     wrong = means.copy()
     wrong[2, 1] = np.nan
