@@ -107,7 +107,7 @@ def cases(capture: Path, run: Path, folder: Path) -> dict[str, Case]:
         "open": Case(tcgs.open, 60, opened),
         "rasterize": Case(tcgs.rasterize, 400, drawn | {"rasterize_mode": "antialiased"}),
         "rasterize, several": Case(tcgs.rasterize, 300, several),
-        "Rasterized.vjp": Case(tcgs.rasterize(*gaussians(4, 1), at.viewmat, at.K, WIDTH, HEIGHT).vjp, 60, v),
+        "Rasterized.vjp": Case(tcgs.rasterize(*[*gaussians(4, 1), at.viewmat, at.K, WIDTH, HEIGHT]).vjp, 60, v),
         "render": Case(tcgs.render, 80, {"scene": scene, "camera": at, "timestep": 0, "background": [0, 0, 0], "backend": "cpu"}),
         "compress": Case(tcgs.compress, 150, compressed),
         "evaluate": Case(tcgs.evaluate, 60, evaluated),
@@ -123,7 +123,7 @@ NAMES = [
 ]  # fmt: skip
 # Arguments whose messages begin with what they name, such as a file or a frame.
 NAMED_OTHERWISE = {
-    "callback", "cameras", "capture", "config", "downscale", "frame", "frames", "lpips_weights", "out", "path", "points",
+    "callback", "cameras", "capture", "config", "downscale", "frame", "frames", "lpips_weights", "max_error", "out", "path", "points",
     "scene", "settings", "source", "start_from", "target_bytes", "target_psnr", "timestep",
 }  # fmt: skip
 
@@ -164,6 +164,27 @@ def test_odd_arguments_raise_what_python_users_expect(
     assert raised > case.trials // 4
 
 
+@pytest.mark.parametrize("value", [-3e38, -1e30, -1e-40, 0.0, 1e-30, 1e30, 3e38])
+def test_scenes_of_extreme_numbers_are_used_or_refused(value: float, tmp_path: Path) -> None:
+    means, quats, scales, opacities, colors = gaussians(6, 1)
+    names = ["means", "quats", "colors", "log_scales", "logit_opacities", "harmonics"]
+    right = [means[None], quats[None], colors[None], np.log(scales), np.log(opacities / (1 - opacities)), np.ones((6, 3, 3))]
+    for place, name in enumerate(names):
+        for count in (1, right[place].size):
+            arrays = [array.copy() for array in right]
+            arrays[place].flat[:count] = value
+            try:
+                scene = tcgs.Scene.from_arrays(**dict(zip(names, arrays)))
+                assert len(scene.at(0).scales) == 6
+                tcgs.render(scene, scene.orbit(1, width=40, height=30)[0], backend="cpu")
+                tcgs.compress(scene, tmp_path / "scene.tcgs", overwrite=True, progress=False)
+                scene.save(tmp_path / "scene.4dgs", overwrite=True, progress=False)
+            except (ValueError, MemoryError, OSError):
+                pass
+            except BaseException as error:
+                pytest.fail(f"{name} of {value} raised {type(error).__name__}: {error}")
+
+
 @pytest.mark.parametrize(("width", "height"), [(2**16, 2**16), (2**31, 1), (2**62, 2**62), (-1, 5), (5, 0)])
 def test_images_too_large_or_without_pixels_are_refused_everywhere(width: int, height: int, tmp_path: Path) -> None:
     arrays, at = gaussians(4, 1), camera()
@@ -196,7 +217,7 @@ def test_what_does_not_fit_into_memory_is_a_memory_error(monkeypatch: pytest.Mon
             tcgs.render(tcgs.open(FILE), at, backend="cpu")
         # A million Gaussians that cover an image of 2000 tiles.
         n, small = 10**6, camera().resized(720, 720)
-        many = [np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)), np.ones((n, 3)), np.full(n, 0.5), np.ones((n, 1))]
+        many: list[Any] = [np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)), np.ones((n, 3)), np.full(n, 0.5), np.ones((n, 1))]
         with pytest.raises(MemoryError, match="splats: needs"):
             tcgs.rasterize(*[*many, small.viewmat, small.K, small.width, small.height])
     finally:
@@ -208,9 +229,10 @@ def test_numbers_out_of_range_are_named_with_their_place() -> None:
     at = camera()
 
     def refused(message: str, **change: Any) -> None:
-        arrays = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors} | change
+        arrays: dict[str, Any] = {"means": means, "quats": quats, "scales": scales, "opacities": opacities}
+        arrays |= {"colors": colors, "viewmat": at.viewmat, "K": at.K, "width": WIDTH, "height": HEIGHT} | change
         with pytest.raises((ValueError, TypeError), match=message):
-            tcgs.rasterize(**({"viewmat": at.viewmat, "K": at.K, "width": WIDTH, "height": HEIGHT} | arrays))
+            tcgs.rasterize(**arrays)
 
     wrong = means.copy()
     wrong[2, 1] = np.nan

@@ -28,7 +28,7 @@ def harmonics(direction: Any, degree: int) -> Any:
     for l in range(degree + 1):
         for m in range(-l, l + 1):
             order = abs(m)
-            before, legendre = 0.0, np.prod([-(2 * i - 1) * sqrt(1 - z * z) for i in range(1, order + 1)])
+            before, legendre = 0.0, float(np.prod([-(2 * i - 1) * sqrt(1 - z * z) for i in range(1, order + 1)]))
             for i in range(order + 1, l + 1):
                 before, legendre = legendre, ((2 * i - 1) * z * legendre - (i + order - 1) * before) / (i - order)
             scale = sqrt((2 * l + 1) / (4 * pi) * factorial(l - order) / factorial(l + order)) * (1 if m == 0 else sqrt(2))
@@ -55,7 +55,7 @@ def with_coefficients(n: int, count: int, seed: int) -> Any:
 def test_several_cameras_give_the_bits_of_each_and_the_sum_of_gradients() -> None:
     arrays, all, rng = gaussians(12, 1), cameras(), np.random.default_rng(4)
     backgrounds = rng.uniform(size=(3, 3))
-    together = tcgs.rasterize(*arrays, *matrices(all), WIDTH, HEIGHT, backgrounds=backgrounds)
+    together = tcgs.rasterize(*[*arrays, *matrices(all), WIDTH, HEIGHT], backgrounds=backgrounds)
     assert together.image.shape == (3, HEIGHT, WIDTH, 3) and together.alpha.shape == (3, HEIGHT, WIDTH, 1)
     v_image, v_alpha = rng.normal(size=together.image.shape), rng.normal(size=together.alpha.shape)
     v = together.vjp(v_image, v_alpha)
@@ -69,7 +69,7 @@ def test_several_cameras_give_the_bits_of_each_and_the_sum_of_gradients() -> Non
             sums[name] = sums.get(name, 0) + getattr(grads, name).astype(float)
     for name, expected in sums.items():
         np.testing.assert_allclose(getattr(v, name), expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
-    one = tcgs.rasterize(*arrays, *matrices(all[:1]), WIDTH, HEIGHT)
+    one = tcgs.rasterize(*[*arrays, *matrices(all[:1]), WIDTH, HEIGHT])
     assert np.array_equal(one.image[0], drawn(arrays).image)
 
 
@@ -77,7 +77,7 @@ def test_the_names_of_gsplat_are_taken() -> None:
     arrays, all = gaussians(5, 2), cameras()
     viewmats, ks = matrices(all)
     backgrounds = np.tile(BACKGROUND, (3, 1))
-    expected = tcgs.rasterize(*arrays, viewmats, ks, WIDTH, HEIGHT, background=backgrounds).image
+    expected = tcgs.rasterize(*[*arrays, viewmats, ks, WIDTH, HEIGHT], background=backgrounds).image
     names = ["means", "quats", "scales", "opacities", "colors"]
     named: dict[str, Any] = dict(zip(names, arrays)) | {"viewmats": viewmats, "Ks": ks, "width": WIDTH, "height": HEIGHT}
     assert np.array_equal(tcgs.rasterize(**named, backgrounds=backgrounds).image, expected)
@@ -102,7 +102,7 @@ def test_the_names_of_gsplat_are_taken() -> None:
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_harmonics_are_those_of_the_definition_in_the_direction_of_each_camera(degree: int) -> None:
     arrays, all = with_coefficients(12, 16, 3), cameras()
-    images = tcgs.rasterize(*arrays, *matrices(all), WIDTH, HEIGHT, sh_degree=degree).image
+    images = tcgs.rasterize(*[*arrays, *matrices(all), WIDTH, HEIGHT], sh_degree=degree).image
     for image, at in zip(images, all):
         colors = seen(arrays[0], arrays[4], degree, at)
         assert np.any(colors == 0) and np.any(colors > 0.4)
@@ -126,7 +126,7 @@ def test_gradients_of_harmonics_agree_with_central_differences(degree: int, coun
     def loss() -> float:
         return float(sum(np.sum(image(i, reached[i])[0] * v_image[i]) for i in range(2)))
 
-    v = tcgs.rasterize(*arrays, *matrices(all), WIDTH, HEIGHT, sh_degree=degree).vjp(v_image)
+    v = tcgs.rasterize(*[*arrays, *matrices(all), WIDTH, HEIGHT], sh_degree=degree).vjp(v_image)
     for array, grad in [(arrays[0], v.v_means), (arrays[4], v.v_colors)]:
         assert grad.shape == array.shape
         differences = np.zeros_like(array)

@@ -16,6 +16,9 @@ from test_rasterize import BACKGROUND, HEIGHT, WIDTH, camera, drawn, gaussians  
 from tcgs.torch import rasterize  # noqa: E402
 
 
+NAMES = ["means", "quats", "scales", "opacities", "colors"]
+
+
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 def test_gradients_flow_to_every_tensor(mode: Literal["classic", "antialiased"]) -> None:
     arrays = gaussians(8, 2)
@@ -41,13 +44,13 @@ def test_several_cameras_and_harmonics_are_those_of_the_arrays() -> None:
     tensors: Any = [torch.tensor(array, requires_grad=True) for array in [*arrays, backgrounds]]
     options: Any = {"near_plane": 0.01, "sh_degree": 2}
     image, alpha = rasterize(
-        *tensors[:5], viewmats=torch.tensor(viewmats), Ks=torch.tensor(ks), width=WIDTH, height=HEIGHT,
+        **dict(zip(NAMES, tensors)), viewmats=torch.tensor(viewmats), Ks=torch.tensor(ks), width=WIDTH, height=HEIGHT,
         backgrounds=tensors[5], **options,
     )  # fmt: skip
     rng = np.random.default_rng(3)
     v_image, v_alpha = rng.normal(size=image.shape), rng.normal(size=alpha.shape)
     (torch.sum(image * torch.tensor(v_image)) + torch.sum(alpha * torch.tensor(v_alpha))).backward()
-    reference = tcgs.rasterize(*arrays, viewmats, ks, WIDTH, HEIGHT, backgrounds=backgrounds, **options)
+    reference = tcgs.rasterize(*[*arrays, viewmats, ks, WIDTH, HEIGHT], backgrounds=backgrounds, **options)
     assert np.array_equal(image.detach().numpy().astype(np.float32), reference.image)
     v = reference.vjp(v_image, v_alpha)
     expected = [v.v_means, v.v_quats, v.v_scales, v.v_opacities, v.v_colors, v.v_background]
@@ -59,12 +62,12 @@ def test_what_is_no_tensor_is_named() -> None:
     at, arrays = camera(), gaussians(2, 1)
     tensors: Any = [torch.tensor(array) for array in [*arrays, at.viewmat, at.K]]
     with pytest.raises(TypeError, match="^K: is ndarray, expected a tensor$"):
-        rasterize(*tensors[:6], at.K, WIDTH, HEIGHT)
+        rasterize(*[*tensors[:6], at.K, WIDTH, HEIGHT])
     with pytest.raises(TypeError, match="background and backgrounds: both given"):
-        rasterize(*tensors, WIDTH, HEIGHT, background=tensors[4][0], backgrounds=tensors[4][0])
+        rasterize(*[*tensors, WIDTH, HEIGHT], background=tensors[4][0], backgrounds=tensors[4][0])
     tensors[0][0, 0] = torch.nan
     with pytest.raises(ValueError, match=r"^means: holds NaN at \[0, 0\]"):
-        rasterize(*tensors, WIDTH, HEIGHT)
+        rasterize(*[*tensors, WIDTH, HEIGHT])
 
 
 def test_a_scene_is_fitted_to_an_image() -> None:

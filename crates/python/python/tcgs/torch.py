@@ -53,9 +53,9 @@ def rasterize(
     [C, height, width, …], with gradients to all tensors but those of the cameras. It computes on the CPU in float32, wherever
     the tensors are."""
     gaussians = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors}
-    behind = {"background": background, "backgrounds": backgrounds}
-    cameras = {"viewmat": viewmat, "viewmats": viewmats, "K": K, "Ks": Ks}
-    behind, cameras = ({name: t for name, t in given.items() if t is not None} for given in (behind, cameras))
+    behinds = {"background": background, "backgrounds": backgrounds}
+    all_cameras = {"viewmat": viewmat, "viewmats": viewmats, "K": K, "Ks": Ks}
+    behind, cameras = ({name: t for name, t in given.items() if t is not None} for given in (behinds, all_cameras))
     for name, tensor in (gaussians | behind | cameras).items():
         if not isinstance(tensor, torch.Tensor):
             raise TypeError(f"{name}: is {type(tensor).__name__}, expected a tensor")
