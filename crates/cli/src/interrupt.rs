@@ -1,7 +1,6 @@
 //! Signals: Ctrl-C (SIGINT), SIGTERM, which ends services and batch jobs, and SIGHUP of a terminal that closes.
-//!
-//! A signal ends the process at once and removes what is unfinished. A command that can end its work in a better way asks for
-//! that with [`politely`]; a second signal then ends the process at once.
+//! A signal ends the process at once and removes unfinished files. A command that ends its step first asks for that with
+//! [`politely`]; a second signal then ends the process at once.
 
 use std::io;
 use std::ops::ControlFlow;

@@ -33,7 +33,7 @@ pub struct JobOptions {
 }
 
 impl JobOptions {
-    /// Sets the number of threads, and refuses early what could not be written at the end, or would replace what is read.
+    /// Sets the number of threads and checks the outputs ([`output::check_files`]).
     ///
     /// - `files`: files to be written besides that of `--json`
     /// - `sources`: files and folders that are read

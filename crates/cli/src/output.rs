@@ -38,7 +38,7 @@ pub fn check_files(files: &[&Path], sources: &[&Path], force: bool) -> anyhow::R
             return Err(wrong_input(format!("{}: {problem}", file.display())));
         }
         if !is_device(file) {
-            // What cannot begin there cannot end there.
+            // A folder that takes no temporary folder takes no result.
             let file = file.canonicalize().unwrap_or_else(|_| file.to_path_buf());
             begin_beside(&file).with_context(|| format!("writing {}", file.display()))?;
         }
@@ -118,7 +118,7 @@ fn check_file(path: &Path, force: bool) -> anyhow::Result<()> {
     }
 }
 
-/// Refuses a link that leads nowhere, and a name that the file system does not take.
+/// Refuses a dangling link and an illegal name.
 fn check_name(path: &Path) -> anyhow::Result<()> {
     match (path.symlink_metadata(), path.metadata()) {
         (Ok(_), Err(error)) if error.kind() == ErrorKind::NotFound => {
@@ -159,7 +159,7 @@ pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io
 /// Where each [`NewFolder`] is meanwhile, and where it will be.
 static MAKING: Mutex<Vec<[PathBuf; 2]>> = Mutex::new(Vec::new());
 
-/// A message that names files in a [`NewFolder`] as they would have been called. What they are called meanwhile is removed by then.
+/// Replaces temporary names in a message: a file in a [`NewFolder`] gets the name that it would have had.
 pub fn by_final_names(mut message: String) -> String {
     for [new, place] in MAKING.lock().unwrap_or_else(PoisonError::into_inner).iter() {
         message = message.replace(&new.display().to_string(), &place.display().to_string());

@@ -318,8 +318,8 @@ impl<W: Write + Seek> NpzWriter<W> {
     }
 }
 
-/// A writer that reports its first error and from then on discards what it is given. [`ZipWriter`] completes the archive
-/// when it is dropped, and prints an error of that on standard error; the caller has got the error already.
+/// A writer that reports its first error and then discards all bytes. A dropped [`ZipWriter`] tries to complete the
+/// archive and prints its error on standard error; by then the caller has the error.
 struct FailsOnce<W> {
     writer: W,
     failed: Option<ErrorKind>,
@@ -448,7 +448,7 @@ mod tests {
         assert!(matches!(NpzReader::open(Path::new("/nowhere.npz")), Err(InterchangeError::Read { .. })));
     }
 
-    /// Of a size, like a full disk.
+    /// A file on a disk with room for some bytes.
     struct Full(io::Cursor<Vec<u8>>, u64);
 
     impl Write for Full {

@@ -139,9 +139,9 @@ impl Unfinished {
         Ok(Self { mark, folder })
     }
 
-    /// As [`Self::begin`], for content of which two processes must not make two: the temporary folder is `.writing-NAME`, and
-    /// of two processes that begin the same the second one is refused. Where folders that are in use cannot be renamed, or
-    /// not be locked, both may begin.
+    /// As [`Self::begin`], for content that only one process may make at a time. The temporary folder is
+    /// `.writing-NAME`; a second process with the same name is refused. On a system that cannot rename folders in use,
+    /// or cannot lock files, both may begin.
     ///
     /// - `name`: of the content, the same for all processes
     ///
@@ -165,7 +165,7 @@ impl Unfinished {
                 Mark::Empty(mark) if matches!(mark.try_lock(), Err(TryLockError::WouldBlock)) => {
                     return Err(ErrorKind::WouldBlock.into());
                 }
-                // What a process has kept there is not touched.
+                // A process has kept the folder.
                 Mark::Empty(_) | Mark::Unknown if own.exists() => break,
                 Mark::Empty(_) | Mark::Unknown => {}
             }
@@ -187,7 +187,7 @@ impl Unfinished {
         &self.folder.0
     }
 
-    /// Hands the folder over to the caller: neither dropping nor [`remove_unfinished`] nor [`remove_held`] removes it any more.
+    /// Hands the folder over to the caller. Dropping, [`remove_unfinished`] and [`remove_held`] leave it alone.
     pub fn keep(self) -> Kept {
         let Self { mark, folder } = self;
         folder.forget(&mut Held::all());
@@ -223,8 +223,8 @@ pub fn is_unfinished(name: &OsStr) -> bool {
     name.to_string_lossy().starts_with(PREFIX)
 }
 
-/// Removes every [`Unfinished`] of this process, for a program that a signal ends: values are not dropped then. No other can
-/// be begun, kept or dropped afterwards: a thread that tries to waits for the end of the process.
+/// Removes every [`Unfinished`] of this process. A program that a signal ends calls this, because values are not
+/// dropped then. Afterwards a thread that begins, keeps or drops an [`Unfinished`] waits for the end of the process.
 pub fn remove_held() {
     let all = Held::all();
     for folder in all.iter() {
@@ -262,7 +262,7 @@ pub fn remove_unfinished(folder: &Path, age: Duration) {
     }
 }
 
-/// What a mark says of its folder.
+/// The state of a folder by its mark.
 enum Mark {
     /// The process ended. The mark is locked as long as the file is open.
     Abandoned(File),
@@ -425,7 +425,7 @@ mod tests {
         drop(first);
         let names = || fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect::<Vec<_>>();
         assert_eq!(names(), [".writing-other"], "the loser left nothing");
-        // What a killed process left gives way at once, what one has kept stays.
+        // The next process removes the folder of a killed one, and spares a kept one.
         let left = folder.path().join(".writing-frames");
         fs::create_dir(&left).unwrap();
         fs::write(left.join(MARK), MARK_TEXT).unwrap();

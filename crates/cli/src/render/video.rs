@@ -55,7 +55,7 @@ struct Running {
     said: JoinHandle<String>,
 }
 
-/// What encodes a file of this name; none if it is not that of a video.
+/// The encoder for a file of this name; none if the name is not that of a video.
 fn encoder(place: &Path) -> Option<&'static [&'static str]> {
     match ending(place).as_str() {
         "mp4" => Some(MP4),

@@ -1,5 +1,5 @@
-//! What goes wrong outside of a command: full disks, signals, outputs that cannot be or must not be written, other processes.
-//! Each ends in one line that begins with `tcgs:`, and leaves nothing behind.
+//! Faults outside of a command: full disks, signals, illegal outputs, other processes. Each ends in one line that begins
+//! with `tcgs:`, and leaves nothing behind.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -17,7 +17,7 @@ fn trained() -> &'static Path {
     static FOLDER: OnceLock<TempDir> = OnceLock::new();
     let make = || {
         let folder = tempdir().unwrap();
-        let run = train(&folder, "run", &["--frames", "0..2", "--backend", "cpu"]);
+        let run = train(&folder, "run", &["--backend", "cpu"]);
         succeed(&["compress", text(&run), "--out", text(&folder.path().join("scene.tcgs"))]);
         folder
     };
@@ -67,7 +67,7 @@ fn refuse(folder: &Path, arguments: &[&str], expected: &str) {
     assert!(contents(folder) == before, "{arguments:?} changed something");
 }
 
-/// Commands by what they write, all of which is more than a kilobyte, to the name that comes last.
+/// Commands without their last argument, the name of the output, and such a name. Every output has more than a kilobyte.
 fn writers() -> Vec<(Vec<&'static str>, &'static str)> {
     let file = |name: &str| -> &'static str { Box::leak(text(&trained().join(name)).to_owned().into_boxed_str()) };
     let (run, scene, capture) = (file("run"), file("scene.tcgs"), text(capture()));
@@ -304,7 +304,7 @@ fn a_source_is_never_replaced() {
     let twice = "is to be written twice";
     refuse(path, &["compress", "run", "--out", "new.tcgs", "--json", "./new.tcgs"], twice);
     refuse(path, &["eval", "scene.tcgs", "--capture", "capture", "--csv", "a", "--json", "a"], twice);
-    // What commands leave beside what they read may be made anew.
+    // Results beside the files of a run are no part of it.
     for _ in 0..2 {
         let run = text(&path.join("run")).to_owned();
         succeed(&["compress", &run, "--json", &format!("{run}/compress.json"), "--force"]);
@@ -358,7 +358,7 @@ fn the_folders_of_strangers_stay_as_they_are() {
     write("marked/run/config.toml", "");
     write("prepared/prepare.json", "[]");
     write("prepared/diary.txt", "mine");
-    // What a run that was killed at its beginning left is ours.
+    // A run that is killed at its beginning leaves its start alone.
     let start = trained().join("run@0").to_str().unwrap().to_owned();
     let chapter = ["--start-from", &start, "--frames", "0..1", "--out", "chapter"];
     let chapter = [&train[..2], &["--iterations", "3,1", "--backend", "cpu"], &chapter].concat();
