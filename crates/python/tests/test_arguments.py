@@ -157,7 +157,7 @@ def test_odd_arguments_raise_what_python_users_expect(
             raised += 1
             told = "\n".join([str(error), *getattr(error, "__notes__", [])])
             is_named = place.rstrip("s") in told or place in NAMED_OTHERWISE or sys.version_info < (3, 11)
-            # Of two shapes that disagree, either may be named.
+            # If two shapes disagree, the message may name either.
             assert is_named or (is_array and "has shape" in told), f"{described}: {told}"
         except BaseException as error:
             pytest.fail(f"{described} raised {type(error).__name__}: {error}")

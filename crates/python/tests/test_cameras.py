@@ -112,7 +112,7 @@ def test_harmonics_are_those_of_the_definition_in_the_direction_of_each_camera(d
 
 @pytest.mark.parametrize(("degree", "count"), [(1, 4), (2, 16), (3, 16)])
 def test_gradients_of_harmonics_agree_with_central_differences(degree: int, count: int) -> None:
-    """Those to the means are of both ways: where a Gaussian is, and in which direction it is seen."""
+    """A mean moves the splat and turns the direction in which it is seen: the gradient has both parts."""
     arrays, all, rng = with_coefficients(4, count, 5), cameras()[:2], np.random.default_rng(6)
     arrays[4] *= 3
     v_image = rng.normal(size=(2, HEIGHT, WIDTH, 3))
