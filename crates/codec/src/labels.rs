@@ -80,7 +80,8 @@ mod tests {
 
     #[test]
     fn labels_of_several_objects_are_read() {
-        let labels = read(r#"{ "objects": ["ball", "floor"], "runs": [[2, 0], [1, -1], [1, 1]], "more": {} }"#).unwrap();
+        let labels =
+            read(r#"{ "objects": ["ball", "floor"], "runs": [[2, 0], [1, -1], [1, 1]], "more": {} }"#).unwrap();
         assert_eq!(labels.members("ball", 5), Some(vec![true, true, false, false, false]));
         assert_eq!(labels.members("floor", 5), Some(vec![false, false, false, true, false]));
         // A file that was cut has fewer Gaussians than its labels.

@@ -74,7 +74,10 @@ impl UnreadKind {
         } else if is_sog(&names) {
             Some(Self::of_splats(SOG))
         } else if ends("data.pkl") {
-            Some(Self { name: "a checkpoint of PyTorch", expected: "the PLY file or params.npz that its program writes" })
+            Some(Self {
+                name: "a checkpoint of PyTorch",
+                expected: "the PLY file or params.npz that its program writes",
+            })
         } else {
             Some(Self { name: "a ZIP archive without arrays of NumPy", expected: "a params.npz" })
         }
@@ -143,6 +146,9 @@ mod tests {
         }
         let splats = tempfile::tempdir().unwrap();
         fs::write(splats.path().join("000.splat"), "").unwrap();
-        assert_eq!(UnreadKind::of(splats.path()), Some(UnreadKind::of_splats("a .splat file of antimatter15's viewer")));
+        assert_eq!(
+            UnreadKind::of(splats.path()),
+            Some(UnreadKind::of_splats("a .splat file of antimatter15's viewer"))
+        );
     }
 }
