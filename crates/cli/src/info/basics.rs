@@ -26,7 +26,8 @@ pub fn print(path: &Path, source: SourceOptions, data: Option<&str>) -> anyhow::
     let bounds = Bounds::of(scene.at(0)?.means());
     let [least, most] = numbers(&scene);
     let (first_frame, frame_rate) = (scene.declared_first_frame(), scene.declared_frame_rate());
-    let (file_bytes, layout, axes) = (scene.file_bytes().ok(), scene.layout(), scene.axes().map(|axes| axes.to_string()));
+    let (file_bytes, layout, axes) =
+        (scene.file_bytes().ok(), scene.layout(), scene.axes().map(|axes| axes.to_string()));
 
     let size = file_bytes.map_or("unknown".into(), show_bytes);
     say(&format!("{}: {}, {size}", scene.path.display(), scene.kind()))?;
