@@ -54,6 +54,7 @@ mod compress;
 mod error;
 mod evaluate;
 mod export;
+mod held_out;
 mod live;
 mod observe;
 mod path_file;
@@ -75,11 +76,12 @@ pub use evaluate::{
     COLUMNS, EvaluateSettings, Evaluation, ImageScore, MetricColumn, evaluate, evaluation_json, protocol_mean,
 };
 pub use export::{Export, ExportedParams, TimestepKind};
+pub use held_out::capture_for;
 pub use live::{LiveFile, LiveRun};
 pub use observe::{ErrorTrial, Event, Observer, TimestepSummary, Trial, TuningTrial, Unobserved, Work};
 pub use path_file::read_camera_path;
 pub use preview::points_scene;
 pub use render::{CameraAt, render};
 pub use scene::{CutFiles, OpenScene, OpenSettings};
-pub use train::{ReadyRun, RunFolder, capture_for, continued_trainer, fit, new_trainer, settings_for, start_state};
+pub use train::{ReadyRun, RunFolder, continued_trainer, fit, new_trainer, settings_for, start_state};
 pub use verify::{Compared, Comparison, compare, whole_file_limits};

@@ -4,8 +4,7 @@ use tcgs_capture::{Capture, Split};
 use tcgs_core::Camera;
 use tcgs_train::{Checkpoint, Lifetimes, Parameters, Pose, Run, TrainConfig, TrainError, Trainer};
 
-use super::capture_for;
-use crate::{Backend, OpenScene, PipelineError};
+use crate::{Backend, OpenScene, PipelineError, capture_for};
 
 /// The state of a scene at a timestep, as a run starts from it ([`continued_trainer`]).
 ///

@@ -11,13 +11,13 @@ use std::path::Path;
 use tcgs_capture::{Capture, Split};
 use tcgs_train::{TrainConfig, Trainer};
 
-use crate::{Backend, PipelineError};
+use crate::{Backend, PipelineError, capture_for};
 
 pub use chapter::{continued_trainer, start_state};
 pub use fit::fit;
 pub use folder::RunFolder;
 pub use ready::ReadyRun;
-pub use settings::{capture_for, settings_for};
+pub use settings::settings_for;
 
 /// A trainer before the first timestep of the frames that the settings name.
 ///

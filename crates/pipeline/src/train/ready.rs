@@ -6,8 +6,8 @@ use tcgs_capture::Capture;
 use tcgs_interchange::Existing;
 use tcgs_train::{Checkpoint, Run, TrainConfig, Trainer};
 
-use super::{RunFolder, capture_for, continued_trainer, new_trainer};
-use crate::{Backend, Observer, PipelineError};
+use super::{RunFolder, continued_trainer, new_trainer};
+use crate::{Backend, Observer, PipelineError, capture_for};
 
 /// A run that is ready for [`fit`](crate::fit). Its folder is locked as long as this lives.
 #[derive(Debug)]

@@ -1,11 +1,7 @@
 //! What each kind of capture asks of the training settings.
 
-use std::borrow::Cow;
-
-use tcgs_capture::{Capture, Split};
+use tcgs_capture::Capture;
 use tcgs_train::{Preset, TrainConfig};
-
-use crate::PipelineError;
 
 /// Learning rate of scales in which Dynamic 3D Gaussians, and the paper after it, were compared on scenes without
 /// depth cameras; see `docs/PAPER.md`.
@@ -13,23 +9,6 @@ const LOG_SCALE_RATE: f32 = 0.005;
 
 /// Weight of the loss that holds what shows no change, where nothing else says what moves.
 const STILLNESS: f32 = 0.5;
-
-/// A capture as a run trains on it: the cameras of `data.hold_out` are its test cameras. Without any it stays as it is.
-///
-/// # Errors
-/// [`PipelineError::Capture`] if it has no such camera; [`PipelineError::Input`] if it has no other.
-pub fn capture_for<'a>(config: &TrainConfig, capture: &'a Capture) -> Result<Cow<'a, Capture>, PipelineError> {
-    let names = &config.data.hold_out;
-    if names.is_empty() {
-        return Ok(Cow::Borrowed(capture));
-    }
-    let chosen = capture.with_test_cameras(names)?;
-    if chosen.cameras(Split::Train, config.data.first_frame, 1)?.is_empty() {
-        let found = format!("all cameras are held out: {}", names.join(", "));
-        return Err(PipelineError::input(capture.name(), found, "at least one to train with"));
-    }
-    Ok(Cow::Owned(chosen))
-}
 
 /// The settings of a preset, as a capture of this kind needs them: its frames and frame rate, and no losses on what it
 /// does not have (a floor, masks). Where no masks say what moves, what shows no change is held (`weights.stillness`).
