@@ -41,7 +41,7 @@ pub(crate) fn find(capture: &Path, own: Option<PathBuf>) -> Option<Points> {
 /// Reads points, by the kind of the file.
 pub(crate) fn read(path: &Path) -> Result<PointCloud, CaptureError> {
     let cloud = read_unchecked(path)?;
-    let far = |point: &[f32; 3]| point.iter().copied().find(|x| !(f64::from(x.abs()) <= MAX_COORDINATE));
+    let far = |point: &[f32; 3]| point.iter().copied().find(|x| !x.is_finite() || f64::from(x.abs()) > MAX_COORDINATE);
     match cloud.points.iter().enumerate().find_map(|(i, point)| Some((i, far(point)?))) {
         Some((i, found)) => Err(CaptureError::invalid(
             path,
@@ -58,16 +58,18 @@ fn read_unchecked(path: &Path) -> Result<PointCloud, CaptureError> {
         })?;
         return colmap::read_points(&file);
     }
+    let name = files::name(path);
+    let read = match name.rsplit('.').next().unwrap_or_default() {
+        "npz" => read_npz,
+        "ply" => |path: &Path| Ok(read_ply_points(path, ReadLimits::default())?),
+        "bin" | "txt" => colmap::read_points,
+        _ => {
+            let problem = "is of no known kind, expected points as .npz, .ply, or points3D.bin or .txt of COLMAP";
+            return Err(CaptureError::invalid(path, problem));
+        }
+    };
     files::check_regular(path)?;
-    match files::name(path).rsplit('.').next().unwrap_or_default() {
-        "npz" => read_npz(path),
-        "ply" => Ok(read_ply_points(path, ReadLimits::default())?),
-        "bin" | "txt" => colmap::read_points(path),
-        _ => Err(CaptureError::invalid(
-            path,
-            "is of no known kind, expected points as .npz, .ply, or points3D.bin or .txt of COLMAP",
-        )),
-    }
+    read(path)
 }
 
 /// Writes a point cloud as [`POINTS_FILE`]: an npz archive with the array `data`, `[P, 7]` float32, whose columns are

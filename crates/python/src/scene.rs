@@ -92,6 +92,7 @@ impl FromPyObject<'_, '_> for OneOrMore {
 #[pyfunction]
 #[pyo3(signature = (path, *, drop_sh = false, axes = None, recover = false, no_limits = false, fps = None,
     segment_length = None))]
+#[allow(clippy::too_many_arguments, reason = "keywords of Python")]
 pub fn open(
     py: Python<'_>,
     path: OneOrMore,

@@ -68,7 +68,8 @@ mod tests {
         };
         let rows = [row("good", "a", 30.0), row("bad", "a", 20.0), row("bad", "b", 40.0)];
         let text = text(&rows);
-        let lines: Vec<&str> = text.lines().skip(1).map(|line| &line[..7]).collect();
-        assert_eq!(lines, ["bad   a", "bad   b", "good  a"]);
+        let lines: Vec<Vec<&str>> =
+            text.lines().skip(1).map(|line| line.split_whitespace().take(2).collect()).collect();
+        assert_eq!(lines, [["bad", "a"], ["bad", "b"], ["good", "a"]]);
     }
 }

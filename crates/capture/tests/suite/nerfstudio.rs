@@ -189,9 +189,9 @@ fn what_is_wrong_is_named() {
     assert!(message.contains("has neither fl_x nor camera_angle_x"), "{message}");
     let message = of(&|t| t["w"] = json!(1e12));
     assert!(message.starts_with("transforms.json: images/cam"), "{message}");
-    assert!(message.ends_with(".png: is for 1000000000000x24 pixels, expected 1 to 65536 a side"), "{message}");
+    assert!(message.ends_with(".png: is for 1000000000000x24 pixels, expected 1 to 16384 a side"), "{message}");
     let message = of(&|t| t["h"] = json!(-3));
-    assert!(message.ends_with("is for 32x-3 pixels, expected 1 to 65536 a side"), "{message}");
+    assert!(message.ends_with("is for 32x-3 pixels, expected 1 to 16384 a side"), "{message}");
     let message = of(&|t| t["fl_x"] = json!(0));
     assert!(message.ends_with("has the focal lengths 0 and 28, expected more than 0"), "{message}");
     let message = of(&|t| t["frames"] = json!([]));

@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::symlink;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
@@ -49,7 +50,8 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 fn last_line(output: &Output) -> String {
     let message = String::from_utf8(output.stderr.clone()).unwrap();
     let is_remark = |line: &&str| {
-        ["computing on ", "warning: ", "preparing ", "ending cleanly"].iter().any(|remark| line.starts_with(remark))
+        let remarks = ["computing on ", "warning: ", "preparing ", "training ", "measuring LPIPS", "ending cleanly"];
+        remarks.iter().any(|remark| line.starts_with(remark))
     };
     let lines: Vec<&str> = message.lines().filter(|line| !is_remark(line)).collect();
     let [line] = lines[..] else { panic!("expected one line, found {message}") };
@@ -166,6 +168,14 @@ fn send(signal: &str, child: &std::process::Child) {
 fn begun(folder: &Path, arguments: &[&str]) -> std::process::Child {
     let mut command = tcgs();
     command.current_dir(folder).args(arguments).stdout(Stdio::null()).stderr(Stdio::piped());
+    // These tests may run under `nohup` themselves.
+    // SAFETY: the action is not a function.
+    unsafe {
+        command.pre_exec(|| {
+            libc::signal(libc::SIGHUP, libc::SIG_DFL);
+            Ok(())
+        })
+    };
     let mut child = command.spawn().unwrap();
     let end = Instant::now() + Duration::from_secs(60);
     while fs::read_dir(folder).unwrap().next().is_none() {

@@ -182,6 +182,7 @@ enum Errors {
 
 /// What stays of a scene, and its bits.
 #[derive(Clone, Debug)]
+#[allow(clippy::large_enum_variant, reason = "a compression has one of it")]
 enum Pruned<'a> {
     /// Gaussians that live in all timesteps, or from a birth on.
     Whole {

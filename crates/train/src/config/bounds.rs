@@ -26,7 +26,8 @@ const FACTOR: f64 = 1e6;
 /// Of opacities: logits of 0 and 1 are infinite.
 const OPACITY: Bounds = Number(1e-6, 0.999);
 const SHARE: Bounds = Number(0.0, 1.0);
-const RATE: Bounds = Number(0.0, 1e3);
+/// A rate that is too large takes neither memory nor time: training stops at the first loss that is not finite.
+const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.

@@ -130,10 +130,11 @@ pub(super) fn read(mut file: BufReader<impl Read + Seek>, file_bytes: u64) -> Re
     Err(format!("has more than {MAX_BOXES} boxes").into())
 }
 
-/// The head of the box that begins at a byte.
-///
-/// - returns: kind and place of the body; `None` at the end of the file
-fn next_box(file: &mut impl Read, at: u64, file_bytes: u64) -> Result<Option<([u8; 4], Range<u64>)>, Mp4Error> {
+/// Kind of a box, and the place of its body in the file.
+type BoxHead = ([u8; 4], Range<u64>);
+
+/// The head of the box that begins at a byte; `None` at the end of the file.
+fn next_box(file: &mut impl Read, at: u64, file_bytes: u64) -> Result<Option<BoxHead>, Mp4Error> {
     if at.saturating_add(HEAD_BYTES as u64) > file_bytes {
         return Ok(None);
     }

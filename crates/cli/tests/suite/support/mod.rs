@@ -67,7 +67,8 @@ pub fn fail(code: i32, arguments: &[&str]) -> String {
     let output = run(arguments);
     let message = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
-    let is_remark = |line: &&str| line.starts_with("computing on ") || line.starts_with("warning: ");
+    let is_remark =
+        |line: &&str| ["computing on ", "warning: ", "note: "].iter().any(|remark| line.starts_with(remark));
     let lines: Vec<&str> = message.lines().filter(|line| !is_remark(line)).collect();
     let [line] = lines[..] else { panic!("{arguments:?}: expected one line, found {message}") };
     assert!(line.starts_with("tcgs: "), "{line}");
