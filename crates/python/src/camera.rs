@@ -3,7 +3,7 @@
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use tcgs_core::Camera;
+use tcgs_core::{Camera, CameraError};
 
 use crate::arrays::{ArrayLike, Numbers, array, triple};
 use crate::memory::image_size;
@@ -45,7 +45,8 @@ pub fn cameras(
     let cameras = viewmats.zip(ks.as_chunks::<9>().0).enumerate().map(|(index, (viewmat, k))| {
         Camera::new(width, height, matrix(k), matrix(viewmat)).map_err(|error| {
             // Captures call the matrices w2c and k.
-            let message = error.to_string().replace("w2c", name).replace("k is not", &format!("{k_name} is not"));
+            let message = error.to_string().replace("w2c", name);
+            let message = message.strip_prefix("k ").map(|rest| format!("{k_name} {rest}")).unwrap_or(message);
             let camera = if axis.is_empty() { String::new() } else { format!("camera {index}: ") };
             PyValueError::new_err(camera + &message)
         })
@@ -95,7 +96,10 @@ impl PyCamera {
         let [[fx, fy], [cx, cy]] = [camera.focal, camera.principal];
         let k = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]];
         let checked = Camera::new(width, height, k, camera.camera_from_world);
-        checked.map(Self).map_err(|_| {
+        checked.map(Self).map_err(|error| {
+            if let CameraError::TooLarge { matrix: "k", value, most, .. } = error {
+                return PyValueError::new_err(format!("focal: is {value:e}, expected at most {most:e}"));
+            }
             let found = format!("center {center:?}, target {target:?} and up {up:?}");
             PyValueError::new_err(format!(
                 "{found}: give no rotation, expected a target away from center, and not along up"

@@ -226,7 +226,7 @@ def test_a_capture_is_made_whole_and_over_nothing(tmp_path: Path) -> None:
 def test_wrong_settings_are_named(capture: Path, tmp_path: Path) -> None:
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"settings": {"weights.rigit": 2}}, "unknown setting weights.rigit"),
-        ({"iterations": (0, 10)}, "schedule is 0 iterations"),
+        ({"iterations": (0, 10)}, "schedule.first_iterations is 0"),
         ({"frames": (0, 9)}, r"has the frames 0\.\.3, found 0\.\.9"),
         ({"preset": "slow"}, "preset: is slow"),
         ({"backend": "tpu"}, "backend: is tpu"),
