@@ -4,7 +4,7 @@
 
 use std::io;
 use std::ops::ControlFlow;
-use std::process::{Command, ExitStatus};
+use std::process::{Child, Command, ExitStatus};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -75,10 +75,15 @@ pub fn run(step: &mut Command) -> io::Result<ExitStatus> {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(step, 0);
     let mut child = step.spawn()?;
-    STEP.store(child.id(), Ordering::SeqCst);
+    pass_on_to(Some(&child));
     let status = child.wait();
-    STEP.store(0, Ordering::SeqCst);
+    pass_on_to(None);
     status
+}
+
+/// Sets the process that signals end together with this one, until the next call.
+pub fn pass_on_to(child: Option<&Child>) {
+    STEP.store(child.map_or(0, Child::id), Ordering::SeqCst);
 }
 
 /// No signal ends the process as long as the guard lives. To be held while something finished is moved to its place.

@@ -11,6 +11,7 @@ use anyhow::{Context, anyhow};
 use tcgs_interchange::Unfinished;
 
 use crate::error::wrong_input;
+use crate::interrupt;
 use crate::options::Size;
 use crate::output::{begin_beside, write_file_with};
 
@@ -154,6 +155,7 @@ impl Video {
             .stderr(Stdio::piped())
             .spawn();
         let mut child = started.context("starting ffmpeg")?;
+        interrupt::pass_on_to(Some(&child));
         let stderr = child.stderr.take();
         let said = thread::spawn(move || {
             let mut said = Vec::new();
@@ -168,7 +170,9 @@ impl Video {
     fn end(&mut self) -> anyhow::Result<()> {
         let Some(Running { mut child, said, .. }) = self.running.take() else { return Ok(()) };
         drop(child.stdin.take());
-        let status = child.wait().context("waiting for ffmpeg")?;
+        let status = child.wait().context("waiting for ffmpeg");
+        interrupt::pass_on_to(None);
+        let status = status?;
         if status.success() {
             return Ok(());
         }
@@ -189,6 +193,7 @@ impl Drop for Video {
         if let Some(Running { child, .. }) = &mut self.running {
             let _ = child.kill();
             let _ = child.wait();
+            interrupt::pass_on_to(None);
         }
     }
 }

@@ -169,6 +169,70 @@ fn the_video_that_never_ended_is_refused() {
     }
 }
 
+/// Sends Ctrl-C once a program that hangs has written its number into a file, and checks that both end.
+fn ctrl_c_ends(command: &mut Command, number: &Path, hanging: &str) {
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let begin = Instant::now();
+    let hung = loop {
+        match fs::read_to_string(&number) {
+            Ok(number) if number.ends_with('\n') => break number,
+            _ if begin.elapsed() > Duration::from_secs(20) => {
+                child.kill().unwrap();
+                panic!("{hanging} was never asked");
+            }
+            _ => thread::sleep(Duration::from_millis(5)),
+        }
+    };
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let asked = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            break status;
+        }
+        if asked.elapsed() > Duration::from_secs(10) {
+            child.kill().unwrap();
+            panic!("{hanging}: Ctrl-C ends nothing");
+        }
+        thread::sleep(Duration::from_millis(5));
+    };
+    let mut said = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+    // Before a command catches Ctrl-C, it ends the process at once.
+    assert!([Some(130), None].contains(&status.code()), "{hanging}: {status:?} {said}");
+    if status.code() == Some(130) {
+        // Whoever inherits it may be slow to ask how it ended.
+        let stat = fs::read_to_string(format!("/proc/{}/stat", hung.trim())).unwrap_or_default();
+        assert!(stat.is_empty() || stat.contains(") Z "), "{hanging} goes on: {stat}");
+    }
+}
+
+/// Writes a script for the shell to be found as a program.
+fn write_program(place: &Path, script: &str) {
+    fs::write(place, format!("#!/bin/sh\n{script}\n")).unwrap();
+    fs::set_permissions(place, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
+}
+
+/// A search path with this folder first.
+fn path_with(bin: &Path) -> String {
+    format!("{}:{}", text(bin), std::env::var("PATH").unwrap())
+}
+
+/// Where `ffmpeg` hangs while it encodes, one Ctrl-C ends the command and the program.
+#[test]
+fn an_encoder_that_hangs_ends_with_ctrl_c() {
+    let folder = tempdir().unwrap();
+    let number = folder.path().join("number");
+    let hang = format!("trap '' INT\necho $$ > {}\nexec sleep 1000", text(&number));
+    write_program(&folder.path().join("ffmpeg"), &format!("[ \"$1\" = -version ] && exit\n{hang}"));
+    let ply = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange/original.ply");
+    let video = folder.path().join("new.mp4");
+    let mut command = tcgs();
+    command.env("PATH", path_with(folder.path())).args(["render", text(&ply)]);
+    command.args(["--backend", "cpu", "--size", "640x480", "--out", text(&video)]);
+    ctrl_c_ends(&mut command, &number, "ffmpeg");
+    assert!(!video.exists());
+}
+
 /// Where `ffmpeg` or `ffprobe` hangs, one Ctrl-C ends the command and the program.
 #[test]
 fn a_program_that_hangs_ends_with_ctrl_c() {
@@ -187,48 +251,12 @@ echo '{"pts_time": "0.12"}]}'"#;
                 (false, "ffprobe") => probe.to_owned(),
                 (false, _) => "exit 1".to_owned(),
             };
-            let program = bin.join(name);
-            fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
-            let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
-            fs::set_permissions(&program, mode).unwrap();
+            write_program(&bin.join(name), &script);
         }
-        let path = format!("{}:{}", text(&bin), std::env::var("PATH").unwrap());
         let points = folder.path().join("points.npz");
         let mut command = tcgs();
-        command.env("PATH", path).args(["prepare", text(folder.path()), "--points-only", text(&points)]);
-        let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-        let begin = Instant::now();
-        let hung = loop {
-            match fs::read_to_string(&number) {
-                Ok(number) if number.ends_with('\n') => break number,
-                _ if begin.elapsed() > Duration::from_secs(20) => {
-                    child.kill().unwrap();
-                    panic!("{hanging} was never asked");
-                }
-                _ => thread::sleep(Duration::from_millis(5)),
-            }
-        };
-        assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-        let asked = Instant::now();
-        let status = loop {
-            if let Some(status) = child.try_wait().unwrap() {
-                break status;
-            }
-            if asked.elapsed() > Duration::from_secs(10) {
-                child.kill().unwrap();
-                panic!("{hanging}: Ctrl-C ends nothing");
-            }
-            thread::sleep(Duration::from_millis(5));
-        };
-        let mut said = String::new();
-        child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
-        // Before a command catches Ctrl-C, it ends the process at once.
-        assert!([Some(130), None].contains(&status.code()), "{hanging}: {status:?} {said}");
-        if status.code() == Some(130) {
-            // Whoever inherits it may be slow to ask how it ended.
-            let stat = fs::read_to_string(format!("/proc/{}/stat", hung.trim())).unwrap_or_default();
-            assert!(stat.is_empty() || stat.contains(") Z "), "{hanging} goes on: {stat}");
-        }
+        command.env("PATH", path_with(&bin)).args(["prepare", text(folder.path()), "--points-only", text(&points)]);
+        ctrl_c_ends(&mut command, &number, hanging);
         assert!(!points.exists());
     }
 }

@@ -52,7 +52,7 @@ fn open_locked(folder: &Path) -> io::Result<Option<File>> {
 /// let folder = RunFolder::make(&path)?;
 /// assert!(RunFolder::lock(&path).is_err(), "another writer");
 /// drop(folder);
-/// RunFolder::lock(&path)?;
+/// assert!(!path.exists(), "no run began in it");
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
