@@ -29,6 +29,7 @@ mod sensitivity;
 mod stand_ins;
 mod state;
 mod trainer;
+mod unseen;
 
 pub use adam::{Moments, adam};
 pub use checkpoint::Checkpoint;
@@ -54,3 +55,4 @@ pub use sensitivity::sensitivity;
 pub use stand_ins::StandIns;
 pub use state::{GradientStatistic, Optimizer, State};
 pub use trainer::{Glimpse, Glimpsed, Progress, Trainer};
+pub use unseen::are_in_images;

@@ -22,7 +22,7 @@ use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
 use crate::checkpoint::{Arrays, Chain, Checkpoint, For, LIVES, MASK_LOGITS, read_single, write_single};
-use crate::config::{BirthConfig, DeathConfig, GateConfig, TrainConfig};
+use crate::config::{BirthConfig, DeathConfig, GateConfig, RenderConfig, TrainConfig};
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
 use crate::fake_quant::FakeQuantizers;
@@ -102,10 +102,15 @@ impl Run {
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
         let text = read_text(&path, TrainConfig::MAX_BYTES).map_err(read(&path))?;
-        // A run of before the gate, births or deaths goes on without them.
+        // An older run goes on without what its program did not have.
         let (gate, births, deaths) = (GateConfig::OFF, BirthConfig::OFF, DeathConfig::OFF);
-        let base = TrainConfig { gate, births, deaths, ..TrainConfig::default() };
-        let config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
+        let render = RenderConfig { antialiased: false };
+        let mut base = TrainConfig { gate, births, deaths, render, ..TrainConfig::default() };
+        base.mask.unseen_share = 0.0;
+        let mut config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
+        if !text.contains("prune_large") {
+            config.densify.prune_large = config.densify.reset;
+        }
         Ok(Self::new(folder, config))
     }
 

@@ -54,7 +54,7 @@ pub struct CompressOptions {
     /// Mean mask from which on a Gaussian stays; none: the run's threshold.
     pub prune: Option<f32>,
     /// Share of the pixels of a timestep's training images below which a Gaussian is not seen. One that is never seen is left
-    /// out; in version 2 one that is seen no more dies. 0: all stay. Not for Gaussians that change in number or order from
+    /// out, unless it is in none of the images; in version 2 one that is seen no more dies. 0: all stay. Not for Gaussians that change in number or order from
     /// timestep to timestep, of which all stay. Default 0.
     pub min_share: f32,
     /// Capture for measuring sensitivities; none: the run's, or cameras around the scene.
@@ -250,8 +250,12 @@ impl<'a> PrunedScene<'a> {
         };
         let (kept, keep) = if options.min_share > 0.0 {
             let seen = seen_by_cameras(scene, &kept, &lives, &cameras, options.min_share)?;
-            let rows: Vec<usize> = (0..keep.len()).filter(|&row| seen[row].share >= options.min_share).collect();
-            let seen_to = |row: usize| seen[row].last.clamp(lives[row][0], lives[row][1]);
+            let is_needed = |seen: &Seen| seen.share >= options.min_share || !seen.is_in_images;
+            let rows: Vec<usize> = (0..keep.len()).filter(|&row| is_needed(&seen[row])).collect();
+            let seen_to = |row: usize| match seen[row].is_in_images {
+                true => seen[row].last.clamp(lives[row][0], lives[row][1]),
+                false => lives[row][1],
+            };
             // Version 1 holds no lives: there only what the run says ends one.
             let last_of = |row: usize| if options.version > 1 { seen_to(row) } else { lives[row][1] };
             lives = rows.iter().map(|&row| [lives[row][0], last_of(row)]).collect();

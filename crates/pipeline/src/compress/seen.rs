@@ -8,6 +8,7 @@ use std::ops::RangeInclusive;
 
 use tcgs_core::{Camera, Gaussians, Image, activate};
 use tcgs_render::{CpuRasterizer, blending_weights, weights_step};
+use tcgs_train::are_in_images;
 
 use super::kept::Kept;
 use crate::PipelineError;
@@ -22,6 +23,8 @@ pub struct Seen {
     pub share: f32,
     /// Last timestep that it has to live to: afterwards its share stays below the least.
     pub last: u16,
+    /// Whether its centre is in an image, hidden or not. If it never is, the images do not tell whether it is needed.
+    pub is_in_images: bool,
 }
 
 /// Looks at timesteps spread evenly, of which the first is one. At each those are drawn that live then; those born before the
@@ -57,8 +60,10 @@ pub fn seen(kept: &Kept, lives: &[[u16; 2]], cameras: &[Camera], least: f32) -> 
             let with_newborn = weights_of(&gaussians.select(&rows), &cameras);
             weights.extend_from_slice(&with_newborn[weights.len()..]);
         }
-        for (row, weight) in rows.into_iter().zip(weights) {
+        let are_in = are_in_images(gaussians.select(&rows).means(), &cameras);
+        for ((row, weight), is_in) in rows.into_iter().zip(weights).zip(are_in) {
             let (seen, share) = (&mut seen[row], weight / num_pixels as f32);
+            seen.is_in_images |= is_in;
             seen.share = seen.share.max(share);
             if share >= least {
                 seen.last = last as u16;
@@ -102,6 +107,7 @@ mod tests {
         let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
         let look = |lives: [[u16; 2]; 3]| seen(&kept, &lives, std::slice::from_ref(&camera), 1e-3).unwrap();
         let hidden = look([[0, 59], [0, 59], [0, 59]]);
+        assert!(hidden.iter().all(|seen| seen.is_in_images), "{hidden:?}");
         assert!(hidden[0].share > 0.01 && hidden[1].share < 1e-3 && hidden[1].last == 0, "{hidden:?}");
         // The first dies at the last look, and the third is born after it.
         let found = look([[0, 57], [0, 59], [59, 59]]);

@@ -31,7 +31,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 84] = [
+const BOUNDS: [(&str, Bounds); 86] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -82,6 +82,7 @@ const BOUNDS: [(&str, Bounds); 84] = [
     ("densify.prune_opacity", SHARE),
     ("densify.prune_opacity_end", SHARE),
     ("densify.reset", Whole(0, ITERATIONS)),
+    ("densify.prune_large", Whole(0, ITERATIONS)),
     ("densify.prune_scale", Number(0.0, FACTOR)),
     ("densify.reset_opacity", OPACITY),
     ("mask.enabled", Any),
@@ -92,6 +93,7 @@ const BOUNDS: [(&str, Bounds); 84] = [
     ("mask.reset", Any),
     ("mask.prune_interval", Whole(1, ITERATIONS)),
     ("mask.prune_end", Whole(0, ITERATIONS)),
+    ("mask.unseen_share", SHARE),
     ("quantize.enabled", Any),
     ("quantize.start", Whole(0, ITERATIONS)),
     ("quantize.min_bits", Whole(1, 16)),

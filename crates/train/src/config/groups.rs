@@ -106,9 +106,10 @@ pub struct DensifyConfig {
     pub prune_opacity: f32,
     /// The same at the last event. Default 0.25.
     pub prune_opacity_end: f32,
-    /// At this iteration opacities are reset, once; from it on Gaussians of a scale over `prune_scale` are
-    /// removed. 0: neither. Reference 3000; default 0.
+    /// At this iteration opacities are reset, once; 0: they are not. Reference 3000; default 0.
     pub reset: usize,
+    /// From this iteration on Gaussians of a scale over `prune_scale` are removed; 0: they are not. Default 3000 (reference).
+    pub prune_large: usize,
     /// Share of the scene's radius. Default 0.1.
     pub prune_scale: f32,
     /// Opacity after the reset. Default 0.01.
@@ -132,6 +133,10 @@ pub struct MaskConfig {
     /// Last such pruning, of 10000; what is masked later stays until all timesteps have voted. Reference
     /// 10000; default 6000, where quantisation starts.
     pub prune_end: usize,
+    /// Most Gaussians to begin with that are in no training camera's image, as a share of the others. Their points are
+    /// gathered, and their masks stay open. 0: their masks are charged like all others, so that they vanish. Reference 0;
+    /// default 0.025.
+    pub unseen_share: f32,
 }
 
 /// The map from sensitivities to bit widths.

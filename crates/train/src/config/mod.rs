@@ -167,6 +167,7 @@ impl TrainConfig {
                 prune_opacity: 0.005,
                 prune_opacity_end: 0.25,
                 reset: 3000,
+                prune_large: 3000,
                 prune_scale: 0.1,
                 reset_opacity: 0.01,
             },
@@ -177,6 +178,7 @@ impl TrainConfig {
                 reset: false,
                 prune_interval: 1000,
                 prune_end: 10_000,
+                unseen_share: 0.0,
             },
             quantize: QuantizeConfig {
                 enabled: true,
@@ -227,6 +229,7 @@ impl TrainConfig {
                     mask_consistency: 0.5,
                 };
                 config.mask.prune_end = 6000;
+                config.mask.unseen_share = 0.025;
                 config.densify.reset = 0;
                 config.gate = GateConfig::ON;
                 config.births = BirthConfig::ON;

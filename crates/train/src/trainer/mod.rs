@@ -23,6 +23,7 @@ use crate::motion::{Past, Pose};
 use crate::parameters::{Parameters, extent};
 use crate::schedule::{Phase, Schedule};
 use crate::state::State;
+use crate::unseen::{OPEN_LOGIT, gather_unseen};
 
 /// A training run in progress: settings, schedule, and an engine with the state after the last finished timestep.
 ///
@@ -103,7 +104,11 @@ impl Trainer {
         if cloud.points.is_empty() {
             return Err(none("points of the initial cloud"));
         }
+        let share = if config.mask.enabled { config.mask.unseen_share } else { 0.0 };
+        let gathered = (share > 0.0).then(|| gather_unseen(cloud, cameras, share));
+        let (cloud, num_seen) = gathered.as_ref().map_or((cloud, cloud.points.len()), |(cloud, seen)| (cloud, *seen));
         let mut parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
+        parameters.mask_logits[num_seen..].fill(OPEN_LOGIT);
         let layout = Layout::with_harmonics(config.color.degree).antialiased(config.render.antialiased);
         parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
         Self::from_parameters(config, parameters, cameras, make)

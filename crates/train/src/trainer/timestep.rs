@@ -18,6 +18,7 @@ use crate::losses::LossTerms;
 use crate::mask::mask;
 use crate::motion::predict;
 use crate::schedule::Phase;
+use crate::unseen::OPEN_LOGIT;
 
 /// The report of one iteration that [`Trainer::fit`] gives to its observer.
 #[derive(Clone, Copy, Debug)]
@@ -324,7 +325,8 @@ impl Trainer {
             // Paper Eq. 5 compares with the timestep before.
             past.previous_mask_logits = Some(p.mask_logits.clone());
             if self.config.mask.reset {
-                p.mask_logits.fill(self.config.mask.initial_logit);
+                let learned = p.mask_logits.iter_mut().filter(|logit| **logit != OPEN_LOGIT);
+                learned.for_each(|logit| *logit = self.config.mask.initial_logit);
             }
         }
         state.optimizer.begin_timestep(self.config.rates.reset_steps);
