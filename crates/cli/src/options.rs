@@ -97,8 +97,19 @@ pub fn size(text: &str) -> Result<u64, String> {
         .ok_or_else(|| "expected bytes, such as 500000, 500k, 2MB (units of 1000) or 2MiB (units of 1024)".into())
 }
 
-/// How long to refine: a time with a unit, or a number of iterations.
-pub fn refine_budget(text: &str) -> Result<RefineBudget, String> {
+/// Whether and how long to refine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Refining {
+    Off,
+    For(RefineBudget),
+}
+
+/// `off`, a time with a unit, or a number of iterations.
+pub fn refining(text: &str) -> Result<Refining, String> {
+    if text == "off" { Ok(Refining::Off) } else { refine_budget(text).map(Refining::For) }
+}
+
+fn refine_budget(text: &str) -> Result<RefineBudget, String> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let seconds = match &text[digits.len()..] {
         "" => {
@@ -116,7 +127,7 @@ pub fn refine_budget(text: &str) -> Result<RefineBudget, String> {
         .ok_or_else(|| EXPECTED_BUDGET.into())
 }
 
-const EXPECTED_BUDGET: &str = "expected a time, such as 90s, 5m or 1h, or a number of iterations";
+const EXPECTED_BUDGET: &str = "expected off, a time, such as 90s, 5m or 1h, or a number of iterations";
 
 /// Frames `A..B`, half-open.
 #[derive(Clone, Debug, PartialEq, Eq)]

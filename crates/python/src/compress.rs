@@ -16,24 +16,33 @@ use tcgs_pipeline::{
 use tcgs_train::RefineConfig;
 
 use crate::capture::CaptureLike;
+use crate::errors::exception;
 use crate::numbers::{Number, Whole};
 use crate::save::{check_out, write, wrong};
 use crate::scene::{PyScene, SceneLike, check_segment_length};
 use crate::watch::Watch;
 
-/// Iterations as a whole number, or a time as a `datetime.timedelta`.
+/// `off`, iterations as a whole number, or a time as a `datetime.timedelta`.
 #[derive(FromPyObject)]
 pub enum Budget {
+    Word(String),
     Iterations(Whole),
     Time(Duration),
 }
 
 impl Budget {
-    fn check(self) -> PyResult<RefineBudget> {
-        Ok(match self {
+    /// None for `off`.
+    fn check(self) -> PyResult<Option<RefineBudget>> {
+        Ok(Some(match self {
             Self::Iterations(count) => RefineBudget::Iterations(count.within("refine", 1..=u32::MAX as usize)?),
             Self::Time(time) => RefineBudget::Time(time),
-        })
+            Self::Word(word) if word == "off" => return Ok(None),
+            Self::Word(word) => {
+                let problem =
+                    format!("refine: is {word:?}, expected \"off\", a number of iterations or a datetime.timedelta");
+                return Err(PyValueError::new_err(problem));
+            }
+        }))
     }
 }
 
@@ -47,11 +56,12 @@ impl Budget {
 ///   `source`
 /// - max_error: bounds on the largest errors over all Gaussians and timesteps, by attribute: means in scene units, quats in
 ///   radians, log_scales as stored, logit_opacities as opacity, colors of 1
-/// - refine: train what the file stores on the training images of `capture`, or of the run's: a number of iterations, or a
-///   datetime.timedelta
+/// - refine: train what the file stores on the training images of `capture`, or of the run's: a number of iterations, a
+///   datetime.timedelta, or "off"; None: by the run's iterations where there are images, but not with a target, `tune`,
+///   `max_error` or preset "paper"
 /// - tune: fit the settings to the scene; takes some 100 compressions
 /// - min_share: leave out Gaussians that at every timestep make up less than this share of the pixels of all training
-///   images together; 1e-6 with `refine`, else 0
+///   images together; 1e-6 of a file that is refined, else 0
 /// - capture: a Capture or the name of its folder, whose cameras tell how much each parameter matters
 /// - preset: "default" or "paper"
 /// - segment_length: timesteps of a segment, which decodes alone
@@ -98,20 +108,19 @@ pub fn compress(
     let target_psnr = target_psnr
         .map(|psnr| psnr.such("target_psnr", "a number from 0 to 100 dB", |psnr| (0.0..=100.0).contains(&psnr)))
         .transpose()?;
-    let refine = refine.map(Budget::check).transpose()?;
-    let min_share = match min_share {
-        Some(share) => {
-            share.such("min_share", "a number from 0 to less than 1", |share| (0.0..1.0).contains(&share))? as f32
-        }
-        None if refine.is_some() => RefineOptions::MIN_SHARE,
-        None => 0.0,
-    };
+    let is_unsaid = refine.is_none();
+    let refine = refine.map(Budget::check).transpose()?.flatten();
+    let min_share = min_share
+        .map(|share| share.such("min_share", "a number from 0 to less than 1", |share| (0.0..1.0).contains(&share)))
+        .transpose()?
+        .map(|share| share as f32);
     let wanted = Wanted {
         quality,
         target: target_bytes.map(Target::Bytes).or(target_psnr.map(Target::Psnr)),
         max_error: max_error.map(|bounds| bounds.into_iter().map(check_bound).collect()).transpose()?,
         min_share,
         refine,
+        is_refined_if_possible: is_unsaid,
         tune,
         capture: capture.as_ref().map(|capture| capture.path().to_path_buf()),
         preset,
@@ -119,11 +128,12 @@ pub fn compress(
     };
     wanted.check(target_bytes.is_some() && target_psnr.is_some())?;
     // What needs no images needs no GPU.
-    let draws = wanted.target.is_some() || wanted.refine.is_some() || wanted.tune;
-    let backend = crate::backend::backend(py, if draws { backend } else { "cpu" }, device.filter(|_| draws))?;
     let scene = source.open(py)?;
+    let refining = wanted.refining(&scene).map_err(exception)?;
+    let draws = wanted.target.is_some() || refining.is_some() || wanted.tune;
+    let backend = crate::backend::backend(py, if draws { backend } else { "cpu" }, device.filter(|_| draws))?;
     let opened = Watch::call(py, callback, progress, |watch| {
-        let file = wanted.compress(&scene, &backend, watch)?;
+        let file = wanted.compress(&scene, refining.as_ref(), &backend, watch)?;
         watch.check()?;
         write(&out, overwrite, |mut to| to.write_all(&file))?;
         OpenScene::open(&out, OpenSettings::default())
@@ -148,8 +158,10 @@ struct Wanted {
     target: Option<Target>,
     max_error: Option<Vec<(String, f64)>>,
     refine: Option<RefineBudget>,
+    /// Whether nothing is said of refining.
+    is_refined_if_possible: bool,
     tune: bool,
-    min_share: f32,
+    min_share: Option<f32>,
     capture: Option<PathBuf>,
     preset: CompressPreset,
     segment_length: Option<u32>,
@@ -181,7 +193,13 @@ impl Wanted {
     }
 
     /// The bytes of the file.
-    fn compress(&self, scene: &OpenScene, backend: &Backend, watch: &mut Watch) -> Result<Vec<u8>, PipelineError> {
+    fn compress(
+        &self,
+        scene: &OpenScene,
+        refining: Option<&RefineOptions>,
+        backend: &Backend,
+        watch: &mut Watch,
+    ) -> Result<Vec<u8>, PipelineError> {
         if scene.is_compressed() {
             return Err(wrong(&scene.path, "is compressed already", "a scene of floats"));
         }
@@ -194,12 +212,11 @@ impl Wanted {
         let options = CompressOptions {
             keypoints,
             mapping,
-            min_share: self.min_share,
+            min_share: self.min_share.unwrap_or(if refining.is_some() { RefineOptions::MIN_SHARE } else { 0.0 }),
             capture: self.capture.clone(),
             ..CompressOptions::default()
         };
         let settings = &options.keypoints;
-        let refining = self.refine.map(|budget| self.refine_options(scene, budget)).transpose()?;
         let pruned = PrunedScene::new(scene, &options)?;
         watch.check()?;
         let judge = |split| {
@@ -220,18 +237,24 @@ impl Wanted {
             (_, Some(bounds), _) => search_errors(&pruned, settings, bounds, watch)?.file,
             (Some(target), _, Some(refining)) => {
                 let judge = judge(split)?;
-                refine_within(scene, &pruned, settings, target, &judge, &refining, backend, watch)?.refined.file
+                refine_within(scene, &pruned, settings, target, &judge, refining, backend, watch)?.refined.file
             }
             (Some(target), ..) => search(&pruned, settings, target, &judge(Split::Test)?, watch)?.file,
-            (None, _, Some(refining)) => refine(scene, &pruned, settings, &refining, backend, watch)?.file,
+            (None, _, Some(refining)) => refine(scene, &pruned, settings, refining, backend, watch)?.file,
             (None, _, None) => pruned.compress(settings)?.1,
         })
     }
 
-    fn refine_options(&self, scene: &OpenScene, budget: RefineBudget) -> Result<RefineOptions, PipelineError> {
+    /// How the file is refined; none if it is not.
+    fn refining(&self, scene: &OpenScene) -> Result<Option<RefineOptions>, PipelineError> {
+        let Some(budget) = self.refine else {
+            let is_searched = self.target.is_some() || self.tune || self.max_error.is_some();
+            let is_asked = self.is_refined_if_possible && !is_searched && self.preset == CompressPreset::Default;
+            return Ok(is_asked.then(|| RefineOptions::usual(scene, self.capture.as_deref()).ok()).flatten());
+        };
         let Some(capture) = self.capture.clone().or_else(|| scene.capture().map(Path::to_path_buf)) else {
             return Err(wrong(&scene.path, "has no capture of its own", "capture with the images to refine on"));
         };
-        Ok(RefineOptions { capture, budget, config: RefineConfig::default() })
+        Ok(Some(RefineOptions { capture, budget, config: RefineConfig::default() }))
     }
 }

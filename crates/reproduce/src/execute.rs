@@ -269,6 +269,10 @@ fn measure_run(
     if let Some(more) = &measure.compress {
         let mut arguments = vec![argument(&run)?, "--out".into(), argument(&drawable)?];
         arguments.extend_from_slice(more);
+        // A job says itself whether its file is refined.
+        if !more.iter().any(|option| option == "--refine") {
+            arguments.extend(["--refine", "off"].map(String::from));
+        }
         step("compress", arguments, false)?;
         step("info", vec![argument(&drawable)?], false)?;
     }

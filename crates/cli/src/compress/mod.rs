@@ -10,16 +10,17 @@ use serde_json::{Value, json};
 use tcgs_codec::{CompactFile, CompressSettings, FORMAT_VERSION, UpAxis};
 use tcgs_pipeline::{
     CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, Marks, OpenScene, PrunedScene,
-    RefineBudget, RefineOptions, Refined, Target, capture_kind_of, position_step_remark, refine, refine_within, search,
+    RefineOptions, Refined, Target, capture_kind_of, position_step_remark, refine, refine_within, search,
     search_errors, settings_of, tune,
 };
-use tcgs_train::{RefineConfig, Run};
+use tcgs_train::{Preset, RefineConfig, Run};
 
 use self::attachment::Attachment;
 use crate::attribute_errors::{self, Bounds};
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
-use crate::options::{self, Cameras, Frames, JobOptions, Pair};
+use crate::interrupt;
+use crate::options::{self, Cameras, Frames, JobOptions, Pair, Refining};
 use crate::output::{show_bytes, write_file};
 use crate::scene::{SourceOptions, describe, note_replaced};
 use crate::teller::Teller;
@@ -61,9 +62,9 @@ pub struct Arguments {
     /// Frames a second that the file tells players [default: the source's, else 30]
     #[arg(long, value_name = "F", value_parser = not_negative, allow_negative_numbers = true)]
     frame_rate: Option<f32>,
-    /// Settings to start from
-    #[arg(long, default_value = "default")]
-    preset: PresetName,
+    /// Settings to start from [default: paper for a run of preset paper, else default]
+    #[arg(long)]
+    preset: Option<PresetName>,
     /// Most keypoints of a track, 2 or more [default: 60; paper: 30 for Panoptic Sports, 15 for Technicolor, else 60]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65536))]
     max_keypoints: Option<u32>,
@@ -90,7 +91,7 @@ pub struct Arguments {
     #[arg(long, value_name = "EPS", value_parser = share, allow_negative_numbers = true)]
     prune: Option<f32>,
     /// Leave out Gaussians that at every timestep make up less than this share of the pixels of all training images together
-    /// [default: with --refine 1e-6, else 0]
+    /// [default: of a file that is refined 1e-6, else 0]
     #[arg(long, value_name = "SHARE", value_parser = share, allow_negative_numbers = true)]
     min_share: Option<f32>,
     /// Capture whose training cameras tell how much each parameter matters [default: the run's], and on whose
@@ -133,11 +134,13 @@ pub struct Arguments {
     frames: Option<Frames>,
     /// Train what the file stores on the training images of --capture, or of the run's capture, for a time (90s, 5m, 1h) or a
     /// number of iterations: more PSNR in about as many bytes. A number of iterations gives the same file whenever it is
-    /// repeated; a time is turned into one, which is printed. With a target the refined file meets it, which may take up to
-    /// four refinements; with --tune the settings are fitted before
-    #[arg(long, value_name = "BUDGET", value_parser = options::refine_budget)]
+    /// repeated; a time is turned into one, which is printed. Ctrl-C ends the training and writes the file. With a target the
+    /// refined file meets it, which may take up to four refinements; with --tune the settings are fitted before. `off` writes
+    /// the file within seconds [default: by the run's iterations; off without images, with a target, --tune, --max-error or
+    /// --preset paper]
+    #[arg(long, value_name = "BUDGET", value_parser = options::refining)]
     #[arg(conflicts_with = "max_error")]
-    refine: Option<RefineBudget>,
+    refine: Option<Refining>,
     /// Axis of the scene that points up, for players: x, y, z, -x, -y or -z [default: the one along
     /// which the capture's cameras stand upright, without a capture unknown]
     #[arg(long, value_name = "AXIS", value_parser = up_axis, allow_hyphen_values = true)]
@@ -213,9 +216,8 @@ fn share(text: &str) -> Result<f32, String> {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let is_searched =
-        arguments.target().is_some() || arguments.quality.is_some() || arguments.max_error.is_some() || arguments.tune;
-    if arguments.preset == PresetName::Paper && is_searched {
+    let is_searched = arguments.is_searched() || arguments.quality.is_some();
+    if arguments.preset == Some(PresetName::Paper) && is_searched {
         let problem = "has its own settings, expected --preset default with --quality, --target-bytes, --target-psnr, --max-error or --tune";
         return Err(wrong_input(format!("--preset paper: {problem}")));
     }
@@ -238,16 +240,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     check_source(arguments, &scene)?;
     say(&describe(&scene))?;
 
-    let options = options(arguments, &scene)?;
-    if arguments.refine.is_some() {
-        capture_to_refine_on(arguments, &scene)?;
-    }
+    let refining = refining(arguments, &scene)?;
+    let options = options(arguments, &scene, refining.is_some())?;
     let pruned = PrunedScene::new(&scene, &options)?;
     say(&pruned.bits_from)?;
     if arguments.keep_foreground && !pruned.has_marks() {
         note(&format!("{}: no Gaussian is marked as background, so the file gets no marks", scene.path.display()));
     }
-    let (compact, file, results) = compress(arguments, &scene, &pruned, &options.keypoints)?;
+    let (compact, file, results) = compress(arguments, &scene, &pruned, &options.keypoints, refining.as_ref())?;
     let compressed = pruned.account(&options, compact, file)?;
     if let Some((step, radius)) = position_step_remark(&scene, &compressed.compact)? {
         say(&format!(
@@ -264,17 +264,33 @@ impl Arguments {
     fn target(&self) -> Option<Target> {
         self.target_bytes.map(Target::Bytes).or(self.target_psnr.map(Target::Psnr))
     }
+
+    /// Whether settings are chosen by what comes of them.
+    fn is_searched(&self) -> bool {
+        self.target().is_some() || self.max_error.is_some() || self.tune
+    }
+
+    fn preset(&self, scene: &OpenScene) -> CompressPreset {
+        let of_run = || {
+            let is_paper = scene.run().is_some_and(|run| run.config().preset == Preset::Paper);
+            let is_free = self.quality.is_none() && !self.is_searched();
+            if is_paper && is_free { PresetName::Paper } else { PresetName::Default }
+        };
+        self.preset.unwrap_or_else(of_run).into()
+    }
 }
 
 /// Compresses as the command line asks: fits the settings to the scene, then meets a target, bounds errors or refines.
 ///
 /// - `settings`: to start from
+/// - `refining`: none if the file is not refined
 /// - returns: the scene as symbols, the file, and what was found on the way
 fn compress(
     arguments: &Arguments,
     scene: &OpenScene,
     pruned: &PrunedScene<'_>,
     settings: &CompressSettings,
+    refining: Option<&RefineOptions>,
 ) -> anyhow::Result<(CompactFile, Vec<u8>, Vec<Found>)> {
     let target = arguments.target();
     let judge = (target.is_some() || arguments.tune).then(|| judge(arguments, scene)).transpose()?;
@@ -287,7 +303,7 @@ fn compress(
         let tuned = Teller::default().watch(|teller| tune(pruned, &settings, target, judge, teller))?;
         let (text, value) = target::describe_tuning(&tuned, target, judge);
         results.push(Found { text, name: "tuning", value });
-        if arguments.refine.is_none() {
+        if refining.is_none() {
             return Ok((tuned.found.compact, tuned.found.file, results));
         }
         settings = tuned.found.settings;
@@ -298,7 +314,6 @@ fn compress(
         results.push(describe_search(bounds, &found.trials));
         return Ok((found.compact, found.file, results));
     }
-    let refining = arguments.refine.map(|budget| refine_options(arguments, scene, budget)).transpose()?;
     Ok(match (target.zip(judge), refining) {
         (None, None) => {
             let (compact, file) = pruned.compress(&settings)?;
@@ -306,8 +321,9 @@ fn compress(
         }
         (None, Some(refining)) => {
             let backend = arguments.backend.open(BackendName::Auto)?;
-            let refined =
-                Teller::default().watch(|teller| refine(scene, pruned, &settings, &refining, &backend, teller))?;
+            let refined = interrupt::politely(|| {
+                Teller::default().watch(|teller| refine(scene, pruned, &settings, refining, &backend, teller))
+            })?;
             results.push(describe_refining(&refined, None));
             (refined.compact, refined.file, results)
         }
@@ -322,7 +338,7 @@ fn compress(
             let backend = arguments.backend.open(BackendName::Auto)?;
             say("quality         size      PSNR")?;
             let found = Teller::default()
-                .watch(|teller| refine_within(scene, pruned, &settings, target, &judge, &refining, &backend, teller))?;
+                .watch(|teller| refine_within(scene, pruned, &settings, target, &judge, refining, &backend, teller))?;
             let (text, value) = target::describe(&found.before, target, &judge);
             results.push(Found { text: format!("before refining: {text}"), name: "target", value });
             results.push(describe_refining(&found.refined, Some(found.psnr)));
@@ -365,16 +381,29 @@ fn describe_refining(refined: &Refined, psnr: Option<f64>) -> Found {
     Found { text, name: "refined", value }
 }
 
-fn capture_to_refine_on(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<PathBuf> {
-    arguments.capture.clone().or_else(|| scene.capture().map(Path::to_path_buf)).ok_or_else(|| {
-        let problem = "has no capture of its own, expected --capture with the images to refine on";
-        wrong_input(format!("{}: {problem}", scene.path.display()))
-    })
-}
-
-fn refine_options(arguments: &Arguments, scene: &OpenScene, budget: RefineBudget) -> anyhow::Result<RefineOptions> {
-    let capture = capture_to_refine_on(arguments, scene)?;
-    Ok(RefineOptions { capture, budget, config: RefineConfig::default() })
+/// How the file is refined; none if it is not, which is told where one would expect it.
+fn refining(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Option<RefineOptions>> {
+    let given = arguments.capture.as_deref();
+    match arguments.refine {
+        Some(Refining::Off) => Ok(None),
+        Some(Refining::For(budget)) => {
+            let capture = given.or(scene.capture()).ok_or_else(|| {
+                let problem = "has no capture of its own, expected --capture with the images to refine on";
+                wrong_input(format!("{}: {problem}", scene.path.display()))
+            })?;
+            Ok(Some(RefineOptions { capture: capture.into(), budget, config: RefineConfig::default() }))
+        }
+        None if arguments.is_searched() || arguments.preset(scene) == CompressPreset::Paper => Ok(None),
+        None => match RefineOptions::usual(scene, given) {
+            Ok(options) => Ok(Some(options)),
+            Err(error) => {
+                if given.or(scene.capture()).is_some() {
+                    note(&format!("the file is not refined: {error}"));
+                }
+                Ok(None)
+            }
+        },
+    }
 }
 
 fn judge(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Judge> {
@@ -410,9 +439,11 @@ fn check_source(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<()> 
 }
 
 /// What the command line says, over the preset.
-fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressOptions> {
+///
+/// - `is_refined`: whether the file will be
+fn options(arguments: &Arguments, scene: &OpenScene, is_refined: bool) -> anyhow::Result<CompressOptions> {
     let (mut keypoints, mapping) =
-        settings_of(arguments.preset.into(), capture_kind_of(scene, arguments.capture.as_deref())?, scene)?;
+        settings_of(arguments.preset(scene), capture_kind_of(scene, arguments.capture.as_deref())?, scene)?;
     keypoints.keypoints = !arguments.no_keypoints;
     keypoints.segment_length = arguments.segment_length;
     if arguments.bits.is_some() {
@@ -436,11 +467,7 @@ fn options(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<CompressO
         bits: arguments.bits.map(|Pair(min, max)| (min, max)),
         position_bits: arguments.position_bits,
         prune: arguments.prune,
-        min_share: arguments.min_share.unwrap_or(if arguments.refine.is_some() {
-            RefineOptions::MIN_SHARE
-        } else {
-            0.0
-        }),
+        min_share: arguments.min_share.unwrap_or(if is_refined { RefineOptions::MIN_SHARE } else { 0.0 }),
         capture: arguments.capture.clone(),
         plain: arguments.storage == Storage::Plain,
         up: arguments.up,

@@ -1,7 +1,7 @@
 //! Refinement: the codes of a compressed scene, and the light on it, are trained on the images of its capture before the file is
 //! written.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
@@ -10,8 +10,9 @@ use tcgs_codec::{CompactFile, CompactScene, CompressSettings, Light};
 use tcgs_core::View;
 use tcgs_render::device::GpuError;
 use tcgs_render::{CpuRasterizer, Rasterizer};
-use tcgs_train::{RefineConfig, Refiner, refine_order};
+use tcgs_train::{Preset, RefineConfig, Refiner, TrainConfig, refine_order};
 
+use super::parts::are_followed;
 use super::{Errors, Judge, Pruned, PrunedScene, SearchResult, Target, search};
 use crate::observe::tell;
 use crate::{Backend, Event, Observer, OpenScene, PipelineError, Work};
@@ -25,6 +26,20 @@ pub enum RefineBudget {
     /// About so long: a few iterations are timed first, and as many are done as then fit. The same number of iterations gives
     /// the same file.
     Time(Duration),
+}
+
+/// Iterations that later timesteps add to [`RefineBudget::of`], as a share of those that trained them.
+const LATER_SHARE: f64 = 2.0 / 15.0;
+
+impl RefineBudget {
+    /// By the scene's training: as many iterations as its first timestep had, and 2/15 of those of every timestep. A scene whose
+    /// training is not known is refined as one of preset `fast`.
+    pub fn of(scene: &OpenScene) -> Self {
+        let schedule =
+            scene.run().map_or(TrainConfig::preset(Preset::Fast).schedule, |run| run.config().schedule.clone());
+        let later = LATER_SHARE * (schedule.rest_iterations * scene.num_timesteps()) as f64;
+        Self::Iterations(schedule.first_iterations + later.ceil() as usize)
+    }
 }
 
 /// How a scene is refined.
@@ -42,6 +57,30 @@ impl RefineOptions {
     /// For [`CompressOptions::min_share`](super::CompressOptions::min_share) of a scene that is refined, which makes up for
     /// what it leaves out.
     pub const MIN_SHARE: f32 = 1e-6;
+
+    /// How a scene is refined where it can be and nothing else is asked for: on its capture, by [`RefineBudget::of`].
+    ///
+    /// - `capture`: none for the run's
+    ///
+    /// # Errors
+    /// [`PipelineError`] that says why it cannot be refined: it has no capture, the capture is not there or lacks a frame, or the
+    /// Gaussians of the scene change in number or order.
+    pub fn usual(scene: &OpenScene, capture: Option<&Path>) -> Result<Self, PipelineError> {
+        let capture = capture.or(scene.capture()).map(Path::to_path_buf).ok_or_else(|| {
+            PipelineError::input(scene.path.display(), "no capture of its own", "one with the images to refine on")
+        })?;
+        if !are_followed(scene)? {
+            return Err(not_followed(scene));
+        }
+        let options = Self { capture, budget: RefineBudget::of(scene), config: RefineConfig::default() };
+        Images::open(scene, &options)?;
+        Ok(options)
+    }
+}
+
+fn not_followed(scene: &OpenScene) -> PipelineError {
+    let found = "Gaussians that change in number or order from timestep to timestep";
+    PipelineError::input(scene.path.display(), found, "those of a run or of a params.npz to refine")
 }
 
 /// A refined scene.
@@ -51,7 +90,7 @@ pub struct Refined {
     pub file: Vec<u8>,
     /// The same as symbols.
     pub compact: CompactFile,
-    /// Iterations that were done.
+    /// Iterations that were done: fewer than were asked for if the observer broke off.
     pub iterations: usize,
     /// Mean loss of the images over the first and over the last pass through the timesteps, or as much as there was of it.
     pub losses: [f64; 2],
@@ -60,13 +99,13 @@ pub struct Refined {
 /// Share of a budget of time in which iterations are timed.
 const TIMED_SHARE: f64 = 0.05;
 
-/// Compresses a scene as [`PrunedScene::compress`] does, with codes that were trained on the images of its capture.
+/// Compresses a scene as [`PrunedScene::compress`] does, with codes that were trained on the images of its capture. If the
+/// observer breaks off after the first iteration, the file has what was trained by then.
 ///
 /// - `scene`: of which `pruned` is
 ///
 /// # Errors
-/// [`PipelineError::Input`] if the Gaussians of the scene change in number or order; [`PipelineError::Stopped`] if the observer
-/// broke off; [`PipelineError`] if the capture lacks a frame of the scene, an image cannot be read or the GPU fails.
+/// [`PipelineError::Input`] if the Gaussians of the scene change in number or order; [`PipelineError`] if the capture lacks a frame of the scene, an image cannot be read or the GPU fails.
 pub fn refine(
     scene: &OpenScene,
     pruned: &PrunedScene<'_>,
@@ -76,8 +115,7 @@ pub fn refine(
     observer: &mut dyn Observer,
 ) -> Result<Refined, PipelineError> {
     if matches!(pruned.content, Pruned::Parts(_)) {
-        let found = "Gaussians that change in number or order from timestep to timestep";
-        return Err(PipelineError::input(scene.path.display(), found, "those of a run or of a params.npz to refine"));
+        return Err(not_followed(scene));
     }
     let images = Images::open(scene, options)?;
     let (mut iterations, mut losses) = (0, [0.0; 2]);
@@ -255,8 +293,12 @@ impl<'a> Images<'a> {
         };
         tell(observer, Event::Begun { work: Work::Refining, num_steps: num_iterations })?;
         let mut refiner = Refiner::new(compact, options.config);
-        let losses = self.iterate(rasterizer, &mut refiner, num_iterations, &mut |frame| {
-            tell(observer, Event::Frame(frame)).map(|()| true)
+        let losses = self.iterate(rasterizer, &mut refiner, num_iterations, &mut |frame| match tell(
+            observer,
+            Event::Frame(frame),
+        ) {
+            Err(PipelineError::Stopped) => Ok(false),
+            told => told.map(|()| true),
         })?;
         let light = refiner.light();
         Ok((refiner.into_scene(), light, losses))

@@ -258,7 +258,7 @@ def compress(
     target_bytes: int | None = None,
     target_psnr: float | None = None,
     max_error: Mapping[str, float] | None = None,
-    refine: int | datetime.timedelta | None = None,
+    refine: int | datetime.timedelta | Literal["off"] | None = None,
     tune: bool = False,
     min_share: float | None = None,
     capture: Capture | _Path | None = None,
