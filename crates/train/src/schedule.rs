@@ -25,6 +25,8 @@ pub struct Rates {
     pub log_scale: f32,
     /// Rate of the cameras' gains and offsets; 0 after the first timestep.
     pub camera: f32,
+    /// Whether the cameras' gains and offsets are centered after they moved.
+    pub centers_cameras: bool,
     /// Rate of the mask logits.
     pub mask: f32,
     /// Rate of the quantizers' steps and offsets, as a multiple of each quantizer's initial step.
@@ -133,6 +135,7 @@ impl Schedule {
                     log_scale: r.log_scale * scale * decay * constant,
                     // All Gaussians share the cameras.
                     camera: if phase == Phase::First { r.camera * scale * decay } else { 0.0 },
+                    centers_cameras: r.camera_centered,
                     // Who is needed is voted on over the timesteps to come.
                     mask: if phase == Phase::First { mask } else { 0.0 },
                     step: r.step * decay,
@@ -151,6 +154,7 @@ impl Schedule {
                     logit_opacity: 0.0,
                     log_scale: 0.0,
                     camera: 0.0,
+                    centers_cameras: r.camera_centered,
                     mask,
                     step: r.step * cosine(r.motion_decay),
                     moves_constants: false,

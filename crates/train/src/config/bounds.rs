@@ -31,7 +31,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 86] = [
+const BOUNDS: [(&str, Bounds); 87] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -53,6 +53,7 @@ const BOUNDS: [(&str, Bounds); 86] = [
     ("rates.logit_opacity", RATE),
     ("rates.log_scale", RATE),
     ("rates.camera", RATE),
+    ("rates.camera_centered", Any),
     ("rates.mask", RATE),
     ("rates.step", RATE),
     ("rates.motion_scale", RATE),

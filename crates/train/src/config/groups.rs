@@ -62,6 +62,9 @@ pub struct RateConfig {
     pub log_scale: f32,
     /// Per-camera gain and offset, first timestep only. Default 1e-4 (reference).
     pub camera: f32,
+    /// Whether the cameras' gains have a (geometric) mean of 1 and their offsets a mean of 0, so that a camera that was not
+    /// trained with sees the scene as it is. Reference false: a brightness that all cameras share may hide in them; default true.
+    pub camera_centered: bool,
     /// Mask logits, at the reference's number of iterations; multiplied by reference / actual. Default 0.01.
     pub mask: f32,
     /// Learned steps, times the step they start from. Paper 0.02; default 0.002, with which values keep

@@ -147,6 +147,7 @@ impl TrainConfig {
                 logit_opacity: 0.05,
                 log_scale: 1e-3,
                 camera: 1e-4,
+                camera_centered: false,
                 mask: 0.01,
                 step: 0.02,
                 motion_scale: 0.0,
@@ -214,6 +215,7 @@ impl TrainConfig {
                 config.rates.reset_steps = true;
                 config.rates.step = 0.002;
                 config.rates.color_rest = 5e-4;
+                config.rates.camera_centered = true;
                 // Less of what holds motion together, and much less of outlines, at which Gaussians would gather.
                 config.weights = WeightConfig {
                     image: 1.0,

@@ -301,6 +301,10 @@ impl CpuEngine {
             v_offsets[step.camera] = grads.v_offset;
             o.gains.update(p.camera_gains.as_flattened_mut(), v_gains.as_flattened(), rates.camera);
             o.offsets.update(p.camera_offsets.as_flattened_mut(), v_offsets.as_flattened(), rates.camera);
+            if rates.centers_cameras {
+                center(&mut p.camera_gains);
+                center(&mut p.camera_offsets);
+            }
         }
         if let (Some(q), Some((v_steps, v_offsets))) = (quantizers, &grads.quantizers) {
             q.update(v_steps, v_offsets, &mut o.quantizer_steps, &mut o.quantizer_offsets, rates.step);
@@ -372,6 +376,13 @@ impl Engine for CpuEngine {
         let Ok((output, _)) = CpuRasterizer.forward(&drawn, camera, &RenderSettings::default());
         Ok(output.image)
     }
+}
+
+/// Subtracts the mean of all rows.
+pub(crate) fn center(rows: &mut [[f32; 3]]) {
+    let share = 1.0 / rows.len() as f32;
+    let mean: [f32; 3] = std::array::from_fn(|channel| share * rows.iter().map(|row| row[channel]).sum::<f32>());
+    rows.iter_mut().for_each(|row| *row = std::array::from_fn(|channel| row[channel] - mean[channel]));
 }
 
 /// Without a densification to come its statistic is not computed.

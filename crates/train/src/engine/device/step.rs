@@ -124,9 +124,11 @@ impl StepUniform {
     pub const LEARNED_OFFSET: u32 = 128;
     /// A part of the scene is trained.
     pub const LISTED: u32 = 256;
+    /// The cameras' gains and offsets are centered.
+    pub const CENTERS_CAMERAS: u32 = 512;
 
     /// Names of the flags in the shaders.
-    const FLAGS: [(&str, u32); 9] = [
+    const FLAGS: [(&str, u32); 10] = [
         ("MASKED", Self::MASKED),
         ("COUNTS", Self::COUNTS),
         ("MOVES", Self::MOVES),
@@ -136,6 +138,7 @@ impl StepUniform {
         ("HAS_PRIOR", Self::HAS_PRIOR),
         ("LEARNED_OFFSET", Self::LEARNED_OFFSET),
         ("LISTED", Self::LISTED),
+        ("CENTERS_CAMERAS", Self::CENTERS_CAMERAS),
     ];
 
     /// What `step` asks for, of a state of this shape. The slot is 0.
@@ -154,6 +157,7 @@ impl StepUniform {
             (past.is_some(), Self::HAS_PRIOR),
             (quantizers.is_some_and(|q| q.learned_offset), Self::LEARNED_OFFSET),
             (view.part.is_some(), Self::LISTED),
+            (step.rates.camera > 0.0 && step.rates.centers_cameras, Self::CENTERS_CAMERAS),
         ];
         let whole = num_gaussians as u32;
         let tiles = view.width.div_ceil(TILE as u32) * view.height.div_ceil(TILE as u32);

@@ -39,12 +39,10 @@ fn images_and_cameras(local: u32) {
             write_loss(i, 0.0);
         }
     }
-    if (status[0] != 0u) {
-        return;
-    }
+    let goes_on = status[0] == 0u;
     // The other cameras have a gradient of zero rather than none.
     let num = 3u * step.num_cameras;
-    for (var i = local; i < 2u * num; i += 256u) {
+    for (var i = local; goes_on && i < 2u * num; i += 256u) {
         let kind = i / num;
         let rates = step.adam[ADAM_GAINS + kind].xy;
         var v = 0.0;
@@ -57,6 +55,19 @@ fn images_and_cameras(local: u32) {
             cameras[i] = moved.x;
             cameras[2u * num + i] = moved.y;
             cameras[4u * num + i] = moved.z;
+        }
+    }
+    storageBarrier();
+    // A thread for each channel of gains and of offsets.
+    if (goes_on && has(CENTERS_CAMERAS) && local < 6u) {
+        let first = local / 3u * num + local % 3u;
+        var sum = 0.0;
+        for (var camera = 0u; camera < step.num_cameras; camera += 1u) {
+            sum += cameras[first + 3u * camera];
+        }
+        let mean = sum / f32(step.num_cameras);
+        for (var camera = 0u; camera < step.num_cameras; camera += 1u) {
+            cameras[first + 3u * camera] -= mean;
         }
     }
 }

@@ -106,6 +106,7 @@ mod tests {
 
     use super::*;
     use crate::adam::Moments;
+    use crate::engine::cpu::center;
     use crate::engine::device::{LOSS_VALUES, StepUniform, adam_rates};
     use crate::engine::gpu::test_support::{
         QuantizerTables, assert_close, gpu, random, random_gaussians, run, uniform,
@@ -281,13 +282,19 @@ mod tests {
     #[test]
     fn cameras_move_as_on_the_cpu() {
         let Some(gpu) = gpu() else { return };
+        for flags in [0, StepUniform::CENTERS_CAMERAS] {
+            cameras_move_with(&gpu, flags);
+        }
+    }
+
+    fn cameras_move_with(gpu: &Gpu, flags: u32) {
         let state = state(&quantizers());
-        let on_gpu = OnGpu::new(&gpu, &state, 0);
+        let on_gpu = OnGpu::new(gpu, &state, 0);
         let (mut values, mut moments) = (state.cameras[..18].to_vec(), [Moments::new(9), Moments::new(9)]);
         for turn in 0..5 {
             let camera = turn % CAMERAS;
             let mut rates = [[0.0; 4]; 10];
-            let now = StepUniform { camera: camera as u32, ..step(0) };
+            let now = StepUniform { camera: camera as u32, ..step(flags) };
             for kind in 0..2 {
                 let mut v = vec![0.0; 9];
                 for c in 0..3 {
@@ -297,8 +304,11 @@ mod tests {
                 let rate = if turn == 2 { 0.0 } else { 1e-3 };
                 rates[6 + kind] = adam_rates(rate, moments[kind].step + 1);
                 moments[kind].update(&mut values[9 * kind..][..9], &v, rate);
+                if flags != 0 {
+                    center(values[9 * kind..][..9].as_chunks_mut::<3>().0);
+                }
             }
-            on_gpu.run(&gpu, &now, rates);
+            on_gpu.run(gpu, &now, rates);
         }
         let found: Vec<f32> = gpu.read(&on_gpu.cameras, 18 * CAMERAS).unwrap();
         let [gains, offsets] = &moments;
