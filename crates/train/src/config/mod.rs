@@ -174,6 +174,7 @@ impl TrainConfig {
             },
             mask: MaskConfig {
                 enabled: true,
+                relative: false,
                 threshold: 0.01,
                 initial_logit: 1.0,
                 reset: false,
@@ -227,9 +228,10 @@ impl TrainConfig {
                     background: 10.0,
                     stillness: 0.0,
                     soft_color: 0.005,
-                    mask: 0.05,
-                    mask_consistency: 0.5,
+                    mask: 1.0,
+                    mask_consistency: 10.0,
                 };
+                config.mask.relative = true;
                 config.mask.prune_end = 6000;
                 config.mask.unseen_share = 0.025;
                 config.densify.reset = 0;

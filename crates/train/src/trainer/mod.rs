@@ -59,6 +59,8 @@ pub struct Trainer {
     config: TrainConfig,
     schedule: Schedule,
     scene_radius: f32,
+    /// As in a checkpoint.
+    image_loss: f32,
     engine: Box<dyn Engine>,
     /// As in the engine's state, which may be far away.
     num_gaussians: usize,
@@ -140,6 +142,7 @@ impl Trainer {
             config: config.clone(),
             schedule: Schedule::new(config, radius),
             scene_radius: radius,
+            image_loss: 0.0,
             num_gaussians,
             gate: gate(config, GateRecord::default(), &config.deaths),
             engine,
@@ -222,6 +225,7 @@ impl Trainer {
             config: config.clone(),
             schedule: Schedule::new(config, last.scene_radius),
             scene_radius: last.scene_radius,
+            image_loss: last.image_loss,
             num_gaussians,
             // Chapters of one scene have the same Gaussians.
             gate: gate(config, last.gate.clone(), if continues { &DeathConfig::OFF } else { &config.deaths }),
@@ -307,6 +311,7 @@ impl Trainer {
             quantizers: state.quantizers.clone(),
             optimizer: state.optimizer.carried_over(),
             scene_radius: self.scene_radius,
+            image_loss: self.image_loss,
             gate: self.gate.as_ref().map(|gate| gate.record().clone()).unwrap_or_default(),
             born: state.born(),
         })

@@ -14,7 +14,7 @@ use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
 use crate::engine::{Step, Target};
 use crate::fake_quant::{FakeQuantizers, bit_settings};
 use crate::gate::{Activity, Pace, Shares, Trained};
-use crate::losses::LossTerms;
+use crate::losses::{LossTerms, WeightConfig};
 use crate::mask::mask;
 use crate::motion::predict;
 use crate::schedule::Phase;
@@ -47,6 +47,8 @@ struct Report {
     shares: Option<Shares>,
     /// Iterations whose losses are known.
     reported: usize,
+    /// Image losses since the last event: their sum and number.
+    since_event: (f64, usize),
 }
 
 impl Trainer {
@@ -177,8 +179,7 @@ impl Trainer {
     ) -> Result<(), TrainError> {
         let config = self.config.clone();
         let shares = part.map(|part| part.shares);
-        let weights = shares.map_or(config.weights, |shares| shares.weights(&config.weights));
-        let mut report = Report { iterations: pace.length(), shares, reported: 0 };
+        let mut report = Report { iterations: pace.length(), shares, reported: 0, since_event: (0.0, 0) };
         let mut order = Vec::new();
         // One stream a timestep, so that resuming needs no saved state.
         let mut random =
@@ -198,6 +199,8 @@ impl Trainer {
                 // Quantizers are shared with what is locked.
                 rates.step = 0.0;
             }
+            let weights = self.weights();
+            let weights = shares.map_or(weights, |shares| shares.weights(&weights));
             let step = Step {
                 camera,
                 rates,
@@ -222,6 +225,12 @@ impl Trainer {
             if phase == Phase::First {
                 let seed = random.random();
                 if reshapes {
+                    // The engine has finished, so that every loss is known.
+                    let (sum, count) = std::mem::take(&mut report.since_event);
+                    if count > 0 {
+                        let mean = (sum / count as f64) as f32;
+                        self.image_loss = if self.image_loss > 0.0 { self.image_loss.min(mean) } else { mean };
+                    }
                     self.reshape(iteration, seed)?;
                 }
             }
@@ -232,6 +241,16 @@ impl Trainer {
         self.check_finite(report.reported)
     }
 
+    /// The weights of the losses by now.
+    fn weights(&self) -> WeightConfig {
+        let mut weights = self.config.weights;
+        if self.config.mask.relative {
+            weights.mask *= self.image_loss;
+            weights.mask_consistency *= self.image_loss;
+        }
+        weights
+    }
+
     /// Checks and passes on the losses that have become known.
     fn report(
         &mut self,
@@ -239,7 +258,7 @@ impl Trainer {
         pace: &mut Pace,
         observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<(), TrainError> {
-        let weights = &self.config.weights;
+        let weights = &self.weights();
         let (timestep, num_gaussians, trained) = (self.timestep, self.num_gaussians, self.trained);
         let iterations = report.iterations;
         for terms in self.engine.losses()? {
@@ -251,6 +270,7 @@ impl Trainer {
             let loss = terms.total(weights);
             pace.hear(loss);
             report.reported += 1;
+            report.since_event = (report.since_event.0 + terms.image, report.since_event.1 + 1);
             if observe(&Progress { timestep, iteration, iterations, terms, loss, num_gaussians, trained }).is_break() {
                 return Err(TrainError::Stopped { timestep, iteration });
             }
