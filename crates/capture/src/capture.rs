@@ -239,7 +239,7 @@ impl Capture {
         Ok(self.footage(split, frame, 1)?.into_iter().map(|of| of.name.clone()).collect())
     }
 
-    /// The same capture with other test cameras. Training uses none of these; test cameras that are not among them are left
+    /// The same capture with other test cameras. Training uses none of these. The capture's other test cameras are left
     /// out.
     ///
     /// - `names`: names or ids of training and test cameras

@@ -1,4 +1,4 @@
-//! What a folder holds.
+//! Listing folders and reading files of a capture.
 
 use std::collections::{BTreeMap, HashSet};
 use std::ffi::OsString;
@@ -14,8 +14,8 @@ use crate::CaptureError;
 pub(crate) const MAX_JSON_BYTES: u64 = 1 << 28;
 /// Most bytes of the file of an image, a COLMAP model or points. Their readers hold no more than a few times as much.
 const MAX_BYTES: u64 = 1 << 32;
-/// Most bytes of a text of calibrations, clocks or descriptions: a thousand cameras. Parsers of TOML, YAML and XML hold up to a
-/// hundred times as much.
+/// Most bytes of a text of calibrations, clocks or descriptions: a thousand cameras. Parsers of TOML, YAML and XML take
+/// up to a hundred times as much memory.
 const MAX_TEXT_BYTES: u64 = 1 << 22;
 
 /// Reads an image, or a file of COLMAP.

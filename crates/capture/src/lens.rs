@@ -89,8 +89,8 @@ impl Lens {
         let outside = |x: usize, y: usize| lens.bends_outside(x, y);
         let in_column = |x: usize, rows: Range<usize>| rows.filter(|&y| outside(x, y)).count();
         let in_row = |y: usize, columns: Range<usize>| columns.filter(|&x| outside(x, y)).count();
-        // How many pixels of each side lie outside. Dropping a side takes a pixel from each neighbour, and only what comes
-        // behind it is counted anew.
+        // How many pixels of each side lie outside. Dropping a side takes a pixel from each neighbouring side; only the
+        // row or column behind the dropped side is counted in full.
         let mut counts = [
             in_column(left, top..bottom),
             in_row(top, left..right),

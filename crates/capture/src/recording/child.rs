@@ -1,7 +1,7 @@
 //! Programs that decode videos: `ffmpeg` and `ffprobe` while they work.
 //!
-//! What lives here: starting them, and ending them with whoever started them or with [`end_programs`]. What does not: what
-//! they are asked.
+//! What lives here: starting them, and ending them when [`Program`] is dropped or by [`end_programs`]. What does not:
+//! their arguments.
 
 use std::io::{self, Read};
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -21,8 +21,8 @@ struct Running {
     is_ended: bool,
 }
 
-/// Ends `ffmpeg` and `ffprobe` wherever this process runs them, and starts them no more. Reading a video by them then returns
-/// an error. For a process that is asked to end: such a program may hang, and its reader with it.
+/// Ends every `ffmpeg` and `ffprobe` that this process runs, and refuses to start more. Reading a video through them
+/// then returns an error. Call it when the process is asked to end: a program that hangs blocks its reader.
 pub fn end_programs() {
     let mut running = lock(&RUNNING);
     running.is_ended = true;

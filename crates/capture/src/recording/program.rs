@@ -1,7 +1,8 @@
 //! Videos that the program `ffmpeg` decodes, frame by frame through a pipe. Nothing is extracted to the disk.
 //!
-//! `ffprobe` lists when each frame is shown; `ffmpeg` then writes frames in that order. Frames asked for in order cost the
-//! decoding of one each; for one that lies before, or far ahead, `ffmpeg` starts anew at that moment.
+//! `ffprobe` lists when each frame is shown; `ffmpeg` then writes frames in that order. Frames that are asked for in
+//! order are decoded once each. For a frame that lies before the last one, or far ahead of it, `ffmpeg` is started
+//! again at that moment.
 
 use std::collections::VecDeque;
 use std::io::{BufReader, Read};
@@ -18,11 +19,11 @@ use crate::CaptureError;
 
 /// Bytes of decoded frames that a video keeps; the last one always.
 const KEPT_BYTES: usize = 16 << 20;
-/// Most bytes of a description, in which a frame has a hundred: as many frames as a video that is decoded here may have.
+/// Most bytes of a description at a hundred bytes a frame: as many frames as the built-in decoder takes.
 const MAX_PROBE_BYTES: u64 = 1 << 28;
 /// Largest width and height of a video, pixels.
 const MAX_SIDE: usize = 1 << 14;
-/// Frames that are decoded and thrown away rather than starting `ffmpeg` anew.
+/// Frames that are decoded and thrown away rather than starting `ffmpeg` again.
 const MAX_SKIPPED: usize = 250;
 
 /// A video that `ffmpeg` decodes.

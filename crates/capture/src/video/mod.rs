@@ -284,9 +284,9 @@ impl Video {
     }
 }
 
-/// What the header of a track says about turning its pictures, and its edit list about their times.
+/// How to turn a track's pictures, by its header, and how to shift their times, by its edit list.
 ///
-/// ISO/IEC 14496-12, 8.3.2 and 8.6.6. Of several edits the first that shows something counts.
+/// ISO/IEC 14496-12, 8.3.2 and 8.6.6. If there are several edits, the first that shows pictures counts.
 fn shown_of(track: &Track) -> Shown {
     let quarter_turns = match track.matrix.map(i32::signum) {
         [0, 1] => 1,

@@ -1,5 +1,4 @@
-//! What becomes of a video in which bytes are wrong: it is refused in a line, or its frames come out. Nothing panics or goes
-//! on for ever.
+//! Videos with wrong bytes are refused in a line, or decoded. Reading neither panics nor runs for ever.
 
 use std::io::Cursor;
 use std::time::{Duration, Instant};
@@ -16,7 +15,7 @@ fn file(name: &str) -> Vec<u8> {
     std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/video").join(name)).unwrap()
 }
 
-/// What is wrong with the tables of a file.
+/// Reads the tables of a file, or returns what is wrong with them.
 fn read(bytes: &[u8]) -> Result<Option<Track>, String> {
     let begin = Instant::now();
     let track = mp4::read(BufReader::new(Cursor::new(bytes)), bytes.len() as u64);

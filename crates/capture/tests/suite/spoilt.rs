@@ -1,5 +1,5 @@
-//! Calibrations, descriptions and files of cameras in which bytes are wrong, and texts of few bytes that stand for many: each
-//! is read, or refused in one line that names a file.
+//! Calibrations, descriptions and files of cameras with wrong bytes, and short texts that expand to long ones. Each is
+//! read, or refused in one line that names a file.
 
 use std::fs;
 use std::path::Path;
@@ -84,7 +84,7 @@ fn files_of_any_bytes_are_read_or_refused() {
     }
 }
 
-/// What is wrong with a file of a format, found soon.
+/// The problem that reading a calibration reports, within the time limit.
 #[track_caller]
 fn problem(names: [&str; 2], files: [Vec<u8>; 2]) -> String {
     let folder = tempdir().unwrap();

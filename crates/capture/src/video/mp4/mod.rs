@@ -1,7 +1,8 @@
 //! The video track of an MP4 file (ISO/IEC 14496-12): how it is coded, where its frames lie and when they are shown.
 //!
-//! What lives here: [`read`], which trusts no number of a file: sizes of boxes nest, tables are as long as their boxes, and
-//! frames lie inside the file. `boxes` reads numbers, `tables` and `fragments` list frames. What does not: decoding.
+//! What lives here: [`read`], which trusts no number of a file. It checks that boxes nest, that tables are as long as
+//! their boxes, and that frames lie inside the file. `boxes` reads numbers, `tables` and `fragments` list frames. What
+//! does not: decoding.
 //!
 //! Published readers of MP4 go round in circles on a box of no size, or panic on tables that contradict each other.
 
@@ -17,7 +18,7 @@ use self::fragments::Fragments;
 
 /// Most frames of a video: 19 hours at 30 a second. A run of equal frames takes no bytes of a file.
 const MAX_FRAMES: usize = 1 << 21;
-/// Most bytes of the boxes that list frames, which are read whole: about twice what [`MAX_FRAMES`] take.
+/// Most bytes of the boxes that list frames: about twice the size for [`MAX_FRAMES`]. They are read whole.
 const MAX_LIST_BYTES: u64 = 1 << 26;
 /// Most boxes of a file.
 const MAX_BOXES: usize = 1 << 22;
@@ -75,7 +76,7 @@ pub(super) struct Avc {
 #[derive(Debug)]
 pub(super) enum Mp4Error {
     Io(io::Error),
-    /// What the file holds.
+    /// The file's content is invalid.
     Format(String),
 }
 

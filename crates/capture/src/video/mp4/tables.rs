@@ -1,14 +1,14 @@
 //! The tables of a track: where its frames lie, when each is shown, and at which decoding can begin.
 //!
-//! ISO/IEC 14496-12, 8.6 and 8.7. Tables of runs are never longer than their box; what they say is unrolled only as far as
-//! there are frames.
+//! ISO/IEC 14496-12, 8.6 and 8.7. Tables of runs are never longer than their box. Runs are unrolled only up to the
+//! number of frames.
 
 use std::iter::repeat_n;
 
 use super::boxes::Body;
 use super::{MAX_FRAMES, Sample, too_many};
 
-/// The frames of a track in the order of decoding, and how long they last together, in units of the track's clock. A file of
+/// The frames of a track in the order of decoding, and their total duration in units of the track's clock. A file of
 /// fragments has none here.
 ///
 /// - `table`: the box `stbl`
@@ -64,7 +64,7 @@ pub(super) fn samples(table: Body<'_>) -> Result<(Vec<Sample>, u64), String> {
 /// How many bytes each frame has.
 struct Sizes<'a> {
     count: usize,
-    /// Of all frames alike; 0: as listed.
+    /// Size of every frame; 0: each has its own size in `listed`.
     all: u32,
     listed: &'a [[u8; 4]],
 }
