@@ -1,5 +1,5 @@
 //! Signals: Ctrl-C (SIGINT), SIGTERM, which ends services and batch jobs, and SIGHUP of a terminal that closes.
-//! A signal ends the process at once and removes unfinished files. A command that ends its step first asks for that with
+//! A signal ends the process at once and removes unfinished files. A command that has to end its step first calls
 //! [`politely`]; a second signal then ends the process at once.
 
 use std::io;
@@ -30,7 +30,7 @@ pub fn catch() -> anyhow::Result<()> {
     #[cfg(unix)]
     let is_detached = unix::prepare();
     let handler = || {
-        // Whoever waits for a program that hangs could not end.
+        // A thread that waits for a hanging program could not end.
         tcgs_capture::end_programs();
         #[cfg(unix)]
         unix::terminate(STEP.load(Ordering::SeqCst));

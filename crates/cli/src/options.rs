@@ -24,7 +24,7 @@ pub struct JobOptions {
     /// Replace outputs that exist
     #[arg(long)]
     pub force: bool,
-    /// Seed of random choices; results depend on it and on nothing that changes from run to run [default: 0]
+    /// Seed of random choices; equal commands with equal seeds give equal results [default: 0]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// Threads to compute with; results do not depend on it [default: as many as cores]

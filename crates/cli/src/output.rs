@@ -1,4 +1,4 @@
-//! What commands leave behind: whole or not at all, and never over something else unless told to.
+//! Outputs of commands: written whole or not at all, and over existing content only with `--force`.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -244,9 +244,10 @@ impl NewFolder {
         self.finish_around(|_| false)
     }
 
-    /// Puts it in its place, where some entries stay. What cannot be moved is not lost: the error says where it is.
+    /// Puts it in its place, where some entries stay. If moving fails, nothing is lost: the error says where the
+    /// content is.
     ///
-    /// - `stays`: whether an entry of that name, of which there is none among the new ones, is left where it is
+    /// - `stays`: whether an old entry of that name is left where it is; asked only for names that no new entry has
     pub fn finish_around(self, stays: fn(&OsStr) -> bool) -> anyhow::Result<()> {
         let Self { place, making, new, inside } = self;
         let context = format!("writing {}", place.display());

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::Axes;
 
-/// What a reader assumed or replaced, over all timesteps of a scene. The text names no file.
+/// An assumption or a replacement by a reader, over all timesteps of a scene. The text names no file.
 ///
 /// ```
 /// use tcgs_interchange::ReadNote;
@@ -51,7 +51,7 @@ pub(crate) struct Replaced {
     pub scales: usize,
 }
 
-/// Counts of replaced numbers for the timesteps that were read so far. A timestep counts once, however often it is read.
+/// Counts of replaced numbers at the timesteps that were read so far. A timestep counts once, however often it is read.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ReplacedByTimestep(Arc<Mutex<BTreeMap<usize, Replaced>>>);
 

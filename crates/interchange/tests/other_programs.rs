@@ -16,8 +16,8 @@ fn read(name: &str) -> Gaussians {
     read_gaussians(&path(name), ReadSettings::default()).unwrap()
 }
 
-/// The Gaussians of an SPZ file by splat-transform 2.7.1, which turned them to RUB and declared no axes; or by its library, as
-/// `make.mjs` calls it.
+/// The Gaussians of an SPZ file of splat-transform 2.7.1, which turned them to RUB and declared no axes; or of its
+/// library, as `make.mjs` calls it.
 fn read_rub(name: &str) -> Gaussians {
     read_gaussians(&path(name), ReadSettings { axes: Some(Axes::RUB), ..ReadSettings::default() }).unwrap()
 }

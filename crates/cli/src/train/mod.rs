@@ -218,7 +218,7 @@ fn open_start(
     Ok(state)
 }
 
-/// What is trained on, in words.
+/// Describes the training data in words.
 fn describe(capture: &Capture, config: &TrainConfig) -> anyhow::Result<String> {
     let data = &config.data;
     let cameras = |split| capture.cameras(split, data.first_frame, data.downscale);

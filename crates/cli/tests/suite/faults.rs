@@ -69,7 +69,8 @@ fn refuse(folder: &Path, arguments: &[&str], expected: &str) {
     assert!(contents(folder) == before, "{arguments:?} changed something");
 }
 
-/// Commands without their last argument, the name of the output, and such a name. Every output has more than a kilobyte.
+/// Commands whose output has more than a kilobyte: the arguments but the last one, and a name of an output to follow
+/// them.
 fn writers() -> Vec<(Vec<&'static str>, &'static str)> {
     let file = |name: &str| -> &'static str { Box::leak(text(&trained().join(name)).to_owned().into_boxed_str()) };
     let (run, scene, capture) = (file("run"), file("scene.tcgs"), text(capture()));

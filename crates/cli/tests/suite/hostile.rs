@@ -19,7 +19,7 @@ const MOST_KILOBYTES: u64 = 200_000;
 /// A refusal takes a tenth of a second; other tests run on the same processors.
 const MOST_TIME: Duration = Duration::from_secs(10);
 
-/// What a command says and how it ends, the most memory that it had (kB), and how long it took.
+/// Output and exit code of a command, its peak memory (kB), and its time.
 fn measured(arguments: &[&str]) -> (Output, u64, Duration) {
     let start = Instant::now();
     let mut child = tcgs().args(arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();

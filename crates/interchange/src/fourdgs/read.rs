@@ -37,7 +37,7 @@ const MAX_TIMESTEPS: f64 = 1e6;
 pub struct FourdgsFile {
     path: PathBuf,
     content: Content,
-    /// Of each timestep, seconds.
+    /// Times of the timesteps, seconds.
     times: Vec<f64>,
     /// Gaussians at each timestep.
     numbers: Vec<usize>,
@@ -49,9 +49,9 @@ pub struct FourdgsFile {
 
 #[derive(Debug)]
 enum Content {
-    /// Of the model `gaussian-birth`.
+    /// The content of a file of the model `gaussian-birth`.
     Births(Box<::fourdgs::Scene>),
-    /// Of the model `keyframe-delta`.
+    /// The states of a file of the model `keyframe-delta`.
     States(Vec<Gaussians>),
 }
 
@@ -143,7 +143,7 @@ impl FourdgsFile {
         self.axes
     }
 
-    /// What was replaced at the timesteps that were read so far.
+    /// Replacements at the timesteps that were read so far.
     pub fn notes(&self) -> Vec<ReadNote> {
         self.replaced.note().into_iter().collect()
     }

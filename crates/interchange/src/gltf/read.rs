@@ -119,7 +119,8 @@ fn gaussians(buffers: &Buffers, primitive: &Primitive, sh_degree: usize) -> Resu
     if let Some(i) = opacities.iter().position(|opacity| !(0.0..=1.0).contains(opacity)) {
         return Err(format!("OPACITY of Gaussian {i}: {}, expected a number from 0 to 1", opacities[i]));
     }
-    // What is nearest to 0 and 1: of floats half of the next number, of integers the middle of what becomes 0 or 1.
+    // Substitutes for 0 and 1: half of the next number for floats, the middle of the values that round to 0 or 1 for
+    // integers.
     let nearest = if step > 0.0 { [step / 4.0; 2] } else { [f64::from(f32::from_bits(1)) / 2.0, 2.0_f64.powi(-25)] };
     let mut values = vec![
         means,

@@ -95,8 +95,8 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
     Ok(open(path, settings)?.1)
 }
 
-/// Writes the Gaussians of one timestep as a PLY file for viewers of 3D Gaussian splatting: binary little-endian, with
-/// the harmonics that their layout has, and a comment where they are drawn with antialiasing. Further columns are left out.
+/// Writes the Gaussians of one timestep as a binary little-endian PLY file for viewers of 3D Gaussian splatting. It has
+/// the harmonics of their layout, and a comment if they are drawn with antialiasing. Further columns are left out.
 /// Equal Gaussians give equal bytes.
 ///
 /// - `writer`: should be buffered
