@@ -126,8 +126,8 @@ impl<'a> Export<'a> {
         })
     }
 
-    /// [`Self::gaussians`], of which there must be some, with the constants that the newborn of a run settled with: those that its
-    /// compressed file has.
+    /// [`Self::gaussians`], at least one. The newborn of a run have the constants that they settled with, as in its
+    /// compressed file.
     fn settled(&self, frame: usize, stand_ins: &StandIns) -> Result<Gaussians, PipelineError> {
         let gaussians = self.some_gaussians(frame)?;
         let identities = self.identities(frame)?.filter(|_| stand_ins.lives().is_some());
@@ -178,9 +178,9 @@ impl<'a> Export<'a> {
     /// The arrays of a `params.npz` of some frames.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if there are no Gaussians, or if something is not as a `params.npz` holds it: a Gaussian is born
-    /// or dies, there are spherical harmonics, scales or opacities vary with time, or the first frame's number is too
-    /// large; [`PipelineError`] if a frame is missing or cannot be read.
+    /// [`PipelineError::Input`] if there are no Gaussians, or if a `params.npz` cannot hold them. It cannot if a
+    /// Gaussian is born or dies, if there are spherical harmonics, if scales or opacities vary with time, or if the
+    /// first frame's number is too large. [`PipelineError`] if a frame is missing or cannot be read.
     pub fn params(&self, frames: Range<usize>) -> Result<ExportedParams<'_>, PipelineError> {
         let scene = self.scene;
         self.check_some()?;

@@ -1,5 +1,5 @@
-//! Memory that a call takes, asked for before it begins: where an allocation fails in between, the process ends, and with it
-//! a notebook's kernel.
+//! Memory of a call is reserved before the call begins. If an allocation fails later, the process ends, and with it a
+//! notebook's kernel.
 
 use std::hint::black_box;
 

@@ -95,7 +95,7 @@ impl Number {
     }
 }
 
-/// The one of two arguments that a caller gives, and its name: the first, or the second, which is that of gsplat.
+/// Of two arguments with one meaning, the given one and its name. The second is gsplat's.
 ///
 /// # Errors
 /// `TypeError` if both are given, or none.

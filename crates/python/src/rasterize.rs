@@ -13,7 +13,8 @@ use crate::memory::{image_size, reserve, reserve_images, reserve_pairs};
 use crate::numbers::{Number, Whole, one_of};
 use crate::views::{Given, Grads, NearPlane, View};
 
-/// What `rasterize` returns: an image, its alpha, and the way back. `image, alpha = tcgs.rasterize(...)` unpacks it.
+/// The result of `rasterize`: an image, its alpha, and gradients (`vjp`). `image, alpha = tcgs.rasterize(...)` unpacks
+/// it.
 #[pyclass(name = "Rasterized", module = "tcgs", frozen)]
 pub struct PyRasterized {
     given: Given,
@@ -23,29 +24,29 @@ pub struct PyRasterized {
     alpha: Py<PyArrayDyn<f32>>,
 }
 
-/// Shapes of what goes in and out beside the Gaussians.
+/// Shapes of the arguments and results beside the Gaussians.
 #[derive(Clone)]
 struct Shapes {
     width: usize,
     height: usize,
-    /// Shape of the cameras: none of one camera, `[C]` of several.
+    /// Shape of the cameras: `[]` for one camera, `[C]` for several.
     cameras: Vec<usize>,
-    /// Of the colours: `[N, C]`, or `[N, K, 3]` of harmonics.
+    /// Shape of the colours: `[N, C]`, or `[N, K, 3]` for harmonics.
     colors: Vec<usize>,
 }
 
 impl Shapes {
-    /// Of images of so many channels.
+    /// Shape of images with `num_channels`.
     fn image(&self, num_channels: usize) -> Vec<usize> {
         [&self.cameras[..], &[self.height, self.width, num_channels]].concat()
     }
 
-    /// Of the background.
+    /// Shape of the background.
     fn background(&self, num_channels: usize) -> Vec<usize> {
         [&self.cameras[..], &[num_channels]].concat()
     }
 
-    /// An image for each camera of such an array.
+    /// An image for each camera, from an array of [`Self::image`]'s shape.
     fn planes(&self, pixels: &[f32], num_channels: usize) -> Vec<Image> {
         let images = pixels.chunks_exact(self.width * self.height * num_channels);
         images.map(|pixels| planes(pixels, self.width, self.height, num_channels)).collect()
@@ -85,11 +86,12 @@ pub struct PyRasterizeGrads {
 /// - near_plane: depth up to which Gaussians are not drawn, scene units; gsplat's is 0.01
 /// - sh_degree: 0 to 3: colors are coefficients of spherical harmonics, of which the first (sh_degree + 1)² count. A camera
 ///   sees their sum in the direction from its centre to the mean, and 0.5, but no less than 0
-/// - rasterize_mode: "classic", or "antialiased" as the scene's own flag says (`Scene.antialiased`): a splat that is widened
-///   by a pixel's extent gives up as much opacity
+/// - rasterize_mode: "classic", or "antialiased" as the scene's own flag says (`Scene.antialiased`): a splat that is
+///   widened by a pixel's extent loses as much opacity
 ///
-/// Returns a Rasterized: `image` [height, width, D] and `alpha` [height, width, 1], of several cameras [C, height, width, …],
-/// float32, not clamped; `vjp` gives the gradients. The images have the same bits for any number of threads.
+/// Returns a Rasterized: `image` [height, width, D] and `alpha` [height, width, 1], float32, not clamped; several
+/// cameras have [C, height, width, …]. `vjp` gives the gradients. The images have the same bits for any number of
+/// threads.
 ///
 /// An alpha is at most 0.99; gsplat has 0.999.
 ///
@@ -216,7 +218,8 @@ impl PyRasterized {
         self.image.clone_ref(py)
     }
 
-    /// [height, width, 1] float32, of several cameras [C, height, width, 1]: 1 less the light that passes all Gaussians.
+    /// [height, width, 1] float32; several cameras have [C, height, width, 1]. 1 less the light that passes all
+    /// Gaussians.
     #[getter]
     fn alpha(&self, py: Python<'_>) -> Py<PyArrayDyn<f32>> {
         self.alpha.clone_ref(py)

@@ -269,8 +269,8 @@ impl PyScene {
         if self.0.up() == tcgs_codec::UpAxis::Unknown { "" } else { self.0.up().name() }
     }
 
-    /// What was assumed when a file of another program was opened, and replaced at the timesteps that were read so far; empty of
-    /// anything else.
+    /// Assumptions at the opening of another program's file, and replacements at the timesteps that were read so far.
+    /// Empty for anything else.
     #[getter]
     fn notes(&self) -> Vec<String> {
         self.0.notes().iter().map(ToString::to_string).collect()

@@ -1,7 +1,7 @@
 //! Gaussians as `rasterize` is given them, drawn by one camera after another, forward and backward.
 //!
-//! What lives here: a near plane of the caller's, harmonics in each camera's direction, and sums over cameras. What does
-//! not: arrays of Python, which are in `rasterize.rs`, and drawing, which is `tcgs-render`'s.
+//! What lives here: a near plane of the caller's, harmonics in each camera's direction, and sums over cameras. What
+//! does not: Python's arrays (`rasterize.rs`) and drawing (`tcgs-render`).
 
 use std::borrow::Cow;
 
@@ -12,8 +12,8 @@ use tcgs_core::{
 use tcgs_render::settings::NEAR;
 use tcgs_render::{CpuRasterizer, CpuSaved, Rasterizer, RenderOutput, RenderSettings};
 
-/// Gaussians nearer than this are not drawn. The renderer culls at [`NEAR`]; for a plane that is nearer, everything is drawn
-/// larger.
+/// Gaussians nearer than this are not drawn. The renderer culls at [`NEAR`]; for a nearer plane, all lengths are scaled
+/// up.
 #[derive(Clone, Copy, Debug)]
 pub struct NearPlane {
     /// Factor of all lengths, a power of two: no bit of an image depends on it.
@@ -104,7 +104,7 @@ pub struct Given {
     near: NearPlane,
 }
 
-/// What a camera sees, to go back from.
+/// A camera's rendering, with the state for its backward pass.
 #[derive(Debug)]
 pub struct View {
     /// In units of the near plane.
@@ -232,7 +232,7 @@ impl Given {
         Grads { gaussians, v_backgrounds }
     }
 
-    /// Of one view, to unit quats, in units of the near plane.
+    /// Gradients from one view, to unit quats, in units of the near plane.
     fn backward_of(&self, view: &View, v_image: &Image, v_alpha: Option<Image>) -> ActivatedGrads {
         let View { camera, settings, saved, .. } = view;
         let seen = self.seen_by(camera);

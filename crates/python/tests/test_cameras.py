@@ -1,4 +1,4 @@
-"""What gsplat's users pass to `rasterize` beside one camera and colours: cameras, harmonics, a near plane."""
+"""Arguments of gsplat that `rasterize` takes beside one camera and colours: several cameras, harmonics, a near plane."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-//! What `tcgs eval` does not measure: errors where several training cameras see the scene, errors after each camera's
-//! exposure was fitted, and what hangs in free space or is missing between cameras.
+//! Measures beyond `tcgs eval`: errors where several training cameras see the scene, errors after a fit of each
+//! camera's exposure, and floaters and holes between cameras.
 
 use std::sync::Arc;
 
@@ -23,10 +23,10 @@ const WITNESSES: usize = 2;
 ///
 /// - `seen_by`: the capture whose training cameras were trained with
 /// - `judge`, `split`: the cameras that judge
-/// - returns: `psnr_seen` over pixels that at least two training cameras see, `unseen` the share of the others,
-///   `psnr_fitted` after a gain and an offset for each camera and channel; over the first frame, from half-way between
-///   neighbouring training cameras, `free_space` the mean share of a pixel's light from before the surface of the initial
-///   points, and `holes` the share that meets nothing
+/// - returns: `psnr_seen`, over pixels that at least two training cameras see; `unseen`, the share of the other pixels;
+///   `psnr_fitted`, after a gain and an offset for each camera and channel. Two shares are of the first frame, seen
+///   from half-way between neighbouring training cameras: `free_space`, the mean share of a pixel's light from before
+///   the surface of the initial points; `holes`, the share that meets no Gaussian.
 pub fn measure(scene: &OpenScene, seen_by: &Capture, judge: &Capture, split: Split) -> anyhow::Result<Value> {
     let downscale = scene.downscale;
     let renderer = Backend::Cpu.renderer();
@@ -145,7 +145,7 @@ impl Surfaces {
         Self { points, training }
     }
 
-    /// Of each pixel, whether enough training cameras see what it shows.
+    /// Whether enough training cameras see the point that each pixel shows.
     fn seen(&self, camera: &Camera) -> Vec<bool> {
         let pinhole = Pinhole::<f32>::new(camera);
         let depths = DepthMap::new(&self.points, &pinhole);

@@ -1,4 +1,5 @@
-//! What the files of a scene declare beside its Gaussians: frames, foreground, identities, and how many bytes they take.
+//! Declarations in the files of a scene beside its Gaussians: frames, foreground, identities. Also the size of the
+//! files.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -32,8 +33,8 @@ impl OpenScene {
         is_declared.then_some(self.frame_rate)
     }
 
-    /// Bytes that the files of the scene take: of a run its checkpoints, of a file a timestep all of them without the buffers
-    /// of `.gltf` files. 0 of a scene in memory.
+    /// Bytes of the scene's files: the checkpoints of a run, or all files of a sequence, without the buffers of `.gltf`
+    /// files. 0 if the scene is in memory.
     ///
     /// # Errors
     /// What the operating system says of a file or folder.
@@ -48,8 +49,8 @@ impl OpenScene {
         }
     }
 
-    /// Which of all Gaussians live at a timestep, ascending: those that [`Self::at`] gives, in its order. None if all do, or if
-    /// the scene does not say which Gaussian of one timestep is which of another.
+    /// Indices, among all Gaussians, of those that live at a timestep, ascending: the order of [`Self::at`]. None if
+    /// all live, or if the scene does not say which Gaussian of one timestep is which of another.
     ///
     /// # Errors
     /// [`PipelineError::Decode`] if the file is damaged.
@@ -63,7 +64,7 @@ impl OpenScene {
         }
     }
 
-    /// Which of the Gaussians that live at a timestep belong to the foreground; none if nothing says so.
+    /// Which of the Gaussians that live at a timestep belong to the foreground; none if the scene does not say.
     ///
     /// # Errors
     /// [`PipelineError`] if a file is damaged.

@@ -278,7 +278,7 @@ impl OpenScene {
         }
     }
 
-    /// What a `.tcgs` file that was cut has lost; none of anything else.
+    /// Losses of a `.tcgs` file that was cut; none for anything else.
     pub fn loss(&self) -> Option<&Loss> {
         match &self.content {
             Content::File(file) => file.loss.as_ref(),
@@ -286,8 +286,8 @@ impl OpenScene {
         }
     }
 
-    /// What readers of another program's files assumed when the scene was opened, and replaced at the timesteps that were read
-    /// so far; empty of anything else.
+    /// Assumptions of readers when the scene was opened, and replacements at the timesteps that were read so far. Empty
+    /// unless the scene's files are another program's.
     ///
     /// ```
     /// use tcgs_core::Gaussians;

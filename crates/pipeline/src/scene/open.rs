@@ -14,7 +14,7 @@ use super::found::trained_file;
 use super::{Content, FileContent, OpenScene, ParamsContent, RunContent};
 use crate::PipelineError;
 
-/// What a scene may be, for messages.
+/// Kinds of scenes, for messages.
 const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz, a .4dgs file, or PLY, SPZ or glTF files";
 
 /// How a scene is read.
@@ -37,16 +37,17 @@ pub enum CutFiles {
 }
 
 impl OpenScene {
-    /// Opens a scene. A file is taken for what its ending says, so that a damaged one is judged as what it was meant to
-    /// be; one with another ending for what its first bytes say.
+    /// Opens a scene. The ending of a file's name says its kind, so a damaged file is judged as the kind that it was
+    /// meant to be. If the ending is unknown, the first bytes say the kind.
     ///
-    /// Of a run the first timestep is read now, of a file a timestep its header, and the rest when it is asked for; of a
-    /// `.tcgs` file a segment is decoded when one of its timesteps is asked for. A `params.npz` is read through and checked now, and a
-    /// timestep of it is read again when it is asked for; one that is compressed is held in memory ([`ParamsNpz`]), and so is a
-    /// `.4dgs` file.
+    /// The first timestep of a run is read now, and so are the headers of a sequence of files; the rest is read when it
+    /// is asked for. A segment of a `.tcgs` file is decoded when one of its timesteps is asked for. A `params.npz` is
+    /// read through and checked now, and a timestep of it is read again when it is asked for. A compressed one is held
+    /// in memory ([`ParamsNpz`]), and so is a `.4dgs` file.
     ///
-    /// Of the output folder of a program that trains 3D Gaussian splatting, and of the folder `point_cloud` in it, the file
-    /// `iteration_N/point_cloud.ply` of the highest iteration is opened: [`OpenScene::path`] is that of the file.
+    /// A folder may be the output folder of a program that trains 3D Gaussian splatting, or the folder `point_cloud` in
+    /// it. Then the file `iteration_N/point_cloud.ply` of the highest iteration is opened, and [`OpenScene::path`] is
+    /// that of the file.
     ///
     /// # Errors
     /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.

@@ -12,13 +12,13 @@ use crate::{Backend, Observer, PipelineError, capture_for};
 /// A run that is ready for [`fit`](crate::fit). Its folder is locked as long as this lives.
 #[derive(Debug)]
 pub struct ReadyRun {
-    /// What [`fit`](crate::fit) trains it on: the cameras of `data.hold_out` are test cameras.
+    /// The capture that [`fit`](crate::fit) trains it on: the cameras of `data.hold_out` are test cameras.
     pub capture: Capture,
     /// The run.
     pub run: Run,
-    /// After the timesteps that the run has.
+    /// Ready for the timestep after those that the run has.
     pub trainer: Trainer,
-    /// Holds the lock.
+    /// The run's folder, locked.
     pub folder: RunFolder,
 }
 

@@ -1,6 +1,6 @@
-//! What value each setting may have: one table, which [`check`] compares every setting with.
+//! Bounds of every setting, in one table. [`check`] compares all settings with it.
 //!
-//! What lives here: ranges of single settings. Upper ends are far beyond what helps; they refuse slips of the keyboard that
+//! What lives here: ranges of single settings. Upper ends are far beyond useful values; they refuse typing errors that
 //! would take all memory or never end. What does not: how settings fit together ([`TrainConfig::check`]).
 //!
 //! [`TrainConfig::check`]: super::TrainConfig::check
@@ -18,12 +18,12 @@ enum Bounds {
 
 use Bounds::{Any, Number, Whole};
 
-/// Of a schedule: more take years.
+/// Upper ends of a schedule: more takes years.
 const ITERATIONS: i64 = 100_000_000;
 const TIMESTEPS: i64 = 10_000_000;
-/// Of factors that stretch or turn off what they are compared with.
+/// Upper end of weights, and of factors that stretch the value they are compared with, or switch it off.
 const FACTOR: f64 = 1e6;
-/// Of opacities: logits of 0 and 1 are infinite.
+/// Bounds of opacities: logits of 0 and 1 are infinite.
 const OPACITY: Bounds = Number(1e-6, 0.999);
 const SHARE: Bounds = Number(0.0, 1.0);
 /// A rate that is too large takes neither memory nor time: training stops at the first loss that is not finite.
