@@ -18,8 +18,8 @@ use crate::terminal::{note, say};
 ///
 /// A params.npz is the format of Dynamic 3D Gaussians and its viewer. It holds the same Gaussians at all timesteps,
 /// scales and opacities once, and no spherical harmonics. Runs of the presets d3dgs and paper have the same Gaussians
-/// at all timesteps. In runs of the presets default and fast Gaussians are born and die: choose frames between two
-/// births or deaths with --frames, or write another kind of file, which holds the whole scene.
+/// at all timesteps. In runs of the presets default and fast Gaussians are born and die. Choose frames between two
+/// births or deaths with --frames, or write another kind of file: all others hold the whole scene.
 ///
 /// A PLY file has the format of 3D Gaussian splatting, which most viewers read. A .glb file is glTF with
 /// KHR_gaussian_splatting. Both hold one timestep; in a folder of many a file's name is its frame. A .4dgs file holds

@@ -14,7 +14,7 @@ use tcgs_pipeline::RefineBudget;
 
 use crate::output;
 
-/// What every long command takes.
+/// Options of every long command.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Every command")]
 pub struct JobOptions {

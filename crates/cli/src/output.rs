@@ -247,7 +247,7 @@ impl NewFolder {
     /// Puts it in its place, where some entries stay. If moving fails, nothing is lost: the error says where the
     /// content is.
     ///
-    /// - `stays`: whether an old entry of that name is left where it is; asked only for names that no new entry has
+    /// - `stays`: whether an old entry is left where it is, by its name; not asked if a new entry has the name
     pub fn finish_around(self, stays: fn(&OsStr) -> bool) -> anyhow::Result<()> {
         let Self { place, making, new, inside } = self;
         let context = format!("writing {}", place.display());

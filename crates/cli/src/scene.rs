@@ -22,8 +22,8 @@ pub struct SourceOptions {
     /// Read files of other programs that claim more memory than their length warrants, or over 65,536 timesteps
     #[arg(long)]
     pub no_limits: bool,
-    /// Axes of PLY, SPZ, glTF and .4dgs files, as three letters: right or left, up or down, forward or back. Scenes are in rdf
-    /// [default: those that the file declares, else luf of glTF and rdf of all others]
+    /// Axes of PLY, SPZ, glTF and .4dgs files, as three letters: right or left, up or down, forward or back. Scenes are
+    /// in rdf [default: those that the file declares, else luf of glTF and rdf of all others]
     #[arg(long, value_name = "XYZ")]
     pub axes: Option<Axes>,
 }
@@ -119,7 +119,7 @@ pub fn note_replaced(scene: &OpenScene) {
     }
 }
 
-/// What is left of a file that was cut, in one line.
+/// Describes the rest of a file that was cut, in one line.
 pub fn describe_loss(path: &Path, loss: &Loss, num_gaussians: usize, num_timesteps: usize) -> String {
     let Loss { bytes, bytes_before, timesteps_before, gaussians_before } = loss;
     format!(

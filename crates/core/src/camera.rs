@@ -88,8 +88,8 @@ impl Camera {
     /// - `camera_from_world`: `[4][4]` row-major
     ///
     /// # Errors
-    /// [`CameraError`] if a number is not finite, or beyond [`MAX_COORDINATE`] or [`MAX_INTRINSIC`]; if a side is
-    /// beyond [`MAX_SIDE`]; if the rotation is none; or if the intrinsics are not those of a pinhole.
+    /// [`CameraError`] if a number is not finite, or beyond [`MAX_COORDINATE`] or [`MAX_INTRINSIC`]. Also if a side is
+    /// beyond [`MAX_SIDE`], the rotation is none, or the intrinsics are not those of a pinhole.
     pub fn new(
         width: usize,
         height: usize,

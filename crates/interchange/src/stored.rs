@@ -56,8 +56,8 @@ const LEAST_LOG_SCALE: f32 = -20.0;
 /// they write for scales of 0. Refuses all other numbers that are not finite: a Gaussian of infinite scale cannot be
 /// drawn.
 ///
-/// Without harmonics negative colours become zero, since renderers of such files clamp colours at zero; with them they clamp
-/// the sum.
+/// Without harmonics negative colours become zero, since renderers of such files clamp colours at zero; with them they
+/// clamp the sum.
 pub(crate) fn checked(path: &Path, mut gaussians: Gaussians) -> Result<(Gaussians, Replaced), InterchangeError> {
     let mut replaced = Replaced::default();
     for x in gaussians.logit_opacities_mut().iter_mut().filter(|x| x.is_infinite()) {

@@ -205,7 +205,8 @@ impl<'a> Export<'a> {
             if let Some(now) = now {
                 let start = frames.start;
                 let found = format!(
-                    "has {expected} Gaussians at frame {start} and {now} at frame {frame}, which a params.npz cannot hold"
+                    "has {expected} Gaussians at frame {start} and {now} at frame {frame}, which a params.npz cannot \
+                     hold"
                 );
                 let expected = format!(
                     "a folder of PLY or .glb files or a .4dgs file to export to, or the frames {start}..{frame} alone"

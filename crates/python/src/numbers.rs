@@ -95,7 +95,7 @@ impl Number {
     }
 }
 
-/// Of two arguments with one meaning, the given one and its name. The second is gsplat's.
+/// The given one of two arguments with one meaning, and its name. The second is gsplat's.
 ///
 /// # Errors
 /// `TypeError` if both are given, or none.

@@ -84,8 +84,8 @@ pub struct PyRasterizeGrads {
 /// - width, height: of the images, pixels
 /// - background, or backgrounds: [D], of several cameras [C, D], behind everything; black if None
 /// - near_plane: depth up to which Gaussians are not drawn, scene units; gsplat's is 0.01
-/// - sh_degree: 0 to 3: colors are coefficients of spherical harmonics, of which the first (sh_degree + 1)² count. A camera
-///   sees their sum in the direction from its centre to the mean, and 0.5, but no less than 0
+/// - sh_degree: 0 to 3: colors are coefficients of spherical harmonics, of which the first (sh_degree + 1)² count. A
+///   camera sees their sum in the direction from its centre to the mean, and 0.5, but no less than 0
 /// - rasterize_mode: "classic", or "antialiased" as the scene's own flag says (`Scene.antialiased`): a splat that is
 ///   widened by a pixel's extent loses as much opacity
 ///
@@ -99,9 +99,11 @@ pub struct PyRasterizeGrads {
 #[pyfunction]
 #[pyo3(signature = (
     means, quats, scales, opacities, colors, viewmat = None, K = None, width = None, height = None, *, viewmats = None,
-    Ks = None, background = None, backgrounds = None, near_plane = Number::of(0.2), sh_degree = None, rasterize_mode = "classic"
+    Ks = None, background = None, backgrounds = None, near_plane = Number::of(0.2), sh_degree = None,
+    rasterize_mode = "classic"
 ), text_signature = "(means, quats, scales, opacities, colors, viewmat=None, K=None, width=None, height=None, *, \
-    viewmats=None, Ks=None, background=None, backgrounds=None, near_plane=0.2, sh_degree=None, rasterize_mode='classic')")]
+    viewmats=None, Ks=None, background=None, backgrounds=None, near_plane=0.2, sh_degree=None, \
+    rasterize_mode='classic')")]
 #[allow(clippy::too_many_arguments, non_snake_case, reason = "the signature of gsplat")]
 pub fn rasterize(
     py: Python<'_>,

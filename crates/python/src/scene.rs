@@ -155,8 +155,8 @@ impl PyScene {
     #[staticmethod]
     #[pyo3(signature = (means, quats, colors, *, scales = None, log_scales = None, opacities = None,
         logit_opacities = None, harmonics = None, fps = Number::of(30.0), name = "arrays"),
-        text_signature = "(means, quats, colors, *, scales=None, log_scales=None, opacities=None, logit_opacities=None, \
-        harmonics=None, fps=30.0, name='arrays')")]
+        text_signature = "(means, quats, colors, *, scales=None, log_scales=None, opacities=None, \
+        logit_opacities=None, harmonics=None, fps=30.0, name='arrays')")]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
     fn from_arrays(
         means: ArrayLike<'_>,

@@ -96,7 +96,8 @@ fn between(cameras: &[Camera]) -> anyhow::Result<Vec<Camera>> {
     pairs.into_iter().map(half_way).collect()
 }
 
-/// PSNR of each image after the gain and the offset of each channel that bring a camera's renderings nearest to its images.
+/// PSNR of each image after the gain and the offset of each channel that bring a camera's renderings nearest to its
+/// images.
 fn fitted_psnrs(judged: &[(View, Image, Vec<bool>)]) -> Vec<f64> {
     let mut psnrs = Vec::new();
     for (view, image, _) in judged {

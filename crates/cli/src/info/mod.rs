@@ -42,7 +42,8 @@ pub struct Arguments {
     /// .tcgs file; or run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
     #[arg(value_name = "SCENE")]
     file: PathBuf,
-    /// Write data that an application put into a .tcgs file, such as tcgs.credits, to the standard output, and nothing else
+    /// Write data that an application put into a .tcgs file, such as tcgs.credits, to the standard output, and nothing
+    /// else
     #[arg(long, value_name = "NAME")]
     data: Option<String>,
     #[command(flatten)]

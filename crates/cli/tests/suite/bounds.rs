@@ -1,5 +1,5 @@
-//! Files and numbers that would never end or take all memory: exit code 2 and one line that names them, soon and in little
-//! memory.
+//! Files and numbers that would never end or take all memory: exit code 2 and one line that names them, soon and in
+//! little memory.
 
 use std::fs;
 use std::io::{Read, Write};

@@ -1,5 +1,5 @@
-//! Faults outside of a command: full disks, signals, illegal outputs, other processes. Each ends in one line that begins
-//! with `tcgs:`, and leaves nothing behind.
+//! Faults outside of a command: full disks, signals, illegal outputs, other processes. Each ends in one line that
+//! begins with `tcgs:`, and leaves nothing behind.
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -181,8 +181,8 @@ fn open(path: &Path, settings: ReadSettings) -> Result<(PlyReader<BufReader<File
     Ok((ply, head))
 }
 
-/// Whether comments of a header, by Brush or by Postshot, say that the Gaussians are drawn with antialiasing. The last one
-/// counts, as in other readers.
+/// Whether comments of a header, by Brush or by Postshot, say that the Gaussians are drawn with antialiasing. The last
+/// one counts, as in other readers.
 fn is_antialiased(comments: &[String]) -> bool {
     let says = |comment: &String| {
         let (key, value) = comment.trim().split_once([' ', ':'])?;

@@ -20,7 +20,7 @@
 //! compressed and the plain length of each in 64 bits, and the frames lie behind the table.
 //!
 //! Extensions are records of a type, a length and so many bytes. They lie between header and table in version 4, behind
-//! the arrays in earlier versions. The one of type 0xADBE0003 declares the axes of the file. Others do not change the
+//! the arrays in versions 2 and 3. The one of type 0xADBE0003 declares the axes of the file. Others do not change the
 //! numbers and are ignored.
 //!
 //! Without that extension, or if it says 0 (unspecified), the axes are assumed to be RDF, those of PLY files. The

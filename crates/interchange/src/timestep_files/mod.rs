@@ -70,8 +70,8 @@ impl TimestepFiles {
     ///
     /// # Errors
     /// [`InterchangeError::Read`] if the folder or a file cannot be read. [`InterchangeError::File`] if the folder has
-    /// no such file. It names the first file whose header is none of Gaussians, or whose degree of harmonics or
-    /// antialiasing differs from that of the first file.
+    /// no such file. It names the first file whose header is none of Gaussians, or has another degree of harmonics or
+    /// another antialiasing than the first file.
     pub fn open(path: &Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
         let files = if path.is_dir() { Self::list(path)? } else { vec![path.into()] };
         let mut numbers = Vec::new();
@@ -179,8 +179,8 @@ impl TimestepFiles {
     /// The Gaussians of one file, in its order.
     ///
     /// # Errors
-    /// As [`crate::read_gaussians`]; [`InterchangeError::File`] if the file has another number of Gaussians, or harmonics of another
-    /// degree, than when the sequence was opened.
+    /// As [`crate::read_gaussians`]; [`InterchangeError::File`] if the file has another number of Gaussians, or
+    /// harmonics of another degree, than when the sequence was opened.
     ///
     /// # Panics
     /// If there is no such timestep.

@@ -163,7 +163,7 @@ pub struct PrunedScene<'a> {
     version: u16,
     num_gaussians_before: usize,
     raw_bytes: u64,
-    /// Of chapters, unless the settings say another.
+    /// Segment length of chapters, unless the settings have another.
     segment_length: Option<u32>,
     /// Application data: cameras for players first, then what was attached.
     data: Vec<(String, Vec<u8>)>,

@@ -348,7 +348,8 @@ impl OpenScene {
         (!capture.is_empty()).then(|| Path::new(capture))
     }
 
-    /// A capture to compare this scene with, or to train it on. Cameras that the scene's run held out are held out here, too.
+    /// A capture to compare this scene with, or to train it on. Cameras that the scene's run held out are held out
+    /// here, too.
     ///
     /// - `path`: the capture's folder
     ///

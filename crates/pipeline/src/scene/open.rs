@@ -22,11 +22,11 @@ const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz, a .4dgs file, 
 pub struct OpenSettings {
     /// How files of other programs are read.
     pub read: ReadSettings,
-    /// What to do with a `.tcgs` file that was cut. Default: refuse.
+    /// Whether a cut `.tcgs` file is read. Default: it is refused.
     pub cut_files: CutFiles,
 }
 
-/// What to do with a `.tcgs` file that was cut, such as by a transfer that broke off.
+/// Whether a cut `.tcgs` file is read, such as one from an interrupted transfer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CutFiles {
     /// Refuse the file.

@@ -1,8 +1,8 @@
 //! The video track of an MP4 file (ISO/IEC 14496-12): how it is coded, where its frames lie and when they are shown.
 //!
-//! What lives here: [`read`], which trusts no number of a file. It checks that boxes nest, that tables are as long as
-//! their boxes, and that frames lie inside the file. `boxes` reads numbers, `tables` and `fragments` list frames. What
-//! does not: decoding.
+//! What lives here: [`read`], which trusts no number of a file. It refuses boxes that do not nest, tables of another
+//! length than their boxes, and frames outside the file. `boxes` reads numbers, `tables` and `fragments` list frames.
+//! What does not: decoding.
 //!
 //! Published readers of MP4 go round in circles on a box of no size, or panic on tables that contradict each other.
 
