@@ -153,7 +153,8 @@ impl PyCapture {
 /// - seed: of their positions
 #[pyfunction]
 #[pyo3(signature = (path, *, width = Whole::of(128), height = Whole::of(96), frames = Whole::of(24),
-    points = Whole::of(8000), seed = Whole::of(0)), text_signature = "(path, *, width=128, height=96, frames=24, points=8000, seed=0)")]
+    points = Whole::of(8000), seed = Whole::of(0)),
+    text_signature = "(path, *, width=128, height=96, frames=24, points=8000, seed=0)")]
 pub fn make_demo_capture(
     py: Python<'_>,
     path: PathBuf,
