@@ -1,5 +1,5 @@
-//! Any bytes as the content of an SPZ file, packed as its version asks for, so that no checksum stands before the
-//! reader. Zeros behind them make a bomb.
+//! Any bytes as the content of an SPZ file, packed as its version asks for, with valid checksums. Zeros behind them
+//! make a bomb.
 //!
 //! The first byte is the number of zeros, the second the packing: none, gzip, or Zstandard frames.
 #![no_main]

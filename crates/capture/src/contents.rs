@@ -110,7 +110,8 @@ impl<'a> CameraSetOfFiles<'a> {
         }
     }
 
-    /// The cameras, without masks. A camera of one image is called as its file, any other by its id.
+    /// The cameras, without masks. The name of a camera of one image is that of its file; any other is called by its
+    /// id.
     pub fn finish(self) -> CameraSet {
         let named_by_images = self.order.len() == 1;
         let footage = |camera: CameraOfFiles| {

@@ -33,7 +33,7 @@ pub(crate) fn long_text(path: &Path) -> Result<String, CaptureError> {
     read_text(path, MAX_BYTES).map_err(|error| CaptureError::Io { path: path.into(), error })
 }
 
-/// Refuses what is no regular file, before a reader that would wait or go on for ever.
+/// Refuses a path that is no regular file: a reader of a device or a pipe might never end.
 pub(crate) fn check_regular(path: &Path) -> Result<(), CaptureError> {
     open_file(path).map(drop).map_err(|error| CaptureError::Io { path: path.into(), error })
 }

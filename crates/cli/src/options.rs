@@ -50,10 +50,10 @@ impl JobOptions {
     }
 }
 
-/// More threads than any machine has processors, each of which waits for the others.
+/// Most threads: more than any machine has processors.
 const MAX_THREADS: usize = 1024;
 
-/// A whole number from 1 on.
+/// A whole number from 1 to `MOST`.
 pub fn up_to<const MOST: usize>(text: &str) -> Result<usize, String> {
     let number = text.parse().ok().filter(|n| (1..=MOST).contains(n));
     number.ok_or_else(|| format!("expected a whole number from 1 to {MOST}"))
@@ -224,7 +224,7 @@ impl CameraChoice {
     /// The capture whose split these cameras are, and the split.
     ///
     /// # Errors
-    /// [`CaptureError::Invalid`] if a name is that of no camera.
+    /// [`CaptureError::Invalid`] if no camera has one of the names.
     pub fn choose(&self, capture: Capture) -> Result<(Capture, Split), CaptureError> {
         match self {
             Self::Split(split) => Ok((capture, *split)),

@@ -100,7 +100,7 @@ impl SceneOptions {
     }
 }
 
-/// Says what readers of another program's files assumed.
+/// Prints the assumptions of readers of another program's files.
 fn note_assumed(scene: &OpenScene) {
     for assumed in scene.notes() {
         if let ReadNote::AssumedAxes(_) = assumed {

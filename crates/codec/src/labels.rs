@@ -8,7 +8,7 @@ pub const LABELS: &str = "tcgs.labels";
 /// Name of the object that is the foreground of a capture.
 pub const FOREGROUND: &str = "foreground";
 
-/// Longer texts are passed over. Parsed runs take three times their text.
+/// Longest text that is read. Parsed runs take three times the memory of their text.
 const MAX_BYTES: usize = 1 << 24;
 
 /// Objects, and the Gaussians of each.

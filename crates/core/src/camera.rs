@@ -37,7 +37,7 @@ pub enum CameraError {
         /// What stands there.
         value: f64,
     },
-    /// A number of which squares overflow.
+    /// A number so large that its square may overflow.
     #[error("{matrix} row {row} column {column} is {value:e}, expected {most:e} or less in magnitude")]
     TooLarge {
         /// Which matrix.

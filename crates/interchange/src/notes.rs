@@ -1,4 +1,4 @@
-//! Remarks by readers of other programs' files, which are no errors: what they assumed or replaced.
+//! Notes by readers of other programs' files: assumptions and replacements, which are no errors.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -62,7 +62,7 @@ impl ReplacedByTimestep {
         }
     }
 
-    /// None where nothing was replaced.
+    /// None if no number was replaced.
     pub fn note(&self) -> Option<ReadNote> {
         let counts = self.counts();
         let sum = |of: fn(&Replaced) -> usize| counts.values().map(of).sum();

@@ -152,7 +152,7 @@ impl Unfinished {
         let mut own = OsString::from(PREFIX);
         own.push(name);
         let own = folder.join(own);
-        // A process may end between a look and the next.
+        // A process may end between two looks.
         for _ in 0..REMOVALS {
             match begun.rename(&own) {
                 Ok(()) => break,
@@ -191,14 +191,14 @@ impl Unfinished {
     pub fn keep(self) -> Kept {
         let Self { mark, folder } = self;
         folder.forget(&mut Held::all());
-        // Without its text nothing is removed for its sake.
+        // A mark without its text makes no folder removable.
         let _ = mark.set_len(0);
         Kept { _mark: mark, folder: folder.0.clone() }
     }
 }
 
-/// A folder that was an [`Unfinished`] and is the caller's. As long as the value lives no other process begins the same
-/// ([`Unfinished::begin_alone`]); then the mark is removed.
+/// A folder that was an [`Unfinished`], and now belongs to the caller. As long as the value lives, no other process
+/// begins the same ([`Unfinished::begin_alone`]). Dropping it removes the mark.
 #[derive(Debug)]
 pub struct Kept {
     _mark: File,
@@ -228,7 +228,7 @@ pub fn is_unfinished(name: &OsStr) -> bool {
 pub fn remove_held() {
     let all = Held::all();
     for folder in all.iter() {
-        // Threads that have not been told may still write into it.
+        // Other threads may still write into it.
         for _ in 0..REMOVALS {
             match fs::remove_dir_all(folder) {
                 Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}

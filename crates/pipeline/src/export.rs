@@ -115,7 +115,8 @@ impl<'a> Export<'a> {
         Some((0..living.len()).filter(|&row| keep.binary_search(&living[row]).is_ok()).collect())
     }
 
-    /// Which of all Gaussians stay at a frame; none if the scene does not tell one from another.
+    /// Indices, among all Gaussians, of those that stay at a frame; none if the scene does not identify them across
+    /// timesteps.
     fn identities(&self, frame: usize) -> Result<Option<Vec<usize>>, PipelineError> {
         let living = self.scene.living(frame - self.scene.first_frame)?;
         Ok(match (living, &self.keep) {
@@ -351,7 +352,7 @@ impl SceneReader for Frames<'_> {
 }
 
 impl ExportedParams<'_> {
-    /// Whether any Gaussian is marked as background. Without, programs that hide the background hide nothing.
+    /// Whether any Gaussian is marked as background. If none is, programs that hide the background hide nothing.
     pub fn has_background(&self) -> bool {
         self.foreground.as_ref().is_some_and(|foreground| foreground.contains(&false))
     }

@@ -8,7 +8,7 @@ use tcgs_core::{Image, Real};
 
 use crate::memory::no_memory;
 
-/// Anything that numpy makes an array of: an array, a list of lists, a tensor of torch on the CPU.
+/// Any argument that numpy converts to an array: an array, a list of lists, a tensor of torch on the CPU.
 pub type ArrayLike<'py> = Bound<'py, PyAny>;
 
 /// An argument that is an array of finite numbers.
@@ -48,7 +48,7 @@ impl<T: Real> Numbers<T> {
     /// - `expected`: of the numbers, in words
     ///
     /// # Errors
-    /// `ValueError` with the first that is not so, and its place.
+    /// `ValueError` with the first other number, and its place.
     pub fn check(&self, expected: &str, is_so: impl Fn(T) -> bool) -> PyResult<()> {
         let Some(index) = self.values.iter().position(|&value| !is_so(value)) else { return Ok(()) };
         let mut place = vec![0; self.shape.len()];

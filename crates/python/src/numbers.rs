@@ -50,7 +50,7 @@ impl Whole {
         })
     }
 
-    /// The number as an index, which a sequence may not have.
+    /// The number as an index, in range or not.
     pub fn index(self) -> isize {
         self.0.clamp(isize::MIN as i128, isize::MAX as i128) as isize
     }
@@ -82,13 +82,13 @@ impl Number {
         Self(value)
     }
 
-    /// The number, finite and such as an argument may be.
+    /// The number, if it is finite and fulfils a condition.
     ///
     /// - `name`: of the argument
-    /// - `expected`: of the number, in words
+    /// - `expected`: the condition, in words
     ///
     /// # Errors
-    /// `ValueError` for another one.
+    /// `ValueError` if it does not.
     pub fn such(self, name: &str, expected: &str, is_such: impl Fn(f64) -> bool) -> PyResult<f64> {
         let Self(found) = self;
         if found.is_finite() && is_such(found) {

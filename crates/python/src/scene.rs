@@ -79,7 +79,7 @@ impl FromPyObject<'_, '_> for OneOrMore {
         if let Ok(path) = given.extract() {
             return Ok(Self::One(path));
         }
-        // One after the other: the length that an object tells may be that of no memory.
+        // Read one after another: the length that an object declares may exceed any memory.
         let mut paths = Vec::new();
         for path in given.try_iter()? {
             paths.push(path?.extract()?);
@@ -135,7 +135,7 @@ fn check_fps(fps: Number) -> PyResult<f64> {
     fps.such("fps", "a number of 0 or more", |fps| fps >= 0.0)
 }
 
-/// Timesteps of a segment, of which a file holds at most so many.
+/// Most timesteps of a segment.
 pub fn check_segment_length(length: Whole) -> PyResult<u32> {
     length.within("segment_length", 1..=1 << 16)
 }

@@ -1,4 +1,4 @@
-"""Wrong arguments: every public function answers them with an exception that Python users expect, and names the argument."""
+"""Wrong arguments: every public function raises an exception that Python users expect, with the argument's name."""
 
 from __future__ import annotations
 

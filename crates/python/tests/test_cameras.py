@@ -45,7 +45,7 @@ def seen(means: Any, coefficients: Any, degree: int, at: tcgs.Camera) -> Any:
 
 
 def with_coefficients(n: int, count: int, seed: int) -> Any:
-    """As `gaussians`, with coefficients for colours. Some sums are below 0 by far, none is near it."""
+    """As `gaussians`, with coefficients for colours. Some sums are far below 0, none is near 0."""
     arrays, rng = gaussians(n, seed), np.random.default_rng(seed)
     arrays[4] = rng.normal(size=(n, count, 3)) * 0.1
     arrays[4][: n // 3, 0, 0] = -5

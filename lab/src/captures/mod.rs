@@ -40,7 +40,7 @@ pub struct Arguments {
     /// Only the captures of the short form
     #[arg(long)]
     short: bool,
-    /// Only captures whose names begin so; may be repeated
+    /// Only captures whose names begin with NAME; may be repeated
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
     /// Train on all training cameras, and judge by the captures' test cameras: for final tables alone
@@ -62,7 +62,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (arguments.only.is_empty() || is_named) && (entry.short || !arguments.short)
     };
     let entries: Vec<CaptureEntry> = plan::captures()?.into_iter().filter(chosen).collect();
-    anyhow::ensure!(!entries.is_empty(), "no capture is called so, expected one of lab/captures.toml");
+    anyhow::ensure!(!entries.is_empty(), "no capture has such a name, expected one of lab/captures.toml");
     let mut rows = Vec::new();
     for entry in &entries {
         for variant in &arguments.variant {

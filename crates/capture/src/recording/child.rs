@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-/// The programs that work now.
+/// The programs that run now.
 static RUNNING: Mutex<Running> = Mutex::new(Running { children: Vec::new(), is_ended: false });
 
 /// Most bytes that are kept of a program's complaints.
@@ -17,7 +17,7 @@ const MAX_COMPLAINT_BYTES: u64 = 1 << 16;
 
 struct Running {
     children: Vec<Arc<Mutex<Child>>>,
-    /// Whether no other may start.
+    /// Whether no further program may start.
     is_ended: bool,
 }
 
@@ -41,7 +41,7 @@ fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
 pub(super) struct Program(Arc<Mutex<Child>>);
 
 impl Program {
-    /// - returns: also what it writes
+    /// - returns: the program, and the pipe of its output
     pub fn start(command: &mut Command) -> io::Result<(Self, ChildStdout)> {
         let mut running = lock(&RUNNING);
         if running.is_ended {
@@ -56,8 +56,8 @@ impl Program {
 
     /// Runs a program to its end.
     ///
-    /// - `max_bytes`: what it may write
-    /// - returns: whether it succeeded, what it wrote, and what it complained of
+    /// - `max_bytes`: most bytes that it may write
+    /// - returns: whether it succeeded, its output, and its complaints
     pub fn output(command: &mut Command, max_bytes: u64) -> io::Result<(bool, Vec<u8>, Vec<u8>)> {
         let (program, stdout) = Self::start(command.stderr(Stdio::piped()))?;
         let stderr = lock(&program.0).stderr.take();

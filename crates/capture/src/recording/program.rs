@@ -192,7 +192,8 @@ impl ProgramVideo {
     /// Starts `ffmpeg` so that `frame` comes out first, or where it cannot seek, the first of all.
     fn start(&self, frame: usize, times: &Times) -> Result<Running, CaptureError> {
         let mut command = Command::new("ffmpeg");
-        // Ctrl-C of a terminal goes to this process alone, which may still need frames; without it ffmpeg ends as well.
+        // Ctrl-C in a terminal must reach only this process, which may still need frames; by default it ends ffmpeg as
+        // well.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         command.args(["-v", "error", "-nostdin", "-threads", "2", "-noautorotate"]);

@@ -8,7 +8,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 
-/// How long the tables of a file of some kilobytes may take. A second is a hundred times as much as they do.
+/// Time limit for the tables of a file of some kilobytes: a hundred times what they take.
 const MOST: Duration = Duration::from_secs(1);
 
 fn file(name: &str) -> Vec<u8> {
@@ -95,7 +95,7 @@ fn videos_of_any_bytes_are_decoded_or_refused() {
     assert!((120..180).contains(&num_refused), "{num_refused}");
 }
 
-/// A file in which a number of four bytes is another.
+/// A file with another number at a place of four bytes.
 ///
 /// - `after`: the kind of its box; `offset`: bytes from the end of the kind
 fn with_number(after: &[u8; 4], offset: usize, number: u32) -> Vec<u8> {

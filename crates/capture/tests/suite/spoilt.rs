@@ -33,7 +33,7 @@ fn seed(name: &str) -> [Vec<u8>; 2] {
     [bytes[3..3 + length].to_vec(), bytes[3 + length..].to_vec()]
 }
 
-/// Whether a file can be read, by whatever reads it.
+/// Whether any of its readers can read a file.
 fn read(folder: &Path, names: [&str; 2], files: &[Vec<u8>; 2]) -> bool {
     for (name, bytes) in names.iter().zip(files).filter(|(name, _)| !name.is_empty()) {
         fs::write(folder.join(name), bytes).unwrap();

@@ -253,7 +253,7 @@ fn check_points_file(file: &Path, force: bool) -> anyhow::Result<()> {
     if file.extension().is_none_or(|extension| extension != "npz") {
         return Err(wrong_input(format!("{}: not a kind of file for points, expected NAME.npz", file.display())));
     }
-    // Also that of the capture, which is not used.
+    // It may replace the capture's own points, which are not read.
     check_files(&[file], &[], force)
 }
 

@@ -12,12 +12,12 @@ use crate::support::*;
 use tcgs_capture::write_synthetic;
 use tempfile::{TempDir, tempdir};
 
-/// How long a refusal may take: two seconds, and as long again where tests share the processors.
+/// Time limit of a refusal: two seconds, doubled where tests share the processors.
 const MOST: Duration = Duration::from_secs(4);
 /// Most memory of a refusal, kilobytes.
 const MOST_MEMORY: u64 = 200_000;
 
-/// Runs what must exit with 2, soon and in little memory, and say all of `expected` in one line.
+/// Runs a command that must exit with 2, soon and in little memory, with one line that contains all of `expected`.
 fn refused(arguments: &[&str], expected: &[&str]) {
     let begin = Instant::now();
     let mut child = tcgs().args(arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -163,7 +163,7 @@ fn the_video_that_never_ended_is_refused() {
         Ok(bytes) => refuses_video(&bytes),
         Err(error) => {
             assert!(std::env::var("REQUIRE_GOLDEN").as_deref() != Ok("1"), "{}: {error}", path.display());
-            // Past the capture of passing tests: a skip is to be seen.
+            // Written past the test harness's capture, so that a skip is visible.
             let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
         }
     }

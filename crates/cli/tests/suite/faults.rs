@@ -46,7 +46,7 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// The one line that a command says of its end; what computes and how far it is come before.
+/// The last line of a command; lines of progress come before.
 fn last_line(output: &Output) -> String {
     let message = String::from_utf8(output.stderr.clone()).unwrap();
     let is_remark = |line: &&str| {
@@ -59,7 +59,7 @@ fn last_line(output: &Output) -> String {
     line.into()
 }
 
-/// Runs what must be refused by a line that says `expected`, and change nothing in a folder.
+/// Runs a command that must be refused by a line with `expected`, and must change nothing in a folder.
 fn refuse(folder: &Path, arguments: &[&str], expected: &str) {
     let before = contents(folder);
     let output = tcgs().current_dir(folder).args(arguments).output().unwrap();
@@ -429,7 +429,7 @@ fn race(arguments: &[&str], name: &str) {
     assert_eq!(left, [name], "{arguments:?}");
 }
 
-/// So many Gaussians that are all alike take more memory than decoders give to so short a file.
+/// Decoders allow less memory to so short a file than so many equal Gaussians take.
 #[test]
 fn what_decoders_would_refuse_is_not_written() {
     let folder = tempdir().unwrap();

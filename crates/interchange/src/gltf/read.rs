@@ -51,7 +51,7 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
     Ok(head(path, &document, length, settings)?.0)
 }
 
-/// Memory that a primitive takes besides its numbers, roughly: what it is called and a dozen arrays.
+/// Rough memory of a primitive besides its numbers: names and a dozen arrays.
 const PRIMITIVE_BYTES: u64 = 1024;
 
 /// Counts the Gaussians of a document, finds the files that it names, and compares both with the limits.
@@ -150,7 +150,7 @@ enum Wanted {
     All,
 }
 
-/// A file as far as it was read.
+/// The part of a file that was read.
 struct Opened {
     document: Document,
     /// The buffer that lies in the file.

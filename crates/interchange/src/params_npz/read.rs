@@ -73,8 +73,8 @@ impl ParamsNpz {
     /// Opens a `params.npz`, and checks all of it.
     ///
     /// # Errors
-    /// As [`read_params_npz`]; [`InterchangeError::Limit`] if its arrays are larger, or its timesteps more, than
-    /// `limits` allow.
+    /// As [`read_params_npz`]; [`InterchangeError::Limit`] if it has larger arrays or more timesteps than `limits`
+    /// allow.
     pub fn open(path: &Path, limits: ReadLimits) -> Result<Self, InterchangeError> {
         open_params(path, limits)
     }

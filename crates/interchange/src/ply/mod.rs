@@ -42,9 +42,9 @@ use crate::{Axes, HigherHarmonics, InterchangeError, ReadSettings};
 /// The comment of files whose Gaussians are drawn with antialiasing.
 const ANTIALIASED: &str = "comment SplatRenderMode: mip\n";
 
-/// Reads the Gaussians of one PLY file, in stored form: binary of either byte order, or ASCII; as 3D Gaussian splatting
-/// writes them, or compressed. Unknown properties are ignored. Comments may say that the Gaussians are drawn with
-/// antialiasing ([`Layout::is_antialiased`]).
+/// Reads the Gaussians of one PLY file, in stored form. The file is binary of either byte order, or ASCII; it has the
+/// properties of 3D Gaussian splatting, or is compressed. Unknown properties are ignored. Comments may say that the
+/// Gaussians are drawn with antialiasing ([`Layout::is_antialiased`]).
 ///
 /// ```
 /// use tcgs_core::{Gaussians, Layout};

@@ -108,7 +108,8 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
     Ok(Head { num_gaussians: header.num_gaussians, layout: header.layout(settings) })
 }
 
-/// The axes that a file declares; none if it does not. Without extensions its header answers; else the file is read.
+/// The axes that a file declares; none if it declares none. Without extensions its header suffices; else the whole file
+/// is read.
 ///
 /// # Errors
 /// As [`read_spz`].

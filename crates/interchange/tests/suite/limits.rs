@@ -1,4 +1,4 @@
-//! Limits of readers: every kind of file is refused below what it takes, and read under the usual limits and without
+//! Limits of readers: every kind of file is refused under tight limits, and read under the usual limits and without
 //! any.
 
 use std::fs;
@@ -73,7 +73,7 @@ fn copies_of_an_array_count() {
     assert!(message.ends_with(": needs 1200 bytes of memory, limit is 1000"), "{message}");
 }
 
-/// Numbers are counted without a look at each Gaussian at every time; they must be those of the states.
+/// Numbers are counted without the states; they must agree with the states.
 #[test]
 fn gaussians_of_each_time_are_counted_as_they_are_read() {
     let folder = tempfile::tempdir().unwrap();

@@ -16,7 +16,7 @@ fn read_rub(name: &str) -> Gaussians {
     read_gaussians(&file(name), ReadSettings { axes: Some(Axes::RUB), ..ReadSettings::default() }).unwrap()
 }
 
-/// Half a step of each attribute: what a kind of file may err.
+/// Half a step of each attribute: the error that a kind of file may have.
 struct HalfSteps {
     mean: [f64; 3],
     /// Of the components of a unit quaternion that are stored.

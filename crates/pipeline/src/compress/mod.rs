@@ -338,7 +338,7 @@ impl<'a> PrunedScene<'a> {
         Ok((compact, file))
     }
 
-    /// The sizes after every step, and by attribute. Decodes the file: what is handed out can be read.
+    /// The sizes after every step, and by attribute. Decodes the file, so that only readable files are returned.
     ///
     /// - `options`: with which [`Self::compress`] gave the others
     ///

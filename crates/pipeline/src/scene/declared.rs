@@ -93,7 +93,7 @@ impl OpenScene {
     /// files. 0 if the scene is in memory.
     ///
     /// # Errors
-    /// What the operating system says of a file or folder.
+    /// The operating system's error about a file or folder.
     pub fn file_bytes(&self) -> io::Result<u64> {
         let length = |path: &Path| Ok::<_, io::Error>(fs::metadata(path)?.len());
         match &self.content {
@@ -154,7 +154,7 @@ impl OpenScene {
         }
     }
 
-    /// Which of all Gaussians of a scene of floats belong to the foreground; none if nothing says so, or if all do.
+    /// Which Gaussians of a scene of floats belong to the foreground; none if the scene does not say, or if all do.
     ///
     /// # Errors
     /// [`PipelineError`] if a file is damaged.

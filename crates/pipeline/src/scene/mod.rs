@@ -1,6 +1,6 @@
 //! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or a sequence of files. What lives here: its
-//! Gaussians. What does not: finding a scene (`found`), opening it (`open`), declarations in its files (`declared`), and
-//! the results of training beside Gaussians (`run`).
+//! Gaussians. What does not: finding a scene (`found`), opening it (`open`), declarations in its files (`declared`),
+//! and the results of training beside Gaussians (`run`).
 
 mod chapters;
 mod declared;
@@ -96,9 +96,9 @@ struct FileContent {
 struct ParamsContent {
     num_gaussians: usize,
     num_timesteps: usize,
-    /// Whether the file says which frames it shows.
+    /// Whether the file declares its frames.
     has_origin: bool,
-    /// Under which the file was opened.
+    /// Limits with which the file was opened.
     limits: ReadLimits,
     file: Mutex<ParamsNpz>,
 }
@@ -233,7 +233,8 @@ impl OpenScene {
         }
     }
 
-    /// Axes that the Gaussians have in other programs' files; none of anything else. Scenes are in those of PLY files.
+    /// Axes that the Gaussians have in other programs' files; none for anything else. Scenes are in the axes of PLY
+    /// files.
     pub fn axes(&self) -> Option<Axes> {
         match &self.content {
             Content::TimestepFiles(files) => Some(files.axes()),

@@ -231,7 +231,7 @@ fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
         _ if start == b"TCGS" => Ok(Kind::Tcgs),
         _ if start == b"\x894DG" => Ok(Kind::Fourdgs),
         _ => {
-            // The first bytes of a .splat file are a position, and may be any.
+            // A .splat file begins with a position: its first bytes may be any.
             refuse_unread(path)?;
             let is_known = |known: &&[u8]| start.starts_with(known);
             match &start[..] {

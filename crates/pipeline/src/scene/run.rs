@@ -46,7 +46,7 @@ impl RunContent {
 }
 
 impl OpenScene {
-    /// The run, if the scene is one; of chapters the first.
+    /// The run, if the scene is one; the first run of chapters.
     pub fn run(&self) -> Option<&Run> {
         match &self.content {
             Content::Run(run) => Some(&run.run),
@@ -94,8 +94,8 @@ impl OpenScene {
         }
     }
 
-    /// Bits and quantizers that a run learned; none for another scene, or if quantisation was off. Chapters give those of
-    /// the first: the later ones have its bits, and continue its steps.
+    /// Bits and quantizers that a run learned; none for another scene, or if quantisation was off. Chapters give those
+    /// of the first: the later ones have its bits, and continue its steps.
     pub(crate) fn learned_bits(&self) -> Result<Option<(BitMap, Quantizers)>, PipelineError> {
         if let Content::Chapters(chapters) = &self.content {
             return chapters.first().learned_bits();

@@ -58,7 +58,7 @@ fn open_locked(folder: &Path) -> io::Result<Option<File>> {
 #[derive(Debug)]
 pub struct RunFolder {
     path: PathBuf,
-    /// The outermost folder that was made, which goes again unless a run begins.
+    /// The outermost folder that was made. It is removed again unless a run begins.
     made: Option<PathBuf>,
     /// Open as long as it is locked.
     _lock: File,
@@ -118,7 +118,8 @@ impl RunFolder {
         }
     }
 
-    /// Makes a run's folder and locks it. Dropped before a run begins in it, a folder that was made is removed.
+    /// Makes a run's folder and locks it. A folder that was made is removed again if the value is dropped before a run
+    /// begins.
     ///
     /// # Errors
     /// [`PipelineError::Unwritable`] if it cannot be made; as [`Self::lock`].
@@ -223,7 +224,7 @@ impl Drop for RunFolder {
         let _ = self.clear();
         let _ = fs::remove_dir(self.path.join("checkpoints"));
         for folder in self.path.ancestors() {
-            // One that is not empty is another's by now.
+            // If it is not empty, another process uses it by now.
             if fs::remove_dir(folder).is_err() || folder == made {
                 break;
             }
@@ -300,7 +301,7 @@ mod tests {
         assert!(run.is_dir());
     }
 
-    /// Other programs call a file so, too. The command line has a test with one that is.
+    /// Other programs have files of this name, too. The command line has a test with a true start.
     #[test]
     fn a_start_is_a_checkpoint() {
         let folder = tempfile::tempdir().unwrap();

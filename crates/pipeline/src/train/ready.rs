@@ -47,7 +47,7 @@ impl ReadyRun {
             None => new_trainer(config, capture, backend)?,
         };
         let folder = RunFolder::make(path)?;
-        // Another process may have begun and ended one since the caller looked.
+        // Another process may have begun and ended a run since the caller looked.
         if RunFolder::holds_run(path)? && existing == Existing::Keep {
             return Err(PipelineError::input(path.display(), "holds a run by now", "a new name"));
         }

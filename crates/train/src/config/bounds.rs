@@ -76,7 +76,7 @@ const BOUNDS: [(&str, Bounds); 84] = [
     ("densify.interval", Whole(1, ITERATIONS)),
     ("densify.gradient_threshold", Number(0.0, FACTOR)),
     ("densify.clone_scale", Number(0.0, FACTOR)),
-    // Every event may multiply the Gaussians by as many.
+    // Every event may multiply the number of Gaussians by this.
     ("densify.split_children", Whole(1, 16)),
     ("densify.split_shrink", Number(0.01, 100.0)),
     ("densify.prune_opacity", SHARE),
@@ -87,7 +87,7 @@ const BOUNDS: [(&str, Bounds); 84] = [
     ("mask.enabled", Any),
     // A mask of 1 is never reached.
     ("mask.threshold", Number(0.0, 0.999)),
-    // The sigmoid of more is 0 or 1 in f32.
+    // The sigmoid of larger values is 0 or 1 in f32.
     ("mask.initial_logit", Number(-80.0, 80.0)),
     ("mask.reset", Any),
     ("mask.prune_interval", Whole(1, ITERATIONS)),
@@ -110,14 +110,14 @@ const BOUNDS: [(&str, Bounds); 84] = [
     ("gate.matches", Any),
     ("births.enabled", Any),
     ("births.contrast", Number(0.0, FACTOR)),
-    // None at all is what `births.enabled` says.
+    // Not 0: `births.enabled` switches births off.
     ("births.share", Number(1e-6, 1.0)),
     ("births.iterations", Whole(1, ITERATIONS)),
     ("births.youth", Whole(0, TIMESTEPS)),
     ("births.gradient_threshold", Number(0.0, FACTOR)),
     ("births.opacity", SHARE),
     ("deaths.patience", Whole(0, TIMESTEPS)),
-    // A Gaussian that makes up all pixels alone is seen.
+    // Below 1: a Gaussian that covers all pixels alone counts as seen.
     ("deaths.share", Number(0.0, 0.999)),
     ("color.degree", Whole(0, tcgs_core::MAX_SH_DEGREE as i64)),
     ("render.antialiased", Any),
@@ -147,7 +147,7 @@ pub(super) fn check(table: &toml::Table) -> Result<(), ConfigError> {
     Ok(())
 }
 
-/// As Rust writes it, without the digits of a file.
+/// As Rust writes an f32, without the digits of the f64 in a file.
 fn number(value: &toml::Value) -> String {
     match value.as_float() {
         Some(found) if found.is_finite() && (found as f32).is_infinite() => format!("{found:e}"),

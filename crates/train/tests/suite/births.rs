@@ -115,7 +115,7 @@ fn what_enters_is_born_where_it_is_and_moves_on() {
         config.births.enabled = false;
         let without = fit(&mut trainer(&config), 0..5, with_masks, None);
         assert_eq!(psnr[..2], without[..2]);
-        // 1.4 to 2 dB, by the processor: the width of its vectors decides how sums round, and that what is born.
+        // 1.4 to 2 dB, by the processor: the width of its vectors decides the rounding of sums, and so the births.
         assert!(psnr[2] > without[2] + 1.0 && psnr[4] > without[4] + 1.0, "{psnr:?} against {without:?}");
         assert!(psnr[4] > psnr[2] - 2.0, "{psnr:?}");
 

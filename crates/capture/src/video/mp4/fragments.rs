@@ -62,8 +62,8 @@ impl Fragments {
         Ok(())
     }
 
-    /// - `before`: where the bytes of the track before end
-    /// - returns: where those of this track end
+    /// - `before`: end of the previous track's bytes
+    /// - returns: end of this track's bytes
     fn of_track(
         &mut self,
         fragment: Body<'_>,
@@ -105,8 +105,8 @@ impl Fragments {
         Ok(at)
     }
 
-    /// - `base`: what the run's place is relative to; `at`: where the run before ends
-    /// - returns: where this run ends
+    /// - `base`: origin of the run's place; `at`: end of the previous run
+    /// - returns: end of this run
     fn run(
         &mut self,
         mut run: Body<'_>,

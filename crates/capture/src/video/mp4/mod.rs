@@ -4,7 +4,7 @@
 //! length than their boxes, and frames outside the file. `boxes` reads numbers, `tables` and `fragments` list frames.
 //! What does not: decoding.
 //!
-//! Published readers of MP4 go round in circles on a box of no size, or panic on tables that contradict each other.
+//! Published readers of MP4 loop for ever at a box of size 0, or panic at tables that contradict each other.
 
 mod boxes;
 mod fragments;
@@ -29,7 +29,7 @@ pub(super) struct Sample {
     pub bytes: Range<u64>,
     /// When it is shown, in units of the track's clock, before edits.
     pub composed: i64,
-    /// Whether nothing before it is needed.
+    /// Whether it can be decoded without the frames before it.
     pub begins: bool,
 }
 
@@ -222,7 +222,7 @@ fn of_track(track: Body<'_>, movie_timescale: u32) -> Result<Track, String> {
     let (version, _) = head.version()?;
     head.bytes(if version == 1 { 16 } else { 8 })?;
     let (timescale, duration) = (head.u32()?, head.long(version)?);
-    // All ones stand for unknown.
+    // All ones mean unknown.
     let is_known = duration != u64::MAX && (version == 1 || duration != u64::from(u32::MAX));
     let table = media.need(b"minf")?.need(b"stbl")?;
     let mut entries = table.need(b"stsd")?;
@@ -260,7 +260,7 @@ fn edits(track: Body<'_>) -> Result<Vec<Edit>, String> {
 }
 
 impl Avc {
-    /// Before the boxes of an entry of the kind `avc1` stand its fields.
+    /// The fields of an entry `avc1` come before its boxes.
     fn read(mut entry: Body<'_>) -> Result<Self, String> {
         entry.bytes(24)?;
         let (width, height) = (entry.u16()?, entry.u16()?);

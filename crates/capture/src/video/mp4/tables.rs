@@ -39,7 +39,7 @@ pub(super) fn samples(table: Body<'_>) -> Result<(Vec<Sample>, u64), String> {
         offsets.version()?;
         let offsets = offsets.entries::<8>()?;
         let mut num_shifted = 0;
-        // Version 0 has unsigned numbers, in which some programs write negative ones.
+        // Version 0 has unsigned numbers, but some programs write negative ones.
         for (sample, offset) in samples.iter_mut().zip(runs(offsets)) {
             sample.composed += i64::from(offset.cast_signed());
             num_shifted += 1;
