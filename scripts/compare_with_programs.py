@@ -225,7 +225,9 @@ def sigmoid(x: float) -> float:
 def differences(found: list[dict[str, float]], expected: list[dict[str, float]], form: str) -> dict[str, float]:
     """The largest difference of each attribute. Writers may sort: Gaussians are matched by their positions.
 
-    A rotation's difference is that of the signed squares of the quaternion's components, for which a component that follows from the others errs no more than they do. Writers of glTF may permute a Gaussian's axes: rotation and scales are compared together, as covariances over their trace. Colours of a .4dgs file are between 0 and 1.
+    A rotation's difference is that of the signed squares of the quaternion's components, for which a component that
+    follows from the others errs no more than they do. Writers of glTF may permute a Gaussian's axes: rotation and
+    scales are compared together, as covariances over their trace. Colours of a .4dgs file are between 0 and 1.
     """
     assert len(found) == len(expected), f"{len(found)} Gaussians, expected {len(expected)}"
     left = list(found)
