@@ -4,9 +4,9 @@ Gaussians that all were made of: testdata/interchange/original.ply.
 
     scripts/compare_with_programs.py target/release/tcgs             # installs the programs into target/programs: npm, pip
     scripts/compare_with_programs.py target/release/tcgs --kept      # of the files in testdata/interchange alone, offline
-    scripts/compare_with_programs.py target/release/tcgs --keep      # also writes those files anew
+    scripts/compare_with_programs.py target/release/tcgs --keep      # also rewrites those files
 
-Prints the table of docs/PROGRAMS.md. Fails if a difference exceeds what the format rounds.
+Prints the table of docs/PROGRAMS.md. Fails if a difference is larger than the rounding of the format.
 """
 
 import argparse
@@ -29,19 +29,19 @@ NPM = {
 }
 SH0 = 0.28209479177387814
 
-# What a format rounds: half a step of each number; rotations as the three stored components of a unit quaternion.
+# Rounding of each format: half a step of each number; rotations as the three stored components of a unit quaternion.
 EXACT = {"position": 0, "rotation": 0, "log scale": 0, "opacity": 0, "colour": 0, "harmonics": 0}
 SPZ = {"position": 0.5 / 4096, "rotation": 0.5 / 511 / math.sqrt(2), "log scale": 0.5 / 16, "opacity": 0.5 / 255,
        "colour": 0.5 / 255 / 0.15 * SH0, "harmonics": 8.5 / 128}
 SPZ2 = {**SPZ, "rotation": 0.5 / 127.5}
-# Of a chunk that spans the whole scene.
+# Rounding in a chunk that spans the whole scene.
 PACKED = {"position": 6 / 1023 / 2, "rotation": math.sqrt(2) / 1023 / 2, "log scale": 5 / 1023 / 2, "opacity": 0.5 / 255,
           "colour": 4 * SH0 / 255 / 2, "harmonics": 8 / 256 / 2}
 
-# The profile `fine` of the program: positions by a hundredth of the median Gaussian, scales by a hundredth.
+# Rounding of the program's profile `fine`: positions by a hundredth of the median Gaussian, scales by a hundredth.
 FOURDGS = {"position": 1e-3, "rotation": 5e-4, "log scale": math.log(1.005), "opacity": 0.5 / 255, "colour": 0.5 / 255,
            "harmonics": 8 / 255 / 2}
-# Its own reader and splat-transform 3.7.0 read the same wrong harmonics of these files.
+# gaussforge's own reader and splat-transform 3.7.0 read the same wrong harmonics from its files.
 WRONG_HARMONICS = {**PACKED, "harmonics": math.inf}
 
 # File, program, format, what it rounds, options of tcgs.
@@ -74,13 +74,13 @@ READ = [
     ("plyfile_ascii.ply", "plyfile 1.1.5", "PLY, ASCII", EXACT, []),
     ("plyfile_big.ply", "plyfile 1.1.5", "PLY, big-endian, double", EXACT, []),
 ]
-# Files that `make.mjs` and `make_4dgs.py` of testdata/interchange made.
+# Names of files that `make.mjs` and `make_4dgs.py` of testdata/interchange write begin so.
 MADE_ELSEWHERE = ("splat_transform.", "splat_transform_v", "fourdgs_")
-# Files that are kept.
+# Files in testdata/interchange.
 KEPT_NAMES = {"splat_transform.compressed.ply", "splat_transform.glb", "splat_transform_v3.spz", "splat_transform_v4.spz",
       "splat_transform_37_v3.spz", "splat_transform_37_v4.spz", "niantic_v2.spz", "niantic_v3.spz", "niantic_rub.spz",
       "fourdgs_births.4dgs", "fourdgs_states.4dgs", "gsply_v3.spz", "gsply_v4.spz", "gaussforge_v2.spz", "gaussforge_v3.spz", "spz_js_v2.spz"}
-# Programs that read a PLY file which tcgs wrote, and write what they found as PLY.
+# Programs that read a PLY file of tcgs, and write it as PLY again.
 READERS = ["gsply 0.4.6", "gaussforge 0.6.0", "plyfile 1.1.5", "spz-js 1.2.5", "splat-transform 3.7.0"]
 
 # Programs in JavaScript: `node --input-type=module -e NODE FOLDER ORIGINAL`, run inside the packages' folder.
@@ -104,7 +104,8 @@ const plain = { ...cloud, extensions: [] };
 for (const version of [2, 3, 4]) {
     writeFileSync(join(folder, `niantic_v${version}.spz`), spz.saveSpzToBuffer(plain, { ...pack, version }));
 }
-// Turned to RUB by the library. Its binding for JavaScript cannot make the extension that declares so: the record is added.
+// Turned to RUB by the library. Its binding for JavaScript cannot write the extension that declares the axes: the
+// record is added.
 const turned = Buffer.from(spz.saveSpzToBuffer(plain, { ...pack, version: 4, from: RDF }));
 const record = Buffer.from(Uint32Array.of(0xadbe0003, 4, RUB.value ?? RUB).buffer);
 turned[14] |= 2;
@@ -224,9 +225,9 @@ def sigmoid(x: float) -> float:
 def differences(found: list[dict[str, float]], expected: list[dict[str, float]], form: str) -> dict[str, float]:
     """The largest difference of each attribute. Writers may sort: Gaussians are matched by their positions.
 
-    A rotation's difference is that of the signed squares of the quaternion's components, for which a component that follows
-    from the others errs no more than they do. Writers of glTF name a Gaussian's axes anew: rotation and scales are compared
-    together, as covariances over their trace. Colours of a .4dgs file are between 0 and 1.
+    A rotation's difference is that of the signed squares of the quaternion's components, for which a component that
+    follows from the others errs no more than they do. Writers of glTF may permute a Gaussian's axes: rotation and
+    scales are compared together, as covariances over their trace. Colours of a .4dgs file are between 0 and 1.
     """
     assert len(found) == len(expected), f"{len(found)} Gaussians, expected {len(expected)}"
     left = list(found)
@@ -260,7 +261,7 @@ def differences(found: list[dict[str, float]], expected: list[dict[str, float]],
 
 
 def judge(worst: dict[str, float], rounds: dict[str, float]) -> list[str]:
-    """The attributes that differ by more than a format rounds; a component's square errs twice as much, by all three."""
+    """The attributes that differ by more than a format's rounding; a component's square errs twice as much, by all three."""
     may = {name: bound * (2 * math.sqrt(3) if name == "rotation" else 1) + 3e-6 for name, bound in rounds.items()}
     return [name for name in worst if worst[name] > may[name]]
 
@@ -269,7 +270,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tcgs", help="the program tcgs")
     parser.add_argument("--kept", action="store_true", help="compare the files of testdata/interchange alone")
-    parser.add_argument("--keep", action="store_true", help="write the files of testdata/interchange anew")
+    parser.add_argument("--keep", action="store_true", help="rewrite the files of testdata/interchange")
     arguments = parser.parse_args()
     tcgs = str(Path(arguments.tcgs).resolve())
     expected = read_ply(ORIGINAL)
@@ -277,7 +278,7 @@ def main() -> None:
     print("| program | format | " + " | ".join(EXACT) + " |\n|---|---|" + "---|" * len(EXACT))
 
     def compare(program: str, form: str, path: Path, rounds: dict[str, float]) -> None:
-        # A .4dgs file is of the first rows at its first timestep.
+        # A .4dgs file holds the first rows at its first timestep.
         worst = differences(read_ply(path), expected[:40] if form.startswith(".4dgs") else expected, form)
         failures.extend(f"{program}, {form}: {name} differs by {worst[name]:.2e}" for name in judge(worst, rounds))
         cells = [f"{x:.1e}" if x else "0" for x in worst.values()]
@@ -303,7 +304,7 @@ def main() -> None:
         for program in [] if arguments.kept else READERS:
             compare(program, "reads PLY of tcgs", folder / f"{program.split()[0]}.back.ply", EXACT)
     if failures:
-        sys.exit("\n".join(["larger than the format rounds:", *failures]))
+        sys.exit("\n".join(["larger than the rounding of the format:", *failures]))
 
 
 if __name__ == "__main__":

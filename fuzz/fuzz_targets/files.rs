@@ -1,4 +1,4 @@
-//! What fuzz targets of readers share: a file to read, tight limits, and an allocator that counts.
+//! Shared by fuzz targets of readers: a file to read, tight limits, and an allocator that counts.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::{Path, PathBuf};
@@ -74,14 +74,14 @@ pub fn read<T>(
     found
 }
 
-/// What must hold of Gaussians that were read.
+/// Invariants of Gaussians that were read.
 #[allow(dead_code, reason = "not all targets read Gaussians")]
 pub fn check(gaussians: &Gaussians) {
     assert!(gaussians.num_gaussians() > 0);
     assert!(gaussians.layout().attributes().all(|a| gaussians.values(a).iter().all(|x: &f32| x.is_finite())));
 }
 
-/// What must hold of a scene at its first timesteps.
+/// Invariants of a scene at its first timesteps.
 #[allow(dead_code, reason = "two of the targets read scenes")]
 pub fn check_scene<R: SceneReader>(scene: &mut R) {
     assert!(scene.num_timesteps() as u64 <= LIMITS.max_timesteps);

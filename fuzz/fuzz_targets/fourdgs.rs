@@ -1,5 +1,5 @@
-//! Any bytes as a `.4dgs` file. The first four bytes, if they are not 0, are the number of Gaussians that all chunks and
-//! their streams claim. A reader refuses a stream whose number differs from that of its chunk.
+//! Any bytes as a `.4dgs` file. The first four bytes, if they are not 0, are the number of Gaussians that all chunks
+//! and their streams claim. A reader refuses a stream whose number differs from that of its chunk.
 #![no_main]
 
 mod files;

@@ -1,6 +1,6 @@
-//! Any bytes as the arrays of an archive, packed so that no checksum stands before the reader; and as an archive.
+//! Any bytes as the arrays of an archive with valid checksums, and as an archive.
 //!
-//! An array is two bytes of length, one of how it is packed, one of how many zeros follow, and so many bytes.
+//! An array is two bytes of length, a byte for the packing, a byte for the number of zeros behind it, and its bytes.
 #![no_main]
 
 mod files;

@@ -1,7 +1,7 @@
-//! Any bytes as the content of an SPZ file, packed as its version asks for, so that no checksum stands before the reader.
-//! Zeros behind them make a bomb.
+//! Any bytes as the content of an SPZ file, packed as its version asks for, with valid checksums. Zeros behind them
+//! make a bomb.
 //!
-//! The first byte says how many zeros, the second how they are packed: as they are, by gzip, or in Zstandard frames.
+//! The first byte is the number of zeros, the second the packing: none, gzip, or Zstandard frames.
 #![no_main]
 
 mod files;
@@ -46,7 +46,7 @@ fn version_4(content: &[u8]) -> Vec<u8> {
         let length = row * num_gaussians;
         let (own, behind) = rest.split_at(length.min(rest.len()));
         rest = behind;
-        // What is missing are zeros, of a few megabytes at most.
+        // Missing bytes are zeros, of a few megabytes at most.
         let frame = frame(own, (length - own.len()).min(8 << 20));
         table.extend([frame.len() as u64, length as u64].map(u64::to_le_bytes).concat());
         frames.extend(frame);

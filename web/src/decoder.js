@@ -34,8 +34,8 @@ import initialise, { Decoder } from "./decoder/tcgs_js.js";
  * @typedef {object} Source
  * @property {string} name of the file, for messages; empty if there is none
  * @property {number} length of the file, bytes
- * @property {(start: number, end: number) => Promise<{ offset: number, bytes: Uint8Array }>} read gives the bytes from `start`
- *   up to but not including `end`; may give more, or the first of them
+ * @property {(start: number, end: number) => Promise<{ offset: number, bytes: Uint8Array }>} read
+ *   reads the bytes from `start` up to but not including `end`; may return more, or only the first of them
  */
 
 /** An open scene, which `open` returns. */
@@ -53,8 +53,8 @@ export class Scene {
   }
 
   /**
-   * The Gaussians at a timestep; fastest if successive calls ask for successive timesteps. Of a file only the parts are read, or
-   * fetched, that this takes.
+   * The Gaussians at a timestep; fastest if successive calls ask for successive timesteps. Reads or fetches only the
+   * parts of the file that this takes.
    * @param {number} timestep from 0
    * @returns {Promise<Gaussians>}
    */
@@ -96,8 +96,8 @@ export class Scene {
 
 /**
  * Opens a scene.
- * @param {string | URL | Blob | ArrayBuffer | Uint8Array} source an address, a path or `file:` address outside pages, as in Node, a
- *   File, or its bytes
+ * @param {string | URL | Blob | ArrayBuffer | Uint8Array} source an address, a File, or its bytes; outside pages, as
+ *   in Node, also a path or a `file:` address
  * @param {{ signal?: AbortSignal }} [options] `signal` ends the requests to an address
  * @returns {Promise<Scene>}
  */

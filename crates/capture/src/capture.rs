@@ -230,8 +230,8 @@ impl Capture {
         views_of(&chosen.iter().map(|&i| footage[i]).collect::<Vec<_>>(), frame, downscale)
     }
 
-    /// Names of the cameras of one frame, in the order of [`Self::cameras`]: those of their videos or images where they
-    /// have any, else their ids.
+    /// Names of the cameras of one frame, in the order of [`Self::cameras`]: the name of a camera's video or image if
+    /// it has one, else its id.
     ///
     /// # Errors
     /// [`CaptureError::NoFrame`] if the capture has no such frame.
@@ -239,13 +239,13 @@ impl Capture {
         Ok(self.footage(split, frame, 1)?.into_iter().map(|of| of.name.clone()).collect())
     }
 
-    /// The same capture with other test cameras. Training uses none of these; test cameras that are not among them are left
+    /// The same capture with other test cameras. Training uses none of these. The capture's other test cameras are left
     /// out.
     ///
     /// - `names`: names or ids of training and test cameras
     ///
     /// # Errors
-    /// [`CaptureError::Invalid`] if a name is that of no camera.
+    /// [`CaptureError::Invalid`] if no camera has one of the names.
     pub fn with_test_cameras(&self, names: &[String]) -> Result<Self, CaptureError> {
         let Contents { train, test, .. } = &self.contents;
         let all: Vec<&Footage> = train.footage.iter().chain(&test.footage).collect();

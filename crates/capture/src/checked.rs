@@ -1,6 +1,6 @@
-//! What the files of a capture may not say, whatever its kind: JSON that is none, frame rates without a meaning, names
-//! that lead out of the capture's folder. The types here hold only what was checked, and [`Contents`] takes no others,
-//! so that a new kind cannot forget to ask.
+//! Checks of what files of a capture say, for captures of every kind: valid JSON, frame rates that mean something,
+//! names inside the capture's folder. The types here hold only checked values, and [`Contents`] takes no others: a new
+//! kind of capture cannot skip the checks.
 //!
 //! [`Contents`]: crate::contents::Contents
 
@@ -19,7 +19,7 @@ pub(crate) struct FrameRate(f64);
 
 impl FrameRate {
     /// The rate of all published captures whose files do not say one: CMU Panoptic's cameras, Technicolor's, those of
-    /// Neural 3D Video. Of a static scene, whose only frame has any rate.
+    /// Neural 3D Video. A static scene has this rate, too: its only frame fits any.
     pub const USUAL: Self = Self(30.0);
 
     /// A picture in eleven days, and a million a second.

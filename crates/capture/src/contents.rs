@@ -1,4 +1,4 @@
-//! What a capture holds, whatever its kind: both splits' cameras with their footage, the frame rate, where the points
+//! The contents of a capture of any kind: both splits' cameras with their footage, the frame rate, where the points
 //! are.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -103,14 +103,15 @@ impl<'a> CameraSetOfFiles<'a> {
         true
     }
 
-    /// Says that the image that was added last is cut short, and that the frame before has what it lacks.
+    /// Marks the image added last as cut short. The frame before it has the missing part.
     pub fn last_is_cut(&mut self) {
         if let Some(&i) = self.order.last().and_then(|order| order.last()) {
             self.cameras[i].cut_frame = Some(self.order.len() - 1);
         }
     }
 
-    /// The cameras, without masks. A camera of one image is called as its file, any other by its id.
+    /// The cameras, without masks. The name of a camera of one image is that of its file; any other is called by its
+    /// id.
     pub fn finish(self) -> CameraSet {
         let named_by_images = self.order.len() == 1;
         let footage = |camera: CameraOfFiles| {

@@ -1,7 +1,7 @@
 //! `capture.toml`: a capture as a text that a person can read and mend. `docs/CAPTURE.md` defines it.
 //!
-//! What lives here: the text, both ways, and the checks of its values that need no other file. What does not: opening the
-//! files that it names (`kinds/described.rs`), and finding out what stands in it (`raw`).
+//! What lives here: the text, both ways, and the checks of its values that need no other file. What does not: opening
+//! the files that it names (`kinds/described.rs`), and finding out its values (`raw`).
 
 use std::fmt::Write as _;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! What a folder holds.
+//! Listing folders and reading files of a capture.
 
 use std::collections::{BTreeMap, HashSet};
 use std::ffi::OsString;
@@ -14,8 +14,8 @@ use crate::CaptureError;
 pub(crate) const MAX_JSON_BYTES: u64 = 1 << 28;
 /// Most bytes of the file of an image, a COLMAP model or points. Their readers hold no more than a few times as much.
 const MAX_BYTES: u64 = 1 << 32;
-/// Most bytes of a text of calibrations, clocks or descriptions: a thousand cameras. Parsers of TOML, YAML and XML hold up to a
-/// hundred times as much.
+/// Most bytes of a text of calibrations, clocks or descriptions: a thousand cameras. Parsers of TOML, YAML and XML take
+/// up to a hundred times as much memory.
 const MAX_TEXT_BYTES: u64 = 1 << 22;
 
 /// Reads an image, or a file of COLMAP.
@@ -33,7 +33,7 @@ pub(crate) fn long_text(path: &Path) -> Result<String, CaptureError> {
     read_text(path, MAX_BYTES).map_err(|error| CaptureError::Io { path: path.into(), error })
 }
 
-/// Refuses what is no regular file, before a reader that would wait or go on for ever.
+/// Refuses a path that is no regular file: a reader of a device or a pipe might never end.
 pub(crate) fn check_regular(path: &Path) -> Result<(), CaptureError> {
     open_file(path).map(drop).map_err(|error| CaptureError::Io { path: path.into(), error })
 }

@@ -71,10 +71,10 @@ impl Lens {
         std::array::from_fn(|i| self.focal[i] * bent[i] + self.principal[i])
     }
 
-    /// Whether what a straight image shows at a pixel lies outside of the image with bends.
+    /// Whether the scene point at a pixel of the straight image lies outside of the distorted image.
     fn bends_outside(&self, x: usize, y: usize) -> bool {
         let [u, v] = self.bend([x as f64 + 0.5, y as f64 + 0.5]);
-        // Half a pixel beyond the outermost centres the edge's colour still holds.
+        // The colour of the edge holds up to half a pixel beyond the outermost centres.
         !((0.0..=self.width as f64).contains(&u) && (0.0..=self.height as f64).contains(&v))
     }
 
@@ -89,8 +89,8 @@ impl Lens {
         let outside = |x: usize, y: usize| lens.bends_outside(x, y);
         let in_column = |x: usize, rows: Range<usize>| rows.filter(|&y| outside(x, y)).count();
         let in_row = |y: usize, columns: Range<usize>| columns.filter(|&x| outside(x, y)).count();
-        // How many pixels of each side lie outside. Dropping a side takes a pixel from each neighbour, and only what comes
-        // behind it is counted anew.
+        // How many pixels of each side lie outside. Dropping a side takes a pixel from each neighbouring side; only the
+        // row or column behind the dropped side is counted in full.
         let mut counts = [
             in_column(left, top..bottom),
             in_row(top, left..right),

@@ -16,16 +16,16 @@ use crate::terminal::{note, say};
 
 /// Export a scene for other programs
 ///
-/// A params.npz is what Dynamic 3D Gaussians writes and its viewer reads. It holds the same Gaussians at all timesteps, scales
-/// and opacities once, and no spherical harmonics. Runs of the presets d3dgs and paper have the same Gaussians at all timesteps.
-/// In runs of the presets default and fast Gaussians are born and die: --frames then chooses frames between two births or
-/// deaths, and the other kinds of files hold the whole scene.
+/// A params.npz is the format of Dynamic 3D Gaussians and its viewer. It holds the same Gaussians at all timesteps,
+/// scales and opacities once, and no spherical harmonics. Runs of the presets d3dgs and paper have the same Gaussians
+/// at all timesteps. In runs of the presets default and fast Gaussians are born and die. Choose frames between two
+/// births or deaths with --frames, or write another kind of file: all others hold the whole scene.
 ///
-/// A PLY file is what 3D Gaussian splatting writes and most viewers read, a .glb file what viewers of
-/// glTF read that know KHR_gaussian_splatting: one timestep each, named by its frame in a folder of many. A .4dgs file holds
-/// all timesteps, quantised as finely as its format offers. A .f32 file holds plain floats, bit for bit: for each frame all means, quats,
-/// log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in floats, without the
-/// Gaussians that its masks leave out over time: such files have no place for masks.
+/// A PLY file has the format of 3D Gaussian splatting, which most viewers read. A .glb file is glTF with
+/// KHR_gaussian_splatting. Both hold one timestep; in a folder of many a file's name is its frame. A .4dgs file holds
+/// all timesteps, quantised as finely as its format offers. A .f32 file holds plain floats, bit for bit: for each frame
+/// all means, quats, log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in
+/// floats, without the Gaussians that its masks prune: these files cannot hold masks.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:

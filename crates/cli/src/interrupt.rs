@@ -1,5 +1,5 @@
 //! Signals: Ctrl-C (SIGINT), SIGTERM, which ends services and batch jobs, and SIGHUP of a terminal that closes.
-//! A signal ends the process at once and removes unfinished files. A command that ends its step first asks for that with
+//! A signal ends the process at once and removes unfinished files. A command that has to end its step first calls
 //! [`politely`]; a second signal then ends the process at once.
 
 use std::io;
@@ -17,9 +17,9 @@ use crate::terminal::note;
 pub const EXIT_CODE: u8 = 130;
 
 static ASKED: AtomicBool = AtomicBool::new(false);
-/// Whether the command asks between its steps.
+/// Whether the command checks for signals between its steps.
 static IS_POLITE: AtomicBool = AtomicBool::new(false);
-/// Held while something finished is moved to its place.
+/// Held while finished content is moved to its place.
 static MOVING: Mutex<()> = Mutex::new(());
 
 /// A process to which signals are passed on; 0 if there is none.
@@ -30,7 +30,7 @@ pub fn catch() -> anyhow::Result<()> {
     #[cfg(unix)]
     let is_detached = unix::prepare();
     let handler = || {
-        // Whoever waits for a program that hangs could not end.
+        // A thread that waits for a hanging program could not end.
         tcgs_capture::end_programs();
         #[cfg(unix)]
         unix::terminate(STEP.load(Ordering::SeqCst));
@@ -55,7 +55,7 @@ fn end() -> ! {
     std::process::exit(i32::from(EXIT_CODE))
 }
 
-/// Does work that asks [`asked`] between its steps, so that the first signal does not end the process.
+/// Runs work that calls [`asked`] between its steps: the first signal does not end the process.
 pub fn politely<T>(work: impl FnOnce() -> T) -> T {
     IS_POLITE.store(true, Ordering::SeqCst);
     let done = work();
@@ -71,7 +71,7 @@ pub fn run(step: &mut Command) -> io::Result<ExitStatus> {
     if asked().is_break() {
         return Err(io::ErrorKind::Interrupted.into());
     }
-    // Ctrl-C of a terminal goes to this process alone, so that the other one hears of it once.
+    // Ctrl-C in a terminal must reach only this process: it passes the signal on, so the other gets it once.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(step, 0);
     let mut child = step.spawn()?;
@@ -86,7 +86,7 @@ pub fn pass_on_to(child: Option<&Child>) {
     STEP.store(child.map_or(0, Child::id), Ordering::SeqCst);
 }
 
-/// No signal ends the process as long as the guard lives. To be held while something finished is moved to its place.
+/// No signal ends the process as long as the guard lives. Held while finished content is moved to its place.
 pub fn moving() -> MutexGuard<'static, ()> {
     MOVING.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -118,7 +118,7 @@ mod unix {
     /// Asks a process, if there is one, to end.
     pub fn terminate(process: u32) {
         if let Some(process) = i32::try_from(process).ok().filter(|&process| process > 0) {
-            // SAFETY: a number is all that it takes.
+            // SAFETY: the call takes only numbers.
             unsafe { libc::kill(process, libc::SIGTERM) };
         }
     }

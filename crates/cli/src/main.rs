@@ -75,7 +75,7 @@ fn main() -> ExitCode {
     match interrupt::catch().and_then(|()| run(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // The signal may have gone to a program as well whose end is an error here.
+            // The signal may also have ended a child process, and its end is an error here.
             let was_stopped = interrupt::asked().is_break() && error::exit_code(&error) != interrupt::EXIT_CODE;
             let error = if was_stopped { error::stopped(error::message(&error)) } else { error };
             terminal::note(&format!("tcgs: {}", one_line(&output::by_final_names(error::message(&error)))));

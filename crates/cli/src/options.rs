@@ -14,7 +14,7 @@ use tcgs_pipeline::RefineBudget;
 
 use crate::output;
 
-/// What every long command takes.
+/// Options of every long command.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Every command")]
 pub struct JobOptions {
@@ -24,7 +24,7 @@ pub struct JobOptions {
     /// Replace outputs that exist
     #[arg(long)]
     pub force: bool,
-    /// Seed of random choices; results depend on it and on nothing that changes from run to run [default: 0]
+    /// Seed of random choices; equal commands with equal seeds give equal results [default: 0]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// Threads to compute with; results do not depend on it [default: as many as cores]
@@ -50,10 +50,10 @@ impl JobOptions {
     }
 }
 
-/// More threads than any machine has processors, each of which waits for the others.
+/// Most threads: more than any machine has processors.
 const MAX_THREADS: usize = 1024;
 
-/// A whole number from 1 on.
+/// A whole number from 1 to `MOST`.
 pub fn up_to<const MOST: usize>(text: &str) -> Result<usize, String> {
     let number = text.parse().ok().filter(|n| (1..=MOST).contains(n));
     number.ok_or_else(|| format!("expected a whole number from 1 to {MOST}"))
@@ -235,7 +235,7 @@ impl CameraChoice {
     /// The capture whose split these cameras are, and the split.
     ///
     /// # Errors
-    /// [`CaptureError::Invalid`] if a name is that of no camera.
+    /// [`CaptureError::Invalid`] if no camera has one of the names.
     pub fn choose(&self, capture: Capture) -> Result<(Capture, Split), CaptureError> {
         match self {
             Self::Split(split) => Ok((capture, *split)),

@@ -1,4 +1,4 @@
-//! What commands leave behind: whole or not at all, and never over something else unless told to.
+//! Outputs of commands: written whole or not at all, and over existing content only with `--force`.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -20,7 +20,7 @@ use crate::terminal::note;
 /// to look at it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// How the names of files end that commands write, and never read as a part of a folder.
+/// Endings of files that commands write, and never read as a part of a folder.
 const RESULTS: [&str; 3] = ["csv", "html", "tcgs"];
 
 /// Refuses, before the work, files that could not be written after it or would replace what is read.
@@ -38,7 +38,7 @@ pub fn check_files(files: &[&Path], sources: &[&Path], force: bool) -> anyhow::R
             return Err(wrong_input(format!("{}: {problem}", file.display())));
         }
         if !is_device(file) {
-            // A folder that takes no temporary folder takes no result.
+            // If a temporary folder cannot be made here, a result cannot be written.
             let file = file.canonicalize().unwrap_or_else(|_| file.to_path_buf());
             begin_beside(&file).with_context(|| format!("writing {}", file.display()))?;
         }
@@ -156,7 +156,7 @@ pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io
     }
 }
 
-/// Where each [`NewFolder`] is meanwhile, and where it will be.
+/// Temporary and final place of each [`NewFolder`].
 static MAKING: Mutex<Vec<[PathBuf; 2]>> = Mutex::new(Vec::new());
 
 /// Replaces temporary names in a message: a file in a [`NewFolder`] gets the name that it would have had.
@@ -244,9 +244,10 @@ impl NewFolder {
         self.finish_around(|_| false)
     }
 
-    /// Puts it in its place, where some entries stay. What cannot be moved is not lost: the error says where it is.
+    /// Puts it in its place, where some entries stay. If moving fails, nothing is lost: the error says where the
+    /// content is.
     ///
-    /// - `stays`: whether an entry of that name, of which there is none among the new ones, is left where it is
+    /// - `stays`: whether an old entry is left where it is, by its name; not asked if a new entry has the name
     pub fn finish_around(self, stays: fn(&OsStr) -> bool) -> anyhow::Result<()> {
         let Self { place, making, new, inside } = self;
         let context = format!("writing {}", place.display());

@@ -68,7 +68,7 @@ pub struct Arguments {
 enum SizeName {
     /// The paper's frames and schedule
     Full,
-    /// What two cores train in about a quarter of an hour
+    /// About a quarter of an hour of training on two cores
     Small,
 }
 

@@ -1,4 +1,4 @@
-//! What commands call a SCENE, and how one is described.
+//! The argument SCENE of commands: how scenes are opened and described.
 
 use std::path::Path;
 
@@ -15,20 +15,21 @@ use crate::terminal::note;
 /// How a SCENE that is to be compressed is read.
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct SourceOptions {
-    /// Of PLY, SPZ, glTF and .4dgs files, leave out spherical harmonics above degree 0: colours stop depending on the view
+    /// Leave out spherical harmonics above degree 0 of PLY, SPZ, glTF and .4dgs files: colours stop depending on the
+    /// view
     #[arg(long)]
     pub drop_sh: bool,
     /// Read files of other programs that claim more memory than their length warrants, or over 65,536 timesteps
     #[arg(long)]
     pub no_limits: bool,
-    /// Axes of PLY, SPZ, glTF and .4dgs files, as three letters: right or left, up or down, forward or back. Scenes are in rdf
-    /// [default: those that the file declares, else luf of glTF and rdf of all others]
+    /// Axes of PLY, SPZ, glTF and .4dgs files, as three letters: right or left, up or down, forward or back. Scenes are
+    /// in rdf [default: those that the file declares, else luf of glTF and rdf of all others]
     #[arg(long, value_name = "XYZ")]
     pub axes: Option<Axes>,
 }
 
 impl SourceOptions {
-    /// Opens a scene, and says what readers assumed.
+    /// Opens a scene, and prints the assumptions of readers.
     pub fn open(self, path: &Path) -> Result<OpenScene, PipelineError> {
         self.open_with(path, CutFiles::Refuse)
     }
@@ -85,7 +86,7 @@ impl RecoverOption {
 }
 
 impl SceneOptions {
-    /// Opens a scene, and says what readers assumed and what a file that was cut has lost.
+    /// Opens a scene. Prints the assumptions of readers and the losses of a file that was cut.
     pub fn open(self, path: &Path) -> anyhow::Result<OpenScene> {
         let cut_files = if self.recover.recover { CutFiles::Recover } else { CutFiles::Refuse };
         let scene = self.source.open_with(path, cut_files).map_err(|error| match &error {
@@ -99,7 +100,7 @@ impl SceneOptions {
     }
 }
 
-/// Says what readers of another program's files assumed.
+/// Prints the assumptions of readers of another program's files.
 fn note_assumed(scene: &OpenScene) {
     for assumed in scene.notes() {
         if let ReadNote::AssumedAxes(_) = assumed {
@@ -108,8 +109,8 @@ fn note_assumed(scene: &OpenScene) {
     }
 }
 
-/// Says what readers of another program's files replaced. A command does so at its end, since a timestep is read when it is
-/// needed.
+/// Prints the numbers that readers of another program's files replaced. A command does so at its end, since a timestep
+/// is read when it is needed.
 pub fn note_replaced(scene: &OpenScene) {
     for replaced in scene.notes() {
         if let ReadNote::Replaced { .. } = replaced {
@@ -118,7 +119,7 @@ pub fn note_replaced(scene: &OpenScene) {
     }
 }
 
-/// What is left of a file that was cut, in one line.
+/// Describes the rest of a file that was cut, in one line.
 pub fn describe_loss(path: &Path, loss: &Loss, num_gaussians: usize, num_timesteps: usize) -> String {
     let Loss { bytes, bytes_before, timesteps_before, gaussians_before } = loss;
     format!(
@@ -128,7 +129,7 @@ pub fn describe_loss(path: &Path, loss: &Loss, num_gaussians: usize, num_timeste
     )
 }
 
-/// What a scene is, in words.
+/// Describes a scene in words.
 pub fn describe(scene: &OpenScene) -> String {
     let (path, kind, size) = (scene.path.display(), scene.kind(), show_bytes(scene.bytes));
     let num_timesteps = scene.num_timesteps();

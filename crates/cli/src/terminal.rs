@@ -1,5 +1,4 @@
-//! Words for the person or the program that called. All go through here, so that texts of files do not control a
-//! terminal.
+//! All output to the terminal. Texts of files are escaped here, so that they do not control the terminal.
 
 use std::io::{self, ErrorKind, Write};
 
@@ -11,7 +10,7 @@ pub fn say(text: &str) -> anyhow::Result<()> {
     write(format!("{}\n", printable(text)).as_bytes())
 }
 
-/// Writes to standard output all of something, or what its reader wants of it.
+/// Writes to standard output until the end, or until the reader closes the pipe.
 pub fn write(bytes: &[u8]) -> anyhow::Result<()> {
     let mut output = io::stdout().lock();
     match output.write_all(bytes).and_then(|()| output.flush()) {

@@ -1,13 +1,14 @@
-//! Which Gaussian of a file belongs to which object: application data of the name [`LABELS`] (`docs/FORMAT.md`, "Labels").
+//! Labels: which Gaussian of a file belongs to which object. They are application data named [`LABELS`]
+//! (`docs/FORMAT.md`, "Labels").
 
 use serde::{Deserialize, Serialize};
 
-/// Name of the application data that say which Gaussian belongs to which object.
+/// Name of the application data that assign Gaussians to objects.
 pub const LABELS: &str = "tcgs.labels";
 /// Name of the object that is the foreground of a capture.
 pub const FOREGROUND: &str = "foreground";
 
-/// Longer texts are passed over. Parsed runs take three times their text.
+/// Longest text that is read. Parsed runs take three times the memory of their text.
 const MAX_BYTES: usize = 1 << 24;
 
 /// Objects, and the Gaussians of each.
@@ -23,7 +24,8 @@ const MAX_BYTES: usize = 1 << 24;
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Labels {
     objects: Vec<String>,
-    /// Numbers of Gaussians in the order of the file, each with the index of their object, or -1 if they belong to none.
+    /// Runs of Gaussians in the order of the file: how many, and the index of their object, or -1 if they belong to
+    /// none.
     runs: Vec<(u32, i64)>,
 }
 
@@ -34,7 +36,7 @@ impl Labels {
     pub fn of_object(name: &str, members: &[bool]) -> Self {
         let label = |run: &[bool]| (run.len() as u32, if run[0] { 0 } else { -1 });
         let mut runs: Vec<_> = members.chunk_by(|a, b| a == b).map(label).collect();
-        // What follows the last run belongs to none.
+        // Gaussians after the last run belong to no object.
         runs.pop_if(|(_, label)| *label < 0);
         Self { objects: vec![name.into()], runs }
     }

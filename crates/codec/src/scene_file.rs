@@ -367,7 +367,7 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(Gaussians::concat(&self.layout, &parts))
     }
 
-    /// Which Gaussians [`Self::at`] gives: their indices among all of the file, cohort by cohort, ascending.
+    /// Indices, among all Gaussians of the file, of those that [`Self::at`] gives: cohort by cohort, ascending.
     ///
     /// # Errors
     /// As [`Self::segment`].

@@ -15,7 +15,7 @@ use tcgs_core::Gaussians;
 mod any_scene;
 use any_scene::{any_cohort, any_cohorts, any_scene};
 
-/// What lives at a timestep, by the definition, and its indices among all.
+/// The Gaussians that live at a timestep, by the definition, and their indices among all.
 fn alive(cohorts: &[CompactScene], timestep: usize) -> (Vec<Gaussians>, Vec<usize>) {
     let (mut parts, mut indices, mut before) = (Vec::new(), Vec::new(), 0);
     for cohort in cohorts {

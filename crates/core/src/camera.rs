@@ -37,7 +37,7 @@ pub enum CameraError {
         /// What stands there.
         value: f64,
     },
-    /// A number of which squares overflow.
+    /// A number so large that its square may overflow.
     #[error("{matrix} row {row} column {column} is {value:e}, expected {most:e} or less in magnitude")]
     TooLarge {
         /// Which matrix.
@@ -71,8 +71,8 @@ pub const MAX_SIDE: usize = 1 << 16;
 /// Largest number of pixels of an image that is drawn, 8192 by 8192: drawing holds up to some hundred bytes for each.
 pub const MAX_PIXELS: usize = 1 << 26;
 
-/// Largest magnitude of a coordinate of a camera or a point, scene units: with [`MAX_INTRINSIC`] the square of a distance in pixels,
-/// `(2e12 * 1e6)²`, is finite in f32. The earth's radius in millimetres is 6e9.
+/// Largest magnitude of a coordinate of a camera or a point, scene units. With [`MAX_INTRINSIC`] the square of a
+/// distance in pixels, `(2e12 * 1e6)²`, is finite in f32. The earth's radius in millimetres is 6e9.
 pub const MAX_COORDINATE: f64 = 1e12;
 
 /// Largest magnitude of a focal length or a principal point, pixels.
@@ -88,8 +88,8 @@ impl Camera {
     /// - `camera_from_world`: `[4][4]` row-major
     ///
     /// # Errors
-    /// [`CameraError`] if a number is not finite or beyond [`MAX_COORDINATE`] or [`MAX_INTRINSIC`], a side is beyond [`MAX_SIDE`], the rotation is not one, or the intrinsics are not
-    /// those of a pinhole.
+    /// [`CameraError`] if a number is not finite, or beyond [`MAX_COORDINATE`] or [`MAX_INTRINSIC`]. Also if a side is
+    /// beyond [`MAX_SIDE`], the rotation is none, or the intrinsics are not those of a pinhole.
     pub fn new(
         width: usize,
         height: usize,

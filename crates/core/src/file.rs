@@ -1,4 +1,4 @@
-//! Files that a user names: regular ones alone, and no more of them than they may hold.
+//! Files that a user names: only regular ones, up to a size.
 //!
 //! What lives here: opening and reading whole files. A device or a pipe may never end, and opening a pipe waits for its
 //! writer. What does not: what files hold.
@@ -17,7 +17,7 @@ use std::path::Path;
 /// # Errors
 /// Those of the operating system; `InvalidInput` for anything but a regular file.
 pub fn open_file(path: &Path) -> io::Result<File> {
-    // Before opening, which would wait at a pipe.
+    // Checked before opening: opening a pipe would wait for its writer.
     let kind = fs::metadata(path)?.file_type();
     if kind.is_dir() {
         return Err(io::Error::new(ErrorKind::IsADirectory, "is a folder"));
@@ -30,7 +30,7 @@ pub fn open_file(path: &Path) -> io::Result<File> {
 
 /// Reads a regular file whole.
 ///
-/// - `max_bytes`: how much it may hold
+/// - `max_bytes`: most bytes of the file
 ///
 /// # Errors
 /// As [`open_file`]; `InvalidData` for a larger file, of which no more than `max_bytes` are read.
@@ -51,7 +51,7 @@ pub fn read_file(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
 
 /// Reads a regular file of UTF-8 whole.
 ///
-/// - `max_bytes`: how much it may hold
+/// - `max_bytes`: most bytes of the file
 ///
 /// # Errors
 /// As [`read_file`]; `InvalidData` for what is no UTF-8.

@@ -1,9 +1,9 @@
 //! The words every tcgs crate speaks: Gaussians, cameras, views, images and elementwise maths.
 //!
-//! What lives here: the data types that pass between crates, and maths on single elements
-//! (quaternions, activations, spherical harmonics), generic over [`Real`] so that one source is both run in `f32` and
-//! differentiated in `f64`; the order of numbered names, text made safe for a terminal, and reading files of bounded size. What
-//! does not: formats of files, rendering, optimisation, compression.
+//! What lives here: the data types that pass between crates, and maths on single elements (quaternions, activations,
+//! spherical harmonics). The maths is generic over [`Real`]: one source is run in `f32` and differentiated in `f64`.
+//! Three small jobs live here, too: the order of numbered names, text made safe for a terminal, and reading files of
+//! bounded size. What does not: formats of files, rendering, optimisation, compression.
 //!
 //! Conventions: camera space is x right, y down, z forward; pixel centres lie at +0.5; quaternions
 //! are `w, x, y, z`; colours are display-referred sRGB in `[0, 1]`, blended as stored.

@@ -1,10 +1,11 @@
-//! Text of files that a terminal shows and does not obey.
+//! Texts of files for a terminal, without control sequences.
 
 use std::borrow::Cow;
 
 /// The text with control characters written out, such as `\u{1b}`; a newline stays.
 ///
-/// A file's name and the texts in it may hold sequences that move a terminal's cursor, change its title or its keys.
+/// The name and the texts of a file may hold control sequences: they move a terminal's cursor, or change its title or
+/// keys.
 ///
 /// ```
 /// assert_eq!(tcgs_core::printable("a\u{1b}[2J\u{7}b\n"), "a\\u{1b}[2J\\u{7}b\n");

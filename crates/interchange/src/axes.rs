@@ -1,8 +1,8 @@
 //! Directions of the axes: files of other programs in the axes of PLY files, and back.
 //!
-//! PLY files of 3D Gaussian splatting have the axes of COLMAP's cameras, x right, y down, z forward (RDF), and a scene has
-//! them as its files do. glTF has LUF (`y` is up, a model looks along `z`), OpenGL RUB. SPZ files have any. Letters say where an
-//! axis points: right or left, up or down, forward or back.
+//! PLY files of 3D Gaussian splatting have the axes of COLMAP's cameras: x right, y down, z forward (RDF). Scenes here
+//! have these axes, too. glTF has LUF (`y` is up, a model looks along `z`), OpenGL has RUB. SPZ files have any. Letters
+//! say where an axis points: right or left, up or down, forward or back.
 
 use std::fmt;
 use std::str::FromStr;
@@ -19,7 +19,7 @@ use tcgs_core::{Gaussians, harmonics};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Axes([bool; 3]);
 
-/// Letter of an axis that points as that of PLY files, and of one that points against it.
+/// Letters of each axis: of the direction in PLY files, and of the opposite one.
 const LETTERS: [[char; 2]; 3] = [['r', 'l'], ['d', 'u'], ['f', 'b']];
 
 impl Axes {

@@ -36,7 +36,7 @@ pub enum InterchangeError {
     File {
         /// The first file that is wrong, or the folder.
         path: PathBuf,
-        /// What was found, and what was expected.
+        /// The content that was found, and the expected one.
         problem: String,
     },
     /// A file claims more than [`ReadLimits`](crate::ReadLimits) allow. Nothing was allocated for the claim.
@@ -56,7 +56,7 @@ pub enum InterchangeError {
     Npy {
         /// The file.
         path: PathBuf,
-        /// What was found, and what was expected.
+        /// The content that was found, and the expected one.
         problem: String,
     },
     /// One array of an npz archive is missing, damaged, of the wrong type or shape, or holds values out of range.
@@ -66,7 +66,7 @@ pub enum InterchangeError {
         path: PathBuf,
         /// Name of the array, without `.npy`.
         key: String,
-        /// What was found, and what was expected.
+        /// The content that was found, and the expected one.
         problem: String,
     },
 }

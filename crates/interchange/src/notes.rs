@@ -1,4 +1,4 @@
-//! Remarks by readers of other programs' files, which are no errors: what they assumed or replaced.
+//! Notes by readers of other programs' files: assumptions and replacements, which are no errors.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::Axes;
 
-/// What a reader assumed or replaced, over all timesteps of a scene. The text names no file.
+/// An assumption or a replacement by a reader, over all timesteps of a scene. The text names no file.
 ///
 /// ```
 /// use tcgs_interchange::ReadNote;
@@ -51,7 +51,7 @@ pub(crate) struct Replaced {
     pub scales: usize,
 }
 
-/// Counts of replaced numbers for the timesteps that were read so far. A timestep counts once, however often it is read.
+/// Counts of replaced numbers at the timesteps that were read so far. A timestep counts once, however often it is read.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ReplacedByTimestep(Arc<Mutex<BTreeMap<usize, Replaced>>>);
 
@@ -62,7 +62,7 @@ impl ReplacedByTimestep {
         }
     }
 
-    /// None where nothing was replaced.
+    /// None if no number was replaced.
     pub fn note(&self) -> Option<ReadNote> {
         let counts = self.counts();
         let sum = |of: fn(&Replaced) -> usize| counts.values().map(of).sum();

@@ -68,7 +68,7 @@ impl NpzReader {
         Ok(Self { path: path.into(), file_bytes, limits, archive })
     }
 
-    /// Refuses an array of which several copies do not fit the limits: for a caller that makes something else of it.
+    /// Refuses an array if several copies of it do not fit the limits: for a caller that converts it.
     ///
     /// - `copies`: how often the array's bytes are held at once
     ///
@@ -468,7 +468,7 @@ mod tests {
         }
     }
 
-    /// Whether nothing is printed besides is asked of the command line, which a full disk ends with one line.
+    /// A test of the command line checks that a full disk gives one line and no other output.
     #[test]
     fn a_writer_that_fails_is_reported_once() {
         let write = |room| {

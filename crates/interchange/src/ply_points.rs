@@ -37,8 +37,8 @@ struct ColoredPoint {
 }
 
 /// Reads a point cloud from the element `vertex` of a PLY file: the properties `x`, `y`, `z`, and `red`, `green`,
-/// `blue` if all are present, as bytes (0 to 255) or floats (0 to 1). Points without colours are grey (0.5). All points
-/// are foreground, since such files do not tell what moves.
+/// `blue` if all are present. Colours are bytes (0 to 255) or floats (0 to 1). Points without colours are grey (0.5).
+/// All points are foreground, since such files do not tell what moves.
 ///
 /// - returns: positions in the file's unit, colours in `[0, 1]`
 ///

@@ -1,4 +1,4 @@
-//! How files of other programs are read: what is taken from them, in which axes they are, and how much memory they may take.
+//! How files of other programs are read: harmonics, axes, and limits of memory.
 
 use std::path::Path;
 
@@ -13,16 +13,16 @@ use crate::{Axes, InterchangeError};
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ReadSettings {
-    /// What to do with spherical harmonics above degree 0. Default: keep.
+    /// Whether spherical harmonics above degree 0 are read. Default: they are.
     pub higher_harmonics: HigherHarmonics,
-    /// Axes of the Gaussians in the file. Default: those that the file declares, else those of its format: LUF of glTF, else
-    /// RDF. Scenes are in RDF.
+    /// Axes of the Gaussians in the file. Default: those that the file declares, else those of its format: LUF for
+    /// glTF, RDF for all others. Scenes are in RDF.
     pub axes: Option<Axes>,
-    /// What a file may take of memory and time.
+    /// Limits of memory and of timesteps.
     pub limits: ReadLimits,
 }
 
-/// What a reader does with spherical harmonics above degree 0, with which colours depend on the direction of view.
+/// Whether spherical harmonics above degree 0 are read. They make colours depend on the direction of view.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum HigherHarmonics {
     /// They become the columns of [`Layout::with_harmonics`](tcgs_core::Layout::with_harmonics).
@@ -32,7 +32,7 @@ pub enum HigherHarmonics {
     Drop,
 }
 
-/// What a reader may allocate for a file, whatever the file claims. Readers compare before they allocate.
+/// Limits of a reader's allocations for a file, whatever the file claims. Readers compare before they allocate.
 ///
 /// Real files expand little: an SPZ file to ten times its length, a compressed npz to four. Files made to exhaust
 /// memory expand a thousandfold. A file of 1 MB takes at most 131 MB with the default.

@@ -1,5 +1,5 @@
-//! What readers of one timestep share: from the numbers of a file to values as they are stored here, and the refusal of
-//! those that are not finite.
+//! Shared by readers of one timestep: conversion of a file's numbers to stored values, and refusal of numbers that are
+//! not finite.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use tcgs_core::{Gaussians, HARMONIC_0, Layout};
 use crate::InterchangeError;
 use crate::notes::Replaced;
 
-/// What the start of a file says of its Gaussians.
+/// The Gaussians that the start of a file declares.
 #[derive(Clone, Debug)]
 pub(crate) struct Head {
     /// `N`, at least 1, and not more than the file's length has room for.
@@ -45,18 +45,19 @@ pub(crate) fn logit_of_byte(byte: u8) -> f32 {
     logit(f64::from(byte) / 255.0, [0.25 / 255.0; 2])
 }
 
-/// What is nearest to 0 and 1 among opacities: half of the step of floats below 1.
+/// Distance from 0 and 1 of the opacities that replace them: half of the step of floats below 1.
 const NEAREST_OF_FLOATS: [f64; 2] = [1.0 / (1 << 25) as f64; 2];
 
-/// Log scale that replaces that of a scale of 0: 2e-9 scene units, thinner than any picture shows. The smallest of a float,
-/// -87, would be worse: a quantizer spans all scales of a scene, and its step would grow fivefold.
+/// Replaces the log scale of a scale of 0: 2e-9 scene units, thinner than any picture shows. The smallest log scale of
+/// a float, -87, would be worse: a quantizer spans all scales of a scene, and its step would grow fivefold.
 const LEAST_LOG_SCALE: f32 = -20.0;
 
-/// Replaces infinite logits, which programs write for opacities of exactly 0 and 1, and log scales of -∞, which they write for
-/// scales of 0. Refuses all other numbers that are not finite: a Gaussian of infinite scale cannot be drawn.
+/// Replaces infinite logits, which programs write for opacities of exactly 0 and 1. Replaces log scales of -∞, which
+/// they write for scales of 0. Refuses all other numbers that are not finite: a Gaussian of infinite scale cannot be
+/// drawn.
 ///
-/// Without harmonics negative colours become zero, since renderers of such files clamp colours at zero; with them they clamp
-/// the sum.
+/// Without harmonics negative colours become zero, since renderers of such files clamp colours at zero; with them they
+/// clamp the sum.
 pub(crate) fn checked(path: &Path, mut gaussians: Gaussians) -> Result<(Gaussians, Replaced), InterchangeError> {
     let mut replaced = Replaced::default();
     for x in gaussians.logit_opacities_mut().iter_mut().filter(|x| x.is_infinite()) {

@@ -1,10 +1,10 @@
 //! Files and folders that appear whole or not at all, and what becomes of them when a process is killed.
 //!
-//! New content is written inside a folder `.writing-XXXXXX`, which lies where the output will lie, so that both are on
-//! one file system; when the content is whole it is renamed into its place. The folder holds a mark beside the content:
-//! a file that says in words what the folder is, and which the writing process keeps locked. A process that is killed
-//! leaves the folder behind. [`remove_unfinished`] knows by the mark's text that such a folder belongs to this
-//! program, and by the lock that no process writes into it any more.
+//! New content is written inside a folder `.writing-XXXXXX` beside the place of the output, and so on the same file
+//! system. Once whole, it is renamed into its place. The folder holds a mark beside the content: a file with a text
+//! about the folder. The writing process keeps it locked. A process that is killed leaves the folder behind.
+//! [`remove_unfinished`] recognises such a folder by the mark's text. A free lock tells it that no process writes into
+//! the folder any more.
 
 use std::{
     ffi::{OsStr, OsString},
@@ -81,8 +81,8 @@ pub fn write_whole(path: &Path, existing: Existing, write: impl FnOnce(&mut File
     Ok(())
 }
 
-/// A temporary folder for unfinished content, with a locked mark that tells [`remove_unfinished`] whose the folder is
-/// and that a process still uses it. Dropping the value removes the folder with everything that is still in it.
+/// A temporary folder for unfinished content. Its locked mark tells [`remove_unfinished`] that the folder is this
+/// program's, and in use. Dropping the value removes the folder with everything that is still in it.
 #[derive(Debug)]
 pub struct Unfinished {
     /// Locked as long as it is open; first, so that the folder is removed after the file is closed.
@@ -134,7 +134,7 @@ impl Unfinished {
         let mut mark = File::create_new(folder.0.join(MARK))?;
         // Some network drives know no locks; there nothing is ever removed.
         let _ = mark.try_lock();
-        // The text comes after the lock, so that a mark with text and without a lock is that of a process that ended.
+        // The text is written after the lock: a mark with text and without a lock belongs to a process that ended.
         mark.write_all(MARK_TEXT.as_bytes())?;
         Ok(Self { mark, folder })
     }
@@ -152,7 +152,7 @@ impl Unfinished {
         let mut own = OsString::from(PREFIX);
         own.push(name);
         let own = folder.join(own);
-        // A process may end between a look and the next.
+        // A process may end between two looks.
         for _ in 0..REMOVALS {
             match begun.rename(&own) {
                 Ok(()) => break,
@@ -191,14 +191,14 @@ impl Unfinished {
     pub fn keep(self) -> Kept {
         let Self { mark, folder } = self;
         folder.forget(&mut Held::all());
-        // Without its text nothing is removed for its sake.
+        // A mark without its text makes no folder removable.
         let _ = mark.set_len(0);
         Kept { _mark: mark, folder: folder.0.clone() }
     }
 }
 
-/// A folder that was an [`Unfinished`] and is the caller's. As long as the value lives no other process begins the same
-/// ([`Unfinished::begin_alone`]); then the mark is removed.
+/// A folder that was an [`Unfinished`], and now belongs to the caller. As long as the value lives, no other process
+/// begins the same ([`Unfinished::begin_alone`]). Dropping it removes the mark.
 #[derive(Debug)]
 pub struct Kept {
     _mark: File,
@@ -228,7 +228,7 @@ pub fn is_unfinished(name: &OsStr) -> bool {
 pub fn remove_held() {
     let all = Held::all();
     for folder in all.iter() {
-        // Threads that have not been told may still write into it.
+        // Other threads may still write into it.
         for _ in 0..REMOVALS {
             match fs::remove_dir_all(folder) {
                 Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}

@@ -1,4 +1,4 @@
-//! Files of Gaussians that are known and not read: which they are, so that a refusal can name them.
+//! Known kinds of files of Gaussians without a reader here. A refusal names the kind.
 
 use std::borrow::Cow;
 use std::fs::{self, File};
@@ -7,10 +7,10 @@ use std::path::Path;
 
 use zip::ZipArchive;
 
-/// What turns the files of this table into PLY.
+/// A readable file to use instead of the kinds of this table, for messages.
 const SPLAT_TRANSFORM: &str = "a PLY file, which splat-transform makes of it";
 
-/// By the endings of their names, what files are.
+/// Kinds of files, by the endings of their names.
 const ENDINGS: [(&str, &str); 3] = [
     ("sog", SOG),
     ("splat", "a .splat file of antimatter15's viewer"),
@@ -21,9 +21,9 @@ const SOG: &str = "SOG of SuperSplat";
 /// A file, or a folder, that no reader of this crate takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UnreadKind {
-    /// What it is.
+    /// Its kind.
     pub name: &'static str,
-    /// What could be read instead.
+    /// A readable file to use instead, for messages.
     pub expected: &'static str,
 }
 
@@ -32,8 +32,8 @@ impl UnreadKind {
         Self { name, expected: SPLAT_TRANSFORM }
     }
 
-    /// Recognises a file by the ending of its name, or as a ZIP archive by the names of what is in it; a folder by the names
-    /// of its files. None if it is not known, or if it may be one that is read.
+    /// Recognises a file by the ending of its name, a ZIP archive by the names of its entries, and a folder by the
+    /// names of its files. None if the kind is unknown, or if a reader may read it.
     ///
     /// ```
     /// use tcgs_interchange::UnreadKind;
@@ -64,7 +64,7 @@ impl UnreadKind {
         ENDINGS.iter().find(|(known, _)| ending.eq_ignore_ascii_case(known)).map(|(_, name)| Self::of_splats(name))
     }
 
-    /// An archive with an array of `NumPy` may be a `params.npz`; of a damaged one nothing is known.
+    /// An archive with an array of `NumPy` may be a `params.npz`; a damaged archive has no known kind.
     fn of_archive(path: &Path) -> Option<Self> {
         let archive = ZipArchive::new(BufReader::new(File::open(path).ok()?)).ok()?;
         let names: Vec<String> = archive.file_names().flatten().map(Cow::into_owned).collect();

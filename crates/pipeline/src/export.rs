@@ -115,7 +115,8 @@ impl<'a> Export<'a> {
         Some((0..living.len()).filter(|&row| keep.binary_search(&living[row]).is_ok()).collect())
     }
 
-    /// Which of all Gaussians stay at a frame; none if the scene does not tell one from another.
+    /// Indices, among all Gaussians, of those that stay at a frame; none if the scene does not identify them across
+    /// timesteps.
     fn identities(&self, frame: usize) -> Result<Option<Vec<usize>>, PipelineError> {
         let living = self.scene.living(frame - self.scene.first_frame)?;
         Ok(match (living, &self.keep) {
@@ -126,8 +127,8 @@ impl<'a> Export<'a> {
         })
     }
 
-    /// [`Self::gaussians`], of which there must be some, with the constants that the newborn of a run settled with: those that its
-    /// compressed file has.
+    /// [`Self::gaussians`], at least one. The newborn of a run have the constants that they settled with, as in its
+    /// compressed file.
     fn settled(&self, frame: usize, stand_ins: &StandIns) -> Result<Gaussians, PipelineError> {
         let gaussians = self.some_gaussians(frame)?;
         let identities = self.identities(frame)?.filter(|_| stand_ins.lives().is_some());
@@ -178,9 +179,9 @@ impl<'a> Export<'a> {
     /// The arrays of a `params.npz` of some frames.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if there are no Gaussians, or if something is not as a `params.npz` holds it: a Gaussian is born
-    /// or dies, there are spherical harmonics, scales or opacities vary with time, or the first frame's number is too
-    /// large; [`PipelineError`] if a frame is missing or cannot be read.
+    /// [`PipelineError::Input`] if there are no Gaussians, or if a `params.npz` cannot hold them. It cannot if a
+    /// Gaussian is born or dies, if there are spherical harmonics, if scales or opacities vary with time, or if the
+    /// first frame's number is too large. [`PipelineError`] if a frame is missing or cannot be read.
     pub fn params(&self, frames: Range<usize>) -> Result<ExportedParams<'_>, PipelineError> {
         let scene = self.scene;
         self.check_some()?;
@@ -205,7 +206,8 @@ impl<'a> Export<'a> {
             if let Some(now) = now {
                 let start = frames.start;
                 let found = format!(
-                    "has {expected} Gaussians at frame {start} and {now} at frame {frame}, which a params.npz cannot hold"
+                    "has {expected} Gaussians at frame {start} and {now} at frame {frame}, which a params.npz cannot \
+                     hold"
                 );
                 let expected = format!(
                     "a folder of PLY or .glb files or a .4dgs file to export to, or the frames {start}..{frame} alone"
@@ -350,7 +352,7 @@ impl SceneReader for Frames<'_> {
 }
 
 impl ExportedParams<'_> {
-    /// Whether any Gaussian is marked as background. Without, programs that hide the background hide nothing.
+    /// Whether any Gaussian is marked as background. If none is, programs that hide the background hide nothing.
     pub fn has_background(&self) -> bool {
         self.foreground.as_ref().is_some_and(|foreground| foreground.contains(&false))
     }

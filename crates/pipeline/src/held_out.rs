@@ -7,7 +7,8 @@ use tcgs_train::TrainConfig;
 
 use crate::PipelineError;
 
-/// A capture as a run trains on it: the cameras of `data.hold_out` are its test cameras. Without any it stays as it is.
+/// A capture as a run trains on it: the cameras of `data.hold_out` are its test cameras. If there are none, the capture
+/// is unchanged.
 ///
 /// # Errors
 /// [`PipelineError::Capture`] if it has no such camera; [`PipelineError::Input`] if it has no other.

@@ -97,8 +97,8 @@ impl CameraAt {
 /// - `take`: takes the image `[3, H, W]`, not clamped
 ///
 /// # Errors
-/// What `take` returns; [`PipelineError`] if an image has more than [`MAX_PIXELS`], a frame cannot be read or the GPU fails; [`PipelineError::Stopped`] if the
-/// observer broke off.
+/// The errors of `take`; [`PipelineError`] if an image has more than [`MAX_PIXELS`], a frame cannot be read or the GPU
+/// fails; [`PipelineError::Stopped`] if the observer broke off.
 pub fn render<E: From<PipelineError>>(
     scene: &OpenScene,
     cameras: &[CameraAt],

@@ -1,5 +1,5 @@
-//! Arrays of numpy from floats and back. Arrays that a caller gives are checked: real and finite numbers of the shape that
-//! their name stands for.
+//! Arrays of numpy from floats and back. A caller's arrays are checked: real and finite numbers, in the shape of the
+//! argument.
 
 use numpy::{Element, PyArray, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyMemoryError, PyTypeError, PyValueError};
@@ -8,7 +8,7 @@ use tcgs_core::{Image, Real};
 
 use crate::memory::no_memory;
 
-/// Anything that numpy makes an array of: an array, a list of lists, a tensor of torch on the CPU.
+/// Any argument that numpy converts to an array: an array, a list of lists, a tensor of torch on the CPU.
 pub type ArrayLike<'py> = Bound<'py, PyAny>;
 
 /// An argument that is an array of finite numbers.
@@ -25,8 +25,8 @@ impl<T: Real> Numbers<T> {
     /// Reads an argument.
     ///
     /// # Errors
-    /// That name the argument: `TypeError` if it is no array of real numbers, `ValueError` if one of them is not finite as
-    /// `T`, `MemoryError` if there is no room for a copy.
+    /// The message names the argument: `TypeError` if it is no array of real numbers, `ValueError` if one of them is
+    /// not finite as `T`, `MemoryError` if there is no room for a copy.
     pub fn read(name: &'static str, given: &ArrayLike<'_>) -> PyResult<Self> {
         let array = as_array(name, given)?;
         let shape = array.shape().to_vec();
@@ -48,7 +48,7 @@ impl<T: Real> Numbers<T> {
     /// - `expected`: of the numbers, in words
     ///
     /// # Errors
-    /// `ValueError` with the first that is not so, and its place.
+    /// `ValueError` with the first other number, and its place.
     pub fn check(&self, expected: &str, is_so: impl Fn(T) -> bool) -> PyResult<()> {
         let Some(index) = self.values.iter().position(|&value| !is_so(value)) else { return Ok(()) };
         let mut place = vec![0; self.shape.len()];
@@ -106,7 +106,7 @@ fn as_array<'py>(name: &str, given: &ArrayLike<'py>) -> PyResult<Bound<'py, PyUn
     Err(PyTypeError::new_err(format!("{name}: is an array of {kind}, expected one of real numbers")))
 }
 
-/// What numpy, or the argument itself, raised.
+/// The exception that numpy, or the argument itself, raised, with the argument's name.
 fn named(name: &str, given: &ArrayLike<'_>, error: PyErr) -> PyErr {
     let py = given.py();
     let message = format!("{name}: {}", error.value(py));

@@ -21,7 +21,7 @@ use crate::numbers::{Number, Whole};
 #[derive(Clone, PartialEq)]
 pub struct PyCamera(pub Camera);
 
-/// Cameras of one size from their matrices, checked, and the shape that they have: none of one camera, `[C]` of several.
+/// Cameras of one size from their matrices, checked, and their shape: `[]` for one camera, `[C]` for several.
 ///
 /// - `viewmat`, `k`: the names of the arguments, and `[4, 4]` and `[3, 3]`, or `[C, 4, 4]` and `[C, 3, 3]`
 ///

@@ -152,8 +152,9 @@ impl PyCapture {
 /// - points: up to 16,777,216, to start training from
 /// - seed: of their positions
 #[pyfunction]
-#[pyo3(signature = (path, *, width = Whole::of(128), height = Whole::of(96), frames = Whole::of(24), points = Whole::of(8000),
-    seed = Whole::of(0)), text_signature = "(path, *, width=128, height=96, frames=24, points=8000, seed=0)")]
+#[pyo3(signature = (path, *, width = Whole::of(128), height = Whole::of(96), frames = Whole::of(24),
+    points = Whole::of(8000), seed = Whole::of(0)),
+    text_signature = "(path, *, width=128, height=96, frames=24, points=8000, seed=0)")]
 pub fn make_demo_capture(
     py: Python<'_>,
     path: PathBuf,

@@ -16,8 +16,8 @@ use tcgs_pipeline::{Fault, HasFault, PipelineError};
 use tcgs_render::device::GpuError;
 use tcgs_train::TrainError;
 
-/// What the system said about a file becomes an `OSError`, other wrong input a `ValueError`, a GPU without enough memory a
-/// `MemoryError`, and what else the machine did wrong a `RuntimeError`.
+/// The exception for an error: `OSError` for an error of the system about a file, `ValueError` for other wrong input,
+/// `MemoryError` for a GPU without enough memory, `RuntimeError` for any other fault of the machine.
 pub fn exception(error: impl Into<PipelineError>) -> PyErr {
     let error = error.into();
     let lifted = if matches!(error, PipelineError::Interchange(InterchangeError::Limit { .. })) {

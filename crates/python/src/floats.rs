@@ -6,9 +6,9 @@ use tcgs_core::{DynamicGaussians, Layout};
 
 use crate::arrays::{ArrayLike, Numbers};
 
-/// As many as a file can hold. An array without Gaussians may have more timesteps than memory has bytes.
+/// Most timesteps of a file. An array without Gaussians may have more timesteps than memory has bytes.
 const MAX_TIMESTEPS: usize = 1 << 16;
-/// As many as indices of 32 bits count.
+/// Most Gaussians that indices of 32 bits count.
 const MAX_GAUSSIANS: usize = u32::MAX as usize;
 
 /// All timesteps of a scene. Shapes as of `Scene.from_arrays`.

@@ -1,5 +1,5 @@
-//! Memory that a call takes, asked for before it begins: where an allocation fails in between, the process ends, and with it
-//! a notebook's kernel.
+//! Memory of a call is reserved before the call begins. If an allocation fails later, the process ends, and with it a
+//! notebook's kernel.
 
 use std::hint::black_box;
 
@@ -16,7 +16,7 @@ pub const MAX_SIDE: usize = 1 << 16;
 const MAX_PIXELS: usize = 1 << 27;
 /// Bytes of a pair of a splat and a tile: 12 forward, and its gradients backward.
 const PAIR_BYTES: usize = 12;
-/// Fewer pairs of a Gaussian and a tile than these, 3 GB if all are drawn, are not counted before they are drawn.
+/// Below this product of Gaussians and tiles, at most 3 GB of pairs, pairs are not counted before drawing.
 const FEW_PAIRS: usize = 1 << 28;
 
 /// Width and height of an image.
@@ -32,12 +32,12 @@ pub fn image_size(width: Whole, height: Whole) -> PyResult<[usize; 2]> {
     Err(PyValueError::new_err(format!("{found}, expected at most {MAX_PIXELS}")))
 }
 
-/// Asks for memory, and gives it back.
+/// Checks that memory can be allocated; frees it again.
 ///
 /// - `what`: needs the memory
 ///
 /// # Errors
-/// `MemoryError` if there is not so much.
+/// `MemoryError` if there is less.
 pub fn reserve(what: &str, bytes: usize) -> PyResult<()> {
     let mut memory = Vec::<u8>::new();
     memory.try_reserve_exact(bytes).map_err(|_| no_memory(what, bytes))?;
@@ -51,20 +51,21 @@ pub fn no_memory(what: &str, bytes: usize) -> PyErr {
     PyMemoryError::new_err(format!("{what}: needs {bytes} bytes of memory, expected as many to be free"))
 }
 
-/// Asks for the memory that images of a size take on the CPU.
+/// Checks that the memory for images of a size is free.
 ///
 /// # Errors
-/// `MemoryError` if there is not so much.
+/// `MemoryError` if there is less.
 pub fn reserve_images(count: usize, [width, height]: [usize; 2], num_channels: usize) -> PyResult<()> {
-    // Planes, those of the tiles, a copy to go back from, and pixels for numpy; and thrice the transmittance.
+    // Planes, planes of the tiles, a copy for the backward pass, and pixels for numpy; and three copies of the
+    // transmittance.
     let bytes = count.saturating_mul(width * height * size_of::<f32>() * (4 * num_channels + 3));
     reserve("image", bytes)
 }
 
-/// Asks for the memory that the splats of an image take on the CPU.
+/// Checks that the memory for the splats of an image is free.
 ///
 /// # Errors
-/// `MemoryError` if there is not so much.
+/// `MemoryError` if there is less.
 pub fn reserve_pairs(gaussians: &Activated, camera: &Camera) -> PyResult<()> {
     let [columns, rows] = tile_grid(camera.width, camera.height);
     if gaussians.num_gaussians().saturating_mul(columns * rows) < FEW_PAIRS {

@@ -6,6 +6,19 @@ use std::ops::RangeInclusive;
 use pyo3::exceptions::{PyOverflowError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
+/// A number of Python as `T`; one that overflows is the least or the largest.
+fn saturating<'a, 'py, T>(given: Borrowed<'a, 'py, PyAny>, [least, largest]: [T; 2]) -> PyResult<T>
+where
+    T: FromPyObject<'a, 'py, Error = PyErr>,
+{
+    match T::extract(given) {
+        Err(error) if error.is_instance_of::<PyOverflowError>(given.py()) => {
+            Ok(if given.lt(0)? { least } else { largest })
+        }
+        extracted => extracted,
+    }
+}
+
 /// A whole number as Python has it; one beyond 128 bits is the largest or smallest of these.
 #[derive(Clone, Copy, Debug)]
 pub struct Whole(i128);
@@ -14,12 +27,7 @@ impl FromPyObject<'_, '_> for Whole {
     type Error = PyErr;
 
     fn extract(given: Borrowed<'_, '_, PyAny>) -> PyResult<Self> {
-        match given.extract::<i128>() {
-            Err(error) if error.is_instance_of::<PyOverflowError>(given.py()) => {
-                Ok(Self(if given.lt(0)? { i128::MIN } else { i128::MAX }))
-            }
-            extracted => extracted.map(Self),
-        }
+        saturating(given, [i128::MIN, i128::MAX]).map(Self)
     }
 }
 
@@ -42,7 +50,7 @@ impl Whole {
         })
     }
 
-    /// The number as an index, which a sequence may not have.
+    /// The number as an index, in range or not.
     pub fn index(self) -> isize {
         self.0.clamp(isize::MIN as i128, isize::MAX as i128) as isize
     }
@@ -64,12 +72,7 @@ impl FromPyObject<'_, '_> for Number {
     type Error = PyErr;
 
     fn extract(given: Borrowed<'_, '_, PyAny>) -> PyResult<Self> {
-        match given.extract::<f64>() {
-            Err(error) if error.is_instance_of::<PyOverflowError>(given.py()) => {
-                Ok(Self(if given.lt(0)? { f64::NEG_INFINITY } else { f64::INFINITY }))
-            }
-            extracted => extracted.map(Self),
-        }
+        saturating(given, [f64::NEG_INFINITY, f64::INFINITY]).map(Self)
     }
 }
 
@@ -79,13 +82,13 @@ impl Number {
         Self(value)
     }
 
-    /// The number, finite and such as an argument may be.
+    /// The number, if it is finite and fulfils a condition.
     ///
     /// - `name`: of the argument
-    /// - `expected`: of the number, in words
+    /// - `expected`: the condition, in words
     ///
     /// # Errors
-    /// `ValueError` for another one.
+    /// `ValueError` if it does not.
     pub fn such(self, name: &str, expected: &str, is_such: impl Fn(f64) -> bool) -> PyResult<f64> {
         let Self(found) = self;
         if found.is_finite() && is_such(found) {
@@ -95,7 +98,7 @@ impl Number {
     }
 }
 
-/// The one of two arguments that a caller gives, and its name: the first, or the second, which is that of gsplat.
+/// The given one of two arguments with one meaning, and its name. The second is gsplat's.
 ///
 /// # Errors
 /// `TypeError` if both are given, or none.

@@ -13,7 +13,8 @@ use crate::memory::{image_size, reserve, reserve_images, reserve_pairs};
 use crate::numbers::{Number, Whole, one_of};
 use crate::views::{Given, Grads, NearPlane, View};
 
-/// What `rasterize` returns: an image, its alpha, and the way back. `image, alpha = tcgs.rasterize(...)` unpacks it.
+/// The result of `rasterize`: an image, its alpha, and gradients (`vjp`). `image, alpha = tcgs.rasterize(...)` unpacks
+/// it.
 #[pyclass(name = "Rasterized", module = "tcgs", frozen)]
 pub struct PyRasterized {
     given: Given,
@@ -23,36 +24,36 @@ pub struct PyRasterized {
     alpha: Py<PyArrayDyn<f32>>,
 }
 
-/// Shapes of what goes in and out beside the Gaussians.
+/// Shapes of the arguments and results beside the Gaussians.
 #[derive(Clone)]
 struct Shapes {
     width: usize,
     height: usize,
-    /// Shape of the cameras: none of one camera, `[C]` of several.
+    /// Shape of the cameras: `[]` for one camera, `[C]` for several.
     cameras: Vec<usize>,
-    /// Of the colours: `[N, C]`, or `[N, K, 3]` of harmonics.
+    /// Shape of the colours: `[N, C]`, or `[N, K, 3]` for harmonics.
     colors: Vec<usize>,
 }
 
 impl Shapes {
-    /// Of images of so many channels.
+    /// Shape of images with `num_channels`.
     fn image(&self, num_channels: usize) -> Vec<usize> {
         [&self.cameras[..], &[self.height, self.width, num_channels]].concat()
     }
 
-    /// Of the background.
+    /// Shape of the background.
     fn background(&self, num_channels: usize) -> Vec<usize> {
         [&self.cameras[..], &[num_channels]].concat()
     }
 
-    /// An image for each camera of such an array.
+    /// An image for each camera, from an array of [`Self::image`]'s shape.
     fn planes(&self, pixels: &[f32], num_channels: usize) -> Vec<Image> {
         let images = pixels.chunks_exact(self.width * self.height * num_channels);
         images.map(|pixels| planes(pixels, self.width, self.height, num_channels)).collect()
     }
 }
 
-/// Gradients of a loss to the arguments of `rasterize`, float32 of their shapes; of several cameras their sums.
+/// Gradients of a loss to the arguments of `rasterize`, float32 of their shapes, summed over cameras.
 #[pyclass(name = "RasterizeGrads", module = "tcgs", frozen, get_all)]
 pub struct PyRasterizeGrads {
     /// [N, 3]
@@ -63,15 +64,15 @@ pub struct PyRasterizeGrads {
     v_scales: Py<PyArrayDyn<f32>>,
     /// [N]
     v_opacities: Py<PyArrayDyn<f32>>,
-    /// [N, D], or [N, K, 3] of harmonics
+    /// [N, D], or [N, K, 3] for harmonics
     v_colors: Py<PyArrayDyn<f32>>,
-    /// [D], of several cameras [C, D]
+    /// [D], or [C, D] for several cameras
     v_background: Py<PyArrayDyn<f32>>,
 }
 
-/// Renders Gaussians on the CPU, so that a loss on the images can be taken back to them.
+/// Renders Gaussians on the CPU, with gradients of a loss on the images.
 ///
-/// Order and meaning of the arguments are those of gsplat; one camera may come without its axis:
+/// Order and meaning of the arguments are those of gsplat. A single camera may lack the axis C:
 ///
 /// - means: [N, 3], world, scene units
 /// - quats: [N, 4], w, x, y, z; normalised here
@@ -81,15 +82,16 @@ pub struct PyRasterizeGrads {
 /// - viewmat, or viewmats: [4, 4] or [C, 4, 4], world to camera; camera space has x to the right, y down, z forward
 /// - K, or Ks: [3, 3] or [C, 3, 3], intrinsics in pixels
 /// - width, height: of the images, pixels
-/// - background, or backgrounds: [D], of several cameras [C, D], behind everything; black if None
+/// - background, or backgrounds: [D], or [C, D] for several cameras, behind everything; black if None
 /// - near_plane: depth up to which Gaussians are not drawn, scene units; gsplat's is 0.01
-/// - sh_degree: 0 to 3: colors are coefficients of spherical harmonics, of which the first (sh_degree + 1)² count. A camera
-///   sees their sum in the direction from its centre to the mean, and 0.5, but no less than 0
-/// - rasterize_mode: "classic", or "antialiased" as the scene's own flag says (`Scene.antialiased`): a splat that is widened
-///   by a pixel's extent gives up as much opacity
+/// - sh_degree: 0 to 3: colors are coefficients of spherical harmonics, of which the first (sh_degree + 1)² count. A
+///   camera sees their sum in the direction from its centre to the mean, plus 0.5, clamped to 0 from below
+/// - rasterize_mode: "classic", or "antialiased" as the scene's own flag says (`Scene.antialiased`): a splat that is
+///   widened by a pixel's extent loses as much opacity
 ///
-/// Returns a Rasterized: `image` [height, width, D] and `alpha` [height, width, 1], of several cameras [C, height, width, …],
-/// float32, not clamped; `vjp` gives the gradients. The images have the same bits for any number of threads.
+/// Returns a Rasterized: `image` [height, width, D] and `alpha` [height, width, 1], float32, not clamped; several
+/// cameras have [C, height, width, …]. `vjp` gives the gradients. The images have the same bits for any number of
+/// threads.
 ///
 /// An alpha is at most 0.99; gsplat has 0.999.
 ///
@@ -97,9 +99,11 @@ pub struct PyRasterizeGrads {
 #[pyfunction]
 #[pyo3(signature = (
     means, quats, scales, opacities, colors, viewmat = None, K = None, width = None, height = None, *, viewmats = None,
-    Ks = None, background = None, backgrounds = None, near_plane = Number::of(0.2), sh_degree = None, rasterize_mode = "classic"
+    Ks = None, background = None, backgrounds = None, near_plane = Number::of(0.2), sh_degree = None,
+    rasterize_mode = "classic"
 ), text_signature = "(means, quats, scales, opacities, colors, viewmat=None, K=None, width=None, height=None, *, \
-    viewmats=None, Ks=None, background=None, backgrounds=None, near_plane=0.2, sh_degree=None, rasterize_mode='classic')")]
+    viewmats=None, Ks=None, background=None, backgrounds=None, near_plane=0.2, sh_degree=None, \
+    rasterize_mode='classic')")]
 #[allow(clippy::too_many_arguments, non_snake_case, reason = "the signature of gsplat")]
 pub fn rasterize(
     py: Python<'_>,
@@ -210,13 +214,14 @@ fn check_colors(colors: &Numbers, degree: Option<usize>) -> PyResult<usize> {
 
 #[pymethods]
 impl PyRasterized {
-    /// [height, width, D] float32, of several cameras [C, height, width, D]; background included, not clamped.
+    /// [height, width, D] float32, or [C, height, width, D] for several cameras; background included, not clamped.
     #[getter]
     fn image(&self, py: Python<'_>) -> Py<PyArrayDyn<f32>> {
         self.image.clone_ref(py)
     }
 
-    /// [height, width, 1] float32, of several cameras [C, height, width, 1]: 1 less the light that passes all Gaussians.
+    /// [height, width, 1] float32, or [C, height, width, 1] for several cameras: 1 less the light that passes all
+    /// Gaussians.
     #[getter]
     fn alpha(&self, py: Python<'_>) -> Py<PyArrayDyn<f32>> {
         self.alpha.clone_ref(py)
@@ -229,7 +234,7 @@ impl PyRasterized {
     /// Vector-Jacobian product: the gradients of a loss whose gradient to the image is `v_image`, and to alpha `v_alpha`.
     ///
     /// - v_image: of the shape of `image`
-    /// - v_alpha: of the shape of `alpha`; None: alpha is not used. It takes a pass of its own
+    /// - v_alpha: of the shape of `alpha`; None: the loss does not use alpha. It takes another backward pass
     ///
     /// Returns a RasterizeGrads. The gradients reach the means also through the directions in which harmonics are seen.
     #[pyo3(signature = (v_image, v_alpha = None))]

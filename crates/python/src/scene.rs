@@ -79,7 +79,7 @@ impl FromPyObject<'_, '_> for OneOrMore {
         if let Ok(path) = given.extract() {
             return Ok(Self::One(path));
         }
-        // One after the other: the length that an object tells may be that of no memory.
+        // Read one after another: the length that an object declares may exceed any memory.
         let mut paths = Vec::new();
         for path in given.try_iter()? {
             paths.push(path?.extract()?);
@@ -135,7 +135,7 @@ fn check_fps(fps: Number) -> PyResult<f64> {
     fps.such("fps", "a number of 0 or more", |fps| fps >= 0.0)
 }
 
-/// Timesteps of a segment, of which a file holds at most so many.
+/// Most timesteps of a segment.
 pub fn check_segment_length(length: Whole) -> PyResult<u32> {
     length.within("segment_length", 1..=1 << 16)
 }
@@ -155,8 +155,8 @@ impl PyScene {
     #[staticmethod]
     #[pyo3(signature = (means, quats, colors, *, scales = None, log_scales = None, opacities = None,
         logit_opacities = None, harmonics = None, fps = Number::of(30.0), name = "arrays"),
-        text_signature = "(means, quats, colors, *, scales=None, log_scales=None, opacities=None, logit_opacities=None, \
-        harmonics=None, fps=30.0, name='arrays')")]
+        text_signature = "(means, quats, colors, *, scales=None, log_scales=None, opacities=None, \
+        logit_opacities=None, harmonics=None, fps=30.0, name='arrays')")]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
     fn from_arrays(
         means: ArrayLike<'_>,
@@ -269,8 +269,8 @@ impl PyScene {
         if self.0.up() == tcgs_codec::UpAxis::Unknown { "" } else { self.0.up().name() }
     }
 
-    /// What was assumed when a file of another program was opened, and replaced at the timesteps that were read so far; empty of
-    /// anything else.
+    /// Assumptions at the opening of another program's file, and replacements at the timesteps that were read so far.
+    /// Empty for anything else.
     #[getter]
     fn notes(&self) -> Vec<String> {
         self.0.notes().iter().map(ToString::to_string).collect()

@@ -1,7 +1,7 @@
 //! Gaussians as `rasterize` is given them, drawn by one camera after another, forward and backward.
 //!
-//! What lives here: a near plane of the caller's, harmonics in each camera's direction, and sums over cameras. What does
-//! not: arrays of Python, which are in `rasterize.rs`, and drawing, which is `tcgs-render`'s.
+//! What lives here: a near plane of the caller's, harmonics in each camera's direction, and sums over cameras. What
+//! does not: Python's arrays (`rasterize.rs`) and drawing (`tcgs-render`).
 
 use std::borrow::Cow;
 
@@ -12,8 +12,8 @@ use tcgs_core::{
 use tcgs_render::settings::NEAR;
 use tcgs_render::{CpuRasterizer, CpuSaved, Rasterizer, RenderOutput, RenderSettings};
 
-/// Gaussians nearer than this are not drawn. The renderer culls at [`NEAR`]; for a plane that is nearer, everything is drawn
-/// larger.
+/// Gaussians nearer than this are not drawn. The renderer culls at [`NEAR`]; for a nearer plane, all lengths are scaled
+/// up.
 #[derive(Clone, Copy, Debug)]
 pub struct NearPlane {
     /// Factor of all lengths, a power of two: no bit of an image depends on it.
@@ -40,9 +40,10 @@ impl NearPlane {
 /// Coefficients of the harmonics of all Gaussians, from which each camera sees colours.
 #[derive(Debug)]
 pub struct Harmonics {
-    /// Centres; the colour of degree 0, which is its harmonic and half a unit; further degrees. Nothing else is used.
+    /// Centres and colours: degree 0 with 0.5 added to its harmonic, and the further degrees. Other columns are not
+    /// used.
     gaussians: Gaussians,
-    /// Coefficients of a channel as given: at least those of the degree.
+    /// Number of coefficients of a channel as given: at least those of the degree.
     given: usize,
 }
 
@@ -104,7 +105,7 @@ pub struct Given {
     near: NearPlane,
 }
 
-/// What a camera sees, to go back from.
+/// A camera's rendering, with the state for its backward pass.
 #[derive(Debug)]
 pub struct View {
     /// In units of the near plane.
@@ -120,7 +121,7 @@ impl View {
         self.transmittance.iter().map(|transmittance| 1.0 - transmittance)
     }
 
-    /// Pairs of a splat and a tile, each of which takes memory on the way back.
+    /// Pairs of a splat and a tile: each takes memory in the backward pass.
     pub fn num_pairs(&self) -> usize {
         self.saved.counts().pairs
     }
@@ -168,7 +169,7 @@ impl Given {
         camera
     }
 
-    /// With the colours that a camera sees, and without what is nearer than the near plane.
+    /// The Gaussians behind the near plane, with the colours that a camera sees.
     ///
     /// - `camera`: in units of the near plane
     pub fn seen_by(&self, camera: &Camera) -> Cow<'_, Activated> {
@@ -201,7 +202,7 @@ impl Given {
     /// Gradients of a loss on all views.
     ///
     /// - `v_images`: of every view
-    /// - `v_alphas`: of every view `[H, W]`; it takes a pass of its own
+    /// - `v_alphas`: `[H, W]` for every view; they take another backward pass
     pub fn backward(&self, views: &[View], v_images: &[Image], v_alphas: Option<Vec<Image>>) -> Grads {
         let mut v_alphas = v_alphas.into_iter().flatten();
         let mut sums: Option<ActivatedGrads> = None;
@@ -216,7 +217,7 @@ impl Given {
                     sums
                 }
             });
-            // The background is seen through what passes all Gaussians.
+            // The background is weighted by the light that passes all Gaussians.
             v_backgrounds.extend((0..self.num_channels()).map(|channel| {
                 let pairs = v_image.plane(channel).iter().zip(&view.transmittance);
                 pairs.map(|(&v, &transmittance)| f64::from(v) * f64::from(transmittance)).sum::<f64>() as f32
@@ -232,7 +233,7 @@ impl Given {
         Grads { gaussians, v_backgrounds }
     }
 
-    /// Of one view, to unit quats, in units of the near plane.
+    /// Gradients from one view, to unit quats, in units of the near plane.
     fn backward_of(&self, view: &View, v_image: &Image, v_alpha: Option<Image>) -> ActivatedGrads {
         let View { camera, settings, saved, .. } = view;
         let seen = self.seen_by(camera);

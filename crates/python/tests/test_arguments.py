@@ -1,4 +1,4 @@
-"""Wrong arguments: every public function answers them with an exception that Python users expect, and names the argument."""
+"""Wrong arguments: every public function raises an exception that Python users expect, with the argument's name."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ NAMED_OTHERWISE = {
 
 
 def test_every_public_function_is_tried() -> None:
-    # What is left out comes from functions, and takes no arguments of its own.
+    # Objects that functions return take no arguments: they are left out.
     returned = {"Gaussians", "Player", "Progress", "RasterizeGrads", "__version__"}
     assert {name.replace(",", ".").split(".")[0] for name in NAMES} | returned == set(tcgs.__all__)
 

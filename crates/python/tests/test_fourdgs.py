@@ -1,4 +1,4 @@
-"""What is written as .4dgs, by the reader and the converter of the package `fourdgs`."""
+"""Written .4dgs files, in the reader and the converter of the package `fourdgs`."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,29 @@ def oracle(
     return image + transmittance * background, 1 - transmittance, reaching
 
 
+def assert_near(found: Any, expected: Any) -> None:
+    """Images agree, but for pixels at the cutoff of alpha: they may fall on either side, by 1/255 of a colour."""
+    error = np.abs(found - expected)
+    assert np.mean(error > 1e-5) < 2e-3 and error.max() < 1 / 255
+
+
+def assert_gradient(grad: Any, array: Any, loss: Callable[[], float]) -> None:
+    """The gradient of a loss to an array, in float32, agrees with central differences in float64.
+
+    - loss: of the array's content, which is changed and restored
+    """
+    assert grad.shape == array.shape and grad.dtype == np.float32
+    differences = np.zeros_like(array)
+    for place in np.ndindex(array.shape):
+        value, h = array[place], 1e-6
+        array[place] = value + h
+        above = loss()
+        array[place] = value - h
+        differences[place] = (above - loss()) / (2 * h)
+        array[place] = value
+    np.testing.assert_allclose(grad, differences, rtol=1e-3, atol=2e-5 * np.abs(differences).max())
+
+
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 def test_the_image_is_that_of_the_equations(mode: str) -> None:
     arrays = gaussians(12, 1)
@@ -78,10 +102,8 @@ def test_the_image_is_that_of_the_equations(mode: str) -> None:
     expected_image, expected_alpha, _ = oracle(arrays, BACKGROUND, mode)
     assert image.shape == (HEIGHT, WIDTH, 3) and alpha.shape == (HEIGHT, WIDTH, 1)
     assert 0.05 < alpha.mean() < 0.95
-    # At the cutoff of alpha a pixel may fall on either side, by 1/255 of a colour.
-    for found, expected in [(image, expected_image), (alpha, expected_alpha)]:
-        error = np.abs(found - expected)
-        assert np.mean(error > 1e-5) < 2e-3 and error.max() < 1 / 255
+    assert_near(image, expected_image)
+    assert_near(alpha, expected_alpha)
 
 
 @pytest.mark.parametrize(("channels", "mode"), [(1, "classic"), (3, "classic"), (3, "antialiased"), (8, "classic")])
@@ -100,17 +122,7 @@ def test_gradients_agree_with_central_differences(channels: int, mode: str) -> N
     v = drawn(arrays, background=everything[5], rasterize_mode=mode).vjp(v_image, v_alpha)
     grads = [v.v_means, v.v_quats, v.v_scales, v.v_opacities, v.v_colors, v.v_background]
     for array, grad in zip(everything, grads):
-        assert grad.shape == array.shape and grad.dtype == np.float32
-        differences = np.zeros_like(array)
-        for place in np.ndindex(array.shape):
-            value, h = array[place], 1e-6
-            array[place] = value + h
-            above = loss()
-            array[place] = value - h
-            differences[place] = (above - loss()) / (2 * h)
-            array[place] = value
-        # float32 against float64.
-        np.testing.assert_allclose(grad, differences, rtol=1e-3, atol=2e-5 * np.abs(differences).max())
+        assert_gradient(grad, array, loss)
 
 
 def test_no_gaussians_give_the_background() -> None:

@@ -1,8 +1,8 @@
-//! Does what a plan lacks: each step is this program once more, so that every command is one that a person can type.
+//! Runs the missing steps of a plan. Each step is a process of this program, with a command that a person can type.
 //!
-//! `OUT/runs/SCENE/RUN/` holds `train/`, a run folder; `train.json`, its result; `steps.jsonl`, a line for every time
-//! that training was begun; and a folder a measurement with `result.json`, written last: where it is, it is done. Two
-//! processes take turns at a run.
+//! `OUT/runs/SCENE/RUN/` holds `train/`, a run folder; `train.json`, its result; `steps.jsonl`, a line for every start
+//! of training; and a folder for each measurement. `result.json` in it is written last: if it exists, the measurement
+//! is done. Two processes take turns at a run.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
@@ -35,14 +35,14 @@ pub struct Workplace {
     pub backend: Vec<String>,
     /// Threads of every step; results do not depend on it. `None`: as many as cores.
     pub threads: Option<usize>,
-    /// Whether runs made by other arguments are made anew.
+    /// Whether runs made by other arguments are made again.
     pub force: bool,
     /// The command that a person types for this table, without `--only`.
     pub command: Vec<String>,
     /// The command line's program, which every step is run with.
     pub program: PathBuf,
-    /// Runs a step to its end; [`io::ErrorKind::Interrupted`] where none is to be begun any more. A step is a process of its
-    /// own, to which a signal may have to be passed on.
+    /// Runs a step to its end; [`io::ErrorKind::Interrupted`] if no further step may begin. A step is a process of its
+    /// own, so the function may have to pass signals on.
     pub run: fn(&mut Command) -> io::Result<ExitStatus>,
     /// What the program was built from; results name it.
     pub commit: &'static str,

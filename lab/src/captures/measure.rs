@@ -1,5 +1,5 @@
-//! What `tcgs eval` does not measure: errors where several training cameras see the scene, errors after each camera's
-//! exposure was fitted, and what hangs in free space or is missing between cameras.
+//! Measures beyond `tcgs eval`: errors where several training cameras see the scene, errors after a fit of each
+//! camera's exposure, and floaters and holes between cameras.
 
 use std::sync::Arc;
 
@@ -14,19 +14,19 @@ use tcgs_render::RenderSettings;
 const FREE: f32 = 0.85;
 /// Share of a point's depth up to which a nearer surface does not hide it.
 const HIDDEN: f32 = 0.9;
-/// Points that a cell of a depth map has on average, so that hardly one before a surface is empty.
+/// Points of a cell of a depth map on average: enough that hardly a cell before a surface is empty.
 const POINTS_A_CELL: f64 = 3.0;
-/// Fewest training cameras that place what a pixel shows.
+/// Fewest training cameras that must see the point of a pixel.
 const WITNESSES: usize = 2;
 
 /// Measures a scene.
 ///
 /// - `seen_by`: the capture whose training cameras were trained with
 /// - `judge`, `split`: the cameras that judge
-/// - returns: `psnr_seen` over pixels that at least two training cameras see, `unseen` the share of the others,
-///   `psnr_fitted` after a gain and an offset for each camera and channel; over the first frame, from half-way between
-///   neighbouring training cameras, `free_space` the mean share of a pixel's light from before the surface of the initial
-///   points, and `holes` the share that meets nothing
+/// - returns: `psnr_seen`, over pixels that at least two training cameras see; `unseen`, the share of the other pixels;
+///   `psnr_fitted`, after a gain and an offset for each camera and channel. Two shares are of the first frame, seen
+///   from half-way between neighbouring training cameras: `free_space`, the mean share of a pixel's light from before
+///   the surface of the initial points; `holes`, the share that meets no Gaussian.
 pub fn measure(scene: &OpenScene, seen_by: &Capture, judge: &Capture, split: Split) -> anyhow::Result<Value> {
     let downscale = scene.downscale;
     let renderer = Backend::Cpu.renderer();
@@ -96,7 +96,7 @@ fn between(cameras: &[Camera]) -> anyhow::Result<Vec<Camera>> {
     pairs.into_iter().map(half_way).collect()
 }
 
-/// PSNR of each image after the gain and the offset of each channel that bring a camera's renderings nearest to its images.
+/// PSNR of each image after a least-squares fit of a gain and an offset for each camera and channel.
 fn fitted_psnrs(judged: &[(View, Image, Vec<bool>)]) -> Vec<f64> {
     let mut psnrs = Vec::new();
     for (view, image, _) in judged {
@@ -127,7 +127,7 @@ fn fitted_psnrs(judged: &[(View, Image, Vec<bool>)]) -> Vec<f64> {
     psnrs
 }
 
-/// Where the initial points are as cameras see them.
+/// Depth maps of the initial points from the cameras.
 struct Surfaces {
     points: Vec<[f32; 3]>,
     training: Vec<(Pinhole<f32>, DepthMap)>,
@@ -145,7 +145,7 @@ impl Surfaces {
         Self { points, training }
     }
 
-    /// Of each pixel, whether enough training cameras see what it shows.
+    /// Whether enough training cameras see the point that each pixel shows.
     fn seen(&self, camera: &Camera) -> Vec<bool> {
         let pinhole = Pinhole::<f32>::new(camera);
         let depths = DepthMap::new(&self.points, &pinhole);
@@ -164,7 +164,7 @@ impl Surfaces {
         (0..camera.width * camera.height).map(is_seen).collect()
     }
 
-    /// The Gaussians in one channel: 1 where one is before the surface, else 0.
+    /// The Gaussians with one channel: 1 for a Gaussian before the surface, else 0.
     fn mark_free(&self, gaussians: &Activated, camera: &Camera) -> Activated {
         let pinhole = Pinhole::<f32>::new(camera);
         let depths = DepthMap::new(&self.points, &pinhole);

@@ -1,7 +1,7 @@
 //! `lab captures`: settings compared on many captures, judged by training cameras that were left out.
 //!
-//! `captures.toml` says what is trained of each capture. A *variant* is a set of options of `tcgs train` and `tcgs compress`.
-//! Each pair of a capture and a variant is trained, compressed and measured once: a stopped command goes on where it was.
+//! `captures.toml` lists the captures. A *variant* is a set of options of `tcgs train` and `tcgs compress`. Each pair
+//! of a capture and a variant is trained, compressed and measured once: a stopped command goes on where it was.
 
 mod measure;
 mod plan;
@@ -18,9 +18,9 @@ use self::steps::Place;
 
 /// Compare settings on many captures
 ///
-/// Trains, compresses and measures what OUT lacks, and writes OUT/captures.txt after each step. Figures are of training
-/// cameras that were left out from the first iteration on; --test measures the captures' own test cameras instead, which is
-/// for final tables alone.
+/// Trains, compresses and measures the rows that OUT lacks, and writes OUT/captures.txt after each row. The judges are
+/// training cameras that were left out from the first iteration on. With --test they are the captures' own test
+/// cameras: for final tables alone.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -40,7 +40,7 @@ pub struct Arguments {
     /// Only the captures of the short form
     #[arg(long)]
     short: bool,
-    /// Only captures whose names begin so; may be repeated
+    /// Only captures whose names begin with NAME; may be repeated
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
     /// Train on all training cameras, and judge by the captures' test cameras: for final tables alone
@@ -62,7 +62,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (arguments.only.is_empty() || is_named) && (entry.short || !arguments.short)
     };
     let entries: Vec<CaptureEntry> = plan::captures()?.into_iter().filter(chosen).collect();
-    anyhow::ensure!(!entries.is_empty(), "no capture is called so, expected one of lab/captures.toml");
+    anyhow::ensure!(!entries.is_empty(), "no capture has such a name, expected one of lab/captures.toml");
     let mut rows = Vec::new();
     for entry in &entries {
         for variant in &arguments.variant {
@@ -81,7 +81,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What was measured of one capture by one variant.
+/// The measurements of one capture with one variant.
 struct Row {
     capture: String,
     variant: String,

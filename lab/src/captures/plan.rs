@@ -1,11 +1,11 @@
-//! Which captures there are, and what a variant is.
+//! The captures of `captures.toml`, and variants.
 
 use std::convert::Infallible;
 use std::str::FromStr;
 
 use serde::Deserialize;
 
-/// A capture, and what is trained of it.
+/// A capture, and the part of it that is trained.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CaptureEntry {
@@ -15,7 +15,7 @@ pub struct CaptureEntry {
     pub folder: Option<String>,
     /// Seed of `tcgs demo`, where that makes the capture.
     pub demo_seed: Option<u64>,
-    /// Every so many-th frame.
+    /// Keep every n-th frame.
     pub every: Option<usize>,
     /// Whether `tcgs prepare` makes the capture.
     #[serde(default)]

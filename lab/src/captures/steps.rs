@@ -1,4 +1,5 @@
-//! The steps of one row: a capture is made, a run trained, a file compressed and measured. Each is a command of the program.
+//! The steps of one row: making a capture, training a run, compressing a file, measuring it. Each is a command of the
+//! program.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -27,7 +28,7 @@ pub struct Place {
 }
 
 impl Place {
-    /// What a capture gives by a variant; made now if it is not there yet.
+    /// The measurements of a capture with a variant; made now if they are missing.
     pub fn measured(&self, entry: &CaptureEntry, variant: &Variant) -> anyhow::Result<Value> {
         let judges = if self.judged_by_test { "test" } else { "held-out" };
         let folder = self.out.join(slug(&entry.name)).join(judges).join(slug(&variant.name));
@@ -66,7 +67,7 @@ impl Place {
             Ok(serde_json::from_str(&fs::read_to_string(folder.join(name).with_extension("json"))?)?)
         };
         let capture = Capture::open(&capture)?;
-        // What judges is no training camera, whatever the run left out besides.
+        // A camera that judges is never a training camera, whatever else the run left out.
         let seen_by = if hold_out.is_empty() { capture.clone() } else { capture.with_test_cameras(&hold_out)? };
         let judge = match judges.as_slice() {
             [] => capture.clone(),

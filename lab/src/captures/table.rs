@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::Row;
 
-/// Heading, place in a result, digits, and what it is multiplied by.
+/// Heading, place in a result, digits, and factor.
 const COLUMNS: [(&str, &str, usize, f64); 13] = [
     ("PSNR", "/eval/psnr", 2, 1.0),
     ("SSIM", "/eval/ssim", 3, 1.0),
@@ -23,7 +23,7 @@ const COLUMNS: [(&str, &str, usize, f64); 13] = [
     ("s", "/seconds/train", 0, 1.0),
 ];
 
-/// Rows of a capture stand together. The capture stands first whose first row has the lowest PSNR over what is seen.
+/// Rows of a capture stand together. Captures are sorted by the `psnr_seen` of their first row, lowest first.
 pub fn text(rows: &[Row]) -> String {
     let number = |row: &Row, place: &str| row.found.pointer(place).and_then(Value::as_f64);
     let mut first: BTreeMap<&str, f64> = BTreeMap::new();

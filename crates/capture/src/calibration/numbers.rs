@@ -68,7 +68,7 @@ pub(super) fn distortion(coefficients: &[f64]) -> Result<[f64; 8], String> {
 
 /// A rigid transform `[3][4]`.
 ///
-/// - returns: what is wrong, by name where it is a usual mistake: an axis that points the other way
+/// - returns: the transform, or what is wrong; the message names left-handed axes, a usual mistake
 pub(super) fn rigid(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> Result<[[f64; 4]; 3], String> {
     if rotation.as_flattened().iter().chain(&translation).any(|x| !x.is_finite()) {
         return Err(format!("its pose is {rotation:?}, {translation:?}, expected finite numbers"));

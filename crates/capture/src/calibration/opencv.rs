@@ -128,8 +128,8 @@ impl Storage {
     }
 }
 
-/// Refuses references and deep lists, which no matrix of OpenCV has. A reference makes much of few bytes, and loading recurses
-/// along the depth.
+/// Refuses references and deep lists, which no matrix of OpenCV has. References multiply memory, and loading recurses
+/// once a level.
 fn check_yaml(text: &str) -> Result<(), String> {
     const MAX_DEPTH: usize = 8;
     let mut parser = Parser::new_from_str(text);

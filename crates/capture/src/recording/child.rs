@@ -1,7 +1,7 @@
 //! Programs that decode videos: `ffmpeg` and `ffprobe` while they work.
 //!
-//! What lives here: starting them, and ending them with whoever started them or with [`end_programs`]. What does not: what
-//! they are asked.
+//! What lives here: starting them, and ending them when [`Program`] is dropped or by [`end_programs`]. What does not:
+//! their arguments.
 
 use std::io::{self, Read};
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-/// The programs that work now.
+/// The programs that run now.
 static RUNNING: Mutex<Running> = Mutex::new(Running { children: Vec::new(), is_ended: false });
 
 /// Most bytes that are kept of a program's complaints.
@@ -17,12 +17,12 @@ const MAX_COMPLAINT_BYTES: u64 = 1 << 16;
 
 struct Running {
     children: Vec<Arc<Mutex<Child>>>,
-    /// Whether no other may start.
+    /// Whether no further program may start.
     is_ended: bool,
 }
 
-/// Ends `ffmpeg` and `ffprobe` wherever this process runs them, and starts them no more. Reading a video by them then returns
-/// an error. For a process that is asked to end: such a program may hang, and its reader with it.
+/// Ends every `ffmpeg` and `ffprobe` that this process runs, and refuses to start more. Reading a video through them
+/// then returns an error. Call it when the process is asked to end: a program that hangs blocks its reader.
 pub fn end_programs() {
     let mut running = lock(&RUNNING);
     running.is_ended = true;
@@ -41,7 +41,7 @@ fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
 pub(super) struct Program(Arc<Mutex<Child>>);
 
 impl Program {
-    /// - returns: also what it writes
+    /// - returns: the program, and the pipe of its output
     pub fn start(command: &mut Command) -> io::Result<(Self, ChildStdout)> {
         let mut running = lock(&RUNNING);
         if running.is_ended {
@@ -56,8 +56,8 @@ impl Program {
 
     /// Runs a program to its end.
     ///
-    /// - `max_bytes`: what it may write
-    /// - returns: whether it succeeded, what it wrote, and what it complained of
+    /// - `max_bytes`: most bytes that it may write
+    /// - returns: whether it succeeded, its output, and its complaints
     pub fn output(command: &mut Command, max_bytes: u64) -> io::Result<(bool, Vec<u8>, Vec<u8>)> {
         let (program, stdout) = Self::start(command.stderr(Stdio::piped()))?;
         let stderr = lock(&program.0).stderr.take();

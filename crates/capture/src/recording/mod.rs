@@ -1,8 +1,8 @@
-//! What one camera recorded, as it lies on the disk: a video or a folder of images, and when each frame was shown.
+//! The footage of one camera as it lies on the disk: a video or a folder of images, and the time of each frame.
 //!
 //! What lives here: from a file to frames with times ([`Recording`]), and from a moment of the capture to an image that
 //! is turned, cropped and evened out ([`Take`]). `program` reads videos by `ffmpeg`, `times` finds frames by time. What
-//! does not: the decoder that is built in (`video`), lenses, and where cameras stand.
+//! does not: the built-in decoder (`video`), lenses, and poses of cameras.
 
 mod child;
 mod program;

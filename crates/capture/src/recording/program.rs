@@ -1,7 +1,8 @@
 //! Videos that the program `ffmpeg` decodes, frame by frame through a pipe. Nothing is extracted to the disk.
 //!
-//! `ffprobe` lists when each frame is shown; `ffmpeg` then writes frames in that order. Frames asked for in order cost the
-//! decoding of one each; for one that lies before, or far ahead, `ffmpeg` starts anew at that moment.
+//! `ffprobe` lists when each frame is shown; `ffmpeg` then writes frames in that order. Frames that are asked for in
+//! order are decoded once each. For a frame that lies before the last one, or far ahead of it, `ffmpeg` is started
+//! again at that moment.
 
 use std::collections::VecDeque;
 use std::io::{BufReader, Read};
@@ -18,11 +19,11 @@ use crate::CaptureError;
 
 /// Bytes of decoded frames that a video keeps; the last one always.
 const KEPT_BYTES: usize = 16 << 20;
-/// Most bytes of a description, in which a frame has a hundred: as many frames as a video that is decoded here may have.
+/// Most bytes of a description at a hundred bytes a frame: as many frames as the built-in decoder takes.
 const MAX_PROBE_BYTES: u64 = 1 << 28;
 /// Largest width and height of a video, pixels.
 const MAX_SIDE: usize = 1 << 14;
-/// Frames that are decoded and thrown away rather than starting `ffmpeg` anew.
+/// Frames that are decoded and thrown away rather than starting `ffmpeg` again.
 const MAX_SKIPPED: usize = 250;
 
 /// A video that `ffmpeg` decodes.
@@ -191,7 +192,8 @@ impl ProgramVideo {
     /// Starts `ffmpeg` so that `frame` comes out first, or where it cannot seek, the first of all.
     fn start(&self, frame: usize, times: &Times) -> Result<Running, CaptureError> {
         let mut command = Command::new("ffmpeg");
-        // Ctrl-C of a terminal goes to this process alone, which may still need frames; without it ffmpeg ends as well.
+        // Ctrl-C in a terminal must reach only this process, which may still need frames; by default it ends ffmpeg as
+        // well.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         command.args(["-v", "error", "-nostdin", "-threads", "2", "-noautorotate"]);

@@ -66,7 +66,7 @@ impl Found {
 /// Points by their numbers, and where an image shows them.
 type Shown = Vec<(u64, [f64; 2])>;
 
-/// Of each image the points that it shows.
+/// The points that each image shows.
 fn observations(path: &Path) -> Result<BTreeMap<String, Shown>, CaptureError> {
     let text = files::long_text(path)?;
     let mut lines = text.lines().filter(|line| !line.starts_with('#'));

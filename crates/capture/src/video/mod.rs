@@ -2,8 +2,8 @@
 //!
 //! What lives here: finding a frame and decoding up to it. `mp4` lists the frames of a file, `sps` reads how the
 //! stream is coded, `yuv` makes colours.
-//! Frames are decoded in order and mostly asked for in order, so that each costs the decoding of one. A frame asked
-//! for again is kept for a while; an earlier one is decoded again from the last place where that can begin.
+//! Frames are decoded in order, and mostly asked for in order: each is then decoded once. Decoded frames are kept for a
+//! while. An earlier frame is decoded again from the last key frame before it.
 
 mod mp4;
 mod sps;
@@ -284,9 +284,9 @@ impl Video {
     }
 }
 
-/// What the header of a track says about turning its pictures, and its edit list about their times.
+/// How to turn a track's pictures, by its header, and how to shift their times, by its edit list.
 ///
-/// ISO/IEC 14496-12, 8.3.2 and 8.6.6. Of several edits the first that shows something counts.
+/// ISO/IEC 14496-12, 8.3.2 and 8.6.6. If there are several edits, the first that shows pictures counts.
 fn shown_of(track: &Track) -> Shown {
     let quarter_turns = match track.matrix.map(i32::signum) {
         [0, 1] => 1,
@@ -301,7 +301,7 @@ fn shown_of(track: &Track) -> Shown {
             shown.shift_secs += secs;
             continue;
         };
-        // A duration of 0 stands for all there is. Times of the movie are coarser than those of frames, and rounded.
+        // A duration of 0 means the whole track. Times of the movie are coarser than those of frames, and rounded.
         if edit.duration > 0 {
             shown.end_secs = shown.shift_secs + secs;
         }

@@ -1,5 +1,4 @@
-//! What becomes of a video in which bytes are wrong: it is refused in a line, or its frames come out. Nothing panics or goes
-//! on for ever.
+//! Videos with wrong bytes are refused in a line, or decoded. Reading neither panics nor runs for ever.
 
 use std::io::Cursor;
 use std::time::{Duration, Instant};
@@ -9,14 +8,14 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 
-/// How long the tables of a file of some kilobytes may take. A second is a hundred times as much as they do.
+/// Time limit for the tables of a file of some kilobytes: a hundred times what they take.
 const MOST: Duration = Duration::from_secs(1);
 
 fn file(name: &str) -> Vec<u8> {
     std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/video").join(name)).unwrap()
 }
 
-/// What is wrong with the tables of a file.
+/// Reads the tables of a file, or returns what is wrong with them.
 fn read(bytes: &[u8]) -> Result<Option<Track>, String> {
     let begin = Instant::now();
     let track = mp4::read(BufReader::new(Cursor::new(bytes)), bytes.len() as u64);
@@ -96,7 +95,7 @@ fn videos_of_any_bytes_are_decoded_or_refused() {
     assert!((120..180).contains(&num_refused), "{num_refused}");
 }
 
-/// A file in which a number of four bytes is another.
+/// A file with another number at a place of four bytes.
 ///
 /// - `after`: the kind of its box; `offset`: bytes from the end of the kind
 fn with_number(after: &[u8; 4], offset: usize, number: u32) -> Vec<u8> {

@@ -1,6 +1,6 @@
 //! Captures of every kind, made up and real.
 
-// What helps a test may unwrap as a test may.
+// Helpers of tests may unwrap, as tests may.
 #![allow(clippy::unwrap_used)]
 
 mod built;

@@ -1,5 +1,5 @@
-//! Calibrations, descriptions and files of cameras in which bytes are wrong, and texts of few bytes that stand for many: each
-//! is read, or refused in one line that names a file.
+//! Calibrations, descriptions and files of cameras with wrong bytes, and short texts that expand to long ones. Each is
+//! read, or refused in one line that names a file.
 
 use std::fs;
 use std::path::Path;
@@ -33,7 +33,7 @@ fn seed(name: &str) -> [Vec<u8>; 2] {
     [bytes[3..3 + length].to_vec(), bytes[3 + length..].to_vec()]
 }
 
-/// Whether a file can be read, by whatever reads it.
+/// Whether any of its readers can read a file.
 fn read(folder: &Path, names: [&str; 2], files: &[Vec<u8>; 2]) -> bool {
     for (name, bytes) in names.iter().zip(files).filter(|(name, _)| !name.is_empty()) {
         fs::write(folder.join(name), bytes).unwrap();
@@ -84,7 +84,7 @@ fn files_of_any_bytes_are_read_or_refused() {
     }
 }
 
-/// What is wrong with a file of a format, found soon.
+/// The problem that reading a calibration reports, within the time limit.
 #[track_caller]
 fn problem(names: [&str; 2], files: [Vec<u8>; 2]) -> String {
     let folder = tempdir().unwrap();

@@ -56,7 +56,7 @@ pub struct Arguments {
     /// Average the capture's images over N x N pixels [default: 1]
     #[arg(long, value_name = "N", requires = "capture", value_parser = options::positive)]
     downscale: Option<usize>,
-    /// Times that each thing is measured, after a warm-up [default: 20; 5 on the CPU, 3 on software that acts as a GPU]
+    /// Repetitions of each measurement, after a warm-up [default: 20; 5 on the CPU, 3 on a software GPU]
     #[arg(long, value_name = "N", value_parser = options::up_to::<1_000_000>)]
     iterations: Option<usize>,
     /// Also write what is drawn, for other renderers to draw the same: Gaussians (PLY), camera (JSON), image (npz)

@@ -153,12 +153,12 @@ pub struct Arguments {
     /// Most cameras of --capture or of the run's capture that the file gives players to start from
     #[arg(long, value_name = "N", default_value_t = 8)]
     views: usize,
-    /// Put a file's content into the .tcgs file, for programs that read it: credits, units, light, paths, labels, sound or times,
-    /// as docs/FORMAT.md describes them, or data of an application under its own name; may be repeated
+    /// Put a file's content into the .tcgs file for other programs; may be repeated. NAME is credits, units, light,
+    /// paths, labels, sound or times (docs/FORMAT.md), or an application's own name
     #[arg(long, value_name = "NAME=FILE")]
     attach: Vec<Attachment>,
-    /// Keep in the file which Gaussians are foreground. A run knows it from the masks of its capture, a params.npz from its
-    /// seg_colors. The file has it as labels (docs/FORMAT.md), and tcgs export writes it into a params.npz
+    /// Keep in the file which Gaussians are foreground. A run knows it from the masks of its capture, a params.npz from
+    /// its seg_colors. The file stores it as labels (docs/FORMAT.md), and tcgs export writes it into a params.npz
     #[arg(long)]
     keep_foreground: bool,
     #[command(flatten)]

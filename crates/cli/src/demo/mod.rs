@@ -25,10 +25,11 @@ use crate::output::{NewFolder, is_empty_folder, show_bytes};
 use crate::teller::Teller;
 use crate::terminal::say;
 
-/// Iterations of the first and of every later timestep: what two cores do in half a minute.
+/// Iterations of the first and of every later timestep: half a minute on two cores.
 const ITERATIONS: [usize; 2] = [1000, 80];
-/// Of the refinement: what two cores do in a quarter of a minute. The codes are coarser than the default's, since they are trained.
+/// Iterations of the refinement: a quarter of a minute on two cores.
 const REFINE_ITERATIONS: usize = 2500;
+/// Codes are coarser than by default, since refinement trains them.
 const REFINED_QUALITY: f32 = -1.25;
 /// Marks a folder as made by this command.
 const MARKER: &str = ".tcgs-demo";

@@ -124,7 +124,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.write_json(&evaluation_json(&scene, &evaluation, settings.protocol))
 }
 
-/// What was evaluated, to be held against what a protocol prescribes.
+/// Describes the evaluation in the terms of a protocol, for comparison with it.
 fn here(chosen: &CameraChoice, capture: &Capture, settings: &EvaluateSettings, evaluation: &Evaluation) -> String {
     let mut cameras: Vec<usize> = evaluation.images.iter().map(|image| image.camera).collect();
     cameras.sort_unstable();

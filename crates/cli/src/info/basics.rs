@@ -1,4 +1,4 @@
-//! The basics of a scene of any kind but `.tcgs`. One line says what something else is.
+//! The basics of a scene of any kind but `.tcgs`. For anything else one line names its kind.
 
 use std::path::Path;
 
@@ -15,8 +15,8 @@ use crate::terminal::say;
 /// Prints the basics of a scene.
 ///
 /// - `source`: how it is read
-/// - `data`: name of data of an application, which no such scene has
-/// - returns: the same for machines
+/// - `data`: name of application data, which no such scene has
+/// - returns: the same as JSON
 pub fn print(path: &Path, source: SourceOptions, data: Option<&str>) -> anyhow::Result<Value> {
     let scene = source.open(path).map_err(|error| what_it_is(path, error))?;
     if let Some(name) = data {
@@ -65,7 +65,7 @@ pub fn print(path: &Path, source: SourceOptions, data: Option<&str>) -> anyhow::
     }))
 }
 
-/// The error of opening; of a capture or of videos one that says what these are.
+/// The error of opening. For a capture or videos it names their kind.
 fn what_it_is(path: &Path, error: PipelineError) -> anyhow::Error {
     if path.is_dir() && RawFootage::is_in(path).unwrap_or(false) {
         wrong_input(format!(

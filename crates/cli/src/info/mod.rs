@@ -24,14 +24,14 @@ use crate::output::show_bytes;
 use crate::scene::{RecoverOption, SourceOptions, describe_loss, unreadable};
 use crate::terminal::{note, say, write};
 
-/// Show what is in a .tcgs file, and whether it is whole; of any other scene its basics
+/// Show what is in a .tcgs file and whether it is whole, or the basics of any other scene
 ///
-/// Every checksum of a .tcgs file is verified; a damaged file exits with 2, and so does one that was cut, without --recover. Of a
-/// file of more than 64 MB only the tables are read: tcgs verify reads all of it.
+/// Every checksum of a .tcgs file is verified. The exit code is 2 if the file is damaged, or if it was cut and
+/// --recover is not given. If a file has more than 64 MB, only its tables are read: tcgs verify reads all of it.
 ///
-/// The basics of a run folder, a params.npz, a .4dgs file, and PLY, SPZ or glTF files are their kind, their numbers of Gaussians and
-/// timesteps, the frame rate, the degree of spherical harmonics, antialiasing, the axes, bounds, and sizes. Bounds are those of the
-/// means at the first timestep.
+/// Other scenes are run folders, params.npz, .4dgs files, and PLY, SPZ or glTF files. Their basics are the kind, the
+/// numbers of Gaussians and timesteps, the frame rate, the degree of spherical harmonics, antialiasing, the axes,
+/// bounds and sizes. Bounds are those of the means at the first timestep.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -42,7 +42,8 @@ pub struct Arguments {
     /// .tcgs file; or run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
     #[arg(value_name = "SCENE")]
     file: PathBuf,
-    /// Write data that an application put into a .tcgs file, such as tcgs.credits, to the standard output, and nothing else
+    /// Write data that an application put into a .tcgs file, such as tcgs.credits, to the standard output, and nothing
+    /// else
     #[arg(long, value_name = "NAME")]
     data: Option<String>,
     #[command(flatten)]
@@ -53,7 +54,7 @@ pub struct Arguments {
     job: JobOptions,
 }
 
-/// Of a longer file only the tables are read, bytes.
+/// Longest file that is read whole, bytes. Only the tables of a longer one are read.
 const MOST_READ: u64 = 64_000_000;
 
 /// Runs the command.

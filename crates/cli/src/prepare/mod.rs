@@ -76,12 +76,12 @@ pub struct Arguments {
     /// Check the capture instead
     #[arg(long)]
     check: bool,
-    /// Write a picture (PNG) of what was checked: every camera's image with the points that fall on it, and below what
-    /// the points look like from there
+    /// Write a picture (PNG) of the check: every camera's image with the points that fall on it, and below it the
+    /// points alone, drawn from that camera
     #[arg(long, value_name = "FILE", conflicts_with_all = ["out", "points_only"])]
     sheet: Option<PathBuf>,
-    /// Write a page (HTML, with all images in it) of what was checked: every camera with its image, the points, masks,
-    /// clocks and errors
+    /// Write a page (HTML, with all images in it) of the check: every camera with its image, the points, masks, clocks
+    /// and errors
     #[arg(long, value_name = "FILE", conflicts_with_all = ["out", "points_only"])]
     page: Option<PathBuf>,
     /// Points at most, about [default: 80000]
@@ -253,7 +253,7 @@ fn check_points_file(file: &Path, force: bool) -> anyhow::Result<()> {
     if file.extension().is_none_or(|extension| extension != "npz") {
         return Err(wrong_input(format!("{}: not a kind of file for points, expected NAME.npz", file.display())));
     }
-    // Also that of the capture, which is not used.
+    // It may replace the capture's own points, which are not read.
     check_files(&[file], &[], force)
 }
 

@@ -56,7 +56,7 @@ struct Running {
     said: JoinHandle<String>,
 }
 
-/// The encoder for a file of this name; none if the name is not that of a video.
+/// The encoder for a file of this name; none if the name has no ending of a video.
 fn encoder(place: &Path) -> Option<&'static [&'static str]> {
     match ending(place).as_str() {
         "mp4" => Some(MP4),
@@ -134,7 +134,7 @@ impl Video {
 
     fn start(&self, size: Size) -> anyhow::Result<Running> {
         let mut command = Command::new("ffmpeg");
-        // Ctrl-C of a terminal goes to this process alone, which ends the other.
+        // Ctrl-C in a terminal must reach only this process, which ends the encoder.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let started = command
@@ -159,7 +159,7 @@ impl Video {
         let stderr = child.stderr.take();
         let said = thread::spawn(move || {
             let mut said = Vec::new();
-            // Not to a file: the disk may be full, which is then what it says.
+            // Through a pipe, not a file: the message may be about a full disk.
             let _ = stderr.map(|mut stderr| stderr.read_to_end(&mut said));
             String::from_utf8_lossy(&said).into_owned()
         });

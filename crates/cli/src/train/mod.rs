@@ -64,12 +64,12 @@ pub struct Arguments {
     /// timesteps, the optimizer's state carry over
     #[arg(long, value_name = "SCENE@T", conflicts_with = "points")]
     start_from: Option<String>,
-    /// With --start-from: axes of PLY, SPZ, glTF and .4dgs files, such as rub [default: those that the file declares, else luf of
-    /// glTF and rdf of all others]
+    /// With --start-from: axes of PLY, SPZ, glTF and .4dgs files, such as rub [default: those that the file declares,
+    /// else luf of glTF and rdf of all others]
     #[arg(long, value_name = "XYZ", requires = "start_from")]
     axes: Option<Axes>,
-    /// With --start-from: read a file of another program that claims more memory than its length warrants, or over 65,536
-    /// timesteps
+    /// With --start-from: read a file of another program that claims more memory than its length warrants, or over
+    /// 65,536 timesteps
     #[arg(long, requires = "start_from")]
     no_limits: bool,
     /// Learn no masks
@@ -81,8 +81,8 @@ pub struct Arguments {
     /// Fewest and most bits of a parameter; equal ones give all the same
     #[arg(long, value_name = "MIN,MAX", value_parser = options::bits)]
     bits: Option<Pair<u8>>,
-    /// Cameras to leave out of the training, so that they can judge it: their names, such as cam03,cam07, or ids. Test cameras
-    /// of the capture are then neither trained on nor judged
+    /// Cameras to leave out of the training, so that they can judge it: their names, such as cam03,cam07, or ids. Test
+    /// cameras of the capture are then neither trained on nor judged
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     hold_out: Vec<String>,
     /// Frames of the capture, from A up to but not including B [default: those that
@@ -218,7 +218,7 @@ fn open_start(
     Ok(state)
 }
 
-/// What is trained on, in words.
+/// Describes the training data in words.
 fn describe(capture: &Capture, config: &TrainConfig) -> anyhow::Result<String> {
     let data = &config.data;
     let cameras = |split| capture.cameras(split, data.first_frame, data.downscale);

@@ -31,7 +31,7 @@ pub fn resumed(arguments: &Arguments, capture: &Capture, stored: &TrainConfig) -
     Ok(config)
 }
 
-/// What the command line says, over `base`.
+/// Applies the settings of the command line to `base`.
 fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> anyhow::Result<TrainConfig> {
     if let Some(path) = &arguments.config {
         let text = read_text(path, TrainConfig::MAX_BYTES)

@@ -108,7 +108,7 @@ fn opened(path: &Path) -> anyhow::Result<Capture> {
     }
 }
 
-/// What can be shown.
+/// Kinds of scenes that can be shown, for messages.
 const EXPECTED: &str = "a .tcgs file, which `tcgs compress` makes of other scenes, or a capture";
 
 /// Refuses a file that the player could not open: one without the tables of a `.tcgs` file. The player itself tells of

@@ -1,4 +1,4 @@
-//! `tcgs bench`: what it measures is all there; how fast it is nobody can say.
+//! `tcgs bench`: its output has every figure. The tests do not check speed.
 
 use std::io::Write;
 

@@ -1,5 +1,5 @@
-//! Files and numbers that would never end or take all memory: exit code 2 and one line that names them, soon and in little
-//! memory.
+//! Files and numbers that would never end or take all memory: exit code 2 and one line that names them, soon and in
+//! little memory.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -12,12 +12,12 @@ use crate::support::*;
 use tcgs_capture::write_synthetic;
 use tempfile::{TempDir, tempdir};
 
-/// How long a refusal may take: two seconds, and as long again where tests share the processors.
+/// Time limit of a refusal: two seconds, doubled where tests share the processors.
 const MOST: Duration = Duration::from_secs(4);
 /// Most memory of a refusal, kilobytes.
 const MOST_MEMORY: u64 = 200_000;
 
-/// Runs what must exit with 2, soon and in little memory, and say all of `expected` in one line.
+/// Runs a command that must exit with 2, soon and in little memory, with one line that contains all of `expected`.
 fn refused(arguments: &[&str], expected: &[&str]) {
     let begin = Instant::now();
     let mut child = tcgs().args(arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -48,7 +48,7 @@ fn refused(arguments: &[&str], expected: &[&str]) {
     }
 }
 
-/// Files that never end, that wait for a writer, that are none, and that claim a terabyte.
+/// Paths of a device without an end, a pipe without a writer, a folder, and a file with a terabyte.
 fn endless(folder: &Path) -> [(PathBuf, &'static str); 4] {
     let (pipe, long) = (folder.join("pipe.json"), folder.join("long.json"));
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
@@ -110,7 +110,7 @@ fn files_that_never_end_are_refused_inside_captures() {
             }
             std::os::unix::fs::symlink(&path, &file).unwrap();
             let out = folder.path().join("out");
-            // What is no regular file is none of a capture's images or points.
+            // A capture skips images and points that are not regular files.
             let is_absent = ["init_pt_cld.npz", "image"].contains(&name) && problem.contains("pipe");
             let expected = if is_absent { "expected" } else { problem };
             refused(&["train", text(folder.path()), "--out", text(&out), "--iterations", "2,1"], &[expected]);
@@ -163,7 +163,7 @@ fn the_video_that_never_ended_is_refused() {
         Ok(bytes) => refuses_video(&bytes),
         Err(error) => {
             assert!(std::env::var("REQUIRE_GOLDEN").as_deref() != Ok("1"), "{}: {error}", path.display());
-            // Past the capture of passing tests: a skip is to be seen.
+            // Written past the test harness's capture, so that a skip is visible.
             let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
         }
     }
@@ -200,7 +200,7 @@ fn ctrl_c_ends(command: &mut Command, number: &Path, hanging: &str) {
     // Before a command catches Ctrl-C, it ends the process at once.
     assert!([Some(130), None].contains(&status.code()), "{hanging}: {status:?} {said}");
     if status.code() == Some(130) {
-        // Whoever inherits it may be slow to ask how it ended.
+        // The process that adopts it may be slow to collect its exit status.
         let stat = fs::read_to_string(format!("/proc/{}/stat", hung.trim())).unwrap_or_default();
         assert!(stat.is_empty() || stat.contains(") Z "), "{hanging} goes on: {stat}");
     }

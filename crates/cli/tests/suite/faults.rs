@@ -1,5 +1,5 @@
-//! Faults outside of a command: full disks, signals, illegal outputs, other processes. Each ends in one line that begins
-//! with `tcgs:`, and leaves nothing behind.
+//! Faults outside of a command: full disks, signals, illegal outputs, other processes. Each ends in one line that
+//! begins with `tcgs:`, and leaves nothing behind.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -46,7 +46,7 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// The one line that a command says of its end; what computes and how far it is come before.
+/// The last line of a command; lines of progress come before.
 fn last_line(output: &Output) -> String {
     let message = String::from_utf8(output.stderr.clone()).unwrap();
     let is_remark = |line: &&str| {
@@ -59,7 +59,7 @@ fn last_line(output: &Output) -> String {
     line.into()
 }
 
-/// Runs what must be refused by a line that says `expected`, and change nothing in a folder.
+/// Runs a command that must be refused by a line with `expected`, and must change nothing in a folder.
 fn refuse(folder: &Path, arguments: &[&str], expected: &str) {
     let before = contents(folder);
     let output = tcgs().current_dir(folder).args(arguments).output().unwrap();
@@ -69,7 +69,8 @@ fn refuse(folder: &Path, arguments: &[&str], expected: &str) {
     assert!(contents(folder) == before, "{arguments:?} changed something");
 }
 
-/// Commands without their last argument, the name of the output, and such a name. Every output has more than a kilobyte.
+/// Commands whose output has more than a kilobyte: the arguments but the last one, and a name of an output to follow
+/// them.
 fn writers() -> Vec<(Vec<&'static str>, &'static str)> {
     let file = |name: &str| -> &'static str { Box::leak(text(&trained().join(name)).to_owned().into_boxed_str()) };
     let (run, scene, capture) = (file("run"), file("scene.tcgs"), text(capture()));
@@ -428,7 +429,7 @@ fn race(arguments: &[&str], name: &str) {
     assert_eq!(left, [name], "{arguments:?}");
 }
 
-/// So many Gaussians that are all alike take more memory than decoders give to so short a file.
+/// Decoders allow less memory to so short a file than so many equal Gaussians take.
 #[test]
 fn what_decoders_would_refuse_is_not_written() {
     let folder = tempdir().unwrap();

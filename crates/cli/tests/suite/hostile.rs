@@ -19,7 +19,7 @@ const MOST_KILOBYTES: u64 = 200_000;
 /// A refusal takes a tenth of a second; other tests run on the same processors.
 const MOST_TIME: Duration = Duration::from_secs(10);
 
-/// What a command says and how it ends, the most memory that it had (kB), and how long it took.
+/// Output and exit code of a command, its peak memory (kB), and its time.
 fn measured(arguments: &[&str]) -> (Output, u64, Duration) {
     let start = Instant::now();
     let mut child = tcgs().args(arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -154,7 +154,7 @@ fn gltf_files_that_show_much_of_little() {
     nodes["meshes"][0]["primitives"] = (0..700).map(|_| primitive.clone()).collect();
     no_command_reads(&place.write("primitives.gltf", nodes.to_string()), "primitives, expected fewer");
 
-    // JSON becomes a hundred times as much.
+    // Parsed JSON takes a hundred times its length.
     let empty = "{},".repeat(300_000);
     let many = format!(r#"{{"scenes":[{{"nodes":[]}}],"nodes":[{empty}{{}}]}}"#);
     no_command_reads(&place.write("empty.gltf", many), "shows no primitive");
@@ -256,7 +256,7 @@ fn archives_of_zeros() {
     is_refused(&["train", text(capture()), "--out", text(&run), "--points", text(&twice)], LIMIT);
 }
 
-/// A `.ply` file of points that says what it likes.
+/// A `.ply` file of points with any header.
 fn ply(format: &str, header: &str, rest: &[u8]) -> Vec<u8> {
     [format!("ply\nformat {format} 1.0\n{header}end_header\n").as_bytes(), rest].concat()
 }
@@ -301,7 +301,7 @@ fn devices_in_the_place_of_files() {
     let run = place.0.path().join("run");
     for name in ["a.ply", "a.npz"] {
         let points = place.0.path().join(name);
-        // The link is followed first, and what it leads to has no ending.
+        // The link is followed first, and its target has no ending.
         is_refused(&["train", text(capture()), "--out", text(&run), "--points", text(&points)], "expected points as");
     }
 }

@@ -1,6 +1,6 @@
 //! The command line, as people type it.
 
-// What helps a test may unwrap as a test may.
+// Helpers of tests may unwrap, as tests may.
 #![allow(clippy::unwrap_used)]
 
 #[cfg(feature = "gpu")]

@@ -1,4 +1,4 @@
-//! `params.npz` of Dynamic 3D Gaussians: which Gaussians are foreground, and what such a file cannot hold.
+//! `params.npz` of Dynamic 3D Gaussians: foreground marks, and refusals of scenes that it cannot hold.
 
 use std::fs;
 use std::path::Path;
@@ -7,9 +7,9 @@ use crate::support::*;
 use tcgs_interchange::{ParamsExtras, ReadLimits, read_params_foreground, read_params_npz, write_params_npz};
 use tempfile::tempdir;
 
-/// Exports a scene, and counts who is foreground and who is background.
+/// Exports a scene, and counts its foreground and background Gaussians.
 ///
-/// - returns: the counts, and what was said on standard error
+/// - returns: the counts, and standard error
 fn exported(scene: &Path, params: &Path) -> ([usize; 2], String) {
     let output = run(&["export", text(scene), "--to", text(params), "--force"]);
     let remarks = String::from_utf8(output.stderr).unwrap();

@@ -93,7 +93,7 @@ fn what_is_whole_of_a_cut_file_is_read() {
     let table = succeed(&["info", text(&three), "--recover"]);
     let parts: Vec<&str> = table.lines().filter(|line| line.starts_with("frames ")).collect();
     assert!(parts[..3].iter().all(|line| line.ends_with("right")) && parts[3].contains("missing"), "{table}");
-    // Of a whole file the option changes nothing.
+    // With a whole file the option changes nothing.
     let output = run(&["info", text(&file), "--recover"]);
     assert_eq!(String::from_utf8(output.stderr).unwrap(), "");
 

@@ -1,4 +1,5 @@
-//! Scenes of every kind: what `tcgs info` tells of them, which are found below a folder, and which are not read.
+//! Scenes of every kind: their description by `tcgs info`, scenes below a folder, and refusals of scenes that are not
+//! read.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -13,7 +14,7 @@ fn given(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange").join(name)
 }
 
-/// What `tcgs info` says in words and for machines.
+/// The output of `tcgs info`: text and JSON.
 fn info(scene: &Path) -> (String, Value) {
     let folder = tempdir().unwrap();
     let result = folder.path().join("info.json");

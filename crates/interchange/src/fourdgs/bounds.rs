@@ -1,4 +1,4 @@
-//! Computes how much memory decoding a `.4dgs` file takes, from the headers of its records. Nothing is decoded.
+//! Computes the memory that decoding a `.4dgs` file takes, from the headers of its records. Nothing is decoded.
 //!
 //! The crate `fourdgs` bounds each chunk by 512 MiB and decodes all chunks. A stream of few bytes may stand for any
 //! number of Gaussians: a constant is written once, and a chunk of differences repeats the state that it refers to.
@@ -33,7 +33,7 @@ pub enum Model {
 
 /// Bytes that decoding a file holds at once, the file's own included.
 ///
-/// - `most`: more than this is not looked into, and the sum is then what it came to
+/// - `most`: counting stops above this; the sum so far is returned
 ///
 /// # Errors
 /// If a record is damaged.

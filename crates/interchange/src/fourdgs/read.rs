@@ -21,7 +21,7 @@ use crate::{HigherHarmonics, InterchangeError, ReadNote, ReadSettings, input};
 const LONGEST_FRAME_SECS: f64 = 0.1 + 1e-4;
 /// Timesteps a second where nothing says how many.
 const USUAL_RATE: f64 = 30.0;
-/// More timesteps than this are no scene, under whatever limits: nine hours at thirty a second.
+/// Most timesteps under any limits: nine hours at thirty a second.
 const MAX_TIMESTEPS: f64 = 1e6;
 
 /// A scene in a `.4dgs` file, in memory.
@@ -37,7 +37,7 @@ const MAX_TIMESTEPS: f64 = 1e6;
 pub struct FourdgsFile {
     path: PathBuf,
     content: Content,
-    /// Of each timestep, seconds.
+    /// Times of the timesteps, seconds.
     times: Vec<f64>,
     /// Gaussians at each timestep.
     numbers: Vec<usize>,
@@ -49,9 +49,9 @@ pub struct FourdgsFile {
 
 #[derive(Debug)]
 enum Content {
-    /// Of the model `gaussian-birth`.
+    /// The content of a file of the model `gaussian-birth`.
     Births(Box<::fourdgs::Scene>),
-    /// Of the model `keyframe-delta`.
+    /// The states of a file of the model `keyframe-delta`.
     States(Vec<Gaussians>),
 }
 
@@ -143,7 +143,7 @@ impl FourdgsFile {
         self.axes
     }
 
-    /// What was replaced at the timesteps that were read so far.
+    /// Replacements at the timesteps that were read so far.
     pub fn notes(&self) -> Vec<ReadNote> {
         self.replaced.note().into_iter().collect()
     }
@@ -241,12 +241,12 @@ fn frame_secs(windows: &[(f64, f64)]) -> f64 {
     sum / count
 }
 
-/// How many Gaussians live at each time, as [`births`] has it, without a look at each at every time.
+/// Number of Gaussians that live at each time, as [`births`] gives them, without a test of each Gaussian at each time.
 ///
 /// - `times`: ascending
 fn living(scene: &::fourdgs::Scene, times: &[f64]) -> Vec<usize> {
     let of = &scene.gaussians;
-    // Differences between the number at a time and that at the time before.
+    // Difference of the number at each time from that at the time before.
     let mut changes = vec![0_i64; times.len() + 1];
     for i in 0..of.count() {
         let (from, until) = (f64::from(of.win_lo[i]), f64::from(of.win_hi[i]));

@@ -1,7 +1,7 @@
 //! Decodes a file of the model `keyframe-delta` to the Gaussians of each timestep.
 //!
-//! The crate's own decoder keeps the state of every chunk twice, in numbers of 64 bits. Here a state is kept as long as
-//! a later chunk refers to it.
+//! The crate's own decoder keeps the state of every chunk twice, in numbers of 64 bits. This decoder keeps a state only
+//! as long as a later chunk refers to it.
 
 use std::collections::BTreeMap;
 

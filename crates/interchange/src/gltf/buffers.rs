@@ -109,7 +109,8 @@ pub struct Files {
 }
 
 impl Files {
-    /// Finds the files, which lie beside the document or in a folder there, and reads none; or says what is wrong.
+    /// Finds the files, which lie beside the document or in a folder there. Reads none of them. An error says what is
+    /// wrong.
     ///
     /// - `path`: of the document
     pub fn find(document: &Document, path: &Path) -> Result<Self, String> {

@@ -120,7 +120,7 @@ impl Primitive {
 impl Document {
     /// The primitives of Gaussians that the scene shows, or what is wrong.
     ///
-    /// - `most`: as many at most, since each node may show each
+    /// - `most`: most primitives, since each node may show all of them
     pub fn placed(&self, most: usize) -> Result<Vec<Placed<'_>>, String> {
         // Quantised positions are read; other extensions could change what numbers mean.
         let known = |name: &&String| [EXTENSION, "KHR_mesh_quantization"].contains(&&***name);

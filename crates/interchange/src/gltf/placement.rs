@@ -9,7 +9,7 @@ const TOLERANCE: f64 = 1e-4;
 /// A node's transform as it is in the file.
 #[derive(Deserialize)]
 pub struct Given {
-    /// Apart, since most nodes have none.
+    /// Boxed, since most nodes have none.
     matrix: Option<Box<[f64; 16]>>,
     rotation: Option<[f64; 4]>,
     scale: Option<[f64; 3]>,

@@ -23,8 +23,8 @@ pub(crate) fn is_gltf(start: &[u8]) -> bool {
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not complete, shows no
-/// Gaussians, has them in a way that is not read, or holds a number out of range; [`InterchangeError::Limit`] if it claims more
-/// memory than the settings allow.
+/// Gaussians, has them in a way that is not read, or holds a number out of range; [`InterchangeError::Limit`] if it
+/// claims more memory than the settings allow.
 pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
     let Opened { document, chunk, length } = open(path, Wanted::All)?;
@@ -51,7 +51,7 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
     Ok(head(path, &document, length, settings)?.0)
 }
 
-/// Memory that a primitive takes besides its numbers, roughly: what it is called and a dozen arrays.
+/// Rough memory of a primitive besides its numbers: names and a dozen arrays.
 const PRIMITIVE_BYTES: u64 = 1024;
 
 /// Counts the Gaussians of a document, finds the files that it names, and compares both with the limits.
@@ -119,7 +119,8 @@ fn gaussians(buffers: &Buffers, primitive: &Primitive, sh_degree: usize) -> Resu
     if let Some(i) = opacities.iter().position(|opacity| !(0.0..=1.0).contains(opacity)) {
         return Err(format!("OPACITY of Gaussian {i}: {}, expected a number from 0 to 1", opacities[i]));
     }
-    // What is nearest to 0 and 1: of floats half of the next number, of integers the middle of what becomes 0 or 1.
+    // Substitutes for 0 and 1: half of the next number for floats, the middle of the values that round to 0 or 1 for
+    // integers.
     let nearest = if step > 0.0 { [step / 4.0; 2] } else { [f64::from(f32::from_bits(1)) / 2.0, 2.0_f64.powi(-25)] };
     let mut values = vec![
         means,
@@ -149,7 +150,7 @@ enum Wanted {
     All,
 }
 
-/// A file as far as it was read.
+/// The part of a file that was read.
 struct Opened {
     document: Document,
     /// The buffer that lies in the file.

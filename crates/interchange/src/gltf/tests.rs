@@ -35,7 +35,7 @@ fn read_as(bytes: &[u8], settings: ReadSettings) -> Result<Gaussians, String> {
     })
 }
 
-/// What reading gives, or what is wrong: one line.
+/// Reads a file; an error is the problem as one line.
 fn read(bytes: &[u8]) -> Result<Gaussians, String> {
     read_as(bytes, ReadSettings::default())
 }

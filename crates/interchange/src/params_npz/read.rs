@@ -36,10 +36,10 @@ pub fn read_params_npz(path: &Path) -> Result<DynamicGaussians, InterchangeError
 
 /// A scene in a `params.npz` that is read a timestep at a time.
 ///
-/// [`Self::open`] reads through the file once, and checks what [`read_params_npz`] checks. Arrays that are stored as they
-/// are, as the source and [`write_params_npz`](crate::write_params_npz) store them, stay on disk; compressed ones
-/// (`numpy.savez_compressed`) and those in Fortran order are held in memory, since a timestep of them cannot be reached
-/// alone.
+/// [`Self::open`] reads through the file once, and checks what [`read_params_npz`] checks. Arrays that are stored
+/// without compression stay on disk: the source and [`write_params_npz`](crate::write_params_npz) store them so.
+/// Compressed arrays (`numpy.savez_compressed`) and arrays in Fortran order are held in memory, since a timestep of
+/// them cannot be read alone.
 ///
 /// ```
 /// use tcgs_core::{DynamicGaussians, Gaussians, SceneReader};
@@ -73,8 +73,8 @@ impl ParamsNpz {
     /// Opens a `params.npz`, and checks all of it.
     ///
     /// # Errors
-    /// As [`read_params_npz`]; [`InterchangeError::Limit`] if its arrays are larger, or its timesteps more, than
-    /// `limits` allow.
+    /// As [`read_params_npz`]; [`InterchangeError::Limit`] if it has larger arrays or more timesteps than `limits`
+    /// allow.
     pub fn open(path: &Path, limits: ReadLimits) -> Result<Self, InterchangeError> {
         open_params(path, limits)
     }

@@ -1,4 +1,4 @@
-//! The header of a PLY file of any content: found within bounded memory, and what it says of the file's length.
+//! The header of a PLY file of any content, read within bounded memory, and the least length of the file by it.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek};
@@ -8,12 +8,12 @@ use serde_ply::{DeserializeError, PlyFormat, PlyHeader, PlyReader, PropertyType,
 
 use crate::{InterchangeError, input};
 
-/// Longest header that is read, bytes. That of 59 properties has 1.5 kB; comments may say how a file was made.
+/// Longest header that is read, bytes. A header of 59 properties has 1.5 kB; comments may follow.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Opens a PLY file and reads its header.
 ///
-/// - `damaged`: what is wrong, from the error of the reader
+/// - `damaged`: makes the problem from the error of the reader
 /// - returns: the reader, and the file's length
 ///
 /// # Errors
@@ -25,7 +25,7 @@ pub(crate) fn open_header(
     let failed = |error| InterchangeError::Read { path: path.into(), error };
     let (file, length) = input::open(path)?;
     let mut file = BufReader::new(file);
-    // The reader itself takes lines of any length.
+    // The crate's reader takes lines of any length.
     let header = header_bytes(&mut file).map_err(failed)?;
     if header >= MAX_HEADER_BYTES {
         let problem = format!("has a header of more than {MAX_HEADER_BYTES} bytes, expected a shorter one");
@@ -48,7 +48,7 @@ fn header_bytes(file: &mut impl BufRead) -> std::io::Result<u64> {
     }
 }
 
-/// Fewest bytes of the rows that are read. A file's length bounds by it how many there are. None beyond `u64`.
+/// Fewest bytes of the rows that are read: by it a file's length bounds their number. None beyond `u64`.
 pub(crate) fn least_bytes(header: &PlyHeader) -> Option<u64> {
     let bytes = |property: &PropertyType| match property {
         // A digit and a space.

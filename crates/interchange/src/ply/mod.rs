@@ -42,9 +42,9 @@ use crate::{Axes, HigherHarmonics, InterchangeError, ReadSettings};
 /// The comment of files whose Gaussians are drawn with antialiasing.
 const ANTIALIASED: &str = "comment SplatRenderMode: mip\n";
 
-/// Reads the Gaussians of one PLY file, in stored form: binary of either byte order, or ASCII; as 3D Gaussian splatting
-/// writes them, or compressed. Unknown properties are ignored. Comments may say that the Gaussians are drawn with
-/// antialiasing ([`Layout::is_antialiased`]).
+/// Reads the Gaussians of one PLY file, in stored form. The file is binary of either byte order, or ASCII; it has the
+/// properties of 3D Gaussian splatting, or is compressed. Unknown properties are ignored. Comments may say that the
+/// Gaussians are drawn with antialiasing ([`Layout::is_antialiased`]).
 ///
 /// ```
 /// use tcgs_core::{Gaussians, Layout};
@@ -95,8 +95,8 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
     Ok(open(path, settings)?.1)
 }
 
-/// Writes the Gaussians of one timestep as a PLY file for viewers of 3D Gaussian splatting: binary little-endian, with
-/// the harmonics that their layout has, and a comment where they are drawn with antialiasing. Further columns are left out.
+/// Writes the Gaussians of one timestep as a binary little-endian PLY file for viewers of 3D Gaussian splatting. It has
+/// the harmonics of their layout, and a comment if they are drawn with antialiasing. Further columns are left out.
 /// Equal Gaussians give equal bytes.
 ///
 /// - `writer`: should be buffered
@@ -181,8 +181,8 @@ fn open(path: &Path, settings: ReadSettings) -> Result<(PlyReader<BufReader<File
     Ok((ply, head))
 }
 
-/// Whether comments of a header, by Brush or by Postshot, say that the Gaussians are drawn with antialiasing. The last one
-/// counts, as in other readers.
+/// Whether comments of a header, by Brush or by Postshot, say that the Gaussians are drawn with antialiasing. The last
+/// one counts, as in other readers.
 fn is_antialiased(comments: &[String]) -> bool {
     let says = |comment: &String| {
         let (key, value) = comment.trim().split_once([' ', ':'])?;

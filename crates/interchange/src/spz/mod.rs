@@ -19,13 +19,13 @@
 //! versions 2 and 3 they lie behind the header. In version 4 each is a Zstandard frame of its own; the table has the
 //! compressed and the plain length of each in 64 bits, and the frames lie behind the table.
 //!
-//! Extensions are records of a type, a length and so many bytes, in version 4 between header and table, before that
-//! behind the arrays. The one of type 0xADBE0003 says in which axes the file is. Others do not change the numbers and are
-//! ignored.
+//! Extensions are records of a type, a length and so many bytes. They lie between header and table in version 4, behind
+//! the arrays in versions 2 and 3. The one of type 0xADBE0003 declares the axes of the file. Others do not change the
+//! numbers and are ignored.
 //!
-//! Without that extension, or where it says 0 (unspecified), the axes are assumed to be RDF, those of PLY files. The README of
-//! the format says RUB, and its library converts where a program asks for it. But the format's own `ply_to_spz` does not
-//! ask, nor do splat-transform 3, gsply, `GaussForge` and spz-js convert. splat-transform 2.7 did.
+//! Without that extension, or if it says 0 (unspecified), the axes are assumed to be RDF, those of PLY files. The
+//! README of the format says RUB, and its library converts if a program asks for it. But the format's own `ply_to_spz`
+//! does not ask for it, and splat-transform 3, gsply, `GaussForge` and spz-js do not convert. splat-transform 2.7 did.
 //!
 //! Facts: README, `load-spz.cc` and `extensions/` of the format's library (MIT), release 3.0.
 
@@ -72,7 +72,7 @@ struct Header {
 }
 
 impl Header {
-    /// Of what is read.
+    /// Layout of the Gaussians that are read.
     fn layout(&self, settings: ReadSettings) -> Arc<Layout> {
         let sh_degree = if settings.higher_harmonics == HigherHarmonics::Keep { self.sh_degree } else { 0 };
         Layout::with_harmonics(sh_degree).antialiased(self.is_antialiased)
@@ -108,7 +108,8 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
     Ok(Head { num_gaussians: header.num_gaussians, layout: header.layout(settings) })
 }
 
-/// The axes that a file declares; none if it does not. Without extensions its header answers; else the file is read.
+/// The axes that a file declares; none if it declares none. Without extensions its header suffices; else the whole file
+/// is read.
 ///
 /// # Errors
 /// As [`read_spz`].
@@ -265,7 +266,7 @@ fn streams(bytes: &[u8], header: &Header) -> Result<(Arrays, Vec<u8>), String> {
     Ok((arrays, if header.has_extensions { extensions.to_vec() } else { vec![] }))
 }
 
-/// In which axes a file is, by its extensions; none if they do not say; or what is wrong.
+/// The axes that a file's extensions declare; none if they declare none. An error says what is wrong.
 fn declared_axes(mut records: &[u8]) -> Result<Option<Axes>, String> {
     let mut axes = None;
     while let Some((head, rest)) = records.split_first_chunk::<8>() {

@@ -8,7 +8,7 @@ fn file(name: &str) -> Vec<u8> {
     std::fs::read(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange").join(name)).unwrap()
 }
 
-/// What reading gives, or what is wrong: one line.
+/// Reads a file; an error is the problem as one line.
 fn read(bytes: &[u8]) -> Result<Gaussians, String> {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();

@@ -1,10 +1,10 @@
 //! A folder with one file a timestep, of any kind that is read.
 //!
-//! Files may differ in their kind and in their number of Gaussians; the degree of their spherical harmonics is the same,
-//! and so is whether they are drawn with antialiasing, which SPZ and PLY files can say. A scene whose Gaussians are followed
-//! through time ([`TimestepFiles::read`]) needs more, which the files do not state: the same Gaussians in the same order.
-//! The reader checks what it can: every file has the same number of Gaussians, and Gaussian `i` of one file is near
-//! Gaussian `i` of the next ([`MAX_JUMP`]).
+//! Files may differ in their kind and in their number of Gaussians. All have the same degree of spherical harmonics.
+//! All are drawn with antialiasing, or none is; SPZ and PLY files can say so. A scene whose Gaussians are followed
+//! through time ([`TimestepFiles::read`]) needs more, which the files do not state: the same Gaussians in the same
+//! order. The reader checks what it can: every file has the same number of Gaussians, and Gaussian `i` of one file is
+//! near Gaussian `i` of the next ([`MAX_JUMP`]).
 
 use std::fs;
 use std::ops::Range;
@@ -48,14 +48,14 @@ const MAX_JUMP: f32 = 0.5;
 pub struct TimestepFiles {
     /// In the order of the timesteps, at least one.
     files: Vec<PathBuf>,
-    /// Of each file, at least 1.
+    /// Gaussians in each file, at least 1.
     numbers: Vec<usize>,
-    /// Of all files; none if they differ.
+    /// Kind of all files; none if they differ.
     kind: Option<FileKind>,
     first_frame: Option<u32>,
     settings: ReadSettings,
     layout: Arc<Layout>,
-    /// Of the first file.
+    /// Axes of the first file.
     axes: Axes,
     /// Whether the axes of any file were assumed.
     has_assumed_axes: bool,
@@ -69,9 +69,9 @@ impl TimestepFiles {
     /// - `path`: the folder, or a single file of any name, which becomes a sequence of one timestep
     ///
     /// # Errors
-    /// [`InterchangeError::Read`] if the folder or a file cannot be read; [`InterchangeError::File`] if the folder has no
-    /// such file, or names the first file whose header is none of Gaussians, or that has harmonics of another degree than the
-    /// first file or is antialiased unlike it.
+    /// [`InterchangeError::Read`] if the folder or a file cannot be read. [`InterchangeError::File`] if the folder has
+    /// no such file. It names the first file whose header is none of Gaussians, or has another degree of harmonics or
+    /// another antialiasing than the first file.
     pub fn open(path: &Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
         let files = if path.is_dir() { Self::list(path)? } else { vec![path.into()] };
         let mut numbers = Vec::new();
@@ -114,7 +114,7 @@ impl TimestepFiles {
         self.axes
     }
 
-    /// What was assumed when the files were opened, and what was replaced in those that were read so far.
+    /// Assumptions at the opening of the files, and replacements in the files that were read so far.
     pub fn notes(&self) -> Vec<ReadNote> {
         let axes = self.has_assumed_axes.then_some(ReadNote::AssumedAxes(spz::ASSUMED_AXES));
         axes.into_iter().chain(self.replaced.note()).collect()
@@ -179,8 +179,8 @@ impl TimestepFiles {
     /// The Gaussians of one file, in its order.
     ///
     /// # Errors
-    /// As [`crate::read_gaussians`]; [`InterchangeError::File`] if the file has another number of Gaussians, or harmonics of another
-    /// degree, than when the sequence was opened.
+    /// As [`crate::read_gaussians`]; [`InterchangeError::File`] if the file has another number of Gaussians, or
+    /// harmonics of another degree, than when the sequence was opened.
     ///
     /// # Panics
     /// If there is no such timestep.

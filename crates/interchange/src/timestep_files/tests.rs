@@ -25,7 +25,7 @@ fn write(folder: &TempDir, name: &str, gaussians: &Gaussians) -> PathBuf {
     path
 }
 
-/// What reading gives, and the file and the problem of an error.
+/// Reads a folder; an error is its file and its problem.
 fn read(folder: &TempDir) -> Result<(DynamicGaussians, Option<u32>), (String, String)> {
     let files = TimestepFiles::open(folder.path(), ReadSettings::default());
     let read = files.and_then(|files| Ok((files.read(0..files.num_timesteps())?, files.first_frame())));

@@ -1,4 +1,4 @@
-//! What a compressed scene is compared with: images of a capture, or renders of the source.
+//! The reference that a compressed scene is compared with: images of a capture, or renders of the source.
 
 use std::path::{Path, PathBuf};
 

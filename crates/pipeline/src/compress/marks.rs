@@ -1,11 +1,11 @@
-//! Marks that say which Gaussians are foreground: from the scene to labels of the file (`docs/FORMAT.md`, "Labels").
+//! Foreground marks of Gaussians, from the scene to labels of the file (`docs/FORMAT.md`, "Labels").
 
 use tcgs_codec::{FOREGROUND, LABELS, Labels};
 
 use super::CompressOptions;
 use crate::{OpenScene, PipelineError};
 
-/// What becomes of the marks that say which Gaussians are foreground.
+/// Whether a compressed file keeps the foreground marks of Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Marks {
     /// They are left out.
@@ -25,7 +25,7 @@ impl Marks {
         Ok(())
     }
 
-    /// Of the Gaussians that stay, whether each is foreground; none if that is not kept, or says nothing.
+    /// Whether each Gaussian that stays is foreground. None if marks are not kept, or if no Gaussian is background.
     ///
     /// - `keep`: their indices
     pub(super) fn of(self, scene: &OpenScene, keep: &[usize]) -> Result<Option<Vec<bool>>, PipelineError> {

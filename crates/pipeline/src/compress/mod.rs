@@ -61,7 +61,7 @@ pub struct CompressOptions {
     pub capture: Option<PathBuf>,
     /// Whether the paper's form without entropy coding is a stage of its own.
     pub plain: bool,
-    /// What points up; none: found by the capture's cameras.
+    /// Direction that points up; none: derived from the capture's cameras.
     pub up: Option<UpAxis>,
     /// Version of the format: 1 or 2. Default: 2; version 1, for older readers, holds neither further columns nor Gaussians
     /// that come and go, and declares no errors.
@@ -70,7 +70,7 @@ pub struct CompressOptions {
     pub views: usize,
     /// Names and content of further application data (`docs/FORMAT.md`, "Application data").
     pub data: Vec<(String, Vec<u8>)>,
-    /// What becomes of the marks that say which Gaussians are foreground. Default: none is kept.
+    /// Whether the file keeps the foreground marks of Gaussians. Default: it does not.
     pub marks: Marks,
     /// Raw size above which the timesteps of a run or of a `params.npz` are read from the disk, several times, instead of
     /// held in memory, bytes. The file is the same. Default: half a gigabyte.
@@ -163,7 +163,7 @@ pub struct PrunedScene<'a> {
     version: u16,
     num_gaussians_before: usize,
     raw_bytes: u64,
-    /// Of chapters, unless the settings say another.
+    /// Segment length of chapters, unless the settings have another.
     segment_length: Option<u32>,
     /// Application data: cameras for players first, then what was attached.
     data: Vec<(String, Vec<u8>)>,
@@ -171,16 +171,16 @@ pub struct PrunedScene<'a> {
     pub bits_from: String,
 }
 
-/// What a file declares of its errors.
+/// Errors that a file declares.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Errors {
-    /// What they are: the floats are read once more.
+    /// True errors: the floats are read once more.
     Measured,
     /// 0 for all, while settings are searched.
     Zeros,
 }
 
-/// What stays of a scene, and its bits.
+/// A pruned scene and its bits.
 #[derive(Clone, Debug)]
 #[allow(clippy::large_enum_variant, reason = "a compression has one of it")]
 enum Pruned<'a> {
@@ -191,7 +191,7 @@ enum Pruned<'a> {
         lives: Option<Vec<[u16; 2]>>,
         bit_map: BitMap,
         learned: Option<Quantizers>,
-        /// Of those that stay, whether each is foreground; none if that is not kept.
+        /// Whether each Gaussian that stays is foreground; none if that is not kept.
         foreground: Option<Vec<bool>>,
     },
     /// Gaussians that change in number or order from timestep to timestep: they are followed as far as they can be.
@@ -342,7 +342,7 @@ impl<'a> PrunedScene<'a> {
         Ok((compact, file))
     }
 
-    /// The sizes after every step, and by attribute. Decodes the file: what is handed out can be read.
+    /// The sizes after every step, and by attribute. Decodes the file, so that only readable files are returned.
     ///
     /// - `options`: with which [`Self::compress`] gave the others
     ///

@@ -1,16 +1,73 @@
-//! What the files of a scene declare beside its Gaussians: frames, foreground, identities, and how many bytes they take.
+//! Declarations in the files of a scene beside its Gaussians: names, cameras, frames, light, errors, foreground,
+//! identities. Also the size of the files.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::{fs, io};
 
-use tcgs_codec::{FOREGROUND, read_labels};
+use tcgs_codec::{FOREGROUND, FileCamera, Loss, UpAxis, read_labels, read_views};
 use tcgs_interchange::{ReadLimits, read_params_foreground};
 
 use super::{Content, OpenScene};
 use crate::PipelineError;
 
 impl OpenScene {
+    /// Name of the capture, as a `.tcgs` file says it; none for anything else.
+    pub fn name(&self) -> Option<&str> {
+        match &self.content {
+            Content::File(file) => Some(&file.info.name),
+            Content::Symbols(compact) => Some(&compact.info.name),
+            _ => None,
+        }
+    }
+
+    /// Cameras of the capture that a `.tcgs` file gives players to start from; empty for anything else.
+    ///
+    /// # Errors
+    /// [`PipelineError::Decode`] if the file cannot be read.
+    pub fn cameras(&self) -> Result<Vec<FileCamera>, PipelineError> {
+        let Content::File(file) = &self.content else { return Ok(Vec::new()) };
+        let data = file.file().application_data();
+        data.map(|data| read_views(&data)).map_err(|error| PipelineError::Decode { path: self.path.clone(), error })
+    }
+
+    /// The axis that points up, as a `.tcgs` file says it; unknown for anything else.
+    pub fn up(&self) -> UpAxis {
+        match &self.content {
+            Content::File(file) => file.info.up,
+            Content::Symbols(compact) => compact.info.up,
+            _ => UpAxis::Unknown,
+        }
+    }
+
+    /// Gains of red, green and blue at a timestep, by which a renderer multiplies colours
+    /// ([`Light`](tcgs_codec::Light)); 1 unless the scene is a `.tcgs` file.
+    pub fn light(&self, timestep: usize) -> [f32; 3] {
+        match &self.content {
+            Content::File(file) => file.light.at(timestep),
+            Content::Symbols(compact) => compact.light.at(timestep),
+            _ => [1.0; 3],
+        }
+    }
+
+    /// Losses of a `.tcgs` file that was cut; none for anything else.
+    pub fn loss(&self) -> Option<&Loss> {
+        match &self.content {
+            Content::File(file) => file.loss.as_ref(),
+            _ => None,
+        }
+    }
+
+    /// Names of attributes with their largest errors against the compressed source, as a `.tcgs` file declares them
+    /// ([`tcgs_codec::attribute_error`]); empty for anything else.
+    pub fn declared_errors(&self) -> Vec<(String, f32)> {
+        match &self.content {
+            Content::File(file) => file.file().archive().declared_errors().to_vec(),
+            Content::Symbols(compact) => compact.declared_errors.clone(),
+            _ => Vec::new(),
+        }
+    }
+
     /// [`Self::first_frame`], if the files say it.
     pub fn declared_first_frame(&self) -> Option<usize> {
         let is_declared = match &self.content {
@@ -32,11 +89,11 @@ impl OpenScene {
         is_declared.then_some(self.frame_rate)
     }
 
-    /// Bytes that the files of the scene take: of a run its checkpoints, of a file a timestep all of them without the buffers
-    /// of `.gltf` files. 0 of a scene in memory.
+    /// Bytes of the scene's files: the checkpoints of a run, or all files of a sequence, without the buffers of `.gltf`
+    /// files. 0 if the scene is in memory.
     ///
     /// # Errors
-    /// What the operating system says of a file or folder.
+    /// The operating system's error about a file or folder.
     pub fn file_bytes(&self) -> io::Result<u64> {
         let length = |path: &Path| Ok::<_, io::Error>(fs::metadata(path)?.len());
         match &self.content {
@@ -48,8 +105,8 @@ impl OpenScene {
         }
     }
 
-    /// Which of all Gaussians live at a timestep, ascending: those that [`Self::at`] gives, in its order. None if all do, or if
-    /// the scene does not say which Gaussian of one timestep is which of another.
+    /// Indices, among all Gaussians, of those that live at a timestep, ascending: the order of [`Self::at`]. None if
+    /// all live, or if the scene does not say which Gaussian of one timestep is which of another.
     ///
     /// # Errors
     /// [`PipelineError::Decode`] if the file is damaged.
@@ -63,7 +120,7 @@ impl OpenScene {
         }
     }
 
-    /// Which of the Gaussians that live at a timestep belong to the foreground; none if nothing says so.
+    /// Which of the Gaussians that live at a timestep belong to the foreground; none if the scene does not say.
     ///
     /// # Errors
     /// [`PipelineError`] if a file is damaged.
@@ -97,7 +154,7 @@ impl OpenScene {
         }
     }
 
-    /// Which of all Gaussians of a scene of floats belong to the foreground; none if nothing says so, or if all do.
+    /// Which Gaussians of a scene of floats belong to the foreground; none if the scene does not say, or if all do.
     ///
     /// # Errors
     /// [`PipelineError`] if a file is damaged.

@@ -12,8 +12,8 @@ const FILE: &str = "point_cloud.ply";
 /// Points that training starts from, in the output folder itself.
 const POINTS: &str = "input.ply";
 
-/// The Gaussians of the highest iteration, if a folder is the output folder of a training, its `point_cloud`, or that of an
-/// iteration. A folder with a file of Gaussians for each frame is none of these.
+/// The Gaussians of the highest iteration, if a folder is the output folder of a training, its `point_cloud`, or that
+/// of an iteration. A folder with a file of Gaussians for each frame is none of these.
 pub(super) fn trained_file(folder: &Path) -> Option<PathBuf> {
     if iteration(folder).is_some() {
         return Some(folder.join(FILE)).filter(|file| file.is_file());

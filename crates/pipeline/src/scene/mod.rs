@@ -1,10 +1,12 @@
-//! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or a file a timestep. What does not live here: how one is
-//! found (`found`) and opened (`open`), and what its files declare beside Gaussians (`declared`).
+//! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or a sequence of files. What lives here: its
+//! Gaussians. What does not: finding a scene (`found`), opening it (`open`), declarations in its files (`declared`),
+//! and the results of training beside Gaussians (`run`).
 
 mod chapters;
 mod declared;
 mod found;
 mod open;
+mod run;
 
 use std::borrow::Cow;
 use std::fmt;
@@ -13,15 +15,15 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tcgs_capture::Capture;
-use tcgs_codec::{BitMap, CompactFile, FileCamera, Light, Loss, Quantizers, SceneFile, SceneInfo, UpAxis, read_views};
+use tcgs_codec::{CompactFile, Light, Loss, SceneFile, SceneInfo};
 use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{Axes, FourdgsFile, ParamsNpz, ReadLimits, ReadNote, TimestepFiles};
-use tcgs_train::{Checkpoint, Lives, Parameters, Run, StandIns, TrainError};
+use tcgs_train::Lives;
 
 use self::chapters::Chapters;
 pub use self::open::{CutFiles, OpenSettings};
-use crate::{PipelineError, capture_for};
+use self::run::RunContent;
+use crate::PipelineError;
 
 /// A scene over time, whatever kind of file or folder it lies in.
 ///
@@ -94,9 +96,9 @@ struct FileContent {
 struct ParamsContent {
     num_gaussians: usize,
     num_timesteps: usize,
-    /// Whether the file says which frames it shows.
+    /// Whether the file declares its frames.
     has_origin: bool,
-    /// Under which the file was opened.
+    /// Limits with which the file was opened.
     limits: ReadLimits,
     file: Mutex<ParamsNpz>,
 }
@@ -111,42 +113,6 @@ impl FileContent {
 impl fmt::Debug for FileContent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("FileContent").field("info", &self.info).finish_non_exhaustive()
-    }
-}
-
-#[derive(Debug)]
-struct RunContent {
-    run: Run,
-    /// What the first checkpoint holds and the others do not repeat.
-    first: Checkpoint,
-    /// As [`Run::lives`] gives them.
-    lives: Option<Lives>,
-    num_timesteps: usize,
-}
-
-impl RunContent {
-    fn num_gaussians(&self) -> usize {
-        self.lives.as_ref().map_or(self.first.parameters.num_gaussians(), Lives::len)
-    }
-
-    fn num_gaussians_at(&self, timestep: usize) -> usize {
-        let lives = self.lives.as_ref();
-        lives.map_or(self.first.parameters.num_gaussians(), |lives| lives.living(timestep).len())
-    }
-
-    fn checkpoint(&self, timestep: usize) -> Result<Checkpoint, PipelineError> {
-        if timestep == 0 {
-            return Ok(self.first.clone());
-        }
-        Ok(self.run.checkpoint(timestep, Some(&self.first))?)
-    }
-
-    fn parameters(&self, timestep: usize) -> Result<Parameters, PipelineError> {
-        Ok(self.run.living(timestep, &self.first, self.lives.as_ref())?)
-    }
-
-    fn mask_logits(&self) -> impl Iterator<Item = Result<Vec<f32>, TrainError>> {
-        self.run.mask_logits(self.num_timesteps, &self.first, self.lives.as_ref())
     }
 }
 
@@ -240,54 +206,8 @@ impl OpenScene {
         Self { path: self.path.clone(), layout, content, ..*self }
     }
 
-    /// Name of the capture, as a `.tcgs` file says it; none of anything else.
-    pub fn name(&self) -> Option<&str> {
-        match &self.content {
-            Content::File(file) => Some(&file.info.name),
-            Content::Symbols(compact) => Some(&compact.info.name),
-            _ => None,
-        }
-    }
-
-    /// Cameras of the capture that a `.tcgs` file gives players to start from; empty of anything else.
-    ///
-    /// # Errors
-    /// [`PipelineError::Decode`] if the file cannot be read.
-    pub fn cameras(&self) -> Result<Vec<FileCamera>, PipelineError> {
-        let Content::File(file) = &self.content else { return Ok(Vec::new()) };
-        let data = file.file().application_data();
-        data.map(|data| read_views(&data)).map_err(|error| PipelineError::Decode { path: self.path.clone(), error })
-    }
-
-    /// The axis that points up, as a `.tcgs` file says it; unknown of anything else.
-    pub fn up(&self) -> UpAxis {
-        match &self.content {
-            Content::File(file) => file.info.up,
-            Content::Symbols(compact) => compact.info.up,
-            _ => UpAxis::Unknown,
-        }
-    }
-
-    /// Gains of red, green and blue at a timestep, by which a renderer multiplies colours ([`Light`]); 1 of anything but a `.tcgs`
-    /// file.
-    pub fn light(&self, timestep: usize) -> [f32; 3] {
-        match &self.content {
-            Content::File(file) => file.light.at(timestep),
-            Content::Symbols(compact) => compact.light.at(timestep),
-            _ => [1.0; 3],
-        }
-    }
-
-    /// What a `.tcgs` file that was cut has lost; none of anything else.
-    pub fn loss(&self) -> Option<&Loss> {
-        match &self.content {
-            Content::File(file) => file.loss.as_ref(),
-            _ => None,
-        }
-    }
-
-    /// What readers of another program's files assumed when the scene was opened, and replaced at the timesteps that were read
-    /// so far; empty of anything else.
+    /// Assumptions of readers when the scene was opened, and replacements at the timesteps that were read so far. Empty
+    /// unless the scene's files are another program's.
     ///
     /// ```
     /// use tcgs_core::Gaussians;
@@ -313,52 +233,13 @@ impl OpenScene {
         }
     }
 
-    /// Axes that the Gaussians have in other programs' files; none of anything else. Scenes are in those of PLY files.
+    /// Axes that the Gaussians have in other programs' files; none for anything else. Scenes are in the axes of PLY
+    /// files.
     pub fn axes(&self) -> Option<Axes> {
         match &self.content {
             Content::TimestepFiles(files) => Some(files.axes()),
             Content::Fourdgs(file) => Some(file.axes()),
             _ => None,
-        }
-    }
-
-    /// By name of the attribute the largest error against what was compressed, as a `.tcgs` file declares it
-    /// ([`tcgs_codec::attribute_error`]); empty of anything else.
-    pub fn declared_errors(&self) -> Vec<(String, f32)> {
-        match &self.content {
-            Content::File(file) => file.file().archive().declared_errors().to_vec(),
-            Content::Symbols(compact) => compact.declared_errors.clone(),
-            _ => Vec::new(),
-        }
-    }
-
-    /// The run, if the scene is one; of chapters the first.
-    pub fn run(&self) -> Option<&Run> {
-        match &self.content {
-            Content::Run(run) => Some(&run.run),
-            Content::Chapters(chapters) => chapters.first().run(),
-            _ => None,
-        }
-    }
-
-    /// Folder of the capture that the run was trained on; `None` if the scene is no run, or if a program trained it on images of its
-    /// own.
-    pub fn capture(&self) -> Option<&Path> {
-        let capture = &self.run()?.config().data.capture;
-        (!capture.is_empty()).then(|| Path::new(capture))
-    }
-
-    /// A capture to compare this scene with, or to train it on. Cameras that the scene's run held out are held out here, too.
-    ///
-    /// - `path`: the capture's folder
-    ///
-    /// # Errors
-    /// [`PipelineError::Capture`] if it cannot be opened, or lacks a camera that was held out.
-    pub(crate) fn open_capture(&self, path: &Path) -> Result<Capture, PipelineError> {
-        let capture = Capture::open(path)?;
-        match self.run() {
-            Some(run) => Ok(capture_for(run.config(), &capture)?.into_owned()),
-            None => Ok(capture),
         }
     }
 
@@ -527,63 +408,6 @@ impl OpenScene {
             Content::Params(params) => Ok(Cow::Owned(ParamsNpz::open(&self.path, params.limits)?.read_all()?)),
             Content::TimestepFiles(files) => Ok(Cow::Owned(files.read(0..files.num_timesteps())?)),
         }
-    }
-
-    /// When each Gaussian of a run lives; none where all do at every timestep.
-    pub(crate) fn lives(&self) -> Option<&Lives> {
-        match &self.content {
-            Content::Run(run) => run.lives.as_ref(),
-            Content::Floats { lives, .. } => lives.as_ref(),
-            _ => None,
-        }
-    }
-
-    /// What stands in for the Gaussians of a run at the timesteps at which they do not live.
-    pub(crate) fn stand_ins(&self) -> Result<StandIns, PipelineError> {
-        match &self.content {
-            Content::Run(run) => Ok(run.run.stand_ins(&run.first, run.num_timesteps)?),
-            _ => Ok(StandIns::none(&self.layout)),
-        }
-    }
-
-    /// Bits and quantizers that a run learned; none of another scene, or where quantisation was off. Of chapters those of
-    /// the first: all have its bits, and steps that went on from there.
-    pub(crate) fn learned_bits(&self) -> Result<Option<(BitMap, Quantizers)>, PipelineError> {
-        if let Content::Chapters(chapters) = &self.content {
-            return chapters.first().learned_bits();
-        }
-        let Content::Run(run) = &self.content else { return Ok(None) };
-        // Those of the dead, too.
-        let Some(first) = &run.first.quantizers else { return Ok(None) };
-        let bit_map = first.bit_map_of(run.num_gaussians());
-        let last = run.checkpoint(run.num_timesteps - 1)?;
-        Ok(last.quantizers.map(|q| (bit_map, q.table())))
-    }
-
-    /// The first checkpoint of a run.
-    pub(crate) fn first_checkpoint(&self) -> Option<&Checkpoint> {
-        match &self.content {
-            Content::Run(run) => Some(&run.first),
-            Content::Chapters(chapters) => chapters.first().first_checkpoint(),
-            _ => None,
-        }
-    }
-
-    /// Mean mask of each Gaussian of a run over time (paper Eq. 6); none of a scene without masks. Reads nothing but
-    /// masks, one timestep after another.
-    pub(crate) fn mean_masks(&self) -> Result<Option<Vec<f32>>, PipelineError> {
-        if !self.run().is_some_and(|run| run.config().mask.enabled) {
-            return Ok(None);
-        }
-        let mut failed = None;
-        let logits: Box<dyn Iterator<Item = _>> = match &self.content {
-            Content::Chapters(chapters) => Box::new(chapters.mask_logits()),
-            Content::Run(run) => Box::new(run.mask_logits()),
-            _ => return Ok(None),
-        };
-        let logits = logits.map_while(|logits| logits.map_err(|error| failed = Some(error)).ok());
-        let means = tcgs_train::mean_masks(logits, self.lives());
-        failed.map_or(Ok(Some(means)), |error| Err(error.into()))
     }
 
     /// The kind of the scene in two words.

@@ -14,7 +14,7 @@ use super::found::trained_file;
 use super::{Content, FileContent, OpenScene, ParamsContent, RunContent};
 use crate::PipelineError;
 
-/// What a scene may be, for messages.
+/// Kinds of scenes, for messages.
 const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz, a .4dgs file, or PLY, SPZ or glTF files";
 
 /// How a scene is read.
@@ -22,11 +22,11 @@ const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz, a .4dgs file, 
 pub struct OpenSettings {
     /// How files of other programs are read.
     pub read: ReadSettings,
-    /// What to do with a `.tcgs` file that was cut. Default: refuse.
+    /// Whether a cut `.tcgs` file is read. Default: it is refused.
     pub cut_files: CutFiles,
 }
 
-/// What to do with a `.tcgs` file that was cut, such as by a transfer that broke off.
+/// Whether a cut `.tcgs` file is read, such as one from an interrupted transfer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CutFiles {
     /// Refuse the file.
@@ -37,16 +37,17 @@ pub enum CutFiles {
 }
 
 impl OpenScene {
-    /// Opens a scene. A file is taken for what its ending says, so that a damaged one is judged as what it was meant to
-    /// be; one with another ending for what its first bytes say.
+    /// Opens a scene. The ending of a file's name says its kind, so a damaged file is judged as the kind that it was
+    /// meant to be. If the ending is unknown, the first bytes say the kind.
     ///
-    /// Of a run the first timestep is read now, of a file a timestep its header, and the rest when it is asked for; of a
-    /// `.tcgs` file a segment is decoded when one of its timesteps is asked for. A `params.npz` is read through and checked now, and a
-    /// timestep of it is read again when it is asked for; one that is compressed is held in memory ([`ParamsNpz`]), and so is a
-    /// `.4dgs` file.
+    /// The first timestep of a run is read now, and so are the headers of a sequence of files; the rest is read when it
+    /// is asked for. A segment of a `.tcgs` file is decoded when one of its timesteps is asked for. A `params.npz` is
+    /// read through and checked now, and a timestep of it is read again when it is asked for. A compressed one is held
+    /// in memory ([`ParamsNpz`]), and so is a `.4dgs` file.
     ///
-    /// Of the output folder of a program that trains 3D Gaussian splatting, and of the folder `point_cloud` in it, the file
-    /// `iteration_N/point_cloud.ply` of the highest iteration is opened: [`OpenScene::path`] is that of the file.
+    /// A folder may be the output folder of a program that trains 3D Gaussian splatting, or the folder `point_cloud` in
+    /// it. Then the file `iteration_N/point_cloud.ply` of the highest iteration is opened, and [`OpenScene::path`] is
+    /// that of the file.
     ///
     /// # Errors
     /// [`PipelineError`] if there is no such file or folder, or it is none of the kinds, or damaged.
@@ -230,7 +231,7 @@ fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
         _ if start == b"TCGS" => Ok(Kind::Tcgs),
         _ if start == b"\x894DG" => Ok(Kind::Fourdgs),
         _ => {
-            // The first bytes of a .splat file are a position, and may be any.
+            // A .splat file begins with a position: its first bytes may be any.
             refuse_unread(path)?;
             let is_known = |known: &&[u8]| start.starts_with(known);
             match &start[..] {

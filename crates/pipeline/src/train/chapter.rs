@@ -8,9 +8,10 @@ use crate::{Backend, OpenScene, PipelineError, capture_for};
 
 /// The state of a scene at a timestep, as a run starts from it ([`continued_trainer`]).
 ///
-/// From a run masks, quantizers and the gains of cameras carry over, and the optimizer's state if the timestep is one of
-/// its last two; otherwise the optimizer begins anew. Of any other scene masks begin as the settings say, nothing is
-/// quantised, cameras have no gains, and all Gaussians are foreground unless the scene says otherwise.
+/// From a run masks, quantizers and the gains of cameras carry over. The optimizer's state carries over if the timestep
+/// is one of the run's last two; otherwise the optimizer starts without a state. With any other scene masks begin as
+/// the settings say, nothing is quantised, cameras have no gains, and all Gaussians are foreground unless the scene
+/// says otherwise.
 ///
 /// # Errors
 /// [`PipelineError::Input`] if the scene has no such timestep, no Gaussian or spherical harmonics, or was trained with

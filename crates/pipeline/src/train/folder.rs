@@ -1,4 +1,4 @@
-//! The folder that a run is written to: what is in it, and what may be done with that.
+//! The folder that a run is written to: recognised, locked, cleared, and continued.
 
 use std::fs::{self, File};
 use std::io;
@@ -11,9 +11,9 @@ use tcgs_train::{Checkpoint, Run, TrainError, Trainer};
 use crate::observe::tell;
 use crate::{Backend, Event, Observer, PipelineError};
 
-/// What this program writes into a run folder.
+/// Names of the files that this program writes into a run folder.
 const OURS: [&str; 6] = ["scene.tcgs", "metrics.jsonl", "resume0.npz", "resume1.npz", "config.toml", "start.npz"];
-/// How the names of checkpoints end that were set aside.
+/// Ending of the names of checkpoints that were set aside.
 const DAMAGED: &str = ".damaged";
 
 /// A folder that is open and locked as long as the file lives, or none if another process has locked it.
@@ -25,8 +25,8 @@ fn open_locked(folder: &Path) -> io::Result<Option<File>> {
     Ok((!is_taken).then_some(file))
 }
 
-/// The same on Windows, which has no locks of folders: whoever opens the folder itself to write, and lets nobody else, is
-/// alone. Listing it, and opening what is in it, ask for no such right.
+/// The same on Windows, which has no locks of folders: the folder itself is opened to write, and shared with no other
+/// writer. Listing the folder and opening its files need no such right.
 #[cfg(windows)]
 fn open_locked(folder: &Path) -> io::Result<Option<File>> {
     use std::os::windows::fs::OpenOptionsExt;
@@ -58,7 +58,7 @@ fn open_locked(folder: &Path) -> io::Result<Option<File>> {
 #[derive(Debug)]
 pub struct RunFolder {
     path: PathBuf,
-    /// The outermost folder that was made, which goes again unless a run begins.
+    /// The outermost folder that was made. It is removed again unless a run begins.
     made: Option<PathBuf>,
     /// Open as long as it is locked.
     _lock: File,
@@ -118,7 +118,8 @@ impl RunFolder {
         }
     }
 
-    /// Makes a run's folder and locks it. Dropped before a run begins in it, a folder that was made is removed.
+    /// Makes a run's folder and locks it. A folder that was made is removed again if the value is dropped before a run
+    /// begins.
     ///
     /// # Errors
     /// [`PipelineError::Unwritable`] if it cannot be made; as [`Self::lock`].
@@ -223,7 +224,7 @@ impl Drop for RunFolder {
         let _ = self.clear();
         let _ = fs::remove_dir(self.path.join("checkpoints"));
         for folder in self.path.ancestors() {
-            // One that is not empty is another's by now.
+            // If it is not empty, another process uses it by now.
             if fs::remove_dir(folder).is_err() || folder == made {
                 break;
             }
@@ -300,7 +301,7 @@ mod tests {
         assert!(run.is_dir());
     }
 
-    /// Other programs call a file so, too. The command line has a test with one that is.
+    /// Other programs have files of this name, too. The command line has a test with a true start.
     #[test]
     fn a_start_is_a_checkpoint() {
         let folder = tempfile::tempdir().unwrap();

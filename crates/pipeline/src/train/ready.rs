@@ -12,13 +12,13 @@ use crate::{Backend, Observer, PipelineError, capture_for};
 /// A run that is ready for [`fit`](crate::fit). Its folder is locked as long as this lives.
 #[derive(Debug)]
 pub struct ReadyRun {
-    /// What [`fit`](crate::fit) trains it on: the cameras of `data.hold_out` are test cameras.
+    /// The capture that [`fit`](crate::fit) trains it on: the cameras of `data.hold_out` are test cameras.
     pub capture: Capture,
     /// The run.
     pub run: Run,
-    /// After the timesteps that the run has.
+    /// Ready for the timestep after those that the run has.
     pub trainer: Trainer,
-    /// Holds the lock.
+    /// The run's folder, locked.
     pub folder: RunFolder,
 }
 
@@ -47,7 +47,7 @@ impl ReadyRun {
             None => new_trainer(config, capture, backend)?,
         };
         let folder = RunFolder::make(path)?;
-        // Another process may have begun and ended one since the caller looked.
+        // Another process may have begun and ended a run since the caller looked.
         if RunFolder::holds_run(path)? && existing == Existing::Keep {
             return Err(PipelineError::input(path.display(), "holds a run by now", "a new name"));
         }

@@ -11,11 +11,12 @@ use self::matching::{Bounds, Pairs};
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work};
 
-/// Memory for decoding all of a long file, bytes a byte of the file. Scenes of few timesteps with harmonics need twenty.
+/// Memory for decoding all of a long file, bytes for each byte of the file. Scenes of few timesteps with harmonics need
+/// twenty.
 const MAX_EXPANSION_OF_LONG: u64 = 32;
 
-/// The limits within which all of a file is decoded at once, by `tcgs verify`, and before a compressed scene is handed out. A
-/// player decodes a segment at a time, within less.
+/// The limits for decoding all of a file at once, by `tcgs verify`, and before a compressed scene is returned. A player
+/// decodes a segment at a time, within lower limits.
 ///
 /// - `file_bytes`: length of the file
 pub fn whole_file_limits(file_bytes: u64) -> DecodeLimits {

@@ -1,6 +1,6 @@
-//! What value each setting may have: one table, which [`check`] compares every setting with.
+//! Bounds of every setting, in one table. [`check`] compares all settings with it.
 //!
-//! What lives here: ranges of single settings. Upper ends are far beyond what helps; they refuse slips of the keyboard that
+//! What lives here: ranges of single settings. Upper ends are far beyond useful values; they refuse typing errors that
 //! would take all memory or never end. What does not: how settings fit together ([`TrainConfig::check`]).
 //!
 //! [`TrainConfig::check`]: super::TrainConfig::check
@@ -18,12 +18,12 @@ enum Bounds {
 
 use Bounds::{Any, Number, Whole};
 
-/// Of a schedule: more take years.
+/// Upper ends of a schedule: more takes years.
 const ITERATIONS: i64 = 100_000_000;
 const TIMESTEPS: i64 = 10_000_000;
-/// Of factors that stretch or turn off what they are compared with.
+/// Upper end of weights, and of factors that stretch the value they are compared with, or switch it off.
 const FACTOR: f64 = 1e6;
-/// Of opacities: logits of 0 and 1 are infinite.
+/// Bounds of opacities: logits of 0 and 1 are infinite.
 const OPACITY: Bounds = Number(1e-6, 0.999);
 const SHARE: Bounds = Number(0.0, 1.0);
 /// A rate that is too large takes neither memory nor time: training stops at the first loss that is not finite.
@@ -77,7 +77,7 @@ const BOUNDS: [(&str, Bounds); 88] = [
     ("densify.interval", Whole(1, ITERATIONS)),
     ("densify.gradient_threshold", Number(0.0, FACTOR)),
     ("densify.clone_scale", Number(0.0, FACTOR)),
-    // Every event may multiply the Gaussians by as many.
+    // Every event may multiply the number of Gaussians by this.
     ("densify.split_children", Whole(1, 16)),
     ("densify.split_shrink", Number(0.01, 100.0)),
     ("densify.prune_opacity", SHARE),
@@ -90,7 +90,7 @@ const BOUNDS: [(&str, Bounds); 88] = [
     ("mask.relative", Any),
     // A mask of 1 is never reached.
     ("mask.threshold", Number(0.0, 0.999)),
-    // The sigmoid of more is 0 or 1 in f32.
+    // The sigmoid of larger values is 0 or 1 in f32.
     ("mask.initial_logit", Number(-80.0, 80.0)),
     ("mask.reset", Any),
     ("mask.prune_interval", Whole(1, ITERATIONS)),
@@ -114,14 +114,14 @@ const BOUNDS: [(&str, Bounds); 88] = [
     ("gate.matches", Any),
     ("births.enabled", Any),
     ("births.contrast", Number(0.0, FACTOR)),
-    // None at all is what `births.enabled` says.
+    // Not 0: `births.enabled` switches births off.
     ("births.share", Number(1e-6, 1.0)),
     ("births.iterations", Whole(1, ITERATIONS)),
     ("births.youth", Whole(0, TIMESTEPS)),
     ("births.gradient_threshold", Number(0.0, FACTOR)),
     ("births.opacity", SHARE),
     ("deaths.patience", Whole(0, TIMESTEPS)),
-    // A Gaussian that makes up all pixels alone is seen.
+    // Below 1: a Gaussian that covers all pixels alone counts as seen.
     ("deaths.share", Number(0.0, 0.999)),
     ("color.degree", Whole(0, tcgs_core::MAX_SH_DEGREE as i64)),
     ("render.antialiased", Any),
@@ -151,7 +151,7 @@ pub(super) fn check(table: &toml::Table) -> Result<(), ConfigError> {
     Ok(())
 }
 
-/// As Rust writes it, without the digits of a file.
+/// As Rust writes an f32, without the digits of the f64 in a file.
 fn number(value: &toml::Value) -> String {
     match value.as_float() {
         Some(found) if found.is_finite() && (found as f32).is_infinite() => format!("{found:e}"),

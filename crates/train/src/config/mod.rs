@@ -110,7 +110,7 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// Most bytes of a `config.toml` that is read. One that [`Self::to_toml`] writes has three thousand.
+    /// Most bytes of a `config.toml` that is read. [`Self::to_toml`] writes three thousand.
     pub const MAX_BYTES: u64 = 1 << 20;
 
     /// The settings of a preset.

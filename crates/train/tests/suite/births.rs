@@ -115,7 +115,7 @@ fn what_enters_is_born_where_it_is_and_moves_on() {
         config.births.enabled = false;
         let without = fit(&mut trainer(&config), 0..5, with_masks, None);
         assert_eq!(psnr[..2], without[..2]);
-        // 1.4 to 2 dB, by the processor: the width of its vectors decides how sums round, and that what is born.
+        // 1.4 to 2 dB, by the processor: the width of its vectors decides the rounding of sums, and so the births.
         assert!(psnr[2] > without[2] + 1.0 && psnr[4] > without[4] + 1.0, "{psnr:?} against {without:?}");
         assert!(psnr[4] > psnr[2] - 2.0, "{psnr:?}");
 
@@ -167,9 +167,9 @@ fn the_gpu_gives_birth_to_the_same() {
     config.births.gradient_threshold = 2e-4;
     let mut on_cpu = trainer(&config);
     let mut on_gpu = trainer_on(&config, |state| Box::new(GpuEngine::new(&gpu, state)));
-    // Those born at 2 are young at 3.
+    // Gaussians born at 2 are young at 3.
     let (expected, found) = (fit(&mut on_cpu, 0..4, true, None), fit(&mut on_gpu, 0..4, true, None));
-    // What is born depends on the last bits of sums. Two processors differ by as much.
+    // Births depend on the last bits of sums. Two processors differ by as much.
     let is_near = |timestep: usize| (expected[timestep] - found[timestep]).abs() < if timestep < 2 { 0.2 } else { 0.5 };
     assert!((0..4).all(is_near), "{found:?} against {expected:?}");
     let [a, b] = [on_cpu.num_gaussians(), on_gpu.num_gaussians()].map(|n| n - NUM_WALL);

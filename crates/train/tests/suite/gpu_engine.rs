@@ -116,7 +116,8 @@ fn a_training_follows_that_on_the_cpu() {
     let counts = mean(&|(.., count)| *count as f64);
     let each: Vec<_> = pairs.iter().map(|pair| [pair[0].1, pair[1].1]).collect();
     eprintln!("PSNR {psnr:.2?} ({each:.2?}), Gaussians {counts:?}");
-    // Three standard errors of the difference: 0.2 dB on one processor is 0.23 on another, whose vectors are half as wide.
+    // Three standard errors of the difference: 0.2 dB on one processor is 0.23 on another, whose vectors are half as
+    // wide.
     assert!((psnr[0] - psnr[1]).abs() < 0.4, "{psnr:?}");
     assert!((counts[0] / counts[1] - 1.0).abs() < 0.02, "{counts:?}");
 }

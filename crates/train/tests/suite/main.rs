@@ -1,6 +1,6 @@
 //! Training: engines against each other, against finite differences and vectors of other programs, and runs as a whole.
 
-// What helps a test may unwrap as a test may.
+// Helpers of tests may unwrap, as tests may.
 #![allow(clippy::unwrap_used)]
 
 mod births;

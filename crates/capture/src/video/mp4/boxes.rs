@@ -1,6 +1,6 @@
 //! Boxes of an MP4 file: a size, a kind of four letters, and a body of numbers or of further boxes.
 //!
-//! ISO/IEC 14496-12, 4.2. Every number is read from what its box holds, so that no box reaches beyond another.
+//! ISO/IEC 14496-12, 4.2. Every number is read from its box's own bytes, so no box reaches beyond another.
 
 /// Bytes of a size and a kind.
 pub(super) const HEAD_BYTES: usize = 8;
@@ -56,7 +56,7 @@ impl<'a> Body<'a> {
         Ok((version, u32::from_be_bytes([0, a, b, c])))
     }
 
-    /// As many entries as the next number says.
+    /// A count, then as many entries.
     pub fn entries<const N: usize>(&mut self) -> Result<&'a [[u8; N]], String> {
         let count = self.u32()? as usize;
         self.rest.as_chunks().0.get(..count).ok_or_else(|| self.ends_early())

@@ -7,11 +7,11 @@ use std::collections::BTreeMap;
 use super::boxes::Body;
 use super::{MAX_FRAMES, Sample, too_many};
 
-/// Most frames of all tracks together, sound among them. A run of equal frames takes no bytes, so that their number alone
-/// bounds how long reading it takes.
+/// Most frames of all tracks together, sound among them. A run of equal frames takes no bytes, so only this number
+/// bounds the time of reading.
 const MAX_SAMPLES: usize = 16 * MAX_FRAMES;
 
-/// What holds for frames of which nothing else is said.
+/// Values of frames that have none of their own.
 #[derive(Clone, Copy, Default)]
 struct Defaults {
     duration: u32,
@@ -19,7 +19,7 @@ struct Defaults {
     flags: u32,
 }
 
-/// What is known between two fragments.
+/// State that is kept between two fragments.
 pub(super) struct Fragments {
     track: u32,
     by_track: BTreeMap<u32, Defaults>,
@@ -62,8 +62,8 @@ impl Fragments {
         Ok(())
     }
 
-    /// - `before`: where the bytes of the track before end
-    /// - returns: where those of this track end
+    /// - `before`: end of the previous track's bytes
+    /// - returns: end of this track's bytes
     fn of_track(
         &mut self,
         fragment: Body<'_>,
@@ -105,8 +105,8 @@ impl Fragments {
         Ok(at)
     }
 
-    /// - `base`: what the run's place is relative to; `at`: where the run before ends
-    /// - returns: where this run ends
+    /// - `base`: origin of the run's place; `at`: end of the previous run
+    /// - returns: end of this run
     fn run(
         &mut self,
         mut run: Body<'_>,

@@ -1,9 +1,10 @@
 //! The video track of an MP4 file (ISO/IEC 14496-12): how it is coded, where its frames lie and when they are shown.
 //!
-//! What lives here: [`read`], which trusts no number of a file: sizes of boxes nest, tables are as long as their boxes, and
-//! frames lie inside the file. `boxes` reads numbers, `tables` and `fragments` list frames. What does not: decoding.
+//! What lives here: [`read`], which trusts no number of a file. It refuses boxes that do not nest, tables of another
+//! length than their boxes, and frames outside the file. `boxes` reads numbers, `tables` and `fragments` list frames.
+//! What does not: decoding.
 //!
-//! Published readers of MP4 go round in circles on a box of no size, or panic on tables that contradict each other.
+//! Published readers of MP4 loop for ever at a box of size 0, or panic at tables that contradict each other.
 
 mod boxes;
 mod fragments;
@@ -17,7 +18,7 @@ use self::fragments::Fragments;
 
 /// Most frames of a video: 19 hours at 30 a second. A run of equal frames takes no bytes of a file.
 const MAX_FRAMES: usize = 1 << 21;
-/// Most bytes of the boxes that list frames, which are read whole: about twice what [`MAX_FRAMES`] take.
+/// Most bytes of the boxes that list frames: about twice the size for [`MAX_FRAMES`]. They are read whole.
 const MAX_LIST_BYTES: u64 = 1 << 26;
 /// Most boxes of a file.
 const MAX_BOXES: usize = 1 << 22;
@@ -28,7 +29,7 @@ pub(super) struct Sample {
     pub bytes: Range<u64>,
     /// When it is shown, in units of the track's clock, before edits.
     pub composed: i64,
-    /// Whether nothing before it is needed.
+    /// Whether it can be decoded without the frames before it.
     pub begins: bool,
 }
 
@@ -75,7 +76,7 @@ pub(super) struct Avc {
 #[derive(Debug)]
 pub(super) enum Mp4Error {
     Io(io::Error),
-    /// What the file holds.
+    /// The file's content is invalid.
     Format(String),
 }
 
@@ -221,7 +222,7 @@ fn of_track(track: Body<'_>, movie_timescale: u32) -> Result<Track, String> {
     let (version, _) = head.version()?;
     head.bytes(if version == 1 { 16 } else { 8 })?;
     let (timescale, duration) = (head.u32()?, head.long(version)?);
-    // All ones stand for unknown.
+    // All ones mean unknown.
     let is_known = duration != u64::MAX && (version == 1 || duration != u64::from(u32::MAX));
     let table = media.need(b"minf")?.need(b"stbl")?;
     let mut entries = table.need(b"stsd")?;
@@ -259,7 +260,7 @@ fn edits(track: Body<'_>) -> Result<Vec<Edit>, String> {
 }
 
 impl Avc {
-    /// Before the boxes of an entry of the kind `avc1` stand its fields.
+    /// The fields of an entry `avc1` come before its boxes.
     fn read(mut entry: Body<'_>) -> Result<Self, String> {
         entry.bytes(24)?;
         let (width, height) = (entry.u16()?, entry.u16()?);

@@ -1,14 +1,14 @@
 //! The tables of a track: where its frames lie, when each is shown, and at which decoding can begin.
 //!
-//! ISO/IEC 14496-12, 8.6 and 8.7. Tables of runs are never longer than their box; what they say is unrolled only as far as
-//! there are frames.
+//! ISO/IEC 14496-12, 8.6 and 8.7. Tables of runs are never longer than their box. Runs are unrolled only up to the
+//! number of frames.
 
 use std::iter::repeat_n;
 
 use super::boxes::Body;
 use super::{MAX_FRAMES, Sample, too_many};
 
-/// The frames of a track in the order of decoding, and how long they last together, in units of the track's clock. A file of
+/// The frames of a track in the order of decoding, and their total duration in units of the track's clock. A file of
 /// fragments has none here.
 ///
 /// - `table`: the box `stbl`
@@ -39,7 +39,7 @@ pub(super) fn samples(table: Body<'_>) -> Result<(Vec<Sample>, u64), String> {
         offsets.version()?;
         let offsets = offsets.entries::<8>()?;
         let mut num_shifted = 0;
-        // Version 0 has unsigned numbers, in which some programs write negative ones.
+        // Version 0 has unsigned numbers, but some programs write negative ones.
         for (sample, offset) in samples.iter_mut().zip(runs(offsets)) {
             sample.composed += i64::from(offset.cast_signed());
             num_shifted += 1;
@@ -64,7 +64,7 @@ pub(super) fn samples(table: Body<'_>) -> Result<(Vec<Sample>, u64), String> {
 /// How many bytes each frame has.
 struct Sizes<'a> {
     count: usize,
-    /// Of all frames alike; 0: as listed.
+    /// Size of every frame; 0: each has its own size in `listed`.
     all: u32,
     listed: &'a [[u8; 4]],
 }

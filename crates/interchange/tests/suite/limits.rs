@@ -1,10 +1,8 @@
-//! Limits of readers: every kind of file is refused below what it takes, and read under the usual limits and without
+//! Limits of readers: every kind of file is refused under tight limits, and read under the usual limits and without
 //! any.
 
-#![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
-
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use tcgs_core::{DynamicGaussians, Gaussians, SceneReader};
 use tcgs_interchange::{
@@ -12,9 +10,7 @@ use tcgs_interchange::{
     TimestepFiles, fourdgs_bytes, read_gaussians, read_ply_points, write_params_npz,
 };
 
-fn file(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange").join(name)
-}
+use super::{ONE_TIMESTEP, SCENES, file};
 
 /// Less than any reader holds.
 const TIGHT: ReadLimits = ReadLimits { base_bytes: 100, expansion: 0, max_timesteps: 2 };
@@ -36,19 +32,12 @@ fn is_bounded<T>(path: &Path, read: impl Fn(&Path, ReadLimits) -> Result<T, Inte
 
 #[test]
 fn every_reader_keeps_to_its_limits() {
-    for name in [
-        "original.ply",
-        "splat_transform.compressed.ply",
-        "splat_transform.glb",
-        "splat_transform_v3.spz",
-        "splat_transform_v4.spz",
-        "spz_v2.spz",
-    ] {
+    for name in ONE_TIMESTEP {
         is_bounded(&file(name), |path, limits| read_gaussians(path, with(limits)));
         // A folder's files are refused when it is opened, before any is read.
         is_bounded(&file(name), |path, limits| TimestepFiles::open(path, with(limits)));
     }
-    for name in ["fourdgs_births.4dgs", "fourdgs_states.4dgs"] {
+    for name in SCENES {
         is_bounded(&file(name), |path, limits| FourdgsFile::open(path, with(limits)));
         // Three timesteps.
         let few = ReadLimits { max_timesteps: 2, ..ReadLimits::default() };
@@ -84,7 +73,7 @@ fn copies_of_an_array_count() {
     assert!(message.ends_with(": needs 1200 bytes of memory, limit is 1000"), "{message}");
 }
 
-/// Numbers are counted without a look at each Gaussian at every time; they must be those of the states.
+/// Numbers are counted without the states; they must agree with the states.
 #[test]
 fn gaussians_of_each_time_are_counted_as_they_are_read() {
     let folder = tempfile::tempdir().unwrap();

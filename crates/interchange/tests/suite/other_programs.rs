@@ -1,28 +1,22 @@
 //! Files that other programs made of one PLY file (`testdata/interchange`), against that file. Every tolerance is half a
 //! step of what the kind of file holds, and what a float rounds.
 
-#![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
-
-use std::path::PathBuf;
-
 use tcgs_core::{Attribute, Gaussians, HARMONIC_0, SceneReader, normalize, rotmat_from_quat, sigmoid};
 use tcgs_interchange::{Axes, HigherHarmonics, ReadSettings, TimestepFiles, read_gaussians};
 
-fn path(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange").join(name)
-}
+use super::file;
 
 fn read(name: &str) -> Gaussians {
-    read_gaussians(&path(name), ReadSettings::default()).unwrap()
+    read_gaussians(&file(name), ReadSettings::default()).unwrap()
 }
 
-/// The Gaussians of an SPZ file by splat-transform 2.7.1, which turned them to RUB and declared no axes; or by its library, as
-/// `make.mjs` calls it.
+/// The Gaussians of an SPZ file of splat-transform 2.7.1, which turned them to RUB and declared no axes; or of its
+/// library, as `make.mjs` calls it.
 fn read_rub(name: &str) -> Gaussians {
-    read_gaussians(&path(name), ReadSettings { axes: Some(Axes::RUB), ..ReadSettings::default() }).unwrap()
+    read_gaussians(&file(name), ReadSettings { axes: Some(Axes::RUB), ..ReadSettings::default() }).unwrap()
 }
 
-/// Half a step of each attribute: what a kind of file may err.
+/// Half a step of each attribute: the error that a kind of file may have.
 struct HalfSteps {
     mean: [f64; 3],
     /// Of the components of a unit quaternion that are stored.
@@ -143,7 +137,7 @@ fn spz_of_splat_transform_and_of_its_library() {
     // Written from what was read of version 4.
     let may = HalfSteps { quat: 0.5 / 127.5, ..spz([8, 8]) };
     compare(&read_rub("spz_v2.spz"), &read_rub("splat_transform_v4.spz"), &may);
-    let dropped = read_gaussians(&path("splat_transform_v4.spz"), HigherHarmonics::Drop.into()).unwrap();
+    let dropped = read_gaussians(&file("splat_transform_v4.spz"), HigherHarmonics::Drop.into()).unwrap();
     assert!(dropped.layout().is_base() && dropped.means() == read("splat_transform_v4.spz").means());
 }
 
@@ -167,16 +161,16 @@ fn spz_of_other_programs_has_the_axes_of_ply_files_or_declares_others() {
         assert_eq!(found.layout(), original.layout(), "{name}");
         let quat = if name.contains("_v2") { 0.5 / 127.5 } else { 0.5 / 511.0 / 2.0_f64.sqrt() };
         compare(&found, &original, &HalfSteps { quat, ..spz([5, 4]) });
-        let notes = TimestepFiles::open(&path(name), ReadSettings::default()).unwrap().notes();
+        let notes = TimestepFiles::open(&file(name), ReadSettings::default()).unwrap().notes();
         assert_eq!(notes.is_empty(), name == "niantic_rub.spz", "{name}: {notes:?}");
     }
 }
 
 #[test]
 fn spz_of_degree_4_is_read_without_harmonics() {
-    let problem = read_gaussians(&path("spz_degree_4.spz"), ReadSettings::default()).unwrap_err().to_string();
+    let problem = read_gaussians(&file("spz_degree_4.spz"), ReadSettings::default()).unwrap_err().to_string();
     assert!(problem.ends_with("has spherical harmonics of degree 4, expected 0 to 3"), "{problem}");
-    let found = read_gaussians(&path("spz_degree_4.spz"), HigherHarmonics::Drop.into()).unwrap();
+    let found = read_gaussians(&file("spz_degree_4.spz"), HigherHarmonics::Drop.into()).unwrap();
     assert_eq!(found.means(), &read("splat_transform_v4.spz").means()[..1]);
 }
 
@@ -217,7 +211,7 @@ fn a_folder_of_several_kinds_is_one_sequence() {
     let folder = tempfile::tempdir().unwrap();
     for (i, name) in ["original.ply", "gsply_v3.spz", "spz_js_v2.spz", "niantic_rub.spz"].iter().enumerate() {
         let ending = name.rsplit('.').next().unwrap();
-        std::fs::copy(path(name), folder.path().join(format!("{i}.{ending}"))).unwrap();
+        std::fs::copy(file(name), folder.path().join(format!("{i}.{ending}"))).unwrap();
     }
     let files = TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap();
     assert_eq!((files.num_timesteps(), files.num_gaussians(), files.kind()), (4, 260, "Gaussian files"));

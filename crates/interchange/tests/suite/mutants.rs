@@ -1,11 +1,9 @@
 //! Damaged files: whatever bytes change, reading gives finite numbers or one line, and never panics.
 
-#![allow(clippy::unwrap_used)] // what helps a test may unwrap as a test may
-
-use std::path::{Path, PathBuf};
-
 use tcgs_core::{Gaussians, SceneReader};
 use tcgs_interchange::{FourdgsFile, InterchangeError, ReadSettings, read_gaussians};
+
+use super::{ONE_TIMESTEP, SCENES, file};
 
 /// A linear congruential generator.
 struct Random(u64);
@@ -50,22 +48,10 @@ fn is_right(answer: Result<Gaussians, InterchangeError>) -> bool {
     }
 }
 
-fn file(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/interchange").join(name)
-}
-
 #[test]
 fn damaged_files_of_one_timestep_do_no_harm() {
     let target = tempfile::NamedTempFile::new().unwrap();
-    let names = [
-        "original.ply",
-        "splat_transform.compressed.ply",
-        "splat_transform.glb",
-        "splat_transform_v3.spz",
-        "splat_transform_v4.spz",
-        "spz_v2.spz",
-    ];
-    for (seed, name) in names.into_iter().enumerate() {
+    for (seed, name) in ONE_TIMESTEP.into_iter().enumerate() {
         let (bytes, mut random) = (std::fs::read(file(name)).unwrap(), Random(seed as u64));
         let mut refused = 0;
         for _ in 0..400 {
@@ -79,7 +65,7 @@ fn damaged_files_of_one_timestep_do_no_harm() {
 #[test]
 fn damaged_files_of_whole_scenes_do_no_harm() {
     let target = tempfile::NamedTempFile::new().unwrap();
-    for (seed, name) in ["fourdgs_births.4dgs", "fourdgs_states.4dgs"].into_iter().enumerate() {
+    for (seed, name) in SCENES.into_iter().enumerate() {
         let (bytes, mut random) = (std::fs::read(file(name)).unwrap(), Random(seed as u64));
         let mut refused = 0;
         for _ in 0..150 {
