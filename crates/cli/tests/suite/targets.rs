@@ -28,7 +28,7 @@ fn a_target_is_kept_and_its_setting_gives_the_same_file() {
         let said = succeed(&[&given[..], more].concat());
         (said, json(&result), fs::metadata(&file).unwrap().len())
     };
-    let (_, plain, default) = compress(&[]);
+    let (_, plain, default) = compress(&["--refine", "off"]);
     assert!(plain.get("target").is_none());
 
     // Between the smallest file that there is and the one of the default quality.
@@ -49,7 +49,7 @@ fn a_target_is_kept_and_its_setting_gives_the_same_file() {
     assert!((number(&json(&measured)["psnr"]) - number(&target["psnr"])).abs() < 1e-6);
     // And the quality alone gives the same bytes.
     let before = fs::read(&file).unwrap();
-    compress(&["--quality", &target["quality"].to_string(), "--capture", capture]);
+    compress(&["--quality", &target["quality"].to_string(), "--capture", capture, "--refine", "off"]);
     assert!(fs::read(&file).unwrap() == before, "other bytes for quality {}", target["quality"]);
 
     let (said, coarse, small) = compress(&["--target-psnr", "24"]);
@@ -66,7 +66,7 @@ fn tuning_saves_bytes_at_the_same_psnr() {
     let run = train(&folder, "run", &[]);
     let (file, result) = (folder.path().join("a.tcgs"), folder.path().join("a.json"));
     let given = ["compress", text(&run), "--out", text(&file), "--json", text(&result), "--force"];
-    succeed(&given);
+    succeed(&[&given[..], &["--refine", "off"]].concat());
     let plain = fs::metadata(&file).unwrap().len();
     let tune = |more: &[&str]| {
         let said = succeed(&[&given[..], &["--tune"], more].concat());
@@ -177,7 +177,12 @@ fn refining_comes_closer_to_the_images_and_repeats() {
         succeed(&given);
         number(&json(&measured)["psnr"])
     };
-    let (_, _, plain) = compress("plain", &[]);
+    let (said, result, plain) = compress("plain", &["--refine", "off"]);
+    assert!(!said.contains("refined") && result.get("refined").is_none(), "{said}");
+    // By itself, as its training says: 30 iterations of the first timestep, and 2/15 of 10 of each of four.
+    let (said, result, usual) = compress("usual", &["--backend", "cpu"]);
+    assert_eq!(result["refined"]["iterations"], 30 + 6, "{said}");
+    assert!(psnr(&usual) > psnr(&plain), "{} from {}", psnr(&usual), psnr(&plain));
     let (said, result, refined) = compress("refined", &["--refine", "480", "--backend", "cpu"]);
     assert!(said.contains("refined in 480 iterations, which --refine 480 repeats"), "{said}");
     assert_eq!(result["refined"]["iterations"], 480);
@@ -220,7 +225,7 @@ fn refining_comes_closer_to_the_images_and_repeats() {
     assert!(psnr(&out) > number(&result["tuning"]["psnr"]) + 0.2, "{result}");
 
     let message = fail(2, &["compress", text(&run), "--refine", "5x"]);
-    assert!(message.contains("expected a time, such as 90s, 5m or 1h, or a number of iterations"), "{message}");
+    assert!(message.contains("expected off, a time, such as 90s, 5m or 1h, or a number of iterations"), "{message}");
     let params = path("params.npz");
     succeed(&["export", text(&plain), "--to", text(&params)]);
     let message = fail(2, &["compress", text(&params), "--refine", "5"]);
