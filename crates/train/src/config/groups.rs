@@ -128,8 +128,9 @@ pub struct DensifyConfig {
 pub struct MaskConfig {
     /// Whether masks are learned.
     pub enabled: bool,
-    /// Whether the weights of the losses on masks are relative to the image loss: to its least mean between two events of
-    /// density control and pruning in the first timestep; 0 before the first. Then a Gaussian has to gain the same share of what the images
+    /// Whether a mask is charged only where the view shows its Gaussian, and relative to the image loss: the weights of the losses
+    /// on masks are multiplied by its least mean between two events of density control and pruning in the first timestep; 0 before
+    /// the first. Then a Gaussian has to gain the same share of what the images
     /// still lack, wherever it is, while an absolute weight removes what a clean capture needs. Reference false; default true.
     pub relative: bool,
     /// `ε` of Eq. 1 and of the final pruning. Default 0.01.
