@@ -202,26 +202,14 @@ impl Schedule {
 
     /// Whether masked Gaussians are removed at this iteration.
     pub fn prunes_masked(&self, iteration: usize) -> bool {
-        self.config.mask.enabled && self.prunes(iteration)
-    }
-
-    /// Whether those are removed at this iteration whose removal the images show least.
-    pub fn prunes_by_error(&self, iteration: usize) -> bool {
-        self.config.densify.prune_error > 0.0 && self.prunes(iteration)
-    }
-
-    fn prunes(&self, iteration: usize) -> bool {
         let interval = self.scaled(self.config.mask.prune_interval).max(1);
         let ended = iteration > self.scaled(self.config.mask.prune_end);
-        iteration > 0 && iteration.is_multiple_of(interval) && !ended
+        self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval) && !ended
     }
 
     /// Whether Gaussians are replaced, removed or reset after this iteration, so that its gradients are not theirs.
     pub fn reshapes(&self, iteration: usize) -> bool {
-        self.densifies(iteration)
-            || self.resets_opacities(iteration)
-            || self.prunes_masked(iteration)
-            || self.prunes_by_error(iteration)
+        self.densifies(iteration) || self.resets_opacities(iteration) || self.prunes_masked(iteration)
     }
 
     /// Whether quantisation starts at this iteration.

@@ -31,7 +31,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 89] = [
+const BOUNDS: [(&str, Bounds); 88] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -86,7 +86,6 @@ const BOUNDS: [(&str, Bounds); 89] = [
     ("densify.prune_large", Whole(0, ITERATIONS)),
     ("densify.prune_scale", Number(0.0, FACTOR)),
     ("densify.reset_opacity", OPACITY),
-    ("densify.prune_error", Number(0.0, FACTOR)),
     ("mask.enabled", Any),
     ("mask.relative", Any),
     // A mask of 1 is never reached.

@@ -117,9 +117,6 @@ pub struct DensifyConfig {
     pub prune_scale: f32,
     /// Opacity after the reset. Default 0.01.
     pub reset_opacity: f32,
-    /// Share of the training images' mean squared error that a removal of what matters least may add to it, every
-    /// `mask.prune_interval` up to `mask.prune_end`; 0: there is none. Reference 0; default 0.1.
-    pub prune_error: f32,
 }
 
 /// Learned masks.

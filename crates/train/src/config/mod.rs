@@ -171,7 +171,6 @@ impl TrainConfig {
                 prune_large: 3000,
                 prune_scale: 0.1,
                 reset_opacity: 0.01,
-                prune_error: 0.0,
             },
             mask: MaskConfig {
                 enabled: true,
@@ -233,7 +232,6 @@ impl TrainConfig {
                     mask_consistency: 10.0,
                 };
                 config.mask.relative = true;
-                config.densify.prune_error = 0.1;
                 config.mask.prune_end = 6000;
                 config.mask.unseen_share = 0.025;
                 config.densify.reset = 0;

@@ -20,7 +20,6 @@ use tcgs_render::StageTimes;
 use crate::TrainError;
 use crate::config::MaskConfig;
 use crate::losses::{LossTerms, WeightConfig};
-use crate::removal::RemovalErrors;
 use crate::schedule::Rates;
 use crate::state::State;
 
@@ -110,12 +109,6 @@ pub trait Engine: Send + Debug {
     ///
     /// - `cameras`: one rendering each
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError>;
-
-    /// What the removal of each Gaussian would do to the pictures.
-    ///
-    /// - `views`: of all training cameras, in their order
-    /// - `seed`: of random signs
-    fn removal_errors(&mut self, mask: &MaskConfig, views: &[View], seed: u64) -> Result<RemovalErrors, TrainError>;
 
     /// Renders the current state: quantised and masked, colours alone, without the gain and offset of a training
     /// camera.

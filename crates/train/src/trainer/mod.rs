@@ -106,7 +106,7 @@ impl Trainer {
         if cloud.points.is_empty() {
             return Err(none("points of the initial cloud"));
         }
-        let share = config.mask.unseen_share;
+        let share = if config.mask.enabled { config.mask.unseen_share } else { 0.0 };
         let gathered = (share > 0.0).then(|| gather_unseen(cloud, cameras, share));
         let (cloud, num_seen) = gathered.as_ref().map_or((cloud, cloud.points.len()), |(cloud, seen)| (cloud, *seen));
         let mut parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);

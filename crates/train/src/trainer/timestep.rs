@@ -231,7 +231,7 @@ impl Trainer {
                         let mean = (sum / count as f64) as f32;
                         self.image_loss = if self.image_loss > 0.0 { self.image_loss.min(mean) } else { mean };
                     }
-                    self.reshape(iteration, seed, views)?;
+                    self.reshape(iteration, seed)?;
                 }
             }
         }
@@ -279,7 +279,7 @@ impl Trainer {
     }
 
     /// Densifies, removes and resets where the schedule says so.
-    fn reshape(&mut self, iteration: usize, seed: u64, views: &[View]) -> Result<(), TrainError> {
+    fn reshape(&mut self, iteration: usize, seed: u64) -> Result<(), TrainError> {
         let state = self.engine.state_mut()?;
         if self.schedule.densifies(iteration) {
             let step = DensifyStep {
@@ -302,18 +302,6 @@ impl Trainer {
                 remove_others(state, &keep);
             }
         }
-        if self.schedule.prunes_by_error(iteration) {
-            let mut errors = self.engine.removal_errors(&self.config.mask, views, seed)?;
-            // Images do not tell whether what is in none of them matters.
-            let logits = &self.engine.state()?.parameters.mask_logits;
-            let unseen = (errors.of_each.iter_mut().zip(logits)).filter(|(_, logit)| **logit == OPEN_LOGIT);
-            unseen.for_each(|(error, _)| *error = f32::INFINITY);
-            let keep = errors.keep(self.config.densify.prune_error);
-            if keep.len() < errors.of_each.len() {
-                remove_others(self.engine.state_mut()?, &keep);
-            }
-        }
-        let state = self.engine.state_mut()?;
         // Until the first timestep is finished nobody is told apart.
         state.number_anew();
         self.num_gaussians = state.parameters.num_gaussians();

@@ -9,8 +9,8 @@ use tcgs_render::StageTimes;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::{Engine, Scenery, Step, Target};
 use tcgs_train::{
-    DensifyStep, GateRecord, GradientStatistic, LossTerms, MaskConfig, Parameters, RemovalErrors, Run, State,
-    TrainConfig, TrainError, Trained, Trainer, densify, reset_opacities,
+    DensifyStep, GateRecord, GradientStatistic, LossTerms, MaskConfig, Parameters, Run, State, TrainConfig, TrainError,
+    Trained, Trainer, densify, reset_opacities,
 };
 
 fn capture() -> &'static Capture {
@@ -195,10 +195,6 @@ impl Engine for Late {
 
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
         self.cpu.sensitivity(cameras)
-    }
-
-    fn removal_errors(&mut self, mask: &MaskConfig, views: &[View], seed: u64) -> Result<RemovalErrors, TrainError> {
-        self.cpu.removal_errors(mask, views, seed)
     }
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {

@@ -11,8 +11,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use tcgs_core::{
-    Activated, ActivatedGrads, Camera, GaussianGrads, Gaussians, Image, Sensitivity, View, activate, activate_bwd,
-    normalize, seen_colors, seen_colors_bwd,
+    Activated, ActivatedGrads, Camera, GaussianGrads, Gaussians, Image, Sensitivity, activate, activate_bwd, normalize,
+    seen_colors, seen_colors_bwd,
 };
 use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderGrads, RenderSettings, StageTimes};
 
@@ -23,7 +23,6 @@ use crate::config::MaskConfig;
 use crate::losses::{LossTerms, WeightConfig};
 use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 use crate::parameters::Parameters;
-use crate::removal::{RemovalErrors, removal_errors};
 use crate::sensitivity::sensitivity;
 use crate::state::{GradientStatistic, State};
 
@@ -379,13 +378,6 @@ impl Engine for CpuEngine {
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
         let Ok(sensitivity) = sensitivity(&CpuRasterizer, &self.state.parameters.gaussians, cameras);
         Ok(sensitivity)
-    }
-
-    fn removal_errors(&mut self, mask: &MaskConfig, views: &[View], seed: u64) -> Result<RemovalErrors, TrainError> {
-        let drawn = Drawn::new(&self.state, mask, false);
-        let Ok(errors) =
-            removal_errors(&CpuRasterizer, |camera| drawn.seen_by(camera), &self.state.parameters, views, seed);
-        Ok(errors)
     }
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {

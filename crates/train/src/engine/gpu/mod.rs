@@ -27,7 +27,7 @@ mod test_support;
 
 use std::time::Instant;
 
-use tcgs_core::{Camera, Image, Sensitivity, View};
+use tcgs_core::{Camera, Image, Sensitivity};
 use tcgs_render::gpu::raw::{StageTimer, Staged};
 use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
@@ -43,7 +43,6 @@ use super::{Engine, Scenery, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
 use crate::losses::LossTerms;
-use crate::removal::{RemovalErrors, removal_errors};
 use crate::sensitivity::sensitivity;
 use crate::state::State;
 
@@ -360,12 +359,6 @@ impl Engine for GpuEngine {
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
         self.read()?;
         Ok(sensitivity(&self.rasterizer, &self.state.host().parameters.gaussians, cameras)?)
-    }
-
-    fn removal_errors(&mut self, mask: &MaskConfig, views: &[View], seed: u64) -> Result<RemovalErrors, TrainError> {
-        let drawn = Drawn::new(self.read()?, mask, false);
-        let parameters = &self.state.host().parameters;
-        Ok(removal_errors(&self.rasterizer, |camera| drawn.seen_by(camera), parameters, views, seed)?)
     }
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
