@@ -86,6 +86,7 @@ const BOUNDS: [(&str, Bounds); 88] = [
     ("densify.prune_large", Whole(0, ITERATIONS)),
     ("densify.prune_scale", Number(0.0, FACTOR)),
     ("densify.reset_opacity", OPACITY),
+    ("densify.unseen_share", SHARE),
     ("mask.enabled", Any),
     ("mask.relative", Any),
     // A mask of 1 is never reached.
@@ -95,7 +96,6 @@ const BOUNDS: [(&str, Bounds); 88] = [
     ("mask.reset", Any),
     ("mask.prune_interval", Whole(1, ITERATIONS)),
     ("mask.prune_end", Whole(0, ITERATIONS)),
-    ("mask.unseen_share", SHARE),
     ("quantize.enabled", Any),
     ("quantize.start", Whole(0, ITERATIONS)),
     ("quantize.min_bits", Whole(1, 16)),

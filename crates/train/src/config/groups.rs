@@ -117,6 +117,9 @@ pub struct DensifyConfig {
     pub prune_scale: f32,
     /// Opacity after the reset. Default 0.01.
     pub reset_opacity: f32,
+    /// Most points to begin with that are in no training camera's image, as a share of the others: these are gathered into so
+    /// many, at least a thousand. 0: all are taken as they are. Reference 0; default 0.1.
+    pub unseen_share: f32,
 }
 
 /// Learned masks.
@@ -125,10 +128,10 @@ pub struct DensifyConfig {
 pub struct MaskConfig {
     /// Whether masks are learned.
     pub enabled: bool,
-    /// Whether a mask is charged only where the view shows its Gaussian, and relative to the image loss: the weights of the losses
-    /// on masks are multiplied by its least mean between two events of density control and pruning in the first timestep; 0 before
-    /// the first. Then a Gaussian has to gain the same share of what the images
-    /// still lack, wherever it is, while an absolute weight removes what a clean capture needs. Reference false; default true.
+    /// Whether a mask is charged by what the capture shows. Then `L_mask` charges a Gaussian in those iterations alone whose view shows it,
+    /// so that what no view shows stays. And the weights of the losses on masks are multiplied by the image loss, and by the
+    /// Gaussians for each three pixels of an image where these are fewer than one. The image loss is its least mean between two
+    /// events of density control and pruning in the first timestep, 0 before the first. Reference false; default true.
     pub relative: bool,
     /// `ε` of Eq. 1 and of the final pruning. Default 0.01.
     pub threshold: f32,
@@ -141,10 +144,6 @@ pub struct MaskConfig {
     /// Last such pruning, of 10000; what is masked later stays until all timesteps have voted. Reference
     /// 10000; default 6000, where quantisation starts.
     pub prune_end: usize,
-    /// Most Gaussians to begin with that are in no training camera's image, as a share of the others. Their points are
-    /// gathered, and their masks stay open. 0: their masks are charged like all others, so that they vanish. Reference 0;
-    /// default 0.025.
-    pub unseen_share: f32,
 }
 
 /// The map from sensitivities to bit widths.

@@ -171,6 +171,7 @@ impl TrainConfig {
                 prune_large: 3000,
                 prune_scale: 0.1,
                 reset_opacity: 0.01,
+                unseen_share: 0.0,
             },
             mask: MaskConfig {
                 enabled: true,
@@ -180,7 +181,6 @@ impl TrainConfig {
                 reset: false,
                 prune_interval: 1000,
                 prune_end: 10_000,
-                unseen_share: 0.0,
             },
             quantize: QuantizeConfig {
                 enabled: true,
@@ -228,12 +228,12 @@ impl TrainConfig {
                     background: 10.0,
                     stillness: 0.0,
                     soft_color: 0.005,
-                    mask: 1.0,
-                    mask_consistency: 10.0,
+                    mask: 2.0,
+                    mask_consistency: 20.0,
                 };
                 config.mask.relative = true;
                 config.mask.prune_end = 6000;
-                config.mask.unseen_share = 0.025;
+                config.densify.unseen_share = 0.1;
                 config.densify.reset = 0;
                 config.gate = GateConfig::ON;
                 config.births = BirthConfig::ON;

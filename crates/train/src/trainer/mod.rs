@@ -23,7 +23,7 @@ use crate::motion::{Past, Pose};
 use crate::parameters::{Parameters, extent};
 use crate::schedule::{Phase, Schedule};
 use crate::state::State;
-use crate::unseen::{OPEN_LOGIT, gather_unseen};
+use crate::unseen::gather_unseen;
 
 /// A training run in progress: settings, schedule, and an engine with the state after the last finished timestep.
 ///
@@ -61,6 +61,8 @@ pub struct Trainer {
     scene_radius: f32,
     /// As in a checkpoint.
     image_loss: f32,
+    /// Of a training image of the timestep.
+    num_pixels: usize,
     engine: Box<dyn Engine>,
     /// As in the engine's state, which may be far away.
     num_gaussians: usize,
@@ -106,11 +108,10 @@ impl Trainer {
         if cloud.points.is_empty() {
             return Err(none("points of the initial cloud"));
         }
-        let share = if config.mask.enabled { config.mask.unseen_share } else { 0.0 };
+        let share = config.densify.unseen_share;
         let gathered = (share > 0.0).then(|| gather_unseen(cloud, cameras, share));
-        let (cloud, num_seen) = gathered.as_ref().map_or((cloud, cloud.points.len()), |(cloud, seen)| (cloud, *seen));
+        let cloud = gathered.as_ref().unwrap_or(cloud);
         let mut parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
-        parameters.mask_logits[num_seen..].fill(OPEN_LOGIT);
         let layout = Layout::with_harmonics(config.color.degree).antialiased(config.render.antialiased);
         parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
         Self::from_parameters(config, parameters, cameras, make)
@@ -143,6 +144,7 @@ impl Trainer {
             schedule: Schedule::new(config, radius),
             scene_radius: radius,
             image_loss: 0.0,
+            num_pixels: 0,
             num_gaussians,
             gate: gate(config, GateRecord::default(), &config.deaths),
             engine,
@@ -226,6 +228,7 @@ impl Trainer {
             schedule: Schedule::new(config, last.scene_radius),
             scene_radius: last.scene_radius,
             image_loss: last.image_loss,
+            num_pixels: 0,
             num_gaussians,
             // Chapters of one scene have the same Gaussians.
             gate: gate(config, last.gate.clone(), if continues { &DeathConfig::OFF } else { &config.deaths }),

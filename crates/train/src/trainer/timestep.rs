@@ -18,7 +18,9 @@ use crate::losses::{LossTerms, WeightConfig};
 use crate::mask::mask;
 use crate::motion::predict;
 use crate::schedule::Phase;
-use crate::unseen::OPEN_LOGIT;
+
+/// Where an image has more pixels than so many for each Gaussian, Gaussians are few, and masks remove fewer of them.
+const PIXELS_A_GAUSSIAN: f32 = 3.0;
 
 /// The report of one iteration that [`Trainer::fit`] gives to its observer.
 #[derive(Clone, Copy, Debug)]
@@ -84,6 +86,7 @@ impl Trainer {
         self.check_finished()?;
         self.is_unfinished = true;
         self.camera_ids = views.iter().map(|v| v.camera_id).collect();
+        self.num_pixels = views.iter().map(|v| v.image.num_pixels()).sum::<usize>() / views.len();
         let with_segmentation = all_segmented(views);
         let targets: Vec<Target> = views.iter().map(|v| Target::new(v, with_segmentation)).collect();
         let phase = self.phase();
@@ -245,8 +248,10 @@ impl Trainer {
     fn weights(&self) -> WeightConfig {
         let mut weights = self.config.weights;
         if self.config.mask.relative {
-            weights.mask *= self.image_loss;
-            weights.mask_consistency *= self.image_loss;
+            let many = PIXELS_A_GAUSSIAN * self.num_gaussians as f32 / self.num_pixels.max(1) as f32;
+            let price = self.image_loss * many.min(1.0);
+            weights.mask *= price;
+            weights.mask_consistency *= price;
         }
         weights
     }
@@ -345,8 +350,7 @@ impl Trainer {
             // Paper Eq. 5 compares with the timestep before.
             past.previous_mask_logits = Some(p.mask_logits.clone());
             if self.config.mask.reset {
-                let learned = p.mask_logits.iter_mut().filter(|logit| **logit != OPEN_LOGIT);
-                learned.for_each(|logit| *logit = self.config.mask.initial_logit);
+                p.mask_logits.fill(self.config.mask.initial_logit);
             }
         }
         state.optimizer.begin_timestep(self.config.rates.reset_steps);
