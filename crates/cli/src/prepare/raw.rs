@@ -13,8 +13,9 @@ use tcgs_capture::{
     POINTS_FILE, PlacedCameras, RawCamera, RawFootage, Refinement, Role, has_colmap,
 };
 
-use super::{Arguments, MODEL, RECORD, begin_capture, cameras, check, colors, link, masks, points};
+use super::{Arguments, MODEL, RECORD, begin_capture, cameras, check, colors, link, masks, no_videos, points};
 use crate::error::wrong_input;
+use crate::next;
 use crate::output::{write_file, write_json};
 use crate::progress::Progress;
 use crate::terminal::say;
@@ -88,7 +89,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         write_json(&out.join(RECORD), &result, true)?;
         result["check"] = check::after_preparing(out)?;
         arguments.job.write_json(&result)?;
-        say(&format!("next: tcgs train {} --out RUN", out.display()))?;
+        next::train(out, None)?;
     }
     Ok(())
 }
@@ -112,12 +113,10 @@ fn found_description(out: &Path, arguments: &Arguments) -> anyhow::Result<Option
 /// - returns: nothing if this is a dry run
 fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Described>> {
     let source = &arguments.source;
-    let folder = match arguments.dry_run {
-        true => None,
-        false => Some(begin_capture(out, source, arguments.job.force)?),
-    };
+    // A dry run removes it again; what makes it fail would make the command fail.
+    let folder = Some(begin_capture(out, source, arguments.job.force)?).filter(|_| !arguments.dry_run);
     let raw = RawFootage::find(source, arguments.fps)?;
-    let raw = raw.ok_or_else(|| wrong_input(format!("{}: has no videos, expected one a camera", source.display())))?;
+    let raw = raw.ok_or_else(|| no_videos(source))?;
     let recorded = raw.cameras();
     for line in recordings_in_words(&recorded) {
         say(&line)?;
