@@ -53,7 +53,7 @@ pub struct ColorBalance {
 }
 
 /// Measures gains and offsets between the cameras of a description, relative to the camera in the middle, and takes them
-/// where held-out places agree better with them.
+/// where held-out places agree better with them. Cameras of which too few places judge keep their colours.
 ///
 /// Places are corners that are matched between neighbouring cameras at several moments; a place's colour is the mean of
 /// what is around it. A quarter of the regions of every image is held out.
@@ -113,15 +113,6 @@ fn best_of(
     description: &mut CaptureDescription,
 ) -> ColorBalance {
     let num_cameras = description.cameras.len();
-    let lines_of = |model: Model| {
-        to_fit.each_ref().map(|places| {
-            let count = |camera: usize| {
-                places.iter().filter(|seen| seen.len() >= 2 && seen.iter().any(|&(other, _)| other == camera)).count()
-            };
-            let is_free: Vec<bool> = (0..num_cameras).map(|camera| count(camera) >= MIN_TRACKS).collect();
-            color_fit::fit(places, &is_free, model)
-        })
-    };
     let judged = |lines: &[Vec<Line>; 3]| -> Vec<Option<f64>> {
         let errors = [0, 1, 2].map(|channel| color_fit::errors(&to_judge[channel], &lines[channel]));
         let of_camera = |camera: usize| {
@@ -130,11 +121,22 @@ fn best_of(
         };
         (0..num_cameras).map(of_camera).collect()
     };
+    let before = judged(&[(); 3].map(|()| vec![Line::NONE; num_cameras]));
+    let lines_of = |model: Model| {
+        to_fit.each_ref().map(|places| {
+            let count = |camera: usize| {
+                places.iter().filter(|seen| seen.len() >= 2 && seen.iter().any(|&(other, _)| other == camera)).count()
+            };
+            // A gain that nothing judges is not applied.
+            let is_free: Vec<bool> =
+                (0..num_cameras).map(|camera| count(camera) >= MIN_TRACKS && before[camera].is_some()).collect();
+            color_fit::fit(places, &is_free, model)
+        })
+    };
     let mean = |errors: &[Option<f64>]| {
         let known: Vec<f64> = errors.iter().flatten().copied().collect();
         known.iter().sum::<f64>() / known.len().max(1) as f64
     };
-    let before = judged(&[(); 3].map(|()| vec![Line::NONE; num_cameras]));
     let gains = lines_of(Model::Gains);
     let with_offsets = lines_of(Model::GainsAndOffsets);
     let has_offsets = mean(&judged(&with_offsets)) < BETTER_WITH_OFFSETS * mean(&judged(&gains));

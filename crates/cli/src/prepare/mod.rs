@@ -234,12 +234,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         result["masks"] = told_of_masks;
     }
     if let Some(folder) = folder {
-        points::write(&folder.path().join(POINTS_FILE), &prepared.cloud, false)?;
+        points::write(&folder.path().join(POINTS_FILE), &prepared, false)?;
         write_json(&folder.path().join(RECORD), &result, false)?;
         folder.finish()?;
     }
     if let Some(file) = &arguments.points_only {
-        points::write(file, &prepared.cloud, force)?;
+        points::write(file, &prepared, force)?;
     }
     if let Some(out) = &arguments.out {
         result["check"] = check::after_preparing(out)?;
