@@ -183,3 +183,31 @@ fn read_npz(path: &Path) -> Result<PointCloud, CaptureError> {
         foreground: rows.iter().map(|row| row[6] > 0.5).collect(),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn origins_come_back_and_unknown_ones_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(POINTS_FILE);
+        let num_points = Origin::ALL.len();
+        let cloud = PointCloud {
+            points: vec![[1.0; 3]; num_points],
+            colors: vec![[0.5; 3]; num_points],
+            foreground: vec![true; num_points],
+        };
+        let prepared = Prepared { cloud, origins: Origin::ALL.into(), agreement: 0.5 };
+        write_prepared(std::fs::File::create(&path).unwrap(), &prepared).unwrap();
+        assert_eq!(read_origins(&path).unwrap(), Some(Origin::ALL.into()));
+        assert_eq!(read(&path).unwrap().points.len(), num_points);
+        write_points(std::fs::File::create(&path).unwrap(), &prepared.cloud).unwrap();
+        assert_eq!(read_origins(&path).unwrap(), None);
+        let mut npz = NpzWriter::new(std::fs::File::create(&path).unwrap());
+        npz.array(ORIGINS, &[2], [&[0_u8, 9][..]]).unwrap();
+        npz.finish().unwrap();
+        let refused = read_origins(&path).unwrap_err().to_string();
+        assert!(refused.ends_with("origin has the code 9, expected 0 to 4"), "{refused}");
+    }
+}

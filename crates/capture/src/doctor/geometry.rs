@@ -340,3 +340,23 @@ fn direction([x, y]: [f64; 2]) -> String {
     let parts: Vec<String> = [part(x, "left", "right"), part(y, "up", "down")].into_iter().flatten().collect();
     parts.join(" and ")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn likeness_restrains_the_verdict() {
+        let wrong = Verdict::Wrong(Hypothesis::Inverted);
+        let verdicts = |given: &[(f64, Verdict)]| -> Vec<Verdict> {
+            let judged = given.iter().map(|&(fit, verdict)| Judged { fit: Some(fit), verdict }).collect();
+            sober(judged).into_iter().map(|judged| judged.verdict).collect()
+        };
+        use Verdict::{Fits, Lost, Undecided};
+        assert_eq!(verdicts(&[(0.9, Fits), (0.4, Fits), (0.8, Fits)]), [Fits, Undecided, Fits]);
+        assert_eq!(verdicts(&[(0.9, Fits), (0.1, Lost), (0.8, Fits)]), [Fits, Lost, Fits]);
+        // Where most are unlike their points, the points are suspect.
+        assert_eq!(verdicts(&[(0.6, Fits), (0.1, Lost), (0.3, Fits)]), [Fits, Undecided, Undecided]);
+        assert_eq!(verdicts(&[(0.1, wrong), (0.2, wrong)]), [wrong, wrong]);
+    }
+}

@@ -206,3 +206,46 @@ fn mean_around(image: &RgbImage, [x, y]: [f64; 2], radius: f64) -> [Option<f64>;
     let is_whole = count > 2.0 * radius * radius;
     std::array::from_fn(|i| (is_whole && saturated[i] <= MAX_SATURATED * count).then(|| sums[i] / count))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::description::{DescribedCamera, Role};
+
+    #[test]
+    fn a_gain_that_nothing_judges_is_not_applied() {
+        let mut description = CaptureDescription::new(30.0, 1);
+        description.cameras = (0..3)
+            .map(|id| DescribedCamera {
+                id,
+                name: format!("cam{id}"),
+                file: format!("cam{id}.mp4"),
+                role: Role::Train,
+                start_secs: 0.0,
+                images_per_sec: None,
+                turn_degrees: 0,
+                crop: None,
+                gains: [1.0; 3],
+                offsets: [0.0; 3],
+                size: [64, 48],
+                focal: [60.0; 2],
+                principal: [32.0, 24.0],
+                distortion: Vec::new(),
+                camera_from_world: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
+                error_px: None,
+            })
+            .collect();
+        // The second and the third camera are darker; no held-out place is seen by the third.
+        let shown = [1.0, 0.6, 0.5];
+        let place = |i: usize, cameras: &[usize]| -> Seen {
+            let color = 0.2 + 0.6 * (i % 17) as f64 / 17.0;
+            cameras.iter().map(|&camera| (camera, color * shown[camera])).collect()
+        };
+        let places = |cameras: &[usize]| [(); 3].map(|()| (0..80).map(|i| place(i, cameras)).collect::<Vec<Seen>>());
+        let found = best_of(&places(&[0, 1, 2]), &places(&[0, 1]), [80, 80], &mut description);
+        assert!(found.is_taken && found.camera_error_levels[2].is_none(), "{found:?}");
+        let gains = |camera: usize| description.cameras[camera].gains[0];
+        assert!((gains(1) / gains(0) - 1.0 / 0.6).abs() < 0.05, "{} {}", gains(0), gains(1));
+        assert_eq!((description.cameras[2].gains, description.cameras[2].offsets), ([1.0; 3], [0.0; 3]));
+    }
+}

@@ -136,8 +136,10 @@ pub fn verdict(path: &Path, diagnosis: &Diagnosis) -> String {
     let words = match diagnosis.findings.len() {
         0 => {
             let num_fit = num_cameras - diagnosis.undecided.len();
-            let verdict = if num_fit == num_cameras { "healthy" } else { "nothing wrong was found" };
-            format!("{verdict}, {num_fit} cameras fit")
+            match num_fit == num_cameras {
+                true => format!("healthy, {num_fit} cameras fit"),
+                false => format!("nothing wrong was found, {num_fit} of {num_cameras} cameras fit"),
+            }
         }
         1 => "1 finding, expected a healthy capture".into(),
         count => format!("{count} findings, expected a healthy capture"),

@@ -243,6 +243,7 @@ fn errors_are_kept_within_bounds() {
         assert!(number(&result["declared_errors"][name]) <= number(wanted), "{name}: {result}");
     }
     let steps = result["max_error"]["steps"].as_array().unwrap().len();
+    assert!(said.contains("\nattribute        largest error\nmean  "), "{said}");
     assert!((2..=6).contains(&steps) && said.contains(&format!("within the bounds; {steps} settings tried")), "{said}");
     assert_tight(&verify(&file, &[&plys]).1);
 
