@@ -324,8 +324,7 @@ impl Capture {
         Ok(origins.map(|origins| measured(&origins) as f64 / origins.len().max(1) as f64))
     }
 
-    /// The initial points that say something of the cameras: those whose depth is measured, or all where nothing says how
-    /// they were made.
+    /// The initial points whose depth is measured; all points if their file does not say how they were made.
     pub(crate) fn evidence(&self) -> Result<PointCloud, CaptureError> {
         let cloud = self.point_cloud()?;
         match self.origins()? {

@@ -74,7 +74,7 @@ impl Teller {
         if let Some(before) = self.num_before.replace(*num_gaussians).filter(|before| num_gaussians < before && !*said)
         {
             *said = true;
-            progress.say(&format!("{num_gaussians} of {before} Gaussians are left: {}", fewer(*timestep)))?;
+            progress.say(&format!("Gaussians become fewer ({num_gaussians} of {before}): {}", fewer(*timestep)))?;
         }
         Ok(())
     }

@@ -23,7 +23,7 @@ pub struct Clocks {
     pub evidence: Option<ClockEvidence>,
 }
 
-/// What speaks for clocks that were found by motion, of the camera that it says least of.
+/// How sure clocks by motion are: the numbers of the camera that is least sure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct ClockEvidence {

@@ -1,6 +1,6 @@
 //! The diagnosis of a capture: mistakes of cameras, masks and clocks that only the images reveal.
 //!
-//! Of each camera one of three things is said: it fits, something is wrong, or it cannot be told. Points whose depth is
+//! A camera gets one of three verdicts: it fits, something is wrong, or the doctor cannot tell. Points whose depth is
 //! assumed are no evidence: those of the shell have their colour from one camera's own picture.
 //!
 //! What lives here: checks that [`Capture::open`] does not make. *poses* finds cameras with one pose. *geometry* draws the

@@ -43,6 +43,7 @@ fn each_next_line_runs_as_it_is_printed() {
     assert_eq!(line, r"tcgs train 'it'\''s mine' --out 'it'\''s mine_run'");
     let said = shell(&format!("{line} --iterations 30,10 --backend cpu"), here);
     assert!(said.contains("no camera is held out") && said.contains("--hold-out 3 measures"), "{said}");
+    assert!(said.contains("Gaussians become fewer (") && said.contains("nearly transparent"), "{said}");
     let line = next(&said);
     assert!(line.ends_with(" --cameras train"), "{line}");
     // Shorter; the rest is as it was printed.
