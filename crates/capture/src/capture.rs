@@ -14,7 +14,7 @@ use crate::footage::{ByFrame, Footage};
 use crate::kind::{CaptureFacts, CaptureKind};
 use crate::points::{self, Points};
 use crate::recording::ColorChange;
-use crate::{CaptureError, kinds, points_in_view};
+use crate::{CaptureError, Origin, kinds, points_in_view, prepare};
 
 /// Selects the training cameras, the test cameras, or both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -310,6 +310,39 @@ impl Capture {
             Some(Points::File(file)) => points::read(file),
             Some(Points::InMemory(cloud)) => Ok(PointCloud::clone(cloud)),
             None => Err(CaptureError::NoPoints { path: self.path.clone() }),
+        }
+    }
+
+    /// Share of the initial points whose depth is measured ([`Origin::is_measured`](crate::Origin::is_measured)), in
+    /// `[0, 1]`; `None` where nothing says how the points were made.
+    ///
+    /// # Errors
+    /// [`CaptureError`] if the file of the points cannot be read.
+    pub fn measured_share(&self) -> Result<Option<f64>, CaptureError> {
+        let origins = self.origins()?;
+        let measured = |origins: &[Origin]| origins.iter().filter(|origin| origin.is_measured()).count();
+        Ok(origins.map(|origins| measured(&origins) as f64 / origins.len().max(1) as f64))
+    }
+
+    /// The initial points whose depth is measured; all points if their file does not say how they were made.
+    pub(crate) fn evidence(&self) -> Result<PointCloud, CaptureError> {
+        let cloud = self.point_cloud()?;
+        match self.origins()? {
+            Some(origins) if origins.len() == cloud.points.len() => Ok(prepare::measured(&cloud, &origins)),
+            Some(origins) => {
+                let (found, expected) = (origins.len(), cloud.points.len());
+                let problem =
+                    format!("says of {found} points how they were made, expected as many as there are: {expected}");
+                Err(CaptureError::invalid(&self.path, problem))
+            }
+            None => Ok(cloud),
+        }
+    }
+
+    fn origins(&self) -> Result<Option<Vec<Origin>>, CaptureError> {
+        match &self.contents.points {
+            Some(Points::File(file)) => points::read_origins(file),
+            _ => Ok(None),
         }
     }
 

@@ -52,16 +52,16 @@ mod video;
 pub use builder::{CameraBuilder, CaptureBuilder};
 pub use calibration::{CalibratedCamera, Calibration};
 pub use capture::{Capture, Split};
-pub use clocks::{Clocks, ClocksFrom};
+pub use clocks::{ClockEvidence, Clocks, ClocksFrom};
 pub use description::{
     CalibrationSource, CaptureDescription, ClockSource, ColorSource, DESCRIPTION_FILE, DescribedCamera, Role,
 };
-pub use doctor::{CameraFit, CameraPictures, Diagnosis, Finding, FindingKind, check};
+pub use doctor::{CameraFit, CameraPictures, Diagnosis, Finding, FindingKind, check, same_poses};
 pub use error::CaptureError;
 pub use kind::{CaptureFacts, CaptureKind};
 pub use kinds::MASKS_FOLDER;
 pub use masks::{MaskSettings, make_masks, obstacle_to_masks};
-pub use points::{POINTS_FILE, write_points};
+pub use points::{POINTS_FILE, write_points, write_prepared};
 pub use prepare::{Origin, PrepareSettings, Prepared, prepare, spread_points};
 pub use raw::{DescribeSettings, PlacedCameras, RawCamera, RawFootage};
 pub use recording::end_programs;

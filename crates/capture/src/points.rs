@@ -1,5 +1,5 @@
 //! The initial points of a capture: found and read as `init_pt_cld.npz` of Dynamic 3D Gaussians, PLY or COLMAP model,
-//! and written as `init_pt_cld.npz`.
+//! and written as `init_pt_cld.npz`; and how each was made, where the file says it.
 
 use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tcgs_core::{MAX_COORDINATE, PointCloud};
 use tcgs_interchange::{NpzReader, NpzWriter, ReadLimits, read_ply_points};
 
-use crate::{CaptureError, colmap, files};
+use crate::{CaptureError, Origin, Prepared, colmap, files};
 
 /// File name of the initial points in the form of Dynamic 3D Gaussians (Luiten et al. 2024). A capture of any kind may
 /// have this file; its points precede all others.
@@ -17,6 +17,9 @@ pub const POINTS_FILE: &str = "init_pt_cld.npz";
 /// Files that a capture of any kind may have beside its own, the first that exists counts. The last is what the
 /// preparation of Neural 3D Video for 4D Gaussian Splatting leaves.
 const FILES: [&str; 3] = [POINTS_FILE, "points3D.ply", "points3D_downsample2.ply"];
+
+/// The array that says how each point was made, beside `data`, which other programs read.
+const ORIGINS: &str = "origin";
 
 /// Columns of a row: position, colour, foreground.
 const COLUMNS: usize = 7;
@@ -94,6 +97,24 @@ fn read_unchecked(path: &Path) -> Result<PointCloud, CaptureError> {
 /// # Panics
 /// If the cloud has fewer colours or labels than points.
 pub fn write_points(writer: impl Write + Seek, cloud: &PointCloud) -> io::Result<()> {
+    write(writer, cloud, &[])
+}
+
+/// As [`write_points`], with a second array `origin`, `[P]` uint8, that says how each point was made: the place of its
+/// [`Origin`] in [`Origin::ALL`]. Programs that read `data` alone are not affected.
+///
+/// # Errors
+/// The errors of `writer`.
+///
+/// # Panics
+/// If the points have fewer colours, labels or origins than there are of them.
+pub fn write_prepared(writer: impl Write + Seek, prepared: &Prepared) -> io::Result<()> {
+    assert_eq!(prepared.origins.len(), prepared.cloud.points.len(), "origins and points");
+    write(writer, &prepared.cloud, &prepared.origins)
+}
+
+/// - `origins`: of all points; if empty, nothing is said of them
+fn write(writer: impl Write + Seek, cloud: &PointCloud, origins: &[Origin]) -> io::Result<()> {
     let num_points = cloud.points.len();
     let rows: Vec<f32> = (0..num_points)
         .flat_map(|i| {
@@ -103,7 +124,37 @@ pub fn write_points(writer: impl Write + Seek, cloud: &PointCloud) -> io::Result
         .collect();
     let mut npz = NpzWriter::new(writer);
     npz.array("data", &[num_points, COLUMNS], [&rows[..]])?;
+    if !origins.is_empty() {
+        let codes: Vec<u8> = origins.iter().map(|&origin| origin as u8).collect();
+        npz.array(ORIGINS, &[num_points], [&codes[..]])?;
+    }
     npz.finish()?.flush()
+}
+
+/// How each point of a file was made; `None` where the file does not say it.
+pub(crate) fn read_origins(path: &Path) -> Result<Option<Vec<Origin>>, CaptureError> {
+    if files::name(path).rsplit('.').next() != Some("npz") {
+        return Ok(None);
+    }
+    files::check_regular(path)?;
+    let mut npz = NpzReader::open(path)?;
+    if !npz.contains(ORIGINS) {
+        return Ok(None);
+    }
+    npz.check_copies(ORIGINS, 2)?;
+    let codes = npz.array_of::<u8>(ORIGINS)?;
+    let invalid = |found: String, expected: String| {
+        CaptureError::invalid(path, format!("{ORIGINS} {found}, expected {expected}"))
+    };
+    let [num_points] = codes.shape[..] else {
+        return Err(invalid(format!("has the shape {:?}", codes.shape), "[points]".into()));
+    };
+    debug_assert_eq!(num_points, codes.values.len());
+    let origin = |&code: &u8| {
+        let known = Origin::ALL.get(usize::from(code)).copied();
+        known.ok_or_else(|| invalid(format!("has the code {code}"), format!("0 to {}", Origin::ALL.len() - 1)))
+    };
+    codes.values.iter().map(origin).collect::<Result<_, _>>().map(Some)
 }
 
 /// Reads the array `data` `[P, 7]`: `x, y, z` in scene units, `r, g, b` in `[0, 1]`, foreground 0 or 1.
@@ -131,4 +182,32 @@ fn read_npz(path: &Path) -> Result<PointCloud, CaptureError> {
         colors: rows.iter().map(|&[_, _, _, r, g, b, _]| [r, g, b].map(|c| c.clamp(0.0, 1.0))).collect(),
         foreground: rows.iter().map(|row| row[6] > 0.5).collect(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn origins_come_back_and_unknown_ones_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(POINTS_FILE);
+        let num_points = Origin::ALL.len();
+        let cloud = PointCloud {
+            points: vec![[1.0; 3]; num_points],
+            colors: vec![[0.5; 3]; num_points],
+            foreground: vec![true; num_points],
+        };
+        let prepared = Prepared { cloud, origins: Origin::ALL.into(), agreement: 0.5 };
+        write_prepared(std::fs::File::create(&path).unwrap(), &prepared).unwrap();
+        assert_eq!(read_origins(&path).unwrap(), Some(Origin::ALL.into()));
+        assert_eq!(read(&path).unwrap().points.len(), num_points);
+        write_points(std::fs::File::create(&path).unwrap(), &prepared.cloud).unwrap();
+        assert_eq!(read_origins(&path).unwrap(), None);
+        let mut npz = NpzWriter::new(std::fs::File::create(&path).unwrap());
+        npz.array(ORIGINS, &[2], [&[0_u8, 9][..]]).unwrap();
+        npz.finish().unwrap();
+        let refused = read_origins(&path).unwrap_err().to_string();
+        assert!(refused.ends_with("origin has the code 9, expected 0 to 4"), "{refused}");
+    }
 }

@@ -1,6 +1,6 @@
 //! Which exit code an error has, and its words; `main` prints them.
 
-use tcgs_capture::{CaptureError, Split};
+use tcgs_capture::{CaptureError, RawFootage, Split};
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_core::{Layout, MAX_SH_DEGREE};
 use tcgs_interchange::InterchangeError;
@@ -9,7 +9,7 @@ use tcgs_pipeline::{Fault, HasFault, PipelineError};
 use tcgs_reproduce::ReproduceError;
 use tcgs_train::TrainError;
 
-use crate::{attribute_errors, interrupt};
+use crate::{attribute_errors, interrupt, next};
 
 /// Wrong usage or input, as against a computer that fails: one line that names the culprit, what was
 /// found and what was expected.
@@ -45,6 +45,10 @@ pub fn message(error: &anyhow::Error) -> String {
             return format!("{error:#}; `tcgs prepare` makes them, and `tcgs train --points FILE` takes others");
         }
         Some(CaptureError::NoDepth { .. }) => return format!("{error:#}; `tcgs prepare --check` looks for the reason"),
+        Some(CaptureError::NotCapture { path, .. }) if RawFootage::is_in(path).unwrap_or(false) => {
+            let (shown, prepare) = (path.display(), next::prepare(path));
+            return format!("{shown}: is a folder of videos or images, expected a capture; `{prepare}` makes one");
+        }
         _ => {}
     }
     match error.downcast_ref::<ReproduceError>() {

@@ -13,6 +13,7 @@ mod eval;
 mod export;
 mod info;
 mod interrupt;
+mod next;
 mod options;
 mod output;
 mod pictures;

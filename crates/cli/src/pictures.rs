@@ -1,4 +1,4 @@
-//! What several commands show of a capture: its cameras' names, and images inside a page.
+//! What several commands show of a capture: its description, and images inside a page.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use anyhow::Context;
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use image::{ExtendedColorType, codecs::jpeg::JpegEncoder};
-use tcgs_capture::{Capture, CaptureDescription, CaptureKind, DESCRIPTION_FILE, Split};
+use tcgs_capture::{Capture, CaptureDescription, CaptureKind, DESCRIPTION_FILE};
 use tcgs_core::Image;
 
 const JPEG_QUALITY: u8 = 85;
@@ -15,13 +15,6 @@ const JPEG_QUALITY: u8 = 85;
 pub fn description(path: &Path, capture: &Capture) -> anyhow::Result<Option<CaptureDescription>> {
     let is_described = capture.kind() == CaptureKind::DESCRIBED;
     Ok(is_described.then(|| CaptureDescription::read(&path.join(DESCRIPTION_FILE))).transpose()?)
-}
-
-/// The name of each camera of [`Split::All`]: as the description has it, else the camera's number.
-pub fn camera_names(capture: &Capture, description: Option<&CaptureDescription>) -> anyhow::Result<Vec<String>> {
-    let described = description.map_or(&[][..], |description| &description.cameras);
-    let name = |id: usize| described.iter().find(|camera| camera.id == id).map_or(id.to_string(), |c| c.name.clone());
-    Ok(capture.cameras(Split::All, 0, 1)?.into_iter().map(|(id, _)| name(id)).collect())
 }
 
 /// An image as a JPEG inside an address.

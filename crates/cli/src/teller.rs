@@ -16,6 +16,10 @@ pub struct Teller {
     progress: Option<Progress>,
     /// Whether the table of timesteps has its head.
     has_head: bool,
+    /// Gaussians at the start of the timestep.
+    num_before: Option<usize>,
+    /// Whether it was said why there are fewer: of the first timestep, of later ones.
+    said_fewer: [bool; 2],
     /// Standard output cannot be written.
     failed: Option<anyhow::Error>,
 }
@@ -65,7 +69,14 @@ impl Teller {
         }
         let TimestepSummary { timestep, frame, num_gaussians, psnr, seconds, .. } = summary;
         let width = name.len();
-        progress.say(&format!("{timestep:>8}  {frame:>6}  {num_gaussians:>9}  {psnr:>width$.2}  {seconds:>7.1}"))
+        progress.say(&format!("{timestep:>8}  {frame:>6}  {num_gaussians:>9}  {psnr:>width$.2}  {seconds:>7.1}"))?;
+        let said = &mut self.said_fewer[usize::from(*timestep > 0)];
+        if let Some(before) = self.num_before.replace(*num_gaussians).filter(|before| num_gaussians < before && !*said)
+        {
+            *said = true;
+            progress.say(&format!("Gaussians become fewer ({num_gaussians} of {before}): {}", fewer(*timestep)))?;
+        }
+        Ok(())
     }
 }
 
@@ -80,9 +91,12 @@ impl Observer for Teller {
             Event::SetAside { checkpoint, problem } => {
                 note(&format!("{}: {problem}; set aside, its timestep is trained again", checkpoint.display()));
             }
-            Event::Iteration { progress: p, num_done } => self.advance_to(*num_done, || {
-                format!("timestep {}, {} Gaussians, loss {:.4}", p.timestep, p.num_gaussians, p.loss)
-            }),
+            Event::Iteration { progress: p, num_done } => {
+                self.num_before.get_or_insert(p.num_gaussians);
+                self.advance_to(*num_done, || {
+                    format!("timestep {}, {} Gaussians, loss {:.4}", p.timestep, p.num_gaussians, p.loss)
+                });
+            }
             Event::Timestep { summary: s, num_done } => {
                 self.advance_to(*num_done, || format!("timestep {}, {} Gaussians", s.timestep, s.num_gaussians));
                 let told = self.timestep(s);
@@ -95,6 +109,14 @@ impl Observer for Teller {
             _ => {}
         }
         interrupt::asked()
+    }
+}
+
+/// Why a timestep ends with fewer Gaussians than it began with.
+fn fewer(timestep: usize) -> &'static str {
+    match timestep {
+        0 => "the first timestep removes those that are nearly transparent, masked, or too large",
+        _ => "those are removed that no training camera sees any more",
     }
 }
 

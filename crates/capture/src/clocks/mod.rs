@@ -19,6 +19,31 @@ pub struct Clocks {
     pub from: ClocksFrom,
     /// The moment of one and the same event in each recording, seconds by its presentation times.
     pub event_secs: Vec<f64>,
+    /// How sure motion is, where it was looked at; of [`ClocksFrom::Assumed`] it is too unsure to change anything.
+    pub evidence: Option<ClockEvidence>,
+}
+
+/// How sure clocks by motion are: the numbers of the camera that is least sure.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct ClockEvidence {
+    /// Share of the pairs with another camera that tell the same alone, `[0, 1]`.
+    pub agreeing: f64,
+    /// Correlation with all others together, over that of the next best offset.
+    pub prominence: f64,
+}
+
+impl ClockEvidence {
+    /// [`Self::agreeing`] from which on clocks are taken.
+    pub const MIN_AGREEING: f64 = 0.5;
+    /// [`Self::prominence`] above which clocks are taken. Scenes of which pairs tell something wrong reach 1.2, those of which
+    /// they tell the truth begin at 1.8.
+    pub const MIN_PROMINENCE: f64 = 1.4;
+
+    /// Whether clocks are taken.
+    pub fn is_sure(self) -> bool {
+        self.agreeing >= Self::MIN_AGREEING && self.prominence > Self::MIN_PROMINENCE
+    }
 }
 
 /// How clocks were found.
@@ -49,7 +74,7 @@ impl ClocksFrom {
 impl Clocks {
     /// All recordings begin at the same moment.
     pub fn assumed(num_cameras: usize) -> Self {
-        Self { from: ClocksFrom::Assumed, event_secs: vec![0.0; num_cameras] }
+        Self { from: ClocksFrom::Assumed, event_secs: vec![0.0; num_cameras], evidence: None }
     }
 
     /// Reads the moment of one event in each recording: a line for each, `NAME SECONDS`; `#` begins a comment.
@@ -61,7 +86,7 @@ impl Clocks {
     pub fn read(path: &Path, names: &[String]) -> Result<Self, CaptureError> {
         let text = files::text(path)?;
         let event_secs = parse(&text, names).map_err(|problem| CaptureError::invalid(path, problem))?;
-        Ok(Self { from: ClocksFrom::File, event_secs })
+        Ok(Self { from: ClocksFrom::File, event_secs, evidence: None })
     }
 }
 
@@ -76,11 +101,13 @@ pub(crate) fn measure(recordings: &[Recording], report: &(dyn Fn(f64) + Sync)) -
     let paths: Vec<&Path> = recordings.iter().map(|recording| recording.path.as_path()).collect();
     if let Some(event_secs) = sound::event_secs(&paths) {
         report(1.0);
-        return Ok(Clocks { from: ClocksFrom::Sound, event_secs });
+        return Ok(Clocks { from: ClocksFrom::Sound, event_secs, evidence: None });
     }
     Ok(match motion::event_secs(recordings, report)? {
-        Some(event_secs) => Clocks { from: ClocksFrom::Motion, event_secs },
-        None => Clocks::assumed(recordings.len()),
+        Some((event_secs, evidence)) if evidence.is_sure() => {
+            Clocks { from: ClocksFrom::Motion, event_secs, evidence: Some(evidence) }
+        }
+        unsure => Clocks { evidence: unsure.map(|(_, evidence)| evidence), ..Clocks::assumed(recordings.len()) },
     })
 }
 

@@ -2,13 +2,14 @@
 //!
 //! Two cameras may agree by chance, the more so the less they share; so a correlation counts by how unlikely chance is
 //! (Fisher's transform), and of many cameras all pairs have to tell the same. Offsets are found for each pair alone, then for
-//! all cameras together, and taken only if most pairs alone agree with what all say together, and if all say nothing else
-//! nearly as loud.
+//! all cameras together. How sure they are is told by how many pairs alone agree with what all say together, and by how
+//! nearly as loud all say something else.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
+use super::ClockEvidence;
 use crate::CaptureError;
 use crate::recording::Recording;
 
@@ -22,24 +23,21 @@ const MIN_SHARED: usize = 20;
 const MIN_SHARED_SHARE: f64 = 0.4;
 /// Added to the energy before its logarithm, in values of 255: the noise of a camera.
 const NOISE: f32 = 0.05;
-/// By how much an offset must exceed all others, for each camera against the rest. Scenes of which pairs tell something
-/// wrong reach 1.2, those of which they tell the truth begin at 1.8.
-const MIN_PROMINENCE: f64 = 1.4;
+/// Correlations below this, in standard deviations, are all alike.
+const MIN_SECOND: f64 = 1e-6;
 /// Offsets this near to the best belong to it, moments.
 const PEAK: i64 = 2;
-/// Share of each camera's pairs that must tell alone what all tell together, but for a moment.
-const MIN_AGREEING: f64 = 0.5;
 
 /// What happens in one recording over time, on a regular grid: curves of equal length.
 pub(super) struct Curves(Vec<Vec<f32>>);
 
-/// The moment of one event in each recording, seconds, to the nearest frame; `None` if motion does not tell.
+/// The moment of one event in each recording, seconds, to the nearest frame, and how sure it is; `None` if nothing moves.
 ///
 /// - `report`: called with the share of the frames that are decoded
 pub(super) fn event_secs(
     recordings: &[Recording],
     report: &(dyn Fn(f64) + Sync),
-) -> Result<Option<Vec<f64>>, CaptureError> {
+) -> Result<Option<(Vec<f64>, ClockEvidence)>, CaptureError> {
     let rate = recordings.iter().filter_map(|recording| recording.times.fps()).fold(0.0, f64::max);
     if rate == 0.0 {
         return Ok(None);
@@ -49,9 +47,10 @@ pub(super) fn event_secs(
     let decoded = || report((num_done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / num_frames as f64);
     let curves: Vec<_> = recordings.par_iter().map(|recording| curves(recording, rate, &decoded)).collect();
     let curves = curves.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let lates = offsets(&curves);
     let begins = recordings.iter().map(|recording| recording.times.first_secs());
-    Ok(lates.map(|lates| lates.into_iter().zip(begins).map(|(late, begin)| late as f64 / rate + begin).collect()))
+    let secs =
+        |lates: Vec<i64>| lates.into_iter().zip(begins).map(|(late, begin)| late as f64 / rate + begin).collect();
+    Ok(offsets(&curves).map(|(lates, evidence)| (secs(lates), evidence)))
 }
 
 /// Decodes the first frames and measures them.
@@ -180,8 +179,9 @@ fn evidence(a: &[f32], b: &[f32], late: i64) -> f64 {
     if norm > 1e-9 { (both / norm).clamp(-0.99, 0.99).atanh() * (length as f64 - 3.0).sqrt() } else { 0.0 }
 }
 
-/// By how many moments each recording is late against the first; `None` if pairs contradict each other.
-pub(super) fn offsets(curves: &[Curves]) -> Option<Vec<i64>> {
+/// By how many moments each recording is late against the first, and how sure that is; `None` if two share too little to be
+/// compared.
+pub(super) fn offsets(curves: &[Curves]) -> Option<(Vec<i64>, ClockEvidence)> {
     let num = curves.len();
     let indices: Vec<(usize, usize)> = (0..num).flat_map(|i| (i + 1..num).map(move |j| (i, j))).collect();
     let pairs: Vec<Pair> = indices.par_iter().map(|&(i, j)| Pair::of(&curves[i], &curves[j])).collect();
@@ -222,7 +222,7 @@ pub(super) fn offsets(curves: &[Curves]) -> Option<Vec<i64>> {
     }
     let agrees = |i: usize, j: usize| best(i, j).is_some_and(|late| (late - (lates[j] - lates[i])).abs() <= 1);
     let agreeing = |j: usize| (0..num).filter(|&i| i != j && agrees(i, j)).count() as f64 / (num - 1) as f64;
-    let stands_out = |j: usize| {
+    let prominence = |j: usize| {
         let others: Vec<usize> = (0..num).filter(|&i| i != j).collect();
         let total = |late: i64| others.iter().map(|&i| score(i, j, late - lates[i])).sum::<f64>();
         let known = others.iter().map(|&i| match i < j {
@@ -230,12 +230,15 @@ pub(super) fn offsets(curves: &[Curves]) -> Option<Vec<i64>> {
             false => pairs[place(j, i)].range().map(|late| lates[i] - late),
         });
         let known: Vec<i64> = known.flatten().collect();
-        let (Some(&from), Some(&to)) = (known.iter().min(), known.iter().max()) else { return false };
+        let (Some(&from), Some(&to)) = (known.iter().min(), known.iter().max()) else { return 0.0 };
         let is_other = |late: &i64| (late - lates[j]).abs() > PEAK;
         let second = (from..=to).filter(is_other).map(total).fold(0.0, f64::max);
-        total(lates[j]) > MIN_PROMINENCE * second
+        // Where nothing correlates there is nothing to be sure of.
+        if total(lates[j]) > 0.0 { total(lates[j]) / second.max(MIN_SECOND) } else { 0.0 }
     };
-    (0..num).all(|j| agreeing(j) >= MIN_AGREEING && stands_out(j)).then_some(lates)
+    let least = |of: &dyn Fn(usize) -> f64| (0..num).map(of).fold(f64::INFINITY, f64::min);
+    let evidence = ClockEvidence { agreeing: least(&agreeing), prominence: least(&prominence) };
+    Some((lates, evidence))
 }
 
 #[cfg(test)]
@@ -266,14 +269,17 @@ mod tests {
         let skipped = [5, 0, 17, 3, 30];
         let curves: Vec<Curves> = skipped.iter().zip(1..).map(|(&skipped, seed)| seen(seed, skipped, 0.5)).collect();
         let expected: Vec<i64> = skipped.iter().map(|&skipped| 5 - skipped as i64).collect();
-        assert_eq!(offsets(&curves), Some(expected));
+        let (found, evidence) = offsets(&curves).unwrap();
+        assert_eq!(found, expected);
+        assert!(evidence.is_sure() && evidence.agreeing == 1.0, "{evidence:?}");
     }
 
     #[test]
-    fn cameras_of_different_scenes_have_no_offsets() {
+    fn cameras_of_different_scenes_have_no_sure_offsets() {
         let curves: Vec<Curves> = (1..5).map(|seed| seen(seed, 0, 50.0)).collect();
-        assert_eq!(offsets(&curves), None);
+        let (_, evidence) = offsets(&curves).unwrap();
+        assert!(!evidence.is_sure(), "{evidence:?}");
         let still: Vec<Curves> = (1..4).map(|_| Curves(vec![vec![0.0; 100]; 3])).collect();
-        assert_eq!(offsets(&still), None);
+        assert!(offsets(&still).is_none_or(|(_, evidence)| !evidence.is_sure()));
     }
 }

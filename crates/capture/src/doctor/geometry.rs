@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use tcgs_core::{Camera, Pinhole, View};
 
 use super::splat::{Drawing, MIN_COVERAGE, Splats, smoothness};
-use super::{Finding, FindingKind, list};
+use super::{Finding, FindingKind, Names};
 use crate::{points_in_view, prepare::vantage::Vantage};
 
 /// By how much a hypothesis must fit better than what the capture says.
@@ -15,7 +15,10 @@ const MIN_FIT: f64 = 0.35;
 /// Below this a camera does not fit, whatever the reason.
 const NO_FIT: f64 = 0.2;
 /// Healthy cameras fit better than this.
-const HEALTHY_FIT: f64 = 0.5;
+pub(super) const HEALTHY_FIT: f64 = 0.5;
+/// A camera that nothing explains is accused only if at least this share of the cameras that can be compared are healthy:
+/// else the points are as suspect as the cameras.
+const MOST: f64 = 0.5;
 /// By how many standard deviations of wrong correlations two correlations must differ. In the faults of the tests the
 /// right hypothesis is at least 5.6 better than what the capture says.
 const SIGNIFICANT: f64 = 3.0;
@@ -46,13 +49,13 @@ pub(super) struct Judged {
 /// What is said of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Verdict {
-    /// Nothing fits clearly better.
+    /// Nothing fits clearly better, and it is alike enough.
     Fits,
     /// This does.
     Wrong(Hypothesis),
     /// Image and points do not fit, and no hypothesis explains it.
     Lost,
-    /// Too little texture, or too few points, to tell a right camera from a wrong one.
+    /// Too little texture, too few points or too little likeness to tell a right camera from a wrong one.
     Undecided,
 }
 
@@ -79,7 +82,7 @@ pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<J
     coverages.sort_by(f64::total_cmp);
     let point_smoothness = splats.smoothness();
     let typical_coverage = coverages[coverages.len() / 2];
-    (0..views.len())
+    let judged = (0..views.len())
         .into_par_iter()
         .map(|i| {
             let colors = &vantages[i].colors;
@@ -147,7 +150,24 @@ pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<J
             };
             Judged { fit: given, verdict }
         })
-        .collect()
+        .collect();
+    sober(judged)
+}
+
+/// Takes back what the likeness of all cameras together does not bear out.
+fn sober(mut judged: Vec<Judged>) -> Vec<Judged> {
+    let fits: Vec<f64> = judged.iter().filter_map(|judged| judged.fit).collect();
+    let num_healthy = fits.iter().filter(|&&fit| fit > HEALTHY_FIT).count();
+    let may_accuse = num_healthy as f64 >= MOST * fits.len() as f64;
+    for of in &mut judged {
+        let is_alike = of.fit.is_some_and(|fit| fit > HEALTHY_FIT);
+        match of.verdict {
+            Verdict::Fits if !is_alike => of.verdict = Verdict::Undecided,
+            Verdict::Lost if !may_accuse => of.verdict = Verdict::Undecided,
+            _ => {}
+        }
+    }
+    judged
 }
 
 /// How points and image correlate where they should not: moved against each other by more than a calibration errs.
@@ -246,7 +266,7 @@ fn best_shift(most: i32, fit: impl Fn([i32; 2], usize) -> f64) -> ([i32; 2], f64
 }
 
 /// What is said about hypotheses, those alike together.
-pub(super) fn findings(views: &[View], judged: &[Judged]) -> Vec<Finding> {
+pub(super) fn findings(views: &[View], judged: &[Judged], names: &Names) -> Vec<Finding> {
     let id = |i: usize| views[i].camera_id;
     let of = |pick: &dyn Fn(&Hypothesis) -> bool| -> Vec<usize> {
         (0..views.len()).filter(|&i| matches!(&judged[i].verdict, Verdict::Wrong(h) if pick(h))).map(id).collect()
@@ -262,7 +282,9 @@ pub(super) fn findings(views: &[View], judged: &[Judged]) -> Vec<Finding> {
     if !exchanged.is_empty() {
         let pairs: Vec<String> = (0..views.len())
             .filter_map(|i| match judged[i].verdict {
-                Verdict::Wrong(Hypothesis::PoseOf(j)) => Some(format!("{} from that of {}", id(i), id(j))),
+                Verdict::Wrong(Hypothesis::PoseOf(j)) => {
+                    Some(format!("{} from that of {}", names.name(id(i)), names.name(id(j))))
+                }
                 _ => None,
             })
             .collect();
@@ -299,7 +321,7 @@ pub(super) fn findings(views: &[View], judged: &[Judged]) -> Vec<Finding> {
     let lost: Vec<usize> = (0..views.len()).filter(|&i| judged[i].verdict == Verdict::Lost).map(id).collect();
     if !lost.is_empty() {
         let problem = "image and points do not fit, and no single mistake explains it";
-        let fix = format!("look at the picture and calibrate {} again", list(&lost));
+        let fix = format!("look at the picture and calibrate {} again", names.list(&lost));
         findings.push(Finding::new(FindingKind::NoFit, lost, problem, fix));
     }
     findings
@@ -317,4 +339,24 @@ fn direction([x, y]: [f64; 2]) -> String {
     };
     let parts: Vec<String> = [part(x, "left", "right"), part(y, "up", "down")].into_iter().flatten().collect();
     parts.join(" and ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn likeness_restrains_the_verdict() {
+        let wrong = Verdict::Wrong(Hypothesis::Inverted);
+        let verdicts = |given: &[(f64, Verdict)]| -> Vec<Verdict> {
+            let judged = given.iter().map(|&(fit, verdict)| Judged { fit: Some(fit), verdict }).collect();
+            sober(judged).into_iter().map(|judged| judged.verdict).collect()
+        };
+        use Verdict::{Fits, Lost, Undecided};
+        assert_eq!(verdicts(&[(0.9, Fits), (0.4, Fits), (0.8, Fits)]), [Fits, Undecided, Fits]);
+        assert_eq!(verdicts(&[(0.9, Fits), (0.1, Lost), (0.8, Fits)]), [Fits, Lost, Fits]);
+        // Where most are unlike their points, the points are suspect.
+        assert_eq!(verdicts(&[(0.6, Fits), (0.1, Lost), (0.3, Fits)]), [Fits, Undecided, Undecided]);
+        assert_eq!(verdicts(&[(0.1, wrong), (0.2, wrong)]), [wrong, wrong]);
+    }
 }

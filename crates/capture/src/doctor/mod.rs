@@ -1,7 +1,10 @@
 //! The diagnosis of a capture: mistakes of cameras, masks and clocks that only the images reveal.
 //!
-//! What lives here: checks that [`Capture::open`] cannot make from numbers alone. *geometry* draws the points from
-//! every camera and compares the drawing with the image, for the given camera and for the usual mistakes; *masks*
+//! A camera gets one of three verdicts: it fits, something is wrong, or the doctor cannot tell. Points whose depth is
+//! assumed are no evidence: those of the shell have their colour from one camera's own picture.
+//!
+//! What lives here: checks that [`Capture::open`] does not make. *poses* finds cameras with one pose. *geometry* draws the
+//! points from every camera and compares the drawing with the image, for the given camera and for the usual mistakes; *masks*
 //! compares masks with the points' foreground; *colors* compares the cameras' colours with each other; *sync* compares each
 //! camera's silhouettes with those of the others at other frames; *sheet* draws the overview, *pictures* each camera for a
 //! page. What does not: files that are missing or damaged, which `open` and `views` report.
@@ -10,9 +13,12 @@ mod colors;
 mod geometry;
 mod masks;
 mod pictures;
+mod poses;
 mod sheet;
 mod splat;
 mod sync;
+
+use std::collections::BTreeMap;
 
 use tcgs_core::{Camera, Image, View};
 
@@ -21,6 +27,7 @@ use geometry::{Judged, Verdict};
 use splat::Splats;
 
 pub use pictures::CameraPictures;
+pub use poses::same_poses;
 
 /// Images are compared at this width at most, pixels.
 const WIDTH: usize = 200;
@@ -39,6 +46,8 @@ const NUM_POINTS: usize = 30_000;
 pub enum FindingKind {
     /// The capture gives `world_from_camera` where `camera_from_world` is expected.
     InvertedExtrinsics,
+    /// Cameras have one pose.
+    SamePose,
     /// Cameras have each other's poses and intrinsics.
     ExchangedCameras,
     /// The intrinsics belong to images of another size.
@@ -64,6 +73,7 @@ impl FindingKind {
     pub fn name(self) -> &'static str {
         match self {
             Self::InvertedExtrinsics => "inverted_extrinsics",
+            Self::SamePose => "same_pose",
             Self::ExchangedCameras => "exchanged_cameras",
             Self::ImageSize => "image_size",
             Self::Focal => "focal",
@@ -84,6 +94,8 @@ pub struct Finding {
     pub kind: FindingKind,
     /// Ids of the cameras that are concerned.
     pub cameras: Vec<usize>,
+    /// Their names.
+    pub names: Vec<String>,
     /// What was found, as the middle of a sentence.
     pub problem: String,
     /// The change to the capture that would likely correct the mistake.
@@ -92,20 +104,34 @@ pub struct Finding {
 
 impl Finding {
     fn new(kind: FindingKind, cameras: Vec<usize>, problem: impl Into<String>, fix: impl Into<String>) -> Self {
-        Self { kind, cameras, problem: problem.into(), fix: fix.into() }
+        Self { kind, cameras, names: Vec::new(), problem: problem.into(), fix: fix.into() }
     }
 }
 
 impl std::fmt::Display for Finding {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let who = if self.cameras.len() == 1 { "camera" } else { "cameras" };
-        write!(f, "{who} {}: {}; likely fix: {}", list(&self.cameras), self.problem, self.fix)
+        write!(f, "{who} {}: {}; likely fix: {}", self.names.join(", "), self.problem, self.fix)
     }
 }
 
-/// Numbers with commas between.
-fn list(ids: &[usize]) -> String {
-    ids.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
+/// What people call cameras, by id.
+struct Names(BTreeMap<usize, String>);
+
+impl Names {
+    fn of(capture: &Capture) -> Result<Self, CaptureError> {
+        let ids = capture.cameras(Split::All, 0, 1)?.into_iter().map(|(id, _)| id);
+        Ok(Self(ids.zip(capture.camera_names(Split::All, 0)?).collect()))
+    }
+
+    fn name(&self, id: usize) -> &str {
+        self.0.get(&id).map_or("?", String::as_str)
+    }
+
+    /// With commas between.
+    fn list(&self, ids: &[usize]) -> String {
+        ids.iter().map(|&id| self.name(id)).collect::<Vec<_>>().join(", ")
+    }
 }
 
 /// How well the image of one camera matches the points drawn from its pose.
@@ -113,8 +139,8 @@ fn list(ids: &[usize]) -> String {
 pub struct CameraFit {
     /// Id of the camera.
     pub camera_id: usize,
-    /// Correlation of the image's colours with those of the points drawn from the camera, in `[-1, 1]`; correct cameras
-    /// are above 0.5. `None` where too few points or too little texture is in sight, and where all cameras share a
+    /// Likeness: correlation of the image's colours with those of the points drawn from the camera, in `[-1, 1]`. A camera
+    /// below [`Diagnosis::MIN_FIT`] is never said to fit. `None` where too few points or too little texture is in sight, and where all cameras share a
     /// mistake and were therefore not compared one by one.
     pub fit: Option<f64>,
     /// How bright the camera's red, green and blue are, over those of the camera in the middle, after the gains of
@@ -127,11 +153,15 @@ pub struct CameraFit {
 pub struct Diagnosis {
     /// The mistakes that were found; empty if the capture is correct or cannot be judged.
     pub findings: Vec<Finding>,
-    /// Ids of the cameras that cannot be judged: image or points have too little texture, or too few points are in
-    /// sight, for the correct pose to stand out from wrong poses.
+    /// Ids of the cameras that cannot be judged: image or points have too little texture, or too few points with a measured
+    /// depth are in sight, for the correct pose to stand out from wrong poses; or their likeness is below [`Self::MIN_FIT`].
     pub undecided: Vec<usize>,
     /// The fit of each training camera, then of each test camera.
     pub cameras: Vec<CameraFit>,
+    /// Their names.
+    pub names: Vec<String>,
+    /// Share of the points whose depth is measured, the only evidence; `None` where nothing says how they were made.
+    pub measured_share: Option<f64>,
     /// Whether the capture has no points of its own, so that the points were made by multi-view stereo.
     pub made_points: bool,
     /// Overview `[3, H, W]`: for each camera a tile with the projected points over the image, and below it the points
@@ -142,6 +172,9 @@ pub struct Diagnosis {
 }
 
 impl Diagnosis {
+    /// Correct cameras have more likeness than this ([`CameraFit::fit`]).
+    pub const MIN_FIT: f64 = geometry::HEALTHY_FIT;
+
     /// The pictures of one camera, at most 480 pixels wide. Its image is read again.
     ///
     /// - `capture`: the one that was examined
@@ -187,24 +220,34 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     let mut views = capture.views(Split::All, 0, downscale)?;
     let num_train = capture.cameras(Split::Train, 0, 1)?.len();
 
-    let mut findings = Vec::new();
+    let names = Names::of(capture)?;
+    let mut findings = poses::findings(
+        &views.iter().map(|view| view.camera_id).collect::<Vec<_>>(),
+        &views.iter().map(|view| first_rows(&view.camera)).collect::<Vec<_>>(),
+        &names,
+    );
+    let num_of_numbers = findings.len();
     let made_points = !capture.has_points();
-    let cloud = if made_points {
+    let (cloud, evidence, measured_share) = if made_points {
         prepare::check_enough(capture, &views[..num_train])?;
         findings.extend(masks::turn_over(capture, &mut views, downscale)?);
         let (views, finding) = consistent(&views[..num_train], report);
         findings.extend(finding);
         prepare::check_comparable(capture, &views)?;
         let settings = PrepareSettings { num_points: NUM_POINTS, image_width: WIDTH, ..PrepareSettings::default() };
-        prepare::cloud_of(&views, &settings, report).cloud
+        let prepared = prepare::cloud_of(&views, &settings, report);
+        let evidence = prepared.measured();
+        let share = evidence.points.len() as f64 / prepared.cloud.points.len().max(1) as f64;
+        (prepared.cloud, evidence, Some(share))
     } else {
-        capture.point_cloud()?
+        (capture.point_cloud()?, capture.evidence()?, capture.measured_share()?)
     };
     report("comparing points with images");
-    let splats = Splats::new(&cloud);
+    let (splats, evidence) = (Splats::new(&cloud), Splats::new(&evidence));
     // What is wrong with all of them was said, and the points are made for it.
-    let judged = if findings.is_empty() { geometry::judge(&splats, &views, downscale) } else { Vec::new() };
-    findings.extend(geometry::findings(&views[..judged.len()], &judged));
+    let is_judged = findings.len() == num_of_numbers;
+    let judged = if is_judged { geometry::judge(&evidence, &views, downscale) } else { Vec::new() };
+    findings.extend(geometry::findings(&views[..judged.len()], &judged, &names));
     report("comparing masks with points");
     findings.extend(masks::findings(&views, &splats));
 
@@ -212,11 +255,14 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     report("comparing clocks");
     findings.extend(sync::findings(capture, &suspects)?);
     report("comparing colours");
-    let brightness = colors::factors(&views, &splats, &judged);
+    let brightness = colors::factors(&views, &evidence, &judged);
     findings.extend(colors::findings(&views, &brightness));
+    for finding in &mut findings {
+        finding.names = finding.cameras.iter().map(|&id| names.name(id).to_owned()).collect();
+    }
 
     report("drawing the picture");
-    let cameras = (0..views.len())
+    let cameras: Vec<CameraFit> = (0..views.len())
         .map(|i| CameraFit {
             camera_id: views[i].camera_id,
             fit: judged.get(i).and_then(|judged| judged.fit),
@@ -226,7 +272,14 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     let undecided = |judged: &&Judged| judged.verdict == Verdict::Undecided;
     let undecided = views.iter().zip(judged.iter()).filter(|(_, j)| undecided(j)).map(|(v, _)| v.camera_id).collect();
     let sheet = sheet::draw(&views, &splats, &findings);
-    Ok(Diagnosis { findings, undecided, cameras, made_points, sheet, splats })
+    let names = cameras.iter().map(|camera| names.name(camera.camera_id).to_owned()).collect();
+    Ok(Diagnosis { findings, undecided, cameras, names, measured_share, made_points, sheet, splats })
+}
+
+/// A camera's pose as a description has it.
+fn first_rows(camera: &Camera) -> [[f64; 4]; 3] {
+    let [a, b, c, _] = camera.camera_from_world;
+    [a, b, c]
 }
 
 /// The views as they agree with each other best: as they are, or with all matrices inverted.

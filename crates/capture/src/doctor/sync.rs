@@ -56,16 +56,16 @@ pub(super) fn findings(capture: &Capture, suspects: &[usize]) -> Result<Vec<Find
     while witnesses.len() >= MIN_CAMERAS {
         let shifts: Vec<Option<Shift>> =
             (0..witnesses.len()).into_par_iter().map(|i| best_shift(&witnesses, i, &times, reach as i32)).collect();
-        let gain = |i: usize| shifts[i].as_ref().map_or(0.0, |shift| shift.gain);
+        let gain = |i: usize| shifts[i].map_or(0.0, |shift| shift.gain);
         let Some(worst) = (0..shifts.len()).max_by(|&a, &b| gain(a).total_cmp(&gain(b)).then(b.cmp(&a))) else { break };
-        let Some(Shift { frames, .. }) = shifts[worst] else { break };
-        found.push((witnesses.remove(worst).camera_id, frames));
+        let Some(shift) = shifts[worst] else { break };
+        found.push((witnesses.remove(worst).camera_id, shift));
     }
-    found.sort_unstable();
-    Ok(found.into_iter().map(|(camera_id, frames)| finding(camera_id, frames)).collect())
+    found.sort_unstable_by_key(|(camera_id, _)| *camera_id);
+    Ok(found.into_iter().map(|(camera_id, shift)| finding(camera_id, shift)).collect())
 }
 
-fn finding(camera_id: usize, shift: i32) -> Finding {
+fn finding(camera_id: usize, Shift { frames: shift, overlap, gain }: Shift) -> Finding {
     let count = shift.unsigned_abs();
     let frames = if count == 1 { "frame" } else { "frames" };
     let (problem, fix) = if shift > 0 {
@@ -73,15 +73,20 @@ fn finding(camera_id: usize, shift: i32) -> Finding {
     } else {
         (format!("{count} {frames} early: it shows in frame t what the others show in frame t+{count}"), "repeat")
     };
+    let before = overlap - gain;
+    let problem = format!("{problem} (what moves then overlaps by {overlap:.2} and not by {before:.2}, of 1)");
     let fix = format!("{fix} {count} {frames} at its beginning");
     Finding::new(FindingKind::Unsynchronised, vec![camera_id], problem, fix)
 }
 
 /// Another time that fits better.
+#[derive(Clone, Copy)]
 struct Shift {
     /// Frames later.
     frames: i32,
-    /// Of the overlap.
+    /// Mean of intersection over union, at this time.
+    overlap: f64,
+    /// By how much the overlap is larger than in time.
     gain: f64,
 }
 
@@ -121,7 +126,7 @@ fn best_shift(witnesses: &[Witness], of: usize, times: &[usize], reach: i32) -> 
     let better = overlaps.iter().filter(|overlap| overlap[best] > overlap[in_time]).count();
     let gain = mean(best) - mean(in_time);
     let clearly = gain > CLEARLY && 3 * better > 2 * overlaps.len();
-    (best != in_time && clearly).then_some(Shift { frames: best as i32 - reach, gain })
+    (best != in_time && clearly).then_some(Shift { frames: best as i32 - reach, overlap: mean(best), gain })
 }
 
 /// All cameras' silhouettes around some times: their masks, or where images differ from what stands still.

@@ -274,6 +274,44 @@ fn empty_and_inverted_masks_are_found() {
 }
 
 #[test]
+fn two_cameras_with_one_pose_are_found() {
+    let mut patient = Patient::new();
+    let pose = patient.meta["w2c"][0][5].clone();
+    patient.change("w2c", 4, |matrix| *matrix = pose.clone());
+    let findings = patient.diagnosis().findings;
+    let found = findings.iter().find(|finding| finding.kind == FindingKind::SamePose).unwrap();
+    assert_eq!(found.cameras, patient.ids(&[4, 5]));
+    let [a, b] = [patient.id(4), patient.id(5)];
+    assert!(found.to_string().starts_with(&format!("cameras {a}, {b}: they have one pose")), "{found}");
+}
+
+#[test]
+fn points_of_assumed_depth_are_no_evidence() {
+    let folder = tempfile::tempdir().unwrap();
+    // 55 degrees from camera to camera.
+    let settings = SyntheticSettings {
+        num_train_cameras: 4,
+        num_test_cameras: 0,
+        num_timesteps: 1,
+        ..SyntheticSettings::default()
+    };
+    write_synthetic(folder.path(), &settings).unwrap();
+    std::fs::remove_dir_all(folder.path().join("seg")).unwrap();
+    let path = folder.path().join(POINTS_FILE);
+    std::fs::remove_file(&path).unwrap();
+    let capture = Capture::open_unseen(folder.path()).unwrap();
+    let settings = PrepareSettings { num_points: 5000, ..PrepareSettings::default() };
+    let strewn = crate::spread_points(&capture, &settings).unwrap();
+    crate::write_prepared(std::fs::File::create(&path).unwrap(), &strewn).unwrap();
+    let capture = Capture::open_unseen(folder.path()).unwrap();
+    assert_eq!(capture.point_cloud().unwrap().points.len(), strewn.cloud.points.len());
+    assert_eq!(capture.measured_share().unwrap(), Some(0.0));
+    let diagnosis = check(&capture, &mut |_| ()).unwrap();
+    assert_eq!((diagnosis.findings, diagnosis.undecided), (vec![], vec![0, 1, 2, 3]));
+    assert!(diagnosis.cameras.iter().all(|camera| camera.fit.is_none() && camera.brightness.is_none()));
+}
+
+#[test]
 fn masks_that_are_all_inverted_are_found() {
     for has_points in [true, false] {
         let patient = if has_points { Patient::new() } else { Patient::new().without_points() };

@@ -74,9 +74,10 @@ pub fn obstacle_to_masks(capture: &Capture) -> Result<Option<String>, CaptureErr
     let cameras = capture.cameras(Split::All, 0, 1)?;
     for frame in 1..num_frames {
         let found = capture.cameras(Split::All, frame, 1)?;
-        if let Some((id, _)) = cameras.iter().find(|camera| !found.contains(camera)) {
+        if let Some(moving) = cameras.iter().position(|camera| !found.contains(camera)) {
+            let name = capture.camera_names(Split::All, 0)?.swap_remove(moving);
             let problem = format!("moves or has no image at frame {frame}, expected cameras that stand still");
-            return Ok(Some(format!("camera {id} {problem}")));
+            return Ok(Some(format!("camera {name} {problem}")));
         }
     }
     Ok(None)

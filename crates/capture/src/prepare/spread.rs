@@ -4,13 +4,13 @@
 //! in colour: it is no depth, but surfaces are likelier there than elsewhere. Training moves and removes the rest.
 
 use rayon::prelude::*;
-use tcgs_core::{Pinhole, PointCloud, View};
+use tcgs_core::{Pinhole, View};
 
 use super::patchmatch::Random;
 use super::shell::Shell;
 use super::thin;
 use super::vantage::{Vantage, length, sub};
-use super::{Hull, Point, PrepareSettings, Stereo, median, solve};
+use super::{Hull, Origin, Point, PrepareSettings, Prepared, Stereo, median, solve};
 use crate::{Capture, CaptureError, Split};
 
 /// Points that are tried for each that stays.
@@ -26,13 +26,13 @@ const ON_SHELL: f64 = 0.3;
 /// [`prepare`](super::prepare): no depth is known, but training has something to move.
 ///
 /// - `capture`: with at least two training cameras, whose own points, if there are any, are not used
-/// - returns: at most about as many points as the settings say, all of them foreground
+/// - returns: at most about as many points as the settings say, all of them foreground; none has a depth that is measured
 ///
 /// Equal captures and settings give equal points, whatever the number of threads.
 ///
 /// # Errors
 /// [`CaptureError`] if there is one camera only, if an image cannot be decoded, or if the cameras do not look at one place.
-pub fn spread_points(capture: &Capture, settings: &PrepareSettings) -> Result<PointCloud, CaptureError> {
+pub fn spread_points(capture: &Capture, settings: &PrepareSettings) -> Result<Prepared, CaptureError> {
     let views = capture.views(Split::Train, 0, 1)?;
     if views.len() < 2 {
         return Err(CaptureError::invalid(&capture.path, "has 1 training camera, expected at least 2"));
@@ -43,7 +43,7 @@ pub fn spread_points(capture: &Capture, settings: &PrepareSettings) -> Result<Po
 }
 
 /// Strews points, if the cameras look at one place from several sides.
-fn spread(views: &[View], settings: &PrepareSettings) -> Option<PointCloud> {
+fn spread(views: &[View], settings: &PrepareSettings) -> Option<Prepared> {
     let widest = views.iter().map(|view| view.camera.width).max().unwrap_or(1);
     let factor = widest.div_ceil(settings.image_width).max(1);
     let (place, distance) = looked_at(views)?;
@@ -70,14 +70,19 @@ fn spread(views: &[View], settings: &PrepareSettings) -> Option<PointCloud> {
     let stereo = Stereo { vantages, maps, witnesses, hull: Hull::default(), hull_surface };
     let ended = thin::thin(&[stereo.ended(&[], &shell)], settings.num_points - num_within);
 
-    let mut cloud = PointCloud::default();
-    for Point { position, color, .. } in kept.chain(ended.into_iter().map(|(_, point)| point)) {
+    let mut prepared = Prepared::default();
+    let kept = kept.map(|point| (Origin::Strewn, point));
+    for (origin, Point { position, color, .. }) in
+        kept.chain(ended.into_iter().map(|(_, point)| (Origin::Shell, point)))
+    {
+        let cloud = &mut prepared.cloud;
         cloud.points.push(position);
         cloud.colors.push(color.map(|c| c.clamp(0.0, 1.0)));
         // Nothing says what moves.
         cloud.foreground.push(true);
+        prepared.origins.push(origin);
     }
-    Some(cloud)
+    Some(prepared)
 }
 
 /// A point in the colours of the views that see it, and by how much these differ; `None` if fewer than two do.

@@ -53,7 +53,7 @@ pub struct ColorBalance {
 }
 
 /// Measures gains and offsets between the cameras of a description, relative to the camera in the middle, and takes them
-/// where held-out places agree better with them.
+/// where held-out places agree better with them. Cameras of which too few places judge keep their colours.
 ///
 /// Places are corners that are matched between neighbouring cameras at several moments; a place's colour is the mean of
 /// what is around it. A quarter of the regions of every image is held out.
@@ -113,15 +113,6 @@ fn best_of(
     description: &mut CaptureDescription,
 ) -> ColorBalance {
     let num_cameras = description.cameras.len();
-    let lines_of = |model: Model| {
-        to_fit.each_ref().map(|places| {
-            let count = |camera: usize| {
-                places.iter().filter(|seen| seen.len() >= 2 && seen.iter().any(|&(other, _)| other == camera)).count()
-            };
-            let is_free: Vec<bool> = (0..num_cameras).map(|camera| count(camera) >= MIN_TRACKS).collect();
-            color_fit::fit(places, &is_free, model)
-        })
-    };
     let judged = |lines: &[Vec<Line>; 3]| -> Vec<Option<f64>> {
         let errors = [0, 1, 2].map(|channel| color_fit::errors(&to_judge[channel], &lines[channel]));
         let of_camera = |camera: usize| {
@@ -130,11 +121,22 @@ fn best_of(
         };
         (0..num_cameras).map(of_camera).collect()
     };
+    let before = judged(&[(); 3].map(|()| vec![Line::NONE; num_cameras]));
+    let lines_of = |model: Model| {
+        to_fit.each_ref().map(|places| {
+            let count = |camera: usize| {
+                places.iter().filter(|seen| seen.len() >= 2 && seen.iter().any(|&(other, _)| other == camera)).count()
+            };
+            // A gain that nothing judges is not applied.
+            let is_free: Vec<bool> =
+                (0..num_cameras).map(|camera| count(camera) >= MIN_TRACKS && before[camera].is_some()).collect();
+            color_fit::fit(places, &is_free, model)
+        })
+    };
     let mean = |errors: &[Option<f64>]| {
         let known: Vec<f64> = errors.iter().flatten().copied().collect();
         known.iter().sum::<f64>() / known.len().max(1) as f64
     };
-    let before = judged(&[(); 3].map(|()| vec![Line::NONE; num_cameras]));
     let gains = lines_of(Model::Gains);
     let with_offsets = lines_of(Model::GainsAndOffsets);
     let has_offsets = mean(&judged(&with_offsets)) < BETTER_WITH_OFFSETS * mean(&judged(&gains));
@@ -203,4 +205,47 @@ fn mean_around(image: &RgbImage, [x, y]: [f64; 2], radius: f64) -> [Option<f64>;
     }
     let is_whole = count > 2.0 * radius * radius;
     std::array::from_fn(|i| (is_whole && saturated[i] <= MAX_SATURATED * count).then(|| sums[i] / count))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::description::{DescribedCamera, Role};
+
+    #[test]
+    fn a_gain_that_nothing_judges_is_not_applied() {
+        let mut description = CaptureDescription::new(30.0, 1);
+        description.cameras = (0..3)
+            .map(|id| DescribedCamera {
+                id,
+                name: format!("cam{id}"),
+                file: format!("cam{id}.mp4"),
+                role: Role::Train,
+                start_secs: 0.0,
+                images_per_sec: None,
+                turn_degrees: 0,
+                crop: None,
+                gains: [1.0; 3],
+                offsets: [0.0; 3],
+                size: [64, 48],
+                focal: [60.0; 2],
+                principal: [32.0, 24.0],
+                distortion: Vec::new(),
+                camera_from_world: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
+                error_px: None,
+            })
+            .collect();
+        // The second and the third camera are darker; no held-out place is seen by the third.
+        let shown = [1.0, 0.6, 0.5];
+        let place = |i: usize, cameras: &[usize]| -> Seen {
+            let color = 0.2 + 0.6 * (i % 17) as f64 / 17.0;
+            cameras.iter().map(|&camera| (camera, color * shown[camera])).collect()
+        };
+        let places = |cameras: &[usize]| [(); 3].map(|()| (0..80).map(|i| place(i, cameras)).collect::<Vec<Seen>>());
+        let found = best_of(&places(&[0, 1, 2]), &places(&[0, 1]), [80, 80], &mut description);
+        assert!(found.is_taken && found.camera_error_levels[2].is_none(), "{found:?}");
+        let gains = |camera: usize| description.cameras[camera].gains[0];
+        assert!((gains(1) / gains(0) - 1.0 / 0.6).abs() < 0.05, "{} {}", gains(0), gains(1));
+        assert_eq!((description.cameras[2].gains, description.cameras[2].offsets), ([1.0; 3], [0.0; 3]));
+    }
 }

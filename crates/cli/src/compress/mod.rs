@@ -493,7 +493,10 @@ fn report(arguments: &Arguments, compressed: &Compressed, found: Vec<Found>, out
     for ((name, bytes), keypoints) in compressed.bytes_by_attribute.iter().zip(keypoints) {
         say(&format!("{name:<15} {bytes:>11}  {:>9}  {keypoints:>18.2}", show_bytes(*bytes)))?;
     }
-    attribute_errors::print(&compact.declared_errors)?;
+    // Of other files the largest of millions of errors says nothing about the pictures; `tcgs info` tells it.
+    if arguments.max_error.is_some() {
+        attribute_errors::print(&compact.declared_errors)?;
+    }
     let (before, after) = (compressed.num_gaussians_before, compact.num_gaussians());
     let size = compressed.file.len() as u64;
     // Those that come and go are more in all than at any time.

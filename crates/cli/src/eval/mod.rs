@@ -112,9 +112,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let evaluation = Teller::default().watch(|teller| evaluate(&scene, &capture, &settings, &*renderer, teller))?;
     say(&describe(&scene))?;
     say(&table::text(&evaluation, lpips.is_some()))?;
+    if let CameraChoice::Split(split @ (Split::Train | Split::All)) = arguments.cameras {
+        say(flattery(split))?;
+    }
     if let Some(protocol) = settings.protocol {
         say(&protocol.describe())?;
-        say(&format!("  {:<10}  {}", "here", here(&arguments.cameras, &capture, &settings, &evaluation)))?;
+        say(&format!("  {:<10}  {}", "here", here(&arguments.cameras, &capture, &settings, &evaluation)?))?;
         say(&table::protocol_line(protocol, &evaluation))?;
     }
     note_replaced(&scene);
@@ -124,12 +127,24 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.write_json(&evaluation_json(&scene, &evaluation, settings.protocol))
 }
 
+/// A warning about measurements on training cameras.
+fn flattery(split: Split) -> &'static str {
+    match split {
+        Split::Train => {
+            "cameras: those that were trained on, which flatters; `tcgs train --hold-out NAME` leaves one out to measure with"
+        }
+        _ => "cameras: all, also those that were trained on, which flatters",
+    }
+}
+
 /// Describes the evaluation in the terms of a protocol, for comparison with it.
-fn here(chosen: &CameraChoice, capture: &Capture, settings: &EvaluateSettings, evaluation: &Evaluation) -> String {
-    let mut cameras: Vec<usize> = evaluation.images.iter().map(|image| image.camera).collect();
-    cameras.sort_unstable();
-    cameras.dedup();
-    let cameras: Vec<String> = cameras.iter().map(usize::to_string).collect();
+fn here(
+    chosen: &CameraChoice,
+    capture: &Capture,
+    settings: &EvaluateSettings,
+    evaluation: &Evaluation,
+) -> anyhow::Result<String> {
+    let cameras = capture.camera_names(settings.split, settings.frames.start)?;
     let held_out = match chosen {
         CameraChoice::Split(Split::Test) => "held out",
         CameraChoice::Split(Split::Train) => "NOT held out: trained on",
@@ -142,5 +157,6 @@ fn here(chosen: &CameraChoice, capture: &Capture, settings: &EvaluateSettings, e
         factor => format!("{width}x{height}, averaged over {factor}x{factor} pixels"),
     };
     let of = capture.num_frames();
-    format!("cameras {} ({held_out}); frames {}..{} of {of}; {size}", cameras.join(", "), frames.start, frames.end)
+    let (cameras, [start, end]) = (cameras.join(", "), [frames.start, frames.end]);
+    Ok(format!("cameras {cameras} ({held_out}); frames {start}..{end} of {of}; {size}"))
 }

@@ -7,7 +7,7 @@ use anyhow::Context;
 use serde_json::{Value, json};
 use tcgs_capture::{
     CalibrationSource, CaptureDescription, CaptureError, FoundCameras, Refinement, find_cameras, moving_cameras,
-    refine_cameras, scale_cameras,
+    refine_cameras, same_poses, scale_cameras,
 };
 
 use super::{MODEL, Scale};
@@ -28,6 +28,16 @@ pub fn check_still(source: &Path, description: &CaptureDescription) -> anyhow::R
         source.display(),
         moving.join(", ")
     )))
+}
+
+/// Names cameras of a calibration that have one pose, before anything is computed with it.
+pub fn note_same_poses(description: &CaptureDescription) -> anyhow::Result<()> {
+    let poses: Vec<_> = description.cameras.iter().map(|camera| camera.camera_from_world).collect();
+    for group in same_poses(&poses) {
+        let names: Vec<&str> = group.iter().map(|&i| description.cameras[i].name.as_str()).collect();
+        say(&format!("  {} have one pose: the same place and the same direction; is one a copy?", names.join(", ")))?;
+    }
+    Ok(())
 }
 
 /// Has COLMAP place the cameras of a description.

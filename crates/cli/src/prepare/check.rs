@@ -20,6 +20,11 @@ pub const PAGE: &str = "check.html";
 /// What a dry run says of the last step.
 pub const WOULD: &str = "check: would be made, with a page";
 
+/// Share of the points with a measured depth from which on what cameras see joins up between them.
+const MOSTLY_MEASURED: f64 = 0.5;
+/// How far from a camera its picture holds where depth is assumed.
+const ASIDE_DEGREES: usize = 10;
+
 /// Steps of a check, for the progress bar.
 const NUM_STEPS: usize = 6;
 
@@ -63,6 +68,9 @@ pub fn after_preparing(path: &Path) -> anyhow::Result<Value> {
     let file = path.join(PAGE);
     write_file(&file, page::html(path, &capture, &diagnosis)?.as_bytes(), true)?;
     say(&format!("check: {}; {} shows it", verdict(path, &diagnosis), file.display()))?;
+    if let Some(share) = diagnosis.measured_share {
+        say(&expectation(share))?;
+    }
     Ok(json(path, &diagnosis))
 }
 
@@ -77,17 +85,49 @@ pub fn remarks(diagnosis: &Diagnosis) -> Vec<String> {
     if diagnosis.made_points {
         lines.push("the capture has no points; some were made to check with".into());
     }
-    if !diagnosis.undecided.is_empty() {
-        let ids: Vec<String> = diagnosis.undecided.iter().map(usize::to_string).collect();
+    if let Some(share) = diagnosis.measured_share.filter(|&share| share < 1.0) {
+        let percent = 100.0 * (1.0 - share);
+        lines.push(format!("{percent:.0} % of the points have no measured depth, and prove nothing of a camera"));
+    }
+    let num_cameras = diagnosis.cameras.len();
+    let undecided = || {
+        let cameras = diagnosis.names.iter().zip(&diagnosis.cameras);
+        cameras.filter(|(_, camera)| diagnosis.undecided.contains(&camera.camera_id))
+    };
+    let unlike = |fit: Option<f64>| fit.filter(|&fit| fit <= Diagnosis::MIN_FIT);
+    let hidden: Vec<&str> =
+        undecided().filter(|(_, camera)| unlike(camera.fit).is_none()).map(|(name, _)| name.as_str()).collect();
+    if !hidden.is_empty() {
         lines.push(format!(
-            "cannot tell of {} of {} cameras ({}): too little texture, or too few points in sight, for a right camera to \
-             stand out from a wrong one; the pictures show images and points",
-            ids.len(),
-            diagnosis.cameras.len(),
-            ids.join(", ")
+            "cannot tell of {} of {num_cameras} cameras ({}): too little texture, or too few points in sight, for a right \
+             camera to stand out from a wrong one; the pictures show images and points",
+            hidden.len(),
+            hidden.join(", ")
+        ));
+    }
+    let shown =
+        |(name, camera): (&String, &tcgs_capture::CameraFit)| unlike(camera.fit).map(|fit| format!("{name} {fit:.2}"));
+    let unlike: Vec<String> = undecided().filter_map(shown).collect();
+    if !unlike.is_empty() {
+        lines.push(format!(
+            "warning: cannot tell of {} of {num_cameras} cameras, whose image and points are too little alike ({}): right \
+             cameras usually have a likeness above {}; the pictures show both",
+            unlike.len(),
+            unlike.join(", "),
+            Diagnosis::MIN_FIT
         ));
     }
     lines
+}
+
+/// What pictures to expect of a training with points of which this share has a measured depth.
+pub fn expectation(measured_share: f64) -> String {
+    let where_good = match measured_share {
+        MOSTLY_MEASURED.. => "between the cameras".into(),
+        _ => format!("within {ASIDE_DEGREES}° of each camera"),
+    };
+    let percent = 100.0 * (1.0 - measured_share);
+    format!("{percent:.0} % of the points have no measured depth: expect good pictures {where_good}")
 }
 
 /// The diagnosis in a line.
@@ -96,8 +136,10 @@ pub fn verdict(path: &Path, diagnosis: &Diagnosis) -> String {
     let words = match diagnosis.findings.len() {
         0 => {
             let num_fit = num_cameras - diagnosis.undecided.len();
-            let verdict = if num_fit == num_cameras { "healthy" } else { "nothing wrong was found" };
-            format!("{verdict}, {num_fit} cameras fit")
+            match num_fit == num_cameras {
+                true => format!("healthy, {num_fit} cameras fit"),
+                false => format!("nothing wrong was found, {num_fit} of {num_cameras} cameras fit"),
+            }
         }
         1 => "1 finding, expected a healthy capture".into(),
         count => format!("{count} findings, expected a healthy capture"),
@@ -113,6 +155,7 @@ fn json(path: &Path, diagnosis: &Diagnosis) -> Value {
             json!({
                 "kind": finding.kind.name(),
                 "cameras": finding.cameras,
+                "names": finding.names,
                 "problem": finding.problem,
                 "fix": finding.fix,
             })
@@ -121,13 +164,17 @@ fn json(path: &Path, diagnosis: &Diagnosis) -> Value {
     let cameras: Vec<Value> = diagnosis
         .cameras
         .iter()
-        .map(|camera| json!({ "camera": camera.camera_id, "fit": camera.fit, "brightness": camera.brightness }))
+        .zip(&diagnosis.names)
+        .map(|(camera, name)| {
+            json!({ "camera": camera.camera_id, "name": name, "fit": camera.fit, "brightness": camera.brightness })
+        })
         .collect();
     json!({
         "capture": path.display().to_string(),
         "healthy": diagnosis.findings.is_empty() && diagnosis.undecided.is_empty(),
         "undecided": diagnosis.undecided,
         "made_points": diagnosis.made_points,
+        "measured_share": diagnosis.measured_share,
         "findings": findings,
         "cameras": cameras,
     })

@@ -74,7 +74,7 @@ fn in_words(balance: &ColorBalance, description: &CaptureDescription) -> Vec<Str
     let names = description.cameras.iter().zip(&balance.camera_error_levels).filter(|(_, errors)| errors.is_none());
     let names: Vec<&str> = names.map(|(camera, _)| camera.name.as_str()).collect();
     if !names.is_empty() {
-        lines.push(format!("  too few places to judge {}", names.join(", ")));
+        lines.push(format!("  too few places to judge {}, whose colours stay as recorded", names.join(", ")));
     }
     lines
 }

@@ -13,10 +13,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use serde_json::{Value, json};
-use tcgs_capture::{Capture, DESCRIPTION_FILE, MASKS_FOLDER, POINTS_FILE, RawFootage};
+use tcgs_capture::{Capture, CaptureError, DESCRIPTION_FILE, MASKS_FOLDER, POINTS_FILE, RawFootage};
 use tcgs_interchange::is_unfinished;
 
 use crate::error::wrong_input;
+use crate::next;
 use crate::options::{self, JobOptions};
 use crate::output::{NewFolder, check_files, check_folder, is_empty_folder, parent, write_json};
 use crate::terminal::say;
@@ -191,7 +192,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         check_points_file(file, force)?;
     }
     if arguments.dry_run {
-        let capture = Capture::open_unseen(&arguments.source)?;
+        if let Some(out) = &arguments.out {
+            // It is removed again; what makes it fail would make the command fail.
+            drop(begin_capture(out, &arguments.source, force)?);
+        }
+        let capture = open(&arguments.source)?;
         if arguments.out.is_some() && !capture.has_segmentation() && arguments.masks.are_wanted(&capture)? {
             say(masks::WOULD)?;
         }
@@ -199,7 +204,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return if arguments.out.is_some() { say(check::WOULD) } else { Ok(()) };
     }
     let folder = arguments.out.as_deref().map(|out| begin_capture(out, &arguments.source, force)).transpose()?;
-    let mut capture = Capture::open_unseen(&arguments.source)?;
+    let mut capture = open(&arguments.source)?;
     if capture.has_points() {
         say("the points that the source has are not used")?;
     }
@@ -229,24 +234,35 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         result["masks"] = told_of_masks;
     }
     if let Some(folder) = folder {
-        points::write(&folder.path().join(POINTS_FILE), &prepared.cloud, false)?;
+        points::write(&folder.path().join(POINTS_FILE), &prepared, false)?;
         write_json(&folder.path().join(RECORD), &result, false)?;
         folder.finish()?;
     }
     if let Some(file) = &arguments.points_only {
-        points::write(file, &prepared.cloud, force)?;
+        points::write(file, &prepared, force)?;
     }
     if let Some(out) = &arguments.out {
         result["check"] = check::after_preparing(out)?;
     }
     arguments.job.write_json(&result)?;
     match (&arguments.out, &arguments.points_only) {
-        (Some(out), _) => say(&format!("next: tcgs train {} --out RUN", out.display())),
-        (None, Some(file)) => {
-            say(&format!("next: tcgs train {} --points {} --out RUN", arguments.source.display(), file.display()))
-        }
+        (Some(out), _) => next::train(out, None),
+        (None, Some(file)) => next::train(&arguments.source, Some(file)),
         (None, None) => Ok(()),
     }
+}
+
+/// Opens a source that is no folder of videos.
+fn open(source: &Path) -> anyhow::Result<Capture> {
+    match Capture::open_unseen(source) {
+        Err(CaptureError::NotCapture { path, .. }) if path.is_dir() => Err(no_videos(&path)),
+        opened => Ok(opened?),
+    }
+}
+
+fn no_videos(folder: &Path) -> anyhow::Error {
+    let expected = "expected one for each camera, or a capture in a layout that tcgs train reads";
+    wrong_input(format!("{}: no videos here, {expected}", folder.display()))
 }
 
 fn check_points_file(file: &Path, force: bool) -> anyhow::Result<()> {

@@ -6,7 +6,7 @@ use std::path::Path;
 use tcgs_capture::{Capture, CaptureDescription, DescribedCamera, Diagnosis, Finding, Split};
 
 use super::check::verdict;
-use crate::pictures::{camera_names, description, jpeg_uri};
+use crate::pictures::{description, jpeg_uri};
 use crate::progress::Progress;
 
 const STYLE: &str = include_str!("page.css");
@@ -128,7 +128,7 @@ fn entries<'a>(
     description: Option<&'a CaptureDescription>,
 ) -> anyhow::Result<Vec<Entry<'a>>> {
     let num_train = capture.cameras(Split::Train, 0, 1)?.len();
-    let names = camera_names(capture, description)?;
+    let names = capture.camera_names(Split::All, 0)?;
     let entry = |(place, (name, camera)): (usize, (String, &tcgs_capture::CameraFit))| {
         let id = camera.camera_id;
         Entry {
@@ -204,7 +204,7 @@ fn overview(page: &mut String, entries: &[Entry<'_>], has_gains: bool) {
         *page += "Starts at: when the capture begins in the camera's file. Error: median distance between where places are \
                   seen and where the camera should see them. ";
     }
-    *page += "Brightness: of red, green and blue against the camera in the middle. Likeness: correlation of the image with the points, above 0.5 of most right cameras, 1 at most.</p>\n";
+    *page += "Brightness: of red, green and blue against the camera in the middle. Likeness: correlation of the image with the points whose depth is measured, 1 at most; below 0.5 no camera is said to fit.</p>\n";
 }
 
 /// A text as HTML has it.

@@ -5,8 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde_json::{Value, json};
-use tcgs_capture::{Capture, CaptureError, Origin, PrepareSettings, Prepared, write_points};
-use tcgs_core::PointCloud;
+use tcgs_capture::{Capture, CaptureError, Origin, PrepareSettings, Prepared, write_prepared};
 
 use super::Arguments;
 use crate::output::write_file_with;
@@ -48,12 +47,12 @@ pub fn make(capture: &Capture, arguments: &Arguments) -> anyhow::Result<(Prepare
 
 /// Points for a capture of few cameras: as [`make`], or strewn where the cameras stand too far apart to be compared, or
 /// hardly agree on any depth. Another error stays one.
-pub fn make_or_strew(capture: &Capture, arguments: &Arguments) -> anyhow::Result<(PointCloud, Value)> {
+pub fn make_or_strew(capture: &Capture, arguments: &Arguments) -> anyhow::Result<(Prepared, Value)> {
     let why = match make(capture, arguments) {
         Ok((prepared, told)) => {
             let sure = prepared.count(Origin::Triangulated) + prepared.count(Origin::Hull);
             if sure as f64 >= MIN_SURE * prepared.cloud.points.len() as f64 {
-                return Ok((prepared.cloud, told));
+                return Ok((prepared, told));
             }
             format!("only {sure} points have a depth that three cameras agree on")
         }
@@ -65,14 +64,14 @@ pub fn make_or_strew(capture: &Capture, arguments: &Arguments) -> anyhow::Result
             _ => return Err(error),
         },
     };
-    let cloud = tcgs_capture::spread_points(capture, &settings(arguments))?;
-    let num_points = cloud.points.len();
+    let prepared = tcgs_capture::spread_points(capture, &settings(arguments))?;
+    let num_points = prepared.cloud.points.len();
     say(&format!(
         "{num_points} points, strewn where the cameras agree in colour: {why}; views between the cameras will be poor, and \
          `tcgs prepare --check` looks for a wrong calibration"
     ))?;
     let told = json!({ "num_points": num_points, "num_foreground": num_points, "strewn": true });
-    Ok((cloud, told))
+    Ok((prepared, told))
 }
 
 fn settings(arguments: &Arguments) -> PrepareSettings {
@@ -85,8 +84,8 @@ fn settings(arguments: &Arguments) -> PrepareSettings {
 }
 
 /// Writes points whole or not at all.
-pub fn write(path: &Path, cloud: &PointCloud, force: bool) -> anyhow::Result<()> {
-    write_file_with(path, force, |file| write_points(BufWriter::new(file), cloud))
+pub fn write(path: &Path, prepared: &Prepared, force: bool) -> anyhow::Result<()> {
+    write_file_with(path, force, |file| write_prepared(BufWriter::new(file), prepared))
 }
 
 fn num_foreground(prepared: &Prepared) -> usize {

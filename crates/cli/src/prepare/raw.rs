@@ -9,12 +9,13 @@ use std::sync::{Mutex, PoisonError};
 use anyhow::Context;
 use serde_json::{Value, json};
 use tcgs_capture::{
-    Calibration, Capture, CaptureDescription, Clocks, ClocksFrom, ColorBalance, DESCRIPTION_FILE, DescribeSettings,
-    POINTS_FILE, PlacedCameras, RawCamera, RawFootage, Refinement, Role, has_colmap,
+    Calibration, Capture, CaptureDescription, ClockEvidence, Clocks, ClocksFrom, ColorBalance, DESCRIPTION_FILE,
+    DescribeSettings, POINTS_FILE, PlacedCameras, RawCamera, RawFootage, Refinement, Role, has_colmap,
 };
 
-use super::{Arguments, MODEL, RECORD, begin_capture, cameras, check, colors, link, masks, points};
+use super::{Arguments, MODEL, RECORD, begin_capture, cameras, check, colors, link, masks, no_videos, points};
 use crate::error::wrong_input;
+use crate::next;
 use crate::output::{write_file, write_json};
 use crate::progress::Progress;
 use crate::terminal::say;
@@ -76,8 +77,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     } else if arguments.dry_run {
         say("points: would be made")?;
     } else {
-        let (cloud, of_points) = points::make_or_strew(&capture, arguments)?;
-        points::write(&out.join(POINTS_FILE), &cloud, false)?;
+        let (prepared, of_points) = points::make_or_strew(&capture, arguments)?;
+        points::write(&out.join(POINTS_FILE), &prepared, false)?;
         for (key, value) in of_points.as_object().into_iter().flatten() {
             result[key] = value.clone();
         }
@@ -88,7 +89,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         write_json(&out.join(RECORD), &result, true)?;
         result["check"] = check::after_preparing(out)?;
         arguments.job.write_json(&result)?;
-        say(&format!("next: tcgs train {} --out RUN", out.display()))?;
+        next::train(out, None)?;
     }
     Ok(())
 }
@@ -112,12 +113,10 @@ fn found_description(out: &Path, arguments: &Arguments) -> anyhow::Result<Option
 /// - returns: nothing if this is a dry run
 fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Described>> {
     let source = &arguments.source;
-    let folder = match arguments.dry_run {
-        true => None,
-        false => Some(begin_capture(out, source, arguments.job.force)?),
-    };
+    // A dry run removes it again; what makes it fail would make the command fail.
+    let folder = Some(begin_capture(out, source, arguments.job.force)?).filter(|_| !arguments.dry_run);
     let raw = RawFootage::find(source, arguments.fps)?;
-    let raw = raw.ok_or_else(|| wrong_input(format!("{}: has no videos, expected one a camera", source.display())))?;
+    let raw = raw.ok_or_else(|| no_videos(source))?;
     let recorded = raw.cameras();
     for line in recordings_in_words(&recorded) {
         say(&line)?;
@@ -187,6 +186,9 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Describe
     }
 
     let Some(folder) = folder else { return Ok(None) };
+    if calibration.is_some() {
+        cameras::note_same_poses(&description)?;
+    }
     cameras::check_still(source, &description)?;
     let (found, refinement) = match &calibration {
         None => (Some(cameras::find(source, &mut description, folder.temporary())?), None),
@@ -270,12 +272,17 @@ fn calibration_in_words(placed: &PlacedCameras, num_cameras: usize) -> Vec<Strin
 
 fn clocks_in_words(clocks: &Clocks, names: &[String], description: &CaptureDescription) -> Vec<String> {
     let how = match clocks.from {
-        ClocksFrom::Sound => "clocks: by sound, each camera skips",
-        ClocksFrom::Motion => "clocks: by motion, each camera skips",
-        ClocksFrom::File => "clocks: as --offsets says, each camera skips",
+        ClocksFrom::Sound => "clocks: by sound".into(),
+        ClocksFrom::Motion => {
+            format!("clocks: by motion, which is sure{}", clocks.evidence.map_or(String::new(), sureness))
+        }
+        ClocksFrom::File => "clocks: as --offsets says".into(),
         ClocksFrom::Assumed => {
-            "clocks: neither sound nor motion tells; all recordings are taken to begin at once (--offsets FILE says \
-             otherwise), each camera skips"
+            let tells = match clocks.evidence {
+                Some(evidence) => format!("motion is too unsure to change anything{}", sureness(evidence)),
+                None => "neither sound nor motion tells".into(),
+            };
+            format!("clocks: {tells}; all recordings are taken to begin at once (--offsets FILE says otherwise)")
         }
     };
     let skips: Vec<String> = names
@@ -285,7 +292,7 @@ fn clocks_in_words(clocks: &Clocks, names: &[String], description: &CaptureDescr
         .collect();
     let num_test = description.cameras.iter().filter(|camera| camera.role == Role::Test).count();
     vec![
-        format!("{how} {}", skips.join(", ")),
+        format!("{how}, each camera skips {}", skips.join(", ")),
         format!(
             "capture: {} frames at {:.2} a second, {} cameras for training, {num_test} held out",
             description.num_frames,
@@ -293,6 +300,19 @@ fn clocks_in_words(clocks: &Clocks, names: &[String], description: &CaptureDescr
             names.len() - num_test
         ),
     ]
+}
+
+/// How sure motion is of clocks, in brackets.
+fn sureness(evidence: ClockEvidence) -> String {
+    let ClockEvidence { agreeing, prominence, .. } = evidence;
+    format!(
+        " (of each camera {:.0} % of the pairs or more tell the same alone, expected {:.0} %; all together by {:.1} times \
+         or more as loud as anything else, expected {:.1})",
+        100.0 * agreeing,
+        100.0 * ClockEvidence::MIN_AGREEING,
+        prominence.min(99.0),
+        ClockEvidence::MIN_PROMINENCE
+    )
 }
 
 fn camera_json(camera: &tcgs_capture::DescribedCamera) -> Value {

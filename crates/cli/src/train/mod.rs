@@ -15,6 +15,7 @@ use tcgs_train::{Checkpoint, Preset, Run, TrainConfig, TrainError, Trainer};
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::{stopped, wrong_input};
 use crate::interrupt;
+use crate::next;
 use crate::options::{self, Frames, JobOptions, Pair};
 use crate::output::check_folder;
 use crate::scene::{SourceOptions, note_replaced};
@@ -22,6 +23,9 @@ use crate::teller::Teller;
 use crate::terminal::say;
 
 use self::view::View;
+
+/// With fewer cameras left to train on, none can be spared to judge with.
+const MIN_TRAINED: usize = 2;
 
 /// Train a dynamic scene on a multi-view capture, one timestep after another
 ///
@@ -166,7 +170,11 @@ fn train(arguments: &Arguments) -> anyhow::Result<()> {
     } else {
         let existing = if arguments.job.force { Existing::Replace } else { Existing::Keep };
         let config = settings::fresh(arguments, &capture)?;
-        say(&describe(&*capture_for(&config, &capture)?, &config)?)?;
+        let chosen = capture_for(&config, &capture)?;
+        say(&describe(&chosen, &config)?)?;
+        if let Some(hint) = hold_out_hint(&chosen, &config)? {
+            say(&hint)?;
+        }
         let start = match &arguments.start_from {
             Some(start) => {
                 let reading =
@@ -191,7 +199,7 @@ fn train(arguments: &Arguments) -> anyhow::Result<()> {
     });
     let trainer = watched.map_err(|e| with_advice(e, &run))?;
     drop(folder);
-    report(arguments, &run, &trainer)?;
+    report(arguments, &run, &capture, &trainer)?;
     if let Some(view) = view {
         view.finish();
     }
@@ -233,6 +241,20 @@ fn describe(capture: &Capture, config: &TrainConfig) -> anyhow::Result<String> {
     Ok(format!("{layout} capture: {count} cameras ({held_out}), frames {first}..{end}, {}x{} pixels", size.0, size.1))
 }
 
+/// How to judge a capture that holds no camera out; `None` if it holds some out, or has none to spare.
+fn hold_out_hint(capture: &Capture, config: &TrainConfig) -> anyhow::Result<Option<String>> {
+    let names = |split| capture.camera_names(split, config.data.first_frame);
+    let (train, test) = (names(Split::Train)?, names(Split::Test)?);
+    let middle = train.get(train.len() / 2).filter(|_| test.is_empty() && train.len() > MIN_TRAINED);
+    Ok(middle.map(|name| {
+        format!(
+            "no camera is held out: PSNR is that of images that are trained on, which flatters; --hold-out {} measures \
+             with a camera that is not",
+            next::word(name)
+        )
+    }))
+}
+
 /// What to do about a run that stopped half-way. Timesteps that are finished have whole checkpoints, whatever it was.
 fn with_advice(error: anyhow::Error, run: &Run) -> anyhow::Error {
     let advice = match error.downcast_ref::<PipelineError>() {
@@ -264,7 +286,7 @@ fn report_resumption(run: &Run, trainer: &Trainer) -> anyhow::Result<()> {
     })
 }
 
-fn report(arguments: &Arguments, run: &Run, trainer: &Trainer) -> anyhow::Result<()> {
+fn report(arguments: &Arguments, run: &Run, capture: &Capture, trainer: &Trainer) -> anyhow::Result<()> {
     let num_gaussians = trainer.num_gaussians();
     // A line may be missing after a power cut: it is written before its checkpoint, but less carefully.
     let mut timesteps: Vec<[Value; 2]> = vec![[Value::Null, Value::Null]; trainer.timesteps()];
@@ -283,8 +305,7 @@ fn report(arguments: &Arguments, run: &Run, trainer: &Trainer) -> anyhow::Result
         psnr.iter().sum::<f64>() / psnr.len() as f64,
         seconds.iter().sum::<f64>()
     ))?;
-    let (run, capture) = (arguments.out.display(), arguments.capture.display());
-    say(&format!("next: tcgs compress {run} --refine 5m; tcgs eval {run}/scene.tcgs --capture {capture}"))?;
+    next::compress(run, &arguments.capture, capture)?;
     let described =
         |(t, [psnr, seconds]): (usize, &[Value; 2])| json!({ "timestep": t, "psnr": psnr, "seconds": seconds });
     arguments.job.write_json(&json!({

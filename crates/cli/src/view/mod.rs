@@ -7,14 +7,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, anyhow};
-use tcgs_capture::{Capture, CaptureError, RawFootage};
+use tcgs_capture::{Capture, CaptureError, RawFootage, Split};
 use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening};
 use tcgs_core::open_file;
 use tcgs_pipeline::points_scene;
 use tcgs_serve::{NO_PAGE, PAGE, SceneSource, Server};
 
 use crate::error::wrong_input;
-use crate::pictures::{camera_names, description};
 use crate::scene::unreadable;
 use crate::terminal::{note, say};
 
@@ -75,7 +74,7 @@ fn shown(arguments: &Arguments) -> anyhow::Result<(SceneSource, Option<Vec<u8>>)
             let problem = format!("is a capture, expected a scene beside --capture {}", other.display());
             return Err(wrong_input(format!("{}: {problem}", path.display())));
         }
-        let names = camera_names(&capture, description(path, &capture)?.as_ref())?;
+        let names = capture.camera_names(Split::All, 0)?;
         if !capture.has_points() {
             note("the capture has no points yet, so only its cameras are shown; tcgs prepare makes points");
         }
@@ -86,7 +85,7 @@ fn shown(arguments: &Arguments) -> anyhow::Result<(SceneSource, Option<Vec<u8>>)
     let cameras = match &arguments.capture {
         Some(folder) => {
             let capture = Capture::open_unseen(folder)?;
-            let names = camera_names(&capture, description(folder, &capture)?.as_ref())?;
+            let names = capture.camera_names(Split::All, 0)?;
             Some(cameras::cameras_file(&capture, &names)?)
         }
         None => None,

@@ -74,7 +74,7 @@ fn colours_are_evened_out_but_not_where_a_protocol_compares() {
     assert!(said.contains("colours: would be compared"), "{said}");
 
     let said = succeed(&[&prepare[..], &["--colors", "no"]].concat());
-    assert!(!said.contains("colours: ") && said.contains("camera 3: red, green and blue differ by -"), "{said}");
+    assert!(!said.contains("colours: ") && said.contains("camera cam3: red, green and blue differ by -"), "{said}");
     let said = succeed(&[&prepare[..], &["--force", "--json", text(&result)]].concat());
     assert!(said.contains("colours: evened out by gains") && said.contains("  cam3: gains 1."), "{said}");
     assert!(!said.contains("red, green and blue differ"), "the doctor sees nothing that is left: {said}");

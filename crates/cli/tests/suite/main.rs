@@ -18,6 +18,7 @@ mod interchange;
 mod layouts;
 #[cfg(target_os = "linux")]
 mod memory;
+mod next;
 mod params;
 mod pipeline;
 mod ply;

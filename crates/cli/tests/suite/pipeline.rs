@@ -94,6 +94,7 @@ fn a_capture_becomes_a_small_file_that_renders() {
         "--csv",
         text(&csv),
     ]);
+    assert!(table.contains("cameras: all, also those that were trained on, which flatters"), "{table}");
     assert_eq!(table.lines().filter(|line| line.trim_start().starts_with(char::is_numeric)).count(), 3 + 1, "{table}");
     let floats = json(&result);
     assert_keys(&floats, &EVAL);

@@ -27,6 +27,10 @@ fn footage_becomes_a_capture_that_trains() {
     let prepare = ["prepare", text(&source), "--out", text(&out), "--points", "4000"];
     let said = succeed(&[&prepare[..], &["--json", text(&result), "--threads", "2"]].concat());
     assert!(said.contains("triangulated") && said.contains("next: tcgs train"), "{said}");
+    assert!(
+        said.contains("% of the points have no measured depth: expect good pictures between the cameras"),
+        "{said}"
+    );
 
     let result = json(&result);
     let expected = ["source", "out", "num_points", "num_foreground", "origins", "agreement", "seconds", "check"];
@@ -88,6 +92,17 @@ fn what_cannot_be_prepared_is_named() {
     refuse(&[text(&source), "--out", "x", "--sheet", "y.png"], &["cannot be used with"]);
     refuse(&[text(&source), "--out", text(&inside)], &["lies in", "expected a place outside the source"]);
     refuse(&[text(&source), "--points-only", "points.xyz"], &["points.xyz", "expected NAME.npz"]);
+    let empty = folder.path().join("empty");
+    std::fs::create_dir(&empty).unwrap();
+    refuse(&[text(&empty), "--out", "x"], &["empty: no videos here, expected one for each camera"]);
+    refuse(&[text(&empty), "--out", "x", "--fps", "30"], &["empty: no videos here"]);
+    // A dry run finds what would make the command fail.
+    let taken = folder.path().join("taken");
+    std::fs::create_dir(&taken).unwrap();
+    std::fs::write(taken.join("diary.txt"), "x").unwrap();
+    refuse(&[text(&source), "--out", text(&taken), "--dry-run"], &["taken: exists already"]);
+    refuse(&[text(&source), "--out", "nowhere/x", "--dry-run"], &["nowhere: no such folder"]);
+    assert_eq!(std::fs::read_dir(&taken).unwrap().count(), 1);
     refuse(&["nowhere", "--check"], &["nowhere", "no such folder"]);
     assert!(!inside.exists() && !Path::new("x").exists());
 
@@ -119,10 +134,10 @@ fn the_doctor_says_healthy_or_what_is_wrong() {
     assert!(said.contains("the image is what is seen from another camera's place"), "{said}");
     assert!(complaint.contains("1 finding, expected a healthy capture"), "{complaint}");
     let result = json(&result);
-    assert_keys(&result, &["capture", "healthy", "undecided", "made_points", "findings", "cameras"]);
+    assert_keys(&result, &["capture", "healthy", "undecided", "made_points", "measured_share", "findings", "cameras"]);
     assert_eq!(result["healthy"], false);
     assert_eq!(result["findings"][0]["kind"], "exchanged_cameras");
-    assert_keys(&result["findings"][0], &["kind", "cameras", "problem", "fix"]);
+    assert_keys(&result["findings"][0], &["kind", "cameras", "names", "problem", "fix"]);
     assert_eq!(result["cameras"].as_array().unwrap().len(), 14);
     assert!(image::open(&sheet).unwrap().width() > 500);
     let page = std::fs::read_to_string(&page).unwrap();
