@@ -1,11 +1,15 @@
 //! Where the axes of cameras meet.
 
+use std::array::from_fn;
+
 use super::quantile;
 use crate::{Camera, Gaussians, Pinhole, dot, sigmoid};
 
-/// Weight of the guess from depths against the axes of the cameras. Axes that differ by less than 2 degrees leave the depth
+/// Weight of the guess from depths against the axes of the cameras. Axes that differ by less than 3 degrees leave the depth
 /// of their meeting point to the guess.
-const PARALLEL: f64 = 0.001;
+const PARALLEL: f64 = 0.003;
+/// The same where the axes alone decide: exactly parallel ones still have a solution.
+const NO_WEIGHT: f64 = 1e-9;
 /// Cameras and Gaussians from which depths are guessed, at most.
 const MAX_CAMERAS: usize = 8;
 const MAX_GAUSSIANS: usize = 20_000;
@@ -15,11 +19,11 @@ const MAX_GAUSSIANS: usize = 20_000;
 pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 3] {
     let count = cameras.len() as f64;
     let mean = |of: &dyn Fn(&Camera) -> [f64; 3]| -> [f64; 3] {
-        std::array::from_fn(|axis| cameras.iter().map(|camera| of(camera)[axis]).sum::<f64>() / count)
+        from_fn(|axis| cameras.iter().map(|camera| of(camera)[axis]).sum::<f64>() / count)
     };
     let depth = depth_seen(gaussians, cameras);
     let (center, forward) = (mean(&Camera::center), mean(&Camera::forward));
-    let guess: [f64; 3] = std::array::from_fn(|axis| center[axis] + depth * forward[axis]);
+    let guess: [f64; 3] = from_fn(|axis| center[axis] + depth * forward[axis]);
     // Of each camera the projection across its axis, `I - d dᵀ`.
     let mut matrix = [[0.0; 3]; 3];
     let mut right = [0.0; 3];
@@ -33,13 +37,13 @@ pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 
             }
         }
     }
-    for i in 0..3 {
-        matrix[i][i] += PARALLEL;
-        right[i] += PARALLEL * guess[i];
-    }
-    let point = solved(matrix, right);
-    let is_before = |camera: &&Camera| dot(camera.forward(), super::from_camera(camera, point)) > 0.1 * depth;
-    if 2 * cameras.iter().filter(is_before).count() >= cameras.len() { point } else { guess }
+    let drawn = |weight: f64| {
+        let matrix = from_fn(|i| from_fn(|j| matrix[i][j] + if i == j { weight } else { 0.0 }));
+        solved(matrix, from_fn(|i| right[i] + weight * guess[i]))
+    };
+    let meeting = drawn(NO_WEIGHT);
+    let is_before = |camera: &&Camera| dot(camera.forward(), super::from_camera(camera, meeting)) > 0.0;
+    if 2 * cameras.iter().filter(is_before).count() >= cameras.len() { drawn(PARALLEL) } else { guess }
 }
 
 /// Median depth of the Gaussians in the middle half of the cameras' pictures, by how much of a picture each covers; 1 if there
@@ -70,9 +74,8 @@ fn solved(matrix: [[f64; 3]; 3], right: [f64; 3]) -> [f64; 3] {
         m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
             + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
     };
-    std::array::from_fn(|column| {
-        let replaced =
-            std::array::from_fn(|i| std::array::from_fn(|j| if j == column { right[i] } else { matrix[i][j] }));
+    from_fn(|column| {
+        let replaced = from_fn(|i| from_fn(|j| if j == column { right[i] } else { matrix[i][j] }));
         determinant(replaced) / determinant(matrix)
     })
 }
