@@ -12,8 +12,8 @@ const SIZE: [usize; 2] = [640, 360];
 /// Directions from which a scene without cameras is looked at, until one is without fog.
 const NUM_DIRECTIONS: usize = 8;
 
-/// The camera with which a player begins, and its pivot: the first camera of the file that shows the scene's [`Subject`] behind
-/// neither fog nor darkness. Of a file without cameras, one at the distance of [`Subject::distance`] and a little above.
+/// The camera with which a player begins, and its pivot. The camera is the first of the file that shows the scene's
+/// [`Subject`] without fog before it. A file without cameras is seen from [`Subject::distance`] away and a little above.
 ///
 /// - `moment`: a timestep. What moves is known from the segments that hold it
 /// - `cameras`: of the file, the preferred ones first; may be empty
@@ -25,8 +25,10 @@ pub fn start_view(moment: &Moment, cameras: &[Camera], up: [f64; 3]) -> (Camera,
     let around =
         if cameras.is_empty() { Tour::Orbit.among(&subject, &[], up, NUM_DIRECTIONS, SIZE) } else { Vec::new() };
     let candidates = if cameras.is_empty() { &around } else { cameras };
-    let first = subject.first_shown(candidates, &activate(&gaussians)).unwrap_or(0);
-    (candidates[first].clone(), subject.center)
+    // A coarser picture may lack what the subject is made of: there the file's order counts.
+    let is_trusted = !moment.is_whole && !cameras.is_empty();
+    let first = if is_trusted { None } else { subject.first_shown(candidates, &activate(&gaussians)) };
+    (candidates[first.unwrap_or(0)].clone(), subject.center)
 }
 
 /// How far each Gaussian of [`Moment::gaussians`] goes within its segment: at its beginning, middle and end. Scene units.

@@ -1,10 +1,12 @@
 //! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or a file a timestep. What does not live here: how one is
-//! found (`found`) and opened (`open`), and what its files declare beside Gaussians (`declared`).
+//! found (`found`) and opened (`open`), what its files declare beside Gaussians
+//! (`declared`), and what it is about (`subject`).
 
 mod chapters;
 mod declared;
 mod found;
 mod open;
+mod subject;
 
 use std::borrow::Cow;
 use std::fmt;
