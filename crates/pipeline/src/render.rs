@@ -60,8 +60,7 @@ impl CameraAt {
         size: [usize; 2],
     ) -> Result<Vec<Self>, PipelineError> {
         let frames = scene.choose_frames(Some(&frames))?;
-        let timesteps = frames.start - scene.first_frame..frames.end - scene.first_frame;
-        let cameras = scene.tour(tour, timesteps, frames.len(), size)?;
+        let cameras = scene.tour(tour, frames.start - scene.first_frame, frames.len(), size)?;
         Ok(frames.zip(cameras).map(|(frame, camera)| Self { frame, camera, camera_id: None }).collect())
     }
 

@@ -299,8 +299,7 @@ impl PyScene {
         text_signature = "($self, count, *, width=640, height=360)")]
     fn orbit(&self, py: Python<'_>, count: Whole, width: Whole, height: Whole) -> PyResult<Vec<PyCamera>> {
         let (count, size) = (count.within("count", 0..=MAX_CAMERAS)?, image_size(width, height)?);
-        let timesteps = 0..self.0.num_timesteps();
-        let cameras = detached(py, || self.0.tour(Tour::Orbit, timesteps, count, size)).map_err(exception)?;
+        let cameras = detached(py, || self.0.tour(Tour::Orbit, 0, count, size)).map_err(exception)?;
         Ok(cameras.into_iter().map(PyCamera).collect())
     }
 

@@ -14,8 +14,10 @@ const NO_WEIGHT: f64 = 1e-9;
 const MAX_CAMERAS: usize = 8;
 const MAX_GAUSSIANS: usize = 20_000;
 
-/// The point nearest to all axes of the cameras, in least squares, drawn a little to the depth of what they see in the middle
-/// of their pictures: that decides where axes are parallel, and alone where axes meet behind cameras.
+/// The point nearest to all axes of the cameras, in least squares.
+///
+/// A guess has a small weight: the depth of what the middle of the pictures shows. The guess decides where axes are parallel.
+/// Where axes meet behind the cameras it is the result.
 pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 3] {
     let count = cameras.len() as f64;
     let mean = |of: &dyn Fn(&Camera) -> [f64; 3]| -> [f64; 3] {
@@ -24,7 +26,7 @@ pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 
     let depth = depth_seen(gaussians, cameras);
     let (center, forward) = (mean(&Camera::center), mean(&Camera::forward));
     let guess: [f64; 3] = from_fn(|axis| center[axis] + depth * forward[axis]);
-    // Of each camera the projection across its axis, `I - d dᵀ`.
+    // A camera adds the projection across its axis, `I - d dᵀ`.
     let mut matrix = [[0.0; 3]; 3];
     let mut right = [0.0; 3];
     for camera in cameras {
@@ -46,8 +48,8 @@ pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 
     if 2 * cameras.iter().filter(is_before).count() >= cameras.len() { drawn(PARALLEL) } else { guess }
 }
 
-/// Median depth of the Gaussians in the middle half of the cameras' pictures, by how much of a picture each covers; 1 if there
-/// are none. Scene units.
+/// Median depth of the Gaussians in the middle half of the cameras' pictures, scene units; 1 if there are none. The weight of
+/// a Gaussian is the area that it covers.
 fn depth_seen(gaussians: &Gaussians, cameras: &[Camera]) -> f64 {
     let (stride, of_cameras) =
         (gaussians.num_gaussians().div_ceil(MAX_GAUSSIANS).max(1), cameras.len().div_ceil(MAX_CAMERAS).max(1));

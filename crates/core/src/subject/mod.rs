@@ -1,5 +1,5 @@
-//! What a scene is about: the point at which views aim, from what moves (here) or from the cameras (`axes`), and which cameras
-//! show it (`shown`). What does not live here: the cameras of a path ([`Tour`](crate::Tour)).
+//! The subject of a scene: the point at which views aim. It follows from what moves (here) or from the cameras (`axes`).
+//! `shown` measures whether a camera shows it. What does not live here: the cameras of a path ([`Tour`](crate::Tour)).
 
 mod axes;
 mod shown;
@@ -11,23 +11,22 @@ use crate::{Camera, Extent, Gaussians, dot, sigmoid};
 const JITTERS: f64 = 6.0;
 /// A Gaussian moves if it goes farther than this share of how far the faster fourth of the moving ones goes.
 const SHARE_OF_FAST: f64 = 0.25;
-/// Shares of the opacity of all Gaussians between which those that move are a subject: fewer are stray, of more the scene
-/// as a whole moves.
+/// Least and greatest share of the scene's opacity that a moving subject has. Fewer Gaussians are strays; if more move,
+/// the whole scene does.
 const MOVING: [f64; 2] = [5e-4, 0.5];
 /// Radius of what moves, in radii of the scene, above which it is spread over the scene and no subject.
 const MAX_SPREAD: f64 = 0.75;
-/// The middle of what moves is that between these quantiles along each axis: two people are both in the middle's
-/// neighbourhood, where a median would be at one of them.
+/// The subject's middle lies halfway between these quantiles along each axis. Of two people a median would choose one.
 const MIDDLE: [f64; 2] = [0.25, 0.75];
 /// Share of what moves that lies within the subject's radius.
 const WITHIN: f64 = 0.6;
 
-/// Distance of a view from the middle, in radii of the scene's [`Extent`], if there are no cameras and nothing moves: a captured
-/// scene is mostly its surroundings, and the cameras that captured it stood just within them.
+/// Distance of a view from the middle, in radii of the scene's [`Extent`], without cameras and motion. A captured scene is
+/// mostly its surroundings, and the cameras that captured it stood just within them.
 pub(crate) const DISTANCE: f64 = 0.85;
 /// Distance of a view from what moves, in radii of what moves, if there are no cameras.
 const DISTANCE_OF_MOVING: f64 = 3.0;
-/// Share of the Gaussians that such a view has before it at least: a ball that flies alone is seen with what is around it.
+/// Least share of the Gaussians that lie nearer to the subject than such a view, so that a ball is seen with its surroundings.
 const BEFORE: f64 = 0.02;
 /// Least radius, scene units: a scene of one point too has to be looked at from somewhere.
 pub(crate) const MIN_RADIUS: f64 = 1e-3;
@@ -55,8 +54,11 @@ pub struct Subject {
 }
 
 impl Subject {
-    /// What moves, if that is a clear minority which the cameras see; else where the axes of the cameras meet; else the
-    /// median of the centres.
+    /// The first of these that the scene has:
+    ///
+    /// 1. what moves, if it is a clear minority of the Gaussians and most cameras see it
+    /// 2. the point at which the axes of the cameras meet
+    /// 3. the median of the centres
     ///
     /// - `gaussians`: one timestep, in stored form, finite
     /// - `moved`: `[N]` how far each goes at other timesteps ([`add_motion`]), scene units; empty if that is unknown
@@ -95,7 +97,7 @@ impl Subject {
 /// Raises how far each Gaussian goes by where it is at another timestep.
 ///
 /// - `moved`: `[N]` so far, scene units
-/// - `rows`: pairs of centres of one Gaussian, each with its row in `moved`: at the timestep at which it is looked at, and at another
+/// - `rows`: of each Gaussian its row in `moved`, its centre now, and its centre at the other timestep
 ///
 /// ```
 /// let mut moved = [0.0, 0.0];
@@ -108,7 +110,7 @@ pub fn add_motion(moved: &mut [f32], rows: impl IntoIterator<Item = (usize, [f32
     }
 }
 
-/// Middle and radius of the Gaussians that move, by opacity and squared distance; `None` if they are no clear minority.
+/// Middle and radius of the Gaussians that move, by opacity and distance; `None` if they are no clear minority.
 fn moving(gaussians: &Gaussians, moved: &[f32]) -> Option<([f64; 3], f64)> {
     let opacity: Vec<f64> = gaussians.logit_opacities().iter().map(|&logit| sigmoid(f64::from(logit))).collect();
     let jitter = JITTERS * median(moved.iter().map(|&moved| f64::from(moved)));
@@ -123,7 +125,7 @@ fn moving(gaussians: &Gaussians, moved: &[f32]) -> Option<([f64; 3], f64)> {
     }
     let rows = gaussians.means().iter().zip(moved).zip(&opacity).filter(|((_, moved), _)| f64::from(**moved) > least);
     let weighted: Vec<([f32; 3], f64)> =
-        rows.map(|((mean, moved), opacity)| (*mean, opacity * f64::from(*moved).min(fast).powi(2))).collect();
+        rows.map(|((mean, moved), opacity)| (*mean, opacity * f64::from(*moved).min(fast))).collect();
     let along = |axis: usize, share| quantile(weighted.iter().map(|(mean, w)| (f64::from(mean[axis]), *w)), share);
     let center = std::array::from_fn(|axis| 0.5 * (along(axis, MIDDLE[0]) + along(axis, MIDDLE[1])));
     Some((center, quantile(weighted.iter().map(|&(mean, weight)| (distance(mean, center), weight)), WITHIN)))
@@ -178,7 +180,7 @@ mod tests {
 
     const UP: [f64; 3] = [0.0, -1.0, 0.0];
 
-    /// A shell of radius 20, opaque, around two people of a tenth as many Gaussians at `x`, -1 and 1, 1 before the origin.
+    /// An opaque shell of radius 20, and two people at x = -1 and x = 1, z = -1, with a tenth as many Gaussians.
     fn shell_and_people() -> Gaussians {
         let mut gaussians = Gaussians::zeros(2200);
         gaussians.logit_opacities_mut().fill(3.0);

@@ -35,8 +35,8 @@ pub enum Tour {
 impl Tour {
     /// Cameras at equal steps along the tour, all of which look at the middle of the [`Extent`] of all centres.
     ///
-    /// Where a scene brings no cameras, compression measures its bits from such an orbit, so another orbit changes the bytes
-    /// of files. Pictures are drawn from [`Self::among`].
+    /// Compression measures the bits of a scene without cameras from such an orbit, so another orbit changes the bytes of
+    /// files. For pictures use [`Self::among`].
     ///
     /// - `means`: `[N, 3]`, scene units, finite
     /// - `up`: direction in the world that points up, not zero
@@ -49,13 +49,13 @@ impl Tour {
 
     /// Cameras at equal steps along the tour, on a path that the cameras of a capture enclose.
     ///
-    /// - Cameras that stand around the subject, with gaps below 100 degrees: full turns, at their heights and distances, from
-    ///   the side of the first one.
-    /// - Cameras on one side: back and forth along their arc, from its middle. The path ends where it begins.
-    /// - 2 to 7 cameras: the same from one camera to the next, in which the path shows exactly what the camera shows.
+    /// - Cameras around the subject, with gaps below 100 degrees: full turns at their heights and distances. The path begins
+    ///   at the angle of the first camera.
+    /// - Cameras on one side: from the middle of their arc to both ends and back.
+    /// - 2 to 7 cameras: the same, but through each camera exactly and looking as the cameras do.
     /// - No cameras: a circle around the subject.
     ///
-    /// Where it is not at one of few cameras, the path looks at the subject.
+    /// The path among 8 or more cameras looks at the subject.
     ///
     /// - `cameras`: of the capture; the path begins near the first if it can
     /// - `up`: direction in the world that points up, not zero

@@ -14,8 +14,8 @@ const SMOOTHING: f64 = 1.0 / 16.0;
 const MIN_SMOOTHING: f64 = 5.0 / 360.0 * TAU;
 /// The arc of a single camera and of cameras in a column, radians: 10 degrees.
 const MIN_ARC: f64 = 10.0 / 360.0 * TAU;
-/// Radians of a path from camera to camera between two keyframes of the spline through it, at most: chords of longer arcs
-/// would cut through the scene.
+/// Greatest angle between two keyframes of a path from camera to camera, radians. A chord of a longer arc would cut through
+/// the scene.
 const KEYFRAME: f64 = 30.0 / 360.0 * TAU;
 /// A camera of the path stands at least this far from the vertical through the subject, in heights above it, so that up
 /// stays up in the picture.
@@ -45,11 +45,11 @@ pub(super) struct Rig {
     size: [usize; 2],
 }
 
-/// What lies between the cameras.
+/// How the path leads from camera to camera.
 enum Course {
     /// From camera to camera: the spline, its length, and where on it the first camera given stands.
     Stops { path: CameraPath, length: f64, start: f64 },
-    /// By the average over the nearest cameras: angles of the arc, from where on it a turn begins, and the focal lengths.
+    /// By the average over the nearest cameras: angles of the arc, the angle at which a turn begins, and the focal lengths.
     Average { arc: [f64; 2], start: f64, focal: [f64; 2] },
 }
 
@@ -62,7 +62,7 @@ impl Rig {
             cameras.iter().enumerate().map(|(i, camera)| (Place::of(camera, subject.center, axes), i)).collect();
         places.sort_by(|a, b| a.0.angle.total_cmp(&b.0.angle));
         let count = places.len();
-        // Of each camera the gap before it.
+        // The gap before a camera.
         let gap = |i: usize| (places[i].0.angle - places[(i + count - 1) % count].0.angle).rem_euclid(TAU);
         let first = (0..count).max_by(|&a, &b| gap(a).total_cmp(&gap(b)))?;
         // A single camera, or all at one angle: the gap is the turn.

@@ -37,7 +37,7 @@ pub fn views(
         return Ok(None);
     }
     let all: Vec<Camera> = cameras.iter().map(|(_, camera)| camera.clone()).collect();
-    let subject = scene.subject(0..scene.num_timesteps(), &all)?;
+    let subject = scene.subject(0, &all)?;
     let drawn = scene.drawn(0)?.seen_by(&all[0]);
     let in_file: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
     let order = Subject::inner_first(&in_file);

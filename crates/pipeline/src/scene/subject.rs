@@ -1,10 +1,9 @@
 //! What a scene is about, as far as its timesteps and its capture say so, and cameras on a path around that.
 
-use std::ops::Range;
-
 use tcgs_capture::Split;
 use tcgs_core::{Camera, Subject, Tour, add_motion};
 
+use crate::compress::spread;
 use crate::{OpenScene, PipelineError};
 
 /// Timesteps that are read for what moves.
@@ -28,20 +27,18 @@ impl OpenScene {
         Ok(cameras().unwrap_or_default().into_iter().map(|(_, camera)| camera).collect())
     }
 
-    /// What the scene is about at the first of some timesteps. Reads at most four of them.
+    /// What the scene is about at a timestep. Reads that and at most four others, from which it learns what moves.
     ///
-    /// - `timesteps`: among which things move
     /// - `cameras`: of the capture; may be empty
     ///
     /// # Errors
     /// As [`OpenScene::at`].
-    pub fn subject(&self, timesteps: Range<usize>, cameras: &[Camera]) -> Result<Subject, PipelineError> {
-        let first = timesteps.start;
-        let (now, living) = (self.at(first)?, self.living(first)?);
+    pub fn subject(&self, timestep: usize, cameras: &[Camera]) -> Result<Subject, PipelineError> {
+        let (now, living) = (self.at(timestep)?, self.living(timestep)?);
         let mut moved = vec![0.0; now.num_gaussians()];
-        for timestep in crate::compress::spread(timesteps.len(), NUM_TIMESTEPS).skip(1).map(|i| first + i) {
-            let then = self.at(timestep)?;
-            let pairs: Vec<(usize, usize)> = match (&living, self.living(timestep)?) {
+        for other in spread(self.num_timesteps(), NUM_TIMESTEPS).filter(|&other| other != timestep) {
+            let then = self.at(other)?;
+            let pairs: Vec<(usize, usize)> = match (&living, self.living(other)?) {
                 (Some(now), Some(then)) => {
                     now.iter().enumerate().filter_map(|(i, id)| Some((i, then.binary_search(id).ok()?))).collect()
                 }
@@ -55,7 +52,7 @@ impl OpenScene {
 
     /// Cameras at equal steps on a path around what the scene is about, among the cameras of its capture ([`Tour::among`]).
     ///
-    /// - `timesteps`: that the path shows; the subject is that of the first
+    /// - `timestep`: the first that the path shows
     /// - `count`: number of cameras
     /// - `size`: width and height of their images, pixels
     ///
@@ -64,12 +61,12 @@ impl OpenScene {
     pub fn tour(
         &self,
         tour: Tour,
-        timesteps: Range<usize>,
+        timestep: usize,
         count: usize,
         size: [usize; 2],
     ) -> Result<Vec<Camera>, PipelineError> {
         let cameras = self.rig()?;
-        let subject = self.subject(timesteps, &cameras)?;
+        let subject = self.subject(timestep, &cameras)?;
         Ok(tour.among(&subject, &cameras, self.up().direction(), count, size))
     }
 }
