@@ -27,6 +27,7 @@ mod quat;
 mod reader;
 mod real;
 mod seen_colors;
+mod subject;
 mod tour;
 mod view;
 
@@ -51,5 +52,6 @@ pub use quat::{
 pub use reader::SceneReader;
 pub use real::Real;
 pub use seen_colors::{seen_colors, seen_colors_bwd};
+pub use subject::{Subject, add_motion};
 pub use tour::{Tour, upright_axes};
 pub use view::{Segmentation, View};

@@ -47,12 +47,12 @@ impl CameraAt {
         Ok(all)
     }
 
-    /// A camera that comes around the scene once, one step a frame. The tour follows from the first of the frames.
+    /// A camera on a path around what the scene is about ([`OpenScene::tour`]), one step a frame.
     ///
     /// - `size`: width and height of the images
     ///
     /// # Errors
-    /// [`PipelineError`] if the scene lacks a frame, or the first one cannot be read.
+    /// [`PipelineError`] if the scene lacks a frame, or one cannot be read.
     pub fn of_tour(
         scene: &OpenScene,
         frames: Range<usize>,
@@ -60,8 +60,7 @@ impl CameraAt {
         size: [usize; 2],
     ) -> Result<Vec<Self>, PipelineError> {
         let frames = scene.choose_frames(Some(&frames))?;
-        let gaussians = scene.at(frames.start - scene.first_frame)?;
-        let cameras = tour.cameras(gaussians.means(), scene.up().direction(), frames.len(), size);
+        let cameras = scene.tour(tour, frames.start - scene.first_frame, frames.len(), size)?;
         Ok(frames.zip(cameras).map(|(frame, camera)| Self { frame, camera, camera_id: None }).collect())
     }
 

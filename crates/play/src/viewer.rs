@@ -115,7 +115,9 @@ impl<S: RangeSource> Viewer<S> {
                 None => {
                     let info = session.player.archive().map(Archive::info);
                     let up = info.map_or_else(UpAxis::default, |info| info.up).direction();
-                    let (camera, pivot) = start_view(moment.gaussians().means(), up);
+                    let cameras = read_views(session.player.application_data());
+                    let cameras: Vec<Camera> = cameras.into_iter().map(|of_file| of_file.camera).collect();
+                    let (camera, pivot) = start_view(&moment, &cameras, up);
                     session.display = Some(Display {
                         renderer: SegmentRenderer::new(&self.gpu, self.format)?,
                         controls: Controls::new(&camera, up, pivot),

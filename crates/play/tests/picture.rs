@@ -216,7 +216,7 @@ fn pictures_equal_the_cpu_renderers() {
     for (name, file) in &files {
         let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
         let num_timesteps = num_timesteps(file);
-        let (start, _) = start_view(moment(file, 0).gaussians().means(), UpAxis::default().direction());
+        let (start, _) = start_view(&moment(file, 0), &[], UpAxis::default().direction());
         // Rows of a texture are copied in multiples of 256 bytes: sizes that are and are not.
         for (timestep, width, height) in [(0, 128, 72), (num_timesteps - 1, 101, 67), (num_timesteps / 2, 320, 180)] {
             let moment = moment(file, timestep);
@@ -241,7 +241,7 @@ fn a_picture_is_drawn_in_its_light() {
     let file = room_file(6000, 12, &CompressSettings::default());
     let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
     let moment = moment(&file, 3);
-    let (start, _) = start_view(moment.gaussians().means(), UpAxis::default().direction());
+    let (start, _) = start_view(&moment, &[], UpAxis::default().direction());
     let camera = start.resized(128, 72);
     let (background, light) = ([0.1, 0.4, 0.25], [0.7, 1.0, 1.2]);
     let found = still(&gpu, &mut renderer, &PictureRequest { moment: &moment, camera: &camera, background, light });
@@ -255,7 +255,7 @@ fn a_picture_is_drawn_in_its_light() {
 fn antialiasing_is_seen() {
     let of = |is_antialiased: bool| {
         let moment = moment(&cohorts_file(2000, &Layout::base().antialiased(is_antialiased)), 0);
-        let (start, _) = start_view(moment.gaussians().means(), UpAxis::default().direction());
+        let (start, _) = start_view(&moment, &[], UpAxis::default().direction());
         expected(&moment, &start.resized(128, 72), [0.0; 3])
     };
     assert!(share_alike(&of(true), &of(false)) < 0.9);
@@ -267,7 +267,7 @@ fn cohorts_take_each_others_place() {
     let Some(gpu) = gpu() else { return };
     let file = cohorts_file(400, &Layout::with_harmonics(2));
     let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
-    let (start, _) = start_view(moment(&file, 0).gaussians().means(), UpAxis::default().direction());
+    let (start, _) = start_view(&moment(&file, 0), &[], UpAxis::default().direction());
     let camera = start.resized(96, 54);
     for timestep in [0, 1, 2, 3, 4, 5, 8, 9, 11, 0, 6, 2, 7, 10, 3] {
         let moment = moment(&file, timestep);
@@ -288,7 +288,7 @@ fn more_pairs_than_expected_are_drawn_again() {
     let compact = compress(&scene, &bits, None, SceneInfo::of(&scene), &CompressSettings::default());
     let file = encode(&compact.unwrap()).unwrap();
     let moment = moment(&file, 1);
-    let (start, _) = start_view(moment.gaussians().means(), UpAxis::default().direction());
+    let (start, _) = start_view(&moment, &[], UpAxis::default().direction());
     let camera = start.resized(400, 300);
     let request = PictureRequest { moment: &moment, camera: &camera, background: [0.0; 3], light: [1.0; 3] };
     let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();

@@ -290,7 +290,8 @@ impl PyScene {
         Ok(cameras.into_iter().map(|named| (named.name, PyCamera(named.camera))).collect())
     }
 
-    /// Cameras at equal steps on one turn around the scene.
+    /// Cameras at equal steps on a path around what moves, else where the cameras of the capture look, as `tcgs render --path
+    /// orbit` takes it: among those cameras if the scene brings any, else on a circle.
     ///
     /// - count: up to 1,000,000
     /// - width, height: of their images, pixels
@@ -298,8 +299,7 @@ impl PyScene {
         text_signature = "($self, count, *, width=640, height=360)")]
     fn orbit(&self, py: Python<'_>, count: Whole, width: Whole, height: Whole) -> PyResult<Vec<PyCamera>> {
         let (count, size) = (count.within("count", 0..=MAX_CAMERAS)?, image_size(width, height)?);
-        let first = detached(py, || self.0.at(0)).map_err(exception)?;
-        let cameras = Tour::Orbit.cameras(first.means(), self.0.up().direction(), count, size);
+        let cameras = detached(py, || self.0.tour(Tour::Orbit, 0, count, size)).map_err(exception)?;
         Ok(cameras.into_iter().map(PyCamera).collect())
     }
 

@@ -27,7 +27,8 @@ const PATH_SIZE: [usize; 2] = [640, 360];
 
 /// Render pictures or a video of a scene
 ///
-/// Along a path the camera moves on with every frame; orbit and spiral come around once. The pictures are
+/// Along a path the camera moves on with every frame. Orbit and spiral lead around what moves, among the cameras of the
+/// capture where the scene brings any: in a ring around it, along an arc back and forth. The pictures are
 /// DIR/FRAME.png; with --cameras they are DIR/CAMERA/FRAME.png, and a video shows one camera after the other.
 /// Videos need the program ffmpeg; an odd size loses a row or a column there.
 #[derive(clap::Args)]

@@ -135,7 +135,13 @@ fn a_file_says_which_way_is_up_and_where_cameras_stood() {
     assert_eq!((&name[..], views.len()), ("tcgs.views", 3));
     let capture = tcgs_capture::Capture::open(capture()).unwrap();
     let cameras = capture.cameras(tcgs_capture::Split::Train, 0, 1).unwrap();
-    for (view, (id, camera)) in views.iter().zip([0, 1, 3].map(|i| &cameras[i])) {
+    // The first is where a player begins; the others follow as the capture has them.
+    let place = |view: &Value| cameras.iter().position(|(id, _)| view["name"] == id.to_string()).unwrap();
+    let places: Vec<usize> = views.iter().map(place).collect();
+    assert!(places.is_sorted_by_key(|&i| (i != places[0], i)), "{places:?}");
+    for i in [0, 1, 3] {
+        let (id, camera) = &cameras[i];
+        let view = &views[places.iter().position(|&place| place == i).unwrap()];
         assert_keys(view, &["name", "width", "height", "focal", "principal", "position", "rotation"]);
         assert_eq!((&view["name"], &view["width"]), (&id.to_string().into(), &48.into()));
         let numbers = |field: &str| view[field].as_array().unwrap().iter().map(number).collect::<Vec<f64>>();

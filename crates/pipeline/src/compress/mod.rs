@@ -215,11 +215,7 @@ impl<'a> PrunedScene<'a> {
             path: scene.path.clone(),
             info: info(scene, up),
             version: options.version,
-            data: views::views(&cameras, options)
-                .map(|json| (VIEWS.into(), json))
-                .into_iter()
-                .chain(options.data.clone())
-                .collect(),
+            data: options.data.clone(),
             num_gaussians_before: scene.num_gaussians(),
             raw_bytes: scene.bytes,
             segment_length: scene.segment_length(),
@@ -229,7 +225,7 @@ impl<'a> PrunedScene<'a> {
         if !parts::are_followed(scene)? {
             let parts = Parts::new(scene, options)?;
             pruned.bits_from = parts.bits_from.clone();
-            return Ok(Self { content: Pruned::Parts(parts), ..pruned });
+            return Self { content: Pruned::Parts(parts), ..pruned }.with_views(scene, &cameras, options);
         }
         let learned = scene.learned_bits()?;
         let (kept, keep, raw_bytes) = if scene.is_on_disk() && scene.bytes > options.max_float_bytes {
@@ -271,7 +267,19 @@ impl<'a> PrunedScene<'a> {
         let foreground = options.marks.of(scene, &keep)?;
         let learned = learned.map(|(_, quantizers)| quantizers);
         pruned.content = Pruned::Whole { kept, lives, bit_map, learned, foreground };
-        Ok(pruned)
+        pruned.with_views(scene, &cameras, options)
+    }
+
+    /// With cameras of the capture as its first data, if there are any.
+    fn with_views(
+        mut self,
+        scene: &OpenScene,
+        cameras: &[(usize, Camera)],
+        options: &CompressOptions,
+    ) -> Result<Self, PipelineError> {
+        let views = views::views(scene, cameras, options)?;
+        self.data.splice(0..0, views.map(|json| (VIEWS.into(), json)));
+        Ok(self)
     }
 
     /// Whether the file will say which Gaussians are foreground.

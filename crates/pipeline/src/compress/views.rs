@@ -4,7 +4,7 @@ use std::path::Path;
 
 use tcgs_capture::Split;
 use tcgs_codec::{FileCamera, UpAxis, write_views};
-use tcgs_core::Camera;
+use tcgs_core::{Camera, Subject};
 
 use super::CompressOptions;
 use super::judge::spread;
@@ -23,10 +23,28 @@ pub fn cameras(scene: &OpenScene, options: &CompressOptions) -> Result<Vec<(usiz
 }
 
 /// Some of the cameras, spread evenly, as the file holds them; `None` without any.
-pub fn views(cameras: &[(usize, Camera)], options: &CompressOptions) -> Option<Vec<u8>> {
+///
+/// A player begins at the first. It is the innermost one that shows the scene's subject at the first timestep, before which
+/// there is no fog.
+pub fn views(
+    scene: &OpenScene,
+    cameras: &[(usize, Camera)],
+    options: &CompressOptions,
+) -> Result<Option<Vec<u8>>, PipelineError> {
     let of = |i: usize| FileCamera { name: cameras[i].0.to_string(), camera: cameras[i].1.clone() };
-    let views: Vec<FileCamera> = spread(cameras.len(), options.views).map(of).collect();
-    (!views.is_empty()).then(|| write_views(&views))
+    let mut views: Vec<FileCamera> = spread(cameras.len(), options.views).map(of).collect();
+    if views.is_empty() {
+        return Ok(None);
+    }
+    let all: Vec<Camera> = cameras.iter().map(|(_, camera)| camera.clone()).collect();
+    let subject = scene.subject(0, &all)?;
+    let drawn = scene.drawn(0)?.seen_by(&all[0]);
+    let in_file: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
+    let order = Subject::inner_first(&in_file);
+    if let Some(start) = subject.first_shown(order.iter().map(|&i| &in_file[i]), &drawn) {
+        views[..=order[start]].rotate_right(1);
+    }
+    Ok(Some(write_views(&views)))
 }
 
 /// The axis along which the cameras stand upright; unknown where none is near.

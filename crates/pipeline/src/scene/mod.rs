@@ -1,12 +1,13 @@
 //! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or a sequence of files. What lives here: its
 //! Gaussians. What does not: finding a scene (`found`), opening it (`open`), declarations in its files (`declared`),
-//! and the results of training beside Gaussians (`run`).
+//! the results of training beside Gaussians (`run`), and what it shows (`subject`).
 
 mod chapters;
 mod declared;
 mod found;
 mod open;
 mod run;
+mod subject;
 
 use std::borrow::Cow;
 use std::fmt;

@@ -1,23 +1,21 @@
-//! Cameras around a scene that brings none.
+//! Cameras on a path around a scene: among the cameras of its capture (`rig`), or around a scene that brings none.
+
+mod rig;
 
 use std::f64::consts::TAU;
 
-use crate::{Camera, Extent, dot, normalize};
+use self::rig::Rig;
+use crate::subject::{DISTANCE, MIN_RADIUS};
+use crate::{Camera, Extent, Subject, dot, normalize};
 
-/// Horizontal field of view, radians.
+/// Horizontal field of view without cameras, radians.
 const FIELD_OF_VIEW: f64 = 1.1;
-/// Distance of the cameras from the scene's middle, in radii of its [`Extent`]: a captured scene is mostly its
-/// surroundings, and the cameras that captured it stood just within them.
-const DISTANCE: f64 = 0.85;
-/// Least radius, scene units: a scene of one point too has to be looked at from somewhere.
-const MIN_RADIUS: f64 = 1e-3;
 /// Height of an orbit above the scene's middle, in distances of the cameras.
 const ORBIT_HEIGHT: f64 = 0.25;
+/// Distance from the subject at the end of a spiral among cameras, in distances at its beginning.
+const NEAREST: f64 = 0.65;
 
-/// A path of cameras around a scene, all of which look at the middle of its [`Extent`].
-///
-/// Where a scene brings no cameras, compression measures its bits from an orbit, so another orbit changes the bytes of
-/// files.
+/// A path of cameras around a scene.
 ///
 /// ```
 /// use tcgs_core::Tour;
@@ -28,14 +26,17 @@ const ORBIT_HEIGHT: f64 = 0.25;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tour {
-    /// One turn at one height.
+    /// One turn at one height; among cameras at theirs.
     Orbit,
-    /// Two turns, rising and coming closer.
+    /// Two turns that come closer; without cameras also rising.
     Spiral,
 }
 
 impl Tour {
-    /// Cameras at equal steps along the tour.
+    /// Cameras at equal steps along the tour, all of which look at the middle of the [`Extent`] of all centres.
+    ///
+    /// Compression measures the bits of a scene without cameras from such an orbit, so another orbit changes the bytes of
+    /// files. For pictures use [`Self::among`].
     ///
     /// - `means`: `[N, 3]`, scene units, finite
     /// - `up`: direction in the world that points up, not zero
@@ -43,7 +44,56 @@ impl Tour {
     /// - `size`: width and height of their images, pixels
     pub fn cameras(self, means: &[[f32; 3]], up: [f64; 3], count: usize, size: [usize; 2]) -> Vec<Camera> {
         let Extent { center, radius } = Extent::of(means);
-        let distance = DISTANCE * radius.max(MIN_RADIUS);
+        self.around(center, DISTANCE * radius.max(MIN_RADIUS), up, count, size)
+    }
+
+    /// Cameras at equal steps along the tour, on a path that the cameras of a capture enclose.
+    ///
+    /// - Cameras around the subject, with gaps below 100 degrees: full turns at their heights and distances. The path begins
+    ///   at the angle of the first camera.
+    /// - Cameras on one side: from the middle of their arc to both ends and back.
+    /// - 2 to 7 cameras: the same, but through each camera exactly and looking as the cameras do.
+    /// - No cameras: a circle around the subject.
+    ///
+    /// The path among 8 or more cameras looks at the subject.
+    ///
+    /// - `cameras`: of the capture; the path begins near the first if it can
+    /// - `up`: direction in the world that points up, not zero
+    /// - `count`: number of cameras on the path
+    /// - `size`: width and height of their images, pixels; they show at least as much as the capture's
+    ///
+    /// ```
+    /// use tcgs_core::{Camera, Gaussians, Subject, Tour};
+    /// let up = [0.0, -1.0, 0.0];
+    /// let arc = [-1.0, 0.0, 1.0].map(|x| Camera::look_at([x, -0.5, -3.0], [0.0; 3], up, 50.0, 64, 48));
+    /// let subject = Subject::of(&Gaussians::zeros(1), &[], &arc);
+    /// let path = Tour::Orbit.among(&subject, &arc, up, 16, [64, 48]);
+    /// assert!(path.iter().all(|camera| camera.center()[0].abs() < 1.01 && camera.center()[2] < -2.8));
+    /// ```
+    pub fn among(
+        self,
+        subject: &Subject,
+        cameras: &[Camera],
+        up: [f64; 3],
+        count: usize,
+        size: [usize; 2],
+    ) -> Vec<Camera> {
+        let Some(rig) = Rig::new(subject, cameras, up, size) else {
+            return self.around(subject.center, subject.distance, up, count, size);
+        };
+        (0..count)
+            .map(|i| {
+                let share = i as f64 / count as f64;
+                match self {
+                    Self::Orbit => rig.camera_at(share),
+                    Self::Spiral => closer(&rig.camera_at(2.0 * share % 1.0), subject, 1.0 - (1.0 - NEAREST) * share),
+                }
+            })
+            .collect()
+    }
+
+    /// Cameras on a circle or a spiral, without others to keep to.
+    fn around(self, center: [f64; 3], distance: f64, up: [f64; 3], count: usize, size: [usize; 2]) -> Vec<Camera> {
         let [right, up, forward] = upright_axes(up);
         let [width, height] = size;
         let focal_px = 0.5 * width as f64 / (FIELD_OF_VIEW / 2.0).tan();
@@ -61,6 +111,17 @@ impl Tour {
             })
             .collect()
     }
+}
+
+/// The camera moved towards the subject, its direction kept.
+///
+/// - `share`: of its distance that is left
+fn closer(camera: &Camera, subject: &Subject, share: f64) -> Camera {
+    let center = camera.center();
+    let position = std::array::from_fn(|i| subject.center[i] + share * (center[i] - subject.center[i]));
+    let [x, y, z, last] = camera.camera_from_world;
+    let row = |[a, b, c, _]: [f64; 4]| [a, b, c, -dot([a, b, c], position)];
+    Camera { camera_from_world: [row(x), row(y), row(z), last], ..camera.clone() }
 }
 
 /// Right, up and forward in the world for someone who stands upright: unit directions, orthogonal.

@@ -1,0 +1,72 @@
+//! What a scene is about, as far as its timesteps and its capture say so, and cameras on a path around that.
+
+use tcgs_capture::Split;
+use tcgs_core::{Camera, Subject, Tour, add_motion};
+
+use crate::compress::spread;
+use crate::{OpenScene, PipelineError};
+
+/// Timesteps that are read for what moves.
+const NUM_TIMESTEPS: usize = 4;
+
+impl OpenScene {
+    /// Cameras of the capture: those that a `.tcgs` file brings along, or the training cameras of a run's capture if that is
+    /// still there. Empty of anything else.
+    ///
+    /// # Errors
+    /// [`PipelineError::Decode`] if the file cannot be read.
+    pub fn rig(&self) -> Result<Vec<Camera>, PipelineError> {
+        let carried = self.cameras()?;
+        if !carried.is_empty() {
+            return Ok(carried.into_iter().map(|named| named.camera).collect());
+        }
+        let cameras = || {
+            let capture = self.open_capture(self.capture()?).ok()?;
+            capture.cameras(Split::Train, self.first_frame, self.downscale).ok()
+        };
+        Ok(cameras().unwrap_or_default().into_iter().map(|(_, camera)| camera).collect())
+    }
+
+    /// What the scene is about at a timestep. Reads that and at most four others, from which it learns what moves.
+    ///
+    /// - `cameras`: of the capture; may be empty
+    ///
+    /// # Errors
+    /// As [`OpenScene::at`].
+    pub fn subject(&self, timestep: usize, cameras: &[Camera]) -> Result<Subject, PipelineError> {
+        let (now, living) = (self.at(timestep)?, self.living(timestep)?);
+        let mut moved = vec![0.0; now.num_gaussians()];
+        for other in spread(self.num_timesteps(), NUM_TIMESTEPS).filter(|&other| other != timestep) {
+            let then = self.at(other)?;
+            let pairs: Vec<(usize, usize)> = match (&living, self.living(other)?) {
+                (Some(now), Some(then)) => {
+                    now.iter().enumerate().filter_map(|(i, id)| Some((i, then.binary_search(id).ok()?))).collect()
+                }
+                _ if then.num_gaussians() == now.num_gaussians() => (0..moved.len()).map(|i| (i, i)).collect(),
+                _ => Vec::new(),
+            };
+            add_motion(&mut moved, pairs.into_iter().map(|(i, j)| (i, now.means()[i], then.means()[j])));
+        }
+        Ok(Subject::of(&now, &moved, cameras))
+    }
+
+    /// Cameras at equal steps on a path around what the scene is about, among the cameras of its capture ([`Tour::among`]).
+    ///
+    /// - `timestep`: the first that the path shows
+    /// - `count`: number of cameras
+    /// - `size`: width and height of their images, pixels
+    ///
+    /// # Errors
+    /// As [`OpenScene::at`].
+    pub fn tour(
+        &self,
+        tour: Tour,
+        timestep: usize,
+        count: usize,
+        size: [usize; 2],
+    ) -> Result<Vec<Camera>, PipelineError> {
+        let cameras = self.rig()?;
+        let subject = self.subject(timestep, &cameras)?;
+        Ok(tour.among(&subject, &cameras, self.up().direction(), count, size))
+    }
+}
