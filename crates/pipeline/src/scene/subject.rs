@@ -27,7 +27,8 @@ impl OpenScene {
         Ok(cameras().unwrap_or_default().into_iter().map(|(_, camera)| camera).collect())
     }
 
-    /// What the scene is about at a timestep. Reads that and at most four others, from which it learns what moves.
+    /// What the scene is about at a timestep. Reads that and at most four others, as far as they can be read, to learn what
+    /// moves.
     ///
     /// - `cameras`: of the capture; may be empty
     ///
@@ -37,8 +38,9 @@ impl OpenScene {
         let (now, living) = (self.at(timestep)?, self.living(timestep)?);
         let mut moved = vec![0.0; now.num_gaussians()];
         for other in spread(self.num_timesteps(), NUM_TIMESTEPS).filter(|&other| other != timestep) {
-            let then = self.at(other)?;
-            let pairs: Vec<(usize, usize)> = match (&living, self.living(other)?) {
+            // One that cannot be read says nothing about this one: it is refused when it is drawn.
+            let (Ok(then), Ok(living_then)) = (self.at(other), self.living(other)) else { continue };
+            let pairs: Vec<(usize, usize)> = match (&living, living_then) {
                 (Some(now), Some(then)) => {
                     now.iter().enumerate().filter_map(|(i, id)| Some((i, then.binary_search(id).ok()?))).collect()
                 }
