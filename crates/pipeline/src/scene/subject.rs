@@ -1,4 +1,4 @@
-//! What a scene is about, as far as its timesteps and its capture say so, and cameras on a path around that.
+//! The subject of a scene, from its timesteps and the cameras of its capture, and paths around it.
 
 use tcgs_capture::Split;
 use tcgs_core::{Camera, Subject, Tour, add_motion};
@@ -27,8 +27,8 @@ impl OpenScene {
         Ok(cameras().unwrap_or_default().into_iter().map(|(_, camera)| camera).collect())
     }
 
-    /// What the scene is about at a timestep. Reads that and at most four others, as far as they can be read, to learn what
-    /// moves.
+    /// The subject of the scene at a timestep. To learn what moves it reads at most four other timesteps, as far as they can
+    /// be read.
     ///
     /// - `cameras`: of the capture; may be empty
     ///
@@ -52,7 +52,7 @@ impl OpenScene {
         Ok(Subject::of(&now, &moved, cameras))
     }
 
-    /// Cameras at equal steps on a path around what the scene is about, among the cameras of its capture ([`Tour::among`]).
+    /// Cameras at equal steps on a path around the subject, among the cameras of its capture ([`Tour::among`]).
     ///
     /// - `timestep`: the first that the path shows
     /// - `count`: number of cameras
