@@ -47,7 +47,7 @@ impl CameraAt {
         Ok(all)
     }
 
-    /// A camera on a path around what the scene is about ([`OpenScene::tour`]), one step a frame.
+    /// A camera on a path around the scene's subject ([`OpenScene::tour`]), one step a frame.
     ///
     /// - `size`: width and height of the images
     ///

@@ -290,8 +290,8 @@ impl PyScene {
         Ok(cameras.into_iter().map(|named| (named.name, PyCamera(named.camera))).collect())
     }
 
-    /// Cameras at equal steps on a path around what moves, else where the cameras of the capture look, as `tcgs render --path
-    /// orbit` takes it: among those cameras if the scene brings any, else on a circle.
+    /// Cameras at equal steps on the path of `tcgs render --path orbit`. It leads around what moves, else around the point at
+    /// which the cameras of the capture look. Without such cameras it is a circle.
     ///
     /// - count: up to 1,000,000
     /// - width, height: of their images, pixels

@@ -24,8 +24,7 @@ pub fn cameras(scene: &OpenScene, options: &CompressOptions) -> Result<Vec<(usiz
 
 /// Some of the cameras, spread evenly, as the file holds them; `None` without any.
 ///
-/// A player begins at the first. It is the innermost one that shows the scene's subject at the first timestep, before which
-/// there is no fog.
+/// A player begins at the first: the innermost camera that shows the scene's subject, at the first timestep, without fog.
 pub fn views(
     scene: &OpenScene,
     cameras: &[(usize, Camera)],

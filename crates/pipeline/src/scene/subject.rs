@@ -1,4 +1,4 @@
-//! What a scene is about, as far as its timesteps and its capture say so, and cameras on a path around that.
+//! The subject of a scene, from its timesteps and the cameras of its capture, and paths around it.
 
 use tcgs_capture::Split;
 use tcgs_core::{Camera, Subject, Tour, add_motion};
@@ -27,7 +27,8 @@ impl OpenScene {
         Ok(cameras().unwrap_or_default().into_iter().map(|(_, camera)| camera).collect())
     }
 
-    /// What the scene is about at a timestep. Reads that and at most four others, from which it learns what moves.
+    /// The subject of the scene at a timestep. To learn what moves it reads at most four other timesteps, as far as they can
+    /// be read.
     ///
     /// - `cameras`: of the capture; may be empty
     ///
@@ -37,8 +38,9 @@ impl OpenScene {
         let (now, living) = (self.at(timestep)?, self.living(timestep)?);
         let mut moved = vec![0.0; now.num_gaussians()];
         for other in spread(self.num_timesteps(), NUM_TIMESTEPS).filter(|&other| other != timestep) {
-            let then = self.at(other)?;
-            let pairs: Vec<(usize, usize)> = match (&living, self.living(other)?) {
+            // One that cannot be read says nothing about this one: it is refused when it is drawn.
+            let (Ok(then), Ok(living_then)) = (self.at(other), self.living(other)) else { continue };
+            let pairs: Vec<(usize, usize)> = match (&living, living_then) {
                 (Some(now), Some(then)) => {
                     now.iter().enumerate().filter_map(|(i, id)| Some((i, then.binary_search(id).ok()?))).collect()
                 }
@@ -50,7 +52,7 @@ impl OpenScene {
         Ok(Subject::of(&now, &moved, cameras))
     }
 
-    /// Cameras at equal steps on a path around what the scene is about, among the cameras of its capture ([`Tour::among`]).
+    /// Cameras at equal steps on a path around the subject, among the cameras of its capture ([`Tour::among`]).
     ///
     /// - `timestep`: the first that the path shows
     /// - `count`: number of cameras
