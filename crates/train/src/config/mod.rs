@@ -228,8 +228,8 @@ impl TrainConfig {
                     background: 10.0,
                     stillness: 0.0,
                     soft_color: 0.005,
-                    mask: 2.0,
-                    mask_consistency: 20.0,
+                    mask: 3.0,
+                    mask_consistency: 30.0,
                 };
                 config.mask.relative = true;
                 config.mask.prune_end = 6000;
