@@ -174,7 +174,7 @@ fn ctrl_c_ends(command: &mut Command, number: &Path, hanging: &str) {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let begin = Instant::now();
     let hung = loop {
-        match fs::read_to_string(&number) {
+        match fs::read_to_string(number) {
             Ok(number) if number.ends_with('\n') => break number,
             _ if begin.elapsed() > Duration::from_secs(20) => {
                 child.kill().unwrap();

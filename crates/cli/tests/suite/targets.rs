@@ -136,7 +136,8 @@ fn a_file_says_which_way_is_up_and_where_cameras_stood() {
     let capture = tcgs_capture::Capture::open(capture()).unwrap();
     let cameras = capture.cameras(tcgs_capture::Split::Train, 0, 1).unwrap();
     // The first is where a player begins; the others follow as the capture has them.
-    let place = |view: &Value| cameras.iter().position(|(id, _)| view["name"] == id.to_string()).unwrap();
+    let place =
+        |view: &Value| cameras.iter().position(|(id, _)| view["name"].as_str() == Some(&id.to_string())).unwrap();
     let places: Vec<usize> = views.iter().map(place).collect();
     assert!(places.is_sorted_by_key(|&i| (i != places[0], i)), "{places:?}");
     for i in [0, 1, 3] {

@@ -203,7 +203,7 @@ mod tests {
         let of = |i: usize| {
             if i >= 2000 {
                 step * (1.0 + (i % 3) as f32)
-            } else if i % 100 == 0 {
+            } else if i.is_multiple_of(100) {
                 9.0 * step
             } else {
                 1e-3
