@@ -12,17 +12,18 @@ use tcgs_pipeline::{CompressOptions, compress_scene};
 const IN_THE_ROOM: [f32; 3] = [0.0, -0.8, 0.2];
 const BEHIND_ALL_CAMERAS: [f32; 3] = [0.0, -0.8, -30.0];
 
-/// Three timesteps: one Gaussian stays in the room, one is never there, one leaves after the second timestep.
+/// Three timesteps: one Gaussian stays in the room, one there is transparent, one leaves after the second timestep, and one is in
+/// no image.
 fn scene() -> DynamicGaussians {
     let mut scene = DynamicGaussians::default();
     for timestep in 0..3 {
         let third = if timestep < 2 { [0.5, -0.8, 0.2] } else { BEHIND_ALL_CAMERAS };
         scene.push(Gaussians::from(BaseColumns {
-            means: vec![IN_THE_ROOM, BEHIND_ALL_CAMERAS, third],
-            quats: vec![[1.0, 0.0, 0.0, 0.0]; 3],
-            log_scales: vec![[-2.0; 3]; 3],
-            logit_opacities: vec![2.0; 3],
-            colors: vec![[0.5; 3]; 3],
+            means: vec![IN_THE_ROOM, IN_THE_ROOM, third, BEHIND_ALL_CAMERAS],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+            log_scales: vec![[-2.0; 3]; 4],
+            logit_opacities: vec![2.0, -20.0, 2.0, 2.0],
+            colors: vec![[0.5; 3]; 4],
         }));
     }
     scene
@@ -46,11 +47,11 @@ fn what_no_camera_sees_is_left_out_and_what_leaves_dies() {
         let compact = compress_scene(&scene, options).unwrap().compact;
         [0, 1, 2].map(|timestep| compact.at(timestep).num_gaussians())
     };
-    assert_eq!(alive(&options(0.0, 2, u64::MAX)), [3, 3, 3]);
-    assert_eq!(alive(&options(1e-6, 2, u64::MAX)), [2, 2, 1]);
-    assert_eq!(alive(&options(1e-6, 2, 0)), [2, 2, 1]);
+    assert_eq!(alive(&options(0.0, 2, u64::MAX)), [4, 4, 4]);
+    assert_eq!(alive(&options(1e-6, 2, u64::MAX)), [3, 3, 2]);
+    assert_eq!(alive(&options(1e-6, 2, 0)), [3, 3, 2]);
     // Version 1 has no lives.
-    assert_eq!(alive(&options(1e-6, 1, u64::MAX)), [2, 2, 2]);
+    assert_eq!(alive(&options(1e-6, 1, u64::MAX)), [3, 3, 3]);
 }
 
 #[test]

@@ -118,7 +118,7 @@ fn a_capture_becomes_a_small_file_that_renders() {
     assert!(number(&floats["flicker"]) > 0.0);
 
     let result = path("compress.json");
-    let said = succeed(&["compress", text(&run), "--json", text(&result)]);
+    let said = succeed(&["compress", text(&run), "--json", text(&result), "--refine", "off"]);
     assert!(said.contains("learned by the run"), "{said}");
     let compressed = json(&result);
     let file = run.join("scene.tcgs");
@@ -250,7 +250,7 @@ fn a_run_goes_to_params_npz_and_from_there_to_a_file() {
 
     let bits = |options: &[&str]| {
         let out = path("bits.tcgs");
-        succeed(&[&["compress", text(&run), "--out", text(&out), "--force"], options].concat());
+        succeed(&[&["compress", text(&run), "--out", text(&out), "--force", "--refine", "off"], options].concat());
         succeed(&["info", text(&out), "--json", text(&path("bits.json")), "--force"]);
         let info = json(&path("bits.json"));
         let widths = |attribute| keys(&info["bits_histogram"][attribute]).iter().map(|b| b.parse().unwrap()).collect();

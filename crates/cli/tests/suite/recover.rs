@@ -12,7 +12,7 @@ use tempfile::{TempDir, tempdir};
 fn scene(folder: &TempDir) -> PathBuf {
     let run = train(folder, "run", &["--preset", "d3dgs"]);
     let file = folder.path().join("scene.tcgs");
-    succeed(&["compress", text(&run), "--out", text(&file), "--segment-length", "1"]);
+    succeed(&["compress", text(&run), "--out", text(&file), "--segment-length", "1", "--refine", "off"]);
     let mut scene = decode(&fs::read(&file).unwrap(), &DecodeLimits::default()).unwrap();
     scene.layers = vec![100, scene.info.num_gaussians - 100];
     fs::write(&file, encode(&scene).unwrap()).unwrap();

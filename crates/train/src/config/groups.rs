@@ -97,8 +97,8 @@ pub struct DensifyConfig {
     pub end: usize,
     /// Iterations between events. Default 100.
     pub interval: usize,
-    /// Mean NDC gradient from which a Gaussian is cloned or split. Reference 2e-4; default 3e-4, since antialiased splats have
-    /// larger ones.
+    /// Mean NDC gradient from which a Gaussian is cloned or split. Default 2e-4; 3e-4 suits antialiased splats, whose gradients
+    /// are larger.
     pub gradient_threshold: f32,
     /// Largest scale, as a share of the scene's radius, up to which it is cloned rather than split. Default 0.01.
     pub clone_scale: f32,
@@ -300,6 +300,6 @@ pub struct ColorConfig {
 pub struct RenderConfig {
     /// Whether splats are antialiased: one that is widened to a pixel's extent gives up as much opacity, so that the scene looks
     /// the same at other resolutions than that of training (Yu et al. 2024, Mip-Splatting). A run that continues another
-    /// scene's state is drawn as that one. Reference false; default true.
+    /// scene's state is drawn as that one. Default false (reference).
     pub antialiased: bool,
 }

@@ -234,9 +234,6 @@ impl TrainConfig {
                 config.mask.relative = true;
                 config.mask.prune_end = 6000;
                 config.densify.unseen_share = 0.1;
-                // Antialiased splats leave larger gradients.
-                config.densify.gradient_threshold = 3e-4;
-                config.render.antialiased = true;
                 config.densify.reset = 0;
                 config.gate = GateConfig::ON;
                 config.births = BirthConfig::ON;

@@ -198,6 +198,10 @@ impl Trainer {
             let camera = order.swap_remove(random.random_range(0..order.len()));
             let reshapes = phase == Phase::First && self.schedule.reshapes(iteration);
             let mut rates = self.schedule.rates(phase, iteration);
+            if config.mask.relative && self.image_loss == 0.0 {
+                // Without a price masks would follow the noise of gradients.
+                rates.mask = 0.0;
+            }
             if shares.is_some() {
                 // Quantizers are shared with what is locked.
                 rates.step = 0.0;

@@ -57,7 +57,7 @@ fn training_learns_the_scene_and_follows_it() {
     let mut losses = Vec::new();
     trainer
         .fit(&views(0), &mut |p| {
-            losses.push(p.loss);
+            losses.push(p.terms.image);
             ControlFlow::Continue(())
         })
         .unwrap();
