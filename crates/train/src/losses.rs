@@ -102,9 +102,9 @@ losses! {
     /// Colours that change with time: `mean ‖colour − previous colour‖₁`. Weight 0.01 (reference, where a bug makes it
     /// inactive); default 0.005.
     SoftColor soft_color = 0.01;
-    /// `L_mask`, a mean. Weight 0.01 (paper); default 3, which `mask.relative` multiplies.
+    /// `L_mask`, a mean. Weight 0.01 (paper); default 0.05: half the Gaussians for 0.1 dB.
     Mask mask = 0.01;
-    /// `L_mc`, a mean. Weight 0.01 (paper); default 30, likewise, against the stronger pull of `mask`: what is masked at one
+    /// `L_mc`, a mean. Weight 0.01 (paper); default 0.5, against the stronger pull of `mask`: what is masked at one
     /// timestep but not at its mean over time would appear when pruned scenes are drawn unmasked.
     MaskConsistency mask_consistency = 0.01;
 }

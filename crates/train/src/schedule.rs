@@ -258,7 +258,7 @@ mod tests {
         assert_eq!(events, [100, 200, 300, 400, 500, 600, 700]);
         assert!(s.is_last_densification(700) && !s.is_last_densification(600));
         assert!(s.starts_quantization(900) && s.prunes_masked(150) && !s.prunes_masked(1050));
-        assert!((0..1500).all(|i| !s.resets_opacities(i) && s.removes_large(i) == (i >= 450)));
+        assert!((0..1500).all(|i| !s.resets_opacities(i) && !s.removes_large(i)));
         let (long, short) = (schedule(1500, 300, Preset::Paper), schedule(250, 50, Preset::Paper));
         assert!(long.resets_opacities(450) && long.removes_large(450) && long.reshapes(450));
         assert!((0..250).all(|i| !short.resets_opacities(i)));

@@ -209,7 +209,8 @@ fn config(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfi
     let mut config = TrainConfig { seed: arguments.job.seed.unwrap_or(0), ..TrainConfig::default() };
     [config.schedule.first_iterations, config.schedule.rest_iterations] = ITERATIONS;
     // In so few iterations the reset is what makes density control add enough.
-    config.densify.reset = TrainConfig::preset(Preset::Paper).densify.reset;
+    let paper = TrainConfig::preset(Preset::Paper).densify;
+    (config.densify.reset, config.densify.prune_large) = (paper.reset, paper.prune_large);
     // What arrives is to be as good as what was there: it is cloned and split by the same threshold.
     config.births.gradient_threshold = config.densify.gradient_threshold;
     config.data.end_frame = capture.num_frames();

@@ -112,14 +112,14 @@ pub struct DensifyConfig {
     pub prune_opacity_end: f32,
     /// At this iteration opacities are reset, once; 0: they are not. Reference 3000; default 0.
     pub reset: usize,
-    /// From this iteration on Gaussians of a scale over `prune_scale` are removed; 0: they are not. Default 3000 (reference).
+    /// From this iteration on Gaussians of a scale over `prune_scale` are removed; 0: they are not. Reference 3000; default 0.
     pub prune_large: usize,
     /// Share of the scene's radius. Default 0.1.
     pub prune_scale: f32,
     /// Opacity after the reset. Default 0.01.
     pub reset_opacity: f32,
     /// Most points to begin with that are in no training camera's image, as a share of the others: these are gathered into so
-    /// many, at least a thousand. 0: all are taken as they are. Reference 0; default 0.1.
+    /// many, at least a thousand. 0: all are taken as they are. Default 0 (reference).
     pub unseen_share: f32,
 }
 
@@ -132,7 +132,7 @@ pub struct MaskConfig {
     /// Whether a mask is charged by what the capture shows. Then `L_mask` charges a Gaussian in those iterations alone whose view shows it,
     /// so that what no view shows stays. And the weights of the losses on masks are multiplied by the image loss, and by the
     /// Gaussians for each three pixels of an image where these are fewer than one. The image loss is its least mean between two
-    /// events of density control and pruning in the first timestep, 0 before the first. Reference false; default true.
+    /// events of density control and pruning in the first timestep, 0 before the first. Default false (reference).
     pub relative: bool,
     /// `ε` of Eq. 1 and of the final pruning. Default 0.01.
     pub threshold: f32,

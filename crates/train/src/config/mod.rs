@@ -228,13 +228,11 @@ impl TrainConfig {
                     background: 10.0,
                     stillness: 0.0,
                     soft_color: 0.005,
-                    mask: 3.0,
-                    mask_consistency: 30.0,
+                    mask: 0.05,
+                    mask_consistency: 0.5,
                 };
-                config.mask.relative = true;
                 config.mask.prune_end = 6000;
-                config.densify.unseen_share = 0.1;
-                config.densify.reset = 0;
+                (config.densify.reset, config.densify.prune_large) = (0, 0);
                 config.gate = GateConfig::ON;
                 config.births = BirthConfig::ON;
                 config.deaths = DeathConfig::ON;
