@@ -66,6 +66,8 @@ fn views(timestep: usize, with_masks: bool) -> Vec<View> {
 
 fn settings() -> TrainConfig {
     let mut config = TrainConfig::preset(Preset::Fast);
+    // All cameras have one exposure.
+    config.rates.camera_centered = false;
     config.schedule.first_iterations = 60;
     config.schedule.rest_iterations = 60;
     config.mask.prune_end = 0;

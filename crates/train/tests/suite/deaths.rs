@@ -57,6 +57,8 @@ fn views(timestep: usize, enters: bool) -> Vec<View> {
 
 fn settings() -> TrainConfig {
     let mut config = TrainConfig::preset(Preset::Fast);
+    // All cameras have one exposure.
+    config.rates.camera_centered = false;
     config.schedule.first_iterations = 60;
     config.schedule.rest_iterations = 120;
     config.mask.enabled = false;
