@@ -13,8 +13,9 @@ use crate::contents::{CameraSet, Contents};
 use crate::footage::{ByFrame, Footage};
 use crate::kind::{CaptureFacts, CaptureKind};
 use crate::points::{self, Points};
+use crate::prepared::measured;
 use crate::recording::ColorChange;
-use crate::{CaptureError, Origin, kinds, points_in_view, prepare};
+use crate::{CaptureError, Origin, kinds, points_in_view};
 
 /// Selects the training cameras, the test cameras, or both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -328,7 +329,7 @@ impl Capture {
     pub(crate) fn evidence(&self) -> Result<PointCloud, CaptureError> {
         let cloud = self.point_cloud()?;
         match self.origins()? {
-            Some(origins) if origins.len() == cloud.points.len() => Ok(prepare::measured(&cloud, &origins)),
+            Some(origins) if origins.len() == cloud.points.len() => Ok(measured(&cloud, &origins)),
             Some(origins) => {
                 let (found, expected) = (origins.len(), cloud.points.len());
                 let problem =

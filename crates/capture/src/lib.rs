@@ -39,6 +39,7 @@ mod names;
 mod points;
 mod points_in_view;
 mod prepare;
+mod prepared;
 mod raw;
 mod recording;
 mod rig;
@@ -62,7 +63,8 @@ pub use kind::{CaptureFacts, CaptureKind};
 pub use kinds::MASKS_FOLDER;
 pub use masks::{MaskSettings, make_masks, obstacle_to_masks};
 pub use points::{POINTS_FILE, write_points, write_prepared};
-pub use prepare::{Origin, PrepareSettings, Prepared, prepare, spread_points};
+pub use prepare::{PrepareSettings, prepare, spread_points};
+pub use prepared::{Origin, Prepared};
 pub use raw::{DescribeSettings, PlacedCameras, RawCamera, RawFootage};
 pub use recording::end_programs;
 pub use rig::{

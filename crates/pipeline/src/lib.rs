@@ -61,6 +61,7 @@ mod path_file;
 mod preview;
 mod render;
 mod scene;
+mod spread;
 mod train;
 mod verify;
 

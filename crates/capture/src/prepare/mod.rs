@@ -19,9 +19,9 @@ mod thin;
 pub(crate) mod vantage;
 
 use rayon::prelude::*;
-use tcgs_core::{Pinhole, PointCloud, View};
+use tcgs_core::{Pinhole, View};
 
-use crate::{Capture, CaptureError, Split};
+use crate::{Capture, CaptureError, Origin, Prepared, Split};
 
 pub use spread::spread_points;
 
@@ -46,71 +46,6 @@ impl Default for PrepareSettings {
     fn default() -> Self {
         Self { num_points: 80_000, image_width: 400, seed: 0 }
     }
-}
-
-/// Which step of [`prepare`] made a point, from the most to the least reliable.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Origin {
-    /// At least three views agree on the point's depth.
-    Triangulated,
-    /// The point lies on the visual hull of the masks, where stereo found no foreground: foreground without texture.
-    Hull,
-    /// The point's depth is interpolated between triangulated points: background without texture.
-    Filled,
-    /// The point lies on the sphere or the floor that encloses the scene, on a ray that met no other point. Its colour is
-    /// that of one camera's picture.
-    Shell,
-    /// The point was strewn where cameras agree in colour, and has no depth that is known ([`spread_points`]).
-    Strewn,
-}
-
-impl Origin {
-    /// All origins, from the most to the least reliable.
-    pub const ALL: [Self; 5] = [Self::Triangulated, Self::Hull, Self::Filled, Self::Shell, Self::Strewn];
-
-    /// Whether the images say where the point is: views agree on its depth, or their masks bound it. Other points are
-    /// assumed, and no evidence for or against a camera.
-    pub fn is_measured(self) -> bool {
-        matches!(self, Self::Triangulated | Self::Hull)
-    }
-}
-
-/// The point cloud that [`prepare`] makes, and which step made each point.
-#[derive(Clone, Debug, Default)]
-pub struct Prepared {
-    /// `P` points: positions in scene units, colours in `[0, 1]`, foreground labels from the masks. Without masks all
-    /// points are foreground, since anything may move.
-    pub cloud: PointCloud,
-    /// `[P]`, the step that made each point of `cloud`.
-    pub origins: Vec<Origin>,
-    /// Share of the pixels of all training views whose depth other views confirm, in `[0, 1]`. A small share means that
-    /// cameras and images do not fit together.
-    pub agreement: f64,
-}
-
-impl Prepared {
-    /// The points whose depth is measured ([`Origin::is_measured`]).
-    pub(crate) fn measured(&self) -> PointCloud {
-        measured(&self.cloud, &self.origins)
-    }
-
-    /// Number of points that one step made.
-    pub fn count(&self, origin: Origin) -> usize {
-        self.origins.iter().filter(|&&o| o == origin).count()
-    }
-}
-
-/// Those of some points whose depth is measured.
-///
-/// - `origins`: of each point of `cloud`
-pub(crate) fn measured(cloud: &PointCloud, origins: &[Origin]) -> PointCloud {
-    let mut measured = PointCloud::default();
-    for (i, _) in origins.iter().enumerate().filter(|(_, origin)| origin.is_measured()) {
-        measured.points.push(cloud.points[i]);
-        measured.colors.push(cloud.colors[i]);
-        measured.foreground.push(cloud.foreground[i]);
-    }
-    measured
 }
 
 /// Cameras that it takes: two must agree with a third.

@@ -8,6 +8,7 @@ use tcgs_core::{Camera, Drawable, Image, Tour};
 use tcgs_metrics::psnr;
 use tcgs_render::{DrawAny, RenderSettings};
 
+use crate::spread::spread;
 use crate::{OpenScene, PipelineError};
 
 /// Images of a capture that are compared at most, as far as whole frames allow: a frame is drawn anew for each
@@ -135,12 +136,6 @@ fn cameras(scene: &OpenScene) -> Result<Vec<Camera>, PipelineError> {
         return Ok(spread(cameras.len(), NUM_CAMERAS).map(|i| cameras[i].1.clone()).collect());
     }
     Ok(Tour::Orbit.cameras(scene.at(0)?.means(), scene.up().direction(), NUM_CAMERAS, IMAGE_SIZE))
-}
-
-/// At most `count` numbers below `length`, evenly from 0 to the last.
-pub fn spread(length: usize, count: usize) -> impl Iterator<Item = usize> {
-    let count = count.min(length);
-    (0..count).map(move |i| i * (length - 1) / (count - 1).max(1))
 }
 
 fn clamped(image: Image) -> Image {

@@ -30,7 +30,6 @@ use self::seen::{Seen, seen};
 use crate::verify::whole_file_limits;
 use crate::{OpenScene, PipelineError};
 
-pub(crate) use judge::spread;
 pub use judge::{Judge, JudgeImages};
 pub use marks::Marks;
 pub use max_error::{ErrorSearch, search_errors};

@@ -39,7 +39,7 @@ pub(super) fn are_followed(scene: &OpenScene) -> Result<bool, PipelineError> {
     if !scene.has_constant_number() {
         return Ok(false);
     }
-    for timestep in super::judge::spread(scene.num_timesteps() - 1, PAIRS) {
+    for timestep in crate::spread::spread(scene.num_timesteps() - 1, PAIRS) {
         if !is_continued(&scene.at(timestep)?, &scene.at(timestep + 1)?) {
             return Ok(false);
         }

@@ -7,7 +7,7 @@ use tcgs_codec::{FileCamera, UpAxis, write_views};
 use tcgs_core::{Camera, Subject};
 
 use super::CompressOptions;
-use super::judge::spread;
+use crate::spread::spread;
 use crate::{OpenScene, PipelineError};
 
 /// The training cameras of the capture given, or of the run's if it is still there; none without.

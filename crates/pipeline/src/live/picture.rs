@@ -10,7 +10,8 @@ use tcgs_render::{CpuRasterizer, Draw, RenderSettings};
 use tcgs_train::{Parameters, TrainConfig, masked_out};
 
 use crate::PipelineError;
-use crate::compress::{spread, up_axis};
+use crate::compress::up_axis;
+use crate::spread::spread;
 
 /// Bits of a position's coordinate, and of any other number.
 const POSITION_BITS: u8 = 16;

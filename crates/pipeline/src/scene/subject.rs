@@ -3,7 +3,7 @@
 use tcgs_capture::Split;
 use tcgs_core::{Camera, Subject, Tour, add_motion};
 
-use crate::compress::spread;
+use crate::spread::spread;
 use crate::{OpenScene, PipelineError};
 
 /// Timesteps that are read for what moves.
