@@ -120,6 +120,19 @@ pub enum CaptureError {
 
 impl CaptureError {
     pub(crate) fn invalid(path: impl Into<PathBuf>, problem: impl Into<String>) -> Self {
-        Self::Invalid { path: path.into(), problem: problem.into() }
+        // Texts of the file, such as a camera's name, may hold line breaks.
+        let problem = problem.into().split_whitespace().collect::<Vec<_>>().join(" ");
+        Self::Invalid { path: path.into(), problem }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_with_line_breaks_leaves_a_message_of_one_line() {
+        let error = CaptureError::invalid("images.bin", "image a\n\r\n b: its quaternion has the length 0, expected 1");
+        assert_eq!(error.to_string(), "images.bin: image a b: its quaternion has the length 0, expected 1");
     }
 }
