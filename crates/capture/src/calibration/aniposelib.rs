@@ -18,7 +18,7 @@ use std::path::Path;
 use serde::Deserialize;
 use tcgs_core::natural_key;
 
-use super::caliscope::{Rotation, one_line};
+use super::caliscope::Rotation;
 use super::numbers::{OpenCvCamera, side};
 use super::{CalibratedCamera, Format, files_named};
 use crate::{CaptureError, files};
@@ -62,13 +62,13 @@ fn is(path: &Path) -> bool {
 fn read(path: &Path) -> Result<Vec<CalibratedCamera>, CaptureError> {
     let table: toml::Table = files::text(path)?
         .parse()
-        .map_err(|error| CaptureError::invalid(path, format!("is no TOML: {}", one_line(&error))))?;
+        .map_err(|error: toml::de::Error| CaptureError::invalid(path, format!("is no TOML: {}", error.message())))?;
     let mut entries: Vec<_> = table.into_iter().filter(|(_, value)| is_camera(value)).collect();
     entries.sort_by_cached_key(|(key, _)| natural_key(key));
     let mut cameras = Vec::new();
     for (key, value) in entries {
         let invalid = |problem: &str| CaptureError::invalid(path, format!("[{key}]: {problem}"));
-        let entry: Entry = value.try_into().map_err(|error| invalid(&one_line(&error)))?;
+        let entry: Entry = value.try_into().map_err(|error| invalid(error.message()))?;
         if entry.fisheye {
             return Err(invalid("is a fisheye, expected a lens that sees straight lines nearly straight"));
         }

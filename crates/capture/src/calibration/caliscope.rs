@@ -73,7 +73,7 @@ impl Rotation {
 fn read(path: &Path) -> Result<Vec<CalibratedCamera>, CaptureError> {
     let text = files::text(path)?;
     let array: CameraArray = toml::from_str(&text)
-        .map_err(|error| CaptureError::invalid(path, format!("is no camera_array: {}", one_line(&error))))?;
+        .map_err(|error| CaptureError::invalid(path, format!("is no camera_array: {}", error.message())))?;
     let mut entries: Vec<(String, Entry)> = array.cameras.into_iter().filter(|(_, entry)| !entry.ignore).collect();
     entries.sort_by_cached_key(|(name, _)| natural_key(name));
     let mut cameras = Vec::new();
@@ -98,9 +98,4 @@ fn read(path: &Path) -> Result<Vec<CalibratedCamera>, CaptureError> {
         cameras.push(camera.checked().map_err(|problem| invalid(&problem))?);
     }
     Ok(cameras)
-}
-
-/// The message of an error in TOML without the picture of the line.
-pub(super) fn one_line(error: &toml::de::Error) -> String {
-    error.message().split_whitespace().collect::<Vec<_>>().join(" ")
 }
