@@ -35,8 +35,12 @@ pub(crate) struct Crop {
     pub height: usize,
 }
 
-/// Largest width and height of a lens, pixels: crops are searched line by line.
+/// Largest width and height of a lens, pixels.
 pub(crate) const MAX_SIDE: usize = 1 << 14;
+/// Crops of images up to this width and height are searched from the whole image, pixels.
+const WHOLE_SIDE: usize = 512;
+/// By how much more than twice the crop at half the size the search begins, pixels at each side.
+const HALF_MARGIN: usize = 4;
 /// Less of the width or height must not remain.
 const MIN_SHARE: f64 = 0.25;
 
@@ -83,10 +87,49 @@ impl Lens {
     ///
     /// - returns: what is wrong, if less than a quarter of a side remains
     pub fn find_crop(&mut self) -> Result<(), String> {
-        let [mut left, mut top, mut right, mut bottom] = [0, 0, self.width, self.height];
+        self.crop = self.whole_crop().ok_or_else(|| {
+            let (radial, tangential) = (self.radial, self.tangential);
+            format!(
+                "its distortion (k {radial:?}, p {tangential:?}) leaves less than a quarter of the image, expected a \
+                 lens that sees straight lines nearly straight"
+            )
+        })?;
+        Ok(())
+    }
+
+    /// What remains of the whole image: dropped from all of a small one, and of a large one from what remains at half its
+    /// size, so that the work grows with a side of the image and not with its area.
+    fn whole_crop(&self) -> Option<Crop> {
+        let whole = Crop { left: 0, top: 0, width: self.width, height: self.height };
+        if self.width.max(self.height) <= WHOLE_SIDE {
+            return self.crop_within(whole);
+        }
+        let size = [self.width, self.height];
+        let half = size.map(|side| (side / 2).max(1));
+        let scale: [f64; 2] = std::array::from_fn(|i| half[i] as f64 / size[i] as f64);
+        let halved = Self {
+            width: half[0],
+            height: half[1],
+            focal: std::array::from_fn(|i| self.focal[i] * scale[i]),
+            principal: std::array::from_fn(|i| self.principal[i] * scale[i]),
+            ..self.clone()
+        };
+        let crop = halved.whole_crop()?;
+        let doubled = |from: usize, length: usize, side: usize| {
+            let start = (2 * from).saturating_sub(HALF_MARGIN);
+            (start, (2 * (from + length) + HALF_MARGIN).min(side) - start)
+        };
+        let (left, width) = doubled(crop.left, crop.width, self.width);
+        let (top, height) = doubled(crop.top, crop.height, self.height);
+        self.crop_within(Crop { left, top, width, height })
+    }
+
+    /// Drops, one after another, the side of a rectangle with the largest share of pixels outside of the image, until
+    /// there are none; `None` if less than a quarter of a side of the image remains.
+    fn crop_within(&self, Crop { mut left, mut top, width, height }: Crop) -> Option<Crop> {
+        let (mut right, mut bottom) = (left + width, top + height);
         let min = |size: usize| (size as f64 * MIN_SHARE).ceil() as usize;
-        let lens = self.clone();
-        let outside = |x: usize, y: usize| lens.bends_outside(x, y);
+        let outside = |x: usize, y: usize| self.bends_outside(x, y);
         let in_column = |x: usize, rows: Range<usize>| rows.filter(|&y| outside(x, y)).count();
         let in_row = |y: usize, columns: Range<usize>| columns.filter(|&x| outside(x, y)).count();
         // How many pixels of each side lie outside. Dropping a side takes a pixel from each neighbouring side; only the
@@ -102,8 +145,7 @@ impl Lens {
             let shares: [f64; 4] = std::array::from_fn(|side| counts[side] as f64 / lengths[side] as f64);
             let worst = (0..4).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).expect("four sides");
             if shares[worst] == 0.0 {
-                self.crop = Crop { left, top, width: right - left, height: bottom - top };
-                return Ok(());
+                return Some(Crop { left, top, width: right - left, height: bottom - top });
             }
             let take = |count: &mut usize, x: usize, y: usize| *count -= usize::from(outside(x, y));
             match worst {
@@ -121,11 +163,7 @@ impl Lens {
                 }
             }
             if right - left < min(self.width) || bottom - top < min(self.height) {
-                let (radial, tangential) = (self.radial, self.tangential);
-                return Err(format!(
-                    "its distortion (k {radial:?}, p {tangential:?}) leaves less than a quarter of the image, expected \
-                     a lens that sees straight lines nearly straight"
-                ));
+                return None;
             }
             counts[worst] = match worst {
                 0 => in_column(left, top..bottom),
@@ -258,6 +296,27 @@ mod tests {
             }
         }
         assert!((1..18).contains(&num_refused), "{num_refused}");
+    }
+
+    #[test]
+    fn a_crop_of_a_large_image_is_that_of_its_definition_within_a_pixel() {
+        for (k1, p1) in [(-0.2, 0.0), (-0.1, 0.02), (0.1, 0.0), (0.3, -0.02)] {
+            let mut lens = Lens {
+                width: 1291,
+                height: 763,
+                focal: [905.0, 911.0],
+                principal: [651.5, 374.0],
+                ..lens([k1, -0.03, 0.01, 0.0, 0.0, 0.0], [p1, 0.01 - p1])
+            };
+            lens.find_crop().unwrap();
+            let crop = lens.crop;
+            let found = [crop.left, crop.top, crop.left + crop.width, crop.top + crop.height];
+            let [left, top, width, height] = slow_crop(&lens).unwrap();
+            let expected = [left, top, left + width, top + height];
+            assert!(found.iter().zip(expected).all(|(a, b)| a.abs_diff(b) <= 1), "{found:?}, not {expected:?}");
+            let [columns, rows] = [found[0]..found[2], found[1]..found[3]];
+            assert!(rows.into_iter().all(|y| columns.clone().all(|x| !lens.bends_outside(x, y))));
+        }
     }
 
     #[test]

@@ -22,6 +22,7 @@ mod motion;
 mod neighbors;
 mod parameters;
 mod refine;
+mod removal;
 mod row;
 mod run;
 mod schedule;

@@ -106,7 +106,8 @@ impl Run {
         let (gate, births, deaths) = (GateConfig::OFF, BirthConfig::OFF, DeathConfig::OFF);
         let render = RenderConfig { antialiased: false };
         let mut base = TrainConfig { gate, births, deaths, render, ..TrainConfig::default() };
-        (base.densify.unseen_share, base.mask.relative, base.rates.camera_centered) = (0.0, false, false);
+        (base.densify.unseen_share, base.densify.prune_error) = (0.0, 0.0);
+        (base.mask.relative, base.rates.camera_centered) = (false, false);
         let mut config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         if !text.contains("prune_large") {
             config.densify.prune_large = config.densify.reset;

@@ -8,6 +8,9 @@ use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 /// shown with it, too.
 const YOUTH_RATE: f32 = 0.5;
 
+/// How often Gaussians are removed that the training images hardly need.
+const NUM_PRUNINGS: usize = 3;
+
 /// Learning rates of one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
@@ -207,9 +210,19 @@ impl Schedule {
         self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval) && !ended
     }
 
+    /// Whether Gaussians that the training images hardly need are removed at this iteration.
+    pub fn prunes_unneeded(&self, iteration: usize) -> bool {
+        let (end, start) = (self.config.densify.end, self.config.quantize.start);
+        let is_due = |event| iteration == self.scaled(end + event * start.saturating_sub(end) / (NUM_PRUNINGS + 1));
+        self.config.densify.prune_error > 0.0 && iteration > 0 && (1..=NUM_PRUNINGS).any(is_due)
+    }
+
     /// Whether Gaussians are replaced, removed or reset after this iteration, so that its gradients are not theirs.
     pub fn reshapes(&self, iteration: usize) -> bool {
-        self.densifies(iteration) || self.resets_opacities(iteration) || self.prunes_masked(iteration)
+        self.densifies(iteration)
+            || self.resets_opacities(iteration)
+            || self.prunes_masked(iteration)
+            || self.prunes_unneeded(iteration)
     }
 
     /// Whether quantisation starts at this iteration.

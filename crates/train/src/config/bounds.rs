@@ -31,7 +31,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 88] = [
+const BOUNDS: [(&str, Bounds); 89] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -87,6 +87,7 @@ const BOUNDS: [(&str, Bounds); 88] = [
     ("densify.prune_scale", Number(0.0, FACTOR)),
     ("densify.reset_opacity", OPACITY),
     ("densify.unseen_share", SHARE),
+    ("densify.prune_error", Number(0.0, FACTOR)),
     ("mask.enabled", Any),
     ("mask.relative", Any),
     // A mask of 1 is never reached.

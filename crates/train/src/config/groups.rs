@@ -121,6 +121,10 @@ pub struct DensifyConfig {
     /// Most points to begin with that are in no training camera's image, as a share of the others: these are gathered into so
     /// many, at least a thousand. 0: all are taken as they are. Default 0 (reference).
     pub unseen_share: f32,
+    /// By how much the mean squared error of the training images may grow, as a share of it, each time that Gaussians are removed
+    /// which these images hardly need: three times between the last event and the start of quantisation. 0: none are removed.
+    /// Default 0 (reference).
+    pub prune_error: f32,
 }
 
 /// Learned masks.

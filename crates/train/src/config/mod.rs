@@ -172,6 +172,7 @@ impl TrainConfig {
                 prune_scale: 0.1,
                 reset_opacity: 0.01,
                 unseen_share: 0.0,
+                prune_error: 0.0,
             },
             mask: MaskConfig {
                 enabled: true,

@@ -10,6 +10,7 @@ use tcgs_core::{Camera, View};
 use super::glimpse::Part;
 use super::{Trainer, all_segmented};
 use crate::TrainError;
+use crate::config::MaskConfig;
 use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
 use crate::engine::{Step, Target};
 use crate::fake_quant::{FakeQuantizers, bit_settings};
@@ -17,6 +18,7 @@ use crate::gate::{Activity, Pace, Shares, Trained};
 use crate::losses::{LossTerms, WeightConfig};
 use crate::mask::mask;
 use crate::motion::predict;
+use crate::removal::needed;
 use crate::schedule::Phase;
 
 /// Where an image has more pixels than so many for each Gaussian, Gaussians are few, and masks remove fewer of them.
@@ -238,7 +240,7 @@ impl Trainer {
                         let mean = (sum / count as f64) as f32;
                         self.image_loss = if self.image_loss > 0.0 { self.image_loss.min(mean) } else { mean };
                     }
-                    self.reshape(iteration, seed)?;
+                    self.reshape(iteration, seed, views)?;
                 }
             }
         }
@@ -288,7 +290,7 @@ impl Trainer {
     }
 
     /// Densifies, removes and resets where the schedule says so.
-    fn reshape(&mut self, iteration: usize, seed: u64) -> Result<(), TrainError> {
+    fn reshape(&mut self, iteration: usize, seed: u64, views: &[View]) -> Result<(), TrainError> {
         let state = self.engine.state_mut()?;
         if self.schedule.densifies(iteration) {
             let step = DensifyStep {
@@ -310,6 +312,13 @@ impl Trainer {
             if !keep.is_empty() && keep.len() < logits.len() {
                 remove_others(state, &keep);
             }
+        }
+        if self.schedule.prunes_unneeded(iteration) {
+            let MaskConfig { enabled, threshold, .. } = self.config.mask;
+            let logits = &state.parameters.mask_logits;
+            let is_drawn: Vec<bool> = logits.iter().map(|&logit| !enabled || mask(logit, threshold) > 0.0).collect();
+            let keep = needed(&state.parameters, &is_drawn, views, self.config.densify.prune_error, seed);
+            remove_others(state, &keep);
         }
         // Until the first timestep is finished nobody is told apart.
         state.number_anew();
