@@ -107,7 +107,7 @@ impl Run {
         let render = RenderConfig { antialiased: false };
         let mut base = TrainConfig { gate, births, deaths, render, ..TrainConfig::default() };
         (base.densify.unseen_share, base.densify.prune_error) = (0.0, 0.0);
-        (base.mask.relative, base.rates.camera_centered) = (false, false);
+        (base.mask.enabled, base.rates.camera_centered) = (true, false);
         let mut config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         if !text.contains("prune_large") {
             config.densify.prune_large = config.densify.reset;

@@ -39,8 +39,6 @@ pub struct Checkpoint {
     pub optimizer: Optimizer,
     /// Extent of the scene in scene units; see [`crate::scene_radius`].
     pub scene_radius: f32,
-    /// What the weights of masks are relative to; see [`crate::MaskConfig::relative`]. 0 where it is not known.
-    pub image_loss: f32,
     /// What the gate knows; empty in a run without one.
     pub gate: GateRecord,
     /// Poses at birth of the Gaussians that were born after the first timestep, which are the last ones.
@@ -81,7 +79,6 @@ impl Checkpoint {
             quantizers: None,
             optimizer: Optimizer::new(&parameters, 0),
             scene_radius: extent(cameras, parameters.gaussians.means()),
-            image_loss: 0.0,
             parameters,
             gate: GateRecord::default(),
             born: Pose::default(),
@@ -183,9 +180,6 @@ impl Checkpoint {
         }
         if first {
             arrays.add("scene_radius", For::Scene, &[1], &[self.scene_radius]);
-            if self.image_loss > 0.0 {
-                arrays.add(IMAGE_LOSS, For::Scene, &[1], &[self.image_loss]);
-            }
             if let Some(q) = &self.quantizers {
                 let groups: Vec<u8> = q.groups.iter().flat_map(|&(a, width)| [a.index() as u8, width]).collect();
                 arrays.add("quantizer_groups", For::Scene, &[q.groups.len(), 2], &groups);
@@ -282,8 +276,6 @@ const ANTIALIASED: &str = "antialiased";
 const STEPS: &str = "steps";
 /// Name of the array of mask logits.
 pub(crate) const MASK_LOGITS: &str = "mask_logits";
-/// Name of the array of [`Checkpoint::image_loss`].
-const IMAGE_LOSS: &str = "image_loss";
 const GATE_TILES: &str = "gate_tiles";
 const GATE_UNSEEN: &str = "gate_unseen";
 const FOREGROUND: &str = "foreground";
@@ -413,20 +405,18 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
         return Err(format!("{} has {num_first} Gaussians of the first timestep, expected {first}", LIVES[0]));
     }
     let born = read_born(arrays, &lifetimes)?;
-    let (scene_radius, image_loss, bits) = match first {
+    let (scene_radius, bits) = match first {
         Some(first) => {
             let living: Vec<usize> = lifetimes.ids.iter().map(|&id| id as usize).collect();
             let bits = |q: &FakeQuantizers| {
                 let bit_map = q.bit_map_of(lifetimes.lives.len()).select(&living);
                 (bit_map, q.groups.clone(), q.initial_steps.clone())
             };
-            (first.scene_radius, first.image_loss, first.quantizers.as_ref().map(bits))
+            (first.scene_radius, first.quantizers.as_ref().map(bits))
         }
         None => {
             let radius = get::<f32>(arrays, "scene_radius")?.first().copied().ok_or("scene_radius is empty")?;
-            let has_loss = arrays.contains_key(IMAGE_LOSS);
-            let image_loss = if has_loss { get::<f32>(arrays, IMAGE_LOSS)?.first().copied() } else { None };
-            (radius, image_loss.unwrap_or(0.0), read_bits(arrays, layout, n)?)
+            (radius, read_bits(arrays, layout, n)?)
         }
     };
     let quantizers = match bits {
@@ -456,7 +446,7 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
         false => Optimizer::new(&parameters, num_quantizers),
     };
     let gate = if arrays.contains_key(GATE_TILES) { read_gate(arrays, n)? } else { GateRecord::default() };
-    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, image_loss, gate, born })
+    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, gate, born })
 }
 
 /// Whether arrays say who lives when: where not, all live from the first timestep on.

@@ -31,7 +31,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 89] = [
+const BOUNDS: [(&str, Bounds); 88] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -89,7 +89,6 @@ const BOUNDS: [(&str, Bounds); 89] = [
     ("densify.unseen_share", SHARE),
     ("densify.prune_error", Number(0.0, FACTOR)),
     ("mask.enabled", Any),
-    ("mask.relative", Any),
     // A mask of 1 is never reached.
     ("mask.threshold", Number(0.0, 0.999)),
     // The sigmoid of larger values is 0 or 1 in f32.

@@ -97,8 +97,8 @@ pub struct DensifyConfig {
     pub end: usize,
     /// Iterations between events. Default 100.
     pub interval: usize,
-    /// Mean NDC gradient from which a Gaussian is cloned or split. Default 2e-4; 3e-4 suits antialiased splats, whose gradients
-    /// are larger.
+    /// Mean NDC gradient from which a Gaussian is cloned or split. Reference 2e-4; default 3e-4, since antialiased splats have
+    /// larger ones.
     pub gradient_threshold: f32,
     /// Largest scale, as a share of the scene's radius, up to which it is cloned rather than split. Default 0.01.
     pub clone_scale: f32,
@@ -123,7 +123,7 @@ pub struct DensifyConfig {
     pub unseen_share: f32,
     /// By how much the mean squared error of the training images may grow, as a share of it, each time that Gaussians are removed
     /// which these images hardly need: three times between the last event and the start of quantisation. 0: none are removed.
-    /// Default 0 (reference).
+    /// Reference 0; default 1.
     pub prune_error: f32,
 }
 
@@ -131,13 +131,8 @@ pub struct DensifyConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MaskConfig {
-    /// Whether masks are learned.
+    /// Whether masks are learned. Reference true; default false, see [`DensifyConfig::prune_error`].
     pub enabled: bool,
-    /// Whether a mask is charged by what the capture shows. Then `L_mask` charges a Gaussian in those iterations alone whose view shows it,
-    /// so that what no view shows stays. And the weights of the losses on masks are multiplied by the image loss, and by the
-    /// Gaussians for each three pixels of an image where these are fewer than one. The image loss is its least mean between two
-    /// events of density control and pruning in the first timestep, 0 before the first. Default false (reference).
-    pub relative: bool,
     /// `ε` of Eq. 1 and of the final pruning. Default 0.01.
     pub threshold: f32,
     /// Logit that masks start from. Default 1.
@@ -304,6 +299,6 @@ pub struct ColorConfig {
 pub struct RenderConfig {
     /// Whether splats are antialiased: one that is widened to a pixel's extent gives up as much opacity, so that the scene looks
     /// the same at other resolutions than that of training (Yu et al. 2024, Mip-Splatting). A run that continues another
-    /// scene's state is drawn as that one. Default false (reference).
+    /// scene's state is drawn as that one. Reference false; default true.
     pub antialiased: bool,
 }

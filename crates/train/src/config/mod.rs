@@ -176,7 +176,6 @@ impl TrainConfig {
             },
             mask: MaskConfig {
                 enabled: true,
-                relative: false,
                 threshold: 0.01,
                 initial_logit: 1.0,
                 reset: false,
@@ -229,10 +228,15 @@ impl TrainConfig {
                     background: 10.0,
                     stillness: 0.0,
                     soft_color: 0.005,
-                    mask: 0.05,
-                    mask_consistency: 0.5,
+                    ..WeightConfig::REFERENCE
                 };
+                config.mask.enabled = false;
                 config.mask.prune_end = 6000;
+                config.densify.prune_error = 0.1;
+                config.densify.prune_opacity_end = config.densify.prune_opacity;
+                // Antialiased splats have larger gradients.
+                config.densify.gradient_threshold = 3e-4;
+                config.render.antialiased = true;
                 (config.densify.reset, config.densify.prune_large) = (0, 0);
                 config.gate = GateConfig::ON;
                 config.births = BirthConfig::ON;

@@ -59,10 +59,6 @@ pub struct Trainer {
     config: TrainConfig,
     schedule: Schedule,
     scene_radius: f32,
-    /// As in a checkpoint.
-    image_loss: f32,
-    /// Of a training image of the timestep.
-    num_pixels: usize,
     engine: Box<dyn Engine>,
     /// As in the engine's state, which may be far away.
     num_gaussians: usize,
@@ -143,8 +139,6 @@ impl Trainer {
             config: config.clone(),
             schedule: Schedule::new(config, radius),
             scene_radius: radius,
-            image_loss: 0.0,
-            num_pixels: 0,
             num_gaussians,
             gate: gate(config, GateRecord::default(), &config.deaths),
             engine,
@@ -227,8 +221,6 @@ impl Trainer {
             config: config.clone(),
             schedule: Schedule::new(config, last.scene_radius),
             scene_radius: last.scene_radius,
-            image_loss: last.image_loss,
-            num_pixels: 0,
             num_gaussians,
             // Chapters of one scene have the same Gaussians.
             gate: gate(config, last.gate.clone(), if continues { &DeathConfig::OFF } else { &config.deaths }),
@@ -314,7 +306,6 @@ impl Trainer {
             quantizers: state.quantizers.clone(),
             optimizer: state.optimizer.carried_over(),
             scene_radius: self.scene_radius,
-            image_loss: self.image_loss,
             gate: self.gate.as_ref().map(|gate| gate.record().clone()).unwrap_or_default(),
             born: state.born(),
         })

@@ -15,14 +15,11 @@ use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
 use crate::engine::{Step, Target};
 use crate::fake_quant::{FakeQuantizers, bit_settings};
 use crate::gate::{Activity, Pace, Shares, Trained};
-use crate::losses::{LossTerms, WeightConfig};
+use crate::losses::LossTerms;
 use crate::mask::mask;
 use crate::motion::predict;
 use crate::removal::needed;
 use crate::schedule::Phase;
-
-/// Where an image has more pixels than so many for each Gaussian, Gaussians are few, and masks remove fewer of them.
-const PIXELS_A_GAUSSIAN: f32 = 3.0;
 
 /// The report of one iteration that [`Trainer::fit`] gives to its observer.
 #[derive(Clone, Copy, Debug)]
@@ -51,8 +48,6 @@ struct Report {
     shares: Option<Shares>,
     /// Iterations whose losses are known.
     reported: usize,
-    /// Image losses since the last event: their sum and number.
-    since_event: (f64, usize),
 }
 
 impl Trainer {
@@ -88,7 +83,6 @@ impl Trainer {
         self.check_finished()?;
         self.is_unfinished = true;
         self.camera_ids = views.iter().map(|v| v.camera_id).collect();
-        self.num_pixels = views.iter().map(|v| v.image.num_pixels()).sum::<usize>() / views.len();
         let with_segmentation = all_segmented(views);
         let targets: Vec<Target> = views.iter().map(|v| Target::new(v, with_segmentation)).collect();
         let phase = self.phase();
@@ -184,8 +178,10 @@ impl Trainer {
     ) -> Result<(), TrainError> {
         let config = self.config.clone();
         let shares = part.map(|part| part.shares);
-        let mut report = Report { iterations: pace.length(), shares, reported: 0, since_event: (0.0, 0) };
+        let weights = shares.map_or(config.weights, |shares| shares.weights(&config.weights));
+        let mut report = Report { iterations: pace.length(), shares, reported: 0 };
         let mut order = Vec::new();
+        let mut least_error = f64::INFINITY;
         // One stream a timestep, so that resuming needs no saved state.
         let mut random =
             Pcg64Mcg::seed_from_u64(self.config.seed ^ (self.timestep as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
@@ -200,16 +196,10 @@ impl Trainer {
             let camera = order.swap_remove(random.random_range(0..order.len()));
             let reshapes = phase == Phase::First && self.schedule.reshapes(iteration);
             let mut rates = self.schedule.rates(phase, iteration);
-            if config.mask.relative && self.image_loss == 0.0 {
-                // Without a price masks would follow the noise of gradients.
-                rates.mask = 0.0;
-            }
             if shares.is_some() {
                 // Quantizers are shared with what is locked.
                 rates.step = 0.0;
             }
-            let weights = self.weights();
-            let weights = shares.map_or(weights, |shares| shares.weights(&weights));
             let step = Step {
                 camera,
                 rates,
@@ -234,13 +224,7 @@ impl Trainer {
             if phase == Phase::First {
                 let seed = random.random();
                 if reshapes {
-                    // The engine has finished, so that every loss is known.
-                    let (sum, count) = std::mem::take(&mut report.since_event);
-                    if count > 0 {
-                        let mean = (sum / count as f64) as f32;
-                        self.image_loss = if self.image_loss > 0.0 { self.image_loss.min(mean) } else { mean };
-                    }
-                    self.reshape(iteration, seed, views)?;
+                    self.reshape(iteration, seed, views, &mut least_error)?;
                 }
             }
         }
@@ -250,18 +234,6 @@ impl Trainer {
         self.check_finite(report.reported)
     }
 
-    /// The weights of the losses by now.
-    fn weights(&self) -> WeightConfig {
-        let mut weights = self.config.weights;
-        if self.config.mask.relative {
-            let many = PIXELS_A_GAUSSIAN * self.num_gaussians as f32 / self.num_pixels.max(1) as f32;
-            let price = self.image_loss * many.min(1.0);
-            weights.mask *= price;
-            weights.mask_consistency *= price;
-        }
-        weights
-    }
-
     /// Checks and passes on the losses that have become known.
     fn report(
         &mut self,
@@ -269,7 +241,7 @@ impl Trainer {
         pace: &mut Pace,
         observe: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<(), TrainError> {
-        let weights = &self.weights();
+        let weights = &self.config.weights;
         let (timestep, num_gaussians, trained) = (self.timestep, self.num_gaussians, self.trained);
         let iterations = report.iterations;
         for terms in self.engine.losses()? {
@@ -281,7 +253,6 @@ impl Trainer {
             let loss = terms.total(weights);
             pace.hear(loss);
             report.reported += 1;
-            report.since_event = (report.since_event.0 + terms.image, report.since_event.1 + 1);
             if observe(&Progress { timestep, iteration, iterations, terms, loss, num_gaussians, trained }).is_break() {
                 return Err(TrainError::Stopped { timestep, iteration });
             }
@@ -290,7 +261,7 @@ impl Trainer {
     }
 
     /// Densifies, removes and resets where the schedule says so.
-    fn reshape(&mut self, iteration: usize, seed: u64, views: &[View]) -> Result<(), TrainError> {
+    fn reshape(&mut self, iteration: usize, seed: u64, views: &[View], least_error: &mut f64) -> Result<(), TrainError> {
         let state = self.engine.state_mut()?;
         if self.schedule.densifies(iteration) {
             let step = DensifyStep {
@@ -317,7 +288,8 @@ impl Trainer {
             let MaskConfig { enabled, threshold, .. } = self.config.mask;
             let logits = &state.parameters.mask_logits;
             let is_drawn: Vec<bool> = logits.iter().map(|&logit| !enabled || mask(logit, threshold) > 0.0).collect();
-            let keep = needed(&state.parameters, &is_drawn, views, self.config.densify.prune_error, seed);
+            let share = self.config.densify.prune_error;
+            let keep = needed(&state.parameters, &is_drawn, views, share, least_error, seed);
             remove_others(state, &keep);
         }
         // Until the first timestep is finished nobody is told apart.

@@ -110,7 +110,6 @@ fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
         quantizers: None,
         optimizer,
         scene_radius: 2.0,
-        image_loss: 0.02,
         gate: GateRecord::default(),
         born: Pose::default(),
     }

@@ -244,11 +244,6 @@ impl CpuEngine {
         terms: &mut LossTerms,
     ) {
         let logits = &self.state.parameters.mask_logits;
-        let is_shown = |(v_opacity, v_scale): (&f32, &[f32; 3])| *v_opacity != 0.0 || *v_scale != [0.0; 3];
-        let is_charged: Vec<bool> = match step.mask.relative {
-            true => v_activated.v_opacities.iter().zip(&v_activated.v_scales).map(is_shown).collect(),
-            false => vec![true; logits.len()],
-        };
         (
             &mut *v_mask_logits,
             logits,
@@ -266,11 +261,7 @@ impl CpuEngine {
                 *v_scale = v_scale.map(|v| v * m);
                 *v_opacity *= m;
             });
-        terms.mask = mask_loss(logits, |n, v| {
-            if is_charged[n] {
-                v_mask_logits[n] += step.weights.mask * v;
-            }
-        });
+        terms.mask = mask_loss(logits, |n, v| v_mask_logits[n] += step.weights.mask * v);
         if let Some(previous) = self.state.past.as_ref().and_then(|past| past.previous_mask_logits.as_ref()) {
             terms.mask_consistency = mask_consistency_loss(logits, previous, |n, v| {
                 v_mask_logits[n] += step.weights.mask_consistency * v;

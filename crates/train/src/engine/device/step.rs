@@ -126,11 +126,9 @@ impl StepUniform {
     pub const LISTED: u32 = 256;
     /// The cameras' gains and offsets are centered.
     pub const CENTERS_CAMERAS: u32 = 512;
-    /// `L_mask` charges what the view shows, alone.
-    pub const CHARGES_SHOWN: u32 = 1024;
 
     /// Names of the flags in the shaders.
-    const FLAGS: [(&str, u32); 11] = [
+    const FLAGS: [(&str, u32); 10] = [
         ("MASKED", Self::MASKED),
         ("COUNTS", Self::COUNTS),
         ("MOVES", Self::MOVES),
@@ -141,7 +139,6 @@ impl StepUniform {
         ("LEARNED_OFFSET", Self::LEARNED_OFFSET),
         ("LISTED", Self::LISTED),
         ("CENTERS_CAMERAS", Self::CENTERS_CAMERAS),
-        ("CHARGES_SHOWN", Self::CHARGES_SHOWN),
     ];
 
     /// What `step` asks for, of a state of this shape. The slot is 0.
@@ -161,7 +158,6 @@ impl StepUniform {
             (quantizers.is_some_and(|q| q.learned_offset), Self::LEARNED_OFFSET),
             (view.part.is_some(), Self::LISTED),
             (step.rates.camera > 0.0 && step.rates.centers_cameras, Self::CENTERS_CAMERAS),
-            (step.mask.relative, Self::CHARGES_SHOWN),
         ];
         let whole = num_gaussians as u32;
         let tiles = view.width.div_ceil(TILE as u32) * view.height.div_ceil(TILE as u32);

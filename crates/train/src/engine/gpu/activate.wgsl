@@ -121,13 +121,10 @@ fn activate_fwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocati
 }
 
 // Gradient to a mask's logit of the losses on masks alone, and their values. Paper Eq. 4 and 5, as means.
-fn mask_losses(logit: f32, mask: f32, n: u32, is_shown: bool, values: ptr<function, vec2<f32>>) -> f32 {
+fn mask_losses(logit: f32, mask: f32, n: u32, values: ptr<function, vec2<f32>>) -> f32 {
     let share = 1.0 / f32(step.num_gaussians);
     (*values).x = mask;
-    var v = 0.0;
-    if (is_shown || !has(CHARGES_SHOWN)) {
-        v = step.mask_weight * share * mask * (1.0 - mask);
-    }
+    var v = step.mask_weight * share * mask * (1.0 - mask);
     if (has(COMPARES_MASKS)) {
         let difference = logit - previous_mask_logits[n];
         (*values).y = abs(difference);
@@ -169,8 +166,7 @@ fn activate_bwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocati
             drawn = select(0.0, 1.0, mask > step.mask_threshold);
             // Straight through the threshold: the gradient is the sigmoid's.
             let v_mask = v_log_scale.x + v_log_scale.y + v_log_scale.z + opacity * v_opacity;
-            let is_shown = v_opacity != 0.0 || any(v_log_scale != vec3(0.0));
-            v_mask_logit = v_mask * mask * (1.0 - mask) + mask_losses(logit, mask, n, is_shown, &losses);
+            v_mask_logit = v_mask * mask * (1.0 - mask) + mask_losses(logit, mask, n, &losses);
         }
         grads[MASK_AT * num + n] = v_mask_logit;
         grads[LOGIT_OPACITY_AT * num + n] = drawn * v_opacity * opacity * (1.0 - opacity);
