@@ -5,10 +5,10 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Gaussians, Image, View, activate, seen_colors};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, settings::MAX_CHANNELS};
 
-use crate::engine::cpu::image_loss;
 use crate::parameters::Parameters;
 use crate::unseen::are_in_images;
 
@@ -27,17 +27,9 @@ const SETTINGS: RenderSettings = RenderSettings { background: [0.0; MAX_CHANNELS
 ///
 /// - `is_drawn`: `[N]` whether a Gaussian is drawn now
 /// - `views`: the training views, in the order of the cameras' gains and offsets
-/// - `share`: by how much the squared error of all views may exceed the least that it has been before a removal, as a share of it
-/// - `least`: that least error; updated
+/// - `share`: by how much the squared error of all views may grow, as a share of it
 /// - returns: indices, ascending
-pub(crate) fn needed(
-    parameters: &Parameters,
-    is_drawn: &[bool],
-    views: &[View],
-    share: f32,
-    least: &mut f64,
-    seed: u64,
-) -> Vec<usize> {
+pub(crate) fn needed(parameters: &Parameters, is_drawn: &[bool], views: &[View], share: f32, seed: u64) -> Vec<usize> {
     let cameras: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
     let errors = removal_errors(&parameters.gaussians, is_drawn, &cameras, seed);
     let is_shown = are_in_images(parameters.gaussians.means(), &cameras);
@@ -49,13 +41,12 @@ pub(crate) fn needed(
         let mut sum = 0.0;
         draw_all(&parameters.gaussians, &stays, &cameras, |position, drawn| {
             let Ok((output, _)) = CpuRasterizer.forward(drawn, &cameras[position], &SETTINGS);
-            let [gain, offset] = [parameters.camera_gains[position], parameters.camera_offsets[position]];
-            sum += image_loss(&output.image, &views[position].image, gain, offset, 1.0, 0.0).image;
+            let picture = parameters.seen_by_camera(position, output.image);
+            sum += squared_error(&picture, &views[position].image);
         });
         sum
     };
-    *least = least.min(error_without(&[]));
-    let most = f64::from(1.0 + share) * *least;
+    let most = f64::from(1.0 + share) * error_without(&[]);
     // All of `low` may go, and not all of `high`.
     let (mut low, mut high) = (0, (order.len() as f32 * MOST_AT_ONCE) as usize + 1);
     while high - low > 1 + errors.len() / PRECISION {
@@ -102,6 +93,15 @@ fn removal_errors(gaussians: &Gaussians, is_drawn: &[bool], cameras: &[Camera], 
         errors.iter_mut().zip(changes).for_each(|(error, change)| *error += change * change);
     });
     errors
+}
+
+fn squared_error(a: &Image, b: &Image) -> f64 {
+    let squares = a.data.par_chunks(1 << 12).zip(b.data.par_chunks(1 << 12)).map(|(a, b)| {
+        let squares = a.iter().zip(b).map(|(a, b)| f64::from((a.clamp(0.0, 1.0) - b).powi(2)));
+        squares.sum::<f64>()
+    });
+    // One after another, so that the sum is the same with any number of threads.
+    squares.collect::<Vec<_>>().into_iter().sum()
 }
 
 #[cfg(test)]
@@ -171,17 +171,11 @@ mod tests {
     #[test]
     fn as_many_go_as_the_loss_allows_and_those_in_no_image_stay() {
         let (parameters, views) = scene();
-        let stay = |share, is_drawn: [bool; 5], least: f64| {
-            let mut least = least;
-            let stay = needed(&parameters, &is_drawn, &views, share, &mut least, 3);
-            (stay, least)
-        };
-        let (stayed, least) = stay(1e-4, [true; 5], f64::INFINITY);
-        assert_eq!(stayed, [0, 1, 2, 4], "what is hidden goes");
-        // Of four in images at most one goes at once.
-        assert_eq!(stay(1e6, [true; 5], f64::INFINITY).0, [0, 1, 2, 4]);
-        // Where the loss has been half of what it is now, nothing that changes the pictures may go.
-        assert_eq!(stay(0.5, [true; 5], 0.5 * least), ((0..5).collect(), 0.5 * least));
-        assert_eq!(stay(1e-4, [false, true, true, true, true], f64::INFINITY).0.len(), 4, "what is not drawn goes");
+        let stay = |share, is_drawn: [bool; 5]| needed(&parameters, &is_drawn, &views, share, 3);
+        assert_eq!(stay(1e-4, [true; 5]), [0, 1, 2, 4], "what is hidden goes");
+        assert_eq!(stay(1e6, [true; 5]), [0, 1, 2, 4], "of four in images at most one at once");
+        assert_eq!(stay(1e-4, [false, true, true, true, true]).len(), 4, "what is not drawn goes");
+        // Without one that is hidden, and with no error to spare, all stay.
+        assert_eq!(stay(0.0, [true, true, true, false, true]), [0, 1, 2, 4]);
     }
 }

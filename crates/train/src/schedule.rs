@@ -11,9 +11,6 @@ const YOUTH_RATE: f32 = 0.5;
 /// How often Gaussians are removed that the training images hardly need.
 const NUM_PRUNINGS: usize = 3;
 
-/// Iterations, of 10000, between these.
-const PRUNING_INTERVAL: usize = 1000;
-
 /// Learning rates of one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
@@ -215,7 +212,8 @@ impl Schedule {
 
     /// Whether Gaussians that the training images hardly need are removed at this iteration.
     pub fn prunes_unneeded(&self, iteration: usize) -> bool {
-        let is_due = |event| iteration == self.scaled(self.config.densify.end + event * PRUNING_INTERVAL);
+        let (end, start) = (self.config.densify.end, self.config.quantize.start);
+        let is_due = |event| iteration == self.scaled(end + event * start.saturating_sub(end) / (NUM_PRUNINGS + 1));
         self.config.densify.prune_error > 0.0 && iteration > 0 && (1..=NUM_PRUNINGS).any(is_due)
     }
 

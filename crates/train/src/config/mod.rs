@@ -232,7 +232,7 @@ impl TrainConfig {
                 };
                 config.mask.enabled = false;
                 config.mask.prune_end = 6000;
-                config.densify.prune_error = 0.1;
+                config.densify.prune_error = 1.0;
                 config.densify.prune_opacity_end = config.densify.prune_opacity;
                 // Antialiased splats have larger gradients.
                 config.densify.gradient_threshold = 3e-4;

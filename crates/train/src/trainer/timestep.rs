@@ -181,7 +181,6 @@ impl Trainer {
         let weights = shares.map_or(config.weights, |shares| shares.weights(&config.weights));
         let mut report = Report { iterations: pace.length(), shares, reported: 0 };
         let mut order = Vec::new();
-        let mut least_error = f64::INFINITY;
         // One stream a timestep, so that resuming needs no saved state.
         let mut random =
             Pcg64Mcg::seed_from_u64(self.config.seed ^ (self.timestep as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
@@ -224,7 +223,7 @@ impl Trainer {
             if phase == Phase::First {
                 let seed = random.random();
                 if reshapes {
-                    self.reshape(iteration, seed, views, &mut least_error)?;
+                    self.reshape(iteration, seed, views)?;
                 }
             }
         }
@@ -261,7 +260,7 @@ impl Trainer {
     }
 
     /// Densifies, removes and resets where the schedule says so.
-    fn reshape(&mut self, iteration: usize, seed: u64, views: &[View], least_error: &mut f64) -> Result<(), TrainError> {
+    fn reshape(&mut self, iteration: usize, seed: u64, views: &[View]) -> Result<(), TrainError> {
         let state = self.engine.state_mut()?;
         if self.schedule.densifies(iteration) {
             let step = DensifyStep {
@@ -289,7 +288,7 @@ impl Trainer {
             let logits = &state.parameters.mask_logits;
             let is_drawn: Vec<bool> = logits.iter().map(|&logit| !enabled || mask(logit, threshold) > 0.0).collect();
             let share = self.config.densify.prune_error;
-            let keep = needed(&state.parameters, &is_drawn, views, share, least_error, seed);
+            let keep = needed(&state.parameters, &is_drawn, views, share, seed);
             remove_others(state, &keep);
         }
         // Until the first timestep is finished nobody is told apart.

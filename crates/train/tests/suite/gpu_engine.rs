@@ -39,6 +39,7 @@ fn views(frame: usize) -> Vec<View> {
 
 fn config(first: usize, rest: usize) -> TrainConfig {
     let mut config = TrainConfig::default();
+    config.mask.enabled = true;
     // Tests that want the gate say so.
     config.gate.enabled = false;
     (config.schedule.first_iterations, config.schedule.rest_iterations) = (first, rest);

@@ -9,8 +9,12 @@ use tcgs_train::{FakeQuantizers, LossTerms, Optimizer, Parameters, Past, Pose, R
 
 use super::{Random, relative_l2};
 
+/// Default settings, and masks: everything that an engine computes.
 pub fn config() -> TrainConfig {
-    TrainConfig::default()
+    let mut config = TrainConfig::default();
+    config.mask.enabled = true;
+    (config.weights.mask, config.weights.mask_consistency) = (0.05, 0.5);
+    config
 }
 
 /// `n` Gaussians at random.
