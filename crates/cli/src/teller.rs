@@ -115,7 +115,7 @@ impl Observer for Teller {
 /// Why a timestep ends with fewer Gaussians than it began with.
 fn fewer(timestep: usize) -> &'static str {
     match timestep {
-        0 => "the first timestep removes those that are nearly transparent, masked, or too large",
+        0 => "the first timestep removes those that are nearly transparent, too large, or hardly needed by the images",
         _ => "those are removed that no training camera sees any more",
     }
 }

@@ -76,7 +76,7 @@ pub struct Arguments {
     /// 65,536 timesteps
     #[arg(long, requires = "start_from")]
     no_limits: bool,
-    /// Learn no masks
+    /// Learn no masks: preset paper does
     #[arg(long)]
     no_mask: bool,
     /// Learn no quantisation
