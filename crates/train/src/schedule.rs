@@ -270,12 +270,14 @@ mod tests {
         let events: Vec<usize> = (0..1500).filter(|&i| s.densifies(i)).collect();
         assert_eq!(events, [100, 200, 300, 400, 500, 600, 700]);
         assert!(s.is_last_densification(700) && !s.is_last_densification(600));
-        assert!(s.starts_quantization(900) && s.prunes_masked(150) && !s.prunes_masked(1050));
-        assert!((0..1500).all(|i| !s.resets_opacities(i) && !s.removes_large(i)));
+        assert!(s.starts_quantization(900));
+        assert_eq!((0..1500).filter(|&i| s.prunes_unneeded(i)).collect::<Vec<_>>(), [788, 825, 863]);
+        assert!((0..1500).all(|i| !s.resets_opacities(i) && !s.removes_large(i) && !s.prunes_masked(i)));
         let (long, short) = (schedule(1500, 300, Preset::Paper), schedule(250, 50, Preset::Paper));
         assert!(long.resets_opacities(450) && long.removes_large(450) && long.reshapes(450));
+        assert!(long.prunes_masked(150) && (0..1500).all(|i| !long.prunes_unneeded(i)));
         assert!((0..250).all(|i| !short.resets_opacities(i)));
-        assert!(s.reshapes(100) && s.reshapes(900) && !s.reshapes(901) && !s.reshapes(1050));
+        assert!(s.reshapes(100) && s.reshapes(825) && !s.reshapes(900) && !s.reshapes(1050));
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
         assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);

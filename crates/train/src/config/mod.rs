@@ -373,13 +373,34 @@ mod tests {
     }
 
     #[test]
+    fn preset_paper_has_what_the_paper_prints() {
+        let paper = TrainConfig::preset(Preset::Paper);
+        let (w, m, q, d) = (&paper.weights, &paper.mask, &paper.quantize, &paper.densify);
+        assert_eq!((paper.schedule.first_iterations, paper.schedule.rest_iterations), (10_000, 2_000));
+        assert_eq!((w.image, w.segmentation, w.rigid, w.rot, w.iso), (1.0, 3.0, 4.0, 4.0, 2.0));
+        assert_eq!((w.floor, w.background, w.soft_color, w.stillness), (2.0, 20.0, 0.01, 0.0));
+        assert_eq!((w.mask, w.mask_consistency), (0.01, 0.01));
+        assert_eq!((m.enabled, m.threshold, m.initial_logit, m.reset), (true, 0.01, 1.0, false));
+        assert_eq!((q.enabled, q.start, q.min_bits, q.max_bits), (true, 6000, 4, 8));
+        assert_eq!((q.mean_bits, q.bit_map, q.learned_offset), (5.0, BitMapKind::Linear, false));
+        assert_eq!((d.start, d.end, d.interval, d.reset, d.prune_large), (500, 5000, 100, 3000, 3000));
+        assert_eq!((d.gradient_threshold, d.prune_opacity, d.prune_opacity_end), (2e-4, 0.005, 0.25));
+        assert_eq!((d.prune_error, d.unseen_share), (0.0, 0.0));
+        let r = &paper.rates;
+        assert_eq!((r.step, r.mask, r.color_rest, r.motion_decay), (0.02, 0.01, r.color, 1.0));
+        assert_eq!((r.first_decay, r.first_scale, r.reset_steps, r.camera_centered), (1.0, 1.0, false, false));
+        assert_eq!((&paper.gate, &paper.births, &paper.deaths), (&GateConfig::OFF, &BirthConfig::OFF, &DeathConfig::OFF));
+        assert_eq!((paper.color.degree, paper.render.antialiased), (0, false));
+    }
+
+    #[test]
     fn settings_are_set_by_name_or_refused() {
         let mut config = TrainConfig::default();
         config.set("schedule.first_iterations", "7").unwrap();
         config.set("rates.mean", "1").unwrap();
         config.set("quantize.bit_map", "linear").unwrap();
-        config.set("mask.enabled", "false").unwrap();
-        assert_eq!((config.schedule.first_iterations, config.rates.mean, config.mask.enabled), (7, 1.0, false));
+        config.set("mask.enabled", "true").unwrap();
+        assert_eq!((config.schedule.first_iterations, config.rates.mean, config.mask.enabled), (7, 1.0, true));
         assert_eq!(config.quantize.bit_map, BitMapKind::Linear);
         for (key, value, message) in [
             ("mask.treshold", "0.1", "unknown setting mask.treshold, expected one of mask.enabled"),
