@@ -87,3 +87,22 @@ pub fn position_step_remark(scene: &OpenScene, compact: &CompactFile) -> Result<
 fn radius(scene: &OpenScene) -> Result<f32, PipelineError> {
     Ok(Extent::of(scene.at(0)?.means()).radius as f32)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn preset_paper_has_the_keypoints_and_tolerances_that_the_paper_prints() {
+        let of = |name: &str| {
+            let settings = paper(CaptureKind::named(name).unwrap());
+            (settings.max_keypoints, settings.max_mse)
+        };
+        assert_eq!(of("panoptic"), (30, [1e-5; 5]));
+        assert_eq!(of("technicolor"), (15, [1e-7; 5]));
+        assert_eq!(of("neural3d"), (60, [1e-7; 5]));
+        let paper = paper(CaptureKind::PANOPTIC);
+        assert_eq!((paper.constant_tracks, paper.noise_floor, paper.importance), (false, false, 0.0));
+        assert_eq!((paper.joint, paper.position_fineness, paper.layers.len()), (false, 0.0, 0));
+    }
+}
