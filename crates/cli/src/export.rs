@@ -81,12 +81,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if export.num_gaussians() < scene.num_gaussians() {
         say(&format!("{} of {} Gaussians are not masked out", export.num_gaussians(), scene.num_gaussians()))?;
     }
-    if scene.layout().is_antialiased() && !matches!(target, Target::Floats) {
-        note(
-            "the scene is antialiased: programs that draw it without show what is small too large, so set them to antialiasing",
-        );
-    }
     let length = |path: &Path| std::fs::metadata(path).map_or(0, |written| written.len());
+    let is_for_others = !matches!(target, Target::Floats);
     let bytes = match target {
         Target::ParamsNpz => {
             let params = export.params(frames.clone())?;
@@ -140,6 +136,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
     };
     say(&format!("{}: {}", to.display(), show_bytes(bytes)))?;
+    if scene.layout().is_antialiased() && is_for_others {
+        note(
+            "the scene is antialiased: programs that draw it without show what is small too large, so set them to antialiasing",
+        );
+    }
     note_replaced(&scene);
     arguments.job.write_json(&json!({ "out": to.display().to_string(), "bytes": bytes }))
 }

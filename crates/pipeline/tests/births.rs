@@ -53,6 +53,7 @@ fn run(folder: &Path, first_frame: usize, hidden: &[usize]) -> Run {
 /// A run whose Gaussians all move, of four training cameras.
 fn run_of(lives: &Lives, folder: &Path, first_frame: usize, hidden: &[usize]) -> Run {
     let mut config = TrainConfig::default();
+    config.mask.enabled = true;
     config.data.first_frame = first_frame;
     let run = Run::create(folder, &config).unwrap();
     let n = NUM_GAUSSIANS;

@@ -115,7 +115,7 @@ mod tests {
         let gaussians = Gaussians::from(BaseColumns {
             means: vec![[-0.4, 0.0, 0.0], [0.1, 0.3, -0.1], [0.4, -0.1, 0.1], [-0.4, 0.0, 9.0], [40.0, 0.0, 0.0]],
             quats: vec![[1.0, 0.0, 0.0, 0.0]; 5],
-            log_scales: vec![[-1.2; 3], [-2.0; 3], [-1.5; 3], [-1.5; 3], [-1.0; 3]],
+            log_scales: vec![[-1.2; 3], [-2.0; 3], [-1.5; 3], [-3.5; 3], [-1.0; 3]],
             logit_opacities: vec![6.0, -2.5, 1.0, 1.0, 3.0],
             colors: vec![[0.9, 0.3, 0.2], [0.2, 0.5, 0.9], [0.9, 0.8, 0.3], [0.1, 0.9, 0.1], [1.0; 3]],
         });
@@ -165,14 +165,14 @@ mod tests {
             // The mean of 400 squares of about normal numbers is within 7 % in two of three cases.
             assert!((means[i] / expected - 1.0).abs() < 0.2, "Gaussian {i}: {}, expected {expected}", means[i]);
         }
-        assert!(means[3] < 1e-3 * means[1] && means[4] == 0.0, "{means:?}");
+        assert!(means[3] < 0.1 * means[1] && means[4] == 0.0, "{means:?}");
     }
 
     #[test]
     fn as_many_go_as_the_loss_allows_and_those_in_no_image_stay() {
         let (parameters, views) = scene();
         let stay = |share, is_drawn: [bool; 5]| needed(&parameters, &is_drawn, &views, share, 3);
-        assert_eq!(stay(1e-4, [true; 5]), [0, 1, 2, 4], "what is hidden goes");
+        assert_eq!(stay(1e-3, [true; 5]), [0, 1, 2, 4], "what is hidden goes");
         assert_eq!(stay(1e6, [true; 5]), [0, 1, 2, 4], "of four in images at most one at once");
         assert_eq!(stay(1e-4, [false, true, true, true, true]).len(), 4, "what is not drawn goes");
         // Without one that is hidden, and with no error to spare, all stay.

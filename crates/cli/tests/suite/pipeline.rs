@@ -268,7 +268,7 @@ fn a_run_goes_to_params_npz_and_from_there_to_a_file() {
 #[test]
 fn masks_prune_and_their_threshold_can_be_given() {
     let folder = tempdir().unwrap();
-    let run = train(&folder, "run", &["--set", "rates.mask=0.001"]);
+    let run = train(&folder, "run", &["--set", "mask.enabled=true", "--set", "rates.mask=0.001"]);
     let count = |threshold: &str| {
         let (out, result) = (folder.path().join("a.tcgs"), folder.path().join("a.json"));
         let arguments = ["compress", text(&run), "--prune", threshold, "--out", text(&out), "--force"];

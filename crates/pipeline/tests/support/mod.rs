@@ -33,6 +33,9 @@ pub fn files() -> &'static Path {
             let mut config = settings_for(Preset::Fast, &capture);
             (config.schedule.first_iterations, config.schedule.rest_iterations) = (12, 6);
             config.births.enabled = false;
+            // Masks that can be pruned; version 1 of the format has no antialiasing.
+            config.mask.enabled = true;
+            config.render.antialiased = false;
             config.data.capture = path("capture").display().to_string();
             let run = Run::create(&path("run"), &config).unwrap();
             let trainer = new_trainer(&config, &capture, &Backend::Cpu).unwrap();

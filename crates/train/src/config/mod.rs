@@ -389,7 +389,10 @@ mod tests {
         let r = &paper.rates;
         assert_eq!((r.step, r.mask, r.color_rest, r.motion_decay), (0.02, 0.01, r.color, 1.0));
         assert_eq!((r.first_decay, r.first_scale, r.reset_steps, r.camera_centered), (1.0, 1.0, false, false));
-        assert_eq!((&paper.gate, &paper.births, &paper.deaths), (&GateConfig::OFF, &BirthConfig::OFF, &DeathConfig::OFF));
+        assert_eq!(
+            (&paper.gate, &paper.births, &paper.deaths),
+            (&GateConfig::OFF, &BirthConfig::OFF, &DeathConfig::OFF)
+        );
         assert_eq!((paper.color.degree, paper.render.antialiased), (0, false));
     }
 

@@ -390,6 +390,7 @@ mod tests {
         });
         state.past = Some(Past::new(Pose::of(&born), gaussians, &vec![true; n]));
         let mut config = TrainConfig::preset(Preset::Fast);
+        config.mask.enabled = true;
         let dying = |config: &TrainConfig, timestep: usize, unseen: [u32; 5]| {
             let record = GateRecord { unseen: unseen.to_vec(), ..GateRecord::default() };
             let mut state = state.clone();

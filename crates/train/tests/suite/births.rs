@@ -70,7 +70,8 @@ fn settings() -> TrainConfig {
     config.rates.camera_centered = false;
     config.schedule.first_iterations = 60;
     config.schedule.rest_iterations = 60;
-    config.mask.prune_end = 0;
+    // The wall stays as it is.
+    config.densify.prune_error = 0.0;
     config.quantize.start = 5000;
     config.densify.start = 10_000;
     config.births.iterations = 120;

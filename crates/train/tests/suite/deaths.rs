@@ -61,7 +61,7 @@ fn settings() -> TrainConfig {
     config.rates.camera_centered = false;
     config.schedule.first_iterations = 60;
     config.schedule.rest_iterations = 120;
-    config.mask.enabled = false;
+    config.densify.prune_error = 0.0;
     config.quantize.enabled = false;
     config.densify.start = 10_000;
     config.births.enabled = false;

@@ -53,7 +53,7 @@ fn settings() -> TrainConfig {
     let mut config = TrainConfig::preset(Preset::Fast);
     config.schedule.first_iterations = 40;
     config.schedule.rest_iterations = 120;
-    config.mask.enabled = false;
+    config.densify.prune_error = 0.0;
     config.quantize.enabled = false;
     config.densify.start = 10_000;
     config

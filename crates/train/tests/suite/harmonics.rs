@@ -53,7 +53,7 @@ fn settings(degree: usize) -> TrainConfig {
     config.schedule.rest_iterations = 120;
     config.rates.harmonic = 5e-3;
     config.color.degree = degree;
-    config.mask.enabled = false;
+    config.densify.prune_error = 0.0;
     config.densify.start = 10_000;
     config
 }

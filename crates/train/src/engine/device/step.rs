@@ -313,7 +313,8 @@ mod tests {
             camera_gains: vec![[0.0; 3]],
             camera_offsets: vec![[0.0; 3]],
         };
-        let (mut state, config) = (State::new(parameters), TrainConfig::default());
+        let (mut state, mut config) = (State::new(parameters), TrainConfig::default());
+        config.mask.enabled = true;
         let rates = Schedule::new(&config, 1.0).rates(Phase::First, 0);
         let (weights, mask) = (&config.weights, &config.mask);
         let step = Step { camera: 0, rates, weights, mask, counts_gradients: false, moves_gaussians: true };
