@@ -119,7 +119,7 @@ pub struct Arguments {
 enum PresetName {
     /// Dynamic 3D Gaussians: no masks, no quantisation
     D3dgs,
-    /// The paper to the letter
+    /// The paper's settings; docs/PAPER.md lists the departures
     Paper,
     /// The paper with what measured better
     Default,
