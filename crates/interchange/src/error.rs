@@ -1,6 +1,6 @@
 //! The crate's error: what is wrong with another program's file.
 
-use std::{io, path::PathBuf};
+use std::{fmt, io, path::PathBuf};
 
 /// Why a file could not be read or written. Every message is one line and begins with the file.
 #[derive(Debug, thiserror::Error)]
@@ -23,7 +23,7 @@ pub enum InterchangeError {
         error: io::Error,
     },
     /// The file is not a complete zip archive.
-    #[error("{}: {problem}, expected a complete npz archive", path.display())]
+    #[error("{}: {}, expected a complete npz archive", path.display(), OneLine(problem))]
     Archive {
         /// The file.
         path: PathBuf,
@@ -32,7 +32,7 @@ pub enum InterchangeError {
     },
     /// A file of Gaussians or points is damaged, lacks something or holds a number that is not finite; or the files of a
     /// folder are no sequence.
-    #[error("{}: {problem}", path.display())]
+    #[error("{}: {}", path.display(), OneLine(problem))]
     File {
         /// The first file that is wrong, or the folder.
         path: PathBuf,
@@ -52,7 +52,7 @@ pub enum InterchangeError {
         limit: u64,
     },
     /// A `.npy` file is damaged, of a type that is not supported, or holds a number that is not finite.
-    #[error("{}: {problem}", path.display())]
+    #[error("{}: {}", path.display(), OneLine(problem))]
     Npy {
         /// The file.
         path: PathBuf,
@@ -60,7 +60,7 @@ pub enum InterchangeError {
         problem: String,
     },
     /// One array of an npz archive is missing, damaged, of the wrong type or shape, or holds values out of range.
-    #[error("{}: {key} {problem}", path.display())]
+    #[error("{}: {} {}", path.display(), OneLine(key), OneLine(problem))]
     Array {
         /// The file.
         path: PathBuf,
@@ -69,4 +69,28 @@ pub enum InterchangeError {
         /// The content that was found, and the expected one.
         problem: String,
     },
+}
+
+/// A text in which names and types of the file may stand, and with them line breaks.
+struct OneLine<'a>(&'a str);
+
+impl fmt::Display for OneLine<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.split(char::is_control).enumerate().try_for_each(|(i, part)| {
+            f.write_str(if i > 0 { " " } else { "" })?;
+            f.write_str(part)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_type_with_a_line_break_leaves_a_message_of_one_line() {
+        let problem = "has the type <\n4, expected float32 or float64 (<f4, <f8)".into();
+        let error = InterchangeError::Array { path: "a.npz".into(), key: "means\r3D".into(), problem };
+        assert_eq!(error.to_string(), "a.npz: means 3D has the type < 4, expected float32 or float64 (<f4, <f8)");
+    }
 }
