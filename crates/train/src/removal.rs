@@ -113,9 +113,9 @@ mod tests {
     /// Three Gaussians in the image, one hidden behind the first, and one beside the image.
     fn scene() -> (Parameters, Vec<View>) {
         let gaussians = Gaussians::from(BaseColumns {
-            means: vec![[-0.4, 0.0, 0.0], [0.1, 0.3, -0.1], [0.4, -0.1, 0.1], [-0.4, 0.0, 9.0], [40.0, 0.0, 0.0]],
+            means: vec![[-0.4, 0.0, 0.0], [0.1, 0.3, -0.1], [0.4, -0.1, 0.1], [-1.6, 0.0, 9.0], [40.0, 0.0, 0.0]],
             quats: vec![[1.0, 0.0, 0.0, 0.0]; 5],
-            log_scales: vec![[-1.2; 3], [-2.0; 3], [-1.5; 3], [-3.5; 3], [-1.0; 3]],
+            log_scales: vec![[-1.2; 3], [-2.0; 3], [-1.5; 3], [-2.5; 3], [-1.0; 3]],
             logit_opacities: vec![6.0, -2.5, 1.0, 1.0, 3.0],
             colors: vec![[0.9, 0.3, 0.2], [0.2, 0.5, 0.9], [0.9, 0.8, 0.3], [0.1, 0.9, 0.1], [1.0; 3]],
         });

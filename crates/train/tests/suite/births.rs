@@ -70,8 +70,11 @@ fn settings() -> TrainConfig {
     config.rates.camera_centered = false;
     config.schedule.first_iterations = 60;
     config.schedule.rest_iterations = 60;
-    // The wall stays as it is.
+    // The wall stays as it is, and masks take part.
     config.densify.prune_error = 0.0;
+    config.mask.enabled = true;
+    (config.weights.mask, config.weights.mask_consistency) = (0.05, 0.5);
+    config.mask.prune_end = 0;
     config.quantize.start = 5000;
     config.densify.start = 10_000;
     config.births.iterations = 120;
