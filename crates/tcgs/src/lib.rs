@@ -20,6 +20,10 @@
 //! By default `pipeline` is on, with GPUs (`gpu`), LPIPS (`lpips`) and H.264 (`video`, which takes a C++ compiler).
 //! `default-features = false` leaves a decoder in pure Rust.
 //!
+//! ```toml
+//! tcgs = { path = "tcgs/crates/tcgs" } # or git = "…"
+//! ```
+//!
 //! # Read a file
 //!
 //! ```
@@ -63,7 +67,7 @@
 //! ```
 //!
 //! The programs in `examples/` go further: gradients of a pixel, a training loop of one's own, decoding while bytes
-//! arrive.
+//! arrive. `cargo run --release --example first_splat` runs the first.
 
 // Modules that a build lacks have no links.
 #![cfg_attr(not(feature = "pipeline"), allow(rustdoc::broken_intra_doc_links))]

@@ -1,4 +1,8 @@
 //! Identity and lifetime of each Gaussian, as columns of integers.
+//!
+//! An identity is a Gaussian's number in the order of births, and is not given twice. A checkpoint holds the rows of
+//! the Gaussians that live, and the births and deaths of all that ever lived; [`Lives::living`] says who stands in
+//! which row.
 
 use crate::row::Row;
 

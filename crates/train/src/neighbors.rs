@@ -1,5 +1,6 @@
 //! Which Gaussians the losses on motion hold together: neighbours of the foreground, found once after the first
-//! timestep.
+//! timestep. Gaussians that are born later are neighbours of those born with them. After deaths neighbours are found
+//! again.
 
 use std::cmp::Ordering;
 

@@ -1,4 +1,8 @@
 //! Gaussians that do not live at all timesteps, in a scene that has all of them at every timestep.
+//!
+//! The codec sees tracks of one length. So a Gaussian stands as it was born before its birth, and as it died after its
+//! death. At all timesteps it has the opacity, scales and harmonics that it settled with. The codec then cuts the
+//! tracks to the lives.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;

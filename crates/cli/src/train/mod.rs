@@ -39,7 +39,7 @@ Example:
   tcgs train my_capture --out my_run --view            prints an address that shows the training in a browser
   tcgs train my_capture --out my_run --view=127.0.0.1:8000
 
-A long capture in chapters, on as many machines; see README.md:
+A long capture in chapters, on as many machines; see docs/TRAINING.md:
   tcgs train my_capture --out base --preset fast --frames 0..1
   tcgs train my_capture --out chapter0 --config base/config.toml --frames 0..102 --start-from base@0
   tcgs train my_capture --out chapter1 --config base/config.toml --frames 95..202 --start-from base@0

@@ -1,8 +1,7 @@
 //! Which Gaussians the training cameras see.
 //!
-//! The learned masks of a run leave out what the colour loss does not miss. What remains has many Gaussians that are hidden,
-//! or smaller than a pixel: each costs as much as any other, and together they matter little enough for refinement to make
-//! up for them.
+//! Training removes Gaussians that the colour loss does not miss. Many of the others are hidden, or smaller than a
+//! pixel. Each costs as much as any other. Together they matter little enough for refinement to make up for them.
 
 use std::ops::RangeInclusive;
 

@@ -1,4 +1,16 @@
 //! Which Gaussians a timestep trains, and what it needs beside them.
+//!
+//! - A Gaussian's blending weight is the gradient of a picture to its colour, so one backward pass for each view
+//!   measures it, at half the resolution.
+//! - Foreground Gaussians that are hidden or masked have no evidence of their own. They follow their neighbours by
+//!   vote; otherwise they would hold the others back through the losses on motion.
+//! - A view draws the tiles with evidence and those in which active Gaussians show. Without the latter a Gaussian would
+//!   answer for the views that changed alone, and spoil the others.
+//! - The small state holds the active Gaussians, then those that are held because edges of the losses on motion tie
+//!   them to active ones. Losses that are means over the scene's Gaussians are weighted by the part that the small
+//!   state has ([`Shares`]). Quantizers rest, since locked Gaussians share them.
+//! - Stillness is the share of a Gaussian's weight on what has not changed. The loss that uses it is a pull and no
+//!   decision: a Gaussian whose colours fit better elsewhere still goes there.
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image, Pinhole};

@@ -1,4 +1,7 @@
 //! How many iterations a timestep gets: as many as its losses go on falling.
+//!
+//! A timestep has settled when its losses fall, over a pass through the views, by less than a share of the greatest
+//! fall. The schedule then goes on faster instead of ending, so that learning rates still come down.
 
 use crate::config::GateConfig;
 
