@@ -97,8 +97,8 @@ impl Lens {
         Ok(())
     }
 
-    /// What remains of the whole image: dropped from all of a small one, and of a large one from what remains at half its
-    /// size, so that the work grows with a side of the image and not with its area.
+    /// The crop of the whole image. The search in a large image starts from the crop at half its size. The work then grows with
+    /// the side of the image and not with its area.
     fn whole_crop(&self) -> Option<Crop> {
         let whole = Crop { left: 0, top: 0, width: self.width, height: self.height };
         if self.width.max(self.height) <= WHOLE_SIDE {

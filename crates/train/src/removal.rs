@@ -1,7 +1,7 @@
-//! Removing Gaussians that the training images hardly need: pruning by a measured error.
+//! Pruning by a measured error: removes Gaussians that the training images hardly need.
 //!
-//! Who goes first is estimated, Gaussian by Gaussian; how many go is measured with pictures drawn without them, since errors
-//! of removed neighbours add up to more than their sum.
+//! The order of removal comes from an estimate for each Gaussian. The number comes from pictures drawn without the removed
+//! ones. Estimates alone do not give it, because neighbours that are removed together cost more than the sum of both.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -12,18 +12,18 @@ use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, settings::MAX_CHANN
 use crate::parameters::Parameters;
 use crate::unseen::are_in_images;
 
-/// The number of Gaussians to remove is found up to this share of all.
+/// Bisection ends when the number of Gaussians to remove is known within `1 / PRECISION` of all.
 const PRECISION: usize = 128;
 
-/// No more than this share of the Gaussians is removed at once, so that those that stay can take over.
+/// Largest share of the Gaussians that one call removes. The others need iterations to take over.
 const MOST_AT_ONCE: f32 = 0.4;
 
 /// Without the statistic of densification.
 const SETTINGS: RenderSettings = RenderSettings { background: [0.0; MAX_CHANNELS], statistic_channels: 0 };
 
-/// Which Gaussians stay when as many are removed as the training images allow.
+/// Gaussians that stay when as many are removed as the training images allow.
 ///
-/// Those that are in no image stay: no image tells whether they are needed.
+/// A Gaussian outside of all images stays, because no image tells whether it is needed.
 ///
 /// - `is_drawn`: `[N]` whether a Gaussian is drawn now
 /// - `views`: the training views, in the order of the cameras' gains and offsets
@@ -71,12 +71,11 @@ fn draw_all(gaussians: &Gaussians, is_drawn: &[bool], cameras: &[Camera], mut se
     }
 }
 
-/// How much the pictures change when one Gaussian is removed: an estimate of the sum of squared changes of all colour
-/// values of all pictures.
+/// Estimates, for each Gaussian, the sum of squared changes of all colour values of all pictures when it is removed.
 ///
-/// A pixel is affine in the opacity of each Gaussian, so that a removal changes it by opacity times derivative. The sum of
-/// these squares is the mean, over random signs of all colour values, of the square of the signed sum (Hutchinson 1989): one
-/// backward pass a picture is one sample of every Gaussian at once.
+/// A pixel is affine in the opacity of each Gaussian, so a removal changes it by opacity times derivative. Hutchinson (1989):
+/// the sum of squares of these changes is the expected square of their sum with random signs. One backward pass with random
+/// signs as `∂L/∂image` gives one sample for every Gaussian.
 ///
 /// - `is_drawn`: `[N]`
 /// - returns: `[N]`
@@ -110,7 +109,7 @@ mod tests {
 
     use super::*;
 
-    /// Three Gaussians in the image, one hidden behind the first, and one beside the image.
+    /// Three Gaussians in the image, one hidden behind the first, one outside of the image.
     fn scene() -> (Parameters, Vec<View>) {
         let gaussians = Gaussians::from(BaseColumns {
             means: vec![[-0.4, 0.0, 0.0], [0.1, 0.3, -0.1], [0.4, -0.1, 0.1], [-1.6, 0.0, 9.0], [40.0, 0.0, 0.0]],
@@ -124,7 +123,7 @@ mod tests {
             let camera = camera(x);
             let Ok((drawn, _)) = CpuRasterizer.forward(&activate(&gaussians), &camera, &SETTINGS);
             let mut image = drawn.image;
-            // What training has not reached yet.
+            // An error that training has not removed yet.
             image.data.iter_mut().enumerate().for_each(|(i, value)| *value += 0.02 * (i % 7) as f32);
             View { camera, image, segmentation: None, frame: 0, camera_id: usize::from(x > 0.0) }
         });

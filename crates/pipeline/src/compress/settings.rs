@@ -83,7 +83,7 @@ pub fn position_step_remark(scene: &OpenScene, compact: &CompactFile) -> Result<
     Ok((step > MAX_POSITION_STEP * radius).then_some((step, radius)))
 }
 
-/// Of the first timestep, before pruning.
+/// Radius of the first timestep, before pruning.
 fn radius(scene: &OpenScene) -> Result<f32, PipelineError> {
     Ok(Extent::of(scene.at(0)?.means()).radius as f32)
 }

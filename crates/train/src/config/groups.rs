@@ -97,8 +97,8 @@ pub struct DensifyConfig {
     pub end: usize,
     /// Iterations between events. Default 100.
     pub interval: usize,
-    /// Mean NDC gradient from which a Gaussian is cloned or split. Reference 2e-4; default 3e-4, since antialiased splats have
-    /// larger ones.
+    /// Mean NDC gradient from which a Gaussian is cloned or split. Reference 2e-4; default 3e-4, because antialiased splats
+    /// have larger gradients.
     pub gradient_threshold: f32,
     /// Largest scale, as a share of the scene's radius, up to which it is cloned rather than split. Default 0.01.
     pub clone_scale: f32,
@@ -121,9 +121,9 @@ pub struct DensifyConfig {
     /// Most points to begin with that are in no training camera's image, as a share of the others: these are gathered into so
     /// many, at least a thousand. 0: all are taken as they are. Default 0 (reference).
     pub unseen_share: f32,
-    /// By how much the mean squared error of the training images may grow, as a share of it, each time that Gaussians are removed
-    /// which these images hardly need: three times between the last event and the start of quantisation. 0: none are removed.
-    /// Reference 0; default 1: doubled each time, and trained away.
+    /// Removes Gaussians that the training images hardly need, three times between the last event and the start of
+    /// quantisation. Each time the mean squared error of these images may grow by this share; later iterations take most
+    /// of it back. 0: none are removed. Reference 0; default 1.
     pub prune_error: f32,
 }
 
