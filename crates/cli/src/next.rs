@@ -32,7 +32,7 @@ pub fn compress(run: &Run, place: &Path, capture: &Capture) -> anyhow::Result<()
     let out = if file == default { String::new() } else { format!(" --out {}", quoted(&file)) };
     let cameras = judges(run.config(), capture)?.map_or(String::new(), |judges| format!(" --cameras {judges}"));
     say(&format!(
-        "next: tcgs compress {}{out} --refine 5m && tcgs eval {} --capture {}{cameras}",
+        "next: tcgs compress {}{out} && tcgs eval {} --capture {}{cameras}",
         quoted(run.folder()),
         quoted(&file),
         quoted(place)
