@@ -162,7 +162,7 @@ fn the_video_that_never_ended_is_refused() {
     match fs::read(path) {
         Ok(bytes) => refuses_video(&bytes),
         Err(error) => {
-            assert!(std::env::var("REQUIRE_GOLDEN").as_deref() != Ok("1"), "{}: {error}", path.display());
+            assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{}: {error}", path.display());
             // Written past the test harness's capture, so that a skip is visible.
             let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
         }
