@@ -76,7 +76,7 @@ struct OneLine<'a>(&'a str);
 
 impl fmt::Display for OneLine<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.split(char::is_control).enumerate().try_for_each(|(i, part)| {
+        self.0.split(['\n', '\r']).enumerate().try_for_each(|(i, part)| {
             f.write_str(if i > 0 { " " } else { "" })?;
             f.write_str(part)
         })

@@ -11,6 +11,9 @@ const YOUTH_RATE: f32 = 0.5;
 /// How often Gaussians are removed that the training images hardly need.
 const NUM_PRUNINGS: usize = 3;
 
+/// Fewest iterations of a first timestep that takes back the error of such a removal.
+const RECOVERY: f32 = 1000.0;
+
 /// Learning rates of one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
@@ -210,6 +213,13 @@ impl Schedule {
         self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval) && !ended
     }
 
+    /// By how much each of these removals may let the squared error grow, as a share of it: less in a schedule too short to
+    /// take the error back.
+    pub fn prune_error(&self) -> f32 {
+        let iterations = self.iterations(Phase::First) as f32;
+        self.config.densify.prune_error * (iterations / RECOVERY).min(1.0)
+    }
+
     /// Whether Gaussians that the training images hardly need are removed at this iteration.
     pub fn prunes_unneeded(&self, iteration: usize) -> bool {
         let (end, start) = (self.config.densify.end, self.config.quantize.start);
@@ -272,6 +282,7 @@ mod tests {
         assert!(s.is_last_densification(700) && !s.is_last_densification(600));
         assert!(s.starts_quantization(900));
         assert_eq!((0..1500).filter(|&i| s.prunes_unneeded(i)).collect::<Vec<_>>(), [788, 825, 863]);
+        assert_eq!((s.prune_error(), schedule(60, 20, Preset::Fast).prune_error()), (1.0, 0.06));
         assert!((0..1500).all(|i| !s.resets_opacities(i) && !s.removes_large(i) && !s.prunes_masked(i)));
         let (long, short) = (schedule(1500, 300, Preset::Paper), schedule(250, 50, Preset::Paper));
         assert!(long.resets_opacities(450) && long.removes_large(450) && long.reshapes(450));

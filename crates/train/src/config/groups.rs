@@ -123,7 +123,8 @@ pub struct DensifyConfig {
     pub unseen_share: f32,
     /// Removes Gaussians that the training images hardly need, three times between the last event and the start of
     /// quantisation. Each time the mean squared error of these images may grow by this share; later iterations take most
-    /// of it back. 0: none are removed. Reference 0; default 1.
+    /// of it back. In a schedule of fewer than 1000 iterations the share is smaller in proportion. 0: none are removed.
+    /// Reference 0; default 1.
     pub prune_error: f32,
 }
 

@@ -287,7 +287,7 @@ impl Trainer {
             let MaskConfig { enabled, threshold, .. } = self.config.mask;
             let logits = &state.parameters.mask_logits;
             let is_drawn: Vec<bool> = logits.iter().map(|&logit| !enabled || mask(logit, threshold) > 0.0).collect();
-            let share = self.config.densify.prune_error;
+            let share = self.schedule.prune_error();
             let keep = needed(&state.parameters, &is_drawn, views, share, seed);
             remove_others(state, &keep);
         }
