@@ -130,6 +130,8 @@ fn an_antialiased_training_follows_that_on_the_cpu() {
         let mut config = config(30, 10);
         config.gate.enabled = true;
         config.render.antialiased = antialiased;
+        // Which Gaussians are removed depends on the last bits.
+        config.densify.prune_error = 0.0;
         fit(&mut trainer(&config, make), 0..2)
     };
     let [found, expected, other] = [losses(&on_gpu(&gpu), true), losses(&on_cpu, true), losses(&on_cpu, false)];
