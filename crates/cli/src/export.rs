@@ -138,7 +138,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     say(&format!("{}: {}", to.display(), show_bytes(bytes)))?;
     if scene.layout().is_antialiased() && is_for_others {
         note(
-            "the scene is antialiased: programs that draw it without show what is small too large, so set them to antialiasing",
+            "the scene is antialiased: switch on antialiasing in the program that draws it, or small splats look too large",
         );
     }
     note_replaced(&scene);

@@ -5,8 +5,8 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Gaussians, Image, View, activate, seen_colors};
+use tcgs_metrics::psnr;
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, settings::MAX_CHANNELS};
 
 use crate::parameters::Parameters;
@@ -25,24 +25,24 @@ const SETTINGS: RenderSettings = RenderSettings { background: [0.0; MAX_CHANNELS
 ///
 /// A Gaussian outside of all images stays, because no image tells whether it is needed.
 ///
-/// - `is_drawn`: `[N]` whether a Gaussian is drawn now
+/// - `is_hidden`: `[N]` whether a mask hides the Gaussian
 /// - `views`: the training views, in the order of the cameras' gains and offsets
-/// - `share`: by how much the squared error of all views may grow, as a share of it
+/// - `share`: by how much the mean squared error of all views may grow, as a share of it
 /// - returns: indices, ascending
-pub(crate) fn needed(parameters: &Parameters, is_drawn: &[bool], views: &[View], share: f32, seed: u64) -> Vec<usize> {
+pub(crate) fn needed(parameters: &Parameters, is_hidden: &[bool], views: &[View], share: f32, seed: u64) -> Vec<usize> {
     let cameras: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
-    let errors = removal_errors(&parameters.gaussians, is_drawn, &cameras, seed);
+    let errors = removal_errors(&parameters.gaussians, is_hidden, &cameras, seed);
     let is_shown = are_in_images(parameters.gaussians.means(), &cameras);
     let mut order: Vec<usize> = (0..errors.len()).filter(|&i| is_shown[i]).collect();
     order.sort_by(|&a, &b| errors[a].total_cmp(&errors[b]));
     let error_without = |removed: &[usize]| -> f64 {
-        let mut stays = is_drawn.to_vec();
-        removed.iter().for_each(|&i| stays[i] = false);
+        let mut is_hidden = is_hidden.to_vec();
+        removed.iter().for_each(|&i| is_hidden[i] = true);
         let mut sum = 0.0;
-        draw_all(&parameters.gaussians, &stays, &cameras, |position, drawn| {
+        draw_all(&parameters.gaussians, &is_hidden, &cameras, |position, drawn| {
             let Ok((output, _)) = CpuRasterizer.forward(drawn, &cameras[position], &SETTINGS);
             let picture = parameters.seen_by_camera(position, output.image);
-            sum += squared_error(&picture, &views[position].image);
+            sum += 10.0_f64.powf(-0.1 * psnr(&picture, &views[position].image));
         });
         sum
     };
@@ -59,10 +59,10 @@ pub(crate) fn needed(parameters: &Parameters, is_drawn: &[bool], views: &[View],
 }
 
 /// Gives the Gaussians as each camera sees them, one camera after another.
-fn draw_all(gaussians: &Gaussians, is_drawn: &[bool], cameras: &[Camera], mut see: impl FnMut(usize, &Activated)) {
+fn draw_all(gaussians: &Gaussians, is_hidden: &[bool], cameras: &[Camera], mut see: impl FnMut(usize, &Activated)) {
     let mut activated = activate(gaussians);
-    let opacities = activated.opacities.iter_mut().zip(is_drawn);
-    opacities.filter(|(_, is_drawn)| !**is_drawn).for_each(|(opacity, _)| *opacity = 0.0);
+    let opacities = activated.opacities.iter_mut().zip(is_hidden);
+    opacities.filter(|(_, is_hidden)| **is_hidden).for_each(|(opacity, _)| *opacity = 0.0);
     for (position, camera) in cameras.iter().enumerate() {
         if gaussians.layout().sh_degree() > 0 {
             activated.colors = seen_colors(gaussians, camera);
@@ -77,12 +77,12 @@ fn draw_all(gaussians: &Gaussians, is_drawn: &[bool], cameras: &[Camera], mut se
 /// the sum of squares of these changes is the expected square of their sum with random signs. One backward pass with random
 /// signs as `∂L/∂image` gives one sample for every Gaussian.
 ///
-/// - `is_drawn`: `[N]`
+/// - `is_hidden`: `[N]`
 /// - returns: `[N]`
-fn removal_errors(gaussians: &Gaussians, is_drawn: &[bool], cameras: &[Camera], seed: u64) -> Vec<f32> {
+fn removal_errors(gaussians: &Gaussians, is_hidden: &[bool], cameras: &[Camera], seed: u64) -> Vec<f32> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut errors = vec![0.0; gaussians.num_gaussians()];
-    draw_all(gaussians, is_drawn, cameras, |position, drawn| {
+    draw_all(gaussians, is_hidden, cameras, |position, drawn| {
         let camera = &cameras[position];
         let Ok((_, saved)) = CpuRasterizer.forward(drawn, camera, &SETTINGS);
         let mut signs = Image::filled(camera.width, camera.height, 3, 1.0);
@@ -92,15 +92,6 @@ fn removal_errors(gaussians: &Gaussians, is_drawn: &[bool], cameras: &[Camera], 
         errors.iter_mut().zip(changes).for_each(|(error, change)| *error += change * change);
     });
     errors
-}
-
-fn squared_error(a: &Image, b: &Image) -> f64 {
-    let squares = a.data.par_chunks(1 << 12).zip(b.data.par_chunks(1 << 12)).map(|(a, b)| {
-        let squares = a.iter().zip(b).map(|(a, b)| f64::from((a.clamp(0.0, 1.0) - b).powi(2)));
-        squares.sum::<f64>()
-    });
-    // One after another, so that the sum is the same with any number of threads.
-    squares.collect::<Vec<_>>().into_iter().sum()
 }
 
 #[cfg(test)]
@@ -142,25 +133,25 @@ mod tests {
         let (parameters, views) = scene();
         let gaussians = &parameters.gaussians;
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
-        let pictures = |is_drawn: &[bool]| {
+        let pictures = |is_hidden: &[bool]| {
             let mut all = Vec::new();
-            draw_all(gaussians, is_drawn, &cameras, |position, drawn| {
+            draw_all(gaussians, is_hidden, &cameras, |position, drawn| {
                 let Ok((output, _)) = CpuRasterizer.forward(drawn, &cameras[position], &SETTINGS);
                 all.extend(output.image.data);
             });
             all
         };
-        let whole = pictures(&[true; 5]);
+        let whole = pictures(&[false; 5]);
         let mut means = [0.0; 5];
         for seed in 0..400 {
-            let errors = removal_errors(gaussians, &[true; 5], &cameras, seed);
+            let errors = removal_errors(gaussians, &[false; 5], &cameras, seed);
             means.iter_mut().zip(errors).for_each(|(mean, error)| *mean += f64::from(error) / 400.0);
         }
         for i in 0..3 {
-            let mut left = [true; 5];
-            left[i] = false;
+            let mut without = [false; 5];
+            without[i] = true;
             let change = |(a, b): (&f32, f32)| f64::from(a - b).powi(2);
-            let expected: f64 = whole.iter().zip(pictures(&left)).map(change).sum();
+            let expected: f64 = whole.iter().zip(pictures(&without)).map(change).sum();
             // The mean of 400 squares of about normal numbers is within 7 % in two of three cases.
             assert!((means[i] / expected - 1.0).abs() < 0.2, "Gaussian {i}: {}, expected {expected}", means[i]);
         }
@@ -168,13 +159,13 @@ mod tests {
     }
 
     #[test]
-    fn as_many_go_as_the_loss_allows_and_those_in_no_image_stay() {
+    fn as_many_go_as_the_error_allows_and_those_in_no_image_stay() {
         let (parameters, views) = scene();
-        let stay = |share, is_drawn: [bool; 5]| needed(&parameters, &is_drawn, &views, share, 3);
-        assert_eq!(stay(1e-3, [true; 5]), [0, 1, 2, 4], "what is hidden goes");
-        assert_eq!(stay(1e6, [true; 5]), [0, 1, 2, 4], "of four in images at most one at once");
-        assert_eq!(stay(1e-4, [false, true, true, true, true]).len(), 4, "what is not drawn goes");
-        // Without one that is hidden, and with no error to spare, all stay.
-        assert_eq!(stay(0.0, [true, true, true, false, true]), [0, 1, 2, 4]);
+        let stay = |share, is_hidden: [bool; 5]| needed(&parameters, &is_hidden, &views, share, 3);
+        // The last changes no picture, and is in none.
+        assert_eq!(stay(1e-3, [false; 5]), [0, 1, 2, 4], "what others hide goes");
+        assert_eq!(stay(1e6, [false; 5]), [0, 1, 2, 4], "of four in images at most one at once");
+        assert_eq!(stay(-0.1, [false; 5]), [0, 1, 2, 3, 4], "the error cannot become less");
+        assert_eq!(stay(0.0, [true, false, false, false, false]), [1, 2, 3, 4], "what a mask hides goes first");
     }
 }

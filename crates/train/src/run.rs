@@ -102,12 +102,13 @@ impl Run {
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
         let text = read_text(&path, TrainConfig::MAX_BYTES).map_err(read(&path))?;
+        // `mask.relative` is no setting any more. Switched off it changed nothing.
+        let text = text.replace("relative = false\n", "");
         // An older run goes on without what its program did not have.
         let (gate, births, deaths) = (GateConfig::OFF, BirthConfig::OFF, DeathConfig::OFF);
         let render = RenderConfig { antialiased: false };
         let mut base = TrainConfig { gate, births, deaths, render, ..TrainConfig::default() };
-        (base.densify.unseen_share, base.densify.prune_error) = (0.0, 0.0);
-        (base.mask.enabled, base.rates.camera_centered) = (true, false);
+        (base.densify.unseen_share, base.densify.prune_error, base.rates.camera_centered) = (0.0, 0.0, false);
         let mut config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         if !text.contains("prune_large") {
             config.densify.prune_large = config.densify.reset;

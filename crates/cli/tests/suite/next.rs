@@ -48,7 +48,7 @@ fn each_next_line_runs_as_it_is_printed() {
     assert!(line.ends_with(" --cameras train"), "{line}");
     let said = shell(&line, here);
     assert!(said.contains("cameras: those that were trained on, which flatters"), "{said}");
-    // What exists by now stays as it is.
+    // A file that exists is not overwritten.
     let said = shell(r"tcgs train 'it'\''s mine' --out 'it'\''s mine_run' --resume --backend cpu", here);
     let line = next(&said);
     assert!(line.contains(r"--out 'it'\''s mine_run/scene2.tcgs'"), "{line}");

@@ -214,7 +214,7 @@ fn refining_comes_closer_to_the_images_and_repeats() {
     assert_eq!((&result["refined"]["iterations"], &result["target"]["target_bytes"]), (&100.into(), &most.into()));
 
     let of_capture = ["--capture", text(capture()), "--cameras", "train", "--refine", "240", "--backend", "cpu"];
-    // What the file has before it is refined decides its quality.
+    // The target is searched for before refinement.
     let wanted = psnr(&plain) - 0.3;
     let target = format!("{wanted:.3}");
     let (said, result, small) = compress("as-good", &[&of_capture[..], &["--target-psnr", &target]].concat());

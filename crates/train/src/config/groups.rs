@@ -97,8 +97,8 @@ pub struct DensifyConfig {
     pub end: usize,
     /// Iterations between events. Default 100.
     pub interval: usize,
-    /// Mean NDC gradient from which a Gaussian is cloned or split. Reference 2e-4; default 3e-4, because antialiased splats
-    /// have larger gradients.
+    /// Mean NDC gradient from which a Gaussian is cloned or split. Reference 2e-4; default 3e-4, because antialiased
+    /// splats have larger gradients.
     pub gradient_threshold: f32,
     /// Largest scale, as a share of the scene's radius, up to which it is cloned rather than split. Default 0.01.
     pub clone_scale: f32,
@@ -118,8 +118,8 @@ pub struct DensifyConfig {
     pub prune_scale: f32,
     /// Opacity after the reset. Default 0.01.
     pub reset_opacity: f32,
-    /// Most points to begin with that are in no training camera's image, as a share of the others: these are gathered into so
-    /// many, at least a thousand. 0: all are taken as they are. Default 0 (reference).
+    /// Initial points that are in no training image are gathered into fewer: at most this share of the other points, and at
+    /// least a thousand. 0: they are taken as they are. Default 0 (reference).
     pub unseen_share: f32,
     /// Removes Gaussians that the training images hardly need, three times between the last event and the start of
     /// quantisation. Each time the mean squared error of these images may grow by this share; later iterations take most
@@ -298,8 +298,8 @@ pub struct ColorConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RenderConfig {
-    /// Whether splats are antialiased: one that is widened to a pixel's extent gives up as much opacity, so that the scene looks
+    /// Whether splats are antialiased: a splat that is widened to a pixel's extent loses as much opacity. The scene then looks
     /// the same at other resolutions than that of training (Yu et al. 2024, Mip-Splatting). A run that continues another
-    /// scene's state is drawn as that one. Reference false; default true.
+    /// scene follows that scene. Reference false; default true.
     pub antialiased: bool,
 }

@@ -1,7 +1,7 @@
 //! Evidence that something changed in a view from one timestep to the next: differences of images beyond the camera's
 //! noise, and errors of the scene's picture that have grown.
 //!
-//! The level of noise is measured in the same blocks: their median difference and some robust standard deviations, then
+//! The level of noise is measured in the same blocks: the median difference plus some robust standard deviations. It is
 //! the median over nine timesteps, so that one flash does not count as noise. Grown errors find slow drifts, which no
 //! difference of two images shows. The gate gets used to an error that training could not lower, by a quarter in each
 //! timestep.

@@ -10,13 +10,12 @@ use tcgs_core::{Camera, View};
 use super::glimpse::Part;
 use super::{Trainer, all_segmented};
 use crate::TrainError;
-use crate::config::MaskConfig;
 use crate::densify::{DensifyStep, densify, remove_others, reset_opacities};
 use crate::engine::{Step, Target};
 use crate::fake_quant::{FakeQuantizers, bit_settings};
 use crate::gate::{Activity, Pace, Shares, Trained};
 use crate::losses::LossTerms;
-use crate::mask::mask;
+use crate::mask::{mask, masked_out};
 use crate::motion::predict;
 use crate::removal::needed;
 use crate::schedule::Phase;
@@ -284,11 +283,9 @@ impl Trainer {
             }
         }
         if self.schedule.prunes_unneeded(iteration) {
-            let MaskConfig { enabled, threshold, .. } = self.config.mask;
-            let logits = &state.parameters.mask_logits;
-            let is_drawn: Vec<bool> = logits.iter().map(|&logit| !enabled || mask(logit, threshold) > 0.0).collect();
-            let share = self.schedule.prune_error();
-            let keep = needed(&state.parameters, &is_drawn, views, share, seed);
+            let threshold = if self.config.mask.enabled { self.config.mask.threshold } else { -1.0 };
+            let is_hidden = masked_out(&state.parameters.mask_logits, threshold);
+            let keep = needed(&state.parameters, &is_hidden, views, self.schedule.prune_error(), seed);
             remove_others(state, &keep);
         }
         // Until the first timestep is finished nobody is told apart.

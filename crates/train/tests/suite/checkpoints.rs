@@ -33,6 +33,21 @@ fn a_run_of_the_first_version_is_read() {
 }
 
 #[test]
+fn a_setting_that_is_gone_is_passed_over_where_it_was_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = TrainConfig::default();
+    Run::create(folder.path(), &config).unwrap();
+    let file = folder.path().join("config.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let opened = |value: &str| {
+        std::fs::write(&file, text.replace("[mask]\n", &format!("[mask]\nrelative = {value}\n"))).unwrap();
+        Run::open(folder.path()).map(|run| run.config().clone())
+    };
+    assert_eq!(opened("false").unwrap(), config);
+    assert!(opened("true").unwrap_err().to_string().contains("unknown setting mask.relative"));
+}
+
+#[test]
 fn a_checkpoint_of_the_first_version_is_written_anew_with_the_same_values() {
     let folder = tempfile::tempdir().unwrap();
     let first = load(&old(0), None).unwrap();
