@@ -37,7 +37,7 @@ const MARKER_TEXT: &str = "made by tcgs demo\n";
 /// What the folder holds; anything else in it is somebody's, and stays when the demo runs again.
 const OURS: [&str; 6] = [MARKER, "capture", "run", "scene.tcgs", "frames", "report.html"];
 
-/// Run everything on a small synthetic capture: no data, no GPU, under a minute on two cores
+/// Run everything on a small synthetic capture: no data, no GPU, about a minute on two cores
 ///
 /// Ray-traces moving objects in a room, one of which enters later, trains on the images, compresses, refines
 /// the codes on the images of all timesteps, and measures on held-out cameras.
