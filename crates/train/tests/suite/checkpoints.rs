@@ -38,9 +38,9 @@ fn a_setting_that_is_gone_is_passed_over_where_it_was_off() {
     let config = TrainConfig::default();
     Run::create(folder.path(), &config).unwrap();
     let file = folder.path().join("config.toml");
-    let text = std::fs::read_to_string(&file).unwrap();
+    let text = fs::read_to_string(&file).unwrap();
     let opened = |value: &str| {
-        std::fs::write(&file, text.replace("[mask]\n", &format!("[mask]\nrelative = {value}\n"))).unwrap();
+        fs::write(&file, text.replace("[mask]\n", &format!("[mask]\nrelative = {value}\n"))).unwrap();
         Run::open(folder.path()).map(|run| run.config().clone())
     };
     assert_eq!(opened("false").unwrap(), config);
