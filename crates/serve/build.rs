@@ -1,6 +1,6 @@
-//! Puts into the program the built page of the player: `page` in a package, `web/dist` in a checkout. Where there is none
-//! a release build makes it, if Rust can compile to WebAssembly; else the program builds all the same, and says how to
-//! make the page when it is asked for.
+//! Embeds the built page of the player: `page` in a package, `web/dist` in a checkout. A release build without a page
+//! makes it, if Rust can compile to WebAssembly. Otherwise the program is built without a page, and says how to make one
+//! when it is asked for it.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -71,7 +71,7 @@ fn build_page(web: &Path) -> io::Result<()> {
     let target = PathBuf::from(env::var_os("OUT_DIR").expect("set by cargo")).join("page");
     let mut build = Command::new("bash");
     build.arg(&script).stdin(Stdio::null());
-    // What cargo tells build scripts is not meant for another build.
+    // Cargo's variables for this build script must not reach another build.
     let told = ["RUSTC", "RUSTDOC", "TARGET", "HOST", "PROFILE", "OPT_LEVEL", "DEBUG", "NUM_JOBS", "OUT_DIR"];
     for (name, _) in env::vars_os() {
         let of_cargo = name.to_str().is_some_and(|name| name.starts_with("CARGO_") && name != "CARGO_HOME");

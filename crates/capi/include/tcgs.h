@@ -1,12 +1,11 @@
 // Reads .tcgs scenes: moving 3D Gaussians, compressed. Made by cbindgen of crates/capi; do not edit.
 //
-// Open a scene from a file, from bytes, or from a function that reads ranges of bytes; then read timesteps into arrays of
-// your own. A timestep is decoded with the others of its segment when one of them is first asked for, and the segment stays
-// in memory for the next ones.
+// Open a scene from a file, from bytes, or from a function that reads ranges of bytes. Then read timesteps into your
+// own arrays. Timesteps are decoded a segment at a time, and the decoded segment stays in memory for the next calls.
 //
-// Every function that can fail returns a TcgsStatus; tcgs_last_error() then has one line that says what was found and what
-// was expected. Damaged and hostile files are refused: none leads outside of its arrays, and memory is bounded.
-// A scene may move between threads, and is used by one at a time. Scenes do not know of each other.
+// Every function that can fail returns a TcgsStatus. tcgs_last_error() then says in one line what was found and what
+// was expected. Damaged and hostile files are refused: no file causes access outside its arrays, and memory is bounded.
+// A scene may move between threads, but only one thread at a time may use it. Scenes are independent of each other.
 
 #pragma once
 
@@ -34,26 +33,27 @@ typedef enum TcgsStatus {
 // An open scene.
 typedef struct TcgsScene TcgsScene;
 
-// Fills a part of the file into a buffer.
+// Copies a part of the file into a buffer.
 //
 // - `user`: as given to `tcgs_open_reader`
 // - `offset`, `length`: bytes of the file, always within its size
 // - `buffer`: room for `length` bytes
-// - returns: 0, or any other number if the bytes cannot be had, which is told as TCGS_STATUS_IO
+// - returns: 0, or any other number if the bytes cannot be read; the call then fails with TCGS_STATUS_IO
 typedef int32_t (*TcgsReadFunction)(void *user, uint64_t offset, uint8_t *buffer, size_t length);
 
-// What a scene is, as `tcgs_scene_info` tells.
+// The properties of a scene, as `tcgs_scene_info` returns them.
 typedef struct TcgsSceneInfo {
   // Timesteps, counted from 0.
   uint32_t num_timesteps;
-  // Most Gaussians that live at one timestep: arrays of so many hold every timestep.
+  // The largest number of Gaussians that live at one timestep: arrays of this length hold every timestep.
   uint32_t max_gaussians;
   // Timesteps per second; 0 if the file does not say.
   float frame_rate;
-  // Degree of the spherical harmonics, 0 to 3; 0: a colour is the same from everywhere.
+  // Degree of the spherical harmonics, 0 to 3. At 0 a colour is the same from every direction.
   uint32_t sh_degree;
-  // 1 if splats are antialiased: a renderer that widens a splat by a pixel's extent, as 3D Gaussian splatting does, multiplies
-  // its opacity by the root of the quotient of the determinants of its covariance before and after. Else 0.
+  // 1 if splats are antialiased, else 0. A renderer of antialiased splats compensates the opacity: 3D Gaussian
+  // splatting widens a splat by a pixel's extent, and the opacity is multiplied by sqrt(det(covariance before) /
+  // det(covariance after)).
   uint32_t antialiased;
   // World axis that points up: 0 unknown, 1 to 6 for x, y, z, -x, -y, -z. Axes are right-handed.
   uint32_t up;
@@ -63,7 +63,8 @@ typedef struct TcgsSceneInfo {
   float bounds_max[3];
 } TcgsSceneInfo;
 
-// Arrays of the caller for the Gaussians of one timestep, each of `capacity` rows; NULL for what is not wanted.
+// The caller's arrays for the Gaussians of one timestep, each of `capacity` rows. NULL for an array that is not
+// wanted.
 typedef struct TcgsArrays {
   // Rows that each array has room for; `max_gaussians` is enough for every timestep.
   size_t capacity;
@@ -75,10 +76,10 @@ typedef struct TcgsArrays {
   float *scales;
   // `[capacity]` opacities, 0 to 1.
   float *opacities;
-  // `[capacity, 3]` colours: red, green, blue; of harmonics what does not depend on the direction.
+  // `[capacity, 3]` colours: red, green, blue; with harmonics, the part that does not depend on the direction.
   float *colors;
-  // `[capacity, (sh_degree + 1)^2 - 1, 3]` coefficients of the harmonics from degree 1 on, in the order of 3D Gaussian
-  // splatting; unused where `sh_degree` is 0.
+  // `[capacity, (sh_degree + 1)^2 - 1, 3]` coefficients of the harmonics from degree 1 on, in the order of 3D
+  // Gaussian splatting; unused where `sh_degree` is 0.
   float *harmonics;
 } TcgsArrays;
 
@@ -104,7 +105,7 @@ enum TcgsStatus tcgs_open_file(const char *path, struct TcgsScene **scene);
 // `bytes` points to `length` bytes, and `scene` to a pointer.
 enum TcgsStatus tcgs_open_bytes(const uint8_t *bytes, size_t length, struct TcgsScene **scene);
 
-// Opens a scene whose bytes a function reads, range by range, when they are needed: from an archive, or over a network.
+// Opens a scene whose bytes a function reads range by range, when they are needed: from an archive, or over a network.
 // Close it with `tcgs_close`.
 //
 // - `read`: is called by this function and by `tcgs_read`, on their thread
@@ -128,17 +129,18 @@ void tcgs_close(struct TcgsScene *scene);
 // `scene` is open, and `info` points to a `TcgsSceneInfo`.
 enum TcgsStatus tcgs_scene_info(const struct TcgsScene *scene, struct TcgsSceneInfo *info);
 
-// Name of the capture that a scene is of: UTF-8 that ends with a zero byte and lives until the scene is closed; empty if the
-// file has none, NULL if `scene` is.
+// Name of the scene's capture: UTF-8 that ends with a zero byte and lives until the scene is closed. Empty if the file
+// has no name, NULL if `scene` is NULL.
 //
 // # Safety
 // `scene` is open, or NULL.
 const char *tcgs_scene_name(const struct TcgsScene *scene);
 
-// Reads the Gaussians that live at a timestep, ready to be drawn. Fastest if successive calls ask for successive timesteps.
+// Reads the Gaussians that live at a timestep, ready to be drawn. Successive calls are fastest for successive
+// timesteps.
 //
 // - `timestep`: below `num_timesteps`
-// - `arrays`: which are filled from their first row on; untouched if this fails
+// - `arrays`: filled from their first row on; untouched if this fails
 // - `num_gaussians`: receives how many live at this timestep
 //
 // # Safety
@@ -148,8 +150,8 @@ enum TcgsStatus tcgs_read(struct TcgsScene *scene,
                           const struct TcgsArrays *arrays,
                           size_t *num_gaussians);
 
-// What went wrong in the last call of this thread that returned no TCGS_STATUS_OK: one line of UTF-8 that ends with a zero
-// byte and lives until such a call; empty if there was none.
+// Why the last failed call of this thread failed: one line of UTF-8 that ends with a zero byte. It lives until the
+// next call of this thread fails, and is empty if no call has failed.
 const char *tcgs_last_error(void);
 
 #ifdef __cplusplus

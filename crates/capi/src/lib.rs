@@ -1,7 +1,7 @@
 //! The decoder of `.tcgs` scenes as functions of C: `include/tcgs.h`.
 //!
-//! What lives here: pointers, lengths and status codes, checked, around [`tcgs_codec::SceneFile`]. `examples/play.c` shows
-//! the whole of it. Nothing unwinds into the caller: a panic, which would be a defect, becomes [`Status::Defect`].
+//! What lives here: pointers, lengths and status codes, checked, around [`tcgs_codec::SceneFile`]. `examples/play.c`
+//! uses all of it. No panic unwinds into the caller: a panic is a defect, and becomes [`Status::Defect`].
 
 mod source;
 mod status;
@@ -23,20 +23,21 @@ pub struct Scene {
     name: CString,
 }
 
-/// What a scene is, as `tcgs_scene_info` tells.
+/// The properties of a scene, as `tcgs_scene_info` returns them.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SceneInfo {
     /// Timesteps, counted from 0.
     pub num_timesteps: u32,
-    /// Most Gaussians that live at one timestep: arrays of so many hold every timestep.
+    /// The largest number of Gaussians that live at one timestep: arrays of this length hold every timestep.
     pub max_gaussians: u32,
     /// Timesteps per second; 0 if the file does not say.
     pub frame_rate: f32,
-    /// Degree of the spherical harmonics, 0 to 3; 0: a colour is the same from everywhere.
+    /// Degree of the spherical harmonics, 0 to 3. At 0 a colour is the same from every direction.
     pub sh_degree: u32,
-    /// 1 if splats are antialiased: a renderer that widens a splat by a pixel's extent, as 3D Gaussian splatting does, multiplies
-    /// its opacity by the root of the quotient of the determinants of its covariance before and after. Else 0.
+    /// 1 if splats are antialiased, else 0. A renderer of antialiased splats compensates the opacity: 3D Gaussian
+    /// splatting widens a splat by a pixel's extent, and the opacity is multiplied by sqrt(det(covariance before) /
+    /// det(covariance after)).
     pub antialiased: u32,
     /// World axis that points up: 0 unknown, 1 to 6 for x, y, z, -x, -y, -z. Axes are right-handed.
     pub up: u32,
@@ -46,7 +47,8 @@ pub struct SceneInfo {
     pub bounds_max: [f32; 3],
 }
 
-/// Arrays of the caller for the Gaussians of one timestep, each of `capacity` rows; NULL for what is not wanted.
+/// The caller's arrays for the Gaussians of one timestep, each of `capacity` rows. NULL for an array that is not
+/// wanted.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Arrays {
@@ -60,19 +62,19 @@ pub struct Arrays {
     pub scales: *mut f32,
     /// `[capacity]` opacities, 0 to 1.
     pub opacities: *mut f32,
-    /// `[capacity, 3]` colours: red, green, blue; of harmonics what does not depend on the direction.
+    /// `[capacity, 3]` colours: red, green, blue; with harmonics, the part that does not depend on the direction.
     pub colors: *mut f32,
-    /// `[capacity, (sh_degree + 1)^2 - 1, 3]` coefficients of the harmonics from degree 1 on, in the order of 3D Gaussian
-    /// splatting; unused where `sh_degree` is 0.
+    /// `[capacity, (sh_degree + 1)^2 - 1, 3]` coefficients of the harmonics from degree 1 on, in the order of 3D
+    /// Gaussian splatting; unused where `sh_degree` is 0.
     pub harmonics: *mut f32,
 }
 
-/// Fills a part of the file into a buffer.
+/// Copies a part of the file into a buffer.
 ///
 /// - `user`: as given to `tcgs_open_reader`
 /// - `offset`, `length`: bytes of the file, always within its size
 /// - `buffer`: room for `length` bytes
-/// - returns: 0, or any other number if the bytes cannot be had, which is told as TCGS_STATUS_IO
+/// - returns: 0, or any other number if the bytes cannot be read; the call then fails with TCGS_STATUS_IO
 pub type ReadFunction =
     Option<unsafe extern "C" fn(user: *mut std::ffi::c_void, offset: u64, buffer: *mut u8, length: usize) -> i32>;
 
@@ -122,7 +124,7 @@ pub unsafe extern "C" fn tcgs_open_bytes(bytes: *const u8, length: usize, scene:
     })
 }
 
-/// Opens a scene whose bytes a function reads, range by range, when they are needed: from an archive, or over a network.
+/// Opens a scene whose bytes a function reads range by range, when they are needed: from an archive, or over a network.
 /// Close it with `tcgs_close`.
 ///
 /// - `read`: is called by this function and by `tcgs_read`, on their thread
@@ -186,8 +188,8 @@ pub unsafe extern "C" fn tcgs_scene_info(scene: *const Scene, info: *mut SceneIn
     })
 }
 
-/// Name of the capture that a scene is of: UTF-8 that ends with a zero byte and lives until the scene is closed; empty if the
-/// file has none, NULL if `scene` is.
+/// Name of the scene's capture: UTF-8 that ends with a zero byte and lives until the scene is closed. Empty if the file
+/// has no name, NULL if `scene` is NULL.
 ///
 /// # Safety
 /// `scene` is open, or NULL.
@@ -197,10 +199,11 @@ pub unsafe extern "C" fn tcgs_scene_name(scene: *const Scene) -> *const c_char {
     unsafe { scene.as_ref() }.map_or(std::ptr::null(), |scene| scene.name.as_ptr())
 }
 
-/// Reads the Gaussians that live at a timestep, ready to be drawn. Fastest if successive calls ask for successive timesteps.
+/// Reads the Gaussians that live at a timestep, ready to be drawn. Successive calls are fastest for successive
+/// timesteps.
 ///
 /// - `timestep`: below `num_timesteps`
-/// - `arrays`: which are filled from their first row on; untouched if this fails
+/// - `arrays`: filled from their first row on; untouched if this fails
 /// - `num_gaussians`: receives how many live at this timestep
 ///
 /// # Safety
@@ -236,8 +239,8 @@ pub unsafe extern "C" fn tcgs_read(
     })
 }
 
-/// What went wrong in the last call of this thread that returned no TCGS_STATUS_OK: one line of UTF-8 that ends with a zero
-/// byte and lives until such a call; empty if there was none.
+/// Why the last failed call of this thread failed: one line of UTF-8 that ends with a zero byte. It lives until the
+/// next call of this thread fails, and is empty if no call has failed.
 #[unsafe(no_mangle)]
 pub extern "C" fn tcgs_last_error() -> *const c_char {
     status::last_error()

@@ -1,4 +1,4 @@
-//! What a function returns, and the line that says why.
+//! Status codes of the functions, and the text of a thread's last error.
 
 use std::cell::RefCell;
 use std::ffi::{CString, c_char};

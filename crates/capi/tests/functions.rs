@@ -115,7 +115,7 @@ fn timesteps_are_those_that_the_decoder_gives() {
     }
 }
 
-/// What a caller's function reads from, and how often.
+/// The file behind a caller's read function, and the number of reads.
 struct Remote {
     bytes: Vec<u8>,
     reads: usize,

@@ -1,4 +1,4 @@
-//! What JavaScript calls.
+//! The functions that JavaScript calls.
 
 use js_sys::{Array, Error, Float32Array, Object, Reflect, Uint8Array};
 use tcgs_codec::{DecodeError, DecodeLimits, SceneFile, SegmentCache};
@@ -11,7 +11,7 @@ use crate::Arrived;
 /// Bytes of a file that are kept for the next timestep, which often lies in the same part.
 const MAX_HELD: usize = 1 << 26;
 
-/// A scene of which parts have arrived. Every call that returns nothing lacks bytes: `missing` says which.
+/// A scene whose bytes arrive in parts. A call that returns nothing lacked bytes: `missing` says which.
 #[wasm_bindgen]
 pub struct Decoder {
     arrived: Arrived,
@@ -36,7 +36,7 @@ impl Decoder {
         self.arrived.arrive(offset as u64, bytes);
     }
 
-    /// What the file says of its scene.
+    /// The file's description of its scene.
     pub fn info(&mut self) -> Result<Option<Object>, JsValue> {
         if self.file.is_none() {
             let opened = SceneFile::open(self.arrived.clone(), &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES);
@@ -57,7 +57,7 @@ impl Decoder {
         ])))
     }
 
-    /// What programs attached to the scene: pairs of a name and bytes.
+    /// Data that programs attached to the scene: pairs of a name and bytes.
     pub fn data(&mut self) -> Result<Option<Array>, JsValue> {
         let Some(data) = patient(self.opened()?.application_data())? else { return Ok(None) };
         let pair = |(name, bytes): (String, Vec<u8>)| Array::of2(&name.into(), &Uint8Array::from(&bytes[..]).into());

@@ -72,8 +72,8 @@ pub enum RequestedRange {
 }
 
 impl RequestedRange {
-    /// Reads the header `Range`. A malformed header, or one of several ranges, counts as a request for the whole file, as
-    /// RFC 9110 allows.
+    /// Reads the header `Range`. A malformed header, or one with several ranges, counts as a request for the whole
+    /// file, as RFC 9110 allows.
     ///
     /// - `header`: value of the header, if the request has it
     /// - `length`: length of the file, bytes

@@ -1,8 +1,9 @@
 //! The player's page in a program, and a web server that shows a scene with it on this machine.
 //!
-//! What lives here: the built page (`web/dist`), which the build puts into the program, and the part of HTTP that serving
-//! it, one scene and the cameras of its capture, or what a training makes takes. What does not: the player itself, which is `tcgs-play` in the page. The command line and the
-//! Python package show scenes with it.
+//! What lives here: the built page (`web/dist`), which the build embeds, and the part of HTTP that serves it. Beside
+//! the page the server offers one scene and the cameras of its capture, or the files of a training. What does not: the
+//! player itself, which is `tcgs-play` in the page. The command line and the Python package show scenes with this
+//! server.
 //!
 //! ```
 //! use std::path::Path;
@@ -22,5 +23,5 @@ pub use training::{TRAINING_FILES, Training, TrainingFile};
 /// Files of the built page; empty if the page was not built before this program.
 pub const PAGE: &[PageFile] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
 
-/// What to do where [`PAGE`] is empty.
+/// Instruction for the user where [`PAGE`] is empty.
 pub const NO_PAGE: &str = "this program was built without the player: run web/build.sh, then build tcgs again";

@@ -36,7 +36,7 @@ pub struct PageFile {
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum SceneSource {
-    /// A `.tcgs` file, which is opened anew for every request.
+    /// A `.tcgs` file; every request reopens it.
     File(PathBuf),
     /// The bytes of one.
     Bytes(Vec<u8>),
@@ -50,13 +50,13 @@ impl From<&Path> for SceneSource {
     }
 }
 
-/// Whose pages may show the player in a frame of theirs.
+/// Servers whose pages may show the player in a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FrameAncestors {
-    /// This server's alone.
+    /// This server alone.
     #[default]
     Own,
-    /// Those of any server of this machine, such as one of notebooks.
+    /// Any server on this machine, such as a notebook server.
     ThisMachine,
 }
 
@@ -127,10 +127,10 @@ impl Server {
         Ok(format!("http://{}/", self.listener.local_addr()?))
     }
 
-    /// Serves for ever, a thread per connection. A browser that breaks off or sends what is no request loses its connection
-    /// and disturbs no other.
+    /// Serves for ever, with a thread per connection. A browser that breaks off, or sends a malformed request, loses
+    /// its own connection and disturbs no other.
     ///
-    /// - `failed`: hears of a connection that could not be begun
+    /// - `failed`: called with the error of a connection that could not be accepted or given a thread
     pub fn run(self, failed: impl Fn(&io::Error)) -> ! {
         let shared = Arc::new(self.site);
         loop {
@@ -219,7 +219,7 @@ impl Site {
     }
 }
 
-/// Opens the scene anew for every request, so that a scene which was compressed again shows after a reload.
+/// Reopens the scene for every request, so that a scene that was compressed again shows after a reload.
 fn answer_file(path: &Path, request: &HttpRequest) -> io::Result<HttpAnswer> {
     let Ok(mut file) = File::open(path) else {
         return Ok(HttpAnswer::plain("404 Not Found", "the scene is no longer there"));
@@ -246,7 +246,7 @@ fn answer_file(path: &Path, request: &HttpRequest) -> io::Result<HttpAnswer> {
     Ok(answer.with("Accept-Ranges", "bytes").with("ETag", &tag))
 }
 
-/// Answers with what is newer than what the page has, by the tag that `If-None-Match` names.
+/// Answers with content newer than the page's. The tag in `If-None-Match` names the content that the page has.
 fn answer_training(training: &dyn Training, request: &HttpRequest) -> HttpAnswer {
     let known = request.header("if-none-match").map(|tag| tag.trim_matches('"'));
     match training.answer(&request.path, known) {

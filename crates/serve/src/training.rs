@@ -1,9 +1,9 @@
-//! What a server asks of a training that it shows.
+//! The interface between the server and a training that it shows.
 
 use std::fmt::Debug;
 use std::sync::Arc;
 
-/// What the page asks of a training.
+/// A training, as the page sees it.
 pub trait Training: Debug + Send + Sync {
     /// The content of one of [`TRAINING_FILES`].
     ///
@@ -24,5 +24,6 @@ pub struct TrainingFile {
     pub bytes: Arc<[u8]>,
 }
 
-/// Paths at which a training is asked: its state, the scene as it is, and what is finished (`docs/PLAYER.md`, "A training").
+/// Paths of a training: its state, the running timestep, and the last finished timesteps (`docs/PLAYER.md`, "A
+/// training").
 pub const TRAINING_FILES: [&str; 3] = ["/train.json", "/running.tcgs", "/finished.tcgs"];
