@@ -15,7 +15,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let path: PathBuf = std::env::args().nth(1).ok_or("expected the folder of a capture with masks")?.into();
     let capture = Capture::open(&path)?;
     let begin = Instant::now();
-    // Of each camera: pixels that both mark, the made one alone, the given one alone.
+    // Pixels of each camera: marked by both masks, by the made one alone, by the given one alone.
     let mut counts: BTreeMap<usize, [f64; 3]> = BTreeMap::new();
     let mut given: Vec<View> = Vec::new();
     let mut failed = None;

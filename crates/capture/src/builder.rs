@@ -146,9 +146,9 @@ impl CaptureBuilder {
     /// [`Capture::views`] checks.
     ///
     /// # Errors
-    /// [`CaptureError::Built`] names what is missing or inconsistent: a frame without image, an image in memory whose
-    /// size is not its camera's, an id that two cameras share. The errors of [`Capture::open`] for files that are
-    /// missing and for points that most cameras do not see.
+    /// [`CaptureError::Built`] names the missing or inconsistent item: a frame without image, an image in memory that
+    /// is not of its camera's size, an id of two cameras. Missing files, and points that most cameras do not see, give
+    /// the errors of [`Capture::open`].
     pub fn build(self) -> Result<Capture, CaptureError> {
         let Self { name, num_frames, frame_rate, usual_frames, facts, train, test, points } = self;
         let invalid = |problem: String| CaptureError::Built { name: name.clone(), problem };

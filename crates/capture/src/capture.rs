@@ -61,8 +61,8 @@ impl Capture {
     ///
     /// - `path`: the folder
     ///
-    /// `open` checks that the cameras' numbers are valid, that all images exist (every folder of images is listed
-    /// once), that masks exist for all training images or for none, and that most cameras see the points.
+    /// `open` checks that the cameras' numbers are valid and that all images exist; it lists every folder of images
+    /// once. It checks that masks exist for all training images or for none, and that most cameras see the points.
     /// [`views`](Self::views) checks that the images and masks of its frame are whole and of their cameras' size.
     /// Initial points may be missing: rendering and evaluation do not need them.
     ///
@@ -132,8 +132,8 @@ impl Capture {
         self.kind
     }
 
-    /// What is known about the world's axes, the scene unit and the labels: for a folder the facts of its kind, for a
-    /// built capture those given to [`CaptureBuilder::facts`](crate::CaptureBuilder::facts).
+    /// Known facts about the world's axes, the scene unit and the labels. A folder has the facts of its kind, a built
+    /// capture those given to [`CaptureBuilder::facts`](crate::CaptureBuilder::facts).
     pub fn facts(&self) -> CaptureFacts {
         self.facts
     }
@@ -172,7 +172,8 @@ impl Capture {
     /// Where the masks of one frame are, or would be looked for if there were any.
     ///
     /// - `frame`: index of the frame, from 0
-    /// - returns: camera id and file, in the order of [`Self::cameras`]; no file for captures that have no place for masks
+    /// - returns: camera id and file, in the order of [`Self::cameras`]; no file for captures that have no place for
+    ///   masks
     ///
     /// # Errors
     /// [`CaptureError::NoFrame`] if the capture has no such frame.
@@ -280,8 +281,8 @@ impl Capture {
         Ok(Self::of_contents(self.path.clone(), self.kind, self.facts, contents))
     }
 
-    /// Whether images of the training cameras are decoded from videos: in the order of their frames much faster than in any
-    /// other.
+    /// Whether images of the training cameras are decoded from videos, which is much faster in the order of their
+    /// frames than in any other order.
     pub fn is_video(&self) -> bool {
         self.contents.train.at(0).any(Footage::is_video)
     }

@@ -112,8 +112,8 @@ fn parse_json<T: DeserializeOwned>(text: &[u8]) -> Result<T, String> {
     Ok(value)
 }
 
-/// The literal at which a JSON reader stopped, if it is one that Python's `json` writes for a number
-/// that is not finite, though JSON has none.
+/// The non-finite literal at which a JSON reader stopped, if there is one. JSON has no such literals, but Python's
+/// `json` writes them.
 fn not_finite_at(text: &[u8], line: usize, column: usize) -> Option<&'static str> {
     let line = text.split(|&byte| byte == b'\n').nth(line.checked_sub(1)?)?;
     // The reader has looked at the first letter, of "-Infinity" perhaps at the second.

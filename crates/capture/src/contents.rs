@@ -15,16 +15,16 @@ use crate::footage::{ByFrame, Change, Footage, Images, Masks, Pixels};
 use crate::names::{Files, Names};
 use crate::points::Points;
 
-/// All that a kind reads of a capture.
+/// The result of opening a capture's folder or of building a capture.
 #[derive(Clone, Debug)]
 pub(crate) struct Contents {
     pub num_frames: usize,
     pub frame_rate: FrameRate,
-    /// Those that publications use.
+    /// The frames that publications use.
     pub usual_frames: Range<usize>,
     pub train: CameraSet,
     pub test: CameraSet,
-    /// What says where the cameras of `train` and `test` stand.
+    /// The files that give the poses of `train` and of `test`.
     pub cameras_files: [PathBuf; 2],
     pub points: Option<Points>,
 }
@@ -171,14 +171,13 @@ pub(crate) fn check_images(cameras: &CameraSet, num_frames: usize, named_by: &Pa
 
 /// Finds which images have a mask.
 ///
-/// - `files`: where the masks of a camera would be, of the camera and the frames that it has; nothing if it has no place
-///   for any
+/// - `files`: the mask files of a camera, from the camera and its frames; `None` if the camera has no place for masks
 pub(crate) fn find_masks(
     cameras: &mut CameraSet,
     num_frames: usize,
     files: impl Fn(&Footage, &[usize]) -> Option<Files> + Sync,
 ) {
-    // Of each camera: the frames that it has.
+    // The frames of each camera.
     let mut frames: Vec<Vec<usize>> = vec![Vec::new(); cameras.footage.len()];
     for frame in 0..num_frames {
         cameras.order.at(frame).iter().for_each(|&i| frames[i].push(frame));

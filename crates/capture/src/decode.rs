@@ -8,7 +8,7 @@ use tcgs_core::{Segmentation, open_file};
 
 use crate::{CaptureError, files};
 
-/// Decodes an image of the size that the capture says. What is transparent is black.
+/// Decodes an image of the size that the capture says. Transparent pixels are blended onto black.
 pub(crate) fn image(path: &Path, size: (usize, usize)) -> Result<RgbImage, CaptureError> {
     let decoded = decode(path, size)?;
     if !decoded.color().has_alpha() {

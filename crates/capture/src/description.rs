@@ -19,7 +19,7 @@ const VERSION: u32 = 1;
 /// Most frames of a capture: 19 hours at 30 a second.
 const MAX_FRAMES: usize = 1 << 21;
 
-/// All that `capture.toml` says.
+/// The content of `capture.toml`.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
@@ -56,7 +56,7 @@ pub struct CalibrationSource {
     pub file: String,
     /// Name of its format.
     pub format: String,
-    /// What was changed while reading it, a sentence each.
+    /// Changes made while reading the calibration, a sentence each.
     #[serde(default)]
     pub changes: Vec<String>,
 }
@@ -70,7 +70,7 @@ pub struct ClockSource {
     pub from: String,
 }
 
-/// What is known about differences in colour between the cameras.
+/// Differences in colour between the cameras: how they were found, and whether they are corrected.
 #[derive(Clone, Debug, Deserialize, PartialEq, Eq)]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
@@ -143,8 +143,7 @@ pub struct DescribedCamera {
     pub distortion: Vec<f64>,
     /// `[3][4]` row-major, camera axes x right, y down, z forward.
     pub camera_from_world: [[f64; 4]; 3],
-    /// Median distance in pixels between where places are seen and where the camera should see them; for people, nothing
-    /// is computed from it.
+    /// Median reprojection error of the places that the camera sees, pixels. For people: nothing is computed from it.
     #[serde(default)]
     pub error_px: Option<f64>,
 }

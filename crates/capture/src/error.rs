@@ -14,7 +14,7 @@ pub enum CaptureError {
     NotCapture {
         /// The folder.
         path: PathBuf,
-        /// What was found in the folder.
+        /// Description of the folder's content.
         problem: String,
         /// The files by which the known kinds are recognised.
         expected: String,
@@ -32,7 +32,7 @@ pub enum CaptureError {
     Invalid {
         /// The file or folder.
         path: PathBuf,
-        /// What was found, and what was expected.
+        /// Description of the fault: found and expected.
         problem: String,
     },
     /// The capture has no initial points. [`prepare`](crate::prepare) makes points,
@@ -45,7 +45,8 @@ pub enum CaptureError {
         /// The capture's folder.
         path: PathBuf,
     },
-    /// [`prepare`](crate::prepare) found no depth that three views agree on. [`check`](crate::check) looks for the reason.
+    /// [`prepare`](crate::prepare) found no depth on which three views agree. [`check`](crate::check) looks for the
+    /// reason.
     #[error("{}: no three views agree on any depth, expected cameras that fit the images", path.display())]
     NoDepth {
         /// The capture's folder.
@@ -67,7 +68,7 @@ pub enum CaptureError {
     /// A program that finds cameras could not be run, or failed, or was stopped.
     #[error("{problem}")]
     Program {
-        /// What happened, and what was expected.
+        /// Description of the failure, and of what was expected.
         problem: String,
     },
     /// A PLY, npz or npy file of points or poses cannot be read.
@@ -83,12 +84,12 @@ pub enum CaptureError {
         /// The closure's error, or how the result differs from the camera.
         error: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// What a [`CaptureBuilder`](crate::CaptureBuilder) was given is incomplete or inconsistent.
+    /// The input of a [`CaptureBuilder`](crate::CaptureBuilder) is incomplete or inconsistent.
     #[error("capture {name}: {problem}")]
     Built {
         /// The capture's name.
         name: String,
-        /// What was found, and what was expected.
+        /// Description of the fault: found and expected.
         problem: String,
     },
     /// The requested frame does not exist.

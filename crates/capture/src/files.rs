@@ -60,8 +60,8 @@ pub(crate) fn images(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     Ok(paths)
 }
 
-/// Which files exist, by listing every folder once: thousands of frames by tens of cameras would be hundreds of
-/// thousands of single questions to the file system, each a round trip where that is on a network.
+/// The files that exist, found by listing every folder once. Thousands of frames by tens of cameras would otherwise be
+/// hundreds of thousands of queries to the file system. On a network each is a round trip.
 #[derive(Default)]
 pub(crate) struct Listings {
     /// Names of the files in each folder; none for a folder that does not exist.

@@ -1,7 +1,7 @@
-//! All images of one camera: where they are, what is done to each before it is given out, and where the camera stood.
+//! All images of one camera: their files, the change made to each before it is given out, and the camera's poses.
 //!
-//! What lives here: from a frame's number to a [`View`]. What does not: which cameras there are and in which order
-//! (`contents`), and what a kind of capture says about its files (`kinds`).
+//! What lives here: the way from a frame's number to a [`View`]. What does not: the list and the order of cameras
+//! (`contents`), and the files of each kind of capture (`kinds`).
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -23,13 +23,13 @@ pub(crate) struct Footage {
     pub camera_id: usize,
     /// As people call the camera, unique in the capture.
     pub name: String,
-    /// Of the images as they are given out.
+    /// Cameras of the images as they are given out.
     pub cameras: ByFrame<Camera>,
     pub images: Images,
     pub masks: Masks,
 }
 
-/// What is done to an image before it is given out.
+/// A change to an image before it is given out.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Change {
     /// Nothing.
@@ -40,9 +40,9 @@ pub(crate) enum Change {
     Straighten(Arc<Lens>),
 }
 
-/// What makes an image or a mask of a frame's number.
+/// A function from a frame's number to its image or mask.
 pub(crate) type Make<T> = Arc<dyn Fn(usize) -> Result<T, BoxedError> + Send + Sync>;
-/// Why it could not.
+/// The error of such a function.
 pub(crate) type BoxedError = Box<dyn std::error::Error + Send + Sync>;
 
 /// Where the images of a camera are.
@@ -122,7 +122,7 @@ impl<T: PartialEq> ByFrame<T> {
 }
 
 impl Change {
-    /// What makes an image behind a lens one of a pinhole: nothing, if the lens bends nothing.
+    /// The change that makes an image of this lens a pinhole's: none, if the lens has no distortion.
     pub fn for_lens(lens: &Arc<Lens>) -> Self {
         if lens.is_straight() { Self::Nothing } else { Self::Straighten(Arc::clone(lens)) }
     }
@@ -142,7 +142,7 @@ impl Footage {
         }
     }
 
-    /// What is done to its colours.
+    /// The change to the colours of the images.
     pub fn color_change(&self) -> ColorChange {
         match &self.images {
             Images::Stored { pixels: Pixels::Take(take), .. } => take.colors,

@@ -20,7 +20,7 @@ pub struct CaptureKind {
     pub name: &'static str,
     /// The files by which a folder of this kind is recognised, as error messages list them.
     pub mark: &'static str,
-    /// What is known about the axes, the unit and the labels of every capture of this kind.
+    /// Known facts about the axes, the unit and the labels of every capture of this kind.
     pub facts: CaptureFacts,
     /// Whether a folder is of this kind. The first kind of [`CaptureKind::ALL`] that recognises a folder opens it.
     pub(crate) recognises: fn(&Path) -> Result<bool, CaptureError>,
@@ -28,7 +28,7 @@ pub struct CaptureKind {
     pub(crate) open: fn(&Path) -> Result<Contents, CaptureError>,
 }
 
-/// What is known about a capture's world and labels beyond its images, cameras and points. By default nothing is known.
+/// Facts about a capture's world and labels beyond its images, cameras and points. By default nothing is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CaptureFacts {
     /// Whether the world's `y` axis points down and the floor is the plane `y = 0`.

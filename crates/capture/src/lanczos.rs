@@ -53,7 +53,7 @@ pub(crate) fn halve(image: &RgbImage) -> RgbImage {
     RgbImage::from_raw(half_width as u32, half_height as u32, small).expect("as many bytes as pixels")
 }
 
-/// What one pixel of the result is made of.
+/// Weights of the source pixels of one pixel of the result.
 struct Taps {
     first: usize,
     weights: Vec<i32>,

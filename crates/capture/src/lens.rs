@@ -50,7 +50,7 @@ impl Lens {
         self.radial == [0.0; 6] && self.tangential == [0.0; 2]
     }
 
-    /// Of the image with its bends.
+    /// Size of the image before straightening.
     pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
@@ -97,8 +97,8 @@ impl Lens {
         Ok(())
     }
 
-    /// The crop of the whole image. The search in a large image starts from the crop at half its size. The work then grows with
-    /// the side of the image and not with its area.
+    /// The crop of the whole image. The search in a large image starts from the crop at half its size, so the work
+    /// grows with the side of the image and not with its area.
     fn whole_crop(&self) -> Option<Crop> {
         let whole = Crop { left: 0, top: 0, width: self.width, height: self.height };
         if self.width.max(self.height) <= WHOLE_SIDE {

@@ -10,8 +10,9 @@
 //! - [`check`] looks for wrong cameras, masks and clocks.
 //! - [`write_synthetic`] renders a small capture with known cameras, for tests and examples.
 //!
-//! The feature `video`, on by default, decodes H.264 videos; the decoder needs a C++ compiler. Without the feature only a
-//! described capture has videos, which `ffmpeg` then decodes; any other is an error that names the feature.
+//! The feature `video`, on by default, decodes H.264 videos; the decoder needs a C++ compiler. Without the feature only
+//! a described capture has videos, which `ffmpeg` then decodes. Videos of any other capture are an error that names the
+//! feature.
 //!
 //! What lives here: the way from files of images, videos, masks, cameras and points to [`tcgs_core::View`] and
 //! [`tcgs_core::PointCloud`]. What does not: training and evaluation on the views. The split keeps the decoders of

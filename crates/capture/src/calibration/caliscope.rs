@@ -12,7 +12,7 @@
 //! | pixels | the centre of the first pixel is `(0, 0)`; here 0.5 is added |
 //! | distortion | `k1 k2 p1 p2 k3` |
 //! | unit | metres |
-//! | turned cameras | `rotation_count` says how a person wants to see the image; the numbers are of the image as it lies in the file, so nothing is turned here |
+//! | turned cameras | the numbers are of the image as stored, and nothing is turned; `rotation_count` is for display |
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,11 +1,11 @@
 //! Calibrations that other programs wrote, in the conventions of this project.
 //!
-//! What lives here: one file for each format, which says what the format's numbers mean, and the choice among them. What
-//! does not: which camera belongs to which video, and whether the sizes fit (`raw`).
+//! What lives here: one file for each format, with the meaning of the format's numbers, and the choice among the
+//! formats. What does not: the assignment of cameras to videos, and the check of sizes (`raw`).
 //!
-//! Formats differ in the origin of pixels, the unit, the direction of the transform and the order of the distortion. What
-//! comes out is always the same: pixel centres at +0.5, `camera_from_world`, camera axes x right, y down, z forward,
-//! OpenCV's order of the distortion.
+//! Formats differ in the origin of pixels, the unit, the direction of the transform and the order of the distortion.
+//! Every reader returns the same convention: pixel centres at +0.5, `camera_from_world`, camera axes x right, y down, z
+//! forward, OpenCV's order of the distortion.
 
 mod aniposelib;
 mod caliscope;
@@ -40,8 +40,8 @@ pub struct CalibratedCamera {
     pub names: Vec<String>,
     /// Width and height in pixels of the images that the calibration was made with, if the file says.
     pub size: Option<(usize, usize)>,
-    /// Horizontal angle of view in radians, where the file gives this and no size; focal lengths and principal point are then
-    /// zeros, which follow from the size of the images.
+    /// Horizontal angle of view in radians, where the file gives this and no size. Focal lengths and principal point
+    /// are then zero, and follow from the size of the images.
     pub angle_x: Option<f64>,
     /// Focal lengths `fx, fy`, pixels.
     pub focal: [f64; 2],
@@ -56,7 +56,7 @@ pub struct CalibratedCamera {
 /// One format of calibrations.
 pub(crate) struct Format {
     pub name: &'static str,
-    /// What people look for in a folder.
+    /// The files by which a person recognises the format.
     pub mark: &'static str,
     /// The calibrations of this format in a folder.
     pub find: fn(&Path) -> Result<Vec<PathBuf>, CaptureError>,

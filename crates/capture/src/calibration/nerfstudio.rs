@@ -8,10 +8,10 @@
 //! | distortion | `k1 k2 k3 k4`, `p1 p2`, by name |
 //! | unit | unknown |
 //!
-//! Blender's cameras as they are exported for NeRF are the same in `transforms_train.json` and `transforms_test.json`, without
-//! the size of images: the focal length follows from `camera_angle_x` and the width of the video.
+//! Blender's export for NeRF has the same cameras in `transforms_train.json` and `transforms_test.json`, without the
+//! size of images. The focal length then follows from `camera_angle_x` and the width of the video.
 //!
-//! A video is meant by the name of an image without its ending, and by the folder that the image lies in.
+//! The name of an image without its ending, or the folder of the image, names the video.
 
 use std::path::Path;
 
@@ -66,7 +66,7 @@ fn camera(frame: &NerfstudioFrame, all: &NerfstudioIntrinsics) -> Result<Calibra
             ([fx, get(|i| i.fl_y).unwrap_or(fx)], principal)
         }
         (Some(_), ..) => return Err("has neither fl_x nor camera_angle_x, expected a focal length in pixels".into()),
-        // Whoever knows the size of the images fills these in.
+        // The caller fills these in when it knows the size of the images.
         (None, _, Some(_)) => ([0.0; 2], [0.0; 2]),
         (None, ..) => return Err("has no w and h, expected the size of its image in pixels, or camera_angle_x".into()),
     };

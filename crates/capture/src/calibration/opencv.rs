@@ -70,7 +70,7 @@ struct Storage {
 impl Storage {
     fn read(path: PathBuf) -> Result<Self, CaptureError> {
         let text = files::text(&path)?;
-        // OpenCV writes `%YAML:1.0`, which is no directive of YAML, and `!!opencv-matrix`, a tag that is never declared.
+        // OpenCV writes `%YAML:1.0`, which is no directive of YAML, and `!!opencv-matrix`, an undeclared tag.
         let body: String = text
             .lines()
             .filter(|line| !line.starts_with('%') && line.trim_end() != "---")

@@ -9,14 +9,14 @@
 //!
 //! | | |
 //! |---|---|
-//! | direction | `world_from_camera`: `x y z` is the camera's centre; the columns of the world's rotation are the file's rows |
+//! | direction | `world_from_camera`: `x y z` is the camera's centre; the rotation's columns are the file's rows |
 //! | axes | x right, y up, z backward; here y and z are turned round |
-//! | pixels | intrinsics in 1/64 pixel, counted from the sensor's first pixel, whose centre is 0; here the corner of `fov_video` is subtracted and 0.5 added |
+//! | pixels | 1/64 pixel from the centre of the sensor's first pixel; here less the corner of `fov_video`, plus 0.5 |
 //! | distortion | `k1 k2 k3`, `p1 p2`, as OpenCV's, without a factor of 64 |
 //! | unit | millimetres; here metres |
 //!
-//! That the distortion has no factor follows from the demo of Pose2Sim, which holds a calibration of the same cameras by
-//! OpenCV: `k1 = -0.047`, `k2 = 0.149` there, `-0.048` and `0.137` here.
+//! The demo of Pose2Sim shows that the distortion has no factor. It holds a calibration of the same cameras by OpenCV,
+//! with `k1 = -0.047` and `k2 = 0.149`; the Qualisys file has `-0.048` and `0.137`.
 
 use std::path::Path;
 

@@ -1,12 +1,12 @@
-//! Each format on a small text that holds what its writer's documentation says, by the place where a known point is seen.
+//! Tests each format on a small text after its writer's documentation: a known point must project to the right pixel.
 
 use std::path::MAIN_SEPARATOR;
 
 use super::*;
 use crate::lens::{Crop, Lens};
 
-/// A camera at (1, 2, -5), which looks along z and is turned by a quarter about its axis: right is the world's y, down its
-/// -x. Focal length 1000, principal point (640, 360), pixel centres at whole numbers.
+/// A camera at (1, 2, -5) that looks along z and is turned by a quarter about its axis: right is the world's y, down
+/// its -x. Focal length 1000, principal point (640, 360), pixel centres at whole numbers.
 const CENTER: [f64; 3] = [1.0, 2.0, -5.0];
 
 /// Where a point of the world is seen, with distortion, pixel centres at +0.5.

@@ -36,8 +36,8 @@ pub struct ClockEvidence {
 impl ClockEvidence {
     /// [`Self::agreeing`] from which on clocks are taken.
     pub const MIN_AGREEING: f64 = 0.5;
-    /// [`Self::prominence`] above which clocks are taken. Scenes of which pairs tell something wrong reach 1.2, those of which
-    /// they tell the truth begin at 1.8.
+    /// [`Self::prominence`] above which clocks are taken. Scenes whose pairs give wrong offsets reach 1.2; scenes whose
+    /// pairs give the right ones start at 1.8.
     pub const MIN_PROMINENCE: f64 = 1.4;
 
     /// Whether clocks are taken.
@@ -51,7 +51,7 @@ impl ClockEvidence {
 pub enum ClocksFrom {
     /// By cross-correlation of the sound.
     Sound,
-    /// By what moves and how bright it is over time.
+    /// By cross-correlation of motion and brightness over time.
     Motion,
     /// A file says so.
     File,

@@ -1,9 +1,9 @@
 //! Clocks by motion: how much moves, and how the light changes, rises and falls at the same moments in every camera.
 //!
-//! Two cameras may agree by chance, the more so the less they share; so a correlation counts by how unlikely chance is
-//! (Fisher's transform), and of many cameras all pairs have to tell the same. Offsets are found for each pair alone, then for
-//! all cameras together. How sure they are is told by how many pairs alone agree with what all say together, and by how
-//! nearly as loud all say something else.
+//! Two cameras may agree by chance, and more easily the less they share. A correlation is therefore weighted by its
+//! significance (Fisher's transform), and with many cameras all pairs must agree. Offsets are found for each pair
+//! alone, then for all cameras together. Two numbers measure the certainty ([`ClockEvidence`]): the share of pairs
+//! whose own offset agrees with the joint one, and the joint correlation over that of the next best offset.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -28,10 +28,11 @@ const MIN_SECOND: f64 = 1e-6;
 /// Offsets this near to the best belong to it, moments.
 const PEAK: i64 = 2;
 
-/// What happens in one recording over time, on a regular grid: curves of equal length.
+/// Motion and light of one recording over time, on a regular grid: curves of equal length.
 pub(super) struct Curves(Vec<Vec<f32>>);
 
-/// The moment of one event in each recording, seconds, to the nearest frame, and how sure it is; `None` if nothing moves.
+/// The moment of one event in each recording, in seconds, to the nearest frame, and how sure it is. `None` if nothing
+/// moves.
 ///
 /// - `report`: called with the share of the frames that are decoded
 pub(super) fn event_secs(
@@ -159,8 +160,8 @@ impl Pair {
     }
 }
 
-/// How unlikely it is that `a[i]` and `b[i + late]` are correlated by chance, in standard deviations: Fisher's transform of
-/// Pearson's correlation. 0 where nothing changes.
+/// Significance of the correlation of `a[i]` and `b[i + late]` against chance, in standard deviations: Fisher's
+/// transform of Pearson's correlation. 0 where nothing changes.
 fn evidence(a: &[f32], b: &[f32], late: i64) -> f64 {
     let begin = usize::try_from(-late).unwrap_or(0);
     let (a, b) = (&a[begin..], &b[usize::try_from(late).unwrap_or(0)..]);
@@ -179,8 +180,8 @@ fn evidence(a: &[f32], b: &[f32], late: i64) -> f64 {
     if norm > 1e-9 { (both / norm).clamp(-0.99, 0.99).atanh() * (length as f64 - 3.0).sqrt() } else { 0.0 }
 }
 
-/// By how many moments each recording is late against the first, and how sure that is; `None` if two share too little to be
-/// compared.
+/// Delay of each recording against the first, in moments, and how sure it is. `None` if two recordings share too little
+/// to be compared.
 pub(super) fn offsets(curves: &[Curves]) -> Option<(Vec<i64>, ClockEvidence)> {
     let num = curves.len();
     let indices: Vec<(usize, usize)> = (0..num).flat_map(|i| (i + 1..num).map(move |j| (i, j))).collect();
@@ -247,7 +248,7 @@ mod tests {
 
     use super::*;
 
-    /// What a camera sees of one scene and of its own noise.
+    /// Curves of one camera: the scene that all share, and the camera's own noise.
     fn seen(seed: u64, skipped: usize, own: f32) -> Curves {
         let mut scene = rand_pcg::Pcg32::seed_from_u64(7);
         let mut camera = rand_pcg::Pcg32::seed_from_u64(seed);

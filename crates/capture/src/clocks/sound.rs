@@ -1,7 +1,7 @@
 //! Clocks by sound: generalised cross-correlation with phase transform (Knapp and Carter 1976).
 //!
-//! Sound travels 1 m in 3 ms, so a camera that stands 5 m farther away hears everything half a frame later at 30 frames a
-//! second. This is not corrected: nobody knows where the sound came from.
+//! Sound travels 1 m in 3 ms, so a camera that stands 5 m farther away hears everything half a frame later at 30 frames
+//! a second. This delay is not corrected, because the place of the sound's source is unknown.
 
 use std::path::Path;
 
@@ -28,8 +28,8 @@ pub(super) fn event_secs(paths: &[&Path]) -> Option<Vec<f64>> {
     Some(samples.into_iter().map(|samples| samples / f64::from(RATE)).collect())
 }
 
-/// By how many samples each sound is late against the first. Every sound is compared with the first, and if they have too
-/// little in common with others whose offset is known by then.
+/// Delay of each sound against the first, in samples. Every sound is compared with the first. A sound that has too
+/// little in common with the first is compared with others whose offset is known by then.
 pub(super) fn offsets(sounds: &[Vec<f32>]) -> Option<Vec<f64>> {
     let longest = sounds.iter().map(Vec::len).max()?;
     // Room for every shift without wrapping around.
@@ -80,7 +80,7 @@ fn whiten(product: &mut [Complex32]) {
     }
 }
 
-/// Where a correlation that wraps around is highest, between samples by a parabola; `None` if it has no outstanding peak.
+/// Position of the highest peak of a circular correlation, between samples by a parabola. `None` if no peak stands out.
 fn highest_peak(correlation: &[f32]) -> Option<f64> {
     let length = correlation.len();
     let peak = (0..length).max_by(|&a, &b| correlation[a].total_cmp(&correlation[b]))?;

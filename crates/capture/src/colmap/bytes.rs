@@ -1,6 +1,6 @@
 //! Numbers of a binary file, read in order.
 
-/// What has not been read yet.
+/// The unread rest of a file.
 pub(super) struct Bytes<'a>(pub &'a [u8]);
 
 impl<'a> Bytes<'a> {
@@ -60,7 +60,8 @@ pub(super) fn finite<const N: usize>(numbers: [f64; N]) -> Result<[f64; N], Stri
     }
 }
 
-/// The lines of a text file that say something, with their numbers from 1. Empty ones count: an image without points has one.
+/// Lines of a text file that are no comments, with their numbers from 1. Empty lines count: an image without points has
+/// one.
 pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().map(|(i, line)| (i + 1, line.trim())).filter(|(_, line)| !line.starts_with('#'))
 }

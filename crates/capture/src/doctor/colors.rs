@@ -1,5 +1,5 @@
-//! Do all cameras show the same colours? Each image is compared with the points as they are seen from there, and each
-//! camera with the one in the middle, so that it does not matter where the points have their colours from.
+//! Checks whether all cameras show the same colours. Each image is compared with the points as seen from its camera,
+//! and each camera with the one in the middle. The source of the points' colours therefore does not matter.
 
 use rayon::prelude::*;
 use tcgs_core::{Pinhole, View};
@@ -10,14 +10,15 @@ use super::{Finding, FindingKind};
 use crate::prepare::vantage::Vantage;
 use crate::rig::median;
 
-/// A camera is uneven if a channel is so much brighter or darker than that of the camera in the middle. Training learns a gain
-/// of each camera and absorbs small differences: up to 23 % on basketball cost 0.08 dB of PSNR, up to 43 % on kitchen 1.7 dB.
+/// A camera is uneven if a channel is brighter or darker than the middle camera's by more than this. Training learns a
+/// gain of each camera and absorbs small differences: up to 23 % on basketball cost 0.08 dB of PSNR, up to 43 % on
+/// kitchen 1.7 dB.
 const UNEVEN: f64 = 0.35;
-/// Values of image and points that are compared: outside of it sensors are saturated, or dark.
+/// Values of image and points that are compared. Outside this range sensors are saturated, or dark.
 const COMPARED: std::ops::Range<f32> = 0.06..0.94;
-/// Pixels that it takes.
+/// Minimum number of compared pixels.
 const MIN_PIXELS: usize = 200;
-/// Cameras that it takes for one to be in the middle.
+/// Minimum number of cameras for one to be in the middle.
 const MIN_CAMERAS: usize = 3;
 
 /// How bright each camera's red, green and blue are, over those of the camera in the middle.
@@ -53,7 +54,7 @@ fn from_points(view: &View, splats: &Splats) -> Option<[f64; 3]> {
     ratios.iter().all(|ratios| ratios.len() >= MIN_PIXELS).then(|| ratios.map(median))
 }
 
-/// What is said of cameras whose colours differ.
+/// Findings about cameras whose colours differ.
 pub(super) fn findings(views: &[View], factors: &[Option<[f64; 3]>]) -> Vec<Finding> {
     let uneven = |(view, factors): (&View, &Option<[f64; 3]>)| {
         let factors = factors.filter(|of| of.iter().any(|factor| factor.ln().abs() > UNEVEN.ln_1p()))?;

@@ -16,8 +16,8 @@ const MIN_FIT: f64 = 0.35;
 const NO_FIT: f64 = 0.2;
 /// Healthy cameras fit better than this.
 pub(super) const HEALTHY_FIT: f64 = 0.5;
-/// A camera that nothing explains is accused only if at least this share of the cameras that can be compared are healthy:
-/// else the points are as suspect as the cameras.
+/// A camera that no hypothesis explains is accused only if at least this share of the comparable cameras is healthy.
+/// Otherwise the points are as suspect as the cameras.
 const MOST: f64 = 0.5;
 /// By how many standard deviations of wrong correlations two correlations must differ. In the faults of the tests the
 /// right hypothesis is at least 5.6 better than what the capture says.
@@ -46,7 +46,7 @@ pub(super) struct Judged {
     pub verdict: Verdict,
 }
 
-/// What is said of a camera.
+/// The verdict on a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Verdict {
     /// Nothing fits clearly better, and it is alike enough.
@@ -114,7 +114,7 @@ pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<J
                 let pixels = shift.map(|pixels| f64::from(pixels) * pixels_per as f64);
                 consider(shifted, Hypothesis::Principal(pixels), shift);
             }
-            // What a right camera reaches at most, for the noise in the points' colours and in the image.
+            // Upper bound of a right camera's correlation, from the noise in the points' colours and in the image.
             let attainable = (point_smoothness * smoothness(colors, camera.width)).sqrt();
             let verdict = match best {
                 (better, Some((hypothesis, shift))) => {
@@ -170,16 +170,16 @@ fn sober(mut judged: Vec<Judged>) -> Vec<Judged> {
     judged
 }
 
-/// How points and image correlate where they should not: moved against each other by more than a calibration errs.
+/// Correlations of points and image at wrong shifts: larger ones than the error of any calibration.
 ///
-/// Smooth pictures of few things correlate with anything, so that these correlations scatter widely; in a picture of much
-/// texture they are all near zero. Their scatter is the error of a correlation found in this picture, in Fisher's
-/// `atanh`, whatever the number of pixels: it counts independent patches.
+/// Smooth pictures of few things correlate with anything, so these correlations scatter widely. In a picture of much
+/// texture they are all near zero. Their scatter, in Fisher's `atanh`, is the standard error of a correlation in this
+/// picture. It does not depend on the number of pixels: it counts independent patches.
 struct Null {
     /// `atanh` of the correlations.
     values: Vec<f64>,
-    /// Standard deviation of the difference of two correlations over so many points as are drawn, were each a sample of
-    /// its own: few points agree with anything in one of the many places that are tried.
+    /// Standard deviation of the difference of two correlations, if every drawn point were an independent sample. Few
+    /// points agree with anything in one of the many places that are tried.
     sampling: f64,
 }
 
@@ -265,7 +265,7 @@ fn best_shift(most: i32, fit: impl Fn([i32; 2], usize) -> f64) -> ([i32; 2], f64
     search(coarse, 4, 1, 1)
 }
 
-/// What is said about hypotheses, those alike together.
+/// Findings about hypotheses; cameras with the same hypothesis share a finding.
 pub(super) fn findings(views: &[View], judged: &[Judged], names: &Names) -> Vec<Finding> {
     let id = |i: usize| views[i].camera_id;
     let of = |pick: &dyn Fn(&Hypothesis) -> bool| -> Vec<usize> {

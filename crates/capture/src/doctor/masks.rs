@@ -47,8 +47,8 @@ pub(super) fn findings(views: &[View], splats: &Splats) -> Vec<Finding> {
     findings
 }
 
-/// Turns masks over that are the wrong way round in most images, before points are made that they would label. What
-/// moves tells, where the capture is long enough.
+/// Inverts masks that are the wrong way round in most images, before the points take their labels from them. Motion
+/// decides, if the capture has at least two frames.
 pub(super) fn turn_over(
     capture: &Capture,
     views: &mut [View],
@@ -81,15 +81,15 @@ fn share(view: &View) -> f64 {
     mask.iter().filter(|&&m| m).count() as f64 / mask.len().max(1) as f64
 }
 
-/// What of the image a mask marks.
+/// Shares that a mask marks of one image.
 struct Shares {
-    /// Of the image.
+    /// Marked share of the image.
     all: f64,
-    /// Of what the points say is foreground.
+    /// Marked share of the points' foreground.
     of_foreground: f64,
-    /// Of what the points say is background.
+    /// Marked share of the points' background.
     of_background: f64,
-    /// How much of the image the points say is foreground.
+    /// Share of the image that the points say is foreground.
     in_sight: f64,
 }
 

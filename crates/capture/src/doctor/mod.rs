@@ -3,11 +3,17 @@
 //! A camera gets one of three verdicts: it fits, something is wrong, or the doctor cannot tell. Points whose depth is
 //! assumed are no evidence: those of the shell have their colour from one camera's own picture.
 //!
-//! What lives here: checks that [`Capture::open`] does not make. *poses* finds cameras with one pose. *geometry* draws the
-//! points from every camera and compares the drawing with the image, for the given camera and for the usual mistakes; *masks*
-//! compares masks with the points' foreground; *colors* compares the cameras' colours with each other; *sync* compares each
-//! camera's silhouettes with those of the others at other frames; *sheet* draws the overview, *pictures* each camera for a
-//! page. What does not: files that are missing or damaged, which `open` and `views` report.
+//! What lives here: checks that [`Capture::open`] does not make.
+//!
+//! - *poses* finds cameras with one pose.
+//! - *geometry* draws the points from every camera and compares the drawing with the image, for the given camera and
+//!   for the usual mistakes.
+//! - *masks* compares masks with the points' foreground.
+//! - *colors* compares the cameras' colours with each other.
+//! - *sync* compares each camera's silhouettes with those of the others at other frames.
+//! - *sheet* draws the overview, *pictures* each camera for a page.
+//!
+//! What does not: missing or damaged files, which `open` and `views` report.
 
 mod colors;
 mod geometry;
@@ -94,9 +100,9 @@ pub struct Finding {
     pub kind: FindingKind,
     /// Ids of the cameras that are concerned.
     pub cameras: Vec<usize>,
-    /// Their names.
+    /// Names of these cameras.
     pub names: Vec<String>,
-    /// What was found, as the middle of a sentence.
+    /// The mistake, as the middle of a sentence.
     pub problem: String,
     /// The change to the capture that would likely correct the mistake.
     pub fix: String,
@@ -115,7 +121,7 @@ impl std::fmt::Display for Finding {
     }
 }
 
-/// What people call cameras, by id.
+/// Names of the cameras in messages, by id.
 struct Names(BTreeMap<usize, String>);
 
 impl Names {
@@ -139,9 +145,9 @@ impl Names {
 pub struct CameraFit {
     /// Id of the camera.
     pub camera_id: usize,
-    /// Likeness: correlation of the image's colours with those of the points drawn from the camera, in `[-1, 1]`. A camera
-    /// below [`Diagnosis::MIN_FIT`] is never said to fit. `None` where too few points or too little texture is in sight, and where all cameras share a
-    /// mistake and were therefore not compared one by one.
+    /// Likeness: correlation of the image's colours with those of the points drawn from the camera, in `[-1, 1]`. A
+    /// camera below [`Diagnosis::MIN_FIT`] is never said to fit. `None` where too few points or too little texture is
+    /// in sight. Also `None` where all cameras share a mistake, and were therefore not compared one by one.
     pub fit: Option<f64>,
     /// How bright the camera's red, green and blue are, over those of the camera in the middle, after the gains of
     /// `capture.toml`. `None` where too little is seen to compare, and of cameras that do not fit.
@@ -153,8 +159,9 @@ pub struct CameraFit {
 pub struct Diagnosis {
     /// The mistakes that were found; empty if the capture is correct or cannot be judged.
     pub findings: Vec<Finding>,
-    /// Ids of the cameras that cannot be judged: image or points have too little texture, or too few points with a measured
-    /// depth are in sight, for the correct pose to stand out from wrong poses; or their likeness is below [`Self::MIN_FIT`].
+    /// Ids of the cameras that cannot be judged. Either the correct pose does not stand out from wrong poses, because
+    /// image or points have too little texture or too few points with a measured depth are in sight. Or the likeness is
+    /// below [`Self::MIN_FIT`].
     pub undecided: Vec<usize>,
     /// The fit of each training camera, then of each test camera.
     pub cameras: Vec<CameraFit>,
@@ -210,8 +217,8 @@ impl Diagnosis {
 /// ```
 ///
 /// # Errors
-/// [`CaptureError`] if images or points cannot be read; for a capture without points also if [`prepare`] cannot make
-/// any from its cameras: fewer than three, images too small, or directions too far apart.
+/// [`CaptureError`] if images or points cannot be read. For a capture without points also if [`prepare`] cannot make
+/// any from its cameras: fewer than three cameras, images too small, or directions too far apart.
 pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosis, CaptureError> {
     report("reading images");
     let size = capture.cameras(Split::All, 0, 1)?;
@@ -244,7 +251,7 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     };
     report("comparing points with images");
     let (splats, evidence) = (Splats::new(&cloud), Splats::new(&evidence));
-    // What is wrong with all of them was said, and the points are made for it.
+    // A mistake of all cameras was already reported, and the points are made with its correction.
     let is_judged = findings.len() == num_of_numbers;
     let judged = if is_judged { geometry::judge(&evidence, &views, downscale) } else { Vec::new() };
     findings.extend(geometry::findings(&views[..judged.len()], &judged, &names));

@@ -1,5 +1,5 @@
-//! What a person looks at: the image of one camera with the points that fall on it, what the points look like from there,
-//! and what its mask leaves.
+//! Pictures of one camera for a person: its image with the points that fall on it, the points as seen from the camera,
+//! and the image with the mask's background dimmed.
 
 use tcgs_core::{Image, Pinhole, View};
 
@@ -8,7 +8,7 @@ use super::splat::Splats;
 
 /// Pixels from one dot to the next along both axes, and along a side of a dot.
 const DOTS: [usize; 2] = [10, 2];
-/// What is left of the brightness of a mask's background.
+/// Brightness of a mask's background, share of the image's.
 const DIMMED: f32 = 0.2;
 
 /// Pictures of one camera, all of the same size.

@@ -44,7 +44,7 @@ fn center(pose: &Pose) -> [f64; 3] {
     std::array::from_fn(|j| -(0..3).map(|i| pose[i][j] * pose[i][3]).sum::<f64>())
 }
 
-/// What is said of cameras with one pose.
+/// Findings about cameras with one pose.
 ///
 /// - `ids`: of the cameras, in the order of `poses`
 pub(super) fn findings(ids: &[usize], poses: &[Pose], names: &Names) -> Vec<Finding> {

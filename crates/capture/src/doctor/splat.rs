@@ -66,8 +66,8 @@ impl Splats {
         self.foreground.contains(&true) && self.foreground.contains(&false)
     }
 
-    /// Correlation of the points' colours with those of their nearest neighbours, 0 to 1: the share of their variance
-    /// that is texture and not the noise of single points. 0 for fewer than three points.
+    /// Correlation of the points' colours with those of their nearest neighbours, 0 to 1. It is the share of the
+    /// colours' variance that is texture and not the noise of single points. 0 for fewer than three points.
     pub fn smoothness(&self) -> f64 {
         if self.points.len() < 3 {
             return 0.0;
@@ -123,7 +123,7 @@ impl Drawing {
     /// - `step`: every so many pixels along both axes
     pub fn fit(&self, colors: &[[f32; 3]], shift: [i32; 2], step: usize) -> Option<f64> {
         let (width, height) = (self.width as i32, (self.depths.len() / self.width) as i32);
-        // Of both: sum, sum of squares; of the product; channel by channel.
+        // Per channel: sum and sum of squares of both, and sum of the product.
         let (mut count, mut sums) = (0.0, [[0.0_f64; 5]; 3]);
         let mut compared = 0;
         for y in (0..height).step_by(step) {

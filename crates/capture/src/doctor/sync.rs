@@ -20,14 +20,14 @@ const WIDTH: usize = 160;
 const MAX_SHIFT: usize = 8;
 /// Times that are compared, at most.
 const MAX_TIMES: usize = 4;
-/// Frames that say what stands still, where there are no masks.
+/// Number of frames from which the static background is taken if the capture has no masks.
 const NUM_STILLS: usize = 9;
-/// Difference from what stands still, from which a pixel is foreground.
+/// A pixel that differs from the static background by more than this is foreground.
 const MOVED: f32 = 0.08;
 /// By how much silhouettes must overlap better at another time: mean of intersection over union. Without masks
 /// healthy cameras come up to 0.04.
 const CLEARLY: f64 = 0.06;
-/// Cameras that it takes.
+/// Minimum number of cameras.
 const MIN_CAMERAS: usize = 4;
 
 /// A camera's silhouettes by frame.

@@ -10,7 +10,7 @@ use crate::{POINTS_FILE, SyntheticSettings, write_synthetic};
 const NUM_CAMERAS: usize = 12;
 const NUM_TEST_CAMERAS: usize = 2;
 
-/// A healthy capture for all tests; nobody writes to it.
+/// A healthy capture for all tests; no test writes to it.
 fn healthy() -> &'static Path {
     static CAPTURE: OnceLock<TempDir> = OnceLock::new();
     CAPTURE

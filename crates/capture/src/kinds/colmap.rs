@@ -5,8 +5,8 @@
 //! images/<name>                                       as the model names them
 //! ```
 //!
-//! What lives here: from a model to a capture; the model's files are read by `colmap`. What lenses bend is straightened.
-//! Every eighth image by name, beginning with the first, is for judging.
+//! What lives here: the way from a model to a capture; `colmap` reads the model's files. Images with lens distortion
+//! are straightened. Every eighth image by name, beginning with the first, is a test image.
 
 use std::path::Path;
 

@@ -1,5 +1,5 @@
-//! Captures that `capture.toml` describes: videos of any kind or folders of images, with clocks, calibration and gains of
-//! colours.
+//! Captures that `capture.toml` describes: videos of any kind or folders of images, with clocks, calibration and gains
+//! of colours.
 //!
 //! ```text
 //! capture.toml         the description, docs/CAPTURE.md
@@ -8,8 +8,8 @@
 //! init_pt_cld.npz …    points
 //! ```
 //!
-//! What lives here: from the description and the files that it names to a capture. Images are turned, cropped, evened out
-//! (`recording::Take`) and straightened, one at a time, when they are asked for.
+//! What lives here: the way from the description and its files to a capture. Images are turned, cropped, evened out
+//! (`recording::Take`) and straightened one at a time, when they are asked for.
 
 use std::path::Path;
 use std::sync::Arc;

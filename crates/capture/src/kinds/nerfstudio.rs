@@ -1,16 +1,17 @@
-//! `transforms.json` of nerfstudio (Tancik et al. 2023), with a `time` for each image where the scene moves; and what
-//! Blender's cameras are exported to for NeRF (Mildenhall et al. 2020): the same in two files, `transforms_train.json` and
-//! `transforms_test.json`, whose images have no ending, and only an angle of view.
+//! `transforms.json` of nerfstudio (Tancik et al. 2023), with a `time` for each image where the scene moves. Blender's
+//! export for NeRF (Mildenhall et al. 2020) has the same in two files, `transforms_train.json` and
+//! `transforms_test.json`; its images have no ending, and its cameras only an angle of view.
 //!
 //! ```text
-//! transforms.json    frames[]: file_path, transform_matrix, time; for all or each: w h fl_x fl_y cx cy k1 k2 k3 k4 p1 p2
+//! transforms.json    frames[]: file_path, transform_matrix, time;
+//!                    for all or each: w h fl_x fl_y cx cy k1 k2 k3 k4 p1 p2
 //! images/…           as file_path says
 //! sparse_pc.ply      points, as ply_file_path says; or points3D.ply …
 //! ```
 //!
 //! A matrix is `world_from_camera` with the camera's axes right, up, backward. Images of one time are a timestep; every
-//! timestep has the same cameras. Images in `val_filenames` and `test_filenames` are for judging; where these are not
-//! given, every eighth camera of the first timestep.
+//! timestep has the same cameras. Images in `val_filenames` and `test_filenames` are test images. Without these lists
+//! every eighth camera of the first timestep is a test camera.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -28,9 +29,9 @@ use crate::lens::{Crop, Lens, MAX_SIDE};
 use crate::{CaptureError, decode, points};
 
 const TRANSFORMS: &str = "transforms.json";
-/// Of Blender: images for training, and for judging.
+/// Blender's files: images for training, and test images.
 const OF_BLENDER: [&str; 2] = ["transforms_train.json", "transforms_test.json"];
-/// What the names of files are relative to.
+/// Base of the relative file names, in messages.
 const INSIDE: &str = "the capture";
 
 /// Times this close are one.
@@ -58,7 +59,7 @@ pub(crate) struct Frame {
     pub intrinsics: Intrinsics,
 }
 
-/// Of one image, or of all.
+/// Intrinsics of one image, or of all.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(crate) struct Intrinsics {
     pub camera_model: Option<String>,

@@ -9,8 +9,8 @@
 //! A row holds a matrix `[3, 5]` and the nearest and farthest depth. The matrix's columns are the camera's down, right
 //! and backward directions in the world, its centre, and height, width and focal length in pixels.
 //!
-//! What publications agree on: `cam00` is for judging, the first 300 frames are used, and the published videos of
-//! 2704x2028 pixels are halved by Lanczos resampling.
+//! Publications agree on three settings: `cam00` is the test camera, the first 300 frames are used, and the published
+//! videos of 2704x2028 pixels are halved by Lanczos resampling.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -167,7 +167,7 @@ impl Recording {
         Ok(Self { path, size, num_frames, pixels: Pixels::Files { files, cut_frame: None } })
     }
 
-    /// That of the video; the usual one where only images are left, or where the video does not say how long it is.
+    /// Frame rate of the video; the usual one for images alone, or for a video without a duration.
     fn frame_rate(&self) -> FrameRate {
         match &self.pixels {
             Pixels::Video(video) => FrameRate::new(video.frame_rate()).unwrap_or(FrameRate::USUAL),

@@ -2,8 +2,8 @@
 
 use serde::Deserialize;
 
-/// What a meta file holds. All lists are `[T][C]`, `C` may change with time; that they agree is
-/// for the reader to check.
+/// The content of a meta file. All lists are `[T][C]`, and `C` may change with time. The reader checks that the lists
+/// agree.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Meta {
     /// Width of every image, pixels.

@@ -2,7 +2,7 @@
 
 use crate::contents::CameraSet;
 
-/// Of so many cameras one is for judging, beginning with the first: as publications on scenes of COLMAP do.
+/// One of so many cameras is a test camera, beginning with the first, as publications on scenes of COLMAP do.
 pub(super) const TEST_STRIDE: usize = 8;
 
 /// Training and test cameras of a capture of one frame. With fewer than eight all are for training.
