@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 /// The files of one camera, by frame.
 #[derive(Clone, Debug)]
 pub(crate) struct Files {
-    /// What names are relative to.
+    /// The folder that names are relative to.
     pub folder: PathBuf,
     pub names: Names,
 }
@@ -27,7 +27,7 @@ pub(crate) enum Names {
     Pattern(Pattern),
     /// One after another.
     Listed {
-        /// Of the first name.
+        /// Frame of the first name.
         first_frame: usize,
         /// All names.
         text: Box<str>,

@@ -1,5 +1,5 @@
-//! The initial points of a capture: found and read as `init_pt_cld.npz` of Dynamic 3D Gaussians, PLY or COLMAP model,
-//! and written as `init_pt_cld.npz`; and how each was made, where the file says it.
+//! The initial points of a capture, and how each was made, where the file says it. They are read from `init_pt_cld.npz`
+//! of Dynamic 3D Gaussians, PLY or a COLMAP model, and written as `init_pt_cld.npz`.
 
 use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};

@@ -1,17 +1,17 @@
-//! Do the cameras see the points? The commonest mistake in a new capture is a matrix the wrong way
-//! round, and it shows here rather than as a black image after an hour of training.
+//! Checks that the cameras see the points. The commonest mistake in a new capture is a matrix the wrong way round. It
+//! shows here rather than as a black image after an hour of training.
 
 use tcgs_core::{Camera, Pinhole, PointCloud};
 
 /// A camera is blind below this share of the points in its image.
 ///
-/// Low, since a camera that stands close to the wall of a room sees little of it. In a real and in a
-/// rendered capture the given matrices put at least 0.34 of all points and 0.51 of the foreground
-/// into each image; inverted ones put less than this of the foreground into 25 of 27.
+/// The share is low, since a camera that stands close to the wall of a room sees little of it. In a real and in a
+/// rendered capture the given matrices put at least 0.34 of all points, and 0.51 of the foreground, into each image.
+/// Inverted matrices put less than this share of the foreground into 25 of 27 images.
 const BLIND_SHARE: f64 = 0.001;
 
-/// From this share on a camera sees on purpose and not by accident: the field of view of a usual lens
-/// is 5 to 10 % of all directions, and cameras turned round in a room keep 0.002 to 0.004 in sight.
+/// From this share on a camera sees on purpose and not by accident. The field of view of a usual lens is 5 to 10 % of
+/// all directions, and cameras turned round in a room keep 0.002 to 0.004 of the points in sight.
 const SEEING_SHARE: f64 = 0.02;
 
 /// Points looked at; enough to measure [`BLIND_SHARE`].
@@ -40,7 +40,7 @@ pub(crate) fn check(cameras: &[&Camera], cloud: &PointCloud) -> Result<(), Strin
              {given} of {num_cameras} see the points, {inverted} would if inverted"
         ));
     }
-    // What moves may start out of sight of most cameras; the whole scene may not.
+    // Moving objects may start out of sight of most cameras; the whole scene may not.
     if most(count(&|camera| share_seen(camera, &all) < SEEING_SHARE)) {
         return Err(format!(
             "the cameras look away from the point cloud: {given} of {num_cameras} see it, expected most; camera axes \

@@ -11,10 +11,11 @@ pub enum Origin {
     Hull,
     /// The point's depth is interpolated between triangulated points: background without texture.
     Filled,
-    /// The point lies on the sphere or the floor that encloses the scene, on a ray that met no other point. Its colour is
-    /// that of one camera's picture.
+    /// The point lies on the sphere or the floor that encloses the scene, on a ray that met no other point. Its colour
+    /// is that of one camera's picture.
     Shell,
-    /// The point was strewn where cameras agree in colour, and has no depth that is known ([`spread_points`](crate::spread_points)).
+    /// The point was strewn where cameras agree in colour, and its depth is unknown
+    /// ([`spread_points`](crate::spread_points)).
     Strewn,
 }
 
@@ -54,7 +55,7 @@ impl Prepared {
     }
 }
 
-/// Those of some points whose depth is measured.
+/// The points whose depth is measured.
 ///
 /// - `origins`: of each point of `cloud`
 pub(crate) fn measured(cloud: &PointCloud, origins: &[Origin]) -> PointCloud {

@@ -10,7 +10,7 @@ use crate::CaptureError;
 #[derive(Debug)]
 pub(crate) enum Video {}
 
-/// What a player does with the frames.
+/// Presentation of the frames by a player.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shown {
     pub quarter_turns: u8,

@@ -1,11 +1,12 @@
-//! Foreground masks of cameras that stand still, without networks: what differs from what a camera sees most of the time,
-//! where the other cameras' differences allow something to be.
+//! Foreground masks of cameras that stand still, without networks. A mask marks differences from the image that the
+//! camera has most of the time, within the visual hull of all cameras' differences.
 //!
-//! What lives here: the order of the steps. `station` holds a camera's samples and its background, `difference` compares an
-//! image with a background, `outline` makes a mask of the differences. The visual hull is that of [`prepare`](crate::prepare).
+//! What lives here: the order of the steps. `station` holds a camera's samples and its background, `difference`
+//! compares an image with a background, `outline` makes a mask of the differences. The visual hull is that of
+//! [`prepare`](crate::prepare).
 //!
-//! A person who stands in one place for half of the time is the median there. So the hull of the differences of all
-//! cameras, which is right if most cameras are, says which samples show the background, and the medians are taken again.
+//! A person who stands in one place for half of the time is the median there. The hull of all cameras' differences is
+//! right if most cameras are. It says which samples show the background, and the medians are taken again from these.
 
 mod difference;
 mod outline;
@@ -26,8 +27,8 @@ use station::{Pixels, Station};
 /// Settings of [`make_masks`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MaskSettings {
-    /// Images are downscaled by a whole factor until they are at most this wide, pixels; default 320. Masks have the images'
-    /// own size.
+    /// Images are downscaled by a whole factor until they are at most this wide, pixels; default 320. Masks have the
+    /// images' own size.
     pub image_width: usize,
 }
 
@@ -43,16 +44,16 @@ const NUM_SAMPLES: usize = 16;
 const MIN_FRAMES: usize = 8;
 /// Fewer cameras have no hull worth the name.
 const MIN_CAMERAS: usize = 4;
-/// How often backgrounds are taken anew, without what the hull covers.
+/// How often backgrounds are taken again, without the samples that the hull covers.
 const ROUNDS: usize = 3;
-/// The hull ends at cubes of so many pixels.
+/// Edge of the hull's finest cubes, pixels.
 const FINEST_PX: f32 = 1.5;
-/// Share of the cameras with a place in view that may see no difference there: in the first round, when people who stood
-/// still are part of the background, and later.
+/// Share of the cameras with a place in view that may see no difference there. The first value is for the first round,
+/// when people who stood still are part of the background; the second is for later rounds.
 const MISS_SHARES: [f32; 2] = [0.3, 0.13];
-/// Distances of colours, in `[0, 1]`, among which the one is chosen from which on something is in front.
+/// Limits of the threshold: the distance of colours, in `[0, 1]`, above which a pixel is foreground.
 const THRESHOLDS: [f32; 2] = [0.04, 0.1];
-/// The threshold is a multiple of the distance below which so many of the pixels outside of the hull are: noise, and
+/// The threshold is a multiple of the distance that this share of the pixels outside the hull stay below: noise, and
 /// shadows.
 const STILL_SHARE: f64 = 0.95;
 /// That multiple.
@@ -199,8 +200,8 @@ fn pixels(view: &View) -> Pixels {
 /// - `images`: an image for each station
 /// - `threshold`: the difference from which on something is in front
 /// - `miss_share`: share of the cameras with a place in view that may see no difference there
-/// - returns: for each station the differences, `[H, W]`, as [`differences`] gives them, and the pixels that the hull of all
-///   differences covers
+/// - returns: for each station the differences, `[H, W]`, as [`differences`] gives them, and the pixels that the hull
+///   of all differences covers
 fn compare(
     stations: &[Station],
     images: &[&Pixels],
@@ -218,7 +219,7 @@ fn compare(
         })
         .unzip();
     if stations.len() < MIN_CAMERAS {
-        // What differs is taken for itself.
+        // Too few cameras for a hull: the differences are the mask.
         return (found, masks);
     }
     let silhouettes: Vec<Silhouette> =

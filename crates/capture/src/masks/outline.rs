@@ -4,7 +4,7 @@ use tcgs_core::Segmentation;
 
 use super::station::{Pixels, Station};
 
-/// What is in front may reach so far out of the hull, pixels.
+/// Foreground may reach this far out of the hull, pixels.
 const REACH_PX: usize = 1;
 /// Added to the belief that something is in front, since the hull says so too.
 const HULL_BELIEF: f32 = 0.1;

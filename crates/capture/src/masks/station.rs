@@ -1,4 +1,4 @@
-//! One camera that stands still: samples of its images over time, and what is behind everything that moves.
+//! One camera that stands still: samples of its images over time, and the background behind everything that moves.
 
 use tcgs_core::{Camera, Pinhole};
 
@@ -13,9 +13,9 @@ const MIN_SAMPLES: usize = 3;
 /// A camera and what it has seen.
 pub(super) struct Station {
     pub camera_id: usize,
-    /// Of the reduced images.
+    /// Camera of the reduced images.
     pub pinhole: Pinhole<f32>,
-    /// By how much they are reduced.
+    /// Factor by which the images are reduced.
     pub factor: usize,
     /// Width and height of the images as the capture gives them.
     pub full_size: (usize, usize),
@@ -24,12 +24,12 @@ pub(super) struct Station {
     pub background: Background,
 }
 
-/// What a camera sees behind everything that moves.
+/// The background of a camera, behind everything that moves.
 #[derive(Default)]
 pub(super) struct Background {
     /// `[H, W]`, in `[0, 1]`: medians over the samples that show it.
     pub colors: Vec<[f32; 3]>,
-    /// `[H, W]`, whether enough samples show it; what is not known is the median of all samples.
+    /// `[H, W]`, whether enough samples show the background. An unknown pixel has the median of all samples.
     pub known: Vec<bool>,
 }
 

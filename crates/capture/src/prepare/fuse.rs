@@ -24,11 +24,11 @@ pub(super) struct Rule {
     pub min_agreeing: usize,
 }
 
-/// What a view believes.
+/// Depths of a view that count as known.
 pub(super) struct Belief<'a> {
     /// `[H, W]`
     pub planes: Cow<'a, [Plane]>,
-    /// `[H, W]` whether there is anything to believe.
+    /// `[H, W]`, whether the depth of a pixel is known.
     pub known: Vec<bool>,
 }
 
@@ -55,7 +55,7 @@ pub(super) struct Point {
     pub foreground: bool,
 }
 
-/// What others agree on with one view: pixels of it, and the mean of what all of them say.
+/// Pixels of one view on which enough other views agree, and for each the mean of the points of all agreeing views.
 ///
 /// - `others`: views to ask
 /// - `wanted`: which pixels
@@ -93,7 +93,7 @@ pub(super) fn agreed(
     points
 }
 
-/// What another view has where a point falls, if it is the same point.
+/// The point of another view where `point` falls into its image, and the pixel, if it is the same point.
 fn seen_by(
     other: &Vantage,
     belief: &Belief,

@@ -93,9 +93,10 @@ const MAX_HIDDEN_FROM: usize = 1;
 /// ```
 ///
 /// # Errors
-/// [`CaptureError`] if the capture has fewer than three training cameras or images of fewer than 16 pixels each way, if
-/// an image cannot be decoded, if no three views agree on any depth (as when cameras are wrong; [`check`](crate::check)
-/// looks for the reason), or if no three cameras look at the same place and no masks give a visual hull.
+/// [`CaptureError`] if the capture has fewer than three training cameras, or images of fewer than 16 pixels each way,
+/// or if an image cannot be decoded. Also if no three views agree on any depth, as when cameras are wrong;
+/// [`check`](crate::check) looks for the reason. Also if no three cameras look at the same place and no masks give a
+/// visual hull.
 pub fn prepare(
     capture: &Capture,
     settings: &PrepareSettings,
@@ -174,7 +175,7 @@ struct Stereo {
     hull_surface: Vec<[f32; 3]>,
 }
 
-/// What views agree on.
+/// The depths and points on which views agree.
 struct Fused {
     sure: Vec<SureDepths>,
     points: Vec<Point>,

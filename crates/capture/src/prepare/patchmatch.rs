@@ -1,8 +1,8 @@
 //! Depth of every pixel of one view: PatchMatch stereo (Bleyer et al. 2011; Barnes et al. 2009).
 //!
-//! A hypothesis is a plane, written as inverse depth over the image: of a plane in the world that is linear
-//! in the pixel, so a slanted surface needs three numbers and carrying a plane to the next pixel two
-//! multiplications. Good hypotheses spread from pixel to pixel; random changes refine them.
+//! A hypothesis is a plane, written as inverse depth over the image. The inverse depth of a plane is linear in the
+//! pixel. A slanted surface therefore needs three numbers, and carrying a plane to the next pixel two multiplications.
+//! Good hypotheses spread from pixel to pixel; random changes refine them.
 
 use tcgs_core::dot;
 
@@ -26,7 +26,7 @@ const NOISE_VARIANCE: f32 = (2.0 / 255.0) * (2.0 / 255.0);
 const OUTSIDE_COST: f32 = 1.0;
 /// Steepest surface: depth changes by that many times the way along the image, at unit distance.
 const MAX_SLOPE: f32 = 5.0;
-/// Disparities beyond that many image widths: objects that close are in nobody else's sight.
+/// Largest disparity, image widths: no other view sees objects that are closer.
 const MAX_DISPARITY_WIDTHS: f32 = 1.5;
 /// Angle between two views' directions up to which they are compared; cosine.
 pub(super) const MIN_DIRECTION_COSINE: f32 = 0.4;
@@ -52,7 +52,7 @@ impl Plane {
     }
 }
 
-/// What is known of a view's depths.
+/// Depth estimates of a view.
 #[derive(Clone, Debug)]
 pub(super) struct DepthMap {
     /// `[H, W]`

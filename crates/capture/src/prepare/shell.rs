@@ -1,4 +1,4 @@
-//! What lies behind everything that was measured: a sphere around the scene, and its floor.
+//! The surroundings of all measured points: a sphere around the scene, and its floor.
 
 use tcgs_core::dot;
 

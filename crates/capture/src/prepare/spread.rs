@@ -1,7 +1,7 @@
 //! Points where no depth can be seen: cameras that stand too far apart to be compared, with masks or without.
 //!
-//! Points are strewn through the ball that the cameras look at. Those stay on which the cameras that see them agree best
-//! in colour: it is no depth, but surfaces are likelier there than elsewhere. Training moves and removes the rest.
+//! Points are strewn through the ball that the cameras look at. The points on which cameras agree best in colour stay.
+//! This measures no depth, but surfaces are likelier there than elsewhere. Training moves and removes the rest.
 
 use rayon::prelude::*;
 use tcgs_core::{Pinhole, View};
@@ -22,16 +22,17 @@ const SHELL_SHARE: f32 = 2.0;
 /// Share of the points that are on the shell.
 const ON_SHELL: f64 = 0.3;
 
-/// Strews points through what the training cameras of the first frame look at, for cameras that stand too far apart for
-/// [`prepare`](super::prepare): no depth is known, but training has something to move.
+/// Strews points through the scene of the training cameras of the first frame, for cameras that stand too far apart for
+/// [`prepare`](super::prepare). No depth is known, but training has something to move.
 ///
-/// - `capture`: with at least two training cameras, whose own points, if there are any, are not used
-/// - returns: at most about as many points as the settings say, all of them foreground; none has a depth that is measured
+/// - `capture`: with at least two training cameras; its own points, if there are any, are not used
+/// - returns: at most about as many points as the settings say, all of them foreground; none has a measured depth
 ///
 /// Equal captures and settings give equal points, whatever the number of threads.
 ///
 /// # Errors
-/// [`CaptureError`] if there is one camera only, if an image cannot be decoded, or if the cameras do not look at one place.
+/// [`CaptureError`] if there is one camera only, if an image cannot be decoded, or if the cameras do not look at one
+/// place.
 pub fn spread_points(capture: &Capture, settings: &PrepareSettings) -> Result<Prepared, CaptureError> {
     let views = capture.views(Split::Train, 0, 1)?;
     if views.len() < 2 {
@@ -119,7 +120,7 @@ fn looked_at(views: &[View]) -> Option<([f32; 3], f64)> {
     let place: [f64; 3] = solve(rows)?;
     let before = |pinhole: &Pinhole<f64>| pinhole.camera_point(place)[2];
     let distance = pinholes.iter().map(before).sum::<f64>() / pinholes.len() as f64;
-    // Behind the cameras lies what nobody looks at.
+    // A place behind the cameras is in no camera's sight.
     (distance > 0.0 && pinholes.iter().filter(|p| before(p) > 0.0).count() * 2 > pinholes.len())
         .then(|| (place.map(|x| x as f32), distance))
 }

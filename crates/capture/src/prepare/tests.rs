@@ -28,7 +28,7 @@ fn distances(prepared: &Prepared, foreground: bool, origin: Origin) -> Vec<f64> 
 fn points_lie_on_the_true_surfaces() {
     let (_folder, capture) = synthetic(&SyntheticSettings::default());
     let prepared = prepared(&capture, &PrepareSettings { num_points: 8000, ..PrepareSettings::default() });
-    // Of a room 5.4 m wide, in which a pixel of 128 sees 2 to 4 cm; metres at some shares of the points.
+    // Limits in metres at some shares of the points, for a room 5.4 m wide where a pixel of 128 sees 2 to 4 cm.
     let check = |foreground: bool, origin: Origin, at_least: usize, limits: [(f64, f64); 2]| {
         let distances = distances(&prepared, foreground, origin);
         assert!(distances.len() >= at_least, "{foreground} {origin:?}: {} points", distances.len());

@@ -4,10 +4,10 @@ use rayon::prelude::*;
 
 use super::fuse::Point;
 
-/// At most about so many points: those of a cube become their mean.
+/// Thins points to about `count` at most: the points of a cube become their mean.
 ///
-/// Points of an earlier list are better: a cube takes only those of the first list that has any in it, and
-/// of a later list nothing beside a cube of an earlier one.
+/// Points of an earlier list are better. A cube takes only points of the first list that has any in it. A cube of a
+/// later list is dropped beside a cube of an earlier one.
 ///
 /// - `lists`: best first
 pub(super) fn thin(lists: &[Vec<Point>], count: usize) -> Vec<(usize, Point)> {

@@ -1,7 +1,10 @@
 //! The intrinsics of a calibration on images of another size: scaled where this is exact, else refused.
 //!
-//! In this order, the first that fits: the size as players show it; the size as stored, where the file asks players to
-//! turn the image by a quarter; either scaled; what is left within black bars, scaled.
+//! The first of these sizes that fits is used:
+//!
+//! 1. the size as players show it, also scaled;
+//! 2. the size as stored, where the file asks players to turn the image by a quarter, also scaled;
+//! 3. the part within black bars, also scaled.
 
 use crate::calibration::CalibratedCamera;
 use crate::recording::{Active, Recording, turned};

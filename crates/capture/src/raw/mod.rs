@@ -1,8 +1,9 @@
 //! From a folder of recordings as people have it to a description of a capture.
 //!
-//! What lives here: finding the recordings, looking at them, giving each its camera of a calibration (`matching`, `fit`), and putting clocks and cameras together to a [`CaptureDescription`]. What does not: the formats of
-//! calibrations (`calibration`), how clocks are found (`clocks`), and the order of steps with their words for people,
-//! which a program decides.
+//! What lives here: finding the recordings, looking at them, giving each its camera of a calibration (`matching`,
+//! `fit`), and putting clocks and cameras together to a [`CaptureDescription`]. What does not: the formats of
+//! calibrations (`calibration`) and the search for clocks (`clocks`). The program decides the order of the steps and
+//! their words for people.
 
 mod fit;
 mod looked;
@@ -25,7 +26,7 @@ const OTHER_FOLDERS: [&str; 9] =
     ["masks", "seg", "sparse", "colmap", "calibration", "points", "depth", "annots", "output"];
 /// Folders in which recordings may lie together.
 const INNER_FOLDERS: [&str; 2] = ["videos", "images"];
-/// Frames per second of folders of images, where nobody says.
+/// Frames per second of folders of images, by default.
 const IMAGES_PER_SEC: f64 = 30.0;
 
 /// The recordings of one scene, one for each camera.
@@ -38,7 +39,7 @@ pub struct RawFootage {
     images_per_sec: f64,
 }
 
-/// What is known about one recording before anything is computed.
+/// Facts about one recording before anything is computed.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct RawCamera {
@@ -62,7 +63,7 @@ pub struct RawCamera {
     pub last_secs: f64,
 }
 
-/// What [`RawFootage::describe`] is told beside the calibration and the clocks.
+/// Settings of [`RawFootage::describe`], beside the calibration and the clocks.
 #[derive(Clone, Debug, Default)]
 pub struct DescribeSettings {
     /// Seconds after the moment at which all cameras run; default 0.
@@ -142,7 +143,7 @@ impl RawFootage {
         Ok(Some(Self { folder: folder.into(), recordings, looked, images_per_sec }))
     }
 
-    /// What is known about each recording.
+    /// The facts about each recording.
     pub fn cameras(&self) -> Vec<RawCamera> {
         let camera = |recording: &Recording| RawCamera {
             name: name_of(&recording.path),
@@ -197,8 +198,8 @@ impl RawFootage {
         Ok(PlacedCameras { source, in_metres: calibration.in_metres, cameras })
     }
 
-    /// Cameras of which nothing is known but the size of their images, for [`find_cameras`](crate::find_cameras) to place:
-    /// all at the origin, with a usual lens. Black bars are cropped.
+    /// Cameras of which only the size of their images is known, for [`find_cameras`](crate::find_cameras) to place. All
+    /// stand at the origin, with a usual lens. Black bars are cropped.
     pub fn unplaced(&self) -> PlacedCameras {
         let placed = |(recording, looked): (&Recording, &Looked)| fit::unplaced(recording, looked);
         let cameras = self.recordings.iter().zip(&self.looked).map(placed).collect();
@@ -208,8 +209,8 @@ impl RawFootage {
     /// Puts cameras and clocks together.
     ///
     /// # Errors
-    /// [`CaptureError`] if the recordings have no common time within the wanted span, or if a camera to be held out does
-    /// not exist.
+    /// [`CaptureError`] if the recordings have no common time within the wanted span, or if a camera to be held out
+    /// does not exist.
     pub fn describe(
         &self,
         placed: &PlacedCameras,
@@ -228,8 +229,8 @@ impl RawFootage {
                 settings.from_secs
             )));
         }
-        // The end is exclusive, but for the last frame that there is. Clocks are not exact to the last bit: a frame whose
-        // moment is nearly reached counts.
+        // The end is exclusive, except for the last frame of all. Clocks are not exact to the last bit, so a frame
+        // whose moment is nearly reached counts.
         const NEARLY: f64 = 0.25;
         let num_frames = match settings.to_secs.filter(|to| *to < common_secs) {
             Some(_) => ((span_secs * frame_rate - NEARLY).ceil() as usize).max(1),
@@ -274,7 +275,7 @@ impl RawFootage {
         let near = |rate: f64| rates.iter().filter(|other| (*other / rate - 1.0).abs() < 2e-3).count();
         let usual = rates.iter().copied().reduce(|best, rate| if near(rate) > near(best) { rate } else { best });
         let usual = usual.unwrap_or(IMAGES_PER_SEC);
-        // Times in a file are rounded; what comes close to a rate that cameras have is that rate.
+        // Times in a file are rounded: a rate close to a usual rate of cameras is that rate.
         let known = [usual.round(), 24_000.0 / 1001.0, 30_000.0 / 1001.0, 60_000.0 / 1001.0, 120_000.0 / 1001.0];
         known.into_iter().find(|rate| (usual / rate - 1.0).abs() < 2e-4).unwrap_or(usual)
     }
@@ -299,7 +300,7 @@ impl RawFootage {
     }
 
     fn test_cameras(&self, names: &[String], settings: &DescribeSettings) -> Result<Vec<bool>, String> {
-        /// Of so many cameras one is for judging, as publications on scenes of COLMAP do.
+        /// One of so many cameras is a test camera, as publications on scenes of COLMAP do.
         const TEST_STRIDE: usize = 8;
         let Some(wanted) = &settings.test_cameras else {
             return Ok((0..names.len()).map(|i| names.len() >= TEST_STRIDE && i % TEST_STRIDE == 0).collect());

@@ -93,7 +93,7 @@ impl Recording {
     fn of_video(path: &Path, video: Video) -> Result<Self, CaptureError> {
         let shown = video.shown();
         let all: Vec<f64> = video.times_secs().iter().map(|secs| secs + shown.shift_secs).collect();
-        // Cutting a video without coding it anew keeps frames that only later ones need.
+        // Cutting a video without re-encoding keeps frames that only later frames need.
         const ROUNDING_SECS: f64 = 1e-4;
         let first_frame = all.iter().take_while(|&&secs| secs < -ROUNDING_SECS).count();
         let kept = all[first_frame..].iter().take_while(|&&secs| secs < shown.end_secs);
@@ -121,7 +121,7 @@ impl Recording {
         Ok(Self { path: path.into(), pixels, size, quarter_turns, times, first_frame })
     }
 
-    /// What the frames are coded with, in words.
+    /// Name of the frames' codec.
     pub fn codec(&self) -> &str {
         match &self.pixels {
             Source::Images(_) => "images",

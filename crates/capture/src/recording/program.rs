@@ -131,7 +131,7 @@ impl ProgramVideo {
             return Err(invalid(format!("is {width}x{height} pixels, expected 1 to {MAX_SIDE} a side")));
         }
         let number = |text: &String| text.parse::<f64>().ok().filter(|secs| secs.is_finite());
-        // What is decoded only because others need it is not shown.
+        // Packets that are decoded only for other frames are not shown.
         let shown: Vec<&Packet> = probe.packets.iter().filter(|packet| !packet.flags.contains('D')).collect();
         let times = |of: fn(&Packet) -> &Option<String>| -> Option<Vec<f64>> {
             shown.iter().map(|packet| of(packet).as_ref().and_then(number)).collect()

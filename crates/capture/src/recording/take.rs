@@ -1,4 +1,4 @@
-//! The part of a recording that a capture uses: from which moment on, at which rate, turned, cropped, with gains and offsets.
+//! The part of a recording that a capture uses: its beginning and rate, its turn and crop, its gains and offsets.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ pub(crate) struct Take {
     pub fps: f64,
 }
 
-/// What brings the colours of a camera to those of the others: `gain * value + offset`, channel by channel.
+/// Change of a camera's colours to those of the others: `gain * value + offset`, channel by channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ColorChange {
     /// Factors of red, green and blue, above 0.

@@ -1,7 +1,8 @@
-//! Bundle adjustment: the cameras and points under which tracks are seen where they were seen, robustly.
+//! Bundle adjustment: fits cameras and points to observed tracks, robustly.
 //!
 //! Levenberg–Marquardt on the Schur complement of the points (Triggs et al. 2000, "Bundle Adjustment — A Modern
-//! Synthesis", §6), with the weights of Cauchy's loss, and Gaussian priors around where the cameras were.
+//! Synthesis", §6). Observations have the weights of Cauchy's loss. Gaussian priors hold the cameras near their given
+//! poses.
 
 use tcgs_core::dot;
 
@@ -23,15 +24,15 @@ pub(super) struct Freedom {
     pub turn: f64,
     /// Share of the rig's size.
     pub shift: f64,
-    /// Of the logarithm of the focal length.
+    /// Logarithm of the focal length.
     pub log_focal: f64,
     pub k1: f64,
 }
 
-/// Scale of Cauchy's loss over the median error, which makes the loss 95 % as efficient as squares for Gaussian errors:
-/// 2.385 standard deviations, and the median of the length of a Gaussian error in two dimensions is 1.177.
+/// Scale of Cauchy's loss over the median error. It makes the loss 95 % as efficient as squares for Gaussian errors:
+/// 2.385 standard deviations. The median length of a Gaussian error in two dimensions is 1.177 standard deviations.
 const CAUCHY_PER_MEDIAN: f64 = 2.385 / 1.177;
-/// Errors are not known to be smaller than this, pixels.
+/// Lower bound of the error's scale, pixels.
 pub(super) const MIN_SCALE_PX: f64 = 0.3;
 const MAX_ITERATIONS: usize = 60;
 /// A fall of the cost by less than this share ends the search.
@@ -107,7 +108,7 @@ pub(super) fn rig_size(cameras: &[RigCamera]) -> f64 {
     median(centers.iter().map(|&center| distance(center, middle)).collect()).max(1e-9)
 }
 
-/// What one observation is off by, pixels; far where the point is behind the camera.
+/// Reprojection error of one observation, pixels; large where the point is behind the camera.
 pub(super) fn residual(camera: &RigCamera, point: [f64; 3], pixel: [f64; 2]) -> [f64; 2] {
     match camera.project(point) {
         Some([u, v]) => [u - pixel[0], v - pixel[1]],

@@ -1,4 +1,4 @@
-//! A camera whose numbers are still being found: lens and pose, what a ray is, what a small change does.
+//! A camera while its numbers are sought: lens and pose, its rays, the effect of a small change.
 
 use tcgs_core::{dot, normalize};
 
@@ -6,8 +6,8 @@ use crate::calibration::rotmat_from_vector;
 use crate::description::DescribedCamera;
 use crate::lens::{Crop, Lens};
 
-/// What of a camera may change: rotation vector (3, radians, camera axes), translation (3, scene units, camera axes),
-/// the logarithm of both focal lengths, and `k1`.
+/// Number of a camera's free parameters: rotation vector (3, radians, camera axes), translation (3, scene units, camera
+/// axes), the logarithm of both focal lengths, and `k1`.
 pub(super) const PARAMETERS: usize = 8;
 /// Places in such a change.
 pub(super) const LOG_FOCAL: usize = 6;

@@ -1,11 +1,12 @@
-//! One channel of several cameras: the gains and offsets under which places have one colour, whichever camera sees them.
+//! One channel of several cameras: the gains and offsets under which a place has one colour in all cameras.
 //!
-//! What lives here: numbers alone. What does not: which places cameras have in common, and what they see there (`colors`).
+//! What lives here: numbers alone. What does not: the search for places that cameras have in common, and their colours
+//! (`colors`).
 
 use super::camera::median;
 use super::normal::solve_positive;
 
-/// What cameras see of one place: camera and value in `[0, 1]`.
+/// Values of one place: camera and value in `[0, 1]`.
 pub(super) type Seen = Vec<(usize, f64)>;
 
 /// `gain * value + offset` of one camera.
@@ -37,9 +38,9 @@ impl Line {
 const CAUCHY: f64 = 2.385;
 /// Standard deviation of a Gaussian over its median absolute value.
 const DEVIATION_PER_MEDIAN: f64 = 1.4826;
-/// Values have eight bits: errors are not known to be smaller.
+/// Lower bound of the errors: values have eight bits.
 const MIN_DEVIATION: f64 = 1.0 / 255.0;
-/// What is assumed of gains and offsets where places say nothing: standard deviations.
+/// Standard deviations of the priors of gains and offsets.
 const PRIOR_GAIN: f64 = 0.3;
 const PRIOR_OFFSET: f64 = 0.05;
 /// Reweighting converges within a few steps; a step costs next to nothing.
@@ -137,7 +138,7 @@ fn relative_to_the_middle(lines: &mut [Line], is_free: &[bool]) {
     }
 }
 
-/// Of each camera, how far what it sees of each place is from the mean of the others.
+/// Differences of each camera's values from the mean of the other cameras' values, place by place.
 pub(super) fn errors(places: &[Seen], lines: &[Line]) -> Vec<Vec<f64>> {
     let mut errors = vec![Vec::new(); lines.len()];
     for seen in places.iter().filter(|seen| seen.len() >= 2) {

@@ -1,7 +1,8 @@
-//! Exposure and white balance: how the colours of a rig's cameras differ, from what several of them see.
+//! Exposure and white balance: differences in colour between a rig's cameras, measured at places that several cameras
+//! see.
 //!
-//! What lives here: places that several cameras see, what each sees there, and whether the gains and offsets that fit them
-//! (`color_fit`) make places agree that were held out.
+//! What lives here: the places, their colours in each camera, and the judgement of the fitted gains and offsets
+//! (`color_fit`) on held-out places.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -23,9 +24,9 @@ use crate::description::CaptureDescription;
 const RADIUS: f64 = 0.006;
 /// Radius in an image that shows a place larger, at most, share of its longer side.
 const MAX_RADIUS: f64 = 0.03;
-/// How far from where the cameras say a place is looked for, pixels, at least: places in small images are not known better.
+/// Least search radius around the projection of a place, pixels: places in small images are not known better.
 const MIN_BAND_PX: f64 = 1.0;
-/// Values of 255 beyond which a sensor, or what followed it, has no more to give.
+/// Values of 255 outside which a sensor, or the processing after it, is saturated.
 const SATURATED: [u8; 2] = [4, 250];
 /// Share of a place's pixels that may be saturated.
 const MAX_SATURATED: f64 = 0.02;
@@ -46,20 +47,20 @@ pub struct ColorBalance {
     pub num_places: [usize; 2],
     /// Mean of [`Self::camera_error_levels`].
     pub error_levels: [f64; 2],
-    /// Of each camera, in the description's order, the median difference between what it sees of a place and what others
-    /// see, in levels of 255, before and after; of what was not taken after is what it would have been. `None` where too
-    /// few places judge.
+    /// For each camera, in the description's order, the median difference between its colour of a place and that of the
+    /// others, in levels of 255, before and after. If the result was not taken, "after" is the difference that it would
+    /// have given. `None` where too few places judge.
     pub camera_error_levels: Vec<Option<[f64; 2]>>,
 }
 
-/// Measures gains and offsets between the cameras of a description, relative to the camera in the middle, and takes them
-/// where held-out places agree better with them. Cameras of which too few places judge keep their colours.
+/// Measures gains and offsets between the cameras of a description, relative to the camera in the middle. They are
+/// taken if held-out places agree better with them. A camera that too few places judge keeps its colours.
 ///
-/// Places are corners that are matched between neighbouring cameras at several moments; a place's colour is the mean of
-/// what is around it. A quarter of the regions of every image is held out.
+/// Places are corners that are matched between neighbouring cameras at several moments. A place's colour is the mean of
+/// its surroundings. A quarter of the regions of every image is held out.
 ///
-/// - `folder`: what the description's files are relative to
-/// - `tell`: called with what is done; what it returns ends the work
+/// - `folder`: the folder that the description's files are relative to
+/// - `tell`: called with a description of each step; a break ends the work
 /// - returns: `None` if too little is seen by several cameras to judge, or if `tell` ended the work; the gains of the
 ///   description are then 1
 ///
@@ -147,7 +148,7 @@ fn best_of(
     let error_levels = [mean(&before), mean(&after)];
     let is_no_worse = |[old, new]: &[f64; 2]| *new <= NO_WORSE * old.max(EXACT_LEVELS);
     let is_better = error_levels[1] < BETTER * error_levels[0] && error_levels[0] > EXACT_LEVELS;
-    // A gain of a tenth or less would be a mismatch, and nothing that a camera does.
+    // A gain of a tenth or less is a mismatch: no camera has it.
     let is_possible = lines.iter().flatten().all(|line| line.gain > 0.1 && line.offset.abs() < 0.5);
     let is_taken = is_better && is_possible && camera_error_levels.iter().flatten().all(is_no_worse);
     if is_taken {
@@ -160,7 +161,7 @@ fn best_of(
     ColorBalance { is_taken, has_offsets: is_taken && has_offsets, num_places, error_levels, camera_error_levels }
 }
 
-/// What cameras see of a place, channel by channel, without those whose value is saturated.
+/// Colours of a place in all cameras, channel by channel, without saturated values.
 ///
 /// - `images`: of all cameras
 /// - `band`: by how much a camera may miss the place, share of the longer side

@@ -49,15 +49,16 @@ impl FoundCameras {
     }
 }
 
-/// Finds poses, focal lengths and distortion of all cameras of a description from their images, by the program `colmap`.
+/// Finds poses, focal lengths and distortion of all cameras of a description from their images, by the program
+/// `colmap`.
 ///
-/// The middle frame of the capture is used; if that places some cameras and not all, others too. Images of one camera have
-/// the same intrinsics, and in the end the same pose. The world's y axis is then what the cameras' images have below, its
-/// origin the middle of what they see, its unit unknown.
+/// COLMAP gets the middle frame of the capture. If that places some cameras and not all, other frames are added. Images
+/// of one camera have the same intrinsics, and in the end the same pose. The world's y axis then points down in the
+/// cameras' images, its origin is the middle of what they see, and its unit is unknown.
 ///
-/// - `folder`: what the description's files are relative to
+/// - `folder`: the folder that the description's files are relative to
 /// - `work`: an empty folder for COLMAP's files, which the caller removes
-/// - `tell`: called with what is done; what it returns ends the work
+/// - `tell`: called with a description of each step; a break ends the work
 ///
 /// # Errors
 /// [`CaptureError`] if the program is not installed or fails, if cameras remain whose place was not found, or if `tell`
@@ -143,7 +144,7 @@ fn attempt(
     Ok(models)
 }
 
-/// What is wrong if two models place several cameras each, and none in common.
+/// The error of two models that place several cameras each, and none in common.
 fn two_scenes(models: &[Found], names: &[String]) -> Option<String> {
     /// A model of fewer is hardly a scene.
     const MIN_CAMERAS: usize = 3;

@@ -1,9 +1,9 @@
 //! The same places in the images of several cameras whose poses are roughly known.
 //!
 //! A corner of one camera is compared with the corners of another near its epipolar line. Each such pair is a place in
-//! the scene; if a small plane is there, camera poses and the plane's direction say how the patch around the corner looks
-//! to the other camera, however differently the two look at it. Directions are tried. The best patch is then shifted
-//! to where it fits best, also away from the epipolar line: by how much is what a bundle adjustment learns from.
+//! the scene. If a small plane is there, camera poses and the plane's direction predict the patch around the corner in
+//! the other camera, however differently the two look at it. Several directions are tried. The best patch is then
+//! shifted to where it fits best, also away from the epipolar line; bundle adjustment uses this shift.
 
 use rayon::prelude::*;
 use tcgs_core::dot;
@@ -32,7 +32,7 @@ const MAX_REFINED: usize = 3;
 /// Candidates near the epipolar line that are compared, at most.
 const MAX_CANDIDATES: usize = 60;
 
-/// What one camera shows at one moment.
+/// One camera's picture at one moment.
 #[derive(Clone, Debug)]
 pub(super) struct Shot {
     pub pyramid: Pyramid,
@@ -148,7 +148,7 @@ fn of_pair(
         let patch = Patch::new(from, &shots[a].pyramid, corner);
         best_of.push(patch.and_then(|patch| best_match((from, to), &patch, &shots[b], &near)));
     }
-    // Of corners that find the same place only the best may have it.
+    // Several corners may find the same place: the best one keeps it.
     let mut found: Vec<(usize, Found)> =
         best_of.into_iter().enumerate().filter_map(|(corner, best)| best.map(|best| (corner, best))).collect();
     found.sort_by(|x, y| y.1.correlation.total_cmp(&x.1.correlation));
@@ -202,7 +202,7 @@ fn best_match(
         let judge = |plane: &Plane| patch.likeness(&plane.place((from, to), patch, &shot.pyramid, target)?, [0.0; 2]);
         let mut best: Option<(f32, Plane)> = None;
         for (i, plane) in Plane::directions(from, to, point).enumerate() {
-            // What is not alike at all in the middle directions is not in the others.
+            // A patch that is not alike at all in the middle directions is not alike in the others.
             let least = match i {
                 1 => UNLIKE[0],
                 NUM_MIDDLE => UNLIKE[1],

@@ -1,21 +1,21 @@
-//! Poses that are written down in another convention than their format has: told from what the cameras see.
+//! Detects poses that are written down in another convention than their format has, from the images.
 //!
-//! Two cameras agree on a place by chance, three do not: under poses that are wrong hardly any place is where three cameras see
-//! it. So a convention under which many places are is the one that was meant.
+//! Two cameras agree on a place by chance, three do not. Under wrong poses three cameras agree on hardly any place. A
+//! convention under which they agree on many places is therefore the one that was meant.
 
 use super::bundle::{self, Track};
 use super::camera::RigCamera;
 use super::matches::{self, Shot};
 
-/// Cameras that share fewer places than this on average may be written down otherwise.
+/// On average fewer shared places per camera than this suggest another convention.
 const FEW: usize = 5;
-/// Of the convention that was meant there are this many times as many places as of the one that the format has.
+/// Minimum ratio of the number of places under the meant convention to that under the format's own.
 const CLEARLY: usize = 4;
 
 /// How a pose may be written down.
 type Reading = (&'static str, fn(&RigCamera) -> RigCamera);
 
-/// What people mistake. Axes that are left-handed are refused where a calibration is read.
+/// Common mistakes. Left-handed axes are refused where a calibration is read.
 const READINGS: [Reading; 3] = [
     ("the wrong way round (world from camera), and are inverted", inverted),
     ("for camera axes y up and z backward, and are turned", turned),

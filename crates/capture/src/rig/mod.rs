@@ -1,8 +1,15 @@
-//! Where cameras stand, found or mended from their own images.
+//! Cameras of a rig, found or mended from their own images.
 //!
-//! What lives here: `find` has COLMAP place cameras of which nothing is known (`program`, `model`), `refine` mends a calibration by bundle adjustment (`bundle`) of places that `matches` finds in several
-//! cameras, after `meant` has found in which convention its poses are written, `still` finds cameras that move, `colors` compares exposure and white balance. What does not: reading the calibrations that other programs wrote (`calibration`), and which camera a
-//! recording belongs to (`raw`).
+//! What lives here:
+//!
+//! - `find` has COLMAP place unknown cameras (`program`, `model`).
+//! - `refine` mends a calibration by bundle adjustment (`bundle`) of places that `matches` finds in several cameras.
+//! - `meant` first finds the convention in which the calibration's poses are written.
+//! - `still` finds cameras that move.
+//! - `colors` compares exposure and white balance.
+//!
+//! What does not: reading the calibrations of other programs (`calibration`), and assigning recordings to cameras
+//! (`raw`).
 
 mod bundle;
 mod camera;

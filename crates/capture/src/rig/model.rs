@@ -25,7 +25,7 @@ impl Found {
         self.cameras.iter().flatten().count()
     }
 
-    /// Reads a model of one or several images a camera. Of several the one that sees most points gives the pose; all of
+    /// Reads a model of one or several images a camera. The image that sees most points gives the camera's pose; all of
     /// them have a part in the tracks.
     pub fn read(folder: &Path, num_cameras: usize) -> Result<Self, CaptureError> {
         let ColmapModel { cameras: lenses, images, .. } = ColmapModel::read(folder)?;

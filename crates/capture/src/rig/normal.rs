@@ -17,12 +17,12 @@ pub(super) struct System {
     tracks: Vec<Normal>,
 }
 
-/// Of one track.
+/// Normal equations of one track.
 struct Normal {
     /// `[3][3]` of the point, and its right side.
     point: [[f64; 3]; 3],
     right: [f64; 3],
-    /// Of each camera that sees it, `[8][3]`.
+    /// `[8][3]` of each camera that sees the point.
     mixed: Vec<(usize, [[f64; 3]; PARAMETERS])>,
 }
 

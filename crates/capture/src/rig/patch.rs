@@ -19,11 +19,11 @@ pub(super) struct Patch {
     coarse: [f32; COARSE * COARSE],
     /// Pixels of the camera's image for one of the patch.
     pub unit: f64,
-    /// Of the middle, and of [`REACH`] pixels right of it and below it: unit directions in the world.
+    /// Unit directions in the world of the patch's middle, and of the pixels [`REACH`] to the right and below.
     rays: [[f64; 3]; 3],
 }
 
-/// Over so many pixels of a patch it is measured what a step of it is elsewhere.
+/// Length in pixels over which the patch's step in another camera is measured.
 const REACH: f64 = 4.0;
 
 impl Patch {
@@ -50,7 +50,7 @@ fn product(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// How alike the place of a corner looks in another picture of the same camera: a correlation, of places without contrast 0.
+/// Correlation of the surroundings of a corner with another picture of the same camera; 0 for places without contrast.
 pub(super) fn likeness(pyramid: &Pyramid, other: &Pyramid, corner: &Corner) -> f32 {
     let patches = around(pyramid, corner).zip(around(other, corner));
     patches.map_or(0.0, |(a, b)| product(&a, &b))
@@ -156,7 +156,8 @@ pub(super) struct Plane {
 }
 
 impl Plane {
-    /// Planes of all directions that both cameras may see, the one that faces them first, then [`NUM_MIDDLE`] - 1 near it.
+    /// Planes of all directions that both cameras may see: first the one that faces them, then [`NUM_MIDDLE`] - 1 near
+    /// it.
     pub fn directions(from: &RigCamera, to: &RigCamera, point: [f64; 3]) -> impl Iterator<Item = Self> {
         let towards = |camera: &RigCamera| normalize(minus(camera.center(), point));
         let (a, b) = (towards(from), towards(to));

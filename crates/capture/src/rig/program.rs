@@ -13,12 +13,12 @@ use crate::CaptureError;
 /// How often a running step is looked at.
 const GLANCE: Duration = Duration::from_millis(100);
 
-/// What the program says where images do not suffice, and where it then ends with a failure.
+/// The program's messages where images do not suffice; it then ends with a failure.
 const NO_MODEL: [&str; 3] = ["failed to create sparse model", "no good initial image pair", "no images with matches"];
 
-/// What runs in a folder of its own, which whoever made it removes.
+/// A run of the program in its own folder, which the caller removes.
 pub(super) struct Colmap<'a> {
-    /// Holds `images/MOMENT/CAMERA.png`, the database and what is said.
+    /// Holds `images/MOMENT/CAMERA.png`, the database and the program's output.
     folder: &'a Path,
     tell: &'a mut dyn FnMut(&str) -> ControlFlow<()>,
     /// Since version 3.13 some groups of options are called otherwise.

@@ -44,14 +44,14 @@ pub(super) const MIN_JUDGES: usize = 20;
 const BEYOND_CHANCE: usize = 2;
 /// Each camera is turned by so much more than the one before, radians, to see what matches by chance.
 const ASIDE: f64 = 0.15;
-/// The new calibration replaces the old if the median errors of held-out tracks, averaged over cameras, fall to this share,
-/// and no camera's rises above this one.
+/// The new calibration replaces the old if the median errors of held-out tracks, averaged over cameras, fall to
+/// [`BETTER`] of the old, and no camera's error rises above [`NO_WORSE`].
 pub(super) const BETTER: f64 = 0.9;
 pub(super) const NO_WORSE: f64 = 1.2;
 /// Errors are not known better than this, pixels.
 const EXACT_PX: f64 = 0.1;
 
-/// What became of a calibration, judged by tracks that were not fitted.
+/// Result of refining a calibration, judged by tracks that were not fitted.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Refinement {
@@ -61,28 +61,31 @@ pub struct Refinement {
     pub num_tracks: [usize; 2],
     /// Mean of [`Self::camera_error_px`].
     pub error_px: [f64; 2],
-    /// Of each camera, in the description's order, the median distance in pixels between where a track is seen and where it
-    /// should be, before and after; of a calibration that was not replaced after is what it would have been. `None` where
-    /// too few tracks judge.
+    /// For each camera, in the description's order, the median reprojection error of tracks in pixels, before and
+    /// after. If the calibration was not replaced, "after" is the error that it would have had. `None` where too few
+    /// tracks judge.
     pub camera_error_px: Vec<Option<[f64; 2]>>,
-    /// In words, what was done to all poses before, if they were written down in another convention than their format has.
+    /// The change to all poses beforehand, in words, if they were written down in another convention than their format
+    /// has.
     pub mended: Option<String>,
     /// The cameras, by their place in the description, that share hardly any place with the others, which share many.
     pub alone: Vec<usize>,
-    /// Groups of cameras, by their places in the description, that share hardly any place with each other: fewer than two
-    /// groups if all see one scene. Those of [`Self::alone`] are in none.
+    /// Groups of cameras, by their places in the description, that share hardly any place with each other. Fewer than
+    /// two groups if all see one scene. Cameras of [`Self::alone`] are in no group.
     pub groups: Vec<Vec<usize>>,
 }
 
-/// Mends poses in a wrong convention where this is certain, and refines poses, focal lengths and the first coefficient of distortion of a description's cameras, where that is better.
+/// Mends poses in a wrong convention where this is certain. Refines poses, focal lengths and the first coefficient of
+/// distortion of a description's cameras, where that is better.
 ///
-/// Corners are matched between neighbouring cameras at several moments, a quarter of the regions of every image is held
-/// out, and a robust bundle adjustment fits the cameras to the rest. The rig as a whole keeps place, direction and size.
+/// Corners are matched between neighbouring cameras at several moments. A quarter of the regions of every image is held
+/// out, and a robust bundle adjustment fits the cameras to the rest. The rig as a whole keeps place, direction and
+/// size.
 ///
-/// - `folder`: what the description's files are relative to
-/// - `tell`: called with what is done; what it returns ends the work
-/// - returns: `None` if too little is seen by several cameras to judge, no more than matches by chance, or if `tell` ended
-///   the work; the description is then as it was
+/// - `folder`: the folder that the description's files are relative to
+/// - `tell`: called with a description of each step; a break ends the work
+/// - returns: `None` if `tell` ended the work, or if the cameras have too little in common to judge: too few tracks, or
+///   no more than match by chance. The description is then unchanged
 ///
 /// # Errors
 /// [`CaptureError`] if an image cannot be decoded.
@@ -175,7 +178,8 @@ pub(super) fn tracks(cameras: &[RigCamera], shots: &[Vec<Shot>], band: f64) -> V
     shots.iter().map(|shots| matches::find(cameras, shots, band)).collect()
 }
 
-/// Cameras that would see hardly any place where they do, whatever they see: each turned about where it looks.
+/// Control cameras for matches by chance: each is rolled about its viewing direction, so real matches are hardly
+/// possible.
 fn turned_aside(cameras: &[RigCamera]) -> Vec<RigCamera> {
     let turned = |(i, camera): (usize, &RigCamera)| {
         let (sin, cos) = (ASIDE * (i + 1) as f64).sin_cos();
@@ -285,7 +289,7 @@ fn judge(before: &[RigCamera], after: &[RigCamera], judges: &[Vec<Track>]) -> Re
     let errors = |cameras: &[RigCamera]| -> Vec<Vec<f64>> {
         let mut errors = vec![Vec::new(); cameras.len()];
         for track in judges.iter().flatten() {
-            // What no longer meets before the cameras is as far off as anything that was matched.
+            // A track that no longer meets in front of the cameras has an infinite error.
             let found = bundle::triangulate(cameras, &track.seen);
             let of_track = match found {
                 Some(point) => bundle::errors(cameras, &Track { point, seen: track.seen.clone() }),

@@ -36,7 +36,7 @@ impl Similarity {
     }
 }
 
-/// Puts a rig where another is, with its size, by the cameras that both have: least squares over directions of the axes,
+/// Moves and scales a rig onto another one by the cameras that both have: least squares over directions of the axes,
 /// then over centres.
 ///
 /// - `counts`: which cameras are compared
@@ -49,8 +49,8 @@ pub(super) fn align(cameras: &mut [RigCamera], tracks: &mut [Track], onto: &[Rig
 
 /// The similarity that brings one rig onto another.
 pub(super) fn between(cameras: &[RigCamera], onto: &[RigCamera]) -> Similarity {
-    // Rotation: the sum over cameras of R_ontoᵀ R, whose nearest rotation is that of the largest eigenvector of Horn's
-    // matrix (Horn 1987); centres have a part, too, since axes of telephoto lenses say little about places.
+    // Rotation: the sum over cameras of R_ontoᵀ R. Its nearest rotation is that of the largest eigenvector of Horn's
+    // matrix (Horn 1987). Centres have a part, too, since axes of telephoto lenses say little about places.
     let mean = |rig: &[RigCamera]| -> [f64; 3] {
         std::array::from_fn(|i| rig.iter().map(|c| c.center()[i]).sum::<f64>() / rig.len() as f64)
     };

@@ -20,7 +20,7 @@ use super::{balance_colors, find_cameras, has_colmap, moving_cameras, refine_cam
 const SIZE: [usize; 2] = [240, 180];
 const NUM_CAMERAS: usize = 6;
 
-/// What is seen at a place of a surface: noise in cells of two sizes, with values in `[0, 255]`.
+/// Texture at a place of a surface: noise in cells of two sizes, with values in `[0, 255]`.
 fn texture(u: f64, v: f64, seed: u64) -> f64 {
     let cell = |size: f64| {
         let (x, y) = ((u / size).floor() as i64, (v / size).floor() as i64);
@@ -309,7 +309,7 @@ fn colmap_places_cameras_of_which_nothing_is_known() {
     eprintln!("{degrees} degrees, {length}, {} points, {} pixels", found.num_points(), found.error_px);
     assert!(degrees < 0.5 && length < 0.03 && found.error_px < 0.5, "{degrees} degrees, {length}");
     assert!(told.iter().any(|what| what.starts_with("placing cameras")), "{told:?}");
-    // What is written beside the capture is a calibration of the same cameras.
+    // The model beside the capture is a calibration of the same cameras.
     let factor = scale_cameras(&mut description, ["cam0", "cam1"], 2.0).unwrap();
     let mut found = found;
     found.scale(factor);
@@ -363,7 +363,7 @@ fn recolored(folder: &Path, camera: &DescribedCamera, change: impl Fn(usize, f64
     }
 }
 
-/// What the cameras' colours were changed by.
+/// Changes of the cameras' colours.
 const GAINS: [[f64; 3]; NUM_CAMERAS] =
     [[1.0; 3], [0.8, 0.85, 0.9], [1.0, 1.1, 1.15], [1.0; 3], [1.2, 1.15, 1.1], [0.9, 0.95, 0.85]];
 

@@ -1,5 +1,5 @@
-//! The synthetic capture: a textured room with a glossy vase, three moving objects, and a fourth that enters later, with
-//! exact cameras and masks, rendered by ray casting.
+//! The synthetic capture: a textured room with a glossy vase, three moving objects, and a fourth that enters later,
+//! with exact cameras and masks, rendered by ray casting.
 //!
 //! What lives here: the poses of the cameras, and the files that are written. `scene` places and moves the bodies in
 //! the room, `texture` colours them, `trace` intersects rays with them, `points` samples their surfaces. The scene is
@@ -33,7 +33,7 @@ const ARC_RADIUS: f64 = 2.35;
 const ARC_ANGLE: f64 = 2.9;
 /// Heights of training cameras, in turn; test cameras stand between.
 const CAMERA_HEIGHTS: [f64; 2] = [0.95, 1.75];
-/// What all cameras look at: near the middle of the objects' paths.
+/// Target of all cameras, near the middle of the objects' paths.
 const TARGET: [f64; 3] = [0.0, -0.82, 0.2];
 /// Focal length over image width: a horizontal field of view of 63 degrees.
 const FOCAL_PER_WIDTH: f64 = 0.82;
@@ -126,7 +126,7 @@ pub fn write_synthetic(dir: &Path, settings: &SyntheticSettings) -> Result<(), C
     })
 }
 
-/// What a view of the synthetic capture shows that no training camera saw at timestep 0.
+/// Pixels of a view of the synthetic capture whose surface no training camera saw at timestep 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Late {
     /// `[H, W]`, pixels of a thing that was not there.

@@ -1,5 +1,5 @@
-//! What surfaces look like: display-referred colours as functions of place. Muted for what stands,
-//! saturated for what moves, nothing finer than about a tenth of a metre.
+//! Textures: display-referred colours as functions of place. Muted for static surfaces, saturated for moving ones, with
+//! no detail finer than about a tenth of a metre.
 
 use std::f64::consts::PI;
 

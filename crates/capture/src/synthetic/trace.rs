@@ -38,7 +38,7 @@ impl Hit {
         self.body.is_some_and(|body| !earlier.bodies[body].has_entered())
     }
 
-    /// What its body looks like; none of the room.
+    /// Texture of the hit body; none for the room.
     pub fn texture(&self, scene: &SyntheticScene) -> Option<Texture> {
         self.body.map(|body| scene.bodies[body].texture)
     }

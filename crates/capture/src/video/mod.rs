@@ -28,7 +28,7 @@ use sps::Sps;
 /// Bytes of decoded frames that a video keeps; the last one always.
 const KEPT_BYTES: usize = 16 << 20;
 
-/// What is said of other codecs.
+/// Second half of the message about other codecs.
 const EXPECTED: &str =
     "expected H.264 of 8 bits, 4:2:0, such as `ffmpeg -i IN -c:v libx264 -crf 12 -pix_fmt yuv420p OUT.mp4` writes";
 
@@ -48,14 +48,14 @@ pub(crate) struct Video {
     state: Mutex<DecoderState>,
 }
 
-/// What a player does with the frames.
+/// Presentation of the frames by a player.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shown {
     /// Clockwise quarter turns.
     pub quarter_turns: u8,
-    /// What is added to the times of frames, seconds.
+    /// Added to the times of frames, seconds.
     pub shift_secs: f64,
-    /// From which moment on nothing is shown, seconds after the shift. What comes before 0 is not shown either.
+    /// End of the presentation, seconds after the shift. Frames before 0 are not shown either.
     pub end_secs: f64,
 }
 

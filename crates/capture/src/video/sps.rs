@@ -4,12 +4,12 @@
 
 use super::yuv::{ColorSpace, Matrix};
 
-/// What a sequence parameter set says.
+/// Content of a sequence parameter set.
 #[derive(Debug, PartialEq)]
 pub(super) struct Sps {
     /// 1 is 4:2:0.
     chroma_format: u32,
-    /// Of brightness and colour.
+    /// Bit depths of luma and chroma.
     bits: [u32; 2],
     /// Whether every frame is coded at once, not line by line.
     progressive: bool,
@@ -67,7 +67,7 @@ impl Sps {
                 from.golomb()?; // crop
             }
         }
-        // What is not said of colours is as players assume it.
+        // Without a description of colours, players' defaults apply.
         let color = if from.bits(1)? == 1 { color(&mut from)? } else { ColorSpace::default() };
         Some(Self { chroma_format, bits, progressive, color })
     }
@@ -179,13 +179,13 @@ mod tests {
     fn parse(hex: &str) -> Sps {
         let bytes: Vec<u8> = hex.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect();
         for cut in 2..bytes.len() - 8 {
-            // Whatever is left says less, or nothing; it must not panic.
+            // Truncated bytes may parse or not; they must not cause a panic.
             Sps::parse(&bytes[..cut]);
         }
         Sps::parse(&bytes).unwrap()
     }
 
-    // What ffmpeg's libx264 wrote, with the options named.
+    // Parameter sets that ffmpeg's libx264 wrote, with the options named.
 
     #[test]
     fn colours_are_read() {

@@ -15,7 +15,7 @@ pub(super) enum Matrix {
     Bt2020,
 }
 
-/// What the numbers mean.
+/// Interpretation of luma and chroma values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct ColorSpace {
     pub matrix: Matrix,

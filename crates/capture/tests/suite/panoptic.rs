@@ -11,7 +11,7 @@ fn small() -> Small {
     small
 }
 
-/// What is said of a capture with a changed `train_meta.json`.
+/// The error of a capture with a changed `train_meta.json`.
 fn problem_of_meta(change: impl Fn(&mut Value)) -> String {
     let mut small = Small::new();
     change(&mut small.train_meta);
@@ -19,7 +19,7 @@ fn problem_of_meta(change: impl Fn(&mut Value)) -> String {
     small.problem()
 }
 
-/// What is said of a capture whose points are these.
+/// The error of a capture with these points.
 fn problem_of_points(shape: &[usize], values: &[f32]) -> String {
     let small = small();
     small.write_points(shape, values);
@@ -245,7 +245,7 @@ fn a_cut_jpeg_is_refused() {
         let problem = small.shorten(capture.views(Split::Train, 0, 1).unwrap_err());
         assert!(problem.starts_with("ims/1/cut.jpg: "), "{length}: {problem}");
     }
-    // What follows the picture does not matter.
+    // Bytes after the picture do not matter.
     std::fs::write(&jpeg, [whole.as_slice(), b"more\xff\xda\x00"].concat()).unwrap();
     capture.views(Split::Train, 0, 1).unwrap();
 }

@@ -178,7 +178,7 @@ fn temple_opens() {
     assert_eq!((capture.kind(), capture.num_frames(), capture.has_points()), (CaptureKind::MIDDLEBURY, 1, false));
     let views = capture.views(Split::All, 0, 1).unwrap();
     assert_eq!(views.len(), 16);
-    // Its README gives a box around the temple; the rest of the pictures is black. What is bright lies in the box.
+    // Its README gives a box around the temple; the rest of the pictures is black. Bright pixels lie in the box.
     let (low, high) = ([-0.073568_f32, 0.021728, -0.012445], [0.028855_f32, 0.181892, 0.062736]);
     for view in &views {
         let corners: Vec<(usize, usize)> = (0..8)

@@ -1,5 +1,5 @@
-//! Captures that `capture.toml` describes: recordings of several codecs, turned, cut, with uneven frame rates. Needs the
-//! program `ffmpeg`; every frame shows its number, so that no frame can be taken for another.
+//! Captures that `capture.toml` describes: recordings of several codecs, turned, cut, with uneven frame rates. The
+//! tests need the program `ffmpeg`. Every frame shows its number, so that no frame can be taken for another.
 
 use std::io::Write;
 use std::path::{MAIN_SEPARATOR, Path};
@@ -139,7 +139,7 @@ fn frames_are_chosen_by_when_they_are_shown() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     encode(0..60, H264, &path("whole.mp4"));
-    // Cut without coding anew: frames that are not shown stay in the file.
+    // Cut without re-encoding: frames that are not shown stay in the file.
     convert(&path("whole.mp4"), &["-c", "copy", "-t", "1.5"], &path("short.mp4"));
     Command::new("ffmpeg")
         .args(["-v", "error", "-y", "-ss", "0.8", "-i"])
@@ -201,7 +201,7 @@ fn pictures_are_turned_cropped_and_evened_out() {
     let expected = [plain[0] + 0.1, 0.5 * plain[1] + 0.2, 0.0];
     assert!(moved.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 0.003), "{moved:?}");
 
-    // What publications compare with; and one key turns everything off.
+    // Publications compare with recorded colours; and one key turns everything off.
     let capture = Capture::open(folder.path()).unwrap();
     let recorded = capture.with_recorded_colors();
     assert!(capture.changes_colors() && !recorded.changes_colors());

@@ -1,4 +1,4 @@
-//! What no kind of capture may take from its files: frame rates without a meaning, and names that lead out of the folder.
+//! Values that no kind of capture may accept: frame rates without a meaning, and names that lead out of the folder.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! What is said of a capture of videos where this crate is compiled without them.
+//! The error of a capture of videos where this crate is compiled without them.
 
 use std::fs;
 
