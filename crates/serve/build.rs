@@ -1,6 +1,6 @@
 //! Embeds the built page of the player: `page` in a package, `web/dist` in a checkout. A release build without a page
-//! makes it, if Rust can compile to WebAssembly. Otherwise the program is built without a page, and says how to make one
-//! when it is asked for it.
+//! makes it, if Rust can compile to WebAssembly. Otherwise the program is built without a page, and says how to make
+//! one when it is asked for it.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

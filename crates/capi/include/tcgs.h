@@ -3,9 +3,9 @@
 // Open a scene from a file, from bytes, or from a function that reads ranges of bytes. Then read timesteps into your
 // own arrays. Timesteps are decoded a segment at a time, and the decoded segment stays in memory for the next calls.
 //
-// Every function that can fail returns a TcgsStatus. tcgs_last_error() then says in one line what was found and what
-// was expected. Damaged and hostile files are refused: no file causes access outside its arrays, and memory is bounded.
-// A scene may move between threads, but only one thread at a time may use it. Scenes are independent of each other.
+// Every function that can fail returns a TcgsStatus. tcgs_last_error() then gives one line: the fault, and the expected
+// value. Damaged and hostile files are refused: no file causes access outside its arrays, and memory is bounded. A
+// scene may move between threads, but only one thread at a time may use it. Scenes are independent of each other.
 
 #pragma once
 

@@ -1,7 +1,7 @@
 //! The player's page in a program, and a web server that shows a scene with it on this machine.
 //!
-//! What lives here: the built page (`web/dist`), which the build embeds, and the part of HTTP that serves it. Beside
-//! the page the server offers one scene and the cameras of its capture, or the files of a training. What does not: the
+//! What lives here: the built page (`web/dist`), embedded by the build, and the part of HTTP to serve it. Beside the
+//! page the server offers one scene and the cameras of its capture, or the files of a training. What does not: the
 //! player itself, which is `tcgs-play` in the page. The command line and the Python package show scenes with this
 //! server.
 //!
