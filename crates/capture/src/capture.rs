@@ -1,7 +1,7 @@
 //! A capture of any kind: its properties, its cameras and points, and its views frame by frame.
 //!
-//! What lives here: what a caller asks of an open capture. What does not: how each kind reads its folder (`kinds`), and
-//! how one camera's images become views (`footage`).
+//! What lives here: the questions that an open capture answers. What does not: reading the folder of each kind
+//! (`kinds`), and turning one camera's images into views (`footage`).
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -28,7 +28,7 @@ pub enum Split {
     All,
 }
 
-/// A multi-view capture: cameras, frames, initial points, and where the images are. An image is decoded only when
+/// A multi-view capture: cameras, frames, initial points, and the places of the images. An image is decoded only when
 /// [`views`](Self::views) asks for its frame.
 ///
 /// A capture takes little memory: file names that follow a pattern, and cameras that stand still, are stored once for
@@ -89,7 +89,7 @@ impl Capture {
             return Err(CaptureError::invalid(path, "has no frames, expected at least one"));
         }
         let mut capture = Self::of_contents(path.into(), kind, kind.facts, contents);
-        // Masks beside `capture.toml` mark what moves, docs/CAPTURE.md.
+        // Masks beside `capture.toml` mark moving objects, docs/CAPTURE.md.
         capture.facts.labels_motion |= kind == CaptureKind::DESCRIBED && capture.has_segmentation;
         Ok(capture)
     }
@@ -169,7 +169,7 @@ impl Capture {
         self.has_segmentation
     }
 
-    /// Where the masks of one frame are, or would be looked for if there were any.
+    /// The mask files of one frame, whether or not they exist.
     ///
     /// - `frame`: index of the frame, from 0
     /// - returns: camera id and file, in the order of [`Self::cameras`]; no file for captures that have no place for
@@ -211,7 +211,7 @@ impl Capture {
         views_of(&footage, frame, downscale)
     }
 
-    /// [`Self::views`] of some of the cameras; nothing is decoded of the others.
+    /// [`Self::views`] of some of the cameras; images of the others are not decoded.
     ///
     /// - `chosen`: by their place among the cameras of the split, below the number of [`Self::cameras`]
     /// - returns: in the order of `chosen`
@@ -294,7 +294,7 @@ impl Capture {
         footage.into_iter().any(|of| of.color_change() != ColorChange::NONE)
     }
 
-    /// The same capture with colours as they were recorded, which is what publications compare with.
+    /// The same capture with colours as recorded, which publications compare with.
     pub fn with_recorded_colors(&self) -> Self {
         let mut capture = self.clone();
         let Contents { train, test, .. } = &mut capture.contents;
@@ -316,7 +316,7 @@ impl Capture {
     }
 
     /// Share of the initial points whose depth is measured ([`Origin::is_measured`](crate::Origin::is_measured)), in
-    /// `[0, 1]`; `None` where nothing says how the points were made.
+    /// `[0, 1]`; `None` if the origin of the points is unknown.
     ///
     /// # Errors
     /// [`CaptureError`] if the file of the points cannot be read.
@@ -374,7 +374,7 @@ impl Capture {
 }
 
 fn views_of(footage: &[&Footage], frame: usize, downscale: usize) -> Result<Vec<View>, CaptureError> {
-    // Collected before the first error is looked for, so that it is always the same one.
+    // All views are collected before the first error is chosen, so that the error is always the same.
     let views: Vec<_> = footage.par_iter().map(|of| of.view(frame, downscale)).collect();
     views.into_iter().collect()
 }

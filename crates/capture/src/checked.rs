@@ -1,6 +1,6 @@
-//! Checks of what files of a capture say, for captures of every kind: valid JSON, frame rates that mean something,
-//! names inside the capture's folder. The types here hold only checked values, and [`Contents`] takes no others: a new
-//! kind of capture cannot skip the checks.
+//! Checks of a capture's files, for captures of every kind: valid JSON, sensible frame rates, names inside the
+//! capture's folder. The types here hold only checked values, and [`Contents`] takes no others: a new kind of capture
+//! cannot skip the checks.
 //!
 //! [`Contents`]: crate::contents::Contents
 
@@ -25,7 +25,7 @@ impl FrameRate {
     /// A picture in eleven days, and a million a second.
     const RANGE: RangeInclusive<f64> = 1e-6..=1e6;
 
-    /// - returns: what is wrong with `fps` if it is no frame rate, to be put behind its name
+    /// - returns: the rate, or the fault as words to follow the rate's name
     pub fn new(fps: f64) -> Result<Self, String> {
         match Self::RANGE.contains(&fps) {
             true => Ok(Self(fps)),
@@ -51,8 +51,8 @@ impl FrameRate {
 pub(crate) struct InnerPath(String);
 
 impl InnerPath {
-    /// - `folder`: what the path is relative to, in words
-    /// - returns: what is wrong with `path` if it leads elsewhere, to be put behind the place that names it
+    /// - `folder`: the folder that the path is relative to, in words
+    /// - returns: the path, or the fault as words to follow the place that names it
     pub fn new(path: &str, folder: &str) -> Result<Self, String> {
         let parts = || Path::new(path).components();
         let stays = parts().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
@@ -116,7 +116,7 @@ fn parse_json<T: DeserializeOwned>(text: &[u8]) -> Result<T, String> {
 /// `json` writes them.
 fn not_finite_at(text: &[u8], line: usize, column: usize) -> Option<&'static str> {
     let line = text.split(|&byte| byte == b'\n').nth(line.checked_sub(1)?)?;
-    // The reader has looked at the first letter, of "-Infinity" perhaps at the second.
+    // The reader has read the first letter, of "-Infinity" perhaps the second.
     let starts = [column.checked_sub(2), column.checked_sub(1), Some(column)];
     starts.into_iter().flatten().find_map(|start| {
         let rest = line.get(start..)?;

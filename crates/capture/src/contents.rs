@@ -1,5 +1,5 @@
-//! The contents of a capture of any kind: both splits' cameras with their footage, the frame rate, where the points
-//! are.
+//! The contents of a capture of any kind: both splits' cameras with their footage, the frame rate, the place of the
+//! points.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -33,7 +33,7 @@ pub(crate) struct Contents {
 #[derive(Clone, Debug)]
 pub(crate) struct CameraSet {
     pub footage: Vec<Footage>,
-    /// Which of `footage` a frame has, in the capture's order.
+    /// Indices into `footage` of a frame's cameras, in the capture's order.
     pub order: ByFrame<Vec<usize>>,
 }
 
@@ -55,7 +55,7 @@ impl CameraSet {
     }
 }
 
-/// Puts files together to a [`CameraSet`], frame by frame.
+/// Collects files into a [`CameraSet`], frame by frame.
 pub(crate) struct CameraSetOfFiles<'a> {
     folder: &'a Path,
     by_id: BTreeMap<usize, usize>,
@@ -72,7 +72,7 @@ struct CameraOfFiles {
 }
 
 impl<'a> CameraSetOfFiles<'a> {
-    /// - `folder`: what names are relative to
+    /// - `folder`: the folder that names are relative to
     pub fn new(folder: &'a Path) -> Self {
         Self { folder, by_id: BTreeMap::new(), cameras: Vec::new(), order: Vec::new() }
     }
@@ -84,7 +84,7 @@ impl<'a> CameraSetOfFiles<'a> {
 
     /// Adds an image of the frame that was begun last.
     ///
-    /// - returns: whether the frame had none of this camera so far; nothing is added if it had
+    /// - returns: whether the image is the camera's first in this frame; a second one is not added
     pub fn add(&mut self, camera_id: usize, camera: Camera, change: Change, name: InnerPath) -> bool {
         let frame = self.order.len() - 1;
         let i = *self.by_id.entry(camera_id).or_insert(self.cameras.len());
@@ -158,7 +158,7 @@ pub(crate) fn missing_image(cameras: &CameraSet, num_frames: usize) -> Option<(P
 
 /// Checks that all images exist.
 ///
-/// - `named_by`: the file that says so
+/// - `named_by`: the file that names the images
 pub(crate) fn check_images(cameras: &CameraSet, num_frames: usize, named_by: &Path) -> Result<(), CaptureError> {
     match missing_image(cameras, num_frames) {
         Some((path, ..)) => {
@@ -169,7 +169,7 @@ pub(crate) fn check_images(cameras: &CameraSet, num_frames: usize, named_by: &Pa
     }
 }
 
-/// Finds which images have a mask.
+/// Finds the images that have a mask.
 ///
 /// - `files`: the mask files of a camera, from the camera and its frames; `None` if the camera has no place for masks
 pub(crate) fn find_masks(
@@ -190,7 +190,7 @@ pub(crate) fn find_masks(
     });
 }
 
-/// Checks that all training images have a mask, or none has: that only some have is an error, for then one is lost.
+/// Checks that all training images have a mask, or none has. If only some have one, the others were lost: an error.
 pub(crate) fn check_train_masks(train: &CameraSet, num_frames: usize) -> Result<(), CaptureError> {
     let mut first_missing = None;
     let (mut num_images, mut found) = (0, 0);

@@ -21,7 +21,7 @@ pub(crate) fn image(path: &Path, size: (usize, usize)) -> Result<RgbImage, Captu
     }))
 }
 
-/// Decodes an image whose PNG file may be cut short; rows that cannot be read come from another.
+/// Decodes an image whose PNG file may be cut short. Missing rows come from the frame before.
 ///
 /// - `before`: the same camera a frame earlier
 pub(crate) fn cut_image(path: &Path, before: &Path, size: (usize, usize)) -> Result<RgbImage, CaptureError> {
@@ -67,11 +67,12 @@ fn damaged(path: &Path, error: &image::ImageError) -> CaptureError {
     CaptureError::invalid(path, format!("cannot be decoded: {reason}"))
 }
 
-/// Decodes a mask: what is not black is foreground, be it 1 or 255.
+/// Decodes a mask: every pixel that is not black is foreground, whether 1 or 255.
 pub(crate) fn mask(path: &Path, size: (usize, usize)) -> Result<Segmentation, CaptureError> {
     let foreground = match decode(path, size)? {
         DynamicImage::ImageLuma8(gray) => gray.as_raw().iter().map(|&v| v != 0).collect(),
-        // Palettes arrive as colours. Opacity says nothing. Eight bits would lose the smallest of sixteen.
+        // Palettes are decoded to colours. Opacity has no meaning in masks. Eight bits would lose the smallest 16-bit
+        // values.
         other => other.into_rgb16().pixels().map(|pixel| pixel.0 != [0; 3]).collect(),
     };
     Ok(Segmentation { width: size.0, height: size.1, foreground })
@@ -95,8 +96,7 @@ fn decode(path: &Path, (width, height): (usize, usize)) -> Result<DynamicImage, 
     DynamicImage::from_decoder(decoder).map_err(damaged)
 }
 
-/// Whether a JPEG file reaches its end-of-image marker. The decoder fills what is missing with grey
-/// and says nothing.
+/// Whether a JPEG file reaches its end-of-image marker. The decoder fills missing parts with grey, without an error.
 ///
 /// ITU-T T.81, B.1.1: segments with a length, and after a start of scan coded data in which 0xFF is
 /// followed by 0 or a restart marker only.

@@ -1,7 +1,7 @@
 //! `capture.toml`: a capture as a text that a person can read and mend. `docs/CAPTURE.md` defines it.
 //!
 //! What lives here: the text, both ways, and the checks of its values that need no other file. What does not: opening
-//! the files that it names (`kinds/described.rs`), and finding out its values (`raw`).
+//! the files that it names (`kinds/described.rs`), and finding its values (`raw`).
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -33,13 +33,13 @@ pub struct CaptureDescription {
     /// Whether lengths are in metres.
     #[serde(default)]
     pub in_metres: bool,
-    /// Where the cameras' intrinsics and poses come from.
+    /// Source of the cameras' intrinsics and poses.
     #[serde(default)]
     pub calibration: Option<CalibrationSource>,
     /// How the clocks of the cameras were found.
     #[serde(default)]
     pub clock: Option<ClockSource>,
-    /// Whether gains and offsets are used, and what was found about them.
+    /// Whether gains and offsets are used, and how they were found.
     #[serde(default)]
     pub colors: Option<ColorSource>,
     /// The cameras, in the capture's order.
@@ -47,7 +47,7 @@ pub struct CaptureDescription {
     pub cameras: Vec<DescribedCamera>,
 }
 
-/// Where a capture's calibration comes from; for people, nothing is computed from it.
+/// Source of a capture's calibration. For people: nothing is computed from it.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
@@ -61,7 +61,7 @@ pub struct CalibrationSource {
     pub changes: Vec<String>,
 }
 
-/// How the clocks of a capture were found; for people, nothing is computed from it.
+/// How the clocks of a capture were found. For people: nothing is computed from it.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
@@ -78,7 +78,7 @@ pub struct ColorSource {
     /// Whether the cameras' gains and offsets are used; without this table they are.
     #[serde(default = "yes")]
     pub used: bool,
-    /// How they were found, a sentence each; for people, nothing is computed from it.
+    /// How they were found, a sentence each. For people: nothing is computed from it.
     #[serde(default)]
     pub found: Vec<String>,
 }
@@ -89,7 +89,7 @@ impl Default for ColorSource {
     }
 }
 
-/// Whether a camera's images are for training or for judging.
+/// The camera's split: training or test.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
@@ -117,13 +117,13 @@ pub struct DescribedCamera {
     /// The time in the file at which the capture begins, seconds by the file's presentation times.
     #[serde(default)]
     pub start_secs: f64,
-    /// Frames per second of a folder of images; a video says it itself.
+    /// Frames per second of a folder of images; a video has its own.
     #[serde(default)]
     pub images_per_sec: Option<f64>,
-    /// By how much the stored image is turned clockwise: 0, 90, 180 or 270.
+    /// Clockwise turn of the stored image, degrees: 0, 90, 180 or 270.
     #[serde(default)]
     pub turn_degrees: u16,
-    /// `left, top, width, height` in pixels of the part of the turned image that is used; without it all is.
+    /// `left, top, width, height` in pixels of the used part of the turned image; by default all of it.
     #[serde(default)]
     pub crop: Option<[usize; 4]>,
     /// Factors of red, green and blue.

@@ -1,4 +1,4 @@
-//! The crate's error: what is wrong with a capture, or with what was asked of it.
+//! The crate's error: the fault of a capture, or of a request.
 
 use std::{io, path::PathBuf};
 
@@ -81,7 +81,7 @@ pub enum CaptureError {
         camera_id: usize,
         /// The requested frame.
         frame: usize,
-        /// The closure's error, or how the result differs from the camera.
+        /// The closure's error, or the difference of its result from the camera.
         error: Box<dyn std::error::Error + Send + Sync>,
     },
     /// The input of a [`CaptureBuilder`](crate::CaptureBuilder) is incomplete or inconsistent.

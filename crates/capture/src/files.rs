@@ -75,13 +75,13 @@ impl Listings {
         if !self.folders.contains_key(folder) {
             self.folders.insert(folder.into(), names_of_files(folder));
         }
-        // A folder that may be entered but not listed, links, and names that only the file system takes for the same
-        // are asked for one by one.
+        // Three cases are asked for one by one: a folder that may be entered but not listed, links, and names that only
+        // the file system takes for the same.
         self.folders[folder].as_ref().is_some_and(|names| names.contains(name) || path.is_file())
     }
 }
 
-/// Names of the files in a folder, as far as listing it says: links are left out. Nothing if there is no such folder.
+/// Names of the files in a folder, as its listing says; links are left out. `None` if there is no such folder.
 fn names_of_files(folder: &Path) -> Option<HashSet<OsString>> {
     let entries = match std::fs::read_dir(folder) {
         Ok(entries) => entries,

@@ -21,7 +21,7 @@ use crate::{
 #[derive(Clone, Debug)]
 pub(crate) struct Footage {
     pub camera_id: usize,
-    /// As people call the camera, unique in the capture.
+    /// The camera's name for people, unique in the capture.
     pub name: String,
     /// Cameras of the images as they are given out.
     pub cameras: ByFrame<Camera>,
@@ -32,11 +32,11 @@ pub(crate) struct Footage {
 /// A change to an image before it is given out.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Change {
-    /// Nothing.
+    /// No change.
     Nothing,
     /// Half as wide and high, by Lanczos resampling.
     Halve,
-    /// The bends of the lens are taken out.
+    /// Lens distortion is removed.
     Straighten(Arc<Lens>),
 }
 
@@ -45,7 +45,7 @@ pub(crate) type Make<T> = Arc<dyn Fn(usize) -> Result<T, BoxedError> + Send + Sy
 /// The error of such a function.
 pub(crate) type BoxedError = Box<dyn std::error::Error + Send + Sync>;
 
-/// Where the images of a camera are.
+/// The images of a camera.
 #[derive(Clone)]
 pub(crate) enum Images {
     /// On disk.
@@ -59,24 +59,24 @@ pub(crate) enum Images {
 /// Images on disk.
 #[derive(Clone, Debug)]
 pub(crate) enum Pixels {
-    /// A file an image.
+    /// One file per image.
     Files {
         files: Files,
-        /// The frame whose file is known to be cut short: rows that it lacks are those of the frame before.
+        /// The frame whose file is known to be cut short. Its missing rows are those of the frame before.
         cut_frame: Option<usize>,
     },
-    /// All in a video, whose frames are those of the capture.
+    /// Frames of a video, which are those of the capture.
     Video(Arc<Video>),
-    /// A recording of any kind, on a clock of its own.
+    /// A recording of any kind, on its own clock.
     Take(Arc<Take>),
 }
 
-/// Where the foreground masks of a camera are.
+/// The foreground masks of a camera.
 #[derive(Clone)]
 pub(crate) enum Masks {
-    /// There are none.
+    /// No masks.
     None,
-    /// A file a mask.
+    /// One file per mask.
     Files {
         files: Files,
         /// Whether a frame has one.
@@ -88,10 +88,10 @@ pub(crate) enum Masks {
     Made(Make<Segmentation>),
 }
 
-/// Something that mostly stays the same from frame to frame: held once for all frames until it changes.
+/// A value that mostly stays the same from frame to frame, stored once until it changes.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ByFrame<T> {
-    /// From which frame on each value holds, ascending.
+    /// Each value with the first frame at which it holds, ascending.
     values: Vec<(usize, T)>,
 }
 
@@ -102,12 +102,12 @@ impl<T> Default for ByFrame<T> {
 }
 
 impl<T: PartialEq> ByFrame<T> {
-    /// The same at every frame.
+    /// The same value at every frame.
     pub fn constant(value: T) -> Self {
         Self { values: vec![(0, value)] }
     }
 
-    /// - `frame`: later than all so far
+    /// - `frame`: later than all frames so far
     pub fn push(&mut self, frame: usize, value: T) {
         if self.values.last().is_none_or(|(_, last)| *last != value) {
             self.values.push((frame, value));
@@ -150,7 +150,7 @@ impl Footage {
         }
     }
 
-    /// Leaves colours from now on as they are recorded.
+    /// Removes the change of colours.
     pub fn keep_recorded_colors(&mut self) {
         if let Images::Stored { pixels: Pixels::Take(take), .. } = &mut self.images {
             *take = Arc::new(Take { colors: ColorChange::NONE, ..Take::clone(take) });
@@ -178,13 +178,13 @@ impl Footage {
 }
 
 impl Images {
-    /// Files that are all whole and used as they are.
+    /// Files that are all whole and need no change.
     pub fn of_files(files: Files) -> Self {
         let pixels = Pixels::Files { files, cut_frame: None };
         Self::Stored { pixels, changes: ByFrame::constant(Change::Nothing) }
     }
 
-    /// - `size`: what the image must have
+    /// - `size`: the size that the image must have
     fn image(&self, frame: usize, size: (usize, usize), camera_id: usize) -> Result<Image, CaptureError> {
         let image = match self {
             Self::Stored { pixels, changes } => return pixels.image(frame, size, changes.at(frame)),
@@ -197,7 +197,7 @@ impl Images {
 }
 
 impl Pixels {
-    /// - `size`: what the image must have, once it is changed
+    /// - `size`: the size that the image must have after the change
     fn image(&self, frame: usize, (width, height): (usize, usize), change: &Change) -> Result<Image, CaptureError> {
         match change {
             Change::Nothing => Ok(from_rgb(&self.decode(frame, (width, height))?)),
@@ -206,7 +206,7 @@ impl Pixels {
         }
     }
 
-    /// - `size`: what the image must have
+    /// - `size`: the size that the image must have
     fn decode(&self, frame: usize, size: (usize, usize)) -> Result<RgbImage, CaptureError> {
         match self {
             Self::Files { files, cut_frame } if *cut_frame == Some(frame) && frame > 0 => {
@@ -237,7 +237,7 @@ impl Masks {
         }
     }
 
-    /// - `size`: what the mask must have
+    /// - `size`: the size that the mask must have
     fn mask(&self, frame: usize, size: (usize, usize), camera_id: usize) -> Result<Option<Segmentation>, CaptureError> {
         if !self.has(frame) {
             return Ok(None);
@@ -261,7 +261,7 @@ fn made_wrong(camera_id: usize, frame: usize, problem: String) -> CaptureError {
     CaptureError::Made { camera_id, frame, error: problem.into() }
 }
 
-/// Whether an image that no file holds is one of its camera.
+/// Checks that an image in memory has its camera's size and three channels.
 pub(crate) fn check_image(image: &Image, (width, height): (usize, usize)) -> Result<(), String> {
     let Image { width: found_width, height: found_height, num_channels: channels, .. } = *image;
     if (found_width, found_height, channels) != (width, height, 3) || image.data.len() != 3 * width * height {
@@ -273,7 +273,7 @@ pub(crate) fn check_image(image: &Image, (width, height): (usize, usize)) -> Res
     Ok(())
 }
 
-/// Whether a mask that no file holds is one of its camera.
+/// Checks that a mask in memory has its camera's size.
 pub(crate) fn check_mask(mask: &Segmentation, (width, height): (usize, usize)) -> Result<(), String> {
     if (mask.width, mask.height) != (width, height) || mask.foreground.len() != width * height {
         let (found_width, found_height) = (mask.width, mask.height);

@@ -1,4 +1,4 @@
-//! A COLMAP model, binary or text, of one image a camera or of several images of cameras that stand still.
+//! A COLMAP model, binary or text: one image a camera, or several images of static cameras.
 //!
 //! ```text
 //! cameras.bin  images.bin      or .txt, in sparse/0, in sparse, or in the folder that is named
@@ -12,7 +12,7 @@
 //! | distortion | `k1 k2 p1 p2` of OPENCV, `k3` to `k6` of FULL_OPENCV |
 //! | unit | unknown |
 //!
-//! A video is meant by the name of an image, by that without its ending, and by the folder that the image lies in.
+//! The name of an image, with or without its ending, or the folder of the image, names the video.
 
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ pub(super) const FORMAT: Format = Format {
     in_metres: false,
 };
 
-/// The model's folder, where `path` is it, holds it, or is one of its files.
+/// The model's folder, if `path` is this folder, its parent, or one of its files.
 fn folder_of(path: &Path) -> Option<PathBuf> {
     let is_model = |folder: &Path| ["cameras.bin", "cameras.txt"].iter().any(|name| folder.join(name).is_file());
     if path.is_dir() {
@@ -66,7 +66,7 @@ fn read(path: &Path) -> Result<Vec<CalibratedCamera>, CaptureError> {
     images.iter().map(camera).collect()
 }
 
-/// The names by which a video is meant that an image belongs to.
+/// The names of videos to which an image may belong.
 pub(super) fn names_of(image: &str) -> Vec<String> {
     let path = Path::new(image);
     let folder = path.parent().map(files::name).filter(|name| !name.is_empty());

@@ -36,7 +36,7 @@ pub struct Calibration {
 /// One camera of a calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibratedCamera {
-    /// The names by which a video may be meant, the most telling first.
+    /// The names of videos to which the camera may belong, the most telling first.
     pub names: Vec<String>,
     /// Width and height in pixels of the images that the calibration was made with, if the file says.
     pub size: Option<(usize, usize)>,
@@ -66,7 +66,7 @@ pub(crate) struct Format {
     pub in_metres: bool,
 }
 
-/// All formats. The order decides only what messages list first.
+/// All formats. The order decides only the order in messages.
 const FORMATS: [Format; 6] =
     [opencv::FORMAT, caliscope::FORMAT, aniposelib::FORMAT, qualisys::FORMAT, colmap::FORMAT, nerfstudio::FORMAT];
 

@@ -1,4 +1,4 @@
-//! From matrices and vectors as calibrations write them to a camera, with every check that all formats need.
+//! From the matrices and vectors of a calibration to a camera, with the checks that all formats need.
 
 use tcgs_core::{MAX_COORDINATE, MAX_INTRINSIC, rotmat_from_quat};
 
@@ -6,7 +6,7 @@ use super::CalibratedCamera;
 
 /// How far `R Rᵀ` may be from the identity: calibrations are stored with a few decimals.
 const ROTATION_TOLERANCE: f64 = 1e-3;
-/// Largest skew that is taken for rounding, as a share of the focal length.
+/// Largest skew that counts as rounding, as a share of the focal length.
 const SKEW_TOLERANCE: f64 = 1e-4;
 
 /// The numbers of one camera in the conventions of OpenCV.
@@ -23,9 +23,9 @@ pub(super) struct OpenCvCamera {
 }
 
 impl OpenCvCamera {
-    /// Checks the numbers, and moves the origin of pixels from the centre of the first one to its corner.
+    /// Checks the numbers, and moves the origin of pixels from the centre of the first pixel to its corner.
     ///
-    /// - returns: what is wrong, to be put behind the camera's name
+    /// - returns: the camera, or the fault as words to follow the camera's name
     pub fn checked(self) -> Result<CalibratedCamera, String> {
         let [[fx, skew, cx], [zero, fy, cy], bottom] = self.matrix;
         if self.matrix.as_flattened().iter().any(|x| !x.is_finite()) {
@@ -57,7 +57,7 @@ pub(super) fn distortion(coefficients: &[f64]) -> Result<[f64; 8], String> {
     if coefficients.iter().any(|k| !k.is_finite()) {
         return Err(format!("its distortion is {coefficients:?}, expected finite numbers"));
     }
-    // A thin prism and a tilted sensor follow; most files that have room for them hold zeros.
+    // Thin-prism and tilted-sensor coefficients follow; most files that have room for them hold zeros.
     let (known, others) = coefficients.split_at(coefficients.len().min(8));
     if ![0, 4, 5, 8, 12, 14].contains(&coefficients.len()) || others.iter().any(|&k| k != 0.0) {
         let found = coefficients.len();
@@ -101,7 +101,7 @@ pub(crate) fn rotmat_from_vector(vector: [f64; 3]) -> [[f64; 3]; 3] {
     rotmat_from_quat([(0.5 * angle).cos(), x, y, z])
 }
 
-/// The transform the other way.
+/// The inverse transform.
 pub(super) fn inverse(transform: [[f64; 4]; 3]) -> [[f64; 4]; 3] {
     std::array::from_fn(|i| {
         let row: [f64; 3] = std::array::from_fn(|j| transform[j][i]);

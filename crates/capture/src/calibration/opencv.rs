@@ -93,7 +93,7 @@ impl Storage {
         !self.root[key].is_badvalue()
     }
 
-    /// The cameras: what `names` lists, else every `K_<name>`.
+    /// The cameras of `names`, else every `K_<name>`.
     fn names(&self) -> Result<Vec<String>, CaptureError> {
         if let Some(names) = self.root["names"].as_vec() {
             return Ok(names.iter().map(text_of).collect());
@@ -128,8 +128,8 @@ impl Storage {
     }
 }
 
-/// Refuses references and deep lists, which no matrix of OpenCV has. References multiply memory, and loading recurses
-/// once a level.
+/// Refuses references and deep lists, which no matrix of OpenCV has: references multiply memory, and loading recurses
+/// once per level.
 fn check_yaml(text: &str) -> Result<(), String> {
     const MAX_DEPTH: usize = 8;
     let mut parser = Parser::new_from_str(text);

@@ -9,7 +9,7 @@ use crate::lens::{Crop, Lens};
 /// its -x. Focal length 1000, principal point (640, 360), pixel centres at whole numbers.
 const CENTER: [f64; 3] = [1.0, 2.0, -5.0];
 
-/// Where a point of the world is seen, with distortion, pixel centres at +0.5.
+/// Projection of a point of the world, with distortion; pixel centres at +0.5.
 fn seen(camera: &CalibratedCamera, point: [f64; 3]) -> [f64; 2] {
     let at = camera.camera_from_world.map(|[a, b, c, t]| a * point[0] + b * point[1] + c * point[2] + t);
     let k = camera.distortion;

@@ -1,7 +1,7 @@
-//! When one event happened on the clock of each camera: from sound, from motion, from a file, or assumed.
+//! The moment of one event on the clock of each camera: from sound, from motion, from a file, or assumed.
 //!
-//! What lives here: the result, and the file that says it by hand. `sound` and `motion` find it. What does not: what a
-//! capture makes of it (`raw`).
+//! What lives here: the result, and the file that states it by hand. `sound` and `motion` measure it. What does not:
+//! its use for a capture (`raw`).
 
 mod motion;
 mod sound;
@@ -19,28 +19,28 @@ pub struct Clocks {
     pub from: ClocksFrom,
     /// The moment of one and the same event in each recording, seconds by its presentation times.
     pub event_secs: Vec<f64>,
-    /// How sure motion is, where it was looked at; of [`ClocksFrom::Assumed`] it is too unsure to change anything.
+    /// Certainty of motion, where motion was tried. With [`ClocksFrom::Assumed`] it is too low to be used.
     pub evidence: Option<ClockEvidence>,
 }
 
-/// How sure clocks by motion are: the numbers of the camera that is least sure.
+/// Certainty of clocks by motion: the numbers of the least certain camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct ClockEvidence {
-    /// Share of the pairs with another camera that tell the same alone, `[0, 1]`.
+    /// Share of the pairs with another camera whose own offset agrees with the joint one, `[0, 1]`.
     pub agreeing: f64,
     /// Correlation with all others together, over that of the next best offset.
     pub prominence: f64,
 }
 
 impl ClockEvidence {
-    /// [`Self::agreeing`] from which on clocks are taken.
+    /// Least [`Self::agreeing`] at which clocks are taken.
     pub const MIN_AGREEING: f64 = 0.5;
     /// [`Self::prominence`] above which clocks are taken. Scenes whose pairs give wrong offsets reach 1.2; scenes whose
     /// pairs give the right ones start at 1.8.
     pub const MIN_PROMINENCE: f64 = 1.4;
 
-    /// Whether clocks are taken.
+    /// Whether the clocks are certain enough to be taken.
     pub fn is_sure(self) -> bool {
         self.agreeing >= Self::MIN_AGREEING && self.prominence > Self::MIN_PROMINENCE
     }
@@ -53,7 +53,7 @@ pub enum ClocksFrom {
     Sound,
     /// By cross-correlation of motion and brightness over time.
     Motion,
-    /// A file says so.
+    /// From a file.
     File,
     /// Nothing was found: all recordings are taken to begin at the same moment.
     Assumed,
@@ -82,7 +82,7 @@ impl Clocks {
     /// - `names`: of the cameras
     ///
     /// # Errors
-    /// [`CaptureError`] that names the line, or the camera that no line is about.
+    /// [`CaptureError`] that names the line, or the camera without a line.
     pub fn read(path: &Path, names: &[String]) -> Result<Self, CaptureError> {
         let text = files::text(path)?;
         let event_secs = parse(&text, names).map_err(|problem| CaptureError::invalid(path, problem))?;
@@ -94,7 +94,7 @@ impl Clocks {
 ///
 /// - `report`: called with the share of the work that is done, in `[0, 1]`, by any thread
 pub(crate) fn measure(recordings: &[Recording], report: &(dyn Fn(f64) + Sync)) -> Result<Clocks, CaptureError> {
-    // Files of images have no clock, and folders of them are by custom exported together.
+    // Image files have no clock, and folders of them are by custom exported together.
     if recordings.iter().all(Recording::is_images) {
         return Ok(Clocks::assumed(recordings.len()));
     }

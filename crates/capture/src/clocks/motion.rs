@@ -1,4 +1,4 @@
-//! Clocks by motion: how much moves, and how the light changes, rises and falls at the same moments in every camera.
+//! Clocks by motion: motion and light rise and fall at the same moments in every camera.
 //!
 //! Two cameras may agree by chance, and more easily the less they share. A correlation is therefore weighted by its
 //! significance (Fisher's transform), and with many cameras all pairs must agree. Offsets are found for each pair
@@ -13,9 +13,9 @@ use super::ClockEvidence;
 use crate::CaptureError;
 use crate::recording::Recording;
 
-/// Frames of each recording that are looked at, from its first on.
+/// Number of frames of each recording that are read, from its first on.
 const MAX_FRAMES: usize = 1800;
-/// Images are averaged to about so many blocks across: finer things are noise.
+/// Images are averaged to about so many blocks across: finer detail is noise.
 const BLOCKS: usize = 96;
 /// Fewest moments that two recordings must share.
 const MIN_SHARED: usize = 20;
@@ -25,7 +25,7 @@ const MIN_SHARED_SHARE: f64 = 0.4;
 const NOISE: f32 = 0.05;
 /// Correlations below this, in standard deviations, are all alike.
 const MIN_SECOND: f64 = 1e-6;
-/// Offsets this near to the best belong to it, moments.
+/// Offsets this near to the best belong to its peak, moments.
 const PEAK: i64 = 2;
 
 /// Motion and light of one recording over time, on a regular grid: curves of equal length.
@@ -61,7 +61,7 @@ pub(super) fn event_secs(
 fn curves(recording: &Recording, rate: f64, decoded: &(dyn Fn() + Sync)) -> Result<Curves, CaptureError> {
     let num_frames = recording.num_frames().min(MAX_FRAMES);
     let mut before: Option<Vec<f32>> = None;
-    // Between frames: when, how much moved, by how much it became brighter.
+    // Between frames: the time, the amount of motion, the gain in brightness.
     let mut changes: Vec<(f64, f32, f32)> = Vec::new();
     for frame in 0..num_frames {
         let blocks = blocks(&recording.frame(frame)?);
@@ -97,11 +97,11 @@ fn blocks(image: &image::RgbImage) -> Vec<f32> {
 impl Curves {
     /// Brings changes to a regular grid, by linear interpolation.
     ///
-    /// - `changes`: seconds, ascending; logarithm of the energy; by how much it became brighter
+    /// - `changes`: seconds, ascending; logarithm of the energy; gain in brightness
     fn on_grid(changes: &[(f64, f32, f32)], begin_secs: f64, rate: f64) -> Self {
         let Some(&(last, ..)) = changes.last() else { return Self(vec![Vec::new(); 3]) };
         let length = ((last - begin_secs) * rate).round() as usize;
-        // The change before a frame belongs to its place on the grid less one.
+        // The change before a frame belongs to the grid place before that of the frame.
         let at = |i: usize, of: fn(&(f64, f32, f32)) -> f32| {
             let secs = begin_secs + (i + 1) as f64 / rate;
             let after = changes.partition_point(|change| change.0 < secs).min(changes.len() - 1);
@@ -120,7 +120,7 @@ impl Curves {
     }
 }
 
-/// The correlations of two recordings by how much later the second shows what the first does.
+/// The correlations of two recordings by the delay of the second.
 struct Pair {
     /// The least offset.
     first: i64,
@@ -148,7 +148,7 @@ impl Pair {
         Some(self.first + best as i64)
     }
 
-    /// 0 for an offset at which the recordings share too little to tell.
+    /// 0 for an offset at which the recordings share too little.
     fn score(&self, late: i64) -> f64 {
         let i = usize::try_from(late - self.first).ok();
         i.and_then(|i| self.scores.get(i)).copied().unwrap_or(0.0)
@@ -195,7 +195,7 @@ pub(super) fn offsets(curves: &[Curves]) -> Option<(Vec<i64>, ClockEvidence)> {
         true => pairs[place(i, j)].best(),
         false => pairs[place(j, i)].best().map(|late| -late),
     };
-    // From the surest pair to the next, as a tree that holds all cameras.
+    // From the surest pair to the next, as a spanning tree of all cameras.
     let mut lates: Vec<Option<i64>> = vec![None; num];
     lates[0] = Some(0);
     for _ in 1..num {
@@ -207,7 +207,7 @@ pub(super) fn offsets(curves: &[Curves]) -> Option<(Vec<i64>, ClockEvidence)> {
         lates[j] = Some(late);
     }
     let mut lates: Vec<i64> = lates.into_iter().collect::<Option<_>>()?;
-    // Then each where all others together want it, until none moves.
+    // Then coordinate ascent: each camera moves to the best offset against all others, until none moves.
     for _ in 0..10 * num {
         let before = lates.clone();
         for j in 1..num {
@@ -234,7 +234,7 @@ pub(super) fn offsets(curves: &[Curves]) -> Option<(Vec<i64>, ClockEvidence)> {
         let (Some(&from), Some(&to)) = (known.iter().min(), known.iter().max()) else { return 0.0 };
         let is_other = |late: &i64| (late - lates[j]).abs() > PEAK;
         let second = (from..=to).filter(is_other).map(total).fold(0.0, f64::max);
-        // Where nothing correlates there is nothing to be sure of.
+        // Without correlation there is no certainty.
         if total(lates[j]) > 0.0 { total(lates[j]) / second.max(MIN_SECOND) } else { 0.0 }
     };
     let least = |of: &dyn Fn(usize) -> f64| (0..num).map(of).fold(f64::INFINITY, f64::min);

@@ -10,17 +10,17 @@ use rustfft::{FftPlanner, num_complex::Complex32};
 
 use crate::recording::audio;
 
-/// Samples per second: bounds what the offset is exact to, and what a long recording costs.
+/// Samples per second: bounds the precision of offsets, and the cost of a long recording.
 const RATE: u32 = 8000;
-/// Sound beyond this is not heard.
+/// Sound beyond this is ignored.
 const MAX_SECS: f64 = 120.0;
 /// Peaks nearer than this to the highest belong to it: an echo, or one period of a deep tone.
 const PEAK_SECS: f64 = 0.02;
-/// By how much the highest peak must exceed all others. Sound of different scenes reaches 1.1.
+/// Minimum ratio of the highest peak to all others. Sound of different scenes reaches 1.1.
 const MIN_PROMINENCE: f32 = 1.4;
 
-/// The moment of one event in each recording, seconds; `None` if some recording has no sound, or no sound that another
-/// recording has too.
+/// The moment of one event in each recording, seconds. `None` if some recording has no sound, or has no sound in common
+/// with another recording.
 pub(super) fn event_secs(paths: &[&Path]) -> Option<Vec<f64>> {
     let sounds: Vec<Option<Vec<f32>>> = paths.par_iter().map(|path| audio(path, RATE, MAX_SECS)).collect();
     let sounds: Vec<Vec<f32>> = sounds.into_iter().collect::<Option<_>>()?;
@@ -32,7 +32,7 @@ pub(super) fn event_secs(paths: &[&Path]) -> Option<Vec<f64>> {
 /// little in common with the first is compared with others whose offset is known by then.
 pub(super) fn offsets(sounds: &[Vec<f32>]) -> Option<Vec<f64>> {
     let longest = sounds.iter().map(Vec::len).max()?;
-    // Room for every shift without wrapping around.
+    // Length for every shift without wrapping around.
     let length = (2 * longest).next_power_of_two();
     let mut planner = FftPlanner::new();
     let (forward, backward) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
@@ -71,7 +71,7 @@ pub(super) fn offsets(sounds: &[Vec<f32>]) -> Option<Vec<f64>> {
     known.into_iter().collect()
 }
 
-/// Leaves the phases alone: every frequency that is there counts the same. Weak ones hold noise and count less.
+/// Keeps the phases alone: all frequencies get the same weight. Weak ones hold noise and get less.
 fn whiten(product: &mut [Complex32]) {
     let mean = product.iter().map(|value| value.norm()).sum::<f32>() / product.len().max(1) as f32;
     let floor = (0.01 * mean).max(f32::MIN_POSITIVE);

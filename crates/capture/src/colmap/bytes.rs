@@ -30,7 +30,7 @@ impl<'a> Bytes<'a> {
         finite(numbers)
     }
 
-    /// How many things follow, each of at least `least_bytes`.
+    /// Count of the entries that follow, each of at least `least_bytes`.
     pub fn count(&mut self, least_bytes: usize) -> Result<usize, String> {
         let count = self.u64()?;
         let possible = (self.0.len() / least_bytes) as u64;
@@ -42,7 +42,7 @@ impl<'a> Bytes<'a> {
         Ok(())
     }
 
-    /// Up to a zero byte, which is passed over.
+    /// Text up to a zero byte, which is skipped.
     pub fn text(&mut self) -> Result<String, String> {
         let end = self.0.iter().position(|&byte| byte == 0).ok_or(ENDS_EARLY)?;
         let text = String::from_utf8(self.0[..end].to_vec()).map_err(|_| "has a name that is not UTF-8")?;

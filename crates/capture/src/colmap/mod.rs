@@ -1,7 +1,7 @@
 //! The files of a COLMAP model.
 //!
-//! What lives here: `model` reads cameras and images, `points` points, `bytes` what both need. What does not: from a
-//! model to a capture (`kinds/colmap.rs`).
+//! What lives here: `model` reads cameras and images, `points` reads points, `bytes` is shared by both. What does not:
+//! the way from a model to a capture (`kinds/colmap.rs`).
 
 mod bytes;
 mod model;

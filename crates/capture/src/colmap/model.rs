@@ -16,7 +16,7 @@ pub(crate) struct ColmapModel {
     pub images: Vec<PosedImage>,
 }
 
-/// One image and where it was taken from.
+/// One image and its pose.
 pub(crate) struct PosedImage {
     pub name: String,
     pub camera_id: u32,
@@ -26,7 +26,7 @@ pub(crate) struct PosedImage {
     pub translation: [f64; 3],
 }
 
-/// A camera model: its name, and where its parameters stand in [`PARAMETERS`].
+/// A camera model: its name, and the places of its parameters in [`PARAMETERS`].
 struct CameraModel {
     id: u32,
     name: &'static str,
@@ -51,7 +51,7 @@ const K6: usize = 9;
 const P1: usize = 10;
 const P2: usize = 11;
 
-/// The models that are a pinhole behind a lens; others are of fisheyes.
+/// The pinhole models with distortion; the others are fisheyes.
 const MODELS: [CameraModel; 6] = [
     CameraModel { id: 0, name: "SIMPLE_PINHOLE", places: &[F, CX, CY] },
     CameraModel { id: 1, name: "PINHOLE", places: &[FX, FY, CX, CY] },
@@ -106,7 +106,7 @@ impl ColmapModel {
     }
 }
 
-/// One of the files of a model, binary if there is such a one.
+/// Reads one of the files of a model, preferring the binary one.
 fn read<T>(
     folder: &Path,
     name: &str,

@@ -18,7 +18,7 @@ pub(crate) fn points_in(folder: &Path) -> Option<PathBuf> {
     ["points3D.bin", "points3D.txt"].iter().map(|name| folder.join(name)).find(|path| path.is_file())
 }
 
-/// Reads points. All are foreground, since a model does not say what moves.
+/// Reads points. All are foreground, since a model does not say which of them move.
 pub(crate) fn read_points(path: &Path) -> Result<PointCloud, CaptureError> {
     let bytes = files::bytes(path)?;
     let read = if path.extension().is_some_and(|e| e == "txt") {
@@ -40,7 +40,7 @@ pub(crate) fn read_points(path: &Path) -> Result<PointCloud, CaptureError> {
 type Points = Vec<([f64; 3], [u8; 3])>;
 
 fn binary(mut from: Bytes<'_>) -> Result<Points, String> {
-    /// An image that shows the point: its number, and which of its points it is.
+    /// An image that shows the point: the image's number, and the number of the point in it.
     const TRACK_BYTES: usize = 8;
     let mut points = Points::new();
     for _ in 0..from.count(51)? {

@@ -21,10 +21,10 @@ const MIN_PIXELS: usize = 200;
 /// Minimum number of cameras for one to be in the middle.
 const MIN_CAMERAS: usize = 3;
 
-/// How bright each camera's red, green and blue are, over those of the camera in the middle.
+/// Brightness of each camera's red, green and blue over those of the camera in the middle.
 ///
-/// - `judged`: of each view; only those that fit are compared
-/// - returns: `None` of cameras that cannot be compared
+/// - `judged`: of each view; only views that fit are compared
+/// - returns: `None` for cameras that cannot be compared
 pub(super) fn factors(views: &[View], splats: &Splats, judged: &[Judged]) -> Vec<Option<[f64; 3]>> {
     let fits = |i: usize| judged.get(i).is_some_and(|judged| judged.verdict == Verdict::Fits);
     let of_view = |i: usize| if fits(i) { from_points(&views[i], splats) } else { None };
@@ -38,7 +38,7 @@ pub(super) fn factors(views: &[View], splats: &Splats, judged: &[Judged]) -> Vec
     logarithms.into_iter().map(|of| of.map(relative)).collect()
 }
 
-/// Logarithms of how much brighter an image is than the points are from there.
+/// Logarithm of the brightness of an image over that of the points as seen from its camera.
 fn from_points(view: &View, splats: &Splats) -> Option<[f64; 3]> {
     let drawing = splats.draw(&Pinhole::new(&view.camera));
     let image = Vantage::new(view, 1).colors;

@@ -1,5 +1,5 @@
-//! Do cameras and images fit together? Every suspicion is a hypothesis: another pose or another lens, under
-//! which the points would fall on pixels of their colours. One that fits clearly better is the finding.
+//! Checks whether cameras and images fit together. Every suspicion is a hypothesis: another pose or another lens, under
+//! which the points would fall on pixels of their colours. A hypothesis that fits clearly better is the finding.
 
 use rayon::prelude::*;
 use tcgs_core::{Camera, Pinhole, View};
@@ -8,40 +8,40 @@ use super::splat::{Drawing, MIN_COVERAGE, Splats, smoothness};
 use super::{Finding, FindingKind, Names};
 use crate::{points_in_view, prepare::vantage::Vantage};
 
-/// By how much a hypothesis must fit better than what the capture says.
+/// Minimum gain in fit of a hypothesis over the given camera.
 const CLEARLY: f64 = 0.12;
-/// A hypothesis that fits less than this explains nothing.
+/// Minimum fit of a hypothesis that explains something.
 const MIN_FIT: f64 = 0.35;
-/// Below this a camera does not fit, whatever the reason.
+/// A camera below this fit does not fit, for whatever reason.
 const NO_FIT: f64 = 0.2;
 /// Healthy cameras fit better than this.
 pub(super) const HEALTHY_FIT: f64 = 0.5;
 /// A camera that no hypothesis explains is accused only if at least this share of the comparable cameras is healthy.
 /// Otherwise the points are as suspect as the cameras.
 const MOST: f64 = 0.5;
-/// By how many standard deviations of wrong correlations two correlations must differ. In the faults of the tests the
-/// right hypothesis is at least 5.6 better than what the capture says.
+/// Minimum difference of two correlations, in standard deviations of wrong correlations. In the faults of the tests the
+/// right hypothesis is at least 5.6 better than the given camera.
 const SIGNIFICANT: f64 = 3.0;
 /// Wrong shifts: steps in each direction, and share of the image's width between two.
 const NULL_STEPS: i32 = 2;
 const NULL_SPACING: f64 = 0.125;
-/// Wrong shifts that it takes to know their scatter.
+/// Minimum number of wrong shifts from which their scatter is known.
 const MIN_NULL: usize = 8;
-/// Lenses that are tried: factors of the focal lengths.
+/// Factors of the focal lengths that are tried.
 const FOCAL_FACTORS: [f64; 16] =
     [0.25, 0.333, 0.4, 0.5, 0.571, 0.667, 0.75, 0.833, 0.91, 1.1, 1.2, 1.333, 1.5, 1.75, 2.0, 4.0];
-/// Image sizes that intrinsics may have been meant for.
+/// Ratios of the image size that intrinsics may have been meant for.
 const SIZE_FACTORS: [f64; 6] = [0.25, 0.333, 0.5, 2.0, 3.0, 4.0];
-/// How far principal points are moved, share of the image's width.
+/// Largest shift of the principal point that is tried, share of the image's width.
 const MAX_SHIFT: f64 = 0.25;
-/// A principal point that is off by less is as good as calibrations are, share of the image's width.
+/// Calibrations err by up to this in the principal point, share of the image's width.
 const MIN_SHIFT: f64 = 0.02;
-/// Between poses of cameras closer than this share of the rig's size there is no telling.
+/// Poses of cameras closer than this share of the rig's size cannot be told apart.
 const MIN_APART: f64 = 0.02;
 
-/// How a camera fits, and what would fit better.
+/// The fit of a camera, and a hypothesis that would fit better.
 pub(super) struct Judged {
-    /// Nothing, where there is too little to compare.
+    /// `None` where there is too little to compare.
     pub fit: Option<f64>,
     pub verdict: Verdict,
 }
@@ -49,11 +49,11 @@ pub(super) struct Judged {
 /// The verdict on a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Verdict {
-    /// Nothing fits clearly better, and it is alike enough.
+    /// No hypothesis fits clearly better, and the likeness is high enough.
     Fits,
-    /// This does.
+    /// This hypothesis fits better.
     Wrong(Hypothesis),
-    /// Image and points do not fit, and no hypothesis explains it.
+    /// Image and points do not fit, and no hypothesis explains the misfit.
     Lost,
     /// Too little texture, too few points or too little likeness to tell a right camera from a wrong one.
     Undecided,
@@ -61,15 +61,15 @@ pub(super) enum Verdict {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Hypothesis {
-    /// Matrix the wrong way round.
+    /// Inverted matrix.
     Inverted,
     /// Pose and lens of another camera.
     PoseOf(usize),
-    /// Intrinsics times this.
+    /// Intrinsics times this factor.
     MeantForSize(f64),
-    /// Focal lengths times this.
+    /// Focal lengths times this factor.
     Focal(f64),
-    /// Principal point that far away, pixels of the capture's images.
+    /// Principal point shifted by this, pixels of the capture's images.
     Principal([f64; 2]),
 }
 
@@ -97,7 +97,7 @@ pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<J
                     best = (fit, Some((hypothesis, shift)));
                 }
             };
-            // From the likeliest to the least likely: of two that fit alike the first is kept.
+            // From the likeliest hypothesis to the least likely: of two with the same fit the first is kept.
             consider(with(&points_in_view::inverse(camera)), Hypothesis::Inverted, [0; 2]);
             for j in (0..views.len()).filter(|&j| j != i && same_size(j) && is_apart(views, i, j)) {
                 consider(drawings[j].fit(colors, [0; 2], 1).unwrap_or(0.0), Hypothesis::PoseOf(j), [0; 2]);
@@ -134,7 +134,7 @@ pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<J
                 }
                 _ if given.is_some_and(|fit| fit >= NO_FIT) => Verdict::Fits,
                 _ if given.is_none() => {
-                    // Where the points fill the others' images, a camera that sees few of them looks elsewhere.
+                    // Where the points fill the other cameras' images, a camera that sees few of them looks elsewhere.
                     let looks_elsewhere =
                         drawings[i].coverage() < MIN_COVERAGE && typical_coverage > 3.0 * MIN_COVERAGE;
                     if looks_elsewhere { Verdict::Lost } else { Verdict::Undecided }
@@ -154,7 +154,7 @@ pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<J
     sober(judged)
 }
 
-/// Takes back what the likeness of all cameras together does not bear out.
+/// Withdraws verdicts that the likeness of all cameras together does not support.
 fn sober(mut judged: Vec<Judged>) -> Vec<Judged> {
     let fits: Vec<f64> = judged.iter().filter_map(|judged| judged.fit).collect();
     let num_healthy = fits.iter().filter(|&&fit| fit > HEALTHY_FIT).count();
@@ -184,7 +184,7 @@ struct Null {
 }
 
 impl Null {
-    /// Nothing where too few of the shifts leave enough to compare.
+    /// `None` where too few of the shifts leave enough to compare.
     ///
     /// - `around`: the shift that is judged
     fn of(drawing: &Drawing, colors: &[[f32; 3]], around: [i32; 2]) -> Option<Self> {
@@ -218,7 +218,7 @@ impl Null {
         self.values.iter().sum::<f64>() / self.values.len() as f64
     }
 
-    /// Error of a correlation: the standard deviation of wrong ones, or what the number of points allows.
+    /// Error of a correlation: the standard deviation of wrong ones, or the sampling error of the number of points.
     fn scatter(&self) -> f64 {
         let (count, mean) = (self.values.len() as f64, self.mean());
         (self.values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0)).sqrt().max(self.sampling)
@@ -245,7 +245,7 @@ fn scaled(camera: &Camera, focal: f64, principal: f64) -> Camera {
     }
 }
 
-/// First in steps of four pixels, then of one around the best.
+/// Coarse-to-fine search: steps of four pixels, then of one around the best.
 fn best_shift(most: i32, fit: impl Fn([i32; 2], usize) -> f64) -> ([i32; 2], f64) {
     let search = |around: [i32; 2], reach: i32, spacing: i32, step: usize| {
         let mut best = (around, f64::NEG_INFINITY);
@@ -327,7 +327,7 @@ pub(super) fn findings(views: &[View], judged: &[Judged], names: &Names) -> Vec<
     findings
 }
 
-/// Two decimals at most.
+/// Formats a number with two decimals at most.
 fn shown(factor: f64) -> String {
     let text = format!("{factor:.2}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
@@ -355,7 +355,7 @@ mod tests {
         use Verdict::{Fits, Lost, Undecided};
         assert_eq!(verdicts(&[(0.9, Fits), (0.4, Fits), (0.8, Fits)]), [Fits, Undecided, Fits]);
         assert_eq!(verdicts(&[(0.9, Fits), (0.1, Lost), (0.8, Fits)]), [Fits, Lost, Fits]);
-        // Where most are unlike their points, the points are suspect.
+        // Where most cameras are unlike their points, the points are suspect.
         assert_eq!(verdicts(&[(0.6, Fits), (0.1, Lost), (0.3, Fits)]), [Fits, Undecided, Undecided]);
         assert_eq!(verdicts(&[(0.1, wrong), (0.2, wrong)]), [wrong, wrong]);
     }

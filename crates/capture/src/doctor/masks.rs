@@ -1,4 +1,4 @@
-//! Masks that are empty, or the wrong way round.
+//! Checks for masks that are empty, or the wrong way round.
 
 use rayon::prelude::*;
 use tcgs_core::{Image, Pinhole, View};
@@ -6,16 +6,16 @@ use tcgs_core::{Image, Pinhole, View};
 use super::{Finding, FindingKind, splat::Splats};
 use crate::{Capture, CaptureError, Split};
 
-/// Foreground that covers less of the image is not missed, share of the pixels.
+/// Foreground in sight below this share of the pixels may be missing from a mask.
 const MIN_IN_SIGHT: f64 = 0.003;
-/// By how much more often a mask must cover background than foreground to be the wrong way round.
+/// A mask is inverted if its share of the background exceeds its share of the foreground by this.
 const CLEARLY: f64 = 0.3;
-/// Masks that cover more than this share on average are suspicious.
+/// Masks with a larger mean share than this are suspicious.
 const MOST: f64 = 0.5;
-/// Change of a pixel over time from which on something moved there.
+/// Change of a pixel over time above which something moved there.
 const MOVED: f32 = 0.1;
 
-/// Masks against what the points say is foreground.
+/// Compares masks with the points' foreground.
 pub(super) fn findings(views: &[View], splats: &Splats) -> Vec<Finding> {
     let masked: Vec<&View> = views.iter().filter(|view| view.segmentation.is_some()).collect();
     let (mut empty, mut inverted) = (Vec::new(), Vec::new());
@@ -114,9 +114,9 @@ impl Shares {
     }
 }
 
-/// Cameras outside of whose masks more moves than inside.
+/// Cameras whose images change more outside the mask than inside.
 ///
-/// - `later`: the same at another time
+/// - `later`: the same views at another time
 fn moving_outside(views: &[View], later: &[View]) -> Vec<usize> {
     let moved = |a: &Image, b: &Image, pixel: usize| {
         (0..3).any(|channel| (a.plane(channel)[pixel] - b.plane(channel)[pixel]).abs() > MOVED)

@@ -1,7 +1,7 @@
 //! The diagnosis of a capture: mistakes of cameras, masks and clocks that only the images reveal.
 //!
-//! A camera gets one of three verdicts: it fits, something is wrong, or the doctor cannot tell. Points whose depth is
-//! assumed are no evidence: those of the shell have their colour from one camera's own picture.
+//! A camera gets one of three verdicts: it fits, something is wrong, or the doctor cannot tell. Points with an assumed
+//! depth are no evidence: points of the shell have their colour from one camera's own picture.
 //!
 //! What lives here: checks that [`Capture::open`] does not make.
 //!
@@ -35,15 +35,15 @@ use splat::Splats;
 pub use pictures::CameraPictures;
 pub use poses::same_poses;
 
-/// Images are compared at this width at most, pixels.
+/// Largest width at which images are compared, pixels.
 const WIDTH: usize = 200;
-/// Images are searched for depth at this width at most, pixels, where only the agreement matters.
+/// Largest width at which images are searched for depth, pixels, where only the agreement matters.
 const AGREEMENT_WIDTH: usize = 100;
 /// Share of pixels on whose depth views agree, below which cameras may be wrong altogether.
 const FEW_AGREE: f64 = 0.1;
 /// Width of a camera's pictures at most, pixels.
 const PICTURE_WIDTH: usize = 480;
-/// Points, where the capture has none.
+/// Number of points that are made for a capture without points.
 const NUM_POINTS: usize = 30_000;
 
 /// The kinds of mistakes that [`check`] recognises.
@@ -98,7 +98,7 @@ impl FindingKind {
 pub struct Finding {
     /// The kind of the mistake.
     pub kind: FindingKind,
-    /// Ids of the cameras that are concerned.
+    /// Ids of the cameras with this mistake.
     pub cameras: Vec<usize>,
     /// Names of these cameras.
     pub names: Vec<String>,
@@ -134,7 +134,7 @@ impl Names {
         self.0.get(&id).map_or("?", String::as_str)
     }
 
-    /// With commas between.
+    /// Names of cameras, separated by commas.
     fn list(&self, ids: &[usize]) -> String {
         ids.iter().map(|&id| self.name(id)).collect::<Vec<_>>().join(", ")
     }
@@ -149,8 +149,8 @@ pub struct CameraFit {
     /// camera below [`Diagnosis::MIN_FIT`] is never said to fit. `None` where too few points or too little texture is
     /// in sight. Also `None` where all cameras share a mistake, and were therefore not compared one by one.
     pub fit: Option<f64>,
-    /// How bright the camera's red, green and blue are, over those of the camera in the middle, after the gains of
-    /// `capture.toml`. `None` where too little is seen to compare, and of cameras that do not fit.
+    /// Brightness of the camera's red, green and blue over those of the camera in the middle, after the gains of
+    /// `capture.toml`. `None` where too little is in sight to compare, and for cameras that do not fit.
     pub brightness: Option<[f64; 3]>,
 }
 
@@ -165,9 +165,9 @@ pub struct Diagnosis {
     pub undecided: Vec<usize>,
     /// The fit of each training camera, then of each test camera.
     pub cameras: Vec<CameraFit>,
-    /// Their names.
+    /// Names of these cameras.
     pub names: Vec<String>,
-    /// Share of the points whose depth is measured, the only evidence; `None` where nothing says how they were made.
+    /// Share of the points whose depth is measured, the only evidence. `None` if the origin of the points is unknown.
     pub measured_share: Option<f64>,
     /// Whether the capture has no points of its own, so that the points were made by multi-view stereo.
     pub made_points: bool,
@@ -179,13 +179,13 @@ pub struct Diagnosis {
 }
 
 impl Diagnosis {
-    /// Correct cameras have more likeness than this ([`CameraFit::fit`]).
+    /// Correct cameras have a higher likeness than this ([`CameraFit::fit`]).
     pub const MIN_FIT: f64 = geometry::HEALTHY_FIT;
 
     /// The pictures of one camera, at most 480 pixels wide. Its image is read again.
     ///
-    /// - `capture`: the one that was examined
-    /// - `place`: among [`Self::cameras`]
+    /// - `capture`: the examined capture
+    /// - `place`: index into [`Self::cameras`]
     ///
     /// # Errors
     /// [`CaptureError`] if the image cannot be read.
@@ -202,7 +202,7 @@ impl Diagnosis {
 
 /// Looks for wrong cameras, masks and clocks. Cameras and masks are compared with the points at the first frame, clocks
 /// at frames spread over the capture.
-///
+/// - `capture`: opened by [`Capture::open_unseen`], so that wrong cameras give no error beforehand
 /// - `capture`: opened by [`Capture::open_unseen`], so that wrong cameras do not end in an error before
 /// - `report`: called with a description of each step before the step begins
 ///
@@ -289,7 +289,7 @@ fn first_rows(camera: &Camera) -> [[f64; 4]; 3] {
     [a, b, c]
 }
 
-/// The views as they agree with each other best: as they are, or with all matrices inverted.
+/// The views under the convention in which they agree best: as they are, or with all matrices inverted.
 fn consistent(views: &[View], report: &mut dyn FnMut(&str)) -> (Vec<View>, Option<Finding>) {
     report("comparing images with each other");
     let with = |change: &dyn Fn(&Camera) -> Camera| -> Vec<View> {

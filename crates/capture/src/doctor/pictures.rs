@@ -17,7 +17,7 @@ const DIMMED: f32 = 0.2;
 pub struct CameraPictures {
     /// `[3, H, W]`, the image with a dot for some of the points that fall on it: foreground orange, background cyan.
     pub image: Image,
-    /// `[3, H, W]`, the points as they are seen from the camera; black where there are none.
+    /// `[3, H, W]`, the points as seen from the camera; black where there are none.
     pub points: Image,
     /// `[3, H, W]`, the image with a dark background, if the camera has a mask.
     pub mask: Option<Image>,

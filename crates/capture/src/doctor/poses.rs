@@ -1,8 +1,8 @@
-//! Cameras with one pose: told from numbers alone, whatever the images show.
+//! Cameras with one pose: found from numbers alone, without images.
 
 use super::{Finding, FindingKind, Names};
 
-/// Distance between two lenses below which they are in one place, share of the size of the rig.
+/// Distance between two cameras below which they are in one place, share of the size of the rig.
 const SAME_PLACE: f64 = 1e-3;
 /// Largest difference of the entries of two rotations that are the same: about a tenth of a degree.
 const SAME_TURN: f64 = 2e-3;
@@ -10,7 +10,7 @@ const SAME_TURN: f64 = 2e-3;
 /// First three rows of `camera_from_world`.
 type Pose = [[f64; 4]; 3];
 
-/// Groups of cameras that have the same place and the same direction, as an entry that was copied has.
+/// Groups of cameras with the same place and the same direction, as copied entries have.
 ///
 /// - `poses`: first three rows of each camera's `camera_from_world`
 /// - returns: indices into `poses`, ascending, of two cameras or more each

@@ -1,5 +1,5 @@
-//! The doctor's picture: every camera's image with the points that fall on it, and below what the points
-//! look like from there. Where cameras are right the two look alike.
+//! The doctor's overview: every camera's image with the points that fall on it, and below it the points as seen from
+//! the camera. Where cameras are right the two look alike.
 
 use tcgs_core::{Image, Pinhole, View};
 

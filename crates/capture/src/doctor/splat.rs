@@ -1,18 +1,18 @@
-//! Points as a camera would see them, and how well that fits an image.
+//! Draws points as seen by a camera, and measures their fit to an image.
 
 use tcgs_core::{Pinhole, PointCloud};
 
 use crate::prepare::vantage::{length, sub};
 
-/// Points that are drawn, at most.
+/// Maximum number of drawn points.
 const MAX_POINTS: usize = 40_000;
-/// Points that the distance between neighbours is measured at.
+/// Number of points at which the distance between neighbours is measured.
 const NUM_PROBES: usize = 100;
 /// Points are drawn as squares this much wider than the distance to the next one.
 const OVERLAP: f32 = 1.5;
-/// Squares reach at most that many pixels from their middle.
+/// Squares reach at most this many pixels from their middle.
 const MAX_REACH_PX: i32 = 4;
-/// A comparison over fewer pixels of the image than this share says nothing.
+/// Minimum share of the image's pixels for a comparison.
 pub(super) const MIN_COVERAGE: f64 = 0.1;
 /// Variance of colours below which there is nothing to compare.
 const MIN_VARIANCE: f64 = 1e-5;
@@ -116,11 +116,11 @@ impl Splats {
 }
 
 impl Drawing {
-    /// Correlation with the colours of an image of the same size, moved by some pixels, -1 to 1; nothing where there is
-    /// too little to compare.
+    /// Correlation with the colours of an image of the same size that is shifted, -1 to 1; `None` where there is too
+    /// little to compare.
     ///
-    /// - `shift`: what is drawn at `x, y` is compared with the image at `x + shift`
-    /// - `step`: every so many pixels along both axes
+    /// - `shift`: the drawing at `x, y` is compared with the image at `x + shift`
+    /// - `step`: spacing of the compared pixels along both axes
     pub fn fit(&self, colors: &[[f32; 3]], shift: [i32; 2], step: usize) -> Option<f64> {
         let (width, height) = (self.width as i32, (self.depths.len() / self.width) as i32);
         // Per channel: sum and sum of squares of both, and sum of the product.
@@ -160,7 +160,7 @@ impl Drawing {
         (square_a >= MIN_VARIANCE && square_b >= MIN_VARIANCE).then(|| product / (square_a * square_b).sqrt())
     }
 
-    /// Share of the pixels that were drawn.
+    /// Share of the drawn pixels.
     pub fn coverage(&self) -> f64 {
         self.depths.iter().filter(|&&depth| depth > 0.0).count() as f64 / self.depths.len() as f64
     }
@@ -171,8 +171,8 @@ impl Drawing {
     }
 }
 
-/// Correlation of an image with itself moved by a pixel to the right, 0 to 1: the share of its variance that is texture
-/// and not noise of single pixels.
+/// Correlation of an image with itself shifted by a pixel to the right, 0 to 1: the share of its variance that is
+/// texture and not noise of single pixels.
 ///
 /// - `colors`: `[H, W]`
 pub(super) fn smoothness(colors: &[[f32; 3]], width: usize) -> f64 {

@@ -1,4 +1,4 @@
-//! Cameras whose clocks are wrong: their silhouettes fit those of the others at another time.
+//! Finds cameras whose clocks are wrong: their silhouettes fit those of the others at another time.
 
 use std::collections::BTreeMap;
 
@@ -14,18 +14,18 @@ use crate::{
     },
 };
 
-/// Silhouettes are compared at this width at most, pixels.
+/// Largest width at which silhouettes are compared, pixels.
 const WIDTH: usize = 160;
-/// Frames early or late that are tried, at most.
+/// Largest shift that is tried, frames.
 const MAX_SHIFT: usize = 8;
-/// Times that are compared, at most.
+/// Maximum number of times that are compared.
 const MAX_TIMES: usize = 4;
 /// Number of frames from which the static background is taken if the capture has no masks.
 const NUM_STILLS: usize = 9;
 /// A pixel that differs from the static background by more than this is foreground.
 const MOVED: f32 = 0.08;
-/// By how much silhouettes must overlap better at another time: mean of intersection over union. Without masks
-/// healthy cameras come up to 0.04.
+/// Minimum gain of the silhouettes' overlap at another time, as mean of intersection over union. Without masks healthy
+/// cameras gain up to 0.04.
 const CLEARLY: f64 = 0.06;
 /// Minimum number of cameras.
 const MIN_CAMERAS: usize = 4;
@@ -36,14 +36,14 @@ struct Witness {
     silhouettes: BTreeMap<usize, (Pinhole<f32>, Vec<bool>)>,
 }
 
-/// - `suspects`: cameras that are wrong in another way, and say nothing here
+/// - `suspects`: cameras that are wrong in another way, and are left out
 pub(super) fn findings(capture: &Capture, suspects: &[usize]) -> Result<Vec<Finding>, CaptureError> {
     let num_frames = capture.num_frames();
     let reach = MAX_SHIFT.min(num_frames.saturating_sub(1) / 3);
     if reach == 0 {
         return Ok(Vec::new());
     }
-    // Evenly, each with room for early and late.
+    // Evenly spread times, each with room for early and late frames.
     let room = num_frames - 2 * reach;
     let num_times = MAX_TIMES.min(room);
     let times: Vec<usize> = (0..num_times).map(|i| reach + (2 * i + 1) * room / (2 * num_times)).collect();
@@ -51,7 +51,8 @@ pub(super) fn findings(capture: &Capture, suspects: &[usize]) -> Result<Vec<Find
         .into_iter()
         .filter(|witness| !suspects.contains(&witness.camera_id))
         .collect();
-    // The worst first; the others are asked again without it, for its silhouettes spoil what they are compared with.
+    // The worst camera is removed first, and the others are judged again without it: its silhouettes spoil their
+    // reference.
     let mut found = Vec::new();
     while witnesses.len() >= MIN_CAMERAS {
         let shifts: Vec<Option<Shift>> =
@@ -86,11 +87,11 @@ struct Shift {
     frames: i32,
     /// Mean of intersection over union, at this time.
     overlap: f64,
-    /// By how much the overlap is larger than in time.
+    /// Gain of the overlap against no shift.
     gain: f64,
 }
 
-/// How many frames later a camera shows what the others do; nothing if it is in time.
+/// Number of frames by which a camera shows the same later than the others; `None` if it is in time.
 fn best_shift(witnesses: &[Witness], of: usize, times: &[usize], reach: i32) -> Option<Shift> {
     let num_shifts = (2 * reach + 1) as usize;
     // `[T][S]`
@@ -129,7 +130,7 @@ fn best_shift(witnesses: &[Witness], of: usize, times: &[usize], reach: i32) -> 
     (best != in_time && clearly).then_some(Shift { frames: best as i32 - reach, overlap: mean(best), gain })
 }
 
-/// All cameras' silhouettes around some times: their masks, or where images differ from what stands still.
+/// All cameras' silhouettes around some times: their masks, or differences from the static background.
 fn witnesses(capture: &Capture, times: &[usize], reach: usize) -> Result<Vec<Witness>, CaptureError> {
     let mut frames: Vec<usize> = times.iter().flat_map(|&time| time - reach..=time + reach).collect();
     frames.sort_unstable();
