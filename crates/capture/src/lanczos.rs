@@ -1,16 +1,16 @@
 //! Halving images as publications on Neural 3D Video do.
 //!
-//! They use Pillow's `LANCZOS`: a windowed sinc of radius 3, widened by the factor, first along rows, then along
-//! columns, with 8 bits between. Weights are fixed-point numbers there, and so they are here: results are the same
-//! to the bit.
+//! These publications use Pillow's `LANCZOS`: a windowed sinc of radius 3, widened by the factor, first along rows,
+//! then along columns, with 8 bits between. Pillow's weights are fixed-point numbers, and so are these: the results are
+//! equal to the bit.
 
 use image::RgbImage;
 
 /// Radius of the kernel, pixels of the result.
 const RADIUS: f64 = 3.0;
-/// Pixels that become one, along each axis.
+/// Number of pixels that become one, along each axis.
 const SCALE: f64 = 2.0;
-/// Bits of a weight after the point.
+/// Fractional bits of a weight.
 const PRECISION: u32 = 22;
 
 /// An image of half the width and height.
@@ -65,7 +65,7 @@ fn round(sum: i32) -> u8 {
     (sum >> PRECISION).clamp(0, 255) as u8
 }
 
-/// Weights along one axis. At the edges the kernel is cut off and what remains sums to one.
+/// Weights along one axis. At the edges the kernel is cut off, and the remaining weights sum to one.
 fn taps(size: usize, half_size: usize) -> Vec<Taps> {
     let support = RADIUS * SCALE;
     (0..half_size)

@@ -1,11 +1,11 @@
-//! Lenses that bend straight lines, and taking that out of an image.
+//! Lens distortion, and its removal from an image.
 
 use std::ops::Range;
 
 use image::RgbImage;
 use tcgs_core::Image;
 
-/// A lens as OpenCV and COLMAP describe it: where on the image a ray falls.
+/// A lens as OpenCV and COLMAP describe it: the projection of a ray onto the image.
 ///
 /// With `x, y` on the plane at depth 1 and `r² = x² + y²`, the ray falls on `focal * (x', y') + principal`, where
 /// `x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) + 2 p1 x y + p2 (r² + 2 x²)`, and `y'` likewise.
@@ -22,7 +22,7 @@ pub(crate) struct Lens {
     pub radial: [f64; 6],
     /// `p1`, `p2`
     pub tangential: [f64; 2],
-    /// The part of the image plane that is given out, once [`Self::find_crop`] has found it.
+    /// The used part of the image plane, once [`Self::find_crop`] has found it.
     pub crop: Crop,
 }
 
@@ -37,15 +37,15 @@ pub(crate) struct Crop {
 
 /// Largest width and height of a lens, pixels.
 pub(crate) const MAX_SIDE: usize = 1 << 14;
-/// Crops of images up to this width and height are searched from the whole image, pixels.
+/// Largest width and height of images whose crop is searched from the whole image, pixels.
 const WHOLE_SIDE: usize = 512;
-/// By how much more than twice the crop at half the size the search begins, pixels at each side.
+/// Margin around twice the half-size crop from which the search begins, pixels at each side.
 const HALF_MARGIN: usize = 4;
-/// Less of the width or height must not remain.
+/// Least share of the width or height that must remain.
 const MIN_SHARE: f64 = 0.25;
 
 impl Lens {
-    /// Whether lines stay straight.
+    /// Whether the lens has no distortion.
     pub fn is_straight(&self) -> bool {
         self.radial == [0.0; 6] && self.tangential == [0.0; 2]
     }
@@ -61,7 +61,7 @@ impl Lens {
         [[fx, 0.0, cx - self.crop.left as f64], [0.0, fy, cy - self.crop.top as f64], [0.0, 0.0, 1.0]]
     }
 
-    /// Where in the image lies what a straight one of equal focal length would show at `pixel`.
+    /// Place in the distorted image of what an undistorted image of equal focal length shows at `pixel`.
     pub fn bend(&self, pixel: [f64; 2]) -> [f64; 2] {
         let [x, y] = std::array::from_fn(|i| (pixel[i] - self.principal[i]) / self.focal[i]);
         let r2 = x * x + y * y;
@@ -78,14 +78,14 @@ impl Lens {
     /// Whether the scene point at a pixel of the straight image lies outside of the distorted image.
     fn bends_outside(&self, x: usize, y: usize) -> bool {
         let [u, v] = self.bend([x as f64 + 0.5, y as f64 + 0.5]);
-        // The colour of the edge holds up to half a pixel beyond the outermost centres.
+        // The colour of the edge extends half a pixel beyond the outermost centres.
         !((0.0..=self.width as f64).contains(&u) && (0.0..=self.height as f64).contains(&v))
     }
 
-    /// Sets the crop to what is left when rows and columns at the edges are dropped until every pixel lies within the
-    /// image: no pixel of a straightened image is made up.
+    /// Sets the crop: drops rows and columns at the edges until every pixel lies within the distorted image. No pixel
+    /// of a straightened image is invented.
     ///
-    /// - returns: what is wrong, if less than a quarter of a side remains
+    /// - returns: the fault, if less than a quarter of a side remains
     pub fn find_crop(&mut self) -> Result<(), String> {
         self.crop = self.whole_crop().ok_or_else(|| {
             let (radial, tangential) = (self.radial, self.tangential);
@@ -124,16 +124,16 @@ impl Lens {
         self.crop_within(Crop { left, top, width, height })
     }
 
-    /// Drops, one after another, the side of a rectangle with the largest share of pixels outside of the image, until
-    /// there are none; `None` if less than a quarter of a side of the image remains.
+    /// Repeatedly drops the side of a rectangle with the largest share of pixels outside the image, until there are
+    /// none. `None` if less than a quarter of a side of the image remains.
     fn crop_within(&self, Crop { mut left, mut top, width, height }: Crop) -> Option<Crop> {
         let (mut right, mut bottom) = (left + width, top + height);
         let min = |size: usize| (size as f64 * MIN_SHARE).ceil() as usize;
         let outside = |x: usize, y: usize| self.bends_outside(x, y);
         let in_column = |x: usize, rows: Range<usize>| rows.filter(|&y| outside(x, y)).count();
         let in_row = |y: usize, columns: Range<usize>| columns.filter(|&x| outside(x, y)).count();
-        // How many pixels of each side lie outside. Dropping a side takes a pixel from each neighbouring side; only the
-        // row or column behind the dropped side is counted in full.
+        // Number of pixels of each side that lie outside. Dropping a side takes a pixel from each neighbouring side;
+        // only the row or column behind the dropped side is counted in full.
         let mut counts = [
             in_column(left, top..bottom),
             in_row(top, left..right),
@@ -174,7 +174,7 @@ impl Lens {
         }
     }
 
-    /// The image of a camera without bends, by bilinear interpolation.
+    /// The image of a camera without distortion, by bilinear interpolation.
     ///
     /// - `image`: of [`Self::size`]
     pub fn straighten(&self, image: &RgbImage) -> Image {
@@ -193,7 +193,7 @@ impl Lens {
     }
 }
 
-/// - `x`, `y`: in pixels from the centre of the first; beyond the outermost centres their colour holds
+/// - `x`, `y`: pixels from the centre of the first pixel; the outermost pixels' colour extends beyond their centres
 fn interpolate(image: &RgbImage, x: f64, y: f64) -> [f32; 3] {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let (x, y) = (x.clamp(0.0, (width - 1) as f64), y.clamp(0.0, (height - 1) as f64));
@@ -233,8 +233,8 @@ mod tests {
             lens.find_crop().unwrap();
             let crop = lens.crop;
             assert!(crop.width > 60 && crop.height > 45, "{crop:?}");
-            // A smooth picture whose values are a function of the ray: what the bent camera sees is found by undoing
-            // the bend of each of its pixels.
+            // A smooth picture whose values are a function of the ray. The distorted camera's picture is found by
+            // undoing the distortion of each of its pixels.
             let value = |x: f64, y: f64| 120.0 + 60.0 * (2.0 * x).sin() + 50.0 * (3.0 * y).cos();
             let picture = RgbImage::from_fn(80, 60, |x, y| {
                 let pixel = [f64::from(x) + 0.5, f64::from(y) + 0.5];

@@ -1,7 +1,7 @@
 //! File names by frame, without a string for every frame.
 //!
-//! Cameras number their files. Where all names of a camera are one pattern around a number that counts frames, the
-//! pattern is kept; other names lie in one text, one after another.
+//! Cameras number their files. If all names of a camera are one pattern around a number that counts frames, only the
+//! pattern is kept. Other names are stored in one text, one after another.
 
 use std::path::{Path, PathBuf};
 
@@ -23,16 +23,16 @@ impl Files {
 /// Names by frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Names {
-    /// A number between two texts, that grows by the same with every frame.
+    /// A number between two texts; it grows by the same step with every frame.
     Pattern(Pattern),
-    /// One after another.
+    /// Names one after another.
     Listed {
         /// Frame of the first name.
         first_frame: usize,
         /// All names.
         text: Box<str>,
-        /// Where in the text the name of each frame ends, from the first on; of a frame without name where the one
-        /// before does.
+        /// End of each frame's name in the text, from the first frame on. A frame without name ends where the frame
+        /// before it does.
         ends: Box<[usize]>,
     },
 }
@@ -42,11 +42,11 @@ pub(crate) enum Names {
 pub(crate) struct Pattern {
     before: Box<str>,
     after: Box<str>,
-    /// Least digits of the number, filled with zeros.
+    /// Minimum number of digits, padded with zeros.
     num_digits: usize,
     first_frame: usize,
     first_number: u64,
-    /// By how much the number grows with every frame.
+    /// Growth of the number from frame to frame.
     step: u64,
 }
 
@@ -84,7 +84,7 @@ impl Names {
 
     /// The same names with another extension.
     ///
-    /// - `frames`: those that have a name
+    /// - `frames`: the frames that have a name
     pub fn with_extension(&self, extension: &str, frames: impl Iterator<Item = usize>) -> Self {
         let renamed = |frame: usize| Path::new(&self.name(frame)).with_extension(extension);
         let names: Vec<(usize, String)> =
@@ -98,11 +98,11 @@ impl Pattern {
     fn of<S: AsRef<str>>(names: &[(usize, S)]) -> Option<Self> {
         let [(frame, name), (next_frame, next), ..] = names else { return None };
         let (name, next) = (name.as_ref(), next.as_ref());
-        // The number begins where its digits do, not where the two names begin to differ.
+        // The number begins at its first digit, not where the two names begin to differ.
         let same = name.bytes().zip(next.bytes()).take_while(|(a, b)| a == b).count();
         let digits_before = name.as_bytes()[..same].iter().rev().take_while(|byte| byte.is_ascii_digit()).count();
         let begin = same - digits_before;
-        // No more digits than a number has room for.
+        // At most as many digits as fit into the number's type.
         let digits = |text: &str| text.bytes().skip(begin).take_while(u8::is_ascii_digit).take(19).count();
         let (num_digits, next_digits) = (digits(name), digits(next));
         let number = |name: &str, digits: usize| name.get(begin..begin + digits)?.parse::<u64>().ok();

@@ -14,20 +14,20 @@ use crate::{CaptureError, Origin, Prepared, colmap, files};
 /// have this file; its points precede all others.
 pub const POINTS_FILE: &str = "init_pt_cld.npz";
 
-/// Files that a capture of any kind may have beside its own, the first that exists counts. The last is what the
-/// preparation of Neural 3D Video for 4D Gaussian Splatting leaves.
+/// Files that a capture of any kind may have beside its own; the first that exists counts. The preparation of Neural 3D
+/// Video for 4D Gaussian Splatting leaves the last one.
 const FILES: [&str; 3] = [POINTS_FILE, "points3D.ply", "points3D_downsample2.ply"];
 
-/// The array that says how each point was made, beside `data`, which other programs read.
+/// The array with the origin of each point, beside `data`, which other programs read.
 const ORIGINS: &str = "origin";
 
 /// Columns of a row: position, colour, foreground.
 const COLUMNS: usize = 7;
 
-/// How far beyond `[0, 1]` a colour may lie before it is taken for another scale than for rounding.
+/// Tolerance of colours beyond `[0, 1]`: less is rounding, more is another scale.
 const COLOR_TOLERANCE: f32 = 0.01;
 
-/// Where the initial points of a capture are.
+/// Source of the initial points of a capture.
 #[derive(Clone, Debug)]
 pub(crate) enum Points {
     File(PathBuf),
@@ -100,20 +100,20 @@ pub fn write_points(writer: impl Write + Seek, cloud: &PointCloud) -> io::Result
     write(writer, cloud, &[])
 }
 
-/// As [`write_points`], with a second array `origin`, `[P]` uint8, that says how each point was made: the place of its
-/// [`Origin`] in [`Origin::ALL`]. Programs that read `data` alone are not affected.
+/// As [`write_points`], with a second array `origin`, `[P]` uint8: the index of each point's [`Origin`] in
+/// [`Origin::ALL`]. Programs that read `data` alone are not affected.
 ///
 /// # Errors
 /// The errors of `writer`.
 ///
 /// # Panics
-/// If the points have fewer colours, labels or origins than there are of them.
+/// If the prepared points have fewer colours, labels or origins than points.
 pub fn write_prepared(writer: impl Write + Seek, prepared: &Prepared) -> io::Result<()> {
     assert_eq!(prepared.origins.len(), prepared.cloud.points.len(), "origins and points");
     write(writer, &prepared.cloud, &prepared.origins)
 }
 
-/// - `origins`: of all points; if empty, nothing is said of them
+/// - `origins`: of all points; if empty, no origins are written
 fn write(writer: impl Write + Seek, cloud: &PointCloud, origins: &[Origin]) -> io::Result<()> {
     let num_points = cloud.points.len();
     let rows: Vec<f32> = (0..num_points)
@@ -131,7 +131,7 @@ fn write(writer: impl Write + Seek, cloud: &PointCloud, origins: &[Origin]) -> i
     npz.finish()?.flush()
 }
 
-/// How each point of a file was made; `None` where the file does not say it.
+/// The origin of each point of a file; `None` if the file has no origins.
 pub(crate) fn read_origins(path: &Path) -> Result<Option<Vec<Origin>>, CaptureError> {
     if files::name(path).rsplit('.').next() != Some("npz") {
         return Ok(None);

@@ -14,12 +14,12 @@ const BLIND_SHARE: f64 = 0.001;
 /// all directions, and cameras turned round in a room keep 0.002 to 0.004 of the points in sight.
 const SEEING_SHARE: f64 = 0.02;
 
-/// Points looked at; enough to measure [`BLIND_SHARE`].
+/// Number of tested points: enough to measure [`BLIND_SHARE`].
 const MAX_POINTS: usize = 5000;
 
 /// Checks that most cameras see the foreground, or the points as a whole.
 ///
-/// - returns: what is wrong, if it is
+/// - returns: the fault, if there is one
 pub(crate) fn check(cameras: &[&Camera], cloud: &PointCloud) -> Result<(), String> {
     let num_cameras = cameras.len();
     let all = thinned(cloud.points.iter().copied());
@@ -50,7 +50,7 @@ pub(crate) fn check(cameras: &[&Camera], cloud: &PointCloud) -> Result<(), Strin
     Ok(())
 }
 
-/// Every so many points, so that about [`MAX_POINTS`] remain.
+/// Takes every n-th point, so that about [`MAX_POINTS`] remain.
 fn thinned(points: impl Iterator<Item = [f32; 3]> + Clone) -> Vec<[f32; 3]> {
     let step = points.clone().count().div_ceil(MAX_POINTS).max(1);
     points.step_by(step).collect()

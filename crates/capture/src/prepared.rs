@@ -1,8 +1,8 @@
-//! Initial points, and which step made each.
+//! Initial points, and the step that made each.
 
 use tcgs_core::PointCloud;
 
-/// Which step of [`prepare`](crate::prepare()) made a point, from the most to the least reliable.
+/// The step of [`prepare`](crate::prepare()) that made a point, from the most to the least reliable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Origin {
     /// At least three views agree on the point's depth.
@@ -23,14 +23,14 @@ impl Origin {
     /// All origins, from the most to the least reliable.
     pub const ALL: [Self; 5] = [Self::Triangulated, Self::Hull, Self::Filled, Self::Shell, Self::Strewn];
 
-    /// Whether the images say where the point is: views agree on its depth, or their masks bound it. Other points are
-    /// assumed, and no evidence for or against a camera.
+    /// Whether the images determine the point's place: views agree on its depth, or their masks bound it. Other points
+    /// are assumed, and are no evidence for or against a camera.
     pub fn is_measured(self) -> bool {
         matches!(self, Self::Triangulated | Self::Hull)
     }
 }
 
-/// The point cloud that [`prepare`](crate::prepare()) makes, and which step made each point.
+/// The point cloud that [`prepare`](crate::prepare()) makes, and the step that made each point.
 #[derive(Clone, Debug, Default)]
 pub struct Prepared {
     /// `P` points: positions in scene units, colours in `[0, 1]`, foreground labels from the masks. Without masks all

@@ -31,7 +31,7 @@ use crate::{CaptureError, points};
 pub const MASKS_FOLDER: &str = "masks";
 
 impl CaptureKind {
-    /// `capture.toml`, which says everything about the files beside it.
+    /// `capture.toml`, which describes the files beside it.
     pub const DESCRIBED: Self = Self {
         name: "described",
         mark: "capture.toml",
@@ -46,7 +46,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
     let description = CaptureDescription::read(&file)?;
     let frame_rate = FrameRate::new(description.frame_rate)
         .map_err(|problem| CaptureError::invalid(&file, format!("frame_rate {problem}")))?;
-    // Collected before the first error is looked for, so that it is always the same one.
+    // All footage is collected before the first error is chosen, so that the error is always the same.
     let footage: Vec<_> = description.cameras.par_iter().map(|camera| footage(path, &description, camera)).collect();
     let (mut train, mut test) = (Vec::new(), Vec::new());
     for (camera, footage) in description.cameras.iter().zip(footage) {
@@ -73,7 +73,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
 
 /// The recording of a camera, on the clock of its description.
 ///
-/// - `folder`: what the camera's file is relative to
+/// - `folder`: the folder that the camera's file is relative to
 pub(crate) fn take(
     folder: &Path,
     description: &CaptureDescription,
@@ -111,10 +111,10 @@ fn invalid(folder: &Path, camera: &DescribedCamera, problem: String) -> CaptureE
     CaptureError::invalid(folder.join(DESCRIPTION_FILE), format!("camera {}: {problem}", camera.name))
 }
 
-/// Where the masks of a camera are, if there are any.
+/// The mask files of a camera, if the camera has masks.
 fn masks_beside(folder: &Path, description: &CaptureDescription, footage: &Footage, frames: &[usize]) -> Option<Files> {
     let camera = description.cameras.iter().find(|camera| camera.id == footage.camera_id)?;
-    // A camera may have any name; masks stay in their folder.
+    // A camera may have any name, but masks stay in their folder.
     InnerPath::new(&camera.name, "the masks").ok()?;
     let names: Vec<(usize, String)> =
         frames.iter().map(|&frame| (frame, format!("{}/{frame:06}.png", camera.name))).collect();

@@ -57,7 +57,7 @@ pub(crate) fn open(path: &Path) -> Result<(CaptureKind, Contents), CaptureError>
     if !path.is_dir() {
         return Err(not_capture(if path.exists() { "is a file" } else { "no such folder" }));
     }
-    // A folder that cannot be listed is named by this.
+    // This names a folder that cannot be listed.
     files::list(path)?;
     for kind in CaptureKind::ALL {
         if (kind.recognises)(path)? {

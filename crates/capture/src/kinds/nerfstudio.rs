@@ -45,7 +45,7 @@ pub(crate) struct Transforms {
     ply_file_path: Option<String>,
     val_filenames: Option<BTreeSet<String>>,
     test_filenames: Option<BTreeSet<String>>,
-    /// Frames a second; an addition of ours.
+    /// Frames per second; an extension of this project.
     fps: Option<f64>,
 }
 
@@ -91,7 +91,7 @@ impl CaptureKind {
 
 /// Reads the cameras of a folder.
 ///
-/// - returns: the file, and what it says; of Blender's files the one of training with the images of both
+/// - returns: the file, and its content. For Blender's files: the training file with the images of both
 pub(crate) fn read(path: &Path) -> Result<(PathBuf, Transforms), CaptureError> {
     let file = path.join(TRANSFORMS);
     if file.exists() {
@@ -177,7 +177,7 @@ fn timesteps(frames: &[Frame]) -> Result<Vec<Vec<&Frame>>, String> {
             let (found, time) = (frames.len(), frames[0].time.unwrap_or(0.0));
             return Err(format!("time {time} has {found} frames, expected {} as the first has", first.len()));
         }
-        // Names may be in another order; cameras that stand still are known by where they stand.
+        // Names may be in another order; static cameras are recognised by their poses.
         let at = |place: &Frame| frames.iter().copied().find(|frame| frame.transform_matrix == place.transform_matrix);
         let matched: Option<Vec<&Frame>> = first.iter().map(|place| at(place)).collect();
         let all_differ = |frames: &[&Frame]| {
@@ -190,7 +190,7 @@ fn timesteps(frames: &[Frame]) -> Result<Vec<Vec<&Frame>>, String> {
     Ok(timesteps)
 }
 
-/// Which cameras are for judging.
+/// Indices of the test cameras.
 fn test_cameras(transforms: &Transforms, timesteps: &[Vec<&Frame>]) -> Result<BTreeSet<usize>, String> {
     let num_cameras = timesteps[0].len();
     let (val, test) = (&transforms.val_filenames, &transforms.test_filenames);
@@ -211,12 +211,13 @@ fn test_cameras(transforms: &Transforms, timesteps: &[Vec<&Frame>]) -> Result<BT
     Ok(cameras)
 }
 
-/// The lenses found so far: cropping one takes a while.
+/// The lenses found so far, since cropping one takes a while.
 struct Lenses<'a> {
     capture: &'a Path,
     all: &'a Intrinsics,
     known: BTreeMap<Vec<u64>, Arc<Lens>>,
-    /// Image sizes by camera, where only the images say: one for each camera, since opening every image takes a while.
+    /// Image sizes by camera, if only the images have them: one for each camera, since opening every image takes a
+    /// while.
     sizes: BTreeMap<usize, (usize, usize)>,
 }
 

@@ -30,13 +30,13 @@ const POSES: &str = "poses_bounds.npy";
 
 /// Values of a row.
 const COLUMNS: usize = 17;
-/// Position of the camera for judging, in the order of names.
+/// Position of the test camera, in the order of names.
 const TEST_CAMERA: usize = 0;
 /// Frames that publications use.
 const USUAL_FRAMES: usize = 300;
 /// Size of the published videos.
 const PUBLISHED_SIZE: (usize, usize) = (2704, 2028);
-/// How far the shape of a video's frames may be from that of its poses.
+/// Largest difference in aspect ratio between a video's frames and its poses.
 const SHAPE_TOLERANCE: f64 = 0.01;
 
 impl CaptureKind {
@@ -58,7 +58,7 @@ struct Recording {
     pixels: Pixels,
 }
 
-/// Other programs leave poses beside a COLMAP model; without videos the model is what counts.
+/// Other programs leave poses beside a COLMAP model. Without videos such a folder is a model.
 fn recognises(path: &Path) -> Result<bool, CaptureError> {
     Ok(path.join(POSES).exists() && (!recordings(path)?.is_empty() || colmap::model_folder(path).is_none()))
 }
@@ -128,7 +128,7 @@ fn wrong_count(num_poses: usize, paths: &[PathBuf]) -> String {
 
 /// A camera from a row of poses.
 ///
-/// - `size`: of its images; where they are smaller than the poses say, the focal length is too
+/// - `size`: of its images; where they are smaller than the poses' size, the focal length is scaled
 fn camera(row: &[f32; COLUMNS], (width, height): (usize, usize)) -> Result<Camera, String> {
     let at = |i: usize, j: usize| f64::from(row[5 * i + j]);
     let [pose_height, pose_width, pose_focal] = [at(0, 4), at(1, 4), at(2, 4)];

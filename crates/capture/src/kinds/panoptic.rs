@@ -45,7 +45,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
     let frame_rate = FrameRate::of_file(meta.fps, &train_meta)?;
     let mut train = cameras(path, TRAIN_META, &meta)?;
     let num_frames = meta.k.len();
-    // The largest part of what is read; names and cameras that repeat are held once from here on.
+    // The largest part of the input. From here on repeated names and cameras are stored once.
     drop(meta);
     if num_frames == 0 {
         return Err(CaptureError::invalid(&train_meta, "has no timesteps, expected at least one"));
@@ -117,7 +117,7 @@ fn cameras(path: &Path, meta_name: &str, meta: &Meta) -> Result<CameraSet, Captu
     Ok(cameras.finish())
 }
 
-/// Where the masks of a camera are, if there are any.
+/// The mask files of a camera, if the camera has masks.
 fn masks_beside(path: &Path, footage: &Footage, frames: &[usize]) -> Option<Files> {
     let Images::Stored { pixels: Pixels::Files { files, .. }, .. } = &footage.images else { return None };
     let names = files.names.with_extension("png", frames.iter().copied());

@@ -19,6 +19,6 @@ pub(crate) struct Meta {
     pub file_names: Vec<Vec<String>>,
     /// Names of the cameras.
     pub cam_id: Vec<Vec<usize>>,
-    /// Frames a second; an addition of ours.
+    /// Frames per second; an extension of this project.
     pub fps: Option<f64>,
 }

@@ -6,9 +6,9 @@
 //! points3D.ply, sparse/0 …                  points
 //! ```
 //!
-//! The quaternion and the vector make `camera_from_world`, as in COLMAP. Publications judge by camera 10 and use 50
-//! frames of each of five scenes. One published file, `Birthday_undist_00173_09.png`, is damaged: rows that it lacks
-//! are taken from the frame before, as the preparation for Spacetime Gaussians does.
+//! The quaternion and the vector make `camera_from_world`, as in COLMAP. Publications test on camera 10 and use 50
+//! frames of each of five scenes. One published file, `Birthday_undist_00173_09.png`, is damaged: its missing rows are
+//! taken from the frame before, as the preparation for Spacetime Gaussians does.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -24,7 +24,7 @@ use crate::{CaptureError, colmap, decode, files, points};
 
 const CAMERAS: &str = "cameras_parameters.txt";
 
-/// Camera for judging.
+/// Test camera.
 const TEST_CAMERA: usize = 10;
 /// Numbers of the files that publications use.
 const USUAL_FRAMES: [(&str, Range<usize>); 5] =
@@ -32,7 +32,7 @@ const USUAL_FRAMES: [(&str, Range<usize>); 5] =
 /// Scene, frame and camera of the damaged file.
 const DAMAGED: (&str, usize, usize) = ("Birthday", 173, 9);
 
-/// Numbers of a line of undistorted and of original images.
+/// Number of columns of a line, for undistorted and for original images.
 const COLUMNS: usize = 12;
 const ORIGINAL_COLUMNS: usize = 14;
 
@@ -100,7 +100,7 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
     })
 }
 
-/// Numbers of every line after the title.
+/// The numbers of every line after the title.
 fn read_lines(path: &Path) -> Result<Vec<[f64; COLUMNS]>, CaptureError> {
     let invalid = |problem: String| CaptureError::invalid(path, problem);
     let text = files::text(path)?;
@@ -172,7 +172,7 @@ fn images(path: &Path) -> Result<(String, Images), CaptureError> {
     }
 }
 
-/// Positions of the frames that publications use; all of an unknown scene, or where none of them is there.
+/// Positions of the frames that publications use; all frames of an unknown scene, or if none of them exists.
 fn usual_frames(scene: &str, frames: &[usize]) -> Range<usize> {
     let position = |number: usize| frames.partition_point(|&frame| frame < number);
     let usual = USUAL_FRAMES.iter().find(|(name, _)| *name == scene);

@@ -1,10 +1,10 @@
-//! How far an image is from its background, where a shadow is not far.
+//! Difference of an image from its background, in which a shadow counts little.
 
 use super::station::{Background, Pixels};
 
-/// How much of a change of brightness alone counts: a shadow is one.
+/// Weight of a change of brightness alone, such as a shadow.
 const LIGHT_WEIGHT: f32 = 0.5;
-/// Brightness, as a factor, that a shadow or a reflection may give; what is beyond counts whole.
+/// Range of brightness factors of a shadow or a reflection; the excess counts whole.
 const LIGHT: [f32; 2] = [0.5, 1.1];
 
 /// `[H, W]`, distances of an image's colours from the background's, in `[0, 1]`.

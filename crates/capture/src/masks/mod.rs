@@ -38,11 +38,11 @@ impl Default for MaskSettings {
     }
 }
 
-/// Frames from which backgrounds are taken: enough for medians, and few enough to be held at once.
+/// Number of frames from which backgrounds are taken: enough for medians, and few enough to be held at once.
 const NUM_SAMPLES: usize = 16;
-/// Frames that it takes to tell what moves.
+/// Minimum number of frames for telling moving objects from the background.
 const MIN_FRAMES: usize = 8;
-/// Fewer cameras have no hull worth the name.
+/// Minimum number of cameras for a useful hull.
 const MIN_CAMERAS: usize = 4;
 /// How often backgrounds are taken again, without the samples that the hull covers.
 const ROUNDS: usize = 3;
@@ -56,17 +56,17 @@ const THRESHOLDS: [f32; 2] = [0.04, 0.1];
 /// The threshold is a multiple of the distance that this share of the pixels outside the hull stay below: noise, and
 /// shadows.
 const STILL_SHARE: f64 = 0.95;
-/// That multiple.
+/// Factor of the threshold over that distance.
 const ABOVE_STILL: f32 = 2.0;
-/// A sample of the background is so many pixels away from the hull.
+/// Distance of a background sample from the hull, pixels.
 const MARGIN_PX: usize = 2;
 
-/// Why [`make_masks`] refuses a capture, if it does: too few frames, cameras that move, or images that are missing.
+/// Why [`make_masks`] refuses a capture, if it does: too few frames, cameras that move, or missing images.
 ///
-/// - returns: what the capture has and what was expected, to follow its name
+/// - returns: the fault and what was expected, as words to follow the capture's name
 ///
 /// # Errors
-/// [`CaptureError`] if the cameras of a frame cannot be told.
+/// [`CaptureError`] if the cameras of a frame cannot be read.
 pub fn obstacle_to_masks(capture: &Capture) -> Result<Option<String>, CaptureError> {
     let num_frames = capture.num_frames();
     if num_frames < MIN_FRAMES {
@@ -84,14 +84,14 @@ pub fn obstacle_to_masks(capture: &Capture) -> Result<Option<String>, CaptureErr
     Ok(None)
 }
 
-/// Marks what moves in every image of a capture whose cameras stand still.
+/// Marks moving objects in every image of a capture whose cameras stand still.
 ///
 /// - `write`: called with frame, camera id and mask, `[H, W]` of the camera's size, frame by frame in the order of
 ///   [`Capture::views`]; a break ends the work without an error
-/// - `report`: called with a description of what is being done, and the share that is done
+/// - `report`: called with a description of each step, and the share of the work that is done
 ///
-/// About as many bytes are held as the images of 16 frames at the width of the settings have, and two frames of
-/// decoded images. Equal captures give equal masks, whatever the number of threads.
+/// Memory: about the bytes of the images of 16 frames at the width of the settings, and two frames of decoded images.
+/// Equal captures give equal masks, whatever the number of threads.
 ///
 /// ```
 /// use std::ops::ControlFlow;
@@ -127,7 +127,7 @@ pub fn make_masks(
     let mut stations: Vec<Station> = cameras.iter().map(|(id, camera)| Station::new(*id, camera, factor)).collect();
 
     let num_samples = NUM_SAMPLES.min(num_frames);
-    // Sampling and finding backgrounds take about as long as a round for each sample.
+    // Sampling and each round of finding backgrounds take about as long per sample.
     let total = (num_samples * (1 + ROUNDS) + num_frames) as f64;
     for i in 0..num_samples {
         report("sampling images", i as f64 / total);
@@ -174,7 +174,7 @@ pub fn make_masks(
     Ok(())
 }
 
-/// The reduced images of a frame, a few full ones at a time.
+/// The reduced images of a frame. Only a few full images are held at a time.
 fn images(
     capture: &Capture,
     cameras: &[(usize, Camera)],
@@ -198,7 +198,7 @@ fn pixels(view: &View) -> Pixels {
 /// Compares the images of one moment with the backgrounds.
 ///
 /// - `images`: an image for each station
-/// - `threshold`: the difference from which on something is in front
+/// - `threshold`: the difference above which a pixel is foreground
 /// - `miss_share`: share of the cameras with a place in view that may see no difference there
 /// - returns: for each station the differences, `[H, W]`, as [`differences`] gives them, and the pixels that the hull
 ///   of all differences covers

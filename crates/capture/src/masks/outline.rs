@@ -1,4 +1,4 @@
-//! From differences to a mask, and the few operations on images that this takes.
+//! From differences to a mask, and the image operations for it.
 
 use tcgs_core::Segmentation;
 
@@ -6,19 +6,19 @@ use super::station::{Pixels, Station};
 
 /// Foreground may reach this far out of the hull, pixels.
 const REACH_PX: usize = 1;
-/// Added to the belief that something is in front, since the hull says so too.
+/// Added to the belief in foreground inside the hull, since the hull supports it.
 const HULL_BELIEF: f32 = 0.1;
-/// Belief that something is in front where the hull is and the background is never seen, in `[-1, 1]`.
+/// Belief in foreground inside the hull where the background is never seen, in `[-1, 1]`.
 const UNKNOWN: f32 = 0.3;
-/// Beliefs are averaged over so many pixels to each side,
+/// Radius of the guided filter, pixels.
 const RADIUS: usize = 4;
-/// and not across edges of the image of more than about the root of this.
+/// Regularisation of the guided filter: beliefs are not averaged across edges of more than about the root of this.
 const EPSILON: f32 = 3e-4;
 
 /// The mask of an image, of the camera's full size.
 ///
 /// - `image`, `differences`, `cover`: `[H, W]` of the reduced size; the latter two as `compare` gives them
-/// - `threshold`: the difference from which on something is in front
+/// - `threshold`: the difference above which a pixel is foreground
 pub(super) fn mask(
     station: &Station,
     image: &Pixels,
@@ -75,17 +75,17 @@ fn guided(width: usize, guide: &[f32], values: &[f32]) -> Vec<f32> {
     (0..g.len()).map(|i| slopes[i] * guide[i] + offsets[i]).collect()
 }
 
-/// Pixels that most of the 3x3 around them agree on.
+/// Majority filter over 3x3 pixels.
 pub(super) fn majority(width: usize, mask: &[bool]) -> Vec<bool> {
     Sums::of_mask(width, mask).means(1).into_iter().map(|share| share > 0.5).collect()
 }
 
-/// Pixels with a marked one at most `radius` rows and columns away.
+/// Dilation: pixels with a marked one at most `radius` rows and columns away.
 pub(super) fn grown(width: usize, mask: &[bool], radius: usize) -> Vec<bool> {
     Sums::of_mask(width, mask).means(radius).into_iter().map(|share| share > 0.0).collect()
 }
 
-/// Sums over rectangles in constant time each (Crow 1984).
+/// Summed-area table: sums over rectangles in constant time (Crow 1984).
 struct Sums {
     width: usize,
     height: usize,

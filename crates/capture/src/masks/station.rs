@@ -7,10 +7,10 @@ use super::{MARGIN_PX, outline};
 /// An image as a list of colours, `[H, W]` of 8 bits a channel: samples of many frames are held at once.
 pub(super) type Pixels = Vec<[u8; 3]>;
 
-/// Samples of a pixel that show the background, at least, for the background to be known.
+/// Minimum number of samples of a pixel that show the background, for the background to be known.
 const MIN_SAMPLES: usize = 3;
 
-/// A camera and what it has seen.
+/// A static camera with its samples and background.
 pub(super) struct Station {
     pub camera_id: usize,
     /// Camera of the reduced images.
@@ -49,7 +49,7 @@ impl Station {
 
     /// Takes the background from the samples.
     ///
-    /// - `covered`: `[S, H, W]`, where something else is in front; nothing if that is not known
+    /// - `covered`: `[S, H, W]`, pixels where something stands before the background; `None` if unknown
     pub fn find_background(&mut self, covered: Option<&[Vec<bool>]>) {
         let (width, height) = (self.pinhole.width, self.pinhole.height);
         let near: Vec<Vec<bool>> = match covered {

@@ -1,14 +1,14 @@
-//! Depths of surfaces without texture, from what surrounds them.
+//! Depths of surfaces without texture, interpolated from their surroundings.
 
 use super::{fuse::SureDepths, vantage::Vantage};
 
-/// Inverse depth where a view is not sure of it; 0 where nothing sure is near.
+/// Inverse depth where a view is not sure of it; 0 where no sure depth is near.
 ///
-/// Inverse depth is linear over the image of a plane, so a smooth filling of inverse depth continues floors
-/// and walls as what they are. Foreground neither gives nor takes.
+/// Inverse depth is linear over the image of a plane, so a smooth filling of inverse depth continues floors and walls
+/// as planes. Foreground neither gives nor receives depth.
 ///
-/// Push and pull (Gortler et al. 1996): means over ever larger blocks, and from the largest back down what
-/// is missing.
+/// Push and pull (Gortler et al. 1996): means over ever larger blocks, then missing values are filled from the largest
+/// blocks down.
 ///
 /// - `levels`: blocks grow to `2^levels` pixels
 /// - returns: `[H, W]`, 0 where the view is sure, or shows foreground
@@ -39,14 +39,14 @@ pub(super) fn fill(vantage: &Vantage, sure: &SureDepths, levels: usize) -> Vec<f
 struct Level {
     width: usize,
     height: usize,
-    /// How much is known, 0 to 1.
+    /// Weight of the known values, 0 to 1.
     weights: Vec<f32>,
-    /// Where something is known.
+    /// Values where the weight is above 0.
     values: Vec<f32>,
 }
 
 impl Level {
-    /// Half the size.
+    /// The level at half the size.
     fn pushed(&self) -> Self {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let mut half = Self { width, height, weights: vec![0.0; width * height], values: vec![0.0; width * height] };
@@ -65,7 +65,7 @@ impl Level {
         half
     }
 
-    /// Takes what is missing from a coarser level, smoothly.
+    /// Fills missing values from a coarser level, smoothly.
     fn pull(&mut self, coarse: &Self) {
         for at in 0..self.weights.len() {
             if self.weights[at] > 0.0 {

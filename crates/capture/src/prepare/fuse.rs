@@ -1,4 +1,4 @@
-//! From the depths of single views to points that several views agree on.
+//! From the depths of single views to points on which several views agree.
 
 use std::borrow::Cow;
 
@@ -9,16 +9,16 @@ use super::{
     vantage::Vantage,
 };
 
-/// Matching cost from which a depth is a guess.
+/// Matching cost above which a depth is a guess.
 pub(super) const MAX_COST: f32 = 0.6;
-/// A place this much nearer than what a view is sure of hides it, relative.
+/// Relative depth margin: a point nearer than a view's sure depth by more than this hides it.
 const HIDING: f32 = 0.06;
 
-/// When views agree.
+/// The condition for agreement of views.
 pub(super) struct Rule {
     /// Relative difference of depth up to which two views mean the same surface.
     pub same_depth: f32,
-    /// Pixels by which a place may miss itself, there and back again.
+    /// Largest reprojection error of a place, there and back again, pixels.
     pub same_place_px: f32,
     /// Other views that must agree.
     pub min_agreeing: usize,
@@ -33,7 +33,7 @@ pub(super) struct Belief<'a> {
 }
 
 impl<'a> Belief<'a> {
-    /// Where the images match.
+    /// The depths where the images match.
     pub fn of(map: &'a DepthMap) -> Self {
         let known =
             map.costs.iter().zip(&map.planes).map(|(&cost, plane)| cost < MAX_COST && plane.inverse_depth > 0.0);
@@ -41,7 +41,7 @@ impl<'a> Belief<'a> {
     }
 }
 
-/// Depths of a view that others agree with; 0 where there are none.
+/// Depths of a view on which other views agree; 0 where there are none.
 pub(super) struct SureDepths {
     /// `[H, W]`
     pub depths: Vec<f32>,
@@ -58,7 +58,7 @@ pub(super) struct Point {
 /// Pixels of one view on which enough other views agree, and for each the mean of the points of all agreeing views.
 ///
 /// - `others`: views to ask
-/// - `wanted`: which pixels
+/// - `wanted`: the pixels that are tested
 pub(super) fn agreed(
     vantages: &[Vantage],
     beliefs: &[Belief],
@@ -116,7 +116,7 @@ fn seen_by(
     (miss <= rule.same_place_px).then_some((theirs, at))
 }
 
-/// Views that a point would hide something from that they are sure of.
+/// Number of views from which a point would hide a sure depth.
 pub(super) fn num_hidden_from(vantages: &[Vantage], sure: &[SureDepths], point: [f32; 3]) -> usize {
     let hides = |(vantage, sure): &(&Vantage, &SureDepths)| {
         vantage.pinhole.pixel(point).is_some_and(|(at, depth)| sure.depths[at] > depth * (1.0 + HIDING))

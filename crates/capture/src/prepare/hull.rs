@@ -1,4 +1,4 @@
-//! The visual hull: where all masks allow something to be (Laurentini 1994), as small cubes.
+//! The visual hull: the space that all masks allow (Laurentini 1994), as small cubes.
 //!
 //! A few masks may disagree: segmentations lose hands and shoes.
 
@@ -7,16 +7,16 @@ use tcgs_core::Pinhole;
 
 use super::vantage::{length, sub};
 
-/// A mask and where it was taken from.
+/// A mask and its camera.
 pub(crate) struct Silhouette<'a> {
     pub pinhole: &'a Pinhole<f32>,
     /// `[H, W]`
     pub mask: &'a [bool],
 }
 
-/// Cubes along each side of the space that is searched first.
+/// Cubes along each side of the first search space.
 const FIRST_GRID: i32 = 24;
-/// Cubes are halved no more once there are so many.
+/// Cubes are not halved further once there are so many.
 const ENOUGH_CUBES: usize = 60_000;
 /// Share of the masks with a place in view that may call it empty.
 const MISS_SHARE: f32 = 0.08;
@@ -41,7 +41,7 @@ impl Hull {
         Self::carve_despite(silhouettes, finest_px, MISS_SHARE)
     }
 
-    /// [`Self::carve`] where masks miss much.
+    /// [`Self::carve`] for masks that miss much.
     ///
     /// - `miss_share`: share of the masks with a place in view that may call it empty
     pub fn carve_despite(silhouettes: &[Silhouette], finest_px: f32, miss_share: f32) -> Self {
@@ -56,7 +56,7 @@ impl Hull {
                 .collect(),
         };
         hull.keep(&counts, miss_share);
-        // A pixel's width at the middle of things.
+        // Width of a pixel at the middle of the scene.
         let pixel = pinholes
             .iter()
             .map(|pinhole| length(sub(pinhole.center, focus)) / pinhole.focal[0])
@@ -94,12 +94,12 @@ impl Hull {
         seen >= enough && missed <= (miss_share * seen as f32) as usize
     }
 
-    /// Middle of a cube.
+    /// Centre of a cube.
     fn center(&self, cube: [i32; 3]) -> [f32; 3] {
         std::array::from_fn(|i| self.origin[i] + (cube[i] as f32 + 0.5) * self.edge)
     }
 
-    /// Middles of the cubes with a free side.
+    /// Centres of the cubes with a free side.
     pub fn surface(&self) -> Vec<[f32; 3]> {
         let has = |cube: [i32; 3]| self.cubes.binary_search(&cube).is_ok();
         let inside = |&[x, y, z]: &[i32; 3]| {
@@ -113,7 +113,7 @@ impl Hull {
         self.cubes.iter().filter(|cube| !inside(cube)).map(|&cube| self.center(cube)).collect()
     }
 
-    /// Nearest and farthest depth of the hull in every pixel; infinity and 0 where it is not.
+    /// Nearest and farthest depth of the hull in every pixel; infinity and 0 outside it.
     pub fn depths(&self, surface: &[[f32; 3]], pinhole: &Pinhole<f32>) -> Vec<[f32; 2]> {
         let mut depths = vec![[f32::INFINITY, 0.0_f32]; pinhole.width * pinhole.height];
         for &point in surface {
@@ -134,9 +134,9 @@ impl Hull {
     }
 }
 
-/// The place that is nearest to all lines of sight, and how far around it to look.
+/// The place nearest to all lines of sight, and the radius of the search around it.
 ///
-/// - returns: nothing for fewer than two cameras
+/// - returns: `None` for fewer than two cameras
 fn focus(pinholes: &[&Pinhole<f32>]) -> Option<([f32; 3], f32)> {
     if pinholes.len() < 2 {
         return None;
@@ -163,7 +163,7 @@ fn focus(pinholes: &[&Pinhole<f32>]) -> Option<([f32; 3], f32)> {
     Some((focus, 1.2 * distances[distances.len() / 2]))
 }
 
-/// A mask, ready to count foreground in rectangles.
+/// A mask as a summed-area table.
 struct Counts<'a> {
     pinhole: &'a Pinhole<f32>,
     /// `[H + 1, W + 1]`: foreground pixels above and to the left.
@@ -184,7 +184,7 @@ impl<'a> Counts<'a> {
         Self { pinhole: silhouette.pinhole, sums }
     }
 
-    /// Whether a ball touches foreground; nothing if its middle is not in the image.
+    /// Whether a ball touches foreground; `None` if its centre is not in the image.
     fn meets(&self, center: [f32; 3], radius: f32) -> Option<bool> {
         let ([x, y], z) = self.pinhole.project(center)?;
         let (width, height) = (self.pinhole.width, self.pinhole.height);
@@ -195,7 +195,7 @@ impl<'a> Counts<'a> {
             return Some(true);
         }
         let span = |at: f32, focal: f32, size: usize| {
-            // Small cubes are judged by their middle's pixel.
+            // Small cubes are judged by the pixel of their centre.
             let half = (radius * focal / z - 0.5).max(0.0);
             ((at - half).max(0.0) as usize, ((at + half) as usize + 1).min(size))
         };

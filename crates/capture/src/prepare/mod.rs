@@ -1,12 +1,17 @@
 //! Initial points from images and cameras alone, by multi-view stereo.
 //!
-//! What lives here: one module per step, and below their order. *patchmatch* estimates the depth of every pixel of
-//! every training view, from coarse to fine; *hull* carves the visual hull of the masks, which bounds the depth of
-//! foreground; *fuse* keeps the points that several views agree on; *fill* interpolates depth across surfaces without
-//! texture; *shell* gives the remaining rays of background an end; *thin* reduces the points to the wanted number. What
-//! does not: reading images ([`Capture`]), and training from the points.
+//! What lives here: the order of the steps, which are one module each.
 //!
-//! One thread works on each view, and random numbers depend on seed, view and pixel alone. So the number of threads
+//! - *patchmatch* estimates the depth of every pixel of every training view, from coarse to fine.
+//! - *hull* carves the visual hull of the masks, which bounds the depth of foreground.
+//! - *fuse* keeps the points on which several views agree.
+//! - *fill* interpolates depth across surfaces without texture.
+//! - *shell* gives the remaining rays of background an end.
+//! - *thin* reduces the points to the wanted number.
+//!
+//! What does not: reading images ([`Capture`]), and training from the points.
+//!
+//! One thread works on each view, and random numbers depend on seed, view and pixel alone, so the number of threads
 //! does not change the result.
 
 mod fill;
@@ -48,27 +53,27 @@ impl Default for PrepareSettings {
     }
 }
 
-/// Cameras that it takes: two must agree with a third.
+/// Minimum number of cameras: two must agree with a third.
 const MIN_CAMERAS: usize = 3;
 /// Smallest images, pixels.
 const MIN_SIDE: usize = 16;
-/// Images are halved while they stay at least that wide, to begin with.
+/// The coarsest level is at least this wide, pixels.
 const COARSEST_WIDTH: usize = 60;
-/// Levels of image sizes, at most.
+/// Maximum number of pyramid levels.
 const MAX_LEVELS: usize = 3;
-/// Walks over all pixels, at the coarsest level and at each other one.
+/// Sweeps over all pixels, at the coarsest level and at each other one.
 const SWEEPS: [usize; 2] = [8, 3];
-/// Views that may confirm a depth.
+/// Number of views that may confirm a depth.
 const NUM_WITNESSES: usize = 10;
-/// Inverse depths of the background, beyond those confirmed at the coarsest level: this far down and up.
+/// Factors of the smallest and the largest confirmed inverse depth at the coarsest level, which bound the background.
 const RANGE_MARGIN: [f32; 2] = [0.6, 1.6];
-/// Share of the points that are foreground, where there is any.
+/// Share of foreground among the points, where there is any.
 const FOREGROUND_SHARE: f64 = 0.3;
 /// A surface without texture is continued over this share of the image's width.
 const FILL_SHARE: f64 = 0.2;
-/// A ray meets a point if one falls into its block of so many pixels squared.
+/// A ray meets a point if a point falls into the ray's block of so many pixels squared.
 const BLOCK_PX: usize = 8;
-/// Views from which a point may hide something they are sure of.
+/// Number of views from which a point may hide a sure depth.
 const MAX_HIDDEN_FROM: usize = 1;
 
 /// Makes initial points by multi-view stereo on the training images of a capture's first frame: PatchMatch (Bleyer et
@@ -118,7 +123,7 @@ pub fn prepare(
     Ok(prepared)
 }
 
-/// Whether there is enough to see depth in.
+/// Checks that there are enough cameras and pixels to see depth.
 pub(crate) fn check_enough(capture: &Capture, views: &[View]) -> Result<(), CaptureError> {
     let small = views.iter().map(|view| &view.camera).find(|camera| camera.width.min(camera.height) < MIN_SIDE);
     let problem = match small {
@@ -133,7 +138,7 @@ pub(crate) fn check_enough(capture: &Capture, views: &[View]) -> Result<(), Capt
     Err(CaptureError::invalid(&capture.path, problem))
 }
 
-/// Whether any camera has the two others that must agree with it.
+/// Checks that some camera has the two others that must agree with it.
 pub(crate) fn check_comparable(capture: &Capture, views: &[View]) -> Result<(), CaptureError> {
     let pinholes = pinholes(views);
     if (0..pinholes.len()).any(|i| patchmatch::neighbors(&pinholes, i, MIN_CAMERAS - 1).len() == MIN_CAMERAS - 1) {
@@ -147,7 +152,7 @@ fn pinholes(views: &[View]) -> Vec<Pinhole<f32>> {
     views.iter().map(|view| Pinhole::new(&view.camera)).collect()
 }
 
-/// [`prepare`] once images are there.
+/// [`prepare`] on decoded images.
 pub(crate) fn cloud_of(views: &[View], settings: &PrepareSettings, report: &mut dyn FnMut(&str)) -> Prepared {
     let widest = views.iter().map(|view| view.camera.width).max().unwrap_or(1);
     let finest = widest.div_ceil(settings.image_width).max(1);
@@ -171,7 +176,7 @@ struct Stereo {
     maps: Vec<DepthMap>,
     witnesses: Vec<Vec<usize>>,
     hull: Hull,
-    /// Middles of its outer cubes.
+    /// Centres of the hull's outer cubes.
     hull_surface: Vec<[f32; 3]>,
 }
 
@@ -243,7 +248,7 @@ impl Stereo {
         stereo
     }
 
-    /// Where to look: for foreground within the hull, for the rest within what the view is told.
+    /// Search ranges: foreground within the hull, background within the view's given range.
     fn ranges(&self, vantage: &Vantage, background: Range) -> Vec<Range> {
         let mut ranges = vec![background; vantage.gray.len()];
         if !self.hull_surface.is_empty() {
@@ -258,7 +263,7 @@ impl Stereo {
         ranges
     }
 
-    /// Limits the search to about what views agree on by now.
+    /// Limits the search to about the depths on which views agree so far.
     fn narrow(&self, background: &mut [Range]) {
         let fused = self.fuse();
         for (range, sure) in background.iter_mut().zip(&fused.sure) {
@@ -323,7 +328,7 @@ impl Stereo {
         prepared
     }
 
-    /// Background between what views are sure of, where the continued surfaces of several meet.
+    /// Background between sure depths, where the continued surfaces of several views meet.
     fn filled(&self, sure: &[SureDepths]) -> Vec<Point> {
         let beliefs: Vec<Belief> = (0..self.vantages.len())
             .into_par_iter()
@@ -349,7 +354,7 @@ impl Stereo {
         (0..self.vantages.len()).into_par_iter().map(of).collect::<Vec<Vec<Point>>>().concat()
     }
 
-    /// The ends of rays of background that meet no point.
+    /// The ends of background rays that meet no point.
     fn ended(&self, points: &[Vec<Point>], shell: &Shell) -> Vec<Point> {
         let of = |vantage: &Vantage| {
             let pinhole = &vantage.pinhole;
@@ -396,7 +401,7 @@ impl Stereo {
     }
 }
 
-/// Channel by channel.
+/// Median, channel by channel.
 fn median(colors: &[[f32; 3]]) -> [f32; 3] {
     std::array::from_fn(|channel| {
         let mut values: Vec<f32> = colors.iter().map(|color| color[channel]).collect();
@@ -405,7 +410,7 @@ fn median(colors: &[[f32; 3]]) -> [f32; 3] {
     })
 }
 
-/// Solves linear equations by elimination with pivots; nothing if they have no single solution.
+/// Solves linear equations by Gaussian elimination with pivoting; `None` if they have no single solution.
 ///
 /// - `rows`: coefficients, then the right side; `M` is `N + 1`
 fn solve<const N: usize, const M: usize>(mut rows: [[f64; M]; N]) -> Option<[f64; N]> {

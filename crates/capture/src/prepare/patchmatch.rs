@@ -10,29 +10,29 @@ use tcgs_core::Pinhole;
 
 use super::vantage::{Vantage, length, sub};
 
-/// Views that one is compared with, at most.
+/// Maximum number of views that a view is compared with.
 pub(super) const MAX_SOURCES: usize = 6;
 /// Half of a window's side over its sample spacing: 5 x 5 samples.
 const WINDOW_STEPS: i32 = 2;
 /// Pixels between two samples of a window.
 const WINDOW_SPACING: i32 = 2;
 const WINDOW_SAMPLES: usize = ((2 * WINDOW_STEPS + 1) * (2 * WINDOW_STEPS + 1)) as usize;
-/// Grey levels by which a sample may differ from the window's middle before it counts little: across the
-/// edge of an object lies another depth.
+/// Grey levels by which a sample may differ from the window's middle before it counts little: across the edge of an
+/// object the depth is different.
 const EDGE_CONTRAST: f32 = 0.12;
 /// Added to the variances of both windows: noise of two grey levels is no texture.
 const NOISE_VARIANCE: f32 = (2.0 / 255.0) * (2.0 / 255.0);
-/// The cost where a hypothesis leaves the other image: as bad as no correlation at all.
+/// Cost of a hypothesis that leaves the other image: as bad as no correlation.
 const OUTSIDE_COST: f32 = 1.0;
-/// Steepest surface: depth changes by that many times the way along the image, at unit distance.
+/// Steepest surface: largest change of depth over the way along the image, at unit distance.
 const MAX_SLOPE: f32 = 5.0;
 /// Largest disparity, image widths: no other view sees objects that are closer.
 const MAX_DISPARITY_WIDTHS: f32 = 1.5;
-/// Angle between two views' directions up to which they are compared; cosine.
+/// Largest angle between two views' directions at which they are compared; cosine.
 pub(super) const MIN_DIRECTION_COSINE: f32 = 0.4;
-/// Depths are looked for up to this far, scene units, ...
+/// Farthest depth that is searched, scene units, ...
 const FARTHEST: f32 = 1e6;
-/// ... and at least up to so many times the nearest depth.
+/// ... and the least ratio of farthest to nearest depth.
 const FARTHEST_OF_NEAREST: f32 = 1e3;
 
 /// Inverse depth over the image.
@@ -57,14 +57,14 @@ impl Plane {
 pub(super) struct DepthMap {
     /// `[H, W]`
     pub planes: Vec<Plane>,
-    /// `[H, W]`; 1 minus the correlation with those of the other views that agree best, 0 to 2.
+    /// `[H, W]`; 1 minus the mean correlation with the best-matching other views, 0 to 2.
     pub costs: Vec<f32>,
 }
 
-/// Inverse depths to look among, of each pixel: from and to.
+/// Search range of a pixel's inverse depth: from and to.
 pub(super) type Range = [f32; 2];
 
-/// The other views that one is compared with, nearest first.
+/// The other views that a view is compared with, nearest first.
 ///
 /// - `count`: at most so many
 pub(super) fn neighbors(pinholes: &[Pinhole<f32>], of: usize, count: usize) -> Vec<usize> {
@@ -79,14 +79,14 @@ pub(super) fn neighbors(pinholes: &[Pinhole<f32>], of: usize, count: usize) -> V
     others.into_iter().take(count).map(|(_, i)| i).collect()
 }
 
-/// Inverse depths at which a view may see anything, up to where the nearest other view would see it
+/// The widest range of inverse depths of a view, up to where the nearest other view would see a point
 /// [`MAX_DISPARITY_WIDTHS`] away.
 pub(super) fn widest_range(vantages: &[Vantage], of: usize, neighbors: &[usize]) -> Range {
     let me = &vantages[of].pinhole;
     let baselines = neighbors.iter().map(|&i| length(sub(me.center, vantages[i].pinhole.center)));
     let baseline = baselines.fold(f32::INFINITY, f32::min);
     let to = MAX_DISPARITY_WIDTHS * me.width as f32 / (me.focal[0] * baseline);
-    // Where nothing is compared any range will do.
+    // A view without neighbours may have any range.
     let to = if to.is_finite() && to > 0.0 { to } else { 1.0 };
     [(1.0 / FARTHEST).min(to / FARTHEST_OF_NEAREST), to]
 }
@@ -100,7 +100,7 @@ pub(super) struct Search<'a> {
     pub seed: u64,
 }
 
-/// Another view, and how a pixel gets there: `image_from_image * [x, y, 1] + inverse_depth * epipole`.
+/// Another view, and the map of a pixel to it: `image_from_image * [x, y, 1] + inverse_depth * epipole`.
 pub(super) struct SourceView<'a> {
     vantage: &'a Vantage,
     image_from_image: [[f32; 3]; 3],
@@ -140,7 +140,7 @@ struct Window {
 }
 
 impl Search<'_> {
-    /// Begins with random planes, or those of a coarser map.
+    /// Starts from random planes, or from those of a coarser map.
     pub fn begin(&self, coarse: Option<(&DepthMap, usize)>) -> DepthMap {
         let pinhole = &self.vantage.pinhole;
         let num_pixels = pinhole.width * pinhole.height;
@@ -169,7 +169,7 @@ impl Search<'_> {
         DepthMap { planes, costs }
     }
 
-    /// Walks over all pixels `sweeps` times, there and back again.
+    /// Sweeps over all pixels `sweeps` times, in alternating directions.
     pub fn refine(&self, map: &mut DepthMap, sweeps: usize) {
         let (width, height) = (self.vantage.pinhole.width, self.vantage.pinhole.height);
         let num_pixels = width * height;
@@ -215,7 +215,7 @@ impl Search<'_> {
         }
     }
 
-    /// Within the pixel's range, and no steeper than surfaces are.
+    /// Clamps a plane to the pixel's range and to the steepest surface.
     fn limited(&self, pixel: usize, plane: Plane) -> Plane {
         let [from, to] = self.ranges[pixel];
         let inverse_depth = plane.inverse_depth.clamp(from, to);
@@ -256,7 +256,7 @@ impl Search<'_> {
         Window { weights, values, variance }
     }
 
-    /// Mean over the better half of the other views: the rest may have something in between.
+    /// Mean over the better half of the other views: in the rest the place may be occluded.
     fn cost(&self, window: &Window, pixel: usize, plane: Plane) -> f32 {
         if self.sources.is_empty() {
             return OUTSIDE_COST;
@@ -306,7 +306,7 @@ impl SourceView<'_> {
     }
 }
 
-/// Between the four nearest pixel centres; the border goes on outside.
+/// Bilinear interpolation between the four nearest pixel centres; the border extends outside.
 fn bilinear(values: &[f32], width: usize, height: usize, x: f32, y: f32) -> f32 {
     let x = (x - 0.5).clamp(0.0, (width - 1) as f32 - 1e-3);
     let y = (y - 0.5).clamp(0.0, (height - 1) as f32 - 1e-3);

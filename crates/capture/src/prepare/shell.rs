@@ -7,25 +7,25 @@ use super::{
     vantage::{Vantage, length, sub},
 };
 
-/// Planes tried for the floor.
+/// RANSAC trials for the floor.
 const NUM_TRIALS: u64 = 300;
-/// Points that judge a plane.
+/// Number of points that judge a plane.
 const NUM_JUDGES: usize = 2000;
-/// A plane's thickness, of the scene's size.
+/// A plane's thickness, as a share of the scene's size.
 const THICKNESS: f32 = 0.01;
-/// Share of the points that a floor has at least.
+/// Minimum share of the points on a floor.
 const MIN_FLOOR_SHARE: f32 = 0.08;
-/// Points whose distances from the sphere have a larger mean than this, relative, lie on none.
+/// Largest mean distance of points from a sphere, relative, for a sphere to count.
 const MAX_MISS: f32 = 0.1;
-/// Where nothing says how far the background is: so many times the distance between the farthest cameras.
+/// Radius of an unknown background, over the distance between the farthest cameras.
 const UNKNOWN_DISTANCE: f32 = 3.0;
 
-/// Where rays end.
+/// The surface on which background rays end.
 #[derive(Clone, Debug)]
 pub(super) struct Shell {
     center: [f32; 3],
     radius: f32,
-    /// Unit normal towards the cameras, and its product with the points of the plane.
+    /// Unit normal towards the cameras, and its dot product with the points of the plane.
     floor: Option<([f32; 3], f32)>,
 }
 
@@ -51,7 +51,7 @@ impl Shell {
             floor.is_none_or(|(normal, offset)| (dot(normal, *point) - offset).abs() > 3.0 * THICKNESS * far)
         };
         let rest: Vec<[f32; 3]> = judges.iter().copied().filter(off_floor).collect();
-        // Every camera must be inside, and a sphere only where there is one; else all around at the far end.
+        // Every camera must be inside the sphere. Without such a sphere rays end all around at the far distance.
         let inside = |&(center, radius): &([f32; 3], f32)| {
             vantages.iter().all(|vantage| length(sub(vantage.pinhole.center, center)) < 1.1 * radius)
         };

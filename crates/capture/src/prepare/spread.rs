@@ -1,4 +1,4 @@
-//! Points where no depth can be seen: cameras that stand too far apart to be compared, with masks or without.
+//! Points without any depth: for cameras that stand too far apart to be compared, with masks or without.
 //!
 //! Points are strewn through the ball that the cameras look at. The points on which cameras agree best in colour stay.
 //! This measures no depth, but surfaces are likelier there than elsewhere. Training moves and removes the rest.
@@ -13,11 +13,11 @@ use super::vantage::{Vantage, length, sub};
 use super::{Hull, Origin, Point, PrepareSettings, Prepared, Stereo, median, solve};
 use crate::{Capture, CaptureError, Split};
 
-/// Points that are tried for each that stays.
+/// Number of points that are tried for each that stays.
 const TRIALS: usize = 12;
-/// Radius of the ball, of the mean distance between the cameras and what they look at.
+/// Radius of the ball, over the mean distance of the cameras from the place that they look at.
 const BALL_SHARE: f64 = 0.6;
-/// Radius of the shell that rays end on, of the farthest distance between a camera and what they look at.
+/// Radius of the shell, over the largest distance of a camera from the place that they look at.
 const SHELL_SHARE: f32 = 2.0;
 /// Share of the points that are on the shell.
 const ON_SHELL: f64 = 0.3;
@@ -79,7 +79,7 @@ fn spread(views: &[View], settings: &PrepareSettings) -> Option<Prepared> {
         let cloud = &mut prepared.cloud;
         cloud.points.push(position);
         cloud.colors.push(color.map(|c| c.clamp(0.0, 1.0)));
-        // Nothing says what moves.
+        // The moving points are unknown, so all are foreground.
         cloud.foreground.push(true);
         prepared.origins.push(origin);
     }
@@ -98,7 +98,7 @@ fn judged(vantages: &[Vantage], position: [f32; 3]) -> Option<(f32, Point)> {
     }
     let color = median(&colors);
     let differences = colors.iter().flat_map(|seen| (0..3).map(move |k| (seen[k] - color[k]).abs()));
-    // More views that agree are a better proof.
+    // More views that agree are stronger evidence.
     let score = differences.sum::<f32>() / (colors.len() * (colors.len() - 1)) as f32;
     Some((score, Point { position, color, foreground: true }))
 }

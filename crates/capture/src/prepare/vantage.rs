@@ -1,8 +1,8 @@
-//! A view as stereo needs it: single precision, grey, small.
+//! A view for stereo: single precision, grey, small.
 
 use tcgs_core::{Pinhole, View};
 
-/// A small image and where it was taken from.
+/// A small image and its camera.
 #[derive(Clone, Debug)]
 pub(crate) struct Vantage {
     pub pinhole: Pinhole<f32>,
