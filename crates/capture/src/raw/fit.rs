@@ -1,4 +1,4 @@
-//! The intrinsics of a calibration on images of another size: scaled where this is exact, else refused.
+//! Fits the intrinsics of a calibration to images of another size: scaled where this is exact, else refused.
 //!
 //! The first of these sizes that fits is used:
 //!
@@ -11,7 +11,7 @@ use crate::recording::{Active, Recording, turned};
 
 use super::looked::Looked;
 
-/// A camera on the images that it belongs to.
+/// A camera fitted to its images.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Fitted {
     pub quarter_turns: u8,
@@ -24,7 +24,7 @@ pub(super) struct Fitted {
     pub camera_from_world: [[f64; 4]; 3],
 }
 
-/// - returns: the camera, and in words what was changed; or what is wrong
+/// - returns: the camera, and the changes in words; or the fault
 pub(super) fn fitted(
     camera: &CalibratedCamera,
     recording: &Recording,
@@ -85,9 +85,9 @@ pub(super) fn fitted(
     ))
 }
 
-/// A camera of which nothing is known: what is left within black bars, behind a lens as most cameras have it.
+/// A camera with unknown calibration: the part within black bars, behind a usual lens.
 pub(super) fn unplaced(recording: &Recording, looked: &Looked) -> Fitted {
-    /// Focal length over the longer side, as COLMAP assumes it, too.
+    /// Focal length over the longer side; COLMAP assumes the same.
     const USUAL_FOCAL: f64 = 1.2;
     let turns = recording.quarter_turns;
     let bars = turned_within(looked.within_bars, recording.size, turns);
@@ -104,14 +104,14 @@ pub(super) fn unplaced(recording: &Recording, looked: &Looked) -> Fitted {
     }
 }
 
-/// A calibration that does not say its size is of the size of the video, if its principal point allows that.
+/// Takes a calibration without size to be of the video's size, if its principal point allows that.
 fn with_size_of_video(
     camera: &CalibratedCamera,
     quarter_turns: u8,
     (width, height): (usize, usize),
 ) -> Result<(Fitted, Option<String>), String> {
     let [cx, cy] = camera.principal;
-    // Lenses are mounted to within some per cent of the middle of the sensor.
+    // Lenses are mounted within some per cent of the middle of the sensor.
     let is_near_middle = |center: f64, side: usize| (0.25..0.75).contains(&(center / side as f64));
     if !is_near_middle(cx, width) || !is_near_middle(cy, height) {
         return Err(format!(
@@ -131,13 +131,13 @@ fn with_size_of_video(
     Ok((fitted, None))
 }
 
-/// Whether one size is the other, scaled, but for rounding to whole or even pixels.
+/// Whether one size is a scaled copy of the other, up to rounding to whole or even pixels.
 fn is_scaled((width, height): (usize, usize), of: (usize, usize)) -> bool {
     let (by_width, by_height) = (width as f64 / of.0 as f64, height as f64 / of.1 as f64);
     (by_width - by_height).abs() * of.0.max(of.1) as f64 <= by_width.max(by_height)
 }
 
-/// A rectangle of the stored image on the turned one.
+/// Converts a rectangle of the stored image to the turned image.
 fn turned_within(active: Active, (width, height): (usize, usize), quarter_turns: u8) -> Active {
     let Active { left, top, width: w, height: h } = active;
     let (right, bottom) = (width - left - w, height - top - h);

@@ -5,19 +5,19 @@ use image::RgbImage;
 use crate::CaptureError;
 use crate::recording::{Active, Recording};
 
-/// Frames that are looked at, spread over the recording.
+/// Number of frames that are decoded, spread over the recording.
 const NUM_FRAMES: usize = 3;
 /// Mean of the channels up to which a row or column is black. Codecs leave some noise in bars.
 const BLACK: f64 = 24.0;
 
-/// What was seen.
+/// The result of the first look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Looked {
     /// The stored picture without rows and columns at its edges that are black in all frames.
     pub within_bars: Active,
 }
 
-/// Decodes some frames.
+/// Decodes some frames and measures their borders.
 ///
 /// # Errors
 /// [`CaptureError`] if a frame cannot be decoded, or if all are black.
@@ -59,7 +59,7 @@ fn brightest(image: &RgbImage, columns: &mut [f64], rows: &mut [f64]) {
     }
 }
 
-/// Begin and length of what is not black.
+/// Begin and length of the part that is not black.
 fn lit(means: &[f64]) -> Option<(usize, usize)> {
     let begin = means.iter().position(|&mean| mean > BLACK)?;
     let end = means.iter().rposition(|&mean| mean > BLACK)?;

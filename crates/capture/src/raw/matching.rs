@@ -1,14 +1,14 @@
-//! Which camera of a calibration belongs to which recording.
+//! Assigns the cameras of a calibration to recordings.
 
 use crate::calibration::CalibratedCamera;
 
-/// How far two poses of one camera may be apart, scene units and sines: more is a camera that moves.
+/// Largest difference of two poses of one camera, scene units and sines: more is a moving camera.
 const SAME_POSE: f64 = 1e-3;
 
 /// Finds the camera of each recording: by name without regard to case and separators, else by the last number in it.
 ///
-/// - `names`: of the recordings
-/// - returns: a camera for each recording, and the names of cameras that no recording belongs to; or what is wrong
+/// - `names`: names of the recordings
+/// - returns: a camera for each recording, and the names of cameras without a recording; or the fault
 pub(super) fn matched<'a>(
     names: &[String],
     cameras: &'a [CalibratedCamera],

@@ -1,4 +1,4 @@
-//! From a folder of recordings as people have it to a description of a capture.
+//! From a folder of recordings to a description of a capture.
 //!
 //! What lives here: finding the recordings, looking at them, giving each its camera of a calibration (`matching`,
 //! `fit`), and putting clocks and cameras together to a [`CaptureDescription`]. What does not: the formats of
@@ -21,7 +21,7 @@ use crate::{CaptureError, CaptureKind, files};
 
 use looked::Looked;
 
-/// Folders that hold something else than the recording of a camera.
+/// Folders that do not hold the recording of a camera.
 const OTHER_FOLDERS: [&str; 9] =
     ["masks", "seg", "sparse", "colmap", "calibration", "points", "depth", "annots", "output"];
 /// Folders in which recordings may lie together.
@@ -49,13 +49,13 @@ pub struct RawCamera {
     pub file: PathBuf,
     /// Name of the codec; `images` for a folder of images.
     pub codec: String,
-    /// Width and height in pixels as players show it.
+    /// Width and height in pixels as shown by players.
     pub size: (usize, usize),
-    /// Clockwise turn in degrees that the file asks players for.
+    /// Clockwise turn in degrees for players, as the file says.
     pub turn_degrees: u16,
-    /// The usual number of frames per second; `None` of a single frame.
+    /// The usual number of frames per second; `None` for a single frame.
     pub frame_rate: Option<f64>,
-    /// Whether gaps between frames differ.
+    /// Whether the gaps between frames differ.
     pub is_variable: bool,
     /// Number of frames.
     pub num_frames: usize,
@@ -66,15 +66,15 @@ pub struct RawCamera {
 /// Settings of [`RawFootage::describe`], beside the calibration and the clocks.
 #[derive(Clone, Debug, Default)]
 pub struct DescribeSettings {
-    /// Seconds after the moment at which all cameras run; default 0.
+    /// Start of the capture, seconds after the moment from which all cameras run; default 0.
     pub from_secs: f64,
-    /// Where the capture ends, on the same clock; default the end of the recording that ends first.
+    /// End of the capture, on the same clock; default the end of the recording that ends first.
     pub to_secs: Option<f64>,
-    /// Only every so many frames are used; 0, the default, stands for 1.
+    /// Use every n-th frame; 0, the default, stands for 1.
     pub every: usize,
     /// Frames per second before `every`; default the rate that most recordings have.
     pub frame_rate: Option<f64>,
-    /// Names of the cameras that are held out. Without any every eighth camera is, of fewer than eight none.
+    /// Names of the held-out cameras. By default every eighth camera is held out, and none of fewer than eight.
     pub test_cameras: Option<Vec<String>>,
 }
 
@@ -89,7 +89,7 @@ pub struct PlacedCameras {
 }
 
 impl RawFootage {
-    /// Whether a folder is one of recordings, and not a capture of a known kind: a kind that has images and no videos
+    /// Whether a folder is one of recordings, and not a capture of a known kind. A kind that has images and no videos
     /// does not count where there are videos.
     ///
     /// # Errors
@@ -109,8 +109,8 @@ impl RawFootage {
         Ok(!recordings.is_empty())
     }
 
-    /// Finds the recordings of a folder: its videos, else its folders of images, else those in `videos/` or `images/`;
-    /// and opens all of them. Decodes three frames of each to see whether they show anything.
+    /// Finds and opens the recordings of a folder: its videos, else its folders of images, else those in `videos/` or
+    /// `images/`. Decodes three frames of each to check that they show anything.
     ///
     /// - `folder`: one file or folder of images for each camera
     /// - `images_per_sec`: frames per second of folders of images; default 30
@@ -129,7 +129,7 @@ impl RawFootage {
             return Err(CaptureError::invalid(folder, problem));
         }
         let images_per_sec = images_per_sec.unwrap_or(IMAGES_PER_SEC);
-        // Collected before the first error is looked for, so that it is always the same one.
+        // All recordings are opened before the first error is chosen, so that the error is always the same.
         let opened: Vec<_> = paths
             .par_iter()
             .map(|path| {
@@ -159,8 +159,8 @@ impl RawFootage {
         self.recordings.iter().map(camera).collect()
     }
 
-    /// Finds the clocks of the recordings against each other: by sound if all have it, else by motion; else they are
-    /// assumed to begin at once.
+    /// Finds the clocks of the recordings against each other: by sound if all have it, else by motion. If neither is
+    /// certain, all are assumed to begin at once.
     ///
     /// - `report`: called with the share of the work that is done, in `[0, 1]`, by any thread
     ///
@@ -268,7 +268,7 @@ impl RawFootage {
         Ok(description)
     }
 
-    /// The rate that most recordings have; of rates that are as frequent the lowest.
+    /// The rate of most recordings; of equally frequent rates the lowest.
     fn usual_rate(&self) -> f64 {
         let mut rates: Vec<f64> = self.recordings.iter().filter_map(|recording| recording.times.fps()).collect();
         rates.sort_by(f64::total_cmp);
@@ -280,7 +280,7 @@ impl RawFootage {
         known.into_iter().find(|rate| (usual / rate - 1.0).abs() < 2e-4).unwrap_or(usual)
     }
 
-    /// From when on in each file all cameras run, and for how long.
+    /// The moment in each file from which all cameras run, and the length of this common time.
     ///
     /// - `event_secs`: the moment of one event in each file
     fn common_time(&self, event_secs: &[f64]) -> Result<(Vec<f64>, f64), String> {
@@ -315,7 +315,7 @@ impl RawFootage {
     }
 }
 
-/// The recordings of a folder, wherever they may lie in it.
+/// The recordings of a folder or of its inner folders.
 fn search(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     let mut paths = recordings_in(folder)?;
     for inner in INNER_FOLDERS {
@@ -344,19 +344,19 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     Ok(folders)
 }
 
-/// The name by which a camera is meant. A name may have dots, as `cam.01` of a folder.
+/// The name of a recording's camera. A folder's name may have dots, as `cam.01`.
 fn name_of(path: &Path) -> String {
     if path.is_dir() { files::name(path) } else { files::stem(path) }
 }
 
-/// The number in each name where all have their own, else the places in the order of names.
+/// The number in each name if all names have different numbers, else the places in the order of names.
 fn ids_of(names: &[String]) -> Vec<usize> {
     let numbers: Option<Vec<usize>> = names.iter().map(|name| matching::number_in(name)).collect();
     let differ = |ids: &Vec<usize>| (1..ids.len()).all(|i| !ids[..i].contains(&ids[i]));
     numbers.filter(differ).unwrap_or_else(|| (0..names.len()).collect())
 }
 
-/// To microseconds, which is finer than any clock of a camera and short to read.
+/// Rounds to microseconds, which is finer than any camera's clock and short to read.
 fn rounded(secs: f64) -> f64 {
     (secs * 1e6).round() / 1e6
 }

@@ -1,4 +1,4 @@
-//! Matching on numbers alone; recordings are tested on real ones.
+//! Matching on numbers alone; the integration tests use recordings.
 
 use super::matching::{matched, number_in};
 use super::*;
@@ -46,7 +46,7 @@ fn cameras_that_cannot_be_matched_are_named() {
     let cameras = [camera(&["cam1"], 1.0), camera(&["cam2"], 2.0)];
     let problem = |recordings: &[&str]| matched(&names(recordings), &cameras).unwrap_err();
     assert_eq!(problem(&["cam1", "cam3"]), "has no camera cam3, expected one for each recording; it has cam1, cam2");
-    // Two recordings with one number: nothing says which is meant.
+    // Two recordings with one number: the assignment is ambiguous.
     assert!(problem(&["a1", "b1"]).starts_with("has no camera a1"));
     let moving = [camera(&["0000", "a"], 1.0), camera(&["0001", "a"], 1.5)];
     let moves = matched(&names(&["a"]), &moving).unwrap_err();

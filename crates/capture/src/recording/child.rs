@@ -1,4 +1,4 @@
-//! Programs that decode videos: `ffmpeg` and `ffprobe` while they work.
+//! Processes of `ffmpeg` and `ffprobe`, which decode videos.
 //!
 //! What lives here: starting them, and ending them when [`Program`] is dropped or by [`end_programs`]. What does not:
 //! their arguments.
@@ -9,10 +9,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-/// The programs that run now.
+/// The running processes.
 static RUNNING: Mutex<Running> = Mutex::new(Running { children: Vec::new(), is_ended: false });
 
-/// Most bytes that are kept of a program's complaints.
+/// Maximum size of a program's error output that is kept, bytes.
 const MAX_COMPLAINT_BYTES: u64 = 1 << 16;
 
 struct Running {
@@ -21,13 +21,13 @@ struct Running {
     is_ended: bool,
 }
 
-/// Ends every `ffmpeg` and `ffprobe` that this process runs, and refuses to start more. Reading a video through them
-/// then returns an error. Call it when the process is asked to end: a program that hangs blocks its reader.
+/// Ends every `ffmpeg` and `ffprobe` of this process, and refuses to start more. Reading a video through them then
+/// returns an error. Call it when the process is asked to end: a hanging program blocks its reader.
 pub fn end_programs() {
     let mut running = lock(&RUNNING);
     running.is_ended = true;
     for child in &running.children {
-        // It may have ended by itself.
+        // The process may have ended by itself.
         let _ = lock(child).kill();
     }
 }
@@ -36,12 +36,12 @@ fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A program at work; dropping it ends the process. Its lock is never held for long.
+/// A running process; dropping it ends the process. Its lock is never held for long.
 #[derive(Debug)]
 pub(super) struct Program(Arc<Mutex<Child>>);
 
 impl Program {
-    /// - returns: the program, and the pipe of its output
+    /// - returns: the process, and the pipe of its output
     pub fn start(command: &mut Command) -> io::Result<(Self, ChildStdout)> {
         let mut running = lock(&RUNNING);
         if running.is_ended {
@@ -57,7 +57,7 @@ impl Program {
     /// Runs a program to its end.
     ///
     /// - `max_bytes`: most bytes that it may write
-    /// - returns: whether it succeeded, its output, and its complaints
+    /// - returns: whether it succeeded, its output, and its error output
     pub fn output(command: &mut Command, max_bytes: u64) -> io::Result<(bool, Vec<u8>, Vec<u8>)> {
         let (program, stdout) = Self::start(command.stderr(Stdio::piped()))?;
         let stderr = lock(&program.0).stderr.take();

@@ -1,4 +1,4 @@
-//! The footage of one camera as it lies on the disk: a video or a folder of images, and the time of each frame.
+//! The footage of one camera as stored: a video or a folder of images, and the time of each frame.
 //!
 //! What lives here: from a file to frames with times ([`Recording`]), and from a moment of the capture to an image that
 //! is turned, cropped and evened out ([`Take`]). `program` reads videos by `ffmpeg`, `times` finds frames by time. What
@@ -22,7 +22,7 @@ pub(crate) use program::{ProgramVideo, audio};
 pub(crate) use take::{Active, ColorChange, Take, turned};
 pub(crate) use times::Times;
 
-/// Endings of files that are taken for videos when a folder is searched. A file that is named may have any ending.
+/// Endings of videos in the search of a folder. A file that the user names may have any ending.
 pub(crate) const VIDEO_ENDINGS: [&str; 10] = ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "ts"];
 
 /// A video, or a folder of images.
@@ -30,9 +30,9 @@ pub(crate) const VIDEO_ENDINGS: [&str; 10] = ["mp4", "mov", "m4v", "mkv", "webm"
 pub(crate) struct Recording {
     pub path: PathBuf,
     pixels: Source,
-    /// Width and height as stored, before anything is turned.
+    /// Width and height as stored, before any turn.
     pub size: (usize, usize),
-    /// Clockwise quarter turns that the file asks players for.
+    /// Clockwise quarter turns for players, as the file says.
     pub quarter_turns: u8,
     pub times: Times,
     /// Frames that are stored before the first of `times`.
@@ -52,11 +52,11 @@ impl Recording {
         !matches!(self.pixels, Source::Images(_))
     }
 
-    /// Reads all but the frames.
+    /// Reads everything but the frames.
     ///
     /// - `path`: a file of any format that `ffmpeg` reads, or a folder of images, one a frame, in the natural order of
     ///   their names
-    /// - `images_fps`: frames per second of a folder of images, which does not say
+    /// - `images_fps`: frames per second of a folder of images, which has none of its own
     pub fn open(path: &Path, images_fps: f64) -> Result<Self, CaptureError> {
         if path.is_dir() {
             return Self::of_images(path, images_fps);
@@ -130,7 +130,7 @@ impl Recording {
         }
     }
 
-    /// Whether there are frames as files, for which no clock can be read.
+    /// Whether the frames are image files, which have no clock.
     pub fn is_images(&self) -> bool {
         matches!(self.pixels, Source::Images(_))
     }
@@ -139,7 +139,7 @@ impl Recording {
         self.times.len()
     }
 
-    /// Decodes a frame as stored. Frames asked for in order cost the decoding of one each.
+    /// Decodes a frame as stored. In sequential order each frame is decoded once.
     ///
     /// # Panics
     /// If there is no such frame.
@@ -153,7 +153,7 @@ impl Recording {
     }
 }
 
-/// Whether a file begins as those of the MP4 family do.
+/// Whether a file begins like the MP4 family.
 fn is_mp4(path: &Path) -> Result<bool, CaptureError> {
     use std::io::Read;
     let failed = |error| CaptureError::Io { path: path.into(), error };

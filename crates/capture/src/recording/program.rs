@@ -1,8 +1,7 @@
 //! Videos that the program `ffmpeg` decodes, frame by frame through a pipe. Nothing is extracted to the disk.
 //!
-//! `ffprobe` lists when each frame is shown; `ffmpeg` then writes frames in that order. Frames that are asked for in
-//! order are decoded once each. For a frame that lies before the last one, or far ahead of it, `ffmpeg` is started
-//! again at that moment.
+//! `ffprobe` lists the presentation times; `ffmpeg` then writes frames in that order. In sequential order each frame is
+//! decoded once. For a frame before the last one, or far ahead of it, `ffmpeg` is started again at that moment.
 
 use std::collections::VecDeque;
 use std::io::{BufReader, Read};
@@ -17,13 +16,13 @@ use super::Times;
 use super::child::Program;
 use crate::CaptureError;
 
-/// Bytes of decoded frames that a video keeps; the last one always.
+/// Bytes of decoded frames that a video keeps; the last frame is always kept.
 const KEPT_BYTES: usize = 16 << 20;
 /// Most bytes of a description at a hundred bytes a frame: as many frames as the built-in decoder takes.
 const MAX_PROBE_BYTES: u64 = 1 << 28;
 /// Largest width and height of a video, pixels.
 const MAX_SIDE: usize = 1 << 14;
-/// Frames that are decoded and thrown away rather than starting `ffmpeg` again.
+/// Number of frames that are decoded and dropped rather than starting `ffmpeg` again.
 const MAX_SKIPPED: usize = 250;
 
 /// A video that `ffmpeg` decodes.
@@ -34,11 +33,11 @@ pub(crate) struct ProgramVideo {
     pub size: (usize, usize),
     /// Name of the codec, such as `vp9`.
     pub codec: String,
-    /// Clockwise quarter turns that the file asks players for.
+    /// Clockwise quarter turns for players, as the file says.
     pub quarter_turns: u8,
-    /// Where the file's clock begins, which `ffmpeg` counts from when it seeks.
+    /// Start of the file's clock; `ffmpeg` counts from it when it seeks.
     begin_secs: f64,
-    /// Whether `ffmpeg` can begin at a frame: the file says when each is shown.
+    /// Whether `ffmpeg` can seek to a frame: the file has presentation times.
     can_seek: bool,
     state: Mutex<State>,
 }
@@ -46,17 +45,17 @@ pub(crate) struct ProgramVideo {
 #[derive(Debug, Default)]
 struct State {
     running: Option<Running>,
-    /// The latest last.
+    /// Latest last.
     kept: VecDeque<(usize, RgbImage)>,
 }
 
-/// `ffmpeg` at work; dropping it ends the process.
+/// A running `ffmpeg`; dropping it ends the process.
 #[derive(Debug)]
 struct Running {
     /// Held until it is dropped.
     _program: Program,
     frames: BufReader<ChildStdout>,
-    /// Next to come out.
+    /// The next frame from the pipe.
     next_frame: usize,
 }
 
@@ -104,9 +103,9 @@ struct Format {
 }
 
 impl ProgramVideo {
-    /// Reads all but the frames.
+    /// Reads everything but the frames.
     ///
-    /// - `problem`: why the decoder that is built in does not read the video
+    /// - `problem`: why the built-in decoder does not read the video
     pub fn open(path: &Path, problem: &str) -> Result<(Self, Times), CaptureError> {
         let invalid = |problem: String| CaptureError::invalid(path, problem);
         let entries = "stream=codec_name,width,height:stream_tags=rotate:stream_side_data=rotation:\
@@ -136,7 +135,7 @@ impl ProgramVideo {
         let times = |of: fn(&Packet) -> &Option<String>| -> Option<Vec<f64>> {
             shown.iter().map(|packet| of(packet).as_ref().and_then(number)).collect()
         };
-        // AVI says when frames are decoded, not when they are shown. In order both are the same but for a delay.
+        // AVI has decoding times only. In order these equal the presentation times up to a delay.
         let shown_at = times(|packet| &packet.pts_time);
         let can_seek = shown_at.is_some();
         let mut times = shown_at.or_else(|| times(|packet| &packet.dts_time)).unwrap_or_default();
@@ -189,7 +188,7 @@ impl ProgramVideo {
         Ok(image)
     }
 
-    /// Starts `ffmpeg` so that `frame` comes out first, or where it cannot seek, the first of all.
+    /// Starts `ffmpeg` so that `frame` comes out first; without seeking, the first frame of all.
     fn start(&self, frame: usize, times: &Times) -> Result<Running, CaptureError> {
         let mut command = Command::new("ffmpeg");
         // Ctrl-C in a terminal must reach only this process, which may still need frames; by default it ends ffmpeg as
@@ -199,7 +198,7 @@ impl ProgramVideo {
         command.args(["-v", "error", "-nostdin", "-threads", "2", "-noautorotate"]);
         let frame = if self.can_seek { frame } else { 0 };
         if frame > 0 {
-            // Between this frame and the one before.
+            // Between this frame and the previous one.
             let secs = 0.5 * (times.secs(frame - 1) + times.secs(frame)) - self.begin_secs;
             command.arg("-ss").arg(format!("{:.6}", secs.max(0.0)));
         }
@@ -225,7 +224,7 @@ impl State {
 /// The sound of a video, one channel, from the moment 0 of its clock on.
 ///
 /// - `rate`: samples per second
-/// - `max_secs`: at most so much is decoded
+/// - `max_secs`: maximum decoded length
 /// - returns: samples in `[-1, 1]`; `None` if there is no sound, or no `ffmpeg`
 pub(crate) fn audio(path: &Path, rate: u32, max_secs: f64) -> Option<Vec<f32>> {
     let mut command = Command::new("ffmpeg");
@@ -243,7 +242,7 @@ pub(crate) fn audio(path: &Path, rate: u32, max_secs: f64) -> Option<Vec<f32>> {
     (is_sound && !samples.is_empty()).then_some(samples)
 }
 
-/// The option that gives out every frame once, whatever its time. Versions before 5.1 call it otherwise.
+/// The option to output every frame once, whatever its time. Versions before 5.1 have another name for it.
 fn every_frame() -> [&'static str; 2] {
     static OPTION: OnceLock<[&str; 2]> = OnceLock::new();
     *OPTION.get_or_init(|| {
@@ -259,12 +258,12 @@ fn every_frame() -> [&'static str; 2] {
     })
 }
 
-/// A path that `ffmpeg` does not take for an option or a protocol.
+/// A path that `ffmpeg` cannot mistake for an option or a protocol.
 fn in_place(path: &Path) -> PathBuf {
     if path.is_absolute() { path.into() } else { Path::new(".").join(path) }
 }
 
-/// The last line of what a program said.
+/// The last line of a program's output.
 fn last_line(said: &[u8]) -> String {
     let text = String::from_utf8_lossy(said);
     text.lines().map(str::trim).rfind(|line| !line.is_empty()).unwrap_or("nothing").to_owned()

@@ -13,7 +13,7 @@ pub(crate) struct Take {
     pub recording: Arc<Recording>,
     /// Clockwise, applied to the stored image.
     pub quarter_turns: u8,
-    /// The part of the turned image that shows something.
+    /// The used part of the turned image.
     pub active: Active,
     pub colors: ColorChange,
     /// The time in the recording at which the capture begins.
@@ -32,7 +32,7 @@ pub(crate) struct ColorChange {
 }
 
 impl ColorChange {
-    /// Colours as they are recorded.
+    /// Colours as recorded.
     pub const NONE: Self = Self { gains: [1.0; 3], offsets: [0.0; 3] };
 
     /// Changes an image, rounding to 8 bits.
@@ -52,7 +52,7 @@ impl ColorChange {
     }
 }
 
-/// A rectangle of pixels.
+/// A rectangle in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Active {
     pub left: usize,
@@ -62,7 +62,7 @@ pub(crate) struct Active {
 }
 
 impl Active {
-    /// All of an image.
+    /// The whole image.
     pub fn whole((width, height): (usize, usize)) -> Self {
         Self { left: 0, top: 0, width, height }
     }
@@ -82,7 +82,7 @@ pub(crate) fn turned((width, height): (usize, usize), quarter_turns: u8) -> (usi
 }
 
 impl Take {
-    /// The stored frame that the capture shows.
+    /// The stored frame for a frame of the capture.
     pub fn stored_frame(&self, frame: usize) -> usize {
         self.recording.times.nearest(self.start_secs + frame as f64 / self.fps)
     }

@@ -1,11 +1,11 @@
-//! When each frame of a recording is shown.
+//! Presentation times of a recording's frames.
 
 /// Presentation times of the frames of one recording, ascending, seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Times {
-    /// As many frames, at a rate that never changes, from 0 on.
+    /// Frames at a constant rate from 0 on.
     AtRate { num_frames: usize, fps: f64 },
-    /// One by one.
+    /// Listed one by one.
     Listed(Vec<f64>),
 }
 
@@ -43,7 +43,7 @@ impl Times {
         self.secs(self.len() - 1)
     }
 
-    /// The usual number of frames per second: 1 over the median of the gaps. `None` of a single frame.
+    /// The usual number of frames per second: 1 over the median of the gaps. `None` for a single frame.
     pub fn fps(&self) -> Option<f64> {
         match self {
             Self::AtRate { fps, .. } => Some(*fps),
@@ -52,7 +52,7 @@ impl Times {
                 gaps.sort_by(f64::total_cmp);
                 let median = *gaps.get(gaps.len() / 2)?;
                 let mean = (secs[secs.len() - 1] - secs[0]) / gaps.len() as f64;
-                // Rounded times alternate; where the rate does not change the mean is the better number.
+                // Rounded times alternate; at a constant rate the mean is more exact.
                 let fps = 1.0 / if (median / mean - 1.0).abs() < 0.05 { mean } else { median };
                 (fps.is_finite() && fps > 0.0).then_some(fps)
             }
@@ -69,7 +69,7 @@ impl Times {
         }
     }
 
-    /// The frame that is shown nearest to a moment; of two that are as near the earlier.
+    /// The frame nearest to a moment; of two equally near frames the earlier one.
     pub fn nearest(&self, secs: f64) -> usize {
         let last = self.len() - 1;
         match self {

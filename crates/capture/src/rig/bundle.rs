@@ -9,15 +9,15 @@ use tcgs_core::dot;
 use super::camera::{K1, LOG_FOCAL, PARAMETERS, RigCamera, distance, median};
 use super::normal::{Slopes, System, inverse};
 
-/// One point of the scene at one moment, and where cameras see it.
+/// One point of the scene at one moment, and its observations.
 #[derive(Clone, Debug)]
 pub(super) struct Track {
     pub point: [f64; 3],
-    /// Camera, and pixel of its image with its bends.
+    /// Camera, and pixel of its distorted image.
     pub seen: Vec<(usize, [f64; 2])>,
 }
 
-/// How far cameras may go from where they were: standard deviations of priors. They decide only where tracks do not.
+/// Standard deviations of the priors around the given cameras. They matter only where tracks decide nothing.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Freedom {
     /// Radians.
@@ -38,7 +38,7 @@ const MAX_ITERATIONS: usize = 60;
 /// A fall of the cost by less than this share ends the search.
 const MIN_FALL: f64 = 1e-6;
 
-/// Moves cameras and points to where the tracks fit best.
+/// Fits cameras and points to the tracks.
 ///
 /// - `is_free`: whether each camera may move
 /// - `min_scale`: errors up to about this many pixels count as squares, even if most are smaller
@@ -97,11 +97,11 @@ pub(super) fn bundle(
             _ => break,
         }
     }
-    // The tracks leave open where the rig is as a whole, how it is turned, and how large it is.
+    // The tracks determine neither the rig's place nor its direction nor its size (gauge freedom).
     super::similarity::align(cameras, tracks, &before, is_free);
 }
 
-/// How far from each other the cameras are: the median distance from their middle.
+/// Size of the rig: the median distance of the cameras from their middle.
 pub(super) fn rig_size(cameras: &[RigCamera]) -> f64 {
     let centers: Vec<[f64; 3]> = cameras.iter().map(RigCamera::center).collect();
     let middle: [f64; 3] = std::array::from_fn(|i| centers.iter().map(|c| c[i]).sum::<f64>() / centers.len() as f64);
@@ -116,7 +116,7 @@ pub(super) fn residual(camera: &RigCamera, point: [f64; 3], pixel: [f64; 2]) -> 
     }
 }
 
-/// Lengths of the errors of all observations of a track, pixels.
+/// Reprojection errors of all observations of a track, pixels.
 pub(super) fn errors(cameras: &[RigCamera], track: &Track) -> Vec<f64> {
     let error = |&(camera, pixel): &(usize, [f64; 2])| {
         let [du, dv] = residual(&cameras[camera], track.point, pixel);
@@ -152,7 +152,7 @@ fn cost(
     scale * scale * of_tracks + of_priors
 }
 
-/// The point nearest to the rays of all observations, then where the errors in pixels are least; cameras stay.
+/// The point nearest to the rays of all observations, then refined to the least reprojection error; cameras stay fixed.
 ///
 /// - returns: `None` if the rays are parallel or meet behind a camera
 pub(super) fn triangulate(cameras: &[RigCamera], seen: &[(usize, [f64; 2])]) -> Option<[f64; 3]> {

@@ -9,7 +9,7 @@ use crate::lens::{Crop, Lens};
 /// Number of a camera's free parameters: rotation vector (3, radians, camera axes), translation (3, scene units, camera
 /// axes), the logarithm of both focal lengths, and `k1`.
 pub(super) const PARAMETERS: usize = 8;
-/// Places in such a change.
+/// Indices into a change of the parameters.
 pub(super) const LOG_FOCAL: usize = 6;
 pub(super) const K1: usize = 7;
 
@@ -51,7 +51,7 @@ impl RigCamera {
         self.camera_from_world.map(|[a, b, c, t]| dot([a, b, c], point) + t)
     }
 
-    /// Where a point is seen, pixels of the image with its bends; `None` behind the camera.
+    /// Projection of a point, pixels of the distorted image; `None` behind the camera.
     pub fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
         let [x, y, z] = self.camera_point(point);
         if z <= 0.0 {
@@ -73,9 +73,9 @@ impl RigCamera {
         [x, y, z]
     }
 
-    /// Unit direction in the world in which a pixel of the image with its bends looks.
+    /// Unit direction in the world of a pixel of the distorted image.
     pub fn ray(&self, pixel: [f64; 2]) -> [f64; 3] {
-        // Bends are small corrections, so undoing them by repetition converges within a few steps.
+        // Distortion is a small correction, so the fixed-point iteration converges within a few steps.
         let mut straight = pixel;
         for _ in 0..20 {
             let bent = self.lens.bend(straight);
@@ -108,7 +108,7 @@ impl RigCamera {
         moved
     }
 
-    /// Makes the rotation orthonormal again, which many small changes wear off.
+    /// Makes the rotation orthonormal again after many small changes.
     pub fn straightened(mut self) -> Self {
         let m = self.camera_from_world.map(|[a, b, c, _]| [a, b, c]);
         let x = normalize(m[0]);
@@ -135,7 +135,7 @@ pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     dot(apart, apart).sqrt()
 }
 
-/// The middle value; of none 0.
+/// The median; 0 without values.
 pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() {
         return 0.0;

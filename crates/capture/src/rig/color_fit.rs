@@ -19,7 +19,7 @@ pub(super) struct Line {
 /// Whether offsets are fitted as well.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Model {
-    /// Exposure and white balance are factors, also of values that are displayed: of a power of light.
+    /// Exposure and white balance are factors. They stay factors for displayed values, which are a power of light.
     Gains,
     /// Black levels differ as well, or tone curves.
     GainsAndOffsets,
@@ -34,7 +34,7 @@ impl Line {
     }
 }
 
-/// Cauchy's loss is 95 % as efficient as squares for Gaussian errors if its scale is so many standard deviations.
+/// Cauchy's loss is 95 % as efficient as squares for Gaussian errors if its scale is this many standard deviations.
 const CAUCHY: f64 = 2.385;
 /// Standard deviation of a Gaussian over its median absolute value.
 const DEVIATION_PER_MEDIAN: f64 = 1.4826;
@@ -46,9 +46,9 @@ const PRIOR_OFFSET: f64 = 0.05;
 /// Reweighting converges within a few steps; a step costs next to nothing.
 const NUM_STEPS: usize = 30;
 
-/// Fits the cameras' lines by reweighted least squares. The camera in the middle has gain 1 and offset 0.
+/// Fits the cameras' lines by iteratively reweighted least squares. The camera in the middle has gain 1 and offset 0.
 ///
-/// - `is_free`: whether each camera has a line; the places of others do not count
+/// - `is_free`: whether each camera has a line; the places of other cameras do not count
 pub(super) fn fit(places: &[Seen], is_free: &[bool], model: Model) -> Vec<Line> {
     let places: Vec<Seen> = places
         .iter()
@@ -72,7 +72,7 @@ pub(super) fn fit(places: &[Seen], is_free: &[bool], model: Model) -> Vec<Line> 
     lines
 }
 
-/// How far what each camera sees is from the median of a place, with the lines applied.
+/// Differences of each camera's value from the median of a place, with the lines applied.
 fn from_middle(seen: &Seen, lines: &[Line]) -> Vec<f64> {
     let values: Vec<f64> = seen.iter().map(|&(camera, value)| lines[camera].at(value)).collect();
     let mut sorted = values.clone();
@@ -81,7 +81,7 @@ fn from_middle(seen: &Seen, lines: &[Line]) -> Vec<f64> {
     values.into_iter().map(|value| value - middle).collect()
 }
 
-/// Solves the weighted normal equations, from which the places' own colours are eliminated: each is the weighted mean.
+/// Solves the weighted normal equations. The places' own colours are eliminated: each is the weighted mean.
 fn step(places: &[Seen], errors: &[Vec<f64>], deviation: f64, is_free: &[bool], model: Model) -> Option<Vec<Line>> {
     let num = 2 * is_free.len();
     let (mut matrix, mut right) = (vec![0.0; num * num], vec![0.0; num]);
@@ -102,7 +102,7 @@ fn step(places: &[Seen], errors: &[Vec<f64>], deviation: f64, is_free: &[bool], 
             }
         }
     }
-    // All values could be made 0; so the mean gain is 1, and the mean offset 0.
+    // Gauge: all values could be scaled to 0, so the mean gain is tied to 1 and the mean offset to 0.
     let tie = 10.0 * num_seen;
     let free: Vec<usize> = (0..is_free.len()).filter(|&camera| is_free[camera]).collect();
     for &a in &free {
@@ -112,7 +112,7 @@ fn step(places: &[Seen], errors: &[Vec<f64>], deviation: f64, is_free: &[bool], 
         }
         right[2 * a] += tie * free.len() as f64;
     }
-    // A prior that nothing moves takes the place of what is not fitted.
+    // A prior of nearly infinite weight fixes the parameters that are not fitted.
     let fixed = 1e9 * num_seen;
     for (camera, is_free) in is_free.iter().enumerate() {
         let of_gain = if *is_free { (deviation / PRIOR_GAIN).powi(2) } else { fixed };

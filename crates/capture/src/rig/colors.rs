@@ -20,9 +20,10 @@ use super::refine::{
 use crate::CaptureError;
 use crate::description::CaptureDescription;
 
-/// Radius around a place over which colours are averaged, share of the longer side of the image that shows it smallest.
+/// Radius around a place over which colours are averaged, as a share of the longer side of the image that shows it
+/// smallest.
 const RADIUS: f64 = 0.006;
-/// Radius in an image that shows a place larger, at most, share of its longer side.
+/// Largest radius in an image that shows a place larger, share of its longer side.
 const MAX_RADIUS: f64 = 0.03;
 /// Least search radius around the projection of a place, pixels: places in small images are not known better.
 const MIN_BAND_PX: f64 = 1.0;
@@ -30,20 +31,20 @@ const MIN_BAND_PX: f64 = 1.0;
 const SATURATED: [u8; 2] = [4, 250];
 /// Share of a place's pixels that may be saturated.
 const MAX_SATURATED: f64 = 0.02;
-/// Offsets are taken besides gains if the errors of held-out places fall to this share of what gains alone leave.
+/// Offsets are used besides gains if they reduce the errors of held-out places to this share of those with gains alone.
 const BETTER_WITH_OFFSETS: f64 = 0.95;
-/// Differences of less than this many levels of 255 are worth nothing.
+/// Errors below this many levels of 255 need no correction.
 const EXACT_LEVELS: f64 = 1.0;
 
-/// How the colours of cameras differ, judged by places that were not fitted.
+/// Differences in colour between cameras, judged by places that were not fitted.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct ColorBalance {
-    /// Whether the colours agree better with the gains and offsets that were found, and these were taken.
+    /// Whether the found gains and offsets make the colours agree better, and were therefore used.
     pub is_taken: bool,
     /// Whether there are offsets besides gains.
     pub has_offsets: bool,
-    /// Number of places that were fitted, and of those that judge.
+    /// Number of fitted places, and of judging places.
     pub num_places: [usize; 2],
     /// Mean of [`Self::camera_error_levels`].
     pub error_levels: [f64; 2],
@@ -106,7 +107,7 @@ pub fn balance_colors(
     Ok(Some(best_of(&to_fit, &to_judge, num_places, description)))
 }
 
-/// Fits, judges, and writes what is taken into the description.
+/// Fits, judges, and writes accepted gains and offsets into the description.
 fn best_of(
     to_fit: &[Vec<Seen>; 3],
     to_judge: &[Vec<Seen>; 3],
@@ -128,7 +129,7 @@ fn best_of(
             let count = |camera: usize| {
                 places.iter().filter(|seen| seen.len() >= 2 && seen.iter().any(|&(other, _)| other == camera)).count()
             };
-            // A gain that nothing judges is not applied.
+            // A gain without a judging place is not applied.
             let is_free: Vec<bool> =
                 (0..num_cameras).map(|camera| count(camera) >= MIN_TRACKS && before[camera].is_some()).collect();
             color_fit::fit(places, &is_free, model)
@@ -164,14 +165,14 @@ fn best_of(
 /// Colours of a place in all cameras, channel by channel, without saturated values.
 ///
 /// - `images`: of all cameras
-/// - `band`: by how much a camera may miss the place, share of the longer side
+/// - `band`: largest reprojection error of the place, share of the longer side
 fn colors_of(track: &Track, cameras: &[RigCamera], images: &[RgbImage], band: f64) -> [Seen; 3] {
     let mut colors: [Seen; 3] = Default::default();
     let errors = bundle::errors(cameras, track);
-    // Pixels of an image for a length of the scene.
+    // Pixels of an image per length of the scene.
     let scale = |camera: usize| cameras[camera].lens.focal[0] / cameras[camera].camera_point(track.point)[2];
     let length = |camera: usize| RADIUS * longer_side(&cameras[camera]) / scale(camera);
-    // Everywhere as large as it is in the image that shows it smallest.
+    // The radius in the scene is that of the image that shows the place smallest.
     let radius = track.seen.iter().map(|&(camera, _)| length(camera)).fold(0.0, f64::max);
     for (&(camera, pixel), error) in track.seen.iter().zip(errors) {
         let side = longer_side(&cameras[camera]);

@@ -1,18 +1,18 @@
-//! Pictures at several sizes, and places in them that can be found again.
+//! Image pyramids, and corners that can be found again.
 
 use image::RgbImage;
 
-/// Pictures are reduced to at most this many pixels a side before corners are looked for.
+/// Pictures are reduced to at most this many pixels a side before the search for corners.
 const MAX_SIDE: usize = 1400;
 const NUM_LEVELS: usize = 4;
-/// Corners are looked for at so many of the levels: coarse ones are found again from further away.
+/// Number of levels with corners: coarse corners are found again from farther away.
 const CORNER_LEVELS: usize = 3;
-/// Cells along the longer side of the finest level, each of which gives some corners, so that they are spread.
+/// Cells along the longer side of the finest level. Each cell gives some corners, so that they are spread.
 const CELLS: usize = 28;
 const PER_CELL: usize = 2;
 /// The smaller eigenvalue of a corner's structure, per pixel of its window, grey values of 255 squared.
 const MIN_CORNER: f32 = 6.0;
-/// The smallest of these cells, pixels of the level: about a patch, or neighbours would show the same.
+/// The smallest cell, pixels of the level: about a patch, or neighbouring cells would show the same.
 const MIN_CELL: usize = 16;
 /// Half of the window in which corners are judged, pixels of the level.
 const WINDOW: usize = 3;
@@ -35,7 +35,7 @@ pub(super) struct Pyramid {
     pub unit: f64,
 }
 
-/// A place in a picture.
+/// A corner in a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Corner {
     /// Pixels of the camera's image; centres at +0.5.
@@ -44,7 +44,7 @@ pub(super) struct Corner {
 }
 
 impl Gray {
-    /// Bilinear; the edge's value holds beyond it.
+    /// Bilinear interpolation; the edge's value extends beyond it.
     ///
     /// - `x`, `y`: pixels; centres at +0.5
     pub fn at(&self, x: f32, y: f32) -> f32 {
@@ -60,7 +60,7 @@ impl Gray {
         upper + fy * (lower - upper)
     }
 
-    /// Averages of squares of pixels; what is left over at the right and at the bottom is dropped.
+    /// Box filter: averages square blocks of pixels. Remainders at the right and at the bottom are dropped.
     fn reduced(&self, by: usize) -> Self {
         let (width, height) = ((self.width / by).max(1), (self.height / by).max(1));
         let mut data = Vec::with_capacity(width * height);
@@ -110,7 +110,7 @@ impl Pyramid {
 
     /// Corners of one level.
     ///
-    /// - `cells`: along the longer side, each of which gives some corners
+    /// - `cells`: number along the longer side; each gives some corners
     pub fn corners_of_level(&self, level: usize, cells: usize) -> Vec<Corner> {
         let unit = self.unit_of(level);
         let places = corners_of(&self.levels[level], cells.max(4)).into_iter();
@@ -146,7 +146,7 @@ fn corners_of(gray: &Gray, cells: usize) -> Vec<[f64; 2]> {
     corners
 }
 
-/// The smaller eigenvalue of the structure around each pixel (Shi and Tomasi 1994).
+/// The smaller eigenvalue of the structure tensor around each pixel (Shi and Tomasi 1994).
 fn strengths(gray: &Gray) -> Vec<f32> {
     let (width, height) = (gray.width, gray.height);
     let mut products = vec![[0.0_f32; 3]; width * height];

@@ -1,4 +1,4 @@
-//! Cameras of which nothing is known: found by COLMAP from their images.
+//! Finds unknown cameras from their images by COLMAP.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -14,27 +14,27 @@ use super::similarity::Similarity;
 use crate::CaptureError;
 use crate::description::CaptureDescription;
 
-/// Moments that are used if the first does not place all cameras: what moves has then been in more places.
+/// Number of moments if the first one does not place all cameras: moving objects are then at more places.
 const NUM_MOMENTS: usize = 4;
-/// Once the program has put the images of one camera nearly at one place.
+/// Priors after the program has put the images of one camera nearly at one place.
 const FREEDOM: Freedom = Freedom { turn: 0.05, shift: 0.1, log_focal: 0.05, k1: 0.05 };
 
-/// Cameras that were found, and what they were found by.
+/// The cameras found, and the tracks behind them.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct FoundCameras {
-    /// Median distance in pixels between where a point is seen and where it should be.
+    /// Median reprojection error, pixels.
     pub error_px: f64,
     tracks: Vec<Track>,
 }
 
 impl FoundCameras {
-    /// Number of points that the cameras were placed by.
+    /// Number of points by which the cameras were placed.
     pub fn num_points(&self) -> usize {
         self.tracks.len()
     }
 
-    /// Multiplies all lengths, as [`scale_cameras`] did with those of the description.
+    /// Multiplies all lengths, as [`scale_cameras`] did for the description.
     pub fn scale(&mut self, factor: f64) {
         for x in self.tracks.iter_mut().flat_map(|track| &mut track.point) {
             *x *= factor;
@@ -77,7 +77,7 @@ pub fn find_cameras(
     chosen.extend(moments(description.num_frames, NUM_MOMENTS).into_iter().filter(|frame| *frame != first));
     let mut models = attempt(&mut colmap, &frames, &chosen[..1], num_cameras)?;
     let num_placed = |models: &[Found]| models.first().map_or(0, Found::num_placed);
-    // Where no two cameras fit at one moment, more moments take long and have not helped.
+    // If no two cameras fit at one moment, more moments take long and have not helped.
     if (2..num_cameras).contains(&num_placed(&models)) && chosen.len() > 1 {
         let more = attempt(&mut colmap, &frames, &chosen, num_cameras)?;
         models = if num_placed(&more) > num_placed(&models) { more } else { models };
@@ -131,7 +131,7 @@ fn attempt(
     for moment in 0..chosen.len() {
         for a in 0..num_cameras {
             pairs.extend((a + 1..num_cameras).map(|b| (image_name(a, moment), image_name(b, moment))));
-            // The images of one camera hold moments together.
+            // Images of one camera connect the moments.
             pairs.extend((0..moment).map(|earlier| (image_name(a, earlier), image_name(a, moment))));
         }
     }
@@ -139,14 +139,14 @@ fn attempt(
     let models = colmap.place(num_images)?;
     let mut models =
         models.iter().map(|model| Found::read(model, num_cameras)).collect::<Result<Vec<_>, CaptureError>>()?;
-    // Stable, so that of two that place as many the first is kept.
+    // The sort is stable: of two models with as many cameras the first is kept.
     models.sort_by_key(|found| std::cmp::Reverse(found.num_placed()));
     Ok(models)
 }
 
 /// The error of two models that place several cameras each, and none in common.
 fn two_scenes(models: &[Found], names: &[String]) -> Option<String> {
-    /// A model of fewer is hardly a scene.
+    /// A smaller model is hardly a scene.
     const MIN_CAMERAS: usize = 3;
     let placed = |model: &Found| (0..names.len()).filter(|&i| model.cameras[i].is_some()).collect::<Vec<_>>();
     let first = placed(models.first()?);
@@ -180,7 +180,7 @@ fn not_placed(folder: &Path, names: &[String], is_placed: &[bool]) -> CaptureErr
     CaptureError::invalid(folder, problem)
 }
 
-/// Turns a rig so that down in its images is down, and moves the middle of what it sees to the origin.
+/// Turns a rig so that down in its images is down in the world, and moves the median of its points to the origin.
 fn upright(cameras: &[RigCamera], tracks: &[Track]) -> Similarity {
     let sum = |row: usize| -> [f64; 3] {
         std::array::from_fn(|i| cameras.iter().map(|camera| camera.camera_from_world[row][i]).sum())
@@ -191,7 +191,7 @@ fn upright(cameras: &[RigCamera], tracks: &[Track]) -> Similarity {
         let along = dot(v, down);
         minus(v, down.map(|x| along * x))
     };
-    // Cameras all around look in no direction on average.
+    // The mean direction of cameras all around is nearly zero.
     let forward = ahead.map(level).into_iter().find(|v| dot(*v, *v) > 0.01).unwrap_or([0.0, 0.0, 1.0]);
     let forward = normalize(forward);
     let rotation = [cross(down, forward), down, forward];
@@ -200,12 +200,12 @@ fn upright(cameras: &[RigCamera], tracks: &[Track]) -> Similarity {
     Similarity { scale: 1.0, rotation, shift }
 }
 
-/// Scales a description so that two cameras are as far apart as somebody measured.
+/// Scales a description to a measured distance between two cameras.
 ///
-/// - `cameras`: their names
-/// - `metres`: between their lenses, above 0
+/// - `cameras`: names of the two cameras
+/// - `metres`: distance between their optical centres, above 0
 ///
-/// - returns: by how much lengths were multiplied
+/// - returns: the factor by which lengths were multiplied
 ///
 /// # Errors
 /// A camera that does not exist, or two at one place, in words.

@@ -1,4 +1,4 @@
-//! The images of a description's cameras, as they are before lenses are straightened.
+//! The images of a description's cameras, before straightening.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ pub(super) struct Frames {
 }
 
 impl Frames {
-    /// - `folder`: what the files are relative to
+    /// - `folder`: the folder that the files are relative to
     pub fn open(folder: &Path, description: &CaptureDescription) -> Result<Self, CaptureError> {
         let takes: Vec<_> = description.cameras.par_iter().map(|camera| take(folder, description, camera)).collect();
         Ok(Self { takes: takes.into_iter().collect::<Result<_, _>>()? })
@@ -29,7 +29,7 @@ impl Frames {
     }
 }
 
-/// Frames spread over a capture, at most so many.
+/// Frames spread over a capture, at most `count`.
 pub(super) fn moments(num_frames: usize, count: usize) -> Vec<usize> {
     let mut frames: Vec<usize> = (0..count).map(|i| (2 * i + 1) * num_frames / (2 * count)).collect();
     frames.dedup();

@@ -1,4 +1,4 @@
-//! The same places in the images of several cameras whose poses are roughly known.
+//! Matches places between the images of several cameras whose poses are roughly known.
 //!
 //! A corner of one camera is compared with the corners of another near its epipolar line. Each such pair is a place in
 //! the scene. If a small plane is there, camera poses and the plane's direction predict the patch around the corner in
@@ -13,23 +13,24 @@ use super::camera::{RigCamera, cross, distance, minus};
 use super::corners::{Corner, Pyramid};
 use super::patch::{NUM_MIDDLE, Patch, Plane, shifted};
 
-/// Correlation from which on two patches are of one place, and from which on one is worth a closer look.
+/// Correlation above which two patches show one place; then correlation above which a candidate is refined.
 const MIN_CORRELATION: f32 = 0.8;
 const PROMISING: f32 = 0.45;
-/// Correlations of the plane that faces both cameras, and the best of those near it, below which no other is tried.
+/// Minimum correlations for trying further planes: of the plane that faces both cameras, then of the best one near it.
 const UNLIKE: [f32; 2] = [-0.1, 0.2];
-/// The distance of the best from perfect, at most this share of the second best's: repeated patterns match nothing.
+/// Ratio test: the best match's distance from a perfect correlation is at most this share of the second best's.
+/// Repeated patterns therefore match nothing.
 const MAX_RATIO: f32 = 0.75;
-/// Angle between two rays below which they say nothing about depth, and above which nothing looks alike; radians.
+/// Smallest angle between two rays that gives depth, and largest angle at which patches still look alike; radians.
 const MIN_ANGLE: f64 = 0.01;
 const MAX_ANGLE: f64 = 1.9;
-/// How near two corners have to find each other, pixels of their levels.
+/// Largest distance between two corners that find each other, pixels of their levels.
 const MUTUAL: f64 = 3.0;
-/// Other cameras that each is compared with, of those nearest in place and direction.
+/// Number of other cameras that each camera is compared with, nearest in place and direction.
 const NUM_NEIGHBOURS: usize = 4;
-/// Candidates that are looked at closely, at most.
+/// Maximum number of candidates that are refined.
 const MAX_REFINED: usize = 3;
-/// Candidates near the epipolar line that are compared, at most.
+/// Maximum number of candidates near the epipolar line that are compared.
 const MAX_CANDIDATES: usize = 60;
 
 /// One camera's picture at one moment.
@@ -49,8 +50,8 @@ impl Shot {
 
 /// Finds tracks among the images of one moment.
 ///
-/// - `band`: how far from its epipolar line a corner is looked for, share of the longer side
-/// - returns: in the order of cameras and corners
+/// - `band`: largest distance of a corner from its epipolar line, share of the longer side
+/// - returns: tracks in the order of cameras and corners
 pub(super) fn find(cameras: &[RigCamera], shots: &[Shot], band: f64) -> Vec<Track> {
     let rays: Vec<Vec<[f64; 3]>> = cameras
         .iter()
@@ -84,9 +85,9 @@ pub(super) fn find(cameras: &[RigCamera], shots: &[Shot], band: f64) -> Vec<Trac
     tracks
 }
 
-/// Whether a corner of `b` near the place that a corner of `a` has found finds that corner, too.
+/// Cross-check: whether a corner of `b` near the match of a corner of `a` matches that corner, too.
 ///
-/// - `back`: corners of `b`, and where `a` sees them
+/// - `back`: corners of `b`, and their places in the image of `a`
 fn is_mutual(
     (shots, a, b): (&[Shot], usize, usize),
     corner: usize,
@@ -101,7 +102,7 @@ fn is_mutual(
     })
 }
 
-/// The cameras that look most alike: near in direction and place.
+/// The cameras with the most similar views: near in direction and place.
 fn neighbours(cameras: &[RigCamera], a: usize) -> Vec<usize> {
     let size = super::bundle::rig_size(cameras);
     let apart = |b: usize| {
@@ -114,7 +115,7 @@ fn neighbours(cameras: &[RigCamera], a: usize) -> Vec<usize> {
     others
 }
 
-/// - returns: a corner of `a`, and where `b` sees it
+/// - returns: corners of `a`, and their places in the image of `b`
 fn of_pair(
     cameras: &[RigCamera],
     shots: &[Shot],
@@ -169,7 +170,8 @@ fn apart_px(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// The point on one ray that is nearest to another, if that lies before both and they are not near parallel.
+/// The point on one ray that is nearest to another ray, if it lies before both cameras and the rays are not nearly
+/// parallel.
 fn meeting(a: [f64; 3], ray_a: [f64; 3], b: [f64; 3], ray_b: [f64; 3]) -> Option<[f64; 3]> {
     let along = dot(ray_a, ray_b);
     let angle = along.clamp(-1.0, 1.0).acos();
@@ -189,7 +191,7 @@ struct Found {
     pixel: [f64; 2],
 }
 
-/// The candidate that looks as the patch does, if only one does.
+/// The candidate that matches the patch, if only one does.
 fn best_match(
     (from, to): (&RigCamera, &RigCamera),
     patch: &Patch,
@@ -237,7 +239,7 @@ fn best_match(
     (best.correlation > MIN_CORRELATION && is_alone).then(|| refined.swap_remove(0))
 }
 
-/// Turns the plane and shifts the patch, in turns, until it fits best.
+/// Alternately tilts the plane and shifts the patch, until it fits best.
 fn refine(
     pair: (&RigCamera, &RigCamera),
     patch: &Patch,
@@ -266,6 +268,6 @@ fn refine(
         }
     }
     let pixel = [0, 1].map(|i| f64::from(place.middle[i] + shift[i]) * place.unit);
-    // Further than that it would be another corner.
+    // A larger shift would be another corner.
     (apart_px(pixel, target) < 3.0 * place.unit).then_some(Found { correlation: best, pixel })
 }

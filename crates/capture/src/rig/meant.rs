@@ -12,7 +12,7 @@ const FEW: usize = 5;
 /// Minimum ratio of the number of places under the meant convention to that under the format's own.
 const CLEARLY: usize = 4;
 
-/// How a pose may be written down.
+/// A convention of poses, in words, and the conversion of a camera from it.
 type Reading = (&'static str, fn(&RigCamera) -> RigCamera);
 
 /// Common mistakes. Left-handed axes are refused where a calibration is read.
@@ -55,7 +55,7 @@ pub(super) fn meant(
     })
 }
 
-/// Number of the places that three cameras or more see where they should.
+/// Number of the places that three cameras or more see within the band.
 pub(super) fn confirmed(cameras: &[RigCamera], tracks: &[Track], band: f64) -> usize {
     let side = |camera: usize| cameras[camera].lens.width.max(cameras[camera].lens.height) as f64;
     let fits = |track: &&Track| {

@@ -1,4 +1,4 @@
-//! COLMAP's text model, both ways: what the program found, and what a person can read beside a capture.
+//! COLMAP's text model, both ways: the program's result, and a readable model beside a capture.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -14,9 +14,9 @@ use crate::{CaptureError, files};
 
 /// Cameras and points that belong together.
 pub(super) struct Found {
-    /// `None` of a camera that was not placed.
+    /// `None` for a camera that was not placed.
     pub cameras: Vec<Option<RigCamera>>,
-    /// Observations name cameras by their place in `cameras`.
+    /// Observations name cameras by their index in `cameras`.
     pub tracks: Vec<Track>,
 }
 
@@ -29,7 +29,7 @@ impl Found {
     /// them have a part in the tracks.
     pub fn read(folder: &Path, num_cameras: usize) -> Result<Self, CaptureError> {
         let ColmapModel { cameras: lenses, images, .. } = ColmapModel::read(folder)?;
-        // The binary files beside hold the same cameras, but points are read from the text.
+        // The binary files beside the text hold the same cameras, but points are read from the text.
         let images_file = folder.join("images.txt");
         let invalid = |problem: &str| CaptureError::invalid(&images_file, problem.to_owned());
         let seen = observations(&images_file)?;
@@ -63,7 +63,7 @@ impl Found {
     }
 }
 
-/// Points by their numbers, and where an image shows them.
+/// Points by their numbers, and their pixels in an image.
 type Shown = Vec<(u64, [f64; 2])>;
 
 /// The points that each image shows.
@@ -76,7 +76,7 @@ fn observations(path: &Path) -> Result<BTreeMap<String, Shown>, CaptureError> {
         let words: Vec<&str> = points.split_whitespace().collect();
         let point =
             |words: &[&str; 3]| Some((words[2].parse().ok()?, [words[0].parse().ok()?, words[1].parse().ok()?]));
-        // Features without a point have the number -1, which is none.
+        // Features without a point have the number -1.
         seen.insert(name, words.as_chunks::<3>().0.iter().filter_map(point).collect());
     }
     Ok(seen)

@@ -8,7 +8,7 @@ use super::camera::{PARAMETERS, RigCamera, cross};
 /// Steps of all cameras and of all points.
 type Steps = (Vec<[f64; PARAMETERS]>, Vec<[f64; 3]>);
 
-/// The normal equations around one place.
+/// The normal equations around one linearisation point.
 pub(super) struct System {
     /// `[8 C, 8 C]` of the cameras, and their right side.
     cameras: Vec<f64>,
@@ -81,7 +81,7 @@ impl System {
         system
     }
 
-    /// - returns: the step of each camera and point, `None` if there is none at this damping
+    /// - returns: the step of each camera and point, `None` if the system cannot be solved at this damping
     pub fn solve(&self, damping: f64) -> Option<Steps> {
         let num = self.num;
         let mut matrix = self.cameras.clone();
@@ -136,7 +136,7 @@ impl System {
     }
 }
 
-/// How a pixel moves with its camera and its point, by central differences.
+/// Derivatives of a pixel by its camera and its point, by central differences.
 pub(super) struct Slopes {
     pub camera: [[f64; PARAMETERS]; 2],
     pub point: [[f64; 3]; 2],
@@ -177,7 +177,7 @@ impl Slopes {
     }
 }
 
-/// Inverse of a symmetric matrix; `None` if it has none.
+/// Inverse of a symmetric matrix; `None` if it is singular.
 pub(super) fn inverse(m: [[f64; 3]; 3]) -> Option<[[f64; 3]; 3]> {
     let columns = [cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])];
     let determinant = dot(m[0], columns[0]);

@@ -1,4 +1,4 @@
-//! How the surroundings of a corner look to another camera, for a small plane in the scene of any direction.
+//! The appearance of a corner's surroundings in another camera, for a small plane of any direction.
 
 use tcgs_core::{dot, normalize};
 
@@ -8,9 +8,9 @@ use super::corners::{Corner, Gray, Pyramid};
 /// Half of a patch, pixels of the corner's level.
 const HALF: i32 = 7;
 const SIDE: usize = 2 * HALF as usize + 1;
-/// Directions of planes are tried on every second pixel of every second row.
+/// Plane directions are tried on every second pixel of every second row.
 const COARSE: usize = HALF as usize + 1;
-/// Directions of planes that are tried first.
+/// Number of plane directions that are tried first.
 pub(super) const NUM_MIDDLE: usize = 7;
 
 /// Grey values around a corner, of mean 0 and length 1.
@@ -77,7 +77,7 @@ fn normalized<const N: usize>(step: usize, value: impl Fn(f32, f32) -> f32) -> O
         *v -= mean;
     }
     let length = values.iter().map(|v| v * v).sum::<f32>().sqrt();
-    // Less than two grey values of contrast is noise.
+    // Contrast of less than two grey values is noise.
     if length < 2.0 * (N as f32).sqrt() {
         return None;
     }
@@ -87,7 +87,7 @@ fn normalized<const N: usize>(step: usize, value: impl Fn(f32, f32) -> f32) -> O
     Some(values)
 }
 
-/// Where a patch lies in another image: one level of it, a place, and what a step of the patch is there.
+/// A patch in another image: a level of it, a place, and the patch's steps there.
 pub(super) struct Place<'a> {
     gray: &'a Gray,
     /// Pixels of the camera's image for one of the level.
@@ -190,7 +190,7 @@ impl Plane {
         Self { point: self.point, axes: [normal, side, cross(normal, side)] }
     }
 
-    /// Where the plane's patch is in the other image: around `target`, with the steps that the plane gives it.
+    /// The plane's patch in the other image: around `target`, with the steps that the plane gives.
     pub fn place<'a>(
         &self,
         (from, to): (&RigCamera, &RigCamera),

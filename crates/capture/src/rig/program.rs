@@ -10,7 +10,7 @@ use image::RgbImage;
 
 use crate::CaptureError;
 
-/// How often a running step is looked at.
+/// Polling interval of a running step.
 const GLANCE: Duration = Duration::from_millis(100);
 
 /// The program's messages where images do not suffice; it then ends with a failure.
@@ -21,16 +21,16 @@ pub(super) struct Colmap<'a> {
     /// Holds `images/MOMENT/CAMERA.png`, the database and the program's output.
     folder: &'a Path,
     tell: &'a mut dyn FnMut(&str) -> ControlFlow<()>,
-    /// Since version 3.13 some groups of options are called otherwise.
+    /// Version 3.13 and later have other names for some groups of options.
     is_new: bool,
 }
 
-/// How one image is called.
+/// File name of one image.
 pub(super) fn image_name(camera: usize, moment: usize) -> String {
     format!("{camera:04}/{moment:04}.png")
 }
 
-/// The camera that an image is of.
+/// The camera of an image.
 pub(super) fn camera_of(image: &str) -> Option<usize> {
     image.split('/').next()?.parse().ok()
 }
@@ -42,7 +42,7 @@ pub fn has_colmap() -> bool {
 }
 
 impl<'a> Colmap<'a> {
-    /// Asks whether the program is there.
+    /// Checks that the program is installed.
     ///
     /// # Errors
     /// [`CaptureError`] that says how to install it.
@@ -56,7 +56,7 @@ impl<'a> Colmap<'a> {
         Ok(Self { folder, tell, is_new })
     }
 
-    /// Says what is done next.
+    /// Reports the next step.
     pub fn tell(&mut self, what: &str) -> Result<(), CaptureError> {
         match (self.tell)(what) {
             ControlFlow::Continue(()) => Ok(()),
@@ -122,7 +122,7 @@ impl<'a> Colmap<'a> {
         let mut command = command();
         command.arg("mapper").arg("--database_path").arg(self.database()).arg("--image_path").arg(self.images());
         command.arg("--output_path").arg(&sparse);
-        // Rigs are small, and some of their cameras look from near by.
+        // Rigs are small, and some of their cameras stand close together.
         command.args(["--Mapper.min_model_size", "3", "--Mapper.init_min_tri_angle", "4"]);
         // A rig without a first pair is a result, not a failure: there is no model then.
         let result = self.run(command, "mapper", &|said| {
@@ -161,9 +161,9 @@ impl<'a> Colmap<'a> {
         String::from_utf8_lossy(&said).into_owned()
     }
 
-    /// Runs a step to its end, or until it is told to stop.
+    /// Runs a step to its end, or until the caller stops it.
     ///
-    /// - `progress`: what to tell, from what the program has said
+    /// - `progress`: from the program's output to the words of progress
     fn run(&mut self, mut command: Command, step: &str, progress: &dyn Fn(&str) -> String) -> Result<(), CaptureError> {
         let path = self.folder.join(format!("{step}.log"));
         let failed = |error| CaptureError::Io { path: path.clone(), error };
@@ -196,7 +196,7 @@ impl<'a> Colmap<'a> {
 
 fn command() -> Command {
     let mut command = Command::new("colmap");
-    // Some builds have a window and want a screen even where they draw nothing.
+    // Some builds need a screen even where they draw nothing.
     command.env("QT_QPA_PLATFORM", "offscreen");
     command
 }

@@ -1,4 +1,4 @@
-//! Mending a calibration by what its own cameras see.
+//! Refines a calibration by the images of its own cameras.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -14,41 +14,41 @@ use super::patch::likeness;
 use crate::CaptureError;
 use crate::description::CaptureDescription;
 
-/// Moments whose images are matched.
+/// Number of moments whose images are matched.
 const NUM_MOMENTS: usize = 4;
-/// Correlation from which on a place has not changed over time.
+/// Correlation above which a place has not changed over time.
 const STILL: f32 = 0.95;
-/// How far from where the calibration says a place is looked for, share of the image's longer side: first, and as
-/// it is mended. Calibrations that are further off are not mended but wrong.
+/// Search band around the calibration's projection, share of the image's longer side: first, and in later rounds.
+/// Calibrations with larger errors are wrong, and are not mended.
 pub(super) const BANDS: [f64; 3] = [0.01, 0.005, 0.003];
-/// Errors of calibrations, share of the image's longer side.
+/// Assumed error of the calibration in the first fit, share of the image's longer side.
 const COARSE: f64 = 0.005;
-/// Calibrations err by about so much where they err.
+/// Typical errors of a calibration, as priors.
 const FREEDOM: Freedom = Freedom { turn: 0.03, shift: 0.05, log_focal: 0.02, k1: 0.03 };
-/// One of so many regions of each image is held out: its tracks judge and are not fitted.
+/// One of so many regions of each image is held out: its tracks judge, and are not fitted.
 const HELD_OUT: usize = 4;
 /// Regions along the longer side of an image.
 const REGIONS: f64 = 12.0;
-/// Tracks that touch a held-out one are not fitted; closer than this is touching, share of the longer side.
+/// A track closer than this to a held-out one is not fitted, share of the longer side.
 const TOUCHING: f64 = 0.004;
-/// A camera that fewer fitted tracks reach stays where it is.
+/// A camera with fewer fitted tracks than this stays where it is.
 pub(super) const MIN_TRACKS: usize = 12;
 /// A camera is alone if others have this many times as many tracks.
 const ALONE: usize = 20;
-/// Two cameras belong together if they share at least one of so many of the tracks that each shares with the camera it
-/// shares most with. In rendered rooms with two papers cameras share a twentieth by chance.
+/// Two cameras belong together if they share at least one of so many of the tracks that each shares with its strongest
+/// partner. In rendered rooms with two papers cameras share a twentieth by chance.
 const WEAK: usize = 8;
-/// With fewer held-out tracks nothing can be judged.
+/// Minimum number of held-out tracks for a judgement.
 pub(super) const MIN_JUDGES: usize = 20;
-/// Cameras that see the same have at least so many times as many tracks as there are by chance.
+/// Minimum ratio of tracks to chance matches for cameras that see the same.
 const BEYOND_CHANCE: usize = 2;
-/// Each camera is turned by so much more than the one before, radians, to see what matches by chance.
+/// Roll of each control camera against the one before, radians, for counting chance matches.
 const ASIDE: f64 = 0.15;
 /// The new calibration replaces the old if the median errors of held-out tracks, averaged over cameras, fall to
 /// [`BETTER`] of the old, and no camera's error rises above [`NO_WORSE`].
 pub(super) const BETTER: f64 = 0.9;
 pub(super) const NO_WORSE: f64 = 1.2;
-/// Errors are not known better than this, pixels.
+/// Errors below this are not distinguished, pixels.
 const EXACT_PX: f64 = 0.1;
 
 /// Result of refining a calibration, judged by tracks that were not fitted.
@@ -57,7 +57,7 @@ const EXACT_PX: f64 = 0.1;
 pub struct Refinement {
     /// Whether the new calibration was better, and taken.
     pub is_taken: bool,
-    /// Number of tracks that the cameras were fitted to, and of those that judge.
+    /// Number of fitted tracks, and of judging tracks.
     pub num_tracks: [usize; 2],
     /// Mean of [`Self::camera_error_px`].
     pub error_px: [f64; 2],
@@ -68,7 +68,8 @@ pub struct Refinement {
     /// The change to all poses beforehand, in words, if they were written down in another convention than their format
     /// has.
     pub mended: Option<String>,
-    /// The cameras, by their place in the description, that share hardly any place with the others, which share many.
+    /// The cameras, by their index in the description, that share hardly any place with the others, while the others
+    /// share many.
     pub alone: Vec<usize>,
     /// Groups of cameras, by their places in the description, that share hardly any place with each other. Fewer than
     /// two groups if all see one scene. Cameras of [`Self::alone`] are in no group.
@@ -146,7 +147,7 @@ pub fn refine_cameras(
 
 /// Whether the first moment has clearly more tracks than match by chance.
 ///
-/// - `band`: with which they were found
+/// - `band`: the search band of `tracks`
 pub(super) fn is_beyond_chance(cameras: &[RigCamera], tracks: &[Vec<Track>], shots: &[Vec<Shot>], band: f64) -> bool {
     let by_chance = matches::find(&turned_aside(cameras), &shots[0], band).len();
     tracks[0].len() >= BEYOND_CHANCE * by_chance
@@ -157,7 +158,7 @@ pub(super) fn moments_of(num_frames: usize) -> Vec<usize> {
     moments(num_frames, NUM_MOMENTS)
 }
 
-/// Pictures at several moments; of later ones only the corners that were not there before.
+/// Pictures at several moments; later moments have only the corners that were not there before.
 pub(super) fn shots(frames: &Frames, num_frames: usize) -> Result<Vec<Vec<Shot>>, CaptureError> {
     let mut all: Vec<Vec<Shot>> = Vec::new();
     for frame in moments_of(num_frames) {
@@ -190,7 +191,7 @@ fn turned_aside(cameras: &[RigCamera]) -> Vec<RigCamera> {
     cameras.iter().enumerate().map(turned).collect()
 }
 
-/// The cameras that hardly any track reaches, where the others have many.
+/// The cameras with hardly any track, while the others have many.
 fn alone(tracks: &[Vec<Track>], num_cameras: usize) -> Vec<usize> {
     let mut counts = vec![0_usize; num_cameras];
     for &(camera, _) in tracks.iter().flatten().flat_map(|track| &track.seen) {
@@ -216,7 +217,7 @@ pub(super) fn groups(tracks: &[Vec<Track>], num_cameras: usize, alone: &[usize])
             }
         }
     }
-    // Some places match by chance, the more the more there are.
+    // Some places match by chance; the more places there are, the more match.
     let strongest = |a: usize| (0..num_cameras).filter(|&b| b != a).map(|b| shared[a][b]).max().unwrap_or_default();
     let is_tied = |a: usize, b: usize| shared[a][b] >= MIN_TRACKS.max(strongest(a).min(strongest(b)) / WEAK);
     let mut groups: Vec<Vec<usize>> = Vec::new();
@@ -234,7 +235,7 @@ pub(super) fn groups(tracks: &[Vec<Track>], num_cameras: usize, alone: &[usize])
     if groups.len() < 2 { Vec::new() } else { groups }
 }
 
-/// Tracks that judge and those that are fitted, of each moment.
+/// Judging tracks and fitted tracks, of each moment.
 pub(super) fn held_out(tracks: Vec<Vec<Track>>, cameras: &[RigCamera]) -> (Vec<Vec<Track>>, Vec<Vec<Track>>) {
     let is_judge = |track: &Track| {
         let (camera, pixel) = track.seen[0];
@@ -251,7 +252,7 @@ pub(super) fn longer_side(camera: &RigCamera) -> f64 {
     camera.lens.width.max(camera.lens.height) as f64
 }
 
-/// The tracks that share no place of an image with those that judge.
+/// The tracks that share no image place with the judging tracks.
 fn apart_from(tracks: Vec<Vec<Track>>, judges: &[Vec<Track>], cameras: &[RigCamera]) -> Vec<Vec<Track>> {
     let apart = |(mut tracks, judges): (Vec<Track>, &Vec<Track>)| {
         let mut judged: Vec<Vec<[f64; 2]>> = vec![Vec::new(); cameras.len()];
@@ -268,7 +269,7 @@ fn apart_from(tracks: Vec<Vec<Track>>, judges: &[Vec<Track>], cameras: &[RigCame
     tracks.into_iter().zip(judges).map(apart).collect()
 }
 
-/// - returns: number of tracks that were fitted
+/// - returns: number of fitted tracks
 fn fit(cameras: &mut [RigCamera], tracks: Vec<Vec<Track>>) -> usize {
     let mut tracks: Vec<Track> = tracks.into_iter().flatten().collect();
     let mut counts = vec![0; cameras.len()];
@@ -276,7 +277,7 @@ fn fit(cameras: &mut [RigCamera], tracks: Vec<Vec<Track>>) -> usize {
         counts[camera] += 1;
     }
     let is_free: Vec<bool> = counts.iter().map(|&count| count >= MIN_TRACKS).collect();
-    // First as if all errors were of the calibration: one bad camera among good ones looks like mismatches.
+    // The first fit attributes all errors to the calibration: one bad camera among good ones looks like mismatches.
     let coarse = COARSE * cameras.iter().map(longer_side).fold(0.0, f64::max);
     for min_scale in [coarse, bundle::MIN_SCALE_PX] {
         bundle::bundle(cameras, &mut tracks, &is_free, FREEDOM, min_scale);
@@ -284,7 +285,7 @@ fn fit(cameras: &mut [RigCamera], tracks: Vec<Vec<Track>>) -> usize {
     tracks.len()
 }
 
-/// Compares two calibrations on tracks that neither was fitted to.
+/// Compares two calibrations on tracks to which neither was fitted.
 fn judge(before: &[RigCamera], after: &[RigCamera], judges: &[Vec<Track>]) -> Refinement {
     let errors = |cameras: &[RigCamera]| -> Vec<Vec<f64>> {
         let mut errors = vec![Vec::new(); cameras.len()];
@@ -306,7 +307,7 @@ fn judge(before: &[RigCamera], after: &[RigCamera], judges: &[Vec<Track>]) -> Re
         (old.len() >= MIN_TRACKS).then(|| [median(old.clone()), median(new.clone())])
     };
     let camera_error_px: Vec<Option<[f64; 2]>> = old.iter().zip(&new).map(of_camera).collect();
-    // Every camera counts alike: two that see much in common must not outvote the others.
+    // Every camera counts the same: two cameras with much in common must not outvote the others.
     let judged: Vec<[f64; 2]> = camera_error_px.iter().flatten().copied().collect();
     let mean = |which: usize| judged.iter().map(|error| error[which]).sum::<f64>() / judged.len().max(1) as f64;
     let error_px = [mean(0), mean(1)];

@@ -1,4 +1,4 @@
-//! Moving, turning and scaling a whole rig, which changes no picture.
+//! Moves, turns and scales a whole rig, which changes no picture.
 
 use tcgs_core::{dot, normalize, rotmat_from_quat};
 
@@ -39,7 +39,7 @@ impl Similarity {
 /// Moves and scales a rig onto another one by the cameras that both have: least squares over directions of the axes,
 /// then over centres.
 ///
-/// - `counts`: which cameras are compared
+/// - `counts`: the cameras that are compared
 pub(super) fn align(cameras: &mut [RigCamera], tracks: &mut [Track], onto: &[RigCamera], counts: &[bool]) {
     if !counts.iter().all(|&counts| counts) || cameras.len() < 2 {
         return; // cameras that stay fix the rig
@@ -90,7 +90,7 @@ pub(super) fn between(cameras: &[RigCamera], onto: &[RigCamera]) -> Similarity {
     Similarity { scale, rotation, shift }
 }
 
-/// The quaternion of the rotation that turns all `a` nearest to their `b`.
+/// The quaternion of the rotation that brings all `a` nearest to their `b`.
 ///
 /// - `s`: sum of `a bᵀ`
 fn horn(s: [[f64; 3]; 3]) -> [f64; 4] {

@@ -1,4 +1,4 @@
-//! Cameras that move, which nothing after this can use.
+//! Detects cameras that move, which no later step can use.
 
 use std::path::Path;
 
@@ -10,24 +10,25 @@ use super::patch::likeness;
 use crate::CaptureError;
 use crate::description::CaptureDescription;
 
-/// Moments that are compared.
+/// Number of compared moments.
 const NUM_MOMENTS: usize = 4;
-/// Fewer corners say nothing.
+/// Minimum number of corners for a judgement.
 const MIN_CORNERS: usize = 40;
-/// Share of the corners that a camera on a tripod shows at the same place, at least, whatever moves before it.
+/// A camera with a smaller share of unmoved corners at all later moments moves. A camera on a tripod has more, whatever
+/// moves before it.
 const MOVING: f64 = 0.05;
-/// Share of the corners that any camera shows in the next frame at nearly the same place, unless there is only noise.
+/// Minimum share of corners that are found again in the next frame; fewer mean noise.
 const FLOWING: f64 = 0.3;
-/// Correlation of a place with itself, also where it is shifted a little.
+/// Minimum correlation of a place with itself, also after a small shift.
 const STILL: f32 = 0.7;
-/// Level on which frames are compared: a few pixels of shaking are none there, and noise is averaged.
+/// Pyramid level of the comparison: a shake of a few pixels vanishes there, and noise is averaged.
 const LEVEL: usize = 2;
 /// Cells of a picture along its longer side.
 const CELLS: usize = 12;
 
-/// The names of cameras that move: what they show stays the same from one frame to the next, and is elsewhere later.
+/// The names of cameras that move: their pictures stay the same from one frame to the next, and differ later.
 ///
-/// - `folder`: what the description's files are relative to
+/// - `folder`: the folder that the description's files are relative to
 ///
 /// # Errors
 /// [`CaptureError`] if an image cannot be decoded.

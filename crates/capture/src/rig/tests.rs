@@ -1,4 +1,4 @@
-//! Cameras of a made-up room are put wrong, or forgotten, and have to come back.
+//! Cameras of a made-up room are displaced, or forgotten, and must be recovered.
 
 use std::io::Write;
 use std::ops::ControlFlow;
@@ -141,7 +141,7 @@ fn apart(found: &CaptureDescription, expected: &CaptureDescription) -> (f64, f64
     worst
 }
 
-/// Turns and shifts every camera, each otherwise.
+/// Turns and shifts every camera, each differently.
 fn spoilt(description: &CaptureDescription, radians: f64, length: f64) -> CaptureDescription {
     let mut spoilt = description.clone();
     for (i, camera) in spoilt.cameras.iter_mut().enumerate() {
@@ -273,7 +273,7 @@ fn a_camera_that_moves_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let description = described_at(folder.path(), 16, [320, 240]);
     assert_eq!(moving_cameras(folder.path(), &description).unwrap(), [""; 0]);
-    // Camera 3 turns: each frame shows what is three pixels further to the right.
+    // Camera 3 turns: the crop of each frame lies three pixels further to the right.
     let paths: Vec<_> = (0..16).map(|t| folder.path().join(format!("ims/3/{t:06}.png"))).collect();
     for (t, path) in paths.iter().enumerate() {
         let image = image::open(path).unwrap().to_rgb8();
@@ -288,7 +288,7 @@ fn a_camera_that_moves_is_named() {
 fn colmap_places_cameras_of_which_nothing_is_known() {
     if !has_colmap() {
         assert!(std::env::var_os("REQUIRE_COLMAP").is_none(), "REQUIRE_COLMAP is set, and there is no colmap");
-        // Past the capture of passing tests: a skip is to be seen.
+        // Bypasses the output capture of passing tests, so that a skip is visible.
         let _ = writeln!(std::io::stderr(), "skipped: there is no colmap");
         return;
     }
@@ -372,7 +372,7 @@ fn gains_between_cameras_are_found_and_taken() {
     let folder = tempfile::tempdir().unwrap();
     let mut description = described(folder.path(), 2);
     for (camera, gains) in description.cameras.iter().zip(GAINS) {
-        // Values stay below 255, beyond which nothing tells how bright it was.
+        // Values stay below 255, where brightness saturates.
         recolored(folder.path(), camera, |channel, value| gains[channel] * (20.0 + 0.7 * value));
     }
     let tell = &mut |_: &str| ControlFlow::Continue(());
@@ -390,7 +390,7 @@ fn gains_between_cameras_are_found_and_taken() {
         }
     }
 
-    // Offsets, where they explain what gains do not.
+    // Offsets are used where gains alone do not explain the differences.
     let offsets = [0.0, 25.0, -15.0, 0.0, 10.0, -20.0];
     for (camera, offset) in description.cameras.iter().zip(offsets) {
         recolored(folder.path(), camera, |_, value| value + offset);
