@@ -67,7 +67,7 @@ fn build_page(web: &Path) -> io::Result<()> {
     if env::var("PROFILE").as_deref() != Ok("release") || !can_compile || !script.is_file() {
         return Ok(());
     }
-    // A folder of its own: cargo holds the lock of this build's.
+    // A separate target folder, since cargo holds the lock of this build's folder.
     let target = PathBuf::from(env::var_os("OUT_DIR").expect("set by cargo")).join("page");
     let mut build = Command::new("bash");
     build.arg(&script).stdin(Stdio::null());

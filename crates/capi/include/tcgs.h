@@ -12,17 +12,17 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// How a call ended.
+// Result of a call.
 typedef enum TcgsStatus {
-  // Well.
+  // Success.
   TCGS_STATUS_OK = 0,
-  // An argument is wrong: NULL, a timestep that there is not, arrays too short.
+  // An argument is wrong: NULL, a timestep that does not exist, arrays too short.
   TCGS_STATUS_ARGUMENT = 1,
   // The file cannot be read. Trying again may help.
   TCGS_STATUS_IO = 2,
-  // The file is damaged, or no .tcgs file.
+  // The file is damaged, or is not a .tcgs file.
   TCGS_STATUS_FORMAT = 3,
-  // The file is of a version that this library does not know. A newer one may read it.
+  // The file has a version that this library does not know. A newer library may read it.
   TCGS_STATUS_VERSION = 4,
   // The file asks for more memory than a scene of its length could need.
   TCGS_STATUS_LIMIT = 5,
@@ -59,14 +59,14 @@ typedef struct TcgsSceneInfo {
   uint32_t up;
   // Smallest coordinates of all centres at all timesteps, scene units.
   float bounds_min[3];
-  // Largest coordinates.
+  // Largest coordinates of all centres at all timesteps, scene units.
   float bounds_max[3];
 } TcgsSceneInfo;
 
 // The caller's arrays for the Gaussians of one timestep, each of `capacity` rows. NULL for an array that is not
 // wanted.
 typedef struct TcgsArrays {
-  // Rows that each array has room for; `max_gaussians` is enough for every timestep.
+  // Number of rows that each array has room for; `max_gaussians` is enough for every timestep.
   size_t capacity;
   // `[capacity, 3]` centres, scene units.
   float *means;
@@ -89,7 +89,7 @@ extern "C" {
 
 // Opens a scene from a file. Close it with `tcgs_close`.
 //
-// - `path`: ends with a zero byte; UTF-8
+// - `path`: UTF-8, ends with a zero byte
 // - `scene`: receives the scene; NULL if this fails
 //
 // # Safety
@@ -108,22 +108,22 @@ enum TcgsStatus tcgs_open_bytes(const uint8_t *bytes, size_t length, struct Tcgs
 // Opens a scene whose bytes a function reads range by range, when they are needed: from an archive, or over a network.
 // Close it with `tcgs_close`.
 //
-// - `read`: is called by this function and by `tcgs_read`, on their thread
-// - `user`: is handed to `read`
-// - `size`: bytes of the file
+// - `read`: called by this function and by `tcgs_read`, on their thread
+// - `user`: passed to `read`
+// - `size`: length of the file, bytes
 // - `scene`: receives the scene; NULL if this fails
 //
 // # Safety
-// `read` keeps to its description, with `user`, until the scene is closed; `scene` points to a pointer.
+// `read` fulfils its contract, with `user`, until the scene is closed; `scene` points to a pointer.
 enum TcgsStatus tcgs_open_reader(TcgsReadFunction read, void *user, uint64_t size, struct TcgsScene **scene);
 
-// Closes a scene; NULL is none.
+// Closes a scene; NULL is ignored.
 //
 // # Safety
-// `scene` is of an open function, and is not used again.
+// `scene` comes from an open function, and is not used again.
 void tcgs_close(struct TcgsScene *scene);
 
-// Tells what a scene is.
+// Returns the properties of a scene.
 //
 // # Safety
 // `scene` is open, and `info` points to a `TcgsSceneInfo`.
@@ -141,7 +141,7 @@ const char *tcgs_scene_name(const struct TcgsScene *scene);
 //
 // - `timestep`: below `num_timesteps`
 // - `arrays`: filled from their first row on; untouched if this fails
-// - `num_gaussians`: receives how many live at this timestep
+// - `num_gaussians`: receives the number of Gaussians that live at this timestep
 //
 // # Safety
 // `scene` is open; arrays that are not NULL have room for `capacity` rows; `num_gaussians` points to a number.

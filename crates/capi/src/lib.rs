@@ -1,4 +1,4 @@
-//! The decoder of `.tcgs` scenes as functions of C: `include/tcgs.h`.
+//! The decoder of `.tcgs` scenes for C: the functions of `include/tcgs.h`.
 //!
 //! What lives here: pointers, lengths and status codes, checked, around [`tcgs_codec::SceneFile`]. `examples/play.c`
 //! uses all of it. No panic unwinds into the caller: a panic is a defect, and becomes [`Status::Defect`].
@@ -43,7 +43,7 @@ pub struct SceneInfo {
     pub up: u32,
     /// Smallest coordinates of all centres at all timesteps, scene units.
     pub bounds_min: [f32; 3],
-    /// Largest coordinates.
+    /// Largest coordinates of all centres at all timesteps, scene units.
     pub bounds_max: [f32; 3],
 }
 
@@ -52,7 +52,7 @@ pub struct SceneInfo {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Arrays {
-    /// Rows that each array has room for; `max_gaussians` is enough for every timestep.
+    /// Number of rows that each array has room for; `max_gaussians` is enough for every timestep.
     pub capacity: usize,
     /// `[capacity, 3]` centres, scene units.
     pub means: *mut f32,
@@ -80,7 +80,7 @@ pub type ReadFunction =
 
 /// Opens a scene from a file. Close it with `tcgs_close`.
 ///
-/// - `path`: ends with a zero byte; UTF-8
+/// - `path`: UTF-8, ends with a zero byte
 /// - `scene`: receives the scene; NULL if this fails
 ///
 /// # Safety
@@ -127,13 +127,13 @@ pub unsafe extern "C" fn tcgs_open_bytes(bytes: *const u8, length: usize, scene:
 /// Opens a scene whose bytes a function reads range by range, when they are needed: from an archive, or over a network.
 /// Close it with `tcgs_close`.
 ///
-/// - `read`: is called by this function and by `tcgs_read`, on their thread
-/// - `user`: is handed to `read`
-/// - `size`: bytes of the file
+/// - `read`: called by this function and by `tcgs_read`, on their thread
+/// - `user`: passed to `read`
+/// - `size`: length of the file, bytes
 /// - `scene`: receives the scene; NULL if this fails
 ///
 /// # Safety
-/// `read` keeps to its description, with `user`, until the scene is closed; `scene` points to a pointer.
+/// `read` fulfils its contract, with `user`, until the scene is closed; `scene` points to a pointer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tcgs_open_reader(
     read: ReadFunction,
@@ -150,10 +150,10 @@ pub unsafe extern "C" fn tcgs_open_reader(
     })
 }
 
-/// Closes a scene; NULL is none.
+/// Closes a scene; NULL is ignored.
 ///
 /// # Safety
-/// `scene` is of an open function, and is not used again.
+/// `scene` comes from an open function, and is not used again.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tcgs_close(scene: *mut Scene) {
     if !scene.is_null() {
@@ -162,7 +162,7 @@ pub unsafe extern "C" fn tcgs_close(scene: *mut Scene) {
     }
 }
 
-/// Tells what a scene is.
+/// Returns the properties of a scene.
 ///
 /// # Safety
 /// `scene` is open, and `info` points to a `TcgsSceneInfo`.
@@ -204,7 +204,7 @@ pub unsafe extern "C" fn tcgs_scene_name(scene: *const Scene) -> *const c_char {
 ///
 /// - `timestep`: below `num_timesteps`
 /// - `arrays`: filled from their first row on; untouched if this fails
-/// - `num_gaussians`: receives how many live at this timestep
+/// - `num_gaussians`: receives the number of Gaussians that live at this timestep
 ///
 /// # Safety
 /// `scene` is open; arrays that are not NULL have room for `capacity` rows; `num_gaussians` points to a number.
@@ -246,7 +246,7 @@ pub extern "C" fn tcgs_last_error() -> *const c_char {
     status::last_error()
 }
 
-/// Clears what an open function writes to.
+/// Clears the output of an open function.
 ///
 /// # Safety
 /// `scene` is NULL or points to a pointer.
@@ -259,7 +259,7 @@ unsafe fn out<'a>(scene: *mut *mut Scene, name: &str) -> Result<&'a mut *mut Sce
 
 fn open(source: Source) -> Result<*mut Scene, Failure> {
     let file = SceneFile::open(source, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES)?;
-    // A name with a zero byte in it ends there for C.
+    // For C a name ends at its first zero byte.
     let name: Vec<u8> = file.info().name.bytes().take_while(|&byte| byte != 0).collect();
     let name = CString::new(name).unwrap_or_default();
     Ok(Box::into_raw(Box::new(Scene { file, name })))

@@ -1,4 +1,4 @@
-//! Where the bytes of a scene come from.
+//! The source of a scene's bytes.
 
 use std::ffi::c_void;
 use std::fs::File;

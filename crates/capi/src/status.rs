@@ -7,19 +7,19 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use tcgs_codec::DecodeError;
 
-/// How a call ended.
+/// Result of a call.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
-    /// Well.
+    /// Success.
     Ok = 0,
-    /// An argument is wrong: NULL, a timestep that there is not, arrays too short.
+    /// An argument is wrong: NULL, a timestep that does not exist, arrays too short.
     Argument = 1,
     /// The file cannot be read. Trying again may help.
     Io = 2,
-    /// The file is damaged, or no .tcgs file.
+    /// The file is damaged, or is not a .tcgs file.
     Format = 3,
-    /// The file is of a version that this library does not know. A newer one may read it.
+    /// The file has a version that this library does not know. A newer library may read it.
     Version = 4,
     /// The file asks for more memory than a scene of its length could need.
     Limit = 5,
@@ -63,7 +63,7 @@ pub fn last_error() -> *const c_char {
     LAST.with_borrow(|text| text.as_ptr())
 }
 
-/// Runs what a function does, and keeps the reason if it fails.
+/// Runs the body of a function, and keeps the reason of a failure.
 pub fn guarded(call: impl FnOnce() -> Result<(), Failure>) -> Status {
     let failure = match catch_unwind(AssertUnwindSafe(call)) {
         Ok(Ok(())) => return Status::Ok,

@@ -1,4 +1,4 @@
-//! The functions as a program in C calls them.
+//! Calls the functions as a program in C does.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 
@@ -76,7 +76,7 @@ fn timesteps_are_those_that_the_decoder_gives() {
         let scene = open_bytes(&bytes).unwrap();
         let info = info(scene);
         assert_eq!(info.num_timesteps, file.info().num_timesteps);
-        // The last first, so that the order does not matter.
+        // The last timestep first, so that the order does not matter.
         for timestep in (0..info.num_timesteps).rev() {
             let expected = file.at(timestep as usize).unwrap();
             let n = expected.num_gaussians();

@@ -1,4 +1,4 @@
-//! The header is that of the functions. `UPDATE_HEADER=1 cargo test -p tcgs-capi` writes it.
+//! The header matches the functions. `UPDATE_HEADER=1 cargo test -p tcgs-capi` writes it.
 
 #[test]
 fn the_header_is_up_to_date() {

@@ -1,4 +1,4 @@
-//! How well the masks that `make_masks` finds agree with those that a capture has: `measure_masks CAPTURE`.
+//! Agreement of the masks of `make_masks` with those of a capture: `measure_masks CAPTURE`.
 //!
 //! Prints intersection over union: mean and least of the cameras, and of all pixels together.
 

@@ -1,4 +1,4 @@
-//! Opens a capture and says what it holds, how long opening took, and how much memory was needed.
+//! Opens a capture and prints its contents, the time to open it, and the memory used.
 //!
 //! `cargo run --release -p tcgs-capture --example open_capture -- FOLDER`
 

@@ -1,4 +1,4 @@
-//! Videos, where this crate is compiled without them: there is no [`Video`], and opening one says so.
+//! Videos, where this crate is compiled without them: there is no [`Video`], and opening one is an error that says so.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use image::RgbImage;
 
 use crate::CaptureError;
 
-/// A video of one camera, of which there are none.
+/// A video of one camera; no value of this type exists.
 #[derive(Debug)]
 pub(crate) enum Video {}
 
@@ -19,12 +19,12 @@ pub(crate) struct Shown {
 }
 
 impl Video {
-    /// Refuses every video; a program outside of this one may still read it.
+    /// Refuses every video; an external program may still read it.
     pub fn open_if_known(_path: &Path) -> Result<Result<Self, String>, CaptureError> {
         Ok(Err("is a video, which this program was compiled without (feature `video`)".into()))
     }
 
-    /// Refuses: nothing here decodes videos.
+    /// Refuses every video: no decoder is built in.
     pub fn open(path: &Path) -> Result<Self, CaptureError> {
         let problem = "is a video, which this program was compiled without (feature `video`), expected a folder of its \
                        frames instead, such as `ffmpeg -i cam00.mp4 cam00/%06d.png` writes";

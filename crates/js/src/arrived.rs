@@ -6,10 +6,10 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::rc::Rc;
 
-/// Bytes that are asked for at once, at least: a request has a price of its own.
+/// Least number of bytes of a request, since each request has a cost of its own.
 const AT_LEAST: u64 = 1 << 18;
 
-/// A file of which parts have arrived. Clones share the parts, but each has its own place in the file.
+/// A file whose parts arrive over time. Clones share the parts, but each has its own position in the file.
 ///
 /// ```
 /// use std::io::Read;
@@ -30,42 +30,43 @@ pub struct Arrived {
 
 #[derive(Debug, Default)]
 struct Parts {
-    /// By their first byte; they may overlap.
+    /// By first byte; parts may overlap.
     by_start: BTreeMap<u64, Vec<u8>>,
     missing: Option<Range<u64>>,
 }
 
 impl Arrived {
-    /// A file of which nothing has arrived.
+    /// A file without any parts.
     ///
     /// - `length`: bytes of the whole file
     pub fn new(length: u64) -> Self {
         Self { length, place: 0, parts: Rc::default() }
     }
 
-    /// Takes a part of the file.
+    /// Adds a part of the file.
     ///
     /// - `offset`: its first byte in the file
     pub fn arrive(&self, offset: u64, bytes: Vec<u8>) {
         let parts = &mut *self.parts.borrow_mut();
         parts.missing = None;
-        // A longer part that begins there has all that this one has.
+        // A longer part with the same start contains this one.
         if parts.by_start.get(&offset).is_none_or(|held| held.len() < bytes.len()) {
             parts.by_start.insert(offset, bytes);
         }
     }
 
-    /// The bytes that the last read lacked, with what is likely to be needed next; none if it lacked none.
+    /// The missing bytes of the last read, extended by bytes that are likely to be needed next. `None` if no byte was
+    /// missing.
     pub fn missing(&self) -> Option<Range<u64>> {
         self.parts.borrow().missing.clone()
     }
 
-    /// Forgets all parts, which makes room for others.
+    /// Forgets all parts, to free memory.
     pub fn forget(&self) {
         self.parts.borrow_mut().by_start.clear();
     }
 
-    /// Bytes of all parts.
+    /// Number of bytes of all parts.
     pub fn held(&self) -> usize {
         self.parts.borrow().by_start.values().map(Vec::len).sum()
     }
@@ -115,7 +116,7 @@ mod tests {
 
     use super::*;
 
-    /// Makes a call again until it lacks nothing, with as few bytes at a time as `step`.
+    /// Repeats a call until no bytes are missing, with at most `step` bytes at a time.
     fn patiently<T>(
         file: &[u8],
         arrived: &Arrived,

@@ -26,12 +26,12 @@ impl Decoder {
         Self { arrived: Arrived::new(length as u64), file: None }
     }
 
-    /// The first byte that the last call lacked, and the one after the last; nothing if it lacked none.
+    /// The first missing byte of the last call, and the end of the missing range; nothing if no byte was missing.
     pub fn missing(&self) -> Option<Vec<f64>> {
         self.arrived.missing().map(|range| vec![range.start as f64, range.end as f64])
     }
 
-    /// Takes bytes of the file, from `offset` on.
+    /// Adds bytes of the file, from `offset` on.
     pub fn arrive(&self, offset: f64, bytes: Vec<u8>) {
         self.arrived.arrive(offset as u64, bytes);
     }
@@ -66,7 +66,7 @@ impl Decoder {
 
     /// The Gaussians that live at a timestep, ready to be drawn.
     ///
-    /// - `timestep`: below that of `info`, which has been called
+    /// - `timestep`: below the number of timesteps of `info`, which must have been called
     pub fn at(&mut self, timestep: u32) -> Result<Option<Object>, JsValue> {
         let Some(gaussians) = patient(self.opened()?.lit(timestep as usize))? else { return Ok(None) };
         if self.arrived.held() > MAX_HELD {
@@ -92,7 +92,7 @@ impl Decoder {
     }
 }
 
-/// Nothing where bytes lack.
+/// Nothing if bytes are missing.
 fn patient<T>(done: Result<T, DecodeError>) -> Result<Option<T>, JsValue> {
     match done {
         Ok(done) => Ok(Some(done)),
@@ -104,7 +104,7 @@ fn patient<T>(done: Result<T, DecodeError>) -> Result<Option<T>, JsValue> {
 fn object<const K: usize>(properties: [(&str, JsValue); K]) -> Object {
     let object = Object::new();
     for (name, value) in properties {
-        // This fails on frozen objects alone.
+        // This fails only on frozen objects.
         let _ = Reflect::set(object.unchecked_ref(), &name.into(), &value);
     }
     object

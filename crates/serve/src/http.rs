@@ -1,4 +1,4 @@
-//! The part of HTTP/1.1 that serving files takes: heads of requests, and byte ranges.
+//! The part of HTTP/1.1 for serving files: heads of requests, and byte ranges.
 
 use std::io::{self, BufRead, ErrorKind, Read};
 use std::ops::Range;
@@ -18,10 +18,11 @@ pub struct HttpRequest {
 }
 
 impl HttpRequest {
-    /// Reads the next request of a connection; none at the end of the connection.
+    /// Reads the next request of a connection; `None` at the end of the connection.
     ///
     /// # Errors
-    /// `InvalidData` if the bytes are no request of HTTP/1.0 or 1.1, or if the request has a body, which no file takes.
+    /// `InvalidData` if the bytes are no request of HTTP/1.0 or 1.1, or if the request has a body, which file requests
+    /// lack.
     pub fn read(connection: &mut impl BufRead) -> io::Result<Option<Self>> {
         let wrong = || io::Error::from(ErrorKind::InvalidData);
         let mut head = connection.take(MAX_HEAD_BYTES);

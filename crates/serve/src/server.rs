@@ -1,4 +1,4 @@
-//! A web server for the page of the player and one scene. It answers to this machine alone.
+//! A web server for the player's page and one scene. It accepts connections from this machine alone.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
@@ -20,7 +20,7 @@ const NO_SCENE: &str = r#"<meta name="tcgs-src" content="">"#;
 const NO_CAMERAS: &str = r#"<meta name="tcgs-cameras" content="">"#;
 /// Likewise the element that names the state of a training.
 const NO_TRAINING: &str = r#"<meta name="tcgs-train" content="">"#;
-/// A connection on which nothing arrives for so long is closed.
+/// Idle timeout: a connection without data for so long is closed.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A file of the built page.
@@ -32,15 +32,15 @@ pub struct PageFile {
     pub bytes: &'static [u8],
 }
 
-/// Where the scene is that a server shows.
+/// The scene that a server shows.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum SceneSource {
     /// A `.tcgs` file; every request reopens it.
     File(PathBuf),
-    /// The bytes of one.
+    /// The bytes of a `.tcgs` file.
     Bytes(Vec<u8>),
-    /// A training that goes on, which makes files when they are asked for.
+    /// A running training, which makes files on request.
     Training(Arc<dyn Training>),
 }
 
@@ -61,7 +61,7 @@ pub enum FrameAncestors {
 }
 
 impl FrameAncestors {
-    /// As a content security policy.
+    /// The value of the header `Content-Security-Policy`.
     fn policy(self) -> &'static str {
         match self {
             Self::Own => "frame-ancestors 'self'",
@@ -84,7 +84,7 @@ pub struct Server {
 #[derive(Debug)]
 struct Site {
     scene: SceneSource,
-    /// As `docs/PLAYER.md` says, "Cameras".
+    /// JSON of `docs/PLAYER.md`, "Cameras".
     cameras: Option<Vec<u8>>,
     page: &'static [PageFile],
     ancestors: FrameAncestors,
@@ -93,7 +93,7 @@ struct Site {
 impl Server {
     /// Listens on a port of 127.0.0.1.
     ///
-    /// - `port`: 0 for any port that is free
+    /// - `port`: 0 for any free port
     /// - `scene`: the path of a `.tcgs` file, or the bytes of one
     /// - `page`: the built page of the player
     ///
@@ -105,24 +105,24 @@ impl Server {
         Ok(Self { listener, site })
     }
 
-    /// The same server, whose page others may show in a frame.
+    /// The same server, with pages of other servers allowed to show its page in a frame.
     pub fn framed_by(mut self, ancestors: FrameAncestors) -> Self {
         self.site.ancestors = ancestors;
         self
     }
 
-    /// The same server, whose page shows the cameras of the scene's capture, too.
+    /// The same server; its page also shows the cameras of the scene's capture.
     ///
-    /// - `cameras`: JSON as `docs/PLAYER.md` says, "Cameras"
+    /// - `cameras`: JSON of `docs/PLAYER.md`, "Cameras"
     pub fn with_cameras(mut self, cameras: Vec<u8>) -> Self {
         self.site.cameras = Some(cameras);
         self
     }
 
-    /// The address of the page, to type into a browser.
+    /// The address of the page, for a browser.
     ///
     /// # Errors
-    /// If the system does not tell the port.
+    /// If the system does not report the port.
     pub fn address(&self) -> io::Result<String> {
         Ok(format!("http://{}/", self.listener.local_addr()?))
     }
@@ -165,7 +165,7 @@ impl Site {
     }
 
     fn answer(&self, request: &HttpRequest) -> io::Result<HttpAnswer> {
-        // Refuses any other `Host`: by DNS rebinding a foreign page could make its own name lead to 127.0.0.1 and read
+        // Refuses any other `Host`: DNS rebinding would let a foreign page point its own name at 127.0.0.1 and read
         // local files.
         let host = request.header("host").unwrap_or_default();
         let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
@@ -183,7 +183,8 @@ impl Site {
         if request.path == SCENE {
             return match &self.scene {
                 SceneSource::File(path) => answer_file(path, request),
-                // It is small, so ranges of it are not worth their while: a host may answer with the whole.
+                // A scene in memory is small, so ranges are not worth supporting: HTTP allows the whole file as an
+                // answer.
                 SceneSource::Bytes(bytes) => {
                     Ok(HttpAnswer::new("200 OK", "application/octet-stream", AnswerBody::Bytes(bytes.clone())))
                 }
@@ -204,7 +205,7 @@ impl Site {
         Ok(HttpAnswer::new("200 OK", mime(name), AnswerBody::Bytes(bytes)))
     }
 
-    /// `index.html` with the paths of the scene and the cameras that it is to open.
+    /// `index.html` with the paths of its scene and cameras filled in.
     fn filled_in(&self, page: &[u8]) -> Vec<u8> {
         let told = |element: &str, path: &str| element.replace(r#"content="""#, &format!("content=\"{path}\""));
         let (element, path) = match self.scene {
@@ -228,7 +229,7 @@ fn answer_file(path: &Path, request: &HttpRequest) -> io::Result<HttpAnswer> {
     let length = metadata.len();
     let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     let tag = format!("\"{length:x}-{:x}\"", changed.unwrap_or_default().as_nanos());
-    // A part of a file that has changed meanwhile would not fit the parts that the page has.
+    // A part of a changed file would not fit the parts that the page has.
     let unchanged = request.header("if-range").is_none_or(|known| known == tag);
     let wanted = request.header("range").filter(|_| unchanged);
     let kind = "application/octet-stream";
@@ -273,7 +274,7 @@ fn mime(name: &str) -> &'static str {
 
 enum AnswerBody {
     Bytes(Vec<u8>),
-    /// The file's next bytes, and how many of them.
+    /// The file's next bytes, and their number.
     File(File, u64),
 }
 
@@ -314,7 +315,8 @@ impl HttpAnswer {
             AnswerBody::File(file, length) => {
                 let sent = io::copy(&mut file.take(length), connection)?;
                 if sent < length {
-                    // The file was cut meanwhile. The head is sent, so only the end of the connection can tell.
+                    // The file was truncated meanwhile. The head is already sent, so only closing the connection
+                    // reports it.
                     return Err(io::ErrorKind::UnexpectedEof.into());
                 }
             }

@@ -8,17 +8,17 @@ pub trait Training: Debug + Send + Sync {
     /// The content of one of [`TRAINING_FILES`].
     ///
     /// - `known`: tag of the content that the page has
-    /// - returns: none if there is nothing newer
+    /// - returns: `None` if there is no newer content
     ///
     /// # Errors
-    /// A line for people that says why there is none.
+    /// A line for people that gives the reason.
     fn answer(&self, path: &str, known: Option<&str>) -> Result<Option<TrainingFile>, String>;
 }
 
-/// Content that a page asked of a training.
+/// Content for a page, made by a training.
 #[derive(Clone, Debug)]
 pub struct TrainingFile {
-    /// Another one for other content.
+    /// Identifies the content: other content has another tag.
     pub tag: String,
     /// The content.
     pub bytes: Arc<[u8]>,

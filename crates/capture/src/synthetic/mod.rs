@@ -129,14 +129,14 @@ pub fn write_synthetic(dir: &Path, settings: &SyntheticSettings) -> Result<(), C
 /// Pixels of a view of the synthetic capture whose surface no training camera saw at timestep 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Late {
-    /// `[H, W]`, pixels of a thing that was not there.
+    /// `[H, W]`, pixels of an object that was not there.
     pub arrived: Vec<bool>,
-    /// `[H, W]`, pixels of what stands still and was hidden.
+    /// `[H, W]`, pixels of static surfaces that were hidden.
     pub uncovered: Vec<bool>,
 }
 
 impl Late {
-    /// Looks for what is late in one view of the capture that [`write_synthetic`] writes.
+    /// Finds late pixels in one view of the capture that [`write_synthetic`] writes.
     ///
     /// - `camera`: anywhere in the room
     ///
@@ -250,17 +250,17 @@ fn write_meta<'a>(
     std::fs::write(path, json).map_err(|error| failed(path, error))
 }
 
-/// Image of a camera at a timestep, below `ims` and `seg`.
+/// File name of a camera's image at a timestep, below `ims` and `seg`.
 fn file_name(camera_id: usize, timestep: usize) -> String {
     format!("{camera_id}/{timestep:06}.png")
 }
 
-/// Pictures and files alike: the folder is ours to fill, so all that fails is the writing.
+/// Errors of pictures and files alike: only writing can fail in a folder of our own.
 fn failed(path: &Path, error: impl std::fmt::Display) -> CaptureError {
     CaptureError::invalid(path, format!("writing failed: {error}"))
 }
 
-/// Distance of a point from the nearest surface at the first timestep, of what moves or of what does not.
+/// Distance of a point from the nearest moving or static surface at the first timestep.
 #[cfg(test)]
 pub(crate) fn distance_from_surface(point: [f32; 3], moving: bool) -> f64 {
     SyntheticScene::at(0).distance(point.map(f64::from), moving)

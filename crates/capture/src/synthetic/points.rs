@@ -15,7 +15,7 @@ const NOISE: f64 = 0.005;
 /// One point in three lies on a moving body: they are small, and matter most.
 const MOVING_SHARE: usize = 3;
 
-/// Points, uniformly by area over what moves and over what does not, whether a camera sees them or not.
+/// Samples points uniformly by area over moving and over static surfaces, whether or not a camera sees them.
 pub(super) fn sample(num_points: usize, seed: u64) -> PointCloud {
     let scene = SyntheticScene::at(0);
     let (moving, fixed): (Vec<usize>, Vec<usize>) = (0..scene.bodies.len())
@@ -45,7 +45,7 @@ pub(super) fn sample(num_points: usize, seed: u64) -> PointCloud {
     cloud
 }
 
-/// A surface at random, by area.
+/// Chooses a random surface by area.
 fn choose(surfaces: &[(Option<usize>, f64)], random: &mut Random) -> Option<usize> {
     let mut left = random.uniform() * surfaces.iter().map(|(_, area)| area).sum::<f64>();
     for &(body, area) in surfaces {
@@ -61,7 +61,7 @@ fn sample_body(index: usize, body: &Body, random: &mut Random) -> Hit {
     let (unit, unit_normal) = match body.shape {
         Shape::Box => sample_cube(body.half, random),
         Shape::Ellipsoid => {
-            // The unit sphere's area stretches by at most `largest` where it becomes the ellipsoid's.
+            // Rejection sampling: the unit sphere's area stretches by at most `largest` on the way to the ellipsoid.
             let [a, b, c] = body.half;
             let largest = (b * c).max(a * c).max(a * b);
             let unit = loop {
@@ -119,7 +119,7 @@ fn box_area([a, b, c]: [f64; 3]) -> f64 {
     8.0 * (a * b + b * c + c * a)
 }
 
-/// A small generator of our own, so that the capture of a seed never changes.
+/// A small random generator of our own, so that the capture of a seed never changes.
 struct Random {
     state: u64,
 }

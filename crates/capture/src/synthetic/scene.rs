@@ -38,12 +38,12 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// Whether any of it is below the ceiling: what is not has not entered yet.
+    /// Whether a part of the body is below the ceiling; otherwise it has not entered yet.
     pub fn has_entered(&self) -> bool {
         self.center[1] + self.half[1] > ROOM[0][1]
     }
 
-    /// Radius of the smallest sphere around it.
+    /// Radius of the smallest enclosing sphere.
     pub fn reach(&self) -> f64 {
         let [x, y, z] = self.half;
         match self.shape {
@@ -53,7 +53,7 @@ impl Body {
     }
 }
 
-/// The bodies at one timestep; the room is always there.
+/// The bodies at one timestep; the room is static.
 #[derive(Clone, Debug)]
 pub(super) struct SyntheticScene {
     pub bodies: Vec<Body>,

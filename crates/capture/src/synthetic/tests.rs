@@ -120,7 +120,7 @@ fn color_differences(capture: &Capture, mirror: bool) -> Vec<f32> {
 #[test]
 fn the_vase_shines_where_the_lamp_reflects_and_nothing_else_does() {
     let scene = SyntheticScene::at(0);
-    // How much brighter than without reflections the scene is from a camera, in the image's brightest such place.
+    // The largest gain in brightness by reflections in an image, from a camera.
     let shines: Vec<[f64; 2]> = cameras(&SyntheticSettings::default())
         .iter()
         .map(|camera| {
@@ -147,7 +147,7 @@ fn points_fall_on_pixels_of_their_colour() {
     let differences = color_differences(&capture, false);
     assert!(differences.len() > 10_000, "{}", differences.len());
     assert!(differences[differences.len() / 2] < 0.015, "median {}", differences[differences.len() / 2]);
-    // The same measure tells a wrong convention.
+    // The same measure reveals a wrong convention.
     let mirrored = color_differences(&capture, true);
     assert!(mirrored[mirrored.len() / 2] > 0.05, "median {}", mirrored[mirrored.len() / 2]);
 }

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 type Rgb = [f64; 3];
 
-/// Look of a body, in its own coordinates.
+/// Appearance of a body, in its own coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Texture {
     BeachBall,
@@ -73,7 +73,7 @@ impl Texture {
 
 /// Colour of the room's inside.
 ///
-/// - `axis`, `high`: which side: the axis that it bounds, and whether at its upper end
+/// - `axis`, `high`: the side: its normal axis, and whether it is at the axis's upper end
 /// - `p`: position in the world
 pub(super) fn room_color(axis: usize, high: bool, p: [f64; 3]) -> Rgb {
     let [x, y, z] = p;

@@ -1,4 +1,4 @@
-//! Rays: where they meet the scene, and the light that comes back.
+//! Rays: their intersection with the scene, and the light that comes back.
 
 use tcgs_core::{dot, normalize};
 
@@ -9,14 +9,14 @@ use super::{
 
 /// A lamp under the ceiling, towards the cameras.
 const LAMP: [f64; 3] = [0.5, -2.5, -0.9];
-/// How much the floor darkens below a moving object that touches it. Weak: a mask calls the floor
-/// background, and a background is expected to keep its colour.
+/// Darkening of the floor below a moving object that touches it. It is weak, because a mask calls the floor background,
+/// and a background is expected to keep its colour.
 const BLOB_SHADOW: f64 = 0.15;
 
-/// How narrow reflections of the lamp are. Wide, so that the smallest images show them.
+/// Exponent of the lamp's reflections. Reflections are wide, so that the smallest images show them.
 const SHININESS: i32 = 12;
 
-/// Two points of a surface so close are one, metres.
+/// Two points of a surface closer than this are one, metres.
 const NEAR: f64 = 1e-3;
 
 /// A point on a surface.
@@ -24,7 +24,7 @@ pub(super) struct Hit {
     /// `None` is the room.
     body: Option<usize>,
     position: [f64; 3],
-    /// Unit, out of the surface, towards where a ray can come from.
+    /// Unit normal out of the surface, towards the origins of rays.
     normal: [f64; 3],
 }
 
@@ -71,7 +71,7 @@ impl SyntheticScene {
         nearest.1
     }
 
-    /// Whether nothing stands between a place in the room and a point of a surface.
+    /// Whether a point of a surface is visible from a place in the room.
     pub fn sees(&self, from: [f64; 3], of: &Hit) -> bool {
         let way: [f64; 3] = std::array::from_fn(|i| of.position[i] - from[i]);
         let first = self.hit(from, normalize(way)).position;
@@ -79,8 +79,8 @@ impl SyntheticScene {
         dot(short, short) < NEAR * NEAR
     }
 
-    /// Display-referred colour of a surface along a ray: what is the same from everywhere, and the lamp's reflection
-    /// (Blinn 1977) on what is glossy.
+    /// Display-referred colour of a surface along a ray: the view-independent part, and the lamp's reflection (Blinn
+    /// 1977) on glossy surfaces.
     ///
     /// - `direction`: unit, towards the surface
     pub fn color_along(&self, direction: [f64; 3], hit: &Hit) -> [f64; 3] {
@@ -92,7 +92,7 @@ impl SyntheticScene {
         matt.map(|c| (c + reflection).min(1.0))
     }
 
-    /// Display-referred colour of a surface without reflections: the same from everywhere.
+    /// View-independent, display-referred colour of a surface, without reflections.
     pub fn matt_color(&self, hit: &Hit) -> [f64; 3] {
         let albedo = match hit.body {
             Some(body) => self.bodies[body].color(hit.position),
@@ -102,7 +102,7 @@ impl SyntheticScene {
             }
         };
         let light = self.light(hit);
-        // The root is the display's curve, for light and albedo alike, and albedo is given behind it.
+        // The square root is the display's curve, for light and albedo alike; albedo is given as displayed.
         albedo.map(|a| (a * light.sqrt()).clamp(0.0, 1.0))
     }
 
@@ -112,7 +112,7 @@ impl SyntheticScene {
         // Light wraps around edges a little, as from a large lamp.
         let facing = ((dot(hit.normal, to_lamp) / distance + 0.35) / 1.35).max(0.0);
         let lamp = 1.05 * facing / (0.75 + 0.055 * distance * distance);
-        // From above more than from below (y points down).
+        // Stronger from above than from below (y points down).
         let ambient = 0.36 - 0.10 * hit.normal[1];
         (lamp + ambient) * self.occlusion(hit)
     }
@@ -189,7 +189,7 @@ impl Body {
         std::array::from_fn(|j| (0..3).map(|i| self.rotation[i][j] * v[i]).sum::<f64>() / self.half[j])
     }
 
-    /// Unit normal in the world of a surface whose normal in units of the half extents is given.
+    /// Unit normal in the world, from a normal in units of the half extents.
     pub fn world_normal(&self, unit_normal: [f64; 3]) -> [f64; 3] {
         let local = std::array::from_fn(|i| unit_normal[i] / self.half[i]);
         normalize(self.rotation.map(|row| dot(row, local)))
@@ -198,7 +198,7 @@ impl Body {
 
 #[cfg(test)]
 impl SyntheticScene {
-    /// Distance of a point from the nearest surface of what moves, or of what does not; of ellipsoids nearly.
+    /// Distance of a point from the nearest moving or static surface; approximate for ellipsoids.
     pub fn distance(&self, point: [f64; 3], moving: bool) -> f64 {
         let walls = (0..3).flat_map(|i| [(point[i] - ROOM[0][i]).abs(), (point[i] - ROOM[1][i]).abs()]);
         let wall = if moving { f64::INFINITY } else { walls.fold(f64::INFINITY, f64::min) };

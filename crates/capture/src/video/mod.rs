@@ -1,9 +1,10 @@
 //! Videos, frame by frame: MP4 files of H.264.
 //!
-//! What lives here: finding a frame and decoding up to it. `mp4` lists the frames of a file, `sps` reads how the
-//! stream is coded, `yuv` makes colours.
-//! Frames are decoded in order, and mostly asked for in order: each is then decoded once. Decoded frames are kept for a
-//! while. An earlier frame is decoded again from the last key frame before it.
+//! What lives here: finding a frame and decoding up to it. `mp4` lists the frames of a file, `sps` reads the coding of
+//! the stream, `yuv` converts colours.
+//!
+//! Frames are decoded in order. In sequential access each is decoded once. Decoded frames are kept for a while. An
+//! earlier frame is decoded again from the last key frame before it.
 
 mod mp4;
 mod sps;
@@ -25,7 +26,7 @@ use crate::CaptureError;
 use mp4::{Avc, Mp4Error, Track};
 use sps::Sps;
 
-/// Bytes of decoded frames that a video keeps; the last one always.
+/// Bytes of decoded frames that a video keeps; the last frame is always kept.
 const KEPT_BYTES: usize = 16 << 20;
 
 /// Second half of the message about other codecs.
@@ -37,12 +38,12 @@ pub(crate) struct Video {
     path: PathBuf,
     size: (usize, usize),
     frame_rate: f64,
-    /// By frame in the order of showing: seconds, without what edit lists change.
+    /// Seconds by frame in presentation order, before edit lists.
     times_secs: Vec<f64>,
     shown: Shown,
-    /// In the order of decoding.
+    /// In decoding order.
     samples: Vec<Sample>,
-    /// By frame in the order of showing: where decoding may begin at the latest.
+    /// By frame in presentation order: the latest sample at which decoding may begin.
     begins: Vec<usize>,
     stream: Stream,
     state: Mutex<DecoderState>,
@@ -63,17 +64,17 @@ pub(crate) struct Shown {
 #[derive(Clone, Debug)]
 struct Sample {
     bytes: Range<u64>,
-    /// Place in the order of showing.
+    /// Index in presentation order.
     shown: usize,
-    /// Whether nothing before it is needed.
+    /// Whether it decodes without earlier frames.
     begins: bool,
 }
 
-/// How the frames are coded.
+/// Coding parameters of the frames.
 struct Stream {
     /// Parameter sets, each after a start code.
     head: Vec<u8>,
-    /// Bytes of the length before each unit.
+    /// Length in bytes of the size before each unit.
     length_bytes: usize,
     color: yuv::ColorSpace,
 }
@@ -81,29 +82,29 @@ struct Stream {
 #[derive(Default)]
 struct DecoderState {
     running: Option<Running>,
-    /// The latest last.
+    /// Latest last.
     kept: VecDeque<(usize, RgbImage)>,
 }
 
-/// A decoder on its way.
+/// A decoder in progress.
 struct Running {
     decoder: Decoder,
     file: File,
-    /// Next to be decoded.
+    /// The next sample to be decoded.
     next_sample: usize,
-    /// Next to come out.
+    /// The next frame to come out.
     next_frame: usize,
 }
 
 impl Video {
-    /// Reads all but the frames.
+    /// Reads everything but the frames.
     pub fn open(path: &Path) -> Result<Self, CaptureError> {
         Self::open_if_known(path)?.map_err(|problem| CaptureError::invalid(path, problem))
     }
 
-    /// Reads all but the frames, if the video is of the codec that is built in.
+    /// Reads everything but the frames, if the built-in decoder knows the codec.
     ///
-    /// - returns: what is wrong and what was expected, if another program may still read the video
+    /// - returns: found and expected, if another program may still read the video
     pub fn open_if_known(path: &Path) -> Result<Result<Self, String>, CaptureError> {
         let failed = |error| CaptureError::Io { path: path.into(), error };
         let invalid = |problem: String| CaptureError::invalid(path, problem);
@@ -142,7 +143,7 @@ impl Video {
         let mut begins = vec![0; samples.len()];
         let mut last = 0;
         for (frame, &sample) in shown.iter().enumerate() {
-            // From a frame on which nothing earlier depends what is shown later can be decoded.
+            // From a frame without earlier dependencies on, all later-shown frames can be decoded.
             if samples[sample].begins && sample >= last {
                 last = sample;
             }
@@ -151,7 +152,7 @@ impl Video {
         let timescale = f64::from(track.timescale.max(1));
         let seconds = track.duration as f64 / timescale;
         let frame_rate = if seconds > 0.0 { samples.len() as f64 / seconds } else { 0.0 };
-        // The first frame is at 0; edits count from before that.
+        // The first frame is at 0; edits count from an earlier origin.
         let first = track.samples[shown[0]].composed;
         let time = |&sample: &usize| track.samples[sample].composed.saturating_sub(first) as f64 / timescale;
         let times_secs = shown.iter().map(time).collect();
@@ -167,7 +168,7 @@ impl Video {
         self.size
     }
 
-    /// Frames a second, 0 if unknown.
+    /// Frames per second, 0 if unknown.
     pub fn frame_rate(&self) -> f64 {
         self.frame_rate
     }
@@ -176,12 +177,12 @@ impl Video {
         self.samples.len()
     }
 
-    /// By frame in the order of showing: seconds, before [`Self::shown`] changes anything.
+    /// Seconds by frame in presentation order, before the changes of [`Self::shown`].
     pub fn times_secs(&self) -> &[f64] {
         &self.times_secs
     }
 
-    /// How a player shows the frames.
+    /// Presentation of the frames by a player.
     pub fn shown(&self) -> Shown {
         self.shown
     }
@@ -192,7 +193,7 @@ impl Video {
     /// If there is no such frame.
     pub fn frame(&self, frame: usize) -> Result<RgbImage, CaptureError> {
         assert!(frame < self.num_frames(), "frame {frame} of {}", self.num_frames());
-        // A decoder that panicked is thrown away with what it left.
+        // A decoder that panicked is dropped with its state.
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, image)) = state.kept.iter().find(|(kept, _)| *kept == frame) {
             return Ok(image.clone());
@@ -237,7 +238,7 @@ impl Video {
                 return wanted.ok_or_else(|| failed("did not come out".into()));
             }
         }
-        // The last few come together, and the decoder is of no further use.
+        // The last few frames come together, and the decoder ends.
         let rest = running.decoder.flush_remaining();
         for picture in rest.map_err(|error| failed(format!("cannot be decoded: {error}")))? {
             take(&picture, &mut running.next_frame)?;
@@ -246,7 +247,7 @@ impl Video {
         wanted.ok_or_else(|| failed(format!("cannot be decoded: {found} of {expected} frames came out")))
     }
 
-    /// A decoder that is given a sample next.
+    /// Makes a decoder that gets `sample` next.
     fn begin(&self, sample: usize) -> Result<Running, CaptureError> {
         let failed = |error| CaptureError::Io { path: self.path.clone(), error };
         let config = DecoderConfig::new().flush_after_decode(Flush::NoFlush);
@@ -256,7 +257,8 @@ impl Video {
         Ok(Running { decoder, file, next_sample: sample, next_frame: self.samples[sample].shown })
     }
 
-    /// A sample's units, each after a start code instead of its length; before the first parameter sets.
+    /// Reads a sample's units, each after a start code instead of its size. The parameter sets precede the first
+    /// sample.
     fn read(&self, running: &mut Running, sample: &Sample, packet: &mut Vec<u8>) -> Result<(), CaptureError> {
         let mut coded = vec![0; (sample.bytes.end - sample.bytes.start) as usize];
         let from = &mut running.file;
@@ -284,9 +286,9 @@ impl Video {
     }
 }
 
-/// How to turn a track's pictures, by its header, and how to shift their times, by its edit list.
+/// Turn of a track's pictures from its header, and shift of their times from its edit list.
 ///
-/// ISO/IEC 14496-12, 8.3.2 and 8.6.6. If there are several edits, the first that shows pictures counts.
+/// ISO/IEC 14496-12, 8.3.2 and 8.6.6. If there are several edits, the first one that shows pictures counts.
 fn shown_of(track: &Track) -> Shown {
     let quarter_turns = match track.matrix.map(i32::signum) {
         [0, 1] => 1,
@@ -301,7 +303,7 @@ fn shown_of(track: &Track) -> Shown {
             shown.shift_secs += secs;
             continue;
         };
-        // A duration of 0 means the whole track. Times of the movie are coarser than those of frames, and rounded.
+        // A duration of 0 means the whole track. The movie's times are coarser than those of frames, and are rounded.
         if edit.duration > 0 {
             shown.end_secs = shown.shift_secs + secs;
         }

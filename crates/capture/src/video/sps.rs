@@ -1,4 +1,4 @@
-//! The sequence parameter set of H.264: what of it decides whether a stream can be decoded, and its colours.
+//! The sequence parameter set of H.264: the fields that decide whether a stream can be decoded, and its colours.
 //!
 //! ITU-T H.264, 7.3.2.1 and E.1.1.
 
@@ -11,14 +11,14 @@ pub(super) struct Sps {
     chroma_format: u32,
     /// Bit depths of luma and chroma.
     bits: [u32; 2],
-    /// Whether every frame is coded at once, not line by line.
+    /// Whether frames are progressive, not interlaced.
     progressive: bool,
     pub color: ColorSpace,
 }
 
 impl Sps {
     /// - `unit`: with its header byte
-    /// - returns: nothing if it is damaged
+    /// - returns: `None` if it is damaged
     pub fn parse(unit: &[u8]) -> Option<Self> {
         let mut from = Bits::new(unit.get(1..)?);
         let profile = from.bits(8)?;
@@ -72,7 +72,7 @@ impl Sps {
         Some(Self { chroma_format, bits, progressive, color })
     }
 
-    /// Whether the decoder can do it.
+    /// Checks that the decoder supports the stream.
     pub fn check(&self) -> Result<(), String> {
         match self {
             Self { bits: [8, 8], chroma_format: 1, progressive: true, .. } => Ok(()),
@@ -83,7 +83,7 @@ impl Sps {
     }
 }
 
-/// The start of the usability information.
+/// Reads colours from the start of the video usability information (VUI).
 fn color(from: &mut Bits<'_>) -> Option<ColorSpace> {
     const EXTENDED_ASPECT: u32 = 255;
     if from.bits(1)? == 1 && from.bits(8)? == EXTENDED_ASPECT {
@@ -108,7 +108,7 @@ fn color(from: &mut Bits<'_>) -> Option<ColorSpace> {
     Some(color)
 }
 
-/// Bits of a unit, most significant first, without the bytes that keep start codes out of it.
+/// Bits of a unit, most significant first, without emulation prevention bytes.
 struct Bits<'a> {
     bytes: &'a [u8],
     position: usize,
@@ -152,7 +152,7 @@ impl<'a> Bits<'a> {
         Some((1_u32 << zeros) - 1 + self.bits(zeros)?)
     }
 
-    /// 7.3.2.1.1.1, passed over.
+    /// Skips a scaling list, 7.3.2.1.1.1.
     fn scaling_list(&mut self, size: usize) -> Option<()> {
         if self.bits(1)? == 0 {
             return Some(());

@@ -8,14 +8,14 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 
-/// Time limit for the tables of a file of some kilobytes: a hundred times what they take.
+/// Time limit for the tables of a file of some kilobytes: a hundred times their usual time.
 const MOST: Duration = Duration::from_secs(1);
 
 fn file(name: &str) -> Vec<u8> {
     std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/video").join(name)).unwrap()
 }
 
-/// Reads the tables of a file, or returns what is wrong with them.
+/// Reads the tables of a file, or returns the fault.
 fn read(bytes: &[u8]) -> Result<Option<Track>, String> {
     let begin = Instant::now();
     let track = mp4::read(BufReader::new(Cursor::new(bytes)), bytes.len() as u64);
@@ -50,7 +50,7 @@ fn tables_of_any_bytes_are_read_or_refused_at_once() {
     for name in ["frames.mp4", "halves.mp4", "hevc.mp4"] {
         let whole = file(name);
         assert!(read(&whole).unwrap().is_some());
-        // Beside the coded pictures, every place.
+        // Every place beside the coded pictures.
         let media = whole.windows(4).position(|w| w == b"mdat").unwrap();
         let begins = (0..media + 4).chain(whole.windows(4).position(|w| w == b"moov").unwrap()..whole.len());
         for at in begins {

@@ -1,12 +1,12 @@
-//! From brightness and colour differences to red, green and blue.
+//! Conversion of YUV to RGB.
 
 use image::RgbImage;
 use openh264::formats::YUVSource;
 
-/// How brightness is made of the colours.
+/// Weights of the colours in luma.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Matrix {
-    /// Standard definition, and what players assume if nothing is said.
+    /// Standard definition, and players' default.
     #[default]
     Bt601,
     /// High definition.
@@ -19,12 +19,12 @@ pub(super) enum Matrix {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct ColorSpace {
     pub matrix: Matrix,
-    /// Whether black is 0 and white 255, and not 16 and 235.
+    /// Full range: black is 0 and white 255, instead of 16 and 235.
     pub full_range: bool,
 }
 
 impl Matrix {
-    /// Shares of red and blue in brightness. ITU-T H.273, table 4.
+    /// Weights of red and blue in luma. ITU-T H.273, table 4.
     fn shares(self) -> [f32; 2] {
         match self {
             Self::Bt601 => [0.299, 0.114],
@@ -34,10 +34,10 @@ impl Matrix {
     }
 }
 
-/// A decoded picture in RGB. Colours have a quarter of the pixels; between their centres they are interpolated, which
-/// comes 1.4 dB closer to what was filmed than repeating them.
+/// Converts a decoded picture to RGB. Chroma has a quarter of the pixels and is interpolated between its centres. This
+/// comes 1.4 dB closer to the original than repeating chroma pixels.
 ///
-/// - `size`: that the picture must have
+/// - `size`: expected size of the picture
 pub(super) fn to_rgb(picture: &impl YUVSource, size: (usize, usize), color: ColorSpace) -> Result<RgbImage, String> {
     let (width, height) = picture.dimensions();
     if (width, height) != size {
@@ -48,7 +48,7 @@ pub(super) fn to_rgb(picture: &impl YUVSource, size: (usize, usize), color: Colo
     let green = 1.0 - red - blue;
     let (black, y_scale, c_scale) =
         if color.full_range { (0.0, 1.0, 1.0) } else { (16.0, 255.0 / 219.0, 255.0 / 224.0) };
-    // Differences come multiplied by 16, from the weights of interpolation.
+    // Chroma differences are multiplied by 16, from the weights of interpolation.
     let difference = |share: f32| 2.0 * (1.0 - share) * c_scale / 16.0;
     let (to_red, to_blue) = (difference(red), difference(blue));
     let mut rgb = vec![0; 3 * width * height];

@@ -1,4 +1,4 @@
-//! Captures that a program puts together.
+//! Captures that a program builds.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! COLMAP models, and other static scenes: what a whole capture gives, and what is said of a spoilt one.
+//! COLMAP models, and other static scenes: the contents of a whole capture, and the errors of a spoilt one.
 
 use std::fs;
 use std::path::Path;
@@ -33,7 +33,7 @@ fn text(camera: &str) -> TempDir {
     write_images(folder.path());
     fs::write(sparse.join("cameras.txt"), format!("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n{camera}\n")).unwrap();
     let mut images = String::from("# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n");
-    // In another order than their names'.
+    // In another order than that of the names.
     for id in (0..NUM_CAMERAS).rev() {
         let ([qw, qx, qy, qz], [tx, ty, tz]) = pose(id);
         images += &format!("{} {qw} {qx} {qy} {qz} {tx} {ty} {tz} 1 {}\n1.5 2.5 -1\n", id + 1, name(id));
@@ -43,7 +43,7 @@ fn text(camera: &str) -> TempDir {
     folder
 }
 
-/// The same as bytes, in `sparse/`.
+/// The same model as bytes, in `sparse/`.
 fn binary() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let sparse = folder.path().join("sparse");
@@ -102,7 +102,7 @@ fn text_and_binary_models_are_captures() {
 #[test]
 fn what_a_lens_bends_is_straightened() {
     let folder = text("1 OPENCV 32 24 28 29 16.5 12 -0.1 0.02 0.001 -0.001");
-    // The picture says by its colours where a pixel was.
+    // The colours of the picture encode the original place of each pixel.
     for id in 0..NUM_CAMERAS {
         let picture = image::RgbImage::from_fn(32, 24, |x, y| image::Rgb([8 * x as u8, 10 * y as u8, 0]));
         picture.save(folder.path().join("images").join(name(id))).unwrap();

@@ -1,4 +1,4 @@
-//! Captures of every kind, made up and real.
+//! Captures of every kind, synthetic and real.
 
 // Helpers of tests may unwrap, as tests may.
 #![allow(clippy::unwrap_used)]
@@ -11,7 +11,7 @@ mod neural3d;
 mod panoptic;
 mod prepare;
 mod real;
-// Its folders are made of symbolic links.
+// The folders of this module are made of symbolic links.
 #[cfg(all(feature = "video", unix))]
 mod real_raw;
 #[cfg(feature = "video")]

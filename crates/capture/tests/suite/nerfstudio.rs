@@ -1,4 +1,4 @@
-//! `transforms.json`: what a whole capture gives, and what is said of a spoilt one.
+//! `transforms.json`: the contents of a whole capture, and the errors of a spoilt one.
 
 use std::fs;
 use std::path::Path;
@@ -153,7 +153,7 @@ fn lenses_and_sizes_may_differ() {
     let [bent, straight] = [3, 4].map(|id| views.iter().find(|view| view.camera_id == id).unwrap());
     assert_eq!((straight.camera.width, straight.image.width), (32, 32));
     assert_eq!((bent.camera.width, bent.camera.height), (bent.image.width, bent.image.height));
-    // Barrel distortion shows more than a straight image of the same focal length needs: nothing is cut off.
+    // Barrel distortion shows more than an undistorted image of the same focal length needs: nothing is cut off.
     assert_eq!((bent.camera.width, bent.camera.height), (32, 24));
 }
 
@@ -234,10 +234,10 @@ fn cameras_of_blender_lie_in_two_files() {
     let all = capture.views(Split::All, 0, 1).unwrap();
     assert_eq!((ids(&capture, Split::Train).len(), ids(&capture, Split::Test).len()), (5, 3));
     for view in all {
-        // Which camera it is says its image.
+        // The image tells which camera it is.
         assert_close(&view.camera, &camera_of(usize::from(view.image.to_rgb8()[0]), NUM_CAMERAS, 32, 24));
     }
-    // Without the second file every eighth camera is for judging, of fewer than eight none.
+    // Without the second file every eighth camera is a test camera, and none of fewer than eight.
     fs::remove_file(folder.path().join("transforms_test.json")).unwrap();
     assert_eq!(ids(&Capture::open(folder.path()).unwrap(), Split::Test), [0; 0]);
 }

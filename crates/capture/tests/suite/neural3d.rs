@@ -1,4 +1,4 @@
-//! Neural 3D Video: what a whole capture gives, and what is said of a spoilt one.
+//! Neural 3D Video: the contents of a whole capture, and the errors of a spoilt one.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use tcgs_core::Camera;
 use tempfile::TempDir;
 
 const NUM_CAMERAS: usize = 4;
-/// Of the videos.
+/// Number of frames of the videos.
 const NUM_FRAMES: usize = 12;
 
 fn video(name: &str) -> PathBuf {
@@ -76,7 +76,7 @@ fn videos_and_poses_are_a_capture() {
     assert_eq!((cloud.points.len(), cloud.colors[0], cloud.foreground[0]), (50, [1.0, 0.0, 0.0], true));
 }
 
-/// Brightness says which frame of `frames.mp4` an image is.
+/// The brightness of an image tells its frame of `frames.mp4`.
 fn brightness(capture: &Capture, frame: usize) -> f64 {
     let views = capture.views(Split::Train, frame, 1).unwrap();
     let of =
@@ -104,7 +104,7 @@ fn folders_of_images_stand_in_for_videos() {
     write_poses(folder.path(), &poses());
     for id in 0..NUM_CAMERAS {
         for frame in 0..3 {
-            // As the preparation for 4D Gaussian Splatting leaves them; not all with the same number of frames.
+            // The layout of the preparation for 4D Gaussian Splatting; not all cameras have the same number of frames.
             if (id, frame) != (3, 2) {
                 let path = folder.path().join(format!("cam{id:02}/images/{frame:04}.png"));
                 write_image(&path, 64, 48, [10 * id as u8, 20 * frame as u8, 0]);
@@ -213,7 +213,7 @@ fn a_spoilt_video_gives_an_error_and_never_a_wrong_frame() {
         fs::write(&spoilt, &whole[..length]).unwrap();
         assert!(problem(folder.path()).starts_with("cam01.mp4: "), "{length}");
     }
-    // The coded frames stand between the two; units of no possible length.
+    // The coded frames stand between the two; the units have impossible lengths.
     let start = whole.windows(4).position(|w| w == b"mdat").unwrap() + 4;
     let mut bytes = whole;
     bytes[start..start + 400].fill(0xff);
@@ -228,12 +228,12 @@ fn spoilt_bytes_of_a_video_do_no_harm() {
     let folder = small();
     let spoilt = folder.path().join("cam01.mp4");
     let whole = fs::read(video("frames.mp4")).unwrap();
-    // Every byte would take minutes: a decoder is made for each.
+    // Every byte would take minutes, since each needs a new decoder.
     for at in (0..whole.len()).step_by(13) {
         let mut bytes = whole.clone();
         bytes[at] ^= 0xff;
         fs::write(&spoilt, &bytes).unwrap();
-        // It opens or it does not, and so for its frames; what is wrong with it is said of it.
+        // The file, and each of its frames, opens or gives an error that names it.
         let result = Capture::open(folder.path()).and_then(|capture| capture.views(Split::Train, 7, 1));
         if let Err(error) = result {
             let message = shorten(folder.path(), &error);

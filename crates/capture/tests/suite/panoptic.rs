@@ -1,4 +1,4 @@
-//! The Panoptic layout: what a whole capture gives, and what is said of a spoilt one.
+//! The Panoptic layout: the contents of a whole capture, and the errors of a spoilt one.
 
 use crate::support::{HEIGHT, NUM_FRAMES, Small, WIDTH, camera, color};
 use serde_json::{Value, json};
@@ -211,7 +211,7 @@ fn images_of_another_size_are_named() {
     let problem = || small.shorten(capture.views(Split::Train, 0, 1).unwrap_err());
     image::GrayImage::new(WIDTH, HEIGHT / 2).save(small.mask(5, 0)).unwrap();
     assert_eq!(problem(), "seg/5/000000.png: is 16x6 pixels, expected 16x12 as its camera has");
-    // The first in order is named, whichever is decoded first.
+    // The error names the first image in order, whichever is decoded first.
     image::RgbImage::new(WIDTH + 1, HEIGHT).save(small.image(2, 0)).unwrap();
     assert_eq!(problem(), "ims/2/000000.png: is 17x12 pixels, expected 16x12 as its camera has");
 }

@@ -1,4 +1,4 @@
-//! Real and rendered captures, where they are at hand: the doctor finds nothing, and points come from images alone.
+//! Real and rendered captures, where available: the doctor finds nothing, and points come from images alone.
 
 use tcgs_capture::{Capture, Origin, PrepareSettings, prepare};
 
@@ -18,7 +18,7 @@ fn real_captures_are_healthy() {
 fn basketball_is_prepared_from_its_images() {
     let Some(path) = real_folder("panoptic_basketball") else { return };
     let capture = Capture::open(&path).unwrap();
-    // Coarser than by default, for the sake of time.
+    // Coarser than by default, to save time.
     let settings = PrepareSettings { image_width: 160, ..PrepareSettings::default() };
     let prepared = prepare(&capture, &settings, &mut |_| ()).unwrap();
     assert!((60_000..=80_000).contains(&prepared.cloud.points.len()), "{}", prepared.cloud.points.len());

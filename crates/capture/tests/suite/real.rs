@@ -1,4 +1,4 @@
-//! Real and rendered captures, where they are at hand.
+//! Real and rendered captures, where available.
 
 use std::ops::Range;
 
@@ -11,10 +11,10 @@ use crate::support::real_folder;
 
 const TEST_CAMERAS: [usize; 4] = [0, 10, 15, 30];
 
-/// Opens a capture and checks what both have in common.
+/// Opens a capture and checks the properties that real and rendered captures share.
 ///
-/// - `num_masks`: masks of one frame; those of the test cameras are not published for basketball
-/// - `foreground_share`: of the pixels that have a mask
+/// - `num_masks`: number of masks of one frame; the test cameras' masks are not published for basketball
+/// - `foreground_share`: share of the foreground in images with a mask
 fn check(name: &str, num_frames: usize, size: (usize, usize), num_masks: usize, foreground_share: Range<f64>) {
     let Some(path) = real_folder(name) else { return };
     let capture = Capture::open(&path).unwrap();
@@ -58,13 +58,13 @@ fn toss_opens() {
     check("toss", 40, (320, 180), 31, 0.05..0.2);
 }
 
-/// Where a camera shows a point: column and row; nothing behind it or outside of the image.
+/// Projection of a point into a camera: column and row. `None` behind the camera or outside the image.
 fn pixel(camera: &Camera, point: [f32; 3]) -> Option<(usize, usize)> {
     let (pixel, _) = Pinhole::new(camera).pixel(point.map(f64::from))?;
     Some((pixel % camera.width, pixel / camera.width))
 }
 
-/// Median difference between the colours of points and of the pixels that show them, and how many points are in sight.
+/// Median difference between the colours of points and of their pixels, and the number of points in sight.
 fn color_error(view: &View, camera: &Camera, cloud: &PointCloud) -> (f32, usize) {
     let mut errors: Vec<f32> = cloud
         .points
@@ -80,8 +80,8 @@ fn color_error(view: &View, camera: &Camera, cloud: &PointCloud) -> (f32, usize)
     (errors.get(errors.len() / 2).copied().unwrap_or(1.0), errors.len())
 }
 
-/// Asserts that points have the colours of the pixels they fall on, and would not if images were mirrored, upside down
-/// or had their principal point elsewhere.
+/// Asserts that points have the colours of their pixels. They must not if images are mirrored, upside down, or have
+/// another principal point.
 fn assert_in_place(views: &[View], cloud: &PointCloud, most: f32) {
     for view in views {
         let camera = &view.camera;
@@ -124,14 +124,14 @@ fn kitchen_opens() {
             }
         }
         assert_eq!(view.camera.principal, [number(&exact["k"][0][2]), number(&exact["k"][1][2])]);
-        // Before it was coded.
+        // The image before it was coded.
         let lossless = image::open(path.join(format!("frame0/cam{:02}.png", view.camera_id))).unwrap().into_rgb8();
         let lossless = Image::from_rgb8(view.image.width, view.image.height, lossless.as_raw());
         let psnr = psnr(&view.image, &lossless);
         assert!(psnr > 40.0, "camera {}: {psnr} dB", view.camera_id);
     }
     assert_in_place(&views[..6], &capture.point_cloud().unwrap(), 0.05);
-    // A later frame shows something else, and the same when it is decoded after others.
+    // A later frame differs, and is the same when it is decoded after others.
     let later = |frame: usize| capture.views(Split::Test, frame, 1).unwrap().remove(0).image;
     let first = later(60);
     assert!(psnr(&first, &views[18].image) < 40.0);
@@ -146,10 +146,10 @@ fn beercan_opens() {
     assert_eq!((capture.kind(), capture.num_frames()), (CaptureKind::COLMAP, 1));
     let views = capture.views(Split::All, 0, 1).unwrap();
     assert_eq!((views.len(), capture.cameras(Split::Test, 0, 1).unwrap().len()), (71, 9));
-    // Points that others hide count as well.
+    // Hidden points count as well.
     assert_in_place(&views[..6], &capture.point_cloud().unwrap(), 0.08);
 
-    // The same poses as LLFF writes them.
+    // The same poses in the form of LLFF.
     let llff = tempfile::tempdir().unwrap();
     std::fs::copy(path.join("poses_bounds.npy"), llff.path().join("poses_bounds.npy")).unwrap();
     for id in 0..71 {

@@ -1,4 +1,4 @@
-//! Raw footage of others, where it is at hand: calibrations of other programs, and clocks.
+//! Published raw footage, where available: calibrations of other programs, and clocks.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use tempfile::TempDir;
 
 use crate::support::real_folder;
 
-/// The folder of some footage, or nothing, which skips the test unless what is needed is required.
+/// The folder of some footage. `None` skips the test, unless the footage is required.
 fn folder(name: &str) -> Option<PathBuf> {
     let path = real_folder(name)?;
     let has_ffmpeg = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).status().is_ok();
@@ -19,7 +19,7 @@ fn folder(name: &str) -> Option<PathBuf> {
         "REQUIRE_FFMPEG is set, and there is no ffmpeg"
     );
     if !has_ffmpeg {
-        // Past the capture of passing tests: a skip is to be seen.
+        // Bypasses the output capture of passing tests, so that a skip is visible.
         let _ = writeln!(std::io::stderr(), "skipped: ffmpeg is absent");
     }
     has_ffmpeg.then_some(path)
@@ -87,7 +87,7 @@ fn videos_of_part_2_have_a_calibration_of_caliscope() {
     assert_eq!(capture.views(Split::Train, 47, 2).unwrap().len(), 4);
 }
 
-/// Frames that are cut off at the beginning of each camera of kitchen, all different from their neighbours.
+/// Number of frames that are cut off at the beginning of each camera of kitchen, each different from its neighbours'.
 fn cuts(num_cameras: usize) -> Vec<usize> {
     (0..num_cameras).map(|i| (7 * i + 5) % 31).collect()
 }
@@ -115,7 +115,7 @@ fn uneven_kitchen(source: &Path, sound: Option<&[i16]>) -> (TempDir, Vec<usize>)
     (folder, cuts)
 }
 
-/// By how many frames of kitchen each camera begins after the first, rounded, and how far the worst is from whole.
+/// Number of frames of kitchen by which each camera begins after the first, rounded, and the largest rounding error.
 fn measured(folder: &TempDir, expected: ClocksFrom) -> (Vec<i64>, f64) {
     let raw = RawFootage::find(folder.path(), None).unwrap().unwrap();
     let most = std::sync::Mutex::new(0.0_f64);

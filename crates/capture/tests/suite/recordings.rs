@@ -11,17 +11,17 @@ use tempfile::TempDir;
 
 const WIDTH: u32 = 128;
 const HEIGHT: u32 = 64;
-/// Bits of a number, each a block of the picture; the last block is always white, which shows where up is.
+/// Bits of a number, each a block of the picture; the last block is always white and marks the upper side.
 const BITS: u32 = 7;
 const BLOCK: u32 = WIDTH / (BITS + 1);
 const RATE: &str = "20";
 
-/// Whether `ffmpeg` is there; without it the test is skipped unless `REQUIRE_FFMPEG` is set.
+/// Whether `ffmpeg` is installed; without it the test is skipped unless `REQUIRE_FFMPEG` is set.
 fn has_ffmpeg() -> bool {
     let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).status().is_ok();
     assert!(found || std::env::var_os("REQUIRE_FFMPEG").is_none(), "REQUIRE_FFMPEG is set, and there is no ffmpeg");
     if !found {
-        // Past the capture of passing tests: a skip is to be seen.
+        // Bypasses the output capture of passing tests, so that a skip is visible.
         let _ = writeln!(std::io::stderr(), "skipped: there is no ffmpeg");
     }
     found
@@ -83,7 +83,7 @@ fn describe(folder: &Path, num_frames: usize, cameras: &[(&str, &str)]) {
     std::fs::write(folder.join("capture.toml"), text).unwrap();
 }
 
-/// The numbers that the first camera shows.
+/// The numbers in the first camera's frames.
 fn shown(folder: &Path, frames: &[usize]) -> Vec<usize> {
     let capture = Capture::open(folder).unwrap();
     frames.iter().map(|&frame| number_of(&capture.views(Split::Train, frame, 1).unwrap()[0].image)).collect()
@@ -124,7 +124,7 @@ fn folders_of_images_are_recordings() {
     }
     describe(folder.path(), 12, &[("left", "")]);
     assert_eq!(shown(folder.path(), &[0, 11, 2]), [0, 11, 2]);
-    // Photographed at half the rate of the capture's clock.
+    // Images at half the rate of the capture's clock.
     describe(folder.path(), 22, &[("left", "images_per_sec = 10")]);
     assert_eq!(shown(folder.path(), &[0, 2, 20, 21]), [0, 1, 10, 10]);
     describe(folder.path(), 10, &[("left", "start_secs = 0.1")]);
@@ -151,14 +151,14 @@ fn frames_are_chosen_by_when_they_are_shown() {
     describe(folder.path(), 30, &[("short.mp4", "")]);
     assert_eq!(shown(folder.path(), &[0, 29]), [0, 29]);
     describe(folder.path(), 40, &[("cut.mp4", "")]);
-    // The program that cut it is the judge of what comes first.
+    // The program that cut the file decides which frame is first.
     convert(&path("cut.mp4"), &["-frames:v", "1"], &path("first.png"));
     let first = image::open(path("first.png")).unwrap().into_rgb8();
     let first = number_of(&tcgs_core::Image::from_rgb8(WIDTH as usize, HEIGHT as usize, first.as_raw()));
     assert_eq!(first, 16);
     assert_eq!(shown(folder.path(), &[0, 1, 39]), [first, first + 1, first + 39]);
 
-    // A phone that leaves out frames, both by the decoder that is built in and by ffmpeg.
+    // A phone that leaves out frames, read by the built-in decoder and by ffmpeg.
     let uneven = ["-vf", "select='not(between(n,10,14))'", "-fps_mode", "vfr"];
     for (file, codec) in [("uneven.mp4", H264), ("uneven.mkv", H264)] {
         encode(0..60, &[&uneven, codec].concat(), &path(file));
@@ -201,7 +201,7 @@ fn pictures_are_turned_cropped_and_evened_out() {
     let expected = [plain[0] + 0.1, 0.5 * plain[1] + 0.2, 0.0];
     assert!(moved.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 0.003), "{moved:?}");
 
-    // Publications compare with recorded colours; and one key turns everything off.
+    // Publications compare with recorded colours. One key turns all changes off.
     let capture = Capture::open(folder.path()).unwrap();
     let recorded = capture.with_recorded_colors();
     assert!(capture.changes_colors() && !recorded.changes_colors());
@@ -214,7 +214,7 @@ fn pictures_are_turned_cropped_and_evened_out() {
     assert_eq!(shown(&capture), plain);
 }
 
-/// Why a folder cannot be opened, without its name.
+/// The error of opening a folder, without the folder's name.
 fn problem(folder: &TempDir) -> String {
     let message = Capture::open(folder.path()).unwrap_err().to_string();
     assert!(!message.contains('\n'), "{message}");
@@ -290,7 +290,7 @@ fn raw_footage_becomes_a_capture_on_one_clock() {
     if !has_ffmpeg() {
         return;
     }
-    // Each camera begins five frames after the one before; calibrated at twice the size.
+    // Each camera begins five frames after the previous one; the calibration has twice the size.
     let folder = raw(&["a", "b", "c"], [256, 128], H264);
     assert!(RawFootage::is_in(folder.path()).unwrap());
     // Frame 20 is the 21st of a, the 16th of b, the 11th of c.
@@ -324,7 +324,7 @@ fn what_players_turn_is_turned_unless_the_calibration_is_of_the_stored_image() {
     let cameras = RawFootage::find(folder.path(), None).unwrap().unwrap().cameras();
     let [camera, _] = cameras.as_slice() else { panic!("{cameras:?}") };
     if camera.turn_degrees == 0 {
-        // Newer versions of ffmpeg write the turn by an option that older ones lack.
+        // Newer versions of ffmpeg write the turn with an option that older ones lack.
         return;
     }
     assert_eq!(camera.size, (64, 128));

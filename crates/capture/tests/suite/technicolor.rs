@@ -1,4 +1,4 @@
-//! Technicolor: what a whole capture gives, and what is said of a spoilt one.
+//! Technicolor: the contents of a whole capture, and the errors of a spoilt one.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -82,7 +82,7 @@ fn the_damaged_file_is_mended_with_the_frame_before() {
     assert_eq!(row(11), [172, 9, 7].repeat(16));
     let own = (0..12).filter(|&y| row(y) == picture.as_raw()[y * 48..][..48]).count();
     assert!((3..10).contains(&own) && (own..12).all(|y| row(y) == row(11)), "{own} rows are its own");
-    // No other file is mended.
+    // No other file is repaired.
     cut(173, 8);
     let message = shorten(folder.path(), &capture.views(Split::Train, 5, 1).unwrap_err());
     assert!(message.starts_with("Birthday_undist_00173_08.png: cannot be decoded"), "{message}");

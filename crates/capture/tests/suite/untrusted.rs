@@ -126,7 +126,7 @@ fn a_described_frame_rate_without_a_meaning_is_refused() {
 
 #[test]
 fn a_name_that_leads_out_of_the_folder_is_refused() {
-    // The file is there: what is refused is the way to it.
+    // The file exists: the path to it is refused.
     let outside = tempfile::tempdir().unwrap();
     let secret = outside.path().join("secret.png");
     fs::write(&secret, "x").unwrap();

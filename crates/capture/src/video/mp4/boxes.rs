@@ -5,7 +5,7 @@
 /// Bytes of a size and a kind.
 pub(super) const HEAD_BYTES: usize = 8;
 
-/// A box without its head, or what is left of it. All numbers are big-endian.
+/// A box without its head, or the unread rest of it. All numbers are big-endian.
 #[derive(Clone, Copy)]
 pub(super) struct Body<'a> {
     pub kind: [u8; 4],
@@ -50,13 +50,13 @@ impl<'a> Body<'a> {
         Ok(taken)
     }
 
-    /// The version and the flags that many boxes begin with.
+    /// The version and the flags at the start of many boxes.
     pub fn version(&mut self) -> Result<(u8, u32), String> {
         let [version, a, b, c] = self.take()?;
         Ok((version, u32::from_be_bytes([0, a, b, c])))
     }
 
-    /// A count, then as many entries.
+    /// A count, followed by as many entries.
     pub fn entries<const N: usize>(&mut self) -> Result<&'a [[u8; N]], String> {
         let count = self.u32()? as usize;
         self.rest.as_chunks().0.get(..count).ok_or_else(|| self.ends_early())
@@ -66,7 +66,8 @@ impl<'a> Body<'a> {
         format!("its box {} ends early", self.kind.escape_ascii())
     }
 
-    /// The boxes inside. Fewer bytes at the end than a head has are no box: QuickTime ends some lists with a zero.
+    /// The boxes inside. A rest at the end that is shorter than a head is no box: QuickTime ends some lists with a
+    /// zero.
     pub fn boxes(self) -> impl Iterator<Item = Result<Body<'a>, String>> {
         let mut rest = self.rest;
         std::iter::from_fn(move || {

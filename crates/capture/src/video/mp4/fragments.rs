@@ -1,4 +1,4 @@
-//! Fragments: frames that are listed piece by piece through the file, as live recordings and DASH have them.
+//! Fragments: frames that are listed piece by piece through the file, as in live recordings and DASH.
 //!
 //! ISO/IEC 14496-12, 8.8.
 
@@ -11,7 +11,7 @@ use super::{MAX_FRAMES, Sample, too_many};
 /// bounds the time of reading.
 const MAX_SAMPLES: usize = 16 * MAX_FRAMES;
 
-/// Values of frames that have none of their own.
+/// Default values of frames.
 #[derive(Clone, Copy, Default)]
 struct Defaults {
     duration: u32,
@@ -19,11 +19,11 @@ struct Defaults {
     flags: u32,
 }
 
-/// State that is kept between two fragments.
+/// State between two fragments.
 pub(super) struct Fragments {
     track: u32,
     by_track: BTreeMap<u32, Defaults>,
-    /// When the next frame is decoded, and how long all of them last.
+    /// Decoding time of the next frame, and the duration of all frames.
     next: i64,
     pub duration: u64,
     num_samples: usize,
@@ -31,7 +31,7 @@ pub(super) struct Fragments {
 
 impl Fragments {
     /// - `movie`: the box `moov`
-    /// - `track`: whose frames are wanted
+    /// - `track`: number of the wanted track
     pub fn new(movie: Body<'_>, track: u32) -> Result<Self, String> {
         let mut by_track = BTreeMap::new();
         if let Some(extension) = movie.find(b"mvex")? {
@@ -134,7 +134,7 @@ impl Fragments {
             let offset = field(0x800, 0)?.cast_signed();
             let end = at.saturating_add(size.into());
             if let Some(samples) = samples.as_deref_mut() {
-                // The flag says that a frame needs others.
+                // The flag says that a frame depends on others.
                 let begins = own_flags & 0x1_0000 == 0;
                 let composed = self.next.saturating_add(offset.into());
                 samples.push(Sample { bytes: at..end, composed, begins });

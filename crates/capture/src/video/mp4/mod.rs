@@ -1,4 +1,4 @@
-//! The video track of an MP4 file (ISO/IEC 14496-12): how it is coded, where its frames lie and when they are shown.
+//! The video track of an MP4 file (ISO/IEC 14496-12): its coding, and the places and presentation times of its frames.
 //!
 //! What lives here: [`read`], which trusts no number of a file. It refuses boxes that do not nest, tables of another
 //! length than their boxes, and frames outside the file. `boxes` reads numbers, `tables` and `fragments` list frames.
@@ -27,7 +27,7 @@ const MAX_BOXES: usize = 1 << 22;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Sample {
     pub bytes: Range<u64>,
-    /// When it is shown, in units of the track's clock, before edits.
+    /// Presentation time, in units of the track's clock, before edits.
     pub composed: i64,
     /// Whether it can be decoded without the frames before it.
     pub begins: bool,
@@ -38,35 +38,35 @@ pub(super) struct Sample {
 pub(super) struct Track {
     /// Four letters that name the codec, such as `avc1`.
     pub codec: String,
-    /// Of `avc1` alone.
+    /// For `avc1` alone.
     pub avc: Option<Avc>,
     /// Units a second of the track's clock, and of the movie's.
     pub timescale: u32,
     pub movie_timescale: u32,
     /// In units of the track's clock; 0 if unknown.
     pub duration: u64,
-    /// `a` and `b` of the matrix by which players turn the pictures.
+    /// `a` and `b` of the players' transformation matrix.
     pub matrix: [i32; 2],
     pub edits: Vec<Edit>,
-    /// In the order of decoding; of `avc1` alone.
+    /// In decoding order; for `avc1` alone.
     pub samples: Vec<Sample>,
 }
 
-/// A stretch of time that a player shows.
+/// A stretch of time in the presentation.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edit {
     /// In units of the movie's clock.
     pub duration: u64,
-    /// Where in the track, in units of its clock; `None`: nothing is shown.
+    /// Start in the track, in units of its clock; `None` shows nothing.
     pub begin: Option<u64>,
 }
 
-/// How H.264 is stored. ISO/IEC 14496-15, 5.3.3.
+/// Storage of H.264. ISO/IEC 14496-15, 5.3.3.
 #[derive(Debug)]
 pub(super) struct Avc {
     pub width: u16,
     pub height: u16,
-    /// Bytes of the length before each unit.
+    /// Length in bytes of the size before each unit.
     pub length_bytes: usize,
     pub sequence_sets: Vec<Vec<u8>>,
     pub picture_sets: Vec<Vec<u8>>,
@@ -95,10 +95,10 @@ impl From<String> for Mp4Error {
     }
 }
 
-/// Reads all but the frames.
+/// Reads everything but the frames.
 ///
 /// - `file`: at its start, `file_bytes` long
-/// - returns: `None` if there is no video track. Frames may end beyond the file, as they do where it was cut
+/// - returns: `None` if there is no video track. In a truncated file frames may end beyond the file
 pub(super) fn read(mut file: BufReader<impl Read + Seek>, file_bytes: u64) -> Result<Option<Track>, Mp4Error> {
     let mut at = 0;
     let mut found: Option<(Option<Track>, Fragments)> = None;
@@ -170,7 +170,7 @@ fn read_box(file: &mut impl Read, kind: [u8; 4], range: &Range<u64>, file_bytes:
     Ok(bytes)
 }
 
-/// Keeps what is in the buffer.
+/// Skips bytes without dropping the buffer.
 fn skip(file: &mut BufReader<impl Read + Seek>, bytes: u64) -> io::Result<()> {
     file.seek_relative(bytes.try_into().map_err(|_| io::ErrorKind::InvalidInput)?)
 }
@@ -179,7 +179,7 @@ fn too_many(found: usize) -> String {
     format!("has {found} frames, expected at most {MAX_FRAMES}")
 }
 
-/// The video track that a movie lists first by its number, and what its fragments need.
+/// The first video track of a movie, and the state for its fragments.
 fn of_movie(movie: Body<'_>) -> Result<(Option<Track>, Fragments), String> {
     let mut head = movie.need(b"mvhd")?;
     let (version, _) = head.version()?;

@@ -1,4 +1,4 @@
-//! The tables of a track: where its frames lie, when each is shown, and at which decoding can begin.
+//! The tables of a track: places, presentation times and key frames.
 //!
 //! ISO/IEC 14496-12, 8.6 and 8.7. Tables of runs are never longer than their box. Runs are unrolled only up to the
 //! number of frames.
@@ -8,8 +8,8 @@ use std::iter::repeat_n;
 use super::boxes::Body;
 use super::{MAX_FRAMES, Sample, too_many};
 
-/// The frames of a track in the order of decoding, and their total duration in units of the track's clock. A file of
-/// fragments has none here.
+/// The frames of a track in decoding order, and their total duration in units of the track's clock. A fragmented file
+/// has no frames here.
 ///
 /// - `table`: the box `stbl`
 pub(super) fn samples(table: Body<'_>) -> Result<(Vec<Sample>, u64), String> {
@@ -61,7 +61,7 @@ pub(super) fn samples(table: Body<'_>) -> Result<(Vec<Sample>, u64), String> {
     Ok((samples, begin.cast_unsigned()))
 }
 
-/// How many bytes each frame has.
+/// Size of each frame, bytes.
 struct Sizes<'a> {
     count: usize,
     /// Size of every frame; 0: each has its own size in `listed`.
@@ -92,7 +92,7 @@ fn runs(table: &[[u8; 8]]) -> impl Iterator<Item = u32> {
     })
 }
 
-/// Where the frames lie: one after another in chunks, whose places are listed.
+/// Places of the frames: one after another in chunks, whose places are listed.
 fn places(table: Body<'_>, sizes: &Sizes<'_>) -> Result<Vec<Sample>, String> {
     let mut runs = table.need(b"stsc")?;
     runs.version()?;
@@ -125,7 +125,7 @@ fn places(table: Body<'_>, sizes: &Sizes<'_>) -> Result<Vec<Sample>, String> {
     }
 }
 
-/// Where the chunks begin, bytes from the start of the file.
+/// Starts of the chunks, bytes from the start of the file.
 fn chunks(table: Body<'_>) -> Result<Vec<u64>, String> {
     if let Some(mut places) = table.find(b"stco")? {
         places.version()?;

@@ -1,4 +1,4 @@
-//! A small capture written to a temporary folder, for tests to spoil, and where real captures lie.
+//! A small capture in a temporary folder, for tests to spoil, and the folders of real captures.
 
 use std::io::Write;
 use std::path::{MAIN_SEPARATOR, Path, PathBuf};
@@ -13,14 +13,14 @@ pub const WIDTH: u32 = 16;
 pub const HEIGHT: u32 = 12;
 pub const NUM_FRAMES: usize = 2;
 
-/// The folder of a real or rendered capture, or nothing, which skips the test unless `REQUIRE_GOLDEN` is set.
+/// The folder of a real or rendered capture. `None` skips the test, unless `REQUIRE_GOLDEN` is set.
 pub fn real_folder(name: &str) -> Option<PathBuf> {
     let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
     if path.is_dir() {
         return Some(path);
     }
     assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{} is absent", path.display());
-    // Past the capture of passing tests: a skip is to be seen.
+    // Bypasses the output capture of passing tests, so that a skip is visible.
     let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
     None
 }
@@ -35,7 +35,7 @@ pub struct Small {
 }
 
 impl Small {
-    /// Images are there; metas and points wait for [`Self::write`].
+    /// Writes the images; [`Self::write`] writes metas and points.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let (train, test) = ([1, 2, 4, 5], [3]);
@@ -85,12 +85,12 @@ impl Small {
         npz.finish().unwrap();
     }
 
-    /// Opens what was written.
+    /// Opens the written capture.
     pub fn open(&self) -> Result<Capture, CaptureError> {
         Capture::open(self.path())
     }
 
-    /// Why it cannot be opened, as one line without the folder's name.
+    /// The error of opening the capture, as one line without the folder's name.
     pub fn problem(&self) -> String {
         self.shorten(self.open().unwrap_err())
     }
@@ -112,7 +112,7 @@ pub fn shorten(folder: &Path, error: &CaptureError) -> String {
     format!("{}{}", short[..end_of_name].replace(MAIN_SEPARATOR, "/"), &short[end_of_name..])
 }
 
-/// Why a folder cannot be opened.
+/// The error of opening a folder.
 pub fn problem(folder: &Path) -> String {
     shorten(folder, &Capture::open(folder).unwrap_err())
 }
@@ -124,7 +124,7 @@ pub fn camera_of(id: usize, of: usize, width: usize, height: usize) -> Camera {
     Camera::look_at(center, [0.0; 3], [0.0, -1.0, 0.0], 0.875 * width as f64, width, height)
 }
 
-/// Whether two cameras are the same but for rounding.
+/// Asserts that two cameras are equal up to rounding.
 pub fn assert_close(found: &Camera, expected: &Camera) {
     let numbers = |camera: &Camera| -> Vec<f64> {
         let sizes = [camera.width as f64, camera.height as f64];
@@ -149,7 +149,7 @@ pub fn write_ply(path: &Path) {
     std::fs::write(path, text).unwrap();
 }
 
-/// `[w, x, y, z]` of a camera's rotation.
+/// Quaternion `[w, x, y, z]` of a camera's rotation.
 pub fn quat(camera: &Camera) -> [f64; 4] {
     let m = &camera.camera_from_world;
     // The largest component first (Shepperd 1978).
@@ -176,7 +176,7 @@ pub fn write_image(path: &Path, width: u32, height: u32, color: [u8; 3]) {
     image::RgbImage::from_pixel(width, height, image::Rgb(color)).save(path).unwrap();
 }
 
-/// Every image has one colour.
+/// The single colour of an image.
 pub fn color(id: usize, t: usize) -> [u8; 3] {
     [10 * id as u8, 100 * t as u8, 200]
 }
