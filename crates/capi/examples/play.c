@@ -4,7 +4,8 @@
      cc -I crates/capi/include crates/capi/examples/play.c target/release/libtcgs_c.a -lpthread -ldl -lm -o play
      ./play scene.tcgs
 
-   On Windows and macOS the libraries that follow libtcgs_c.a are others: cargo rustc -p tcgs-capi -- --print native-static-libs */
+   Windows and macOS need other libraries after libtcgs_c.a; this command lists them:
+   cargo rustc -p tcgs-capi -- --print native-static-libs */
 #include <stdio.h>
 #include <stdlib.h>
 

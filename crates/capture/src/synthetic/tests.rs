@@ -120,7 +120,7 @@ fn color_differences(capture: &Capture, mirror: bool) -> Vec<f32> {
 #[test]
 fn the_vase_shines_where_the_lamp_reflects_and_nothing_else_does() {
     let scene = SyntheticScene::at(0);
-    // The largest gain in brightness by reflections in an image, from a camera.
+    // For each camera: the largest gain in brightness by reflections, on the vase and elsewhere.
     let shines: Vec<[f64; 2]> = cameras(&SyntheticSettings::default())
         .iter()
         .map(|camera| {

@@ -79,8 +79,8 @@ impl SyntheticScene {
         dot(short, short) < NEAR * NEAR
     }
 
-    /// Display-referred colour of a surface along a ray: the view-independent part, and the lamp's reflection (Blinn
-    /// 1977) on glossy surfaces.
+    /// Display-referred colour of a surface along a ray: the view-independent part, and on glossy surfaces the lamp's
+    /// reflection (Blinn 1977).
     ///
     /// - `direction`: unit, towards the surface
     pub fn color_along(&self, direction: [f64; 3], hit: &Hit) -> [f64; 3] {
