@@ -1,8 +1,8 @@
 // From keypoints to activated values at one timestep. Values that do not move are in the buffer already.
 //
-//   interpolate one thread per moving unit: bisects for its two keypoints, dequantises, interpolates, activates
-//   normalize_quats one thread per Gaussian: normalises rotations whose components have times of their own
-//   hide one thread per Gaussian: sets the opacity to 0 outside its life
+// - interpolate: one thread per moving unit: bisects for its two keypoints, dequantises, interpolates, activates
+// - normalize_quats: one thread per Gaussian: normalises rotations whose components have times of their own
+// - hide: one thread per Gaussian: sets the opacity to 0 outside its life
 //
 // A unit is UNIT components that share their keypoint times: all components of an attribute, or one. The host puts the
 // constants UNIT, ACTIVATION and MOVES before this source. ACTIVATION is that of the interpolated values: EXP, SIGMOID
