@@ -34,7 +34,7 @@ pub struct CameraKeyframe {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CameraPathError {
-    /// A keyframe is nowhere in time.
+    /// The timestep of a keyframe is not finite.
     #[error("the timestep of a keyframe is {0}, expected a finite number")]
     Timestep(f64),
     /// There are no keyframes.
@@ -43,9 +43,9 @@ pub enum CameraPathError {
     /// The interpolated axes are no rotation, such as halfway between two opposite directions.
     #[error("between two keyframes, at timestep {timestep}, there is no camera: {problem}")]
     Between {
-        /// For which a camera was asked.
+        /// The timestep of the requested camera.
         timestep: f64,
-        /// What is wrong with the interpolated camera.
+        /// Why the interpolated camera is not valid.
         #[source]
         problem: CameraError,
     },
@@ -79,8 +79,8 @@ impl CameraPath {
 
     /// The camera at a timestep; before the first keyframe and after the last it stands still.
     ///
-    /// Centre, axes and intrinsics follow cubic Hermite splines whose slope at a keyframe is that of the parabola through
-    /// it and its neighbours. The interpolated axes are made orthonormal.
+    /// Centre, axes and intrinsics follow cubic Hermite splines whose slope at a keyframe is that of the parabola
+    /// through it and its neighbours. The interpolated axes are made orthonormal.
     ///
     /// - `size`: width and height of the picture, pixels; a picture of another shape than a keyframe's shows all that
     ///   the keyframe shows
@@ -112,8 +112,8 @@ impl CameraPath {
         numbers_of(&self.keyframes[index].camera.fitted(width, height))
     }
 
-    /// Slopes of the parabolas through a keyframe and its neighbours, at an end of the path the two nearest; of a path of
-    /// two keyframes, the slopes of the lines.
+    /// Slopes of the parabolas through a keyframe and its neighbours, at an end of the path the two nearest; of a path
+    /// of two keyframes, the slopes of the lines.
     fn slopes(&self, index: usize, size: [usize; 2]) -> [f64; NUMBERS] {
         let count = self.keyframes.len();
         if count == 2 {
@@ -135,8 +135,9 @@ impl CameraPath {
 }
 
 impl Camera {
-    /// The same view in a picture of another size, which shows at least all that this one shows: both focal lengths are
-    /// scaled by one factor, and the picture's middle stays in the middle. The same camera for the same size.
+    /// The same view in a picture of another size. Both focal lengths are scaled by one factor, and the picture's
+    /// middle stays in the middle, so the new picture shows at least everything that this one shows. The same size
+    /// gives the same camera.
     ///
     /// - `width`, `height`: pixels, at least 1
     pub fn fitted(&self, width: usize, height: usize) -> Self {

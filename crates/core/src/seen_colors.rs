@@ -9,12 +9,12 @@ use crate::{normalize, normalize_vjp};
 /// Most coefficients of a channel, of the degrees from 1 on.
 const MAX_COEFFICIENTS: usize = 15;
 
-/// What a timestep's harmonics are evaluated from.
+/// The inputs of a timestep's spherical harmonics.
 struct Seen<'a> {
     gaussians: &'a Gaussians,
     /// Values of each band with its coefficients of a channel.
     bands: Vec<(&'a [f32], usize)>,
-    /// Of the camera, in the world.
+    /// Position of the camera in the world.
     position: [f64; 3],
 }
 
@@ -42,8 +42,8 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// Colours that a camera sees: in the direction from it to the centres, at least 0 ([`color_in_direction`]). To be called
-/// for layouts with harmonics; without any, colours are drawn as they are stored, and those below 0 stay.
+/// Colours that a camera sees: in the direction from it to the centres, at least 0 ([`color_in_direction`]). To be
+/// called for layouts with harmonics; without any, colours are drawn as they are stored, and those below 0 stay.
 ///
 /// - `gaussians`: stored form
 /// - returns: `[N, 3]`, in place of [`Activated::colors`](crate::Activated::colors)
@@ -67,8 +67,8 @@ pub fn seen_colors(gaussians: &Gaussians, camera: &Camera) -> Vec<f32> {
     colors
 }
 
-/// Backward of [`seen_colors`]. *Overwrites* the gradients of the colours and of the harmonics, and *accumulates* to those of
-/// the means, on which the direction depends.
+/// Backward of [`seen_colors`]. *Overwrites* the gradients of the colours and of the harmonics, and *accumulates* to
+/// those of the means, on which the direction depends.
 ///
 /// - `gaussians`, `camera`: as given to `seen_colors`
 /// - `v_gaussians`: comes in with the gradient to the colours seen in the place of the colours

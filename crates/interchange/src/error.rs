@@ -30,8 +30,8 @@ pub enum InterchangeError {
         /// The message of the zip reader.
         problem: String,
     },
-    /// A file of Gaussians or points is damaged, lacks something or holds a number that is not finite; or the files of a
-    /// folder are no sequence.
+    /// A file of Gaussians or points is damaged, lacks something or holds a number that is not finite; or the files of
+    /// a folder are no sequence.
     #[error("{}: {}", path.display(), OneLine(problem))]
     File {
         /// The first file that is wrong, or the folder.

@@ -36,9 +36,10 @@ impl FileKind {
     }
 }
 
-/// Reads the Gaussians of one file in stored form: a PLY file of 3D Gaussian splatting or a compressed one, an SPZ file, or
-/// a glTF file with `KHR_gaussian_splatting`. All come in the axes of PLY files: x right, y down, z forward. A file's
-/// own axes are those of the settings, else those that it declares, else those of its kind ([`ReadSettings::axes`]).
+/// Reads the Gaussians of one file in stored form: a PLY file of 3D Gaussian splatting or a compressed one, an SPZ
+/// file, or a glTF file with `KHR_gaussian_splatting`. All come in the axes of PLY files: x right, y down, z forward. A
+/// file's own axes are those of the settings, else those that it declares, else those of its kind
+/// ([`ReadSettings::axes`]).
 ///
 /// ```no_run
 /// use tcgs_interchange::{ReadSettings, read_gaussians};
@@ -47,9 +48,9 @@ impl FileKind {
 /// ```
 ///
 /// # Errors
-/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not complete, has
-/// no Gaussian, or holds a number that is not finite; [`InterchangeError::Limit`] if it claims more memory than the
-/// settings allow. Infinite numbers that [`ReadNote::Replaced`](crate::ReadNote) names are replaced.
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not
+/// complete, has no Gaussian, or holds a number that is not finite; [`InterchangeError::Limit`] if it claims more
+/// memory than the settings allow. Infinite numbers that [`ReadNote::Replaced`](crate::ReadNote) names are replaced.
 pub fn read_gaussians(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     Ok(read_and_count(path, settings)?.0)
 }

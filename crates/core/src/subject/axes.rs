@@ -5,8 +5,8 @@ use std::array::from_fn;
 use super::quantile;
 use crate::{Camera, Gaussians, Pinhole, dot, sigmoid};
 
-/// Weight of the guess from depths against the axes of the cameras. Axes that differ by less than 3 degrees leave the depth
-/// of their meeting point to the guess.
+/// Weight of the guess from depths against the axes of the cameras. Axes that differ by less than 3 degrees leave the
+/// depth of their meeting point to the guess.
 const PARALLEL: f64 = 0.003;
 /// The same where the axes alone decide: exactly parallel ones still have a solution.
 const NO_WEIGHT: f64 = 1e-9;
@@ -16,8 +16,8 @@ const MAX_GAUSSIANS: usize = 20_000;
 
 /// The point nearest to all axes of the cameras, in least squares.
 ///
-/// A guess has a small weight: the depth of what the middle of the pictures shows. The guess decides where axes are parallel.
-/// Where axes meet behind the cameras it is the result.
+/// A guess has a small weight: the depth of what the middle of the pictures shows. The guess decides where axes are
+/// parallel. Where axes meet behind the cameras it is the result.
 pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 3] {
     let count = cameras.len() as f64;
     let mean = |of: &dyn Fn(&Camera) -> [f64; 3]| -> [f64; 3] {
@@ -48,8 +48,8 @@ pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 
     if 2 * cameras.iter().filter(is_before).count() >= cameras.len() { drawn(PARALLEL) } else { guess }
 }
 
-/// Median depth of the Gaussians in the middle half of the cameras' pictures, scene units; 1 if there are none. The weight of
-/// a Gaussian is the area that it covers.
+/// Median depth of the Gaussians in the middle half of the cameras' pictures, scene units; 1 if there are none. The
+/// weight of a Gaussian is the area that it covers.
 fn depth_seen(gaussians: &Gaussians, cameras: &[Camera]) -> f64 {
     let (stride, of_cameras) =
         (gaussians.num_gaussians().div_ceil(MAX_GAUSSIANS).max(1), cameras.len().div_ceil(MAX_CAMERAS).max(1));

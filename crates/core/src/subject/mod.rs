@@ -1,5 +1,6 @@
-//! The subject of a scene: the point at which views aim. It follows from what moves (here) or from the cameras (`axes`).
-//! `shown` measures whether a camera shows it. What does not live here: the cameras of a path ([`Tour`](crate::Tour)).
+//! The subject of a scene: the point at which views aim. It follows from what moves (here) or from the cameras
+//! (`axes`). `shown` measures whether a camera shows it. What does not live here: the cameras of a path
+//! ([`Tour`](crate::Tour)).
 
 mod axes;
 mod shown;
@@ -16,17 +17,18 @@ const SHARE_OF_FAST: f64 = 0.25;
 const MOVING: [f64; 2] = [5e-4, 0.5];
 /// Radius of what moves, in radii of the scene, above which it is spread over the scene and no subject.
 const MAX_SPREAD: f64 = 0.75;
-/// The subject's middle lies halfway between these quantiles along each axis. Of two people a median would choose one.
+/// The subject's middle lies halfway between these quantiles along each axis. A median would choose one of two people.
 const MIDDLE: [f64; 2] = [0.25, 0.75];
-/// Share of what moves that lies within the subject's radius.
+/// Share of the moving Gaussians within the subject's radius.
 const WITHIN: f64 = 0.6;
 
-/// Distance of a view from the middle, in radii of the scene's [`Extent`], without cameras and motion. A captured scene is
-/// mostly its surroundings, and the cameras that captured it stood just within them.
+/// Distance of a view from the middle, in radii of the scene's [`Extent`], without cameras and motion. A captured scene
+/// is mostly its surroundings, and the cameras that captured it stood just within them.
 pub(crate) const DISTANCE: f64 = 0.85;
 /// Distance of a view from what moves, in radii of what moves, if there are no cameras.
 const DISTANCE_OF_MOVING: f64 = 3.0;
-/// Least share of the Gaussians that lie nearer to the subject than such a view, so that a ball is seen with its surroundings.
+/// Least share of the Gaussians that lie nearer to the subject than such a view, so that a ball is seen with its
+/// surroundings.
 const BEFORE: f64 = 0.02;
 /// Least radius, scene units: a scene of one point too has to be looked at from somewhere.
 pub(crate) const MIN_RADIUS: f64 = 1e-3;

@@ -14,8 +14,8 @@ const SMOOTHING: f64 = 1.0 / 16.0;
 const MIN_SMOOTHING: f64 = 5.0 / 360.0 * TAU;
 /// The arc of a single camera and of cameras in a column, radians: 10 degrees.
 const MIN_ARC: f64 = 10.0 / 360.0 * TAU;
-/// Greatest angle between two keyframes of a path from camera to camera, radians. A chord of a longer arc would cut through
-/// the scene.
+/// Greatest angle between two keyframes of a path from camera to camera, radians. A chord of a longer arc would cut
+/// through the scene.
 const KEYFRAME: f64 = 30.0 / 360.0 * TAU;
 /// A camera of the path stands at least this far from the vertical through the subject, in heights above it, so that up
 /// stays up in the picture.
@@ -49,7 +49,8 @@ pub(super) struct Rig {
 enum Course {
     /// From camera to camera: the spline, its length, and where on it the first camera given stands.
     Stops { path: CameraPath, length: f64, start: f64 },
-    /// By the average over the nearest cameras: angles of the arc, the angle at which a turn begins, and the focal lengths.
+    /// By the average over the nearest cameras: angles of the arc, the angle at which a turn begins, and the focal
+    /// lengths.
     Average { arc: [f64; 2], start: f64, focal: [f64; 2] },
 }
 

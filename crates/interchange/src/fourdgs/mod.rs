@@ -1,4 +1,5 @@
-//! `.4dgs` files (<https://4dgs.dev>), read and written through the crate `fourdgs`: a whole scene over time in one file.
+//! `.4dgs` files (<https://4dgs.dev>), read and written through the crate `fourdgs`: a whole scene over time in one
+//! file.
 //!
 //! Their time is continuous: a Gaussian lives in a window of time, may move at a constant velocity, and may fade in and
 //! out. Here time has steps. Reading asks for the state at each step; writing gives a Gaussian a window of the steps at

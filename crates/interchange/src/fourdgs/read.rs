@@ -59,9 +59,9 @@ impl FourdgsFile {
     /// Reads a file.
     ///
     /// # Errors
-    /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is no whole `.4dgs` file, is of
-    /// a model or packed in a way that is not read, or has no Gaussian at any timestep; [`InterchangeError::Limit`] if
-    /// it claims more memory or timesteps than the settings allow.
+    /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is no whole `.4dgs`
+    /// file, is of a model or packed in a way that is not read, or has no Gaussian at any timestep;
+    /// [`InterchangeError::Limit`] if it claims more memory or timesteps than the settings allow.
     pub fn open(path: &Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
         let invalid = |problem: String| InterchangeError::File { path: path.into(), problem };
         let refused = |error: ::fourdgs::Error| invalid(format!("{}, expected a whole .4dgs file", one_line(&error)));
@@ -229,7 +229,8 @@ pub(super) fn gaussians_of(rows: &[Row], layout: &Arc<Layout>, step_alpha: f64) 
 
 /// How long a timestep is, by the windows of a file, seconds.
 ///
-/// Borders of windows are floats, so lengths err by more the later they are; the errors of neighbours cancel in the mean.
+/// Borders of windows are floats, so lengths err by more the later they are; the errors of neighbours cancel in the
+/// mean.
 fn frame_secs(windows: &[(f64, f64)]) -> f64 {
     let lengths = || windows.iter().map(|(from, to)| to - from).filter(|length| *length > 0.0);
     let shortest = lengths().fold(f64::INFINITY, f64::min);

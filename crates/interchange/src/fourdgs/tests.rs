@@ -26,7 +26,7 @@ fn expected(timestep: usize) -> Gaussians {
     gaussians
 }
 
-/// Fails where values are further apart than the finest profile promises: positions 2 % of the median scale, scales 0.5 %,
+/// Fails if values differ by more than the finest profile promises: positions 2 % of the median scale, scales 0.5 %,
 /// colours and opacities half of 1/255, a component of a rotation 0.0005, harmonics half of their 8 bits.
 fn compare(found: &Gaussians, expected: &Gaussians) {
     assert_eq!(found.num_gaussians(), expected.num_gaussians());

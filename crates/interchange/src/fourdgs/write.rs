@@ -7,13 +7,13 @@ use tcgs_core::{Attribute, Gaussians, normalize, sigmoid};
 use super::{Y_UP, one_line};
 use crate::axes::Axes;
 
-/// The bytes of a `.4dgs` file, of its finest profile. Errors beyond the rounding of floats are at most 2 % of the
+/// The bytes of a `.4dgs` file, in its finest profile. Errors beyond the rounding of floats are at most 2 % of the
 /// median scale in positions, 0.0005 in rotations, 0.5 % in scales. They are at most half of 1/255 in colours and
-/// opacities, half of 8/255 in harmonics. Colours are clamped to what the format holds, 0 to 1, harmonics to -4 to 4.
-/// The axes are those of glTF, and the file says so. At `t = k / frame_rate`, and until the next, a reader sees
-/// timestep `k`.
+/// opacities, half of 8/255 in harmonics. Colours are clamped to the format's range, 0 to 1, harmonics to -4 to 4. The
+/// axes are those of glTF, and the file says so. At `t = k / frame_rate`, and until the next, a reader sees timestep
+/// `k`.
 ///
-/// - `timesteps`: stored form, in the axes of PLY files, all of one layout; their number of Gaussians may change. Where it
+/// - `timesteps`: stored form, in the axes of PLY files, all of one layout. Their number of Gaussians may change; if it
 ///   does not, row `i` is the same Gaussian.
 /// - `frame_rate`: above 0
 /// - returns: the bytes, or what is wrong: the first error of `timesteps`, or one line of what the format cannot hold

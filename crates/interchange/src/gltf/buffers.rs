@@ -1,5 +1,5 @@
-//! The numbers of a glTF file: its buffers, and what accessors say of them. All places and counts are checked against the
-//! bytes that are there.
+//! The numbers of a glTF file: its buffers, and what accessors say of them. All places and counts are checked against
+//! the bytes that are there.
 
 use std::collections::BTreeMap;
 use std::io::Read;

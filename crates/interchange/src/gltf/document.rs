@@ -1,5 +1,5 @@
-//! The JSON of a glTF file, as far as Gaussians need it, and which primitives its scene shows. What does not live here: the
-//! numbers of accessors.
+//! The JSON of a glTF file, as far as Gaussians need it, and which primitives its scene shows. What does not live here:
+//! the numbers of accessors.
 
 use std::collections::BTreeMap;
 

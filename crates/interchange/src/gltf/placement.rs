@@ -33,8 +33,8 @@ impl Default for Placement {
 }
 
 impl Placement {
-    /// The placement of a node inside one of this placement; or what is wrong: a shear, a reflection, or scales that differ,
-    /// under which a Gaussian would need another shape for each.
+    /// The placement of a node inside this one. The error names a shear, a reflection, or unequal scales: under unequal
+    /// scales the shape of a Gaussian would depend on its rotation.
     pub fn then(&self, node: &Given) -> Result<Self, String> {
         let inner = node.placement()?;
         Ok(Self {

@@ -22,8 +22,8 @@ pub(crate) fn is_gltf(start: &[u8]) -> bool {
 /// primitives, one after another.
 ///
 /// # Errors
-/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not complete, shows no
-/// Gaussians, has them in a way that is not read, or holds a number out of range; [`InterchangeError::Limit`] if it
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not complete, shows
+/// no Gaussians, has them in a way that is not read, or holds a number out of range; [`InterchangeError::Limit`] if it
 /// claims more memory than the settings allow.
 pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };

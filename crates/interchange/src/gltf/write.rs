@@ -18,8 +18,8 @@ struct Written {
     component_type: u32,
 }
 
-/// Writes the Gaussians of one timestep as a `.glb` file with `KHR_gaussian_splatting`, with the harmonics that their layout
-/// has, for viewers of glTF. Further columns are left out. Equal Gaussians give equal bytes.
+/// Writes the Gaussians of one timestep as a `.glb` file with `KHR_gaussian_splatting`, with the harmonics that their
+/// layout has, for viewers of glTF. Further columns are left out. Equal Gaussians give equal bytes.
 ///
 /// - `writer`: should be buffered
 /// - `gaussians`: `[N]`, stored form, in the axes of PLY files; at least one
@@ -38,7 +38,8 @@ struct Written {
 /// ```
 ///
 /// # Errors
-/// The errors of `writer`; [`io::ErrorKind::InvalidInput`] if there are more than 4 GiB, which is all that such a file holds.
+/// The errors of `writer`; [`io::ErrorKind::InvalidInput`] if there are more than 4 GiB, which is all that such a file
+/// holds.
 pub fn write_glb_to(mut writer: impl Write, gaussians: &Gaussians) -> io::Result<()> {
     let written = attributes(gaussians);
     let (document, num_bytes) = document(gaussians, &written);

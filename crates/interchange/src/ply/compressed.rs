@@ -1,7 +1,7 @@
-//! The numbers of a compressed PLY file, which `SuperSplat` and splat-transform of `PlayCanvas` write.
+//! The values of a compressed PLY file, as written by `SuperSplat` and splat-transform of `PlayCanvas`.
 //!
-//! Three elements, of which the last may be missing. 256 rows of `vertex` in a row share a row of `chunk`, which says
-//! between which two numbers theirs lie; `unorm` of `b` bits is an integer over `2^b - 1`.
+//! There are three elements, of which the last may be missing. 256 consecutive rows of `vertex` share a row of `chunk`,
+//! which gives the range of their values; `unorm` of `b` bits is an integer over `2^b - 1`.
 //!
 //! | element | property | bits, from the highest | here |
 //! |---|---|---|---|

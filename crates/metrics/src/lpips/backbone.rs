@@ -91,9 +91,9 @@ pub(super) enum Step {
     Pool { size: usize, stride: usize },
 }
 
-/// What a convolution is like, but for its numbers.
+/// The shape of a convolution, without its weights.
 #[derive(Clone, Copy)]
-// Without the networks nobody asks for channels; sizes say how small an image may be.
+// Without the networks the channels are unused; the sizes give the smallest image.
 #[cfg_attr(not(feature = "lpips"), allow(dead_code))]
 pub(super) struct Shape {
     pub size: usize,

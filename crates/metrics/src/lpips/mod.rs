@@ -8,8 +8,8 @@
 //! ```
 //!
 //! Compared are the five layers `relu1_2 relu2_2 relu3_3 relu4_3 relu5_3` of VGG-16 or the five rectified ones of
-//! AlexNet. Pixels enter as `(x - shift) / scale` with shift (-0.030, -0.088, -0.188) and scale (0.458, 0.448, 0.450) for
-//! `x` in `[-1, 1]`; programs that forget to stretch `[0, 1]` to that are common, hence [`InputRange`].
+//! AlexNet. Pixels enter as `(x - shift) / scale` with shift (-0.030, -0.088, -0.188) and scale (0.458, 0.448, 0.450)
+//! for `x` in `[-1, 1]`; programs that forget to stretch `[0, 1]` to that are common, hence [`InputRange`].
 //!
 //! What lives here: the networks, run forward. What does not: their numbers, which come from a file.
 
@@ -31,13 +31,13 @@ use crate::{MetricsError, assert_same_shape};
 
 pub use self::backbone::Backbone;
 
-/// What a network is given for pixels in `[0, 1]`.
+/// A network's input for pixels in `[0, 1]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum InputRange {
     /// `2 x - 1`, which the metric was trained for.
     Signed,
-    /// `x` itself, as if it were in `[-1, 1]`: what `lpipsPyTorch`, and every evaluation built on it, measures. Half the
-    /// contrast around a brighter mean, so another metric.
+    /// `x` itself, as if it were in `[-1, 1]`: what `lpipsPyTorch`, and every evaluation built on it, measures. Half
+    /// the contrast around a brighter mean, so another metric.
     Unit,
 }
 

@@ -8,7 +8,7 @@ use super::layers::{Convolution, Features, max_pool};
 /// A network with its numbers.
 pub(super) struct Network {
     pub backbone: Backbone,
-    /// Those of the steps, in order.
+    /// The convolutions of the steps, in order.
     pub convolutions: Vec<Convolution>,
     /// For every compared layer, the weight of each channel.
     pub heads: Vec<Vec<f32>>,
