@@ -1,6 +1,6 @@
 //! One row of the element `vertex` in a PLY file of 3D Gaussian splatting, or of `sh` in a compressed one, as
-//! `serde_ply` reads it: binary of either byte order, or ASCII, with properties in any order. What does not live here:
-//! the interpretation of the numbers.
+//! `serde_ply` reads it. Files are binary of either byte order, or ASCII, with properties in any order. What does not
+//! live here: the interpretation of the numbers.
 
 use std::fmt;
 

@@ -20,11 +20,11 @@ use crate::{Axes, InterchangeError, ReadNote, ReadSettings, spz};
 /// Endings of the files that are timesteps. The content of such a file decides its format.
 const ENDINGS: [&str; 4] = ["ply", "spz", "glb", "gltf"];
 
-/// How far the median Gaussian may move from one file to the next, as a share of the median Gaussian's
-/// distance from the scene's middle; motion that all have in common is not counted.
+/// Largest motion of the median Gaussian from one file to the next, as a share of the median Gaussian's distance from
+/// the scene's middle. Common motion of all Gaussians does not count.
 ///
-/// Gaussians in random order come to 1.4. A rigid body comes to this if it turns by 30 degrees within one
-/// frame, and no codec gains anything from tracks that jump like that.
+/// Gaussians in random order reach 1.4. A rigid body reaches this limit if it turns by 30 degrees within one frame, and
+/// no codec profits from tracks with such jumps.
 const MAX_JUMP: f32 = 0.5;
 
 /// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, or glTF. The number of Gaussians
