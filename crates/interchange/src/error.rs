@@ -1,4 +1,4 @@
-//! The crate's error: what is wrong with another program's file.
+//! The crate's error: the problem with another program's file.
 
 use std::{fmt, io, path::PathBuf};
 
@@ -71,7 +71,7 @@ pub enum InterchangeError {
     },
 }
 
-/// A text in which names and types of the file may stand, and with them line breaks.
+/// A text that may contain names and types of the file, and with them line breaks.
 struct OneLine<'a>(&'a str);
 
 impl fmt::Display for OneLine<'_> {

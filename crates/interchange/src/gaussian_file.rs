@@ -1,4 +1,4 @@
-//! One file of Gaussians at one timestep, of any kind that is read. Its content says which.
+//! One file of Gaussians at one timestep, of any supported kind. Its content determines the kind.
 
 use std::io::Read;
 use std::path::Path;
@@ -19,7 +19,7 @@ pub(crate) enum FileKind {
 }
 
 impl FileKind {
-    /// By the first bytes.
+    /// The kind according to the first bytes.
     fn of(path: &Path) -> Result<Self, InterchangeError> {
         let mut start = Vec::new();
         let read = input::open(path)?.0.take(64).read_to_end(&mut start);
@@ -55,7 +55,7 @@ pub fn read_gaussians(path: &Path, settings: ReadSettings) -> Result<Gaussians, 
     Ok(read_and_count(path, settings)?.0)
 }
 
-/// [`read_gaussians`], and how many numbers were replaced.
+/// [`read_gaussians`], with the number of replaced numbers.
 pub(crate) fn read_and_count(path: &Path, settings: ReadSettings) -> Result<(Gaussians, Replaced), InterchangeError> {
     let gaussians = match FileKind::of(path)? {
         FileKind::Ply => ply::read_unchecked(path, settings),
@@ -65,10 +65,10 @@ pub(crate) fn read_and_count(path: &Path, settings: ReadSettings) -> Result<(Gau
     checked(path, gaussians?)
 }
 
-/// The kind of a file, and what its header says.
+/// The kind of a file, and its header's data.
 ///
 /// # Errors
-/// As [`read_gaussians`], but for what only the numbers show.
+/// As [`read_gaussians`], except for errors that only the numbers show.
 pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<(FileKind, Head), InterchangeError> {
     let kind = FileKind::of(path)?;
     let head = match kind {

@@ -1,4 +1,4 @@
-//! How much of a subject a camera shows, and which camera to begin with.
+//! The share of a subject that a camera shows, and the choice of the first camera.
 
 use super::{Subject, far};
 use crate::{Activated, Camera, Pinhole, dot, rotmat_from_unit_quat};

@@ -1,4 +1,4 @@
-//! Cameras on a path around a scene: among the cameras of its capture (`rig`), or around a scene that brings none.
+//! Cameras on a path around a scene: among the cameras of its capture (`rig`), or around a scene without cameras.
 
 mod rig;
 
@@ -26,7 +26,7 @@ const NEAREST: f64 = 0.65;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tour {
-    /// One turn at one height; among cameras at theirs.
+    /// One turn at one height; among cameras, at their heights.
     Orbit,
     /// Two turns that come closer; without cameras also rising.
     Spiral,
@@ -92,7 +92,7 @@ impl Tour {
             .collect()
     }
 
-    /// Cameras on a circle or a spiral, without others to keep to.
+    /// Cameras on a circle or a spiral, for a scene without cameras.
     fn around(self, center: [f64; 3], distance: f64, up: [f64; 3], count: usize, size: [usize; 2]) -> Vec<Camera> {
         let [right, up, forward] = upright_axes(up);
         let [width, height] = size;
@@ -113,9 +113,9 @@ impl Tour {
     }
 }
 
-/// The camera moved towards the subject, its direction kept.
+/// The camera moved towards the subject, in the same direction.
 ///
-/// - `share`: of its distance that is left
+/// - `share`: share of its distance that remains
 fn closer(camera: &Camera, subject: &Subject, share: f64) -> Camera {
     let center = camera.center();
     let position = std::array::from_fn(|i| subject.center[i] + share * (center[i] - subject.center[i]));

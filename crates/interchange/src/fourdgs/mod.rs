@@ -21,7 +21,7 @@
 //! harmonics.
 //!
 //! A file that says `y-up-right-handed` has the axes of glTF; any other has those of PLY files, as in the format's own
-//! converter. Written files say it. Streams packed by Zstandard are not read.
+//! converter. Written files say it. Streams compressed by Zstandard are not read.
 
 mod bounds;
 mod read;
@@ -34,7 +34,7 @@ pub use write::fourdgs_bytes;
 /// The coordinate system of glTF, by its name in these files.
 const Y_UP: &str = "y-up-right-handed";
 
-/// One line of what the crate says.
+/// One line of the crate's message.
 fn one_line(error: &::fourdgs::Error) -> String {
     error.to_string().replace('\n', " ")
 }

@@ -15,7 +15,7 @@
 //! files, so positions, rotations and harmonics turn by 180 degrees about z. Numbers are floats, or integers as glTF
 //! quantises.
 //!
-//! An opacity of 1 has no logit; it is read as the largest below 1 that a float can be told from. Activation rounds: a
+//! An opacity of 1 has no logit; it is read as the largest float that is distinguishable from 1. Activation rounds: a
 //! log scale comes back within 2e-7, the opacity of a logit within 6e-8.
 //!
 //! Facts: the extension as ratified by the Khronos Group (README of `KHR_gaussian_splatting`, 2026), in which scales

@@ -14,7 +14,7 @@ struct Written {
     name: String,
     components: usize,
     bytes: Vec<u8>,
-    /// 5126 of floats, 5121 of bytes that stand for a share of 1.
+    /// 5126 for floats, 5121 for normalised bytes.
     component_type: u32,
 }
 
@@ -67,7 +67,7 @@ fn attributes(gaussians: &Gaussians) -> Vec<Written> {
         let bytes = values.into_iter().flat_map(f32::to_le_bytes).collect();
         Written { name, components, bytes, component_type: 5126 }
     };
-    // Where a rotation has no direction it is none, as in renderers.
+    // A rotation without a direction becomes the identity, as in renderers.
     let rotation = |quat: &[f32; 4]| match normalize(quat.map(f64::from)) {
         [0.0, 0.0, 0.0, 0.0] => [0.0, 0.0, 0.0, 1.0],
         [w, x, y, z] => [x, y, z, w].map(|x| x as f32),

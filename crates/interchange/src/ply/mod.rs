@@ -68,7 +68,7 @@ pub fn read_ply(path: &Path, settings: ReadSettings) -> Result<Gaussians, Interc
     Ok(checked(path, read_unchecked(path, settings)?)?.0)
 }
 
-/// [`read_ply`] of numbers that need not be finite.
+/// [`read_ply`], where numbers need not be finite.
 pub(crate) fn read_unchecked(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let (mut ply, head) = open(path, settings)?;
     let sh_degree = head.layout.sh_degree();

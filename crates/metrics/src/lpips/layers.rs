@@ -79,7 +79,7 @@ impl Convolution {
     /// - `margin`: of the result
     ///
     /// # Panics
-    /// If the input's channels or margin are not what this convolution needs, or it is smaller than the window.
+    /// If the input's channels or margin do not fit this convolution, or the input is smaller than the window.
     pub fn apply(&self, input: &Features, margin: usize) -> Features {
         let &Self { size, stride, padding, in_channels, out_channels, .. } = self;
         assert_eq!((input.channels, input.margin), (in_channels, padding), "channels and margin of the input");
@@ -115,7 +115,7 @@ impl Convolution {
     }
 }
 
-/// The largest value of each channel in windows of `size`, every `stride` pixels; what fills no window is dropped.
+/// The largest value of each channel in windows of `size`, every `stride` pixels; a partial window is dropped.
 ///
 /// - `margin`: of the result
 ///

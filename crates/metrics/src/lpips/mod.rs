@@ -1,4 +1,4 @@
-//! LPIPS: how different two images look to a network that was trained on images (Zhang et al. 2018), version 0.1.
+//! LPIPS: the perceptual distance of two images according to a trained network (Zhang et al. 2018), version 0.1.
 //!
 //! With `a` and `b` the features of the two images after a rectified layer `l`, of unit length over the channels at
 //! every pixel, and `w_l` the learned weights of its channels:
@@ -36,12 +36,12 @@ pub use self::backbone::Backbone;
 pub enum InputRange {
     /// `2 x - 1`, which the metric was trained for.
     Signed,
-    /// `x` itself, as if it were in `[-1, 1]`: what `lpipsPyTorch`, and every evaluation built on it, measures. Half
-    /// the contrast around a brighter mean, so another metric.
+    /// `x` itself, as if it were in `[-1, 1]`: the input of `lpipsPyTorch`, and of every evaluation built on it. It has
+    /// half the contrast around a brighter mean, so it is another metric.
     Unit,
 }
 
-/// The metric, with the numbers of its two networks. There is none without feature `lpips`.
+/// The metric, with the weights of its two networks. It does not exist without feature `lpips`.
 pub struct Lpips {
     #[cfg(feature = "lpips")]
     vgg: network::Network,

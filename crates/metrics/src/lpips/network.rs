@@ -5,7 +5,7 @@ use tcgs_core::Image;
 use super::backbone::{Backbone, Step};
 use super::layers::{Convolution, Features, max_pool};
 
-/// A network with its numbers.
+/// A network with its weights.
 pub(super) struct Network {
     pub backbone: Backbone,
     /// The convolutions of the steps, in order.
