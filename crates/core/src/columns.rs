@@ -211,8 +211,8 @@ impl<Role> Columns<Role> {
         selected
     }
 
-    /// The coefficients of spherical harmonics from degree 1 on, in the order of other programs: `[N, (degree + 1)² -
-    /// 1, 3]` with all degrees of one Gaussian together; empty without harmonics.
+    /// The coefficients of spherical harmonics from degree 1 on, in the order of other programs:
+    /// `[N, (degree + 1)² - 1, 3]` with all degrees of one Gaussian together; empty without harmonics.
     ///
     /// ```
     /// use tcgs_core::{Gaussians, Layout};

@@ -247,8 +247,8 @@ impl Layout {
         self.columns[..attribute.index()].iter().map(Column::components).sum()
     }
 
-    /// Size as plain 32-bit floats of a scene in which only the columns that vary by the layout do vary: `N * (40 * T +
-    /// 16)` for the five columns of [`Attribute::BASE`].
+    /// Size as plain 32-bit floats of a scene in which only the columns that vary by the layout do vary:
+    /// `N * (40 * T + 16)` for the five columns of [`Attribute::BASE`].
     ///
     /// ```
     /// assert_eq!(tcgs_core::Layout::base().raw_bytes(10, 3), 10 * (40 * 3 + 16));

@@ -145,8 +145,8 @@ impl WebViewer {
         }))
     }
 
-    /// The scene according to its file, null while no scene is open: `{name, generator, numGaussians, numTimesteps,
-    /// firstFrame, frameRate, bytes, cameras, credits, times}`.
+    /// The scene according to its file, null while no scene is open:
+    /// `{name, generator, numGaussians, numTimesteps, firstFrame, frameRate, bytes, cameras, credits, times}`.
     ///
     /// - `cameras`: each in the form of `camera()`, with `name` and `position` besides
     /// - `credits`: `{licence, authors, source}` or null
@@ -322,9 +322,9 @@ impl WebViewer {
         Ok(())
     }
 
-    /// Draws a picture of the canvas' size once the due timestep has arrived, and resolves to `{width, height,
-    /// timestep, data}`, where `data` is RGBA in rows from the top. Rejects with the code `aborted` if another scene is
-    /// opened meanwhile.
+    /// Draws a picture of the canvas' size once the due timestep has arrived, and resolves to
+    /// `{width, height, timestep, data}`, where `data` is RGBA in rows from the top. Rejects with the code `aborted` if
+    /// another scene is opened meanwhile.
     #[wasm_bindgen(unchecked_return_type = "Promise<object>")]
     pub fn capture(&self) -> Promise {
         let state = self.state.clone();

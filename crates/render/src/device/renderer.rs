@@ -85,8 +85,8 @@ impl Capacity {
         2 * (self.num_tiles + 1) + self.num_buckets()
     }
 
-    /// 32-bit values of forward's checkpoints before each bucket, for every pixel of its tile: `[buckets, 1 + C,
-    /// PIXELS]`.
+    /// 32-bit values of forward's checkpoints before each bucket, for every pixel of its tile:
+    /// `[buckets, 1 + C, PIXELS]`.
     pub fn checkpoints_len(&self) -> usize {
         self.num_buckets() * (1 + self.num_channels) * TILE * TILE
     }
