@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Builds the player's page: static files in web/dist, which any host can serve and which a later build of `tcgs` carries
-# for `tcgs view`. Needs Rust alone; scripts/build_wasm.sh gets what else it takes.
+# Builds the player's page: static files in web/dist, which any host can serve and which a later build of `tcgs`
+# includes for `tcgs view`. Needs Rust alone; scripts/build_wasm.sh gets the other tools.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 
-# Everything that a browser loads, compressed.
+# Limit for all files that a browser loads, compressed.
 MAX_BYTES=3000000
 
 made=$(mktemp -d)
@@ -13,7 +13,7 @@ chmod 755 "$made"
 cp src/* "$made"
 ../scripts/build_wasm.sh "$made/engine"
 ../scripts/build_wasm.sh "$made/decoder" js
-# For programmers of the page alone.
+# Types are for programmers of the page alone.
 rm -f "$made"/engine/*.d.ts
 
 total=0

@@ -5,8 +5,8 @@ const [WIDTH, HEIGHT, MARGIN] = [240, 48, 3];
 /**
  * Points of a line in a box of `WIDTH` x `HEIGHT`, `x,y x,y …`; y points down.
  * @param {[number, number][]} points finite; x ascends
- * @param {{log?: boolean, range?: [number, number]}} options `log`: by the logarithm, if all values are above 0; `range`: of
- *   values, otherwise that of the points
+ * @param {{log?: boolean, range?: [number, number]}} options `log`: logarithmic, if all values are above 0; `range`:
+ *   range of values, otherwise that of the points
  */
 export function line(points, { log = false, range } = {}) {
   const [first, last] = [points[0][0], points.at(-1)[0]];
@@ -21,7 +21,7 @@ export function line(points, { log = false, range } = {}) {
   return places.map((place) => place.map((x) => x.toFixed(1)).join(",")).join(" ");
 }
 
-/** A number with three digits that count. */
+/** A number with three significant digits. */
 export const digits = (value) => String(Number(value.toPrecision(3)));
 
 const svg = (name, attributes) => {
@@ -31,10 +31,11 @@ const svg = (name, attributes) => {
 };
 
 /**
- * A curve that can be shown anew: `{figure, show(points)}`. Without points nothing shows.
+ * A curve that can be redrawn: `{figure, show(points)}`. Without points it is hidden.
  * @param {string} name such as `Loss`
  * @param {string} over what x counts, such as `iterations`
- * @param {{unit?: string, log?: boolean, range?: [number, number], factor?: number}} options `factor`: of the values in words
+ * @param {{unit?: string, log?: boolean, range?: [number, number], factor?: number}} options `factor`: multiplies the
+ *   values in words
  */
 export function chart(name, over, { unit = "", factor = 1, ...how } = {}) {
   const figure = document.createElement("figure");

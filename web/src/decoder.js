@@ -1,17 +1,17 @@
-// The decoder of .tcgs scenes alone: the Gaussians of a timestep as typed arrays, in browsers, workers and Node, without a GPU.
-// docs/PLAYER.md describes it.
+// The decoder of .tcgs scenes alone: the Gaussians of a timestep as typed arrays, in browsers, workers and Node,
+// without a GPU. docs/PLAYER.md describes it.
 
 import initialise, { Decoder } from "./decoder/tcgs_js.js";
 
 /**
- * What a file says of its scene.
+ * The file's description of its scene.
  * @typedef {object} SceneInfo
  * @property {string} name of the capture; may be empty
  * @property {number} numTimesteps timesteps, counted from 0
  * @property {number} maxGaussians most Gaussians that live at one timestep
  * @property {number} frameRate timesteps per second; 0 if the file does not say
  * @property {number} shDegree degree of the spherical harmonics, 0 to 3
- * @property {boolean} antialiased whether a splat that is widened by a pixel's extent gives up as much opacity
+ * @property {boolean} antialiased whether a splat that is widened by a pixel's extent loses as much opacity
  * @property {Float32Array} up unit vector that points up, -y where the file does not say; axes are right-handed
  * @property {Float32Array} boundsMin smallest coordinates of all centres at all timesteps, scene units
  * @property {Float32Array} boundsMax largest coordinates
@@ -25,8 +25,10 @@ import initialise, { Decoder } from "./decoder/tcgs_js.js";
  * @property {Float32Array} quats [N, 4] unit rotations: w, x, y, z
  * @property {Float32Array} scales [N, 3] standard deviations along the axes, scene units
  * @property {Float32Array} opacities [N] 0 to 1
- * @property {Float32Array} colors [N, 3] red, green, blue; of harmonics what does not depend on the direction
- * @property {Float32Array} harmonics [N, (shDegree + 1)² - 1, 3] coefficients of degree 1 and above; empty where shDegree is 0
+ * @property {Float32Array} colors [N, 3] red, green, blue; with harmonics the part that does not depend on the
+ *   direction
+ * @property {Float32Array} harmonics [N, (shDegree + 1)² - 1, 3] coefficients of degree 1 and above; empty if shDegree
+ *   is 0
  */
 
 /**
@@ -54,7 +56,7 @@ export class Scene {
 
   /**
    * The Gaussians at a timestep; fastest if successive calls ask for successive timesteps. Reads or fetches only the
-   * parts of the file that this takes.
+   * necessary parts of the file.
    * @param {number} timestep from 0
    * @returns {Promise<Gaussians>}
    */
@@ -67,7 +69,8 @@ export class Scene {
   }
 
   /**
-   * What programs attached to the scene, by name: `tcgs.credits` and `tcgs.views` are JSON in UTF-8, for one (docs/FORMAT.md).
+   * Data that programs attached to the scene, by name: `tcgs.credits` and `tcgs.views`, for example, are JSON in UTF-8
+   * (docs/FORMAT.md).
    * @returns {Promise<Map<string, Uint8Array>>} empty if there is nothing
    */
   async data() {
@@ -79,7 +82,7 @@ export class Scene {
    * @returns {Promise<any>}
    */
   #patiently(call) {
-    // One after the other: the decoder says what it lacks of the last call alone.
+    // One call after the other, because the decoder reports the missing bytes of the last call alone.
     const done = this.#turn.then(() => patiently(this.#decoder, this.#source, call));
     this.#turn = done.then(
       () => {},
@@ -128,7 +131,7 @@ function load() {
 }
 
 /**
- * Makes a call again until it lacks no bytes.
+ * Repeats a call until no bytes are missing.
  * @param {Decoder} decoder
  * @param {Source} source
  * @param {() => object | undefined} call
@@ -176,13 +179,13 @@ async function reader(source, signal) {
     return { name: "", length: bytes.length, read };
   }
   const address = String(source);
-  // Pages and workers have a location, which addresses may be relative to. Other programs have a working directory.
+  // Pages and workers have a location, to which addresses may be relative. Other programs have a working directory.
   const isRemote = globalThis.location !== undefined || /^(https?|blob|data):/i.test(address);
   return isRemote ? remote(address, signal) : local(address);
 }
 
 /**
- * A file of this machine, by ranges. It is open during reads only, so a scene may be left without `close`.
+ * A file of this machine, by ranges. It is open during reads only, so a scene needs no `close`.
  * @param {string} path absolute, relative to the working directory, or a `file:` address
  * @returns {Promise<Source>}
  */
@@ -211,7 +214,7 @@ async function local(path) {
 const FIRST_BYTES = 1 << 18;
 
 /**
- * A file behind an address: by ranges, or as a whole from a server that knows none.
+ * A file behind an address: by ranges, or whole from a server without range requests.
  * @param {string} address
  * @param {AbortSignal} [signal]
  * @returns {Promise<Source>}

@@ -1,10 +1,11 @@
-// <tcgs-player src="scene.tcgs"></tcgs-player>: the player as an element of a page of your own. docs/PLAYER.md describes it.
+// <tcgs-player src="scene.tcgs"></tcgs-player>: the player as an element of a page of your own. docs/PLAYER.md
+// describes it.
 
 import { TcgsPlayer } from "./tcgs-player.js";
 
 export { TcgsPlayer };
 
-/** Events of the player, which the element passes on. */
+/** Events of the player, which the element forwards. */
 const EVENTS = ["ready", "load", "error", "play", "pause", "timestep"];
 
 // A constructed sheet, because a page's Content-Security-Policy may forbid <style>.
@@ -16,13 +17,13 @@ STYLE.replaceSync(`
 `);
 
 /**
- * Attributes are those of the page's address, such as `src`, `controls="false"`, `autoplay="false"`, `theme="dark"`; a `src`
- * that changes is opened. Methods are those of `player`.
+ * Attributes are those of the page's address, such as `src`, `controls="false"`, `autoplay="false"`, `theme="dark"`. A
+ * changed `src` is opened. Methods are those of `player`.
  */
 export class TcgsPlayerElement extends HTMLElement {
   static observedAttributes = ["src"];
 
-  /** The player within; null while the element is in no page. @type {TcgsPlayer | null} */
+  /** The player inside; null while the element is in no page. @type {TcgsPlayer | null} */
   player = null;
 
   constructor() {
@@ -50,7 +51,7 @@ export class TcgsPlayerElement extends HTMLElement {
 
   /** @param {string} _name @param {string | null} before @param {string | null} now */
   attributeChangedCallback(_name, before, now) {
-    // A failure is told by the event `error`.
+    // The event `error` reports a failure.
     if (this.player && now !== null && now !== before) this.player.load(now).catch(() => {});
   }
 }

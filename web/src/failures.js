@@ -1,4 +1,4 @@
-// The words for errors, for people: a title, what it means and what helps. The engine knows the codes alone
+// The text of errors for people: a title, the meaning and a remedy. The engine knows only the codes
 // (crates/play/src/error.rs).
 
 const FAILURES = {

@@ -1,15 +1,15 @@
-// The cameras of a capture, drawn over the scene: a frustum of lines for each, with its image at the end of it.
+// The cameras of a capture, drawn over the scene: a frustum of lines for each, with its image at the far end.
 //
-// They are drawn by the page and not by the engine, so Gaussians do not hide them. The images are elements whose place is a
-// projective transform of CSS: the browser resamples them. docs/PLAYER.md says what stands in the file of cameras.
+// The page draws them, not the engine, so Gaussians do not hide them. The images are elements placed by a projective
+// transform of CSS; the browser resamples them. docs/PLAYER.md describes the file of cameras.
 
 import { element, toast } from "./ui.js";
 
-/** What key C goes through. */
+/** The views that key C cycles through. */
 const SHOWN = ["cameras with their images", "cameras", "no cameras"];
 const LINE = "#6cb6ff";
 const TOP = "#ffb454";
-/** Nearer than this share of a frustum's depth nothing is drawn. */
+/** Near plane: share of a frustum's depth within which nothing is drawn. */
 const NEAR = 0.02;
 /** A viewer this near to a camera, in frustum depths, looks through it: its image lets the scene show. */
 const INSIDE = 0.1;
@@ -19,7 +19,7 @@ const INSIDE = 0.1;
  *
  * @param {import("./player.js").Player} player
  * @param {string | null} source address of the file; null: there is none
- * @param {boolean} starts whether the file's start view is taken
+ * @param {boolean} starts whether the file's start view is used
  * @returns {{toggle: () => void}} `toggle` shows less, and after nothing everything
  */
 export function frusta(player, source, starts) {
@@ -51,7 +51,7 @@ export function frusta(player, source, starts) {
   element("toggle-frusta").addEventListener("click", toggle);
   player.addEventListener("frame", draw);
   window.addEventListener("resize", draw);
-  // They are of the first scene alone.
+  // They belong to the first scene alone.
   let first = true;
   player.addEventListener("load", async () => {
     if (first && source) {
@@ -76,7 +76,7 @@ export function frusta(player, source, starts) {
   return { toggle };
 }
 
-/** Cameras with their image elements, from what the file has. Throws if it is of another form. */
+/** Cameras of the file, with their image elements. Throws if the file has another form. */
 function read({ cameras, depth }) {
   const isCamera = ({ width, height, fx, fy, cx, cy, cameraFromWorld }) =>
     [width, height, fx, fy, cx, cy, ...cameraFromWorld].every(Number.isFinite) && cameraFromWorld.length === 16;
@@ -88,7 +88,7 @@ function read({ cameras, depth }) {
     image.alt = `Camera ${camera.name}`;
     image.draggable = false;
     image.hidden = true;
-    // No other address: the file may be a stranger's.
+    // Other addresses are refused, because the file may be a stranger's.
     if (camera.image?.startsWith("data:image/")) image.src = camera.image;
     [image.style.width, image.style.height] = [`${camera.width}px`, `${camera.height}px`];
     return { ...camera, image };
@@ -132,7 +132,8 @@ function drawCamera(context, camera, view, depth, mode) {
 }
 
 /**
- * From places `[u, v, 1]` of a camera's image, put at the frustum's depth, and `[0, 0, 0]` for its centre, to the viewer.
+ * Maps places `[u, v, 1]` of a camera's image, put at the frustum's depth, and `[0, 0, 0]` for its centre, to the
+ * viewer.
  *
  * `of` gives axes x right, y down, z forward in scene units; `matrix` the homography to CSS pixels, in rows.
  */
@@ -140,7 +141,7 @@ function inView({ cameraFromWorld: m, fx, fy, cx, cy }, view, depth) {
   const v = view.cameraFromWorld;
   const row = (matrix, i) => matrix.slice(4 * i, 4 * i + 3);
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-  // Rotation from the camera to the viewer, and the camera's centre as the viewer has it.
+  // Rotation from the camera to the viewer, and the camera's centre in the viewer's axes.
   const turn = [0, 1, 2].map((i) => [0, 1, 2].map((j) => dot(row(v, i), row(m, j))));
   const center = [0, 1, 2].map((i) => v[4 * i + 3] - dot(turn[i], [m[3], m[7], m[11]]));
   // A pixel's ray is [(u - cx) / fx, (v - cy) / fy, 1].
@@ -155,12 +156,12 @@ function inView({ cameraFromWorld: m, fx, fy, cx, cy }, view, depth) {
   return { of, matrix };
 }
 
-/** Where the viewer sees something, CSS pixels. */
+/** Projection to the viewer, CSS pixels. */
 function pixel([x, y, z], { fx, fy, cx, cy, scale }) {
   return [scale[0] * ((fx * x) / z + cx), scale[1] * ((fy * y) / z + cy)];
 }
 
-/** A line between two places before the viewer; what lies behind is cut off. */
+/** A line between two places, clipped to the part in front of the viewer. */
 function line(context, a, b, view, depth) {
   const near = NEAR * depth;
   if (a[2] < near && b[2] < near) return;

@@ -110,7 +110,7 @@ function holding(player) {
     if (held.size === 0) requestAnimationFrame(tick);
     held.add(name);
   });
-  // While another window has the focus this page is not told of released keys.
+  // A page without the focus is not told of released keys.
   window.addEventListener("blur", () => held.clear());
   window.addEventListener("keyup", (event) => {
     const code = nameOf(event)?.split(" ")[0];

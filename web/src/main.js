@@ -1,4 +1,4 @@
-// Puts the page together and opens the scene that the address names.
+// Assembles the page and opens the scene that the address names.
 
 import { pathFromJson } from "./camera_path.js";
 import { listenToEmbedder } from "./embed.js";
@@ -27,10 +27,10 @@ viewsMenu(player);
 const { toggleStatistics } = moreMenu(player, { choose, stats: params.stats, theme: params.theme });
 const { toggle: toggleSound } = sound(player);
 const named = (what) => document.querySelector(`meta[name=tcgs-${what}]`).content;
-// Those that the page names belong to the scene that it names.
+// Cameras named by the page belong to the scene that the page names.
 const cameras = params.cameras ?? (params.src === null ? named("cameras") : "");
 const { toggle: toggleFrusta } = frusta(player, cameras || null, params.view === null);
-// A training that the page belongs to, unless the address names another scene.
+// The page's training, unless the address names another scene.
 const train = params.src === null && named("train");
 const { toggle: toggleCurves } = train ? training(player, train, params) : { toggle: () => {} };
 listenForMoves(element("canvas"), player);

@@ -1,4 +1,4 @@
-// The menu of views and camera paths, and the menu of everything that is needed rarely.
+// The menu of views and camera paths, and the menu of rarely needed commands.
 
 import { pathToJson } from "./camera_path.js";
 import { CameraPath } from "./engine/tcgs_play.js";
@@ -55,7 +55,7 @@ export function addToPath(player) {
 /** @param {import("./player.js").Player} player */
 export async function saveStill(player) {
   if (!player.info) return;
-  // Another scene may be opened before the picture is there.
+  // Another scene may be opened before the picture is ready.
   const name = (player.info.name || nameOf(player.source)).replace(/\.tcgs$/, "");
   try {
     const { width, height, timestep, data } = await player.capture();

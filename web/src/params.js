@@ -1,4 +1,4 @@
-// What the page's address asks for: ?src=…&view=2&speed=0.5 and so on (docs/PLAYER.md has the table).
+// Parameters of the page's address: ?src=…&view=2&speed=0.5 and so on (docs/PLAYER.md has the table).
 
 const flag = (text, otherwise) => (text === null ? otherwise : !["0", "false", "no", "off"].includes(text));
 

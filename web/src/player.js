@@ -1,23 +1,23 @@
-// Drives the engine on a canvas: decides when a frame is drawn and at how many pixels, and tells the other modules by
-// events.
+// Drives the engine on a canvas: decides when a frame is drawn and at how many pixels, and sends events to the other
+// modules.
 
 import init, { CameraPath, Viewer } from "./engine/tcgs_play.js";
 import { AdaptiveResolution } from "./resolution.js";
 
 /** Milliseconds after the last change until all pixels are drawn. */
 const SETTLE_MS = 200;
-/** Frames drawn before the page rests: the engine learns some frames later whether its buffers had room for all splats. */
+/** Frames drawn before the page rests: the engine learns some frames later whether its buffers held all splats. */
 const STILL_FRAMES = 3;
-/** Longest data of applications that are fetched, bytes. */
+/** Longest application data that are fetched, bytes. */
 const MAX_ATTACHED = 1 << 26;
-/** Frames by which the GPU may be behind while something moves. */
+/** Frames by which the GPU may lag while something moves. */
 const MAX_PENDING = 1;
 
 /**
  * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (the first picture of a scene can be drawn), `replace`
- * (likewise, of a scene that took another one's place), `frame` (a
- * frame was drawn; its state is `player.state`), `change` (of settings, of playing, or of the path), `lost` (the path has
- * no camera at the timestep and is followed no longer), `failure` (`detail`: the error).
+ * (the same for a scene that replaces another), `frame` (a frame was drawn; its state is `player.state`), `change` (of
+ * settings, of playing, or of the path), `lost` (the path has no camera at the timestep and is no longer followed),
+ * `failure` (`detail`: the error).
  */
 export class Player extends EventTarget {
   /** Whether the camera follows the path. A drag on the scene or a key ends that. */
@@ -26,11 +26,11 @@ export class Player extends EventTarget {
   path = null;
   speed = 1;
   loop = true;
-  /** What the engine says of the scene; null: no scene. */
+  /** The engine's description of the scene; null: no scene. */
   info = null;
   /** Camera of the start view; null: the engine's. */
   home = null;
-  /** What the engine says of the last frame. */
+  /** The engine's report on the last frame. */
   state = null;
   /** Frames drawn in the last second; null while nothing moves. */
   rate = null;
@@ -41,7 +41,7 @@ export class Player extends EventTarget {
   #starting = null;
   #opening = false;
   #replacing = false;
-  /** Number of calls of `open`: a scene that was replaced while it was opened is dropped. */
+  /** Number of calls of `open`: a scene that is replaced while opening is dropped. */
   #turn = 0;
   #source = null;
   #resolution = new AdaptiveResolution();
@@ -49,7 +49,7 @@ export class Player extends EventTarget {
   /** Number of frames drawn at all pixels since the last change. */
   #still = 0;
   #last = null;
-  /** Size that the engine was asked for. It sets the canvas to this size, or to the largest that the device can. */
+  /** Size requested of the engine. It sets the canvas to this size, or to the largest that the device allows. */
   #size = [0, 0];
   #times = [];
   #stopped = false;
@@ -68,7 +68,7 @@ export class Player extends EventTarget {
     requestAnimationFrame(this.#tick);
   }
 
-  /** The address or file that `open` was given last. */
+  /** The last address or file given to `open`. */
   get source() {
     return this.#source;
   }
@@ -110,8 +110,8 @@ export class Player extends EventTarget {
   }
 
   /**
-   * Opens another state of the scene in its place: camera, path, frame and playing stay, and the picture stays until there is
-   * another. Resolves as `open` does.
+   * Replaces the scene by another state of it: camera, path, frame and playing stay, and the old picture stays until
+   * there is a new one. Resolves as `open` does.
    *
    * @param {Blob} file
    */
@@ -212,7 +212,7 @@ export class Player extends EventTarget {
     return this.path?.keyframes() ?? [];
   }
 
-  /** Moves to a camera. A window of another shape shows more than it sees. Throws the engine's error if it is none. */
+  /** Moves to a camera. A window of another shape shows more. Throws the engine's error if the camera is not valid. */
   setCamera(camera) {
     this.#do((viewer) => viewer.setCamera(camera));
     this.following = false;
@@ -245,7 +245,7 @@ export class Player extends EventTarget {
   }
 
   /**
-   * Data of a name that the file holds. What lies far from the start of the file is fetched.
+   * Named data of the file. Data far from the start of the file are fetched.
    *
    * @returns {Promise<Uint8Array | null>} null if there are none, or another scene was opened meanwhile
    */
@@ -278,7 +278,7 @@ export class Player extends EventTarget {
     }
   }
 
-  /** Notes that the picture will change. Until a complete picture shows it the canvas lacks `data-resting`. */
+  /** Notes that the picture will change. Until a complete picture shows the change, the canvas lacks `data-resting`. */
   touch() {
     this.#changed = performance.now();
     this.#still = 0;
@@ -319,7 +319,7 @@ export class Player extends EventTarget {
     this.#draw(now);
   };
 
-  /** Calls the engine while a scene is opened, which takes what has arrived, and tells how much that is. */
+  /** Calls the engine while a scene opens, so that it takes the bytes that have arrived, and reports their number. */
   #watch(now) {
     if (this.#viewer.pending() > 0) return;
     try {
@@ -363,7 +363,7 @@ export class Player extends EventTarget {
     this.#tell("frame");
   }
 
-  /** Gives the canvas its pixels. */
+  /** Resizes the canvas. */
   #resize(scale) {
     const ratio = this.#options.dpr ?? window.devicePixelRatio;
     const side = (css) => Math.max(1, Math.round(css * ratio * scale));
@@ -374,7 +374,7 @@ export class Player extends EventTarget {
   }
 }
 
-/** Bytes of a file or of an address; null where the host gives no ranges. */
+/** Bytes of a file or of an address; null if the host supports no ranges. */
 async function rangeOf(source, start, end) {
   if (source instanceof Blob) return new Uint8Array(await source.slice(start, end).arrayBuffer());
   const answer = await fetch(addressOf(source), { headers: { Range: `bytes=${start}-${end - 1}` } });

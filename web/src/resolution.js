@@ -4,7 +4,7 @@
 const TARGET_MS = 1000 / 60;
 /** Number of frames whose median time decides: one slow frame is no reason to draw fewer pixels. */
 const WINDOW = 9;
-/** Number of frames in time, in a row, after which more pixels are tried. */
+/** Number of consecutive frames in time after which more pixels are tried. */
 const GOOD_FRAMES = 90;
 /** Least share of the pixels along a side: with fewer, a picture shows nothing. */
 const MIN_SCALE = 0.35;
@@ -24,7 +24,7 @@ export class AdaptiveResolution {
     return this.#scale;
   }
 
-  /** Drops the measured times: frames around a pause, a new size or a new scene do not tell what pixels cost. */
+  /** Drops the measured times: frames around a pause, a new size or a new scene do not measure the cost of pixels. */
   forget() {
     this.#intervals = [];
     this.#good = 0;

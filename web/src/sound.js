@@ -1,10 +1,10 @@
-// Plays the sound that a file holds along with the scene's time.
+// Plays a file's sound in time with the scene.
 
 import { element, toast } from "./ui.js";
 
 /** Seconds by which sound and picture may be apart before the sound jumps; people notice about a tenth with lips. */
 const MOST_APART = 0.1;
-/** Speeds at which a sound is still one. */
+/** Speeds at which a sound is still recognisable. */
 const SPEEDS = [0.25, 4];
 const TYPE = "audio/ogg; codecs=opus";
 
@@ -22,7 +22,7 @@ export function follow(audio, { seconds, playing, buffering }, speed) {
   }
   if (audio.playbackRate !== speed) audio.playbackRate = speed;
   if (audio.paused || Math.abs(audio.currentTime - seconds) > MOST_APART * Math.max(1, speed)) audio.currentTime = seconds;
-  // Browsers play no sound before somebody has touched the page.
+  // Browsers play no sound before a user has touched the page.
   if (audio.paused && globalThis.navigator?.userActivation?.hasBeenActive !== false) audio.play().catch(() => {});
 }
 
@@ -50,7 +50,7 @@ export function sound(player) {
   player.addEventListener("failure", stop);
   player.addEventListener("load", async () => {
     const { info } = player;
-    // What is attached is no reason to fail.
+    // Attached data are no reason to fail.
     const bytes = await player.attached("tcgs.sound").catch(() => null);
     const made = new Audio();
     if (!bytes || player.info !== info || !made.canPlayType(TYPE)) return;

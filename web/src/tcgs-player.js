@@ -1,16 +1,19 @@
-// The player in a page of your own, as an <iframe> that this module speaks with. docs/PLAYER.md describes it.
+// The player in a page of your own, as an <iframe> that this module controls. docs/PLAYER.md describes it.
 
 const PAGE = new URL("./index.html", import.meta.url);
 
 /**
- * A camera: pixels, and a matrix row by row that takes a point of the world to the camera, whose axes are x right, y down, z
- * forward.
- * @typedef {{ width: number, height: number, fx: number, fy: number, cx: number, cy: number, cameraFromWorld: number[] }} Camera
+ * A camera: pixels, and a row-major matrix from the world to the camera, whose axes are x right, y down, z forward.
+ * @typedef {{
+ *   width: number, height: number, fx: number, fy: number, cx: number, cy: number, cameraFromWorld: number[]
+ * }} Camera
  */
 
 /**
- * What the file says of its scene.
- * @typedef {{ name: string, numGaussians: number, numTimesteps: number, frameRate: number, bytes: number, cameras: string[] }} Info
+ * The file's description of its scene.
+ * @typedef {{
+ *   name: string, numGaussians: number, numTimesteps: number, frameRate: number, bytes: number, cameras: string[]
+ * }} Info
  */
 
 /**
@@ -24,7 +27,10 @@ const PAGE = new URL("./index.html", import.meta.url);
  * ```
  */
 export class TcgsPlayer extends EventTarget {
-  /** Calls that have no answer yet. @type {Map<number, { resolve: (result: any) => void, reject: (error: Error) => void }>} */
+  /**
+   * Calls that have no answer yet.
+   * @type {Map<number, { resolve: (result: any) => void, reject: (error: Error) => void }>}
+   */
   #waiting = new Map();
   #next = 1;
   #ready;
@@ -106,7 +112,7 @@ export class TcgsPlayer extends EventTarget {
     return this.#ask("state");
   }
 
-  /** What the file says of its scene; null before one is open. @returns {Promise<Info | null>} */
+  /** The file's description of its scene; null before one is open. @returns {Promise<Info | null>} */
   info() {
     return this.#ask("info");
   }

@@ -1,18 +1,18 @@
-// A training that goes on (`tcgs train --view`): its scene, replaced as it changes, beside its curves. What is asked of the
-// program stands in docs/PLAYER.md, "A training". Nothing is asked for that nobody sees.
+// A running training (`tcgs train --view`): its scene, replaced as it changes, beside its curves. docs/PLAYER.md, "A
+// training", describes the requests to the program. A hidden page sends no requests.
 
 import { chart, digits } from "./chart.js";
 import { element, showCard, toast } from "./ui.js";
 
-/** Milliseconds between two questions. */
+/** Milliseconds between two requests. */
 const TURN_MS = 2000;
-/** Questions in a row without an answer after which the program has ended. */
+/** Number of consecutive requests without an answer after which the program counts as ended. */
 const MAX_SILENCE = 3;
 
 const count = (number) => number.toLocaleString("en").replaceAll(",", "\u202f"); // thin spaces
 const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
 
-/** What a training does, in words. @param {object} state as the program tells it */
+/** The state of a training in words. @param {object} state as the program reports it */
 export function describe(state) {
   const { running, num_timesteps: all, num_gaussians: gaussians, timesteps } = state;
   const of = (timestep) => `Timestep ${timestep + 1} of ${all}`;
@@ -51,7 +51,7 @@ export function training(player, address, { autoplay }) {
   showCard("loading");
 
   const choices = { running: element("training-now"), finished: element("training-finished") };
-  /** What is shown, the tag of its file, and the file. */
+  /** The kind of scene shown, the tag of its file, and the file. */
   let [mode, tag, file] = ["running", null, null];
   let [hasEnded, silence, isAsking] = [false, 0, false];
 
@@ -86,9 +86,9 @@ export function training(player, address, { autoplay }) {
     }
   };
 
-  /** Asks for a newer file of what is shown. The program makes none more often than it can afford. */
+  /** Requests a newer file of the scene shown. The program limits how often it writes one. */
   const refresh = async () => {
-    // Somebody may have opened another file.
+    // Another file may have been opened.
     if (isAsking || document.hidden || ended() || (file && player.source !== file)) return;
     isAsking = true;
     const asked = mode;
@@ -102,7 +102,7 @@ export function training(player, address, { autoplay }) {
       await player.replace(file);
       if (isFirst && autoplay && player.info?.numTimesteps > 1) player.play();
     } catch {
-      // The other question finds out whether the program is there.
+      // The other request detects a program that has ended.
     } finally {
       isAsking = false;
       if (asked !== mode) refresh();

@@ -93,7 +93,7 @@ export function cards(player, { choose }) {
   });
 }
 
-/** A line of whose work a scene is, such as `A. Author · CC-BY-4.0 · example.org`. The texts are a stranger's. */
+/** A line of a scene's credits, such as `A. Author · CC-BY-4.0 · example.org`. The texts are a stranger's. */
 function showCredits(credits) {
   const line = element("credits");
   const { authors = [], licence = null, source = null } = credits ?? {};
@@ -102,7 +102,7 @@ function showCredits(credits) {
   line.hidden = parts.length === 0;
 }
 
-/** A link to an address of the web; null if the text is none. */
+/** A link to a web address; null if the text is not one. */
 function linkTo(text) {
   if (!/^https?:/i.test(text) || !URL.canParse(text)) return null;
   const link = document.createElement("a");
@@ -113,7 +113,7 @@ function linkTo(text) {
   return link;
 }
 
-/** The name of a scene whose file gives none: that of the file. */
+/** The file's name, for a scene without a name. */
 export function nameOf(source) {
   if (source instanceof Blob) return source.name ?? "scene";
   let name = source;
@@ -122,7 +122,7 @@ export function nameOf(source) {
     name = pathname.slice(pathname.lastIndexOf("/") + 1);
     name = decodeURIComponent(name);
   } catch {
-    // A text that is no address, or whose escapes are wrong, is its own name.
+    // A text that is not an address, or whose escapes are wrong, is its own name.
   }
   return name || "scene";
 }
@@ -246,7 +246,7 @@ export function shortcuts(player, actions) {
   });
 }
 
-/** Hides the controls while the scene plays and nobody needs them. */
+/** Hides the controls while the scene plays without input. */
 export function idling(player) {
   let last = performance.now();
   const stir = () => {

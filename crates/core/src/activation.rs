@@ -6,7 +6,7 @@ use crate::columns::select_rows;
 use crate::parallel::{map, map_pairs};
 use crate::{Attribute, GaussianGrads, Gaussians, Real, normalize, normalize_vjp};
 
-/// What a rasterizer draws. All arrays have length `N`; `colors` has `num_channels` a Gaussian.
+/// Activated Gaussians, which a rasterizer draws. All arrays have length `N`; `colors` has `num_channels` per Gaussian.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Activated {
     /// `[N, 3]` centres, scene units.
@@ -17,12 +17,13 @@ pub struct Activated {
     pub scales: Vec<[f32; 3]>,
     /// `[N]` in `[0, 1]`.
     pub opacities: Vec<f32>,
-    /// `[N, num_channels]`, any channels that blend like colour.
+    /// `[N, num_channels]`; channels of any kind are blended like colour.
     pub colors: Vec<f32>,
     /// Channels of a Gaussian in `colors`.
     pub num_channels: usize,
-    /// Whether a splat's opacity is multiplied by the root of the quotient of its determinants before and after it is widened by
-    /// a pixel's extent, so that small splats do not grow beyond what they cover (Yu et al. 2024, Mip-Splatting, Eq. 10).
+    /// Whether splats are antialiased. An antialiased splat's opacity is multiplied by the square root of the ratio of
+    /// its determinants before and after it is widened by a pixel's extent. So small splats do not grow beyond their
+    /// own area (Yu et al. 2024, Mip-Splatting, Eq. 10).
     pub is_antialiased: bool,
 }
 
@@ -155,7 +156,7 @@ pub fn activate_bwd(gaussians: &Gaussians, activated: &Activated, grads: &Activa
         v_logit_opacities,
         grads.v_colors.clone(),
     ];
-    // Nothing draws the others.
+    // The other columns are not drawn.
     let others = &gaussians.layout().columns()[values.len()..];
     values.extend(others.iter().map(|column| vec![0.0; n * column.components()]));
     GaussianGrads::new(Arc::clone(gaussians.layout()), n, values)

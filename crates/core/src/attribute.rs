@@ -1,9 +1,9 @@
-//! What a Gaussian carries: the name of one column of a [`crate::Layout`].
+//! The attributes of a Gaussian: names of the columns of a [`crate::Layout`].
 
 /// One attribute of a Gaussian, in its stored form: a column of a [`crate::Layout`].
 ///
-/// Every layout starts with the five of [`Attribute::BASE`], which renderers and the losses know by name. Whatever
-/// else a Gaussian carries is an [`Attribute::Extra`]; its name, unit and activation are in the layout.
+/// Every layout starts with the five of [`Attribute::BASE`], which renderers and the losses know by name. Any other
+/// attribute is an [`Attribute::Extra`]; its name, unit and activation are in the layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Attribute {
     /// Centre in scene units.
@@ -51,8 +51,8 @@ impl Attribute {
         }
     }
 
-    /// Name of one of the five of [`Attribute::BASE`] in files and tables; of another column [`crate::Layout::name`]
-    /// knows it, and this is `extra`.
+    /// Name of one of the five of [`Attribute::BASE`] in files and tables; `extra` for another column, whose name is in
+    /// [`crate::Layout::name`].
     pub fn name(self) -> &'static str {
         match self {
             Self::Mean => "means",

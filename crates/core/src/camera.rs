@@ -1,8 +1,8 @@
-//! Pinhole cameras, and the one formula of where a point of the world is seen.
+//! Pinhole cameras, and the one formula that projects a point of the world to the image.
 //!
 //! What lives here: [`Camera`], as captures and files have it, and [`Pinhole`], the same numbers in one precision for
-//! loops over many points. What does not: the projection of Gaussians with its gradient, which is `tcgs-render`'s, and
-//! lenses that bend lines, which are `tcgs-capture`'s.
+//! loops over many points. What does not: `tcgs-render` projects Gaussians and computes the gradient, and
+//! `tcgs-capture` handles lens distortion.
 
 use crate::{Real, dot};
 
@@ -21,7 +21,7 @@ pub struct Camera {
     pub camera_from_world: [[f64; 4]; 4],
 }
 
-/// Why numbers do not make a camera.
+/// Why numbers are not a valid camera.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CameraError {
@@ -34,7 +34,7 @@ pub enum CameraError {
         row: usize,
         /// Column, from 0.
         column: usize,
-        /// What stands there.
+        /// The number found.
         value: f64,
     },
     /// A number so large that its square may overflow.
@@ -46,7 +46,7 @@ pub enum CameraError {
         row: usize,
         /// Column, from 0.
         column: usize,
-        /// What stands there.
+        /// The number found.
         value: f64,
         /// The largest magnitude.
         most: f64,
@@ -129,11 +129,11 @@ impl Camera {
         [x, y, z]
     }
 
-    /// Where a point of the world is seen, and its depth.
+    /// Projects a point of the world: its place in the image, and its depth.
     ///
     /// - `point`: `[3]`, world, scene units
     /// - returns: the place `x, y` in pixels, pixel centres at +0.5, possibly outside the image, and the depth in scene
-    ///   units; `None` for a point that is not before the camera
+    ///   units; `None` for a point that is not in front of the camera
     ///
     /// For many points make a [`Pinhole`] once.
     ///
@@ -304,7 +304,8 @@ impl<R: Real> Pinhole<R> {
         std::array::from_fn(|j| r[0][j] * x + r[1][j] * y + r[2][j])
     }
 
-    /// The point of the world that is seen at a place and a depth, `[3]`, scene units: undoes [`project`](Self::project).
+    /// The point of the world that is seen at a place and a depth, `[3]`, scene units: undoes
+    /// [`project`](Self::project).
     ///
     /// - `place`: `x, y`, pixels; pixel centres at +0.5
     /// - `depth`: along [`forward`](Self::forward), scene units
@@ -428,7 +429,7 @@ mod tests {
         let (pixel, _) = single.pixel(point.map(|x| x as f32)).unwrap();
         assert_eq!(pixel, place[1] as usize * 64 + place[0] as usize);
         assert_eq!(single.pixel_center(pixel), [place[0].floor() as f32 + 0.5, place[1].floor() as f32 + 0.5]);
-        // Behind, outside, and nowhere.
+        // Behind the camera, outside the image, and not a number.
         assert_eq!(camera.project([2.0, -4.0, 7.0]), None);
         assert_eq!(single.pixel([0.2, 3.0, -0.5]), None);
         assert_eq!(single.pixel([f32::NAN; 3]), None);

@@ -1,4 +1,4 @@
-//! Cameras that a person placed at some timesteps, and the smooth motion between them.
+//! Cameras placed at some timesteps, and the smooth motion between them.
 
 use crate::{Camera, CameraError, dot, normalize};
 
@@ -30,11 +30,11 @@ pub struct CameraKeyframe {
     pub camera: Camera,
 }
 
-/// Why a path gives no camera.
+/// Why a path has no camera.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CameraPathError {
-    /// A keyframe is nowhere in time.
+    /// The timestep of a keyframe is not finite.
     #[error("the timestep of a keyframe is {0}, expected a finite number")]
     Timestep(f64),
     /// There are no keyframes.
@@ -43,15 +43,15 @@ pub enum CameraPathError {
     /// The interpolated axes are no rotation, such as halfway between two opposite directions.
     #[error("between two keyframes, at timestep {timestep}, there is no camera: {problem}")]
     Between {
-        /// For which a camera was asked.
+        /// The timestep of the requested camera.
         timestep: f64,
-        /// What is wrong with the interpolated camera.
+        /// Why the interpolated camera is not valid.
         #[source]
         problem: CameraError,
     },
 }
 
-/// The numbers of a camera that are interpolated: centre, forward axis, down axis, focal lengths, principal point.
+/// The interpolated numbers of a camera: centre, forward axis, down axis, focal lengths, principal point.
 const NUMBERS: usize = 13;
 
 impl CameraPath {
@@ -79,14 +79,15 @@ impl CameraPath {
 
     /// The camera at a timestep; before the first keyframe and after the last it stands still.
     ///
-    /// Centre, axes and intrinsics follow cubic Hermite splines whose slope at a keyframe is that of the parabola through
-    /// it and its neighbours. The interpolated axes are made orthonormal.
+    /// Centre, axes and intrinsics follow cubic Hermite splines whose slope at a keyframe is that of the parabola
+    /// through it and its neighbours. The interpolated axes are made orthonormal.
     ///
-    /// - `size`: width and height of the picture, pixels; a picture of another shape than a keyframe's shows all that
-    ///   the keyframe shows
+    /// - `size`: width and height of the picture, pixels. A picture of another shape than a keyframe's shows at least
+    ///   everything that the keyframe shows
     ///
     /// # Errors
-    /// [`CameraPathError::Empty`] without keyframes; [`CameraPathError::Between`] where the interpolation is no camera.
+    /// [`CameraPathError::Empty`] without keyframes; [`CameraPathError::Between`] if the interpolated camera is not
+    /// valid.
     pub fn camera_at(&self, timestep: f64, size: [usize; 2]) -> Result<Camera, CameraPathError> {
         let [width, height] = size;
         let after = self.keyframes.partition_point(|keyframe| keyframe.timestep <= timestep);
@@ -112,8 +113,8 @@ impl CameraPath {
         numbers_of(&self.keyframes[index].camera.fitted(width, height))
     }
 
-    /// Slopes of the parabolas through a keyframe and its neighbours, at an end of the path the two nearest; of a path of
-    /// two keyframes, the slopes of the lines.
+    /// Slopes of the parabolas through a keyframe and its neighbours; at an end of the path, through the three
+    /// keyframes there. With two keyframes, the slopes of the lines.
     fn slopes(&self, index: usize, size: [usize; 2]) -> [f64; NUMBERS] {
         let count = self.keyframes.len();
         if count == 2 {
@@ -135,8 +136,9 @@ impl CameraPath {
 }
 
 impl Camera {
-    /// The same view in a picture of another size, which shows at least all that this one shows: both focal lengths are
-    /// scaled by one factor, and the picture's middle stays in the middle. The same camera for the same size.
+    /// The same view in a picture of another size. Both focal lengths are scaled by one factor, and the picture's
+    /// middle stays in the middle, so the new picture shows at least everything that this one shows. The same size
+    /// gives the same camera.
     ///
     /// - `width`, `height`: pixels, at least 1
     pub fn fitted(&self, width: usize, height: usize) -> Self {

@@ -6,8 +6,7 @@ use std::sync::Arc;
 
 use crate::{Attribute, Layout};
 
-/// What the numbers of [`Columns`] mean. Types of different roles do not mix: a gradient cannot be added where a
-/// value is due.
+/// Meanings of the numbers in [`Columns`]. Types of different roles do not mix: a gradient cannot replace a value.
 pub mod role {
     /// Values as stored: before activation.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -120,7 +119,7 @@ impl<Role> Columns<Role> {
         Self::zeros_of(&Layout::base(), num_gaussians)
     }
 
-    /// `N` Gaussians of a layout, every value zero: what sums and gradients start from.
+    /// `N` Gaussians of a layout, every value zero: the initial value of sums and gradients.
     pub fn zeros_of(layout: &Arc<Layout>, num_gaussians: usize) -> Self {
         let values = layout.columns().iter().map(|c| vec![0.0; num_gaussians * c.components()]).collect();
         Self { layout: Arc::clone(layout), num_gaussians, values, role: PhantomData }
@@ -195,7 +194,7 @@ impl<Role> Columns<Role> {
         Self::new(Arc::clone(layout), parts.iter().map(|part| part.num_gaussians).sum(), values)
     }
 
-    /// The Gaussians at `rows`, in that order; zeros where there is none.
+    /// The Gaussians at `rows`, in that order; zeros for a row without an index.
     ///
     /// # Panics
     /// If an index is out of range.
@@ -212,8 +211,8 @@ impl<Role> Columns<Role> {
         selected
     }
 
-    /// The coefficients of spherical harmonics from degree 1 on, as other programs hold them: `[N, (degree + 1)² - 1, 3]` with
-    /// those of all degrees of one Gaussian together; empty where there are none.
+    /// The coefficients of spherical harmonics from degree 1 on, in the order of other programs:
+    /// `[N, (degree + 1)² - 1, 3]` with all degrees of one Gaussian together; empty without harmonics.
     ///
     /// ```
     /// use tcgs_core::{Gaussians, Layout};
@@ -295,8 +294,8 @@ impl<Role> Columns<Role> {
         self.values[4].as_chunks_mut().0
     }
 
-    /// The same Gaussians in another light: colours and the coefficients of spherical harmonics are multiplied by one gain for
-    /// each of red, green and blue.
+    /// The same Gaussians in another light: colours and the coefficients of spherical harmonics are multiplied by one
+    /// gain for each of red, green and blue.
     ///
     /// ```
     /// use tcgs_core::Gaussians;

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use crate::parallel::map;
 use crate::{Activated, Camera, Gaussians, activate, color_in_direction, dot};
 
-/// One timestep, activated once. With spherical harmonics each camera sees other colours; without them all see the same.
+/// One timestep, activated once. With spherical harmonics each camera sees its own colours; without them all see the
+/// same.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -41,8 +42,8 @@ impl Drawable {
         self.activated.num_gaussians()
     }
 
-    /// What a camera sees. Without harmonics always the same, and shared; with them the colours are those in the
-    /// directions from the camera to the centres, at least 0 ([`color_in_direction`]).
+    /// The Gaussians as a camera sees them. Without harmonics they are always the same, and shared. With harmonics the
+    /// colours are those in the directions from the camera to the centres, at least 0 ([`color_in_direction`]).
     ///
     /// Computed in `f64` and then rounded: other implementations are compared with this one.
     pub fn seen_by(&self, camera: &Camera) -> Arc<Activated> {
@@ -60,7 +61,7 @@ impl Drawable {
         let (mean, color) = (self.activated.means[i], &self.activated.colors[3 * i..3 * i + 3]);
         let offset: [f64; 3] = std::array::from_fn(|axis| f64::from(mean[axis]) - position[axis]);
         let distance = dot(offset, offset).sqrt();
-        // A Gaussian around the camera has no direction; it is nearer than anything that is drawn.
+        // A Gaussian around the camera has no direction; it is nearer than any drawn one.
         let direction = if distance > 0.0 { offset.map(|x| x / distance) } else { [0.0; 3] };
         let mut sh = Vec::new();
         for band in &self.bands {

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use crate::columns::select_rows;
 use crate::{Attribute, Gaussians, Layout};
 
-/// All timesteps of a scene. A column that varies by its layout has a value for every timestep; another has one for
-/// each or one for all. Training leaves one for all.
+/// All timesteps of a scene. A column that varies by its layout has a value for every timestep. Any other column has
+/// either one value per timestep or one for all; training leaves one for all.
 ///
 /// ```
 /// use tcgs_core::{DynamicGaussians, Gaussians};
@@ -23,7 +23,7 @@ pub struct DynamicGaussians {
     layout: Arc<Layout>,
     num_gaussians: usize,
     num_timesteps: usize,
-    /// By [`Attribute::index`]: `[1 or T][N * components]`.
+    /// Indexed by [`Attribute::index`]: `[1 or T][N * components]`.
     samples: Vec<Vec<Vec<f32>>>,
 }
 
@@ -86,7 +86,7 @@ impl DynamicGaussians {
         self.layout.column(attribute).varies || self.samples[attribute.index()].len() > 1
     }
 
-    /// At how many timesteps an attribute is held: `T`, or 1 if it does not vary.
+    /// Number of timesteps at which an attribute is stored: `T`, or 1 if it does not vary.
     pub fn num_samples(&self, attribute: Attribute) -> usize {
         if self.varies(attribute) { self.num_timesteps() } else { 1 }
     }
@@ -100,7 +100,7 @@ impl DynamicGaussians {
         Gaussians::new(Arc::clone(&self.layout), self.num_gaussians, values)
     }
 
-    /// Appends a timestep. A column that does not vary by the layout begins to with the first timestep in which a
+    /// Appends a timestep. A column that does not vary by the layout starts to vary at the first timestep in which a
     /// bit of it differs.
     ///
     /// # Panics
@@ -160,7 +160,7 @@ impl DynamicGaussians {
         &mut self.samples[attribute.index()][sample]
     }
 
-    /// What is held of one attribute: `[T][N * components]`, or `[1][…]` if it does not vary.
+    /// All stored values of one attribute: `[T][N * components]`, or `[1][…]` if it does not vary.
     pub fn samples(&self, attribute: Attribute) -> &[Vec<f32>] {
         &self.samples[attribute.index()]
     }

@@ -1,4 +1,4 @@
-//! Where the bulk of a scene lies.
+//! The extent of the bulk of a scene.
 
 /// Share of the Gaussians whose centres lie within [`Extent::radius`]: a few Gaussians far away do not matter.
 const WITHIN: f64 = 0.75;

@@ -1,7 +1,7 @@
 //! Files that a user names: only regular ones, up to a size.
 //!
 //! What lives here: opening and reading whole files. A device or a pipe may never end, and opening a pipe waits for its
-//! writer. What does not: what files hold.
+//! writer. What does not: the formats of files.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
@@ -54,7 +54,7 @@ pub fn read_file(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
 /// - `max_bytes`: most bytes of the file
 ///
 /// # Errors
-/// As [`read_file`]; `InvalidData` for what is no UTF-8.
+/// As [`read_file`]; `InvalidData` for text that is not UTF-8.
 pub fn read_text(path: &Path, max_bytes: u64) -> io::Result<String> {
     let bytes = read_file(path, max_bytes)?;
     String::from_utf8(bytes).map_err(|error| {

@@ -1,8 +1,8 @@
 //! Real spherical harmonics of degrees 0 to 3, and colours that depend on the direction of view.
 //!
-//! What lives here: the functions of one direction, and the colour of one Gaussian. What does not: the columns that hold
-//! the coefficients ([`Layout::with_harmonics`](crate::Layout::with_harmonics)), and the colours of a whole timestep
-//! ([`Drawable`](crate::Drawable)).
+//! What lives here: the functions of one direction, and the colour of one Gaussian. What does not: the columns that
+//! hold the coefficients ([`Layout::with_harmonics`](crate::Layout::with_harmonics)), and the colours of a whole
+//! timestep ([`Drawable`](crate::Drawable)).
 
 use crate::{Real, dot};
 
@@ -24,8 +24,8 @@ const C33: f64 = 0.590_043_589_926_643_5; // ¼ √(35 / 2π)
 
 /// The harmonics of degrees 0 to 3 in a direction.
 ///
-/// - `direction`: `[3]`, `x, y, z` in the world, unit. Zero gives [`HARMONIC_0`], then zeros: those of higher degree are
-///   homogeneous polynomials.
+/// - `direction`: `[3]`, `x, y, z` in the world, unit. Zero gives [`HARMONIC_0`], then zeros: those of higher degree
+///   are homogeneous polynomials.
 /// - returns: `Y_lm` in the order of `l`, then `m` from `-l` to `l`
 ///
 /// Orthonormal on the sphere. The signs are those of 3D Gaussian splatting (Kerbl et al. 2023) and gsplat: with the
@@ -102,8 +102,8 @@ pub fn harmonics_vjp<R: Real>(direction: [R; 3], v_values: &[R; 16]) -> [R; 3] {
 }
 
 /// Colour of a Gaussian with harmonics as seen in a direction: `max(0, color + Σ Y_lm(direction) sh_lm)`.
-///
-/// - `color`: `[3]`, sRGB, what the harmonic of degree 0 gives and half a unit
+/// - `color`: `[3]`, sRGB, the contribution of the harmonic of degree 0 plus ½
+/// - `sh`: `[K, 3]` coefficients of the degrees from 1 on, in the order of [`harmonics`]; `K` is 3, 8 or 15
 /// - `sh`: `[K, 3]` coefficients of the degrees from 1 on, in the order of [`harmonics`]; `K` is 3, 8 or 15
 /// - `direction`: `[3]`, from the camera to the centre of the Gaussian, unit, world
 ///
@@ -115,7 +115,7 @@ pub fn color_in_direction<R: Real>(color: [R; 3], sh: &[[R; 3]], direction: [R; 
     sum_in_direction(color, sh, &harmonics(direction)).map(|x| x.max(R::zero()))
 }
 
-/// VJP of [`color_in_direction`]: nothing passes a channel that is clamped.
+/// VJP of [`color_in_direction`]: clamped channels pass no gradient.
 ///
 /// - `color`, `sh`, `direction`: as given to `color_in_direction`
 /// - `v_seen`: `∂L/∂` the colour that it returned
@@ -220,8 +220,8 @@ mod tests {
 
     #[test]
     fn they_are_orthonormal_on_the_sphere() {
-        // Gauss and Legendre's four nodes along z and 8 meridians: exact for polynomials of degree 7, and products of two
-        // harmonics have degree 6.
+        // Gauss and Legendre's four nodes along z and 8 meridians: exact for polynomials of degree 7, and products of
+        // two harmonics have degree 6.
         let nodes = [-1.0, 1.0].map(|sign| (3.0_f64 / 7.0 + sign * 2.0 / 7.0 * 1.2_f64.sqrt()).sqrt());
         let weights = [1.0, -1.0].map(|sign| (18.0 + sign * 30.0_f64.sqrt()) / 36.0);
         let mut gram = [[0.0; 16]; 16];

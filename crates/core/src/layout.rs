@@ -1,4 +1,4 @@
-//! The table of what a Gaussian carries, built at run time.
+//! The table of a Gaussian's attributes, built at run time.
 
 use std::fmt;
 use std::sync::{Arc, LazyLock};
@@ -6,20 +6,20 @@ use std::sync::{Arc, LazyLock};
 use crate::Attribute;
 use crate::harmonics::MAX_SH_DEGREE;
 
-/// What turns a stored value into the one that is drawn.
+/// The function from a stored value to the drawn one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Activation {
     /// Stored as drawn.
     Identity,
     /// Divided by the length of the row: unit quaternions.
     Normalize,
-    /// `exp`, for what is positive.
+    /// `exp`, for positive values.
     Exp,
-    /// Logistic function, for what lies in (0, 1).
+    /// Logistic function, for values in (0, 1).
     Sigmoid,
 }
 
-/// Which learning rate moves a column: a field of the training's rates, with its schedule.
+/// The learning rate of a column: a field of the training's rates, with its schedule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum RateGroup {
     /// As centres, relative to the scene's extent.
@@ -51,22 +51,22 @@ pub struct Column {
     pub attribute: Attribute,
     /// Name in files and tables, in the plural: `means`.
     pub name: String,
-    /// What is applied to a stored value before it is drawn.
+    /// The function from a stored value to the drawn one.
     pub activation: Activation,
-    /// Whether training gives every timestep a value of its own; the others are trained once. Scenes of other
-    /// programs may differ: [`crate::DynamicGaussians::varies`].
+    /// Whether training gives every timestep a value of its own; the others are trained once. Other programs' scenes
+    /// may differ: [`crate::DynamicGaussians::varies`].
     pub varies: bool,
     /// Whether training quantises the column, with bits by sensitivity and learned steps. Positions are quantised
     /// afterwards.
     pub quantized: bool,
-    /// Which learning rate moves it.
+    /// The learning rate of the column.
     pub rate: RateGroup,
     /// Unit of a stored value, for tables and for people.
     pub unit: String,
 }
 
-/// The ordered columns of a scene. Loops, offsets, Adam's groups, the arrays of checkpoints and the constants of
-/// shaders come from it.
+/// The ordered columns of a scene. It determines loops, offsets, Adam's groups, the arrays of checkpoints and the
+/// constants of shaders.
 ///
 /// The first five columns are those of [`Attribute::BASE`].
 ///
@@ -84,7 +84,7 @@ pub struct Layout {
 }
 
 impl Column {
-    /// A column that is treated as one of [`Attribute::BASE`] is: the same activation, rate and unit.
+    /// A column treated like one of [`Attribute::BASE`]: the same activation, rate and unit.
     ///
     /// # Panics
     /// If `attribute` is not one of [`Attribute::BASE`].
@@ -125,8 +125,8 @@ impl Layout {
     /// shared: `sh1[9]`, `sh2[15]`, `sh3[21]`. Colours then depend on the direction of view
     /// ([`Drawable`](crate::Drawable)).
     ///
-    /// Within a column the coefficients are in the order of [`harmonics`](crate::harmonics()), red, green and blue of each
-    /// together: `[2 l + 1, 3]`. They do not vary over time, unless a scene's values do.
+    /// Within a column the coefficients are in the order of [`harmonics`](crate::harmonics()), red, green and blue of
+    /// each together: `[2 l + 1, 3]`. They do not vary over time, unless a scene's values do.
     ///
     /// - `degree`: 0 to [`MAX_SH_DEGREE`]; 0 gives [`Self::base`]
     ///
@@ -169,8 +169,8 @@ impl Layout {
     ///
     /// - `name`: in files and tables
     /// - `components`: scalars of one Gaussian at one timestep, at least 1
-    /// - `column`: how it is treated; its own name and attribute do not matter
-    /// - returns: the attribute to ask for it with
+    /// - `column`: its treatment; its own name and attribute do not matter
+    /// - returns: the attribute of the new column
     ///
     /// # Panics
     /// If the name is taken, `components` is 0 or above 255, or there are 255 further columns already.
@@ -183,7 +183,7 @@ impl Layout {
         attribute
     }
 
-    /// The same columns, of Gaussians that are drawn with antialiasing or without ([`Self::is_antialiased`]).
+    /// The same columns, for Gaussians drawn with or without antialiasing ([`Self::is_antialiased`]).
     ///
     /// ```
     /// use tcgs_core::Layout;
@@ -198,8 +198,9 @@ impl Layout {
         Arc::new(Self { is_antialiased, ..Self::clone(self) })
     }
 
-    /// Whether a splat that is widened by a pixel's extent gives up as much opacity, so that it covers as much as before, at any
-    /// resolution ([`Activated::is_antialiased`](crate::Activated)). Gaussians are to be drawn as they were trained.
+    /// Whether a splat that is widened by a pixel's extent loses as much opacity, so that it covers as much as before
+    /// at any resolution ([`Activated::is_antialiased`](crate::Activated)). Gaussians are to be drawn as they were
+    /// trained.
     pub fn is_antialiased(&self) -> bool {
         self.is_antialiased
     }
@@ -246,8 +247,8 @@ impl Layout {
         self.columns[..attribute.index()].iter().map(Column::components).sum()
     }
 
-    /// Size as plain 32-bit floats of a scene in which nothing varies but what the layout lets vary: of the five columns
-    /// of [`Attribute::BASE`] `N * (40 * T + 16)`.
+    /// Size as plain 32-bit floats of a scene in which only the columns that vary by the layout do vary:
+    /// `N * (40 * T + 16)` for the five columns of [`Attribute::BASE`].
     ///
     /// ```
     /// assert_eq!(tcgs_core::Layout::base().raw_bytes(10, 3), 10 * (40 * 3 + 16));
@@ -258,8 +259,8 @@ impl Layout {
         num_gaussians as u64 * per_gaussian as u64
     }
 
-    /// Size as plain 32-bit floats of a scene in which the number of Gaussians changes: every timestep holds all columns,
-    /// since no Gaussian is known to be another one at another time.
+    /// Size as plain 32-bit floats of a scene in which the number of Gaussians changes. Every timestep has all columns,
+    /// because Gaussians of different timesteps are not known to be the same.
     ///
     /// - `num_gaussians`: at every timestep
     ///
@@ -271,12 +272,12 @@ impl Layout {
         num_gaussians.into_iter().map(|n| n as u64 * bytes).sum()
     }
 
-    /// The first column that is none of [`Attribute::BASE`], if there is one: what formats of five columns cannot hold.
+    /// The first column beyond [`Attribute::BASE`], if there is one; formats of five columns cannot hold it.
     pub fn further(&self) -> Option<&Column> {
         self.columns.get(Attribute::BASE.len())
     }
 
-    /// Whether there is no column but those of [`Attribute::BASE`].
+    /// Whether [`Attribute::BASE`] are the only columns.
     pub fn is_base(&self) -> bool {
         self.further().is_none()
     }

@@ -1,4 +1,4 @@
-//! The words every tcgs crate speaks: Gaussians, cameras, views, images and elementwise maths.
+//! The data types of every tcgs crate: Gaussians, cameras, views, images and elementwise maths.
 //!
 //! What lives here: the data types that pass between crates, and maths on single elements (quaternions, activations,
 //! spherical harmonics). The maths is generic over [`Real`]: one source is run in `f32` and differentiated in `f64`.

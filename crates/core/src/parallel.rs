@@ -1,4 +1,4 @@
-//! The one place of this crate that knows whether there are threads: feature `parallel`.
+//! The only module of this crate that depends on threads: feature `parallel`.
 
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;

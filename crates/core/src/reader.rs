@@ -1,4 +1,4 @@
-//! Scenes that are read a timestep at a time.
+//! Scenes that are read one timestep at a time.
 
 use std::convert::Infallible;
 use std::ops::Range;
@@ -6,13 +6,13 @@ use std::sync::Arc;
 
 use crate::{DynamicGaussians, Gaussians, Layout};
 
-/// A scene over time that is read a timestep at a time: a run, a file a timestep, a `.tcgs` file, or floats in memory. What
-/// reads through it needs memory for some timesteps, not for all.
+/// A scene over time that is read one timestep at a time: a run, one file per timestep, a `.tcgs` file, or floats in
+/// memory. A user of this trait needs memory for some timesteps, not for all.
 pub trait SceneReader {
-    /// What reading fails with; [`Infallible`] for what lies in memory.
+    /// The error of reading; [`Infallible`] for a scene in memory.
     type Error: std::error::Error + Send + Sync + 'static;
 
-    /// Which columns its Gaussians have.
+    /// The columns of its Gaussians.
     fn layout(&self) -> &Arc<Layout>;
 
     /// `N`: at every timestep, or where [`Self::num_gaussians_at`] says otherwise the most at any.
@@ -30,8 +30,8 @@ pub trait SceneReader {
         self.num_gaussians()
     }
 
-    /// Whether all timesteps have the same number of Gaussians. Where they have not, nothing says which Gaussian of one
-    /// timestep is which of another.
+    /// Whether all timesteps have the same number of Gaussians. If they do not, the Gaussians of different timesteps
+    /// have no known correspondence.
     fn has_constant_number(&self) -> bool {
         (0..self.num_timesteps()).all(|timestep| self.num_gaussians_at(timestep) == self.num_gaussians())
     }

@@ -1,20 +1,20 @@
-//! The colours of a timestep's Gaussians as one camera sees them, forward and backward: what training draws.
+//! The colours of a timestep's Gaussians as one camera sees them, forward and backward, for training.
 //!
-//! [`Drawable`](crate::Drawable) computes the same in `f64`, without gradients, for everything that is compared.
+//! [`Drawable`](crate::Drawable) computes the same in `f64`, without gradients, for comparisons.
 
 use crate::parallel::{for_each_row, map};
 use crate::{Attribute, Camera, GaussianGrads, Gaussians, color_in_direction, color_in_direction_vjp, harmonics};
 use crate::{normalize, normalize_vjp};
 
-/// Most coefficients of a channel, of the degrees from 1 on.
+/// Most coefficients of a channel, for the degrees from 1 on.
 const MAX_COEFFICIENTS: usize = 15;
 
-/// What a timestep's harmonics are evaluated from.
+/// The inputs of a timestep's spherical harmonics.
 struct Seen<'a> {
     gaussians: &'a Gaussians,
     /// Values of each band with its coefficients of a channel.
     bands: Vec<(&'a [f32], usize)>,
-    /// Of the camera, in the world.
+    /// Position of the camera in the world.
     position: [f64; 3],
 }
 
@@ -25,13 +25,13 @@ impl<'a> Seen<'a> {
         Self { gaussians, bands, position: camera.center() }
     }
 
-    /// From the camera to the centre of Gaussian `i`.
+    /// Vector from the camera to the centre of Gaussian `i`.
     fn offset(&self, i: usize) -> [f32; 3] {
         let mean = self.gaussians.means()[i];
         std::array::from_fn(|axis| (f64::from(mean[axis]) - self.position[axis]) as f32)
     }
 
-    /// Coefficients of Gaussian `i`, and how many there are of a channel.
+    /// Coefficients of Gaussian `i`, and their number per channel.
     fn coefficients(&self, i: usize) -> ([[f32; 3]; MAX_COEFFICIENTS], usize) {
         let (mut sh, mut count) = ([[0.0; 3]; MAX_COEFFICIENTS], 0);
         for &(values, num) in &self.bands {
@@ -42,8 +42,8 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// Colours that a camera sees: in the direction from it to the centres, at least 0 ([`color_in_direction`]). To be called
-/// for layouts with harmonics; without any, colours are drawn as they are stored, and those below 0 stay.
+/// Colours that a camera sees: in the direction from it to the centres, at least 0 ([`color_in_direction`]). For
+/// layouts with harmonics only; without harmonics, colours are drawn as stored, and negative ones stay.
 ///
 /// - `gaussians`: stored form
 /// - returns: `[N, 3]`, in place of [`Activated::colors`](crate::Activated::colors)
@@ -67,8 +67,8 @@ pub fn seen_colors(gaussians: &Gaussians, camera: &Camera) -> Vec<f32> {
     colors
 }
 
-/// Backward of [`seen_colors`]. *Overwrites* the gradients of the colours and of the harmonics, and *accumulates* to those of
-/// the means, on which the direction depends.
+/// Backward of [`seen_colors`]. *Overwrites* the gradients of the colours and of the harmonics, and *accumulates* to
+/// those of the means, on which the direction depends.
 ///
 /// - `gaussians`, `camera`: as given to `seen_colors`
 /// - `v_gaussians`: comes in with the gradient to the colours seen in the place of the colours

@@ -1,4 +1,4 @@
-//! What training sees: a camera and the image it took.
+//! The input of training: a camera and its image.
 
 use crate::{Camera, Image};
 

@@ -27,7 +27,7 @@ impl Axes {
     pub const RDF: Self = Self([false; 3]);
     /// Left, up, forward: glTF.
     pub const LUF: Self = Self([true, true, false]);
-    /// Right, up, back: OpenGL, and SPZ as its README has it.
+    /// Right, up, back: OpenGL, and SPZ according to its README.
     pub const RUB: Self = Self([false, true, true]);
 
     /// - `left`, `up`, `back`: whether x, y and z point there
@@ -35,9 +35,9 @@ impl Axes {
         Self([left, up, back])
     }
 
-    /// Turns Gaussians from these axes into those of PLY files, or from these into those: the same signs.
+    /// Rotates Gaussians from these axes to those of PLY files or back: the signs are the same.
     ///
-    /// Nothing is rounded. The axes of a Gaussian itself turn too, which does not change its shape.
+    /// Nothing is rounded. The axes of a Gaussian itself rotate too, which does not change its shape.
     pub(crate) fn turn(self, gaussians: &mut Gaussians) {
         if self == Self::RDF {
             return;

@@ -1,4 +1,4 @@
-//! The crate's error: what is wrong with another program's file.
+//! The crate's error: the problem with another program's file.
 
 use std::{fmt, io, path::PathBuf};
 
@@ -30,8 +30,8 @@ pub enum InterchangeError {
         /// The message of the zip reader.
         problem: String,
     },
-    /// A file of Gaussians or points is damaged, lacks something or holds a number that is not finite; or the files of a
-    /// folder are no sequence.
+    /// A file of Gaussians or points is damaged, lacks something or holds a number that is not finite; or the files of
+    /// a folder are no sequence.
     #[error("{}: {}", path.display(), OneLine(problem))]
     File {
         /// The first file that is wrong, or the folder.
@@ -71,7 +71,7 @@ pub enum InterchangeError {
     },
 }
 
-/// A text in which names and types of the file may stand, and with them line breaks.
+/// A text that may contain names and types of the file, and with them line breaks.
 struct OneLine<'a>(&'a str);
 
 impl fmt::Display for OneLine<'_> {

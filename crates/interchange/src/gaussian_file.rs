@@ -1,4 +1,4 @@
-//! One file of Gaussians at one timestep, of any kind that is read. Its content says which.
+//! One file of Gaussians at one timestep, of any supported kind. Its content determines the kind.
 
 use std::io::Read;
 use std::path::Path;
@@ -19,7 +19,7 @@ pub(crate) enum FileKind {
 }
 
 impl FileKind {
-    /// By the first bytes.
+    /// The kind according to the first bytes.
     fn of(path: &Path) -> Result<Self, InterchangeError> {
         let mut start = Vec::new();
         let read = input::open(path)?.0.take(64).read_to_end(&mut start);
@@ -36,9 +36,10 @@ impl FileKind {
     }
 }
 
-/// Reads the Gaussians of one file in stored form: a PLY file of 3D Gaussian splatting or a compressed one, an SPZ file, or
-/// a glTF file with `KHR_gaussian_splatting`. All come in the axes of PLY files: x right, y down, z forward. A file's
-/// own axes are those of the settings, else those that it declares, else those of its kind ([`ReadSettings::axes`]).
+/// Reads the Gaussians of one file in stored form: a PLY file of 3D Gaussian splatting or a compressed one, an SPZ
+/// file, or a glTF file with `KHR_gaussian_splatting`. All come in the axes of PLY files: x right, y down, z forward. A
+/// file's own axes are those of the settings, else those that it declares, else those of its kind
+/// ([`ReadSettings::axes`]).
 ///
 /// ```no_run
 /// use tcgs_interchange::{ReadSettings, read_gaussians};
@@ -47,14 +48,14 @@ impl FileKind {
 /// ```
 ///
 /// # Errors
-/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not complete, has
-/// no Gaussian, or holds a number that is not finite; [`InterchangeError::Limit`] if it claims more memory than the
-/// settings allow. Infinite numbers that [`ReadNote::Replaced`](crate::ReadNote) names are replaced.
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is none of these, not
+/// complete, has no Gaussian, or holds a number that is not finite; [`InterchangeError::Limit`] if it claims more
+/// memory than the settings allow. Infinite numbers that [`ReadNote::Replaced`](crate::ReadNote) names are replaced.
 pub fn read_gaussians(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     Ok(read_and_count(path, settings)?.0)
 }
 
-/// [`read_gaussians`], and how many numbers were replaced.
+/// [`read_gaussians`], with the number of replaced numbers.
 pub(crate) fn read_and_count(path: &Path, settings: ReadSettings) -> Result<(Gaussians, Replaced), InterchangeError> {
     let gaussians = match FileKind::of(path)? {
         FileKind::Ply => ply::read_unchecked(path, settings),
@@ -64,10 +65,10 @@ pub(crate) fn read_and_count(path: &Path, settings: ReadSettings) -> Result<(Gau
     checked(path, gaussians?)
 }
 
-/// The kind of a file, and what its header says.
+/// The kind of a file, and its header's data.
 ///
 /// # Errors
-/// As [`read_gaussians`], but for what only the numbers show.
+/// As [`read_gaussians`], except for errors that only the numbers show.
 pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<(FileKind, Head), InterchangeError> {
     let kind = FileKind::of(path)?;
     let head = match kind {

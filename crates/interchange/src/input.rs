@@ -8,7 +8,7 @@ use tcgs_core::open_file;
 
 use crate::InterchangeError;
 
-/// Opens a regular file, and tells its length.
+/// Opens a regular file, and returns its length.
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be opened; [`InterchangeError::File`] if it is a device or a pipe,

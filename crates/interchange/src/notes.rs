@@ -1,4 +1,4 @@
-//! Notes by readers of other programs' files: assumptions and replacements, which are no errors.
+//! Notes by readers of other programs' files: assumptions and replacements that are not errors.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -44,14 +44,14 @@ impl fmt::Display for ReadNote {
     }
 }
 
-/// How many numbers of one timestep were replaced.
+/// Numbers of replaced values at one timestep.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Replaced {
     pub opacities: usize,
     pub scales: usize,
 }
 
-/// Counts of replaced numbers at the timesteps that were read so far. A timestep counts once, however often it is read.
+/// Counts of replaced numbers at the timesteps read so far. A timestep counts once, however often it is read.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ReplacedByTimestep(Arc<Mutex<BTreeMap<usize, Replaced>>>);
 

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use crate::{InterchangeError, input};
 
-/// Longest header that is read. Those of plain arrays have 128 bytes.
+/// Longest header that is read. Headers of plain arrays have 128 bytes.
 const MAX_HEADER_BYTES: usize = 4096;
 
 /// Bytes read at a time; a multiple of every item size.
@@ -100,7 +100,7 @@ pub fn read_npy(path: &Path) -> Result<NpyArray, InterchangeError> {
     read(&mut reader).map_err(|problem| InterchangeError::Npy { path: path.into(), problem })
 }
 
-/// What stands before the values.
+/// The header of a `.npy` file.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Header {
     pub shape: Vec<usize>,
@@ -113,7 +113,7 @@ pub(crate) struct Header {
     pub header_bytes: usize,
 }
 
-/// Of every type that is read.
+/// Largest item size of the types that are read.
 const MAX_VALUE_BYTES: usize = 8;
 
 impl Header {
@@ -336,7 +336,7 @@ fn read_exact(from: &mut impl Read, bytes: &mut [u8], what: &str) -> Result<(), 
     })
 }
 
-/// What follows `'key':` in a header's dictionary.
+/// The text after `'key':` in a header's dictionary.
 fn value_of<'a>(text: &'a str, key: &str) -> Result<&'a str, String> {
     let quoted = format!("'{key}'");
     let after = text.find(&quoted).map(|at| text[at + quoted.len()..].trim_start());

@@ -16,7 +16,7 @@ use crate::{
     npy::{Header, NpyValue, header_bytes},
 };
 
-/// Deflate cannot shrink by more than this, so a larger promise is a lie (RFC 1951: 258 bytes from 2 bits).
+/// Deflate cannot shrink by more than this, so a larger claim is false (RFC 1951: 258 bytes from 2 bits).
 const MAX_DEFLATE_RATIO: u64 = 1032;
 
 /// Reads the arrays of an npz archive, one array per call: an array's values are in memory only once it is asked for.
@@ -70,7 +70,7 @@ impl NpzReader {
 
     /// Refuses an array if several copies of it do not fit the limits: for a caller that converts it.
     ///
-    /// - `copies`: how often the array's bytes are held at once
+    /// - `copies`: number of copies of the array's bytes in memory at once
     ///
     /// # Errors
     /// [`InterchangeError::Limit`]; [`InterchangeError::Array`] if the array is missing or its header is damaged.
@@ -106,8 +106,8 @@ impl NpzReader {
     /// Prepares one array of float32 or float64 for [`Self::row`], which reads a part of it: reads through the array
     /// once, and checks its values and the archive's checksum.
     ///
-    /// Only an array that is stored as it is (`numpy.savez`) and in C order stays on disk. In a compressed one
-    /// (`numpy.savez_compressed`) no place can be reached but through all before it: such an array is held in memory.
+    /// Only an uncompressed array (`numpy.savez`) in C order stays on disk. A compressed one (`numpy.savez_compressed`)
+    /// has no random access, so it is held in memory.
     ///
     /// - `key`: name of the array, without `.npy`
     ///
@@ -205,7 +205,7 @@ impl NpzReader {
     }
 }
 
-/// One array of an archive whose rows [`NpzReader::row`] reads; a row is what one index of the first axis has.
+/// One array of an archive whose rows [`NpzReader::row`] reads; a row has the values at one index of the first axis.
 #[derive(Debug)]
 pub(crate) struct NpzRows {
     key: String,
@@ -323,7 +323,7 @@ impl<W: Write + Seek> NpzWriter<W> {
 struct FailsOnce<W> {
     writer: W,
     failed: Option<ErrorKind>,
-    /// Where the writer is, bytes.
+    /// The writer's position, bytes.
     position: u64,
 }
 

@@ -31,7 +31,7 @@ const REMOVALS: usize = 100;
 /// The temporary folders of this process.
 static HELD: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// What [`write_whole`] does if the file exists already.
+/// Behaviour of [`write_whole`] if the file exists already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
     /// The file stays as it is, and writing fails with [`io::ErrorKind::AlreadyExists`].
@@ -240,8 +240,8 @@ pub fn remove_held() {
 }
 
 /// Removes the temporary folders that killed processes of this program left inside a folder. A folder without this
-/// program's mark, a folder whose mark a process has locked, and the target of a symbolic link are never touched. What
-/// cannot be read or removed stays, without an error.
+/// program's mark, a folder whose mark a process has locked, and the target of a symbolic link are never touched.
+/// Entries that cannot be read or removed stay, without an error.
 ///
 /// - `folder`: the folder to clean; its subfolders are not searched
 /// - `age`: a temporary folder is removed only if nothing in it has changed for this long
@@ -313,7 +313,7 @@ mod tests {
     #[cfg(unix)]
     const DAY: Duration = Duration::from_secs(24 * 3600);
 
-    /// What a killed process leaves, as old as told.
+    /// A folder of a killed process, of a given age.
     #[cfg(unix)]
     fn abandoned(folder: &Path, age: Duration) -> PathBuf {
         let path = folder.join(format!("{PREFIX}{}", age.as_secs()));

@@ -1,5 +1,5 @@
-//! LPIPS of a pair at Panoptic's size, with both networks. Needs the weights that `TCGS_LPIPS_WEIGHTS` names: how fast a
-//! product of matrices is does not depend on its values, but a bench checks its result, and that does.
+//! LPIPS of a pair at Panoptic's size, with both networks. Needs the weights that `TCGS_LPIPS_WEIGHTS` names: the speed
+//! does not depend on the weights, but the bench's check of its result does.
 
 use std::hint::black_box;
 use std::path::Path;

@@ -15,8 +15,8 @@ use tcgs_core::Image;
 
 use crate::assert_same_shape;
 
-/// Largest change of a static pixel: above the noise of a camera and of JPEG (on Panoptic Sports nine pixels of ten stay
-/// below from frame to frame), below what motion does to an edge.
+/// Largest change of a static pixel. It lies above the noise of a camera and of JPEG: on Panoptic Sports nine pixels of
+/// ten stay below it from frame to frame. It lies below the change of an edge that moves.
 pub const STATIC_CHANGE: f32 = 8.0 / 255.0;
 
 /// Flicker between two moments of one camera; `None` if nothing is static.

@@ -1,7 +1,7 @@
 //! Image metrics: PSNR, SSIM with its gradient, MS-SSIM, LPIPS, flicker, and the named protocols of publications.
 //!
-//! A judge that knows no model: images in, numbers out. Values nominally lie in `[0, 1]`; LPIPS needs three channels, the
-//! others take any number.
+//! A judge that knows no model: images in, numbers out. Values nominally lie in `[0, 1]`; LPIPS needs three channels,
+//! the others take any number.
 
 mod error;
 mod flicker;

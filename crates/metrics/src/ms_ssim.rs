@@ -1,4 +1,4 @@
-//! Multi-scale structural similarity (Wang, Simoncelli & Bovik 2003), and the dissimilarity made of it.
+//! Multi-scale structural similarity (Wang, Simoncelli & Bovik 2003), and the dissimilarity derived from it.
 //!
 //! Five scales, each half the size of the one before. With `cs_j` the mean over a channel's pixels of
 //! `(2 covariance + C2) / (variance_x + variance_y + C2)` at scale `j`, and `ssim_5` that of the whole map at the last:
@@ -9,8 +9,8 @@
 //! ```
 //!
 //! Negative means count as 0. Window and constants are those of [`crate::ssim`], but only pixels whose window lies
-//! inside the image count. Where a side is odd, a row or column of zeros is put before it and then averaged 2x2: that
-//! and the rest is what `pytorch_msssim` computes, whose figures are in publications.
+//! inside the image count. An odd side gets a row or column of zeros before it, which is then included in the 2x2
+//! average. All of this agrees with `pytorch_msssim`, the source of published figures.
 
 use tcgs_core::Image;
 
@@ -46,7 +46,7 @@ pub fn ms_ssim(rendered: &Image, target: &Image) -> Option<f64> {
         let last = scale + 1 == WEIGHTS.len();
         for (product, (whole, structure)) in products.iter_mut().zip(inner_means(&pair[0], &pair[1])) {
             let mean = if last { whole } else { structure };
-            // Not `f64::max`, by which a broken image would score 0.
+            // `f64::max` would score a broken image 0.
             *product *= if mean < 0.0 { 0.0 } else { mean.powf(weight) };
         }
         if !last {

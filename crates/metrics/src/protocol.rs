@@ -1,9 +1,9 @@
-//! Named ways to evaluate. Publications call different things PSNR, SSIM and LPIPS; a figure means something only
-//! together with the protocol that made it.
+//! Named ways to evaluate. Publications use the names PSNR, SSIM and LPIPS for different things, so a figure has a
+//! meaning only together with its protocol.
 //!
-//! A protocol says what pixels are before they are compared, which metrics it takes and under which names, and on which
-//! cameras, frames and sizes. The first two are computed here, the last can only be stated: captures decide it. All means
-//! are over the images of a scene, then over scenes, unweighted.
+//! A protocol prescribes how pixels are prepared, the metrics with their names, and the cameras, frames and sizes. The
+//! first two are computed here. The last are only stated, because the capture decides them. All means are over the
+//! images of a scene, then over scenes, unweighted.
 
 use std::fmt::Write;
 
@@ -24,7 +24,7 @@ pub enum Protocol {
     Stg,
 }
 
-/// What a protocol prescribes.
+/// The rules of a protocol.
 #[derive(Debug)]
 pub struct Rules {
     /// Name of the protocol for machines, such as an option of a command: `tc3dgs`.
@@ -46,7 +46,7 @@ pub struct Rules {
 /// How pixel values are prepared before images are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelRange {
-    /// Nothing: renders keep what lies outside of `[0, 1]`.
+    /// Unchanged: renders keep values outside of `[0, 1]`.
     Unclamped,
     /// Renders are clamped to `[0, 1]`.
     Clamped,
@@ -59,13 +59,13 @@ pub enum PixelRange {
 pub struct ProtocolMetric {
     /// Key of the metric in JSON, unique within the protocol.
     pub key: &'static str,
-    /// As the protocol's program prints it.
+    /// Name that the protocol's program prints.
     pub title: &'static str,
     /// How the value is computed.
     pub measure: Measure,
 }
 
-/// A metric as it is computed, whatever a protocol calls it.
+/// A metric as computed, independent of a protocol's name for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Measure {
@@ -140,7 +140,7 @@ impl Protocol {
     /// Every protocol.
     pub const ALL: [Self; 3] = [Self::Tc3dgs, Self::FourDgs, Self::Stg];
 
-    /// What the protocol prescribes.
+    /// The rules of the protocol.
     pub const fn rules(self) -> &'static Rules {
         match self {
             Self::Tc3dgs => &TC3DGS,
@@ -179,7 +179,7 @@ impl Protocol {
         measured.collect()
     }
 
-    /// The rules in words, several lines without a line end at the last: to stand beside every table that follows the
+    /// The rules in words, several lines without a newline at the end, to accompany every table that follows the
     /// protocol.
     pub fn describe(self) -> String {
         let rules = self.rules();
@@ -244,7 +244,7 @@ fn mapped(image: &Image, map: impl Fn(f32) -> f32) -> Image {
     Image { data: image.data.iter().map(|&x| map(x)).collect(), ..*image }
 }
 
-/// As a PNG holds it: halves are rounded up.
+/// Rounded to 8 bits as in a PNG: halves are rounded up.
 fn eight_bit(x: f32) -> f32 {
     (x * 255.0 + 0.5).clamp(0.0, 255.0).floor() / 255.0
 }

@@ -30,7 +30,7 @@ pub fn psnr(rendered: &Image, target: &Image) -> f64 {
 /// PSNR in dB of each channel alone, averaged over the channels; nothing is clamped. Each channel
 /// counts at most 100.
 ///
-/// The convention of the evaluation that the paper's numbers come from.
+/// The convention of the evaluation behind the paper's numbers.
 ///
 /// ```
 /// use tcgs_core::Image;

@@ -10,13 +10,14 @@
 //! ```
 //!
 //! It runs in every training iteration, so:
-//! 1. the window is separable: rows first, then columns, six products a value since it is symmetric;
-//! 2. only the sum of the two squares is filtered: the formula knows no other;
-//! 3. work is cut into strips of rows of one channel, and these into spans of columns, of which the eleven rows filtered
-//!    last stay in the first-level cache; neither depends on the number of threads, so the results do not either;
-//! 4. the forward pass keeps the map's three derivatives rather than its statistics: the backward pass
-//!    is then three filters;
-//! 5. loops run on arrays of one length, compiled for AVX-512 or AVX2 where the machine has them. There multiply-adds
+//! 1. The window is separable: rows first, then columns, with six products per value because it is symmetric.
+//! 2. Only the sum of the two squares is filtered, because the formula uses no other combination of them.
+//! 3. Work is cut into strips of rows of one channel, and strips into spans of columns. The eleven rows filtered last
+//!    of a span stay in the first-level cache. Neither size depends on the number of threads, so the results do not
+//!    either.
+//! 4. The forward pass saves the map's three derivatives rather than its statistics, so the backward pass is three
+//!    filters.
+//! 5. Loops run on arrays of one length, compiled for AVX-512 or AVX2 where the machine has them. There multiply-adds
 //!    are fused, so machines differ in the last bits. A value has the same bits wherever an image is cut.
 
 use std::ops::Range;
@@ -34,8 +35,8 @@ pub const SSIM_C1: f32 = 0.01 * 0.01;
 /// `C2 = (0.03 L)²` of Wang et al. 2004 for values of range `L = 1`.
 pub const SSIM_C2: f32 = 0.03 * 0.03;
 
-/// Pixels on each side of the window's centre: a pixel's value of the map depends on those no farther away along either
-/// axis, and so does its gradient on those no farther than twice as many.
+/// Pixels on each side of the window's centre. A value of the map depends on pixels up to this distance along either
+/// axis, and its gradient on pixels up to twice this distance.
 pub const SSIM_RADIUS: usize = 5;
 const RADIUS: usize = SSIM_RADIUS;
 
@@ -57,11 +58,11 @@ const SPAN: usize = 128;
 /// One row of a span.
 type Row = [f32; SPAN];
 
-/// What [`ssim_fwd`] keeps for [`ssim_bwd`]: three values a value of the image.
+/// State that [`ssim_fwd`] saves for [`ssim_bwd`]: three values per value of the image.
 #[derive(Clone, Debug, Default)]
 pub struct SsimSaved {
-    /// Strips of the channels, one after another, each `[rows, 3, W]`: derivatives of the map to `mean_x`, `square_x` and
-    /// `product`. Every strip is allocated by the thread that fills it.
+    /// Strips of the channels, one after another, each `[rows, 3, W]`: derivatives of the map to `mean_x`, `square_x`
+    /// and `product`. Every strip is allocated by the thread that fills it.
     strips: Vec<Vec<f32>>,
 }
 
@@ -129,8 +130,8 @@ pub fn ssim_bwd(rendered: &Image, target: &Image, saved: &SsimSaved, v_ssim: &[f
     ssim_map_bwd(rendered, target, saved, &v_map, v_rendered);
 }
 
-/// Backward of the map of [`ssim_fwd`] before its mean is taken, for images that are cut from larger ones. *Accumulates*
-/// into `v_rendered`.
+/// Backward of the map of [`ssim_fwd`] before its mean is taken, for images that are cut from larger ones.
+/// *Accumulates* into `v_rendered`.
 ///
 /// - `saved`: of the same images
 /// - `v_map`: `[C]`, gradient to the map, the same at every pixel of a channel
@@ -152,8 +153,8 @@ pub fn ssim_map_bwd(rendered: &Image, target: &Image, saved: &SsimSaved, v_map: 
     });
 }
 
-/// The map and its second factor, `(2 covariance + C2) / (variance_x + variance_y + C2)`, averaged over the pixels whose
-/// window lies inside the image; for each channel.
+/// The map and its second factor, `(2 covariance + C2) / (variance_x + variance_y + C2)`, averaged over the pixels
+/// whose window lies inside the image; for each channel.
 ///
 /// # Panics
 /// If the images differ in shape or have no such pixels.
@@ -209,14 +210,13 @@ fn strip_fwd_in<const FUSED: bool>(width: usize, first_row: usize, x: &[f32], y:
     pass.sum
 }
 
-/// What [`filter`] filters, and what becomes of it. A trait where closures would read better: these are compiled apart,
-/// without the processor's features.
+/// Input and output of [`filter`]. It is a trait, although closures would read better, because closures are compiled
+/// separately, without the processor's features.
 trait Pass<const K: usize, const FUSED: bool> {
     /// Writes the `K` quantities of some columns of one row of the image.
     fn fill(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; K]);
 
-    /// Is given the filtered quantities of some columns of one row of the strip; those beyond the columns have no
-    /// meaning.
+    /// Takes the filtered quantities of some columns of one row of the strip; values beyond the columns are undefined.
     fn take(&mut self, row: usize, columns: Range<usize>, stats: &[Row; K]);
 }
 

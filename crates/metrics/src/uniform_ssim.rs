@@ -1,9 +1,9 @@
 //! SSIM with a uniform window, as `skimage.metrics.structural_similarity` computes it by default.
 //!
-//! Window 7x7, all pixels alike; variances and the covariance of samples (`49 / 48` of the window's); only pixels whose
-//! window lies inside the image count; constants `C1 = (0.01 R)²`, `C2 = (0.03 R)²` for a data range `R`. The formula is
-//! that of [`crate::ssim`]. Float images given without a range were once taken to have `R = 2`, which flatters; figures
-//! made that way are in publications, which is the only reason for this metric.
+//! The window is 7x7 and uniform. Variances and the covariance are those of samples (`49 / 48` of the window's). Only
+//! pixels whose window lies inside the image count. The constants are `C1 = (0.01 R)²`, `C2 = (0.03 R)²` for a data
+//! range `R`. The formula is that of [`crate::ssim`]. For float images without a range, `skimage` once assumed `R = 2`,
+//! which flatters. This metric exists only because published figures were computed that way.
 
 use rayon::prelude::*;
 use tcgs_core::Image;

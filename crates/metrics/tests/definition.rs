@@ -1,4 +1,5 @@
-//! SSIM and MS-SSIM against their definitions: windows summed pixel by pixel in `f64`, gradients by central differences.
+//! SSIM and MS-SSIM against their definitions: windows summed pixel by pixel in `f64`, gradients by central
+//! differences.
 #![allow(clippy::unwrap_used)] // helpers of tests
 
 use tcgs_core::Image;

@@ -1,4 +1,4 @@
-//! Against the image loss of Dynamic 3D Gaussians, from vectors that other programs made.
+//! Compared with the image loss of Dynamic 3D Gaussians, from vectors that other programs made.
 #![allow(clippy::unwrap_used)] // helpers of tests
 
 use std::io::Write;
@@ -15,7 +15,7 @@ impl Golden {
     fn open() -> Option<Self> {
         if !std::path::Path::new(GOLDEN).exists() {
             assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{GOLDEN} is missing");
-            // Past the capture of passing tests: a skip is to be seen.
+            // Written past the test harness's capture, so that a skip is visible.
             let _ = writeln!(std::io::stderr(), "skipped: no {GOLDEN}");
             return None;
         }

@@ -20,7 +20,7 @@ fn weights() -> Option<Lpips> {
 
 fn skip(why: &str) {
     assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{why}");
-    // Past the capture of passing tests: a skip is to be seen.
+    // Written past the test harness's capture, so that a skip is visible.
     let _ = writeln!(std::io::stderr(), "skipped: {why}");
 }
 
@@ -73,7 +73,7 @@ fn the_metric_behaves() {
         let there = distance(InputRange::Signed, &a, &b);
         assert_eq!(distance(InputRange::Signed, &a, &a), 0.0);
         assert!((there - distance(InputRange::Signed, &b, &a)).abs() < 1e-12 && there > 0.01, "{there}");
-        // What the unit range means: the same pixels are given to the network.
+        // Definition of the unit range: the network gets the same pixels.
         let signed_of = |image: &Image| Image { data: image.data.iter().map(|x| (x + 1.0) / 2.0).collect(), ..*image };
         let unit = distance(InputRange::Unit, &a, &b);
         assert!((unit - distance(InputRange::Signed, &signed_of(&a), &signed_of(&b))).abs() < 1e-5);

@@ -1,4 +1,4 @@
-//! From a file at hand to the decoded data of any timestep, on one core: what a person waits after a click.
+//! Time from an open file to the decoded data of any timestep, on one core: the wait after a click.
 
 use std::hint::black_box;
 
@@ -9,12 +9,13 @@ use tcgs_play::{BytesSource, Player, PlayerSettings};
 #[path = "../tests/support/mod.rs"]
 mod support;
 
-/// Gaussians of a demo's scene, of a room with two people, and of a large scene; 150 timesteps are five seconds.
+/// Number of Gaussians of a demo scene, of a room with two people, and of a large scene. 150 timesteps are five
+/// seconds.
 const SIZES: [usize; 3] = [11_000, 60_000, 200_000];
 const NUM_TIMESTEPS: usize = 150;
 
 fn seeks(criterion: &mut Criterion) {
-    // Without the CPU's other threads, as in a browser.
+    // One thread, as in a browser.
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     for num_gaussians in SIZES {
         let file: std::sync::Arc<[u8]> =
@@ -55,7 +56,7 @@ fn seeks(criterion: &mut Criterion) {
                 })
             });
         });
-        // Goes on from sample to sample: the same timestep twice would be there already.
+        // Steps through different timesteps, because a repeated timestep would already be decoded.
         let mut timestep = 0;
         group.bench_function("seek to another segment", |b| {
             b.iter(|| {

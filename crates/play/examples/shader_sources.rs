@@ -1,5 +1,5 @@
-//! Writes every shader of the renderer and the player, as the GPU gets it, to `FOLDER/NAME.wgsl`, for other compilers to
-//! judge.
+//! Writes every shader of the renderer and the player, as the GPU gets it, to `FOLDER/NAME.wgsl`, for other compilers
+//! to judge.
 //!
 //! `cargo run -p tcgs-play --example shader_sources -- FOLDER`
 

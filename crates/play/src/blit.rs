@@ -1,4 +1,4 @@
-//! From the image in the renderer's buffer to a texture that a window can show.
+//! Copies the image in the renderer's buffer to a texture that a window can show.
 
 use bytemuck::{Pod, Zeroable};
 use tcgs_render::gpu::{Gpu, GpuError};
@@ -6,7 +6,7 @@ use tcgs_render::gpu::{Gpu, GpuError};
 /// WGSL of the shaders.
 pub(crate) const SOURCE: &str = include_str!("blit.wgsl");
 
-/// Of the same name in the shaders.
+/// Mirrors `Picture` in the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 struct Picture {
@@ -25,7 +25,7 @@ pub struct Blit {
 impl Blit {
     /// Compiles the shaders.
     ///
-    /// - `format`: of the textures; not one that encodes sRGB, since colours are stored as displayed
+    /// - `format`: format of the textures. It must not encode sRGB, because colours are stored as displayed
     ///
     /// # Errors
     /// [`GpuError::Memory`] if the GPU has no memory left.
@@ -60,7 +60,7 @@ impl Blit {
     ///
     /// - `image`: `[C + 1, H, W]`, as the renderer leaves it
     /// - `size`: width and height of both the image and `target`, pixels
-    /// - `light`: by which red, green and blue are multiplied
+    /// - `light`: gains of red, green and blue
     pub fn record(
         &self,
         gpu: &Gpu,

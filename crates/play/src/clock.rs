@@ -3,10 +3,10 @@
 /// Frames per second of a scene that does not say.
 const DEFAULT_FRAME_RATE: f64 = 30.0;
 
-/// A position in a scene's time that moves on at some speed, in a loop or not.
+/// A position in a scene's time that advances at a set speed, with or without a loop.
 ///
-/// Positions are in timesteps: timestep `t` is due from position `t` up to, not including, `t + 1`. Real time moves them on
-/// by the frame rate or, where timesteps are not evenly apart, by the times of timesteps.
+/// Positions are in timesteps: timestep `t` is due from position `t` up to, not including, `t + 1`. Real time advances
+/// the position by the frame rate, or by the times of the timesteps if these are not evenly spaced.
 ///
 /// ```
 /// let mut clock = tcgs_play::Clock::new(24, 30.0);
@@ -19,7 +19,7 @@ const DEFAULT_FRAME_RATE: f64 = 30.0;
 pub struct Clock {
     num_timesteps: usize,
     frame_rate: f64,
-    /// `[num_timesteps]` seconds from the first timestep, if these are not evenly apart.
+    /// `[num_timesteps]` seconds from the first timestep, if the timesteps are not evenly spaced.
     times: Option<Vec<f64>>,
     position: f64,
     is_playing: bool,
@@ -47,7 +47,7 @@ impl Clock {
         }
     }
 
-    /// The same clock for timesteps that are not evenly apart. The last one lasts as long as the frame rate says.
+    /// The same clock for timesteps that are not evenly spaced. The frame rate gives the duration of the last one.
     ///
     /// - `times`: `[num_timesteps]` seconds, strictly ascending from 0
     ///
@@ -186,7 +186,7 @@ impl Clock {
         }
     }
 
-    /// Lets real time pass without moving the position, as while a segment is missing.
+    /// Lets real time pass without advancing the position, as while a segment is missing.
     ///
     /// - `now_ms`: as for [`Self::advance`]
     pub fn hold(&mut self, now_ms: f64) {
@@ -219,7 +219,7 @@ mod tests {
         clock.hold(5000.0);
         clock.advance(5050.0);
         assert!((clock.position() - 2.52).abs() < 1e-9, "{}", clock.position());
-        // A clock of the world that goes back does not.
+        // Real time that goes back does not move the position.
         clock.advance(4000.0);
         assert!((clock.position() - 2.52).abs() < 1e-9);
     }
@@ -233,7 +233,7 @@ mod tests {
         clock.set_speed(-1.0);
         clock.advance(1600.0);
         assert_eq!(clock.timestep(), 9);
-        // A tab that was away for a day.
+        // The tab was in the background for a day.
         clock.advance(86_400_000.0);
         assert!(clock.timestep() < 10 && clock.is_playing());
     }

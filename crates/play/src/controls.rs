@@ -1,7 +1,7 @@
 //! A camera that a person moves: orbit, look, pan, zoom, fly.
 //!
-//! Lengths are in scene units, angles in radians. The scene follows the pointer: a drag to the right moves the camera to
-//! the left.
+//! Lengths are in scene units, angles in radians. The scene follows the pointer: a drag to the right moves the camera
+//! to the left.
 
 use tcgs_core::{Camera, CameraError, dot, normalize};
 
@@ -22,9 +22,9 @@ struct CameraPose {
     position: Vector,
     /// Distance of the pivot, straight ahead.
     distance: f64,
-    /// As it was given: its intrinsics hold for good, its transform until the pose is moved.
+    /// The camera as given. Its intrinsics always apply; its transform applies until the pose is moved.
     given: Camera,
-    /// Until then the transform is the given one to the bit, which arithmetic on the axes would not be.
+    /// Until the pose is moved, the transform is bit for bit the given one; rebuilding it from the axes would round.
     is_moved: bool,
 }
 
@@ -122,8 +122,7 @@ impl Controls {
 
     /// Moves sideways, together with the pivot.
     ///
-    /// - `dx`, `dy`: how far what lies at the pivot's depth moves to the right and down in the picture, in heights of the
-    ///   picture
+    /// - `dx`, `dy`: shift of a point at the pivot's depth to the right and down in the picture, in picture heights
     pub fn pan(&mut self, dx: f64, dy: f64) {
         let height = self.pose.distance * self.pose.given.height as f64 / self.pose.given.focal[1];
         self.shift([-dx * height, -dy * height, 0.0]);
@@ -131,7 +130,7 @@ impl Controls {
 
     /// Moves towards the pivot or away from it.
     ///
-    /// - `factor`: by which the distance is divided: above 1 nearer; what is not a positive number changes nothing
+    /// - `factor`: divides the distance: above 1 moves nearer. Values other than positive numbers change nothing
     pub fn zoom(&mut self, factor: f64) {
         if !(factor.is_finite() && factor > 0.0) {
             return;
@@ -160,10 +159,10 @@ impl Controls {
         }
     }
 
-    /// Turns the axes: about what is up, then about what is right.
+    /// Turns the axes about the up direction, then about the right axis.
     ///
     /// - `yaw`, `pitch`: radians to the left and down
-    /// - returns: whether the angles are any
+    /// - returns: whether both angles are finite; otherwise nothing changes
     fn turn(&mut self, yaw: f64, pitch: f64) -> bool {
         if !(yaw.is_finite() && pitch.is_finite()) {
             return false;
@@ -190,7 +189,7 @@ fn ahead(camera: &Camera, point: Vector) -> f64 {
     let offset: Vector = std::array::from_fn(|i| point[i] - center[i]);
     let distance = dot(offset, offset).sqrt();
     let depth = dot(offset, camera.forward());
-    // Of a point beside or behind the camera the distance must do.
+    // A point beside or behind the camera has no useful depth, so its distance counts instead.
     let found = if depth > 0.2 * distance { depth } else { distance };
     if found.is_finite() && found > 0.0 { found } else { 1.0 }
 }
@@ -212,7 +211,7 @@ fn rotated(v: Vector, axis: Vector, angle: f64) -> Vector {
     std::array::from_fn(|i| cos * v[i] + sin * across[i] + along * axis[i])
 }
 
-/// Many small turns would add their rounding up.
+/// Restores orthonormal axes, because the rounding of many small turns would accumulate.
 fn orthonormal([right, _, forward]: [Vector; 3]) -> [Vector; 3] {
     let forward = normalize(forward);
     let right = normalize(add(right, forward, -dot(right, forward)));

@@ -1,7 +1,7 @@
-//! What a server answers to requests for a file. The requests themselves are in `web`.
+//! A server's answers to requests for a file. The requests themselves are in `web`.
 //!
-//! A server is asked for ranges. If it sends the whole file instead, that download goes on to its end, and all ranges are
-//! taken from it.
+//! A player requests ranges. If the server sends the whole file instead, that download continues to its end, and all
+//! ranges are taken from it.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -14,20 +14,20 @@ use crate::source::{Piece, SourceError};
 pub struct AnswerHead {
     /// HTTP status, such as 206.
     pub status: u16,
-    /// Words of the status, such as `Partial Content`.
+    /// Reason phrase of the status, such as `Partial Content`.
     pub status_text: String,
     /// Length of the whole file in bytes, where the headers tell it.
     pub length: Option<u64>,
-    /// `Last-Modified`, else `ETag`: another value stands for other bytes.
+    /// `Last-Modified`, else `ETag`. A different value means different bytes.
     pub version: Option<String>,
 }
 
-/// Collects what the answers to requests bring, until it is polled.
+/// Collects the bytes and errors of answers until it is polled.
 #[derive(Debug, Default)]
 pub struct Inbox {
-    /// Number of the current request. What arrives for an earlier one is dropped.
+    /// Number of the current request. Bytes for an earlier request are dropped.
     request: u64,
-    /// What has not been polled yet of the current range, if a download of the whole file serves it.
+    /// The part of the current range that is still to be polled, if a download of the whole file serves it.
     rest: Range<u64>,
     pieces: VecDeque<Result<Piece, SourceError>>,
     length: Option<u64>,
@@ -52,7 +52,7 @@ impl Inbox {
         Self { length, ..Self::default() }
     }
 
-    /// Takes the waker that the next piece is to wake, in place of the one before.
+    /// Replaces the waker that the next piece wakes.
     pub fn wake_by(&mut self, waker: Waker) {
         self.waker = Some(waker);
     }
@@ -90,13 +90,13 @@ impl Inbox {
     /// - returns: whether bytes follow
     ///
     /// # Errors
-    /// [`SourceError::Interrupted`] if the server is in trouble that may pass, [`SourceError::Refused`] if it answers with
-    /// another status or if the file has changed since an earlier answer.
+    /// [`SourceError::Interrupted`] if the server reports a problem that may pass, [`SourceError::Refused`] if it
+    /// answers with another status or if the file has changed since an earlier answer.
     pub fn begin(&mut self, what: &str, head: AnswerHead) -> Result<bool, SourceError> {
         let AnswerHead { status, status_text, length, version } = head;
         if ![200, 206, 416].contains(&status) {
             let (what, problem) = (what.to_owned(), format!("the server answers {status} {status_text}"));
-            // Too slow, too many requests, or a server in trouble: another request may succeed.
+            // Timeout, too many requests, or a server error: another request may succeed.
             let passes = matches!(status, 408 | 429 | 500..);
             return Err(if passes {
                 SourceError::Interrupted { what, problem }
@@ -141,7 +141,7 @@ impl Inbox {
             }
             (Ok(()), None) => self.pieces.push_back(Ok(Piece::End)),
             (Err(error), _) => {
-                // Ranges have to be requested again: the rest of the whole file will not arrive.
+                // The rest of the whole file will not arrive, so ranges have to be requested again.
                 self.whole = None;
                 self.pieces.push_back(Err(error));
             }
@@ -172,7 +172,7 @@ impl Inbox {
     }
 }
 
-/// Whether two things are known, and not the same.
+/// Whether both values are known and differ.
 fn differs<T: PartialEq>(before: Option<T>, now: Option<T>) -> bool {
     before.zip(now).is_some_and(|(before, now)| before != now)
 }

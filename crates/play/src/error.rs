@@ -1,4 +1,4 @@
-//! Why a scene does not play.
+//! Reasons why a scene does not play.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::source::SourceError;
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlayError {
-    /// The file is of another kind.
+    /// The file is not a `.tcgs` file.
     #[error("this is not a .tcgs file")]
     NotTcgs,
     /// The file ends too early.
@@ -20,7 +20,7 @@ pub enum PlayError {
     Truncated {
         /// Length of the file, bytes.
         found: u64,
-        /// Length that the file has at least according to its own tables, bytes.
+        /// Least length of the file according to its own tables, bytes.
         expected: u64,
     },
     /// A later version of the programs wrote the file.
@@ -43,15 +43,15 @@ pub enum PlayError {
     /// There is no fitting GPU, its memory is full, or it stopped working.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// What was given as a camera is none.
+    /// The given camera is not valid.
     #[error(transparent)]
     Camera(#[from] BadCamera),
-    /// Another scene was opened before this one was there.
+    /// Another scene was opened before this one was ready.
     #[error("another scene was opened")]
     Replaced,
 }
 
-/// Why something is no camera to look from.
+/// Why a camera is not valid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BadCamera {
@@ -64,10 +64,10 @@ pub enum BadCamera {
     /// An object of the page has a matrix of another size.
     #[error("cameraFromWorld has {0} numbers, expected 16 in rows")]
     Matrix(usize),
-    /// The numbers are no pinhole camera.
+    /// The numbers do not describe a pinhole camera.
     #[error(transparent)]
     Numbers(#[from] CameraError),
-    /// A camera path has no camera there.
+    /// The camera path has no camera at that timestep.
     #[error(transparent)]
     Path(#[from] CameraPathError),
     /// The file has fewer cameras.
@@ -91,7 +91,7 @@ pub enum BadCamera {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ErrorCode {
-    /// The file is of another kind.
+    /// The file is not a `.tcgs` file.
     NotTcgs,
     /// The file ends too early.
     Truncated,
@@ -107,14 +107,14 @@ pub enum ErrorCode {
     OutOfMemory,
     /// The GPU stopped working.
     DeviceLost,
-    /// What was given as a camera is none.
+    /// The given camera is not valid.
     BadCamera,
     /// Another scene was opened.
     Aborted,
 }
 
 impl ErrorCode {
-    /// The code that a page reads in the property `code` of an error. It stays the same whatever the message says.
+    /// The code that a page reads in the property `code` of an error. It does not change with the message.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::NotTcgs => "not-tcgs",

@@ -1,7 +1,8 @@
-//! What a player holds of a file: cohorts with their shared layers, and decoded segments, within a bound on their memory.
+//! The parts of a file that a player holds: cohorts with their shared layers, and decoded segments, within a memory
+//! bound.
 //!
-//! A player knows what it shows next. What is missing is fetched in the order in which playback reaches it, and what
-//! playback reaches last is evicted first (Bélády's rule). Nothing here fetches or decodes.
+//! The order of playback is known. Missing parts are fetched in that order, and the part that playback reaches last is
+//! evicted first (Bélády's rule). Nothing here fetches or decodes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -17,9 +18,9 @@ use crate::clock::Clock;
 pub struct Moment {
     /// Timestep of the scene.
     pub timestep: usize,
-    /// Of each cohort that lives at the timestep the segment that holds it, by ascending cohort.
+    /// The segment of each cohort that lives at the timestep, by ascending cohort.
     pub segments: Vec<Arc<Segment>>,
-    /// Whether the segments have all their layers. The first layers alone are a coarser picture.
+    /// Whether the segments have all their layers. The first layers alone give a coarser picture.
     pub is_whole: bool,
 }
 
@@ -29,7 +30,7 @@ impl Moment {
         self.segments.first().is_some_and(|segment| segment.layout().is_antialiased())
     }
 
-    /// The Gaussians that live at the timestep, as floats in stored form; with the columns of the first cohort.
+    /// The Gaussians that live at the timestep, as floats in stored form, with the columns of the first cohort.
     pub fn gaussians(&self) -> Gaussians {
         let of_segment = |segment: &Arc<Segment>| {
             let all = segment.at(self.timestep);
@@ -50,7 +51,7 @@ pub(crate) enum Part {
     Head(usize),
     /// The head of a cohort and its shared layers.
     Start(usize),
-    /// The first shared layers of a cohort that are not read yet: up to so many.
+    /// The shared layers of a cohort that are not read yet, up to this number of layers.
     Shared(usize, usize),
     /// A segment.
     Segment {
@@ -58,19 +59,20 @@ pub(crate) enum Part {
         cohort: usize,
         /// Index of the segment in the cohort.
         segment: usize,
-        /// How many of its layers.
+        /// Number of its layers.
         layers: usize,
     },
 }
 
-/// Bytes of a cohort's start that are fetched and decoded before anything is shown. Of a longer one the first layer is
-/// shown while the others come. So much takes a second at 1 Mbit/s, and one core decodes it in about 25 ms.
+/// A cohort's start of at most this many bytes is fetched and decoded before anything is shown. The first layer of a
+/// longer one is shown while the others arrive. This many bytes take a second at 1 Mbit/s, and one core decodes them in
+/// about 25 ms.
 const QUICK_BYTES: u64 = 1 << 17;
 
-/// Steps of playback from one set of segments to the next that are looked at for what to fetch.
+/// Number of steps from one set of segments to the next that the prefetch looks ahead.
 const MAX_SPANS: usize = 64;
 
-/// Memory that a Gaussian is expected to take in a cohort as long as no cohort is known, bytes.
+/// Expected memory of a Gaussian in a cohort until a cohort has been read, bytes.
 const FIRST_GUESS: usize = 100;
 
 /// Cohorts and segments within a bound.
@@ -78,17 +80,17 @@ const FIRST_GUESS: usize = 100;
 pub(crate) struct Holdings {
     max_bytes: usize,
     cohorts: BTreeMap<usize, Cohort>,
-    /// By cohort and index within it.
+    /// Keyed by cohort and index within it.
     segments: BTreeMap<(usize, usize), Arc<Segment>>,
-    /// Bytes of the largest segment so far: what another is expected to take.
+    /// Bytes of the largest segment so far: the expected size of the next one.
     largest_segment: usize,
-    /// Most bytes of a Gaussian in a cohort so far.
+    /// Largest memory per Gaussian of a cohort so far, bytes.
     bytes_per_gaussian: usize,
 }
 
 impl Holdings {
-    /// - `max_bytes`: bound on the memory of all segments, and of the cohorts that do not live at the due timestep. What is
-    ///   due is held even if it alone takes more
+    /// - `max_bytes`: bound on the memory of all segments, and of the cohorts that do not live at the due timestep. Due
+    ///   data are held even if they alone exceed the bound
     pub(crate) fn new(max_bytes: usize) -> Self {
         Self {
             max_bytes,
@@ -104,7 +106,7 @@ impl Holdings {
         self.segments.values().map(|segment| segment.bytes()).sum()
     }
 
-    /// What is due, if there is something of every cohort that lives then.
+    /// The due timestep, if every cohort that lives at it has a decoded segment.
     pub(crate) fn moment(&self, archive: &Archive, timestep: usize) -> Option<Moment> {
         let mut moment = Moment { timestep, segments: Vec::new(), is_whole: true };
         for index in archive.cohorts_at(timestep) {
@@ -126,8 +128,8 @@ impl Holdings {
         self.cohorts.remove(&cohort)
     }
 
-    /// Takes a cohort, which may have read its shared layers, and evicts what playback reaches later, or the cohort itself
-    /// if it reaches that last.
+    /// Inserts a cohort, whose shared layers may have been read. Evicts the parts that playback reaches later, or the
+    /// cohort itself if playback reaches it last.
     pub(crate) fn insert_cohort(&mut self, archive: &Archive, clock: &Clock, index: usize, cohort: Cohort) {
         let of_gaussian = cohort.bytes() / cohort.num_gaussians().max(1);
         self.bytes_per_gaussian = self.bytes_per_gaussian.max(of_gaussian);
@@ -135,19 +137,20 @@ impl Holdings {
         self.evict(archive, clock, 0);
     }
 
-    /// Evicts segments before one is decoded, which is expected to be as large as the largest one so far.
+    /// Evicts segments before the next one is decoded, whose expected size is that of the largest one so far.
     pub(crate) fn make_room(&mut self, archive: &Archive, clock: &Clock) {
         self.evict(archive, clock, self.largest_segment);
     }
 
-    /// Takes a segment and evicts what playback reaches later, or the segment itself if it reaches that last.
+    /// Inserts a segment. Evicts the parts that playback reaches later, or the segment itself if playback reaches it
+    /// last.
     pub(crate) fn insert_segment(&mut self, archive: &Archive, clock: &Clock, segment: Segment) {
         self.largest_segment = self.largest_segment.max(segment.bytes());
         self.segments.insert((segment.cohort(), segment.index()), Arc::new(segment));
         self.evict(archive, clock, 0);
     }
 
-    /// Evicts what playback reaches last until there is room, or nothing is left but what is due.
+    /// Evicts the part that playback reaches last until there is room, or until only due parts are left.
     fn evict(&mut self, archive: &Archive, clock: &Clock, room: usize) {
         let due: Vec<usize> = archive.cohorts_at(clock.timestep()).collect();
         loop {
@@ -156,7 +159,7 @@ impl Holdings {
             if self.segment_bytes() + of_cohorts + room <= self.max_bytes {
                 return;
             }
-            // A cohort goes after its segments, which are not reached before it.
+            // A cohort is evicted after its segments, because playback never reaches them before the cohort.
             let segments = self
                 .segments
                 .iter()
@@ -173,7 +176,7 @@ impl Holdings {
         }
     }
 
-    /// What is needed next, and whether the due timestep lacks it; none if there is nothing to fetch.
+    /// The part to fetch next, and whether the due timestep lacks it; `None` if there is nothing to fetch.
     pub(crate) fn next_part(&self, archive: &Archive, clock: &Clock) -> Option<(Part, bool)> {
         let now = clock.timestep();
         let due: Vec<usize> = archive.cohorts_at(now).collect();
@@ -186,9 +189,9 @@ impl Holdings {
         self.prefetch(archive, clock).map(|part| (part, false))
     }
 
-    /// What a cohort lacks of a timestep.
+    /// The part of a cohort that a timestep lacks.
     ///
-    /// - `layers`: how many layers are needed at least
+    /// - `layers`: least number of layers needed
     fn missing(
         &self,
         archive: &Archive,
@@ -212,7 +215,7 @@ impl Holdings {
         (!is_there).then(|| Part::Segment { cohort: index, segment, layers: cohort.layers_read() })
     }
 
-    /// The first part in the order of playback that is missing, unless it is not expected to fit beside what playback
+    /// The first missing part in the order of playback, unless it is not expected to fit beside the parts that playback
     /// reaches earlier.
     fn prefetch(&self, archive: &Archive, clock: &Clock) -> Option<Part> {
         let num_timesteps = archive.info().num_timesteps as usize;
@@ -257,7 +260,8 @@ impl Holdings {
     }
 }
 
-/// How many timesteps playback passes before it reaches some; what it never reaches without a loop comes last.
+/// Number of timesteps that playback passes before it reaches a range. A range that playback reaches only by looping
+/// comes last.
 fn distance(timesteps: &Range<usize>, archive: &Archive, clock: &Clock) -> usize {
     let (now, len) = (clock.timestep(), archive.info().num_timesteps as usize);
     if timesteps.contains(&now) {

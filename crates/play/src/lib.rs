@@ -1,11 +1,11 @@
 //! The player of `.tcgs` scenes, natively and in a browser.
 //!
-//! - `source`: where the bytes of a file come from; `download`: what servers answer
+//! - `source`: where the bytes of a file come from; `download`: a server's answers
 //! - `player`: from bytes to a timestep that can be drawn; the `clock`
-//! - `holdings`: what is fetched next, what is kept
+//! - `holdings`: which part is fetched next, which parts are kept
 //! - `reconstruct`, `segment_renderer`, `blit`: from a timestep to a picture, with the renderer that training uses
-//! - `start_view`, `controls`: from where the scene is seen
-//! - `viewer`: all of these together; `web`: the same as a page sees it
+//! - `start_view`, `controls`: the view of the scene at the start, and how a person moves it
+//! - `viewer`: all of these together; `web`: the same for a page
 //!
 //! There is no training, no capture and no encoder in this crate, because a browser has to load all of it.
 //!
@@ -59,8 +59,8 @@ pub use source::{BytesSource, FileSource, Piece, RangeSource, SourceError};
 pub use start_view::start_view;
 pub use viewer::{FrameReport, Viewer};
 
-/// Name and WGSL source of every shader of this crate, as the GPU gets it. [`tcgs_render::device::sources`] has those of the
-/// renderer.
+/// Name and WGSL source of every shader of this crate, as the GPU gets it. [`tcgs_render::device::sources`] has the
+/// renderer's shaders.
 pub fn sources() -> Vec<(String, String)> {
     let mut sources = reconstruct::sources();
     sources.push(("blit".into(), blit::SOURCE.into()));

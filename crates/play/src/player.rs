@@ -1,9 +1,12 @@
-//! From a source of bytes to the segment and timestep that are to be drawn.
+//! From a source of bytes to the segment and timestep to draw.
 //!
-//! A state machine fetches in this order: the tables at the start of the file; of the cohorts that live at the due timestep
-//! the first layer, so that there is something to show, and then all; as prefetch what is due next, as long as there is
-//! room. One request is under way at a time. Nothing here blocks: [`Player::update`] does what can be done with the bytes
-//! that have arrived.
+//! A state machine fetches in this order:
+//! - the tables at the start of the file;
+//! - the first layer of each cohort that lives at the due timestep, for a first picture;
+//! - the other layers of these cohorts;
+//! - as prefetch, later timesteps in the order of playback, while there is room.
+//!
+//! One request is under way at a time. Nothing here blocks: [`Player::update`] uses the bytes that have arrived.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -15,13 +18,13 @@ use crate::error::PlayError;
 use crate::holdings::{Holdings, Moment, Part};
 use crate::source::{Piece, RangeSource, SourceError};
 
-/// How much memory a player uses, and how it begins.
+/// A player's memory, and its first request.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlayerSettings {
-    /// Bound on the memory of decoded segments, bytes, and of the Gaussians that do not live at the due timestep. What is
-    /// due is held even if it alone takes more. Default 256 MiB.
+    /// Bound on the memory of decoded segments, bytes, and of the Gaussians that do not live at the due timestep. Due
+    /// data are held even if they alone exceed the bound. Default 256 MiB.
     pub max_segment_bytes: usize,
-    /// What a file may ask for before it is refused. Default: 1 GiB of memory, which a browser's tab has, and otherwise
+    /// Limits beyond which a file is refused. Default: 1 GiB of memory, which a browser's tab has, and otherwise
     /// [`DecodeLimits::default`].
     pub limits: DecodeLimits,
     /// Length of the first request, bytes. The default of 16 KiB holds the tables of most files and is less than their
@@ -39,12 +42,12 @@ impl Default for PlayerSettings {
     }
 }
 
-/// How often in a row a request is sent again after the connection broke.
+/// Number of times in a row that a request is sent again after the connection broke.
 const MAX_RETRIES: u32 = 4;
-/// Milliseconds before the first repetition; each further one waits twice as long (exponential backoff).
+/// Milliseconds before the first retry; each further one waits twice as long (exponential backoff).
 const RETRY_MS: f64 = 250.0;
 
-/// Data of applications are read if they lie within so many bytes after the start of the file.
+/// Application data are read if they lie within this many bytes of the start of the file.
 const MAX_APPLICATION_BYTES: u64 = 1 << 18;
 
 /// A request that is under way.
@@ -53,9 +56,9 @@ struct Fetch {
     part: Part,
     /// Where the part lies in the file.
     range: Range<u64>,
-    /// What has arrived of the range.
+    /// The bytes of the range that have arrived.
     bytes: Vec<u8>,
-    /// When the source is asked again, if the connection broke.
+    /// Time of the next request, if the connection broke.
     retry_at_ms: Option<f64>,
 }
 
@@ -84,7 +87,7 @@ struct OpenFile {
     clock: Clock,
     application_data: Vec<(String, Vec<u8>)>,
     light: Light,
-    /// By offset in the file: segments of which only the first layers were fetched.
+    /// Segments of which only the first layers were fetched, keyed by offset in the file.
     begun: BTreeMap<u64, Vec<u8>>,
 }
 
@@ -192,7 +195,7 @@ impl<S: RangeSource> Player<S> {
         self.file.as_mut().map(|file| &mut file.clock)
     }
 
-    /// What to draw: the due timestep, if something of all that lives at it has arrived.
+    /// The due timestep, if every cohort that lives at it has a decoded segment.
     pub fn current(&self) -> Option<Moment> {
         self.file.as_ref().and_then(OpenFile::current)
     }
@@ -255,7 +258,7 @@ impl<S: RangeSource> Player<S> {
                     Err(error @ SourceError::Interrupted { .. }) if self.num_retries < MAX_RETRIES => {
                         fetch.retry_at_ms = Some(now_ms + RETRY_MS * f64::from(1 << self.num_retries));
                         self.num_retries += 1;
-                        // A person who opens a file should hear of a broken connection at once.
+                        // A broken connection is reported at once while a file is being opened.
                         if self.file.is_none() { return Err(error.into()) } else { return Ok(()) }
                     }
                     Err(error) => return Err(error.into()),
@@ -310,7 +313,7 @@ impl<S: RangeSource> Player<S> {
         Ok(())
     }
 
-    /// What the first bytes of the file say.
+    /// Reads the tables in the first bytes of the file.
     fn open_archive(&self) -> Result<Opening, PlayError> {
         let known = self.start.len().min(MAGIC.len());
         if self.start[..known] != MAGIC[..known] {
@@ -319,14 +322,15 @@ impl<S: RangeSource> Player<S> {
         Ok(Archive::open(&self.start, &self.settings.limits)?)
     }
 
-    /// Makes sure that the part which is needed most is under way.
+    /// Makes sure that the most needed part is under way.
     fn ask(&mut self) -> Result<(), PlayError> {
         let Some((part, range, is_due)) = self.next_part()? else {
-            // What is under way is not needed any more.
+            // No part is needed any more.
             return Ok(());
         };
         if let Some(fetch) = &self.fetch {
-            // A cohort's start, begun as prefetch, has its head in it. Other prefetches go on unless something is due.
+            // A cohort's start, requested as prefetch, contains its head. Other prefetches continue unless a due part
+            // is missing.
             let has_head = matches!((fetch.part, part), (Part::Start(a), Part::Head(b)) if a == b);
             if fetch.part == part || has_head || !is_due {
                 return Ok(());
@@ -345,8 +349,8 @@ impl<S: RangeSource> Player<S> {
         Ok(())
     }
 
-    /// The part that is needed most, where it lies in the file, and whether the due timestep lacks it; none if there is
-    /// nothing to fetch.
+    /// The most needed part, its place in the file, and whether the due timestep lacks it; `None` if there is nothing
+    /// to fetch.
     fn next_part(&self) -> Result<Option<(Part, Range<u64>, bool)>, PlayError> {
         if let Some(file) = &self.file {
             let next = file.holdings.next_part(&file.archive, &file.clock);
@@ -365,7 +369,7 @@ impl<S: RangeSource> Player<S> {
     }
 }
 
-/// Index and range of the data of applications that are read with the start of the file: the first ones.
+/// Index and range of the application data that are read with the start of the file: the first ones.
 pub(crate) fn application_ranges(archive: &Archive) -> impl Iterator<Item = (usize, Range<u64>)> {
     let ranges = archive.application_ranges().into_iter().enumerate();
     ranges.take_while(|(_, range)| range.end <= MAX_APPLICATION_BYTES)

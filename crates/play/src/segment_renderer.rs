@@ -1,8 +1,8 @@
 //! One scene on the GPU, drawn to textures: reconstruction, the renderer that training uses (forward alone), blit.
 //!
-//! Nothing waits for the GPU. The number of pairs of tile and splat in a frame is read back some frames later, and the
-//! buffers grow before they are full. Where a picture needs more pairs at once than there is room for, it stays empty for
-//! the few frames until that is known ([`SegmentRenderer::is_whole`]); a [`Still`] is drawn again until it is whole.
+//! Nothing waits for the GPU. The number of tile-splat pairs of a frame is read back some frames later, and the buffers
+//! grow before they are full. A picture whose pairs exceed the capacity stays empty for the few frames until the count
+//! is known ([`SegmentRenderer::is_whole`]). A [`Still`] is drawn again until it is whole.
 
 use tcgs_core::Camera;
 use tcgs_render::RenderSettings;
@@ -14,14 +14,14 @@ use crate::blit::{self, Blit};
 use crate::holdings::Moment;
 use crate::reconstruct::Reconstruction;
 
-/// Pairs of tile and splat per Gaussian that the first buffers have room for: a picture of full size has two to seven.
+/// Tile-splat pairs per Gaussian in the first buffers: a picture of full size has two to seven.
 const FIRST_PAIRS: usize = 6;
 /// Format of the textures of stills.
 const STILL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
-/// Rows of a texture are copied to a buffer in multiples of so many bytes.
+/// Texture rows are copied to a buffer in multiples of this many bytes.
 const ROW_BYTES: usize = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize;
 
-/// A picture to draw: which timestep, from where, over which background.
+/// A picture to draw: timestep, camera and background.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureRequest<'a> {
     /// A timestep of the renderer's scene.
@@ -34,15 +34,15 @@ pub struct PictureRequest<'a> {
     pub light: [f32; 3],
 }
 
-/// Draws the timesteps of one scene, whose cohorts and segments are uploaded as they are needed.
+/// Draws the timesteps of one scene; cohorts and segments are uploaded when needed.
 #[derive(Debug)]
 pub struct SegmentRenderer {
     gpu: Gpu,
     reconstruction: Reconstruction,
     renderer: Option<GpuRenderer>,
-    /// Pairs that the next renderer has room for.
+    /// Capacity of the next renderer, tile-splat pairs.
     num_pairs: usize,
-    /// Counts of pairs of an earlier frame, on their way from the GPU.
+    /// Pair counts of an earlier frame, on their way from the GPU.
     counts: Option<Staged>,
     is_whole: bool,
     blit: Blit,
@@ -58,7 +58,7 @@ pub struct Still {
 }
 
 impl Still {
-    /// Whether the pixels have arrived, as of the last time that the GPU was polled.
+    /// Whether the pixels had arrived when the GPU was last polled.
     pub fn is_ready(&self) -> bool {
         self.pixels.is_ready() && self.counts.is_ready()
     }
@@ -67,7 +67,7 @@ impl Still {
 impl SegmentRenderer {
     /// A renderer that has uploaded nothing yet.
     ///
-    /// - `format`: of the textures that [`Self::draw`] draws to; not one that encodes sRGB
+    /// - `format`: format of the textures that [`Self::draw`] draws to. It must not encode sRGB
     ///
     /// # Errors
     /// [`GpuError::Memory`] if nothing at all fits.
@@ -114,7 +114,7 @@ impl SegmentRenderer {
         self.gpu.poll()
     }
 
-    /// Submits the drawing of a picture whose pixels are to be read, without waiting for the GPU.
+    /// Submits the drawing of a picture whose pixels are read back, without waiting for the GPU.
     ///
     /// # Errors
     /// [`GpuError::Memory`] if buffers for the picture do not fit; otherwise what has gone wrong on the GPU so far.
@@ -166,8 +166,8 @@ impl SegmentRenderer {
 
     /// Takes the pixels of a still that is ready.
     ///
-    /// - returns: `[H, W, 4]` RGBA, 8 bits each, rows from the top; none if the buffers had no room for the whole picture
-    ///   and it has to be drawn again, with the larger buffers that the next drawing makes
+    /// - returns: `[H, W, 4]` RGBA, 8 bits each, rows from the top. `None` if the buffers were too small: then the
+    ///   caller draws again, and the next drawing creates larger buffers
     ///
     /// # Errors
     /// [`GpuError::Memory`] if the buffers cannot become large enough; otherwise what has gone wrong on the GPU so far.
@@ -188,7 +188,7 @@ impl SegmentRenderer {
         self.make_room(request.camera)?;
         let Some(renderer) = &mut self.renderer else { return Ok(()) };
         let mut settings = RenderSettings::default();
-        // The whole picture is multiplied by the light in the end.
+        // The blit multiplies the whole picture by the light.
         for channel in 0..3 {
             settings.background[channel] = request.background[channel] / request.light[channel];
         }
@@ -202,7 +202,7 @@ impl SegmentRenderer {
         Ok(())
     }
 
-    /// Makes the renderer anew if its buffers are too small for a picture.
+    /// Creates a new renderer if its buffers are too small for a picture.
     fn make_room(&mut self, camera: &Camera) -> Result<(), GpuError> {
         let n = self.reconstruction.num_rows();
         let mut capacity = Capacity::new(n, 3, [camera], false);
@@ -212,7 +212,7 @@ impl SegmentRenderer {
             if held.serves(&capacity) {
                 return Ok(());
             }
-            // A window that is drawn larger should not need new buffers with every pixel.
+            // Enlarging a window should not need new buffers with every pixel.
             if held.num_pixels < capacity.num_pixels {
                 capacity.num_pixels += capacity.num_pixels / 8;
             }
@@ -220,7 +220,7 @@ impl SegmentRenderer {
             capacity.num_tiles = capacity.num_tiles.max(held.num_tiles);
             capacity.num_pairs = capacity.num_pairs.max(held.num_pairs);
         }
-        // The old buffers go first: there need not be room for both.
+        // The old buffers are freed first, because there may not be room for both.
         self.renderer = None;
         self.counts = None;
         self.renderer = Some(GpuRenderer::of_gaussians(&self.gpu, capacity, self.reconstruction.activated())?);
@@ -236,7 +236,7 @@ impl SegmentRenderer {
         Ok(())
     }
 
-    /// Decides from the counts of a frame how large the next buffers are.
+    /// Sets the size of the next buffers from the counts of a frame.
     ///
     /// - `counts`: the renderer's status after a frame
     /// - returns: whether there was room for all pairs

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use tcgs_core::open_file;
 
-/// What [`RangeSource::poll`] brings.
+/// Result of [`RangeSource::poll`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Piece {
     /// Nothing has arrived since the last poll.
@@ -21,11 +21,11 @@ pub enum Piece {
     End,
 }
 
-/// Why the bytes of a file cannot be had.
+/// Why the bytes of a file are not available.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SourceError {
-    /// The answer was no. Another request would get the same answer.
+    /// The server or the system refused. Another request would get the same answer.
     #[error("{what} cannot be read: {problem}")]
     Refused {
         /// Address or name of the file.
@@ -48,8 +48,8 @@ pub enum SourceError {
 
 /// Delivers byte ranges of one file without blocking.
 ///
-/// A player asks for one range at a time and polls until [`Piece::End`]. Implementations outside this crate bring files
-/// from anywhere else.
+/// A player asks for one range at a time and polls until [`Piece::End`]. Implementations outside this crate can read
+/// files from other places.
 ///
 /// ```
 /// use tcgs_play::{BytesSource, Piece, RangeSource};
@@ -68,7 +68,7 @@ pub trait RangeSource {
     /// Takes the bytes of the requested range that arrived since the last call, in order.
     ///
     /// # Errors
-    /// [`SourceError`] if the bytes cannot be had. The request is over then; the caller may make another.
+    /// [`SourceError`] if the bytes are not available. The request is over then; the caller may make another.
     fn poll(&mut self) -> Result<Piece, SourceError>;
 
     /// Length of the whole file in bytes, as soon as it is known.
@@ -104,7 +104,7 @@ impl RangeSource for BytesSource {
     }
 }
 
-/// A file on a disk. It is read while it is polled, which blocks as long as the disk does.
+/// A file on a disk. Polling reads it, and blocks as long as the disk does.
 #[derive(Debug)]
 pub struct FileSource {
     name: String,
@@ -150,7 +150,7 @@ impl RangeSource for FileSource {
     }
 }
 
-/// The part of a range that a file of some length has.
+/// The part of a range that lies within a file of this length.
 fn clamp(range: &Range<u64>, length: u64) -> Range<usize> {
     range.start.min(length) as usize..range.end.min(length) as usize
 }

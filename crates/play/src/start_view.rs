@@ -1,37 +1,39 @@
-//! From where a scene is seen first, if the page does not say so.
+//! The view of a scene at the start, if the page does not choose one.
 //!
-//! A choice of the player alone: nothing that is written to a file depends on it.
+//! The player alone uses this choice; no file depends on it.
 
 use tcgs_core::{Camera, Subject, Tour, activate, add_motion};
 
 use crate::holdings::Moment;
 
-/// Width and height of the picture that a camera is made for where the file brings none, pixels. [`Camera::fitted`] adapts
-/// it to the window.
+/// Size of the picture for a camera that is created because the file has none, pixels. [`Camera::fitted`] adapts it to
+/// the window.
 const SIZE: [usize; 2] = [640, 360];
-/// Directions from which a scene without cameras is looked at, until one is without fog.
+/// Number of directions tried for a scene without cameras, until one is without fog.
 const NUM_DIRECTIONS: usize = 8;
 
-/// The camera with which a player begins, and its pivot. The camera is the first of the file that shows the scene's
-/// [`Subject`] without fog before it. A file without cameras is seen from [`Subject::distance`] away and a little above.
+/// The camera with which a player begins, and its pivot. The camera is the file's first one that shows the scene's
+/// [`Subject`] without fog before it. A file without cameras is seen from [`Subject::distance`] away and a little
+/// above.
 ///
-/// - `moment`: a timestep. What moves is known from the segments that hold it
-/// - `cameras`: of the file, the preferred ones first; may be empty
+/// - `moment`: a timestep. Motion is measured within the segments that hold it
+/// - `cameras`: the file's cameras, the preferred ones first; may be empty
 /// - `up`: direction in the world that points up, not zero
-/// - returns: the camera, with the size of its images or 640 x 360 pixels, and the pivot in the world: the subject's middle
+/// - returns: the camera, with the size of its images or 640 x 360 pixels, and the pivot in the world: the subject's
+///   middle
 pub fn start_view(moment: &Moment, cameras: &[Camera], up: [f64; 3]) -> (Camera, [f64; 3]) {
     let gaussians = moment.gaussians();
     let subject = Subject::of(&gaussians, &moved(moment), cameras);
     let around =
         if cameras.is_empty() { Tour::Orbit.among(&subject, &[], up, NUM_DIRECTIONS, SIZE) } else { Vec::new() };
     let candidates = if cameras.is_empty() { &around } else { cameras };
-    // A coarser picture may lack what the subject is made of: there the file's order counts.
+    // A coarser picture may lack the subject, so there the file's order of cameras counts.
     let is_trusted = !moment.is_whole && !cameras.is_empty();
     let first = if is_trusted { None } else { subject.first_shown(candidates, &activate(&gaussians)) };
     (candidates[first.unwrap_or(0)].clone(), subject.center)
 }
 
-/// How far each Gaussian of [`Moment::gaussians`] goes within its segment: at its beginning, middle and end. Scene units.
+/// Motion of each Gaussian of [`Moment::gaussians`] between the beginning, middle and end of its segment, scene units.
 fn moved(moment: &Moment) -> Vec<f32> {
     let mut moved = Vec::new();
     for segment in &moment.segments {

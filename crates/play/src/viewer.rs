@@ -1,4 +1,4 @@
-//! A player, a camera and a renderer: all of a viewer but the window in which it shows a scene.
+//! A player, a camera and a renderer: a complete viewer except for its window.
 
 use tcgs_codec::{Archive, FileCamera, SceneInfo, UpAxis, read_views};
 use tcgs_core::Camera;
@@ -13,7 +13,7 @@ use crate::segment_renderer::{self, PictureRequest, SegmentRenderer, Still};
 use crate::source::RangeSource;
 use crate::start_view::start_view;
 
-/// What [`Viewer::draw`] drew, and what was due.
+/// The timestep that [`Viewer::draw`] drew, and the due one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameReport {
     /// Position of the clock, timesteps; between two whole numbers while time passes.
@@ -24,7 +24,7 @@ pub struct FrameReport {
     pub timestep: usize,
     /// Whether time passes.
     pub is_playing: bool,
-    /// Whether something of the due timestep has not arrived. The picture then shows an earlier timestep, or the first
+    /// Whether a part of the due timestep has not arrived. The picture then shows an earlier timestep, or the first
     /// layers of this one.
     pub is_buffering: bool,
     /// Whether the picture shows the due timestep, with all its splats.
@@ -33,8 +33,8 @@ pub struct FrameReport {
 
 /// Plays one scene at a time and draws it from a camera that a person moves.
 ///
-/// The caller owns the window or canvas: it calls [`Viewer::update`] and [`Viewer::draw`] once a frame. A picture needs no
-/// window:
+/// The caller owns the window or canvas: it calls [`Viewer::update`] and [`Viewer::draw`] once a frame. A still picture
+/// needs no window:
 ///
 /// ```no_run
 /// use std::path::Path;
@@ -66,28 +66,28 @@ pub struct Viewer<S> {
 #[derive(Debug)]
 struct Session<S> {
     player: Player<S>,
-    /// There once something of the first due timestep has arrived.
+    /// Present once the first picture of the due timestep can be drawn.
     display: Option<Display>,
 }
 
-/// What it takes to draw the scene.
+/// The renderer, the camera's controls and the timestep that is shown.
 #[derive(Debug)]
 struct Display {
     renderer: SegmentRenderer,
     controls: Controls,
-    /// What is drawn until the next due timestep has arrived.
+    /// The timestep that is drawn until the next due one has arrived.
     shown: Moment,
 }
 
 impl<S: RangeSource> Viewer<S> {
     /// A viewer without a scene.
     ///
-    /// - `format`: of the textures drawn to; not one that encodes sRGB, since colours are stored as displayed
+    /// - `format`: format of the textures drawn to. It must not encode sRGB, because colours are stored as displayed
     pub fn new(gpu: Gpu, format: wgpu::TextureFormat) -> Self {
         Self { gpu, format, background: [0.0; 3], session: None }
     }
 
-    /// Begins to open a scene, and closes the scene before. The calls of [`Self::update`] that follow fetch and decode it.
+    /// Starts opening a scene, and closes the scene before. Later calls of [`Self::update`] fetch and decode it.
     ///
     /// - `first_timestep`: the timestep that is shown first; the last one of the scene if it has fewer
     pub fn open(&mut self, source: S, settings: PlayerSettings, first_timestep: usize) {
@@ -129,11 +129,10 @@ impl<S: RangeSource> Viewer<S> {
         Ok(session.display.is_some())
     }
 
-    /// Draws the timestep that was due at the last update, or the timestep shown before as long as the due one has not
-    /// arrived.
+    /// Draws the timestep that was due at the last update. Until that has arrived, draws the timestep shown before.
     ///
     /// - `size`: width and height of `target`, pixels
-    /// - returns: none as long as there is no picture; `target` shows the background then
+    /// - returns: `None` as long as there is no picture; `target` shows the background then
     ///
     /// # Errors
     /// [`PlayError::Gpu`] if the GPU fails.
@@ -160,10 +159,10 @@ impl<S: RangeSource> Viewer<S> {
         }))
     }
 
-    /// Submits the drawing of a picture whose pixels are to be read.
+    /// Submits the drawing of a picture whose pixels are read back.
     ///
     /// - `size`: width and height of the picture, pixels
-    /// - returns: none as long as the due timestep has not arrived
+    /// - returns: `None` as long as the due timestep has not arrived
     ///
     /// # Errors
     /// [`PlayError::Gpu`] if the GPU fails.
@@ -194,7 +193,7 @@ impl<S: RangeSource> Viewer<S> {
         self.background = background;
     }
 
-    /// What the file says of its scene, once its tables have arrived.
+    /// Description of the scene from the file's tables, once these have arrived.
     pub fn info(&self) -> Option<&SceneInfo> {
         self.archive().map(Archive::info)
     }
@@ -209,7 +208,7 @@ impl<S: RangeSource> Viewer<S> {
         self.session.as_ref().map_or(&[], |session| session.player.application_data())
     }
 
-    /// Cameras that the file brings along; none before its tables have arrived.
+    /// Cameras of the file; none before its tables have arrived.
     pub fn cameras(&self) -> Vec<FileCamera> {
         read_views(self.application_data())
     }

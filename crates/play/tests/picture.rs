@@ -1,5 +1,5 @@
-//! What a viewer shows is what `tcgs eval` measures: reconstruction and drawing on the GPU, within the limits that every
-//! browser has, against the codec's sampler and the CPU's renderer.
+//! A viewer shows the picture that `tcgs eval` measures. Reconstruction and drawing on the GPU, within the limits of
+//! every browser, are compared with the codec's sampler and the CPU's renderer.
 
 #![allow(clippy::unwrap_used)]
 
@@ -53,7 +53,7 @@ fn still(gpu: &Gpu, renderer: &mut SegmentRenderer, request: &PictureRequest<'_>
     panic!("never whole");
 }
 
-/// As `tcgs render` writes it, with an alpha of 255.
+/// The picture as `tcgs render` writes it, with an alpha of 255.
 fn expected(moment: &Moment, camera: &Camera, background: [f32; 3]) -> Vec<u8> {
     expected_in(moment, camera, background, [1.0; 3])
 }
@@ -66,7 +66,7 @@ fn expected_in(moment: &Moment, camera: &Camera, background: [f32; 3], light: [f
     output.image.to_rgb8().chunks_exact(3).flat_map(|pixel| [pixel[0], pixel[1], pixel[2], 255]).collect()
 }
 
-/// Share of pixels of which no channel differs by more than 2.
+/// Share of pixels in which every channel differs by at most 2.
 fn share_alike(found: &[u8], expected: &[u8]) -> f64 {
     assert_eq!(found.len(), expected.len());
     let pixels = found.chunks_exact(4).zip(expected.chunks_exact(4));
@@ -106,7 +106,7 @@ fn grow(log_scales: &mut [[f32; 3]], by: f32) {
     log_scales.iter_mut().flatten().for_each(|x| *x += by);
 }
 
-/// What is reconstructed of a moment, as far as it is seen, and what the codec and the CPU make of it.
+/// A moment's visible Gaussians from the reconstruction, and from the codec and the CPU.
 fn reconstructed(
     gpu: &Gpu,
     reconstruction: &mut Reconstruction,
@@ -123,7 +123,7 @@ fn reconstructed(
     [by_gaussian(&found, rows), by_gaussian(&pack(&drawn), drawn.num_gaussians())]
 }
 
-/// Of `[14 N]` the values of each Gaussian with an opacity.
+/// Splits `[14 N]` values by Gaussian, and keeps those with an opacity.
 fn by_gaussian(values: &[f32], n: usize) -> Vec<Vec<f32>> {
     let row = |i: usize| {
         let columns = Attribute::BASE.map(|a| {
@@ -152,7 +152,7 @@ fn reconstruction_equals_the_codecs() {
     for (name, file) in files() {
         let mut reconstruction = Reconstruction::new(&gpu).unwrap();
         let num_timesteps = num_timesteps(&file);
-        // Not in order, and from one segment to the other and back.
+        // In mixed order, and from one segment to the other and back.
         for timestep in (0..num_timesteps).map(|i| i * 7 % num_timesteps) {
             let both = reconstructed(&gpu, &mut reconstruction, &moment(&file, timestep), &any_camera());
             assert_alike(both, &format!("{name}, {timestep}"));
@@ -160,7 +160,7 @@ fn reconstruction_equals_the_codecs() {
     }
 }
 
-/// Cohorts, lives, harmonics, some of which move, and attributes that nobody knows.
+/// Cohorts, lives, harmonics of which some move, and unknown attributes.
 #[test]
 fn reconstruction_equals_the_codecs_in_version_2() {
     let Some(gpu) = gpu() else { return };
@@ -180,7 +180,7 @@ fn reconstruction_equals_the_codecs_in_version_2() {
         for timestep in 0..player.archive().unwrap().info().num_timesteps as usize {
             player.clock_mut().unwrap().seek(timestep);
             wait(&mut player, &mut now);
-            // One that has reconstructed nothing yet, so that rows are in the order of the cohorts.
+            // A new reconstruction, so that rows are in the order of the cohorts.
             let mut reconstruction = Reconstruction::new(&gpu).unwrap();
             let both = reconstructed(&gpu, &mut reconstruction, &player.current().unwrap(), &any_camera());
             assert_alike(both, &format!("{name}, {timestep}"));
@@ -217,7 +217,7 @@ fn pictures_equal_the_cpu_renderers() {
         let mut renderer = SegmentRenderer::new(&gpu, FORMAT).unwrap();
         let num_timesteps = num_timesteps(file);
         let (start, _) = start_view(&moment(file, 0), &[], UpAxis::default().direction());
-        // Rows of a texture are copied in multiples of 256 bytes: sizes that are and are not.
+        // Rows of a texture are copied in multiples of 256 bytes; one size fits and the other does not.
         for (timestep, width, height) in [(0, 128, 72), (num_timesteps - 1, 101, 67), (num_timesteps / 2, 320, 180)] {
             let moment = moment(file, timestep);
             let camera = start.resized(width, height);
@@ -234,7 +234,7 @@ fn pictures_equal_the_cpu_renderers() {
     }
 }
 
-/// Colours are multiplied by the light, the background is not.
+/// Colours are multiplied by the light; the background is not.
 #[test]
 fn a_picture_is_drawn_in_its_light() {
     let Some(gpu) = gpu() else { return };
@@ -250,7 +250,7 @@ fn a_picture_is_drawn_in_its_light() {
     assert!(share([1.0; 3]) < 0.5, "{} alike without the light", share([1.0; 3]));
 }
 
-/// Or the first test would prove nothing of antialiasing.
+/// Without this, the first test would prove nothing about antialiasing.
 #[test]
 fn antialiasing_is_seen() {
     let of = |is_antialiased: bool| {
@@ -261,7 +261,7 @@ fn antialiasing_is_seen() {
     assert!(share_alike(&of(true), &of(false)) < 0.9);
 }
 
-/// What has gone leaves nothing, and what comes finds room, in whatever order timesteps are shown.
+/// Removed cohorts leave nothing behind, and new ones find room, whatever the order of timesteps.
 #[test]
 fn cohorts_take_each_others_place() {
     let Some(gpu) = gpu() else { return };
@@ -295,7 +295,7 @@ fn more_pairs_than_expected_are_drawn_again() {
     let texture = texture(&gpu, 400, 300);
     renderer.draw(&request, &texture).unwrap();
     gpu.wait().unwrap();
-    // It is known a frame later, and right from then on.
+    // The count arrives a frame later; from then on the picture is right.
     renderer.draw(&request, &texture).unwrap();
     assert!(!renderer.is_whole());
     gpu.wait().unwrap();
@@ -345,7 +345,7 @@ fn a_viewer_plays_pauses_and_takes_stills() {
     let expected = expected(&moment(&file, 10), &camera, [0.2, 0.3, 0.4]);
     assert!(share_alike(&pixels, &expected) >= 0.999);
 
-    // Another file takes its place; one that is none leaves nothing.
+    // Another file takes its place; an invalid one leaves nothing.
     viewer.open(BytesSource::new(&b"something else"[..]), settings(1 << 30), 0);
     assert_eq!(viewer.update(200.0).unwrap_err().code(), ErrorCode::NotTcgs);
     assert_eq!(viewer.draw([96, 64], &target).unwrap(), None);
@@ -353,7 +353,7 @@ fn a_viewer_plays_pauses_and_takes_stills() {
 
 #[test]
 fn every_attribute_has_its_place() {
-    // Reconstruction counts on it.
+    // The reconstruction relies on these numbers of components.
     let components = Attribute::BASE.map(Attribute::components);
     assert_eq!(components, [3, 4, 3, 1, 3]);
 }

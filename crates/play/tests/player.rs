@@ -1,4 +1,4 @@
-//! The player's logic: what is fetched, in which order, what stays, what goes wrong.
+//! The player's logic: the order of fetching, eviction, errors.
 
 #![allow(clippy::unwrap_used)]
 
@@ -20,7 +20,7 @@ fn cohort(file: &[u8]) -> Cohort {
     }
 }
 
-/// What is shown now, as floats.
+/// The timestep shown now, as floats.
 fn shown<S: RangeSource>(player: &Player<S>) -> (usize, Gaussians) {
     let moment = player.current().unwrap();
     (moment.timestep, moment.gaussians())
@@ -73,7 +73,7 @@ fn playing_shows_every_timestep_in_order_and_the_next_segment_is_there_in_time()
     let mut now = 0.0;
     let mut player = Player::new(BytesSource::new(&file[..]), settings(1 << 30), 0);
     wait(&mut player, &mut now);
-    // Updates between frames bring the rest in.
+    // Updates between frames fetch the rest.
     player.update(now).unwrap();
     player.clock_mut().unwrap().play();
     let mut seen = vec![0];
@@ -118,7 +118,7 @@ fn a_stall_holds_the_clock_and_nothing_else() {
     let mut now = 0.0;
     wait(&mut player, &mut now);
     player.clock_mut().unwrap().play();
-    // Into the next segment, which there was no room to fetch ahead.
+    // Into the next segment, which did not fit as prefetch.
     while player.current().is_some() {
         now += 5.0;
         player.update(now).unwrap();
@@ -130,7 +130,7 @@ fn a_stall_holds_the_clock_and_nothing_else() {
         assert!(player.current().is_none());
         assert_eq!(player.clock().unwrap().position(), stalled_at);
     }
-    // Going back during the stall shows what is there, or comes.
+    // Seeking back during the stall shows decoded data at once, or fetches them.
     seek(&mut player, 0);
     wait(&mut player, &mut now);
     assert_eq!(shown(&player).0, 0);
@@ -149,7 +149,7 @@ fn opening_at_the_last_timestep_fetches_tables_shared_part_and_one_segment() {
     let network = Network::new(&file, Behaviour { piece: 1000, stalls: 1, ..Default::default() });
     let log = network.log.clone();
     let mut now = 0.0;
-    // No room for another segment, so that nothing is fetched ahead.
+    // No room for another segment, so there is no prefetch.
     let mut player = Player::new(network, PlayerSettings { max_segment_bytes: 1, ..Default::default() }, 59);
     wait(&mut player, &mut now);
     assert_eq!(shown(&player).0, 59);
@@ -158,7 +158,7 @@ fn opening_at_the_last_timestep_fetches_tables_shared_part_and_one_segment() {
     }
     assert_eq!(log.ranges(), [0..opening, opening..shared.end, segment.clone()]);
     assert_eq!(player.bytes_loaded(), shared.end + segment.end - segment.start);
-    // With room the others follow, each once: as the clock would meet them, around the end first.
+    // With room, each of the others is fetched once, in the clock's order: around the end first.
     let network = Network::new(&file, Behaviour::default());
     let log = network.log.clone();
     let mut player = Player::new(network, PlayerSettings::default(), 59);
@@ -224,7 +224,7 @@ fn the_memory_bound_holds_over_a_long_loop() {
     }
 }
 
-/// Vectors of version 2, and a room of several cohorts.
+/// Test vectors of version 2, and a room of several cohorts.
 fn files_of_cohorts() -> Vec<(String, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/bitstream/v2");
     let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
@@ -257,7 +257,7 @@ fn cohorts_come_and_go_as_they_are_due() {
                     assert_eq!(gaussians.values(column), expected[timestep].values(column), "{name}, {timestep}");
                 }
             }
-            // Backwards around the end, without a stall where there is room for all.
+            // Backwards around the end; no stall if there is room for all.
             player.clock_mut().unwrap().set_speed(-1.0);
             (0..200).for_each(|_| player.update(now).unwrap());
             player.clock_mut().unwrap().play();
@@ -342,7 +342,7 @@ fn the_first_layer_of_a_long_file_is_shown_first() {
         let n = first * attribute.components();
         assert_eq!(coarse.gaussians().values(attribute), &expected.values(attribute)[..n], "{attribute:?}");
     }
-    // With the rest of the file no byte comes twice.
+    // The rest of the file is fetched without repeating a byte.
     for _ in 0..100_000 {
         now += 1.0;
         player.update(now).unwrap();
@@ -415,7 +415,7 @@ fn what_is_no_scene_is_told_apart() {
 #[test]
 fn a_connection_that_breaks_is_tried_again_but_not_for_ever() {
     let file = small_file();
-    // While opening somebody waits for an answer.
+    // While opening, the error is reported at once.
     let error = failure(Network::new(&file, Behaviour { piece: 100, breaks: 1, ..Default::default() }));
     assert_eq!(
         (error.code().as_str(), error.to_string().as_str()),
@@ -439,7 +439,7 @@ fn a_connection_that_breaks_is_tried_again_but_not_for_ever() {
     assert_eq!(error.code().as_str(), "network");
 }
 
-/// A network that fails so often before the last segment.
+/// A network that fails this many times before the last segment.
 struct Breaks {
     inner: BytesSource,
     breaks: usize,

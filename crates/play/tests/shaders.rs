@@ -1,4 +1,4 @@
-//! The player's own shaders are valid WGSL within what every browser grants; no GPU is needed to see that.
+//! The player's own shaders are valid WGSL within the limits of every browser. The check needs no GPU.
 
 #![allow(clippy::unwrap_used)]
 
@@ -6,7 +6,7 @@ use wgpu::naga::AddressSpace;
 use wgpu::naga::front::wgsl;
 use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};
 
-/// In one shader.
+/// Most storage buffers in one shader.
 const MAX_STORAGE_BUFFERS: usize = 8;
 
 #[test]
@@ -16,7 +16,7 @@ fn every_shader_is_valid_within_the_limits_of_browsers() {
     for (name, source) in sources {
         let module =
             wgsl::parse_str(&source).unwrap_or_else(|e| panic!("{}", e.emit_to_string_with_path(&source, &name)));
-        // No capabilities: nothing that a browser might lack.
+        // No capabilities, because a browser may lack any of them.
         let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
             .validate(&module)
             .unwrap_or_else(|e| panic!("{}", e.emit_to_string_with_path(&source, &name)));

@@ -1,4 +1,4 @@
-//! From where a file is seen first.
+//! The view of a file at the start.
 
 #![allow(clippy::unwrap_used)]
 
@@ -22,7 +22,7 @@ fn file(scene: &DynamicGaussians) -> Vec<u8> {
     encode(&compress(scene, &bits, None, SceneInfo::of(scene), &CompressSettings::default()).unwrap()).unwrap()
 }
 
-/// Gaussians at the means given, opaque, of a tenth of a unit.
+/// Opaque Gaussians at the given means, of a tenth of a unit.
 fn opaque(means: &[[f32; 3]]) -> Gaussians {
     let mut gaussians = Gaussians::zeros(means.len());
     gaussians.means_mut().copy_from_slice(means);
@@ -111,7 +111,7 @@ fn a_file_begins_at_its_first_camera_that_shows_the_subject() {
     assert_eq!(first(&[outside.clone(), away, b.clone(), a.clone()]).0, b, "a wall is before the person");
 }
 
-/// Cohorts of which some live for a moment, some Gaussians come and go, and nothing is known of the layout.
+/// Short-lived cohorts, Gaussians that come and go, and unknown layouts.
 #[test]
 fn any_file_has_a_start_view() {
     for layout in [Layout::base(), Layout::with_harmonics(1)] {

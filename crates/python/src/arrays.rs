@@ -14,7 +14,7 @@ pub type ArrayLike<'py> = Bound<'py, PyAny>;
 /// An argument that is an array of finite numbers.
 #[derive(Clone, Debug)]
 pub struct Numbers<T = f32> {
-    /// Of the argument.
+    /// Name of the argument.
     pub name: &'static str,
     /// In the order of rows.
     pub values: Vec<T>,
@@ -45,10 +45,10 @@ impl<T: Real> Numbers<T> {
 
     /// Checks every number.
     ///
-    /// - `expected`: of the numbers, in words
+    /// - `expected`: the expected numbers, in words
     ///
     /// # Errors
-    /// `ValueError` with the first other number, and its place.
+    /// `ValueError` with the first wrong number, and its place.
     pub fn check(&self, expected: &str, is_so: impl Fn(T) -> bool) -> PyResult<()> {
         let Some(index) = self.values.iter().position(|&value| !is_so(value)) else { return Ok(()) };
         let mut place = vec![0; self.shape.len()];
@@ -63,7 +63,7 @@ impl<T: Real> Numbers<T> {
     /// The values of an array of `shape`.
     ///
     /// # Errors
-    /// `ValueError` if the shape is another one.
+    /// `ValueError` for any other shape.
     pub fn of_shape(self, shape: &[usize]) -> PyResult<Vec<T>> {
         if self.shape == shape {
             return Ok(self.values);
@@ -74,7 +74,7 @@ impl<T: Real> Numbers<T> {
     /// The rows of an array of `shape`, whose last size is `C`.
     ///
     /// # Errors
-    /// `ValueError` if the shape is another one.
+    /// `ValueError` for any other shape.
     pub fn rows<const C: usize>(self, shape: &[usize]) -> PyResult<Vec<[T; C]>> {
         Ok(self.of_shape(shape)?.as_chunks().0.to_vec())
     }
@@ -89,7 +89,7 @@ impl<T: Real> Numbers<T> {
 /// A point or direction, or a colour.
 ///
 /// # Errors
-/// As of [`Numbers`].
+/// As for [`Numbers`].
 pub fn triple<T: Real>(name: &'static str, given: &ArrayLike<'_>) -> PyResult<[T; 3]> {
     let values = Numbers::read(name, given)?.of_shape(&[3])?;
     Ok(std::array::from_fn(|i| values[i]))
@@ -121,7 +121,7 @@ fn named(name: &str, given: &ArrayLike<'_>, error: PyErr) -> PyErr {
     named
 }
 
-/// A copy, if there is room for one: an array of numpy may be a view that repeats a few numbers without end.
+/// A copy, if there is room for one: a numpy array may be a view that repeats a few numbers endlessly.
 fn copied<T>(name: &str, values: impl ExactSizeIterator<Item = T>) -> PyResult<Vec<T>> {
     let mut copy = Vec::new();
     let bytes = values.len().saturating_mul(size_of::<T>());

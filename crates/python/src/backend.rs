@@ -1,4 +1,4 @@
-//! What computes, opened once in a process.
+//! Backends (GPU or CPU), each opened once in a process.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -11,7 +11,7 @@ use crate::errors::exception;
 
 type Name = (String, Option<String>);
 
-/// Those that were asked for, by name.
+/// The open backends, by name.
 static OPEN: Mutex<Vec<(Name, Arc<Backend>)>> = Mutex::new(Vec::new());
 
 /// The backend of a name.

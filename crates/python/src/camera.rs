@@ -16,7 +16,7 @@ use crate::numbers::{Number, Whole};
 ///
 /// - viewmat: [4, 4], world to camera, a rotation and a translation in scene units
 /// - K: [3, 3], intrinsics in pixels
-/// - width, height: of the image, pixels
+/// - width, height: size of the image, pixels
 #[pyclass(name = "Camera", module = "tcgs", frozen, eq, from_py_object)]
 #[derive(Clone, PartialEq)]
 pub struct PyCamera(pub Camera);
@@ -107,7 +107,7 @@ impl PyCamera {
         })
     }
 
-    /// The same camera with an image of another size; the field of view stays along both axes.
+    /// The same camera with an image of another size; the field of view stays the same along both axes.
     fn resized(&self, width: Whole, height: Whole) -> PyResult<Self> {
         let [width, height] = image_size(width, height)?;
         Ok(Self(self.0.resized(width, height)))

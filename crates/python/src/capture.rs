@@ -16,8 +16,8 @@ use crate::memory::{MAX_SIDE, image_size};
 use crate::numbers::Whole;
 use crate::save::write_folder;
 
-/// Images of synchronized cameras: a folder of one of the kinds that `tcgs train` takes. Images are decoded when they are
-/// asked for.
+/// Images of synchronized cameras: a folder of one of the kinds that `tcgs train` takes. Each image is decoded on
+/// request.
 ///
 /// - path: str or os.PathLike of the folder
 #[pyclass(name = "Capture", module = "tcgs", frozen)]
@@ -55,7 +55,7 @@ impl CaptureLike<'_> {
 
 /// The cameras of a name.
 ///
-/// - `name`: of the argument
+/// - `name`: name of the argument
 ///
 /// # Errors
 /// `ValueError` for another name.
@@ -72,7 +72,7 @@ fn check_frame(frame: Whole) -> PyResult<usize> {
     frame.within("frame", 0..=usize::MAX)
 }
 
-/// Factor by which images are shrunk, which may still be too large for them.
+/// Factor by which images are shrunk; it may still be too large for them.
 pub fn check_downscale(downscale: Whole) -> PyResult<usize> {
     downscale.within("downscale", 1..=MAX_SIDE)
 }
@@ -96,13 +96,13 @@ impl PyCapture {
         self.capture.frame_rate()
     }
 
-    /// What the folder was recognised as, such as "panoptic".
+    /// Kind of the folder, such as "panoptic".
     #[getter]
     fn kind(&self) -> &'static str {
         self.capture.kind().name
     }
 
-    /// The folder as it was named.
+    /// The folder as given.
     #[getter]
     fn path(&self) -> PathBuf {
         self.path.clone()
@@ -123,7 +123,7 @@ impl PyCapture {
 
     /// The images of one frame by the numbers of their cameras, [height, width, 3] float32 in [0, 1].
     ///
-    /// Arguments as of `cameras`.
+    /// The arguments are those of `cameras`.
     #[pyo3(signature = (which = "test", *, frame = Whole::of(0), downscale = Whole::of(1)),
         text_signature = "($self, which='test', *, frame=0, downscale=1)")]
     fn images<'py>(
@@ -145,12 +145,13 @@ impl PyCapture {
     }
 }
 
-/// Ray-traces the capture of `tcgs demo` into a new folder: moving objects in a room, seen by 12 training and 2 test cameras.
+/// Ray-traces the capture of `tcgs demo` into a new folder: moving objects in a room, seen by 12 training and 2 test
+/// cameras.
 ///
-/// - width, height: of the images, pixels
-/// - frames: of every camera, up to 65,536
-/// - points: up to 16,777,216, to start training from
-/// - seed: of their positions
+/// - width, height: size of the images, pixels
+/// - frames: number of frames per camera, up to 65,536
+/// - points: number of initial points for training, up to 16,777,216
+/// - seed: seed of their positions
 #[pyfunction]
 #[pyo3(signature = (path, *, width = Whole::of(128), height = Whole::of(96), frames = Whole::of(24),
     points = Whole::of(8000), seed = Whole::of(0)),

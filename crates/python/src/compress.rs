@@ -48,30 +48,30 @@ impl Budget {
 
 /// Compresses a scene into a .tcgs file.
 ///
-/// - source: a Scene, a dict of arrays (`Scene.from_arrays`), or the name of what `open` opens
+/// - source: a Scene, a dict of arrays (`Scene.from_arrays`), or any name that `open` accepts
 /// - out: file to write
 /// - quality: -6 to 8; 1 more about halves the errors and takes a fourth to a third more bytes; 0 if None
-/// - target_bytes: the best quality whose file has at most so many bytes
-/// - target_psnr: the smallest file of at least this mean PSNR in dB, on test images of `capture`, else on renders of
-///   `source`
-/// - max_error: bounds on the largest errors over all Gaussians and timesteps, by attribute: means in scene units, quats in
-///   radians, log_scales as stored, logit_opacities as opacity, colors of 1
-/// - refine: train what the file stores on the training images of `capture`, or of the run's: a number of iterations, a
-///   datetime.timedelta, or "off"; None: by the run's iterations where there are images, but not with a target, `tune`,
-///   `max_error` or preset "paper"
+/// - target_bytes: choose the best quality whose file has at most this many bytes
+/// - target_psnr: choose the smallest file of at least this mean PSNR in dB, on test images of `capture`, else on
+///   renders of `source`
+/// - max_error: bounds on the largest errors over all Gaussians and timesteps, by attribute: means in scene units,
+///   quats in radians, log_scales as stored, logit_opacities as opacity, colors of 1
+/// - refine: train the stored values on the training images of `capture`, or of the run's: a number of iterations, a
+///   datetime.timedelta, or "off". None uses the run's iterations where there are images, but not with a target,
+///   `tune`, `max_error` or preset "paper"
 /// - tune: fit the settings to the scene; takes some 100 compressions
-/// - min_share: leave out Gaussians that at every timestep make up less than this share of the pixels of all training
-///   images together; 1e-6 of a file that is refined, else 0
-/// - capture: a Capture or the name of its folder, whose cameras tell how much each parameter matters
+/// - min_share: leave out Gaussians whose share of the pixels of all training images together is below this at every
+///   timestep; the default is 1e-6 for a file that is refined, else 0
+/// - capture: a Capture or the name of its folder; its cameras determine the sensitivity of each parameter
 /// - preset: "default" or "paper"
 /// - segment_length: timesteps of a segment, which decodes alone
 /// - overwrite: replace `out`
-/// - backend, device, progress, callback: as of `train`
+/// - backend, device, progress, callback: as for `train`
 ///
 /// Returns the Scene of the file.
 ///
 /// Raises ValueError or OSError if an input is wrong or a target cannot be reached, FileExistsError if `out` exists.
-/// Nothing half-written is left.
+/// No partial file is left.
 #[pyfunction]
 #[pyo3(signature = (source, out, *, quality = None, target_bytes = None, target_psnr = None, max_error = None,
     refine = None, tune = false, min_share = None, capture = None, preset = "default", segment_length = None, overwrite = false,
@@ -127,7 +127,7 @@ pub fn compress(
         segment_length: segment_length.map(check_segment_length).transpose()?,
     };
     wanted.check(target_bytes.is_some() && target_psnr.is_some())?;
-    // What needs no images needs no GPU.
+    // Without images, no GPU is needed.
     let scene = source.open(py)?;
     let refining = wanted.refining(&scene).map_err(exception)?;
     let draws = wanted.target.is_some() || refining.is_some() || wanted.tune;

@@ -9,8 +9,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// The process that imported the package.
 static IMPORTER: Mutex<Option<u32>> = Mutex::new(None);
-/// Threads of a forked process, and its number: a fork has none of its parent's threads, and what waits for them would wait
-/// for ever.
+/// Threads of a forked process, and its process id. A fork has none of its parent's threads, so waiting for them would
+/// never end.
 static FORKED: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
 /// To be called when the package is imported.
@@ -34,7 +34,7 @@ fn own_threads() -> Arc<ThreadPool> {
         Some((process, threads)) if *process == process::id() => Arc::clone(threads),
         _ => {
             let threads = Arc::new(ThreadPoolBuilder::new().build().expect("a process that may start threads"));
-            // Those of the parent are not dropped: that would wait for them.
+            // The parent's threads are not dropped, because that would wait for them.
             std::mem::forget(forked.replace((process::id(), Arc::clone(&threads))));
             threads
         }

@@ -74,8 +74,8 @@ pub fn render<'py>(
 /// - lpips_weights: file that scripts/fetch_lpips_weights.py makes; LPIPS is left out without it
 /// - backend, device, progress, callback: as of `train`
 ///
-/// Returns a dict: means under "psnr" (dB), "psnr_per_channel", "ssim", "ms_ssim", "dssim", "lpips_vgg", "lpips_alex" and
-/// "flicker", None where not measured; "bytes", "fps" of rendering; and under "images" the same of every image.
+/// Returns a dict: means under "psnr" (dB), "psnr_per_channel", "ssim", "ms_ssim", "dssim", "lpips_vgg", "lpips_alex"
+/// and "flicker", None where not measured; "bytes", "fps" of rendering; and under "images" the same of every image.
 #[pyfunction]
 #[pyo3(signature = (scene, capture, *, cameras = "test", frames = None, downscale = None, frozen = false, protocol = None,
     lpips_weights = None, backend = "auto", device = None, progress = true, callback = None))]

@@ -11,7 +11,7 @@ const MAX_TIMESTEPS: usize = 1 << 16;
 /// Most Gaussians that indices of 32 bits count.
 const MAX_GAUSSIANS: usize = u32::MAX as usize;
 
-/// All timesteps of a scene. Shapes as of `Scene.from_arrays`.
+/// All timesteps of a scene. Shapes are those of `Scene.from_arrays`.
 ///
 /// - `scales`, `opacities`: in stored form, in activated form; one of the two
 ///

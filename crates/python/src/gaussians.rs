@@ -11,13 +11,12 @@ use crate::detached::detached;
 
 type Array = Py<PyArrayDyn<f32>>;
 
-/// The Gaussians of one timestep, as stored and as drawn. Arrays are float32 and cannot be written to; copy one to change
-/// it.
+/// The Gaussians of one timestep, as stored and as drawn. Arrays are float32 and read-only; copy one to change it.
 #[pyclass(name = "Gaussians", module = "tcgs", frozen)]
 pub struct PyGaussians {
     stored: Gaussians,
     activated: PyOnceLock<Activated>,
-    /// Arrays that were asked for, by name.
+    /// Requested arrays, by name.
     arrays: [PyOnceLock<Array>; NUM_ARRAYS],
     extra: PyOnceLock<Vec<(String, Array)>>,
 }
@@ -38,7 +37,7 @@ impl PyGaussians {
         self.activated.get_or_init(py, || detached(py, || activate(&self.stored)))
     }
 
-    /// The array at `place`, made when it is first asked for.
+    /// The array at `place`, created on the first request.
     fn array(&self, py: Python<'_>, place: usize, components: usize, values: impl FnOnce() -> Vec<f32>) -> Array {
         let shape = [self.len(), components];
         let shape = if components == 1 { &shape[..1] } else { &shape[..] };
@@ -110,8 +109,8 @@ impl PyGaussians {
         self.array(py, 7, 1, || self.activated(py).opacities.clone())
     }
 
-    /// [N, (degree + 1)² - 1, 3] coefficients of the spherical harmonics of the degrees from 1 on, red, green and blue of
-    /// each together; [N, 0, 3] without harmonics.
+    /// [N, (degree + 1)² - 1, 3] coefficients of the spherical harmonics of the degrees from 1 on, with red, green and
+    /// blue of each together; [N, 0, 3] without harmonics.
     #[getter]
     fn harmonics(&self, py: Python<'_>) -> Array {
         self.arrays[8].get_or_init(py, || frozen_harmonics(py, &self.stored)).clone_ref(py)

@@ -1,4 +1,5 @@
-//! The Python package `tcgs`: scenes as arrays of numpy, a differentiable rasterizer, and what the command line does.
+//! The Python package `tcgs`: scenes as arrays of numpy, a differentiable rasterizer, and the functions of the command
+//! line.
 //!
 //! What lives here: arguments, arrays and exceptions of Python. What does not: any method, which is in `tcgs-pipeline`
 //! and below. Every call that computes releases the lock of the interpreter (GIL).

@@ -81,7 +81,7 @@ pub struct PyRasterizeGrads {
 /// - colors: [N, D], 1 to 8 channels of anything that blends like colour; with sh_degree [N, K, 3], coefficients
 /// - viewmat, or viewmats: [4, 4] or [C, 4, 4], world to camera; camera space has x to the right, y down, z forward
 /// - K, or Ks: [3, 3] or [C, 3, 3], intrinsics in pixels
-/// - width, height: of the images, pixels
+/// - width, height: size of the images, pixels
 /// - background, or backgrounds: [D], or [C, D] for several cameras, behind everything; black if None
 /// - near_plane: depth up to which Gaussians are not drawn, scene units; gsplat's is 0.01
 /// - sh_degree: 0 to 3: colors are coefficients of spherical harmonics, of which the first (sh_degree + 1)² count. A
@@ -220,8 +220,8 @@ impl PyRasterized {
         self.image.clone_ref(py)
     }
 
-    /// [height, width, 1] float32, or [C, height, width, 1] for several cameras: 1 less the light that passes all
-    /// Gaussians.
+    /// [height, width, 1] float32, or [C, height, width, 1] for several cameras: 1 minus the share of light that passes
+    /// all Gaussians.
     #[getter]
     fn alpha(&self, py: Python<'_>) -> Py<PyArrayDyn<f32>> {
         self.alpha.clone_ref(py)
@@ -231,10 +231,11 @@ impl PyRasterized {
         (self.image(py), self.alpha(py)).into_pyobject(py)?.try_iter()
     }
 
-    /// Vector-Jacobian product: the gradients of a loss whose gradient to the image is `v_image`, and to alpha `v_alpha`.
+    /// Vector-Jacobian product: the gradients of a loss whose gradient to the image is `v_image`, and to alpha
+    /// `v_alpha`.
     ///
     /// - v_image: of the shape of `image`
-    /// - v_alpha: of the shape of `alpha`; None: the loss does not use alpha. It takes another backward pass
+    /// - v_alpha: of the shape of `alpha`; None if the loss does not use alpha. It costs another backward pass
     ///
     /// Returns a RasterizeGrads. The gradients reach the means also through the directions in which harmonics are seen.
     #[pyo3(signature = (v_image, v_alpha = None))]

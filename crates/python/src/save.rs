@@ -1,4 +1,4 @@
-//! Scenes become files: in which format, and whole or not at all.
+//! Writes scenes to files: chooses the format, and writes the whole file or nothing.
 
 use std::fs;
 use std::io::{self, BufWriter, Write};
@@ -70,7 +70,7 @@ fn save_folder(scene: &OpenScene, path: &Path, watch: &mut Watch) -> Result<(), 
 
 /// Makes a new folder, whole or not at all.
 ///
-/// - `fill`: fills the folder, which has another name until it is done
+/// - `fill`: fills the folder, which has a temporary name until then
 pub fn write_folder(path: &Path, fill: impl FnOnce(&Path) -> Result<(), PipelineError>) -> Result<(), PipelineError> {
     let unwritable = |error| PipelineError::Unwritable { path: path.into(), error };
     if path.exists() {
@@ -84,7 +84,7 @@ pub fn write_folder(path: &Path, fill: impl FnOnce(&Path) -> Result<(), Pipeline
     fs::rename(&new, path).map_err(unwritable)
 }
 
-/// Refuses early what could not be written at the end.
+/// Refuses early an output that could not be written at the end.
 pub fn check_out(out: &Path, overwrite: bool) -> PyResult<()> {
     if out.is_dir() {
         return Err(exception(wrong(out, "is a folder", "the name of a file")));

@@ -27,7 +27,7 @@ const MAX_CAMERAS: usize = 1_000_000;
 
 /// A scene over time: Gaussians at every timestep. `tcgs.open` opens one, `Scene.from_arrays` makes one.
 ///
-/// Timesteps are read, and segments of a .tcgs file decoded, when one is asked for.
+/// Timesteps are read, and segments of a .tcgs file decoded, on request.
 #[pyclass(name = "Scene", module = "tcgs", frozen, weakref)]
 pub struct PyScene(pub Arc<OpenScene>);
 
@@ -36,7 +36,7 @@ pub struct PyScene(pub Arc<OpenScene>);
 pub enum SceneLike<'py> {
     /// Open already.
     Open(PyRef<'py, PyScene>),
-    /// By the names that `Scene.from_arrays` gives them.
+    /// Keyed by the argument names of `Scene.from_arrays`.
     Arrays(Bound<'py, PyDict>),
     /// `str` or `os.PathLike`.
     Path(PathBuf),
@@ -64,7 +64,7 @@ fn open_path(py: Python<'_>, path: &Path, settings: OpenSettings) -> PyResult<Op
     detached(py, || OpenScene::open(path, settings)).map_err(exception)
 }
 
-/// A file or folder, or several that are chapters of one scene.
+/// A file or folder, or several: the chapters of one scene.
 pub enum OneOrMore {
     /// `str` or `os.PathLike`.
     One(PathBuf),
@@ -79,7 +79,7 @@ impl FromPyObject<'_, '_> for OneOrMore {
         if let Ok(path) = given.extract() {
             return Ok(Self::One(path));
         }
-        // Read one after another: the length that an object declares may exceed any memory.
+        // Read one by one, because the length that an object declares may exceed any memory.
         let mut paths = Vec::new();
         for path in given.try_iter()? {
             paths.push(path?.extract()?);
@@ -151,7 +151,7 @@ impl PyScene {
     /// - opacities or logit_opacities: [N] or [T, N], in (0, 1), or their inverse logistic
     /// - harmonics: [N, K, 3] or [T, N, K, 3] with K of 3, 8 or 15: coefficients of degrees 1 to 1, 2 or 3
     /// - fps: timesteps a second; 0: unknown
-    /// - name: as messages call the scene
+    /// - name: name of the scene in messages
     #[staticmethod]
     #[pyo3(signature = (means, quats, colors, *, scales = None, log_scales = None, opacities = None,
         logit_opacities = None, harmonics = None, fps = Number::of(30.0), name = "arrays"),
@@ -181,7 +181,8 @@ impl PyScene {
         self.0.num_timesteps()
     }
 
-    /// The Gaussians of one timestep, with colours as they are drawn; of a run all of them, also those that its masks leave out.
+    /// The Gaussians of one timestep, with colours as drawn. For a run these are all Gaussians, including those that
+    /// its masks leave out.
     ///
     /// - timestep: from 0; negative ones count from the end
     fn at(&self, py: Python<'_>, timestep: Whole) -> PyResult<PyGaussians> {
@@ -203,7 +204,7 @@ impl PyScene {
         Ok(self.0.num_gaussians_at(self.timestep(timestep.index())?))
     }
 
-    /// Number of Gaussians; the most at any timestep where the number changes.
+    /// Number of Gaussians; if the number changes, the largest at any timestep.
     #[getter]
     fn num_gaussians(&self) -> usize {
         self.0.num_gaussians()
@@ -215,25 +216,25 @@ impl PyScene {
         self.0.frame_rate
     }
 
-    /// File or folder as it was named.
+    /// File or folder as given.
     #[getter]
     fn path(&self) -> PathBuf {
         self.0.path.clone()
     }
 
-    /// What the scene is, in words, such as "compressed file".
+    /// Kind of scene, in words, such as "compressed file".
     #[getter]
     fn kind(&self) -> &'static str {
         self.0.kind()
     }
 
-    /// Name of the capture as a .tcgs file says it; empty of anything else.
+    /// Name of the capture in a .tcgs file; empty for anything else.
     #[getter]
     fn name(&self) -> String {
         self.0.name().unwrap_or_default().into()
     }
 
-    /// Length of a .tcgs file; of anything else the size of the scene as plain float32, bytes.
+    /// Length of a .tcgs file, bytes; for anything else the size of the scene as plain float32.
     #[getter]
     fn bytes(&self) -> u64 {
         self.0.bytes
@@ -251,7 +252,7 @@ impl PyScene {
         self.0.downscale
     }
 
-    /// Whether the scene is drawn with antialiasing: a splat that is widened by a pixel's extent gives up as much opacity.
+    /// Whether the scene is drawn with antialiasing: a splat that is widened by a pixel's extent loses as much opacity.
     #[getter]
     fn antialiased(&self) -> bool {
         self.0.layout().is_antialiased()
@@ -276,25 +277,26 @@ impl PyScene {
         self.0.notes().iter().map(ToString::to_string).collect()
     }
 
-    /// By attribute the largest error against what was compressed, as a .tcgs file declares it: means in scene units, quats in
-    /// radians, log_scales as stored, logit_opacities as opacity, colors of 1. Empty of anything else.
+    /// Largest error of each attribute against the compressed scene, as a .tcgs file declares it: means in scene units,
+    /// quats in radians, log_scales as stored, logit_opacities as opacity, colors of 1. Empty for anything else.
     #[getter]
     fn declared_errors(&self) -> BTreeMap<String, f32> {
         self.0.declared_errors().into_iter().collect()
     }
 
-    /// Cameras of the capture that a .tcgs file gives players to start from, by name; empty of anything else.
+    /// Cameras of the capture that a .tcgs file offers as start views, by name; empty for anything else.
     #[getter]
     fn cameras(&self, py: Python<'_>) -> PyResult<BTreeMap<String, PyCamera>> {
         let cameras = detached(py, || self.0.cameras()).map_err(exception)?;
         Ok(cameras.into_iter().map(|named| (named.name, PyCamera(named.camera))).collect())
     }
 
-    /// Cameras at equal steps on the path of `tcgs render --path orbit`. It leads around what moves, else around the point at
-    /// which the cameras of the capture look. Without such cameras it is a circle.
+    /// Cameras at equal steps on the path of `tcgs render --path orbit`. The path leads around the moving part of the
+    /// scene. If nothing moves, it leads around the point at which the capture's cameras look. Without such cameras it
+    /// is a circle.
     ///
     /// - count: up to 1,000,000
-    /// - width, height: of their images, pixels
+    /// - width, height: size of their images, pixels
     #[pyo3(signature = (count, *, width = Whole::of(640), height = Whole::of(360)),
         text_signature = "($self, count, *, width=640, height=360)")]
     fn orbit(&self, py: Python<'_>, count: Whole, width: Whole, height: Whole) -> PyResult<Vec<PyCamera>> {
@@ -303,9 +305,10 @@ impl PyScene {
         Ok(cameras.into_iter().map(PyCamera).collect())
     }
 
-    /// Writes the scene in the format that the ending of `path` names: .tcgs (compressed as by `compress`; a copy of what is
-    /// compressed already), .npz (params.npz of Dynamic 3D Gaussians), .4dgs, .ply or .glb (one timestep), or a new
-    /// folder with a PLY file for each timestep. Of a run without the Gaussians that its masks leave out over time.
+    /// Writes the scene in the format that the ending of `path` names. .tcgs is compressed as by `compress`; a
+    /// compressed scene is copied. .npz is params.npz of Dynamic 3D Gaussians, .4dgs holds all timesteps, .ply and .glb
+    /// hold one timestep. A name without an ending becomes a new folder with a PLY file for each timestep. For a run,
+    /// the Gaussians that its masks leave out over time are not written.
     ///
     /// - overwrite: replace a file that exists; folders are never replaced
     #[pyo3(signature = (path, *, overwrite = false, progress = true, callback = None))]
@@ -321,10 +324,11 @@ impl PyScene {
         Watch::call(py, callback, progress, |watch| save(&self.0, &path, overwrite, watch))
     }
 
-    /// The player in a cell of Jupyter, served by this process until it ends; of a scene that is not compressed, a compressed
-    /// copy. It takes a browser with WebGPU on this machine; a kernel elsewhere takes the port of `address` forwarded.
+    /// Shows the player in a cell of Jupyter, served by this process until it ends. A scene that is not compressed is
+    /// shown as a compressed copy. The player needs a browser with WebGPU on this machine; if the kernel runs
+    /// elsewhere, forward the port of `address`.
     ///
-    /// - height: of the cell, pixels
+    /// - height: height of the cell, pixels
     ///
     /// Raises RuntimeError if this package was built without the player.
     #[pyo3(signature = (*, height = Whole::of(480)), text_signature = "($self, *, height=480)")]
@@ -341,7 +345,7 @@ impl PyScene {
 }
 
 impl PyScene {
-    /// A timestep that there is.
+    /// Checks a timestep, and returns it as an index from 0.
     pub fn timestep(&self, timestep: isize) -> PyResult<usize> {
         let count = self.0.num_timesteps();
         let from_start = if timestep < 0 { timestep.saturating_add_unsigned(count) } else { timestep };

@@ -30,26 +30,27 @@ pub enum StartFrom<'py> {
 /// - capture: a Capture or the name of its folder
 /// - out: folder of the run
 /// - preset: "default", "fast", "paper" or "d3dgs"
-/// - frames: first frame and the one after the last, such as (0, 20); those that publications use, else all
+/// - frames: first frame and the one after the last, such as (0, 20); default: the frames that publications use, else
+///   all
 /// - downscale: average images over n x n pixels
 /// - iterations: of the first and of every later timestep
 /// - settings: by their names in the run's config.toml, such as {"weights.rigid": 2, "gate.enabled": False}
-/// - config: file of settings, as another run's config.toml
+/// - config: file of settings, such as another run's config.toml
 /// - points: file of initial points instead of the capture's own
-/// - start_from: continue the state of a Scene, or of the file or folder of one, at its last timestep; or of a pair of that and
-///   a timestep, such as ("base", 0). The first timestep is trained as a later one, and no Gaussian is added, so runs that
-///   start from the same state are chapters of one scene: `tcgs.open(["chapter0", "chapter1"])` joins them
+/// - start_from: continue the state of a Scene, or of its file or folder, at its last timestep; or of a pair of scene
+///   and timestep, such as ("base", 0). The first timestep is trained as a later one, and no Gaussian is added. So runs
+///   that start from the same state are chapters of one scene: `tcgs.open(["chapter0", "chapter1"])` joins them
 /// - seed: of random choices
-/// - resume: go on with the run in `out` after its last whole checkpoint, or begin it if there is none; what is not given
-///   keeps the run's settings
+/// - resume: continue the run in `out` after its last whole checkpoint, or begin it if there is none; omitted arguments
+///   keep the run's settings
 /// - overwrite: replace the run in `out`
 /// - backend: "auto" (the GPU if there is one), "gpu" or "cpu"
 /// - device: a part of the name of the GPU to compute on
 /// - progress: show a line in a terminal or notebook
-/// - callback: called with a Progress instead; what it raises ends the training
+/// - callback: called with a Progress instead of the line; an exception in it ends the training
 ///
-/// Returns the Scene of the run. Ctrl-C, as what the callback raises, leaves a run of the timesteps that are finished:
-/// `resume=True` goes on after them, with the same result as without interruption.
+/// Returns the Scene of the run. After Ctrl-C or an exception in the callback, the run has the timesteps finished so
+/// far. `resume=True` continues after them, with the same result as without interruption.
 ///
 /// Raises ValueError or OSError if an input is wrong, FileExistsError if `out` holds a run.
 #[pyfunction]
@@ -85,7 +86,7 @@ pub fn train(
     let preset = preset.map(preset_named).transpose()?;
     let mut settings: Vec<(String, String)> =
         settings.iter().flatten().map(|(key, value)| toml(key, value)).collect::<PyResult<_>>()?;
-    // Through their names, so that their ranges are checked.
+    // Set by name, so that their ranges are checked.
     let mut set = |key: &str, value: Option<usize>| settings.extend(value.map(|value| (key.into(), value.to_string())));
     set("data.first_frame", frames.map(|frames| frames.0));
     set("data.end_frame", frames.map(|frames| frames.1));
@@ -109,7 +110,7 @@ pub fn train(
         None
     } else {
         let mut wanted = wanted.clone();
-        // A file of settings may be that of a run that continues another one.
+        // The file of settings may be from a run that continues another one.
         wanted.start_from.get_or_insert_default();
         Some(wanted.over(settings_for(preset.unwrap_or(Preset::Default), &capture), &capture)?)
     };
@@ -151,7 +152,7 @@ fn preset_named(name: &str) -> PyResult<Preset> {
     }
 }
 
-/// A setting as TOML: `True` is `true` there, and what Python prints of numbers is the same.
+/// A setting as TOML: `True` is `true` there; numbers have the same text as in Python.
 fn toml(key: &str, value: &Bound<'_, PyAny>) -> PyResult<(String, String)> {
     let text = value.str()?.to_string();
     let is_bool = value.is_instance_of::<pyo3::types::PyBool>();
@@ -176,22 +177,22 @@ impl Start {
         Ok(Self { scene, timestep: found, is_last: timestep.is_none() })
     }
 
-    /// As a run's `config.toml` names it.
+    /// Its name in a run's `config.toml`.
     fn name(&self) -> PyResult<String> {
         let path = absolute(&self.scene.path)?;
         Ok(if self.is_last { path } else { format!("{path}@{}", self.timestep) })
     }
 }
 
-/// What differs from a preset's or a run's settings.
+/// Changes to a preset's or a run's settings.
 #[derive(Clone)]
 struct Wanted {
-    /// Of the capture.
+    /// Folder of the capture.
     folder: PathBuf,
     preset: Option<Preset>,
     config: Option<PathBuf>,
     points: Option<PathBuf>,
-    /// As `config.toml` names it; empty: none; `None`: as the run has it.
+    /// Its name in `config.toml`; empty for none; `None` keeps the run's.
     start_from: Option<String>,
     seed: Option<u64>,
     /// Names and values in TOML.
@@ -203,7 +204,7 @@ impl Wanted {
         if let Some(preset) = self.preset {
             base.preset = preset;
         }
-        // A file may be that of a run that continues another one.
+        // The file may be from a run that continues another one.
         let start_from = base.data.start_from.clone();
         if let Some(path) = &self.config {
             let text = tcgs_core::read_text(path, TrainConfig::MAX_BYTES)
@@ -211,7 +212,7 @@ impl Wanted {
             let merged = base.merge(&text);
             base = merged.map_err(|error| PyValueError::new_err(format!("{}: {error}", path.display())))?;
         }
-        // A file may be another run's; the capture is the one that was named.
+        // The file may be another run's, so the given capture replaces its capture.
         base.data.capture = absolute(&self.folder)?;
         base.data.layout = capture.kind().name.into();
         if let Some(points) = &self.points {
@@ -235,7 +236,7 @@ impl Wanted {
     }
 }
 
-/// So that a run finds its capture and points from any folder.
+/// An absolute path, so that a run finds its capture and points from any folder.
 fn absolute(path: &Path) -> PyResult<String> {
     let found = path.canonicalize().map_err(|error| of_system(error.kind(), format!("{}: {error}", path.display())))?;
     found.into_os_string().into_string().map_err(|path| {

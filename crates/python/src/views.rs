@@ -1,4 +1,4 @@
-//! Gaussians as `rasterize` is given them, drawn by one camera after another, forward and backward.
+//! Gaussians in the form of `rasterize`'s arguments, drawn by one camera after another, forward and backward.
 //!
 //! What lives here: a near plane of the caller's, harmonics in each camera's direction, and sums over cameras. What
 //! does not: Python's arrays (`rasterize.rs`) and drawing (`tcgs-render`).
@@ -116,7 +116,7 @@ pub struct View {
 }
 
 impl View {
-    /// `[H, W]` of 1 less the light that passes all Gaussians.
+    /// `[H, W]`: 1 minus the share of light that passes all Gaussians.
     pub fn alpha(&self) -> impl Iterator<Item = f32> {
         self.transmittance.iter().map(|transmittance| 1.0 - transmittance)
     }
@@ -190,7 +190,7 @@ impl Given {
 
     /// Draws.
     ///
-    /// - `seen`: of `seen_by`
+    /// - `seen`: result of `seen_by`
     /// - `background`: `[C]`
     pub fn forward(seen: &Activated, camera: Camera, background: &[f32]) -> (Image, View) {
         let mut settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
@@ -217,7 +217,7 @@ impl Given {
                     sums
                 }
             });
-            // The background is weighted by the light that passes all Gaussians.
+            // The weight of the background is the light that passes all Gaussians.
             v_backgrounds.extend((0..self.num_channels()).map(|channel| {
                 let pairs = v_image.plane(channel).iter().zip(&view.transmittance);
                 pairs.map(|(&v, &transmittance)| f64::from(v) * f64::from(transmittance)).sum::<f64>() as f32
@@ -249,7 +249,7 @@ impl Given {
     }
 }
 
-/// Accumulates: the gradients of alpha, which is the image of white Gaussians before black.
+/// Accumulates the gradients of alpha, which is the image of white Gaussians on black.
 fn add_alpha(seen: &Activated, camera: &Camera, v_alpha: &Image, grads: &mut ActivatedGrads) {
     let white = Activated { colors: vec![1.0; seen.num_gaussians()], num_channels: 1, ..seen.clone() };
     let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
@@ -263,7 +263,7 @@ fn forward(activated: &Activated, camera: &Camera, settings: &RenderSettings) ->
     drawn
 }
 
-/// Adds all but the gradients to colours.
+/// Adds all gradients except those to colours.
 fn add_geometry(sums: &mut ActivatedGrads, terms: &ActivatedGrads) {
     add(sums.v_means.as_flattened_mut(), terms.v_means.as_flattened());
     add(sums.v_quats.as_flattened_mut(), terms.v_quats.as_flattened());

@@ -1,4 +1,4 @@
-//! Long calls: progress for Python, and how Ctrl-C and an exception of a callback end them.
+//! Long calls: progress for Python, and termination by Ctrl-C or an exception in a callback.
 
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
@@ -9,32 +9,32 @@ use tcgs_pipeline::{Event, Observer, PipelineError};
 use crate::detached::refuse_fork;
 use crate::errors::exception;
 
-/// Least time between two looks at what Python has to say: taking the lock of the interpreter may wait for other threads.
+/// Least time between two acquisitions of the interpreter's lock, which may wait for other threads.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// What a long call tells its callback.
+/// Progress of a long call, for its callback.
 #[pyclass(name = "Progress", module = "tcgs", frozen, get_all)]
 #[derive(Default)]
 pub struct PyProgress {
     /// The part of the call, such as "training".
     work: &'static str,
-    /// Steps that are done.
+    /// Finished steps.
     done: usize,
     /// Steps in all; 0 if unknown.
     total: usize,
-    /// Of a training: timestep, from 0.
+    /// Timestep of a training, from 0.
     timestep: Option<usize>,
     /// Frame of the capture.
     frame: Option<usize>,
-    /// Of an iteration: weighted sum of the losses.
+    /// Weighted sum of the losses in an iteration.
     loss: Option<f64>,
-    /// Of a timestep that is trained, or of a setting that was tried: mean PSNR, dB.
+    /// Mean PSNR of a trained timestep, or of a tried setting, dB.
     psnr: Option<f64>,
-    /// Of a training.
+    /// Number of Gaussians in a training.
     num_gaussians: Option<usize>,
-    /// Of a setting that was tried: length of its file.
+    /// Length of the file of a tried setting, bytes.
     bytes: Option<u64>,
-    /// What to know, in words: a warning, or None.
+    /// A warning in words, or None.
     message: Option<String>,
 }
 
@@ -48,7 +48,7 @@ impl PyProgress {
 /// The observer of a long call.
 pub struct Watch {
     callback: Option<Py<PyAny>>,
-    /// What Python raised.
+    /// The exception that Python raised.
     raised: Option<PyErr>,
     work: &'static str,
     done: usize,
@@ -62,7 +62,7 @@ impl Watch {
     /// - `callback`: called with a [`PyProgress`]; none: a line in a terminal or notebook, if `progress`
     ///
     /// # Errors
-    /// What the callback raised, `KeyboardInterrupt` after Ctrl-C, or the exception of the call's error.
+    /// The callback's exception, `KeyboardInterrupt` after Ctrl-C, or the exception of the call's error.
     pub fn call<T: Send>(
         py: Python<'_>,
         callback: Option<Py<PyAny>>,
@@ -88,7 +88,7 @@ impl Watch {
         }
     }
 
-    /// Asks for Ctrl-C between two steps that tell nothing.
+    /// Checks for Ctrl-C between two steps without progress.
     ///
     /// # Errors
     /// [`PipelineError::Stopped`] after Ctrl-C.
@@ -122,7 +122,7 @@ impl Watch {
 impl Observer for Watch {
     fn hear(&mut self, event: &Event) -> ControlFlow<()> {
         let mut told = PyProgress::default();
-        // Steps are many; everything else is told at once.
+        // Steps are numerous; other events are reported at once.
         let mut is_step = false;
         match event {
             Event::Begun { work, num_steps } => (self.work, self.done, self.total) = (work.name(), 0, *num_steps),

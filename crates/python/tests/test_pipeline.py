@@ -188,7 +188,7 @@ def test_arrays_are_compressed(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="weights"):
         tcgs.compress({**arrays, "weights": colors}, tmp_path / "weights.tcgs", progress=False)
     bound = out.declared_errors["means"]
-    # A file orders its Gaussians anew.
+    # Compression reorders the Gaussians.
     for timestep in (0, 4, 9):
         distances = np.linalg.norm(out.at(timestep).means[:, None] - means[timestep][None], axis=-1).min(axis=1)
         assert distances.max() <= bound * np.sqrt(3) < 0.05

@@ -1,10 +1,11 @@
 //! Differentiable Gaussian rasterization.
 //!
-//! What lives here: everything between activated Gaussians and pixels, forward and backward. What
-//! does not: activation, losses, files. The constants that decide what is visible stand once, in
-//! [`settings`]; every implementation and the oracle in the tests read them there.
+//! What lives here: everything between activated Gaussians and pixels, forward and backward. What does not: activation,
+//! losses, files. The constants that decide visibility are defined once, in [`settings`]; every implementation and the
+//! tests' oracle read them there.
 //!
-//! Features, both on by default: `cpu` is the renderer on the CPU, with its threads; `gpu` the one on GPUs, with `wgpu`.
+//! Features, both on by default: `cpu` is the renderer on the CPU, with its threads; `gpu` is the renderer on GPUs,
+//! with `wgpu`.
 
 #[cfg(feature = "cpu")]
 mod cpu;

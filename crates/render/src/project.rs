@@ -4,7 +4,7 @@ use tcgs_core::{Camera, Pinhole, Real, dot, rotmat_from_unit_quat, rotmat_from_u
 
 use crate::settings::{BLUR_VARIANCE, FOV_MARGIN, NEAR};
 
-/// A camera in the numbers that projection runs on, in one precision.
+/// A camera's numbers for the projection, in one precision.
 #[derive(Clone, Debug)]
 pub struct SplatCamera<R> {
     /// The camera.
@@ -16,7 +16,7 @@ pub struct SplatCamera<R> {
 }
 
 impl<R: Real> SplatCamera<R> {
-    /// Rounds a camera to `R`; the range of slopes is computed in `f64` before.
+    /// Rounds a camera to `R`; the range of slopes is computed in `f64` first.
     pub fn new(camera: &Camera) -> Self {
         let size = [camera.width as f64, camera.height as f64];
         let margin = |i: usize| FOV_MARGIN * size[i] / (2.0 * camera.focal[i]);
@@ -44,8 +44,8 @@ pub struct Projection<R> {
 }
 
 impl<R: Real> Projection<R> {
-    /// Share of its opacity that an antialiased splat keeps: the root of the quotient of the determinants of its covariance
-    /// before and after the blur, 0 to 1. Yu et al. 2024 (Mip-Splatting), Eq. 10.
+    /// Share of its opacity that an antialiased splat keeps, 0 to 1: the square root of the ratio of the covariance's
+    /// determinants before and after the blur. Yu et al. 2024 (Mip-Splatting), Eq. 10.
     #[inline(always)]
     pub fn kept_opacity(&self) -> R {
         let [xx, xy, yy] = self.covariance2d;
@@ -53,7 +53,7 @@ impl<R: Real> Projection<R> {
     }
 }
 
-/// What forward and backward share: camera-space centre, Jacobian, and the factors of the covariance.
+/// Values that forward and backward share: camera-space centre, Jacobian, and the factors of the covariance.
 struct ProjectionChain<R> {
     point: [R; 3],
     /// `x/z`, `y/z` after clamping, and whether they were clamped.
@@ -259,7 +259,7 @@ mod tests {
                 assert!((difference - found[i]).abs() < 1e-5 * difference.abs().max(1.0), "{difference} {found:?}");
             }
         }
-        // Nothing is left of what has no extent.
+        // A Gaussian without extent keeps no opacity.
         let flat = project([0.2, 0.1, 0.5], quat, [0.0; 3], &splat_camera()).unwrap();
         assert_eq!((flat.kept_opacity(), kept_opacity_vjp(flat.conic, 0.0, 1.0)), (0.0, [0.0; 3]));
     }

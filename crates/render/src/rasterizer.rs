@@ -1,4 +1,4 @@
-//! The contract that every renderer keeps.
+//! The contract of every renderer.
 
 use std::error::Error;
 use std::sync::Arc;
@@ -8,16 +8,16 @@ use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 use crate::device::GpuError;
 use crate::settings::RenderSettings;
 
-/// What a forward pass returns.
+/// Result of a forward pass.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RenderOutput {
     /// `[C, H, W]`, background included, neither clamped nor colour-corrected.
     pub image: Image,
-    /// `[H, W]` light that passes all splats, `∏(1 − alpha)`.
+    /// `[H, W]` share of light that passes all splats, `∏(1 − alpha)`.
     pub transmittance: Vec<f32>,
 }
 
-/// What a backward pass returns.
+/// Result of a backward pass.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RenderGrads {
     /// Gradients to the activated Gaussians.
@@ -31,10 +31,10 @@ pub struct RenderGrads {
 
 /// A differentiable renderer of activated Gaussians.
 pub trait Rasterizer {
-    /// What forward keeps for backward.
+    /// State that forward saves for backward.
     type Saved;
 
-    /// How it fails; [`Infallible`](std::convert::Infallible) for the renderer on the CPU.
+    /// Error of the renderer; [`Infallible`](std::convert::Infallible) on the CPU.
     type Error: Error + Send + Sync + 'static;
 
     /// Renders all channels of `gaussians.colors` in one pass.
@@ -71,9 +71,9 @@ pub trait Rasterizer {
     ) -> Result<RenderGrads, Self::Error>;
 }
 
-/// A renderer for those who want pictures without gradients.
+/// A renderer for pictures without gradients.
 pub trait Draw: Send + Sync {
-    /// How it fails; [`Infallible`](std::convert::Infallible) for the renderer on the CPU.
+    /// Error of the renderer; [`Infallible`](std::convert::Infallible) on the CPU.
     type Error: Error + Send + Sync + 'static;
 
     /// Name of the device for reports: `cpu, 2 threads`.
@@ -81,8 +81,8 @@ pub trait Draw: Send + Sync {
 
     /// Renders all channels of `gaussians.colors` in one pass; as [`Rasterizer::forward`].
     ///
-    /// - `gaussians`: shared, so that a renderer far away can tell that it has them already
-    /// - returns: the image, and the milliseconds that drawing took, without moving anything to or from the GPU
+    /// - `gaussians`: shared, so that a renderer with memory of its own can recognise Gaussians that it already has
+    /// - returns: the image, and the milliseconds of drawing, without transfers to or from the GPU
     ///
     /// # Errors
     /// As [`Rasterizer::forward`].
@@ -94,10 +94,10 @@ pub trait Draw: Send + Sync {
     ) -> Result<(RenderOutput, f64), Self::Error>;
 }
 
-/// A renderer that is chosen while the program runs; made by [`draw_any`].
+/// A renderer chosen at run time; made by [`draw_any`].
 pub type DrawAny = dyn Draw<Error = GpuError>;
 
-/// A renderer behind one type, whatever it runs on.
+/// Wraps any renderer in one type.
 ///
 /// ```
 /// # #[cfg(feature = "cpu")] {

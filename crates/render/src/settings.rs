@@ -1,39 +1,38 @@
-//! What is visible: every cut-off, once, with its reason.
+//! All cut-offs of visibility, each defined once with its reason.
 
 /// Most channels that one pass blends.
 pub const MAX_CHANNELS: usize = 8;
 
-/// Gaussians whose centre is nearer than this (camera z, scene units) or behind are culled: the
-/// projection's linearisation breaks down there.
+/// Gaussians whose centre is nearer than this (camera z, scene units) or behind are culled, because the projection's
+/// linearisation breaks down there.
 pub const NEAR: f64 = 0.2;
 
 /// Variance added to both axes of a splat, px²: the pixel's own extent, so that no splat falls
 /// between pixel centres.
 pub const BLUR_VARIANCE: f64 = 0.3;
 
-/// A splat reaches every pixel where its alpha is at least this, whatever the tiles: below one step
-/// of an 8-bit image it cannot be seen.
+/// A splat reaches every pixel where its alpha is at least this, whatever the tiles: a smaller alpha is invisible,
+/// being below one step of an 8-bit image.
 pub const MIN_ALPHA: f64 = 1.0 / 255.0;
 
-/// Alpha is clamped here, so that what lies behind keeps a gradient and `1 − alpha` can be divided by.
+/// Alpha is clamped here, so that splats behind keep a gradient and `1 − alpha` is a safe divisor.
 pub const MAX_ALPHA: f64 = 0.99;
 
-/// A pixel is finished before the splat that would bring its transmittance below this:
-/// a maximal-opacity Gaussian must be blended twice to end a pixel, `(1 − MAX_ALPHA)²`.
+/// A pixel is finished before the splat that would bring its transmittance below this: a maximal-opacity Gaussian must
+/// be blended twice to end a pixel, `(1 − MAX_ALPHA)²`.
 pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 
-/// `x/z` and `y/z` are clamped to the image's field of view, widened by this share of half its
-/// (centred) extent, before the Jacobian of the projection is taken: beyond, the linearisation
-/// stretches splats without bound.
+/// Before the Jacobian of the projection is computed, `x/z` and `y/z` are clamped to the image's field of view, widened
+/// by this share of half its (centred) extent. Beyond it the linearisation stretches splats without bound.
 pub const FOV_MARGIN: f64 = 0.3;
 
-/// What a renderer needs beside Gaussians and a camera.
+/// A renderer's inputs besides Gaussians and a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RenderSettings {
-    /// Colour behind everything, one value a channel. Default: black (reference).
+    /// Colour behind everything, one value per channel. Default: black (reference).
     pub background: [f32; MAX_CHANNELS],
-    /// The densification statistic counts the gradient of this many leading channels alone.
-    /// Default: 3, the colours, without the segmentation that shares the pass.
+    /// Number of leading channels whose gradient the densification statistic counts. Default: 3, the colours, without
+    /// the segmentation that shares the pass.
     pub statistic_channels: usize,
 }
 

@@ -1,4 +1,4 @@
-//! How long the stages of one computation took, for those who measure.
+//! Times of the stages of one computation, for measurements.
 
 use std::time::Instant;
 
@@ -7,15 +7,15 @@ use std::time::Instant;
 pub struct StageTimes {
     /// Name and milliseconds of each stage.
     pub stages: Vec<(&'static str, f64)>,
-    /// Milliseconds from the begin of the first stage to the end of the last: more than the sum of the stages where time
+    /// Milliseconds from the start of the first stage to the end of the last. It exceeds the sum of the stages if time
     /// passes between them.
     pub total: f64,
 }
 
-/// Names of the stages of drawing and its gradient; every renderer has these.
+/// Names of the stages of drawing and its gradient, the same for every renderer.
 pub const RENDER_STAGES: [&str; 5] = ["project", "sort", "rasterize", "rasterize backward", "project backward"];
 
-/// A stopwatch on the CPU, read where one stage ends and the next begins.
+/// A stopwatch on the CPU, read between stages.
 ///
 /// ```
 /// use tcgs_render::Laps;
@@ -55,10 +55,10 @@ fn ms(duration: std::time::Duration) -> f64 {
     duration.as_secs_f64() * 1e3
 }
 
-/// How much an image has to blend, which decides how long drawing takes.
+/// Numbers of pairs and splats in an image, which determine the drawing time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PairCounts {
-    /// Combinations of a tile and a splat that may reach it.
+    /// Pairs of a tile and a splat that may reach it.
     pub pairs: usize,
     /// Splats that are in at least one pair.
     pub splats: usize,

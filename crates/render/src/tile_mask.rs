@@ -1,4 +1,4 @@
-//! A set of an image's tiles: which of them a rendering draws anew.
+//! A set of an image's tiles: the ones that a rendering draws.
 
 use std::ops::Range;
 

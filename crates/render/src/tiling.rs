@@ -1,4 +1,4 @@
-//! How an image is cut into tiles, and which of them a splat may reach: the same in every renderer.
+//! Division of an image into tiles, and bounds of a splat's tiles: the same in every renderer.
 
 /// Tile side in pixels. On the CPU: wide enough that a row fills two vectors of eight lanes, small enough that a tile's
 /// state stays in the first-level cache. On a GPU a tile's pixels are one workgroup.
@@ -8,7 +8,7 @@ pub const TILE: usize = 16;
 /// [`MIN_ALPHA`](crate::settings::MIN_ALPHA).
 pub(crate) const EXTENT_FACTOR: f32 = 1.001;
 
-/// And then by this many pixels.
+/// The half extent is then widened by this many pixels.
 pub(crate) const EXTENT_MARGIN_PX: f32 = 0.05;
 
 /// Gradients of one pair of tile and splat before those of its colours: `mean2d` (2), `conic` (3), opacity, and the

@@ -1,23 +1,23 @@
-//! How much of the pixels each Gaussian makes up.
+//! Each Gaussian's share of the pixels.
 
 use tcgs_core::{Activated, Camera, Image};
 
 use crate::{Rasterizer, RenderSettings};
 
-/// Cameras are looked at in half their resolution if their shorter side has at least this many pixels.
+/// A camera's image is halved if its shorter side has at least this many pixels.
 const MIN_HALVED: usize = 128;
 
-/// Pixels of a camera for one, in either direction, at which it is enough to look at weights: 1 or 2.
+/// Step between the camera's pixels at which weights are sampled, in either direction: 1 or 2.
 pub fn weights_step(camera: &Camera) -> usize {
     1 + usize::from(camera.width.min(camera.height) >= MIN_HALVED)
 }
 
-/// The blending weight of every Gaussian, summed over pixels: how many of them it would fill alone.
+/// The blending weight of every Gaussian, summed over pixels: the number of pixels that it would fill alone.
 ///
 /// The gradient of `Σ pixels v · picture` to a Gaussian's colour is `Σ pixels v · weight`.
 ///
-/// - `drawn`: `[N]`, whose colours do not matter
-/// - `shares`: `[C, H, W]` of the camera's size, how much each pixel counts in each of `C` sums
+/// - `drawn`: `[N]`; its colours do not matter
+/// - `shares`: `[C, H, W]` of the camera's size, each pixel's weight in each of `C` sums
 /// - returns: `[N, C]`, pixels
 ///
 /// ```
@@ -40,7 +40,7 @@ pub fn weights_step(camera: &Camera) -> usize {
 /// ```
 ///
 /// # Errors
-/// What the renderer fails with.
+/// The renderer's error.
 pub fn blending_weights<R: Rasterizer>(
     rasterizer: &R,
     drawn: &Activated,

@@ -42,13 +42,13 @@ fn backward_equals_central_differences_of_the_oracle() {
 #[test]
 fn backward_of_antialiased_splats_equals_central_differences_of_the_oracle() {
     let mut gaussians = Activated { is_antialiased: true, ..random_scene(30, 5, 78) };
-    // Of a pixel's extent, and far below in one direction.
+    // About a pixel's extent, and far below in one direction.
     gaussians.scales.iter_mut().for_each(|scale| *scale = scale.map(|s| 0.2 * s));
     gaussians.scales[3][0] = 0.002;
     compare_with_differences(&gaussians, 20);
 }
 
-/// - `most_skipped`: one of so many samples may cross a cut-off
+/// - `most_skipped`: 1 in this many samples may cross a cut-off
 fn compare_with_differences(gaussians: &Activated, most_skipped: usize) {
     let camera = test_camera(37, 29);
     let channels = gaussians.num_channels;
@@ -78,7 +78,7 @@ fn compare_with_differences(gaussians: &Activated, most_skipped: usize) {
             let h = 1e-6;
             let (high, low) = (at(h), at(-h));
             total += 1;
-            // A sample that appears or vanishes between the two has no difference to compare with.
+            // If a sample appears or vanishes between the two, the difference is no derivative.
             if high.contributors != low.contributors {
                 skipped += 1;
                 continue;
@@ -114,7 +114,8 @@ fn the_statistic_counts_the_colours_alone() {
     assert!(norm(&three.v_means2d_ndc) > 1.0);
     let error = support::relative_l2(five.v_means2d_ndc.as_flattened(), three.v_means2d_ndc.as_flattened());
     assert!(error < 1e-6, "relative L2 {error:.1e}");
-    // With three channels the statistic is the whole gradient, in NDC units: two channels more must change that.
+    // With three channels the statistic is the whole gradient, in NDC units; two more channels must change the
+    // gradient.
     assert_ne!(five.activated.v_means, three.activated.v_means);
 }
 
@@ -146,7 +147,7 @@ fn nothing_to_draw_leaves_the_background() {
     let grads = CpuRasterizer.backward(&empty, &camera, &background(), &saved, &v_image(20, 20, 3)).unwrap();
     assert!(grads.visible.is_empty());
 
-    // What is not finite is culled, not smeared over the image.
+    // Gaussians that are not finite are culled, not smeared over the image.
     empty = random_scene(2, 3, 1);
     empty.means[0] = [f32::NAN; 3];
     empty.scales[1] = [f32::INFINITY; 3];

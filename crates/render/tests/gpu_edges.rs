@@ -1,4 +1,4 @@
-//! The GPU where images and numbers are extreme.
+//! Extreme images and numbers on the GPU.
 
 #![allow(clippy::unwrap_used)]
 

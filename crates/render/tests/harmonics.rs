@@ -59,7 +59,7 @@ fn a_gaussian_has_another_colour_from_each_side() {
 #[test]
 fn the_gpu_draws_the_colours_of_each_camera() {
     let Some(gpu) = support::gpu() else { return };
-    // One renderer, so that what it keeps from one picture to the next does not outlive its camera.
+    // One renderer for all pictures, so that state kept from an earlier camera would show.
     seen_from_four_sides(&tcgs_render::gpu::GpuRasterizer::new(&gpu));
 }
 

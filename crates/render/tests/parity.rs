@@ -1,5 +1,5 @@
-//! The GPU against the CPU. The same contributors, so the same numbers up to rounding; at a cut-off (alpha 1/255,
-//! transmittance 1e-4) a pixel may fall to either side.
+//! The GPU against the CPU. Both blend the same contributors, so numbers agree up to rounding. At a cut-off (alpha
+//! 1/255, transmittance 1e-4) a pixel may fall to either side.
 
 #![allow(clippy::unwrap_used)]
 
@@ -66,7 +66,7 @@ fn random_scenes() {
     for (n, channels, width, height) in [(1, 1, 16, 16), (40, 3, 50, 37), (700, 5, 97, 61), (3000, 8, 64, 48)] {
         let scene = random_scene(n, channels, n as u64);
         compare(&format!("{n} x {channels}"), &rasterizer, &scene, &test_camera(width, height));
-        // Another scene: in this one a pixel of the last size ends at a cut-off.
+        // Another scene, because in this one a pixel of the last size ends at a cut-off.
         let antialiased = Activated { is_antialiased: true, ..random_scene(n, channels, n as u64 + 1) };
         compare(&format!("{n} x {channels}, antialiased"), &rasterizer, &antialiased, &test_camera(width, height));
     }

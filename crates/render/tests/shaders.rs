@@ -1,4 +1,4 @@
-//! Every shader is valid WGSL that a browser would take too; no GPU is needed to see that.
+//! Every shader is valid WGSL within the limits of every browser. The check needs no GPU.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,16 +10,16 @@ use tcgs_render::device::{Wgsl, sources};
 use wgpu::naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use wgpu::naga::{AddressSpace, Module, ShaderStage, front::wgsl};
 
-/// What every browser grants a compute shader.
+/// Most storage buffers per compute shader in every browser.
 const MAX_STORAGE_BUFFERS: usize = 8;
 const MAX_WORKGROUP_BYTES: u32 = 16 * 1024;
 const MAX_THREADS: u32 = 256;
-/// Backward kernels and those of listed parts train, and never run in a browser; every desktop adapter grants this.
+/// Backward kernels and kernels of listed parts train, and never run in a browser; every desktop adapter allows this.
 const MAX_STORAGE_BUFFERS_TRAINING: usize = 10;
 
 fn validated(name: &str, source: &str) -> (Module, ModuleInfo) {
     let module = wgsl::parse_str(source).unwrap_or_else(|e| panic!("{}", e.emit_to_string_with_path(source, name)));
-    // No capabilities: no subgroups, no atomics on floats, nothing that a browser might lack.
+    // No capabilities (no subgroups, no atomics on floats), because a browser may lack any of them.
     let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
         .validate(&module)
         .unwrap_or_else(|e| panic!("{}", e.emit_to_string_with_path(source, name)));
@@ -67,7 +67,7 @@ fn every_shader_is_valid_within_the_limits_of_browsers() {
 #[test]
 fn no_shader_is_left_out() {
     let sources = sources();
-    // For shaders of other crates, which validate it among their own.
+    // Shared with shaders of other crates, which validate it among their own.
     let shared = Wgsl::new().harmonics().finish();
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/device");
     let mut num_files = 0;

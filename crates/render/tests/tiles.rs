@@ -43,7 +43,7 @@ fn tiles_drawn_alone_have_the_bits_of_the_whole_image_and_its_gradients() {
         *v = (0.37 * pixel as f32).sin() + 0.3;
     }
     let Ok(expected) = CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v_image);
-    // What lies outside of the tiles is not read.
+    // Pixels outside of the tiles are not read.
     v_image.data.iter_mut().enumerate().filter(|(pixel, _)| is_outside(*pixel)).for_each(|(_, v)| *v = f32::NAN);
     let laps = &mut Laps::begin();
     let found = CpuRasterizer.backward_in(&gaussians, &camera, &settings, &tiles, &image, &v_image, laps);

@@ -1,9 +1,10 @@
 //! Dynamic 3D Gaussian splatting: multi-view video in, a moving 3D scene out that is small enough to stream.
 //!
-//! A scene is a set of 3D Gaussians that move over time. `tcgs` trains it from images of synchronized cameras
-//! (Dynamic 3D Gaussians with learned masks and learned quantisation, as in the paper *Temporally Compressed 3D Gaussian
-//! Splatting for Dynamic Scenes*), compresses it to a `.tcgs` file, and reads any timestep of that file. No CUDA is
-//! needed: everything runs on CPUs, and on GPUs by `wgpu`. The command line is the crate `tcgs-cli`.
+//! A scene is a set of 3D Gaussians that move over time. `tcgs` trains it from images of synchronized cameras,
+//! compresses it to a `.tcgs` file, and reads any timestep of that file. The method is Dynamic 3D Gaussians with
+//! learned masks and learned quantisation, as in the paper *Temporally Compressed 3D Gaussian Splatting for Dynamic
+//! Scenes*. No CUDA is needed: everything runs on CPUs, and on GPUs by `wgpu`. The command line is the crate
+//! `tcgs-cli`.
 //!
 //! | module | what | feature |
 //! |---|---|---|

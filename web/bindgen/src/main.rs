@@ -1,5 +1,5 @@
-//! `bindgen MODULE.wasm FOLDER` writes MODULE_bg.wasm, MODULE.js and their TypeScript declarations, for pages that import
-//! modules.
+//! `bindgen MODULE.wasm FOLDER` writes MODULE_bg.wasm, MODULE.js and their TypeScript declarations, for pages that
+//! import modules.
 
 use std::env;
 use std::path::PathBuf;

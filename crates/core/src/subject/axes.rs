@@ -1,23 +1,23 @@
-//! Where the axes of cameras meet.
+//! The point where the axes of cameras meet.
 
 use std::array::from_fn;
 
 use super::quantile;
 use crate::{Camera, Gaussians, Pinhole, dot, sigmoid};
 
-/// Weight of the guess from depths against the axes of the cameras. Axes that differ by less than 3 degrees leave the depth
-/// of their meeting point to the guess.
+/// Weight of the guess from depths against the axes of the cameras. Axes that differ by less than 3 degrees leave the
+/// depth of their meeting point to the guess.
 const PARALLEL: f64 = 0.003;
-/// The same where the axes alone decide: exactly parallel ones still have a solution.
+/// The same weight if the axes alone decide, so that exactly parallel axes still have a solution.
 const NO_WEIGHT: f64 = 1e-9;
-/// Cameras and Gaussians from which depths are guessed, at most.
+/// Most cameras and Gaussians used for the guess of depths.
 const MAX_CAMERAS: usize = 8;
 const MAX_GAUSSIANS: usize = 20_000;
 
 /// The point nearest to all axes of the cameras, in least squares.
 ///
-/// A guess has a small weight: the depth of what the middle of the pictures shows. The guess decides where axes are parallel.
-/// Where axes meet behind the cameras it is the result.
+/// A guess has a small weight: the median depth in the middle of the pictures. The guess decides if axes are parallel.
+/// If axes meet behind the cameras, it is the result.
 pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 3] {
     let count = cameras.len() as f64;
     let mean = |of: &dyn Fn(&Camera) -> [f64; 3]| -> [f64; 3] {
@@ -48,8 +48,8 @@ pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 
     if 2 * cameras.iter().filter(is_before).count() >= cameras.len() { drawn(PARALLEL) } else { guess }
 }
 
-/// Median depth of the Gaussians in the middle half of the cameras' pictures, scene units; 1 if there are none. The weight of
-/// a Gaussian is the area that it covers.
+/// Median depth of the Gaussians in the middle half of the cameras' pictures, scene units; 1 if there are none. The
+/// weight of a Gaussian is the area that it covers.
 fn depth_seen(gaussians: &Gaussians, cameras: &[Camera]) -> f64 {
     let (stride, of_cameras) =
         (gaussians.num_gaussians().div_ceil(MAX_GAUSSIANS).max(1), cameras.len().div_ceil(MAX_CAMERAS).max(1));
@@ -88,7 +88,7 @@ mod tests {
 
     const UP: [f64; 3] = [0.0, -1.0, 0.0];
 
-    /// A wall at depth 3 across the picture, and as many Gaussians at depth 90 that are no larger.
+    /// A wall at depth 3 across the picture, and as many Gaussians of the same size at depth 90.
     fn wall() -> Gaussians {
         let mut gaussians = Gaussians::zeros(200);
         gaussians.log_scales_mut().fill([-2.0; 3]);
@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn parallel_axes_meet_at_the_depth_of_what_is_seen() {
-        // Axes that diverge meet behind the cameras; such that converge, before them.
+        // Diverging axes meet behind the cameras; converging axes, in front of them.
         for (turn, depth) in [(0.0, 3.0), (0.02, 3.0), (0.5, 3.0), (-0.5, 2.0), (-1.0, 1.0)] {
             let [x, y, z] = meeting_point(&wall(), &grid(turn));
             assert!(x.abs() < 0.05 && y.abs() < 0.05 && (z - depth).abs() < 0.2 * depth, "{turn}: {x} {y} {z}");

@@ -1,5 +1,6 @@
-//! The subject of a scene: the point at which views aim. It follows from what moves (here) or from the cameras (`axes`).
-//! `shown` measures whether a camera shows it. What does not live here: the cameras of a path ([`Tour`](crate::Tour)).
+//! The subject of a scene: the point at which views aim. It follows from the moving Gaussians (here) or from the
+//! cameras (`axes`). `shown` measures whether a camera shows it. What does not live here: the cameras of a path
+//! ([`Tour`](crate::Tour)).
 
 mod axes;
 mod shown;
@@ -7,31 +8,32 @@ mod shown;
 use self::axes::meeting_point;
 use crate::{Camera, Extent, Gaussians, dot, sigmoid};
 
-/// A Gaussian moves if it goes farther than this many times the median of all: below is the jitter of training.
+/// A Gaussian moves if its motion exceeds this many times the median of all, which is the jitter of training.
 const JITTERS: f64 = 6.0;
-/// A Gaussian moves if it goes farther than this share of how far the faster fourth of the moving ones goes.
+/// A Gaussian moves if its motion exceeds this share of that of the faster fourth of the moving ones.
 const SHARE_OF_FAST: f64 = 0.25;
 /// Least and greatest share of the scene's opacity that a moving subject has. Fewer Gaussians are strays; if more move,
 /// the whole scene does.
 const MOVING: [f64; 2] = [5e-4, 0.5];
-/// Radius of what moves, in radii of the scene, above which it is spread over the scene and no subject.
+/// Radius of the moving Gaussians, in radii of the scene, above which they are spread over the scene and no subject.
 const MAX_SPREAD: f64 = 0.75;
-/// The subject's middle lies halfway between these quantiles along each axis. Of two people a median would choose one.
+/// The subject's middle lies halfway between these quantiles along each axis. A median would choose one of two people.
 const MIDDLE: [f64; 2] = [0.25, 0.75];
-/// Share of what moves that lies within the subject's radius.
+/// Share of the moving Gaussians within the subject's radius.
 const WITHIN: f64 = 0.6;
 
-/// Distance of a view from the middle, in radii of the scene's [`Extent`], without cameras and motion. A captured scene is
-/// mostly its surroundings, and the cameras that captured it stood just within them.
+/// Distance of a view from the middle, in radii of the scene's [`Extent`], without cameras and motion. A captured scene
+/// is mostly its surroundings, and the cameras that captured it stood just within them.
 pub(crate) const DISTANCE: f64 = 0.85;
-/// Distance of a view from what moves, in radii of what moves, if there are no cameras.
+/// Distance of a view from the moving Gaussians, in their radii, if there are no cameras.
 const DISTANCE_OF_MOVING: f64 = 3.0;
-/// Least share of the Gaussians that lie nearer to the subject than such a view, so that a ball is seen with its surroundings.
+/// Least share of the Gaussians that lie nearer to the subject than such a view, so that a ball is seen with its
+/// surroundings.
 const BEFORE: f64 = 0.02;
-/// Least radius, scene units: a scene of one point too has to be looked at from somewhere.
+/// Least radius, scene units, so that a scene of one point can be viewed too.
 pub(crate) const MIN_RADIUS: f64 = 1e-3;
 
-/// The point at which views of a scene aim, and how large what is there is.
+/// The point at which views of a scene aim, and the size of the object there.
 ///
 /// ```
 /// use tcgs_core::{Camera, Gaussians, Subject};
@@ -56,16 +58,16 @@ pub struct Subject {
 impl Subject {
     /// The first of these that the scene has:
     ///
-    /// 1. what moves, if it is a clear minority of the Gaussians and most cameras see it
+    /// 1. the moving Gaussians, if they are a clear minority and most cameras see them
     /// 2. the point at which the axes of the cameras meet
     /// 3. the median of the centres
     ///
     /// - `gaussians`: one timestep, in stored form, finite
-    /// - `moved`: `[N]` how far each goes at other timesteps ([`add_motion`]), scene units; empty if that is unknown
+    /// - `moved`: `[N]` motion of each Gaussian over other timesteps ([`add_motion`]), scene units; empty if unknown
     /// - `cameras`: of the capture; may be empty
     ///
     /// # Panics
-    /// If `moved` is neither empty nor of a value for each Gaussian.
+    /// If `moved` is not empty and does not have a value for each Gaussian.
     pub fn of(gaussians: &Gaussians, moved: &[f32], cameras: &[Camera]) -> Self {
         assert!(moved.is_empty() || moved.len() == gaussians.num_gaussians(), "{} distances moved", moved.len());
         let extent = Extent::of(gaussians.means());
@@ -94,10 +96,10 @@ impl Subject {
     }
 }
 
-/// Raises how far each Gaussian goes by where it is at another timestep.
+/// Raises the motion of each Gaussian to at least its distance from its centre at another timestep.
 ///
-/// - `moved`: `[N]` so far, scene units
-/// - `rows`: of each Gaussian its row in `moved`, its centre now, and its centre at the other timestep
+/// - `moved`: `[N]` motion so far, scene units
+/// - `rows`: for each Gaussian its row in `moved`, its centre now, and its centre at the other timestep
 ///
 /// ```
 /// let mut moved = [0.0, 0.0];
@@ -131,7 +133,7 @@ fn moving(gaussians: &Gaussians, moved: &[f32]) -> Option<([f64; 3], f64)> {
     Some((center, quantile(weighted.iter().map(|&(mean, weight)| (distance(mean, center), weight)), WITHIN)))
 }
 
-/// Whether a camera has a point in its picture.
+/// Whether a point lies in a camera's picture.
 fn sees(camera: &Camera, point: [f64; 3]) -> bool {
     let inside = |[x, y]: [f64; 2]| x >= 0.0 && y >= 0.0 && x < camera.width as f64 && y < camera.height as f64;
     camera.project(point).is_some_and(|(place, _)| inside(place))

@@ -1,4 +1,4 @@
-//! How much of a subject a camera shows, and which camera to begin with.
+//! The share of a subject that a camera shows, and the choice of the first camera.
 
 use super::{Subject, far};
 use crate::{Activated, Camera, Pinhole, dot, rotmat_from_unit_quat};
@@ -13,8 +13,8 @@ const MIN_SHOWN: f64 = 0.5;
 const REACH: f64 = 3.33;
 
 impl Subject {
-    /// The share of the subject that a camera shows: 0 outside of the picture, behind fog and in darkness; 1 for an opaque
-    /// subject with nothing before it.
+    /// The share of the subject that a camera shows: 0 outside of the picture, behind fog and in darkness; 1 for an
+    /// opaque subject with nothing before it.
     ///
     /// Blends a few rays as a renderer does. Products of transparencies need no sorting.
     ///
@@ -22,15 +22,16 @@ impl Subject {
     /// - returns: the blending weight of all Gaussians that are not nearer than the subject, mean over a disc around it
     ///
     /// # Departure
-    /// A renderer projects Gaussians and widens them by a part of a pixel. Here a Gaussian counts with its greatest density
-    /// along the ray.
+    /// A renderer projects Gaussians and widens them by a part of a pixel. Here a Gaussian counts with its greatest
+    /// density along the ray.
     pub fn shown_by(&self, camera: &Camera, drawn: &Activated) -> f64 {
         let pinhole = Pinhole::<f64>::new(camera);
         let Some((middle, depth)) = pinhole.project(self.center) else { return 0.0 };
         let side = camera.width.min(camera.height) as f64;
         let disc = (camera.focal[0] * self.radius / depth).clamp(DISC[0] * side, DISC[1] * side);
         let near = depth - self.radius.min(depth / 2.0);
-        // Each ray within the picture has two transparencies: of all that is nearer than the subject, and of everything.
+        // Each ray within the picture has two transparencies: of all that is nearer than the subject, and of
+        // everything.
         let places: Vec<[f64; 2]> = disc_places().map(|[x, y]| [middle[0] + disc * x, middle[1] + disc * y]).collect();
         let is_inside = |[x, y]: [f64; 2]| x >= 0.0 && y >= 0.0 && x < camera.width as f64 && y < camera.height as f64;
         let mut rays: Vec<([f64; 3], [f64; 2])> =
@@ -53,7 +54,8 @@ impl Subject {
         rays.iter().map(|(_, [before, all])| before - all).sum::<f64>() / places.len() as f64
     }
 
-    /// The first camera that shows at least half of the subject ([`Self::shown_by`]); without one, the camera that shows most.
+    /// The first camera that shows at least half of the subject ([`Self::shown_by`]); without one, the camera that
+    /// shows most.
     ///
     /// - `cameras`: the preferred ones first
     /// - `drawn`: one timestep
@@ -72,7 +74,8 @@ impl Subject {
         most.map(|(i, _)| i)
     }
 
-    /// Indices of cameras by their distance from the mean of all positions, nearest first. Equal distances keep their order.
+    /// Indices of cameras by their distance from the mean of all positions, nearest first. Equal distances keep their
+    /// order.
     pub fn inner_first(cameras: &[Camera]) -> Vec<usize> {
         let middle: [f64; 3] = std::array::from_fn(|axis| {
             cameras.iter().map(|camera| camera.center()[axis]).sum::<f64>() / cameras.len().max(1) as f64

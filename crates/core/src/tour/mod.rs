@@ -1,4 +1,4 @@
-//! Cameras on a path around a scene: among the cameras of its capture (`rig`), or around a scene that brings none.
+//! Cameras on a path around a scene: among the cameras of its capture (`rig`), or around a scene without cameras.
 
 mod rig;
 
@@ -26,7 +26,7 @@ const NEAREST: f64 = 0.65;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tour {
-    /// One turn at one height; among cameras at theirs.
+    /// One turn at one height; among cameras, at their heights.
     Orbit,
     /// Two turns that come closer; without cameras also rising.
     Spiral,
@@ -35,8 +35,8 @@ pub enum Tour {
 impl Tour {
     /// Cameras at equal steps along the tour, all of which look at the middle of the [`Extent`] of all centres.
     ///
-    /// Compression measures the bits of a scene without cameras from such an orbit, so another orbit changes the bytes of
-    /// files. For pictures use [`Self::among`].
+    /// Compression measures the bits of a scene without cameras from such an orbit, so another orbit changes the bytes
+    /// of files. For pictures use [`Self::among`].
     ///
     /// - `means`: `[N, 3]`, scene units, finite
     /// - `up`: direction in the world that points up, not zero
@@ -49,8 +49,8 @@ impl Tour {
 
     /// Cameras at equal steps along the tour, on a path that the cameras of a capture enclose.
     ///
-    /// - Cameras around the subject, with gaps below 100 degrees: full turns at their heights and distances. The path begins
-    ///   at the angle of the first camera.
+    /// - Cameras around the subject, with gaps below 100 degrees: full turns at their heights and distances. The path
+    ///   begins at the angle of the first camera.
     /// - Cameras on one side: from the middle of their arc to both ends and back.
     /// - 2 to 7 cameras: the same, but through each camera exactly and looking as the cameras do.
     /// - No cameras: a circle around the subject.
@@ -92,7 +92,7 @@ impl Tour {
             .collect()
     }
 
-    /// Cameras on a circle or a spiral, without others to keep to.
+    /// Cameras on a circle or a spiral, for a scene without cameras.
     fn around(self, center: [f64; 3], distance: f64, up: [f64; 3], count: usize, size: [usize; 2]) -> Vec<Camera> {
         let [right, up, forward] = upright_axes(up);
         let [width, height] = size;
@@ -113,9 +113,9 @@ impl Tour {
     }
 }
 
-/// The camera moved towards the subject, its direction kept.
+/// The camera moved towards the subject, in the same direction.
 ///
-/// - `share`: of its distance that is left
+/// - `share`: share of its distance that remains
 fn closer(camera: &Camera, subject: &Subject, share: f64) -> Camera {
     let center = camera.center();
     let position = std::array::from_fn(|i| subject.center[i] + share * (center[i] - subject.center[i]));
@@ -126,8 +126,8 @@ fn closer(camera: &Camera, subject: &Subject, share: f64) -> Camera {
 
 /// Right, up and forward in the world for someone who stands upright: unit directions, orthogonal.
 ///
-/// Forward is one of the horizontal directions, which one is a choice: that of z where up is orthogonal to it, as in
-/// captures, whose y points down; else that of y.
+/// Forward is one of the horizontal directions, by convention. It is z if up is orthogonal to z, as in captures, whose
+/// y points down; otherwise it is y.
 ///
 /// - `up`: direction in the world that points up, not zero
 ///

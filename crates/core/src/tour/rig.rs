@@ -5,26 +5,26 @@ use std::f64::consts::TAU;
 use super::upright_axes;
 use crate::{Camera, CameraPath, Subject, dot};
 
-/// Cameras with a larger gap between two neighbours do not go round, radians: 100 degrees.
+/// Cameras with a larger gap between two neighbours form an arc, not a ring, radians: 100 degrees.
 const MAX_GAP: f64 = 100.0 / 360.0 * TAU;
-/// With fewer cameras the path goes from one to the next, and so it does if most cameras look away from the subject.
+/// With fewer cameras the path goes from one to the next. It also does so if most cameras look away from the subject.
 const FEW: usize = 8;
 /// Widths of the average over cameras, as a share of their arc and in radians: at least 5 degrees.
 const SMOOTHING: f64 = 1.0 / 16.0;
 const MIN_SMOOTHING: f64 = 5.0 / 360.0 * TAU;
 /// The arc of a single camera and of cameras in a column, radians: 10 degrees.
 const MIN_ARC: f64 = 10.0 / 360.0 * TAU;
-/// Greatest angle between two keyframes of a path from camera to camera, radians. A chord of a longer arc would cut through
-/// the scene.
+/// Greatest angle between two keyframes of a path from camera to camera, radians. A chord of a longer arc would cut
+/// through the scene.
 const KEYFRAME: f64 = 30.0 / 360.0 * TAU;
 /// A camera of the path stands at least this far from the vertical through the subject, in heights above it, so that up
 /// stays up in the picture.
 const OFF_VERTICAL: f64 = 0.05;
 
-/// Where a camera stands, seen from the subject.
+/// A camera's place relative to the subject.
 #[derive(Clone, Copy, Debug)]
 struct Place {
-    /// Around the vertical, radians; 0 is behind the subject along forward.
+    /// Angle around the vertical, radians; 0 is behind the subject along forward.
     angle: f64,
     /// Distance from the vertical, scene units.
     out: f64,
@@ -32,14 +32,14 @@ struct Place {
     height: f64,
 }
 
-/// Cameras around a subject, in the order in which they stand there.
+/// Cameras around a subject, in the order of their angles.
 pub(super) struct Rig {
     subject: [f64; 3],
     /// Right, up and forward in the world.
     axes: [[f64; 3]; 3],
     /// By ascending angle. On an arc the first stands at its beginning, and the angle grows beyond a turn.
     places: Vec<Place>,
-    /// Whether the cameras go round.
+    /// Whether the cameras form a ring.
     is_closed: bool,
     course: Course,
     size: [usize; 2],
@@ -49,7 +49,8 @@ pub(super) struct Rig {
 enum Course {
     /// From camera to camera: the spline, its length, and where on it the first camera given stands.
     Stops { path: CameraPath, length: f64, start: f64 },
-    /// By the average over the nearest cameras: angles of the arc, the angle at which a turn begins, and the focal lengths.
+    /// By the average over the nearest cameras: angles of the arc, the angle at which a turn begins, and the focal
+    /// lengths.
     Average { arc: [f64; 2], start: f64, focal: [f64; 2] },
 }
 
@@ -174,7 +175,7 @@ impl Rig {
         std::array::from_fn(|i| center[i] + depth * forward[i])
     }
 
-    /// The arc of the cameras, and the median of how much they show.
+    /// The arc of the cameras, and the median of the share that they show.
     fn average(&self, cameras: &[Camera], order: &[usize]) -> Course {
         let ends = [self.places[0].angle, self.places[order.len() - 1].angle];
         let lacking = (MIN_ARC - (ends[1] - ends[0])).max(0.0) / 2.0;
@@ -197,7 +198,7 @@ impl Rig {
             let away = (place.angle - angle).rem_euclid(TAU);
             away.min(TAU - away)
         };
-        // The nearest has weight 1, so that in a gap the weights do not vanish.
+        // The nearest has weight 1, so that the weights do not vanish in a gap.
         let nearest = self.places.iter().map(away).fold(TAU, f64::min);
         let weight = |place: &Place| (0.5 * (nearest.powi(2) - away(place).powi(2)) / width.powi(2)).exp();
         let total: f64 = self.places.iter().map(weight).sum();
@@ -238,7 +239,7 @@ fn distance(a: &Camera, b: &Camera) -> f64 {
     (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Lengths are finite, as the numbers of cameras are, so that every keyframe is taken.
+/// Lengths are finite, like the numbers of cameras, so every keyframe is accepted.
 fn insert(path: &mut CameraPath, length: f64, camera: Camera) {
     let _ = path.insert(length, camera);
 }
@@ -392,10 +393,10 @@ mod tests {
                 }
             }
         }
-        // Cameras that look outward are followed as they look.
+        // The path follows outward-looking cameras in their direction.
         let path = Tour::Orbit.among(&subject_at([0.0; 3]), &outward, UP, 24, SIZE);
         assert!(path.iter().all(|camera| dot(camera.forward(), camera.center()) > 0.0));
-        // A single one is not left far.
+        // The path stays near a single camera.
         let single = Tour::Orbit.among(&subject_at([0.0; 3]), &sets[4], UP, 24, SIZE);
         assert!(single.iter().all(|camera| (-0.01..10.01).contains(&degrees(camera))));
         assert_eq!(Tour::Orbit.among(&subject_at([0.0; 3]), &[], UP, 3, SIZE).len(), 3);

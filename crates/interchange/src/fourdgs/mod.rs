@@ -1,4 +1,5 @@
-//! `.4dgs` files (<https://4dgs.dev>), read and written through the crate `fourdgs`: a whole scene over time in one file.
+//! `.4dgs` files (<https://4dgs.dev>), read and written through the crate `fourdgs`: a whole scene over time in one
+//! file.
 //!
 //! Their time is continuous: a Gaussian lives in a window of time, may move at a constant velocity, and may fade in and
 //! out. Here time has steps. Reading asks for the state at each step; writing gives a Gaussian a window of the steps at
@@ -20,7 +21,7 @@
 //! harmonics.
 //!
 //! A file that says `y-up-right-handed` has the axes of glTF; any other has those of PLY files, as in the format's own
-//! converter. Written files say it. Streams packed by Zstandard are not read.
+//! converter. Written files say it. Streams compressed by Zstandard are not read.
 
 mod bounds;
 mod read;
@@ -33,7 +34,7 @@ pub use write::fourdgs_bytes;
 /// The coordinate system of glTF, by its name in these files.
 const Y_UP: &str = "y-up-right-handed";
 
-/// One line of what the crate says.
+/// One line of the crate's message.
 fn one_line(error: &::fourdgs::Error) -> String {
     error.to_string().replace('\n', " ")
 }

@@ -17,9 +17,9 @@ use crate::notes::ReplacedByTimestep;
 use crate::stored::{checked, logit};
 use crate::{HigherHarmonics, InterchangeError, ReadNote, ReadSettings, input};
 
-/// The longest window that is taken for a frame, seconds: a tenth, and what a float rounds.
+/// The longest window that counts as a frame, seconds: a tenth, plus the rounding of a float.
 const LONGEST_FRAME_SECS: f64 = 0.1 + 1e-4;
-/// Timesteps a second where nothing says how many.
+/// Timesteps a second if the file does not say.
 const USUAL_RATE: f64 = 30.0;
 /// Most timesteps under any limits: nine hours at thirty a second.
 const MAX_TIMESTEPS: f64 = 1e6;
@@ -59,9 +59,9 @@ impl FourdgsFile {
     /// Reads a file.
     ///
     /// # Errors
-    /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is no whole `.4dgs` file, is of
-    /// a model or packed in a way that is not read, or has no Gaussian at any timestep; [`InterchangeError::Limit`] if
-    /// it claims more memory or timesteps than the settings allow.
+    /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is no whole `.4dgs`
+    /// file, is of a model or packed in a way that is not read, or has no Gaussian at any timestep;
+    /// [`InterchangeError::Limit`] if it claims more memory or timesteps than the settings allow.
     pub fn open(path: &Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
         let invalid = |problem: String| InterchangeError::File { path: path.into(), problem };
         let refused = |error: ::fourdgs::Error| invalid(format!("{}, expected a whole .4dgs file", one_line(&error)));
@@ -69,7 +69,7 @@ impl FourdgsFile {
         let mut bytes = Vec::new();
         let read = file.take(length).read_to_end(&mut bytes);
         read.map_err(|error| InterchangeError::Read { path: path.into(), error })?;
-        // Readers of the crate keep what is whole of a file that was cut.
+        // Readers of the crate keep the complete records of a truncated file.
         if bytes.starts_with(&::fourdgs::MAGIC) && !bytes.ends_with(&::fourdgs::MAGIC) {
             return Err(invalid("ends early, expected a whole .4dgs file".into()));
         }
@@ -138,12 +138,12 @@ impl FourdgsFile {
         self.frame_rate
     }
 
-    /// Axes that the Gaussians have in the file. They are turned into those of PLY files.
+    /// Axes of the Gaussians in the file. They are rotated to those of PLY files.
     pub fn axes(&self) -> Axes {
         self.axes
     }
 
-    /// Replacements at the timesteps that were read so far.
+    /// Replacements at the timesteps read so far.
     pub fn notes(&self) -> Vec<ReadNote> {
         self.replaced.note().into_iter().collect()
     }
@@ -227,9 +227,10 @@ pub(super) fn gaussians_of(rows: &[Row], layout: &Arc<Layout>, step_alpha: f64) 
     gaussians
 }
 
-/// How long a timestep is, by the windows of a file, seconds.
+/// Length of a timestep, from the windows of a file, seconds.
 ///
-/// Borders of windows are floats, so lengths err by more the later they are; the errors of neighbours cancel in the mean.
+/// Borders of windows are floats, so lengths err by more the later they are; the errors of neighbours cancel in the
+/// mean.
 fn frame_secs(windows: &[(f64, f64)]) -> f64 {
     let lengths = || windows.iter().map(|(from, to)| to - from).filter(|length| *length > 0.0);
     let shortest = lengths().fold(f64::INFINITY, f64::min);

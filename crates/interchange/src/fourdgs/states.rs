@@ -46,7 +46,7 @@ pub fn last_uses(file: &[u8]) -> Result<BTreeMap<u64, u64>> {
 /// Decodes a file.
 ///
 /// # Errors
-/// If a record is damaged or missing, or refers to none before it.
+/// If a record is damaged or missing, or refers to a missing one.
 pub fn decode(file: &[u8]) -> Result<States> {
     let last_uses = last_uses(file)?;
     let mut header = None;

@@ -26,8 +26,9 @@ fn expected(timestep: usize) -> Gaussians {
     gaussians
 }
 
-/// Fails where values are further apart than the finest profile promises: positions 2 % of the median scale, scales 0.5 %,
-/// colours and opacities half of 1/255, a component of a rotation 0.0005, harmonics half of their 8 bits.
+/// Fails if values differ by more than the finest profile promises. That is 2 % of the median scale in positions and
+/// 0.5 % in scales, half of 1/255 in colours and opacities, 0.0005 in a component of a rotation, half of their 8 bits
+/// in harmonics.
 fn compare(found: &Gaussians, expected: &Gaussians) {
     assert_eq!(found.num_gaussians(), expected.num_gaussians());
     let mut scales: Vec<f32> = expected.log_scales().as_flattened().iter().map(|s| s.exp()).collect();

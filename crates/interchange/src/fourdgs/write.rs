@@ -7,16 +7,16 @@ use tcgs_core::{Attribute, Gaussians, normalize, sigmoid};
 use super::{Y_UP, one_line};
 use crate::axes::Axes;
 
-/// The bytes of a `.4dgs` file, of its finest profile. Errors beyond the rounding of floats are at most 2 % of the
+/// The bytes of a `.4dgs` file, in its finest profile. Errors beyond the rounding of floats are at most 2 % of the
 /// median scale in positions, 0.0005 in rotations, 0.5 % in scales. They are at most half of 1/255 in colours and
-/// opacities, half of 8/255 in harmonics. Colours are clamped to what the format holds, 0 to 1, harmonics to -4 to 4.
-/// The axes are those of glTF, and the file says so. At `t = k / frame_rate`, and until the next, a reader sees
-/// timestep `k`.
+/// opacities, half of 8/255 in harmonics. Colours are clamped to the format's range, 0 to 1, harmonics to -4 to 4. The
+/// axes are those of glTF, and the file says so. At `t = k / frame_rate`, and until the next, a reader sees timestep
+/// `k`.
 ///
-/// - `timesteps`: stored form, in the axes of PLY files, all of one layout; their number of Gaussians may change. Where it
+/// - `timesteps`: stored form, in the axes of PLY files, all of one layout. Their number of Gaussians may change; if it
 ///   does not, row `i` is the same Gaussian.
 /// - `frame_rate`: above 0
-/// - returns: the bytes, or what is wrong: the first error of `timesteps`, or one line of what the format cannot hold
+/// - returns: the bytes, or an error: the first one of `timesteps`, or one line that names what the format cannot hold
 ///
 /// ```
 /// use tcgs_core::Gaussians;
@@ -35,7 +35,7 @@ pub fn fourdgs_bytes<E>(
     frame_rate: f64,
 ) -> Result<Result<Vec<u8>, String>, E> {
     let mut set = GaussianSet::default();
-    // The Gaussians of the timestep before, and since when none of their bits changed.
+    // The Gaussians of the timestep before, and the timestep since which none of their bits has changed.
     let mut alive: Option<(Gaussians, Vec<usize>)> = None;
     let mut count = 0;
     for gaussians in timesteps {
@@ -91,7 +91,7 @@ fn is_same(before: &Gaussians, now: &Gaussians, i: usize) -> bool {
     now.layout().attributes().all(|attribute| row(before, attribute) == row(now, attribute))
 }
 
-/// The largest float that is not above a time. A window that began above its time would show the timestep before.
+/// The largest float that is not above a time. A window that began later would show the timestep before.
 fn not_above(time: f64) -> f32 {
     let nearest = time as f32;
     if f64::from(nearest) > time { nearest.next_down() } else { nearest }

@@ -1,5 +1,5 @@
-//! The numbers of a glTF file: its buffers, and what accessors say of them. All places and counts are checked against the
-//! bytes that are there.
+//! The numbers of a glTF file: its buffers, and its accessors. All offsets and counts are checked against the available
+//! bytes.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -19,9 +19,9 @@ pub struct Buffers<'a> {
 }
 
 impl<'a> Buffers<'a> {
-    /// Reads the buffers, or says what is wrong.
+    /// Reads the buffers.
     ///
-    /// - `files`: those that the document names
+    /// - `files`: the files that the document names
     /// - `chunk`: the buffer inside a `.glb` file
     pub fn open(document: &'a Document, files: &Files, mut chunk: Option<Vec<u8>>) -> Result<Self, String> {
         let mut bytes: Vec<Rc<Vec<u8>>> = Vec::new();
@@ -49,11 +49,11 @@ impl<'a> Buffers<'a> {
         Ok(Self { document, bytes })
     }
 
-    /// The numbers of an accessor, or what is wrong with it.
+    /// The numbers of an accessor.
     ///
-    /// - `name`: of the attribute, for messages
+    /// - `name`: name of the attribute, for messages
     /// - `components`: 1, 3 or 4
-    /// - returns: `[count * components]`, and the step of integers that stand for a share of 1; 0 of floats
+    /// - returns: `[count * components]`, and the step of normalised integers; 0 for floats
     pub fn read(&self, index: usize, name: &str, components: usize) -> Result<(Vec<f32>, f64), String> {
         let wrong = |problem: String| format!("{name} {problem}");
         let accessor = self.document.accessors.get(index).ok_or_else(|| wrong("has no accessor".into()))?;
@@ -97,7 +97,7 @@ impl<'a> Buffers<'a> {
     }
 }
 
-/// The text of a buffer that lies in the document itself.
+/// The text of a buffer embedded in the document.
 fn inline(uri: &str) -> Option<&str> {
     uri.split_once(";base64,").filter(|(start, _)| start.starts_with("data:")).map(|(_, text)| text)
 }
@@ -109,10 +109,9 @@ pub struct Files {
 }
 
 impl Files {
-    /// Finds the files, which lie beside the document or in a folder there. Reads none of them. An error says what is
-    /// wrong.
+    /// Finds the files, which lie beside the document or in a folder there. Reads none of them.
     ///
-    /// - `path`: of the document
+    /// - `path`: path of the document
     pub fn find(document: &Document, path: &Path) -> Result<Self, String> {
         let mut by_name = BTreeMap::new();
         for (i, buffer) in document.buffers.iter().enumerate() {

@@ -1,5 +1,5 @@
-//! The JSON of a glTF file, as far as Gaussians need it, and which primitives its scene shows. What does not live here: the
-//! numbers of accessors.
+//! The JSON of a glTF file, as far as Gaussians need it, and the primitives that its scene shows. What does not live
+//! here: the numbers of accessors.
 
 use std::collections::BTreeMap;
 
@@ -110,7 +110,7 @@ pub struct Placed<'a> {
 }
 
 impl Primitive {
-    /// Highest degree of which all coefficients are there.
+    /// Highest degree for which all coefficients are present.
     pub fn sh_degree(&self) -> usize {
         let has = |l: usize| (0..=2 * l).all(|n| self.attributes.contains_key(&harmonic(l, n)));
         (1..=MAX_SH_DEGREE).take_while(|&l| has(l)).count()
@@ -118,7 +118,7 @@ impl Primitive {
 }
 
 impl Document {
-    /// The primitives of Gaussians that the scene shows, or what is wrong.
+    /// The primitives of Gaussians that the scene shows.
     ///
     /// - `most`: most primitives, since each node may show all of them
     pub fn placed(&self, most: usize) -> Result<Vec<Placed<'_>>, String> {

@@ -1,5 +1,5 @@
-//! glTF files with the extension `KHR_gaussian_splatting`: one timestep. `document` is their JSON, `buffers` their numbers,
-//! `placement` where nodes put a mesh.
+//! glTF files with the extension `KHR_gaussian_splatting`: one timestep. `document` is their JSON, `buffers` their
+//! numbers, `placement` where nodes put a mesh.
 //!
 //! | attribute of a primitive of mode `POINTS` | here |
 //! |---|---|
@@ -11,14 +11,15 @@
 //! | `KHR_gaussian_splatting:SH_DEGREE_l_COEF_n` | `sh1` to `sh3`; `n` counts `m` from `-l` to `l` |
 //! | `COLOR_0` | written as colour and opacity, for viewers of points; not read |
 //!
-//! The harmonics have the signs of 3D Gaussian splatting. Axes are x left, y up, z forward; here they are those of PLY files,
-//! so positions, rotations and harmonics turn by 180 degrees about z. Numbers are floats, or integers as glTF quantises.
+//! The harmonics have the signs of 3D Gaussian splatting. Axes are x left, y up, z forward; here they are those of PLY
+//! files, so positions, rotations and harmonics turn by 180 degrees about z. Numbers are floats, or integers as glTF
+//! quantises.
 //!
-//! An opacity of 1 has no logit; it is read as the largest below 1 that a float can be told from. Activation rounds: a log
-//! scale comes back within 2e-7, the opacity of a logit within 6e-8.
+//! An opacity of 1 has no logit; it is read as the largest float that is distinguishable from 1. Activation rounds: a
+//! log scale comes back within 2e-7, the opacity of a logit within 6e-8.
 //!
-//! Facts: the extension as ratified by the Khronos Group (README of `KHR_gaussian_splatting`, 2026), in which scales are
-//! linear. Its drafts before February 2026 had logarithms; these are negative for scales below 1, and refused.
+//! Facts: the extension as ratified by the Khronos Group (README of `KHR_gaussian_splatting`, 2026), in which scales
+//! are linear. Its drafts before February 2026 had logarithms; these are negative for scales below 1, and refused.
 
 mod buffers;
 mod document;

@@ -1,9 +1,9 @@
-//! Where a node puts its mesh: a rotation, a scale and a translation, and what they do to Gaussians.
+//! A node's placement of its mesh: a rotation, a scale and a translation, and their effect on Gaussians.
 
 use serde::Deserialize;
 use tcgs_core::{Gaussians, MAX_SH_DEGREE, dot, harmonics, normalize, quat_mul, rotmat_from_quat};
 
-/// How far columns of a matrix may be from those of a rotation times one number, as a share of it: what float rounds.
+/// Tolerance of a matrix's columns against those of a scaled rotation, as a share of the scale: the rounding of floats.
 const TOLERANCE: f64 = 1e-4;
 
 /// A node's transform as it is in the file.
@@ -26,15 +26,15 @@ pub struct Placement {
 }
 
 impl Default for Placement {
-    /// Nothing moves.
+    /// The identity.
     fn default() -> Self {
         Self { rotation: [1.0, 0.0, 0.0, 0.0], scale: 1.0, translation: [0.0; 3] }
     }
 }
 
 impl Placement {
-    /// The placement of a node inside one of this placement; or what is wrong: a shear, a reflection, or scales that differ,
-    /// under which a Gaussian would need another shape for each.
+    /// The placement of a node inside this one. The error names a shear, a reflection, or unequal scales: under unequal
+    /// scales the shape of a Gaussian would depend on its rotation.
     pub fn then(&self, node: &Given) -> Result<Self, String> {
         let inner = node.placement()?;
         Ok(Self {
@@ -49,7 +49,7 @@ impl Placement {
         std::array::from_fn(|c| self.scale * dot(rotation[c], point) + self.translation[c])
     }
 
-    /// Moves Gaussians from the mesh to the scene. Where nothing moves every bit stays.
+    /// Moves Gaussians from the mesh to the scene. The identity changes no bit.
     pub fn apply(&self, gaussians: &mut Gaussians) {
         if *self == Self::default() {
             return;

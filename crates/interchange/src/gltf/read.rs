@@ -12,7 +12,7 @@ use crate::axes::Axes;
 use crate::stored::{Head, color_from_sh0, logit};
 use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
 
-/// Whether bytes are those with which a glTF file begins: of a `.glb`, or of JSON.
+/// Whether bytes are the beginning of a glTF file: of a `.glb`, or of JSON.
 pub(crate) fn is_gltf(start: &[u8]) -> bool {
     let text = start.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(start);
     start.starts_with(b"glTF") || text.trim_ascii_start().starts_with(b"{")
@@ -22,8 +22,8 @@ pub(crate) fn is_gltf(start: &[u8]) -> bool {
 /// primitives, one after another.
 ///
 /// # Errors
-/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not complete, shows no
-/// Gaussians, has them in a way that is not read, or holds a number out of range; [`InterchangeError::Limit`] if it
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not complete, shows
+/// no Gaussians, has them in a way that is not read, or holds a number out of range; [`InterchangeError::Limit`] if it
 /// claims more memory than the settings allow.
 pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
@@ -42,10 +42,10 @@ pub(crate) fn read_gltf(path: &Path, settings: ReadSettings) -> Result<Gaussians
     Ok(gaussians)
 }
 
-/// Reads how many Gaussians a glTF file shows.
+/// Reads the number of Gaussians that a glTF file shows.
 ///
 /// # Errors
-/// As [`read_gltf`], but for what only the numbers show.
+/// As [`read_gltf`], except for errors that only the numbers show.
 pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, InterchangeError> {
     let Opened { document, length, .. } = open(path, Wanted::Document)?;
     Ok(head(path, &document, length, settings)?.0)
@@ -93,9 +93,9 @@ fn count(document: &Document, placed: &[Placed], settings: ReadSettings) -> Resu
     Ok(Head { num_gaussians, layout: Layout::with_harmonics(sh_degree) })
 }
 
-/// The Gaussians of one primitive in its own axes, or what is wrong.
+/// The Gaussians of one primitive in its own axes.
 ///
-/// - `sh_degree`: at most; those of the primitive may end earlier
+/// - `sh_degree`: highest degree to read; the primitive may have fewer
 fn gaussians(buffers: &Buffers, primitive: &Primitive, sh_degree: usize) -> Result<Gaussians, String> {
     let mut num_gaussians = None;
     let mut read = |name: &str, components: usize| -> Result<(Vec<f32>, f64), String> {
@@ -143,7 +143,7 @@ fn missing(name: &str) -> String {
     format!("has no attribute {name}, expected POSITION, ROTATION, SCALE, OPACITY and SH_DEGREE_0_COEF_0")
 }
 
-/// How much of a file is read.
+/// The part of a file to read.
 #[derive(Clone, Copy, PartialEq)]
 enum Wanted {
     Document,

@@ -117,7 +117,7 @@ fn attributes_are_those_of_splat_transform() {
             |bytes: &[u8]| -> Vec<f32> { bytes.as_chunks().0.iter().map(|&x| f32::from_le_bytes(x)).collect() };
         let same = match &*name {
             "COLOR_0" => a.iter().zip(&b).all(|(a, b)| a.abs_diff(*b) <= 1),
-            // What an sRGB colour rounds, divided by the harmonic of degree 0.
+            // The rounding of an sRGB colour, divided by the harmonic of degree 0.
             _ => floats(&a).iter().zip(floats(&b)).all(|(a, b)| (a - b).abs() <= 1e-6 * b.abs().max(0.4)),
         };
         assert!(same, "{name}");

@@ -14,12 +14,12 @@ struct Written {
     name: String,
     components: usize,
     bytes: Vec<u8>,
-    /// 5126 of floats, 5121 of bytes that stand for a share of 1.
+    /// 5126 for floats, 5121 for normalised bytes.
     component_type: u32,
 }
 
-/// Writes the Gaussians of one timestep as a `.glb` file with `KHR_gaussian_splatting`, with the harmonics that their layout
-/// has, for viewers of glTF. Further columns are left out. Equal Gaussians give equal bytes.
+/// Writes the Gaussians of one timestep as a `.glb` file with `KHR_gaussian_splatting`, with the harmonics that their
+/// layout has, for viewers of glTF. Further columns are left out. Equal Gaussians give equal bytes.
 ///
 /// - `writer`: should be buffered
 /// - `gaussians`: `[N]`, stored form, in the axes of PLY files; at least one
@@ -38,7 +38,8 @@ struct Written {
 /// ```
 ///
 /// # Errors
-/// The errors of `writer`; [`io::ErrorKind::InvalidInput`] if there are more than 4 GiB, which is all that such a file holds.
+/// The errors of `writer`; [`io::ErrorKind::InvalidInput`] if there are more than 4 GiB, which is all that such a file
+/// holds.
 pub fn write_glb_to(mut writer: impl Write, gaussians: &Gaussians) -> io::Result<()> {
     let written = attributes(gaussians);
     let (document, num_bytes) = document(gaussians, &written);
@@ -66,7 +67,7 @@ fn attributes(gaussians: &Gaussians) -> Vec<Written> {
         let bytes = values.into_iter().flat_map(f32::to_le_bytes).collect();
         Written { name, components, bytes, component_type: 5126 }
     };
-    // Where a rotation has no direction it is none, as in renderers.
+    // A rotation without a direction becomes the identity, as in renderers.
     let rotation = |quat: &[f32; 4]| match normalize(quat.map(f64::from)) {
         [0.0, 0.0, 0.0, 0.0] => [0.0, 0.0, 0.0, 1.0],
         [w, x, y, z] => [x, y, z, w].map(|x| x as f32),

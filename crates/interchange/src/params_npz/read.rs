@@ -10,7 +10,8 @@ use crate::npy::show_shape;
 use crate::npz::NpzRows;
 use crate::{InterchangeError, NpzReader, ReadLimits};
 
-/// Reads the scene of a `params.npz` that Dynamic 3D Gaussians, or [`write_params_npz`](crate::write_params_npz), wrote.
+/// Reads the scene of a `params.npz` that Dynamic 3D Gaussians, or [`write_params_npz`](crate::write_params_npz),
+/// wrote.
 ///
 /// ```
 /// use tcgs_core::{DynamicGaussians, Gaussians};
@@ -193,8 +194,8 @@ pub fn read_params_origin(path: &Path, limits: ReadLimits) -> Result<Option<Para
     }))
 }
 
-/// Reads which Gaussians of a `params.npz` are foreground: those that `seg_colors` paints red; `None` if the file has no
-/// such array.
+/// Reads which Gaussians of a `params.npz` are foreground: those that `seg_colors` paints red; `None` if the file has
+/// no such array.
 ///
 /// - returns: `[N]`
 ///

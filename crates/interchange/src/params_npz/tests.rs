@@ -48,7 +48,7 @@ fn arrays() -> Vec<Array> {
     ]
 }
 
-/// What reading gives, and the message without the file's name.
+/// The result of reading; errors without the file's name.
 fn read(arrays: &[Array]) -> Result<DynamicGaussians, String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("params.npz");

@@ -48,8 +48,8 @@ pub fn write_params_npz(path: &Path, scene: &DynamicGaussians, extras: &ParamsEx
 /// The errors of `writer`.
 ///
 /// # Panics
-/// If the scene has no timestep or no Gaussian, if scales or opacities vary with time (the format holds them once), or
-/// if `extras.foreground` does not have one label per Gaussian.
+/// If the scene has no timestep or no Gaussian. If scales or opacities vary with time (the format holds them once). If
+/// `extras.foreground` does not have one label per Gaussian.
 pub fn write_params_npz_to<W: Write + Seek>(
     writer: W,
     scene: &DynamicGaussians,

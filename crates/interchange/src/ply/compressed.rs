@@ -1,7 +1,7 @@
-//! The numbers of a compressed PLY file, which `SuperSplat` and splat-transform of `PlayCanvas` write.
+//! The values of a compressed PLY file, as written by `SuperSplat` and splat-transform of `PlayCanvas`.
 //!
-//! Three elements, of which the last may be missing. 256 rows of `vertex` in a row share a row of `chunk`, which says
-//! between which two numbers theirs lie; `unorm` of `b` bits is an integer over `2^b - 1`.
+//! There are three elements, of which the last may be missing. 256 consecutive rows of `vertex` share a row of `chunk`,
+//! which gives the range of their values; `unorm` of `b` bits is an integer over `2^b - 1`.
 //!
 //! | element | property | bits, from the highest | here |
 //! |---|---|---|---|
@@ -48,7 +48,7 @@ const RANGES: [&str; 12] = [
 /// Properties of a row of `vertex`.
 const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
 
-/// Between which numbers those of a chunk lie.
+/// The range of a chunk's values.
 #[derive(Deserialize)]
 struct Ranges {
     min_x: f32,
@@ -87,9 +87,9 @@ struct Packed {
     packed_color: u32,
 }
 
-/// Checks what a header says.
+/// Checks a header.
 ///
-/// - returns: the element of the Gaussians, and that of the harmonics if there are any; or what is wrong
+/// - returns: the element of the Gaussians, and that of the harmonics if there are any
 pub fn check(header: &PlyHeader) -> Result<(&ElementDef, Option<&ElementDef>), String> {
     let [chunk, vertex, rest @ ..] = &header.elem_defs[..] else {
         return Err("holds the element chunk alone, expected chunk and vertex".into());
@@ -171,7 +171,7 @@ fn read_harmonics<const LEN: usize>(
     Ok((1..=sh_degree).map(column).collect())
 }
 
-/// The lowest `bits` of a number over the largest that they hold.
+/// The lowest `bits` of a number, divided by the largest value of that many bits.
 fn unorm(number: u32, bits: u32) -> f64 {
     let largest = (1_u32 << bits) - 1;
     f64::from(number & largest) / f64::from(largest)

@@ -1,4 +1,5 @@
-//! The header of a PLY file of any content, read within bounded memory, and the least length of the file by it.
+//! The header of a PLY file of any content, read within bounded memory, and the least length of the file according to
+//! it.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek};
@@ -48,7 +49,7 @@ fn header_bytes(file: &mut impl BufRead) -> std::io::Result<u64> {
     }
 }
 
-/// Fewest bytes of the rows that are read: by it a file's length bounds their number. None beyond `u64`.
+/// Fewest bytes of the rows: with it, a file's length bounds the number of rows. `None` beyond `u64`.
 pub(crate) fn least_bytes(header: &PlyHeader) -> Option<u64> {
     let bytes = |property: &PropertyType| match property {
         // A digit and a space.

@@ -16,8 +16,8 @@
 //! | `SplatRenderMode: mip`, of Brush and splat-transform | [`Layout::is_antialiased`]; written for such Gaussians |
 //! | `antialiased 1` or `true`, of Postshot | the same; not written |
 //!
-//! Files hold all `f_rest` of red, then of green, then of blue: coefficient `k` of channel `c` is `f_rest_{c K + k}` with
-//! `K` of 3, 8 or 15. The columns hold red, green and blue of each coefficient together.
+//! Files hold all `f_rest` of red, then of green, then of blue: coefficient `k` of channel `c` is `f_rest_{c K + k}`
+//! with `K` of 3, 8 or 15. The columns hold red, green and blue of each coefficient together.
 //!
 //! Writing and reading again keeps the bits of everything but colours. A colour changes by up to 3e-8, by the rounding
 //! of its offset. In a file without `f_rest` a negative colour is read as zero, since renderers of such files clamp
@@ -68,7 +68,7 @@ pub fn read_ply(path: &Path, settings: ReadSettings) -> Result<Gaussians, Interc
     Ok(checked(path, read_unchecked(path, settings)?)?.0)
 }
 
-/// [`read_ply`] of numbers that need not be finite.
+/// [`read_ply`], where numbers need not be finite.
 pub(crate) fn read_unchecked(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let (mut ply, head) = open(path, settings)?;
     let sh_degree = head.layout.sh_degree();

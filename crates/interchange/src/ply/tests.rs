@@ -49,7 +49,7 @@ fn read(bytes: &[u8], settings: ReadSettings) -> Result<Gaussians, String> {
     })
 }
 
-/// What the files of [`original`] mean.
+/// Checks the contents of the files of [`original`].
 fn check(gaussians: &Gaussians, num_rest: usize) {
     assert_eq!(gaussians.num_gaussians(), 3);
     for i in 0..3 {

@@ -1,6 +1,6 @@
-//! One row of the element `vertex` in a PLY file of 3D Gaussian splatting, or of `sh` in a compressed one, as `serde_ply`
-//! reads it: binary of either byte order, or ASCII, with properties in any order. What does not live here: what the
-//! numbers mean.
+//! One row of the element `vertex` in a PLY file of 3D Gaussian splatting, or of `sh` in a compressed one, as
+//! `serde_ply` reads it. Files are binary of either byte order, or ASCII, with properties in any order. What does not
+//! live here: the interpretation of the numbers.
 
 use std::fmt;
 
@@ -40,7 +40,7 @@ impl<'de, const START: usize, const LEN: usize> Visitor<'de> for RowVisitor<STAR
         f.write_str("the properties of one Gaussian")
     }
 
-    /// Of binary files without lists: `serde_ply` gives the values in the order of [`PROPERTIES`].
+    /// For binary files without lists: `serde_ply` gives the values in the order of [`PROPERTIES`].
     fn visit_seq<A: SeqAccess<'de>>(self, mut row: A) -> Result<Vertex<START, LEN>, A::Error> {
         let mut values = [0.0; LEN];
         for (i, value) in values.iter_mut().enumerate() {
@@ -49,7 +49,7 @@ impl<'de, const START: usize, const LEN: usize> Visitor<'de> for RowVisitor<STAR
         Ok(Vertex(values))
     }
 
-    /// Of other files: name by name, in the file's order.
+    /// For other files: name by name, in the file's order.
     fn visit_map<A: MapAccess<'de>>(self, mut row: A) -> Result<Vertex<START, LEN>, A::Error> {
         let mut values = [None; LEN];
         while let Some(Place(place)) = row.next_key::<Place<START, LEN>>()? {

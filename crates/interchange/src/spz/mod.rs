@@ -1,7 +1,7 @@
 //! One SPZ file of Niantic, versions 2 to 4: one timestep. What does not live here: what its bytes mean (`unpack`).
 //!
-//! A header of 16 bytes, little-endian, in versions 2 and 3 the start of a gzip stream, in version 4 plain and followed by
-//! 16 more:
+//! A header of 16 bytes, little-endian, in versions 2 and 3 the start of a gzip stream, in version 4 plain and followed
+//! by 16 more:
 //!
 //! | bytes | field | here |
 //! |---|---|---|
@@ -15,8 +15,8 @@
 //! | 16–19 | version 4: place of the streams' table | at least 32 |
 //! | 20–31 | version 4: reserved | not read |
 //!
-//! Six arrays follow, one Gaussian after another in each: positions, opacities, colours, scales, rotations, harmonics. In
-//! versions 2 and 3 they lie behind the header. In version 4 each is a Zstandard frame of its own; the table has the
+//! Six arrays follow, one Gaussian after another in each: positions, opacities, colours, scales, rotations, harmonics.
+//! In versions 2 and 3 they lie behind the header. In version 4 each is a Zstandard frame of its own; the table has the
 //! compressed and the plain length of each in 64 bits, and the frames lie behind the table.
 //!
 //! Extensions are records of a type, a length and so many bytes. They lie between header and table in version 4, behind
@@ -59,7 +59,7 @@ const MAX_RATIO_GZIP: u64 = 1032;
 /// Bytes that a byte of Zstandard can stand for: blocks of 128 KiB for four bytes.
 const MAX_RATIO_ZSTANDARD: u64 = (128 << 10) / 4;
 
-/// What the first bytes of a file say.
+/// The header of a file.
 struct Header {
     version: u32,
     num_gaussians: usize,
@@ -82,9 +82,9 @@ impl Header {
 /// Reads the Gaussians of one SPZ file, in stored form and in the axes of PLY files. Every number is finite.
 ///
 /// # Errors
-/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete SPZ file of
-/// a version from 2 to 4, is in axes that are turned by a quarter, or has no Gaussian; [`InterchangeError::Limit`] if
-/// its header claims more than the settings allow.
+/// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete SPZ
+/// file of a version from 2 to 4, is in axes that are turned by a quarter, or has no Gaussian;
+/// [`InterchangeError::Limit`] if its header claims more than the settings allow.
 pub(crate) fn read_spz(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let problem = |problem| InterchangeError::File { path: path.into(), problem };
     let header = open(path, settings)?;

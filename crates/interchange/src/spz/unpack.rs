@@ -1,4 +1,4 @@
-//! What the bytes of an SPZ file mean. Harmonics lie as in the columns: red, green and blue of a coefficient together.
+//! Decodes the bytes of an SPZ file. Harmonics lie as in the columns: red, green and blue of a coefficient together.
 //!
 //! | array | bytes a Gaussian | value |
 //! |---|---|---|
@@ -20,7 +20,7 @@ use crate::stored::{color_from_sh0, logit_of_byte};
 /// Positions, opacities, colours, scales, rotations, harmonics.
 pub type Arrays = Vec<Vec<u8>>;
 
-/// What decides how bytes are read.
+/// Fields of the header that determine the encoding.
 #[derive(Clone, Copy)]
 pub struct Encoding {
     pub version: u32,

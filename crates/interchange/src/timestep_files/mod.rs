@@ -17,18 +17,18 @@ use crate::gaussian_file::{FileKind, read_and_count, read_head};
 use crate::notes::ReplacedByTimestep;
 use crate::{Axes, InterchangeError, ReadNote, ReadSettings, spz};
 
-/// Endings of the files that are timesteps. What such a file is its content says.
+/// Endings of the files that are timesteps. The content of such a file decides its format.
 const ENDINGS: [&str; 4] = ["ply", "spz", "glb", "gltf"];
 
-/// How far the median Gaussian may move from one file to the next, as a share of the median Gaussian's
-/// distance from the scene's middle; motion that all have in common is not counted.
+/// Largest motion of the median Gaussian from one file to the next, as a share of the median Gaussian's distance from
+/// the scene's middle. Common motion of all Gaussians does not count.
 ///
-/// Gaussians in random order come to 1.4. A rigid body comes to this if it turns by 30 degrees within one
-/// frame, and no codec gains anything from tracks that jump like that.
+/// Gaussians in random order reach 1.4. A rigid body reaches this limit if it turns by 30 degrees within one frame, and
+/// no codec profits from tracks with such jumps.
 const MAX_JUMP: f32 = 0.5;
 
-/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, or glTF. The number of Gaussians may
-/// differ between files.
+/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, or glTF. The number of Gaussians
+/// may differ between files.
 ///
 /// ```
 /// use tcgs_core::{Gaussians, SceneReader};
@@ -151,7 +151,8 @@ impl TimestepFiles {
         &self.files
     }
 
-    /// The kind of the files in two words: `PLY files`, `SPZ files`, `glTF files`, or `Gaussian files` of several kinds.
+    /// The kind of the files in two words: `PLY files`, `SPZ files`, `glTF files`, or `Gaussian files` of several
+    /// kinds.
     pub fn kind(&self) -> &'static str {
         match self.kind {
             Some(FileKind::Ply) => "PLY files",
@@ -202,9 +203,8 @@ impl TimestepFiles {
     /// Reads a range of timesteps as one scene of the same Gaussians. Scales, opacities and harmonics vary with time in
     /// the scene if any bit of them differs between the files.
     ///
-    /// # Errors
-    /// As [`Self::at`]; [`InterchangeError::File`] names the first file whose number of Gaussians differs from that of the
-    /// first, before any is read, or whose Gaussians are not near those of the file before.
+    /// As [`Self::at`]. [`InterchangeError::File`] names the first file whose number of Gaussians differs from the
+    /// first file's, before any is read. It also names a file whose Gaussians are not near those of the file before.
     ///
     /// # Panics
     /// If `timesteps` exceeds the number of files.

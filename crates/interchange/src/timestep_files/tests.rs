@@ -152,7 +152,7 @@ fn the_number_of_gaussians_may_change_in_every_file() {
     let problem = files.read(1..4).unwrap_err().to_string();
     assert!(problem.contains("2.ply: has 3 Gaussians, expected 100 as in "), "{problem}");
 
-    // What changes after the headers were read is noticed.
+    // A change after the headers were read is noticed.
     write(&folder, "2.ply", &at(2));
     let problem = files.at(2).unwrap_err().to_string();
     let expected = "has 100 Gaussians with spherical harmonics of degree 0, \

@@ -33,7 +33,7 @@ impl Random {
     }
 }
 
-/// What must hold of every answer; whether there was a scene.
+/// Asserts the invariants of every answer; returns whether there was a scene.
 fn is_right(answer: Result<Gaussians, InterchangeError>) -> bool {
     match answer {
         Ok(gaussians) => {

@@ -1,5 +1,5 @@
-//! Files that other programs made of one PLY file (`testdata/interchange`), against that file. Every tolerance is half a
-//! step of what the kind of file holds, and what a float rounds.
+//! Files that other programs made of one PLY file (`testdata/interchange`), against that file. Every tolerance is half
+//! a step of what the kind of file holds, and what a float rounds.
 
 use tcgs_core::{Attribute, Gaussians, HARMONIC_0, SceneReader, normalize, rotmat_from_quat, sigmoid};
 use tcgs_interchange::{Axes, HigherHarmonics, ReadSettings, TimestepFiles, read_gaussians};
@@ -19,13 +19,13 @@ fn read_rub(name: &str) -> Gaussians {
 /// Half a step of each attribute: the error that a kind of file may have.
 struct HalfSteps {
     mean: [f64; 3],
-    /// Of the components of a unit quaternion that are stored.
+    /// For the stored components of a unit quaternion.
     quat: f64,
     log_scale: [f64; 3],
     /// Activated.
     opacity: f64,
     color: f64,
-    /// Of degree 1, of the others.
+    /// For degree 1, and for the other degrees.
     harmonics: [f64; 2],
 }
 
@@ -49,7 +49,8 @@ fn compare(found: &Gaussians, expected: &Gaussians, may: &HalfSteps) {
         let opacity = |gaussians: &Gaussians| sigmoid(gaussians.logit_opacities()[i]);
         near("opacity", i, opacity(found), opacity(expected), may.opacity);
         let quat = |gaussians: &Gaussians| normalize(gaussians.quats()[i].map(f64::from));
-        // A rotation has two quaternions. That which is not stored follows from the length, and by that errs in its square.
+        // A rotation has two quaternions. The component that is not stored follows from the unit length, so its error
+        // is compared in the square.
         let (a, b) = (quat(found), quat(expected));
         let errs = |sign: f64| -> f64 {
             (0..4).map(|c| (a[c] * a[c].abs() - sign * b[c] * b[c].abs()).abs()).fold(0.0, f64::max)
@@ -112,7 +113,7 @@ fn compressed_ply_of_splat_transform() {
     compare(&found, &original.select(&order), &may);
 }
 
-/// What SPZ errs; with `bits` of harmonics of degree 1 and above.
+/// Half steps of SPZ, with `bits` for harmonics of degree 1 and above.
 fn spz(bits: [i32; 2]) -> HalfSteps {
     HalfSteps {
         mean: [0.5 / 4096.0; 3],

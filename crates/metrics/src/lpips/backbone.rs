@@ -1,6 +1,6 @@
 //! The two networks whose features are compared: VGG-16 (Simonyan & Zisserman 2015) and AlexNet (Krizhevsky 2014).
 
-/// Which network looks at the images.
+/// The network that computes the features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Backbone {
     /// VGG-16: close to what optimisation with perceptual losses uses; the usual choice for rendering.
@@ -21,7 +21,7 @@ impl Backbone {
         }
     }
 
-    /// Its layers from the image on.
+    /// Its layers, from the image on.
     pub(super) fn steps(self) -> &'static [Step] {
         use Step::{Convolve, Pool};
         const fn vgg(channels: usize, compared: bool) -> Step {
@@ -91,15 +91,15 @@ pub(super) enum Step {
     Pool { size: usize, stride: usize },
 }
 
-/// What a convolution is like, but for its numbers.
+/// The shape of a convolution, without its weights.
 #[derive(Clone, Copy)]
-// Without the networks nobody asks for channels; sizes say how small an image may be.
+// Without the networks the channels are unused; the sizes give the smallest image.
 #[cfg_attr(not(feature = "lpips"), allow(dead_code))]
 pub(super) struct Shape {
     pub size: usize,
     pub stride: usize,
     pub padding: usize,
-    /// Of its result.
+    /// Number of channels of its result.
     pub channels: usize,
     /// Whether its result is compared.
     pub compared: bool,

@@ -1,4 +1,4 @@
-//! The one product of matrices that a convolution needs.
+//! The matrix product of a convolution.
 
 /// `c = a b`, or `c += a b`.
 ///
@@ -16,8 +16,8 @@ pub fn gemm(shape: [usize; 3], a: &[f32], a_stride: usize, b: &[f32], c: &mut [f
     assert!((m - 1) * a_stride + k <= a.len(), "a [{m}, {k}] by {a_stride} in {} values", a.len());
     assert!(k * n <= b.len() && m * n <= c.len(), "b [{k}, {n}] in {}, c [{m}, {n}] in {}", b.len(), c.len());
     let beta = if accumulate { 1.0 } else { 0.0 };
-    // SAFETY: the assertions above keep every element inside its slice. Strides fit, since the elements do; the rows of
-    // `c`, which is written, do not overlap.
+    // SAFETY: the assertions above keep every element inside its slice. Strides fit because the elements do. The rows
+    // of `c`, which is written, do not overlap.
     #[allow(unsafe_code)]
     unsafe {
         matrixmultiply::sgemm(

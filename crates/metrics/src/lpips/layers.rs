@@ -1,9 +1,9 @@
-//! Convolution with rectifier, and pooling: all that the two networks are made of.
+//! Convolution with rectifier, and pooling: the only layers of the two networks.
 //!
 //! Features lie pixel by pixel, `[H, W, C]`, inside a margin of zeros. The window of a convolution over one row of an
-//! image is then a run of `size * channels` values, and the windows of neighbouring pixels are runs that overlap: one
-//! row of the kernel is one product of matrices over the features where they lie, and nothing is rearranged first. At the
-//! end of a row the runs reach into the margin on both sides; what they give there is dropped.
+//! image is then a run of `size * channels` values, and the windows of neighbouring pixels are overlapping runs. So one
+//! row of the kernel is one matrix product over the features in place, without im2col. At the end of a row the runs
+//! reach into the margin on both sides; their results are dropped.
 
 use rayon::prelude::*;
 
@@ -14,7 +14,7 @@ use super::gemm::gemm;
 /// cores and a strip's result stays in the cache. Strips do not depend on the number of threads.
 const STRIP_PIXELS: usize = 1024;
 
-/// What a layer gives out.
+/// Output of a layer.
 #[derive(Clone, Debug)]
 pub struct Features {
     pub height: usize,
@@ -79,7 +79,7 @@ impl Convolution {
     /// - `margin`: of the result
     ///
     /// # Panics
-    /// If the input's channels or margin are not what this convolution needs, or it is smaller than the window.
+    /// If the input's channels or margin do not fit this convolution, or the input is smaller than the window.
     pub fn apply(&self, input: &Features, margin: usize) -> Features {
         let &Self { size, stride, padding, in_channels, out_channels, .. } = self;
         assert_eq!((input.channels, input.margin), (in_channels, padding), "channels and margin of the input");
@@ -115,7 +115,7 @@ impl Convolution {
     }
 }
 
-/// The largest value of each channel in windows of `size`, every `stride` pixels; what fills no window is dropped.
+/// The largest value of each channel in windows of `size`, every `stride` pixels; a partial window is dropped.
 ///
 /// - `margin`: of the result
 ///

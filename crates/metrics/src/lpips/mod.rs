@@ -1,4 +1,4 @@
-//! LPIPS: how different two images look to a network that was trained on images (Zhang et al. 2018), version 0.1.
+//! LPIPS: the perceptual distance of two images according to a trained network (Zhang et al. 2018), version 0.1.
 //!
 //! With `a` and `b` the features of the two images after a rectified layer `l`, of unit length over the channels at
 //! every pixel, and `w_l` the learned weights of its channels:
@@ -8,8 +8,8 @@
 //! ```
 //!
 //! Compared are the five layers `relu1_2 relu2_2 relu3_3 relu4_3 relu5_3` of VGG-16 or the five rectified ones of
-//! AlexNet. Pixels enter as `(x - shift) / scale` with shift (-0.030, -0.088, -0.188) and scale (0.458, 0.448, 0.450) for
-//! `x` in `[-1, 1]`; programs that forget to stretch `[0, 1]` to that are common, hence [`InputRange`].
+//! AlexNet. Pixels enter as `(x - shift) / scale` with shift (-0.030, -0.088, -0.188) and scale (0.458, 0.448, 0.450)
+//! for `x` in `[-1, 1]`; programs that forget to stretch `[0, 1]` to that are common, hence [`InputRange`].
 //!
 //! What lives here: the networks, run forward. What does not: their numbers, which come from a file.
 
@@ -31,17 +31,17 @@ use crate::{MetricsError, assert_same_shape};
 
 pub use self::backbone::Backbone;
 
-/// What a network is given for pixels in `[0, 1]`.
+/// A network's input for pixels in `[0, 1]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum InputRange {
     /// `2 x - 1`, which the metric was trained for.
     Signed,
-    /// `x` itself, as if it were in `[-1, 1]`: what `lpipsPyTorch`, and every evaluation built on it, measures. Half the
-    /// contrast around a brighter mean, so another metric.
+    /// `x` itself, as if it were in `[-1, 1]`: the input of `lpipsPyTorch`, and of every evaluation built on it. It has
+    /// half the contrast around a brighter mean, so it is another metric.
     Unit,
 }
 
-/// The metric, with the numbers of its two networks. There is none without feature `lpips`.
+/// The metric, with the weights of its two networks. It does not exist without feature `lpips`.
 pub struct Lpips {
     #[cfg(feature = "lpips")]
     vgg: network::Network,

@@ -5,10 +5,10 @@ use tcgs_core::Image;
 use super::backbone::{Backbone, Step};
 use super::layers::{Convolution, Features, max_pool};
 
-/// A network with its numbers.
+/// A network with its weights.
 pub(super) struct Network {
     pub backbone: Backbone,
-    /// Those of the steps, in order.
+    /// The convolutions of the steps, in order.
     pub convolutions: Vec<Convolution>,
     /// For every compared layer, the weight of each channel.
     pub heads: Vec<Vec<f32>>,

@@ -1,4 +1,4 @@
-//! The numbers of the networks, from a safetensors file.
+//! The weights of the networks, from a safetensors file.
 //!
 //! `<network>.conv<i>.kernel` `[size, size, in, out]`, `<network>.conv<i>.bias` `[out]` and `<network>.head<j>`
 //! `[channels]`, all f32, `<network>` being `vgg` or `alex`. `scripts/fetch_lpips_weights.py` makes such a file.

@@ -1,4 +1,4 @@
-//! A cohort on the GPU: its values that do not move among the activated Gaussians, and the keypoints of one segment.
+//! A cohort on the GPU: its constant values among the activated Gaussians, and the keypoints of one segment.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -18,17 +18,17 @@ pub(super) struct CohortOnGpu {
     num_layers: usize,
     /// First timestep of the cohort.
     start: usize,
-    /// Which of the activated Gaussians are its own.
+    /// Its rows among the activated Gaussians.
     rows: Range<usize>,
     frame: wgpu::Buffer,
-    /// `[4 N]` quaternions as stored, if their components have keypoint times of their own: they get unit length only
-    /// after all four are interpolated.
+    /// `[4 N]` quaternions as stored, if their components have keypoint times of their own: normalisation needs all
+    /// four interpolated components.
     raw_quats: Option<wgpu::Buffer>,
-    /// `[3 N]` colours, then `[(2 l + 1) 3 N]` coefficients of each degree `l`, if there are harmonics.
+    /// `[3 N]` colours, then `[(2 l + 1) 3 N]` coefficients of each degree `l`, if there are spherical harmonics.
     harmonics: Option<wgpu::Buffer>,
     /// One for each attribute that moves.
     moving: Vec<MovingAttribute>,
-    /// What follows interpolation, a thread per Gaussian.
+    /// Kernels after the interpolation, one thread per Gaussian.
     finishing: Vec<Bound>,
     /// Index of the segment whose keypoints are uploaded.
     segment: Option<usize>,
@@ -47,14 +47,15 @@ struct MovingAttribute {
 }
 
 impl CohortOnGpu {
-    /// Uploads what all segments of a cohort share: the values that do not move, which units move, and the quantizers.
+    /// Uploads the data that all segments of a cohort share: the constant values, the list of moving units, and the
+    /// quantizers.
     ///
     /// - `segment`: any segment of the cohort
     /// - `start`: first of its rows
     /// - `activated`: `[14 num_rows]`
     ///
     /// # Errors
-    /// [`GpuError::Memory`] if it does not fit.
+    /// [`GpuError::Memory`] if they do not fit.
     pub(super) fn new(
         gpu: &Gpu,
         segment: &Segment,
@@ -87,7 +88,7 @@ impl CohortOnGpu {
         };
         let frame = gpu.uniform("timestep", size_of::<FrameUniform>())?;
         let mut moving = Vec::new();
-        // What the renderer does not know is not drawn.
+        // Attributes that the renderer does not know are not drawn.
         for attribute in Attribute::BASE.into_iter().chain(bands) {
             if segment.keypoints(attribute).is_some() {
                 moving.push(MovingAttribute::new(gpu, segment, attribute)?);
@@ -109,12 +110,12 @@ impl CohortOnGpu {
         Ok(cohort)
     }
 
-    /// Whether a segment is of this cohort, read with as many layers.
+    /// Whether a segment belongs to this cohort and was read with as many layers.
     pub(super) fn is_of(&self, segment: &Segment) -> bool {
         self.index == segment.cohort() && self.num_layers == segment.num_layers()
     }
 
-    /// Which of the activated Gaussians are its own.
+    /// Its rows among the activated Gaussians.
     pub(super) fn rows(&self) -> Range<usize> {
         self.rows.clone()
     }
@@ -136,7 +137,7 @@ impl CohortOnGpu {
         self.segment = None;
         let harmonic_columns = Layout::with_harmonics(segment.layout().sh_degree());
         for moving in &mut self.moving {
-            // The keypoints of the segment before go first: there need not be room for both.
+            // The old keypoints are freed first, because there may not be room for both.
             moving.interpolate = None;
             let Some(keypoints) = segment.keypoints(moving.attribute) else { continue };
             let attribute = moving.attribute;
@@ -157,7 +158,7 @@ impl CohortOnGpu {
         Ok(())
     }
 
-    /// Chooses the timestep of the scene, and from where it is seen.
+    /// Sets the timestep of the scene and the position of the camera.
     pub(super) fn set_frame(&self, gpu: &Gpu, timestep: usize, eye: [f64; 3]) {
         let frame = FrameUniform { eye: eye.map(|x| x as f32), timestep: (timestep - self.start) as u32 };
         gpu.queue().write_buffer(&self.frame, 0, bytemuck::bytes_of(&frame));
@@ -259,7 +260,8 @@ impl MovingAttribute {
             return Ok(());
         }
         let Keypoints { channels, starts, times, codes } = *keypoints;
-        // Starts, times and codes as they lie in memory, in words of 16 bits: both WebGPU and the hosts are little-endian.
+        // Starts, times and codes as they lie in memory, in words of 16 bits: both WebGPU and the hosts are
+        // little-endian.
         let mut halves: Vec<u16> = Vec::with_capacity(2 * starts.len() + times.len() + codes.len() + 1);
         halves.extend_from_slice(bytemuck::cast_slice(starts));
         let times_at = halves.len() as u32;
@@ -279,8 +281,8 @@ impl MovingAttribute {
     }
 }
 
-/// What the kernel does with interpolated values: the activation of the attribute's column, but where a rotation's
-/// components are interpolated one by one, they get unit length by a kernel of its own.
+/// The activation that the kernel applies to interpolated values: that of the attribute's column. Rotations whose
+/// components are interpolated one by one are normalised by a kernel of their own.
 fn activation_of(attribute: Attribute, channels: usize) -> Activation {
     if !is_base(attribute) {
         return Activation::Identity;
@@ -291,12 +293,12 @@ fn activation_of(attribute: Attribute, channels: usize) -> Activation {
     }
 }
 
-/// Whether the renderer reads the attribute. Others are bands of harmonics.
+/// Whether the renderer reads the attribute. The other attributes are bands of spherical harmonics.
 fn is_base(attribute: Attribute) -> bool {
     Attribute::BASE.contains(&attribute)
 }
 
-/// Index of an attribute's value of a row in the array of activated Gaussians.
+/// Index of a row's value of an attribute in the array of activated Gaussians.
 pub(super) fn value_at(attribute: Attribute, row: usize, num_rows: usize) -> u32 {
     (Layout::base().offset(attribute) * num_rows + attribute.components() * row) as u32
 }

@@ -1,17 +1,16 @@
 // From keypoints to activated values at one timestep. Values that do not move are in the buffer already.
 //
-//   interpolate       a thread per unit that moves: finds its two keypoints by bisection, dequantises, interpolates
-//                     linearly, activates
-//   normalize_quats   a thread per Gaussian: gives unit length to rotations whose components have times of their own
-//   hide              a thread per Gaussian: takes the opacity of those that do not live at the timestep
+// - interpolate: one thread per moving unit: bisects for its two keypoints, dequantises, interpolates, activates
+// - normalize_quats: one thread per Gaussian: normalises rotations whose components have times of their own
+// - hide: one thread per Gaussian: sets the opacity to 0 outside its life
 //
 // A unit is UNIT components that share their keypoint times: all components of an attribute, or one. The host puts the
-// constants before this source: UNIT; ACTIVATION, that of the interpolated values; its values EXP, SIGMOID, NORMALIZE;
-// MOVES.
+// constants UNIT, ACTIVATION and MOVES before this source. ACTIVATION is that of the interpolated values: EXP, SIGMOID
+// or NORMALIZE.
 
 struct FrameUniform {
     eye: vec3<f32>,
-    // Counted from the first timestep of the cohort, as keypoint times and lives are.
+    // Relative to the first timestep of the cohort, like keypoint times and lives.
     timestep: u32,
 }
 
@@ -20,15 +19,15 @@ struct TrackUniform {
     count: u32,
     // Index of the attribute's first value in values.
     base: u32,
-    // Where times and codes begin in keypoints, in words of 16 bits.
+    // Offsets of times and codes in keypoints, in words of 16 bits.
     times_at: u32,
     codes_at: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: FrameUniform;
 @group(0) @binding(1) var<uniform> tracks: TrackUniform;
-// [units]: index of the unit's first value within the attribute, index of its first quantizer
-// for hide, [N]: first and last timestep of its life, 16 bits each, and its opacity, or MOVES
+// [units]: index of the unit's first value within the attribute, index of its first quantizer.
+// For hide, [N]: first and last timestep of its life, 16 bits each, and its opacity, or MOVES.
 @group(0) @binding(2) var<storage, read> units: array<vec2<u32>>;
 // step, offset
 @group(0) @binding(3) var<storage, read> quantizers: array<vec2<f32>>;
@@ -98,7 +97,7 @@ fn interpolate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
         }
         let scale = inverseSqrt(max(squares, 1e-37));
         for (var c = 0u; c < UNIT; c++) {
-            // A quaternion without a length becomes the identity rotation.
+            // A quaternion of length 0 becomes the identity rotation.
             value[c] = select(select(0.0, 1.0, c == 0u), value[c] * scale, squares > 1e-37);
         }
     }

@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use tcgs_core::{Activation, Layout, MAX_SH_DEGREE};
 use tcgs_render::device::{MAX_GROUPS_X, WORKGROUP, Wgsl};
 
-/// When and from where a cohort is seen; of the same name in the shaders.
+/// Timestep and camera position of a cohort; mirrors `FrameUniform` in the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 pub(super) struct FrameUniform {
@@ -14,7 +14,7 @@ pub(super) struct FrameUniform {
     pub(super) timestep: u32,
 }
 
-/// What a kernel knows of its attribute; of the same name in the shaders.
+/// A kernel's data about its attribute; mirrors `TrackUniform` in the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 pub(super) struct TrackUniform {
@@ -22,13 +22,13 @@ pub(super) struct TrackUniform {
     pub(super) count: u32,
     /// Index of the attribute's first value in the buffer that the kernel writes.
     pub(super) base: u32,
-    /// Index of the first keypoint time, in words of 16 bits; for harmonics of the first mean.
+    /// Index of the first keypoint time, in words of 16 bits; for spherical harmonics, index of the first mean.
     pub(super) times_at: u32,
     /// Index of the first code, in words of 16 bits.
     pub(super) codes_at: u32,
 }
 
-/// In the place of an opacity that does not move: that it moves. No opacity has these bits.
+/// Marks an opacity that moves, in place of a constant one. No opacity has these bits.
 pub(super) const MOVES: u32 = u32::MAX;
 
 /// Interpolation of an attribute.

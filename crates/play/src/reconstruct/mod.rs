@@ -1,12 +1,12 @@
-//! Reconstructs any timestep on the GPU. The keypoints of a segment are uploaded once; a frame uploads the index of its
-//! timestep and the position of its camera alone.
+//! Reconstructs any timestep on the GPU. The keypoints of a segment are uploaded once; a frame uploads only the index
+//! of its timestep and the position of its camera.
 //!
-//! The steps are those of [`tcgs_codec::Sampler`] on the CPU: codes become values, values between two keypoints are
-//! interpolated linearly, rotations get unit length; then follow [`tcgs_core::activate`], and with spherical harmonics the
-//! colours that the camera sees ([`tcgs_core::Drawable`]). The arithmetic is f32 throughout, where the codec dequantises
-//! in f64, so values differ in their last bits.
+//! The steps are those of [`tcgs_codec::Sampler`] on the CPU: codes are dequantised, values between two keypoints are
+//! interpolated linearly, and rotations are normalised. Then follow [`tcgs_core::activate`] and, with spherical
+//! harmonics, the colours that the camera sees ([`tcgs_core::Drawable`]). The arithmetic is f32 throughout, where the
+//! codec dequantises in f64, so values differ in their last bits.
 //!
-//! - `mod`: which cohorts are on the GPU, and where among the Gaussians that the renderer reads
+//! - `mod`: the cohorts on the GPU, and their rows among the activated Gaussians
 //! - `cohort`: one of them; `kernels`: their WGSL
 
 mod cohort;
@@ -26,9 +26,9 @@ pub(crate) use kernels::sources;
 #[derive(Debug)]
 pub struct Reconstruction {
     gpu: Gpu,
-    /// Gaussians that the arrays below have room for.
+    /// Capacity of the arrays below, Gaussians.
     num_rows: usize,
-    /// `[14 num_rows]` activated Gaussians in the order that the renderer reads. Those that are not in use have no opacity.
+    /// `[14 num_rows]` activated Gaussians in the order that the renderer reads. Unused rows have opacity 0.
     activated: wgpu::Buffer,
     cohorts: Vec<CohortOnGpu>,
 }
@@ -47,19 +47,19 @@ impl Reconstruction {
         })
     }
 
-    /// Number of Gaussians in [`Self::activated`], those among them that are not seen included.
+    /// Number of Gaussians in [`Self::activated`], including invisible ones.
     pub fn num_rows(&self) -> usize {
         self.num_rows
     }
 
-    /// Activated Gaussians of the timestep that [`Self::record`] reconstructs, as the renderer reads them. [`Self::load`]
-    /// makes another buffer when it needs more rows.
+    /// Activated Gaussians of the timestep that [`Self::record`] reconstructs, as the renderer reads them.
+    /// [`Self::load`] creates a new buffer when it needs more rows.
     pub fn activated(&self) -> &wgpu::Buffer {
         &self.activated
     }
 
-    /// Chooses the timestep that passes submitted from now on reconstruct, and from where it is seen. Uploads the cohorts and
-    /// segments that are not uploaded already, and forgets others.
+    /// Sets the timestep and the camera position for all passes submitted afterwards. Uploads the cohorts and segments
+    /// that are missing on the GPU, and frees those that the timestep does not need.
     ///
     /// - `eye`: position of the camera in the world, scene units
     ///
@@ -111,17 +111,17 @@ impl Reconstruction {
         Ok(true)
     }
 
-    /// Uploads all cohorts anew one after the other, to a larger buffer where the one there is has no room for them.
+    /// Uploads all cohorts again, one after the other, to a larger buffer if the present one is too small.
     fn place_all(&mut self, moment: &Moment) -> Result<(), GpuError> {
         self.hide(0..self.num_rows);
         self.cohorts.clear();
         let needed: usize = moment.segments.iter().map(|segment| segment.num_gaussians()).sum();
         if needed > self.num_rows {
-            // Where numbers change from timestep to timestep, not every new maximum shall need new buffers.
+            // With a changing number of Gaussians, a new maximum should not always need new buffers.
             let is_only = moment.segments.iter().all(|segment| segment.cohort() == 0);
             let spare = if is_only { 0 } else { needed / 8 };
             self.num_rows = 0;
-            // The buffer before goes first: there need not be room for both.
+            // The old buffer is freed first, because there may not be room for both.
             self.activated = self.gpu.storage("activated Gaussians", 1)?;
             self.activated = self.gpu.storage("activated Gaussians", activated_len(needed + spare, 3))?;
             self.num_rows = needed + spare;
@@ -132,7 +132,7 @@ impl Reconstruction {
         Ok(())
     }
 
-    /// Takes the opacity of some rows, so that nothing of them is drawn.
+    /// Sets the opacity of some rows to 0, so that they are not drawn.
     fn hide(&self, rows: Range<usize>) {
         if !rows.is_empty() {
             let at = cohort::value_at(tcgs_core::Attribute::LogitOpacity, rows.start, self.num_rows);

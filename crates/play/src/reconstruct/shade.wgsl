@@ -1,6 +1,6 @@
 // The colours in which a camera sees Gaussians with spherical harmonics.
 //
-//   shade   a thread per Gaussian: the harmonics in the direction from the camera to its centre, times its coefficients
+//   shade   one thread per Gaussian: spherical harmonics of the direction from camera to centre, times the coefficients
 //
 // The host puts the constants before this source: DEGREE, 1 to 3; and the function `harmonics`.
 

@@ -1,4 +1,4 @@
-//! What is attached to a file, as a page sees it: credits, and data by name such as a sound.
+//! Data attached to a file, for a page: credits, and named data such as a sound.
 
 use js_sys::{Array, Uint8Array};
 use tcgs_codec::{Archive, read_credits, read_times};
@@ -11,15 +11,15 @@ use crate::player::application_ranges;
 
 #[wasm_bindgen(js_class = Viewer)]
 impl WebViewer {
-    /// Data of a name that came with the start of the file; undefined if there are none.
+    /// Named data that came with the start of the file; undefined if there are none.
     pub fn data(&self, name: &str) -> Option<Uint8Array> {
         let state = self.state.borrow();
         let mut data = state.viewer.application_data().iter();
         data.find(|(of, _)| of == name).map(|(_, bytes)| Uint8Array::from(&bytes[..]))
     }
 
-    /// Where data of applications lie that did not come with the start of the file: pairs of the first byte and the one after
-    /// the last, for a page that fetches them itself and gives them to `farData`.
+    /// Byte ranges of the application data that did not come with the start of the file, as pairs: first byte, and the
+    /// one after the last. A page fetches them itself and gives them to `farData`.
     #[wasm_bindgen(js_name = farRanges)]
     pub fn far_ranges(&self) -> Array {
         let state = self.state.borrow();
@@ -30,8 +30,8 @@ impl WebViewer {
         far(archive).map(pair).collect()
     }
 
-    /// Name and content of fetched data: `{name, data}`; null if they have no name. Throws an error of code `damaged` if their
-    /// checksum is wrong.
+    /// Name and content of fetched data: `{name, data}`; null if they have no name. Throws an error of code `damaged`
+    /// if their checksum is wrong.
     ///
     /// - `index`: place in `farRanges`
     #[wasm_bindgen(js_name = farData)]
@@ -47,14 +47,14 @@ impl WebViewer {
 }
 
 impl ViewerState {
-    /// Seconds of the timesteps; null if they are evenly apart.
+    /// Seconds of the timesteps; null if they are evenly spaced.
     pub(super) fn times(&self) -> JsValue {
         let num_timesteps = self.viewer.info().map_or(0, |info| info.num_timesteps as usize);
         let times = read_times(self.viewer.application_data(), num_timesteps);
         times.map_or(JsValue::NULL, |times| times.into_iter().map(JsValue::from_f64).collect::<Array>().into())
     }
 
-    /// `{licence, authors, source}`, what the file does not say null or empty; null without credits.
+    /// `{licence, authors, source}`; absent entries are null or empty. Null without credits.
     pub(super) fn credits(&self) -> JsValue {
         let Some(credits) = read_credits(self.viewer.application_data()) else { return JsValue::NULL };
         let text = |text: Option<String>| text.map_or(JsValue::NULL, JsValue::from);

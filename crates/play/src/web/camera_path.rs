@@ -7,8 +7,8 @@ use wasm_bindgen::prelude::*;
 use super::object::{camera_object, camera_of, object};
 use crate::PlayError;
 
-/// Cameras at timesteps, and the smooth motion between them: the interpolation that `tcgs render --path` uses. Needs no
-/// GPU and no scene.
+/// Cameras at timesteps, and the smooth motion between them: the interpolation that `tcgs render --path` uses. It needs
+/// neither a GPU nor a scene.
 #[wasm_bindgen(js_name = CameraPath)]
 #[derive(Debug, Default)]
 pub struct WebCameraPath {
@@ -23,8 +23,8 @@ impl WebCameraPath {
         Self::default()
     }
 
-    /// Adds a keyframe; it replaces the one at the same timestep, if there is one. Throws an error of code `bad-camera`
-    /// if the timestep is no finite number or the camera is none.
+    /// Adds a keyframe, in place of any at the same timestep. Throws an error of code `bad-camera` if the timestep is
+    /// not a finite number or the camera is not valid.
     ///
     /// - `camera`: in the form of `Viewer.camera()`
     pub fn insert(&mut self, timestep: f64, camera: &JsValue) -> Result<(), JsValue> {
@@ -42,7 +42,7 @@ impl WebCameraPath {
             .collect()
     }
 
-    /// The camera at a timestep, for a picture of so many pixels. Throws an error of code `bad-camera` where there is
+    /// The camera at a timestep, for a picture of this size in pixels. Throws an error of code `bad-camera` if there is
     /// none: without keyframes, or halfway between two opposite directions.
     #[wasm_bindgen(js_name = cameraAt)]
     pub fn camera_at(&self, timestep: f64, width: u32, height: u32) -> Result<JsValue, JsValue> {

@@ -1,6 +1,6 @@
-//! The player as a page sees it: the classes `Viewer` and `CameraPath`.
+//! The player for a page: the classes `Viewer` and `CameraPath`.
 //!
-//! The state of a `Viewer` lies behind one `RefCell`, which is never borrowed across an `await`, so that the page may call
+//! The state of a `Viewer` lies behind one `RefCell`, which is never borrowed across an `await`. So the page may call
 //! any method while a promise of another one is pending.
 
 mod attached;
@@ -26,10 +26,10 @@ use crate::viewer::Viewer;
 use object::{camera_object, camera_of, object};
 use source::WebSource;
 
-/// Milliseconds between two looks at whether a picture has come back from the GPU.
+/// Milliseconds between two polls for a picture on its way from the GPU.
 const LOOK_MS: i32 = 2;
 
-/// What a `Viewer` shares with its pending promises.
+/// State that a `Viewer` shares with its pending promises.
 struct ViewerState {
     viewer: Viewer<WebSource>,
     gpu: Gpu,
@@ -37,7 +37,7 @@ struct ViewerState {
     format: wgpu::TextureFormat,
     /// Width and height of the canvas, device pixels.
     size: [usize; 2],
-    /// Number of calls of `open`. The promise of an earlier call gives up.
+    /// Number of calls of `open`. The promise of an earlier call is rejected.
     opening: u64,
     /// Wakes the promise of `open`.
     waker: Option<Waker>,
@@ -98,11 +98,11 @@ impl WebViewer {
         Ok(Self { state: Rc::new(RefCell::new(state)) })
     }
 
-    /// Opens a scene, and closes the scene before. Resolves when the first picture can be drawn: the next call of `frame`
-    /// draws it. Rejects with the code of what is wrong with the scene, or `aborted` if another scene is opened first.
+    /// Opens a scene, and closes the scene before. Resolves when the first picture can be drawn: the next call of
+    /// `frame` draws it. Rejects with the code of the scene's problem, or `aborted` if another scene is opened first.
     ///
     /// - `source`: an address, or a `Blob` such as a file that was dropped
-    /// - `timestep`: the timestep that is shown first; 0 if it is not given
+    /// - `timestep`: the timestep that is shown first; default 0
     #[wasm_bindgen(unchecked_return_type = "Promise<void>")]
     pub fn open(&self, source: JsValue, timestep: Option<u32>) -> Promise {
         let state = self.state.clone();
@@ -117,7 +117,7 @@ impl WebViewer {
             state.is_open = false;
             state.cameras.clear();
             state.viewer.open(source, PlayerSettings::default(), timestep.unwrap_or(0) as usize);
-            // The promise of the scene before learns that it will not be resolved.
+            // Wakes the promise of the scene before, which then rejects.
             if let Some(waker) = state.waker.take() {
                 waker.wake();
             }
@@ -135,7 +135,7 @@ impl WebViewer {
                     Poll::Ready(Ok(JsValue::UNDEFINED))
                 }
                 Ok(false) => {
-                    // The next bytes wake this promise, or a call of `frame` that took them first.
+                    // This promise is woken by the next bytes, or by a call of `frame` that took them first.
                     wake_by(context.waker().clone());
                     state.waker = Some(context.waker().clone());
                     Poll::Pending
@@ -145,10 +145,12 @@ impl WebViewer {
         }))
     }
 
-    /// What the file says of its scene: `{name, generator, numGaussians, numTimesteps, firstFrame, frameRate, bytes,
-    /// cameras, credits, times}`, where each camera is in the form of `camera()`, with `name` and `position` besides, `credits`
-    /// are `{licence, authors, source}` or null, and `times` are the seconds of timesteps that are not evenly apart, or null;
-    /// null while no scene is open.
+    /// The scene according to its file, null while no scene is open:
+    /// `{name, generator, numGaussians, numTimesteps, firstFrame, frameRate, bytes, cameras, credits, times}`.
+    ///
+    /// - `cameras`: each in the form of `camera()`, with `name` and `position` besides
+    /// - `credits`: `{licence, authors, source}` or null
+    /// - `times`: seconds of timesteps that are not evenly spaced, or null
     pub fn info(&self) -> JsValue {
         let state = self.state.borrow();
         let Some(archive) = state.viewer.archive().filter(|_| state.is_open) else { return JsValue::NULL };
@@ -168,14 +170,14 @@ impl WebViewer {
         ])
     }
 
-    /// Lets time pass and draws once. A page calls this for every frame that the browser shows.
+    /// Lets time pass and draws once. A page calls this once per animation frame.
     ///
     /// - `now_ms`: as `requestAnimationFrame` gives it
-    /// - returns: `{time, seconds, timestep, playing, buffering, drawn, gaussians, bytesLoaded, width, height}`; `time` is the
-    ///   clock's position in timesteps and `seconds` in seconds from the first one, `drawn` whether the picture shows the due
-    ///   timestep with all its splats
+    /// - returns: `{time, seconds, timestep, playing, buffering, drawn, gaussians, bytesLoaded, width, height}`; `time`
+    ///   is the clock's position in timesteps, `seconds` the same in seconds from the first timestep, and `drawn`
+    ///   whether the picture shows the due timestep with all its splats
     ///
-    /// Throws errors with a `code`. Errors of a scene that is still being opened reject the promise of `open` instead.
+    /// Throws errors with a `code`. Errors of a scene that is still opening reject the promise of `open` instead.
     pub fn frame(&self, now_ms: f64) -> Result<JsValue, JsValue> {
         let mut guard = self.state.borrow_mut();
         let state = &mut *guard;
@@ -202,8 +204,8 @@ impl WebViewer {
         ]))
     }
 
-    /// Number of frames that the GPU has not finished yet. A page waits until it is small before it draws: browsers take
-    /// any number of frames, and the GPU would fall behind more and more.
+    /// Number of frames that the GPU has not finished yet. A page waits until it is small before it draws, because
+    /// browsers accept any number of frames and the GPU would fall further and further behind.
     pub fn pending(&self) -> u32 {
         let state = self.state.borrow();
         state.num_drawn.wrapping_sub(state.num_finished.load(Ordering::Relaxed))
@@ -221,7 +223,7 @@ impl WebViewer {
 
     /// Goes to a timestep.
     pub fn seek(&self, timestep: f64) {
-        // The cast takes negative numbers and NaN to 0; the clock takes what is too large to the last timestep.
+        // The cast maps negative numbers and NaN to 0; the clock maps too large numbers to the last timestep.
         self.with_clock(|clock| clock.seek(timestep as usize));
     }
 
@@ -248,7 +250,7 @@ impl WebViewer {
         self.state.borrow_mut().viewer.set_background([r, g, b]);
     }
 
-    /// Sets the canvas' size in device pixels, or as near to it as the GPU allows.
+    /// Sets the canvas' size in device pixels, or the nearest that the GPU allows.
     pub fn resize(&self, width: u32, height: u32) {
         let mut state = self.state.borrow_mut();
         let most = state.gpu.device().limits().max_texture_dimension_2d;
@@ -289,16 +291,15 @@ impl WebViewer {
         self.with_controls(|controls| controls.reset());
     }
 
-    /// The camera of what the canvas shows: `{width, height, fx, fy, cx, cy, cameraFromWorld}`, the matrix as 16 numbers in
-    /// rows; null while no scene is open.
+    /// The camera of the picture on the canvas: `{width, height, fx, fy, cx, cy, cameraFromWorld}`, the matrix as 16
+    /// numbers in rows; null while no scene is open.
     pub fn camera(&self) -> JsValue {
         let state = self.state.borrow();
         state.viewer.camera(state.size).map_or(JsValue::NULL, |camera| camera_object(&camera))
     }
 
-    /// Moves to a camera, which is given in the form of `camera()`. On a canvas of its size the picture is exactly the
-    /// camera's; on any other canvas it shows at least as much. Throws an error of code `bad-camera` if the numbers are no
-    /// camera.
+    /// Moves to a camera, given in the form of `camera()`. On a canvas of its size the picture is exactly the camera's;
+    /// any other canvas shows at least as much. Throws an error of code `bad-camera` if the camera is not valid.
     #[wasm_bindgen(js_name = setCamera)]
     pub fn set_camera(&self, camera: JsValue) -> Result<(), JsValue> {
         let camera = camera_of(&camera).map_err(PlayError::from)?;

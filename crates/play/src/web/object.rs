@@ -17,12 +17,12 @@ pub fn object<const K: usize>(properties: [(&str, JsValue); K]) -> JsValue {
 
 /// Sets a property of an object.
 pub fn set(object: &Object, name: &str, value: &JsValue) {
-    // This fails on frozen objects alone, and all objects here are our own.
+    // Only frozen objects make this fail, and all objects here are our own.
     let _ = Reflect::set(object, &name.into(), value);
 }
 
 impl From<PlayError> for JsValue {
-    /// A JavaScript `Error` whose property `code` is [`PlayError::code`]. The page has the words for people.
+    /// A JavaScript `Error` whose property `code` is [`PlayError::code`]. The page has the text for people.
     fn from(problem: PlayError) -> Self {
         let error = Error::new(&problem.to_string());
         set(&error, "code", &problem.code().as_str().into());
@@ -60,7 +60,7 @@ pub fn camera_of(given: &JsValue) -> Result<Camera, BadCamera> {
     let [fx, fy, cx, cy] = [number("fx")?, number("fy")?, number("cx")?, number("cy")?];
     let intrinsics = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]];
     let rows = std::array::from_fn(|i| std::array::from_fn(|j| values[4 * i + j]));
-    // The cast takes negative numbers and NaN to 0, which is refused.
+    // The cast maps negative numbers and NaN to 0, which is refused.
     let [width, height] = [number("width")? as usize, number("height")? as usize];
     Ok(Camera::new(width, height, intrinsics, rows)?)
 }

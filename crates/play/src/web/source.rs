@@ -24,7 +24,7 @@ enum FileLocation {
 pub struct WebSource {
     location: FileLocation,
     inbox: Rc<RefCell<Inbox>>,
-    /// Ends the request that is under way.
+    /// Aborts the request that is under way.
     abort: Option<web_sys::AbortController>,
 }
 
@@ -44,7 +44,7 @@ impl WebSource {
         Ok(Self { location, inbox: Rc::new(RefCell::new(Inbox::new(length))), abort: None })
     }
 
-    /// Takes the waker that the next piece is to wake.
+    /// Takes the waker that the next piece wakes.
     pub fn wakes(&self) -> impl Fn(Waker) + use<> {
         let inbox = self.inbox.clone();
         move |waker| inbox.borrow_mut().wake_by(waker)
@@ -152,7 +152,7 @@ async fn download(
 
 fn head(answer: &web_sys::Response) -> AnswerHead {
     let header = |name: &str| answer.headers().get(name).ok().flatten();
-    // A compressed answer has other lengths than the file, and often a tag of its own.
+    // A compressed answer has a different length from the file, and often a tag of its own.
     let is_encoded = header("content-encoding").is_some();
     let length = if answer.status() == 200 {
         header("content-length").filter(|_| !is_encoded)
@@ -160,8 +160,8 @@ fn head(answer: &web_sys::Response) -> AnswerHead {
         // The answer is a part, and its header names the length of the whole file.
         header("content-range").and_then(|range| Some(range.rsplit_once('/')?.1.to_owned()))
     };
-    // The time of the last change is preferred to the entity tag: the machines behind one address may tag the same file
-    // differently, and an answer of another origin may hide its tag. Some servers call a tag weak in some answers only.
+    // `Last-Modified` is preferred to `ETag`: the machines behind one address may tag the same file differently, and a
+    // cross-origin answer may hide its tag. Some servers mark a tag as weak in some answers only.
     let tag = || header("etag").filter(|_| !is_encoded).map(|etag| etag.trim_start_matches("W/").to_owned());
     AnswerHead {
         status: answer.status(),

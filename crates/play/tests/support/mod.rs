@@ -15,7 +15,7 @@ use tcgs_play::{BytesSource, Piece, Player, PlayerSettings, RangeSource, SourceE
 #[path = "../../../codec/tests/scenes/mod.rs"]
 pub mod scenes;
 
-/// The file of a room in which a part moves.
+/// The file of a room with a moving part.
 pub fn room_file(num_gaussians: usize, num_timesteps: usize, settings: &CompressSettings) -> Vec<u8> {
     let scene = scenes::room(num_gaussians, num_timesteps);
     let compact = compress(&scene, &scenes::mixed_widths(num_gaussians), None, SceneInfo::of(&scene), settings);
@@ -43,9 +43,10 @@ fn room_like(layout: &Arc<Layout>, num_gaussians: usize, num_timesteps: usize, a
     scene
 }
 
-/// Twelve timesteps of version 2: a room with the columns of a layout that lives throughout, in segments of five
-/// timesteps; another one that lives from timestep 3 to 8, in which half of the Gaussians come and go; and at each
-/// timestep some Gaussians of its own, more and more.
+/// Twelve timesteps of version 2, in three kinds of cohort:
+/// - a room with the columns of `layout` that lives throughout, in segments of five timesteps;
+/// - another one that lives from timestep 3 to 8, in which half of the Gaussians come and go;
+/// - at each timestep some Gaussians of its own, more and more.
 pub fn cohorts_file(num_gaussians: usize, layout: &Arc<Layout>) -> Vec<u8> {
     let cohort = |n: usize, start: u32, num_timesteps: usize, aside: f32| {
         let scene = room_like(layout, n, num_timesteps, aside);
@@ -68,19 +69,19 @@ pub fn cohorts_file(num_gaussians: usize, layout: &Arc<Layout>) -> Vec<u8> {
 /// How a network behaves.
 #[derive(Clone, Debug, Default)]
 pub struct Behaviour {
-    /// Bytes that arrive at once; 0: all.
+    /// Bytes per piece; 0: all at once.
     pub piece: usize,
-    /// Between two pieces so often nothing.
+    /// Number of empty polls between two pieces.
     pub stalls: usize,
-    /// The file seems to end here.
+    /// The file appears to end here.
     pub ends_at: Option<u64>,
-    /// The length is not told.
+    /// Whether the server hides the length.
     pub hides_length: bool,
-    /// The connection breaks so often, each time after a piece.
+    /// Number of broken connections, each after a piece.
     pub breaks: usize,
 }
 
-/// What was asked of a network.
+/// The ranges requested from a network.
 #[derive(Clone, Debug, Default)]
 pub struct Log(Rc<RefCell<Vec<Range<u64>>>>);
 
@@ -90,7 +91,7 @@ impl Log {
     }
 }
 
-/// A server with ranges, as strange as wanted.
+/// A server with ranges and the given behaviour.
 pub struct Network {
     inner: BytesSource,
     behaviour: Behaviour,
@@ -144,7 +145,7 @@ impl RangeSource for Network {
     }
 }
 
-/// Updates until the timestep that is due is there, with all layers; asserts that this ends.
+/// Updates until all layers of the due timestep are decoded; asserts that this ends.
 pub fn wait<S: RangeSource>(player: &mut Player<S>, now_ms: &mut f64) {
     for _ in 0..10_000_000 {
         player.update(*now_ms).unwrap();
@@ -156,7 +157,7 @@ pub fn wait<S: RangeSource>(player: &mut Player<S>, now_ms: &mut f64) {
     panic!("nothing came");
 }
 
-/// With a first request that brings less than the tables, so that small files too take several.
+/// The first request is shorter than the tables, so that small files need several requests too.
 pub fn settings(max_segment_bytes: usize) -> PlayerSettings {
     PlayerSettings { max_segment_bytes, opening_bytes: 100, ..Default::default() }
 }

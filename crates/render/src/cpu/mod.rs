@@ -1,7 +1,7 @@
 //! The CPU renderer: tiles over threads, lanes over pixels, the same bits for any number of threads.
 //!
-//! Sums that could depend on the order of threads are taken in a fixed one: a tile writes the
-//! gradients of its pairs, and each Gaussian then adds up its own pairs in tile order.
+//! Sums that could depend on the order of threads use a fixed order: a tile writes the gradients of its pairs, then
+//! each Gaussian adds up its own pairs in tile order.
 
 mod rasterize;
 mod tiles;
@@ -21,7 +21,8 @@ use crate::settings::MAX_CHANNELS;
 use crate::tiling::{PAIR_GRADS, TILE, tile_grid};
 use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, RenderSettings, TileMask};
 
-/// The renderer on the CPU: all threads of rayon's pool, the same bits for any number of them. It never fails.
+/// The renderer on the CPU. It uses all threads of rayon's pool and gives the same bits for any number of them. It
+/// never fails.
 ///
 /// ```
 /// use tcgs_core::{Camera, Gaussians, activate};
@@ -39,12 +40,12 @@ use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, Rende
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CpuRasterizer;
 
-/// The splats of one rendering, sorted for each tile: what [`CpuRasterizer::forward_in`] keeps for
+/// The splats of one rendering, sorted for each tile: saved by [`CpuRasterizer::forward_in`] for
 /// [`CpuRasterizer::backward_in`].
 #[derive(Debug)]
 pub struct CpuTiles(Tiles);
 
-/// What the CPU's forward keeps for its backward.
+/// State that the CPU's forward saves for its backward.
 #[derive(Debug)]
 pub struct CpuSaved {
     tiles: CpuTiles,
@@ -52,7 +53,7 @@ pub struct CpuSaved {
 }
 
 impl CpuSaved {
-    /// How much the image had to blend.
+    /// Numbers of pairs and splats in the image.
     pub fn counts(&self) -> PairCounts {
         let tiles = &self.tiles.0;
         PairCounts { pairs: tiles.pair_splats.len(), splats: tiles.splats.len() }
@@ -98,8 +99,8 @@ impl CpuRasterizer {
         (output, CpuSaved { tiles, image })
     }
 
-    /// Renders some tiles of an image, and leaves its other pixels as they are. In the tiles drawn, every pixel has the
-    /// same bits as [`Rasterizer::forward`] gives it.
+    /// Renders some tiles of an image, and leaves its other pixels unchanged. In the drawn tiles, every pixel has the
+    /// same bits as from [`Rasterizer::forward`].
     ///
     /// - `mask`: the tiles to draw
     /// - `image`: `[C, H, W]`, overwritten in these tiles
@@ -167,15 +168,15 @@ impl CpuRasterizer {
         self.backward_in(gaussians, camera, settings, &saved.tiles, &saved.image, v_image, laps)
     }
 
-    /// The gradients of [`Self::forward_in`]: those that come through the pixels of the tiles drawn.
+    /// Gradients of [`Self::forward_in`] through the pixels of the drawn tiles.
     ///
     /// - `gaussians`, `camera`, `settings`: as given to `forward_in`
     /// - `image`: `[C, H, W]`, as `forward_in` left it
-    /// - `v_image`: `[C, H, W]`, gradient to the image; read in the tiles drawn alone
+    /// - `v_image`: `[C, H, W]`, gradient to the image; read only in the drawn tiles
     /// - `laps`: gets the stages `rasterize backward` and `project backward`
     ///
     /// # Panics
-    /// If `image` or `v_image` has another shape than the image drawn.
+    /// If `image` or `v_image` has a different shape from the drawn image.
     #[allow(clippy::too_many_arguments, reason = "a forward pass, its results, and the gradient to them")]
     pub fn backward_in(
         &self,
@@ -192,7 +193,8 @@ impl CpuRasterizer {
         assert_eq!([shape(image), shape(v_image)], [drawn; 2], "image and v_image against what was drawn");
         let (tiles, colors) = (&tiles.0, &gaussians.colors);
         let stride = PAIR_GRADS + gaussians.num_channels;
-        // Every tile's are allocated by the thread that fills them: one zeroes memory slower than several.
+        // Each tile's gradients are allocated by the thread that fills them, because one thread zeroes memory more
+        // slowly than several.
         let v_pairs: Vec<Vec<f32>> = (0..tiles.starts.len() - 1)
             .into_par_iter()
             .with_max_len(1)
@@ -260,7 +262,7 @@ impl Draw for CpuRasterizer {
 
 /// Draws some tiles into an image and, if wanted, their transmittance.
 ///
-/// - `numbers`: of the tiles to draw
+/// - `numbers`: indices of the tiles to draw
 fn draw<const C: usize>(
     tiles: &Tiles,
     numbers: &[usize],
@@ -297,13 +299,13 @@ fn draw<const C: usize>(
     });
 }
 
-/// Gaussians whose pairs are added up before any is taken through the projection: their rows lie far apart,
-/// and a loop that only adds waits for many of them at once.
+/// Gaussians whose pairs are added up before any is taken through the projection. Their rows lie far apart, and a loop
+/// that only adds can wait for many cache misses at once.
 const GATHERED: usize = 256;
 
-/// Adds up the pairs of each Gaussian and takes them back through the projection.
+/// Adds up the pairs of each Gaussian and takes the sums back through the projection.
 ///
-/// - `v_pairs`: of each tile
+/// - `v_pairs`: gradients of the pairs, one array per tile
 fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[Vec<f32>]) -> RenderGrads {
     let (n, channels) = (gaussians.num_gaussians(), gaussians.num_channels);
     let stride = PAIR_GRADS + channels;

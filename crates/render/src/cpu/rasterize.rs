@@ -13,12 +13,15 @@
 //! image += transmittance · background
 //! ```
 //!
-//! Departures, for speed: (1) splats are the outer loop and run over eight or sixteen pixels of a row at a
-//! time, inside the splat's own rows and columns; (2) a finished pixel is marked by the sign of its
-//! transmittance; (3) backward walks front to back as well: what lies behind a splat is the
-//! finished image less what was blended so far, so nothing per pixel is kept but the image; (4) the exponent is one
-//! of 2; (5) where the processor has fused multiply-adds, sums of products are rounded once. So machines differ in
-//! the last bits; a machine always computes the same.
+//! Departures, for speed:
+//! 1. Splats are the outer loop and run over eight or sixteen pixels of a row at a time, inside the splat's own rows
+//!    and columns.
+//! 2. The sign of the transmittance marks a finished pixel.
+//! 3. Backward walks front to back as well. The colour behind a splat is the finished image minus the colour blended so
+//!    far, so the image is the only state per pixel.
+//! 4. The exponent has base 2.
+//! 5. Where the processor has fused multiply-adds, sums of products are rounded once. So machines differ in the last
+//!    bits; one machine always computes the same.
 
 use multiversion::multiversion;
 use multiversion::target::match_target;
@@ -32,12 +35,11 @@ use crate::tiling::{PAIR_GRADS, TILE};
 /// One value of each pixel of a tile, row by row.
 pub(super) type Plane = [f32; TILE * TILE];
 
-/// Splats that a tile takes at a time. Copying them first lets the processor wait for many cache misses
-/// at once, where blending would wait for one after another; and after each batch the tile is asked
-/// whether all its pixels are finished.
+/// Splats that a tile takes at a time. Copying them first overlaps many cache misses, where blending would wait for one
+/// after another. After each batch the tile checks whether all its pixels are finished.
 const BATCH: usize = 32;
 
-/// `a * b + c`, rounded once if `FUSED`. Without the processor's own instruction a fused one is a slow call.
+/// `a * b + c`, rounded once if `FUSED`. Without a processor instruction, a fused one is a slow call.
 #[inline(always)]
 fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
     if FUSED { a.mul_add(b, c) } else { a * b + c }
@@ -48,7 +50,7 @@ fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
 fn exp2_neg<const FUSED: bool>(x: f32) -> f32 {
     /// Adding this leaves an integer in the low mantissa bits.
     const MAGIC: f32 = 12_582_912.0;
-    /// The least result is still a normal number.
+    /// Largest `x`, so that the least result is still a normal number.
     const MOST: f32 = 120.0;
     let x = if x < MOST { x } else { MOST };
     let shifted = MAGIC - x;
@@ -80,7 +82,7 @@ impl RowTerms {
     }
 }
 
-/// What one splat does to one pixel.
+/// Effect of one splat on one pixel.
 struct Blend {
     alpha: f32,
     /// `alpha * transmittance`; 0 where the splat is skipped.
@@ -100,7 +102,7 @@ fn blend<const FUSED: bool>(terms: RowTerms, dx: f32, before: f32) -> Blend {
     let clamped = raw > MAX_ALPHA as f32;
     let alpha = if clamped { MAX_ALPHA as f32 } else { raw };
     let weight = alpha * before;
-    // Not `before - weight`: that loses digits where alpha is near 1.
+    // `before - weight` would lose digits where alpha is near 1.
     let after = if FUSED { (-alpha).mul_add(before, before) } else { before * (1.0 - alpha) };
     let reached = (alpha >= MIN_ALPHA as f32) & (before > 0.0);
     let blended = reached & (after >= MIN_TRANSMITTANCE as f32);
@@ -128,7 +130,7 @@ fn finished(transmittance: &Plane) -> bool {
     transmittance.iter().all(|&t| t <= 0.0)
 }
 
-/// Overwrites: the splats of some pairs, with their colours.
+/// Overwrites: copies the splats of some pairs, with their colours.
 ///
 /// - `colors`: `[N, C]`
 #[inline(always)]
@@ -257,7 +259,7 @@ fn cut(image: &Image, channel: usize, origin: [usize; 2]) -> Plane {
     out
 }
 
-/// Sum of the lanes, in halves.
+/// Sum of the lanes, by halving.
 #[inline(always)]
 fn sum<const L: usize>(mut lanes: [f32; L]) -> f32 {
     let mut len = L;
@@ -292,7 +294,7 @@ pub(super) fn rasterize_bwd<const C: usize>(
     }
 }
 
-/// [`rasterize_bwd`] in runs of `L` pixels. The statistic has sums of its own only if it counts some channels and not
+/// [`rasterize_bwd`] in runs of `L` pixels. The statistic has separate sums only if it counts some channels and not
 /// all.
 #[inline(always)]
 fn bwd_counting<const C: usize, const L: usize, const FUSED: bool>(
@@ -325,7 +327,8 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
     let origin = origin(tiles, tile);
     let mut transmittance = start_transmittance(origin, image.width, image.height);
     let v_planes: [Plane; C] = std::array::from_fn(|channel| cut(v_image, channel, origin));
-    // Σ over channels of image · v_image, less what was blended so far: all channels, statistic's alone.
+    // Σ over channels of image · v_image, minus the part blended so far: for all channels, and for the statistic's
+    // alone.
     let mut behind = [0.0; TILE * TILE];
     let mut behind_statistic = [0.0; TILE * TILE];
     for (channel, v_plane) in v_planes.iter().enumerate() {

@@ -1,7 +1,7 @@
-//! Which splats each tile draws, in which order.
+//! The sorted list of splats of each tile.
 //!
-//! Depths are sorted once over all splats; tiles then take their share in that order, so each
-//! tile's list is sorted too. One (tile, splat) combination is a *pair*; pairs lie tile by tile.
+//! Depths are sorted once over all splats. Tiles then take their splats in that order, so each tile's list is sorted
+//! too. One (tile, splat) combination is a *pair*; pairs lie tile by tile.
 
 use std::ops::Range;
 
@@ -36,7 +36,7 @@ impl Splat {
         range[0] as usize / TILE..(range[1] as usize).div_ceil(TILE)
     }
 
-    /// Columns and rows of the pixels that it may reach.
+    /// Columns and rows of the pixels that the splat may reach.
     fn pixels(&self) -> [Range<usize>; 2] {
         [self.columns, self.rows].map(|[first, end]| first as usize..end as usize)
     }
@@ -98,9 +98,9 @@ fn splat(gaussians: &Activated, index: usize, camera: &Camera, splat_camera: &Sp
     })
 }
 
-/// The splats of those Gaussians that reach a pixel, in the order of the Gaussians.
+/// The splats of the Gaussians that reach a pixel, in the order of the Gaussians.
 ///
-/// - `mask`: the tiles that count; none for all
+/// - `mask`: tiles to consider; `None` for all
 fn splats(gaussians: &Activated, camera: &Camera, mask: Option<&TileMask>) -> Vec<Splat> {
     let (splat_camera, num_gaussians) = (SplatCamera::new(camera), gaussians.num_gaussians());
     let chunks: Vec<Vec<Splat>> = (0..num_gaussians)
@@ -111,8 +111,8 @@ fn splats(gaussians: &Activated, camera: &Camera, mask: Option<&TileMask>) -> Ve
     chunks.concat()
 }
 
-/// The splats of some Gaussians that follow each other. Compiled for AVX2 as well, which rounds by an instruction rather
-/// than by a call; the bits are the same.
+/// The splats of consecutive Gaussians. It is compiled for AVX2 as well, which rounds by an instruction rather than by
+/// a call; the bits are the same.
 #[multiversion(targets("x86_64+avx2"))]
 fn splats_of(
     gaussians: &Activated,
@@ -132,8 +132,8 @@ fn splats_of(
     splats
 }
 
-/// The tiles of an image that Gaussians reach: those with a pixel in which one of them, seen alone, has an alpha of at
-/// least [`MIN_ALPHA`], and a few beyond, since a bounding box stands for each ellipse.
+/// The tiles of an image that Gaussians reach. A tile is reached if, in one of its pixels, a single Gaussian seen alone
+/// has an alpha of at least [`MIN_ALPHA`]. A few more tiles count too, because a bounding box replaces each ellipse.
 pub fn tiles_reached(gaussians: &Activated, camera: &Camera) -> TileMask {
     let mut tiles = TileMask::none(camera.width, camera.height);
     for splat in splats(gaussians, camera, None) {
@@ -152,7 +152,7 @@ pub fn gaussians_reaching(gaussians: &Activated, camera: &Camera, mask: &TileMas
     splats(gaussians, camera, Some(mask)).iter().map(|splat| splat.gaussian).collect()
 }
 
-/// How many splats an image has, and how many pairs of a splat and a tile, without holding these in memory.
+/// Counts the splats of an image, and its pairs of a splat and a tile, without holding them in memory.
 pub fn count_pairs(gaussians: &Activated, camera: &Camera) -> PairCounts {
     let splats = splats(gaussians, camera, None);
     let pairs_of = |s: &Splat| Splat::tile_range(s.rows).len() * Splat::tile_range(s.columns).len();
@@ -160,7 +160,7 @@ pub fn count_pairs(gaussians: &Activated, camera: &Camera) -> PairCounts {
 }
 
 impl Tiles {
-    /// - `mask`: the tiles to be drawn, and the only ones with pairs; none for all
+    /// - `mask`: the tiles to draw, which alone have pairs; `None` for all
     ///
     /// # Panics
     /// If there are more than `u32::MAX` pairs; see [`count_pairs`].
@@ -168,7 +168,7 @@ impl Tiles {
         let splats = splats(gaussians, camera, mask);
         laps.lap("project");
 
-        // Depths are positive, so their bits sort as they do; ties go by index.
+        // Depths are positive, so their bits sort like their values; equal depths sort by index.
         let mut order: Vec<u64> =
             splats.par_iter().enumerate().map(|(i, s)| u64::from(s.depth.to_bits()) << 32 | i as u64).collect();
         order.par_sort_unstable();

@@ -1,4 +1,4 @@
-//! How activated Gaussians lie in a device's memory: column after column in one array of f32.
+//! Layout of activated Gaussians in a device's memory: column after column in one array of f32.
 
 use tcgs_core::Activated;
 

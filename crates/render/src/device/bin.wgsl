@@ -1,16 +1,18 @@
-// From splats in the order of their depth to each tile's list of splats, and each list cut into buckets.
-// One (tile, splat) combination is a pair.
+// From splats in depth order to each tile's list of splats; each list is cut into buckets. One (tile, splat)
+// combination is a pair.
 //
-//   bin_count    one thread a place in the order: block_sums [blocks] = pairs of its workgroup
-//   bin_scan     one workgroup: block_sums become offsets; their total decides whether the iteration can go on
-//   bin_emit     one thread a place in the order: writes its pairs (tile, number of the pair), splat by splat in depth order
-//                (a stable sort by tile then keeps that order within a tile)
-//   bin_ranges   one thread a tile that is drawn: where its pairs begin, after the sort
-//   bin_buckets  one workgroup: where its buckets begin
+// - bin_count: one thread per place in the order: block_sums [blocks] = pairs of its workgroup
+// - bin_scan: one workgroup: block_sums become offsets; their total decides whether the iteration can continue
+// - bin_emit: one thread per place in the order: writes its pairs (tile, number of the pair), splat by splat in depth
+//   order (a stable sort by tile then keeps that order within a tile)
+// - bin_ranges: one thread per drawn tile: offset of its pairs, after the sort
+// - bin_buckets: one workgroup: offset of its buckets
 //
-// Tiles that are drawn have slots, 0 to T; keys of pairs and tables count slots.
-// tiles [2 (T + 1) + buckets]: first pair of each slot | first bucket of each slot | slot of each bucket, DEAD where
-// forward ended before it. status: (halted, most pairs needed when too many, pairs needed last, 0). arguments: of dispatches, three each: sort, buckets.
+// Drawn tiles have slots, 0 to T; keys of pairs and tables use slots.
+// - tiles [2 (T + 1) + buckets]: first pair of each slot | first bucket of each slot | slot of each bucket, DEAD if
+//   forward ended before it
+// - status: (halted, most pairs needed when too many, pairs needed last, 0)
+// - arguments: of dispatches, three each: sort, buckets
 
 @group(0) @binding(1) var<storage, read> splats: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;
@@ -27,12 +29,13 @@
 
 var<workgroup> sums: array<u32, WORKGROUP>;
 
-// So that too many pairs to count are still too many.
+// Saturates, so that an overflowing number of pairs still exceeds the capacity.
 fn saturating_add(a: u32, b: u32) -> u32 {
     return a + min(b, ~a);
 }
 
-// Exclusive sum over the workgroup; the total is left in the last of sums. Once that is the largest number, the others say nothing.
+// Exclusive sum over the workgroup; the last of sums holds the total. A saturated total makes the other sums
+// meaningless.
 fn scan(lane: u32, value: u32) -> u32 {
     workgroupBarrier();
     sums[lane] = value;
@@ -120,8 +123,8 @@ fn bin_emit(
     let rest = splats[2u * i + 1u];
     let conic = vec3<f32>(shape.zw, bitcast<f32>(rest.x));
     let limit = reach(bitcast<f32>(rest.y));
-    // As many as were counted, even if two compilations of reaches_tile round differently: what is then missing is made
-    // up for by the last tiles, in which nothing will be seen of it.
+    // Emits exactly the counted number of pairs, even if two compilations of reaches_tile round differently. The last
+    // tiles make up for missing pairs, and the splat is invisible there.
     var pair = first;
     let end = first + count;
     var left = num_slots(vec2<u32>(rest.z & 0xffffu, rest.z >> 16u), vec2<u32>(rest.w & 0xffffu, rest.w >> 16u));
@@ -150,7 +153,7 @@ fn bin_ranges(@builtin(global_invocation_id) id: vec3<u32>) {
     if slot > view.num_tiles {
         return;
     }
-    // First pair whose slot is not below this one.
+    // First pair whose slot is at least this one.
     var low = 0u;
     var high = num_pairs[0];
     while low < high {

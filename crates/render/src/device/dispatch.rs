@@ -1,28 +1,28 @@
-//! How many workgroups a dispatch has: a thread an element, in workgroups of one size, within the limits of every
+//! Number of workgroups of a dispatch: one thread per element, in workgroups of one size, within the limits of every
 //! adapter.
 
-/// Threads of a workgroup wherever a shader has one thread an element.
+/// Threads per workgroup in every shader with one thread per element.
 pub const WORKGROUP: u32 = 256;
 
-/// Most workgroups along x where a count of them may pass the limit of one dimension; the rest go along y.
+/// Most workgroups along x in a dispatch that may need several rows; the rest go along y.
 pub const MAX_GROUPS_X: u32 = 32_768;
 
-/// Most workgroups along one dimension of a dispatch that every adapter takes.
+/// Most workgroups along one dimension of a dispatch that every adapter accepts.
 pub(crate) const MAX_GROUPS: usize = 65_535;
 
-/// Most elements that have a thread each in one dispatch along x.
+/// Most elements in one dispatch along x with one thread per element.
 pub const MAX_THREADS: usize = MAX_GROUPS * WORKGROUP as usize;
 
-/// Workgroups along x, y and z where each of `len` elements has a thread: [`WORKGROUP`] of them a workgroup.
+/// Workgroups along x, y and z for `len` elements with one thread each, [`WORKGROUP`] threads per workgroup.
 ///
 /// - `len`: at most [`MAX_THREADS`]
 pub fn groups_over(len: usize) -> [u32; 3] {
     [(len as u32).div_ceil(WORKGROUP), 1, 1]
 }
 
-/// Workgroups along x, y and z where `len` of them are wanted: more than [`MAX_GROUPS_X`] fill several rows, the last of
-/// which may be too long. A workgroup's number is `workgroup_id.y * MAX_GROUPS_X + workgroup_id.x`; where that is not
-/// below `len` it has nothing to do.
+/// Workgroups along x, y and z for at least `len` workgroups. More than [`MAX_GROUPS_X`] fill several rows, and the
+/// last row may be too long. A workgroup's number is `workgroup_id.y * MAX_GROUPS_X + workgroup_id.x`; a workgroup
+/// whose number is `len` or more does nothing.
 ///
 /// ```
 /// assert_eq!(tcgs_render::device::groups_in_rows(5), [5, 1, 1]);

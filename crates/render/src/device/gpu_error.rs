@@ -1,15 +1,15 @@
-//! What a GPU says of itself, and how it fails: the same whatever interface it is reached through.
+//! Description of a GPU, and its errors: the same for every interface to it.
 
 use std::convert::Infallible;
 
-/// What an adapter says of itself.
+/// An adapter's description of itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GpuInfo {
     /// Name of the adapter.
     pub name: String,
     /// Driver and its version.
     pub driver: String,
-    /// Interface through which the adapter is reached: Vulkan, Metal, …
+    /// Interface to the adapter: Vulkan, Metal, …
     pub backend: String,
     /// Whether the adapter is a program on the CPU, such as Mesa's lavapipe.
     pub is_software: bool,
@@ -17,34 +17,34 @@ pub struct GpuInfo {
     pub features: Vec<&'static str>,
 }
 
-/// Why a GPU cannot be used, or no longer.
+/// Why a GPU cannot be used, or stopped working.
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum GpuError {
-    /// There is no adapter as the caller wants it.
+    /// No adapter matches the caller's choice.
     #[error("no GPU {wanted}, found {found}")]
     NotFound {
-        /// What the caller asked for.
+        /// The caller's choice.
         wanted: String,
-        /// Names of all adapters that there are.
+        /// Names of all adapters.
         found: String,
     },
-    /// The adapter cannot do what the shaders need.
+    /// The adapter lacks a capability that the shaders need.
     #[error("the GPU {name} {problem}")]
     Unfit {
         /// Name of the adapter.
         name: String,
-        /// What the adapter lacks.
+        /// The missing capability.
         problem: String,
     },
-    /// A buffer is larger than the adapter allows, or than the memory left.
+    /// A buffer exceeds the adapter's limit or the free memory.
     #[error("{what} needs {bytes} bytes on the GPU, {problem}")]
     Memory {
-        /// Which buffer.
+        /// Name of the buffer.
         what: String,
         /// Size of the buffer.
         bytes: u64,
-        /// The limit that the size meets.
+        /// The limit that the size exceeds.
         problem: String,
     },
     /// The driver gave up, or the device was removed.
@@ -55,7 +55,7 @@ pub enum GpuError {
     Refused(String),
 }
 
-/// For renderers that are chosen while the program runs, some of which never fail.
+/// For renderers chosen at run time, some of which never fail.
 impl From<Infallible> for GpuError {
     fn from(never: Infallible) -> Self {
         match never {}

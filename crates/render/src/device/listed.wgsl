@@ -1,7 +1,9 @@
-// Which Gaussians and tiles are drawn: those of a list, as whole.wgsl has it for all.
+// Selection of Gaussians and tiles by a list; whole.wgsl has the same functions for all of them.
 //
-// lists, from view.lists_at on: [L] Gaussians, in the order that equal depths are drawn in | [grid] the slot of each tile, not
-// below T where it is not drawn | [T] the tile of each slot.
+// lists, from view.lists_at on, has three parts:
+// - [L] Gaussians, in the order in which equal depths are drawn
+// - [grid] the slot of each tile; at least T if the tile is not drawn
+// - [T] the tile of each slot
 
 const LISTED: bool = true;
 

@@ -1,6 +1,5 @@
-//! The renderer on a device, as far as no device's interface is needed: how Gaussians lie in memory, how large buffers
-//! are, what uniforms hold, how a dispatch is cut, the text of the shaders. Module `gpu` runs it through `wgpu`; another
-//! device would start here.
+//! The device renderer's parts that need no device interface: memory layout of Gaussians, buffer sizes, uniforms,
+//! dispatch sizes, and shader sources. Module `gpu` runs it through `wgpu`; another device would start here.
 
 mod activated;
 mod dispatch;

@@ -1,14 +1,16 @@
 // Projection of Gaussians to splats, and its vector-Jacobian product.
 //
-// project_fwd: one thread a listed Gaussian; keys and values are by its place in the list.
-//   reads   activated [(11 + C) N]: means, unit quats (w, x, y, z), scales, opacities, colors
-//   writes  splats [2 N]: (mean2d, conic xx, xy), (conic yy, opacity, tile columns, tile rows); ranges are first | end << 16
-//           keys [L]: bits of the depth, NO_DEPTH where no tile is reached; values [L]: the Gaussian's index
-//           tile_counts [N]: tiles reached that are drawn, and VISIBLE where the splat's bounds hold a pixel
-// project_bwd: one thread a row of gradients (R of them, those of the first Gaussians); adds up its pairs and takes the
-// sums back through the projection.
-//   reads   activated; tile_counts; pair_first [N]; v_pairs [pairs, PAIR_GRADS + C]
-//   writes  v_activated [(11 + C) R]; v_means2d_ndc [3 R]: the statistic's x, y, and 1 where visible
+// project_fwd: one thread per listed Gaussian; keys and values are at its place in the list.
+// - reads activated [(11 + C) N]: means, unit quats (w, x, y, z), scales, opacities, colors
+// - writes splats [2 N]: (mean2d, conic xx, xy), (conic yy, opacity, tile columns, tile rows); ranges are first | end
+//   << 16
+// - writes keys [L]: bits of the depth, NO_DEPTH if no tile is reached; values [L]: the Gaussian's index
+// - writes tile_counts [N]: number of drawn tiles reached, and VISIBLE if the splat's bounds hold a pixel
+//
+// project_bwd: one thread per row of gradients (R rows, of the first Gaussians); adds up its pairs and takes the sums
+// back through the projection.
+// - reads activated; tile_counts; pair_first [N]; v_pairs [pairs, PAIR_GRADS + C]
+// - writes v_activated [(11 + C) R]; v_means2d_ndc [3 R]: the statistic's x, y, and 1 where visible
 
 @group(0) @binding(1) var<storage, read> activated: array<f32>;
 @group(0) @binding(2) var<storage, read_write> splats: array<vec4<u32>>;
@@ -44,7 +46,7 @@ fn rotmat_from_quat(q: vec4<f32>) -> array<vec3<f32>, 3> {
     );
 }
 
-// What forward and backward share; see `Chain` in project.rs.
+// Values that forward and backward share; see `ProjectionChain` in project.rs.
 struct Chain {
     ok: bool,
     point: vec3<f32>,

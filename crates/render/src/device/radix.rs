@@ -1,4 +1,5 @@
-//! The radix sort without a device: its sizes, the uniform of a pass, the shader. See `gpu/radix.rs` for how it works.
+//! The radix sort without a device: its sizes, the uniform of a pass, the shader. `gpu/radix.rs` explains the
+//! algorithm.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -8,17 +9,17 @@ use super::renderer::source;
 /// Keys that one workgroup counts and scatters.
 pub const SORT_BLOCK: usize = 1024;
 
-/// Bits of a digit: a pass sorts by one.
+/// Bits of a digit; a pass sorts by one digit.
 const DIGIT_BITS: u32 = 8;
 
 /// Values of a digit, and threads of a workgroup.
 pub const NUM_DIGITS: usize = 1 << DIGIT_BITS;
 
-/// Up to so many blocks one workgroup scans the counts of all of them: a workgroup a digit with its barriers would take longer, on
-/// a processor that acts as a GPU many times as long as all else.
+/// Up to this many blocks, one workgroup scans all counts. One workgroup per digit would take longer because of its
+/// barriers: on a processor that acts as a GPU, many times as long as everything else.
 pub const FEW_BLOCKS: usize = 32;
 
-/// Most keys that can be sorted: a workgroup a block, along x.
+/// Most keys that can be sorted: one workgroup per block, along x.
 pub const MAX_KEYS: usize = MAX_GROUPS * SORT_BLOCK;
 
 /// One pass of the sort, as `Sort` in `radix.wgsl` reads it.
@@ -27,9 +28,9 @@ pub const MAX_KEYS: usize = MAX_GROUPS * SORT_BLOCK;
 pub struct SortUniform {
     /// Position of the digit's lowest bit in a key.
     pub shift: u32,
-    /// Keys that the buffers hold.
+    /// Capacity of the buffers, keys.
     pub capacity: u32,
-    /// Blocks of a full buffer: entries of a row of the table of counts.
+    /// Blocks of a full buffer, which is the length of a row of the table of counts.
     pub stride: u32,
     /// Not read.
     pub padding: u32,
@@ -37,7 +38,7 @@ pub struct SortUniform {
 
 /// The passes that sort keys by their lowest `bits`, in order.
 ///
-/// - `capacity`: keys that the buffers hold
+/// - `capacity`: capacity of the buffers, keys
 ///
 /// # Panics
 /// If `bits` exceeds the 32 of a key.

@@ -1,18 +1,18 @@
 // One pass of a stable radix sort by a digit of 8 bits, in three kernels; a workgroup of count and scatter takes
 // SORT_BLOCK keys in their order.
 //
-//   radix_count    keys_in [len] -> table [DIGITS, stride]: how often each digit occurs in each block
-//   radix_scan     table -> each row's exclusive prefix sums over the blocks, in place; totals [DIGITS]: the rows' sums
-//   radix_scatter  keys_in, values_in [len], table, totals -> keys_out, values_out [len]
+// - radix_count: keys_in [len] -> table [DIGITS, stride]: number of occurrences of each digit in each block
+// - radix_scan: table -> each row's exclusive prefix sums over the blocks, in place; totals [DIGITS]: the rows' sums
+// - radix_scatter: keys_in, values_in [len], table, totals -> keys_out, values_out [len]
 //
-// len = min(count[0], capacity). Nothing past len is read or written.
+// len = min(count[0], capacity). Entries past len are neither read nor written.
 
 struct Sort {
-    // Of the digit's lowest bit.
+    // Position of the digit's lowest bit.
     shift: u32,
-    // Keys that the buffers hold.
+    // Capacity of the buffers, keys.
     capacity: u32,
-    // Of the table's rows: blocks of a full buffer.
+    // Length of the table's rows: blocks of a full buffer.
     stride: u32,
     padding: u32,
 }
@@ -26,18 +26,18 @@ struct Sort {
 @group(0) @binding(6) var<storage, read_write> totals: array<u32>;
 @group(0) @binding(7) var<uniform> sort: Sort;
 
-// DIGITS, values of a digit, is also the number of a workgroup's threads: thread d stands for digit d too.
+// DIGITS, the number of values of a digit, is also the number of threads of a workgroup: thread d handles digit d too.
 
 // Words of 32 bits that hold a bit for each thread.
 const WORDS: u32 = DIGITS / 32u;
 // Blocks that a thread of radix_scan adds up by itself.
 const RUN: u32 = 4u;
-// Up to FEW blocks the first workgroup scans all rows, a thread each.
+// Up to FEW blocks, the first workgroup scans all rows, one thread per row.
 
 var<workgroup> counts: array<atomic<u32>, DIGITS>;
 var<workgroup> sums: array<u32, 2u * DIGITS>;
 var<workgroup> next: array<u32, DIGITS>;
-// [WORDS, DIGITS]: which threads hold which digit. The digits are adjacent, so that thread d meets no bank twice.
+// [WORDS, DIGITS]: the threads that hold each digit. The digits are adjacent, so that thread d has no bank conflicts.
 var<workgroup> holders: array<atomic<u32>, WORDS * DIGITS>;
 
 fn num_keys() -> u32 {
@@ -48,8 +48,8 @@ fn digit_of(key: u32) -> u32 {
     return (key >> sort.shift) & (DIGITS - 1u);
 }
 
-// Sum of `value` over this thread and those before it. Leaves that of thread i in sums[i]; who calls it again must
-// put a barrier between the last look at sums and the call.
+// Inclusive prefix sum of `value` over the threads. Leaves thread i's sum in sums[i]; a caller needs a barrier between
+// its last read of sums and the next call.
 fn inclusive_sum(thread: u32, value: u32) -> u32 {
     var sum = value;
     var side = 0u;
@@ -59,7 +59,7 @@ fn inclusive_sum(thread: u32, value: u32) -> u32 {
         if (thread >= distance) {
             sum += sums[side + thread - distance];
         }
-        // Two sides in turn: one barrier a step is enough.
+        // The two halves alternate, so one barrier per step is enough.
         side = DIGITS - side;
         sums[side + thread] = sum;
     }
@@ -125,7 +125,7 @@ fn radix_scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
     }
 }
 
-// The DIGITS keys of a round are ranked at once: a key's place is the next one of its digit, plus the number of earlier
+// The DIGITS keys of a round are ranked at once: a key goes to the next place of its digit, plus the number of earlier
 // threads with the same digit.
 @compute @workgroup_size(DIGITS)
 fn radix_scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {

@@ -1,10 +1,10 @@
-// Backward of blending. One workgroup a bucket, one thread a splat: pixels pass from thread to thread, so that each
-// meets the bucket's splats front to back, and every thread sums its own splat's gradients in registers.
-//   reads   splats, activated (colors), pair_gaussian, pair_values, tiles, image, v_image [C, H, W], checkpoints
-//   writes  v_pairs [pairs, PAIR_GRADS + C]: gradients to mean2d, conic, opacity, the statistic's mean2d, colors; none of a
-//           bucket without an active Gaussian
+// Backward of blending. One workgroup per bucket, one thread per splat. Pixels pass from thread to thread, so each
+// pixel meets the bucket's splats front to back, and every thread sums its splat's gradients in registers.
+// - reads splats, activated (colors), pair_gaussian, pair_values, tiles, image, v_image [C, H, W], checkpoints
+// - writes v_pairs [pairs, PAIR_GRADS + C]: gradients to mean2d, conic, opacity, the statistic's mean2d, colors; skips
+//   buckets without an active Gaussian
 //
-// What lies behind a splat is the finished image less what was blended up to it.
+// The colour behind a splat is the finished image minus the colour blended up to the splat.
 
 @group(0) @binding(1) var<storage, read> splats: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> activated: array<f32>;
@@ -17,7 +17,7 @@
 @group(0) @binding(9) var<storage, read_write> v_pairs: array<f32>;
 
 var<workgroup> transmittances: array<f32, PIXELS>;
-// Sum over channels of image * v_image behind the splats met so far: all channels, the statistic's alone.
+// Sum over channels of image * v_image behind the splats met so far: for all channels, and for the statistic's alone.
 var<workgroup> behinds: array<vec2<f32>, PIXELS>;
 var<workgroup> v_pixels: array<f32, PIXELS * CHANNELS>;
 var<workgroup> num_active: atomic<u32>;

@@ -1,8 +1,10 @@
-// Blending of each tile's splats, front to back. One workgroup a tile that is drawn, one thread a pixel.
-//   reads   splats, activated (colors), pair_gaussian [pairs], pair_values [pairs] (numbers of pairs, sorted by tile, then depth)
-//   writes  image [C + 1, H, W]: colours, then transmittance; only in tiles that are drawn
-//           with KEEPS: checkpoints [buckets, 1 + C, PIXELS]: transmittance (not above 0 where the pixel was finished) and
-//           what was blended before each bucket that holds an active Gaussian; tiles: the slot of each bucket
+// Blending of each tile's splats, front to back. One workgroup per drawn tile, one thread per pixel.
+// - reads splats, activated (colors), pair_gaussian [pairs], pair_values [pairs] (numbers of pairs, sorted by tile,
+//   then depth)
+// - writes image [C + 1, H, W]: colours, then transmittance; only in drawn tiles
+// - writes, with KEEPS, checkpoints [buckets, 1 + C, PIXELS] before each bucket with an active Gaussian: transmittance
+//   (not above 0 if the pixel was finished) and blended colour
+// - writes, with KEEPS, tiles: the slot of each bucket
 
 @group(0) @binding(1) var<storage, read> splats: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> activated: array<f32>;

@@ -1,4 +1,4 @@
-//! The renderer without a device: how much its buffers hold, the uniform of a view, the shaders.
+//! The renderer without a device: its buffer sizes, the uniform of a view, the shaders.
 
 use bytemuck::{Pod, Zeroable};
 use tcgs_core::Camera;
@@ -8,32 +8,32 @@ use crate::project::SplatCamera;
 use crate::settings::{self, MAX_CHANNELS, RenderSettings};
 use crate::tiling::{EXTENT_FACTOR, EXTENT_MARGIN_PX, PAIR_GRADS, TILE, tile_grid};
 
-/// Splats of a bucket: backward gives each bucket of a tile a workgroup with one thread a splat, and
-/// forward keeps what it has blended before each bucket.
+/// Splats of a bucket. Backward gives each bucket of a tile a workgroup with one thread per splat; forward saves the
+/// blended colour and transmittance before each bucket.
 pub const BUCKET: usize = 32;
 
-/// Marks a tile count of a splat whose bounds hold a pixel, whether or not a tile is reached.
+/// Flag in a splat's tile count: its bounds hold a pixel, whether or not a tile is reached.
 pub const VISIBLE: u32 = 0x8000_0000;
 
-/// What the buffers of a renderer hold at most.
+/// Capacity of a renderer's buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capacity {
     /// `N`, exactly.
     pub num_gaussians: usize,
     /// `C`, 1 to 8, exactly.
     pub num_channels: usize,
-    /// Pixels of an image.
+    /// Pixels of the largest image.
     pub num_pixels: usize,
-    /// Tiles of an image that are drawn.
+    /// Most tiles of an image that are drawn.
     pub num_tiles: usize,
-    /// Combinations of a tile and a splat that reaches it.
+    /// Most pairs of a tile and a splat that reaches it.
     pub num_pairs: usize,
     /// Whether there is room for the backward pass.
     pub backward: bool,
 }
 
 impl Capacity {
-    /// Room for images of any of the cameras, and a first guess of the pairs: two a Gaussian and sixteen a tile.
+    /// Room for images of any of the cameras, and a first guess of the pairs: two per Gaussian and sixteen per tile.
     pub fn new<'a>(
         num_gaussians: usize,
         num_channels: usize,
@@ -50,7 +50,7 @@ impl Capacity {
         Self { num_gaussians, num_channels, num_pixels, num_tiles, num_pairs, backward }
     }
 
-    /// Whether a renderer of this capacity draws what was asked for with another.
+    /// Whether a renderer of this capacity can draw a request for another capacity.
     pub fn serves(&self, wanted: &Self) -> bool {
         self.num_gaussians == wanted.num_gaussians
             && self.num_channels == wanted.num_channels
@@ -65,7 +65,7 @@ impl Capacity {
         self.num_pairs / BUCKET + self.num_tiles
     }
 
-    /// Bits of the largest number of a tile; at least one.
+    /// Bits of the largest tile number; at least one.
     pub fn tile_bits(&self) -> u32 {
         (usize::BITS - self.num_tiles.saturating_sub(1).leading_zeros()).max(1)
     }
@@ -85,7 +85,8 @@ impl Capacity {
         2 * (self.num_tiles + 1) + self.num_buckets()
     }
 
-    /// 32-bit values that forward keeps before each bucket, for every pixel of its tile: `[buckets, 1 + C, PIXELS]`.
+    /// 32-bit values of forward's checkpoints before each bucket, for every pixel of its tile:
+    /// `[buckets, 1 + C, PIXELS]`.
     pub fn checkpoints_len(&self) -> usize {
         self.num_buckets() * (1 + self.num_channels) * TILE * TILE
     }
@@ -96,19 +97,19 @@ impl Capacity {
     }
 }
 
-/// What of a scene and of an image a view draws, and what of it gets a gradient.
+/// The part of a scene and an image that a view draws, and the Gaussians that get a gradient.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct ViewPart {
     /// Gaussians that may be drawn.
     pub num_listed: u32,
-    /// Rows of gradients: those of the first Gaussians.
+    /// Rows of gradients, for the first Gaussians.
     pub num_rows: u32,
-    /// Of these rows the first ones, which get a gradient; the others get zeros.
+    /// Number of leading rows that get a gradient; the other rows get zeros.
     pub num_active: u32,
     /// Tiles that are drawn.
     pub num_tiles: u32,
-    /// Where the view's lists begin; `listed.wgsl` says what they hold.
+    /// Offset of the view's lists; `listed.wgsl` describes their contents.
     pub lists_at: u32,
 }
 
@@ -132,24 +133,24 @@ pub struct ViewUniform {
     pub grid: [u32; 2],
     /// `N`
     pub num_gaussians: u32,
-    /// Pairs that there is room for.
+    /// Capacity of the buffers, pairs.
     pub pair_capacity: u32,
     /// Leading channels that the densification statistic counts.
     pub statistic_channels: u32,
-    /// What of the scene and of the image is drawn.
+    /// The part of the scene and of the image that is drawn.
     pub part: ViewPart,
     /// 1 if splats are antialiased, else 0.
     pub antialiased: u32,
-    /// Up to a multiple of 16 bytes.
+    /// Padding to a multiple of 16 bytes.
     pub padding: [u32; 3],
-    /// Colour behind everything, one value a channel.
+    /// Colour behind everything, one value per channel.
     pub background: [f32; MAX_CHANNELS],
 }
 
 impl ViewUniform {
-    /// A view of everything by `camera` with a renderer of `capacity`.
+    /// A view of everything from `camera`, for a renderer of `capacity`.
     ///
-    /// - `antialiased`: [`Activated::is_antialiased`](tcgs_core::Activated) of what is drawn
+    /// - `antialiased`: [`Activated::is_antialiased`](tcgs_core::Activated) of the drawn Gaussians
     ///
     /// # Panics
     /// If the image is larger than there is room for.
@@ -166,7 +167,7 @@ impl ViewUniform {
         Self::of_part(camera, settings, antialiased, capacity, part)
     }
 
-    /// A view of a part by `camera` with a renderer of `capacity`; otherwise as [`Self::new`].
+    /// A view of a part from `camera`, for a renderer of `capacity`; otherwise as [`Self::new`].
     ///
     /// # Panics
     /// If the image or the part is larger than there is room for.
@@ -215,9 +216,9 @@ impl ViewUniform {
     }
 }
 
-/// What every shader of the renderer starts with: the constants of [`settings`], of the tiling and of this module.
+/// The common start of every shader of the renderer: the constants of [`settings`], of the tiling and of this module.
 ///
-/// - `num_channels`: of the colours, 1 to 8
+/// - `num_channels`: number of colour channels, 1 to 8
 pub(super) fn source(num_channels: usize) -> Wgsl {
     Wgsl::new()
         .constant("NEAR", settings::NEAR as f32)
@@ -252,20 +253,20 @@ pub struct RenderSources {
     pub rasterize_bwd: String,
 }
 
-/// Of which Gaussians and tiles shaders make an image.
+/// Set of Gaussians and tiles that the shaders draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Coverage {
-    /// Of all.
+    /// All of them.
     Whole,
-    /// Of those that a view's lists name: [`ViewPart`].
+    /// The ones in a view's lists: [`ViewPart`].
     Listed,
 }
 
 impl RenderSources {
-    /// Puts the shaders together.
+    /// Assembles the shaders.
     ///
-    /// - `num_channels`: of the colours, 1 to 8
-    /// - `keeps`: whether forward keeps what backward needs
+    /// - `num_channels`: number of colour channels, 1 to 8
+    /// - `keeps`: whether forward saves state for backward
     pub fn new(num_channels: usize, keeps: bool, coverage: Coverage) -> Self {
         let coverage = match coverage {
             Coverage::Whole => include_str!("whole.wgsl"),
@@ -282,8 +283,9 @@ impl RenderSources {
     }
 }
 
-/// Every shader of the renderer with its name, as a device gets it; where the channels count, once for colour (3) and
-/// once for colour with segmentation (5); those for lists, which train, with segmentation alone.
+/// Every shader of the renderer with its name, as a device gets it. Shaders that depend on the channels appear once for
+/// colour (3) and once for colour with segmentation (5). Shaders with lists are for training and appear with
+/// segmentation alone.
 pub fn sources() -> Vec<(String, String)> {
     let mut sources = vec![("radix".into(), sort_source())];
     let kinds = [(3, Coverage::Whole, "3"), (5, Coverage::Whole, "5"), (5, Coverage::Listed, "listed")];

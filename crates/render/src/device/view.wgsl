@@ -1,4 +1,4 @@
-// What every kernel of the renderer knows: the camera and the sizes.
+// Uniform of every kernel of the renderer: the camera and the sizes.
 struct View {
     rows: array<vec4<f32>, 3>,          // camera_from_world
     focal: vec2<f32>,                   // pixels
@@ -21,5 +21,5 @@ struct View {
 
 @group(0) @binding(0) var<uniform> view: View;
 
-// Marks a bucket that forward did not reach: its tile was finished before.
+// Marks a bucket that forward did not reach, because its tile was finished before.
 const DEAD: u32 = 0x80000000u;

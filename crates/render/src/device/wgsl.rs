@@ -1,4 +1,4 @@
-//! The text of a shader: constants whose values stand in Rust, then the parts that use them.
+//! Assembles the text of a shader: constants defined in Rust, then the parts that use them.
 
 use std::fmt::Write;
 
@@ -7,7 +7,7 @@ pub trait WgslValue {
     /// Its type in WGSL.
     const TYPE: &'static str;
 
-    /// As WGSL writes it.
+    /// Literal in WGSL.
     ///
     /// # Panics
     /// If WGSL has no such value: a float that is not finite, an integer beyond 32 bits.
@@ -47,8 +47,8 @@ impl WgslValue for bool {
     }
 }
 
-/// A shader's source while it is put together. A number that both sides need stands once, in Rust, and comes here by
-/// [`Self::constant`].
+/// A shader's source under construction. A number that both sides need is defined once, in Rust, and [`Self::constant`]
+/// declares it here.
 ///
 /// ```
 /// use tcgs_render::device::Wgsl;
@@ -74,8 +74,8 @@ impl Wgsl {
         self
     }
 
-    /// Declares `harmonics(direction: vec3<f32>) -> array<f32, 15>`, the real spherical harmonics of degrees 1 to 3, and the
-    /// constants in them.
+    /// Declares `harmonics(direction: vec3<f32>) -> array<f32, 15>`, the real spherical harmonics of degrees 1 to 3,
+    /// and their constants.
     #[must_use]
     pub fn harmonics(self) -> Self {
         self.part(include_str!("harmonics.wgsl"))

@@ -1,4 +1,4 @@
-// Which Gaussians and tiles are drawn: all. Another part, listed.wgsl, has the same functions for those of a list.
+// Selection of all Gaussians and tiles; listed.wgsl has the same functions for those of a list.
 
 const LISTED: bool = false;
 
@@ -7,7 +7,7 @@ fn gaussian_at(place: u32) -> u32 {
     return place;
 }
 
-// The slot of a tile; not below view.num_tiles where it is not drawn.
+// The slot of a tile; at least view.num_tiles if the tile is not drawn.
 fn slot_of(tile: vec2<u32>) -> u32 {
     return tile.y * view.grid.x + tile.x;
 }
@@ -16,7 +16,7 @@ fn tile_of(slot: u32) -> vec2<u32> {
     return vec2<u32>(slot % view.grid.x, slot / view.grid.x);
 }
 
-// How many tiles of a rectangle are drawn; ranges are first and end.
+// Number of drawn tiles of a rectangle; ranges are first and end.
 fn num_slots(columns: vec2<u32>, rows: vec2<u32>) -> u32 {
     return (columns.y - columns.x) * (rows.y - rows.x);
 }

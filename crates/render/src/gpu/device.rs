@@ -1,4 +1,4 @@
-//! An open GPU: its name, and the first error that it met. Its memory and its shaders are in `raw`.
+//! An open GPU: its description, and its first error. Its memory and its shaders are in `raw`.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::kernel::Kernel;
 use crate::device::{GpuError, GpuInfo};
 
-/// An open GPU, by which the renderer and the optimisation compute. Clones share one device.
+/// An open GPU, on which the renderer and the optimisation compute. Clones share one device.
 #[derive(Clone, Debug)]
 pub struct Gpu(pub(super) Arc<Inner>);
 
@@ -17,9 +17,9 @@ pub(super) struct Inner {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
     info: GpuInfo,
-    /// The first thing that went wrong.
+    /// The first error.
     problem: Arc<Mutex<Option<GpuError>>>,
-    /// By source and entry point: nothing is compiled twice.
+    /// Keyed by source and entry point, so that nothing is compiled twice.
     pub kernels: Mutex<HashMap<(String, &'static str), Kernel>>,
     pub submissions: AtomicUsize,
     pub reads: AtomicUsize,
@@ -31,7 +31,7 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 impl Gpu {
-    /// An open device; what goes wrong with it is kept from now on.
+    /// Wraps an open device and records its errors from then on.
     pub(super) fn of_device(
         about: &wgpu::AdapterInfo,
         features: wgpu::Features,
@@ -41,7 +41,7 @@ impl Gpu {
         let problem = Arc::new(Mutex::new(None));
         let keep = |problem: &Mutex<Option<GpuError>>, error: GpuError| {
             let mut kept = lock(problem);
-            // What is refused after a loss is refused because of it.
+            // The loss is the cause of all later refusals, so it replaces them.
             if kept.is_none() || matches!(error, GpuError::Lost(_)) {
                 *kept = Some(error);
             }
@@ -88,15 +88,15 @@ impl Gpu {
         &self.0.info
     }
 
-    /// Fails if anything has gone wrong so far.
+    /// Fails if an error has occurred.
     ///
     /// # Errors
-    /// The first thing that has.
+    /// The first error.
     pub fn check(&self) -> Result<(), GpuError> {
         let problem = || lock(&self.0.problem).clone().map_or(Ok(()), Err);
         problem().or_else(|error| {
             if matches!(error, GpuError::Refused(_)) {
-                // It may be refused because the device is lost, which may be told only once it is idle.
+                // A lost device may be reported only once it is idle, so a refusal may be due to the loss.
                 let _ = self.poll_device(wgpu::PollType::wait_indefinitely());
             }
             problem()
@@ -106,7 +106,7 @@ impl Gpu {
     /// Waits until all submitted work is done.
     ///
     /// # Errors
-    /// What has gone wrong meanwhile.
+    /// An error that occurred meanwhile.
     pub fn wait(&self) -> Result<(), GpuError> {
         self.poll_until(wgpu::PollType::wait_indefinitely())
     }
@@ -114,7 +114,7 @@ impl Gpu {
     /// Lets callbacks of finished copies and of errors run; does not wait.
     ///
     /// # Errors
-    /// What has gone wrong meanwhile.
+    /// An error that occurred meanwhile.
     pub fn poll(&self) -> Result<(), GpuError> {
         self.poll_until(wgpu::PollType::Poll)
     }
@@ -126,7 +126,7 @@ impl Gpu {
     }
 
     fn poll_device(&self, until: wgpu::PollType) -> Result<(), GpuError> {
-        // wgpu panics if the device is lost meanwhile, after it has told the callback.
+        // If the device is lost meanwhile, wgpu calls the callback and then panics.
         match catch_unwind(AssertUnwindSafe(|| self.0.device.poll(until))) {
             Ok(Ok(_)) => Ok(()),
             Ok(Err(error)) => Err(GpuError::Lost(error.to_string())),

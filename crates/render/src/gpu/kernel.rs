@@ -1,4 +1,4 @@
-//! Compute shaders: a [`Kernel`] is compiled, a [`Bound`] is one with its buffers, which can be dispatched.
+//! Compute shaders: a [`Kernel`] is compiled; a [`Bound`] is a kernel with its buffers and can be dispatched.
 
 use crate::device::{groups_in_rows, groups_over};
 
@@ -63,17 +63,17 @@ impl Bound {
         pass.dispatch_workgroups(x, y, z);
     }
 
-    /// Records one dispatch of `len` workgroups, in rows as [`groups_in_rows`] says.
+    /// Records one dispatch of `len` workgroups, in rows as in [`groups_in_rows`].
     pub fn dispatch_groups(&self, pass: &mut wgpu::ComputePass<'_>, len: usize) {
         self.dispatch(pass, groups_in_rows(len));
     }
 
-    /// Records one dispatch with a thread for each of `len` elements, as [`groups_over`] says.
+    /// Records one dispatch with one thread for each of `len` elements, as in [`groups_over`].
     pub fn dispatch_over(&self, pass: &mut wgpu::ComputePass<'_>, len: usize) {
         self.dispatch(pass, groups_over(len));
     }
 
-    /// Records one dispatch of as many workgroups as three 32-bit values of `arguments` say.
+    /// Records one dispatch whose numbers of workgroups are three 32-bit values in `arguments`.
     ///
     /// - `offset`: bytes
     pub fn dispatch_indirect(&self, pass: &mut wgpu::ComputePass<'_>, arguments: &wgpu::Buffer, offset: u64) {

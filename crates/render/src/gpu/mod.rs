@@ -1,4 +1,4 @@
-//! The GPU renderer: what [`crate::device`] describes, run through `wgpu`.
+//! The GPU renderer: runs [`crate::device`] through `wgpu`.
 //!
 //! Programs need [`Gpu`], [`GpuChoice`] and [`GpuRasterizer`]; none of them has a type of `wgpu` in its documented
 //! interface.

@@ -1,4 +1,4 @@
-//! Which GPU, and whether it can do what is asked of it.
+//! Choice of a GPU, and the check of its capabilities.
 
 use super::{Gpu, GpuError};
 
@@ -13,7 +13,7 @@ pub enum GpuChoice<'a> {
 
 fn instance() -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-    // Indirect arguments are ours, and within limits; checking them would cost a dispatch each.
+    // Indirect arguments are written by our shaders within the limits; checking them would cost a dispatch each.
     descriptor.flags =
         if cfg!(debug_assertions) { wgpu::InstanceFlags::VALIDATION } else { wgpu::InstanceFlags::empty() };
     wgpu::Instance::new(descriptor)
@@ -31,7 +31,7 @@ fn adapters() -> Vec<wgpu::Adapter> {
     adapters
 }
 
-/// What an adapter is opened for.
+/// Purpose of an open adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Purpose {
     /// Everything, within what the adapter allows.
@@ -51,7 +51,7 @@ impl Gpu {
     /// ```
     ///
     /// # Errors
-    /// [`GpuError::NotFound`] if there is none as wanted, [`GpuError::Unfit`] if it cannot run the shaders.
+    /// [`GpuError::NotFound`] if no adapter matches, [`GpuError::Unfit`] if it cannot run the shaders.
     pub fn open(choice: GpuChoice<'_>) -> Result<Self, GpuError> {
         Self::open_for(choice, Purpose::Training)
     }
@@ -81,7 +81,7 @@ impl Gpu {
             };
             match pollster::block_on(Self::of_adapter(adapter, purpose, limits)) {
                 Ok(gpu) => return Ok(gpu),
-                // The next one may fit; if none does, the best one's problem is told.
+                // The next adapter may fit; if none does, the best one's error is returned.
                 Err(error) => problem = problem.or(Some(error)),
             }
         }
@@ -97,7 +97,7 @@ impl Gpu {
         }))
     }
 
-    /// Opens the browser's GPU for a canvas; with larger buffers than every browser allows where it has them.
+    /// Opens the browser's GPU for a canvas. Buffers may exceed the limits of every browser if this one allows more.
     ///
     /// - returns: the GPU, the canvas' surface, not configured yet, and the format that suits it best
     ///
@@ -119,7 +119,7 @@ impl Gpu {
             ..Default::default()
         };
         let adapter = instance.request_adapter(&options).await.map_err(|_| missing("none".into()))?;
-        // Colours are stored as displayed: nothing is to encode them.
+        // Colours are stored as displayed, so the format must not encode them.
         let formats = surface.get_capabilities(&adapter).formats;
         let format = formats.into_iter().find(|format| !format.is_srgb()).unwrap_or(wgpu::TextureFormat::Bgra8Unorm);
         let limits = adapter.limits();
@@ -156,7 +156,7 @@ impl Gpu {
     }
 }
 
-/// What the shaders ask of an adapter that it does not offer.
+/// The first requirement of the shaders that an adapter does not meet.
 fn lacking(limits: &wgpu::Limits, purpose: Purpose) -> Option<String> {
     let storage_buffers = match purpose {
         Purpose::Training => 10,

@@ -1,4 +1,4 @@
-//! Drawing the same Gaussians again and again with a clock, for those who measure.
+//! Draws the same Gaussians repeatedly and measures the time.
 
 use std::time::Instant;
 
@@ -9,7 +9,7 @@ use super::{Gpu, GpuError};
 use crate::device::{Capacity, pack};
 use crate::{PairCounts, RENDER_STAGES, RenderSettings, StageTimes};
 
-/// How many of [`RENDER_STAGES`] draw; the others take the gradient back.
+/// Number of [`RENDER_STAGES`] that draw; the others compute gradients.
 const FORWARD_STAGES: usize = 3;
 
 /// Draws Gaussians that stay on the GPU, stage by stage.
@@ -26,9 +26,9 @@ pub struct RenderProfiler {
 impl RenderProfiler {
     /// Copies the Gaussians to the GPU.
     ///
-    /// - `cameras`: all that [`Self::sample`] will be called with
-    /// - `backward`: whether the gradient is taken back too, from 1 at every value of the image. Without it nothing is
-    ///   kept for it.
+    /// - `cameras`: all cameras that [`Self::sample`] will be called with
+    /// - `backward`: whether gradients are computed too, from a gradient of 1 at every value of the image. Otherwise
+    ///   forward saves nothing for backward.
     ///
     /// # Errors
     /// [`GpuError`] if the GPU lacks the memory, or fails.
@@ -49,7 +49,7 @@ impl RenderProfiler {
         })
     }
 
-    /// Draws once. Where the GPU has no timestamps there is one stage, `render`, by the clock of the CPU.
+    /// Draws once. On a GPU without timestamps there is one stage, `render`, timed by the CPU's clock.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -60,7 +60,7 @@ impl RenderProfiler {
             if status[0] == 0 {
                 return Ok(times);
             }
-            // Most of it was skipped for want of room; the next attempt has it.
+            // The buffers were too small, so most of it was skipped; the next attempt has larger ones.
             let needed = status[1] as usize;
             let capacity = Capacity { num_pairs: needed + needed / 4, ..*self.renderer.capacity() };
             self.renderer = renderer(&self.gpu, capacity, &self.packed)?;
@@ -98,7 +98,7 @@ impl RenderProfiler {
         Ok(StageTimes { stages: vec![("render", total)], total })
     }
 
-    /// What the last sample had to blend.
+    /// Numbers of pairs and splats in the last sample.
     ///
     /// # Errors
     /// As [`Self::new`].

@@ -1,24 +1,24 @@
-//! A stable sort of 32-bit keys, each with a 32-bit value, of which only the GPU knows how many there are.
+//! A stable sort of 32-bit keys, each with a 32-bit value; only the GPU knows their number.
 //!
 //! A radix sort from the lowest digit up, 8 bits a pass, in reduce-then-scan form: count the digits of each block
 //! of `SORT_BLOCK` keys, scan the counts, scatter. Nothing waits for another workgroup, so it needs no promise of
 //! forward progress, and no subgroups.
 //!
-//! The floor, per key and pass: 12 bytes read (the key twice, the value once), 8 written. The table of counts adds
-//! 2 bytes read and 2 written: 256 counts for 1024 keys, each written, scanned in place and read. Three dispatches
-//! a pass. Scattered writes come in runs of 4 keys a block and digit on average, and meet their neighbours' runs in
-//! the cache.
+//! The floor, per key and pass: 12 bytes read (the key twice, the value once), 8 written. The table of counts adds 2
+//! bytes read and 2 written: 256 counts for 1024 keys, each written, scanned in place and read. A pass has three
+//! dispatches. Scattered writes come in runs of 4 keys per block and digit on average, and meet their neighbours' runs
+//! in the cache.
 
 use super::raw::Bound;
 use super::{Gpu, GpuError};
 use crate::device::{FEW_BLOCKS, MAX_KEYS, NUM_DIGITS, SORT_BLOCK, sort_passes, sort_source};
 
-/// How many blocks of `SORT_BLOCK` keys a sort covers; more than there are keys for cost a workgroup each.
+/// Number of blocks of `SORT_BLOCK` keys that a sort covers; each block beyond the keys costs a workgroup.
 #[derive(Clone, Copy, Debug)]
 pub enum Dispatch<'a> {
-    /// As many.
+    /// This number.
     Blocks(u32),
-    /// As the three 32-bit values at this offset (bytes) of the buffer say: the blocks, 1, 1.
+    /// The three 32-bit values at this offset (bytes) of the buffer: the blocks, 1, 1.
     Indirect(&'a wgpu::Buffer, u64),
 }
 
@@ -37,15 +37,15 @@ struct Pass {
 }
 
 impl Radix {
-    /// Prepares a sort by the lowest `bits` of the keys, which must hold nothing above them.
+    /// Prepares a sort by the lowest `bits` of the keys; higher bits must be 0.
     ///
-    /// - `keys`, `values`: `[capacity]` each; unsorted in the first of both, sorted in those of
-    ///   [`Self::result_index`]; what lies past the count stays as it is
-    /// - `count`: its first value is how many there are; more than `capacity` count as `capacity`
+    /// - `keys`, `values`: `[capacity]` each; unsorted in the first of both, sorted in those of [`Self::result_index`].
+    ///   Entries past the count stay unchanged
+    /// - `count`: its first value is the number of keys; values above `capacity` count as `capacity`
     ///
     /// # Errors
-    /// [`GpuError::Memory`] if there is no room for the counts; [`GpuError::Unfit`] if `capacity` exceeds the 67 million
-    /// keys that can be sorted.
+    /// [`GpuError::Memory`] if there is no room for the counts; [`GpuError::Unfit`] if `capacity` exceeds the 67
+    /// million keys that can be sorted.
     ///
     /// # Panics
     /// If `bits` exceeds the 32 of a key.
@@ -101,7 +101,7 @@ impl Radix {
 
     /// Records all passes.
     ///
-    /// - `dispatch`: at least the blocks that the keys fill
+    /// - `dispatch`: at least as many blocks as the keys fill
     pub fn record(&self, pass: &mut wgpu::ComputePass<'_>, dispatch: Dispatch<'_>) {
         let over_blocks = |bound: &Bound, pass: &mut wgpu::ComputePass<'_>| match dispatch {
             Dispatch::Blocks(num_blocks) => bound.dispatch(pass, [num_blocks, 1, 1]),
@@ -191,7 +191,7 @@ mod tests {
             let keys: Vec<u32> = (0..num_keys).map(hash).collect();
             check(&gpu, &keys, 100_000, 32, false);
             check(&gpu, &keys, 100_000, 32, true);
-            // As few blocks as the buffers hold.
+            // Only as many blocks as the buffers hold.
             check(&gpu, &keys, num_keys.max(1) as usize, 32, true);
         }
         check(&gpu, &(0..2500).map(hash).collect::<Vec<_>>(), 2500, 32, true);

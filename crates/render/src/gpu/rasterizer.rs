@@ -1,4 +1,4 @@
-//! The GPU renderer behind the contract that every renderer keeps: arrays in, arrays out.
+//! The GPU renderer behind the common contract: arrays in, arrays out.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -11,22 +11,22 @@ use crate::device::{Capacity, pack};
 use crate::{Draw, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
 /// The renderer on a GPU behind [`Rasterizer`] and [`Draw`]: arrays in, arrays out. Buffers, and the Gaussians of
-/// [`Draw::draw`], stay on the GPU from one image to the next.
+/// [`Draw::draw`], stay on the GPU between images.
 #[derive(Debug)]
 pub struct GpuRasterizer {
     gpu: Gpu,
     kept: Mutex<Kept>,
 }
 
-/// What is kept from one image to the next.
+/// State kept between images.
 #[derive(Debug, Default)]
 struct Kept {
     renderer: Option<GpuRenderer>,
-    /// What lies in the renderer's buffers, if it may lie there still when it is next drawn.
+    /// The Gaussians in the renderer's buffers, if the next drawing may find them unchanged.
     loaded: Option<Arc<Activated>>,
 }
 
-/// One image that is asked for.
+/// A request for one image.
 struct Job<'a> {
     gaussians: &'a Activated,
     camera: &'a Camera,
@@ -34,8 +34,8 @@ struct Job<'a> {
     v_image: Option<&'a Image>,
 }
 
-/// What the GPU's forward keeps for its backward: nothing, since its buffers serve the next image too. Backward draws
-/// again; training does not take this way.
+/// State that the GPU's forward saves for its backward: nothing, because its buffers serve the next image too. Backward
+/// draws again; training does not use it.
 #[derive(Clone, Copy, Debug)]
 pub struct GpuSaved;
 
@@ -50,10 +50,10 @@ impl GpuRasterizer {
         &self.gpu
     }
 
-    /// Draws, and takes the gradient back if there is one; repeats with larger buffers where they were too small.
+    /// Draws, and computes gradients if `v_image` is given. Repeats with larger buffers if they were too small.
     ///
     /// - `shared`: the job's Gaussians, if they will not change until drawn again
-    /// - `wanted`: buffers to read, and how many values of each
+    /// - `wanted`: buffers to read, and the number of values of each
     /// - returns: their values, and the milliseconds on the GPU
     fn run<const K: usize>(
         &self,
@@ -66,7 +66,7 @@ impl GpuRasterizer {
         let backward = v_image.is_some();
         let mut capacity = Capacity::new(gaussians.num_gaussians(), gaussians.num_channels, [camera], backward);
         if let Some(renderer) = &kept.renderer {
-            // Room found to be needed for these Gaussians stays.
+            // Capacity that earlier images of these Gaussians needed is kept.
             let before = renderer.capacity();
             if before.num_gaussians == capacity.num_gaussians {
                 capacity.num_pairs = capacity.num_pairs.max(before.num_pairs);

@@ -1,7 +1,7 @@
-//! Unstable, for the crates of this workspace only: what has a type of `wgpu` in its signature.
+//! Unstable, for the crates of this workspace only: functions with a type of `wgpu` in their signature.
 //!
-//! Training and the player run shaders of their own between the renderer's, on the same buffers. What they need for
-//! that is here, outside of the documented interface: a new version of `wgpu` changes it without notice.
+//! Training and the player run their own shaders between the renderer's, on the same buffers. They use these functions,
+//! which are outside the documented interface: a new version of `wgpu` changes them without notice.
 
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
@@ -25,17 +25,17 @@ impl Gpu {
         &self.0.queue
     }
 
-    /// How often work was submitted so far. For tests of what an iteration costs.
+    /// Number of submissions so far. For tests of the cost of an iteration.
     pub fn num_submissions(&self) -> usize {
         self.0.submissions.load(Ordering::Relaxed)
     }
 
-    /// How often results were read back so far. For tests of what an iteration costs.
+    /// Number of read-backs so far. For tests of the cost of an iteration.
     pub fn num_reads(&self) -> usize {
         self.0.reads.load(Ordering::Relaxed)
     }
 
-    /// How many shaders were compiled so far. For tests of what is compiled twice.
+    /// Number of compiled shaders so far. For tests of repeated compilation.
     pub fn num_compiled(&self) -> usize {
         self.0.compiled.load(Ordering::Relaxed)
     }
@@ -58,7 +58,7 @@ impl Gpu {
 
     /// A storage buffer of 32-bit values, filled with zeros.
     ///
-    /// - `len`: values; at least four are allocated, as much as a binding of vectors asks for
+    /// - `len`: number of values; at least four are allocated, the minimum for a binding of vectors
     ///
     /// # Errors
     /// [`GpuError::Memory`] if the adapter allows no buffer of that size or has no memory for it.
@@ -76,7 +76,7 @@ impl Gpu {
         self.allocate(what, bytes as u64, wgpu::BufferUsages::UNIFORM)
     }
 
-    /// A storage buffer that holds `values`, of 32 bits or rows of such.
+    /// A storage buffer with `values`, of 32 bits or rows of such.
     ///
     /// # Errors
     /// As [`Self::storage`].
@@ -88,7 +88,7 @@ impl Gpu {
             self.0.queue.write_buffer(&buffer, 0, &padded[..16]);
             return Ok(buffer);
         }
-        // Not create_buffer_init, which panics where there is no memory.
+        // `create_buffer_init` panics if memory is exhausted, so it is not used.
         let buffer = self.allocate(what, bytes.len() as u64, wgpu::BufferUsages::STORAGE)?;
         self.0.queue.write_buffer(&buffer, 0, bytes);
         Ok(buffer)
@@ -116,9 +116,9 @@ impl Gpu {
         Ok(())
     }
 
-    /// Names the buffer in an error of its allocation.
+    /// Names the buffer in an allocation error.
     fn allocated(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
-        // A device that was lost says so only when asked.
+        // A lost device reports so only when polled.
         self.poll()?;
         self.check().map_err(|error| match error {
             GpuError::Memory { bytes: 0, problem, .. } => GpuError::Memory { what: what.into(), bytes, problem },
@@ -131,7 +131,7 @@ impl Gpu {
         self.0.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    /// Hands recorded commands to the GPU; does not wait for them.
+    /// Submits recorded commands to the GPU; does not wait for them.
     pub fn submit(&self, encoder: wgpu::CommandEncoder) -> wgpu::SubmissionIndex {
         self.0.submissions.fetch_add(1, Ordering::Relaxed);
         self.0.queue.submit([encoder.finish()])
@@ -162,7 +162,7 @@ impl Gpu {
     /// Reads the first `len` 32-bit values of `buffer`; waits for the GPU.
     ///
     /// # Errors
-    /// What has gone wrong meanwhile.
+    /// An error that occurred meanwhile.
     pub fn read<T: bytemuck::Pod>(&self, buffer: &wgpu::Buffer, len: usize) -> Result<Vec<T>, GpuError> {
         let mut encoder = self.encoder();
         let staged = self.stage(&mut encoder, buffer, len)?;
@@ -173,8 +173,8 @@ impl Gpu {
     }
 }
 
-/// A copy of values of a buffer on its way back to the host: recorded by [`Gpu::stage`], asked for by [`Self::map`],
-/// there once [`Self::is_ready`], taken by [`Self::take`].
+/// A copy of a buffer's values on its way back to the host: recorded by [`Gpu::stage`], requested by [`Self::map`],
+/// present once [`Self::is_ready`], taken by [`Self::take`].
 #[derive(Debug)]
 pub struct Staged {
     staging: wgpu::Buffer,
@@ -183,19 +183,19 @@ pub struct Staged {
 }
 
 impl Staged {
-    /// Asks for the values, after the work that copies them was submitted; does not wait.
+    /// Requests the values, after the copy was submitted; does not wait.
     pub fn map(&self, gpu: &Gpu) {
         gpu.0.reads.fetch_add(1, Ordering::Relaxed);
         let mapped = Arc::clone(&self.mapped);
         self.staging.map_async(wgpu::MapMode::Read, .., move |result| *lock(&mapped) = Some(result.is_ok()));
     }
 
-    /// Whether the values have arrived, as of the last poll or wait.
+    /// Whether the values had arrived at the last poll or wait.
     pub fn is_ready(&self) -> bool {
         lock(&self.mapped).is_some()
     }
 
-    /// The values that were copied.
+    /// The copied values.
     ///
     /// # Errors
     /// [`GpuError::Lost`] if they never arrived.

@@ -12,9 +12,9 @@
 //! | rasterize backward | (8 + C) P + 8 (1 + C) P + 2 C pixels | (8 + C) P |
 //! | project backward | (8 + C) P + 11 N | (14 + C) N |
 //!
-//! Depths are sorted once over all Gaussians, culled ones last; pairs are written in that order and then parted
-//! stably by tile, so pairs are sorted by 8 or 16 bits alone. Nothing is read back: the number of pairs sizes dispatches on the GPU.
-//! No atomics: each pair's gradient has a place of its own, and a Gaussian's pairs lie in a row.
+//! Depths are sorted once over all Gaussians, culled ones last. Pairs are written in that order and then sorted stably
+//! by tile, so pairs need only 8 or 16 bits. Nothing is read back: the number of pairs sizes dispatches on the GPU.
+//! There are no atomics: each pair's gradient has a place of its own, and a Gaussian's pairs are contiguous.
 
 use tcgs_core::Camera;
 
@@ -34,27 +34,28 @@ const LISTS: u32 = 13;
 /// Buffers of a renderer that other operations fill or read.
 #[derive(Clone, Debug)]
 pub struct RenderBuffers {
-    /// `[(11 + C) N]` means, unit quats, scales, opacities, colors: what is drawn.
+    /// `[(11 + C) N]` means, unit quats, scales, opacities, colors of the drawn Gaussians.
     pub activated: wgpu::Buffer,
     /// `[C + 1, H, W]` colours with background, then transmittance.
     pub image: wgpu::Buffer,
     /// `[C, H, W]` gradient to the image.
     pub v_image: wgpu::Buffer,
-    /// `[(11 + C) R]` gradient to `activated`, or to its first rows where a view draws a part.
+    /// `[(11 + C) R]` gradient to `activated`, or to its first rows if a view draws a part.
     pub v_activated: wgpu::Buffer,
     /// `[R, 3]` the densification statistic's x and y, and 1 where the Gaussian is visible.
     pub v_means2d_ndc: wgpu::Buffer,
-    /// `u32 [4]`: not 0 once an iteration needed more pairs than there is room for; most pairs needed then; pairs that
-    /// the last one needed. It stays set until the host clears it: nothing that was computed since is valid.
+    /// `u32 [4]`: not 0 after an iteration needed more pairs than the capacity; most pairs needed then; pairs needed by
+    /// the last iteration. The first value stays set until the host clears it, and all results since are invalid.
     pub status: wgpu::Buffer,
 }
 
-/// Where a renderer of parts finds which Gaussians and tiles a view draws.
+/// Lists of the Gaussians and tiles that each view draws.
 #[derive(Clone, Copy, Debug)]
 pub struct PartLists<'a> {
-    /// `u32`, the lists of all views; `listed.wgsl` says what they hold, [`ViewPart`] where a view's begin.
+    /// `u32`, the lists of all views. `listed.wgsl` describes their contents, and [`ViewPart`] has the offset of a
+    /// view's lists.
     pub lists: &'a wgpu::Buffer,
-    /// `R`, rows of gradients.
+    /// `R`, number of rows of gradients.
     pub num_rows: usize,
 }
 
@@ -68,9 +69,9 @@ pub struct GpuRenderer {
     view: wgpu::Buffer,
     arguments: wgpu::Buffer,
     tile_counts: wgpu::Buffer,
-    /// `[1]` Gaussians that the next view lists: how many depths are sorted.
+    /// `[1]` number of Gaussians that the next view lists, whose depths are sorted.
     count: wgpu::Buffer,
-    /// What the next view draws.
+    /// The part that the next view draws.
     part: ViewPart,
     project: Bound,
     sort_depths: Radix,
@@ -88,7 +89,7 @@ impl GpuRenderer {
     /// Allocates all buffers and compiles the kernels.
     ///
     /// # Errors
-    /// [`GpuError::Memory`] if something does not fit; [`GpuError::Unfit`] if there are more Gaussians or pairs than one
+    /// [`GpuError::Memory`] if a buffer does not fit; [`GpuError::Unfit`] if there are more Gaussians or pairs than one
     /// dispatch takes.
     ///
     /// # Panics
@@ -110,9 +111,9 @@ impl GpuRenderer {
         Self::build(gpu, capacity, activated, None)
     }
 
-    /// The same, of views that draw parts: [`Self::set_part`].
+    /// The same for views that draw parts: [`Self::set_part`].
     ///
-    /// - `capacity`: its number of tiles is the most that one view draws
+    /// - `capacity`: its number of tiles is the maximum per view
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -187,7 +188,7 @@ impl GpuRenderer {
             let with_view: Vec<_> = std::iter::once((0, &view)).chain(buffers.iter().copied()).collect();
             gpu.kernel(source, entry).bind(device, &with_view)
         };
-        // As `bind`, of a kernel that looks into the lists where there are any.
+        // Like `bind`, for a kernel that reads the lists if there are any.
         let bind_listed = |source: &str, entry, buffers: &[(u32, &wgpu::Buffer)]| {
             let lists = parts.map(|parts| (LISTS, parts.lists));
             bind(source, entry, &buffers.iter().copied().chain(lists).collect::<Vec<_>>())
@@ -279,7 +280,7 @@ impl GpuRenderer {
         Ok(renderer)
     }
 
-    /// How much the buffers hold.
+    /// Capacity of the buffers.
     pub fn capacity(&self) -> &Capacity {
         &self.capacity
     }
@@ -289,31 +290,31 @@ impl GpuRenderer {
         &self.buffers
     }
 
-    /// How much the last image had to blend; reads back, and waits for the GPU.
+    /// Numbers of pairs and splats in the last image; reads back, and waits for the GPU.
     ///
     /// # Errors
-    /// What has gone wrong meanwhile.
+    /// An error that occurred meanwhile.
     pub fn read_counts(&self) -> Result<PairCounts, GpuError> {
         let counts: Vec<u32> = self.gpu.read(&self.tile_counts, self.capacity.num_gaussians)?;
         let tiles = counts.iter().map(|count| (count & !VISIBLE) as usize);
         Ok(PairCounts { pairs: tiles.clone().sum(), splats: tiles.filter(|&tiles| tiles > 0).count() })
     }
 
-    /// Sets the camera of the passes that are submitted from now on.
+    /// Sets the camera of all passes submitted afterwards.
     ///
-    /// - `antialiased`: [`Activated::is_antialiased`](tcgs_core::Activated) of what is drawn
+    /// - `antialiased`: [`Activated::is_antialiased`](tcgs_core::Activated) of the drawn Gaussians
     ///
     /// # Panics
-    /// If its image is larger than there is room for.
+    /// If its image is larger than the capacity.
     pub fn set_view(&mut self, camera: &Camera, settings: &RenderSettings, antialiased: bool) {
         self.set(&ViewUniform::new(camera, settings, antialiased, &self.capacity));
     }
 
-    /// Sets the camera of the passes that are submitted from now on, and what of the scene and of the image they draw. All
-    /// other pixels keep what they have.
+    /// Sets the camera of all passes submitted afterwards, and the part of the scene and of the image that they draw.
+    /// All other pixels keep their values.
     ///
     /// # Panics
-    /// If its image or the part is larger than there is room for.
+    /// If its image or the part is larger than the capacity.
     pub fn set_part(&mut self, camera: &Camera, settings: &RenderSettings, antialiased: bool, part: ViewPart) {
         self.set(&ViewUniform::of_part(camera, settings, antialiased, &self.capacity, part));
     }

@@ -1,4 +1,4 @@
-//! Time that stages take on the GPU, by its own clock.
+//! Time of stages on the GPU, by its own clock.
 
 use super::raw::Staged;
 use super::{Gpu, GpuError};
@@ -13,7 +13,7 @@ pub struct StageTimer {
 }
 
 impl StageTimer {
-    /// A timer of the stages that are named; `None` where the adapter has no timestamps.
+    /// A timer of the named stages; `None` if the adapter has no timestamps.
     ///
     /// # Errors
     /// As [`Gpu::storage`].
@@ -51,7 +51,7 @@ impl StageTimer {
         })
     }
 
-    /// Records that the times are to be read, after the last pass.
+    /// Records the read-back of the times, after the last pass.
     ///
     /// # Errors
     /// As [`Gpu::storage`].
@@ -65,7 +65,7 @@ impl StageTimer {
     /// - `staged`: as [`Self::stage`] returned it, submitted
     ///
     /// # Errors
-    /// What has gone wrong meanwhile.
+    /// An error that occurred meanwhile.
     pub fn read(&self, gpu: &Gpu, staged: &Staged) -> Result<StageTimes, GpuError> {
         staged.map(gpu);
         gpu.wait()?;

@@ -1,4 +1,4 @@
-//! What the integration tests share: the f64 oracle, random scenes, and other programs' vectors.
+//! Support for the integration tests: the f64 oracle, random scenes, and other programs' vectors.
 
 #![allow(dead_code)] // each test binary uses a part
 #![allow(clippy::unwrap_used)] // a bench uses it too, which clippy does not count as a test
@@ -20,12 +20,13 @@ pub fn golden(name: &str) -> Option<PathBuf> {
         return Some(path);
     }
     assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{} is required and absent", path.display());
-    // Past the capture of passing tests: a skip is to be seen.
+    // Written past the test harness's capture, so that a skip is visible.
     let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
     None
 }
 
-/// The GPU that tests run on, or `None` with a message where there is none: `TCGS_TEST_GPU`, by default Mesa's software.
+/// The GPU that tests run on, or `None` with a message where there is none: `TCGS_TEST_GPU`, by default Mesa's
+/// software.
 #[cfg(feature = "gpu")]
 pub fn gpu() -> Option<Gpu> {
     let name = std::env::var("TCGS_TEST_GPU").unwrap_or_else(|_| "llvmpipe".into());

@@ -1,4 +1,4 @@
-//! The renderer at its most obvious: f64, no tiles, no tricks. Shares `settings` with what it judges.
+//! The renderer in its simplest form: f64, no tiles, no tricks. Shares `settings` with the renderers it judges.
 
 use tcgs_core::{Activated, Camera};
 use tcgs_render::settings::*;
@@ -34,7 +34,7 @@ impl Scene {
     }
 }
 
-/// What a pixel saw: its colour, and which Gaussians it blended (in order).
+/// A picture: the colour of each pixel, and the Gaussians that it blended (in order).
 pub struct Render {
     /// `[C, H, W]`
     pub image: Vec<f64>,
