@@ -67,10 +67,10 @@ mod verify;
 
 pub use backend::Backend;
 pub use compress::{
-    CompressOptions, CompressPreset, Compressed, ErrorSearch, Judge, JudgeImages, Marks, PrunedScene, QUALITY_RANGE,
-    RefineBudget, RefineOptions, Refined, RefinedWithin, SearchResult, SizeStep, Target, Tuning, capture_kind_of,
-    compress_scene, kept_gaussians, position_step_remark, refine, refine_within, search, search_errors, settings_of,
-    tune,
+    Allowance, CompressOptions, CompressPreset, Compressed, ErrorSearch, Judge, JudgeImages, Marks, PrunedScene,
+    QUALITY_RANGE, RefineBudget, RefineOptions, Refined, RefinedWithin, SearchResult, SizeStep, Target, Tuning,
+    capture_kind_of, compress_scene, kept_gaussians, position_step_remark, refine, refine_within, search,
+    search_errors, settings_of, tune,
 };
 pub use error::{Fault, HasFault, PipelineError};
 pub use evaluate::{

@@ -149,6 +149,8 @@ pub enum Work {
     Exporting,
     /// Timesteps are compared. A step is a timestep.
     Verifying,
+    /// Qualities are tried on training images before a refinement. A step is a timestep at one quality.
+    Measuring,
     /// The codes of a compressed scene are trained. A step is an iteration.
     Refining,
 }
@@ -162,6 +164,7 @@ impl Work {
             Self::Rendering => "rendering",
             Self::Exporting => "exporting",
             Self::Verifying => "verifying",
+            Self::Measuring => "measuring",
             Self::Refining => "refining",
         }
     }

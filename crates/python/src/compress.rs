@@ -9,9 +9,9 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tcgs_capture::Split;
 use tcgs_pipeline::{
-    Backend, CompressOptions, CompressPreset, Judge, JudgeImages, OpenScene, OpenSettings, PipelineError, PrunedScene,
-    QUALITY_RANGE, RefineBudget, RefineOptions, Target, capture_kind_of, refine, refine_within, search, search_errors,
-    settings_of, tune,
+    Allowance, Backend, CompressOptions, CompressPreset, Judge, JudgeImages, OpenScene, OpenSettings, PipelineError,
+    PrunedScene, QUALITY_RANGE, RefineBudget, RefineOptions, Target, capture_kind_of, refine, refine_within, search,
+    search_errors, settings_of, tune,
 };
 use tcgs_train::RefineConfig;
 
@@ -50,7 +50,8 @@ impl Budget {
 ///
 /// - source: a Scene, a dict of arrays (`Scene.from_arrays`), or any name that `open` accepts
 /// - out: file to write
-/// - quality: -6 to 8; 1 more about halves the errors and takes a fourth to a third more bytes; 0 if None
+/// - quality: -6 to 8; 1 more about halves the errors and takes a fourth to a third more bytes. None chooses, for a
+///   file that is refined, the one at which rounding adds about 15 % to the squared error of training images; else 0
 /// - target_bytes: choose the best quality whose file has at most this many bytes
 /// - target_psnr: choose the smallest file of at least this mean PSNR in dB, on test images of `capture`, else on
 ///   renders of `source`
@@ -250,11 +251,24 @@ impl Wanted {
         let Some(budget) = self.refine else {
             let is_searched = self.target.is_some() || self.tune || self.max_error.is_some();
             let is_asked = self.is_refined_if_possible && !is_searched && self.preset == CompressPreset::Default;
-            return Ok(is_asked.then(|| RefineOptions::usual(scene, self.capture.as_deref()).ok()).flatten());
+            return Ok(is_asked
+                .then(|| RefineOptions::usual(scene, self.capture.as_deref(), self.allowance()).ok())
+                .flatten());
         };
         let Some(capture) = self.capture.clone().or_else(|| scene.capture().map(Path::to_path_buf)) else {
             return Err(wrong(&scene.path, "has no capture of its own", "capture with the images to refine on"));
         };
-        Ok(Some(RefineOptions { capture, budget, config: RefineConfig::default() }))
+        let (config, allowance) = (RefineConfig::default(), self.allowance());
+        Ok(Some(RefineOptions { capture, budget, config, allowance }))
+    }
+
+    /// What a refinement may change before it begins: nothing that the caller says.
+    fn allowance(&self) -> Allowance {
+        match self.quality {
+            _ if self.preset == CompressPreset::Paper => Allowance::NONE,
+            Some(quality) => Allowance::at_quality(quality),
+            None if self.target.is_some() || self.tune => Allowance::at_quality(0.0),
+            None => Allowance::default(),
+        }
     }
 }

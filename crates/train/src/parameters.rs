@@ -69,13 +69,13 @@ impl Parameters {
     /// A rendered picture in a training camera's colours, which differ by its gain and its offset. Outside of `[0, 1]` they stay.
     ///
     /// - `camera`: index among the training cameras
-    pub fn seen_by_camera(&self, camera: usize, mut picture: Image) -> Image {
-        let (gains, offsets) = (self.camera_gains[camera], self.camera_offsets[camera]);
-        for channel in 0..3 {
-            let (gain, offset) = (gains[channel].exp(), offsets[channel]);
-            picture.plane_mut(channel).iter_mut().for_each(|value| *value = gain * *value + offset);
-        }
-        picture
+    pub fn seen_by_camera(&self, camera: usize, picture: Image) -> Image {
+        corrected(picture, [self.camera_gains[camera], self.camera_offsets[camera]])
+    }
+
+    /// `[cameras]` gain, as its logarithm, and offset.
+    pub fn corrections(&self) -> Vec<[[f32; 3]; 2]> {
+        self.camera_gains.iter().zip(&self.camera_offsets).map(|(&gain, &offset)| [gain, offset]).collect()
     }
 
     /// Appends the Gaussians of others; cameras stay as they are.
@@ -136,6 +136,15 @@ pub(crate) fn nearest(points: &[[f32; 3]], count: usize) -> Vec<Vec<(u32, f32)>>
             others
         })
         .collect()
+}
+
+/// A rendered picture in the colours of a camera.
+pub(crate) fn corrected(mut picture: Image, [gain, offset]: [[f32; 3]; 2]) -> Image {
+    for channel in 0..3 {
+        let (gain, offset) = (gain[channel].exp(), offset[channel]);
+        picture.plane_mut(channel).iter_mut().for_each(|value| *value = gain * *value + offset);
+    }
+    picture
 }
 
 /// Extent of a scene: 1.1 times the largest distance of a camera's centre from the mean of all centres.

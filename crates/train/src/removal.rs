@@ -9,46 +9,72 @@ use tcgs_core::{Activated, Camera, Gaussians, Image, View, activate, seen_colors
 use tcgs_metrics::psnr;
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, settings::MAX_CHANNELS};
 
-use crate::parameters::Parameters;
+use crate::parameters::corrected;
 use crate::unseen::are_in_images;
 
 /// Bisection ends when the number of Gaussians to remove is known within `1 / PRECISION` of all.
 const PRECISION: usize = 128;
 
-/// Largest share of the Gaussians that one call removes. The others need iterations to take over.
-const MOST_AT_ONCE: f32 = 0.4;
+/// Views that judge how many may go, at most: as many as tell the error within some percent.
+const MOST_JUDGES: usize = 32;
 
 /// Without the statistic of densification.
 const SETTINGS: RenderSettings = RenderSettings { background: [0.0; MAX_CHANNELS], statistic_channels: 0 };
 
-/// Gaussians that stay when as many are removed as the training images allow.
+/// Gaussians at one timestep, and the images that they should match.
+#[derive(Clone, Copy, Debug)]
+pub struct TimestepViews<'a> {
+    /// As they are at the timestep.
+    pub gaussians: &'a Gaussians,
+    /// `[N]` whether a Gaussian is not drawn: it is masked out, or not alive.
+    pub is_hidden: &'a [bool],
+    /// Training views.
+    pub views: &'a [View],
+    /// `[views]` gain, as its logarithm, and offset of each view's camera, by channel.
+    pub corrections: &'a [[[f32; 3]; 2]],
+}
+
+/// Which Gaussians are removed.
+#[derive(Clone, Copy, Debug)]
+pub struct Removal<'a> {
+    /// By how much the mean squared error of all views may grow, as a share of it.
+    pub share: f32,
+    /// Largest share of the Gaussians that is removed.
+    pub most: f32,
+    /// `[N]` what each Gaussian costs: the one with the least error for its cost goes first. None: all cost the same.
+    pub costs: Option<&'a [f32]>,
+    /// Of the random signs.
+    pub seed: u64,
+}
+
+/// Gaussians that stay when as many are removed as the images allow.
 ///
 /// A Gaussian outside of all images stays, because no image tells whether it is needed.
 ///
-/// - `is_hidden`: `[N]` whether a mask hides the Gaussian
-/// - `views`: the training views, in the order of the cameras' gains and offsets
-/// - `share`: by how much the mean squared error of all views may grow, as a share of it
+/// - `timesteps`: with the same Gaussians, at least one
 /// - returns: indices, ascending
-pub(crate) fn needed(parameters: &Parameters, is_hidden: &[bool], views: &[View], share: f32, seed: u64) -> Vec<usize> {
-    let cameras: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
-    let errors = removal_errors(&parameters.gaussians, is_hidden, &cameras, seed);
-    let is_shown = are_in_images(parameters.gaussians.means(), &cameras);
+pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usize> {
+    let mut errors = vec![0.0; timesteps[0].gaussians.num_gaussians()];
+    let mut is_shown = vec![false; errors.len()];
+    for (seed, timestep) in (removal.seed..).zip(timesteps) {
+        let cameras: Vec<Camera> = timestep.views.iter().map(|view| view.camera.clone()).collect();
+        let of_timestep = removal_errors(timestep.gaussians, timestep.is_hidden, &cameras, seed);
+        errors.iter_mut().zip(of_timestep).for_each(|(sum, error)| *sum += error);
+        let are_in = are_in_images(timestep.gaussians.means(), &cameras);
+        is_shown.iter_mut().zip(are_in).for_each(|(is_shown, is_in)| *is_shown |= is_in);
+    }
+    if let Some(costs) = removal.costs {
+        errors.iter_mut().zip(costs).for_each(|(error, cost)| *error /= cost);
+    }
     let mut order: Vec<usize> = (0..errors.len()).filter(|&i| is_shown[i]).collect();
     order.sort_by(|&a, &b| errors[a].total_cmp(&errors[b]));
-    let error_without = |removed: &[usize]| -> f64 {
-        let mut is_hidden = is_hidden.to_vec();
-        removed.iter().for_each(|&i| is_hidden[i] = true);
-        let mut sum = 0.0;
-        draw_all(&parameters.gaussians, &is_hidden, &cameras, |position, drawn| {
-            let Ok((output, _)) = CpuRasterizer.forward(drawn, &cameras[position], &SETTINGS);
-            let picture = parameters.seen_by_camera(position, output.image);
-            sum += 10.0_f64.powf(-0.1 * psnr(&picture, &views[position].image));
-        });
-        sum
-    };
-    let most = f64::from(1.0 + share) * error_without(&[]);
+    let num_views: usize = timesteps.iter().map(|timestep| timestep.views.len()).sum();
+    let stride = num_views.div_ceil(MOST_JUDGES).max(1);
+    let error_without =
+        |removed: &[usize]| -> f64 { timesteps.iter().map(|timestep| timestep.error_without(removed, stride)).sum() };
+    let most = f64::from(1.0 + removal.share) * error_without(&[]);
     // All of `low` may go, and not all of `high`.
-    let (mut low, mut high) = (0, (order.len() as f32 * MOST_AT_ONCE) as usize + 1);
+    let (mut low, mut high) = (0, (order.len() as f32 * removal.most) as usize + 1);
     while high - low > 1 + errors.len() / PRECISION {
         let middle = low.midpoint(high);
         if error_without(&order[..middle]) <= most { low = middle } else { high = middle }
@@ -56,6 +82,26 @@ pub(crate) fn needed(parameters: &Parameters, is_hidden: &[bool], views: &[View]
     let mut keeps = vec![true; errors.len()];
     order[..low].iter().for_each(|&i| keeps[i] = false);
     (0..keeps.len()).filter(|&i| keeps[i]).collect()
+}
+
+impl TimestepViews<'_> {
+    /// Mean squared errors of every `stride`th view, summed.
+    ///
+    /// - `removed`: indices of Gaussians that are not drawn either
+    pub fn error_without(&self, removed: &[usize], stride: usize) -> f64 {
+        let mut is_hidden = self.is_hidden.to_vec();
+        removed.iter().for_each(|&i| is_hidden[i] = true);
+        let judges: Vec<usize> = (0..self.views.len()).step_by(stride).collect();
+        let cameras: Vec<Camera> = judges.iter().map(|&judge| self.views[judge].camera.clone()).collect();
+        let mut sum = 0.0;
+        draw_all(self.gaussians, &is_hidden, &cameras, |position, drawn| {
+            let judge = judges[position];
+            let Ok((output, _)) = CpuRasterizer.forward(drawn, &cameras[position], &SETTINGS);
+            let picture = corrected(output.image, self.corrections[judge]);
+            sum += 10.0_f64.powf(-0.1 * psnr(&picture, &self.views[judge].image));
+        });
+        sum
+    }
 }
 
 /// Gives the Gaussians as each camera sees them, one camera after another.
@@ -101,7 +147,7 @@ mod tests {
     use super::*;
 
     /// Three Gaussians in the image, one hidden behind the first, one outside of the image.
-    fn scene() -> (Parameters, Vec<View>) {
+    fn scene() -> (Gaussians, Vec<View>) {
         let gaussians = Gaussians::from(BaseColumns {
             means: vec![[-0.4, 0.0, 0.0], [0.1, 0.3, -0.1], [0.4, -0.1, 0.1], [-1.6, 0.0, 9.0], [40.0, 0.0, 0.0]],
             quats: vec![[1.0, 0.0, 0.0, 0.0]; 5],
@@ -118,20 +164,13 @@ mod tests {
             image.data.iter_mut().enumerate().for_each(|(i, value)| *value += 0.02 * (i % 7) as f32);
             View { camera, image, segmentation: None, frame: 0, camera_id: usize::from(x > 0.0) }
         });
-        let parameters = Parameters {
-            gaussians,
-            mask_logits: vec![1.0; 5],
-            foreground: vec![true; 5],
-            camera_gains: vec![[0.0; 3]; 2],
-            camera_offsets: vec![[0.0; 3]; 2],
-        };
-        (parameters, views.into())
+        (gaussians, views.into())
     }
 
     #[test]
     fn the_mean_over_random_signs_is_what_a_removal_changes() {
-        let (parameters, views) = scene();
-        let gaussians = &parameters.gaussians;
+        let (gaussians, views) = scene();
+        let gaussians = &gaussians;
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
         let pictures = |is_hidden: &[bool]| {
             let mut all = Vec::new();
@@ -160,8 +199,16 @@ mod tests {
 
     #[test]
     fn as_many_go_as_the_error_allows_and_those_in_no_image_stay() {
-        let (parameters, views) = scene();
-        let stay = |share, is_hidden: [bool; 5]| needed(&parameters, &is_hidden, &views, share, 3);
+        let (gaussians, views) = scene();
+        let stay = |share, is_hidden: [bool; 5]| {
+            let timestep = TimestepViews {
+                gaussians: &gaussians,
+                is_hidden: &is_hidden,
+                views: &views,
+                corrections: &[[[0.0; 3]; 2]; 2],
+            };
+            needed(&[timestep], &Removal { share, most: 0.4, costs: None, seed: 3 })
+        };
         // The last changes no picture, and is in none.
         assert_eq!(stay(1e-3, [false; 5]), [0, 1, 2, 4], "what others hide goes");
         assert_eq!(stay(1e6, [false; 5]), [0, 1, 2, 4], "of four in images at most one at once");

@@ -9,8 +9,8 @@ use clap::ValueEnum;
 use serde_json::{Value, json};
 use tcgs_codec::{CompactFile, CompressSettings, FORMAT_VERSION, UpAxis};
 use tcgs_pipeline::{
-    CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, Marks, OpenScene, PrunedScene,
-    RefineOptions, Refined, Target, capture_kind_of, position_step_remark, refine, refine_within, search,
+    Allowance, CompressOptions, CompressPreset, Compressed, ErrorTrial, Judge, JudgeImages, Marks, OpenScene,
+    PrunedScene, RefineOptions, Refined, Target, capture_kind_of, position_step_remark, refine, refine_within, search,
     search_errors, settings_of, tune,
 };
 use tcgs_train::{Preset, RefineConfig, Run};
@@ -102,7 +102,8 @@ pub struct Arguments {
     #[arg(long, default_value = "packed")]
     storage: Storage,
     /// Quality along one curve of settings, -6 to 8, instead of the settings themselves: 1 more about halves the
-    /// errors and takes a fourth to a third more bytes [default: 0]
+    /// errors and takes a fourth to a third more bytes [default: of a file that is refined, the one at which rounding adds
+    /// about 15 % to the squared error of training images; else 0]
     #[arg(long, value_name = "Q", value_parser = target::quality, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = SINGLE_SETTINGS)]
     quality: Option<f32>,
@@ -270,6 +271,21 @@ impl Arguments {
         self.target().is_some() || self.max_error.is_some() || self.tune
     }
 
+    /// What a refinement may change before it begins: nothing that the command line says.
+    fn allowance(&self, scene: &OpenScene) -> Allowance {
+        let is_set = self.no_keypoints
+            || self.max_keypoints.is_some()
+            || self.max_mse.is_some()
+            || self.bits.is_some()
+            || self.position_bits.is_some();
+        match self.quality {
+            _ if self.preset(scene) == CompressPreset::Paper => Allowance::NONE,
+            Some(quality) => Allowance::at_quality(quality),
+            None if is_set || self.is_searched() => Allowance::at_quality(0.0),
+            None => Allowance::default(),
+        }
+    }
+
     fn preset(&self, scene: &OpenScene) -> CompressPreset {
         let of_run = || {
             let is_paper = scene.run().is_some_and(|run| run.config().preset == Preset::Paper);
@@ -370,11 +386,16 @@ fn describe_refining(refined: &Refined, psnr: Option<f64>) -> Found {
     let iterations = refined.iterations;
     let measured =
         psnr.map_or(String::new(), |psnr| format!(", {}, {psnr:.2} dB", show_bytes(refined.file.len() as u64)));
+    let quality =
+        refined.quality.map_or(String::new(), |quality| format!("quality {quality}, chosen by training images; "));
     let text = format!(
-        "refined in {iterations} iterations, which --refine {iterations} repeats{measured}: loss {before:.4} at first, \
+        "{quality}refined in {iterations} iterations, which --refine {iterations} repeats{measured}: loss {before:.4} at first, \
          {after:.4} at last"
     );
     let mut value = json!({ "iterations": iterations, "loss_before": before, "loss_after": after });
+    if let Some(quality) = refined.quality {
+        value["quality"] = json!(quality);
+    }
     if let Some(psnr) = psnr {
         value["psnr"] = json!(psnr);
     }
@@ -384,6 +405,7 @@ fn describe_refining(refined: &Refined, psnr: Option<f64>) -> Found {
 /// How the file is refined; none if it is not, which is told where one would expect it.
 fn refining(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Option<RefineOptions>> {
     let given = arguments.capture.as_deref();
+    let allowance = arguments.allowance(scene);
     match arguments.refine {
         Some(Refining::Off) => Ok(None),
         Some(Refining::For(budget)) => {
@@ -391,10 +413,10 @@ fn refining(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<Option<R
                 let problem = "has no capture of its own, expected --capture with the images to refine on";
                 wrong_input(format!("{}: {problem}", scene.path.display()))
             })?;
-            Ok(Some(RefineOptions { capture: capture.into(), budget, config: RefineConfig::default() }))
+            Ok(Some(RefineOptions { capture: capture.into(), budget, config: RefineConfig::default(), allowance }))
         }
         None if arguments.is_searched() || arguments.preset(scene) == CompressPreset::Paper => Ok(None),
-        None => match RefineOptions::usual(scene, given) {
+        None => match RefineOptions::usual(scene, given, allowance) {
             Ok(options) => Ok(Some(options)),
             Err(error) => {
                 if given.or(scene.capture()).is_some() {

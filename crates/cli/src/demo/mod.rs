@@ -12,8 +12,8 @@ use serde_json::json;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_codec::CompressSettings;
 use tcgs_pipeline::{
-    Backend, CompressOptions, Compressed, EvaluateSettings, Evaluation, OpenScene, OpenSettings, PrunedScene,
-    RefineBudget, RefineOptions, compress_scene, evaluate, fit, kept_gaussians, new_trainer, refine,
+    Allowance, Backend, CompressOptions, Compressed, EvaluateSettings, Evaluation, OpenScene, OpenSettings,
+    PrunedScene, RefineBudget, RefineOptions, compress_scene, evaluate, fit, kept_gaussians, new_trainer, refine,
 };
 use tcgs_train::{Preset, RefineConfig, Run, TrainConfig};
 
@@ -29,8 +29,6 @@ use crate::terminal::say;
 const ITERATIONS: [usize; 2] = [1000, 80];
 /// Iterations of the refinement: a quarter of a minute on two cores.
 const REFINE_ITERATIONS: usize = 2500;
-/// Codes are coarser than by default, since refinement trains them.
-const REFINED_QUALITY: f32 = -1.25;
 /// Marks a folder as made by this command.
 const MARKER: &str = ".tcgs-demo";
 const MARKER_TEXT: &str = "made by tcgs demo\n";
@@ -234,10 +232,11 @@ fn compress_options(folder: &Path, keypoints: bool) -> CompressOptions {
 fn compress_refined(scene: &OpenScene, folder: &Path, backend: &Backend) -> anyhow::Result<Compressed> {
     let options = CompressOptions { min_share: RefineOptions::MIN_SHARE, ..compress_options(folder, true) };
     let pruned = PrunedScene::new(scene, &options)?;
-    let settings = options.keypoints.clone().with_quality(REFINED_QUALITY);
     let budget = RefineBudget::Iterations(REFINE_ITERATIONS);
-    let refining = RefineOptions { capture: folder.join("capture"), budget, config: RefineConfig::default() };
-    let refined = Teller::default().watch(|teller| refine(scene, &pruned, &settings, &refining, backend, teller))?;
+    let (config, allowance) = (RefineConfig::default(), Allowance::default());
+    let refining = RefineOptions { capture: folder.join("capture"), budget, config, allowance };
+    let refined =
+        Teller::default().watch(|teller| refine(scene, &pruned, &options.keypoints, &refining, backend, teller))?;
     Ok(pruned.account(&options, refined.compact, refined.file)?)
 }
 

@@ -115,7 +115,9 @@ impl FourdgsFile {
             Content::Births(scene)
                 if settings.higher_harmonics == HigherHarmonics::Keep && scene.gaussians.sh.is_some() =>
             {
-                usize::from(scene.gaussians.sh_degree)
+                // Writers may leave out bands that the header declares.
+                let stored = (scene.gaussians.sh_coefficients + 1).isqrt() - 1;
+                stored.min(scene.gaussians.sh_degree.into())
             }
             _ => 0,
         };

@@ -1,5 +1,6 @@
 use std::path::{Path, PathBuf};
 
+use ::fourdgs::{SceneExtras, WriteOptions};
 use tcgs_core::{Gaussians, Layout, SceneReader, normalize, sigmoid};
 
 use super::*;
@@ -74,6 +75,26 @@ fn both_models_of_the_package_are_read() {
         }
         let dropped = FourdgsFile::open(&file(name), HigherHarmonics::Drop.into()).unwrap();
         assert!(dropped.layout().is_base() && dropped.at(1).unwrap().means() == read.at(1).unwrap().means());
+    }
+}
+
+#[test]
+fn harmonics_that_the_header_declares_may_be_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.4dgs");
+    let whole = ::fourdgs::read_bytes(&std::fs::read(file("fourdgs_births.4dgs")).unwrap()).unwrap();
+    let options = WriteOptions { sh_bands: 2, ..WriteOptions::default() };
+    let written =
+        ::fourdgs::write_to_vec(&whole.gaussians, whole.duration_sec, &options, &SceneExtras::default()).unwrap();
+    assert_eq!(::fourdgs::read_bytes(&written).unwrap().header.sh_degree, 3);
+    std::fs::write(&path, &written).unwrap();
+    let (read, all) = (open(&path).unwrap(), open(&file("fourdgs_births.4dgs")).unwrap());
+    assert_eq!(read.layout().sh_degree(), 2);
+    let (a, b) = (read.at(1).unwrap(), all.at(1).unwrap());
+    assert_eq!(a.num_gaussians(), 50);
+    for band in read.layout().harmonics() {
+        let sum = |gaussians: &Gaussians| gaussians.values(band).iter().map(|x| x.abs()).sum::<f32>();
+        assert!(sum(&a) > 0.0 && (sum(&a) / sum(&b) - 1.0).abs() < 0.05, "{band:?}: {} {}", sum(&a), sum(&b));
     }
 }
 

@@ -29,11 +29,12 @@ impl Kept<'_> {
     }
 
     /// Some of them.
-    pub fn select(self, rows: &[usize]) -> Self {
+    pub fn select(&self, rows: &[usize]) -> Self {
         match self {
             Self::InMemory(floats) => Self::InMemory(floats.select(rows)),
             Self::OnDisk { scene, keep, stand_ins } => {
-                Self::OnDisk { scene, keep: rows.iter().map(|&row| keep[row]).collect(), stand_ins }
+                let keep = rows.iter().map(|&row| keep[row]).collect();
+                Self::OnDisk { scene, keep, stand_ins: stand_ins.clone() }
             }
         }
     }
@@ -49,13 +50,6 @@ impl Kept<'_> {
         match self {
             Self::InMemory(floats) => Arc::clone(floats.layout()),
             Self::OnDisk { scene, .. } => Arc::clone(SceneReader::layout(*scene)),
-        }
-    }
-
-    pub fn raw_bytes(&self) -> u64 {
-        match self {
-            Self::InMemory(floats) => floats.raw_bytes(),
-            Self::OnDisk { scene, keep, .. } => scene.layout().raw_bytes(keep.len(), scene.num_timesteps()),
         }
     }
 

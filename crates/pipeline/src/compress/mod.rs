@@ -6,6 +6,7 @@ mod kept;
 mod marks;
 mod max_error;
 mod parts;
+mod rate;
 mod refine;
 mod seen;
 mod settings;
@@ -33,6 +34,7 @@ use crate::{OpenScene, PipelineError};
 pub use judge::{Judge, JudgeImages};
 pub use marks::Marks;
 pub use max_error::{ErrorSearch, search_errors};
+pub use rate::Allowance;
 pub use refine::{RefineBudget, RefineOptions, Refined, RefinedWithin, refine, refine_within};
 pub use settings::{CompressPreset, capture_kind_of, position_step_remark, settings_of};
 pub use target::{QUALITY_RANGE, SearchResult, Target, search};
@@ -311,6 +313,38 @@ impl<'a> PrunedScene<'a> {
         self.compress_with(settings, Errors::Zeros, unchanged)
     }
 
+    /// The symbols, and which of the Gaussians that stay each of theirs is; none for [`Pruned::Parts`].
+    fn symbols(&self, settings: &CompressSettings) -> Result<Option<(CompactScene, Vec<usize>)>, PipelineError> {
+        let Pruned::Whole { kept, lives, bit_map, learned, .. } = &self.content else { return Ok(None) };
+        let segment_length = settings.segment_length.or(self.segment_length);
+        let settings = &CompressSettings { segment_length, ..settings.clone() };
+        let (compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
+        let compact = match lives {
+            Some(lives) => compact.with_lives(order.iter().map(|&g| lives[g]).collect()),
+            None => compact,
+        };
+        Ok(Some((compact, order)))
+    }
+
+    /// Some of the Gaussians that stay; [`Pruned::Parts`] as they are.
+    fn select(&self, rows: &[usize]) -> Self {
+        let Pruned::Whole { kept, lives, bit_map, learned, foreground } = &self.content else { return self.clone() };
+        Self {
+            info: SceneInfo { num_gaussians: rows.len() as u32, ..self.info.clone() },
+            content: Pruned::Whole {
+                kept: kept.select(rows),
+                lives: lives.as_ref().map(|lives| rows.iter().map(|&row| lives[row]).collect()),
+                bit_map: bit_map.select(rows),
+                learned: learned.clone(),
+                foreground: foreground.as_ref().map(|marks| rows.iter().map(|&row| marks[row]).collect()),
+            },
+            path: self.path.clone(),
+            data: self.data.clone(),
+            bits_from: self.bits_from.clone(),
+            ..*self
+        }
+    }
+
     /// - `change`: what happens to the symbols before they are encoded, and the light on them; not for [`Pruned::Parts`]
     fn compress_with(
         &self,
@@ -322,11 +356,8 @@ impl<'a> PrunedScene<'a> {
         let settings = &CompressSettings { segment_length, ..settings.clone() };
         let mut labels = None;
         let mut compact = match &self.content {
-            Pruned::Whole { kept, lives, bit_map, learned, foreground } => {
-                let (mut compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
-                if let Some(lives) = lives {
-                    compact = compact.with_lives(order.iter().map(|&g| lives[g]).collect());
-                }
+            Pruned::Whole { kept, foreground, .. } => {
+                let (compact, order) = self.symbols(settings)?.expect("of followed Gaussians");
                 labels = foreground.as_ref().map(|foreground| marks::labels(foreground, &order));
                 let (compact, light) = change(compact)?;
                 let mut compact = CompactFile { light, ..CompactFile::of(compact) };
@@ -376,7 +407,9 @@ impl<'a> PrunedScene<'a> {
             SizeStep {
                 name: "pruned",
                 bytes: match &self.content {
-                    Pruned::Whole { kept, .. } => kept.raw_bytes(),
+                    Pruned::Whole { kept, .. } => {
+                        kept.layout().raw_bytes(compact.num_gaussians(), kept.num_timesteps())
+                    }
                     Pruned::Parts(_) => self.raw_bytes,
                 },
             },

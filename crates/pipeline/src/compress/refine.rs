@@ -1,6 +1,7 @@
 //! Refinement: the codes of a compressed scene, and the light on it, are trained on the images of its capture before the file is
 //! written.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
@@ -13,6 +14,7 @@ use tcgs_render::{CpuRasterizer, Rasterizer};
 use tcgs_train::{Preset, RefineConfig, Refiner, TrainConfig, refine_order};
 
 use super::parts::are_followed;
+use super::rate::{Allowance, NUM_MEASURED, Visit, choose_quality, without_dear};
 use super::{Errors, Judge, Pruned, PrunedScene, SearchResult, Target, search};
 use crate::observe::tell;
 use crate::{Backend, Event, Observer, OpenScene, PipelineError, Work};
@@ -51,6 +53,8 @@ pub struct RefineOptions {
     pub budget: RefineBudget,
     /// Of the training.
     pub config: RefineConfig,
+    /// Error that it is left to take back.
+    pub allowance: Allowance,
 }
 
 impl RefineOptions {
@@ -65,14 +69,14 @@ impl RefineOptions {
     /// # Errors
     /// [`PipelineError`] that says why it cannot be refined: it has no capture, the capture is not there or lacks a frame, or the
     /// Gaussians of the scene change in number or order.
-    pub fn usual(scene: &OpenScene, capture: Option<&Path>) -> Result<Self, PipelineError> {
+    pub fn usual(scene: &OpenScene, capture: Option<&Path>, allowance: Allowance) -> Result<Self, PipelineError> {
         let capture = capture.or(scene.capture()).map(Path::to_path_buf).ok_or_else(|| {
             PipelineError::input(scene.path.display(), "no capture of its own", "one with the images to refine on")
         })?;
         if !are_followed(scene)? {
             return Err(not_followed(scene));
         }
-        let options = Self { capture, budget: RefineBudget::of(scene), config: RefineConfig::default() };
+        let options = Self { capture, budget: RefineBudget::of(scene), config: RefineConfig::default(), allowance };
         Images::open(scene, &options)?;
         Ok(options)
     }
@@ -92,6 +96,8 @@ pub struct Refined {
     pub compact: CompactFile,
     /// Iterations that were done: fewer than were asked for if the observer broke off.
     pub iterations: usize,
+    /// Quality that [`Allowance::rounding`] chose, if it did.
+    pub quality: Option<f32>,
     /// Mean loss of the images over the first and over the last pass through the timesteps, or as much as there was of it.
     pub losses: [f64; 2],
 }
@@ -118,6 +124,7 @@ pub fn refine(
         return Err(not_followed(scene));
     }
     let images = Images::open(scene, options)?;
+    let Chosen { quality, pruned, settings } = images.choose(pruned, settings, options.allowance, observer)?;
     let (mut iterations, mut losses) = (0, [0.0; 2]);
     let mut change = |compact: CompactScene| {
         let refined = match backend {
@@ -131,8 +138,8 @@ pub fn refine(
         losses = [mean(&done[..count]), mean(&done[done.len() - count..])];
         Ok((compact, light))
     };
-    let (compact, file) = pruned.compress_with(settings, Errors::Measured, &mut change)?;
-    Ok(Refined { file, compact, iterations, losses })
+    let (compact, file) = pruned.compress_with(&settings, Errors::Measured, &mut change)?;
+    Ok(Refined { file, compact, iterations, losses, quality })
 }
 
 /// What a file is expected to have before refining, as a share of what it may have afterwards: codes that are trained are a
@@ -183,6 +190,10 @@ pub fn refine_within(
         Target::Bytes(bytes) => Target::Bytes((EXPECTED_SHARE * bytes as f64) as u64),
         Target::Psnr(psnr) => Target::Psnr(psnr - EXPECTED_GAIN),
     };
+    let images = Images::open(scene, options)?;
+    let allowance = Allowance { rounding: None, ..options.allowance };
+    let Chosen { pruned, .. } = &images.choose(pruned, settings, allowance, observer)?;
+    let options = &RefineOptions { allowance: Allowance::NONE, ..options.clone() };
     let mut best: Option<RefinedWithin> = None;
     // What the tries came to: the fewest bytes, the highest PSNR.
     let (mut smallest, mut highest) = (u64::MAX, f64::MIN);
@@ -233,6 +244,17 @@ pub fn refine_within(
     })
 }
 
+/// Visits of timesteps whose images choose quality and Gaussians.
+const NUM_VISITS: usize = 12;
+
+/// What is refined.
+struct Chosen<'r, 'a> {
+    /// If it was chosen.
+    quality: Option<f32>,
+    pruned: Cow<'r, PrunedScene<'a>>,
+    settings: CompressSettings,
+}
+
 /// The images that a scene is refined on.
 struct Images<'a> {
     capture: Capture,
@@ -262,6 +284,47 @@ impl<'a> Images<'a> {
             .map(|camera| learned.map_or([[0.0; 3]; 2], |p| [p.camera_gains[camera], p.camera_offsets[camera]]))
             .collect();
         Ok(Self { capture, scene, num_views, corrections })
+    }
+
+    /// Quality and Gaussians, as an allowance has it.
+    fn choose<'r, 'b>(
+        &self,
+        pruned: &'r PrunedScene<'b>,
+        settings: &CompressSettings,
+        allowance: Allowance,
+        observer: &mut dyn Observer,
+    ) -> Result<Chosen<'r, 'b>, PipelineError> {
+        let mut chosen = Chosen { quality: None, pruned: Cow::Borrowed(pruned), settings: settings.clone() };
+        if allowance == Allowance::NONE {
+            return Ok(chosen);
+        }
+        let visits = self.visits()?;
+        if let Some(share) = allowance.rounding {
+            tell(observer, Event::Begun { work: Work::Measuring, num_steps: NUM_MEASURED * visits.len() })?;
+            let mut visited = |visit: &Visit| tell(observer, Event::Frame(self.scene.first_frame + visit.timestep));
+            let quality = choose_quality(pruned, settings, &visits, share, &mut visited)?;
+            chosen.quality = Some(quality);
+            chosen.settings = settings.clone().with_quality(quality);
+        }
+        if allowance.removal > 0.0 {
+            let cheap = without_dear(pruned, &chosen.settings, &visits, allowance.removal)?;
+            chosen.pruned = Cow::Owned(cheap);
+        }
+        Ok(chosen)
+    }
+
+    /// Views of timesteps of the whole scene, a third of the cameras at each.
+    fn visits(&self) -> Result<Vec<Visit>, PipelineError> {
+        let num_timesteps = self.scene.num_timesteps();
+        // Three visits have all views of a timestep.
+        let num_visits = NUM_VISITS.min(3 * num_timesteps);
+        let order = refine_order(1, num_timesteps, self.num_views, None).take(num_visits);
+        let visit = |(timestep, cameras): (usize, Vec<usize>)| {
+            let (timestep, views) = self.load(timestep, &cameras)?;
+            let corrections = cameras.iter().map(|&camera| self.corrections[camera]).collect();
+            Ok(Visit { timestep, views: views.into_iter().map(|(_, view)| view).collect(), corrections })
+        };
+        order.map(visit).collect()
     }
 
     /// Iterations in which every timestep is visited once.

@@ -17,8 +17,11 @@ use crate::gate::{Activity, Pace, Shares, Trained};
 use crate::losses::LossTerms;
 use crate::mask::{mask, masked_out};
 use crate::motion::predict;
-use crate::removal::needed;
+use crate::removal::{Removal, TimestepViews, needed};
 use crate::schedule::Phase;
+
+/// Largest share of the Gaussians that one removal by error takes. The others need iterations to take over.
+const MOST_REMOVED: f32 = 0.4;
 
 /// The report of one iteration that [`Trainer::fit`] gives to its observer.
 #[derive(Clone, Copy, Debug)]
@@ -285,7 +288,14 @@ impl Trainer {
         if self.schedule.prunes_unneeded(iteration) {
             let threshold = if self.config.mask.enabled { self.config.mask.threshold } else { -1.0 };
             let is_hidden = masked_out(&state.parameters.mask_logits, threshold);
-            let keep = needed(&state.parameters, &is_hidden, views, self.schedule.prune_error(), seed);
+            let timestep = TimestepViews {
+                gaussians: &state.parameters.gaussians,
+                is_hidden: &is_hidden,
+                views,
+                corrections: &state.parameters.corrections(),
+            };
+            let share = self.schedule.prune_error();
+            let keep = needed(&[timestep], &Removal { share, most: MOST_REMOVED, costs: None, seed });
             remove_others(state, &keep);
         }
         // Until the first timestep is finished nobody is told apart.

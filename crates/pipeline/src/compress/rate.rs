@@ -1,0 +1,153 @@
+//! Fewer bytes before a refinement: a coarser quality, and fewer Gaussians, as far as the images allow.
+//!
+//! Both are limited by the mean squared error of training images, relative to what the scene has as floats. In a scene that
+//! explains its images badly, such as one of noisy cameras, fine codes store noise. In a scene that explains them well, fine
+//! codes show. Refinement takes back much of the error that is allowed here.
+
+use std::ops::Range;
+
+use tcgs_codec::{CompactScene, CompressSettings};
+use tcgs_core::{Gaussians, View};
+use tcgs_train::{Removal, TimestepViews, needed};
+
+use super::{Pruned, PrunedScene};
+use crate::PipelineError;
+
+/// Error that refinement is left to take back. Shares are of the mean squared error of training images.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Allowance {
+    /// Growth by rounding and keypoints: the quality falls, or rises, until they cause about so much. None: the settings stay.
+    /// Default 0.15.
+    pub rounding: Option<f32>,
+    /// Growth by removal of Gaussians, of which those go first whose bytes lower the error least. Default 0.1; 0: all stay.
+    pub removal: f32,
+}
+
+impl Default for Allowance {
+    fn default() -> Self {
+        Self { rounding: Some(0.15), removal: 0.1 }
+    }
+}
+
+impl Allowance {
+    /// Settings and Gaussians stay as they are.
+    pub const NONE: Self = Self { rounding: None, removal: 0.0 };
+
+    /// For settings of a given quality ([`CompressSettings::with_quality`]), which stay. Above 0 each step of 1 divides the
+    /// allowed error by 4, as it does the error of rounding.
+    pub fn at_quality(quality: f32) -> Self {
+        Self { rounding: None, removal: Self::default().removal * 4.0_f32.powf(-quality.max(0.0)) }
+    }
+}
+
+/// Qualities that are chosen from, in steps of `1 / QUALITY_STEPS`.
+const QUALITIES: Range<i32> = -12..5;
+const QUALITY_STEPS: f32 = 4.0;
+/// Views that tell the error at a quality, about.
+const NUM_JUDGES: usize = 32;
+/// Largest share of the Gaussians that is removed.
+const MOST_REMOVED: f32 = 0.6;
+/// Bits that a keypoint after a track's first takes in the file, as a share of its width. Measured on basketball.
+const LATER_SHARE: f32 = 0.4;
+
+/// Training images of one timestep.
+pub(super) struct Visit {
+    pub timestep: usize,
+    pub views: Vec<View>,
+    /// `[views]` gain, as its logarithm, and offset of each view's camera.
+    pub corrections: Vec<[[f32; 3]; 2]>,
+}
+
+/// Scenes that [`choose_quality`] measures at most: the floats, and a bisection of [`QUALITIES`].
+pub(super) const NUM_MEASURED: usize = 6;
+
+/// The quality at which rounding and keypoints let the error grow by about a share of it.
+///
+/// - `settings`: those of quality 0
+/// - `visited`: called after each visit of each scene that is measured
+pub(super) fn choose_quality(
+    pruned: &PrunedScene<'_>,
+    settings: &CompressSettings,
+    visits: &[Visit],
+    share: f32,
+    visited: &mut dyn FnMut(&Visit) -> Result<(), PipelineError>,
+) -> Result<f32, PipelineError> {
+    let Pruned::Whole { kept, lives, .. } = &pruned.content else { return Ok(0.0) };
+    let is_alive = |gaussian: usize, timestep: usize| {
+        lives.as_ref().is_none_or(|lives| {
+            let [first, last] = lives[gaussian].map(usize::from);
+            (first..=last).contains(&timestep)
+        })
+    };
+    let num_views: usize = visits.iter().map(|visit| visit.views.len()).sum();
+    let stride = num_views.div_ceil(NUM_JUDGES).max(1);
+    let mut error_of = |at: &dyn Fn(usize) -> Result<Gaussians, PipelineError>| -> Result<f64, PipelineError> {
+        let mut sum = 0.0;
+        for visit in visits {
+            let gaussians = at(visit.timestep)?;
+            let is_hidden: Vec<bool> =
+                (0..gaussians.num_gaussians()).map(|gaussian| !is_alive(gaussian, visit.timestep)).collect();
+            sum += visit.with(&gaussians, &is_hidden).error_without(&[], stride);
+            visited(visit)?;
+        }
+        Ok(sum)
+    };
+    let most = f64::from(1.0 + share) * error_of(&|timestep| kept.at(timestep))?;
+    let quality = |step: i32| step as f32 / QUALITY_STEPS;
+    // `high` is fine enough, or the finest there is; `low` is not fine enough.
+    let (mut low, mut high) = (QUALITIES.start - 1, QUALITIES.end - 1);
+    while high - low > 1 {
+        let middle = low.midpoint(high);
+        let Some((compact, order)) = pruned.symbols(&settings.clone().with_quality(quality(middle)))? else { break };
+        let mut rows = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(gaussian, &row)| rows[row] = gaussian);
+        let error = error_of(&|timestep| Ok(compact.at(timestep).select(&rows)))?;
+        if error <= most { high = middle } else { low = middle }
+    }
+    Ok(quality(high))
+}
+
+/// The scene without the Gaussians whose bytes lower the error least.
+///
+/// - `share`: by how much the error may grow, as a share of it
+pub(super) fn without_dear<'a>(
+    pruned: &PrunedScene<'a>,
+    settings: &CompressSettings,
+    visits: &[Visit],
+    share: f32,
+) -> Result<PrunedScene<'a>, PipelineError> {
+    let Some((compact, order)) = pruned.symbols(settings)? else { return Ok(pruned.select(&[])) };
+    let of_visit = |visit: &Visit| {
+        let is_hidden = (0..compact.num_gaussians()).map(|gaussian| !compact.is_alive(gaussian, visit.timestep));
+        (compact.at(visit.timestep), is_hidden.collect())
+    };
+    let states: Vec<(Gaussians, Vec<bool>)> = visits.iter().map(of_visit).collect();
+    let timesteps: Vec<TimestepViews<'_>> =
+        visits.iter().zip(&states).map(|(visit, (gaussians, is_hidden))| visit.with(gaussians, is_hidden)).collect();
+    let removal = Removal { share, most: MOST_REMOVED, costs: Some(&costs(&compact)), seed: 0 };
+    let mut rows: Vec<usize> = needed(&timesteps, &removal).into_iter().map(|gaussian| order[gaussian]).collect();
+    rows.sort_unstable();
+    Ok(pruned.select(&rows))
+}
+
+impl Visit {
+    fn with<'a>(&'a self, gaussians: &'a Gaussians, is_hidden: &'a [bool]) -> TimestepViews<'a> {
+        TimestepViews { gaussians, is_hidden, views: &self.views, corrections: &self.corrections }
+    }
+}
+
+/// `[N]` about how many bits each Gaussian takes in the file.
+fn costs(compact: &CompactScene) -> Vec<f32> {
+    let mut costs = vec![0.0; compact.num_gaussians()];
+    for attribute in compact.layout.attributes() {
+        let components = attribute.components();
+        let tracks = &compact.tracks[attribute.index()];
+        for (gaussian, cost) in costs.iter_mut().enumerate() {
+            let width = f32::from(compact.bit_map.widths[attribute.index()][gaussian]);
+            for track in gaussian * components..(gaussian + 1) * components {
+                *cost += width * (1.0 + LATER_SHARE * (tracks.track(track).0.len() - 1) as f32);
+            }
+        }
+    }
+    costs
+}
