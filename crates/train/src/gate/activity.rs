@@ -38,17 +38,17 @@ const BEHIND: f32 = 4.0;
 /// Share of a pixel's colour from which on active Gaussians answer for it.
 const MIN_SHARE: f32 = 0.1;
 
-/// What a timestep trains: Gaussians, and tiles of views.
+/// The part of a scene that a timestep trains: Gaussians, and tiles of views.
 #[derive(Clone, Debug)]
 pub(crate) struct Activity {
     /// Indices of the active Gaussians, ascending.
     pub active: Vec<usize>,
     /// Indices of the Gaussians that are held because the losses on motion tie them to active ones, ascending.
     pub held: Vec<usize>,
-    /// `[N]` share of each Gaussian's blending weight on what has not changed in any view, 0 to 1; 0 of one that is not seen.
-    /// Empty if nothing has changed in any.
+    /// `[N]` share of each Gaussian's blending weight on content that has not changed, 0 to 1; 0 if no view sees it.
+    /// Empty if no view has changed.
     pub stillness: Vec<f32>,
-    /// `[N]` share of the pixels of all views that each Gaussian makes up; empty if nothing has changed in any.
+    /// `[N]` share of the pixels of all views that each Gaussian makes up; empty if no view has changed.
     pub pixels: Vec<f32>,
     /// `[cameras]`, the tiles that are drawn.
     pub tiles: Vec<TileMask>,
@@ -56,11 +56,12 @@ pub(crate) struct Activity {
     pub cameras: Vec<usize>,
     /// The active Gaussians as drawn before the timestep.
     pub before: Activated,
-    /// What the timestep is drawn with; none if no Gaussian is active.
+    /// The scenery of the timestep; none if no Gaussian is active.
     pub scenery: Option<Scenery>,
-    /// `[cameras][active]` blending weights before the timestep, in pixels; 0 where the centre is hidden. Empty without matches.
+    /// `[cameras][active]` blending weights before the timestep, in pixels; 0 if the centre is hidden. Empty without
+    /// matches.
     pub weights: Vec<Vec<f32>>,
-    /// `[active, 3]` what to add to where they would be at constant velocity, scene units; empty for nothing.
+    /// `[active, 3]` corrections to their positions at constant velocity, scene units; empty for none.
     pub corrections: Vec<[f32; 3]>,
 }
 
@@ -132,7 +133,7 @@ impl Activity {
         }
         activity.active.iter().for_each(|&i| is_held[i] = false);
         activity.held = indices(&is_held);
-        // Where they are seen, active Gaussians answer for it, changed or not.
+        // Active Gaussians answer for every tile in which they are visible, changed or not.
         let colors = is_active.iter().map(|&active| f32::from(u8::from(active))).collect();
         let shares = Activated { colors, num_channels: 1, ..all.clone() };
         for (tiles, target) in activity.tiles.iter_mut().zip(targets) {
@@ -180,8 +181,8 @@ impl Activity {
         State { parameters, lifetimes, optimizer, quantizers, past, statistic, timestep: state.timestep }
     }
 
-    /// The edges that end at an active Gaussian or start from one. In place of an edge between two that are held there is
-    /// one of weight 0, since every node has as many edges as the next.
+    /// The edges that start or end at an active Gaussian. An edge between two held Gaussians is replaced by one of
+    /// weight 0, since all nodes have the same number of edges.
     fn neighbors(&self, whole: &Neighbors<f32>, num_gaussians: usize) -> Neighbors<f32> {
         let rows = self.rows();
         let mut row_of = vec![u32::MAX; num_gaussians];
@@ -233,7 +234,7 @@ impl Activity {
         o.mask.step = small.optimizer.mask.step;
     }
 
-    /// What share of the scene's Gaussians the small state has.
+    /// The small state's share of the scene's Gaussians.
     pub fn shares(&self, state: &State) -> Shares {
         let foreground = &state.parameters.foreground;
         let rows: Vec<bool> = self.rows().into_iter().map(|i| foreground[i]).collect();
@@ -241,7 +242,7 @@ impl Activity {
     }
 }
 
-/// What some rows are drawn with in some tiles.
+/// The scenery of some rows in some tiles.
 ///
 /// - `drawn`: the scene, with these rows
 /// - `rows`: indices into the scene; the first `num_active` are trained
@@ -303,12 +304,12 @@ pub struct Trained {
 }
 
 impl Trained {
-    /// Of a timestep that trains everything.
+    /// A timestep that trains everything.
     pub const ALL: Self = Self { gaussians: 1.0, tiles: 1.0 };
 }
 
-/// What share of the Gaussians a small state has, by which its losses count: a mean over its rows, times its share, is
-/// their part of the mean over the scene.
+/// The small state's share of the scene's Gaussians, which weights its losses. A mean over the small state times its
+/// share is its part of the mean over the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shares {
     all: f64,
@@ -414,8 +415,8 @@ fn mark(blocks: &Blocks, step: usize, width: usize, plane: &mut [f32]) {
     }
 }
 
-/// Wakes those of whose neighbours at least as many are active as are seen to be still: the inside of what moves changes
-/// less than its edges, and what is hidden or masked moves with what is around it.
+/// Wakes a Gaussian if at least as many of its neighbours are active as are seen to be still. The inside of a moving
+/// object changes less than its edges, and hidden or masked Gaussians move with their surroundings.
 ///
 /// - `is_seen`: `[N]`, whether a Gaussian's own evidence counts
 /// - `is_active`: `[N]`, added to
@@ -424,7 +425,7 @@ fn vote(neighbors: &Neighbors<f32>, is_seen: &[bool], is_active: &mut [bool]) {
     for _ in 0..MAX_VOTES {
         let woken: Vec<u32> = (foreground.par_iter().enumerate())
             .filter(|(node, i)| {
-                // Who lacks neighbours has edges to itself.
+                // The list of a node that lacks neighbours is filled with edges to itself.
                 let ends = indices[node * per_node..(node + 1) * per_node].iter().filter(|end| **end as usize != *node);
                 let ends = ends.map(|&end| foreground[end as usize]);
                 let (mut active, mut still) = (0, 0);

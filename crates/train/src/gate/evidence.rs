@@ -101,12 +101,12 @@ pub(super) fn differences(before: &Image, now: &Image) -> Vec<f32> {
     means
 }
 
-/// The difference up to which noise explains a block: the median over the blocks and so many standard deviations, which
-/// are estimated robustly. What moves is in fewer than half of the blocks; the noise of cameras and of video compression
-/// is in all.
+/// The difference up to which noise explains a block: the median over the blocks plus `deviations` robust standard
+/// deviations. Moving content covers fewer than half of the blocks; noise of cameras and of video compression is in
+/// all.
 ///
 /// - `differences`: of the blocks of one view
-/// - `deviations`: how many
+/// - `deviations`: number of standard deviations
 pub(super) fn noise_level(differences: &[f32], deviations: f32) -> f32 {
     let middle = median(differences);
     let distances: Vec<f32> = differences.iter().map(|difference| (difference - middle).abs()).collect();

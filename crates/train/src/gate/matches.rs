@@ -1,11 +1,11 @@
 //! Where a timestep starts: matches between its images and those of the timestep before.
 //!
-//! A timestep starts where everything would be at constant velocity. From a start that is further off than a few of a
-//! Gaussian's own widths no gradient leads back, as for what is thrown, caught, or seen at few frames a second. So small
-//! groups of active Gaussians look for the place at which the new images show what the last ones showed at theirs: a block
-//! matching from coarse to fine (Lucas and Kanade 1981), whose displacements are points of space and not of an image, so
-//! that all views decide together. Who is explained where it starts has no say, and where no other place explains the
-//! others much better, nothing is moved.
+//! A timestep starts with every Gaussian at constant velocity. If that start is off by more than a few of a Gaussian's
+//! own widths, no gradient leads back: thrown and caught objects, or captures of few frames a second. Small groups of
+//! active Gaussians therefore search for the place at which the new images show what the previous images showed at
+//! their old place. The search is a coarse-to-fine block matching (Lucas and Kanade 1981). Its displacements are in
+//! space, not in an image, so that all views decide together. A Gaussian that its start explains has no say. If no
+//! other place explains the rest much better, the group is not moved.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -57,7 +57,7 @@ pub(super) struct Mover {
     pub foreground: bool,
 }
 
-/// What is matched.
+/// The search for corrections, over all movers and views.
 pub(super) struct Matches<'a> {
     movers: &'a [Mover],
     /// `[views][N]`
@@ -107,7 +107,7 @@ impl<'a> Matches<'a> {
         (0..self.movers.len()).into_par_iter().map(|i| self.correction(i, &groups, radius)).collect()
     }
 
-    /// What the groups around a Gaussian say of it, if that does not make it worse.
+    /// The mean correction of the groups around a Gaussian; 0 if that would make the Gaussian's own match worse.
     ///
     /// - `radius`: of the groups
     fn correction(&self, i: usize, groups: &Groups, radius: f32) -> [f32; 3] {
@@ -194,7 +194,7 @@ impl<'a> Matches<'a> {
     }
 }
 
-/// What a camera saw and sees, at full resolution and at halves of it.
+/// Images of a camera at both timesteps, at full resolution and at halves of it.
 struct Sight {
     pinhole: Pinhole<f32>,
     before: Vec<Colors>,
@@ -269,14 +269,14 @@ struct Group {
     is_off: bool,
 }
 
-/// What is compared of some Gaussians: of each of some views those that it shows.
+/// The samples of some Gaussians that are compared: for some views, those that each view shows.
 struct Comparison<'a> {
     level: usize,
     views: Vec<(&'a Sight, Vec<Sample>)>,
 }
 
 struct Sample {
-    /// Where it was, in camera space.
+    /// Position at the timestep before, in camera space.
     point: [f32; 3],
     weight: f32,
     /// In the image of the timestep before.
@@ -382,7 +382,7 @@ fn squared_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
 #[derive(Default)]
 struct Groups {
     all: Vec<Group>,
-    /// Of the background and of the foreground: the centres, and the indices of the groups.
+    /// The background's tree, then the foreground's: the centres, and the indices of the groups.
     trees: [Option<(ImmutableKdTree<f32, 3>, Vec<usize>)>; 2],
 }
 

@@ -1,4 +1,5 @@
-//! What newborn and young Gaussians are trained in: the tiles that they reach, among the rest of the scene.
+//! The scenery in which newborn and young Gaussians are trained: the tiles that they reach, among the rest of the
+//! scene.
 
 use tcgs_core::{Camera, View};
 use tcgs_render::{TileMask, tiles_reached};
