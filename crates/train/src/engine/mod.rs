@@ -75,11 +75,11 @@ pub trait Engine: Send + Debug {
     /// Name of the device, for messages: `the CPU, 2 threads`.
     fn name(&self) -> String;
 
-    /// Takes the images of a timestep, one a camera, in the order of the cameras' gains. The state has
-    /// been brought to the timestep's start.
+    /// Takes the images of a timestep, one per camera, in the order of the cameras' gains. The state is already at the
+    /// timestep's start.
     ///
-    /// - `scenery`: what the state is drawn with, where it holds only the rows of a timestep; none where it holds the
-    ///   whole scene
+    /// - `scenery`: everything that is drawn around the state, if the state holds only the rows of a timestep; none if
+    ///   it holds the whole scene
     fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError>;
 
     /// Computes or submits one iteration: losses and gradients on one image, then one update of the parameters. May

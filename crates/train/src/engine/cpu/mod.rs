@@ -46,7 +46,7 @@ struct Staged {
     views: Vec<Stage>,
 }
 
-/// What one forward chain leaves for the backward one.
+/// Intermediate results of the forward chain that the backward chain needs.
 struct DrawnChain {
     quantized: Option<Gaussians>,
     drawn: Activated,
@@ -81,12 +81,12 @@ impl Drawn {
         Self { activated: Arc::new(drawn), seen: has_harmonics.then(|| quantized.unwrap_or_else(|| gaussians.clone())) }
     }
 
-    /// With the colours of degree 0: for what does not depend on colours.
+    /// With the colours of degree 0, for uses that do not depend on colours.
     pub fn activated(&self) -> &Activated {
         &self.activated
     }
 
-    /// What a camera sees.
+    /// The Gaussians with the colours that a camera sees.
     pub fn seen_by(&self, camera: &Camera) -> Arc<Activated> {
         match self.colors_seen_by(camera) {
             Some(colors) => Arc::new(Activated { colors, ..Activated::clone(&self.activated) }),
@@ -157,11 +157,11 @@ pub struct CpuEngine {
     targets: Vec<Target>,
     /// Losses on motion, after the first timestep.
     prior: Option<MotionPrior<f32>>,
-    /// What the state is drawn with, where it does not hold the whole scene.
+    /// The scenery, if the state holds only a part of the scene.
     staged: Option<Staged>,
-    /// The gradient of the image that was rendered last in some tiles; without meaning in the others.
+    /// Gradient of the image rendered last, valid in the tiles drawn and undefined in the others.
     v_image: Image,
-    /// Not asked for yet.
+    /// Losses not yet returned.
     losses: Vec<LossTerms>,
 }
 

@@ -27,18 +27,18 @@ impl Mirror {
         Self { state, newest: Newest::Host, version: 0 }
     }
 
-    /// The host's copy. What iterations change may be older than the device's; shape, quantizers' groups, past and counts
-    /// of updates are the newest.
+    /// The host's copy. Shape, quantizers' groups, past and counts of updates are the newest; values that iterations
+    /// change may be older than the device's.
     pub fn host(&self) -> &State {
         &self.state
     }
 
-    /// The host's copy, for what only the host keeps: counts of updates.
+    /// The host's copy, for data that only the host keeps: counts of updates.
     pub fn host_mut(&mut self) -> &mut State {
         &mut self.state
     }
 
-    /// A number that is another one whenever the newest state may be another.
+    /// A number that changes whenever the newest state may have changed.
     pub fn version(&self) -> u64 {
         self.version
     }
@@ -124,7 +124,7 @@ mod tests {
         let version = mirror.version();
         mirror.change();
         assert_ne!(mirror.version(), version);
-        // What failed is done again.
+        // A failed upload is repeated.
         assert!(mirror.upload(|_| Err("no memory")).is_err());
         mirror.upload(|_| count(&mut uploads)).unwrap();
         assert_eq!((uploads, downloads), (2, 1));

@@ -1,5 +1,6 @@
-//! What an engine on a device needs of no device's interface: where a layout's columns lie in memory, what one iteration
-//! is asked for in `repr(C)`, who has the newest state, and which iterations are under way.
+//! The parts of a device engine that depend on no device's interface: memory layout of a layout's columns (`packing`),
+//! an iteration's request as `repr(C)` (`step`), the location of the newest state (`mirror`), and the iterations under
+//! way (`in_flight`).
 //!
 //! [`super::gpu`] is the one engine on a device there is. Nothing here knows `wgpu`; the shaders' text is WGSL, since
 //! [`tcgs_render::device::Wgsl`] puts it together.

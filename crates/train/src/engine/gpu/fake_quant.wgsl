@@ -1,9 +1,8 @@
 // Backward of fake quantisation; straight-through, learned steps and offsets (fake_quant_vjp on the CPU).
 //
-// fake_quant_bwd, a workgroup a chunk of up to 1024 members of a group (one attribute, one width): reads params,
-// overwrites grads, gradients to quantised values, with those to the values themselves, and writes for every
-// component one row of quantizer_partials: the sums of (v_step, v_offset), not yet scaled.
-// Q quantizers; N Gaussians.
+// fake_quant_bwd: one workgroup per chunk of up to 1024 members of a group (one attribute, one width). It reads params
+// and overwrites grads: gradients to quantised values become gradients to the values themselves. For every component it
+// writes one row of quantizer_partials: the sums of (v_step, v_offset), not yet scaled. Q quantizers; N Gaussians.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> params: array<f32>; // [values * N], see packing.rs

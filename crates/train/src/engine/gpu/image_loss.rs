@@ -1,9 +1,9 @@
 //! `0.8 L1 + 0.2 (1 − SSIM)` on the GPU: see [`crate::engine::cpu::image_loss`].
 //!
-//! Two kernels, since the backward filter needs the forward's maps from beyond its block. The floor, for
-//! every pixel and channel: forward reads 8 bytes (image, target) and writes 12 (three maps), backward
-//! reads 20 and writes 4; blocks overlap, so that a value is read 2.6 times, from the cache all but once.
-//! Arithmetic: about 250 operations forward, 120 backward, and 100 and 70 reads of workgroup memory.
+//! Two kernels, since the backward filter needs the forward's maps from beyond its block. The floor, for every pixel
+//! and channel: forward reads 8 bytes (image, target) and writes 12 (three maps), backward reads 20 and writes 4.
+//! Blocks overlap, so that a value is read 2.6 times; all reads but the first hit the cache. Arithmetic takes about 250
+//! operations forward and 120 backward, and 100 and 70 reads of workgroup memory.
 
 use tcgs_metrics::{SSIM_C1, SSIM_C2, SSIM_WINDOW};
 use tcgs_render::device::{Coverage, MAX_GROUPS_X, Wgsl, groups_in_rows};
@@ -16,7 +16,7 @@ use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 /// Pixels along a block's side.
 const SIDE: usize = 16;
 
-/// What the image losses read and write.
+/// Buffers of the image losses.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageLossBuffers<'a> {
     /// [`super::StepUniform`]
@@ -39,8 +39,8 @@ pub struct ImageLossBuffers<'a> {
 pub struct ImageLossKernels {
     fwd: Bound,
     bwd: Bound,
-    /// `[C, blocks, 4]` sums over each block of 16x16 pixels, in the order of the blocks: `1 − SSIM`, `|x − y|`, gradients to
-    /// the gain and to the offset. The last two say nothing for channels of segmentation.
+    /// `[C, blocks, 4]` sums over each block of 16x16 pixels, in the order of the blocks: `1 − SSIM`, `|x − y|`,
+    /// gradients with respect to gain and offset. The last two are meaningless for segmentation channels.
     pub partials: wgpu::Buffer,
 }
 
@@ -88,7 +88,7 @@ impl ImageLossKernels {
     }
 }
 
-/// What the shaders of the loss and of its sums share.
+/// Constants that the shaders of the loss and of its sums share.
 pub(super) fn constants() -> Wgsl {
     Wgsl::new().constant("L1_SHARE", L1_SHARE).constant("COUNTED_CHANNELS", COUNTED_CHANNELS).constant("SIDE", SIDE)
 }

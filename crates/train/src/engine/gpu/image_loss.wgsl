@@ -1,14 +1,15 @@
 
 // 0.8 L1 + 0.2 (1 - SSIM) of the rendered image against a target, forward and backward.
 //
-// rendered, v_image [C, H, W]; targets: bytes red, green, blue, foreground, each / 255
-// cameras [2, K, 3]: logarithms of gains, then offsets; the camera's image is exp(gain) * rendered + offset
-// maps [C, 3, H, W]: derivatives of the SSIM map to mean_x, square_x and product (see ssim.rs of tcgs-metrics)
-// partials [C, blocks, 4]: sums over a block of 1 - SSIM, |x - y|, v_gain and v_offset
+// - rendered, v_image [C, H, W]
+// - targets: bytes red, green, blue, foreground, each / 255
+// - cameras [2, K, 3]: logarithms of gains, then offsets; the camera's image is exp(gain) * rendered + offset
+// - maps [C, 3, H, W]: derivatives of the SSIM map to mean_x, square_x and product (see ssim.rs of tcgs-metrics)
+// - partials [C, blocks, 4]: sums over a block of 1 - SSIM, |x - y|, v_gain and v_offset
 //
-// A workgroup has a block of 16x16 pixels of one channel, which is a tile of the renderer. Which blocks there are, and where
-// their pixels lie, says image_whole.wgsl or image_listed.wgsl. The window is 11x11 and separable: what lies
-// under the windows of a block is loaded once, filtered along rows, then down columns.
+// A workgroup handles a block of 16x16 pixels of one channel, which is a tile of the renderer. image_whole.wgsl or
+// image_listed.wgsl defines the blocks and the positions of their pixels. The window is 11x11 and separable: the pixels
+// under the windows of a block are loaded once, filtered along rows, then down columns.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> rendered: array<f32>;

@@ -1,4 +1,5 @@
-// The pixels of a whole image: all blocks are compared, row by row. image_listed.wgsl has the same functions for some of them.
+// The pixels of a whole image: all blocks are compared, row by row. image_listed.wgsl has the same functions for an
+// image of which some tiles are drawn.
 //
 // targets [views, H, W]
 
@@ -7,7 +8,7 @@ fn block_at(number: u32) -> vec2<u32> {
     return vec2(number % columns, number / columns);
 }
 
-// What was rendered, before the camera's correction, and the target.
+// The rendered value before the camera's correction, and the target.
 fn raw_and_target(pixel: vec2<u32>, channel: u32) -> vec2<f32> {
     let at = pixel.y * step.width + pixel.x;
     let word = targets[step.target_offset + at];

@@ -1,11 +1,13 @@
 // Losses that keep motion plausible, value and gradient. N Gaussians, F foreground ones (nodes, in the order
 // of `nodes`), B background ones.
 //
-// prior_begin, once a timestep: reads where everything was at the timestep before; writes what the losses compare with.
-// prior_gaussians, a thread a Gaussian: floor, background, soft_color, stillness; packs where nodes are for prior_edges.
-// prior_edges, a thread a node: rigid, rot, iso along every edge that leaves or arrives.
-// The last two accumulate into grads and write partials [ceil(F / 256) + ceil(N / 256), 8]:
-// rigid, rot, iso, floor, background, soft_color, stillness, 0, sums before any share or weight; rows of prior_edges first.
+// - prior_begin, once a timestep: reads the poses of the timestep before; writes the reference of the losses.
+// - prior_gaussians, one thread per Gaussian: floor, background, soft_color, stillness; packs the nodes' poses for
+//   prior_edges.
+// - prior_edges, one thread per node: rigid, rot, iso along every edge that leaves or arrives.
+//
+// The last two accumulate into grads and write partials [ceil(F / 256) + ceil(N / 256), 8]: rigid, rot, iso, floor,
+// background, soft_color, stillness, 0. These are sums before any share or weight; rows of prior_edges come first.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> params: array<f32>; // [values * N], see packing.rs
@@ -28,7 +30,7 @@
 // Bits of an entry that name its node.
 const NODE: u32 = ~(LEAVES | ARRIVES);
 
-// Of unit rotations that differ by less only their rounding differs.
+// Unit rotations that differ by less differ in their rounding only.
 const ROUNDING: f32 = 5e-7;
 
 var<workgroup> sums: array<vec4<f32>, 256>;
@@ -187,9 +189,9 @@ fn prior_gaussians(
 
 // Along the edges of node i; returns sums of rigid, rot, iso over those that leave it.
 //
-// With the offset o of a neighbour, the offset P of the timestep before and the relative rotation R,
-// the residual of rigid is taken as o - R P instead of Rᵀo - P: as long, and its derivative by the angle
-// (R turns by a small rotation vector d to R + [d]R) is a cross product, -d · (R P × residual).
+// o is the offset of a neighbour, P its offset at the timestep before, R the relative rotation. The residual of rigid
+// is taken as o - R P instead of Rᵀo - P. It has the same length, and its derivative by the angle is a cross product,
+// -d · (R P × residual), since R turns by a small rotation vector d to R + [d]R.
 fn node_edges(i: u32) -> vec4<f32> {
     let node = nodes[i];
     let num_edges = f32(step.num_foreground * step.per_node);

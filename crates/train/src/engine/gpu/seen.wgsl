@@ -1,11 +1,11 @@
 
 // The colours in which a camera sees Gaussians with spherical harmonics, and back.
 //
-// params, grads: as in activate.wgsl; band l of the harmonics begins at SHl_AT times N
-// activated: the colours of the N rows come in as stored ones, and go out as seen ones
-// lists, seen_elsewhere: the Gaussians of each view, see parts.rs, and the colours [L, C] in which it sees them
+// - params, grads: as in activate.wgsl; band l of the harmonics begins at SHl_AT times N
+// - activated: the colours of the N rows, stored ones in, seen ones out
+// - lists, seen_elsewhere: the Gaussians of each view, see parts.rs, and the colours [L, C] in which it sees them
 //
-// A thread has a Gaussian.
+// One thread per Gaussian.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> params: array<f32>;
@@ -104,8 +104,8 @@ fn seen_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
     activated[at + 2u] = color.z;
 }
 
-// Overwrites the gradients of the harmonics and of the colours, which come in as those of the colours seen, and accumulates to
-// those of the means, on which the direction depends.
+// Overwrites the gradients of the harmonics, and replaces the gradients of the seen colours by those of the stored
+// colours. Accumulates into the gradients of the means, on which the direction depends.
 @compute @workgroup_size(256)
 fn seen_bwd(@builtin(global_invocation_id) id: vec3<u32>) {
     let n = id.x;

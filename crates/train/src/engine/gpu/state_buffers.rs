@@ -12,7 +12,7 @@ use crate::state::State;
 /// Iterations between two reports, and slots of the ring that losses are written to.
 pub(super) const REPORT: usize = 64;
 
-/// What outlives an iteration, and gradients.
+/// Data that outlives an iteration, and gradients.
 #[derive(Debug)]
 pub(super) struct StateBuffers {
     pub packing: Packing,
@@ -29,7 +29,7 @@ pub(super) struct StateBuffers {
     pub quantizers: QuantizerBuffers,
     pub quantizer_state: wgpu::Buffer,
     pub num_quantizers: usize,
-    /// What `flags` and `quantizers` were made for.
+    /// The segmentation that `flags` was made for; `quantizers` was made for `bit_map`.
     foreground: Vec<bool>,
     bit_map: Option<BitMap>,
     pub step: wgpu::Buffer,

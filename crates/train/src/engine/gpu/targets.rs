@@ -59,7 +59,7 @@ impl Targets {
         if self.segmented { 5 } else { 3 }
     }
 
-    /// What kernels are bound to: equal shapes can share them.
+    /// Buffers and cameras that kernels are bound to; targets of equal shape share kernels.
     pub fn shape(&self) -> (wgpu::Buffer, usize, Vec<Camera>) {
         (self.buffer.clone(), self.num_channels(), self.cameras.clone())
     }
