@@ -1,7 +1,6 @@
-//! The parts of a device engine that depend on no device's interface: memory layout of a layout's columns (`packing`),
-//! an iteration's request as `repr(C)` (`step`), the location of the newest state (`mirror`), and the iterations under
-//! way (`in_flight`).
-//!
+//! The parts of a device engine that depend on no device's interface. `packing` places a layout's columns in memory,
+//! `step` is an iteration's request as `repr(C)`, `mirror` knows where the newest state is, and `in_flight` which
+//! iterations are under way.
 //! [`super::gpu`] is the one engine on a device there is. Nothing here knows `wgpu`; the shaders' text is WGSL, since
 //! [`tcgs_render::device::Wgsl`] puts it together.
 
