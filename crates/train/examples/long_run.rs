@@ -1,9 +1,9 @@
-//! Writes a long run as training leaves it: `T` timesteps of `N` Gaussians, a share of which moves while the rest stands
-//! still to the bit. For measuring what long runs take on the disk, and what reads them.
+//! Writes a long run as training leaves it: `T` timesteps of `N` Gaussians. A share of these moves while the rest
+//! stands still to the bit. Measures the disk space of long runs, and the programs that read them.
 //!
 //! `cargo run --release -p tcgs-train --example long_run OUT [T=3000] [N=50000] [PERCENT=10] [whole]`
 //!
-//! With `whole` every checkpoint holds everything, as those of earlier versions do.
+//! With `whole` every checkpoint holds everything.
 
 use std::path::Path;
 use std::time::Instant;

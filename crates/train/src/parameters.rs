@@ -66,7 +66,8 @@ impl Parameters {
         self.gaussians.num_gaussians()
     }
 
-    /// A rendered picture in a training camera's colours, which differ by its gain and its offset. Outside of `[0, 1]` they stay.
+    /// A rendered picture in a training camera's colours, which differ by its gain and its offset. Values outside of
+    /// `[0, 1]` are not clamped.
     ///
     /// - `camera`: index among the training cameras
     pub fn seen_by_camera(&self, camera: usize, mut picture: Image) -> Image {

@@ -1,6 +1,6 @@
-//! Points that no training camera has in its image: no loss tells anything of them, and other cameras see them.
+//! Points outside of all training images: no loss constrains them, but other cameras see them.
 //!
-//! Such points keep the places and colours that the capture gives. Since nothing is learned of them, few of them are enough.
+//! Such points keep the places and colours of the capture. Since nothing is learned of them, a few of them are enough.
 
 use std::collections::BTreeMap;
 

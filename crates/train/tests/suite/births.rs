@@ -1,4 +1,4 @@
-//! What is born, on a made capture whose Gaussians are known: a wall, and a ball that enters before it at timestep 2.
+//! Births on a synthetic capture whose Gaussians are known: a wall, and a ball that enters before it at timestep 2.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -40,7 +40,7 @@ fn ball(timestep: usize) -> Option<[f32; 3]> {
     Some([CENTER[0] + 0.05 * since, CENTER[1], CENTER[2]])
 }
 
-/// Images of all cameras, with noise and rounded to 8 bits; with masks where asked for.
+/// Images of all cameras, with noise and rounded to 8 bits; with masks if requested.
 fn views(timestep: usize, with_masks: bool) -> Vec<View> {
     let mut random = Pcg64Mcg::seed_from_u64(timestep as u64);
     let truth = scene(ball(timestep));
@@ -148,7 +148,7 @@ fn newborn_of_large_gradients_are_divided() {
     // Fewer places than the ball needs Gaussians.
     config.births.share = 0.01;
     config.births.iterations = 240;
-    // Of a wall of equal Gaussians, whose quantizers have no room for other values.
+    // Equal Gaussians of a wall leave quantizers no range for other values.
     config.quantize.enabled = false;
     config.births.gradient_threshold = 2e-4;
     let mut divided = trainer(&config);
@@ -203,14 +203,14 @@ fn the_young_go_on_learning_and_then_settle() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = settings();
     config.births.youth = 1;
-    // What is divided learns more while it is newborn, and leaves less to the young.
+    // Divided Gaussians learn more while they are newborn, and leave less to the young.
     config.births.gradient_threshold = 0.0;
-    // Of a wall of equal Gaussians, whose quantizers have no room for other values.
+    // Equal Gaussians of a wall leave quantizers no range for other values.
     config.quantize.enabled = false;
     let run = Run::create(folder.path(), &config).unwrap();
     let psnr = fit(&mut trainer(&config), 0..5, true, Some(&run));
     let first = run.checkpoint(0, None).unwrap();
-    // What does not vary over time, of those born at 2.
+    // Columns that do not vary over time, of the Gaussians born at 2.
     let num_born = run.lives(5).unwrap().unwrap().births.iter().filter(|birth| **birth == 2).count();
     let constants = |gaussians: &Gaussians| {
         let rows = NUM_WALL..NUM_WALL + num_born;

@@ -1,4 +1,4 @@
-//! A layout with columns that nothing but the table knows of goes through everything that a run does.
+//! A layout with columns that only the table knows goes through all stages of a run.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::{Parameters, Run, State, TrainConfig, Trainer};
 
-/// A column of two components that varies and is quantised, and one of one that is learned once and is not.
+/// One column of two components that varies and is quantised, one of one component that is learned once and is not.
 fn layout() -> (Arc<Layout>, Attribute, Attribute) {
     let mut layout = Layout::default();
     let wetness = layout.push("wetness", 2, Column::like(Attribute::Color));
@@ -32,7 +32,7 @@ fn capture(folder: &std::path::Path) -> Capture {
     Capture::open(folder).unwrap()
 }
 
-/// Whether each row of the made-up columns is one that the start had: nothing draws them, so nothing moves them.
+/// Whether each row of the made-up columns is one of the start: nothing draws them, so nothing changes them.
 fn is_carried(gaussians: &Gaussians, wetness: Attribute, age: Attribute) -> bool {
     let (pairs, ages) = (gaussians.values(wetness).as_chunks::<2>().0, gaussians.values(age));
     pairs.len() == gaussians.num_gaussians()
