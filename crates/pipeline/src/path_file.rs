@@ -7,7 +7,7 @@ use tcgs_core::{Camera, CameraPath, MAX_PIXELS, read_file};
 
 use crate::PipelineError;
 
-/// Pixels a side at most, as of every image that a path is drawn in.
+/// Most pixels per side, as for every image drawn along a path.
 const MAX_SIDE: usize = 16384;
 /// Most bytes of a file: twenty thousand keyframes.
 const MAX_BYTES: u64 = 1 << 24;

@@ -92,8 +92,7 @@ losses! {
     Rot rot = 4.0;
     /// Distances of neighbours: `mean sqrt(w (‖x_k − x_i‖ − first distance)²)`. Weight 2 (reference); default 1.
     Iso iso = 2.0;
-    /// Foreground below the floor: `mean max(y, 0)`; y points down, the floor is `y = 0`. Weight 2 (reference); default
-    /// 1.
+    /// Foreground below the floor: `mean max(y, 0)`; y points down, floor at `y = 0`. Weight 2 (reference); default 1.
     Floor floor = 2.0;
     /// Background that moves: `mean ‖x − first x‖₁ + mean ‖q − first q‖₁`. Weight 20 (reference); default 10.
     Background background = 20.0;

@@ -20,8 +20,8 @@ pub(crate) const LEAVES: u32 = 1 << 31;
 /// A link stands for an edge that arrives at the list's node.
 pub(crate) const ARRIVES: u32 = 1 << 30;
 
-/// The graph of nearest neighbours among the foreground Gaussians: `F` nodes with `per_node` edges each. Distances are
-/// those of the first timestep, or of the timestep at which the Gaussians were born together.
+/// The graph of nearest neighbours among the foreground Gaussians: `F` nodes with `per_node` edges each. Positions are
+/// those at the first timestep, or at the timestep at which the Gaussians were born together.
 ///
 /// Every node also has a list of the nodes that share an edge with it, whichever way the edge runs. A node therefore
 /// finds its whole gradient in one walk and writes nothing for a far end. Two nodes that are each other's neighbours,

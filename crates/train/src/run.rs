@@ -273,7 +273,7 @@ impl Run {
     /// Reads the checkpoint of one finished timestep. Reading timesteps in order reads each file once; reading any one
     /// reads at most the 40 files before it.
     ///
-    /// - `first`: the checkpoint of timestep 0, which holds the columns that do not vary; none to read that one itself
+    /// - `first`: the checkpoint of timestep 0, with the columns that do not vary; none to read that one itself
     /// - returns: the checkpoint, with an all-zero optimizer's state; see [`Self::resumable`]
     ///
     /// # Errors

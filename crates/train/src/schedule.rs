@@ -213,8 +213,8 @@ impl Schedule {
         self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval) && !ended
     }
 
-    /// Share by which each of these removals may increase the squared error. It is smaller in a schedule that is too
-    /// short to make up for the error.
+    /// Share by which each of these removals may increase the squared error. A schedule too short to make up for the
+    /// error has a smaller share.
     pub fn prune_error(&self) -> f32 {
         let iterations = self.iterations(Phase::First) as f32;
         self.config.densify.prune_error * (iterations / RECOVERY).min(1.0)

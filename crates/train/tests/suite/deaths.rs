@@ -1,4 +1,5 @@
-//! Who dies, on a made capture whose Gaussians are known: a wall, a ball at rest behind it, and a ball that leaves all views.
+//! Deaths on a synthetic capture whose Gaussians are known: a wall, a ball at rest behind it, and a ball that leaves
+//! all views.
 
 use std::ops::{ControlFlow, Range};
 use std::path::Path;
@@ -12,12 +13,12 @@ use tcgs_train::{Lives, Parameters, Preset, Run, State, TrainConfig, Trainer};
 use crate::wall::{add_ball, wall};
 
 const WALL: [usize; 2] = [16, 14];
-/// Rows of the first timestep, in this order. At rest behind the wall is what may be uncovered.
+/// Rows of the first timestep, in this order. Gaussians at rest behind the wall may be uncovered.
 const AT_REST: Range<usize> = 225..252;
 const LEAVES: Range<usize> = 252..279;
 const PATIENCE: usize = 4;
 const NUM_TIMESTEPS: usize = 13;
-/// When another ball enters, where asked for: others die at that timestep.
+/// Timestep at which another ball enters, if requested; others die at that timestep.
 const ENTERS: usize = 8;
 
 fn cameras() -> Vec<Camera> {
@@ -26,7 +27,7 @@ fn cameras() -> Vec<Camera> {
         .to_vec()
 }
 
-/// What there is at a timestep, and a ball that enters where asked for.
+/// The scene at a timestep, with a ball that enters if requested.
 fn scene(timestep: usize, enters: bool) -> Gaussians {
     let time = timestep as f32;
     let mut columns = wall(WALL);
@@ -106,7 +107,7 @@ fn alive(trainer: &mut Trainer, ids: Range<usize>) -> usize {
     ids_left.iter().filter(|&&id| ids.contains(&(id as usize))).count()
 }
 
-/// What leaves dies, and not at once; what is shown, and what is hidden where it always was, lives on.
+/// The ball that leaves dies, after a delay; visible Gaussians and those hidden from the start live on.
 fn dies_as_expected(trainer: &mut Trainer) {
     fit(trainer, 0..PATIENCE + 1, false, None);
     assert_eq!(trainer.num_gaussians(), LEAVES.end, "nothing is unseen for long yet");

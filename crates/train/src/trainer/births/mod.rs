@@ -8,8 +8,8 @@
 //! 2. `seeds` finds the places on which several views agree.
 //! 3. A Gaussian is born at each place. The newborn alone learn all their attributes for a while, in the tiles that
 //!    they reach; the rest of the scene is drawn and held.
-//! 4. Newborn that end transparent or hidden by the mask are dropped. Those whose gradients stay large are cloned or
-//!    split, as at the first timestep ([`crate::densify()`]), and the newborn learn for as long again.
+//! 4. Newborn that end transparent or hidden by the mask are dropped. Newborn whose gradients stay large are cloned or
+//!    split, as at the first timestep ([`crate::densify()`]). All newborn then learn for as long again.
 //! 5. They join the state. From the next timestep on they move like all others.
 //!
 //! An entering object is first seen by few views, or from one side. For some timesteps the young therefore go on
