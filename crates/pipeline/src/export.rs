@@ -291,7 +291,8 @@ impl<'a> Export<'a> {
     /// - returns: bytes written
     ///
     /// # Errors
-    /// As [`Self::timestep`]; [`PipelineError::Unwritable`] if a file cannot be written; [`PipelineError::Stopped`] if the observer broke off.
+    /// As [`Self::timestep`]; [`PipelineError::Unwritable`] if a file cannot be written; [`PipelineError::Stopped`] if
+    /// the observer broke off.
     pub fn write_folder(
         &self,
         kind: TimestepKind,

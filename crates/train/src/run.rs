@@ -167,8 +167,8 @@ impl Run {
     /// resumed after the last checkpoint at any moment. Each file is written atomically.
     ///
     /// # Errors
-    /// [`TrainError::Write`] if a file cannot be written; no partial file remains. [`TrainError::File`] if the checkpoint
-    /// of the timestep before is damaged.
+    /// [`TrainError::Write`] if a file cannot be written; no partial file remains. [`TrainError::File`] if the
+    /// checkpoint of the timestep before is damaged.
     pub fn save(&self, timestep: usize, checkpoint: &Checkpoint) -> Result<(), TrainError> {
         let (mut scene, mut resuming) = ((Vec::new(), Arrays::new()), (Vec::new(), Arrays::new()));
         for (name, used_for, array) in checkpoint.arrays(timestep == 0) {
@@ -300,7 +300,8 @@ impl Run {
     /// - `first`: see [`Self::checkpoint`]
     ///
     /// # Errors
-    /// As [`Self::checkpoint`]; [`TrainError::File`] if the run no longer has the optimizer's state after that timestep.
+    /// As [`Self::checkpoint`]; [`TrainError::File`] if the run no longer has the optimizer's state after that
+    /// timestep.
     pub fn resumable(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {
         let mut arrays = self.chain().read(timestep)?;
         // A checkpoint without a separate resume file holds the optimizer's state itself.

@@ -35,8 +35,8 @@ const FEW_POINTS: usize = 1000;
 /// - `trainer`: after the timesteps that the run has
 ///
 /// # Errors
-/// [`PipelineError::Stopped`] if the observer broke off; [`PipelineError`] if a frame cannot be read, the training fails
-/// or the disk is full.
+/// [`PipelineError::Stopped`] if the observer broke off; [`PipelineError`] if a frame cannot be read, the training
+/// fails or the disk is full.
 pub fn fit(
     capture: &Capture,
     run: &Run,

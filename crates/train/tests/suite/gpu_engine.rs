@@ -92,8 +92,9 @@ fn train_on_both(gpu: &Gpu, seed: u64) -> [Trained; 2] {
 #[test]
 fn a_training_follows_that_on_the_cpu() {
     let Some(gpu) = gpu() else { return };
-    // Before density adapts the two are one computation. Afterwards single Gaussians fall to either side of a threshold:
-    // one training ends anywhere within a few tenths of a decibel, on one engine as between them, so means are compared.
+    // Before density adapts the two are one computation. Afterwards single Gaussians fall to either side of a
+    // threshold: one training ends anywhere within a few tenths of a decibel, on one engine as between them, so means
+    // are compared.
     const TRAININGS: u64 = 4;
     let pairs: Vec<_> = (0..TRAININGS).map(|seed| train_on_both(&gpu, seed)).collect();
     let mut first_error = 0.0;

@@ -54,8 +54,8 @@ pub fn packed<Role>(columns: &Columns<Role>) -> Vec<f32> {
     all
 }
 
-/// The base layout with three columns that nothing draws: `wetness[2]`, which is quantised; `age[1]`, which neither varies
-/// nor is quantised; `glow[5]`, quantised.
+/// The base layout with three columns that nothing draws: `wetness[2]`, which is quantised; `age[1]`, which neither
+/// varies nor is quantised; `glow[5]`, quantised.
 pub fn further_layout() -> Arc<Layout> {
     let mut layout = Layout::default();
     layout.push("wetness", 2, Column::like(Attribute::Color));
