@@ -256,6 +256,7 @@ impl<'a> Export<'a> {
 
     /// The bytes of a `.4dgs` file of some frames ([`fourdgs_bytes`]). Reads one timestep at a time, but builds the
     /// file in memory.
+    ///
     /// # Errors
     /// As [`Self::timestep`]; [`PipelineError::Input`] if the format cannot hold the scene.
     pub fn fourdgs(&self, frames: Range<usize>) -> Result<Vec<u8>, PipelineError> {
@@ -272,6 +273,7 @@ impl<'a> Export<'a> {
     ///
     /// - returns: `[N * 14 * 4]` bytes per frame of a scene without further columns, or the reason that the frame
     ///   cannot be read
+    ///
     /// # Errors
     /// [`PipelineError::Frames`] if the scene lacks a frame.
     pub fn floats(

@@ -13,9 +13,9 @@ use crate::compress::up_axis;
 const POINT_SIZE: f32 = 0.3;
 /// Limit on the size of points far from all others, as a multiple of the usual size.
 const MAX_SIZE: f32 = 4.0;
-/// Opacity as it is stored: 0.98.
+/// Stored opacity: 0.98 after activation.
 const OPAQUE: f32 = 4.0;
-/// Bits of a number.
+/// Bit width of a number.
 const BITS: u8 = 10;
 
 /// A `.tcgs` file of one timestep with the initial points of a capture, and a view for each of its cameras. If a

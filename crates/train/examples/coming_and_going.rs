@@ -15,7 +15,7 @@ use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::{Parameters, Preset, Run, TrainConfig, Trainer};
 
-/// Timesteps between two balls, and a ball's way from one timestep to the next.
+/// Timesteps between two balls, and a ball's displacement per timestep.
 const INTERVAL: usize = 12;
 const STEP: f32 = 0.3;
 const TRAINING: usize = 8;
@@ -68,7 +68,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The last is held out.
+/// The last one is held out.
 fn cameras() -> Vec<Camera> {
     [[-1.2, -0.6], [1.2, -0.5], [1.0, 0.5], [-1.0, 0.4], [0.0, -0.9], [0.1, 0.8], [-0.5, 0.0], [0.6, 0.1], [0.3, -0.3]]
         .map(|[x, y]| Camera::look_at([x, y, -4.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 150.0, 160, 96))

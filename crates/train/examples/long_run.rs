@@ -52,7 +52,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// A room of Gaussians in eight bits, those in front of it foreground.
+/// A room of Gaussians quantised to eight bits; those in front of it are foreground.
 fn start(num_gaussians: usize, percent: usize) -> Result<Checkpoint, CompressError> {
     let mut random = Pcg64Mcg::seed_from_u64(0);
     let mut point = |size: f32| [(); 3].map(|()| size * (2.0 * random.random::<f32>() - 1.0));

@@ -71,7 +71,7 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let mut random = Pcg64Mcg::seed_from_u64(step.seed);
     for i in first_child..rows.len() {
         let quat = gaussians.quats()[i];
-        // Quantised rotations are of unit length already; to normalise them again would change their last bits.
+        // Quantised rotations already have unit length; normalising them again would change their last bits.
         let rotmat = rotmat_from_unit_quat(if state.quantizers.is_some() { quat } else { normalize(quat) });
         let local: [f32; 3] = std::array::from_fn(|d| gaussians.log_scales()[i][d].exp() * normal(&mut random));
         for (d, row) in rotmat.iter().enumerate() {

@@ -58,8 +58,8 @@ pub struct Past {
 
 impl Past {
     /// The past of Gaussians whose first timestep is finished.
+    ///
     /// - `first`: poses at the end of the first timestep
-    /// - `first`: as the first timestep left everything
     /// - `previous`: see [`Self::previous`]
     /// - `is_foreground`: `[N]`
     pub fn new(first: Pose, previous: Gaussians, is_foreground: &[bool]) -> Self {

@@ -57,7 +57,7 @@ impl Chapters {
         self.frames.iter().map(ExactSizeIterator::len).sum()
     }
 
-    /// The chapter that shows a timestep, and the index of that timestep in the chapter.
+    /// The chapter that shows a timestep, and its index of that timestep.
     ///
     /// # Panics
     /// If there is no such timestep.
@@ -129,7 +129,7 @@ fn check(scenes: &[OpenScene]) -> Result<(), PipelineError> {
     Ok(())
 }
 
-/// Name of a column that is constant over time and differs between two scenes; all other columns may differ.
+/// Name of a column that is constant over time and differs between two scenes. Columns that vary may differ.
 fn first_difference(first: &Gaussians, other: &Gaussians) -> Option<String> {
     let [a, b]: [&Layout; 2] = [first.layout(), other.layout()];
     if a != b {

@@ -128,7 +128,7 @@ impl OpenScene {
     /// - `segment_length`: timesteps of a segment; none for the codec's choice
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if one is no run, frames are missing between two, or one adds no frame; also if they do
+    /// [`PipelineError::Input`] if one is no run, frames are missing between two, or one adds no frame. Also if they do
     /// not have the same Gaussians in the same order, which a `.tcgs` file requires.
     pub fn join(mut chapters: Vec<Self>, segment_length: Option<u32>) -> Result<Self, PipelineError> {
         if chapters.len() == 1 {

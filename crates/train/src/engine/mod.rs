@@ -86,11 +86,10 @@ pub trait Engine: Send + Debug {
     /// return before the iteration is computed.
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError>;
 
-    /// One iteration with a clock: what [`Self::step`] does, with the times of its stages. Waits for it and for all
-    /// before it.
+    /// One iteration with a clock: as [`Self::step`], with the times of its stages. Waits for it and for all before it.
     ///
-    /// Engines name the same work by the same names, but may run some of it together or in another order. Where a GPU
-    /// has no timestamps there is one stage, `iteration`, by the clock of the CPU.
+    /// Engines use the same names for the same work, but may run some of it together or in another order. A GPU without
+    /// timestamps reports one stage, `iteration`, by the clock of the CPU.
     fn profile(&mut self, step: &Step<'_>) -> Result<StageTimes, TrainError>;
 
     /// The losses that have become known since the last call of this method, in the order of the iterations.

@@ -1,10 +1,10 @@
-//! The gate: which Gaussians and which tiles a timestep trains.
+//! The gate: chooses the Gaussians and the tiles that a timestep trains.
 //!
 //! Between two frames of most captures almost nothing changes. The gate compares a timestep's images with the state
 //! before it and decides what changed:
 //!
 //! 1. **Evidence** (`evidence`): blocks of a view whose image differs from the previous image by more than the camera's
-//!    noise, and tiles in which the error of the scene's picture has grown since they were last trained.
+//!    noise. Also tiles in which the error of the scene's picture has grown since they were last trained.
 //! 2. **Activity** (`activity`): a Gaussian is *active* if a large enough share of its contribution to all pictures
 //!    falls on blocks with evidence. Every other Gaussian is *locked* and keeps every bit. A Gaussian's contribution is
 //!    its blending weight, the gradient of a picture to its colour.
@@ -48,8 +48,8 @@ const GROWTH_NOISE: f32 = 0.1;
 /// A block is unexplained if its error exceeds this multiple of its tile's error when that was last explained, beyond
 /// [`BirthConfig::contrast`](crate::BirthConfig::contrast).
 const UNEXPLAINED_GROWTH: f32 = 1.5;
-/// When training could not lower a tile's error, the gate accepts this share of the growth per timestep. Until the
-/// growth is accepted, the tile still has evidence. Uncovered content then gets blending weights in the next timestep.
+/// When training could not lower a tile's error, the gate accepts this share of the growth per timestep. Until then the
+/// tile still has evidence, because uncovered content has blending weights only from the next timestep on.
 const PATIENCE: f32 = 0.25;
 
 /// Newborn Gaussians start at constant velocity in this many timesteps after the one of their birth. An entering object

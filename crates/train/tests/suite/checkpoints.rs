@@ -26,7 +26,7 @@ fn a_run_of_the_first_version_is_read() {
     assert!(run.resume().unwrap().is_some());
     let (bit_map, _) = trained.quantization.unwrap();
     assert!(bit_map.widths.iter().all(|widths| widths.len() == 18));
-    // As Python's struct module reads them from the file.
+    // Values as read by Python's struct module.
     let mut first = NpzReader::open(&old(0)).unwrap();
     assert_eq!(first.array_of::<f32>("means").unwrap().values[..2], [-2.673_492_7, -1.256_459_5]);
     assert_eq!(first.array_of::<u64>("steps").unwrap().shape, [6]);
@@ -97,7 +97,7 @@ fn damaged_checkpoints_are_refused() {
         damaged[at] ^= 1 << (at % 8);
         fs::write(&path, &damaged).unwrap();
         match load(&path, None) {
-            // A bit that says nothing about the arrays, such as one of a date.
+            // A bit without effect on the arrays, such as one of a date.
             Ok(found) => assert!(found == expected, "a flip at {at} changes values unnoticed"),
             Err(error) => assert!(matches!(error, TrainError::File { .. }), "{at}: {error}"),
         }
@@ -277,7 +277,7 @@ fn resuming_reads_fewer_than_fifty_files() {
             (folder.path().join(format!("all{num_timesteps}")), folder.path().join(format!("{num_timesteps}")));
         sleeping_run(&all, 50, num_timesteps);
         Run::create(&few, &TrainConfig::default()).unwrap();
-        // The others are there, and damaged.
+        // The others exist but are damaged.
         for timestep in 0..num_timesteps {
             let name = format!("checkpoints/{timestep:06}.npz");
             let is_needed = timestep == 0 || timestep + 48 >= num_timesteps;
@@ -354,7 +354,7 @@ fn a_broken_link_is_named() {
     assert!(problem(50).contains("000050.npz: not a checkpoint: "));
     fs::rename(path(999), path(50)).unwrap();
     assert!(read(55).is_ok());
-    // A state that is not that of the last timestep.
+    // A state of another than the last timestep.
     fs::copy(folder.path().join("resume0.npz"), folder.path().join("resume1.npz")).unwrap();
     let error = Run::open(folder.path()).unwrap().resume().unwrap_err().to_string();
     assert!(error.contains("resume1.npz: holds timestep 58, expected timestep 59"), "{error}");

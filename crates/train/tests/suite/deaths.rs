@@ -58,7 +58,7 @@ fn views(timestep: usize, enters: bool) -> Vec<View> {
 
 fn settings() -> TrainConfig {
     let mut config = TrainConfig::preset(Preset::Fast);
-    // All cameras have one exposure.
+    // All cameras have the same exposure.
     config.rates.camera_centered = false;
     config.schedule.first_iterations = 60;
     config.schedule.rest_iterations = 120;
@@ -69,7 +69,7 @@ fn settings() -> TrainConfig {
     config.gate.matches = false;
     config.births.share = 0.1;
     config.deaths.patience = PATIENCE;
-    // A pixel of the six small images: what is just outside of one still reaches in.
+    // About one pixel of the six small images: a Gaussian just outside of one still reaches in.
     config.deaths.share = 3e-5;
     config
 }
@@ -101,7 +101,7 @@ fn fit(trainer: &mut Trainer, timesteps: Range<usize>, enters: bool, run: Option
     }
 }
 
-/// How many of some identities live.
+/// Number of living Gaussians among some identities.
 fn alive(trainer: &mut Trainer, ids: Range<usize>) -> usize {
     let ids_left = &trainer.state().unwrap().lifetimes.ids;
     ids_left.iter().filter(|&&id| ids.contains(&(id as usize))).count()
@@ -173,7 +173,7 @@ fn a_run_with_births_and_deaths_resumes_with_the_same_bytes_and_reads_back() {
         assert!(bytes(&cut) == bytes(run.folder()), "stopped after {stopped}");
     }
 
-    // A scene has all of them at every timestep, and what lives as its checkpoint says.
+    // A scene has all of them at every timestep, and the living ones as in its checkpoint.
     let trained = Run::open(run.folder()).unwrap().trained().unwrap();
     let first = run.checkpoint(0, None).unwrap();
     assert_eq!((trained.scene.num_gaussians(), &trained.lives), (lives.len(), &Some(lives.clone())));

@@ -33,20 +33,20 @@ impl<S, R> InFlight<S, R> {
         Self { slots, open: Vec::new(), reported: VecDeque::new() }
     }
 
-    /// The slot that the next iteration writes its losses to.
+    /// The slot to which the next iteration writes its losses.
     pub fn slot(&self) -> usize {
         self.open.len()
     }
 
-    /// Takes note of an iteration.
+    /// Records a submitted iteration.
     ///
-    /// - returns: whether the ring is full: a report is to be asked for before the next iteration
+    /// - returns: whether the ring is full, so that a report must be requested before the next iteration
     pub fn submitted(&mut self, step: S) -> bool {
         self.open.push(step);
         self.open.len() == self.slots
     }
 
-    /// Takes note of a report of the open batch.
+    /// Records the report of the open batch.
     ///
     /// # Panics
     /// If there is no open batch.
@@ -55,7 +55,7 @@ impl<S, R> InFlight<S, R> {
         self.reported.push_back(Batch { steps: std::mem::take(&mut self.open), report });
     }
 
-    /// Whether iterations are under way whose report was not asked for.
+    /// Whether iterations are under way whose report was not requested.
     pub fn has_open(&self) -> bool {
         !self.open.is_empty()
     }

@@ -117,7 +117,7 @@ impl SceneryLists {
     }
 }
 
-/// An order with the rows first, and each Gaussian's number in it.
+/// An order with the rows first, and each Gaussian's position in it.
 fn rows_first(places: &[u32], num_drawn: usize) -> (Vec<usize>, Vec<u32>) {
     let mut order: Vec<usize> = places.iter().map(|&place| place as usize).collect();
     let mut is_row = vec![false; num_drawn];
@@ -167,7 +167,7 @@ impl Near {
     }
 }
 
-/// The tiles beside those of a set, corner to corner, that are not in it; ascending.
+/// The tiles beside those of a set, also across corners, without the set; ascending.
 fn ring(mask: &TileMask) -> impl Iterator<Item = u32> + '_ {
     let [columns, rows] = mask.grid();
     let around = move |x: usize, end: usize| x.saturating_sub(1)..(x + 2).min(end);

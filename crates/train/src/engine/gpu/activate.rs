@@ -1,8 +1,8 @@
 //! From stored values to what is drawn, and back: fake quantisation, activation, masks.
 //!
-//! As `CpuEngine::forward_backward` does on the CPU; the losses on masks are here too, since they need
-//! what the mask's gradient needs. The floor is memory, for every Gaussian: forward reads 68 bytes and
-//! writes 56 (64 with segmentation), backward reads 60 + 56 and writes 60.
+//! As `CpuEngine::forward_backward` on the CPU. The losses on masks are here too, since they need the inputs of the
+//! mask's gradient. The floor is memory, for every Gaussian: forward reads 68 bytes and writes 56 (64 with
+//! segmentation), backward reads 60 + 56 and writes 60.
 
 use tcgs_render::device::{WORKGROUP, Wgsl};
 use tcgs_render::gpu::raw::Bound;

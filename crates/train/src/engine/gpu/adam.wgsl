@@ -1,8 +1,8 @@
 
 // Adam of all values of the active Gaussians, the first ones, in place.
 //
-// params, first_moments, second_moments, grads: columns of COMPONENTS values a Gaussian, the last one mask logits; see
-//     packing.rs
+// params, first_moments, second_moments, grads: columns of COMPONENTS values per Gaussian, the last one mask logits;
+// see packing.rs.
 //
 // One thread updates four values, one workgroup BLOCK neighbouring values of one attribute. Neighbouring threads
 // therefore access neighbouring values, and a group whose step size is 0 returns at once.

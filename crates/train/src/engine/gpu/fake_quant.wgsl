@@ -48,7 +48,7 @@ fn fake_quant_bwd(
     let values = chunks[2u * group.x];
     let target_rows = chunks[2u * group.x + 1u];
     let components = values.y;
-    // A thread keeps to one component; threads side by side take the components of one member.
+    // A thread keeps to one component; adjacent threads take the components of one member.
     let members_at_once = 256u / components;
     let member = local / components;
     let component = local % components;
@@ -63,7 +63,7 @@ fn fake_quant_bwd(
         }
     }
     sums[local] = sum;
-    // A tree over members: the upper part of what is left is added to the lower.
+    // A tree over members: the upper part of the remaining ones is added to the lower.
     for (var left = members_at_once; left > 1u; left = (left + 1u) / 2u) {
         workgroupBarrier();
         let kept = (left + 1u) / 2u;

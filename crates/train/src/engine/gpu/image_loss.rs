@@ -21,16 +21,16 @@ const SIDE: usize = 16;
 pub struct ImageLossBuffers<'a> {
     /// [`super::StepUniform`]
     pub step: &'a wgpu::Buffer,
-    /// `[C, H, W]` before the camera's colours.
+    /// `[C, H, W]` before the camera's gain and offset.
     pub rendered: &'a wgpu::Buffer,
-    /// `[views, H, W]` bytes red, green, blue, foreground; `[slots, 256]` where a part is drawn.
+    /// `[views, H, W]` bytes red, green, blue, foreground; `[slots, 256]` if a part is drawn.
     pub targets: &'a wgpu::Buffer,
-    /// `[2, K, 3]` logarithms of gains, then offsets; what follows is not read.
+    /// `[2, K, 3]` logarithms of gains, then offsets; the rest is not read.
     pub cameras: &'a wgpu::Buffer,
     /// `[C, H, W]` overwritten, in the tiles that are drawn.
     pub v_image: &'a wgpu::Buffer,
-    /// Where a part is drawn: the lists of its views and the pixels around its tiles, as
-    /// [`SceneryLists`](crate::engine::device::SceneryLists) has them.
+    /// If a part is drawn: the lists of its views and the pixels around its tiles, as in
+    /// [`SceneryLists`](crate::engine::device::SceneryLists).
     pub part: Option<[&'a wgpu::Buffer; 2]>,
 }
 
@@ -51,7 +51,7 @@ impl ImageLossKernels {
     /// - `max_blocks`: most blocks of an image that are compared
     ///
     /// # Errors
-    /// If memory for the maps or partial sums cannot be had.
+    /// If memory for the maps or partial sums cannot be allocated.
     pub fn new(
         gpu: &Gpu,
         packing: &Packing,
@@ -123,7 +123,7 @@ mod tests {
     const GAIN: [f32; 3] = [0.1, -0.2, 0.05];
     const OFFSET: [f32; 3] = [0.02, 0.0, -0.03];
 
-    /// Packed values of two views, the second of which is wanted, and that one as an image.
+    /// Packed values of two views, and the second of them as an image.
     fn target(seed: u64, [channels, height, width]: [usize; 3]) -> (Vec<u32>, Image) {
         let pixels = height * width;
         let packed: Vec<u32> = random(seed, 2 * pixels, 0.0, 256.0)
@@ -131,7 +131,7 @@ mod tests {
             .enumerate()
             .map(|(i, &v)| {
                 let foreground = 255 * u32::from(v > 128.0);
-                // Noise above, a ramp below: where an image is smooth SSIM is at its most delicate.
+                // Noise above, a ramp below: SSIM is most delicate in smooth parts of an image.
                 let red = if i % pixels < pixels / 2 { v as u32 } else { (i % width * 255 / width) as u32 };
                 red | (v as u32 * 7 % 256) << 8 | (i as u32 % 256) << 16 | foreground << 24
             })
@@ -207,7 +207,7 @@ mod tests {
         }
     }
 
-    /// The gradient of the image and the sums of the blocks, of a whole image or of a part.
+    /// Gradient of the image and sums of the blocks, for a whole image or a part.
     fn on_gpu(
         gpu: &Gpu,
         step: &StepUniform,
@@ -219,7 +219,7 @@ mod tests {
         let v_image = gpu.storage("v_image", rendered.data.len()).unwrap();
         let lists =
             part.map(|p| [gpu.upload("lists", &p.lists).unwrap(), gpu.upload("pictures", &p.pictures).unwrap()]);
-        // Around the tiles that are drawn the image is nothing to go by.
+        // Around the drawn tiles the image is undefined.
         let mut drawn = rendered.clone();
         if let Some(lists) = part {
             let [columns, at] = [width.div_ceil(SIDE), step.slots_at as usize];

@@ -15,7 +15,7 @@ fn raw_and_target(pixel: vec2<u32>, channel: u32) -> vec2<f32> {
     return vec2(rendered[channel * step.width * step.height + at], target_value(word, channel));
 }
 
-// Whether the loss at a pixel depends on what is drawn.
+// Whether the loss at a pixel depends on drawn content.
 fn is_compared(pixel: vec2<u32>) -> bool {
     return true;
 }

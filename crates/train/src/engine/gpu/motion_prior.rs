@@ -50,7 +50,7 @@ pub struct PriorBuffers<'a> {
     pub partials: &'a wgpu::Buffer,
 }
 
-/// Rows of partial sums: one a workgroup, first those of `prior_edges`, then those of `prior_gaussians`.
+/// Rows of partial sums: one per workgroup, first those of `prior_edges`, then those of `prior_gaussians`.
 pub fn prior_rows(num_gaussians: usize, num_foreground: usize) -> usize {
     let groups = |len: usize| len.div_ceil(WORKGROUP as usize);
     groups(num_foreground) + groups(num_gaussians)
@@ -158,10 +158,11 @@ impl MotionPriorKernels {
         })
     }
 
-    /// Starts a timestep: from now on the losses compare with `previous`. Iterations submitted before are not affected.
+    /// Starts a timestep: from here on the losses compare with `previous`. Iterations submitted before are not
+    /// affected.
     ///
     /// - `previous`: `[N]` the timestep before, stored form
-    /// - `stillness`: `[N]` how little each is seen to change, 0 to 1; empty if nothing is known of it
+    /// - `stillness`: `[N]` how still each is seen to be, 0 to 1; empty if unknown
     ///
     /// # Errors
     /// [`GpuError::Memory`] if the upload does not fit.

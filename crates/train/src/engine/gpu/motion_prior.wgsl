@@ -22,7 +22,7 @@
 @group(0) @binding(10) var<storage, read> nodes: array<vec4<u32>>; // [F] Gaussian, first link, number of links, 0
 @group(0) @binding(11) var<storage, read> links: array<u32>; // see neighbor_lists.rs
 
-// The same buffers where they are written: only then may what reads them be cached as constant.
+// The same buffers for writing: separate bindings let readers cache them as constant.
 @group(0) @binding(16) var<storage, read_write> previous_means_out: array<vec4<f32>>;
 @group(0) @binding(17) var<storage, read_write> previous_inverse_quats_out: array<vec4<f32>>;
 @group(0) @binding(18) var<storage, read_write> moving_out: array<vec4<f32>>;
@@ -61,7 +61,7 @@ fn rotate(q: vec4<f32>, v: vec3<f32>) -> vec3<f32> {
     return v + 2.0 * cross(q.yzw, cross(q.yzw, v) + q.x * v);
 }
 
-// 1 / |v|; 0 for no length, so that products with it are what the CPU's normalize and its VJP give.
+// 1 / |v|, or 0 for length 0, so that products with it equal the CPU's normalize and its VJP.
 fn inverse_length(v: vec4<f32>) -> f32 {
     let length = sqrt(dot(v, v));
     if (length > 0.0) {
@@ -93,7 +93,7 @@ fn unit_quat_before(gaussian: u32, num_gaussians: u32) -> vec4<f32> {
     return quat * inverse_length(quat);
 }
 
-// The sum of the absolute differences of a pose from another. Adds `share` times its gradient.
+// The sum of absolute differences of two poses. Adds `share` times its gradient.
 fn pose_l1(gaussian: u32, moved: vec3<f32>, unit: vec4<f32>, other: vec4<f32>, inverse: f32, share: f32) -> f32 {
     let turned = unit - other;
     add_to_mean(gaussian, share * sign(moved));
@@ -146,7 +146,7 @@ fn prior_gaussians(
         let inverse = inverse_length(quat);
         let unit = quat * inverse;
         if ((place & BACKGROUND) == 0u) {
-            // Unit but for rounding; an offset is turned by what is unit.
+            // Of unit length up to rounding; only unit rotations turn an offset.
             let relative = quat_mul(unit, previous_inverse_quats[place]);
             moving_out[2u * place] = vec4<f32>(mean, inverse);
             moving_out[2u * place + 1u] = relative * inverse_length(relative);

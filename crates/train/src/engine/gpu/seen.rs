@@ -120,7 +120,7 @@ mod tests {
             v.values_mut(Attribute::Color).copy_from_slice(&random(8, 3 * n, -1.0, 1.0));
             v.values_mut(Attribute::Mean).copy_from_slice(&random(9, 3 * n, -1.0, 1.0));
 
-            // Some Gaussians beyond the rows, which the view lists backwards among others.
+            // Some Gaussians beyond the rows; the view lists them backwards among others.
             let num_drawn = n + 5;
             let listed: Vec<u32> = (0..num_drawn as u32).rev().collect();
             let elsewhere = random(10, channels * num_drawn, 0.0, 1.0);
@@ -171,7 +171,7 @@ mod tests {
                 assert_close(&name, &found[at..][..values.len()], values, 1e-5);
             }
 
-            // In a part of a scene the view sees what is not a row in the colours that are given.
+            // In a part of a scene the view sees Gaussians that are not rows in the given colours.
             let again = upload(&stored);
             let with_part = SeenBuffers { activated: &again, part: Some([&lists, &colors]), ..buffers };
             let kernels = SeenKernels::new(&gpu, &packing, with_part, n, num_drawn).unwrap();
