@@ -13,7 +13,7 @@ use tcgs_train::StandIns;
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work, kept_gaussians};
 
-/// `params.npz` holds floats, of which the whole numbers end here.
+/// Number from which on floats, as in `params.npz`, no longer hold all whole numbers.
 const MAX_FRAME_OF_PARAMS: usize = 1 << 24;
 
 /// Kinds of files for one timestep.
@@ -127,8 +127,7 @@ impl<'a> Export<'a> {
         })
     }
 
-    /// [`Self::gaussians`], at least one. The newborn of a run have the constants that they settled with, as in its
-    /// compressed file.
+    /// [`Self::gaussians`], at least one. The newborn of a run have their settled constants, as in its compressed file.
     fn settled(&self, frame: usize, stand_ins: &StandIns) -> Result<Gaussians, PipelineError> {
         let gaussians = self.some_gaussians(frame)?;
         let identities = self.identities(frame)?.filter(|_| stand_ins.lives().is_some());
@@ -155,13 +154,13 @@ impl<'a> Export<'a> {
         Ok(gaussians)
     }
 
-    /// The refusal of a column that a kind of file has no place for.
+    /// The refusal of a column that a kind of file cannot hold.
     fn refuse_column(&self, column: &Column, kind: &str, expected: &str) -> PipelineError {
         let found = format!("has the column {}, which {kind} cannot hold", column.name);
         PipelineError::input(self.scene.path.display(), found, expected)
     }
 
-    /// Refuses what files of other programs have no place for: no Gaussians, and columns of other kinds.
+    /// Refuses scenes that files of other programs cannot hold: no Gaussians, or columns of other kinds.
     fn check_columns(&self, kind: &str) -> Result<(), PipelineError> {
         self.check_some()?;
         let layout = self.scene.layout();
@@ -225,7 +224,7 @@ impl<'a> Export<'a> {
                 }
             }
         }
-        // A number of 32 bits, where frames are counted by dates or clocks, would be another one.
+        // A float of 32 bits would change larger numbers, such as frames counted by dates or clocks.
         if frames.start >= MAX_FRAME_OF_PARAMS {
             let found = format!("begins at frame {}, which a params.npz cannot hold", frames.start);
             let expected = format!("a frame below {MAX_FRAME_OF_PARAMS}, or a folder of PLY files to export to");
@@ -326,12 +325,12 @@ pub struct ExportedParams<'a> {
     export: &'a Export<'a>,
     frames: Range<usize>,
     num_gaussians: usize,
-    /// `[N]`, of a scene that says so.
+    /// `[N]`; none if the scene does not say.
     foreground: Option<Vec<bool>>,
     stand_ins: StandIns,
 }
 
-/// The frames of an export that are asked for.
+/// The requested frames of an export.
 struct Frames<'a>(&'a ExportedParams<'a>);
 
 impl SceneReader for Frames<'_> {
@@ -360,10 +359,10 @@ impl ExportedParams<'_> {
         self.foreground.as_ref().is_some_and(|foreground| foreground.contains(&false))
     }
 
-    /// Writes the archive. Reads every timestep three times, and holds one.
+    /// Writes the archive. Reads every timestep three times, and holds one at a time.
     ///
     /// # Errors
-    /// What the writer reports, and what reading the scene does.
+    /// The writer's errors, and those of reading the scene.
     pub fn write<W: Write + Seek>(&self, writer: W) -> io::Result<W> {
         let scene = self.export.scene;
         let origin = ParamsOrigin {

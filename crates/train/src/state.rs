@@ -85,8 +85,8 @@ impl Optimizer {
         self.mask.clear(count_too);
     }
 
-    /// The part that carries over to the next timestep: moments of columns that [`Self::begin_timestep`] does not
-    /// clear, and counts of updates of all columns that vary.
+    /// The part that carries over to the next timestep: moments that [`Self::begin_timestep`] does not clear, and
+    /// counts of updates of all columns that vary.
     pub(crate) fn carried_over(&self) -> Self {
         let mut carried = self.clone();
         carried.begin_timestep(false);

@@ -64,7 +64,7 @@ fn cells(points: &[[f32; 3]], rows: &[usize], most: usize) -> Vec<Vec<usize>> {
     };
     let (low, high) = (ends(f32::min, f32::INFINITY), ends(f32::max, f32::NEG_INFINITY));
     let extent = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f32::max);
-    // For points on a surface: the initial edge gives about twice the wanted number of cells.
+    // On a square surface of this extent, cells of the initial edge number 16 times `most`; the edge then grows.
     let mut edge = extent / (most as f32).sqrt() / 4.0;
     loop {
         let mut cells: BTreeMap<[u32; 3], Vec<usize>> = BTreeMap::new();

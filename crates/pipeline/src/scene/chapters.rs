@@ -57,7 +57,7 @@ impl Chapters {
         self.frames.iter().map(ExactSizeIterator::len).sum()
     }
 
-    /// The chapter that shows a timestep, and its index of that timestep.
+    /// The chapter that shows a timestep, and the timestep's index in it.
     ///
     /// # Panics
     /// If there is no such timestep.

@@ -35,7 +35,7 @@ pub struct Progress {
     pub loss: f64,
     /// Number of Gaussians during the iteration.
     pub num_gaussians: usize,
-    /// How much of the scene and of its views the timestep trains.
+    /// The trained share of the scene and of its views.
     pub trained: Trained,
 }
 
@@ -307,7 +307,7 @@ impl Trainer {
 
     /// Predicts the poses of the trained Gaussians, and prepares the reference of the losses.
     ///
-    /// - `activity`: what the timestep trains; none for everything
+    /// - `activity`: the trained part; none if everything is trained
     fn begin_timestep(&mut self, activity: Option<&Activity>) -> Result<(), TrainError> {
         let timestep = self.timestep;
         let state = self.engine.state_mut()?;

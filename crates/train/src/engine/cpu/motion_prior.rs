@@ -221,9 +221,13 @@ fn first_row(indices: &[u32], num_rows: usize) -> usize {
     indices.last().map_or(0, |&last| last as usize + 1 - num_rows)
 }
 
-/// Sums over the links of a node, lane by lane. First come the three losses, then three negative gradients: of the
-/// node's mean without the part of `rigid` along leaving edges (3), that part in the node's frame (3), and of the
-/// node's rotation by `rot` (4). The gradient of its rotation matrix (9) comes last.
+/// Sums over the links of a node, lane by lane:
+///
+/// - the three losses (3)
+/// - the negative gradient of the node's mean, without the part of `rigid` along leaving edges (3)
+/// - the negative of that part, in the node's frame (3)
+/// - the negative gradient of the node's rotation by `rot` (4)
+/// - the gradient of the node's rotation matrix (9)
 type LinkSums<R> = [[R; LANES]; 22];
 
 /// `rigid`, `rot` and `iso` of some nodes, as sums along the edges that leave them. *Accumulates* the nodes' gradients,

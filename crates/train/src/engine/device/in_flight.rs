@@ -80,7 +80,7 @@ impl<S, R> InFlight<S, R> {
         if self.oldest().is_some_and(is_ready) { self.reported.pop_front() } else { None }
     }
 
-    /// Empties the queue after the device has halted. The device has changed nothing that lasts since.
+    /// Empties the queue after the device has halted. The device has made no lasting change since.
     ///
     /// - `from`: iterations of the batch whose report told of the halt, starting with the one at which the device
     ///   halted

@@ -146,7 +146,8 @@ fn prior_gaussians(
         let inverse = inverse_length(quat);
         let unit = quat * inverse;
         if ((place & BACKGROUND) == 0u) {
-            // Of unit length up to rounding; only unit rotations turn an offset.
+            // Normalised again below: the product has unit length up to rounding, and only a unit rotation keeps
+            // lengths of offsets.
             let relative = quat_mul(unit, previous_inverse_quats[place]);
             moving_out[2u * place] = vec4<f32>(mean, inverse);
             moving_out[2u * place + 1u] = relative * inverse_length(relative);
@@ -190,8 +191,8 @@ fn prior_gaussians(
 // Along the edges of node i; returns sums of rigid, rot, iso over those that leave it.
 //
 // o is the offset of a neighbour, P its offset at the timestep before, R the relative rotation. The residual of rigid
-// is taken as o - R P instead of Rᵀo - P. It has the same length, and its derivative by the angle is a cross product,
-// -d · (R P × residual), since R turns by a small rotation vector d to R + [d]R.
+// is taken as o - R P instead of Rᵀo - P, which has the same length. R turns by a small rotation vector d to R + [d]R,
+// so the derivative of the residual by the angle is a cross product: -d · (R P × residual).
 fn node_edges(i: u32) -> vec4<f32> {
     let node = nodes[i];
     let num_edges = f32(step.num_foreground * step.per_node);

@@ -118,7 +118,7 @@ impl QuantizerTables {
     }
 }
 
-/// Parses and validates every shader of this module, and counts the bindings of its entry points.
+/// Parses and validates every shader of this module, and counts the buffers that its entry points use.
 #[test]
 fn shaders_are_valid_and_within_limits() {
     use wgpu::naga::{AddressSpace, front, valid};

@@ -15,11 +15,11 @@ use crate::gate::{Blocks, median};
 
 /// Number of depths tested on a ray, evenly spaced in their inverse.
 const DEPTHS: usize = 128;
-/// Mean absolute difference of two views' colours up to which they may be of one point.
+/// Mean absolute difference of two views' colours up to which they may show the same point.
 const SAME_COLOR: f32 = 0.08;
-/// Views, beside a ray's own, that must agree on a depth.
+/// Number of views, besides a ray's own, that must agree on a depth.
 const MIN_AGREEING: usize = 2;
-/// How near other views' seeds must be, in distances between rays.
+/// Largest distance to a seed of another view, in distances between rays.
 const SUPPORT: f32 = 2.0;
 /// Share of the scene's points that may lie beyond the tested depths, at either end.
 const BEYOND: f64 = 0.005;
@@ -45,7 +45,7 @@ struct Sight<'a> {
 
 /// Finds the places at which Gaussians are born.
 ///
-/// - `views`: one a camera
+/// - `views`: one per camera
 /// - `unexplained`: `[views]`
 /// - `means`: `[N, 3]` of the scene, for its range of depths
 /// - `most`: approximate maximum number of places
@@ -117,7 +117,7 @@ fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
     seeds
 }
 
-/// How well the other views agree that a point of this colour is new; none if they do not.
+/// Score of the other views' agreement that a point of this colour is new; none if they disagree.
 fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3]) -> Option<f32> {
     let (mut agreeing, mut against, mut difference) = (0, 0, 0.0);
     for other in sights.iter().enumerate().filter(|(i, _)| *i != of).map(|(_, sight)| sight) {
@@ -129,7 +129,7 @@ fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3]) -> O
         }
         let there = mean_color(&other.view.image, x, y);
         let distance = (0..3).map(|c| (there[c] - color[c]).abs()).sum::<f32>() / 3.0;
-        // Another colour may be the other side of the same thing.
+        // Another colour may be the other side of the same object.
         if distance < SAME_COLOR {
             agreeing += 1;
             difference += distance / SAME_COLOR;
@@ -139,7 +139,7 @@ fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3]) -> O
     is_agreed.then_some(agreeing as f32 - against as f32 - difference)
 }
 
-/// The nearest and the farthest depth of the scene in a view; none if the view sees nothing of it.
+/// The nearest and the farthest depth of the scene in a view; none if the view sees no part of it.
 fn range(pinhole: &Pinhole<f32>, means: &[[f32; 3]]) -> Option<[f32; 2]> {
     let mut depths: Vec<f32> = means.iter().filter_map(|&mean| Some(pinhole.pixel(mean)?.1)).collect();
     depths.sort_by(f32::total_cmp);
