@@ -86,7 +86,7 @@ impl Optimizer {
     }
 
     /// The part that carries over to the next timestep: moments that [`Self::begin_timestep`] does not clear, and
-    /// counts of updates of all columns that vary.
+    /// update counts of all varying columns.
     pub(crate) fn carried_over(&self) -> Self {
         let mut carried = self.clone();
         carried.begin_timestep(false);
